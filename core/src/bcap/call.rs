@@ -1,0 +1,395 @@
+//! Typed calls: one function of Rust for each of the 137 functions of b-CAP.
+//!
+//! A call is a value that knows its function, its arguments and what its reply is. It does nothing by itself; a client
+//! sends it. All are made from the [function table](super::function), so names and types agree with the wire.
+//!
+//! # Examples
+//!
+//! ```
+//! use bcap_core::bcap::call::{self, Call, VariableHandle};
+//! use bcap_core::bcap::FunctionId;
+//!
+//! let get = call::variable_get_value(VariableHandle(3));
+//! assert_eq!(get.function(), FunctionId::VARIABLE_GET_VALUE);
+//! ```
+
+use core::fmt;
+
+use crate::bcap::function::for_each_function;
+use crate::bcap::{Args, FrameWriter, FunctionId};
+use crate::error::EncodeError;
+use crate::variant::{Bstr, Encode, VarType, Variant, Writer};
+
+/// A call: a function with its arguments.
+pub trait Call {
+    /// What its reply carries.
+    type Reply: Reply;
+
+    /// Returns the function.
+    fn function(&self) -> FunctionId;
+
+    /// Appends the arguments to a frame.
+    ///
+    /// # Errors
+    ///
+    /// [`EncodeError::Full`] when they do not fit.
+    fn arguments(&self, frame: &mut FrameWriter<'_>) -> Result<(), EncodeError>;
+}
+
+impl<C: Call + ?Sized> Call for &C {
+    type Reply = C::Reply;
+
+    fn function(&self) -> FunctionId {
+        (**self).function()
+    }
+
+    fn arguments(&self, frame: &mut FrameWriter<'_>) -> Result<(), EncodeError> {
+        (**self).arguments(frame)
+    }
+}
+
+/// What the reply to a call carries; it is read from the arguments of the reply's frame.
+pub trait Reply {
+    /// The value, which may borrow from the frame.
+    type Value<'a>;
+
+    /// Reads the value.
+    ///
+    /// # Errors
+    ///
+    /// A [`ReplyError`] when the reply carries something else.
+    fn read(args: Args<'_>) -> Result<Self::Value<'_>, ReplyError>;
+}
+
+/// A reply carries another value than its function gives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct ReplyError {
+    /// What was expected, in words.
+    pub expected: &'static str,
+    /// The type of what came; `None` when there was no value.
+    pub found: Option<VarType>,
+}
+
+impl fmt::Display for ReplyError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.found {
+            Some(found) => write!(f, "the reply carries {found} instead of {}", self.expected),
+            None => write!(f, "the reply carries no value instead of {}", self.expected),
+        }
+    }
+}
+
+impl core::error::Error for ReplyError {}
+
+/// Reads the first value of a reply with `read`.
+fn value<'a, T>(
+    args: Args<'a>,
+    expected: &'static str,
+    read: impl FnOnce(&Variant<'a>) -> Option<T>,
+) -> Result<T, ReplyError> {
+    let found = args.get(0);
+    found.as_ref().and_then(read).ok_or(ReplyError { expected, found: found.map(|v| v.vartype()) })
+}
+
+/// A reply without a value; one that a peer sends all the same is ignored.
+#[derive(Clone, Copy, Debug)]
+pub struct Nothing;
+
+impl Reply for Nothing {
+    type Value<'a> = ();
+
+    fn read(_args: Args<'_>) -> Result<(), ReplyError> {
+        Ok(())
+    }
+}
+
+/// A reply with an integer.
+#[derive(Clone, Copy, Debug)]
+pub struct Int;
+
+impl Reply for Int {
+    type Value<'a> = i32;
+
+    fn read(args: Args<'_>) -> Result<i32, ReplyError> {
+        value(args, "an integer of 32 bits", Variant::as_i32)
+    }
+}
+
+/// A reply with a string.
+#[derive(Clone, Copy, Debug)]
+pub struct Text;
+
+impl Reply for Text {
+    type Value<'a> = Bstr<'a>;
+
+    fn read(args: Args<'_>) -> Result<Bstr<'_>, ReplyError> {
+        value(args, "a string", |v| if v.is_empty() { Some(Bstr::default()) } else { v.as_bstr() })
+    }
+}
+
+/// A reply with any value; one without stands for EMPTY.
+#[derive(Clone, Copy, Debug)]
+pub struct Any;
+
+impl Reply for Any {
+    type Value<'a> = Variant<'a>;
+
+    fn read(args: Args<'_>) -> Result<Variant<'_>, ReplyError> {
+        Ok(args.get(0).unwrap_or(Variant::Empty))
+    }
+}
+
+/// A reply in which peers disagree about whether it carries a value.
+#[derive(Clone, Copy, Debug)]
+pub struct Maybe;
+
+impl Reply for Maybe {
+    type Value<'a> = Option<Variant<'a>>;
+
+    fn read(args: Args<'_>) -> Result<Option<Variant<'_>>, ReplyError> {
+        Ok(args.get(0))
+    }
+}
+
+macro_rules! handles {
+    ($($name:ident $text:literal;)*) => {$(
+        #[doc = concat!("The handle of a ", $text, ", given by the server and good for the connection that got it.")]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        pub struct $name(pub i32);
+
+        impl Encode for $name {
+            #[inline]
+            fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
+                self.0.encode(out)
+            }
+        }
+
+        impl Reply for $name {
+            type Value<'a> = Self;
+
+            fn read(args: Args<'_>) -> Result<Self, ReplyError> {
+                let handle = value(args, concat!("the handle of a ", $text), |v| match *v {
+                    // some servers keep handles as unsigned numbers
+                    Variant::Ui4(n) => Some(n.cast_signed()),
+                    _ => v.as_i32(),
+                })?;
+                Ok(Self(handle))
+            }
+        }
+    )*};
+}
+
+handles! {
+    ControllerHandle "controller";
+    ExtensionHandle "extension";
+    FileHandle "file";
+    RobotHandle "robot";
+    TaskHandle "task";
+    VariableHandle "variable";
+    CommandHandle "command";
+    MessageHandle "message";
+}
+
+/// The types of arguments by their kind in the table.
+macro_rules! argument {
+    (Int) => { i32 };
+    (Float) => { f32 };
+    (Text) => { &str };
+    (Any) => { impl Encode };
+    (Controller) => { ControllerHandle };
+    (Extension) => { ExtensionHandle };
+    (File) => { FileHandle };
+    (Robot) => { RobotHandle };
+    (Task) => { TaskHandle };
+    (Variable) => { VariableHandle };
+    (Command) => { CommandHandle };
+    (Message) => { MessageHandle };
+}
+
+/// The replies by their kind in the table.
+macro_rules! reply {
+    (Controller) => {
+        ControllerHandle
+    };
+    (Extension) => {
+        ExtensionHandle
+    };
+    (File) => {
+        FileHandle
+    };
+    (Robot) => {
+        RobotHandle
+    };
+    (Task) => {
+        TaskHandle
+    };
+    (Variable) => {
+        VariableHandle
+    };
+    (Command) => {
+        CommandHandle
+    };
+    (Message) => {
+        MessageHandle
+    };
+    ($other:ident) => {
+        $other
+    };
+}
+
+macro_rules! calls {
+    ($($number:literal $constant:ident $method:ident $name:literal $object:ident
+       ($($argument:ident: $kind:ident),*) $result:ident;)*) => {$(
+        #[doc = concat!("Makes the call `", $name, "`, function ", stringify!($number), ".")]
+        #[must_use]
+        #[inline]
+        pub fn $method($($argument: argument!($kind)),*) -> impl Call<Reply = reply!($result)> {
+            Typed::<_, reply!($result)> {
+                function: FunctionId::$constant,
+                arguments: ($($argument,)*),
+                reply: core::marker::PhantomData,
+            }
+        }
+    )*};
+}
+
+for_each_function!(calls);
+
+/// A function with a tuple of arguments.
+struct Typed<A, R> {
+    function: FunctionId,
+    arguments: A,
+    reply: core::marker::PhantomData<R>,
+}
+
+/// A tuple of arguments.
+trait Arguments {
+    fn put(&self, frame: &mut FrameWriter<'_>) -> Result<(), EncodeError>;
+}
+
+macro_rules! arguments {
+    ($(($($name:ident)*))*) => {$(
+        impl<$($name: Encode),*> Arguments for ($($name,)*) {
+            #[inline]
+            fn put(&self, frame: &mut FrameWriter<'_>) -> Result<(), EncodeError> {
+                let _ = &frame;
+                #[allow(non_snake_case, reason = "the arguments are named as their types")]
+                let ($($name,)*) = self;
+                $(frame.argument($name)?;)*
+                Ok(())
+            }
+        }
+    )*};
+}
+
+arguments!(() (A) (A B) (A B C) (A B C D) (A B C D E));
+
+impl<A: Arguments, R: Reply> Call for Typed<A, R> {
+    type Reply = R;
+
+    #[inline]
+    fn function(&self) -> FunctionId {
+        self.function
+    }
+
+    #[inline]
+    fn arguments(&self, frame: &mut FrameWriter<'_>) -> Result<(), EncodeError> {
+        self.arguments.put(frame)
+    }
+}
+
+/// A call by number, with arguments that are known only at run time; any number is sent as it is.
+///
+/// # Examples
+///
+/// ```
+/// use bcap_core::bcap::call::RawCall;
+/// use bcap_core::bcap::FunctionId;
+///
+/// let call = RawCall { function: FunctionId::ROBOT_HALT, arguments: &[&3_i32, &""] };
+/// # let _ = call;
+/// ```
+#[derive(Clone, Copy)]
+pub struct RawCall<'a> {
+    /// The function.
+    pub function: FunctionId,
+    /// Its arguments.
+    pub arguments: &'a [&'a dyn Encode],
+}
+
+impl Call for RawCall<'_> {
+    type Reply = Maybe;
+
+    fn function(&self) -> FunctionId {
+        self.function
+    }
+
+    fn arguments(&self, frame: &mut FrameWriter<'_>) -> Result<(), EncodeError> {
+        self.arguments.iter().try_for_each(|argument| frame.argument(*argument))
+    }
+}
+
+impl fmt::Debug for RawCall<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}(.. {} arguments)", self.function, self.arguments.len())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use super::*;
+    use crate::bcap::Decoder;
+    use crate::hresult::HResult;
+
+    /// Encodes a call and returns the arguments as the peer sees them.
+    fn sent(call: impl Call, check: impl FnOnce(FunctionId, Args<'_>)) {
+        let mut buffer = [0; 256];
+        let mut frame = FrameWriter::new(&mut buffer).unwrap();
+        call.arguments(&mut frame).unwrap();
+        let bytes = frame.finish(1, 0, call.function().0).unwrap();
+        let frame = Decoder::TCP.decode_datagram(bytes).unwrap();
+        check(frame.function(), frame.args);
+    }
+
+    fn replied<R: Reply>(reply: &dyn Encode, check: impl FnOnce(Result<R::Value<'_>, ReplyError>)) {
+        let mut buffer = [0; 256];
+        let mut frame = FrameWriter::new(&mut buffer).unwrap();
+        frame.argument(reply).unwrap();
+        let bytes = frame.finish(1, 0, HResult::S_OK.0).unwrap();
+        check(R::read(Decoder::TCP.decode_datagram(bytes).unwrap().args));
+    }
+
+    #[test]
+    fn arguments_have_the_types_of_the_table() {
+        sent(robot_accelerate(RobotHandle(3), -1, 50.0, 25.0), |function, args| {
+            assert_eq!(function, FunctionId::ROBOT_ACCELERATE);
+            let expected = [Variant::I4(3), Variant::I4(-1), Variant::R4(50.0), Variant::R4(25.0)];
+            assert!(args.iter().eq(expected));
+        });
+        sent(robot_execute(RobotHandle(3), "TakeArm", [0, 1]), |_, args| {
+            let kinds = FunctionId::ROBOT_EXECUTE.signature().unwrap().arguments;
+            assert!(args.iter().zip(kinds).all(|(value, kind)| kind.accepts(&value)));
+            assert_eq!(args.get(1).unwrap().as_bstr().unwrap(), "TakeArm");
+            assert_eq!(args.get(2).unwrap().as_array().unwrap().items().unwrap().to_array(), Some([0, 1]));
+        });
+        sent(service_stop(), |function, args| {
+            assert_eq!((function.0, args.len()), (2, 0));
+        });
+    }
+
+    #[test]
+    fn replies_are_read_or_refused() {
+        replied::<VariableHandle>(&7_i32, |r| assert_eq!(r, Ok(VariableHandle(7))));
+        replied::<VariableHandle>(&u32::MAX, |r| assert_eq!(r, Ok(VariableHandle(-1))));
+        replied::<VariableHandle>(&"7", |r| assert_eq!(r.unwrap_err().found, Some(VarType::BSTR)));
+        replied::<Text>(&(), |r| assert!(r.unwrap().is_empty()));
+        replied::<Int>(&3_u8, |r| assert_eq!(r, Ok(3)));
+        replied::<Nothing>(&3_u8, |r| assert_eq!(r, Ok(())));
+        assert_eq!(Int::read(Args::NONE).unwrap_err().found, None);
+        assert_eq!(Any::read(Args::NONE), Ok(Variant::Empty));
+        assert_eq!(Maybe::read(Args::NONE), Ok(None));
+    }
+}

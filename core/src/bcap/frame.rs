@@ -1,0 +1,517 @@
+//! The b-CAP frame.
+//!
+//! ```text
+//!  offset  size  field
+//!       0     1  SOH 0x01
+//!       1     4  length of the whole frame, SOH to EOT
+//!       5     2  serial number; a reply repeats its request's
+//!       7     2  reserved; on UDP and serial lines the serial of a call's first attempt
+//!       9     4  request: function number; reply: HRESULT
+//!      13     2  number of arguments
+//!      15     …  arguments: u32 length of the value | value (VARIANT)
+//!   end-3     2  CRC-16 over length..last argument; serial lines only
+//!   end-1     1  EOT 0x04
+//! ```
+//!
+//! All fields are little-endian (S2:200-384). [`Decoder::decode`] checks everything in one pass, values included: after
+//! that no accessor of [`Frame`] or [`Args`] fails or panics. [`FrameWriter`] writes a frame into a caller's buffer.
+
+use core::fmt;
+
+use crate::bcap::FunctionId;
+use crate::error::{DecodeError, DecodeErrorKind, EncodeError, Layer};
+use crate::hresult::HResult;
+use crate::limits::{Limits, Strictness};
+use crate::num::{to_u16, to_u32, to_usize};
+use crate::variant::{self, Encode, Variant};
+use crate::wire::{Reader, Writer};
+
+/// The first byte of every frame.
+pub const SOH: u8 = 0x01;
+/// The last byte of every frame.
+pub const EOT: u8 = 0x04;
+/// Bytes in front of the arguments.
+pub const HEADER_LEN: usize = 15;
+/// The least frame: a header and EOT.
+pub const MIN_FRAME: usize = 16;
+
+/// Decodes frames; its fields are run-time choices of the user.
+///
+/// # Examples
+///
+/// ```
+/// use bcap_core::bcap::{Decoder, FunctionId, Progress};
+/// use bcap_core::variant::Variant;
+///
+/// // Variable_GetValue(3), with the next frame's first byte behind it
+/// let bytes = *b"\x01\x1e\0\0\0\x04\0\0\0\x65\0\0\0\x01\0\x0a\0\0\0\x03\0\x01\0\0\0\x03\0\0\0\x04\x01";
+/// let Progress::Complete(frame, used) = Decoder::TCP.decode(&bytes)? else { panic!("it is whole") };
+/// assert_eq!(used, 30);
+/// assert_eq!((frame.serial, frame.function()), (4, FunctionId::VARIABLE_GET_VALUE));
+/// assert_eq!(frame.args.get(0), Some(Variant::I4(3)));
+///
+/// assert_eq!(Decoder::TCP.decode(&bytes[..7])?, Progress::NeedMore(30));
+/// # Ok::<(), bcap_core::error::DecodeError>(())
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Decoder {
+    /// What is accepted at most.
+    pub limits: Limits,
+    /// What is forgiven.
+    pub strictness: Strictness,
+    /// Whether frames carry a CRC, as on serial lines.
+    pub crc: bool,
+}
+
+/// How far the bytes at hand go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[must_use]
+pub enum Progress<'a> {
+    /// A frame, and the number of bytes it took.
+    Complete(Frame<'a>, usize),
+    /// All is well so far, but a frame takes at least this many bytes, counted from the first.
+    NeedMore(usize),
+}
+
+/// A checked frame, as a view of its bytes.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct Frame<'a> {
+    /// The serial number.
+    pub serial: u16,
+    /// The reserved field.
+    pub reserved: u16,
+    /// The function number of a request, or the HRESULT of a reply.
+    pub code: i32,
+    /// The arguments.
+    pub args: Args<'a>,
+}
+
+impl Decoder {
+    /// Strict decoding of TCP streams.
+    pub const TCP: Self = Self { limits: Limits::STREAM, strictness: Strictness::Strict, crc: false };
+    /// Strict decoding of datagrams.
+    pub const UDP: Self = Self { limits: Limits::DATAGRAM, strictness: Strictness::Strict, crc: false };
+    /// Strict decoding of serial lines.
+    pub const SERIAL: Self = Self { limits: Limits::SERIAL, strictness: Strictness::Strict, crc: true };
+
+    /// Returns the same decoder with another strictness.
+    #[must_use]
+    pub const fn strictness(self, strictness: Strictness) -> Self {
+        Self { strictness, ..self }
+    }
+
+    /// Decodes the frame at the front of `bytes`.
+    ///
+    /// Errors are found as early as they can be: a wrong first byte with the first byte, a length over the limit with
+    /// the fifth, before anything else is waited for.
+    ///
+    /// # Errors
+    ///
+    /// A [`DecodeError`]; a stream can go on behind the bytes that [`resync`](Self::resync) says.
+    #[inline]
+    pub fn decode<'a>(&self, bytes: &'a [u8]) -> Result<Progress<'a>, DecodeError> {
+        let Some(length) = self.frame_length(bytes)? else { return Ok(Progress::NeedMore(MIN_FRAME)) };
+        match bytes.get(..length) {
+            Some(frame) => self.check(frame).map(|frame| Progress::Complete(frame, length)),
+            None => Ok(Progress::NeedMore(length)),
+        }
+    }
+
+    /// Decodes `bytes` as exactly one frame, as a datagram holds one.
+    ///
+    /// # Errors
+    ///
+    /// As [`decode`](Self::decode), and for bytes that are missing, or too many (a lenient decoder leaves those out).
+    pub fn decode_datagram<'a>(&self, bytes: &'a [u8]) -> Result<Frame<'a>, DecodeError> {
+        match self.decode(bytes)? {
+            Progress::Complete(frame, used) if used == bytes.len() || self.strictness == Strictness::Lenient => {
+                Ok(frame)
+            }
+            Progress::Complete(_, used) => {
+                let unused = to_u32(bytes.len().saturating_sub(used));
+                Err(DecodeError::frame(DecodeErrorKind::Unused(unused), used))
+            }
+            Progress::NeedMore(needed) => {
+                Err(DecodeError::frame(DecodeErrorKind::Incomplete { needed: to_u32(needed) }, bytes.len()))
+            }
+        }
+    }
+
+    /// Returns the length of the frame at the front of `bytes`, checked; `None` while its field is not whole.
+    ///
+    /// # Errors
+    ///
+    /// When the first byte or the length cannot begin a frame.
+    #[inline]
+    pub fn frame_length(&self, bytes: &[u8]) -> Result<Option<usize>, DecodeError> {
+        match bytes {
+            [] => Ok(None),
+            [SOH, l0, l1, l2, l3, ..] => {
+                let length = u32::from_le_bytes([*l0, *l1, *l2, *l3]);
+                if length < to_u32(self.min_frame()) {
+                    return Err(DecodeError::frame(DecodeErrorKind::FrameTooShort(length), 1));
+                }
+                if length > self.limits.frame {
+                    let limit = self.limits.frame;
+                    return Err(DecodeError::frame(DecodeErrorKind::FrameTooLong { length, limit }, 1));
+                }
+                Ok(Some(to_usize(length)))
+            }
+            [SOH, ..] => Ok(None),
+            [found, ..] => Err(DecodeError::frame(DecodeErrorKind::Soh(*found), 0)),
+        }
+    }
+
+    /// Returns how many bytes to drop after an error, so that what follows may begin a frame: at least one, when there
+    /// are any, and everything when no byte qualifies.
+    #[must_use]
+    pub fn resync(&self, bytes: &[u8]) -> usize {
+        let mut at = 1_usize;
+        while let Some(rest) = bytes.get(at..) {
+            if rest.is_empty() || self.frame_length(rest).is_ok() {
+                break;
+            }
+            at = at.wrapping_add(1);
+        }
+        at.min(bytes.len())
+    }
+
+    const fn min_frame(&self) -> usize {
+        if self.crc { MIN_FRAME + 2 } else { MIN_FRAME }
+    }
+
+    /// Checks a frame of the right length.
+    #[inline]
+    fn check<'a>(&self, frame: &'a [u8]) -> Result<Frame<'a>, DecodeError> {
+        // `frame_length` has seen at least a header and EOT; the fallbacks keep this free of panics
+        let short = DecodeError::frame(DecodeErrorKind::FrameTooShort(to_u32(frame.len())), 1);
+        let Some((&[_, _, _, _, _, s0, s1, r0, r1, c0, c1, c2, c3, n0, n1], rest)) =
+            frame.split_first_chunk::<HEADER_LEN>()
+        else {
+            return Err(short);
+        };
+        let Some((&eot, mut body)) = rest.split_last() else { return Err(short) };
+        if eot != EOT {
+            return Err(DecodeError::frame(DecodeErrorKind::Eot(eot), frame.len().wrapping_sub(1)));
+        }
+        if self.crc {
+            body = check_crc(frame, body)?;
+        }
+        let count = u16::from_le_bytes([n0, n1]);
+        if count > self.limits.arguments {
+            let limit = self.limits.arguments;
+            return Err(DecodeError::frame(DecodeErrorKind::TooManyArguments { count, limit }, 13));
+        }
+        let data = self.check_args(count, body)?;
+        Ok(Frame {
+            serial: u16::from_le_bytes([s0, s1]),
+            reserved: u16::from_le_bytes([r0, r1]),
+            code: i32::from_le_bytes([c0, c1, c2, c3]),
+            args: Args { count, data, strictness: self.strictness },
+        })
+    }
+
+    /// Checks the arguments and returns their bytes.
+    #[inline]
+    fn check_args<'a>(&self, count: u16, body: &'a [u8]) -> Result<&'a [u8], DecodeError> {
+        let mut reader = Reader::new(body);
+        for number in 1..=count {
+            if let Err(fault) = check_argument(&mut reader, &self.limits, self.strictness) {
+                return Err(fault.at(HEADER_LEN.wrapping_add(body.len()), Layer::Argument(number)));
+            }
+        }
+        let unused = reader.left();
+        if unused > 0 && self.strictness == Strictness::Strict {
+            let offset = HEADER_LEN.wrapping_add(body.len()).wrapping_sub(unused);
+            return Err(DecodeError::frame(DecodeErrorKind::Unused(to_u32(unused)), offset));
+        }
+        Ok(body)
+    }
+}
+
+/// Splits one argument off and checks it.
+#[inline]
+fn check_argument<'a>(r: &mut Reader<'a>, limits: &Limits, strictness: Strictness) -> Result<&'a [u8], variant::Fault> {
+    let at = r.left();
+    let Some(declared) = r.u32() else {
+        return Err(variant::Fault { kind: DecodeErrorKind::Truncated { needed: 4, left: to_u32(at) }, left: at });
+    };
+    if strictness == Strictness::Lenient {
+        // peers that go wrong in this field read on by the values themselves; only an unknown type needs it
+        if variant::is_opaque(r.rest())
+            && let Some(opaque) = opaque(declared, r)
+        {
+            return Ok(opaque);
+        }
+        return variant::check(r, limits, strictness);
+    }
+    let left = to_u32(r.left());
+    let Some(value) = r.slice(to_usize(declared)) else {
+        return Err(variant::Fault { kind: DecodeErrorKind::Truncated { needed: declared, left }, left: at });
+    };
+    let mut inner = Reader::new(value);
+    match variant::check(&mut inner, limits, strictness) {
+        Ok(_) if inner.left() == 0 => Ok(value),
+        Ok(used) => {
+            let used = to_u32(used.len());
+            Err(variant::Fault { kind: DecodeErrorKind::ArgumentLength { declared, used }, left: at })
+        }
+        // the fault counts from the end of the argument, and more may follow that
+        Err(fault) => Err(variant::Fault { left: fault.left.wrapping_add(r.left()), ..fault }),
+    }
+}
+
+/// Splits a value of unknown type off, when its argument's length makes sense.
+fn opaque<'a>(declared: u32, r: &mut Reader<'a>) -> Option<&'a [u8]> {
+    (declared >= 6).then(|| r.slice(to_usize(declared))).flatten()
+}
+
+/// Splits the CRC off the end of `body` and compares it.
+fn check_crc<'a>(frame: &[u8], body: &'a [u8]) -> Result<&'a [u8], DecodeError> {
+    let end = frame.len().saturating_sub(3);
+    let Some((args, found)) = body.split_last_chunk::<2>() else {
+        return Err(DecodeError::frame(DecodeErrorKind::FrameTooShort(to_u32(frame.len())), 1));
+    };
+    let computed = crc16(frame.get(1..end).unwrap_or_default());
+    let found = u16::from_le_bytes(*found);
+    if found == computed { Ok(args) } else { Err(DecodeError::frame(DecodeErrorKind::Crc { found, computed }, end)) }
+}
+
+/// Returns the CRC-16 of serial frames: polynomial 0x1021, start 0xffff, nothing reflected or inverted.
+#[must_use]
+pub fn crc16(bytes: &[u8]) -> u16 {
+    bytes.iter().fold(0xffff, |crc, byte| {
+        // half a byte at a time: a table of 32 bytes is small enough for a board and fast enough for a serial line
+        let crc = step(crc, byte >> 4);
+        step(crc, byte & 0xf)
+    })
+}
+
+/// Feeds half a byte, the high one of a byte first.
+fn step(crc: u16, nibble: u8) -> u16 {
+    const TABLE: [u16; 16] = [
+        0x0000, 0x1021, 0x2042, 0x3063, 0x4084, 0x50a5, 0x60c6, 0x70e7, 0x8108, 0x9129, 0xa14a, 0xb16b, 0xc18c, 0xd1ad,
+        0xe1ce, 0xf1ef,
+    ];
+    let [top, _] = crc.to_be_bytes();
+    let index = usize::from((top >> 4) ^ nibble);
+    (crc << 4) ^ TABLE.get(index).copied().unwrap_or(0)
+}
+
+/// The arguments of a checked frame.
+#[derive(Clone, Copy)]
+pub struct Args<'a> {
+    count: u16,
+    /// `count` checked arguments; unused bytes may follow them when the decoder was lenient.
+    data: &'a [u8],
+    strictness: Strictness,
+}
+
+impl<'a> Args<'a> {
+    /// No arguments.
+    pub const NONE: Self = Self { count: 0, data: &[], strictness: Strictness::Strict };
+
+    /// Returns the number of arguments.
+    #[must_use]
+    pub fn len(self) -> usize {
+        usize::from(self.count)
+    }
+
+    /// Tells whether there are no arguments.
+    #[must_use]
+    pub const fn is_empty(self) -> bool {
+        self.count == 0
+    }
+
+    /// Returns an argument, counted from 0.
+    #[must_use]
+    pub fn get(self, index: usize) -> Option<Variant<'a>> {
+        self.iter().nth(index)
+    }
+
+    /// Iterates over the arguments.
+    #[must_use]
+    pub const fn iter(self) -> ArgsIter<'a> {
+        ArgsIter { left: self.count, reader: Reader::new(self.data), strictness: self.strictness }
+    }
+}
+
+impl<'a> IntoIterator for Args<'a> {
+    type Item = Variant<'a>;
+    type IntoIter = ArgsIter<'a>;
+
+    fn into_iter(self) -> ArgsIter<'a> {
+        self.iter()
+    }
+}
+
+impl PartialEq for Args<'_> {
+    fn eq(&self, other: &Self) -> bool {
+        self.iter().eq(other.iter())
+    }
+}
+
+impl Eq for Args<'_> {}
+
+impl fmt::Debug for Args<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_list().entries(*self).finish()
+    }
+}
+
+/// Iterates over the arguments of a frame.
+#[derive(Clone)]
+pub struct ArgsIter<'a> {
+    left: u16,
+    reader: Reader<'a>,
+    strictness: Strictness,
+}
+
+impl<'a> Iterator for ArgsIter<'a> {
+    type Item = Variant<'a>;
+
+    #[inline]
+    fn next(&mut self) -> Option<Variant<'a>> {
+        self.left = self.left.checked_sub(1)?;
+        // in a checked strict frame the lengths are right, so there is no need to walk the value again
+        let value = match self.strictness {
+            Strictness::Strict => crate::wire::length_prefixed(&mut self.reader)?,
+            Strictness::Lenient => check_argument(&mut self.reader, &DEEPEST, Strictness::Lenient).ok()?,
+        };
+        Some(Variant::from_checked(value))
+    }
+
+    fn size_hint(&self) -> (usize, Option<usize>) {
+        (usize::from(self.left), Some(usize::from(self.left)))
+    }
+}
+
+const DEEPEST: Limits = Limits { depth: crate::limits::MAX_DEPTH, ..Limits::STREAM };
+
+impl ExactSizeIterator for ArgsIter<'_> {}
+impl core::iter::FusedIterator for ArgsIter<'_> {}
+
+impl fmt::Debug for ArgsIter<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_list().entries(self.clone()).finish()
+    }
+}
+
+impl<'a> Frame<'a> {
+    /// Returns the function that a request asks for.
+    #[must_use]
+    pub const fn function(&self) -> FunctionId {
+        FunctionId(self.code)
+    }
+
+    /// Returns the result that a reply reports.
+    #[must_use]
+    pub const fn hresult(&self) -> HResult {
+        HResult(self.code)
+    }
+
+    /// Returns the value that a reply carries.
+    #[must_use]
+    pub fn value(&self) -> Option<Variant<'a>> {
+        self.args.get(0)
+    }
+}
+
+impl fmt::Debug for Frame<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Frame")
+            .field("serial", &self.serial)
+            .field("reserved", &self.reserved)
+            .field("code", &format_args!("{:#x}", self.code))
+            .field("args", &self.args)
+            .finish()
+    }
+}
+
+/// Writes one frame into a caller's buffer; what it writes is canonical.
+///
+/// # Examples
+///
+/// ```
+/// use bcap_core::bcap::{FrameWriter, FunctionId};
+///
+/// let mut buffer = [0; 64];
+/// let mut frame = FrameWriter::new(&mut buffer)?;
+/// frame.argument(&3_i32)?;
+/// let frame = frame.finish(4, 0, FunctionId::VARIABLE_GET_VALUE.0)?;
+/// assert_eq!(frame, b"\x01\x1e\0\0\0\x04\0\0\0\x65\0\0\0\x01\0\x0a\0\0\0\x03\0\x01\0\0\0\x03\0\0\0\x04");
+/// # Ok::<(), bcap_core::error::EncodeError>(())
+/// ```
+#[derive(Debug)]
+pub struct FrameWriter<'b> {
+    out: Writer<'b>,
+    arguments: usize,
+    crc: bool,
+}
+
+impl<'b> FrameWriter<'b> {
+    /// Starts a frame without CRC, for TCP and UDP.
+    ///
+    /// # Errors
+    ///
+    /// [`EncodeError::Full`] when not even a header fits.
+    #[inline]
+    pub fn new(buffer: &'b mut [u8]) -> Result<Self, EncodeError> {
+        let mut out = Writer::new(buffer);
+        out.put([SOH, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0])?;
+        Ok(Self { out, arguments: 0, crc: false })
+    }
+
+    /// Chooses whether the frame ends with a CRC, for serial lines.
+    #[must_use]
+    pub const fn with_crc(self, crc: bool) -> Self {
+        Self { crc, ..self }
+    }
+
+    /// Appends an argument.
+    ///
+    /// # Errors
+    ///
+    /// [`EncodeError::Full`] when it does not fit.
+    #[inline]
+    pub fn argument<T: Encode + ?Sized>(&mut self, value: &T) -> Result<(), EncodeError> {
+        self.arguments = self.arguments.wrapping_add(1);
+        self.out.length_prefixed(|out| value.encode(out))
+    }
+
+    /// Fills the header in, closes the frame and returns its bytes.
+    ///
+    /// # Errors
+    ///
+    /// [`EncodeError::Full`] when the end does not fit.
+    #[inline]
+    pub fn finish(mut self, serial: u16, reserved: u16, code: i32) -> Result<&'b [u8], EncodeError> {
+        let tail = if self.crc { 3 } else { 1 };
+        let length = to_u32(self.out.len().wrapping_add(tail));
+        let ([l0, l1, l2, l3], [s0, s1]) = (length.to_le_bytes(), serial.to_le_bytes());
+        let ([r0, r1], [c0, c1, c2, c3]) = (reserved.to_le_bytes(), code.to_le_bytes());
+        let [n0, n1] = to_u16(self.arguments).to_le_bytes();
+        self.out.patch(0, [SOH, l0, l1, l2, l3, s0, s1, r0, r1, c0, c1, c2, c3, n0, n1]);
+        if self.crc {
+            let crc = crc16(self.out.as_bytes().get(1..).unwrap_or_default());
+            self.out.put(crc.to_le_bytes())?;
+        }
+        self.out.put([EOT])?;
+        Ok(self.out.into_bytes())
+    }
+}
+
+/// Rewrites serial and reserved of a finished frame, and its CRC, so that it can be sent once more.
+pub(crate) fn renumber(frame: &mut [u8], serial: u16, reserved: u16, crc: bool) {
+    if let Some(fields) = frame.get_mut(5..).and_then(<[u8]>::first_chunk_mut::<4>) {
+        let ([s0, s1], [r0, r1]) = (serial.to_le_bytes(), reserved.to_le_bytes());
+        *fields = [s0, s1, r0, r1];
+    }
+    if crc && let Some(end) = frame.len().checked_sub(3) {
+        let sum = crc16(frame.get(1..end).unwrap_or_default());
+        if let Some(slot) = frame.get_mut(end..).and_then(<[u8]>::first_chunk_mut::<2>) {
+            *slot = sum.to_le_bytes();
+        }
+    }
+}

@@ -1,0 +1,11 @@
+//! b-CAP: binary calls on the objects of a controller, over TCP and UDP port 5007 or a serial line.
+
+pub mod call;
+mod frame;
+pub mod function;
+
+pub use self::frame::{Args, ArgsIter, Decoder, EOT, Frame, FrameWriter, HEADER_LEN, MIN_FRAME, Progress, SOH, crc16};
+pub use self::function::{FunctionId, Kind, Object, Signature};
+
+/// The port of b-CAP, TCP and UDP.
+pub const PORT: u16 = 5007;

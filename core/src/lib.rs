@@ -1,0 +1,14 @@
+//! The b-CAP and RAC protocols of DENSO robot controllers.
+#![no_std]
+
+#[cfg(feature = "alloc")]
+extern crate alloc;
+
+pub mod bcap;
+pub mod error;
+pub mod hresult;
+pub mod limits;
+mod num;
+pub mod time;
+pub mod variant;
+mod wire;

@@ -1,0 +1,86 @@
+//! Time as the state machines see it: microseconds that somebody else counts.
+//!
+//! The core has no clock. Whoever drives a client or a server passes the present [`Instant`] in and gets the next
+//! deadline back. Only differences matter, so any monotonic counter will do: `std::time::Instant` since the start of
+//! the program, embassy's ticks, a timer of the board, the fake clock of a test.
+
+use core::fmt;
+use core::time::Duration;
+
+/// A point in time, in microseconds since an origin that the caller chooses.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Instant(u64);
+
+impl Instant {
+    /// The origin.
+    pub const ZERO: Self = Self(0);
+    /// A point that never comes.
+    pub const FAR_FUTURE: Self = Self(u64::MAX);
+
+    /// Makes the instant `micros` microseconds after the origin.
+    #[must_use]
+    pub const fn from_micros(micros: u64) -> Self {
+        Self(micros)
+    }
+
+    /// Makes the instant `millis` milliseconds after the origin, saturating.
+    #[must_use]
+    pub const fn from_millis(millis: u64) -> Self {
+        Self(millis.saturating_mul(1000))
+    }
+
+    /// Returns the microseconds since the origin.
+    #[must_use]
+    pub const fn as_micros(self) -> u64 {
+        self.0
+    }
+
+    /// Returns the time from `earlier` to `self`, or zero if `earlier` is later.
+    #[must_use]
+    pub const fn saturating_since(self, earlier: Self) -> Duration {
+        Duration::from_micros(self.0.saturating_sub(earlier.0))
+    }
+
+    /// Returns `self + duration`; a sum that does not fit is [`FAR_FUTURE`](Self::FAR_FUTURE).
+    #[must_use]
+    pub const fn saturating_add(self, duration: Duration) -> Self {
+        // seconds and the rest apart, so that a 32-bit target needs no 128-bit division
+        let micros = duration.as_secs().saturating_mul(1_000_000).saturating_add(sub_micros(duration));
+        Self(self.0.saturating_add(micros))
+    }
+}
+
+#[expect(clippy::as_conversions, reason = "From is not const; u32 to u64 is lossless")]
+const fn sub_micros(duration: Duration) -> u64 {
+    duration.subsec_micros() as u64
+}
+
+impl core::ops::Add<Duration> for Instant {
+    type Output = Self;
+
+    fn add(self, duration: Duration) -> Self {
+        self.saturating_add(duration)
+    }
+}
+
+impl fmt::Display for Instant {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} us", self.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sums_saturate_and_differences_never_wrap() {
+        let a = Instant::from_millis(2);
+        assert_eq!((a + Duration::from_micros(5)).as_micros(), 2005);
+        assert_eq!(Instant::FAR_FUTURE + Duration::MAX, Instant::FAR_FUTURE);
+        assert_eq!(Instant::from_millis(u64::MAX), Instant::FAR_FUTURE);
+        assert_eq!(Instant::ZERO.saturating_since(a), Duration::ZERO);
+        assert_eq!(a.saturating_since(Instant::ZERO), Duration::from_millis(2));
+    }
+}

@@ -1,0 +1,633 @@
+//! VARIANT: the value that b-CAP carries in binary and RAC in text.
+//!
+//! ```text
+//!  u16 VARTYPE | u32 element count | data          all little-endian; a scalar's count is 1
+//!
+//!  VARTYPE     data of one element                 Rust, to send       Rust, received
+//!   0 EMPTY    -                                   ()                  Variant::Empty
+//!   1 NULL     -                                   Null                Variant::Null
+//!   2 I2       i16                                 i16                 Variant::I2
+//!   3 I4       i32                                 i32                 Variant::I4
+//!   4 R4       f32                                 f32                 Variant::R4
+//!   5 R8       f64                                 f64                 Variant::R8
+//!   6 CY       i64 ten-thousandths                 Currency            Variant::Cy
+//!   7 DATE     f64 days since 1899-12-30           OleDate             Variant::Date
+//!   8 BSTR     u32 bytes | UTF-16LE                &str, Bstr          Variant::Bstr
+//!  10 ERROR    i32 HRESULT                         HResult             Variant::Error
+//!  11 BOOL     i16, -1 or 0                        bool                Variant::Bool
+//!  12 VARIANT  a whole VARIANT                     -                   Variant::Nested
+//!  17 UI1      u8                                  u8                  Variant::Ui1
+//!  18 UI2      u16                                 u16                 Variant::Ui2
+//!  19 UI4      u32                                 u32                 Variant::Ui4
+//!  20 I8       i64                                 i64                 Variant::I8
+//!  21 UI8      u64                                 u64                 Variant::Ui8
+//!  0x2000 | T  count elements of T                 &[T], [T; N],       Variant::Array
+//!                                                  tuples (of VARIANT)
+//! ```
+//!
+//! A received value is checked whole, nested ones included, by exactly one function ([`Variant::decode`], or the frame
+//! decoder); the [`Variant`] it returns is a `Copy` view of the bytes whose accessors cannot fail. To own a value, keep
+//! its encoding in a [`VariantBuf`].
+//!
+//! # Examples
+//!
+//! ```
+//! use bcap_core::limits::{Limits, Strictness};
+//! use bcap_core::variant::{Variant, VariantBuf};
+//!
+//! let sent = VariantBuf::<64>::new(&[1.5_f64, -2.0])?;
+//! assert_eq!(sent.as_bytes()[..6], [5, 0x20, 2, 0, 0, 0]);
+//!
+//! let received = Variant::decode(sent.as_bytes(), &Limits::STREAM, Strictness::Strict)?;
+//! let numbers = received.as_array().and_then(|a| a.items::<f64>()).ok_or("not an array of R8")?;
+//! assert_eq!(numbers.iter().sum::<f64>(), -0.5);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+
+mod array;
+mod bstr;
+mod buf;
+mod encode;
+mod scalar;
+
+pub use self::array::{Array, Items, Scalar};
+pub use self::bstr::Bstr;
+pub use self::buf::VariantBuf;
+pub use self::encode::{Element, Encode};
+pub use self::scalar::{CivilTime, Currency, Null, OleDate};
+pub use crate::wire::Writer;
+
+use core::fmt;
+
+use crate::error::{DecodeError, DecodeErrorKind, Layer};
+use crate::hresult::HResult;
+use crate::limits::{Limits, MAX_DEPTH, Strictness};
+use crate::num::{to_u32, to_usize};
+use crate::wire::Reader;
+
+/// Elements without data cost the peer nothing to claim, so an array of EMPTY or NULL has at most this many.
+pub const MAX_EMPTY_ELEMENTS: u32 = 256;
+
+/// The bytes of type and count in front of every value.
+const HEAD: usize = 6;
+
+/// [`MAX_DEPTH`] as the length of an array.
+const OUTER: usize = 16;
+const _: () = assert!(OUTER == MAX_DEPTH as usize);
+
+/// A VARTYPE: the type of a value, with [`ARRAY`](Self::ARRAY) or'ed in for arrays.
+#[derive(Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct VarType(pub u16);
+
+macro_rules! vartypes {
+    ($($(#[$doc:meta])* $name:ident = $value:literal, $text:literal, $layout:expr;)*) => {
+        impl VarType {
+            $($(#[$doc])* pub const $name: Self = Self($value);)*
+
+            /// Returns the name of the element type, as in `VT_BSTR`; `None` when the wire cannot carry it.
+            #[must_use]
+            pub const fn name(self) -> Option<&'static str> {
+                match self.element() {
+                    $(Self::$name => Some($text),)*
+                    _ => None,
+                }
+            }
+        }
+
+        /// Layouts by element type: one load where a match would be a jump table.
+        const LAYOUTS: [Layout; 22] = {
+            let mut table = [Layout::Unknown; 22];
+            $(table[$value] = $layout;)*
+            table
+        };
+    };
+}
+
+vartypes! {
+    /// No value.
+    EMPTY = 0, "VT_EMPTY", Layout::Fixed(0);
+    /// The null value.
+    NULL = 1, "VT_NULL", Layout::Fixed(0);
+    /// A signed 16-bit integer.
+    I2 = 2, "VT_I2", Layout::Fixed(2);
+    /// A signed 32-bit integer.
+    I4 = 3, "VT_I4", Layout::Fixed(4);
+    /// A 32-bit float.
+    R4 = 4, "VT_R4", Layout::Fixed(4);
+    /// A 64-bit float.
+    R8 = 5, "VT_R8", Layout::Fixed(8);
+    /// A currency amount.
+    CY = 6, "VT_CY", Layout::Fixed(8);
+    /// A date and time.
+    DATE = 7, "VT_DATE", Layout::Fixed(8);
+    /// A UTF-16 string.
+    BSTR = 8, "VT_BSTR", Layout::Bstr;
+    /// An HRESULT.
+    ERROR = 10, "VT_ERROR", Layout::Fixed(4);
+    /// A truth value.
+    BOOL = 11, "VT_BOOL", Layout::Fixed(2);
+    /// Any value, with its own type.
+    VARIANT = 12, "VT_VARIANT", Layout::Variant;
+    /// An unsigned 8-bit integer.
+    UI1 = 17, "VT_UI1", Layout::Fixed(1);
+    /// An unsigned 16-bit integer.
+    UI2 = 18, "VT_UI2", Layout::Fixed(2);
+    /// An unsigned 32-bit integer.
+    UI4 = 19, "VT_UI4", Layout::Fixed(4);
+    /// A signed 64-bit integer.
+    I8 = 20, "VT_I8", Layout::Fixed(8);
+    /// An unsigned 64-bit integer.
+    UI8 = 21, "VT_UI8", Layout::Fixed(8);
+}
+
+/// How an element's data lie on the wire.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Layout {
+    /// This many bytes.
+    Fixed(u8),
+    Bstr,
+    Variant,
+    Unknown,
+}
+
+impl VarType {
+    /// The bit that makes an array of any other type.
+    pub const ARRAY: Self = Self(0x2000);
+
+    /// Tells whether this is an array.
+    #[must_use]
+    pub const fn is_array(self) -> bool {
+        self.0 & Self::ARRAY.0 != 0
+    }
+
+    /// Returns the type of the elements; a scalar's own type.
+    #[must_use]
+    pub const fn element(self) -> Self {
+        Self(self.0 & !Self::ARRAY.0)
+    }
+
+    /// Returns the type of an array of this.
+    #[must_use]
+    pub const fn array_of(self) -> Self {
+        Self(self.0 | Self::ARRAY.0)
+    }
+
+    /// Tells whether the wire can carry values of this type.
+    #[must_use]
+    pub fn is_known(self) -> bool {
+        self.layout() != Layout::Unknown
+    }
+
+    fn layout(self) -> Layout {
+        LAYOUTS.get(usize::from(self.element().0)).copied().unwrap_or(Layout::Unknown)
+    }
+}
+
+impl fmt::Debug for VarType {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.name() {
+            Some(name) if self.is_array() => write!(f, "VT_ARRAY|{name}"),
+            Some(name) => f.write_str(name),
+            None => write!(f, "VarType(0x{:04x})", self.0),
+        }
+    }
+}
+
+impl fmt::Display for VarType {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Debug::fmt(self, f)
+    }
+}
+
+/// A value, as a view of the bytes it was decoded from.
+///
+/// Two values are equal when they would be sent as the same bytes: a NaN equals itself, and 0.0 is not -0.0.
+#[derive(Clone, Copy)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum Variant<'a> {
+    /// No value.
+    Empty,
+    /// The null value.
+    Null,
+    /// A signed 16-bit integer.
+    I2(i16),
+    /// A signed 32-bit integer.
+    I4(i32),
+    /// A 32-bit float.
+    R4(f32),
+    /// A 64-bit float.
+    R8(f64),
+    /// A currency amount.
+    Cy(Currency),
+    /// A date and time.
+    Date(OleDate),
+    /// A string.
+    Bstr(Bstr<'a>),
+    /// An HRESULT.
+    Error(HResult),
+    /// A truth value; any number but 0 was true on the wire.
+    Bool(bool),
+    /// A VARIANT that holds one other value, RAC's `12,(8,Sample)`.
+    Nested(Nested<'a>),
+    /// An unsigned 8-bit integer.
+    Ui1(u8),
+    /// An unsigned 16-bit integer.
+    Ui2(u16),
+    /// An unsigned 32-bit integer.
+    Ui4(u32),
+    /// A signed 64-bit integer.
+    I8(i64),
+    /// An unsigned 64-bit integer.
+    Ui8(u64),
+    /// Elements of one type.
+    Array(Array<'a>),
+    /// A value of unknown VARTYPE that a lenient decoder skipped by its argument's length; it cannot be sent.
+    Opaque(Opaque<'a>),
+}
+
+/// The value inside a scalar VARIANT.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct Nested<'a>(
+    /// One checked value.
+    &'a [u8],
+);
+
+impl<'a> Nested<'a> {
+    /// Returns the value.
+    #[must_use]
+    pub fn value(self) -> Variant<'a> {
+        Variant::from_checked(self.0)
+    }
+}
+
+impl fmt::Debug for Nested<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.value().fmt(f)
+    }
+}
+
+#[cfg(feature = "defmt")]
+impl defmt::Format for Nested<'_> {
+    fn format(&self, f: defmt::Formatter<'_>) {
+        defmt::write!(f, "{}", self.value());
+    }
+}
+
+/// A value of unknown VARTYPE.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Opaque<'a> {
+    /// Its type.
+    pub vartype: VarType,
+    /// Its bytes behind the type: the count, and data of unknown layout.
+    pub bytes: &'a [u8],
+}
+
+impl<'a> Variant<'a> {
+    /// Checks `bytes` as exactly one value.
+    ///
+    /// # Errors
+    ///
+    /// A [`DecodeError`] of [`Layer::Value`], with the offset from the start of `bytes`.
+    pub fn decode(bytes: &'a [u8], limits: &Limits, strictness: Strictness) -> Result<Self, DecodeError> {
+        let fault = |fault: Fault| fault.at(bytes.len(), Layer::Value);
+        let mut reader = Reader::new(bytes);
+        let value = check(&mut reader, limits, strictness).map_err(fault)?;
+        if reader.left() > 0 && strictness == Strictness::Strict {
+            return Err(fault(Fault { kind: DecodeErrorKind::Unused(to_u32(reader.left())), left: reader.left() }));
+        }
+        Ok(Self::from_checked(value))
+    }
+
+    /// Views a value that [`check`] has passed.
+    #[inline]
+    pub(crate) fn from_checked(bytes: &'a [u8]) -> Self {
+        Self::view(bytes).unwrap_or(Self::Empty)
+    }
+
+    #[inline]
+    fn view(bytes: &'a [u8]) -> Option<Self> {
+        let (&[t0, t1, c0, c1, c2, c3], data) = bytes.split_first_chunk::<HEAD>()?;
+        let vartype = VarType(u16::from_le_bytes([t0, t1]));
+        if !vartype.is_known() {
+            return Some(Self::Opaque(Opaque { vartype, bytes: bytes.get(2..)? }));
+        }
+        if vartype.is_array() {
+            let count = to_usize(u32::from_le_bytes([c0, c1, c2, c3]));
+            return Some(Self::Array(Array::from_checked(vartype.element(), count, data)));
+        }
+        Some(match vartype {
+            VarType::NULL => Self::Null,
+            VarType::I2 => Self::I2(i16::from_le_bytes(*data.first_chunk()?)),
+            VarType::I4 => Self::I4(i32::from_le_bytes(*data.first_chunk()?)),
+            VarType::R4 => Self::R4(f32::from_le_bytes(*data.first_chunk()?)),
+            VarType::R8 => Self::R8(f64::from_le_bytes(*data.first_chunk()?)),
+            VarType::CY => Self::Cy(Currency::from_raw(i64::from_le_bytes(*data.first_chunk()?))),
+            VarType::DATE => Self::Date(OleDate::from_raw(f64::from_le_bytes(*data.first_chunk()?))),
+            VarType::BSTR => Self::Bstr(Bstr::truncated(crate::wire::length_prefixed(&mut Reader::new(data))?)),
+            VarType::ERROR => Self::Error(HResult(i32::from_le_bytes(*data.first_chunk()?))),
+            VarType::BOOL => Self::Bool(*data.first_chunk::<2>()? != [0, 0]),
+            VarType::VARIANT => Self::Nested(Nested(data)),
+            VarType::UI1 => Self::Ui1(*data.first()?),
+            VarType::UI2 => Self::Ui2(u16::from_le_bytes(*data.first_chunk()?)),
+            VarType::UI4 => Self::Ui4(u32::from_le_bytes(*data.first_chunk()?)),
+            VarType::I8 => Self::I8(i64::from_le_bytes(*data.first_chunk()?)),
+            VarType::UI8 => Self::Ui8(u64::from_le_bytes(*data.first_chunk()?)),
+            _ => Self::Empty,
+        })
+    }
+
+    /// Returns the VARTYPE.
+    #[must_use]
+    pub const fn vartype(&self) -> VarType {
+        match self {
+            Self::Empty => VarType::EMPTY,
+            Self::Null => VarType::NULL,
+            Self::I2(_) => VarType::I2,
+            Self::I4(_) => VarType::I4,
+            Self::R4(_) => VarType::R4,
+            Self::R8(_) => VarType::R8,
+            Self::Cy(_) => VarType::CY,
+            Self::Date(_) => VarType::DATE,
+            Self::Bstr(_) => VarType::BSTR,
+            Self::Error(_) => VarType::ERROR,
+            Self::Bool(_) => VarType::BOOL,
+            Self::Nested(_) => VarType::VARIANT,
+            Self::Ui1(_) => VarType::UI1,
+            Self::Ui2(_) => VarType::UI2,
+            Self::Ui4(_) => VarType::UI4,
+            Self::I8(_) => VarType::I8,
+            Self::Ui8(_) => VarType::UI8,
+            Self::Array(array) => array.element().array_of(),
+            Self::Opaque(opaque) => opaque.vartype,
+        }
+    }
+
+    /// Returns the value inside, when this is a scalar VARIANT, however deep; otherwise the value itself.
+    #[must_use]
+    pub fn flatten(self) -> Self {
+        let mut value = self;
+        for _ in 0..=MAX_DEPTH {
+            match value {
+                Self::Nested(nested) => value = nested.value(),
+                other => return other,
+            }
+        }
+        value
+    }
+
+    /// Returns the number of any integer type that fits; `None` for other types.
+    #[must_use]
+    pub fn as_i64(&self) -> Option<i64> {
+        Some(match *self {
+            Self::I2(n) => i64::from(n),
+            Self::I4(n) => i64::from(n),
+            Self::I8(n) => n,
+            Self::Ui1(n) => i64::from(n),
+            Self::Ui2(n) => i64::from(n),
+            Self::Ui4(n) => i64::from(n),
+            Self::Ui8(n) => i64::try_from(n).ok()?,
+            _ => return None,
+        })
+    }
+
+    /// Returns the number of any integer type that fits; `None` for other types.
+    #[must_use]
+    pub fn as_i32(&self) -> Option<i32> {
+        match *self {
+            Self::I4(n) => Some(n),
+            _ => i32::try_from(self.as_i64()?).ok(),
+        }
+    }
+
+    /// Returns the number of R4, R8, or an integer of at most 32 bits; all of them convert exactly.
+    #[must_use]
+    pub fn as_f64(&self) -> Option<f64> {
+        match *self {
+            Self::R4(n) => Some(f64::from(n)),
+            Self::R8(n) => Some(n),
+            Self::Ui4(n) => Some(f64::from(n)),
+            _ => self.as_i32().map(f64::from),
+        }
+    }
+
+    /// Returns the truth value of BOOL, or of an integer (0 is false).
+    #[must_use]
+    pub fn as_bool(&self) -> Option<bool> {
+        match *self {
+            Self::Bool(b) => Some(b),
+            Self::Ui8(n) => Some(n != 0),
+            _ => self.as_i64().map(|n| n != 0),
+        }
+    }
+
+    /// Returns the string of BSTR.
+    #[must_use]
+    pub const fn as_bstr(&self) -> Option<Bstr<'a>> {
+        match *self {
+            Self::Bstr(text) => Some(text),
+            _ => None,
+        }
+    }
+
+    /// Returns the array.
+    #[must_use]
+    pub const fn as_array(&self) -> Option<Array<'a>> {
+        match *self {
+            Self::Array(array) => Some(array),
+            _ => None,
+        }
+    }
+
+    /// Tells whether there is no value: EMPTY or NULL.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        matches!(self, Self::Empty | Self::Null)
+    }
+}
+
+impl PartialEq for Variant<'_> {
+    fn eq(&self, other: &Self) -> bool {
+        match (*self, *other) {
+            (Self::R4(a), Self::R4(b)) => a.to_bits() == b.to_bits(),
+            (Self::R8(a), Self::R8(b)) => a.to_bits() == b.to_bits(),
+            (Self::Cy(a), Self::Cy(b)) => a == b,
+            (Self::Date(a), Self::Date(b)) => a == b,
+            (Self::Bstr(a), Self::Bstr(b)) => a == b,
+            (Self::Error(a), Self::Error(b)) => a == b,
+            (Self::Bool(a), Self::Bool(b)) => a == b,
+            (Self::Nested(a), Self::Nested(b)) => a.value() == b.value(),
+            (Self::Array(a), Self::Array(b)) => a == b,
+            (Self::Opaque(a), Self::Opaque(b)) => a == b,
+            (Self::Ui8(a), Self::Ui8(b)) => a == b,
+            // what is left are integers, EMPTY and NULL
+            (a, b) => a.vartype() == b.vartype() && a.as_i64() == b.as_i64(),
+        }
+    }
+}
+
+impl Eq for Variant<'_> {}
+
+/// Writes the value as Rust would, with its VARTYPE where that is not plain to see: `I4(7)`, `"text"`, `R8[1.0, 2.0]`.
+impl fmt::Debug for Variant<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Empty => f.write_str("EMPTY"),
+            Self::Null => f.write_str("NULL"),
+            Self::I2(n) => write!(f, "I2({n})"),
+            Self::I4(n) => write!(f, "I4({n})"),
+            Self::R4(n) => write!(f, "R4({n:?})"),
+            Self::R8(n) => write!(f, "R8({n:?})"),
+            Self::Cy(n) => write!(f, "CY({n})"),
+            Self::Date(date) => match date.to_civil() {
+                Some(civil) => write!(f, "DATE({civil})"),
+                None => write!(f, "DATE({:?})", date.raw()),
+            },
+            Self::Bstr(text) => text.fmt(f),
+            Self::Error(code) => write!(f, "ERROR({code:?})"),
+            Self::Bool(b) => write!(f, "BOOL({b})"),
+            Self::Nested(nested) => write!(f, "VARIANT({nested:?})"),
+            Self::Ui1(n) => write!(f, "UI1({n})"),
+            Self::Ui2(n) => write!(f, "UI2({n})"),
+            Self::Ui4(n) => write!(f, "UI4({n})"),
+            Self::I8(n) => write!(f, "I8({n})"),
+            Self::Ui8(n) => write!(f, "UI8({n})"),
+            Self::Array(array) => array.fmt(f),
+            Self::Opaque(opaque) => write!(f, "{:?}({} bytes)", opaque.vartype, opaque.bytes.len()),
+        }
+    }
+}
+
+/// What is wrong, and how many bytes were left when it was found.
+pub(crate) struct Fault {
+    pub(crate) kind: DecodeErrorKind,
+    pub(crate) left: usize,
+}
+
+impl Fault {
+    /// Places the fault in an input of `total` bytes.
+    pub(crate) const fn at(&self, total: usize, layer: Layer) -> DecodeError {
+        DecodeError { kind: self.kind, layer, offset: total.saturating_sub(self.left) }
+    }
+}
+
+/// Splits one value off, checked with everything inside it; this is the one way by which foreign bytes become values.
+///
+/// It does not recurse: the counts of values still to come on each level are on a small stack of its own.
+#[inline]
+pub(crate) fn check<'a>(r: &mut Reader<'a>, limits: &Limits, strictness: Strictness) -> Result<&'a [u8], Fault> {
+    let start = *r;
+    let inner = check_one(r, strictness)?;
+    if inner > 0 {
+        check_inner(r, inner, limits, strictness)?;
+    }
+    Ok(start.rest().get(..start.left().wrapping_sub(r.left())).unwrap_or_default())
+}
+
+#[inline(never)]
+fn check_inner(r: &mut Reader<'_>, count: u32, limits: &Limits, strictness: Strictness) -> Result<(), Fault> {
+    let max = limits.depth.min(MAX_DEPTH);
+    // values still to come on each outer level; `here` is the innermost
+    let mut outer = [0_u32; OUTER];
+    let mut depth = 1_u8;
+    let mut here = count;
+    if max == 0 {
+        return Err(Fault { kind: DecodeErrorKind::TooDeep(max), left: r.left() });
+    }
+    loop {
+        if here == 0 {
+            depth = depth.wrapping_sub(1);
+            if depth == 0 {
+                return Ok(());
+            }
+            here = outer.get(usize::from(depth)).copied().unwrap_or(0);
+            continue;
+        }
+        here = here.wrapping_sub(1);
+        let at = r.left();
+        let inner = check_one(r, strictness)?;
+        if inner > 0 {
+            if depth >= max {
+                return Err(Fault { kind: DecodeErrorKind::TooDeep(max), left: at });
+            }
+            if let Some(slot) = outer.get_mut(usize::from(depth)) {
+                *slot = here;
+            }
+            depth = depth.wrapping_add(1);
+            here = inner;
+        }
+    }
+}
+
+/// Splits one value off, up to the values inside it; returns how many of these follow.
+#[inline]
+fn check_one(r: &mut Reader<'_>, strictness: Strictness) -> Result<u32, Fault> {
+    let at = r.left();
+    let Some([t0, t1, c0, c1, c2, c3]) = r.array::<HEAD>() else {
+        return Err(Fault { kind: DecodeErrorKind::Truncated { needed: to_u32(HEAD), left: to_u32(at) }, left: at });
+    };
+    let vartype = VarType(u16::from_le_bytes([t0, t1]));
+    let mut count = u32::from_le_bytes([c0, c1, c2, c3]);
+    let layout = vartype.layout();
+    if !vartype.is_array() {
+        if count != 1 && strictness == Strictness::Strict && layout != Layout::Unknown {
+            return Err(Fault { kind: DecodeErrorKind::ScalarCount(count), left: r.left().wrapping_add(4) });
+        }
+        count = 1;
+    }
+    let left = to_u32(r.left());
+    let too_many = Fault { kind: DecodeErrorKind::ArrayCount(count), left: r.left().wrapping_add(4) };
+    match layout {
+        Layout::Fixed(0) if vartype.is_array() && count > MAX_EMPTY_ELEMENTS => Err(too_many),
+        Layout::Fixed(width) => {
+            let needed = u32::from(width).checked_mul(count).filter(|needed| *needed <= left || !vartype.is_array());
+            let Some(needed) = needed else { return Err(too_many) };
+            match r.slice(to_usize(needed)) {
+                Some(_) => Ok(0),
+                None => Err(Fault { kind: DecodeErrorKind::Truncated { needed, left }, left: r.left() }),
+            }
+        }
+        // a string takes at least its length field, a VARIANT its head
+        Layout::Bstr if vartype.is_array() && count > left >> 2 => Err(too_many),
+        Layout::Bstr => {
+            for _ in 0..count {
+                check_bstr(r, strictness)?;
+            }
+            Ok(0)
+        }
+        Layout::Variant if vartype.is_array() && u64::from(count).wrapping_mul(6) > u64::from(left) => Err(too_many),
+        Layout::Variant => Ok(count),
+        Layout::Unknown => Err(Fault { kind: DecodeErrorKind::UnknownType(vartype.0), left: at }),
+    }
+}
+
+#[inline]
+fn check_bstr(r: &mut Reader<'_>, strictness: Strictness) -> Result<(), Fault> {
+    let at = r.left();
+    let Some(length) = r.u32() else {
+        return Err(Fault { kind: DecodeErrorKind::Truncated { needed: 4, left: to_u32(at) }, left: at });
+    };
+    if length & 1 != 0 && strictness == Strictness::Strict {
+        return Err(Fault { kind: DecodeErrorKind::OddBstr(length), left: at });
+    }
+    let left = r.left();
+    match r.slice(to_usize(length)) {
+        Some(_) => Ok(()),
+        None => Err(Fault { kind: DecodeErrorKind::Truncated { needed: length, left: to_u32(left) }, left }),
+    }
+}
+
+/// Tells whether the value at the front of `bytes` has a VARTYPE that only an argument's length can skip.
+pub(crate) fn is_opaque(bytes: &[u8]) -> bool {
+    bytes.first_chunk::<2>().is_some_and(|t| !VarType(u16::from_le_bytes(*t)).is_known())
+}
+
+/// Splits a checked value off.
+fn split_checked<'a>(r: &mut Reader<'a>) -> Option<&'a [u8]> {
+    check(r, &Limits { depth: MAX_DEPTH, ..Limits::STREAM }, Strictness::Lenient).ok()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,265 @@
+extern crate std;
+
+use std::format;
+use std::string::ToString;
+use std::vec::Vec;
+
+use super::*;
+use crate::error::EncodeError;
+
+fn bytes(value: &(impl Encode + ?Sized)) -> Vec<u8> {
+    let mut buffer = [0xa5; 512];
+    let mut out = Writer::new(&mut buffer);
+    value.encode(&mut out).unwrap();
+    out.as_bytes().to_vec()
+}
+
+fn strict(bytes: &[u8]) -> Result<Variant<'_>, DecodeError> {
+    Variant::decode(bytes, &Limits::STREAM, Strictness::Strict)
+}
+
+fn lenient(bytes: &[u8]) -> Result<Variant<'_>, DecodeError> {
+    Variant::decode(bytes, &Limits::STREAM, Strictness::Lenient)
+}
+
+fn refused(bytes: &[u8]) -> (DecodeErrorKind, usize) {
+    let error = strict(bytes).unwrap_err();
+    assert_eq!(error.layer, Layer::Value);
+    (error.kind, error.offset)
+}
+
+#[test]
+fn every_scalar_is_its_bytes_both_ways() {
+    let text = "Sämple".encode_utf16().flat_map(u16::to_le_bytes).collect::<Vec<_>>();
+    let cases: &[(Variant<'_>, &[u8])] = &[
+        (Variant::Empty, &[0, 0, 1, 0, 0, 0]),
+        (Variant::Null, &[1, 0, 1, 0, 0, 0]),
+        (Variant::I2(-2), &[2, 0, 1, 0, 0, 0, 0xfe, 0xff]),
+        (Variant::I4(0x0102_0304), &[3, 0, 1, 0, 0, 0, 4, 3, 2, 1]),
+        (Variant::R4(1.0), &[4, 0, 1, 0, 0, 0, 0, 0, 0x80, 0x3f]),
+        (Variant::R8(-2.0), &[5, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0xc0]),
+        (Variant::Cy(Currency::from_raw(10_000)), &[6, 0, 1, 0, 0, 0, 0x10, 0x27, 0, 0, 0, 0, 0, 0]),
+        (Variant::Date(OleDate::from_raw(2.0)), &[7, 0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0x40]),
+        (
+            Variant::Bstr(Bstr::from_utf16le(&text).unwrap()),
+            &[8, 0, 1, 0, 0, 0, 12, 0, 0, 0, b'S', 0, 0xe4, 0, b'm', 0, b'p', 0, b'l', 0, b'e', 0],
+        ),
+        (Variant::Error(HResult::E_FAIL), &[10, 0, 1, 0, 0, 0, 5, 0x40, 0, 0x80]),
+        (Variant::Bool(true), &[11, 0, 1, 0, 0, 0, 0xff, 0xff]),
+        (Variant::Ui1(200), &[17, 0, 1, 0, 0, 0, 200]),
+        (Variant::Ui2(0xfffe), &[18, 0, 1, 0, 0, 0, 0xfe, 0xff]),
+        (Variant::Ui4(0xffff_fffe), &[19, 0, 1, 0, 0, 0, 0xfe, 0xff, 0xff, 0xff]),
+        (Variant::I8(-1), &[20, 0, 1, 0, 0, 0, 255, 255, 255, 255, 255, 255, 255, 255]),
+        (Variant::Ui8(1), &[21, 0, 1, 0, 0, 0, 1, 0, 0, 0, 0, 0, 0, 0]),
+    ];
+    for (value, wire) in cases {
+        assert_eq!(bytes(value), *wire, "{value:?}");
+        assert_eq!(strict(wire).unwrap(), *value);
+        for cut in 0..wire.len() {
+            assert!(
+                matches!(strict(&wire[..cut]).unwrap_err().kind, DecodeErrorKind::Truncated { .. }),
+                "{value:?} {cut}"
+            );
+        }
+    }
+}
+
+#[test]
+fn arrays_of_every_type_come_back() {
+    fn check<T: Element + Scalar + PartialEq + core::fmt::Debug>(values: [T; 3]) {
+        let wire = bytes(&values);
+        let array = strict(&wire).unwrap().as_array().unwrap();
+        assert_eq!((array.element(), array.len()), (<T as Scalar>::TYPE, 3));
+        assert_eq!(array.items::<T>().unwrap().to_array(), Some(values));
+        assert_eq!(array.iter().count(), 3);
+        assert_eq!(array.get(2), array.iter().last());
+        assert_eq!(array.get(3), None);
+        assert_eq!(bytes(&array), wire);
+    }
+    check([1_i16, -2, 3]);
+    check([1_i32, -2, 3]);
+    check([1_i64, -2, 3]);
+    check([1_u8, 2, 255]);
+    check([1_u16, 2, 3]);
+    check([1_u32, 2, 3]);
+    check([1_u64, 2, 3]);
+    check([1.0_f32, f32::MIN, 3.5]);
+    check([1.0_f64, f64::MAX, -0.0]);
+    check([true, false, true]);
+    check([Currency::from_raw(-1); 3]);
+    check([OleDate::from_raw(-1.5); 3]);
+    check([HResult::S_OK, HResult::E_FAIL, HResult(7)]);
+}
+
+#[test]
+fn strings_and_mixed_arrays_nest() {
+    let names = ["a", "", "naïve 😀"];
+    let wire = bytes(&(1_i32, names, (true, ()), "x"));
+    let outer = strict(&wire).unwrap().as_array().unwrap();
+    assert_eq!(outer.element(), VarType::VARIANT);
+    assert_eq!(outer.get(0), Some(Variant::I4(1)));
+    let inner = outer.get(1).and_then(|v| v.as_array()).unwrap();
+    assert!(inner.strings().unwrap().zip(names).all(|(ours, theirs)| ours == theirs));
+    assert_eq!(
+        format!("{outer:?}"),
+        "VARIANT[I4(1), BSTR[\"a\", \"\", \"naïve 😀\"], VARIANT[BOOL(true), EMPTY], \"x\"]"
+    );
+    assert_eq!(bytes(&outer), wire);
+    assert_eq!(outer.get(4), None);
+}
+
+#[test]
+fn a_scalar_variant_holds_one_value() {
+    let wire = [12, 0, 1, 0, 0, 0, 12, 0, 1, 0, 0, 0, 2, 0, 1, 0, 0, 0, 100, 0];
+    let value = strict(&wire).unwrap();
+    assert_eq!(value.vartype(), VarType::VARIANT);
+    assert_eq!(value.flatten(), Variant::I2(100));
+    assert_eq!(bytes(&value), wire);
+    assert_eq!(format!("{value:?}"), "VARIANT(VARIANT(I2(100)))");
+}
+
+#[test]
+fn depth_is_counted_and_limited() {
+    // eight arrays of one VARIANT around an EMPTY
+    let mut wire = Vec::new();
+    for _ in 0..8 {
+        wire.extend([12, 0x20, 1, 0, 0, 0]);
+    }
+    wire.extend([0, 0, 1, 0, 0, 0]);
+    assert!(strict(&wire).is_ok());
+    let mut deeper = [12, 0x20, 1, 0, 0, 0].to_vec();
+    deeper.extend(&wire);
+    assert_eq!(refused(&deeper), (DecodeErrorKind::TooDeep(8), 48));
+    let deepest = Limits { depth: 200, ..Limits::STREAM };
+    let mut over = [12, 0x20, 1, 0, 0, 0].repeat(usize::from(MAX_DEPTH) + 1);
+    over.extend([0, 0, 1, 0, 0, 0]);
+    let error = Variant::decode(&over, &deepest, Strictness::Strict).unwrap_err();
+    assert_eq!(error.kind, DecodeErrorKind::TooDeep(MAX_DEPTH));
+    assert!(Variant::decode(&over[6..], &deepest, Strictness::Strict).is_ok());
+    let none = Limits { depth: 0, ..Limits::STREAM };
+    assert_eq!(Variant::decode(&wire, &none, Strictness::Strict).unwrap_err().kind, DecodeErrorKind::TooDeep(0));
+}
+
+#[test]
+fn siblings_after_a_deep_element_are_still_checked() {
+    let value = bytes(&(((1_i32,), (2_i32, 3_i32)), 4_i32));
+    let array = strict(&value).unwrap().as_array().unwrap();
+    assert_eq!(array.get(1), Some(Variant::I4(4)));
+    let mut broken = value.clone();
+    let at = broken.len() - 10;
+    broken[at] = 99;
+    assert_eq!(refused(&broken), (DecodeErrorKind::UnknownType(99), at));
+}
+
+#[test]
+fn claims_beyond_the_bytes_are_refused_at_once() {
+    let cases: &[(&[u8], DecodeErrorKind, usize)] = &[
+        (&[5, 0x20, 1, 0, 0, 0x20, 0, 0], DecodeErrorKind::ArrayCount(0x2000_0001), 2),
+        (&[17, 0x20, 0xff, 0xff, 0xff, 0xff], DecodeErrorKind::ArrayCount(u32::MAX), 2),
+        (&[8, 0x20, 2, 0, 0, 0, 0, 0, 0, 0], DecodeErrorKind::ArrayCount(2), 2),
+        (&[12, 0x20, 0xab, 0xaa, 0xaa, 0x0a, 0, 0], DecodeErrorKind::ArrayCount(0x0aaa_aaab), 2),
+        (&[0, 0x20, 1, 1, 0, 0], DecodeErrorKind::ArrayCount(257), 2),
+        (
+            &[8, 0, 1, 0, 0, 0, 0xfe, 0xff, 0xff, 0xff, 0, 0],
+            DecodeErrorKind::Truncated { needed: 0xffff_fffe, left: 2 },
+            10,
+        ),
+        (&[8, 0, 1, 0, 0, 0, 3, 0, 0, 0, 65, 0, 66], DecodeErrorKind::OddBstr(3), 6),
+        (&[3, 0, 2, 0, 0, 0, 1, 0, 0, 0], DecodeErrorKind::ScalarCount(2), 2),
+        (&[0, 0, 0, 0, 0, 0], DecodeErrorKind::ScalarCount(0), 2),
+        (&[16, 0, 1, 0, 0, 0, 1], DecodeErrorKind::UnknownType(16), 0),
+        (&[3, 0x40, 1, 0, 0, 0, 1, 0, 0, 0], DecodeErrorKind::UnknownType(0x4003), 0),
+        (&[2, 0, 1, 0, 0, 0, 1, 0, 9], DecodeErrorKind::Unused(1), 8),
+    ];
+    for (wire, kind, offset) in cases {
+        assert_eq!(refused(wire), (*kind, *offset), "{wire:?}");
+    }
+    assert!(strict(&[0, 0x20, 0, 1, 0, 0]).is_ok());
+}
+
+#[test]
+fn lenient_takes_what_peers_leave_and_sends_it_canonical() {
+    let cases: &[(&[u8], &[u8])] = &[
+        (&[3, 0, 5, 0, 0, 0, 1, 0, 0, 0], &[3, 0, 1, 0, 0, 0, 1, 0, 0, 0]),
+        (&[3, 0, 0, 0, 0, 0, 1, 0, 0, 0, 9, 9], &[3, 0, 1, 0, 0, 0, 1, 0, 0, 0]),
+        (&[8, 0, 1, 0, 0, 0, 3, 0, 0, 0, 65, 0, 66], &[8, 0, 1, 0, 0, 0, 2, 0, 0, 0, 65, 0]),
+        (&[11, 0x20, 2, 0, 0, 0, 1, 0, 0, 0], &[11, 0x20, 2, 0, 0, 0, 0xff, 0xff, 0, 0]),
+        (
+            &[12, 0x20, 2, 0, 0, 0, 2, 0, 7, 0, 0, 0, 1, 0, 0, 0, 9, 0, 0, 0],
+            &[12, 0x20, 2, 0, 0, 0, 2, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0],
+        ),
+    ];
+    for (wire, canonical) in cases {
+        let value = lenient(wire).unwrap();
+        assert_eq!(bytes(&value), *canonical, "{wire:?}");
+        assert_eq!(strict(canonical).unwrap(), value);
+    }
+}
+
+#[test]
+fn integers_convert_only_when_they_fit() {
+    assert_eq!(Variant::Ui4(7).as_i32(), Some(7));
+    assert_eq!(Variant::Ui4(u32::MAX).as_i32(), None);
+    assert_eq!(Variant::Ui8(u64::MAX).as_i64(), None);
+    assert_eq!(Variant::R8(1.0).as_i64(), None);
+    assert_eq!(Variant::R4(0.5).as_f64(), Some(0.5));
+    assert_eq!(Variant::I8(1).as_f64(), Some(1.0));
+    assert_eq!(Variant::Bool(true).as_i32(), None);
+    assert_eq!(Variant::Ui8(u64::MAX).as_bool(), Some(true));
+}
+
+#[test]
+fn equality_is_that_of_the_bytes() {
+    assert_eq!(Variant::R8(f64::NAN), Variant::R8(f64::NAN));
+    assert_ne!(Variant::R8(0.0), Variant::R8(-0.0));
+    assert_ne!(Variant::I4(1), Variant::I2(1));
+    assert_ne!(Variant::Empty, Variant::Null);
+    assert_ne!(Variant::Ui8(u64::MAX), Variant::Ui8(u64::MAX - 1));
+}
+
+#[test]
+fn a_buffer_too_short_is_an_error_and_no_panic() {
+    let value = (1_i32, "abc", [1.0_f64, 2.0]);
+    let whole = bytes(&value).len();
+    for room in 0..whole {
+        let mut buffer = std::vec![0; room];
+        assert_eq!(value.encode(&mut Writer::new(&mut buffer)), Err(EncodeError::Full));
+    }
+}
+
+#[test]
+fn owned_values_keep_their_encoding() {
+    let mut value = VariantBuf::<32>::default();
+    assert_eq!(value.as_variant(), Variant::Empty);
+    assert_eq!(bytes(&value), [0, 0, 1, 0, 0, 0]);
+    value.set(&[1_i16, 2]).unwrap();
+    assert_eq!(value.set("a string of more than the room"), Err(EncodeError::Full));
+    assert_eq!(value.as_variant().as_array().unwrap().len(), 2);
+    assert_eq!(value, VariantBuf::<10>::new(&[1_i16, 2]).unwrap());
+    let decoded =
+        VariantBuf::<16>::decode(&[3, 0, 9, 0, 0, 0, 1, 0, 0, 0], &Limits::STREAM, Strictness::Lenient).unwrap();
+    assert_eq!(decoded.as_bytes(), [3, 0, 1, 0, 0, 0, 1, 0, 0, 0]);
+}
+
+#[test]
+fn values_deeper_than_any_decoder_takes_are_not_built() {
+    struct Deep(u8);
+    impl Encode for Deep {
+        fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
+            for _ in 0..self.0 {
+                out.put([12, 0x20, 1, 0, 0, 0])?;
+            }
+            ().encode(out)
+        }
+    }
+    assert!(VariantBuf::<128>::new(&Deep(MAX_DEPTH)).is_ok());
+    assert_eq!(VariantBuf::<128>::new(&Deep(MAX_DEPTH + 1)), Err(EncodeError::TooDeep));
+}
+
+#[test]
+fn types_have_names() {
+    assert_eq!(VarType(0x2005).to_string(), "VT_ARRAY|VT_R8");
+    assert_eq!(VarType(8).to_string(), "VT_BSTR");
+    assert_eq!(VarType(9).to_string(), "VarType(0x0009)");
+    assert_eq!(VarType(0x4003).to_string(), "VarType(0x4003)");
+}
