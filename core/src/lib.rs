@@ -6,9 +6,11 @@ extern crate alloc;
 
 pub mod bcap;
 pub mod error;
+pub mod handler;
 pub mod hresult;
 pub mod limits;
 mod num;
+pub mod rac;
 pub mod time;
 pub mod variant;
 mod wire;

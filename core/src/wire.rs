@@ -40,7 +40,6 @@ impl<'a> Reader<'a> {
     }
 
     #[inline]
-    #[inline]
     pub(crate) fn u32(&mut self) -> Option<u32> {
         self.array().map(u32::from_le_bytes)
     }

@@ -3,6 +3,7 @@
 pub mod call;
 mod frame;
 pub mod function;
+pub mod server;
 
 pub use self::frame::{Args, ArgsIter, Decoder, EOT, Frame, FrameWriter, HEADER_LEN, MIN_FRAME, Progress, SOH, crc16};
 pub use self::function::{FunctionId, Kind, Object, Signature};

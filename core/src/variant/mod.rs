@@ -73,6 +73,7 @@ const HEAD: usize = 6;
 
 /// [`MAX_DEPTH`] as the length of an array.
 const OUTER: usize = 16;
+#[expect(clippy::as_conversions, reason = "u8 to usize is lossless")]
 const _: () = assert!(OUTER == MAX_DEPTH as usize);
 
 /// A VARTYPE: the type of a value, with [`ARRAY`](Self::ARRAY) or'ed in for arrays.
