@@ -1,0 +1,235 @@
+//! Instructions per operation, counted by callgrind and held against the project's bars.
+//!
+//! Each case is counted by running this program under callgrind twice, with few repetitions and with many: the
+//! difference divided by the repetitions is the cost of one, libc's `memcpy` included and start-up excluded. An empty
+//! case, counted the same way, is subtracted as the cost of the loop. The figures do not depend on the machine's load or
+//! speed, only on the compiler, so a bar that is missed is a regression and fails the run.
+//!
+//! ```text
+//! cargo bench -p bcap-tests --bench instructions            # needs valgrind
+//! ```
+
+use std::hint::black_box;
+use std::process::{Command, ExitCode};
+
+use bcap_core::bcap::call::{self, Call, RobotHandle, VariableHandle};
+use bcap_core::bcap::{Decoder, FrameWriter, Progress};
+use bcap_core::variant::Encode;
+
+/// Repetitions of the two runs.
+const FEW: u64 = 100;
+const MANY: u64 = 1100;
+
+/// Buffers and inputs of the cases, made outside of what is counted.
+struct Bench {
+    buffer: [u8; 512],
+    pose: [f64; 8],
+    request: Vec<u8>,
+    reply: Vec<u8>,
+    strings: Vec<u8>,
+    mixed_strings: Vec<u8>,
+}
+
+struct Case {
+    name: &'static str,
+    /// Instructions that one run may take; `None` for a figure that is only shown.
+    bar: Option<u64>,
+    run: fn(&mut Bench),
+}
+
+/// The first case is the empty one.
+const CASES: &[Case] = &[
+    Case { name: "(empty)", bar: None, run: empty },
+    Case { name: "encode GetValue request", bar: Some(120), run: encode_get_value },
+    Case { name: "encode slvMove request, 8 doubles", bar: Some(300), run: encode_slv_move },
+    Case { name: "decode slvMove request, 8 doubles", bar: Some(600), run: decode_slv_move },
+    Case { name: "decode slvMove reply, 4 elements", bar: Some(900), run: decode_slv_reply },
+    Case { name: "decode 100 strings, array of BSTR", bar: Some(8_000), run: decode_strings },
+    Case { name: "decode 100 strings, array of VARIANT", bar: None, run: decode_mixed_strings },
+    Case { name: "check slvMove request, nothing read", bar: None, run: check_slv_move },
+    Case { name: "check slvMove reply, nothing read", bar: None, run: check_slv_reply },
+    Case { name: "check 100 strings, nothing read", bar: None, run: check_strings },
+];
+
+fn main() -> ExitCode {
+    let mut args = std::env::args().skip(1);
+    if let (Some(flag), Some(case), Some(times)) = (args.next(), args.next(), args.next())
+        && flag == "--case"
+    {
+        return repeat(&case, &times);
+    }
+    match measure_all() {
+        Ok(true) => ExitCode::SUCCESS,
+        Ok(false) => ExitCode::FAILURE,
+        Err(message) => {
+            eprintln!("instructions: {message}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Counts every case and tells whether all are within their bars.
+fn measure_all() -> Result<bool, String> {
+    println!("{:<42} {:>12} {:>8}", "instructions per operation", "measured", "bar");
+    let empty = count(0)?;
+    let mut within = true;
+    for (index, case) in CASES.iter().enumerate().skip(1) {
+        let measured = count(index)?.saturating_sub(empty);
+        let missed = case.bar.is_some_and(|bar| measured > bar);
+        within &= !missed;
+        let bar = case.bar.map_or_else(|| "-".to_owned(), |bar| bar.to_string());
+        println!("{:<42} {measured:>12} {bar:>8}{}", case.name, if missed { "  OVER THE BAR" } else { "" });
+    }
+    Ok(within)
+}
+
+/// Returns the instructions of one repetition of a case, its loop included.
+fn count(case: usize) -> Result<u64, String> {
+    let (few, many) = (callgrind(case, FEW)?, callgrind(case, MANY)?);
+    Ok(many.saturating_sub(few).div_ceil(MANY - FEW))
+}
+
+/// Runs this program under callgrind and returns the instructions that it counted.
+fn callgrind(case: usize, times: u64) -> Result<u64, String> {
+    let program = std::env::current_exe().map_err(|e| format!("cannot find this program: {e}"))?;
+    let output = Command::new("valgrind")
+        .args(["--tool=callgrind", "--callgrind-out-file=/dev/null"])
+        .arg(program)
+        .args(["--case", &case.to_string(), &times.to_string()])
+        .output()
+        .map_err(|e| format!("cannot run valgrind: {e} (on Debian: apt-get install valgrind)"))?;
+    let text = String::from_utf8_lossy(&output.stderr);
+    if !output.status.success() {
+        return Err(format!("valgrind failed, {}:\n{text}", output.status));
+    }
+    let collected = text.lines().find_map(|line| line.split_once("Collected :")).map(|(_, number)| number.trim());
+    collected.and_then(|n| n.parse().ok()).ok_or_else(|| format!("no count in what valgrind printed:\n{text}"))
+}
+
+/// Runs one case many times; what callgrind watches.
+fn repeat(case: &str, times: &str) -> ExitCode {
+    let case = case.parse().ok().and_then(|n: usize| CASES.get(n));
+    let (Some(case), Ok(times)) = (case, times.parse::<u64>()) else { return ExitCode::FAILURE };
+    let mut bench = Bench::new();
+    let run = black_box(case.run);
+    for _ in 0..times {
+        run(black_box(&mut bench));
+    }
+    ExitCode::SUCCESS
+}
+
+impl Bench {
+    fn new() -> Self {
+        let pose = [364.16, 0.0, 278.5355, 180.0, 1.25e-14, 180.0, 5.0, 0.0];
+        let text: Vec<String> = (0..100).map(|n| format!("string{n:02}")).collect();
+        let text: Vec<&str> = text.iter().map(String::as_str).collect();
+        let dynamic: Vec<&dyn Encode> = text.iter().map(|s| s as &dyn Encode).collect();
+        let bench = Self {
+            buffer: [0; 512],
+            pose,
+            request: frame(64, &[&3_i32, &"slvMove", &pose]),
+            reply: frame(0, &[&(pose, 1_i32, 2_i32, 3_i32)]),
+            strings: frame(0, &[&text.as_slice()]),
+            mixed_strings: frame(0, &[&dynamic.as_slice()]),
+        };
+        assert_eq!((bench.request.len(), bench.reply.len()), (132, 126), "the frames of a slave-mode cycle");
+        bench
+    }
+}
+
+/// Makes a frame of any size.
+fn frame(code: i32, arguments: &[&dyn Encode]) -> Vec<u8> {
+    let mut buffer = vec![0; 16 * 1024];
+    let mut frame = FrameWriter::new(&mut buffer).expect("16 KiB hold a header");
+    for argument in arguments {
+        frame.argument(*argument).expect("16 KiB hold the arguments");
+    }
+    frame.finish(9, 0, code).expect("16 KiB hold the frame").to_vec()
+}
+
+#[inline(never)]
+fn empty(bench: &mut Bench) {
+    black_box(bench);
+}
+
+#[inline(never)]
+fn encode_get_value(bench: &mut Bench) {
+    let call = call::variable_get_value(VariableHandle(black_box(3)));
+    black_box(encode(&call, &mut bench.buffer));
+}
+
+#[inline(never)]
+fn encode_slv_move(bench: &mut Bench) {
+    let call = call::robot_execute(RobotHandle(black_box(3)), "slvMove", black_box(&bench.pose));
+    black_box(encode(&call, &mut bench.buffer));
+}
+
+/// Writes the frame of a call, as the client does.
+#[inline(always)]
+fn encode<'b, C: Call>(call: &C, buffer: &'b mut [u8]) -> Option<&'b [u8]> {
+    // a client's buffer has a length that the compiler does not know
+    let mut frame = FrameWriter::new(black_box(buffer)).ok()?;
+    call.arguments(&mut frame).ok()?;
+    frame.finish(black_box(9), 0, call.function().0).ok()
+}
+
+#[inline(never)]
+fn decode_slv_move(bench: &mut Bench) {
+    black_box(read_slv_move(black_box(&bench.request)));
+}
+
+/// Reads all of a slvMove request: the handle, the command's name and the eight doubles.
+#[inline(always)]
+fn read_slv_move(bytes: &[u8]) -> Option<(i32, usize, [f64; 8])> {
+    let Ok(Progress::Complete(frame, _)) = Decoder::TCP.decode(bytes) else { return None };
+    let mut args = frame.args.iter();
+    let (handle, command, pose) = (args.next()?, args.next()?, args.next()?);
+    Some((handle.as_i32()?, command.as_bstr()?.len(), pose.as_array()?.items()?.to_array()?))
+}
+
+#[inline(never)]
+fn decode_slv_reply(bench: &mut Bench) {
+    black_box(read_slv_reply(black_box(&bench.reply)));
+}
+
+/// Reads all of a slvMove reply: the pose and three integers.
+#[inline(always)]
+fn read_slv_reply(bytes: &[u8]) -> Option<([f64; 8], i32, i32, i32)> {
+    let Ok(Progress::Complete(frame, _)) = Decoder::TCP.decode(bytes) else { return None };
+    let mut elements = frame.value()?.as_array()?.iter();
+    let pose = elements.next()?.as_array()?.items()?.to_array()?;
+    Some((pose, elements.next()?.as_i32()?, elements.next()?.as_i32()?, elements.next()?.as_i32()?))
+}
+
+#[inline(never)]
+fn decode_strings(bench: &mut Bench) {
+    let Ok(Progress::Complete(frame, _)) = Decoder::TCP.decode(black_box(&bench.strings)) else { return };
+    let Some(strings) = frame.value().and_then(|v| v.as_array()).and_then(|a| a.strings()) else { return };
+    for text in strings {
+        black_box(text.as_bytes());
+    }
+}
+
+#[inline(never)]
+fn decode_mixed_strings(bench: &mut Bench) {
+    let Ok(Progress::Complete(frame, _)) = Decoder::TCP.decode(black_box(&bench.mixed_strings)) else { return };
+    let Some(array) = frame.value().and_then(|v| v.as_array()) else { return };
+    for text in array {
+        black_box(text.as_bstr().map(|text| text.as_bytes()));
+    }
+}
+
+#[inline(never)]
+fn check_slv_move(bench: &mut Bench) {
+    black_box(Decoder::TCP.decode(black_box(&bench.request)).is_ok());
+}
+
+#[inline(never)]
+fn check_slv_reply(bench: &mut Bench) {
+    black_box(Decoder::TCP.decode(black_box(&bench.reply)).is_ok());
+}
+
+#[inline(never)]
+fn check_strings(bench: &mut Bench) {
+    black_box(Decoder::TCP.decode(black_box(&bench.strings)).is_ok());
+}
