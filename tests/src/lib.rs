@@ -1,1 +1,20 @@
-//! What crosses the crates of the b-CAP stack: generators, an independent decoder, vectors and counters for the tests.
+//! What the tests of the b-CAP stack share: values and their generators, an independent decoder, vectors, a counter of
+//! allocations.
+//!
+//! | module         | what it gives                                                                       |
+//! |----------------|-------------------------------------------------------------------------------------|
+//! | [`value`]      | [`Value`](value::Value), an owned tree, with an encoder of its own                   |
+//! | [`frame`]      | [`TestFrame`](frame::TestFrame), a frame of such values                              |
+//! | [`oracle`]     | a slow recursive decoder, written from the specification and not from the core       |
+//! | [`strategies`] | proptest strategies for values, frames and damage to them                           |
+//! | [`vectors`]    | the frames and lines of the specifications, from `tests/vectors`                     |
+//! | [`allocation`] | an allocator that counts what each thread asks of it                                |
+//!
+//! Nothing here is fast or frugal; where it disagrees with the core, one of the two is wrong.
+
+pub mod allocation;
+pub mod frame;
+pub mod oracle;
+pub mod strategies;
+pub mod value;
+pub mod vectors;

@@ -1,0 +1,62 @@
+//! An owned frame for tests, with an encoder that shares no code with the core.
+
+use bcap_core::bcap::Frame;
+
+use crate::value::Value;
+
+/// A frame.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TestFrame {
+    /// The serial number.
+    pub serial: u16,
+    /// The reserved field.
+    pub reserved: u16,
+    /// The function or the HRESULT.
+    pub code: i32,
+    /// The arguments.
+    pub args: Vec<Value>,
+}
+
+impl TestFrame {
+    /// Returns the canonical encoding, with a CRC for serial lines.
+    #[must_use]
+    pub fn to_wire(&self, crc: bool) -> Vec<u8> {
+        let args: Vec<Vec<u8>> = self.args.iter().map(Value::to_wire).collect();
+        let length = 16 + if crc { 2 } else { 0 } + args.iter().map(|arg| 4 + arg.len()).sum::<usize>();
+        let mut wire = vec![1];
+        wire.extend((length as u32).to_le_bytes());
+        wire.extend(self.serial.to_le_bytes());
+        wire.extend(self.reserved.to_le_bytes());
+        wire.extend(self.code.to_le_bytes());
+        wire.extend((args.len() as u16).to_le_bytes());
+        for arg in args {
+            wire.extend((arg.len() as u32).to_le_bytes());
+            wire.extend(arg);
+        }
+        if crc {
+            wire.extend(bitwise_crc(&wire[1..]).to_le_bytes());
+        }
+        wire.push(4);
+        wire
+    }
+
+    /// Copies what the core decoded, through its public accessors.
+    #[must_use]
+    pub fn read(frame: &Frame<'_>) -> Self {
+        let args = frame.args.iter().map(Value::read).collect();
+        Self { serial: frame.serial, reserved: frame.reserved, code: frame.code, args }
+    }
+}
+
+/// CRC-16 with polynomial 0x1021 and start 0xffff, a bit at a time.
+#[must_use]
+pub fn bitwise_crc(bytes: &[u8]) -> u16 {
+    let mut crc = 0xffff_u16;
+    for byte in bytes {
+        crc ^= u16::from(*byte) << 8;
+        for _ in 0..8 {
+            crc = if crc & 0x8000 == 0 { crc << 1 } else { (crc << 1) ^ 0x1021 };
+        }
+    }
+    crc
+}

@@ -1,0 +1,198 @@
+//! A decoder that the core is compared with: recursive, allocating, written the obvious way.
+//!
+//! It says only whether bytes are accepted and as what, not what is wrong with them.
+
+use bcap_core::limits::{Limits, Strictness};
+
+use crate::frame::{TestFrame, bitwise_crc};
+use crate::value::{ARRAY, VARIANT, Value};
+
+/// The rules to decode by.
+#[derive(Clone, Copy, Debug)]
+pub struct Oracle {
+    /// What is accepted at most.
+    pub limits: Limits,
+    /// What is forgiven.
+    pub strictness: Strictness,
+    /// Whether frames carry a CRC.
+    pub crc: bool,
+}
+
+/// What the oracle says of the front of a stream.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// A frame, and its length.
+    Frame(TestFrame, usize),
+    /// Nothing is wrong yet, but the frame is not whole.
+    Incomplete,
+    /// These bytes begin no frame.
+    Refused,
+}
+
+/// The rest of the input.
+type Input<'a> = &'a [u8];
+
+fn take<'a>(input: &mut Input<'a>, len: usize) -> Option<&'a [u8]> {
+    if len > input.len() {
+        return None;
+    }
+    let (head, rest) = input.split_at(len);
+    *input = rest;
+    Some(head)
+}
+
+fn le(input: &mut Input<'_>, len: usize) -> Option<u64> {
+    Some(take(input, len)?.iter().rev().fold(0, |sum, byte| sum << 8 | u64::from(*byte)))
+}
+
+impl Oracle {
+    /// Decodes the frame at the front of a stream.
+    #[must_use]
+    pub fn decode(&self, bytes: &[u8]) -> Verdict {
+        if bytes.is_empty() {
+            return Verdict::Incomplete;
+        }
+        if bytes[0] != 1 {
+            return Verdict::Refused;
+        }
+        if bytes.len() < 5 {
+            return Verdict::Incomplete;
+        }
+        let length = u32::from_le_bytes([bytes[1], bytes[2], bytes[3], bytes[4]]);
+        if length < if self.crc { 18 } else { 16 } || length > self.limits.frame {
+            return Verdict::Refused;
+        }
+        if bytes.len() < length as usize {
+            return Verdict::Incomplete;
+        }
+        match self.whole(&bytes[..length as usize]) {
+            Some(frame) => Verdict::Frame(frame, length as usize),
+            None => Verdict::Refused,
+        }
+    }
+
+    /// Decodes a frame whose length is right.
+    fn whole(&self, bytes: &[u8]) -> Option<TestFrame> {
+        let (eot, mut rest) = bytes[1..].split_last()?;
+        if *eot != 4 {
+            return None;
+        }
+        if self.crc {
+            let (covered, crc) = rest.split_at(rest.len() - 2);
+            if crc != bitwise_crc(covered).to_le_bytes() {
+                return None;
+            }
+            rest = covered;
+        }
+        le(&mut rest, 4)?;
+        let (serial, reserved) = (le(&mut rest, 2)? as u16, le(&mut rest, 2)? as u16);
+        let (code, count) = (le(&mut rest, 4)? as u32 as i32, le(&mut rest, 2)?);
+        if count > u64::from(self.limits.arguments) {
+            return None;
+        }
+        let args = (0..count).map(|_| self.argument(&mut rest)).collect::<Option<Vec<_>>>()?;
+        if self.strictness == Strictness::Strict && !rest.is_empty() {
+            return None;
+        }
+        Some(TestFrame { serial, reserved, code, args })
+    }
+
+    fn argument(&self, input: &mut Input<'_>) -> Option<Value> {
+        let declared = le(input, 4)? as usize;
+        if self.strictness == Strictness::Strict {
+            let mut value = take(input, declared)?;
+            let decoded = self.value(&mut value)?;
+            return value.is_empty().then_some(decoded);
+        }
+        // a value of unknown type is as long as its argument says, any other as long as it is
+        let mut ahead = *input;
+        let vartype = le(&mut ahead, 2)? as u16;
+        if width(vartype & !ARRAY).is_none() {
+            if declared < 6 {
+                return None;
+            }
+            let bytes = take(input, declared)?[2..].to_vec();
+            return Some(Value::Opaque(vartype, bytes));
+        }
+        self.value(input)
+    }
+
+    /// Decodes bytes that should be one value.
+    #[must_use]
+    pub fn decode_value(&self, mut bytes: &[u8]) -> Option<Value> {
+        let value = self.value(&mut bytes)?;
+        (bytes.is_empty() || self.strictness == Strictness::Lenient).then_some(value)
+    }
+
+    fn value(&self, input: &mut Input<'_>) -> Option<Value> {
+        self.nested(input, usize::from(self.limits.depth.min(bcap_core::limits::MAX_DEPTH)))
+    }
+
+    fn nested(&self, input: &mut Input<'_>, depth: usize) -> Option<Value> {
+        let (vartype, count) = (le(input, 2)? as u16, le(input, 4)?);
+        let element = vartype & !ARRAY;
+        if vartype & ARRAY == 0 {
+            if self.strictness == Strictness::Strict && count != 1 {
+                return None;
+            }
+            return self.element(element, input, depth);
+        }
+        // elements without data could be claimed by the billion
+        if width(element)? == 0 && count > 256 {
+            return None;
+        }
+        let mut items = Vec::new();
+        for _ in 0..count {
+            items.push(match element {
+                VARIANT => self.nested(input, depth.checked_sub(1)?)?,
+                _ => self.element(element, input, depth)?,
+            });
+        }
+        Some(Value::Array(element, items))
+    }
+
+    fn element(&self, element: u16, input: &mut Input<'_>, depth: usize) -> Option<Value> {
+        Some(match element {
+            0 => Value::Empty,
+            1 => Value::Null,
+            2 => Value::I2(le(input, 2)? as i16),
+            3 => Value::I4(le(input, 4)? as i32),
+            4 => Value::R4(le(input, 4)? as u32),
+            5 => Value::R8(le(input, 8)?),
+            6 => Value::Cy(le(input, 8)? as i64),
+            7 => Value::Date(le(input, 8)?),
+            8 => self.bstr(input)?,
+            10 => Value::Error(le(input, 4)? as i32),
+            11 => Value::Bool(le(input, 2)? != 0),
+            VARIANT => Value::Nested(Box::new(self.nested(input, depth.checked_sub(1)?)?)),
+            17 => Value::Ui1(le(input, 1)? as u8),
+            18 => Value::Ui2(le(input, 2)? as u16),
+            19 => Value::Ui4(le(input, 4)? as u32),
+            20 => Value::I8(le(input, 8)? as i64),
+            21 => Value::Ui8(le(input, 8)?),
+            _ => return None,
+        })
+    }
+
+    fn bstr(&self, input: &mut Input<'_>) -> Option<Value> {
+        let length = le(input, 4)? as usize;
+        if self.strictness == Strictness::Strict && length % 2 == 1 {
+            return None;
+        }
+        let units = take(input, length)?.chunks_exact(2).map(|unit| u16::from_le_bytes([unit[0], unit[1]])).collect();
+        Some(Value::Bstr(units))
+    }
+}
+
+/// Returns the least number of bytes that an element takes; `None` for types that the wire cannot carry.
+fn width(element: u16) -> Option<usize> {
+    Some(match element {
+        0 | 1 => 0,
+        17 => 1,
+        2 | 11 | 18 => 2,
+        3 | 4 | 8 | 10 | 19 => 4,
+        5 | 6 | 7 | 20 | 21 => 8,
+        VARIANT => 6,
+        _ => return None,
+    })
+}
