@@ -1,0 +1,153 @@
+//! Frames as JSON lines and as readable lines.
+//!
+//! ```text
+//! {"serial":4,"reserved":0,"code":101,"name":"VariableGetValue","args":[{"vt":3,"v":3}]}
+//! ```
+//!
+//! `code` is the number on the wire: the function of a request, the HRESULT of a response (signed, so that errors are
+//! negative). `name` is the name of that function or HRESULT, `null` when it has none. Nothing in a frame tells requests
+//! from responses, so the reader has to be told; requests are the default.
+
+use std::borrow::Cow;
+use std::fmt::Write as _;
+
+use bcap_core::bcap::{Frame, FrameWriter, FunctionId};
+use bcap_core::hresult::HResult;
+use bcap_core::limits::Strictness;
+use bcap_core::variant::Variant;
+use serde::Deserialize;
+use serde_json::value::RawValue;
+
+use crate::item::ItemError;
+use crate::json::{self, LIMITS, Part};
+
+/// What a frame's code means.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum Role {
+    /// A client's request: the code is a function.
+    #[default]
+    Request,
+    /// A server's response: the code is an HRESULT.
+    Response,
+}
+
+impl Role {
+    /// Returns the name of a code.
+    fn name(self, code: i32) -> Option<&'static str> {
+        match self {
+            Self::Request => FunctionId(code).name(),
+            Self::Response => HResult(code).name(),
+        }
+    }
+
+    /// Returns the code of a name.
+    fn code(self, name: &str) -> Option<i32> {
+        match self {
+            Self::Request => FunctionId::parse(name).map(|function| function.0),
+            Self::Response => HResult::from_name(name).map(|code| code.0),
+        }
+    }
+}
+
+/// Writes a frame as its JSON line.
+pub(crate) fn to_json(frame: &Frame<'_>, role: Role) -> String {
+    let name = role.name(frame.code).map_or("null".into(), |name| format!("\"{name}\""));
+    let mut out = format!(
+        "{{\"serial\":{},\"reserved\":{},\"code\":{},\"name\":{name},\"args\":[",
+        frame.serial, frame.reserved, frame.code
+    );
+    for (i, value) in frame.args.iter().enumerate() {
+        if i > 0 {
+            out.push(',');
+        }
+        json::put_value(&mut out, value);
+    }
+    out.push_str("]}");
+    out
+}
+
+/// Writes a frame as a line for people: `#4 Variable_GetValue(variable: I4(3))`, `#4 0x00000000 (S_OK): I4(1)`.
+pub(crate) fn to_line(frame: &Frame<'_>, role: Role) -> String {
+    let mut out = format!("#{}", frame.serial);
+    if frame.reserved != 0 && frame.reserved != frame.serial {
+        // writing to a string cannot fail, here and below
+        let _ = write!(out, " (retry of #{})", frame.reserved);
+    }
+    match role {
+        Role::Request => {
+            let names = frame.function().argument_names();
+            let _ = write!(out, " {}(", frame.function());
+            for (i, value) in frame.args.iter().enumerate() {
+                let separator = if i > 0 { ", " } else { "" };
+                let _ = match names.get(i) {
+                    Some(name) => write!(out, "{separator}{name}: {value:?}"),
+                    None => write!(out, "{separator}{value:?}"),
+                };
+            }
+            out.push(')');
+        }
+        Role::Response => {
+            let _ = write!(out, " {}", frame.hresult());
+            for (i, value) in frame.args.iter().enumerate() {
+                let _ = write!(out, "{} {value:?}", if i > 0 { "," } else { ":" });
+            }
+        }
+    }
+    out
+}
+
+/// The fields of a frame's line; what is left out is what a first request has.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Fields<'a> {
+    #[serde(default = "first_serial")]
+    serial: u16,
+    #[serde(default)]
+    reserved: u16,
+    #[serde(borrow)]
+    code: Option<&'a RawValue>,
+    #[serde(borrow)]
+    name: Option<Cow<'a, str>>,
+    #[serde(borrow, default)]
+    args: Vec<&'a RawValue>,
+}
+
+fn first_serial() -> u16 {
+    1
+}
+
+/// Reads a frame's line and returns the frame's bytes.
+///
+/// `code` goes before `name`, which is looked up only when there is no code.
+pub(crate) fn from_json(text: &str, role: Role, crc: bool) -> Result<Vec<u8>, ItemError> {
+    let line = Part::whole(text);
+    let fields: Fields<'_> = line.parse()?;
+    let code = match (fields.code, &fields.name) {
+        (Some(code), _) => json::code(line.of(code))?,
+        (None, Some(name)) => {
+            role.code(name).ok_or_else(|| line.error(format!("no {} is named {name:?}", noun(role))))?
+        }
+        (None, None) => return Err(line.error(format!("\"code\" or \"name\" is missing, to say which {}", noun(role)))),
+    };
+    if fields.args.len() > usize::from(u16::MAX) {
+        return Err(line.error(format!("a frame has at most {} arguments", u16::MAX)));
+    }
+    let values = fields.args.iter().map(|raw| json::parse_value(line.of(raw))).collect::<Result<Vec<_>, _>>()?;
+    let length = values.iter().map(|value| value.len() + 4).sum::<usize>() + 18;
+    if u32::try_from(length).is_ok_and(|length| length > LIMITS.frame) {
+        return Err(line.error(format!("the frame is over the limit of {} bytes", LIMITS.frame)));
+    }
+    let mut buffer = vec![0; length];
+    let mut frame = FrameWriter::new(&mut buffer)?.with_crc(crc);
+    for value in &values {
+        frame.argument(&Variant::decode(value, &LIMITS, Strictness::Strict)?)?;
+    }
+    Ok(frame.finish(fields.serial, fields.reserved, code)?.to_vec())
+}
+
+fn noun(role: Role) -> &'static str {
+    match role {
+        Role::Request => "function",
+        Role::Response => "HRESULT",
+    }
+}

@@ -1,0 +1,199 @@
+//! Items, one as an argument or many as lines: how each is converted, and what happens to those that are wrong.
+//!
+//! With `-` every line of the standard input gives exactly one line of output, in order. A line that cannot be converted
+//! gives `{"error":"...","offset":n}` in its place; the others are still done, and the exit code tells at the end.
+
+use std::io::{self, BufRead, Write};
+
+use bcap_core::error::{DecodeError, EncodeError};
+use serde::Serialize;
+
+use crate::error::Failure;
+
+/// The longest line that is read: 16 MiB of bytes as digits with something between each two, with room to spare.
+const MAX_LINE: usize = 128 * 1024 * 1024;
+
+/// Why one item could not be converted.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub(crate) struct ItemError {
+    /// What is wrong, in words.
+    #[serde(rename = "error")]
+    pub(crate) message: String,
+    /// Where: a byte of the decoded bytes, or of the item's text when that is not even well-formed text.
+    pub(crate) offset: Option<usize>,
+}
+
+impl ItemError {
+    pub(crate) fn new(message: impl Into<String>, offset: usize) -> Self {
+        Self { message: message.into(), offset: Some(offset) }
+    }
+
+    /// Returns the line that stands in the output in place of the item.
+    pub(crate) fn to_json(&self) -> String {
+        // a struct of a string and a number has no way to fail
+        serde_json::to_string(self).unwrap_or_default()
+    }
+}
+
+impl From<DecodeError> for ItemError {
+    fn from(error: DecodeError) -> Self {
+        Self::new(error.to_string(), error.offset)
+    }
+}
+
+impl From<EncodeError> for ItemError {
+    fn from(error: EncodeError) -> Self {
+        Self { message: error.to_string(), offset: None }
+    }
+}
+
+/// The items that a command is to convert.
+pub(crate) enum Items {
+    /// One, from the command line.
+    One(String),
+    /// Those on the lines of the standard input.
+    Lines,
+}
+
+impl Items {
+    /// Takes the words of the command line; none, or a single `-`, stand for the standard input.
+    pub(crate) fn from_words(words: &[String]) -> Self {
+        match words {
+            [] => Self::Lines,
+            [dash] if dash == "-" => Self::Lines,
+            words => Self::One(words.join(" ")),
+        }
+    }
+
+    /// Converts every item and prints what comes of it.
+    ///
+    /// `json` also reports the error of an item from the command line as a JSON line.
+    pub(crate) fn convert(
+        self,
+        json: bool,
+        mut convert: impl FnMut(&[u8], Place) -> Result<String, ItemError>,
+    ) -> Result<(), Failure> {
+        match self {
+            Self::One(text) => match convert(text.as_bytes(), Place::Argument) {
+                Ok(converted) => print_line(&converted),
+                Err(error) => {
+                    if json {
+                        print_line(&error.to_json())?;
+                    }
+                    Err(Failure::Input(error.message))
+                }
+            },
+            Self::Lines => {
+                let bad = each_line(io::stdin().lock(), io::stdout().lock(), |line| convert(line, Place::Line))?;
+                if bad > 0 { Err(Failure::BadLines(bad)) } else { Ok(()) }
+            }
+        }
+    }
+}
+
+/// Where an item stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Place {
+    /// It is the command line's only one, and what comes of it may take several lines.
+    Argument,
+    /// It is one of many lines, and what comes of it takes one.
+    Line,
+}
+
+/// Prints one line, or several.
+pub(crate) fn print_line(line: &str) -> Result<(), Failure> {
+    let mut out = io::stdout().lock();
+    out.write_all(line.as_bytes())?;
+    out.write_all(b"\n")?;
+    out.flush()?;
+    Ok(())
+}
+
+/// Converts line by line, and returns how many lines were wrong.
+fn each_line(
+    mut input: impl BufRead,
+    out: impl Write,
+    mut convert: impl FnMut(&[u8]) -> Result<String, ItemError>,
+) -> Result<usize, Failure> {
+    let mut out = io::BufWriter::new(out);
+    let mut line = Vec::new();
+    let mut bad = 0;
+    while let Some(whole) = read_line(&mut input, &mut line)? {
+        let converted = if whole {
+            convert(line.strip_suffix(b"\r").unwrap_or(&line))
+        } else {
+            Err(ItemError::new(format!("the line is longer than {MAX_LINE} bytes"), MAX_LINE))
+        };
+        let converted = converted.unwrap_or_else(|error| {
+            bad += 1;
+            error.to_json()
+        });
+        out.write_all(converted.as_bytes())?;
+        out.write_all(b"\n")?;
+        out.flush()?;
+    }
+    Ok(bad)
+}
+
+/// Reads a line without its end into `line`: `None` at the end of the input, `Some(false)` when it is too long to keep.
+fn read_line(input: &mut impl BufRead, line: &mut Vec<u8>) -> io::Result<Option<bool>> {
+    line.clear();
+    let (mut any, mut whole) = (false, true);
+    loop {
+        let buffer = match input.fill_buf() {
+            Ok(buffer) => buffer,
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+            Err(error) => return Err(error),
+        };
+        if buffer.is_empty() {
+            return Ok(any.then_some(whole));
+        }
+        any = true;
+        let end = buffer.iter().position(|byte| *byte == b'\n');
+        let part = &buffer[..end.unwrap_or(buffer.len())];
+        whole &= line.len() + part.len() <= MAX_LINE;
+        if whole {
+            line.extend_from_slice(part);
+        }
+        let used = part.len() + usize::from(end.is_some());
+        input.consume(used);
+        if end.is_some() {
+            return Ok(Some(whole));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(input: &str) -> (usize, String) {
+        let mut out = Vec::new();
+        let bad = each_line(input.as_bytes(), &mut out, |line| match line {
+            b"bad" => Err(ItemError::new("it is \"bad\"", 3)),
+            line => Ok(format!("<{}>", String::from_utf8_lossy(line))),
+        });
+        (bad.unwrap(), String::from_utf8(out).unwrap())
+    }
+
+    #[test]
+    fn every_line_gives_one_line() {
+        assert_eq!(run(""), (0, String::new()));
+        assert_eq!(run("a\r\n\nb"), (0, "<a>\n<>\n<b>\n".into()));
+        assert_eq!(run("a\nbad\nb\nbad\n"), {
+            let error = r#"{"error":"it is \"bad\"","offset":3}"#;
+            (2, format!("<a>\n{error}\n<b>\n{error}\n"))
+        });
+    }
+
+    #[test]
+    fn a_line_comes_whole_out_of_small_reads() {
+        let mut input = io::BufReader::with_capacity(2, "abcdef\nxyz".as_bytes());
+        let mut line = Vec::new();
+        assert_eq!(read_line(&mut input, &mut line).unwrap(), Some(true));
+        assert_eq!(line, b"abcdef");
+        assert_eq!(read_line(&mut input, &mut line).unwrap(), Some(true));
+        assert_eq!(line, b"xyz");
+        assert_eq!(read_line(&mut input, &mut line).unwrap(), None);
+    }
+}

@@ -1,0 +1,60 @@
+//! Running the built command, and the vectors.
+#![allow(dead_code, reason = "every test file uses its own part of this")]
+
+use std::io::Write;
+use std::process::{Command, Output, Stdio};
+
+use serde_json::Value;
+
+/// What a run printed, and its exit code.
+#[derive(Debug)]
+pub(crate) struct Run {
+    pub(crate) out: String,
+    pub(crate) err: String,
+    pub(crate) code: i32,
+}
+
+impl From<Output> for Run {
+    fn from(output: Output) -> Self {
+        Self {
+            out: String::from_utf8(output.stdout).unwrap(),
+            err: String::from_utf8(output.stderr).unwrap(),
+            code: output.status.code().unwrap(),
+        }
+    }
+}
+
+/// The command, undisturbed by the environment of the tests.
+pub(crate) fn command(args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_bcap"));
+    command.args(args).env_remove("BCAP_ROBOT").env_remove("NO_COLOR").env_remove("CLICOLOR_FORCE");
+    command
+}
+
+/// Runs the command without input.
+pub(crate) fn bcap(args: &[&str]) -> Run {
+    command(args).stdin(Stdio::null()).output().unwrap().into()
+}
+
+/// Runs the command with these lines as its input.
+pub(crate) fn bcap_with(args: &[&str], input: &[u8]) -> Run {
+    let mut child = command(args).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut stdin = child.stdin.take().unwrap();
+    let input = input.to_vec();
+    let writer = std::thread::spawn(move || stdin.write_all(&input));
+    let run = child.wait_with_output().unwrap().into();
+    writer.join().unwrap().unwrap();
+    run
+}
+
+/// Reads a file of `tests/vectors`.
+pub(crate) fn vectors(name: &str) -> Vec<Value> {
+    let path = format!("{}/../../tests/vectors/{name}", env!("CARGO_MANIFEST_DIR"));
+    let text = std::fs::read_to_string(&path).unwrap_or_else(|e| panic!("{path}: {e}"));
+    text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+/// All frames of the vectors.
+pub(crate) fn frames() -> Vec<Value> {
+    ["bcap-rc8-guide.jsonl", "bcap-rc9-spec.jsonl"].iter().flat_map(|name| vectors(name)).collect()
+}
