@@ -6,6 +6,7 @@
 
 use crate::error::EncodeError;
 use crate::hresult::HResult;
+use crate::storage::Storage;
 use crate::time::Instant;
 use crate::variant::{Encode, Variant, Writer};
 
@@ -34,48 +35,125 @@ impl From<HResult> for Outcome {
 }
 
 /// Where a handler puts the value of its reply; at most one.
-#[derive(Debug)]
+///
+/// # Examples
+///
+/// ```
+/// use bcap_core::handler::ReplyValue;
+/// use bcap_core::variant::Variant;
+///
+/// let mut buffer = [0; 64];
+/// let mut reply = ReplyValue::new(&mut buffer);
+/// reply.set(&7_i32)?;
+/// assert_eq!(reply.get(), Some(Variant::I4(7)));
+/// # Ok::<(), bcap_core::error::EncodeError>(())
+/// ```
 pub struct ReplyValue<'b> {
-    buffer: &'b mut [u8],
-    /// Bytes of the value in `buffer`; 0 while there is none.
+    memory: Memory<'b>,
+    /// Where in the memory the value begins, and how large it may get.
+    offset: usize,
+    max: usize,
+    /// Bytes of the value; 0 while there is none.
     len: usize,
+    overflow: bool,
+}
+
+enum Memory<'b> {
+    Slice(&'b mut [u8]),
+    Storage(&'b mut dyn Storage),
+}
+
+impl Memory<'_> {
+    fn bytes(&self) -> &[u8] {
+        match self {
+            Self::Slice(slice) => slice,
+            Self::Storage(storage) => storage.bytes(),
+        }
+    }
+
+    fn bytes_mut(&mut self) -> &mut [u8] {
+        match self {
+            Self::Slice(slice) => slice,
+            Self::Storage(storage) => storage.bytes_mut(),
+        }
+    }
+
+    fn grow(&mut self, len: usize) -> bool {
+        match self {
+            Self::Slice(slice) => slice.len() >= len,
+            Self::Storage(storage) => storage.grow(len),
+        }
+    }
 }
 
 impl<'b> ReplyValue<'b> {
     /// Makes a place for a value of at most the size of `buffer`.
     #[must_use]
     pub const fn new(buffer: &'b mut [u8]) -> Self {
-        Self { buffer, len: 0 }
+        let max = buffer.len();
+        Self { memory: Memory::Slice(buffer), offset: 0, max, len: 0, overflow: false }
+    }
+
+    /// Makes a place for a value of at most `max` bytes, behind `offset` bytes of memory that may grow.
+    pub(crate) const fn behind(storage: &'b mut dyn Storage, offset: usize, max: usize) -> Self {
+        Self { memory: Memory::Storage(storage), offset, max, len: 0, overflow: false }
     }
 
     /// Sets the value; one that was set before is replaced.
     ///
     /// # Errors
     ///
-    /// An [`EncodeError`] when the value does not fit; there is no value then.
+    /// An [`EncodeError`] when the value does not fit; there is no value then, and the server will answer
+    /// E_TOO_MUCH_DATA whatever the outcome says.
     pub fn set<T: Encode + ?Sized>(&mut self, value: &T) -> Result<(), EncodeError> {
-        self.len = 0;
-        let mut out = Writer::new(self.buffer);
-        value.encode(&mut out)?;
-        self.len = out.len();
-        Ok(())
+        self.clear();
+        loop {
+            let end = self.offset.saturating_add(self.max);
+            let memory = self.memory.bytes_mut();
+            let room = memory.len().min(end);
+            let mut out = Writer::new(memory.get_mut(self.offset..room).unwrap_or_default());
+            match value.encode(&mut out) {
+                Ok(()) => {
+                    self.len = out.len();
+                    return Ok(());
+                }
+                Err(EncodeError::Full) if room < end && self.memory.grow(room.saturating_mul(2).clamp(64, end)) => {}
+                Err(error) => {
+                    self.overflow = true;
+                    return Err(error);
+                }
+            }
+        }
     }
 
     /// Removes the value.
     pub const fn clear(&mut self) {
         self.len = 0;
+        self.overflow = false;
     }
 
     /// Views the value.
     #[must_use]
     pub fn get(&self) -> Option<Variant<'_>> {
-        let bytes = self.buffer.get(..self.len)?;
+        let bytes = self.as_bytes();
         (!bytes.is_empty()).then(|| Variant::from_checked(bytes))
     }
 
     /// Returns the value's encoding, empty while there is none.
     #[must_use]
     pub fn as_bytes(&self) -> &[u8] {
-        self.buffer.get(..self.len).unwrap_or_default()
+        self.memory.bytes().get(self.offset..).and_then(|rest| rest.get(..self.len)).unwrap_or_default()
+    }
+
+    /// Tells whether the last value that was to be set did not fit.
+    #[must_use]
+    pub const fn is_overflow(&self) -> bool {
+        self.overflow
+    }
+}
+
+impl core::fmt::Debug for ReplyValue<'_> {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.debug_tuple("ReplyValue").field(&self.get()).finish()
     }
 }

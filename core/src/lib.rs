@@ -11,6 +11,7 @@ pub mod hresult;
 pub mod limits;
 mod num;
 pub mod rac;
+pub mod storage;
 pub mod time;
 pub mod variant;
 mod wire;

@@ -312,6 +312,11 @@ impl<'a> Args<'a> {
     /// No arguments.
     pub const NONE: Self = Self { count: 0, data: &[], strictness: Strictness::Strict };
 
+    /// Views arguments that a decoder of this strictness has checked.
+    pub(crate) const fn from_checked(count: u16, data: &'a [u8], strictness: Strictness) -> Self {
+        Self { count, data, strictness }
+    }
+
     /// Returns the number of arguments.
     #[must_use]
     pub fn len(self) -> usize {

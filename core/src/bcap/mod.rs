@@ -1,12 +1,17 @@
 //! b-CAP: binary calls on the objects of a controller, over TCP and UDP port 5007 or a serial line.
 
 pub mod call;
+pub mod client;
 mod frame;
 pub mod function;
+mod link;
 pub mod server;
 
+pub use self::call::Call;
+pub use self::client::Client;
 pub use self::frame::{Args, ArgsIter, Decoder, EOT, Frame, FrameWriter, HEADER_LEN, MIN_FRAME, Progress, SOH, crc16};
 pub use self::function::{FunctionId, Kind, Object, Signature};
+pub use self::link::{Link, OnMalformed};
 
 /// The port of b-CAP, TCP and UDP.
 pub const PORT: u16 = 5007;

@@ -1,9 +1,42 @@
-//! The sans-IO server of b-CAP.
+//! The sans-IO server of b-CAP: one [`Session`] for each peer.
+//!
+//! ```text
+//!   the link ─► receive_buffer, received ──► run(handler) ──► transmit ─► the link
+//!                                             ▲    │
+//!                                poll_timeout └────┘ S_EXECUTING, time limits, a handler that waits
+//! ```
+//!
+//! A [`Session`] holds no socket and no clock; whoever runs it moves the bytes, and calls [`run`](Session::run) when
+//! bytes have come, when [`poll_timeout`](Session::poll_timeout) is due, and when something happened that a waiting
+//! handler may be waiting for. What it does for the handler:
+//!
+//! * **Bytes** are checked. On a stream a bad frame is answered with E_INVALIDRCPACKET and the session ends (S0:169);
+//!   a bad datagram is answered if it has a header; noise on a serial line is passed over.
+//! * **Arguments** are checked against the [function table](super::function) before the handler sees them: their number
+//!   (E_INVALIDARG), their kinds (E_INVALIDARGTYPE), and that a handle was given to this peer (E_HANDLE).
+//! * **Time**: with `WDT=ms` in Service_Start, S_EXECUTING goes out at that interval while a call runs. A call that runs
+//!   longer than `InvokeTimeout=ms` (180 s) is answered with E_TIMEOUT and abandoned.
+//! * **Repetitions** on lossy links are recognised by the retry marker and the function. The last reply is sent again;
+//!   a call that still runs is answered with S_EXECUTING; an older one that the network held back is dropped.
+//! * **Objects**: every handle given to the peer is noted. What is left is released, newest first, at Service_Stop and
+//!   when the peer goes. When the list is full E_MAX_OBJECT refuses to open more.
 
-use crate::bcap::{Args, FunctionId};
+use core::time::Duration;
+
+use crate::bcap::frame::{EOT, FrameWriter, HEADER_LEN, SOH, crc16, renumber};
+use crate::bcap::link::{Inbox, Link, OnMalformed, Received, Span};
+use crate::bcap::{Args, Frame, FunctionId, Kind, Object};
+use crate::error::DecodeError;
 use crate::handler::{Outcome, PeerId, ReplyValue};
+use crate::hresult::HResult;
+use crate::limits::{Limits, Strictness};
+use crate::num::to_u32;
+use crate::storage::Storage;
 use crate::time::Instant;
 use crate::variant::{Bstr, Variant};
+
+mod options;
+pub use self::options::{OptionError, StartOptions};
 
 /// A request whose arguments have been checked against the table: their number and their kinds are right.
 #[derive(Clone, Copy, Debug)]
@@ -70,3 +103,593 @@ pub trait Handler {
         let _ = (peer, now);
     }
 }
+
+/// How a session behaves; every field is a run-time choice.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Config {
+    /// What carries the frames.
+    pub link: Link,
+    /// What is accepted at most.
+    pub limits: Limits,
+    /// How forgiving the session is with requests.
+    pub strictness: Strictness,
+    /// What to do when the bytes of a stream are no frame.
+    pub on_malformed: OnMalformed,
+    /// How long a call may run, unless Service_Start says otherwise.
+    pub invoke_timeout: Duration,
+}
+
+impl Config {
+    /// Defaults for TCP.
+    pub const TCP: Self = Self {
+        link: Link::Stream,
+        limits: Limits::STREAM,
+        strictness: Strictness::Strict,
+        on_malformed: OnMalformed::Close,
+        invoke_timeout: Duration::from_secs(180),
+    };
+    /// Defaults for UDP.
+    pub const UDP: Self =
+        Self { link: Link::Datagram, limits: Limits::DATAGRAM, on_malformed: OnMalformed::Resync, ..Self::TCP };
+    /// Defaults for serial lines.
+    pub const SERIAL: Self =
+        Self { link: Link::Serial, limits: Limits::SERIAL, on_malformed: OnMalformed::Resync, ..Self::TCP };
+}
+
+/// What a session has done; for logs and counters.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Event {
+    /// A request was answered, by the handler or for it.
+    Served {
+        /// What was asked for.
+        function: FunctionId,
+        /// What was answered.
+        result: HResult,
+    },
+    /// S_EXECUTING was sent.
+    KeptAlive,
+    /// A repetition was recognised; nothing was executed.
+    Repeated {
+        /// The serial of the call's first attempt.
+        first: u16,
+    },
+    /// Bytes came that are no frame.
+    Malformed(DecodeError),
+}
+
+/// The server's side of one peer, with its two buffers and room for `OBJECTS` handles.
+///
+/// # Examples
+///
+/// ```
+/// use bcap_core::bcap::server::{Config, Event, Handler, Request, Session};
+/// use bcap_core::bcap::{FunctionId, HEADER_LEN};
+/// use bcap_core::handler::{Outcome, PeerId, ReplyValue};
+/// use bcap_core::hresult::HResult;
+/// use bcap_core::time::Instant;
+///
+/// /// A controller without anything in it.
+/// struct Empty;
+///
+/// impl Handler for Empty {
+///     fn call(&mut self, _: PeerId, request: &Request<'_>, _: &mut ReplyValue<'_>, _: Instant) -> Outcome {
+///         match request.function {
+///             FunctionId::SERVICE_START | FunctionId::SERVICE_STOP => HResult::S_OK.into(),
+///             _ => HResult::E_NOTIMPL.into(),
+///         }
+///     }
+/// }
+///
+/// let mut session = Session::<_, _, 8>::new(Config::TCP, [0; 512], [0; 512]);
+/// let request = b"\x01\x10\0\0\0\x05\0\0\0\x01\0\0\0\0\0\x04"; // Service_Start
+/// session.receive_buffer()[..16].copy_from_slice(request);
+/// session.received(16);
+/// let event = session.run(&mut Empty, PeerId(0), Instant::ZERO);
+/// assert_eq!(event, Some(Event::Served { function: FunctionId::SERVICE_START, result: HResult::S_OK }));
+/// assert_eq!(session.transmit(), b"\x01\x10\0\0\0\x05\0\0\0\0\0\0\0\0\0\x04");
+/// ```
+#[derive(Debug)]
+pub struct Session<T, R = T, const OBJECTS: usize = 32> {
+    tx: T,
+    rx: R,
+    inbox: Inbox,
+    state: State,
+    objects: heapless::Vec<(Object, i32), OBJECTS>,
+}
+
+/// Everything of a session that does not depend on its memory.
+#[derive(Debug)]
+struct State {
+    config: Config,
+    invoke_timeout: Duration,
+    /// The interval of S_EXECUTING.
+    watchdog: Option<Duration>,
+    running: Option<Running>,
+    /// Bytes of the last reply in `tx`, and how many of them the link has taken.
+    tx_len: usize,
+    tx_sent: usize,
+    last: Option<Last>,
+    /// When Service_Start came, and with which first serial.
+    started: Option<(Instant, u16)>,
+    /// Nothing more is read; when `tx` is sent the link is to be closed.
+    closing: bool,
+}
+
+/// A request that the handler has not answered yet.
+#[derive(Clone, Copy, Debug)]
+struct Running {
+    span: Span,
+    function: FunctionId,
+    /// The serials of the call's first attempt and of the latest one that came; the reply goes to that.
+    first: u16,
+    serial: u16,
+    resumed: bool,
+    wake: Instant,
+    until: Instant,
+    keep_alive_at: Instant,
+}
+
+/// The call that was answered last, on a lossy link.
+#[derive(Clone, Copy, Debug)]
+struct Last {
+    first: u16,
+    function: FunctionId,
+    /// Whether `tx` still holds its reply.
+    cached: bool,
+}
+
+/// How far behind the last call a first serial is taken for a repetition that the network held back.
+const OLD_SERIALS: u16 = 1024;
+
+/// How long a repeated Service_Start may be one that the network held back; later it begins a new session.
+const RESTART_AFTER: Duration = Duration::from_secs(2);
+
+/// How soon a handler that waits is asked again at the earliest, if nothing else happens.
+const SOONEST: Duration = Duration::from_millis(1);
+
+/// The bytes in front of a reply's value: the header and the argument's length.
+const VALUE_AT: usize = HEADER_LEN + 4;
+
+impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
+    /// Makes a session for a peer that has just come.
+    #[must_use]
+    pub fn new(config: Config, tx: T, rx: R) -> Self {
+        let inbox = Inbox::new(config.link, config.limits, config.strictness, config.on_malformed);
+        Self { tx, rx, inbox, state: State::new(config), objects: heapless::Vec::new() }
+    }
+
+    /// Returns memory for bytes that arrive; with datagrams, for one of them.
+    ///
+    /// It is empty while a request runs and there is no room behind it; then bytes must wait (or datagrams be dropped).
+    #[must_use]
+    pub fn receive_buffer(&mut self) -> &mut [u8] {
+        if self.state.running.is_some() {
+            // the handler will look at its request again, so nothing may move
+            return self.inbox.tail(self.rx.bytes_mut());
+        }
+        self.inbox.free(&mut self.rx)
+    }
+
+    /// Takes note that `count` bytes have been put into [`receive_buffer`](Self::receive_buffer).
+    pub fn received(&mut self, count: usize) {
+        self.inbox.received(self.rx.bytes(), count);
+    }
+
+    /// Returns the bytes that are to be sent: one datagram, or the rest of a frame for a stream.
+    #[must_use]
+    pub fn transmit(&self) -> &[u8] {
+        self.tx.bytes().get(self.state.tx_sent..self.state.tx_len).unwrap_or_default()
+    }
+
+    /// Takes note that the link has taken `count` bytes of [`transmit`](Self::transmit).
+    pub fn transmitted(&mut self, count: usize) {
+        self.state.tx_sent = self.state.tx_sent.saturating_add(count).min(self.state.tx_len);
+    }
+
+    /// Returns when [`run`](Self::run) is to be called even if no bytes come; `None` while no request runs.
+    #[must_use]
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        self.state.running.map(|running| running.wake.min(running.until).min(running.keep_alive_at))
+    }
+
+    /// Tells whether a request runs that its handler has not answered.
+    #[must_use]
+    pub const fn is_running(&self) -> bool {
+        self.state.running.is_some()
+    }
+
+    /// Tells whether part of a request has come and its rest has not.
+    #[must_use]
+    pub const fn is_receiving(&self) -> bool {
+        self.state.running.is_none() && self.inbox.is_partial()
+    }
+
+    /// Tells whether the session is over: what there was to send is sent, and the link is to be closed.
+    #[must_use]
+    pub const fn is_finished(&self) -> bool {
+        self.state.closing && self.state.tx_sent >= self.state.tx_len
+    }
+
+    /// Returns the number of handles that the peer has open.
+    #[must_use]
+    pub fn open_objects(&self) -> usize {
+        self.objects.len()
+    }
+
+    /// Goes on as far as it can, and says what was done; `None` when bytes must come, leave, or time pass.
+    ///
+    /// It is to be called until it returns `None`.
+    pub fn run<H: Handler + ?Sized>(&mut self, handler: &mut H, peer: PeerId, now: Instant) -> Option<Event> {
+        if self.state.is_sending() {
+            return None;
+        }
+        if let Some(running) = self.state.running {
+            return self.resume(running, handler, peer, now);
+        }
+        if self.state.closing {
+            return None;
+        }
+        Some(match self.inbox.poll(&mut self.rx)? {
+            Received::Frame(span) => self.begin(span, handler, peer, now)?,
+            Received::TooLarge { serial, .. } => self.refuse(serial, FunctionId(0), HResult::E_PACKETSIZEOVER),
+            Received::Malformed(error) => self.malformed(error, false),
+            Received::Broken(error) => self.malformed(error, true),
+        })
+    }
+
+    /// Ends the session: abandons what runs, releases the objects newest first, and tells the handler.
+    pub fn close<H: Handler + ?Sized>(&mut self, handler: &mut H, peer: PeerId, now: Instant) {
+        if self.state.running.take().is_some() {
+            handler.abandoned(peer, now);
+        }
+        self.release_objects(handler, peer, now);
+        handler.left(peer, now);
+        self.state.closing = true;
+        self.state.tx_sent = self.state.tx_len;
+    }
+
+    /// Begins to work on a frame.
+    fn begin<H: Handler + ?Sized>(&mut self, span: Span, handler: &mut H, peer: PeerId, now: Instant) -> Option<Event> {
+        let frame = self.inbox.frame(self.rx.bytes(), span)?;
+        let function = frame.function();
+        let serial = frame.serial;
+        let first = if frame.reserved == 0 { serial } else { frame.reserved };
+        if self.state.config.link.is_lossy() {
+            if self.state.is_restart(function, first, now) {
+                self.release_objects(handler, peer, now);
+                self.state.last = None;
+            } else if let Some(known) = self.state.repetition(function, first) {
+                return Some(self.repeat(known, serial, first));
+            }
+        }
+        let frame = self.inbox.frame(self.rx.bytes(), span)?;
+        let refused = match self.check(&frame) {
+            Err(refused) => Some(refused),
+            Ok(()) if function == FunctionId::SERVICE_START => match StartOptions::read(frame.args.get(0)) {
+                Ok(options) => {
+                    self.state.start(options, first, now);
+                    None
+                }
+                Err(_) => Some(HResult::E_INVALIDARG),
+            },
+            Ok(()) => None,
+        };
+        if let Some(result) = refused {
+            let event = self.refuse(serial, function, result);
+            self.state.last = Some(Last { first, function, cached: true });
+            return Some(event);
+        }
+        if function == FunctionId::SERVICE_STOP {
+            self.release_objects(handler, peer, now);
+        }
+        let running = self.state.begin(span, function, first, serial, now);
+        self.call(running, handler, peer, now)
+    }
+
+    /// Goes on with a request that runs.
+    fn resume<H: Handler + ?Sized>(
+        &mut self,
+        running: Running,
+        handler: &mut H,
+        peer: PeerId,
+        now: Instant,
+    ) -> Option<Event> {
+        if let Some(event) = self.called_while_running(running) {
+            return Some(event);
+        }
+        let Running { function, serial, first, .. } = running;
+        if now >= running.until {
+            self.state.running = None;
+            handler.abandoned(peer, now);
+            let event = self.refuse(serial, function, HResult::E_TIMEOUT);
+            self.state.last = Some(Last { first, function, cached: true });
+            return Some(event);
+        }
+        if now >= running.keep_alive_at {
+            let keep_alive_at = self.state.next_keep_alive(now);
+            self.state.running = Some(Running { keep_alive_at, ..running });
+            self.send_code(serial, HResult::S_EXECUTING, false);
+            return Some(Event::KeptAlive);
+        }
+        self.call(running, handler, peer, now)
+    }
+
+    /// Looks at what came while a request runs: its own repetitions, or another call that must wait.
+    fn called_while_running(&mut self, running: Running) -> Option<Event> {
+        if !self.state.config.link.is_lossy() {
+            // a stream keeps the order: the next request waits where it is
+            return None;
+        }
+        let Received::Frame(span) = self.inbox.poll(&mut self.rx)? else { return None };
+        let frame = self.inbox.frame(self.rx.bytes(), span)?;
+        let (serial, function) = (frame.serial, frame.function());
+        let first = if frame.reserved == 0 { serial } else { frame.reserved };
+        if (first, function) == (running.first, running.function) {
+            // the network may have changed the order of the attempts, so the newest is the one sent last
+            let newer = serial.wrapping_sub(running.serial) < 0x8000;
+            let serial = if newer { serial } else { running.serial };
+            self.state.running = Some(Running { serial, ..running });
+            self.send_code(serial, HResult::S_EXECUTING, false);
+            return Some(Event::Repeated { first });
+        }
+        if self.state.is_old(first) {
+            return Some(Event::Repeated { first });
+        }
+        Some(self.refuse(serial, function, HResult::E_BUSY_PROC))
+    }
+
+    /// Asks the handler.
+    fn call<H: Handler + ?Sized>(
+        &mut self,
+        running: Running,
+        handler: &mut H,
+        peer: PeerId,
+        now: Instant,
+    ) -> Option<Event> {
+        let Running { span, function, first, serial, resumed, .. } = running;
+        let args = self.inbox.frame(self.rx.bytes(), span)?.args;
+        let max = self.state.config.link.send_max().saturating_sub(VALUE_AT).saturating_sub(self.state.tail());
+        let mut reply = ReplyValue::behind(&mut self.tx, VALUE_AT, max);
+        let request = Request { function, args, resumed };
+        let result = match handler.call(peer, &request, &mut reply, now) {
+            Outcome::Wait(wake) => {
+                // a handler that asks for a time that has passed must not keep its server spinning
+                let wake = wake.max(now.saturating_add(SOONEST));
+                self.state.running = Some(Running { resumed: true, wake, ..running });
+                return None;
+            }
+            Outcome::Done(_) if reply.is_overflow() => HResult::E_TOO_MUCH_DATA,
+            Outcome::Done(result) => result,
+        };
+        let (len, value) = (reply.as_bytes().len(), reply.get());
+        let handle = value.and_then(|value| handle_of(&value));
+        self.state.running = None;
+        if result.is_ok() {
+            let released = args.get(0).and_then(|value| handle_of(&value)).unwrap_or(0);
+            self.keep_books(function, handle, released);
+        }
+        let len = if result == HResult::E_TOO_MUCH_DATA { 0 } else { len };
+        self.send_reply(serial, function, result, len);
+        self.state.last = Some(Last { first, function, cached: true });
+        Some(Event::Served { function, result })
+    }
+
+    /// Notes what a successful call has opened or released.
+    fn keep_books(&mut self, function: FunctionId, opened: Option<i32>, released: i32) {
+        if let Some(object) = function.opens() {
+            let handle = if object == Object::Service { Some(0) } else { opened };
+            if let Some(handle) = handle
+                && !self.objects.contains(&(object, handle))
+            {
+                // `check` has made sure of a free place
+                let _ = self.objects.push((object, handle));
+            }
+        }
+        if let Some(object) = function.releases() {
+            let handle = if object == Object::Service { 0 } else { released };
+            self.objects.retain(|known| *known != (object, handle));
+        }
+    }
+
+    /// Releases all objects, newest first, through the handler.
+    fn release_objects<H: Handler + ?Sized>(&mut self, handler: &mut H, peer: PeerId, now: Instant) {
+        while let Some((object, handle)) = self.objects.pop() {
+            let mut argument = [10, 0, 0, 0, 3, 0, 1, 0, 0, 0, 0, 0, 0, 0];
+            if let Some(slot) = argument.last_chunk_mut::<4>() {
+                *slot = handle.to_le_bytes();
+            }
+            let args = match object {
+                Object::Service => Args::NONE,
+                _ => Args::from_checked(1, &argument, Strictness::Strict),
+            };
+            let request = Request { function: object.released_by(), args, resumed: false };
+            // there is nobody to tell whether it went well
+            let _ = handler.call(peer, &request, &mut ReplyValue::new(&mut []), now);
+        }
+    }
+
+    /// Checks a request against the function table and the peer's objects.
+    fn check(&self, frame: &Frame<'_>) -> Result<(), HResult> {
+        let function = frame.function();
+        let Some(signature) = function.signature() else { return Err(HResult::E_INVALIDARG) };
+        let (given, taken) = (frame.args.len(), signature.arguments.len());
+        if given > taken || (given < taken && function != FunctionId::SERVICE_START) {
+            return Err(HResult::E_INVALIDARG);
+        }
+        for (value, kind) in frame.args.iter().zip(signature.arguments) {
+            if !kind.accepts(&value) {
+                return Err(HResult::E_INVALIDARGTYPE);
+            }
+            if let Kind::Handle(object) = kind
+                && !handle_of(&value).is_some_and(|handle| self.objects.contains(&(*object, handle)))
+            {
+                return Err(HResult::E_HANDLE);
+            }
+        }
+        if function.opens().is_some() && self.objects.is_full() {
+            return Err(HResult::E_MAX_OBJECT);
+        }
+        Ok(())
+    }
+
+    /// Answers without asking the handler.
+    fn refuse(&mut self, serial: u16, function: FunctionId, result: HResult) -> Event {
+        self.send_reply(serial, function, result, 0);
+        Event::Served { function, result }
+    }
+
+    /// Sends the last reply once more, if it is still there.
+    fn repeat(&mut self, known: Last, serial: u16, first: u16) -> Event {
+        if known.cached {
+            let frame = self.tx.bytes_mut().get_mut(..self.state.tx_len).unwrap_or_default();
+            renumber(frame, serial, 0, self.state.config.link == Link::Serial);
+            self.state.tx_sent = 0;
+        }
+        Event::Repeated { first }
+    }
+
+    /// Reports bytes that are no frame, and answers them where the link has a use for that.
+    fn malformed(&mut self, error: DecodeError, close: bool) -> Event {
+        let header = self.inbox.malformed_header(self.rx.bytes());
+        let answer = match self.state.config.link {
+            Link::Stream => close,
+            // not to answer short garbage keeps a forged sender address from being worth anything
+            Link::Datagram => header.is_some(),
+            Link::Serial => false,
+        };
+        if answer {
+            self.send_code(header.unwrap_or(0), error.hresult(), false);
+        }
+        self.state.closing |= close;
+        Event::Malformed(error)
+    }
+
+    /// Puts a frame with a code, and EMPTY as its value if wanted, into `tx`; the reply that was there is gone.
+    fn send_code(&mut self, serial: u16, code: HResult, empty: bool) {
+        self.state.last = self.state.last.map(|last| Last { cached: false, ..last });
+        self.tx.grow(64);
+        let crc = self.state.config.link == Link::Serial;
+        let frame = FrameWriter::new(self.tx.bytes_mut()).and_then(|frame| {
+            let mut frame = frame.with_crc(crc);
+            if empty {
+                frame.argument(&())?;
+            }
+            frame.finish(serial, 0, code.0)
+        });
+        self.state.tx_len = frame.map_or(0, <[u8]>::len);
+        self.state.tx_sent = 0;
+    }
+
+    /// Closes the frame around the value of `len` bytes that the handler has left in `tx`.
+    fn send_reply(&mut self, serial: u16, function: FunctionId, result: HResult, len: usize) {
+        let kind = function.signature().map_or(Kind::Nothing, |signature| signature.result);
+        if len == 0 || kind == Kind::Nothing {
+            // a function that gives a value gives EMPTY when it has none, as peers expect
+            return self.send_code(serial, result, !matches!(kind, Kind::Nothing | Kind::Maybe));
+        }
+        let crc = self.state.config.link == Link::Serial;
+        let end = VALUE_AT.saturating_add(len);
+        let total = end.saturating_add(self.state.tail());
+        self.tx.grow(total);
+        self.state.tx_sent = 0;
+        self.state.tx_len = total;
+        let Some(frame) = self.tx.bytes_mut().get_mut(..total) else {
+            return self.send_code(serial, HResult::E_TOO_MUCH_DATA, false);
+        };
+        if let Some(head) = frame.first_chunk_mut::<VALUE_AT>() {
+            let ([l0, l1, l2, l3], [s0, s1]) = (to_u32(total).to_le_bytes(), serial.to_le_bytes());
+            let ([c0, c1, c2, c3], [a0, a1, a2, a3]) = (result.0.to_le_bytes(), to_u32(len).to_le_bytes());
+            *head = [SOH, l0, l1, l2, l3, s0, s1, 0, 0, c0, c1, c2, c3, 1, 0, a0, a1, a2, a3];
+        }
+        if crc {
+            let sum = crc16(frame.get(1..end).unwrap_or_default()).to_le_bytes();
+            if let Some(slot) = frame.get_mut(end..).and_then(<[u8]>::first_chunk_mut::<2>) {
+                *slot = sum;
+            }
+        }
+        if let Some(last) = frame.last_mut() {
+            *last = EOT;
+        }
+    }
+}
+
+/// Returns the handle in an argument or a reply.
+fn handle_of(value: &Variant<'_>) -> Option<i32> {
+    match *value {
+        Variant::Ui4(n) => Some(n.cast_signed()),
+        _ => value.as_i32(),
+    }
+}
+
+impl State {
+    const fn new(config: Config) -> Self {
+        Self {
+            config,
+            invoke_timeout: config.invoke_timeout,
+            watchdog: None,
+            running: None,
+            tx_len: 0,
+            tx_sent: 0,
+            last: None,
+            started: None,
+            closing: false,
+        }
+    }
+
+    const fn is_sending(&self) -> bool {
+        self.tx_sent < self.tx_len
+    }
+
+    /// Returns the bytes of a frame behind its arguments.
+    const fn tail(&self) -> usize {
+        if matches!(self.config.link, Link::Serial) { 3 } else { 1 }
+    }
+
+    fn start(&mut self, options: StartOptions, first: u16, now: Instant) {
+        self.watchdog = options.watchdog;
+        self.invoke_timeout = options.invoke_timeout.unwrap_or(self.config.invoke_timeout);
+        self.started = Some((now, first));
+    }
+
+    fn begin(&self, span: Span, function: FunctionId, first: u16, serial: u16, now: Instant) -> Running {
+        Running {
+            span,
+            function,
+            first,
+            serial,
+            resumed: false,
+            wake: now,
+            until: now.saturating_add(self.invoke_timeout),
+            keep_alive_at: self.next_keep_alive(now),
+        }
+    }
+
+    fn next_keep_alive(&self, now: Instant) -> Instant {
+        self.watchdog.map_or(Instant::FAR_FUTURE, |interval| now.saturating_add(interval))
+    }
+
+    /// Tells whether a Service_Start is that of a new client behind an address that is known.
+    fn is_restart(&self, function: FunctionId, first: u16, now: Instant) -> bool {
+        function == FunctionId::SERVICE_START
+            && self.started.is_some_and(|(at, serial)| serial != first || now.saturating_since(at) >= RESTART_AFTER)
+    }
+
+    /// Returns the call that a request repeats, or that is newer than it.
+    fn repetition(&self, function: FunctionId, first: u16) -> Option<Last> {
+        let last = self.last?;
+        if last.first == first {
+            // another function under the same marker is another call
+            return (last.function == function).then_some(last);
+        }
+        self.is_old(first).then_some(Last { cached: false, ..last })
+    }
+
+    fn is_old(&self, first: u16) -> bool {
+        self.last.is_some_and(|last| (1..=OLD_SERIALS).contains(&last.first.wrapping_sub(first)))
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,580 @@
+//! The sans-IO client of b-CAP: one call at a time, over any link.
+//!
+//! ```text
+//!   start ──► transmit ─► the link ─► receive_buffer, received ──► poll_event ──► reply
+//!                ▲                                                     │
+//!                └──────────── handle_timeout at poll_timeout ◄────────┘
+//! ```
+//!
+//! A [`Client`] holds no socket and no clock. Whoever runs it carries the bytes of [`transmit`](Client::transmit) to the
+//! link, puts what comes back into [`receive_buffer`](Client::receive_buffer), passes the time in, and reads events.
+//!
+//! * **Serials** run from 1 to 65535; each attempt takes a new one, and none is used again while a reply to it may come.
+//! * **Retries** happen on lossy links only. The reserved field then carries the first attempt's serial, by which the
+//!   server knows a repetition. A reply to any attempt of a call ends the call.
+//! * **Time**: an *attempt* may be silent for so long; a *call* takes at most its deadline; S_EXECUTING restarts the
+//!   attempt's time, but may not keep a call alive beyond its own budget. The error says which of the three it was.
+//! * **Late replies** are matched by serial, reported as [`Event::Stale`] and dropped. Datagrams that are no frame are
+//!   reported and dropped too; neither costs an attempt.
+//! * **Cancelling** is [`abandon`](Client::abandon), at any byte: what was begun to be sent is finished, its reply
+//!   will be stale.
+
+use core::fmt;
+use core::time::Duration;
+
+use crate::bcap::call::{Call, Reply, ReplyError};
+use crate::bcap::frame::{Frame, FrameWriter, MIN_FRAME, renumber};
+use crate::bcap::link::{Inbox, Link, OnMalformed, Received, Span};
+use crate::error::{DecodeError, EncodeError};
+use crate::hresult::HResult;
+use crate::limits::{Limits, Strictness};
+use crate::storage::Storage;
+use crate::time::Instant;
+
+/// How a client behaves; every field can be changed at run time, before the client is made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Config {
+    /// What carries the frames.
+    pub link: Link,
+    /// What is accepted at most.
+    pub limits: Limits,
+    /// How forgiving the client is with replies.
+    pub strictness: Strictness,
+    /// What to do when the bytes of a stream are no frame; datagrams are dropped in any case.
+    pub on_malformed: OnMalformed,
+    /// How long an attempt waits for a reply or a keep-alive.
+    pub attempt_timeout: Duration,
+    /// How often a call is sent at most, on lossy links; a stream sends it once.
+    pub attempts: u8,
+    /// How long a call may take altogether.
+    pub deadline: Duration,
+    /// How long S_EXECUTING may keep a call alive, from the first one on.
+    pub keep_alive: Duration,
+}
+
+impl Config {
+    /// Defaults for TCP: 3 s for the reply or the next keep-alive, 180 s for a call, as long as a server runs one.
+    pub const TCP: Self = Self {
+        link: Link::Stream,
+        limits: Limits::STREAM,
+        strictness: Strictness::Strict,
+        on_malformed: OnMalformed::Close,
+        attempt_timeout: Duration::from_secs(3),
+        attempts: 1,
+        deadline: Duration::from_secs(180),
+        keep_alive: Duration::from_secs(180),
+    };
+    /// Defaults for UDP: five attempts of 500 ms (S2:1493).
+    pub const UDP: Self = Self {
+        link: Link::Datagram,
+        limits: Limits::DATAGRAM,
+        attempt_timeout: Duration::from_millis(500),
+        attempts: 5,
+        on_malformed: OnMalformed::Resync,
+        ..Self::TCP
+    };
+    /// Defaults for serial lines: five attempts of 500 ms.
+    pub const SERIAL: Self = Self { link: Link::Serial, limits: Limits::SERIAL, ..Self::UDP };
+}
+
+/// What has happened; nothing is borrowed, so an event can be kept while the client goes on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[must_use]
+pub enum Event {
+    /// The call has its reply, with this result; [`Client::reply`] views it.
+    Replied(HResult),
+    /// The call has ended without a reply.
+    Failed(ClientError),
+    /// The server is still at work (S_EXECUTING); the attempt's time starts again.
+    Executing,
+    /// The call is sent again.
+    Retried {
+        /// The number of the attempt that begins, the first being 1.
+        attempt: u8,
+    },
+    /// A reply came that belongs to no call in flight; it was dropped.
+    Stale {
+        /// Its serial.
+        serial: u16,
+    },
+    /// Bytes came that are no frame; they were dropped.
+    Malformed(DecodeError),
+}
+
+/// Which of a call's time limits has passed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Timeout {
+    /// The last attempt was neither answered nor kept alive.
+    Attempt,
+    /// The call was kept alive, but took longer than it may altogether.
+    Deadline,
+    /// The server sent S_EXECUTING for longer than it may.
+    KeepAlive,
+}
+
+/// Why a call could not be made or has ended without a reply.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum ClientError {
+    /// The call cannot be encoded; the caller's fault, nothing was sent.
+    Encode(EncodeError),
+    /// The call is over the largest frame of the link or the buffer; the caller's fault, nothing was sent.
+    TooLarge {
+        /// The largest frame, in bytes.
+        limit: usize,
+    },
+    /// A call is in flight, or part of an abandoned one is still to be sent; the caller's fault, nothing was sent.
+    Busy,
+    /// A time limit has passed.
+    Timeout(Timeout),
+    /// The peer sent bytes that are no frame; the session has ended.
+    Malformed(DecodeError),
+    /// The reply is larger than the receive buffer; the session goes on.
+    ReplyTooLarge {
+        /// The reply's length, in bytes.
+        length: u32,
+    },
+    /// The reply carries another value than the function gives; the peer's fault.
+    Reply(ReplyError),
+    /// The session had ended before.
+    Closed,
+}
+
+impl fmt::Display for ClientError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Encode(e) => write!(f, "the call cannot be sent: {e}"),
+            Self::TooLarge { limit } => write!(f, "the call does not fit a frame of {limit} bytes"),
+            Self::Busy => f.write_str("another call is in flight"),
+            Self::Timeout(Timeout::Attempt) => f.write_str("no reply within the timeout"),
+            Self::Timeout(Timeout::Deadline) => f.write_str("the call took longer than its deadline"),
+            Self::Timeout(Timeout::KeepAlive) => f.write_str("the server kept the call alive for too long"),
+            Self::Malformed(e) => write!(f, "the peer sent no valid frame: {e}"),
+            Self::ReplyTooLarge { length } => write!(f, "the reply of {length} bytes does not fit the receive buffer"),
+            Self::Reply(e) => e.fmt(f),
+            Self::Closed => f.write_str("the session has ended"),
+        }
+    }
+}
+
+impl core::error::Error for ClientError {}
+
+/// A client with its two buffers: `tx` holds the request, `rx` what comes back.
+///
+/// # Examples
+///
+/// ```
+/// use bcap_core::bcap::call::{self, VariableHandle};
+/// use bcap_core::bcap::client::{Client, Config, Event};
+/// use bcap_core::time::Instant;
+/// use bcap_core::variant::Variant;
+///
+/// let mut client = Client::new(Config::TCP, [0; 512], [0; 512]);
+/// let get = call::variable_get_value(VariableHandle(3));
+/// client.start(&get, Instant::ZERO)?;
+/// let request = client.transmit(); // to be sent
+/// # assert_eq!(request.len(), 30);
+/// # let sent = request.len();
+/// client.transmitted(sent);
+///
+/// // ... and a reply comes: I4 7
+/// let reply = b"\x01\x1e\0\0\0\x01\0\0\0\0\0\0\0\x01\0\x0a\0\0\0\x03\0\x01\0\0\0\x07\0\0\0\x04";
+/// client.receive_buffer()[..reply.len()].copy_from_slice(reply);
+/// client.received(reply.len());
+/// assert!(matches!(client.poll_event(Instant::ZERO), Some(Event::Replied(result)) if result.is_ok()));
+/// assert_eq!(client.reply().and_then(|frame| frame.value()), Some(Variant::I4(7)));
+/// # Ok::<(), bcap_core::bcap::client::ClientError>(())
+/// ```
+#[derive(Debug)]
+pub struct Client<T, R = T> {
+    tx: T,
+    rx: R,
+    inbox: Inbox,
+    /// The reply to the last call, while it is still in `rx`.
+    reply: Option<Span>,
+    state: State,
+}
+
+/// Everything of a client that does not depend on its memory.
+#[derive(Debug)]
+struct State {
+    config: Config,
+    /// The serial of the next attempt.
+    next_serial: u16,
+    call: Option<InFlight>,
+    /// Bytes of the request in `tx`, and how many of them the link has taken.
+    tx_len: usize,
+    tx_sent: usize,
+    unanswered: Unanswered,
+    closed: bool,
+}
+
+/// A call that waits for its reply.
+#[derive(Clone, Copy, Debug)]
+struct InFlight {
+    /// The serials of the first and the last attempt.
+    first: u16,
+    last: u16,
+    attempt: u8,
+    attempt_until: Instant,
+    deadline: Instant,
+    /// Set by the first S_EXECUTING.
+    keep_alive_until: Instant,
+}
+
+impl<T: Storage, R: Storage> Client<T, R> {
+    /// Makes a client; a board does well with two buffers of 512 bytes.
+    #[must_use]
+    pub fn new(config: Config, tx: T, rx: R) -> Self {
+        let inbox = Inbox::new(config.link, config.limits, config.strictness, config.on_malformed);
+        Self { tx, rx, inbox, reply: None, state: State::new(config) }
+    }
+
+    /// Returns the configuration.
+    #[must_use]
+    pub const fn config(&self) -> &Config {
+        &self.state.config
+    }
+
+    /// Changes the time limits and the number of attempts, from the next call on; the link stays what it was.
+    pub const fn set_config(&mut self, config: Config) {
+        self.state.config = Config { link: self.state.config.link, ..config };
+    }
+
+    /// Begins a call; its frame is then to be sent.
+    ///
+    /// # Errors
+    ///
+    /// [`ClientError::Busy`] while a call is in flight or part of an abandoned one is unsent, [`ClientError::Closed`]
+    /// after the session ended, [`ClientError::TooLarge`] before anything over the link's limit is sent.
+    pub fn start<C: Call + ?Sized>(&mut self, call: &C, now: Instant) -> Result<(), ClientError> {
+        self.state.check_idle()?;
+        self.reply = None;
+        let (config, serial) = (self.state.config, self.state.take_serial());
+        let reserved = if config.link.is_lossy() { serial } else { 0 };
+        let max = config.link.send_max();
+        let len = loop {
+            let room = self.tx.bytes().len().min(max);
+            let memory = self.tx.bytes_mut().get_mut(..room).unwrap_or_default();
+            match encode(call, memory, &config, serial, reserved) {
+                Ok(len) => break len,
+                // memory that can grow does so, up to the link's limit
+                Err(EncodeError::Full) if room < max && self.tx.grow(room.saturating_mul(2).clamp(MIN_FRAME, max)) => {}
+                Err(EncodeError::Full) => return Err(ClientError::TooLarge { limit: room }),
+                Err(other) => return Err(ClientError::Encode(other)),
+            }
+        };
+        self.state.begin(serial, len, now);
+        Ok(())
+    }
+
+    /// Returns the bytes that are to be sent: one datagram, or the rest of a frame for a stream.
+    #[must_use]
+    pub fn transmit(&self) -> &[u8] {
+        self.tx.bytes().get(self.state.tx_sent..self.state.tx_len).unwrap_or_default()
+    }
+
+    /// Takes note that the link has taken `count` bytes of [`transmit`](Self::transmit).
+    pub fn transmitted(&mut self, count: usize) {
+        self.state.tx_sent = self.state.tx_sent.saturating_add(count).min(self.state.tx_len);
+    }
+
+    /// Returns memory for bytes that arrive; with datagrams, for one of them. The last reply is gone then.
+    #[must_use]
+    pub fn receive_buffer(&mut self) -> &mut [u8] {
+        self.reply = None;
+        self.inbox.free(&mut self.rx)
+    }
+
+    /// Takes note that `count` bytes have been put into [`receive_buffer`](Self::receive_buffer).
+    ///
+    /// [`poll_event`](Self::poll_event) is to be called next, until it returns `None`.
+    pub fn received(&mut self, count: usize) {
+        self.inbox.received(self.rx.bytes(), count);
+    }
+
+    /// Returns what the received bytes mean; `None` when more are needed.
+    pub fn poll_event(&mut self, now: Instant) -> Option<Event> {
+        if self.state.closed {
+            return None;
+        }
+        Some(match self.inbox.poll(&mut self.rx)? {
+            Received::Frame(span) => {
+                let frame = self.inbox.frame(self.rx.bytes(), span)?;
+                let event = self.state.handle_frame(frame.serial, frame.hresult(), now);
+                if matches!(event, Event::Replied(_)) {
+                    self.reply = Some(span);
+                }
+                event
+            }
+            Received::TooLarge { serial, length } => self.state.handle_too_large(serial, length),
+            Received::Malformed(error) => Event::Malformed(error),
+            Received::Broken(error) => self.state.close(ClientError::Malformed(error)),
+        })
+    }
+
+    /// Returns the reply that [`Event::Replied`] has announced, until bytes are received or a call is started.
+    #[must_use]
+    pub fn reply(&self) -> Option<Frame<'_>> {
+        self.inbox.frame(self.rx.bytes(), self.reply?)
+    }
+
+    /// Reads the value of the reply as that of a call.
+    ///
+    /// # Errors
+    ///
+    /// [`ClientError::Reply`] when it is of another type.
+    pub fn value<V: Reply>(&self) -> Result<V::Value<'_>, ClientError> {
+        let args = self.reply().map_or(crate::bcap::Args::NONE, |frame| frame.args);
+        V::read(args).map_err(ClientError::Reply)
+    }
+
+    /// Returns when [`handle_timeout`](Self::handle_timeout) is to be called; `None` while no call is in flight.
+    #[must_use]
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        self.state.call.map(|call| call.attempt_until.min(call.deadline).min(call.keep_alive_until))
+    }
+
+    /// Acts on the time: sends a call again, or ends it. Nothing happens before the time is due.
+    pub fn handle_timeout(&mut self, now: Instant) -> Option<Event> {
+        let call = self.state.call?;
+        if now >= call.deadline {
+            return Some(self.state.fail(Timeout::Deadline));
+        }
+        if now >= call.keep_alive_until {
+            return Some(self.state.fail(Timeout::KeepAlive));
+        }
+        if now < call.attempt_until {
+            return None;
+        }
+        if self.state.config.link == Link::Serial {
+            if self.state.is_sending() {
+                // a slow line: the attempt has not really begun
+                self.state.call = Some(InFlight { attempt_until: self.state.attempt_end(now), ..call });
+                return None;
+            }
+            // the line was silent for a whole attempt, so the rest of a frame will not come
+            self.inbox.forget_partial();
+        }
+        if !self.state.config.link.is_lossy() || call.attempt >= self.state.config.attempts {
+            return Some(self.state.fail(Timeout::Attempt));
+        }
+        let serial = self.state.retry(call, now);
+        let frame = self.tx.bytes_mut().get_mut(..self.state.tx_len).unwrap_or_default();
+        renumber(frame, serial, call.first, self.state.config.link == Link::Serial);
+        Some(Event::Retried { attempt: call.attempt.saturating_add(1) })
+    }
+
+    /// Gives the call in flight up, if there is one. A reply that comes later will be stale.
+    pub fn abandon(&mut self) {
+        self.state.end_call(None);
+    }
+
+    /// Tells whether a call is in flight.
+    #[must_use]
+    pub const fn is_busy(&self) -> bool {
+        self.state.call.is_some()
+    }
+
+    /// Tells whether the session has ended because the peer sent no valid frame.
+    #[must_use]
+    pub const fn is_closed(&self) -> bool {
+        self.state.closed
+    }
+
+    /// Begins a new session over a new connection: forgets the call in flight and everything received. Serials go on.
+    pub fn reset(&mut self) {
+        self.inbox.reset();
+        self.reply = None;
+        self.state.end_call(None);
+        self.state.closed = false;
+        self.state.tx_len = 0;
+        self.state.tx_sent = 0;
+        self.state.unanswered = Unanswered::default();
+    }
+}
+
+fn encode<C: Call + ?Sized>(
+    call: &C,
+    memory: &mut [u8],
+    config: &Config,
+    serial: u16,
+    reserved: u16,
+) -> Result<usize, EncodeError> {
+    let mut frame = FrameWriter::new(memory)?.with_crc(config.link == Link::Serial);
+    call.arguments(&mut frame)?;
+    frame.finish(serial, reserved, call.function().0).map(<[u8]>::len)
+}
+
+impl State {
+    fn new(config: Config) -> Self {
+        Self {
+            config,
+            next_serial: 1,
+            call: None,
+            tx_len: 0,
+            tx_sent: 0,
+            unanswered: Unanswered::default(),
+            closed: false,
+        }
+    }
+
+    fn check_idle(&self) -> Result<(), ClientError> {
+        if self.closed {
+            return Err(ClientError::Closed);
+        }
+        if self.call.is_some() || self.tx_sent < self.tx_len {
+            return Err(ClientError::Busy);
+        }
+        Ok(())
+    }
+
+    /// Returns the next serial that no reply is outstanding for.
+    fn take_serial(&mut self) -> u16 {
+        // the loop ends: fewer serials are remembered than there are
+        loop {
+            let serial = self.next_serial;
+            self.next_serial = if serial == u16::MAX { 1 } else { serial.wrapping_add(1) };
+            let in_flight = self.call.is_some_and(|call| within(serial, call.first, call.last));
+            if !in_flight && !self.unanswered.contains(serial) {
+                return serial;
+            }
+        }
+    }
+
+    fn begin(&mut self, serial: u16, len: usize, now: Instant) {
+        self.tx_len = len;
+        self.tx_sent = 0;
+        self.call = Some(InFlight {
+            first: serial,
+            last: serial,
+            attempt: 1,
+            attempt_until: self.attempt_end(now),
+            deadline: now.saturating_add(self.config.deadline),
+            keep_alive_until: Instant::FAR_FUTURE,
+        });
+    }
+
+    fn retry(&mut self, call: InFlight, now: Instant) -> u16 {
+        let serial = self.take_serial();
+        self.tx_sent = 0;
+        self.call = Some(InFlight {
+            last: serial,
+            attempt: call.attempt.saturating_add(1),
+            attempt_until: self.attempt_end(now),
+            ..call
+        });
+        serial
+    }
+
+    fn handle_frame(&mut self, serial: u16, result: HResult, now: Instant) -> Event {
+        let attempt_until = self.attempt_end(now);
+        match &mut self.call {
+            // an old serial may lie in the range of a call whose attempts had to step over it
+            Some(call) if within(serial, call.first, call.last) && !self.unanswered.contains(serial) => {
+                if result == HResult::S_EXECUTING {
+                    call.attempt_until = attempt_until;
+                    if call.keep_alive_until == Instant::FAR_FUTURE {
+                        call.keep_alive_until = now.saturating_add(self.config.keep_alive);
+                    }
+                    return Event::Executing;
+                }
+                self.end_call(Some(serial));
+                Event::Replied(result)
+            }
+            _ => {
+                if result != HResult::S_EXECUTING {
+                    self.unanswered.answered(serial);
+                }
+                Event::Stale { serial }
+            }
+        }
+    }
+
+    fn handle_too_large(&mut self, serial: u16, length: u32) -> Event {
+        match self.call {
+            Some(call) if within(serial, call.first, call.last) && !self.unanswered.contains(serial) => {
+                self.end_call(Some(serial));
+                Event::Failed(ClientError::ReplyTooLarge { length })
+            }
+            _ => Event::Stale { serial },
+        }
+    }
+
+    fn fail(&mut self, timeout: Timeout) -> Event {
+        self.end_call(None);
+        Event::Failed(ClientError::Timeout(timeout))
+    }
+
+    fn close(&mut self, error: ClientError) -> Event {
+        self.closed = true;
+        self.end_call(None);
+        Event::Failed(error)
+    }
+
+    /// Ends the call in flight, if there is one, and remembers its attempts that were sent but not answered.
+    fn end_call(&mut self, answered: Option<u16>) {
+        let Some(call) = self.call.take() else { return };
+        let sent = self.tx_sent > 0 || call.attempt > 1;
+        if sent && (answered.is_none() || call.attempt > 1) {
+            self.unanswered.push(call.first, call.last);
+        }
+        if !self.is_sending() || self.config.link == Link::Datagram {
+            // nothing of the frame has left, or all of it has
+            self.tx_len = 0;
+            self.tx_sent = 0;
+        }
+    }
+
+    /// Tells whether a frame has left in part: what follows it on the link must be its rest.
+    const fn is_sending(&self) -> bool {
+        0 < self.tx_sent && self.tx_sent < self.tx_len
+    }
+
+    const fn attempt_end(&self, now: Instant) -> Instant {
+        now.saturating_add(self.config.attempt_timeout)
+    }
+}
+
+/// Tells whether `serial` lies in a range that may wrap.
+const fn within(serial: u16, first: u16, last: u16) -> bool {
+    serial != 0 && serial.wrapping_sub(first) <= last.wrapping_sub(first)
+}
+
+/// Serials whose replies may still come, as ranges; when there are more than this holds, the oldest are forgotten.
+#[derive(Debug, Default)]
+struct Unanswered {
+    ranges: heapless::Deque<(u16, u16), 8>,
+}
+
+impl Unanswered {
+    fn push(&mut self, first: u16, last: u16) {
+        if self.ranges.is_full() {
+            self.ranges.pop_front();
+        }
+        // there is room: one was just taken out
+        let _ = self.ranges.push_back((first, last));
+    }
+
+    fn contains(&self, serial: u16) -> bool {
+        self.ranges.iter().any(|(first, last)| within(serial, *first, *last))
+    }
+
+    /// Forgets a range of one serial that has been answered; of retried calls more replies may come.
+    fn answered(&mut self, serial: u16) {
+        for _ in 0..self.ranges.len() {
+            if let Some(range) = self.ranges.pop_front()
+                && range != (serial, serial)
+            {
+                let _ = self.ranges.push_back(range);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

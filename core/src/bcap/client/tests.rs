@@ -1,0 +1,303 @@
+extern crate std;
+
+use std::vec::Vec;
+
+use super::*;
+use crate::bcap::call::{self, VariableHandle};
+use crate::bcap::{Decoder, FunctionId};
+use crate::error::DecodeErrorKind;
+use crate::variant::{Encode, Variant};
+
+type Small = Client<[u8; 512]>;
+
+fn at(millis: u64) -> Instant {
+    Instant::from_millis(millis)
+}
+
+fn get() -> impl Call {
+    call::variable_get_value(VariableHandle(3))
+}
+
+fn reply(serial: u16, code: HResult, value: Option<&dyn Encode>, crc: bool) -> Vec<u8> {
+    let mut buffer = [0; 4096];
+    let mut frame = FrameWriter::new(&mut buffer).unwrap().with_crc(crc);
+    if let Some(value) = value {
+        frame.argument(value).unwrap();
+    }
+    frame.finish(serial, 0, code.0).unwrap().to_vec()
+}
+
+fn ok(serial: u16, value: i32) -> Vec<u8> {
+    reply(serial, HResult::S_OK, Some(&value), false)
+}
+
+/// Takes everything that is to be sent, as (serial, reserved).
+fn sent<B: Storage>(client: &mut Client<B>) -> (u16, u16) {
+    let decoder = client.config().link.decoder();
+    let bytes = client.transmit().to_vec();
+    client.transmitted(bytes.len());
+    let frame = decoder.decode_datagram(&bytes).unwrap();
+    assert_eq!(frame.function(), FunctionId::VARIABLE_GET_VALUE);
+    (frame.serial, frame.reserved)
+}
+
+/// Delivers bytes as far as they fit, and returns what they mean.
+fn deliver<T: Storage, R: Storage>(client: &mut Client<T, R>, mut bytes: &[u8], now: Instant) -> Vec<Event> {
+    let mut events = Vec::new();
+    while !bytes.is_empty() {
+        let free = client.receive_buffer();
+        let count = free.len().min(bytes.len());
+        assert!(count > 0, "no room");
+        free[..count].copy_from_slice(&bytes[..count]);
+        client.received(count);
+        bytes = &bytes[count..];
+        events.extend(core::iter::from_fn(|| client.poll_event(now)));
+    }
+    events
+}
+
+fn replied(value: i32, client: &Small) -> bool {
+    client.reply().and_then(|f| f.value()) == Some(Variant::I4(value))
+}
+
+#[test]
+fn calls_go_out_with_serials_from_one_and_wrap_past_zero() {
+    let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
+    for n in 1..=65_540_u32 {
+        client.start(&get(), at(0)).unwrap();
+        let expected = u16::try_from((n - 1) % 65_535 + 1).unwrap();
+        assert_eq!(sent(&mut client), (expected, 0));
+        assert_eq!(deliver(&mut client, &ok(expected, 7), at(0)), [Event::Replied(HResult::S_OK)]);
+    }
+    assert!(replied(7, &client));
+}
+
+#[test]
+fn a_reply_in_any_pieces_is_one_reply() {
+    let bytes = ok(1, 42);
+    for cut in 1..bytes.len() {
+        let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
+        client.start(&get(), at(0)).unwrap();
+        sent(&mut client);
+        assert_eq!(deliver(&mut client, &bytes[..cut], at(0)), []);
+        assert_eq!(deliver(&mut client, &bytes[cut..], at(0)), [Event::Replied(HResult::S_OK)]);
+        assert!(replied(42, &client));
+    }
+}
+
+#[test]
+fn a_late_reply_is_stale_and_never_the_answer() {
+    let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
+    client.start(&get(), at(0)).unwrap();
+    assert_eq!(sent(&mut client), (1, 0));
+    assert_eq!(client.poll_timeout(), Some(at(3000)));
+    assert_eq!(client.handle_timeout(at(2999)), None);
+    assert_eq!(client.handle_timeout(at(3000)), Some(Event::Failed(ClientError::Timeout(Timeout::Attempt))));
+    client.start(&get(), at(4000)).unwrap();
+    assert_eq!(sent(&mut client), (2, 0));
+    let both = [ok(1, 1), ok(2, 2)].concat();
+    assert_eq!(deliver(&mut client, &both, at(4000)), [Event::Stale { serial: 1 }, Event::Replied(HResult::S_OK)]);
+    assert!(replied(2, &client));
+    assert_eq!(deliver(&mut client, &ok(2, 3), at(4000)), [Event::Stale { serial: 2 }]);
+}
+
+#[test]
+fn a_serial_whose_reply_may_come_is_passed_over() {
+    let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
+    client.start(&get(), at(0)).unwrap();
+    sent(&mut client);
+    client.abandon();
+    client.state.next_serial = 65_535;
+    client.start(&get(), at(0)).unwrap();
+    assert_eq!(sent(&mut client).0, 65_535);
+    let _ = deliver(&mut client, &ok(65_535, 1), at(0));
+    client.start(&get(), at(0)).unwrap();
+    assert_eq!(sent(&mut client).0, 2, "1 may still be answered");
+    assert_eq!(deliver(&mut client, &ok(1, 1), at(0)), [Event::Stale { serial: 1 }]);
+    let _ = deliver(&mut client, &ok(2, 1), at(0));
+    client.state.next_serial = 1;
+    client.start(&get(), at(0)).unwrap();
+    assert_eq!(sent(&mut client).0, 1, "its reply has come");
+}
+
+#[test]
+fn udp_tries_again_with_the_marker_and_takes_a_reply_to_any_attempt() {
+    let mut client = Small::new(Config { attempts: 3, ..Config::UDP }, [0; 512], [0; 512]);
+    client.start(&get(), at(0)).unwrap();
+    assert_eq!(sent(&mut client), (1, 1));
+    assert_eq!(client.handle_timeout(at(500)), Some(Event::Retried { attempt: 2 }));
+    assert_eq!(sent(&mut client), (2, 1));
+    assert_eq!(client.handle_timeout(at(1000)), Some(Event::Retried { attempt: 3 }));
+    assert_eq!(sent(&mut client), (3, 1));
+    assert_eq!(deliver(&mut client, &ok(2, 5), at(1001)), [Event::Replied(HResult::S_OK)]);
+    client.start(&get(), at(1002)).unwrap();
+    assert_eq!(sent(&mut client), (4, 4));
+    assert_eq!(deliver(&mut client, &ok(3, 5), at(1003)), [Event::Stale { serial: 3 }]);
+    assert_eq!(client.handle_timeout(at(1502)), Some(Event::Retried { attempt: 2 }));
+    assert_eq!(client.handle_timeout(at(2002)), Some(Event::Retried { attempt: 3 }));
+    assert_eq!(client.handle_timeout(at(2502)), Some(Event::Failed(ClientError::Timeout(Timeout::Attempt))));
+    assert_eq!(client.poll_timeout(), None);
+}
+
+#[test]
+fn stray_datagrams_cost_no_attempt() {
+    let mut client = Small::new(Config::UDP, [0; 512], [0; 512]);
+    client.start(&get(), at(0)).unwrap();
+    sent(&mut client);
+    for garbage in [&b"\x01"[..], b"hello", &ok(1, 1)[..20], &[&ok(1, 1)[..], b"x"].concat()] {
+        let events = deliver(&mut client, garbage, at(1));
+        assert!(matches!(events[..], [Event::Malformed(_)]), "{events:?}");
+    }
+    assert_eq!(deliver(&mut client, &ok(9, 1), at(1)), [Event::Stale { serial: 9 }]);
+    assert_eq!(client.poll_timeout(), Some(at(500)));
+    assert_eq!(deliver(&mut client, &ok(1, 1), at(2)), [Event::Replied(HResult::S_OK)]);
+}
+
+#[test]
+fn executing_restarts_the_attempt_but_not_the_deadline() {
+    let config = Config { deadline: Duration::from_secs(5), keep_alive: Duration::from_secs(60), ..Config::TCP };
+    let mut client = Small::new(config, [0; 512], [0; 512]);
+    client.start(&get(), at(0)).unwrap();
+    sent(&mut client);
+    let executing = reply(1, HResult::S_EXECUTING, None, false);
+    assert_eq!(deliver(&mut client, &executing, at(2000)), [Event::Executing]);
+    assert_eq!(client.handle_timeout(at(3000)), None);
+    assert_eq!(deliver(&mut client, &executing, at(4000)), [Event::Executing]);
+    assert_eq!(client.poll_timeout(), Some(at(5000)));
+    assert_eq!(client.handle_timeout(at(5000)), Some(Event::Failed(ClientError::Timeout(Timeout::Deadline))));
+}
+
+#[test]
+fn a_server_cannot_keep_a_call_alive_for_ever() {
+    let config = Config { keep_alive: Duration::from_secs(4), ..Config::TCP };
+    let mut client = Small::new(config, [0; 512], [0; 512]);
+    client.start(&get(), at(0)).unwrap();
+    sent(&mut client);
+    let executing = reply(1, HResult::S_EXECUTING, None, false);
+    for second in 1..5 {
+        assert_eq!(deliver(&mut client, &executing, at(second * 1000)), [Event::Executing]);
+        assert_eq!(client.handle_timeout(at(second * 1000)), None);
+    }
+    assert_eq!(client.handle_timeout(at(5000)), Some(Event::Failed(ClientError::Timeout(Timeout::KeepAlive))));
+}
+
+#[test]
+fn a_call_can_be_abandoned_at_any_byte_of_its_request() {
+    for cut in 0..=30 {
+        let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
+        client.start(&get(), at(0)).unwrap();
+        let request = client.transmit().to_vec();
+        let mut wire = request[..cut].to_vec();
+        client.transmitted(cut);
+        client.abandon();
+        if 0 < cut && cut < request.len() {
+            assert_eq!(client.start(&get(), at(1)), Err(ClientError::Busy));
+        }
+        wire.extend(client.transmit());
+        client.transmitted(client.transmit().len());
+        client.start(&get(), at(1)).unwrap();
+        wire.extend(client.transmit());
+        // whatever the peer has read, it is whole frames
+        let mut rest = &wire[..];
+        let mut serials = Vec::new();
+        while !rest.is_empty() {
+            let crate::bcap::Progress::Complete(frame, used) = Decoder::TCP.decode(rest).unwrap() else { panic!() };
+            serials.push(frame.serial);
+            rest = &rest[used..];
+        }
+        assert_eq!(serials, if cut == 0 { std::vec![2] } else { std::vec![1, 2] }, "cut at {cut}");
+        client.transmitted(30);
+        let replies: Vec<u8> = serials.iter().flat_map(|s| ok(*s, i32::from(*s))).collect();
+        assert_eq!(deliver(&mut client, &replies, at(2)).last(), Some(&Event::Replied(HResult::S_OK)));
+        assert!(replied(2, &client));
+    }
+}
+
+#[test]
+fn a_reply_over_the_buffer_fails_its_call_and_leaves_the_stream_in_step() {
+    let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
+    client.start(&get(), at(0)).unwrap();
+    sent(&mut client);
+    let huge = reply(1, HResult::S_OK, Some(&[0_u8; 2000]), false);
+    let length = u32::try_from(huge.len()).unwrap();
+    let failed = Event::Failed(ClientError::ReplyTooLarge { length });
+    for chunk in [1, 5, 100, 512] {
+        let mut events = Vec::new();
+        for part in huge.chunks(chunk) {
+            events.extend(deliver(&mut client, part, at(0)));
+        }
+        assert_eq!(events, [failed]);
+        client.start(&get(), at(0)).unwrap();
+        let (serial, _) = sent(&mut client);
+        assert_eq!(deliver(&mut client, &ok(serial, 5), at(0)), [Event::Replied(HResult::S_OK)]);
+        client.state.next_serial = 1;
+        client.start(&get(), at(0)).unwrap();
+        sent(&mut client);
+    }
+}
+
+#[cfg(feature = "alloc")]
+#[test]
+fn memory_that_can_grow_takes_large_calls_and_replies() {
+    let mut client = Client::new(Config::TCP, Vec::new(), std::vec![0; 16]);
+    let big = std::vec![1.5_f64; 1000];
+    client.start(&call::variable_put_value(VariableHandle(1), &big[..]), at(0)).unwrap();
+    assert_eq!(client.transmit().len(), 16 + 14 + 10 + 8000);
+    client.transmitted(usize::MAX);
+    let bytes = reply(1, HResult::S_OK, Some(&[7_u8; 3000]), false);
+    assert_eq!(deliver(&mut client, &bytes, at(0)), [Event::Replied(HResult::S_OK)]);
+    let items = client.value::<call::Any>().unwrap().as_array().unwrap();
+    assert_eq!(items.len(), 3000);
+}
+
+#[test]
+fn what_is_over_the_links_limit_is_refused_before_anything_is_sent() {
+    let mut client = Client::new(Config::UDP, [0; 1024], [0; 512]);
+    let put = |n: usize| call::variable_put_value(VariableHandle(1), &*std::vec![0_u8; n].leak());
+    assert_eq!(client.start(&put(449), at(0)), Err(ClientError::TooLarge { limit: 488 }));
+    assert!(client.transmit().is_empty());
+    client.start(&put(448), at(0)).unwrap();
+    assert_eq!(client.transmit().len(), 488);
+}
+
+#[test]
+fn a_stream_that_is_no_bcap_closes_the_session() {
+    let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
+    client.start(&get(), at(0)).unwrap();
+    sent(&mut client);
+    let events = deliver(&mut client, b"HTTP/1.1 200 OK", at(0));
+    let [Event::Failed(ClientError::Malformed(error))] = events[..] else { panic!("{events:?}") };
+    assert_eq!((error.kind, error.offset), (DecodeErrorKind::Soh(b'H'), 0));
+    assert!(client.is_closed());
+    assert_eq!(client.start(&get(), at(0)), Err(ClientError::Closed));
+    client.reset();
+    client.start(&get(), at(0)).unwrap();
+    assert_eq!(sent(&mut client), (2, 0));
+}
+
+#[test]
+fn a_serial_line_finds_its_frames_in_noise() {
+    let mut client = Small::new(Config::SERIAL, [0; 512], [0; 512]);
+    client.start(&get(), at(0)).unwrap();
+    assert_eq!(sent(&mut client), (1, 1));
+    let good = reply(1, HResult::S_OK, Some(&9_i32), true);
+    let mut garbled = good.clone();
+    garbled[20] ^= 0x10;
+    let noise = [b"\x00\xff\x01\x02".as_slice(), &garbled, &good].concat();
+    let events = deliver(&mut client, &noise, at(1));
+    assert!(events.iter().any(|e| matches!(e, Event::Malformed(m) if matches!(m.kind, DecodeErrorKind::Crc { .. }))));
+    assert_eq!(events.last(), Some(&Event::Replied(HResult::S_OK)));
+    assert!(replied(9, &client));
+}
+
+#[test]
+fn a_half_frame_on_a_silent_serial_line_is_forgotten_at_the_next_attempt() {
+    let mut client = Small::new(Config::SERIAL, [0; 512], [0; 512]);
+    client.start(&get(), at(0)).unwrap();
+    sent(&mut client);
+    let good = reply(1, HResult::S_OK, Some(&9_i32), true);
+    assert_eq!(deliver(&mut client, &good[..10], at(1)), []);
+    assert_eq!(client.handle_timeout(at(500)), Some(Event::Retried { attempt: 2 }));
+    assert_eq!(sent(&mut client), (2, 1));
+    assert_eq!(deliver(&mut client, &good, at(501)), [Event::Replied(HResult::S_OK)]);
+}

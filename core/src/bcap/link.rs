@@ -1,0 +1,242 @@
+//! The three kinds of links, and the bytes that come in from them as frames.
+//!
+//! ```text
+//!            frames are cut by      resend   CRC   a broken frame
+//!  Stream    their length (TCP)     no       no    ends the session, or is skipped by search
+//!  Datagram  the network (UDP)      yes      no    is dropped
+//!  Serial    their length           yes      yes   is skipped by search
+//! ```
+
+use crate::bcap::frame::{Args, Decoder, Frame, HEADER_LEN, MIN_FRAME, Progress, SOH};
+use crate::error::{DecodeError, DecodeErrorKind, Layer};
+use crate::limits::{Limits, SERIAL_MAX, Strictness, UDP_SEND_MAX};
+use crate::num::{to_u32, to_usize};
+use crate::storage::{Storage, shift_down};
+
+/// What carries the frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Link {
+    /// A reliable stream: TCP.
+    Stream,
+    /// Datagrams of one frame each, which may be lost or come twice: UDP.
+    Datagram,
+    /// A serial line: a stream that may lose and garble bytes; its frames have a CRC.
+    Serial,
+}
+
+impl Link {
+    /// Returns the decoder for this link, strict.
+    #[must_use]
+    pub const fn decoder(self) -> Decoder {
+        match self {
+            Self::Stream => Decoder::TCP,
+            Self::Datagram => Decoder::UDP,
+            Self::Serial => Decoder::SERIAL,
+        }
+    }
+
+    /// Returns the largest frame that may be sent over it.
+    #[must_use]
+    pub fn send_max(self) -> usize {
+        match self {
+            Self::Stream => to_usize(Limits::STREAM.frame),
+            Self::Datagram => UDP_SEND_MAX,
+            Self::Serial => SERIAL_MAX,
+        }
+    }
+
+    /// Tells whether frames can get lost, so that calls are repeated.
+    #[must_use]
+    pub const fn is_lossy(self) -> bool {
+        !matches!(self, Self::Stream)
+    }
+}
+
+/// What to do when a stream's bytes are no frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum OnMalformed {
+    /// End the session: what follows cannot be trusted.
+    Close,
+    /// Report it, and search for the next byte that may begin a frame.
+    Resync,
+}
+
+/// The receiving side of a link: collects bytes until they are a frame.
+///
+/// ```text
+///  buffer  [ frames read | not yet a whole frame | free ............ ]
+///            0         `next`^              `len`^      buffer.len()^
+///            └ `frame`, the one found last, stays readable until room is asked for
+/// ```
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Inbox {
+    decoder: Decoder,
+    link: Link,
+    on_malformed: OnMalformed,
+    /// Received bytes in the buffer.
+    len: usize,
+    /// Where the next frame begins; never above `len`.
+    next: usize,
+    /// Bytes still to come of a frame that was too large for the buffer.
+    skip: usize,
+    /// Where the bytes began that were found to be no frame last.
+    malformed: usize,
+}
+
+/// What the inbox has found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Received {
+    /// A frame; `Inbox::frame` views it.
+    Frame(Span),
+    /// A frame that the buffer cannot hold; the stream goes on behind it.
+    TooLarge { serial: u16, length: u32 },
+    /// Bytes that are no frame; they have been dropped.
+    Malformed(DecodeError),
+    /// Bytes that are no frame; nothing more will be read.
+    Broken(DecodeError),
+}
+
+/// Where a checked frame lies in the buffer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Span {
+    start: usize,
+    len: usize,
+}
+
+impl Inbox {
+    pub(crate) const fn new(link: Link, limits: Limits, strictness: Strictness, on_malformed: OnMalformed) -> Self {
+        let decoder = Decoder { limits, strictness, ..link.decoder() };
+        Self { decoder, link, on_malformed, len: 0, next: 0, skip: 0, malformed: 0 }
+    }
+
+    /// Returns the free part of the buffer; frames found before are gone then.
+    pub(crate) fn free<'b>(&mut self, buffer: &'b mut impl Storage) -> &'b mut [u8] {
+        if self.link == Link::Datagram {
+            self.next = self.len;
+        }
+        let memory = buffer.bytes_mut();
+        if let Some(received) = memory.get_mut(..self.len)
+            && self.next > 0
+        {
+            shift_down(received, self.next);
+        }
+        self.len = self.len.saturating_sub(self.next);
+        self.next = 0;
+        buffer.bytes_mut().get_mut(self.len..).unwrap_or_default()
+    }
+
+    /// Returns the free part of the buffer without moving anything in it.
+    pub(crate) fn tail<'b>(&self, buffer: &'b mut [u8]) -> &'b mut [u8] {
+        buffer.get_mut(self.len..).unwrap_or_default()
+    }
+
+    /// Returns the serial of the bytes that were found to be no frame last, if they are as long as a header.
+    pub(crate) fn malformed_header(&self, buffer: &[u8]) -> Option<u16> {
+        match buffer.get(self.malformed..self.len)? {
+            [SOH, _, _, _, _, s0, s1, rest @ ..] if rest.len() >= MIN_FRAME - 7 => Some(u16::from_le_bytes([*s0, *s1])),
+            _ => None,
+        }
+    }
+
+    /// Takes note of `count` bytes that were put into the free part.
+    pub(crate) fn received(&mut self, buffer: &[u8], count: usize) {
+        self.len = self.len.saturating_add(count).min(buffer.len());
+        let skipped = self.skip.min(self.len.saturating_sub(self.next));
+        self.skip = self.skip.wrapping_sub(skipped);
+        self.next = self.next.wrapping_add(skipped);
+    }
+
+    /// Takes the next frame out of what was received.
+    pub(crate) fn poll(&mut self, buffer: &mut impl Storage) -> Option<Received> {
+        let bytes = buffer.bytes().get(self.next..self.len)?;
+        if bytes.is_empty() {
+            return None;
+        }
+        if self.link == Link::Datagram {
+            let span = Span { start: self.next, len: bytes.len() };
+            self.malformed = self.next;
+            self.next = self.len;
+            return Some(match self.decoder.decode_datagram(bytes) {
+                Ok(_) => Received::Frame(span),
+                Err(error) => Received::Malformed(error),
+            });
+        }
+        match self.decoder.decode(bytes) {
+            Ok(Progress::Complete(_, used)) => {
+                let span = Span { start: self.next, len: used };
+                self.next = self.next.saturating_add(used).min(self.len);
+                Some(Received::Frame(span))
+            }
+            Ok(Progress::NeedMore(needed)) => {
+                let room = buffer.bytes().len();
+                // a frame larger than the memory shows when it has filled it
+                let full = self.next == 0 && self.len >= room && needed > room;
+                if full && !buffer.grow(room.saturating_mul(2).clamp(MIN_FRAME, needed.max(MIN_FRAME))) {
+                    return Some(self.too_large(buffer.bytes(), needed));
+                }
+                None
+            }
+            Err(error) if self.on_malformed == OnMalformed::Close => {
+                self.malformed = self.next;
+                self.next = self.len;
+                Some(Received::Broken(error))
+            }
+            Err(error) => {
+                self.next = self.next.saturating_add(self.decoder.resync(bytes)).min(self.len);
+                Some(Received::Malformed(error))
+            }
+        }
+    }
+
+    /// Starts to skip a frame that does not fit.
+    fn too_large(&mut self, bytes: &[u8], length: usize) -> Received {
+        self.skip = length.saturating_sub(self.len);
+        self.next = self.len;
+        match bytes.first_chunk::<HEADER_LEN>() {
+            Some(&[_, _, _, _, _, s0, s1, ..]) => {
+                Received::TooLarge { serial: u16::from_le_bytes([s0, s1]), length: to_u32(length) }
+            }
+            // memory without room for a header will never see a serial
+            None => {
+                let limit = to_u32(bytes.len());
+                let kind = DecodeErrorKind::FrameTooLong { length: to_u32(length), limit };
+                Received::Broken(DecodeError { kind, layer: Layer::Frame, offset: 1 })
+            }
+        }
+    }
+
+    /// Views a frame that `poll` has found, as long as `free` was not called.
+    pub(crate) fn frame<'b>(&self, buffer: &'b [u8], span: Span) -> Option<Frame<'b>> {
+        let bytes = buffer.get(span.start..)?.get(..span.len)?;
+        let (header, rest) = bytes.split_first_chunk::<HEADER_LEN>()?;
+        let &[_, _, _, _, _, s0, s1, r0, r1, c0, c1, c2, c3, n0, n1] = header;
+        let tail = if self.decoder.crc { 3 } else { 1 };
+        let body = rest.get(..rest.len().checked_sub(tail)?)?;
+        Some(Frame {
+            serial: u16::from_le_bytes([s0, s1]),
+            reserved: u16::from_le_bytes([r0, r1]),
+            code: i32::from_le_bytes([c0, c1, c2, c3]),
+            args: Args::from_checked(u16::from_le_bytes([n0, n1]), body, self.decoder.strictness),
+        })
+    }
+
+    /// Tells whether part of a frame waits for its rest.
+    pub(crate) const fn is_partial(&self) -> bool {
+        self.len > self.next || self.skip > 0
+    }
+
+    /// Forgets a part of a frame whose rest will not come: the line has been silent for too long.
+    pub(crate) const fn forget_partial(&mut self) {
+        self.len = self.next;
+        self.skip = 0;
+    }
+
+    /// Forgets everything, for a new connection.
+    pub(crate) const fn reset(&mut self) {
+        self.len = 0;
+        self.next = 0;
+        self.skip = 0;
+    }
+}

@@ -1,0 +1,348 @@
+#![allow(clippy::arithmetic_side_effects, reason = "counters of a test")]
+
+extern crate std;
+
+use std::vec::Vec;
+
+use super::*;
+use crate::bcap::call::{self, Call, ControllerHandle, RawCall, RobotHandle, VariableHandle};
+use crate::bcap::{Decoder, Progress};
+use crate::error::DecodeErrorKind;
+use crate::variant::VariantBuf;
+
+/// A handler that notes what it is asked, gives handles out, and waits where it is told to.
+#[derive(Default)]
+struct Recorder {
+    calls: Vec<(i32, i32)>,
+    next_handle: i32,
+    wait_until: Option<Instant>,
+    abandoned: usize,
+    left: usize,
+    value: Vec<u8>,
+}
+
+impl Handler for Recorder {
+    fn call(&mut self, _: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        if self.wait_until.is_some_and(|until| now < until) && request.function == FunctionId::ROBOT_HALT {
+            return Outcome::Wait(self.wait_until.unwrap_or(now));
+        }
+        self.calls.push((request.function.0, request.handle()));
+        if request.function.opens().is_some_and(|object| object != Object::Service) {
+            self.next_handle += 1;
+            reply.set(&self.next_handle).unwrap();
+        } else if request.function == FunctionId::VARIABLE_GET_VALUE {
+            let _ = reply.set(&self.value[..]);
+        }
+        HResult::S_OK.into()
+    }
+
+    fn abandoned(&mut self, _: PeerId, _: Instant) {
+        self.abandoned += 1;
+    }
+
+    fn left(&mut self, _: PeerId, _: Instant) {
+        self.left += 1;
+    }
+}
+
+struct Bench {
+    session: Session<Vec<u8>, Vec<u8>, 4>,
+    handler: Recorder,
+    decoder: Decoder,
+    events: Vec<Event>,
+}
+
+fn at(millis: u64) -> Instant {
+    Instant::from_millis(millis)
+}
+
+fn frame(call: &impl Call, serial: u16, reserved: u16, crc: bool) -> Vec<u8> {
+    let mut buffer = [0; 2048];
+    let mut frame = FrameWriter::new(&mut buffer).unwrap().with_crc(crc);
+    call.arguments(&mut frame).unwrap();
+    frame.finish(serial, reserved, call.function().0).unwrap().to_vec()
+}
+
+impl Bench {
+    fn new(config: Config) -> Self {
+        let session = Session::new(config, std::vec![0; 512], std::vec![0; 1024]);
+        Self { session, handler: Recorder::default(), decoder: config.link.decoder(), events: Vec::new() }
+    }
+
+    /// Delivers bytes, runs, and returns what is sent, as (serial, code, value).
+    fn bytes(&mut self, bytes: &[u8], now: Instant) -> Vec<(u16, HResult, Option<VariantBuf<512>>)> {
+        let mut rest = bytes;
+        let mut out = Vec::new();
+        loop {
+            let free = self.session.receive_buffer();
+            let count = free.len().min(rest.len());
+            free[..count].copy_from_slice(&rest[..count]);
+            self.session.received(count);
+            rest = &rest[count..];
+            out.extend(self.run(now));
+            if count == 0 || rest.is_empty() {
+                return out;
+            }
+        }
+    }
+
+    fn run(&mut self, now: Instant) -> Vec<(u16, HResult, Option<VariantBuf<512>>)> {
+        let mut out = Vec::new();
+        loop {
+            let event = self.session.run(&mut self.handler, PeerId(1), now);
+            let bytes = self.session.transmit().to_vec();
+            self.session.transmitted(bytes.len());
+            if !bytes.is_empty() {
+                let Progress::Complete(frame, used) = self.decoder.decode(&bytes).unwrap() else { panic!() };
+                assert_eq!((used, frame.reserved), (bytes.len(), 0));
+                out.push((frame.serial, frame.hresult(), frame.value().map(|v| VariantBuf::new(&v).unwrap())));
+            }
+            match event {
+                Some(event) => self.events.push(event),
+                None if bytes.is_empty() => return out,
+                None => {}
+            }
+        }
+    }
+
+    fn call(&mut self, call: impl Call, serial: u16, now: Instant) -> Vec<(u16, HResult)> {
+        self.attempt(&call, serial, if self.session.state.config.link.is_lossy() { serial } else { 0 }, now)
+    }
+
+    fn attempt(&mut self, call: &impl Call, serial: u16, first: u16, now: Instant) -> Vec<(u16, HResult)> {
+        let bytes = frame(call, serial, first, self.decoder.crc);
+        self.bytes(&bytes, now).into_iter().map(|(serial, code, _)| (serial, code)).collect()
+    }
+
+    /// Starts the service, with options, and connects: controller 1, robot 2.
+    fn connected(config: Config, options: &str) -> Self {
+        let mut bench = Self::new(config);
+        assert_eq!(bench.call(call::service_start(options), 1, at(0)), [(1, HResult::S_OK)]);
+        assert_eq!(bench.call(call::controller_connect("", "", "", ""), 2, at(0)), [(2, HResult::S_OK)]);
+        assert_eq!(
+            bench.call(call::controller_get_robot(ControllerHandle(1), "Arm", ""), 3, at(0)),
+            [(3, HResult::S_OK)]
+        );
+        bench.handler.calls.clear();
+        bench
+    }
+}
+
+fn halt() -> impl Call {
+    call::robot_halt(RobotHandle(2), "")
+}
+
+#[test]
+fn requests_are_answered_in_order_however_they_are_cut() {
+    let requests: Vec<u8> = [
+        frame(&call::service_start(""), 1, 0, false),
+        frame(&call::controller_connect("a", "b", "c", ""), 2, 0, false),
+        frame(&call::controller_get_name(ControllerHandle(1)), 3, 0, false),
+        frame(&call::service_stop(), 4, 0, false),
+    ]
+    .concat();
+    for chunk in [1, 2, 7, 30, requests.len()] {
+        let mut bench = Bench::new(Config::TCP);
+        let replies: Vec<_> = requests.chunks(chunk).flat_map(|part| bench.bytes(part, at(0))).collect();
+        let codes: Vec<_> = replies.iter().map(|(serial, code, _)| (*serial, code.0)).collect();
+        assert_eq!(codes, [(1, 0), (2, 0), (3, 0), (4, 0)], "chunks of {chunk}");
+        assert_eq!(replies[1].2.as_ref().unwrap().as_variant(), Variant::I4(1));
+        // a function that gives a value gives EMPTY when the handler sets none
+        assert_eq!(replies[2].2.as_ref().unwrap().as_variant(), Variant::Empty);
+        assert!(replies[3].2.is_none());
+        // Service_Stop has released the controller first
+        assert_eq!(bench.handler.calls, [(1, 0), (3, 0), (21, 1), (4, 1), (2, 0), (2, 0)]);
+    }
+}
+
+#[test]
+fn arguments_are_checked_before_the_handler() {
+    let mut bench = Bench::connected(Config::TCP, "");
+    let raw = |function, arguments| RawCall { function: FunctionId(function), arguments };
+    let cases: [(RawCall<'_>, HResult); 9] = [
+        (raw(0, &[]), HResult::E_INVALIDARG),
+        (raw(138, &[]), HResult::E_INVALIDARG),
+        (raw(-1, &[]), HResult::E_INVALIDARG),
+        (raw(4, &[]), HResult::E_INVALIDARG),
+        (raw(70, &[&2_i32, &"", &""]), HResult::E_INVALIDARG),
+        (raw(70, &[&2_i32, &5_i32]), HResult::E_INVALIDARGTYPE),
+        (raw(70, &[&"2", &""]), HResult::E_INVALIDARGTYPE),
+        (raw(70, &[&9_i32, &""]), HResult::E_HANDLE),
+        // the controller's handle is no robot's
+        (raw(70, &[&1_i32, &""]), HResult::E_HANDLE),
+    ];
+    for (serial, (call, expected)) in (4..).zip(cases) {
+        assert_eq!(bench.call(call, serial, at(0)), [(serial, expected)], "{call:?}");
+    }
+    assert_eq!(bench.handler.calls, []);
+    assert_eq!(bench.call(raw(70, &[&2_u32, &()]), 20, at(0)), [(20, HResult::S_OK)]);
+}
+
+#[test]
+fn objects_are_released_newest_first_and_limited() {
+    let mut bench = Bench::connected(Config::TCP, "");
+    let variable = || call::controller_get_variable(ControllerHandle(1), "I1", "");
+    assert_eq!(bench.call(variable(), 4, at(0)), [(4, HResult::S_OK)]);
+    assert_eq!(bench.call(variable(), 5, at(0)), [(5, HResult::E_MAX_OBJECT)]);
+    assert_eq!(bench.call(call::robot_release(RobotHandle(2)), 6, at(0)), [(6, HResult::S_OK)]);
+    assert_eq!(bench.call(halt(), 7, at(0)), [(7, HResult::E_HANDLE)]);
+    assert_eq!(bench.call(variable(), 8, at(0)), [(8, HResult::S_OK)]);
+    bench.handler.calls.clear();
+    bench.session.close(&mut bench.handler, PeerId(1), at(0));
+    assert_eq!(bench.handler.calls, [(111, 4), (111, 3), (4, 1), (2, 0)]);
+    assert_eq!((bench.handler.left, bench.session.open_objects()), (1, 0));
+}
+
+#[test]
+fn a_bad_frame_is_answered_and_ends_a_stream() {
+    for (bytes, serial, code) in [
+        (b"GET / HTTP/1.1\r\n\r\n".to_vec(), 0, HResult::E_INVALIDRCPACKET),
+        (b"\x01\xff\xff\xff\xff\x07\0\0\0\0\0\0\0\0\0\0".to_vec(), 7, HResult::E_PACKETSIZEOVER),
+        (b"\x01\x10\0\0\0\x05\0\0\0\x01\0\0\0\0\0\x05".to_vec(), 5, HResult::E_INVALIDRCPACKET),
+    ] {
+        let mut bench = Bench::new(Config::TCP);
+        let replies = bench.bytes(&bytes, at(0));
+        assert_eq!((replies[0].0, replies[0].1), (serial, code));
+        assert!(bench.session.is_finished());
+        assert_eq!(bench.call(call::service_start(""), 1, at(0)), []);
+    }
+}
+
+#[test]
+fn datagram_garbage_is_answered_only_with_a_header_and_ends_nothing() {
+    let mut bench = Bench::connected(Config::UDP, "");
+    for garbage in [&b""[..], b"\x01", b"hello, this is no frame"] {
+        assert_eq!(bench.bytes(garbage, at(0)).len(), 0);
+    }
+    let mut bad = frame(&halt(), 9, 9, false);
+    *bad.last_mut().unwrap() = 5;
+    let reply = &bench.bytes(&bad, at(0))[0];
+    assert_eq!((reply.0, reply.1), (9, HResult::E_INVALIDRCPACKET));
+    assert_eq!(bench.call(halt(), 10, at(0)), [(10, HResult::S_OK)]);
+    assert!(bench.events.iter().any(|e| matches!(e, Event::Malformed(m) if m.kind == DecodeErrorKind::Eot(5))));
+}
+
+#[test]
+fn keep_alives_go_out_at_the_watchdogs_interval() {
+    let mut bench = Bench::connected(Config::TCP, "WDT=100");
+    bench.handler.wait_until = Some(at(350));
+    assert_eq!(bench.call(halt(), 4, at(0)), []);
+    let mut sent = Vec::new();
+    for _ in 0..4 {
+        let due = bench.session.poll_timeout().unwrap();
+        sent.extend(bench.run(due).iter().map(|(_, code, _)| (due, *code)));
+    }
+    let executing = HResult::S_EXECUTING;
+    assert_eq!(sent, [(at(100), executing), (at(200), executing), (at(300), executing), (at(350), HResult::S_OK)]);
+    assert_eq!(bench.session.poll_timeout(), None);
+    assert_eq!(bench.handler.calls, [(70, 2)]);
+}
+
+#[test]
+fn a_call_out_of_time_is_answered_and_abandoned() {
+    let mut bench = Bench::connected(Config::TCP, "InvokeTimeout=200");
+    bench.handler.wait_until = Some(Instant::FAR_FUTURE);
+    assert_eq!(bench.call(halt(), 4, at(0)), []);
+    assert_eq!(bench.session.poll_timeout(), Some(at(200)));
+    assert_eq!(bench.run(at(199)).len(), 0);
+    assert_eq!(bench.run(at(200))[0].1, HResult::E_TIMEOUT);
+    assert_eq!(bench.handler.abandoned, 1);
+    // the session goes on
+    bench.handler.wait_until = None;
+    assert_eq!(bench.call(halt(), 5, at(201)), [(5, HResult::S_OK)]);
+}
+
+#[test]
+fn wrong_options_are_refused_with_a_reply() {
+    let mut bench = Bench::new(Config::TCP);
+    for (serial, options) in (1..).zip(["WDT=79", "InvokeTimeout=abc", "WDT=(100"]) {
+        assert_eq!(bench.call(call::service_start(options), serial, at(0)), [(serial, HResult::E_INVALIDARG)]);
+    }
+    assert_eq!(bench.handler.calls, []);
+}
+
+#[test]
+fn a_repeated_call_is_answered_again_and_not_executed_again() {
+    for config in [Config::UDP, Config::SERIAL] {
+        let mut bench = Bench::connected(config, "");
+        assert_eq!(bench.attempt(&halt(), 4, 4, at(0)), [(4, HResult::S_OK)]);
+        assert_eq!(bench.attempt(&halt(), 5, 4, at(500)), [(5, HResult::S_OK)]);
+        assert_eq!(bench.attempt(&halt(), 4, 4, at(600)), [(4, HResult::S_OK)]);
+        assert_eq!(bench.handler.calls, [(70, 2)]);
+        assert_eq!(bench.attempt(&halt(), 6, 6, at(700)), [(6, HResult::S_OK)]);
+        assert_eq!(bench.handler.calls.len(), 2);
+        // the network held an attempt of the first call back
+        assert_eq!(bench.attempt(&halt(), 5, 4, at(800)), []);
+        assert_eq!(bench.handler.calls.len(), 2);
+    }
+}
+
+#[test]
+fn another_function_under_the_same_marker_is_another_call() {
+    let mut bench = Bench::connected(Config::UDP, "");
+    assert_eq!(bench.attempt(&halt(), 4, 4, at(0)), [(4, HResult::S_OK)]);
+    let other = call::robot_hold(RobotHandle(2), "");
+    assert_eq!(bench.attempt(&other, 4, 4, at(0)), [(4, HResult::S_OK)]);
+    assert_eq!(bench.handler.calls, [(70, 2), (71, 2)]);
+}
+
+#[test]
+fn serial_zero_is_no_repetition_of_nothing() {
+    let mut bench = Bench::new(Config::UDP);
+    let start = call::service_start("");
+    assert_eq!(bench.attempt(&start, 0, 0, at(0)), [(0, HResult::S_OK)]);
+    assert_eq!(bench.handler.calls, [(1, 0)]);
+}
+
+#[test]
+fn a_repetition_while_the_call_runs_is_kept_patient_and_gets_the_reply() {
+    let mut bench = Bench::connected(Config::UDP, "");
+    bench.handler.wait_until = Some(at(800));
+    assert_eq!(bench.attempt(&halt(), 4, 4, at(0)), []);
+    assert_eq!(bench.attempt(&halt(), 5, 4, at(500)), [(5, HResult::S_EXECUTING)]);
+    // a repetition that comes late does not take the reply back to an older attempt
+    assert_eq!(bench.attempt(&halt(), 4, 4, at(510)), [(5, HResult::S_EXECUTING)]);
+    assert_eq!(bench.call(call::controller_get_name(ControllerHandle(1)), 6, at(520)), [(6, HResult::E_BUSY_PROC)]);
+    let replies = bench.run(at(800));
+    assert_eq!((replies[0].0, replies[0].1), (5, HResult::S_OK));
+    assert_eq!(bench.handler.calls, [(70, 2)]);
+}
+
+#[test]
+fn a_new_client_behind_a_known_address_starts_anew() {
+    let mut bench = Bench::connected(Config::UDP, "");
+    // its first call has the serial that the old client's had
+    let start = call::service_start("");
+    assert_eq!(bench.attempt(&start, 1, 1, at(1000)), [], "may be a late repetition");
+    assert_eq!(bench.attempt(&start, 2, 1, at(2500)), [(2, HResult::S_OK)]);
+    assert_eq!(bench.handler.calls, [(84, 2), (4, 1), (2, 0), (1, 0)]);
+    assert_eq!(bench.session.open_objects(), 1);
+}
+
+#[test]
+fn a_value_over_the_datagram_is_answered_with_a_code() {
+    let mut bench = Bench::connected(Config::UDP, "");
+    let get = || call::variable_get_value(VariableHandle(3));
+    bench.call(call::controller_get_variable(ControllerHandle(1), "I1", ""), 4, at(0));
+    bench.handler.value = std::vec![1; 462];
+    let bytes = frame(&get(), 5, 5, false);
+    let fits = &bench.bytes(&bytes, at(0))[0];
+    assert_eq!(fits.1, HResult::S_OK);
+    assert_eq!(fits.2.as_ref().unwrap().as_variant().as_array().unwrap().len(), 462);
+    bench.handler.value = std::vec![1; 463];
+    assert_eq!(bench.call(get(), 6, at(0)), [(6, HResult::E_TOO_MUCH_DATA)]);
+}
+
+#[test]
+fn nothing_is_read_while_a_reply_waits_to_be_sent() {
+    let mut bench = Bench::new(Config::TCP);
+    let requests = [frame(&call::service_start(""), 1, 0, false), frame(&call::service_stop(), 2, 0, false)].concat();
+    bench.session.receive_buffer()[..requests.len()].copy_from_slice(&requests);
+    bench.session.received(requests.len());
+    assert!(bench.session.run(&mut bench.handler, PeerId(1), at(0)).is_some());
+    bench.session.transmitted(5);
+    assert_eq!(bench.session.run(&mut bench.handler, PeerId(1), at(0)), None);
+    assert_eq!((bench.session.transmit().len(), bench.handler.calls.len()), (11, 1));
+    bench.session.transmitted(11);
+    assert!(bench.session.run(&mut bench.handler, PeerId(1), at(0)).is_some());
+}
