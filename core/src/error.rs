@@ -4,7 +4,8 @@
 //! |-----------------|-------------------------|---------------------------------------------------|
 //! | [`DecodeError`] | the peer's              | `Decoder::decode`, `Variant::decode`              |
 //! | [`EncodeError`] | the caller's            | `Encode`, `FrameWriter`                           |
-//! | `TextError`     | whoever wrote the text  | `VariantBuf::parse_text`, the RAC lines           |
+//! | [`TextError`]   | whoever wrote the text  | `VariantBuf::parse_text`, the RAC lines           |
+//! |                 | the caller's            | `Variant::write_text`: the value has no text      |
 //!
 //! All are small, `Copy` and `Eq`; they name the place (`offset` counts from the first byte of what was decoded).
 
@@ -177,3 +178,218 @@ impl fmt::Display for EncodeError {
 }
 
 impl core::error::Error for EncodeError {}
+
+/// Text is not what it should be, or a value has no text; what is wrong, and in which column.
+///
+/// # Examples
+///
+/// ```
+/// use bcap_core::error::TextErrorKind;
+/// use bcap_core::variant::VariantBuf;
+///
+/// let error = VariantBuf::<32>::parse_text(b"8194,1,x").unwrap_err();
+/// assert_eq!((error.kind, error.column), (TextErrorKind::Digit, 8));
+/// assert_eq!(error.to_string(), "not a digit of the number at column 8");
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct TextError {
+    /// What is wrong.
+    pub kind: TextErrorKind,
+    /// The byte of the text at which it was found, counted from 1; 0 for a value that could not be written.
+    pub column: u32,
+}
+
+/// What is wrong with a text, or with a value that should become text.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum TextErrorKind {
+    /// The VARTYPE in front of a value is no decimal number.
+    Type,
+    /// The VARTYPE is none that the wire can carry; a number over 16 bits shows as 65535.
+    UnknownType(u16),
+    /// There is no comma behind a VARTYPE.
+    Comma,
+    /// A number or date should stand here, and nothing does.
+    Missing,
+    /// A character in a number is none of its digits.
+    Digit,
+    /// A blank stands behind a number.
+    BlankBehind,
+    /// The number does not fit its VARTYPE, or is so small that it would become 0.
+    OutOfRange,
+    /// The number has more characters than any peer's buffer holds.
+    NumberTooLong,
+    /// A currency amount has a point; its text is the whole count of ten-thousandths.
+    CurrencyPoint,
+    /// A date is not laid out as `YYYY/MM/DD hh:mm:ss`.
+    DateLayout,
+    /// The calendar has no such date or the day no such time, or the year is not 100 to 9999.
+    NoSuchDate,
+    /// Text stands behind EMPTY or NULL, which have none.
+    NoData,
+    /// A VARIANT does not begin with `(`.
+    OpenParen,
+    /// Parentheses do not pair: `)` without `(`, or the text ends before `)`.
+    Unbalanced,
+    /// A comma stands inside of parentheses in a string of an array.
+    CommaInString,
+    /// A string has a CR or an LF, which end lines.
+    LineBreak,
+    /// The bytes are not UTF-8.
+    Utf8,
+    /// VARIANTs are nested deeper than [`MAX_DEPTH`](crate::limits::MAX_DEPTH).
+    TooDeep,
+    /// Something stands behind the end of the value.
+    Unexpected,
+    /// The array has no elements, which text cannot say.
+    EmptyArray,
+    /// An array of EMPTY or NULL has no text.
+    ArrayOfNothing,
+    /// A string begins with a blank, which the reader would drop.
+    LeadingBlank,
+    /// A string has a surrogate without its partner, which UTF-8 cannot say.
+    LoneSurrogate,
+    /// A NaN carries more than its sign.
+    NanPayload,
+    /// The value's VARTYPE cannot be sent.
+    Unsendable(u16),
+    /// It does not fit the buffer, or the 256 bytes of a line.
+    Full,
+    /// The verb is not GET or PUT.
+    Verb,
+    /// The controller's name is not `RC8`.
+    PartName,
+    /// The index is no decimal number of at most 32 bits.
+    Index,
+    /// The variable type is none of I F D S V P J T IO.
+    VariableType,
+    /// There is no colon behind this part of a request.
+    Colon(RequestPart),
+    /// A GET has data behind its last colon.
+    GetWithData,
+    /// A PUT has no value.
+    PutWithoutData,
+    /// A response does not begin with a result: a decimal number or `0x` and hex digits, of 32 bits.
+    ResultCode,
+    /// The line is over 256 bytes with its CR.
+    LineTooLong,
+}
+
+/// A part of a RAC request, in the specification's words.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum RequestPart {
+    /// GET or PUT.
+    Verb,
+    /// `RC8`.
+    PartName,
+    /// The index of the variable.
+    Index,
+    /// I F D S V P J T or IO.
+    VariableType,
+}
+
+impl TextError {
+    pub(crate) const fn printing(kind: TextErrorKind) -> Self {
+        Self { kind, column: 0 }
+    }
+
+    /// Returns the code with which a RAC server answers a line like this.
+    ///
+    /// The specification names codes but not when they are sent; this is the choice made here:
+    ///
+    /// | the line                                    | code                       |
+    /// |---------------------------------------------|----------------------------|
+    /// | has an unknown verb, part or variable type  | `E_INVALIDCOMMAND`         |
+    /// | has a bad index, or a colon or value missing or too much | `E_INVALIDARG` |
+    /// | has a value that cannot be read             | `E_INVALIDARGTYPE`         |
+    /// | is over 256 bytes                           | `E_PACKETSIZEOVER`         |
+    #[must_use]
+    pub const fn hresult(&self) -> HResult {
+        match self.kind {
+            TextErrorKind::Verb | TextErrorKind::PartName | TextErrorKind::VariableType => HResult::E_INVALIDCOMMAND,
+            TextErrorKind::Index
+            | TextErrorKind::Colon(_)
+            | TextErrorKind::GetWithData
+            | TextErrorKind::PutWithoutData => HResult::E_INVALIDARG,
+            TextErrorKind::LineTooLong => HResult::E_PACKETSIZEOVER,
+            _ => HResult::E_INVALIDARGTYPE,
+        }
+    }
+}
+
+impl From<EncodeError> for TextError {
+    fn from(error: EncodeError) -> Self {
+        Self::printing(match error {
+            EncodeError::Full => TextErrorKind::Full,
+            EncodeError::TooDeep => TextErrorKind::TooDeep,
+            EncodeError::Unsendable(vartype) => TextErrorKind::Unsendable(vartype),
+        })
+    }
+}
+
+impl fmt::Display for TextError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.column {
+            0 => self.kind.fmt(f),
+            column => write!(f, "{} at column {column}", self.kind),
+        }
+    }
+}
+
+impl fmt::Display for TextErrorKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::UnknownType(vartype) => return write!(f, "unknown VARTYPE {vartype}"),
+            Self::Unsendable(vartype) => return write!(f, "a value of VARTYPE 0x{vartype:04x} cannot be sent"),
+            Self::Colon(part) => return write!(f, "a colon is missing behind the {part}"),
+            Self::Type => "a value begins with its VARTYPE, a decimal number",
+            Self::Comma => "a comma is missing behind the VARTYPE",
+            Self::Missing => "a number is missing",
+            Self::Digit => "not a digit of the number",
+            Self::BlankBehind => "a blank behind a number",
+            Self::OutOfRange => "the number is out of the range of its VARTYPE",
+            Self::NumberTooLong => "the number has too many characters",
+            Self::CurrencyPoint => "a currency amount has no point: write the count of ten-thousandths",
+            Self::DateLayout => "a date is written YYYY/MM/DD hh:mm:ss",
+            Self::NoSuchDate => "there is no such date or time",
+            Self::NoData => "EMPTY and NULL have no data",
+            Self::OpenParen => "a VARIANT is written (type,data)",
+            Self::Unbalanced => "parentheses do not pair",
+            Self::CommaInString => "a comma in a string of an array",
+            Self::LineBreak => "a string has a line break",
+            Self::Utf8 => "not UTF-8",
+            Self::TooDeep => "VARIANTs are nested too deep",
+            Self::Unexpected => "text behind the end of the value",
+            Self::EmptyArray => "an empty array has no text",
+            Self::ArrayOfNothing => "an array of EMPTY or NULL has no text",
+            Self::LeadingBlank => "a string that begins with a blank has no text",
+            Self::LoneSurrogate => "a string with a lone surrogate has no text",
+            Self::NanPayload => "a NaN with a payload has no text",
+            Self::Full => "the value does not fit",
+            Self::Verb => "the verb is GET or PUT",
+            Self::PartName => "the part name is RC8",
+            Self::Index => "the index is a decimal number of at most 32 bits",
+            Self::VariableType => "the variable type is one of I F D S V P J T IO",
+            Self::GetWithData => "a GET ends with the colon behind its variable type",
+            Self::PutWithoutData => "a PUT has a value behind its last colon",
+            Self::ResultCode => "a response begins with its result, a number of 32 bits",
+            Self::LineTooLong => "the line is over 256 bytes",
+        })
+    }
+}
+
+impl fmt::Display for RequestPart {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Verb => "verb",
+            Self::PartName => "part name",
+            Self::Index => "index",
+            Self::VariableType => "variable type",
+        })
+    }
+}
+
+impl core::error::Error for TextError {}

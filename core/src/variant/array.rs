@@ -160,7 +160,7 @@ impl fmt::Debug for Elements<'_> {
 }
 
 /// Reads one element of a checked array.
-fn element_of<'a>(element: VarType, r: &mut Reader<'a>) -> Option<Variant<'a>> {
+pub(super) fn element_of<'a>(element: VarType, r: &mut Reader<'a>) -> Option<Variant<'a>> {
     Some(match element {
         VarType::EMPTY => Variant::Empty,
         VarType::NULL => Variant::Null,

@@ -57,7 +57,7 @@ pub trait Element {
 
 /// Appends type and count.
 #[inline]
-fn head(vartype: VarType, count: u32, out: &mut Writer<'_>) -> Result<(), EncodeError> {
+pub(super) fn head(vartype: VarType, count: u32, out: &mut Writer<'_>) -> Result<(), EncodeError> {
     let [t0, t1] = vartype.0.to_le_bytes();
     let [c0, c1, c2, c3] = count.to_le_bytes();
     out.put([t0, t1, c0, c1, c2, c3])

@@ -27,7 +27,8 @@
 //!
 //! A received value is checked whole, nested ones included, by exactly one function ([`Variant::decode`], or the frame
 //! decoder); the [`Variant`] it returns is a `Copy` view of the bytes whose accessors cannot fail. To own a value, keep
-//! its encoding in a [`VariantBuf`].
+//! its encoding in a [`VariantBuf`]. The text that RAC carries is read by [`VariantBuf::parse_text`] and written by
+//! [`Variant::write_text`].
 //!
 //! # Examples
 //!
@@ -49,6 +50,7 @@ mod bstr;
 mod buf;
 mod encode;
 mod scalar;
+mod text;
 
 pub use self::array::{Array, Items, Scalar};
 pub use self::bstr::Bstr;

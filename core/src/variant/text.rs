@@ -1,0 +1,841 @@
+//! The text form of values, as the lines of RAC carry it: `<type>,<data>`.
+//!
+//! ```text
+//!  3,123                       I4 123                 8,Sample,Test            BSTR "Sample,Test"
+//!  8196,1,2.5,-3e9             R4[1, 2.5, -3e9]       8200,Sample,Test         BSTR["Sample", "Test"]
+//!  12,(8,Sample)               VARIANT holding        8204,(8,Sample),(2,100)  VARIANT["Sample", I2 100]
+//!                              BSTR "Sample"          0,   1,                  EMPTY, NULL
+//!
+//!  value    = blanks type [ "," data ]            data and its comma are left out for EMPTY and NULL only
+//!  type     = digits                              a VARTYPE, 8192 (0x2000) added for arrays
+//!  data     = blanks ( element | element { "," blanks element } )      one for a scalar, more for an array
+//!  element  = "(" value ")" blanks                VARIANT
+//!           | integer                             I2 I4 I8 UI1 UI2 UI4 UI8 ERROR; BOOL, 0 is false; CY, unscaled
+//!           | float                               R4 R8
+//!           | date | float                        DATE
+//!           | string                              BSTR
+//!  integer  = [ sign ] ( digits | "0x" hexdigits )
+//!  float    = [ sign ] ( decimal [ "e" [ sign ] digits ] | "inf" | "nan" )
+//!  decimal  = digits [ "." [ digits ] ] | "." digits
+//!  date     = digits "/" digits "/" digits blank blanks digits ":" digits ":" digits
+//!  string   = UTF-8 without CR and LF; of its own and at the top to the end of the text; inside of a VARIANT with
+//!             paired parentheses; in an array with paired parentheses and without a comma
+//! ```
+//!
+//! There is no quoting and no escaping, so some values have no text. What is guaranteed:
+//!
+//! * What [`Variant::write_text`] writes parses back to the same bits, -0 and NaN included; floats take the fewest
+//!   digits that do. A value without text is an error: an empty array, an array of EMPTY or NULL (peers crash on
+//!   it), a string that begins with a blank (readers drop blanks behind commas), has a line break, a lone surrogate, or
+//!   parentheses or commas that its place cannot carry, a NaN with a payload.
+//! * Numbers are checked against their type; a leading 0 does not make them octal; a float that is not 0 but would
+//!   become 0, or that would become infinite, is out of range. ERROR takes `0x80070057` as its bits. Blanks are
+//!   dropped behind commas, in front of types and behind `)`, nowhere else; none are written.
+//! * A DATE is written as a date when that is the same instant to the bit, else as its raw number.
+//! * Text is read once from front to back, and nesting takes no stack: both ways keep a few words a level, for at most
+//!   [`MAX_DEPTH`](crate::limits::MAX_DEPTH) levels.
+//!
+//! The parsers are built with nom. They hold no reference of their own into the text, and what they cannot read is a
+//! [`Fault`]: what is wrong, and how much text was left then.
+
+use nom::Parser as _;
+use nom::error::{ErrorKind, ParseError};
+use nom::sequence::preceded;
+
+use super::array::element_of;
+use super::encode::{Element as _, head};
+use super::{Bstr, CivilTime, Layout, OUTER, OleDate, VarType, Variant, VariantBuf};
+use crate::error::{TextError, TextErrorKind};
+use crate::num::{to_u32, to_usize};
+use crate::wire::{Reader, Writer};
+
+/// More characters than any number needs; the vendor's own buffer is this long.
+const MAX_NUMBER: usize = 500;
+
+/// Bytes of the type in front of a value's count.
+const TYPE_LEN: usize = 2;
+
+impl<const N: usize> VariantBuf<N> {
+    /// Parses the text of one value, such as `8196,1,2.5,-3` or `8204,(8,Sample),(2,100)`.
+    ///
+    /// # Errors
+    ///
+    /// A [`TextError`] with the column; [`TextErrorKind::Full`] when the value is over `N` bytes.
+    ///
+    /// # Examples
+    ///
+    /// ```
+    /// use bcap_core::variant::VariantBuf;
+    ///
+    /// let pose = VariantBuf::<64>::parse_text(b"8196,1,2,3,4,5,6,-1")?;
+    /// let items = pose.as_variant().as_array().and_then(|a| a.items::<f32>()).ok_or("not R4")?;
+    /// assert_eq!(items.to_array(), Some([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, -1.0]));
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn parse_text(text: &[u8]) -> Result<Self, TextError> {
+        Self::build(|out| parse(text, out))
+    }
+}
+
+impl Variant<'_> {
+    /// Appends the text of the value.
+    ///
+    /// # Errors
+    ///
+    /// A [`TextError`] without a column when the value has no text or does not fit; part of it may have been written.
+    pub fn write_text(&self, out: &mut Writer<'_>) -> Result<(), TextError> {
+        print(*self, out).map_err(TextError::printing)
+    }
+
+    /// Writes the text of the value to the front of `buffer` and returns it.
+    ///
+    /// # Errors
+    ///
+    /// A [`TextError`] without a column when the value has no text or does not fit.
+    ///
+    /// # Examples
+    ///
+    /// ```
+    /// use bcap_core::variant::VariantBuf;
+    ///
+    /// let value = VariantBuf::<64>::new(&("Sample", 100_i16, 0.1_f32))?;
+    /// assert_eq!(value.as_variant().to_text(&mut [0; 64])?, "8204,(8,Sample),(2,100),(4,0.1)");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    pub fn to_text<'b>(&self, buffer: &'b mut [u8]) -> Result<&'b str, TextError> {
+        let mut out = Writer::new(buffer);
+        self.write_text(&mut out)?;
+        core::str::from_utf8(out.into_bytes()).map_err(|_| TextError::printing(TextErrorKind::Utf8))
+    }
+}
+
+// --- reading -------------------------------------------------------------------------------------------------------
+
+/// What is wrong, and how many bytes of the text were left when it was found.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Fault {
+    kind: TextErrorKind,
+    left: usize,
+}
+
+impl Fault {
+    pub(crate) const fn new(kind: TextErrorKind, rest: &[u8]) -> Self {
+        Self { kind, left: rest.len() }
+    }
+
+    /// Places the fault in a text of `total` bytes.
+    pub(crate) fn at(self, total: usize) -> TextError {
+        TextError { kind: self.kind, column: to_u32(total.saturating_sub(self.left).saturating_add(1)) }
+    }
+}
+
+impl From<nom::Err<Self>> for Fault {
+    fn from(error: nom::Err<Self>) -> Self {
+        match error {
+            nom::Err::Error(fault) | nom::Err::Failure(fault) => fault,
+            // only nom's streaming parsers ask for more, and none are used
+            nom::Err::Incomplete(_) => Self { kind: TextErrorKind::Missing, left: 0 },
+        }
+    }
+}
+
+/// Every parser here makes its own faults; nom's combinators only ask for the bound.
+impl ParseError<&[u8]> for Fault {
+    fn from_error_kind(rest: &[u8], _: ErrorKind) -> Self {
+        Self::new(TextErrorKind::Unexpected, rest)
+    }
+
+    fn append(_: &[u8], _: ErrorKind, other: Self) -> Self {
+        other
+    }
+}
+
+/// The rest of the text, and what was read.
+pub(crate) type Parsed<'a, T> = nom::IResult<&'a [u8], T, Fault>;
+
+const fn fault<T>(kind: TextErrorKind, rest: &[u8]) -> Parsed<'_, T> {
+    Err(nom::Err::Error(Fault::new(kind, rest)))
+}
+
+/// `blanks = { " " | TAB }`
+#[inline]
+pub(crate) fn blanks(text: &[u8]) -> Parsed<'_, ()> {
+    let mut rest = text;
+    while let [b' ' | b'\t', behind @ ..] = rest {
+        rest = behind;
+    }
+    Ok((rest, ()))
+}
+
+/// One byte; `kind` says what its absence is.
+#[inline]
+pub(crate) const fn byte(wanted: u8, kind: TextErrorKind) -> impl Fn(&[u8]) -> Parsed<'_, ()> {
+    move |text| match text.split_first() {
+        Some((found, rest)) if *found == wanted => Ok((rest, ())),
+        _ => fault(kind, text),
+    }
+}
+
+/// `digits = digit { digit }`, or none; the caller decides whether that is allowed.
+#[inline]
+fn digits(text: &[u8]) -> Parsed<'_, &[u8]> {
+    let len = text.iter().position(|b| !b.is_ascii_digit()).unwrap_or(text.len());
+    let (digits, rest) = text.split_at_checked(len).unwrap_or((text, &[]));
+    Ok((rest, digits))
+}
+
+/// `sign = "+" | "-"`, or none; true for minus.
+#[inline]
+const fn sign(text: &[u8]) -> (&[u8], bool) {
+    match text {
+        [b'-', rest @ ..] => (rest, true),
+        [b'+', rest @ ..] => (rest, false),
+        _ => (text, false),
+    }
+}
+
+/// `type = digits`
+fn vartype(text: &[u8]) -> Parsed<'_, VarType> {
+    let (rest, digits) = digits(text)?;
+    if digits.is_empty() {
+        return fault(TextErrorKind::Type, text);
+    }
+    let number = digits.iter().try_fold(0_u16, |n, digit| n.checked_mul(10)?.checked_add(u16::from(digit & 0x0f)));
+    match number.map(VarType) {
+        Some(vartype) if vartype.is_known() => Ok((rest, vartype)),
+        unknown => fault(TextErrorKind::UnknownType(unknown.map_or(u16::MAX, |t| t.0)), text),
+    }
+}
+
+/// A container of VARIANTs whose end has not been read yet.
+#[derive(Clone, Copy, Default)]
+struct Level {
+    is_array: bool,
+    /// Where in the encoding the count stands.
+    count_at: usize,
+    count: u32,
+}
+
+impl Level {
+    /// Writes the head of a container or array whose count is not known yet.
+    fn open(vartype: VarType, out: &mut Writer<'_>) -> Result<Self, TextErrorKind> {
+        let level = Self { is_array: vartype.is_array(), count_at: out.len().saturating_add(TYPE_LEN), count: 1 };
+        head(vartype, 1, out).map_err(|_| TextErrorKind::Full)?;
+        Ok(level)
+    }
+
+    /// Goes on behind an element: to the next one if there is a comma, or to the end.
+    fn next<'a>(&mut self, rest: &'a [u8], out: &mut Writer<'_>) -> (&'a [u8], bool) {
+        match rest {
+            [b',', behind @ ..] if self.is_array => {
+                self.count = self.count.saturating_add(1);
+                (behind, true)
+            }
+            _ => {
+                if self.is_array {
+                    out.patch(self.count_at, self.count.to_le_bytes());
+                }
+                (rest, false)
+            }
+        }
+    }
+}
+
+/// Parses the text of one value and appends its encoding.
+pub(crate) fn parse(text: &[u8], out: &mut Writer<'_>) -> Result<(), TextError> {
+    value(text, out).map_err(|fault| fault.at(text.len()))
+}
+
+/// `value = blanks type [ "," data ]`, with `"(" value ")" blanks` for VARIANTs, down and up again
+fn value(text: &[u8], out: &mut Writer<'_>) -> Result<(), Fault> {
+    let mut levels = [Level::default(); OUTER];
+    let mut depth = 0_usize;
+    let mut rest = text;
+    loop {
+        let (behind, vartype) = preceded(blanks, vartype).parse_complete(rest)?;
+        if vartype.element() == VarType::VARIANT {
+            let slot = levels.get_mut(depth).ok_or(Fault::new(TextErrorKind::TooDeep, rest))?;
+            *slot = Level::open(vartype, out).map_err(|kind| Fault::new(kind, rest))?;
+            depth = depth.saturating_add(1);
+            let (data, ()) = byte(b',', TextErrorKind::Comma)(behind)?;
+            rest = open_paren(data)?.0;
+            continue;
+        }
+        rest = leaf(vartype, behind, depth > 0, out)?;
+        loop {
+            let Some(level) = depth.checked_sub(1).and_then(|top| levels.get_mut(top)) else {
+                return if rest.is_empty() { Ok(()) } else { Err(Fault::new(TextErrorKind::Unexpected, rest)) };
+            };
+            let (behind, ()) = byte(b')', TextErrorKind::Unbalanced)(rest)?;
+            let (behind, ()) = blanks(behind)?;
+            let (behind, more) = level.next(behind, out);
+            if more {
+                rest = open_paren(behind)?.0;
+                break;
+            }
+            rest = behind;
+            depth = depth.saturating_sub(1);
+        }
+    }
+}
+
+/// `blanks "("`
+fn open_paren(text: &[u8]) -> Parsed<'_, ()> {
+    preceded(blanks, byte(b'(', TextErrorKind::OpenParen)).parse_complete(text)
+}
+
+/// Everything behind the type of a value that holds no VARIANT.
+fn leaf<'a>(vartype: VarType, text: &'a [u8], nested: bool, out: &mut Writer<'_>) -> Result<&'a [u8], Fault> {
+    if matches!(vartype.element(), VarType::EMPTY | VarType::NULL) {
+        return nothing(vartype, text, nested, out);
+    }
+    let (data, ()) = byte(b',', TextErrorKind::Comma)(text)?;
+    let mut level = Level::open(vartype, out).map_err(|kind| Fault::new(kind, text))?;
+    let mut rest = data;
+    loop {
+        let (element, ()) = blanks(rest)?;
+        let bounds = Bounds { nested, in_array: vartype.is_array() };
+        rest = match vartype.element() {
+            VarType::BSTR => string(element, bounds, out)?,
+            _ if level.count == 1 && level.is_array && at_end(element, nested) => {
+                return Err(Fault::new(TextErrorKind::EmptyArray, element));
+            }
+            scalar => number(scalar, element, nested, out)?,
+        };
+        let (behind, more) = level.next(rest, out);
+        rest = behind;
+        if !more {
+            break;
+        }
+    }
+    if at_end(rest, nested) { Ok(rest) } else { Err(Fault::new(behind_number(vartype.element(), rest), rest)) }
+}
+
+const fn at_end(rest: &[u8], nested: bool) -> bool {
+    matches!(rest, []) || nested && matches!(rest, [b')', ..])
+}
+
+/// What it means that something stands behind a number.
+const fn behind_number(element: VarType, rest: &[u8]) -> TextErrorKind {
+    match rest {
+        [b' ' | b'\t', ..] => TextErrorKind::BlankBehind,
+        [b'.', ..] if matches!(element, VarType::CY) => TextErrorKind::CurrencyPoint,
+        [b',' | b')', ..] => TextErrorKind::Unexpected,
+        _ => TextErrorKind::Digit,
+    }
+}
+
+/// `[ "," blanks ]`
+fn nothing<'a>(vartype: VarType, text: &'a [u8], nested: bool, out: &mut Writer<'_>) -> Result<&'a [u8], Fault> {
+    if vartype.is_array() {
+        return Err(Fault::new(TextErrorKind::ArrayOfNothing, text));
+    }
+    head(vartype, 1, out).map_err(|_| Fault::new(TextErrorKind::Full, text))?;
+    let rest = match text {
+        [b',', behind @ ..] => blanks(behind)?.0,
+        _ => text,
+    };
+    if at_end(rest, nested) { Ok(rest) } else { Err(Fault::new(TextErrorKind::NoData, rest)) }
+}
+
+/// Where a string stands, which decides what it cannot hold.
+#[derive(Clone, Copy)]
+struct Bounds {
+    /// Inside of a VARIANT's parentheses.
+    nested: bool,
+    in_array: bool,
+}
+
+/// `string`
+fn string<'a>(text: &'a [u8], bounds: Bounds, out: &mut Writer<'_>) -> Result<&'a [u8], Fault> {
+    let len = string_len(text, bounds)?;
+    let (bytes, rest) = text.split_at_checked(len).unwrap_or((text, &[]));
+    if let Some(at) = bytes.iter().position(|b| matches!(b, b'\r' | b'\n')) {
+        return Err(Fault { kind: TextErrorKind::LineBreak, left: text.len().saturating_sub(at) });
+    }
+    let utf8 = core::str::from_utf8(bytes)
+        .map_err(|e| Fault { kind: TextErrorKind::Utf8, left: text.len().saturating_sub(e.valid_up_to()) })?;
+    utf8.put(out).map_err(|_| Fault::new(TextErrorKind::Full, text))?;
+    Ok(rest)
+}
+
+/// Finds the end of a string.
+fn string_len(text: &[u8], bounds: Bounds) -> Result<usize, Fault> {
+    if !bounds.nested && !bounds.in_array {
+        return Ok(text.len());
+    }
+    let mut open = 0_u32;
+    for (at, b) in text.iter().enumerate() {
+        let fault = |kind| Err(Fault { kind, left: text.len().saturating_sub(at) });
+        match b {
+            b'(' => open = open.saturating_add(1),
+            b')' => match open.checked_sub(1) {
+                Some(outer) => open = outer,
+                None if bounds.nested => return Ok(at),
+                None => return fault(TextErrorKind::Unbalanced),
+            },
+            b',' if bounds.in_array && open > 0 => return fault(TextErrorKind::CommaInString),
+            b',' if bounds.in_array => return Ok(at),
+            _ => {}
+        }
+    }
+    if open > 0 || bounds.nested { Err(Fault { kind: TextErrorKind::Unbalanced, left: 0 }) } else { Ok(text.len()) }
+}
+
+/// One number or date, appended as the data of an element.
+fn number<'a>(element: VarType, text: &'a [u8], nested: bool, out: &mut Writer<'_>) -> Result<&'a [u8], Fault> {
+    if at_end(text, nested) {
+        return Err(Fault::new(TextErrorKind::Missing, text));
+    }
+    let (rest, put) = match element {
+        VarType::R4 => {
+            let (rest, number) = float::<f32>(text)?;
+            (rest, number.put(out))
+        }
+        VarType::R8 => {
+            let (rest, number) = float::<f64>(text)?;
+            (rest, number.put(out))
+        }
+        VarType::DATE => {
+            let (rest, days) = if is_date(text) { date(text)? } else { float::<f64>(text)? };
+            (rest, days.put(out))
+        }
+        _ => {
+            let (rest, number) = integer(text)?;
+            let Some((bytes, width)) = number.to_wire(element) else {
+                return Err(Fault::new(TextErrorKind::OutOfRange, text));
+            };
+            (rest, out.put_slice(bytes.get(..width).unwrap_or_default()))
+        }
+    };
+    put.map_err(|_| Fault::new(TextErrorKind::Full, text))?;
+    Ok(rest)
+}
+
+/// An integer as it was written.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Integer {
+    negative: bool,
+    magnitude: u64,
+    hex: bool,
+}
+
+impl Integer {
+    /// Returns the number as 64 bits, two's complement when `signed`; `None` when it is out of range.
+    fn bits(self, signed: bool) -> Option<u64> {
+        match (self.negative, signed) {
+            (false, false) => Some(self.magnitude),
+            (false, true) => i64::try_from(self.magnitude).ok().map(i64::cast_unsigned),
+            (true, true) => 0_i64.checked_sub_unsigned(self.magnitude).map(i64::cast_unsigned),
+            (true, false) => (self.magnitude == 0).then_some(0),
+        }
+    }
+
+    /// Returns the number as 32 bits: signed, or unsigned as the bits of it when `unsigned` allows that.
+    pub(crate) fn to_code(self, unsigned: bool) -> Option<i32> {
+        match u32::try_from(self.magnitude) {
+            Ok(bits) if !self.negative && (unsigned || self.hex) => Some(bits.cast_signed()),
+            _ => i32::try_from(self.bits(true)?.cast_signed()).ok(),
+        }
+    }
+
+    /// Returns the number as the data of an element, and how many of the bytes that are.
+    fn to_wire(self, element: VarType) -> Option<([u8; 8], usize)> {
+        let Layout::Fixed(width) = element.layout() else { return None };
+        let signed = !matches!(element, VarType::UI1 | VarType::UI2 | VarType::UI4 | VarType::UI8);
+        let bits = match element {
+            VarType::ERROR => i64::from(self.to_code(false)?).cast_unsigned(),
+            _ => self.bits(signed)?,
+        };
+        // the bits above the width must repeat the sign, or be 0
+        let spare = 64_u32.checked_sub(u32::from(width).checked_mul(8)?)?;
+        let shifted = bits.checked_shl(spare)?;
+        let back = if signed { (shifted.cast_signed() >> spare).cast_unsigned() } else { shifted >> spare };
+        let bits = match element {
+            _ if back != bits => return None,
+            // true is -1 on the wire, whatever was written
+            VarType::BOOL if bits != 0 => u64::MAX,
+            _ => bits,
+        };
+        Some((bits.to_le_bytes(), usize::from(width)))
+    }
+}
+
+/// `integer = [ sign ] ( digits | "0x" hexdigits )`
+pub(crate) fn integer(text: &[u8]) -> Parsed<'_, Integer> {
+    let (rest, negative) = sign(text);
+    let (rest, hex) = match rest {
+        [b'0', b'x' | b'X', rest @ ..] => (rest, true),
+        _ => (rest, false),
+    };
+    let mut magnitude = 0_u64;
+    let mut behind = rest;
+    while let [b, next @ ..] = behind {
+        let digit = match b {
+            b'0'..=b'9' => b & 0x0f,
+            b'a'..=b'f' | b'A'..=b'F' if hex => (b & 0x0f).wrapping_add(9),
+            _ => break,
+        };
+        let Some(sum) = magnitude.checked_mul(if hex { 16 } else { 10 }).and_then(|m| m.checked_add(u64::from(digit)))
+        else {
+            return fault(TextErrorKind::OutOfRange, text);
+        };
+        magnitude = sum;
+        behind = next;
+    }
+    if behind.len() == rest.len() {
+        let kind = if matches!(rest, [] | [b',' | b')', ..]) { TextErrorKind::Missing } else { TextErrorKind::Digit };
+        return fault(kind, rest);
+    }
+    Ok((behind, Integer { negative, magnitude, hex }))
+}
+
+/// R4 or R8, for [`float`].
+trait Real: minimal_lexical::Float {
+    const NAN: Self;
+    const INFINITY: Self;
+    fn negative(self) -> Self;
+    fn is_zero_or_infinite(self) -> bool;
+}
+
+macro_rules! reals {
+    ($($type:ident, $nan:literal;)*) => {$(
+        impl Real for $type {
+            // the quiet NaN; the bits of the language's own constant are not fixed
+            const NAN: Self = <$type>::from_bits($nan);
+            const INFINITY: Self = <$type>::INFINITY;
+
+            fn negative(self) -> Self {
+                -self
+            }
+
+            fn is_zero_or_infinite(self) -> bool {
+                self == 0.0 || self == Self::INFINITY
+            }
+        }
+    )*};
+}
+
+reals! {
+    f32, 0x7fc0_0000;
+    f64, 0x7ff8_0000_0000_0000;
+}
+
+/// `float = [ sign ] ( decimal [ "e" [ sign ] digits ] | "inf" | "nan" )`, words in any case
+fn float<F: Real>(text: &[u8]) -> Parsed<'_, F> {
+    let (rest, negative) = sign(text);
+    let (rest, number) = match rest {
+        [b'i' | b'I', b'n' | b'N', b'f' | b'F', rest @ ..] => (rest, F::INFINITY),
+        [b'n' | b'N', b'a' | b'A', b'n' | b'N', rest @ ..] => (rest, F::NAN),
+        _ => {
+            let (behind, decimal) = decimal(rest)?;
+            let number =
+                minimal_lexical::parse_float(decimal.integer.iter(), decimal.fraction.iter(), decimal.exponent);
+            if F::is_zero_or_infinite(number) && !decimal.is_zero() {
+                return fault(TextErrorKind::OutOfRange, text);
+            }
+            (behind, number)
+        }
+    };
+    Ok((rest, if negative { number.negative() } else { number }))
+}
+
+/// The digits of a number without zeros in front and at the end, as the float parser wants them.
+struct Decimal<'a> {
+    integer: &'a [u8],
+    fraction: &'a [u8],
+    exponent: i32,
+}
+
+impl Decimal<'_> {
+    const fn is_zero(&self) -> bool {
+        self.integer.is_empty() && self.fraction.is_empty()
+    }
+}
+
+/// `decimal [ "e" [ sign ] digits ]`, `decimal = digits [ "." [ digits ] ] | "." digits`
+#[inline(never)]
+fn decimal(text: &[u8]) -> Parsed<'_, Decimal<'_>> {
+    let (mut rest, mut integer) = digits(text)?;
+    let mut fraction: &[u8] = &[];
+    let mut exponent = 0;
+    if let [b'.', behind @ ..] = rest {
+        (rest, fraction) = digits(behind)?;
+    }
+    if integer.is_empty() && fraction.is_empty() {
+        let kind = if matches!(text, [] | [b',' | b')', ..]) { TextErrorKind::Missing } else { TextErrorKind::Digit };
+        return fault(kind, text);
+    }
+    if let [b'e' | b'E', behind @ ..] = rest {
+        (rest, exponent) = exponent_of(behind)?;
+    }
+    // the float parser would panic on more digits than its big integers hold; it needs no more than these
+    if text.len().saturating_sub(rest.len()) > MAX_NUMBER {
+        return fault(TextErrorKind::NumberTooLong, text);
+    }
+    while let [b'0', behind @ ..] = integer {
+        integer = behind;
+    }
+    while let [front @ .., b'0'] = fraction {
+        fraction = front;
+    }
+    Ok((rest, Decimal { integer, fraction, exponent }))
+}
+
+/// `[ sign ] digits`, behind the `e`
+fn exponent_of(text: &[u8]) -> Parsed<'_, i32> {
+    let (rest, negative) = sign(text);
+    let (behind, digits) = digits(rest)?;
+    if digits.is_empty() {
+        return fault(TextErrorKind::Digit, rest);
+    }
+    // no float has an exponent near the bound, whatever its digits
+    let size =
+        digits.iter().fold(0_i32, |n, digit| n.saturating_mul(10).saturating_add(i32::from(digit & 0x0f)).min(99_999));
+    Ok((behind, if negative { size.saturating_neg() } else { size }))
+}
+
+/// Tells a date from the raw number of one.
+fn is_date(text: &[u8]) -> bool {
+    text.iter().take_while(|b| !matches!(b, b',' | b')')).any(|b| *b == b'/')
+}
+
+/// `date = digits "/" digits "/" digits blank blanks digits ":" digits ":" digits`
+fn date(text: &[u8]) -> Parsed<'_, f64> {
+    let slash = || byte(b'/', TextErrorKind::DateLayout);
+    let colon = || byte(b':', TextErrorKind::DateLayout);
+    let (rest, (year, month, day)) =
+        (field, preceded(slash(), field), preceded(slash(), field)).parse_complete(text)?;
+    let (behind, ()) = blanks(rest)?;
+    if behind.len() == rest.len() {
+        return fault(TextErrorKind::DateLayout, rest);
+    }
+    let (rest, (hour, minute, second)) =
+        (field, preceded(colon(), field), preceded(colon(), field)).parse_complete(behind)?;
+    let small = |number: i16| u8::try_from(number).ok();
+    let civil =
+        || Some(CivilTime::date(year, small(month)?, small(day)?).at(small(hour)?, small(minute)?, small(second)?));
+    match civil().and_then(OleDate::from_civil) {
+        Some(date) => Ok((rest, date.raw())),
+        None => fault(TextErrorKind::NoSuchDate, text),
+    }
+}
+
+/// `digits`, at most four of them
+fn field(text: &[u8]) -> Parsed<'_, i16> {
+    let (rest, digits) = digits(text)?;
+    if digits.is_empty() || digits.len() > 4 {
+        return fault(TextErrorKind::DateLayout, text);
+    }
+    let number = digits.iter().fold(0_i16, |n, digit| n.saturating_mul(10).saturating_add(i16::from(digit & 0x0f)));
+    Ok((rest, number))
+}
+
+// --- writing -------------------------------------------------------------------------------------------------------
+
+type Printed = Result<(), TextErrorKind>;
+
+fn put(bytes: &[u8], out: &mut Writer<'_>) -> Printed {
+    out.put_slice(bytes).map_err(|_| TextErrorKind::Full)
+}
+
+fn put_type(vartype: VarType, out: &mut Writer<'_>) -> Printed {
+    put_integer(false, u64::from(vartype.0), out)?;
+    put(b",", out)
+}
+
+fn print(value: Variant<'_>, out: &mut Writer<'_>) -> Printed {
+    if let Variant::Opaque(opaque) = value {
+        return Err(TextErrorKind::Unsendable(opaque.vartype.0));
+    }
+    put_type(value.vartype(), out)?;
+    match value {
+        Variant::Nested(nested) => print_inner(&mut Reader::new(nested.0), 1, out),
+        Variant::Array(array) if array.element() == VarType::VARIANT => {
+            print_inner(&mut Reader::new(array.as_bytes()), to_u32(array.len()), out)
+        }
+        Variant::Array(array) => {
+            let bounds = Bounds { nested: false, in_array: true };
+            print_elements(array.element(), to_u32(array.len()), bounds, &mut Reader::new(array.as_bytes()), out)
+        }
+        scalar => print_scalar(scalar, Bounds { nested: false, in_array: false }, out),
+    }
+}
+
+/// Writes `count` values of a container, each in parentheses, and what is inside of them.
+fn print_inner(r: &mut Reader<'_>, count: u32, out: &mut Writer<'_>) -> Printed {
+    // values still to come on each outer level; `here` is the innermost
+    let mut outer = [0_u32; OUTER];
+    let mut depth = 0_usize;
+    let mut here = count;
+    loop {
+        here = here.checked_sub(1).ok_or(TextErrorKind::EmptyArray)?;
+        put(b"(", out)?;
+        let (vartype, count) = split_head(r).unwrap_or_default();
+        put_type(vartype, out)?;
+        if vartype.element() == VarType::VARIANT {
+            *outer.get_mut(depth).ok_or(TextErrorKind::TooDeep)? = here;
+            depth = depth.saturating_add(1);
+            here = count;
+            continue;
+        }
+        print_elements(vartype.element(), count, Bounds { nested: true, in_array: vartype.is_array() }, r, out)?;
+        put(b")", out)?;
+        while here == 0 {
+            let Some(up) = depth.checked_sub(1) else { return Ok(()) };
+            depth = up;
+            here = outer.get(up).copied().unwrap_or(0);
+            put(b")", out)?;
+        }
+        put(b",", out)?;
+    }
+}
+
+/// Splits type and count of a checked value off; a scalar counts 1.
+fn split_head(r: &mut Reader<'_>) -> Option<(VarType, u32)> {
+    let vartype = VarType(u16::from_le_bytes(r.array()?));
+    let count = r.u32()?;
+    Some((vartype, if vartype.is_array() { count } else { 1 }))
+}
+
+fn print_elements(element: VarType, count: u32, bounds: Bounds, r: &mut Reader<'_>, out: &mut Writer<'_>) -> Printed {
+    match element {
+        VarType::EMPTY | VarType::NULL if bounds.in_array => return Err(TextErrorKind::ArrayOfNothing),
+        _ if count == 0 => return Err(TextErrorKind::EmptyArray),
+        _ => {}
+    }
+    for index in 0..to_usize(count) {
+        if index > 0 {
+            put(b",", out)?;
+        }
+        print_scalar(element_of(element, r).unwrap_or(Variant::Empty), bounds, out)?;
+    }
+    Ok(())
+}
+
+fn print_scalar(value: Variant<'_>, bounds: Bounds, out: &mut Writer<'_>) -> Printed {
+    let number = match value {
+        Variant::R4(n) => return print_f32(n, out),
+        Variant::R8(n) => return print_f64(n, out),
+        Variant::Date(date) => return print_date(date, out),
+        Variant::Bstr(text) => return print_string(text, bounds, out),
+        Variant::Ui8(n) => return put_integer(false, n, out),
+        Variant::Bool(b) => i64::from(b).saturating_neg(),
+        Variant::Error(code) => i64::from(code.0),
+        Variant::Cy(amount) => amount.raw(),
+        other => match other.as_i64() {
+            Some(n) => n,
+            // EMPTY and NULL
+            None => return Ok(()),
+        },
+    };
+    put_integer(number < 0, number.unsigned_abs(), out)
+}
+
+/// Writes a decimal number.
+pub(crate) fn put_integer(negative: bool, magnitude: u64, out: &mut Writer<'_>) -> Printed {
+    // 20 digits and a sign
+    let mut buffer = [0_u8; 21];
+    let mut left = magnitude;
+    let mut len = 0_usize;
+    for slot in buffer.iter_mut().rev() {
+        *slot = if len > 0 && left == 0 { b'-' } else { b'0' | u8::try_from(left % 10).unwrap_or(0) };
+        if len > 0 && left == 0 {
+            break;
+        }
+        left /= 10;
+        len = len.saturating_add(1);
+    }
+    let from = buffer.len().saturating_sub(len).saturating_sub(usize::from(negative));
+    put(buffer.get(from..).unwrap_or_default(), out)
+}
+
+/// Writes a number of the calendar with leading zeros.
+fn put_padded(number: u16, out: &mut Writer<'_>, separator: u8) -> Printed {
+    if number < 10 {
+        put(b"0", out)?;
+    }
+    put_integer(false, u64::from(number), out)?;
+    if separator == 0 { Ok(()) } else { put(&[separator], out) }
+}
+
+fn print_f32(number: f32, out: &mut Writer<'_>) -> Printed {
+    if number.is_finite() {
+        return put_finite(zmij::Buffer::new().format_finite(number), out);
+    }
+    let quiet = number.to_bits() & 0x7fff_ffff == <f32 as Real>::NAN.to_bits();
+    put_special(number.is_sign_negative(), number.is_nan(), quiet, out)
+}
+
+fn print_f64(number: f64, out: &mut Writer<'_>) -> Printed {
+    if number.is_finite() {
+        return put_finite(zmij::Buffer::new().format_finite(number), out);
+    }
+    let quiet = number.to_bits() & 0x7fff_ffff_ffff_ffff == <f64 as Real>::NAN.to_bits();
+    put_special(number.is_sign_negative(), number.is_nan(), quiet, out)
+}
+
+/// Writes shortest digits without what says nothing: `1.0` as `1`, `1e+300` as `1e300`.
+fn put_finite(digits: &str, out: &mut Writer<'_>) -> Printed {
+    match digits.as_bytes() {
+        [integer @ .., b'.', b'0'] => put(integer, out),
+        [mantissa @ .., b'e', b'+', hundreds, tens, ones] => put_exponent(mantissa, &[*hundreds, *tens, *ones], out),
+        [mantissa @ .., b'e', b'+', tens, ones] => put_exponent(mantissa, &[*tens, *ones], out),
+        digits => put(digits, out),
+    }
+}
+
+fn put_exponent(mantissa: &[u8], exponent: &[u8], out: &mut Writer<'_>) -> Printed {
+    put(mantissa, out)?;
+    put(b"e", out)?;
+    put(exponent, out)
+}
+
+/// `quiet` tells whether a NaN has no payload.
+fn put_special(negative: bool, nan: bool, quiet: bool, out: &mut Writer<'_>) -> Printed {
+    if nan && !quiet {
+        return Err(TextErrorKind::NanPayload);
+    }
+    if negative {
+        put(b"-", out)?;
+    }
+    put(if nan { b"NaN" } else { b"inf" }, out)
+}
+
+fn print_date(date: OleDate, out: &mut Writer<'_>) -> Printed {
+    let same = |civil: &CivilTime| civil.millisecond == 0 && OleDate::from_civil(*civil) == Some(date);
+    let Some(civil) = date.to_civil().filter(same) else { return print_f64(date.raw(), out) };
+    let year = civil.year.unsigned_abs();
+    if year < 1000 {
+        put(b"0", out)?;
+    }
+    put_padded(year, out, b'/')?;
+    put_padded(u16::from(civil.month), out, b'/')?;
+    put_padded(u16::from(civil.day), out, b' ')?;
+    put_padded(u16::from(civil.hour), out, b':')?;
+    put_padded(u16::from(civil.minute), out, b':')?;
+    put_padded(u16::from(civil.second), out, 0)
+}
+
+fn print_string(text: Bstr<'_>, bounds: Bounds, out: &mut Writer<'_>) -> Printed {
+    let mut open = 0_u32;
+    let mut first = true;
+    for c in text.chars() {
+        let c = c.map_err(|_| TextErrorKind::LoneSurrogate)?;
+        match c {
+            ' ' | '\t' if first => return Err(TextErrorKind::LeadingBlank),
+            '\r' | '\n' => return Err(TextErrorKind::LineBreak),
+            ',' if bounds.in_array => return Err(TextErrorKind::CommaInString),
+            '(' => open = open.saturating_add(1),
+            ')' if bounds.nested || bounds.in_array => open = open.checked_sub(1).ok_or(TextErrorKind::Unbalanced)?,
+            _ => {}
+        }
+        first = false;
+        let slot = out.reserve(c.len_utf8()).map_err(|_| TextErrorKind::Full)?;
+        super::bstr::put_utf8(c, slot).ok_or(TextErrorKind::Full)?;
+    }
+    if open > 0 && (bounds.nested || bounds.in_array) { Err(TextErrorKind::Unbalanced) } else { Ok(()) }
+}
+
+#[cfg(test)]
+mod tests;
