@@ -25,6 +25,7 @@ Colours are left out when NO_COLOR is set or the output is not a terminal.";
 pub(crate) enum Command {
     Decode(Decode),
     Encode(Encode),
+    Text(Text),
     Completions(Completions),
 }
 
@@ -92,6 +93,38 @@ pub(crate) struct Form {
     /// What the frames are: nothing in their bytes tells
     #[arg(long = "as", value_name = "ROLE", default_value = "request", conflicts_with = "variant")]
     pub(crate) role: Role,
+}
+
+/// Turns values into the text that RAC carries, and back
+///
+/// The text is TYPE,DATA: the VARTYPE as a number, then the data. What is printed parses back to the same bits; a value that
+/// has no text, such as an empty array, is an error. With `-` each line of the standard input is one item and gives one
+/// line; a bad one gives {"error":...,"offset":...}, and the exit code is 2 at the end.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap text parse '8204,(8,Sample),(2,100)'
+  bcap text parse --json '8196,1,2.5,-3e9'
+  bcap text print 0300010000007b000000
+  bcap text parse - <values.txt | bcap text print -")]
+pub(crate) struct Text {
+    #[command(subcommand)]
+    pub(crate) command: TextCommand,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum TextCommand {
+    /// Prints the bytes of a value, as hexadecimal digits, or as JSON with --json
+    Parse {
+        /// The text; `-` or nothing reads lines
+        text: Option<String>,
+    },
+    /// Prints the text of a value
+    Print {
+        /// The bytes; `-` or nothing reads lines
+        #[arg(value_name = "HEX")]
+        hex: Vec<String>,
+    },
 }
 
 /// Prints the completions for a shell

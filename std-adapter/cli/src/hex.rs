@@ -104,7 +104,7 @@ mod tests {
             ("01é1", 2, "'é'"),
         ] {
             let error = parse(text.as_bytes()).unwrap_err();
-            assert_eq!(error.offset, Some(offset), "{text}");
+            assert_eq!(error.offset, offset, "{text}");
             assert!(error.message.contains(word), "{text}: {}", error.message);
         }
         assert!(parse(b"\xff1").unwrap_err().message.contains("0xff"));

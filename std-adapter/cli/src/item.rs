@@ -5,7 +5,7 @@
 
 use std::io::{self, BufRead, Write};
 
-use bcap_core::error::{DecodeError, EncodeError};
+use bcap_core::error::{DecodeError, EncodeError, TextError};
 use serde::Serialize;
 
 use crate::error::Failure;
@@ -19,13 +19,13 @@ pub(crate) struct ItemError {
     /// What is wrong, in words.
     #[serde(rename = "error")]
     pub(crate) message: String,
-    /// Where: a byte of the decoded bytes, or of the item's text when that is not even well-formed text.
-    pub(crate) offset: Option<usize>,
+    /// Where: a byte of the decoded bytes, or of the item's text when that is what is wrong; 0 is the whole item.
+    pub(crate) offset: usize,
 }
 
 impl ItemError {
     pub(crate) fn new(message: impl Into<String>, offset: usize) -> Self {
-        Self { message: message.into(), offset: Some(offset) }
+        Self { message: message.into(), offset }
     }
 
     /// Returns the line that stands in the output in place of the item.
@@ -43,7 +43,15 @@ impl From<DecodeError> for ItemError {
 
 impl From<EncodeError> for ItemError {
     fn from(error: EncodeError) -> Self {
-        Self { message: error.to_string(), offset: None }
+        Self::new(error.to_string(), 0)
+    }
+}
+
+impl From<TextError> for ItemError {
+    fn from(error: TextError) -> Self {
+        // columns count from 1; 0 is an error of the value as a whole
+        let column = usize::try_from(error.column).unwrap_or(usize::MAX);
+        Self::new(error.to_string(), column.saturating_sub(1))
     }
 }
 
@@ -62,6 +70,14 @@ impl Items {
             [] => Self::Lines,
             [dash] if dash == "-" => Self::Lines,
             words => Self::One(words.join(" ")),
+        }
+    }
+
+    /// Takes one word of the command line, whose blanks matter; none, or `-`, stand for the standard input.
+    pub(crate) fn from_word(word: Option<&str>) -> Self {
+        match word {
+            None | Some("-") => Self::Lines,
+            Some(word) => Self::One(word.to_owned()),
         }
     }
 

@@ -8,6 +8,8 @@ mod frame;
 mod hex;
 mod item;
 mod json;
+mod text;
+mod value;
 
 use std::process::ExitCode;
 
@@ -27,6 +29,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
     match &cli.command {
         Command::Decode(args) => decode::decode(args, cli.json),
         Command::Encode(args) => decode::encode(args, cli.json),
+        Command::Text(args) => text::text(args, cli.json),
         Command::Completions(args) => completions(args),
     }
 }

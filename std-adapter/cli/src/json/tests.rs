@@ -64,7 +64,7 @@ fn elements_without_data_are_null() {
     assert_eq!(to_json(&bytes), r#"{"vt":8193,"v":[null,null]}"#);
     assert_eq!(from_json(r#"{"vt":8193,"v":[null,null]}"#).unwrap(), bytes);
     let error = from_json(r#"{"vt":8193,"v":[0]}"#).unwrap_err();
-    assert_eq!(error.offset, Some(16));
+    assert_eq!(error.offset, 16);
 }
 
 #[test]
@@ -119,7 +119,7 @@ fn what_is_wrong_is_placed() {
     ] {
         let error = from_json(text).unwrap_err();
         assert!(error.message.contains(word), "{text}: {}", error.message);
-        assert_eq!(error.offset, Some(offset), "{text}: {}", error.message);
+        assert_eq!(error.offset, offset, "{text}: {}", error.message);
         assert!(!error.message.contains(" at line "), "{}", error.message);
     }
 }

@@ -1,0 +1,87 @@
+//! Owned values, of any size.
+
+use bcap_core::error::{EncodeError, TextError};
+use bcap_core::limits::Strictness;
+use bcap_core::variant::{Encode, Variant, VariantBuf, Writer};
+
+use crate::json::{self, LIMITS};
+
+/// The largest value that text can stand for: many times what a RAC line holds.
+const TEXT_MAX: usize = 64 * 1024;
+
+/// A value that owns its bytes, however many.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Value {
+    /// One canonical value.
+    bytes: Vec<u8>,
+}
+
+impl Value {
+    /// Encodes a value.
+    pub(crate) fn new(value: &(impl Encode + ?Sized)) -> Result<Self, EncodeError> {
+        let mut bytes = vec![0; 256];
+        loop {
+            let mut out = Writer::new(&mut bytes);
+            match value.encode(&mut out) {
+                Ok(()) => {
+                    let len = out.len();
+                    bytes.truncate(len);
+                    return Ok(Self { bytes });
+                }
+                // a frame of more than 16 MiB is refused by every peer
+                Err(EncodeError::Full) if bytes.len() < 32 * 1024 * 1024 => bytes = vec![0; bytes.len() * 4],
+                Err(error) => return Err(error),
+            }
+        }
+    }
+
+    /// Reads `TYPE,DATA`, such as `3,100` or `8196,1,2.5,-3`.
+    pub(crate) fn from_text(text: &str) -> Result<Self, TextError> {
+        VariantBuf::<TEXT_MAX>::parse_text(text.as_bytes()).map(|value| Self { bytes: value.as_bytes().to_vec() })
+    }
+
+    /// Views the value.
+    pub(crate) fn as_variant(&self) -> Variant<'_> {
+        // what was encoded can be decoded
+        Variant::decode(&self.bytes, &LIMITS, Strictness::Strict).unwrap_or(Variant::Empty)
+    }
+
+    /// Returns the value's encoding.
+    pub(crate) fn as_bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    /// Returns the value as JSON, `{"vt":3,"v":100}`.
+    pub(crate) fn to_json(&self) -> String {
+        let mut out = String::new();
+        json::put_value(&mut out, self.as_variant());
+        out
+    }
+}
+
+impl Encode for Value {
+    fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
+        self.as_variant().encode(out)
+    }
+}
+
+/// Writes a value as `TYPE,DATA`.
+pub(crate) fn to_text(value: Variant<'_>) -> Result<String, TextError> {
+    let bytes = Value::new(&value)?;
+    // no type takes more than 4 characters a byte, as the elements of a UI1 array do
+    let mut buffer = vec![0; bytes.as_bytes().len() * 4 + 64];
+    value.to_text(&mut buffer).map(str::to_owned)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn large_values_are_kept_whole() {
+        let numbers: Vec<f64> = (0..100_000).map(f64::from).collect();
+        let value = Value::new(numbers.as_slice()).unwrap();
+        assert_eq!(value.as_bytes().len(), 6 + 8 * numbers.len());
+        assert_eq!(value.as_variant().as_array().unwrap().items::<f64>().unwrap().get(99_999), Some(99_999.0));
+    }
+}
