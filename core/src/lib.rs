@@ -8,6 +8,7 @@ pub mod bcap;
 pub mod error;
 pub mod handler;
 pub mod hresult;
+pub mod io;
 pub mod limits;
 mod num;
 pub mod rac;

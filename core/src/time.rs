@@ -70,6 +70,20 @@ impl fmt::Display for Instant {
     }
 }
 
+/// A clock that only goes forward.
+///
+/// Any function that returns the time is one.
+pub trait Clock {
+    /// Returns the time.
+    fn now(&self) -> Instant;
+}
+
+impl<F: Fn() -> Instant> Clock for F {
+    fn now(&self) -> Instant {
+        self()
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

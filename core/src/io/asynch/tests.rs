@@ -1,0 +1,98 @@
+extern crate std;
+
+use core::pin::pin;
+use core::task::{Context, Poll, Waker};
+use std::collections::VecDeque;
+use std::vec::Vec;
+
+use super::*;
+use crate::bcap::call::{self, VariableHandle};
+use crate::bcap::client::Config;
+use crate::bcap::{Decoder, FrameWriter, Progress};
+use crate::variant::Variant;
+
+/// A link that is ready for one byte at every other poll, to a peer that answers each request with its own serial.
+#[derive(Default)]
+struct OneByte {
+    ready: bool,
+    heard: Vec<u8>,
+    requests: usize,
+    pending: VecDeque<u8>,
+}
+
+impl OneByte {
+    fn react(&mut self) {
+        while let Ok(Progress::Complete(frame, used)) = Decoder::TCP.decode(&self.heard) {
+            self.requests = self.requests.saturating_add(1);
+            let mut buffer = [0; 64];
+            let mut reply = FrameWriter::new(&mut buffer).unwrap();
+            reply.argument(&i32::from(frame.serial)).unwrap();
+            self.pending.extend(reply.finish(frame.serial, 0, 0).unwrap());
+            self.heard.drain(..used);
+        }
+    }
+
+    fn poll<T>(&mut self, work: impl FnOnce(&mut Self) -> Option<T>) -> Poll<T> {
+        self.ready = !self.ready;
+        if self.ready {
+            return Poll::Pending;
+        }
+        work(self).map_or(Poll::Pending, Poll::Ready)
+    }
+}
+
+impl Transport for OneByte {
+    type Error = core::convert::Infallible;
+
+    fn now(&self) -> Instant {
+        Instant::ZERO
+    }
+
+    async fn send(&mut self, bytes: &[u8], _: Instant) -> Result<Option<usize>, Self::Error> {
+        core::future::poll_fn(|_| {
+            self.poll(|link| {
+                link.heard.push(bytes[0]);
+                link.react();
+                Some(Ok(Some(1)))
+            })
+        })
+        .await
+    }
+
+    async fn receive(&mut self, buffer: &mut [u8], _: Instant) -> Result<Option<usize>, Self::Error> {
+        core::future::poll_fn(|_| {
+            self.poll(|link| {
+                buffer[0] = link.pending.pop_front()?;
+                Some(Ok(Some(1)))
+            })
+        })
+        .await
+    }
+}
+
+/// Polls a future so many times, and returns its output if it ended.
+fn poll_times<T>(future: impl Future<Output = T>, times: usize) -> Option<T> {
+    let mut future = pin!(future);
+    let mut cx = Context::from_waker(Waker::noop());
+    (0..times).find_map(|_| match future.as_mut().poll(&mut cx) {
+        Poll::Ready(output) => Some(output),
+        Poll::Pending => None,
+    })
+}
+
+#[test]
+fn a_call_dropped_at_any_point_leaves_the_connection_good() {
+    for polls in 0..140 {
+        let client = Client::new(Config::TCP, [0; 64], [0; 64]);
+        let mut connection = Connection::new(OneByte::default(), client);
+        let get = || call::variable_get_value(VariableHandle(3));
+        let first = poll_times(connection.call(get()), polls).is_some();
+        // the next call gets its own answer, whatever is left of the first
+        let value = poll_times(connection.call(get()), 1000).expect("it must end").unwrap();
+        let Variant::I4(serial) = value else { panic!("{value:?}") };
+        assert_eq!(serial, if polls == 0 { 1 } else { 2 }, "after {polls} polls");
+        // the first request has reached the peer whole, or not at all
+        let requests = connection.transport.requests;
+        assert!(requests == 2 || (requests == 1 && !first), "{requests} after {polls} polls");
+    }
+}

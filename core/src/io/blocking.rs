@@ -1,0 +1,186 @@
+//! Calls that block, over any [`Transport`].
+//!
+//! With the feature `embedded-io`, [`Polled`] makes a transport of anything that reads, writes and can say whether bytes
+//! are there (a UART), and a clock.
+
+use crate::bcap::call::{Call, Reply};
+use crate::bcap::client::ClientError;
+use crate::bcap::{Client, Link};
+use crate::hresult::HResult;
+use crate::io::{CallError, ends};
+use crate::storage::Storage;
+use crate::time::Instant;
+
+/// What carries the bytes of a client, and knows the time.
+pub trait Transport {
+    /// Why it fails.
+    type Error;
+
+    /// Returns the time, for deadlines.
+    fn now(&self) -> Instant;
+
+    /// Sends a datagram, or as much of a stream's bytes as can be taken; `None` when it is `until` before that.
+    ///
+    /// # Errors
+    ///
+    /// When the connection cannot be used any more.
+    fn send(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, Self::Error>;
+
+    /// Receives a datagram, or what is there of a stream; `None` when it is `until` before that. On a stream, 0 bytes
+    /// mean that the peer has closed it.
+    ///
+    /// # Errors
+    ///
+    /// When the connection cannot be used any more.
+    fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, Self::Error>;
+}
+
+/// A client with its transport.
+#[derive(Debug)]
+pub struct Connection<X, T, R = T> {
+    transport: X,
+    client: Client<T, R>,
+}
+
+impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
+    /// Joins the two.
+    #[must_use]
+    pub const fn new(transport: X, client: Client<T, R>) -> Self {
+        Self { transport, client }
+    }
+
+    /// Returns the client, to look at its last reply or to change its time limits.
+    pub const fn client(&mut self) -> &mut Client<T, R> {
+        &mut self.client
+    }
+
+    /// Returns the transport.
+    pub const fn transport(&mut self) -> &mut X {
+        &mut self.transport
+    }
+
+    /// Returns the code of the last reply; one of success can mean more than S_OK.
+    #[must_use]
+    pub fn last_result(&self) -> Option<HResult> {
+        self.client.reply().map(|frame| frame.hresult())
+    }
+
+    /// Makes a call, waits for its reply and returns the value, which borrows from the client's buffer.
+    ///
+    /// # Errors
+    ///
+    /// A [`CallError`]; [`is_recoverable`](CallError::is_recoverable) tells whether the connection is still good.
+    pub fn call<C: Call>(&mut self, call: C) -> Result<<C::Reply as Reply>::Value<'_>, CallError<X::Error>> {
+        self.flush()?;
+        self.client.start(&call, self.transport.now())?;
+        self.wait()?;
+        Ok(self.client.value::<C::Reply>()?)
+    }
+
+    /// Sends the rest of a call that was given up.
+    fn flush(&mut self) -> Result<(), CallError<X::Error>> {
+        self.client.abandon();
+        if self.client.transmit().is_empty() {
+            return Ok(());
+        }
+        let until = self.transport.now().saturating_add(self.client.config().attempt_timeout);
+        while !self.client.transmit().is_empty() {
+            if !self.send(until)? {
+                return Err(CallError::Client(ClientError::Busy));
+            }
+        }
+        Ok(())
+    }
+
+    /// Moves bytes and time until the call has ended.
+    fn wait(&mut self) -> Result<(), CallError<X::Error>> {
+        while let Some(until) = self.client.poll_timeout() {
+            let moved = if self.client.transmit().is_empty() { self.receive(until)? } else { self.send(until)? };
+            let now = self.transport.now();
+            while let Some(event) = self.client.poll_event(now) {
+                if let Some(end) = ends(event) {
+                    return end;
+                }
+            }
+            // after the events, so that a reply that has just come counts
+            if (!moved || now >= until)
+                && let Some(end) = self.client.handle_timeout(now).and_then(ends)
+            {
+                return end;
+            }
+        }
+        Err(CallError::Client(ClientError::Closed))
+    }
+
+    /// Sends what it can; `false` when the time was over first.
+    fn send(&mut self, until: Instant) -> Result<bool, CallError<X::Error>> {
+        let sent = self.transport.send(self.client.transmit(), until).map_err(CallError::Io)?;
+        self.client.transmitted(sent.unwrap_or(0));
+        Ok(sent.is_some())
+    }
+
+    /// Receives what there is; `false` when the time was over first.
+    fn receive(&mut self, until: Instant) -> Result<bool, CallError<X::Error>> {
+        let received = self.transport.receive(self.client.receive_buffer(), until).map_err(CallError::Io)?;
+        match received {
+            Some(0) if self.client.config().link != Link::Datagram => Err(CallError::Disconnected),
+            Some(count) => {
+                self.client.received(count);
+                Ok(true)
+            }
+            None => Ok(false),
+        }
+    }
+}
+
+/// A transport made of something that can be asked whether it has bytes, such as a UART, and a clock.
+///
+/// While it waits it asks again and again; where that is too much, implement [`Transport`] with a better wait.
+#[cfg(feature = "embedded-io")]
+#[derive(Debug)]
+pub struct Polled<D, C> {
+    device: D,
+    clock: C,
+}
+
+#[cfg(feature = "embedded-io")]
+impl<D, C: crate::time::Clock> Polled<D, C> {
+    /// Joins a device and a clock.
+    #[must_use]
+    pub const fn new(device: D, clock: C) -> Self {
+        Self { device, clock }
+    }
+}
+
+#[cfg(feature = "embedded-io")]
+impl<D, C> Transport for Polled<D, C>
+where
+    D: embedded_io::Read + embedded_io::Write + embedded_io::ReadReady,
+    C: crate::time::Clock,
+{
+    type Error = D::Error;
+
+    fn now(&self) -> Instant {
+        self.clock.now()
+    }
+
+    fn send(&mut self, bytes: &[u8], _until: Instant) -> Result<Option<usize>, D::Error> {
+        // a write waits for the device alone, never for the peer
+        let count = self.device.write(bytes)?;
+        self.device.flush()?;
+        Ok(Some(count))
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, D::Error> {
+        while !self.device.read_ready()? {
+            if self.clock.now() >= until {
+                return Ok(None);
+            }
+            core::hint::spin_loop();
+        }
+        self.device.read(buffer).map(Some)
+    }
+}
+
+#[cfg(test)]
+mod tests;
