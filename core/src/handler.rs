@@ -117,7 +117,7 @@ impl<'b> ReplyValue<'b> {
                     self.len = out.len();
                     return Ok(());
                 }
-                Err(EncodeError::Full) if room < end && self.memory.grow(room.saturating_mul(2).clamp(64, end)) => {}
+                Err(EncodeError::Full) if room < end && self.memory.grow(room.saturating_mul(2).max(64).min(end)) => {}
                 Err(error) => {
                     self.overflow = true;
                     return Err(error);

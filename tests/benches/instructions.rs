@@ -14,7 +14,7 @@ use std::process::{Command, ExitCode};
 
 use bcap_core::bcap::call::{self, Call, RobotHandle, VariableHandle};
 use bcap_core::bcap::{Decoder, FrameWriter, Progress};
-use bcap_core::variant::Encode;
+use bcap_core::variant::{Encode, VariantBuf};
 
 /// Repetitions of the two runs.
 const FEW: u64 = 100;
@@ -28,6 +28,7 @@ struct Bench {
     reply: Vec<u8>,
     strings: Vec<u8>,
     mixed_strings: Vec<u8>,
+    text_pose: VariantBuf<64>,
 }
 
 struct Case {
@@ -37,6 +38,9 @@ struct Case {
     run: fn(&mut Bench),
 }
 
+/// A position with its figure, as RAC carries it.
+const TEXT_POSE: &[u8] = b"8196,1,2,3,4,5,6,-1";
+
 /// The first case is the empty one.
 const CASES: &[Case] = &[
     Case { name: "(empty)", bar: None, run: empty },
@@ -45,6 +49,8 @@ const CASES: &[Case] = &[
     Case { name: "decode slvMove request, 8 doubles", bar: Some(600), run: decode_slv_move },
     Case { name: "decode slvMove reply, 4 elements", bar: Some(900), run: decode_slv_reply },
     Case { name: "decode 100 strings, array of BSTR", bar: Some(8_000), run: decode_strings },
+    Case { name: "parse text 8196,1,2,3,4,5,6,-1", bar: Some(2_500), run: parse_pose },
+    Case { name: "print text 8196,1,2,3,4,5,6,-1", bar: Some(2_000), run: print_pose },
     Case { name: "decode 100 strings, array of VARIANT", bar: None, run: decode_mixed_strings },
     Case { name: "check slvMove request, nothing read", bar: None, run: check_slv_move },
     Case { name: "check slvMove reply, nothing read", bar: None, run: check_slv_reply },
@@ -131,6 +137,7 @@ impl Bench {
             reply: frame(0, &[&(pose, 1_i32, 2_i32, 3_i32)]),
             strings: frame(0, &[&text.as_slice()]),
             mixed_strings: frame(0, &[&dynamic.as_slice()]),
+            text_pose: VariantBuf::parse_text(TEXT_POSE).expect("it is a pose"),
         };
         assert_eq!((bench.request.len(), bench.reply.len()), (132, 126), "the frames of a slave-mode cycle");
         bench
@@ -208,6 +215,16 @@ fn decode_strings(bench: &mut Bench) {
     for text in strings {
         black_box(text.as_bytes());
     }
+}
+
+#[inline(never)]
+fn parse_pose(_: &mut Bench) {
+    black_box(VariantBuf::<64>::parse_text(black_box(TEXT_POSE)).is_ok());
+}
+
+#[inline(never)]
+fn print_pose(bench: &mut Bench) {
+    black_box(black_box(&bench.text_pose).as_variant().to_text(&mut bench.buffer).is_ok());
 }
 
 #[inline(never)]

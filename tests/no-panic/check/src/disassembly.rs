@@ -33,6 +33,9 @@ pub(crate) enum Origin {
     Image,
 }
 
+/// The source lines of an address, those of inlined functions first.
+type Lines = BTreeMap<String, Vec<String>>;
+
 /// A call that ends in a panic.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Site {
@@ -46,7 +49,9 @@ pub(crate) struct Site {
 
 /// A call or jump from one function to another.
 struct Call {
-    address: String,
+    /// Where it comes from: its own address, or those of the jumps to it when the compiler has merged several calls
+    /// into one that has no source line.
+    addresses: Vec<String>,
     caller: String,
     target: String,
 }
@@ -64,6 +69,11 @@ impl Image {
         Ok(Self { path: path.to_owned(), code_size, symbols })
     }
 
+    /// Returns the name of its file.
+    pub(crate) fn name(&self) -> String {
+        self.path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+    }
+
     /// Returns the symbols that only a program that can panic has.
     pub(crate) fn panic_symbols(&self) -> Vec<&str> {
         self.symbols.iter().map(String::as_str).filter(|symbol| panics(symbol)).collect()
@@ -71,8 +81,7 @@ impl Image {
 
     /// Finds the calls that end in a panic.
     pub(crate) fn sites(&self, repository: &Path) -> Outcome<Vec<Site>> {
-        let calls = self.calls()?;
-        let lines = self.lines(&calls)?;
+        let (calls, lines) = self.calls()?;
         let mut panicking: BTreeSet<&str> =
             calls.iter().map(|call| call.target.as_str()).filter(|t| panics(t)).collect();
         let mut sites = Vec::new();
@@ -81,14 +90,16 @@ impl Image {
             sites.clear();
             let mut joined = BTreeSet::new();
             for call in calls.iter().filter(|call| panicking.contains(call.target.as_str()) && !panics(&call.caller)) {
-                let frames = lines.get(&call.address).map(Vec::as_slice).unwrap_or_default();
-                match frames.iter().find(|frame| !frame.contains("/library/") && !frame.starts_with('?')) {
-                    Some(frame) => sites.push(Site {
-                        origin: origin(frame, repository),
-                        place: shorten(frame, repository),
-                        target: call.target.clone(),
-                    }),
-                    None => drop(joined.insert(call.caller.as_str())),
+                for address in &call.addresses {
+                    let frames = lines.get(address).map(Vec::as_slice).unwrap_or_default();
+                    match frames.iter().find(|frame| !frame.contains("/library/") && !frame.starts_with('?')) {
+                        Some(frame) => sites.push(Site {
+                            origin: origin(frame, repository),
+                            place: shorten(frame, repository),
+                            target: call.target.clone(),
+                        }),
+                        None => drop(joined.insert(call.caller.as_str())),
+                    }
                 }
             }
             let before = panicking.len();
@@ -107,37 +118,50 @@ impl Image {
         Ok(sites)
     }
 
-    /// Disassembles the program and returns every call and every jump between functions.
-    fn calls(&self) -> Outcome<Vec<Call>> {
+    /// Disassembles the program and returns every call and every jump between functions, with source lines.
+    fn calls(&self) -> Outcome<(Vec<Call>, Lines)> {
         let listing = tool("objdump", &["-d", "--demangle", "--no-show-raw-insn", &self.path.to_string_lossy()])?;
         let mut calls = Vec::new();
-        let mut caller = String::new();
+        // the jumps inside of functions, by the address that they lead to
+        let mut jumps = BTreeMap::<&str, Vec<String>>::new();
+        let mut caller = "";
         for line in listing.lines() {
             if let Some((_, name)) = line.strip_suffix(">:").and_then(|line| line.split_once(" <")) {
-                name.clone_into(&mut caller);
+                caller = name;
                 continue;
             }
             let Some((address, instruction)) = line.split_once(":\t") else { continue };
             if !instruction.starts_with("call") && !instruction.starts_with('j') {
                 continue;
             }
-            let Some((_, target)) = instruction.strip_suffix('>').and_then(|i| i.split_once(" <")) else { continue };
-            // a jump to a place inside a function has an offset
-            if target != caller && !target.contains("+0x") {
-                let (address, target) = (address.trim().to_owned(), target.to_owned());
-                calls.push(Call { address, caller: caller.clone(), target });
+            let Some((head, target)) = instruction.strip_suffix('>').and_then(|i| i.split_once(" <")) else { continue };
+            let address = address.trim().to_owned();
+            if target == caller || target.contains("+0x") {
+                jumps.entry(head.rsplit(' ').next().unwrap_or(head)).or_default().push(address);
+            } else {
+                calls.push(Call { addresses: vec![address], caller: caller.to_owned(), target: target.to_owned() });
             }
         }
-        Ok(calls)
+        let mut lines = self.lines(calls.iter().flat_map(|call| &call.addresses))?;
+        for call in &mut calls {
+            let merged =
+                lines.get(&call.addresses[0]).is_none_or(|frames| frames.iter().all(|frame| frame.ends_with('?')));
+            if merged && let Some(sources) = jumps.get(call.addresses[0].as_str()) {
+                call.addresses.clone_from(sources);
+            }
+        }
+        let unknown: Vec<_> = calls.iter().flat_map(|c| &c.addresses).filter(|a| !lines.contains_key(*a)).collect();
+        lines.extend(self.lines(unknown.into_iter())?);
+        Ok((calls, lines))
     }
 
-    /// Asks for the source lines of calls, those of inlined functions first.
-    fn lines(&self, calls: &[Call]) -> Outcome<BTreeMap<String, Vec<String>>> {
-        let mut lines = BTreeMap::<String, Vec<String>>::new();
-        for some in calls.chunks(200) {
+    /// Asks for the source lines of addresses, those of inlined functions first.
+    fn lines<'a>(&self, addresses: impl Iterator<Item = &'a String>) -> Outcome<Lines> {
+        let mut lines = Lines::new();
+        for some in addresses.collect::<Vec<_>>().chunks(200) {
             let path = self.path.to_string_lossy();
             let mut args = vec!["--addresses", "--inlines", "--functions", "-e", &*path];
-            args.extend(some.iter().map(|call| call.address.as_str()));
+            args.extend(some.iter().map(|address| address.as_str()));
             let mut address = String::new();
             // for each address: itself, then a function and its line for every level of inlining
             let mut is_line = false;

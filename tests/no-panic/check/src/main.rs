@@ -20,6 +20,18 @@ use disassembly::{Image, Origin};
 
 type Outcome<T> = Result<T, String>;
 
+/// Panic paths of other crates that the text image is known to have, by source file, and why none can be taken.
+const KNOWN: &[(&str, &str)] = &[
+    (
+        "minimal-lexical-0.2.1/src/bellerophon.rs",
+        "the index is an exponent, which was found not to be negative, modulo the length of the table",
+    ),
+    (
+        "minimal-lexical-0.2.1/src/slow.rs",
+        "its integers hold 4000 bits; of the at most 500 characters of a number no more than 2500 bits can come",
+    ),
+];
+
 /// The least code that an image with all of the core in it has; less means that it was optimised away.
 const LEAST_CODE: u64 = 12 * 1024;
 
@@ -46,11 +58,13 @@ fn run() -> Outcome<()> {
     let found = binary.panic_symbols();
     println!("binary: {} bytes of code, {} panic symbols", binary.code_size, found.len());
     if !found.is_empty() {
-        print_sites(&binary, repository)?;
+        // the error says what was found, whether or not its lines are known
+        let _ = print_sites(&binary, repository);
         return Err(format!("the binary image can panic: {}", found.join(", ")));
     }
     contains_the_core(&binary)?;
-    echoes_the_vectors(&images.join("binary"), repository)?;
+    let frames = vectors(repository)?;
+    echoes(&images.join("binary"), &frames)?;
 
     let planted =
         Image::load(&build(workspace, "planted", &["--features", "planted", "--bin", "binary"])?.join("binary"))?;
@@ -62,11 +76,9 @@ fn run() -> Outcome<()> {
 
     let text = Image::load(&images.join("text"))?;
     println!("text: {} bytes of code, {} panic symbols", text.code_size, text.panic_symbols().len());
-    let ours = print_sites(&text, repository)?;
-    if ours > 0 {
-        return Err(format!("the text image has {ours} panic paths that come from bcap-core"));
-    }
-    Ok(())
+    contains_the_core(&text)?;
+    print_sites(&text, repository)?;
+    echoes(&images.join("text"), TEXTS.as_bytes())
 }
 
 /// Builds the images into a directory of their own below the target directory, which it returns.
@@ -90,8 +102,8 @@ fn contains_the_core(image: &Image) -> Outcome<()> {
     Ok(())
 }
 
-/// Sends all frames of the specifications through the image, which must return them.
-fn echoes_the_vectors(program: &Path, repository: &Path) -> Outcome<()> {
+/// Reads the frames of the specifications, one behind the other.
+fn vectors(repository: &Path) -> Outcome<Vec<u8>> {
     let mut frames = Vec::new();
     for file in ["bcap-rc8-guide.jsonl", "bcap-rc9-spec.jsonl"] {
         let path = repository.join("tests/vectors").join(file);
@@ -101,11 +113,22 @@ fn echoes_the_vectors(program: &Path, repository: &Path) -> Outcome<()> {
             frames.extend(bytes.collect::<Result<Vec<u8>, _>>().map_err(|e| format!("{file}: {e}"))?);
         }
     }
-    let output = feed(program, &frames)?;
-    if output != frames {
-        return Err(format!("the image returned {} bytes of {}, or other ones", output.len(), frames.len()));
+    Ok(frames)
+}
+
+/// Values that have a text, one a line.
+const TEXTS: &str =
+    "3,-123\n8196,1,2.5,-0.125\n8204,(8,Sample),(2,100),(8204,(5,0.1))\n12,(8,Sample)\n0,\n7,2026/11/21 04:00:00\n";
+
+/// Runs an image, which must return what it reads.
+fn echoes(program: &Path, input: &[u8]) -> Outcome<()> {
+    let output = feed(program, input)?;
+    let name = program.file_name().unwrap_or_default().to_string_lossy();
+    if output != input {
+        let output = String::from_utf8_lossy(&output);
+        return Err(format!("{name} was given {} bytes and returned others: {output:?}", input.len()));
     }
-    println!("binary: run, and {} bytes of frames came back as they went in", frames.len());
+    println!("{name}: run, and {} bytes came back as they went in", input.len());
     Ok(())
 }
 
@@ -122,13 +145,21 @@ fn feed(program: &Path, input: &[u8]) -> Outcome<Vec<u8>> {
     Ok(output.stdout)
 }
 
-/// Lists the panic paths by the crate that they come from, and returns how many come from bcap-core.
-fn print_sites(image: &Image, repository: &Path) -> Outcome<usize> {
+/// Lists the panic paths by the crate that they come from; fails when one is the core's or is not known.
+fn print_sites(image: &Image, repository: &Path) -> Outcome<()> {
     let mut sites = image.sites(repository)?;
     sites.sort();
     sites.dedup();
+    let mut faults = 0;
     for site in &sites {
-        println!("  {:<24} {} -> {}", site.origin.to_string(), site.place, site.target);
+        let file = site.place.split(':').next().unwrap_or(&site.place);
+        let known = KNOWN.iter().find(|(known, _)| *known == file && site.origin != Origin::Core);
+        let why = known.map_or("NOT KNOWN: it must go, or be shown to be out of reach", |(_, why)| why);
+        println!("  {:<24} {} -> {}\n{:27}{why}", site.origin.to_string(), site.place, site.target, "");
+        faults += usize::from(known.is_none());
     }
-    Ok(sites.iter().filter(|site| site.origin == Origin::Core).count())
+    if faults > 0 {
+        return Err(format!("{faults} panic paths of {} are not known to be out of reach", image.name()));
+    }
+    Ok(())
 }

@@ -6,9 +6,13 @@
 #![no_main]
 
 use bcap_core::bcap::call::{self, Call, Reply};
+use bcap_core::bcap::client::{self, Client};
+use bcap_core::bcap::server::{self, Handler, Request, Session};
 use bcap_core::bcap::{Decoder, Frame, FrameWriter, FunctionId, Progress};
 use bcap_core::error::EncodeError;
+use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::limits::{Limits, Strictness};
+use bcap_core::time::Instant;
 use bcap_core::variant::{Bstr, Variant, VariantBuf};
 use no_panic_image::{entry, read_all, write_all};
 
@@ -27,6 +31,15 @@ fn main() -> i32 {
         }
     }
     seen = seen.wrapping_add(calls(input).unwrap_or(0));
+    for (client, server) in [
+        (client::Config::TCP, server::Config::TCP),
+        (client::Config::UDP, server::Config::UDP),
+        (client::Config::SERIAL, server::Config::SERIAL),
+    ] {
+        let mut client = Client::new(client, [0; 512], [0; 512]);
+        let mut session = Session::<_, _, 8>::new(server, [0; 512], [0; 512]);
+        seen = seen.wrapping_add(converse(&mut client, &mut session, input));
+    }
     i32::from(seen == 0)
 }
 
@@ -132,4 +145,86 @@ fn send<C: Call>(call: &C) -> Option<u32> {
     call.arguments(&mut writer).ok()?;
     let bytes = writer.finish(1, 0, call.function().0).ok()?;
     u32::try_from(bytes.len()).ok()
+}
+
+/// A controller that answers with what it was asked.
+struct Echo;
+
+impl Handler for Echo {
+    fn call(&mut self, _: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        if request.int(1) == 1 && !request.resumed {
+            return Outcome::Wait(now);
+        }
+        let numbers = request.float(2) > 1.0 || request.text(1).is_unicode();
+        let set = if request.function.opens().is_some() || numbers {
+            reply.set(&request.handle())
+        } else {
+            reply.set(&request.value(1))
+        };
+        match set {
+            Ok(()) => bcap_core::hresult::HResult::S_OK.into(),
+            Err(_) => bcap_core::hresult::HResult::E_TOO_MUCH_DATA.into(),
+        }
+    }
+}
+
+type BoardClient = Client<[u8; 512]>;
+type BoardSession = Session<[u8; 512], [u8; 512], 8>;
+
+/// Lets a client call a server, with garbage from the input in between; returns how many calls had a reply.
+fn converse(client: &mut BoardClient, session: &mut BoardSession, input: &[u8]) -> u32 {
+    let mut replies = 0_u32;
+    let mut text = [0; 32];
+    let name = input.get(..16).and_then(Bstr::from_utf16le).and_then(|name| name.to_str(&mut text)).unwrap_or("");
+    let mut rest = input;
+    for millis in 0..200_u64 {
+        let (now, number) = (Instant::from_millis(millis.wrapping_mul(100)), i32::try_from(millis % 8).unwrap_or(0));
+        let started = match millis % 5 {
+            0 => client.start(&call::service_start("WDT=400"), now),
+            1 => client.start(&call::controller_connect(name, name, name, ""), now),
+            2 => client.start(&call::controller_get_robot(call::ControllerHandle(0), name, ""), now),
+            3 => client.start(&call::variable_put_value(call::VariableHandle(number), [1.5; 8]), now),
+            _ => client.start(&call::service_stop(), now),
+        };
+        replies = replies.wrapping_add(u32::from(started.is_err()));
+        let sent = carry(client.transmit(), session.receive_buffer());
+        client.transmitted(sent);
+        session.received(sent);
+        while session.run(&mut Echo, PeerId(1), now).is_some() {
+            let sent = carry(session.transmit(), client.receive_buffer());
+            session.transmitted(sent);
+            client.received(sent);
+            while let Some(event) = client.poll_event(now) {
+                let value = client.value::<call::Any>().is_ok() && client.value::<call::Int>().is_ok();
+                replies = replies.wrapping_add(u32::from(matches!(event, client::Event::Replied(_)) && value));
+            }
+        }
+        // garbage goes to both ends, at lengths that the input itself gives
+        let (garbage, behind) =
+            rest.split_at_checked(usize::from(rest.first().copied().unwrap_or(0))).unwrap_or_default();
+        rest = behind;
+        let count = carry(garbage, session.receive_buffer());
+        session.received(count);
+        let count = carry(garbage, client.receive_buffer());
+        client.received(count);
+        while client.poll_event(now).is_some() {}
+        if client.poll_timeout().is_some_and(|at| at <= now) && client.handle_timeout(now).is_some() {
+            client.abandon();
+        }
+        if session.is_finished() || client.is_closed() {
+            session.close(&mut Echo, PeerId(1), now);
+            *session = Session::new(server::Config::TCP, [0; 512], [0; 512]);
+            client.reset();
+        }
+    }
+    replies
+}
+
+/// Copies what fits from one end to the other.
+fn carry(from: &[u8], to: &mut [u8]) -> usize {
+    let count = from.len().min(to.len());
+    for (to, from) in to.iter_mut().zip(from) {
+        *to = *from;
+    }
+    count
 }

@@ -1,21 +1,28 @@
-//! The text of values, and RAC.
+//! The text of values, and RAC: reads lines from standard input, and writes those again that were understood.
 #![no_std]
 #![no_main]
 
-use no_panic_image::{entry, read_all};
+use bcap_core::variant::VariantBuf;
+use no_panic_image::{entry, read_all, write_all};
 
 entry!(main);
 
 fn main() -> i32 {
-    let mut input = [0; 512];
-    let input = read_all(&mut input);
-    let mut x = [0; 32];
-    let mut d = core::hint::black_box(5.0f64);
-    if let Ok(s) = core::str::from_utf8(input) {
-        if let Ok(f) = s.parse::<f64>() {
-            d = f;
-        }
-        let _ = x[..s.len()].copy_from_slice(&input[..s.len()]);
+    let mut input = [0; 16 * 1024];
+    for line in read_all(&mut input).split(|byte| *byte == b'\n') {
+        values(line);
     }
-    i32::from(d > 1.0)
+    0
+}
+
+/// Parses a line as a value and prints it again.
+fn values(line: &[u8]) {
+    let mut buffer = [0; 1024];
+    let value = VariantBuf::<512>::parse_text(line);
+    if let Ok(value) = value
+        && let Ok(text) = value.as_variant().to_text(&mut buffer)
+    {
+        write_all(text.as_bytes());
+        write_all(b"\n");
+    }
 }
