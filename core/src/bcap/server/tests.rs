@@ -46,7 +46,7 @@ impl Handler for Recorder {
 }
 
 struct Bench {
-    session: Session<Vec<u8>, Vec<u8>, 4>,
+    session: Session<[u8; 512], [u8; 1024], 4>,
     handler: Recorder,
     decoder: Decoder,
     events: Vec<Event>,
@@ -65,7 +65,7 @@ fn frame(call: &impl Call, serial: u16, reserved: u16, crc: bool) -> Vec<u8> {
 
 impl Bench {
     fn new(config: Config) -> Self {
-        let session = Session::new(config, std::vec![0; 512], std::vec![0; 1024]);
+        let session = Session::new(config, [0; 512], [0; 1024]);
         Self { session, handler: Recorder::default(), decoder: config.link.decoder(), events: Vec::new() }
     }
 
