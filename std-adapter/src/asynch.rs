@@ -1,0 +1,172 @@
+//! Clients for tokio.
+//!
+//! The same as [`blocking`](crate::blocking), awaited: a [`Connection`] of the core over tokio's sockets. Its calls may be
+//! dropped at any point; the next call finds the connection in order.
+
+use std::fmt::Debug;
+use std::io;
+use std::net::SocketAddr;
+
+use bcap_core::bcap::Client;
+pub use bcap_core::io::asynch::{Connection, Transport};
+use bcap_core::time::Instant;
+use socket2::SockRef;
+use tokio::net::{TcpStream, ToSocketAddrs, UdpSocket, lookup_host};
+use tokio::time::timeout;
+
+use crate::clock::{now, until};
+use crate::connect::{self, ConnectError, DATAGRAM_ROOM, Options, STREAM_ROOM};
+
+/// A client over TCP.
+pub type TcpClient = Connection<TcpTransport, Vec<u8>>;
+/// A client over UDP.
+pub type UdpClient = Connection<UdpTransport, Vec<u8>>;
+
+/// Connects a client over TCP.
+///
+/// # Errors
+///
+/// A [`ConnectError`] for the last address that was tried.
+///
+/// # Cancel safety
+///
+/// When the future is dropped the connection is.
+pub async fn connect_tcp<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Result<TcpClient, ConnectError> {
+    let transport = TcpTransport::new(connect_stream(peer, options).await?);
+    let client = Client::new(options.tcp, vec![0; STREAM_ROOM], vec![0; STREAM_ROOM]);
+    Ok(Connection::new(transport, client))
+}
+
+/// Connects a TCP stream and sets it up for short messages.
+pub(crate) async fn connect_stream<A: ToSocketAddrs + Debug>(
+    peer: A,
+    options: &Options,
+) -> Result<TcpStream, ConnectError> {
+    let addresses = addresses(peer).await?;
+    let mut failed = None;
+    for address in addresses {
+        let connecting = timeout(options.connect_timeout, TcpStream::connect(address));
+        let source = match connecting.await {
+            Ok(Ok(stream)) => {
+                connect::set_up_tcp(SockRef::from(&stream), options.keep_alive).map_err(ConnectError::Setup)?;
+                return Ok(stream);
+            }
+            Ok(Err(source)) => source,
+            Err(_) => io::ErrorKind::TimedOut.into(),
+        };
+        failed = Some(ConnectError::Connect { address, source });
+    }
+    // there was an address, so there is a failure
+    Err(failed.unwrap_or_else(|| ConnectError::Setup(connect::no_address())))
+}
+
+/// Makes a client over UDP; nothing is sent before the first call.
+///
+/// # Errors
+///
+/// A [`ConnectError`] when the name has no address or there is no socket to be had.
+pub async fn connect_udp<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Result<UdpClient, ConnectError> {
+    let socket = connect::udp(&addresses(peer).await?[..])?;
+    socket.set_nonblocking(true).map_err(ConnectError::Setup)?;
+    let socket = UdpSocket::from_std(socket).map_err(ConnectError::Setup)?;
+    let client = Client::new(options.udp, vec![0; DATAGRAM_ROOM], vec![0; DATAGRAM_ROOM]);
+    Ok(Connection::new(UdpTransport::new(socket), client))
+}
+
+/// Looks a name up; it has at least one address.
+async fn addresses<A: ToSocketAddrs + Debug>(peer: A) -> Result<Vec<SocketAddr>, ConnectError> {
+    let name = format!("{peer:?}");
+    let found = match lookup_host(peer).await {
+        Ok(found) => found.collect::<Vec<_>>(),
+        Err(source) => return Err(ConnectError::Resolve { name, source }),
+    };
+    if found.is_empty() {
+        return Err(ConnectError::Resolve { name, source: connect::no_address() });
+    }
+    Ok(found)
+}
+
+/// A TCP stream as a transport; made by [`connect_tcp`], or of any connected stream.
+#[derive(Debug)]
+pub struct TcpTransport {
+    stream: TcpStream,
+}
+
+impl TcpTransport {
+    /// Takes a connected stream.
+    #[must_use]
+    pub const fn new(stream: TcpStream) -> Self {
+        Self { stream }
+    }
+
+    /// Returns the stream.
+    #[must_use]
+    pub const fn stream(&self) -> &TcpStream {
+        &self.stream
+    }
+}
+
+/// A UDP socket with one peer as a transport; made by [`connect_udp`], or of any connected socket.
+#[derive(Debug)]
+pub struct UdpTransport {
+    socket: UdpSocket,
+}
+
+impl UdpTransport {
+    /// Takes a connected socket.
+    #[must_use]
+    pub const fn new(socket: UdpSocket) -> Self {
+        Self { socket }
+    }
+
+    /// Returns the socket.
+    #[must_use]
+    pub const fn socket(&self) -> &UdpSocket {
+        &self.socket
+    }
+}
+
+/// Waits for `work` until it is `at`.
+async fn within(at: Instant, work: impl Future<Output = io::Result<usize>>) -> io::Result<Option<usize>> {
+    match timeout(until(at), work).await {
+        Ok(done) => done.map(Some),
+        Err(_) => Ok(None),
+    }
+}
+
+impl Transport for TcpTransport {
+    type Error = io::Error;
+
+    fn now(&self) -> Instant {
+        now()
+    }
+
+    async fn send(&mut self, bytes: &[u8], until: Instant) -> io::Result<Option<usize>> {
+        // there is almost always room for a request, so no timer is set up for it
+        match self.stream.try_write(bytes) {
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+            done => return done.map(Some),
+        }
+        within(until, tokio::io::AsyncWriteExt::write(&mut self.stream, bytes)).await
+    }
+
+    async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
+        within(until, tokio::io::AsyncReadExt::read(&mut self.stream, buffer)).await
+    }
+}
+
+impl Transport for UdpTransport {
+    type Error = io::Error;
+
+    fn now(&self) -> Instant {
+        now()
+    }
+
+    async fn send(&mut self, bytes: &[u8], until: Instant) -> io::Result<Option<usize>> {
+        within(until, self.socket.send(bytes)).await
+    }
+
+    async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
+        within(until, self.socket.recv(buffer)).await
+    }
+}

@@ -1,0 +1,142 @@
+//! How a client reaches its peer: options, names and addresses, and what can go wrong on the way.
+
+use std::fmt::Debug;
+use std::io;
+use std::net::{SocketAddr, TcpStream, ToSocketAddrs, UdpSocket};
+use std::time::Duration;
+
+use bcap_core::bcap::client::Config;
+use bcap_core::limits::UDP_RECEIVE_MAX;
+use socket2::{SockRef, TcpKeepalive};
+
+/// How to connect.
+///
+/// The defaults are those of the core ([`Config::TCP`], [`Config::UDP`]), 3 s to connect, and keep-alive probes after
+/// 60 s of silence, by which a peer that vanished is noticed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Options {
+    /// How long connecting may take for each address of a name.
+    pub connect_timeout: Duration,
+    /// The time limits of TCP calls and how forgiving the client is.
+    pub tcp: Config,
+    /// The time limits and attempts of UDP calls.
+    pub udp: Config,
+    /// The silence on TCP after which the operating system probes the peer; `None` never does.
+    pub keep_alive: Option<Duration>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            connect_timeout: Duration::from_secs(3),
+            tcp: Config::TCP,
+            udp: Config::UDP,
+            keep_alive: Some(Duration::from_secs(60)),
+        }
+    }
+}
+
+impl Options {
+    /// Returns options in which connecting, and each attempt of a call, may take so long.
+    #[must_use]
+    pub const fn timeout(self, timeout: Duration) -> Self {
+        Self {
+            connect_timeout: timeout,
+            tcp: Config { attempt_timeout: timeout, ..self.tcp },
+            udp: Config { attempt_timeout: timeout, ..self.udp },
+            ..self
+        }
+    }
+}
+
+/// Why there is no connection.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ConnectError {
+    /// The name has no address, or could not be looked up.
+    #[error("the address {name} cannot be found")]
+    Resolve {
+        /// The name, as it was given.
+        name: String,
+        /// What the look-up said.
+        source: io::Error,
+    },
+    /// No address of the name took the connection; the last one's reason.
+    #[error("cannot connect to {address}")]
+    Connect {
+        /// The address that was tried last.
+        address: SocketAddr,
+        /// What the operating system said.
+        source: io::Error,
+    },
+    /// An option of the socket could not be set.
+    #[error("cannot set up the socket")]
+    Setup(#[source] io::Error),
+}
+
+impl ConnectError {
+    /// Tells whether the peer did not answer in time.
+    #[must_use]
+    pub fn is_timeout(&self) -> bool {
+        matches!(self, Self::Connect { source, .. } if source.kind() == io::ErrorKind::TimedOut)
+    }
+}
+
+/// Looks a name up and tries its addresses in turn.
+pub(crate) fn first_address<A: ToSocketAddrs + Debug, T>(
+    name: A,
+    mut connect: impl FnMut(SocketAddr) -> io::Result<T>,
+) -> Result<T, ConnectError> {
+    let written = format!("{name:?}");
+    let unresolved = |source| ConnectError::Resolve { name: written.clone(), source };
+    let mut last = None;
+    for address in name.to_socket_addrs().map_err(unresolved)? {
+        match connect(address) {
+            Ok(connected) => return Ok(connected),
+            Err(source) => last = Some(ConnectError::Connect { address, source }),
+        }
+    }
+    Err(last.unwrap_or_else(|| unresolved(no_address())))
+}
+
+pub(crate) fn no_address() -> io::Error {
+    io::Error::new(io::ErrorKind::NotFound, "the name has no address")
+}
+
+/// Connects a TCP stream and sets it up for short messages.
+pub(crate) fn tcp<A: ToSocketAddrs + Debug>(name: A, options: &Options) -> Result<TcpStream, ConnectError> {
+    let stream = first_address(name, |address| TcpStream::connect_timeout(&address, options.connect_timeout))?;
+    set_up_tcp(SockRef::from(&stream), options.keep_alive).map_err(ConnectError::Setup)?;
+    Ok(stream)
+}
+
+/// Sets a TCP socket up for short messages: no delay, and probes of a silent peer.
+pub(crate) fn set_up_tcp(socket: SockRef<'_>, keep_alive: Option<Duration>) -> io::Result<()> {
+    socket.set_tcp_nodelay(true)?;
+    match keep_alive {
+        Some(time) => {
+            let probes = TcpKeepalive::new().with_time(time).with_interval(time.min(Duration::from_secs(10)));
+            socket.set_tcp_keepalive(&probes)
+        }
+        None => socket.set_keepalive(false),
+    }
+}
+
+/// Makes a UDP socket that hears one peer only: datagrams from elsewhere are dropped by the operating system.
+pub(crate) fn udp<A: ToSocketAddrs + Debug>(name: A) -> Result<UdpSocket, ConnectError> {
+    first_address(name, |address| {
+        let any: SocketAddr = if address.is_ipv4() {
+            (std::net::Ipv4Addr::UNSPECIFIED, 0).into()
+        } else {
+            (std::net::Ipv6Addr::UNSPECIFIED, 0).into()
+        };
+        let socket = UdpSocket::bind(any)?;
+        socket.connect(address)?;
+        Ok(socket)
+    })
+}
+
+/// Memory for one datagram: a byte more than is accepted, so that a longer one shows.
+pub(crate) const DATAGRAM_ROOM: usize = UDP_RECEIVE_MAX + 1;
+/// Memory that a stream's client begins with; it grows with its frames.
+pub(crate) const STREAM_ROOM: usize = 1024;

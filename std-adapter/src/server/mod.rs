@@ -1,0 +1,188 @@
+//! A server for tokio: b-CAP over TCP and UDP, RAC over TCP, for any handler.
+//!
+//! ```text
+//!   TCP listener ─► a task for each connection ─┐
+//!   UDP socket ───► one task for all peers ─────┼─► the handler, one call at a time
+//!   RAC listener ─► a task for each connection ─┘
+//! ```
+//!
+//! The protocol is the core's: a [`Session`](bcap_core::bcap::server::Session) for each peer. No thread is made for a
+//! request, and nothing is polled: a task sleeps until bytes come, a deadline of its session is due, or, while its
+//! handler waits, another request has changed something.
+//!
+//! What one peer can cost is bounded by [`Limits`]: the connections, what a connection may leave unfinished, its
+//! objects. A connection over the limit is told so (E_MAX_CONNECT) and closed.
+//!
+//! # Examples
+//!
+//! ```no_run
+//! # use bcap_core::bcap::server::Handler;
+//! # async fn example(controller: impl Handler + Send + 'static) -> std::io::Result<()> {
+//! use bcap_std::server::Server;
+//!
+//! let server = Server::new(controller).bcap_tcp("0.0.0.0:5007").await?.bcap_udp("0.0.0.0:5007").await?;
+//! println!("listening on {:?}", server.addresses());
+//! server.run(async { tokio::signal_that_ends_it().await }).await
+//! # }
+//! # mod tokio { pub async fn signal_that_ends_it() {} }
+//! ```
+
+mod shared;
+mod tcp;
+mod udp;
+
+use std::io;
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use bcap_core::bcap::server::Handler;
+use tokio::net::{TcpListener, ToSocketAddrs, UdpSocket};
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+
+use shared::Shared;
+
+/// What peers can use up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Connections at the same time, b-CAP and RAC each.
+    pub connections: usize,
+    /// UDP peers at the same time; one that was silent for [`udp_idle`](Self::udp_idle) makes room for another.
+    pub udp_peers: usize,
+    /// The silence after which a UDP peer may be forgotten when another wants its place.
+    pub udp_idle: Duration,
+    /// The silence after which a UDP peer is forgotten in any case, and its objects are released.
+    pub udp_lost: Duration,
+    /// How long a request may take to arrive once its first byte has.
+    pub receive: Duration,
+    /// How long a peer may take to accept a reply.
+    pub send: Duration,
+    /// Bytes of a request at most.
+    pub frame: u32,
+    /// The silence on TCP after which the operating system probes the peer.
+    pub keep_alive: Option<Duration>,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            connections: 256,
+            udp_peers: 32,
+            udp_idle: Duration::from_secs(10),
+            udp_lost: Duration::from_secs(600),
+            receive: Duration::from_secs(30),
+            send: Duration::from_secs(10),
+            frame: bcap_core::limits::Limits::STREAM.frame,
+            keep_alive: Some(Duration::from_secs(60)),
+        }
+    }
+}
+
+/// A server that listens, and serves when it is run.
+#[derive(Debug)]
+pub struct Server<H> {
+    shared: Arc<Shared<H>>,
+    limits: Limits,
+    bcap: Vec<TcpListener>,
+    udp: Vec<UdpSocket>,
+}
+
+/// Where a server listens.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Addresses {
+    /// b-CAP over TCP.
+    pub bcap_tcp: Vec<SocketAddr>,
+    /// b-CAP over UDP.
+    pub bcap_udp: Vec<SocketAddr>,
+}
+
+impl<H: Handler + Send + 'static> Server<H> {
+    /// Makes a server that listens nowhere yet.
+    #[must_use]
+    pub fn new(handler: H) -> Self {
+        Self::with_shared(Arc::new(Mutex::new(handler)))
+    }
+
+    /// Makes a server of a handler that others look into as well, such as a display of its state.
+    ///
+    /// The lock is held for the time of one call; whoever else takes it must be as short.
+    #[must_use]
+    pub fn with_shared(handler: Arc<Mutex<H>>) -> Self {
+        Self { shared: Arc::new(Shared::new(handler)), limits: Limits::default(), bcap: Vec::new(), udp: Vec::new() }
+    }
+
+    /// Changes the limits.
+    #[must_use]
+    pub fn limits(self, limits: Limits) -> Self {
+        Self { limits, ..self }
+    }
+
+    /// Listens for b-CAP over TCP; port 0 takes a free one.
+    ///
+    /// # Errors
+    ///
+    /// When the address cannot be had.
+    pub async fn bcap_tcp<A: ToSocketAddrs>(mut self, address: A) -> io::Result<Self> {
+        self.bcap.push(TcpListener::bind(address).await?);
+        Ok(self)
+    }
+
+    /// Listens for b-CAP over UDP; port 0 takes a free one.
+    ///
+    /// # Errors
+    ///
+    /// When the address cannot be had.
+    pub async fn bcap_udp<A: ToSocketAddrs>(mut self, address: A) -> io::Result<Self> {
+        self.udp.push(UdpSocket::bind(address).await?);
+        Ok(self)
+    }
+
+    /// Returns where the server listens.
+    #[must_use]
+    pub fn addresses(&self) -> Addresses {
+        Addresses {
+            bcap_tcp: self.bcap.iter().filter_map(|l| l.local_addr().ok()).collect(),
+            bcap_udp: self.udp.iter().filter_map(|s| s.local_addr().ok()).collect(),
+        }
+    }
+
+    /// Serves until `shutdown` is ready; then releases what peers have open and closes their connections.
+    ///
+    /// # Errors
+    ///
+    /// When a socket that it listens on fails for good.
+    ///
+    /// # Cancel safety
+    ///
+    /// When the future is dropped everything ends at once, and the handler does not learn that its peers have gone.
+    pub async fn run(self, shutdown: impl Future<Output = ()>) -> io::Result<()> {
+        let (stop, stopped) = watch::channel(());
+        let mut tasks = JoinSet::new();
+        for listener in self.bcap {
+            tasks.spawn(tcp::listen(listener, Arc::clone(&self.shared), self.limits, stopped.clone()));
+        }
+        for socket in self.udp {
+            tasks.spawn(udp::serve(socket, Arc::clone(&self.shared), self.limits, stopped.clone()));
+        }
+        let mut result = tokio::select! {
+            () = shutdown => Ok(()),
+            ended = tasks.join_next(), if !tasks.is_empty() => outcome(ended),
+        };
+        // every task sees that the sender is gone
+        drop((stop, stopped));
+        while let Some(ended) = tasks.join_next().await {
+            result = result.and(outcome(Some(ended)));
+        }
+        result
+    }
+}
+
+/// Returns how a listening task has ended.
+fn outcome(ended: Option<Result<io::Result<()>, tokio::task::JoinError>>) -> io::Result<()> {
+    match ended {
+        Some(Ok(result)) => result,
+        Some(Err(error)) => Err(io::Error::other(error)),
+        None => Ok(()),
+    }
+}

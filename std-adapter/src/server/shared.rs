@@ -1,0 +1,93 @@
+//! What all tasks of a server share: the handler, the numbers of peers, and the news that something has changed.
+
+use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use bcap_core::handler::PeerId;
+use tokio::sync::watch;
+
+/// A handler that many tasks call, one at a time.
+#[derive(Debug)]
+pub(super) struct Shared<H> {
+    handler: Arc<Mutex<H>>,
+    next_peer: AtomicU32,
+    /// Tasks whose handler waits.
+    waiting: AtomicUsize,
+    /// Changes whenever a request has been carried out while others wait.
+    changed: watch::Sender<()>,
+}
+
+impl<H> Shared<H> {
+    pub(super) fn new(handler: Arc<Mutex<H>>) -> Self {
+        let (changed, _) = watch::channel(());
+        Self { handler, next_peer: AtomicU32::new(1), waiting: AtomicUsize::new(0), changed }
+    }
+
+    /// Returns a number that no peer has had before.
+    pub(super) fn next_peer(&self) -> PeerId {
+        PeerId(self.next_peer.fetch_add(1, Ordering::Relaxed))
+    }
+
+    /// Takes the handler. One that panicked in a call before is used on: its other peers shall not suffer.
+    pub(super) fn handler(&self) -> MutexGuard<'_, H> {
+        self.handler.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Tells those who wait that something may have changed.
+    pub(super) fn has_changed(&self) {
+        if self.waiting.load(Ordering::Acquire) > 0 {
+            self.changed.send_replace(());
+        }
+    }
+
+    /// Listens for changes from now on.
+    pub(super) fn changes(self: &Arc<Self>) -> Changes<H> {
+        Changes { changed: self.changed.subscribe(), shared: Arc::clone(self), waiting: false }
+    }
+}
+
+/// A task's ear for changes.
+#[derive(Debug)]
+pub(super) struct Changes<H> {
+    changed: watch::Receiver<()>,
+    shared: Arc<Shared<H>>,
+    waiting: bool,
+}
+
+impl<H> Changes<H> {
+    /// Says whether this task waits for changes; it must say so before it asks its handler, not to miss one.
+    pub(super) fn wait(&mut self, waiting: bool) {
+        if waiting != self.waiting {
+            self.waiting = waiting;
+            let count = &self.shared.waiting;
+            if waiting {
+                count.fetch_add(1, Ordering::AcqRel);
+                self.changed.mark_unchanged();
+            } else {
+                count.fetch_sub(1, Ordering::AcqRel);
+            }
+        }
+    }
+
+    /// Tells whether this task waits for changes.
+    pub(super) const fn is_waiting(&self) -> bool {
+        self.waiting
+    }
+
+    /// Waits for the next change; for ever while this task does not wait for any.
+    ///
+    /// # Cancel safety
+    ///
+    /// A change that was not returned is returned next time.
+    pub(super) async fn next(&mut self) {
+        if !self.waiting || self.changed.changed().await.is_err() {
+            std::future::pending().await
+        }
+    }
+}
+
+impl<H> Drop for Changes<H> {
+    fn drop(&mut self) {
+        self.wait(false);
+    }
+}

@@ -1,0 +1,281 @@
+//! Clients of both kinds against the server, over real sockets on the loopback.
+#![cfg(feature = "server")]
+
+use std::collections::HashMap;
+use std::io::{Read as _, Write as _};
+use std::net::{SocketAddr, TcpStream};
+use std::time::Duration;
+
+use bcap_core::bcap::call::{self, VariableHandle};
+use bcap_core::bcap::client::{ClientError, Config, Timeout};
+use bcap_core::bcap::server::{Handler, Request};
+use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::handler::{Outcome, PeerId, ReplyValue};
+use bcap_core::hresult::HResult;
+use bcap_core::io::CallError;
+use bcap_core::time::Instant;
+use bcap_core::variant::{Variant, VariantBuf};
+use bcap_std::server::{Limits, Server};
+use bcap_std::{Options, asynch, blocking};
+use tokio::sync::oneshot;
+
+/// Variables by number, a Halt that waits until somebody writes variable 9, and a list of who has gone.
+#[derive(Default)]
+struct Store {
+    values: HashMap<i32, VariantBuf<512>>,
+    next_handle: i32,
+    names: HashMap<i32, i32>,
+    left: Vec<PeerId>,
+    released: Vec<i32>,
+    executed: usize,
+}
+
+impl Handler for Store {
+    fn call(&mut self, _: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, _: Instant) -> Outcome {
+        self.executed += 1;
+        match request.function {
+            FunctionId::CONTROLLER_GET_VARIABLE => {
+                self.next_handle += 1;
+                let number = request.text(1).to_string().parse().unwrap_or(0);
+                self.names.insert(self.next_handle, number);
+                let _ = reply.set(&self.next_handle);
+            }
+            FunctionId::VARIABLE_GET_VALUE => {
+                if let Some(value) = self.names.get(&request.handle()).and_then(|n| self.values.get(n)) {
+                    let _ = reply.set(value);
+                }
+            }
+            FunctionId::VARIABLE_PUT_VALUE => {
+                let Ok(value) = VariantBuf::new(&request.value(1)) else { return HResult::E_OUTOFMEMORY.into() };
+                self.values.insert(self.names[&request.handle()], value);
+            }
+            FunctionId::CONTROLLER_EXECUTE if !self.values.contains_key(&9) => {
+                return Outcome::Wait(Instant::FAR_FUTURE);
+            }
+            FunctionId::CONTROLLER_EXECUTE => {}
+            function if function.opens().is_some_and(|object| object != Object::Service) => {
+                self.next_handle += 1;
+                let _ = reply.set(&self.next_handle);
+            }
+            function if function.releases().is_some() => self.released.push(request.handle()),
+            FunctionId::SERVICE_START => {}
+            _ => return HResult::E_NOTIMPL.into(),
+        }
+        HResult::S_OK.into()
+    }
+
+    fn left(&mut self, peer: PeerId, _: Instant) {
+        self.left.push(peer);
+    }
+}
+
+/// A server in a thread of its own; it stops when this is dropped.
+struct Running {
+    tcp: SocketAddr,
+    udp: SocketAddr,
+    store: std::sync::Arc<std::sync::Mutex<Store>>,
+    stop: Option<oneshot::Sender<()>>,
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+fn start(limits: Limits) -> Running {
+    let store = std::sync::Arc::default();
+    let handler = std::sync::Arc::clone(&store);
+    let (stop, stopped) = oneshot::channel();
+    let (tell, addresses) = std::sync::mpsc::channel();
+    let thread = std::thread::spawn(move || {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        runtime.block_on(async {
+            let server = Server::with_shared(handler).limits(limits);
+            let server = server.bcap_tcp("127.0.0.1:0").await.unwrap().bcap_udp("127.0.0.1:0").await.unwrap();
+            tell.send(server.addresses()).unwrap();
+            let shutdown = async {
+                let _ = stopped.await;
+            };
+            server.run(shutdown).await.unwrap();
+        });
+    });
+    let addresses = addresses.recv().unwrap();
+    let (tcp, udp) = (addresses.bcap_tcp[0], addresses.bcap_udp[0]);
+    Running { tcp, udp, store, stop: Some(stop), thread: Some(thread) }
+}
+
+impl Running {
+    /// Stops the server and waits for its end.
+    fn stop(&mut self) {
+        drop(self.stop.take());
+        if let Some(thread) = self.thread.take() {
+            thread.join().unwrap();
+        }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.stop();
+    }
+}
+
+/// Connects, writes a variable and reads it back.
+macro_rules! session {
+    ($client:expr, $name:literal $($wait:tt)*) => {{
+        let client = &mut $client;
+        client.call(call::service_start("WDT=100"))$($wait)*.unwrap();
+        let controller = client.call(call::controller_connect("", "", "", ""))$($wait)*.unwrap();
+        let variable = client.call(call::controller_get_variable(controller, $name, ""))$($wait)*.unwrap();
+        for n in 0..50 {
+            client.call(call::variable_put_value(variable, [n, -n]))$($wait)*.unwrap();
+            let value = client.call(call::variable_get_value(variable))$($wait)*.unwrap();
+            assert_eq!(value.as_array().and_then(|a| a.items::<i32>()).and_then(|i| i.to_array()), Some([n, -n]));
+        }
+        let error = client.call(call::controller_get_name(controller))$($wait)*.unwrap_err();
+        assert_eq!(error.hresult(), Some(HResult::E_NOTIMPL));
+        let error = client.call(call::variable_get_value(VariableHandle(99)))$($wait)*.unwrap_err();
+        assert_eq!(error.hresult(), Some(HResult::E_HANDLE));
+        client.call(call::service_stop())$($wait)*.unwrap();
+    }};
+}
+
+#[test]
+fn blocking_clients_work_over_both_links_and_by_name() {
+    let server = start(Limits::default());
+    let options = Options::default();
+    session!(blocking::connect_tcp(server.tcp, &options).unwrap(), "1");
+    session!(blocking::connect_udp(server.udp, &options).unwrap(), "2");
+    session!(blocking::connect_tcp(("localhost", server.tcp.port()), &options).unwrap(), "1");
+}
+
+#[tokio::test]
+async fn tokio_clients_work_over_both_links_and_from_any_task() {
+    let server = start(Limits::default());
+    let (tcp, udp) = (server.tcp, server.udp);
+    let over_tcp = tokio::spawn(async move {
+        session!(asynch::connect_tcp(tcp, &Options::default()).await.unwrap(), "1".await);
+    });
+    let over_udp = tokio::spawn(async move {
+        session!(asynch::connect_udp(udp, &Options::default()).await.unwrap(), "2".await);
+    });
+    over_tcp.await.unwrap();
+    over_udp.await.unwrap();
+}
+
+#[test]
+fn a_large_value_grows_the_buffers() {
+    let server = start(Limits::default());
+    let mut client = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
+    client.call(call::service_start("")).unwrap();
+    let controller = client.call(call::controller_connect("", "", "", "")).unwrap();
+    let variable = client.call(call::controller_get_variable(controller, "1", "")).unwrap();
+    // larger than the store keeps, but the frame has to arrive whole to be refused so
+    let error = client.call(call::variable_put_value(variable, &vec![1.0; 200_000][..])).unwrap_err();
+    assert_eq!(error.hresult(), Some(HResult::E_OUTOFMEMORY));
+}
+
+#[test]
+fn a_call_that_waits_is_kept_alive_and_ends_when_another_changes_something() {
+    let server = start(Limits::default());
+    let options =
+        Options { tcp: Config { attempt_timeout: Duration::from_millis(400), ..Config::TCP }, ..Options::default() };
+    let address = server.tcp;
+    let waiting = std::thread::spawn(move || {
+        let mut client = blocking::connect_tcp(address, &options).unwrap();
+        client.call(call::service_start("WDT=80")).unwrap();
+        let controller = client.call(call::controller_connect("", "", "", "")).unwrap();
+        // longer than the attempt's timeout: only keep-alives make it possible
+        client.call(call::controller_execute(controller, "wait", ())).map(|v| v == Variant::Empty)
+    });
+    std::thread::sleep(Duration::from_millis(700));
+    let mut other = blocking::connect_udp(server.udp, &Options::default()).unwrap();
+    other.call(call::service_start("")).unwrap();
+    let controller = other.call(call::controller_connect("", "", "", "")).unwrap();
+    let variable = other.call(call::controller_get_variable(controller, "9", "")).unwrap();
+    other.call(call::variable_put_value(variable, 1)).unwrap();
+    assert!(waiting.join().unwrap().unwrap());
+}
+
+#[test]
+fn a_silent_peer_and_a_closed_port_are_told_apart() {
+    let silent = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let options = Options::default().timeout(Duration::from_millis(100));
+    let mut client = blocking::connect_tcp(silent.local_addr().unwrap(), &options).unwrap();
+    let error = client.call(call::service_start("")).unwrap_err();
+    assert!(matches!(error, CallError::Client(ClientError::Timeout(Timeout::Attempt))), "{error}");
+
+    let address = silent.local_addr().unwrap();
+    drop((client, silent));
+    let error = blocking::connect_tcp(address, &options).unwrap_err();
+    assert_eq!(error.to_string(), format!("cannot connect to {address}"));
+    assert!(!error.is_timeout());
+    let error = blocking::connect_tcp("no-such-host.invalid:5007", &options).unwrap_err();
+    assert_eq!(error.to_string(), "the address \"no-such-host.invalid:5007\" cannot be found");
+}
+
+#[test]
+fn a_connection_over_the_limit_is_told_so() {
+    let server = start(Limits { connections: 1, ..Limits::default() });
+    let mut first = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
+    first.call(call::service_start("")).unwrap();
+    let mut second = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
+    let error = second.call(call::service_start("")).unwrap_err();
+    assert_eq!(error.hresult(), Some(HResult::E_MAX_CONNECT));
+    first.call(call::controller_connect("", "", "", "")).unwrap();
+}
+
+#[test]
+fn a_udp_peer_over_the_limit_is_told_so() {
+    let server = start(Limits { udp_peers: 1, ..Limits::default() });
+    let mut first = blocking::connect_udp(server.udp, &Options::default()).unwrap();
+    first.call(call::service_start("")).unwrap();
+    let mut second = blocking::connect_udp(server.udp, &Options::default()).unwrap();
+    assert_eq!(second.call(call::service_start("")).unwrap_err().hresult(), Some(HResult::E_MAX_CONNECT));
+    first.call(call::controller_connect("", "", "", "")).unwrap();
+}
+
+#[test]
+fn what_a_peer_leaves_open_is_released_newest_first() {
+    let mut server = start(Limits::default());
+    let mut client = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
+    client.call(call::service_start("")).unwrap();
+    let controller = client.call(call::controller_connect("", "", "", "")).unwrap();
+    let first = client.call(call::controller_get_variable(controller, "1", "")).unwrap();
+    let second = client.call(call::controller_get_variable(controller, "2", "")).unwrap();
+    // the connection is still open when the server stops
+    server.stop();
+    let store = server.store.lock().unwrap();
+    assert_eq!(store.released, [second.0, first.0, controller.0, 0]);
+    assert_eq!(store.left.len(), 1);
+    drop(store);
+    assert!(matches!(client.call(call::service_stop()), Err(CallError::Disconnected | CallError::Io(_))));
+}
+
+#[test]
+fn a_bad_frame_is_answered_and_the_connection_closed() {
+    let server = start(Limits::default());
+    let mut stream = TcpStream::connect(server.tcp).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
+    stream.write_all(b"GET / HTTP/1.1\r\n\r\n").unwrap();
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).unwrap();
+    assert_eq!(answer, b"\x01\x10\0\0\0\0\0\0\0\x01\0\x01\x80\0\0\x04");
+    session!(blocking::connect_tcp(server.tcp, &Options::default()).unwrap(), "1");
+}
+
+#[test]
+fn a_request_that_does_not_arrive_whole_is_given_up() {
+    let server = start(Limits { receive: Duration::from_millis(150), ..Limits::default() });
+    let mut stream = TcpStream::connect(server.tcp).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
+    stream.write_all(b"\x01").unwrap();
+    assert_eq!(stream.read(&mut [0; 16]).unwrap(), 0);
+}
+
+#[test]
+fn datagrams_of_any_kind_do_not_stop_the_service() {
+    let server = start(Limits::default());
+    let socket = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+    for garbage in [&b""[..], b"\x01", b"hello", &[1; 600], &[0xff; 504]] {
+        socket.send_to(garbage, server.udp).unwrap();
+    }
+    session!(blocking::connect_udp(server.udp, &Options::default()).unwrap(), "2");
+    assert_eq!(server.store.lock().unwrap().left.len(), 0, "garbage makes no peers");
+}
