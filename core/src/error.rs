@@ -305,6 +305,7 @@ impl TextError {
     /// | has an unknown verb, part or variable type  | `E_INVALIDCOMMAND`         |
     /// | has a bad index, or a colon or value missing or too much | `E_INVALIDARG` |
     /// | has a value that cannot be read             | `E_INVALIDARGTYPE`         |
+    /// | has a value that the server has no room for | `E_ARGSIZEOVER`            |
     /// | is over 256 bytes                           | `E_PACKETSIZEOVER`         |
     #[must_use]
     pub const fn hresult(&self) -> HResult {
@@ -315,6 +316,7 @@ impl TextError {
             | TextErrorKind::GetWithData
             | TextErrorKind::PutWithoutData => HResult::E_INVALIDARG,
             TextErrorKind::LineTooLong => HResult::E_PACKETSIZEOVER,
+            TextErrorKind::Full => HResult::E_ARGSIZEOVER,
             _ => HResult::E_INVALIDARGTYPE,
         }
     }

@@ -1,4 +1,91 @@
 //! RAC: lines of text that read and write the variables of a controller, over TCP port 5006.
+//!
+//! ```text
+//!  client                                   server
+//!  GET:RC8:10:I: CR           ─────────►
+//!                             ◄─────────    0,3,123 CR
+//!  PUT:RC8:10:F:4,123.01 CR   ─────────►
+//!                             ◄─────────    0 CR
+//! ```
+//!
+//! | layer                                        | what it guarantees                                                |
+//! |----------------------------------------------|-------------------------------------------------------------------|
+//! | [`LineFramer`]                               | lines of at most 256 bytes; a broken line never costs the stream  |
+//! | [`Request`], [`Response`]                    | a line is read whole or refused with part and column; what is written reads back the same |
+//! | [`client::Client`], [`server::Session`]      | one request at a time, every wait ends, no reply is taken for another's |
+//!
+//! The values of RAC are those of b-CAP, as [text](crate::variant::Variant::write_text). All memory is the caller's,
+//! or inside of the machines: 256 bytes for what comes, 256 for what goes, and what the caller gives for a value.
+//!
+//! # Examples
+//!
+//! A client reads a variable from a server:
+//!
+//! ```
+//! use bcap_core::handler::{Outcome, PeerId, ReplyValue};
+//! use bcap_core::hresult::HResult;
+//! use bcap_core::rac::client::{Client, Event};
+//! use bcap_core::rac::server::{Handler, Session};
+//! use bcap_core::rac::{Request, Variable, VariableKind};
+//! use bcap_core::time::Instant;
+//! use bcap_core::variant::Variant;
+//!
+//! /// A controller with one integer.
+//! struct Counter(i32);
+//!
+//! impl Handler for Counter {
+//!     fn call(&mut self, _: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, _: Instant) -> Outcome {
+//!         match *request {
+//!             Request::Get(Variable { kind: VariableKind::I, index: 0 }) => match reply.set(&self.0) {
+//!                 Ok(()) => HResult::S_OK.into(),
+//!                 Err(_) => HResult::E_FAIL.into(),
+//!             },
+//!             Request::Put(Variable { kind: VariableKind::I, index: 0 }, Variant::I4(n)) => {
+//!                 self.0 = n;
+//!                 HResult::S_OK.into()
+//!             }
+//!             _ => HResult::E_INVALIDARG.into(),
+//!         }
+//!     }
+//! }
+//!
+//! let mut counter = Counter(41);
+//! let (mut client, mut session) = (Client::new(Default::default(), [0; 64]), Session::new(Default::default(), [0; 64]));
+//! let now = Instant::ZERO;
+//!
+//! client.start(&Request::Get(Variable::new(VariableKind::I, 0)), now)?;
+//! // what a link would do
+//! let count = client.transmit().len();
+//! session.receive_buffer()[..count].copy_from_slice(client.transmit());
+//! session.received(count);
+//! client.transmitted(count);
+//! while session.run(&mut counter, PeerId(0), now).is_some() {}
+//! assert_eq!(session.transmit(), b"0,3,41\r");
+//! let count = session.transmit().len();
+//! client.receive_buffer()[..count].copy_from_slice(session.transmit());
+//! client.received(count);
+//! session.transmitted(count);
+//!
+//! assert_eq!(client.poll_event(now), Some(Event::Replied(HResult::S_OK)));
+//! assert_eq!(client.reply().and_then(|reply| reply.value), Some(Variant::I4(41)));
+//! # Ok::<(), bcap_core::rac::client::ClientError>(())
+//! ```
+
+pub mod client;
+mod line;
+mod request;
+mod response;
+pub mod server;
+
+pub use self::line::{Framed, LineFramer, MAX_LINE};
+pub use self::request::{Request, Variable, VariableKind};
+pub use self::response::Response;
 
 /// The port of RAC.
 pub const PORT: u16 = 5006;
+
+/// Bytes that hold any value which a line can carry; an array of 250 empty strings is the largest.
+pub const MAX_VALUE: usize = 1024;
+
+#[cfg(test)]
+mod tests;

@@ -50,7 +50,7 @@ mod bstr;
 mod buf;
 mod encode;
 mod scalar;
-mod text;
+pub(crate) mod text;
 
 pub use self::array::{Array, Items, Scalar};
 pub use self::bstr::Bstr;

@@ -247,7 +247,7 @@ pub(crate) fn parse(text: &[u8], out: &mut Writer<'_>) -> Result<(), TextError> 
 }
 
 /// `value = blanks type [ "," data ]`, with `"(" value ")" blanks` for VARIANTs, down and up again
-fn value(text: &[u8], out: &mut Writer<'_>) -> Result<(), Fault> {
+pub(crate) fn value(text: &[u8], out: &mut Writer<'_>) -> Result<(), Fault> {
     let mut levels = [Level::default(); OUTER];
     let mut depth = 0_usize;
     let mut rest = text;

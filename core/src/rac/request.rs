@@ -1,0 +1,293 @@
+//! Requests: the lines with which a client reads and writes variables.
+//!
+//! ```text
+//!  GET:RC8:10:I:                     read integer variable 10
+//!  PUT:RC8:10:P:8196,1,2,3,4,5,6,-1  write position variable 10
+//!
+//!  request = blanks verb ":" part ":" index ":" kind ":" [ blanks value ] CR
+//!  verb    = "GET" | "PUT"                         a GET has no value, a PUT has one
+//!  part    = "RC8"                                 the controller's name, which is fixed
+//!  index   = digits                                at most 32 bits
+//!  kind    = "I" | "F" | "D" | "S" | "V" | "P" | "J" | "T" | "IO"
+//! ```
+//!
+//! Words are read in any case and written in capitals. The last colon of a GET is part of it (S0:218). What cannot be
+//! read is a [`TextError`] that names the part of the line and the column.
+
+use core::fmt;
+
+use super::line::{CR, MAX_LINE};
+use crate::error::{RequestPart, TextError, TextErrorKind};
+use crate::variant::text::{Fault, blanks, put_integer, value};
+use crate::variant::{VarType, Variant, Writer};
+
+/// A type of user variables.
+///
+/// ```text
+///  I   IO     F   D   S     V             P             J             T
+///  I4  BOOL   R4  R8  BSTR  3 R4: x y z   7 R4: x y z   8 R4: joints  10 R4: x y z, orient, approach
+///                                         rx ry rz fig                vectors, fig
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum VariableKind {
+    /// Integer.
+    I,
+    /// Single-precision number.
+    F,
+    /// Double-precision number.
+    D,
+    /// String.
+    S,
+    /// Vector.
+    V,
+    /// Position: mm, degrees and figure.
+    P,
+    /// Joints: degrees or mm.
+    J,
+    /// Homogeneous transform and figure.
+    T,
+    /// Input or output.
+    Io,
+}
+
+impl VariableKind {
+    /// All of them, in the order of the specification.
+    pub const ALL: [Self; 9] = [Self::I, Self::F, Self::D, Self::S, Self::V, Self::P, Self::J, Self::T, Self::Io];
+
+    /// Returns the word that stands for it on the line.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::I => "I",
+            Self::F => "F",
+            Self::D => "D",
+            Self::S => "S",
+            Self::V => "V",
+            Self::P => "P",
+            Self::J => "J",
+            Self::T => "T",
+            Self::Io => "IO",
+        }
+    }
+
+    /// Returns the kind with this name, in any case.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::from_word(name.as_bytes())
+    }
+
+    fn from_word(word: &[u8]) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.name().as_bytes().eq_ignore_ascii_case(word))
+    }
+
+    /// Returns the type of the variable's value.
+    #[must_use]
+    pub const fn vartype(self) -> VarType {
+        match self {
+            Self::I => VarType::I4,
+            Self::F => VarType::R4,
+            Self::D => VarType::R8,
+            Self::S => VarType::BSTR,
+            Self::V | Self::P | Self::J | Self::T => VarType::R4.array_of(),
+            Self::Io => VarType::BOOL,
+        }
+    }
+
+    /// Returns the number of elements of the variable's value; 1 for what is no array.
+    #[must_use]
+    pub const fn elements(self) -> usize {
+        match self {
+            Self::V => 3,
+            Self::P => 7,
+            Self::J => 8,
+            Self::T => 10,
+            _ => 1,
+        }
+    }
+
+    /// Tells whether a value is exactly what such a variable holds, in type and number of elements.
+    #[must_use]
+    pub fn fits(self, value: &Variant<'_>) -> bool {
+        value.vartype() == self.vartype() && value.as_array().is_none_or(|array| array.len() == self.elements())
+    }
+}
+
+impl fmt::Display for VariableKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// A user variable of the controller.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Variable {
+    /// Its type.
+    pub kind: VariableKind,
+    /// Its number.
+    pub index: u32,
+}
+
+impl Variable {
+    /// Names a variable.
+    #[must_use]
+    pub const fn new(kind: VariableKind, index: u32) -> Self {
+        Self { kind, index }
+    }
+}
+
+/// Writes `I[10]`.
+impl fmt::Display for Variable {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}[{}]", self.kind, self.index)
+    }
+}
+
+/// What a client asks for.
+///
+/// # Examples
+///
+/// ```
+/// use bcap_core::rac::{Request, Variable, VariableKind};
+/// use bcap_core::variant::{Variant, Writer};
+///
+/// let mut memory = [0; 64];
+/// let request = Request::parse(b"PUT:RC8:10:I: 3, 123", &mut memory)?;
+/// assert_eq!(request, Request::Put(Variable::new(VariableKind::I, 10), Variant::I4(123)));
+///
+/// let mut line = [0; 256];
+/// let mut out = Writer::new(&mut line);
+/// request.write_line(&mut out)?;
+/// assert_eq!(out.as_bytes(), b"PUT:RC8:10:I:3,123\r");
+/// # Ok::<(), bcap_core::error::TextError>(())
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Request<'a> {
+    /// Read a variable.
+    Get(Variable),
+    /// Write a variable.
+    Put(Variable, Variant<'a>),
+}
+
+impl<'a> Request<'a> {
+    /// Returns the variable that is asked for.
+    #[must_use]
+    pub const fn variable(&self) -> Variable {
+        match self {
+            Self::Get(variable) | Self::Put(variable, _) => *variable,
+        }
+    }
+
+    /// Returns the value that is to be written.
+    #[must_use]
+    pub const fn value(&self) -> Option<Variant<'a>> {
+        match self {
+            Self::Get(_) => None,
+            Self::Put(_, value) => Some(*value),
+        }
+    }
+
+    /// Parses a line without its CR; the value of a PUT is put into `memory`.
+    ///
+    /// 1024 bytes hold any value that a line can carry; 64 hold those of all types but long strings.
+    ///
+    /// # Errors
+    ///
+    /// A [`TextError`] with the column in the line; [`TextErrorKind::Full`] when the value does not fit `memory`.
+    pub fn parse(line: &[u8], memory: &'a mut [u8]) -> Result<Self, TextError> {
+        let mut out = Writer::new(memory);
+        match read(line, &mut out).map_err(|fault| fault.at(line.len()))? {
+            (Verb::Get, variable) => Ok(Self::Get(variable)),
+            (Verb::Put, variable) => Ok(Self::Put(variable, Variant::from_checked(out.into_bytes()))),
+        }
+    }
+
+    /// Appends the line, its CR included.
+    ///
+    /// # Errors
+    ///
+    /// A [`TextError`] without a column when the value has no text, or the line is over 256 bytes or the buffer; part
+    /// of it may have been written.
+    pub fn write_line(&self, out: &mut Writer<'_>) -> Result<(), TextError> {
+        let start = out.len();
+        let Variable { kind, index } = self.variable();
+        out.put_slice(if self.value().is_some() { b"PUT:RC8:" } else { b"GET:RC8:" })?;
+        put_integer(false, u64::from(index), out).map_err(TextError::printing)?;
+        out.put_slice(b":")?;
+        out.put_slice(kind.name().as_bytes())?;
+        out.put_slice(b":")?;
+        if let Some(value) = self.value() {
+            value.write_text(out)?;
+        }
+        end_line(start, out)
+    }
+}
+
+/// Appends the CR of a line that began at `start`.
+pub(super) fn end_line(start: usize, out: &mut Writer<'_>) -> Result<(), TextError> {
+    out.put_slice(&[CR])?;
+    if out.len().saturating_sub(start) > MAX_LINE { Err(TextError::printing(TextErrorKind::Full)) } else { Ok(()) }
+}
+
+/// The first word of a request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Verb {
+    Get,
+    Put,
+}
+
+/// `request = blanks verb ":" part ":" index ":" kind ":" [ blanks value ]`
+pub(super) fn read(line: &[u8], out: &mut Writer<'_>) -> Result<(Verb, Variable), Fault> {
+    let (rest, ()) = blanks(line)?;
+    let (rest, verb) = field(rest, RequestPart::Verb, TextErrorKind::Verb, verb)?;
+    let (rest, ()) = field(rest, RequestPart::PartName, TextErrorKind::PartName, part_name)?;
+    let (rest, index) = field(rest, RequestPart::Index, TextErrorKind::Index, index)?;
+    let (rest, kind) = field(rest, RequestPart::VariableType, TextErrorKind::VariableType, VariableKind::from_word)?;
+    let (rest, ()) = blanks(rest)?;
+    match (verb, rest) {
+        (Verb::Get, []) => {}
+        (Verb::Get, _) => return Err(Fault::new(TextErrorKind::GetWithData, rest)),
+        (Verb::Put, []) => return Err(Fault::new(TextErrorKind::PutWithoutData, rest)),
+        (Verb::Put, text) => value(text, out)?,
+    }
+    Ok((verb, Variable { kind, index }))
+}
+
+/// `verb = "GET" | "PUT"`, in any case
+fn verb(word: &[u8]) -> Option<Verb> {
+    match word {
+        _ if word.eq_ignore_ascii_case(b"GET") => Some(Verb::Get),
+        _ if word.eq_ignore_ascii_case(b"PUT") => Some(Verb::Put),
+        _ => None,
+    }
+}
+
+/// `part = "RC8"`, in any case
+fn part_name(word: &[u8]) -> Option<()> {
+    word.eq_ignore_ascii_case(b"RC8").then_some(())
+}
+
+/// `index = digits`
+fn index(word: &[u8]) -> Option<u32> {
+    let digit = |b: &u8| b.is_ascii_digit().then_some(u32::from(b & 0x0f));
+    let (first, rest) = word.split_first()?;
+    rest.iter().try_fold(digit(first)?, |n, b| n.checked_mul(10)?.checked_add(digit(b)?))
+}
+
+/// A word and its colon.
+fn field<T>(
+    text: &[u8],
+    part: RequestPart,
+    wrong: TextErrorKind,
+    read: impl Fn(&[u8]) -> Option<T>,
+) -> Result<(&[u8], T), Fault> {
+    let len = text.iter().position(|b| *b == b':').unwrap_or(text.len());
+    let (word, rest) = text.split_at_checked(len).unwrap_or((text, &[]));
+    let read = read(word).ok_or(Fault::new(wrong, text))?;
+    match rest.split_first() {
+        Some((_, rest)) => Ok((rest, read)),
+        None => Err(Fault::new(TextErrorKind::Colon(part), rest)),
+    }
+}

@@ -1,0 +1,86 @@
+//! Responses: the lines with which a server answers.
+//!
+//! ```text
+//!  0                   done
+//!  0,3,123             done, and the value is I4 123
+//!  -2147024809         refused: 0x80070057, E_INVALIDARG
+//!
+//!  response = blanks result [ "," value ] CR
+//!  result   = integer                   an HRESULT: signed or unsigned decimal, or 0x and hex digits
+//! ```
+//!
+//! The samples of the specification show no result but `0`. What is read is every form that a 32-bit code may take,
+//! what is written is signed decimal, the "integral value of the HRESULT type" (S0:105).
+
+use super::request::end_line;
+use crate::error::{TextError, TextErrorKind};
+use crate::hresult::HResult;
+use crate::variant::text::{Fault, blanks, integer, put_integer, value};
+use crate::variant::{Variant, Writer};
+
+/// What a server answers.
+///
+/// # Examples
+///
+/// ```
+/// use bcap_core::hresult::HResult;
+/// use bcap_core::rac::Response;
+/// use bcap_core::variant::Variant;
+///
+/// let mut memory = [0; 64];
+/// let response = Response::parse(b"0, 3, 123", &mut memory)?;
+/// assert_eq!(response, Response { result: HResult::S_OK, value: Some(Variant::I4(123)) });
+/// # Ok::<(), bcap_core::error::TextError>(())
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Response<'a> {
+    /// How it went.
+    pub result: HResult,
+    /// The value of the variable that was read.
+    pub value: Option<Variant<'a>>,
+}
+
+impl<'a> Response<'a> {
+    /// Parses a line without its CR; its value is put into `memory`.
+    ///
+    /// # Errors
+    ///
+    /// A [`TextError`] with the column in the line; [`TextErrorKind::Full`] when the value does not fit `memory`.
+    pub fn parse(line: &[u8], memory: &'a mut [u8]) -> Result<Self, TextError> {
+        let mut out = Writer::new(memory);
+        let result = read(line, &mut out).map_err(|fault| fault.at(line.len()))?;
+        let bytes = out.into_bytes();
+        Ok(Self { result, value: (!bytes.is_empty()).then(|| Variant::from_checked(bytes)) })
+    }
+
+    /// Appends the line, its CR included.
+    ///
+    /// # Errors
+    ///
+    /// A [`TextError`] without a column when the value has no text, or the line is over 256 bytes or the buffer; part
+    /// of it may have been written.
+    pub fn write_line(&self, out: &mut Writer<'_>) -> Result<(), TextError> {
+        let start = out.len();
+        put_integer(self.result.is_err(), u64::from(self.result.0.unsigned_abs()), out).map_err(TextError::printing)?;
+        if let Some(value) = self.value {
+            out.put_slice(b",")?;
+            value.write_text(out)?;
+        }
+        end_line(start, out)
+    }
+}
+
+/// `response = blanks result [ "," value ]`
+pub(super) fn read(line: &[u8], out: &mut Writer<'_>) -> Result<HResult, Fault> {
+    let (text, ()) = blanks(line)?;
+    let wrong = |at: &[u8]| Fault::new(TextErrorKind::ResultCode, at);
+    let (rest, number) = integer(text).map_err(|_| wrong(text))?;
+    let result = number.to_code(true).map(HResult).ok_or(wrong(text))?;
+    match rest {
+        [] => {}
+        [b',', text @ ..] => value(text, out)?,
+        _ => return Err(wrong(rest)),
+    }
+    Ok(result)
+}
