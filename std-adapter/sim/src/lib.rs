@@ -1,1 +1,77 @@
-//! placeholder
+//! A virtual DENSO RC8 or RC9: what a program that talks to a robot controller meets, without the robot.
+//!
+//! [`Controller`] is a model, not a server. It has no socket, no thread and no clock; it implements
+//! [`bcap_core::bcap::server::Handler`], so that whatever drives a b-CAP server can put it behind one, and
+//! every call brings the time with it. The same calls at the same times give the same answers, in a test in no time
+//! and behind real sockets in real time.
+//!
+//! # What there is
+//!
+//! * The objects of the protocol: controller, robot, tasks, variables; handles that belong to the client that got them.
+//! * The user variables I F D V P J T S IO, with wildcards and views of the IO bits, in the types a controller uses.
+//! * The system variables of controller, robot and tasks, the error lists, the commands about them.
+//! * An arm of six axes with its kinematics, a motor, the arm authority, motions that take their time, Halt and Hold.
+//! * Tasks that run on the clock that is given.
+//! * The emergency stop, the mode switch, the executable token and any error, for a test to throw in.
+//!
+//! # What answers `E_NOTIMPL`
+//!
+//! Slave mode (`slvMove` and the other `slv...` commands), files, extensions, commands and messages, arcs and free
+//! curves, Rotate, Chuck and Unchuck, Task_Delete, definitions of tools and work coordinates, hands, logs, force
+//! control. A command that no controller is known to have answers `E_INVALID_CMD_NAME`. Nothing answers `S_OK` without
+//! having done what it was asked.
+//!
+//! # Decisions, where the manuals are silent
+//!
+//! * Service_Start comes before everything else on a connection, on both profiles; without it: `E_NOT_CONNECTED`.
+//! * Objects of a controller outlive its Controller_Disconnect until they are released themselves.
+//! * A client that goes loses its arm authority, and its motion halts.
+//! * Refused calls are in the error log only. Emergency stop, poses out of range and injected errors are errors that
+//!   must be cleared: with level 1 and 2 they stop motion and suspend tasks; from level 3 on they also switch the motor
+//!   off and reset the tasks.
+//! * A robot's name may be anything; there is one arm, and a client's `ID=` other than 0 is `E_CAO_OBJECT_NOTFOUND`.
+//! * GetAttribute answers 0. GetTag and GetID answer what PutTag and PutID have set; a user variable's ID is its index.
+//! * Variable_GetDateTime tells when the variable was last read or written through this handle.
+//!
+//! The tables of names, types and answers stand with the code: [`variables`], [`system`], [`arm`], [`execute`],
+//! [`pose`], [`kinematics`], [`tasks`].
+//!
+//! # Examples
+//!
+//! ```
+//! use bcap_core::time::Instant;
+//! use bcap_core::variant::Variant;
+//! use bcap_sim::{Config, Controller, Kind, Profile, EMERGENCY_STOP};
+//!
+//! let mut controller = Controller::new(Config::new(Profile::Rc8));
+//! controller.set_variable(Kind::I, 10, &Variant::I4(123))?;
+//! assert_eq!(controller.variable::<16>(Kind::I, 10)?.as_variant(), Variant::I4(123));
+//!
+//! controller.emergency_stop(true, Instant::from_millis(5));
+//! assert_eq!(controller.errors().map(|e| e.code).collect::<Vec<_>>(), [EMERGENCY_STOP]);
+//! # Ok::<(), bcap_core::hresult::HResult>(())
+//! ```
+
+pub mod arm;
+mod config;
+mod controller;
+mod dispatch;
+mod errors;
+pub mod execute;
+pub mod kinematics;
+pub mod motion;
+mod objects;
+mod options;
+pub mod pose;
+mod robot;
+pub mod system;
+pub mod tasks;
+mod value;
+pub mod variables;
+
+pub use config::{Config, Mode, Permission, Profile, Token};
+pub use controller::{Controller, EMERGENCY_STOP};
+pub use errors::ErrorEntry;
+pub use execute::Bit;
+pub use tasks::TaskStatus;
+pub use variables::{Kind, Sizes};

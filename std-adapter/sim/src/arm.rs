@@ -1,0 +1,465 @@
+//! The functions of the robot: Robot_Execute, and what moves it.
+//!
+//! | function            | what it does here                                                                        |
+//! |---------------------|------------------------------------------------------------------------------------------|
+//! | Robot_Move          | interpolation 1 (joints) and 2 (line); 3 and 4 (arc, free curve) answer `E_NOTIMPL`      |
+//! | Robot_Drive         | turns joint 1 to 6 by degrees                                                            |
+//! | Robot_GoHome        | moves the joints to [`Config::home`](crate::Config::home)                                |
+//! | Robot_Halt          | brakes; the waiting call ends with `E_ABORT`; any client may; `S_FALSE` at rest          |
+//! | Robot_Hold, Unhold  | brakes, and goes on; any client may; `S_FALSE` when there is nothing to do               |
+//! | Robot_Speed         | axis -1 sets the internal speed of lines and joints, 0 that of joints only               |
+//! | Robot_Accelerate    | likewise the internal acceleration and deceleration                                      |
+//! | Robot_Change        | `ToolN` and `WorkN` select a number; the definitions are all zero                        |
+//! | Robot_Rotate, Chuck, Unchuck | `E_NOTIMPL`                                                                     |
+//!
+//! What moves the robot needs, in this order: Auto mode (`E_ACCESSDENIED`), the executable token
+//! (`E_TOKEN_NOT_ETHERNET`, `E_TOKEN_ADDRESS`), no error (`E_ERROR_PRESENT`), the arm authority of this client
+//! (`E_ARM_NOT_TAKEN`), the motor on (`E_MOTOR_OFF`), and the robot not moving (`E_ROBOTISBUSY`). Refusals with a code
+//! of the controller are in the error log, but are no errors that must be cleared.
+//!
+//! The call answers when the motion has ended: with `S_OK`, with `E_ABORT` after Halt or the end of Auto mode, with
+//! the error's code after an error. With the option `NEXT` it answers at once. Further options are `SPEED=` (or `S=`),
+//! `ACCEL=` and `DECEL=`, in percent of the internal values; another option is refused with `E_INVALIDARG`. A pose that
+//! joint n would have to leave its range for is the controller's error 0x8320407n, as is a line through a singularity.
+//!
+//! | Robot_Execute                    | parameter                  | answer                                             |
+//! |----------------------------------|----------------------------|----------------------------------------------------|
+//! | TakeArm                          | \[group, keep\] or nothing | EMPTY; `E_ARM_NOT_TAKEN` while another has it      |
+//! | GiveArm                          | -                          | EMPTY; `S_FALSE` without it, `E_ROBOTISBUSY` moving |
+//! | TakeArmState                     | group or -1                | I4: the group this client holds, -1 for none       |
+//! | Motor                            | \[state, no wait\] or state | EMPTY, when the motor is on; at once with no wait |
+//! | ExtSpeed                         | \[speed, accel, decel\]    | EMPTY; accel and decel follow the square of speed  |
+//! | CurPos CurJnt CurTrn, DestPos DestJnt DestTrn, HighCurPos HighCurJnt HighCurTrn | - | R8\[7\], R8\[8\], R8\[10\] |
+//! | CurPosEx CurJntEx CurTrnEx and HighCur...Ex | -               | the same behind the time in ms                     |
+//! | CurSpd CurAcc CurDec CurJSpd CurJAcc CurJDec CurExtSpd CurExtAcc CurExtDec | - | R4, percent             |
+//! | CurFig CurTool CurWork           | -                          | I4                                                 |
+//! | J2P J2T P2J P2T T2J T2P          | a pose                     | R8 array                                           |
+//! | slvChangeMode slvGetMode slvMove slvSendFormat slvRecvFormat | | `E_NOTIMPL`: slave mode is not modelled        |
+//!
+//! Commands that real controllers have and this one has not answer `E_NOTIMPL`, other names `E_INVALID_CMD_NAME`.
+
+use bcap_core::bcap::FunctionId;
+use bcap_core::bcap::server::Request;
+use bcap_core::handler::PeerId;
+use bcap_core::hresult::HResult;
+use bcap_core::variant::Variant;
+
+use crate::controller::{Controller, Wait};
+use crate::dispatch::{Answer, Answered, names, system_names};
+use crate::kinematics::{Joints, OutOfReach, figure, forward};
+use crate::motion::Path;
+use crate::options::options;
+use crate::pose::Pose;
+use crate::robot::{Percent, Servo, angle, percent, pose_numbers, position, trans};
+use crate::system::{Owner, coordinates};
+use crate::value::{Value, numbers, one_int, whole};
+use crate::variables::Kind;
+
+/// Commands of real controllers that this one has not; first those of slave mode, which belongs in a module of its own.
+const NOT_HERE: &[&str] = &[
+    "slvChangeMode",
+    "slvGetMode",
+    "slvMove",
+    "slvSendFormat",
+    "slvRecvFormat",
+    "GetSrvData",
+    "OutRange",
+    "Dev",
+    "DevH",
+    "Approach",
+    "Depart",
+    "ConvertPosWork",
+    "GetToolDef",
+    "SetToolDef",
+    "GetWorkDef",
+    "SetWorkDef",
+    "PayLoad",
+    "SpeedMode",
+    "MotionSkip",
+    "MotionComplete",
+    "GetAreaEnabled",
+    "SetAreaEnabled",
+    "CheckVirtualFence",
+    "ForceSensor",
+    "ForceValue",
+    "ForceCtrl",
+    "ForceParam",
+    "StartLog",
+    "StopLog",
+    "ClearLog",
+    "GetLogCount",
+    "GetLogRecord",
+    "SyncTimeStart",
+    "SyncTimeEnd",
+    "SyncMoveStart",
+    "SyncMoveEnd",
+    "ManualResetPreparation",
+    "MotionPreparation",
+    "GetMotionPreparationState",
+    "AutoCal",
+    "DriveEx",
+    "DriveAEx",
+    "RotateH",
+];
+
+/// How a motion is to run.
+struct MoveOptions {
+    internal: Percent,
+    /// Answer at once.
+    next: bool,
+}
+
+impl Controller {
+    pub(crate) fn robot_call(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
+        match request.function {
+            _ if request.resumed => self.resume_robot(peer, request.function),
+            FunctionId::ROBOT_GET_VARIABLE => self.open_variable(peer, Owner::Robot, &request.text(1).to_string()),
+            FunctionId::ROBOT_GET_VARIABLE_NAMES => Ok(names(system_names(Owner::Robot))),
+            FunctionId::ROBOT_EXECUTE => {
+                self.robot_execute(peer, request.text(1).to_string().trim(), &request.value(2))
+            }
+            FunctionId::ROBOT_MOVE => self.robot_move(peer, request),
+            FunctionId::ROBOT_DRIVE => self.robot_drive(peer, request),
+            FunctionId::ROBOT_GO_HOME => {
+                let home = self.config().home;
+                self.move_joints(peer, "", |_| Ok(home))
+            }
+            FunctionId::ROBOT_HALT => Ok(done_if(self.halt())),
+            FunctionId::ROBOT_HOLD => {
+                let now = self.now;
+                Ok(done_if(self.robot.motion_mut().is_some_and(|m| m.hold(now))))
+            }
+            FunctionId::ROBOT_UNHOLD => {
+                let now = self.now;
+                Ok(done_if(self.robot.motion_mut().is_some_and(|m| m.unhold(now))))
+            }
+            FunctionId::ROBOT_SPEED => self.set_speed(request.int(1), request.float(2)),
+            FunctionId::ROBOT_ACCELERATE => self.set_acceleration(request.int(1), request.float(2), request.float(3)),
+            FunctionId::ROBOT_CHANGE => self.change(&request.text(1).to_string()),
+            _ => Err(HResult::E_NOTIMPL),
+        }
+    }
+
+    /// Goes on with a call that has waited; Robot_Execute replies with an empty value.
+    fn resume_robot(&mut self, peer: PeerId, function: FunctionId) -> Answered {
+        match self.resume(peer)? {
+            Answer::Done if function == FunctionId::ROBOT_EXECUTE => Ok(Value::Empty.into()),
+            answer => Ok(answer),
+        }
+    }
+
+    fn robot_execute(&mut self, peer: PeerId, command: &str, param: &Variant<'_>) -> Answered {
+        if let Some(value) = self.read_out(command) {
+            return Ok(value.into());
+        }
+        if let Some((from, to)) = conversion(command) {
+            return Ok(Value::R8s(self.convert(from, to, param)?).into());
+        }
+        match command.to_ascii_lowercase().as_str() {
+            "takearm" => self.take_arm(peer, param),
+            "givearm" => self.give_arm(peer),
+            "takearmstate" => {
+                let wanted = one_int(param).unwrap_or(-1);
+                let held = self.robot.arm.filter(|(owner, group)| *owner == peer && [-1, *group].contains(&wanted));
+                Ok(Value::I4(held.map_or(-1, |(_, group)| group)).into())
+            }
+            "motor" => self.motor_command(peer, param),
+            "extspeed" => self.set_external_speed(param),
+            _ if NOT_HERE.iter().any(|name| name.eq_ignore_ascii_case(command)) => Err(HResult::E_NOTIMPL),
+            _ => Err(HResult::E_INVALID_CMD_NAME),
+        }
+    }
+
+    /// Answers the commands that only tell something.
+    fn read_out(&self, command: &str) -> Option<Value> {
+        let robot = &self.robot;
+        let command = command.to_ascii_lowercase();
+        let (here, there) = (self.joints(), robot.destination());
+        let timed = |rest: Vec<f64>| {
+            let millis = self.now.as_micros() as f64 / 1000.0;
+            Value::R8s([vec![millis], rest].concat())
+        };
+        Some(match command.as_str() {
+            "curpos" | "highcurpos" => Value::R8s(position(&here)),
+            "curjnt" | "highcurjnt" => Value::R8s(angle(&here)),
+            "curtrn" | "highcurtrn" => Value::R8s(trans(&here)),
+            "curposex" | "highcurposex" => timed(position(&here)),
+            "curjntex" | "highcurjntex" => timed(angle(&here)),
+            "curtrnex" | "highcurtrnex" => timed(trans(&here)),
+            "destpos" => Value::R8s(position(&there)),
+            "destjnt" => Value::R8s(angle(&there)),
+            "desttrn" => Value::R8s(trans(&there)),
+            "curspd" => Value::R4(robot.hand.speed),
+            "curacc" => Value::R4(robot.hand.accel),
+            "curdec" => Value::R4(robot.hand.decel),
+            "curjspd" => Value::R4(robot.joint.speed),
+            "curjacc" => Value::R4(robot.joint.accel),
+            "curjdec" => Value::R4(robot.joint.decel),
+            "curextspd" => Value::R4(robot.external.speed),
+            "curextacc" => Value::R4(robot.external.accel),
+            "curextdec" => Value::R4(robot.external.decel),
+            "curfig" => Value::I4(figure(&here).into()),
+            "curtool" => Value::I4(robot.tool),
+            "curwork" => Value::I4(robot.work),
+            _ => return None,
+        })
+    }
+
+    /// Converts a pose from one kind to another, near to where the robot is.
+    fn convert(&self, from: Kind, to: Kind, param: &Variant<'_>) -> Result<Vec<f64>, HResult> {
+        let near = self.joints();
+        let pose = Pose::parse_as(from, param, &self.variables)?;
+        let joints = pose.joints(&near).map_err(out_of_reach)?;
+        Ok(match (to, pose) {
+            (Kind::P, Pose::Frame(frame, _)) => pose_numbers(&frame, figure(&joints)),
+            (Kind::P, Pose::Joints(_)) => position(&joints),
+            (Kind::T, _) => trans(&joints),
+            _ => angle(&joints),
+        })
+    }
+
+    fn take_arm(&mut self, peer: PeerId, param: &Variant<'_>) -> Answered {
+        let (group, keep) = match numbers(param)?.as_slice() {
+            [] => (0, 0),
+            [group] => (whole(*group)?, 0),
+            [group, keep] => (whole(*group)?, whole(*keep)?),
+            _ => return Err(HResult::E_INVALIDARG),
+        };
+        // there is one arm, and group 0 is the arm
+        if group != 0 || ![0, 1].contains(&keep) {
+            return Err(HResult::E_INVALIDARG);
+        }
+        self.may_command(peer)?;
+        if self.arm_owner().is_some_and(|owner| owner != peer) {
+            return Err(self.refuse(HResult::E_ARM_NOT_TAKEN));
+        }
+        self.robot.arm = Some((peer, group));
+        if keep == 0 {
+            self.robot.hand = Percent::FULL;
+            self.robot.joint = Percent::FULL;
+            self.robot.tool = 0;
+            self.robot.work = 0;
+        }
+        Ok(Value::Empty.into())
+    }
+
+    fn give_arm(&mut self, peer: PeerId) -> Answered {
+        if self.arm_owner() != Some(peer) {
+            return Ok(Answer::Code(HResult::S_FALSE));
+        }
+        if self.is_moving() {
+            return Err(HResult::E_ROBOTISBUSY);
+        }
+        self.robot.arm = None;
+        Ok(Value::Empty.into())
+    }
+
+    fn motor_command(&mut self, peer: PeerId, param: &Variant<'_>) -> Answered {
+        let (state, no_wait) = match numbers(param)?.as_slice() {
+            [state] => (whole(*state)?, 0),
+            [state, no_wait] => (whole(*state)?, whole(*no_wait)?),
+            _ => return Err(HResult::E_INVALIDARG),
+        };
+        self.motor(peer, state != 0)?;
+        if state == 0 || no_wait != 0 || self.motor_is_on() {
+            return Ok(Value::Empty.into());
+        }
+        self.waits.insert(peer, Wait::Servo);
+        self.resume(peer)
+    }
+
+    /// Switches the motor; on, it is on some time later.
+    pub(crate) fn motor(&mut self, peer: PeerId, on: bool) -> Result<(), HResult> {
+        self.may_command(peer)?;
+        if !on {
+            self.motor_off(HResult::E_MOTOR_OFF);
+            return Ok(());
+        }
+        self.may_execute(peer)?;
+        if self.emergency_stopped() || self.torque_off {
+            return Err(HResult::E_ACCESSDENIED);
+        }
+        if self.robot.servo == Servo::Off {
+            self.robot.servo = Servo::TurningOn(self.now.saturating_add(self.config().motor_on_delay));
+            self.advance(self.now);
+        }
+        Ok(())
+    }
+
+    fn set_external_speed(&mut self, param: &Variant<'_>) -> Answered {
+        let given = numbers(param)?;
+        let [speed, rest @ ..] = given.as_slice() else { return Err(HResult::E_INVALIDARG) };
+        let mut external = Percent::of_speed(percent(*speed)?);
+        match rest {
+            [] => {}
+            [accel] => external.accel = percent(*accel)?,
+            [accel, decel] => (external.accel, external.decel) = (percent(*accel)?, percent(*decel)?),
+            _ => return Err(HResult::E_INVALIDARG),
+        }
+        self.robot.external = external;
+        Ok(Value::Empty.into())
+    }
+
+    fn set_speed(&mut self, axis: i32, speed: f64) -> Answered {
+        let speed = percent(speed)?;
+        match axis {
+            -1 => self.robot.hand.speed = speed,
+            0 => {}
+            _ => return Err(HResult::E_INVALIDARG),
+        }
+        self.robot.joint.speed = speed;
+        Ok(Answer::Done)
+    }
+
+    fn set_acceleration(&mut self, axis: i32, accel: f64, decel: f64) -> Answered {
+        let (accel, decel) = (percent(accel)?, percent(decel)?);
+        let set = |of: &mut Percent| (of.accel, of.decel) = (accel, decel);
+        match axis {
+            -1 => set(&mut self.robot.hand),
+            0 => {}
+            _ => return Err(HResult::E_INVALIDARG),
+        }
+        set(&mut self.robot.joint);
+        Ok(Answer::Done)
+    }
+
+    fn change(&mut self, name: &str) -> Answered {
+        let upper = name.trim().to_ascii_uppercase();
+        let number = |digits: &str| digits.parse().map_err(|_| HResult::E_INVALIDARG).and_then(coordinates);
+        if let Some(digits) = upper.strip_prefix("TOOL") {
+            self.robot.tool = number(digits)?;
+        } else if let Some(digits) = upper.strip_prefix("WORK") {
+            self.robot.work = number(digits)?;
+        } else {
+            return Err(HResult::E_INVALIDARG);
+        }
+        Ok(Answer::Done)
+    }
+
+    fn robot_move(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
+        let option = request.text(3).to_string();
+        let interpolation = request.int(1);
+        if ![1, 2].contains(&interpolation) {
+            return Err(if [3, 4].contains(&interpolation) { HResult::E_NOTIMPL } else { HResult::E_INVALIDARG });
+        }
+        let pose = Pose::parse(&request.value(2), &self.variables)?;
+        if interpolation == 1 {
+            return self.move_joints(peer, &option, |near| pose.joints(near));
+        }
+        let options = self.move_options(&option, self.robot.hand)?;
+        self.may_move(peer)?;
+        let here = self.joints();
+        let path = line(here, &pose)?.map_err(|e| self.fail_reach(e))?;
+        self.start_motion(peer, path, options)
+    }
+
+    fn robot_drive(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
+        let axis = usize::try_from(request.int(1)).ok().filter(|n| (1..=6).contains(n)).ok_or(HResult::E_INVALIDARG)?;
+        let turn = request.float(2);
+        if !turn.is_finite() {
+            return Err(HResult::E_INVALIDARG);
+        }
+        self.move_joints(peer, &request.text(3).to_string(), |near| {
+            let mut joints = *near;
+            joints[axis - 1] += turn;
+            Pose::Joints(joints).joints(near)
+        })
+    }
+
+    /// Moves the joints to where `target` says, seen from where they are.
+    fn move_joints(
+        &mut self,
+        peer: PeerId,
+        option: &str,
+        target: impl FnOnce(&Joints) -> Result<Joints, OutOfReach>,
+    ) -> Answered {
+        let options = self.move_options(option, self.robot.joint)?;
+        self.may_move(peer)?;
+        let here = self.joints();
+        let there = target(&here).map_err(|e| self.fail_reach(e))?;
+        self.start_motion(peer, Path::joints(here, there), options)
+    }
+
+    /// Starts a motion and, without NEXT, waits for its end.
+    fn start_motion(&mut self, peer: PeerId, path: Path, options: MoveOptions) -> Answered {
+        let id = self.robot.start(peer, path, options.internal, self.now);
+        if !options.next {
+            self.waits.insert(peer, Wait::Motion(id));
+        }
+        // one without length has ended already
+        self.advance(self.now);
+        if options.next { Ok(Answer::Done) } else { self.resume(peer) }
+    }
+
+    /// Checks everything that a motion needs, in the order that the codes are documented in.
+    fn may_move(&mut self, peer: PeerId) -> Result<(), HResult> {
+        self.may_execute(peer)?;
+        if self.arm_owner() != Some(peer) {
+            return Err(self.refuse(HResult::E_ARM_NOT_TAKEN));
+        }
+        if !self.motor_is_on() {
+            return Err(self.refuse(HResult::E_MOTOR_OFF));
+        }
+        if self.is_moving() {
+            return Err(HResult::E_ROBOTISBUSY);
+        }
+        Ok(())
+    }
+
+    fn move_options(&self, text: &str, internal: Percent) -> Result<MoveOptions, HResult> {
+        let mut read = MoveOptions { internal, next: false };
+        for (key, value) in options(text) {
+            let scaled = |base: f32| -> Result<f32, HResult> {
+                let value = value.and_then(|v| v.parse().ok()).ok_or(HResult::E_INVALIDARG)?;
+                Ok(base * percent(value)? / 100.0)
+            };
+            match key.to_ascii_uppercase().as_str() {
+                "NEXT" if value.is_none() => read.next = true,
+                "SPEED" | "S" => read.internal.speed = scaled(internal.speed)?,
+                "ACCEL" => read.internal.accel = scaled(internal.accel)?,
+                "DECEL" => read.internal.decel = scaled(internal.decel)?,
+                _ => return Err(HResult::E_INVALIDARG),
+            }
+        }
+        Ok(read)
+    }
+
+    /// Makes an error of a pose that cannot be reached.
+    fn fail_reach(&mut self, error: OutOfReach) -> HResult {
+        let code = out_of_reach(error);
+        self.raise(code);
+        code
+    }
+}
+
+/// Plans a line, which cannot change the posture on its way.
+fn line(here: Joints, pose: &Pose) -> Result<Result<Path, OutOfReach>, HResult> {
+    let (frame, fig) = match pose {
+        Pose::Joints(joints) => (forward(joints), None),
+        Pose::Frame(frame, fig) => (*frame, *fig),
+    };
+    let path = Path::line(here, &forward(&here), &frame);
+    // shoulder, elbow and wrist; how often J4 and J6 have turned is left to the line
+    const POSTURE: u8 = 7;
+    match (&path, fig) {
+        (Ok(path), Some(fig)) if (figure(&path.end()) ^ fig) & POSTURE != 0 => Err(HResult::E_INVALIDARG),
+        _ => Ok(path),
+    }
+}
+
+/// Returns the controller's code for an axis that would have to leave its range.
+fn out_of_reach(OutOfReach(axis): OutOfReach) -> HResult {
+    HResult::from_u32(0x8320_4070 + u32::from(axis))
+}
+
+/// Finds what a command such as `J2P` converts.
+fn conversion(command: &str) -> Option<(Kind, Kind)> {
+    let kind = |letter: &str| [Kind::P, Kind::J, Kind::T].into_iter().find(|k| k.name().eq_ignore_ascii_case(letter));
+    let (from, to) = command.split_once('2')?;
+    let (from, to) = (kind(from)?, kind(to)?);
+    (from != to).then_some((from, to))
+}
+
+fn done_if(done: bool) -> Answer {
+    if done { Answer::Done } else { Answer::Code(HResult::S_FALSE) }
+}

@@ -1,0 +1,156 @@
+//! What a virtual controller is like when it is switched on.
+
+use std::time::Duration;
+
+use bcap_core::handler::PeerId;
+
+use crate::kinematics::Joints;
+use crate::variables::Sizes;
+
+/// A model of controller.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Profile {
+    /// RC8: provider `CaoProv.DENSO.VRC`.
+    #[default]
+    Rc8,
+    /// RC9: provider `CaoProv.DENSO.VRC9`; it has StoState and ManualReset.
+    Rc9,
+}
+
+impl Profile {
+    /// Returns the name of the provider that Controller_Connect wants.
+    #[must_use]
+    pub const fn provider(self) -> &'static str {
+        match self {
+            Self::Rc8 => "CaoProv.DENSO.VRC",
+            Self::Rc9 => "CaoProv.DENSO.VRC9",
+        }
+    }
+
+    /// Returns the controller's type, `@TYPE`.
+    #[must_use]
+    pub const fn type_name(self) -> &'static str {
+        match self {
+            Self::Rc8 => "RC8",
+            Self::Rc9 => "RC9",
+        }
+    }
+}
+
+/// The operation mode; the numbers are those of `@MODE`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Mode {
+    /// Manual mode.
+    Manual = 1,
+    /// Teach check mode.
+    TeachCheck = 2,
+    /// Auto mode, the only one in which clients and tasks may move the robot.
+    #[default]
+    Auto = 3,
+}
+
+/// Who has the executable token.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Token {
+    /// Anybody.
+    #[default]
+    Any,
+    /// The teach pendant; every client is refused with `E_TOKEN_NOT_ETHERNET`.
+    TeachPendant,
+    /// One client; the others are refused with `E_TOKEN_ADDRESS`.
+    Client(PeerId),
+}
+
+/// The communication permission.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Permission {
+    /// Variables can be read and written.
+    #[default]
+    ReadWrite,
+    /// Writing a variable is refused with `E_CAO_NOT_WRITABLE`.
+    ReadOnly,
+}
+
+/// A virtual controller's settings.
+///
+/// # Examples
+///
+/// ```
+/// use bcap_sim::{Config, Controller, Profile};
+///
+/// let controller = Controller::new(Config { serial_number: "08B0001".into(), ..Config::new(Profile::Rc9) });
+/// assert_eq!(controller.config().profile.provider(), "CaoProv.DENSO.VRC9");
+/// ```
+#[derive(Clone, Debug)]
+pub struct Config {
+    /// The model.
+    pub profile: Profile,
+    /// Takes the provider of any profile in Controller_Connect.
+    pub any_provider: bool,
+    /// The numbers of user variables.
+    pub sizes: Sizes,
+    /// The mode at the start.
+    pub mode: Mode,
+    /// The executable token at the start.
+    pub token: Token,
+    /// The communication permission.
+    pub permission: Permission,
+    /// The wall clock at [`Instant::ZERO`](bcap_core::time::Instant::ZERO): milliseconds since 1970-01-01 00:00.
+    pub wall_clock_origin_ms: i64,
+    /// Where the robot stands at the start, and where GoHome brings it: J1 to J6 in degrees.
+    pub home: Joints,
+    /// The time from switching the motor on until it is on.
+    pub motor_on_delay: Duration,
+    /// The internal speed at the start, in percent.
+    pub speed: f32,
+    /// The external speed at the start, in percent.
+    pub ext_speed: f32,
+    /// The names of the tasks.
+    pub tasks: Vec<String>,
+    /// The time of one cycle of a task.
+    pub task_cycle: Duration,
+    /// The lines of a task, which take equal parts of its cycle.
+    pub task_lines: u32,
+    /// The most objects that one client may hold; one more is refused with `E_MAX_OBJECT`.
+    pub max_objects: usize,
+    /// `@SERIAL_NO`, and SysInfo 0.
+    pub serial_number: String,
+    /// `@VERSION`.
+    pub version: String,
+    /// `@TYPE_NAME` of the robot.
+    pub robot_type: String,
+}
+
+impl Config {
+    /// Makes the settings of a controller in Auto mode that anybody may use, with its motor off.
+    #[must_use]
+    pub fn new(profile: Profile) -> Self {
+        Self {
+            profile,
+            any_provider: false,
+            sizes: Sizes::default(),
+            mode: Mode::Auto,
+            token: Token::Any,
+            permission: Permission::ReadWrite,
+            wall_clock_origin_ms: 0,
+            home: [0.0, 45.0, 90.0, 0.0, 45.0, 0.0],
+            motor_on_delay: Duration::from_millis(300),
+            speed: 100.0,
+            ext_speed: 10.0,
+            tasks: ["Pro1", "Pro2", "Pro3"].map(str::to_owned).to_vec(),
+            task_cycle: Duration::from_secs(1),
+            task_lines: 10,
+            max_objects: 1000,
+            serial_number: "VIRTUAL".to_owned(),
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            robot_type: "BCAP-SIM-6".to_owned(),
+        }
+    }
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self::new(Profile::default())
+    }
+}

@@ -1,0 +1,310 @@
+//! From a request of b-CAP to what it does: the functions of every object but the robot's own.
+
+use bcap_core::bcap::server::{Handler, Request};
+use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::handler::{Outcome, PeerId, ReplyValue};
+use bcap_core::hresult::HResult;
+use bcap_core::time::Instant;
+use bcap_core::variant::Variant;
+
+use crate::config::{Permission, Profile};
+use crate::controller::{Controller, Wait};
+use crate::objects::{Entry, Item, Target};
+use crate::options::option;
+use crate::system::{self, Owner};
+use crate::value::{Value, keep, one_int};
+use crate::variables::{Kind, parse_name, wildcard_names};
+
+/// What a function answers when it is not refused.
+#[derive(Debug, PartialEq)]
+pub(crate) enum Answer {
+    /// `S_OK` without a value.
+    Done,
+    /// `S_OK` with a value.
+    Value(Value),
+    /// Another success than `S_OK`.
+    Code(HResult),
+    /// Not yet.
+    Wait(Instant),
+}
+
+pub(crate) type Answered = Result<Answer, HResult>;
+
+impl From<Value> for Answer {
+    fn from(value: Value) -> Self {
+        Self::Value(value)
+    }
+}
+
+impl Handler for Controller {
+    fn call(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        self.advance(now);
+        reply.clear();
+        match self.dispatch(peer, request) {
+            Ok(Answer::Done) => Outcome::Done(HResult::S_OK),
+            Ok(Answer::Value(value)) => Outcome::Done(Self::set_reply(reply, &value)),
+            Ok(Answer::Code(code)) | Err(code) => Outcome::Done(code),
+            Ok(Answer::Wait(at)) => Outcome::Wait(at),
+        }
+    }
+
+    /// A motion that was waited for goes on; only its end is not told any more.
+    fn abandoned(&mut self, peer: PeerId, now: Instant) {
+        self.advance(now);
+        self.waits.remove(&peer);
+    }
+
+    fn left(&mut self, peer: PeerId, now: Instant) {
+        self.advance(now);
+        self.forget(peer);
+    }
+}
+
+impl Controller {
+    fn dispatch(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
+        let Some(signature) = request.function.signature() else { return Err(HResult::E_INVALIDARG) };
+        match request.function {
+            FunctionId::SERVICE_START => {
+                self.sessions.insert(peer);
+                return Ok(Answer::Done);
+            }
+            FunctionId::SERVICE_STOP => {
+                let started = self.sessions.contains(&peer);
+                self.forget(peer);
+                return if started { Ok(Answer::Done) } else { Err(HResult::E_NOT_CONNECTED) };
+            }
+            _ if !self.sessions.contains(&peer) => return Err(HResult::E_NOT_CONNECTED),
+            FunctionId::CONTROLLER_CONNECT => return self.connect(peer, request),
+            _ => {}
+        }
+        let item = self.objects.get(peer, request.handle(), signature.object)?.item;
+        if request.function.releases().is_some() {
+            self.objects.release(peer, request.handle(), signature.object)?;
+            return Ok(Answer::Done);
+        }
+        if let Some(answer) = self.common(peer, request, signature.object)? {
+            return Ok(answer);
+        }
+        match item {
+            Item::Controller => self.controller_call(peer, request),
+            Item::Robot => self.robot_call(peer, request),
+            Item::Task(n) => self.task_call(peer, n, request),
+            Item::Variable(target) => self.variable_call(peer, target, request),
+        }
+    }
+
+    fn connect(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
+        let provider = request.text(1);
+        let config = self.config();
+        let profiles = if config.any_provider { &[Profile::Rc8, Profile::Rc9][..] } else { &[config.profile] };
+        if !profiles.iter().any(|profile| provider.eq_ignore_ascii_case(profile.provider())) {
+            return Err(HResult::E_CAO_PROV_INVALID);
+        }
+        self.open(peer, Item::Controller, request.text(0).to_string())
+    }
+
+    /// Opens an object and answers with its handle.
+    fn open(&mut self, peer: PeerId, item: Item, name: String) -> Answered {
+        let entry = Entry { peer, item, name, tag: None, id: None, stamp: self.now };
+        let handle = self.objects.open(entry, self.config().max_objects)?;
+        Ok(Value::I4(handle).into())
+    }
+
+    /// Answers what all objects have: name, help, attribute, tag and ID; `None` for another function.
+    fn common(&mut self, peer: PeerId, request: &Request<'_>, object: Object) -> Result<Option<Answer>, HResult> {
+        let handle = request.handle();
+        let name = request.function.name().and_then(|name| name.strip_prefix(object.name())).unwrap_or_default();
+        let entry = self.objects.get_mut(peer, handle, object)?;
+        Ok(Some(match name {
+            "GetName" => Value::from(entry.name.as_str()).into(),
+            "GetHelp" => Value::Text(help(entry)).into(),
+            "GetAttribute" => Value::I4(0).into(),
+            "GetTag" => entry.tag.clone().map_or(Value::Empty, Value::Kept).into(),
+            "PutTag" => {
+                entry.tag = Some(keep(&request.value(1))?);
+                Answer::Done
+            }
+            "GetID" => match entry.item {
+                Item::Variable(Target::User(_, n) | Target::Wildcard(_, Some(n))) => Value::I4(n.cast_signed()).into(),
+                _ => entry.id.clone().map_or(Value::Empty, Value::Kept).into(),
+            },
+            "PutID" => {
+                self.put_id(peer, handle, object, &request.value(1))?;
+                Answer::Done
+            }
+            _ => return Ok(None),
+        }))
+    }
+
+    /// Chooses the variable of a wildcard; other objects just keep what they are given.
+    fn put_id(&mut self, peer: PeerId, handle: i32, object: Object, id: &Variant<'_>) -> Result<(), HResult> {
+        let entry = self.objects.get_mut(peer, handle, object)?;
+        match entry.item {
+            Item::Variable(Target::Wildcard(family, _)) => {
+                let index = u32::try_from(one_int(id)?).map_err(|_| HResult::DISP_E_BADINDEX)?;
+                self.variables.check(family, index)?;
+                entry.item = Item::Variable(Target::Wildcard(family, Some(index)));
+            }
+            // the index is part of the name
+            Item::Variable(Target::User(..)) => return Err(HResult::E_CAO_NOT_WRITABLE),
+            _ => entry.id = Some(keep(id)?),
+        }
+        Ok(())
+    }
+
+    fn controller_call(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
+        let name = || request.text(1).to_string();
+        match request.function {
+            FunctionId::CONTROLLER_GET_VARIABLE => self.open_variable(peer, Owner::Controller, &name()),
+            FunctionId::CONTROLLER_GET_ROBOT => match option(&request.text(2).to_string(), "ID") {
+                // there is one arm, whatever a client calls it
+                None | Some("0") => self.open(peer, Item::Robot, name()),
+                Some(_) => Err(HResult::E_CAO_OBJECT_NOTFOUND),
+            },
+            FunctionId::CONTROLLER_GET_TASK => {
+                let wanted = name();
+                let found = self.tasks.iter().position(|t| t.name().eq_ignore_ascii_case(wanted.trim()));
+                let n = found.ok_or(HResult::E_CAO_OBJECT_NOTFOUND)?;
+                self.open(peer, Item::Task(n), self.tasks[n].name().to_owned())
+            }
+            FunctionId::CONTROLLER_GET_VARIABLE_NAMES => {
+                Ok(names(system_names(Owner::Controller).chain(wildcard_names())))
+            }
+            FunctionId::CONTROLLER_GET_ROBOT_NAMES => Ok(names(["Arm0".to_owned()])),
+            FunctionId::CONTROLLER_GET_TASK_NAMES => Ok(names(self.tasks.iter().map(|t| t.name().to_owned()))),
+            FunctionId::CONTROLLER_EXECUTE => self.controller_execute(&name(), &request.value(2)),
+            // files, extensions, commands and messages
+            _ => Err(HResult::E_NOTIMPL),
+        }
+    }
+
+    fn task_call(&mut self, peer: PeerId, n: usize, request: &Request<'_>) -> Answered {
+        match request.function {
+            FunctionId::TASK_GET_VARIABLE => self.open_variable(peer, Owner::Task(n), &request.text(1).to_string()),
+            FunctionId::TASK_GET_VARIABLE_NAMES => Ok(names(system_names(Owner::Task(n)))),
+            FunctionId::TASK_EXECUTE => self.task_execute(n, &request.text(1).to_string()),
+            FunctionId::TASK_START => self.task_start(peer, n, request.int(1)).map(|()| Answer::Done),
+            FunctionId::TASK_STOP => self.task_stop(n, request.int(1)),
+            FunctionId::TASK_GET_FILE_NAME => Ok(Value::Text(format!("{}.pcs", self.tasks[n].name())).into()),
+            _ => Err(HResult::E_NOTIMPL),
+        }
+    }
+
+    fn variable_call(&mut self, peer: PeerId, target: Target, request: &Request<'_>) -> Answered {
+        let now = self.now;
+        let answer = match request.function {
+            FunctionId::VARIABLE_GET_VALUE => self.target_get(target)?.into(),
+            FunctionId::VARIABLE_PUT_VALUE => {
+                self.target_put(peer, target, &request.value(1))?;
+                Answer::Done
+            }
+            FunctionId::VARIABLE_GET_DATE_TIME => {
+                let stamp = self.objects.get(peer, request.handle(), Object::Variable)?.stamp;
+                return Ok(Value::Date(self.date(stamp)?).into());
+            }
+            FunctionId::VARIABLE_GET_MICROSECOND => {
+                let stamp = self.objects.get(peer, request.handle(), Object::Variable)?.stamp;
+                return Ok(Value::I4(self.microsecond(stamp)).into());
+            }
+            _ => return Err(HResult::E_NOTIMPL),
+        };
+        self.objects.get_mut(peer, request.handle(), Object::Variable)?.stamp = now;
+        Ok(answer)
+    }
+
+    /// Returns the microseconds of a time within its second of the wall clock.
+    fn microsecond(&self, at: Instant) -> i32 {
+        let origin = i128::from(self.config().wall_clock_origin_ms) * 1000;
+        i32::try_from((origin + i128::from(at.as_micros())).rem_euclid(1_000_000)).unwrap_or(0)
+    }
+
+    /// Opens a variable of an object by its name.
+    pub(crate) fn open_variable(&mut self, peer: PeerId, owner: Owner, name: &str) -> Answered {
+        let target = match (system::find(owner, name), parse_name(name), owner) {
+            (Some(known), _, _) => Target::System(owner, known),
+            (None, Some((family, Some(index))), Owner::Controller) => {
+                self.variables.check(family, index)?;
+                Target::User(family, index)
+            }
+            (None, Some((family, None)), Owner::Controller) => Target::Wildcard(family, None),
+            _ => return Err(HResult::E_CAO_OBJECT_NOTFOUND),
+        };
+        self.open(peer, Item::Variable(target), name.trim().to_owned())
+    }
+
+    fn target_get(&self, target: Target) -> Result<Value, HResult> {
+        match target {
+            Target::User(family, n) | Target::Wildcard(family, Some(n)) => self.variables.get(family, n),
+            Target::Wildcard(_, None) => Err(HResult::DISP_E_BADINDEX),
+            Target::System(owner, name) => self.system_get(owner, name),
+        }
+    }
+
+    fn target_put(&mut self, peer: PeerId, target: Target, value: &Variant<'_>) -> Result<(), HResult> {
+        if self.config().permission == Permission::ReadOnly {
+            return Err(HResult::E_CAO_NOT_WRITABLE);
+        }
+        match target {
+            Target::User(family, n) | Target::Wildcard(family, Some(n)) => self.variables.put(family, n, value),
+            Target::Wildcard(_, None) => Err(HResult::DISP_E_BADINDEX),
+            Target::System(owner, name) => self.system_put(peer, owner, name, value),
+        }
+    }
+
+    /// Reads a user variable for a client of RAC.
+    ///
+    /// # Errors
+    ///
+    /// `DISP_E_BADINDEX`, or `E_TOO_MUCH_DATA` when the value does not fit `reply`.
+    pub fn rac_get(&mut self, kind: Kind, index: u32, reply: &mut ReplyValue<'_>, now: Instant) -> Result<(), HResult> {
+        self.advance(now);
+        let value = self.variables.get(crate::variables::Family::Plain(kind), index)?;
+        match Self::set_reply(reply, &value) {
+            HResult::S_OK => Ok(()),
+            code => Err(code),
+        }
+    }
+
+    /// Writes a user variable for a client of RAC.
+    ///
+    /// # Errors
+    ///
+    /// `E_CAO_NOT_WRITABLE` without the permission to write, and what Variable_PutValue answers.
+    pub fn rac_put(&mut self, kind: Kind, index: u32, value: &Variant<'_>, now: Instant) -> Result<(), HResult> {
+        self.advance(now);
+        if self.config().permission == Permission::ReadOnly {
+            return Err(HResult::E_CAO_NOT_WRITABLE);
+        }
+        self.variables.put(crate::variables::Family::Plain(kind), index, value)
+    }
+
+    /// Waits, or goes on waiting, for what was entered for this client.
+    pub(crate) fn resume(&mut self, peer: PeerId) -> Answered {
+        match self.waits.get(&peer).copied() {
+            Some(Wait::Over(result)) => {
+                self.waits.remove(&peer);
+                if result == HResult::S_OK { Ok(Answer::Done) } else { Err(result) }
+            }
+            Some(wait) => Ok(Answer::Wait(self.look_again(wait))),
+            None => Err(HResult::E_ABORT),
+        }
+    }
+}
+
+pub(crate) fn names(list: impl IntoIterator<Item = String>) -> Answer {
+    Value::Texts(list.into_iter().collect()).into()
+}
+
+pub(crate) fn system_names(owner: Owner) -> impl Iterator<Item = String> {
+    system::names(owner).iter().map(|(name, _)| (*name).to_owned())
+}
+
+fn help(entry: &Entry) -> String {
+    match entry.item {
+        Item::Controller => "A virtual robot controller.".to_owned(),
+        Item::Robot => "A virtual arm of six axes.".to_owned(),
+        Item::Task(_) => "A virtual task: a loop of fixed time.".to_owned(),
+        Item::Variable(Target::System(..)) => format!("The system variable {}.", entry.name),
+        Item::Variable(_) => format!("The user variable {}.", entry.name),
+    }
+}

@@ -1,0 +1,325 @@
+//! A motion: a path of joints, and how far along it the robot is at a time.
+//!
+//! ```text
+//!  speed along      ____________            a path runs from 0 to 1, through knots of joints;
+//!  the path        /            \           speed and acceleration are those at which the slowest
+//!                 /              \          joint (on a line: or the flange) keeps its limit
+//!              __/                \__> t
+//! ```
+//!
+//! The joints move together and arrive together. Halt and Hold brake along the path.
+
+use std::time::Duration;
+
+use bcap_core::handler::PeerId;
+use bcap_core::time::Instant;
+
+use crate::kinematics::{Frame, Joints, OutOfReach, SPEEDS, inverse_nearest};
+
+/// The largest speed of the flange on a line, in mm per second.
+pub const LINE_SPEED: f64 = 2000.0;
+
+/// The largest turning speed of the flange on a line, in degrees per second.
+pub const TURN_SPEED: f64 = 360.0;
+
+/// The time in which a motion at full acceleration reaches its full speed, in seconds.
+pub const ACCELERATION_TIME: f64 = 0.2;
+
+/// Parts that a line is planned in.
+const LINE_PARTS: usize = 100;
+
+/// A joint that turns more than this, in degrees, in one part of a line has met a singularity.
+const LARGEST_STEP: f64 = 30.0;
+
+/// Joints to pass through at an even pace.
+#[derive(Clone, Debug)]
+pub(crate) struct Path {
+    /// At least two.
+    knots: Vec<Joints>,
+    /// The speed that no limit allows to be higher, in paths per second.
+    full_speed: f64,
+}
+
+impl Path {
+    /// Plans a motion in which every joint turns at its own even pace.
+    pub(crate) fn joints(from: Joints, to: Joints) -> Self {
+        Self { full_speed: joint_limit(&from, &to, 1.0), knots: vec![from, to] }
+    }
+
+    /// Plans a motion of the flange on a straight line.
+    pub(crate) fn line(start: Joints, from: &Frame, to: &Frame) -> Result<Self, OutOfReach> {
+        let (distance, angle) = from.distance(to);
+        let mut full_speed = (LINE_SPEED / distance).min(TURN_SPEED / angle);
+        let mut knots = vec![start];
+        let mut here = start;
+        for n in 1..=LINE_PARTS {
+            let next = inverse_nearest(&from.towards(to, n as f64 / LINE_PARTS as f64), &here)?;
+            if let Some(axis) = here.iter().zip(&next).position(|(a, b)| (a - b).abs() > LARGEST_STEP) {
+                return Err(OutOfReach(u8::try_from(axis + 1).unwrap_or(0)));
+            }
+            full_speed = full_speed.min(joint_limit(&here, &next, LINE_PARTS as f64));
+            knots.push(next);
+            here = next;
+        }
+        Ok(Self { knots, full_speed })
+    }
+
+    /// Returns the joints at its end.
+    pub(crate) fn end(&self) -> Joints {
+        self.knots.last().copied().unwrap_or_default()
+    }
+
+    fn at(&self, part: f64) -> Joints {
+        let place = part.clamp(0.0, 1.0) * (self.knots.len() - 1) as f64;
+        let before = (place as usize).min(self.knots.len() - 2);
+        let (a, b, rest) = (&self.knots[before], &self.knots[before + 1], place - before as f64);
+        if rest >= 1.0 { *b } else { [0, 1, 2, 3, 4, 5].map(|i| a[i] + (b[i] - a[i]) * rest) }
+    }
+}
+
+/// Returns the speed at which the first joint reaches its limit, in paths per second.
+fn joint_limit(from: &Joints, to: &Joints, parts: f64) -> f64 {
+    let limits = from.iter().zip(to).zip(&SPEEDS).map(|((a, b), speed)| speed / ((a - b).abs() * parts));
+    limits.fold(f64::INFINITY, f64::min)
+}
+
+/// Speed, acceleration and deceleration, each as a part of its full value, 0 to 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Rates {
+    pub(crate) speed: f64,
+    pub(crate) accel: f64,
+    pub(crate) decel: f64,
+}
+
+/// Up to three spans of constant acceleration.
+#[derive(Clone, Copy, Debug)]
+struct Ramp {
+    begin: Instant,
+    place: f64,
+    speed: f64,
+    /// Seconds, and acceleration.
+    spans: [(f64, f64); 3],
+}
+
+impl Ramp {
+    /// Plans from a place and a speed to rest at 1.
+    fn run(begin: Instant, place: f64, speed: f64, top: f64, accel: f64, decel: f64) -> Self {
+        let distance = (1.0 - place).max(0.0);
+        // the speed at which accelerating has to turn into braking, were there no top
+        let peak = ((2.0 * accel * decel * distance + decel * speed * speed) / (accel + decel)).sqrt();
+        let cruise = peak.min(top).max(speed);
+        let speeding = (cruise - speed) / accel;
+        let braking = cruise / decel;
+        let covered = (speed + cruise) / 2.0 * speeding + cruise / 2.0 * braking;
+        let cruising = if cruise > 0.0 { ((distance - covered) / cruise).max(0.0) } else { 0.0 };
+        Self { begin, place, speed, spans: [(speeding, accel), (cruising, 0.0), (braking, -decel)] }
+    }
+
+    /// Plans to brake to rest.
+    fn brake(begin: Instant, place: f64, speed: f64, decel: f64) -> Self {
+        Self { begin, place, speed, spans: [(speed / decel, -decel), (0.0, 0.0), (0.0, 0.0)] }
+    }
+
+    fn end(&self) -> Instant {
+        let seconds: f64 = self.spans.iter().map(|(seconds, _)| seconds).sum();
+        // rounded up, so that at the end nothing is left
+        self.begin.saturating_add(Duration::from_micros((seconds * 1e6).ceil() as u64))
+    }
+
+    /// Returns place and speed.
+    fn at(&self, now: Instant) -> (f64, f64) {
+        let mut left = now.saturating_since(self.begin).as_secs_f64();
+        let (mut place, mut speed) = (self.place, self.speed);
+        for (seconds, accel) in self.spans {
+            let time = left.min(seconds);
+            place += speed * time + accel * time * time / 2.0;
+            speed = (speed + accel * time).max(0.0);
+            left -= time;
+        }
+        (place.clamp(0.0, 1.0), speed)
+    }
+}
+
+/// What a motion is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stage {
+    Running,
+    /// Braking for Hold, or standing until Unhold.
+    Holding,
+    /// Braking for Halt.
+    Halting,
+}
+
+/// A motion under way.
+#[derive(Clone, Debug)]
+pub(crate) struct Motion {
+    /// Its number, never given twice.
+    pub(crate) id: u64,
+    /// Who commanded it.
+    pub(crate) peer: PeerId,
+    path: Path,
+    rates: Rates,
+    ramp: Ramp,
+    stage: Stage,
+}
+
+/// How a motion has ended by itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Ended {
+    Arrived,
+    Halted,
+}
+
+impl Motion {
+    pub(crate) fn start(id: u64, peer: PeerId, path: Path, rates: Rates, now: Instant) -> Self {
+        // a path without length is at its end
+        let place = if path.full_speed.is_finite() { 0.0 } else { 1.0 };
+        let mut motion = Self {
+            id,
+            peer,
+            path,
+            rates,
+            ramp: Ramp { begin: now, place, speed: 0.0, spans: [(0.0, 0.0); 3] },
+            stage: Stage::Running,
+        };
+        motion.run(now);
+        motion
+    }
+
+    pub(crate) fn joints(&self, now: Instant) -> Joints {
+        self.path.at(self.ramp.at(now).0)
+    }
+
+    pub(crate) fn destination(&self) -> Joints {
+        self.path.end()
+    }
+
+    /// Returns when it will stand; `None` while it is held.
+    pub(crate) fn end(&self) -> Option<Instant> {
+        (self.stage != Stage::Holding).then(|| self.ramp.end())
+    }
+
+    /// Tells whether it has ended, and how.
+    pub(crate) fn ended(&self, now: Instant) -> Option<Ended> {
+        if now < self.end()? {
+            return None;
+        }
+        Some(if self.stage == Stage::Halting { Ended::Halted } else { Ended::Arrived })
+    }
+
+    pub(crate) fn halt(&mut self, now: Instant) {
+        if self.stage != Stage::Halting {
+            self.brake(now, Stage::Halting);
+        }
+    }
+
+    /// Brakes until [`unhold`](Self::unhold); `false` when it is braking already.
+    pub(crate) fn hold(&mut self, now: Instant) -> bool {
+        let running = self.stage == Stage::Running;
+        if running {
+            self.brake(now, Stage::Holding);
+        }
+        running
+    }
+
+    /// Goes on; `false` when it is not held.
+    pub(crate) fn unhold(&mut self, now: Instant) -> bool {
+        let held = self.stage == Stage::Holding;
+        if held {
+            self.stage = Stage::Running;
+            self.run(now);
+        }
+        held
+    }
+
+    fn run(&mut self, now: Instant) {
+        let (place, speed) = self.ramp.at(now);
+        let full = self.path.full_speed;
+        if full.is_finite() {
+            let accel = full / ACCELERATION_TIME;
+            let Rates { speed: top, accel: up, decel: down } = self.rates;
+            self.ramp = Ramp::run(now, place, speed, full * top, accel * up, accel * down);
+        }
+    }
+
+    fn brake(&mut self, now: Instant, stage: Stage) {
+        let (place, speed) = self.ramp.at(now);
+        let decel = self.path.full_speed / ACCELERATION_TIME * self.rates.decel;
+        self.stage = stage;
+        if decel.is_finite() {
+            self.ramp = Ramp::brake(now, place, speed, decel);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FULL: Rates = Rates { speed: 1.0, accel: 1.0, decel: 1.0 };
+
+    fn turn_of_j1(degrees: f64, rates: Rates) -> Motion {
+        let path = Path::joints([0.0; 6], [degrees, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        Motion::start(1, PeerId(1), path, rates, Instant::ZERO)
+    }
+
+    fn seconds(motion: &Motion) -> f64 {
+        motion.end().unwrap().as_micros() as f64 / 1e6
+    }
+
+    #[test]
+    fn a_long_motion_takes_distance_by_speed_and_one_ramp() {
+        let motion = turn_of_j1(150.0, FULL);
+        assert!((seconds(&motion) - (150.0 / SPEEDS[0] + ACCELERATION_TIME)).abs() < 1e-5);
+        let half = turn_of_j1(150.0, Rates { speed: 0.5, ..FULL });
+        assert!((seconds(&half) - (150.0 / SPEEDS[0] * 2.0 + ACCELERATION_TIME / 2.0)).abs() < 1e-5);
+        assert_eq!(motion.joints(motion.end().unwrap())[0], 150.0);
+        assert_eq!(motion.ended(motion.end().unwrap()), Some(Ended::Arrived));
+    }
+
+    #[test]
+    fn a_short_motion_never_reaches_its_speed() {
+        let motion = turn_of_j1(1.0, FULL);
+        // up and down at 375/0.2 degrees per second squared
+        let expected = 2.0 * (1.0 / (SPEEDS[0] / ACCELERATION_TIME)).sqrt();
+        assert!((seconds(&motion) - expected).abs() < 1e-5, "{}", seconds(&motion));
+        let middle = motion.joints(Instant::from_micros((expected * 5e5) as u64))[0];
+        assert!((middle - 0.5).abs() < 1e-3);
+    }
+
+    #[test]
+    fn the_way_grows_and_never_faster_than_the_limit() {
+        let motion = turn_of_j1(150.0, FULL);
+        let places: Vec<f64> = (0..600).map(|n| motion.joints(Instant::from_millis(n))[0]).collect();
+        for pair in places.windows(2) {
+            assert!(pair[1] >= pair[0] && pair[1] - pair[0] <= SPEEDS[0] / 1000.0 + 1e-9);
+        }
+    }
+
+    #[test]
+    fn halt_brakes_and_hold_goes_on() {
+        let mut motion = turn_of_j1(150.0, FULL);
+        let at = Instant::from_millis(300);
+        let before = motion.joints(at)[0];
+        assert!(motion.hold(at) && !motion.hold(at));
+        assert_eq!(motion.end(), None);
+        let held = motion.joints(Instant::from_millis(10_000))[0];
+        // braking from full speed takes half of speed times the ramp's time
+        assert!((held - before - SPEEDS[0] * ACCELERATION_TIME / 2.0).abs() < 1e-6, "{before} {held}");
+        assert!(motion.unhold(Instant::from_millis(10_000)) && !motion.unhold(at));
+        assert_eq!(motion.joints(motion.end().unwrap())[0], 150.0);
+        motion.halt(Instant::from_millis(10_001));
+        let end = motion.end().unwrap();
+        assert_eq!(motion.ended(end), Some(Ended::Halted));
+        assert!(motion.joints(end)[0] < held + 1.0);
+    }
+
+    #[test]
+    fn no_way_takes_no_time() {
+        let mut motion = turn_of_j1(0.0, FULL);
+        assert_eq!(motion.ended(Instant::ZERO), Some(Ended::Arrived));
+        motion.hold(Instant::ZERO);
+        motion.unhold(Instant::ZERO);
+        assert_eq!(motion.ended(Instant::ZERO), Some(Ended::Arrived));
+    }
+}

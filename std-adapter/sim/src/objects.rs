@@ -1,0 +1,159 @@
+//! The objects behind the handles.
+//!
+//! A handle is a positive I4 that belongs to the client that got it; with another client's handle, or one that has been
+//! released, a call is refused with `E_HANDLE`. Numbers count up from 2, as in the guide's frames, and start over when
+//! nothing is open; none is given twice at the same time.
+
+use std::collections::BTreeMap;
+
+use bcap_core::bcap::Object;
+use bcap_core::handler::PeerId;
+use bcap_core::hresult::HResult;
+use bcap_core::time::Instant;
+
+use crate::system::Owner;
+use crate::variables::Family;
+
+const FIRST: i32 = 2;
+
+/// What a variable's handle stands for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Target {
+    /// A user variable.
+    User(Family, u32),
+    /// All user variables of a family; PutID chooses one.
+    Wildcard(Family, Option<u32>),
+    /// A system variable, by its name.
+    System(Owner, &'static str),
+}
+
+/// What a handle stands for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Item {
+    Controller,
+    Robot,
+    /// The task's place in the list.
+    Task(usize),
+    Variable(Target),
+}
+
+impl Item {
+    const fn object(self) -> Object {
+        match self {
+            Self::Controller => Object::Controller,
+            Self::Robot => Object::Robot,
+            Self::Task(_) => Object::Task,
+            Self::Variable(_) => Object::Variable,
+        }
+    }
+}
+
+/// An open object.
+#[derive(Clone, Debug)]
+pub(crate) struct Entry {
+    pub(crate) peer: PeerId,
+    pub(crate) item: Item,
+    pub(crate) name: String,
+    /// What PutTag has set, encoded.
+    pub(crate) tag: Option<Vec<u8>>,
+    /// What PutID has set, encoded; the index of a variable is in its [`Target`].
+    pub(crate) id: Option<Vec<u8>>,
+    /// When a variable was last read or written through this handle; before that, when it was opened.
+    pub(crate) stamp: Instant,
+}
+
+/// All open objects.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Objects {
+    open: BTreeMap<i32, Entry>,
+    last: i32,
+}
+
+impl Objects {
+    /// Opens an object and returns its handle.
+    pub(crate) fn open(&mut self, entry: Entry, limit: usize) -> Result<i32, HResult> {
+        if self.open.values().filter(|e| e.peer == entry.peer).count() >= limit {
+            return Err(HResult::E_MAX_OBJECT);
+        }
+        let handle = self.free_handle();
+        self.last = handle;
+        self.open.insert(handle, entry);
+        Ok(handle)
+    }
+
+    pub(crate) fn get(&self, peer: PeerId, handle: i32, object: Object) -> Result<&Entry, HResult> {
+        let entry = self.open.get(&handle).filter(|e| e.peer == peer && e.item.object() == object);
+        entry.ok_or(HResult::E_HANDLE)
+    }
+
+    pub(crate) fn get_mut(&mut self, peer: PeerId, handle: i32, object: Object) -> Result<&mut Entry, HResult> {
+        let entry = self.open.get_mut(&handle).filter(|e| e.peer == peer && e.item.object() == object);
+        entry.ok_or(HResult::E_HANDLE)
+    }
+
+    pub(crate) fn release(&mut self, peer: PeerId, handle: i32, object: Object) -> Result<(), HResult> {
+        self.get(peer, handle, object)?;
+        self.open.remove(&handle);
+        Ok(())
+    }
+
+    /// Releases all that a client holds.
+    pub(crate) fn release_all(&mut self, peer: PeerId) {
+        self.open.retain(|_, entry| entry.peer != peer);
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.open.len()
+    }
+
+    fn free_handle(&self) -> i32 {
+        if self.open.is_empty() {
+            return FIRST;
+        }
+        let mut handle = self.last;
+        // ends, because far fewer than 2^31 can be open
+        loop {
+            handle = handle.checked_add(1).unwrap_or(FIRST);
+            if !self.open.contains_key(&handle) {
+                return handle;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn entry(peer: u32) -> Entry {
+        let name = String::new();
+        Entry { peer: PeerId(peer), item: Item::Robot, name, tag: None, id: None, stamp: Instant::ZERO }
+    }
+
+    #[test]
+    fn handles_are_never_given_twice_at_the_same_time() {
+        let mut objects = Objects::default();
+        assert_eq!(objects.open(entry(1), 9), Ok(2));
+        assert_eq!(objects.open(entry(1), 9), Ok(3));
+        objects.release(PeerId(1), 2, Object::Robot).unwrap();
+        assert_eq!(objects.open(entry(1), 9), Ok(4));
+        objects.last = i32::MAX - 1;
+        assert_eq!(objects.open(entry(1), 9), Ok(i32::MAX));
+        assert_eq!(objects.open(entry(1), 9), Ok(2));
+        assert_eq!(objects.open(entry(1), 9), Ok(5));
+    }
+
+    #[test]
+    fn handles_belong_to_a_client_and_a_kind() {
+        let mut objects = Objects::default();
+        let handle = objects.open(entry(1), 1).unwrap();
+        assert_eq!(objects.open(entry(1), 1), Err(HResult::E_MAX_OBJECT));
+        assert!(objects.get(PeerId(1), handle, Object::Robot).is_ok());
+        assert_eq!(objects.get(PeerId(2), handle, Object::Robot).err(), Some(HResult::E_HANDLE));
+        assert_eq!(objects.get(PeerId(1), handle, Object::Task).err(), Some(HResult::E_HANDLE));
+        assert_eq!(objects.release(PeerId(2), handle, Object::Robot), Err(HResult::E_HANDLE));
+        objects.release_all(PeerId(1));
+        assert_eq!(objects.len(), 0);
+        assert_eq!(objects.open(entry(1), 1), Ok(FIRST));
+    }
+}

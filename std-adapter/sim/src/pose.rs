@@ -1,0 +1,234 @@
+//! Poses as motion commands carry them.
+//!
+//! | form                                    | example                                              |
+//! |-----------------------------------------|------------------------------------------------------|
+//! | BSTR: a variable                        | `"P1"`, `"@E J[3]"`                                  |
+//! | BSTR: numbers                           | `"P(400, 0, 300, 180, 0, 180, 5)"`, `"@P J(0,45,90,0,45,0)"` |
+//! | VARIANT array: numbers, type, pass      | `[[0,45,90,0,45,0], "J", "@E"]`, `[[...], 2, -2]`    |
+//! | VARIANT array: index, type, pass        | `[1, "P", "@E"]`                                     |
+//! | array of 7, 8 or 10 numbers             | P, J or T by their count                             |
+//!
+//! Types are 0 P, 1 T, 2 J. The pass (`@P` -1, `@E` -2, `@0`, `@n`) is checked and has no effect: every motion of this
+//! model ends exactly at its pose. A P may be without its Fig, or have a negative one: the nearest posture is taken.
+
+use bcap_core::hresult::HResult;
+use bcap_core::variant::{Array, Variant};
+
+use crate::kinematics::{Frame, Joints, OutOfReach, inverse, inverse_nearest, out_of_range};
+use crate::value::{number, numbers, numbers_of_text, whole};
+use crate::variables::{Family, Kind, Variables, parse_name};
+
+/// Where to move.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Pose {
+    Joints(Joints),
+    /// A frame of the flange, and the Fig; without one the nearest posture.
+    Frame(Frame, Option<u8>),
+}
+
+impl Pose {
+    /// Makes a pose from the numbers of a P, J or T.
+    pub(crate) fn new(kind: Kind, numbers: &[f64]) -> Result<Self, HResult> {
+        if numbers.iter().any(|n| !n.is_finite()) {
+            return Err(HResult::E_INVALIDARG);
+        }
+        match (kind, numbers) {
+            (Kind::P, [x, y, z, rx, ry, rz, fig @ ..]) => {
+                Ok(Self::Frame(Frame::from_xyz_rpy([*x, *y, *z, *rx, *ry, *rz]), figure(fig)?))
+            }
+            (Kind::J, [j1, j2, j3, j4, j5, j6, more @ ..]) if more.len() <= 2 => {
+                // there are no axes 7 and 8 to move
+                if more.iter().any(|n| *n != 0.0) {
+                    return Err(HResult::E_INVALIDARG);
+                }
+                Ok(Self::Joints([*j1, *j2, *j3, *j4, *j5, *j6]))
+            }
+            (Kind::T, [t @ .., _]) if numbers.len() == 10 => Self::transform(t, figure(&numbers[9..])?),
+            (Kind::T, t) => Self::transform(t, None),
+            _ => Err(HResult::E_INVALIDARG),
+        }
+    }
+
+    fn transform(numbers: &[f64], fig: Option<u8>) -> Result<Self, HResult> {
+        let t = numbers.try_into().map_err(|_| HResult::E_INVALIDARG)?;
+        Ok(Self::Frame(Frame::from_trans(t).ok_or(HResult::E_INVALIDARG)?, fig))
+    }
+
+    /// Reads a motion command's pose.
+    pub(crate) fn parse(value: &Variant<'_>, vars: &Variables) -> Result<Self, HResult> {
+        match value.flatten() {
+            Variant::Bstr(text) => Self::parse_text(&text.to_string(), vars),
+            Variant::Array(array) => match array.len() {
+                1..=4 => Self::parse_items(array, vars),
+                len => Self::new(kind_of(len)?, &numbers(value)?),
+            },
+            _ => Err(HResult::E_INVALIDARGTYPE),
+        }
+    }
+
+    /// Reads a command's parameter that is a pose of one kind, as numbers or as text.
+    pub(crate) fn parse_as(kind: Kind, value: &Variant<'_>, vars: &Variables) -> Result<Self, HResult> {
+        match value.flatten() {
+            Variant::Bstr(text) => Self::parse_text(&text.to_string(), vars),
+            _ => Self::new(kind, &numbers(value)?),
+        }
+    }
+
+    fn parse_text(text: &str, vars: &Variables) -> Result<Self, HResult> {
+        let mut text = text.trim();
+        if text.starts_with('@') {
+            let (pass, rest) = text.split_once(char::is_whitespace).ok_or(HResult::E_INVALIDARG)?;
+            check_pass(pass)?;
+            text = rest.trim_start();
+        }
+        if let Some((family, Some(index))) = parse_name(text) {
+            return Self::of_variable(family, index, vars);
+        }
+        let (letter, list) = text.split_once('(').ok_or(HResult::E_INVALIDARG)?;
+        let list = list.trim_end().strip_suffix(')').ok_or(HResult::E_INVALIDARG)?;
+        Self::new(kind_of_letter(letter)?, &numbers_of_text(list)?)
+    }
+
+    /// Reads `[numbers or index, type, pass]`.
+    fn parse_items(array: Array<'_>, vars: &Variables) -> Result<Self, HResult> {
+        let item = |n| array.get(n).unwrap_or(Variant::Empty).flatten();
+        match item(2) {
+            Variant::Empty | Variant::Null => {}
+            Variant::Bstr(pass) => check_pass(&pass.to_string())?,
+            // @P -1, @E -2, @0, @n
+            pass if pass.as_i32().is_some_and(|n| n >= -2) => {}
+            _ => return Err(HResult::E_INVALIDARG),
+        }
+        // extended joints
+        if !item(3).is_empty() {
+            return Err(HResult::E_NOTIMPL);
+        }
+        let kind = match item(1) {
+            Variant::Empty | Variant::Null => None,
+            Variant::Bstr(letter) => Some(kind_of_letter(&letter.to_string())?),
+            number => match number.as_i32() {
+                Some(0) => Some(Kind::P),
+                Some(1) => Some(Kind::T),
+                Some(2) => Some(Kind::J),
+                Some(-1) => None,
+                _ => return Err(HResult::E_INVALIDARG),
+            },
+        };
+        match (item(0), kind) {
+            (Variant::Array(list), kind) => {
+                let list = numbers(&Variant::Array(list))?;
+                Self::new(kind.map_or_else(|| kind_of(list.len()), Ok)?, &list)
+            }
+            (Variant::Bstr(text), None) => Self::parse_text(&text.to_string(), vars),
+            (index, Some(kind)) => {
+                let index = whole(number(&index).ok_or(HResult::E_INVALIDARGTYPE)?)?;
+                let index = u32::try_from(index).map_err(|_| HResult::DISP_E_BADINDEX)?;
+                Self::of_variable(Family::Plain(kind), index, vars)
+            }
+            _ => Err(HResult::E_INVALIDARG),
+        }
+    }
+
+    fn of_variable(family: Family, index: u32, vars: &Variables) -> Result<Self, HResult> {
+        match family {
+            Family::Plain(kind @ (Kind::P | Kind::J | Kind::T)) => Self::new(kind, &vars.pose(kind, index)?),
+            _ => Err(HResult::E_INVALIDARG),
+        }
+    }
+
+    /// Returns the joints that bring the arm there.
+    pub(crate) fn joints(&self, near: &Joints) -> Result<Joints, OutOfReach> {
+        match self {
+            Self::Joints(joints) => match out_of_range(joints) {
+                None => Ok(*joints),
+                Some(axis) => Err(OutOfReach(axis)),
+            },
+            Self::Frame(frame, Some(fig)) => inverse(frame, *fig, near),
+            Self::Frame(frame, None) => inverse_nearest(frame, near),
+        }
+    }
+}
+
+/// Reads what stands behind the coordinates: nothing, or a Fig of 0 to 31, or a negative one for any.
+fn figure(rest: &[f64]) -> Result<Option<u8>, HResult> {
+    match rest {
+        [] => Ok(None),
+        [fig] if *fig < 0.0 => Ok(None),
+        [fig] if fig.fract() == 0.0 && *fig < 32.0 => Ok(Some(*fig as u8)),
+        _ => Err(HResult::E_INVALIDARG),
+    }
+}
+
+fn kind_of(len: usize) -> Result<Kind, HResult> {
+    match len {
+        7 => Ok(Kind::P),
+        8 => Ok(Kind::J),
+        10 => Ok(Kind::T),
+        _ => Err(HResult::E_INVALIDARG),
+    }
+}
+
+fn kind_of_letter(letter: &str) -> Result<Kind, HResult> {
+    match letter.trim() {
+        "P" | "p" => Ok(Kind::P),
+        "J" | "j" => Ok(Kind::J),
+        "T" | "t" => Ok(Kind::T),
+        _ => Err(HResult::E_INVALIDARG),
+    }
+}
+
+fn check_pass(pass: &str) -> Result<(), HResult> {
+    let rest = pass.trim().strip_prefix('@').unwrap_or(pass.trim());
+    match rest {
+        "P" | "p" | "E" | "e" => Ok(()),
+        digits if !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_digit()) => Ok(()),
+        _ => Err(HResult::E_INVALIDARG),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::variables::Sizes;
+    use bcap_core::variant::{Encode, VariantBuf};
+
+    const JOINTS: Joints = [0.0, 45.0, 90.0, 0.0, 45.0, 0.0];
+
+    fn parse(value: &impl Encode) -> Result<Pose, HResult> {
+        let mut vars = Variables::new(&Sizes::default());
+        let j1 = VariantBuf::<64>::new(&[0.0_f32, 45.0, 90.0, 0.0, 45.0, 0.0, 0.0, 0.0]).unwrap();
+        vars.put(Family::Plain(Kind::J), 1, &j1.as_variant()).unwrap();
+        Pose::parse(&VariantBuf::<256>::new(value).unwrap().as_variant(), &vars)
+    }
+
+    #[test]
+    fn every_form_of_a_pose_is_read() {
+        let same = Ok(Pose::Joints(JOINTS));
+        for text in ["J1", "@E J1", "@0 j[1]", " @P  J( 0, 45,90,0,45,0 )", "J(0,45,90,0,45,0,0,0)"] {
+            assert_eq!(parse(&text), same, "{text}");
+        }
+        assert_eq!(parse(&(JOINTS, "J", "@E")), same);
+        assert_eq!(parse(&(JOINTS, 2, -2)), same);
+        assert_eq!(parse(&(1, "J", "@E")), same);
+        assert_eq!(parse(&(1, 2)), same);
+        assert_eq!(parse(&[0.0_f32, 45.0, 90.0, 0.0, 45.0, 0.0, 0.0, 0.0]), same);
+        let Ok(Pose::Frame(_, fig)) = parse(&"P(1,2,3,4,5,6,7)") else { panic!("no frame") };
+        assert_eq!(fig, Some(7));
+        assert!(matches!(parse(&"P(1,2,3,4,5,6,-1)"), Ok(Pose::Frame(_, None))));
+        assert!(matches!(parse(&([1.0_f64, 2.0, 3.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 5.0], 1, 0)), Ok(Pose::Frame(..))));
+    }
+
+    #[test]
+    fn what_is_no_pose_is_refused() {
+        for text in ["", "X1", "J", "@E", "@X J1", "I1", "J(1,2)", "J(0,45,90,0,45,0,1)", "P(1,2,3,4,5,6,32)", "V1"] {
+            assert_eq!(parse(&text), Err(HResult::E_INVALIDARG), "{text}");
+        }
+        assert_eq!(parse(&"J(a,b,c,d,e,f)"), Err(HResult::DISP_E_TYPEMISMATCH));
+        assert_eq!(parse(&"J(0,45,90,0,45,nan)"), Err(HResult::E_INVALIDARG));
+        assert_eq!(parse(&"J100"), Err(HResult::DISP_E_BADINDEX));
+        assert_eq!(parse(&1), Err(HResult::E_INVALIDARGTYPE));
+        assert_eq!(parse(&(JOINTS, "J", "@E", (1, 2))), Err(HResult::E_NOTIMPL));
+        assert_eq!(parse(&(JOINTS, "V")), Err(HResult::E_INVALIDARG));
+        assert_eq!(parse(&[1.0_f64; 5]), Err(HResult::E_INVALIDARG));
+    }
+}

@@ -1,0 +1,166 @@
+//! Owned values: what the controller holds and what it answers, before they are put on the wire.
+
+use bcap_core::error::EncodeError;
+use bcap_core::handler::ReplyValue;
+use bcap_core::hresult::HResult;
+use bcap_core::limits::{Limits, MAX_DEPTH, Strictness};
+use bcap_core::variant::{Bstr, Encode, OleDate, Variant, Writer};
+
+/// A value that owns its data; it is encoded as the VARTYPE of its name.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Value {
+    Empty,
+    I2(i16),
+    I4(i32),
+    Ui1(u8),
+    R4(f32),
+    R8(f64),
+    Bool(bool),
+    Date(OleDate),
+    Text(String),
+    /// A client's string, kept as its UTF-16LE bytes so that nothing of it is lost.
+    Bstr(Vec<u8>),
+    I4s(Vec<i32>),
+    R4s(Vec<f32>),
+    R8s(Vec<f64>),
+    Texts(Vec<String>),
+    /// An array of VARIANT.
+    List(Vec<Value>),
+    /// A client's value of any type, as [`keep`] encoded it.
+    Kept(Vec<u8>),
+}
+
+impl Encode for Value {
+    fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
+        match self {
+            Self::Empty => ().encode(out),
+            Self::I2(n) => n.encode(out),
+            Self::I4(n) => n.encode(out),
+            Self::Ui1(n) => n.encode(out),
+            Self::R4(n) => n.encode(out),
+            Self::R8(n) => n.encode(out),
+            Self::Bool(b) => b.encode(out),
+            Self::Date(date) => date.encode(out),
+            Self::Text(text) => text.as_str().encode(out),
+            Self::Bstr(bytes) => Bstr::from_utf16le(bytes).unwrap_or_default().encode(out),
+            Self::I4s(items) => items.as_slice().encode(out),
+            Self::R4s(items) => items.as_slice().encode(out),
+            Self::R8s(items) => items.as_slice().encode(out),
+            Self::Texts(items) => items.iter().map(String::as_str).collect::<Vec<_>>().as_slice().encode(out),
+            Self::List(items) => items.iter().map(|i| i as &dyn Encode).collect::<Vec<_>>().as_slice().encode(out),
+            Self::Kept(bytes) => kept(bytes).encode(out),
+        }
+    }
+}
+
+impl From<&str> for Value {
+    fn from(text: &str) -> Self {
+        Self::Text(text.to_owned())
+    }
+}
+
+/// Keeps a client's value of any type as its encoding.
+pub(crate) fn keep(value: &Variant<'_>) -> Result<Vec<u8>, HResult> {
+    let mut size = 256;
+    loop {
+        let mut buffer = vec![0; size];
+        let mut copy = ReplyValue::new(&mut buffer);
+        match copy.set(value) {
+            Ok(()) => return Ok(copy.as_bytes().to_vec()),
+            Err(EncodeError::Full) if size < Limits::STREAM.frame as usize => size *= 4,
+            Err(EncodeError::Full) => return Err(HResult::E_ARGSIZEOVER),
+            Err(_) => return Err(HResult::E_INVALIDARGTYPE),
+        }
+    }
+}
+
+/// Views a value that [`keep`] has encoded.
+fn kept(bytes: &[u8]) -> Variant<'_> {
+    let limits = Limits { depth: MAX_DEPTH, ..Limits::STREAM };
+    Variant::decode(bytes, &limits, Strictness::Strict).unwrap_or(Variant::Empty)
+}
+
+/// Reads a number of any numeric type but CY.
+pub(crate) fn number(value: &Variant<'_>) -> Option<f64> {
+    value.as_f64().or_else(|| value.as_i64().map(|n| n as f64))
+}
+
+/// Reads the numbers of a command's parameter: one number, an array of any numeric type (also of VARIANT), text with
+/// commas as in `"1,0"`, or nothing at all.
+pub(crate) fn numbers(value: &Variant<'_>) -> Result<Vec<f64>, HResult> {
+    match value.flatten() {
+        Variant::Empty | Variant::Null => Ok(Vec::new()),
+        Variant::Bool(b) => Ok(vec![if b { 1.0 } else { 0.0 }]),
+        Variant::Bstr(text) => numbers_of_text(&text.to_string()),
+        Variant::Array(array) => {
+            array.iter().map(|item| number(&item.flatten()).ok_or(HResult::E_INVALIDARGTYPE)).collect()
+        }
+        other => number(&other).map(|n| vec![n]).ok_or(HResult::E_INVALIDARGTYPE),
+    }
+}
+
+/// Reads numbers between commas; no text, no numbers.
+pub(crate) fn numbers_of_text(text: &str) -> Result<Vec<f64>, HResult> {
+    if text.trim().is_empty() {
+        return Ok(Vec::new());
+    }
+    text.split(',').map(|part| part.trim().parse().map_err(|_| HResult::DISP_E_TYPEMISMATCH)).collect()
+}
+
+/// Returns a number that must be whole and fit 32 bits.
+pub(crate) fn whole(number: f64) -> Result<i32, HResult> {
+    if !number.is_finite() || number.fract() != 0.0 {
+        return Err(HResult::DISP_E_TYPEMISMATCH);
+    }
+    if number < f64::from(i32::MIN) || number > f64::from(i32::MAX) {
+        return Err(HResult::DISP_E_OVERFLOW);
+    }
+    Ok(number as i32)
+}
+
+/// Reads a parameter that is exactly one whole number.
+pub(crate) fn one_int(value: &Variant<'_>) -> Result<i32, HResult> {
+    match numbers(value)?.as_slice() {
+        [n] => whole(*n),
+        _ => Err(HResult::E_INVALIDARG),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use bcap_core::variant::VariantBuf;
+
+    fn parse(value: &impl Encode) -> Result<Vec<f64>, HResult> {
+        numbers(&VariantBuf::<128>::new(value).unwrap().as_variant())
+    }
+
+    #[test]
+    fn parameters_come_as_numbers_arrays_or_text() {
+        assert_eq!(parse(&()), Ok(vec![]));
+        assert_eq!(parse(&1_i16), Ok(vec![1.0]));
+        assert_eq!(parse(&[1, 0]), Ok(vec![1.0, 0.0]));
+        assert_eq!(parse(&(1, 2.5_f64)), Ok(vec![1.0, 2.5]));
+        assert_eq!(parse(&"1, 0"), Ok(vec![1.0, 0.0]));
+        assert_eq!(parse(&""), Ok(vec![]));
+        assert_eq!(parse(&"x"), Err(HResult::DISP_E_TYPEMISMATCH));
+        assert_eq!(parse(&["1"]), Err(HResult::E_INVALIDARGTYPE));
+    }
+
+    #[test]
+    fn kept_values_come_back_whole() {
+        let long = "x".repeat(1000);
+        let value = VariantBuf::<4096>::new(&(1, long.as_str(), [1.5_f64])).unwrap();
+        let bytes = keep(&value.as_variant()).unwrap();
+        assert_eq!(bytes, value.as_bytes());
+        assert_eq!(VariantBuf::<4096>::new(&Value::Kept(bytes)).unwrap(), value);
+    }
+
+    #[test]
+    fn whole_numbers_are_range_checked() {
+        assert_eq!(whole(-3.0), Ok(-3));
+        assert_eq!(whole(0.5), Err(HResult::DISP_E_TYPEMISMATCH));
+        assert_eq!(whole(f64::NAN), Err(HResult::DISP_E_TYPEMISMATCH));
+        assert_eq!(whole(3e9), Err(HResult::DISP_E_OVERFLOW));
+    }
+}

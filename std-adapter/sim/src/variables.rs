@@ -1,0 +1,382 @@
+//! The user variables: I F D V P J T S, and the IO bits with their byte, word, dword and float views.
+//!
+//! | name          | VARTYPE read   | written with                                                     |
+//! |---------------|----------------|------------------------------------------------------------------|
+//! | `I`n          | I4             | integers that fit; R4 and R8 without a fraction                  |
+//! | `F`n          | R4             | integers, R4, R8: rounded to R4, as clients without R4 expect it |
+//! | `D`n          | R8             | integers, R4, R8                                                 |
+//! | `S`n          | BSTR           | BSTR                                                             |
+//! | `V`n          | R4\[3\]        | an array of 3 numbers (R4, R8, integers, or VARIANTs of these)   |
+//! | `P`n          | R4\[7\]        | ... of 7: X Y Z in mm, RX RY RZ in degrees, Fig                  |
+//! | `J`n          | R4\[8\]        | ... of 8: J1 to J8 in degrees                                    |
+//! | `T`n          | R4\[10\]       | ... of 10: position, orient vector, approach vector, Fig         |
+//! | `IO`n         | BOOL           | BOOL; integers, where 0 is off                                   |
+//! | `IOB`n `IOW`n `IOD`n | UI1, I2, I4 | integers that fit the 8, 16 or 32 bits, signed or unsigned   |
+//! | `IOF`n        | R4             | as `F`                                                           |
+//!
+//! A view starts at IO n and takes the lowest bit from there. Everything else is refused: another type with
+//! `E_INVALIDARGTYPE`, a fraction for an integer with `DISP_E_TYPEMISMATCH`, a number that does not fit with
+//! `DISP_E_OVERFLOW`, another count of elements with `E_INVALIDARG`, an index out of range with `DISP_E_BADINDEX`.
+//!
+//! Names are `I1` or `I[1]`, whatever the case, counted from 0; `I*` names all of a kind, and PutID chooses one.
+
+use bcap_core::hresult::HResult;
+use bcap_core::variant::Variant;
+
+use crate::value::{Value, number, whole};
+
+/// The kinds of user variables.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Kind {
+    /// Integers.
+    I,
+    /// Floats.
+    F,
+    /// Doubles.
+    D,
+    /// Vectors.
+    V,
+    /// Positions.
+    P,
+    /// Joint angles.
+    J,
+    /// Homogeneous transforms.
+    T,
+    /// Strings.
+    S,
+    /// Digital inputs and outputs.
+    Io,
+}
+
+impl Kind {
+    /// All kinds, in the order of [`Sizes`].
+    pub const ALL: [Self; 9] = [Self::I, Self::F, Self::D, Self::V, Self::P, Self::J, Self::T, Self::S, Self::Io];
+
+    /// Returns the name that variables of this kind begin with.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::I => "I",
+            Self::F => "F",
+            Self::D => "D",
+            Self::V => "V",
+            Self::P => "P",
+            Self::J => "J",
+            Self::T => "T",
+            Self::S => "S",
+            Self::Io => "IO",
+        }
+    }
+}
+
+/// How many variables of each kind there are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Sizes {
+    /// `@VAR_I_LEN`.
+    pub i: u16,
+    /// `@VAR_F_LEN`.
+    pub f: u16,
+    /// `@VAR_D_LEN`.
+    pub d: u16,
+    /// `@VAR_V_LEN`.
+    pub v: u16,
+    /// `@VAR_P_LEN`.
+    pub p: u16,
+    /// `@VAR_J_LEN`.
+    pub j: u16,
+    /// `@VAR_T_LEN`.
+    pub t: u16,
+    /// `@VAR_S_LEN`.
+    pub s: u16,
+    /// `@VAR_IO_LEN`.
+    pub io: u16,
+}
+
+impl Default for Sizes {
+    /// 100 of each, and 512 IO.
+    fn default() -> Self {
+        Self { i: 100, f: 100, d: 100, v: 100, p: 100, j: 100, t: 100, s: 100, io: 512 }
+    }
+}
+
+impl Sizes {
+    /// Returns the number of variables of a kind.
+    #[must_use]
+    pub const fn of(&self, kind: Kind) -> u16 {
+        match kind {
+            Kind::I => self.i,
+            Kind::F => self.f,
+            Kind::D => self.d,
+            Kind::V => self.v,
+            Kind::P => self.p,
+            Kind::J => self.j,
+            Kind::T => self.t,
+            Kind::S => self.s,
+            Kind::Io => self.io,
+        }
+    }
+}
+
+/// A kind of variables as a name tells it: one of the nine, or a view of the IO bits.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Family {
+    Plain(Kind),
+    /// IOB: 8 bits.
+    Byte,
+    /// IOW: 16 bits.
+    Word,
+    /// IOD: 32 bits.
+    Dword,
+    /// IOF: 32 bits as a float.
+    Float,
+}
+
+impl Family {
+    /// All families, those with longer names first.
+    const BY_NAME: [Self; 13] = [
+        Self::Byte,
+        Self::Word,
+        Self::Dword,
+        Self::Float,
+        Self::Plain(Kind::Io),
+        Self::Plain(Kind::I),
+        Self::Plain(Kind::F),
+        Self::Plain(Kind::D),
+        Self::Plain(Kind::V),
+        Self::Plain(Kind::P),
+        Self::Plain(Kind::J),
+        Self::Plain(Kind::T),
+        Self::Plain(Kind::S),
+    ];
+
+    pub(crate) const fn name(self) -> &'static str {
+        match self {
+            Self::Plain(kind) => kind.name(),
+            Self::Byte => "IOB",
+            Self::Word => "IOW",
+            Self::Dword => "IOD",
+            Self::Float => "IOF",
+        }
+    }
+
+    /// The IO bits that a view covers.
+    const fn bits(self) -> usize {
+        match self {
+            Self::Plain(_) => 1,
+            Self::Byte => 8,
+            Self::Word => 16,
+            Self::Dword | Self::Float => 32,
+        }
+    }
+}
+
+/// Finds what a name stands for: a family and an index, or all of it (`I*`).
+pub(crate) fn parse_name(name: &str) -> Option<(Family, Option<u32>)> {
+    let upper = name.trim().to_ascii_uppercase();
+    let (family, rest) = Family::BY_NAME.iter().find_map(|f| Some((*f, upper.strip_prefix(f.name())?)))?;
+    if rest == "*" || rest == "[*]" {
+        return Some((family, None));
+    }
+    let digits = rest.strip_prefix('[').and_then(|r| r.strip_suffix(']')).unwrap_or(rest);
+    let plain = !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_digit());
+    // more digits than fit are an index out of range, and still a variable's name
+    plain.then(|| (family, Some(digits.parse().unwrap_or(u32::MAX))))
+}
+
+/// Returns the wildcard names of all families, as the list of names has them.
+pub(crate) fn wildcard_names() -> impl Iterator<Item = String> {
+    let views = [Family::Byte, Family::Word, Family::Dword, Family::Float];
+    Kind::ALL.into_iter().map(Family::Plain).chain(views).map(|f| format!("{}*", f.name()))
+}
+
+/// The variables' values.
+#[derive(Clone, Debug)]
+pub(crate) struct Variables {
+    i: Vec<i32>,
+    f: Vec<f32>,
+    d: Vec<f64>,
+    v: Vec<[f32; 3]>,
+    p: Vec<[f32; 7]>,
+    j: Vec<[f32; 8]>,
+    t: Vec<[f32; 10]>,
+    /// UTF-16LE.
+    s: Vec<Vec<u8>>,
+    io: Vec<bool>,
+}
+
+impl Variables {
+    pub(crate) fn new(sizes: &Sizes) -> Self {
+        Self {
+            i: vec![0; sizes.i.into()],
+            f: vec![0.0; sizes.f.into()],
+            d: vec![0.0; sizes.d.into()],
+            v: vec![[0.0; 3]; sizes.v.into()],
+            p: vec![[0.0; 7]; sizes.p.into()],
+            j: vec![[0.0; 8]; sizes.j.into()],
+            t: vec![[0.0; 10]; sizes.t.into()],
+            s: vec![Vec::new(); sizes.s.into()],
+            io: vec![false; sizes.io.into()],
+        }
+    }
+
+    /// Checks that there is such a variable.
+    pub(crate) fn check(&self, family: Family, index: u32) -> Result<usize, HResult> {
+        let index = usize::try_from(index).map_err(|_| HResult::DISP_E_BADINDEX)?;
+        let len = match family {
+            Family::Plain(Kind::I) => self.i.len(),
+            Family::Plain(Kind::F) => self.f.len(),
+            Family::Plain(Kind::D) => self.d.len(),
+            Family::Plain(Kind::V) => self.v.len(),
+            Family::Plain(Kind::P) => self.p.len(),
+            Family::Plain(Kind::J) => self.j.len(),
+            Family::Plain(Kind::T) => self.t.len(),
+            Family::Plain(Kind::S) => self.s.len(),
+            Family::Plain(Kind::Io) | Family::Byte | Family::Word | Family::Dword | Family::Float => self.io.len(),
+        };
+        let end = index.checked_add(family.bits()).ok_or(HResult::DISP_E_BADINDEX)?;
+        if end <= len { Ok(index) } else { Err(HResult::DISP_E_BADINDEX) }
+    }
+
+    pub(crate) fn get(&self, family: Family, index: u32) -> Result<Value, HResult> {
+        let n = self.check(family, index)?;
+        Ok(match family {
+            Family::Plain(Kind::I) => Value::I4(self.i[n]),
+            Family::Plain(Kind::F) => Value::R4(self.f[n]),
+            Family::Plain(Kind::D) => Value::R8(self.d[n]),
+            Family::Plain(Kind::V) => Value::R4s(self.v[n].to_vec()),
+            Family::Plain(Kind::P) => Value::R4s(self.p[n].to_vec()),
+            Family::Plain(Kind::J) => Value::R4s(self.j[n].to_vec()),
+            Family::Plain(Kind::T) => Value::R4s(self.t[n].to_vec()),
+            Family::Plain(Kind::S) => Value::Bstr(self.s[n].clone()),
+            Family::Plain(Kind::Io) => Value::Bool(self.io[n]),
+            Family::Byte => Value::Ui1(self.bits(n, 8) as u8),
+            Family::Word => Value::I2((self.bits(n, 16) as u16).cast_signed()),
+            Family::Dword => Value::I4(self.bits(n, 32).cast_signed()),
+            Family::Float => Value::R4(f32::from_bits(self.bits(n, 32))),
+        })
+    }
+
+    pub(crate) fn put(&mut self, family: Family, index: u32, value: &Variant<'_>) -> Result<(), HResult> {
+        let n = self.check(family, index)?;
+        let value = &value.flatten();
+        match family {
+            Family::Plain(Kind::I) => self.i[n] = integer(value)?,
+            Family::Plain(Kind::F) => self.f[n] = float(value)?,
+            Family::Plain(Kind::D) => self.d[n] = number(value).ok_or(HResult::E_INVALIDARGTYPE)?,
+            Family::Plain(Kind::V) => self.v[n] = floats(value)?,
+            Family::Plain(Kind::P) => self.p[n] = floats(value)?,
+            Family::Plain(Kind::J) => self.j[n] = floats(value)?,
+            Family::Plain(Kind::T) => self.t[n] = floats(value)?,
+            Family::Plain(Kind::S) => {
+                self.s[n] = value.as_bstr().ok_or(HResult::E_INVALIDARGTYPE)?.as_bytes().to_vec();
+            }
+            Family::Plain(Kind::Io) => self.io[n] = value.as_bool().ok_or(HResult::E_INVALIDARGTYPE)?,
+            Family::Byte => self.set_bits(n, 8, pattern(value, 8)?),
+            Family::Word => self.set_bits(n, 16, pattern(value, 16)?),
+            Family::Dword => self.set_bits(n, 32, pattern(value, 32)?),
+            Family::Float => self.set_bits(n, 32, float(value)?.to_bits()),
+        }
+        Ok(())
+    }
+
+    /// Returns the numbers of a P, J or T variable.
+    pub(crate) fn pose(&self, kind: Kind, index: u32) -> Result<Vec<f64>, HResult> {
+        match self.get(Family::Plain(kind), index)? {
+            Value::R4s(numbers) => Ok(numbers.into_iter().map(f64::from).collect()),
+            _ => Err(HResult::E_INVALIDARG),
+        }
+    }
+
+    fn bits(&self, from: usize, count: usize) -> u32 {
+        self.io[from..from + count].iter().rev().fold(0, |bits, on| bits << 1 | u32::from(*on))
+    }
+
+    fn set_bits(&mut self, from: usize, count: usize, bits: u32) {
+        for (n, on) in self.io[from..from + count].iter_mut().enumerate() {
+            *on = bits >> n & 1 != 0;
+        }
+    }
+}
+
+fn integer(value: &Variant<'_>) -> Result<i32, HResult> {
+    match (value.as_i64(), value) {
+        (Some(n), _) => i32::try_from(n).map_err(|_| HResult::DISP_E_OVERFLOW),
+        (None, Variant::R4(_) | Variant::R8(_)) => whole(value.as_f64().unwrap_or(f64::NAN)),
+        // the only integers that as_i64 does not take
+        (None, Variant::Ui8(_)) => Err(HResult::DISP_E_OVERFLOW),
+        _ => Err(HResult::E_INVALIDARGTYPE),
+    }
+}
+
+fn float(value: &Variant<'_>) -> Result<f32, HResult> {
+    narrow(number(value).ok_or(HResult::E_INVALIDARGTYPE)?)
+}
+
+/// Rounds to R4; infinity and NaN pass, a finite number must stay finite.
+fn narrow(wide: f64) -> Result<f32, HResult> {
+    let narrow = wide as f32;
+    if wide.is_finite() && !narrow.is_finite() { Err(HResult::DISP_E_OVERFLOW) } else { Ok(narrow) }
+}
+
+fn floats<const N: usize>(value: &Variant<'_>) -> Result<[f32; N], HResult> {
+    let array = value.as_array().ok_or(HResult::E_INVALIDARGTYPE)?;
+    if array.len() != N {
+        return Err(HResult::E_INVALIDARG);
+    }
+    let mut out = [0.0; N];
+    for (slot, item) in out.iter_mut().zip(array) {
+        *slot = float(&item.flatten())?;
+    }
+    Ok(out)
+}
+
+/// Takes an integer, signed or unsigned, that fits `bits`.
+fn pattern(value: &Variant<'_>, bits: u32) -> Result<u32, HResult> {
+    let n = match value {
+        Variant::Ui8(_) if value.as_i64().is_none() => return Err(HResult::DISP_E_OVERFLOW),
+        _ => value.as_i64().ok_or(HResult::E_INVALIDARGTYPE)?,
+    };
+    if (-(1_i64 << (bits - 1))..1_i64 << bits).contains(&n) {
+        Ok(n as u32 & (u32::MAX >> (32 - bits)))
+    } else {
+        Err(HResult::DISP_E_OVERFLOW)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_in_all_spellings() {
+        let plain = |kind, n| Some((Family::Plain(kind), n));
+        assert_eq!(parse_name("I1"), plain(Kind::I, Some(1)));
+        assert_eq!(parse_name("i[12]"), plain(Kind::I, Some(12)));
+        assert_eq!(parse_name("P*"), plain(Kind::P, None));
+        assert_eq!(parse_name("io150"), plain(Kind::Io, Some(150)));
+        assert_eq!(parse_name("IOB128"), Some((Family::Byte, Some(128))));
+        assert_eq!(parse_name("IOW[8]"), Some((Family::Word, Some(8))));
+        assert_eq!(parse_name("I99999999999"), plain(Kind::I, Some(u32::MAX)));
+        for name in ["", "I", "X1", "I-1", "I+1", "I[1", "I1]", "I1x", "@MODE", "IOX1"] {
+            assert_eq!(parse_name(name), None, "{name}");
+        }
+    }
+
+    #[test]
+    fn views_share_the_bits_of_io() {
+        let mut vars = Variables::new(&Sizes::default());
+        vars.put(Family::Word, 16, &Variant::I4(-2)).unwrap();
+        assert_eq!(vars.get(Family::Word, 16), Ok(Value::I2(-2)));
+        assert_eq!(vars.get(Family::Byte, 16), Ok(Value::Ui1(0xfe)));
+        assert_eq!(vars.get(Family::Plain(Kind::Io), 16), Ok(Value::Bool(false)));
+        assert_eq!(vars.get(Family::Plain(Kind::Io), 31), Ok(Value::Bool(true)));
+        vars.put(Family::Word, 16, &Variant::I4(0x8001)).unwrap();
+        assert_eq!(vars.get(Family::Dword, 12), Ok(Value::I4(0x8001 << 4)));
+        assert_eq!(vars.put(Family::Word, 16, &Variant::I4(0x1_0000)), Err(HResult::DISP_E_OVERFLOW));
+        vars.put(Family::Float, 64, &Variant::R4(-1.5)).unwrap();
+        assert_eq!(vars.get(Family::Float, 64), Ok(Value::R4(-1.5)));
+        assert_eq!(vars.get(Family::Dword, 64), Ok(Value::I4((-1.5_f32).to_bits().cast_signed())));
+        assert_eq!(vars.get(Family::Dword, 481), Err(HResult::DISP_E_BADINDEX));
+        assert!(vars.get(Family::Dword, 480).is_ok());
+    }
+}
