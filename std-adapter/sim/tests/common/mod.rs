@@ -12,55 +12,55 @@ use bcap_core::variant::{Encode, Variant, VariantBuf};
 use bcap_sim::{Config, Controller, Profile};
 
 /// A reply: its code and its value.
-pub type Reply = (HResult, Value);
+pub(crate) type Reply = (HResult, Value);
 /// A value of a reply.
-pub type Value = VariantBuf<8192>;
+pub(crate) type Value = VariantBuf<8192>;
 
 /// A controller and the time.
-pub struct World {
-    pub sim: Controller,
-    pub now: Instant,
+pub(crate) struct World {
+    pub(crate) sim: Controller,
+    pub(crate) now: Instant,
 }
 
 /// A client with the handles it got.
 #[derive(Clone, Copy)]
-pub struct Client {
-    pub peer: PeerId,
-    pub controller: ControllerHandle,
-    pub robot: RobotHandle,
+pub(crate) struct Client {
+    pub(crate) peer: PeerId,
+    pub(crate) controller: ControllerHandle,
+    pub(crate) robot: RobotHandle,
 }
 
 /// A value to compare with.
-pub fn value(value: &(impl Encode + ?Sized)) -> Value {
+pub(crate) fn value(value: &(impl Encode + ?Sized)) -> Value {
     Value::new(value).unwrap()
 }
 
 /// The reply `S_OK` with a value.
-pub fn ok(v: &(impl Encode + ?Sized)) -> Reply {
+pub(crate) fn ok(v: &(impl Encode + ?Sized)) -> Reply {
     (HResult::S_OK, value(v))
 }
 
 /// A reply without a value.
-pub fn code(code: HResult) -> Reply {
+pub(crate) fn code(code: HResult) -> Reply {
     (code, Value::EMPTY)
 }
 
 impl World {
-    pub fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self::with(Config::new(Profile::Rc8))
     }
 
-    pub fn with(config: Config) -> Self {
+    pub(crate) fn with(config: Config) -> Self {
         Self { sim: Controller::new(config), now: Instant::ZERO }
     }
 
     /// Calls the handler once.
-    pub fn poll(&mut self, peer: PeerId, call: &impl Call, resumed: bool) -> (Outcome, Value) {
+    pub(crate) fn poll(&mut self, peer: PeerId, call: &impl Call, resumed: bool) -> (Outcome, Value) {
         let mut frame = [0; 8192];
         let mut writer = FrameWriter::new(&mut frame).unwrap();
         call.arguments(&mut writer).unwrap();
         let bytes = writer.finish(1, 0, call.function().0).unwrap();
-        let frame = Decoder::new(Limits::STREAM).decode_datagram(bytes).unwrap();
+        let frame = Decoder::TCP.decode_datagram(bytes).unwrap();
         let request = Request { function: frame.function(), args: frame.args, resumed };
         let mut buffer = [0; 8192];
         let mut reply = ReplyValue::new(&mut buffer);
@@ -73,7 +73,7 @@ impl World {
     }
 
     /// Calls, and expects the answer at once.
-    pub fn call(&mut self, peer: PeerId, call: impl Call) -> Reply {
+    pub(crate) fn call(&mut self, peer: PeerId, call: impl Call) -> Reply {
         match self.poll(peer, &call, false) {
             (Outcome::Done(code), value) => (code, value),
             (Outcome::Wait(at), _) => panic!("{:?} waits until {at}", call.function()),
@@ -81,7 +81,7 @@ impl World {
     }
 
     /// Calls, moving the clock to each time that the handler wants to be asked again at.
-    pub fn run(&mut self, peer: PeerId, call: impl Call) -> Reply {
+    pub(crate) fn run(&mut self, peer: PeerId, call: impl Call) -> Reply {
         let mut resumed = false;
         for _ in 0..10_000 {
             match self.poll(peer, &call, resumed) {
@@ -97,24 +97,24 @@ impl World {
     }
 
     /// Begins a call that has to wait.
-    pub fn begin(&mut self, peer: PeerId, call: &impl Call) {
+    pub(crate) fn begin(&mut self, peer: PeerId, call: &impl Call) {
         let (outcome, _) = self.poll(peer, call, false);
         assert!(matches!(outcome, Outcome::Wait(_)), "{:?} answered {outcome:?}", call.function());
     }
 
     /// Asks again about a call that has waited.
-    pub fn again(&mut self, peer: PeerId, call: &impl Call) -> (Outcome, Value) {
+    pub(crate) fn again(&mut self, peer: PeerId, call: &impl Call) -> (Outcome, Value) {
         self.poll(peer, call, true)
     }
 
     /// Moves the clock.
-    pub fn pass(&mut self, millis: u64) {
+    pub(crate) fn pass(&mut self, millis: u64) {
         self.now = Instant::from_micros(self.now.as_micros() + millis * 1000);
         self.sim.advance(self.now);
     }
 
     /// Opens a session with controller and robot.
-    pub fn client(&mut self, peer: u32) -> Client {
+    pub(crate) fn client(&mut self, peer: u32) -> Client {
         let peer = PeerId(peer);
         assert_eq!(self.call(peer, call::service_start("")), code(HResult::S_OK));
         let provider = self.sim.config().profile.provider();
@@ -125,7 +125,7 @@ impl World {
     }
 
     /// Opens a session that holds the arm, with the motor on and the external speed at 100 %.
-    pub fn mover(&mut self, peer: u32) -> Client {
+    pub(crate) fn mover(&mut self, peer: u32) -> Client {
         let client = self.client(peer);
         assert_eq!(self.robot(client, "TakeArm", [0, 1]), ok(&()));
         assert_eq!(self.robot(client, "Motor", [1, 0]), ok(&()));
@@ -134,7 +134,7 @@ impl World {
     }
 
     /// Makes a call that returns a handle.
-    pub fn handle(&mut self, peer: PeerId, call: impl Call) -> i32 {
+    pub(crate) fn handle(&mut self, peer: PeerId, call: impl Call) -> i32 {
         let (code, value) = self.call(peer, call);
         assert_eq!(code, HResult::S_OK);
         match value.as_variant() {
@@ -143,20 +143,20 @@ impl World {
         }
     }
 
-    pub fn variable(&mut self, client: Client, name: &str) -> VariableHandle {
+    pub(crate) fn variable(&mut self, client: Client, name: &str) -> VariableHandle {
         VariableHandle(self.handle(client.peer, call::controller_get_variable(client.controller, name, "")))
     }
 
-    pub fn robot_variable(&mut self, client: Client, name: &str) -> VariableHandle {
+    pub(crate) fn robot_variable(&mut self, client: Client, name: &str) -> VariableHandle {
         VariableHandle(self.handle(client.peer, call::robot_get_variable(client.robot, name, "")))
     }
 
-    pub fn task(&mut self, client: Client, name: &str) -> TaskHandle {
+    pub(crate) fn task(&mut self, client: Client, name: &str) -> TaskHandle {
         TaskHandle(self.handle(client.peer, call::controller_get_task(client.controller, name, "")))
     }
 
     /// Reads a variable through a handle of its own, which is released.
-    pub fn get(&mut self, client: Client, name: &str) -> Reply {
+    pub(crate) fn get(&mut self, client: Client, name: &str) -> Reply {
         let handle = self.variable(client, name);
         let reply = self.call(client.peer, call::variable_get_value(handle));
         assert_eq!(self.call(client.peer, call::variable_release(handle)), code(HResult::S_OK));
@@ -164,42 +164,42 @@ impl World {
     }
 
     /// Writes a variable through a handle of its own, which is released.
-    pub fn put(&mut self, client: Client, name: &str, value: impl Encode) -> HResult {
+    pub(crate) fn put(&mut self, client: Client, name: &str, value: impl Encode) -> HResult {
         let handle = self.variable(client, name);
         let (result, _) = self.call(client.peer, call::variable_put_value(handle, value));
         assert_eq!(self.call(client.peer, call::variable_release(handle)), code(HResult::S_OK));
         result
     }
 
-    pub fn robot_get(&mut self, client: Client, name: &str) -> Reply {
+    pub(crate) fn robot_get(&mut self, client: Client, name: &str) -> Reply {
         let handle = self.robot_variable(client, name);
         let reply = self.call(client.peer, call::variable_get_value(handle));
         assert_eq!(self.call(client.peer, call::variable_release(handle)), code(HResult::S_OK));
         reply
     }
 
-    pub fn execute(&mut self, client: Client, command: &str, param: impl Encode) -> Reply {
+    pub(crate) fn execute(&mut self, client: Client, command: &str, param: impl Encode) -> Reply {
         self.call(client.peer, call::controller_execute(client.controller, command, param))
     }
 
     /// Executes a command of the robot to its end.
-    pub fn robot(&mut self, client: Client, command: &str, param: impl Encode) -> Reply {
+    pub(crate) fn robot(&mut self, client: Client, command: &str, param: impl Encode) -> Reply {
         self.run(client.peer, call::robot_execute(client.robot, command, param))
     }
 
     /// Moves to the end of the motion.
-    pub fn move_to(&mut self, client: Client, interpolation: i32, pose: impl Encode, option: &str) -> HResult {
+    pub(crate) fn move_to(&mut self, client: Client, interpolation: i32, pose: impl Encode, option: &str) -> HResult {
         self.run(client.peer, call::robot_move(client.robot, interpolation, pose, option)).0
     }
 }
 
 /// Returns the doubles of a value.
-pub fn doubles(value: &Value) -> Vec<f64> {
+pub(crate) fn doubles(value: &Value) -> Vec<f64> {
     let array = value.as_variant().as_array().expect("an array");
     array.items::<f64>().expect("an array of R8").iter().collect()
 }
 
 /// Tells whether numbers are close to others.
-pub fn close(a: &[f64], b: &[f64], tolerance: f64) -> bool {
+pub(crate) fn close(a: &[f64], b: &[f64], tolerance: f64) -> bool {
     a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() <= tolerance)
 }
