@@ -1,0 +1,245 @@
+//! The text of values: what is printed parses back to the same bits, what has no text is an error, and floats are those
+//! of the standard library.
+
+use bcap_core::error::{TextError, TextErrorKind};
+use bcap_core::limits::{Limits, MAX_DEPTH, Strictness};
+use bcap_core::variant::{Variant, VariantBuf};
+use bcap_tests::strategies;
+use bcap_tests::value::{VARIANT, Value};
+use bcap_tests::vectors::texts;
+use proptest::prelude::*;
+
+type Owned = VariantBuf<4096>;
+
+fn print(value: &Value) -> Result<String, TextError> {
+    let wire = value.to_wire();
+    let mut buffer = vec![0; 64 * 1024];
+    let value = Variant::decode(&wire, &Limits { depth: MAX_DEPTH, ..Limits::STREAM }, Strictness::Strict).unwrap();
+    value.to_text(&mut buffer).map(str::to_owned)
+}
+
+fn parse(text: &str) -> Result<Value, TextError> {
+    Owned::parse_text(text.as_bytes()).map(|value| Value::read(value.as_variant()))
+}
+
+/// Where a string stands.
+#[derive(Clone, Copy)]
+struct Place {
+    /// In parentheses.
+    inside: bool,
+    in_array: bool,
+}
+
+/// Tells whether the grammar has a text for a value; written from the grammar, not from the printer.
+fn has_text(value: &Value, inside: bool) -> bool {
+    match value {
+        Value::Nested(inner) => has_text(inner, true),
+        Value::Array(_, items) if items.is_empty() => false,
+        Value::Array(VARIANT, items) => items.iter().all(|item| has_text(item, true)),
+        Value::Array(0 | 1, _) => false,
+        Value::Array(_, items) => items.iter().all(|item| scalar_has_text(item, Place { inside, in_array: true })),
+        scalar => scalar_has_text(scalar, Place { inside, in_array: false }),
+    }
+}
+
+fn scalar_has_text(value: &Value, place: Place) -> bool {
+    let plain_nan = |is_nan: bool, payload: u64, quiet: u64| !is_nan || payload == quiet;
+    match value {
+        Value::R4(bits) => plain_nan(f32::from_bits(*bits).is_nan(), u64::from(bits & 0x7f_ffff), 0x40_0000),
+        Value::R8(bits) | Value::Date(bits) => {
+            plain_nan(f64::from_bits(*bits).is_nan(), bits & 0xf_ffff_ffff_ffff, 0x8_0000_0000_0000)
+        }
+        Value::Bstr(units) => string_has_text(units, place),
+        _ => true,
+    }
+}
+
+fn string_has_text(units: &[u16], place: Place) -> bool {
+    let Ok(text) = String::from_utf16(units) else { return false };
+    if text.starts_with([' ', '\t']) || text.contains(['\r', '\n']) || (place.in_array && text.contains(',')) {
+        return false;
+    }
+    let mut open = 0;
+    for c in text.chars().filter(|_| place.inside || place.in_array) {
+        open += i32::from(c == '(') - i32::from(c == ')');
+        if open < 0 {
+            return false;
+        }
+    }
+    open == 0
+}
+
+/// Values that have a text more often than not.
+fn value() -> impl Strategy<Value = Value> {
+    let string = "[a-z(),= ]{0,6}".prop_map(|text| Value::text(&text));
+    prop_oneof![
+        strategies::value(),
+        string.clone(),
+        prop::collection::vec(string.clone(), 1..4).prop_map(|items| Value::Array(8, items)),
+        prop::collection::vec(string, 1..4).prop_map(|items| Value::Array(VARIANT, items)),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn what_has_a_text_comes_back_to_the_bit_and_the_rest_is_an_error(value in value()) {
+        match print(&value) {
+            Ok(text) => {
+                prop_assert!(has_text(&value, false), "{}", text);
+                prop_assert_eq!(parse(&text), Ok(value), "{}", text);
+            }
+            Err(error) => {
+                prop_assert!(!has_text(&value, false), "{:?}: {}", value, error);
+                prop_assert_eq!(error.column, 0);
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_read_is_what_is_printed(text in "[0-9]{1,5},?[0-9a-z(),.:/+ -]{0,30}") {
+        if let Ok(value) = parse(&text) {
+            // EMPTY items of an array, say, can be read in more ways than they are written
+            if let Ok(printed) = print(&value) {
+                prop_assert_eq!(parse(&printed), Ok(value), "{} became {}", text, printed);
+            }
+        }
+    }
+
+    #[test]
+    fn an_error_names_a_column_of_the_text(mut text in value().prop_filter_map("no text", |v| print(&v).ok()),
+                                           damage in strategies::damage()) {
+        let mut bytes = text.into_bytes();
+        damage.apply(&mut bytes);
+        match Owned::parse_text(&bytes) {
+            Ok(value) => {
+                let mut buffer = vec![0; 64 * 1024];
+                text = value.as_variant().to_text(&mut buffer).unwrap_or_default().to_owned();
+                prop_assert!(text.is_empty() || Owned::parse_text(text.as_bytes()) == Ok(value));
+            }
+            Err(error) => prop_assert!((1..=bytes.len() as u32 + 1).contains(&error.column), "{}", error),
+        }
+    }
+
+    #[test]
+    fn doubles_are_read_as_the_standard_library_reads_them(
+        text in "-?([0-9]{1,25}|[0-9]{0,420}\\.[0-9]{1,70}|[0-9]{1,460})(e[+-]?[0-9]{1,3})?"
+    ) {
+        let expected: f64 = text.parse().unwrap();
+        let zero = text.split('e').next().unwrap().bytes().all(|b| !(b'1'..=b'9').contains(&b));
+        match parse(&format!("5,{text}")) {
+            Ok(value) => prop_assert_eq!(value, Value::R8(expected.to_bits())),
+            Err(error) => {
+                prop_assert_eq!(error.kind, TextErrorKind::OutOfRange);
+                prop_assert!((expected == 0.0 && !zero) || expected.is_infinite());
+            }
+        }
+    }
+
+    #[test]
+    fn singles_are_read_as_the_standard_library_reads_them(text in "-?[0-9]{1,12}(\\.[0-9]{1,40})?(e[+-]?[0-9]{1,2})?") {
+        let expected: f32 = text.parse().unwrap();
+        let zero = text.split('e').next().unwrap().bytes().all(|b| !(b'1'..=b'9').contains(&b));
+        match parse(&format!("4,{text}")) {
+            Ok(value) => prop_assert_eq!(value, Value::R4(expected.to_bits())),
+            Err(error) => {
+                prop_assert_eq!(error.kind, TextErrorKind::OutOfRange);
+                prop_assert!((expected == 0.0 && !zero) || expected.is_infinite());
+            }
+        }
+    }
+
+    #[test]
+    fn numbers_beside_the_middle_of_two_doubles_are_rounded_right(
+        mantissa in 1_u64 << 53..1 << 54, exponent in -31_i32..=70, digits in 17_usize..=19
+    ) {
+        // an odd number of 54 bits lies in the middle; the decimals next to it on both sides are the hardest
+        let exact = halfway(mantissa | 1, exponent);
+        let (all, power) = exact.split_once('e').unwrap();
+        prop_assume!(all.len() >= digits);
+        let power = power.parse::<i32>().unwrap() + (all.len() - digits) as i32;
+        let below: u64 = all[..digits].parse().unwrap();
+        for number in [below, below + 1] {
+            let text = format!("{number}e{power}");
+            let expected: f64 = text.parse().unwrap();
+            prop_assert_eq!(parse(&format!("5,{text}")), Ok(Value::R8(expected.to_bits())), "{}", text);
+        }
+    }
+
+    #[test]
+    fn floats_are_printed_in_the_fewest_digits(bits in any::<u64>()) {
+        let (double, single) = (f64::from_bits(bits), f32::from_bits(bits as u32));
+        let digits = |text: &str| {
+            let mantissa = text.split('e').next().unwrap().replace(['-', '.'], "");
+            mantissa.trim_matches('0').len()
+        };
+        if double.is_finite() {
+            let text = print(&Value::R8(bits)).unwrap();
+            prop_assert_eq!(digits(&text[2..]), digits(&format!("{double:e}")), "{}", text);
+        }
+        if single.is_finite() {
+            let text = print(&Value::R4(bits as u32)).unwrap();
+            prop_assert_eq!(digits(&text[2..]), digits(&format!("{single:e}")), "{}", text);
+        }
+    }
+}
+
+/// Returns `mantissa * 2^exponent` in all its digits.
+fn halfway(mantissa: u64, exponent: i32) -> String {
+    match u32::try_from(exponent) {
+        Ok(up) => format!("{}e0", u128::from(mantissa) << up),
+        // 2^-n is 5^n * 10^-n
+        Err(_) => format!("{}e{exponent}", u128::from(mantissa) * 5_u128.pow(exponent.unsigned_abs())),
+    }
+}
+
+#[test]
+fn the_examples_of_the_specification_are_what_it_says() {
+    let strings = |texts: &[&str]| texts.iter().map(|text| Value::text(text)).collect::<Vec<_>>();
+    let expected = [
+        ("rac_spec_eg1", Value::I2(100)),
+        ("rac_spec_eg2", Value::text("Sample")),
+        ("rac_spec_eg3", Value::Nested(Box::new(Value::text("Sample")))),
+        ("rac_spec_eg4", Value::Array(2, vec![Value::I2(100), Value::I2(200), Value::I2(300)])),
+        ("rac_spec_eg5", Value::Array(8, strings(&["Sample", "Test"]))),
+        ("rac_spec_eg6", Value::text("Sample,Test")),
+        ("rac_spec_eg7", Value::Array(VARIANT, vec![Value::text("Sample"), Value::I2(100)])),
+    ];
+    let texts = texts();
+    assert_eq!(texts.len(), 43);
+    for (name, value) in expected {
+        let text = &texts.iter().find(|vector| vector.name == name).unwrap().text;
+        assert_eq!(parse(text).as_ref(), Ok(&value), "{name}");
+        assert_eq!(print(&value).as_ref(), Ok(text), "{name}");
+    }
+}
+
+#[test]
+fn the_hostile_list_is_refused() {
+    // what crashed the vendor's library or gave wrong values
+    for (text, kind, column) in [
+        ("3,99999999999", TextErrorKind::OutOfRange, 3),
+        ("17,300", TextErrorKind::OutOfRange, 4),
+        ("17,-1", TextErrorKind::OutOfRange, 4),
+        ("8192,1", TextErrorKind::ArrayOfNothing, 5),
+        ("8193,", TextErrorKind::ArrayOfNothing, 5),
+        ("4,1e39", TextErrorKind::OutOfRange, 3),
+        ("5,123. 01", TextErrorKind::BlankBehind, 7),
+        ("3,1.9", TextErrorKind::Digit, 4),
+        ("8196,1 ,2", TextErrorKind::BlankBehind, 7),
+        ("3,", TextErrorKind::Missing, 3),
+        ("8194,", TextErrorKind::EmptyArray, 6),
+    ] {
+        assert_eq!(parse(text), Err(TextError { kind, column }), "{text}");
+    }
+    assert_eq!(parse("3,010"), Ok(Value::I4(10)), "no octal");
+    for levels in [usize::from(MAX_DEPTH) + 1, 20_000, 100_000] {
+        let deep = format!("{}3,1{}", "12,(".repeat(levels), ")".repeat(levels));
+        assert_eq!(parse(&deep).unwrap_err().kind, TextErrorKind::TooDeep, "{levels} levels");
+    }
+    let digits = "9".repeat(501);
+    assert_eq!(parse(&format!("5,{digits}")).unwrap_err().kind, TextErrorKind::NumberTooLong);
+    let long = format!("8,{}", "x".repeat(100_000));
+    assert_eq!(parse(&long).unwrap_err().kind, TextErrorKind::Full, "a fixed buffer is full, no memory is asked for");
+}
