@@ -1,9 +1,16 @@
 //! The core never allocates: each operation runs under an allocator that counts, and must count 0.
 
+use std::time::Duration;
+
 use bcap_core::bcap::call::{self, Call, ControllerHandle, Reply, RobotHandle, VariableHandle};
-use bcap_core::bcap::{Decoder, FrameWriter, FunctionId};
+use bcap_core::bcap::client::{self, Client};
+use bcap_core::bcap::{Decoder, FrameWriter, FunctionId, server};
 use bcap_core::error::EncodeError;
+use bcap_core::handler::{Outcome, PeerId, ReplyValue};
+use bcap_core::hresult::HResult;
 use bcap_core::limits::{Limits, Strictness};
+use bcap_core::rac;
+use bcap_core::time::Instant;
 use bcap_core::variant::{Variant, VariantBuf};
 use bcap_tests::allocation::{Counting, allocations};
 use bcap_tests::vectors::frames;
@@ -106,4 +113,120 @@ fn typed_calls_and_their_replies() {
     exchange(&call::controller_get_robot(ControllerHandle(2), "Arm", ""), &Variant::I4(7), |h| h == RobotHandle(7));
     let raw = call::RawCall { function: FunctionId(137), arguments: &[&3_i32, &"text", &[1_i16, 2]] };
     exchange(&raw, &Variant::Bool(true), |v| v == Some(Variant::Bool(true)));
+}
+
+/// A controller that answers every request with a value.
+struct Answer;
+
+impl server::Handler for Answer {
+    fn call(&mut self, _: PeerId, request: &server::Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        if request.function == FunctionId::ROBOT_HALT && !request.resumed {
+            return Outcome::Wait(now);
+        }
+        let set = match request.function.opens() {
+            Some(_) => reply.set(&7_i32),
+            None => reply.set(&([1.5_f64; 8], "text")),
+        };
+        set.map_or(HResult::E_FAIL, |()| HResult::S_OK).into()
+    }
+}
+
+impl rac::server::Handler for Answer {
+    fn call(&mut self, _: PeerId, request: &rac::Request<'_>, reply: &mut ReplyValue<'_>, _: Instant) -> Outcome {
+        let set = match request {
+            rac::Request::Get(_) => reply.set(&[1.5_f32; 7]),
+            rac::Request::Put(..) => Ok(()),
+        };
+        set.map_or(HResult::E_FAIL, |()| HResult::S_OK).into()
+    }
+}
+
+/// Copies what one end has to send into the other's memory.
+fn carry(from: &[u8], to: &mut [u8]) -> usize {
+    let count = from.len().min(to.len());
+    to[..count].copy_from_slice(&from[..count]);
+    count
+}
+
+type BoardClient = Client<[u8; 512]>;
+type BoardSession = server::Session<[u8; 512]>;
+
+/// Lets a client call a server; returns whether the reply had a value.
+fn served<C: Call>(client: &mut BoardClient, session: &mut BoardSession, call: &C, now: Instant) -> bool {
+    client.start(call, now).unwrap();
+    let count = carry(client.transmit(), session.receive_buffer());
+    client.transmitted(count);
+    session.received(count);
+    for millis in 0..5 {
+        while session.run(&mut Answer, PeerId(1), now + Duration::from_millis(millis)).is_some() {}
+    }
+    let count = carry(session.transmit(), client.receive_buffer());
+    session.transmitted(count);
+    client.received(count);
+    let replied = client.poll_event(now) == Some(client::Event::Replied(HResult::S_OK));
+    replied && client.reply().is_some_and(|frame| frame.args.iter().map(walk).sum::<usize>() > 0)
+}
+
+#[test]
+fn calls_of_a_client_answered_by_a_server() {
+    for (client, server) in [
+        (client::Config::TCP, server::Config::TCP),
+        (client::Config::UDP, server::Config::UDP),
+        (client::Config::SERIAL, server::Config::SERIAL),
+    ] {
+        let now = Instant::from_millis(1);
+        let (mut client, mut session) =
+            without(|| (BoardClient::new(client, [0; 512], [0; 512]), BoardSession::new(server, [0; 512], [0; 512])));
+        without(|| {
+            served(&mut client, &mut session, &call::service_start("WDT=400"), now);
+            assert!(served(&mut client, &mut session, &call::controller_connect("", "", "", ""), now));
+            assert!(served(
+                &mut client,
+                &mut session,
+                &call::controller_get_robot(ControllerHandle(7), "Arm", ""),
+                now
+            ));
+            assert!(served(&mut client, &mut session, &call::robot_execute(RobotHandle(7), "slvMove", [1.0; 8]), now));
+            // one that the handler is asked about twice
+            served(&mut client, &mut session, &call::robot_halt(RobotHandle(7), ""), now);
+            client.start(&call::service_stop(), now).unwrap();
+            while client.handle_timeout(now + client.config().deadline).is_some() {}
+            session.close(&mut Answer, PeerId(1), now);
+        });
+    }
+}
+
+#[test]
+fn text_of_values_both_ways() {
+    for text in ["3,-123", "8196,1,2,3,4,5,6,-1", "5,1e-300", "8204,(8,Sample),(8200,a,b),(7,2026/11/21 04:00:00)"] {
+        let same = without(|| {
+            let value = VariantBuf::<256>::parse_text(text.as_bytes());
+            value.is_ok_and(|value| value.as_variant().to_text(&mut [0; 256]) == Ok(text))
+        });
+        assert!(same, "{text}");
+    }
+    assert!(without(|| VariantBuf::<256>::parse_text(b"8204,(8,Sample").is_err()));
+}
+
+#[test]
+fn lines_of_rac_both_ways() {
+    let now = Instant::from_millis(1);
+    without(|| {
+        let mut client = rac::client::Client::new(Default::default(), [0; 256]);
+        let mut session = rac::server::Session::new(Default::default(), [0; 256]);
+        let variable = rac::Variable::new(rac::VariableKind::P, 10);
+        let pose = VariantBuf::<64>::new(&[1.5_f32; 7]).unwrap();
+        for request in [rac::Request::Get(variable), rac::Request::Put(variable, pose.as_variant())] {
+            client.start(&request, now).unwrap();
+            let count = carry(client.transmit(), session.receive_buffer());
+            client.transmitted(count);
+            session.received(count);
+            while session.run(&mut Answer, PeerId(1), now).is_some() {}
+            let count = carry(session.transmit(), client.receive_buffer());
+            session.transmitted(count);
+            client.received(count);
+            assert_eq!(client.poll_event(now), Some(rac::client::Event::Replied(HResult::S_OK)));
+            assert_eq!(client.reply().and_then(|reply| reply.value).is_some(), matches!(request, rac::Request::Get(_)));
+        }
+    });
 }
