@@ -1,9 +1,14 @@
 //! The command line.
 
+use std::net::SocketAddr;
+use std::time::Duration;
+
 use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
 
+use crate::error::Failure;
 use crate::frame::Role;
+use crate::target::Target;
 
 /// Talks to DENSO robot controllers over b-CAP and RAC, and takes their traffic apart.
 #[derive(Debug, Parser)]
@@ -13,6 +18,9 @@ pub(crate) struct Cli {
     #[arg(long, global = true)]
     pub(crate) json: bool,
 
+    #[command(flatten)]
+    pub(crate) link: LinkArgs,
+
     #[command(subcommand)]
     pub(crate) command: Command,
 }
@@ -21,13 +29,242 @@ const EXIT_CODES: &str = "\
 Exit codes: 0 done, 1 the controller refused, 2 wrong usage or malformed input, 3 no connection, 4 no answer in time.
 Colours are left out when NO_COLOR is set or the output is not a terminal.";
 
+/// How to reach the controller.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Connection")]
+pub(crate) struct LinkArgs {
+    /// The controller: tcp:HOST[:PORT] or udp:HOST[:PORT]; for rac HOST[:PORT] [env: BCAP_ROBOT=] [default: tcp:127.0.0.1]
+    ///
+    /// IPv6 addresses stand in brackets: tcp:[fe80::1]:5007.
+    #[arg(long, global = true, value_name = "ADDRESS")]
+    pub(crate) robot: Option<String>,
+
+    /// How long to wait for a connection, and for an answer or a sign of life; over UDP five attempts share it
+    #[arg(long, global = true, value_name = "MS", default_value_t = 3000, value_parser = clap::value_parser!(u64).range(1..=86_400_000))]
+    pub(crate) timeout: u64,
+
+    /// The provider to connect to: an RC9 or COBOTTA PRO has CaoProv.DENSO.VRC9
+    #[arg(long, global = true, value_name = "NAME", default_value = "CaoProv.DENSO.VRC")]
+    pub(crate) provider: String,
+}
+
+impl LinkArgs {
+    /// Returns the controller's address for b-CAP.
+    pub(crate) fn target(&self) -> Result<Target, Failure> {
+        Target::bcap(self.robot.as_deref())
+    }
+
+    /// Returns the controller's address for RAC.
+    pub(crate) fn rac_target(&self) -> Result<Target, Failure> {
+        Target::rac(self.robot.as_deref())
+    }
+
+    pub(crate) fn timeout(&self) -> Duration {
+        Duration::from_millis(self.timeout)
+    }
+
+    /// Returns the option of Service_Start: signs of life three times as often as they are waited for.
+    pub(crate) fn start_option(&self) -> String {
+        match self.timeout / 3 {
+            // a server refuses less than 80 ms (S2:225)
+            0..80 => String::new(),
+            interval => format!("WDT={}", interval.min(400)),
+        }
+    }
+}
+
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
+    Get(Get),
+    Put(Put),
+    Watch(Watch),
+    Names(Names),
+    Call(Call),
+    Exec(Exec),
     Decode(Decode),
     Encode(Encode),
     Text(Text),
     Completions(Completions),
 }
+
+/// Reads variables
+///
+/// NAME is a variable of the controller, such as I1, P10 or @MODE, or one of an object: robot/@SERVO_ON,
+/// robot:Arm0/@CURRENT_POSITION, task:Pro1/@STATUS. With --json a line is {"name":"I1","vt":3,"v":5}; the types and their
+/// `v` are those of `bcap encode --help`.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap get I1
+  bcap get --robot tcp:192.168.0.1 --json P1 P2 robot/@CURRENT_POSITION
+  BCAP_ROBOT=udp:192.168.0.1 bcap get task:Pro1/@STATUS")]
+pub(crate) struct Get {
+    /// The variables
+    #[arg(value_name = "NAME", required = true)]
+    pub(crate) names: Vec<String>,
+}
+
+/// Writes a variable
+///
+/// VALUE is plain data, which take the type that the variable has now, or TYPE,DATA with a VARTYPE. Where both can be
+/// meant, TYPE,DATA with the variable's own type and length goes first, then plain data: `3,5` is the I4 5 for I1, but a
+/// text for S1.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap put I1 5
+  bcap put S1 'hello, world'
+  bcap put P1 400,0,300,180,0,180,5
+  bcap put P1 8196,400,0,300,180,0,180,5
+  bcap put IO128 true")]
+pub(crate) struct Put {
+    /// The variable, as for `bcap get`
+    pub(crate) name: String,
+
+    /// The value
+    #[arg(allow_hyphen_values = true)]
+    pub(crate) value: String,
+}
+
+/// Reads variables again and again
+///
+/// A line begins with the seconds since the start, or has them in milliseconds as \"ms\" with --json. SIGINT and SIGTERM
+/// end it with 0, after the controller has been told.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap watch robot/@CURRENT_POSITION --interval 20
+  bcap watch I1 I2 IO128 --changed --json")]
+pub(crate) struct Watch {
+    /// The variables, as for `bcap get`
+    #[arg(value_name = "NAME", required = true)]
+    pub(crate) names: Vec<String>,
+
+    /// The time from one round to the next
+    #[arg(long, value_name = "MS", default_value_t = 100)]
+    pub(crate) interval: u64,
+
+    /// Prints a variable only when its value is another than before
+    #[arg(long)]
+    pub(crate) changed: bool,
+
+    /// Ends after so many rounds
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub(crate) count: Option<u64>,
+}
+
+/// Lists what the controller has: variables, robots, tasks, files, extensions, commands
+///
+/// The names are printed as the other commands take them. A list that the controller does not have is left out.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap names
+  bcap names --json --robot tcp:192.168.0.1")]
+pub(crate) struct Names {}
+
+/// Calls any of the 137 functions
+///
+/// FUNCTION is a name (VariableGetValue, Variable_GetValue, variable_get_value) or a number. ARG is TYPE,DATA; where a
+/// handle is wanted it may be an object, which is opened first and released at the end: controller, robot, robot:Arm0,
+/// task:Pro1, file:NAME, extension:NAME, variable:I1, robot/variable:@SERVO_ON. What is not TYPE,DATA is taken as plain
+/// data where the function wants an integer, a float or a string. The service is started, and the controller connected
+/// to, as far as it is needed.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap call ControllerGetName controller
+  bcap call VariablePutValue variable:I1 3,42
+  bcap call Robot_Move robot 3,2 '8,@E P1' 8,SPEED=10
+  bcap call 17 controller SysState 0,
+  bcap call ServiceStart 8,WDT=400")]
+pub(crate) struct Call {
+    /// The function
+    pub(crate) function: String,
+
+    /// Its arguments
+    #[arg(value_name = "ARG", allow_negative_numbers = true)]
+    pub(crate) arguments: Vec<String>,
+}
+
+/// Executes a command of the controller or a robot
+///
+/// OBJECT is controller, robot or robot:NAME; task:NAME, file:NAME and extension:NAME have commands as well. ARG is
+/// TYPE,DATA; an integer is taken as I4, another number as R8, anything else as a string; without it EMPTY is sent.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap exec controller SysState
+  bcap exec controller GetErrorDescription -2147481344
+  bcap exec robot TakeArm 8195,0,0
+  bcap exec robot CurPos --json")]
+pub(crate) struct Exec {
+    /// The object
+    pub(crate) object: String,
+
+    /// The command, in any case
+    pub(crate) command: String,
+
+    /// Its parameter
+    #[arg(value_name = "ARG", allow_negative_numbers = true)]
+    pub(crate) argument: Option<String>,
+}
+
+/// Reads and writes variables over RAC, the text protocol
+///
+/// NAME is one of I F D V P J T S IO with a number: I1, P10, IO128. --robot is HOST[:PORT] here, the port 5006 if it is
+/// left out; of the environment variable BCAP_ROBOT only the host counts.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap rac --robot 192.168.0.1 get I1 P10
+  bcap rac --robot 192.168.0.1:5006 put S1 'hello, world'")]
+pub(crate) struct Rac {
+    #[command(subcommand)]
+    pub(crate) command: RacCommand,
+}
+
+#[derive(Debug, Subcommand)]
+pub(crate) enum RacCommand {
+    /// Reads variables
+    Get(Get),
+    /// Writes a variable
+    Put(Put),
+}
+
+/// Runs a virtual controller on real sockets
+///
+/// Prints one line, `ready bcap=IP:PORT udp=IP:PORT rac=IP:PORT`, when it listens. Port 0 takes a free one. SIGINT and
+/// SIGTERM end it with 0.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap sim
+  bcap sim --bcap 127.0.0.1:0 --udp 127.0.0.1:0 --rac 127.0.0.1:0
+  bcap sim --bcap [::]:5007 --udp [::]:5007 --rac [::]:5006")]
+pub(crate) struct Sim {
+    /// Where b-CAP over TCP listens
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:5007")]
+    pub(crate) bcap: SocketAddr,
+
+    /// Where b-CAP over UDP listens
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:5007")]
+    pub(crate) udp: SocketAddr,
+
+    /// Where RAC listens
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:5006")]
+    pub(crate) rac: SocketAddr,
+}
+
+/// Shows a session with a virtual controller, every frame decoded beside its bytes
+///
+/// Starts the controller inside itself, on free ports of this machine, then talks to it over TCP, UDP and RAC.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap demo
+  bcap demo | less")]
+pub(crate) struct Demo {}
 
 /// Takes frames or values apart
 ///

@@ -12,6 +12,7 @@ use std::io::{self, Write};
 use std::process::ExitCode;
 
 use anstyle::{AnsiColor, Style};
+use bcap_core::hresult::HResult;
 use thiserror::Error;
 
 const RED: Style = AnsiColor::Red.on_default().bold();
@@ -26,6 +27,38 @@ pub(crate) enum Failure {
     /// Some lines could not be converted; each has been reported in its place.
     #[error("{0} of the lines could not be converted; the output has an error in place of each")]
     BadLines(usize),
+    /// The controller answered with an error.
+    #[error("{doing}: the controller refused with {code}{}", meaning(*code))]
+    Refused {
+        /// What it was asked to do.
+        doing: String,
+        /// What it answered.
+        code: HResult,
+    },
+    /// Some of several things were refused; each has been reported.
+    #[error("{refused} of {asked} were refused")]
+    SomeRefused {
+        /// How many.
+        refused: usize,
+        /// Of how many.
+        asked: usize,
+    },
+    /// There is no connection, or it broke, or what came over it makes no sense.
+    #[error("{message}")]
+    Connection {
+        /// What happened.
+        message: String,
+        /// What a person can do.
+        hint: String,
+    },
+    /// No answer came in time.
+    #[error("{message}")]
+    Timeout {
+        /// What was waited for.
+        message: String,
+        /// What a person can do.
+        hint: String,
+    },
     /// The standard input or output broke.
     #[error("standard input or output: {0}")]
     Stdio(#[from] io::Error),
@@ -34,15 +67,25 @@ pub(crate) enum Failure {
 impl Failure {
     fn code(&self) -> u8 {
         match self {
+            Self::Refused { .. } | Self::SomeRefused { .. } => 1,
             Self::Input(_) | Self::BadLines(_) | Self::Stdio(_) => 2,
+            Self::Connection { .. } => 3,
+            Self::Timeout { .. } => 4,
         }
     }
 
     /// Returns what a person can do about it.
-    fn hint(&self) -> Option<String> {
+    fn hint(&self) -> Option<&str> {
         match self {
-            Self::Input(_) | Self::BadLines(_) | Self::Stdio(_) => None,
+            Self::Refused { code, .. } => code.hint(),
+            Self::Connection { hint, .. } | Self::Timeout { hint, .. } => Some(hint),
+            Self::Input(_) | Self::BadLines(_) | Self::SomeRefused { .. } | Self::Stdio(_) => None,
         }
+    }
+
+    /// Tells whether the session can go on: the controller has answered, or was not asked.
+    pub(crate) fn leaves_the_session_alive(&self) -> bool {
+        !matches!(self, Self::Connection { .. } | Self::Timeout { .. })
     }
 
     /// Prints what went wrong and what to do, and returns the code to exit with.
@@ -53,12 +96,23 @@ impl Failure {
             // whoever read the output, such as `head`, has seen enough
             return ExitCode::SUCCESS;
         }
+        self.print();
+        ExitCode::from(self.code())
+    }
+
+    /// Prints what went wrong and what to do.
+    pub(crate) fn print(&self) {
         let mut err = anstream::stderr().lock();
         // nobody is left to be told when even this fails
         let _ = writeln!(err, "{RED}error:{RED:#} {self}");
         if let Some(hint) = self.hint() {
             let _ = writeln!(err, " {CYAN}hint:{CYAN:#} {hint}");
         }
-        ExitCode::from(self.code())
     }
+}
+
+/// Returns the meaning of a code as the end of a sentence.
+fn meaning(code: HResult) -> String {
+    let meaning = code.meaning().map(|meaning| meaning.trim_end_matches('.'));
+    meaning.map(|meaning| format!(": {meaning}")).unwrap_or_default()
 }

@@ -1,6 +1,8 @@
 //! `bcap`: DENSO robot controllers from the command line.
 
 mod args;
+mod call;
+mod connection;
 mod decode;
 mod dissect;
 mod error;
@@ -8,8 +10,15 @@ mod frame;
 mod hex;
 mod item;
 mod json;
+mod object;
+mod plain;
+mod session;
+mod signal;
+mod target;
 mod text;
 mod value;
+mod variables;
+mod watch;
 
 use std::process::ExitCode;
 
@@ -27,6 +36,12 @@ fn main() -> ExitCode {
 
 fn run(cli: &Cli) -> Result<(), Failure> {
     match &cli.command {
+        Command::Get(args) => variables::get(args, &cli.link, cli.json),
+        Command::Put(args) => variables::put(args, &cli.link, cli.json),
+        Command::Watch(args) => watch::watch(args, &cli.link, cli.json),
+        Command::Names(_) => variables::names(&cli.link, cli.json),
+        Command::Call(args) => call::call(args, &cli.link, cli.json),
+        Command::Exec(args) => call::exec(args, &cli.link, cli.json),
         Command::Decode(args) => decode::decode(args, cli.json),
         Command::Encode(args) => decode::encode(args, cli.json),
         Command::Text(args) => text::text(args, cli.json),

@@ -1,0 +1,156 @@
+//! `bcap call` and `bcap exec`: any function, with arguments as people write them.
+
+use bcap_core::bcap::{FunctionId, Kind, Object};
+use bcap_core::hresult::HResult;
+use bcap_core::variant::VarType;
+
+use crate::args::{Call, Exec, LinkArgs};
+use crate::error::Failure;
+use crate::item::print_line;
+use crate::object::{Path, word};
+use crate::plain;
+use crate::session::{Session, integer, text, with_session};
+use crate::value::Value;
+
+/// Runs `bcap call`.
+pub(crate) fn call(args: &Call, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    let function = FunctionId::parse(&args.function).ok_or_else(|| unknown(&args.function))?;
+    let kinds = function.signature().map(|signature| signature.arguments).unwrap_or_default();
+    let arguments: Vec<Argument> = args
+        .arguments
+        .iter()
+        .enumerate()
+        .map(|(i, argument)| Argument::parse(argument, kinds.get(i).copied(), function))
+        .collect::<Result<_, _>>()?;
+    if function == FunctionId::SERVICE_START {
+        // this call is the session's start itself
+        let mut session = Session::open(link)?;
+        return call_in(&mut session, function, &arguments, json).inspect(|()| session.close());
+    }
+    with_session(link, |session| call_in(session, function, &arguments, json))
+}
+
+fn call_in(session: &mut Session, function: FunctionId, arguments: &[Argument], json: bool) -> Result<(), Failure> {
+    let values = arguments
+        .iter()
+        .map(|argument| match argument {
+            Argument::Value(value) => Ok(value.clone()),
+            Argument::Object(path) => session.object(path).and_then(integer),
+        })
+        .collect::<Result<Vec<_>, _>>()?;
+    let (code, value) = session.call_for_code(function, &values)?;
+    if code.is_ok() {
+        session.note(function, &values, value.as_ref());
+    }
+    print_reply(code, value.as_ref(), json)?;
+    if code.is_err() { Err(Failure::Refused { doing: function.to_string(), code }) } else { Ok(()) }
+}
+
+/// Prints what a call has given: its value, or `{"code":0,"name":"S_OK","value":{"vt":3,"v":5}}`.
+fn print_reply(code: HResult, value: Option<&Value>, json: bool) -> Result<(), Failure> {
+    if json {
+        let name = serde_json::Value::from(code.name());
+        let value = value.map_or("null".into(), Value::to_json);
+        return print_line(&format!("{{\"code\":{},\"name\":{name},\"value\":{value}}}", code.0));
+    }
+    if code.is_ok() && code != HResult::S_OK {
+        print_line(&code.to_string())?;
+    }
+    match value {
+        Some(value) if code.is_ok() => print_line(&plain::to_plain(value.as_variant())),
+        _ => Ok(()),
+    }
+}
+
+/// An argument of a call.
+enum Argument {
+    Value(Value),
+    /// The handle of an object that is to be opened first.
+    Object(Path),
+}
+
+impl Argument {
+    /// Reads an argument: an object where a handle is wanted, `TYPE,DATA`, or plain data of the kind that is wanted.
+    fn parse(argument: &str, kind: Option<Kind>, function: FunctionId) -> Result<Self, Failure> {
+        if let Some(Kind::Handle(object)) = kind
+            && let Some(path) = Path::parse(argument)
+        {
+            let path = path.map_err(Failure::Input)?;
+            if path.object() != object {
+                let message = format!("{argument}: {function} takes a {} here", word(object));
+                return Err(Failure::Input(message));
+            }
+            return Ok(Self::Object(path));
+        }
+        let typed = plain::from_typed(argument);
+        let vartype = match kind {
+            Some(Kind::Handle(_) | Kind::Int) => VarType::I4,
+            Some(Kind::Float) => VarType::R4,
+            Some(Kind::Text) => VarType::BSTR,
+            _ => VarType::EMPTY,
+        };
+        let value = match typed {
+            Ok(value) => Ok(value),
+            Err(error) if vartype == VarType::EMPTY => Err(error),
+            Err(_) => plain::from_data(vartype, argument),
+        };
+        value.map(Self::Value).map_err(|error| {
+            let usage = usage(function);
+            Failure::Input(format!("{argument}: {error}; an argument is TYPE,DATA, such as 3,100, in {usage}"))
+        })
+    }
+}
+
+fn unknown(function: &str) -> Failure {
+    Failure::Input(format!(
+        "there is no function {function}; write a name such as VariableGetValue or Variable_GetValue, or a number from 1 to 137"
+    ))
+}
+
+/// Writes a function as it is called: `Robot_Speed(robot, axis, speed)`.
+fn usage(function: FunctionId) -> String {
+    format!("{function}({})", function.argument_names().join(", "))
+}
+
+/// Runs `bcap exec`.
+pub(crate) fn exec(args: &Exec, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    let path = Path::parse(&args.object).unwrap_or_else(|| {
+        Err(format!("{}: write controller, robot, robot:NAME, task:NAME, file:NAME or extension:NAME", args.object))
+    });
+    let path = path.map_err(Failure::Input)?;
+    let function = match path.object() {
+        Object::Controller => FunctionId::CONTROLLER_EXECUTE,
+        Object::Robot => FunctionId::ROBOT_EXECUTE,
+        Object::Task => FunctionId::TASK_EXECUTE,
+        Object::File => FunctionId::FILE_EXECUTE,
+        Object::Extension => FunctionId::EXTENSION_EXECUTE,
+        other => return Err(Failure::Input(format!("{}: a {} has no commands", args.object, word(other)))),
+    };
+    let parameter = match &args.argument {
+        Some(argument) => guess(argument),
+        None => Value::new(&()),
+    };
+    let parameter = parameter.map_err(|error| Failure::Input(error.to_string()))?;
+    with_session(link, |session| {
+        let handle = session.object(&path)?;
+        let arguments = [integer(handle)?, text(&args.command)?, parameter];
+        let (code, value) = session.call_for_code(function, &arguments)?;
+        print_reply(code, value.as_ref(), json)?;
+        if code.is_err() {
+            return Err(Failure::Refused { doing: format!("{path}: {}", args.command), code });
+        }
+        Ok(())
+    })
+}
+
+/// Reads the parameter of a command: `TYPE,DATA`, an integer as I4, another number as R8, anything else as a string.
+fn guess(argument: &str) -> Result<Value, bcap_core::error::EncodeError> {
+    if let Ok(value) = plain::from_typed(argument) {
+        return Ok(value);
+    }
+    match (argument.parse::<i32>(), argument.parse::<f64>()) {
+        (Ok(number), _) => Value::new(&number),
+        (_, Ok(number)) if number.is_finite() => Value::new(&number),
+        _ => Value::new(argument),
+    }
+}

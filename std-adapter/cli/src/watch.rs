@@ -1,0 +1,90 @@
+//! `bcap watch`: variables read again and again.
+
+use std::sync::mpsc::RecvTimeoutError;
+use std::time::{Duration, Instant};
+
+use crate::args::{LinkArgs, Watch};
+use crate::error::Failure;
+use crate::item::print_line;
+use crate::session::with_session;
+use crate::signal;
+use crate::value::Value;
+use crate::variables::{parse_all, read, shown};
+
+/// Runs `bcap watch`, until it is interrupted or has read as often as was wanted.
+pub(crate) fn watch(args: &Watch, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    let ended = signal::ended()?;
+    let paths = parse_all(&args.names)?;
+    with_session(link, |session| {
+        let variables = paths.iter().map(|path| session.object(path)).collect::<Result<Vec<_>, _>>()?;
+        let mut last: Vec<Option<Value>> = vec![None; paths.len()];
+        let start = Instant::now();
+        let mut pace = Pace { interval: Duration::from_millis(args.interval), next: start };
+        let mut rounds = 0;
+        loop {
+            for (((name, path), variable), last) in args.names.iter().zip(&paths).zip(&variables).zip(&mut last) {
+                let value = read(session, path, *variable)?;
+                if !args.changed || last.as_ref() != Some(&value) {
+                    print_line(&stamped(start.elapsed(), &shown(name, &value, json), json))?;
+                }
+                *last = Some(value);
+            }
+            rounds += 1;
+            if args.count.is_some_and(|count| rounds >= count) {
+                return Ok(());
+            }
+            match ended.recv_timeout(pace.until_next(Instant::now())) {
+                Err(RecvTimeoutError::Timeout) => {}
+                Ok(()) | Err(RecvTimeoutError::Disconnected) => return Ok(()),
+            }
+        }
+    })
+}
+
+/// Puts the time since the start in front of a line.
+fn stamped(elapsed: Duration, line: &str, json: bool) -> String {
+    if json {
+        format!("{{\"ms\":{},{}", elapsed.as_millis(), &line[1..])
+    } else {
+        format!("{:10.3} {line}", elapsed.as_secs_f64())
+    }
+}
+
+/// When the rounds begin: at multiples of the interval; those that a slow controller has missed are left out.
+struct Pace {
+    interval: Duration,
+    next: Instant,
+}
+
+impl Pace {
+    fn until_next(&mut self, now: Instant) -> Duration {
+        self.next += self.interval;
+        if self.next < now {
+            self.next = now;
+        }
+        self.next - now
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rounds_keep_their_pace_and_missed_ones_are_left_out() {
+        let start = Instant::now();
+        let ms = Duration::from_millis;
+        let mut pace = Pace { interval: ms(100), next: start };
+        assert_eq!(pace.until_next(start + ms(30)), ms(70));
+        assert_eq!(pace.until_next(start + ms(130)), ms(70));
+        assert_eq!(pace.until_next(start + ms(570)), ms(0));
+        assert_eq!(pace.until_next(start + ms(580)), ms(90));
+    }
+
+    #[test]
+    fn lines_are_stamped() {
+        assert_eq!(stamped(Duration::from_millis(1234), "I1 = 5", false), "     1.234 I1 = 5");
+        let json = stamped(Duration::from_millis(1234), r#"{"name":"I1","vt":3,"v":5}"#, true);
+        assert_eq!(json, r#"{"ms":1234,"name":"I1","vt":3,"v":5}"#);
+    }
+}
