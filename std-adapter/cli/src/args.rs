@@ -81,6 +81,7 @@ pub(crate) enum Command {
     Names(Names),
     Call(Call),
     Exec(Exec),
+    Rac(Rac),
     Decode(Decode),
     Encode(Encode),
     Text(Text),

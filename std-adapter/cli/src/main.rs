@@ -12,6 +12,7 @@ mod item;
 mod json;
 mod object;
 mod plain;
+mod rac;
 mod session;
 mod signal;
 mod target;
@@ -42,6 +43,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Names(_) => variables::names(&cli.link, cli.json),
         Command::Call(args) => call::call(args, &cli.link, cli.json),
         Command::Exec(args) => call::exec(args, &cli.link, cli.json),
+        Command::Rac(args) => rac::rac(args, &cli.link, cli.json),
         Command::Decode(args) => decode::decode(args, cli.json),
         Command::Encode(args) => decode::encode(args, cli.json),
         Command::Text(args) => text::text(args, cli.json),

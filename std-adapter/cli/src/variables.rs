@@ -50,7 +50,7 @@ pub(crate) fn put(args: &Put, link: &LinkArgs, json: bool) -> Result<(), Failure
 }
 
 /// Says which data a variable takes.
-fn expected(current: Variant<'_>) -> String {
+pub(crate) fn expected(current: Variant<'_>) -> String {
     match current {
         Variant::Empty | Variant::Null => "; write TYPE,DATA, as the variable does not tell its type".into(),
         Variant::Array(array) => format!("; the variable holds {} of {}", array.len(), array.element()),

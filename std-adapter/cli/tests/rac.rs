@@ -1,0 +1,101 @@
+//! `bcap rac`: the lines it sends, and what it makes of the answers.
+
+mod common;
+
+use std::io::{BufRead, BufReader, Write};
+use std::net::TcpListener;
+use std::sync::{Arc, Mutex};
+use std::thread;
+
+use common::bcap;
+
+/// A RAC server that answers every line with what `answer` says; returns its address and the lines it has seen.
+fn server(answer: impl Fn(&str) -> &'static str + Send + 'static) -> (String, Arc<Mutex<Vec<String>>>) {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap().to_string();
+    let seen = Arc::new(Mutex::new(Vec::new()));
+    let lines = Arc::clone(&seen);
+    thread::spawn(move || {
+        for stream in listener.incoming() {
+            let mut stream = stream.unwrap();
+            let mut reader = BufReader::new(stream.try_clone().unwrap());
+            let mut line = Vec::new();
+            while let Ok(1..) = reader.read_until(b'\r', &mut line) {
+                let text = String::from_utf8(std::mem::take(&mut line)).unwrap();
+                let reply = answer(&text);
+                lines.lock().unwrap().push(text);
+                stream.write_all(reply.as_bytes()).unwrap();
+            }
+        }
+    });
+    (address, seen)
+}
+
+#[test]
+fn values_are_read_as_over_b_cap() {
+    let (address, seen) = server(|line| if line.contains(":P:") { "0, 8196, 1, 2.5, 3\r" } else { "0,3,-7\r" });
+    let run = bcap(&["rac", "--robot", &address, "get", "I1", "P[2]"]);
+    assert_eq!((run.out.as_str(), run.err.as_str(), run.code), ("I1 = -7\nP[2] = 1,2.5,3\n", "", 0));
+    assert_eq!(*seen.lock().unwrap(), ["GET:RC8:1:I:\r", "GET:RC8:2:P:\r"]);
+    let run = bcap(&["rac", "get", "--json", "--robot", &address, "I1"]);
+    assert_eq!(run.out, "{\"name\":\"I1\",\"vt\":3,\"v\":-7}\n");
+}
+
+#[test]
+fn values_are_written_with_the_type_of_their_variable() {
+    let (address, seen) = server(|_| "0\r");
+    for (name, value) in
+        [("I1", "-5"), ("F1", "1.5"), ("D1", "5,2.5"), ("S1", "a,b"), ("V1", "-1,2,3"), ("IO128", "true")]
+    {
+        let run = bcap(&["rac", "put", name, value, "--robot", &address]);
+        assert_eq!(run.code, 0, "{run:?}");
+    }
+    assert_eq!(
+        *seen.lock().unwrap(),
+        [
+            "PUT:RC8:1:I:3,-5\r",
+            "PUT:RC8:1:F:4,1.5\r",
+            "PUT:RC8:1:D:5,2.5\r",
+            "PUT:RC8:1:S:8,a,b\r",
+            "PUT:RC8:1:V:8196,-1,2,3\r",
+            "PUT:RC8:128:IO:11,-1\r",
+        ]
+    );
+}
+
+#[test]
+fn failures_have_their_codes() {
+    let (address, _) = server(|_| "-2147024809\r");
+    let run = bcap(&["rac", "get", "I1", "--robot", &address]);
+    assert_eq!(run.code, 1);
+    assert!(run.err.contains("GET I[1]: the controller refused with 0x80070057 (E_INVALIDARG)"), "{}", run.err);
+
+    let run = bcap(&["rac", "put", "I1", "x", "--robot", &address]);
+    assert!(run.code == 2 && run.err.contains("the variable holds VT_I4"), "{run:?}");
+    let run = bcap(&["rac", "get", "@MODE", "--robot", &address]);
+    assert!(run.code == 2 && run.err.contains("I F D V P J T S IO"), "{run:?}");
+
+    let (address, _) = server(|_| "what?\r");
+    let run = bcap(&["rac", "get", "I1", "--robot", &address]);
+    assert!(run.code == 3 && run.err.contains("cannot be read"), "{run:?}");
+
+    let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    assert_eq!(bcap(&["rac", "get", "I1", "--robot", &free.to_string()]).code, 3);
+
+    let silent = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = silent.local_addr().unwrap().to_string();
+    let run = bcap(&["rac", "get", "I1", "--timeout", "50", "--robot", &address]);
+    assert!(run.code == 4 && run.err.contains("within 50 ms"), "{run:?}");
+}
+
+#[test]
+fn of_the_environment_only_the_host_counts() {
+    let (address, seen) = server(|_| "0,3,1\r");
+    let run = |robot: &str| common::command(&["rac", "get", "I1"]).env("BCAP_ROBOT", robot).output().unwrap();
+    // without a scheme it is a RAC address
+    assert_eq!(run(&address).status.code(), Some(0));
+    assert_eq!(seen.lock().unwrap().len(), 1);
+    // with one the port is that of b-CAP, and port 5006 of a host that is none cannot be reached
+    let output = run("udp:no-such-host.invalid:5007");
+    assert_eq!(output.status.code(), Some(3));
+}
