@@ -12,6 +12,9 @@
 //! | Robot_Change        | `ToolN` and `WorkN` select a number; the definitions are all zero                        |
 //! | Robot_Rotate, Chuck, Unchuck | `E_NOTIMPL`                                                                     |
 //!
+//! Internal speeds, tool and work coordinates are the arm's: while one client has it, Speed, Accelerate, Change and
+//! the variables of these answer another one `E_ARM_NOT_TAKEN`. The external speed is anybody's.
+//!
 //! What moves the robot needs, in this order: Auto mode (`E_ACCESSDENIED`), the executable token
 //! (`E_TOKEN_NOT_ETHERNET`, `E_TOKEN_ADDRESS`), no error (`E_ERROR_PRESENT`), the arm authority of this client
 //! (`E_ARM_NOT_TAKEN`), the motor on (`E_MOTOR_OFF`), and the robot not moving (`E_ROBOTISBUSY`). Refusals with a code
@@ -133,9 +136,11 @@ impl Controller {
                 let now = self.now;
                 Ok(done_if(self.robot.motion_mut().is_some_and(|m| m.unhold(now))))
             }
-            FunctionId::ROBOT_SPEED => self.set_speed(request.int(1), request.float(2)),
-            FunctionId::ROBOT_ACCELERATE => self.set_acceleration(request.int(1), request.float(2), request.float(3)),
-            FunctionId::ROBOT_CHANGE => self.change(&request.text(1).to_string()),
+            FunctionId::ROBOT_SPEED => self.set_speed(peer, request.int(1), request.float(2)),
+            FunctionId::ROBOT_ACCELERATE => {
+                self.set_acceleration(peer, request.int(1), request.float(2), request.float(3))
+            }
+            FunctionId::ROBOT_CHANGE => self.change(peer, &request.text(1).to_string()),
             _ => Err(HResult::E_NOTIMPL),
         }
     }
@@ -300,8 +305,9 @@ impl Controller {
         Ok(Value::Empty.into())
     }
 
-    fn set_speed(&mut self, axis: i32, speed: f64) -> Answered {
+    fn set_speed(&mut self, peer: PeerId, axis: i32, speed: f64) -> Answered {
         let speed = percent(speed)?;
+        self.may_set_arm(peer)?;
         match axis {
             -1 => self.robot.hand.speed = speed,
             0 => {}
@@ -311,8 +317,9 @@ impl Controller {
         Ok(Answer::Done)
     }
 
-    fn set_acceleration(&mut self, axis: i32, accel: f64, decel: f64) -> Answered {
+    fn set_acceleration(&mut self, peer: PeerId, axis: i32, accel: f64, decel: f64) -> Answered {
         let (accel, decel) = (percent(accel)?, percent(decel)?);
+        self.may_set_arm(peer)?;
         let set = |of: &mut Percent| (of.accel, of.decel) = (accel, decel);
         match axis {
             -1 => set(&mut self.robot.hand),
@@ -323,7 +330,8 @@ impl Controller {
         Ok(Answer::Done)
     }
 
-    fn change(&mut self, name: &str) -> Answered {
+    fn change(&mut self, peer: PeerId, name: &str) -> Answered {
+        self.may_set_arm(peer)?;
         let upper = name.trim().to_ascii_uppercase();
         let number = |digits: &str| digits.parse().map_err(|_| HResult::E_INVALIDARG).and_then(coordinates);
         if let Some(digits) = upper.strip_prefix("TOOL") {
@@ -404,6 +412,14 @@ impl Controller {
             return Err(HResult::E_ROBOTISBUSY);
         }
         Ok(())
+    }
+
+    /// Checks that no other client has the arm, whose speeds, tool and work coordinates these are.
+    pub(crate) fn may_set_arm(&mut self, peer: PeerId) -> Result<(), HResult> {
+        match self.arm_owner() {
+            Some(owner) if owner != peer => Err(self.refuse(HResult::E_ARM_NOT_TAKEN)),
+            _ => Ok(()),
+        }
     }
 
     fn move_options(&self, text: &str, internal: Percent) -> Result<MoveOptions, HResult> {

@@ -137,7 +137,7 @@ impl Config {
             home: [0.0, 45.0, 90.0, 0.0, 45.0, 0.0],
             motor_on_delay: Duration::from_millis(300),
             speed: 100.0,
-            ext_speed: 10.0,
+            ext_speed: 100.0,
             tasks: ["Pro1", "Pro2", "Pro3"].map(str::to_owned).to_vec(),
             task_cycle: Duration::from_secs(1),
             task_lines: 10,

@@ -15,8 +15,7 @@ use crate::config::Mode;
 use crate::controller::Controller;
 use crate::errors::description;
 use crate::robot::{Percent, angle, percent, position, trans};
-use crate::value::Value;
-use crate::value::{number, one_int};
+use crate::value::{Value, number, one_int};
 use crate::variables::Kind;
 
 /// The object that a system variable belongs to.
@@ -164,8 +163,14 @@ impl Controller {
                 _ => return Err(HResult::E_INVALIDARG),
             },
             (Owner::Robot, "@SERVO_ON") => self.motor(peer, truth(value)?)?,
-            (Owner::Robot, "@CURRENT_TOOL") => self.robot.tool = coordinates(one_int(value)?)?,
-            (Owner::Robot, "@CURRENT_WORK") => self.robot.work = coordinates(one_int(value)?)?,
+            (Owner::Robot, "@CURRENT_TOOL") => {
+                self.may_set_arm(peer)?;
+                self.robot.tool = coordinates(one_int(value)?)?;
+            }
+            (Owner::Robot, "@CURRENT_WORK") => {
+                self.may_set_arm(peer)?;
+                self.robot.work = coordinates(one_int(value)?)?;
+            }
             (Owner::Robot, "@EXTSPEED") => {
                 let speed = percent(number(&value.flatten()).ok_or(HResult::E_INVALIDARGTYPE)?)?;
                 self.robot.external = Percent::of_speed(speed);
