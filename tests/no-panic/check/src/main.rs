@@ -78,7 +78,8 @@ fn run() -> Outcome<()> {
     println!("text: {} bytes of code, {} panic symbols", text.code_size, text.panic_symbols().len());
     contains_the_core(&text)?;
     print_sites(&text, repository)?;
-    echoes(&images.join("text"), TEXTS.as_bytes())
+    echoes(&images.join("text"), TEXTS.as_bytes())?;
+    echoes(&images.join("text"), LINES.as_bytes())
 }
 
 /// Builds the images into a directory of their own below the target directory, which it returns.
@@ -119,6 +120,9 @@ fn vectors(repository: &Path) -> Outcome<Vec<u8>> {
 /// Values that have a text, one a line.
 const TEXTS: &str =
     "3,-123\n8196,1,2.5,-0.125\n8204,(8,Sample),(2,100),(8204,(5,0.1))\n12,(8,Sample)\n0,\n7,2026/11/21 04:00:00\n";
+
+/// Lines of RAC, as they are written.
+const LINES: &str = "GET:RC8:10:I:\rPUT:RC8:10:P:8196,1,2,3,4,5,6,-1\r0,8,Test\r-2147024809\rGET:RC8:1:IO:\r";
 
 /// Runs an image, which must return what it reads.
 fn echoes(program: &Path, input: &[u8]) -> Outcome<()> {
