@@ -8,12 +8,14 @@
 //! | [`oracle`]     | a slow recursive decoder, written from the specification and not from the core       |
 //! | [`strategies`] | proptest strategies for values, frames and damage to them                           |
 //! | [`vectors`]    | the frames and lines of the specifications, from `tests/vectors`                     |
+//! | [`network`]    | a simulated network between a client and a server, with a clock of its own          |
 //! | [`allocation`] | an allocator that counts what each thread asks of it                                |
 //!
 //! Nothing here is fast or frugal; where it disagrees with the core, one of the two is wrong.
 
 pub mod allocation;
 pub mod frame;
+pub mod network;
 pub mod oracle;
 pub mod strategies;
 pub mod value;
