@@ -45,6 +45,7 @@ use bcap_core::bcap::FunctionId;
 use bcap_core::bcap::server::Request;
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
+use bcap_core::rac::VariableKind as Kind;
 use bcap_core::variant::Variant;
 
 use crate::controller::{Controller, Wait};
@@ -56,7 +57,6 @@ use crate::pose::Pose;
 use crate::robot::{Percent, Servo, angle, percent, pose_numbers, position, trans};
 use crate::system::{Owner, coordinates};
 use crate::value::{Value, numbers, one_int, whole};
-use crate::variables::Kind;
 
 /// Commands of real controllers that this one has not; first those of slave mode, which belongs in a module of its own.
 const NOT_HERE: &[&str] = &[

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
+use bcap_core::rac::VariableKind as Kind;
 use bcap_core::time::Instant;
 use bcap_core::variant::{Encode, Variant, VariantBuf};
 
@@ -16,7 +17,7 @@ use crate::objects::Objects;
 use crate::robot::{Robot, Servo};
 use crate::tasks::{Task, TaskStatus};
 use crate::value::Value;
-use crate::variables::{Family, Kind, Variables};
+use crate::variables::{Family, Variables};
 
 /// What the emergency stop enters into the list of errors.
 ///

@@ -1,9 +1,10 @@
-//! From a request of b-CAP to what it does: the functions of every object but the robot's own.
+//! From a request to what it does: all of RAC, and the functions of b-CAP of every object but the robot's own.
 
 use bcap_core::bcap::server::{Handler, Request};
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
+use bcap_core::rac;
 use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
 
@@ -13,7 +14,7 @@ use crate::objects::{Entry, Item, Target};
 use crate::options::option;
 use crate::system::{self, Owner};
 use crate::value::{Value, keep, one_int};
-use crate::variables::{Kind, parse_name, wildcard_names};
+use crate::variables::{Family, parse_name, wildcard_names};
 
 /// What a function answers when it is not refused.
 #[derive(Debug, PartialEq)]
@@ -57,6 +58,20 @@ impl Handler for Controller {
     fn left(&mut self, peer: PeerId, now: Instant) {
         self.advance(now);
         self.forget(peer);
+    }
+}
+
+/// Clients of RAC have no session and no objects: they read and write the same user variables.
+impl rac::server::Handler for Controller {
+    fn call(&mut self, _: PeerId, request: &rac::Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        self.advance(now);
+        reply.clear();
+        let rac::Variable { kind, index } = request.variable();
+        let result = match request.value() {
+            None => self.variables.get(Family::Plain(kind), index).map(|value| Self::set_reply(reply, &value)),
+            Some(value) => self.put_user(Family::Plain(kind), index, &value).map(|()| HResult::S_OK),
+        };
+        Outcome::Done(result.unwrap_or_else(|refused| refused))
     }
 }
 
@@ -241,41 +256,27 @@ impl Controller {
     }
 
     fn target_put(&mut self, peer: PeerId, target: Target, value: &Variant<'_>) -> Result<(), HResult> {
-        if self.config().permission == Permission::ReadOnly {
-            return Err(HResult::E_CAO_NOT_WRITABLE);
-        }
         match target {
-            Target::User(family, n) | Target::Wildcard(family, Some(n)) => self.variables.put(family, n, value),
+            Target::User(family, n) | Target::Wildcard(family, Some(n)) => self.put_user(family, n, value),
             Target::Wildcard(_, None) => Err(HResult::DISP_E_BADINDEX),
-            Target::System(owner, name) => self.system_put(peer, owner, name, value),
+            Target::System(owner, name) => {
+                self.may_write()?;
+                self.system_put(peer, owner, name, value)
+            }
         }
     }
 
-    /// Reads a user variable for a client of RAC.
-    ///
-    /// # Errors
-    ///
-    /// `DISP_E_BADINDEX`, or `E_TOO_MUCH_DATA` when the value does not fit `reply`.
-    pub fn rac_get(&mut self, kind: Kind, index: u32, reply: &mut ReplyValue<'_>, now: Instant) -> Result<(), HResult> {
-        self.advance(now);
-        let value = self.variables.get(crate::variables::Family::Plain(kind), index)?;
-        match Self::set_reply(reply, &value) {
-            HResult::S_OK => Ok(()),
-            code => Err(code),
-        }
+    fn put_user(&mut self, family: Family, index: u32, value: &Variant<'_>) -> Result<(), HResult> {
+        self.may_write()?;
+        self.variables.put(family, index, value)
     }
 
-    /// Writes a user variable for a client of RAC.
-    ///
-    /// # Errors
-    ///
-    /// `E_CAO_NOT_WRITABLE` without the permission to write, and what Variable_PutValue answers.
-    pub fn rac_put(&mut self, kind: Kind, index: u32, value: &Variant<'_>, now: Instant) -> Result<(), HResult> {
-        self.advance(now);
-        if self.config().permission == Permission::ReadOnly {
-            return Err(HResult::E_CAO_NOT_WRITABLE);
+    /// Checks the communication permission.
+    fn may_write(&self) -> Result<(), HResult> {
+        match self.config().permission {
+            Permission::ReadWrite => Ok(()),
+            Permission::ReadOnly => Err(HResult::E_CAO_NOT_WRITABLE),
         }
-        self.variables.put(crate::variables::Family::Plain(kind), index, value)
     }
 
     /// Waits, or goes on waiting, for what was entered for this client.

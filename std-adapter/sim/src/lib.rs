@@ -1,9 +1,9 @@
 //! A virtual DENSO RC8 or RC9: what a program that talks to a robot controller meets, without the robot.
 //!
 //! [`Controller`] is a model, not a server. It has no socket, no thread and no clock; it implements
-//! [`bcap_core::bcap::server::Handler`], so that whatever drives a b-CAP server can put it behind one, and
-//! every call brings the time with it. The same calls at the same times give the same answers, in a test in no time
-//! and behind real sockets in real time.
+//! [`bcap_core::bcap::server::Handler`] and [`bcap_core::rac::server::Handler`], so that whatever drives the servers of
+//! the two protocols can put it behind both, with one state, and every call brings the time with it. The same calls at
+//! the same times give the same answers, in a test in no time and behind real sockets in real time.
 //!
 //! # What there is
 //!
@@ -41,11 +41,11 @@
 //! ```
 //! use bcap_core::time::Instant;
 //! use bcap_core::variant::Variant;
-//! use bcap_sim::{Config, Controller, Kind, Profile, EMERGENCY_STOP};
+//! use bcap_sim::{Config, Controller, EMERGENCY_STOP, Profile, VariableKind};
 //!
 //! let mut controller = Controller::new(Config::new(Profile::Rc8));
-//! controller.set_variable(Kind::I, 10, &Variant::I4(123))?;
-//! assert_eq!(controller.variable::<16>(Kind::I, 10)?.as_variant(), Variant::I4(123));
+//! controller.set_variable(VariableKind::I, 10, &Variant::I4(123))?;
+//! assert_eq!(controller.variable::<16>(VariableKind::I, 10)?.as_variant(), Variant::I4(123));
 //!
 //! controller.emergency_stop(true, Instant::from_millis(5));
 //! assert_eq!(controller.errors().map(|e| e.code).collect::<Vec<_>>(), [EMERGENCY_STOP]);
@@ -74,4 +74,6 @@ pub use controller::{Controller, EMERGENCY_STOP};
 pub use errors::ErrorEntry;
 pub use execute::Bit;
 pub use tasks::TaskStatus;
-pub use variables::{Kind, Sizes};
+pub use variables::Sizes;
+// the kinds of user variables, as both protocols name them
+pub use bcap_core::rac::VariableKind;

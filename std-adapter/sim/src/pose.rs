@@ -12,11 +12,12 @@
 //! model ends exactly at its pose. A P may be without its Fig, or have a negative one: the nearest posture is taken.
 
 use bcap_core::hresult::HResult;
+use bcap_core::rac::VariableKind as Kind;
 use bcap_core::variant::{Array, Variant};
 
 use crate::kinematics::{Frame, Joints, OutOfReach, inverse, inverse_nearest, out_of_range};
 use crate::value::{number, numbers, numbers_of_text, whole};
-use crate::variables::{Family, Kind, Variables, parse_name};
+use crate::variables::{Family, Variables, parse_name};
 
 /// Where to move.
 #[derive(Clone, Copy, Debug, PartialEq)]

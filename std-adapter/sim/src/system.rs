@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
+use bcap_core::rac::VariableKind as Kind;
 use bcap_core::variant::{OleDate, Variant};
 
 use crate::config::Mode;
@@ -16,7 +17,6 @@ use crate::controller::Controller;
 use crate::errors::description;
 use crate::robot::{Percent, angle, percent, position, trans};
 use crate::value::{Value, number, one_int};
-use crate::variables::Kind;
 
 /// The object that a system variable belongs to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -21,53 +21,10 @@
 //! Names are `I1` or `I[1]`, whatever the case, counted from 0; `I*` names all of a kind, and PutID chooses one.
 
 use bcap_core::hresult::HResult;
+use bcap_core::rac::VariableKind as Kind;
 use bcap_core::variant::Variant;
 
 use crate::value::{Value, number, whole};
-
-/// The kinds of user variables.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Kind {
-    /// Integers.
-    I,
-    /// Floats.
-    F,
-    /// Doubles.
-    D,
-    /// Vectors.
-    V,
-    /// Positions.
-    P,
-    /// Joint angles.
-    J,
-    /// Homogeneous transforms.
-    T,
-    /// Strings.
-    S,
-    /// Digital inputs and outputs.
-    Io,
-}
-
-impl Kind {
-    /// All kinds, in the order of [`Sizes`].
-    pub const ALL: [Self; 9] = [Self::I, Self::F, Self::D, Self::V, Self::P, Self::J, Self::T, Self::S, Self::Io];
-
-    /// Returns the name that variables of this kind begin with.
-    #[must_use]
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::I => "I",
-            Self::F => "F",
-            Self::D => "D",
-            Self::V => "V",
-            Self::P => "P",
-            Self::J => "J",
-            Self::T => "T",
-            Self::S => "S",
-            Self::Io => "IO",
-        }
-    }
-}
 
 /// How many variables of each kind there are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -12,7 +12,7 @@ use bcap_core::time::Instant;
 use bcap_core::variant::Encode;
 use bcap_sim::kinematics::{RANGES, SPEEDS};
 use bcap_sim::motion::{ACCELERATION_TIME, LINE_SPEED};
-use bcap_sim::{Config, EMERGENCY_STOP, Kind, Mode, Profile, Token};
+use bcap_sim::{Config, EMERGENCY_STOP, Mode, Profile, Token, VariableKind};
 
 use common::{Client, World, close, code, doubles, ok, value};
 
@@ -543,5 +543,5 @@ fn values_that_cannot_be_written_stay() {
     assert_eq!(world.call(client.peer, call::variable_put_value(tool, 64)), code(HResult::E_INVALIDARG));
     assert_eq!(world.call(client.peer, call::variable_put_value(tool, 63)), code(HResult::S_OK));
     assert_eq!(world.call(client.peer, call::variable_get_value(tool)), ok(&63));
-    world.sim.set_variable(Kind::J, 0, &value(&[0.0_f32; 8]).as_variant()).unwrap();
+    world.sim.set_variable(VariableKind::J, 0, &value(&[0.0_f32; 8]).as_variant()).unwrap();
 }

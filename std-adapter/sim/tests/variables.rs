@@ -230,26 +230,29 @@ fn a_wildcard_reads_what_put_id_has_chosen() {
 
 #[test]
 fn both_protocols_see_one_state() {
-    use bcap_core::handler::ReplyValue;
-    use bcap_core::variant::Variant;
-    use bcap_sim::Kind;
-
     let mut world = World::new();
     let client = world.client(1);
-    world.sim.rac_put(Kind::F, 10, &Variant::R4(123.01), world.now).unwrap();
+    assert_eq!(world.rac("PUT:RC8:10:F:4,123.01"), code(HResult::S_OK));
     assert_eq!(world.get(client, "F10"), ok(&123.01_f32));
+    assert_eq!(world.rac("GET:RC8:10:F:"), ok(&123.01_f32));
     world.put(client, "IO5", true);
-    let mut buffer = [0; 32];
-    let mut reply = ReplyValue::new(&mut buffer);
-    world.sim.rac_get(Kind::Io, 5, &mut reply, world.now).unwrap();
-    assert_eq!(reply.get(), Some(Variant::Bool(true)));
-    assert_eq!(world.sim.rac_get(Kind::I, 100, &mut reply, world.now), Err(HResult::DISP_E_BADINDEX));
-    let refused = world.sim.rac_put(Kind::I, 1, &Variant::R8(0.5), world.now);
-    assert_eq!(refused, Err(HResult::DISP_E_TYPEMISMATCH));
+    assert_eq!(world.rac("GET:RC8:5:IO:"), ok(&true));
+    assert_eq!(world.rac("PUT:RC8:1:P:8196,1,2,3,4,5,6,-1"), code(HResult::S_OK));
+    assert_eq!(world.get(client, "P1"), ok(&[1.0_f32, 2.0, 3.0, 4.0, 5.0, 6.0, -1.0]));
+    assert_eq!(world.rac("PUT:RC8:2:S:8,Test, one"), code(HResult::S_OK));
+    assert_eq!(world.get(client, "S2"), ok("Test, one"));
+
+    assert_eq!(world.rac("GET:RC8:100:I:"), code(HResult::DISP_E_BADINDEX));
+    assert_eq!(world.rac("PUT:RC8:1:I:5,0.5"), code(HResult::DISP_E_TYPEMISMATCH));
+    assert_eq!(world.rac("PUT:RC8:1:P:8196,1,2,3"), code(HResult::E_INVALIDARG));
     world.sim.set_permission(Permission::ReadOnly);
-    let refused = world.sim.rac_put(Kind::I, 1, &Variant::I4(1), world.now);
-    assert_eq!(refused, Err(HResult::E_CAO_NOT_WRITABLE));
+    assert_eq!(world.rac("PUT:RC8:1:I:3,1"), code(HResult::E_CAO_NOT_WRITABLE));
     assert_eq!(world.put(client, "I1", 1), HResult::E_CAO_NOT_WRITABLE);
+    assert_eq!(world.put(client, "@LOCK", true), HResult::E_CAO_NOT_WRITABLE);
+    assert_eq!(world.get(client, "I1"), ok(&0));
+
+    // a client of RAC that goes takes nothing with it, whatever its number
+    bcap_core::rac::server::Handler::left(&mut world.sim, client.peer, world.now);
     assert_eq!(world.get(client, "I1"), ok(&0));
 }
 

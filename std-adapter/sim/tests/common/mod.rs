@@ -7,6 +7,7 @@ use bcap_core::bcap::{Decoder, FrameWriter};
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::limits::{Limits, Strictness};
+use bcap_core::rac;
 use bcap_core::time::Instant;
 use bcap_core::variant::{Encode, Variant, VariantBuf};
 use bcap_sim::{Config, Controller, Profile};
@@ -105,6 +106,17 @@ impl World {
     /// Asks again about a call that has waited.
     pub(crate) fn again(&mut self, peer: PeerId, call: &impl Call) -> (Outcome, Value) {
         self.poll(peer, call, true)
+    }
+
+    /// Sends a line of RAC, without its CR.
+    pub(crate) fn rac(&mut self, line: &str) -> Reply {
+        let (mut memory, mut buffer) = ([0; 512], [0; 512]);
+        let request = rac::Request::parse(line.as_bytes(), &mut memory).unwrap();
+        let mut reply = ReplyValue::new(&mut buffer);
+        match rac::server::Handler::call(&mut self.sim, PeerId(1), &request, &mut reply, self.now) {
+            Outcome::Done(code) => (code, reply.get().map_or(Value::EMPTY, |v| value(&v))),
+            Outcome::Wait(at) => panic!("{line} waits until {at}"),
+        }
     }
 
     /// Moves the clock.
