@@ -132,6 +132,11 @@ impl<'b> Writer<'b> {
         Ok(slot)
     }
 
+    /// Takes everything behind `len` bytes back.
+    pub(crate) fn truncate(&mut self, len: usize) {
+        self.len = self.len.min(len);
+    }
+
     /// Runs `body`, and puts the number of bytes that it appended, as a u32, in front of them.
     #[inline]
     pub(crate) fn length_prefixed(

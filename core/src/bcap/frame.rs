@@ -233,38 +233,43 @@ impl Decoder {
 /// Splits one argument off and checks it.
 #[inline]
 fn check_argument<'a>(r: &mut Reader<'a>, limits: &Limits, strictness: Strictness) -> Result<&'a [u8], variant::Fault> {
-    let at = r.left();
-    let Some(declared) = r.u32() else {
-        return Err(variant::Fault { kind: DecodeErrorKind::Truncated { needed: 4, left: to_u32(at) }, left: at });
-    };
+    let at = *r;
+    let Some(declared) = r.u32() else { return Err(truncated(at, 4, at)) };
     if strictness == Strictness::Lenient {
-        // peers that go wrong in this field read on by the values themselves; only an unknown type needs it
-        if variant::is_opaque(r.rest())
-            && let Some(opaque) = opaque(declared, r)
-        {
-            return Ok(opaque);
-        }
-        return variant::check(r, limits, strictness);
+        return check_lenient(declared, r, limits);
     }
-    let left = to_u32(r.left());
-    let Some(value) = r.slice(to_usize(declared)) else {
-        return Err(variant::Fault { kind: DecodeErrorKind::Truncated { needed: declared, left }, left: at });
-    };
+    let Some(value) = r.slice(to_usize(declared)) else { return Err(truncated(*r, declared, at)) };
     let mut inner = Reader::new(value);
     match variant::check(&mut inner, limits, strictness) {
-        Ok(_) if inner.left() == 0 => Ok(value),
-        Ok(used) => {
-            let used = to_u32(used.len());
-            Err(variant::Fault { kind: DecodeErrorKind::ArgumentLength { declared, used }, left: at })
+        Ok(()) if inner.left() == 0 => Ok(value),
+        Ok(()) => {
+            let used = to_u32(value.len().wrapping_sub(inner.left()));
+            Err(variant::Fault { kind: DecodeErrorKind::ArgumentLength { declared, used }, left: at.left() })
         }
         // the fault counts from the end of the argument, and more may follow that
         Err(fault) => Err(variant::Fault { left: fault.left.wrapping_add(r.left()), ..fault }),
     }
 }
 
-/// Splits a value of unknown type off, when its argument's length makes sense.
-fn opaque<'a>(declared: u32, r: &mut Reader<'a>) -> Option<&'a [u8]> {
-    (declared >= 6).then(|| r.slice(to_usize(declared))).flatten()
+/// Splits one argument off by its value, whatever its length field says; only an unknown type needs that.
+///
+/// Peers that go wrong in the length field read on by the values themselves.
+fn check_lenient<'a>(declared: u32, r: &mut Reader<'a>, limits: &Limits) -> Result<&'a [u8], variant::Fault> {
+    let value = r.rest();
+    if variant::is_opaque(value)
+        && declared >= 6
+        && let Some(opaque) = r.slice(to_usize(declared))
+    {
+        return Ok(opaque);
+    }
+    variant::check(r, limits, Strictness::Lenient)?;
+    Ok(value.get(..value.len().wrapping_sub(r.left())).unwrap_or_default())
+}
+
+/// Says that `needed` bytes are not in `r`; the fault is where the argument begins.
+#[cold]
+fn truncated(r: Reader<'_>, needed: u32, at: Reader<'_>) -> variant::Fault {
+    variant::Fault { kind: DecodeErrorKind::Truncated { needed, left: to_u32(r.left()) }, left: at.left() }
 }
 
 /// Splits the CRC off the end of `body` and compares it.
@@ -382,13 +387,20 @@ impl<'a> Iterator for ArgsIter<'a> {
         // in a checked strict frame the lengths are right, so there is no need to walk the value again
         let value = match self.strictness {
             Strictness::Strict => crate::wire::length_prefixed(&mut self.reader)?,
-            Strictness::Lenient => check_argument(&mut self.reader, &DEEPEST, Strictness::Lenient).ok()?,
+            Strictness::Lenient => self.next_lenient()?,
         };
         Some(Variant::from_checked(value))
     }
 
     fn size_hint(&self) -> (usize, Option<usize>) {
         (usize::from(self.left), Some(usize::from(self.left)))
+    }
+}
+
+impl<'a> ArgsIter<'a> {
+    #[cold]
+    fn next_lenient(&mut self) -> Option<&'a [u8]> {
+        check_argument(&mut self.reader, &DEEPEST, Strictness::Lenient).ok()
     }
 }
 

@@ -6,22 +6,24 @@
 use core::fmt;
 use core::marker::PhantomData;
 
-use super::{Bstr, Currency, Layout, OleDate, VarType, Variant, split_checked};
+use super::{Bstr, Currency, Layout, OleDate, VarType, Variant};
 use crate::hresult::HResult;
+use crate::num::to_usize;
 use crate::wire::{Reader, length_prefixed};
 
 /// Elements of one type.
 #[derive(Clone, Copy)]
 pub struct Array<'a> {
     element: VarType,
-    count: usize,
+    // 32 bits as on the wire: with them a `Variant` is three words
+    count: u32,
     /// Exactly `count` elements, checked.
     data: &'a [u8],
 }
 
 impl<'a> Array<'a> {
     #[inline]
-    pub(super) const fn from_checked(element: VarType, count: usize, data: &'a [u8]) -> Self {
+    pub(super) const fn from_checked(element: VarType, count: u32, data: &'a [u8]) -> Self {
         Self { element, count, data }
     }
 
@@ -34,7 +36,7 @@ impl<'a> Array<'a> {
     /// Returns the number of elements.
     #[must_use]
     pub const fn len(self) -> usize {
-        self.count
+        to_usize(self.count)
     }
 
     /// Tells whether there are no elements.
@@ -58,17 +60,17 @@ impl<'a> Array<'a> {
     /// Iterates over the elements, whatever their type.
     #[must_use]
     pub const fn iter(self) -> Elements<'a> {
-        Elements { element: self.element, left: self.count, reader: Reader::new(self.data) }
+        Elements { element: self.element, left: self.len(), reader: Reader::new(self.data) }
     }
 
     /// Returns an element; for strings and VARIANTs it walks past those in front of it.
     #[must_use]
     pub fn get(self, index: usize) -> Option<Variant<'a>> {
         match self.element.layout() {
-            Layout::Fixed(width) if index < self.count => {
+            Layout::Fixed(width) if index < self.len() => {
                 let width = usize::from(width);
                 let at = index.checked_mul(width)?;
-                element_of(self.element, &mut Reader::new(self.data.get(at..)?))
+                Some(Variant::read_element(self.element, &mut Reader::new(self.data.get(at..)?)))
             }
             Layout::Fixed(_) => None,
             _ => self.iter().nth(index),
@@ -78,7 +80,9 @@ impl<'a> Array<'a> {
     /// Iterates over the strings; `None` when the elements are none.
     #[must_use]
     pub fn strings(self) -> Option<impl Iterator<Item = Bstr<'a>> + Clone + use<'a>> {
-        (self.element == VarType::BSTR).then(|| self.iter().filter_map(|s| s.as_bstr()))
+        let mut reader = Reader::new(self.data);
+        let next = move |_| length_prefixed(&mut reader).map(Bstr::truncated);
+        (self.element == VarType::BSTR).then(|| (0..self.len()).map_while(next))
     }
 }
 
@@ -142,7 +146,7 @@ impl<'a> Iterator for Elements<'a> {
 
     fn next(&mut self) -> Option<Variant<'a>> {
         self.left = self.left.checked_sub(1)?;
-        element_of(self.element, &mut self.reader)
+        Some(Variant::read_element(self.element, &mut self.reader))
     }
 
     fn size_hint(&self) -> (usize, Option<usize>) {
@@ -157,30 +161,6 @@ impl fmt::Debug for Elements<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Elements").field("element", &self.element).field("left", &self.left).finish_non_exhaustive()
     }
-}
-
-/// Reads one element of a checked array.
-pub(super) fn element_of<'a>(element: VarType, r: &mut Reader<'a>) -> Option<Variant<'a>> {
-    Some(match element {
-        VarType::EMPTY => Variant::Empty,
-        VarType::NULL => Variant::Null,
-        VarType::I2 => Variant::I2(r.array().map(i16::from_le_bytes)?),
-        VarType::I4 => Variant::I4(r.array().map(i32::from_le_bytes)?),
-        VarType::R4 => Variant::R4(r.array().map(f32::from_le_bytes)?),
-        VarType::R8 => Variant::R8(r.array().map(f64::from_le_bytes)?),
-        VarType::CY => Variant::Cy(r.array().map(Currency::from_wire)?),
-        VarType::DATE => Variant::Date(r.array().map(OleDate::from_wire)?),
-        VarType::BSTR => Variant::Bstr(Bstr::truncated(length_prefixed(r)?)),
-        VarType::ERROR => Variant::Error(r.array().map(HResult::from_wire)?),
-        VarType::BOOL => Variant::Bool(r.array().map(bool::from_wire)?),
-        VarType::VARIANT => Variant::from_checked(split_checked(r)?),
-        VarType::UI1 => Variant::Ui1(r.array().map(u8::from_le_bytes)?),
-        VarType::UI2 => Variant::Ui2(r.array().map(u16::from_le_bytes)?),
-        VarType::UI4 => Variant::Ui4(r.array().map(u32::from_le_bytes)?),
-        VarType::I8 => Variant::I8(r.array().map(i64::from_le_bytes)?),
-        VarType::UI8 => Variant::Ui8(r.array().map(u64::from_le_bytes)?),
-        _ => return None,
-    })
 }
 
 mod sealed {
@@ -311,12 +291,8 @@ impl<'a, T: Scalar> Items<'a, T> {
     /// Returns the elements as a Rust array; `None` when their number is another.
     #[must_use]
     pub fn to_array<const N: usize>(&self) -> Option<[T; N]> {
-        if self.len() != N {
-            return None;
-        }
-        let mut out = [self.get(0)?; N];
-        self.copy_to(&mut out)?;
-        Some(out)
+        let wire: &[T::Wire; N] = T::chunks(self.data).try_into().ok()?;
+        Some(wire.map(T::from_wire))
     }
 }
 

@@ -119,6 +119,21 @@ impl Element for &str {
     const TYPE: VarType = VarType::BSTR;
 
     fn put(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
+        let len = self.len().saturating_mul(2);
+        let start = out.len();
+        out.put(to_u32(len).to_le_bytes())?;
+        // names and commands are ASCII: a unit for a byte
+        if let Ok(slot) = out.reserve(len) {
+            let mut seen = 0;
+            for (unit, byte) in slot.as_chunks_mut().0.iter_mut().zip(self.bytes()) {
+                *unit = [byte, 0];
+                seen |= byte;
+            }
+            if seen.is_ascii() {
+                return Ok(());
+            }
+        }
+        out.truncate(start);
         out.length_prefixed(|out| self.encode_utf16().try_for_each(|unit| out.put(unit.to_le_bytes())))
     }
 }

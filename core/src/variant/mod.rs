@@ -147,7 +147,7 @@ vartypes! {
 /// How an element's data lie on the wire.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Layout {
-    /// This many bytes.
+    /// This many bytes, at most 8.
     Fixed(u8),
     Bstr,
     Variant,
@@ -284,7 +284,7 @@ impl defmt::Format for Nested<'_> {
 pub struct Opaque<'a> {
     /// Its type.
     pub vartype: VarType,
-    /// Its bytes behind the type: the count, and data of unknown layout.
+    /// Its bytes behind the count, of unknown layout.
     pub bytes: &'a [u8],
 }
 
@@ -297,49 +297,69 @@ impl<'a> Variant<'a> {
     pub fn decode(bytes: &'a [u8], limits: &Limits, strictness: Strictness) -> Result<Self, DecodeError> {
         let fault = |fault: Fault| fault.at(bytes.len(), Layer::Value);
         let mut reader = Reader::new(bytes);
-        let value = check(&mut reader, limits, strictness).map_err(fault)?;
+        check(&mut reader, limits, strictness).map_err(fault)?;
         if reader.left() > 0 && strictness == Strictness::Strict {
             return Err(fault(Fault { kind: DecodeErrorKind::Unused(to_u32(reader.left())), left: reader.left() }));
         }
-        Ok(Self::from_checked(value))
+        let used = bytes.len().wrapping_sub(reader.left());
+        Ok(Self::from_checked(bytes.get(..used).unwrap_or_default()))
     }
 
     /// Views a value that [`check`] has passed.
-    #[inline]
     pub(crate) fn from_checked(bytes: &'a [u8]) -> Self {
-        Self::view(bytes).unwrap_or(Self::Empty)
+        let mut r = Reader::new(bytes);
+        let Some((vartype, count)) = head(&mut r) else { return Self::Empty };
+        if vartype.is_array() && vartype.is_known() {
+            return Self::Array(Array::from_checked(vartype.element(), count, r.rest()));
+        }
+        if vartype == VarType::VARIANT {
+            return Self::Nested(Nested(r.rest()));
+        }
+        Self::read_data(vartype, &mut r)
     }
 
-    #[inline]
-    fn view(bytes: &'a [u8]) -> Option<Self> {
-        let (&[t0, t1, c0, c1, c2, c3], data) = bytes.split_first_chunk::<HEAD>()?;
-        let vartype = VarType(u16::from_le_bytes([t0, t1]));
-        if !vartype.is_known() {
-            return Some(Self::Opaque(Opaque { vartype, bytes: bytes.get(2..)? }));
+    /// Splits a checked value off that others follow, and views it.
+    fn read(r: &mut Reader<'a>) -> Self {
+        let start = *r;
+        let Some((vartype, count)) = head(r) else { return Self::Empty };
+        if vartype.is_array() || vartype == VarType::VARIANT {
+            let count = if vartype.is_array() { count } else { 1 };
+            if skip_elements(vartype.element(), count, r).is_none() {
+                return Self::Empty;
+            }
+            let used = start.left().wrapping_sub(r.left());
+            return Self::from_checked(start.rest().get(..used).unwrap_or_default());
         }
-        if vartype.is_array() {
-            let count = to_usize(u32::from_le_bytes([c0, c1, c2, c3]));
-            return Some(Self::Array(Array::from_checked(vartype.element(), count, data)));
-        }
-        Some(match vartype {
+        Self::read_data(vartype, r)
+    }
+
+    /// Splits the data of one element of an array off and views it.
+    fn read_element(element: VarType, r: &mut Reader<'a>) -> Self {
+        if element == VarType::VARIANT { Self::read(r) } else { Self::read_data(element, r) }
+    }
+
+    /// Splits the data of a value off that is neither an array nor a VARIANT, and views it.
+    fn read_data(vartype: VarType, r: &mut Reader<'a>) -> Self {
+        match vartype {
+            VarType::EMPTY => Self::Empty,
             VarType::NULL => Self::Null,
-            VarType::I2 => Self::I2(i16::from_le_bytes(*data.first_chunk()?)),
-            VarType::I4 => Self::I4(i32::from_le_bytes(*data.first_chunk()?)),
-            VarType::R4 => Self::R4(f32::from_le_bytes(*data.first_chunk()?)),
-            VarType::R8 => Self::R8(f64::from_le_bytes(*data.first_chunk()?)),
-            VarType::CY => Self::Cy(Currency::from_raw(i64::from_le_bytes(*data.first_chunk()?))),
-            VarType::DATE => Self::Date(OleDate::from_raw(f64::from_le_bytes(*data.first_chunk()?))),
-            VarType::BSTR => Self::Bstr(Bstr::truncated(crate::wire::length_prefixed(&mut Reader::new(data))?)),
-            VarType::ERROR => Self::Error(HResult(i32::from_le_bytes(*data.first_chunk()?))),
-            VarType::BOOL => Self::Bool(*data.first_chunk::<2>()? != [0, 0]),
-            VarType::VARIANT => Self::Nested(Nested(data)),
-            VarType::UI1 => Self::Ui1(*data.first()?),
-            VarType::UI2 => Self::Ui2(u16::from_le_bytes(*data.first_chunk()?)),
-            VarType::UI4 => Self::Ui4(u32::from_le_bytes(*data.first_chunk()?)),
-            VarType::I8 => Self::I8(i64::from_le_bytes(*data.first_chunk()?)),
-            VarType::UI8 => Self::Ui8(u64::from_le_bytes(*data.first_chunk()?)),
-            _ => Self::Empty,
-        })
+            VarType::I2 => Self::I2(i16::from_le_bytes(next(r))),
+            VarType::I4 => Self::I4(i32::from_le_bytes(next(r))),
+            VarType::R4 => Self::R4(f32::from_le_bytes(next(r))),
+            VarType::R8 => Self::R8(f64::from_le_bytes(next(r))),
+            VarType::CY => Self::Cy(Currency::from_wire(next(r))),
+            VarType::DATE => Self::Date(OleDate::from_wire(next(r))),
+            VarType::BSTR => Self::Bstr(Bstr::truncated(crate::wire::length_prefixed(r).unwrap_or_default())),
+            VarType::ERROR => Self::Error(HResult::from_wire(next(r))),
+            VarType::BOOL => Self::Bool(bool::from_wire(next(r))),
+            VarType::UI1 => Self::Ui1(u8::from_le_bytes(next(r))),
+            VarType::UI2 => Self::Ui2(u16::from_le_bytes(next(r))),
+            VarType::UI4 => Self::Ui4(u32::from_le_bytes(next(r))),
+            VarType::I8 => Self::I8(i64::from_le_bytes(next(r))),
+            VarType::UI8 => Self::Ui8(u64::from_le_bytes(next(r))),
+            // only an argument of a lenient frame can be this, and it is alone in `r`
+            _ => Self::Opaque(Opaque { vartype, bytes: r.rest() }),
+        }
     }
 
     /// Returns the VARTYPE.
@@ -398,6 +418,7 @@ impl<'a> Variant<'a> {
 
     /// Returns the number of any integer type that fits; `None` for other types.
     #[must_use]
+    #[inline]
     pub fn as_i32(&self) -> Option<i32> {
         match *self {
             Self::I4(n) => Some(n),
@@ -503,6 +524,20 @@ impl fmt::Debug for Variant<'_> {
     }
 }
 
+/// Reads the next bytes of checked data; they are there.
+#[inline]
+fn next<const N: usize>(r: &mut Reader<'_>) -> [u8; N] {
+    r.array().unwrap_or([0; N])
+}
+
+/// Reads type and count.
+#[inline]
+fn head(r: &mut Reader<'_>) -> Option<(VarType, u32)> {
+    let (&[t0, t1, c0, c1, c2, c3], rest) = r.rest().split_first_chunk::<HEAD>()?;
+    *r = Reader::new(rest);
+    Some((VarType(u16::from_le_bytes([t0, t1])), u32::from_le_bytes([c0, c1, c2, c3])))
+}
+
 /// What is wrong, and how many bytes were left when it was found.
 pub(crate) struct Fault {
     pub(crate) kind: DecodeErrorKind,
@@ -516,29 +551,27 @@ impl Fault {
     }
 }
 
-/// Splits one value off, checked with everything inside it; this is the one way by which foreign bytes become values.
+/// Steps over one value, and checks it with everything inside; this is the one way by which foreign bytes become values.
 ///
 /// It does not recurse: the counts of values still to come on each level are on a small stack of its own.
-#[inline]
-pub(crate) fn check<'a>(r: &mut Reader<'a>, limits: &Limits, strictness: Strictness) -> Result<&'a [u8], Fault> {
-    let start = *r;
-    let inner = check_one(r, strictness)?;
-    if inner > 0 {
-        check_inner(r, inner, limits, strictness)?;
+#[inline(always)]
+pub(crate) fn check(r: &mut Reader<'_>, limits: &Limits, strictness: Strictness) -> Result<(), Fault> {
+    match check_one(r, strictness)? {
+        0 => Ok(()),
+        inner => check_inner(r, inner, limits, strictness),
     }
-    Ok(start.rest().get(..start.left().wrapping_sub(r.left())).unwrap_or_default())
 }
 
 #[inline(never)]
 fn check_inner(r: &mut Reader<'_>, count: u32, limits: &Limits, strictness: Strictness) -> Result<(), Fault> {
     let max = limits.depth.min(MAX_DEPTH);
+    if max == 0 {
+        return Err(Fault { kind: DecodeErrorKind::TooDeep(max), left: r.left() });
+    }
     // values still to come on each outer level; `here` is the innermost
     let mut outer = [0_u32; OUTER];
     let mut depth = 1_u8;
     let mut here = count;
-    if max == 0 {
-        return Err(Fault { kind: DecodeErrorKind::TooDeep(max), left: r.left() });
-    }
     loop {
         if here == 0 {
             depth = depth.wrapping_sub(1);
@@ -564,62 +597,72 @@ fn check_inner(r: &mut Reader<'_>, count: u32, limits: &Limits, strictness: Stri
     }
 }
 
-/// Splits one value off, up to the values inside it; returns how many of these follow.
+/// Steps over one value, up to the values inside it; returns how many of these follow.
 #[inline]
 fn check_one(r: &mut Reader<'_>, strictness: Strictness) -> Result<u32, Fault> {
-    let at = r.left();
-    let Some([t0, t1, c0, c1, c2, c3]) = r.array::<HEAD>() else {
-        return Err(Fault { kind: DecodeErrorKind::Truncated { needed: to_u32(HEAD), left: to_u32(at) }, left: at });
-    };
-    let vartype = VarType(u16::from_le_bytes([t0, t1]));
-    let mut count = u32::from_le_bytes([c0, c1, c2, c3]);
+    let Some((vartype, mut count)) = head(r) else { return Err(truncated(r, HEAD)) };
     let layout = vartype.layout();
-    if !vartype.is_array() {
+    let scalar = !vartype.is_array();
+    if scalar {
         if count != 1 && strictness == Strictness::Strict && layout != Layout::Unknown {
             return Err(Fault { kind: DecodeErrorKind::ScalarCount(count), left: r.left().wrapping_add(4) });
         }
         count = 1;
     }
-    let left = to_u32(r.left());
-    let too_many = Fault { kind: DecodeErrorKind::ArrayCount(count), left: r.left().wrapping_add(4) };
     match layout {
-        Layout::Fixed(0) if vartype.is_array() && count > MAX_EMPTY_ELEMENTS => Err(too_many),
         Layout::Fixed(width) => {
-            let needed = u32::from(width).checked_mul(count).filter(|needed| *needed <= left || !vartype.is_array());
-            let Some(needed) = needed else { return Err(too_many) };
-            match r.slice(to_usize(needed)) {
-                Some(_) => Ok(0),
-                None => Err(Fault { kind: DecodeErrorKind::Truncated { needed, left }, left: r.left() }),
+            // 8 times 4 G: it fits, and a sum over the address space is over the bytes that are left as well
+            let needed = usize::try_from(u64::from(width).wrapping_mul(u64::from(count))).unwrap_or(usize::MAX);
+            let data = r.slice(needed);
+            if data.is_some() && (width > 0 || count <= MAX_EMPTY_ELEMENTS) {
+                return Ok(0);
             }
+            Err(if scalar { truncated(r, needed) } else { too_many(r, count) })
         }
-        // a string takes at least its length field, a VARIANT its head
-        Layout::Bstr if vartype.is_array() && count > left >> 2 => Err(too_many),
         Layout::Bstr => {
+            // a string takes at least its length field
+            if !scalar && to_usize(count) > r.left() >> 2 {
+                return Err(too_many(r, count));
+            }
             for _ in 0..count {
                 check_bstr(r, strictness)?;
             }
             Ok(0)
         }
-        Layout::Variant if vartype.is_array() && u64::from(count).wrapping_mul(6) > u64::from(left) => Err(too_many),
+        // a value takes at least its head
+        Layout::Variant if !scalar && u64::from(count).wrapping_mul(6) > u64::from(to_u32(r.left())) => {
+            Err(too_many(r, count))
+        }
         Layout::Variant => Ok(count),
-        Layout::Unknown => Err(Fault { kind: DecodeErrorKind::UnknownType(vartype.0), left: at }),
+        Layout::Unknown => {
+            Err(Fault { kind: DecodeErrorKind::UnknownType(vartype.0), left: r.left().wrapping_add(HEAD) })
+        }
     }
 }
 
 #[inline]
 fn check_bstr(r: &mut Reader<'_>, strictness: Strictness) -> Result<(), Fault> {
-    let at = r.left();
-    let Some(length) = r.u32() else {
-        return Err(Fault { kind: DecodeErrorKind::Truncated { needed: 4, left: to_u32(at) }, left: at });
-    };
+    let Some(length) = r.u32() else { return Err(truncated(r, 4)) };
     if length & 1 != 0 && strictness == Strictness::Strict {
-        return Err(Fault { kind: DecodeErrorKind::OddBstr(length), left: at });
+        return Err(Fault { kind: DecodeErrorKind::OddBstr(length), left: r.left().wrapping_add(4) });
     }
-    let left = r.left();
     match r.slice(to_usize(length)) {
         Some(_) => Ok(()),
-        None => Err(Fault { kind: DecodeErrorKind::Truncated { needed: length, left: to_u32(left) }, left }),
+        None => Err(truncated(r, to_usize(length))),
     }
+}
+
+/// Says that `needed` bytes are not there.
+#[cold]
+fn truncated(r: &Reader<'_>, needed: usize) -> Fault {
+    let left = r.left();
+    Fault { kind: DecodeErrorKind::Truncated { needed: to_u32(needed), left: to_u32(left) }, left }
+}
+
+/// Says that an array claims too many elements; its count has just been read.
+#[cold]
+fn too_many(r: &Reader<'_>, count: u32) -> Fault {
+    Fault { kind: DecodeErrorKind::ArrayCount(count), left: r.left().wrapping_add(4) }
 }
 
 /// Tells whether the value at the front of `bytes` has a VARTYPE that only an argument's length can skip.
@@ -627,9 +670,38 @@ pub(crate) fn is_opaque(bytes: &[u8]) -> bool {
     bytes.first_chunk::<2>().is_some_and(|t| !VarType(u16::from_le_bytes(*t)).is_known())
 }
 
-/// Splits a checked value off.
-fn split_checked<'a>(r: &mut Reader<'a>) -> Option<&'a [u8]> {
-    check(r, &Limits { depth: MAX_DEPTH, ..Limits::STREAM }, Strictness::Lenient).ok()
+/// Steps over the data of checked elements, without checking anything again.
+///
+/// To find their end it is enough to count the values still to come, on whatever level they are.
+#[inline]
+fn skip_elements(element: VarType, count: u32, r: &mut Reader<'_>) -> Option<()> {
+    let mut values = skip_level(element, count, r)?;
+    while values > 0 {
+        let (vartype, count) = head(r)?;
+        let count = if vartype.is_array() { count } else { 1 };
+        let inner = skip_level(vartype.element(), count, r)?;
+        values = values.wrapping_sub(1).checked_add(inner)?;
+    }
+    Some(())
+}
+
+/// Steps over the data of elements, up to the values inside them; returns how many of these follow.
+#[inline]
+fn skip_level(element: VarType, count: u32, r: &mut Reader<'_>) -> Option<u32> {
+    match element.layout() {
+        Layout::Fixed(width) => {
+            let len = usize::try_from(u64::from(width).wrapping_mul(u64::from(count))).ok()?;
+            r.slice(len).map(|_| 0)
+        }
+        Layout::Bstr => {
+            for _ in 0..count {
+                crate::wire::length_prefixed(r)?;
+            }
+            Some(0)
+        }
+        Layout::Variant => Some(count),
+        Layout::Unknown => None,
+    }
 }
 
 #[cfg(test)]

@@ -42,7 +42,6 @@ use nom::Parser as _;
 use nom::error::{ErrorKind, ParseError};
 use nom::sequence::preceded;
 
-use super::array::element_of;
 use super::encode::{Element as _, head};
 use super::{Bstr, CivilTime, Layout, OUTER, OleDate, VarType, Variant, VariantBuf};
 use crate::error::{TextError, TextErrorKind};
@@ -708,7 +707,7 @@ fn print_elements(element: VarType, count: u32, bounds: Bounds, r: &mut Reader<'
         if index > 0 {
             put(b",", out)?;
         }
-        print_scalar(element_of(element, r).unwrap_or(Variant::Empty), bounds, out)?;
+        print_scalar(Variant::read_element(element, r), bounds, out)?;
     }
     Ok(())
 }
