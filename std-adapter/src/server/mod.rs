@@ -27,16 +27,20 @@
 //! # mod tokio { pub async fn signal_that_ends_it() {} }
 //! ```
 
+mod rac;
 mod shared;
+mod stream;
 mod tcp;
 mod udp;
 
 use std::io;
 use std::net::SocketAddr;
+use std::pin::Pin;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use bcap_core::bcap::server::Handler;
+use bcap_core::rac::server::Handler as RacHandler;
 use tokio::net::{TcpListener, ToSocketAddrs, UdpSocket};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -86,7 +90,12 @@ pub struct Server<H> {
     limits: Limits,
     bcap: Vec<TcpListener>,
     udp: Vec<UdpSocket>,
+    rac: Vec<(TcpListener, ListenRac<H>)>,
 }
+
+/// Accepts connections of RAC; known by its address, so that handlers of b-CAP alone can be served as well.
+type ListenRac<H> = fn(TcpListener, Arc<Shared<H>>, Limits, watch::Receiver<()>) -> Listening;
+type Listening = Pin<Box<dyn Future<Output = io::Result<()>> + Send>>;
 
 /// Where a server listens.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -95,6 +104,8 @@ pub struct Addresses {
     pub bcap_tcp: Vec<SocketAddr>,
     /// b-CAP over UDP.
     pub bcap_udp: Vec<SocketAddr>,
+    /// RAC over TCP.
+    pub rac_tcp: Vec<SocketAddr>,
 }
 
 impl<H: Handler + Send + 'static> Server<H> {
@@ -109,7 +120,8 @@ impl<H: Handler + Send + 'static> Server<H> {
     /// The lock is held for the time of one call; whoever else takes it must be as short.
     #[must_use]
     pub fn with_shared(handler: Arc<Mutex<H>>) -> Self {
-        Self { shared: Arc::new(Shared::new(handler)), limits: Limits::default(), bcap: Vec::new(), udp: Vec::new() }
+        let shared = Arc::new(Shared::new(handler));
+        Self { shared, limits: Limits::default(), bcap: Vec::new(), udp: Vec::new(), rac: Vec::new() }
     }
 
     /// Changes the limits.
@@ -138,12 +150,29 @@ impl<H: Handler + Send + 'static> Server<H> {
         Ok(self)
     }
 
+    /// Listens for RAC over TCP; port 0 takes a free one.
+    ///
+    /// # Errors
+    ///
+    /// When the address cannot be had.
+    pub async fn rac_tcp<A: ToSocketAddrs>(mut self, address: A) -> io::Result<Self>
+    where
+        H: RacHandler,
+    {
+        let listener = TcpListener::bind(address).await?;
+        self.rac.push((listener, |listener, shared, limits, stopped| {
+            Box::pin(rac::listen(listener, shared, limits, stopped))
+        }));
+        Ok(self)
+    }
+
     /// Returns where the server listens.
     #[must_use]
     pub fn addresses(&self) -> Addresses {
         Addresses {
             bcap_tcp: self.bcap.iter().filter_map(|l| l.local_addr().ok()).collect(),
             bcap_udp: self.udp.iter().filter_map(|s| s.local_addr().ok()).collect(),
+            rac_tcp: self.rac.iter().filter_map(|(l, _)| l.local_addr().ok()).collect(),
         }
     }
 
@@ -164,6 +193,9 @@ impl<H: Handler + Send + 'static> Server<H> {
         }
         for socket in self.udp {
             tasks.spawn(udp::serve(socket, Arc::clone(&self.shared), self.limits, stopped.clone()));
+        }
+        for (listener, listen) in self.rac {
+            tasks.spawn(listen(listener, Arc::clone(&self.shared), self.limits, stopped.clone()));
         }
         let mut result = tokio::select! {
             () = shutdown => Ok(()),

@@ -1,0 +1,200 @@
+//! One connection of a stream: its bytes to and from a session of the core, whatever its protocol.
+
+use std::io;
+use std::sync::Arc;
+
+use bcap_core::handler::PeerId;
+use bcap_core::time::Instant;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpStream;
+use tokio::sync::watch;
+use tokio::time::timeout;
+
+use super::Limits;
+use super::shared::{Changes, Shared};
+use crate::clock::{now, until};
+
+/// A session of the core, as far as a connection sees it.
+pub(super) trait Machine<H>: Send {
+    /// Goes on as far as it can; `false` when there was nothing to do.
+    fn run(&mut self, handler: &mut H, peer: PeerId, now: Instant) -> bool;
+    /// Ends the session.
+    fn close(&mut self, handler: &mut H, peer: PeerId, now: Instant);
+    fn transmit(&self) -> &[u8];
+    fn transmitted(&mut self, count: usize);
+    fn receive_buffer(&mut self) -> &mut [u8];
+    fn received(&mut self, count: usize);
+    fn poll_timeout(&self) -> Option<Instant>;
+    fn is_running(&self) -> bool;
+    fn is_receiving(&self) -> bool;
+    /// Tells whether the session wants the connection closed.
+    fn is_finished(&self) -> bool;
+}
+
+/// Implements [`Machine`] for a session of the core by its methods of the same names.
+macro_rules! machine {
+    ($session:ty, $handler:path, $is_finished:expr) => {
+        impl<H: $handler> Machine<H> for $session {
+            fn run(&mut self, handler: &mut H, peer: PeerId, now: Instant) -> bool {
+                let event = <$session>::run(self, handler, peer, now);
+                if let Some(event) = &event {
+                    tracing::trace!(peer = peer.0, ?event);
+                }
+                event.is_some()
+            }
+
+            fn close(&mut self, handler: &mut H, peer: PeerId, now: Instant) {
+                <$session>::close(self, handler, peer, now);
+            }
+
+            fn transmit(&self) -> &[u8] {
+                <$session>::transmit(self)
+            }
+
+            fn transmitted(&mut self, count: usize) {
+                <$session>::transmitted(self, count);
+            }
+
+            fn receive_buffer(&mut self) -> &mut [u8] {
+                <$session>::receive_buffer(self)
+            }
+
+            fn received(&mut self, count: usize) {
+                <$session>::received(self, count);
+            }
+
+            fn poll_timeout(&self) -> Option<Instant> {
+                <$session>::poll_timeout(self)
+            }
+
+            fn is_running(&self) -> bool {
+                <$session>::is_running(self)
+            }
+
+            fn is_receiving(&self) -> bool {
+                <$session>::is_receiving(self)
+            }
+
+            fn is_finished(&self) -> bool {
+                let is_finished: fn(&$session) -> bool = $is_finished;
+                is_finished(self)
+            }
+        }
+    };
+}
+pub(super) use machine;
+
+/// Serves one connection until it ends or the server stops.
+pub(super) async fn serve<H: Send, M: Machine<H>>(
+    stream: TcpStream,
+    session: M,
+    peer: PeerId,
+    shared: Arc<Shared<H>>,
+    limits: Limits,
+    stopped: watch::Receiver<()>,
+) {
+    let changes = shared.changes();
+    let mut connection = Connection { stream, session, peer, shared, changes, limits, partial_since: None };
+    match connection.run(stopped).await {
+        Ok(reason) => tracing::debug!(peer = peer.0, reason, "connection ended"),
+        Err(error) => tracing::debug!(peer = peer.0, %error, "connection failed"),
+    }
+    connection.session.close(&mut *connection.shared.handler(), peer, now());
+    connection.shared.has_changed();
+}
+
+struct Connection<H, M> {
+    stream: TcpStream,
+    session: M,
+    peer: PeerId,
+    shared: Arc<Shared<H>>,
+    changes: Changes<H>,
+    limits: Limits,
+    /// When the first byte of an unfinished request came.
+    partial_since: Option<Instant>,
+}
+
+impl<H, M: Machine<H>> Connection<H, M> {
+    /// Moves bytes until there is a reason to end.
+    async fn run(&mut self, mut stopped: watch::Receiver<()>) -> io::Result<&'static str> {
+        loop {
+            self.think();
+            if !self.session.transmit().is_empty() {
+                if !self.send().await? {
+                    return Ok("the peer does not read");
+                }
+                continue;
+            }
+            if self.session.is_finished() {
+                let _ = self.stream.shutdown().await;
+                return Ok("the peer sent no valid frame");
+            }
+            self.note_partial();
+            let due = self.due();
+            let room = self.session.receive_buffer();
+            tokio::select! {
+                count = self.stream.read(room), if !room.is_empty() => match count? {
+                    0 => return Ok("the peer has closed it"),
+                    count => self.session.received(count),
+                },
+                () = tokio::time::sleep(until(due.unwrap_or(Instant::ZERO))), if due.is_some() => {
+                    if self.partial_since.is_some_and(|since| since.saturating_add(self.limits.receive) <= now()) {
+                        return Ok("a request took too long to arrive");
+                    }
+                }
+                () = self.changes.next() => {}
+                _ = stopped.changed() => return Ok("the server stops"),
+            }
+        }
+    }
+
+    /// Lets the session do what it can.
+    fn think(&mut self) {
+        // said beforehand: what others change while the handler is asked must not be missed
+        self.changes.wait(self.session.is_running());
+        let mut changed = false;
+        loop {
+            if !self.session.run(&mut *self.shared.handler(), self.peer, now()) {
+                break;
+            }
+            changed = true;
+        }
+        if changed {
+            self.shared.has_changed();
+        }
+        if self.session.is_running() && !self.changes.is_waiting() {
+            // the handler has just begun to wait; ask once more, now that changes are heard
+            self.changes.wait(true);
+            self.session.run(&mut *self.shared.handler(), self.peer, now());
+        }
+    }
+
+    /// Sends what it can; `false` when the peer takes nothing for too long.
+    async fn send(&mut self) -> io::Result<bool> {
+        let bytes = self.session.transmit();
+        let count = match self.stream.try_write(bytes) {
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                match timeout(self.limits.send, self.stream.write(bytes)).await {
+                    Ok(written) => written?,
+                    Err(_) => return Ok(false),
+                }
+            }
+            written => written?,
+        };
+        self.session.transmitted(count);
+        Ok(true)
+    }
+
+    fn note_partial(&mut self) {
+        self.partial_since = self.session.is_receiving().then(|| self.partial_since.unwrap_or_else(now));
+    }
+
+    /// Returns when something is due even if no bytes come.
+    fn due(&self) -> Option<Instant> {
+        let partial = self.partial_since.map(|since| since.saturating_add(self.limits.receive));
+        match (self.session.poll_timeout(), partial) {
+            (Some(a), Some(b)) => Some(a.min(b)),
+            (a, b) => a.or(b),
+        }
+    }
+}

@@ -1,0 +1,151 @@
+//! The server's RAC side, over real sockets on the loopback.
+#![cfg(feature = "server")]
+
+use std::io::{Read as _, Write as _};
+use std::net::{SocketAddr, TcpStream};
+use std::sync::{Arc, Mutex};
+use std::thread::JoinHandle;
+
+use bcap_core::bcap;
+use bcap_core::handler::{Outcome, PeerId, ReplyValue};
+use bcap_core::hresult::HResult;
+use bcap_core::rac::{Request, VariableKind, server};
+use bcap_core::time::Instant;
+use bcap_core::variant::Variant;
+use bcap_std::server::{Limits, Server};
+use tokio::sync::oneshot;
+
+/// One integer, I0; a read of I1 waits until I0 is 0.
+#[derive(Default)]
+struct Counter {
+    count: i32,
+    left: usize,
+}
+
+impl server::Handler for Counter {
+    fn call(&mut self, _: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, _: Instant) -> Outcome {
+        let variable = request.variable();
+        match (variable.kind, variable.index, request.value()) {
+            (VariableKind::I, 0, Some(Variant::I4(count))) => self.count = count,
+            (VariableKind::I, 1, None) if self.count != 0 => return Outcome::Wait(Instant::FAR_FUTURE),
+            (VariableKind::I, 0 | 1, None) => {
+                let _ = reply.set(&self.count);
+            }
+            _ => return HResult::E_INVALIDARG.into(),
+        }
+        HResult::S_OK.into()
+    }
+
+    fn left(&mut self, _: PeerId, _: Instant) {
+        self.left += 1;
+    }
+}
+
+impl bcap::server::Handler for Counter {
+    fn call(&mut self, _: PeerId, _: &bcap::server::Request<'_>, _: &mut ReplyValue<'_>, _: Instant) -> Outcome {
+        HResult::E_NOTIMPL.into()
+    }
+}
+
+/// A server in a thread of its own; it stops when this is dropped.
+struct Running {
+    address: SocketAddr,
+    counter: Arc<Mutex<Counter>>,
+    stop: Option<oneshot::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+fn start(limits: Limits) -> Running {
+    let counter = Arc::new(Mutex::new(Counter { count: 41, left: 0 }));
+    let handler = Arc::clone(&counter);
+    let (stop, stopped) = oneshot::channel::<()>();
+    let (tell, addresses) = std::sync::mpsc::channel();
+    let thread = std::thread::spawn(move || {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        runtime.block_on(async {
+            let server = Server::with_shared(handler).limits(limits).rac_tcp("127.0.0.1:0").await.unwrap();
+            tell.send(server.addresses()).unwrap();
+            server.run(async { drop(stopped.await) }).await.unwrap();
+        });
+    });
+    let address = addresses.recv().unwrap().rac_tcp[0];
+    Running { address, counter, stop: Some(stop), thread: Some(thread) }
+}
+
+impl Running {
+    fn stop(&mut self) {
+        drop(self.stop.take());
+        if let Some(thread) = self.thread.take() {
+            thread.join().unwrap();
+        }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        self.stop();
+    }
+}
+
+/// Reads one line without its CR.
+fn line(stream: &mut TcpStream) -> String {
+    let mut text = Vec::new();
+    let mut byte = [0];
+    loop {
+        stream.read_exact(&mut byte).unwrap();
+        if byte == *b"\r" {
+            return String::from_utf8(text).unwrap();
+        }
+        text.push(byte[0]);
+    }
+}
+
+#[test]
+fn every_line_is_answered_in_order_however_it_is_cut() {
+    let server = start(Limits::default());
+    let mut stream = TcpStream::connect(server.address).unwrap();
+    let long = "X".repeat(300);
+    let lines = format!("GET:RC8:0:I:\rPUT:RC8:0:I:3,42\rnonsense\r{long}\r\n GET:RC8:0:I:\rGET:RC8:0:F:\r");
+    let expected = ["0,3,41", "0", "-2147418107", "-2147418095", "0,3,42", "-2147024809"];
+    stream.write_all(lines.as_bytes()).unwrap();
+    assert_eq!(expected.map(|_| line(&mut stream)), expected);
+    for byte in "PUT:RC8:0:I:3,41\r".bytes() {
+        stream.write_all(&[byte]).unwrap();
+    }
+    assert_eq!(line(&mut stream), "0");
+    assert_eq!(server.counter.lock().unwrap().count, 41);
+}
+
+#[test]
+fn a_request_that_waits_is_woken_by_another_connection() {
+    let server = start(Limits::default());
+    let mut waiting = TcpStream::connect(server.address).unwrap();
+    waiting.write_all(b"GET:RC8:1:I:\r").unwrap();
+    let mut other = TcpStream::connect(server.address).unwrap();
+    other.write_all(b"PUT:RC8:0:I:3,0\r").unwrap();
+    assert_eq!(line(&mut other), "0");
+    assert_eq!(line(&mut waiting), "0,3,0");
+}
+
+#[test]
+fn a_connection_over_the_limit_is_told_so() {
+    let server = start(Limits { connections: 1, ..Limits::default() });
+    let mut first = TcpStream::connect(server.address).unwrap();
+    first.write_all(b"GET:RC8:0:I:\r").unwrap();
+    assert_eq!(line(&mut first), "0,3,41");
+    let mut second = TcpStream::connect(server.address).unwrap();
+    second.write_all(b"GET:RC8:0:I:\r").unwrap();
+    assert_eq!(line(&mut second), HResult::E_MAX_CONNECT.0.to_string());
+    assert_eq!(second.read(&mut [0; 8]).unwrap(), 0);
+}
+
+#[test]
+fn a_peer_that_goes_is_told_to_the_handler_and_a_stop_closes_connections() {
+    let mut server = start(Limits::default());
+    let mut stream = TcpStream::connect(server.address).unwrap();
+    stream.write_all(b"GET:RC8:0:I:\r").unwrap();
+    assert_eq!(line(&mut stream), "0,3,41");
+    server.stop();
+    assert_eq!(stream.read(&mut [0; 8]).unwrap(), 0);
+    assert_eq!(server.counter.lock().unwrap().left, 1);
+}
