@@ -6,7 +6,8 @@
 //! | Robot_Drive         | turns joint 1 to 6 by degrees                                                            |
 //! | Robot_GoHome        | moves the joints to [`Config::home`](crate::Config::home)                                |
 //! | Robot_Halt          | brakes; the waiting call ends with `E_ABORT`; any client may; `S_FALSE` at rest          |
-//! | Robot_Hold, Unhold  | brakes, and goes on; any client may; `S_FALSE` when there is nothing to do               |
+//! | Robot_Hold, Unhold  | brakes, and goes on; `S_FALSE` when there is nothing to do; any client may, and Unhold   |
+//! |                     | needs Auto mode, the token and no error                                                  |
 //! | Robot_Speed         | axis -1 sets the internal speed of lines and joints, 0 that of joints only               |
 //! | Robot_Accelerate    | likewise the internal acceleration and deceleration                                      |
 //! | Robot_Change        | `ToolN` and `WorkN` select a number; the definitions are all zero                        |
@@ -15,7 +16,9 @@
 //! Internal speeds, tool and work coordinates are the arm's: while one client has it, Speed, Accelerate, Change and
 //! the variables of these answer another one `E_ARM_NOT_TAKEN`. The external speed is anybody's.
 //!
-//! What moves the robot needs, in this order: Auto mode (`E_ACCESSDENIED`), the executable token
+//! Speeds and accelerations are percent, 0.0001 to 100, and count from the next motion on.
+//!
+//! A command that cannot be understood is refused first. Then, what moves the robot needs, in this order: Auto mode (`E_ACCESSDENIED`), the executable token
 //! (`E_TOKEN_NOT_ETHERNET`, `E_TOKEN_ADDRESS`), no error (`E_ERROR_PRESENT`), the arm authority of this client
 //! (`E_ARM_NOT_TAKEN`), the motor on (`E_MOTOR_OFF`), and the robot not moving (`E_ROBOTISBUSY`). Refusals with a code
 //! of the controller are in the error log, but are no errors that must be cleared.
@@ -38,6 +41,8 @@
 //! | CurFig CurTool CurWork           | -                          | I4                                                 |
 //! | J2P J2T P2J P2T T2J T2P          | a pose                     | R8 array                                           |
 //! | slvChangeMode slvGetMode slvMove slvSendFormat slvRecvFormat | | `E_NOTIMPL`: slave mode is not modelled        |
+//!
+//! Slave mode belongs in a module beside this one: `robot_execute` is the one place that turns its commands away.
 //!
 //! Commands that real controllers have and this one has not answer `E_NOTIMPL`, other names `E_INVALID_CMD_NAME`.
 
@@ -115,7 +120,8 @@ struct MoveOptions {
 impl Controller {
     pub(crate) fn robot_call(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
         match request.function {
-            _ if request.resumed => self.resume_robot(peer, request.function),
+            FunctionId::ROBOT_EXECUTE if request.resumed => self.resume_execute(peer),
+            _ if request.resumed => self.resume(peer),
             FunctionId::ROBOT_GET_VARIABLE => self.open_variable(peer, Owner::Robot, &request.text(1).to_string()),
             FunctionId::ROBOT_GET_VARIABLE_NAMES => Ok(names(system_names(Owner::Robot))),
             FunctionId::ROBOT_EXECUTE => {
@@ -133,6 +139,7 @@ impl Controller {
                 Ok(done_if(self.robot.motion_mut().is_some_and(|m| m.hold(now))))
             }
             FunctionId::ROBOT_UNHOLD => {
+                self.may_execute(peer)?;
                 let now = self.now;
                 Ok(done_if(self.robot.motion_mut().is_some_and(|m| m.unhold(now))))
             }
@@ -142,14 +149,6 @@ impl Controller {
             }
             FunctionId::ROBOT_CHANGE => self.change(peer, &request.text(1).to_string()),
             _ => Err(HResult::E_NOTIMPL),
-        }
-    }
-
-    /// Goes on with a call that has waited; Robot_Execute replies with an empty value.
-    fn resume_robot(&mut self, peer: PeerId, function: FunctionId) -> Answered {
-        match self.resume(peer)? {
-            Answer::Done if function == FunctionId::ROBOT_EXECUTE => Ok(Value::Empty.into()),
-            answer => Ok(answer),
         }
     }
 
@@ -259,7 +258,7 @@ impl Controller {
         Ok(Value::Empty.into())
     }
 
-    fn motor_command(&mut self, peer: PeerId, param: &Variant<'_>) -> Answered {
+    pub(crate) fn motor_command(&mut self, peer: PeerId, param: &Variant<'_>) -> Answered {
         let (state, no_wait) = match numbers(param)?.as_slice() {
             [state] => (whole(*state)?, 0),
             [state, no_wait] => (whole(*state)?, whole(*no_wait)?),
@@ -270,7 +269,7 @@ impl Controller {
             return Ok(Value::Empty.into());
         }
         self.waits.insert(peer, Wait::Servo);
-        self.resume(peer)
+        self.resume_execute(peer)
     }
 
     /// Switches the motor; on, it is on some time later.

@@ -135,8 +135,8 @@ impl Controller {
         self.config.permission = permission;
     }
 
-    /// Makes an error happen; level 1 and 2 stop the motion and suspend the tasks, any higher level also switches the
-    /// motor off and resets the tasks.
+    /// Makes an error happen; it stops the motion and suspends the tasks, and from level 3 on it also switches the motor
+    /// off and resets the tasks.
     pub fn inject_error(&mut self, code: HResult, now: Instant) {
         self.advance(now);
         self.raise(code);
@@ -226,7 +226,7 @@ impl Controller {
         self.objects.len()
     }
 
-    /// Returns a client's part of the state: what it held is released, its motion halts, its arm authority is free.
+    /// Drops a client's part of the state: what it held is released, its motion halts, its arm authority is free.
     pub(crate) fn forget(&mut self, peer: PeerId) {
         self.objects.release_all(peer);
         self.sessions.remove(&peer);

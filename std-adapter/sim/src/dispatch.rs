@@ -170,6 +170,7 @@ impl Controller {
     fn controller_call(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
         let name = || request.text(1).to_string();
         match request.function {
+            FunctionId::CONTROLLER_EXECUTE if request.resumed => self.resume_execute(peer),
             FunctionId::CONTROLLER_GET_VARIABLE => self.open_variable(peer, Owner::Controller, &name()),
             FunctionId::CONTROLLER_GET_ROBOT => match option(&request.text(2).to_string(), "ID") {
                 // there is one arm, whatever a client calls it
@@ -187,7 +188,7 @@ impl Controller {
             }
             FunctionId::CONTROLLER_GET_ROBOT_NAMES => Ok(names(["Arm0".to_owned()])),
             FunctionId::CONTROLLER_GET_TASK_NAMES => Ok(names(self.tasks.iter().map(|t| t.name().to_owned()))),
-            FunctionId::CONTROLLER_EXECUTE => self.controller_execute(&name(), &request.value(2)),
+            FunctionId::CONTROLLER_EXECUTE => self.controller_execute(peer, &name(), &request.value(2)),
             // files, extensions, commands and messages
             _ => Err(HResult::E_NOTIMPL),
         }
@@ -276,6 +277,14 @@ impl Controller {
         match self.config().permission {
             Permission::ReadWrite => Ok(()),
             Permission::ReadOnly => Err(HResult::E_CAO_NOT_WRITABLE),
+        }
+    }
+
+    /// Goes on with a command that has waited; its reply has an empty value.
+    pub(crate) fn resume_execute(&mut self, peer: PeerId) -> Answered {
+        match self.resume(peer)? {
+            Answer::Done => Ok(Value::Empty.into()),
+            answer => Ok(answer),
         }
     }
 

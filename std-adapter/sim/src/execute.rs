@@ -9,6 +9,7 @@
 //! | GetErrorLog                      | I4 index        | \[code, year, month, day, hour, minute, second, millisecond, subcode, file, line I4, program, message BSTR\] |
 //! | SysState                         | -               | I4 of bits, see [`Bit`]                                      |
 //! | SysInfo                          | I4: 0           | BSTR, the serial number                                      |
+//! | Motor                            | as Robot_Execute's | as Robot_Execute's                                        |
 //! | StoState                         | -               | BOOL; RC9                                                    |
 //! | ManualReset                      | -               | EMPTY; RC9; `E_ACCESSDENIED` while the emergency stop is pressed |
 //!
@@ -34,7 +35,6 @@ use crate::value::{Value, one_int};
 const NOT_HERE: &[&str] = &[
     "GetOprLogCount",
     "GetOprLog",
-    "Motor",
     "HandMoveA",
     "HandMoveR",
     "HandMoveH",
@@ -79,7 +79,7 @@ pub enum Bit {
 }
 
 impl Controller {
-    pub(crate) fn controller_execute(&mut self, command: &str, param: &Variant<'_>) -> Answered {
+    pub(crate) fn controller_execute(&mut self, peer: PeerId, command: &str, param: &Variant<'_>) -> Answered {
         let known = |name: &&&str| name.eq_ignore_ascii_case(command.trim());
         let rc9 = self.config().profile == Profile::Rc9;
         let count = |n: usize| Value::I4(i32::try_from(n).unwrap_or(i32::MAX));
@@ -110,6 +110,7 @@ impl Controller {
                 self.torque_off = false;
                 Value::Empty
             }
+            "motor" => return self.motor_command(peer, param),
             _ if NOT_HERE.iter().any(|name| known(&name)) => return Err(HResult::E_NOTIMPL),
             _ => return Err(HResult::E_INVALID_CMD_NAME),
         };

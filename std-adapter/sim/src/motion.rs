@@ -7,7 +7,7 @@
 //!              __/                \__> t
 //! ```
 //!
-//! The joints move together and arrive together. Halt and Hold brake along the path.
+//! The joints move together and arrive together. Halt and Hold brake along the path, at full deceleration.
 
 use std::time::Duration;
 
@@ -244,7 +244,8 @@ impl Motion {
 
     fn brake(&mut self, now: Instant, stage: Stage) {
         let (place, speed) = self.ramp.at(now);
-        let decel = self.path.full_speed / ACCELERATION_TIME * self.rates.decel;
+        // as hard as it can, whatever deceleration the motion was to have
+        let decel = self.path.full_speed / ACCELERATION_TIME;
         self.stage = stage;
         if decel.is_finite() {
             self.ramp = Ramp::brake(now, place, speed, decel);
@@ -312,6 +313,21 @@ mod tests {
         let end = motion.end().unwrap();
         assert_eq!(motion.ended(end), Some(Ended::Halted));
         assert!(motion.joints(end)[0] < held + 1.0);
+    }
+
+    #[test]
+    fn a_slow_motion_halts_as_soon_as_a_fast_one() {
+        let slow = Rates { speed: 0.5, accel: 0.5, decel: 0.001 };
+        let mut motion = turn_of_j1(150.0, slow);
+        let at = Instant::from_millis(500);
+        motion.halt(at);
+        let braking = motion.end().unwrap().saturating_since(at);
+        assert!(braking.as_secs_f64() <= ACCELERATION_TIME / 2.0 + 1e-6, "{braking:?}");
+        // held and let go in the middle of braking, it still arrives
+        let mut motion = turn_of_j1(150.0, slow);
+        motion.hold(at);
+        motion.unhold(Instant::from_millis(505));
+        assert_eq!(motion.joints(motion.end().unwrap())[0], 150.0);
     }
 
     #[test]

@@ -159,7 +159,8 @@ pub(crate) fn angle(joints: &Joints) -> Vec<f64> {
     numbers
 }
 
-/// Checks a speed or an acceleration in percent.
+/// Checks a speed or an acceleration in percent, 0.0001 to 100.
 pub(crate) fn percent(value: f64) -> Result<f32, HResult> {
-    if value > 0.0 && value <= 100.0 { Ok(value as f32) } else { Err(HResult::E_INVALIDARG) }
+    // the lower bound keeps squares and products of these far from 0, which no motion could be planned with
+    if (0.0001..=100.0).contains(&value) { Ok(value as f32) } else { Err(HResult::E_INVALIDARG) }
 }

@@ -152,7 +152,7 @@ fn call() -> impl Strategy<Value = Step> {
         1 => Just(FunctionId::CONTROLLER_GET_VARIABLE.0),
         1 => Just(FunctionId::VARIABLE_PUT_VALUE.0),
     ];
-    let float = prop_oneof![-1.0..120.0_f32, any::<f32>()];
+    let float = prop_oneof![-1.0..120.0_f32, 0.0..0.001_f32, any::<f32>()];
     let name = proptest::sample::select(NAMES);
     (0..CLIENTS, function, 2..20_i32, (-1..5_i32, -1..5_i32), float, name, arg()).prop_map(
         |(peer, function, handle, ints, float, name, arg)| Step::Call {

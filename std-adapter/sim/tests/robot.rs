@@ -169,7 +169,7 @@ fn take_arm_keeps_or_resets_speed_tool_and_work() {
     assert_eq!(all(&mut world), [100.0_f32; 4].map(|n| value(&n)));
     assert_eq!(world.robot_get(client, "@CURRENT_TOOL"), ok(&0));
 
-    for bad in [0.0, -1.0, 100.5, f32::NAN] {
+    for bad in [0.0, 1e-6, -1.0, 100.5, f32::NAN] {
         assert_eq!(world.call(client.peer, call::robot_speed(client.robot, -1, bad)), code(HResult::E_INVALIDARG));
     }
     assert_eq!(world.call(client.peer, call::robot_speed(client.robot, 7, 1.0)), code(HResult::E_INVALIDARG));
@@ -227,6 +227,26 @@ fn the_motor_takes_its_time() {
     assert_eq!(world.robot(other, "Motor", 0), ok(&()));
     assert_eq!(world.again(client.peer, &on).0, Outcome::Done(HResult::E_MOTOR_OFF));
     assert_eq!(world.robot(client, "Motor", ()), code(HResult::E_INVALIDARG));
+
+    // as a command of the controller
+    let start = world.now;
+    assert_eq!(world.run(client.peer, call::controller_execute(client.controller, "Motor", true)), ok(&()));
+    assert_eq!(world.now.saturating_since(start), Duration::from_millis(500));
+    assert!(world.sim.motor_is_on());
+}
+
+#[test]
+fn the_slowest_motion_is_still_one() {
+    let mut world = World::new();
+    let client = world.mover(1);
+    assert_eq!(world.robot(client, "ExtSpeed", 0.0001), ok(&()));
+    let go = call::robot_move(client.robot, 1, "J(10,45,90,0,45,0)", "SPEED=0.0001,ACCEL=0.0001,NEXT");
+    assert_eq!(world.call(client.peer, go), code(HResult::S_OK));
+    world.pass(1_000_000);
+    let here = joints(&mut world, client)[0];
+    assert!(here > 0.0 && here < 0.1, "{here}");
+    assert!(world.sim.is_moving());
+    assert_eq!(world.call(client.peer, call::robot_halt(client.robot, "")), code(HResult::S_OK));
 }
 
 #[test]
@@ -373,6 +393,9 @@ fn hold_stands_until_unhold() {
     assert_eq!(joints(&mut world, other)[0], held);
     assert!(matches!(world.again(client.peer, &go).0, Outcome::Wait(_)));
     assert_eq!(world.robot_get(other, "@BUSY_STATUS"), ok(&true));
+    world.sim.set_token(Token::Client(client.peer));
+    assert_eq!(world.call(other.peer, call::robot_unhold(other.robot, "")), code(HResult::E_TOKEN_ADDRESS));
+    world.sim.set_token(Token::Any);
     assert_eq!(world.call(other.peer, call::robot_unhold(other.robot, "")), code(HResult::S_OK));
     assert_eq!(world.call(other.peer, call::robot_unhold(other.robot, "")), code(HResult::S_FALSE));
     world.pass(5000);
