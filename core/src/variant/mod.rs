@@ -284,7 +284,7 @@ impl defmt::Format for Nested<'_> {
 pub struct Opaque<'a> {
     /// Its type.
     pub vartype: VarType,
-    /// Its bytes behind the count, of unknown layout.
+    /// Its bytes behind the type: the count, and data of unknown layout.
     pub bytes: &'a [u8],
 }
 
@@ -309,13 +309,13 @@ impl<'a> Variant<'a> {
     pub(crate) fn from_checked(bytes: &'a [u8]) -> Self {
         let mut r = Reader::new(bytes);
         let Some((vartype, count)) = head(&mut r) else { return Self::Empty };
-        if vartype.is_array() && vartype.is_known() {
-            return Self::Array(Array::from_checked(vartype.element(), count, r.rest()));
+        match vartype.layout() {
+            // only an argument of a lenient frame can be this
+            Layout::Unknown => Self::Opaque(Opaque { vartype, bytes: bytes.get(2..).unwrap_or_default() }),
+            _ if vartype.is_array() => Self::Array(Array::from_checked(vartype.element(), count, r.rest())),
+            Layout::Variant => Self::Nested(Nested(r.rest())),
+            Layout::Fixed(_) | Layout::Bstr => Self::read_data(vartype, &mut r),
         }
-        if vartype == VarType::VARIANT {
-            return Self::Nested(Nested(r.rest()));
-        }
-        Self::read_data(vartype, &mut r)
     }
 
     /// Splits a checked value off that others follow, and views it.
@@ -357,8 +357,7 @@ impl<'a> Variant<'a> {
             VarType::UI4 => Self::Ui4(u32::from_le_bytes(next(r))),
             VarType::I8 => Self::I8(i64::from_le_bytes(next(r))),
             VarType::UI8 => Self::Ui8(u64::from_le_bytes(next(r))),
-            // only an argument of a lenient frame can be this, and it is alone in `r`
-            _ => Self::Opaque(Opaque { vartype, bytes: r.rest() }),
+            _ => Self::Empty,
         }
     }
 
