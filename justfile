@@ -1,0 +1,50 @@
+# Recipes; CI runs the same parts through `.ci/run`.
+
+# Lists the recipes.
+default:
+    @just --list
+
+# Everything that a change must pass.
+ci:
+    bash .ci/run
+
+# A virtual controller, a session with it, and every frame beside its bytes.
+demo:
+    cargo run --release -p bcap-cli -- demo
+
+# All tests.
+test:
+    cargo test --workspace
+
+# Formats the code.
+format:
+    cargo fmt --all
+    cargo fmt --all --manifest-path tests/no-panic/Cargo.toml
+
+# Format check and clippy over every feature set, warnings as errors.
+lint:
+    bash .ci/run format lint
+
+# Documentation, warnings as errors.
+doc:
+    bash .ci/run doc
+
+# Searches linked images of the core for panic paths.
+no-panic:
+    bash .ci/run no-panic
+
+# Instructions per operation, under callgrind, against their bars.
+instructions:
+    bash .ci/run instructions
+
+# Encoding and decoding of large arrays beside memcpy.
+arrays:
+    cargo bench -p bcap-tests --bench arrays
+
+# Round trips over loopback beside a bare ping-pong, and a server with 100 connections.
+loopback:
+    cargo bench -p bcap-tests --bench loopback
+
+# Licences, sources and advisories of the dependencies.
+dependencies:
+    bash .ci/run dependencies
