@@ -1,24 +1,26 @@
 //! The functions of the robot: Robot_Execute, and what moves it.
 //!
-//! | function            | what it does here                                                                        |
-//! |---------------------|------------------------------------------------------------------------------------------|
-//! | Robot_Move          | interpolation 1 (joints) and 2 (line); 3 and 4 (arc, free curve) answer `E_NOTIMPL`      |
-//! | Robot_Drive         | turns joint 1 to 6 by degrees                                                            |
-//! | Robot_GoHome        | moves the joints to [`Config::home`](crate::Config::home)                                |
-//! | Robot_Halt          | brakes; the waiting call ends with `E_ABORT`; any client may; `S_FALSE` at rest          |
-//! | Robot_Hold, Unhold  | brakes, and goes on; `S_FALSE` when there is nothing to do; any client may, and Unhold   |
-//! |                     | needs Auto mode, the token and no error                                                  |
-//! | Robot_Speed         | axis -1 sets the internal speed of lines and joints, 0 that of joints only               |
-//! | Robot_Accelerate    | likewise the internal acceleration and deceleration                                      |
-//! | Robot_Change        | `ToolN` and `WorkN` select a number; the definitions are all zero                        |
-//! | Robot_Rotate, Chuck, Unchuck | `E_NOTIMPL`                                                                     |
+//! | function                     | what it does here                                                                |
+//! |------------------------------|----------------------------------------------------------------------------------|
+//! | Robot_Move                   | interpolation 1 (joints) and 2 (line); 3, 4 (arc, free curve) answer `E_NOTIMPL` |
+//! | Robot_Drive                  | turns joint 1 to 6 by degrees                                                    |
+//! | Robot_GoHome                 | moves the joints to [`Config::home`](crate::Config::home)                        |
+//! | Robot_Halt                   | brakes; the waiting call ends with `E_ABORT`; any client may; `S_FALSE` at rest  |
+//! | Robot_Hold                   | brakes until Unhold; any client may; `S_FALSE` when nothing runs                 |
+//! | Robot_Unhold                 | goes on; any client with the token may, in Auto mode and without an error        |
+//! | Robot_Speed                  | axis -1 sets the internal speed of lines and joints, 0 that of joints only       |
+//! | Robot_Accelerate             | likewise the internal acceleration and deceleration                              |
+//! | Robot_Change                 | `ToolN` and `WorkN` select a number; the definitions are all zero                |
+//! | Robot_Rotate, Chuck, Unchuck | `E_NOTIMPL`                                                                      |
 //!
-//! Internal speeds, tool and work coordinates are the arm's: while one client has it, Speed, Accelerate, Change and
-//! the variables of these answer another one `E_ARM_NOT_TAKEN`. The external speed is anybody's.
+//! Speeds and accelerations are percent, 0.0001 to 100, and count from the next motion on. Internal speeds, tool and
+//! work coordinates are the arm's: while one client has it, Speed, Accelerate, Change and the variables of these answer
+//! another one `E_ARM_NOT_TAKEN`. The external speed is anybody's.
 //!
-//! Speeds and accelerations are percent, 0.0001 to 100, and count from the next motion on.
+//! # Motions
 //!
-//! A command that cannot be understood is refused first. Then, what moves the robot needs, in this order: Auto mode (`E_ACCESSDENIED`), the executable token
+//! A command that cannot be understood is refused first. Then, what moves the robot needs, in this order: Auto mode
+//! (`E_ACCESSDENIED`; no code of the controller's own is publicly known), the executable token
 //! (`E_TOKEN_NOT_ETHERNET`, `E_TOKEN_ADDRESS`), no error (`E_ERROR_PRESENT`), the arm authority of this client
 //! (`E_ARM_NOT_TAKEN`), the motor on (`E_MOTOR_OFF`), and the robot not moving (`E_ROBOTISBUSY`). Refusals with a code
 //! of the controller are in the error log, but are no errors that must be cleared.
@@ -28,23 +30,29 @@
 //! `ACCEL=` and `DECEL=`, in percent of the internal values; another option is refused with `E_INVALIDARG`. A pose that
 //! joint n would have to leave its range for is the controller's error 0x8320407n, as is a line through a singularity.
 //!
-//! | Robot_Execute                    | parameter                  | answer                                             |
-//! |----------------------------------|----------------------------|----------------------------------------------------|
-//! | TakeArm                          | \[group, keep\] or nothing | EMPTY; `E_ARM_NOT_TAKEN` while another has it      |
-//! | GiveArm                          | -                          | EMPTY; `S_FALSE` without it, `E_ROBOTISBUSY` moving |
-//! | TakeArmState                     | group or -1                | I4: the group this client holds, -1 for none       |
-//! | Motor                            | \[state, no wait\] or state | EMPTY, when the motor is on; at once with no wait |
-//! | ExtSpeed                         | \[speed, accel, decel\]    | EMPTY; accel and decel follow the square of speed  |
-//! | CurPos CurJnt CurTrn, DestPos DestJnt DestTrn, HighCurPos HighCurJnt HighCurTrn | - | R8\[7\], R8\[8\], R8\[10\] |
-//! | CurPosEx CurJntEx CurTrnEx and HighCur...Ex | -               | the same behind the time in ms                     |
-//! | CurSpd CurAcc CurDec CurJSpd CurJAcc CurJDec CurExtSpd CurExtAcc CurExtDec | - | R4, percent             |
-//! | CurFig CurTool CurWork           | -                          | I4                                                 |
-//! | J2P J2T P2J P2T T2J T2P          | a pose                     | R8 array                                           |
-//! | slvChangeMode slvGetMode slvMove slvSendFormat slvRecvFormat | | `E_NOTIMPL`: slave mode is not modelled        |
+//! # Commands of Robot_Execute
 //!
-//! Slave mode belongs in a module beside this one: `robot_execute` is the one place that turns its commands away.
+//! | command                         | parameter                   | answer                                           |
+//! |---------------------------------|-----------------------------|--------------------------------------------------|
+//! | TakeArm                         | \[group, keep\] or nothing  | EMPTY; `E_ARM_NOT_TAKEN` while another has it    |
+//! | GiveArm                         | -                           | EMPTY; `S_FALSE` without it                      |
+//! | TakeArmState                    | group or -1                 | I4: the group this client holds, -1 for none     |
+//! | Motor                           | \[state, no wait\] or state | EMPTY when the motor is on; at once with no wait |
+//! | ExtSpeed                        | \[speed, accel, decel\]     | EMPTY; accel, decel default to speed² / 100      |
+//! | CurPos, DestPos, HighCurPos     | -                           | R8\[7\]: X Y Z RX RY RZ Fig                      |
+//! | CurJnt, DestJnt, HighCurJnt     | -                           | R8\[8\]: J1 to J8, the last two 0                |
+//! | CurTrn, DestTrn, HighCurTrn     | -                           | R8\[10\]: position, orient, approach, Fig        |
+//! | CurPosEx, HighCurPosEx, ...     | -                           | the same behind the time in ms                   |
+//! | CurSpd, CurAcc, CurDec          | -                           | R4: internal, of lines                           |
+//! | CurJSpd, CurJAcc, CurJDec       | -                           | R4: internal, of joints                          |
+//! | CurExtSpd, CurExtAcc, CurExtDec | -                           | R4: external                                     |
+//! | CurFig, CurTool, CurWork        | -                           | I4                                               |
+//! | J2P J2T P2J P2T T2J T2P         | a pose                      | R8 array                                         |
+//! | slvMove, slvChangeMode, ...     | any                         | `E_NOTIMPL`                                      |
 //!
-//! Commands that real controllers have and this one has not answer `E_NOTIMPL`, other names `E_INVALID_CMD_NAME`.
+//! GiveArm while the robot moves answers `E_ROBOTISBUSY`. Commands that real controllers have and this one has not
+//! answer `E_NOTIMPL`, other names `E_INVALID_CMD_NAME`. Slave mode belongs in a module beside this one:
+//! `robot_execute` is the one place that turns its commands away.
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::bcap::server::Request;
@@ -163,7 +171,7 @@ impl Controller {
             "takearm" => self.take_arm(peer, param),
             "givearm" => self.give_arm(peer),
             "takearmstate" => {
-                let wanted = one_int(param).unwrap_or(-1);
+                let wanted = if param.is_empty() { -1 } else { one_int(param)? };
                 let held = self.robot.arm.filter(|(owner, group)| *owner == peer && [-1, *group].contains(&wanted));
                 Ok(Value::I4(held.map_or(-1, |(_, group)| group)).into())
             }

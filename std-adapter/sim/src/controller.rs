@@ -135,8 +135,8 @@ impl Controller {
         self.config.permission = permission;
     }
 
-    /// Makes an error happen; it stops the motion and suspends the tasks, and from level 3 on it also switches the motor
-    /// off and resets the tasks.
+    /// Makes an error happen; it stops the motion and suspends the tasks, and from level 3 on it also switches the
+    /// motor off and resets the tasks.
     pub fn inject_error(&mut self, code: HResult, now: Instant) {
         self.advance(now);
         self.raise(code);

@@ -1,17 +1,23 @@
 //! Controller_Execute and Task_Execute, and how tasks are started.
 //!
-//! | command                          | parameter       | answer                                                       |
-//! |----------------------------------|-----------------|--------------------------------------------------------------|
-//! | ClearError                       | -               | EMPTY; [`EMERGENCY_STOP`](crate::EMERGENCY_STOP) while that is pressed |
-//! | GetErrorDescription              | I4 or ERROR code | BSTR                                                        |
-//! | GetCurErrorCount, GetErrorLogCount | -             | I4                                                           |
-//! | GetCurErrorInfo                  | I4 index        | \[code I4, message BSTR, subcode I4, file and line I4, program BSTR, line I4, file I4\] |
-//! | GetErrorLog                      | I4 index        | \[code, year, month, day, hour, minute, second, millisecond, subcode, file, line I4, program, message BSTR\] |
-//! | SysState                         | -               | I4 of bits, see [`Bit`]                                      |
-//! | SysInfo                          | I4: 0           | BSTR, the serial number                                      |
-//! | Motor                            | as Robot_Execute's | as Robot_Execute's                                        |
-//! | StoState                         | -               | BOOL; RC9                                                    |
-//! | ManualReset                      | -               | EMPTY; RC9; `E_ACCESSDENIED` while the emergency stop is pressed |
+//! | command                            | parameter           | answer                                           |
+//! |------------------------------------|---------------------|--------------------------------------------------|
+//! | ClearError                         | -                   | EMPTY; the error's code while its cause persists |
+//! | GetErrorDescription                | I4, UI4, ERROR code | BSTR                                             |
+//! | GetCurErrorCount, GetErrorLogCount | -                   | I4                                               |
+//! | GetCurErrorInfo                    | I4 index            | an array of VARIANT, see below                   |
+//! | GetErrorLog                        | I4 index            | an array of VARIANT, see below                   |
+//! | SysState                           | -                   | I4 of bits, see [`Bit`]                          |
+//! | SysInfo                            | I4: 0               | BSTR, the serial number                          |
+//! | Motor                              | as Robot_Execute's  | as Robot_Execute's                               |
+//! | StoState                           | -                   | BOOL; RC9                                        |
+//! | ManualReset                        | -                   | EMPTY; RC9; `E_ACCESSDENIED` in emergency stop   |
+//!
+//! ```text
+//! GetCurErrorInfo  code I4, message BSTR, subcode I4, file and line I4, program BSTR, line I4, file I4
+//! GetErrorLog      code, year, month, day, hour, minute, second, millisecond, subcode, file, line I4,
+//!                  program, message BSTR
+//! ```
 //!
 //! Index 0 is the newest error and the greatest the oldest, the first cause: clients that print the list from its end
 //! show it in order. An index out of range answers `DISP_E_BADINDEX`. Of GetErrorLog's array only the place of the

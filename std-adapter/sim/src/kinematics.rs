@@ -18,7 +18,8 @@
 //! The lengths are those of a small arm of this maker's size, chosen so that the pair of pose and joints in the
 //! guide's slvMove example comes out: joints (0, 45, 90, 0, 45, 0) are the pose (364.16, 0, 278.5355, 180, 0, 180,
 //! Fig 5). That example fixes a2 + d4 - a3 and d1 - d6 + (a2 - d4 - a3) / √2, not each length. Ranges and speeds of
-//! the joints are this model's own. Tools and work coordinates are not modelled: poses are of the flange, from the base.
+//! the joints are this model's own. Tools and work coordinates are not modelled: poses are of the flange, seen from
+//! the base.
 //!
 //! Fig is a sum of: 1 the shoulder reaches forward (LEFTY), 2 the elbow is below (BELOW), 4 the wrist is not flipped
 //! (NONFLIP: J5 >= 0), 8 J4 is beyond ±180 (DOUBLE4), 16 J6 is beyond ±180 (DOUBLE6). That NONFLIP, ABOVE and LEFTY

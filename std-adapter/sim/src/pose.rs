@@ -1,12 +1,12 @@
 //! Poses as motion commands carry them.
 //!
-//! | form                                    | example                                              |
-//! |-----------------------------------------|------------------------------------------------------|
-//! | BSTR: a variable                        | `"P1"`, `"@E J[3]"`                                  |
-//! | BSTR: numbers                           | `"P(400, 0, 300, 180, 0, 180, 5)"`, `"@P J(0,45,90,0,45,0)"` |
-//! | VARIANT array: numbers, type, pass      | `[[0,45,90,0,45,0], "J", "@E"]`, `[[...], 2, -2]`    |
-//! | VARIANT array: index, type, pass        | `[1, "P", "@E"]`                                     |
-//! | array of 7, 8 or 10 numbers             | P, J or T by their count                             |
+//! | form                               | example                                                      |
+//! |------------------------------------|--------------------------------------------------------------|
+//! | BSTR: a variable                   | `"P1"`, `"@E J[3]"`                                          |
+//! | BSTR: numbers                      | `"P(400, 0, 300, 180, 0, 180, 5)"`, `"@P J(0,45,90,0,45,0)"` |
+//! | VARIANT array: numbers, type, pass | `[[0,45,90,0,45,0], "J", "@E"]`, `[[...], 2, -2]`            |
+//! | VARIANT array: index, type, pass   | `[1, "P", "@E"]`                                             |
+//! | array of 7, 8 or 10 numbers        | P, J or T by their count                                     |
 //!
 //! Types are 0 P, 1 T, 2 J. The pass (`@P` -1, `@E` -2, `@0`, `@n`) is checked and has no effect: every motion of this
 //! model ends exactly at its pose. A P may be without its Fig, or have a negative one: the nearest posture is taken.

@@ -127,7 +127,7 @@ impl Task {
         Ok(())
     }
 
-    /// Stops: mode 0 and 1 at once, 2 at the end of the line, 3 at the end of the cycle, 4 at once and to its beginning.
+    /// Stops: mode 0 and 1 at once, 2 at the end of the line, 3 at the end of the cycle, 4 at once and to its start.
     ///
     /// `false` when there was nothing to stop.
     pub(crate) fn stop(&mut self, mode: i32) -> Result<bool, HResult> {

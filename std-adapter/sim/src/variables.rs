@@ -1,18 +1,18 @@
 //! The user variables: I F D V P J T S, and the IO bits with their byte, word, dword and float views.
 //!
-//! | name          | VARTYPE read   | written with                                                     |
-//! |---------------|----------------|------------------------------------------------------------------|
-//! | `I`n          | I4             | integers that fit; R4 and R8 without a fraction                  |
-//! | `F`n          | R4             | integers, R4, R8: rounded to R4, as clients without R4 expect it |
-//! | `D`n          | R8             | integers, R4, R8                                                 |
-//! | `S`n          | BSTR           | BSTR                                                             |
-//! | `V`n          | R4\[3\]        | an array of 3 numbers (R4, R8, integers, or VARIANTs of these)   |
-//! | `P`n          | R4\[7\]        | ... of 7: X Y Z in mm, RX RY RZ in degrees, Fig                  |
-//! | `J`n          | R4\[8\]        | ... of 8: J1 to J8 in degrees                                    |
-//! | `T`n          | R4\[10\]       | ... of 10: position, orient vector, approach vector, Fig         |
-//! | `IO`n         | BOOL           | BOOL; integers, where 0 is off                                   |
-//! | `IOB`n `IOW`n `IOD`n | UI1, I2, I4 | integers that fit the 8, 16 or 32 bits, signed or unsigned   |
-//! | `IOF`n        | R4             | as `F`                                                           |
+//! | name                 | VARTYPE read | written with                                                     |
+//! |----------------------|--------------|------------------------------------------------------------------|
+//! | `I`n                 | I4           | integers that fit; R4 and R8 without a fraction                  |
+//! | `F`n                 | R4           | integers, R4, R8: rounded to R4, as clients without R4 expect it |
+//! | `D`n                 | R8           | integers, R4, R8                                                 |
+//! | `S`n                 | BSTR         | BSTR                                                             |
+//! | `V`n                 | R4\[3\]      | an array of 3 numbers (R4, R8, integers, or VARIANTs of these)   |
+//! | `P`n                 | R4\[7\]      | ... of 7: X Y Z in mm, RX RY RZ in degrees, Fig                  |
+//! | `J`n                 | R4\[8\]      | ... of 8: J1 to J8 in degrees                                    |
+//! | `T`n                 | R4\[10\]     | ... of 10: position, orient vector, approach vector, Fig         |
+//! | `IO`n                | BOOL         | BOOL; integers, where 0 is off                                   |
+//! | `IOB`n `IOW`n `IOD`n | UI1, I2, I4  | integers that fit the 8, 16 or 32 bits, signed or unsigned       |
+//! | `IOF`n               | R4           | as `F`                                                           |
 //!
 //! A view starts at IO n and takes the lowest bit from there. Everything else is refused: another type with
 //! `E_INVALIDARGTYPE`, a fraction for an integer with `DISP_E_TYPEMISMATCH`, a number that does not fit with

@@ -132,9 +132,12 @@ fn the_arm_belongs_to_one_client_until_it_goes() {
     let mut world = World::new();
     let (one, two) = (world.client(1), world.client(2));
     assert_eq!(world.robot(one, "TakeArmState", -1), ok(&-1));
+    assert_eq!(world.robot(one, "TakeArmState", "x"), code(HResult::DISP_E_TYPEMISMATCH));
     assert_eq!(world.robot(one, "TakeArm", ()), ok(&()));
     assert_eq!(world.robot(one, "takearm", [0, 1]), ok(&()));
     assert_eq!(world.robot(one, "TakeArmState", -1), ok(&0));
+    assert_eq!(world.robot(one, "TakeArmState", ()), ok(&0));
+    assert_eq!(world.robot(one, "TakeArmState", 1), ok(&-1));
     assert_eq!(world.robot(two, "TakeArmState", -1), ok(&-1));
     assert_eq!(world.robot(two, "TakeArm", [0, 0]), code(HResult::E_ARM_NOT_TAKEN));
     assert_eq!(world.robot(two, "GiveArm", ()).0, HResult::S_FALSE);
