@@ -232,6 +232,19 @@ fn a_udp_peer_over_the_limit_is_told_so() {
 }
 
 #[test]
+fn a_udp_peer_that_has_stopped_makes_room_at_once() {
+    let server = start(Limits { udp_peers: 2, ..Limits::default() });
+    let mut first = blocking::connect_udp(server.udp, &Options::default()).unwrap();
+    first.call(call::service_start("")).unwrap();
+    for _ in 0..5 {
+        let mut other = blocking::connect_udp(server.udp, &Options::default()).unwrap();
+        other.call(call::service_start("")).unwrap();
+        other.call(call::service_stop()).unwrap();
+    }
+    first.call(call::controller_connect("", "", "", "")).unwrap();
+}
+
+#[test]
 fn what_a_peer_leaves_open_is_released_newest_first() {
     let mut server = start(Limits::default());
     let mut client = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();

@@ -52,7 +52,8 @@ use shared::Shared;
 pub struct Limits {
     /// Connections at the same time, b-CAP and RAC each.
     pub connections: usize,
-    /// UDP peers at the same time; one that was silent for [`udp_idle`](Self::udp_idle) makes room for another.
+    /// UDP peers at the same time; one that has stopped its service, or was silent for [`udp_idle`](Self::udp_idle),
+    /// makes room for another.
     pub udp_peers: usize,
     /// The silence after which a UDP peer may be forgotten when another wants its place.
     pub udp_idle: Duration,

@@ -103,13 +103,13 @@ impl<H: Handler + Send + 'static> Peers<H> {
         true
     }
 
-    /// Forgets the peer that was silent longest, if it was silent long enough.
+    /// Forgets a peer that has ended its service, else the one that was silent longest, if it was silent long enough.
     fn make_room(&mut self) -> bool {
         let idle = self.known.iter().filter(|(_, peer)| !peer.session.is_running());
-        let Some((address, heard)) = idle.map(|(address, peer)| (*address, peer.heard)).min_by_key(|(_, h)| *h) else {
-            return false;
-        };
-        if now().saturating_since(heard) < self.limits.udp_idle {
+        // after Service_Stop nothing is open; it is known on only so that a repetition can be answered
+        let oldest = idle.map(|(address, peer)| (peer.session.open_objects() > 0, peer.heard, *address)).min();
+        let Some((is_in_service, heard, address)) = oldest else { return false };
+        if is_in_service && now().saturating_since(heard) < self.limits.udp_idle {
             return false;
         }
         self.forget(address);
