@@ -3,6 +3,7 @@
 use std::net::SocketAddr;
 use std::time::Duration;
 
+use bcap_sim::Profile;
 use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
 
@@ -82,6 +83,8 @@ pub(crate) enum Command {
     Call(Call),
     Exec(Exec),
     Rac(Rac),
+    Sim(Sim),
+    Demo(Demo),
     Decode(Decode),
     Encode(Encode),
     Text(Text),
@@ -255,6 +258,28 @@ pub(crate) struct Sim {
     /// Where RAC listens
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:5006")]
     pub(crate) rac: SocketAddr,
+
+    /// Which controller it is like
+    #[arg(long, value_name = "MODEL", default_value = "rc8")]
+    pub(crate) model: Model,
+}
+
+/// A model of controller.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub(crate) enum Model {
+    /// RC8
+    Rc8,
+    /// RC9: it has StoState and ManualReset
+    Rc9,
+}
+
+impl From<Model> for Profile {
+    fn from(model: Model) -> Self {
+        match model {
+            Model::Rc8 => Self::Rc8,
+            Model::Rc9 => Self::Rc9,
+        }
+    }
 }
 
 /// Shows a session with a virtual controller, every frame decoded beside its bytes

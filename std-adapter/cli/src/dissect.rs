@@ -14,6 +14,7 @@
 //! ```
 
 use std::fmt::Write as _;
+use std::ops::Range;
 
 use bcap_core::bcap::{Frame, HEADER_LEN};
 
@@ -40,7 +41,46 @@ pub(crate) fn dissect(bytes: &[u8], frame: &Frame<'_>, role: Role, crc: bool) ->
     out
 }
 
-type Field = (std::ops::Range<usize>, String);
+/// Writes a strictly checked frame without CRC as few rows: its head, then its arguments, each beside its bytes.
+///
+/// ```text
+/// 01 2a 00 00 00 05 00 00 00 66 00 00 00 02 00     #5 Variable_PutValue, 42 bytes
+/// 0a 00 00 00 03 00 01 00 00 00 03 00 00 00        variable: I4(3)
+/// 08 00 00 00 0b 00 01 00 00 00 ff ff 04           value: BOOL(true)
+/// ```
+pub(crate) fn outline(bytes: &[u8], frame: &Frame<'_>, role: Role) -> String {
+    let code = match role {
+        Role::Request => frame.function().to_string(),
+        Role::Response => frame.hresult().to_string(),
+    };
+    let retry = match frame.reserved {
+        0 => String::new(),
+        first if first == frame.serial => ", first attempt".into(),
+        first => format!(", retry of #{first}"),
+    };
+    let mut rows: Vec<Field> = vec![(0..HEADER_LEN, format!("#{} {code}, {} bytes{retry}", frame.serial, bytes.len()))];
+    rows.extend(
+        arguments(bytes, frame, role).map(|argument| (argument.length.start..argument.value.end, argument.text)),
+    );
+    if let Some((range, _)) = rows.last_mut() {
+        range.end += 1;
+    }
+    table(bytes, &rows, ROW * 3)
+}
+
+/// Writes rows of bytes with a text beside the first row of each field.
+fn table(bytes: &[u8], fields: &[Field], width: usize) -> String {
+    let mut lines = Vec::new();
+    for (range, text) in fields {
+        for (i, row) in bytes.get(range.clone()).unwrap_or_default().chunks(ROW).enumerate() {
+            let text = if i == 0 { text.as_str() } else { "" };
+            lines.push(format!("{:width$} {text}", hex::spaced(row)).trim_end().to_owned());
+        }
+    }
+    lines.join("\n")
+}
+
+type Field = (Range<usize>, String);
 
 fn fields(bytes: &[u8], frame: &Frame<'_>, role: Role, crc: bool) -> Vec<Field> {
     let code = match (role, frame.function().name()) {
@@ -61,15 +101,11 @@ fn fields(bytes: &[u8], frame: &Frame<'_>, role: Role, crc: bool) -> Vec<Field> 
         (9..13, code),
         (13..15, if count == 1 { "1 argument".into() } else { format!("{count} arguments") }),
     ];
-    let names = if role == Role::Request { frame.function().argument_names() } else { &[] };
     let mut at = HEADER_LEN;
-    for (i, value) in frame.args.iter().enumerate() {
-        let length = bytes.get(at..).and_then(<[u8]>::first_chunk).map_or(0, |length| u32::from_le_bytes(*length));
-        let end = at + 4 + usize::try_from(length).unwrap_or(0);
-        fields.push((at..at + 4, format!("{length} bytes of argument {}", i + 1)));
-        let name = names.get(i).map(|name| format!("{name}: ")).unwrap_or_default();
-        fields.push((at + 4..end, format!("{name}{value:?}")));
-        at = end;
+    for (i, argument) in arguments(bytes, frame, role).enumerate() {
+        at = argument.value.end;
+        fields.push((argument.length, format!("{} bytes of argument {}", argument.value.len(), i + 1)));
+        fields.push((argument.value, argument.text));
     }
     if crc {
         fields.push((at..at + 2, "CRC".into()));
@@ -77,4 +113,23 @@ fn fields(bytes: &[u8], frame: &Frame<'_>, role: Role, crc: bool) -> Vec<Field> 
     }
     fields.push((at..at + 1, "EOT".into()));
     fields
+}
+
+/// An argument: where its length and its value lie, and what it is.
+struct Argument {
+    length: Range<usize>,
+    value: Range<usize>,
+    text: String,
+}
+
+fn arguments<'a>(bytes: &'a [u8], frame: &Frame<'a>, role: Role) -> impl Iterator<Item = Argument> + use<'a> {
+    let names = if role == Role::Request { frame.function().argument_names() } else { &[] };
+    let mut at = HEADER_LEN;
+    frame.args.iter().enumerate().map(move |(i, value)| {
+        let declared = bytes.get(at..).and_then(<[u8]>::first_chunk).map_or(0, |length| u32::from_le_bytes(*length));
+        let length = at..at + 4;
+        at = length.end + usize::try_from(declared).unwrap_or(0);
+        let name = names.get(i).map(|name| format!("{name}: ")).unwrap_or_default();
+        Argument { value: length.end..at, length, text: format!("{name}{value:?}") }
+    })
 }

@@ -4,6 +4,7 @@ mod args;
 mod call;
 mod connection;
 mod decode;
+mod demo;
 mod dissect;
 mod error;
 mod frame;
@@ -15,6 +16,8 @@ mod plain;
 mod rac;
 mod session;
 mod signal;
+mod sim;
+mod tap;
 mod target;
 mod text;
 mod value;
@@ -44,6 +47,8 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Call(args) => call::call(args, &cli.link, cli.json),
         Command::Exec(args) => call::exec(args, &cli.link, cli.json),
         Command::Rac(args) => rac::rac(args, &cli.link, cli.json),
+        Command::Sim(args) => sim::sim(args),
+        Command::Demo(_) => demo::demo(),
         Command::Decode(args) => decode::decode(args, cli.json),
         Command::Encode(args) => decode::encode(args, cli.json),
         Command::Text(args) => text::text(args, cli.json),

@@ -1,11 +1,14 @@
 //! `bcap rac`: variables over RAC, the text protocol.
 
+use std::io;
+use std::time::Duration;
+
 use bcap_core::hresult::HResult;
 use bcap_core::rac::client::{Client, ClientError, Config, Event};
 use bcap_core::rac::{MAX_VALUE, Request, Variable, VariableKind};
 use bcap_core::variant::Variant;
 use bcap_std::Options;
-use bcap_std::blocking::{self, TcpTransport, Transport as _};
+use bcap_std::blocking::{self, TcpTransport, Transport};
 
 use crate::args::{Get, LinkArgs, Put, Rac, RacCommand};
 use crate::connection::{broken, not_connected};
@@ -86,30 +89,45 @@ fn model(kind: VariableKind) -> Result<Value, Failure> {
 }
 
 /// A connection, with the client of the core.
-struct Session {
-    transport: TcpTransport,
+pub(crate) struct Session<X> {
+    transport: X,
     client: Client<[u8; MAX_VALUE]>,
     target: Target,
 }
 
-impl Session {
+impl Session<TcpTransport> {
     fn open(link: &LinkArgs) -> Result<Self, Failure> {
         let target = link.rac_target()?;
-        let options = Options::default().timeout(link.timeout());
-        let mut connected = blocking::connect_tcp((target.host.as_str(), target.port), &options)
-            .map_err(|error| not_connected(&error, &target))?;
-        let stream = connected.transport().stream().try_clone()?;
-        let client = Client::new(Config { timeout: link.timeout() }, [0; MAX_VALUE]);
-        Ok(Self { transport: TcpTransport::new(stream), client, target })
+        Ok(Self::new(Self::connect(&target, link.timeout())?, target, link.timeout()))
     }
 
-    fn get(&mut self, variable: Variable) -> Result<Value, Failure> {
+    /// Connects.
+    pub(crate) fn connect(target: &Target, timeout: Duration) -> Result<TcpTransport, Failure> {
+        let options = Options::default().timeout(timeout);
+        let mut connected = blocking::connect_tcp((target.host.as_str(), target.port), &options)
+            .map_err(|error| not_connected(&error, target))?;
+        Ok(TcpTransport::new(connected.transport().stream().try_clone()?))
+    }
+}
+
+impl<X: Transport<Error = io::Error>> Session<X> {
+    pub(crate) fn new(transport: X, target: Target, timeout: Duration) -> Self {
+        Self { transport, client: Client::new(Config { timeout }, [0; MAX_VALUE]), target }
+    }
+
+    pub(crate) fn transport(&mut self) -> &mut X {
+        &mut self.transport
+    }
+
+    /// Reads a variable.
+    pub(crate) fn get(&mut self, variable: Variable) -> Result<Value, Failure> {
         self.request(&Request::Get(variable))?;
         let value = self.client.reply().and_then(|reply| reply.value).unwrap_or(Variant::Empty);
         Value::new(&value).map_err(|error| Failure::Input(error.to_string()))
     }
 
-    fn put(&mut self, variable: Variable, value: &Value) -> Result<(), Failure> {
+    /// Writes a variable.
+    pub(crate) fn put(&mut self, variable: Variable, value: &Value) -> Result<(), Failure> {
         self.request(&Request::Put(variable, value.as_variant()))
     }
 

@@ -1,0 +1,79 @@
+//! `bcap sim`: a virtual controller behind real sockets.
+
+use std::fmt;
+use std::io;
+use std::net::SocketAddr;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use bcap_sim::{Config, Controller, Profile};
+use bcap_std::server::Server;
+use tokio::runtime::{self, Runtime};
+
+use crate::args::Sim;
+use crate::error::Failure;
+use crate::item::print_line;
+use crate::signal;
+
+/// Runs `bcap sim`, until a signal ends it.
+pub(crate) fn sim(args: &Sim) -> Result<(), Failure> {
+    let runtime = runtime()?;
+    runtime.block_on(async {
+        // the signals first: who reads the line may send one at once
+        let ended = signal::wait()?;
+        let wanted = Listening { bcap: args.bcap, udp: args.udp, rac: args.rac };
+        let (server, listening) = listen(controller(args.model.into()), &wanted).await?;
+        print_line(&listening.to_string())?;
+        Ok(server.run(ended).await?)
+    })
+}
+
+/// Where a virtual controller listens.
+pub(crate) struct Listening {
+    pub(crate) bcap: SocketAddr,
+    pub(crate) udp: SocketAddr,
+    pub(crate) rac: SocketAddr,
+}
+
+/// Puts a controller behind sockets; port 0 takes a free one.
+pub(crate) async fn listen(
+    controller: Controller,
+    wanted: &Listening,
+) -> Result<(Server<Controller>, Listening), Failure> {
+    let server = Server::new(controller);
+    let server = server.bcap_tcp(wanted.bcap).await.map_err(|error| taken("--bcap", wanted.bcap, &error))?;
+    let server = server.bcap_udp(wanted.udp).await.map_err(|error| taken("--udp", wanted.udp, &error))?;
+    let server = server.rac_tcp(wanted.rac).await.map_err(|error| taken("--rac", wanted.rac, &error))?;
+    let addresses = server.addresses();
+    let first = |addresses: &[SocketAddr]| addresses.first().copied();
+    match (first(&addresses.bcap_tcp), first(&addresses.bcap_udp), first(&addresses.rac_tcp)) {
+        (Some(bcap), Some(udp), Some(rac)) => Ok((server, Listening { bcap, udp, rac })),
+        _ => Err(Failure::Stdio(io::Error::other("a socket does not tell its address"))),
+    }
+}
+
+/// Tells why an address cannot be listened on.
+fn taken(option: &str, address: SocketAddr, error: &io::Error) -> Failure {
+    Failure::Connection {
+        message: format!("cannot listen on {address}: {error}"),
+        hint: format!("choose another address with {option}; port 0 takes a free one"),
+    }
+}
+
+impl fmt::Display for Listening {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "ready bcap={} udp={} rac={}", self.bcap, self.udp, self.rac)
+    }
+}
+
+/// Makes what runs a server: one thread is plenty for a controller.
+pub(crate) fn runtime() -> io::Result<Runtime> {
+    runtime::Builder::new_current_thread().enable_all().build()
+}
+
+/// Switches a controller on, with the time of this machine; it takes the providers of all models.
+pub(crate) fn controller(model: Profile) -> Controller {
+    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let origin = since_1970.as_micros().saturating_sub(bcap_std::now().as_micros().into()) / 1000;
+    let wall_clock_origin_ms = i64::try_from(origin).unwrap_or(0);
+    Controller::new(Config { any_provider: true, wall_clock_origin_ms, ..Config::new(model) })
+}

@@ -1,0 +1,203 @@
+//! `bcap sim`, `bcap demo`, and the other commands against a virtual controller: what a user's first hour looks like.
+
+mod common;
+
+use std::io::{BufRead, BufReader, Read};
+use std::net::TcpListener;
+use std::process::{Child, Command, Stdio};
+
+use common::{Run, bcap, command};
+use serde_json::Value;
+
+/// A `bcap sim` of this test's own; it is killed when the test is over.
+struct Sim {
+    child: Child,
+    tcp: String,
+    udp: String,
+    rac: String,
+}
+
+impl Sim {
+    fn start(more: &[&str]) -> Self {
+        let free = ["--bcap", "127.0.0.1:0", "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"];
+        let mut child = command(&[&["sim"], &free[..], more].concat()).stdout(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
+        let mut words = line.trim_end().split(' ');
+        assert_eq!(words.next(), Some("ready"), "{line}");
+        let mut address = |key: &str| words.next().unwrap().strip_prefix(key).unwrap().to_owned();
+        let (tcp, udp, rac) = (address("bcap="), address("udp="), address("rac="));
+        assert_eq!(words.next(), None, "{line}");
+        Self { child, tcp: format!("tcp:{tcp}"), udp: format!("udp:{udp}"), rac }
+    }
+
+    fn tcp(&self, args: &[&str]) -> Run {
+        bcap(&[args, &["--robot", &self.tcp]].concat())
+    }
+
+    fn udp(&self, args: &[&str]) -> Run {
+        bcap(&[args, &["--robot", &self.udp]].concat())
+    }
+
+    fn rac(&self, args: &[&str]) -> Run {
+        bcap(&[&["rac"], args, &["--robot", &self.rac]].concat())
+    }
+}
+
+impl Drop for Sim {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A variable of each kind, three plain values for it, and its VARTYPE.
+const KINDS: [(&str, [&str; 3], u16); 9] = [
+    ("I1", ["-5", "2147483647", "0"], 3),
+    ("F2", ["1.5", "-0.1", "16777216"], 4),
+    ("D3", ["0.1", "-1e300", "5e-324"], 5),
+    ("S4", ["hello, world", "(a", ""], 8),
+    ("V5", ["1,2,3", "-1.5,0,0.25", "0,0,0"], 8196),
+    ("P6", ["1,2,3,4,5,6,-1", "400,0,300.5,180,0,180,5", "0,0,0,0,0,0,0"], 8196),
+    ("J7", ["1,2,3,4,5,6,7,8", "0,45,90,0,45,0,0,0", "-1,0,0,0,0,0,0,0"], 8196),
+    ("T8", ["1,2,3,4,5,6,7,8,9,5", "0,0,0,1,0,0,0,1,0,5", "9,8,7,6,5,4,3,2,1,-1"], 8196),
+    ("IO128", ["-1", "0", "-1"], 11),
+];
+
+#[test]
+fn all_kinds_of_variables_agree_over_all_links() {
+    let sim = Sim::start(&[]);
+    type Link = fn(&Sim, &[&str]) -> Run;
+    let links: [Link; 3] = [Sim::tcp, Sim::udp, Sim::rac];
+    for (name, values, vartype) in KINDS {
+        for (writer, value) in links.iter().zip(values) {
+            let put = writer(&sim, &["put", name, value]);
+            assert_eq!((put.code, put.err.as_str()), (0, ""), "{name} {value}");
+            assert_eq!(put.out, format!("{name} = {value}\n"));
+            let json: Vec<String> = links
+                .map(|reader| {
+                    let plain = reader(&sim, &["get", name]);
+                    assert_eq!((plain.out, plain.code), (format!("{name} = {value}\n"), 0), "{}", plain.err);
+                    reader(&sim, &["get", name, "--json"]).out
+                })
+                .into();
+            assert!(json.iter().all(|line| *line == json[0]), "{json:?}");
+            let line: Value = serde_json::from_str(&json[0]).unwrap();
+            assert_eq!((&line["name"], &line["vt"]), (&name.into(), &vartype.into()));
+        }
+    }
+}
+
+#[test]
+fn a_session_of_commands_works() {
+    let sim = Sim::start(&[]);
+    let names = sim.tcp(&["names"]);
+    assert_eq!(names.code, 0, "{names:?}");
+    assert!(names.out.lines().any(|line| line == "task:Pro1"), "{}", names.out);
+    assert!(names.out.lines().any(|line| line.starts_with("robot:") && line.ends_with("/@SERVO_ON")), "{}", names.out);
+
+    // several sessions, but the arm authority belongs to one: taking and giving are shown apart
+    assert_eq!(sim.tcp(&["exec", "robot", "TakeArm", "8195,0,0"]).code, 0);
+    assert_eq!(sim.tcp(&["get", "robot/@SERVO_ON"]).out, "robot/@SERVO_ON = 0\n");
+    assert_eq!(sim.udp(&["exec", "robot", "Motor", "1"]).code, 0);
+    assert_eq!(sim.tcp(&["get", "robot/@SERVO_ON"]).out, "robot/@SERVO_ON = -1\n");
+    let joints = sim.tcp(&["exec", "robot", "CurJnt", "--json"]);
+    let reply: Value = serde_json::from_str(&joints.out).unwrap();
+    assert_eq!((&reply["name"], &reply["value"]["vt"]), (&"S_OK".into(), &8197.into()));
+    assert_eq!(reply["value"]["v"].as_array().unwrap().len(), 8);
+
+    assert_eq!(sim.tcp(&["get", "task:Pro1/@STATUS"]).code, 0);
+    let state = sim.tcp(&["call", "ControllerExecute", "controller", "8,SysState", "0,"]);
+    assert!(state.code == 0 && state.out.trim_end().parse::<i32>().is_ok(), "{state:?}");
+    let text = sim.tcp(&["exec", "controller", "GetErrorDescription", "-2147481344"]);
+    assert!(text.code == 0 && text.out.len() > 1, "{text:?}");
+    let watch = sim.tcp(&["watch", "I1", "IO1", "--count", "3", "--interval", "1", "--changed"]);
+    assert_eq!((watch.out.lines().count(), watch.code), (2, 0), "{watch:?}");
+}
+
+#[test]
+fn refusals_are_explained_over_all_links() {
+    let sim = Sim::start(&[]);
+    for run in [sim.tcp(&["put", "I1", "8,x"]), sim.udp(&["put", "I1", "8,x"]), sim.rac(&["put", "I1", "8,x"])] {
+        assert_eq!((run.out.as_str(), run.code), ("", 1));
+        assert!(run.err.contains("0x80010003 (E_INVALIDARGTYPE)") && run.err.contains("hint: "), "{}", run.err);
+    }
+    for run in [sim.tcp(&["get", "I100"]), sim.rac(&["get", "I100"])] {
+        assert!(run.code == 1 && run.err.contains("0x8"), "{run:?}");
+    }
+    let run = sim.tcp(&["get", "I1", "--provider", "NoSuchProvider"]);
+    assert!(run.code == 1 && run.err.contains("Controller_Connect: the controller refused"), "{run:?}");
+}
+
+#[test]
+fn the_rc9_has_what_the_rc8_has_not() {
+    let rc9 = Sim::start(&["--model", "rc9"]);
+    let run = rc9.tcp(&["exec", "controller", "StoState", "--provider", "CaoProv.DENSO.VRC9"]);
+    assert_eq!(run.code, 0, "{run:?}");
+    let rc8 = Sim::start(&[]);
+    assert_eq!(rc8.tcp(&["exec", "controller", "StoState"]).code, 1);
+}
+
+#[cfg(unix)]
+#[test]
+fn signals_end_it_with_0() {
+    for signal in ["-INT", "-TERM"] {
+        let mut sim = Sim::start(&[]);
+        // a client that stays does not keep it
+        let watch = command(&["watch", "I1", "--interval", "1", "--robot", &sim.tcp]).stdout(Stdio::piped()).spawn();
+        let mut watch = watch.unwrap();
+        watch.stdout.as_mut().unwrap().read_exact(&mut [0; 8]).unwrap();
+        let kill = |child: &Child| Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
+        assert!(kill(&sim.child).success());
+        assert_eq!(sim.child.wait().unwrap().code(), Some(0));
+        let mut rest = String::new();
+        sim.child.stdout.as_mut().unwrap().read_to_string(&mut rest).unwrap();
+        assert_eq!(rest, "", "one line and no more");
+        // the client notices
+        drop(watch.stdout.take());
+        watch.wait().unwrap();
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_watch_ends_with_0_when_it_is_interrupted() {
+    let sim = Sim::start(&[]);
+    let mut watch =
+        command(&["watch", "I1", "--interval", "1", "--robot", &sim.tcp]).stdout(Stdio::piped()).spawn().unwrap();
+    let mut out = BufReader::new(watch.stdout.take().unwrap());
+    out.read_line(&mut String::new()).unwrap();
+    assert!(Command::new("kill").args(["-INT", &watch.id().to_string()]).status().unwrap().success());
+    out.read_to_string(&mut String::new()).unwrap();
+    assert_eq!(watch.wait().unwrap().code(), Some(0));
+}
+
+#[test]
+fn an_address_that_is_taken_is_named() {
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap().to_string();
+    let run = bcap(&["sim", "--bcap", &address, "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"]);
+    assert_eq!((run.out.as_str(), run.code), ("", 3));
+    assert!(run.err.contains(&address) && run.err.contains("hint: ") && run.err.contains("--bcap"), "{}", run.err);
+    assert_eq!(bcap(&["sim", "--bcap", "nonsense"]).code, 2);
+}
+
+#[test]
+fn the_demo_shows_frames_of_all_links_and_ends_well() {
+    let run = bcap(&["demo"]);
+    assert_eq!((run.code, run.err.as_str()), (0, ""));
+    for part in [
+        "== b-CAP over TCP",
+        "== b-CAP over UDP",
+        "== RAC",
+        "-> 01 10 00 00 00 13 00 00 00 02 00 00 00 00 00 04  #19 Service_Stop, 16 bytes",
+        "(S_EXECUTING)",
+        "0x80010003 (E_INVALIDARGTYPE): ",
+        "value: I4(42)",
+        "GET:RC8:1:P:",
+        "PUT:RC8:1:I:3,44",
+        "0,8196,400,0,300.5,180,0,180,5",
+    ] {
+        assert!(run.out.contains(part), "{part}: {}", run.out);
+    }
+}
