@@ -245,8 +245,19 @@ pub(crate) fn parse(text: &[u8], out: &mut Writer<'_>) -> Result<(), TextError> 
     value(text, out).map_err(|fault| fault.at(text.len()))
 }
 
-/// `value = blanks type [ "," data ]`, with `"(" value ")" blanks` for VARIANTs, down and up again
+/// `value = blanks type [ "," data ]`
 pub(crate) fn value(text: &[u8], out: &mut Writer<'_>) -> Result<(), Fault> {
+    let (rest, vartype) = preceded(blanks, vartype).parse_complete(text)?;
+    let rest = match vartype.element() {
+        VarType::VARIANT => tree(text, out)?,
+        _ => leaf(vartype, rest, false, out)?,
+    };
+    if rest.is_empty() { Ok(()) } else { Err(Fault::new(TextErrorKind::Unexpected, rest)) }
+}
+
+/// A value of VARIANTs, `"(" value ")" blanks` each, down and up again
+#[inline(never)]
+fn tree<'a>(text: &'a [u8], out: &mut Writer<'_>) -> Result<&'a [u8], Fault> {
     let mut levels = [Level::default(); OUTER];
     let mut depth = 0_usize;
     let mut rest = text;
@@ -260,21 +271,21 @@ pub(crate) fn value(text: &[u8], out: &mut Writer<'_>) -> Result<(), Fault> {
             rest = open_paren(data)?.0;
             continue;
         }
-        rest = leaf(vartype, behind, depth > 0, out)?;
-        loop {
-            let Some(level) = depth.checked_sub(1).and_then(|top| levels.get_mut(top)) else {
-                return if rest.is_empty() { Ok(()) } else { Err(Fault::new(TextErrorKind::Unexpected, rest)) };
-            };
+        rest = leaf(vartype, behind, true, out)?;
+        while let Some(level) = depth.checked_sub(1).and_then(|top| levels.get_mut(top)) {
             let (behind, ()) = byte(b')', TextErrorKind::Unbalanced)(rest)?;
             let (behind, ()) = blanks(behind)?;
             let (behind, more) = level.next(behind, out);
+            rest = behind;
             if more {
-                rest = open_paren(behind)?.0;
                 break;
             }
-            rest = behind;
             depth = depth.saturating_sub(1);
         }
+        if depth == 0 {
+            return Ok(rest);
+        }
+        rest = open_paren(rest)?.0;
     }
 }
 
@@ -493,16 +504,29 @@ pub(crate) fn integer(text: &[u8]) -> Parsed<'_, Integer> {
 trait Real: minimal_lexical::Float {
     const NAN: Self;
     const INFINITY: Self;
+    /// Returns `digits * 10^exponent` where one operation on exact numbers gives it, correctly rounded therefore.
+    fn exact(digits: u64, exponent: i32) -> Option<Self>;
     fn negative(self) -> Self;
     fn is_zero_or_infinite(self) -> bool;
 }
 
 macro_rules! reals {
-    ($($type:ident, $nan:literal;)*) => {$(
+    ($($type:ident, $nan:literal, $digits:literal, $power:literal;)*) => {$(
         impl Real for $type {
             // the quiet NaN; the bits of the language's own constant are not fixed
             const NAN: Self = <$type>::from_bits($nan);
             const INFINITY: Self = <$type>::INFINITY;
+
+            #[inline]
+            #[expect(clippy::as_conversions, reason = "exact: the digits and the power of ten are under their limits")]
+            fn exact(digits: u64, exponent: i32) -> Option<Self> {
+                let power = to_usize(exponent.unsigned_abs());
+                if digits > $digits || power > $power {
+                    return None;
+                }
+                let (digits, power) = (digits as Self, *POWERS.get(power)? as Self);
+                Some(if exponent < 0 { digits / power } else { digits * power })
+            }
 
             fn negative(self) -> Self {
                 -self
@@ -515,21 +539,31 @@ macro_rules! reals {
     )*};
 }
 
+// the last two columns: integers up to there, and powers of ten up to there, are exact
 reals! {
-    f32, 0x7fc0_0000;
-    f64, 0x7ff8_0000_0000_0000;
+    f32, 0x7fc0_0000, 0x0100_0000, 10;
+    f64, 0x7ff8_0000_0000_0000, 0x0020_0000_0000_0000, 22;
 }
+
+/// Powers of ten; all of them are exact.
+const POWERS: [f64; 23] = [
+    1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16, 1e17, 1e18, 1e19, 1e20,
+    1e21, 1e22,
+];
 
 /// `float = [ sign ] ( decimal [ "e" [ sign ] digits ] | "inf" | "nan" )`, words in any case
 fn float<F: Real>(text: &[u8]) -> Parsed<'_, F> {
     let (rest, negative) = sign(text);
+    if let Some((rest, number)) = plain::<F>(rest) {
+        return Ok((rest, if negative { number.negative() } else { number }));
+    }
     let (rest, number) = match rest {
         [b'i' | b'I', b'n' | b'N', b'f' | b'F', rest @ ..] => (rest, F::INFINITY),
         [b'n' | b'N', b'a' | b'A', b'n' | b'N', rest @ ..] => (rest, F::NAN),
         _ => {
             let (behind, decimal) = decimal(rest)?;
-            let number =
-                minimal_lexical::parse_float(decimal.integer.iter(), decimal.fraction.iter(), decimal.exponent);
+            let exact = decimal.short().and_then(|(digits, exponent)| F::exact(digits, exponent));
+            let number = exact.unwrap_or_else(|| long_float(&decimal));
             if F::is_zero_or_infinite(number) && !decimal.is_zero() {
                 return fault(TextErrorKind::OutOfRange, text);
             }
@@ -537,6 +571,26 @@ fn float<F: Real>(text: &[u8]) -> Parsed<'_, F> {
         }
     };
     Ok((rest, if negative { number.negative() } else { number }))
+}
+
+/// `digits`, when they are few and nothing else follows: what most numbers are, the short way.
+#[inline]
+fn plain<F: Real>(text: &[u8]) -> Option<(&[u8], F)> {
+    let mut number = 0_u64;
+    let mut rest = text;
+    while let [digit @ b'0'..=b'9', behind @ ..] = rest {
+        number = number.wrapping_mul(10).wrapping_add(u64::from(digit & 0x0f));
+        rest = behind;
+    }
+    // 15 digits are below 2^53
+    let short = matches!(text.len().wrapping_sub(rest.len()), 1..=15) && !matches!(rest, [b'.' | b'e' | b'E', ..]);
+    Some((rest, F::exact(number, 0).filter(|_| short)?))
+}
+
+/// A float that takes more than one operation.
+#[inline(never)]
+fn long_float<F: Real>(decimal: &Decimal<'_>) -> F {
+    minimal_lexical::parse_float(decimal.integer.iter(), decimal.fraction.iter(), decimal.exponent)
 }
 
 /// The digits of a number without zeros in front and at the end, as the float parser wants them.
@@ -547,6 +601,18 @@ struct Decimal<'a> {
 }
 
 impl Decimal<'_> {
+    /// Returns all digits as one number, and its exponent; `None` when there are too many.
+    #[inline]
+    fn short(&self) -> Option<(u64, i32)> {
+        // what goes over 19 digits is refused before the sum could wrap
+        if self.integer.len().saturating_add(self.fraction.len()) > 19 {
+            return None;
+        }
+        let digits = self.integer.iter().chain(self.fraction);
+        let number = digits.fold(0_u64, |n, digit| n.wrapping_mul(10).wrapping_add(u64::from(digit & 0x0f)));
+        Some((number, self.exponent.saturating_sub(i32::try_from(self.fraction.len()).ok()?)))
+    }
+
     const fn is_zero(&self) -> bool {
         self.integer.is_empty() && self.fraction.is_empty()
     }
@@ -638,9 +704,14 @@ fn put(bytes: &[u8], out: &mut Writer<'_>) -> Printed {
     out.put_slice(bytes).map_err(|_| TextErrorKind::Full)
 }
 
+#[inline]
+fn put_byte(byte: u8, out: &mut Writer<'_>) -> Printed {
+    out.put([byte]).map_err(|_| TextErrorKind::Full)
+}
+
 fn put_type(vartype: VarType, out: &mut Writer<'_>) -> Printed {
     put_integer(false, u64::from(vartype.0), out)?;
-    put(b",", out)
+    put_byte(b',', out)
 }
 
 fn print(value: Variant<'_>, out: &mut Writer<'_>) -> Printed {
@@ -669,7 +740,7 @@ fn print_inner(r: &mut Reader<'_>, count: u32, out: &mut Writer<'_>) -> Printed 
     let mut here = count;
     loop {
         here = here.checked_sub(1).ok_or(TextErrorKind::EmptyArray)?;
-        put(b"(", out)?;
+        put_byte(b'(', out)?;
         let (vartype, count) = split_head(r).unwrap_or_default();
         put_type(vartype, out)?;
         if vartype.element() == VarType::VARIANT {
@@ -679,14 +750,14 @@ fn print_inner(r: &mut Reader<'_>, count: u32, out: &mut Writer<'_>) -> Printed 
             continue;
         }
         print_elements(vartype.element(), count, Bounds { nested: true, in_array: vartype.is_array() }, r, out)?;
-        put(b")", out)?;
+        put_byte(b')', out)?;
         while here == 0 {
             let Some(up) = depth.checked_sub(1) else { return Ok(()) };
             depth = up;
             here = outer.get(up).copied().unwrap_or(0);
-            put(b")", out)?;
+            put_byte(b')', out)?;
         }
-        put(b",", out)?;
+        put_byte(b',', out)?;
     }
 }
 
@@ -705,7 +776,7 @@ fn print_elements(element: VarType, count: u32, bounds: Bounds, r: &mut Reader<'
     }
     for index in 0..to_usize(count) {
         if index > 0 {
-            put(b",", out)?;
+            put_byte(b',', out)?;
         }
         print_scalar(Variant::read_element(element, r), bounds, out)?;
     }
@@ -733,32 +804,44 @@ fn print_scalar(value: Variant<'_>, bounds: Bounds, out: &mut Writer<'_>) -> Pri
 
 /// Writes a decimal number.
 pub(crate) fn put_integer(negative: bool, magnitude: u64, out: &mut Writer<'_>) -> Printed {
-    // 20 digits and a sign
-    let mut buffer = [0_u8; 21];
+    if negative {
+        put_byte(b'-', out)?;
+    }
     let mut left = magnitude;
-    let mut len = 0_usize;
+    if left < 10 {
+        return put_byte(digit(left), out);
+    }
+    let mut buffer = [0_u8; 20];
+    let mut from = buffer.len();
     for slot in buffer.iter_mut().rev() {
-        *slot = if len > 0 && left == 0 { b'-' } else { b'0' | u8::try_from(left % 10).unwrap_or(0) };
-        if len > 0 && left == 0 {
+        if left == 0 {
             break;
         }
+        *slot = digit(left % 10);
         left /= 10;
-        len = len.saturating_add(1);
+        from = from.saturating_sub(1);
     }
-    let from = buffer.len().saturating_sub(len).saturating_sub(usize::from(negative));
     put(buffer.get(from..).unwrap_or_default(), out)
+}
+
+#[inline]
+fn digit(number: u64) -> u8 {
+    b'0' | u8::try_from(number).unwrap_or(0)
 }
 
 /// Writes a number of the calendar with leading zeros.
 fn put_padded(number: u16, out: &mut Writer<'_>, separator: u8) -> Printed {
     if number < 10 {
-        put(b"0", out)?;
+        put_byte(b'0', out)?;
     }
     put_integer(false, u64::from(number), out)?;
-    if separator == 0 { Ok(()) } else { put(&[separator], out) }
+    if separator == 0 { Ok(()) } else { put_byte(separator, out) }
 }
 
 fn print_f32(number: f32, out: &mut Writer<'_>) -> Printed {
+    if let Some(magnitude) = whole(f64::from(number)).filter(|n| *n < 1 << f32::MANTISSA_DIGITS) {
+        return put_integer(number.is_sign_negative(), magnitude, out);
+    }
     if number.is_finite() {
         return put_finite(zmij::Buffer::new().format_finite(number), out);
     }
@@ -767,11 +850,29 @@ fn print_f32(number: f32, out: &mut Writer<'_>) -> Printed {
 }
 
 fn print_f64(number: f64, out: &mut Writer<'_>) -> Printed {
+    if let Some(magnitude) = whole(number) {
+        return put_integer(number.is_sign_negative(), magnitude, out);
+    }
     if number.is_finite() {
         return put_finite(zmij::Buffer::new().format_finite(number), out);
     }
     let quiet = number.to_bits() & 0x7fff_ffff_ffff_ffff == <f64 as Real>::NAN.to_bits();
     put_special(number.is_sign_negative(), number.is_nan(), quiet, out)
+}
+
+/// Returns the magnitude of a whole number below 2^53, whose digits are then the shortest too.
+fn whole(number: f64) -> Option<u64> {
+    const FRACTION: u32 = f64::MANTISSA_DIGITS - 1;
+    const HIDDEN: u64 = 1 << FRACTION;
+    let bits = number.to_bits() & !(1 << 63);
+    if bits == 0 {
+        return Some(0);
+    }
+    // 1023 is the exponent of 1
+    let shift = 1023_u64.checked_add(u64::from(FRACTION))?.checked_sub(bits >> FRACTION)?;
+    let shift = u32::try_from(shift).ok().filter(|shift| *shift <= FRACTION)?;
+    let mantissa = bits & (HIDDEN - 1) | HIDDEN;
+    (mantissa.trailing_zeros() >= shift).then_some(mantissa >> shift)
 }
 
 /// Writes shortest digits without what says nothing: `1.0` as `1`, `1e+300` as `1e300`.
@@ -786,7 +887,7 @@ fn put_finite(digits: &str, out: &mut Writer<'_>) -> Printed {
 
 fn put_exponent(mantissa: &[u8], exponent: &[u8], out: &mut Writer<'_>) -> Printed {
     put(mantissa, out)?;
-    put(b"e", out)?;
+    put_byte(b'e', out)?;
     put(exponent, out)
 }
 
@@ -796,7 +897,7 @@ fn put_special(negative: bool, nan: bool, quiet: bool, out: &mut Writer<'_>) -> 
         return Err(TextErrorKind::NanPayload);
     }
     if negative {
-        put(b"-", out)?;
+        put_byte(b'-', out)?;
     }
     put(if nan { b"NaN" } else { b"inf" }, out)
 }
@@ -806,7 +907,7 @@ fn print_date(date: OleDate, out: &mut Writer<'_>) -> Printed {
     let Some(civil) = date.to_civil().filter(same) else { return print_f64(date.raw(), out) };
     let year = civil.year.unsigned_abs();
     if year < 1000 {
-        put(b"0", out)?;
+        put_byte(b'0', out)?;
     }
     put_padded(year, out, b'/')?;
     put_padded(u16::from(civil.month), out, b'/')?;
