@@ -38,18 +38,18 @@
 //! The parsers are built with nom. They hold no reference of their own into the text, and what they cannot read is a
 //! [`Fault`]: what is wrong, and how much text was left then.
 
+mod float;
+
 use nom::Parser as _;
 use nom::error::{ErrorKind, ParseError};
 use nom::sequence::preceded;
 
+use self::float::{Decimal, Format, MAX_DIGITS};
 use super::encode::{Element as _, head};
 use super::{Bstr, CivilTime, Layout, OUTER, OleDate, VarType, Variant, VariantBuf};
 use crate::error::{TextError, TextErrorKind};
 use crate::num::{to_u32, to_usize};
 use crate::wire::{Reader, Writer};
-
-/// More characters than any number needs; the vendor's own buffer is this long.
-const MAX_NUMBER: usize = 500;
 
 /// Bytes of the type in front of a value's count.
 const TYPE_LEN: usize = 2;
@@ -397,28 +397,26 @@ fn number<'a>(element: VarType, text: &'a [u8], nested: bool, out: &mut Writer<'
     if at_end(text, nested) {
         return Err(Fault::new(TextErrorKind::Missing, text));
     }
-    let (rest, put) = match element {
+    let (rest, (bits, width)) = match element {
         VarType::R4 => {
-            let (rest, number) = float::<f32>(text)?;
-            (rest, number.put(out))
+            let (rest, bits) = float(text, Format::SINGLE)?;
+            (rest, (bits, 4))
         }
         VarType::R8 => {
-            let (rest, number) = float::<f64>(text)?;
-            (rest, number.put(out))
+            let (rest, bits) = float(text, Format::DOUBLE)?;
+            (rest, (bits, 8))
         }
         VarType::DATE => {
-            let (rest, days) = if is_date(text) { date(text)? } else { float::<f64>(text)? };
-            (rest, days.put(out))
+            let (rest, bits) = if is_date(text) { date(text)? } else { float(text, Format::DOUBLE)? };
+            (rest, (bits, 8))
         }
         _ => {
             let (rest, number) = integer(text)?;
-            let Some((bytes, width)) = number.to_wire(element) else {
-                return Err(Fault::new(TextErrorKind::OutOfRange, text));
-            };
-            (rest, out.put_slice(bytes.get(..width).unwrap_or_default()))
+            (rest, number.to_wire(element).ok_or(Fault::new(TextErrorKind::OutOfRange, text))?)
         }
     };
-    put.map_err(|_| Fault::new(TextErrorKind::Full, text))?;
+    let bytes = bits.to_le_bytes();
+    out.put_slice(bytes.get(..width).unwrap_or_default()).map_err(|_| Fault::new(TextErrorKind::Full, text))?;
     Ok(rest)
 }
 
@@ -449,8 +447,8 @@ impl Integer {
         }
     }
 
-    /// Returns the number as the data of an element, and how many of the bytes that are.
-    fn to_wire(self, element: VarType) -> Option<([u8; 8], usize)> {
+    /// Returns the number as the data of an element, and how many bytes that are.
+    fn to_wire(self, element: VarType) -> Option<(u64, usize)> {
         let Layout::Fixed(width) = element.layout() else { return None };
         let signed = !matches!(element, VarType::UI1 | VarType::UI2 | VarType::UI4 | VarType::UI8);
         let bits = match element {
@@ -467,7 +465,7 @@ impl Integer {
             VarType::BOOL if bits != 0 => u64::MAX,
             _ => bits,
         };
-        Some((bits.to_le_bytes(), usize::from(width)))
+        Some((bits, usize::from(width)))
     }
 }
 
@@ -500,122 +498,39 @@ pub(crate) fn integer(text: &[u8]) -> Parsed<'_, Integer> {
     Ok((behind, Integer { negative, magnitude, hex }))
 }
 
-/// R4 or R8, for [`float`].
-trait Real: minimal_lexical::Float {
-    const NAN: Self;
-    const INFINITY: Self;
-    /// Returns `digits * 10^exponent` where one operation on exact numbers gives it, correctly rounded therefore.
-    fn exact(digits: u64, exponent: i32) -> Option<Self>;
-    fn negative(self) -> Self;
-    fn is_zero_or_infinite(self) -> bool;
-}
-
-macro_rules! reals {
-    ($($type:ident, $nan:literal, $digits:literal, $power:literal;)*) => {$(
-        impl Real for $type {
-            // the quiet NaN; the bits of the language's own constant are not fixed
-            const NAN: Self = <$type>::from_bits($nan);
-            const INFINITY: Self = <$type>::INFINITY;
-
-            #[inline]
-            #[expect(clippy::as_conversions, reason = "exact: the digits and the power of ten are under their limits")]
-            fn exact(digits: u64, exponent: i32) -> Option<Self> {
-                let power = to_usize(exponent.unsigned_abs());
-                if digits > $digits || power > $power {
-                    return None;
+/// `float = [ sign ] ( decimal [ "e" [ sign ] digits ] | "inf" | "nan" )`, words in any case; its bits
+fn float(text: &[u8], format: Format) -> Parsed<'_, u64> {
+    let (unsigned, negative) = sign(text);
+    let (rest, bits) = match unsigned {
+        [b'i' | b'I', b'n' | b'N', b'f' | b'F', rest @ ..] => (rest, format.infinity()),
+        [b'n' | b'N', b'a' | b'A', b'n' | b'N', rest @ ..] => (rest, format.nan()),
+        _ => match whole_number(unsigned) {
+            Some((rest, number)) => (rest, format.of_whole(number)),
+            None => {
+                let (rest, decimal) = decimal(unsigned)?;
+                match format.of_decimal(&decimal) {
+                    Some(bits) => (rest, bits),
+                    None if decimal.integer.is_empty() && decimal.fraction.is_empty() => (rest, 0),
+                    None => return fault(TextErrorKind::OutOfRange, text),
                 }
-                let (digits, power) = (digits as Self, *POWERS.get(power)? as Self);
-                Some(if exponent < 0 { digits / power } else { digits * power })
             }
-
-            fn negative(self) -> Self {
-                -self
-            }
-
-            fn is_zero_or_infinite(self) -> bool {
-                self == 0.0 || self == Self::INFINITY
-            }
-        }
-    )*};
-}
-
-// the last two columns: integers up to there, and powers of ten up to there, are exact
-reals! {
-    f32, 0x7fc0_0000, 0x0100_0000, 10;
-    f64, 0x7ff8_0000_0000_0000, 0x0020_0000_0000_0000, 22;
-}
-
-/// Powers of ten; all of them are exact.
-const POWERS: [f64; 23] = [
-    1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16, 1e17, 1e18, 1e19, 1e20,
-    1e21, 1e22,
-];
-
-/// `float = [ sign ] ( decimal [ "e" [ sign ] digits ] | "inf" | "nan" )`, words in any case
-fn float<F: Real>(text: &[u8]) -> Parsed<'_, F> {
-    let (rest, negative) = sign(text);
-    if let Some((rest, number)) = plain::<F>(rest) {
-        return Ok((rest, if negative { number.negative() } else { number }));
-    }
-    let (rest, number) = match rest {
-        [b'i' | b'I', b'n' | b'N', b'f' | b'F', rest @ ..] => (rest, F::INFINITY),
-        [b'n' | b'N', b'a' | b'A', b'n' | b'N', rest @ ..] => (rest, F::NAN),
-        _ => {
-            let (behind, decimal) = decimal(rest)?;
-            let exact = decimal.short().and_then(|(digits, exponent)| F::exact(digits, exponent));
-            let number = exact.unwrap_or_else(|| long_float(&decimal));
-            if F::is_zero_or_infinite(number) && !decimal.is_zero() {
-                return fault(TextErrorKind::OutOfRange, text);
-            }
-            (behind, number)
-        }
+        },
     };
-    Ok((rest, if negative { number.negative() } else { number }))
+    Ok((rest, if negative { bits | format.sign() } else { bits }))
 }
 
-/// `digits`, when they are few and nothing else follows: what most numbers are, the short way.
+/// `digits`, when they are few and nothing else follows: what most numbers are
 #[inline]
-fn plain<F: Real>(text: &[u8]) -> Option<(&[u8], F)> {
+fn whole_number(text: &[u8]) -> Option<(&[u8], u64)> {
     let mut number = 0_u64;
     let mut rest = text;
     while let [digit @ b'0'..=b'9', behind @ ..] = rest {
         number = number.wrapping_mul(10).wrapping_add(u64::from(digit & 0x0f));
         rest = behind;
     }
-    // 15 digits are below 2^53
-    let short = matches!(text.len().wrapping_sub(rest.len()), 1..=15) && !matches!(rest, [b'.' | b'e' | b'E', ..]);
-    Some((rest, F::exact(number, 0).filter(|_| short)?))
-}
-
-/// A float that takes more than one operation.
-#[inline(never)]
-fn long_float<F: Real>(decimal: &Decimal<'_>) -> F {
-    minimal_lexical::parse_float(decimal.integer.iter(), decimal.fraction.iter(), decimal.exponent)
-}
-
-/// The digits of a number without zeros in front and at the end, as the float parser wants them.
-struct Decimal<'a> {
-    integer: &'a [u8],
-    fraction: &'a [u8],
-    exponent: i32,
-}
-
-impl Decimal<'_> {
-    /// Returns all digits as one number, and its exponent; `None` when there are too many.
-    #[inline]
-    fn short(&self) -> Option<(u64, i32)> {
-        // what goes over 19 digits is refused before the sum could wrap
-        if self.integer.len().saturating_add(self.fraction.len()) > 19 {
-            return None;
-        }
-        let digits = self.integer.iter().chain(self.fraction);
-        let number = digits.fold(0_u64, |n, digit| n.wrapping_mul(10).wrapping_add(u64::from(digit & 0x0f)));
-        Some((number, self.exponent.saturating_sub(i32::try_from(self.fraction.len()).ok()?)))
-    }
-
-    const fn is_zero(&self) -> bool {
-        self.integer.is_empty() && self.fraction.is_empty()
-    }
+    // 19 digits fit 64 bits
+    let fits = matches!(text.len().wrapping_sub(rest.len()), 1..=19);
+    (fits && !matches!(rest, [b'.' | b'e' | b'E', ..])).then_some((rest, number))
 }
 
 /// `decimal [ "e" [ sign ] digits ]`, `decimal = digits [ "." [ digits ] ] | "." digits`
@@ -634,8 +549,7 @@ fn decimal(text: &[u8]) -> Parsed<'_, Decimal<'_>> {
     if let [b'e' | b'E', behind @ ..] = rest {
         (rest, exponent) = exponent_of(behind)?;
     }
-    // the float parser would panic on more digits than its big integers hold; it needs no more than these
-    if text.len().saturating_sub(rest.len()) > MAX_NUMBER {
+    if text.len().saturating_sub(rest.len()) > MAX_DIGITS {
         return fault(TextErrorKind::NumberTooLong, text);
     }
     while let [b'0', behind @ ..] = integer {
@@ -666,7 +580,7 @@ fn is_date(text: &[u8]) -> bool {
 }
 
 /// `date = digits "/" digits "/" digits blank blanks digits ":" digits ":" digits`
-fn date(text: &[u8]) -> Parsed<'_, f64> {
+fn date(text: &[u8]) -> Parsed<'_, u64> {
     let slash = || byte(b'/', TextErrorKind::DateLayout);
     let colon = || byte(b':', TextErrorKind::DateLayout);
     let (rest, (year, month, day)) =
@@ -681,7 +595,7 @@ fn date(text: &[u8]) -> Parsed<'_, f64> {
     let civil =
         || Some(CivilTime::date(year, small(month)?, small(day)?).at(small(hour)?, small(minute)?, small(second)?));
     match civil().and_then(OleDate::from_civil) {
-        Some(date) => Ok((rest, date.raw())),
+        Some(date) => Ok((rest, date.raw().to_bits())),
         None => fault(TextErrorKind::NoSuchDate, text),
     }
 }
@@ -845,7 +759,7 @@ fn print_f32(number: f32, out: &mut Writer<'_>) -> Printed {
     if number.is_finite() {
         return put_finite(zmij::Buffer::new().format_finite(number), out);
     }
-    let quiet = number.to_bits() & 0x7fff_ffff == <f32 as Real>::NAN.to_bits();
+    let quiet = u64::from(number.to_bits() & 0x7fff_ffff) == Format::SINGLE.nan();
     put_special(number.is_sign_negative(), number.is_nan(), quiet, out)
 }
 
@@ -856,7 +770,7 @@ fn print_f64(number: f64, out: &mut Writer<'_>) -> Printed {
     if number.is_finite() {
         return put_finite(zmij::Buffer::new().format_finite(number), out);
     }
-    let quiet = number.to_bits() & 0x7fff_ffff_ffff_ffff == <f64 as Real>::NAN.to_bits();
+    let quiet = number.to_bits() & !Format::DOUBLE.sign() == Format::DOUBLE.nan();
     put_special(number.is_sign_negative(), number.is_nan(), quiet, out)
 }
 
