@@ -64,10 +64,17 @@ impl Format {
     }
 
     /// Returns the bits of the float nearest to a whole number; every `u64` is in the range of both formats.
+    #[inline]
     pub(super) fn of_whole(self, number: u64) -> u64 {
-        match number.leading_zeros() {
-            64 => 0,
-            zeros => self.round(number << zeros, 0_i32.wrapping_sub_unsigned(zeros), false),
+        let Some(top) = number.checked_ilog2() else { return 0 };
+        let zeros = 63_u32.wrapping_sub(top);
+        match self.precision.wrapping_sub(1).checked_sub(top) {
+            // it fits as it is
+            Some(spare) => {
+                let above = 0_i32.wrapping_sub_unsigned(spare).abs_diff(self.least);
+                (u64::from(above) << self.precision.wrapping_sub(1)).wrapping_add(number << spare)
+            }
+            None => self.round(number << zeros, 0_i32.wrapping_sub_unsigned(zeros), false),
         }
     }
 
@@ -374,5 +381,11 @@ mod tests {
         assert_eq!(Format::DOUBLE.infinity(), f64::INFINITY.to_bits());
         assert_eq!((Format::SINGLE.nan(), Format::DOUBLE.nan()), (0x7fc0_0000, 0x7ff8 << 48));
         assert_eq!((Format::SINGLE.of_whole(0), Format::SINGLE.of_whole(16_777_217)), (0, 0x4b80_0000));
+        for number in (0..64).map(|bit| 1_u64 << bit).flat_map(|n| [n, n | 1, n.wrapping_sub(1), n | n >> 1]) {
+            let text = format!("{number}");
+            let (single, double) = (text.parse::<f32>().unwrap(), text.parse::<f64>().unwrap());
+            assert_eq!(Format::SINGLE.of_whole(number), u64::from(single.to_bits()), "{number}");
+            assert_eq!(Format::DOUBLE.of_whole(number), double.to_bits(), "{number}");
+        }
     }
 }
