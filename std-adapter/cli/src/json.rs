@@ -13,8 +13,8 @@
 //! | ARRAY of VARIANT                   | a list of `{"vt":..,"v":..}`                                         |
 //! | ARRAY of anything else             | a list of what stands here for its elements                          |
 //!
-//! A value of unknown VARTYPE, which only lenient decoding lets pass, is `{"vt":16,"opaque":"7f"}` with its bytes
-//! behind the count. It cannot be encoded.
+//! A value of unknown VARTYPE, which only lenient decoding lets pass, is `{"vt":16,"opaque":"010000007f"}` with its
+//! bytes behind the type, the count among them. It cannot be encoded.
 
 use std::borrow::Cow;
 use std::fmt::Write as _;
