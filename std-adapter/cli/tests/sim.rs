@@ -144,8 +144,8 @@ fn signals_end_it_with_0() {
     for signal in ["-INT", "-TERM"] {
         let mut sim = Sim::start(&[]);
         // a client that stays does not keep it
-        let watch = command(&["watch", "I1", "--interval", "1", "--robot", &sim.tcp]).stdout(Stdio::piped()).spawn();
-        let mut watch = watch.unwrap();
+        let mut watch = command(&["watch", "I1", "--interval", "1", "--robot", &sim.tcp]);
+        let mut watch = watch.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
         watch.stdout.as_mut().unwrap().read_exact(&mut [0; 8]).unwrap();
         let kill = |child: &Child| Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
         assert!(kill(&sim.child).success());
