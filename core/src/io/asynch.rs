@@ -3,13 +3,14 @@
 //! With the feature `embedded-io-async`, `Timed` makes a transport of anything that reads and writes and a timer.
 //! Nothing is allocated and no executor is assumed; all futures here may be dropped at any point.
 
+use crate::bcap::Client;
 use crate::bcap::call::{Call, Reply};
-use crate::bcap::client::ClientError;
-use crate::bcap::{Client, Link};
 use crate::hresult::HResult;
-use crate::io::{CallError, ends};
+use crate::io::{CallError, Machine, RacError, Step};
+use crate::rac::{self, Request, Variable};
 use crate::storage::Storage;
 use crate::time::Instant;
+use crate::variant::Variant;
 
 /// What carries the bytes of a client, and knows the time.
 pub trait Transport {
@@ -47,7 +48,7 @@ pub trait Transport {
     ) -> impl Future<Output = Result<Option<usize>, Self::Error>>;
 }
 
-/// A client with its transport.
+/// A client of b-CAP with its transport.
 #[derive(Debug)]
 pub struct Connection<X, T, R = T> {
     transport: X,
@@ -88,66 +89,131 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     /// When the future is dropped the call is given up: what had begun to be sent is finished before the next call,
     /// and the reply, if it comes, is dropped. Whether the controller has executed the call is then unknown.
     pub async fn call<C: Call>(&mut self, call: C) -> Result<<C::Reply as Reply>::Value<'_>, CallError<X::Error>> {
-        self.flush().await?;
+        flush(&mut self.transport, &mut self.client).await?;
         self.client.start(&call, self.transport.now())?;
-        self.wait().await?;
+        wait(&mut self.transport, &mut self.client).await?;
         Ok(self.client.value::<C::Reply>()?)
     }
+}
 
-    /// Sends the rest of a call that was given up.
-    async fn flush(&mut self) -> Result<(), CallError<X::Error>> {
-        self.client.abandon();
-        if self.client.transmit().is_empty() {
-            return Ok(());
-        }
-        let until = self.transport.now().saturating_add(self.client.config().attempt_timeout);
-        while !self.client.transmit().is_empty() {
-            if !self.send(until).await? {
-                return Err(CallError::Client(ClientError::Busy));
-            }
-        }
-        Ok(())
+/// A client of RAC with its transport.
+#[derive(Debug)]
+pub struct RacConnection<X, V> {
+    transport: X,
+    client: rac::client::Client<V>,
+}
+
+impl<X: Transport, V: Storage> RacConnection<X, V> {
+    /// Joins the two.
+    #[must_use]
+    pub const fn new(transport: X, client: rac::client::Client<V>) -> Self {
+        Self { transport, client }
     }
 
-    /// Moves bytes and time until the call has ended.
-    async fn wait(&mut self) -> Result<(), CallError<X::Error>> {
-        while let Some(until) = self.client.poll_timeout() {
-            let idle = self.client.transmit().is_empty();
-            let moved = if idle { self.receive(until).await? } else { self.send(until).await? };
-            let now = self.transport.now();
-            while let Some(event) = self.client.poll_event(now) {
-                if let Some(end) = ends(event) {
-                    return end;
-                }
-            }
-            // after the events, so that a reply that has just come counts
-            if (!moved || now >= until)
-                && let Some(end) = self.client.handle_timeout(now).and_then(ends)
-            {
+    /// Returns the client, to change its time limit.
+    pub const fn client(&mut self) -> &mut rac::client::Client<V> {
+        &mut self.client
+    }
+
+    /// Returns the transport.
+    pub const fn transport(&mut self) -> &mut X {
+        &mut self.transport
+    }
+
+    /// Reads a variable; a reply without a value stands for EMPTY.
+    ///
+    /// # Errors
+    ///
+    /// A [`RacError`]; [`is_recoverable`](RacError::is_recoverable) tells whether the connection is still good.
+    ///
+    /// # Cancel safety
+    ///
+    /// When the future is dropped the request is given up: what had begun to be sent is finished, and its reply is
+    /// awaited and dropped, before the next one. Whether the controller has carried it out is then unknown.
+    pub async fn get(&mut self, variable: Variable) -> Result<Variant<'_>, RacError<X::Error>> {
+        self.request(&Request::Get(variable)).await?;
+        Ok(self.client.reply().and_then(|reply| reply.value).unwrap_or(Variant::Empty))
+    }
+
+    /// Writes a variable.
+    ///
+    /// # Errors
+    ///
+    /// As [`get`](Self::get), and [`Request`](rac::client::ClientError::Request) for a value that has no text.
+    ///
+    /// # Cancel safety
+    ///
+    /// When the future is dropped the request is given up: what had begun to be sent is finished, and its reply is
+    /// awaited and dropped, before the next one. Whether the controller has carried it out is then unknown.
+    pub async fn put(&mut self, variable: Variable, value: Variant<'_>) -> Result<(), RacError<X::Error>> {
+        self.request(&Request::Put(variable, value)).await
+    }
+
+    async fn request(&mut self, request: &Request<'_>) -> Result<(), RacError<X::Error>> {
+        flush(&mut self.transport, &mut self.client).await?;
+        self.client.start(request, self.transport.now())?;
+        wait(&mut self.transport, &mut self.client).await
+    }
+}
+
+type Ended<X, M> = Result<(), CallError<<X as Transport>::Error, <M as Machine>::Error>>;
+type Moved<X, M> = Result<bool, CallError<<X as Transport>::Error, <M as Machine>::Error>>;
+
+/// Sends the rest of a call that was given up.
+async fn flush<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
+    client.abandon();
+    if client.transmit().is_empty() {
+        return Ok(());
+    }
+    let until = transport.now().saturating_add(client.patience());
+    while !client.transmit().is_empty() {
+        if !send(transport, client, until).await? {
+            return Err(CallError::Client(M::BUSY));
+        }
+    }
+    Ok(())
+}
+
+/// Moves bytes and time until the call has ended.
+async fn wait<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
+    while let Some(until) = client.poll_timeout() {
+        let moved = match client.transmit() {
+            [] => receive(transport, client, until).await?,
+            _ => send(transport, client, until).await?,
+        };
+        let now = transport.now();
+        while let Some(step) = client.poll(now) {
+            if let Some(end) = step.end() {
                 return end;
             }
         }
-        Err(CallError::Client(ClientError::Closed))
-    }
-
-    /// Sends what it can; `false` when the time was over first.
-    async fn send(&mut self, until: Instant) -> Result<bool, CallError<X::Error>> {
-        let sent = self.transport.send(self.client.transmit(), until).await.map_err(CallError::Io)?;
-        self.client.transmitted(sent.unwrap_or(0));
-        Ok(sent.is_some())
-    }
-
-    /// Receives what there is; `false` when the time was over first.
-    async fn receive(&mut self, until: Instant) -> Result<bool, CallError<X::Error>> {
-        let received = self.transport.receive(self.client.receive_buffer(), until).await.map_err(CallError::Io)?;
-        match received {
-            Some(0) if self.client.config().link != Link::Datagram => Err(CallError::Disconnected),
-            Some(count) => {
-                self.client.received(count);
-                Ok(true)
-            }
-            None => Ok(false),
+        // after the events, so that a reply that has just come counts
+        if (!moved || now >= until)
+            && let Some(end) = client.handle_timeout(now).and_then(Step::end)
+        {
+            return end;
         }
+    }
+    Err(CallError::Client(M::CLOSED))
+}
+
+/// Sends what it can; `false` when the time was over first.
+async fn send<X: Transport, M: Machine>(transport: &mut X, client: &mut M, until: Instant) -> Moved<X, M> {
+    let sent = transport.send(client.transmit(), until).await.map_err(CallError::Io)?;
+    client.transmitted(sent.unwrap_or(0));
+    Ok(sent.is_some())
+}
+
+/// Receives what there is; `false` when the time was over first.
+async fn receive<X: Transport, M: Machine>(transport: &mut X, client: &mut M, until: Instant) -> Moved<X, M> {
+    let received = transport.receive(client.receive_buffer(), until).await.map_err(CallError::Io)?;
+    match received {
+        Some(0) if !client.has_datagrams() => Err(CallError::Disconnected),
+        Some(count) => {
+            client.received(count);
+            Ok(true)
+        }
+        None => Ok(false),
     }
 }
 
