@@ -8,7 +8,8 @@ use std::io;
 use std::net::SocketAddr;
 
 use bcap_core::bcap::Client;
-pub use bcap_core::io::asynch::{Connection, Transport};
+pub use bcap_core::io::asynch::{Connection, RacConnection, Transport};
+use bcap_core::rac;
 use bcap_core::time::Instant;
 use socket2::SockRef;
 use tokio::net::{TcpStream, ToSocketAddrs, UdpSocket, lookup_host};
@@ -21,6 +22,9 @@ use crate::connect::{self, ConnectError, DATAGRAM_ROOM, Options, STREAM_ROOM};
 pub type TcpClient = Connection<TcpTransport, Vec<u8>>;
 /// A client over UDP.
 pub type UdpClient = Connection<UdpTransport, Vec<u8>>;
+
+/// A client of RAC.
+pub type RacClient = RacConnection<TcpTransport, [u8; rac::MAX_VALUE]>;
 
 /// Connects a client over TCP.
 ///
@@ -35,6 +39,20 @@ pub async fn connect_tcp<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -
     let transport = TcpTransport::new(connect_stream(peer, options).await?);
     let client = Client::new(options.tcp, vec![0; STREAM_ROOM], vec![0; STREAM_ROOM]);
     Ok(Connection::new(transport, client))
+}
+
+/// Connects a client of RAC.
+///
+/// # Errors
+///
+/// A [`ConnectError`] for the last address that was tried.
+///
+/// # Cancel safety
+///
+/// When the future is dropped the connection is.
+pub async fn connect_rac<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Result<RacClient, ConnectError> {
+    let transport = TcpTransport::new(connect_stream(peer, options).await?);
+    Ok(RacConnection::new(transport, rac::client::Client::new(options.rac, [0; rac::MAX_VALUE])))
 }
 
 /// Connects a TCP stream and sets it up for short messages.

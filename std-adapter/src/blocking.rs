@@ -1,7 +1,8 @@
 //! Clients that block.
 //!
-//! [`connect_tcp`] and [`connect_udp`] take a name or an address, IPv4 or IPv6. What they return is a
-//! [`Connection`] of the core: its `call` makes a typed call and waits for the reply.
+//! [`connect_tcp`], [`connect_udp`] and [`connect_rac`] take a name or an address, IPv4 or IPv6. What they return is a
+//! [`Connection`] of the core, whose `call` makes a typed call and waits for the reply, or a [`RacConnection`], whose
+//! `get` and `put` do the same for variables.
 
 use std::fmt::Debug;
 use std::io;
@@ -9,7 +10,8 @@ use std::net::{TcpStream, ToSocketAddrs, UdpSocket};
 use std::time::Duration;
 
 use bcap_core::bcap::Client;
-pub use bcap_core::io::blocking::{Connection, Transport};
+pub use bcap_core::io::blocking::{Connection, RacConnection, Transport};
+use bcap_core::rac;
 use bcap_core::time::Instant;
 
 use crate::clock::{now, until};
@@ -19,6 +21,9 @@ use crate::connect::{self, ConnectError, DATAGRAM_ROOM, Options, STREAM_ROOM};
 pub type TcpClient = Connection<TcpTransport, Vec<u8>>;
 /// A client over UDP.
 pub type UdpClient = Connection<UdpTransport, Vec<u8>>;
+
+/// A client of RAC.
+pub type RacClient = RacConnection<TcpTransport, [u8; rac::MAX_VALUE]>;
 
 /// Connects a client over TCP.
 ///
@@ -40,6 +45,16 @@ pub fn connect_udp<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Resu
     let transport = UdpTransport::new(connect::udp(peer)?);
     let client = Client::new(options.udp, vec![0; DATAGRAM_ROOM], vec![0; DATAGRAM_ROOM]);
     Ok(Connection::new(transport, client))
+}
+
+/// Connects a client of RAC.
+///
+/// # Errors
+///
+/// A [`ConnectError`] for the last address that was tried.
+pub fn connect_rac<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Result<RacClient, ConnectError> {
+    let transport = TcpTransport::new(connect::tcp(peer, options)?);
+    Ok(RacConnection::new(transport, rac::client::Client::new(options.rac, [0; rac::MAX_VALUE])))
 }
 
 /// A TCP stream as a transport; made by [`connect_tcp`], or of any connected stream.

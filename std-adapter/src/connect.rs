@@ -21,6 +21,8 @@ pub struct Options {
     pub tcp: Config,
     /// The time limits and attempts of UDP calls.
     pub udp: Config,
+    /// The time limit of requests over RAC.
+    pub rac: bcap_core::rac::client::Config,
     /// The silence on TCP after which the operating system probes the peer; `None` never does.
     pub keep_alive: Option<Duration>,
 }
@@ -31,6 +33,7 @@ impl Default for Options {
             connect_timeout: Duration::from_secs(3),
             tcp: Config::TCP,
             udp: Config::UDP,
+            rac: bcap_core::rac::client::Config::TCP,
             keep_alive: Some(Duration::from_secs(60)),
         }
     }
@@ -44,6 +47,7 @@ impl Options {
             connect_timeout: timeout,
             tcp: Config { attempt_timeout: timeout, ..self.tcp },
             udp: Config { attempt_timeout: timeout, ..self.udp },
+            rac: bcap_core::rac::client::Config { timeout },
             ..self
         }
     }

@@ -2,7 +2,7 @@
 //!
 //! | module       | feature  | what it is                                                              |
 //! |--------------|----------|-------------------------------------------------------------------------|
-//! | [`blocking`] |          | clients that block, over TCP and UDP                                    |
+//! | [`blocking`] |          | clients that block: b-CAP over TCP and UDP, RAC over TCP                |
 //! | `asynch`     | `tokio`  | the same clients for tokio                                              |
 //! | `server`     | `server` | a server for any handler: b-CAP over TCP and UDP, RAC over TCP          |
 //!
@@ -41,3 +41,6 @@ pub use connect::{ConnectError, Options};
 
 /// A failed call of a client of this crate.
 pub type CallError = bcap_core::io::CallError<std::io::Error>;
+
+/// A failed request of a client of RAC of this crate.
+pub type RacError = bcap_core::io::RacError<std::io::Error>;

@@ -1,18 +1,22 @@
-//! The server's RAC side, over real sockets on the loopback.
+//! RAC over real sockets on the loopback: the server, and both clients.
 #![cfg(feature = "server")]
 
 use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 use bcap_core::bcap;
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
-use bcap_core::rac::{Request, VariableKind, server};
+use bcap_core::io::CallError;
+use bcap_core::rac::client::{ClientError, Timeout};
+use bcap_core::rac::{Request, Variable, VariableKind, server};
 use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
 use bcap_std::server::{Limits, Server};
+use bcap_std::{Options, asynch, blocking};
 use tokio::sync::oneshot;
 
 /// One integer, I0; a read of I1 waits until I0 is 0.
@@ -148,4 +152,50 @@ fn a_peer_that_goes_is_told_to_the_handler_and_a_stop_closes_connections() {
     server.stop();
     assert_eq!(stream.read(&mut [0; 8]).unwrap(), 0);
     assert_eq!(server.counter.lock().unwrap().left, 1);
+}
+
+/// Reads, writes, is refused, and goes on.
+macro_rules! session {
+    ($client:expr $(, $wait:tt)?) => {{
+        let client = &mut $client;
+        let (first, other) = (Variable::new(VariableKind::I, 0), Variable::new(VariableKind::D, 0));
+        assert_eq!(client.get(first)$(.$wait)?.unwrap(), Variant::I4(41));
+        client.put(first, Variant::I4(-7))$(.$wait)?.unwrap();
+        assert_eq!(client.get(other)$(.$wait)?.unwrap_err().hresult(), Some(HResult::E_INVALIDARG));
+        assert_eq!(client.get(first)$(.$wait)?.unwrap(), Variant::I4(-7));
+        // what has no text is the caller's fault, and nothing is sent
+        let error = client.put(first, Variant::R8(f64::from_bits(0x7ff8_0000_0000_0001)))$(.$wait)?.unwrap_err();
+        assert!(matches!(error, CallError::Client(ClientError::Request(_))), "{error}");
+        assert_eq!(client.get(first)$(.$wait)?.unwrap(), Variant::I4(-7));
+    }};
+}
+
+#[test]
+fn a_blocking_client_reads_writes_and_is_refused() {
+    let server = start(Limits::default());
+    session!(blocking::connect_rac(server.address, &Options::default()).unwrap());
+}
+
+#[tokio::test]
+async fn a_tokio_client_reads_writes_and_is_refused() {
+    let server = start(Limits::default());
+    session!(asynch::connect_rac(server.address, &Options::default()).await.unwrap(), await);
+}
+
+#[test]
+fn a_reply_that_is_late_is_awaited_and_never_taken_for_another() {
+    let server = start(Limits::default());
+    let options = Options::default().timeout(Duration::from_millis(150));
+    let mut client = blocking::connect_rac(server.address, &options).unwrap();
+    let (count, zero) = (Variable::new(VariableKind::I, 0), Variable::new(VariableKind::I, 1));
+    // the server holds this reply back until the count is 0
+    let error = client.get(zero).unwrap_err();
+    assert!(matches!(error, CallError::Client(ClientError::Timeout(Timeout::Reply))), "{error}");
+    assert!(error.is_recoverable());
+    let error = client.put(count, Variant::I4(5)).unwrap_err();
+    assert!(matches!(error, CallError::Client(ClientError::Timeout(Timeout::Outstanding))), "{error}");
+    let mut other = blocking::connect_rac(server.address, &options).unwrap();
+    other.put(count, Variant::I4(0)).unwrap();
+    other.put(count, Variant::I4(9)).unwrap();
+    assert_eq!(client.get(count).unwrap(), Variant::I4(9));
 }
