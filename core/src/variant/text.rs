@@ -415,8 +415,14 @@ fn number<'a>(element: VarType, text: &'a [u8], nested: bool, out: &mut Writer<'
             (rest, number.to_wire(element).ok_or(Fault::new(TextErrorKind::OutOfRange, text))?)
         }
     };
-    let bytes = bits.to_le_bytes();
-    out.put_slice(bytes.get(..width).unwrap_or_default()).map_err(|_| Fault::new(TextErrorKind::Full, text))?;
+    let [a, b, c, d, ..] = bits.to_le_bytes();
+    let put = match width {
+        1 => out.put([a]),
+        2 => out.put([a, b]),
+        4 => out.put([a, b, c, d]),
+        _ => out.put(bits.to_le_bytes()),
+    };
+    put.map_err(|_| Fault::new(TextErrorKind::Full, text))?;
     Ok(rest)
 }
 
@@ -499,24 +505,30 @@ pub(crate) fn integer(text: &[u8]) -> Parsed<'_, Integer> {
 }
 
 /// `float = [ sign ] ( decimal [ "e" [ sign ] digits ] | "inf" | "nan" )`, words in any case; its bits
+#[inline]
 fn float(text: &[u8], format: Format) -> Parsed<'_, u64> {
     let (unsigned, negative) = sign(text);
-    let (rest, bits) = match unsigned {
-        [b'i' | b'I', b'n' | b'N', b'f' | b'F', rest @ ..] => (rest, format.infinity()),
-        [b'n' | b'N', b'a' | b'A', b'n' | b'N', rest @ ..] => (rest, format.nan()),
-        _ => match whole_number(unsigned) {
-            Some((rest, number)) => (rest, format.of_whole(number)),
-            None => {
-                let (rest, decimal) = decimal(unsigned)?;
-                match format.of_decimal(&decimal) {
-                    Some(bits) => (rest, bits),
-                    None if decimal.integer.is_empty() && decimal.fraction.is_empty() => (rest, 0),
-                    None => return fault(TextErrorKind::OutOfRange, text),
-                }
-            }
-        },
+    let (rest, bits) = match whole_number(unsigned) {
+        Some((rest, number)) => (rest, format.of_whole(number)),
+        None => other_float(text, unsigned, format)?,
     };
     Ok((rest, if negative { bits | format.sign() } else { bits }))
+}
+
+/// `decimal [ "e" [ sign ] digits ] | "inf" | "nan"`
+#[inline(never)]
+fn other_float<'a>(text: &'a [u8], unsigned: &'a [u8], format: Format) -> Parsed<'a, u64> {
+    match unsigned {
+        [b'i' | b'I', b'n' | b'N', b'f' | b'F', rest @ ..] => return Ok((rest, format.infinity())),
+        [b'n' | b'N', b'a' | b'A', b'n' | b'N', rest @ ..] => return Ok((rest, format.nan())),
+        _ => {}
+    }
+    let (rest, decimal) = decimal(unsigned)?;
+    match format.of_decimal(&decimal) {
+        Some(bits) => Ok((rest, bits)),
+        None if decimal.integer.is_empty() && decimal.fraction.is_empty() => Ok((rest, 0)),
+        None => fault(TextErrorKind::OutOfRange, text),
+    }
 }
 
 /// `digits`, when they are few and nothing else follows: what most numbers are
