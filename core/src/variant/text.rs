@@ -398,17 +398,14 @@ fn number<'a>(element: VarType, text: &'a [u8], nested: bool, out: &mut Writer<'
         return Err(Fault::new(TextErrorKind::Missing, text));
     }
     let (rest, (bits, width)) = match element {
-        VarType::R4 => {
-            let (rest, bits) = float(text, Format::SINGLE)?;
-            (rest, (bits, 4))
-        }
-        VarType::R8 => {
-            let (rest, bits) = float(text, Format::DOUBLE)?;
+        VarType::DATE if is_date(text) => {
+            let (rest, bits) = date(text)?;
             (rest, (bits, 8))
         }
-        VarType::DATE => {
-            let (rest, bits) = if is_date(text) { date(text)? } else { float(text, Format::DOUBLE)? };
-            (rest, (bits, 8))
+        VarType::R4 | VarType::R8 | VarType::DATE => {
+            let (format, width) = if element == VarType::R4 { (Format::SINGLE, 4) } else { (Format::DOUBLE, 8) };
+            let (rest, bits) = float(text, format)?;
+            (rest, (bits, width))
         }
         _ => {
             let (rest, number) = integer(text)?;
