@@ -13,9 +13,9 @@ use crate::target::Target;
 
 /// Talks to DENSO robot controllers over b-CAP and RAC, and takes their traffic apart.
 #[derive(Debug, Parser)]
-#[command(name = "bcap", version, propagate_version = true, after_help = EXIT_CODES)]
+#[command(name = "bcap", version, after_help = EXIT_CODES)]
 pub(crate) struct Cli {
-    /// Prints results as JSON, one object a line
+    /// Prints results as JSON, one object a line; a failure is then {"error":...} as well
     #[arg(long, global = true)]
     pub(crate) json: bool,
 
@@ -294,7 +294,7 @@ pub(crate) struct Demo {}
 
 /// Takes frames or values apart
 ///
-/// One HEX is printed field by field with its offsets. With `-` each line of the standard input is one item and gives one
+/// HEX is printed field by field with its offsets; it may hold several frames, one behind the other. With `-` each line of the standard input is one item and gives one
 /// line; a bad one gives {"error":...,"offset":...}, and the exit code is 2 at the end. HEX may have blanks, colons, commas
 /// and 0x prefixes between bytes.
 #[derive(Debug, Args)]

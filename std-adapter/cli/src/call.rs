@@ -39,27 +39,24 @@ fn call_in(session: &mut Session, function: FunctionId, arguments: &[Argument], 
         })
         .collect::<Result<Vec<_>, _>>()?;
     let (code, value) = session.call_for_code(function, &values)?;
-    if code.is_ok() {
-        session.note(function, &values, value.as_ref());
+    if code.is_err() {
+        return Err(Failure::Refused { doing: usage(function), code });
     }
-    print_reply(code, value.as_ref(), json)?;
-    if code.is_err() { Err(Failure::Refused { doing: function.to_string(), code }) } else { Ok(()) }
+    session.note(function, &values, value.as_ref());
+    print_reply(code, value.as_ref(), json)
 }
 
-/// Prints what a call has given: its value, or `{"code":0,"name":"S_OK","value":{"vt":3,"v":5}}`.
+/// Prints what a successful call has given: its value, or `{"code":0,"name":"S_OK","value":{"vt":3,"v":5}}`.
 fn print_reply(code: HResult, value: Option<&Value>, json: bool) -> Result<(), Failure> {
     if json {
         let name = serde_json::Value::from(code.name());
         let value = value.map_or("null".into(), Value::to_json);
         return print_line(&format!("{{\"code\":{},\"name\":{name},\"value\":{value}}}", code.0));
     }
-    if code.is_ok() && code != HResult::S_OK {
+    if code != HResult::S_OK {
         print_line(&code.to_string())?;
     }
-    match value {
-        Some(value) if code.is_ok() => print_line(&plain::to_plain(value.as_variant())),
-        _ => Ok(()),
-    }
+    value.map_or(Ok(()), |value| print_line(&plain::to_plain(value.as_variant())))
 }
 
 /// An argument of a call.
@@ -135,11 +132,10 @@ pub(crate) fn exec(args: &Exec, link: &LinkArgs, json: bool) -> Result<(), Failu
         let handle = session.object(&path)?;
         let arguments = [integer(handle)?, text(&args.command)?, parameter];
         let (code, value) = session.call_for_code(function, &arguments)?;
-        print_reply(code, value.as_ref(), json)?;
         if code.is_err() {
             return Err(Failure::Refused { doing: format!("{path}: {}", args.command), code });
         }
-        Ok(())
+        print_reply(code, value.as_ref(), json)
     })
 }
 

@@ -2,14 +2,15 @@
 
 use std::str;
 
-use bcap_core::bcap::Decoder;
+use bcap_core::bcap::{Decoder, Progress};
+use bcap_core::error::DecodeError;
 use bcap_core::limits::Strictness;
 use bcap_core::variant::Variant;
 
 use crate::args::{Decode, Encode};
 use crate::dissect::dissect;
 use crate::error::Failure;
-use crate::frame;
+use crate::frame::{self, Role};
 use crate::hex;
 use crate::item::{ItemError, Items, Place};
 use crate::json::{self, LIMITS, Part};
@@ -17,25 +18,49 @@ use crate::json::{self, LIMITS, Part};
 /// Runs `bcap decode`.
 pub(crate) fn decode(args: &Decode, json: bool) -> Result<(), Failure> {
     let strictness = if args.lenient { Strictness::Lenient } else { Strictness::Strict };
-    Items::from_words(&args.hex).convert(json, |text, place| {
+    let decoder = Decoder { limits: LIMITS, strictness, crc: args.form.com };
+    Items::from_words(&args.hex).convert(|text, place| {
         let bytes = hex::parse(text)?;
-        if args.form.variant {
-            let value = Variant::decode(&bytes, &LIMITS, strictness)?;
-            return Ok(if json { value_json(value) } else { format!("{value:?}") });
+        match place {
+            _ if args.form.variant => {
+                let value = Variant::decode(&bytes, &LIMITS, strictness)?;
+                Ok(if json { value_json(value) } else { format!("{value:?}") })
+            }
+            Place::Line => {
+                let frame = decoder.decode_datagram(&bytes)?;
+                Ok(if json { frame::to_json(&frame, args.form.role) } else { frame::to_line(&frame, args.form.role) })
+            }
+            Place::Argument => all_frames(&bytes, decoder, args.form.role, json),
         }
-        let frame = Decoder { limits: LIMITS, strictness, crc: args.form.com }.decode_datagram(&bytes)?;
-        Ok(match (json, place, strictness) {
-            (true, ..) => frame::to_json(&frame, args.form.role),
-            (false, Place::Argument, Strictness::Strict) => dissect(&bytes, &frame, args.form.role, args.form.com),
-            // where lengths may lie, there is no saying which byte belongs to what
-            _ => frame::to_line(&frame, args.form.role),
-        })
     })
 }
 
+/// Decodes frames one behind the other, as a capture of a stream holds them.
+fn all_frames(bytes: &[u8], decoder: Decoder, role: Role, json: bool) -> Result<String, ItemError> {
+    let mut frames = Vec::new();
+    let mut at = 0;
+    while at == 0 || at < bytes.len() {
+        let rest = bytes.get(at..).unwrap_or_default();
+        let placed = |error: DecodeError| DecodeError { offset: error.offset + at, ..error };
+        let (frame, length) = match decoder.decode(rest).map_err(placed)? {
+            Progress::Complete(frame, length) => (frame, length),
+            // says how much is missing
+            Progress::NeedMore(_) => (decoder.decode_datagram(rest).map_err(placed)?, rest.len()),
+        };
+        frames.push(match (json, decoder.strictness) {
+            (true, _) => frame::to_json(&frame, role),
+            (false, Strictness::Strict) => dissect(rest.get(..length).unwrap_or(rest), &frame, role, decoder.crc),
+            // where lengths may lie, there is no saying which byte belongs to what
+            (false, Strictness::Lenient) => frame::to_line(&frame, role),
+        });
+        at += length;
+    }
+    Ok(frames.join(if json || decoder.strictness == Strictness::Lenient { "\n" } else { "\n\n" }))
+}
+
 /// Runs `bcap encode`.
-pub(crate) fn encode(args: &Encode, json: bool) -> Result<(), Failure> {
-    Items::from_words(&args.line).convert(json, |text, _| {
+pub(crate) fn encode(args: &Encode) -> Result<(), Failure> {
+    Items::from_words(&args.line).convert(|text, _| {
         let text =
             str::from_utf8(text).map_err(|error| ItemError::new("the text is not UTF-8", error.valid_up_to()))?;
         let bytes = if args.form.variant {

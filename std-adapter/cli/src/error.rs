@@ -7,13 +7,19 @@
 //! | 2    | wrong usage, or input that cannot be read              |
 //! | 3    | no connection, or a connection that broke              |
 //! | 4    | the controller did not answer in time                  |
+//!
+//! With `--json` a failure is a line of the output as well: `{"error":...}`, with `offset` for input that cannot be read,
+//! `code` and `hresult` for a refusal, `name` for the variable that was refused, and `hint`.
 
 use std::io::{self, Write};
 use std::process::ExitCode;
 
 use anstyle::{AnsiColor, Style};
 use bcap_core::hresult::HResult;
+use serde::Serialize;
 use thiserror::Error;
+
+use crate::item::{ItemError, print_line};
 
 const RED: Style = AnsiColor::Red.on_default().bold();
 const CYAN: Style = AnsiColor::Cyan.on_default();
@@ -24,6 +30,9 @@ pub(crate) enum Failure {
     /// What the user gave cannot be read, or does not make sense.
     #[error("{0}")]
     Input(String),
+    /// The item on the command line cannot be converted.
+    #[error("{}", .0.message)]
+    Item(ItemError),
     /// Some lines could not be converted; each has been reported in its place.
     #[error("{0} of the lines could not be converted; the output has an error in place of each")]
     BadLines(usize),
@@ -68,7 +77,7 @@ impl Failure {
     fn code(&self) -> u8 {
         match self {
             Self::Refused { .. } | Self::SomeRefused { .. } => 1,
-            Self::Input(_) | Self::BadLines(_) | Self::Stdio(_) => 2,
+            Self::Input(_) | Self::Item(_) | Self::BadLines(_) | Self::Stdio(_) => 2,
             Self::Connection { .. } => 3,
             Self::Timeout { .. } => 4,
         }
@@ -79,7 +88,7 @@ impl Failure {
         match self {
             Self::Refused { code, .. } => code.hint(),
             Self::Connection { hint, .. } | Self::Timeout { hint, .. } => Some(hint),
-            Self::Input(_) | Self::BadLines(_) | Self::SomeRefused { .. } | Self::Stdio(_) => None,
+            Self::Input(_) | Self::Item(_) | Self::BadLines(_) | Self::SomeRefused { .. } | Self::Stdio(_) => None,
         }
     }
 
@@ -89,26 +98,58 @@ impl Failure {
     }
 
     /// Prints what went wrong and what to do, and returns the code to exit with.
-    pub(crate) fn report(&self) -> ExitCode {
+    pub(crate) fn report(&self, json: bool) -> ExitCode {
         if let Self::Stdio(error) = self
             && error.kind() == io::ErrorKind::BrokenPipe
         {
             // whoever read the output, such as `head`, has seen enough
             return ExitCode::SUCCESS;
         }
-        self.print();
+        self.print(json, None);
         ExitCode::from(self.code())
     }
 
-    /// Prints what went wrong and what to do.
-    pub(crate) fn print(&self) {
-        let mut err = anstream::stderr().lock();
+    /// Prints what went wrong and what to do; with `json` also as a line of the output, about `name` if there is one.
+    pub(crate) fn print(&self, json: bool, name: Option<&str>) {
         // nobody is left to be told when even this fails
+        if json && let Some(line) = self.to_json(name) {
+            let _ = print_line(&line);
+        }
+        let mut err = anstream::stderr().lock();
         let _ = writeln!(err, "{RED}error:{RED:#} {self}");
         if let Some(hint) = self.hint() {
             let _ = writeln!(err, " {CYAN}hint:{CYAN:#} {hint}");
         }
     }
+
+    /// Returns the line of the output that tells of the failure; `None` when its parts have been told already.
+    fn to_json(&self, name: Option<&str>) -> Option<String> {
+        let mut line =
+            Line { name, error: self.to_string(), offset: None, code: None, hresult: None, hint: self.hint() };
+        match self {
+            Self::BadLines(_) | Self::SomeRefused { .. } => return None,
+            Self::Item(item) => line.offset = Some(item.offset),
+            Self::Refused { code, .. } => (line.code, line.hresult) = (Some(code.0), code.name()),
+            Self::Input(_) | Self::Connection { .. } | Self::Timeout { .. } | Self::Stdio(_) => {}
+        }
+        serde_json::to_string(&line).ok()
+    }
+}
+
+/// A failure as a line of the output.
+#[derive(Serialize)]
+struct Line<'a> {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    name: Option<&'a str>,
+    error: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    offset: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    code: Option<i32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    hresult: Option<&'static str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    hint: Option<&'a str>,
 }
 
 /// Returns the meaning of a code as the end of a sentence.

@@ -82,23 +82,12 @@ impl Items {
     }
 
     /// Converts every item and prints what comes of it.
-    ///
-    /// `json` also reports the error of an item from the command line as a JSON line.
     pub(crate) fn convert(
         self,
-        json: bool,
         mut convert: impl FnMut(&[u8], Place) -> Result<String, ItemError>,
     ) -> Result<(), Failure> {
         match self {
-            Self::One(text) => match convert(text.as_bytes(), Place::Argument) {
-                Ok(converted) => print_line(&converted),
-                Err(error) => {
-                    if json {
-                        print_line(&error.to_json())?;
-                    }
-                    Err(Failure::Input(error.message))
-                }
-            },
+            Self::One(text) => print_line(&convert(text.as_bytes(), Place::Argument).map_err(Failure::Item)?),
             Self::Lines => {
                 let bad = each_line(io::stdin().lock(), io::stdout().lock(), |line| convert(line, Place::Line))?;
                 if bad > 0 { Err(Failure::BadLines(bad)) } else { Ok(()) }

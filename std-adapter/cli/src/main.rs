@@ -32,9 +32,10 @@ use crate::args::{Cli, Command};
 use crate::error::Failure;
 
 fn main() -> ExitCode {
-    match run(&Cli::parse()) {
+    let cli = Cli::parse();
+    match run(&cli) {
         Ok(()) => ExitCode::SUCCESS,
-        Err(failure) => failure.report(),
+        Err(failure) => failure.report(cli.json),
     }
 }
 
@@ -50,7 +51,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Sim(args) => sim::sim(args),
         Command::Demo(_) => demo::demo(),
         Command::Decode(args) => decode::decode(args, cli.json),
-        Command::Encode(args) => decode::encode(args, cli.json),
+        Command::Encode(args) => decode::encode(args),
         Command::Text(args) => text::text(args, cli.json),
         Command::Completions(args) => completions(args),
     }

@@ -50,10 +50,17 @@ pub(crate) fn from_input(text: &str, current: Variant<'_>) -> Result<Value, Text
 }
 
 /// Writes a value for people: the data alone, or as Rust would write it when it has no text.
+///
+/// A date that its text does not tell exactly is for people a date all the same.
 pub(crate) fn to_plain(value: Variant<'_>) -> String {
     let text = value::to_text(value).ok();
     let data = text.as_deref().and_then(|text| text.split_once(',')).map(|(_, data)| data.to_owned());
-    data.filter(|data| !data.is_empty() || value.as_bstr().is_some()).unwrap_or_else(|| format!("{value:?}"))
+    let tells = |data: &String| match value {
+        Variant::Bstr(_) => true,
+        Variant::Date(_) => data.contains('/'),
+        _ => !data.is_empty(),
+    };
+    data.filter(tells).unwrap_or_else(|| format!("{value:?}"))
 }
 
 /// Returns the number of elements of an array, `None` for a scalar.
@@ -74,7 +81,7 @@ fn column(column: usize) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use bcap_core::variant::Encode;
+    use bcap_core::variant::{Encode, OleDate};
 
     #[track_caller]
     fn input(text: &str, current: &impl Encode) -> String {
@@ -134,6 +141,8 @@ mod tests {
         assert_eq!(plain(&"a,b"), "a,b");
         assert_eq!(plain(&""), "");
         assert_eq!(plain(&()), "EMPTY");
+        assert_eq!(plain(&OleDate::from_raw(1.5)), "1899/12/31 12:00:00");
+        assert_eq!(plain(&OleDate::from_raw(1.123)), format!("{:?}", Variant::Date(OleDate::from_raw(1.123))));
         assert_eq!(plain(&[0_i32; 0]), "I4[]");
     }
 }

@@ -36,7 +36,7 @@ fn get(args: &Get, link: &LinkArgs, json: bool) -> Result<(), Failure> {
             Ok(value) => print_line(&shown(name, &value, json))?,
             // the others can still be had
             Err(failure @ Failure::Refused { .. }) if variables.len() > 1 => {
-                failure.print();
+                failure.print(json, Some(name));
                 refused += 1;
             }
             Err(failure) => return Err(failure),

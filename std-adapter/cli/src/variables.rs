@@ -6,7 +6,7 @@ use bcap_core::variant::Variant;
 use crate::args::{Get, LinkArgs, Put};
 use crate::error::Failure;
 use crate::item::print_line;
-use crate::object::Path;
+use crate::object::{Path, Step, word};
 use crate::plain;
 use crate::session::{Session, integer, strings, text, with_session};
 use crate::value::Value;
@@ -21,7 +21,7 @@ pub(crate) fn get(args: &Get, link: &LinkArgs, json: bool) -> Result<(), Failure
                 Ok(value) => print_line(&shown(name, &value, json))?,
                 // the others can still be had
                 Err(failure @ Failure::Refused { .. }) if paths.len() > 1 => {
-                    failure.print();
+                    failure.print(json, Some(name));
                     refused += 1;
                 }
                 Err(failure) => return Err(failure),
@@ -112,7 +112,7 @@ pub(crate) fn names(link: &LinkArgs, json: bool) -> Result<(), Failure> {
                 names => names?,
             };
             for name in names {
-                let path = Path { steps: vec![crate::object::Step { object, name: Some(name) }] };
+                let path = Path { steps: vec![Step { object, name: Some(name) }] };
                 print_name(&path, json)?;
                 let inner = match object {
                     Object::Robot => FunctionId::ROBOT_GET_VARIABLE_NAMES,
@@ -124,7 +124,7 @@ pub(crate) fn names(link: &LinkArgs, json: bool) -> Result<(), Failure> {
                     variables => {
                         for variable in variables? {
                             let mut path = path.clone();
-                            path.steps.push(crate::object::Step { object: Object::Variable, name: Some(variable) });
+                            path.steps.push(Step { object: Object::Variable, name: Some(variable) });
                             print_name(&path, json)?;
                         }
                     }
@@ -150,7 +150,7 @@ fn list(session: &mut Session, owner: &Path, function: FunctionId) -> Result<Vec
 
 fn print_name(path: &Path, json: bool) -> Result<(), Failure> {
     if json {
-        let kind = crate::object::word(path.object());
+        let kind = word(path.object());
         print_line(&serde_json::json!({ "kind": kind, "name": path.to_string() }).to_string())
     } else {
         print_line(&path.to_string())

@@ -154,6 +154,23 @@ offset  bytes                          field
 }
 
 #[test]
+fn frames_one_behind_the_other_are_all_shown() {
+    let two = format!("{FRAME}01100000000500000002000000000004");
+    let run = bcap(&["decode", "--json", &two]);
+    let codes: Vec<Value> =
+        run.out.lines().map(|l| serde_json::from_str::<Value>(l).unwrap()["code"].clone()).collect();
+    assert_eq!((codes, run.code), (vec![json!(101), json!(2)], 0));
+    assert_eq!(bcap(&["decode", &two]).out.matches("SOH").count(), 2);
+    // what is wrong behind the first frame is placed in the whole
+    let run = bcap(&["decode", "--json", &format!("{FRAME}ff")]);
+    assert_eq!((run.code, serde_json::from_str::<Value>(&run.out).unwrap()["offset"].clone()), (2, json!(30)));
+    let run = bcap(&["decode", "--json", &two[..two.len() - 2]]);
+    assert_eq!((run.code, serde_json::from_str::<Value>(&run.out).unwrap()["offset"].clone()), (2, json!(45)));
+    // a line is one item, and one item is one frame
+    assert_eq!(bcap_with(&["decode", "-"], two.as_bytes()).code, 2);
+}
+
+#[test]
 fn lenient_decoding_lets_slack_and_unknown_types_pass() {
     // a VT_I1 (16), which no array of types knows, and a byte behind the last argument
     let hex = "011c00000001000000650000000100070000001000010000007fff04";

@@ -102,6 +102,25 @@ fn one_refused_name_does_not_cost_the_others() {
 }
 
 #[test]
+fn failures_are_lines_of_json_too() {
+    let fake = Fake::tcp(|request| match request.function() {
+        FunctionId::CONTROLLER_GET_VARIABLE => HResult::E_CAO_OBJECT_NOTFOUND.into(),
+        _ => usual(request),
+    });
+    let line = |run: &common::Run| serde_json::from_str::<serde_json::Value>(run.out.lines().next().unwrap()).unwrap();
+    let run = bcap(&["get", "I1", "I2", "--json", "--robot", &fake.address]);
+    assert_eq!((run.out.lines().count(), run.code), (2, 1));
+    let code = HResult::E_CAO_OBJECT_NOTFOUND;
+    assert_eq!((&line(&run)["name"], &line(&run)["code"]), (&"I1".into(), &code.0.into()));
+    assert_eq!(line(&run)["hresult"], "E_CAO_OBJECT_NOTFOUND");
+    assert_eq!(line(&run)["hint"], code.hint().unwrap());
+    let run = bcap(&["put", "I1", "1", "--json", "--robot", &fake.address]);
+    assert!(line(&run)["error"].as_str().unwrap().contains("E_CAO_OBJECT_NOTFOUND"), "{run:?}");
+    let run = bcap(&["get", "I1", "--json", "--robot", "tcp:no-such-host.invalid"]);
+    assert!(line(&run)["hint"].is_string() && line(&run).get("code").is_none(), "{run:?}");
+}
+
+#[test]
 fn call_takes_names_numbers_objects_and_values() {
     let fake = Fake::tcp(|request| match request.function() {
         FunctionId::ROBOT_SPEED => HResult::S_FALSE.into(),
