@@ -9,6 +9,7 @@
 //! | [`strategies`] | proptest strategies for values, frames and damage to them                           |
 //! | [`vectors`]    | the frames and lines of the specifications, from `tests/vectors`                     |
 //! | [`network`]    | a simulated network between a client and a server, with a clock of its own          |
+//! | [`served`]     | a server on real sockets with a small application                                   |
 //! | [`allocation`] | an allocator that counts what each thread asks of it                                |
 //!
 //! Nothing here is fast or frugal; where it disagrees with the core, one of the two is wrong.
@@ -17,6 +18,7 @@ pub mod allocation;
 pub mod frame;
 pub mod network;
 pub mod oracle;
+pub mod served;
 pub mod strategies;
 pub mod value;
 pub mod vectors;

@@ -1,0 +1,193 @@
+//! A server on real sockets, in a thread of its own, with a small application behind it.
+
+use std::collections::{BTreeSet, HashMap};
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use bcap_core::bcap::server::{Handler, Request};
+use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::handler::{Outcome, PeerId, ReplyValue};
+use bcap_core::hresult::HResult;
+use bcap_core::rac;
+use bcap_core::time::Instant;
+use bcap_core::variant::VariantBuf;
+use bcap_std::server::{Limits, Server};
+use tokio::sync::oneshot;
+
+/// A controller with variables of any name, whose command `sleep` takes as many milliseconds as it is told.
+///
+/// It works without sockets as well, and does the same then.
+#[derive(Debug, Default)]
+pub struct Application {
+    values: HashMap<String, VariantBuf<1024>>,
+    names: HashMap<i32, String>,
+    next_handle: i32,
+    until: HashMap<PeerId, Instant>,
+    /// Peers that have started the service.
+    started: BTreeSet<PeerId>,
+    /// Peers that have called and have not gone.
+    pub peers: BTreeSet<PeerId>,
+    /// Handles given out and not released.
+    pub open: Vec<(Object, i32)>,
+}
+
+impl Application {
+    fn sleep(&mut self, peer: PeerId, request: &Request<'_>, now: Instant) -> Outcome {
+        let length = Duration::from_millis(u64::try_from(request.int(2)).unwrap_or(0));
+        let until = *self.until.entry(peer).or_insert_with(|| now + length);
+        if now < until {
+            return Outcome::Wait(until);
+        }
+        self.until.remove(&peer);
+        HResult::S_OK.into()
+    }
+}
+
+impl Handler for Application {
+    fn call(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        let function = request.function;
+        self.peers.insert(peer);
+        let set = match function {
+            _ if function.opens().is_some() => {
+                let object = function.opens().unwrap_or(Object::Service);
+                let handle = if object == Object::Service { 0 } else { self.next_handle + 1 };
+                self.next_handle = self.next_handle.max(handle);
+                // a service can be started more than once, and is stopped once
+                if !self.started.contains(&peer) || object != Object::Service {
+                    self.open.push((object, handle));
+                }
+                if object == Object::Service {
+                    self.started.insert(peer);
+                }
+                self.names.insert(handle, request.text(1).to_string());
+                if object == Object::Service { Ok(()) } else { reply.set(&handle) }
+            }
+            _ if function.releases().is_some() => {
+                let released = (function.releases().unwrap_or(Object::Service), request.handle());
+                if released.0 == Object::Service {
+                    self.started.remove(&peer);
+                }
+                if let Some(at) = self.open.iter().position(|open| *open == released) {
+                    self.open.remove(at);
+                }
+                Ok(())
+            }
+            FunctionId::VARIABLE_PUT_VALUE => {
+                let name = self.names.get(&request.handle()).cloned().unwrap_or_default();
+                VariantBuf::new(&request.value(1)).map(|value| drop(self.values.insert(name, value)))
+            }
+            FunctionId::VARIABLE_GET_VALUE => {
+                let value = self.names.get(&request.handle()).and_then(|name| self.values.get(name));
+                value.map_or(Ok(()), |value| reply.set(value))
+            }
+            FunctionId::CONTROLLER_GET_NAME => reply.set(&7_i32),
+            FunctionId::CONTROLLER_EXECUTE if request.text(1).eq_ignore_ascii_case("sleep") => {
+                return self.sleep(peer, request, now);
+            }
+            _ => return HResult::E_NOTIMPL.into(),
+        };
+        set.map_or(HResult::E_TOO_MUCH_DATA, |()| HResult::S_OK).into()
+    }
+
+    fn abandoned(&mut self, peer: PeerId, _: Instant) {
+        self.until.remove(&peer);
+    }
+
+    fn left(&mut self, peer: PeerId, _: Instant) {
+        self.peers.remove(&peer);
+    }
+}
+
+impl rac::server::Handler for Application {
+    fn call(&mut self, peer: PeerId, request: &rac::Request<'_>, reply: &mut ReplyValue<'_>, _: Instant) -> Outcome {
+        self.peers.insert(peer);
+        let variable = request.variable();
+        let name = format!("{}{}", variable.kind.name(), variable.index);
+        let set = match request.value() {
+            Some(value) => VariantBuf::new(&value).map(|value| drop(self.values.insert(name, value))),
+            None => self.values.get(&name).map_or(Ok(()), |value| reply.set(value)),
+        };
+        set.map_or(HResult::E_TOO_MUCH_DATA, |()| HResult::S_OK).into()
+    }
+
+    fn left(&mut self, peer: PeerId, _: Instant) {
+        self.peers.remove(&peer);
+    }
+}
+
+/// A server that runs until this is dropped.
+#[derive(Debug)]
+pub struct Served {
+    /// Where it takes b-CAP over TCP.
+    pub tcp: SocketAddr,
+    /// Where it takes b-CAP over UDP.
+    pub udp: SocketAddr,
+    /// Where it takes RAC.
+    pub rac: SocketAddr,
+    application: Arc<Mutex<Application>>,
+    stop: Option<oneshot::Sender<()>>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Served {
+    /// Starts a server on free ports of the loopback.
+    ///
+    /// # Panics
+    ///
+    /// When the machine has no socket for it.
+    #[must_use]
+    pub fn start(limits: Limits) -> Self {
+        let application = Arc::<Mutex<Application>>::default();
+        let shared = Arc::clone(&application);
+        let (stop, stopped) = oneshot::channel();
+        let (tell, told) = mpsc::channel();
+        let thread = std::thread::spawn(move || {
+            let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+            runtime.block_on(async {
+                let server = Server::with_shared(shared).limits(limits);
+                let server = server.bcap_tcp("127.0.0.1:0").await.expect("a port for TCP");
+                let server = server.bcap_udp("127.0.0.1:0").await.expect("a port for UDP");
+                let server = server.rac_tcp("127.0.0.1:0").await.expect("a port for RAC");
+                tell.send(server.addresses()).expect("the test waits");
+                server.run(async { _ = stopped.await }).await.expect("the listeners last");
+            });
+        });
+        let addresses = told.recv().expect("the server starts");
+        let (tcp, udp, rac) = (addresses.bcap_tcp[0], addresses.bcap_udp[0], addresses.rac_tcp[0]);
+        Self { tcp, udp, rac, application, stop: Some(stop), thread: Some(thread) }
+    }
+
+    /// Looks at the application; the server waits meanwhile.
+    pub fn application(&self) -> MutexGuard<'_, Application> {
+        self.application.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Stops the server and waits for its end; returns what it left behind.
+    ///
+    /// # Panics
+    ///
+    /// When the server has.
+    #[must_use]
+    pub fn stop(mut self) -> Application {
+        self.end();
+        std::mem::take(&mut *self.application())
+    }
+
+    fn end(&mut self) {
+        drop(self.stop.take());
+        if let Some(thread) = self.thread.take()
+            && thread.join().is_err()
+            && !std::thread::panicking()
+        {
+            panic!("the server has panicked");
+        }
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        self.end();
+    }
+}
