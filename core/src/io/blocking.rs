@@ -60,6 +60,12 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
         &mut self.transport
     }
 
+    /// Takes the two apart, to put something between them, such as a transport that writes down what passes.
+    #[must_use]
+    pub fn into_parts(self) -> (X, Client<T, R>) {
+        (self.transport, self.client)
+    }
+
     /// Returns the code of the last reply; one of success can mean more than S_OK.
     #[must_use]
     pub fn last_result(&self) -> Option<HResult> {
@@ -101,6 +107,12 @@ impl<X: Transport, V: Storage> RacConnection<X, V> {
     /// Returns the transport.
     pub const fn transport(&mut self) -> &mut X {
         &mut self.transport
+    }
+
+    /// Takes the two apart, to put something between them, such as a transport that writes down what passes.
+    #[must_use]
+    pub fn into_parts(self) -> (X, rac::client::Client<V>) {
+        (self.transport, self.client)
     }
 
     /// Reads a variable; a reply without a value stands for EMPTY.
