@@ -4,24 +4,19 @@ use std::io;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::thread::{self, JoinHandle};
 
-use bcap_core::bcap::Client;
 use bcap_core::bcap::call::{self, Call, Reply, VariableHandle};
-use bcap_core::bcap::client::Config;
 use bcap_core::hresult::HResult;
 use bcap_core::rac::{Variable, VariableKind};
-use bcap_core::variant::Variant;
+use bcap_core::variant::{Encode, Variant};
 use bcap_sim::Profile;
-use bcap_std::blocking::{self, Connection, TcpTransport, Transport, UdpTransport};
-use bcap_std::{CallError, Options};
+use bcap_std::blocking::{self, Connection, RacConnection, Transport};
+use bcap_std::{CallError, ConnectError, Options};
 use tokio::sync::oneshot;
 
-use crate::connection::not_connected;
 use crate::error::Failure;
 use crate::item::print_line;
-use crate::rac::Session;
 use crate::sim::{self, Listening};
 use crate::tap::{Protocol, Tap};
-use crate::target::{self, Target};
 use crate::value::Value;
 
 const POSE: [f32; 7] = [400.0, 0.0, 300.5, 180.0, 0.0, 180.0, 5.0];
@@ -49,10 +44,9 @@ pub(crate) fn demo() -> Result<(), Failure> {
 
 fn over_tcp(listening: &Listening) -> Result<(), Failure> {
     print_line(&format!("\n== b-CAP over TCP, {} ==", listening.bcap))?;
-    let mut connected = blocking::connect_tcp(listening.bcap, &Options::default())
+    let connected = blocking::connect_tcp(listening.bcap, &Options::default())
         .map_err(|error| unreached(&error, listening.bcap))?;
-    let transport = TcpTransport::new(connected.transport().stream().try_clone()?);
-    let mut link = Link::new(transport, Config::TCP);
+    let mut link = Link::tapping(connected);
 
     link.run(
         "Start the service; the controller shall show every 100 ms that it is alive",
@@ -88,10 +82,9 @@ fn over_udp(listening: &Listening) -> Result<(), Failure> {
         "\n== b-CAP over UDP, {}: the reserved field says which attempt was the first ==",
         listening.udp
     ))?;
-    let mut connected =
+    let connected =
         blocking::connect_udp(listening.udp, &Options::default()).map_err(|error| unreached(&error, listening.udp))?;
-    let transport = UdpTransport::new(connected.transport().socket().try_clone()?);
-    let mut link = Link::new(transport, Config::UDP);
+    let mut link = Link::tapping(connected);
 
     link.run("Start the service", call::service_start(""))?;
     let connect = call::controller_connect("demo", "CaoProv.DENSO.VRC", "localhost", "");
@@ -110,24 +103,26 @@ fn over_udp(listening: &Listening) -> Result<(), Failure> {
 
 fn over_rac(listening: &Listening) -> Result<(), Failure> {
     print_line(&format!("\n== RAC, text over TCP, {} ==", listening.rac))?;
-    let target = target_of(listening.rac);
-    let transport = Session::connect(&target, Options::default().connect_timeout)?;
-    let mut session = Session::new(Tap::new(transport, Protocol::Rac), target, Options::default().connect_timeout);
+    let connected = blocking::connect_rac(listening.rac, &Options::default());
+    let (transport, client) = connected.map_err(|error| unreached(&error, listening.rac))?.into_parts();
+    let mut robot = RacConnection::new(Tap::new(transport, Protocol::Rac), client);
     let (i1, p1) = (Variable::new(VariableKind::I, 1), Variable::new(VariableKind::P, 1));
 
-    print_line("\nRead I1, which was written over UDP")?;
-    let value = session.get(i1);
-    print_line(session.transport().take().trim_end())?;
-    agrees(value?.as_variant(), &43_i32)?;
-    print_line("\nRead the pose that was written over TCP")?;
-    let value = session.get(p1);
-    print_line(session.transport().take().trim_end())?;
-    agrees(value?.as_variant(), &POSE)?;
-    print_line("\nWrite 44 to I1")?;
-    let written = Value::new(&44_i32).map_err(|error| Failure::Input(error.to_string()))?;
-    let done = session.put(i1, &written);
-    print_line(session.transport().take().trim_end())?;
-    done
+    let read = robot.get(i1).map_err(|error| disagreement(error.to_string())).and_then(|value| agrees(value, &43_i32));
+    show("Read I1, which was written over UDP", robot.transport())?;
+    read?;
+    let read = robot.get(p1).map_err(|error| disagreement(error.to_string())).and_then(|value| agrees(value, &POSE));
+    show("Read the pose that was written over TCP", robot.transport())?;
+    read?;
+    let written = robot.put(i1, Variant::I4(44));
+    show("Write 44 to I1", robot.transport())?;
+    written.map_err(|error| disagreement(error.to_string()))
+}
+
+/// Prints what has passed a tap, and what it was for.
+fn show<X>(purpose: &str, tap: &mut Tap<X>) -> Result<(), Failure> {
+    let purpose = if purpose.is_empty() { String::new() } else { format!("\n{purpose}\n") };
+    print_line(&format!("{purpose}{}", tap.take().trim_end()))
 }
 
 /// A client whose frames are printed.
@@ -136,8 +131,9 @@ struct Link<X> {
 }
 
 impl<X: Transport<Error = io::Error>> Link<X> {
-    fn new(transport: X, config: Config) -> Self {
-        let client = Client::new(config, vec![0; 1024], vec![0; 1024]);
+    /// Puts a tap between a client and its transport.
+    fn tapping(connection: Connection<X, Vec<u8>>) -> Self {
+        let (transport, client) = connection.into_parts();
         Self { connection: Connection::new(Tap::new(transport, Protocol::Bcap), client) }
     }
 
@@ -150,7 +146,7 @@ impl<X: Transport<Error = io::Error>> Link<X> {
     ) -> Result<T, Failure> {
         let doing = call.function().to_string();
         let kept = self.connection.call(call).map(keep);
-        self.print(purpose)?;
+        show(purpose, self.connection.transport())?;
         kept.map_err(|error| failed(&doing, &error))
     }
 
@@ -160,12 +156,7 @@ impl<X: Transport<Error = io::Error>> Link<X> {
     }
 
     /// Reads a variable, and checks that it is what was written.
-    fn expect(
-        &mut self,
-        purpose: &str,
-        variable: VariableHandle,
-        written: &impl bcap_core::variant::Encode,
-    ) -> Result<(), Failure> {
+    fn expect(&mut self, purpose: &str, variable: VariableHandle, written: &impl Encode) -> Result<(), Failure> {
         self.call(purpose, call::variable_get_value(variable), |value| agrees(value, written))?
     }
 
@@ -177,19 +168,13 @@ impl<X: Transport<Error = io::Error>> Link<X> {
             Err(error) => Err(failed(&doing, &error)),
             Ok(_) => Err(disagreement(format!("{doing} should have been refused"))),
         };
-        self.print(purpose)?;
+        show(purpose, self.connection.transport())?;
         print_line(&format!("     {}", explained(code?)))
-    }
-
-    fn print(&mut self, purpose: &str) -> Result<(), Failure> {
-        let frames = self.connection.transport().take();
-        let purpose = if purpose.is_empty() { String::new() } else { format!("\n{purpose}\n") };
-        print_line(&format!("{purpose}{}", frames.trim_end()))
     }
 }
 
 /// Checks that a value that was read is the one that was written.
-fn agrees(found: Variant<'_>, written: &impl bcap_core::variant::Encode) -> Result<(), Failure> {
+fn agrees(found: Variant<'_>, written: &impl Encode) -> Result<(), Failure> {
     let written = Value::new(written).map_err(|error| Failure::Input(error.to_string()))?;
     if found == written.as_variant() {
         Ok(())
@@ -214,12 +199,8 @@ fn failed(doing: &str, error: &CallError) -> Failure {
     }
 }
 
-fn target_of(address: SocketAddr) -> Target {
-    Target { transport: target::Transport::Tcp, host: address.ip().to_string(), port: address.port() }
-}
-
-fn unreached(error: &bcap_std::ConnectError, address: SocketAddr) -> Failure {
-    not_connected(error, &target_of(address))
+fn unreached(error: &ConnectError, address: SocketAddr) -> Failure {
+    disagreement(format!("{address}: {error}"))
 }
 
 /// The virtual controller, on a thread of its own.

@@ -1,14 +1,11 @@
 //! `bcap rac`: variables over RAC, the text protocol.
 
-use std::io;
 use std::time::Duration;
 
-use bcap_core::hresult::HResult;
-use bcap_core::rac::client::{Client, ClientError, Config, Event};
-use bcap_core::rac::{MAX_VALUE, Request, Variable, VariableKind};
-use bcap_core::variant::Variant;
-use bcap_std::Options;
-use bcap_std::blocking::{self, TcpTransport, Transport};
+use bcap_core::rac::client::ClientError;
+use bcap_core::rac::{Variable, VariableKind};
+use bcap_std::blocking::{self, RacClient};
+use bcap_std::{Options, RacError};
 
 use crate::args::{Get, LinkArgs, Put, Rac, RacCommand};
 use crate::connection::{broken, not_connected};
@@ -88,108 +85,54 @@ fn model(kind: VariableKind) -> Result<Value, Failure> {
     value.map_err(|error| Failure::Input(error.to_string()))
 }
 
-/// A connection, with the client of the core.
-pub(crate) struct Session<X> {
-    transport: X,
-    client: Client<[u8; MAX_VALUE]>,
+/// A connection, its failures told in words.
+struct Session {
+    client: RacClient,
     target: Target,
+    timeout: Duration,
 }
 
-impl Session<TcpTransport> {
+impl Session {
     fn open(link: &LinkArgs) -> Result<Self, Failure> {
-        let target = link.rac_target()?;
-        Ok(Self::new(Self::connect(&target, link.timeout())?, target, link.timeout()))
+        let (target, timeout) = (link.rac_target()?, link.timeout());
+        let client = blocking::connect_rac((target.host.as_str(), target.port), &Options::default().timeout(timeout))
+            .map_err(|error| not_connected(&error, &target))?;
+        Ok(Self { client, target, timeout })
     }
 
-    /// Connects.
-    pub(crate) fn connect(target: &Target, timeout: Duration) -> Result<TcpTransport, Failure> {
-        let options = Options::default().timeout(timeout);
-        let mut connected = blocking::connect_tcp((target.host.as_str(), target.port), &options)
-            .map_err(|error| not_connected(&error, target))?;
-        Ok(TcpTransport::new(connected.transport().stream().try_clone()?))
-    }
-}
-
-impl<X: Transport<Error = io::Error>> Session<X> {
-    pub(crate) fn new(transport: X, target: Target, timeout: Duration) -> Self {
-        Self { transport, client: Client::new(Config { timeout }, [0; MAX_VALUE]), target }
-    }
-
-    pub(crate) fn transport(&mut self) -> &mut X {
-        &mut self.transport
-    }
-
-    /// Reads a variable.
-    pub(crate) fn get(&mut self, variable: Variable) -> Result<Value, Failure> {
-        self.request(&Request::Get(variable))?;
-        let value = self.client.reply().and_then(|reply| reply.value).unwrap_or(Variant::Empty);
+    fn get(&mut self, variable: Variable) -> Result<Value, Failure> {
+        let Self { client, target, timeout } = self;
+        let value =
+            client.get(variable).map_err(|error| failed(error, &format!("GET {variable}"), target, *timeout))?;
         Value::new(&value).map_err(|error| Failure::Input(error.to_string()))
     }
 
-    /// Writes a variable.
-    pub(crate) fn put(&mut self, variable: Variable, value: &Value) -> Result<(), Failure> {
-        self.request(&Request::Put(variable, value.as_variant()))
-    }
-
-    /// Sends a request and waits for a reply of success.
-    fn request(&mut self, request: &Request<'_>) -> Result<(), Failure> {
-        let what = match request {
-            Request::Get(variable) => format!("GET {variable}"),
-            Request::Put(variable, _) => format!("PUT {variable}"),
-        };
-        self.client.start(request, self.transport.now()).map_err(|error| self.failed(error, &what))?;
-        while let Some(until) = self.client.poll_timeout() {
-            let moved = match self.client.transmit() {
-                [] => match self.transport.receive(self.client.receive_buffer(), until) {
-                    Ok(Some(0)) => return Err(self.closed(&what)),
-                    Ok(count) => count.inspect(|count| self.client.received(*count)).is_some(),
-                    Err(error) => return Err(broken(&error, &self.target)),
-                },
-                bytes => match self.transport.send(bytes, until) {
-                    Ok(count) => count.inspect(|count| self.client.transmitted(*count)).is_some(),
-                    Err(error) => return Err(broken(&error, &self.target)),
-                },
-            };
-            let now = self.transport.now();
-            let event = self.client.poll_event(now);
-            let event = if event.is_none() && !moved { self.client.handle_timeout(now) } else { event };
-            match event {
-                Some(Event::Replied(code)) => return accepted(code, &what),
-                Some(Event::Failed(error)) => return Err(self.failed(error, &what)),
-                Some(Event::Stale) | None => {}
-            }
-        }
-        Err(self.failed(ClientError::Closed, &what))
-    }
-
-    fn closed(&self, what: &str) -> Failure {
-        Failure::Connection {
-            message: format!("{} has closed the connection during {what}", self.target),
-            hint: "the controller may have no connection to spare; try again".into(),
-        }
-    }
-
-    fn failed(&self, error: ClientError, what: &str) -> Failure {
-        match error {
-            ClientError::Request(error) => Failure::Input(format!("{what}: {error}")),
-            ClientError::Timeout(_) => Failure::Timeout {
-                message: format!(
-                    "{} did not answer {what} within {} ms",
-                    self.target,
-                    self.client.config().timeout.as_millis()
-                ),
-                hint: "check that this is the port of the RAC server, or allow more time with --timeout".into(),
-            },
-            error => Failure::Connection {
-                message: format!("{what}: {error}"),
-                hint: format!("check that {} is a RAC server", self.target),
-            },
-        }
+    fn put(&mut self, variable: Variable, value: &Value) -> Result<(), Failure> {
+        let Self { client, target, timeout } = self;
+        let done = client.put(variable, value.as_variant());
+        done.map_err(|error| failed(error, &format!("PUT {variable}"), target, *timeout))
     }
 }
 
-fn accepted(code: HResult, what: &str) -> Result<(), Failure> {
-    if code.is_ok() { Ok(()) } else { Err(Failure::Refused { doing: what.to_owned(), code }) }
+/// Tells a failed request in words.
+fn failed(error: RacError, what: &str, target: &Target, timeout: Duration) -> Failure {
+    match error {
+        RacError::Refused(code) => Failure::Refused { doing: what.to_owned(), code },
+        RacError::Io(error) => broken(&error, target),
+        RacError::Disconnected => Failure::Connection {
+            message: format!("{target} has closed the connection during {what}"),
+            hint: "the controller may have no connection to spare; try again".into(),
+        },
+        RacError::Client(ClientError::Request(error)) => Failure::Input(format!("{what}: {error}")),
+        RacError::Client(ClientError::Timeout(_)) => Failure::Timeout {
+            message: format!("{target} did not answer {what} within {} ms", timeout.as_millis()),
+            hint: "check that this is the port of the RAC server, or allow more time with --timeout".into(),
+        },
+        RacError::Client(error) => Failure::Connection {
+            message: format!("{what}: {error}"),
+            hint: format!("check that {target} is a RAC server"),
+        },
+    }
 }
 
 #[cfg(test)]
