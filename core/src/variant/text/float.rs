@@ -6,15 +6,20 @@
 //! ```
 //!
 //! The quotient is made bit by bit, 64 of them, and one more that says whether anything is left; so the rounding to 24
-//! or 53 bits is right for any digits, ties included. Numbers of up to 19 digits whose power of five fits 64 bits, which
-//! are nearly all that a controller sends, take 64-bit integers; the others take integers of up to 2112 bits on the stack.
+//! or 53 bits is right for any digits, ties included. There are three ways, and each gives what the next would give:
 //!
-//! It is written here because the libraries for it take 8 to 18 KiB of flash, each of them once more for R4 beside R8,
-//! and leave panics in the image. This takes one, for both, without any; nor does it pull in a board's software
-//! multiplication and division of doubles. The price is paid by numbers of 17 digits: some 500 instructions instead of
-//! 100.
+//! | numbers                                                | by                             | instructions |
+//! |--------------------------------------------------------|--------------------------------|--------------|
+//! | digits up to 2^53, exponent up to 22: nearly all       | one operation on exact doubles | 300          |
+//! | up to 19 digits, power of five below 2^64: 17 digits   | division of 64-bit integers    | 1,400        |
+//! | all others, as 1e300                                   | integers of 2112 bits          | up to 40,000 |
+//!
+//! It is written here because the libraries for it take 8 to 18 KiB of flash, the generic ones nearly twice that for
+//! R4 and R8 together, and leave panics in the image. This takes 2 KiB for both and has none.
 
 use core::cmp::Ordering;
+
+use crate::num::to_usize;
 
 /// A binary format of floats.
 #[derive(Clone, Copy)]
@@ -92,12 +97,34 @@ impl Format {
             return None;
         }
         let digits = || integer.iter().chain(significant).map(|digit| digit & 0x0f);
-        let (quotient, scale, inexact) = match small_quotient(digits(), count, exponent) {
+        // 19 digits fit 64 bits
+        let number = (count <= 19).then(|| digits().fold(0_u64, |n, d| n.wrapping_mul(10).wrapping_add(u64::from(d))));
+        if let Some(bits) = number.and_then(|number| self.of_exact(number, exponent)) {
+            return Some(bits);
+        }
+        let (quotient, scale, inexact) = match number.and_then(|number| small_quotient(number, exponent)) {
             Some(small) => small,
             None => big_quotient(digits(), exponent),
         };
         let bits = self.round(quotient, scale, inexact);
         (bits != 0 && bits < self.infinity).then_some(bits)
+    }
+
+    /// Returns the bits of `number * 10^exponent` where one operation on two exact doubles gives them.
+    #[expect(clippy::as_conversions, reason = "below 2^53 the conversion is exact; that to f32 rounds as it should")]
+    fn of_exact(self, number: u64, exponent: i32) -> Option<u64> {
+        let power = *POWERS.get(to_usize(exponent.unsigned_abs()))?;
+        if number > 1 << 53 {
+            return None;
+        }
+        let number = number as f64;
+        let double = if exponent < 0 { number / power } else { number * power };
+        match self.precision {
+            53 => Some(double.to_bits()),
+            // rounded twice, a number may have become a tie that it is not
+            _ if double.to_bits() & 0x1fff_ffff == 0x1000_0000 => None,
+            _ => Some(u64::from((double as f32).to_bits())),
+        }
     }
 
     /// Rounds `(number + a bit more if inexact) * 2^scale`, to even if it is a tie; the first bit of `number` is set.
@@ -125,16 +152,18 @@ impl Format {
     }
 }
 
+/// Powers of ten; all of them are exact.
+const POWERS: [f64; 23] = [
+    1e0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 1e9, 1e10, 1e11, 1e12, 1e13, 1e14, 1e15, 1e16, 1e17, 1e18, 1e19, 1e20,
+    1e21, 1e22,
+];
+
 /// 64 bits of a quotient, the first one set; their scale; whether there is more.
 type Quotient = (u64, i32, bool);
 
 /// Divides with 64-bit integers; `None` when the number takes more.
-fn small_quotient(digits: impl Iterator<Item = u8>, count: usize, exponent: i32) -> Option<Quotient> {
-    if count > 19 {
-        return None;
-    }
-    let mut number = digits.fold(0_u64, |n, digit| n.wrapping_mul(10).wrapping_add(u64::from(digit)));
-    let mut divisor = 1_u64;
+fn small_quotient(number: u64, exponent: i32) -> Option<Quotient> {
+    let (mut number, mut divisor) = (number, 1_u64);
     // 5^28 does not fit, so whatever needs more has left the loop by then
     for _ in 0..exponent.unsigned_abs().min(28) {
         let scaled = if exponent < 0 { &mut divisor } else { &mut number };
@@ -172,8 +201,12 @@ fn big_quotient(digits: impl Iterator<Item = u8>, exponent: i32) -> Quotient {
     }
     let mut divisor = Big::new(1);
     let scaled = if exponent < 0 { &mut divisor } else { &mut number };
-    for _ in 0..exponent.unsigned_abs() {
-        scaled.multiply_add(5, 0);
+    let mut fives = exponent.unsigned_abs();
+    while fives > 0 {
+        // 5^13 is the largest that fits a limb
+        let step = fives.min(13);
+        scaled.multiply_add(5_u32.wrapping_pow(step), 0);
+        fives = fives.wrapping_sub(step);
     }
     // both get the same length
     let shift = divisor.bits().wrapping_sub(number.bits());
