@@ -1,12 +1,13 @@
 //! Owned values, of any size.
 
-use bcap_core::error::{EncodeError, TextError};
+use bcap_core::error::{EncodeError, TextError, TextErrorKind};
 use bcap_core::limits::Strictness;
+use bcap_core::rac::MAX_VALUE;
 use bcap_core::variant::{Encode, Variant, VariantBuf, Writer};
 
 use crate::json::{self, LIMITS};
 
-/// The largest value that text can stand for: many times what a RAC line holds.
+/// The largest value that text can stand for: many times what a RAC line holds, which is tried first.
 const TEXT_MAX: usize = 64 * 1024;
 
 /// A value that owns its bytes, however many.
@@ -37,7 +38,13 @@ impl Value {
 
     /// Reads `TYPE,DATA`, such as `3,100` or `8196,1,2.5,-3`.
     pub(crate) fn from_text(text: &str) -> Result<Self, TextError> {
-        VariantBuf::<TEXT_MAX>::parse_text(text.as_bytes()).map(|value| Self { bytes: value.as_bytes().to_vec() })
+        let bytes = match VariantBuf::<MAX_VALUE>::parse_text(text.as_bytes()) {
+            Err(TextError { kind: TextErrorKind::Full, .. }) => {
+                VariantBuf::<TEXT_MAX>::parse_text(text.as_bytes())?.as_bytes().to_vec()
+            }
+            value => value?.as_bytes().to_vec(),
+        };
+        Ok(Self { bytes })
     }
 
     /// Views the value.
@@ -83,5 +90,8 @@ mod tests {
         let value = Value::new(numbers.as_slice()).unwrap();
         assert_eq!(value.as_bytes().len(), 6 + 8 * numbers.len());
         assert_eq!(value.as_variant().as_array().unwrap().items::<f64>().unwrap().get(99_999), Some(99_999.0));
+        let text = format!("8194{}", ",7".repeat(30_000));
+        assert_eq!(Value::from_text(&text).unwrap().as_bytes().len(), 6 + 2 * 30_000);
+        assert_eq!(Value::from_text(&format!("{text}{}", &text[4..])).unwrap_err().kind, TextErrorKind::Full);
     }
 }
