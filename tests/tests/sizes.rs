@@ -1,0 +1,24 @@
+//! What the state machines of the core take of a board's memory, beside the buffers that they are given.
+
+use bcap_core::bcap::{Client, server};
+use bcap_core::rac;
+
+#[test]
+fn a_client_is_its_two_buffers_and_at_most_256_bytes() {
+    assert!(size_of::<Client<[u8; 512]>>() <= 2 * 512 + 256, "{}", size_of::<Client<[u8; 512]>>());
+}
+
+#[test]
+fn a_session_is_its_buffers_its_handles_and_at_most_320_bytes() {
+    const OBJECTS: usize = 32;
+    let handles = OBJECTS * 8;
+    let session = size_of::<server::Session<[u8; 512], [u8; 512], OBJECTS>>();
+    assert!(session <= 2 * 512 + handles + 320, "{session}");
+}
+
+#[test]
+fn the_machines_of_rac_hold_a_line_each_way_and_little_more() {
+    let (client, session) = (size_of::<rac::client::Client<[u8; 64]>>(), size_of::<rac::server::Session<[u8; 64]>>());
+    assert!(client <= 2 * rac::MAX_LINE + 64 + 256, "{client}");
+    assert!(session <= 2 * rac::MAX_LINE + 64 + 256, "{session}");
+}
