@@ -1,6 +1,7 @@
 //! A b-CAP client over TCP or UDP, its failures told in words.
 
 use std::io;
+use std::net::{SocketAddr, ToSocketAddrs};
 use std::time::Duration;
 
 use bcap_core::bcap::call::{Call, Maybe};
@@ -57,7 +58,7 @@ impl Connection {
         let peer = (target.host.as_str(), target.port);
         let client = match target.transport {
             Transport::Tcp => blocking::connect_tcp(peer, &options).map(Client::Tcp),
-            Transport::Udp => blocking::connect_udp(peer, &options).map(Client::Udp),
+            Transport::Udp => blocking::connect_udp(&addresses(peer)?[..], &options).map(Client::Udp),
         };
         match client {
             Ok(client) => Ok(Self { client, target: target.clone(), timeout }),
@@ -121,6 +122,16 @@ impl Connection {
     }
 }
 
+/// Looks a host up for UDP, where nothing tells beforehand which of several addresses is heard.
+///
+/// IPv4 goes first: controllers speak it, and `localhost` has both.
+fn addresses((host, port): (&str, u16)) -> Result<Vec<SocketAddr>, Failure> {
+    let found = (host, port).to_socket_addrs().map_err(|error| not_found(host, &error))?;
+    let (mut addresses, others): (Vec<_>, Vec<_>) = found.partition(SocketAddr::is_ipv4);
+    addresses.extend(others);
+    Ok(addresses)
+}
+
 /// Calls, and copies what the reply carries.
 fn call_over<X: Wire<Error = io::Error>>(
     client: &mut blocking::Connection<X, Vec<u8>>,
@@ -134,10 +145,7 @@ fn call_over<X: Wire<Error = io::Error>>(
 /// Tells in words why there is no connection.
 pub(crate) fn not_connected(error: &ConnectError, target: &Target) -> Failure {
     match error {
-        ConnectError::Resolve { source, .. } => Failure::Connection {
-            message: format!("the host {} cannot be found: {source}", target.host),
-            hint: "check the spelling, or give the IP address".into(),
-        },
+        ConnectError::Resolve { source, .. } => not_found(&target.host, source),
         ConnectError::Connect { address, source } => Failure::Connection {
             message: format!("{target} ({address}) cannot be connected to: {source}"),
             hint: connect_hint(source.kind()).into(),
@@ -146,6 +154,13 @@ pub(crate) fn not_connected(error: &ConnectError, target: &Target) -> Failure {
             message: format!("{target}: {other}"),
             hint: "check the limits of this machine, such as that of open files".into(),
         },
+    }
+}
+
+fn not_found(host: &str, error: &io::Error) -> Failure {
+    Failure::Connection {
+        message: format!("the host {host} cannot be found: {error}"),
+        hint: "check the spelling, or give the IP address".into(),
     }
 }
 

@@ -7,7 +7,7 @@
 //! | R4, R8, DATE                       | the shortest number that reads back to the same bits, `-0.0` too     |
 //! | the same, not finite               | `"NaN"` `"inf"` `"-inf"`; other NaNs by their bits, `"NaN(0x7fc00001)"` |
 //! | CY                                 | the ten-thousandths, an integer                                      |
-//! | BOOL                               | -1 or 0; `true` and `false` are read as well                         |
+//! | BOOL                               | -1 or 0, as the wire's other numbers are true too; `true` and `false` are read as well |
 //! | BSTR                               | a string; a surrogate without its partner is `\ud800`                |
 //! | VARIANT                            | the value inside, `{"vt":8,"v":"Sample"}`                            |
 //! | ARRAY of VARIANT                   | a list of `{"vt":..,"v":..}`                                         |

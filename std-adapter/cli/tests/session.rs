@@ -266,6 +266,14 @@ fn silence_is_code_4() {
 }
 
 #[test]
+fn a_name_with_addresses_of_both_kinds_is_reached() {
+    for fake in [Fake::tcp(usual), Fake::udp(usual)] {
+        let address = fake.address.replace("127.0.0.1", "localhost");
+        assert_eq!(bcap(&["call", "ServiceStop", "--robot", &address]).code, 0, "{address}");
+    }
+}
+
+#[test]
 fn the_environment_names_the_robot() {
     let fake = Fake::tcp(usual);
     let output = common::command(&["call", "ServiceStop"]).env("BCAP_ROBOT", &fake.address).output().unwrap();

@@ -24,9 +24,12 @@ impl From<Output> for Run {
     }
 }
 
-/// The command, undisturbed by the environment of the tests.
+/// The command, undisturbed by the environment of the tests, and patient where a test does not say otherwise.
 pub(crate) fn command(args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_bcap"));
+    if !args.contains(&"--timeout") {
+        command.args(["--timeout", "30000"]);
+    }
     command.args(args).env_remove("BCAP_ROBOT").env_remove("NO_COLOR").env_remove("CLICOLOR_FORCE");
     command
 }
