@@ -1,6 +1,6 @@
 //! Calls that block, over any [`Transport`].
 //!
-//! With the feature `embedded-io`, [`Polled`] makes a transport of anything that reads, writes and can say whether bytes
+//! With the feature `embedded-io`, `Polled` makes a transport of anything that reads, writes and can say whether bytes
 //! are there (a UART), and a clock.
 
 use crate::bcap::Client;

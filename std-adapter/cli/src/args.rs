@@ -1,4 +1,5 @@
 //! The command line.
+#![allow(rustdoc::broken_intra_doc_links, reason = "these comments are the help text, where brackets are brackets")]
 
 use std::net::SocketAddr;
 use std::time::Duration;
