@@ -2,7 +2,7 @@
 
 use bcap_core::bcap::{FunctionId, Kind, Object};
 use bcap_core::hresult::HResult;
-use bcap_core::variant::VarType;
+use bcap_core::variant::{VarType, Variant};
 
 use crate::args::{Call, Exec, LinkArgs};
 use crate::error::Failure;
@@ -56,7 +56,11 @@ fn print_reply(code: HResult, value: Option<&Value>, json: bool) -> Result<(), F
     if code != HResult::S_OK {
         print_line(&code.to_string())?;
     }
-    value.map_or(Ok(()), |value| print_line(&plain::to_plain(value.as_variant())))
+    match value.map(Value::as_variant) {
+        // most commands have nothing to say
+        None | Some(Variant::Empty) => Ok(()),
+        Some(value) => print_line(&plain::to_plain(value)),
+    }
 }
 
 /// An argument of a call.
