@@ -1,6 +1,7 @@
 //! `bcap call` and `bcap exec`: any function, with arguments as people write them.
 
 use bcap_core::bcap::{FunctionId, Kind, Object};
+use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
 use bcap_core::variant::{VarType, Variant};
 
@@ -128,10 +129,9 @@ pub(crate) fn exec(args: &Exec, link: &LinkArgs, json: bool) -> Result<(), Failu
         other => return Err(Failure::Input(format!("{}: a {} has no commands", args.object, word(other)))),
     };
     let parameter = match &args.argument {
-        Some(argument) => guess(argument),
-        None => Value::new(&()),
+        Some(argument) => guess(argument)?,
+        None => Value::new(&())?,
     };
-    let parameter = parameter.map_err(|error| Failure::Input(error.to_string()))?;
     with_session(link, |session| {
         let handle = session.object(&path)?;
         let arguments = [integer(handle)?, text(&args.command)?, parameter];
@@ -144,7 +144,7 @@ pub(crate) fn exec(args: &Exec, link: &LinkArgs, json: bool) -> Result<(), Failu
 }
 
 /// Reads the parameter of a command: `TYPE,DATA`, an integer as I4, another number as R8, anything else as a string.
-fn guess(argument: &str) -> Result<Value, bcap_core::error::EncodeError> {
+fn guess(argument: &str) -> Result<Value, EncodeError> {
     if let Ok(value) = plain::from_typed(argument) {
         return Ok(value);
     }

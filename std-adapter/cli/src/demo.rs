@@ -175,7 +175,7 @@ impl<X: Transport<Error = io::Error>> Link<X> {
 
 /// Checks that a value that was read is the one that was written.
 fn agrees(found: Variant<'_>, written: &impl Encode) -> Result<(), Failure> {
-    let written = Value::new(written).map_err(|error| Failure::Input(error.to_string()))?;
+    let written = Value::new(written)?;
     if found == written.as_variant() {
         Ok(())
     } else {

@@ -15,6 +15,7 @@ use std::io::{self, Write};
 use std::process::ExitCode;
 
 use anstyle::{AnsiColor, Style};
+use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
 use serde::Serialize;
 use thiserror::Error;
@@ -73,6 +74,13 @@ pub(crate) enum Failure {
     Stdio(#[from] io::Error),
 }
 
+/// What a person types is too large.
+impl From<EncodeError> for Failure {
+    fn from(error: EncodeError) -> Self {
+        Self::Input(error.to_string())
+    }
+}
+
 impl Failure {
     fn code(&self) -> u8 {
         match self {
@@ -111,6 +119,10 @@ impl Failure {
 
     /// Prints what went wrong and what to do; with `json` also as a line of the output, about `name` if there is one.
     pub(crate) fn print(&self, json: bool, name: Option<&str>) {
+        if matches!(self, Self::SomeRefused { asked: 1, .. }) {
+            // its refusal has said it all
+            return;
+        }
         // nobody is left to be told when even this fails
         if json && let Some(line) = self.to_json(name) {
             let _ = print_line(&line);

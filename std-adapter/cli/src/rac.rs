@@ -14,7 +14,7 @@ use crate::item::print_line;
 use crate::plain;
 use crate::target::Target;
 use crate::value::Value;
-use crate::variables::{expected, shown};
+use crate::variables::{expected, print_each, shown};
 
 /// Runs `bcap rac get` or `bcap rac put`.
 pub(crate) fn rac(args: &Rac, link: &LinkArgs, json: bool) -> Result<(), Failure> {
@@ -27,19 +27,7 @@ pub(crate) fn rac(args: &Rac, link: &LinkArgs, json: bool) -> Result<(), Failure
 fn get(args: &Get, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let variables = args.names.iter().map(|name| variable(name)).collect::<Result<Vec<_>, _>>()?;
     let mut session = Session::open(link)?;
-    let mut refused = 0;
-    for (name, variable) in args.names.iter().zip(&variables) {
-        match session.get(*variable) {
-            Ok(value) => print_line(&shown(name, &value, json))?,
-            // the others can still be had
-            Err(failure @ Failure::Refused { .. }) if variables.len() > 1 => {
-                failure.print(json, Some(name));
-                refused += 1;
-            }
-            Err(failure) => return Err(failure),
-        }
-    }
-    if refused > 0 { Err(Failure::SomeRefused { refused, asked: variables.len() }) } else { Ok(()) }
+    print_each(&args.names, &variables, json, |variable| session.get(*variable))
 }
 
 fn put(args: &Put, link: &LinkArgs, json: bool) -> Result<(), Failure> {
@@ -57,7 +45,8 @@ fn variable(name: &str) -> Result<Variable, Failure> {
     let (kind, index) = name.split_at(digits);
     let index = index.strip_prefix('[').and_then(|index| index.strip_suffix(']')).unwrap_or(index);
     match (VariableKind::from_name(kind), index.parse()) {
-        (Some(kind), Ok(index)) if !index_has_sign(name) => Ok(Variable { kind, index }),
+        // for Rust a number may have a plus sign, for a name it may not
+        (Some(kind), Ok(index)) if !name.contains('+') => Ok(Variable { kind, index }),
         _ => Err(Failure::Input(format!(
             "{name}: RAC reads and writes I F D V P J T S IO with a number, such as I10 or IO128; other variables are to \
              be had over b-CAP"
@@ -65,14 +54,9 @@ fn variable(name: &str) -> Result<Variable, Failure> {
     }
 }
 
-/// A number may have a plus sign for Rust, but a name may not.
-fn index_has_sign(name: &str) -> bool {
-    name.contains('+')
-}
-
 /// Returns a value as such a variable holds it: the type and the number of elements are fixed.
 fn model(kind: VariableKind) -> Result<Value, Failure> {
-    let value = match kind {
+    Ok(match kind {
         VariableKind::I => Value::new(&0_i32),
         VariableKind::F => Value::new(&0_f32),
         VariableKind::D => Value::new(&0_f64),
@@ -81,8 +65,7 @@ fn model(kind: VariableKind) -> Result<Value, Failure> {
         VariableKind::V | VariableKind::P | VariableKind::J | VariableKind::T => {
             Value::new(vec![0_f32; kind.elements()].as_slice())
         }
-    };
-    value.map_err(|error| Failure::Input(error.to_string()))
+    }?)
 }
 
 /// A connection, its failures told in words.
@@ -104,7 +87,7 @@ impl Session {
         let Self { client, target, timeout } = self;
         let value =
             client.get(variable).map_err(|error| failed(error, &format!("GET {variable}"), target, *timeout))?;
-        Value::new(&value).map_err(|error| Failure::Input(error.to_string()))
+        Ok(Value::new(&value)?)
     }
 
     fn put(&mut self, variable: Variable, value: &Value) -> Result<(), Failure> {

@@ -199,10 +199,10 @@ fn about(failure: Failure, subject: &Path) -> Failure {
 
 /// Makes a string argument.
 pub(crate) fn text(text: &str) -> Result<Value, Failure> {
-    Value::new(text).map_err(|error| Failure::Input(error.to_string()))
+    Ok(Value::new(text)?)
 }
 
 /// Makes an integer argument, as handles are.
 pub(crate) fn integer(number: i32) -> Result<Value, Failure> {
-    Value::new(&number).map_err(|error| Failure::Input(error.to_string()))
+    Ok(Value::new(&number)?)
 }

@@ -14,21 +14,28 @@ use crate::value::Value;
 /// Runs `bcap get`.
 pub(crate) fn get(args: &Get, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let paths = parse_all(&args.names)?;
-    with_session(link, |session| {
-        let mut refused = 0;
-        for (name, path) in args.names.iter().zip(&paths) {
-            match get_one(session, path) {
-                Ok(value) => print_line(&shown(name, &value, json))?,
-                // the others can still be had
-                Err(failure @ Failure::Refused { .. }) if paths.len() > 1 => {
-                    failure.print(json, Some(name));
-                    refused += 1;
-                }
-                Err(failure) => return Err(failure),
+    with_session(link, |session| print_each(&args.names, &paths, json, |path| get_one(session, path)))
+}
+
+/// Reads variables one after the other and prints what they hold; one that is refused does not cost the others.
+pub(crate) fn print_each<V>(
+    names: &[String],
+    variables: &[V],
+    json: bool,
+    mut read: impl FnMut(&V) -> Result<Value, Failure>,
+) -> Result<(), Failure> {
+    let mut refused = 0;
+    for (name, variable) in names.iter().zip(variables) {
+        match read(variable) {
+            Ok(value) => print_line(&shown(name, &value, json))?,
+            Err(failure @ Failure::Refused { .. }) => {
+                failure.print(json, Some(name));
+                refused += 1;
             }
+            Err(failure) => return Err(failure),
         }
-        if refused > 0 { Err(Failure::SomeRefused { refused, asked: paths.len() }) } else { Ok(()) }
-    })
+    }
+    if refused > 0 { Err(Failure::SomeRefused { refused, asked: names.len() }) } else { Ok(()) }
 }
 
 /// Runs `bcap put`.
@@ -65,17 +72,16 @@ pub(crate) fn parse_all(names: &[String]) -> Result<Vec<Path>, Failure> {
 fn get_one(session: &mut Session, path: &Path) -> Result<Value, Failure> {
     let variable = session.object(path)?;
     let value = read(session, path, variable);
-    session.release(variable)?;
-    value
+    let released = session.release(variable);
+    // why it cannot be read says more than why it cannot be released
+    let value = value?;
+    released.map(|()| value)
 }
 
 /// Reads an opened variable.
 pub(crate) fn read(session: &mut Session, path: &Path, variable: i32) -> Result<Value, Failure> {
     let value = session.call_on(path, FunctionId::VARIABLE_GET_VALUE, &[integer(variable)?])?;
-    match value {
-        Some(value) => Ok(value),
-        None => Value::new(&()).map_err(|error| Failure::Input(error.to_string())),
-    }
+    Ok(value.map_or_else(|| Value::new(&()), Ok)?)
 }
 
 /// Writes a value with its name: `I1 = 5`, or `{"name":"I1","vt":3,"v":5}`.

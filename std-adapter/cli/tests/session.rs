@@ -114,6 +114,9 @@ fn failures_are_lines_of_json_too() {
     assert_eq!((&line(&run)["name"], &line(&run)["code"]), (&"I1".into(), &code.0.into()));
     assert_eq!(line(&run)["hresult"], "E_CAO_OBJECT_NOTFOUND");
     assert_eq!(line(&run)["hint"], code.hint().unwrap());
+    let run = bcap(&["get", "I1", "--json", "--robot", &fake.address]);
+    assert_eq!((run.out.lines().count(), run.err.matches("error").count(), run.code), (1, 1, 1), "{run:?}");
+    assert_eq!(line(&run)["name"], "I1");
     let run = bcap(&["put", "I1", "1", "--json", "--robot", &fake.address]);
     assert!(line(&run)["error"].as_str().unwrap().contains("E_CAO_OBJECT_NOTFOUND"), "{run:?}");
     let run = bcap(&["get", "I1", "--json", "--robot", "tcp:no-such-host.invalid"]);
