@@ -34,6 +34,13 @@ pub trait Call {
     ///
     /// [`EncodeError::Full`] when they do not fit.
     fn arguments(&self, frame: &mut FrameWriter<'_>) -> Result<(), EncodeError>;
+
+    /// Returns the call's whole frame without CRC, if there is one: a client then sends that, with serial and reserved
+    /// field filled in, instead of asking for the arguments. On serial lines it asks for them all the same.
+    #[inline]
+    fn prepared(&self) -> Option<&[u8]> {
+        None
+    }
 }
 
 impl<C: Call + ?Sized> Call for &C {
@@ -45,6 +52,11 @@ impl<C: Call + ?Sized> Call for &C {
 
     fn arguments(&self, frame: &mut FrameWriter<'_>) -> Result<(), EncodeError> {
         (**self).arguments(frame)
+    }
+
+    #[inline]
+    fn prepared(&self) -> Option<&[u8]> {
+        (**self).prepared()
     }
 }
 

@@ -405,6 +405,14 @@ fn encode<C: Call + ?Sized>(
     serial: u16,
     reserved: u16,
 ) -> Result<usize, EncodeError> {
+    if config.link != Link::Serial
+        && let Some(prepared) = call.prepared()
+    {
+        let frame = memory.get_mut(..prepared.len()).ok_or(EncodeError::Full)?;
+        frame.copy_from_slice(prepared);
+        renumber(frame, serial, reserved, false);
+        return Ok(prepared.len());
+    }
     let mut frame = FrameWriter::new(memory)?.with_crc(config.link == Link::Serial);
     call.arguments(&mut frame)?;
     frame.finish(serial, reserved, call.function().0).map(<[u8]>::len)

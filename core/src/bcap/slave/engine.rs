@@ -1,0 +1,918 @@
+//! The engine: a whole stream as a state machine, without socket, clock or allocation.
+//!
+//! ```text
+//!              poll ──► Call ──► make request() over its channel ──► handle_reply, or handle_failure ──┐
+//!               ▲  ├──► Pose ──► push, or stop ─────────────────────────────────────────────────────────┤
+//!               │  └──► Wait ──► until then ────────────────────────────────────────────────────────────┤
+//!               └───────────────────────────────────────────────────────────────────────────────────────┘
+//!                  ──► Finished, Faulted
+//!
+//!  Starting ─► Streaming ─► Leaving ─► Finished         stop(): Streaming slows down, repeats the last pose, leaves
+//!     │  ▲         │           │
+//!     ▼  │         ▼           ▼
+//!  Diagnosing ─► Faulted ─► (recover()) ─► Recovering ─► Starting
+//! ```
+//!
+//! | mode | when the next pose is sent                                                                                |
+//! |------|-----------------------------------------------------------------------------------------------------------|
+//! | 0    | at once after S_OK, which fills the buffer; one cycle after the last one's time after S_BUF_FULL; the same pose again a cycle after E_BUF_FULL |
+//! | 1    | one cycle after the last one's time; cycles that were missed are left out                                 |
+//! | 2    | at once: the answer is withheld until there is room                                                       |
+//!
+//! Times are absolute: a cycle that was late does not shift those after it. What is guaranteed:
+//!
+//! * A pose that is outside of the limits, of another layout, or not finite is never sent.
+//! * Nothing moves the robot after an error: from then on the engine asks, and leaves Slave Mode if it is on.
+//! * The error list is cleared and the motor switched on again only by [`Engine::recover`], and never after an
+//!   emergency stop.
+
+use core::time::Duration;
+
+use super::command::{MOVE_FRAME, PreparedMove};
+use super::config::{Config, ConfigError};
+use super::fault::{Cause, ControllerError, ERRORS_MAX, Failure, Fault, RecoverError, Released};
+use super::format::FormatError;
+use super::limits::{self, PoseError, Velocity};
+use super::mode::{Mode, PoseType};
+use super::pose::{Delta, ExtendedAxes, Pose, half_turn};
+use super::reply::MoveReply;
+use super::request::{Channel, Request, Step};
+use super::stats::{Stats, micros};
+use crate::bcap::Frame;
+use crate::hresult::HResult;
+use crate::time::Instant;
+use crate::variant::Variant;
+
+/// What the engine wants next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[must_use]
+pub enum Action {
+    /// Make the call of [`Engine::request`], and hand its reply or failure in. Until then this is repeated.
+    Call(Step, Channel),
+    /// [`push`](Engine::push) a pose, or [`stop`](Engine::stop).
+    Pose {
+        /// When it will be sent; a pose that comes later makes the cycle late.
+        due: Instant,
+    },
+    /// Poll again at this time.
+    Wait(Instant),
+    /// The robot stands, Slave Mode is off, the arm is given back.
+    Finished,
+    /// [`Engine::fault`] says why; Slave Mode was left if that was possible.
+    Faulted,
+}
+
+/// What a run of calls is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Phase {
+    Starting,
+    Streaming,
+    Leaving,
+    Diagnosing,
+    Recovering,
+    Finished,
+    Faulted,
+}
+
+/// What is known of a connection; a reply makes it good again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Health {
+    Good,
+    /// The last call had no reply.
+    Silent,
+    Lost,
+}
+
+/// An orderly stop that goes on.
+#[derive(Clone, Copy, Debug)]
+struct Stop {
+    /// The step of the cycle in which it was asked for.
+    delta: Delta,
+    /// How much of that is still made, and by how much less every cycle.
+    speed: f64,
+    part: f64,
+    /// How often the last pose was repeated, and how often the robot has not moved since.
+    repeats: u16,
+    still: u8,
+}
+
+/// Repeats of the last pose: those that empty the buffer and two more, and so many that the robot is not waited for.
+const REPEATS_MIN: u16 = 5;
+const REPEATS_MAX: u16 = 250;
+/// Answers in a row in which the robot has not moved.
+const STILL: u8 = 2;
+/// What counts as not moved, in mm or degrees a cycle.
+const STILL_WITHIN: f64 = 0.002;
+/// The bit of SysState that says that the emergency stop is pressed.
+const EMERGENCY_STOP: i32 = 1 << 10;
+/// The most numbers that a received pose has: T+J.
+const RECEIVED_MAX: usize = 18;
+
+/// A stream of Slave Mode; `N` is the room for the frame of slvMove.
+///
+/// # Examples
+///
+/// A stream as a loop; `call` stands for making a call and `sleep_until` for waiting:
+///
+/// ```no_run
+/// # use bcap_core::bcap::Frame;
+/// # use bcap_core::bcap::call::{Call, ControllerHandle, RobotHandle};
+/// # use bcap_core::bcap::slave::*;
+/// # use bcap_core::time::Instant;
+/// # fn now() -> Instant { Instant::ZERO }
+/// # fn sleep_until(_: Instant) {}
+/// # fn call<'a>(_: impl Call, _: Channel) -> Result<Frame<'a>, Failure> { Err(Failure::Lost) }
+/// # let handles = Handles { controller: ControllerHandle(1), robot: RobotHandle(2) };
+/// let mode = SlaveMode { mode: Mode::Mode2, pose: PoseType::J };
+/// let format = Format::new(mode, ReceiveFormat::pose(ReceivePose::J));
+/// let config = Config { limits: AxisLimits::uniform(100.0, 800.0), ..Config::new(format, handles) };
+/// let mut engine = Engine::<256>::new(config)?;
+/// let mut cycle = 0_u32;
+/// loop {
+///     match engine.poll(now()) {
+///         Action::Call(..) => {
+///             let Some(request) = engine.request() else { continue };
+///             match call(&request, request.channel()) {
+///                 Ok(reply) => {
+///                     let moved = engine.handle_reply(&reply, now());
+///                     # let _ = moved;
+///                 }
+///                 Err(failure) => engine.handle_failure(failure, now()),
+///             }
+///         }
+///         Action::Pose { .. } if cycle == 500 => engine.stop(),
+///         Action::Pose { .. } => {
+///             // one degree a second about the first joint, from where the robot stands
+///             let mut joints = engine.start_pose().map_or([0.0; 8], |p| p.numbers().try_into().unwrap_or_default());
+///             joints[0] += f64::from(cycle) * 0.008;
+///             engine.push(&Pose::j(joints))?;
+///             cycle += 1;
+///         }
+///         Action::Wait(until) => sleep_until(until),
+///         Action::Finished => break,
+///         Action::Faulted => return Err(engine.fault().cloned().ok_or("no fault")?.into()),
+///     }
+/// }
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+#[derive(Debug)]
+pub struct Engine<const N: usize = MOVE_FRAME> {
+    config: Config,
+    frame: PreparedMove<N>,
+    phase: Phase,
+    /// The call that is in flight or is made next.
+    step: Step,
+    channel: Channel,
+    in_flight: bool,
+    sent_at: Instant,
+    motion: Health,
+    watch: Health,
+    has_arm: bool,
+    /// Whether this is a start after a fault, which begins wherever the robot stands.
+    restarted: bool,
+    /// Asked for while starting.
+    stop_wanted: bool,
+    stop: Option<Stop>,
+    /// Where the stream began; its poses are the shape of the format.
+    start: Option<Pose>,
+    /// The last pose in the frame, and how it was reached.
+    last: Pose,
+    delta: Delta,
+    velocity: Velocity,
+    pacer: Pacer,
+    /// The pose that was answered last.
+    received: Option<[f64; RECEIVED_MAX]>,
+    fault: Option<Fault>,
+    /// The error to ask for next.
+    error_index: i32,
+    stats: Stats,
+}
+
+/// When the next pose is sent.
+#[derive(Clone, Copy, Debug)]
+struct Pacer {
+    /// Whether a pose is in the frame that the controller has not taken.
+    loaded: bool,
+    /// When it is to be sent.
+    due: Instant,
+    /// Whether `due` is a cycle after the one before, and not as soon as possible.
+    steady: bool,
+    /// Poses that the controller has taken of this stream.
+    taken: u32,
+    last_sent: Instant,
+    /// Since when the controller has answered E_BUF_FULL.
+    refused_since: Option<Instant>,
+    /// When the controller's buffer will be empty.
+    empty_at: Option<Instant>,
+}
+
+impl Pacer {
+    const fn new(now: Instant) -> Self {
+        Self { loaded: false, due: now, steady: false, taken: 0, last_sent: now, refused_since: None, empty_at: None }
+    }
+
+    /// Takes note that the pose is sent now.
+    fn sending(&mut self, config: &Config, stats: &mut Stats, now: Instant) {
+        if self.steady {
+            let interval = now.saturating_since(self.last_sent);
+            let (late, off) = match config.format.mode.mode {
+                Mode::Mode0 | Mode::Mode1 => (now.saturating_since(self.due), now.saturating_since(self.due)),
+                Mode::Mode2 => (interval.saturating_sub(config.cycle), interval.abs_diff(config.cycle)),
+            };
+            stats.jitter.record(micros(off));
+            if late > config.late_after {
+                stats.late = stats.late.saturating_add(1);
+            }
+            if let Some(margin) = self.margin(now) {
+                stats.least_margin = Some(stats.least_margin.map_or(margin, |least| least.min(margin)));
+            }
+            // the grid stays where it is; cycles that have passed are left out
+            let missed = u64::from(micros(now.saturating_since(self.due))).checked_div(u64::from(micros(config.cycle)));
+            let missed = u32::try_from(missed.unwrap_or(0)).unwrap_or(u32::MAX);
+            self.due = self.due.saturating_add(config.cycle.saturating_mul(missed));
+        } else {
+            self.due = now;
+        }
+        self.last_sent = now;
+    }
+
+    /// Takes note that the pose was not stored; `true` when that has gone on for too long.
+    fn refused(&mut self, config: &Config, now: Instant) -> bool {
+        let since = *self.refused_since.get_or_insert(now);
+        self.due = now.saturating_add(config.cycle);
+        self.steady = true;
+        now.saturating_since(since) >= config.stall
+    }
+
+    /// Takes note that the pose was stored, and schedules the next one.
+    fn stored(&mut self, config: &Config, full: bool, now: Instant) {
+        self.loaded = false;
+        self.refused_since = None;
+        self.taken = self.taken.saturating_add(1);
+        let mode = config.format.mode.mode;
+        match mode {
+            Mode::Mode0 if full => {
+                self.due = self.due.saturating_add(config.cycle);
+                self.steady = true;
+            }
+            Mode::Mode0 => {
+                self.due = now;
+                self.steady = false;
+            }
+            Mode::Mode1 => {
+                self.due = self.due.saturating_add(config.cycle);
+                self.steady = true;
+            }
+            Mode::Mode2 => {
+                self.due = now;
+                // the answer after those that fill the buffer ends somewhere within a cycle of the controller
+                self.steady = self.taken > mode.buffer().saturating_add(1);
+            }
+        }
+        if mode != Mode::Mode1 {
+            let most = now.saturating_add(config.cycle.saturating_mul(mode.buffer()));
+            let one_more = self.empty_at.unwrap_or(now).max(now).saturating_add(config.cycle);
+            self.empty_at = Some(if full { most } else { one_more.min(most) });
+        }
+    }
+
+    fn margin(&self, now: Instant) -> Option<Duration> {
+        self.empty_at.map(|at| at.saturating_since(now))
+    }
+}
+
+impl<const N: usize> Engine<N> {
+    /// Makes an engine that is about to start.
+    ///
+    /// # Errors
+    ///
+    /// When the configuration contradicts itself, or `N` bytes do not hold the frame.
+    pub fn new(config: Config) -> Result<Self, ConfigError> {
+        let (expected, frame) = (config.format.shape(), PreparedMove::new(config.motion.robot, &config.format));
+        if let Some(found) = config.start.map(|pose| pose.shape()).filter(|found| *found != expected) {
+            return Err(ConfigError::Start(FormatError::Shape { expected, found }));
+        }
+        if config.cycle < Duration::from_micros(1) {
+            return Err(ConfigError::Cycle);
+        }
+        Ok(Self {
+            config,
+            frame: frame.map_err(ConfigError::Frame)?,
+            phase: Phase::Starting,
+            step: Step::SendFormat,
+            channel: Channel::Motion,
+            in_flight: false,
+            sent_at: Instant::ZERO,
+            motion: Health::Good,
+            watch: if config.watch.is_some() { Health::Good } else { Health::Lost },
+            has_arm: false,
+            restarted: false,
+            stop_wanted: false,
+            stop: None,
+            start: None,
+            last: Pose::zero(expected),
+            delta: Delta::ZERO,
+            velocity: [0.0; 8],
+            pacer: Pacer::new(Instant::ZERO),
+            received: None,
+            fault: None,
+            error_index: 0,
+            stats: Stats::default(),
+        })
+    }
+
+    /// Says what to do next. The time counts as that of sending when this is a call.
+    pub fn poll(&mut self, now: Instant) -> Action {
+        if !self.in_flight {
+            match self.phase {
+                Phase::Finished => return Action::Finished,
+                Phase::Faulted => return Action::Faulted,
+                Phase::Streaming => {
+                    if let Some(action) = self.pace(now) {
+                        return action;
+                    }
+                }
+                Phase::Starting | Phase::Leaving | Phase::Diagnosing | Phase::Recovering => {}
+            }
+            self.in_flight = true;
+            self.sent_at = now;
+            self.channel = self.channel_for(self.step).unwrap_or(Channel::Motion);
+        }
+        Action::Call(self.step, self.channel)
+    }
+
+    /// Returns the call that [`poll`](Self::poll) has asked for; `None` when there is none.
+    #[must_use]
+    #[inline]
+    pub fn request(&self) -> Option<Request<'_>> {
+        self.in_flight.then(|| Request {
+            step: self.step,
+            channel: self.channel,
+            handles: match self.channel {
+                Channel::Motion => self.config.motion,
+                Channel::Watch => self.config.watch.unwrap_or(self.config.motion),
+            },
+            config: &self.config,
+            slv_move: self.frame.view(),
+            index: self.error_index,
+        })
+    }
+
+    /// Takes the reply to the call, whatever its code; returns the view of a slvMove's that was carried out.
+    pub fn handle_reply<'a>(&mut self, reply: &Frame<'a>, now: Instant) -> Option<MoveReply<'a>> {
+        if !core::mem::take(&mut self.in_flight) {
+            return None;
+        }
+        *self.health(self.channel) = Health::Good;
+        let (code, value) = (reply.hresult(), reply.value().unwrap_or(Variant::Empty));
+        match self.phase {
+            Phase::Streaming => return self.handle_move(code, value, now),
+            Phase::Starting => self.handle_start(code, value, now),
+            Phase::Leaving => self.handle_leave(code),
+            Phase::Diagnosing => self.handle_diagnosis(code, value),
+            Phase::Recovering => self.handle_recovery(code, value),
+            Phase::Finished | Phase::Faulted => {}
+        }
+        None
+    }
+
+    /// Takes note that the call has no reply.
+    ///
+    /// A call that was given up counts as one that timed out: whether the controller has executed it is not known.
+    pub fn handle_failure(&mut self, failure: Failure, _now: Instant) {
+        if !core::mem::take(&mut self.in_flight) {
+            return;
+        }
+        let health = self.health(self.channel);
+        *health = match (failure, *health) {
+            (Failure::NotSent, before) => before,
+            (Failure::Timeout, Health::Good) => Health::Silent,
+            (Failure::Timeout | Failure::Lost, _) => Health::Lost,
+        };
+        match self.phase {
+            Phase::Diagnosing => self.skip_diagnosis(failure),
+            _ => self.fail(Cause::Failed(failure)),
+        }
+    }
+
+    /// Gives the next pose, when [`Action::Pose`] asks for it.
+    ///
+    /// # Errors
+    ///
+    /// When the pose may not be sent; nothing has changed then, and another one can be given.
+    pub fn push(&mut self, pose: &Pose) -> Result<(), PoseError> {
+        let asked = self.phase == Phase::Streaming && !self.pacer.loaded && !self.in_flight && self.stop.is_none();
+        if !asked {
+            return Err(PoseError::NotNow);
+        }
+        let (expected, found) = (self.config.format.shape(), pose.shape());
+        if expected != found {
+            return Err(FormatError::Shape { expected, found }.into());
+        }
+        let velocity = limits::check(&self.config.limits, self.config.seconds(), &self.last, &self.velocity, pose)?;
+        self.delta = pose.since(&self.last);
+        self.velocity = velocity;
+        self.load(*pose)
+    }
+
+    /// Sets the bits of MiniIO, from the next pose that is sent on.
+    ///
+    /// # Errors
+    ///
+    /// When the format does not send them.
+    pub fn set_mini_io(&mut self, bits: i32) -> Result<(), FormatError> {
+        self.frame.set_mini_io(bits)
+    }
+
+    /// Sets the bits of HandIO, from the next pose that is sent on.
+    ///
+    /// # Errors
+    ///
+    /// When the format does not send them.
+    pub fn set_hand_io(&mut self, bits: i32) -> Result<(), FormatError> {
+        self.frame.set_hand_io(bits)
+    }
+
+    /// Sets the bytes of user IO, from the next pose that is sent on.
+    ///
+    /// # Errors
+    ///
+    /// When the format does not send them, or another number of them.
+    pub fn set_user_io(&mut self, bytes: &[u8]) -> Result<(), FormatError> {
+        self.frame.set_user_io(bytes)
+    }
+
+    /// Ends the stream in an orderly way.
+    ///
+    /// The robot goes on along its present direction while it slows down, as gently as the limits and
+    /// [`Config::ramp`] want; then the last pose is repeated until the robot stands, Slave Mode is left and the arm given
+    /// back. After a fault the arm is given back, and nothing else is done.
+    pub fn stop(&mut self) {
+        match self.phase {
+            Phase::Starting => self.stop_wanted = true,
+            Phase::Streaming if self.stop.is_none() => self.begin_stop(),
+            Phase::Faulted => self.give_arm(),
+            _ => {}
+        }
+    }
+
+    /// Starts anew after a fault: clears the controller's errors, switches the motor on and enters Slave Mode.
+    ///
+    /// The robot stands somewhere on its way, so the stream begins there and not at [`Config::start`]. Before anything
+    /// is cleared the controller is asked once more whether the emergency stop is pressed.
+    ///
+    /// # Errors
+    ///
+    /// When there is no fault, the connection is lost, or the emergency stop was pressed.
+    pub fn recover(&mut self) -> Result<(), RecoverError> {
+        let fault = self.fault.as_ref().filter(|_| self.phase == Phase::Faulted).ok_or(RecoverError::NoFault)?;
+        if fault.emergency_stop == Some(true) {
+            return Err(RecoverError::EmergencyStop);
+        }
+        if self.motion == Health::Lost {
+            return Err(RecoverError::Lost);
+        }
+        self.phase = Phase::Recovering;
+        self.step = Step::SystemState;
+        Ok(())
+    }
+
+    /// Returns why the stream has ended; complete once [`Action::Faulted`] was returned.
+    #[must_use]
+    pub const fn fault(&self) -> Option<&Fault> {
+        self.fault.as_ref()
+    }
+
+    /// Returns where the stream began: the expected start, or else where the robot stood; `None` before that is known.
+    #[must_use]
+    pub const fn start_pose(&self) -> Option<&Pose> {
+        self.start.as_ref()
+    }
+
+    /// Returns the last pose that was given or made, which a stop repeats; before the first one, the start.
+    #[must_use]
+    pub const fn last_pose(&self) -> &Pose {
+        &self.last
+    }
+
+    /// Returns the figures of the stream so far; they go on over a recovery.
+    #[must_use]
+    pub const fn stats(&self) -> &Stats {
+        &self.stats
+    }
+
+    /// Returns how long the controller's buffer will last, by this side's reckoning; `None` in mode 1.
+    #[must_use]
+    pub fn margin(&self, now: Instant) -> Option<Duration> {
+        self.pacer.margin(now)
+    }
+
+    /// Returns how long an attempt of the present call should wait on a link that loses frames: two cycles for a slvMove
+    /// of mode 2, whose answer may be withheld, one for those of the other modes, `None` for other calls.
+    #[must_use]
+    pub fn attempt_timeout(&self) -> Option<Duration> {
+        let cycles = if self.config.format.mode.mode == Mode::Mode2 { 2 } else { 1 };
+        (self.phase == Phase::Streaming).then(|| self.config.cycle.saturating_mul(cycles))
+    }
+
+    /// Returns the configuration.
+    #[must_use]
+    pub const fn config(&self) -> &Config {
+        &self.config
+    }
+
+    const fn health(&mut self, channel: Channel) -> &mut Health {
+        match channel {
+            Channel::Motion => &mut self.motion,
+            Channel::Watch => &mut self.watch,
+        }
+    }
+
+    /// Returns the best connection for a call; `None` when there is none.
+    fn channel_for(&self, step: Step) -> Option<Channel> {
+        let (motion, watch) = ((Channel::Motion, self.motion), (Channel::Watch, self.watch));
+        let [first, second] = match step {
+            Step::ErrorCount | Step::ErrorInfo | Step::SystemState => [watch, motion],
+            // the client that has the arm is the one of the first connection; the second may be all that is left
+            Step::GetMode | Step::Leave => [motion, watch],
+            _ => return (self.motion != Health::Lost).then_some(Channel::Motion),
+        };
+        [Health::Good, Health::Silent]
+            .iter()
+            .find_map(|wanted| [first, second].iter().find(|(_, health)| health == wanted).map(|(channel, _)| *channel))
+    }
+
+    /// Ends what is going on because of the present step, and begins to find out why.
+    fn fail(&mut self, cause: Cause) {
+        self.stop = None;
+        self.pacer.loaded = false;
+        let seen_by_us = matches!(cause, Cause::NotAtStart { .. } | Cause::EmergencyStop);
+        let released = if seen_by_us { Released::Yes } else { Released::Unknown };
+        let mut fault = Fault::new(self.step, cause, released);
+        if cause == Cause::EmergencyStop {
+            fault.emergency_stop = Some(true);
+        }
+        self.fault = Some(fault);
+        if seen_by_us {
+            self.phase = Phase::Faulted;
+        } else {
+            self.phase = Phase::Diagnosing;
+            self.diagnose(Step::GetMode);
+        }
+    }
+}
+
+/// Starting, leaving, and starting again.
+impl<const N: usize> Engine<N> {
+    fn handle_start(&mut self, code: HResult, value: Variant<'_>, now: Instant) {
+        if code.is_err() {
+            return self.fail(Cause::Refused(code));
+        }
+        let done = match self.step {
+            Step::TakeArm => {
+                self.has_arm = true;
+                Ok(())
+            }
+            Step::Position => self.take_position(value),
+            Step::Joints => self.take_joints(value),
+            _ => Ok(()),
+        };
+        if let Err(cause) = done {
+            return self.fail(cause);
+        }
+        if self.step == Step::Enter {
+            return self.begin_stream(now);
+        }
+        if self.stop_wanted {
+            return self.give_arm();
+        }
+        self.step = self.next_start();
+        if self.step == Step::Enter
+            && let Err(cause) = self.check_start()
+        {
+            self.fail(cause);
+        }
+    }
+
+    fn next_start(&self) -> Step {
+        let config = &self.config;
+        let extended = config.format.extended != ExtendedAxes::None && config.format.mode.pose != PoseType::J;
+        match self.step {
+            Step::SendFormat => Step::ReceiveFormat,
+            Step::ReceiveFormat if config.arm.is_some() => Step::TakeArm,
+            Step::ReceiveFormat | Step::TakeArm if config.motor => Step::Motor,
+            Step::ReceiveFormat | Step::TakeArm | Step::Motor => Step::Position,
+            Step::Position if extended => Step::Joints,
+            _ => Step::Enter,
+        }
+    }
+
+    /// Reads where the robot stands.
+    fn take_position(&mut self, value: Variant<'_>) -> Result<(), Cause> {
+        let pose = self.config.format.mode.pose;
+        let mut numbers = [0.0; 10];
+        let count = read_numbers(value, numbers.get_mut(..pose.len()).unwrap_or_default()).ok_or(Cause::NoValue)?;
+        let at = Pose::from_numbers(pose, numbers.get(..count).unwrap_or_default()).ok_or(Cause::NoValue)?;
+        let [.., j7, j8] = at.axes();
+        self.last = at.with_axes(self.config.format.extended, j7, j8);
+        Ok(())
+    }
+
+    /// Reads where the extended joints stand.
+    fn take_joints(&mut self, value: Variant<'_>) -> Result<(), Cause> {
+        let mut numbers = [0.0; 8];
+        read_numbers(value, &mut numbers).filter(|count| *count == numbers.len()).ok_or(Cause::NoValue)?;
+        let [.., j7, j8] = numbers;
+        self.last = self.last.with_axes(self.config.format.extended, j7, j8);
+        Ok(())
+    }
+
+    /// Compares where the robot stands with where the stream begins.
+    fn check_start(&mut self) -> Result<(), Cause> {
+        if let Some(start) = self.config.start.filter(|_| !self.restarted) {
+            if let Some((number, actual, expected)) = self.off_start(&start) {
+                return Err(Cause::NotAtStart { number, actual, expected });
+            }
+            self.last = start;
+        }
+        self.start = Some(self.last);
+        Ok(())
+    }
+
+    /// Finds the first number of the start that the robot misses.
+    fn off_start(&self, start: &Pose) -> Option<(u8, f64, f64)> {
+        /// One degree as the length of an arc of radius 1: what a component of a direction may be off by.
+        const PER_DEGREE: f64 = core::f64::consts::PI / 180.0;
+        let (pose, tolerance) = (self.config.format.mode.pose, self.config.tolerance);
+        let joints = usize::from(self.config.joints);
+        let own =
+            start.numbers().iter().zip(self.last.numbers()).zip(1_u8..).find_map(|((expected, actual), number)| {
+                let off = actual - expected;
+                let missed = match (pose, number) {
+                    (PoseType::P, 4..=6) => half_turn(off).abs() > tolerance,
+                    // a negative Fig leaves the figure open
+                    (PoseType::P, 7) | (PoseType::T, 10) => off != 0.0 && *expected >= 0.0 && *actual >= 0.0,
+                    (PoseType::T, 4..=9) => off.abs() > tolerance * PER_DEGREE,
+                    (PoseType::J, _) if usize::from(number) > joints => false,
+                    _ => off.abs() > tolerance,
+                };
+                missed.then_some((number, *actual, *expected))
+            });
+        let extended = || {
+            let axes = start.axes().into_iter().zip(self.last.axes()).zip(1_u8..).skip(6);
+            let (seven, eight) = self.config.format.extended.has();
+            let wanted = |number: u8| (number == 7 && seven) || (number == 8 && eight);
+            axes.filter(|(_, number)| wanted(*number))
+                .find(|((expected, actual), _)| (actual - expected).abs() > tolerance)
+                .map(|((expected, actual), number)| (number, actual, expected))
+        };
+        own.or_else(extended)
+    }
+
+    fn begin_stream(&mut self, now: Instant) {
+        self.phase = Phase::Streaming;
+        self.step = Step::Move;
+        self.pacer = Pacer::new(now);
+        self.delta = Delta::ZERO;
+        self.velocity = [0.0; 8];
+        self.received = None;
+        if self.stop_wanted {
+            self.leave();
+        }
+    }
+
+    fn leave(&mut self) {
+        self.phase = Phase::Leaving;
+        self.step = Step::Leave;
+    }
+
+    fn give_arm(&mut self) {
+        if self.has_arm && self.motion != Health::Lost {
+            self.phase = Phase::Leaving;
+            self.step = Step::GiveArm;
+        } else {
+            self.phase = Phase::Finished;
+        }
+    }
+
+    fn handle_leave(&mut self, code: HResult) {
+        if code.is_err() {
+            return self.fail(Cause::Refused(code));
+        }
+        if self.step == Step::GiveArm {
+            self.has_arm = false;
+        }
+        self.give_arm();
+    }
+
+    fn handle_recovery(&mut self, code: HResult, value: Variant<'_>) {
+        if code.is_err() {
+            return self.fail(Cause::Refused(code));
+        }
+        if self.step == Step::SystemState {
+            return match value.as_i32() {
+                Some(bits) if bits & EMERGENCY_STOP != 0 => self.fail(Cause::EmergencyStop),
+                Some(_) => self.step = Step::ClearError,
+                None => self.fail(Cause::NoValue),
+            };
+        }
+        self.fault = None;
+        self.stop_wanted = false;
+        self.restarted = true;
+        self.phase = Phase::Starting;
+        self.step = Step::SendFormat;
+    }
+}
+
+/// Streaming and stopping.
+impl<const N: usize> Engine<N> {
+    /// Says what keeps the next slvMove from being sent; `None` when the present step is to be made.
+    fn pace(&mut self, now: Instant) -> Option<Action> {
+        if !self.pacer.loaded {
+            if self.stop.is_none() {
+                return Some(Action::Pose { due: self.pacer.due });
+            }
+            if !self.load_stop() {
+                self.leave();
+                return None;
+            }
+        }
+        if now < self.pacer.due {
+            return Some(Action::Wait(self.pacer.due));
+        }
+        self.step = Step::Move;
+        self.pacer.sending(&self.config, &mut self.stats, now);
+        None
+    }
+
+    fn load(&mut self, pose: Pose) -> Result<(), PoseError> {
+        self.frame.set_pose(&pose)?;
+        self.last = pose;
+        self.pacer.loaded = true;
+        Ok(())
+    }
+
+    fn handle_move<'a>(&mut self, code: HResult, value: Variant<'a>, now: Instant) -> Option<MoveReply<'a>> {
+        self.stats.rtt.record(micros(now.saturating_since(self.sent_at)));
+        if code == HResult::E_BUF_FULL {
+            self.stats.refused = self.stats.refused.saturating_add(1);
+            if self.pacer.refused(&self.config, now) {
+                self.fail(Cause::Stalled);
+            }
+            return None;
+        }
+        if code.is_err() {
+            self.fail(Cause::Refused(code));
+            return None;
+        }
+        self.stats.cycles = self.stats.cycles.saturating_add(1);
+        self.pacer.stored(&self.config, code == HResult::S_BUF_FULL, now);
+        match self.config.format.receive.read(value) {
+            Ok(reply) => {
+                self.note_position(&reply);
+                Some(reply)
+            }
+            Err(error) => {
+                self.fail(Cause::Reply(error));
+                None
+            }
+        }
+    }
+
+    fn begin_stop(&mut self) {
+        let cycle = self.config.seconds();
+        let by_limits = limits::slow_down(&self.config.limits, cycle, &self.velocity);
+        let ramp = self.config.ramp.as_secs_f64();
+        let by_ramp = if ramp > cycle { cycle / ramp } else { 1.0 };
+        let moving = self.velocity.iter().any(|step| *step != 0.0);
+        let speed = if moving { 1.0 } else { 0.0 };
+        self.stop = Some(Stop { delta: self.delta, speed, part: by_limits.min(by_ramp), repeats: 0, still: 0 });
+        if self.pacer.taken == 0 && !self.pacer.loaded {
+            // nothing was commanded, so there is nothing to stop
+            self.leave();
+        }
+    }
+
+    /// Puts the next pose of the stop into the frame; `false` when the robot stands.
+    fn load_stop(&mut self) -> bool {
+        let Some(stop) = &mut self.stop else { return false };
+        let stands = stop.repeats >= REPEATS_MIN && stop.still >= STILL;
+        if stands || stop.repeats >= REPEATS_MAX {
+            return false;
+        }
+        stop.speed -= stop.part;
+        let pose = if stop.speed > 0.0 {
+            self.last.shifted(&stop.delta.scaled(stop.speed))
+        } else {
+            stop.repeats = stop.repeats.saturating_add(1);
+            self.last
+        };
+        self.load(pose).is_ok()
+    }
+
+    /// Compares where the robot is with where it was; joints that it has not are left out.
+    fn note_position(&mut self, reply: &MoveReply<'_>) {
+        let mut numbers = [0.0; RECEIVED_MAX];
+        for (slot, number) in numbers.iter_mut().zip(reply.pose().iter()) {
+            *slot = number;
+        }
+        let before = self.received.replace(numbers);
+        let Some(stop) = self.stop.as_mut().filter(|stop| stop.repeats > 0) else { return };
+        let joints_at = self.config.format.receive.pose.joints_at().unwrap_or(RECEIVED_MAX);
+        let (seven, eight) = self.config.format.extended.has();
+        let is_used = |index: usize| match index.checked_sub(joints_at) {
+            Some(joint) => joint < usize::from(self.config.joints) || (joint == 6 && seven) || (joint == 7 && eight),
+            None => true,
+        };
+        let still = before.is_some_and(|before| {
+            let mut pairs = numbers.iter().zip(before).enumerate().filter(|(index, _)| is_used(*index));
+            pairs.all(|(_, (now, before))| (now - before).abs() <= STILL_WITHIN)
+        });
+        stop.still = if still { stop.still.saturating_add(1) } else { 0 };
+    }
+}
+
+/// Finding out what has happened.
+impl<const N: usize> Engine<N> {
+    /// Goes to a question, or past it to one that can be asked.
+    fn diagnose(&mut self, step: Step) {
+        let mut step = step;
+        while self.channel_for(step).is_none() {
+            step = match step {
+                Step::GetMode | Step::Leave => Step::ErrorCount,
+                Step::ErrorCount | Step::ErrorInfo => Step::SystemState,
+                _ => return self.end_diagnosis(),
+            };
+        }
+        self.step = step;
+    }
+
+    fn end_diagnosis(&mut self) {
+        if self.fault.as_ref().is_some_and(Fault::is_underflow) {
+            self.stats.underflows = self.stats.underflows.saturating_add(1);
+        }
+        self.phase = Phase::Faulted;
+    }
+
+    /// Goes on without an answer: by asking the other connection if this one is lost, or with the next question.
+    fn skip_diagnosis(&mut self, failure: Failure) {
+        let other = self.channel_for(self.step).filter(|channel| *channel != self.channel);
+        match (self.step, other) {
+            (step, Some(_)) if failure != Failure::NotSent => self.diagnose(step),
+            (Step::GetMode | Step::Leave, _) => self.diagnose(Step::ErrorCount),
+            (Step::ErrorCount | Step::ErrorInfo, _) => self.diagnose(Step::SystemState),
+            _ => self.end_diagnosis(),
+        }
+    }
+
+    fn handle_diagnosis(&mut self, code: HResult, value: Variant<'_>) {
+        let Some(fault) = &mut self.fault else { return self.end_diagnosis() };
+        let int = value.as_i32().filter(|_| code.is_ok());
+        match self.step {
+            Step::GetMode => match int {
+                Some(0) => {
+                    fault.released = Released::Yes;
+                    self.diagnose(Step::ErrorCount);
+                }
+                Some(_) => {
+                    fault.released = Released::No;
+                    self.diagnose(Step::Leave);
+                }
+                None => self.diagnose(Step::ErrorCount),
+            },
+            Step::Leave => {
+                if code.is_ok() || code == HResult::E_SLVMODE_OFF {
+                    fault.released = Released::Yes;
+                }
+                self.diagnose(Step::ErrorCount);
+            }
+            Step::ErrorCount => {
+                // the last one is the oldest, the first cause
+                self.error_index = int.unwrap_or(0).saturating_sub(1);
+                self.diagnose(if self.error_index >= 0 { Step::ErrorInfo } else { Step::SystemState });
+            }
+            Step::ErrorInfo => {
+                let error = ControllerError::read(value).filter(|_| code.is_ok());
+                let more =
+                    error.is_some() && self.error_index > 0 && fault.errors().len() < ERRORS_MAX.saturating_sub(1);
+                error.into_iter().for_each(|error| fault.push(error));
+                self.error_index = self.error_index.saturating_sub(1);
+                self.diagnose(if more { Step::ErrorInfo } else { Step::SystemState });
+            }
+            _ => {
+                fault.emergency_stop = int.map(|bits| bits & EMERGENCY_STOP != 0);
+                self.end_diagnosis();
+            }
+        }
+    }
+}
+
+/// Reads an array of numbers into `target`, as far as both go, and returns how many that were.
+fn read_numbers(value: Variant<'_>, target: &mut [f64]) -> Option<usize> {
+    let array = value.as_array()?;
+    for (slot, element) in target.iter_mut().zip(array) {
+        *slot = element.as_f64()?;
+    }
+    Some(array.len().min(target.len()))
+}

@@ -1,0 +1,164 @@
+//! Limits on the commanded speed and acceleration of each axis, checked before a pose is sent.
+//!
+//! The controller refuses what is too fast with 0x8420405n and what changes speed too hard with 0x8420404n, and leaves
+//! Slave Mode (S2:1432-1436). The same is computed here from the poses of successive cycles:
+//!
+//! ```text
+//!   speed n        = (pose n - pose n-1) / cycle
+//!   acceleration n = (speed n - speed n-1) / cycle           the first pose starts from rest, where the robot stands
+//! ```
+
+use core::fmt;
+
+use super::pose::{Pose, half_turn};
+use super::{FormatError, PoseType};
+
+/// How fast each axis may be commanded to move and to change its speed.
+///
+/// For J poses the axes are the joints. For P poses 1 to 3 are X, Y, Z and 4 to 6 RX, RY, RZ, for T poses 1 to 3 are X, Y,
+/// Z and 4 to 6 are not checked; 7 and 8 are the extended joints. What the joints do in P and T poses is the
+/// controller's to compute, so staying within these limits does not promise that it accepts the pose.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct AxisLimits {
+    /// In degrees or mm per second, axis 1 first.
+    pub speed: [f64; 8],
+    /// In degrees or mm per second squared, axis 1 first.
+    pub acceleration: [f64; 8],
+}
+
+impl AxisLimits {
+    /// No limits: whatever is finite passes.
+    pub const NONE: Self = Self { speed: [f64::INFINITY; 8], acceleration: [f64::INFINITY; 8] };
+
+    /// Sets the same limits for all axes.
+    #[must_use]
+    pub const fn uniform(speed: f64, acceleration: f64) -> Self {
+        Self { speed: [speed; 8], acceleration: [acceleration; 8] }
+    }
+}
+
+impl Default for AxisLimits {
+    fn default() -> Self {
+        Self::NONE
+    }
+}
+
+/// A pose was refused before it was sent; the stream goes on with another one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum PoseError {
+    /// No pose is asked for now: [`Engine::poll`](super::Engine::poll) says when.
+    NotNow,
+    /// It does not have the layout of the format.
+    Format(FormatError),
+    /// A number is infinite or not a number.
+    NotFinite {
+        /// Which one, counted from 1.
+        number: u8,
+    },
+    /// An axis would move too fast: the controller would answer 0x8420405n.
+    Speed {
+        /// The axis, counted from 1.
+        axis: u8,
+        /// Its speed, in degrees or mm per second.
+        speed: f64,
+        /// Its limit.
+        limit: f64,
+    },
+    /// An axis would change its speed too hard: the controller would answer 0x8420404n.
+    Acceleration {
+        /// The axis, counted from 1.
+        axis: u8,
+        /// Its acceleration, in degrees or mm per second squared.
+        acceleration: f64,
+        /// Its limit.
+        limit: f64,
+    },
+}
+
+impl fmt::Display for PoseError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NotNow => f.write_str("no pose is asked for now"),
+            Self::Format(error) => error.fmt(f),
+            Self::NotFinite { number } => write!(f, "number {number} of the pose is not finite"),
+            Self::Speed { axis, speed, limit } => {
+                write!(f, "axis {axis} would move at {speed} per second, its limit is {limit}: put the poses closer")
+            }
+            Self::Acceleration { axis, acceleration, limit } => write!(
+                f,
+                "axis {axis} would accelerate by {acceleration} per second squared, its limit is {limit}: change \
+                 speed more gently"
+            ),
+        }
+    }
+}
+
+impl core::error::Error for PoseError {}
+
+impl From<FormatError> for PoseError {
+    fn from(error: FormatError) -> Self {
+        Self::Format(error)
+    }
+}
+
+/// The speed of each axis, in degrees or mm per cycle.
+pub(super) type Velocity = [f64; 8];
+
+/// Checks the step from `last`, reached at `before`, to `next`, and returns the speed of that step.
+pub(super) fn check(
+    limits: &AxisLimits,
+    cycle: f64,
+    last: &Pose,
+    before: &Velocity,
+    next: &Pose,
+) -> Result<Velocity, PoseError> {
+    let numbers = next.as_slice().iter();
+    if let Some((_, number)) = numbers.zip(1_u8..).map(|(n, count)| (n.is_finite(), count)).find(|(finite, _)| !finite)
+    {
+        return Err(PoseError::NotFinite { number });
+    }
+    let velocity = steps(last, next);
+    let axes = velocity.iter().zip(before).zip(limits.speed).zip(limits.acceleration).zip(1_u8..);
+    for ((((step, step_before), speed_limit), acceleration_limit), axis) in axes {
+        let speed = (step / cycle).abs();
+        if speed > speed_limit {
+            return Err(PoseError::Speed { axis, speed, limit: speed_limit });
+        }
+        let acceleration = ((step - step_before) / (cycle * cycle)).abs();
+        if acceleration > acceleration_limit {
+            return Err(PoseError::Acceleration { axis, acceleration, limit: acceleration_limit });
+        }
+    }
+    Ok(velocity)
+}
+
+/// Returns by how much each axis moves, angles the short way round.
+fn steps(last: &Pose, next: &Pose) -> Velocity {
+    let (from, to) = (last.axes(), next.axes());
+    let mut out = [0.0; 8];
+    for ((slot, a), b) in out.iter_mut().zip(from).zip(to) {
+        *slot = b - a;
+    }
+    if next.shape().pose == PoseType::P {
+        out.iter_mut().skip(3).take(3).for_each(|angle| *angle = half_turn(*angle));
+    }
+    out
+}
+
+/// Returns by how much of the present speed every cycle may slow down, so that no axis exceeds its limit: 1 is at once.
+pub(super) fn slow_down(limits: &AxisLimits, cycle: f64, velocity: &Velocity) -> f64 {
+    /// What is left of a limit for rounding.
+    const SHARE: f64 = 0.9;
+    let mut part: f64 = 1.0;
+    for (step, limit) in velocity.iter().zip(limits.acceleration) {
+        let step = step.abs();
+        if step > 0.0 {
+            part = part.min(SHARE * limit * cycle * cycle / step);
+        }
+    }
+    // limits of 0 would never end
+    part.max(1e-3)
+}

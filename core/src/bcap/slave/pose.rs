@@ -1,0 +1,344 @@
+//! Poses, in the order in which slvMove carries them.
+//!
+//! ```text
+//!          numbers                                    with an extended joint (S2:1240-1265)
+//!   P   7  X Y Z RX RY RZ Fig                         9 or 10  ... option [J7] [J8]
+//!   J   8  J1 .. J8                                         9  ... option
+//!   T  10  X Y Z  Ox Oy Oz  Ax Ay Az  Fig            12 or 13  ... option [J7] [J8]
+//!
+//!   option = 0x00400000 | 0x40 (axis 7) | 0x80 (axis 8)
+//! ```
+//!
+//! A pose is made of an array of the right length, so one of a wrong length cannot be written.
+
+use core::fmt;
+
+use super::mode::{J_LEN, P_LEN, PoseType, T_LEN};
+
+/// The most numbers that a pose can have.
+const MAX: usize = 13;
+/// The bit that marks the element of the extended-joint option.
+const OPTION: u32 = 0x0040_0000;
+
+/// Which extended joints slvMove commands.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum ExtendedAxes {
+    /// None: the option is not sent.
+    #[default]
+    None,
+    /// Axis 7.
+    Seven,
+    /// Axis 8.
+    Eight,
+    /// Axes 7 and 8.
+    Both,
+}
+
+impl ExtendedAxes {
+    const fn bits(self) -> u32 {
+        match self {
+            Self::None => 0,
+            Self::Seven => 0x40,
+            Self::Eight => 0x80,
+            Self::Both => 0xc0,
+        }
+    }
+
+    /// Tells whether axis 7 and axis 8 are among them.
+    pub(super) const fn has(self) -> (bool, bool) {
+        (self.bits() & 0x40 != 0, self.bits() & 0x80 != 0)
+    }
+}
+
+/// Where extended joints are to go, in degrees or millimetres.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Extended {
+    /// Axis 7.
+    Seven(f64),
+    /// Axis 8.
+    Eight(f64),
+    /// Axes 7 and 8.
+    Both(f64, f64),
+}
+
+/// What decides the layout of a pose: its type and its extended joints.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Shape {
+    /// The type.
+    pub pose: PoseType,
+    /// The extended joints.
+    pub extended: ExtendedAxes,
+}
+
+impl Shape {
+    /// Returns how many numbers slvMove carries.
+    #[must_use]
+    #[expect(clippy::len_without_is_empty, reason = "no pose is empty")]
+    pub const fn len(self) -> usize {
+        let behind = match (self.extended, self.pose) {
+            (ExtendedAxes::None, _) => 0,
+            (_, PoseType::J) => 1,
+            (ExtendedAxes::Both, _) => 3,
+            (_, _) => 2,
+        };
+        self.pose.len().wrapping_add(behind)
+    }
+}
+
+impl fmt::Display for Shape {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self.pose {
+            PoseType::P => "P",
+            PoseType::J => "J",
+            PoseType::T => "T",
+        })?;
+        f.write_str(match self.extended {
+            ExtendedAxes::None => "",
+            ExtendedAxes::Seven => " with axis 7",
+            ExtendedAxes::Eight => " with axis 8",
+            ExtendedAxes::Both => " with axes 7 and 8",
+        })
+    }
+}
+
+/// Where the robot is to be: what one slvMove commands.
+///
+/// # Examples
+///
+/// ```
+/// use bcap_core::bcap::slave::{Extended, Pose};
+///
+/// let pose = Pose::p([364.16, 0.0, 278.5, 180.0, 0.0, 180.0, 5.0]).with_extended(Extended::Eight(12.5));
+/// assert_eq!(pose.as_slice()[7..], [f64::from(0x0040_0080), 12.5]);
+/// ```
+#[derive(Clone, Copy, PartialEq)]
+pub struct Pose {
+    /// As the wire has them; zeros behind `shape.len()`.
+    numbers: [f64; MAX],
+    shape: Shape,
+}
+
+impl Pose {
+    /// Makes a P pose: X, Y, Z in mm, RX, RY, RZ in degrees, Fig.
+    #[must_use]
+    pub fn p(numbers: [f64; P_LEN]) -> Self {
+        Self::new(PoseType::P, &numbers)
+    }
+
+    /// Makes a J pose: eight joints in degrees (millimetres for linear ones); those that the robot has not are ignored.
+    #[must_use]
+    pub fn j(numbers: [f64; J_LEN]) -> Self {
+        Self::new(PoseType::J, &numbers)
+    }
+
+    /// Makes a T pose: X, Y, Z in mm, the orientation and the approach vector, Fig.
+    #[must_use]
+    pub fn t(numbers: [f64; T_LEN]) -> Self {
+        Self::new(PoseType::T, &numbers)
+    }
+
+    /// Makes a pose of numbers whose count is known only at run time, such as the columns of a file.
+    ///
+    /// `None` when there are not exactly as many as the type has; a J pose may have fewer, the missing joints are 0.
+    #[must_use]
+    pub fn from_numbers(pose: PoseType, numbers: &[f64]) -> Option<Self> {
+        let fits = match pose {
+            PoseType::J => !numbers.is_empty() && numbers.len() <= J_LEN,
+            other => numbers.len() == other.len(),
+        };
+        fits.then(|| Self::new(pose, numbers))
+    }
+
+    /// Makes the pose of zeros of a layout, with its extended-joint option.
+    pub(super) fn zero(shape: Shape) -> Self {
+        Self::new(shape.pose, &[]).with_axes(shape.extended, 0.0, 0.0)
+    }
+
+    fn new(pose: PoseType, numbers: &[f64]) -> Self {
+        let mut out = [0.0; MAX];
+        for (slot, number) in out.iter_mut().zip(numbers) {
+            *slot = *number;
+        }
+        Self { numbers: out, shape: Shape { pose, extended: ExtendedAxes::None } }
+    }
+
+    /// Returns the pose with extended joints; in a J pose they take the places of J7 and J8.
+    #[must_use]
+    pub fn with_extended(mut self, extended: Extended) -> Self {
+        let (axes, seven, eight) = match extended {
+            Extended::Seven(j7) => (ExtendedAxes::Seven, Some(j7), None),
+            Extended::Eight(j8) => (ExtendedAxes::Eight, None, Some(j8)),
+            Extended::Both(j7, j8) => (ExtendedAxes::Both, Some(j7), Some(j8)),
+        };
+        self.shape.extended = axes;
+        let option = f64::from(OPTION | axes.bits());
+        if self.shape.pose == PoseType::J {
+            self.put(6, seven);
+            self.put(7, eight);
+            self.put(J_LEN, Some(option));
+        } else {
+            let at = self.shape.pose.len();
+            self.put(at, Some(option));
+            self.put(at.wrapping_add(1), seven.or(eight));
+            self.put(at.wrapping_add(2), eight.filter(|_| axes == ExtendedAxes::Both).or(Some(0.0)));
+        }
+        self
+    }
+
+    /// Returns the pose with the extended joints of a format.
+    pub(super) fn with_axes(self, axes: ExtendedAxes, j7: f64, j8: f64) -> Self {
+        match axes {
+            ExtendedAxes::None => self,
+            ExtendedAxes::Seven => self.with_extended(Extended::Seven(j7)),
+            ExtendedAxes::Eight => self.with_extended(Extended::Eight(j8)),
+            ExtendedAxes::Both => self.with_extended(Extended::Both(j7, j8)),
+        }
+    }
+
+    fn put(&mut self, at: usize, number: Option<f64>) {
+        if let (Some(slot), Some(number)) = (self.numbers.get_mut(at), number) {
+            *slot = number;
+        }
+    }
+
+    /// Returns the layout.
+    #[must_use]
+    #[inline]
+    pub const fn shape(&self) -> Shape {
+        self.shape
+    }
+
+    /// Returns the numbers in the order of the wire, the extended-joint option included.
+    #[must_use]
+    #[inline]
+    pub fn as_slice(&self) -> &[f64] {
+        self.numbers.get(..self.shape.len()).unwrap_or_default()
+    }
+
+    /// Returns the numbers without the extended-joint option and what follows it.
+    #[must_use]
+    pub fn numbers(&self) -> &[f64] {
+        self.numbers.get(..self.shape.pose.len()).unwrap_or_default()
+    }
+
+    /// Returns the numbers that can move steadily, as limits and ramps see them; what is not there is 0.
+    ///
+    /// ```text
+    ///   P   X Y Z RX RY RZ J7 J8       J   J1 .. J8       T   X Y Z  0  0  0 J7 J8
+    /// ```
+    pub(super) fn axes(&self) -> [f64; 8] {
+        let n = &self.numbers;
+        let [a, b, c, d, e, f, g, h, ..] = *n;
+        let (seven, eight) = self.extended_values();
+        match self.shape.pose {
+            PoseType::P => [a, b, c, d, e, f, seven, eight],
+            PoseType::J => [a, b, c, d, e, f, g, h],
+            PoseType::T => [a, b, c, 0.0, 0.0, 0.0, seven, eight],
+        }
+    }
+
+    /// Returns the values of axes 7 and 8 behind the option of a P or T pose.
+    fn extended_values(&self) -> (f64, f64) {
+        let at = self.shape.pose.len();
+        let value = |by: usize| self.numbers.get(at.wrapping_add(by)).copied().unwrap_or(0.0);
+        match self.shape.extended {
+            ExtendedAxes::None => (0.0, 0.0),
+            ExtendedAxes::Seven => (value(1), 0.0),
+            ExtendedAxes::Eight => (0.0, value(1)),
+            ExtendedAxes::Both => (value(1), value(2)),
+        }
+    }
+
+    /// Returns the pose that lies `by` further; angles stay within half a turn, vectors keep their length.
+    pub(super) fn shifted(&self, by: &Delta) -> Self {
+        let mut out = *self;
+        for (slot, step) in out.numbers.iter_mut().zip(by.0) {
+            *slot += step;
+        }
+        match self.shape.pose {
+            PoseType::P => {
+                out.numbers.iter_mut().skip(3).take(3).for_each(|angle| *angle = half_turn(*angle));
+            }
+            PoseType::T => {
+                let (_, vectors) = out.numbers.split_at_mut(3);
+                if let [o1, o2, o3, a1, a2, a3, ..] = vectors {
+                    normalize([o1, o2, o3]);
+                    normalize([a1, a2, a3]);
+                }
+            }
+            PoseType::J => {}
+        }
+        out
+    }
+
+    /// Returns what leads from `earlier` to this pose; Fig and the option do not move.
+    pub(super) fn since(&self, earlier: &Self) -> Delta {
+        let mut out = [0.0; MAX];
+        for ((slot, to), from) in out.iter_mut().zip(self.numbers).zip(earlier.numbers) {
+            *slot = to - from;
+        }
+        let fixed = match self.shape.pose {
+            PoseType::P => {
+                out.iter_mut().skip(3).take(3).for_each(|angle| *angle = half_turn(*angle));
+                6..8
+            }
+            PoseType::J => 8..9,
+            PoseType::T => 9..11,
+        };
+        out.iter_mut().take(fixed.end).skip(fixed.start).for_each(|number| *number = 0.0);
+        Delta(out)
+    }
+}
+
+impl fmt::Debug for Pose {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:?}", self.shape.pose)?;
+        f.debug_list().entries(self.as_slice()).finish()
+    }
+}
+
+#[cfg(feature = "defmt")]
+impl defmt::Format for Pose {
+    fn format(&self, f: defmt::Formatter<'_>) {
+        defmt::write!(f, "{} {=[f64]}", self.shape.pose, self.as_slice());
+    }
+}
+
+/// The difference of two poses of one shape.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Delta([f64; MAX]);
+
+impl Delta {
+    pub(super) const ZERO: Self = Self([0.0; MAX]);
+
+    pub(super) fn scaled(&self, factor: f64) -> Self {
+        Self(self.0.map(|number| number * factor))
+    }
+}
+
+/// Brings an angle that is at most one turn off into -180 to 180 degrees.
+pub(super) fn half_turn(angle: f64) -> f64 {
+    if angle > 180.0 {
+        angle - 360.0
+    } else if angle < -180.0 {
+        angle + 360.0
+    } else {
+        angle
+    }
+}
+
+/// Gives a vector that is almost of length 1 that length.
+fn normalize(vector: [&mut f64; 3]) {
+    let square: f64 = vector.iter().map(|n| **n * **n).sum();
+    // Newton's iteration for 1 / sqrt(square); the core has no square root
+    let mut inverse = 1.0;
+    for _ in 0..4 {
+        inverse *= 1.5 - 0.5 * square * inverse * inverse;
+    }
+    if (0.5..2.0).contains(&square) {
+        vector.into_iter().for_each(|number| *number *= inverse);
+    }
+}

@@ -1,0 +1,159 @@
+//! The calls that an engine makes.
+
+use super::command::MoveCall;
+use super::config::{Config, Handles};
+use super::mode::{PoseType, SlaveMode};
+use crate::bcap::call::{Any, Call};
+use crate::bcap::{FrameWriter, FunctionId};
+use crate::error::EncodeError;
+use crate::variant::Encode;
+
+/// A call of the engine, by what it is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum Step {
+    /// slvSendFormat.
+    SendFormat,
+    /// slvRecvFormat.
+    ReceiveFormat,
+    /// TakeArm.
+    TakeArm,
+    /// Motor, on.
+    Motor,
+    /// CurPos, CurJnt or CurTrn: where the robot stands.
+    Position,
+    /// CurJnt, for the extended joints of a P or T pose.
+    Joints,
+    /// slvChangeMode with the mode.
+    Enter,
+    /// slvMove.
+    Move,
+    /// slvChangeMode 0.
+    Leave,
+    /// GiveArm.
+    GiveArm,
+    /// slvGetMode.
+    GetMode,
+    /// GetCurErrorCount.
+    ErrorCount,
+    /// GetCurErrorInfo.
+    ErrorInfo,
+    /// SysState.
+    SystemState,
+    /// ClearError.
+    ClearError,
+}
+
+impl Step {
+    /// Returns the command as the specification writes it; [`Position`](Self::Position) has three.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::SendFormat => "slvSendFormat",
+            Self::ReceiveFormat => "slvRecvFormat",
+            Self::TakeArm => "TakeArm",
+            Self::Motor => "Motor",
+            Self::Position => "CurPos",
+            Self::Joints => "CurJnt",
+            Self::Enter | Self::Leave => "slvChangeMode",
+            Self::Move => "slvMove",
+            Self::GiveArm => "GiveArm",
+            Self::GetMode => "slvGetMode",
+            Self::ErrorCount => "GetCurErrorCount",
+            Self::ErrorInfo => "GetCurErrorInfo",
+            Self::SystemState => "SysState",
+            Self::ClearError => "ClearError",
+        }
+    }
+
+    /// Tells whether the controller executes it, and not the robot.
+    const fn is_of_controller(self) -> bool {
+        matches!(self, Self::ErrorCount | Self::ErrorInfo | Self::SystemState | Self::ClearError)
+    }
+}
+
+/// Which connection a call goes over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Channel {
+    /// The one that moves the robot.
+    Motion,
+    /// The second one.
+    Watch,
+}
+
+/// The call that the engine wants to be made: to be given to a client or a connection as it is.
+#[derive(Clone, Copy, Debug)]
+pub struct Request<'a> {
+    pub(super) step: Step,
+    pub(super) channel: Channel,
+    pub(super) handles: Handles,
+    pub(super) config: &'a Config,
+    pub(super) slv_move: MoveCall<'a>,
+    /// For GetCurErrorInfo.
+    pub(super) index: i32,
+}
+
+impl Request<'_> {
+    /// Returns what it is for.
+    #[must_use]
+    pub const fn step(&self) -> Step {
+        self.step
+    }
+
+    /// Returns the connection that it goes over.
+    #[must_use]
+    pub const fn channel(&self) -> Channel {
+        self.channel
+    }
+
+    fn name(&self) -> &'static str {
+        match (self.step, self.config.format.mode.pose) {
+            (Step::Position, PoseType::J) => "CurJnt",
+            (Step::Position, PoseType::T) => "CurTrn",
+            (step, _) => step.name(),
+        }
+    }
+
+    fn parameter(&self, put: &mut dyn FnMut(&dyn Encode) -> Result<(), EncodeError>) -> Result<(), EncodeError> {
+        let format = &self.config.format;
+        match self.step {
+            Step::SendFormat => put(&format.send.code()),
+            Step::ReceiveFormat => put(&format.receive),
+            Step::TakeArm => put(&self.config.arm.unwrap_or_default()),
+            // on, and answer when it is
+            Step::Motor => put(&[1, 0]),
+            Step::Enter => put(&format.mode.code()),
+            Step::Leave => put(&SlaveMode::OFF),
+            Step::ErrorInfo => put(&self.index),
+            _ => put(&()),
+        }
+    }
+}
+
+impl Call for Request<'_> {
+    type Reply = Any;
+
+    fn function(&self) -> FunctionId {
+        if self.step.is_of_controller() { FunctionId::CONTROLLER_EXECUTE } else { FunctionId::ROBOT_EXECUTE }
+    }
+
+    fn arguments(&self, frame: &mut FrameWriter<'_>) -> Result<(), EncodeError> {
+        if self.step == Step::Move {
+            return self.slv_move.arguments(frame);
+        }
+        if self.step.is_of_controller() {
+            frame.argument(&self.handles.controller)?;
+        } else {
+            frame.argument(&self.handles.robot)?;
+        }
+        frame.argument(self.name())?;
+        self.parameter(&mut |value| frame.argument(value))
+    }
+
+    #[inline]
+    fn prepared(&self) -> Option<&[u8]> {
+        (self.step == Step::Move).then_some(self.slv_move.frame)
+    }
+}
