@@ -266,8 +266,9 @@ impl Pacer {
             }
             Mode::Mode2 => {
                 self.due = now;
-                // the answer after those that fill the buffer ends somewhere within a cycle of the controller
-                self.steady = self.taken > mode.buffer().saturating_add(1);
+                // the controller may take one while the buffer is filled, and the first that is withheld comes within a
+                // cycle of its own
+                self.steady = self.taken > mode.buffer().saturating_add(2);
             }
         }
         if mode != Mode::Mode1 {

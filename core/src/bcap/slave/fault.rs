@@ -15,6 +15,7 @@ const TEXT_MAX: usize = 80;
 
 /// A call of the engine has failed, and what the controller said about it.
 #[derive(Clone, Debug)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Fault {
     /// The call.
     pub step: Step,
@@ -91,6 +92,7 @@ pub enum Released {
 
 /// An error that is present in the controller.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ControllerError {
     /// Its code.
     pub code: HResult,

@@ -303,7 +303,7 @@ impl fmt::Debug for Pose {
 #[cfg(feature = "defmt")]
 impl defmt::Format for Pose {
     fn format(&self, f: defmt::Formatter<'_>) {
-        defmt::write!(f, "{} {=[f64]}", self.shape.pose, self.as_slice());
+        defmt::write!(f, "{} {}", self.shape.pose, self.as_slice());
     }
 }
 

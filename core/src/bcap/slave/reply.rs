@@ -285,6 +285,14 @@ impl<'a> MoveReply<'a> {
     }
 }
 
+#[cfg(feature = "defmt")]
+impl defmt::Format for MoveReply<'_> {
+    fn format(&self, f: defmt::Formatter<'_>) {
+        let (joints, position) = (self.joints(), self.position());
+        defmt::write!(f, "slvMove reply: time {}, joints {}, position {}", self.time, joints, position);
+    }
+}
+
 impl fmt::Debug for MoveReply<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("MoveReply")

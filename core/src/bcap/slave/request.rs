@@ -95,6 +95,13 @@ pub struct Request<'a> {
     pub(super) index: i32,
 }
 
+#[cfg(feature = "defmt")]
+impl defmt::Format for Request<'_> {
+    fn format(&self, f: defmt::Formatter<'_>) {
+        defmt::write!(f, "{} over {}", self.step, self.channel);
+    }
+}
+
 impl Request<'_> {
     /// Returns what it is for.
     #[must_use]

@@ -81,6 +81,13 @@ impl Default for Histogram {
     }
 }
 
+#[cfg(feature = "defmt")]
+impl defmt::Format for Histogram {
+    fn format(&self, f: defmt::Formatter<'_>) {
+        defmt::write!(f, "{} times, median {} us, max {} us", self.count, self.quantile(500), self.max);
+    }
+}
+
 /// Returns the bucket of a time: the position of its first bit, and the three bits behind that.
 fn bucket(micros: u32) -> usize {
     let micros = crate::num::to_usize(micros);
@@ -105,6 +112,7 @@ fn upper(index: usize) -> u32 {
 
 /// What a stream has counted since it began.
 #[derive(Clone, Debug, Default)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Stats {
     /// Poses that the controller has taken.
     pub cycles: u32,
