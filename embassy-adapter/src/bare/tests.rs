@@ -1,0 +1,216 @@
+extern crate std;
+
+use std::vec;
+
+use bcap_core::bcap::call::{self, VariableHandle};
+use bcap_core::bcap::client::{ClientError, Config, Timeout};
+use bcap_core::bcap::{FunctionId, server};
+use bcap_core::handler::{Outcome, ReplyValue};
+use bcap_core::hresult::HResult;
+use bcap_core::variant::Variant;
+use smoltcp::iface::{self, Interface, SocketHandle, SocketSet};
+use smoltcp::phy::{Loopback, Medium};
+use smoltcp::wire::{EthernetAddress, IpAddress, IpCidr};
+
+use super::*;
+
+const HOST: IpAddress = IpAddress::v4(127, 0, 0, 1);
+
+/// A stack that talks to itself, and a clock that is moved by hand.
+struct Net {
+    device: Loopback,
+    interface: Interface,
+    sockets: SocketSet<'static>,
+    now: Instant,
+}
+
+impl Net {
+    fn new() -> Self {
+        let mut device = Loopback::new(Medium::Ethernet);
+        let config = iface::Config::new(EthernetAddress([2, 0, 0, 0, 0, 1]).into());
+        let mut interface = Interface::new(config, &mut device, to_smoltcp(Instant::ZERO));
+        interface.update_ip_addrs(|addresses| addresses.push(IpCidr::new(HOST, 8)).unwrap());
+        Self { device, interface, sockets: SocketSet::new(vec![]), now: Instant::ZERO }
+    }
+
+    fn tcp(&mut self) -> SocketHandle {
+        let memory = || tcp::SocketBuffer::new(vec![0; 512]);
+        self.sockets.add(tcp::Socket::new(memory(), memory()))
+    }
+
+    fn udp(&mut self, port: u16) -> SocketHandle {
+        let memory = || udp::PacketBuffer::new(vec![udp::PacketMetadata::EMPTY; 4], vec![0; 1024]);
+        let mut socket = udp::Socket::new(memory(), memory());
+        socket.bind(port).unwrap();
+        self.sockets.add(socket)
+    }
+
+    fn connect(&mut self, handle: SocketHandle, from: u16) {
+        let socket = self.sockets.get_mut::<tcp::Socket<'_>>(handle);
+        set_up(socket);
+        socket.connect(self.interface.context(), (HOST, 5007), from).unwrap();
+    }
+
+    fn step(&mut self) {
+        self.now = self.now + core::time::Duration::from_millis(1);
+        self.interface.poll(to_smoltcp(self.now), &mut self.device, &mut self.sockets);
+    }
+}
+
+/// A controller whose variables all have the value 42.
+#[derive(Default)]
+struct Answer {
+    left: usize,
+}
+
+impl server::Handler for Answer {
+    fn call(&mut self, _: PeerId, request: &server::Request<'_>, reply: &mut ReplyValue<'_>, _: Instant) -> Outcome {
+        let set = match request.function {
+            FunctionId::CONTROLLER_CONNECT | FunctionId::CONTROLLER_GET_VARIABLE => reply.set(&1),
+            FunctionId::VARIABLE_GET_VALUE => reply.set(&42),
+            _ => Ok(()),
+        };
+        set.map_or(HResult::E_FAIL, |()| HResult::S_OK).into()
+    }
+
+    fn left(&mut self, _: PeerId, _: Instant) {
+        self.left += 1;
+    }
+}
+
+fn session() -> server::Session<[u8; 512], [u8; 512], 8> {
+    server::Session::new(server::Config::TCP, [0; 512], [0; 512])
+}
+
+/// Two ends of a connection: a client, and the server it talks to.
+struct Pair {
+    net: Net,
+    client: Client<[u8; 512]>,
+    client_socket: SocketHandle,
+    server: TcpServer<server::Session<[u8; 512], [u8; 512], 8>>,
+    server_socket: SocketHandle,
+    handler: Answer,
+}
+
+impl Pair {
+    fn new() -> Self {
+        let mut net = Net::new();
+        let (client_socket, server_socket) = (net.tcp(), net.tcp());
+        Self {
+            net,
+            client: Client::new(Config::TCP, [0; 512], [0; 512]),
+            client_socket,
+            server: TcpServer::new(5007, 0, 1),
+            server_socket,
+            handler: Answer::default(),
+        }
+    }
+
+    fn serve(&mut self) {
+        let socket = self.net.sockets.get_mut(self.server_socket);
+        self.server.poll(socket, session, &mut self.handler, self.net.now);
+    }
+
+    /// Lets time pass until something happens at the client.
+    fn event(&mut self) -> Result<Event, LinkError> {
+        for _ in 0..10_000 {
+            self.net.step();
+            self.serve();
+            let socket = self.net.sockets.get_mut(self.client_socket);
+            if let Some(event) = poll_tcp(&mut self.client, socket, self.net.now)? {
+                return Ok(event);
+            }
+        }
+        panic!("nothing happens");
+    }
+
+    fn call<C: call::Call>(&mut self, call: C) -> Result<Event, LinkError> {
+        self.client.start(&call, self.net.now).unwrap();
+        self.event()
+    }
+}
+
+#[test]
+fn calls_go_over_tcp_and_a_new_connection_is_served_after_the_old() {
+    let mut pair = Pair::new();
+    for round in 0..3 {
+        pair.serve();
+        pair.net.connect(pair.client_socket, 40_000 + round);
+        assert_eq!(pair.call(call::service_start("")), Ok(Event::Replied(HResult::S_OK)));
+        // a handle that was given to no peer
+        assert_eq!(
+            pair.call(call::variable_get_value(VariableHandle(1))),
+            Ok(Event::Replied(HResult::E_HANDLE)),
+            "round {round}"
+        );
+        assert_eq!(pair.call(call::controller_connect("", "", "", "")), Ok(Event::Replied(HResult::S_OK)));
+        let controller = call::ControllerHandle(1);
+        let get = call::controller_get_variable(controller, "I1", "");
+        assert_eq!(pair.call(get), Ok(Event::Replied(HResult::S_OK)));
+        assert_eq!(pair.call(call::variable_get_value(VariableHandle(1))), Ok(Event::Replied(HResult::S_OK)));
+        assert_eq!(pair.client.reply().and_then(|reply| reply.value()), Some(Variant::I4(42)));
+        assert!(pair.server.is_connected());
+
+        pair.net.sockets.get_mut::<tcp::Socket<'_>>(pair.client_socket).abort();
+        pair.client.reset();
+        for _ in 0..10 {
+            pair.net.step();
+            pair.serve();
+        }
+        assert_eq!(pair.handler.left, usize::from(round) + 1);
+        assert!(!pair.server.is_connected());
+    }
+}
+
+#[test]
+fn a_connection_that_ends_is_told_from_one_that_is_refused() {
+    let mut pair = Pair::new();
+    // nobody listens yet
+    pair.net.connect(pair.client_socket, 40_000);
+    pair.client.start(&call::service_start(""), pair.net.now).unwrap();
+    let refused = (0..10).find_map(|_| {
+        pair.net.step();
+        let socket = pair.net.sockets.get_mut(pair.client_socket);
+        poll_tcp(&mut pair.client, socket, pair.net.now).err()
+    });
+    assert_eq!(refused, Some(LinkError::Reset));
+
+    pair.client.reset();
+    pair.serve();
+    pair.net.connect(pair.client_socket, 40_001);
+    assert_eq!(pair.call(call::service_start("")), Ok(Event::Replied(HResult::S_OK)));
+    // the server closes after bytes that are no frame, and says so first
+    let socket = pair.net.sockets.get_mut::<tcp::Socket<'_>>(pair.client_socket);
+    socket.send_slice(b"no frame at all ").unwrap();
+    assert_eq!(pair.event(), Ok(Event::Stale { serial: 0 }));
+    assert_eq!(pair.event(), Err(LinkError::Closed));
+    assert_eq!(pair.handler.left, 1);
+}
+
+#[test]
+fn calls_over_udp_are_repeated_and_strangers_are_not_heard() {
+    let mut net = Net::new();
+    let (here, there, stranger) = (net.udp(40_000), net.udp(5007), net.udp(5008));
+    let mut client = Client::new(Config { attempts: 2, ..Config::UDP }, [0; 488], [0; 505]);
+    client.start(&call::service_start(""), net.now).unwrap();
+    let peer = IpEndpoint::new(HOST, 5007);
+    let mut requests = 0;
+    let end = (0..2000).find_map(|_| {
+        net.step();
+        let server = net.sockets.get_mut::<udp::Socket<'_>>(there);
+        while let Ok((request, _)) = server.recv() {
+            assert_eq!(request[9..13], FunctionId::SERVICE_START.0.to_le_bytes()[..]);
+            requests += 1;
+        }
+        // what would be the reply, were it not from someone else
+        let reply = b"\x01\x10\0\0\0\x01\0\0\0\0\0\0\0\0\0\x04";
+        let _ = net.sockets.get_mut::<udp::Socket<'_>>(stranger).send_slice(reply, IpEndpoint::new(HOST, 40_000));
+        let socket = net.sockets.get_mut(here);
+        match poll_udp(&mut client, socket, peer, net.now).unwrap() {
+            Some(Event::Retried { attempt: 2 }) | None => None,
+            Some(end) => Some(end),
+        }
+    });
+    assert_eq!(end, Some(Event::Failed(ClientError::Timeout(Timeout::Attempt))));
+    assert_eq!(requests, 2);
+}

@@ -1,0 +1,148 @@
+//! A TCP socket of embassy-net as a transport.
+
+use core::fmt;
+
+use bcap_core::io::asynch::Transport;
+use bcap_core::time::Instant;
+use embassy_net::tcp::{ConnectError, TcpSocket};
+use embassy_net::{IpEndpoint, Stack};
+use embassy_time::{Duration, with_timeout};
+
+use super::{NetError, is_down, now, wait};
+
+/// What a connection may take.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Options {
+    /// How long connecting may take.
+    pub connect_timeout: Duration,
+    /// The silence after which the peer is asked whether it is still there.
+    pub keep_alive: Duration,
+    /// How long a peer may leave that, or data, without an acknowledgement; the connection is then reset.
+    ///
+    /// smoltcp repeats what was lost after a second at the earliest, so less than 3 s breaks good connections.
+    pub lost: Duration,
+}
+
+impl Default for Options {
+    /// 3 s to connect; a peer is asked after 5 s of silence and given up after 15 s.
+    fn default() -> Self {
+        Self {
+            connect_timeout: Duration::from_secs(3),
+            keep_alive: Duration::from_secs(5),
+            lost: Duration::from_secs(15),
+        }
+    }
+}
+
+/// A TCP socket as a transport; it can be connected again and again.
+pub struct TcpTransport<'s> {
+    stack: Stack<'s>,
+    socket: TcpSocket<'s>,
+    options: Options,
+}
+
+impl<'s> TcpTransport<'s> {
+    /// Makes a transport that is not connected; `rx` and `tx` are the socket's memory.
+    ///
+    /// The stack must have a place for one more socket in its `StackResources`, or it panics.
+    #[must_use]
+    pub fn new(stack: Stack<'s>, rx: &'s mut [u8], tx: &'s mut [u8], options: Options) -> Self {
+        Self { stack, socket: TcpSocket::new(stack, rx, tx), options }
+    }
+
+    /// Connects to a peer; a connection that was there is reset.
+    ///
+    /// The client on top must begin anew as well: [`Client::reset`](bcap_core::bcap::Client::reset).
+    ///
+    /// # Errors
+    ///
+    /// A [`NetError`] that says why not.
+    ///
+    /// # Cancel safety
+    ///
+    /// When the future is dropped there is no connection.
+    pub async fn connect(&mut self, peer: impl Into<IpEndpoint>) -> Result<(), NetError> {
+        if is_down(self.stack) {
+            return Err(NetError::Down);
+        }
+        self.socket.abort();
+        let connected = with_timeout(self.options.connect_timeout, self.socket.connect(peer.into())).await;
+        let result = match connected {
+            Ok(Ok(())) => Ok(()),
+            Ok(Err(ConnectError::NoRoute)) => Err(NetError::NoRoute),
+            Ok(Err(ConnectError::TimedOut)) | Err(_) => Err(NetError::Timeout),
+            Ok(Err(ConnectError::ConnectionReset | ConnectError::InvalidState)) => Err(NetError::Reset),
+        };
+        match result {
+            Ok(()) => self.set_up(),
+            Err(_) => self.socket.abort(),
+        }
+        result
+    }
+
+    /// Waits for a peer that connects to `port`.
+    ///
+    /// # Errors
+    ///
+    /// A [`NetError`] when the peer was gone at once, or the port is 0.
+    ///
+    /// # Cancel safety
+    ///
+    /// When the future is dropped a peer that is just connecting is reset with the next use.
+    #[cfg(feature = "server")]
+    pub(crate) async fn accept(&mut self, port: u16) -> Result<(), NetError> {
+        self.socket.abort();
+        self.socket.accept(port).await.map_err(|_| NetError::Reset)?;
+        self.set_up();
+        Ok(())
+    }
+
+    /// Closes the connection in order, after what was sent has arrived; one that hangs is reset.
+    ///
+    /// # Cancel safety
+    ///
+    /// When the future is dropped the connection goes on closing.
+    pub async fn close(&mut self) {
+        self.socket.close();
+        if with_timeout(self.options.connect_timeout, self.socket.flush()).await.is_err() {
+            self.socket.abort();
+        }
+    }
+
+    /// Returns the socket.
+    pub const fn socket(&mut self) -> &mut TcpSocket<'s> {
+        &mut self.socket
+    }
+
+    fn set_up(&mut self) {
+        // a request is one segment, and is to leave at once
+        self.socket.set_nagle_enabled(false);
+        self.socket.set_keep_alive(Some(self.options.keep_alive));
+        self.socket.set_timeout(Some(self.options.lost));
+    }
+}
+
+impl fmt::Debug for TcpTransport<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("TcpTransport").field("options", &self.options).finish_non_exhaustive()
+    }
+}
+
+impl Transport for TcpTransport<'_> {
+    type Error = NetError;
+
+    fn now(&self) -> Instant {
+        now()
+    }
+
+    async fn send(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, NetError> {
+        let sent = wait(self.stack, until, self.socket.write(bytes)).await?;
+        sent.transpose().map_err(|_| NetError::Reset)
+    }
+
+    async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, NetError> {
+        let received = wait(self.stack, until, self.socket.read(buffer)).await?;
+        received.transpose().map_err(|_| NetError::Reset)
+    }
+}

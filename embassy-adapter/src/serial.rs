@@ -1,0 +1,43 @@
+//! Clients over a serial line: any device of `embedded_io_async`, such as a UART with a buffer.
+//!
+//! Frames on a serial line carry a CRC, bytes that are no frame are passed over, and a call that is not answered is
+//! repeated; [`Config::SERIAL`] says how often.
+//!
+//! A device whose `read` loses bytes when its future is dropped is none for this: the drivers with a buffer (a
+//! `BufferedUart`, a ring buffer of a DMA channel) lose nothing.
+
+use bcap_core::bcap::Client;
+pub use bcap_core::bcap::client::Config;
+pub use bcap_core::io::asynch::{Connection, Timed};
+use bcap_core::storage::Storage;
+
+use crate::clock::EmbassyClock;
+
+/// A device as a transport.
+pub type SerialTransport<D> = Timed<D, EmbassyClock>;
+/// A client over a serial line.
+pub type SerialClient<D, T, R = T> = Connection<SerialTransport<D>, T, R>;
+
+/// Makes a client of a device; `tx` and `rx` hold a frame each, 503 bytes at most.
+///
+/// # Examples
+///
+/// ```
+/// use bcap_core::bcap::call;
+/// use bcap_embassy::serial::{self, Config};
+/// use embedded_io_async::{Read, Write};
+///
+/// async fn read<U: Read + Write>(uart: U) -> Result<i32, bcap_core::io::CallError<U::Error>> {
+///     let mut robot = serial::client(uart, Config::SERIAL, [0; 503], [0; 503]);
+///     robot.call(call::service_start("")).await?;
+///     let controller = robot.call(call::controller_connect("", "CaoProv.DENSO.VRC", "localhost", "")).await?;
+///     let variable = robot.call(call::controller_get_variable(controller, "I1", "")).await?;
+///     Ok(robot.call(call::variable_get_value(variable)).await?.as_i32().unwrap_or(0))
+/// }
+/// ```
+pub fn client<D, T: Storage, R: Storage>(device: D, config: Config, tx: T, rx: R) -> SerialClient<D, T, R>
+where
+    D: embedded_io_async::Read + embedded_io_async::Write,
+{
+    Connection::new(Timed::new(device, EmbassyClock), Client::new(config, tx, rx))
+}

@@ -1,0 +1,194 @@
+//! Two stacks of embassy-net on one cable, and a controller with one number.
+
+use std::cell::RefCell;
+use std::collections::VecDeque;
+use std::rc::Rc;
+use std::task::{Context, Waker};
+
+use bcap_core::bcap::{self, FunctionId};
+use bcap_core::handler::{Outcome, PeerId, ReplyValue};
+use bcap_core::hresult::HResult;
+use bcap_core::rac::{self, Request, VariableKind};
+use bcap_core::time::Instant;
+use bcap_core::variant::Variant;
+use embassy_futures::select::{Either3, select3};
+use embassy_net::{Config, Ipv4Address, Ipv4Cidr, Stack, StackResources, StaticConfigV4};
+use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState};
+
+const MTU: usize = 1514;
+
+/// What is on the cable: the frames to each end, and whether it is plugged in.
+#[derive(Default)]
+struct Wire {
+    frames: [VecDeque<Vec<u8>>; 2],
+    wakers: [Option<Waker>; 2],
+    cut: bool,
+    /// Frames of which every so many-th is lost; 0 loses none.
+    lose: usize,
+    sent: usize,
+}
+
+#[derive(Clone, Default)]
+pub(crate) struct Cable(Rc<RefCell<Wire>>);
+
+impl Cable {
+    /// Pulls the cable out, or plugs it in.
+    pub(crate) fn cut(&self, cut: bool) {
+        let mut wire = self.0.borrow_mut();
+        wire.cut = cut;
+        wire.frames.iter_mut().for_each(VecDeque::clear);
+        wire.wakers.iter().flatten().for_each(Waker::wake_by_ref);
+    }
+
+    /// Loses every `nth` frame from now on.
+    pub(crate) fn lose(&self, nth: usize) {
+        self.0.borrow_mut().lose = nth;
+    }
+}
+
+pub(crate) struct End {
+    cable: Cable,
+    side: usize,
+}
+
+pub(crate) struct Frame(Vec<u8>);
+
+pub(crate) struct Slot {
+    cable: Cable,
+    to: usize,
+}
+
+impl embassy_net_driver::RxToken for Frame {
+    fn consume<R, F: FnOnce(&mut [u8]) -> R>(mut self, read: F) -> R {
+        read(&mut self.0)
+    }
+}
+
+impl embassy_net_driver::TxToken for Slot {
+    fn consume<R, F: FnOnce(&mut [u8]) -> R>(self, len: usize, fill: F) -> R {
+        let mut frame = vec![0; len];
+        let result = fill(&mut frame);
+        let mut wire = self.cable.0.borrow_mut();
+        wire.sent += 1;
+        let lost = wire.cut || wire.lose > 0 && wire.sent.is_multiple_of(wire.lose);
+        if !lost {
+            wire.frames[self.to].push_back(frame);
+            if let Some(waker) = wire.wakers[self.to].take() {
+                waker.wake();
+            }
+        }
+        result
+    }
+}
+
+impl Driver for End {
+    type RxToken<'a> = Frame;
+    type TxToken<'a> = Slot;
+
+    fn receive(&mut self, cx: &mut Context<'_>) -> Option<(Frame, Slot)> {
+        let mut wire = self.cable.0.borrow_mut();
+        let frame = wire.frames[self.side].pop_front();
+        wire.wakers[self.side] = Some(cx.waker().clone());
+        drop(wire);
+        Some((Frame(frame?), Slot { cable: self.cable.clone(), to: 1 - self.side }))
+    }
+
+    fn transmit(&mut self, _: &mut Context<'_>) -> Option<Slot> {
+        Some(Slot { cable: self.cable.clone(), to: 1 - self.side })
+    }
+
+    fn link_state(&mut self, cx: &mut Context<'_>) -> LinkState {
+        let mut wire = self.cable.0.borrow_mut();
+        wire.wakers[self.side] = Some(cx.waker().clone());
+        if wire.cut { LinkState::Down } else { LinkState::Up }
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        let mut capabilities = Capabilities::default();
+        capabilities.max_transmission_unit = MTU;
+        capabilities
+    }
+
+    fn hardware_address(&self) -> HardwareAddress {
+        HardwareAddress::Ethernet([2, 0, 0, 0, 0, u8::try_from(self.side).unwrap_or(0)])
+    }
+}
+
+/// The address of an end of the cable.
+pub(crate) const fn address(side: u8) -> Ipv4Address {
+    Ipv4Address::new(192, 168, 69, 1 + side)
+}
+
+/// Runs a test between the client's and the server's stack.
+pub(crate) fn between<F: Future<Output = ()>>(test: impl FnOnce(Cable, Stack<'static>, Stack<'static>) -> F) {
+    let cable = Cable::default();
+    let make = |side: u8| {
+        let resources = Box::leak(Box::new(StackResources::<8>::new()));
+        let config = Config::ipv4_static(StaticConfigV4 {
+            address: Ipv4Cidr::new(address(side), 24),
+            gateway: None,
+            dns_servers: Default::default(),
+        });
+        let end = End { cable: cable.clone(), side: usize::from(side) };
+        embassy_net::new(end, config, resources, 0x5eed + u64::from(side))
+    };
+    let ((client, mut client_runner), (server, mut server_runner)) = (make(0), make(1));
+    let work = test(cable.clone(), client, server);
+    let done = select3(client_runner.run(), server_runner.run(), work);
+    assert!(matches!(embassy_futures::block_on(done), Either3::Third(())));
+}
+
+/// A controller with one number, which is variable I1 of RAC and handle 7 of b-CAP; I2 waits until the number is set.
+#[derive(Debug, Default)]
+pub(crate) struct Number {
+    pub(crate) value: i32,
+    pub(crate) left: usize,
+}
+
+impl bcap::server::Handler for Number {
+    fn call(
+        &mut self,
+        _: PeerId,
+        request: &bcap::server::Request<'_>,
+        reply: &mut ReplyValue<'_>,
+        _: Instant,
+    ) -> Outcome {
+        let set = match request.function {
+            FunctionId::CONTROLLER_CONNECT => reply.set(&1),
+            FunctionId::CONTROLLER_GET_VARIABLE => reply.set(&7),
+            FunctionId::VARIABLE_GET_VALUE => reply.set(&self.value),
+            FunctionId::VARIABLE_PUT_VALUE => {
+                self.value = request.int(1);
+                Ok(())
+            }
+            _ => Ok(()),
+        };
+        set.map_or(HResult::E_FAIL, |()| HResult::S_OK).into()
+    }
+
+    fn left(&mut self, _: PeerId, _: Instant) {
+        self.left += 1;
+    }
+}
+
+impl rac::server::Handler for Number {
+    fn call(&mut self, _: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, _: Instant) -> Outcome {
+        let result = match *request {
+            Request::Get(variable) if variable.kind == VariableKind::I => match variable.index {
+                2 if self.value == 0 => return Outcome::Wait(Instant::FAR_FUTURE),
+                1 | 2 => reply.set(&self.value).map_or(HResult::E_FAIL, |()| HResult::S_OK),
+                _ => HResult::E_INVALIDARG,
+            },
+            Request::Put(_, Variant::I4(value)) => {
+                self.value = value;
+                HResult::S_OK
+            }
+            _ => HResult::E_INVALIDARG,
+        };
+        result.into()
+    }
+
+    fn left(&mut self, _: PeerId, _: Instant) {
+        self.left += 1;
+    }
+}

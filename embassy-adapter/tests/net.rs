@@ -1,0 +1,254 @@
+//! Clients and servers over two stacks of embassy-net that are joined by a cable in memory.
+#![cfg(all(feature = "embassy-net", feature = "server"))]
+#![allow(clippy::indexing_slicing, clippy::large_futures, clippy::unwrap_used, reason = "a test fails by panicking")]
+
+mod common;
+
+use bcap_core::bcap::call::{self, ControllerHandle, VariableHandle};
+use bcap_core::bcap::client::{ClientError, Config, Timeout};
+use bcap_core::bcap::{Client, server};
+use bcap_core::hresult::HResult;
+use bcap_core::io::CallError;
+use bcap_core::rac;
+use bcap_core::variant::Variant;
+use bcap_embassy::net::{Connection, NetError, Options, TcpClient, TcpTransport, UdpTransport};
+use bcap_embassy::server::{Limits, Listener, Shared, UdpPeer, UdpServer};
+use common::{Number, address, between};
+use embassy_futures::join::join;
+use embassy_futures::select::select;
+use embassy_net::Stack;
+use embassy_net::tcp::TcpSocket;
+use embassy_net::udp::{PacketMetadata, UdpSocket};
+use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+use embassy_time::{Duration, Timer, with_timeout};
+
+type Controller = Shared<NoopRawMutex, Number, 4>;
+
+fn number(value: i32) -> Controller {
+    Shared::new(Number { value, left: 0 })
+}
+
+fn left(shared: &Controller) -> usize {
+    shared.view(|number| number.left).unwrap()
+}
+
+/// Serves b-CAP on port 5007 for ever.
+async fn serve(stack: Stack<'_>, shared: &Controller, limits: Limits) {
+    let (mut rx, mut tx) = ([0; 512], [0; 512]);
+    let mut slot = None;
+    let make = || Box::new(server::Session::<_, _, 8>::new(server::Config::TCP, [0; 512], [0; 512]));
+    Listener::new(stack, 5007, &mut rx, &mut tx).run(&mut slot, || *make(), shared, &limits).await
+}
+
+async fn connect<'s>(stack: Stack<'s>, memory: &'s mut [[u8; 512]; 2]) -> TcpClient<'s, [u8; 512]> {
+    let [rx, tx] = memory;
+    let mut transport = TcpTransport::new(stack, rx, tx, Options::default());
+    // a listener that is just closing the connection before refuses
+    while transport.connect((address(1), 5007)).await == Err(NetError::Reset) {
+        Timer::after_millis(1).await;
+    }
+    Connection::new(transport, Client::new(Config::TCP, [0; 512], [0; 512]))
+}
+
+async fn open<'s>(robot: &mut TcpClient<'s, [u8; 512]>) -> VariableHandle {
+    robot.call(call::service_start("")).await.unwrap();
+    let controller = robot.call(call::controller_connect("", "P", "", "")).await.unwrap();
+    assert_eq!(controller, ControllerHandle(1));
+    robot.call(call::controller_get_variable(controller, "I1", "")).await.unwrap()
+}
+
+#[test]
+fn a_client_reads_and_writes_over_tcp() {
+    between(|_, client, server| async move {
+        let shared = number(42);
+        let test = async {
+            let mut memory = [[0; 512]; 2];
+            let mut robot = connect(client, &mut memory).await;
+            let variable = open(&mut robot).await;
+            assert_eq!(robot.call(call::variable_get_value(variable)).await, Ok(Variant::I4(42)));
+            robot.call(call::variable_put_value(variable, 43_i32)).await.unwrap();
+            assert_eq!(robot.call(call::variable_get_value(variable)).await, Ok(Variant::I4(43)));
+            let foreign = robot.call(call::variable_get_value(VariableHandle(8))).await;
+            assert_eq!(foreign, Err(CallError::Refused(HResult::E_HANDLE)));
+            robot.transport().close().await;
+            // the next connection finds the listener again
+            drop(robot);
+            let mut memory = [[0; 512]; 2];
+            let mut robot = connect(client, &mut memory).await;
+            let variable = open(&mut robot).await;
+            assert_eq!(robot.call(call::variable_get_value(variable)).await, Ok(Variant::I4(43)));
+            assert_eq!(left(&shared), 1);
+        };
+        select(serve(server, &shared, Limits::default()), test).await;
+    });
+}
+
+#[test]
+fn a_cable_that_is_pulled_ends_calls_and_sessions() {
+    between(|cable, client, server| async move {
+        let shared = number(42);
+        let test = async {
+            let mut memory = [[0; 512]; 2];
+            let mut robot = connect(client, &mut memory).await;
+            let variable = open(&mut robot).await;
+            cable.cut(true);
+            let call = robot.call(call::variable_get_value(variable)).await;
+            assert_eq!(call, Err(CallError::Io(NetError::Down)));
+            assert_eq!(robot.transport().connect((address(1), 5007)).await, Err(NetError::Down));
+            // the server notices by itself
+            while left(&shared) == 0 {
+                Timer::after_millis(10).await;
+            }
+            cable.cut(false);
+            client.wait_link_up().await;
+            server.wait_link_up().await;
+            while robot.transport().connect((address(1), 5007)).await.is_err() {
+                Timer::after_millis(1).await;
+            }
+            robot.client().reset();
+            let variable = open(&mut robot).await;
+            assert_eq!(robot.call(call::variable_get_value(variable)).await, Ok(Variant::I4(42)));
+        };
+        let test = with_timeout(Duration::from_secs(20), test);
+        let (_, done) = join(async {}, select(serve(server, &shared, Limits::default()), test)).await;
+        assert!(matches!(done, embassy_futures::select::Either::Second(Ok(()))));
+    });
+}
+
+#[test]
+fn a_port_that_nobody_serves_refuses_and_a_peer_that_is_not_there_times_out() {
+    between(|_, client, _| async move {
+        let mut memory = [[0; 512]; 2];
+        let [rx, tx] = &mut memory;
+        let options = Options { connect_timeout: Duration::from_millis(200), ..Options::default() };
+        let mut transport = TcpTransport::new(client, rx, tx, options);
+        assert_eq!(transport.connect((address(1), 5007)).await, Err(NetError::Reset));
+        assert_eq!(transport.connect((address(8), 5007)).await, Err(NetError::Timeout));
+    });
+}
+
+#[test]
+fn a_client_over_udp_survives_losses() {
+    between(|cable, client, server| async move {
+        let shared = number(0);
+        let serving = async {
+            let (mut rx_meta, mut tx_meta) = ([PacketMetadata::EMPTY; 4], [PacketMetadata::EMPTY; 4]);
+            let (mut rx, mut tx) = ([0; 2048], [0; 2048]);
+            let mut socket = UdpSocket::new(server, &mut rx_meta, &mut rx, &mut tx_meta, &mut tx);
+            socket.bind(5007).unwrap();
+            let mut peers: Vec<Option<UdpPeer<8>>> = [None, None].into_iter().collect();
+            UdpServer::new(&mut socket, &mut peers, &shared, Limits::default()).run().await;
+        };
+        let test = async {
+            let (mut rx_meta, mut tx_meta) = ([PacketMetadata::EMPTY; 2], [PacketMetadata::EMPTY; 2]);
+            let (mut rx, mut tx) = ([0; 1024], [0; 1024]);
+            let socket = UdpSocket::new(client, &mut rx_meta, &mut rx, &mut tx_meta, &mut tx);
+            let transport = UdpTransport::new(client, socket, (address(1), 5007)).unwrap();
+            let config = Config { attempt_timeout: core::time::Duration::from_millis(50), attempts: 20, ..Config::UDP };
+            let mut robot = Connection::new(transport, Client::new(config, [0; 488], [0; 505]));
+            robot.call(call::service_start("")).await.unwrap();
+            let controller = robot.call(call::controller_connect("", "P", "", "")).await.unwrap();
+            let variable = robot.call(call::controller_get_variable(controller, "I1", "")).await.unwrap();
+            cable.lose(3);
+            for value in 1..20 {
+                robot.call(call::variable_put_value(variable, value)).await.unwrap();
+                assert_eq!(robot.call(call::variable_get_value(variable)).await, Ok(Variant::I4(value)));
+            }
+            cable.lose(1);
+            let config = Config { attempts: 2, ..config };
+            robot.client().set_config(config);
+            let silent = robot.call(call::variable_get_value(variable)).await;
+            assert_eq!(silent, Err(CallError::Client(ClientError::Timeout(Timeout::Attempt))));
+        };
+        select(serving, test).await;
+    });
+}
+
+/// Serves RAC on port 5006 for ever.
+async fn serve_rac(stack: Stack<'_>, shared: &Controller, limits: Limits) {
+    let (mut rx, mut tx) = ([0; 512], [0; 512]);
+    let mut slot = None;
+    let make = || rac::server::Session::new(rac::server::Config::TCP, [0; 64]);
+    Listener::new(stack, rac::PORT, &mut rx, &mut tx).run(&mut slot, make, shared, &limits).await
+}
+
+/// Sends a line and returns the one that comes back.
+async fn ask(socket: &mut TcpSocket<'_>, line: &str) -> String {
+    let mut sent = 0;
+    while sent < line.len() {
+        sent += socket.write(&line.as_bytes()[sent..]).await.unwrap();
+    }
+    let mut reply = Vec::new();
+    let mut buffer = [0; 64];
+    while reply.last() != Some(&b'\r') {
+        let count = socket.read(&mut buffer).await.unwrap();
+        assert_ne!(count, 0, "closed after {reply:?}");
+        reply.extend_from_slice(&buffer[..count]);
+    }
+    String::from_utf8(reply).unwrap()
+}
+
+#[test]
+fn lines_are_answered_and_a_handler_that_waits_is_asked_again() {
+    between(|_, client, server| async move {
+        let shared = number(0);
+        let serving =
+            join(serve_rac(server, &shared, Limits::default()), serve_rac(server, &shared, Limits::default()));
+        let test = async {
+            let (mut rx, mut tx) = ([0; 512], [0; 512]);
+            let mut a = TcpSocket::new(client, &mut rx, &mut tx);
+            a.connect((address(1), rac::PORT)).await.unwrap();
+            let (mut rx, mut tx) = ([0; 512], [0; 512]);
+            let mut b = TcpSocket::new(client, &mut rx, &mut tx);
+            b.connect((address(1), rac::PORT)).await.unwrap();
+
+            assert_eq!(ask(&mut a, "GET:RC8:1:I:\r").await, "0,3,0\r");
+            // two hundred bytes too many, and the session is still alive
+            assert_eq!(
+                ask(&mut a, &(["X"; 456].concat() + "\r")).await,
+                ask(&mut b, &(["Y"; 300].concat() + "\r")).await
+            );
+            // one waits for what the other sets
+            let (waited, put) = join(ask(&mut a, "GET:RC8:2:I:\r"), async {
+                Timer::after_millis(20).await;
+                ask(&mut b, "PUT:RC8:1:I:3,7\r").await
+            })
+            .await;
+            assert_eq!((waited.as_str(), put.as_str()), ("0,3,7\r", "0\r"));
+            // or for what the board sets
+            shared.update(|number| number.value = 0).unwrap();
+            let (waited, _) = join(ask(&mut a, "GET:RC8:2:I:\r"), async {
+                Timer::after_millis(20).await;
+                shared.update(|number| number.value = 8).unwrap();
+            })
+            .await;
+            assert_eq!(waited, "0,3,8\r");
+        };
+        select(serving, test).await;
+    });
+}
+
+#[test]
+fn a_peer_that_is_silent_or_half_done_loses_its_place() {
+    between(|_, client, server| async move {
+        let short = core::time::Duration::from_millis(100);
+        for (limits, line) in [
+            (Limits { idle: Some(short), ..Limits::default() }, ""),
+            (Limits { receive: short, ..Limits::default() }, "GET:RC8"),
+        ] {
+            let shared = number(0);
+            let test = async {
+                let (mut rx, mut tx) = ([0; 512], [0; 512]);
+                let mut socket = TcpSocket::new(client, &mut rx, &mut tx);
+                socket.connect((address(1), rac::PORT)).await.unwrap();
+                if !line.is_empty() {
+                    socket.write(line.as_bytes()).await.unwrap();
+                }
+                let mut buffer = [0; 8];
+                assert_eq!(socket.read(&mut buffer).await, Ok(0));
+                assert_eq!(left(&shared), 1);
+            };
+            select(serve_rac(server, &shared, limits), test).await;
+        }
+    });
+}
