@@ -217,10 +217,14 @@ impl Pacer {
         if self.steady {
             let interval = now.saturating_since(self.last_sent);
             let (late, off) = match config.format.mode.mode {
-                Mode::Mode0 | Mode::Mode1 => (now.saturating_since(self.due), now.saturating_since(self.due)),
-                Mode::Mode2 => (interval.saturating_sub(config.cycle), interval.abs_diff(config.cycle)),
+                Mode::Mode0 | Mode::Mode1 => {
+                    let late = now.saturating_since(self.due);
+                    (late, micros(late))
+                }
+                // in microseconds: the difference of two Durations would leave a panic in the image
+                Mode::Mode2 => (interval.saturating_sub(config.cycle), micros(interval).abs_diff(micros(config.cycle))),
             };
-            stats.jitter.record(micros(off));
+            stats.jitter.record(off);
             if late > config.late_after {
                 stats.late = stats.late.saturating_add(1);
             }

@@ -5,6 +5,8 @@
 #![no_std]
 #![expect(unsafe_code, reason = "system calls, the entry point and memcpy have no safe form")]
 
+pub mod slave;
+
 use core::arch::asm;
 
 /// Makes `main: fn() -> i32` the program's entry; its result is the exit code.

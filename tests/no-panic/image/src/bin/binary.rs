@@ -14,7 +14,7 @@ use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::limits::{Limits, Strictness};
 use bcap_core::time::Instant;
 use bcap_core::variant::{Bstr, Variant, VariantBuf};
-use no_panic_image::{entry, read_all, write_all};
+use no_panic_image::{entry, read_all, slave, write_all};
 
 entry!(main);
 
@@ -40,6 +40,7 @@ fn main() -> i32 {
         let mut session = Session::<_, _, 8>::new(server, [0; 512], [0; 512]);
         seen = seen.wrapping_add(converse(&mut client, &mut session, input));
     }
+    seen = seen.wrapping_add(slave::stream(input));
     i32::from(seen == 0)
 }
 
