@@ -13,7 +13,10 @@ use std::hint::black_box;
 use std::process::{Command, ExitCode};
 
 use bcap_core::bcap::call::{self, Call, RobotHandle, VariableHandle};
+use bcap_core::bcap::client::{self, Client};
+use bcap_core::bcap::slave::{Format, Mode, Pose, PoseType, PreparedMove, ReceiveFormat, ReceivePose, SlaveMode};
 use bcap_core::bcap::{Decoder, FrameWriter, Progress};
+use bcap_core::time::Instant;
 use bcap_core::variant::{Encode, VariantBuf};
 
 /// Repetitions of the two runs.
@@ -29,6 +32,9 @@ struct Bench {
     strings: Vec<u8>,
     mixed_strings: Vec<u8>,
     text_pose: VariantBuf<64>,
+    slv_move: PreparedMove,
+    slv_pose: Pose,
+    client: Client<[u8; 512]>,
 }
 
 struct Case {
@@ -46,12 +52,14 @@ const CASES: &[Case] = &[
     Case { name: "(empty)", bar: None, run: empty },
     Case { name: "encode GetValue request", bar: Some(120), run: encode_get_value },
     Case { name: "encode slvMove request, 8 doubles", bar: Some(300), run: encode_slv_move },
+    Case { name: "patch slvMove request and serial, 8 doubles", bar: Some(120), run: patch_slv_move },
     Case { name: "decode slvMove request, 8 doubles", bar: Some(600), run: decode_slv_move },
     Case { name: "decode slvMove reply, 4 elements", bar: Some(900), run: decode_slv_reply },
     Case { name: "decode 100 strings, array of BSTR", bar: Some(8_000), run: decode_strings },
     Case { name: "parse text 8196,1,2,3,4,5,6,-1", bar: Some(2_500), run: parse_pose },
     Case { name: "print text 8196,1,2,3,4,5,6,-1", bar: Some(2_000), run: print_pose },
     Case { name: "decode 100 strings, array of VARIANT", bar: None, run: decode_mixed_strings },
+    Case { name: "start and abandon that call in a client", bar: None, run: start_slv_move },
     Case { name: "check slvMove request, nothing read", bar: None, run: check_slv_move },
     Case { name: "check slvMove reply, nothing read", bar: None, run: check_slv_reply },
     Case { name: "check 100 strings, nothing read", bar: None, run: check_strings },
@@ -130,6 +138,8 @@ impl Bench {
         let text: Vec<String> = (0..100).map(|n| format!("string{n:02}")).collect();
         let text: Vec<&str> = text.iter().map(String::as_str).collect();
         let dynamic: Vec<&dyn Encode> = text.iter().map(|s| s as &dyn Encode).collect();
+        let mode = SlaveMode { mode: Mode::Mode2, pose: PoseType::J };
+        let format = Format::new(mode, ReceiveFormat::pose(ReceivePose::J));
         let bench = Self {
             buffer: [0; 512],
             pose,
@@ -138,6 +148,9 @@ impl Bench {
             strings: frame(0, &[&text.as_slice()]),
             mixed_strings: frame(0, &[&dynamic.as_slice()]),
             text_pose: VariantBuf::parse_text(TEXT_POSE).expect("it is a pose"),
+            slv_move: PreparedMove::new(RobotHandle(3), &format).expect("256 bytes hold it"),
+            slv_pose: Pose::j(pose),
+            client: Client::new(client::Config::TCP, [0; 512], [0; 512]),
         };
         assert_eq!((bench.request.len(), bench.reply.len()), (132, 126), "the frames of a slave-mode cycle");
         bench
@@ -169,6 +182,32 @@ fn encode_get_value(bench: &mut Bench) {
 fn encode_slv_move(bench: &mut Bench) {
     let call = call::robot_execute(RobotHandle(black_box(3)), "slvMove", black_box(&bench.pose));
     black_box(encode(&call, &mut bench.buffer));
+}
+
+#[inline(never)]
+fn patch_slv_move(bench: &mut Bench) {
+    let patched = bench.slv_move.set_pose(black_box(&bench.slv_pose)).is_ok();
+    black_box(patched);
+    let call = black_box(&bench.slv_move);
+    let serial = black_box(9_u16).to_le_bytes();
+    // what a client does with it: a copy into its buffer, and the serial
+    if let Some(frame) = call.prepared()
+        && let Some(target) = black_box(&mut bench.buffer).get_mut(..frame.len())
+    {
+        target.copy_from_slice(frame);
+        if let Some(fields) = target.get_mut(5..7) {
+            fields.copy_from_slice(&serial);
+        }
+        black_box(target);
+    }
+}
+
+#[inline(never)]
+fn start_slv_move(bench: &mut Bench) {
+    let patched = bench.slv_move.set_pose(black_box(&bench.slv_pose)).is_ok();
+    black_box(patched);
+    black_box(bench.client.start(&bench.slv_move, black_box(Instant::ZERO)).is_ok());
+    bench.client.abandon();
 }
 
 /// Writes the frame of a call, as the client does.

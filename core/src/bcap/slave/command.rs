@@ -249,7 +249,8 @@ impl<const N: usize> PreparedMove<N> {
     pub fn set_pose(&mut self, pose: &Pose) -> Result<(), FormatError> {
         check_shape(&self.format, pose)?;
         let slots = self.frame.get_mut(self.numbers..self.end).unwrap_or_default().as_chunks_mut().0;
-        for (slot, number) in slots.iter_mut().zip(pose.as_slice()) {
+        // the shapes are the same, so there are as many slots as numbers that count
+        for (slot, number) in slots.iter_mut().zip(pose.padded()) {
             *slot = number.to_le_bytes();
         }
         Ok(())

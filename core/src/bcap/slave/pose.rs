@@ -218,6 +218,12 @@ impl Pose {
         self.numbers.get(..self.shape.len()).unwrap_or_default()
     }
 
+    /// Returns the numbers in the order of the wire, with zeros behind them.
+    #[inline]
+    pub(super) const fn padded(&self) -> &[f64; MAX] {
+        &self.numbers
+    }
+
     /// Returns the numbers without the extended-joint option and what follows it.
     #[must_use]
     pub fn numbers(&self) -> &[f64] {
