@@ -12,9 +12,12 @@
 use std::hint::black_box;
 use std::process::{Command, ExitCode};
 
-use bcap_core::bcap::call::{self, Call, RobotHandle, VariableHandle};
+use bcap_core::bcap::call::{self, Call, ControllerHandle, RobotHandle, VariableHandle};
 use bcap_core::bcap::client::{self, Client};
-use bcap_core::bcap::slave::{Format, Mode, Pose, PoseType, PreparedMove, ReceiveFormat, ReceivePose, SlaveMode};
+use bcap_core::bcap::slave::{
+    Action, AxisLimits, Config, Engine, Format, Handles, Mode, Pose, PoseType, PreparedMove, ReceiveFormat,
+    ReceivePose, SlaveMode, Step,
+};
 use bcap_core::bcap::{Decoder, FrameWriter, Progress};
 use bcap_core::time::Instant;
 use bcap_core::variant::{Encode, VariantBuf};
@@ -35,6 +38,8 @@ struct Bench {
     slv_move: PreparedMove,
     slv_pose: Pose,
     client: Client<[u8; 512]>,
+    engine: Engine,
+    slv_reply: Vec<u8>,
 }
 
 struct Case {
@@ -59,6 +64,7 @@ const CASES: &[Case] = &[
     Case { name: "parse text 8196,1,2,3,4,5,6,-1", bar: Some(2_500), run: parse_pose },
     Case { name: "print text 8196,1,2,3,4,5,6,-1", bar: Some(2_000), run: print_pose },
     Case { name: "decode 100 strings, array of VARIANT", bar: None, run: decode_mixed_strings },
+    Case { name: "a cycle of the engine, its reply decoded", bar: None, run: engine_cycle },
     Case { name: "start and abandon that call in a client", bar: None, run: start_slv_move },
     Case { name: "check slvMove request, nothing read", bar: None, run: check_slv_move },
     Case { name: "check slvMove reply, nothing read", bar: None, run: check_slv_reply },
@@ -151,10 +157,25 @@ impl Bench {
             slv_move: PreparedMove::new(RobotHandle(3), &format).expect("256 bytes hold it"),
             slv_pose: Pose::j(pose),
             client: Client::new(client::Config::TCP, [0; 512], [0; 512]),
+            engine: streaming(&pose, format),
+            slv_reply: frame(0, &[&pose]),
         };
         assert_eq!((bench.request.len(), bench.reply.len()), (132, 126), "the frames of a slave-mode cycle");
         bench
     }
+}
+
+/// Makes an engine that wants its first pose.
+fn streaming(pose: &[f64; 8], format: Format) -> Engine {
+    let handles = Handles { controller: ControllerHandle(2), robot: RobotHandle(3) };
+    let limits = AxisLimits::uniform(100.0, 800.0);
+    let mut engine = Engine::new(Config { limits, ..Config::new(format, handles) }).expect("256 bytes hold it");
+    while let Action::Call(step, _) = engine.poll(Instant::ZERO) {
+        let bytes = if step == Step::Position { frame(0, &[pose]) } else { frame(0, &[&()]) };
+        let reply = Decoder::TCP.decode_datagram(&bytes).expect("a frame");
+        assert!(engine.handle_reply(&reply, Instant::ZERO).is_none(), "there is no slvMove yet");
+    }
+    engine
 }
 
 /// Makes a frame of any size.
@@ -200,6 +221,25 @@ fn patch_slv_move(bench: &mut Bench) {
         }
         black_box(target);
     }
+}
+
+#[inline(never)]
+fn engine_cycle(bench: &mut Bench) {
+    let now = black_box(Instant::ZERO);
+    let pushed = bench.engine.push(black_box(&bench.slv_pose)).is_ok();
+    let action = bench.engine.poll(now);
+    let _ = black_box((pushed, action));
+    if let Some(request) = bench.engine.request()
+        && let Some(frame) = request.prepared()
+        && let Some(target) = black_box(&mut bench.buffer).get_mut(..frame.len())
+    {
+        target.copy_from_slice(frame);
+        black_box(target);
+    }
+    let Ok(Progress::Complete(reply, _)) = Decoder::TCP.decode(black_box(&bench.slv_reply)) else { return };
+    black_box(bench.engine.handle_reply(&reply, now).is_some());
+    let wanted = bench.engine.poll(now);
+    let _ = black_box(wanted);
 }
 
 #[inline(never)]

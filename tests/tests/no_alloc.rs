@@ -4,6 +4,10 @@ use std::time::Duration;
 
 use bcap_core::bcap::call::{self, Call, ControllerHandle, Reply, RobotHandle, VariableHandle};
 use bcap_core::bcap::client::{self, Client};
+use bcap_core::bcap::slave::{
+    Action, AxisLimits, Channel, Config, Engine, Format, Handles, Mode, Pose, PoseType, ReceiveFormat, ReceivePose,
+    SlaveMode, Step,
+};
 use bcap_core::bcap::{Decoder, FrameWriter, FunctionId, server};
 use bcap_core::error::EncodeError;
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
@@ -229,4 +233,60 @@ fn lines_of_rac_both_ways() {
             assert_eq!(client.reply().and_then(|reply| reply.value).is_some(), matches!(request, rac::Request::Get(_)));
         }
     });
+}
+
+#[test]
+fn streaming_in_slave_mode() {
+    let mode = SlaveMode { mode: Mode::Mode0, pose: PoseType::J };
+    let format = Format::new(mode, ReceiveFormat { mini_io: true, ..ReceiveFormat::pose(ReceivePose::J) });
+    let handles = Handles { controller: ControllerHandle(2), robot: RobotHandle(3) };
+    let config = Config { limits: AxisLimits::uniform(100.0, 800.0), ..Config::new(format, handles) };
+    let mut request = [0; 256];
+    let mut reply = [0; 256];
+    let (moved, underflows) = without(|| {
+        let mut engine = Engine::<256>::new(config).ok()?;
+        let mut client = Client::new(client::Config::TCP, [0; 512], [0; 512]);
+        let (mut now, mut poses, mut moved) = (Instant::ZERO, 0_u32, 0_u32);
+        loop {
+            match engine.poll(now) {
+                Action::Pose { .. } => {
+                    poses += 1;
+                    engine.push(&Pose::j([f64::from(poses) * 1e-3; 8])).ok()?;
+                }
+                Action::Wait(until) => now = until,
+                Action::Call(step, Channel::Motion) => {
+                    client.start(&engine.request()?, now).ok()?;
+                    let sent = client.transmit().len();
+                    request.get_mut(..sent)?.copy_from_slice(client.transmit());
+                    client.transmitted(sent);
+                    // the buffer runs empty after 200 poses, and errors are looked into
+                    let code = match step {
+                        Step::Move if moved == 200 => HResult::E_COMMAND_BUFFER_EMPTY,
+                        Step::Move => HResult::S_BUF_FULL,
+                        _ => HResult::S_OK,
+                    };
+                    let mut frame = FrameWriter::new(&mut reply).ok()?;
+                    let error = (HResult::E_COMMAND_BUFFER_EMPTY.0, "Position command buffer is empty");
+                    match step {
+                        Step::Move => frame.argument(&([0.0; 8], 3_i32)),
+                        Step::Position => frame.argument(&[0.0; 8]),
+                        Step::ErrorCount => frame.argument(&1_i32),
+                        Step::ErrorInfo => frame.argument(&error),
+                        _ => frame.argument(&0_i32),
+                    }
+                    .ok()?;
+                    let serial = u16::from_le_bytes([request[5], request[6]]);
+                    let bytes = frame.finish(serial, 0, code.0).ok()?;
+                    client.receive_buffer().get_mut(..bytes.len())?.copy_from_slice(bytes);
+                    client.received(bytes.len());
+                    while client.poll_event(now).is_some() {}
+                    moved += u32::from(engine.handle_reply(&client.reply()?, now).is_some());
+                }
+                Action::Call(..) | Action::Finished => return None,
+                Action::Faulted => return Some((moved, engine.stats().underflows)),
+            }
+        }
+    })
+    .expect("the stream runs until the error");
+    assert_eq!((moved, underflows), (200, 1));
 }

@@ -1,6 +1,6 @@
 //! What the state machines of the core take of a board's memory, beside the buffers that they are given.
 
-use bcap_core::bcap::{Client, server};
+use bcap_core::bcap::{Client, server, slave};
 use bcap_core::rac;
 
 #[test]
@@ -21,4 +21,12 @@ fn the_machines_of_rac_hold_a_line_each_way_and_little_more() {
     let (client, session) = (size_of::<rac::client::Client<[u8; 64]>>(), size_of::<rac::server::Session<[u8; 64]>>());
     assert!(client <= 2 * rac::MAX_LINE + 64 + 256, "{client}");
     assert!(session <= 2 * rac::MAX_LINE + 64 + 256, "{session}");
+}
+
+#[test]
+fn an_engine_is_its_frame_its_figures_and_little_more() {
+    let figures = size_of::<slave::Stats>();
+    assert!(figures <= 1320, "{figures}");
+    let engine = size_of::<slave::Engine<256>>();
+    assert!(engine <= 256 + figures + 1800, "{engine}");
 }

@@ -6,6 +6,7 @@ use core::time::Duration;
 use super::format::{Format, FormatError};
 use super::limits::AxisLimits;
 use super::pose::Pose;
+use super::stats::micros;
 use crate::bcap::call::{ControllerHandle, RobotHandle};
 use crate::error::EncodeError;
 
@@ -73,6 +74,13 @@ impl Config {
             late_after: Duration::from_millis(4),
             stall: Duration::from_secs(1),
         }
+    }
+
+    /// Returns so many cycles.
+    ///
+    /// In microseconds: `Duration`'s own products leave a panic in the image.
+    pub(super) fn cycles(&self, count: u32) -> Duration {
+        Duration::from_micros(u64::from(micros(self.cycle)).wrapping_mul(u64::from(count)))
     }
 
     /// Returns the cycle in seconds.

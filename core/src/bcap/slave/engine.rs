@@ -215,26 +215,22 @@ impl Pacer {
     /// Takes note that the pose is sent now.
     fn sending(&mut self, config: &Config, stats: &mut Stats, now: Instant) {
         if self.steady {
-            let interval = now.saturating_since(self.last_sent);
+            let (behind, cycle) = (micros(now.saturating_since(self.due)), micros(config.cycle));
+            let interval = micros(now.saturating_since(self.last_sent));
             let (late, off) = match config.format.mode.mode {
-                Mode::Mode0 | Mode::Mode1 => {
-                    let late = now.saturating_since(self.due);
-                    (late, micros(late))
-                }
-                // in microseconds: the difference of two Durations would leave a panic in the image
-                Mode::Mode2 => (interval.saturating_sub(config.cycle), micros(interval).abs_diff(micros(config.cycle))),
+                Mode::Mode0 | Mode::Mode1 => (behind, behind),
+                Mode::Mode2 => (interval.saturating_sub(cycle), interval.abs_diff(cycle)),
             };
             stats.jitter.record(off);
-            if late > config.late_after {
+            if late > micros(config.late_after) {
                 stats.late = stats.late.saturating_add(1);
             }
             if let Some(margin) = self.margin(now) {
                 stats.least_margin = Some(stats.least_margin.map_or(margin, |least| least.min(margin)));
             }
             // the grid stays where it is; cycles that have passed are left out
-            let missed = u64::from(micros(now.saturating_since(self.due))).checked_div(u64::from(micros(config.cycle)));
-            let missed = u32::try_from(missed.unwrap_or(0)).unwrap_or(u32::MAX);
-            self.due = self.due.saturating_add(config.cycle.saturating_mul(missed));
+            let missed = behind.checked_div(cycle).unwrap_or(0);
+            self.due = self.due.saturating_add(config.cycles(missed));
         } else {
             self.due = now;
         }
@@ -276,7 +272,7 @@ impl Pacer {
             }
         }
         if mode != Mode::Mode1 {
-            let most = now.saturating_add(config.cycle.saturating_mul(mode.buffer()));
+            let most = now.saturating_add(config.cycles(mode.buffer()));
             let one_more = self.empty_at.unwrap_or(now).max(now).saturating_add(config.cycle);
             self.empty_at = Some(if full { most } else { one_more.min(most) });
         }
@@ -518,7 +514,7 @@ impl<const N: usize> Engine<N> {
     #[must_use]
     pub fn attempt_timeout(&self) -> Option<Duration> {
         let cycles = if self.config.format.mode.mode == Mode::Mode2 { 2 } else { 1 };
-        (self.phase == Phase::Streaming).then(|| self.config.cycle.saturating_mul(cycles))
+        (self.phase == Phase::Streaming).then(|| self.config.cycles(cycles))
     }
 
     /// Returns the configuration.

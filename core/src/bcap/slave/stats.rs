@@ -131,6 +131,9 @@ pub struct Stats {
     pub jitter: Histogram,
 }
 
+/// Returns a time in microseconds, at most an hour and a bit.
 pub(super) fn micros(duration: Duration) -> u32 {
-    u32::try_from(duration.as_micros()).unwrap_or(u32::MAX)
+    // not `as_micros`, which a 32-bit target computes in 128 bits
+    let micros = duration.as_secs().saturating_mul(1_000_000).saturating_add(u64::from(duration.subsec_micros()));
+    u32::try_from(micros).unwrap_or(u32::MAX)
 }

@@ -1,81 +1,106 @@
-//! Slave Mode: the engine against replies that the input makes up.
+//! Slave Mode: streams in every mode, answered by whatever frames are in the input.
 
-use bcap_core::bcap::call::{Call, ControllerHandle, RobotHandle};
-use bcap_core::bcap::slave::{
-    Action, AxisLimits, Config, Engine, Failure, Format, Handles, Mode, Pose, PoseType, ReceiveFormat, ReceivePose,
-    SlaveMode,
-};
-use bcap_core::bcap::{Decoder, FrameWriter};
+use bcap_core::bcap::client::{self, Client};
+use bcap_core::bcap::slave::{self, Action, Engine};
+use bcap_core::bcap::{Decoder, Progress, call};
 use bcap_core::time::Instant;
 
-/// Runs an engine for as many steps as the input has bytes; returns how many replies it could read.
+/// Streams in Slave Mode in formats that come from the input, answered by the frames in it; returns how many poses were
+/// taken.
 pub fn stream(input: &[u8]) -> u32 {
-    let mut read = 0_u32;
-    for (mode, pose) in [(Mode::Mode0, PoseType::P), (Mode::Mode1, PoseType::J), (Mode::Mode2, PoseType::T)] {
-        let mode = SlaveMode { mode, pose };
-        let handles = Handles { controller: ControllerHandle(1), robot: RobotHandle(2) };
-        let format = Format::new(mode, ReceiveFormat::pose(ReceivePose::J));
-        let config = Config { limits: AxisLimits::uniform(100.0, 1000.0), ..Config::new(format, handles) };
-        if let Ok(mut engine) = Engine::new(config) {
-            read = read.wrapping_add(run(&mut engine, pose, input));
+    let mut sum = 0_u32;
+    for code in 0..0x204 {
+        let Some(mode) = slave::SlaveMode::from_code(code) else { continue };
+        for bits in [0, input.first().copied().unwrap_or(0), 0xff] {
+            sum = sum.wrapping_add(run(mode, bits, input).unwrap_or(0));
         }
     }
-    read
+    sum
 }
 
-fn run(engine: &mut Engine, kind: PoseType, input: &[u8]) -> u32 {
-    let mut read = 0_u32;
-    let mut now = Instant::ZERO;
-    for (step, byte) in input.iter().enumerate() {
-        let number = f64::from(*byte);
+/// Runs an engine in the format that `bits` selects.
+fn run(mode: slave::SlaveMode, bits: u8, input: &[u8]) -> Option<u32> {
+    let number = f64::from(i32::from_le_bytes(*input.first_chunk()?)) / 1e7;
+    let user = slave::UserIo::new(u16::from(bits).wrapping_add(121), bits & 7).ok();
+    let on = |bit: u8| bits & bit != 0;
+    let io = user.map_or(if on(1) { slave::SendIo::Mini } else { slave::SendIo::None }, slave::SendIo::User);
+    let receive = slave::ReceiveFormat {
+        time: on(2).then_some(slave::TimeUnit::Micros),
+        mini_io: on(4),
+        user_io: user,
+        hand_io: on(8),
+        current: on(16),
+        pose: if on(32) { slave::ReceivePose::TJ } else { slave::ReceivePose::J },
+    };
+    let extended = if on(64) { slave::ExtendedAxes::Both } else { slave::ExtendedAxes::None };
+    let send = slave::SendFormat { io, hand_io: on(128) };
+    let format = slave::Format { mode, extended, send, receive };
+    let handles = slave::Handles { controller: call::ControllerHandle(1), robot: call::RobotHandle(2) };
+    let limits = slave::AxisLimits::uniform(number, number);
+    let config = slave::Config { limits, watch: on(1).then_some(handles), ..slave::Config::new(format, handles) };
+    let mut engine = Engine::<300>::new(config).ok()?;
+    let mut client = Client::new(client::Config::TCP, [0; 512], [0; 512]);
+    let (mut now, mut rest, mut moved) = (Instant::ZERO, input, 0_u32);
+    for turn in 0..2000_u32 {
         match engine.poll(now) {
-            Action::Call(..) => read = read.wrapping_add(u32::from(call(engine, *byte, now))),
+            Action::Call(..) => {
+                client.start(&engine.request()?, now).ok()?;
+                moved = moved.wrapping_add(u32::from(client.transmit().len() > 100));
+                client.abandon();
+                match Decoder::TCP.decode(rest) {
+                    Ok(Progress::Complete(frame, used)) => {
+                        rest = rest.get(used..).unwrap_or(input);
+                        let reply = engine.handle_reply(&frame, now);
+                        moved = moved.wrapping_add(reply.map_or(0, |reply| read_move(&reply)));
+                    }
+                    Ok(Progress::NeedMore(_)) => {
+                        rest = input;
+                        engine.handle_failure(slave::Failure::Timeout, now);
+                    }
+                    Err(error) => {
+                        rest = rest.get(1..).unwrap_or(input);
+                        engine.handle_failure(client::ClientError::Malformed(error).into(), now);
+                    }
+                }
+            }
             Action::Pose { due } => {
-                now = due;
-                let pose = match kind {
-                    PoseType::P => Pose::p([number; 7]),
-                    PoseType::J => Pose::j([number; 8]),
-                    PoseType::T => Pose::t([number; 10]),
-                };
-                if engine.push(&pose).is_err() || step % 100 == 99 {
+                let pose = engine.last_pose().as_slice().first_chunk::<8>().map_or([number; 8], |pose| *pose);
+                let mut pose = slave::Pose::from_numbers(mode.pose, pose.get(..mode.pose.len()).unwrap_or(&pose))?;
+                if on(64) {
+                    pose = pose.with_extended(slave::Extended::Both(number, f64::from(turn)));
+                }
+                let outputs = [engine.set_mini_io(3), engine.set_hand_io(5), engine.set_user_io(input.get(..2)?)];
+                moved = moved.wrapping_add(u32::from(outputs.iter().all(Result::is_ok)));
+                if engine.push(&pose).is_err() || turn % 100 == 99 {
                     engine.stop();
                 }
+                now = now.max(due).saturating_add(config.cycle);
             }
             Action::Wait(until) => now = until,
             Action::Finished => break,
             Action::Faulted => {
-                let known = engine.fault().is_some_and(|fault| fault.code().is_some() || fault.is_underflow());
-                if engine.recover().is_err() || known {
-                    break;
+                let known =
+                    engine.fault().is_some_and(|f| f.is_underflow() || f.code().is_some() || f.errors().len() > 1);
+                moved = moved.wrapping_add(u32::from(known));
+                if engine.recover().is_err() {
+                    engine.stop();
                 }
             }
         }
     }
-    read.wrapping_add(u32::from(engine.margin(now).is_some() || engine.start_pose().is_some()))
+    let stats = engine.stats();
+    Some(moved.wrapping_add(stats.rtt.quantile(999)).wrapping_add(stats.jitter.max()).wrapping_add(stats.late))
 }
 
-/// Makes the call that the engine wants, and hands a reply in that `byte` chooses.
-fn call(engine: &mut Engine, byte: u8, now: Instant) -> bool {
-    let mut buffer = [0; 512];
-    let Some(request) = engine.request() else { return false };
-    let Ok(mut frame) = FrameWriter::new(&mut buffer) else { return false };
-    let sent = request.arguments(&mut frame).is_ok() && frame.finish(1, 0, request.function().0).is_ok();
-    let Ok(mut frame) = FrameWriter::new(&mut buffer) else { return false };
-    let pose = [f64::from(byte); 8];
-    let value = match byte % 5 {
-        0 => frame.argument(&pose),
-        1 => frame.argument(&i32::from(byte)),
-        2 => frame.argument(&(pose, 1_i32, 2_i32)),
-        3 => frame.argument(&"ITP"),
-        _ => frame.argument(&()),
-    };
-    let code = if byte % 16 == 15 { -1 } else { 0 };
-    let reply = frame.finish(1, 0, code).ok().and_then(|bytes| Decoder::TCP.decode_datagram(bytes).ok());
-    match reply.filter(|_| value.is_ok() && sent) {
-        Some(reply) => engine.handle_reply(&reply, now).is_some(),
-        None => {
-            engine.handle_failure(Failure::Timeout, now);
-            false
-        }
-    }
+fn read_move(reply: &slave::MoveReply<'_>) -> u32 {
+    let numbers = [
+        reply.joints().is_some_and(|joints| joints.contains(&1.0)),
+        reply.position().is_some() || reply.transform().is_some(),
+        reply.timestamp().is_some_and(|time| time.micros_since(time) == 0),
+        reply.mini_io() == reply.hand_io(),
+        reply.user_io().is_some_and(|bytes| bytes.contains(&1)),
+        reply.current().is_some_and(|current| current.contains(&1.0)),
+        reply.pose().len() > 8,
+    ];
+    numbers.iter().fold(0, |sum, fit| sum.wrapping_add(u32::from(*fit)))
 }
