@@ -77,10 +77,11 @@ fn datagrams_get_lost_and_calls_are_executed_once() {
 fn datagrams_repeat_overtake_and_straggle_and_calls_are_executed_once() {
     let mut stale = 0;
     for seed in 100..120 {
+        let faults = Faults { loss: 200, repeat: 200, delay: millis(800), ..Faults::default() };
+        let mut simulation = udp(faults, seed);
         // a Service_Start that comes two seconds late is taken for a new client's, so only what follows comes that late
-        let mut simulation = udp(Faults { repeat: 200, delay: millis(20), ..Faults::default() }, seed);
         simulation.settle(millis(2000));
-        simulation.faults = Faults { loss: 200, delay: millis(800), straggle: 30, ..simulation.faults };
+        simulation.faults.straggle = 30;
         let tally = call_many(&mut simulation, 300);
         assert!(tally.done > 200, "{tally:?}");
         stale += simulation.seen.stale;

@@ -211,7 +211,8 @@ struct State {
     tx_len: usize,
     tx_sent: usize,
     last: Option<Last>,
-    /// When Service_Start came, and with which first serial.
+    /// The first serial of Service_Start, and when its client went on to another call, having the reply then; until that,
+    /// when it came.
     started: Option<(Instant, u16)>,
     /// Nothing more is read; when `tx` is sent the link is to be closed.
     closing: bool,
@@ -243,7 +244,8 @@ struct Last {
 /// How far behind the last call a first serial is taken for a repetition that the network held back.
 const OLD_SERIALS: u16 = 1024;
 
-/// How long a repeated Service_Start may be one that the network held back; later it begins a new session.
+/// For how long after its client went on to other calls a repeated Service_Start may be one that the network held back;
+/// later it begins a new session.
 const RESTART_AFTER: Duration = Duration::from_secs(2);
 
 /// How soon a handler that waits is asked again at the earliest, if nothing else happens.
@@ -363,6 +365,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
             } else if let Some(known) = self.state.repetition(function, first) {
                 return Some(self.repeat(known, serial, first));
             }
+            self.state.go_on(first, now);
         }
         let frame = self.inbox.frame(self.rx.bytes(), span)?;
         let refused = match self.check(&frame) {
@@ -668,6 +671,16 @@ impl State {
 
     fn next_keep_alive(&self, now: Instant) -> Instant {
         self.watchdog.map_or(Instant::FAR_FUTURE, |interval| now.saturating_add(interval))
+    }
+
+    /// Takes note of a call that is no repetition: after Service_Start no attempt of that will be sent any more.
+    fn go_on(&mut self, first: u16, now: Instant) {
+        if let Some((at, serial)) = &mut self.started
+            && *serial != first
+            && self.last.is_some_and(|last| last.first == *serial)
+        {
+            *at = now;
+        }
     }
 
     /// Tells whether a Service_Start is that of a new client behind an address that is known.

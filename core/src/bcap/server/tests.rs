@@ -320,6 +320,17 @@ fn a_new_client_behind_a_known_address_starts_anew() {
 }
 
 #[test]
+fn a_late_attempt_of_service_start_does_not_end_the_session_that_it_began() {
+    let mut bench = Bench::new(Config::UDP);
+    // the replies to its first attempts got lost, so the client goes on late
+    assert_eq!(bench.attempt(&call::service_start(""), 1, 1, at(0)), [(1, HResult::S_OK)]);
+    assert_eq!(bench.attempt(&call::service_start(""), 4, 1, at(1500)), [(4, HResult::S_OK)]);
+    assert_eq!(bench.call(call::controller_connect("", "", "", ""), 6, at(1600)), [(6, HResult::S_OK)]);
+    assert_eq!(bench.attempt(&call::service_start(""), 5, 1, at(2800)), []);
+    assert_eq!(bench.session.open_objects(), 2);
+}
+
+#[test]
 fn a_value_over_the_datagram_is_answered_with_a_code() {
     let mut bench = Bench::connected(Config::UDP, "");
     let get = || call::variable_get_value(VariableHandle(3));
