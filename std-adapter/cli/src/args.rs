@@ -272,6 +272,8 @@ pub(crate) enum Model {
     Rc8,
     /// RC9: it has StoState and ManualReset
     Rc9,
+    /// COBOTTA: the same, but its slave mode has no HandIO
+    Cobotta,
 }
 
 impl From<Model> for Profile {
@@ -279,6 +281,7 @@ impl From<Model> for Profile {
         match model {
             Model::Rc8 => Self::Rc8,
             Model::Rc9 => Self::Rc9,
+            Model::Cobotta => Self::Cobotta,
         }
     }
 }

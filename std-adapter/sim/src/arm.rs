@@ -48,11 +48,10 @@
 //! | CurExtSpd, CurExtAcc, CurExtDec | -                           | R4: external                                     |
 //! | CurFig, CurTool, CurWork        | -                           | I4                                               |
 //! | J2P J2T P2J P2T T2J T2P         | a pose                      | R8 array                                         |
-//! | slvMove, slvChangeMode, ...     | any                         | `E_NOTIMPL`                                      |
+//! | slvMove, slvChangeMode, ...     | see [`slave`](crate::slave) |                                                  |
 //!
 //! GiveArm while the robot moves answers `E_ROBOTISBUSY`. Commands that real controllers have and this one has not
-//! answer `E_NOTIMPL`, other names `E_INVALID_CMD_NAME`. Slave mode belongs in a module beside this one:
-//! `robot_execute` is the one place that turns its commands away.
+//! answer `E_NOTIMPL`, other names `E_INVALID_CMD_NAME`.
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::bcap::server::Request;
@@ -71,13 +70,8 @@ use crate::robot::{Percent, Servo, angle, percent, pose_numbers, position, trans
 use crate::system::{Owner, coordinates};
 use crate::value::{Value, numbers, one_int, whole};
 
-/// Commands of real controllers that this one has not; first those of slave mode, which belongs in a module of its own.
+/// Commands of real controllers that this one has not.
 const NOT_HERE: &[&str] = &[
-    "slvChangeMode",
-    "slvGetMode",
-    "slvMove",
-    "slvSendFormat",
-    "slvRecvFormat",
     "GetSrvData",
     "OutRange",
     "Dev",
@@ -128,6 +122,11 @@ struct MoveOptions {
 impl Controller {
     pub(crate) fn robot_call(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
         match request.function {
+            FunctionId::ROBOT_EXECUTE
+                if request.resumed && request.text(1).to_string().trim().eq_ignore_ascii_case("slvMove") =>
+            {
+                self.resume_slave_move(peer, &request.value(2))
+            }
             FunctionId::ROBOT_EXECUTE if request.resumed => self.resume_execute(peer),
             _ if request.resumed => self.resume(peer),
             FunctionId::ROBOT_GET_VARIABLE => self.open_variable(peer, Owner::Robot, &request.text(1).to_string()),
@@ -177,6 +176,11 @@ impl Controller {
             }
             "motor" => self.motor_command(peer, param),
             "extspeed" => self.set_external_speed(param),
+            "slvchangemode" => self.slave_change_mode(peer, param),
+            "slvgetmode" => Ok(Value::I4(self.slave_mode()).into()),
+            "slvmove" => self.slave_move(peer, param),
+            "slvsendformat" => self.slave_send_format(peer, param),
+            "slvrecvformat" => self.slave_receive_format(peer, param),
             _ if NOT_HERE.iter().any(|name| name.eq_ignore_ascii_case(command)) => Err(HResult::E_NOTIMPL),
             _ => Err(HResult::E_INVALID_CMD_NAME),
         }
@@ -193,10 +197,10 @@ impl Controller {
         };
         Some(match command.as_str() {
             "curpos" | "highcurpos" => Value::R8s(position(&here)),
-            "curjnt" | "highcurjnt" => Value::R8s(angle(&here)),
+            "curjnt" | "highcurjnt" => Value::R8s(self.axes().to_vec()),
             "curtrn" | "highcurtrn" => Value::R8s(trans(&here)),
             "curposex" | "highcurposex" => timed(position(&here)),
-            "curjntex" | "highcurjntex" => timed(angle(&here)),
+            "curjntex" | "highcurjntex" => timed(self.axes().to_vec()),
             "curtrnex" | "highcurtrnex" => timed(trans(&here)),
             "destpos" => Value::R8s(position(&there)),
             "destjnt" => Value::R8s(angle(&there)),
@@ -407,7 +411,7 @@ impl Controller {
     }
 
     /// Checks everything that a motion needs, in the order that the codes are documented in.
-    fn may_move(&mut self, peer: PeerId) -> Result<(), HResult> {
+    pub(crate) fn may_move(&mut self, peer: PeerId) -> Result<(), HResult> {
         self.may_execute(peer)?;
         if self.arm_owner() != Some(peer) {
             return Err(self.refuse(HResult::E_ARM_NOT_TAKEN));
@@ -415,7 +419,7 @@ impl Controller {
         if !self.motor_is_on() {
             return Err(self.refuse(HResult::E_MOTOR_OFF));
         }
-        if self.is_moving() {
+        if self.is_moving() || self.robot.slave.is_some() {
             return Err(HResult::E_ROBOTISBUSY);
         }
         Ok(())
@@ -448,7 +452,7 @@ impl Controller {
     }
 
     /// Makes an error of a pose that cannot be reached.
-    fn fail_reach(&mut self, error: OutOfReach) -> HResult {
+    pub(crate) fn fail_reach(&mut self, error: OutOfReach) -> HResult {
         let code = out_of_reach(error);
         self.raise(code);
         code

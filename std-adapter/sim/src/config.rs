@@ -5,6 +5,7 @@ use std::time::Duration;
 use bcap_core::handler::PeerId;
 
 use crate::kinematics::Joints;
+use crate::slave::{SlaveConfig, SlaveFormats};
 use crate::variables::Sizes;
 
 /// A model of controller.
@@ -16,6 +17,8 @@ pub enum Profile {
     Rc8,
     /// RC9: provider `CaoProv.DENSO.VRC9`; it has StoState and ManualReset.
     Rc9,
+    /// COBOTTA: provider `CaoProv.DENSO.VRC`; it has StoState and ManualReset, and slave mode has no HandIO.
+    Cobotta,
 }
 
 impl Profile {
@@ -23,7 +26,7 @@ impl Profile {
     #[must_use]
     pub const fn provider(self) -> &'static str {
         match self {
-            Self::Rc8 => "CaoProv.DENSO.VRC",
+            Self::Rc8 | Self::Cobotta => "CaoProv.DENSO.VRC",
             Self::Rc9 => "CaoProv.DENSO.VRC9",
         }
     }
@@ -34,7 +37,13 @@ impl Profile {
         match self {
             Self::Rc8 => "RC8",
             Self::Rc9 => "RC9",
+            Self::Cobotta => "COBOTTA",
         }
+    }
+
+    /// Tells whether the emergency stop takes the torque away until ManualReset.
+    pub(crate) const fn has_safe_torque_off(self) -> bool {
+        matches!(self, Self::Rc9 | Self::Cobotta)
     }
 }
 
@@ -106,6 +115,10 @@ pub struct Config {
     pub speed: f32,
     /// The external speed at the start, in percent.
     pub ext_speed: f32,
+    /// Slave mode: licence, limits, formats.
+    pub slave: SlaveConfig,
+    /// Axes beyond the sixth, 0 to 2; only slave mode moves them.
+    pub extended_axes: u8,
     /// The names of the tasks.
     pub tasks: Vec<String>,
     /// The time of one cycle of a task.
@@ -138,6 +151,11 @@ impl Config {
             motor_on_delay: Duration::from_millis(300),
             speed: 100.0,
             ext_speed: 100.0,
+            slave: SlaveConfig {
+                formats: SlaveFormats { hand_io: profile != Profile::Cobotta, ..SlaveFormats::ALL },
+                ..SlaveConfig::default()
+            },
+            extended_axes: 0,
             tasks: ["Pro1", "Pro2", "Pro3"].map(str::to_owned).to_vec(),
             task_cycle: Duration::from_secs(1),
             task_lines: 10,

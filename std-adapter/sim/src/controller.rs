@@ -1,6 +1,6 @@
 //! The controller: its state, what happens to it as time passes, and what a test can do to it.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
 use bcap_core::handler::PeerId;
@@ -9,12 +9,13 @@ use bcap_core::rac::VariableKind as Kind;
 use bcap_core::time::Instant;
 use bcap_core::variant::{Encode, Variant, VariantBuf};
 
-use crate::config::{Config, Mode, Permission, Profile, Token};
+use crate::config::{Config, Mode, Permission, Token};
 use crate::errors::{ErrorEntry, Errors};
 use crate::kinematics::Joints;
 use crate::motion::Ended;
 use crate::objects::Objects;
 use crate::robot::{Robot, Servo};
+use crate::slave::{Formats, SlaveCounters, SlaveCycle, Stream};
 use crate::tasks::{Task, TaskStatus};
 use crate::value::Value;
 use crate::variables::{Family, Variables};
@@ -35,6 +36,10 @@ pub(crate) enum Wait {
     Motion(u64),
     /// The motor being on.
     Servo,
+    /// Room for a pose of slave mode.
+    Stored,
+    /// The end of slave mode.
+    Left,
     /// Nothing any more: this is the result.
     Over(HResult),
 }
@@ -49,7 +54,7 @@ pub struct Controller {
     mode: Mode,
     token: Token,
     emergency_stop: bool,
-    /// RC9: torque is off since an emergency stop, until ManualReset.
+    /// RC9, COBOTTA: torque is off since an emergency stop, until ManualReset.
     pub(crate) torque_off: bool,
     /// `@LOCK`.
     pub(crate) locked: bool,
@@ -62,6 +67,9 @@ pub struct Controller {
     pub(crate) tasks: Vec<Task>,
     pub(crate) errors: Errors,
     pub(crate) waits: BTreeMap<PeerId, Wait>,
+    pub(crate) slave_formats: BTreeMap<PeerId, Formats>,
+    pub(crate) slave_counters: SlaveCounters,
+    pub(crate) slave_record: VecDeque<SlaveCycle>,
 }
 
 impl Controller {
@@ -83,13 +91,18 @@ impl Controller {
             tasks: config.tasks.iter().map(task).collect(),
             errors: Errors::default(),
             waits: BTreeMap::new(),
+            slave_formats: BTreeMap::new(),
+            slave_counters: SlaveCounters::default(),
+            slave_record: VecDeque::new(),
             config,
         }
     }
 
-    /// Lets time pass: motions and tasks go on, the motor comes on.
+    /// Lets time pass: motions, slave mode and tasks go on, the motor comes on.
     pub fn advance(&mut self, now: Instant) {
-        self.now = self.now.max(now);
+        let now = self.now.max(now);
+        self.pass_slave_cycles(now);
+        self.now = now;
         for task in &mut self.tasks {
             task.advance(self.now);
         }
@@ -109,7 +122,7 @@ impl Controller {
     pub fn emergency_stop(&mut self, pressed: bool, now: Instant) {
         self.advance(now);
         if pressed && !self.emergency_stop {
-            self.torque_off = self.config.profile == Profile::Rc9;
+            self.torque_off = self.config.profile.has_safe_torque_off();
             self.raise(EMERGENCY_STOP);
         }
         self.emergency_stop = pressed;
@@ -185,10 +198,16 @@ impl Controller {
         self.robot.joints(self.now)
     }
 
-    /// Tells whether a motion is under way; one that is held is.
+    /// Returns where the robot was when time was last heard of, with the extended axes: J1 to J8.
+    #[must_use]
+    pub fn axes(&self) -> [f64; 8] {
+        self.robot.axes(self.now)
+    }
+
+    /// Tells whether a motion is under way; one that is held is. In slave mode, whether an axis moves.
     #[must_use]
     pub fn is_moving(&self) -> bool {
-        self.robot.motion().is_some()
+        self.robot.motion().is_some() || self.robot.slave.as_ref().is_some_and(Stream::is_moving)
     }
 
     /// Tells whether the motor is on.
@@ -231,7 +250,9 @@ impl Controller {
         self.objects.release_all(peer);
         self.sessions.remove(&peer);
         self.waits.remove(&peer);
-        if self.robot.motion().is_some_and(|m| m.peer == peer) {
+        self.slave_formats.remove(&peer);
+        let streams = self.robot.slave.as_ref().is_some_and(|stream| stream.peer == peer);
+        if streams || self.robot.motion().is_some_and(|m| m.peer == peer) {
             self.halt();
         }
         if self.arm_owner() == Some(peer) {
@@ -291,8 +312,11 @@ impl Controller {
         self.token != Token::TeachPendant
     }
 
-    /// Halts the motion, if there is one.
+    /// Halts the motion, or slave mode, if there is one.
     pub(crate) fn halt(&mut self) -> bool {
+        if self.halt_slave_mode() {
+            return true;
+        }
         let now = self.now;
         match self.robot.motion_mut() {
             Some(motion) => motion.halt(now),
@@ -303,8 +327,9 @@ impl Controller {
         true
     }
 
-    /// Stops the motion where it is; who waits for it gets `code`.
+    /// Stops the motion where it is, and slave mode; who waits for it gets `code`.
     pub(crate) fn abort_motion(&mut self, code: HResult) {
+        self.end_slave_mode(code);
         if let Some(id) = self.robot.freeze(self.now) {
             self.end_waits(|wait| wait == Wait::Motion(id), code);
         }
@@ -326,12 +351,13 @@ impl Controller {
                 Servo::TurningOn(at) => Some(at),
                 _ => None,
             },
+            Wait::Stored | Wait::Left => self.robot.slave.as_ref().map(Stream::next_cycle),
             Wait::Over(_) => Some(self.now),
         };
         end.map_or(soon, |end| end.min(soon))
     }
 
-    fn end_waits(&mut self, which: impl Fn(Wait) -> bool, result: HResult) {
+    pub(crate) fn end_waits(&mut self, which: impl Fn(Wait) -> bool, result: HResult) {
         self.waits.values_mut().filter(|wait| which(**wait)).for_each(|wait| *wait = Wait::Over(result));
     }
 

@@ -25,6 +25,8 @@ pub(crate) enum Answer {
     Value(Value),
     /// Another success than `S_OK`.
     Code(HResult),
+    /// A success, with a value.
+    Coded(HResult, Value),
     /// Not yet.
     Wait(Instant),
 }
@@ -44,6 +46,10 @@ impl Handler for Controller {
         match self.dispatch(peer, request) {
             Ok(Answer::Done) => Outcome::Done(HResult::S_OK),
             Ok(Answer::Value(value)) => Outcome::Done(Self::set_reply(reply, &value)),
+            Ok(Answer::Coded(code, value)) => match Self::set_reply(reply, &value) {
+                HResult::S_OK => Outcome::Done(code),
+                failed => Outcome::Done(failed),
+            },
             Ok(Answer::Code(code)) | Err(code) => Outcome::Done(code),
             Ok(Answer::Wait(at)) => Outcome::Wait(at),
         }
@@ -53,6 +59,7 @@ impl Handler for Controller {
     fn abandoned(&mut self, peer: PeerId, now: Instant) {
         self.advance(now);
         self.waits.remove(&peer);
+        self.abandon_slave_move(peer);
     }
 
     fn left(&mut self, peer: PeerId, now: Instant) {
@@ -100,6 +107,7 @@ impl Controller {
         if let Some(answer) = self.common(peer, request, signature.object)? {
             return Ok(answer);
         }
+        self.slave_mode_allows(peer, request)?;
         match item {
             Item::Controller => self.controller_call(peer, request),
             Item::Robot => self.robot_call(peer, request),

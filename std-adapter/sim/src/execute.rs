@@ -10,8 +10,8 @@
 //! | SysState                           | -                   | I4 of bits, see [`Bit`]                          |
 //! | SysInfo                            | I4: 0               | BSTR, the serial number                          |
 //! | Motor                              | as Robot_Execute's  | as Robot_Execute's                               |
-//! | StoState                           | -                   | BOOL; RC9                                        |
-//! | ManualReset                        | -                   | EMPTY; RC9; `E_ACCESSDENIED` in emergency stop   |
+//! | StoState                           | -                   | BOOL; RC9, COBOTTA                               |
+//! | ManualReset                        | -                   | EMPTY; likewise; `E_ACCESSDENIED` in emergency stop |
 //!
 //! ```text
 //! GetCurErrorInfo  code I4, message BSTR, subcode I4, file and line I4, program BSTR, line I4, file I4
@@ -30,7 +30,6 @@ use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
 
-use crate::config::Profile;
 use crate::controller::Controller;
 use crate::dispatch::{Answer, Answered};
 use crate::errors::{ErrorEntry, description};
@@ -87,7 +86,7 @@ pub enum Bit {
 impl Controller {
     pub(crate) fn controller_execute(&mut self, peer: PeerId, command: &str, param: &Variant<'_>) -> Answered {
         let known = |name: &&&str| name.eq_ignore_ascii_case(command.trim());
-        let rc9 = self.config().profile == Profile::Rc9;
+        let sto = self.config().profile.has_safe_torque_off();
         let count = |n: usize| Value::I4(i32::try_from(n).unwrap_or(i32::MAX));
         let value = match command.trim().to_ascii_lowercase().as_str() {
             "clearerror" => {
@@ -110,9 +109,9 @@ impl Controller {
                 0 => Value::from(self.config().serial_number.as_str()),
                 _ => return Err(HResult::E_NOTIMPL),
             },
-            "stostate" if rc9 => Value::Bool(self.torque_off),
-            "manualreset" if rc9 && self.emergency_stopped() => return Err(HResult::E_ACCESSDENIED),
-            "manualreset" if rc9 => {
+            "stostate" if sto => Value::Bool(self.torque_off),
+            "manualreset" if sto && self.emergency_stopped() => return Err(HResult::E_ACCESSDENIED),
+            "manualreset" if sto => {
                 self.torque_off = false;
                 Value::Empty
             }

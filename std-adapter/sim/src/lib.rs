@@ -1,4 +1,4 @@
-//! A virtual DENSO RC8 or RC9: what a program that talks to a robot controller meets, without the robot.
+//! A virtual DENSO RC8, RC9 or COBOTTA: what a program that talks to a robot controller meets, without the robot.
 //!
 //! [`Controller`] is a model, not a server. It has no socket, no thread and no clock; it implements
 //! [`bcap_core::bcap::server::Handler`] and [`bcap_core::rac::server::Handler`], so that whatever drives the servers of
@@ -11,12 +11,13 @@
 //! * The user variables I F D V P J T S IO, with wildcards and views of the IO bits, in the types a controller uses.
 //! * The system variables of controller, robot and tasks, the error lists, the commands about them.
 //! * An arm of six axes with its kinematics, a motor, the arm authority, motions that take their time, Halt and Hold.
+//! * Slave mode with its three modes, buffers, formats, limits and errors.
 //! * Tasks that run on the clock that is given.
 //! * The emergency stop, the mode switch, the executable token and any error, for a test to throw in.
 //!
 //! # What answers `E_NOTIMPL`
 //!
-//! Slave mode (`slvMove` and the other `slv...` commands), files, extensions, commands and messages, arcs and free
+//! Files, extensions, commands and messages, arcs and free
 //! curves, Rotate, Chuck and Unchuck, Task_Delete, definitions of tools and work coordinates, hands, logs, force
 //! control. A command that no controller is known to have answers `E_INVALID_CMD_NAME`. Nothing answers `S_OK` without
 //! having done what it was asked.
@@ -34,7 +35,7 @@
 //! * Variable_GetDateTime tells when the variable was last read or written through this handle.
 //!
 //! The tables of names, types and answers stand with the code: [`variables`], [`system`], [`arm`], [`execute`],
-//! [`pose`], [`kinematics`], [`tasks`].
+//! [`pose`], [`kinematics`], [`slave`], [`tasks`].
 //!
 //! # Examples
 //!
@@ -64,6 +65,7 @@ mod objects;
 mod options;
 pub mod pose;
 mod robot;
+pub mod slave;
 pub mod system;
 pub mod tasks;
 mod value;
@@ -73,6 +75,7 @@ pub use config::{Config, Mode, Permission, Profile, Token};
 pub use controller::{Controller, EMERGENCY_STOP};
 pub use errors::ErrorEntry;
 pub use execute::Bit;
+pub use slave::{SlaveConfig, SlaveCounters, SlaveCycle, SlaveFormats, SpeedSetting};
 pub use tasks::TaskStatus;
 pub use variables::Sizes;
 // the kinds of user variables, as both protocols name them

@@ -14,7 +14,7 @@ use std::time::Duration;
 use bcap_core::handler::PeerId;
 use bcap_core::time::Instant;
 
-use crate::kinematics::{Frame, Joints, OutOfReach, SPEEDS, inverse_nearest};
+use crate::kinematics::{Frame, Joints, OutOfReach, RANGES, SPEEDS, inverse_nearest};
 
 /// The largest speed of the flange on a line, in mm per second.
 pub const LINE_SPEED: f64 = 2000.0;
@@ -62,6 +62,19 @@ impl Path {
             here = next;
         }
         Ok(Self { knots, full_speed })
+    }
+
+    /// Plans the way on which joints at these speeds come to rest, all together, none beyond its acceleration.
+    ///
+    /// `None` when they stand. A joint that would leave its range on the way stops at its end, so it brakes harder.
+    pub(crate) fn braking(from: Joints, speeds: &Joints, limits: &Joints) -> Option<Self> {
+        let seconds = speeds.iter().zip(limits).map(|(speed, limit)| speed.abs() / limit).fold(0.0, f64::max);
+        let to = [0, 1, 2, 3, 4, 5].map(|i| {
+            let (low, high) = RANGES[i];
+            // a joint may stand a rounding beyond its range
+            (from[i] + speeds[i] * seconds / 2.0).clamp(low.min(from[i]), high.max(from[i]))
+        });
+        (seconds > 1e-6).then(|| Self { knots: vec![from, to], full_speed: 2.0 / seconds })
     }
 
     /// Returns the joints at its end.
@@ -184,6 +197,15 @@ impl Motion {
         };
         motion.run(now);
         motion
+    }
+
+    /// Begins at the full speed of a [braking](Path::braking) path, and comes to rest at its end.
+    pub(crate) fn braking(id: u64, peer: PeerId, path: Path, now: Instant) -> Self {
+        let speed = path.full_speed;
+        // the way is 1, so that speed² = 2 decel
+        let ramp = Ramp::brake(now, 0.0, speed, speed * speed / 2.0);
+        let rates = Rates { speed: 1.0, accel: 1.0, decel: 1.0 };
+        Self { id, peer, path, rates, ramp, stage: Stage::Halting }
     }
 
     pub(crate) fn joints(&self, now: Instant) -> Joints {

@@ -7,6 +7,7 @@ use bcap_core::time::Instant;
 use crate::config::Config;
 use crate::kinematics::{Frame, Joints, figure, forward};
 use crate::motion::{Ended, Motion, Path, Rates};
+use crate::slave::{Axes, Stream};
 
 /// The motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,7 +50,11 @@ impl Percent {
 pub(crate) struct Robot {
     /// Where it stands while it does not move.
     rest: Joints,
+    /// Where the axes 7 and 8 stand while slave mode does not move them.
+    extended: [f64; 2],
     motion: Option<Motion>,
+    /// Slave mode; there is no motion while it is on.
+    pub(crate) slave: Option<Stream>,
     last_motion: u64,
     /// Where the last motion was to end.
     destination: Joints,
@@ -70,7 +75,9 @@ impl Robot {
     pub(crate) fn new(config: &Config) -> Self {
         Self {
             rest: config.home,
+            extended: [0.0; 2],
             motion: None,
+            slave: None,
             last_motion: 0,
             destination: config.home,
             servo: Servo::Off,
@@ -108,11 +115,22 @@ impl Robot {
     }
 
     pub(crate) fn joints(&self, now: Instant) -> Joints {
-        self.motion.as_ref().map_or(self.rest, |m| m.joints(now))
+        six(&self.axes(now))
     }
 
+    /// Returns J1 to J8.
+    pub(crate) fn axes(&self, now: Instant) -> Axes {
+        let eight = |[j1, j2, j3, j4, j5, j6]: Joints| [j1, j2, j3, j4, j5, j6, self.extended[0], self.extended[1]];
+        match (&self.slave, &self.motion) {
+            (Some(slave), _) => slave.axes(now),
+            (None, Some(motion)) => eight(motion.joints(now)),
+            (None, None) => eight(self.rest),
+        }
+    }
+
+    /// Returns where the joints are commanded to.
     pub(crate) fn destination(&self) -> Joints {
-        self.destination
+        self.slave.as_ref().map_or(self.destination, |slave| six(&slave.commanded()))
     }
 
     /// Starts a motion and returns its number.
@@ -131,6 +149,31 @@ impl Robot {
         self.destination = self.rest;
         Some(motion.id)
     }
+
+    /// Ends slave mode at once, wherever the axes are.
+    pub(crate) fn stop_slave(&mut self, now: Instant) -> Option<Stream> {
+        let slave = self.slave.take()?;
+        let axes = slave.axes(now);
+        self.rest = six(&axes);
+        self.extended = [axes[6], axes[7]];
+        self.destination = self.rest;
+        Some(slave)
+    }
+
+    /// Brakes from these speeds to rest, as fast as these limits of acceleration let the six joints together; the
+    /// extended axes stand at once.
+    pub(crate) fn brake(&mut self, peer: PeerId, speeds: &Axes, limits: &Axes, now: Instant) {
+        let Some(path) = Path::braking(self.rest, &six(speeds), &six(limits)) else { return };
+        self.last_motion += 1;
+        let motion = Motion::braking(self.last_motion, peer, path, now);
+        self.destination = motion.destination();
+        self.motion = Some(motion);
+    }
+}
+
+fn six(axes: &Axes) -> Joints {
+    let [j1, j2, j3, j4, j5, j6, ..] = *axes;
+    [j1, j2, j3, j4, j5, j6]
 }
 
 /// Returns X Y Z RX RY RZ Fig of joints.
@@ -152,7 +195,7 @@ pub(crate) fn trans(joints: &Joints) -> Vec<f64> {
     numbers
 }
 
-/// Returns J1 to J8; there are no axes 7 and 8, they are 0.
+/// Returns J1 to J8 of joints alone: axes 7 and 8 are 0.
 pub(crate) fn angle(joints: &Joints) -> Vec<f64> {
     let mut numbers = joints.to_vec();
     numbers.resize(8, 0.0);

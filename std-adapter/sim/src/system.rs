@@ -219,7 +219,7 @@ impl Controller {
         let (here, there) = (self.joints(), robot.destination());
         Ok(match name {
             "@CURRENT_POSITION" | "@HIGH_CURRENT_POSITION" => Value::R8s(position(&here)),
-            "@CURRENT_ANGLE" | "@HIGH_CURRENT_ANGLE" => Value::R8s(angle(&here)),
+            "@CURRENT_ANGLE" | "@HIGH_CURRENT_ANGLE" => Value::R8s(self.axes().to_vec()),
             "@CURRENT_TRANS" | "@HIGH_CURRENT_TRANS" => Value::R8s(trans(&here)),
             "@DEST_POSITION" => Value::R8s(position(&there)),
             "@DEST_ANGLE" => Value::R8s(angle(&there)),

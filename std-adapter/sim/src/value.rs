@@ -20,6 +20,7 @@ pub(crate) enum Value {
     Text(String),
     /// A client's string, kept as its UTF-16LE bytes so that nothing of it is lost.
     Bstr(Vec<u8>),
+    Ui1s(Vec<u8>),
     I4s(Vec<i32>),
     R4s(Vec<f32>),
     R8s(Vec<f64>),
@@ -43,6 +44,7 @@ impl Encode for Value {
             Self::Date(date) => date.encode(out),
             Self::Text(text) => text.as_str().encode(out),
             Self::Bstr(bytes) => Bstr::from_utf16le(bytes).unwrap_or_default().encode(out),
+            Self::Ui1s(items) => items.as_slice().encode(out),
             Self::I4s(items) => items.as_slice().encode(out),
             Self::R4s(items) => items.as_slice().encode(out),
             Self::R8s(items) => items.as_slice().encode(out),

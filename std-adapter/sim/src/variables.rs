@@ -244,6 +244,23 @@ impl Variables {
         }
     }
 
+    /// Returns the number of IO.
+    pub(crate) fn io_len(&self) -> usize {
+        self.io.len()
+    }
+
+    /// Reads an IO; one that there is not is off.
+    pub(crate) fn io(&self, n: usize) -> bool {
+        self.io.get(n).copied().unwrap_or(false)
+    }
+
+    /// Sets an IO, if there is such a one.
+    pub(crate) fn set_io(&mut self, n: usize, on: bool) {
+        if let Some(io) = self.io.get_mut(n) {
+            *io = on;
+        }
+    }
+
     fn bits(&self, from: usize, count: usize) -> u32 {
         self.io[from..from + count].iter().rev().fold(0, |bits, on| bits << 1 | u32::from(*on))
     }

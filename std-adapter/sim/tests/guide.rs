@@ -2,7 +2,6 @@
 
 use bcap_core::bcap::server::{Config as Server, Session};
 use bcap_core::handler::PeerId;
-use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use bcap_core::variant::VariantBuf;
 use bcap_sim::{Config, Controller, Profile, VariableKind};
@@ -103,13 +102,28 @@ fn the_guides_session_with_the_robot() {
 }
 
 #[test]
-fn slave_mode_is_refused_as_not_implemented() {
+fn the_guides_session_in_slave_mode() {
     let mut link = Link::new();
-    link.play(&[1, 3, 27, 29]);
-    for number in [47, 49, 51] {
-        let response = link.exchange(&frame(number));
-        assert_eq!(response[9..13], HResult::E_NOTIMPL.0.to_le_bytes(), "rc8_{number}");
+    // GetRobot, TakeArm, Motor on, slvChangeMode 0x001
+    link.play(&[1, 3, 27, 29, 33, 47]);
+    assert_eq!(link.sim.slave_mode(), 0x001);
+    let reply = link.exchange(&frame(51));
+    let response = frame(52);
+    // everything up to the eight numbers
+    assert_eq!(reply[..25], response[..25]);
+    assert_eq!(reply.len(), response.len());
+    // of the guide's numbers the last two are of axes that its robot has not
+    let numbers = |bytes: &[u8]| -> Vec<f64> {
+        bytes[25..73].chunks(8).map(|b| f64::from_le_bytes(b.try_into().unwrap())).collect()
+    };
+    for (axis, (ours, guides)) in numbers(&reply).iter().zip(numbers(&response)).enumerate() {
+        assert!((ours - guides).abs() < 1e-5, "J{}: {ours} is not {guides}", axis + 1);
     }
+    // slvChangeMode 0x000, ClearError, Motor off, GiveArm
+    link.play(&[49]);
+    assert_eq!(link.sim.slave_mode(), 0);
+    link.play(&[43, 35, 31, 41, 13, 15]);
+    assert_eq!(link.sim.open_objects(), 0);
 }
 
 #[test]

@@ -60,6 +60,12 @@ enum Step {
         pose: &'static str,
         option: &'static str,
     },
+    /// TakeArm, Motor, slvChangeMode and a pose, which may or may not be possible.
+    Slave {
+        peer: u32,
+        mode: i32,
+        pose: [f64; 8],
+    },
     Again {
         peer: u32,
     },
@@ -112,6 +118,11 @@ const NAMES: &[&str] = &[
     "ManualReset",
     "GetStatus",
     "slvMove",
+    "slvMove",
+    "slvGetMode",
+    "slvChangeMode",
+    "slvSendFormat",
+    "slvRecvFormat",
     "NEXT",
     "SPEED=20",
     "SPEED=50,NEXT",
@@ -177,6 +188,15 @@ fn motion() -> impl Strategy<Value = Step> {
     })
 }
 
+fn slave() -> impl Strategy<Value = Step> {
+    let mode = proptest::sample::select(&[0x001, 0x002, 0x102, 0x202, 0x202, 0][..]);
+    let turn = prop_oneof![4 => -0.2..0.2_f64, 1 => -200.0..200.0_f64];
+    (0..CLIENTS, mode, turn.clone(), turn).prop_map(|(peer, mode, a, b)| {
+        let pose = [a, 45.0 + b, 90.0, 0.0, 45.0 + a, b, 0.0, 0.0];
+        Step::Slave { peer, mode, pose }
+    })
+}
+
 fn step() -> impl Strategy<Value = Step> {
     let mode = proptest::sample::select(&[Mode::Auto, Mode::Auto, Mode::Manual][..]);
     let error = proptest::sample::select(&[0x8150_0001, 0x8320_0001, 0x8420_1482, 0x8000_4005][..]);
@@ -185,8 +205,10 @@ fn step() -> impl Strategy<Value = Step> {
     prop_oneof![
         40 => call(),
         10 => motion(),
+        15 => slave(),
         10 => (0..CLIENTS).prop_map(|peer| Step::Again { peer }),
         10 => (0..2000_u64).prop_map(Step::Pass),
+        10 => (0..30_u64).prop_map(Step::Pass),
         1 => any::<bool>().prop_map(Step::EmergencyStop),
         1 => mode.prop_map(Step::Mode),
         1 => error.prop_map(Step::Error),
@@ -308,6 +330,13 @@ impl Run {
                 self.request(*peer, FunctionId::ROBOT_EXECUTE, &[&robot, &"Motor", &[1, 1]]);
                 self.request(*peer, FunctionId::ROBOT_MOVE, &[&robot, interpolation, pose, option]);
             }
+            Step::Slave { peer, mode, pose } => {
+                let robot = self.handle(*peer, Object::Robot);
+                self.request(*peer, FunctionId::ROBOT_EXECUTE, &[&robot, &"TakeArm", &[0, 1]]);
+                self.request(*peer, FunctionId::ROBOT_EXECUTE, &[&robot, &"Motor", &[1, 1]]);
+                self.request(*peer, FunctionId::ROBOT_EXECUTE, &[&robot, &"slvChangeMode", mode]);
+                self.request(*peer, FunctionId::ROBOT_EXECUTE, &[&robot, &"slvMove", pose]);
+            }
             Step::Again { peer } => {
                 if let Some(bytes) = self.waiting[*peer as usize].take() {
                     self.call(*peer, &bytes, true);
@@ -347,7 +376,8 @@ impl Run {
         for (angle, (low, high)) in self.sim.joints().iter().zip(RANGES) {
             assert!((low - 1e-3..=high + 1e-3).contains(angle), "{:?}", self.sim.joints());
         }
-        assert!(self.sim.motor_is_on() || !self.sim.is_moving());
+        assert!(self.sim.motor_is_on() || (!self.sim.is_moving() && self.sim.slave_mode() == 0));
+        assert!(self.sim.slave_mode() == 0 || (self.sim.arm_owner().is_some() && self.sim.errors().count() == 0));
         assert!(!self.sim.emergency_stopped() || (!self.sim.motor_is_on() && self.sim.errors().count() > 0));
     }
 }
@@ -360,7 +390,15 @@ fn run(steps: &[Step], profile: Profile) -> Trace {
     }
     run.now = run.now + Duration::from_secs(60);
     run.sim.advance(run.now);
-    assert!(!run.sim.is_moving());
+    assert!(!run.sim.is_moving() && run.sim.slave_mode() == 0);
+    let limits = run.sim.slave_limits();
+    let cycles: Vec<_> = run.sim.slave_record().collect();
+    for pair in cycles.windows(2).filter(|pair| pair[1].cycle == pair[0].cycle + 1) {
+        for (axis, limit) in limits.speed.iter().enumerate() {
+            let way = pair[1].axes[axis] - pair[0].axes[axis];
+            assert!(way.abs() <= limit * 0.008 * 1.000_01, "{pair:?}");
+        }
+    }
     assert_eq!((run.sim.open_objects(), run.sim.arm_owner()), (0, None));
     run.trace
 }

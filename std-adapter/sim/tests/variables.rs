@@ -338,8 +338,7 @@ fn what_is_not_modelled_says_so() {
     assert_eq!(world.call(client.peer, call::controller_get_file_names(c, "")), code(HResult::E_NOTIMPL));
     assert_eq!(world.call(client.peer, call::task_delete(task, "")), code(HResult::E_NOTIMPL));
     assert_eq!(world.call(client.peer, call::robot_chuck(client.robot, "")), code(HResult::E_NOTIMPL));
-    assert_eq!(world.robot(client, "slvChangeMode", 1), code(HResult::E_NOTIMPL));
-    assert_eq!(world.robot(client, "SlvMove", [0.0; 8]), code(HResult::E_NOTIMPL));
+    assert_eq!(world.robot(client, "StartLog", ()), code(HResult::E_NOTIMPL));
     assert_eq!(world.execute(client, "HandStop", ()), code(HResult::E_NOTIMPL));
     assert_eq!(world.robot(client, "Sing", ()), code(HResult::E_INVALID_CMD_NAME));
     assert_eq!(world.execute(client, "Sing", ()), code(HResult::E_INVALID_CMD_NAME));

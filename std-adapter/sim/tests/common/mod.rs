@@ -15,7 +15,7 @@ use bcap_sim::{Config, Controller, Profile};
 /// A reply: its code and its value.
 pub(crate) type Reply = (HResult, Value);
 /// A value of a reply.
-pub(crate) type Value = VariantBuf<8192>;
+pub(crate) type Value = VariantBuf<2048>;
 
 /// A controller and the time.
 pub(crate) struct World {
@@ -83,9 +83,17 @@ impl World {
 
     /// Calls, moving the clock to each time that the handler wants to be asked again at.
     pub(crate) fn run(&mut self, peer: PeerId, call: impl Call) -> Reply {
-        let mut resumed = false;
+        self.run_from(peer, &call, false)
+    }
+
+    /// Asks again about a call until it is answered, moving the clock.
+    pub(crate) fn run_again(&mut self, peer: PeerId, call: &impl Call) -> Reply {
+        self.run_from(peer, call, true)
+    }
+
+    fn run_from(&mut self, peer: PeerId, call: &impl Call, mut resumed: bool) -> Reply {
         for _ in 0..10_000 {
-            match self.poll(peer, &call, resumed) {
+            match self.poll(peer, call, resumed) {
                 (Outcome::Done(code), value) => return (code, value),
                 (Outcome::Wait(at), _) => {
                     assert!(at > self.now, "asked to come again at {at}, now is {}", self.now);

@@ -1,0 +1,271 @@
+//! What slvMove carries and answers, in the order that the formats say.
+//!
+//! ```text
+//!   slvMove     pose R8 array, [MiniIO I4], [user IO: offset I4, size I4, data UI1 array],
+//!               [user IO to be read: offset I4, size I4], [HandIO I4]       alone: the R8 array itself
+//!   its answer  [time stamp I4], pose R8 array, [MiniIO I4], [user IO UI1 array], [HandIO I4],
+//!               [currents R8 array of 8]                                    alone: the R8 array itself
+//! ```
+//!
+//! Offsets are IO numbers from 128 on and, as sizes, multiples of 8: a size counts bits.
+
+use bcap_core::hresult::HResult;
+use bcap_core::variant::{Array, VarType, Variant};
+
+use super::stream::Axes;
+use crate::kinematics::Joints;
+use crate::robot::{position, trans};
+use crate::value::{Value, numbers, whole};
+use crate::variables::Variables;
+
+const TIME: i32 = 0x0010;
+const HAND: i32 = 0x0020;
+const CURRENT: i32 = 0x0040;
+const MINI: i32 = 0x0100;
+const USER: i32 = 0x0200;
+
+/// The formats of sending: MiniIO and user IO exclude each other.
+const SEND: [i32; 6] = [0, HAND, MINI, MINI | HAND, USER, USER | HAND];
+
+/// The IO that MiniIO's bits 0 to 31 are, and those of them that can be written.
+const MINI_IO: (usize, std::ops::Range<usize>) = (0, 16..32);
+/// The IO that HandIO's bits 0 to 31 are, those that can be written, and those that can only be read.
+const HAND_IO: (usize, std::ops::Range<usize>) = (48, 64..72);
+const HAND_IN: std::ops::Range<usize> = 48..56;
+/// The first IO of the user.
+const USER_IO: i32 = 128;
+
+/// The parts of slave mode's formats that a controller has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SlaveFormats {
+    /// MiniIO, 0x0100.
+    pub mini_io: bool,
+    /// HandIO, 0x0020.
+    pub hand_io: bool,
+    /// User IO, 0x0200.
+    pub user_io: bool,
+    /// The currents of the axes, 0x0040.
+    pub current: bool,
+}
+
+impl SlaveFormats {
+    /// Everything.
+    pub const ALL: Self = Self { mini_io: true, hand_io: true, user_io: true, current: true };
+
+    fn has(self, format: i32) -> bool {
+        let parts = [(MINI, self.mini_io), (HAND, self.hand_io), (USER, self.user_io), (CURRENT, self.current)];
+        parts.iter().all(|(part, there)| *there || format & part == 0)
+    }
+}
+
+/// What slvSendFormat and slvRecvFormat have selected.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Formats {
+    send: i32,
+    receive: i32,
+    /// The time stamp is in µs, not ms.
+    micros: bool,
+}
+
+impl Default for Formats {
+    /// Poses alone; the answer in joints, as in the guide's example.
+    fn default() -> Self {
+        Self { send: 0, receive: 2, micros: false }
+    }
+}
+
+impl Formats {
+    pub(super) fn set_send(&mut self, param: &Variant<'_>, there: SlaveFormats) -> Result<(), HResult> {
+        let [format] = numbers(param)?[..] else { return Err(HResult::E_INVALIDARG) };
+        let format = whole(format)?;
+        if !SEND.contains(&format) || !there.has(format) {
+            return Err(HResult::E_INVALIDARG);
+        }
+        self.send = format;
+        Ok(())
+    }
+
+    pub(super) fn set_receive(&mut self, param: &Variant<'_>, there: SlaveFormats) -> Result<(), HResult> {
+        let (format, unit) = match numbers(param)?[..] {
+            [format] => (whole(format)?, 0),
+            [format, unit] => (whole(format)?, whole(unit)?),
+            _ => return Err(HResult::E_INVALIDARG),
+        };
+        let known = 0xF | TIME | HAND | CURRENT | MINI | USER;
+        if format & !known != 0 || !(1..=5).contains(&(format & 0xF)) || !there.has(format) || ![0, 1].contains(&unit) {
+            return Err(HResult::E_INVALIDARG);
+        }
+        (self.receive, self.micros) = (format, unit == 1);
+        Ok(())
+    }
+
+    /// Takes the parameter of slvMove apart.
+    pub(super) fn read(self, param: &Variant<'_>) -> Result<Order, HResult> {
+        let mut order = Order::default();
+        let (sends, receives) = (self.send, self.receive & USER != 0);
+        if sends == 0 && !receives {
+            order.pose = doubles(param)?;
+            return Ok(order);
+        }
+        let Variant::Array(array) = param else { return Err(HResult::E_INVALIDARGTYPE) };
+        if array.element() != VarType::VARIANT {
+            return Err(HResult::E_INVALIDARGTYPE);
+        }
+        let mut items = Items { array: *array, next: 0 };
+        order.pose = doubles(&items.next()?)?;
+        if sends & MINI != 0 {
+            order.mini = Some(items.int()?);
+        }
+        if sends & USER != 0 {
+            let (offset, size) = items.user_io()?;
+            let data = bytes(&items.next()?)?;
+            if data.len() != size {
+                return Err(HResult::E_INVALIDARG);
+            }
+            order.user = Some((offset, data));
+        }
+        if receives {
+            order.read_user = Some(items.user_io()?);
+        }
+        if sends & HAND != 0 {
+            order.hand = Some(items.int()?);
+        }
+        if items.next != array.len() {
+            return Err(HResult::E_INVALIDARG);
+        }
+        Ok(order)
+    }
+
+    /// Puts the answer of slvMove together.
+    pub(super) fn answer(self, state: &State, order: &Order, io: &Variables) -> Value {
+        let has = |part: i32| self.receive & part != 0;
+        let mut items = Vec::new();
+        if has(TIME) {
+            let micros = state.micros;
+            // it wraps as a 32-bit counter does
+            items.push(Value::I4(if self.micros { micros as i32 } else { (micros / 1000) as i32 }));
+        }
+        items.push(Value::R8s(self.pose(&state.axes)));
+        if has(MINI) {
+            items.push(Value::I4(read_bits(io, MINI_IO.0, |_| true)));
+        }
+        if let Some((offset, size)) = order.read_user {
+            items.push(Value::Ui1s((0..size).map(|n| read_byte(io, offset + n * 8)).collect()));
+        }
+        if has(HAND) {
+            items.push(Value::I4(read_bits(io, HAND_IO.0, |n| HAND_IN.contains(&n) || HAND_IO.1.contains(&n))));
+        }
+        if has(CURRENT) {
+            items.push(Value::R8s(state.current.to_vec()));
+        }
+        if items.len() == 1 { items.remove(0) } else { Value::List(items) }
+    }
+
+    fn pose(self, axes: &Axes) -> Vec<f64> {
+        let [j1, j2, j3, j4, j5, j6, ..] = *axes;
+        let joints: Joints = [j1, j2, j3, j4, j5, j6];
+        match self.receive & 0xF {
+            1 => position(&joints),
+            3 => trans(&joints),
+            4 => [position(&joints), axes.to_vec()].concat(),
+            5 => [trans(&joints), axes.to_vec()].concat(),
+            _ => axes.to_vec(),
+        }
+    }
+}
+
+/// What the robot tells in the answer of slvMove.
+pub(super) struct State {
+    pub(super) micros: u64,
+    pub(super) axes: Axes,
+    pub(super) current: Axes,
+}
+
+/// The parameter of slvMove.
+#[derive(Debug, Default, PartialEq)]
+pub(super) struct Order {
+    pub(super) pose: Vec<f64>,
+    mini: Option<i32>,
+    /// The first IO, and eight IO a byte.
+    user: Option<(usize, Vec<u8>)>,
+    /// The first IO, and the number of bytes.
+    read_user: Option<(usize, usize)>,
+    hand: Option<i32>,
+}
+
+impl Order {
+    /// Checks that there are the user IO that it names.
+    pub(super) fn check(&self, io: &Variables) -> Result<(), HResult> {
+        let written = self.user.as_ref().map(|(offset, data)| (*offset, data.len()));
+        let mut ends = written.into_iter().chain(self.read_user).map(|(offset, size)| offset + size * 8);
+        if ends.all(|end| end <= io.io_len()) { Ok(()) } else { Err(HResult::DISP_E_BADINDEX) }
+    }
+
+    /// Sets the IO.
+    pub(super) fn write(&self, io: &mut Variables) {
+        for (value, (first, writable)) in [(self.mini, MINI_IO), (self.hand, HAND_IO)] {
+            for n in value.iter().flat_map(|_| writable.clone()) {
+                io.set_io(n, value.unwrap_or(0) >> (n - first) & 1 != 0);
+            }
+        }
+        let (offset, data) = self.user.as_ref().map_or((0, &[][..]), |(offset, data)| (*offset, data.as_slice()));
+        for (n, byte) in data.iter().enumerate() {
+            (0..8).for_each(|bit| io.set_io(offset + n * 8 + bit, byte >> bit & 1 != 0));
+        }
+    }
+}
+
+/// The items of an array, one after the other.
+struct Items<'a> {
+    array: Array<'a>,
+    next: usize,
+}
+
+impl<'a> Items<'a> {
+    fn next(&mut self) -> Result<Variant<'a>, HResult> {
+        let item = self.array.get(self.next).ok_or(HResult::E_INVALIDARG)?;
+        self.next += 1;
+        Ok(item.flatten())
+    }
+
+    fn int(&mut self) -> Result<i32, HResult> {
+        match self.next()? {
+            Variant::I4(n) => Ok(n),
+            _ => Err(HResult::E_INVALIDARGTYPE),
+        }
+    }
+
+    /// Reads where user IO begins, and its size in bytes.
+    fn user_io(&mut self) -> Result<(usize, usize), HResult> {
+        let (offset, size) = (self.int()?, self.int()?);
+        if offset < USER_IO || offset % 8 != 0 || size < 0 || size % 8 != 0 {
+            return Err(HResult::E_INVALIDARG);
+        }
+        let unsigned = |n: i32| usize::try_from(n).map_err(|_| HResult::E_INVALIDARG);
+        Ok((unsigned(offset)?, unsigned(size / 8)?))
+    }
+}
+
+fn doubles(value: &Variant<'_>) -> Result<Vec<f64>, HResult> {
+    match value {
+        Variant::Array(array) => Ok(array.items::<f64>().ok_or(HResult::E_INVALIDARGTYPE)?.iter().collect()),
+        _ => Err(HResult::E_INVALIDARGTYPE),
+    }
+}
+
+fn bytes(value: &Variant<'_>) -> Result<Vec<u8>, HResult> {
+    match value {
+        Variant::Array(array) => Ok(array.items::<u8>().ok_or(HResult::E_INVALIDARGTYPE)?.iter().collect()),
+        _ => Err(HResult::E_INVALIDARGTYPE),
+    }
+}
+
+/// Reads 32 IO from `first` on; those that are not readable are 0.
+fn read_bits(io: &Variables, first: usize, readable: impl Fn(usize) -> bool) -> i32 {
+    (0..32).filter(|bit| readable(first + bit) && io.io(first + bit)).fold(0_i32, |bits, bit| bits | 1 << bit)
+}
+
+/// Reads eight IO.
+fn read_byte(io: &Variables, first: usize) -> u8 {
+    (0..8).filter(|bit| io.io(first + bit)).fold(0, |byte, bit| byte | 1 << bit)
+}
