@@ -16,6 +16,7 @@
 //! | [`bcap`]    | frames, functions, calls           | a [`Frame`](bcap::Frame) has been checked whole, against [`limits`] |
 //! | [`bcap::client`], [`bcap::server`] | sans-IO state machines | every wait ends; late replies are never answers; a call dropped at any byte leaves the session good |
 //! | [`rac`]     | lines, requests, responses, both sides | a line is at most 256 bytes; what cannot be said in text is an error, never another value |
+//! | [`gateway`] | RAC on one side, b-CAP on the other | an answer is that of its own request; while the robot is away the error comes at once |
 //! | [`io`]      | two short loops over the client    | all progress is in the client, so futures may be dropped          |
 //! | [`error`], [`hresult`] | what is wrong, and whose fault | small, `Copy`, say where and what to do                          |
 //!
@@ -104,6 +105,7 @@ extern crate alloc;
 
 pub mod bcap;
 pub mod error;
+pub mod gateway;
 pub mod handler;
 pub mod hresult;
 pub mod io;

@@ -23,7 +23,7 @@ pub(super) const CR: u8 = b'\r';
 pub enum Framed {
     /// A line; [`LineFramer::line`] views it.
     Line,
-    /// A line over the limit; it is being dropped.
+    /// A line over the limit; it is being dropped. [`LineFramer::line`] views its head.
     TooLong,
 }
 
@@ -148,6 +148,7 @@ impl State {
         if self.end.saturating_sub(self.start) < buffer.len() {
             return None;
         }
+        self.line = (self.start, self.end);
         self.start = self.end;
         self.dropping = true;
         Some(Framed::TooLong)

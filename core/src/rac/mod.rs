@@ -78,7 +78,7 @@ mod response;
 pub mod server;
 
 pub use self::line::{Framed, LineFramer, MAX_LINE};
-pub use self::request::{Request, Variable, VariableKind};
+pub use self::request::{Request, Variable, VariableKind, Verb};
 pub use self::response::Response;
 
 /// The port of RAC.

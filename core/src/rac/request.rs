@@ -180,6 +180,15 @@ impl<'a> Request<'a> {
         }
     }
 
+    /// Returns its first word.
+    #[must_use]
+    pub const fn verb(&self) -> Verb {
+        match self {
+            Self::Get(_) => Verb::Get,
+            Self::Put(..) => Verb::Put,
+        }
+    }
+
     /// Returns the value that is to be written.
     #[must_use]
     pub const fn value(&self) -> Option<Variant<'a>> {
@@ -233,9 +242,22 @@ pub(super) fn end_line(start: usize, out: &mut Writer<'_>) -> Result<(), TextErr
 
 /// The first word of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Verb {
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Verb {
+    /// Read.
     Get,
+    /// Write.
     Put,
+}
+
+/// Writes `GET` or `PUT`.
+impl fmt::Display for Verb {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Get => "GET",
+            Self::Put => "PUT",
+        })
+    }
 }
 
 /// `request = blanks verb ":" part ":" index ":" kind ":" [ blanks value ]`

@@ -275,6 +275,13 @@ impl<V: Storage> Session<V> {
         Some(running.request(self.value.bytes().get(..running.len)?))
     }
 
+    /// Views the line that was taken last, without its CR, until memory is asked for bytes that arrive; of an over-long
+    /// one the first 256 bytes.
+    #[must_use]
+    pub fn line(&self) -> &[u8] {
+        self.state.framer.line()
+    }
+
     /// Answers the request without a value, and returns what was done; `None` when there is no request to answer.
     pub fn respond(&mut self, result: HResult) -> Option<Event> {
         let running = self.state.running?;

@@ -1,0 +1,70 @@
+//! How a gateway reaches its robot, and how long things may take.
+
+use core::time::Duration;
+
+use super::rules::Rules;
+use crate::bcap::client;
+
+/// How a gateway behaves; every field is a run-time choice.
+///
+/// # Examples
+///
+/// ```
+/// use bcap_core::gateway::{Allow, Config, Rules};
+/// use bcap_core::rac::VariableKind;
+///
+/// let put = [Allow::range(VariableKind::I, 0, 99)];
+/// let config = Config { rules: Rules { put: &put, ..Rules::READ_ONLY }, ..Config::RC9 };
+/// assert_eq!(config.provider, "CaoProv.DENSO.VRC9");
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Config<'a> {
+    /// The link to the robot, and how long a call may take; a call that takes longer costs the connection.
+    pub client: client::Config,
+    /// The option of Service_Start. With `WDT` the robot shows that it is alive while it works.
+    pub service: &'a str,
+    /// The controller's name for Controller_Connect; free text.
+    pub name: &'a str,
+    /// The provider: `CaoProv.DENSO.VRC` or `CaoProv.DENSO.VRC9`.
+    pub provider: &'a str,
+    /// The machine that the provider runs on, seen from the robot.
+    pub machine: &'a str,
+    /// The option of Controller_Connect.
+    pub option: &'a str,
+    /// How long a request of a PLC may take, waiting for its turn included; then it is answered with E_TIMEOUT.
+    pub request_timeout: Duration,
+    /// The silence on the robot's side after which it is asked for its name, to notice that it has gone.
+    pub heartbeat: Duration,
+    /// The pause before the second attempt to connect; it doubles from attempt to attempt.
+    pub first_pause: Duration,
+    /// The longest pause between two attempts to connect.
+    pub longest_pause: Duration,
+    /// What PLCs may do.
+    pub rules: Rules<'a>,
+}
+
+impl Config<'_> {
+    /// An RC8 behind TCP, to be read only: 3 s for a sign of life, 8 s for a call, 10 s for a request, pauses of 0.5 s
+    /// to 16 s, a heartbeat after 2 s of silence.
+    pub const RC8: Self = Self {
+        client: client::Config {
+            deadline: Duration::from_secs(8),
+            keep_alive: Duration::from_secs(8),
+            ..client::Config::TCP
+        },
+        service: "WDT=400",
+        name: "",
+        provider: "CaoProv.DENSO.VRC",
+        machine: "localhost",
+        option: "",
+        request_timeout: Duration::from_secs(10),
+        heartbeat: Duration::from_secs(2),
+        first_pause: Duration::from_millis(500),
+        longest_pause: Duration::from_secs(16),
+        rules: Rules::READ_ONLY,
+    };
+
+    /// An RC9 behind TCP, otherwise as [`RC8`](Self::RC8).
+    pub const RC9: Self = Self { provider: "CaoProv.DENSO.VRC9", ..Self::RC8 };
+}

@@ -1,0 +1,114 @@
+//! The handles of variables that the robot has given: a fixed table, in which the one used longest ago makes room.
+
+use crate::bcap::call::VariableHandle;
+use crate::rac::Variable;
+
+/// A variable and its handle.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Entry {
+    variable: Variable,
+    handle: VariableHandle,
+    /// The time of its last use, on the table's own clock.
+    used: u32,
+}
+
+/// What to do about a variable.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Lookup {
+    /// Its handle is known.
+    Known(VariableHandle),
+    /// Its handle is to be got; there is room for it.
+    Unknown,
+    /// The table is full: this handle is to be released first.
+    Full(VariableHandle),
+}
+
+/// A table of handles; it counts its own uses to know which came last.
+#[derive(Debug)]
+pub(super) struct Handles<'m> {
+    entries: &'m mut [Option<Entry>],
+    clock: u32,
+}
+
+impl<'m> Handles<'m> {
+    pub(super) fn new(entries: &'m mut [Option<Entry>]) -> Self {
+        entries.fill(None);
+        Self { entries, clock: 0 }
+    }
+
+    /// Looks a variable up, and takes note that it is used.
+    pub(super) fn look_up(&mut self, variable: Variable) -> Lookup {
+        self.clock = self.clock.wrapping_add(1);
+        let clock = self.clock;
+        if let Some(entry) = self.entries.iter_mut().flatten().find(|entry| entry.variable == variable) {
+            entry.used = clock;
+            return Lookup::Known(entry.handle);
+        }
+        if self.entries.iter().any(Option::is_none) {
+            return Lookup::Unknown;
+        }
+        // differences, so that the clock may wrap
+        match self.entries.iter().flatten().max_by_key(|entry| clock.wrapping_sub(entry.used)) {
+            Some(oldest) => Lookup::Full(oldest.handle),
+            None => Lookup::Unknown,
+        }
+    }
+
+    /// Keeps a handle where there is room.
+    pub(super) fn insert(&mut self, variable: Variable, handle: VariableHandle) {
+        if let Some(free) = self.entries.iter_mut().find(|entry| entry.is_none()) {
+            *free = Some(Entry { variable, handle, used: self.clock });
+        }
+    }
+
+    /// Forgets a handle.
+    pub(super) fn remove(&mut self, handle: VariableHandle) {
+        for entry in &mut *self.entries {
+            if entry.is_some_and(|entry| entry.handle == handle) {
+                *entry = None;
+            }
+        }
+    }
+
+    /// Forgets all: they belonged to a connection that is gone.
+    pub(super) fn clear(&mut self) {
+        self.entries.fill(None);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rac::VariableKind;
+
+    fn variable(index: u32) -> Variable {
+        Variable::new(VariableKind::I, index)
+    }
+
+    #[test]
+    fn the_one_used_longest_ago_makes_room_even_when_the_clock_wraps() {
+        let mut memory = [None; 3];
+        let mut handles = Handles::new(&mut memory);
+        handles.clock = u32::MAX - 3;
+        for index in 0..3 {
+            assert_eq!(handles.look_up(variable(index)), Lookup::Unknown);
+            handles.insert(variable(index), VariableHandle(index.cast_signed() + 10));
+        }
+        assert_eq!(handles.look_up(variable(0)), Lookup::Known(VariableHandle(10)));
+        assert_eq!(handles.look_up(variable(7)), Lookup::Full(VariableHandle(11)), "the clock has wrapped");
+        handles.remove(VariableHandle(11));
+        assert_eq!(handles.look_up(variable(7)), Lookup::Unknown);
+        handles.insert(variable(7), VariableHandle(17));
+        assert_eq!(handles.look_up(variable(1)), Lookup::Full(VariableHandle(12)));
+        handles.clear();
+        assert_eq!(handles.look_up(variable(0)), Lookup::Unknown);
+    }
+
+    #[test]
+    fn the_same_index_of_another_kind_is_another_variable() {
+        let mut memory = [None; 2];
+        let mut handles = Handles::new(&mut memory);
+        handles.insert(variable(1), VariableHandle(1));
+        assert_eq!(handles.look_up(Variable::new(VariableKind::Io, 1)), Lookup::Unknown);
+    }
+}

@@ -1,0 +1,171 @@
+//! The link to the robot: whether it is wanted, how far its session has come, and when to try again.
+//!
+//! ```text
+//!             opened              Service_Start, Controller_Connect
+//!  Opening ───────────► Starting ───────────────────────────────────► Up
+//!     ▲  │                 │                                           │
+//!     │  │ closed          │ refused, timed out, malformed             │
+//!     │  ▼                 ▼                                           │
+//!    Down ◄──────────── Closing ◄──────────────────────────────────────┘
+//!         closed
+//! ```
+//!
+//! Down lasts for a pause that doubles with each attempt and begins anew when a session has come up. In Closing the
+//! old connection is still open; a new one waits until whoever runs the gateway has closed it.
+
+use core::fmt;
+use core::time::Duration;
+
+use crate::bcap::FunctionId;
+use crate::bcap::call::ControllerHandle;
+use crate::bcap::client::{ClientError, Timeout};
+use crate::hresult::HResult;
+use crate::time::Instant;
+
+/// Where the link stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum State {
+    Down { until: Instant },
+    Opening,
+    Starting,
+    Up(ControllerHandle),
+    Closing,
+}
+
+/// The link, as far as it does not depend on the client.
+#[derive(Debug)]
+pub(super) struct Link {
+    pub(super) state: State,
+    /// The pause after the next failure.
+    pause: Duration,
+    first_pause: Duration,
+    longest_pause: Duration,
+}
+
+impl Link {
+    pub(super) const fn new(first_pause: Duration, longest_pause: Duration) -> Self {
+        Self { state: State::Opening, pause: first_pause, first_pause, longest_pause }
+    }
+
+    /// Takes note that the session has begun.
+    pub(super) const fn up(&mut self, controller: ControllerHandle) {
+        self.state = State::Up(controller);
+        self.pause = self.first_pause;
+    }
+
+    /// Takes note of a failure while the connection is open; it is to be closed.
+    pub(super) const fn fail(&mut self) {
+        self.state = State::Closing;
+    }
+
+    /// Takes note that there is no connection any more, or none was to be had.
+    pub(super) fn closed(&mut self, now: Instant) {
+        if !matches!(self.state, State::Down { .. }) {
+            self.state = State::Down { until: now.saturating_add(self.pause()) };
+            self.pause = self.pause().saturating_mul(2);
+        }
+    }
+
+    /// Returns how long the link stays down after the next failure.
+    pub(super) fn pause(&self) -> Duration {
+        self.pause.min(self.longest_pause)
+    }
+
+    /// Ends the pause when it is over.
+    pub(super) fn handle_timeout(&mut self, now: Instant) {
+        if let State::Down { until } = self.state
+            && now >= until
+        {
+            self.state = State::Opening;
+        }
+    }
+
+    pub(super) const fn controller(&self) -> Option<ControllerHandle> {
+        match self.state {
+            State::Up(controller) => Some(controller),
+            _ => None,
+        }
+    }
+}
+
+/// Why there is no session with the robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum RobotError {
+    /// There was no connection to be had, or it was closed.
+    Closed,
+    /// The robot has refused to begin a session.
+    Refused {
+        /// What it was asked for.
+        function: FunctionId,
+        /// What it answered.
+        result: HResult,
+    },
+    /// A call has ended without a reply, or with one that makes no sense.
+    Call(ClientError),
+}
+
+impl RobotError {
+    /// Returns the code with which the request is answered that was in the robot's hands.
+    pub(super) const fn hresult(self) -> HResult {
+        match self {
+            Self::Call(ClientError::Timeout(Timeout::Attempt | Timeout::Deadline | Timeout::KeepAlive)) => {
+                HResult::E_TIMEOUT
+            }
+            _ => HResult::E_NOT_CONNECTED,
+        }
+    }
+}
+
+impl fmt::Display for RobotError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Closed => f.write_str("no connection"),
+            Self::Refused { function, result } => write!(f, "{function} was refused with {result}"),
+            Self::Call(error) => error.fmt(f),
+        }
+    }
+}
+
+impl core::error::Error for RobotError {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pauses_grow_to_the_longest_and_begin_anew_after_a_session() {
+        let ms = Duration::from_millis;
+        let mut link = Link::new(ms(500), ms(3000));
+        let mut now = Instant::from_millis(7);
+        for pause in [500, 1000, 2000, 3000, 3000] {
+            assert_eq!((link.state, link.pause()), (State::Opening, ms(pause)));
+            link.closed(now);
+            let until = now + ms(pause);
+            assert_eq!(link.state, State::Down { until });
+            link.closed(now + ms(1));
+            assert_eq!(link.state, State::Down { until }, "told twice, it counts once");
+            link.handle_timeout(until - 1);
+            assert_eq!(link.state, State::Down { until });
+            link.handle_timeout(until);
+            now = until;
+        }
+        link.up(ControllerHandle(3));
+        assert_eq!(link.controller(), Some(ControllerHandle(3)));
+        link.fail();
+        assert_eq!(link.state, State::Closing);
+        link.handle_timeout(Instant::FAR_FUTURE);
+        assert_eq!(link.state, State::Closing, "the old connection is closed first");
+        link.closed(now);
+        assert_eq!(link.state, State::Down { until: now + ms(500) });
+    }
+
+    impl core::ops::Sub<u64> for Instant {
+        type Output = Self;
+
+        fn sub(self, micros: u64) -> Self {
+            Self::from_micros(self.as_micros().saturating_sub(micros))
+        }
+    }
+}

@@ -1,0 +1,593 @@
+//! The gateway: PLCs that speak RAC on one side, a robot that speaks b-CAP on the other.
+//!
+//! ```text
+//!  PLC ─ receive_buffer, received ─►┌─────────┐─ robot_transmit ───────────────────► robot
+//!  PLC ◄─ transmit, transmitted ────│ Gateway │◄─ robot_receive_buffer, robot_received ─
+//!  ...                              └─────────┘
+//!                            poll_event, at poll_timeout, and
+//!                            after whatever came, left, opened or closed
+//! ```
+//!
+//! A GET becomes Variable_GetValue, a PUT Variable_PutValue, on a handle that Controller_GetVariable has given. A
+//! [`Gateway`] holds no socket and no clock. Whoever runs it moves the bytes, opens the connection to the robot while
+//! it [is wanted](Gateway::robot_wanted), and reads events. All memory is in a [`Memory`]; the gateway itself is not
+//! generic, so there is one copy of it in an image.
+//!
+//! * **Answers**: every line is answered once, in the order of a client's lines, with the answer to itself and to
+//!   nothing else. A request that is out of time is answered with E_TIMEOUT; what the robot says to it later is dropped.
+//! * **Order**: one call is with the robot at a time, and requests of all clients take their turn as they came.
+//! * **A robot that is away** costs no time: without a session every request is answered with E_NOT_CONNECTED at once.
+//!   The one that was in the robot's hands when the session ended is answered with E_NOT_CONNECTED, or with E_TIMEOUT
+//!   when the robot fell silent; a PUT may have been carried out then. The gateway never sends a PUT twice, except after
+//!   E_HANDLE, which says that it was not carried out.
+//! * **Handles** live as long as the connection that gave them. When the table is full the one used longest ago is
+//!   released. E_HANDLE throws a handle away and asks for a new one, once.
+//! * **Results** of the robot pass through unchanged. **Values** are turned into the type of the variable where nothing
+//!   is lost, and go as they are where something would be: a line says its type. A value without a text, or one that
+//!   does not fit the 256 bytes of a line, is answered with E_INVALIDSNDPACKET.
+//! * **Rules** ([`Rules`]) are checked first; by default nothing can be written.
+//!
+//! # Examples
+//!
+//! ```
+//! use bcap_core::gateway::{Config, Event, Gateway, Memory, Refusal};
+//! use bcap_core::time::Instant;
+//!
+//! // four PLCs, 32 handles; on a board this is a static
+//! let mut memory = Memory::<4, 32>::new();
+//! let mut gateway = Gateway::new(Config::RC8, &mut memory);
+//! let now = Instant::ZERO;
+//! assert!(gateway.robot_wanted(), "a connection to the robot is to be opened");
+//!
+//! let plc = gateway.open().ok_or("all seats are taken")?;
+//! let line = b"PUT:RC8:10:I:3,5\r";
+//! gateway.receive_buffer(plc)[..line.len()].copy_from_slice(line);
+//! gateway.received(plc, line.len());
+//! let event = gateway.poll_event(now);
+//! assert_eq!(event, Some(Event::Refused { peer: plc, refusal: Refusal::ReadOnly }));
+//! assert_eq!(gateway.line(plc), b"PUT:RC8:10:I:3,5");
+//! assert_eq!(gateway.transmit(plc), b"-2147024891\r"); // E_ACCESSDENIED
+//! # Ok::<(), &str>(())
+//! ```
+
+mod config;
+mod convert;
+mod counters;
+mod event;
+mod handles;
+mod link;
+mod rules;
+mod seat;
+
+use core::fmt;
+
+use self::convert::Held;
+use self::handles::{Entry, Handles, Lookup};
+use self::link::{Link, State};
+use self::seat::{Seat, Waiting};
+
+pub use self::config::Config;
+pub use self::counters::{Counters, Tally};
+pub use self::event::{Asked, Event};
+pub use self::link::RobotError;
+pub use self::rules::{Allow, Bounds, Rate, Refusal, Rules};
+
+use crate::bcap::FunctionId;
+use crate::bcap::call::{Any, ControllerHandle, RawCall, VariableHandle};
+use crate::bcap::client::{self, Client, ClientError};
+use crate::handler::PeerId;
+use crate::hresult::HResult;
+use crate::rac::{Request, Variable, server};
+use crate::time::Instant;
+use crate::variant::text::put_integer;
+use crate::variant::{Encode, Variant, Writer};
+
+/// Bytes of a frame to or from the robot: the longest string that fits a line of RAC has 251 characters.
+const FRAME: usize = 640;
+
+/// The memory of a gateway: seats for `SESSIONS` clients, handles for `HANDLES` variables, two frames.
+///
+/// A seat takes about 1.2 KiB, a handle 20 bytes.
+pub struct Memory<const SESSIONS: usize, const HANDLES: usize> {
+    seats: [Seat; SESSIONS],
+    handles: [Option<Entry>; HANDLES],
+    tx: [u8; FRAME],
+    rx: [u8; FRAME],
+}
+
+impl<const SESSIONS: usize, const HANDLES: usize> Memory<SESSIONS, HANDLES> {
+    /// Makes memory for at least one client and one handle.
+    #[must_use]
+    pub const fn new() -> Self {
+        const { assert!(SESSIONS > 0 && HANDLES > 0, "a gateway needs a session and a handle") };
+        Self { seats: [Seat::FREE; SESSIONS], handles: [None; HANDLES], tx: [0; FRAME], rx: [0; FRAME] }
+    }
+}
+
+impl<const SESSIONS: usize, const HANDLES: usize> Default for Memory<SESSIONS, HANDLES> {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl<const SESSIONS: usize, const HANDLES: usize> fmt::Debug for Memory<SESSIONS, HANDLES> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Memory").field("sessions", &SESSIONS).field("handles", &HANDLES).finish_non_exhaustive()
+    }
+}
+
+/// RAC on one side, b-CAP on the other.
+#[derive(Debug)]
+pub struct Gateway<'m> {
+    config: Config<'m>,
+    client: Client<&'m mut [u8]>,
+    link: Link,
+    handles: Handles<'m>,
+    seats: &'m mut [Seat],
+    /// What the call that is with the robot is for.
+    call: Option<InFlight>,
+    /// The end of the last exchange with the robot.
+    heard: Instant,
+    next_peer: u32,
+    next_ticket: u32,
+    /// An event that came outside of `poll_event`.
+    news: Option<Event>,
+    counters: Counters,
+}
+
+/// What the call that is with the robot is for.
+#[derive(Clone, Copy, Debug)]
+enum InFlight {
+    ServiceStart,
+    ControllerConnect,
+    Heartbeat,
+    /// The handle of the variable is being released, to make room.
+    Release(VariableHandle),
+    GetVariable(Job),
+    /// The handle is in the reader's hands.
+    Value(Job, VariableHandle),
+}
+
+/// A request that is with the robot; its seat may have been answered, or left, by the time the robot answers.
+#[derive(Clone, Copy, Debug)]
+struct Job {
+    seat: usize,
+    ticket: u32,
+    variable: Variable,
+    /// Whether the handle is the second one, after E_HANDLE.
+    again: bool,
+}
+
+impl<'m> Gateway<'m> {
+    /// Makes a gateway without clients, which wants a connection to its robot.
+    #[must_use]
+    pub fn new<const S: usize, const H: usize>(config: Config<'m>, memory: &'m mut Memory<S, H>) -> Self {
+        let client = Client::new(config.client, memory.tx.as_mut_slice(), memory.rx.as_mut_slice());
+        let seats = memory.seats.as_mut_slice();
+        seats.iter_mut().for_each(Seat::close);
+        Self {
+            config,
+            client,
+            link: Link::new(config.first_pause, config.longest_pause),
+            handles: Handles::new(&mut memory.handles),
+            seats,
+            call: None,
+            heard: Instant::ZERO,
+            next_peer: 1,
+            next_ticket: 0,
+            news: None,
+            counters: Counters::default(),
+        }
+    }
+
+    /// Returns the configuration.
+    #[must_use]
+    pub const fn config(&self) -> &Config<'m> {
+        &self.config
+    }
+
+    /// Returns what was done so far.
+    #[must_use]
+    pub const fn counters(&self) -> &Counters {
+        &self.counters
+    }
+
+    /// Tells whether there is a session with the robot, so that requests are passed on.
+    #[must_use]
+    pub const fn is_up(&self) -> bool {
+        matches!(self.link.state, State::Up(_))
+    }
+}
+
+/// The side of the PLCs. A client that is not seated, or not any more, has nothing to send and no room to receive.
+impl Gateway<'_> {
+    /// Seats a client that has connected; `None` when all seats are taken.
+    pub fn open(&mut self) -> Option<PeerId> {
+        let seat = self.seats.iter_mut().find(|seat| seat.peer.is_none())?;
+        let peer = PeerId(self.next_peer);
+        self.next_peer = self.next_peer.wrapping_add(1);
+        seat.open(peer, self.config.request_timeout);
+        Some(peer)
+    }
+
+    /// Frees the seat of a client that has gone. A request of it that is with the robot is carried out all the same.
+    pub fn close(&mut self, peer: PeerId) {
+        if let Some(seat) = self.seat_mut(peer) {
+            seat.close();
+        }
+    }
+
+    /// Returns memory for bytes that arrive from a client; empty while a request of it runs, and bytes must wait.
+    #[must_use]
+    pub fn receive_buffer(&mut self, peer: PeerId) -> &mut [u8] {
+        match self.seat_mut(peer) {
+            // so its line stays readable until it has been answered, and reported
+            Some(seat) if !seat.session.is_running() => seat.session.receive_buffer(),
+            _ => &mut [],
+        }
+    }
+
+    /// Takes note that `count` bytes have been put into [`receive_buffer`](Self::receive_buffer).
+    pub fn received(&mut self, peer: PeerId, count: usize) {
+        if let Some(seat) = self.seat_mut(peer) {
+            seat.session.received(count);
+        }
+    }
+
+    /// Returns the bytes that are to be sent to a client.
+    #[must_use]
+    pub fn transmit(&self, peer: PeerId) -> &[u8] {
+        self.seat(peer).map_or(&[], |seat| seat.session.transmit())
+    }
+
+    /// Takes note that the link to a client has taken `count` bytes of [`transmit`](Self::transmit).
+    pub fn transmitted(&mut self, peer: PeerId, count: usize) {
+        if let Some(seat) = self.seat_mut(peer) {
+            seat.session.transmitted(count);
+        }
+    }
+
+    /// Views the line that a client sent last, without its CR; of an over-long one the first 256 bytes.
+    ///
+    /// When [`poll_event`](Self::poll_event) has just reported an event of this client it is the line it is about.
+    #[must_use]
+    pub fn line(&self, peer: PeerId) -> &[u8] {
+        self.seat(peer).map_or(&[], |seat| seat.session.line())
+    }
+
+    /// Tells whether a client has a request that is not answered.
+    #[must_use]
+    pub fn is_running(&self, peer: PeerId) -> bool {
+        self.seat(peer).is_some_and(|seat| seat.session.is_running())
+    }
+
+    /// Tells whether part of a client's line has come and its rest has not.
+    #[must_use]
+    pub fn is_receiving(&self, peer: PeerId) -> bool {
+        self.seat(peer).is_some_and(|seat| seat.session.is_receiving())
+    }
+
+    fn seat(&self, peer: PeerId) -> Option<&Seat> {
+        self.seats.iter().find(|seat| seat.peer == Some(peer))
+    }
+
+    fn seat_mut(&mut self, peer: PeerId) -> Option<&mut Seat> {
+        self.seats.iter_mut().find(|seat| seat.peer == Some(peer))
+    }
+}
+
+/// The side of the robot.
+impl Gateway<'_> {
+    /// Tells whether a connection to the robot is wanted.
+    ///
+    /// While it is, one is to be opened, and kept. Once it is not, it is to be closed. Each end is to be told with
+    /// [`robot_closed`](Self::robot_closed); no other connection is wanted before that.
+    #[must_use]
+    pub const fn robot_wanted(&self) -> bool {
+        matches!(self.link.state, State::Opening | State::Starting | State::Up(_))
+    }
+
+    /// Takes note that the connection is open.
+    pub fn robot_opened(&mut self, now: Instant) {
+        if self.link.state == State::Opening {
+            self.link.state = State::Starting;
+            self.client.reset();
+            self.heard = now;
+            let service = self.config.service;
+            self.call = Some(InFlight::ServiceStart);
+            if let Err(error) = self.start(FunctionId::SERVICE_START, &[&service], now) {
+                self.news = Some(self.fail_link(RobotError::Call(error)));
+            }
+        }
+    }
+
+    /// Takes note that the connection is closed, by whomever, or that none could be opened.
+    pub fn robot_closed(&mut self, now: Instant) {
+        if self.robot_wanted() {
+            self.news = Some(self.fail_link(RobotError::Closed));
+        }
+        self.link.closed(now);
+    }
+
+    /// Returns memory for bytes that arrive from the robot; with datagrams, for one of them.
+    #[must_use]
+    pub fn robot_receive_buffer(&mut self) -> &mut [u8] {
+        self.client.receive_buffer()
+    }
+
+    /// Takes note that `count` bytes have been put into [`robot_receive_buffer`](Self::robot_receive_buffer).
+    pub fn robot_received(&mut self, count: usize) {
+        self.client.received(count);
+    }
+
+    /// Returns the bytes that are to be sent to the robot: one datagram, or the rest of a frame for a stream.
+    #[must_use]
+    pub fn robot_transmit(&self) -> &[u8] {
+        self.client.transmit()
+    }
+
+    /// Takes note that the connection has taken `count` bytes of [`robot_transmit`](Self::robot_transmit).
+    pub fn robot_transmitted(&mut self, count: usize) {
+        self.client.transmitted(count);
+    }
+}
+
+/// What goes on between the two.
+impl Gateway<'_> {
+    /// Returns when [`poll_event`](Self::poll_event) is to be called even if nothing else happens.
+    #[must_use]
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        let link = match self.link.state {
+            State::Down { until } => Some(until),
+            State::Up(_) if self.call.is_none() => Some(self.heard.saturating_add(self.config.heartbeat)),
+            _ => self.client.poll_timeout(),
+        };
+        let sessions = self.seats.iter().filter(|seat| seat.peer.is_some()).filter_map(|s| s.session.poll_timeout());
+        link.into_iter().chain(sessions).min()
+    }
+
+    /// Goes on as far as it can, and says what was done; `None` when something else must happen first.
+    ///
+    /// It is to be called until it returns `None`: after bytes have come or left, after a connection has opened or
+    /// closed, and when [`poll_timeout`](Self::poll_timeout) is due.
+    pub fn poll_event(&mut self, now: Instant) -> Option<Event> {
+        let event = self.news.take().or_else(|| self.poll_robot(now)).or_else(|| self.poll_sessions(now));
+        let event = event.or_else(|| self.begin(now));
+        match event? {
+            Event::Served { time, .. } => self.counters.served.add(time),
+            Event::Failed { time, .. } => self.counters.failed.add(time),
+            Event::Refused { .. } => self.counters.refused = self.counters.refused.wrapping_add(1),
+            Event::RobotUp => self.counters.connected = self.counters.connected.wrapping_add(1),
+            Event::RobotDown { .. } => {}
+        }
+        event
+    }
+
+    /// Looks what the robot says, and what the time says about it.
+    fn poll_robot(&mut self, now: Instant) -> Option<Event> {
+        self.link.handle_timeout(now);
+        loop {
+            let event = self.client.poll_event(now).or_else(|| self.client.handle_timeout(now))?;
+            let event = match event {
+                client::Event::Replied(result) => self.replied(result, now),
+                client::Event::Failed(error) => self.failed(error, now),
+                // none of them ends a call
+                client::Event::Executing | client::Event::Retried { .. } => None,
+                client::Event::Stale { .. } | client::Event::Malformed(_) => None,
+            };
+            if event.is_some() {
+                return event;
+            }
+        }
+    }
+
+    /// Acts on the reply to the call that was with the robot.
+    fn replied(&mut self, result: HResult, now: Instant) -> Option<Event> {
+        self.heard = now;
+        match self.call.take()? {
+            InFlight::ServiceStart if result.is_err() => Some(self.refused(FunctionId::SERVICE_START, result)),
+            InFlight::ControllerConnect if result.is_err() => {
+                Some(self.refused(FunctionId::CONTROLLER_CONNECT, result))
+            }
+            InFlight::ServiceStart => {
+                let Config { name, provider, machine, option, .. } = self.config;
+                self.call = Some(InFlight::ControllerConnect);
+                let started = self.start(FunctionId::CONTROLLER_CONNECT, &[&name, &provider, &machine, &option], now);
+                started.err().map(|error| self.fail_link(RobotError::Call(error)))
+            }
+            InFlight::ControllerConnect => match self.client.value::<ControllerHandle>() {
+                Ok(controller) => {
+                    self.link.up(controller);
+                    Some(Event::RobotUp)
+                }
+                Err(error) => Some(self.fail_link(RobotError::Call(error))),
+            },
+            // whatever it said, it is alive
+            InFlight::Heartbeat => None,
+            // and a handle that could not be released is none of ours either
+            InFlight::Release(handle) => {
+                self.handles.remove(handle);
+                None
+            }
+            InFlight::GetVariable(job) if result.is_err() => self.answer(job, result, now),
+            InFlight::GetVariable(job) => match self.client.value::<VariableHandle>() {
+                Ok(handle) => {
+                    self.handles.insert(job.variable, handle);
+                    self.begin_value(job, handle, now)
+                }
+                Err(error) => Some(self.fail_link(RobotError::Call(error))),
+            },
+            InFlight::Value(job, handle) if result == HResult::E_HANDLE => {
+                self.handles.remove(handle);
+                if job.again {
+                    return self.answer(job, result, now);
+                }
+                self.begin_job(Job { again: true, ..job }, now)
+            }
+            InFlight::Value(job, _) => self.answer(job, result, now),
+        }
+    }
+
+    /// Acts on the end of a call without a reply.
+    fn failed(&mut self, error: ClientError, now: Instant) -> Option<Event> {
+        if let (ClientError::ReplyTooLarge { .. }, Some(InFlight::Value(job, _))) = (error, self.call) {
+            // the stream has skipped it and is in order; what does not fit here does not fit a line
+            self.call = None;
+            self.heard = now;
+            return self.answer(job, HResult::E_INVALIDSNDPACKET, now);
+        }
+        Some(self.fail_link(RobotError::Call(error)))
+    }
+
+    fn refused(&mut self, function: FunctionId, result: HResult) -> Event {
+        self.fail_link(RobotError::Refused { function, result })
+    }
+
+    /// Ends the session with the robot. The requests that wait are answered by `poll_sessions`.
+    fn fail_link(&mut self, error: RobotError) -> Event {
+        if let Some(InFlight::GetVariable(job) | InFlight::Value(job, _)) = self.call.take()
+            && let Some(waiting) = live(self.seats, job).and_then(|seat| seat.waiting.as_mut())
+        {
+            waiting.if_down = error.hresult();
+        }
+        self.handles.clear();
+        self.client.reset();
+        self.link.fail();
+        Event::RobotDown { error, pause: self.link.pause() }
+    }
+
+    /// Looks what the clients ask, answers what needs no robot, and lets the rest wait.
+    fn poll_sessions(&mut self, now: Instant) -> Option<Event> {
+        let is_up = self.is_up();
+        for seat in self.seats.iter_mut().filter(|seat| seat.peer.is_some()) {
+            let event = match seat.session.poll(now) {
+                Some(server::Event::Requested(_)) => {
+                    let request = seat.session.request()?;
+                    match self.config.rules.check(&request, &mut seat.pace, now) {
+                        Err(refusal) => seat.refuse(refusal),
+                        Ok(()) => {
+                            self.next_ticket = self.next_ticket.wrapping_add(1);
+                            seat.waiting = Some(Waiting::new(self.next_ticket, Asked::of(&request), now));
+                            None
+                        }
+                    }
+                }
+                Some(server::Event::Malformed(error)) => {
+                    seat.peer.map(|peer| Event::Refused { peer, refusal: Refusal::Line(error) })
+                }
+                // the session has answered a request that was out of time
+                Some(server::Event::Served { result, .. }) => seat.answered(result, now),
+                None => None,
+            };
+            let event = event.or_else(|| match seat.waiting {
+                Some(waiting) if !is_up => seat.answer(waiting.if_down, &Variant::Empty, now),
+                _ => None,
+            });
+            if event.is_some() {
+                return event;
+            }
+        }
+        None
+    }
+
+    /// Begins the next call, if none is with the robot.
+    fn begin(&mut self, now: Instant) -> Option<Event> {
+        let controller = self.link.controller()?;
+        if self.call.is_some() {
+            return None;
+        }
+        let next_ticket = self.next_ticket;
+        let waiting = self.seats.iter().enumerate().filter_map(|(at, seat)| Some((at, seat.waiting?)));
+        // differences, so that tickets may wrap
+        if let Some((seat, first)) = waiting.max_by_key(|(_, waiting)| next_ticket.wrapping_sub(waiting.ticket)) {
+            let job = Job { seat, ticket: first.ticket, variable: first.asked.variable, again: false };
+            return self.begin_job(job, now);
+        }
+        if now >= self.heard.saturating_add(self.config.heartbeat) {
+            self.call = Some(InFlight::Heartbeat);
+            let started = self.start(FunctionId::CONTROLLER_GET_NAME, &[&controller], now);
+            return started.err().map(|error| self.fail_link(RobotError::Call(error)));
+        }
+        None
+    }
+
+    /// Begins the call that a request needs first.
+    fn begin_job(&mut self, job: Job, now: Instant) -> Option<Event> {
+        let controller = self.link.controller()?;
+        live(self.seats, job)?;
+        let started = match self.handles.look_up(job.variable) {
+            Lookup::Known(handle) => return self.begin_value(job, handle, now),
+            Lookup::Full(oldest) => {
+                // the request is still the first in turn when the handle is gone
+                self.call = Some(InFlight::Release(oldest));
+                self.start(FunctionId::VARIABLE_RELEASE, &[&oldest], now)
+            }
+            Lookup::Unknown => {
+                let mut name = [0; NAME];
+                self.call = Some(InFlight::GetVariable(job));
+                self.start(
+                    FunctionId::CONTROLLER_GET_VARIABLE,
+                    &[&controller, &variable_name(job.variable, &mut name), &""],
+                    now,
+                )
+            }
+        };
+        started.err().map(|error| self.fail_link(RobotError::Call(error)))
+    }
+
+    /// Begins the call that reads or writes the value, unless nobody waits for it any more.
+    fn begin_value(&mut self, job: Job, handle: VariableHandle, now: Instant) -> Option<Event> {
+        let seat = live(self.seats, job)?;
+        let started = match seat.session.request()? {
+            Request::Get(_) => {
+                let arguments: [&dyn Encode; 1] = [&handle];
+                self.client.start(&RawCall { function: FunctionId::VARIABLE_GET_VALUE, arguments: &arguments }, now)
+            }
+            Request::Put(variable, value) => {
+                let held = Held { kind: variable.kind, value };
+                let arguments: [&dyn Encode; 2] = [&handle, &held];
+                self.client.start(&RawCall { function: FunctionId::VARIABLE_PUT_VALUE, arguments: &arguments }, now)
+            }
+        };
+        match started {
+            Ok(()) => {
+                self.call = Some(InFlight::Value(job, handle));
+                None
+            }
+            Err(ClientError::Encode(_) | ClientError::TooLarge { .. }) => self.answer(job, HResult::E_ARGSIZEOVER, now),
+            Err(error) => Some(self.fail_link(RobotError::Call(error))),
+        }
+    }
+
+    /// Sends a call; whatever it is, by the same code.
+    fn start(&mut self, function: FunctionId, arguments: &[&dyn Encode], now: Instant) -> Result<(), ClientError> {
+        self.client.start(&RawCall { function, arguments }, now)
+    }
+
+    /// Answers a request, if it still waits, with the value of the reply if that was to a GET.
+    fn answer(&mut self, job: Job, result: HResult, now: Instant) -> Option<Event> {
+        let seat = live(self.seats, job)?;
+        let value = self.client.value::<Any>().unwrap_or(Variant::Empty);
+        seat.answer(result, &Held { kind: job.variable.kind, value }, now)
+    }
+}
+
+/// Returns the seat of a request, if it still waits there.
+fn live(seats: &mut [Seat], job: Job) -> Option<&mut Seat> {
+    seats.get_mut(job.seat).filter(|seat| seat.waiting.is_some_and(|waiting| waiting.ticket == job.ticket))
+}
+
+/// Bytes of the longest name: `IO4294967295`.
+const NAME: usize = 12;
+
+/// Writes the name of a variable as Controller_GetVariable takes it.
+fn variable_name(variable: Variable, buffer: &mut [u8; NAME]) -> &str {
+    let mut out = Writer::new(buffer);
+    // it fits: two letters and ten digits
+    let _ = out.put_slice(variable.kind.name().as_bytes());
+    let _ = put_integer(false, variable.index.into(), &mut out);
+    core::str::from_utf8(out.into_bytes()).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,358 @@
+//! What PLCs may do: which variables they may read and write, with which values, and how often.
+//!
+//! Nothing may be written unless a rule allows it. A request is held against the rules before anything goes to the
+//! robot, in this order; the first that is broken answers it:
+//!
+//! | [`Refusal`]             | answer             | what is wrong                                            |
+//! |-------------------------|--------------------|----------------------------------------------------------|
+//! | `Line`                  | the error's own    | the line is no request                                   |
+//! | `Rate`                  | `E_BUSY_PROC`      | the client has asked too often                           |
+//! | `ReadOnly`              | `E_ACCESSDENIED`   | no variable may be written                               |
+//! | `Kind`, `Index`         | `E_ACCESSDENIED`   | no variable of this kind, or not this one                |
+//! | `Type`                  | `E_INVALIDARGTYPE` | the value is not of the variable's type                  |
+//! | `Value`                 | `E_INVALIDARG`     | the value is out of range                                |
+
+use core::fmt;
+use core::time::Duration;
+
+use super::convert::{converts, float};
+use crate::error::TextError;
+use crate::hresult::HResult;
+use crate::rac::{Request, Variable, VariableKind};
+use crate::time::Instant;
+use crate::variant::Variant;
+
+/// What PLCs may do.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Rules<'a> {
+    /// What may be read; its bounds do not count.
+    pub get: &'a [Allow<'a>],
+    /// What may be written.
+    pub put: &'a [Allow<'a>],
+    /// Whether a value of another type is converted for a PUT, if nothing is lost; otherwise it is refused.
+    pub convert: bool,
+    /// How often each client may ask.
+    pub rate: Rate,
+}
+
+impl Rules<'_> {
+    /// Everything may be read, nothing written, as often as anyone likes.
+    pub const READ_ONLY: Self = Self { get: &Allow::EVERYTHING, put: &[], convert: false, rate: Rate::UNLIMITED };
+}
+
+impl Default for Rules<'_> {
+    fn default() -> Self {
+        Self::READ_ONLY
+    }
+}
+
+/// Variables of one kind that are allowed, and the values that they may be given.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Allow<'a> {
+    /// The kind.
+    pub kind: VariableKind,
+    /// The first index.
+    pub first: u32,
+    /// The last index.
+    pub last: u32,
+    /// The range of each element of the value; the last one counts for all that follow. None allows any value.
+    pub values: &'a [Bounds],
+}
+
+impl Allow<'_> {
+    /// All variables there are.
+    pub const EVERYTHING: [Self; 9] = [
+        Self::all(VariableKind::I),
+        Self::all(VariableKind::F),
+        Self::all(VariableKind::D),
+        Self::all(VariableKind::S),
+        Self::all(VariableKind::V),
+        Self::all(VariableKind::P),
+        Self::all(VariableKind::J),
+        Self::all(VariableKind::T),
+        Self::all(VariableKind::Io),
+    ];
+
+    /// Allows all variables of a kind, with any value.
+    #[must_use]
+    pub const fn all(kind: VariableKind) -> Self {
+        Self::range(kind, 0, u32::MAX)
+    }
+
+    /// Allows the variables from `first` to `last`, with any value.
+    #[must_use]
+    pub const fn range(kind: VariableKind, first: u32, last: u32) -> Self {
+        Self { kind, first, last, values: &[] }
+    }
+
+    const fn has_index(&self, index: u32) -> bool {
+        self.first <= index && index <= self.last
+    }
+
+    fn has_value(&self, value: &Variant<'_>) -> bool {
+        match value.flatten() {
+            Variant::Array(array) => array.iter().enumerate().all(|(at, element)| self.has_element(at, &element)),
+            value => self.has_element(0, &value),
+        }
+    }
+
+    fn has_element(&self, at: usize, element: &Variant<'_>) -> bool {
+        self.values.get(at).or(self.values.last()).is_none_or(|bounds| bounds.contain(element))
+    }
+}
+
+/// A range of values, both ends included: of numbers; for BOOL of 0 and 1; for strings of their lengths in UTF-16 units.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Bounds {
+    /// The least.
+    pub min: f64,
+    /// The greatest.
+    pub max: f64,
+}
+
+impl Bounds {
+    /// Tells whether a value lies inside; NaN does not.
+    fn contain(&self, value: &Variant<'_>) -> bool {
+        let number = match value.flatten() {
+            Variant::Bool(b) => Some(f64::from(u8::from(b))),
+            Variant::Bstr(text) => u32::try_from(text.len()).ok().map(f64::from),
+            other => float(&other),
+        };
+        number.is_some_and(|number| self.min <= number && number <= self.max)
+    }
+}
+
+/// How often a client may ask: so many requests at once, and then so many a second.
+///
+/// What counts is the client's place in the gateway, so a client that connects again gains nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Rate {
+    /// Requests a second; 0 for no limit.
+    pub per_second: u32,
+    /// Requests that may come at once, at least 1.
+    pub burst: u32,
+}
+
+impl Rate {
+    /// No limit.
+    pub const UNLIMITED: Self = Self { per_second: 0, burst: 1 };
+
+    fn interval(self) -> Duration {
+        Duration::from_micros(1_000_000_u32.checked_div(self.per_second).unwrap_or(0).into())
+    }
+}
+
+/// The pace of one client.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Pace {
+    /// When everything that was let through is due at the rate that is allowed.
+    due: Instant,
+}
+
+impl Pace {
+    pub(super) const NEW: Self = Self { due: Instant::ZERO };
+
+    /// Tells whether one more request may come now, and takes note of it if so.
+    fn admits(&mut self, rate: Rate, now: Instant) -> bool {
+        let interval = rate.interval();
+        let ahead = interval.saturating_mul(rate.burst.saturating_sub(1));
+        if self.due.saturating_since(now) > ahead {
+            return false;
+        }
+        self.due = self.due.max(now).saturating_add(interval);
+        true
+    }
+}
+
+/// Why a request was not passed on to the robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum Refusal {
+    /// The line is no request.
+    Line(TextError),
+    /// The client has asked too often.
+    Rate,
+    /// No variable may be written.
+    ReadOnly,
+    /// No variable of this kind may be read, or written.
+    Kind,
+    /// This variable may not be read, or written.
+    Index,
+    /// The value is not of the variable's type.
+    Type,
+    /// The value is out of range.
+    Value,
+}
+
+impl Refusal {
+    /// Returns the code with which the request is answered.
+    #[must_use]
+    pub const fn hresult(&self) -> HResult {
+        match self {
+            Self::Line(error) => error.hresult(),
+            Self::Rate => HResult::E_BUSY_PROC,
+            Self::ReadOnly | Self::Kind | Self::Index => HResult::E_ACCESSDENIED,
+            Self::Type => HResult::E_INVALIDARGTYPE,
+            Self::Value => HResult::E_INVALIDARG,
+        }
+    }
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Line(error) => return error.fmt(f),
+            Self::Rate => "more requests than the rate allows",
+            Self::ReadOnly => "the gateway is read-only",
+            Self::Kind => "no rule allows this kind of variable",
+            Self::Index => "no rule allows this variable",
+            Self::Type => "the value is not of the variable's type",
+            Self::Value => "the value is out of the range that the rules allow",
+        })
+    }
+}
+
+impl core::error::Error for Refusal {}
+
+impl Rules<'_> {
+    /// Holds a request against the rules.
+    pub(super) fn check(&self, request: &Request<'_>, pace: &mut Pace, now: Instant) -> Result<(), Refusal> {
+        if !pace.admits(self.rate, now) {
+            return Err(Refusal::Rate);
+        }
+        match request {
+            Request::Get(variable) => {
+                find(self.get, *variable)?;
+            }
+            Request::Put(..) if self.put.is_empty() => return Err(Refusal::ReadOnly),
+            Request::Put(variable, value) => {
+                find(self.put, *variable)?;
+                let fits = variable.kind.fits(value) || self.convert && converts(variable.kind, value);
+                if !fits {
+                    return Err(Refusal::Type);
+                }
+                if !matching(self.put, *variable).any(|allow| allow.has_value(value)) {
+                    return Err(Refusal::Value);
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Returns the rules that name a variable.
+fn matching<'a>(rules: &'a [Allow<'a>], variable: Variable) -> impl Iterator<Item = &'a Allow<'a>> {
+    rules.iter().filter(move |allow| allow.kind == variable.kind && allow.has_index(variable.index))
+}
+
+/// Checks that a rule names a variable.
+fn find(rules: &[Allow<'_>], variable: Variable) -> Result<(), Refusal> {
+    match matching(rules, variable).next() {
+        Some(_) => Ok(()),
+        None if rules.iter().any(|allow| allow.kind == variable.kind) => Err(Refusal::Index),
+        None => Err(Refusal::Kind),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::variant::{Encode, VariantBuf};
+    use VariableKind as Kind;
+
+    fn at(micros: u64) -> Instant {
+        Instant::from_micros(micros)
+    }
+
+    fn get(rules: &Rules<'_>, kind: Kind, index: u32) -> Result<(), Refusal> {
+        let mut pace = Pace::NEW;
+        rules.check(&Request::Get(Variable::new(kind, index)), &mut pace, at(0))
+    }
+
+    fn put(rules: &Rules<'_>, kind: Kind, index: u32, value: &dyn Encode) -> Result<(), Refusal> {
+        let value = VariantBuf::<128>::new(value).unwrap();
+        let mut pace = Pace::NEW;
+        rules.check(&Request::Put(Variable::new(kind, index), value.as_variant()), &mut pace, at(0))
+    }
+
+    #[test]
+    fn everything_is_read_and_nothing_written_by_default() {
+        for kind in Kind::ALL {
+            assert_eq!(get(&Rules::READ_ONLY, kind, u32::MAX), Ok(()));
+        }
+        assert_eq!(put(&Rules::READ_ONLY, Kind::I, 0, &1_i32), Err(Refusal::ReadOnly));
+    }
+
+    #[test]
+    fn kinds_indices_and_values_are_held_against_the_lists() {
+        let values = [Bounds { min: -10.0, max: 10.0 }];
+        let put_rules = [
+            Allow { values: &values, ..Allow::range(Kind::I, 10, 20) },
+            Allow::range(Kind::I, 20, 20),
+            Allow { values: &values, ..Allow::all(Kind::Io) },
+        ];
+        let get_rules = [Allow::range(Kind::P, 3, 4)];
+        let rules = Rules { get: &get_rules, put: &put_rules, ..Rules::READ_ONLY };
+        assert_eq!(get(&rules, Kind::P, 3), Ok(()));
+        assert_eq!(get(&rules, Kind::P, 5), Err(Refusal::Index));
+        assert_eq!(get(&rules, Kind::I, 10), Err(Refusal::Kind), "what may be written need not be readable");
+        assert_eq!(put(&rules, Kind::I, 10, &-10_i32), Ok(()));
+        assert_eq!(put(&rules, Kind::I, 10, &11_i32), Err(Refusal::Value));
+        assert_eq!(put(&rules, Kind::I, 20, &11_i32), Ok(()), "any rule that allows it will do");
+        assert_eq!(put(&rules, Kind::I, 9, &1_i32), Err(Refusal::Index));
+        assert_eq!(put(&rules, Kind::I, 21, &1_i32), Err(Refusal::Index));
+        assert_eq!(put(&rules, Kind::D, 10, &1.0_f64), Err(Refusal::Kind));
+        assert_eq!(put(&rules, Kind::Io, 1, &true), Ok(()));
+    }
+
+    #[test]
+    fn bounds_count_by_element_and_the_last_for_the_rest() {
+        let values = [Bounds { min: 0.0, max: 1.0 }, Bounds { min: -5.0, max: 5.0 }];
+        let allow = [
+            Allow { values: &values, ..Allow::all(Kind::V) },
+            Allow { values: &values, ..Allow::all(Kind::F) },
+            Allow { values: &values[1..], ..Allow::all(Kind::S) },
+        ];
+        let rules = Rules { put: &allow, ..Rules::READ_ONLY };
+        assert_eq!(put(&rules, Kind::V, 1, &[1.0_f32, 5.0, -5.0]), Ok(()));
+        assert_eq!(put(&rules, Kind::V, 1, &[2.0_f32, 5.0, -5.0]), Err(Refusal::Value));
+        assert_eq!(put(&rules, Kind::V, 1, &[1.0_f32, 5.0, -5.5]), Err(Refusal::Value));
+        assert_eq!(put(&rules, Kind::F, 1, &f32::NAN), Err(Refusal::Value));
+        assert_eq!(put(&rules, Kind::S, 1, &"12345"), Ok(()));
+        assert_eq!(put(&rules, Kind::S, 1, &"123456"), Err(Refusal::Value));
+    }
+
+    #[test]
+    fn another_type_is_refused_unless_conversion_is_allowed_and_loses_nothing() {
+        let allow = [Allow::all(Kind::F), Allow::all(Kind::J)];
+        let strict = Rules { put: &allow, ..Rules::READ_ONLY };
+        let converting = Rules { convert: true, ..strict };
+        assert_eq!(put(&strict, Kind::F, 1, &5.0_f32), Ok(()));
+        assert_eq!(put(&strict, Kind::F, 1, &5_i32), Err(Refusal::Type));
+        assert_eq!(put(&converting, Kind::F, 1, &5_i32), Ok(()));
+        assert_eq!(put(&converting, Kind::F, 1, &0.1_f64), Err(Refusal::Type));
+        assert_eq!(put(&strict, Kind::J, 1, &[0.0_f32; 7]), Err(Refusal::Type), "one element is missing");
+        assert_eq!(put(&converting, Kind::J, 1, &[0.0_f32; 7]), Err(Refusal::Type));
+    }
+
+    #[test]
+    fn a_client_may_ask_in_a_burst_and_then_at_its_rate() {
+        let rules = Rules { rate: Rate { per_second: 10, burst: 3 }, ..Rules::READ_ONLY };
+        let request = Request::Get(Variable::new(Kind::I, 1));
+        let mut pace = Pace::NEW;
+        let mut ask = |micros| rules.check(&request, &mut pace, at(micros));
+        let start = 5_000_000;
+        assert_eq!([ask(start), ask(start), ask(start)], [Ok(()); 3]);
+        assert_eq!(ask(start), Err(Refusal::Rate));
+        assert_eq!(ask(start + 99_999), Err(Refusal::Rate));
+        assert_eq!(ask(start + 100_000), Ok(()));
+        assert_eq!(ask(start + 100_000), Err(Refusal::Rate), "what was refused was not counted, and no more is free");
+        assert_eq!([ask(start + 900_000), ask(start + 900_000), ask(start + 900_000)], [Ok(()); 3]);
+        assert_eq!(ask(start + 900_000), Err(Refusal::Rate), "a rest is not saved beyond the burst");
+    }
+}

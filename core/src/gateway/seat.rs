@@ -1,0 +1,80 @@
+//! A seat: the place of one PLC in the gateway, with its session and the request that waits.
+
+use core::time::Duration;
+
+use super::event::{Asked, Event};
+use super::rules::{Pace, Refusal};
+use crate::handler::PeerId;
+use crate::hresult::HResult;
+use crate::rac::server::{self, Config, Session};
+use crate::time::Instant;
+use crate::variant::Encode;
+
+/// Bytes of a seat's memory for a value: enough for the longest string that fits a line, either way.
+const VALUE: usize = 512;
+
+/// The place of one PLC.
+#[derive(Debug)]
+pub(super) struct Seat {
+    pub(super) session: Session<[u8; VALUE]>,
+    /// Who sits here.
+    pub(super) peer: Option<PeerId>,
+    /// Outlives its client, so that a new connection does not begin with a new allowance.
+    pub(super) pace: Pace,
+    pub(super) waiting: Option<Waiting>,
+}
+
+/// A request that has passed the rules and waits for the robot.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Waiting {
+    /// No two requests have the same; the lower came first.
+    pub(super) ticket: u32,
+    pub(super) asked: Asked,
+    /// What is answered if the robot goes.
+    pub(super) if_down: HResult,
+    since: Instant,
+}
+
+impl Waiting {
+    pub(super) const fn new(ticket: u32, asked: Asked, since: Instant) -> Self {
+        Self { ticket, asked, if_down: HResult::E_NOT_CONNECTED, since }
+    }
+}
+
+impl Seat {
+    pub(super) const FREE: Self =
+        Self { session: Session::new(Config::TCP, [0; VALUE]), peer: None, pace: Pace::NEW, waiting: None };
+
+    /// Seats a client.
+    pub(super) fn open(&mut self, peer: PeerId, request_timeout: Duration) {
+        self.session = Session::new(Config { invoke_timeout: request_timeout }, [0; VALUE]);
+        self.peer = Some(peer);
+        self.waiting = None;
+    }
+
+    /// Frees the seat; what was asked is forgotten.
+    pub(super) fn close(&mut self) {
+        self.peer = None;
+        self.waiting = None;
+    }
+
+    /// Answers the request that waits, and says what was answered.
+    pub(super) fn answer<T: Encode + ?Sized>(&mut self, result: HResult, value: &T, now: Instant) -> Option<Event> {
+        match self.session.respond_with(result, value)? {
+            server::Event::Served { result, .. } => self.answered(result, now),
+            _ => None,
+        }
+    }
+
+    /// Takes note that the request that waits has been answered.
+    pub(super) fn answered(&mut self, result: HResult, now: Instant) -> Option<Event> {
+        let Waiting { asked, since, .. } = self.waiting.take()?;
+        Some(Event::answered(self.peer?, asked, result, now.saturating_since(since)))
+    }
+
+    /// Answers a request by a refusal.
+    pub(super) fn refuse(&mut self, refusal: Refusal) -> Option<Event> {
+        let _ = self.session.respond(refusal.hresult())?;
+        Some(Event::Refused { peer: self.peer?, refusal })
+    }
+}

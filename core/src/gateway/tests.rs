@@ -1,0 +1,825 @@
+//! A gateway between PLCs and a scripted robot, under a fake clock.
+#![expect(clippy::arithmetic_side_effects, reason = "an overflow here fails the test, as it should")]
+extern crate std;
+
+use core::time::Duration;
+use std::boxed::Box;
+use std::collections::{BTreeMap, VecDeque};
+use std::format;
+use std::string::{String, ToString};
+use std::vec::Vec;
+
+use super::*;
+use crate::bcap::{Decoder, Frame, FrameWriter, Progress};
+use crate::rac::VariableKind;
+use crate::variant::VariantBuf;
+
+type Owned = VariantBuf<1024>;
+
+fn at(millis: u64) -> Instant {
+    Instant::from_millis(millis)
+}
+
+/// What the robot does with a call.
+enum Do {
+    Reply(HResult, Option<Box<Owned>>),
+    /// Says that it is at work, and no more.
+    Execute,
+    Nothing,
+}
+
+/// Replies with a value.
+fn ok(value: &dyn Encode) -> Do {
+    Do::Reply(HResult::S_OK, Some(Box::new(Owned::new(value).unwrap())))
+}
+
+/// A robot that keeps to the protocol, but for what a test scripts.
+#[derive(Default)]
+struct Robot {
+    received: Vec<u8>,
+    /// Calls as `Function(arguments)`.
+    calls: Vec<String>,
+    /// Handles of this connection.
+    handles: BTreeMap<i32, String>,
+    next_handle: i32,
+    values: BTreeMap<String, Owned>,
+    /// What it does next, in place of what it would do.
+    script: VecDeque<(FunctionId, Do)>,
+    /// The calls that it has not answered: their serials, and what it would have said.
+    unanswered: Vec<(u16, Vec<u8>)>,
+}
+
+impl Robot {
+    fn set(&mut self, name: &str, value: &dyn Encode) {
+        self.values.insert(name.to_string(), Owned::new(value).unwrap());
+    }
+
+    fn value(&self, name: &str) -> Variant<'_> {
+        self.values[name].as_variant()
+    }
+
+    fn script(&mut self, function: FunctionId, what: Do) {
+        self.script.push_back((function, what));
+    }
+
+    /// Forgets the connection and what belonged to it.
+    fn reset(&mut self) {
+        self.received.clear();
+        self.handles.clear();
+        self.unanswered.clear();
+        // handles of another connection are never good by chance
+        self.next_handle += 1000;
+    }
+
+    /// Takes bytes, and returns what it sends.
+    fn receive(&mut self, bytes: &[u8]) -> Vec<u8> {
+        self.received.extend_from_slice(bytes);
+        let received = core::mem::take(&mut self.received);
+        let Progress::Complete(frame, used) = Decoder::TCP.decode(&received).unwrap() else {
+            self.received = received;
+            return Vec::new();
+        };
+        assert_eq!(used, received.len(), "one call at a time");
+        let arguments: Vec<String> = frame.args.iter().map(|value| format!("{value:?}")).collect();
+        self.calls.push(format!("{:?}({})", frame.function(), arguments.join(", ")));
+        let what = match self.script.front() {
+            Some((function, _)) if *function == frame.function() => self.script.pop_front().unwrap().1,
+            _ => self.usual(&frame),
+        };
+        match what {
+            Do::Reply(code, value) => reply(frame.serial, code, value.as_deref()),
+            Do::Execute => {
+                self.hold(&frame);
+                reply(frame.serial, HResult::S_EXECUTING, None)
+            }
+            Do::Nothing => {
+                self.hold(&frame);
+                Vec::new()
+            }
+        }
+    }
+
+    /// Carries a call out, and keeps the reply.
+    fn hold(&mut self, frame: &Frame<'_>) {
+        let late = match self.usual(frame) {
+            Do::Reply(code, value) => reply(frame.serial, code, value.as_deref()),
+            _ => Vec::new(),
+        };
+        self.unanswered.push((frame.serial, late));
+    }
+
+    fn usual(&mut self, frame: &Frame<'_>) -> Do {
+        let argument = |at| frame.args.get(at).unwrap();
+        let handle = frame.args.get(0).and_then(|value| value.as_i32());
+        let named = handle.and_then(|handle| self.handles.get(&handle)).cloned();
+        match (frame.function(), named) {
+            (FunctionId::CONTROLLER_CONNECT, _) => ok(&77_i32),
+            (FunctionId::CONTROLLER_GET_NAME, _) => ok(&"RC8"),
+            (FunctionId::CONTROLLER_GET_VARIABLE, _) => {
+                assert_eq!(handle, Some(77));
+                self.next_handle += 1;
+                self.handles.insert(self.next_handle, argument(1).as_bstr().unwrap().to_string());
+                ok(&self.next_handle)
+            }
+            (FunctionId::SERVICE_START, _) => Do::Reply(HResult::S_OK, None),
+            (_, None) => Do::Reply(HResult::E_HANDLE, None),
+            (FunctionId::VARIABLE_RELEASE, Some(_)) => {
+                self.handles.remove(&handle.unwrap());
+                Do::Reply(HResult::S_OK, None)
+            }
+            (FunctionId::VARIABLE_GET_VALUE, Some(name)) => match self.values.get(&name) {
+                Some(value) => Do::Reply(HResult::S_OK, Some(Box::new(value.clone()))),
+                None => Do::Reply(HResult::DISP_E_BADINDEX, Some(Box::default())),
+            },
+            (FunctionId::VARIABLE_PUT_VALUE, Some(name)) => {
+                self.set(&name, &argument(1));
+                Do::Reply(HResult::S_OK, None)
+            }
+            (function, _) => panic!("{function:?}"),
+        }
+    }
+
+    /// Takes the calls that were seen.
+    fn calls(&mut self) -> Vec<String> {
+        core::mem::take(&mut self.calls)
+    }
+}
+
+fn reply(serial: u16, code: HResult, value: Option<&Owned>) -> Vec<u8> {
+    let mut buffer = [0; 2048];
+    let mut frame = FrameWriter::new(&mut buffer).unwrap();
+    if let Some(value) = value {
+        frame.argument(value).unwrap();
+    }
+    frame.finish(serial, 0, code.0).unwrap().to_vec()
+}
+
+/// A gateway, its robot, and the time.
+struct Bench<'m> {
+    gateway: Gateway<'m>,
+    robot: Robot,
+    now: Instant,
+}
+
+impl<'m> Bench<'m> {
+    fn new<const S: usize, const H: usize>(config: Config<'m>, memory: &'m mut Memory<S, H>) -> Self {
+        Self { gateway: Gateway::new(config, memory), robot: Robot::default(), now: at(0) }
+    }
+
+    /// A gateway with a session.
+    fn up<const S: usize, const H: usize>(config: Config<'m>, memory: &'m mut Memory<S, H>) -> Self {
+        let mut bench = Self::new(config, memory);
+        assert_eq!(bench.connect(), [Event::RobotUp]);
+        bench.robot.calls();
+        bench
+    }
+
+    fn connect(&mut self) -> Vec<Event> {
+        assert!(self.gateway.robot_wanted());
+        self.robot.reset();
+        self.gateway.robot_opened(self.now);
+        self.settle()
+    }
+
+    fn events(&mut self) -> Vec<Event> {
+        core::iter::from_fn(|| self.gateway.poll_event(self.now)).collect()
+    }
+
+    /// Lets bytes go to the robot and back until nothing moves.
+    fn settle(&mut self) -> Vec<Event> {
+        let mut events = self.events();
+        while !self.gateway.robot_transmit().is_empty() {
+            let bytes = self.gateway.robot_transmit().to_vec();
+            self.gateway.robot_transmitted(bytes.len());
+            let reply = self.robot.receive(&bytes);
+            events.extend(self.deliver(&reply));
+        }
+        events
+    }
+
+    /// Lets the robot's bytes come.
+    fn deliver(&mut self, mut bytes: &[u8]) -> Vec<Event> {
+        let mut events = Vec::new();
+        while !bytes.is_empty() {
+            let room = self.gateway.robot_receive_buffer();
+            let count = room.len().min(bytes.len());
+            assert!(count > 0, "no room");
+            room[..count].copy_from_slice(&bytes[..count]);
+            self.gateway.robot_received(count);
+            bytes = &bytes[count..];
+            events.extend(self.events());
+        }
+        events
+    }
+
+    /// Lets the robot say what it has held back.
+    fn answer_late(&mut self) -> Vec<Event> {
+        let (_, late) = self.robot.unanswered.remove(0);
+        let mut events = self.deliver(&late);
+        events.extend(self.settle());
+        events
+    }
+
+    /// Lets the robot answer what it has left unanswered, with something else.
+    fn answer(&mut self, code: HResult, value: Option<&dyn Encode>) -> Vec<Event> {
+        let (serial, _) = self.robot.unanswered.remove(0);
+        let value = value.map(|value| Owned::new(value).unwrap());
+        let mut events = self.deliver(&reply(serial, code, value.as_ref()));
+        events.extend(self.settle());
+        events
+    }
+
+    /// Lets a PLC's bytes come; what does not fit waits for the line before.
+    fn send(&mut self, plc: PeerId, line: &str) {
+        let room = self.gateway.receive_buffer(plc);
+        room[..line.len()].copy_from_slice(line.as_bytes());
+        self.gateway.received(plc, line.len());
+    }
+
+    /// Takes what a PLC gets.
+    fn take(&mut self, plc: PeerId) -> String {
+        let text = String::from_utf8(self.gateway.transmit(plc).to_vec()).unwrap();
+        self.gateway.transmitted(plc, text.len());
+        text
+    }
+
+    /// Sends a line and returns its answer.
+    fn ask(&mut self, plc: PeerId, line: &str) -> String {
+        self.send(plc, line);
+        self.settle();
+        self.take(plc)
+    }
+
+    /// Lets time pass, at once.
+    fn sleep(&mut self, millis: u64) -> Vec<Event> {
+        self.now = self.now + Duration::from_millis(millis);
+        self.settle()
+    }
+}
+
+fn line(result: HResult) -> String {
+    format!("{}\r", result.0)
+}
+
+fn asked(verb: crate::rac::Verb, kind: VariableKind, index: u32) -> Asked {
+    Asked { verb, variable: Variable::new(kind, index) }
+}
+
+fn get_i(index: u32) -> Asked {
+    asked(crate::rac::Verb::Get, VariableKind::I, index)
+}
+
+const WRITABLE: Config<'static> =
+    Config { rules: Rules { put: &Allow::EVERYTHING, ..Rules::READ_ONLY }, ..Config::RC8 };
+
+#[test]
+fn a_session_begins_as_configured_and_reads_through_one_handle() {
+    let mut memory = Memory::<2, 4>::new();
+    let config = Config { name: "plc", machine: "10.0.0.1", option: "@IfNotMember", ..Config::RC9 };
+    let mut bench = Bench::new(config, &mut memory);
+    assert_eq!(bench.connect(), [Event::RobotUp]);
+    assert!(bench.gateway.is_up());
+    assert_eq!(
+        bench.robot.calls(),
+        [
+            "ServiceStart(\"WDT=400\")",
+            "ControllerConnect(\"plc\", \"CaoProv.DENSO.VRC9\", \"10.0.0.1\", \"@IfNotMember\")",
+        ]
+    );
+    let plc = bench.gateway.open().unwrap();
+    bench.robot.set("I10", &-5_i32);
+    assert_eq!(bench.ask(plc, "GET:RC8:10:I:\r"), "0,3,-5\r");
+    assert_eq!(bench.ask(plc, "GET:RC8:10:I:\r"), "0,3,-5\r");
+    assert_eq!(
+        bench.robot.calls(),
+        ["ControllerGetVariable(I4(77), \"I10\", \"\")", "VariableGetValue(I4(1001))", "VariableGetValue(I4(1001))"]
+    );
+}
+
+#[test]
+fn all_kinds_are_read_and_written() {
+    let mut memory = Memory::<1, 4>::new();
+    let mut bench = Bench::up(WRITABLE, &mut memory);
+    let plc = bench.gateway.open().unwrap();
+    for (part, name, value) in [
+        ("4294967295:I", "I4294967295", "3,-5"),
+        ("2:F", "F2", "4,1.5"),
+        ("3:D", "D3", "5,0.1"),
+        ("4:S", "S4", "8,hello, world"),
+        ("5:V", "V5", "8196,1,2,3"),
+        ("6:P", "P6", "8196,400,0,300.5,180,0,180,5"),
+        ("7:J", "J7", "8196,1,2,3,4,5,6,7,8"),
+        ("8:T", "T8", "8196,1,2,3,4,5,6,7,8,9,-1"),
+        ("4294967295:IO", "IO4294967295", "11,-1"),
+    ] {
+        assert_eq!(bench.ask(plc, &format!("PUT:RC8:{part}:{value}\r")), "0\r", "{part}");
+        assert!(bench.robot.values.contains_key(name));
+        assert_eq!(bench.ask(plc, &format!("GET:RC8:{part}:\r")), format!("0,{value}\r"));
+    }
+    assert_eq!(bench.gateway.counters().served.count(), 18);
+    assert_eq!(bench.gateway.counters().failed.count(), 0);
+}
+
+#[test]
+fn values_are_converted_where_nothing_is_lost() {
+    let mut memory = Memory::<1, 8>::new();
+    let config = Config { rules: Rules { convert: true, ..WRITABLE.rules }, ..WRITABLE };
+    let mut bench = Bench::up(config, &mut memory);
+    let plc = bench.gateway.open().unwrap();
+    assert_eq!(bench.ask(plc, "PUT:RC8:1:F:3,5\r"), "0\r");
+    assert_eq!(bench.robot.value("F1"), Variant::R4(5.0));
+    assert_eq!(bench.ask(plc, "PUT:RC8:1:V:8197,1,2.5,3\r"), "0\r");
+    assert!(VariableKind::V.fits(&bench.robot.value("V1")));
+    assert_eq!(bench.ask(plc, "PUT:RC8:1:F:5,0.1\r"), line(HResult::E_INVALIDARGTYPE));
+    // from the robot: an R8 array as system variables have it
+    bench.robot.set("P1", &[1.0_f64, 2.0, 3.0, 4.0, 5.0, 6.0, -1.0]);
+    assert_eq!(bench.ask(plc, "GET:RC8:1:P:\r"), "0,8196,1,2,3,4,5,6,-1\r");
+    bench.robot.set("F1", &0.1_f64);
+    assert_eq!(bench.ask(plc, "GET:RC8:1:F:\r"), "0,5,0.1\r", "what would change goes as it is");
+    bench.robot.set("I1", &());
+    assert_eq!(bench.ask(plc, "GET:RC8:1:I:\r"), "0,0,\r");
+}
+
+#[test]
+fn another_type_is_refused_by_default_and_the_robot_is_not_asked() {
+    let mut memory = Memory::<1, 8>::new();
+    let mut bench = Bench::up(WRITABLE, &mut memory);
+    let plc = bench.gateway.open().unwrap();
+    assert_eq!(bench.ask(plc, "PUT:RC8:1:F:3,5\r"), line(HResult::E_INVALIDARGTYPE));
+    assert_eq!(bench.robot.calls(), Vec::<String>::new());
+}
+
+#[test]
+fn refusals_are_reported_with_their_line_and_the_session_goes_on() {
+    let mut memory = Memory::<1, 8>::new();
+    let mut bench = Bench::up(Config::RC8, &mut memory);
+    let plc = bench.gateway.open().unwrap();
+    bench.robot.set("I1", &1_i32);
+    let long = format!("GET:RC8:1:I:{}\r", " ".repeat(300));
+    for (text, result) in [
+        ("PUT:RC8:1:I:3,5\r", HResult::E_ACCESSDENIED),
+        ("HELLO\r", HResult::E_INVALIDCOMMAND),
+        ("GET:RC9:1:I:\r", HResult::E_INVALIDCOMMAND),
+        ("GET:RC8:x:I:\r", HResult::E_INVALIDARG),
+        ("PUT:RC8:1:I:3,x\r", HResult::E_INVALIDARGTYPE),
+        (long.as_str(), HResult::E_PACKETSIZEOVER),
+    ] {
+        // in pieces: a line may be longer than the memory
+        let mut events = Vec::new();
+        let mut lines = Vec::new();
+        for piece in text.as_bytes().chunks(32) {
+            bench.send(plc, core::str::from_utf8(piece).unwrap());
+            while let Some(event) = bench.gateway.poll_event(bench.now) {
+                events.push(event);
+                lines.push(bench.gateway.line(plc).to_vec());
+            }
+        }
+        let [Event::Refused { peer, refusal }] = events[..] else { panic!("{text}: {events:?}") };
+        assert_eq!((peer, refusal.hresult()), (plc, result), "{text}");
+        assert_eq!(lines, [&text.as_bytes()[..(text.len() - 1).min(256)]]);
+        assert_eq!(bench.take(plc), line(result));
+        assert_eq!(bench.ask(plc, "GET:RC8:1:I:\r"), "0,3,1\r");
+    }
+    let counters = bench.gateway.counters();
+    assert_eq!((counters.refused, counters.served.count(), counters.failed.count()), (6, 6, 0));
+}
+
+#[test]
+fn results_of_the_robot_pass_through() {
+    let mut memory = Memory::<1, 8>::new();
+    let mut bench = Bench::up(WRITABLE, &mut memory);
+    let plc = bench.gateway.open().unwrap();
+    assert_eq!(bench.ask(plc, "GET:RC8:1:I:\r"), line(HResult::DISP_E_BADINDEX));
+    bench.robot.script(FunctionId::CONTROLLER_GET_VARIABLE, Do::Reply(HResult::E_CAO_OBJECT_NOTFOUND, None));
+    bench.send(plc, "GET:RC8:2:I:\r");
+    let failed =
+        Event::Failed { peer: plc, request: get_i(2), result: HResult::E_CAO_OBJECT_NOTFOUND, time: Duration::ZERO };
+    assert_eq!(bench.settle(), [failed]);
+    assert_eq!(bench.take(plc), line(HResult::E_CAO_OBJECT_NOTFOUND));
+    bench.robot.script(FunctionId::VARIABLE_PUT_VALUE, Do::Reply(HResult::from_u32(0x8150_1033), None));
+    assert_eq!(bench.ask(plc, "PUT:RC8:1:I:3,5\r"), line(HResult::from_u32(0x8150_1033)));
+    bench.robot.script(FunctionId::VARIABLE_GET_VALUE, Do::Reply(HResult::S_FALSE, None));
+    assert_eq!(bench.ask(plc, "GET:RC8:1:I:\r"), "1,0,\r", "another success passes too");
+    assert_eq!(bench.gateway.counters().failed.count(), 3);
+}
+
+#[test]
+fn the_handle_used_longest_ago_makes_room() {
+    let mut memory = Memory::<1, 2>::new();
+    let mut bench = Bench::up(Config::RC8, &mut memory);
+    let plc = bench.gateway.open().unwrap();
+    for index in 1..=3 {
+        bench.robot.set(&format!("I{index}"), &index);
+    }
+    for index in [1, 2, 1, 3] {
+        assert_eq!(bench.ask(plc, &format!("GET:RC8:{index}:I:\r")), format!("0,3,{index}\r"));
+    }
+    assert_eq!(bench.robot.handles.values().collect::<Vec<_>>(), ["I1", "I3"]);
+    let released = "VariableRelease(I4(1002))".to_string();
+    assert_eq!(bench.robot.calls().iter().filter(|call| call.contains("Release")).collect::<Vec<_>>(), [&released]);
+    // a handle that cannot be released is given up all the same
+    bench.robot.script(FunctionId::VARIABLE_RELEASE, Do::Reply(HResult::E_FAIL, None));
+    assert_eq!(bench.ask(plc, "GET:RC8:2:I:\r"), "0,3,2\r");
+}
+
+#[test]
+fn a_dead_handle_is_replaced_once() {
+    let mut memory = Memory::<1, 2>::new();
+    let mut bench = Bench::up(WRITABLE, &mut memory);
+    let plc = bench.gateway.open().unwrap();
+    assert_eq!(bench.ask(plc, "PUT:RC8:1:I:3,1\r"), "0\r");
+    bench.robot.handles.clear();
+    assert_eq!(bench.ask(plc, "PUT:RC8:1:I:3,2\r"), "0\r");
+    assert_eq!(bench.robot.value("I1"), Variant::I4(2));
+    bench.robot.calls();
+    bench.robot.script(FunctionId::VARIABLE_GET_VALUE, Do::Reply(HResult::E_HANDLE, None));
+    bench.robot.script(FunctionId::VARIABLE_GET_VALUE, Do::Reply(HResult::E_HANDLE, None));
+    assert_eq!(bench.ask(plc, "GET:RC8:1:I:\r"), line(HResult::E_HANDLE));
+    assert_eq!(bench.robot.calls().len(), 3);
+    assert_eq!(bench.ask(plc, "GET:RC8:1:I:\r"), "0,3,2\r");
+}
+
+#[test]
+fn without_a_robot_the_answer_comes_at_once() {
+    let mut memory = Memory::<2, 2>::new();
+    let mut bench = Bench::new(WRITABLE, &mut memory);
+    let plc = bench.gateway.open().unwrap();
+    let not_connected = line(HResult::E_NOT_CONNECTED);
+    assert_eq!(bench.ask(plc, "GET:RC8:1:I:\r"), not_connected);
+    // no connection was to be had
+    bench.gateway.robot_closed(bench.now);
+    let down = |pause| Event::RobotDown { error: RobotError::Closed, pause: Duration::from_millis(pause) };
+    assert_eq!(bench.events(), [down(500)]);
+    assert!(!bench.gateway.robot_wanted());
+    assert_eq!(bench.gateway.poll_timeout(), Some(at(500)));
+    assert_eq!(bench.ask(plc, "PUT:RC8:1:I:3,1\r"), not_connected);
+    bench.now = at(500);
+    assert_eq!(bench.events(), []);
+    assert!(bench.gateway.robot_wanted());
+    // while a session is being begun, too
+    bench.robot.script(FunctionId::CONTROLLER_CONNECT, Do::Nothing);
+    assert_eq!(bench.connect(), []);
+    assert_eq!(bench.ask(plc, "GET:RC8:1:I:\r"), not_connected);
+    assert_eq!(bench.answer(HResult::S_OK, Some(&77_i32)), [Event::RobotUp]);
+    assert_eq!(bench.ask(plc, "PUT:RC8:1:I:3,1\r"), "0\r");
+    assert_eq!(bench.gateway.counters().failed.count(), 3);
+}
+
+#[test]
+fn pauses_grow_while_the_robot_refuses_and_begin_anew_after_a_session() {
+    let mut memory = Memory::<1, 2>::new();
+    let mut bench = Bench::new(Config::RC8, &mut memory);
+    let refused = |function, pause| {
+        let error = RobotError::Refused { function, result: HResult::E_CAO_PROV_INVALID };
+        Event::RobotDown { error, pause: Duration::from_millis(pause) }
+    };
+    for (function, pause) in [
+        (FunctionId::SERVICE_START, 500),
+        (FunctionId::CONTROLLER_CONNECT, 1000),
+        (FunctionId::CONTROLLER_CONNECT, 2000),
+    ] {
+        bench.robot.script(function, Do::Reply(HResult::E_CAO_PROV_INVALID, None));
+        assert_eq!(bench.connect(), [refused(function, pause)]);
+        assert!(!bench.gateway.robot_wanted(), "it is to be closed");
+        assert_eq!(bench.sleep(60_000), [], "and nothing happens before it is");
+        assert!(!bench.gateway.robot_wanted());
+        bench.gateway.robot_closed(bench.now);
+        assert_eq!(bench.sleep(pause - 1), []);
+        assert!(!bench.gateway.robot_wanted());
+        assert_eq!(bench.sleep(1), []);
+    }
+    assert_eq!(bench.connect(), [Event::RobotUp]);
+    bench.gateway.robot_closed(bench.now);
+    let down = Event::RobotDown { error: RobotError::Closed, pause: Duration::from_millis(500) };
+    assert_eq!(bench.events(), [down]);
+    assert_eq!(bench.gateway.counters().connected, 1);
+}
+
+#[test]
+fn when_the_robot_goes_every_request_is_answered_and_old_handles_are_forgotten() {
+    let mut memory = Memory::<3, 4>::new();
+    let mut bench = Bench::up(WRITABLE, &mut memory);
+    let plcs = [(); 3].map(|()| bench.gateway.open().unwrap());
+    bench.robot.set("I1", &11_i32);
+    assert_eq!(bench.ask(plcs[0], "GET:RC8:1:I:\r"), "0,3,11\r");
+    bench.robot.script(FunctionId::VARIABLE_GET_VALUE, Do::Nothing);
+    for plc in plcs {
+        bench.send(plc, "GET:RC8:1:I:\r");
+    }
+    assert_eq!(bench.settle(), []);
+    bench.gateway.robot_closed(bench.now);
+    let events = bench.events();
+    assert!(matches!(events[0], Event::RobotDown { error: RobotError::Closed, .. }), "{events:?}");
+    assert_eq!(events.len(), 4);
+    for plc in plcs {
+        assert_eq!(bench.take(plc), line(HResult::E_NOT_CONNECTED));
+    }
+    bench.sleep(500);
+    bench.robot.calls();
+    assert_eq!(bench.connect(), [Event::RobotUp]);
+    assert_eq!(bench.ask(plcs[2], "GET:RC8:1:I:\r"), "0,3,11\r");
+    let calls = bench.robot.calls();
+    assert_eq!(calls[2], "ControllerGetVariable(I4(77), \"I1\", \"\")", "the old handle was not used: {calls:?}");
+}
+
+#[test]
+fn a_robot_that_falls_silent_costs_the_connection_and_the_request_in_its_hands() {
+    let mut memory = Memory::<2, 4>::new();
+    let mut bench = Bench::up(WRITABLE, &mut memory);
+    let [first, second] = [(); 2].map(|()| bench.gateway.open().unwrap());
+    bench.robot.script(FunctionId::CONTROLLER_GET_VARIABLE, Do::Nothing);
+    bench.send(first, "PUT:RC8:1:I:3,1\r");
+    bench.send(second, "GET:RC8:2:I:\r");
+    assert_eq!(bench.settle(), []);
+    assert_eq!(bench.gateway.poll_timeout(), Some(at(3000)));
+    assert_eq!(bench.sleep(2999), []);
+    let events = bench.sleep(1);
+    assert!(matches!(events[0], Event::RobotDown { error: RobotError::Call(ClientError::Timeout(_)), .. }));
+    assert_eq!(bench.take(first), line(HResult::E_TIMEOUT));
+    assert_eq!(bench.take(second), line(HResult::E_NOT_CONNECTED));
+    assert!(!bench.gateway.robot_wanted());
+    assert_eq!(bench.ask(first, "GET:RC8:1:I:\r"), line(HResult::E_NOT_CONNECTED));
+    // what it says now is none of anybody's
+    assert_eq!(bench.answer(HResult::S_OK, Some(&5_i32)), []);
+    assert!(bench.gateway.transmit(first).is_empty());
+}
+
+#[test]
+fn bytes_that_are_no_frame_cost_the_connection() {
+    let mut memory = Memory::<1, 4>::new();
+    let mut bench = Bench::up(Config::RC8, &mut memory);
+    let plc = bench.gateway.open().unwrap();
+    bench.robot.script(FunctionId::CONTROLLER_GET_VARIABLE, Do::Nothing);
+    bench.send(plc, "GET:RC8:2:I:\r");
+    bench.settle();
+    let events = bench.deliver(b"HTTP/1.1 400 Bad Request\r\n\r\n");
+    assert!(matches!(events[0], Event::RobotDown { error: RobotError::Call(ClientError::Malformed(_)), .. }));
+    assert_eq!(bench.take(plc), line(HResult::E_NOT_CONNECTED));
+    // and a handle that is none
+    bench.gateway.robot_closed(bench.now);
+    bench.sleep(500);
+    assert_eq!(bench.connect(), [Event::RobotUp]);
+    bench.robot.script(FunctionId::CONTROLLER_GET_VARIABLE, ok(&"handle"));
+    bench.send(plc, "GET:RC8:2:I:\r");
+    let events = bench.settle();
+    assert!(matches!(events[0], Event::RobotDown { error: RobotError::Call(ClientError::Reply(_)), .. }));
+}
+
+#[test]
+fn a_request_that_is_out_of_time_does_not_lend_its_answer_to_the_next() {
+    let mut memory = Memory::<1, 4>::new();
+    let config = Config { request_timeout: Duration::from_secs(1), ..WRITABLE };
+    let mut bench = Bench::up(config, &mut memory);
+    let plc = bench.gateway.open().unwrap();
+    bench.robot.set("I1", &1_i32);
+    bench.robot.set("I2", &2_i32);
+    bench.ask(plc, "GET:RC8:1:I:\r");
+    bench.robot.script(FunctionId::VARIABLE_GET_VALUE, Do::Execute);
+    bench.send(plc, "GET:RC8:1:I:\r");
+    assert_eq!(bench.settle(), []);
+    assert_eq!(bench.gateway.poll_timeout(), Some(at(1000)));
+    assert!(bench.gateway.receive_buffer(plc).is_empty());
+    let failed =
+        Event::Failed { peer: plc, request: get_i(1), result: HResult::E_TIMEOUT, time: Duration::from_secs(1) };
+    assert_eq!(bench.sleep(1000), [failed]);
+    assert_eq!(bench.take(plc), line(HResult::E_TIMEOUT));
+    bench.send(plc, "GET:RC8:2:I:\r");
+    assert_eq!(bench.settle(), []);
+    let events = bench.answer(HResult::S_OK, Some(&1_i32));
+    assert!(matches!(events[..], [Event::Served { request, .. }] if request == get_i(2)), "{events:?}");
+    assert_eq!(bench.take(plc), "0,3,2\r");
+    // a PUT that is out of time before its turn is not carried out
+    bench.robot.script(FunctionId::CONTROLLER_GET_VARIABLE, Do::Execute);
+    bench.send(plc, "PUT:RC8:3:I:3,3\r");
+    bench.settle();
+    bench.sleep(1000);
+    assert_eq!(bench.take(plc), line(HResult::E_TIMEOUT));
+    bench.robot.handles.insert(9, "I3".to_string());
+    bench.answer(HResult::S_OK, Some(&9_i32));
+    assert!(!bench.robot.values.contains_key("I3"));
+    assert_eq!(bench.ask(plc, "PUT:RC8:3:I:3,4\r"), "0\r", "its handle is kept");
+    assert_eq!(bench.robot.value("I3"), Variant::I4(4));
+}
+
+#[test]
+fn who_takes_a_seat_does_not_get_the_answer_of_who_has_left() {
+    let mut memory = Memory::<1, 4>::new();
+    let mut bench = Bench::up(Config::RC8, &mut memory);
+    let gone = bench.gateway.open().unwrap();
+    assert_eq!(bench.gateway.open(), None, "there is one seat");
+    bench.robot.set("I2", &2_i32);
+    bench.robot.script(FunctionId::VARIABLE_GET_VALUE, Do::Nothing);
+    bench.send(gone, "GET:RC8:1:I:\r");
+    bench.settle();
+    bench.gateway.close(gone);
+    let plc = bench.gateway.open().unwrap();
+    assert_ne!(plc, gone);
+    bench.send(plc, "GET:RC8:2:I:\r");
+    assert_eq!(bench.settle(), []);
+    let events = bench.answer(HResult::S_OK, Some(&1_i32));
+    assert!(matches!(events[..], [Event::Served { peer, .. }] if peer == plc), "{events:?}");
+    assert_eq!(bench.take(plc), "0,3,2\r");
+    // the one who left has no business here
+    assert!(bench.gateway.receive_buffer(gone).is_empty());
+    bench.gateway.received(gone, 5);
+    bench.gateway.transmitted(gone, 5);
+    bench.gateway.close(gone);
+    assert!(bench.gateway.transmit(gone).is_empty() && bench.gateway.line(gone).is_empty());
+    assert_eq!(bench.ask(plc, "GET:RC8:2:I:\r"), "0,3,2\r");
+}
+
+#[test]
+fn requests_take_their_turn_as_they_came() {
+    let mut memory = Memory::<3, 8>::new();
+    let mut bench = Bench::up(Config::RC8, &mut memory);
+    let plcs = [(); 3].map(|()| bench.gateway.open().unwrap());
+    bench.robot.script(FunctionId::CONTROLLER_GET_VARIABLE, Do::Nothing);
+    for (plc, index) in [(plcs[2], 12), (plcs[0], 10), (plcs[1], 11)] {
+        bench.send(plc, &format!("GET:RC8:{index}:I:\r"));
+        assert_eq!(bench.settle(), []);
+    }
+    let order: Vec<_> = bench.answer(HResult::E_FAIL, None).iter().filter_map(Event::peer).collect();
+    assert_eq!(order, [plcs[2], plcs[0], plcs[1]]);
+}
+
+#[test]
+fn lines_without_a_pause_are_answered_in_order() {
+    let mut memory = Memory::<1, 8>::new();
+    let mut bench = Bench::up(WRITABLE, &mut memory);
+    let plc = bench.gateway.open().unwrap();
+    bench.send(plc, "PUT:RC8:1:I:3,7\rGET:RC8:1:I:\rNONSENSE\rGET:RC8:1:I:\r");
+    let mut answers = Vec::new();
+    for _ in 0..4 {
+        bench.settle();
+        answers.push(bench.take(plc));
+    }
+    assert_eq!(answers, ["0\r", "0,3,7\r", &line(HResult::E_INVALIDCOMMAND), "0,3,7\r"]);
+}
+
+#[test]
+fn a_value_that_does_not_fit_a_line_is_an_error_and_not_a_cut_line() {
+    let mut memory = Memory::<1, 8>::new();
+    let mut bench = Bench::up(WRITABLE, &mut memory);
+    let plc = bench.gateway.open().unwrap();
+    for (length, fits) in [(251, true), (252, false), (300, false), (500, false), (10_000, false)] {
+        let text = "x".repeat(length);
+        let mut big = Vec::new();
+        bench.robot.script(FunctionId::VARIABLE_GET_VALUE, Do::Nothing);
+        bench.send(plc, "GET:RC8:1:S:\r");
+        bench.settle();
+        big.resize(length * 2 + 100, 0);
+        let mut frame = FrameWriter::new(&mut big).unwrap();
+        frame.argument(text.as_str()).unwrap();
+        let bytes = frame.finish(bench.robot.unanswered.remove(0).0, 0, 0).unwrap().to_vec();
+        bench.deliver(&bytes);
+        let expected = if fits { format!("0,8,{text}\r") } else { line(HResult::E_INVALIDSNDPACKET) };
+        assert_eq!(bench.take(plc), expected, "{length}");
+    }
+    bench.robot.set("S1", &"two\rlines");
+    assert_eq!(bench.ask(plc, "GET:RC8:1:S:\r"), line(HResult::E_INVALIDSNDPACKET));
+    // and the longest string that a line can bring
+    let longest = "y".repeat(256 - "PUT:RC8:1:S:8,\r".len());
+    assert_eq!(bench.ask(plc, &format!("PUT:RC8:1:S:8,{longest}\r")), "0\r");
+    assert_eq!(bench.robot.value("S1").as_bstr().unwrap(), longest.as_str());
+}
+
+#[test]
+fn a_silent_line_is_tried_and_a_dead_robot_noticed_before_anybody_asks() {
+    let mut memory = Memory::<1, 8>::new();
+    let mut bench = Bench::up(Config::RC8, &mut memory);
+    assert_eq!(bench.gateway.poll_timeout(), Some(at(2000)));
+    assert_eq!(bench.sleep(2000), []);
+    assert_eq!(bench.robot.calls(), ["ControllerGetName(I4(77))"]);
+    assert_eq!(bench.gateway.poll_timeout(), Some(at(4000)));
+    bench.robot.script(FunctionId::CONTROLLER_GET_NAME, Do::Reply(HResult::E_NOTIMPL, None));
+    assert_eq!(bench.sleep(2000), [], "any answer is a sign of life");
+    bench.robot.script(FunctionId::CONTROLLER_GET_NAME, Do::Nothing);
+    assert_eq!(bench.sleep(2000), []);
+    let events = bench.sleep(3000);
+    assert!(matches!(events[..], [Event::RobotDown { .. }]), "{events:?}");
+}
+
+#[test]
+fn the_rate_belongs_to_the_seat() {
+    let mut memory = Memory::<1, 8>::new();
+    let rate = Rate { per_second: 1, burst: 2 };
+    let config = Config { rules: Rules { rate, ..Rules::READ_ONLY }, ..Config::RC8 };
+    let mut bench = Bench::up(config, &mut memory);
+    bench.robot.set("I1", &1_i32);
+    for _ in 0..2 {
+        let plc = bench.gateway.open().unwrap();
+        assert_eq!(bench.ask(plc, "GET:RC8:1:I:\r"), "0,3,1\r");
+        bench.gateway.close(plc);
+    }
+    let plc = bench.gateway.open().unwrap();
+    assert_eq!(bench.ask(plc, "GET:RC8:1:I:\r"), line(HResult::E_BUSY_PROC));
+    bench.sleep(1000);
+    assert_eq!(bench.ask(plc, "GET:RC8:1:I:\r"), "0,3,1\r");
+}
+
+#[test]
+fn times_are_counted_from_the_line_to_the_answer() {
+    let mut memory = Memory::<1, 8>::new();
+    let mut bench = Bench::up(Config::RC8, &mut memory);
+    let plc = bench.gateway.open().unwrap();
+    bench.robot.script(FunctionId::CONTROLLER_GET_VARIABLE, Do::Nothing);
+    bench.send(plc, "GET:RC8:1:I:\r");
+    bench.settle();
+    bench.sleep(40);
+    bench.robot.set("I1", &1_i32);
+    bench.robot.handles.insert(5, "I1".to_string());
+    let events = bench.answer(HResult::S_OK, Some(&5_i32));
+    assert!(matches!(events[..], [Event::Served { time, .. }] if time == Duration::from_millis(40)), "{events:?}");
+    let served = bench.gateway.counters().served;
+    assert_eq!(
+        (served.count(), served.mean(), served.max()),
+        (1, Duration::from_millis(40), Duration::from_millis(40))
+    );
+}
+
+/// A generator of numbers that are random enough, and the same in every run.
+struct Dice(u64);
+
+impl Dice {
+    fn below(&mut self, limit: u32) -> u32 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        u32::try_from(self.0 >> 33).unwrap() % limit
+    }
+}
+
+/// Clients that come and go, a robot that is slow, refuses, falls silent, dies and comes back: an answer with a value
+/// always carries the number of its own request, and every request ends in time.
+#[test]
+fn no_answer_is_another_requests() {
+    for seed in 0..8 {
+        let mut dice = Dice(seed);
+        let mut memory = Memory::<4, 3>::new();
+        let mut bench = Bench::new(Config { request_timeout: Duration::from_secs(4), ..WRITABLE }, &mut memory);
+        // a client, the answer that it waits for, and since when
+        let mut clients: Vec<(PeerId, Option<(String, Instant)>)> = Vec::new();
+        let (mut answered, mut number) = (0, 0);
+        for _ in 0..2000 {
+            let pass = dice.below(300);
+            bench.now = bench.now + Duration::from_millis(pass.into());
+            match dice.below(400) {
+                0 => bench.gateway.robot_closed(bench.now),
+                1 => bench.robot.script(FunctionId::VARIABLE_GET_VALUE, Do::Nothing),
+                2 => bench.robot.script(FunctionId::CONTROLLER_GET_VARIABLE, Do::Nothing),
+                3 => bench.robot.script(FunctionId::VARIABLE_GET_VALUE, Do::Reply(HResult::E_HANDLE, None)),
+                4..10 => bench.robot.script(FunctionId::VARIABLE_GET_VALUE, Do::Execute),
+                10 => bench.robot.handles.clear(),
+                11..20 if !clients.is_empty() => bench.gateway.close(clients.remove(0).0),
+                20..60 => clients.extend(bench.gateway.open().map(|plc| (plc, None))),
+                60..80 if !bench.robot.unanswered.is_empty() => {
+                    // perhaps to a request that is over
+                    bench.answer_late();
+                }
+                _ => {}
+            }
+            if !bench.gateway.robot_wanted() {
+                bench.gateway.robot_closed(bench.now);
+            } else if bench.gateway.link.state == State::Opening {
+                bench.robot.reset();
+                bench.gateway.robot_opened(bench.now);
+            }
+            for (plc, request) in &mut clients {
+                if request.is_none() && dice.below(3) == 0 {
+                    number += 1;
+                    // some variables are asked for again and again, others only once
+                    let index = if dice.below(2) == 0 { dice.below(4) } else { number + 100 };
+                    bench.robot.set(&format!("I{index}"), &index);
+                    let line = format!("GET:RC8:{index}:I:\r");
+                    let room = bench.gateway.receive_buffer(*plc);
+                    room[..line.len()].copy_from_slice(line.as_bytes());
+                    bench.gateway.received(*plc, line.len());
+                    *request = Some((format!("0,3,{index}\r"), bench.now));
+                }
+            }
+            bench.settle();
+            for (plc, request) in &mut clients {
+                let text = String::from_utf8(bench.gateway.transmit(*plc).to_vec()).unwrap();
+                bench.gateway.transmitted(*plc, text.len());
+                if text.is_empty() {
+                    let since = request.as_ref().map_or(bench.now, |(_, since)| *since);
+                    assert!(bench.now.saturating_since(since) < Duration::from_millis(4300), "it waits too long");
+                    continue;
+                }
+                let (value, _) = request.take().expect("an answer to nothing");
+                answered += 1;
+                let errors = [HResult::E_NOT_CONNECTED, HResult::E_TIMEOUT, HResult::E_HANDLE];
+                assert!(text == value || errors.iter().any(|error| text == line(*error)), "{text} for {value}");
+            }
+        }
+        let counters = bench.gateway.counters();
+        assert!(number > 500 && answered > number * 8 / 10, "{number} {answered}");
+        assert!(counters.served.count() > 100 && counters.failed.count() > 10, "{counters:?}");
+        assert!(counters.connected > 3, "{counters:?}");
+    }
+}
+
+#[test]
+fn the_memory_of_a_board_is_enough() {
+    assert!(size_of::<Memory<4, 32>>() <= 7 * 1024, "{}", size_of::<Memory<4, 32>>());
+    assert!(size_of::<Gateway<'_>>() <= 1024, "{}", size_of::<Gateway<'_>>());
+    assert!(size_of::<Event>() <= 48, "{}", size_of::<Event>());
+}
