@@ -3,6 +3,8 @@
 //! With the feature `embedded-io-async`, `Timed` makes a transport of anything that reads and writes and a timer.
 //! Nothing is allocated and no executor is assumed; all futures here may be dropped at any point.
 
+mod stream;
+
 use crate::bcap::Client;
 use crate::bcap::call::{Call, Reply};
 use crate::hresult::HResult;

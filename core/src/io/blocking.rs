@@ -3,6 +3,8 @@
 //! With the feature `embedded-io`, `Polled` makes a transport of anything that reads, writes and can say whether bytes
 //! are there (a UART), and a clock.
 
+mod stream;
+
 use crate::bcap::Client;
 use crate::bcap::call::{Call, Reply};
 use crate::hresult::HResult;

@@ -20,6 +20,7 @@ pub mod blocking;
 use core::fmt;
 
 use crate::bcap;
+use crate::bcap::slave::Failure;
 use crate::hresult::HResult;
 use crate::rac;
 use crate::storage::Storage;
@@ -103,6 +104,15 @@ where
             Self::Client(error) => Some(error),
             Self::Disconnected | Self::Refused(_) => None,
         }
+    }
+}
+
+/// Says what an engine of Slave Mode must know of a call without a reply.
+fn failure<E>(error: Option<&CallError<E>>) -> Failure {
+    match error {
+        Some(CallError::Client(error)) => (*error).into(),
+        Some(CallError::Io(_) | CallError::Disconnected) => Failure::Lost,
+        Some(CallError::Refused(_)) | None => Failure::Timeout,
     }
 }
 

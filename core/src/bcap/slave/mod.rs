@@ -18,6 +18,8 @@
 //!   and when it wants a pose. It keeps the pace of each mode, sends again what E_BUF_FULL refused, checks [`AxisLimits`]
 //!   before anything is sent, stops in an orderly way, and after an error finds out what the controller says came first.
 //!
+//! The loops of [`io`](crate::io) make the engine's calls: `Connection::carry_out`, blocking and asynchronous.
+//!
 //! Of Slave Mode the controller wants: its licence, Auto mode, the executable token, no error, and that the robot stands
 //! still at the start; two robots and the virtual fence are not supported (S2:1454).
 

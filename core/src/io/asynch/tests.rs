@@ -6,8 +6,11 @@ use std::collections::VecDeque;
 use std::vec::Vec;
 
 use super::*;
-use crate::bcap::call::{self, VariableHandle};
+use crate::bcap::call::{self, ControllerHandle, RobotHandle, VariableHandle};
 use crate::bcap::client::Config;
+use crate::bcap::slave::{
+    self, Action, Cause, Engine, Failure, Format, Handles, Mode, PoseType, ReceiveFormat, ReceivePose, SlaveMode, Step,
+};
 use crate::bcap::{Decoder, FrameWriter, Progress};
 use crate::variant::Variant;
 
@@ -94,5 +97,30 @@ fn a_call_dropped_at_any_point_leaves_the_connection_good() {
         // the first request has reached the peer whole, or not at all
         let requests = connection.transport.requests;
         assert!(requests == 2 || (requests == 1 && !first), "{requests} after {polls} polls");
+    }
+}
+
+#[test]
+fn a_step_of_a_stream_may_be_dropped_at_any_point() {
+    let mode = SlaveMode { mode: Mode::Mode1, pose: PoseType::J };
+    let format = Format::new(mode, ReceiveFormat::pose(ReceivePose::J));
+    let handles = Handles { controller: ControllerHandle(1), robot: RobotHandle(2) };
+    for polls in [0, 1, 50, 120, 170, 1000] {
+        let mut engine = Engine::<256>::new(slave::Config::new(format, handles)).unwrap();
+        let mut connection = Connection::new(OneByte::default(), Client::new(Config::TCP, [0; 256], [0; 256]));
+        assert!(matches!(engine.poll(Instant::ZERO), Action::Call(Step::SendFormat, _)));
+        let done = poll_times(connection.carry_out(&mut engine, |_| {}), polls).is_some();
+        // given up or done, the engine goes on: this peer gives numbers only, and so no position
+        let expected = if done {
+            (Step::Position, Cause::NoValue)
+        } else {
+            engine.handle_failure(Failure::Timeout, Instant::ZERO);
+            (Step::SendFormat, Cause::Failed(Failure::Timeout))
+        };
+        while let Action::Call(..) = engine.poll(Instant::ZERO) {
+            assert_eq!(poll_times(connection.carry_out(&mut engine, |_| {}), 1000), Some(None), "after {polls} polls");
+        }
+        let fault = engine.fault().unwrap();
+        assert_eq!((fault.step, fault.cause), expected, "after {polls} polls");
     }
 }

@@ -1,11 +1,16 @@
 extern crate std;
 
+use core::time::Duration;
 use std::collections::VecDeque;
 use std::vec::Vec;
 
 use super::*;
-use crate::bcap::call::{self, VariableHandle};
+use crate::bcap::call::{self, ControllerHandle, RobotHandle, VariableHandle};
 use crate::bcap::client::{ClientError, Config, Timeout};
+use crate::bcap::slave::{
+    self, Action, Cause, Channel, Engine, Failure, Format, Handles, Mode, Pose, PoseType, ReceiveFormat, ReceivePose,
+    SlaveMode, Step,
+};
 use crate::bcap::{Decoder, FrameWriter};
 use crate::variant::Variant;
 
@@ -134,4 +139,110 @@ fn a_value_of_the_wrong_type_is_the_peers_fault() {
     let mut connection = connection(64, [Reaction::Value(HResult::S_OK, 1)]);
     let error = connection.call(call::controller_get_name(call::ControllerHandle(1))).unwrap_err();
     assert!(matches!(error, CallError::Client(ClientError::Reply(_))), "{error:?}");
+}
+
+/// An engine that streams joints.
+fn engine(mode: Mode) -> Engine {
+    let mode = SlaveMode { mode, pose: PoseType::J };
+    let format = Format::new(mode, ReceiveFormat::pose(ReceivePose::J));
+    let handles = Handles { controller: ControllerHandle(1), robot: RobotHandle(2) };
+    Engine::new(slave::Config::new(format, handles)).unwrap()
+}
+
+/// A controller in mode 0 that answers each command; every third datagram is lost, and the buffer is full at times.
+struct Robot {
+    now: Instant,
+    reply: Option<Vec<u8>>,
+    sent: u32,
+    /// How long the client waited in vain.
+    waited: Vec<Duration>,
+}
+
+impl Transport for Robot {
+    type Error = core::convert::Infallible;
+
+    fn now(&self) -> Instant {
+        self.now
+    }
+
+    fn send(&mut self, bytes: &[u8], _: Instant) -> Result<Option<usize>, Self::Error> {
+        self.sent = self.sent.wrapping_add(1);
+        if self.sent.is_multiple_of(3) {
+            return Ok(Some(bytes.len()));
+        }
+        let request = Decoder::UDP.decode_datagram(bytes).unwrap();
+        let command = request.args.get(1).unwrap().as_bstr().unwrap();
+        let mut code = HResult::S_OK;
+        let mut buffer = [0; 128];
+        let mut reply = FrameWriter::new(&mut buffer).unwrap();
+        if command == "slvMove" || command == "CurJnt" {
+            reply.argument(&[1.5; 8]).unwrap();
+        }
+        if command == "slvMove" {
+            code = if request.serial.is_multiple_of(5) { HResult::E_BUF_FULL } else { HResult::S_BUF_FULL };
+        }
+        self.reply = Some(reply.finish(request.serial, 0, code.0).unwrap().to_vec());
+        Ok(Some(bytes.len()))
+    }
+
+    fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, Self::Error> {
+        let Some(reply) = self.reply.take() else {
+            self.waited.push(until.saturating_since(self.now));
+            self.now = until;
+            return Ok(None);
+        };
+        buffer[..reply.len()].copy_from_slice(&reply);
+        Ok(Some(reply.len()))
+    }
+}
+
+#[test]
+fn a_stream_runs_over_a_link_that_loses_datagrams() {
+    let mut engine = engine(Mode::Mode0);
+    let robot = Robot { now: Instant::ZERO, reply: None, sent: 0, waited: Vec::new() };
+    let mut connection = Connection::new(robot, Client::new(Config::UDP, [0; 512], [0; 512]));
+    let (mut poses, mut moved) = (0_u32, 0_u32);
+    loop {
+        match engine.poll(connection.transport().now) {
+            Action::Call(..) => {
+                let error = connection.carry_out(&mut engine, |reply| {
+                    moved += 1;
+                    assert_eq!(reply.joints(), Some([1.5; 8]));
+                });
+                assert_eq!(error, None);
+            }
+            Action::Pose { .. } if poses == 100 => engine.stop(),
+            Action::Pose { .. } => {
+                poses += 1;
+                engine.push(&Pose::j([1.5; 8])).unwrap();
+            }
+            Action::Wait(until) => connection.transport().now = until,
+            Action::Finished => break,
+            Action::Faulted => panic!("{:?}", engine.fault()),
+        }
+    }
+    let stats = engine.stats();
+    assert_eq!((stats.cycles, moved, poses), (moved, moved, 100));
+    assert!(stats.refused > 10);
+    // a slvMove is repeated within a cycle, anything else after the usual time
+    let waited = &connection.transport().waited;
+    assert!(waited.iter().all(|wait| [8, 500].map(Duration::from_millis).contains(wait)), "{waited:?}");
+    assert!(waited.contains(&Duration::from_millis(8)) && waited.contains(&Duration::from_millis(500)));
+    assert_eq!(connection.client().config().attempt_timeout, Config::UDP.attempt_timeout);
+}
+
+#[test]
+fn a_connection_that_closes_ends_the_stream() {
+    let mut engine = engine(Mode::Mode1);
+    let replies = [Reaction::Value(HResult::S_OK, 0), Reaction::Close];
+    let link = Scripted::new(512, replies);
+    let mut connection = Connection::new(link, Client::new(Config::TCP, [0; 512], [0; 512]));
+    assert_eq!(engine.poll(Instant::ZERO), Action::Call(Step::SendFormat, Channel::Motion));
+    assert_eq!(connection.carry_out(&mut engine, |_| {}), None);
+    let _ = engine.poll(Instant::ZERO);
+    assert_eq!(connection.carry_out(&mut engine, |_| {}), Some(CallError::Disconnected));
+    assert_eq!(engine.poll(Instant::ZERO), Action::Faulted);
+    let fault = engine.fault().unwrap();
+    assert_eq!((fault.step, fault.cause), (Step::ReceiveFormat, Cause::Failed(Failure::Lost)));
+    assert_eq!(connection.carry_out(&mut engine, |_| {}), None);
 }
