@@ -179,11 +179,11 @@ async fn ask(socket: &mut TcpSocket<'_>, line: &str) -> String {
         sent += socket.write(&line.as_bytes()[sent..]).await.unwrap();
     }
     let mut reply = Vec::new();
-    let mut buffer = [0; 64];
     while reply.last() != Some(&b'\r') {
-        let count = socket.read(&mut buffer).await.unwrap();
-        assert_ne!(count, 0, "closed after {reply:?}");
-        reply.extend_from_slice(&buffer[..count]);
+        // one by one, so that what comes behind the line stays for the next
+        let mut byte = [0];
+        assert_eq!(socket.read(&mut byte).await, Ok(1), "closed after {reply:?}");
+        reply.extend(byte);
     }
     String::from_utf8(reply).unwrap()
 }
@@ -208,6 +208,12 @@ fn lines_are_answered_and_a_handler_that_waits_is_asked_again() {
                 ask(&mut a, &(["X"; 456].concat() + "\r")).await,
                 ask(&mut b, &(["Y"; 300].concat() + "\r")).await
             );
+            // several lines at once
+            a.write(b"GET:RC8:1:I:\rPUT:RC8:1:I:3,5\rGET:RC8:1:I:\r").await.unwrap();
+            assert_eq!(ask(&mut a, "").await, "0,3,0\r");
+            assert_eq!(ask(&mut a, "").await, "0\r");
+            assert_eq!(ask(&mut a, "PUT:RC8:1:I:3,0\r").await, "0,3,5\r");
+            assert_eq!(ask(&mut a, "").await, "0\r");
             // one waits for what the other sets
             let (waited, put) = join(ask(&mut a, "GET:RC8:2:I:\r"), async {
                 Timer::after_millis(20).await;

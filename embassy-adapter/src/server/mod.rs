@@ -131,8 +131,12 @@ where
         // noted before the handler is asked, so that what others change meanwhile is not missed
         let seen = shared.changes();
         visit.run(transport.now());
-        if let Some(ended) = send(transport, visit.session, limits).await {
-            return ended;
+        if !visit.session.transmit().is_empty() {
+            match send(transport, visit.session, limits).await {
+                Some(ended) => return ended,
+                // what came behind the request can be looked at now
+                None => continue,
+            }
         }
         if visit.session.is_finished() {
             return Ended::Malformed;

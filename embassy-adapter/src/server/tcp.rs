@@ -37,7 +37,7 @@ impl<'s> Listener<'s> {
         M: RawMutex,
     {
         loop {
-            let session = slot.insert(make());
+            let session = renew(slot, &mut make);
             match self.serve_one(session, shared, limits).await {
                 Ok(_ended) => {
                     #[cfg(feature = "defmt")]
@@ -72,4 +72,12 @@ impl<'s> Listener<'s> {
         self.transport.close().await;
         Ok(ended)
     }
+}
+
+/// Puts a new session into its place.
+///
+/// Not inlined: a session is made on the stack, and would stay there as long as it is served.
+#[inline(never)]
+fn renew<S>(slot: &mut Option<S>, make: &mut impl FnMut() -> S) -> &mut S {
+    slot.insert(make())
 }

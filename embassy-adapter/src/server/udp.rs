@@ -149,6 +149,9 @@ impl<'a, 's, M: RawMutex, H: Handler, const N: usize, const OBJECTS: usize> UdpS
 }
 
 /// Finds a place for a peer that is not known: a free one, or that of the peer that was silent longest.
+///
+/// Not inlined: a session is made on the stack, and would stay there as long as datagrams are received.
+#[inline(never)]
 fn welcome<'p, M: RawMutex, H: Handler, const N: usize, const OBJECTS: usize>(
     peers: &'p mut [Option<UdpPeer<OBJECTS>>],
     shared: &Shared<M, H, N>,

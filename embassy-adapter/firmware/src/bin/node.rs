@@ -1,0 +1,215 @@
+//! A board on embassy-net that is a small controller itself, and a client of the robot's controller.
+//!
+//! ```text
+//!  RAC clients    ─► port 5006, 4 sessions ─┐
+//!  b-CAP clients  ─► port 5007, TCP and UDP ┴─► Node: uptime, counters, memory
+//!  the robot      ◄─ a b-CAP client that reads one variable each second
+//! ```
+#![no_std]
+#![no_main]
+
+use bcap_core::bcap::client::Config as ClientConfig;
+use bcap_core::bcap::{Client, call, server as bcap_server};
+use bcap_core::io::CallError;
+use bcap_core::rac::{self, server as rac_server};
+use bcap_embassy::net::{Connection, NetError, Options, TcpClient, TcpTransport};
+use bcap_embassy::server::{Limits, Listener, Shared, UdpPeer, UdpServer};
+use bcap_firmware::config::Config;
+use bcap_firmware::lan9118::{self, Frames, Lan9118};
+use bcap_firmware::node::Node;
+use bcap_firmware::{clock, executor, fault, stack, uart};
+use embassy_executor::{SpawnError, Spawner};
+use embassy_net::udp::{PacketMetadata, UdpSocket};
+use embassy_net::{ConfigV4, DhcpConfig, Ipv4Cidr, Runner, Stack, StackResources, StaticConfigV4};
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_time::{Duration, Instant, Timer, with_timeout};
+use static_cell::{ConstStaticCell, StaticCell};
+
+const ADDRESS: [u8; 6] = [0x02, 0, 0, 0xbc, 0xa9, 0x02];
+const RAC_SESSIONS: usize = 4;
+const BCAP_PORT: u16 = 5007;
+/// Sockets: RAC, b-CAP over TCP and UDP, the robot, DHCP.
+const SOCKETS: usize = RAC_SESSIONS + 4;
+/// How long to wait for an address before the configured one is taken.
+const DHCP_TIME: Duration = Duration::from_secs(5);
+
+type RacSession = rac_server::Session<[u8; 512]>;
+type BcapSession = bcap_server::Session<[u8; 512], [u8; 512], 16>;
+
+static NODE: Shared<CriticalSectionRawMutex, Node, SOCKETS> = Shared::new(Node::new());
+
+#[panic_handler]
+fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
+    fault::panic_logged(info)
+}
+
+#[cortex_m_rt::entry]
+fn main() -> ! {
+    uart::init();
+    if let Some(peripherals) = cortex_m::Peripherals::take() {
+        clock::init(peripherals.SYST);
+    }
+    let config = Config::load();
+    defmt::info!("robot {}, provider {=str}", defmt::Debug2Format(&config.robot), config.provider.as_str());
+    static FRAMES: ConstStaticCell<Frames> = ConstStaticCell::new(Frames::new());
+    let device = match Lan9118::new(ADDRESS, FRAMES.take()) {
+        Ok(device) => device,
+        Err(error) => {
+            defmt::error!("no Ethernet controller: {}", error);
+            fault::end()
+        }
+    };
+    executor::run(|spawner| {
+        if start(spawner, device, config).is_err() {
+            defmt::error!("there is no room for a task");
+            fault::end()
+        }
+    })
+}
+
+/// Starts all tasks.
+fn start(spawner: Spawner, device: Lan9118<'static>, config: Config) -> Result<(), SpawnError> {
+    static DEVICE: StaticCell<Lan9118<'static>> = StaticCell::new();
+    static RESOURCES: ConstStaticCell<StackResources<SOCKETS>> = ConstStaticCell::new(StackResources::new());
+    static CONFIG: StaticCell<Config> = StaticCell::new();
+    static RAC: ConstStaticCell<[[[u8; 512]; 2]; RAC_SESSIONS]> = ConstStaticCell::new([[[0; 512]; 2]; RAC_SESSIONS]);
+    // apart from their memory, which would lie in the flash as well if it were part of a value that is not all zero
+    static SESSIONS: [StaticCell<Option<RacSession>>; RAC_SESSIONS] = [const { StaticCell::new() }; RAC_SESSIONS];
+
+    let config = &*CONFIG.init(config);
+    let device = DEVICE.init(device);
+    let seed = Instant::now().as_ticks();
+    let dhcp = embassy_net::Config::dhcpv4(DhcpConfig::default());
+    let (stack, runner) = embassy_net::new(device, dhcp, RESOURCES.take(), seed);
+    spawner.spawn(run_stack(runner)?);
+    spawner.spawn(find_address(stack, config)?);
+    for (memory, session) in RAC.take().iter_mut().zip(&SESSIONS) {
+        spawner.spawn(serve_rac(stack, memory, session.init_with(|| None))?);
+    }
+    spawner.spawn(serve_bcap(stack)?);
+    spawner.spawn(serve_udp(stack)?);
+    spawner.spawn(watch_robot(stack, config)?);
+    spawner.spawn(report()?);
+    Ok(())
+}
+
+#[embassy_executor::task]
+async fn run_stack(mut runner: Runner<'static, &'static mut Lan9118<'static>>) -> ! {
+    runner.run().await
+}
+
+/// Waits for an address from the network; without one the configured address is taken.
+#[embassy_executor::task]
+async fn find_address(stack: Stack<'static>, config: &'static Config) {
+    if with_timeout(DHCP_TIME, stack.wait_config_up()).await.is_err() {
+        let (address, prefix) = config.address;
+        let address = Ipv4Cidr::new(address, prefix);
+        let gateway = Some(config.gateway);
+        defmt::warn!("no DHCP server answers, taking the configured address");
+        stack.set_config_v4(ConfigV4::Static(StaticConfigV4 { address, gateway, dns_servers: Default::default() }));
+        stack.wait_config_up().await;
+    }
+    if let Some(found) = stack.config_v4() {
+        defmt::info!("address {}", found.address);
+    }
+}
+
+#[embassy_executor::task(pool_size = RAC_SESSIONS)]
+async fn serve_rac(
+    stack: Stack<'static>,
+    memory: &'static mut [[u8; 512]; 2],
+    session: &'static mut Option<RacSession>,
+) -> ! {
+    let [rx, tx] = memory;
+    let make = || RacSession::new(rac_server::Config::TCP, [0; 512]);
+    Listener::new(stack, rac::PORT, rx, tx).run(session, make, &NODE, &Limits::default()).await
+}
+
+#[embassy_executor::task]
+async fn serve_bcap(stack: Stack<'static>) -> ! {
+    static MEMORY: ConstStaticCell<[[u8; 512]; 2]> = ConstStaticCell::new([[0; 512]; 2]);
+    static SESSION: StaticCell<Option<BcapSession>> = StaticCell::new();
+    let [rx, tx] = MEMORY.take();
+    let make = || BcapSession::new(bcap_server::Config::TCP, [0; 512], [0; 512]);
+    Listener::new(stack, BCAP_PORT, rx, tx).run(SESSION.init_with(|| None), make, &NODE, &Limits::default()).await
+}
+
+#[embassy_executor::task]
+async fn serve_udp(stack: Stack<'static>) {
+    static META: ConstStaticCell<[[PacketMetadata; 2]; 2]> = ConstStaticCell::new([[PacketMetadata::EMPTY; 2]; 2]);
+    static MEMORY: ConstStaticCell<[[u8; 1024]; 2]> = ConstStaticCell::new([[0; 1024]; 2]);
+    static PEERS: StaticCell<[Option<UdpPeer<16>>; 2]> = StaticCell::new();
+    let ([rx_meta, tx_meta], [rx, tx]) = (META.take(), MEMORY.take());
+    let mut socket = UdpSocket::new(stack, rx_meta, rx, tx_meta, tx);
+    match socket.bind(BCAP_PORT) {
+        Ok(()) => UdpServer::new(&mut socket, PEERS.init_with(|| [None, None]), &NODE, Limits::default()).run().await,
+        Err(error) => defmt::error!("UDP port {=u16}: {}", BCAP_PORT, error),
+    }
+}
+
+/// Reads a variable of the robot each second, and connects again when that fails.
+#[embassy_executor::task]
+async fn watch_robot(stack: Stack<'static>, config: &'static Config) -> ! {
+    static MEMORY: ConstStaticCell<[[u8; 512]; 4]> = ConstStaticCell::new([[0; 512]; 4]);
+    let [rx, tx, request, reply] = MEMORY.take();
+    let transport = TcpTransport::new(stack, rx, tx, Options::default());
+    let mut robot = Connection::new(transport, Client::new(ClientConfig::TCP, &mut request[..], &mut reply[..]));
+    let mut pause = 1;
+    loop {
+        let error = match connect(&mut robot, config).await {
+            Ok(()) => {
+                pause = 1;
+                read(&mut robot, config).await
+            }
+            Err(error) => CallError::Io(error),
+        };
+        NODE.update(|node| node.robot_is_up = false);
+        defmt::warn!("robot: {}, again in {=u64} s", error, pause);
+        Timer::after_secs(pause).await;
+        pause = (pause * 2).min(30);
+    }
+}
+
+async fn connect(robot: &mut TcpClient<'_, &mut [u8]>, config: &Config) -> Result<(), NetError> {
+    robot.transport().connect((*config.robot.ip(), config.robot.port())).await?;
+    robot.client().reset();
+    Ok(())
+}
+
+/// Reads the variable until something fails.
+async fn read(robot: &mut TcpClient<'_, &mut [u8]>, config: &Config) -> CallError<NetError> {
+    let read = async {
+        robot.call(call::service_start("WDT=400")).await?;
+        let controller = robot.call(call::controller_connect("", config.provider.as_str(), "localhost", "")).await?;
+        let variable = robot.call(call::controller_get_variable(controller, config.variable.as_str(), "")).await?;
+        NODE.update(|node| node.robot_is_up = true);
+        loop {
+            let value = robot.call(call::variable_get_value(variable)).await?;
+            defmt::info!("robot: {=str} = {}", config.variable.as_str(), value);
+            Timer::after_secs(1).await;
+        }
+    };
+    let ended: Result<core::convert::Infallible, _> = read.await;
+    match ended {
+        Err(error) => error,
+        Ok(never) => match never {},
+    }
+}
+
+/// Reports the state of the board now and then.
+#[embassy_executor::task]
+async fn report() -> ! {
+    loop {
+        Timer::after_secs(10).await;
+        let (answered, refused) = NODE.view(Node::counters).unwrap_or_default();
+        defmt::info!(
+            "up {=u64} s, answered {=u32}, refused {=u32}, {}, stack {=usize} of {=usize}",
+            Instant::now().as_secs(),
+            answered,
+            refused,
+            lan9118::counters(),
+            stack::high_water(),
+            stack::size(),
+        );
+    }
+}

@@ -1,0 +1,81 @@
+//! Where the peripherals of the chosen board are.
+//!
+//! ```text
+//!               CPU   Ethernet     IRQ  UART 0       clock     flash        memory
+//!  mps2-an385   M3    0x4020_0000  13   0x4000_4000  25 MHz    0            0x2000_0000
+//!  mps2-an386   M4F   0x4020_0000  13   0x4000_4000  25 MHz    0            0x2000_0000
+//!  mps2-an505   M33   0x5200_0000  48   0x5020_0000  20 MHz    0x1000_0000  0x3800_0000
+//! ```
+#![expect(unsafe_code, reason = "this is where addresses become peripherals")]
+
+use crate::mmio::Block;
+
+#[cfg(not(any(feature = "mps2-an385", feature = "mps2-an386", feature = "mps2-an505")))]
+compile_error!("choose a board: one of the features mps2-an385, mps2-an386, mps2-an505");
+#[cfg(all(feature = "mps2-an505", any(feature = "mps2-an385", feature = "mps2-an386")))]
+compile_error!("choose one board: with mps2-an505, build with --no-default-features");
+
+#[cfg(not(feature = "mps2-an505"))]
+mod chosen {
+    pub(super) const ETHERNET: usize = 0x4020_0000;
+    pub(super) const ETHERNET_IRQ: u16 = 13;
+    pub(super) const UART: usize = 0x4000_4000;
+    pub(super) const CLOCK_HZ: u32 = 25_000_000;
+}
+
+#[cfg(feature = "mps2-an505")]
+mod chosen {
+    pub(super) const ETHERNET: usize = 0x5200_0000;
+    pub(super) const ETHERNET_IRQ: u16 = 48;
+    pub(super) const UART: usize = 0x5020_0000;
+    pub(super) const CLOCK_HZ: u32 = 20_000_000;
+}
+
+// SAFETY: the LAN9118 moves frames through its registers only; it is no bus master
+pub(crate) const ETHERNET: Block = unsafe { Block::new(chosen::ETHERNET) };
+// SAFETY: a serial port without DMA
+pub(crate) const UART: Block = unsafe { Block::new(chosen::UART) };
+
+/// The interrupt of the Ethernet controller.
+pub(crate) const ETHERNET_IRQ: Irq = Irq(chosen::ETHERNET_IRQ);
+/// The clock of the core, and of SysTick.
+pub const CLOCK_HZ: u32 = chosen::CLOCK_HZ;
+
+/// The number of an interrupt of the board.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Irq(u16);
+
+// SAFETY: the numbers are those of the board, and never change
+unsafe impl cortex_m::interrupt::InterruptNumber for Irq {
+    fn number(self) -> u16 {
+        self.0
+    }
+}
+
+/// Lets an interrupt through.
+pub(crate) fn unmask(irq: Irq) {
+    // SAFETY: no critical section is made with this mask
+    unsafe { cortex_m::peripheral::NVIC::unmask(irq) };
+}
+
+/// Exceptions that the board's interrupts arrive at.
+mod exceptions {
+    use cortex_m::peripheral::NVIC;
+    use cortex_m_rt::exception;
+
+    #[exception]
+    unsafe fn DefaultHandler(number: i16) {
+        if number == super::ETHERNET_IRQ.0.cast_signed() {
+            // the line stays up until the driver has looked; it unmasks the interrupt then
+            NVIC::mask(super::ETHERNET_IRQ);
+            crate::lan9118::wake();
+        } else {
+            crate::fault::unexpected(number);
+        }
+    }
+
+    #[exception]
+    unsafe fn HardFault(frame: &cortex_m_rt::ExceptionFrame) -> ! {
+        crate::fault::hard_fault(frame)
+    }
+}

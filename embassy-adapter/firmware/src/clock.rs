@@ -1,0 +1,85 @@
+//! SysTick as a clock of microseconds, and embassy's time driver on it.
+//!
+//! The timer counts a millisecond down again and again. The time is the number of milliseconds, and within one, how far
+//! it has counted. Alarms are looked at each millisecond, and are late by that much at most.
+
+use core::cell::RefCell;
+use core::task::Waker;
+
+use cortex_m::peripheral::syst::SystClkSource;
+use cortex_m::peripheral::{SCB, SYST};
+use cortex_m_rt::exception;
+use critical_section::{CriticalSection, Mutex};
+use embassy_time_queue_utils::Queue;
+
+use crate::board::CLOCK_HZ;
+
+/// Counts of the timer in a millisecond, and in a microsecond.
+const PER_MILLI: u32 = CLOCK_HZ / 1000;
+const PER_MICRO: u32 = CLOCK_HZ / 1_000_000;
+
+struct Clock {
+    state: Mutex<RefCell<State>>,
+}
+
+struct State {
+    /// Milliseconds that have passed.
+    millis: u64,
+    /// When the next alarm is due, in microseconds.
+    due: Option<u64>,
+    queue: Queue,
+}
+
+embassy_time_driver::time_driver_impl!(static CLOCK: Clock = Clock {
+    state: Mutex::new(RefCell::new(State { millis: 0, due: None, queue: Queue::new() })),
+});
+
+/// Starts the clock.
+pub fn init(mut timer: SYST) {
+    timer.set_clock_source(SystClkSource::Core);
+    timer.set_reload(PER_MILLI - 1);
+    timer.clear_current();
+    timer.enable_counter();
+    // it loads its first count when it has begun; before that it would read as the end of a millisecond
+    while SYST::get_current() == 0 {}
+    timer.enable_interrupt();
+}
+
+impl embassy_time_driver::Driver for Clock {
+    fn now(&self) -> u64 {
+        critical_section::with(|cs| {
+            let before = SYST::get_current();
+            // the timer may have begun anew while its interrupt cannot come
+            let pending = SCB::is_pendst_pending();
+            let count = if pending { SYST::get_current() } else { before };
+            let passed = PER_MILLI.saturating_sub(1).saturating_sub(count) / PER_MICRO;
+            let millis = self.state.borrow_ref(cs).millis + u64::from(pending);
+            millis * 1000 + u64::from(passed)
+        })
+    }
+
+    fn schedule_wake(&self, at: u64, waker: &Waker) {
+        critical_section::with(|cs| {
+            let mut state = self.state.borrow_ref_mut(cs);
+            if state.queue.schedule_wake(at, waker) {
+                state.due = Some(state.due.map_or(at, |due| due.min(at)));
+            }
+        });
+    }
+}
+
+impl Clock {
+    fn tick(&self, cs: CriticalSection<'_>) {
+        let mut state = self.state.borrow_ref_mut(cs);
+        state.millis += 1;
+        let now = state.millis * 1000;
+        if state.due.is_some_and(|due| now >= due) {
+            state.due = Some(state.queue.next_expiration(now));
+        }
+    }
+}
+
+#[exception]
+fn SysTick() {
+    critical_section::with(|cs| CLOCK.tick(cs));
+}

@@ -1,0 +1,35 @@
+//! An executor of embassy's that sleeps with WFI.
+//!
+//! The one that comes with embassy waits for events (WFE), which an emulator turns into a busy loop.
+#![expect(unsafe_code, reason = "the executor is polled, and found by the name of a symbol")]
+
+use core::sync::atomic::{AtomicBool, Ordering};
+
+use embassy_executor::{Spawner, raw};
+use static_cell::StaticCell;
+
+static EXECUTOR: StaticCell<raw::Executor> = StaticCell::new();
+/// Whether a task has been woken since the executor looked last.
+static WOKEN: AtomicBool = AtomicBool::new(false);
+
+#[unsafe(export_name = "__pender")]
+fn pender(_context: *mut ()) {
+    WOKEN.store(true, Ordering::Release);
+}
+
+/// Runs tasks for ever; there can be one executor.
+pub fn run(start: impl FnOnce(Spawner)) -> ! {
+    let executor = EXECUTOR.init_with(|| raw::Executor::new(core::ptr::null_mut()));
+    start(executor.spawner());
+    loop {
+        WOKEN.store(false, Ordering::Release);
+        // SAFETY: `poll` is called here only, and this function never returns
+        unsafe { executor.poll() };
+        // an interrupt that comes between the look and the sleep ends the sleep, though it is served after it
+        critical_section::with(|_| {
+            if !WOKEN.load(Ordering::Acquire) {
+                cortex_m::asm::wfi();
+            }
+        });
+    }
+}

@@ -1,0 +1,465 @@
+//! The Ethernet controller LAN9118, and its seams to embassy-net and smoltcp.
+//!
+//! ```text
+//!  the wire ─► RX FIFO ──────── read a word at a time ─────► `received`   ─► RxToken
+//!  the wire ◄─ TX FIFO ◄─────── written a word at a time ─── `to_send`    ◄─ TxToken
+//!                 interrupt: a frame has come, or there is room again ─► WAKER
+//! ```
+//!
+//! * A frame is copied out of the controller before its token is made, and into it when the token is consumed. The two
+//!   tokens that are handed out together borrow different fields, so neither can see the other's bytes.
+//! * A token to send is only made when the controller has room for the largest frame, so sending never waits.
+//! * The interrupt handler masks the interrupt and wakes the driver; the driver unmasks it when it has found nothing
+//!   more to do. A frame that comes in between keeps the interrupt pending and is not missed.
+
+use core::sync::atomic::{AtomicU32, Ordering};
+use core::task::{Context, Waker};
+
+use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState};
+use embassy_sync::waitqueue::AtomicWaker;
+use embassy_time::{Duration, Instant};
+use smoltcp::phy::{self, Device, DeviceCapabilities, Medium};
+
+use crate::board::{self, ETHERNET};
+
+/// Registers, in bytes from the base.
+mod register {
+    pub(super) const RX_DATA: usize = 0x00;
+    pub(super) const TX_DATA: usize = 0x20;
+    pub(super) const RX_STATUS: usize = 0x40;
+    pub(super) const TX_STATUS: usize = 0x48;
+    pub(super) const IRQ_CFG: usize = 0x54;
+    pub(super) const INT_STS: usize = 0x58;
+    pub(super) const INT_EN: usize = 0x5c;
+    pub(super) const BYTE_TEST: usize = 0x64;
+    pub(super) const FIFO_INT: usize = 0x68;
+    pub(super) const TX_CFG: usize = 0x70;
+    pub(super) const HW_CFG: usize = 0x74;
+    pub(super) const RX_FIFO_INF: usize = 0x7c;
+    pub(super) const TX_FIFO_INF: usize = 0x80;
+    pub(super) const RX_DROP: usize = 0xa0;
+    pub(super) const MAC_CSR_CMD: usize = 0xa4;
+    pub(super) const MAC_CSR_DATA: usize = 0xa8;
+}
+
+/// Registers behind `MAC_CSR_CMD`.
+mod mac {
+    pub(super) const CR: u32 = 1;
+    pub(super) const ADDR_HIGH: u32 = 2;
+    pub(super) const ADDR_LOW: u32 = 3;
+    pub(super) const MII_ACC: u32 = 6;
+    pub(super) const MII_DATA: u32 = 7;
+}
+
+/// Registers of the PHY.
+mod phy_register {
+    pub(super) const BASIC_CONTROL: u32 = 0;
+    pub(super) const BASIC_STATUS: u32 = 1;
+}
+
+const BYTE_TEST: u32 = 0x8765_4321;
+const SOFT_RESET: u32 = 1;
+/// 5 KiB for frames to send, the rest of the 16 KiB for frames received.
+const HW_CFG: u32 = 5 << 16 | 1 << 20;
+/// Interrupt output: enabled, active high, push-pull.
+const IRQ_CFG: u32 = 1 << 8 | 1 << 4 | 1;
+/// A frame has been received; there is room for a frame to send.
+const RX_STATUS_LEVEL: u32 = 1 << 3;
+const TX_DATA_LEVEL: u32 = 1 << 9;
+/// Levels: more than 24 blocks of 64 bytes free to send, more than 0 frames received.
+const FIFO_INT: u32 = 24 << 24;
+const TX_ON: u32 = 1 << 1;
+const MAC_RX_TX_FULL_DUPLEX: u32 = 1 << 2 | 1 << 3 | 1 << 20;
+const MAC_BUSY: u32 = 1 << 31;
+const MAC_READ: u32 = 1 << 30;
+const MII_BUSY: u32 = 1;
+const PHY_ADDRESS: u32 = 1 << 11;
+const PHY_NEGOTIATE: u32 = 1 << 12 | 1 << 9;
+const PHY_LINK_UP: u32 = 1 << 2;
+const RX_ERROR: u32 = 1 << 15;
+const TX_FIRST_AND_LAST: u32 = 1 << 13 | 1 << 12;
+
+/// Bytes of the largest frame, without its checksum.
+const MAX_FRAME: usize = 1514;
+/// The checksum that the controller leaves behind a received frame.
+const CHECKSUM: usize = 4;
+/// Bytes of the TX FIFO that a frame takes beside its own: two commands, and padding to words.
+const TX_OVERHEAD: usize = 8 + 3;
+/// How often the controller is asked for a register that is not ready before it counts as broken.
+const PATIENCE: usize = 100_000;
+/// How often the PHY is asked whether the link is up.
+const LINK_INTERVAL: Duration = Duration::from_millis(250);
+
+static WAKER: AtomicWaker = AtomicWaker::new();
+static RECEIVED: AtomicU32 = AtomicU32::new(0);
+static SENT: AtomicU32 = AtomicU32::new(0);
+static DROPPED: AtomicU32 = AtomicU32::new(0);
+
+/// Wakes the driver; the interrupt handler calls it.
+pub(crate) fn wake() {
+    WAKER.wake();
+}
+
+/// Why there is no controller to work with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
+pub enum InitError {
+    /// The register that should read 0x87654321 does not; this is no LAN9118.
+    NotFound(u32),
+    /// A reset, or an access to the MAC or the PHY, did not end.
+    Stuck,
+}
+
+/// Frames that the controller has passed on and dropped.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, defmt::Format)]
+pub struct Counters {
+    /// Frames received.
+    pub received: u32,
+    /// Frames sent.
+    pub sent: u32,
+    /// Frames dropped: damaged, too long, or overrun in the controller.
+    pub dropped: u32,
+}
+
+/// Returns what has passed since the start.
+#[must_use]
+pub fn counters() -> Counters {
+    Counters {
+        received: RECEIVED.load(Ordering::Relaxed),
+        sent: SENT.load(Ordering::Relaxed),
+        dropped: DROPPED.load(Ordering::Relaxed),
+    }
+}
+
+/// Memory for the frame that was received last, and for the one that is being made.
+#[derive(Debug)]
+pub struct Frames {
+    received: [u8; MAX_FRAME],
+    to_send: [u8; MAX_FRAME],
+}
+
+impl Frames {
+    /// Makes memory without a frame in it.
+    #[must_use]
+    pub const fn new() -> Self {
+        Self { received: [0; MAX_FRAME], to_send: [0; MAX_FRAME] }
+    }
+}
+
+impl Default for Frames {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+/// The controller; there can be one.
+#[derive(Debug)]
+pub struct Lan9118<'m> {
+    address: [u8; 6],
+    frames: &'m mut Frames,
+    link: PhyLink,
+}
+
+/// The link as the PHY told last.
+#[derive(Debug)]
+struct PhyLink {
+    up: bool,
+    asked: Option<Instant>,
+}
+
+impl<'m> Lan9118<'m> {
+    /// Resets the controller and gives it an address.
+    ///
+    /// # Errors
+    ///
+    /// An [`InitError`] when it does not answer as it should.
+    pub fn new(address: [u8; 6], frames: &'m mut Frames) -> Result<Self, InitError> {
+        let found = ETHERNET.read::<{ register::BYTE_TEST }>();
+        if found != BYTE_TEST {
+            return Err(InitError::NotFound(found));
+        }
+        ETHERNET.write::<{ register::HW_CFG }>(SOFT_RESET);
+        wait_until(|| ETHERNET.read::<{ register::HW_CFG }>() & SOFT_RESET == 0)?;
+        ETHERNET.write::<{ register::HW_CFG }>(HW_CFG);
+
+        let [a, b, c, d, e, f] = address;
+        write_mac(mac::ADDR_LOW, u32::from_le_bytes([a, b, c, d]))?;
+        write_mac(mac::ADDR_HIGH, u32::from_le_bytes([e, f, 0, 0]))?;
+        write_phy(phy_register::BASIC_CONTROL, PHY_NEGOTIATE)?;
+        write_mac(mac::CR, MAC_RX_TX_FULL_DUPLEX)?;
+        ETHERNET.write::<{ register::TX_CFG }>(TX_ON);
+
+        ETHERNET.write::<{ register::FIFO_INT }>(FIFO_INT);
+        ETHERNET.write::<{ register::INT_STS }>(u32::MAX);
+        ETHERNET.write::<{ register::IRQ_CFG }>(IRQ_CFG);
+        ETHERNET.write::<{ register::INT_EN }>(RX_STATUS_LEVEL);
+        let link = PhyLink { up: false, asked: None };
+        Ok(Self { address, frames, link })
+    }
+
+    /// Returns the hardware address.
+    #[must_use]
+    pub const fn address(&self) -> [u8; 6] {
+        self.address
+    }
+
+    /// Copies the next good frame out of the controller, and returns its length.
+    fn take_frame(&mut self) -> Option<usize> {
+        DROPPED.fetch_add(ETHERNET.read::<{ register::RX_DROP }>(), Ordering::Relaxed);
+        while frames_waiting() > 0 {
+            let status = ETHERNET.read::<{ register::RX_STATUS }>();
+            let with_checksum = to_usize(status >> 16 & 0x3fff);
+            let len = with_checksum.saturating_sub(CHECKSUM);
+            for word in 0..with_checksum.div_ceil(4) {
+                let bytes = ETHERNET.read::<{ register::RX_DATA }>().to_le_bytes();
+                for (to, from) in self.frames.received.iter_mut().skip(word * 4).zip(bytes) {
+                    *to = from;
+                }
+            }
+            if status & RX_ERROR == 0 && (1..=MAX_FRAME).contains(&len) {
+                RECEIVED.fetch_add(1, Ordering::Relaxed);
+                return Some(len);
+            }
+            DROPPED.fetch_add(1, Ordering::Relaxed);
+        }
+        None
+    }
+
+    /// Looks for a frame; when there is none, arranges to be woken.
+    fn poll_frame(&mut self, waker: &Waker) -> Option<usize> {
+        if let Some(len) = self.take_frame() {
+            return Some(len);
+        }
+        WAKER.register(waker);
+        ETHERNET.write::<{ register::INT_STS }>(RX_STATUS_LEVEL);
+        // one that came before the flag was cleared raises no interrupt
+        let found = self.take_frame();
+        board::unmask(board::ETHERNET_IRQ);
+        found
+    }
+
+    /// Tells whether there is room for a frame; when there is none, arranges to be woken.
+    fn poll_room(&mut self, waker: &Waker) -> bool {
+        if has_room() {
+            return true;
+        }
+        WAKER.register(waker);
+        ETHERNET.write::<{ register::INT_STS }>(TX_DATA_LEVEL);
+        ETHERNET.write::<{ register::INT_EN }>(RX_STATUS_LEVEL | TX_DATA_LEVEL);
+        let room = has_room();
+        board::unmask(board::ETHERNET_IRQ);
+        room
+    }
+
+    fn tokens(&mut self, received: usize) -> (RxToken<'_>, TxToken<'_>) {
+        let Frames { received: frame, to_send } = &mut *self.frames;
+        let frame = frame.get_mut(..received).unwrap_or_default();
+        (RxToken { frame }, TxToken { frame: to_send })
+    }
+
+    fn tx_token(&mut self) -> TxToken<'_> {
+        TxToken { frame: &mut self.frames.to_send }
+    }
+}
+
+/// A frame that has been received.
+#[derive(Debug)]
+pub struct RxToken<'a> {
+    frame: &'a mut [u8],
+}
+
+/// Room for a frame that is to be sent.
+#[derive(Debug)]
+pub struct TxToken<'a> {
+    frame: &'a mut [u8; MAX_FRAME],
+}
+
+impl TxToken<'_> {
+    /// Lets `fill` write the frame, and sends it.
+    fn send<R>(self, len: usize, fill: impl FnOnce(&mut [u8]) -> R) -> R {
+        // both stacks were told the largest frame; one that would be longer is cut, and dropped by whoever gets it
+        let frame = self.frame.get_mut(..len.min(MAX_FRAME)).unwrap_or_default();
+        let result = fill(frame);
+        forget_sent();
+        let length = u32::try_from(frame.len()).unwrap_or_default();
+        ETHERNET.write::<{ register::TX_DATA }>(TX_FIRST_AND_LAST | length);
+        ETHERNET.write::<{ register::TX_DATA }>(length);
+        for chunk in frame.chunks(4) {
+            let mut word = [0; 4];
+            for (to, from) in word.iter_mut().zip(chunk) {
+                *to = *from;
+            }
+            ETHERNET.write::<{ register::TX_DATA }>(u32::from_le_bytes(word));
+        }
+        SENT.fetch_add(1, Ordering::Relaxed);
+        result
+    }
+}
+
+impl embassy_net_driver::RxToken for RxToken<'_> {
+    fn consume<R, F: FnOnce(&mut [u8]) -> R>(self, read: F) -> R {
+        read(self.frame)
+    }
+}
+
+impl embassy_net_driver::TxToken for TxToken<'_> {
+    fn consume<R, F: FnOnce(&mut [u8]) -> R>(self, len: usize, fill: F) -> R {
+        self.send(len, fill)
+    }
+}
+
+impl phy::RxToken for RxToken<'_> {
+    fn consume<R, F: FnOnce(&[u8]) -> R>(self, read: F) -> R {
+        read(self.frame)
+    }
+}
+
+impl phy::TxToken for TxToken<'_> {
+    fn consume<R, F: FnOnce(&mut [u8]) -> R>(self, len: usize, fill: F) -> R {
+        self.send(len, fill)
+    }
+}
+
+impl Driver for Lan9118<'_> {
+    type RxToken<'a>
+        = RxToken<'a>
+    where
+        Self: 'a;
+    type TxToken<'a>
+        = TxToken<'a>
+    where
+        Self: 'a;
+
+    fn receive(&mut self, cx: &mut Context<'_>) -> Option<(RxToken<'_>, TxToken<'_>)> {
+        // a frame stays in the controller until its answer has room
+        if !self.poll_room(cx.waker()) {
+            return None;
+        }
+        let len = self.poll_frame(cx.waker())?;
+        Some(self.tokens(len))
+    }
+
+    fn transmit(&mut self, cx: &mut Context<'_>) -> Option<TxToken<'_>> {
+        self.poll_room(cx.waker()).then(|| self.tx_token())
+    }
+
+    fn link_state(&mut self, cx: &mut Context<'_>) -> LinkState {
+        let now = Instant::now();
+        if self.link.asked.is_none_or(|asked| now >= asked + LINK_INTERVAL) {
+            self.link.asked = Some(now);
+            self.link.up = is_link_up();
+        }
+        // nothing wakes the driver when the link changes, so it has itself woken to ask
+        embassy_time_driver::schedule_wake((now + LINK_INTERVAL).as_ticks(), cx.waker());
+        if self.link.up { LinkState::Up } else { LinkState::Down }
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        let mut capabilities = Capabilities::default();
+        capabilities.max_transmission_unit = MAX_FRAME;
+        capabilities.max_burst_size = Some(1);
+        capabilities
+    }
+
+    fn hardware_address(&self) -> HardwareAddress {
+        HardwareAddress::Ethernet(self.address)
+    }
+}
+
+impl Device for Lan9118<'_> {
+    type RxToken<'a>
+        = RxToken<'a>
+    where
+        Self: 'a;
+    type TxToken<'a>
+        = TxToken<'a>
+    where
+        Self: 'a;
+
+    fn receive(&mut self, _: smoltcp::time::Instant) -> Option<(RxToken<'_>, TxToken<'_>)> {
+        if !has_room() {
+            return None;
+        }
+        let len = self.poll_frame(Waker::noop())?;
+        Some(self.tokens(len))
+    }
+
+    fn transmit(&mut self, _: smoltcp::time::Instant) -> Option<TxToken<'_>> {
+        has_room().then(|| self.tx_token())
+    }
+
+    fn capabilities(&self) -> DeviceCapabilities {
+        let mut capabilities = DeviceCapabilities::default();
+        capabilities.medium = Medium::Ethernet;
+        capabilities.max_transmission_unit = MAX_FRAME;
+        capabilities.max_burst_size = Some(1);
+        capabilities
+    }
+}
+
+fn frames_waiting() -> u32 {
+    ETHERNET.read::<{ register::RX_FIFO_INF }>() >> 16 & 0xff
+}
+
+fn has_room() -> bool {
+    to_usize(ETHERNET.read::<{ register::TX_FIFO_INF }>() & 0xffff) >= MAX_FRAME + TX_OVERHEAD
+}
+
+/// Takes the notes about frames that have left out of the controller, which stops when it is full of them.
+fn forget_sent() {
+    for _ in 0..ETHERNET.read::<{ register::TX_FIFO_INF }>() >> 16 & 0xff {
+        let _ = ETHERNET.read::<{ register::TX_STATUS }>();
+    }
+}
+
+/// Asks the PHY; a PHY that does not answer has no link.
+fn is_link_up() -> bool {
+    // the bit stays low after a failure until it is read, so it is read twice
+    let _ = read_phy(phy_register::BASIC_STATUS);
+    read_phy(phy_register::BASIC_STATUS).is_ok_and(|status| status & PHY_LINK_UP != 0)
+}
+
+fn read_phy(register: u32) -> Result<u32, InitError> {
+    write_mac(mac::MII_ACC, PHY_ADDRESS | register << 6 | MII_BUSY)?;
+    mii_ready()?;
+    read_mac(mac::MII_DATA)
+}
+
+fn write_phy(register: u32, value: u32) -> Result<(), InitError> {
+    write_mac(mac::MII_DATA, value)?;
+    write_mac(mac::MII_ACC, PHY_ADDRESS | register << 6 | 1 << 1 | MII_BUSY)?;
+    mii_ready()
+}
+
+fn mii_ready() -> Result<(), InitError> {
+    for _ in 0..PATIENCE {
+        if read_mac(mac::MII_ACC)? & MII_BUSY == 0 {
+            return Ok(());
+        }
+    }
+    Err(InitError::Stuck)
+}
+
+fn read_mac(register: u32) -> Result<u32, InitError> {
+    ETHERNET.write::<{ register::MAC_CSR_CMD }>(MAC_BUSY | MAC_READ | register);
+    mac_ready()?;
+    Ok(ETHERNET.read::<{ register::MAC_CSR_DATA }>())
+}
+
+fn write_mac(register: u32, value: u32) -> Result<(), InitError> {
+    ETHERNET.write::<{ register::MAC_CSR_DATA }>(value);
+    ETHERNET.write::<{ register::MAC_CSR_CMD }>(MAC_BUSY | register);
+    mac_ready()
+}
+
+fn mac_ready() -> Result<(), InitError> {
+    wait_until(|| ETHERNET.read::<{ register::MAC_CSR_CMD }>() & MAC_BUSY == 0)
+}
+
+fn wait_until(mut done: impl FnMut() -> bool) -> Result<(), InitError> {
+    (0..PATIENCE).any(|_| done()).then_some(()).ok_or(InitError::Stuck)
+}
+
+/// Widens a number that fits: the board has 32 bits.
+const fn to_usize(n: u32) -> usize {
+    n as usize
+}

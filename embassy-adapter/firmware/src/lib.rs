@@ -1,0 +1,28 @@
+//! What the images share: a board that QEMU emulates, with its Ethernet controller, clock, serial port and executor.
+//!
+//! | module       | what it is                                                                        |
+//! |--------------|-----------------------------------------------------------------------------------|
+//! | [`board`]    | where the peripherals of the chosen board are                                     |
+//! | [`lan9118`]  | the Ethernet controller, and its seams to embassy-net and smoltcp                 |
+//! | [`clock`]    | SysTick, and embassy's time driver on it                                          |
+//! | [`executor`] | an executor that sleeps with WFI                                                  |
+//! | [`uart`]     | the serial port, and defmt's frames over it                                       |
+//! | [`config`]   | the block of flash that a host tool patches: addresses and names                  |
+//! | [`stack`]    | how much of the stack has ever been in use                                        |
+//! | [`node`]     | the board as a controller: uptime, counters and some memory                       |
+//! | [`fault`]    | what happens after a panic or a fault                                             |
+//!
+//! Unsafe code stands where the hardware leaves no choice, and nowhere else: access to registers (`mmio`), the symbols
+//! that the linker looks for, and the handlers of exceptions.
+#![no_std]
+
+pub mod board;
+pub mod clock;
+pub mod config;
+pub mod executor;
+pub mod fault;
+pub mod lan9118;
+mod mmio;
+pub mod node;
+pub mod stack;
+pub mod uart;

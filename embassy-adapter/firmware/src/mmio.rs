@@ -1,0 +1,40 @@
+//! The registers of peripherals, and other memory that changes behind the compiler's back.
+#![expect(unsafe_code, reason = "registers are reached through their addresses")]
+
+/// A block of 32-bit registers at a fixed address.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Block {
+    base: usize,
+}
+
+impl Block {
+    /// Names the block of registers at `base`.
+    ///
+    /// # Safety
+    ///
+    /// The address must be that of a peripheral, and reading or writing its registers must not change memory that Rust
+    /// knows of (a DMA controller would).
+    pub(crate) const unsafe fn new(base: usize) -> Self {
+        Self { base }
+    }
+
+    /// Reads the register `offset` bytes into the block.
+    pub(crate) fn read<const OFFSET: usize>(self) -> u32 {
+        const { assert!(OFFSET.is_multiple_of(4) && OFFSET < 0x1000) };
+        // SAFETY: the address is an aligned one inside of the peripheral's page, by `new` and the assertion
+        unsafe { core::ptr::with_exposed_provenance::<u32>(self.base + OFFSET).read_volatile() }
+    }
+
+    /// Writes the register `offset` bytes into the block.
+    pub(crate) fn write<const OFFSET: usize>(self, value: u32) {
+        const { assert!(OFFSET.is_multiple_of(4) && OFFSET < 0x1000) };
+        // SAFETY: as for `read`
+        unsafe { core::ptr::with_exposed_provenance_mut::<u32>(self.base + OFFSET).write_volatile(value) };
+    }
+}
+
+/// Reads a constant that may have been changed in the image after it was built.
+pub(crate) fn read_patched<const N: usize>(constant: &'static [u8; N]) -> [u8; N] {
+    // SAFETY: a reference is valid to read from
+    unsafe { core::ptr::from_ref(constant).read_volatile() }
+}
