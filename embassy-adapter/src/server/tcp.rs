@@ -78,6 +78,6 @@ impl<'s> Listener<'s> {
 ///
 /// Not inlined: a session is made on the stack, and would stay there as long as it is served.
 #[inline(never)]
-fn renew<S>(slot: &mut Option<S>, make: &mut impl FnMut() -> S) -> &mut S {
+fn renew<'s, S>(slot: &'s mut Option<S>, make: &mut impl FnMut() -> S) -> &'s mut S {
     slot.insert(make())
 }
