@@ -15,6 +15,7 @@ use crate::kinematics::Joints;
 use crate::motion::Ended;
 use crate::objects::Objects;
 use crate::robot::{Robot, Servo};
+use crate::scenario::{Effect, Fate, Running, Scenario};
 use crate::slave::{Formats, SlaveCounters, SlaveCycle, Stream};
 use crate::tasks::{Task, TaskStatus};
 use crate::value::Value;
@@ -70,6 +71,9 @@ pub struct Controller {
     pub(crate) slave_formats: BTreeMap<PeerId, Formats>,
     pub(crate) slave_counters: SlaveCounters,
     pub(crate) slave_record: VecDeque<SlaveCycle>,
+    pub(crate) scenario: Running,
+    /// What the scenario has in store for the call that each client waits for.
+    pub(crate) fates: BTreeMap<PeerId, Fate>,
 }
 
 impl Controller {
@@ -94,6 +98,8 @@ impl Controller {
             slave_formats: BTreeMap::new(),
             slave_counters: SlaveCounters::default(),
             slave_record: VecDeque::new(),
+            scenario: Running::default(),
+            fates: BTreeMap::new(),
             config,
         }
     }
@@ -101,6 +107,15 @@ impl Controller {
     /// Lets time pass: motions, slave mode and tasks go on, the motor comes on.
     pub fn advance(&mut self, now: Instant) {
         let now = self.now.max(now);
+        while let Some((at, effect)) = self.scenario.due(now) {
+            self.pass(self.now.max(at));
+            self.happen(effect);
+        }
+        self.pass(now);
+    }
+
+    /// Lets time pass in which the scenario does nothing of its own, but at cycles of slave mode.
+    fn pass(&mut self, now: Instant) {
         self.pass_slave_cycles(now);
         self.now = now;
         for task in &mut self.tasks {
@@ -115,12 +130,31 @@ impl Controller {
         }
     }
 
+    /// Plays a scenario of faults, from its beginning, instead of the one that was played.
+    pub fn play(&mut self, scenario: Scenario) {
+        self.scenario = Running::new(scenario);
+    }
+
+    /// Makes happen what a scenario says that concerns no call.
+    pub(crate) fn happen(&mut self, effect: Effect) {
+        match effect {
+            Effect::Error(code) => self.raise(code),
+            Effect::EmergencyStop(pressed) => self.press_emergency_stop(pressed),
+            Effect::LinkLoss(time) => self.scenario.lose_link(time, self.now),
+            Effect::Refuse(_) | Effect::Delay(_) | Effect::Wire(_) => {}
+        }
+    }
+
     /// Presses or releases the emergency stop.
     ///
     /// Pressed, it switches the motor off, stops motion and tasks at once and is an error ([`EMERGENCY_STOP`]) that
     /// cannot be cleared before it is released.
     pub fn emergency_stop(&mut self, pressed: bool, now: Instant) {
         self.advance(now);
+        self.press_emergency_stop(pressed);
+    }
+
+    fn press_emergency_stop(&mut self, pressed: bool) {
         if pressed && !self.emergency_stop {
             self.torque_off = self.config.profile.has_safe_torque_off();
             self.raise(EMERGENCY_STOP);
@@ -251,6 +285,7 @@ impl Controller {
         self.sessions.remove(&peer);
         self.waits.remove(&peer);
         self.slave_formats.remove(&peer);
+        self.fates.remove(&peer);
         let streams = self.robot.slave.as_ref().is_some_and(|stream| stream.peer == peer);
         if streams || self.robot.motion().is_some_and(|m| m.peer == peer) {
             self.halt();

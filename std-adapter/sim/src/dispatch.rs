@@ -43,6 +43,29 @@ impl Handler for Controller {
     fn call(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
         self.advance(now);
         reply.clear();
+        if !request.resumed {
+            self.begin_fate(peer, request);
+        }
+        self.meet_fate(peer, request, reply)
+    }
+
+    /// A motion that was waited for goes on; only its end is not told any more.
+    fn abandoned(&mut self, peer: PeerId, now: Instant) {
+        self.advance(now);
+        self.waits.remove(&peer);
+        self.fates.remove(&peer);
+        self.abandon_slave_move(peer);
+    }
+
+    fn left(&mut self, peer: PeerId, now: Instant) {
+        self.advance(now);
+        self.forget(peer);
+    }
+}
+
+impl Controller {
+    /// Carries a request out, or goes on with it, whatever the scenario says.
+    pub(crate) fn carry_out(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>) -> Outcome {
         match self.dispatch(peer, request) {
             Ok(Answer::Done) => Outcome::Done(HResult::S_OK),
             Ok(Answer::Value(value)) => Outcome::Done(Self::set_reply(reply, &value)),
@@ -53,18 +76,6 @@ impl Handler for Controller {
             Ok(Answer::Code(code)) | Err(code) => Outcome::Done(code),
             Ok(Answer::Wait(at)) => Outcome::Wait(at),
         }
-    }
-
-    /// A motion that was waited for goes on; only its end is not told any more.
-    fn abandoned(&mut self, peer: PeerId, now: Instant) {
-        self.advance(now);
-        self.waits.remove(&peer);
-        self.abandon_slave_move(peer);
-    }
-
-    fn left(&mut self, peer: PeerId, now: Instant) {
-        self.advance(now);
-        self.forget(peer);
     }
 }
 

@@ -14,6 +14,7 @@
 //! * Slave mode with its three modes, buffers, formats, limits and errors.
 //! * Tasks that run on the clock that is given.
 //! * The emergency stop, the mode switch, the executable token and any error, for a test to throw in.
+//! * Faults by a scenario, on the wire as well as in the controller.
 //!
 //! # What answers `E_NOTIMPL`
 //!
@@ -35,7 +36,7 @@
 //! * Variable_GetDateTime tells when the variable was last read or written through this handle.
 //!
 //! The tables of names, types and answers stand with the code: [`variables`], [`system`], [`arm`], [`execute`],
-//! [`pose`], [`kinematics`], [`slave`], [`tasks`].
+//! [`pose`], [`kinematics`], [`scenario`], [`slave`], [`tasks`].
 //!
 //! # Examples
 //!
@@ -65,6 +66,7 @@ mod objects;
 mod options;
 pub mod pose;
 mod robot;
+pub mod scenario;
 pub mod slave;
 pub mod system;
 pub mod tasks;
@@ -75,6 +77,7 @@ pub use config::{Config, Mode, Permission, Profile, Token};
 pub use controller::{Controller, EMERGENCY_STOP};
 pub use errors::ErrorEntry;
 pub use execute::Bit;
+pub use scenario::Scenario;
 pub use slave::{SlaveConfig, SlaveCounters, SlaveCycle, SlaveFormats, SpeedSetting};
 pub use tasks::TaskStatus;
 pub use variables::Sizes;

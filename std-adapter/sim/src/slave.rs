@@ -349,7 +349,8 @@ impl Controller {
     /// Lets the cycles of slave mode pass that begin by `until`.
     pub(crate) fn pass_slave_cycles(&mut self, until: Instant) {
         while let Some(stream) = &mut self.robot.slave {
-            stream.skip_idle(until, &mut self.slave_counters);
+            let most = self.scenario.quiet_cycles(stream.cycle);
+            stream.skip_idle(until, most, &mut self.slave_counters);
             if !stream.is_due(until) {
                 break;
             }
@@ -359,6 +360,10 @@ impl Controller {
     }
 
     fn slave_cycle(&mut self) {
+        let Some(stream) = &mut self.robot.slave else { return };
+        for effect in self.scenario.at_cycle(stream.cycle + 1) {
+            self.happen(effect);
+        }
         let Some(stream) = &mut self.robot.slave else { return };
         let ticked = match stream.tick(&mut self.slave_counters) {
             Ok(ticked) => ticked,

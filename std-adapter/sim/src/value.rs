@@ -77,7 +77,7 @@ pub(crate) fn keep(value: &Variant<'_>) -> Result<Vec<u8>, HResult> {
 }
 
 /// Views a value that [`keep`] has encoded.
-fn kept(bytes: &[u8]) -> Variant<'_> {
+pub(crate) fn kept(bytes: &[u8]) -> Variant<'_> {
     let limits = Limits { depth: MAX_DEPTH, ..Limits::STREAM };
     Variant::decode(bytes, &limits, Strictness::Strict).unwrap_or(Variant::Empty)
 }

@@ -245,13 +245,13 @@ impl Stream {
         Ok(Ticked { took: taken.is_some(), stored: withheld.is_some() })
     }
 
-    /// Lets the cycles pass in which nothing can happen, up to the last that begins by `until`.
-    pub(super) fn skip_idle(&mut self, until: Instant, counters: &mut SlaveCounters) {
+    /// Lets the cycles pass in which nothing can happen: those that begin by `until`, and no more than `most`.
+    pub(super) fn skip_idle(&mut self, until: Instant, most: u64, counters: &mut SlaveCounters) {
         if !self.buffer.is_empty() || self.is_moving() || self.leaving {
             return;
         }
         let cycles = until.saturating_since(self.began).as_micros() / CYCLE.as_micros();
-        let cycles = u64::try_from(cycles).unwrap_or(u64::MAX);
+        let cycles = u64::try_from(cycles).unwrap_or(u64::MAX).min(most);
         if cycles > 0 {
             self.from = self.to;
             (self.speed, self.acceleration) = ([0.0; 8], [0.0; 8]);

@@ -1,0 +1,254 @@
+//! Scenarios: each fault at its place, in the controller and on the wire, the same in every run.
+
+mod common;
+
+use bcap_core::bcap::call;
+use bcap_core::bcap::server::{Config as Server, Session};
+use bcap_core::bcap::{Decoder, FrameWriter};
+use bcap_core::handler::{Outcome, PeerId};
+use bcap_core::hresult::HResult;
+use bcap_core::time::Instant;
+use bcap_sim::scenario::Delivery;
+use bcap_sim::{Config, Controller, EMERGENCY_STOP, Scenario};
+
+use common::{Client, World, code, ok};
+
+const START: [f64; 8] = [0.0, 45.0, 90.0, 0.0, 45.0, 0.0, 0.0, 0.0];
+
+fn j1(angle: f64) -> [f64; 8] {
+    let mut joints = START;
+    joints[0] = angle;
+    joints
+}
+
+fn scenario(text: &str) -> Scenario {
+    Scenario::parse(text).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// A client in slave mode, with a scenario that begins now.
+fn slave(mode: i32, text: &str) -> (World, Client) {
+    let mut world = World::new();
+    let client = world.mover(1);
+    assert_eq!(world.robot(client, "slvChangeMode", mode), ok(&()));
+    world.sim.play(scenario(text));
+    (world, client)
+}
+
+fn slv_move(world: &mut World, client: Client, angle: f64) -> HResult {
+    world.call(client.peer, call::robot_execute(client.robot, "slvMove", j1(angle))).0
+}
+
+fn errors(world: &World) -> Vec<HResult> {
+    world.sim.errors().map(|e| e.code).collect()
+}
+
+#[test]
+fn the_third_call_of_a_command_is_refused_and_not_carried_out() {
+    let text = "[[fault]]\nwhen = { call = 3, of = 'slvmove' }\nthen = { refuse = '0x83501032' }";
+    let (mut world, client) = slave(0x102, text);
+    assert_eq!(world.robot(client, "slvGetMode", ()), ok(&0x102), "another command is not counted");
+    let codes: Vec<_> = (1..=4).map(|n| slv_move(&mut world, client, f64::from(n) * 0.1)).collect();
+    assert_eq!(codes, [HResult::S_OK, HResult::S_OK, HResult::E_SLVMODE_ON, HResult::S_OK]);
+    assert_eq!(world.sim.slave_counters().overwritten, 2, "three poses came");
+}
+
+#[test]
+fn a_storm_of_full_buffers_has_a_beginning_and_an_end() {
+    let text = "[[fault]]\nwhen = { call = 2, to = 4, of = 'Robot_Execute' }\nthen = { refuse = 'E_BUF_FULL' }";
+    let (mut world, client) = slave(0x102, text);
+    let codes: Vec<_> = (1..=5).map(|_| slv_move(&mut world, client, 0.0)).collect();
+    let full = HResult::E_BUF_FULL;
+    assert_eq!(codes, [HResult::S_OK, full, full, full, HResult::S_OK]);
+}
+
+#[test]
+fn an_error_strikes_at_its_cycle() {
+    for step in [1, 8, 1000] {
+        let text = "[[fault]]\nwhen = { cycle = 50 }\nthen = { error = '0x84204043' }";
+        let (mut world, _) = slave(0x202, text);
+        let entered = world.now;
+        while errors(&world).is_empty() {
+            world.pass(step);
+        }
+        assert_eq!(errors(&world), [HResult::from_u32(0x8420_4043)]);
+        assert_eq!(world.sim.slave_mode(), 0);
+        let at = world.sim.errors().next().unwrap().at;
+        assert_eq!(at.saturating_since(entered).as_millis(), 50 * 8, "in steps of {step} ms");
+    }
+}
+
+#[test]
+fn a_moving_robot_stands_where_the_fault_met_it() {
+    let text = "[[fault]]\nwhen = { cycle = 3 }\nthen = { emergency_stop = true }";
+    let (mut world, client) = slave(0x002, text);
+    for angle in [0.2, 0.4, 0.6] {
+        assert!(slv_move(&mut world, client, angle).is_ok());
+    }
+    world.pass(1000);
+    assert_eq!((errors(&world), world.sim.axes()[0]), (vec![EMERGENCY_STOP], 0.4));
+    assert!(world.sim.emergency_stopped() && !world.sim.is_moving());
+    let last = world.sim.slave_record().last().unwrap();
+    assert_eq!((last.cycle, last.axes[0]), (2, 0.4), "nothing was commanded afterwards");
+}
+
+#[test]
+fn the_emergency_stop_is_pressed_and_released_by_the_clock() {
+    let text = "[[fault]]\nwhen = { at_ms = 900 }\nthen = { emergency_stop = false }
+                [[fault]]\nwhen = { at_ms = 500 }\nthen = { emergency_stop = true }";
+    let mut world = World::new();
+    world.sim.play(scenario(text));
+    world.pass(499);
+    assert!(!world.sim.emergency_stopped());
+    world.pass(1);
+    assert!(world.sim.emergency_stopped());
+    world.pass(399);
+    assert!(world.sim.emergency_stopped());
+    world.pass(5000);
+    assert!(!world.sim.emergency_stopped());
+    assert_eq!(world.sim.errors().next().unwrap().at, Instant::from_millis(500));
+}
+
+#[test]
+fn an_error_at_a_call_comes_before_it() {
+    let text = "[[fault]]\nwhen = { call = 2, of = 'slvMove' }\nthen = { error = 'E_COMMAND_POSITION_GEN_STOPPED' }";
+    let (mut world, client) = slave(0x102, text);
+    assert_eq!(slv_move(&mut world, client, 0.0), HResult::S_OK);
+    assert_eq!(slv_move(&mut world, client, 0.0), HResult::E_SLVMODE_OFF);
+    assert_eq!(errors(&world), [HResult::E_COMMAND_POSITION_GEN_STOPPED]);
+}
+
+#[test]
+fn an_answer_that_is_delayed_is_the_answer_of_its_time() {
+    let text = "[[fault]]\nwhen = { every = 2, of = 'slvMove' }\nthen = { delay_ms = 20 }";
+    let (mut world, client) = slave(0x102, text);
+    let call = call::robot_execute(client.robot, "slvMove", START);
+    assert_eq!(world.call(client.peer, &call), ok(&START));
+    let due = Instant::from_micros(world.now.as_micros() + 20_000);
+    let moved = call::robot_execute(client.robot, "slvMove", j1(0.4));
+    assert_eq!(world.poll(client.peer, &moved, false).0, Outcome::Wait(due));
+    world.pass(19);
+    assert_eq!(world.again(client.peer, &moved).0, Outcome::Wait(due));
+    assert_eq!(world.sim.axes(), j1(0.4), "it was carried out at once");
+    world.pass(1);
+    assert_eq!(world.again(client.peer, &moved), (Outcome::Done(HResult::S_OK), common::value(&START)));
+    assert_eq!(world.call(client.peer, &call), ok(&j1(0.4)), "the third is not delayed");
+}
+
+#[test]
+fn a_lost_link_carries_nothing_and_the_buffer_runs_empty() {
+    let text = "[[fault]]\nwhen = { cycle = 2 }\nthen = { link_loss_ms = 100 }";
+    let (mut world, client) = slave(0x002, text);
+    for angle in [0.2, 0.4, 0.6] {
+        assert!(slv_move(&mut world, client, angle).is_ok());
+    }
+    let (mut entered, mut frame) = (world.now, [0_u8; 16]);
+    world.pass(15);
+    assert_eq!(world.sim.deliver(client.peer, &mut frame), Delivery::Send);
+    world.pass(1);
+    entered = entered + bcap_sim::slave::CYCLE * 2;
+    assert_eq!(entered, world.now);
+    assert_eq!(world.sim.deliver(client.peer, &mut frame), Delivery::Drop, "not even S_EXECUTING");
+    let late = call::robot_execute(client.robot, "slvMove", j1(0.8));
+    let restored = entered + std::time::Duration::from_millis(100);
+    assert_eq!(world.poll(client.peer, &late, false).0, Outcome::Wait(restored));
+    world.pass(50);
+    assert_eq!((errors(&world), world.sim.axes()[0]), (vec![HResult::E_COMMAND_BUFFER_EMPTY], 0.6));
+    // what came during the loss is never answered
+    world.pass(50);
+    assert!(matches!(world.again(client.peer, &late).0, Outcome::Done(_)));
+    assert_eq!(world.sim.deliver(client.peer, &mut frame), Delivery::Drop);
+    assert_eq!(slv_move(&mut world, client, 0.0), HResult::E_SLVMODE_OFF);
+    assert_eq!(world.sim.deliver(client.peer, &mut frame), Delivery::Send);
+}
+
+/// Sends Service_Start through a server's session, and returns what is to be done with the reply's bytes.
+fn wire(text: &str) -> (Delivery, Vec<u8>) {
+    let mut sim = Controller::new(Config::default());
+    sim.play(scenario(text));
+    let mut session = Session::<_, _, 8>::new(Server::TCP, [0; 128], [0; 128]);
+    let mut memory = [0; 64];
+    let mut request = FrameWriter::new(&mut memory).unwrap();
+    request.argument(&"").unwrap();
+    let request = request.finish(0x0102, 0, 1).unwrap();
+    session.receive_buffer()[..request.len()].copy_from_slice(request);
+    session.received(request.len());
+    while session.run(&mut sim, PeerId(1), Instant::ZERO).is_some() {}
+    let mut bytes = session.transmit().to_vec();
+    (sim.deliver(PeerId(1), &mut bytes), bytes)
+}
+
+#[test]
+fn answers_suffer_on_the_wire() {
+    let fault = |then: &str| wire(&format!("[[fault]]\nwhen = {{ call = 1 }}\nthen = '{then}'"));
+    let (delivery, intact) = wire("");
+    assert_eq!((delivery, intact.len()), (Delivery::Send, 16));
+    assert_eq!(fault("drop").0, Delivery::Drop);
+    assert_eq!(fault("disconnect").0, Delivery::Disconnect);
+    let (delivery, bytes) = fault("wrong_serial");
+    let frame = Decoder::TCP.decode_datagram(&bytes).unwrap();
+    assert_eq!((delivery, frame.serial, frame.code), (Delivery::Send, 0x4102, 0));
+    let (delivery, bytes) = fault("corrupt");
+    assert_eq!(delivery, Delivery::Send);
+    let wrong: u32 = bytes.iter().zip(&intact).map(|(a, b)| (a ^ b).count_ones()).sum();
+    assert_eq!(wrong, 1);
+    assert_eq!(fault("corrupt").1, bytes, "the same seed, the same bit");
+}
+
+#[test]
+fn chance_is_the_same_for_the_same_seed() {
+    let run = |seed: u32| {
+        let text = format!(
+            "seed = {seed}\n[[fault]]\nwhen = {{ chance = 0.25, of = 'slvMove' }}\nthen = {{ refuse = 'E_FAIL' }}"
+        );
+        let (mut world, client) = slave(0x102, &text);
+        (0..400).map(|_| slv_move(&mut world, client, 0.0).is_err()).collect::<Vec<_>>()
+    };
+    let refused = run(7).iter().filter(|refused| **refused).count();
+    assert!((60..140).contains(&refused), "{refused} of 400");
+    assert_eq!(run(7), run(7));
+    assert_ne!(run(7), run(8));
+}
+
+#[test]
+fn several_faults_of_one_call_all_happen() {
+    let text = "[[fault]]\nwhen = { call = 1 }\nthen = { refuse = 'E_FAIL' }
+                [[fault]]\nwhen = { call = 1 }\nthen = { delay_ms = 5 }
+                [[fault]]\nwhen = { call = 1 }\nthen = 'drop'";
+    let (mut world, client) = slave(0x102, text);
+    let call = call::robot_execute(client.robot, "slvMove", START);
+    world.begin(client.peer, &call);
+    assert_eq!(
+        world.sim.deliver(client.peer, &mut [0; 16]),
+        Delivery::Send,
+        "what is sent meanwhile is not the answer"
+    );
+    assert_eq!(world.run_again(client.peer, &call), code(HResult::E_FAIL));
+    assert_eq!(world.sim.deliver(client.peer, &mut [0; 16]), Delivery::Drop);
+}
+
+#[test]
+fn what_is_no_scenario_says_where_and_why() {
+    for (text, problem) in [
+        ("seed = -1", "line 1"),
+        ("[[fault]]\nwhen = { call = 1 }", "missing field `then`"),
+        ("[[fault]]\nwhen = { cal = 1 }\nthen = 'drop'", "unknown field `cal`"),
+        ("[[fault]]\nwhen = { call = 1 }\nthen = 'dorp'", "unknown variant `dorp`"),
+        ("[[fault]]\nwhen = { call = 1, every = 2 }\nthen = 'drop'", "fault 1: `when` needs exactly one of"),
+        ("[[fault]]\nwhen = {}\nthen = 'drop'", "fault 1: `when` needs exactly one of"),
+        ("[[fault]]\nwhen = { call = 0 }\nthen = 'drop'", "fault 1: calls are counted from 1"),
+        ("[[fault]]\nwhen = { call = 3, to = 2 }\nthen = 'drop'", "fault 1: calls are counted from 1"),
+        ("[[fault]]\nwhen = { every = 2, to = 2 }\nthen = 'drop'", "fault 1: `to` is the end of a range"),
+        ("[[fault]]\nwhen = { every = 0 }\nthen = 'drop'", "fault 1: `every` is 1 or more"),
+        ("[[fault]]\nwhen = { chance = 1.5 }\nthen = 'drop'", "fault 1: `chance` is 0 to 1"),
+        ("[[fault]]\nwhen = { cycle = 0 }\nthen = { error = 'E_FAIL' }", "fault 1: cycles are counted from 1"),
+        ("[[fault]]\nwhen = { cycle = 1 }\nthen = 'drop'", "fault 1: what concerns the answer of a call"),
+        ("[[fault]]\nwhen = { at_ms = 1, of = 'x' }\nthen = { error = 'E_FAIL' }", "fault 1: `of` says what calls"),
+        (
+            "[[fault]]\nwhen = { call = 1 }\nthen = 'drop'\n[[fault]]\nwhen = { call = 1 }\nthen = { refuse = 'E_FOO' }",
+            "fault 2: a code is a known name",
+        ),
+    ] {
+        let error = Scenario::parse(text).unwrap_err().to_string();
+        assert!(error.contains(problem), "{text:?}: {error}");
+    }
+}
