@@ -7,19 +7,13 @@
 //!               └───────────────────────────────────────────────────────────────────────────────────────┘
 //!                  ──► Finished, Faulted
 //!
-//!  Starting ─► Streaming ─► Leaving ─► Finished         stop(): Streaming slows down, repeats the last pose, leaves
+//!  Starting ─► Streaming ─► Leaving ─► Finished         stop(), finish(): the last pose is repeated
 //!     │  ▲         │           │
 //!     ▼  │         ▼           ▼
 //!  Diagnosing ─► Faulted ─► (recover()) ─► Recovering ─► Starting
 //! ```
 //!
-//! | mode | when the next pose is sent                                                                                |
-//! |------|-----------------------------------------------------------------------------------------------------------|
-//! | 0    | at once after S_OK, which fills the buffer; one cycle after the last one's time after S_BUF_FULL; the same pose again a cycle after E_BUF_FULL |
-//! | 1    | one cycle after the last one's time; cycles that were missed are left out                                 |
-//! | 2    | at once: the answer is withheld until there is room                                                       |
-//!
-//! Times are absolute: a cycle that was late does not shift those after it. What is guaranteed:
+//! What is guaranteed:
 //!
 //! * A pose that is outside of the limits, of another layout, or not finite is never sent.
 //! * Nothing moves the robot after an error: from then on the engine asks, and leaves Slave Mode if it is on.
@@ -34,6 +28,7 @@ use super::fault::{Cause, ControllerError, ERRORS_MAX, Failure, Fault, RecoverEr
 use super::format::FormatError;
 use super::limits::{self, PoseError, Velocity};
 use super::mode::{Mode, PoseType};
+use super::pacer::Pacer;
 use super::pose::{Delta, ExtendedAxes, Pose, half_turn};
 use super::reply::MoveReply;
 use super::request::{Channel, Request, Step};
@@ -50,7 +45,7 @@ use crate::variant::Variant;
 pub enum Action {
     /// Make the call of [`Engine::request`], and hand its reply or failure in. Until then this is repeated.
     Call(Step, Channel),
-    /// [`push`](Engine::push) a pose, or [`stop`](Engine::stop).
+    /// [`push`](Engine::push) a pose, or end with [`stop`](Engine::stop) or [`finish`](Engine::finish).
     Pose {
         /// When it will be sent; a pose that comes later makes the cycle late.
         due: Instant,
@@ -187,100 +182,6 @@ pub struct Engine<const N: usize = MOVE_FRAME> {
     /// The error to ask for next.
     error_index: i32,
     stats: Stats,
-}
-
-/// When the next pose is sent.
-#[derive(Clone, Copy, Debug)]
-struct Pacer {
-    /// Whether a pose is in the frame that the controller has not taken.
-    loaded: bool,
-    /// When it is to be sent.
-    due: Instant,
-    /// Whether `due` is a cycle after the one before, and not as soon as possible.
-    steady: bool,
-    /// Poses that the controller has taken of this stream.
-    taken: u32,
-    last_sent: Instant,
-    /// Since when the controller has answered E_BUF_FULL.
-    refused_since: Option<Instant>,
-    /// When the controller's buffer will be empty.
-    empty_at: Option<Instant>,
-}
-
-impl Pacer {
-    const fn new(now: Instant) -> Self {
-        Self { loaded: false, due: now, steady: false, taken: 0, last_sent: now, refused_since: None, empty_at: None }
-    }
-
-    /// Takes note that the pose is sent now.
-    fn sending(&mut self, config: &Config, stats: &mut Stats, now: Instant) {
-        if self.steady {
-            let (behind, cycle) = (micros(now.saturating_since(self.due)), micros(config.cycle));
-            let interval = micros(now.saturating_since(self.last_sent));
-            let (late, off) = match config.format.mode.mode {
-                Mode::Mode0 | Mode::Mode1 => (behind, behind),
-                Mode::Mode2 => (interval.saturating_sub(cycle), interval.abs_diff(cycle)),
-            };
-            stats.jitter.record(off);
-            if late > micros(config.late_after) {
-                stats.late = stats.late.saturating_add(1);
-            }
-            if let Some(margin) = self.margin(now) {
-                stats.least_margin = Some(stats.least_margin.map_or(margin, |least| least.min(margin)));
-            }
-            // the grid stays where it is; cycles that have passed are left out
-            let missed = behind.checked_div(cycle).unwrap_or(0);
-            self.due = self.due.saturating_add(config.cycles(missed));
-        } else {
-            self.due = now;
-        }
-        self.last_sent = now;
-    }
-
-    /// Takes note that the pose was not stored; `true` when that has gone on for too long.
-    fn refused(&mut self, config: &Config, now: Instant) -> bool {
-        let since = *self.refused_since.get_or_insert(now);
-        self.due = now.saturating_add(config.cycle);
-        self.steady = true;
-        now.saturating_since(since) >= config.stall
-    }
-
-    /// Takes note that the pose was stored, and schedules the next one.
-    fn stored(&mut self, config: &Config, full: bool, now: Instant) {
-        self.loaded = false;
-        self.refused_since = None;
-        self.taken = self.taken.saturating_add(1);
-        let mode = config.format.mode.mode;
-        match mode {
-            Mode::Mode0 if full => {
-                self.due = self.due.saturating_add(config.cycle);
-                self.steady = true;
-            }
-            Mode::Mode0 => {
-                self.due = now;
-                self.steady = false;
-            }
-            Mode::Mode1 => {
-                self.due = self.due.saturating_add(config.cycle);
-                self.steady = true;
-            }
-            Mode::Mode2 => {
-                self.due = now;
-                // the controller may take one while the buffer is filled, and the first that is withheld comes within a
-                // cycle of its own
-                self.steady = self.taken > mode.buffer().saturating_add(2);
-            }
-        }
-        if mode != Mode::Mode1 {
-            let most = now.saturating_add(config.cycles(mode.buffer()));
-            let one_more = self.empty_at.unwrap_or(now).max(now).saturating_add(config.cycle);
-            self.empty_at = Some(if full { most } else { one_more.min(most) });
-        }
-    }
-
-    fn margin(&self, now: Instant) -> Option<Duration> {
-        self.empty_at.map(|at| at.saturating_since(now))
-    }
 }
 
 impl<const N: usize> Engine<N> {
@@ -444,15 +345,26 @@ impl<const N: usize> Engine<N> {
         self.frame.set_user_io(bytes)
     }
 
-    /// Ends the stream in an orderly way.
+    /// Ends a stream in motion.
     ///
     /// The robot goes on along its present direction while it slows down, as gently as the limits and
     /// [`Config::ramp`] want; then the last pose is repeated until the robot stands, Slave Mode is left and the arm given
     /// back. After a fault the arm is given back, and nothing else is done.
     pub fn stop(&mut self) {
+        self.end(self.config.ramp);
+    }
+
+    /// Ends a stream whose poses have come to rest: as [`stop`](Self::stop), but the last pose is where the robot ends.
+    ///
+    /// Only when the limits do not allow to end there at once does it slow down first.
+    pub fn finish(&mut self) {
+        self.end(Duration::ZERO);
+    }
+
+    fn end(&mut self, ramp: Duration) {
         match self.phase {
             Phase::Starting => self.stop_wanted = true,
-            Phase::Streaming if self.stop.is_none() => self.begin_stop(),
+            Phase::Streaming if self.stop.is_none() => self.begin_stop(ramp),
             Phase::Faulted => self.give_arm(),
             _ => {}
         }
@@ -781,10 +693,10 @@ impl<const N: usize> Engine<N> {
         }
     }
 
-    fn begin_stop(&mut self) {
+    fn begin_stop(&mut self, ramp: Duration) {
         let cycle = self.config.seconds();
         let by_limits = limits::slow_down(&self.config.limits, cycle, &self.velocity);
-        let ramp = self.config.ramp.as_secs_f64();
+        let ramp = ramp.as_secs_f64();
         let by_ramp = if ramp > cycle { cycle / ramp } else { 1.0 };
         let moving = self.velocity.iter().any(|step| *step != 0.0);
         let speed = if moving { 1.0 } else { 0.0 };

@@ -30,6 +30,7 @@ mod fault;
 mod format;
 mod limits;
 mod mode;
+mod pacer;
 mod pose;
 mod reply;
 mod request;

@@ -787,3 +787,24 @@ fn what_is_not_asked_for_changes_nothing() {
     assert_eq!(rig.engine.poll(rig.now), Action::Finished);
     assert_eq!(rig.names().iter().filter(|name| **name == "slvSendFormat").count(), 1);
 }
+
+#[test]
+fn finishing_ends_in_the_last_pose_if_the_limits_allow_it() {
+    for (acceleration, ends) in [(f64::INFINITY, true), (100.0, false)] {
+        let limits = AxisLimits { speed: [f64::INFINITY; 8], acceleration: [acceleration; 8] };
+        let mut rig = Rig::new(Config { limits, ramp: Duration::from_secs(1), ..config(Mode::Mode2) }, &[0.0; 8]);
+        let (mut at, mut speed, mut count) = (0.0, 0.0, 0);
+        let end = rig.run(|rig| {
+            count += 1;
+            speed += 0.005;
+            at += speed;
+            if count > 10 {
+                rig.engine.finish();
+            }
+            (count <= 10).then(|| joints(at))
+        });
+        assert_eq!(end, Action::Finished);
+        let (last, commanded) = (rig.engine.last_pose().as_slice()[0], 0.005 * 55.0);
+        assert_eq!((last - commanded).abs() < 1e-12, ends, "{last}");
+    }
+}
