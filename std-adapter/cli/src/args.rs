@@ -2,6 +2,7 @@
 #![allow(rustdoc::broken_intra_doc_links, reason = "these comments are the help text, where brackets are brackets")]
 
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::time::Duration;
 
 use bcap_sim::Profile;
@@ -10,6 +11,7 @@ use clap_complete::Shell;
 
 use crate::error::Failure;
 use crate::frame::Role;
+use crate::gateway::AllowPut;
 use crate::target::Target;
 
 /// Talks to DENSO robot controllers over b-CAP and RAC, and takes their traffic apart.
@@ -85,6 +87,7 @@ pub(crate) enum Command {
     Exec(Exec),
     Rac(Rac),
     Sim(Sim),
+    Gateway(Gateway),
     Demo(Demo),
     Decode(Decode),
     Encode(Encode),
@@ -284,6 +287,44 @@ impl From<Model> for Profile {
             Model::Cobotta => Self::Cobotta,
         }
     }
+}
+
+/// Lets PLCs that speak RAC read, and if rules allow it write, the variables of a robot that speaks b-CAP
+///
+/// Prints one line, `ready rac=IP:PORT`, when it listens, then the audit log: one JSON object a line for every request and
+/// whenever the robot comes or goes. While the robot is away every request is answered with E_NOT_CONNECTED at once. SIGINT
+/// and SIGTERM end it with 0.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+A file of rules; whatever is left out stays as it is by default: everything may be read, nothing written.
+  convert = true                            # a value of another type is converted where nothing is lost
+  rate = { per_second = 50, burst = 10 }    # for each client
+  [[get]]
+  kind = \"P\"
+  [[put]]
+  kind = \"I\"
+  index = [0, 99]                           # or one number
+  values = [-10, 10]                        # or a list of ranges, one for each element
+Examples:
+  bcap gateway --robot tcp:192.168.0.1
+  bcap gateway --robot tcp:192.168.0.1 --allow-put I/0-99,IO/128-143 --allow-put F/5=0..1
+  bcap gateway --rac [::]:5006 --robot tcp:192.168.0.1 --rules rules.toml --audit /var/log/gateway.jsonl")]
+pub(crate) struct Gateway {
+    /// Where RAC listens
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:5006")]
+    pub(crate) rac: SocketAddr,
+
+    /// What clients may do, in TOML
+    #[arg(long, value_name = "FILE")]
+    pub(crate) rules: Option<PathBuf>,
+
+    /// Allows variables to be written, in addition to the rules: KIND[/FIRST[-LAST]][=MIN..MAX]
+    #[arg(long, value_name = "VARIABLES", value_delimiter = ',', value_parser = AllowPut::parse)]
+    pub(crate) allow_put: Vec<AllowPut>,
+
+    /// Where the audit log goes; a file is appended to, - is the standard output
+    #[arg(long, value_name = "FILE", default_value = "-")]
+    pub(crate) audit: PathBuf,
 }
 
 /// Shows a session with a virtual controller, every frame decoded beside its bytes

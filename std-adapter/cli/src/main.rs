@@ -8,6 +8,7 @@ mod demo;
 mod dissect;
 mod error;
 mod frame;
+mod gateway;
 mod hex;
 mod item;
 mod json;
@@ -49,6 +50,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Exec(args) => call::exec(args, &cli.link, cli.json),
         Command::Rac(args) => rac::rac(args, &cli.link, cli.json),
         Command::Sim(args) => sim::sim(args),
+        Command::Gateway(args) => gateway::gateway(args, &cli.link),
         Command::Demo(_) => demo::demo(),
         Command::Decode(args) => decode::decode(args, cli.json),
         Command::Encode(args) => decode::encode(args),

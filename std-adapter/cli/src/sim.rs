@@ -52,7 +52,7 @@ pub(crate) async fn listen(
 }
 
 /// Tells why an address cannot be listened on.
-fn taken(option: &str, address: SocketAddr, error: &io::Error) -> Failure {
+pub(crate) fn taken(option: &str, address: SocketAddr, error: &io::Error) -> Failure {
     Failure::Connection {
         message: format!("cannot listen on {address}: {error}"),
         hint: format!("choose another address with {option}; port 0 takes a free one"),

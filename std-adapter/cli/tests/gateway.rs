@@ -1,0 +1,317 @@
+//! `bcap gateway` between `bcap rac` and `bcap sim`, as processes: what a PLC meets.
+
+mod common;
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use common::{Run, bcap, command};
+use serde_json::Value;
+
+const NOT_CONNECTED: &str = "-2147481342\r";
+
+/// A command that runs until it is told to end; it is killed when the test is over.
+struct Server {
+    child: Child,
+    out: BufReader<ChildStdout>,
+    ready: String,
+}
+
+impl Server {
+    fn start(args: &[&str]) -> Self {
+        let mut child = command(args).stdout(Stdio::piped()).spawn().unwrap();
+        let mut out = BufReader::new(child.stdout.take().unwrap());
+        let mut ready = String::new();
+        out.read_line(&mut ready).unwrap();
+        Self { child, out, ready }
+    }
+
+    /// Returns the address behind `key` in the line that it printed when it was ready.
+    fn address(&self, key: &str) -> String {
+        let mut words = self.ready.trim_end().split(' ');
+        assert_eq!(words.next(), Some("ready"), "{}", self.ready);
+        words.find_map(|word| word.strip_prefix(key)?.strip_prefix('=')).unwrap().to_owned()
+    }
+
+    fn sim(bcap: &str) -> Self {
+        Self::start(&["sim", "--bcap", bcap, "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"])
+    }
+
+    fn gateway(robot: &str, more: &[&str]) -> Self {
+        let robot = format!("tcp:{robot}");
+        Self::start(&[&["gateway", "--rac", "127.0.0.1:0", "--robot", &robot], more].concat())
+    }
+
+    /// Reads the log up to the next line of this kind.
+    fn log(&mut self, event: &str) -> Value {
+        loop {
+            let mut line = String::new();
+            assert!(self.out.read_line(&mut line).unwrap() > 0, "no {event} in the log");
+            let object: Value = serde_json::from_str(&line).unwrap();
+            if object["event"] == event {
+                return object;
+            }
+        }
+    }
+
+    fn rac(&self, args: &[&str]) -> Run {
+        bcap(&[&["rac"], args, &["--robot", &self.address("rac")]].concat())
+    }
+
+    /// Ends it, as a service manager does, and returns the rest of what it printed.
+    #[cfg(unix)]
+    fn end(mut self, signal: &str) -> String {
+        assert!(Command::new("kill").args([signal, &self.child.id().to_string()]).status().unwrap().success());
+        let mut rest = String::new();
+        self.out.read_to_string(&mut rest).unwrap();
+        assert_eq!(self.child.wait().unwrap().code(), Some(0));
+        rest
+    }
+}
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A PLC: a connection on which lines are sent and answers read.
+struct Plc {
+    stream: BufReader<TcpStream>,
+}
+
+impl Plc {
+    fn connect(gateway: &Server) -> Self {
+        let stream = TcpStream::connect(gateway.address("rac")).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+        Self { stream: BufReader::new(stream) }
+    }
+
+    fn ask(&mut self, line: &str) -> String {
+        self.stream.get_mut().write_all(line.as_bytes()).unwrap();
+        let mut answer = Vec::new();
+        self.stream.read_until(b'\r', &mut answer).unwrap();
+        String::from_utf8(answer).unwrap()
+    }
+}
+
+/// A gateway whose robot is there.
+fn up(robot: &str, more: &[&str]) -> Server {
+    let mut gateway = Server::gateway(robot, more);
+    gateway.log("robot_up");
+    gateway
+}
+
+/// A variable of each kind, and a value.
+const KINDS: [(&str, &str); 9] = [
+    ("I1", "-5"),
+    ("F2", "-0.1"),
+    ("D3", "0.1"),
+    ("S4", "hello, world"),
+    ("V5", "-1.5,0,0.25"),
+    ("P6", "400,0,300.5,180,0,180,5"),
+    ("J7", "1,2,3,4,5,6,7,8"),
+    ("T8", "1,2,3,4,5,6,7,8,9,5"),
+    ("IO128", "-1"),
+];
+
+#[test]
+fn all_kinds_are_read_and_none_is_written_unless_a_rule_allows_it() {
+    let sim = Server::sim("127.0.0.1:0");
+    let robot = sim.address("bcap");
+    let mut read_only = up(&robot, &[]);
+    let writing = up(&robot, &["--allow-put", "I,F,D,S,V", "--allow-put", "P,J,T,IO/128-143"]);
+    for (name, value) in KINDS {
+        let refused = read_only.rac(&["put", name, value]);
+        assert!(refused.code == 1 && refused.err.contains("E_ACCESSDENIED"), "{refused:?}");
+        let put = writing.rac(&["put", name, value]);
+        assert_eq!((put.out, put.code), (format!("{name} = {value}\n"), 0), "{}", put.err);
+        for gateway in [&read_only, &writing] {
+            let get = gateway.rac(&["get", name]);
+            assert_eq!((get.out, get.code), (format!("{name} = {value}\n"), 0), "{}", get.err);
+        }
+        // and the robot has it
+        let get = bcap(&["get", name, "--robot", &format!("tcp:{robot}")]);
+        assert_eq!(get.out, format!("{name} = {value}\n"));
+    }
+    assert!(writing.rac(&["put", "IO144", "-1"]).err.contains("E_ACCESSDENIED"));
+    let missing = read_only.rac(&["get", "I100"]);
+    assert!(missing.code == 1 && missing.err.contains("DISP_E_BADINDEX"), "{missing:?}");
+    let refused = read_only.log("refused");
+    assert_eq!(refused["line"], "PUT:RC8:1:I:3,-5");
+    assert_eq!(refused["name"], "E_ACCESSDENIED");
+    assert!(refused["client"].as_str().unwrap().starts_with("127.0.0.1:"));
+}
+
+#[test]
+fn a_file_of_rules_bounds_what_is_written() {
+    let path = std::env::temp_dir().join(format!("bcap-gateway-{}.toml", std::process::id()));
+    let rules = "\
+        convert = true\n\
+        [[put]]\nkind = \"I\"\nindex = [10, 19]\nvalues = [-10, 10]\n\
+        [[put]]\nkind = \"F\"\n\
+        [[get]]\nkind = \"I\"\n";
+    std::fs::write(&path, rules).unwrap();
+    let sim = Server::sim("127.0.0.1:0");
+    let gateway = up(&sim.address("bcap"), &["--rules", path.to_str().unwrap()]);
+    let mut plc = Plc::connect(&gateway);
+    for (line, answer) in [
+        ("PUT:RC8:10:I:3,-10\r", "0\r"),
+        ("PUT:RC8:10:I:3,11\r", "-2147024809\r"),
+        ("PUT:RC8:20:I:3,1\r", "-2147024891\r"),
+        ("PUT:RC8:1:D:5,1\r", "-2147024891\r"),
+        ("PUT:RC8:1:F:3,5\r", "0\r"),
+        ("PUT:RC8:1:F:5,0.1\r", "-2147418109\r"),
+        ("GET:RC8:10:I:\r", "0,3,-10\r"),
+        ("GET:RC8:1:F:\r", "-2147024891\r"),
+    ] {
+        assert_eq!(plc.ask(line), answer, "{line}");
+    }
+    std::fs::write(&path, "puts = 3\n").unwrap();
+    let run = bcap(&["gateway", "--rules", path.to_str().unwrap()]);
+    assert!(run.code == 2 && run.err.contains("puts"), "{run:?}");
+    std::fs::remove_file(&path).unwrap();
+    let run = bcap(&["gateway", "--allow-put", "X"]);
+    assert!(run.code == 2 && run.err.contains("I F D S V P J T IO"), "{run:?}");
+    let run = bcap(&["gateway", "--robot", "udp:127.0.0.1"]);
+    assert!(run.code == 2 && run.err.contains("over TCP"), "{run:?}");
+}
+
+#[test]
+fn wrong_lines_are_answered_and_the_session_lives() {
+    let sim = Server::sim("127.0.0.1:0");
+    let mut gateway = up(&sim.address("bcap"), &[]);
+    let mut plc = Plc::connect(&gateway);
+    let long = format!("GET:RC8:1:I:{}\r", " ".repeat(287));
+    assert_eq!(long.len(), 300);
+    for (line, answer, reason) in [
+        ("HELLO\r", "-2147418107\r", "column 1"),
+        ("GET:RC9:1:I:\r", "-2147418107\r", "column 5"),
+        ("GET:RC8:x:I:\r", "-2147024809\r", "column 9"),
+        ("PUT:RC8:1:I:3,x\r", "-2147418109\r", "column 15"),
+        (long.as_str(), "-2147418095\r", "256"),
+    ] {
+        assert_eq!(plc.ask(line), answer, "{line}");
+        assert_eq!(plc.ask("GET:RC8:1:I:\r"), "0,3,0\r", "after {line}");
+        let refused = gateway.log("refused");
+        let logged = refused["line"].as_str().unwrap();
+        assert!(line.starts_with(logged) && logged.len() >= (line.len() - 1).min(256), "{refused}");
+        let because = refused["reason"].as_str().unwrap();
+        assert!(because.contains(reason), "{because}");
+    }
+}
+
+#[test]
+fn while_the_robot_is_away_the_error_comes_at_once_and_then_service_resumes() {
+    // a port that nobody listens on, and where the robot will be
+    let robot = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
+    let mut gateway = Server::gateway(&robot, &["--allow-put", "I"]);
+    assert_eq!(gateway.log("robot_down")["retry_ms"], 500);
+    let mut plcs = [(); 3].map(|()| Plc::connect(&gateway));
+    for plc in &mut plcs {
+        assert_eq!(plc.ask("GET:RC8:1:I:\r"), NOT_CONNECTED);
+    }
+    for round in 1..=2 {
+        let sim = Server::sim(&robot);
+        gateway.log("robot_up");
+        for (n, plc) in plcs.iter_mut().enumerate() {
+            assert_eq!(plc.ask(&format!("PUT:RC8:{n}:I:3,{round}{n}\r")), "0\r");
+        }
+        for (n, plc) in plcs.iter_mut().enumerate() {
+            assert_eq!(plc.ask(&format!("GET:RC8:{n}:I:\r")), format!("0,3,{round}{n}\r"));
+        }
+        drop(sim);
+        let down = gateway.log("robot_down");
+        assert_eq!((&down["reason"], &down["retry_ms"]), (&"no connection".into(), &500.into()));
+        let since = Instant::now();
+        for plc in &mut plcs {
+            assert_eq!(plc.ask("GET:RC8:1:I:\r"), NOT_CONNECTED);
+        }
+        // far from any timeout, however slow the machine is
+        assert!(since.elapsed() < Duration::from_secs(2));
+    }
+}
+
+/// Many clients, each with its own variables, while the robot dies and comes back: an answer is that of its own request.
+#[test]
+fn no_answer_is_another_clients() {
+    let robot = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
+    let sim = Server::sim(&robot);
+    let mut gateway = up(&robot, &["--allow-put", "I"]);
+    let clients: Vec<_> = (0..4)
+        .map(|n| {
+            let mut plc = Plc::connect(&gateway);
+            std::thread::spawn(move || {
+                let (mut served, mut away) = (0, 0);
+                for request in 0..400 {
+                    let (index, value) = (n * 20 + request % 20, n * 1000 + request);
+                    let put = plc.ask(&format!("PUT:RC8:{index}:I:3,{value}\r"));
+                    let get = plc.ask(&format!("GET:RC8:{index}:I:\r"));
+                    let whole = put == "0\r" && get == format!("0,3,{value}\r");
+                    // a robot that has come back between the two begins with 0
+                    let cut = [put.as_str(), get.as_str()].contains(&NOT_CONNECTED) || get == "0,3,0\r";
+                    assert!(whole || cut, "{put} {get} for {value}");
+                    if whole {
+                        served += 1;
+                    } else {
+                        away += 1;
+                        std::thread::sleep(Duration::from_millis(20));
+                    }
+                }
+                (served, away)
+            })
+        })
+        .collect();
+    for _ in 0..10 {
+        gateway.log("served");
+    }
+    drop(sim);
+    gateway.log("robot_down");
+    let _sim = Server::sim(&robot);
+    gateway.log("robot_up");
+    for client in clients {
+        let (served, away) = client.join().unwrap();
+        assert!(served > 0, "{served} {away}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn signals_end_it_with_0_and_the_log_with_the_totals() {
+    let sim = Server::sim("127.0.0.1:0");
+    for signal in ["-INT", "-TERM"] {
+        let gateway = up(&sim.address("bcap"), &[]);
+        let mut plc = Plc::connect(&gateway);
+        assert_eq!(plc.ask("GET:RC8:1:I:\r"), "0,3,0\r");
+        assert_eq!(plc.ask("PUT:RC8:1:I:3,1\r"), "-2147024891\r");
+        let rest = gateway.end(signal);
+        let last: Value = serde_json::from_str(rest.lines().last().unwrap()).unwrap();
+        assert_eq!(last["event"], "end");
+        assert_eq!((&last["served"]["count"], &last["refused"], &last["sessions"]), (&1.into(), &1.into(), &1.into()));
+        assert!(last["served"]["p99_us"].as_u64().unwrap() <= last["served"]["max_us"].as_u64().unwrap());
+    }
+}
+
+#[test]
+fn who_finds_no_seat_is_told_so() {
+    let gateway = Server::gateway("127.0.0.1:9", &[]);
+    let mut seated: Vec<Plc> = (0..64).map(|_| Plc::connect(&gateway)).collect();
+    for plc in &mut seated {
+        assert_eq!(plc.ask("GET:RC8:1:I:\r"), NOT_CONNECTED);
+    }
+    let mut late = Plc::connect(&gateway);
+    assert_eq!(late.ask("GET:RC8:1:I:\r"), "-2147481333\r", "E_MAX_CONNECT");
+    assert_eq!(late.stream.read(&mut [0; 1]).unwrap(), 0, "and the connection is closed");
+}
+
+#[test]
+fn an_address_that_is_taken_is_named() {
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap().to_string();
+    let run = bcap(&["gateway", "--rac", &address]);
+    assert_eq!((run.out.as_str(), run.code), ("", 3));
+    assert!(run.err.contains(&address) && run.err.contains("--rac"), "{}", run.err);
+}
