@@ -4,6 +4,7 @@
 use std::collections::HashMap;
 use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
+use std::ops::ControlFlow;
 use std::time::Duration;
 
 use bcap_core::bcap::call::{self, VariableHandle};
@@ -28,6 +29,8 @@ struct Store {
     left: Vec<PeerId>,
     released: Vec<i32>,
     executed: usize,
+    /// What has gone to the wire, and is seen by a tap only.
+    sent: usize,
 }
 
 impl Handler for Store {
@@ -79,6 +82,10 @@ struct Running {
 }
 
 fn start(limits: Limits) -> Running {
+    start_with(limits, |server| server)
+}
+
+fn start_with(limits: Limits, set_up: fn(Server<Store>) -> Server<Store>) -> Running {
     let store = std::sync::Arc::default();
     let handler = std::sync::Arc::clone(&store);
     let (stop, stopped) = oneshot::channel();
@@ -86,7 +93,7 @@ fn start(limits: Limits) -> Running {
     let thread = std::thread::spawn(move || {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         runtime.block_on(async {
-            let server = Server::with_shared(handler).limits(limits);
+            let server = set_up(Server::with_shared(handler)).limits(limits);
             let server = server.bcap_tcp("127.0.0.1:0").await.unwrap().bcap_udp("127.0.0.1:0").await.unwrap();
             tell.send(server.addresses()).unwrap();
             let shutdown = async {
@@ -157,6 +164,41 @@ async fn tokio_clients_work_over_both_links_and_from_any_task() {
     });
     over_tcp.await.unwrap();
     over_udp.await.unwrap();
+}
+
+/// Closes the connection in place of E_NOTIMPL, and loses every third frame.
+fn tap(store: &mut Store, _: PeerId, frame: &mut Vec<u8>) -> ControlFlow<()> {
+    store.sent += 1;
+    if frame[9..13] == HResult::E_NOTIMPL.0.to_le_bytes() {
+        return ControlFlow::Break(());
+    }
+    if store.sent.is_multiple_of(3) {
+        frame.clear();
+    }
+    ControlFlow::Continue(())
+}
+
+#[test]
+fn a_tap_sees_loses_and_closes() {
+    let server = start_with(Limits::default(), |server| server.tap(tap));
+    let options = Options::default().timeout(Duration::from_millis(100));
+    let mut client = blocking::connect_tcp(server.tcp, &options).unwrap();
+    client.call(call::service_start("")).unwrap();
+    let controller = client.call(call::controller_connect("", "", "", "")).unwrap();
+    let lost = client.call(call::controller_get_variable(controller, "1", "")).unwrap_err();
+    assert!(matches!(lost, CallError::Client(ClientError::Timeout(_))), "{lost}");
+    client.call(call::controller_get_variable(controller, "1", "")).unwrap();
+    let closed = client.call(call::controller_get_name(controller)).unwrap_err();
+    assert!(closed.hresult().is_none(), "{closed}");
+    assert!(!matches!(closed, CallError::Client(ClientError::Timeout(_))), "{closed}");
+    assert_eq!(server.store.lock().unwrap().sent, 5);
+
+    // the sixth frame is lost, and UDP asks again
+    let mut client =
+        blocking::connect_udp(server.udp, &Options::default().timeout(Duration::from_millis(500))).unwrap();
+    client.call(call::service_start("")).unwrap();
+    let store = server.store.lock().unwrap();
+    assert_eq!((store.sent, store.left.len()), (7, 1));
 }
 
 #[test]

@@ -249,6 +249,7 @@ pub(crate) enum RacCommand {
 Examples:
   bcap sim
   bcap sim --bcap 127.0.0.1:0 --udp 127.0.0.1:0 --rac 127.0.0.1:0
+  bcap sim --scenario faults.toml
   bcap sim --bcap [::]:5007 --udp [::]:5007 --rac [::]:5006")]
 pub(crate) struct Sim {
     /// Where b-CAP over TCP listens
@@ -266,6 +267,10 @@ pub(crate) struct Sim {
     /// Which controller it is like
     #[arg(long, value_name = "MODEL", default_value = "rc8")]
     pub(crate) model: Model,
+
+    /// A file of faults that happen by themselves: refused calls, errors, the emergency stop, a bad link
+    #[arg(long, value_name = "FILE")]
+    pub(crate) scenario: Option<PathBuf>,
 }
 
 /// A model of controller.

@@ -1,11 +1,16 @@
 //! `bcap sim`: a virtual controller behind real sockets.
 
 use std::fmt;
+use std::fs;
 use std::io;
 use std::net::SocketAddr;
+use std::ops::ControlFlow;
+use std::path::Path;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use bcap_sim::{Config, Controller, Profile};
+use bcap_core::handler::PeerId;
+use bcap_sim::scenario::Delivery;
+use bcap_sim::{Config, Controller, Profile, Scenario};
 use bcap_std::server::Server;
 use tokio::runtime::{self, Runtime};
 
@@ -21,7 +26,11 @@ pub(crate) fn sim(args: &Sim) -> Result<(), Failure> {
         // the signals first: who reads the line may send one at once
         let ended = signal::wait()?;
         let wanted = Listening { bcap: args.bcap, udp: args.udp, rac: args.rac };
-        let (server, listening) = listen(controller(args.model.into()), &wanted).await?;
+        let mut controller = controller(args.model.into());
+        if let Some(path) = &args.scenario {
+            controller.play(read_scenario(path)?);
+        }
+        let (server, listening) = listen(controller, &wanted).await?;
         print_line(&listening.to_string())?;
         Ok(server.run(ended).await?)
     })
@@ -39,7 +48,7 @@ pub(crate) async fn listen(
     controller: Controller,
     wanted: &Listening,
 ) -> Result<(Server<Controller>, Listening), Failure> {
-    let server = Server::new(controller);
+    let server = Server::new(controller).tap(deliver);
     let server = server.bcap_tcp(wanted.bcap).await.map_err(|error| taken("--bcap", wanted.bcap, &error))?;
     let server = server.bcap_udp(wanted.udp).await.map_err(|error| taken("--udp", wanted.udp, &error))?;
     let server = server.rac_tcp(wanted.rac).await.map_err(|error| taken("--rac", wanted.rac, &error))?;
@@ -49,6 +58,22 @@ pub(crate) async fn listen(
         (Some(bcap), Some(udp), Some(rac)) => Ok((server, Listening { bcap, udp, rac })),
         _ => Err(Failure::Stdio(io::Error::other("a socket does not tell its address"))),
     }
+}
+
+/// Does to the bytes of an answer what the scenario says.
+fn deliver(controller: &mut Controller, peer: PeerId, bytes: &mut Vec<u8>) -> ControlFlow<()> {
+    match controller.deliver(peer, bytes) {
+        Delivery::Send => {}
+        Delivery::Drop => bytes.clear(),
+        Delivery::Disconnect => return ControlFlow::Break(()),
+    }
+    ControlFlow::Continue(())
+}
+
+fn read_scenario(path: &Path) -> Result<Scenario, Failure> {
+    let text = fs::read_to_string(path)
+        .map_err(|error| Failure::Input(format!("cannot read the scenario {}: {error}", path.display())))?;
+    Scenario::parse(&text).map_err(|error| Failure::Input(format!("{} is no scenario: {error}", path.display())))
 }
 
 /// Tells why an address cannot be listened on.

@@ -2,8 +2,10 @@
 
 mod common;
 
+use std::fs;
 use std::io::{BufRead, BufReader, Read};
 use std::net::TcpListener;
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
 use common::{Run, bcap, command};
@@ -136,6 +138,46 @@ fn the_rc9_has_what_the_rc8_has_not() {
     assert_eq!(run.code, 0, "{run:?}");
     let rc8 = Sim::start(&[]);
     assert_eq!(rc8.tcp(&["exec", "controller", "StoState"]).code, 1);
+}
+
+/// Writes a scenario into a file of this name, and returns its path.
+fn scenario(name: &str, text: &str) -> String {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    fs::write(&path, text).unwrap();
+    path.to_str().unwrap().to_owned()
+}
+
+fn fault(when: &str, then: &str) -> String {
+    format!("[[fault]]\nwhen = {{ {when}, of = 'Variable_GetValue' }}\nthen = {then}\n")
+}
+
+#[test]
+fn a_scenario_refuses_loses_and_garbles() {
+    let text = fault("call = 1", "{ refuse = 'E_FAIL' }") + &fault("call = 3", "'disconnect'");
+    let sim = Sim::start(&["--scenario", &scenario("stream.toml", &text)]);
+    let run = sim.tcp(&["get", "I1"]);
+    assert!(run.code == 1 && run.err.contains("E_FAIL"), "{run:?}");
+    assert_eq!(sim.tcp(&["get", "I1"]).out, "I1 = 0\n");
+    let run = sim.tcp(&["get", "I1"]);
+    assert!(run.code != 0 && run.out.is_empty(), "the connection is cut: {run:?}");
+    assert_eq!(sim.tcp(&["get", "I1"]).out, "I1 = 0\n");
+
+    // what is lost or cannot be read on UDP is asked for again, and not carried out again
+    let text = ["'drop'", "'wrong_serial'", "'corrupt'"].iter().enumerate();
+    let text: String = text.map(|(n, then)| fault(&format!("call = {}", n + 1), then)).collect();
+    let sim = Sim::start(&["--scenario", &scenario("datagrams.toml", &text)]);
+    for _ in 0..4 {
+        assert_eq!(sim.udp(&["get", "I1", "--timeout", "1000"]).out, "I1 = 0\n");
+    }
+}
+
+#[test]
+fn what_is_no_scenario_is_explained() {
+    let wrong = scenario("wrong.toml", "[[fault]]\nwhen = { cal = 1 }\nthen = 'drop'");
+    let run = bcap(&["sim", "--scenario", &wrong]);
+    assert!(run.code == 2 && run.err.contains("wrong.toml") && run.err.contains("unknown field `cal`"), "{run:?}");
+    let run = bcap(&["sim", "--scenario", "no/such/file.toml"]);
+    assert!(run.code == 2 && run.err.contains("cannot read the scenario no/such/file.toml"), "{run:?}");
 }
 
 #[cfg(unix)]

@@ -84,6 +84,10 @@ impl rac::server::Handler for Controller {
     fn call(&mut self, _: PeerId, request: &rac::Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
         self.advance(now);
         reply.clear();
+        if self.is_link_lost() {
+            // nor is the answer delivered
+            return Outcome::Done(HResult::E_TIMEOUT);
+        }
         let rac::Variable { kind, index } = request.variable();
         let result = match request.value() {
             None => self.variables.get(Family::Plain(kind), index).map(|value| Self::set_reply(reply, &value)),

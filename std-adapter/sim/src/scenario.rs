@@ -39,7 +39,7 @@
 //! | `{ emergency_stop = b }`| the emergency stop is pressed (true) or released (false)                         |
 //! | `{ link_loss_ms = t }`  | for this time nothing arrives and nothing is answered; 0 is for good             |
 //!
-//! A code is a name or a number: `"E_BUF_FULL"`, `"0x83201483"`.
+//! A code is a name or a number: `"E_BUF_FULL"`, `"0x83201483"`. `bcap sim --scenario FILE` plays a file.
 //!
 //! # On the wire
 //!
@@ -443,7 +443,7 @@ impl Controller {
     /// assert_eq!(controller.deliver(PeerId(1), &mut frame), Delivery::Send);
     /// ```
     pub fn deliver(&mut self, peer: PeerId, frame: &mut [u8]) -> Delivery {
-        if self.now < self.scenario.lost_until {
+        if self.is_link_lost() {
             return Delivery::Drop;
         }
         let Some(fate) = self.fates.get(&peer).filter(|fate| fate.answered) else { return Delivery::Send };
@@ -467,6 +467,11 @@ impl Controller {
         }
     }
 
+    /// Tells whether nothing arrives now.
+    pub(crate) fn is_link_lost(&self) -> bool {
+        self.now < self.scenario.lost_until
+    }
+
     /// Finds out what the scenario has in store for a new call.
     pub(crate) fn begin_fate(&mut self, peer: PeerId, request: &Request<'_>) {
         let mut fate = Fate::default();
@@ -478,7 +483,7 @@ impl Controller {
                 effect => self.happen(effect),
             }
         }
-        fate.lost = self.now < self.scenario.lost_until;
+        fate.lost = self.is_link_lost();
         self.fates.insert(peer, fate);
     }
 
@@ -486,8 +491,10 @@ impl Controller {
     pub(crate) fn meet_fate(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>) -> Outcome {
         let fate = self.fates.get(&peer).cloned().unwrap_or_default();
         if fate.lost {
-            let until = self.scenario.lost_until;
-            return if self.now < until { Outcome::Wait(until) } else { self.answered(peer, HResult::E_TIMEOUT) };
+            return match self.is_link_lost() {
+                true => Outcome::Wait(self.scenario.lost_until),
+                false => self.answered(peer, HResult::E_TIMEOUT),
+            };
         }
         if let Some((code, value)) = fate.answer {
             if self.now < fate.until {

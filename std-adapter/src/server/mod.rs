@@ -47,6 +47,8 @@ use tokio::task::JoinSet;
 
 use shared::Shared;
 
+pub use shared::Tap;
+
 /// What peers can use up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
@@ -129,6 +131,17 @@ impl<H: Handler + Send + 'static> Server<H> {
     #[must_use]
     pub fn limits(self, limits: Limits) -> Self {
         Self { limits, ..self }
+    }
+
+    /// Lets a function look at everything that is sent, and change it: to record it, or to try what clients do about a
+    /// bad link. The first one that is given stays.
+    ///
+    /// It is called with each frame of b-CAP and each line of RAC, while it has the handler to itself; it must be short.
+    /// UDP has no connection to close, so `Break` sends nothing there.
+    #[must_use]
+    pub fn tap(self, tap: Tap<H>) -> Self {
+        self.shared.set_tap(tap);
+        self
     }
 
     /// Listens for b-CAP over TCP; port 0 takes a free one.

@@ -1,7 +1,8 @@
 //! What all tasks of a server share: the handler, the numbers of peers, and the news that something has changed.
 
+use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use bcap_core::handler::PeerId;
 use tokio::sync::watch;
@@ -15,17 +16,37 @@ pub(super) struct Shared<H> {
     waiting: AtomicUsize,
     /// Changes whenever a request has been carried out while others wait.
     changed: watch::Sender<()>,
+    tap: OnceLock<Tap<H>>,
 }
+
+/// Looks at the bytes of a frame or line before they are sent to a peer, and may change them; without bytes nothing is
+/// sent, and with `Break` the connection is closed.
+pub type Tap<H> = fn(&mut H, PeerId, &mut Vec<u8>) -> ControlFlow<()>;
 
 impl<H> Shared<H> {
     pub(super) fn new(handler: Arc<Mutex<H>>) -> Self {
         let (changed, _) = watch::channel(());
-        Self { handler, next_peer: AtomicU32::new(1), waiting: AtomicUsize::new(0), changed }
+        Self { handler, next_peer: AtomicU32::new(1), waiting: AtomicUsize::new(0), changed, tap: OnceLock::new() }
     }
 
     /// Returns a number that no peer has had before.
     pub(super) fn next_peer(&self) -> PeerId {
         PeerId(self.next_peer.fetch_add(1, Ordering::Relaxed))
+    }
+
+    pub(super) fn set_tap(&self, tap: Tap<H>) {
+        // whoever was first stays
+        let _ = self.tap.set(tap);
+    }
+
+    /// Returns what the tap makes of bytes that are to be sent; `None` when the connection is to be closed.
+    pub(super) fn tapped(&self, peer: PeerId, bytes: &[u8]) -> Option<Tapped> {
+        let Some(tap) = self.tap.get() else { return Some(Tapped::Untouched) };
+        let mut bytes = bytes.to_vec();
+        match tap(&mut self.handler(), peer, &mut bytes) {
+            ControlFlow::Continue(()) => Some(Tapped::Instead(bytes)),
+            ControlFlow::Break(()) => None,
+        }
     }
 
     /// Takes the handler. One that panicked in a call before is used on: its other peers shall not suffer.
@@ -44,6 +65,15 @@ impl<H> Shared<H> {
     pub(super) fn changes(self: &Arc<Self>) -> Changes<H> {
         Changes { changed: self.changed.subscribe(), shared: Arc::clone(self), waiting: false }
     }
+}
+
+/// What is to be sent.
+#[derive(Debug)]
+pub(super) enum Tapped {
+    /// The bytes as they are.
+    Untouched,
+    /// These in their place.
+    Instead(Vec<u8>),
 }
 
 /// A task's ear for changes.

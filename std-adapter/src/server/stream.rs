@@ -11,7 +11,7 @@ use tokio::sync::watch;
 use tokio::time::timeout;
 
 use super::Limits;
-use super::shared::{Changes, Shared};
+use super::shared::{Changes, Shared, Tapped};
 use crate::clock::{now, until};
 
 /// A session of the core, as far as a connection sees it.
@@ -120,8 +120,8 @@ impl<H, M: Machine<H>> Connection<H, M> {
         loop {
             self.think();
             if !self.session.transmit().is_empty() {
-                if !self.send().await? {
-                    return Ok("the peer does not read");
+                if let Some(reason) = self.send().await? {
+                    return Ok(reason);
                 }
                 continue;
             }
@@ -169,20 +169,31 @@ impl<H, M: Machine<H>> Connection<H, M> {
         }
     }
 
-    /// Sends what it can; `false` when the peer takes nothing for too long.
-    async fn send(&mut self) -> io::Result<bool> {
+    /// Sends what it can; says why when the connection is to end.
+    async fn send(&mut self) -> io::Result<Option<&'static str>> {
+        const SLOW: &str = "the peer does not read";
         let bytes = self.session.transmit();
+        match self.shared.tapped(self.peer, bytes) {
+            None => return Ok(Some("the tap closes it")),
+            Some(Tapped::Instead(instead)) => {
+                let count = bytes.len();
+                self.session.transmitted(count);
+                let written = timeout(self.limits.send, self.stream.write_all(&instead)).await;
+                return written.map_or(Ok(Some(SLOW)), |written| written.map(|()| None));
+            }
+            Some(Tapped::Untouched) => {}
+        }
         let count = match self.stream.try_write(bytes) {
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
                 match timeout(self.limits.send, self.stream.write(bytes)).await {
                     Ok(written) => written?,
-                    Err(_) => return Ok(false),
+                    Err(_) => return Ok(Some(SLOW)),
                 }
             }
             written => written?,
         };
         self.session.transmitted(count);
-        Ok(true)
+        Ok(None)
     }
 
     fn note_partial(&mut self) {

@@ -18,7 +18,7 @@ use tokio::net::UdpSocket;
 use tokio::sync::watch;
 
 use super::Limits;
-use super::shared::{Changes, Shared};
+use super::shared::{Changes, Shared, Tapped};
 use crate::clock::{now, until};
 
 /// Handles that one peer can have open.
@@ -124,7 +124,11 @@ impl<H: Handler + Send + 'static> Peers<H> {
             let event = peer.session.run(&mut *self.shared.handler(), peer.id, now());
             let bytes = peer.session.transmit();
             if !bytes.is_empty() {
-                if let Err(error) = self.socket.send_to(bytes, address).await {
+                let tapped = self.shared.tapped(peer.id, bytes).unwrap_or(Tapped::Instead(Vec::new()));
+                let bytes = if let Tapped::Instead(instead) = &tapped { instead } else { bytes };
+                if !bytes.is_empty()
+                    && let Err(error) = self.socket.send_to(bytes, address).await
+                {
                     tracing::debug!(%address, %error, "UDP send");
                 }
                 peer.session.transmitted(usize::MAX);
