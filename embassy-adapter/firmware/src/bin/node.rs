@@ -45,30 +45,20 @@ fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
-    uart::init();
-    if let Some(peripherals) = cortex_m::Peripherals::take() {
-        clock::init(peripherals.SYST);
-    }
-    let config = Config::load();
-    defmt::info!("robot {}, provider {=str}", defmt::Debug2Format(&config.robot), config.provider.as_str());
-    static FRAMES: ConstStaticCell<Frames> = ConstStaticCell::new(Frames::new());
-    let device = match Lan9118::new(ADDRESS, FRAMES.take()) {
-        Ok(device) => device,
-        Err(error) => {
-            defmt::error!("no Ethernet controller: {}", error);
-            fault::end()
-        }
-    };
     executor::run(|spawner| {
-        if start(spawner, device, config).is_err() {
+        if start(spawner).is_err() {
             defmt::error!("there is no room for a task");
             fault::end()
         }
     })
 }
 
-/// Starts all tasks.
-fn start(spawner: Spawner, device: Lan9118<'static>, config: Config) -> Result<(), SpawnError> {
+/// Starts the board and all tasks.
+///
+/// Not inlined: what is made here on its way into its place would stay on the stack for ever.
+#[inline(never)]
+fn start(spawner: Spawner) -> Result<(), SpawnError> {
+    static FRAMES: ConstStaticCell<Frames> = ConstStaticCell::new(Frames::new());
     static DEVICE: StaticCell<Lan9118<'static>> = StaticCell::new();
     static RESOURCES: ConstStaticCell<StackResources<SOCKETS>> = ConstStaticCell::new(StackResources::new());
     static CONFIG: StaticCell<Config> = StaticCell::new();
@@ -76,7 +66,19 @@ fn start(spawner: Spawner, device: Lan9118<'static>, config: Config) -> Result<(
     // apart from their memory, which would lie in the flash as well if it were part of a value that is not all zero
     static SESSIONS: [StaticCell<Option<RacSession>>; RAC_SESSIONS] = [const { StaticCell::new() }; RAC_SESSIONS];
 
-    let config = &*CONFIG.init(config);
+    uart::init();
+    if let Some(peripherals) = cortex_m::Peripherals::take() {
+        clock::init(peripherals.SYST);
+    }
+    let config = &*CONFIG.init(Config::load());
+    defmt::info!("robot {}, provider {=str}", defmt::Debug2Format(&config.robot), config.provider.as_str());
+    let device = match Lan9118::new(ADDRESS, FRAMES.take()) {
+        Ok(device) => device,
+        Err(error) => {
+            defmt::error!("no Ethernet controller: {}", error);
+            fault::end()
+        }
+    };
     let device = DEVICE.init(device);
     let seed = Instant::now().as_ticks();
     let dhcp = embassy_net::Config::dhcpv4(DhcpConfig::default());
