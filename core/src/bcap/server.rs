@@ -333,12 +333,10 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         if self.state.closing {
             return None;
         }
-        Some(match self.inbox.poll(&mut self.rx)? {
-            Received::Frame(span) => self.begin(span, handler, peer, now)?,
-            Received::TooLarge { serial, .. } => self.refuse(serial, FunctionId(0), HResult::E_PACKETSIZEOVER),
-            Received::Malformed(error) => self.malformed(error, false),
-            Received::Broken(error) => self.malformed(error, true),
-        })
+        match self.next_frame()? {
+            Ok(span) => self.begin(span, handler, peer, now),
+            Err(event) => Some(event),
+        }
     }
 
     /// Ends the session: abandons what runs, releases the objects newest first, and tells the handler.
@@ -350,6 +348,16 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         handler.left(peer, now);
         self.state.closing = true;
         self.state.tx_sent = self.state.tx_len;
+    }
+
+    /// Takes the next frame out of what was received; what is none is answered where the link has a use for that.
+    fn next_frame(&mut self) -> Option<Result<Span, Event>> {
+        Some(match self.inbox.poll(&mut self.rx)? {
+            Received::Frame(span) => Ok(span),
+            Received::TooLarge { serial, .. } => Err(self.refuse(serial, FunctionId(0), HResult::E_PACKETSIZEOVER)),
+            Received::Malformed(error) => Err(self.malformed(error, false)),
+            Received::Broken(error) => Err(self.malformed(error, true)),
+        })
     }
 
     /// Begins to work on a frame.
@@ -425,7 +433,11 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
             // a stream keeps the order: the next request waits where it is
             return None;
         }
-        let Received::Frame(span) = self.inbox.poll(&mut self.rx)? else { return None };
+        let span = match self.next_frame()? {
+            Ok(span) => span,
+            // or it would hide the frame behind it
+            Err(event) => return Some(event),
+        };
         let frame = self.inbox.frame(self.rx.bytes(), span)?;
         let (serial, function) = (frame.serial, frame.function());
         let first = if frame.reserved == 0 { serial } else { frame.reserved };

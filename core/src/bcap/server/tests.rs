@@ -309,6 +309,17 @@ fn a_repetition_while_the_call_runs_is_kept_patient_and_gets_the_reply() {
 }
 
 #[test]
+fn noise_while_a_call_runs_does_not_hide_what_comes_behind_it() {
+    let mut bench = Bench::connected(Config::SERIAL, "");
+    bench.handler.wait_until = Some(Instant::FAR_FUTURE);
+    assert_eq!(bench.attempt(&halt(), 4, 4, at(0)), []);
+    let mut bytes = std::vec![0xff];
+    bytes.extend(frame(&halt(), 5, 4, true));
+    assert_eq!(bench.bytes(&bytes, at(500)), [(5, HResult::S_EXECUTING, None)]);
+    assert!(matches!(bench.events.as_slice(), [.., Event::Malformed(_), Event::Repeated { first: 4 }]));
+}
+
+#[test]
 fn a_new_client_behind_a_known_address_starts_anew() {
     let mut bench = Bench::connected(Config::UDP, "");
     // its first call has the serial that the old client's had
