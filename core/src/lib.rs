@@ -35,7 +35,6 @@
 //! | `embedded-io-async` | an asynchronous transport over any `embedded_io_async` device   |
 //! | `defmt`             | `defmt::Format` for the public types, and a log of odd events   |
 //! | `log`               | the same log through the `log` crate                            |
-//! | `arbitrary`         | `Arbitrary` for fuzzers                                         |
 //!
 //! # Examples
 //!

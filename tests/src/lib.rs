@@ -6,6 +6,7 @@
 //! | [`value`]      | [`Value`](value::Value), an owned tree, with an encoder of its own                   |
 //! | [`frame`]      | [`TestFrame`](frame::TestFrame), a frame of such values                              |
 //! | [`oracle`]     | a slow recursive decoder, written from the specification and not from the core       |
+//! | [`text`]       | the same for the text of values, with the standard library's floats                  |
 //! | [`strategies`] | proptest strategies for values, frames and damage to them                           |
 //! | [`vectors`]    | the frames and lines of the specifications, from `tests/vectors`                     |
 //! | [`network`]    | a simulated network between a client and a server, with a clock of its own          |
@@ -20,5 +21,6 @@ pub mod network;
 pub mod oracle;
 pub mod served;
 pub mod strategies;
+pub mod text;
 pub mod value;
 pub mod vectors;

@@ -5,6 +5,7 @@ use bcap_core::error::{TextError, TextErrorKind};
 use bcap_core::limits::{Limits, MAX_DEPTH, Strictness};
 use bcap_core::variant::{Variant, VariantBuf};
 use bcap_tests::strategies;
+use bcap_tests::text::has_text;
 use bcap_tests::value::{VARIANT, Value};
 use bcap_tests::vectors::texts;
 use proptest::prelude::*;
@@ -20,53 +21,6 @@ fn print(value: &Value) -> Result<String, TextError> {
 
 fn parse(text: &str) -> Result<Value, TextError> {
     Owned::parse_text(text.as_bytes()).map(|value| Value::read(value.as_variant()))
-}
-
-/// Where a string stands.
-#[derive(Clone, Copy)]
-struct Place {
-    /// In parentheses.
-    inside: bool,
-    in_array: bool,
-}
-
-/// Tells whether the grammar has a text for a value; written from the grammar, not from the printer.
-fn has_text(value: &Value, inside: bool) -> bool {
-    match value {
-        Value::Nested(inner) => has_text(inner, true),
-        Value::Array(_, items) if items.is_empty() => false,
-        Value::Array(VARIANT, items) => items.iter().all(|item| has_text(item, true)),
-        Value::Array(0 | 1, _) => false,
-        Value::Array(_, items) => items.iter().all(|item| scalar_has_text(item, Place { inside, in_array: true })),
-        scalar => scalar_has_text(scalar, Place { inside, in_array: false }),
-    }
-}
-
-fn scalar_has_text(value: &Value, place: Place) -> bool {
-    let plain_nan = |is_nan: bool, payload: u64, quiet: u64| !is_nan || payload == quiet;
-    match value {
-        Value::R4(bits) => plain_nan(f32::from_bits(*bits).is_nan(), u64::from(bits & 0x7f_ffff), 0x40_0000),
-        Value::R8(bits) | Value::Date(bits) => {
-            plain_nan(f64::from_bits(*bits).is_nan(), bits & 0xf_ffff_ffff_ffff, 0x8_0000_0000_0000)
-        }
-        Value::Bstr(units) => string_has_text(units, place),
-        _ => true,
-    }
-}
-
-fn string_has_text(units: &[u16], place: Place) -> bool {
-    let Ok(text) = String::from_utf16(units) else { return false };
-    if text.starts_with([' ', '\t']) || text.contains(['\r', '\n']) || (place.in_array && text.contains(',')) {
-        return false;
-    }
-    let mut open = 0;
-    for c in text.chars().filter(|_| place.inside || place.in_array) {
-        open += i32::from(c == '(') - i32::from(c == ')');
-        if open < 0 {
-            return false;
-        }
-    }
-    open == 0
 }
 
 /// Values that have a text more often than not.
@@ -87,11 +41,11 @@ proptest! {
     fn what_has_a_text_comes_back_to_the_bit_and_the_rest_is_an_error(value in value()) {
         match print(&value) {
             Ok(text) => {
-                prop_assert!(has_text(&value, false), "{}", text);
+                prop_assert!(has_text(&value), "{}", text);
                 prop_assert_eq!(parse(&text), Ok(value), "{}", text);
             }
             Err(error) => {
-                prop_assert!(!has_text(&value, false), "{:?}: {}", value, error);
+                prop_assert!(!has_text(&value), "{:?}: {}", value, error);
                 prop_assert_eq!(error.column, 0);
             }
         }

@@ -1,0 +1,330 @@
+//! A client whose peer, link and user do anything at any time.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use arbitrary::{Arbitrary, Unstructured};
+use bcap_core::bcap::call::{self, ControllerHandle};
+use bcap_core::bcap::client::{Client, ClientError, Config, Event};
+use bcap_core::bcap::{Link, OnMalformed};
+use bcap_core::hresult::HResult;
+use bcap_core::limits::{Limits, Strictness};
+use bcap_core::storage::Storage;
+use bcap_core::time::Instant;
+use bcap_tests::frame::TestFrame;
+use bcap_tests::oracle::{Oracle, Verdict};
+
+use crate::input::AnyValue;
+
+/// How many ranges of unanswered serials a client remembers.
+const REMEMBERED: usize = 8;
+
+/// Something that happens.
+#[derive(Arbitrary, Debug)]
+enum Op {
+    Start(AnyValue),
+    /// The link takes this many bytes.
+    Take(u8),
+    TakeAll,
+    /// A frame comes whose serial lies this far behind the last one sent.
+    Reply {
+        behind: u8,
+        executing: bool,
+        code: i32,
+        args: Vec<AnyValue>,
+        cut: u8,
+    },
+    /// The same, and the reply is too large for any memory here.
+    TooLarge {
+        behind: u8,
+    },
+    Bytes(Vec<u8>),
+    Pass(u16),
+    /// Time passes until something is due.
+    Due,
+    Abandon,
+    Reset,
+    /// Very many calls that are given up at once, when the number is right: they take their time.
+    Burn(u32),
+}
+
+/// What a client must keep to.
+struct Model {
+    /// The serials of the call in flight; empty while there is none.
+    serials: Vec<u16>,
+    /// Whether bytes of it have left.
+    sent: bool,
+    first: u16,
+    deadline: Instant,
+    /// The serials of calls that ended without an answer, as far as they are remembered.
+    unanswered: VecDeque<Vec<u16>>,
+    last: u16,
+    /// Whether nothing but whole frames has come on the stream.
+    clean: bool,
+}
+
+/// Runs a client through what the bytes say.
+///
+/// # Panics
+///
+/// When the core is wrong.
+pub fn client(data: &[u8]) {
+    let Some((options, rest)) = data.split_first() else { return };
+    let base = [Config::TCP, Config::UDP, Config::SERIAL, Config::UDP][usize::from(options & 3)];
+    let config = Config {
+        strictness: if options & 4 == 0 { Strictness::Strict } else { Strictness::Lenient },
+        on_malformed: if options & 8 == 0 { OnMalformed::Close } else { OnMalformed::Resync },
+        deadline: Duration::from_secs(20),
+        keep_alive: Duration::from_secs(5),
+        attempts: if options & 32 == 0 { 3 } else { 255 },
+        ..base
+    };
+    let mut u = Unstructured::new(rest);
+    if options & 16 == 0 {
+        Run::new(config, [0; 128]).run(&mut u);
+    } else {
+        Run::new(config, vec![0; 32]).run(&mut u);
+    }
+}
+
+struct Run<R> {
+    client: Client<[u8; 256], R>,
+    model: Model,
+    now: Instant,
+}
+
+impl<R: Storage> Run<R> {
+    fn new(config: Config, rx: R) -> Self {
+        let model = Model {
+            serials: Vec::new(),
+            sent: false,
+            first: 0,
+            deadline: Instant::ZERO,
+            unanswered: VecDeque::new(),
+            last: 0,
+            clean: true,
+        };
+        Self { client: Client::new(config, [0; 256], rx), model, now: Instant::from_millis(1) }
+    }
+
+    fn run(mut self, u: &mut Unstructured<'_>) {
+        let mut burnt = false;
+        while let (false, Ok(op)) = (u.is_empty(), Op::arbitrary(u)) {
+            match op {
+                Op::Start(AnyValue(value)) => self.start(&value),
+                Op::Take(count) => self.take(usize::from(count)),
+                Op::TakeAll => self.take(usize::MAX),
+                Op::Reply { behind, executing, code, args, cut } => self.reply(behind, executing, code, args, cut),
+                Op::TooLarge { behind } => self.too_large(behind),
+                Op::Bytes(bytes) => {
+                    self.model.clean = false;
+                    self.receive(&bytes);
+                }
+                Op::Pass(millis) => self.pass(self.now + Duration::from_millis(u64::from(millis))),
+                Op::Due => {
+                    if let Some(due) = self.client.poll_timeout() {
+                        self.pass(due.max(self.now));
+                    }
+                }
+                Op::Abandon => {
+                    self.client.abandon();
+                    self.ended(false);
+                }
+                Op::Reset => {
+                    self.client.reset();
+                    self.ended(false);
+                    self.model.unanswered.clear();
+                    self.model.clean = true;
+                    assert!(self.client.transmit().is_empty() && !self.client.is_closed());
+                }
+                Op::Burn(0xb0b0_b0b0) if !burnt => {
+                    burnt = true;
+                    self.burn();
+                }
+                Op::Burn(_) => {}
+            }
+            self.check();
+        }
+        self.finish();
+    }
+
+    fn check(&self) {
+        assert_eq!(self.client.is_busy(), !self.model.serials.is_empty());
+        assert_eq!(self.client.poll_timeout().is_some(), self.client.is_busy());
+        assert!(!self.client.is_busy() || self.now < self.model.deadline, "a call takes no longer than its deadline");
+        assert!(self.client.reply().is_none_or(|frame| frame.hresult() != HResult::S_EXECUTING));
+    }
+
+    fn start(&mut self, value: &bcap_tests::value::Value) {
+        let could = !self.client.is_closed() && !self.client.is_busy() && self.client.transmit().is_empty();
+        let call = call::controller_execute(ControllerHandle(7), "x", value);
+        match self.client.start(&call, self.now) {
+            Ok(()) => {
+                assert!(could);
+                self.model.serials.clear();
+                self.model.sent = false;
+                self.model.deadline = self.now + self.client.config().deadline;
+                self.attempt();
+            }
+            Err(ClientError::Busy | ClientError::Closed) => assert!(!could),
+            Err(ClientError::TooLarge { limit }) => assert!(could && limit == 256 && value.to_wire().len() > 100),
+            Err(other) => panic!("{other}"),
+        }
+    }
+
+    /// A new attempt is to be sent: a whole frame with a new serial.
+    fn attempt(&mut self) {
+        let link = self.client.config().link;
+        let oracle = Oracle { limits: Limits::STREAM, strictness: Strictness::Strict, crc: link == Link::Serial };
+        let Verdict::Frame(frame, used) = oracle.decode(self.client.transmit()) else { panic!("no frame is sent") };
+        assert_eq!(used, self.client.transmit().len());
+        assert!(used <= link.send_max());
+        assert_ne!(frame.serial, 0);
+        if self.model.serials.is_empty() {
+            self.model.first = frame.serial;
+        }
+        assert_eq!(frame.reserved, if link.is_lossy() { self.model.first } else { 0 });
+        assert!(!self.model.serials.contains(&frame.serial));
+        assert!(!self.model.unanswered.iter().flatten().any(|s| *s == frame.serial), "a reply to it may still come");
+        self.model.serials.push(frame.serial);
+        self.model.last = frame.serial;
+    }
+
+    /// The link takes bytes; all of a datagram.
+    fn take(&mut self, count: usize) {
+        let len = self.client.transmit().len();
+        let count = if self.client.config().link == Link::Datagram { len } else { count.min(len) };
+        self.client.transmitted(count);
+        self.model.sent |= count > 0;
+    }
+
+    /// Lets a frame come; `cut` bytes of its end do not, on a stream.
+    fn reply(&mut self, behind: u8, executing: bool, code: i32, args: Vec<AnyValue>, cut: u8) {
+        let serial = self.model.last.wrapping_sub(u16::from(behind));
+        let code = if executing { HResult::S_EXECUTING.0 } else { code };
+        let args = args.into_iter().take(2).map(|AnyValue(value)| value).collect();
+        let wire = TestFrame { serial, reserved: 0, code, args }.to_wire(self.client.config().link == Link::Serial);
+        let missing = if cut.is_multiple_of(4) { usize::from(cut).min(wire.len()) } else { 0 };
+        self.model.clean &= missing == 0;
+        self.receive(&wire[..wire.len() - missing]);
+    }
+
+    fn too_large(&mut self, behind: u8) {
+        let serial = self.model.last.wrapping_sub(u16::from(behind));
+        let mut wire = vec![0; 600];
+        crate::frame::mend_frame(&mut wire, false);
+        wire[5..7].copy_from_slice(&serial.to_le_bytes());
+        self.model.clean = false;
+        self.receive(&wire);
+    }
+
+    fn receive(&mut self, bytes: &[u8]) {
+        let mut rest = bytes;
+        while !rest.is_empty() && !self.client.is_closed() {
+            let room = self.client.receive_buffer();
+            assert!(!room.is_empty(), "everything was read, so there is room");
+            let count = rest.len().min(room.len());
+            room[..count].copy_from_slice(&rest[..count]);
+            self.client.received(count);
+            rest = if self.client.config().link == Link::Datagram { &[] } else { &rest[count..] };
+            while let Some(event) = self.client.poll_event(self.now) {
+                self.note(event);
+            }
+        }
+    }
+
+    /// Compares an event with what is known.
+    fn note(&mut self, event: Event) {
+        match event {
+            Event::Replied(code) => {
+                let frame = self.client.reply().expect("the reply can be read");
+                assert!(code == frame.hresult() && code != HResult::S_EXECUTING);
+                assert!(self.model.serials.contains(&frame.serial), "it is the call's own");
+                assert!(!self.model.unanswered.iter().flatten().any(|s| *s == frame.serial), "and no late one");
+                let _ = self.client.value::<call::Int>();
+                let _ = self.client.value::<call::Text>();
+                assert!(self.client.value::<call::Any>().is_ok());
+                self.ended(true);
+            }
+            Event::Failed(error) => {
+                assert!(!error.to_string().is_empty());
+                assert!(!self.model.serials.is_empty() || matches!(error, ClientError::Malformed(_)), "{error}");
+                self.ended(matches!(error, ClientError::ReplyTooLarge { .. }));
+            }
+            Event::Executing => assert!(!self.model.serials.is_empty()),
+            Event::Retried { attempt } => {
+                assert!(self.client.config().link.is_lossy() && attempt <= self.client.config().attempts);
+                self.model.sent = true;
+                self.attempt();
+                assert_eq!(usize::from(attempt), self.model.serials.len());
+            }
+            Event::Stale { serial } => {
+                for serials in &mut self.model.unanswered {
+                    if serials.len() == 1 {
+                        serials.retain(|s| *s != serial);
+                    }
+                }
+                self.model.unanswered.retain(|serials| !serials.is_empty());
+            }
+            Event::Malformed(error) => assert!(!error.to_string().is_empty()),
+        }
+    }
+
+    /// The call in flight has ended, if there is one.
+    fn ended(&mut self, answered: bool) {
+        let serials = std::mem::take(&mut self.model.serials);
+        if self.model.sent && (serials.len() > 1 || (!answered && !serials.is_empty())) {
+            if self.model.unanswered.len() == REMEMBERED {
+                self.model.unanswered.pop_front();
+            }
+            self.model.unanswered.push_back(serials);
+        }
+    }
+
+    /// Lets time pass, with what that brings.
+    fn pass(&mut self, to: Instant) {
+        self.now = to;
+        for _ in 0..4 {
+            match self.client.handle_timeout(self.now) {
+                Some(event) => self.note(event),
+                None => return,
+            }
+        }
+        panic!("the same moment is due again and again");
+    }
+
+    fn burn(&mut self) {
+        for _ in 0..65_530 {
+            if self.client.start(&call::service_stop(), self.now).is_err() {
+                return;
+            }
+            self.model.serials.clear();
+            self.attempt();
+            self.client.abandon();
+            self.model.sent = false;
+            self.ended(false);
+        }
+    }
+
+    /// Whatever has happened, the call ends; and if the stream is good, so does the next, with its reply.
+    fn finish(mut self) {
+        for _ in 0..600 {
+            let Some(due) = self.client.poll_timeout() else { break };
+            self.take(usize::MAX);
+            self.pass(due.max(self.now));
+            self.check();
+        }
+        assert!(!self.client.is_busy());
+        self.take(usize::MAX);
+        if self.client.is_closed() {
+            return;
+        }
+        self.start(&bcap_tests::value::Value::I4(1));
+        assert!(self.client.is_busy());
+        self.take(usize::MAX);
+        if self.model.clean || self.client.config().link == Link::Datagram {
+            self.reply(0, false, 5, vec![AnyValue(bcap_tests::value::Value::Ui1(9))], 1);
+            assert!(!self.client.is_busy());
+        }
+    }
+}

@@ -1,0 +1,85 @@
+//! Frames against the oracle.
+
+use bcap_core::bcap::{Decoder, Progress};
+use bcap_core::limits::{Limits, Strictness};
+use bcap_tests::frame::{TestFrame, bitwise_crc};
+use bcap_tests::oracle::{Oracle, Verdict};
+
+use crate::input::BOTH;
+
+/// Decodes bytes as the front of a stream and as a datagram, by the oracle too; with its first byte's bits as options:
+/// CRC, small limits, and a header that is mended so that what is behind it is reached.
+///
+/// # Panics
+///
+/// When the core is wrong.
+pub fn frame(data: &[u8]) {
+    let Some((options, rest)) = data.split_first() else { return };
+    let (crc, small, mend) = (options & 1 != 0, options & 2 != 0, options & 4 != 0);
+    let limits = if small { Limits { frame: 64, arguments: 2, depth: 1 } } else { Limits::STREAM };
+    let mut bytes = rest.to_vec();
+    if mend {
+        mend_frame(&mut bytes, crc);
+    }
+    let [strict, lenient] = BOTH.map(|strictness| check(Decoder { limits, strictness, crc }, &bytes));
+    if matches!(strict, Verdict::Frame(..)) {
+        assert_eq!(strict, lenient, "what is strictly right is leniently the same");
+    }
+    let decoder = Decoder { limits, strictness: Strictness::Strict, crc };
+    let drop = decoder.resync(&bytes);
+    assert!(drop <= bytes.len() && (drop > 0 || bytes.is_empty()));
+    assert!(decoder.frame_length(&bytes[drop..]).is_ok(), "what follows may begin a frame");
+    assert!((1..drop).all(|at| decoder.frame_length(&bytes[at..]).is_err()), "no beginning was passed over");
+}
+
+/// Puts a right header, CRC and end around bytes that are long enough.
+pub(crate) fn mend_frame(bytes: &mut [u8], crc: bool) {
+    let length = bytes.len();
+    if length < if crc { 18 } else { 16 } {
+        return;
+    }
+    bytes[0] = 1;
+    bytes[1..5].copy_from_slice(&(length as u32).to_le_bytes());
+    // few arguments, so that they are reached
+    bytes[13] &= 7;
+    bytes[14] = 0;
+    if crc {
+        let sum = bitwise_crc(&bytes[1..length - 3]);
+        bytes[length - 3..length - 1].copy_from_slice(&sum.to_le_bytes());
+    }
+    bytes[length - 1] = 4;
+}
+
+fn check(decoder: Decoder, bytes: &[u8]) -> Verdict {
+    let Decoder { limits, strictness, crc } = decoder;
+    let oracle = Oracle { limits, strictness, crc }.decode(bytes);
+    let ours = match decoder.decode(bytes) {
+        Ok(Progress::Complete(frame, used)) => {
+            let read = TestFrame::read(&frame);
+            assert_eq!(frame.args.len(), read.args.len());
+            for (index, value) in frame.args.iter().enumerate() {
+                assert_eq!(frame.args.get(index), Some(value));
+            }
+            assert_eq!(frame.args.get(read.args.len()), None);
+            assert!(!format!("{frame:?}").is_empty());
+            Verdict::Frame(read, used)
+        }
+        Ok(Progress::NeedMore(more)) => {
+            assert!(more > bytes.len());
+            Verdict::Incomplete
+        }
+        Err(error) => {
+            assert!(error.offset <= bytes.len(), "{error:?} in {} bytes", bytes.len());
+            assert!(!error.to_string().is_empty() && error.hresult().is_err());
+            Verdict::Refused
+        }
+    };
+    assert_eq!(ours, oracle, "{strictness:?}");
+    let datagram = decoder.decode_datagram(bytes).map(|frame| TestFrame::read(&frame));
+    let whole = match ours {
+        Verdict::Frame(ref frame, used) if used == bytes.len() || strictness == Strictness::Lenient => Some(frame),
+        _ => None,
+    };
+    assert_eq!(datagram.as_ref().ok(), whole);
+    ours
+}

@@ -1,0 +1,55 @@
+//! The bodies of the fuzz targets: each takes any bytes, and panics when something is not as promised.
+//!
+//! | target                | what is fed                                  | what must hold                                         |
+//! |-----------------------|----------------------------------------------|--------------------------------------------------------|
+//! | [`frame`]             | bytes as a frame, as they are or mended      | the oracle's verdict and values, strict within lenient |
+//! | [`variant`]           | bytes as a value                             | the oracle's verdict and value; no accessor fails      |
+//! | [`text`]              | bytes as the text of a value                 | the oracle's verdict and value; columns in the text    |
+//! | [`rac_line`]          | bytes as lines, cut into chunks              | the lines of a plain split; written requests read back |
+//! | [`roundtrip_binary`]  | a made-up value, or what bytes decode to     | encoded and decoded the same                           |
+//! | [`roundtrip_text`]    | a made-up value, or a made-up float          | the same bits, or no text and an error; std's floats   |
+//! | [`stream`]            | bytes cut into chunks, on all three links    | the frames of one piece, on both sides                 |
+//! | [`client`]            | calls, bytes, replies, time in any order     | calls end once and in time, with their own reply       |
+//! | [`server`]            | bytes, calls, waits, time in any order       | valid replies, checked calls, no handle left behind    |
+//! | [`sim`]               | calls and events of the virtual controller   | its invariants, and the same run twice                 |
+//!
+//! They run under libFuzzer (`cargo fuzz run frame`), and as ordinary functions: the corpora are replayed by
+//! `cargo test`.
+
+mod client;
+mod frame;
+mod input;
+mod rac_line;
+mod roundtrip;
+mod server;
+mod sim;
+mod stream;
+mod text;
+mod variant;
+
+pub use self::client::client;
+pub use self::frame::frame;
+pub use self::rac_line::rac_line;
+pub use self::roundtrip::{roundtrip_binary, roundtrip_text};
+pub use self::server::server;
+pub use self::sim::sim;
+pub use self::stream::stream;
+pub use self::text::text;
+pub use self::variant::variant;
+
+/// A target: its name and its body.
+pub type Target = (&'static str, fn(&[u8]));
+
+/// All targets.
+pub const TARGETS: [Target; 10] = [
+    ("frame", frame),
+    ("variant", variant),
+    ("text", text),
+    ("rac_line", rac_line),
+    ("roundtrip_binary", roundtrip_binary),
+    ("roundtrip_text", roundtrip_text),
+    ("stream", stream),
+    ("client", client),
+    ("server", server),
+    ("sim", sim),
+];

@@ -1,0 +1,386 @@
+//! A server's session whose peer, link and handler do anything at any time.
+
+use std::time::Duration;
+
+use arbitrary::{Arbitrary, Unstructured};
+use bcap_core::bcap::server::{Config, Event, Handler, Request, Session};
+use bcap_core::bcap::{FunctionId, Kind, Link, Object, OnMalformed};
+use bcap_core::handler::{Outcome, PeerId, ReplyValue};
+use bcap_core::hresult::HResult;
+use bcap_core::limits::{Limits, Strictness};
+use bcap_core::storage::Storage;
+use bcap_core::time::Instant;
+use bcap_tests::frame::TestFrame;
+use bcap_tests::oracle::{Oracle, Verdict};
+use bcap_tests::value::Value;
+
+use crate::input::AnyValue;
+
+const PEER: PeerId = PeerId(3);
+const OBJECTS: usize = 5;
+
+/// Something that happens.
+#[derive(Arbitrary, Debug)]
+enum Op {
+    /// A request comes; its handles are mostly good.
+    Call {
+        function: u8,
+        retry: u8,
+        values: Vec<AnyValue>,
+        wrong_handle: bool,
+        cut: u8,
+    },
+    Start(Options),
+    Bytes(Vec<u8>),
+    /// The link takes this many bytes.
+    Take(u8),
+    Pass(u16),
+    Due,
+    /// The handler is asked, as when something else has changed.
+    Ask,
+}
+
+/// Options of Service_Start.
+#[derive(Arbitrary, Debug)]
+enum Options {
+    None,
+    Watchdog(u16),
+    InvokeTimeout(u16),
+    Text(String),
+}
+
+/// What the handler does with a call.
+#[derive(Arbitrary, Clone, Debug)]
+enum Plan {
+    Succeed,
+    Answer(AnyValue),
+    Refuse(i32),
+    Wait(u16),
+    /// Asks to be asked at a time that has passed.
+    WaitForPast,
+    /// Answers with far too much.
+    Flood,
+}
+
+/// The application, which knows what it may be asked.
+struct Application {
+    plans: Vec<Plan>,
+    next_plan: usize,
+    open: Vec<(Object, i32)>,
+    next_handle: i32,
+    /// The function that was answered with a wait.
+    waiting: Option<FunctionId>,
+    left: u32,
+    /// On datagrams: the call that came last, by first serial and function, and the one that was begun last.
+    current: Option<(u16, FunctionId)>,
+    begun: Option<(u16, FunctionId)>,
+}
+
+/// Runs a session through what the bytes say.
+///
+/// # Panics
+///
+/// When the core is wrong.
+pub fn server(data: &[u8]) {
+    let Some((options, rest)) = data.split_first() else { return };
+    let base = [Config::TCP, Config::UDP, Config::SERIAL, Config::TCP][usize::from(options & 3)];
+    let config = Config {
+        strictness: if options & 4 == 0 { Strictness::Strict } else { Strictness::Lenient },
+        on_malformed: if options & 8 == 0 { OnMalformed::Close } else { OnMalformed::Resync },
+        invoke_timeout: Duration::from_secs(2),
+        ..base
+    };
+    let mut u = Unstructured::new(rest);
+    let plans = (0..8).map_while(|_| u.arbitrary().ok()).collect();
+    if options & 16 == 0 {
+        Run::new(config, [0; 128], [0; 128], plans).run(&mut u);
+    } else {
+        Run::new(config, vec![0; 64], vec![0; 64], plans).run(&mut u);
+    }
+}
+
+impl Handler for Application {
+    fn call(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        assert_eq!(peer, PEER);
+        self.check(request);
+        let function = request.function;
+        if let Some(object) = function.releases() {
+            let handle = if object == Object::Service { 0 } else { request.handle() };
+            let before = self.open.len();
+            self.open.retain(|open| *open != (object, handle));
+            assert!(self.open.len() < before || object == Object::Service);
+            self.waiting = None;
+            return HResult::S_OK.into();
+        }
+        if !request.resumed && self.current.is_some() {
+            assert!(self.begun != self.current || function == FunctionId::SERVICE_START, "a repetition was executed");
+            self.begun = self.current;
+        }
+        self.carry_out(function, reply, now)
+    }
+
+    fn abandoned(&mut self, _: PeerId, _: Instant) {
+        assert!(self.waiting.take().is_some());
+    }
+
+    fn left(&mut self, _: PeerId, _: Instant) {
+        assert!(self.open.is_empty() && self.waiting.is_none());
+        self.left += 1;
+    }
+}
+
+impl Application {
+    fn check(&self, request: &Request<'_>) {
+        let signature = request.function.signature().expect("only known functions are called");
+        let (given, taken) = (request.args.len(), signature.arguments.len());
+        assert!(given == taken || (request.function == FunctionId::SERVICE_START && given < taken));
+        for (value, kind) in request.args.iter().zip(signature.arguments) {
+            assert!(kind.accepts(&value));
+        }
+        if let Some(Kind::Handle(object)) = signature.arguments.first() {
+            assert!(self.open.contains(&(*object, request.handle())), "{} was not given", request.handle());
+        }
+        assert_eq!(request.resumed, self.waiting.is_some());
+        assert!(self.waiting.is_none_or(|function| function == request.function));
+    }
+
+    fn carry_out(&mut self, function: FunctionId, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        let plan = self.plans.get(self.next_plan).cloned().unwrap_or(Plan::Succeed);
+        self.next_plan = (self.next_plan + 1) % self.plans.len().max(1);
+        self.waiting = None;
+        match (plan, function.opens()) {
+            (Plan::Wait(millis), _) => {
+                self.waiting = Some(function);
+                Outcome::Wait(now + Duration::from_millis(u64::from(millis)))
+            }
+            (Plan::WaitForPast, _) => {
+                self.waiting = Some(function);
+                Outcome::Wait(Instant::ZERO)
+            }
+            (Plan::Refuse(code), _) => HResult((code | i32::MIN).wrapping_add(1) | i32::MIN).into(),
+            (_, Some(Object::Service)) => {
+                if !self.open.contains(&(Object::Service, 0)) {
+                    self.open.push((Object::Service, 0));
+                }
+                HResult::S_OK.into()
+            }
+            (_, Some(object)) => {
+                self.next_handle += 1;
+                reply.set(&self.next_handle).expect("a handle fits");
+                self.open.push((object, self.next_handle));
+                HResult::S_OK.into()
+            }
+            (Plan::Answer(AnyValue(value)), None) => {
+                let _ = reply.set(&value);
+                HResult(function.0).into()
+            }
+            (Plan::Flood, None) => {
+                let _ = reply.set(&[7.0_f64; 3000]);
+                HResult::S_OK.into()
+            }
+            (Plan::Succeed, None) => HResult::S_OK.into(),
+        }
+    }
+}
+
+struct Run<T> {
+    session: Session<T, T, OBJECTS>,
+    application: Application,
+    link: Link,
+    now: Instant,
+    serial: u16,
+    /// Serials of requests that may be answered; any of them on a stream with garbage in it.
+    asked: Vec<u16>,
+    clean: bool,
+    /// What was sent and is not a whole frame yet.
+    sent: Vec<u8>,
+    until: Option<Instant>,
+}
+
+impl<T: Storage> Run<T> {
+    fn new(config: Config, tx: T, rx: T, plans: Vec<Plan>) -> Self {
+        let application = Application {
+            plans,
+            next_plan: 0,
+            open: Vec::new(),
+            next_handle: 100,
+            waiting: None,
+            left: 0,
+            current: None,
+            begun: None,
+        };
+        Self {
+            session: Session::new(config, tx, rx),
+            application,
+            link: config.link,
+            now: Instant::from_millis(1),
+            serial: 0,
+            asked: Vec::new(),
+            clean: true,
+            sent: Vec::new(),
+            until: None,
+        }
+    }
+
+    fn run(mut self, u: &mut Unstructured<'_>) {
+        while let (false, Ok(op)) = (u.is_empty(), Op::arbitrary(u)) {
+            match op {
+                Op::Call { function, retry, values, wrong_handle, cut } => {
+                    self.request(FunctionId(i32::from(function % 140)), retry, values, wrong_handle, cut);
+                }
+                Op::Start(options) => {
+                    let text = match options {
+                        Options::None => String::new(),
+                        Options::Watchdog(millis) => format!("WDT={millis}"),
+                        Options::InvokeTimeout(millis) => format!("x, InvokeTimeout = <{millis}>"),
+                        Options::Text(text) => text,
+                    };
+                    let value = AnyValue(Value::text(&text));
+                    self.request(FunctionId::SERVICE_START, 0, vec![value], false, 1);
+                }
+                Op::Bytes(bytes) => {
+                    self.clean = false;
+                    self.receive(&bytes, None);
+                }
+                Op::Take(count) => self.take(usize::from(count)),
+                Op::Pass(millis) => self.now = self.now + Duration::from_millis(u64::from(millis)),
+                Op::Due => self.now = self.session.poll_timeout().unwrap_or(self.now).max(self.now),
+                Op::Ask => {}
+            }
+            self.serve();
+        }
+        self.finish();
+    }
+
+    /// Makes a request up and lets it come; every eighth is a repetition, every eighth is cut.
+    fn request(&mut self, function: FunctionId, retry: u8, values: Vec<AnyValue>, wrong_handle: bool, cut: u8) {
+        let kinds = function.signature().map_or(&[][..], |signature| signature.arguments);
+        let mut values = values.into_iter().map(|AnyValue(value)| value);
+        let args = kinds.iter().map(|kind| self.argument(*kind, wrong_handle, values.next())).collect();
+        let again = retry % 8 == 7 && self.serial > 0;
+        let reserved = if again { self.serial } else { 0 };
+        self.serial = self.serial.wrapping_add(1).max(1);
+        let first = if again { reserved } else { self.serial };
+        let frame = TestFrame { serial: self.serial, reserved, code: function.0, args };
+        let mut wire = frame.to_wire(self.link == Link::Serial);
+        if cut.is_multiple_of(8) {
+            self.clean = false;
+            wire.truncate(wire.len().saturating_sub(usize::from(cut)));
+        }
+        // what is too long for the line is searched for frames
+        self.clean &= wire.len() <= self.link.send_max();
+        self.asked.push(self.serial);
+        self.receive(&wire, Some((first, function)));
+    }
+
+    fn argument(&self, kind: Kind, wrong_handle: bool, value: Option<Value>) -> Value {
+        match (kind, value) {
+            (Kind::Handle(object), _) if !wrong_handle => {
+                let newest = self.application.open.iter().rev().find(|open| open.0 == object);
+                Value::I4(newest.map_or(0, |open| open.1))
+            }
+            (Kind::Handle(_), _) => Value::I4(101),
+            (_, Some(value)) => value,
+            (Kind::Int, None) => Value::I4(1),
+            (Kind::Float, None) => Value::R4(0),
+            (_, None) => Value::text("x"),
+        }
+    }
+
+    /// Lets bytes come; those that have no room are lost with a datagram, and wait on a stream.
+    fn receive(&mut self, bytes: &[u8], call: Option<(u16, FunctionId)>) {
+        let mut rest = bytes;
+        for _ in 0..1000 {
+            if rest.is_empty() || self.session.is_finished() {
+                return;
+            }
+            let room = self.session.receive_buffer();
+            let count = rest.len().min(room.len());
+            if self.link == Link::Datagram && count < rest.len() {
+                return;
+            }
+            if count == 0 {
+                // nobody reads while a request runs, or a reply waits to be sent
+                assert!(self.session.is_running() || !self.session.transmit().is_empty(), "nothing else is in the way");
+                self.take(usize::MAX);
+                // a handler that waits for the past is asked every millisecond, so time must get on by itself
+                let due = self.session.poll_timeout().unwrap_or(self.now).max(self.now);
+                self.now = due + Duration::from_secs(1);
+                self.serve();
+                continue;
+            }
+            room[..count].copy_from_slice(&rest[..count]);
+            self.session.received(count);
+            if self.link == Link::Datagram {
+                if !self.session.is_running() {
+                    self.take(usize::MAX);
+                    self.application.current = call;
+                }
+                self.serve();
+                return;
+            }
+            rest = &rest[count..];
+            self.serve();
+        }
+        panic!("the session never makes room");
+    }
+
+    /// Lets the session go on as far as it can.
+    fn serve(&mut self) {
+        for _ in 0..2000 {
+            let was_running = self.session.is_running();
+            let event = self.session.run(&mut self.application, PEER, self.now);
+            match event {
+                Some(Event::Malformed(error)) => assert!(!error.to_string().is_empty()),
+                Some(Event::Repeated { .. } | Event::KeptAlive) => assert!(was_running || self.link.is_lossy()),
+                Some(Event::Served { .. }) => assert!(!self.session.transmit().is_empty(), "there is room for a code"),
+                _ => {}
+            }
+            assert_eq!(self.session.is_running(), self.application.waiting.is_some());
+            assert_eq!(self.session.poll_timeout().is_some(), self.session.is_running());
+            assert_eq!(self.session.open_objects(), self.application.open.len());
+            self.until = self.until.filter(|_| self.session.is_running());
+            if event.is_none() {
+                if self.session.transmit().is_empty() {
+                    let due = self.session.poll_timeout();
+                    assert!(due.is_none_or(|due| due > self.now), "what is due is done");
+                }
+                return;
+            }
+        }
+        panic!("the session never comes to an end");
+    }
+
+    fn take(&mut self, count: usize) {
+        let len = self.session.transmit().len();
+        let count = if self.link == Link::Datagram { len } else { count.min(len) };
+        self.sent.extend_from_slice(&self.session.transmit()[..count]);
+        self.session.transmitted(count);
+        let oracle = Oracle { limits: Limits::STREAM, strictness: Strictness::Strict, crc: self.link == Link::Serial };
+        match oracle.decode(&self.sent) {
+            Verdict::Frame(frame, used) => {
+                assert_eq!(used, self.sent.len(), "one at a time");
+                assert!(frame.reserved == 0 && frame.args.len() <= 1 && used <= self.link.send_max());
+                assert!(!self.clean || self.asked.contains(&frame.serial), "nobody asked with {}", frame.serial);
+                self.sent.clear();
+            }
+            Verdict::Incomplete => assert!(self.link != Link::Datagram || self.sent.is_empty()),
+            Verdict::Refused => panic!("what is sent is no frame: {:02x?}", self.sent),
+        }
+    }
+
+    /// What runs ends in time, and nothing is left behind.
+    fn finish(mut self) {
+        for _ in 0..4000 {
+            self.take(usize::MAX);
+            let Some(due) = self.session.poll_timeout() else { break };
+            self.now = due.max(self.now);
+            self.serve();
+            self.now = self.now + Duration::from_millis(50);
+        }
+        self.session.close(&mut self.application, PEER, self.now);
+        assert_eq!((self.application.left, self.session.open_objects()), (1, 0));
+        assert!(self.session.is_finished() && !self.session.is_running());
+        assert!(self.session.run(&mut self.application, PEER, self.now).is_none());
+    }
+}
