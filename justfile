@@ -20,6 +20,7 @@ test:
 format:
     cargo fmt --all
     cargo fmt --all --manifest-path tests/no-panic/Cargo.toml
+    cargo fmt --manifest-path fuzz/Cargo.toml
 
 # Format check and clippy over every feature set, warnings as errors.
 lint:
@@ -44,6 +45,10 @@ arrays:
 # Round trips over loopback beside a bare ping-pong, and a server with 100 connections.
 loopback:
     cargo bench -p bcap-tests --bench loopback
+
+# Each fuzz target for half a minute, or for `just fuzz 1200` seconds.
+fuzz seconds="30":
+    FUZZ_SECONDS={{seconds}} bash .ci/run fuzz
 
 # Licences, sources and advisories of the dependencies.
 dependencies:
