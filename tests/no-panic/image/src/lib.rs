@@ -5,6 +5,7 @@
 #![no_std]
 #![expect(unsafe_code, reason = "system calls, the entry point and memcpy have no safe form")]
 
+pub mod gateway;
 pub mod slave;
 
 use core::arch::asm;
@@ -140,4 +141,13 @@ pub unsafe extern "C" fn memcmp(a: *const u8, b: *const u8, len: usize) -> i32 {
 pub unsafe extern "C" fn bcmp(a: *const u8, b: *const u8, len: usize) -> i32 {
     // SAFETY: the same promise.
     unsafe { memcmp(a, b, len) }
+}
+
+/// Copies what fits from one end to the other, and returns how much that was.
+pub fn carry(from: &[u8], to: &mut [u8]) -> usize {
+    let count = from.len().min(to.len());
+    for (to, from) in to.iter_mut().zip(from) {
+        *to = *from;
+    }
+    count
 }

@@ -1,4 +1,4 @@
-//! The text of values, and RAC: reads lines from standard input, and writes those again that were understood.
+//! The text of values, RAC, and the gateway: reads lines from standard input, and writes those again that were understood.
 #![no_std]
 #![no_main]
 
@@ -9,7 +9,7 @@ use bcap_core::rac::server::{self, Handler, Session};
 use bcap_core::rac::{Framed, LineFramer, MAX_VALUE, Request, Response};
 use bcap_core::time::Instant;
 use bcap_core::variant::{VariantBuf, Writer};
-use no_panic_image::{entry, read_all, write_all};
+use no_panic_image::{carry, entry, gateway, read_all, write_all};
 
 entry!(main);
 
@@ -40,7 +40,8 @@ fn main() -> i32 {
             break;
         }
     }
-    0
+    // of the few lines that there are not every one can have been served by the robot
+    i32::from(gateway::serve(input) > 1_000_000)
 }
 
 /// Parses a line as a value and prints it again.
@@ -120,13 +121,4 @@ impl Wire {
             self.client.abandon();
         }
     }
-}
-
-/// Copies what fits from one end to the other.
-fn carry(from: &[u8], to: &mut [u8]) -> usize {
-    let count = from.len().min(to.len());
-    for (to, from) in to.iter_mut().zip(from) {
-        *to = *from;
-    }
-    count
 }
