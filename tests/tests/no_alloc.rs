@@ -10,6 +10,7 @@ use bcap_core::bcap::slave::{
 };
 use bcap_core::bcap::{Decoder, FrameWriter, FunctionId, server};
 use bcap_core::error::EncodeError;
+use bcap_core::gateway;
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::limits::{Limits, Strictness};
@@ -232,6 +233,44 @@ fn lines_of_rac_both_ways() {
             assert_eq!(client.poll_event(now), Some(rac::client::Event::Replied(HResult::S_OK)));
             assert_eq!(client.reply().and_then(|reply| reply.value).is_some(), matches!(request, rac::Request::Get(_)));
         }
+    });
+}
+
+#[test]
+fn a_gateway_between_lines_and_frames() {
+    let now = Instant::from_millis(1);
+    without(|| {
+        let mut memory = gateway::Memory::<2, 1>::new();
+        let rules = gateway::Rules { put: &gateway::Allow::EVERYTHING, ..Default::default() };
+        let mut gateway = gateway::Gateway::new(gateway::Config { rules, ..gateway::Config::RC8 }, &mut memory);
+        let mut robot = BoardSession::new(server::Config::TCP, [0; 512], [0; 512]);
+        let plc = gateway.open().unwrap();
+        gateway.robot_opened(now);
+        // the second variable makes the first one's handle go
+        for line in ["", "GET:RC8:1:P:\r", "PUT:RC8:2:I:3,5\r", "nonsense\r", "PUT:RC8:2:I:4,5\r"] {
+            let count = carry(line.as_bytes(), gateway.receive_buffer(plc));
+            gateway.received(plc, count);
+            loop {
+                while gateway.poll_event(now).is_some() {}
+                let count = carry(gateway.robot_transmit(), robot.receive_buffer());
+                if count == 0 {
+                    break;
+                }
+                gateway.robot_transmitted(count);
+                robot.received(count);
+                while robot.run(&mut Answer, PeerId(1), now).is_some() {}
+                let count = carry(robot.transmit(), gateway.robot_receive_buffer());
+                robot.transmitted(count);
+                gateway.robot_received(count);
+            }
+            let count = gateway.transmit(plc).len();
+            gateway.transmitted(plc, count);
+        }
+        let counters = gateway.counters();
+        // the answers are arrays of VARIANT, which have a text
+        assert_eq!((counters.served.count(), counters.failed.count(), counters.refused), (2, 0, 2));
+        gateway.robot_closed(now);
+        assert!(gateway.poll_event(now).is_some());
     });
 }
 
