@@ -209,7 +209,9 @@ fn while_the_robot_is_away_the_error_comes_at_once_and_then_service_resumes() {
     // a port that nobody listens on, and where the robot will be
     let robot = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
     let mut gateway = Server::gateway(&robot, &["--allow-put", "I"]);
-    assert_eq!(gateway.log("robot_down")["retry_ms"], 500);
+    let down = gateway.log("robot_down");
+    assert_eq!(down["retry_ms"], 500);
+    assert!(down["reason"].as_str().unwrap().contains("refused"), "{down}");
     let mut plcs = [(); 3].map(|()| Plc::connect(&gateway));
     for plc in &mut plcs {
         assert_eq!(plc.ask("GET:RC8:1:I:\r"), NOT_CONNECTED);
@@ -225,7 +227,8 @@ fn while_the_robot_is_away_the_error_comes_at_once_and_then_service_resumes() {
         }
         drop(sim);
         let down = gateway.log("robot_down");
-        assert_eq!((&down["reason"], &down["retry_ms"]), (&"no connection".into(), &500.into()));
+        assert_eq!(down["retry_ms"], 500, "pauses begin anew after a session");
+        assert!(down["reason"].as_str().unwrap().to_lowercase().contains("connection"), "{down}");
         let since = Instant::now();
         for plc in &mut plcs {
             assert_eq!(plc.ask("GET:RC8:1:I:\r"), NOT_CONNECTED);

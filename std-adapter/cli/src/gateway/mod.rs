@@ -15,7 +15,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use bcap_core::bcap::client;
-use bcap_core::gateway::{Config, Event, Gateway, Memory};
+use bcap_core::gateway::{Config, Event, Gateway, Memory, RobotError};
 use bcap_core::handler::PeerId;
 use tokio::net::TcpListener;
 use tokio::sync::{Notify, watch};
@@ -95,6 +95,8 @@ struct Inner {
     audit: Audit,
     /// The robot's address, for the log.
     robot: String,
+    /// Why the last connection to the robot ended, or none was to be had.
+    trouble: Option<String>,
 }
 
 /// A client that is connected.
@@ -106,7 +108,7 @@ struct Client {
 
 impl Shared {
     fn new(gateway: Gateway<'static>, robot: String, audit: Audit) -> Self {
-        let inner = Inner { gateway, clients: HashMap::new(), audit, robot };
+        let inner = Inner { gateway, clients: HashMap::new(), audit, robot, trouble: None };
         Self { inner: Mutex::new(inner), robot: Notify::new() }
     }
 
@@ -136,6 +138,12 @@ impl Shared {
 }
 
 impl Inner {
+    /// Tells the gateway that there is no connection to the robot, and keeps the reason for the log.
+    fn robot_lost(&mut self, error: &io::Error) {
+        self.trouble = Some(error.to_string());
+        self.gateway.robot_closed(bcap_std::now());
+    }
+
     fn log(&mut self, event: Event) {
         let answer = |peer, result| {
             let client = self.clients.get(&peer).map(|client| client.address.to_string()).unwrap_or_default();
@@ -150,7 +158,10 @@ impl Inner {
             Event::RobotUp => Record::RobotUp { robot: self.robot.clone() },
             Event::RobotDown { error, pause } => Record::RobotDown {
                 robot: self.robot.clone(),
-                reason: error.to_string(),
+                reason: match (error, self.trouble.take()) {
+                    (RobotError::Closed, Some(trouble)) => trouble,
+                    (error, _) => error.to_string(),
+                },
                 retry_ms: u64::try_from(pause.as_millis()).unwrap_or(u64::MAX),
             },
         };

@@ -38,14 +38,20 @@ pub(super) async fn run(shared: Arc<Shared>, target: Target, limit: Duration, mu
 
 /// Opens the connection, and tells the gateway how it went.
 async fn connect(shared: &Shared, target: &Target, limit: Duration) -> Option<TcpStream> {
-    let connecting = timeout(limit, TcpStream::connect((target.host.as_str(), target.port))).await;
-    let stream = connecting.ok().and_then(Result::ok).filter(|stream| stream.set_nodelay(true).is_ok());
-    let gateway = &mut shared.lock().gateway;
-    match stream {
-        Some(_) => gateway.robot_opened(bcap_std::now()),
-        None => gateway.robot_closed(bcap_std::now()),
+    let connected = match timeout(limit, TcpStream::connect((target.host.as_str(), target.port))).await {
+        Ok(connected) => connected.and_then(|stream| stream.set_nodelay(true).map(|()| stream)),
+        Err(_) => Err(io::Error::new(io::ErrorKind::TimedOut, "no connection within the timeout")),
+    };
+    match connected {
+        Ok(stream) => {
+            shared.lock().gateway.robot_opened(bcap_std::now());
+            Some(stream)
+        }
+        Err(error) => {
+            shared.lock().robot_lost(&error);
+            None
+        }
     }
-    stream
 }
 
 /// Waits until something can be done, and moves the bytes that can be moved.
@@ -60,11 +66,13 @@ async fn wait(shared: &Shared, stream: Option<TcpStream>) -> Option<TcpStream> {
         () = sleep(until), if due.is_some() => Ok(()),
         () = shared.robot.notified() => Ok(()),
     };
-    if moved.is_err() {
-        shared.lock().gateway.robot_closed(bcap_std::now());
-        return None;
+    match moved {
+        Ok(()) => stream,
+        Err(error) => {
+            shared.lock().robot_lost(&error);
+            None
+        }
     }
-    stream
 }
 
 /// Moves bytes as soon as some can be moved; an error is the end of the connection. For ever, when there is none.
@@ -87,7 +95,7 @@ async fn transfer(shared: &Shared, stream: Option<&TcpStream>, sends: bool) -> i
                 let received = stream.try_read(gateway.robot_receive_buffer());
                 if !must_wait(&received) {
                     return match received? {
-                        0 => Err(io::ErrorKind::UnexpectedEof.into()),
+                        0 => Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the robot has closed the connection")),
                         count => {
                             gateway.robot_received(count);
                             Ok(())
