@@ -271,6 +271,10 @@ pub(crate) struct Sim {
     /// A file of faults that happen by themselves: refused calls, errors, the emergency stop, a bad link
     #[arg(long, value_name = "FILE")]
     pub(crate) scenario: Option<PathBuf>,
+
+    /// The folder of the controller's files; otherwise one that is empty, and gone at the end
+    #[arg(long, value_name = "DIR")]
+    pub(crate) files: Option<PathBuf>,
 }
 
 /// A model of controller.

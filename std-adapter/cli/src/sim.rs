@@ -26,7 +26,13 @@ pub(crate) fn sim(args: &Sim) -> Result<(), Failure> {
         // the signals first: who reads the line may send one at once
         let ended = signal::wait()?;
         let wanted = Listening { bcap: args.bcap, udp: args.udp, rac: args.rac };
-        let mut controller = controller(args.model.into());
+        // kept as long as the controller runs
+        let temporary = tempfile::tempdir()?;
+        let files = args.files.as_deref().unwrap_or(temporary.path());
+        if !files.is_dir() {
+            return Err(Failure::Input(format!("--files {}: there is no such folder", files.display())));
+        }
+        let mut controller = Controller::new(Config { files: Some(files.to_owned()), ..config(args.model.into()) });
         if let Some(path) = &args.scenario {
             controller.play(read_scenario(path)?);
         }
@@ -95,10 +101,15 @@ pub(crate) fn runtime() -> io::Result<Runtime> {
     runtime::Builder::new_current_thread().enable_all().build()
 }
 
-/// Switches a controller on, with the time of this machine; it takes the providers of all models.
+/// Switches a controller on.
 pub(crate) fn controller(model: Profile) -> Controller {
+    Controller::new(config(model))
+}
+
+/// Sets a controller up with the time of this machine; it takes the providers of all models.
+fn config(model: Profile) -> Config {
     let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let origin = since_1970.as_micros().saturating_sub(bcap_std::now().as_micros().into()) / 1000;
     let wall_clock_origin_ms = i64::try_from(origin).unwrap_or(0);
-    Controller::new(Config { any_provider: true, wall_clock_origin_ms, ..Config::new(model) })
+    Config { any_provider: true, wall_clock_origin_ms, ..Config::new(model) }
 }

@@ -172,6 +172,21 @@ fn a_scenario_refuses_loses_and_garbles() {
 }
 
 #[test]
+fn the_controllers_files_are_those_of_a_folder() {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("files");
+    fs::create_dir_all(&folder).unwrap();
+    fs::write(folder.join("a.pcs"), "Sub Main").unwrap();
+    let sim = Sim::start(&["--files", folder.to_str().unwrap()]);
+    assert_eq!(sim.tcp(&["call", "ControllerGetFileNames", "controller", "8,"]).out, "a.pcs\n");
+    // without a folder there is an empty one
+    let sim = Sim::start(&[]);
+    let run = sim.tcp(&["call", "ControllerGetFileNames", "controller", "8,"]);
+    assert_eq!((run.code, run.out.as_str()), (0, "BSTR[]\n"), "{run:?}");
+    let run = bcap(&["sim", "--files", "no/such/folder"]);
+    assert!(run.code == 2 && run.err.contains("--files no/such/folder: there is no such folder"), "{run:?}");
+}
+
+#[test]
 fn what_is_no_scenario_is_explained() {
     let wrong = scenario("wrong.toml", "[[fault]]\nwhen = { cal = 1 }\nthen = 'drop'");
     let run = bcap(&["sim", "--scenario", &wrong]);

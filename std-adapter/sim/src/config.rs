@@ -1,5 +1,6 @@
 //! What a virtual controller is like when it is switched on.
 
+use std::path::PathBuf;
 use std::time::Duration;
 
 use bcap_core::handler::PeerId;
@@ -119,6 +120,8 @@ pub struct Config {
     pub slave: SlaveConfig,
     /// Axes beyond the sixth, 0 to 2; only slave mode moves them.
     pub extended_axes: u8,
+    /// The folder whose files the controller has; without one it has none, and says so.
+    pub files: Option<PathBuf>,
     /// The names of the tasks.
     pub tasks: Vec<String>,
     /// The time of one cycle of a task.
@@ -156,6 +159,7 @@ impl Config {
                 ..SlaveConfig::default()
             },
             extended_axes: 0,
+            files: None,
             tasks: ["Pro1", "Pro2", "Pro3"].map(str::to_owned).to_vec(),
             task_cycle: Duration::from_secs(1),
             task_lines: 10,

@@ -128,6 +128,10 @@ impl Controller {
             Item::Robot => self.robot_call(peer, request),
             Item::Task(n) => self.task_call(peer, n, request),
             Item::Variable(target) => self.variable_call(peer, target, request),
+            Item::File => {
+                let name = self.objects.get(peer, request.handle(), Object::File)?.name.clone();
+                self.file_call(peer, &name, request)
+            }
         }
     }
 
@@ -142,7 +146,7 @@ impl Controller {
     }
 
     /// Opens an object and answers with its handle.
-    fn open(&mut self, peer: PeerId, item: Item, name: String) -> Answered {
+    pub(crate) fn open(&mut self, peer: PeerId, item: Item, name: String) -> Answered {
         let entry = Entry { peer, item, name, tag: None, id: None, stamp: self.now };
         let handle = self.objects.open(entry, self.config().max_objects)?;
         Ok(Value::I4(handle).into())
@@ -212,7 +216,9 @@ impl Controller {
             FunctionId::CONTROLLER_GET_ROBOT_NAMES => Ok(names(["Arm0".to_owned()])),
             FunctionId::CONTROLLER_GET_TASK_NAMES => Ok(names(self.tasks.iter().map(|t| t.name().to_owned()))),
             FunctionId::CONTROLLER_EXECUTE => self.controller_execute(peer, &name(), &request.value(2)),
-            // files, extensions, commands and messages
+            FunctionId::CONTROLLER_GET_FILE => self.open_file(peer, "", &name(), &request.text(2).to_string()),
+            FunctionId::CONTROLLER_GET_FILE_NAMES => self.file_names(""),
+            // extensions, commands and messages
             _ => Err(HResult::E_NOTIMPL),
         }
     }
@@ -296,7 +302,7 @@ impl Controller {
     }
 
     /// Checks the communication permission.
-    fn may_write(&self) -> Result<(), HResult> {
+    pub(crate) fn may_write(&self) -> Result<(), HResult> {
         match self.config().permission {
             Permission::ReadWrite => Ok(()),
             Permission::ReadOnly => Err(HResult::E_CAO_NOT_WRITABLE),
@@ -338,6 +344,7 @@ fn help(entry: &Entry) -> String {
         Item::Robot => "A virtual arm of six axes.".to_owned(),
         Item::Task(_) => "A virtual task: a loop of fixed time.".to_owned(),
         Item::Variable(Target::System(..)) => format!("The system variable {}.", entry.name),
+        Item::File => format!("The file {}.", entry.name),
         Item::Variable(_) => format!("The user variable {}.", entry.name),
     }
 }

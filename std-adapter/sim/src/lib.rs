@@ -12,13 +12,14 @@
 //! * The system variables of controller, robot and tasks, the error lists, the commands about them.
 //! * An arm of six axes with its kinematics, a motor, the arm authority, motions that take their time, Halt and Hold.
 //! * Slave mode with its three modes, buffers, formats, limits and errors.
+//! * Files below a folder of this machine.
 //! * Tasks that run on the clock that is given.
 //! * The emergency stop, the mode switch, the executable token and any error, for a test to throw in.
 //! * Faults by a scenario, on the wire as well as in the controller.
 //!
 //! # What answers `E_NOTIMPL`
 //!
-//! Files, extensions, commands and messages, arcs and free
+//! Extensions, commands and messages, arcs and free
 //! curves, Rotate, Chuck and Unchuck, Task_Delete, definitions of tools and work coordinates, hands, logs, force
 //! control. A command that no controller is known to have answers `E_INVALID_CMD_NAME`. Nothing answers `S_OK` without
 //! having done what it was asked.
@@ -35,7 +36,7 @@
 //! * GetAttribute answers 0. GetTag and GetID answer what PutTag and PutID have set; a user variable's ID is its index.
 //! * Variable_GetDateTime tells when the variable was last read or written through this handle.
 //!
-//! The tables of names, types and answers stand with the code: [`variables`], [`system`], [`arm`], [`execute`],
+//! The tables of names, types and answers stand with the code: [`variables`], [`system`], [`arm`], [`execute`], [`files`],
 //! [`pose`], [`kinematics`], [`scenario`], [`slave`], [`tasks`].
 //!
 //! # Examples
@@ -60,6 +61,7 @@ mod controller;
 mod dispatch;
 mod errors;
 pub mod execute;
+pub mod files;
 pub mod kinematics;
 pub mod motion;
 mod objects;

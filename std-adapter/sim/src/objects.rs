@@ -35,6 +35,8 @@ pub(crate) enum Item {
     /// The task's place in the list.
     Task(usize),
     Variable(Target),
+    /// A file or a folder; its name from the root is the entry's name.
+    File,
 }
 
 impl Item {
@@ -44,6 +46,7 @@ impl Item {
             Self::Robot => Object::Robot,
             Self::Task(_) => Object::Task,
             Self::Variable(_) => Object::Variable,
+            Self::File => Object::File,
         }
     }
 }
@@ -94,6 +97,12 @@ impl Objects {
     pub(crate) fn release(&mut self, peer: PeerId, handle: i32, object: Object) -> Result<(), HResult> {
         self.get(peer, handle, object)?;
         self.open.remove(&handle);
+        Ok(())
+    }
+
+    /// Gives a file that was moved its new name.
+    pub(crate) fn rename(&mut self, peer: PeerId, handle: i32, name: String) -> Result<(), HResult> {
+        self.get_mut(peer, handle, Object::File)?.name = name;
         Ok(())
     }
 

@@ -1,0 +1,187 @@
+//! Files over the handler of b-CAP, below a temporary folder.
+
+mod common;
+
+use std::fs;
+
+use bcap_core::bcap::call::{self, FileHandle};
+use bcap_core::hresult::HResult;
+use bcap_core::variant::{OleDate, Variant};
+use bcap_sim::{Config, Permission};
+use tempfile::TempDir;
+
+use common::{Client, Reply, World, code, ok};
+
+struct Rig {
+    world: World,
+    client: Client,
+    folder: TempDir,
+}
+
+impl Rig {
+    /// A controller with `a.pcs` and `Sub\b.txt`.
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("a.pcs"), "Sub Main\n").unwrap();
+        fs::create_dir(folder.path().join("Sub")).unwrap();
+        fs::write(folder.path().join("Sub/b.txt"), "b").unwrap();
+        let mut world = World::with(Config { files: Some(folder.path().into()), ..Config::default() });
+        let client = world.client(1);
+        Self { world, client, folder }
+    }
+
+    fn get(&mut self, name: &str, option: &str) -> Reply {
+        self.world.call(self.client.peer, call::controller_get_file(self.client.controller, name, option))
+    }
+
+    fn open(&mut self, name: &str) -> FileHandle {
+        match self.get(name, "") {
+            (HResult::S_OK, value) => match value.as_variant() {
+                Variant::I4(handle) => FileHandle(handle),
+                other => panic!("{other:?}"),
+            },
+            (refused, _) => panic!("{name}: {refused}"),
+        }
+    }
+
+    fn call(&mut self, call: impl call::Call) -> Reply {
+        self.world.call(self.client.peer, call)
+    }
+
+    fn names(&mut self) -> Reply {
+        self.call(call::controller_get_file_names(self.client.controller, ""))
+    }
+
+    fn on_disk(&self, name: &str) -> Option<String> {
+        fs::read_to_string(self.folder.path().join(name)).ok()
+    }
+}
+
+#[test]
+fn files_are_listed_read_and_written() {
+    let mut rig = Rig::new();
+    assert_eq!(rig.names(), ok(&["Sub\\", "a.pcs"]));
+    let file = rig.open("a.pcs");
+    assert_eq!(rig.call(call::file_get_value(file)), ok(&"Sub Main\n"));
+    assert_eq!(rig.call(call::file_put_value(file, "End Sub é\n")), code(HResult::S_OK));
+    assert_eq!(rig.on_disk("a.pcs").as_deref(), Some("End Sub é\n"));
+    assert_eq!(rig.call(call::file_get_size(file)), ok(&11));
+    assert_eq!(rig.call(call::file_get_type(file)), ok(&"pcs"));
+    assert_eq!(rig.call(call::file_get_path(file)), ok(&"\\"));
+    assert_eq!(rig.call(call::file_get_name(file)), ok(&"a.pcs"));
+    // bytes that are no text
+    assert_eq!(rig.call(call::file_put_value(file, [0xff_u8, 0])), code(HResult::S_OK));
+    assert_eq!(rig.call(call::file_get_value(file)), ok(&[0xff_u8, 0]));
+    assert_eq!(rig.call(call::file_put_value(file, 5)), code(HResult::E_INVALIDARGTYPE));
+    assert_eq!(rig.call(call::file_release(file)), code(HResult::S_OK));
+    assert_eq!(rig.call(call::file_get_value(file)), code(HResult::E_HANDLE));
+}
+
+#[test]
+fn folders_have_files_of_their_own() {
+    let mut rig = Rig::new();
+    let folder = rig.open("Sub\\");
+    assert_eq!(rig.call(call::file_get_file_names(folder, "")), ok(&["b.txt"]));
+    assert_eq!(rig.call(call::file_get_type(folder)), ok(&"Folder"));
+    assert_eq!(rig.call(call::file_get_value(folder)), code(HResult::E_INVALIDARG));
+    assert_eq!(rig.call(call::file_get_size(folder)), ok(&0));
+    let (result, handle) = rig.call(call::file_get_file(folder, "b.txt", ""));
+    assert_eq!(result, HResult::S_OK);
+    let file = FileHandle(handle.as_variant().as_i32().unwrap());
+    assert_eq!(rig.call(call::file_get_value(file)), ok(&"b"));
+    assert_eq!(rig.call(call::file_get_path(file)), ok(&"\\Sub\\"));
+    // both separators
+    let file = rig.open("/Sub/b.txt");
+    assert_eq!(rig.call(call::file_get_name(file)), ok(&"Sub\\b.txt"));
+    let file = rig.open("a.pcs");
+    assert_eq!(rig.call(call::file_get_file_names(file, "")), code(HResult::E_CAO_OBJECT_NOTFOUND));
+}
+
+#[test]
+fn what_is_not_there_is_made_on_request() {
+    let mut rig = Rig::new();
+    assert_eq!(rig.get("new.txt", ""), code(HResult::E_CAO_OBJECT_NOTFOUND));
+    assert_eq!(rig.get("new.txt", "@Create=0"), code(HResult::E_CAO_OBJECT_NOTFOUND));
+    assert_eq!(rig.get("new.txt", "@create=1").0, HResult::S_OK);
+    assert_eq!(rig.get("Deep\\", "@Create=1").0, HResult::S_OK);
+    assert_eq!(rig.get("Deep\\new.txt", "@Create=1").0, HResult::S_OK);
+    assert_eq!(rig.get("None\\new.txt", "@Create=1"), code(HResult::E_CAO_OBJECT_NOTFOUND));
+    assert_eq!(rig.names(), ok(&["Deep\\", "Sub\\", "a.pcs", "new.txt"]));
+    assert_eq!(rig.on_disk("Deep/new.txt").as_deref(), Some(""));
+}
+
+#[test]
+fn files_are_copied_moved_and_deleted() {
+    let mut rig = Rig::new();
+    let file = rig.open("a.pcs");
+    assert_eq!(rig.call(call::file_copy(file, "c.pcs", "")), code(HResult::S_OK));
+    assert_eq!(rig.call(call::file_copy(file, "Sub\\", "")), code(HResult::S_OK));
+    assert_eq!(rig.on_disk("Sub/a.pcs").as_deref(), Some("Sub Main\n"));
+    assert_eq!(rig.call(call::file_copy(file, "c.pcs", "")), code(HResult::E_CAO_COLLECTION_REGISTERED));
+    assert_eq!(rig.call(call::file_move(file, "Sub\\d.pcs", "")), code(HResult::S_OK));
+    assert_eq!(rig.call(call::file_get_path(file)), ok(&"\\Sub\\"));
+    assert_eq!((rig.on_disk("a.pcs"), rig.on_disk("Sub/d.pcs").as_deref()), (None, Some("Sub Main\n")));
+    let folder = rig.open("Sub");
+    assert_eq!(rig.call(call::file_delete(folder, "")), code(HResult::E_ACCESSDENIED), "it is not empty");
+    assert_eq!(rig.call(call::file_delete(file, "")), code(HResult::S_OK));
+    assert_eq!(rig.call(call::file_get_value(file)), code(HResult::E_CAO_OBJECT_NOTFOUND));
+    assert_eq!(rig.names(), ok(&["Sub\\", "c.pcs"]));
+}
+
+#[test]
+fn dates_are_those_of_the_file() {
+    let mut rig = Rig::new();
+    let file = rig.open("a.pcs");
+    let modified = fs::metadata(rig.folder.path().join("a.pcs")).unwrap().modified().unwrap();
+    let millis = modified.duration_since(std::time::UNIX_EPOCH).unwrap().as_millis();
+    let expected = OleDate::from_unix_millis(i64::try_from(millis).unwrap()).unwrap();
+    assert_eq!(rig.call(call::file_get_date_last_modified(file)), ok(&expected));
+    for (result, date) in
+        [rig.call(call::file_get_date_created(file)), rig.call(call::file_get_date_last_accessed(file))]
+    {
+        assert!(result == HResult::S_OK && matches!(date.as_variant(), Variant::Date(_)));
+    }
+}
+
+#[test]
+fn nothing_leads_out_of_the_root() {
+    let mut rig = Rig::new();
+    let outside = tempfile::tempdir().unwrap();
+    fs::write(outside.path().join("secret"), "x").unwrap();
+    for name in ["..", "..\\x", "Sub\\..\\..\\x", "/../x"] {
+        assert_eq!(rig.get(name, "@Create=1"), code(HResult::E_ACCESSDENIED), "{name}");
+    }
+    for name in ["C:\\x", "a*", "a\u{0}b", "a\nb"] {
+        assert_eq!(rig.get(name, "@Create=1"), code(HResult::E_INVALIDARG), "{name}");
+    }
+    for root in ["", "\\", " / "] {
+        assert_eq!(rig.get(root, ""), code(HResult::E_INVALIDARG), "{root:?}");
+    }
+    let file = rig.open("a.pcs");
+    assert_eq!(rig.call(call::file_copy(file, "..\\x", "")), code(HResult::E_ACCESSDENIED));
+    assert_eq!(rig.call(call::file_move(file, "", "")), code(HResult::E_INVALIDARG));
+    #[cfg(unix)]
+    {
+        std::os::unix::fs::symlink(outside.path(), rig.folder.path().join("out")).unwrap();
+        std::os::unix::fs::symlink(outside.path().join("new"), rig.folder.path().join("dangling")).unwrap();
+        for name in ["out", "out\\secret", "out\\new", "dangling"] {
+            assert_eq!(rig.get(name, "@Create=1"), code(HResult::E_ACCESSDENIED), "{name}");
+        }
+    }
+    assert_eq!(fs::read_dir(outside.path()).unwrap().count(), 1);
+}
+
+#[test]
+fn reading_alone_is_permitted_without_permission_to_write() {
+    let mut rig = Rig::new();
+    rig.world.sim.set_permission(Permission::ReadOnly);
+    let file = rig.open("a.pcs");
+    assert_eq!(rig.call(call::file_get_value(file)), ok(&"Sub Main\n"));
+    let refused = code(HResult::E_CAO_NOT_WRITABLE);
+    assert_eq!(rig.call(call::file_put_value(file, "x")), refused);
+    assert_eq!(rig.call(call::file_copy(file, "x", "")), refused);
+    assert_eq!(rig.call(call::file_move(file, "x", "")), refused);
+    assert_eq!(rig.call(call::file_delete(file, "")), refused);
+    assert_eq!(rig.get("new.txt", "@Create=1"), refused);
+    assert_eq!(rig.on_disk("a.pcs").as_deref(), Some("Sub Main\n"));
+}
