@@ -11,6 +11,7 @@
 //! | [`stream`]            | bytes cut into chunks, on all three links    | the frames of one piece, on both sides                 |
 //! | [`client`]            | calls, bytes, replies, time in any order     | calls end once and in time, with their own reply       |
 //! | [`server`]            | bytes, calls, waits, time in any order       | valid replies, checked calls, no handle left behind    |
+//! | [`gateway`]           | lines of PLCs, replies of a robot, any order | one answer a line; no PUT against the rules            |
 //! | [`sim`]               | calls and events of the virtual controller   | its invariants, and the same run twice                 |
 //!
 //! They run under libFuzzer (`cargo fuzz run frame`), and as ordinary functions: the corpora are replayed by
@@ -18,6 +19,7 @@
 
 mod client;
 mod frame;
+mod gateway;
 mod input;
 mod rac_line;
 mod roundtrip;
@@ -29,6 +31,7 @@ mod variant;
 
 pub use self::client::client;
 pub use self::frame::frame;
+pub use self::gateway::gateway;
 pub use self::rac_line::rac_line;
 pub use self::roundtrip::{roundtrip_binary, roundtrip_text};
 pub use self::server::server;
@@ -41,7 +44,7 @@ pub use self::variant::variant;
 pub type Target = (&'static str, fn(&[u8]));
 
 /// All targets.
-pub const TARGETS: [Target; 10] = [
+pub const TARGETS: [Target; 11] = [
     ("frame", frame),
     ("variant", variant),
     ("text", text),
@@ -51,5 +54,6 @@ pub const TARGETS: [Target; 10] = [
     ("stream", stream),
     ("client", client),
     ("server", server),
+    ("gateway", gateway),
     ("sim", sim),
 ];

@@ -282,7 +282,7 @@ fn run(steps: &[Step], profile: Profile) -> Trace {
         run.check();
     }
     (0..CLIENTS).for_each(|peer| run.leave(peer));
-    run.now = run.now + Duration::from_secs(60);
+    run.now = run.now + Duration::from_secs(5);
     run.sim.advance(run.now);
     assert!(!run.sim.is_moving() && run.sim.slave_mode() == 0);
     let limits = run.sim.slave_limits();
