@@ -53,6 +53,8 @@ enum Op {
     RobotClosed,
     /// The robot takes what is sent and does what it should.
     Obey,
+    /// It does so until it has nothing to do.
+    ObeyAll,
     /// It answers the call with this.
     Answer {
         code: i32,
@@ -125,6 +127,13 @@ pub fn gateway(data: &[u8]) {
         read_only: put.is_empty(),
     };
     run.plug_in();
+    if options & 16 == 0 {
+        run.open_robot();
+        run.go_on();
+        // Service_Start and Controller_Connect
+        (0..2).for_each(|_| run.obey());
+        assert!(run.gateway.is_up());
+    }
     let mut u = Unstructured::new(rest);
     while let (false, Ok(op)) = (u.is_empty(), Op::arbitrary(&mut u)) {
         run.apply(op);
@@ -197,6 +206,7 @@ impl Run<'_> {
             Op::RobotClosed if self.robot.open => self.close_robot(),
             Op::RobotClosed => {}
             Op::Obey => self.obey(),
+            Op::ObeyAll => (0..4).for_each(|_| self.obey()),
             Op::Answer { code, value } => self.answer(code, value.map(|AnyValue(value)| value)),
             Op::Stray { behind, code, value } => {
                 let serial = self.robot.last.wrapping_sub(u16::from(behind) + 1);

@@ -189,6 +189,8 @@ struct Run<T> {
     link: Link,
     now: Instant,
     serial: u16,
+    /// The last request, which may be repeated.
+    last: Option<TestFrame>,
     /// Serials of requests that may be answered; any of them on a stream with garbage in it.
     asked: Vec<u16>,
     clean: bool,
@@ -215,6 +217,7 @@ impl<T: Storage> Run<T> {
             link: config.link,
             now: Instant::from_millis(1),
             serial: 0,
+            last: None,
             asked: Vec::new(),
             clean: true,
             sent: Vec::new(),
@@ -256,12 +259,14 @@ impl<T: Storage> Run<T> {
     fn request(&mut self, function: FunctionId, retry: u8, values: Vec<AnyValue>, wrong_handle: bool, cut: u8) {
         let kinds = function.signature().map_or(&[][..], |signature| signature.arguments);
         let mut values = values.into_iter().map(|AnyValue(value)| value);
-        let args = kinds.iter().map(|kind| self.argument(*kind, wrong_handle, values.next())).collect();
-        let again = retry % 8 == 7 && self.serial > 0;
-        let reserved = if again { self.serial } else { 0 };
+        let args: Vec<_> = kinds.iter().map(|kind| self.argument(*kind, wrong_handle, values.next())).collect();
         self.serial = self.serial.wrapping_add(1).max(1);
-        let first = if again { reserved } else { self.serial };
-        let frame = TestFrame { serial: self.serial, reserved, code: function.0, args };
+        let frame = match &self.last {
+            Some(last) if retry % 8 == 7 => TestFrame { serial: self.serial, ..last.clone() },
+            _ => TestFrame { serial: self.serial, reserved: self.serial, code: function.0, args },
+        };
+        let (first, function) = (frame.reserved, FunctionId(frame.code));
+        self.last = Some(frame.clone());
         let mut wire = frame.to_wire(self.link == Link::Serial);
         if cut.is_multiple_of(8) {
             self.clean = false;
