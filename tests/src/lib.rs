@@ -24,3 +24,8 @@ pub mod strategies;
 pub mod text;
 pub mod value;
 pub mod vectors;
+
+/// The examples of the README are compiled.
+#[cfg(doctest)]
+#[doc = include_str!("../../README.md")]
+pub struct Readme;
