@@ -18,6 +18,7 @@ use std::hint::black_box;
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::sync::mpsc;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -317,9 +318,11 @@ impl BareServer {
         let mut listener = mio::net::TcpListener::bind("127.0.0.1:0".parse()?)?;
         let address = listener.local_addr()?;
         poll.registry().register(&mut listener, LISTENER, mio::Interest::READABLE)?;
-        let waker = mio::Waker::new(poll.registry(), STOP)?;
+        // held by both sides: a waker that is dropped at once takes its event out of epoll again
+        let waker = Arc::new(mio::Waker::new(poll.registry(), STOP)?);
+        let held = Arc::clone(&waker);
         let thread = thread::spawn(move || {
-            let reply = frames(3).1;
+            let (reply, _held) = (frames(3).1, held);
             let (mut events, mut streams, mut buffer) = (mio::Events::with_capacity(256), Vec::new(), [0; 1024]);
             loop {
                 poll.poll(&mut events, None).ok()?;
