@@ -295,11 +295,17 @@ impl Controller {
         if self.emergency_stopped() || self.torque_off {
             return Err(HResult::E_ACCESSDENIED);
         }
-        if self.robot.servo == Servo::Off {
-            self.robot.servo = Servo::TurningOn(self.now.saturating_add(self.config().motor_on_delay));
-            self.advance(self.now);
-        }
+        self.turn_motor_on();
+        self.advance(self.now);
         Ok(())
+    }
+
+    /// Begins to switch the motor on, unless the emergency stop or the lack of torque keeps it off.
+    pub(crate) fn turn_motor_on(&mut self) {
+        let prevented = self.emergency_stopped() || self.torque_off || self.errors.code().is_err();
+        if self.robot.servo == Servo::Off && !prevented {
+            self.robot.servo = Servo::TurningOn(self.now.saturating_add(self.config().motor_on_delay));
+        }
     }
 
     fn set_external_speed(&mut self, param: &Variant<'_>) -> Answered {

@@ -60,6 +60,9 @@ pub enum Mode {
     Auto = 3,
 }
 
+/// A client that is not here: no server gives this number to one of its own.
+pub(crate) const ABSENT: PeerId = PeerId(u32::MAX);
+
 /// Who has the executable token.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Token {

@@ -15,7 +15,7 @@ use crate::kinematics::Joints;
 use crate::motion::Ended;
 use crate::objects::Objects;
 use crate::robot::{Robot, Servo};
-use crate::scenario::{Effect, Fate, Running, Scenario};
+use crate::scenario::{Effect, Fate, Running};
 use crate::slave::{Formats, SlaveCounters, SlaveCycle, Stream};
 use crate::tasks::{Task, TaskStatus};
 use crate::value::Value;
@@ -130,17 +130,16 @@ impl Controller {
         }
     }
 
-    /// Plays a scenario of faults, from its beginning, instead of the one that was played.
-    pub fn play(&mut self, scenario: Scenario) {
-        self.scenario = Running::new(scenario);
-    }
-
     /// Makes happen what a scenario says that concerns no call.
     pub(crate) fn happen(&mut self, effect: Effect) {
         match effect {
             Effect::Error(code) => self.raise(code),
             Effect::EmergencyStop(pressed) => self.press_emergency_stop(pressed),
             Effect::LinkLoss(time) => self.scenario.lose_link(time, self.now),
+            Effect::Mode(mode) => self.turn_mode_switch(mode),
+            Effect::Token(token) => self.set_token(token),
+            Effect::Motor(true) => self.turn_motor_on(),
+            Effect::Motor(false) => self.motor_off(HResult::E_MOTOR_OFF),
             Effect::Refuse(_) | Effect::Delay(_) | Effect::Wire(_) => {}
         }
     }
@@ -154,7 +153,7 @@ impl Controller {
         self.press_emergency_stop(pressed);
     }
 
-    fn press_emergency_stop(&mut self, pressed: bool) {
+    pub(crate) fn press_emergency_stop(&mut self, pressed: bool) {
         if pressed && !self.emergency_stop {
             self.torque_off = self.config.profile.has_safe_torque_off();
             self.raise(EMERGENCY_STOP);
@@ -165,6 +164,10 @@ impl Controller {
     /// Turns the mode switch; leaving Auto mode halts the robot and suspends the tasks.
     pub fn set_mode(&mut self, mode: Mode, now: Instant) {
         self.advance(now);
+        self.turn_mode_switch(mode);
+    }
+
+    pub(crate) fn turn_mode_switch(&mut self, mode: Mode) {
         self.mode = mode;
         if mode != Mode::Auto {
             self.halt();
@@ -212,6 +215,10 @@ impl Controller {
     #[must_use]
     pub const fn config(&self) -> &Config {
         &self.config
+    }
+
+    pub(crate) const fn config_mut(&mut self) -> &mut Config {
+        &mut self.config
     }
 
     /// Returns the mode.

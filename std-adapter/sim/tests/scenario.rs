@@ -226,10 +226,113 @@ fn several_faults_of_one_call_all_happen() {
     assert_eq!(world.sim.deliver(client.peer, &mut [0; 16]), Delivery::Drop);
 }
 
+/// A controller that begins as the section says, and a client of it.
+fn begun(section: &str) -> (World, Client) {
+    let mut world = World::new();
+    world.sim.play(scenario(&format!("[controller]\n{section}")));
+    let client = world.client(1);
+    (world, client)
+}
+
+#[test]
+fn each_thing_that_slave_mode_needs_can_be_missing_at_the_beginning() {
+    for (section, missing) in [
+        ("mode = 'manual'", HResult::E_ACCESSDENIED),
+        ("mode = 'teach_check'", HResult::E_ACCESSDENIED),
+        ("token = 'pendant'", HResult::E_TOKEN_NOT_ETHERNET),
+        ("token = 'other'", HResult::E_TOKEN_ADDRESS),
+        ("emergency_stop = true", HResult::E_ERROR_PRESENT),
+        ("errors = ['0x84201482']", HResult::E_ERROR_PRESENT),
+        ("arm = 'taken'", HResult::E_ARM_NOT_TAKEN),
+        ("motor = false", HResult::E_MOTOR_OFF),
+        ("licence = false", HResult::E_NO_LICENSE),
+    ] {
+        // all is well but for that: the motor is on where it can be, the arm is taken where it is free
+        let can_be_on = missing != HResult::E_ERROR_PRESENT && missing != HResult::E_MOTOR_OFF;
+        let (mut world, client) = begun(&format!("{section}\n{}", if can_be_on { "motor = true" } else { "" }));
+        let _ = world.robot(client, "TakeArm", [0, 1]);
+        assert_eq!(world.robot(client, "slvChangeMode", 0x102), code(missing), "{section}");
+        assert_eq!((world.sim.slave_mode(), world.sim.motor_is_on()), (0, can_be_on), "{section}");
+    }
+    let (mut world, client) = begun("mode = 'auto'\ntoken = 'any'\nmotor = true\narm = 'free'\nlicence = true");
+    assert_eq!(world.robot(client, "TakeArm", [0, 1]), ok(&()));
+    assert_eq!(world.robot(client, "slvChangeMode", 0x102), ok(&()));
+}
+
+#[test]
+fn the_errors_of_the_beginning_are_listed_with_the_first_cause_last() {
+    let (mut world, client) = begun("errors = ['0x84201482', 'E_SLVMODE_OFF']\nversion = '1.2.3'");
+    assert_eq!(errors(&world), [HResult::E_SLVMODE_OFF, HResult::E_COMMAND_BUFFER_EMPTY]);
+    assert_eq!(world.execute(client, "GetCurErrorCount", ()), ok(&2));
+    assert_eq!(world.get(client, "@VERSION"), ok("1.2.3"));
+    assert_eq!(world.execute(client, "ClearError", ()), ok(&()));
+
+    let (mut world, client) = begun("emergency_stop = true");
+    assert_eq!(world.execute(client, "ClearError", ()), code(EMERGENCY_STOP));
+}
+
+#[test]
+fn the_formats_of_the_beginning_are_the_only_ones() {
+    for (list, there) in [("", 0), ("'mini_io'", 0x100), ("'hand_io'", 0x20), ("'user_io'", 0x200), ("'current'", 0x40)]
+    {
+        let (mut world, client) = begun(&format!("formats = [{list}]"));
+        for bit in [0x20, 0x40, 0x100, 0x200] {
+            let expected = if bit == there { ok(&()) } else { code(HResult::E_INVALIDARG) };
+            assert_eq!(world.robot(client, "slvRecvFormat", bit | 2), expected, "{list}: {bit:#x}");
+        }
+    }
+    let (mut world, client) = begun("permission = 'read_only'");
+    assert_eq!(world.put(client, "I1", 1), HResult::E_CAO_NOT_WRITABLE);
+}
+
+#[test]
+fn a_service_that_refuses_everybody_is_a_fault_of_every_call() {
+    let mut world = World::new();
+    let text = "[[fault]]\nwhen = { every = 1, of = 'Service_Start' }\nthen = { refuse = 'E_MAX_CONNECT' }";
+    world.sim.play(scenario(text));
+    for peer in 1..4 {
+        let start = call::service_start("");
+        assert_eq!(world.call(PeerId(peer), start), code(HResult::E_MAX_CONNECT));
+        let connect = call::controller_connect("", "CaoProv.DENSO.VRC", "", "");
+        assert_eq!(world.call(PeerId(peer), connect), code(HResult::E_NOT_CONNECTED));
+    }
+}
+
+#[test]
+fn switches_are_turned_by_the_clock() {
+    let text = "[[fault]]\nwhen = { at_ms = 1500 }\nthen = { motor = false }
+                [[fault]]\nwhen = { at_ms = 2000 }\nthen = { mode = 'manual' }
+                [[fault]]\nwhen = { at_ms = 3000 }\nthen = { mode = 'auto' }
+                [[fault]]\nwhen = { at_ms = 3000 }\nthen = { token = 'other' }
+                [[fault]]\nwhen = { at_ms = 4000 }\nthen = { token = 'any' }
+                [[fault]]\nwhen = { at_ms = 4000 }\nthen = { motor = true }";
+    let (mut world, client) = slave(0x102, text);
+    let mut seen = Vec::new();
+    for at in [1499, 1500, 2000, 3000, 4000, 4300] {
+        let left = at - world.now.as_micros() / 1000;
+        world.pass(left);
+        seen.push((world.sim.motor_is_on(), world.robot(client, "slvChangeMode", 0x002).0));
+    }
+    let expected = [
+        (true, HResult::E_SLVMODE_ON),
+        (false, HResult::E_MOTOR_OFF),
+        (false, HResult::E_ACCESSDENIED),
+        (false, HResult::E_TOKEN_ADDRESS),
+        (false, HResult::E_MOTOR_OFF),
+        (true, HResult::S_OK),
+    ];
+    assert_eq!(seen, expected);
+}
+
 #[test]
 fn what_is_no_scenario_says_where_and_why() {
     for (text, problem) in [
         ("seed = -1", "line 1"),
+        ("[controller]\nmode = 'automatic'", "unknown variant `automatic`"),
+        ("[controller]\nmoder = 'auto'", "unknown field `moder`"),
+        ("[controller]\nerrors = ['S_FALSE']", "controller: an error is a code that begins with 8"),
+        ("[controller]\nerrors = ['OOPS']", "controller: a code is a known name"),
+        ("[controller]\nmotor = true\nemergency_stop = true", "controller: the motor is off while"),
         ("[[fault]]\nwhen = { call = 1 }", "missing field `then`"),
         ("[[fault]]\nwhen = { cal = 1 }\nthen = 'drop'", "unknown field `cal`"),
         ("[[fault]]\nwhen = { call = 1 }\nthen = 'dorp'", "unknown variant `dorp`"),

@@ -1,0 +1,143 @@
+//! A scenario as TOML: what the text may say, and what is refused.
+
+use std::time::Duration;
+
+use bcap_core::hresult::HResult;
+use bcap_core::time::Instant;
+use serde::Deserialize;
+
+use super::setup::{ModeName, SetupEntry, TokenName};
+use super::{Effect, Fault, Scenario, ScenarioError, Trigger, Which, WireFault};
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    #[serde(default)]
+    seed: u64,
+    #[serde(default)]
+    controller: SetupEntry,
+    #[serde(default)]
+    fault: Vec<FaultEntry>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FaultEntry {
+    when: WhenEntry,
+    then: ThenEntry,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct WhenEntry {
+    call: Option<u64>,
+    to: Option<u64>,
+    every: Option<u64>,
+    chance: Option<f64>,
+    cycle: Option<u64>,
+    at_ms: Option<u64>,
+    of: Option<String>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum ThenEntry {
+    Refuse(String),
+    DelayMs(u64),
+    Drop,
+    WrongSerial,
+    Corrupt,
+    Disconnect,
+    Error(String),
+    EmergencyStop(bool),
+    LinkLossMs(u64),
+    Mode(ModeName),
+    Token(TokenName),
+    Motor(bool),
+}
+
+impl Scenario {
+    /// Reads a scenario from TOML.
+    ///
+    /// # Errors
+    ///
+    /// A [`ScenarioError`] that says where the text is wrong.
+    pub fn parse(text: &str) -> Result<Self, ScenarioError> {
+        let file: File = toml::from_str(text)?;
+        let faults = file
+            .fault
+            .into_iter()
+            .enumerate()
+            .map(|(n, entry)| entry.read().map_err(|problem| ScenarioError::Fault { number: n + 1, problem }));
+        let controller = file.controller.read().map_err(ScenarioError::Controller)?;
+        Ok(Self { seed: file.seed, controller, faults: faults.collect::<Result<_, _>>()? })
+    }
+}
+
+impl FaultEntry {
+    fn read(self) -> Result<Fault, &'static str> {
+        let (when, then) = (self.when.read()?, self.then.read()?);
+        let of_calls = matches!(then, Effect::Refuse(_) | Effect::Delay(_) | Effect::Wire(_));
+        if of_calls && !matches!(when, Trigger::Call { .. }) {
+            return Err("what concerns the answer of a call needs `when` to be call, every or chance");
+        }
+        Ok(Fault { when, then })
+    }
+}
+
+impl WhenEntry {
+    fn read(self) -> Result<Trigger, &'static str> {
+        if self.to.is_some() && self.call.is_none() {
+            return Err("`to` is the end of a range that `call` begins");
+        }
+        let which = match (self.call, self.every, self.chance, self.cycle, self.at_ms) {
+            (Some(call), None, None, None, None) => Which::Range(call, self.to.unwrap_or(call)),
+            (None, Some(every), None, None, None) => Which::Every(every),
+            (None, None, Some(chance), None, None) => Which::Chance(chance),
+            (None, None, None, Some(_), None) | (None, None, None, None, Some(_)) if self.of.is_some() => {
+                return Err("`of` says what calls are counted; it goes with call, every or chance");
+            }
+            (None, None, None, Some(0), None) => return Err("cycles are counted from 1"),
+            (None, None, None, Some(cycle), None) => return Ok(Trigger::Cycle(cycle)),
+            (None, None, None, None, Some(at)) => {
+                return Ok(Trigger::At(Instant::ZERO.saturating_add(Duration::from_millis(at))));
+            }
+            _ => return Err("`when` needs exactly one of call, every, chance, cycle and at_ms"),
+        };
+        match which {
+            Which::Range(from, to) if from == 0 || to < from => Err("calls are counted from 1, and `to` is not before"),
+            Which::Every(0) => Err("`every` is 1 or more"),
+            Which::Chance(p) if !(0.0..=1.0).contains(&p) => Err("`chance` is 0 to 1"),
+            which => Ok(Trigger::Call { which, of: self.of }),
+        }
+    }
+}
+
+impl ThenEntry {
+    fn read(self) -> Result<Effect, &'static str> {
+        Ok(match self {
+            Self::Refuse(code) => Effect::Refuse(read_code(&code)?),
+            Self::Error(code) => Effect::Error(read_code(&code)?),
+            Self::DelayMs(millis) => Effect::Delay(Duration::from_millis(millis)),
+            Self::Drop => Effect::Wire(WireFault::Drop),
+            Self::WrongSerial => Effect::Wire(WireFault::WrongSerial),
+            Self::Corrupt => Effect::Wire(WireFault::Corrupt),
+            Self::Disconnect => Effect::Wire(WireFault::Disconnect),
+            Self::EmergencyStop(pressed) => Effect::EmergencyStop(pressed),
+            Self::LinkLossMs(0) => Effect::LinkLoss(None),
+            Self::Mode(mode) => Effect::Mode(mode.into()),
+            Self::Token(token) => Effect::Token(token.into()),
+            Self::Motor(on) => Effect::Motor(on),
+            Self::LinkLossMs(millis) => Effect::LinkLoss(Some(Duration::from_millis(millis))),
+        })
+    }
+}
+
+pub(super) fn read_code(text: &str) -> Result<HResult, &'static str> {
+    let number = |digits: &str| u32::from_str_radix(digits, 16).ok().map(HResult::from_u32);
+    let code = match text.strip_prefix("0x").or_else(|| text.strip_prefix("0X")) {
+        Some(digits) => number(digits),
+        None => HResult::from_name(text),
+    };
+    code.ok_or("a code is a known name or eight hexadecimal digits, as in \"E_BUF_FULL\" or \"0x83201483\"")
+}
