@@ -5,6 +5,7 @@
 //! | `net`      | `embassy-net` | clients over the TCP and UDP of embassy-net                                      |
 //! | `serial`   | `serial`      | clients over a serial line, with the CRC that those have                         |
 //! | `server`   | `server`      | servers of both protocols over any transport; with `embassy-net`, over TCP and UDP |
+//! | `gateway`  | `gateway`     | RAC on one side, b-CAP on the other: the core's gateway over embassy-net         |
 //! | `bare`     | `smoltcp`     | clients and servers for smoltcp alone, polled                                    |
 //!
 //! The protocols are in [`bcap_core`]; this crate moves their bytes and tells them the time. What it guarantees:
@@ -25,6 +26,8 @@ pub use bcap_core as core;
 pub mod bare;
 #[cfg(any(feature = "embassy-net", feature = "serial", feature = "server"))]
 pub mod clock;
+#[cfg(feature = "gateway")]
+pub mod gateway;
 #[cfg(feature = "embassy-net")]
 pub mod net;
 #[cfg(feature = "serial")]

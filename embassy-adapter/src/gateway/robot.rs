@@ -1,0 +1,213 @@
+//! The robot's side of a gateway: one connection, which is opened and closed as the gateway wants it.
+
+use core::fmt;
+
+use bcap_core::bcap;
+use bcap_core::io::asynch::Transport;
+use bcap_core::time::Instant;
+use embassy_futures::select::{Either, select};
+use embassy_net::udp::UdpSocket;
+use embassy_net::{IpEndpoint, Stack};
+use embassy_sync::blocking_mutex::raw::RawMutex;
+use embassy_time::Timer;
+
+use super::Shared;
+use crate::clock::{now, ticks};
+use crate::net::{NetError, Options, TcpTransport, UdpTransport};
+
+/// A transport that can be opened and closed again and again.
+pub trait Link: Transport<Error = NetError> {
+    /// Opens a connection.
+    ///
+    /// # Errors
+    ///
+    /// A [`NetError`] that says why there is none.
+    fn open(&mut self) -> impl Future<Output = Result<(), NetError>>;
+
+    /// Ends the connection at once.
+    fn close(&mut self);
+}
+
+/// The robot behind TCP.
+#[derive(Debug)]
+pub struct TcpRobot<'s> {
+    transport: TcpTransport<'s>,
+    peer: IpEndpoint,
+}
+
+impl<'s> TcpRobot<'s> {
+    /// Makes a link that is not open; `rx` and `tx` are the socket's memory.
+    #[must_use]
+    pub fn new(
+        stack: Stack<'s>,
+        rx: &'s mut [u8],
+        tx: &'s mut [u8],
+        options: Options,
+        peer: impl Into<IpEndpoint>,
+    ) -> Self {
+        Self { transport: TcpTransport::new(stack, rx, tx, options), peer: peer.into() }
+    }
+}
+
+impl Transport for TcpRobot<'_> {
+    type Error = NetError;
+
+    fn now(&self) -> Instant {
+        now()
+    }
+
+    async fn send(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, NetError> {
+        self.transport.send(bytes, until).await
+    }
+
+    async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, NetError> {
+        self.transport.receive(buffer, until).await
+    }
+}
+
+impl Link for TcpRobot<'_> {
+    async fn open(&mut self) -> Result<(), NetError> {
+        self.transport.connect(self.peer).await
+    }
+
+    fn close(&mut self) {
+        self.transport.socket().abort();
+    }
+}
+
+/// The robot behind UDP; the gateway's configuration must say [`Link::Datagram`](bcap::Link::Datagram) as well.
+pub struct UdpRobot<'s> {
+    transport: UdpTransport<'s>,
+}
+
+impl<'s> UdpRobot<'s> {
+    /// Takes a socket, which is bound to a free port unless it is bound already.
+    ///
+    /// # Errors
+    ///
+    /// [`NetError::NoRoute`] when the board has no address to bind to.
+    pub fn new(stack: Stack<'s>, socket: UdpSocket<'s>, peer: impl Into<IpEndpoint>) -> Result<Self, NetError> {
+        Ok(Self { transport: UdpTransport::new(stack, socket, peer)? })
+    }
+}
+
+impl fmt::Debug for UdpRobot<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("UdpRobot").field(&self.transport).finish()
+    }
+}
+
+impl Transport for UdpRobot<'_> {
+    type Error = NetError;
+
+    fn now(&self) -> Instant {
+        now()
+    }
+
+    async fn send(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, NetError> {
+        self.transport.send(bytes, until).await
+    }
+
+    async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, NetError> {
+        self.transport.receive(buffer, until).await
+    }
+}
+
+impl Link for UdpRobot<'_> {
+    // datagrams need no connection; whether the robot is there shows when it answers
+
+    async fn open(&mut self) -> Result<(), NetError> {
+        Ok(())
+    }
+
+    fn close(&mut self) {}
+}
+
+/// Keeps the connection to the robot, and the gateway's time, for ever.
+///
+/// `frame` is memory for the bytes on their way: at least a datagram of 505 bytes over UDP, any length over TCP.
+pub async fn run_robot<L: Link, M: RawMutex, const N: usize>(
+    link: &mut L,
+    frame: &mut [u8],
+    shared: &Shared<'_, M, N>,
+) -> ! {
+    let mut open = false;
+    loop {
+        shared.step();
+        let wanted = shared.view(|gateway| gateway.robot_wanted()).unwrap_or_default();
+        let went_on = match (open, wanted) {
+            (false, true) => link.open().await.map(|()| {
+                open = true;
+                shared.with(|inner| inner.gateway.robot_opened(now()));
+            }),
+            (true, false) => {
+                open = false;
+                link.close();
+                shared.with(|inner| inner.gateway.robot_closed(now()));
+                Ok(())
+            }
+            (true, true) => transfer(link, frame, shared).await,
+            (false, false) => {
+                select(Timer::at(ticks(due(shared))), shared.wait_for_robot()).await;
+                Ok(())
+            }
+        };
+        if let Err(cause) = went_on {
+            open = false;
+            link.close();
+            shared.with(|inner| inner.robot_lost(cause));
+        }
+    }
+}
+
+/// Moves bytes when some can be moved; otherwise waits until it is time for something.
+async fn transfer<L: Link, M: RawMutex, const N: usize>(
+    link: &mut L,
+    frame: &mut [u8],
+    shared: &Shared<'_, M, N>,
+) -> Result<(), NetError> {
+    let due = due(shared);
+    let to_send = shared.with(|inner| {
+        let mut count = 0;
+        for (to, from) in frame.iter_mut().zip(inner.gateway.robot_transmit()) {
+            *to = *from;
+            count += 1;
+        }
+        count
+    });
+    let to_send = frame.get(..to_send.unwrap_or_default()).unwrap_or_default();
+    if !to_send.is_empty() {
+        if let Some(sent) = link.send(to_send, due).await? {
+            shared.with(|inner| inner.gateway.robot_transmitted(sent));
+        }
+        return Ok(());
+    }
+    // nobody but this task puts bytes there, so the room is still there when they have come
+    let room = shared.with(|inner| inner.gateway.robot_receive_buffer().len()).unwrap_or_default();
+    let len = room.min(frame.len());
+    let room = frame.get_mut(..len).unwrap_or_default();
+    match select(link.receive(room, due), shared.wait_for_robot()).await {
+        Either::First(Ok(Some(count))) => received(frame.get(..count).unwrap_or_default(), shared),
+        Either::First(Ok(None)) | Either::Second(()) => Ok(()),
+        Either::First(Err(error)) => Err(error),
+    }
+}
+
+/// Gives the robot's bytes to the gateway.
+fn received<M: RawMutex, const N: usize>(bytes: &[u8], shared: &Shared<'_, M, N>) -> Result<(), NetError> {
+    let ended = shared.with(|inner| {
+        if let Some(room) = inner.gateway.robot_receive_buffer().get_mut(..bytes.len()) {
+            room.copy_from_slice(bytes);
+            inner.gateway.robot_received(bytes.len());
+        }
+        bytes.is_empty() && inner.gateway.config().client.link == bcap::Link::Stream
+    });
+    match ended {
+        Some(true) => Err(NetError::Reset),
+        _ => Ok(()),
+    }
+}
+
+fn due<M: RawMutex, const N: usize>(shared: &Shared<'_, M, N>) -> Instant {
+    shared.view(|gateway| gateway.poll_timeout()).flatten().unwrap_or(Instant::FAR_FUTURE)
+}
