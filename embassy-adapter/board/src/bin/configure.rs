@@ -1,0 +1,62 @@
+//! Writes settings into the configuration block of an image, ELF or binary, without building it again.
+
+use std::error::Error;
+use std::path::Path;
+use std::process::ExitCode;
+use std::{env, fs};
+
+use bcap_board::image;
+
+const USAGE: &str = "usage: configure IMAGE [KEY=VALUE | @FILE]...
+
+Writes settings into an image, in the place of those that were there; without settings, shows those.
+A file has a setting on each line, and may have empty lines and comments behind #.";
+
+fn main() -> ExitCode {
+    let mut arguments = env::args().skip(1);
+    let image = match arguments.next() {
+        Some(image) if !image.starts_with('-') => image,
+        _ => {
+            eprintln!("{USAGE}");
+            return ExitCode::from(2);
+        }
+    };
+    match configure(Path::new(&image), &arguments.collect::<Vec<_>>()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("configure: {image}: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn configure(path: &Path, arguments: &[String]) -> Result<(), Box<dyn Error>> {
+    let mut file = fs::read(path)?;
+    if arguments.is_empty() {
+        print!("{}", String::from_utf8_lossy(image::text(&file)?));
+        return Ok(());
+    }
+    let settings = settings(arguments)?;
+    image::write(&mut file, settings.as_bytes()).map_err(|error| error.to_string())?;
+    Ok(fs::write(path, file)?)
+}
+
+/// Puts the settings together, one on each line.
+fn settings(arguments: &[String]) -> Result<String, String> {
+    let mut settings = String::new();
+    for argument in arguments {
+        let text = match argument.strip_prefix('@') {
+            Some(path) => &fs::read_to_string(path).map_err(|error| format!("{path}: {error}"))?,
+            None => argument,
+        };
+        for line in text.lines() {
+            // an argument is taken as it is; only files have comments
+            let line = if argument.starts_with('@') { line.split('#').next().unwrap_or_default().trim() } else { line };
+            if !line.is_empty() {
+                settings.push_str(line);
+                settings.push('\n');
+            }
+        }
+    }
+    Ok(settings)
+}

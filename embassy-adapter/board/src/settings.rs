@@ -1,0 +1,263 @@
+//! The settings, and how they are read.
+
+use core::net::{Ipv4Addr, SocketAddrV4};
+use core::str;
+
+use bcap_core::gateway::{Rate, Rules};
+
+use crate::rules::{List, RuleMemory};
+
+/// What can be set. Texts are where they were read from.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Settings<'a> {
+    /// The robot controller.
+    pub robot: Robot,
+    /// The provider to connect to there.
+    pub provider: &'a str,
+    /// The machine that the provider runs on, seen from the robot.
+    pub machine: &'a str,
+    /// The option of Controller_Connect.
+    pub option: &'a str,
+    /// The option of Service_Start.
+    pub service: &'a str,
+    /// What the images `bare` and `node` read.
+    pub variable: &'a str,
+    /// Whether the network is asked for an address.
+    pub dhcp: bool,
+    /// The board's own address when no DHCP server answers, and the bits of its network.
+    pub address: (Ipv4Addr, u8),
+    /// The way to other networks, with that address.
+    pub gateway: Ipv4Addr,
+    /// The hardware address; the image's own if there is none.
+    pub mac: Option<[u8; 6]>,
+    /// A port that sends back what comes.
+    pub echo: Option<u16>,
+    convert: bool,
+    rate: Rate,
+    lists: List,
+}
+
+/// Where the robot controller is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Robot {
+    /// What carries b-CAP to it.
+    pub transport: Transport,
+    /// Its address.
+    pub address: SocketAddrV4,
+}
+
+/// What carries b-CAP.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Transport {
+    /// TCP.
+    Tcp,
+    /// UDP.
+    Udp,
+}
+
+impl Default for Settings<'_> {
+    fn default() -> Self {
+        let robot = Ipv4Addr::new(10, 0, 2, 2);
+        Self {
+            robot: Robot { transport: Transport::Tcp, address: SocketAddrV4::new(robot, 5007) },
+            provider: "CaoProv.DENSO.VRC9",
+            machine: "localhost",
+            option: "",
+            service: "WDT=400",
+            variable: "I1",
+            dhcp: true,
+            address: (Ipv4Addr::new(10, 0, 2, 15), 24),
+            gateway: robot,
+            mac: None,
+            echo: None,
+            convert: false,
+            rate: Rate::UNLIMITED,
+            lists: List::default(),
+        }
+    }
+}
+
+impl<'a> Settings<'a> {
+    /// Reads the text of a block, up to the first NUL; `unreadable` is told the lines that are skipped.
+    ///
+    /// # Examples
+    ///
+    /// ```
+    /// use bcap_board::{RuleMemory, Settings};
+    ///
+    /// let settings = Settings::read(b"robot=192.168.0.1:5007\nput=I/0-99=-10..10\n", |line| panic!("{line:?}"));
+    /// assert_eq!(settings.robot.address.port(), 5007);
+    /// let mut memory = RuleMemory::new();
+    /// let rules = settings.rules(&mut memory);
+    /// assert_eq!(rules.put[0].last, 99);
+    /// assert_eq!(rules.put[0].values[0].max, 10.0);
+    /// ```
+    #[must_use]
+    pub fn read(text: &'a [u8], mut unreadable: impl FnMut(&'a [u8])) -> Self {
+        let mut settings = Self::default();
+        let text = text.split(|byte| *byte == 0).next().unwrap_or_default();
+        for line in text.split(|byte| *byte == b'\n').filter(|line| !line.is_empty()) {
+            if settings.set(line).is_none() {
+                settings.lists.distrust();
+                unreadable(line);
+            }
+        }
+        settings
+    }
+
+    /// Returns what PLCs may do.
+    #[must_use]
+    pub fn rules<'r, 's: 'r>(&'s self, memory: &'r mut RuleMemory<'s>) -> Rules<'r> {
+        self.lists.rules(memory, self.convert, self.rate)
+    }
+
+    fn set(&mut self, line: &'a [u8]) -> Option<()> {
+        let (key, value) = str::from_utf8(line).ok()?.split_once('=')?;
+        match key {
+            "robot" => self.robot = robot(value)?,
+            "provider" => self.provider = value,
+            "machine" => self.machine = value,
+            "option" => self.option = value,
+            "service" => self.service = value,
+            "variable" => self.variable = value,
+            "dhcp" => self.dhcp = yes(value)?,
+            "address" => {
+                let (address, prefix) = value.split_once('/')?;
+                self.address = (address.parse().ok()?, prefix.parse().ok().filter(|prefix| *prefix <= 32)?);
+            }
+            "gateway" => self.gateway = value.parse().ok()?,
+            "mac" => self.mac = Some(mac(value)?),
+            "get" => self.lists.allow_get(value)?,
+            "put" => self.lists.allow_put(value)?,
+            "convert" => self.convert = yes(value)?,
+            "rate" => self.rate = rate(value)?,
+            "echo" => self.echo = Some(value.parse().ok().filter(|port| *port > 0)?),
+            _ => return None,
+        }
+        Some(())
+    }
+}
+
+fn robot(value: &str) -> Option<Robot> {
+    let (transport, address) = match value.split_once(':')? {
+        ("tcp", address) => (Transport::Tcp, address),
+        ("udp", address) => (Transport::Udp, address),
+        _ => (Transport::Tcp, value),
+    };
+    Some(Robot { transport, address: address.parse().ok()? })
+}
+
+fn yes(value: &str) -> Option<bool> {
+    match value {
+        "yes" => Some(true),
+        "no" => Some(false),
+        _ => None,
+    }
+}
+
+fn mac(value: &str) -> Option<[u8; 6]> {
+    let mut mac = [0; 6];
+    let mut parts = value.split(':');
+    for byte in &mut mac {
+        *byte = parts.next().filter(|part| part.len() == 2).and_then(|part| u8::from_str_radix(part, 16).ok())?;
+    }
+    // an address of several boards, or of none, is no board's
+    (parts.next().is_none() && mac[0] & 1 == 0 && mac != [0; 6]).then_some(mac)
+}
+
+fn rate(value: &str) -> Option<Rate> {
+    let (per_second, burst) = value.split_once('/').unwrap_or((value, value));
+    let per_second = per_second.parse().ok()?;
+    Some(Rate { per_second, burst: burst.parse().ok().filter(|burst| *burst > 0)? })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::vec::Vec;
+
+    fn read(text: &str) -> Settings<'_> {
+        Settings::read(text.as_bytes(), |line| panic!("{}", String::from_utf8_lossy(line)))
+    }
+
+    use std::string::String;
+
+    #[test]
+    fn an_empty_block_has_defaults_and_allows_no_put() {
+        let settings = read("");
+        assert_eq!(settings, Settings::default());
+        assert_eq!(settings.rules(&mut RuleMemory::new()), Rules::READ_ONLY);
+        assert_eq!(Settings::read(&[0; 64], |_| panic!()), Settings::default());
+        assert_eq!(Settings::read(b"\0echo=7\n", |_| panic!()).echo, None, "what stands behind the end is not read");
+    }
+
+    #[test]
+    fn every_key_is_read() {
+        let settings = read(
+            "robot=udp:192.168.0.1:5008\nprovider=P\nmachine=m\noption=Server=10.6.235.60\nservice=\nvariable=P7\n\
+             dhcp=no\naddress=192.168.0.9/16\ngateway=192.168.0.254\nmac=02:00:00:BC:a9:7f\necho=7\nconvert=yes\n\
+             rate=50/10\n",
+        );
+        let expected = Settings {
+            robot: Robot { transport: Transport::Udp, address: SocketAddrV4::new(Ipv4Addr::new(192, 168, 0, 1), 5008) },
+            provider: "P",
+            machine: "m",
+            option: "Server=10.6.235.60",
+            service: "",
+            variable: "P7",
+            dhcp: false,
+            address: (Ipv4Addr::new(192, 168, 0, 9), 16),
+            gateway: Ipv4Addr::new(192, 168, 0, 254),
+            mac: Some([2, 0, 0, 0xbc, 0xa9, 0x7f]),
+            echo: Some(7),
+            convert: true,
+            rate: Rate { per_second: 50, burst: 10 },
+            lists: List::default(),
+        };
+        assert_eq!(settings, expected);
+        assert_eq!(read("rate=5").rate, Rate { per_second: 5, burst: 5 });
+        for tcp in ["robot=10.0.2.2:1", "robot=tcp:10.0.2.2:1"] {
+            assert_eq!(read(tcp).robot.transport, Transport::Tcp);
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_read_is_told_and_forbids_every_put() {
+        for line in [
+            "robot=10.0.2.2",
+            "robot=robot:5007",
+            "robot=http:10.0.2.2:5007",
+            "address=10.0.2.15",
+            "address=10.0.2.15/33",
+            "gateway=10.0.2",
+            "mac=02:00:00:bc:a9",
+            "mac=02:00:00:bc:a9:03:04",
+            "mac=03:00:00:bc:a9:03",
+            "mac=00:00:00:00:00:00",
+            "mac=2:0:0:bc:a9:3",
+            "dhcp=maybe",
+            "convert=",
+            "rate=x",
+            "rate=5/0",
+            "echo=0",
+            "echo=65536",
+            "colour=red",
+            "nonsense",
+            "provider=\u{fffd}\u{fffd}=x", // readable: a provider may be called so
+        ] {
+            let text = ["put=I\n", line, "\nput=F\necho=9"].concat();
+            let mut told = Vec::new();
+            let settings = Settings::read(text.as_bytes(), |line| told.push(line));
+            if line.starts_with("provider") {
+                assert!(told.is_empty());
+                continue;
+            }
+            assert_eq!(told, [line.as_bytes()]);
+            assert_eq!(settings.rules(&mut RuleMemory::new()), Rules::READ_ONLY, "{line}");
+            assert_eq!(settings.echo, Some(9), "the lines behind it are read");
+        }
+        let mut told = 0;
+        let _ = Settings::read(b"provider=\xff\xfe\n", |_| told += 1);
+        assert_eq!(told, 1, "no UTF-8");
+    }
+}
