@@ -1,10 +1,10 @@
 //! Where the peripherals of the chosen board are.
 //!
 //! ```text
-//!               CPU   Ethernet     IRQ  UART 0       clock     flash        memory
-//!  mps2-an385   M3    0x4020_0000  13   0x4000_4000  25 MHz    0            0x2000_0000
-//!  mps2-an386   M4F   0x4020_0000  13   0x4000_4000  25 MHz    0            0x2000_0000
-//!  mps2-an505   M33   0x5200_0000  48   0x5020_0000  20 MHz    0x1000_0000  0x3800_0000
+//!               CPU   Ethernet     IRQ  UART 0       watchdog     clock     flash        memory
+//!  mps2-an385   M3    0x4020_0000  13   0x4000_4000  0x4000_8000  25 MHz    0            0x2000_0000
+//!  mps2-an386   M4F   0x4020_0000  13   0x4000_4000  0x4000_8000  25 MHz    0            0x2000_0000
+//!  mps2-an505   M33   0x5200_0000  48   0x5020_0000  0x5008_1000  20 MHz    0x1000_0000  0x3800_0000
 //! ```
 #![expect(unsafe_code, reason = "this is where addresses become peripherals")]
 
@@ -20,6 +20,7 @@ mod chosen {
     pub(super) const ETHERNET: usize = 0x4020_0000;
     pub(super) const ETHERNET_IRQ: u16 = 13;
     pub(super) const UART: usize = 0x4000_4000;
+    pub(super) const WATCHDOG: usize = 0x4000_8000;
     pub(super) const CLOCK_HZ: u32 = 25_000_000;
 }
 
@@ -28,6 +29,7 @@ mod chosen {
     pub(super) const ETHERNET: usize = 0x5200_0000;
     pub(super) const ETHERNET_IRQ: u16 = 48;
     pub(super) const UART: usize = 0x5020_0000;
+    pub(super) const WATCHDOG: usize = 0x5008_1000;
     pub(super) const CLOCK_HZ: u32 = 20_000_000;
 }
 
@@ -35,6 +37,8 @@ mod chosen {
 pub(crate) const ETHERNET: Block = unsafe { Block::new(chosen::ETHERNET) };
 // SAFETY: a serial port without DMA
 pub(crate) const UART: Block = unsafe { Block::new(chosen::UART) };
+// SAFETY: a counter
+pub(crate) const WATCHDOG: Block = unsafe { Block::new(chosen::WATCHDOG) };
 
 /// The interrupt of the Ethernet controller.
 pub(crate) const ETHERNET_IRQ: Irq = Irq(chosen::ETHERNET_IRQ);
@@ -72,6 +76,12 @@ mod exceptions {
         } else {
             crate::fault::unexpected(number);
         }
+    }
+
+    /// Nothing but the watchdog is connected to it.
+    #[exception]
+    unsafe fn NonMaskableInt() -> ! {
+        crate::fault::hung()
     }
 
     #[exception]

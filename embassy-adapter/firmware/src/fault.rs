@@ -34,6 +34,11 @@ pub(crate) fn hard_fault(frame: &ExceptionFrame) -> ! {
     end()
 }
 
+pub(crate) fn hung() -> ! {
+    let _ = writeln!(Text, "\nwatchdog: no progress of the tasks {:#b}", crate::watchdog::late());
+    end()
+}
+
 pub(crate) fn unexpected(number: i16) -> ! {
     let _ = writeln!(Text, "\nunexpected exception or interrupt {number}");
     end()

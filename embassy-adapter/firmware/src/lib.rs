@@ -7,9 +7,12 @@
 //! | [`clock`]    | SysTick, and embassy's time driver on it                                          |
 //! | [`executor`] | an executor that sleeps with WFI                                                  |
 //! | [`uart`]     | the serial port, and defmt's frames over it                                       |
-//! | [`config`]   | the block of flash that a host tool patches: addresses and names                  |
+//! | [`config`]   | the block of flash that a host tool patches: addresses, names and rules           |
+//! | [`net`]      | embassy-net on the board: its tasks, and an address                               |
 //! | [`stack`]    | how much of the stack has ever been in use                                        |
+//! | [`echo`]     | a port that sends back what comes                                                 |
 //! | [`node`]     | the board as a controller: uptime, counters and some memory                       |
+//! | [`watchdog`] | a reset when the tasks make no progress                                           |
 //! | [`fault`]    | what happens after a panic or a fault                                             |
 //!
 //! Unsafe code stands where the hardware leaves no choice, and nowhere else: access to registers (`mmio`), the symbols
@@ -19,10 +22,13 @@
 pub mod board;
 pub mod clock;
 pub mod config;
+pub mod echo;
 pub mod executor;
 pub mod fault;
 pub mod lan9118;
 mod mmio;
+pub mod net;
 pub mod node;
 pub mod stack;
 pub mod uart;
+pub mod watchdog;

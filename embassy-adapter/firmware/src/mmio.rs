@@ -33,8 +33,9 @@ impl Block {
     }
 }
 
-/// Reads a constant that may have been changed in the image after it was built.
-pub(crate) fn read_patched<const N: usize>(constant: &'static [u8; N]) -> [u8; N] {
+/// Returns a constant that may have been changed in the image after it was built.
+pub(crate) fn patched<T>(constant: &'static T) -> &'static T {
+    // what has been read like this the compiler does not know, nor what it leads to
     // SAFETY: a reference is valid to read from
-    unsafe { core::ptr::from_ref(constant).read_volatile() }
+    unsafe { core::ptr::from_ref(&constant).read_volatile() }
 }

@@ -10,15 +10,15 @@
 
 use core::fmt::{self, Write as _};
 
+use bcap_board::Settings;
 use bcap_core::bcap::call::{self, Call, ControllerHandle, Reply, VariableHandle};
 use bcap_core::bcap::client::{Client, ClientError, Config as ClientConfig, Event};
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use bcap_embassy::bare::{self, LinkError};
-use bcap_firmware::config::Config;
 use bcap_firmware::lan9118::{Frames, Lan9118};
 use bcap_firmware::uart::{self, Text};
-use bcap_firmware::{clock, fault};
+use bcap_firmware::{clock, config, fault};
 use smoltcp::iface::{self, Interface, SocketHandle, SocketSet};
 use smoltcp::socket::tcp;
 use smoltcp::wire::{EthernetAddress, IpCidr};
@@ -40,7 +40,9 @@ fn main() -> ! {
     if let Some(peripherals) = cortex_m::Peripherals::take() {
         clock::init(peripherals.SYST);
     }
-    let config = Config::load();
+    let settings = config::load(|line| {
+        let _ = writeln!(Text, "settings: cannot read \"{}\"", line.escape_ascii());
+    });
     let mut device = match Lan9118::new(ADDRESS, FRAMES.take()) {
         Ok(device) => device,
         Err(error) => {
@@ -54,7 +56,7 @@ fn main() -> ! {
     let socket = tcp::Socket::new(tcp::SocketBuffer::new(&mut rx[..]), tcp::SocketBuffer::new(&mut tx[..]));
     let socket = sockets.add(socket);
     let mut robot = Robot {
-        interface: interface(&mut device, &config),
+        interface: interface(&mut device, &settings),
         device,
         sockets,
         socket,
@@ -63,10 +65,10 @@ fn main() -> ! {
         next_port: 49_152,
     };
     loop {
-        match robot.read(&config) {
+        match robot.read(&settings) {
             Ok(()) => {}
             Err(error) => {
-                let _ = writeln!(Text, "cannot read {}: {error}", config.variable);
+                let _ = writeln!(Text, "cannot read {}: {error}", settings.variable);
                 robot.variable = None;
             }
         }
@@ -74,16 +76,16 @@ fn main() -> ! {
     }
 }
 
-/// Makes the interface, with the address that the configuration gives it.
-fn interface(device: &mut Lan9118<'_>, config: &Config) -> Interface {
+/// Makes the interface, with the address that the settings give it.
+fn interface(device: &mut Lan9118<'_>, settings: &Settings<'_>) -> Interface {
     let address = EthernetAddress(ADDRESS);
     let mut interface = Interface::new(iface::Config::new(address.into()), device, bare::to_smoltcp(now()));
-    let (own, prefix) = config.address;
+    let (own, prefix) = settings.address;
     // there is room for an address and a route: the interface is new
     interface.update_ip_addrs(|addresses| {
         let _ = addresses.push(IpCidr::new(own.into(), prefix));
     });
-    let _ = interface.routes_mut().add_default_ipv4_route(config.gateway);
+    let _ = interface.routes_mut().add_default_ipv4_route(settings.gateway);
     interface
 }
 
@@ -130,36 +132,36 @@ impl From<ClientError> for Error {
 
 impl Robot<'_> {
     /// Reads the variable and writes its value to the serial port.
-    fn read(&mut self, config: &Config) -> Result<(), Error> {
+    fn read(&mut self, settings: &Settings<'_>) -> Result<(), Error> {
         let variable = match self.variable {
             Some(variable) => variable,
-            None => self.open(config)?,
+            None => self.open(settings)?,
         };
         self.call(&call::variable_get_value(variable))?;
         if let Some(value) = self.client.reply().and_then(|reply| reply.value()) {
-            let _ = writeln!(Text, "{} = {value:?}", config.variable);
+            let _ = writeln!(Text, "{} = {value:?}", settings.variable);
         }
         Ok(())
     }
 
     /// Connects, and opens the variable.
-    fn open(&mut self, config: &Config) -> Result<VariableHandle, Error> {
-        self.connect(config)?;
+    fn open(&mut self, settings: &Settings<'_>) -> Result<VariableHandle, Error> {
+        self.connect(settings)?;
         self.call(&call::service_start(""))?;
         let controller: ControllerHandle =
-            self.value(&call::controller_connect("", config.provider.as_str(), "localhost", ""))?;
-        let variable = self.value(&call::controller_get_variable(controller, config.variable.as_str(), ""))?;
+            self.value(&call::controller_connect("", settings.provider, "localhost", ""))?;
+        let variable = self.value(&call::controller_get_variable(controller, settings.variable, ""))?;
         self.variable = Some(variable);
         Ok(variable)
     }
 
-    fn connect(&mut self, config: &Config) -> Result<(), Error> {
+    fn connect(&mut self, settings: &Settings<'_>) -> Result<(), Error> {
         self.client.reset();
         self.next_port = self.next_port.checked_add(1).unwrap_or(49_152);
         let socket = self.sockets.get_mut::<tcp::Socket<'_>>(self.socket);
         socket.abort();
         bare::set_up(socket);
-        let peer = (*config.robot.ip(), config.robot.port());
+        let peer = settings.robot.address;
         socket.connect(self.interface.context(), peer, self.next_port).map_err(|_| Error::Connect)
     }
 

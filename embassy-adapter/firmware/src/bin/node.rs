@@ -8,21 +8,21 @@
 #![no_std]
 #![no_main]
 
+use bcap_board::Settings;
 use bcap_core::bcap::client::Config as ClientConfig;
 use bcap_core::bcap::{Client, call, server as bcap_server};
 use bcap_core::io::CallError;
 use bcap_core::rac::{self, server as rac_server};
 use bcap_embassy::net::{Connection, NetError, Options, TcpClient, TcpTransport};
 use bcap_embassy::server::{Limits, Listener, Shared, UdpPeer, UdpServer};
-use bcap_firmware::config::Config;
-use bcap_firmware::lan9118::{self, Frames, Lan9118};
+use bcap_firmware::net::{self, NetRunner};
 use bcap_firmware::node::Node;
-use bcap_firmware::{clock, executor, fault, stack, uart};
+use bcap_firmware::{clock, config, executor, fault, lan9118, stack, uart};
 use embassy_executor::{SpawnError, Spawner};
 use embassy_net::udp::{PacketMetadata, UdpSocket};
-use embassy_net::{ConfigV4, DhcpConfig, Ipv4Cidr, Runner, Stack, StackResources, StaticConfigV4};
+use embassy_net::{Stack, StackResources};
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
-use embassy_time::{Duration, Instant, Timer, with_timeout};
+use embassy_time::{Instant, Timer};
 use static_cell::{ConstStaticCell, StaticCell};
 
 const ADDRESS: [u8; 6] = [0x02, 0, 0, 0xbc, 0xa9, 0x02];
@@ -30,8 +30,6 @@ const RAC_SESSIONS: usize = 4;
 const BCAP_PORT: u16 = 5007;
 /// Sockets: RAC, b-CAP over TCP and UDP, the robot, DHCP.
 const SOCKETS: usize = RAC_SESSIONS + 4;
-/// How long to wait for an address before the configured one is taken.
-const DHCP_TIME: Duration = Duration::from_secs(5);
 
 type RacSession = rac_server::Session<[u8; 512]>;
 type BcapSession = bcap_server::Session<[u8; 512], [u8; 512], 16>;
@@ -58,10 +56,8 @@ fn main() -> ! {
 /// Not inlined: what is made here on its way into its place would stay on the stack for ever.
 #[inline(never)]
 fn start(spawner: Spawner) -> Result<(), SpawnError> {
-    static FRAMES: ConstStaticCell<Frames> = ConstStaticCell::new(Frames::new());
-    static DEVICE: StaticCell<Lan9118<'static>> = StaticCell::new();
     static RESOURCES: ConstStaticCell<StackResources<SOCKETS>> = ConstStaticCell::new(StackResources::new());
-    static CONFIG: StaticCell<Config> = StaticCell::new();
+    static SETTINGS: StaticCell<Settings<'static>> = StaticCell::new();
     static RAC: ConstStaticCell<[[[u8; 512]; 2]; RAC_SESSIONS]> = ConstStaticCell::new([[[0; 512]; 2]; RAC_SESSIONS]);
     // apart from their memory, which would lie in the flash as well if it were part of a value that is not all zero
     static SESSIONS: [StaticCell<Option<RacSession>>; RAC_SESSIONS] = [const { StaticCell::new() }; RAC_SESSIONS];
@@ -70,50 +66,30 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     if let Some(peripherals) = cortex_m::Peripherals::take() {
         clock::init(peripherals.SYST);
     }
-    let config = &*CONFIG.init(Config::load());
-    defmt::info!("robot {}, provider {=str}", defmt::Debug2Format(&config.robot), config.provider.as_str());
-    let device = match Lan9118::new(ADDRESS, FRAMES.take()) {
-        Ok(device) => device,
-        Err(error) => {
-            defmt::error!("no Ethernet controller: {}", error);
-            fault::end()
-        }
-    };
-    let device = DEVICE.init(device);
-    let seed = Instant::now().as_ticks();
-    let dhcp = embassy_net::Config::dhcpv4(DhcpConfig::default());
-    let (stack, runner) = embassy_net::new(device, dhcp, RESOURCES.take(), seed);
+    let settings = &*SETTINGS.init(config::load(config::log));
+    let robot = settings.robot.address;
+    defmt::info!("robot {}, provider {=str}", defmt::Debug2Format(&robot), settings.provider);
+    let (stack, runner) = net::start(settings, ADDRESS, RESOURCES.take());
     spawner.spawn(run_stack(runner)?);
-    spawner.spawn(find_address(stack, config)?);
+    spawner.spawn(find_address(stack, settings)?);
     for (memory, session) in RAC.take().iter_mut().zip(&SESSIONS) {
         spawner.spawn(serve_rac(stack, memory, session.init_with(|| None))?);
     }
     spawner.spawn(serve_bcap(stack)?);
     spawner.spawn(serve_udp(stack)?);
-    spawner.spawn(watch_robot(stack, config)?);
+    spawner.spawn(watch_robot(stack, settings)?);
     spawner.spawn(report()?);
     Ok(())
 }
 
 #[embassy_executor::task]
-async fn run_stack(mut runner: Runner<'static, &'static mut Lan9118<'static>>) -> ! {
+async fn run_stack(mut runner: NetRunner) -> ! {
     runner.run().await
 }
 
-/// Waits for an address from the network; without one the configured address is taken.
 #[embassy_executor::task]
-async fn find_address(stack: Stack<'static>, config: &'static Config) {
-    if with_timeout(DHCP_TIME, stack.wait_config_up()).await.is_err() {
-        let (address, prefix) = config.address;
-        let address = Ipv4Cidr::new(address, prefix);
-        let gateway = Some(config.gateway);
-        defmt::warn!("no DHCP server answers, taking the configured address");
-        stack.set_config_v4(ConfigV4::Static(StaticConfigV4 { address, gateway, dns_servers: Default::default() }));
-        stack.wait_config_up().await;
-    }
-    if let Some(found) = stack.config_v4() {
-        defmt::info!("address {}", found.address);
-    }
+async fn find_address(stack: Stack<'static>, settings: &'static Settings<'static>) {
+    net::find_address(stack, settings).await;
 }
 
 #[embassy_executor::task(pool_size = RAC_SESSIONS)]
@@ -151,17 +127,17 @@ async fn serve_udp(stack: Stack<'static>) {
 
 /// Reads a variable of the robot each second, and connects again when that fails.
 #[embassy_executor::task]
-async fn watch_robot(stack: Stack<'static>, config: &'static Config) -> ! {
+async fn watch_robot(stack: Stack<'static>, settings: &'static Settings<'static>) -> ! {
     static MEMORY: ConstStaticCell<[[u8; 512]; 4]> = ConstStaticCell::new([[0; 512]; 4]);
     let [rx, tx, request, reply] = MEMORY.take();
     let transport = TcpTransport::new(stack, rx, tx, Options::default());
     let mut robot = Connection::new(transport, Client::new(ClientConfig::TCP, &mut request[..], &mut reply[..]));
     let mut pause = 1;
     loop {
-        let error = match connect(&mut robot, config).await {
+        let error = match connect(&mut robot, settings).await {
             Ok(()) => {
                 pause = 1;
-                read(&mut robot, config).await
+                read(&mut robot, settings).await
             }
             Err(error) => CallError::Io(error),
         };
@@ -172,22 +148,22 @@ async fn watch_robot(stack: Stack<'static>, config: &'static Config) -> ! {
     }
 }
 
-async fn connect(robot: &mut TcpClient<'_, &mut [u8]>, config: &Config) -> Result<(), NetError> {
-    robot.transport().connect((*config.robot.ip(), config.robot.port())).await?;
+async fn connect(robot: &mut TcpClient<'_, &mut [u8]>, settings: &Settings<'_>) -> Result<(), NetError> {
+    robot.transport().connect(settings.robot.address).await?;
     robot.client().reset();
     Ok(())
 }
 
 /// Reads the variable until something fails.
-async fn read(robot: &mut TcpClient<'_, &mut [u8]>, config: &Config) -> CallError<NetError> {
+async fn read(robot: &mut TcpClient<'_, &mut [u8]>, settings: &Settings<'_>) -> CallError<NetError> {
     let read = async {
         robot.call(call::service_start("WDT=400")).await?;
-        let controller = robot.call(call::controller_connect("", config.provider.as_str(), "localhost", "")).await?;
-        let variable = robot.call(call::controller_get_variable(controller, config.variable.as_str(), "")).await?;
+        let controller = robot.call(call::controller_connect("", settings.provider, "localhost", "")).await?;
+        let variable = robot.call(call::controller_get_variable(controller, settings.variable, "")).await?;
         NODE.update(|node| node.robot_is_up = true);
         loop {
             let value = robot.call(call::variable_get_value(variable)).await?;
-            defmt::info!("robot: {=str} = {}", config.variable.as_str(), value);
+            defmt::info!("robot: {=str} = {}", settings.variable, value);
             Timer::after_secs(1).await;
         }
     };
