@@ -84,6 +84,10 @@ macro_rules! machine {
 }
 pub(super) use machine;
 
+/// How many replies a connection may send in a row before others have their turn: a peer that has many requests in our
+/// buffer, and reads as fast as we write, would have the thread to itself.
+const TURN: u32 = 32;
+
 /// Serves one connection until it ends or the server stops.
 pub(super) async fn serve<H: Send, M: Machine<H>>(
     stream: TcpStream,
@@ -117,11 +121,16 @@ struct Connection<H, M> {
 impl<H, M: Machine<H>> Connection<H, M> {
     /// Moves bytes until there is a reason to end.
     async fn run(&mut self, mut stopped: watch::Receiver<()>) -> io::Result<&'static str> {
+        let mut sent = 0_u32;
         loop {
             self.think();
             if !self.session.transmit().is_empty() {
                 if let Some(reason) = self.send().await? {
                     return Ok(reason);
+                }
+                sent = sent.wrapping_add(1);
+                if sent.is_multiple_of(TURN) {
+                    tokio::task::yield_now().await;
                 }
                 continue;
             }
@@ -161,6 +170,8 @@ impl<H, M: Machine<H>> Connection<H, M> {
         }
         if changed {
             self.shared.has_changed();
+            // a request was whole, so what there is of another has only just come
+            self.partial_since = None;
         }
         if self.session.is_running() && !self.changes.is_waiting() {
             // the handler has just begun to wait; ask once more, now that changes are heard
