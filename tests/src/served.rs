@@ -16,7 +16,8 @@ use bcap_core::variant::VariantBuf;
 use bcap_std::server::{Limits, Server};
 use tokio::sync::oneshot;
 
-/// A controller with variables of any name, whose command `sleep` takes as many milliseconds as it is told.
+/// A controller with variables of any name and three commands: `sleep` takes as many milliseconds as it is told, `echo`
+/// gives its parameter back, `open` tells how many handles are given out.
 ///
 /// It works without sockets as well, and does the same then.
 #[derive(Debug, Default)]
@@ -66,10 +67,9 @@ impl Handler for Application {
             }
             _ if function.releases().is_some() => {
                 let released = (function.releases().unwrap_or(Object::Service), request.handle());
-                if released.0 == Object::Service {
-                    self.started.remove(&peer);
-                }
-                if let Some(at) = self.open.iter().position(|open| *open == released) {
+                // all services have the same handle, so one that is not this peer's must stay
+                let is_there = released.0 != Object::Service || self.started.remove(&peer);
+                if let Some(at) = self.open.iter().position(|open| is_there && *open == released) {
                     self.open.remove(at);
                 }
                 Ok(())
@@ -85,6 +85,12 @@ impl Handler for Application {
             FunctionId::CONTROLLER_GET_NAME => reply.set(&7_i32),
             FunctionId::CONTROLLER_EXECUTE if request.text(1).eq_ignore_ascii_case("sleep") => {
                 return self.sleep(peer, request, now);
+            }
+            FunctionId::CONTROLLER_EXECUTE if request.text(1).eq_ignore_ascii_case("echo") => {
+                reply.set(&request.value(2))
+            }
+            FunctionId::CONTROLLER_EXECUTE if request.text(1).eq_ignore_ascii_case("open") => {
+                reply.set(&i32::try_from(self.open.len()).unwrap_or(i32::MAX))
             }
             _ => return HResult::E_NOTIMPL.into(),
         };

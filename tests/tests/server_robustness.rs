@@ -78,7 +78,7 @@ fn frame(call: &impl Call, serial: u16) -> Vec<u8> {
     writer.finish(serial, 0, call.function().0).unwrap().to_vec()
 }
 
-/// Frames with one hostile value each, as the vendor's server was brought down with.
+/// Frames with one hostile value each; the whole list is in `tests/hostile`.
 fn hostile_frames() -> Vec<(&'static str, Vec<u8>)> {
     let with = |value: &[u8]| {
         let mut bytes = vec![1, 0, 0, 0, 0, 9, 0, 0, 0, 1, 0, 0, 0, 1, 0];

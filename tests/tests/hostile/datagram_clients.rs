@@ -1,0 +1,173 @@
+//! Clients over UDP, blocking and tokio, whose server loses, repeats, garbles, or is not the one that answers.
+
+use std::net::UdpSocket;
+
+use bcap_core::bcap::client::{ClientError, Timeout};
+use bcap_core::hresult::HResult;
+use bcap_tests::value::Value;
+
+use crate::Case;
+use crate::script::{Answers, Outcome, RIGHT, brief, calls_udp, right, serial_of, serve_udp};
+use crate::target::{Target, patient};
+use crate::wire::{argument, broken_values, frame, nested, reply_frame};
+
+pub(crate) const CASES: &[Case] = crate::cases! {
+    datagram_clients:
+        a_server_that_hears_and_says_nothing
+        nobody_at_the_port
+        garbage_in_front_of_a_reply
+        garbage_costs_no_attempt
+        replies_over_the_limit
+        a_reply_cut_in_two_datagrams
+        two_replies_in_one_datagram
+        replies_repeated
+        a_late_datagram_is_not_the_next_ones
+        a_reply_to_an_earlier_attempt
+        wrong_serials_for_ever_over_udp
+        keep_alives_for_ever_over_udp
+        datagrams_from_elsewhere
+};
+
+const SILENCE: Outcome = Outcome::Client(ClientError::Timeout(Timeout::Attempt));
+
+fn ends(expected: &[Outcome], answers: Answers) {
+    assert_eq!(calls_udp(&brief(), expected.len(), || serve_udp(answers)), expected);
+}
+
+fn a_server_that_hears_and_says_nothing(_: &mut Target) {
+    ends(&[SILENCE, SILENCE], |_, _| vec![]);
+}
+
+/// The network says that there is nobody, or says nothing: both are an end.
+fn nobody_at_the_port(_: &mut Target) {
+    let address = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let outcomes = calls_udp(&brief(), 1, || address);
+    assert!([Outcome::Io, SILENCE].contains(&outcomes[0]), "{outcomes:?}");
+}
+
+fn garbage(serial: u16) -> Vec<Vec<u8>> {
+    let mut all: Vec<Vec<u8>> =
+        broken_values().into_iter().map(|(_, value)| frame(serial, 0, 1, &argument(&value))).collect();
+    all.extend((0..30).map(|length| right(serial)[..length].to_vec()));
+    all.push(frame(serial, 0, 1, &argument(&nested(17))));
+    all.push(frame(serial, 0, 9, &argument(&Value::I4(1).to_wire())));
+    all.push(vec![0xff; 504]);
+    all
+}
+
+fn garbage_in_front_of_a_reply(_: &mut Target) {
+    let server = || {
+        serve_udp(|datagram, _| {
+            let serial = serial_of(datagram);
+            garbage(serial).into_iter().chain([right(serial)]).collect()
+        })
+    };
+    assert_eq!(calls_udp(&patient(), 3, server), [RIGHT, RIGHT, RIGHT]);
+}
+
+/// One attempt is all there is; the datagrams that are none of the server's do not end it.
+fn garbage_costs_no_attempt(_: &mut Target) {
+    let mut options = patient();
+    options.udp.attempts = 1;
+    options.udp.attempt_timeout = crate::target::PATIENCE;
+    let server = || {
+        serve_udp(|datagram, _| {
+            let serial = serial_of(datagram);
+            let foreign = (2..50).map(|n| right(serial.wrapping_add(n)));
+            garbage(serial).into_iter().chain(foreign).chain([vec![], right(serial)]).collect()
+        })
+    };
+    assert_eq!(calls_udp(&options, 2, server), [RIGHT, RIGHT]);
+}
+
+fn replies_over_the_limit(_: &mut Target) {
+    ends(&[SILENCE], |datagram, _| {
+        let long = Value::Array(17, vec![Value::Ui1(1); 600]);
+        vec![reply_frame(serial_of(datagram), HResult::S_OK, vec![long])]
+    });
+    // the largest that is none over it
+    let largest = Value::Array(17, vec![Value::Ui1(1); 504 - 26]);
+    let expected = Outcome::Value(largest.clone());
+    let server = || {
+        let largest = largest.clone();
+        serve_udp(move |datagram, _| vec![reply_frame(serial_of(datagram), HResult::S_OK, vec![largest.clone()])])
+    };
+    assert_eq!(calls_udp(&patient(), 1, server), [expected]);
+}
+
+fn a_reply_cut_in_two_datagrams(_: &mut Target) {
+    ends(&[SILENCE], |datagram, _| {
+        let reply = right(serial_of(datagram));
+        vec![reply[..15].to_vec(), reply[15..].to_vec()]
+    });
+}
+
+fn two_replies_in_one_datagram(_: &mut Target) {
+    ends(&[SILENCE], |datagram, _| vec![right(serial_of(datagram)).repeat(2)]);
+}
+
+fn replies_repeated(_: &mut Target) {
+    let server = || serve_udp(|datagram, _| vec![right(serial_of(datagram)); 20]);
+    assert_eq!(calls_udp(&patient(), 5, server), [RIGHT, RIGHT, RIGHT, RIGHT, RIGHT]);
+}
+
+fn a_late_datagram_is_not_the_next_ones(_: &mut Target) {
+    // the first call's three attempts are answered when the second call has come
+    ends(&[SILENCE, RIGHT], |datagram, count| {
+        let late = (1..=3).map(|serial| reply_frame(serial, HResult::S_OK, vec![Value::text("late")]));
+        if count < 4 { vec![] } else { late.chain([right(serial_of(datagram))]).collect() }
+    });
+}
+
+/// The server executes a call once, so the answer to any attempt is as good as that to the last.
+fn a_reply_to_an_earlier_attempt(_: &mut Target) {
+    ends(&[RIGHT], |_, count| if count < 3 { vec![] } else { vec![right(1)] });
+}
+
+fn wrong_serials_for_ever_over_udp(_: &mut Target) {
+    ends(&[SILENCE], |datagram, _| (10..200).map(|n| right(serial_of(datagram) + n)).collect());
+}
+
+fn keep_alives_for_ever_over_udp(_: &mut Target) {
+    let server = || {
+        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+        let address = socket.local_addr().unwrap();
+        std::thread::spawn(move || {
+            let mut buffer = [0; 600];
+            let (_, from) = socket.recv_from(&mut buffer).unwrap();
+            // until the client's socket has gone, which the loopback tells
+            while socket.send_to(&reply_frame(1, HResult::S_EXECUTING, vec![]), from).is_ok() {
+                std::thread::sleep(std::time::Duration::from_millis(10));
+            }
+        });
+        address
+    };
+    let mut options = brief();
+    options.udp.attempt_timeout = std::time::Duration::from_secs(20);
+    let expected = Outcome::Client(ClientError::Timeout(Timeout::KeepAlive));
+    assert_eq!(calls_udp(&options, 1, server), [expected]);
+}
+
+/// The socket hears its server only: what others send neither answers a call nor costs an attempt.
+fn datagrams_from_elsewhere(_: &mut Target) {
+    let server = || {
+        let (socket, other) = (UdpSocket::bind("127.0.0.1:0").unwrap(), UdpSocket::bind("127.0.0.1:0").unwrap());
+        let address = socket.local_addr().unwrap();
+        std::thread::spawn(move || {
+            let mut buffer = [0; 600];
+            for _ in 0..3 {
+                let (length, from) = socket.recv_from(&mut buffer).unwrap();
+                let serial = serial_of(&buffer[..length]);
+                for _ in 0..50 {
+                    other.send_to(&reply_frame(serial, HResult::S_OK, vec![Value::text("forged")]), from).unwrap();
+                }
+                socket.send_to(&right(serial), from).unwrap();
+            }
+        });
+        address
+    };
+    let mut options = patient();
+    options.udp.attempts = 1;
+    options.udp.attempt_timeout = crate::target::PATIENCE;
+    assert_eq!(calls_udp(&options, 3, server), [RIGHT, RIGHT, RIGHT]);
+}

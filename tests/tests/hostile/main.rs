@@ -1,0 +1,136 @@
+//! Everything that is known to bring peers of these protocols down, tried on ours, one named case after the other.
+//!
+//! ```text
+//!   this process                                        a process of its own
+//!   cases: raw bytes, real clients ── TCP UDP RAC ──►   the server with a small application
+//!   bystanders: a client of each link, held open ──►
+//! ```
+//!
+//! A case asserts what the server (or the client, if that is attacked) answers and what becomes of the connection. After
+//! each case the bystanders must have been served, a new client of each link as well, and the server must have nothing
+//! of the case left: no handle, no file descriptor. At the end neither process may have grown by 10 MiB.
+//!
+//! `cargo test -p bcap-tests --test hostile NAME` runs the cases whose names contain NAME; `--list` names them.
+
+mod arguments;
+mod clients;
+mod connections;
+mod datagram_clients;
+mod datagrams;
+mod frames;
+mod lines;
+mod process;
+mod rac_clients;
+mod script;
+mod serial;
+mod target;
+mod wire;
+
+use std::process::ExitCode;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use libtest_mimic::{Arguments, Trial};
+
+use crate::process::Process;
+use crate::target::Target;
+
+/// How much a process may grow over the whole list.
+const GROWTH: u64 = 10 << 20;
+
+/// A case of the list.
+type Case = (&'static str, fn(&mut Target));
+
+/// Names cases by their functions, in the module that is named first.
+macro_rules! cases {
+    ($module:ident: $($name:ident)+) => {
+        &[$((concat!(stringify!($module), "::", stringify!($name)), $name as fn(&mut $crate::Target)),)+]
+    };
+}
+pub(crate) use cases;
+
+fn main() -> ExitCode {
+    if std::env::args().nth(1).as_deref() == Some(target::SERVE) {
+        target::serve();
+        return ExitCode::SUCCESS;
+    }
+    if std::env::var_os(THRESHOLD).is_none() {
+        return again();
+    }
+    // one after the other: the cases share the server, and what it takes is measured
+    let arguments = Arguments { test_threads: Some(1), ..Arguments::from_args() };
+    if arguments.list {
+        libtest_mimic::run(&arguments, trials(&Arc::new(Mutex::new(None)))).exit();
+    }
+    let target = Arc::new(Mutex::new(Some(Target::start())));
+    let before = memory(&target);
+    let conclusion = libtest_mimic::run(&arguments, trials(&target));
+    let after = memory(&target);
+    let stopped = target.lock().unwrap_or_else(PoisonError::into_inner).take().is_some_and(Target::stop);
+    println!("{} hostile cases; after each the server was alive and the others were served", conclusion.num_passed);
+    let mut is_good = !conclusion.has_failed() && stopped;
+    for ((name, before), (_, after)) in before.into_iter().zip(after) {
+        let (Some(before), Some(after)) = (before, after) else {
+            println!("the memory of {name} is not known here: there is no /proc");
+            continue;
+        };
+        let (growth, mib) = (after.now.saturating_sub(before.now), |bytes: u64| bytes as f64 / f64::from(1 << 20));
+        println!(
+            "memory of {name}: {:.1} MiB before, {:.1} MiB after, {:.1} MiB at most",
+            mib(before.now),
+            mib(after.now),
+            mib(after.most)
+        );
+        if growth >= GROWTH {
+            println!("FAILED: it has grown by {:.1} MiB", mib(growth));
+            is_good = false;
+        }
+    }
+    if is_good { ExitCode::SUCCESS } else { ExitCode::from(101) }
+}
+
+/// The variable by which glibc is told which memory to give back as soon as it is free.
+///
+/// Left to itself it keeps what large requests have used, in the hope of more, and what is still in use cannot be told.
+const THRESHOLD: &str = "MALLOC_MMAP_THRESHOLD_";
+
+/// Runs this program again with that variable set.
+fn again() -> ExitCode {
+    let program = std::env::current_exe().expect("this program has a file");
+    let mut command = std::process::Command::new(program);
+    command.args(std::env::args_os().skip(1)).env(THRESHOLD, "65536").env("MALLOC_ARENA_MAX", "1");
+    let status = command.status();
+    if status.expect("this program starts").success() { ExitCode::SUCCESS } else { ExitCode::from(101) }
+}
+
+/// Returns all cases as tests.
+fn trials(target: &Arc<Mutex<Option<Target>>>) -> Vec<Trial> {
+    let all = [
+        frames::CASES,
+        arguments::CASES,
+        connections::CASES,
+        datagrams::CASES,
+        lines::CASES,
+        serial::CASES,
+        clients::CASES,
+        datagram_clients::CASES,
+        rac_clients::CASES,
+    ];
+    let test = |&(name, case): &Case| {
+        let target = Arc::clone(target);
+        Trial::test(name, move || {
+            let mut target = target.lock().unwrap_or_else(PoisonError::into_inner);
+            let target = target.as_mut().ok_or("the server has stopped")?;
+            case(target);
+            target.is_unharmed();
+            Ok(())
+        })
+    };
+    all.into_iter().flatten().map(test).collect()
+}
+
+/// Returns what the two processes take.
+fn memory(target: &Mutex<Option<Target>>) -> [(&'static str, Option<process::Memory>); 2] {
+    let target = target.lock().unwrap_or_else(PoisonError::into_inner);
+    let server = target.as_ref().and_then(|target| target.process().memory());
+    [("the server", server), ("the clients", Process::this().memory())]
+}

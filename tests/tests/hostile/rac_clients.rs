@@ -1,0 +1,193 @@
+//! Clients of RAC, blocking and tokio, whose server answers what is no answer, too much, or nothing.
+
+use std::time::Duration;
+
+use bcap_core::hresult::HResult;
+use bcap_core::io::RacError;
+use bcap_core::rac::client::{ClientError, Config, Timeout};
+use bcap_core::rac::{Variable, VariableKind};
+use bcap_core::variant::Variant;
+use bcap_std::{Options, asynch, blocking};
+
+use crate::Case;
+use crate::script::{Connection, runtime, serve};
+use crate::target::{Target, patient};
+
+pub(crate) const CASES: &[Case] = crate::cases! {
+    rac_clients:
+        a_rac_server_that_says_nothing
+        a_rac_server_that_closes
+        answers_that_are_none
+        an_answer_that_never_ends
+        an_answer_at_a_byte_a_time
+        answers_that_nobody_asked_for
+        a_late_answer_is_not_the_next_ones
+        results_of_every_notation
+        values_that_cannot_be_sent
+};
+
+const VARIABLE: Variable = Variable::new(VariableKind::I, 1);
+
+/// How a request has ended.
+#[derive(Debug, PartialEq)]
+enum Outcome {
+    Number(i32),
+    Text(String),
+    Refused(HResult),
+    Client(ClientError),
+    Disconnected,
+    Io,
+}
+
+impl From<Result<Variant<'_>, RacError<std::io::Error>>> for Outcome {
+    fn from(result: Result<Variant<'_>, RacError<std::io::Error>>) -> Self {
+        match result {
+            Ok(value) => match value.as_i32() {
+                Some(number) => Self::Number(number),
+                None => Self::Text(value.as_bstr().map(|text| text.to_string()).unwrap_or_default()),
+            },
+            Err(RacError::Refused(code)) => Self::Refused(code),
+            Err(RacError::Client(error)) => Self::Client(error),
+            Err(RacError::Disconnected) => Self::Disconnected,
+            Err(RacError::Io(_)) => Self::Io,
+        }
+    }
+}
+
+/// Reads a variable so many times, by each kind of client from a server of its own, and returns how it ended: alike.
+fn gets(options: &Options, count: usize, script: fn(&mut Connection)) -> Vec<Outcome> {
+    let mut client = blocking::connect_rac(serve(script), options).unwrap();
+    let blocking: Vec<Outcome> = (0..count).map(|_| client.get(VARIABLE).into()).collect();
+    let tokio = runtime().block_on(async {
+        let mut client = asynch::connect_rac(serve(script), options).await.unwrap();
+        let mut outcomes: Vec<Outcome> = Vec::new();
+        for _ in 0..count {
+            outcomes.push(client.get(VARIABLE).await.into());
+        }
+        outcomes
+    });
+    assert_eq!(blocking, tokio, "both kinds of clients");
+    blocking
+}
+
+/// Reads a request.
+fn request(connection: &mut Connection) {
+    let mut byte = [0];
+    while std::io::Read::read(&mut connection.0, &mut byte).is_ok_and(|count| count == 1) && byte != *b"\r" {}
+}
+
+fn brief() -> Options {
+    Options { rac: Config { timeout: Duration::from_millis(200) }, ..patient() }
+}
+
+const LATE: Outcome = Outcome::Client(ClientError::Timeout(Timeout::Reply));
+const OUTSTANDING: Outcome = Outcome::Client(ClientError::Timeout(Timeout::Outstanding));
+
+fn a_rac_server_that_says_nothing(_: &mut Target) {
+    assert_eq!(gets(&brief(), 2, Connection::hold), [LATE, OUTSTANDING]);
+}
+
+fn a_rac_server_that_closes(_: &mut Target) {
+    assert_eq!(gets(&patient(), 1, request), [Outcome::Disconnected]);
+    let cut = |connection: &mut Connection| {
+        request(connection);
+        connection.send(b"0,3,4");
+    };
+    assert_eq!(gets(&patient(), 1, cut), [Outcome::Disconnected]);
+    let reset = |connection: &mut Connection| {
+        request(connection);
+        connection.reset();
+    };
+    assert_eq!(gets(&patient(), 1, reset), [Outcome::Io]);
+}
+
+/// An answer that cannot be read is the end of its request and of nothing else.
+fn answers_that_are_none(_: &mut Target) {
+    let outcomes = gets(&patient(), 12, |connection| {
+        let wrong: [&[u8]; 6] = [b"", b"OK", b"0,9,1", b"0,3,99999999999", b"0,8,\xff", b"\xff\0\x01"];
+        for answer in wrong {
+            request(connection);
+            connection.send(&[answer, b"\r"].concat());
+            request(connection);
+            connection.send(b"0,3,42\r");
+        }
+        connection.hold();
+    });
+    for pair in outcomes.chunks(2) {
+        assert!(matches!(pair[0], Outcome::Client(ClientError::Reply(_))), "{pair:?}");
+        assert_eq!(pair[1], Outcome::Number(42));
+    }
+}
+
+fn an_answer_that_never_ends(_: &mut Target) {
+    let outcomes = gets(&brief(), 1, |connection| {
+        request(connection);
+        while connection.send(&[b'7'; 4096]) {}
+    });
+    assert!(matches!(outcomes[0], Outcome::Client(ClientError::Reply(_))), "{outcomes:?}");
+}
+
+fn an_answer_at_a_byte_a_time(_: &mut Target) {
+    let outcomes = gets(&patient(), 3, |connection| {
+        for _ in 0..3 {
+            request(connection);
+            for byte in b"0, 3, 42\r\n" {
+                connection.send(&[*byte]);
+            }
+        }
+        connection.hold();
+    });
+    assert_eq!(outcomes, [Outcome::Number(42), Outcome::Number(42), Outcome::Number(42)]);
+}
+
+/// There are no serials to tell answers by, so one too many ends the session: the next answer would be another's.
+fn answers_that_nobody_asked_for(_: &mut Target) {
+    let outcomes = gets(&patient(), 2, |connection| {
+        request(connection);
+        connection.send(b"0,3,42\r0,3,43\r");
+        connection.hold();
+    });
+    assert_eq!(outcomes[0], Outcome::Number(42));
+    let unsolicited = [ClientError::Unsolicited, ClientError::Closed].map(Outcome::Client);
+    assert!(unsolicited.contains(&outcomes[1]), "{outcomes:?}");
+}
+
+fn a_late_answer_is_not_the_next_ones(_: &mut Target) {
+    let outcomes = gets(&brief(), 3, |connection| {
+        request(connection);
+        std::thread::sleep(Duration::from_millis(300));
+        connection.send(b"0,3,41\r");
+        request(connection);
+        connection.send(b"0,3,42\r");
+        connection.hold();
+    });
+    assert_eq!(outcomes[..2], [LATE, Outcome::Number(42)]);
+}
+
+fn results_of_every_notation(_: &mut Target) {
+    let outcomes = gets(&patient(), 5, |connection| {
+        for answer in ["0x80070057\r", "2147942487\r", "-2147024809\r", "1,3,42\r", "-1,8,left out\r"] {
+            request(connection);
+            connection.send(answer.as_bytes());
+        }
+        connection.hold();
+    });
+    let invalid = || Outcome::Refused(HResult::E_INVALIDARG);
+    assert_eq!(outcomes[..4], [invalid(), invalid(), invalid(), Outcome::Number(42)]);
+    assert_eq!(outcomes[4], Outcome::Refused(HResult(-1)));
+}
+
+/// What a line cannot say is refused before a byte of it has left.
+fn values_that_cannot_be_sent(target: &mut Target) {
+    use bcap_core::variant::VariantBuf;
+
+    let mut client = blocking::connect_rac(target.rac, &patient()).unwrap();
+    let long = "x".repeat(300);
+    for text in ["a\rPUT:RC8:1:I:3,666", "a\nb", " leading", &long] {
+        let value = VariantBuf::<1024>::new(text).unwrap();
+        let error = client.put(Variable::new(VariableKind::S, 1), value.as_variant()).unwrap_err();
+        assert!(matches!(error, RacError::Client(ClientError::Request(_))), "{text:?}: {error}");
+    }
+    client.put(VARIABLE, Variant::I4(7)).unwrap();
+    assert_eq!(client.get(VARIABLE).unwrap(), Variant::I4(7));
+}

@@ -1,0 +1,202 @@
+//! Servers that follow a script instead of the protocol, and what clients make of them.
+
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
+use std::time::Duration;
+
+use bcap_core::bcap::call::{self, VariableHandle};
+use bcap_core::bcap::client::{ClientError, Config};
+use bcap_core::bcap::{Decoder, Progress};
+use bcap_core::hresult::HResult;
+use bcap_core::io::CallError;
+use bcap_core::variant::Variant;
+use bcap_std::{Options, asynch, blocking};
+use bcap_tests::value::Value;
+
+use crate::target::PATIENCE;
+use crate::wire::reply_frame;
+
+/// How a call has ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Outcome {
+    Value(Value),
+    Refused(HResult),
+    Client(ClientError),
+    Disconnected,
+    Io,
+}
+
+impl From<Result<Variant<'_>, CallError<std::io::Error>>> for Outcome {
+    fn from(result: Result<Variant<'_>, CallError<std::io::Error>>) -> Self {
+        match result {
+            Ok(value) => Self::Value(Value::read(value)),
+            Err(CallError::Refused(code)) => Self::Refused(code),
+            Err(CallError::Client(error)) => Self::Client(error),
+            Err(CallError::Disconnected) => Self::Disconnected,
+            Err(CallError::Io(_)) => Self::Io,
+        }
+    }
+}
+
+/// What a server does with a connection, from its first byte.
+pub(crate) type Script = fn(&mut Connection);
+
+/// The server's end of a connection.
+pub(crate) struct Connection(pub(crate) TcpStream);
+
+impl Connection {
+    /// Reads a request and returns its serial; 0 when the client has gone.
+    pub(crate) fn request(&mut self) -> u16 {
+        let mut bytes = Vec::new();
+        let mut byte = [0];
+        loop {
+            if let Ok(Progress::Complete(frame, _)) = Decoder::TCP.decode(&bytes) {
+                return frame.serial;
+            }
+            match self.0.read(&mut byte) {
+                Ok(1) => bytes.extend(byte),
+                _ => return 0,
+            }
+        }
+    }
+
+    /// Sends bytes; `false` when the client has gone.
+    pub(crate) fn send(&mut self, bytes: &[u8]) -> bool {
+        self.0.write_all(bytes).is_ok()
+    }
+
+    /// Reads and drops what comes until the client has gone.
+    pub(crate) fn hold(&mut self) {
+        let _ = std::io::copy(&mut self.0, &mut std::io::sink());
+    }
+
+    /// Goes away with a reset.
+    pub(crate) fn reset(&mut self) {
+        let _ = socket2::SockRef::from(&self.0).set_linger(Some(Duration::ZERO));
+    }
+}
+
+/// Starts a server for one connection.
+pub(crate) fn serve(script: impl FnOnce(&mut Connection) + Send + 'static) -> SocketAddr {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    std::thread::spawn(move || {
+        let (stream, _) = listener.accept().unwrap();
+        stream.set_nodelay(true).unwrap();
+        script(&mut Connection(stream));
+    });
+    address
+}
+
+/// Starts a server that reads a request, sends some bytes and stays.
+pub(crate) fn serve_bytes(bytes: Vec<u8>) -> SocketAddr {
+    serve(move |connection| {
+        connection.request();
+        connection.send(&bytes);
+        connection.hold();
+    })
+}
+
+/// What a server answers to a datagram: nothing, one or several.
+pub(crate) type Answers = fn(&[u8], u32) -> Vec<Vec<u8>>;
+
+/// Starts a server over UDP, which is told how many datagrams have come. It ends when none has for a while.
+pub(crate) fn serve_udp(mut answers: impl FnMut(&[u8], u32) -> Vec<Vec<u8>> + Send + 'static) -> SocketAddr {
+    let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let address = socket.local_addr().unwrap();
+    socket.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
+    std::thread::spawn(move || {
+        let mut buffer = [0; 2048];
+        let mut count = 0;
+        while let Ok((length, from)) = socket.recv_from(&mut buffer) {
+            count += 1;
+            for answer in answers(&buffer[..length], count) {
+                let _ = socket.send_to(&answer, from);
+            }
+        }
+    });
+    address
+}
+
+/// Returns the serial in a request.
+pub(crate) fn serial_of(datagram: &[u8]) -> u16 {
+    u16::from_le_bytes([datagram[5], datagram[6]])
+}
+
+/// Options of a client that soon gives up.
+pub(crate) fn brief() -> Options {
+    let config = |config: Config| Config {
+        attempt_timeout: Duration::from_millis(200),
+        attempts: 3,
+        deadline: Duration::from_secs(20),
+        keep_alive: Duration::from_millis(500),
+        ..config
+    };
+    let options = Options::default();
+    Options { tcp: config(options.tcp), udp: config(options.udp), connect_timeout: PATIENCE, ..options }
+}
+
+/// What clients read.
+pub(crate) const VARIABLE: VariableHandle = VariableHandle(1);
+
+/// The reply that is the right one.
+pub(crate) fn right(serial: u16) -> Vec<u8> {
+    reply_frame(serial, HResult::S_OK, vec![Value::I4(42)])
+}
+
+/// How a right reply is read.
+pub(crate) const RIGHT: Outcome = Outcome::Value(Value::I4(42));
+
+/// The kinds of clients.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Kind {
+    Blocking,
+    Tokio,
+}
+
+/// Makes `calls` calls to a server over TCP, by each kind of client to a server of its own, and returns how they ended:
+/// alike.
+pub(crate) fn calls(options: &Options, calls: usize, mut server: impl FnMut() -> SocketAddr) -> Vec<Outcome> {
+    let [blocking, tokio] = [Kind::Blocking, Kind::Tokio].map(|kind| call_tcp(kind, server(), options, calls));
+    assert_eq!(blocking, tokio, "both kinds of clients");
+    blocking
+}
+
+fn call_tcp(kind: Kind, address: SocketAddr, options: &Options, calls: usize) -> Vec<Outcome> {
+    let call = || call::variable_get_value(VARIABLE);
+    match kind {
+        Kind::Blocking => {
+            let mut client = blocking::connect_tcp(address, options).unwrap();
+            (0..calls).map(|_| client.call(call()).into()).collect()
+        }
+        Kind::Tokio => runtime().block_on(async {
+            let mut client = asynch::connect_tcp(address, options).await.unwrap();
+            let mut outcomes = Vec::new();
+            for _ in 0..calls {
+                outcomes.push(client.call(call()).await.into());
+            }
+            outcomes
+        }),
+    }
+}
+
+/// The same over UDP.
+pub(crate) fn calls_udp(options: &Options, calls: usize, mut server: impl FnMut() -> SocketAddr) -> Vec<Outcome> {
+    let call = || call::variable_get_value(VARIABLE);
+    let mut client = blocking::connect_udp(server(), options).unwrap();
+    let blocking: Vec<Outcome> = (0..calls).map(|_| client.call(call()).into()).collect();
+    let tokio = runtime().block_on(async {
+        let mut client = asynch::connect_udp(server(), options).await.unwrap();
+        let mut outcomes: Vec<Outcome> = Vec::new();
+        for _ in 0..calls {
+            outcomes.push(client.call(call()).await.into());
+        }
+        outcomes
+    });
+    assert_eq!(blocking, tokio, "both kinds of clients");
+    blocking
+}
+
+pub(crate) fn runtime() -> tokio::runtime::Runtime {
+    tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap()
+}

@@ -1,0 +1,201 @@
+//! Frames with something wrong in them, and a connection that sends them.
+
+use std::io::{ErrorKind, Read, Write};
+use std::net::{Shutdown, SocketAddr, TcpStream};
+use std::time::Duration;
+
+use bcap_core::bcap::{Decoder, FunctionId, Progress};
+use bcap_core::hresult::HResult;
+use bcap_core::limits::Limits;
+use bcap_tests::frame::TestFrame;
+use bcap_tests::value::Value;
+
+/// The serial of requests that are made here.
+pub(crate) const SERIAL: u16 = 9;
+
+/// A request.
+pub(crate) fn request(function: FunctionId, args: Vec<Value>) -> TestFrame {
+    TestFrame { serial: SERIAL, reserved: 0, code: function.0, args }
+}
+
+/// The bytes of a request.
+pub(crate) fn bytes(function: FunctionId, args: Vec<Value>) -> Vec<u8> {
+    request(function, args).to_wire(false)
+}
+
+/// A reply.
+pub(crate) fn reply_frame(serial: u16, code: HResult, args: Vec<Value>) -> Vec<u8> {
+    TestFrame { serial, reserved: 0, code: code.0, args }.to_wire(false)
+}
+
+/// A whole frame around a body that may be anything; `count` is its number of arguments.
+pub(crate) fn frame(serial: u16, code: i32, count: u16, body: &[u8]) -> Vec<u8> {
+    let length = u32::try_from(16 + body.len()).unwrap();
+    let mut bytes = vec![1];
+    bytes.extend(length.to_le_bytes());
+    bytes.extend(serial.to_le_bytes());
+    bytes.extend([0, 0]);
+    bytes.extend(code.to_le_bytes());
+    bytes.extend(count.to_le_bytes());
+    bytes.extend(body);
+    bytes.push(4);
+    bytes
+}
+
+/// An argument with its length, around bytes that may be no value.
+pub(crate) fn argument(value: &[u8]) -> Vec<u8> {
+    let mut bytes = u32::try_from(value.len()).unwrap().to_le_bytes().to_vec();
+    bytes.extend(value);
+    bytes
+}
+
+/// A value: its VARTYPE, its count and its data, which need not fit each other.
+pub(crate) fn value(vartype: u16, count: u32, data: &[u8]) -> Vec<u8> {
+    let mut bytes = vartype.to_le_bytes().to_vec();
+    bytes.extend(count.to_le_bytes());
+    bytes.extend(data);
+    bytes
+}
+
+/// VARIANTs in VARIANTs, so many levels, with EMPTY at the bottom.
+pub(crate) fn nested(levels: usize) -> Vec<u8> {
+    let mut bytes: Vec<u8> = [0x0c, 0x20, 1, 0, 0, 0].repeat(levels);
+    bytes.extend([0, 0, 1, 0, 0, 0]);
+    bytes
+}
+
+/// Values that are none, by what is wrong with them; of every one the wire has claimed more than is there.
+pub(crate) fn broken_values() -> Vec<(&'static str, Vec<u8>)> {
+    let some = [0x5a; 64];
+    vec![
+        ("a BSTR of 4 GiB", value(8, 1, &0xffff_fffe_u32.to_le_bytes())),
+        ("a BSTR of 65536 bytes that are not there", value(8, 1, &65536_u32.to_le_bytes())),
+        ("an odd BSTR", value(8, 1, &[1, 0, 0, 0, 65])),
+        ("R8 whose size wraps", value(0x2005, 0x2000_0001, &some)),
+        ("VARIANTs whose size wraps", value(0x200c, 0x0aaa_aaab, &some)),
+        ("BSTRs whose size wraps", value(0x2008, 0x2000_0001, &some)),
+        ("I4 of a gibibyte", value(0x2003, 0x1000_0000, &some)),
+        ("UI1 whose end wraps", value(0x2011, 0xffff_fff0, &some)),
+        ("UI1 of 4 GiB", value(0x2011, 0xffff_ffff, &some)),
+        ("a billion EMPTYs", value(0x2000, 1 << 30, &[])),
+        ("a billion NULLs", value(0x2001, 1 << 30, &[])),
+        ("ERROR without end", value(0x200a, 0x4000_0001, &some)),
+        ("a scalar of count 0", value(3, 0, &[1, 0, 0, 0])),
+        ("a scalar of count 5", value(3, 5, &[1, 0, 0, 0])),
+        ("a scalar of count 99", value(3, 99, &[1, 0, 0, 0])),
+        ("half a scalar", value(5, 1, &[0, 0, 0, 0])),
+        ("only a type", vec![3, 0]),
+        ("nothing", vec![]),
+    ]
+}
+
+/// VARTYPEs that no value on the wire can have.
+pub(crate) const UNKNOWN_TYPES: &[u16] =
+    &[9, 13, 14, 16, 22, 23, 24, 36, 0x1003, 0x2009, 0x200d, 0x200e, 0x2010, 0x2018, 0x4003, 0x400c, 0x6003, 0xffff];
+
+/// A connection that does with bytes as it likes.
+#[derive(Debug)]
+pub(crate) struct Raw {
+    stream: TcpStream,
+    received: Vec<u8>,
+}
+
+impl Raw {
+    pub(crate) fn connect(address: SocketAddr) -> Self {
+        let stream = TcpStream::connect(address).unwrap();
+        stream.set_nodelay(true).unwrap();
+        // only bounds for a case that fails: nothing here waits so long
+        stream.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
+        stream.set_write_timeout(Some(Duration::from_secs(30))).unwrap();
+        Self { stream, received: Vec::new() }
+    }
+
+    pub(crate) const fn stream(&self) -> &TcpStream {
+        &self.stream
+    }
+
+    /// Sends bytes; the server may have closed before it has read all of them.
+    pub(crate) fn send(&mut self, bytes: &[u8]) {
+        match self.stream.write_all(bytes) {
+            Err(error) if !is_closed(error.kind()) => panic!("{error}"),
+            _ => {}
+        }
+    }
+
+    /// Says that nothing more will come.
+    pub(crate) fn finish(&mut self) {
+        let _ = self.stream.shutdown(Shutdown::Write);
+    }
+
+    /// Goes away with a reset, so that the server cannot send any more either.
+    pub(crate) fn reset(self) {
+        socket2::SockRef::from(&self.stream).set_linger(Some(Duration::ZERO)).unwrap();
+    }
+
+    /// Reads the next reply.
+    pub(crate) fn reply(&mut self) -> TestFrame {
+        self.next().expect("the server answers")
+    }
+
+    /// Sends a request and reads its reply.
+    pub(crate) fn call(&mut self, request: &TestFrame) -> TestFrame {
+        self.send(&request.to_wire(false));
+        let reply = self.reply();
+        assert_eq!((reply.serial, reply.reserved), (request.serial, 0));
+        reply
+    }
+
+    /// Reads all replies until the server closes.
+    pub(crate) fn replies(&mut self) -> Vec<TestFrame> {
+        std::iter::from_fn(|| self.next()).collect()
+    }
+
+    /// Reads bytes until the server closes.
+    pub(crate) fn rest(&mut self) -> Vec<u8> {
+        while self.read() {}
+        std::mem::take(&mut self.received)
+    }
+
+    /// Begins a session and returns the handle of the controller.
+    pub(crate) fn begin(&mut self) -> i32 {
+        let start = self.call(&request(FunctionId::SERVICE_START, vec![Value::text("")]));
+        assert_eq!(start.code, 0);
+        let names = vec![Value::text(""); 4];
+        let connect = self.call(&request(FunctionId::CONTROLLER_CONNECT, names));
+        let [Value::I4(handle)] = connect.args[..] else { panic!("a handle: {connect:?}") };
+        handle
+    }
+
+    /// Reads the next reply; `None` when the server has closed.
+    fn next(&mut self) -> Option<TestFrame> {
+        let decoder = Decoder { limits: Limits { frame: u32::MAX, ..Limits::STREAM }, ..Decoder::TCP };
+        loop {
+            if let Progress::Complete(frame, used) = decoder.decode(&self.received).expect("replies are frames") {
+                let reply = TestFrame::read(&frame);
+                self.received.drain(..used);
+                return Some(reply);
+            }
+            if !self.read() {
+                assert!(self.received.is_empty(), "the server has closed in the middle of a reply");
+                return None;
+            }
+        }
+    }
+
+    fn read(&mut self) -> bool {
+        let mut buffer = [0; 4096];
+        match self.stream.read(&mut buffer) {
+            Ok(count) => {
+                self.received.extend(&buffer[..count]);
+                count > 0
+            }
+            // what the server has not read of us makes its end a reset
+            Err(error) if is_closed(error.kind()) => false,
+            Err(error) => panic!("{error}"),
+        }
+    }
+}
+
+fn is_closed(kind: ErrorKind) -> bool {
+    matches!(kind, ErrorKind::ConnectionReset | ErrorKind::ConnectionAborted | ErrorKind::BrokenPipe)
+}
