@@ -69,7 +69,7 @@
 //!
 //! # On the wire
 //!
-//! The controller has no wire. Whoever moves its replies asks [`Controller::deliver`] about each one, with its bytes:
+//! The controller has no wire. Whoever moves its replies asks [`Controller::deliver`](crate::Controller::deliver) about each one, with its bytes:
 //! it says whether they go out, and changes them where the scenario wants that. Without being asked, `"drop"`,
 //! `"wrong_serial"`, `"corrupt"` and `"disconnect"` have no effect; during a link loss calls are not carried out and
 //! not answered in any case.

@@ -1,0 +1,190 @@
+//! What slave mode needs, what it allows, and what ends it.
+
+use bcap_core::bcap::call;
+use bcap_core::bcap::server::Handler as _;
+use bcap_core::handler::Outcome;
+use bcap_core::hresult::HResult;
+use bcap_core::variant::Variant;
+use bcap_sim::{Config, EMERGENCY_STOP, Mode, Profile, SlaveConfig, Token};
+
+use crate::common::{Value, World, code, ok};
+use crate::{Rig, START, UNDERFLOW, assert_close, j1, moving};
+
+#[test]
+fn entering_needs_what_every_motion_needs_and_a_licence() {
+    let slave = SlaveConfig { licensed: false, ..SlaveConfig::default() };
+    let mut world = World::with(Config { slave, ..Config::default() });
+    let client = world.client(1);
+    assert_eq!(world.robot(client, "slvChangeMode", 4), code(HResult::E_INVALIDARG));
+    assert_eq!(world.robot(client, "slvChangeMode", 2), code(HResult::E_NO_LICENSE));
+
+    let config = Config { mode: Mode::Manual, token: Token::TeachPendant, ..Config::default() };
+    let mut world = World::with(config);
+    let (client, other) = (world.client(1), world.client(2));
+    world.sim.inject_error(HResult::from_u32(0x8150_0001), world.now);
+    let enter = |world: &mut World| world.robot(client, "slvChangeMode", 0x002).0;
+    assert_eq!(enter(&mut world), HResult::E_ACCESSDENIED);
+    world.sim.set_mode(Mode::Auto, world.now);
+    assert_eq!(enter(&mut world), HResult::E_TOKEN_NOT_ETHERNET);
+    world.sim.set_token(Token::Client(other.peer));
+    assert_eq!(enter(&mut world), HResult::E_TOKEN_ADDRESS);
+    world.sim.set_token(Token::Client(client.peer));
+    assert_eq!(enter(&mut world), HResult::E_ERROR_PRESENT);
+    world.execute(client, "ClearError", ());
+    assert_eq!(enter(&mut world), HResult::E_ARM_NOT_TAKEN);
+    world.robot(client, "TakeArm", [0, 1]);
+    assert_eq!(enter(&mut world), HResult::E_MOTOR_OFF);
+    world.robot(client, "Motor", 1);
+    let moves = call::robot_move(client.robot, 1, "J(10,45,90,0,45,0)", "NEXT");
+    assert_eq!(world.call(client.peer, moves), code(HResult::S_OK));
+    assert_eq!(enter(&mut world), HResult::E_ROBOTISBUSY);
+    world.pass(1000);
+    assert_eq!(enter(&mut world), HResult::S_OK);
+    assert_eq!(enter(&mut world), HResult::E_SLVMODE_ON);
+    assert_eq!(world.robot(other, "slvChangeMode", 0x002).0, HResult::E_SLVMODE_ON);
+    assert_eq!(world.robot(other, "slvChangeMode", 0).0, HResult::E_ARM_NOT_TAKEN);
+}
+
+#[test]
+fn the_nine_modes_are_told_by_get_mode_and_others_are_none() {
+    for mode in [0x001, 0x002, 0x003, 0x101, 0x102, 0x103, 0x201, 0x202, 0x203] {
+        let mut rig = Rig::enter(mode);
+        assert_eq!(rig.execute("slvGetMode", ()), ok(&mode));
+        assert_eq!(rig.execute("slvChangeMode", 0), ok(&()));
+        assert_eq!(rig.execute("slvGetMode", ()), ok(&0));
+        assert_eq!(rig.execute("slvChangeMode", 0), ok(&()), "leaving twice is no error");
+    }
+    let mut rig = Rig::new();
+    for mode in [-1, 0x004, 0x00f, 0x100, 0x104, 0x200, 0x301, 0x1002] {
+        assert_eq!(rig.execute("slvChangeMode", mode), code(HResult::E_INVALIDARG), "{mode:#x}");
+    }
+    assert_eq!(rig.execute("slvChangeMode", ()), code(HResult::E_INVALIDARG));
+}
+
+#[test]
+fn slv_move_without_slave_mode_hides_the_first_cause_which_the_list_tells() {
+    let mut rig = Rig::new();
+    assert_eq!(rig.j1(0.0), HResult::E_SLVMODE_OFF);
+    assert_eq!(rig.errors(), [], "a refusal is no error of the controller");
+    rig.execute("slvChangeMode", 0x002);
+    rig.j1(0.1);
+    rig.cycles(2);
+    assert_eq!(rig.j1(0.2), HResult::E_SLVMODE_OFF);
+    let client = rig.client;
+    assert_eq!(rig.world.execute(client, "GetCurErrorCount", ()), ok(&1));
+    let (_, info) = rig.world.execute(client, "GetCurErrorInfo", 0);
+    let Variant::Array(info) = info.as_variant() else { panic!("no array") };
+    assert_eq!(info.get(0).map(Variant::flatten), Some(Variant::I4(UNDERFLOW.0)));
+    assert_eq!(rig.world.get(client, "@ERROR_CODE"), ok(&UNDERFLOW.0));
+    // recovery: nothing but its own order
+    assert_eq!(rig.execute("slvChangeMode", 0x002), code(HResult::E_ERROR_PRESENT));
+    assert_eq!(rig.world.execute(client, "ClearError", ()), ok(&()));
+    assert_eq!(rig.execute("slvChangeMode", 0x002), code(HResult::E_MOTOR_OFF));
+    assert_eq!(rig.world.robot(client, "Motor", 1), ok(&()));
+    assert_eq!(rig.execute("slvChangeMode", 0x002), ok(&()));
+    assert_eq!(rig.j1(0.2), HResult::S_OK);
+}
+
+#[test]
+fn in_slave_mode_its_client_may_call_little_else() {
+    let mut rig = Rig::with(Config::new(Profile::Rc9));
+    let (client, other) = (rig.client, rig.world.client(2));
+    let variable = rig.world.variable(client, "I1");
+    rig.execute("slvChangeMode", 0x002);
+    for (command, param) in [("TakeArm", 0), ("Motor", 0), ("CurPos", 0), ("slvSendFormat", 0), ("slvRecvFormat", 2)] {
+        assert_eq!(rig.execute(command, param), code(HResult::E_SLVMODE_ON), "{command}");
+    }
+    assert_eq!(rig.execute("GiveArm", ()), code(HResult::E_SLVMODE_ON));
+    assert_eq!(rig.execute("slvChangeMode", 0x102), code(HResult::E_SLVMODE_ON));
+    for command in ["ClearError", "GetCurErrorCount", "SysState", "NoSuchCommand"] {
+        assert_eq!(rig.world.execute(client, command, ()), code(HResult::E_SLVMODE_ON), "{command}");
+    }
+    let refused = rig.world.call(client.peer, call::robot_move(client.robot, 1, "J1", ""));
+    assert_eq!(refused, code(HResult::E_SLVMODE_ON));
+    assert_eq!(rig.world.call(client.peer, call::variable_get_value(variable)), code(HResult::E_SLVMODE_ON));
+    assert_eq!(rig.world.call(client.peer, call::variable_put_value(variable, 1)), code(HResult::E_SLVMODE_ON));
+
+    assert_eq!(rig.execute("slvGetMode", ()), ok(&2));
+    assert_eq!(rig.execute("curjnt", ()), ok(&START));
+    assert_eq!(rig.world.execute(client, "StoState", ()), ok(&false));
+    assert_eq!(rig.world.execute(client, "ManualReset", ()), ok(&()));
+    assert_eq!(rig.world.call(client.peer, call::variable_release(variable)), code(HResult::S_OK));
+    rig.world.variable(client, "I2");
+
+    // another connection is free, but has not the arm
+    assert_eq!(rig.world.put(other, "I1", 5), HResult::S_OK);
+    assert_eq!(rig.world.execute(other, "GetCurErrorCount", ()), ok(&0));
+    assert_eq!(rig.world.robot(other, "slvGetMode", ()), ok(&2));
+    assert_eq!(rig.world.robot(other, "slvMove", START), code(HResult::E_ARM_NOT_TAKEN));
+    assert_eq!(rig.world.move_to(other, 1, "J1", ""), HResult::E_ARM_NOT_TAKEN);
+    assert_eq!(rig.mode(), 2, "refused calls release nothing");
+    assert_eq!(rig.execute("slvChangeMode", 0), ok(&()));
+    assert_eq!(rig.world.execute(client, "GetCurErrorCount", ()), ok(&0));
+}
+
+#[test]
+fn the_token_counts_for_every_pose() {
+    let mut rig = Rig::enter(0x002);
+    rig.world.sim.set_token(Token::TeachPendant);
+    assert_eq!(rig.j1(0.0), HResult::E_TOKEN_NOT_ETHERNET);
+    rig.world.sim.set_token(Token::Any);
+    assert_eq!(rig.j1(0.0), HResult::S_OK);
+}
+
+#[test]
+fn the_emergency_stop_ends_slave_mode_where_the_robot_is() {
+    let mut rig = moving(0x202);
+    rig.j1(0.8);
+    rig.withheld(j1(1.0));
+    rig.world.pass(4);
+    rig.world.sim.emergency_stop(true, rig.world.now);
+    assert_eq!(rig.again(j1(1.0)), (Outcome::Done(EMERGENCY_STOP), Value::EMPTY), "who waits is told");
+    assert_eq!((rig.mode(), rig.errors()), (0, vec![EMERGENCY_STOP]));
+    assert_close(&rig.here(), &j1(0.1), 1e-12);
+    rig.cycles(10);
+    assert_close(&rig.here(), &j1(0.1), 1e-12);
+    assert_eq!(rig.j1(0.2), HResult::E_SLVMODE_OFF);
+}
+
+#[test]
+fn an_error_the_motor_and_the_mode_switch_end_it_too() {
+    let mut rig = moving(0x002);
+    rig.world.sim.inject_error(HResult::from_u32(0x8150_0001), rig.world.now);
+    assert_eq!((rig.mode(), rig.errors()), (0, vec![HResult::from_u32(0x8150_0001)]));
+
+    let mut rig = moving(0x002);
+    let other = rig.world.client(2);
+    assert_eq!(rig.world.robot(other, "Motor", 0), ok(&()));
+    assert_eq!((rig.mode(), rig.errors(), rig.world.sim.is_moving()), (0, vec![], false));
+
+    let mut rig = moving(0x002);
+    rig.world.sim.set_mode(Mode::Manual, rig.world.now);
+    assert_eq!((rig.mode(), rig.errors()), (0, vec![]));
+    assert_eq!(rig.j1(0.8), HResult::E_SLVMODE_OFF);
+}
+
+#[test]
+fn halt_brakes_from_any_connection() {
+    let mut rig = moving(0x002);
+    rig.world.pass(4);
+    let other = rig.world.client(2);
+    assert_eq!(rig.world.call(other.peer, call::robot_halt(other.robot, "")), code(HResult::S_OK));
+    assert_eq!(rig.mode(), 0);
+    // 25 degrees per second at the servo's 7500 per second squared: 3.33 ms, and half as far as at that speed
+    let way = 25.0 * 25.0 / 7500.0 / 2.0;
+    assert!(rig.world.sim.is_moving());
+    assert_close(&rig.here(), &j1(0.1), 1e-9);
+    rig.world.pass(4);
+    assert!(!rig.world.sim.is_moving());
+    assert_close(&rig.here(), &j1(0.1 + way), 1e-9);
+    assert_eq!((rig.errors(), rig.world.sim.motor_is_on()), (vec![], true));
+}
+
+#[test]
+fn a_client_that_goes_leaves_no_slave_mode_behind() {
+    let mut rig = moving(0x002);
+    rig.world.sim.left(rig.client.peer, rig.world.now);
+    rig.world.pass(100);
+    assert_eq!((rig.mode(), rig.world.sim.arm_owner(), rig.world.sim.is_moving()), (0, None, false));
+    assert!(rig.here()[0] < 0.2, "what was buffered is dropped");
+}
