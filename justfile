@@ -46,6 +46,10 @@ arrays:
 loopback:
     cargo bench -p bcap-tests --bench loopback
 
+# How well streams of Slave Mode keep 8 ms beside a busy core: every mode, blocking and tokio, 80 s each.
+slave cycles="10000":
+    cargo bench -p bcap-tests --bench slave -- {{cycles}}
+
 # Each fuzz target for half a minute, or for `just fuzz 1200` seconds.
 fuzz seconds="30":
     FUZZ_SECONDS={{seconds}} bash .ci/run fuzz

@@ -4,6 +4,7 @@
 //! |--------------|----------|-------------------------------------------------------------------------|
 //! | [`blocking`] |          | clients that block: b-CAP over TCP and UDP, RAC over TCP                |
 //! | `asynch`     | `tokio`  | the same clients for tokio                                              |
+//! | [`slave`]    |          | streams of Slave Mode: a pose every 8 ms, blocking and for tokio        |
 //! | `server`     | `server` | a server for any handler: b-CAP over TCP and UDP, RAC over TCP          |
 //!
 //! The protocol itself is in [`bcap_core`]: this crate moves its bytes and tells it the time. A call takes two system
@@ -35,6 +36,7 @@ mod clock;
 mod connect;
 #[cfg(feature = "server")]
 pub mod server;
+pub mod slave;
 
 pub use clock::now;
 pub use connect::{ConnectError, Options};

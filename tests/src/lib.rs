@@ -11,6 +11,7 @@
 //! | [`vectors`]    | the frames and lines of the specifications, from `tests/vectors`                     |
 //! | [`network`]    | a simulated network between a client and a server, with a clock of its own          |
 //! | [`served`]     | a server on real sockets with a small application                                   |
+//! | [`slowed`]     | a virtual controller with a slow clock                                              |
 //! | [`allocation`] | an allocator that counts what each thread asks of it                                |
 //!
 //! Nothing here is fast or frugal; where it disagrees with the core, one of the two is wrong.
@@ -20,6 +21,7 @@ pub mod frame;
 pub mod network;
 pub mod oracle;
 pub mod served;
+pub mod slowed;
 pub mod strategies;
 pub mod text;
 pub mod value;

@@ -1,4 +1,4 @@
-//! A server on real sockets, in a thread of its own, with a small application behind it.
+//! A server on real sockets, in a thread of its own, with a small application or anything else behind it.
 
 use std::collections::{BTreeSet, HashMap};
 use std::net::SocketAddr;
@@ -125,27 +125,42 @@ impl rac::server::Handler for Application {
 
 /// A server that runs until this is dropped.
 #[derive(Debug)]
-pub struct Served {
+pub struct Served<H = Application> {
     /// Where it takes b-CAP over TCP.
     pub tcp: SocketAddr,
     /// Where it takes b-CAP over UDP.
     pub udp: SocketAddr,
     /// Where it takes RAC.
     pub rac: SocketAddr,
-    application: Arc<Mutex<Application>>,
+    application: Arc<Mutex<H>>,
     stop: Option<oneshot::Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Served {
-    /// Starts a server on free ports of the loopback.
+    /// Starts a server of the small application on free ports of the loopback.
+    #[must_use]
+    pub fn start(limits: Limits) -> Self {
+        Self::of(Application::default(), limits)
+    }
+
+    /// Stops the server and waits for its end; returns what it left behind.
+    #[must_use]
+    pub fn stop(mut self) -> Application {
+        self.end();
+        std::mem::take(&mut *self.application())
+    }
+}
+
+impl<H: Handler + rac::server::Handler + Send + 'static> Served<H> {
+    /// Starts a server of anything on free ports of the loopback.
     ///
     /// # Panics
     ///
     /// When the machine has no socket for it.
     #[must_use]
-    pub fn start(limits: Limits) -> Self {
-        let application = Arc::<Mutex<Application>>::default();
+    pub fn of(handler: H, limits: Limits) -> Self {
+        let application = Arc::new(Mutex::new(handler));
         let shared = Arc::clone(&application);
         let (stop, stopped) = oneshot::channel();
         let (tell, told) = mpsc::channel();
@@ -164,21 +179,12 @@ impl Served {
         let (tcp, udp, rac) = (addresses.bcap_tcp[0], addresses.bcap_udp[0], addresses.rac_tcp[0]);
         Self { tcp, udp, rac, application, stop: Some(stop), thread: Some(thread) }
     }
+}
 
+impl<H> Served<H> {
     /// Looks at the application; the server waits meanwhile.
-    pub fn application(&self) -> MutexGuard<'_, Application> {
+    pub fn application(&self) -> MutexGuard<'_, H> {
         self.application.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Stops the server and waits for its end; returns what it left behind.
-    ///
-    /// # Panics
-    ///
-    /// When the server has.
-    #[must_use]
-    pub fn stop(mut self) -> Application {
-        self.end();
-        std::mem::take(&mut *self.application())
     }
 
     fn end(&mut self) {
@@ -192,7 +198,7 @@ impl Served {
     }
 }
 
-impl Drop for Served {
+impl<H> Drop for Served<H> {
     fn drop(&mut self) {
         self.end();
     }

@@ -1,0 +1,160 @@
+//! How well a stream of Slave Mode keeps its 8 ms, with a core of the machine kept busy.
+//!
+//! ```text
+//! cargo bench -p bcap-tests --bench slave                      10,000 cycles in each mode, blocking and under tokio
+//! cargo bench -p bcap-tests --bench slave -- 1000 --fifo       fewer, with SCHED_FIFO, locked memory and a pinned core
+//! ```
+//!
+//! The virtual controller runs in a thread of its own behind TCP; the stream's thread and another one that does nothing
+//! but count share the machine with it. Shown are the figures of the engine, and the underflows that the controller
+//! counted. It fails when there is one.
+
+use std::hint::black_box;
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Instant;
+
+use bcap_core::bcap::slave::{
+    AxisLimits, Config, Format, Histogram, Mode, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode, Stats,
+};
+use bcap_sim::{Controller, Profile};
+use bcap_std::server::Limits;
+use bcap_std::slave::{Cycle, Next, Realtime};
+use bcap_std::{Options, asynch, blocking, slave};
+use bcap_tests::served::Served;
+
+type Failure = Box<dyn std::error::Error + Send + Sync>;
+
+const PROVIDER: &str = "CaoProv.DENSO.VRC";
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let cycles = arguments.iter().find_map(|argument| argument.parse().ok()).unwrap_or(10_000);
+    let realtime = if arguments.iter().any(|argument| argument == "--fifo") {
+        Realtime { fifo: Some(80), lock_memory: true, core: Some(0) }
+    } else {
+        Realtime::default()
+    };
+    match run(cycles, realtime) {
+        Ok(0) => ExitCode::SUCCESS,
+        Ok(underflows) => {
+            eprintln!("slave: {underflows} underflows");
+            ExitCode::FAILURE
+        }
+        Err(error) => {
+            eprintln!("slave: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(cycles: u32, realtime: Realtime) -> Result<u64, Failure> {
+    let busy = Arc::new(AtomicBool::new(true));
+    let counting = Arc::clone(&busy);
+    let counter = thread::spawn(move || {
+        let mut count = 0_u64;
+        while counting.load(Ordering::Relaxed) {
+            count = black_box(count.wrapping_add(1));
+        }
+    });
+    println!("{cycles} cycles of 8 ms each; times in us");
+    println!(
+        "{:<9} {:<5} {:>7} {:>5} {:>7} {:>10}   {:<29} {:<29} margin",
+        "driver",
+        "mode",
+        "cycles",
+        "late",
+        "refused",
+        "underflows",
+        "round trip p50/p99/p99.9/max",
+        "jitter p50/p99/p99.9/max"
+    );
+    let mut underflows = 0;
+    for mode in [Mode::Mode0, Mode::Mode1, Mode::Mode2] {
+        for driver in [Driver::Blocking, Driver::Tokio] {
+            // a thread of its own, so that what is asked of the system ends with it
+            let streamed = thread::spawn(move || stream(driver, mode, cycles, realtime)).join();
+            let (stats, counted) = streamed.map_err(|_| "the stream has panicked")??;
+            show(driver, mode, &stats, counted);
+            underflows += counted;
+        }
+    }
+    busy.store(false, Ordering::Relaxed);
+    counter.join().map_err(|_| "the counter has panicked")?;
+    Ok(underflows)
+}
+
+#[derive(Clone, Copy)]
+enum Driver {
+    Blocking,
+    Tokio,
+}
+
+/// Streams over one connection, and returns the figures with the underflows that the controller saw.
+fn stream(driver: Driver, mode: Mode, cycles: u32, realtime: Realtime) -> Result<(Stats, u64), Failure> {
+    let sim = Served::of(Controller::new(bcap_sim::Config::new(Profile::Rc8)), Limits::default());
+    realtime.apply()?;
+    let format = Format::new(SlaveMode { mode, pose: PoseType::J }, ReceiveFormat::pose(ReceivePose::J));
+    // slow enough to pass the limits when a cycle of mode 1 finds no new pose
+    let limits = AxisLimits::uniform(20.0, 400.0);
+    let mut trajectory = |cycle: &Cycle<'_>| {
+        if cycle.number == cycles {
+            return Next::Finish;
+        }
+        let mut joints: [f64; 8] = cycle.start.numbers().try_into().unwrap_or_default();
+        joints[0] += 5.0 * (1.0 - (f64::from(cycle.number) / 500.0 * std::f64::consts::TAU).cos());
+        Next::Pose(Pose::j(joints))
+    };
+    let began = Instant::now();
+    let stats = match driver {
+        Driver::Blocking => {
+            let mut motion = blocking::connect_tcp(sim.tcp, &Options::default())?;
+            let handles = slave::blocking::open(&mut motion, PROVIDER)?;
+            let config = Config { limits, ..Config::new(format, handles) };
+            let mut stream = slave::blocking::Stream::<_>::new(config, motion, None)?;
+            stream.run(&mut trajectory)?;
+            stream.stats().clone()
+        }
+        Driver::Tokio => tokio::runtime::Builder::new_current_thread().enable_all().build()?.block_on(async {
+            let mut motion = asynch::connect_tcp(sim.tcp, &Options::default()).await?;
+            let handles = slave::asynch::open(&mut motion, PROVIDER).await?;
+            let config = Config { limits, ..Config::new(format, handles) };
+            let mut stream = slave::asynch::Stream::<_>::new(config, motion, None)?;
+            stream.run(&mut trajectory).await?;
+            Ok::<_, Failure>(stream.stats().clone())
+        })?,
+    };
+    if began.elapsed() < bcap_sim::slave::CYCLE * cycles.saturating_sub(10) {
+        return Err("the stream was faster than the controller".into());
+    }
+    let counted = sim.application().slave_counters().underflows;
+    Ok((stats, counted))
+}
+
+fn show(driver: Driver, mode: Mode, stats: &Stats, underflows: u64) {
+    let driver = match driver {
+        Driver::Blocking => "blocking",
+        Driver::Tokio => "tokio",
+    };
+    let mode = match mode {
+        Mode::Mode0 => 0,
+        Mode::Mode1 => 1,
+        Mode::Mode2 => 2,
+    };
+    let quantiles = |times: &Histogram| {
+        [times.quantile(500), times.quantile(990), times.quantile(999), times.max()]
+            .map(|time| time.to_string())
+            .join("/")
+    };
+    let margin = stats.least_margin.map_or("-".into(), |margin| format!("{:.1} ms", margin.as_secs_f64() * 1000.0));
+    println!(
+        "{driver:<9} {mode:<5} {:>7} {:>5} {:>7} {underflows:>10}   {:<29} {:<29} {margin}",
+        stats.cycles,
+        stats.late,
+        stats.refused,
+        quantiles(&stats.rtt),
+        quantiles(&stats.jitter)
+    );
+}

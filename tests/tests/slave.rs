@@ -1,0 +1,251 @@
+//! The streams of `bcap-std` against the virtual controller, over real sockets: counts and positions are asserted,
+//! never times, and the controller's clock is slow enough for a busy machine.
+
+use std::fmt;
+use std::time::Duration;
+
+use bcap_core::bcap::slave::{
+    AxisLimits, Cause, Config, Format, Handles, Mode, MoveReply, Pose, PoseError, PoseType, ReceiveFormat, ReceivePose,
+    RecoverError, Released, SlaveMode, Stats, Step,
+};
+use bcap_core::hresult::HResult;
+use bcap_core::time::Instant;
+use bcap_sim::{Controller, EMERGENCY_STOP, Profile};
+use bcap_std::server::Limits;
+use bcap_std::slave::{Cycle, Next, StreamError, Trajectory};
+use bcap_std::{Options, asynch, blocking, slave};
+use bcap_tests::served::Served;
+use bcap_tests::slowed::{CYCLE, Slowed, inner};
+
+const MODES: [Mode; 3] = [Mode::Mode0, Mode::Mode1, Mode::Mode2];
+const PROVIDER: &str = "CaoProv.DENSO.VRC";
+
+fn controller() -> Served<Slowed> {
+    let config = bcap_sim::Config { motor_on_delay: Duration::from_millis(1), ..bcap_sim::Config::new(Profile::Rc8) };
+    Served::of(Slowed(Controller::new(config)), Limits::default())
+}
+
+fn format(mode: Mode) -> Format {
+    Format::new(SlaveMode { mode, pose: PoseType::J }, ReceiveFormat::pose(ReceivePose::J))
+}
+
+fn set_up(mode: Mode, handles: Handles, watch: Option<Handles>) -> Config {
+    let times = Config { cycle: CYCLE, late_after: CYCLE / 2, ..Config::new(format(mode), handles) };
+    Config { watch, stall: CYCLE * 100, ramp: CYCLE * 25, ..times }
+}
+
+/// Moves joint 1 by two degrees and back, at rest at both ends; counts the answers.
+#[derive(Default)]
+struct Wave {
+    cycles: u32,
+    answers: u32,
+    stop_at: Option<u32>,
+}
+
+impl Trajectory for Wave {
+    fn next(&mut self, cycle: &Cycle<'_>) -> Next {
+        if self.stop_at == Some(cycle.number) {
+            return Next::Stop;
+        }
+        if cycle.number == self.cycles {
+            return Next::Finish;
+        }
+        let turn = f64::from(cycle.number + 1) / f64::from(self.cycles) * std::f64::consts::TAU;
+        Next::Pose(turned(cycle.start, 1.0 - turn.cos()))
+    }
+
+    fn moved(&mut self, reply: &MoveReply<'_>, _: Instant) {
+        assert!(reply.joints().is_some());
+        self.answers += 1;
+    }
+}
+
+/// Returns a pose whose first joint is turned by so much.
+fn turned(pose: &Pose, by: f64) -> Pose {
+    let mut joints: [f64; 8] = pose.numbers().try_into().unwrap();
+    joints[0] += by;
+    Pose::j(joints)
+}
+
+/// Checks that a wave went as it should: every pose once, no underflow, back where it began.
+fn assert_wave(sim: &Served<Slowed>, wave: &Wave, stats: &Stats, what: impl fmt::Display) {
+    let controller = &sim.application().0;
+    // the stop repeats the last pose at least five times
+    assert!(stats.cycles >= wave.cycles + 5, "{what}: {stats:?}");
+    assert_eq!(wave.answers, stats.cycles, "{what}");
+    assert_eq!((stats.underflows, controller.slave_counters().underflows), (0, 0), "{what}");
+    assert_eq!(stats.rtt.count(), stats.cycles + stats.refused, "{what}");
+    assert_eq!(controller.errors().count(), 0, "{what}");
+    assert_eq!((controller.slave_mode(), controller.arm_owner()), (0, None), "{what}");
+    assert!(controller.joints()[0].abs() < 1e-9, "{what}: {:?}", controller.joints());
+    let highest = controller.slave_record().map(|cycle| cycle.axes[0]).fold(0.0, f64::max);
+    assert!((1.9..=2.0 + 1e-9).contains(&highest), "{what}: {highest}");
+}
+
+macro_rules! blocking_stream {
+    ($sim:expr, $connect:ident, $address:ident, $change:expr) => {{
+        let options = Options::default();
+        let mut motion = blocking::$connect($sim.$address, &options).unwrap();
+        let mut watch = blocking::connect_tcp($sim.tcp, &options).unwrap();
+        let handles = slave::blocking::open(&mut motion, PROVIDER).unwrap();
+        let watching = slave::blocking::open(&mut watch, PROVIDER).unwrap();
+        let change: fn(&mut Config) = $change;
+        let mut config = set_up(Mode::Mode2, handles, Some(watching));
+        change(&mut config);
+        (slave::blocking::Stream::new(config, motion, Some(watch)).unwrap(), handles)
+    }};
+}
+
+#[test]
+fn every_mode_streams_over_both_links_blocking() {
+    for mode in MODES {
+        let sim = controller();
+        let set = match mode {
+            Mode::Mode0 => |config: &mut Config| config.format = format(Mode::Mode0),
+            Mode::Mode1 => |config: &mut Config| config.format = format(Mode::Mode1),
+            Mode::Mode2 => |config: &mut Config| config.format = format(Mode::Mode2),
+        };
+        let mut wave = Wave { cycles: 25, ..Wave::default() };
+        let (mut stream, handles) = blocking_stream!(sim, connect_tcp, tcp, set);
+        stream.run(&mut wave).unwrap();
+        assert_wave(&sim, &wave, stream.stats(), format_args!("{mode:?} over TCP"));
+        let (mut motion, watch) = stream.into_connections();
+        slave::blocking::close(&mut motion, handles).unwrap();
+        drop((motion, watch));
+
+        let mut wave = Wave { cycles: 25, ..Wave::default() };
+        let (mut stream, _) = blocking_stream!(sim, connect_udp, udp, set);
+        stream.run(&mut wave).unwrap();
+        assert_wave(&sim, &wave, stream.stats(), format_args!("{mode:?} over UDP"));
+    }
+}
+
+#[tokio::test]
+async fn every_mode_streams_over_both_links_under_tokio() {
+    let options = Options::default();
+    for mode in MODES {
+        let sim = controller();
+        let mut motion = asynch::connect_tcp(sim.tcp, &options).await.unwrap();
+        let handles = slave::asynch::open(&mut motion, PROVIDER).await.unwrap();
+        let config = set_up(mode, handles, None);
+        let mut stream = slave::asynch::Stream::<_>::new(config, motion, None).unwrap();
+        let mut wave = Wave { cycles: 25, ..Wave::default() };
+        stream.run(&mut wave).await.unwrap();
+        assert_wave(&sim, &wave, stream.stats(), format_args!("{mode:?} over TCP"));
+        let (mut motion, _) = stream.into_connections();
+        slave::asynch::close(&mut motion, handles).await.unwrap();
+
+        let mut motion = asynch::connect_udp(sim.udp, &options).await.unwrap();
+        let mut watch = asynch::connect_tcp(sim.tcp, &options).await.unwrap();
+        let handles = slave::asynch::open(&mut motion, PROVIDER).await.unwrap();
+        let watching = slave::asynch::open(&mut watch, PROVIDER).await.unwrap();
+        let config = set_up(mode, handles, Some(watching));
+        let mut stream = slave::asynch::Stream::new(config, motion, Some(watch)).unwrap();
+        let mut wave = Wave { cycles: 25, ..Wave::default() };
+        stream.run(&mut wave).await.unwrap();
+        assert_wave(&sim, &wave, stream.stats(), format_args!("{mode:?} over UDP"));
+    }
+}
+
+#[test]
+fn a_stop_ramps_within_the_limits_and_gives_the_arm_back() {
+    let sim = controller();
+    let (mut stream, _) = blocking_stream!(sim, connect_tcp, tcp, |config| {
+        config.limits = AxisLimits::uniform(100.0, 500.0);
+    });
+    let mut wave = Wave { cycles: 100, stop_at: Some(25), ..Wave::default() };
+    stream.run(&mut wave).unwrap();
+    let controller = &sim.application().0;
+    let axes: Vec<f64> = controller.slave_record().map(|cycle| cycle.axes[0]).collect();
+    let steps: Vec<f64> = axes.windows(2).map(|pair| (pair[1] - pair[0]) / CYCLE.as_secs_f64()).collect();
+    assert!(steps[20] > 1.5, "it was moving: {steps:?}");
+    assert_eq!(steps.last(), Some(&0.0), "and stands");
+    for pair in steps.windows(2) {
+        assert!(((pair[1] - pair[0]) / CYCLE.as_secs_f64()).abs() <= 500.0, "{pair:?}");
+    }
+    assert!(steps[26..].windows(2).all(|pair| pair[1] <= pair[0] + 1e-9), "ever slower: {steps:?}");
+    assert_eq!((controller.slave_mode(), controller.arm_owner(), controller.errors().count()), (0, None, 0));
+}
+
+#[test]
+fn a_pose_that_is_too_far_is_not_sent_and_the_stream_stops() {
+    let sim = controller();
+    let (mut stream, _) = blocking_stream!(sim, connect_tcp, tcp, |config| {
+        config.limits = AxisLimits::uniform(100.0, 8000.0);
+    });
+    let mut far = |cycle: &Cycle<'_>| Next::Pose(turned(cycle.start, if cycle.number < 30 { 0.0 } else { 5.0 }));
+    let error = stream.run(&mut far).unwrap_err();
+    let StreamError::Pose { number: 30, error: PoseError::Speed { axis: 1, speed, limit: 100.0 } } = error else {
+        panic!("{error}")
+    };
+    assert!((speed - 156.25).abs() < 1e-6, "{speed}");
+    let controller = &sim.application().0;
+    assert!(controller.slave_record().all(|cycle| cycle.axes[0] == 0.0), "nothing moved");
+    assert_eq!((controller.slave_mode(), controller.arm_owner(), controller.errors().count()), (0, None, 0));
+}
+
+/// Holds for 20 cycles, then does something to the controller, and goes on.
+fn disturbed<'a>(sim: &'a Served<Slowed>, act: impl Fn(&mut Controller) + 'a) -> impl FnMut(&Cycle<'_>) -> Next + 'a {
+    move |cycle| {
+        if cycle.number == 20 {
+            act(&mut sim.application().0);
+        }
+        if cycle.number < 40 { Next::Pose(*cycle.start) } else { Next::Finish }
+    }
+}
+
+#[test]
+fn the_first_error_is_told_and_recovery_is_by_request() {
+    let sim = controller();
+    let (mut stream, _) = blocking_stream!(sim, connect_udp, udp, |_| {});
+    let code = HResult::from_u32(0x8420_4043);
+    let inject = |sim: &mut Controller| sim.inject_error(code, inner(bcap_std::now()));
+    let error = stream.run(&mut disturbed(&sim, inject)).unwrap_err();
+    let fault = error.fault().unwrap();
+    assert_eq!((fault.step, fault.code(), fault.released), (Step::Move, Some(code), Released::Yes));
+    assert!(matches!(fault.cause, Cause::Refused(refused) if refused != code), "{fault}");
+    let after = stream.stats().cycles;
+    // nothing moves and nothing is cleared by itself
+    assert_eq!(
+        stream.run(&mut Wave { cycles: 10, ..Wave::default() }).unwrap_err().fault().unwrap().code(),
+        Some(code)
+    );
+    assert_eq!((stream.stats().cycles, sim.application().0.errors().count()), (after, 1));
+
+    stream.recover().unwrap();
+    stream.run(&mut Wave { cycles: 10, ..Wave::default() }).unwrap();
+    assert!(stream.stats().cycles >= after + 10);
+    let controller = &sim.application().0;
+    assert_eq!((controller.errors().count(), controller.arm_owner()), (0, None));
+}
+
+#[test]
+fn after_an_emergency_stop_there_is_no_recovery_and_the_arm_can_be_given_back() {
+    let sim = controller();
+    let (mut stream, _) = blocking_stream!(sim, connect_tcp, tcp, |_| {});
+    let press = |sim: &mut Controller| sim.emergency_stop(true, inner(bcap_std::now()));
+    let error = stream.run(&mut disturbed(&sim, press)).unwrap_err();
+    let fault = error.fault().unwrap();
+    assert_eq!((fault.code(), fault.emergency_stop), (Some(EMERGENCY_STOP), Some(true)));
+    assert_eq!(stream.recover(), Err(RecoverError::EmergencyStop));
+    stream.give_up().unwrap();
+    assert_eq!(sim.application().0.arm_owner(), None);
+}
+
+#[test]
+fn a_controller_that_is_gone_is_a_fault_and_not_a_wait() {
+    let sim = controller();
+    let (mut stream, _) = blocking_stream!(sim, connect_tcp, tcp, |_| {});
+    let mut sim = Some(sim);
+    let error = stream
+        .run(&mut |cycle: &Cycle<'_>| {
+            if cycle.number == 20 {
+                sim = None;
+            }
+            Next::Pose(*cycle.start)
+        })
+        .unwrap_err();
+    let fault = error.fault().unwrap();
+    assert_eq!((fault.step, fault.released), (Step::Move, Released::Unknown), "{fault}");
+    assert_eq!(stream.recover(), Err(RecoverError::Lost));
+}
