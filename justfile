@@ -54,6 +54,10 @@ slave cycles="10000":
 fuzz seconds="30":
     FUZZ_SECONDS={{seconds}} bash .ci/run fuzz
 
+# A hundred thousand calls over UDP, of whose datagrams one in ten is lost and one in ten doubled.
+lossy calls="100000":
+    UDP_CALLS={{calls}} cargo test -p bcap-tests --test faults datagrams_are_lost -- --nocapture
+
 # Licences, sources and advisories of the dependencies.
 dependencies:
     bash .ci/run dependencies

@@ -12,6 +12,7 @@
 //! | [`network`]    | a simulated network between a client and a server, with a clock of its own          |
 //! | [`served`]     | a server on real sockets with a small application                                   |
 //! | [`slowed`]     | a virtual controller with a slow clock                                              |
+//! | [`proxy`]      | what stands between a client and a server on real sockets, and does its worst       |
 //! | [`allocation`] | an allocator that counts what each thread asks of it                                |
 //!
 //! Nothing here is fast or frugal; where it disagrees with the core, one of the two is wrong.
@@ -20,6 +21,7 @@ pub mod allocation;
 pub mod frame;
 pub mod network;
 pub mod oracle;
+pub mod proxy;
 pub mod served;
 pub mod slowed;
 pub mod strategies;

@@ -8,6 +8,7 @@ use std::time::Duration;
 
 use bcap_core::bcap::server::{Handler, Request};
 use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::error::EncodeError;
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::rac;
@@ -16,8 +17,16 @@ use bcap_core::variant::VariantBuf;
 use bcap_std::server::{Limits, Server};
 use tokio::sync::oneshot;
 
-/// A controller with variables of any name and three commands: `sleep` takes as many milliseconds as it is told, `echo`
-/// gives its parameter back, `open` tells how many handles are given out.
+use crate::network::answer_to;
+
+/// A controller with variables of any name and some commands.
+///
+/// | command | what it does                                                                                |
+/// |---------|---------------------------------------------------------------------------------------------|
+/// | `sleep` | takes as many milliseconds as it is told                                                    |
+/// | `echo`  | gives its parameter back                                                                    |
+/// | `open`  | tells how many handles are given out                                                        |
+/// | `token` | takes a token and milliseconds, counts that it was told to, sleeps, and answers the token   |
 ///
 /// It works without sockets as well, and does the same then.
 #[derive(Debug, Default)]
@@ -28,6 +37,8 @@ pub struct Application {
     until: HashMap<PeerId, Instant>,
     /// Peers that have started the service.
     started: BTreeSet<PeerId>,
+    /// How often each token was executed.
+    pub executed: HashMap<i32, u32>,
     /// Peers that have called and have not gone.
     pub peers: BTreeSet<PeerId>,
     /// Handles given out and not released.
@@ -35,8 +46,37 @@ pub struct Application {
 }
 
 impl Application {
-    fn sleep(&mut self, peer: PeerId, request: &Request<'_>, now: Instant) -> Outcome {
-        let length = Duration::from_millis(u64::try_from(request.int(2)).unwrap_or(0));
+    fn execute(
+        &mut self,
+        peer: PeerId,
+        request: &Request<'_>,
+        reply: &mut ReplyValue<'_>,
+        now: Instant,
+    ) -> Result<Outcome, EncodeError> {
+        let command = request.text(1);
+        if command.eq_ignore_ascii_case("sleep") {
+            return Ok(self.sleep(peer, request.int(2), now));
+        }
+        if command.eq_ignore_ascii_case("token") {
+            let [token, millis] = request.value(2).as_array().and_then(|a| a.items()?.to_array()).unwrap_or_default();
+            if !request.resumed {
+                *self.executed.entry(token).or_default() += 1;
+            }
+            reply.set(&answer_to(token))?;
+            return Ok(if millis > 0 { self.sleep(peer, millis, now) } else { HResult::S_OK.into() });
+        }
+        if command.eq_ignore_ascii_case("echo") {
+            reply.set(&request.value(2))?;
+        } else if command.eq_ignore_ascii_case("open") {
+            reply.set(&i32::try_from(self.open.len()).unwrap_or(i32::MAX))?;
+        } else {
+            return Ok(HResult::E_NOTIMPL.into());
+        }
+        Ok(HResult::S_OK.into())
+    }
+
+    fn sleep(&mut self, peer: PeerId, millis: i32, now: Instant) -> Outcome {
+        let length = Duration::from_millis(u64::try_from(millis).unwrap_or(0));
         let until = *self.until.entry(peer).or_insert_with(|| now + length);
         if now < until {
             return Outcome::Wait(until);
@@ -83,14 +123,8 @@ impl Handler for Application {
                 value.map_or(Ok(()), |value| reply.set(value))
             }
             FunctionId::CONTROLLER_GET_NAME => reply.set(&7_i32),
-            FunctionId::CONTROLLER_EXECUTE if request.text(1).eq_ignore_ascii_case("sleep") => {
-                return self.sleep(peer, request, now);
-            }
-            FunctionId::CONTROLLER_EXECUTE if request.text(1).eq_ignore_ascii_case("echo") => {
-                reply.set(&request.value(2))
-            }
-            FunctionId::CONTROLLER_EXECUTE if request.text(1).eq_ignore_ascii_case("open") => {
-                reply.set(&i32::try_from(self.open.len()).unwrap_or(i32::MAX))
+            FunctionId::CONTROLLER_EXECUTE => {
+                return self.execute(peer, request, reply, now).unwrap_or(HResult::E_TOO_MUCH_DATA.into());
             }
             _ => return HResult::E_NOTIMPL.into(),
         };

@@ -1,0 +1,259 @@
+//! Streams between clients and a server, whose bytes come in other pieces, late, twice, wrong, or not at all.
+
+use std::collections::VecDeque;
+use std::io;
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use socket2::SockRef;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::tcp::{ReadHalf, WriteHalf};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::time::{Instant, sleep, timeout_at};
+
+use super::Thread;
+use crate::network::Random;
+
+/// What happens to one direction of a connection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// From here on bytes come one at a time.
+    Split,
+    /// From here on what comes within this time comes in one piece.
+    Merge(Duration),
+    /// From here on bytes come as they were sent.
+    Plain,
+    /// Nothing comes for so long.
+    Stall(Duration),
+    /// The last bytes, so many, come once more.
+    Repeat(usize),
+    /// These bits of the next byte are turned.
+    Corrupt(u8),
+    /// The connection ends, in order.
+    Cut,
+    /// The connection is reset.
+    Reset,
+}
+
+/// A fault, and how many bytes pass in front of it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Step {
+    /// Bytes of this direction in front of it.
+    pub at: u64,
+    /// What happens there.
+    pub fault: Fault,
+}
+
+/// What happens to a connection, in the order of the bytes.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Script {
+    /// From the client to the server.
+    pub to_server: Vec<Step>,
+    /// From the server to the client.
+    pub to_client: Vec<Step>,
+}
+
+impl Script {
+    /// Returns a script with one fault, from the first byte on, both ways.
+    #[must_use]
+    pub fn always(fault: Fault) -> Self {
+        let steps = vec![Step { at: 0, fault }];
+        Self { to_server: steps.clone(), to_client: steps }
+    }
+
+    /// Returns a script of up to six faults each way within the first `bytes`; without [`Corrupt`](Fault::Corrupt) and
+    /// [`Repeat`](Fault::Repeat) unless `lies`, so that every byte that comes is the right one.
+    #[must_use]
+    pub fn random(random: &mut Random, bytes: u64, lies: bool) -> Self {
+        Self { to_server: random_steps(random, bytes, lies), to_client: random_steps(random, bytes, lies) }
+    }
+}
+
+fn random_steps(random: &mut Random, bytes: u64, lies: bool) -> Vec<Step> {
+    let mut steps: Vec<Step> = (0..random.below(7))
+        .map(|_| {
+            let time = Duration::from_millis(random.below(30));
+            let fault = match random.below(if lies { 10 } else { 8 }) {
+                0 | 1 => Fault::Split,
+                2 => Fault::Merge(time),
+                3 => Fault::Plain,
+                4 | 5 => Fault::Stall(time),
+                6 => Fault::Cut,
+                7 => Fault::Reset,
+                8 => Fault::Repeat(1 + random.below(40) as usize),
+                _ => Fault::Corrupt(1 << random.below(8)),
+            };
+            Step { at: random.below(bytes), fault }
+        })
+        .collect();
+    steps.sort_by_key(|step| step.at);
+    steps
+}
+
+/// A proxy in front of a server; each connection has a script.
+#[derive(Debug)]
+pub struct TcpProxy {
+    /// Where clients are to connect.
+    pub address: SocketAddr,
+    _thread: Thread,
+}
+
+impl TcpProxy {
+    /// Starts a proxy; `script` is asked for each connection, the first being 0.
+    #[must_use]
+    pub fn start(server: SocketAddr, script: impl FnMut(u64) -> Script + Send + 'static) -> Self {
+        let (thread, address) = Thread::start(async move || {
+            let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
+            let address = listener.local_addr().expect("it has an address");
+            (address, accept(listener, server, script))
+        });
+        Self { address, _thread: thread }
+    }
+}
+
+async fn accept(listener: TcpListener, server: SocketAddr, mut script: impl FnMut(u64) -> Script) {
+    for connection in 0.. {
+        let Ok((client, _)) = listener.accept().await else { continue };
+        let script = script(connection);
+        tokio::spawn(async move {
+            if let Ok(server) = TcpStream::connect(server).await {
+                let _ = carry(client, server, script).await;
+            }
+        });
+    }
+}
+
+/// Carries a connection to its end.
+async fn carry(mut client: TcpStream, mut server: TcpStream, script: Script) -> io::Result<()> {
+    client.set_nodelay(true)?;
+    server.set_nodelay(true)?;
+    let end = {
+        let ((from_client, to_client), (from_server, to_server)) = (client.split(), server.split());
+        let mut up = std::pin::pin!(Pump::new(from_client, to_server, script.to_server).run());
+        let mut down = std::pin::pin!(Pump::new(from_server, to_client, script.to_client).run());
+        // that one direction has ended in order does not end the other
+        tokio::select! {
+            end = &mut up => if end == End::Eof { down.await } else { end },
+            end = &mut down => if end == End::Eof { up.await } else { end },
+        }
+    };
+    if end == End::Reset {
+        for stream in [&client, &server] {
+            SockRef::from(stream).set_linger(Some(Duration::ZERO))?;
+        }
+    }
+    Ok(())
+}
+
+/// How a direction has ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum End {
+    Eof,
+    Cut,
+    Reset,
+}
+
+/// One direction of a connection.
+struct Pump<'a> {
+    from: ReadHalf<'a>,
+    to: WriteHalf<'a>,
+    steps: VecDeque<Step>,
+    passed: u64,
+    pieces: Fault,
+    turned: u8,
+    /// The last bytes that were sent.
+    last: Vec<u8>,
+}
+
+impl<'a> Pump<'a> {
+    fn new(from: ReadHalf<'a>, to: WriteHalf<'a>, steps: Vec<Step>) -> Self {
+        Self { from, to, steps: steps.into(), passed: 0, pieces: Fault::Plain, turned: 0, last: Vec::new() }
+    }
+
+    async fn run(mut self) -> End {
+        match self.pump().await {
+            Ok(end) => end,
+            // whoever has gone, the other is to learn of it
+            Err(_) => End::Cut,
+        }
+    }
+
+    async fn pump(&mut self) -> io::Result<End> {
+        loop {
+            if let Some(end) = self.faults().await? {
+                return Ok(end);
+            }
+            let bytes = self.read().await?;
+            if bytes.is_empty() {
+                self.to.shutdown().await?;
+                return Ok(End::Eof);
+            }
+            let mut rest = &bytes[..];
+            while !rest.is_empty() {
+                if let Some(end) = self.faults().await? {
+                    return Ok(end);
+                }
+                let until = self.steps.front().map_or(u64::MAX, |step| step.at - self.passed);
+                let count = rest.len().min(usize::try_from(until).unwrap_or(usize::MAX));
+                let (now, later) = rest.split_at(count);
+                self.write(now).await?;
+                rest = later;
+            }
+        }
+    }
+
+    /// Lets happen what is to happen at this byte.
+    async fn faults(&mut self) -> io::Result<Option<End>> {
+        while let Some(step) = self.steps.front().copied().filter(|step| step.at <= self.passed) {
+            self.steps.pop_front();
+            match step.fault {
+                Fault::Split | Fault::Merge(_) | Fault::Plain => self.pieces = step.fault,
+                Fault::Stall(time) => sleep(time).await,
+                Fault::Repeat(count) => {
+                    let from = self.last.len().saturating_sub(count);
+                    self.to.write_all(&self.last[from..]).await?;
+                }
+                Fault::Corrupt(bits) => self.turned ^= bits,
+                Fault::Cut => return Ok(Some(End::Cut)),
+                Fault::Reset => return Ok(Some(End::Reset)),
+            }
+        }
+        Ok(None)
+    }
+
+    async fn read(&mut self) -> io::Result<Vec<u8>> {
+        let mut buffer = vec![0; 4096];
+        let mut len = self.from.read(&mut buffer).await?;
+        if let Fault::Merge(time) = self.pieces {
+            let until = Instant::now() + time;
+            while 0 < len && len < buffer.len() {
+                match timeout_at(until, self.from.read(&mut buffer[len..])).await {
+                    Ok(Ok(count)) if count > 0 => len += count,
+                    // the end is found again by the next read
+                    _ => break,
+                }
+            }
+        }
+        buffer.truncate(len);
+        Ok(buffer)
+    }
+
+    async fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
+        let mut bytes = bytes.to_vec();
+        if let Some(first) = bytes.first_mut() {
+            *first ^= std::mem::take(&mut self.turned);
+        }
+        if self.pieces == Fault::Split {
+            for byte in &bytes {
+                self.to.write_all(&[*byte]).await?;
+                tokio::task::yield_now().await;
+            }
+        } else {
+            self.to.write_all(&bytes).await?;
+        }
+        self.passed += bytes.len() as u64;
+        self.last.extend(&bytes);
+        self.last.drain(..self.last.len().saturating_sub(64));
+        Ok(())
+    }
+}

@@ -1,0 +1,152 @@
+//! Datagrams between clients and a server, some of them late, twice or never.
+
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use tokio::net::UdpSocket;
+use tokio::time::sleep;
+
+use super::Thread;
+use crate::network::{Faults, Random};
+
+/// A network of datagrams, with a port of its own for each client, so that the server can tell them apart.
+#[derive(Debug)]
+pub struct UdpProxy {
+    /// Where clients are to send.
+    pub address: SocketAddr,
+    /// What has happened so far.
+    pub counts: Arc<Counts>,
+    _thread: Thread,
+}
+
+/// What a proxy has done to datagrams, both ways together.
+#[derive(Debug, Default)]
+pub struct Counts {
+    /// How many came.
+    pub datagrams: AtomicU64,
+    /// How many of them were lost.
+    pub lost: AtomicU64,
+    /// How many were sent twice.
+    pub repeated: AtomicU64,
+    /// How many were sent after one that came later.
+    pub overtaken: AtomicU64,
+}
+
+impl UdpProxy {
+    /// Starts a proxy in front of a server. Stragglers are not its business, nor is the server's work.
+    #[must_use]
+    pub fn start(server: SocketAddr, faults: Faults, seed: u64) -> Self {
+        let counts = Arc::<Counts>::default();
+        let shared = Arc::clone(&counts);
+        let (thread, address) = Thread::start(async move || {
+            let socket = Arc::new(UdpSocket::bind("127.0.0.1:0").await.expect("a port"));
+            let address = socket.local_addr().expect("it has an address");
+            (address, forward(socket, server, Network { faults, seed, counts: shared }))
+        });
+        Self { address, counts, _thread: thread }
+    }
+}
+
+/// What all ways have in common.
+#[derive(Clone, Debug)]
+struct Network {
+    faults: Faults,
+    seed: u64,
+    counts: Arc<Counts>,
+}
+
+/// Takes what clients send to the server, and makes a way back for each of them.
+async fn forward(socket: Arc<UdpSocket>, server: SocketAddr, network: Network) {
+    let mut known: HashMap<SocketAddr, Way> = HashMap::new();
+    let mut buffer = [0; 2048];
+    loop {
+        // what a client has closed is told here, and is no matter
+        let Ok((count, client)) = socket.recv_from(&mut buffer).await else { continue };
+        let seed = network.seed.wrapping_add(2 * known.len() as u64);
+        let way = match known.entry(client) {
+            Entry::Occupied(way) => way.into_mut(),
+            Entry::Vacant(place) => {
+                let out = Arc::new(UdpSocket::bind("127.0.0.1:0").await.expect("a port"));
+                out.connect(server).await.expect("the loopback");
+                let back = Way::new(&network, seed + 1, Arc::clone(&socket), Some(client));
+                tokio::spawn(backward(Arc::clone(&out), back));
+                place.insert(Way::new(&network, seed, out, None))
+            }
+        };
+        way.pass(&buffer[..count]);
+    }
+}
+
+/// Takes what the server sends to one client.
+async fn backward(from: Arc<UdpSocket>, mut way: Way) {
+    let mut buffer = [0; 2048];
+    loop {
+        if let Ok(count) = from.recv(&mut buffer).await {
+            way.pass(&buffer[..count]);
+        }
+    }
+}
+
+/// One direction between one client and the server.
+#[derive(Debug)]
+struct Way {
+    network: Network,
+    random: Random,
+    socket: Arc<UdpSocket>,
+    to: Option<SocketAddr>,
+    /// The number of the newest datagram that has been sent on.
+    newest: Arc<AtomicU64>,
+    count: u64,
+}
+
+impl Way {
+    fn new(network: &Network, seed: u64, socket: Arc<UdpSocket>, to: Option<SocketAddr>) -> Self {
+        Self { network: network.clone(), random: Random(seed), socket, to, newest: Arc::default(), count: 0 }
+    }
+
+    /// Decides what becomes of a datagram.
+    fn pass(&mut self, bytes: &[u8]) {
+        let Network { faults, counts, .. } = &self.network;
+        self.count += 1;
+        counts.datagrams.fetch_add(1, Ordering::Relaxed);
+        if self.random.happens(faults.loss) {
+            counts.lost.fetch_add(1, Ordering::Relaxed);
+            return;
+        }
+        let mut bytes = bytes.to_vec();
+        for byte in &mut bytes {
+            if self.random.happens(faults.garble) {
+                *byte ^= 1 << self.random.below(8);
+            }
+        }
+        let copies = if self.random.happens(faults.repeat) { 2 } else { 1 };
+        counts.repeated.fetch_add(copies - 1, Ordering::Relaxed);
+        for _ in 0..copies {
+            let delay = Duration::from_micros(self.random.below(faults.delay.as_micros() as u64 + 1));
+            tokio::spawn(self.send(bytes.clone(), delay));
+        }
+    }
+
+    /// Sends a datagram after a while.
+    fn send(&self, bytes: Vec<u8>, delay: Duration) -> impl Future<Output = ()> + use<> {
+        let (socket, to, number) = (Arc::clone(&self.socket), self.to, self.count);
+        let (newest, counts) = (Arc::clone(&self.newest), Arc::clone(&self.network.counts));
+        async move {
+            if !delay.is_zero() {
+                sleep(delay).await;
+            }
+            if newest.fetch_max(number, Ordering::Relaxed) > number {
+                counts.overtaken.fetch_add(1, Ordering::Relaxed);
+            }
+            // a receiver that has gone is no matter
+            let _ = match to {
+                Some(to) => socket.send_to(&bytes, to).await,
+                None => socket.send(&bytes).await,
+            };
+        }
+    }
+}
