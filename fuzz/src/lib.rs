@@ -21,6 +21,7 @@ mod client;
 mod frame;
 mod gateway;
 mod input;
+mod rac_client;
 mod rac_line;
 mod roundtrip;
 mod server;
@@ -32,6 +33,7 @@ mod variant;
 pub use self::client::client;
 pub use self::frame::frame;
 pub use self::gateway::gateway;
+pub use self::rac_client::rac_client;
 pub use self::rac_line::rac_line;
 pub use self::roundtrip::{roundtrip_binary, roundtrip_text};
 pub use self::server::server;
@@ -44,7 +46,7 @@ pub use self::variant::variant;
 pub type Target = (&'static str, fn(&[u8]));
 
 /// All targets.
-pub const TARGETS: [Target; 11] = [
+pub const TARGETS: [Target; 12] = [
     ("frame", frame),
     ("variant", variant),
     ("text", text),
@@ -52,6 +54,7 @@ pub const TARGETS: [Target; 11] = [
     ("roundtrip_binary", roundtrip_binary),
     ("roundtrip_text", roundtrip_text),
     ("stream", stream),
+    ("rac_client", rac_client),
     ("client", client),
     ("server", server),
     ("gateway", gateway),

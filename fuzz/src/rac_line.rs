@@ -103,7 +103,7 @@ fn serve(bytes: &[u8], sizes: &[u8]) -> Vec<u8> {
 }
 
 /// Cuts bytes into lines the obvious way; `None` stands for one that is too long.
-fn split(bytes: &[u8]) -> Vec<Option<Vec<u8>>> {
+pub(crate) fn split(bytes: &[u8]) -> Vec<Option<Vec<u8>>> {
     let mut pieces: Vec<&[u8]> = bytes.split(|b| *b == b'\r').collect();
     let trimmed = |mut line: &[u8]| {
         while let [b'\n', rest @ ..] = line {

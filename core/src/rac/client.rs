@@ -317,7 +317,7 @@ impl State {
             return Err(ClientError::Busy);
         }
         // what has come before the request cannot be its reply
-        if !self.owed && (self.framer.poll().is_some() || self.framer.is_partial()) {
+        if !self.owed && (self.framer.poll().is_some() || self.framer.has_begun()) {
             self.closed = true;
             return Err(ClientError::Unsolicited);
         }

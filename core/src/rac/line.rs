@@ -107,6 +107,11 @@ impl<const N: usize> LineFramer<N> {
         self.state.dropping || self.state.start < self.state.end
     }
 
+    /// Tells whether a line has begun that was not reported: the rest of one that is being dropped is none.
+    pub(super) const fn has_begun(&self) -> bool {
+        self.state.start < self.state.end
+    }
+
     /// Forgets everything received, for a new connection.
     pub const fn reset(&mut self) {
         self.state = State { line: (0, 0), start: 0, scanned: 0, end: 0, dropping: false };

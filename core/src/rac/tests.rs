@@ -602,6 +602,24 @@ fn replies_that_cannot_be_read_end_their_request_only() {
 }
 
 #[test]
+fn the_rest_of_an_over_long_reply_is_no_line_that_nobody_asked_for() {
+    let mut client = Client::new(client::Config::TCP, [0; 64]);
+    client.start(&get(1), NOW).unwrap();
+    sent(&mut client);
+    receive(&mut client, &[b'x'; 256]);
+    let long = ClientError::Reply(TextError { kind: K::LineTooLong, column: 256 });
+    assert_eq!(client.poll_event(NOW), Some(client::Event::Failed(long)));
+    // the next request need not wait for the end of that line
+    receive(&mut client, b"xx");
+    assert_eq!(client.poll_event(NOW), None);
+    assert_eq!(client.start(&get(2), NOW), Ok(()));
+    sent(&mut client);
+    receive(&mut client, b"xx\r0,3,7\r");
+    assert_eq!(client.poll_event(NOW), Some(client::Event::Replied(HResult::S_OK)));
+    assert_eq!(integer(&client), Some(7));
+}
+
+#[test]
 fn a_line_that_nobody_asked_for_ends_the_session() {
     let unsolicited = Some(client::Event::Failed(ClientError::Unsolicited));
     // with nothing in flight
