@@ -19,6 +19,9 @@ use crate::input::AnyValue;
 
 const SEATS: usize = 3;
 
+/// How many handles the gateway has room for.
+const HANDLES: usize = 4;
+
 /// What may be written: some integers in a range, one float, short strings, positions with a figure, any output.
 const PUT: [Allow<'static>; 5] = [
     Allow { values: &[Bounds { min: -100.0, max: 100.0 }], ..Allow::range(VariableKind::I, 2, 9) },
@@ -118,7 +121,7 @@ pub fn gateway(data: &[u8]) {
     let rate = if options & 2 == 0 { Rate::UNLIMITED } else { Rate { per_second: 5, burst: 3 } };
     let put = if options & 4 == 0 { &PUT[..] } else { &[] };
     let config = Config { rules: Rules { put, convert: options & 8 != 0, rate, ..Rules::READ_ONLY }, ..base };
-    let mut memory = Memory::<SEATS, 4>::new();
+    let mut memory = Memory::<SEATS, HANDLES>::new();
     let mut run = Run {
         gateway: Gateway::new(config, &mut memory),
         plcs: Vec::new(),
@@ -162,7 +165,7 @@ struct Robot {
     /// The call that has no answer yet.
     call: Option<TestFrame>,
     last: u16,
-    /// Which variables a handle was given for.
+    /// Which variables a handle was given for that was not given back.
     handles: BTreeMap<i32, BTreeSet<String>>,
     next_handle: i32,
 }
@@ -320,6 +323,10 @@ impl Run<'_> {
                 assert_eq!(used, self.robot.received.len(), "one call at a time");
                 self.robot.received.clear();
                 self.judge(&frame);
+                if let (true, [Value::I4(handle), ..]) = (frame.code == FunctionId::VARIABLE_RELEASE.0, &frame.args[..])
+                {
+                    assert!(self.robot.handles.remove(handle).is_some(), "{handle} is given back twice");
+                }
                 self.robot.last = frame.serial;
                 self.robot.call = Some(frame);
             }
@@ -368,10 +375,17 @@ impl Run<'_> {
             self.robot.call = Some(call);
             return self.robot_says(self.robot.last, code, value);
         }
+        if code == HResult::E_HANDLE.0
+            && let (true, Some(Value::I4(handle))) = (call.code != FunctionId::CONTROLLER_GET_NAME.0, call.args.first())
+        {
+            self.robot.handles.remove(handle);
+        }
         if call.code == FunctionId::CONTROLLER_GET_VARIABLE.0
+            && code >= 0
             && let (Some(handle), Some(Value::Bstr(name))) = (value.as_ref().and_then(handle_of), call.args.get(1))
         {
             self.robot.handles.entry(handle).or_default().insert(String::from_utf16_lossy(name));
+            assert!(self.robot.handles.len() <= HANDLES, "handles are given back before more are asked for");
         }
         self.robot_says(call.serial, code, value);
     }
