@@ -1,5 +1,7 @@
 //! Runs a target on random bytes, without libFuzzer and sanitizers, on any toolchain:
 //! `cargo run --release --no-default-features --example random -- TARGET [COUNT [SEED [FIRST-BYTE]]]`.
+//!
+//! Bytes that break a promise are put into the file `random-input`, for the example `replay`.
 
 use std::time::Instant;
 
@@ -24,7 +26,10 @@ fn main() -> Result<(), String> {
         if let (Some(byte), Ok(first)) = (data.first_mut(), u8::try_from(first)) {
             *byte = first;
         }
-        body(&data);
+        if std::panic::catch_unwind(|| body(&data)).is_err() {
+            std::fs::write("random-input", &data).map_err(|e| format!("random-input: {e}"))?;
+            return Err("a promise is broken, see the file random-input".into());
+        }
     }
     println!("{name}: {count} runs in {:.1} s, seed {seed}", start.elapsed().as_secs_f64());
     Ok(())

@@ -1,4 +1,7 @@
 //! Puts the frames and lines of the specifications into the corpora: `cargo run --no-default-features --example seeds`.
+//!
+//! The state machines are fed with what `arbitrary` makes of bytes: a variant is a `u32` of which the highest bits count,
+//! and each byte of a vector follows one that says that the vector goes on. See the `Op` of each target.
 
 use std::path::Path;
 use std::{fs, io};
@@ -11,6 +14,12 @@ fn main() -> io::Result<()> {
         seed("frame", index, &[&[0], &frame.bytes[..]])?;
         // a request as a peer of either side sends it: chunk sizes or options first
         seed("stream", index, &[&[0, 15, 3, 7, 200], &frame.bytes[..]])?;
+        // a server is sent it; a client awaits it, as a reply or not; a gateway gets it from its robot
+        seed("server", index, &[&[0; 33], &variant(2, 7), &bytes(&frame.bytes), &variant(3, 7), &[255]])?;
+        let mut reply = frame.bytes.clone();
+        reply[5..7].copy_from_slice(&[1, 0]);
+        seed("client", index, &[&[0], &variant(0, 11), &NULL, &variant(2, 11), &variant(5, 11), &bytes(&reply)])?;
+        seed("gateway", index, &[&[0], &variant(12, 15), &bytes(&frame.bytes), &variant(8, 15)])?;
         for arg in frame.args.iter().flatten().map(Value::to_wire) {
             seed("variant", index, &[&[8], &arg[..]])?;
         }
@@ -20,12 +29,50 @@ fn main() -> io::Result<()> {
         let value = text.splitn(5, ':').nth(4).unwrap_or(text);
         seed("text", index, &[value.as_bytes()])?;
         seed("rac_line", index, &[&[7, 0, 30, 255], text.as_bytes(), b"\r"])?;
+        let line = bytes(text.as_bytes());
+        seed("rac_client", index, &[&[0], &variant(0, 11), &[0, 0], &variant(2, 11), &variant(4, 11), &line])?;
+        let line = bytes(&[text.as_bytes(), b"\r"].concat());
+        seed(
+            "gateway",
+            100 + index,
+            &[&[0], &variant(3, 15), &[0], &line, &variant(8, 15), &variant(4, 15), &[0, 99]],
+        )?;
     }
-    Ok(())
+    regressions()
+}
+
+/// The findings of the table in `README.md`.
+fn regressions() -> io::Result<()> {
+    // a request, 300 bytes of its reply without an end, the next request
+    let start = [&variant(0, 11)[..], &[0, 0]].concat();
+    let long = [&variant(6, 11)[..], &300_u16.to_le_bytes()].concat();
+    write("regressions/rac_client", "rest-of-an-over-long-reply", &[&[0], &start, &variant(2, 11), &long, &start])?;
+    // Service_Start on a serial line, which its handler lets wait, and behind a byte of noise again
+    let wait = [&variant(3, 6)[..], &[0xff; 2]].concat().repeat(8);
+    let again = [&variant(0, 7)[..], &[1, 7, 0, 0, 7]].concat();
+    write("regressions/server", "repetition-behind-noise", &[&[10], &wait, &variant(1, 7), &variant(0, 4), &again])
+}
+
+/// A value: the last kind, and of the scalars the second.
+const NULL: [u8; 2] = [7, 1];
+
+/// The choice of a variant among `count`.
+fn variant(index: u64, count: u64) -> [u8; 4] {
+    // the first number of its share
+    ((index << 32).div_ceil(count) as u32).to_le_bytes()
+}
+
+/// A vector of bytes.
+fn bytes(bytes: &[u8]) -> Vec<u8> {
+    bytes.iter().flat_map(|byte| [1, *byte]).chain([0]).collect()
 }
 
 fn seed(target: &str, index: usize, parts: &[&[u8]]) -> io::Result<()> {
-    let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus").join(target);
-    fs::create_dir_all(&corpus)?;
-    fs::write(corpus.join(format!("seed-{index:03}")), parts.concat())
+    write(&format!("corpus/{target}"), &format!("seed-{index:03}"), parts)
+}
+
+fn write(folder: &str, name: &str, parts: &[&[u8]]) -> io::Result<()> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join(folder);
+    fs::create_dir_all(&folder)?;
+    fs::write(folder.join(name), parts.concat())
 }
