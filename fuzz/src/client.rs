@@ -44,7 +44,7 @@ enum Op {
     Due,
     Abandon,
     Reset,
-    /// The serials go round, but for this many: of calls that are given up before they are sent.
+    /// The serials go round, but for a few: of calls that are given up before they are sent. Rare, for it takes its time.
     Burn(u8),
 }
 
@@ -137,10 +137,10 @@ impl<R: Storage> Run<R> {
                     self.model.clean = true;
                     assert!(self.client.transmit().is_empty() && !self.client.is_closed());
                 }
-                // once, for it takes its time
-                Op::Burn(left @ 0..8) if !burnt => {
+                // and once
+                Op::Burn(left @ 0xb0..0xb8) if !burnt => {
                     burnt = true;
-                    self.burn(left.into());
+                    self.burn(u16::from(left) - 0xb0);
                 }
                 Op::Burn(_) => {}
             }
