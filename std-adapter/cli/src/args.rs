@@ -9,6 +9,9 @@ use bcap_sim::Profile;
 use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
 
+mod slave;
+
+pub(crate) use self::slave::{Cosine, Halt, Play, Record, Slave, SlaveCommand, StreamArgs};
 use crate::error::Failure;
 use crate::frame::Role;
 use crate::gateway::AllowPut;
@@ -30,11 +33,12 @@ pub(crate) struct Cli {
 }
 
 const EXIT_CODES: &str = "\
-Exit codes: 0 done, 1 the controller refused, 2 wrong usage or malformed input, 3 no connection, 4 no answer in time.
+Exit codes: 0 done, 1 the controller refused, 2 wrong usage or malformed input, 3 no connection, 4 no answer in time,
+130 stopped by a signal before the end.
 Colours are left out when NO_COLOR is set or the output is not a terminal.";
 
 /// How to reach the controller.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Connection")]
 pub(crate) struct LinkArgs {
     /// The controller: tcp:HOST[:PORT] or udp:HOST[:PORT]; for rac HOST[:PORT] [env: BCAP_ROBOT=] [default: tcp:127.0.0.1]
@@ -87,6 +91,8 @@ pub(crate) enum Command {
     Exec(Exec),
     Rac(Rac),
     Sim(Sim),
+    Slave(Slave),
+    Halt(Halt),
     Gateway(Gateway),
     Demo(Demo),
     Decode(Decode),

@@ -80,45 +80,44 @@ impl Connection {
         match replied {
             Ok(reply) => Ok(reply),
             Err(CallError::Refused(code)) => Ok((code, None)),
-            Err(error) => Err(self.failed(&error, function)),
+            Err(error) => Err(failed(&error, &self.target, self.timeout, &function.to_string())),
         }
     }
+}
 
-    /// Tells a failed call in words.
-    fn failed(&self, error: &CallError, function: FunctionId) -> Failure {
-        let Self { target, timeout, .. } = self;
-        match error {
-            CallError::Io(error) => broken(error, target),
-            CallError::Disconnected => Failure::Connection {
-                message: format!("{target} has closed the connection during {function}"),
-                hint: "a controller does so when it dislikes a packet or runs out of connections; read its log".into(),
-            },
-            CallError::Client(ClientError::Timeout(which)) => {
-                let message = match which {
-                    Timeout::Attempt => format!("{target} did not answer {function} within {} ms", timeout.as_millis()),
-                    Timeout::Deadline | Timeout::KeepAlive => format!("{function} took too long: {error}"),
-                };
-                let hint = match target.transport {
-                    Transport::Tcp => "check that a b-CAP server listens there, or allow more time with --timeout",
-                    Transport::Udp => {
-                        "check the address, that the controller's b-CAP accepts UDP, and firewalls, or allow more time \
-                         with --timeout"
-                    }
-                };
-                Failure::Timeout { message, hint: hint.into() }
-            }
-            CallError::Client(ClientError::Encode(_) | ClientError::TooLarge { .. }) => {
-                let hint = match target.transport {
-                    Transport::Tcp => "",
-                    Transport::Udp => "; TCP carries more than UDP",
-                };
-                Failure::Input(format!("{function}: {error}{hint}"))
-            }
-            error => Failure::Connection {
-                message: format!("{function}: {error}"),
-                hint: format!("check that {target} is a b-CAP server"),
-            },
+/// Tells a failed call in words; `function` is what was called.
+pub(crate) fn failed(error: &CallError, target: &Target, timeout: Duration, function: &str) -> Failure {
+    match error {
+        CallError::Io(error) => broken(error, target),
+        CallError::Disconnected => Failure::Connection {
+            message: format!("{target} has closed the connection during {function}"),
+            hint: "a controller does so when it dislikes a packet or runs out of connections; read its log".into(),
+        },
+        CallError::Client(ClientError::Timeout(which)) => {
+            let message = match which {
+                Timeout::Attempt => format!("{target} did not answer {function} within {} ms", timeout.as_millis()),
+                Timeout::Deadline | Timeout::KeepAlive => format!("{function} took too long: {error}"),
+            };
+            let hint = match target.transport {
+                Transport::Tcp => "check that a b-CAP server listens there, or allow more time with --timeout",
+                Transport::Udp => {
+                    "check the address, that the controller's b-CAP accepts UDP, and firewalls, or allow more time \
+                     with --timeout"
+                }
+            };
+            Failure::Timeout { message, hint: hint.into() }
         }
+        CallError::Client(ClientError::Encode(_) | ClientError::TooLarge { .. }) => {
+            let hint = match target.transport {
+                Transport::Tcp => "",
+                Transport::Udp => "; TCP carries more than UDP",
+            };
+            Failure::Input(format!("{function}: {error}{hint}"))
+        }
+        error => Failure::Connection {
+            message: format!("{function}: {error}"),
+            hint: format!("check that {target} is a b-CAP server"),
+        },
     }
 }
 

@@ -7,6 +7,7 @@
 //! | 2    | wrong usage, or input that cannot be read              |
 //! | 3    | no connection, or a connection that broke              |
 //! | 4    | the controller did not answer in time                  |
+//! | 130  | stopped by a signal before the end                     |
 //!
 //! With `--json` a failure is a line of the output as well: `{"error":...}`, with `offset` for input that cannot be read,
 //! `code` and `hresult` for a refusal, `name` for the variable that was refused, and `hint`.
@@ -69,6 +70,19 @@ pub(crate) enum Failure {
         /// What a person can do.
         hint: String,
     },
+    /// A stream of Slave Mode ended by an error of the controller.
+    #[error("{message}")]
+    Stream {
+        /// What happened, the controller's first error included.
+        message: String,
+        /// The code of that.
+        code: Option<HResult>,
+        /// What a person can do.
+        hint: Option<String>,
+    },
+    /// A signal has ended what was to go on.
+    #[error("{0}")]
+    Interrupted(String),
     /// The standard input or output broke.
     #[error("standard input or output: {0}")]
     Stdio(#[from] io::Error),
@@ -84,10 +98,12 @@ impl From<EncodeError> for Failure {
 impl Failure {
     fn code(&self) -> u8 {
         match self {
-            Self::Refused { .. } | Self::SomeRefused { .. } => 1,
+            Self::Refused { .. } | Self::SomeRefused { .. } | Self::Stream { .. } => 1,
             Self::Input(_) | Self::Item(_) | Self::BadLines(_) | Self::Stdio(_) => 2,
             Self::Connection { .. } => 3,
             Self::Timeout { .. } => 4,
+            // as shells count: 128 and the number of SIGINT
+            Self::Interrupted(_) => 130,
         }
     }
 
@@ -96,7 +112,13 @@ impl Failure {
         match self {
             Self::Refused { code, .. } => code.hint(),
             Self::Connection { hint, .. } | Self::Timeout { hint, .. } => Some(hint),
-            Self::Input(_) | Self::Item(_) | Self::BadLines(_) | Self::SomeRefused { .. } | Self::Stdio(_) => None,
+            Self::Stream { code, hint, .. } => hint.as_deref().or_else(|| code.and_then(HResult::hint)),
+            Self::Input(_)
+            | Self::Item(_)
+            | Self::BadLines(_)
+            | Self::SomeRefused { .. }
+            | Self::Interrupted(_)
+            | Self::Stdio(_) => None,
         }
     }
 
@@ -141,8 +163,15 @@ impl Failure {
         match self {
             Self::BadLines(_) | Self::SomeRefused { .. } => return None,
             Self::Item(item) => line.offset = Some(item.offset),
-            Self::Refused { code, .. } => (line.code, line.hresult) = (Some(code.0), code.name()),
-            Self::Input(_) | Self::Connection { .. } | Self::Timeout { .. } | Self::Stdio(_) => {}
+            Self::Refused { code, .. } | Self::Stream { code: Some(code), .. } => {
+                (line.code, line.hresult) = (Some(code.0), code.name());
+            }
+            Self::Input(_)
+            | Self::Connection { .. }
+            | Self::Timeout { .. }
+            | Self::Stream { .. }
+            | Self::Interrupted(_)
+            | Self::Stdio(_) => {}
         }
         serde_json::to_string(&line).ok()
     }

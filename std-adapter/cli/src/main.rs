@@ -9,6 +9,7 @@ mod dissect;
 mod error;
 mod frame;
 mod gateway;
+mod halt;
 mod hex;
 mod item;
 mod json;
@@ -18,6 +19,7 @@ mod rac;
 mod session;
 mod signal;
 mod sim;
+mod slave;
 mod tap;
 mod target;
 mod text;
@@ -50,6 +52,8 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Exec(args) => call::exec(args, &cli.link, cli.json),
         Command::Rac(args) => rac::rac(args, &cli.link, cli.json),
         Command::Sim(args) => sim::sim(args),
+        Command::Slave(args) => slave::slave(args, &cli.link, cli.json),
+        Command::Halt(_) => halt::halt(&cli.link, cli.json),
         Command::Gateway(args) => gateway::gateway(args, &cli.link),
         Command::Demo(_) => demo::demo(),
         Command::Decode(args) => decode::decode(args, cli.json),

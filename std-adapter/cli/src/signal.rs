@@ -21,6 +21,30 @@ pub(crate) fn ended() -> io::Result<Receiver<()>> {
     Ok(receiver)
 }
 
+/// Returns a receiver that gets a message each time.
+pub(crate) fn each() -> io::Result<Receiver<()>> {
+    let (sender, receiver) = channel();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
+    let waiting = {
+        let _inside = runtime.enter();
+        wait()?
+    };
+    thread::Builder::new().name("signals".into()).spawn(move || {
+        runtime.block_on(async {
+            let mut waiting = Some(waiting);
+            // the next wait begins before the news of the last one is out, so that no signal falls in between
+            while let Some(now) = waiting.take() {
+                now.await;
+                waiting = wait().map(Some).unwrap_or_default();
+                if sender.send(()).is_err() {
+                    return;
+                }
+            }
+        });
+    })?;
+    Ok(receiver)
+}
+
 /// Begins to listen for the signals, and returns a future that ends with the first of them.
 #[cfg(unix)]
 pub(crate) fn wait() -> io::Result<impl Future<Output = ()>> {

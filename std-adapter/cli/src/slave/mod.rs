@@ -1,0 +1,80 @@
+//! `bcap slave`: streams of poses, and how well they ran.
+
+mod live;
+mod plot;
+mod poses;
+mod record;
+mod report;
+mod stream;
+
+use std::io::{self, BufRead, IsTerminal, Write};
+
+use bcap_core::bcap::slave::PoseType;
+
+use crate::args::{Cosine, LinkArgs, Play, Slave, SlaveCommand};
+use crate::error::Failure;
+use poses::Poses;
+use stream::{CYCLE, Course, stream};
+
+/// Runs `bcap slave`.
+pub(crate) fn slave(args: &Slave, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    match &args.command {
+        SlaveCommand::Play(args) => play(args, link, json),
+        SlaveCommand::Cosine(args) => cosine(args, link, json),
+        SlaveCommand::Record(args) => record::record(args, link, json),
+    }
+}
+
+fn play(args: &Play, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    let poses = Poses::read(&args.file, args.stream.pose.map(PoseType::from), args.hz)?;
+    let kind = poses.kind;
+    let course = Course::Poses { poses: poses.each_cycle(CYCLE), loops: args.loops, approach: args.approach };
+    let mode = args.stream.mode;
+    let first = poses.first().map(|pose| format!("{pose:?}")).unwrap_or_default();
+    let what = format!(
+        "{} plays {} in {mode:?}: {} poses in {:.1} s, from {first}{}",
+        link.target()?,
+        args.file.display(),
+        course.cycles(),
+        f64::from(course.cycles()) * CYCLE,
+        args.approach.map(|percent| format!(", where it moves before at {percent} %")).unwrap_or_default(),
+    );
+    confirm(&what, args.stream.yes)?;
+    stream(course, kind, &args.stream, link, json)
+}
+
+fn cosine(args: &Cosine, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    let cycles = (args.seconds / CYCLE).round();
+    if cycles > f64::from(u32::MAX) {
+        return Err(Failure::Input(format!("{} s are more cycles than can be counted", args.seconds)));
+    }
+    // it has at least one, and was compared with the greatest
+    let course = Course::Cosine { cycles: (cycles as u32).max(1), amplitude: args.amplitude };
+    let kind = args.stream.pose.map_or(PoseType::J, PoseType::from);
+    let (along, unit) = if kind == PoseType::J { ("joint 1", "degrees") } else { ("Z", "mm") };
+    let (target, mode) = (link.target()?, args.stream.mode);
+    let what =
+        format!("{target} moves {along} by {} {unit} and back within {} s, in {mode:?}", args.amplitude, args.seconds);
+    confirm(&what, args.stream.yes)?;
+    stream(course, kind, &args.stream, link, json)
+}
+
+/// Asks whether the robot may move.
+fn confirm(what: &str, yes: bool) -> Result<(), Failure> {
+    if yes {
+        return Ok(());
+    }
+    let input = io::stdin();
+    if !input.is_terminal() {
+        return Err(Failure::Input(format!("{what}: nobody can be asked whether the robot may move; give --yes")));
+    }
+    let mut err = anstream::stderr().lock();
+    write!(err, "{what}. The robot will move. Go on? [y/N] ")?;
+    err.flush()?;
+    let mut line = String::new();
+    input.lock().read_line(&mut line)?;
+    match line.trim().to_ascii_lowercase().as_str() {
+        "y" | "yes" => Ok(()),
+        _ => Err(Failure::Input("nothing was moved".into())),
+    }
+}

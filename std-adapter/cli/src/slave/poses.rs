@@ -1,0 +1,291 @@
+//! Poses in files: a CSV of one pose a line, and the poses that a stream needs of them, one each cycle.
+//!
+//! ```text
+//!   t,J1,J2,...            names, or none; `t` in seconds
+//!   0.000,0,45,...         a pose
+//! ```
+//!
+//! Between two poses of the file the motion is a cubic curve through both (Catmull-Rom, with the file's own times), so that
+//! speeds have no steps; angles of P poses go the short way round.
+
+use std::path::Path;
+
+use bcap_core::bcap::slave::{Pose, PoseType};
+
+use crate::error::Failure;
+
+/// What the columns of a pose are called.
+pub(crate) const fn columns(pose: PoseType) -> &'static [&'static str] {
+    match pose {
+        PoseType::P => &["X", "Y", "Z", "RX", "RY", "RZ", "FIG"],
+        PoseType::J => &["J1", "J2", "J3", "J4", "J5", "J6", "J7", "J8"],
+        PoseType::T => &["X", "Y", "Z", "OX", "OY", "OZ", "AX", "AY", "AZ", "FIG"],
+    }
+}
+
+/// The poses of a file with their times, in seconds from the first one.
+#[derive(Debug)]
+pub(crate) struct Poses {
+    pub(crate) kind: PoseType,
+    rows: Vec<(f64, Vec<f64>)>,
+}
+
+impl Poses {
+    /// Reads a file.
+    pub(crate) fn read(path: &Path, kind: Option<PoseType>, hz: f64) -> Result<Self, Failure> {
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| Failure::Input(format!("cannot read {}: {error}", path.display())))?;
+        Self::parse(&text, kind, hz).map_err(|problem| Failure::Input(format!("{}: {problem}", path.display())))
+    }
+
+    fn parse(text: &str, kind: Option<PoseType>, hz: f64) -> Result<Self, String> {
+        let mut reader = csv::ReaderBuilder::new()
+            .has_headers(false)
+            .flexible(true)
+            .trim(csv::Trim::All)
+            .comment(Some(b'#'))
+            .from_reader(text.as_bytes());
+        let mut layout: Option<Layout> = None;
+        let mut rows: Vec<(f64, Vec<f64>)> = Vec::new();
+        for record in reader.records() {
+            let record = record.map_err(|error| error.to_string())?;
+            let line = record.position().map_or(0, csv::Position::line);
+            let fields: Vec<&str> = record.iter().collect();
+            let Some(layout) = &layout else {
+                let (found, is_header) =
+                    Layout::of(&fields, kind).map_err(|problem| format!("line {line}: {problem}"))?;
+                let found = layout.insert(found);
+                if !is_header {
+                    rows.push(found.row(&fields, 0, hz).map_err(|problem| format!("line {line}: {problem}"))?);
+                }
+                continue;
+            };
+            let (at, numbers) =
+                layout.row(&fields, rows.len(), hz).map_err(|problem| format!("line {line}: {problem}"))?;
+            if let Some((before, _)) = rows.last()
+                && at <= *before
+            {
+                return Err(format!("line {line}: the time {at} is not after the one before, {before}"));
+            }
+            rows.push((at, numbers));
+        }
+        let (Some(layout), Some((begin, _))) = (layout, rows.first()) else {
+            return Err("there is no pose in it".into());
+        };
+        let (kind, begin) = (layout.kind, *begin);
+        rows.iter_mut().for_each(|(at, _)| *at -= begin);
+        if kind == PoseType::P {
+            unwind(&mut rows);
+        }
+        Ok(Self { kind, rows })
+    }
+
+    /// Returns the first pose.
+    pub(crate) fn first(&self) -> Option<Pose> {
+        self.rows.first().and_then(|(_, numbers)| Pose::from_numbers(self.kind, numbers))
+    }
+
+    /// Returns a pose for each cycle, from the first pose of the file to its last.
+    pub(crate) fn each_cycle(&self, cycle: f64) -> Vec<Pose> {
+        let end = self.rows.last().map_or(0.0, |(at, _)| *at);
+        // rounding shall not cost the last one
+        let count = (end / cycle + 1e-6).floor();
+        let mut out = Vec::new();
+        let (mut index, mut row) = (0.0, 0);
+        while index <= count {
+            let at = index * cycle;
+            while self.rows.get(row + 1).is_some_and(|(next, _)| *next <= at + cycle * 1e-6) {
+                row += 1;
+            }
+            out.extend(Pose::from_numbers(self.kind, &self.at(row, at, cycle)));
+            index += 1.0;
+        }
+        if end - count * cycle > cycle * 1e-3 {
+            // the file ends within a cycle
+            out.extend(self.rows.last().and_then(|(_, numbers)| Pose::from_numbers(self.kind, numbers)));
+        }
+        out
+    }
+
+    /// Returns the numbers at a time that is not before that of a row, and before that of the next.
+    fn at(&self, row: usize, at: f64, cycle: f64) -> Vec<f64> {
+        let (from, numbers) = &self.rows[row];
+        let Some((to, next)) = self.rows.get(row + 1).filter(|_| at - from > cycle * 1e-6) else {
+            return numbers.clone();
+        };
+        let (length, part) = (to - from, (at - from) / (to - from));
+        let mut out = Vec::with_capacity(numbers.len());
+        for column in 0..numbers.len() {
+            let (a, b) = (numbers[column], next[column]);
+            let is_figure = self.kind != PoseType::J && column + 1 == numbers.len();
+            out.push(if is_figure {
+                a
+            } else {
+                hermite(a, b, self.slope(row, column) * length, self.slope(row + 1, column) * length, part)
+            });
+        }
+        if self.kind == PoseType::T {
+            normalize(&mut out, 3);
+            normalize(&mut out, 6);
+        }
+        out
+    }
+
+    /// Returns the speed of a column at a row: that between its neighbours, and none at the ends.
+    fn slope(&self, row: usize, column: usize) -> f64 {
+        let before = row.checked_sub(1).and_then(|before| self.rows.get(before));
+        match (before, self.rows.get(row + 1)) {
+            (Some((from, a)), Some((to, b))) => (b[column] - a[column]) / (to - from),
+            _ => 0.0,
+        }
+    }
+}
+
+/// Returns the cubic curve from `a` to `b` with these slopes at its ends.
+fn hermite(a: f64, b: f64, slope_a: f64, slope_b: f64, x: f64) -> f64 {
+    let (x2, x3) = (x * x, x * x * x);
+    a * (2.0 * x3 - 3.0 * x2 + 1.0) + b * (3.0 * x2 - 2.0 * x3) + slope_a * (x3 - 2.0 * x2 + x) + slope_b * (x3 - x2)
+}
+
+fn normalize(numbers: &mut [f64], from: usize) {
+    let length = numbers[from..from + 3].iter().map(|n| n * n).sum::<f64>().sqrt();
+    if length > 0.0 {
+        numbers[from..from + 3].iter_mut().for_each(|n| *n /= length);
+    }
+}
+
+/// Takes the turns out of the angles, so that they can be interpolated.
+fn unwind(rows: &mut [(f64, Vec<f64>)]) {
+    for column in 3..6 {
+        let mut last: Option<f64> = None;
+        for (_, numbers) in rows.iter_mut() {
+            if let Some(last) = last {
+                numbers[column] -= ((numbers[column] - last) / 360.0_f64).round() * 360.0;
+            }
+            last = Some(numbers[column]);
+        }
+    }
+}
+
+/// Which column is which.
+struct Layout {
+    kind: PoseType,
+    time: Option<usize>,
+    /// The column of each number.
+    numbers: Vec<usize>,
+    /// How many fields a line has.
+    fields: usize,
+}
+
+impl Layout {
+    /// Finds the columns by the first line, and tells whether that names them.
+    fn of(fields: &[&str], kind: Option<PoseType>) -> Result<(Self, bool), String> {
+        if fields.iter().all(|field| field.parse::<f64>().is_ok()) {
+            let kind = kind.unwrap_or(PoseType::J);
+            let expected = columns(kind).len();
+            if fields.len() > expected || (kind != PoseType::J && fields.len() < expected) {
+                let found = fields.len();
+                return Err(format!(
+                    "it has {found} numbers, a pose of type {kind:?} has {expected}; name the columns in a first line"
+                ));
+            }
+            return Ok((Self { kind, time: None, numbers: (0..fields.len()).collect(), fields: fields.len() }, false));
+        }
+        let find = |name: &str| fields.iter().position(|field| field.eq_ignore_ascii_case(name));
+        let has = |kind: PoseType| columns(kind).iter().all(|name| find(name).is_some());
+        let kind = kind.unwrap_or(match () {
+            () if find("J1").is_some() => PoseType::J,
+            () if has(PoseType::P) => PoseType::P,
+            () if has(PoseType::T) => PoseType::T,
+            () => PoseType::J,
+        });
+        // joints may be fewer, but none in between may be missing
+        let numbers: Vec<usize> = columns(kind).iter().map_while(|name| find(name)).collect();
+        if numbers.is_empty() || (kind != PoseType::J && numbers.len() < columns(kind).len()) {
+            return Err(format!("a pose of type {kind:?} has the columns {}", columns(kind).join(",")));
+        }
+        Ok((Self { kind, time: find("t"), numbers, fields: fields.len() }, true))
+    }
+
+    /// Reads a line.
+    fn row(&self, fields: &[&str], index: usize, hz: f64) -> Result<(f64, Vec<f64>), String> {
+        if fields.len() != self.fields {
+            return Err(format!("it has {} fields, the first line has {}", fields.len(), self.fields));
+        }
+        let number = |column: usize| {
+            let field = fields[column];
+            let number = field.parse::<f64>().ok().filter(|number| number.is_finite());
+            number.ok_or_else(|| format!("field {}: {field:?} is not a number", column + 1))
+        };
+        let at = match self.time {
+            Some(column) => number(column)?,
+            None => index as f64 / hz,
+        };
+        Ok((at, self.numbers.iter().map(|column| number(*column)).collect::<Result<_, _>>()?))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(text: &str) -> Result<Poses, String> {
+        Poses::parse(text, None, 125.0)
+    }
+
+    fn first_column(poses: &Poses) -> Vec<f64> {
+        poses.each_cycle(0.008).iter().map(|pose| pose.numbers()[0]).collect()
+    }
+
+    #[test]
+    fn lines_at_the_rate_of_the_cycle_go_out_as_they_are() {
+        let poses = parse("1,2,3\n4,5,6\n4.5,0.1,1e-3\n").unwrap();
+        assert_eq!(first_column(&poses), [1.0, 4.0, 4.5]);
+        assert_eq!(poses.each_cycle(0.008)[2].numbers(), [4.5, 0.1, 1e-3, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn slower_files_are_interpolated_without_steps_of_speed() {
+        let text: String = (0..=10).map(|n| format!("{}\n", f64::from(n * n))).collect();
+        let poses = Poses::parse(&text, None, 25.0).unwrap();
+        let each = first_column(&poses);
+        assert_eq!(each.len(), 51);
+        // the rows themselves, and a parabola between them but at the ends, which begin and end at rest
+        assert_eq!((each[0], each[5], each[50]), (0.0, 1.0, 100.0));
+        for (n, value) in each.iter().enumerate().take(46).skip(5) {
+            let exact = (n as f64 / 5.0).powi(2);
+            assert!((value - exact).abs() < 1e-9, "{n}: {value} {exact}");
+        }
+    }
+
+    #[test]
+    fn columns_are_found_by_their_names() {
+        let poses =
+            parse("FIG,rz,ry,rx,Z,Y,X,note,t\n5,179,0,180,3,2,1,7,2.000\n5,-179,0,-180,3,2,1.5,8,2.016\n").unwrap();
+        assert_eq!(poses.kind, PoseType::P);
+        let each = poses.each_cycle(0.008);
+        assert_eq!(each.len(), 3);
+        assert_eq!(each[0].numbers(), [1.0, 2.0, 3.0, 180.0, 0.0, 179.0, 5.0]);
+        // the short way round
+        assert_eq!(each[1].numbers(), [1.25, 2.0, 3.0, 180.0, 0.0, 180.0, 5.0]);
+        assert_eq!(each[2].numbers()[5], 181.0);
+        assert_eq!(parse("x,y,z,ox,oy,oz,ax,ay,az,fig\n1,2,3,1,0,0,0,1,0,5").unwrap().kind, PoseType::T);
+    }
+
+    #[test]
+    fn what_is_wrong_is_said_with_its_line() {
+        for (text, problem) in [
+            ("", "there is no pose"),
+            ("J1,J2\n", "there is no pose"),
+            ("1,2\n3,x\n", "line 2: field 2: \"x\" is not a number"),
+            ("1,2\n3\n", "line 2: it has 1 fields, the first line has 2"),
+            ("1,2,3,4,5,6,7,8,9\n", "line 1: it has 9 numbers, a pose of type J has 8"),
+            ("t,J1\n0,1\n0,2\n", "line 3: the time 0 is not after the one before"),
+            ("a,b\n1,2\n", "line 1: a pose of type J has the columns J1,J2"),
+            ("J1\nnan\n", "line 2: field 1: \"nan\" is not a number"),
+        ] {
+            let error = parse(text).unwrap_err();
+            assert!(error.contains(problem), "{text:?}: {error}");
+        }
+    }
+}

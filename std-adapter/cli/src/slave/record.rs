@@ -1,0 +1,104 @@
+//! `bcap slave record`: where the robot is, again and again, as a file that `bcap slave play` reads.
+
+use std::fs::File;
+use std::io;
+use std::path::Path;
+use std::sync::mpsc::RecvTimeoutError;
+use std::time::{Duration, Instant};
+
+use bcap_core::bcap::FunctionId;
+use bcap_core::bcap::slave::PoseType;
+use indicatif::ProgressBar;
+
+use super::poses::columns;
+use crate::args::{LinkArgs, Record};
+use crate::error::Failure;
+use crate::item::print_line;
+use crate::object::Path as Object;
+use crate::session::{Session, integer, text, with_session};
+use crate::signal;
+use crate::value::Value;
+
+/// Runs `bcap slave record`.
+pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    let ended = signal::ended()?;
+    let kind = PoseType::from(args.pose);
+    let refused = |error: csv::Error| cannot_write(&args.file, &error);
+    let mut file = csv::Writer::from_path(&args.file).map_err(refused)?;
+    let header: Vec<&str> = ["t"].iter().chain(columns(kind)).copied().collect();
+    file.write_record(&header).map_err(refused)?;
+    let lines = with_session(link, |session| {
+        let robot = Object::parse("robot").transpose().map_err(Failure::Input)?;
+        let robot = session.object(&robot.unwrap_or(Object { steps: Vec::new() }))?;
+        let start = Instant::now();
+        let bar = ProgressBar::new_spinner();
+        let mut lines = 0_u32;
+        loop {
+            let before = start.elapsed();
+            let numbers = position(session, robot, kind)?;
+            // half of the way there and back
+            let at = (before + start.elapsed()).as_secs_f64() / 2.0;
+            write(&mut file, at, &numbers).map_err(refused)?;
+            lines += 1;
+            if lines % 25 == 1 {
+                bar.set_message(format!("{lines} poses, {at:.1} s; Ctrl-C ends"));
+                bar.tick();
+            }
+            // by the start, not by the last one: what takes long does not shift the rest
+            let next = Duration::from_secs_f64(f64::from(lines) / args.hz);
+            if args.seconds.is_some_and(|seconds| next.as_secs_f64() > seconds) {
+                break;
+            }
+            match ended.recv_timeout(next.saturating_sub(start.elapsed())) {
+                Err(RecvTimeoutError::Timeout) => {}
+                Ok(()) | Err(RecvTimeoutError::Disconnected) => break,
+            }
+        }
+        bar.finish_and_clear();
+        Ok(lines)
+    });
+    // what there is is kept, whatever ended it
+    file.flush().map_err(|error| cannot_write(&args.file, &error.into()))?;
+    let lines = lines?;
+    if json {
+        return print_line(&format!("{{\"poses\":{lines}}}"));
+    }
+    print_line(&format!("{lines} poses in {}", args.file.display()))
+}
+
+/// Asks where the robot is.
+fn position(session: &mut Session, robot: i32, kind: PoseType) -> Result<Vec<f64>, Failure> {
+    let command = match kind {
+        PoseType::J => "CurJnt",
+        PoseType::P => "CurPos",
+        PoseType::T => "CurTrn",
+    };
+    let arguments = [integer(robot)?, text(command)?, Value::new(&())?];
+    let (code, value) = session.call_for_code(FunctionId::ROBOT_EXECUTE, &arguments)?;
+    if code.is_err() {
+        return Err(Failure::Refused { doing: command.into(), code });
+    }
+    let array = value.as_ref().and_then(|value| value.as_variant().as_array());
+    let numbers: Option<Vec<f64>> = array.map(|array| array.iter().filter_map(|number| number.as_f64()).collect());
+    numbers.filter(|numbers| numbers.len() == kind.len()).ok_or_else(|| Failure::Connection {
+        message: format!(
+            "{command} was answered with {:?} instead of {} numbers",
+            value.as_ref().map(Value::as_variant),
+            kind.len()
+        ),
+        hint: "check that the other end is a robot controller".into(),
+    })
+}
+
+fn write(file: &mut csv::Writer<File>, at: f64, numbers: &[f64]) -> csv::Result<()> {
+    let fields = std::iter::once(format!("{at:.6}")).chain(numbers.iter().map(f64::to_string));
+    file.write_record(fields)
+}
+
+fn cannot_write(path: &Path, error: &csv::Error) -> Failure {
+    let reason = match error.kind() {
+        csv::ErrorKind::Io(error) => error.to_string(),
+        _ => io::Error::other(error.to_string()).to_string(),
+    };
+    Failure::Input(format!("cannot write {}: {reason}", path.display()))
+}

@@ -1,0 +1,348 @@
+//! One stream from its sessions to its report: what `play` and `cosine` have in common.
+
+use std::fs;
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+use bcap_core::bcap::call;
+use bcap_core::bcap::slave::{
+    AxisLimits, Cause, Config, Failure as NoReply, Fault, Format, Handles, Mode, MoveReply, Pose, PoseType,
+    ReceiveFormat, ReceivePose, SlaveMode, Stats,
+};
+use bcap_core::hresult::HResult;
+use bcap_core::time::Instant;
+use bcap_std::blocking::{self, Transport as Wire};
+use bcap_std::slave::blocking::{Link, Stream, close, open};
+use bcap_std::slave::{Cycle, Next, Realtime, StreamError, Trajectory};
+use bcap_std::{CallError, ConnectError, Options};
+
+use super::live::{Live, Shared, signals};
+use super::report::{Report, text};
+use crate::args::{LinkArgs, StreamArgs};
+use crate::connection::{failed, not_connected};
+use crate::error::Failure;
+use crate::item::print_line;
+use crate::target::{Target, Transport};
+
+/// The cycle of a controller, in seconds.
+pub(crate) const CYCLE: f64 = 0.008;
+/// The elbow room of UDP: five attempts share the time limit.
+const UDP_ATTEMPTS: u8 = 5;
+
+/// Where the robot is to go.
+pub(crate) enum Course {
+    /// Along these poses, so often.
+    Poses {
+        /// One for each cycle.
+        poses: Vec<Pose>,
+        /// How often.
+        loops: u32,
+        /// At what part of its speed the robot is brought to the first pose before, in percent.
+        approach: Option<f64>,
+    },
+    /// One period of a cosine from where it stands.
+    Cosine {
+        /// The period in cycles.
+        cycles: u32,
+        /// How far it goes.
+        amplitude: f64,
+    },
+}
+
+impl Course {
+    /// Returns how many cycles it has.
+    pub(crate) fn cycles(&self) -> u32 {
+        match self {
+            Self::Poses { poses, loops, .. } => u32::try_from(poses.len()).unwrap_or(u32::MAX).saturating_mul(*loops),
+            Self::Cosine { cycles, .. } => *cycles,
+        }
+    }
+
+    fn pose(&self, cycle: &Cycle<'_>) -> Option<Pose> {
+        match self {
+            _ if cycle.number >= self.cycles() => None,
+            Self::Poses { poses, .. } => poses.get(cycle.number as usize % poses.len().max(1)).copied(),
+            Self::Cosine { cycles, amplitude } => {
+                let part = f64::from(cycle.number + 1) / f64::from(*cycles);
+                let by = amplitude / 2.0 * (1.0 - (part * std::f64::consts::TAU).cos());
+                let mut numbers = cycle.start.numbers().to_vec();
+                let kind = cycle.start.shape().pose;
+                // joint 1, or Z
+                if let Some(number) = numbers.get_mut(if kind == PoseType::J { 0 } else { 2 }) {
+                    *number += by;
+                }
+                Pose::from_numbers(kind, &numbers)
+            }
+        }
+    }
+
+    /// Returns where the robot has to stand; `None` where it stands.
+    fn start(&self) -> Option<Pose> {
+        match self {
+            Self::Poses { poses, .. } => poses.first().copied(),
+            Self::Cosine { .. } => None,
+        }
+    }
+}
+
+/// What one cycle has brought.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Sample {
+    /// When the answer came, in seconds since the first one.
+    pub(crate) at: f64,
+    /// The pose that was commanded.
+    pub(crate) commanded: [f64; 10],
+    /// The pose that was answered.
+    pub(crate) actual: [f64; 10],
+}
+
+/// A course that is being run.
+struct Player {
+    course: Course,
+    shared: Arc<Shared>,
+    kind: PoseType,
+    commanded: [f64; 10],
+    began: Option<Instant>,
+    /// Of the cycles, for the plot; it does not grow beyond the room that it begins with.
+    samples: Vec<Sample>,
+}
+
+impl Trajectory for Player {
+    fn next(&mut self, cycle: &Cycle<'_>) -> Next {
+        self.shared.note(cycle.number, cycle.stats.late, cycle.stats.refused, cycle.margin);
+        if self.shared.is_stopped() {
+            return Next::Stop;
+        }
+        match self.course.pose(cycle) {
+            Some(pose) => {
+                self.commanded = padded(pose.numbers());
+                Next::Pose(pose)
+            }
+            None => Next::Finish,
+        }
+    }
+
+    fn moved(&mut self, reply: &MoveReply<'_>, now: Instant) {
+        if self.samples.len() == self.samples.capacity() {
+            return;
+        }
+        let began = *self.began.get_or_insert(now);
+        let mut actual = [0.0; 10];
+        for (slot, number) in actual.iter_mut().zip(reply.pose().iter().take(self.kind.len())) {
+            *slot = number;
+        }
+        let at = now.saturating_since(began).as_secs_f64();
+        self.samples.push(Sample { at, commanded: self.commanded, actual });
+    }
+}
+
+fn padded(numbers: &[f64]) -> [f64; 10] {
+    let mut out = [0.0; 10];
+    for (slot, number) in out.iter_mut().zip(numbers) {
+        *slot = *number;
+    }
+    out
+}
+
+/// Streams a course and tells how it went.
+pub(crate) fn stream(
+    course: Course,
+    kind: PoseType,
+    args: &StreamArgs,
+    link: &LinkArgs,
+    json: bool,
+) -> Result<(), Failure> {
+    let realtime = Realtime { fifo: args.fifo, lock_memory: args.lock_memory, core: args.core };
+    let target = link.target()?;
+    let mut options = Options::default().timeout(link.timeout());
+    options.udp.attempts = UDP_ATTEMPTS;
+    options.udp.attempt_timeout = (link.timeout() / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
+    let peer = (target.host.as_str(), target.port);
+    match target.transport {
+        Transport::Tcp => {
+            let connect = || blocking::connect_tcp(peer, &options);
+            Job { course, kind, args, link, json, realtime, target: &target }.run(connect)
+        }
+        Transport::Udp => {
+            let connect = || blocking::connect_udp(peer, &options);
+            Job { course, kind, args, link, json, realtime, target: &target }.run(connect)
+        }
+    }
+}
+
+/// A stream that is to be made.
+struct Job<'a> {
+    course: Course,
+    kind: PoseType,
+    args: &'a StreamArgs,
+    link: &'a LinkArgs,
+    json: bool,
+    realtime: Realtime,
+    target: &'a Target,
+}
+
+impl Job<'_> {
+    fn run<X: Wire<Error = io::Error>>(
+        self,
+        connect: impl Fn() -> Result<Link<X>, ConnectError>,
+    ) -> Result<(), Failure> {
+        // the signals first: who has said yes may think better of it at once
+        let signals = signals()?;
+        let mut motion = connect().map_err(|error| not_connected(&error, self.target))?;
+        let mut watch = connect().map_err(|error| not_connected(&error, self.target))?;
+        let provider = &self.link.provider;
+        let handles = open(&mut motion, provider).map_err(|error| self.told(&error, "opening the session"))?;
+        let watching = open(&mut watch, provider).map_err(|error| self.told(&error, "opening the second session"))?;
+        let config = self.config(handles, watching);
+        if let Course::Poses { poses, approach: Some(percent), .. } = &self.course
+            && let Some(first) = poses.first()
+        {
+            self.approach(&mut motion, handles, first, *percent)?;
+        }
+        let live = Live::start(self.link, signals, self.course.cycles())?;
+        let mut stream = Stream::new(config, motion, Some(watch)).map_err(|error| Failure::Input(error.to_string()))?;
+        // after all threads have been started, which shall stay what they are
+        self.realtime.apply().map_err(|error| Failure::Input(error.to_string()))?;
+        let room = if self.args.plot.is_some() { self.course.cycles() as usize + 500 } else { 0 };
+        let Self { course, kind, .. } = self;
+        let mut player = Player {
+            course,
+            shared: Arc::clone(&live.shared),
+            kind,
+            commanded: [0.0; 10],
+            began: None,
+            samples: Vec::with_capacity(room),
+        };
+        let ended = stream.run(&mut player);
+        if matches!(ended, Err(StreamError::Fault(_))) {
+            // it has told all that it knows; what fails now is of no interest
+            let _ = stream.give_up();
+        }
+        let shared = Arc::clone(&live.shared);
+        live.end();
+        let stats = stream.stats().clone();
+        let (mut motion, watch) = stream.into_connections();
+        let _ = close(&mut motion, handles);
+        if let Some(mut watch) = watch {
+            let _ = close(&mut watch, watching);
+        }
+        let job = Outcome { args: self.args, json: self.json, target: self.target };
+        let reported = job.report(&stats, kind, &player.samples);
+        job.end(ended, &shared)?;
+        reported
+    }
+
+    fn config(&self, motion: Handles, watch: Handles) -> Config {
+        let mode = SlaveMode { mode: Mode::from(self.args.mode), pose: self.kind };
+        let receive = match self.kind {
+            PoseType::J => ReceivePose::J,
+            PoseType::P => ReceivePose::P,
+            PoseType::T => ReceivePose::T,
+        };
+        let limit = |limit: Option<f64>| limit.unwrap_or(f64::INFINITY);
+        Config {
+            watch: Some(watch),
+            start: self.course.start(),
+            limits: AxisLimits::uniform(limit(self.args.max_speed), limit(self.args.max_acceleration)),
+            ..Config::new(Format::new(mode, ReceiveFormat::pose(receive)), motion)
+        }
+    }
+
+    /// Brings the robot to a pose by a motion of its own, which ends there exactly.
+    fn approach<X: Wire<Error = io::Error>>(
+        &self,
+        motion: &mut Link<X>,
+        handles: Handles,
+        pose: &Pose,
+        percent: f64,
+    ) -> Result<(), Failure> {
+        let numbers: Vec<String> = pose.numbers().iter().map(f64::to_string).collect();
+        let to = format!("@E {:?}({})", self.kind, numbers.join(","));
+        let robot = handles.robot;
+        let mut execute = |command: &str, parameter: [i32; 2]| {
+            let done = motion.call(call::robot_execute(robot, command, parameter)).map(drop);
+            done.map_err(|error| self.told(&error, command))
+        };
+        execute("TakeArm", [0, 1])?;
+        execute("Motor", [1, 0])?;
+        let moved = motion.call(call::robot_move(robot, 1, to.as_str(), format!("SPEED={percent}").as_str()));
+        let moved = moved.map(drop).map_err(|error| self.told(&error, &format!("Robot_Move {to}")));
+        let given = motion.call(call::robot_execute(robot, "GiveArm", ())).map(drop);
+        moved?;
+        given.map_err(|error| self.told(&error, "GiveArm"))
+    }
+
+    /// Tells a failed call in words.
+    fn told(&self, error: &CallError, doing: &str) -> Failure {
+        match error.hresult() {
+            Some(code) => Failure::Refused { doing: doing.into(), code },
+            None => failed(error, self.target, self.link.timeout(), doing),
+        }
+    }
+}
+
+/// What is said of a stream that has ended.
+struct Outcome<'a> {
+    args: &'a StreamArgs,
+    json: bool,
+    target: &'a Target,
+}
+
+impl Outcome<'_> {
+    fn report(&self, stats: &Stats, kind: PoseType, samples: &[Sample]) -> Result<(), Failure> {
+        let report = Report::of(stats).to_json();
+        if self.json {
+            print_line(&report)?;
+        } else if stats.cycles > 0 {
+            print_line(&text(stats))?;
+        }
+        if let Some(path) = &self.args.report {
+            fs::write(path, report + "\n")
+                .map_err(|error| Failure::Input(format!("cannot write the report {}: {error}", path.display())))?;
+        }
+        if let Some(path) = self.args.plot.as_ref().filter(|_| stats.cycles > 1) {
+            super::plot::plot(path, kind, samples)?;
+        }
+        Ok(())
+    }
+
+    fn end(&self, ended: Result<(), StreamError>, shared: &Shared) -> Result<(), Failure> {
+        match ended {
+            _ if shared.was_halted() => Err(Failure::Interrupted("interrupted twice: the robot was halted".into())),
+            Ok(()) if shared.is_stopped() => {
+                Err(Failure::Interrupted("interrupted: the robot stands, the arm is given back".into()))
+            }
+            Ok(()) => Ok(()),
+            Err(StreamError::Fault(fault)) => Err(self.fault(&fault)),
+            Err(error) => Err(Failure::Input(format!("{error}; the robot was stopped, the arm is given back"))),
+        }
+    }
+
+    /// Tells a fault in words.
+    fn fault(&self, fault: &Fault) -> Failure {
+        let mut message = fault.to_string();
+        if let Some(meaning) = fault.code().and_then(HResult::meaning).filter(|_| fault.errors().is_empty()) {
+            message += &format!(": {}", meaning.trim_end_matches('.'));
+        }
+        if fault.emergency_stop == Some(true) {
+            message += "; the emergency stop is pressed";
+        }
+        match fault.cause {
+            Cause::Failed(NoReply::Timeout) => Failure::Timeout {
+                message: format!("{}: {message}", self.target),
+                hint: "check the link and the controller; `bcap doctor` looks".into(),
+            },
+            Cause::Failed(_) => Failure::Connection {
+                message: format!("{}: {message}", self.target),
+                hint: "check the link and the controller; `bcap doctor` looks".into(),
+            },
+            Cause::NotAtStart { .. } => Failure::Stream {
+                message,
+                code: None,
+                hint: Some("--approach moves the robot to the first pose before it plays".into()),
+            },
+            _ => Failure::Stream { message, code: fault.code(), hint: None },
+        }
+    }
+}

@@ -1,0 +1,261 @@
+//! `bcap slave` and `bcap halt` against a virtual controller of the test's own, whose every cycle it can look at.
+
+mod common;
+
+use std::fs;
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::thread;
+use std::time::Duration;
+
+use bcap_sim::{Controller, Profile, Scenario, SlaveCycle};
+use bcap_std::server::Limits;
+use bcap_tests::served::Served;
+use bcap_tests::slowed::Slowed;
+use common::{Run, bcap, command};
+use serde_json::Value;
+
+/// A controller whose clock runs slow: mode 2 paces the command, however busy the machine is.
+fn controller() -> Served<Slowed> {
+    let config = bcap_sim::Config { motor_on_delay: Duration::from_millis(1), ..bcap_sim::Config::new(Profile::Rc8) };
+    Served::of(Slowed(Controller::new(config)), Limits::default())
+}
+
+fn tcp(sim: &Served<Slowed>) -> String {
+    format!("tcp:{}", sim.tcp)
+}
+
+fn slave(sim: &Served<Slowed>, args: &[&str]) -> Run {
+    bcap(&[&["slave"], args, &["--robot", &tcp(sim)]].concat())
+}
+
+fn file(name: &str, text: &str) -> String {
+    let path = path(name);
+    fs::write(&path, text).unwrap();
+    path.to_str().unwrap().to_owned()
+}
+
+fn path(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_TARGET_TMPDIR")).join(name)
+}
+
+/// Joint 1 at 10 degrees a second, after a start that is gentle; the others as the robot stands.
+fn ramp(name: &str, seconds: u32) -> String {
+    let mut at = 0.0;
+    let mut text = String::new();
+    for cycle in 0..seconds * 125 {
+        text += &format!("{at},45,90,0,45,0\n");
+        at += 0.08 * f64::from(cycle + 1).min(50.0) / 50.0;
+    }
+    file(name, &text)
+}
+
+fn cycles(sim: &Served<Slowed>) -> Vec<SlaveCycle> {
+    sim.application().0.slave_record().collect()
+}
+
+/// The speeds of joint 1 from cycle to cycle, in degrees per second of the controller's time.
+fn speeds(sim: &Served<Slowed>) -> Vec<f64> {
+    cycles(sim).windows(2).map(|pair| (pair[1].axes[0] - pair[0].axes[0]) / 0.008).collect()
+}
+
+/// Checks that slave mode is off, the arm free, nothing moves, and how many errors there are.
+fn assert_at_rest(sim: &Served<Slowed>, errors: usize) {
+    let controller = &sim.application().0;
+    assert_eq!((controller.slave_mode(), controller.arm_owner(), controller.is_moving()), (0, None, false));
+    assert_eq!(controller.errors().count(), errors);
+}
+
+fn kill(signal: &str, child: &Child) {
+    assert!(Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap().success());
+}
+
+fn await_speed(sim: &Served<Slowed>, least: f64) {
+    while !speeds(sim).last().is_some_and(|speed| *speed > least) {
+        thread::sleep(Duration::from_millis(5));
+    }
+}
+
+#[test]
+fn a_cosine_goes_there_and_back_and_is_reported() {
+    let sim = controller();
+    let (report, plot) = (path("cosine.json"), path("cosine.svg"));
+    let files = ["--report", report.to_str().unwrap(), "--plot", plot.to_str().unwrap()];
+    let run = slave(&sim, &[&["cosine", "--seconds", "1", "--amplitude", "-4", "--yes"], &files[..]].concat());
+    assert_eq!((run.code, run.err.as_str()), (0, ""));
+    assert!(run.out.contains("underflows         0") && run.out.contains("up to"), "{}", run.out);
+
+    let text = fs::read_to_string(report).unwrap();
+    let json: Value = serde_json::from_str(&text).unwrap();
+    let keys = |value: &Value| value.as_object().unwrap().keys().cloned().collect::<Vec<_>>().join(" ");
+    assert_eq!(keys(&json), "cycles jitter_us late refused rtt_us underflows");
+    assert_eq!(
+        (keys(&json["rtt_us"]), keys(&json["jitter_us"])),
+        ("max p50 p99 p999".into(), "max p50 p99 p999".into())
+    );
+    // 125 poses, and the last one again until the robot stands
+    let count = json["cycles"].as_u64().unwrap();
+    assert!((130..200).contains(&count), "{count}");
+    assert_eq!((&json["underflows"], &json["refused"]), (&0.into(), &0.into()));
+    assert!(json["rtt_us"]["p50"].as_u64() <= json["rtt_us"]["max"].as_u64(), "{text}");
+
+    let svg = fs::read_to_string(plot).unwrap();
+    for word in ["<svg", "J1 commanded", "J1 actual", "J1 commanded - actual", "from answer to answer", "</svg>"] {
+        assert!(svg.contains(word), "{word}");
+    }
+    let lowest = cycles(&sim).iter().map(|cycle| cycle.axes[0]).fold(0.0, f64::min);
+    assert!((lowest + 4.0).abs() < 1e-3, "{lowest}");
+    assert!(sim.application().0.joints()[0].abs() < 1e-9);
+    assert_at_rest(&sim, 0);
+
+    // with --json the report is the output
+    let run = slave(
+        &sim,
+        &["cosine", "--seconds", "0.2", "--amplitude", "1", "--mode", "0", "--type", "P", "--yes", "--json"],
+    );
+    assert_eq!(run.code, 0, "{run:?}");
+    assert_eq!(keys(&serde_json::from_str(&run.out).unwrap()), "cycles jitter_us late refused rtt_us underflows");
+}
+
+#[test]
+fn what_is_recorded_can_be_played() {
+    let sim = controller();
+    let recorded = path("recorded.csv");
+    let recorded = recorded.to_str().unwrap();
+    let run = slave(&sim, &["record", recorded, "--seconds", "0.2", "--hz", "50"]);
+    assert_eq!((run.code, run.out.as_str()), (0, format!("11 poses in {recorded}\n").as_str()), "{}", run.err);
+    let text = fs::read_to_string(recorded).unwrap();
+    assert!(text.starts_with("t,J1,J2,J3,J4,J5,J6,J7,J8\n0."), "{text}");
+    assert!(cycles(&sim).is_empty(), "nothing was moved");
+
+    let run = slave(&sim, &["play", recorded, "--loop", "3", "--yes"]);
+    assert_eq!(run.code, 0, "{run:?}");
+    assert!(cycles(&sim).iter().filter(|cycle| cycle.took).count() > 3 * 25, "three times 0.2 s");
+    assert_at_rest(&sim, 0);
+
+    // from elsewhere it is refused, or approached
+    let elsewhere = file("elsewhere.csv", "J1,J2,J3,J4,J5,J6\n5,45,90,0,45,0\n5.01,45,90,0,45,0\n");
+    let run = slave(&sim, &["play", &elsewhere, "--yes"]);
+    assert!(
+        run.code == 1 && run.err.contains("the robot is not at the start") && run.err.contains("--approach"),
+        "{run:?}"
+    );
+    let run = slave(&sim, &["play", &elsewhere, "--yes", "--approach", "50"]);
+    assert_eq!(run.code, 0, "{run:?}");
+    assert!((sim.application().0.joints()[0] - 5.01).abs() < 1e-9);
+    assert_at_rest(&sim, 0);
+}
+
+#[test]
+fn nothing_moves_without_consent_or_with_a_file_that_is_none() {
+    let sim = controller();
+    let run = slave(&sim, &["cosine"]);
+    assert!(run.code == 2 && run.err.contains("give --yes"), "{run:?}");
+    let bad = file("bad.csv", "0,45,90,0,45,0\n0,45,ninety,0,45,0\n");
+    let run = slave(&sim, &["play", &bad, "--yes"]);
+    assert!(run.code == 2 && run.err.contains("bad.csv: line 2: field 3: \"ninety\" is not a number"), "{run:?}");
+    let run = slave(&sim, &["play", "no/such.csv", "--yes"]);
+    assert!(run.code == 2 && run.err.contains("cannot read no/such.csv"), "{run:?}");
+    assert_eq!(sim.application().0.error_log().count(), 0);
+    assert!(!sim.application().0.motor_is_on());
+
+    // a pose that is too fast is not sent, and the robot is stopped
+    let jump = file("jump.csv", &("0,45,90,0,45,0\n".repeat(20) + "9,45,90,0,45,0\n"));
+    let run = slave(&sim, &["play", &jump, "--yes", "--max-speed", "100"]);
+    assert!(run.code == 2 && run.err.contains("pose 20: axis 1 would move at 1125"), "{run:?}");
+    assert!(cycles(&sim).iter().all(|cycle| cycle.axes[0] == 0.0));
+    assert_at_rest(&sim, 0);
+}
+
+#[test]
+fn the_first_error_is_named() {
+    let sim = controller();
+    let text = "[[fault]]\nwhen = { cycle = 40 }\nthen = { error = '0x84204043' }\n";
+    sim.application().0.play(Scenario::parse(text).unwrap());
+    let report = path("error.json");
+    let run = slave(&sim, &["cosine", "--yes", "--report", report.to_str().unwrap()]);
+    assert!(run.code == 1 && run.err.contains("the controller's first error is 0x84204043"), "{run:?}");
+    assert!(fs::read_to_string(report).unwrap().starts_with("{\"cycles\":"), "a stream that failed is reported, too");
+    assert_at_rest(&sim, 1);
+    // what the controller still holds against it is said as well
+    let run = slave(&sim, &["cosine", "--yes"]);
+    assert!(run.code == 1 && run.err.contains("Motor: refused") && run.err.contains("0x84204043"), "{run:?}");
+}
+
+#[test]
+fn ctrl_c_slows_down_within_the_limits_and_gives_the_arm_back() {
+    let sim = controller();
+    let ramp = ramp("ramp.csv", 60);
+    let mut child = command(&["slave", "play", &ramp, "--yes", "--robot", &tcp(&sim)])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    await_speed(&sim, 9.9);
+    kill("-INT", &child);
+    let mut err = String::new();
+    child.stderr.take().unwrap().read_to_string(&mut err).unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(130), "{err}");
+    assert!(err.contains("stopping") && err.contains("the robot stands, the arm is given back"), "{err}");
+
+    let speeds = speeds(&sim);
+    let limits = sim.application().0.slave_limits();
+    let top = speeds.iter().copied().fold(0.0, f64::max);
+    assert!((9.9..10.1).contains(&top), "{top}");
+    let begin = speeds.iter().rposition(|speed| *speed > top - 0.01).unwrap();
+    let falling = &speeds[begin..];
+    // 200 ms of ramp are 25 cycles
+    assert!((24..=40).contains(&falling.len()), "{falling:?}");
+    assert!(falling.windows(2).all(|pair| pair[1] <= pair[0] + 1e-9), "ever slower: {falling:?}");
+    assert!(falling.last().unwrap().abs() < 1e-9, "to rest: {falling:?}");
+    for pair in speeds.windows(2) {
+        let acceleration = (pair[1] - pair[0]) / 0.008;
+        assert!(acceleration.abs() <= limits.acceleration[0].min(55.0), "{pair:?}");
+    }
+    assert_at_rest(&sim, 0);
+}
+
+#[test]
+fn a_second_ctrl_c_halts_over_a_connection_of_its_own() {
+    let sim = controller();
+    let ramp = ramp("ramp2.csv", 60);
+    let mut child = command(&["slave", "play", &ramp, "--yes", "--robot", &tcp(&sim)])
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    await_speed(&sim, 9.0);
+    kill("-INT", &child);
+    let mut err = BufReader::new(child.stderr.take().unwrap());
+    let mut line = String::new();
+    err.read_line(&mut line).unwrap();
+    assert!(line.contains("stopping"), "{line}");
+    kill("-INT", &child);
+    let mut rest = String::new();
+    err.read_to_string(&mut rest).unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(130), "{rest}");
+    assert!(rest.contains("halted"), "{rest}");
+    assert_at_rest(&sim, 0);
+}
+
+#[test]
+fn halt_stops_what_another_connection_moves() {
+    let sim = controller();
+    let halt = || bcap(&["halt", "--robot", &tcp(&sim)]);
+    assert_eq!((halt().code, halt().out.as_str()), (0, "nothing was moving\n"));
+    let ramp = ramp("ramp3.csv", 60);
+    let child = command(&["slave", "play", &ramp, "--yes", "--robot", &tcp(&sim)])
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    await_speed(&sim, 5.0);
+    let run = halt();
+    assert_eq!((run.code, run.out.as_str()), (0, "halted\n"), "{}", run.err);
+    let run: Run = child.wait_with_output().unwrap().into();
+    assert!(run.code == 1 && run.err.contains("slvMove: refused with 0x80004004 (E_ABORT)"), "{run:?}");
+    assert_at_rest(&sim, 0);
+    let run = bcap(&["halt", "--robot", &tcp(&sim), "--json"]);
+    assert_eq!(run.out, "{\"halted\":false}\n");
+}
