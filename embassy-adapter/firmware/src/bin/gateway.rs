@@ -25,7 +25,7 @@ use bcap_firmware::watchdog::{self, Task, watched};
 use bcap_firmware::{clock, config, echo, executor, fault, lan9118, stack, uart};
 use embassy_executor::{SpawnError, Spawner};
 use embassy_net::udp::{PacketMetadata, UdpSocket};
-use embassy_net::{Stack, StackResources};
+use embassy_net::{IpEndpoint, Stack, StackResources};
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embassy_time::Timer;
 use static_cell::{ConstStaticCell, StaticCell};
@@ -214,13 +214,13 @@ impl defmt::Format for Times<'_> {
 /// Writes what happens to the log: every refusal, every failure, and when someone comes or goes.
 fn log(report: &Report<'_>) {
     match *report {
-        Report::Connected { client } => defmt::info!("{}: connected", client),
-        Report::Disconnected { client } => defmt::info!("{}: gone", client),
+        Report::Connected { client } => defmt::info!("{}: connected", Client(client)),
+        Report::Disconnected { client } => defmt::info!("{}: gone", Client(client)),
         Report::Answered { client, line, event: Event::Refused { refusal, .. } } => {
-            defmt::warn!("{}: refused \"{=[u8]:a}\": {}", client, line, refusal)
+            defmt::warn!("{}: refused {=[u8]:a}: {}", Client(client), line, refusal)
         }
         Report::Answered { client, line, event: Event::Failed { result, .. } } => {
-            defmt::debug!("{}: failed \"{=[u8]:a}\": {}", client, line, result)
+            defmt::debug!("{}: failed {=[u8]:a}: {}", Client(client), line, result)
         }
         Report::Answered { .. } => {}
         Report::Robot { event: Event::RobotDown { error, pause }, cause } => {
@@ -228,6 +228,18 @@ fn log(report: &Report<'_>) {
             defmt::warn!("robot away: {} {}, again in {=u32} ms", error, cause, pause)
         }
         Report::Robot { .. } => defmt::info!("robot up"),
+    }
+}
+
+/// A client as a line shows it.
+struct Client(Option<IpEndpoint>);
+
+impl defmt::Format for Client {
+    fn format(&self, f: defmt::Formatter<'_>) {
+        match self.0 {
+            Some(endpoint) => defmt::write!(f, "{}", endpoint),
+            None => defmt::write!(f, "a client"),
+        }
     }
 }
 

@@ -1,0 +1,256 @@
+//! The gateway between PLCs and a robot, over two stacks of embassy-net that are joined by a cable in memory.
+#![cfg(feature = "gateway")]
+#![allow(clippy::indexing_slicing, clippy::large_futures, clippy::unwrap_used, reason = "a test fails by panicking")]
+
+mod common;
+
+use std::cell::RefCell;
+
+use bcap_core::bcap::{client, server};
+use bcap_core::gateway::{Allow, Config, Event, Gateway, Memory, Refusal, Rules};
+use bcap_core::hresult::HResult;
+use bcap_core::rac::{self, VariableKind};
+use bcap_embassy::gateway::{self, Report, TcpRobot, UdpRobot, run_robot};
+use bcap_embassy::net::{NetError, Options};
+use bcap_embassy::server::{Limits, Listener, Shared, UdpPeer, UdpServer};
+use common::{Number, address, between};
+use embassy_futures::join::join3;
+use embassy_futures::select::{select, select3};
+use embassy_net::tcp::TcpSocket;
+use embassy_net::udp::{PacketMetadata, UdpSocket};
+use embassy_net::{IpEndpoint, Stack};
+use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+use embassy_time::{Duration, Timer, with_timeout};
+
+const PUT: [Allow<'static>; 1] = [Allow::all(VariableKind::I)];
+/// As on a board, with pauses that suit a test.
+const CONFIG: Config<'static> = Config {
+    rules: Rules { put: &PUT, ..Rules::READ_ONLY },
+    first_pause: core::time::Duration::from_millis(20),
+    longest_pause: core::time::Duration::from_millis(100),
+    ..Config::RC8
+};
+
+type Plant<'m> = gateway::Shared<'m, NoopRawMutex, 2>;
+
+thread_local! {
+    /// What the log was told: for a line its text, and what else there was.
+    static LOG: RefCell<Vec<String>> = const { RefCell::new(Vec::new()) };
+}
+
+fn log(report: &Report<'_>) {
+    let text = match *report {
+        Report::Connected { client } => format!("connected {}", client.unwrap().addr),
+        Report::Disconnected { client } => format!("gone {}", client.unwrap().addr),
+        Report::Answered { client, line, event: Event::Refused { refusal, .. } } => {
+            assert!(matches!(refusal, Refusal::Line(_) | Refusal::Kind));
+            format!("refused {} {}", client.unwrap().addr, String::from_utf8_lossy(line))
+        }
+        Report::Answered { event: Event::Failed { result, .. }, .. } => format!("failed {result}"),
+        Report::Answered { .. } => return,
+        Report::Robot { event: Event::RobotDown { .. }, cause } => format!("robot down {cause:?}"),
+        Report::Robot { .. } => "robot up".to_owned(),
+    };
+    LOG.with_borrow_mut(|log| log.push(text));
+}
+
+fn logged(text: &str) -> bool {
+    LOG.with_borrow(|log| log.iter().any(|line| line == text))
+}
+
+/// Serves two PLCs and keeps the robot, for ever.
+async fn run<L: gateway::Link>(stack: Stack<'_>, mut link: L, plant: &Plant<'_>, limits: Limits) {
+    let mut memory = [[[0; 512]; 2]; 2];
+    let [[rx0, tx0], [rx1, tx1]] = &mut memory;
+    let mut first = gateway::Listener::new(stack, rac::PORT, rx0, tx0);
+    let mut second = gateway::Listener::new(stack, rac::PORT, rx1, tx1);
+    let mut frame = [0; 512];
+    join3(run_robot(&mut link, &mut frame, plant), first.run(plant, &limits), second.run(plant, &limits)).await;
+}
+
+fn robot() -> IpEndpoint {
+    (address(0), 5007).into()
+}
+
+/// Serves b-CAP over TCP, on the PLCs' side of the cable.
+async fn serve_robot(stack: Stack<'_>, number: &Shared<NoopRawMutex, Number, 4>) {
+    let (mut rx, mut tx) = ([0; 512], [0; 512]);
+    let mut slot = None;
+    let make = || server::Session::<_, _, 8>::new(server::Config::TCP, [0; 512], [0; 512]);
+    Listener::new(stack, 5007, &mut rx, &mut tx).run(&mut slot, make, number, &Limits::default()).await
+}
+
+/// Connects once the board has a place.
+async fn plc<'s>(stack: Stack<'s>, memory: &'s mut [[u8; 512]; 2]) -> TcpSocket<'s> {
+    let [rx, tx] = memory;
+    let mut socket = TcpSocket::new(stack, rx, tx);
+    while socket.connect((address(1), rac::PORT)).await.is_err() {
+        Timer::after_millis(1).await;
+    }
+    socket
+}
+
+/// Sends a line and returns the one that comes back.
+async fn ask(socket: &mut TcpSocket<'_>, line: &str) -> String {
+    let mut sent = 0;
+    while sent < line.len() {
+        sent += socket.write(&line.as_bytes()[sent..]).await.unwrap();
+    }
+    let mut reply = Vec::new();
+    while reply.last() != Some(&b'\r') {
+        let mut byte = [0];
+        assert_eq!(socket.read(&mut byte).await, Ok(1), "closed after {reply:?}");
+        reply.extend(byte);
+    }
+    String::from_utf8(reply).unwrap()
+}
+
+fn error(code: HResult) -> String {
+    format!("{}\r", code.0)
+}
+
+/// Asks until the answer is this one.
+async fn until(socket: &mut TcpSocket<'_>, line: &str, answer: &str) {
+    while ask(socket, line).await != answer {
+        Timer::after_millis(1).await;
+    }
+}
+
+/// What hangs fails.
+async fn ends(test: impl Future<Output = ()>) {
+    with_timeout(Duration::from_secs(60), test).await.unwrap();
+}
+
+#[test]
+fn plcs_are_served_and_refusals_logged() {
+    between(|_, plcs, board| async move {
+        let number = Shared::new(Number { value: 7, left: 0 });
+        let mut memory = Memory::<2, 4>::new();
+        let plant = Plant::new(Gateway::new(CONFIG, &mut memory), log);
+        let mut buffers = [[0; 1024]; 2];
+        let [rx, tx] = &mut buffers;
+        let link = TcpRobot::new(board, rx, tx, Options::default(), robot());
+        let test = ends(async {
+            let (mut a, mut b) = ([[0; 512]; 2], [[0; 512]; 2]);
+            let mut a = plc(plcs, &mut a).await;
+            let mut b = plc(plcs, &mut b).await;
+            until(&mut a, "GET:RC8:1:I:\r", "0,3,7\r").await;
+            assert_eq!(ask(&mut b, "PUT:RC8:1:I:3,8\r").await, "0\r");
+            assert_eq!(ask(&mut a, "GET:RC8:1:I:\r").await, "0,3,8\r");
+            assert_eq!(ask(&mut b, "PUT:RC8:1:F:4,8\r").await, error(HResult::E_ACCESSDENIED));
+            assert_eq!(ask(&mut b, &(["X"; 300].concat() + "\r")).await, error(HResult::E_PACKETSIZEOVER));
+            // several lines at once, and the rest of one behind them
+            a.write(b"GET:RC8:1:I:\rHELLO\rGET:RC8:1:I:\rGET:RC").await.unwrap();
+            assert_eq!(ask(&mut a, "").await, "0,3,8\r");
+            assert_eq!(ask(&mut a, "").await, error(HResult::E_INVALIDCOMMAND));
+            assert_eq!(ask(&mut a, "").await, "0,3,8\r");
+            assert_eq!(ask(&mut a, "8:1:I:\r").await, "0,3,8\r");
+            let from = address(0);
+            assert!(logged(&format!("connected {from}")) && logged("robot up"));
+            assert!(logged(&format!("refused {from} PUT:RC8:1:F:4,8")));
+            assert!(logged(&format!("refused {from} HELLO")));
+            assert!(logged(&format!("refused {from} {}", ["X"; 256].concat())));
+            let served = plant.view(|gateway| gateway.counters().served.count()).unwrap();
+            assert!(served >= 6, "{served}");
+            // a place is free again when its PLC has gone
+            drop(a);
+            let mut c = [[0; 512]; 2];
+            let mut c = plc(plcs, &mut c).await;
+            assert_eq!(ask(&mut c, "GET:RC8:1:I:\r").await, "0,3,8\r");
+            assert!(logged(&format!("gone {from}")));
+        });
+        select3(run(board, link, &plant, Limits::default()), serve_robot(plcs, &number), test).await;
+    });
+}
+
+#[test]
+fn a_robot_that_goes_is_told_at_once_and_found_again() {
+    between(|_, plcs, board| async move {
+        let number = Shared::new(Number { value: 7, left: 0 });
+        let mut memory = Memory::<2, 4>::new();
+        let plant = Plant::new(Gateway::new(CONFIG, &mut memory), log);
+        let mut buffers = [[0; 1024]; 2];
+        let [rx, tx] = &mut buffers;
+        let link = TcpRobot::new(board, rx, tx, Options::default(), robot());
+        let test = ends(async {
+            let mut a = [[0; 512]; 2];
+            let mut a = plc(plcs, &mut a).await;
+            assert_eq!(ask(&mut a, "GET:RC8:1:I:\r").await, error(HResult::E_NOT_CONNECTED), "there is no robot yet");
+            for _ in 0..3 {
+                select(serve_robot(plcs, &number), until(&mut a, "GET:RC8:1:I:\r", "0,3,7\r")).await;
+                // its server is dropped, and so is the connection
+                until(&mut a, "GET:RC8:1:I:\r", &error(HResult::E_NOT_CONNECTED)).await;
+            }
+            assert!(logged(&format!("robot down {:?}", Some(NetError::Reset))));
+            assert!(logged(&format!("failed {}", HResult::E_NOT_CONNECTED)));
+        });
+        select(run(board, link, &plant, Limits::default()), test).await;
+    });
+}
+
+#[test]
+fn a_cable_that_is_pulled_ends_all_sessions_and_silence_those_of_plcs() {
+    between(|cable, plcs, board| async move {
+        let number = Shared::new(Number { value: 7, left: 0 });
+        let mut memory = Memory::<2, 4>::new();
+        let plant = Plant::new(Gateway::new(CONFIG, &mut memory), log);
+        let mut buffers = [[0; 1024]; 2];
+        let [rx, tx] = &mut buffers;
+        let link = TcpRobot::new(board, rx, tx, Options::default(), robot());
+        let limits = Limits { receive: core::time::Duration::from_millis(100), ..Limits::default() };
+        let test = ends(async {
+            let (mut a, mut b) = ([[0; 512]; 2], [[0; 512]; 2]);
+            let mut a = plc(plcs, &mut a).await;
+            until(&mut a, "GET:RC8:1:I:\r", "0,3,7\r").await;
+            // half a line, and then nothing
+            a.write(b"GET:RC8").await.unwrap();
+            assert_eq!(a.read(&mut [0]).await, Ok(0), "the session is over");
+            let mut b = plc(plcs, &mut b).await;
+            until(&mut b, "GET:RC8:1:I:\r", "0,3,7\r").await;
+            cable.cut(true);
+            while !logged(&format!("robot down {:?}", Some(NetError::Down))) {
+                Timer::after_millis(10).await;
+            }
+            while LOG.with_borrow(|log| log.iter().filter(|line| line.starts_with("gone")).count()) < 2 {
+                Timer::after_millis(10).await;
+            }
+            cable.cut(false);
+            let mut c = [[0; 512]; 2];
+            let mut c = plc(plcs, &mut c).await;
+            until(&mut c, "GET:RC8:1:I:\r", "0,3,7\r").await;
+        });
+        select3(run(board, link, &plant, limits), serve_robot(plcs, &number), test).await;
+    });
+}
+
+#[test]
+fn a_robot_behind_udp_is_reached_through_losses() {
+    between(|cable, plcs, board| async move {
+        let number = Shared::<NoopRawMutex, _, 4>::new(Number { value: 7, left: 0 });
+        let mut memory = Memory::<2, 4>::new();
+        let client = client::Config { attempt_timeout: core::time::Duration::from_millis(20), ..client::Config::UDP };
+        let plant = Plant::new(Gateway::new(Config { client, ..CONFIG }, &mut memory), log);
+        let (mut metas, mut buffers) = ([[PacketMetadata::EMPTY; 2]; 2], [[0; 1024]; 2]);
+        let ([rx_meta, tx_meta], [rx, tx]) = (&mut metas, &mut buffers);
+        let link = UdpRobot::new(board, UdpSocket::new(board, rx_meta, rx, tx_meta, tx), robot()).unwrap();
+        let serving = async {
+            let (mut metas, mut buffers) = ([[PacketMetadata::EMPTY; 2]; 2], [[0; 1024]; 2]);
+            let ([rx_meta, tx_meta], [rx, tx]) = (&mut metas, &mut buffers);
+            let mut socket = UdpSocket::new(plcs, rx_meta, rx, tx_meta, tx);
+            socket.bind(5007).unwrap();
+            let mut peers: [Option<UdpPeer<8>>; 1] = [None];
+            UdpServer::new(&mut socket, &mut peers, &number, Limits::default()).run().await
+        };
+        let test = ends(async {
+            let mut a = [[0; 512]; 2];
+            let mut a = plc(plcs, &mut a).await;
+            until(&mut a, "GET:RC8:1:I:\r", "0,3,7\r").await;
+            cable.lose(9);
+            for value in 0..6 {
+                assert_eq!(ask(&mut a, &format!("PUT:RC8:1:I:3,{value}\r")).await, "0\r");
+                assert_eq!(ask(&mut a, "GET:RC8:1:I:\r").await, format!("0,3,{value}\r"));
+            }
+        });
+        select3(run(board, link, &plant, Limits::default()), serving, test).await;
+    });
+}
