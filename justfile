@@ -50,6 +50,11 @@ loopback:
 slave cycles="10000":
     cargo bench -p bcap-tests --bench slave -- {{cycles}}
 
+# Requests through the gateway board in QEMU beside a bare echo on it; `bash .ci/run firmware` installs what that takes.
+board:
+    cargo build --release -p bcap-cli
+    BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo bench -p bcap-board --bench gateway
+
 # Each fuzz target for half a minute, or for `just fuzz 1200` seconds.
 fuzz seconds="30":
     FUZZ_SECONDS={{seconds}} bash .ci/run fuzz

@@ -12,7 +12,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::rac::{self, VariableKind};
 use bcap_embassy::gateway::{self, Report, TcpRobot, UdpRobot, run_robot};
 use bcap_embassy::net::{NetError, Options};
-use bcap_embassy::server::{Limits, Listener, Shared, UdpPeer, UdpServer};
+use bcap_embassy::server::{Ended, Limits, Listener, Shared, UdpPeer, UdpServer};
 use common::{Number, address, between};
 use embassy_futures::join::join3;
 use embassy_futures::select::{select, select3};
@@ -28,6 +28,8 @@ const CONFIG: Config<'static> = Config {
     rules: Rules { put: &PUT, ..Rules::READ_ONLY },
     first_pause: core::time::Duration::from_millis(20),
     longest_pause: core::time::Duration::from_millis(100),
+    // what is forgotten must not be found by chance
+    heartbeat: core::time::Duration::from_secs(3600),
     ..Config::RC8
 };
 
@@ -41,7 +43,7 @@ thread_local! {
 fn log(report: &Report<'_>) {
     let text = match *report {
         Report::Connected { client } => format!("connected {}", client.unwrap().addr),
-        Report::Disconnected { client } => format!("gone {}", client.unwrap().addr),
+        Report::Disconnected { client, ended } => format!("gone {} {ended:?}", client.unwrap().addr),
         Report::Answered { client, line, event: Event::Refused { refusal, .. } } => {
             assert!(matches!(refusal, Refusal::Line(_) | Refusal::Kind));
             format!("refused {} {}", client.unwrap().addr, String::from_utf8_lossy(line))
@@ -157,7 +159,7 @@ fn plcs_are_served_and_refusals_logged() {
             let mut c = [[0; 512]; 2];
             let mut c = plc(plcs, &mut c).await;
             assert_eq!(ask(&mut c, "GET:RC8:1:I:\r").await, "0,3,8\r");
-            assert!(logged(&format!("gone {from}")));
+            assert!(logged(&format!("gone {from} {:?}", Some(Ended::Failed::<()>(())))));
         });
         select3(run(board, link, &plant, Limits::default()), serve_robot(plcs, &number), test).await;
     });
@@ -206,6 +208,7 @@ fn a_cable_that_is_pulled_ends_all_sessions_and_silence_those_of_plcs() {
             a.write(b"GET:RC8").await.unwrap();
             assert_eq!(a.read(&mut [0]).await, Ok(0), "the session is over");
             let mut b = plc(plcs, &mut b).await;
+            assert!(logged(&format!("gone {} {:?}", address(0), Some(Ended::RequestTooSlow::<()>))));
             until(&mut b, "GET:RC8:1:I:\r", "0,3,7\r").await;
             cable.cut(true);
             while !logged(&format!("robot down {:?}", Some(NetError::Down))) {

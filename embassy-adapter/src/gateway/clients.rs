@@ -1,5 +1,7 @@
 //! The PLCs' side of a gateway.
 
+use core::cell::Cell;
+
 use bcap_core::handler::PeerId;
 use bcap_core::io::asynch::Transport;
 use bcap_core::time::Instant;
@@ -61,25 +63,22 @@ pub async fn serve<X: Transport, M: RawMutex, const N: usize>(
     shared: &Shared<'_, M, N>,
     limits: &Limits,
 ) -> Option<Ended<X::Error>> {
-    let seat = Seat { peer: shared.open(client)?, shared };
-    let ended = converse(transport, &seat, limits).await;
-    // a robot's task that waits for what this client had asked waits for less now
-    shared.wake_robot();
-    Some(match ended {
-        Ok(ended) => ended,
-        Err(error) => Ended::Failed(error),
-    })
+    let seat = Seat { peer: shared.open(client)?, shared, ended: Cell::new(None) };
+    let ended = converse(transport, &seat, limits).await.unwrap_or_else(Ended::Failed);
+    seat.ended.set(Some(ended.reason()));
+    Some(ended)
 }
 
 /// A client's seat, which is free again however its session ends.
 struct Seat<'a, 'm, M: RawMutex, const N: usize> {
     peer: PeerId,
     shared: &'a Shared<'m, M, N>,
+    ended: Cell<Option<Ended<()>>>,
 }
 
 impl<M: RawMutex, const N: usize> Drop for Seat<'_, '_, M, N> {
     fn drop(&mut self) {
-        self.shared.close(self.peer);
+        self.shared.close(self.peer, self.ended.get());
     }
 }
 
@@ -97,13 +96,13 @@ async fn converse<X: Transport, M: RawMutex, const N: usize>(
     seat: &Seat<'_, '_, M, N>,
     limits: &Limits,
 ) -> Result<Ended<X::Error>, X::Error> {
-    let Seat { peer, shared } = *seat;
+    let Seat { peer, shared, .. } = *seat;
     let mut chunk = [0; CHUNK];
     let mut heard = transport.now();
     // when the first byte of an unfinished line came, and when an answer began that the client does not read
     let (mut partial, mut unread) = (None, None);
     loop {
-        shared.step();
+        shared.step_for_client();
         let now = transport.now();
         match next(seat, &mut chunk) {
             Next::Send(count) => {
@@ -183,7 +182,4 @@ fn received<M: RawMutex, const N: usize>(seat: &Seat<'_, '_, M, N>, bytes: &[u8]
             inner.gateway.received(seat.peer, bytes.len());
         }
     });
-    // there may be something to send, or another time to wake up at
-    seat.shared.step();
-    seat.shared.wake_robot();
 }

@@ -53,6 +53,7 @@ pub use self::clients::{Listener, serve};
 pub use self::robot::{Link, TcpRobot, UdpRobot, run_robot};
 pub use self::shared::Shared;
 use crate::net::NetError;
+use crate::server::Ended;
 
 /// Says what has happened; it is called while the gateway takes a step, so it must not call the gateway.
 pub type Log = fn(&Report<'_>);
@@ -70,6 +71,8 @@ pub enum Report<'a> {
     Disconnected {
         /// Its address.
         client: Option<IpEndpoint>,
+        /// Why its session ended; `None` when its task was dropped.
+        ended: Option<Ended<()>>,
     },
     /// A line was answered: served, failed or refused.
     Answered {

@@ -148,7 +148,7 @@ pub async fn run_robot<L: Link, M: RawMutex, const N: usize>(
             }
             (true, true) => transfer(link, frame, shared).await,
             (false, false) => {
-                select(Timer::at(ticks(due(shared))), shared.wait_for_robot()).await;
+                select(Timer::at(ticks(shared.due())), shared.wait_for_robot()).await;
                 Ok(())
             }
         };
@@ -166,7 +166,7 @@ async fn transfer<L: Link, M: RawMutex, const N: usize>(
     frame: &mut [u8],
     shared: &Shared<'_, M, N>,
 ) -> Result<(), NetError> {
-    let due = due(shared);
+    let due = shared.due();
     let to_send = shared.with(|inner| {
         let mut count = 0;
         for (to, from) in frame.iter_mut().zip(inner.gateway.robot_transmit()) {
@@ -206,8 +206,4 @@ fn received<M: RawMutex, const N: usize>(bytes: &[u8], shared: &Shared<'_, M, N>
         Some(true) => Err(NetError::Reset),
         _ => Ok(()),
     }
-}
-
-fn due<M: RawMutex, const N: usize>(shared: &Shared<'_, M, N>) -> Instant {
-    shared.view(|gateway| gateway.poll_timeout()).flatten().unwrap_or(Instant::FAR_FUTURE)
 }

@@ -7,6 +7,7 @@ use core::task::{Context, Poll};
 
 use bcap_core::gateway::{Event, Gateway};
 use bcap_core::handler::PeerId;
+use bcap_core::time::Instant;
 use embassy_net::IpEndpoint;
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::RawMutex;
@@ -15,6 +16,7 @@ use embassy_sync::waitqueue::WakerRegistration;
 use super::{Log, Report};
 use crate::clock::now;
 use crate::net::NetError;
+use crate::server::Ended;
 
 /// A gateway that many tasks use; `SESSIONS` is the number of its seats, or more.
 ///
@@ -90,10 +92,27 @@ impl<'m, M: RawMutex, const SESSIONS: usize> Shared<'m, M, SESSIONS> {
         self.inner.lock(|inner| inner.try_borrow_mut().ok().map(|mut inner| work(&mut inner)))
     }
 
-    /// Lets the gateway take its steps, and tells those whom they concern.
+    /// Lets the gateway take its steps, and tells the clients whom they concern; for the robot's task.
     pub(super) fn step(&self) {
         // one step for each lock, so that a chatty client does not keep interrupts out for long
         while self.with(Inner::step).unwrap_or_default() {}
+    }
+
+    /// Lets the gateway take its steps for a client, and wakes the robot's task when they concern it.
+    pub(super) fn step_for_client(&self) {
+        let before = self.due();
+        self.step();
+        let due = self.due();
+        self.with(|inner| {
+            if !inner.gateway.robot_transmit().is_empty() || due < before {
+                inner.robot.ring();
+            }
+        });
+    }
+
+    /// Returns when the gateway must be asked again even if nothing else happens.
+    pub(super) fn due(&self) -> Instant {
+        self.view(|gateway| gateway.poll_timeout()).flatten().unwrap_or(Instant::FAR_FUTURE)
     }
 
     /// Gives a client a seat, if there is one.
@@ -108,12 +127,12 @@ impl<'m, M: RawMutex, const SESSIONS: usize> Shared<'m, M, SESSIONS> {
     }
 
     /// Frees the seat of a client that has gone.
-    pub(super) fn close(&self, peer: PeerId) {
+    pub(super) fn close(&self, peer: PeerId, ended: Option<Ended<()>>) {
         self.with(|inner| {
             inner.gateway.close(peer);
             if let Some(client) = inner.client(peer) {
                 let gone = core::mem::replace(client, Client::NONE);
-                (inner.log)(&Report::Disconnected { client: gone.endpoint });
+                (inner.log)(&Report::Disconnected { client: gone.endpoint, ended });
             }
         });
     }
@@ -131,11 +150,6 @@ impl<'m, M: RawMutex, const SESSIONS: usize> Shared<'m, M, SESSIONS> {
     pub(super) async fn wait_for_robot(&self) {
         poll_fn(|cx| self.with(|inner| inner.robot.poll(cx)).unwrap_or(Poll::Pending)).await;
     }
-
-    /// Has the robot's task look what there is to do.
-    pub(super) fn wake_robot(&self) {
-        self.with(|inner| inner.robot.ring());
-    }
 }
 
 impl<const SESSIONS: usize> Inner<'_, SESSIONS> {
@@ -152,6 +166,8 @@ impl<const SESSIONS: usize> Inner<'_, SESSIONS> {
                 (self.log)(&Report::Answered { client: endpoint, line: self.gateway.line(peer), event });
             }
             None => {
+                // a client's step may have found it out
+                self.robot.ring();
                 let cause = self.cause.take();
                 let cause = cause.filter(|_| matches!(event, Event::RobotDown { .. }));
                 (self.log)(&Report::Robot { event, cause });

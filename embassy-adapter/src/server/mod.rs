@@ -110,6 +110,21 @@ pub enum Ended<E> {
     Failed(E),
 }
 
+impl<E> Ended<E> {
+    /// Returns the reason without what the transport said.
+    #[cfg(feature = "gateway")]
+    pub(crate) const fn reason(&self) -> Ended<()> {
+        match self {
+            Self::Closed => Ended::Closed,
+            Self::Malformed => Ended::Malformed,
+            Self::RequestTooSlow => Ended::RequestTooSlow,
+            Self::Idle => Ended::Idle,
+            Self::ReplyNotRead => Ended::ReplyNotRead,
+            Self::Failed(_) => Ended::Failed(()),
+        }
+    }
+}
+
 /// Serves one peer until its session ends, and tells the handler that it has gone.
 ///
 /// # Cancel safety

@@ -215,7 +215,7 @@ impl defmt::Format for Times<'_> {
 fn log(report: &Report<'_>) {
     match *report {
         Report::Connected { client } => defmt::info!("{}: connected", Client(client)),
-        Report::Disconnected { client } => defmt::info!("{}: gone", Client(client)),
+        Report::Disconnected { client, ended } => defmt::info!("{}: gone: {}", Client(client), ended),
         Report::Answered { client, line, event: Event::Refused { refusal, .. } } => {
             defmt::warn!("{}: refused {=[u8]:a}: {}", Client(client), line, refusal)
         }
