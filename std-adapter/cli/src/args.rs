@@ -11,7 +11,7 @@ use clap_complete::Shell;
 
 mod slave;
 
-pub(crate) use self::slave::{Cosine, Halt, Play, Record, Slave, SlaveCommand, StreamArgs};
+pub(crate) use self::slave::{Cosine, Doctor, Halt, Play, Record, Slave, SlaveCommand, StreamArgs};
 use crate::error::Failure;
 use crate::frame::Role;
 use crate::gateway::AllowPut;
@@ -93,6 +93,7 @@ pub(crate) enum Command {
     Sim(Sim),
     Slave(Slave),
     Halt(Halt),
+    Doctor(Doctor),
     Gateway(Gateway),
     Demo(Demo),
     Decode(Decode),
@@ -274,6 +275,18 @@ pub(crate) struct Sim {
     #[arg(long, value_name = "MODEL", default_value = "rc8")]
     pub(crate) model: Model,
 
+    /// The operation mode at the start
+    #[arg(long, value_name = "MODE", default_value = "auto")]
+    pub(crate) mode: OperationMode,
+
+    /// Who has the executable token
+    #[arg(long, value_name = "WHO", default_value = "any")]
+    pub(crate) token: TokenHolder,
+
+    /// Leaves out the licence of Slave Mode
+    #[arg(long)]
+    pub(crate) no_slave_licence: bool,
+
     /// A file of faults that happen by themselves: refused calls, errors, the emergency stop, a bad link
     #[arg(long, value_name = "FILE")]
     pub(crate) scenario: Option<PathBuf>,
@@ -300,6 +313,42 @@ impl From<Model> for Profile {
             Model::Rc8 => Self::Rc8,
             Model::Rc9 => Self::Rc9,
             Model::Cobotta => Self::Cobotta,
+        }
+    }
+}
+
+/// An operation mode.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub(crate) enum OperationMode {
+    Manual,
+    TeachCheck,
+    Auto,
+}
+
+impl From<OperationMode> for bcap_sim::Mode {
+    fn from(mode: OperationMode) -> Self {
+        match mode {
+            OperationMode::Manual => Self::Manual,
+            OperationMode::TeachCheck => Self::TeachCheck,
+            OperationMode::Auto => Self::Auto,
+        }
+    }
+}
+
+/// Who has the executable token.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub(crate) enum TokenHolder {
+    /// Anybody
+    Any,
+    /// The teach pendant, and no client
+    Pendant,
+}
+
+impl From<TokenHolder> for bcap_sim::Token {
+    fn from(holder: TokenHolder) -> Self {
+        match holder {
+            TokenHolder::Any => Self::Any,
+            TokenHolder::Pendant => Self::TeachPendant,
         }
     }
 }

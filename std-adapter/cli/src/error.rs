@@ -70,10 +70,10 @@ pub(crate) enum Failure {
         /// What a person can do.
         hint: String,
     },
-    /// A stream of Slave Mode ended by an error of the controller.
+    /// The controller is not as it should be, or has ended a stream of Slave Mode.
     #[error("{message}")]
-    Stream {
-        /// What happened, the controller's first error included.
+    Unfit {
+        /// What is the matter, the controller's first error included.
         message: String,
         /// The code of that.
         code: Option<HResult>,
@@ -98,7 +98,7 @@ impl From<EncodeError> for Failure {
 impl Failure {
     fn code(&self) -> u8 {
         match self {
-            Self::Refused { .. } | Self::SomeRefused { .. } | Self::Stream { .. } => 1,
+            Self::Refused { .. } | Self::SomeRefused { .. } | Self::Unfit { .. } => 1,
             Self::Input(_) | Self::Item(_) | Self::BadLines(_) | Self::Stdio(_) => 2,
             Self::Connection { .. } => 3,
             Self::Timeout { .. } => 4,
@@ -108,11 +108,11 @@ impl Failure {
     }
 
     /// Returns what a person can do about it.
-    fn hint(&self) -> Option<&str> {
+    pub(crate) fn hint(&self) -> Option<&str> {
         match self {
             Self::Refused { code, .. } => code.hint(),
             Self::Connection { hint, .. } | Self::Timeout { hint, .. } => Some(hint),
-            Self::Stream { code, hint, .. } => hint.as_deref().or_else(|| code.and_then(HResult::hint)),
+            Self::Unfit { code, hint, .. } => hint.as_deref().or_else(|| code.and_then(HResult::hint)),
             Self::Input(_)
             | Self::Item(_)
             | Self::BadLines(_)
@@ -163,13 +163,13 @@ impl Failure {
         match self {
             Self::BadLines(_) | Self::SomeRefused { .. } => return None,
             Self::Item(item) => line.offset = Some(item.offset),
-            Self::Refused { code, .. } | Self::Stream { code: Some(code), .. } => {
+            Self::Refused { code, .. } | Self::Unfit { code: Some(code), .. } => {
                 (line.code, line.hresult) = (Some(code.0), code.name());
             }
             Self::Input(_)
             | Self::Connection { .. }
             | Self::Timeout { .. }
-            | Self::Stream { .. }
+            | Self::Unfit { .. }
             | Self::Interrupted(_)
             | Self::Stdio(_) => {}
         }

@@ -6,6 +6,7 @@ mod connection;
 mod decode;
 mod demo;
 mod dissect;
+mod doctor;
 mod error;
 mod frame;
 mod gateway;
@@ -54,6 +55,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Sim(args) => sim::sim(args),
         Command::Slave(args) => slave::slave(args, &cli.link, cli.json),
         Command::Halt(_) => halt::halt(&cli.link, cli.json),
+        Command::Doctor(args) => doctor::doctor(args, &cli.link, cli.json),
         Command::Gateway(args) => gateway::gateway(args, &cli.link),
         Command::Demo(_) => demo::demo(),
         Command::Decode(args) => decode::decode(args, cli.json),

@@ -55,6 +55,11 @@ impl Session {
         Ok(())
     }
 
+    /// Connects to another provider than the one that was asked for, from the next connection on.
+    pub(crate) fn set_provider(&mut self, provider: &str) {
+        provider.clone_into(&mut self.provider);
+    }
+
     /// Calls a function; a success other than S_OK is returned with its code.
     pub(crate) fn call_for_code(
         &mut self,

@@ -32,7 +32,10 @@ pub(crate) fn sim(args: &Sim) -> Result<(), Failure> {
         if !files.is_dir() {
             return Err(Failure::Input(format!("--files {}: there is no such folder", files.display())));
         }
-        let mut controller = Controller::new(Config { files: Some(files.to_owned()), ..config(args.model.into()) });
+        let mut config = Config { files: Some(files.to_owned()), ..config(args.model.into()) };
+        (config.mode, config.token) = (args.mode.into(), args.token.into());
+        config.slave.licensed = !args.no_slave_licence;
+        let mut controller = Controller::new(config);
         if let Some(path) = &args.scenario {
             controller.play(read_scenario(path)?);
         }

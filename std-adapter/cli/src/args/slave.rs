@@ -216,3 +216,24 @@ Examples:
   bcap halt
   bcap halt --robot tcp:192.168.0.1 --provider CaoProv.DENSO.VRC9")]
 pub(crate) struct Halt {}
+
+/// Looks at all that a program needs before it can move the robot, and says what to do about what is missing
+///
+/// Reachability over TCP and UDP, provider, version, mode, executable token, errors, emergency stop, arm, motor, the licence
+/// and the formats of Slave Mode: each is ok, FAILED or - (cannot be told because of something else), with --json a line
+/// {"check":"mode","result":"failed","detail":"..","hint":".."}. The exit code is that of the first failure. Nothing moves
+/// and nothing is written; the arm is taken for a moment if it is free.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap doctor --robot tcp:192.168.0.1
+  bcap doctor --robot tcp:192.168.0.1 --provider CaoProv.DENSO.VRC9 --json")]
+pub(crate) struct Doctor {
+    /// Where b-CAP over TCP is, if not at the port of --robot
+    #[arg(long, value_name = "PORT", value_parser = clap::value_parser!(u16).range(1..))]
+    pub(crate) tcp_port: Option<u16>,
+
+    /// Where b-CAP over UDP is, if not at the port of --robot
+    #[arg(long, value_name = "PORT", value_parser = clap::value_parser!(u16).range(1..))]
+    pub(crate) udp_port: Option<u16>,
+}

@@ -337,12 +337,12 @@ impl Outcome<'_> {
                 message: format!("{}: {message}", self.target),
                 hint: "check the link and the controller; `bcap doctor` looks".into(),
             },
-            Cause::NotAtStart { .. } => Failure::Stream {
+            Cause::NotAtStart { .. } => Failure::Unfit {
                 message,
                 code: None,
                 hint: Some("--approach moves the robot to the first pose before it plays".into()),
             },
-            _ => Failure::Stream { message, code: fault.code(), hint: None },
+            _ => Failure::Unfit { message, code: fault.code(), hint: None },
         }
     }
 }

@@ -1,0 +1,401 @@
+//! `bcap doctor`: looks at what a program needs before it can move a robot, and says what to do about what is missing.
+//!
+//! ```text
+//!   tcp ─┬─ provider ─ version ─ mode ─ token ─ errors ─ emergency stop ─ arm ─ motor ─ licence ─ formats
+//!   udp ─┘
+//! ```
+//!
+//! What cannot be told because of something else is skipped, so that what has failed is what is to be mended. Nothing moves
+//! and no variable is written. The arm is taken for a moment and given back (Keep 1, so that speeds, tool and work stay):
+//! there is no other way to learn whether it is free. The licence shows in slvChangeMode, which without the arm cannot enter
+//! Slave Mode; the formats are set for this session alone, and only while nobody is in Slave Mode.
+
+mod report;
+
+use std::time::{Duration, Instant};
+
+use bcap_core::bcap::FunctionId;
+use bcap_core::hresult::HResult;
+use bcap_core::variant::{Encode, Variant};
+
+use self::report::{Finding, Report};
+use crate::args::{Doctor, LinkArgs};
+use crate::error::Failure;
+use crate::object::Path;
+use crate::session::{Session, integer, text};
+use crate::target::Transport;
+use crate::value::Value;
+
+const PROVIDERS: [&str; 2] = ["CaoProv.DENSO.VRC", "CaoProv.DENSO.VRC9"];
+/// Over UDP nothing is refused, so silence is waited for no longer than this.
+const UDP_PATIENCE: Duration = Duration::from_secs(2);
+
+/// Bits of SysState.
+const SERVO_ON: u32 = 2;
+const AUTO: u32 = 4;
+const TOKEN_OUTSIDE: u32 = 5;
+const EMERGENCY_STOP: u32 = 10;
+
+/// What is looked at once there is a connection, in this order.
+const CHECKS: [&str; 10] =
+    ["provider", "version", "mode", "token", "errors", "emergency stop", "arm", "motor", "licence", "formats"];
+
+/// Runs `bcap doctor`.
+pub(crate) fn doctor(args: &Doctor, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    let mut report = Report::new(json);
+    let tcp = reach(&mut report, "tcp", &over(Transport::Tcp, args, link)?)?;
+    let udp = reach(&mut report, "udp", &over(Transport::Udp, args, link)?)?;
+    let (session, other) = if tcp.is_some() { (tcp, udp) } else { (udp, None) };
+    if let Some(other) = other {
+        other.close();
+    }
+    let Some(mut session) = session else {
+        CHECKS.into_iter().try_for_each(|check| report.note(check, Finding::Skipped("there is no connection")))?;
+        return report.end();
+    };
+    let examined = examine(&mut session, link, &mut report);
+    if examined.as_ref().err().is_none_or(Failure::leaves_the_session_alive) {
+        session.close();
+    }
+    examined?;
+    report.end()
+}
+
+/// Returns the way to the controller over a transport.
+fn over(transport: Transport, args: &Doctor, link: &LinkArgs) -> Result<LinkArgs, Failure> {
+    let (mut target, mut link) = (link.target()?, link.clone());
+    target.transport = transport;
+    let port = match transport {
+        Transport::Tcp => args.tcp_port,
+        Transport::Udp => {
+            link.timeout = link.timeout.min(u64::try_from(UDP_PATIENCE.as_millis()).unwrap_or(u64::MAX));
+            args.udp_port
+        }
+    };
+    target.port = port.unwrap_or(target.port);
+    link.robot = Some(target.to_string());
+    Ok(link)
+}
+
+/// Starts a session over a transport; `None` when that is not possible.
+fn reach(report: &mut Report, check: &'static str, link: &LinkArgs) -> Result<Option<Session>, Failure> {
+    let began = Instant::now();
+    let reached = Session::open(link).and_then(|mut session| session.start(link).map(|()| session));
+    match reached {
+        Ok(session) => {
+            let took = began.elapsed().as_secs_f64() * 1000.0;
+            report
+                .note(check, Finding::Passed(format!("{} answers, Service_Start took {took:.1} ms", link.target()?)))?;
+            Ok(Some(session))
+        }
+        Err(failure) => {
+            report.unreachable(check, failure)?;
+            Ok(None)
+        }
+    }
+}
+
+/// Looks at the controller behind a connection.
+fn examine(session: &mut Session, link: &LinkArgs, report: &mut Report) -> Result<(), Failure> {
+    let Some(controller) = provider(session, link, report)? else {
+        let rest = CHECKS.into_iter().skip(1);
+        return rest.into_iter().try_for_each(|check| report.note(check, Finding::Skipped("it needs the provider")));
+    };
+    let version = version(session)?;
+    report.note("version", version)?;
+    let mut patient = Patient { session, controller, robot: 0 };
+    patient.robot = match patient.session.object(&robot()?) {
+        Ok(robot) => robot,
+        Err(failure) if failure.leaves_the_session_alive() => {
+            return report
+                .note("arm", Finding::failed(failure.to_string(), "the controller has no robot that can be opened"));
+        }
+        Err(failure) => return Err(failure),
+    };
+    patient.state(report)
+}
+
+fn robot() -> Result<Path, Failure> {
+    Path::variable("robot/@SERVO_ON").map(|path| Path { steps: path.steps[..1].to_vec() }).map_err(Failure::Input)
+}
+
+/// Connects to the provider that was asked for, or else to the other one.
+fn provider(session: &mut Session, link: &LinkArgs, report: &mut Report) -> Result<Option<i32>, Failure> {
+    let asked = link.provider.as_str();
+    let mut refusals = Vec::new();
+    for provider in [asked].into_iter().chain(PROVIDERS.into_iter().filter(|other| *other != asked)) {
+        session.set_provider(provider);
+        match session.controller() {
+            Ok(controller) => {
+                let kind = variable(session, "@TYPE")?.map(|kind| plain(&kind)).unwrap_or_default();
+                let is_rc9 = provider.to_ascii_lowercase().ends_with("vrc9") || kind.eq_ignore_ascii_case("RC9");
+                let family = if is_rc9 { "RC9" } else { "RC8" };
+                let kind = if kind.is_empty() || kind == family { String::new() } else { format!(", it is a {kind}") };
+                report.note(
+                    "provider",
+                    if provider == asked {
+                        Finding::Passed(format!("{provider} ({family}){kind}"))
+                    } else {
+                        Finding::failed(
+                            format!("{asked} is refused, {provider} ({family}) is there{kind}"),
+                            format!("give --provider {provider}"),
+                        )
+                    },
+                )?;
+                return Ok(Some(controller));
+            }
+            Err(Failure::Refused { code, .. }) => refusals.push(format!("{provider} is refused with {code}")),
+            Err(failure) => return Err(failure),
+        }
+    }
+    let hint = "check the name of the provider (--provider), and that the controller has started up";
+    report.note("provider", Finding::failed(refusals.join(", "), hint))?;
+    Ok(None)
+}
+
+fn version(session: &mut Session) -> Result<Finding, Failure> {
+    let (version, serial) = (variable(session, "@VERSION")?, variable(session, "@SERIAL_NO")?);
+    Ok(match version {
+        Some(version) => {
+            let serial = serial.map(|serial| format!(", serial number {}", plain(&serial))).unwrap_or_default();
+            Finding::Passed(format!("{}{serial}", plain(&version)))
+        }
+        None => Finding::failed(
+            "@VERSION cannot be read",
+            "allow reading in the controller's communication permission, on the teach pendant",
+        ),
+    })
+}
+
+/// Reads a variable of the controller; `None` when it is refused.
+fn variable(session: &mut Session, name: &str) -> Result<Option<Value>, Failure> {
+    let path = Path::variable(name).map_err(Failure::Input)?;
+    let read = session.object(&path).and_then(|handle| {
+        let value = session.call(FunctionId::VARIABLE_GET_VALUE, &[integer(handle)?]);
+        session.release(handle).and(value)
+    });
+    match read {
+        Err(failure) if !failure.leaves_the_session_alive() => Err(failure),
+        read => Ok(read.ok().flatten()),
+    }
+}
+
+fn plain(value: &Value) -> String {
+    crate::plain::to_plain(value.as_variant())
+}
+
+/// A controller with its robot.
+struct Patient<'a> {
+    session: &'a mut Session,
+    controller: i32,
+    robot: i32,
+}
+
+/// The answer to a command.
+struct Answer {
+    code: HResult,
+    value: Option<Value>,
+}
+
+impl Answer {
+    fn int(&self) -> Option<i32> {
+        self.value.as_ref().filter(|_| self.code.is_ok()).and_then(|value| value.as_variant().as_i32())
+    }
+}
+
+impl Patient<'_> {
+    fn controller(&mut self, command: &str, parameter: &dyn Encode) -> Result<Answer, Failure> {
+        self.execute(FunctionId::CONTROLLER_EXECUTE, self.controller, command, parameter)
+    }
+
+    fn robot(&mut self, command: &str, parameter: &dyn Encode) -> Result<Answer, Failure> {
+        self.execute(FunctionId::ROBOT_EXECUTE, self.robot, command, parameter)
+    }
+
+    fn execute(
+        &mut self,
+        function: FunctionId,
+        handle: i32,
+        command: &str,
+        parameter: &dyn Encode,
+    ) -> Result<Answer, Failure> {
+        let arguments = [integer(handle)?, text(command)?, Value::new(parameter)?];
+        let (code, value) = self.session.call_for_code(function, &arguments)?;
+        Ok(Answer { code, value })
+    }
+
+    /// Looks at the state of controller and robot.
+    fn state(&mut self, report: &mut Report) -> Result<(), Failure> {
+        let state = self.controller("SysState", &())?;
+        let Some(bits) = state.int() else {
+            let refused = format!("SysState is refused with {}", state.code);
+            report.note("mode", Finding::failed(refused, "check that the controller has started up"))?;
+            let rest = CHECKS.into_iter().skip(3);
+            return rest.into_iter().try_for_each(|check| report.note(check, Finding::Skipped("it needs SysState")));
+        };
+        let is = |bit: u32| bits & (1 << bit) != 0;
+        let (auto, outside, stopped) = (is(AUTO), is(TOKEN_OUTSIDE), is(EMERGENCY_STOP));
+        let errors = self.errors(stopped)?;
+        let emergency = self.emergency_stop(stopped)?;
+        let ready = auto && outside && !errors.has_failed() && !emergency.has_failed() && !stopped;
+        let (token, arm) = if ready { self.take_arm()? } else { (None, Finding::Skipped("it needs all of the above")) };
+        let ready = ready && token.is_none();
+
+        report.note("mode", mode(auto))?;
+        report.note("token", token.unwrap_or_else(|| token_finding(outside)))?;
+        report.note("errors", errors)?;
+        report.note("emergency stop", emergency)?;
+        report.note("arm", arm)?;
+        report.note("motor", motor(is(SERVO_ON), ready))?;
+        let busy = self.robot("slvGetMode", &())?.int().is_some_and(|mode| mode != 0);
+        if !ready || busy {
+            let why = if busy { "a client is in Slave Mode" } else { "it needs all of the above but the motor" };
+            report.note("licence", Finding::Skipped(why))?;
+            return report.note("formats", Finding::Skipped(why));
+        }
+        let licence = self.licence()?;
+        report.note("licence", licence)?;
+        let formats = self.formats()?;
+        report.note("formats", formats)
+    }
+
+    /// Looks for errors; those of an emergency stop are the emergency stop's.
+    fn errors(&mut self, stopped: bool) -> Result<Finding, Failure> {
+        if stopped {
+            return Ok(Finding::Skipped("the emergency stop is an error by itself"));
+        }
+        let counted = self.controller("GetCurErrorCount", &())?;
+        let count = match counted.int() {
+            Some(0) => return Ok(Finding::Passed("none".into())),
+            Some(count) => count,
+            None => {
+                let refused = format!("GetCurErrorCount is refused with {}", counted.code);
+                return Ok(Finding::failed(refused, "look at the teach pendant"));
+            }
+        };
+        // the last one is the oldest, the first cause
+        let first = self.controller("GetCurErrorInfo", &(count - 1))?;
+        let first = first.value.as_ref().and_then(|value| {
+            let mut elements = value.as_variant().as_array()?.iter();
+            let code = match elements.next()? {
+                Variant::Error(code) => code,
+                number => HResult::from_u32(u32::try_from(number.as_i64()? & 0xffff_ffff).ok()?),
+            };
+            Some((code, elements.next().and_then(|text| text.as_bstr().map(|text| text.to_string()))))
+        });
+        let hint = first.as_ref().and_then(|(code, _)| code.hint());
+        let hint = hint.map(|hint| format!("{hint}; then `bcap exec controller ClearError`"));
+        let what = first.map(|(code, text)| format!(", the first is {code} {}", text.unwrap_or_default()));
+        Ok(Finding::failed(
+            format!("{count}{}", what.unwrap_or_default()),
+            hint.unwrap_or_else(|| "see to its cause, then `bcap exec controller ClearError`".into()),
+        ))
+    }
+
+    fn emergency_stop(&mut self, stopped: bool) -> Result<Finding, Failure> {
+        if stopped {
+            let hint = "see that nobody is in danger, release it, then `bcap exec controller ClearError`";
+            return Ok(Finding::failed("pressed", hint));
+        }
+        // an RC8 does not know the command
+        let torque_off = self.controller("StoState", &())?;
+        let off = torque_off.value.as_ref().filter(|_| torque_off.code.is_ok()).map(|value| value.as_variant());
+        if off == Some(Variant::Bool(true)) {
+            let hint = "`bcap exec controller ManualReset` gives the torque back";
+            return Ok(Finding::failed("released, but the torque is still off", hint));
+        }
+        Ok(Finding::Passed("released".into()))
+    }
+
+    /// Takes the arm for a moment; also returns what that says about the token.
+    fn take_arm(&mut self) -> Result<(Option<Finding>, Finding), Failure> {
+        let taken = self.robot("TakeArm", &[0_i32, 1])?.code;
+        if taken.is_ok() {
+            self.robot("GiveArm", &())?;
+            return Ok((None, Finding::Passed("free".into())));
+        }
+        if [HResult::E_TOKEN_ADDRESS, HResult::E_TOKEN_NOT_ETHERNET].contains(&taken) {
+            let token = Finding::failed(format!("TakeArm is refused with {taken}"), TOKEN_HINT);
+            return Ok((Some(token), Finding::Skipped("it needs the token")));
+        }
+        let hint = "end the program that has it; the arm is free when its connection has gone";
+        Ok((None, Finding::failed(format!("TakeArm is refused with {taken}"), hint)))
+    }
+
+    /// Asks for Slave Mode, which without the arm is refused in any case.
+    fn licence(&mut self) -> Result<Finding, Failure> {
+        let code = self.robot("slvChangeMode", &0x202_i32)?.code;
+        if code.is_ok() {
+            // it should not have been
+            self.robot("slvChangeMode", &0_i32)?;
+        }
+        if code == HResult::E_NO_LICENSE {
+            let hint = "enter the licence key of \"b-CAP Slave\" on the teach pendant: it is free, and made for the serial \
+                        number of the controller";
+            return Ok(Finding::failed(format!("slvChangeMode is refused with {code}"), hint));
+        }
+        Ok(Finding::Passed("not missed by slvChangeMode".into()))
+    }
+
+    /// Sets all formats, the plain ones at last.
+    fn formats(&mut self) -> Result<Finding, Failure> {
+        const SEND: [(i32, &str); 4] = [(0x200, "user IO"), (0x100, "MiniIO"), (0x20, "HandIO"), (0, "the pose alone")];
+        const RECEIVE: [(i32, &str); 8] = [
+            (0x202, "user IO"),
+            (0x102, "MiniIO"),
+            (0x22, "HandIO"),
+            (0x42, "current"),
+            (0x12, "time stamps"),
+            (1, "P"),
+            (3, "T"),
+            (2, "J"),
+        ];
+        let mut missing = Vec::new();
+        let mut refused = None;
+        for (command, way, formats) in
+            [("slvSendFormat", "sending", &SEND[..]), ("slvRecvFormat", "receiving", &RECEIVE)]
+        {
+            for (format, name) in formats {
+                let code = self.robot(command, format)?.code;
+                let needed = *format <= 3;
+                if code.is_err() && needed {
+                    refused.get_or_insert(format!("{command} {format:#x} ({name}) is refused with {code}"));
+                } else if code.is_err() {
+                    missing.push(format!("{way} {name}"));
+                }
+            }
+        }
+        Ok(match (refused, missing.as_slice()) {
+            (Some(refused), _) => Finding::failed(refused, "Slave Mode needs it: update the controller's software"),
+            (None, []) => Finding::Passed("all".into()),
+            (None, missing) => Finding::Passed(format!("all but {}", missing.join(", "))),
+        })
+    }
+}
+
+const TOKEN_HINT: &str =
+    "set the executable token to Ethernet with this machine's address, or to Any, on the teach pendant";
+
+fn mode(auto: bool) -> Finding {
+    if auto {
+        return Finding::Passed("Auto".into());
+    }
+    Finding::failed("Manual or teach check", "switch the controller to Auto: programs move the robot in no other mode")
+}
+
+fn token_finding(outside: bool) -> Finding {
+    if outside {
+        return Finding::Passed("not with the teach pendant".into());
+    }
+    Finding::failed("the teach pendant has it", TOKEN_HINT)
+}
+
+fn motor(on: bool, ready: bool) -> Finding {
+    match (on, ready) {
+        (true, _) => Finding::Passed("on".into()),
+        (false, false) => Finding::Skipped("off, and it needs all of the above"),
+        (false, true) => {
+            Finding::failed("off", "`bcap exec robot Motor 1` switches it on; `bcap slave` does so by itself")
+        }
+    }
+}

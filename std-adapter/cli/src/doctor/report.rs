@@ -1,0 +1,107 @@
+//! What `bcap doctor` has found, a line each.
+
+use std::io::Write as _;
+
+use anstyle::{AnsiColor, Style};
+use serde::Serialize;
+
+use crate::error::Failure;
+use crate::item::print_line;
+
+const GREEN: Style = AnsiColor::Green.on_default();
+const RED: Style = AnsiColor::Red.on_default().bold();
+const YELLOW: Style = AnsiColor::Yellow.on_default();
+
+/// What one check has found.
+#[derive(Debug)]
+pub(super) enum Finding {
+    /// It is as it should be; what it is.
+    Passed(String),
+    /// It is not.
+    Failed {
+        /// What it is.
+        detail: String,
+        /// What to do.
+        hint: String,
+    },
+    /// It cannot be told; why.
+    Skipped(&'static str),
+}
+
+impl Finding {
+    pub(super) fn failed(detail: impl Into<String>, hint: impl Into<String>) -> Self {
+        Self::Failed { detail: detail.into(), hint: hint.into() }
+    }
+
+    pub(super) const fn has_failed(&self) -> bool {
+        matches!(self, Self::Failed { .. })
+    }
+}
+
+/// The findings so far.
+pub(super) struct Report {
+    json: bool,
+    /// The first failure, which decides the exit code.
+    first: Option<Failure>,
+}
+
+#[derive(Serialize)]
+struct Line<'a> {
+    check: &'a str,
+    result: &'a str,
+    detail: &'a str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    hint: Option<&'a str>,
+}
+
+impl Report {
+    pub(super) const fn new(json: bool) -> Self {
+        Self { json, first: None }
+    }
+
+    /// Prints a finding.
+    pub(super) fn note(&mut self, check: &'static str, finding: Finding) -> Result<(), Failure> {
+        let (result, detail, hint) = match &finding {
+            Finding::Passed(detail) => ("passed", detail.as_str(), None),
+            Finding::Failed { detail, hint } => ("failed", detail.as_str(), Some(hint.as_str())),
+            Finding::Skipped(why) => ("skipped", *why, None),
+        };
+        self.print(&Line { check, result, detail, hint })?;
+        if let Finding::Failed { detail, hint } = finding {
+            let message = format!("{check}: {detail}");
+            self.first.get_or_insert(Failure::Unfit { message, code: None, hint: Some(hint) });
+        }
+        Ok(())
+    }
+
+    /// Prints that the controller cannot be reached in some way.
+    pub(super) fn unreachable(&mut self, check: &'static str, failure: Failure) -> Result<(), Failure> {
+        let detail = failure.to_string();
+        self.print(&Line { check, result: "failed", detail: &detail, hint: failure.hint() })?;
+        self.first.get_or_insert(failure);
+        Ok(())
+    }
+
+    fn print(&self, line: &Line<'_>) -> Result<(), Failure> {
+        if self.json {
+            return print_line(&serde_json::to_string(line).unwrap_or_default());
+        }
+        let (style, word) = match line.result {
+            "passed" => (GREEN, "ok"),
+            "failed" => (RED, "FAILED"),
+            _ => (YELLOW, "-"),
+        };
+        // which takes the colours out where they are not wanted
+        let mut out = anstream::stdout().lock();
+        writeln!(out, "{style}{word:<6}{style:#} {:<14} {}", line.check, line.detail)?;
+        if let Some(hint) = line.hint {
+            writeln!(out, "{:21} {hint}", "")?;
+        }
+        Ok(())
+    }
+
+    /// Returns the first failure.
+    pub(super) fn end(self) -> Result<(), Failure> {
+        self.first.map_or(Ok(()), Err)
+    }
+}

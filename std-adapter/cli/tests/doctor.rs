@@ -1,0 +1,223 @@
+//! `bcap doctor` against virtual controllers with one thing wrong each: it names exactly that one.
+
+mod common;
+
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Stdio};
+
+use bcap_core::bcap::call;
+use bcap_std::{Options, blocking, slave};
+use common::{Run, bcap, command};
+use serde_json::Value;
+
+/// A `bcap sim` of this test's own; it is killed when the test is over.
+struct Sim {
+    child: Child,
+    tcp: String,
+    udp: String,
+}
+
+impl Sim {
+    /// Starts one with its motor on, if that can be had.
+    fn start(more: &[&str]) -> Self {
+        let free = ["--bcap", "127.0.0.1:0", "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"];
+        let mut child = command(&[&["sim"], &free[..], more].concat()).stdout(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
+        let port = |key: &str| {
+            let address = line.split_whitespace().find_map(|word| word.strip_prefix(key)).unwrap();
+            address.rsplit_once(':').unwrap().1.to_owned()
+        };
+        Self { tcp: port("bcap="), udp: port("udp="), child }
+    }
+
+    fn ready(more: &[&str]) -> Self {
+        let sim = Self::start(more);
+        let run = bcap(&["exec", "robot", "Motor", "1", "--robot", &sim.robot()]);
+        assert_eq!(run.code, 0, "{run:?}");
+        sim
+    }
+
+    fn robot(&self) -> String {
+        format!("tcp:127.0.0.1:{}", self.tcp)
+    }
+
+    fn doctor(&self, more: &[&str]) -> Run {
+        bcap(&[&["doctor", "--robot", &self.robot(), "--udp-port", &self.udp], more].concat())
+    }
+}
+
+impl Drop for Sim {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Returns the checks that have failed, with the detail of each.
+fn failed(run: &Run) -> Vec<(String, String)> {
+    let lines = run.out.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+    let text = |value: &Value| value.as_str().unwrap().to_owned();
+    let checks = lines.filter(|line| line.get("check").is_some());
+    let failed = checks.filter(|line| line["result"] == "failed");
+    failed
+        .map(|line| {
+            assert!(!text(&line["hint"]).is_empty(), "{line}");
+            (text(&line["check"]), text(&line["detail"]))
+        })
+        .collect()
+}
+
+/// Checks that exactly this is named.
+#[track_caller]
+fn names(sim: &Sim, check: &str, word: &str, code: i32) {
+    let run = sim.doctor(&["--json"]);
+    let failed = failed(&run);
+    assert_eq!(failed.len(), 1, "{run:?}");
+    assert_eq!(failed[0].0, check, "{run:?}");
+    assert!(failed[0].1.contains(word), "{failed:?}");
+    assert_eq!(run.code, code, "{run:?}");
+    assert!(run.err.contains(word) && run.err.contains("hint: "), "{}", run.err);
+}
+
+fn scenario(name: &str, faults: &[(&str, &str)]) -> String {
+    let text: String =
+        faults.iter().map(|(when, then)| format!("[[fault]]\nwhen = {{ {when} }}\nthen = {then}\n")).collect();
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    fs::write(&path, text).unwrap();
+    path.to_str().unwrap().to_owned()
+}
+
+#[test]
+fn a_controller_in_order_passes_and_nothing_has_changed() {
+    for (model, family) in [("rc8", "RC8"), ("rc9", "RC9"), ("cobotta", "it is a COBOTTA")] {
+        let sim = Sim::ready(&["--model", model]);
+        let run = sim.doctor(&[]);
+        assert_eq!((run.code, run.err.as_str()), (0, ""), "{}", run.out);
+        let checks: Vec<&str> = run.out.lines().map(|line| line[7..21].trim_end()).collect();
+        let all = "tcp udp provider version mode token errors emergency stop arm motor licence formats";
+        assert_eq!(checks.join(" "), all);
+        assert!(run.out.lines().all(|line| line.starts_with("ok ")), "{}", run.out);
+        assert!(run.out.contains(family), "{}", run.out);
+        assert_eq!(run.out.contains("all but sending HandIO, receiving HandIO"), model == "cobotta", "{}", run.out);
+        // it has left nothing behind: the arm is free, Slave Mode off, the log empty but for what was refused
+        let state = bcap(&["exec", "controller", "SysState", "--robot", &sim.robot()]);
+        assert_eq!(state.out.trim().parse::<i32>().unwrap() & 0b10, 0, "no error");
+        assert_eq!(bcap(&["exec", "robot", "TakeArm", "8195,0,1", "--robot", &sim.robot()]).code, 0);
+    }
+}
+
+#[test]
+fn an_unreachable_link_is_named() {
+    let sim = Sim::ready(&[]);
+    let nowhere = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port().to_string();
+    let run = sim.doctor(&["--json", "--tcp-port", &nowhere]);
+    assert_eq!((failed(&run).iter().map(|(check, _)| check.as_str()).collect::<Vec<_>>(), run.code), (vec!["tcp"], 3));
+    let silent = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
+    let port = silent.local_addr().unwrap().port().to_string();
+    let run = bcap(&["doctor", "--json", "--robot", &sim.robot(), "--udp-port", &port, "--timeout", "500"]);
+    assert_eq!((failed(&run).iter().map(|(check, _)| check.as_str()).collect::<Vec<_>>(), run.code), (vec!["udp"], 4));
+    // with neither there is nothing else to look at
+    let run = bcap(&[
+        "doctor",
+        "--json",
+        "--robot",
+        &sim.robot(),
+        "--tcp-port",
+        &nowhere,
+        "--udp-port",
+        &port,
+        "--timeout",
+        "500",
+    ]);
+    assert_eq!((failed(&run).len(), run.code), (2, 3), "{run:?}");
+    assert_eq!(run.out.matches("\"skipped\"").count(), 10);
+}
+
+#[test]
+fn a_wrong_provider_is_named_and_the_right_one_told() {
+    let refuse = ("call = 2, of = 'Controller_Connect'", "{ refuse = 'E_CAO_PROVIDER_NOTFOUND' }");
+    let only_once = scenario("doctor-provider.toml", &[(refuse.0, "{ refuse = 'E_FAIL' }")]);
+    let sim = Sim::ready(&["--scenario", &only_once]);
+    names(&sim, "provider", "CaoProv.DENSO.VRC9 (RC9) is there", 1);
+    let all =
+        scenario("doctor-providers.toml", &[("call = 2, to = 3, of = 'Controller_Connect'", "{ refuse = 'E_FAIL' }")]);
+    let sim = Sim::ready(&["--scenario", &all]);
+    names(&sim, "provider", "CaoProv.DENSO.VRC9 is refused with", 1);
+}
+
+#[test]
+fn an_unreadable_version_is_named() {
+    let fault = [("every = 2, of = 'Variable_GetValue'", "{ refuse = 'E_ACCESSDENIED' }")];
+    // the second variable is @VERSION, the first @TYPE
+    let sim = Sim::ready(&["--scenario", &scenario("doctor-version.toml", &fault)]);
+    names(&sim, "version", "@VERSION cannot be read", 1);
+}
+
+#[test]
+fn a_wrong_mode_is_named() {
+    names(&Sim::start(&["--mode", "manual"]), "mode", "Manual", 1);
+    names(&Sim::start(&["--mode", "teach-check"]), "mode", "teach check", 1);
+}
+
+#[test]
+fn a_token_that_is_elsewhere_is_named() {
+    names(&Sim::start(&["--token", "pendant"]), "token", "the teach pendant has it", 1);
+    let fault = [("call = 1, of = 'TakeArm'", "{ refuse = 'E_TOKEN_ADDRESS' }")];
+    let sim = Sim::ready(&["--scenario", &scenario("doctor-token.toml", &fault)]);
+    names(&sim, "token", "E_TOKEN_ADDRESS", 1);
+}
+
+#[test]
+fn an_error_is_named_with_the_first_cause() {
+    let faults = [("at_ms = 0", "{ error = '0x84204043' }"), ("at_ms = 1", "{ error = '0x83204072' }")];
+    let sim = Sim::start(&["--scenario", &scenario("doctor-error.toml", &faults)]);
+    names(&sim, "errors", "2, the first is 0x84204043", 1);
+}
+
+#[test]
+fn the_emergency_stop_is_named() {
+    let pressed = [("at_ms = 0", "{ emergency_stop = true }")];
+    for model in ["rc8", "rc9"] {
+        let sim = Sim::start(&["--model", model, "--scenario", &scenario(&format!("doctor-{model}.toml"), &pressed)]);
+        names(&sim, "emergency stop", "pressed", 1);
+    }
+    // an RC9 keeps the torque off after it was released
+    let released = [pressed[0], ("at_ms = 1", "{ emergency_stop = false }")];
+    let sim = Sim::start(&["--model", "rc9", "--scenario", &scenario("doctor-sto.toml", &released)]);
+    bcap(&["exec", "controller", "ClearError", "--robot", &sim.robot()]);
+    names(&sim, "emergency stop", "torque is still off", 1);
+}
+
+#[test]
+fn an_arm_that_another_has_is_named() {
+    let sim = Sim::ready(&[]);
+    let mut other = blocking::connect_tcp(sim.robot().trim_start_matches("tcp:"), &Options::default()).unwrap();
+    let handles = slave::blocking::open(&mut other, "CaoProv.DENSO.VRC").unwrap();
+    other.call(call::robot_execute(handles.robot, "TakeArm", [0, 0])).unwrap();
+    let run = sim.doctor(&["--json"]);
+    assert_eq!(failed(&run).iter().map(|(check, _)| check.as_str()).collect::<Vec<_>>(), ["arm"], "{run:?}");
+    assert_eq!(run.code, 1);
+    // and the other one still has it
+    let state = other.call(call::robot_execute(handles.robot, "TakeArmState", -1)).unwrap();
+    assert_eq!(state.as_i32(), Some(0));
+}
+
+#[test]
+fn a_motor_that_is_off_is_named() {
+    names(&Sim::start(&[]), "motor", "off", 1);
+}
+
+#[test]
+fn a_missing_licence_is_named() {
+    names(&Sim::ready(&["--no-slave-licence"]), "licence", "E_NO_LICENSE", 1);
+}
+
+#[test]
+fn a_missing_format_is_named() {
+    let fault = [("every = 1, of = 'slvRecvFormat'", "{ refuse = 'E_INVALIDARG' }")];
+    let sim = Sim::ready(&["--scenario", &scenario("doctor-format.toml", &fault)]);
+    names(&sim, "formats", "slvRecvFormat 0x1 (P) is refused", 1);
+}
