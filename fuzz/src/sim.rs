@@ -13,7 +13,7 @@ use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
 use bcap_core::{rac, variant::VariantBuf};
 use bcap_sim::kinematics::RANGES;
-use bcap_sim::{Config, Controller, Mode, Permission, Profile, Token};
+use bcap_sim::{Config, Controller, Mode, Permission, Profile, Scenario, Token};
 use bcap_tests::frame::TestFrame;
 use bcap_tests::value::{VARIANT, Value};
 
@@ -187,6 +187,35 @@ const WORDS: &[&str] = &[
     "slvSendFormat",
     "slvRecvFormat",
     "slvMove",
+    "Hand0",
+    "Chuck",
+    "UnChuck",
+    "HandMoveA",
+    "HandMoveR",
+    "HandMoveH",
+    "HandStop",
+    "HandCurPos",
+    "ManualResetPreparation",
+    "MotionPreparation",
+    "GetMotionPreparationState",
+    "AutoCal",
+    "@EventDisable=true",
+];
+
+/// What may be wrong from the beginning, or go wrong by the clock.
+const SCENARIOS: &[&str] = &[
+    "",
+    "[controller]\nmotor = true",
+    "[controller]\nemergency_stop = true\nlicence = false\nformats = ['mini_io']",
+    "[controller]\nerrors = ['0x84201482', '0x81500001']\ntoken = 'other'",
+    "[controller]\nmode = 'manual'\n[[fault]]\nwhen = { at_ms = 50 }\nthen = { mode = 'auto' }",
+    "[[fault]]\nwhen = { cycle = 5 }\nthen = { error = '0x84204043' }
+     [[fault]]\nwhen = { every = 5 }\nthen = { delay_ms = 20 }
+     [[fault]]\nwhen = { chance = 0.1 }\nthen = { refuse = 'E_FAIL' }",
+    "[[fault]]\nwhen = { call = 12 }\nthen = { link_loss_ms = 100 }
+     [[fault]]\nwhen = { at_ms = 300 }\nthen = { emergency_stop = true }
+     [[fault]]\nwhen = { at_ms = 500 }\nthen = { emergency_stop = false }
+     [[fault]]\nwhen = { at_ms = 600 }\nthen = { motor = true }",
 ];
 
 fn word(index: u8) -> &'static str {
@@ -265,10 +294,16 @@ pub fn sim(data: &[u8]) {
         steps.push(step);
     }
     let profile = [Profile::Rc8, Profile::Rc9, Profile::Cobotta][usize::from(options % 3)];
-    assert_eq!(run(&steps, profile), run(&steps, profile), "the same steps give the same answers");
+    let scenario = SCENARIOS[usize::from(options / 3) % SCENARIOS.len()];
+    let scenario = Scenario::parse(scenario).expect("a scenario of the list");
+    assert_eq!(
+        run(&steps, profile, &scenario),
+        run(&steps, profile, &scenario),
+        "the same steps give the same answers"
+    );
 }
 
-fn run(steps: &[Step], profile: Profile) -> Trace {
+fn run(steps: &[Step], profile: Profile, scenario: &Scenario) -> Trace {
     let mut run = Run {
         sim: Controller::new(Config { max_objects: 10, motor_on_delay: Duration::ZERO, ..Config::new(profile) }),
         now: Instant::ZERO,
@@ -276,6 +311,7 @@ fn run(steps: &[Step], profile: Profile) -> Trace {
         handles: BTreeMap::new(),
         trace: Trace::new(),
     };
+    run.sim.play(scenario.clone());
     (0..CLIENTS).for_each(|peer| run.open(peer));
     for step in steps {
         run.apply(step);
@@ -309,6 +345,8 @@ impl Run {
             (FunctionId::CONTROLLER_GET_ROBOT, "Arm"),
             (FunctionId::CONTROLLER_GET_TASK, "Pro1"),
             (FunctionId::CONTROLLER_GET_VARIABLE, "P1"),
+            (FunctionId::CONTROLLER_GET_EXTENSION, "Hand0"),
+            (FunctionId::CONTROLLER_GET_COMMAND, "Motor"),
         ] {
             self.request(peer, function, vec![controller.clone(), text(name), text("")]);
         }
@@ -410,6 +448,11 @@ impl Run {
 
     /// Takes the arm and switches its motor on, if that is possible.
     fn take_arm(&mut self, peer: u8, robot: &Value) {
+        for command in ["ManualResetPreparation", "MotionPreparation"] {
+            if self.sim.config().profile == Profile::Cobotta {
+                self.request(peer, FunctionId::ROBOT_EXECUTE, vec![robot.clone(), Value::text(command), Value::Empty]);
+            }
+        }
         let pair = |a, b| Value::Array(3, vec![Value::I4(a), Value::I4(b)]);
         for (command, arg) in [("TakeArm", pair(0, 1)), ("Motor", pair(1, 1))] {
             self.request(peer, FunctionId::ROBOT_EXECUTE, vec![robot.clone(), Value::text(command), arg]);
@@ -501,6 +544,8 @@ impl Run {
         assert!(self.sim.motor_is_on() || (!self.sim.is_moving() && self.sim.slave_mode() == 0));
         assert!(self.sim.slave_mode() == 0 || (self.sim.arm_owner().is_some() && self.sim.errors().count() == 0));
         assert!(!self.sim.emergency_stopped() || (!self.sim.motor_is_on() && self.sim.errors().count() > 0));
+        let (least, most) = (0.0, bcap_sim::hand::STROKE);
+        assert!((least..=most).contains(&self.sim.hand_position()), "{}", self.sim.hand_position());
         assert!(self.sim.open_objects() <= 10 * usize::from(CLIENTS));
     }
 }

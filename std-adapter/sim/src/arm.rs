@@ -11,7 +11,8 @@
 //! | Robot_Speed                  | axis -1 sets the internal speed of lines and joints, 0 that of joints only       |
 //! | Robot_Accelerate             | likewise the internal acceleration and deceleration                              |
 //! | Robot_Change                 | `ToolN` and `WorkN` select a number; the definitions are all zero                |
-//! | Robot_Rotate, Chuck, Unchuck | `E_NOTIMPL`                                                                      |
+//! | Robot_Chuck, Unchuck         | closes and opens the [`hand`]                                                    |
+//! | Robot_Rotate                 | `E_NOTIMPL`                                                                      |
 //!
 //! Speeds and accelerations are percent, 0.0001 to 100, and count from the next motion on. Internal speeds, tool and
 //! work coordinates are the arm's: while one client has it, Speed, Accelerate, Change and the variables of these answer
@@ -49,8 +50,12 @@
 //! | CurFig, CurTool, CurWork        | -                           | I4                                               |
 //! | J2P J2T P2J P2T T2J T2P         | a pose                      | R8 array                                         |
 //! | slvMove, slvChangeMode, ...     | see [`slave`](crate::slave) |                                                  |
+//! | MotionPreparation, ...          | see [`preparation`](crate::preparation), COBOTTA |                             |
 //!
-//! GiveArm while the robot moves answers `E_ROBOTISBUSY`. Commands that real controllers have and this one has not
+//! A motion while another one runs is refused with `E_ROBOTISBUSY`, also behind `NEXT`: that is what the specification
+//! says of the code. So there is no queue, and nothing for a pass motion to blend with.
+//!
+//! TakeArm while an error is present answers `E_ERROR_PRESENT`. GiveArm while the robot moves answers `E_ROBOTISBUSY`. Commands that real controllers have and this one has not
 //! answer `E_NOTIMPL`, other names `E_INVALID_CMD_NAME`.
 
 use bcap_core::bcap::FunctionId;
@@ -62,6 +67,7 @@ use bcap_core::variant::Variant;
 
 use crate::controller::{Controller, Wait};
 use crate::dispatch::{Answer, Answered, names, system_names};
+use crate::hand;
 use crate::kinematics::{Joints, OutOfReach, figure, forward};
 use crate::motion::Path;
 use crate::options::options;
@@ -103,10 +109,6 @@ const NOT_HERE: &[&str] = &[
     "SyncTimeEnd",
     "SyncMoveStart",
     "SyncMoveEnd",
-    "ManualResetPreparation",
-    "MotionPreparation",
-    "GetMotionPreparationState",
-    "AutoCal",
     "DriveEx",
     "DriveAEx",
     "RotateH",
@@ -154,6 +156,11 @@ impl Controller {
             FunctionId::ROBOT_ACCELERATE => {
                 self.set_acceleration(peer, request.int(1), request.float(2), request.float(3))
             }
+            FunctionId::ROBOT_CHUCK | FunctionId::ROBOT_UNCHUCK if !request.text(1).to_string().trim().is_empty() => {
+                Err(HResult::E_INVALIDARG)
+            }
+            FunctionId::ROBOT_CHUCK => self.move_hand(peer, 0.0, 100.0).map(without_value),
+            FunctionId::ROBOT_UNCHUCK => self.move_hand(peer, hand::STROKE, 100.0).map(without_value),
             FunctionId::ROBOT_CHANGE => self.change(peer, &request.text(1).to_string()),
             _ => Err(HResult::E_NOTIMPL),
         }
@@ -165,6 +172,9 @@ impl Controller {
         }
         if let Some((from, to)) = conversion(command) {
             return Ok(Value::R8s(self.convert(from, to, param)?).into());
+        }
+        if let Some(answered) = self.preparation_command(peer, command) {
+            return answered;
         }
         match command.to_ascii_lowercase().as_str() {
             "takearm" => self.take_arm(peer, param),
@@ -245,7 +255,7 @@ impl Controller {
         if group != 0 || ![0, 1].contains(&keep) {
             return Err(HResult::E_INVALIDARG);
         }
-        self.may_command(peer)?;
+        self.may_execute(peer)?;
         if self.arm_owner().is_some_and(|owner| owner != peer) {
             return Err(self.refuse(HResult::E_ARM_NOT_TAKEN));
         }
@@ -292,7 +302,13 @@ impl Controller {
             return Ok(());
         }
         self.may_execute(peer)?;
-        if self.emergency_stopped() || self.torque_off {
+        if self.emergency_stopped() {
+            return Err(HResult::E_ACCESSDENIED);
+        }
+        if !self.preparation.motion {
+            return Err(self.refuse(HResult::E_MOTION_UNPREPARED));
+        }
+        if self.torque_off {
             return Err(HResult::E_ACCESSDENIED);
         }
         self.turn_motor_on();
@@ -302,7 +318,8 @@ impl Controller {
 
     /// Begins to switch the motor on, unless the emergency stop or the lack of torque keeps it off.
     pub(crate) fn turn_motor_on(&mut self) {
-        let prevented = self.emergency_stopped() || self.torque_off || self.errors.code().is_err();
+        let ready = self.preparation.motion && !self.torque_off;
+        let prevented = self.emergency_stopped() || !ready || self.errors.code().is_err();
         if self.robot.servo == Servo::Off && !prevented {
             self.robot.servo = Servo::TurningOn(self.now.saturating_add(self.config().motor_on_delay));
         }
@@ -491,6 +508,14 @@ fn conversion(command: &str) -> Option<(Kind, Kind)> {
     let (from, to) = command.split_once('2')?;
     let (from, to) = (kind(from)?, kind(to)?);
     (from != to).then_some((from, to))
+}
+
+/// Drops the empty value that commands answer and functions do not.
+fn without_value(answer: Answer) -> Answer {
+    match answer {
+        Answer::Value(_) => Answer::Done,
+        answer => answer,
+    }
 }
 
 fn done_if(done: bool) -> Answer {

@@ -18,7 +18,8 @@ pub enum Profile {
     Rc8,
     /// RC9: provider `CaoProv.DENSO.VRC9`; it has StoState and ManualReset.
     Rc9,
-    /// COBOTTA: provider `CaoProv.DENSO.VRC`; it has StoState and ManualReset, and slave mode has no HandIO.
+    /// COBOTTA: provider `CaoProv.DENSO.VRC`; it has StoState and ManualReset, has to be prepared before it moves (see
+    /// [`preparation`](crate::preparation)), and slave mode has no HandIO.
     Cobotta,
 }
 
@@ -40,6 +41,11 @@ impl Profile {
             Self::Rc9 => "RC9",
             Self::Cobotta => "COBOTTA",
         }
+    }
+
+    /// Tells whether it has to be prepared before its motor is switched on.
+    pub(crate) const fn wants_preparation(self) -> bool {
+        matches!(self, Self::Cobotta)
     }
 
     /// Tells whether the emergency stop takes the torque away until ManualReset.

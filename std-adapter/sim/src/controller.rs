@@ -11,9 +11,12 @@ use bcap_core::variant::{Encode, Variant, VariantBuf};
 
 use crate::config::{Config, Mode, Permission, Token};
 use crate::errors::{ErrorEntry, Errors};
+use crate::hand::Hand;
 use crate::kinematics::Joints;
+use crate::messages::Messages;
 use crate::motion::Ended;
 use crate::objects::Objects;
+use crate::preparation::Preparation;
 use crate::robot::{Robot, Servo};
 use crate::scenario::{Effect, Fate, Running};
 use crate::slave::{Formats, SlaveCounters, SlaveCycle, Stream};
@@ -37,6 +40,8 @@ pub(crate) enum Wait {
     Motion(u64),
     /// The motor being on.
     Servo,
+    /// The fingers of the hand being where they shall.
+    Hand,
     /// Room for a pose of slave mode.
     Stored,
     /// The end of slave mode.
@@ -57,6 +62,7 @@ pub struct Controller {
     emergency_stop: bool,
     /// RC9, COBOTTA: torque is off since an emergency stop, until ManualReset.
     pub(crate) torque_off: bool,
+    pub(crate) preparation: Preparation,
     /// `@LOCK`.
     pub(crate) locked: bool,
     pub(crate) now: Instant,
@@ -65,8 +71,10 @@ pub struct Controller {
     pub(crate) sessions: BTreeSet<PeerId>,
     pub(crate) variables: Variables,
     pub(crate) robot: Robot,
+    pub(crate) hand: Hand,
     pub(crate) tasks: Vec<Task>,
     pub(crate) errors: Errors,
+    pub(crate) messages: Messages,
     pub(crate) waits: BTreeMap<PeerId, Wait>,
     pub(crate) slave_formats: BTreeMap<PeerId, Formats>,
     pub(crate) slave_counters: SlaveCounters,
@@ -86,14 +94,17 @@ impl Controller {
             token: config.token,
             emergency_stop: false,
             torque_off: false,
+            preparation: Preparation::new(config.profile),
             locked: false,
             now: Instant::ZERO,
             objects: Objects::default(),
             sessions: BTreeSet::new(),
             variables: Variables::new(&config.sizes),
             robot: Robot::new(&config),
+            hand: Hand::new(),
             tasks: config.tasks.iter().map(task).collect(),
             errors: Errors::default(),
+            messages: Messages::default(),
             waits: BTreeMap::new(),
             slave_formats: BTreeMap::new(),
             slave_counters: SlaveCounters::default(),
@@ -128,6 +139,9 @@ impl Controller {
         if self.robot.motor_is_on() {
             self.end_waits(|wait| wait == Wait::Servo, HResult::S_OK);
         }
+        if self.hand.end(self.now).is_none() {
+            self.end_waits(|wait| wait == Wait::Hand, HResult::S_OK);
+        }
     }
 
     /// Makes happen what a scenario says that concerns no call.
@@ -156,6 +170,7 @@ impl Controller {
     pub(crate) fn press_emergency_stop(&mut self, pressed: bool) {
         if pressed && !self.emergency_stop {
             self.torque_off = self.config.profile.has_safe_torque_off();
+            self.unprepare();
             self.raise(EMERGENCY_STOP);
         }
         self.emergency_stop = pressed;
@@ -293,6 +308,8 @@ impl Controller {
         self.waits.remove(&peer);
         self.slave_formats.remove(&peer);
         self.fates.remove(&peer);
+        self.messages.forget(peer);
+        self.forget_hand(peer);
         let streams = self.robot.slave.as_ref().is_some_and(|stream| stream.peer == peer);
         if streams || self.robot.motion().is_some_and(|m| m.peer == peer) {
             self.halt();
@@ -305,7 +322,9 @@ impl Controller {
     /// Enters an error and does what its level says.
     pub(crate) fn raise(&mut self, code: HResult) {
         self.errors.raise(code, self.now);
+        self.messages.post(code, self.now);
         self.abort_motion(code);
+        self.stop_hand(code);
         if code.level().is_some_and(|level| level >= 3) {
             self.motor_off(code);
             self.tasks.iter_mut().for_each(Task::reset);
@@ -319,6 +338,7 @@ impl Controller {
         if self.emergency_stop {
             return Err(EMERGENCY_STOP);
         }
+        self.use_manual_reset()?;
         self.errors.clear();
         Ok(())
     }
@@ -393,6 +413,7 @@ impl Controller {
                 Servo::TurningOn(at) => Some(at),
                 _ => None,
             },
+            Wait::Hand => self.hand.end(self.now),
             Wait::Stored | Wait::Left => self.robot.slave.as_ref().map(Stream::next_cycle),
             Wait::Over(_) => Some(self.now),
         };

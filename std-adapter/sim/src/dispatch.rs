@@ -10,7 +10,8 @@ use bcap_core::variant::Variant;
 
 use crate::config::{Permission, Profile};
 use crate::controller::{Controller, Wait};
-use crate::objects::{Entry, Item, Target};
+use crate::hand;
+use crate::objects::{Contents, Entry, Item, Target};
 use crate::options::option;
 use crate::system::{self, Owner};
 use crate::value::{Value, keep, one_int};
@@ -128,6 +129,9 @@ impl Controller {
             Item::Robot => self.robot_call(peer, request),
             Item::Task(n) => self.task_call(peer, n, request),
             Item::Variable(target) => self.variable_call(peer, target, request),
+            Item::Extension => self.extension_call(peer, request),
+            Item::Command => self.command_call(peer, request),
+            Item::Message => self.message_call(peer, request),
             Item::File => {
                 let name = self.objects.get(peer, request.handle(), Object::File)?.name.clone();
                 self.file_call(peer, &name, request)
@@ -142,12 +146,20 @@ impl Controller {
         if !profiles.iter().any(|profile| provider.eq_ignore_ascii_case(profile.provider())) {
             return Err(HResult::E_CAO_PROV_INVALID);
         }
+        let silent =
+            option(&request.text(3).to_string(), "@EventDisable").is_some_and(|v| v.eq_ignore_ascii_case("true"));
+        self.messages.connect(peer, !silent);
         self.open(peer, Item::Controller, request.text(0).to_string())
     }
 
     /// Opens an object and answers with its handle.
     pub(crate) fn open(&mut self, peer: PeerId, item: Item, name: String) -> Answered {
-        let entry = Entry { peer, item, name, tag: None, id: None, stamp: self.now };
+        self.open_with(peer, item, name, Contents::Nothing)
+    }
+
+    /// Opens an object that keeps something of its own.
+    pub(crate) fn open_with(&mut self, peer: PeerId, item: Item, name: String, contents: Contents) -> Answered {
+        let entry = Entry { peer, item, name, contents, tag: None, id: None, stamp: self.now };
         let handle = self.objects.open(entry, self.config().max_objects)?;
         Ok(Value::I4(handle).into())
     }
@@ -160,6 +172,8 @@ impl Controller {
         Ok(Some(match name {
             "GetName" => Value::from(entry.name.as_str()).into(),
             "GetHelp" => Value::Text(help(entry)).into(),
+            // a file's are those of the file itself
+            "GetAttribute" if object == Object::File => return Ok(None),
             "GetAttribute" => Value::I4(0).into(),
             "GetTag" => entry.tag.clone().map_or(Value::Empty, Value::Kept).into(),
             "PutTag" => {
@@ -218,7 +232,26 @@ impl Controller {
             FunctionId::CONTROLLER_EXECUTE => self.controller_execute(peer, &name(), &request.value(2)),
             FunctionId::CONTROLLER_GET_FILE => self.open_file(peer, "", &name(), &request.text(2).to_string()),
             FunctionId::CONTROLLER_GET_FILE_NAMES => self.file_names(""),
-            // extensions, commands and messages
+            FunctionId::CONTROLLER_GET_EXTENSION => {
+                let wanted = name();
+                let found = wanted.trim().eq_ignore_ascii_case(hand::NAME);
+                let name = if found { hand::NAME } else { return Err(HResult::E_CAO_OBJECT_NOTFOUND) };
+                self.open(peer, Item::Extension, name.to_owned())
+            }
+            FunctionId::CONTROLLER_GET_EXTENSION_NAMES => Ok(names([hand::NAME.to_owned()])),
+            FunctionId::CONTROLLER_GET_COMMAND => self.open_command(peer, &name()),
+            FunctionId::CONTROLLER_GET_COMMAND_NAMES => Ok(names(self.command_names().map(str::to_owned))),
+            FunctionId::CONTROLLER_GET_MESSAGE => self.open_message(peer),
+            _ => Err(HResult::E_NOTIMPL),
+        }
+    }
+
+    fn extension_call(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
+        match request.function {
+            FunctionId::EXTENSION_EXECUTE if request.resumed => self.resume_execute(peer),
+            FunctionId::EXTENSION_EXECUTE => self.hand_execute(peer, &request.text(1).to_string()),
+            FunctionId::EXTENSION_GET_VARIABLE_NAMES => Ok(names([])),
+            FunctionId::EXTENSION_GET_VARIABLE => Err(HResult::E_CAO_OBJECT_NOTFOUND),
             _ => Err(HResult::E_NOTIMPL),
         }
     }
@@ -345,6 +378,9 @@ fn help(entry: &Entry) -> String {
         Item::Task(_) => "A virtual task: a loop of fixed time.".to_owned(),
         Item::Variable(Target::System(..)) => format!("The system variable {}.", entry.name),
         Item::File => format!("The file {}.", entry.name),
+        Item::Extension => "A virtual electric hand.".to_owned(),
+        Item::Command => format!("The command {} of the controller.", entry.name),
+        Item::Message => "An error of the controller.".to_owned(),
         Item::Variable(_) => format!("The user variable {}.", entry.name),
     }
 }

@@ -11,7 +11,9 @@
 //! | SysInfo                            | I4: 0               | BSTR, the serial number                          |
 //! | Motor                              | as Robot_Execute's  | as Robot_Execute's                               |
 //! | StoState                           | -                   | BOOL; RC9, COBOTTA                               |
-//! | ManualReset                        | -                   | EMPTY; likewise; `E_ACCESSDENIED` in emergency stop |
+//! | ManualReset, ResetStoState         | -                   | EMPTY; likewise; `E_ACCESSDENIED` in emergency stop |
+//! | ManualResetPreparation             | -                   | see [`preparation`](crate::preparation); COBOTTA |
+//! | HandMoveA, HandMoveH, ...          | see [`hand`](crate::hand) | likewise                                   |
 //!
 //! ```text
 //! GetCurErrorInfo  code I4, message BSTR, subcode I4, file and line I4, program BSTR, line I4, file I4
@@ -30,27 +32,29 @@ use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
 
+use crate::config::Profile;
 use crate::controller::Controller;
 use crate::dispatch::{Answer, Answered};
 use crate::errors::{ErrorEntry, description};
+use crate::hand;
 use crate::tasks::Task;
 use crate::value::{Value, one_int};
 
-/// Commands of real controllers that this one has not.
-const NOT_HERE: &[&str] = &[
-    "GetOprLogCount",
-    "GetOprLog",
-    "HandMoveA",
-    "HandMoveR",
-    "HandMoveH",
-    "HandMoveAH",
-    "HandMoveVH",
-    "HandStop",
-    "HandCurPos",
-    "HandCurLoad",
-    "SetAutoMode",
-    "ResetStoState",
+/// The commands that every model has.
+const COMMANDS: &[&str] = &[
+    "ClearError",
+    "GetErrorDescription",
+    "GetCurErrorCount",
+    "GetCurErrorInfo",
+    "GetErrorLogCount",
+    "GetErrorLog",
+    "SysState",
+    "SysInfo",
+    "Motor",
 ];
+
+/// Commands of real controllers that this one has not.
+const NOT_HERE: &[&str] = &["GetOprLogCount", "GetOprLog", "HandMoveAH", "HandMoveVH", "SetAutoMode"];
 
 /// The bits of SysState, by their numbers; those that are not here are never set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -73,7 +77,7 @@ pub enum Bit {
     EmergencyStop = 10,
     /// Auto mode is enabled; always.
     AutoEnable = 11,
-    /// The arm is calibrated; always.
+    /// The arm is calibrated; always, but for a COBOTTA before AutoCal.
     Calibrated = 17,
     /// Manual or teach check mode.
     Manual = 18,
@@ -86,6 +90,14 @@ pub enum Bit {
 impl Controller {
     pub(crate) fn controller_execute(&mut self, peer: PeerId, command: &str, param: &Variant<'_>) -> Answered {
         let known = |name: &&&str| name.eq_ignore_ascii_case(command.trim());
+        if command.trim().eq_ignore_ascii_case("ManualResetPreparation")
+            && let Some(answered) = self.preparation_command(peer, command.trim())
+        {
+            return answered;
+        }
+        if let Some(answered) = self.hand_command(peer, command.trim(), param) {
+            return answered;
+        }
         let sto = self.config().profile.has_safe_torque_off();
         let count = |n: usize| Value::I4(i32::try_from(n).unwrap_or(i32::MAX));
         let value = match command.trim().to_ascii_lowercase().as_str() {
@@ -110,8 +122,9 @@ impl Controller {
                 _ => return Err(HResult::E_NOTIMPL),
             },
             "stostate" if sto => Value::Bool(self.torque_off),
-            "manualreset" if sto && self.emergency_stopped() => return Err(HResult::E_ACCESSDENIED),
-            "manualreset" if sto => {
+            "manualreset" | "resetstostate" if sto && self.emergency_stopped() => return Err(HResult::E_ACCESSDENIED),
+            "manualreset" | "resetstostate" if sto => {
+                self.use_manual_reset()?;
                 self.torque_off = false;
                 Value::Empty
             }
@@ -120,6 +133,18 @@ impl Controller {
             _ => return Err(HResult::E_INVALID_CMD_NAME),
         };
         Ok(value.into())
+    }
+
+    /// Iterates over the commands of Controller_Execute that this controller has.
+    pub(crate) fn command_names(&self) -> impl Iterator<Item = &'static str> + use<> {
+        let profile = self.config().profile;
+        let has = |there: bool, names: &'static [&'static str]| if there { names } else { &[] };
+        COMMANDS
+            .iter()
+            .chain(has(profile.has_safe_torque_off(), &["StoState", "ManualReset", "ResetStoState"]))
+            .chain(has(profile.wants_preparation(), &["ManualResetPreparation"]))
+            .chain(has(profile == Profile::Cobotta, &hand::COMMANDS))
+            .copied()
     }
 
     /// Returns the bits of SysState.
@@ -135,7 +160,7 @@ impl Controller {
             (Bit::Continuous as u32, self.tasks.iter().any(Task::is_continuous)),
             (Bit::EmergencyStop as u32, self.emergency_stopped()),
             (Bit::AutoEnable as u32, true),
-            (Bit::Calibrated as u32, true),
+            (Bit::Calibrated as u32, self.preparation.calibrated),
             (Bit::Manual as u32, !self.is_auto()),
             (Bit::OneCycle as u32, self.tasks.iter().any(|t| t.is_running() && !t.is_continuous())),
             (Bit::Moving as u32, self.is_moving()),

@@ -14,6 +14,7 @@
 //! | File_GetDateCreated, -LastModified, ...  | DATE; what the file system does not tell is when it was modified     |
 //! | File_GetPath                             | BSTR: the folder it is in, from the root, `\` at both ends           |
 //! | File_GetSize                             | I4 in bytes; 0 for a folder                                          |
+//! | File_GetAttribute                        | I4: 1 read-only, 16 folder                                           |
 //! | File_GetType                             | BSTR: what follows the last dot of the name; `Folder`                |
 //! | File_GetVariableNames                    | an empty array: files have no variables                              |
 //! | File_Run, File_GetVariable, File_Execute | `E_NOTIMPL`                                                          |
@@ -42,6 +43,10 @@ use crate::value::Value;
 
 /// The most bytes that are read into one value: what a frame can carry.
 const LARGEST: u64 = 16 << 20;
+
+/// The bits of File_GetAttribute, as Windows numbers them.
+const READ_ONLY: i32 = 1;
+const FOLDER: i32 = 16;
 
 /// The root folder, and a path below it.
 struct Place {
@@ -164,6 +169,10 @@ impl Controller {
             FunctionId::FILE_GET_PATH => {
                 let folder = name.rsplit_once('\\').map_or("\\".to_owned(), |(folder, _)| format!("\\{folder}\\"));
                 Value::Text(folder).into()
+            }
+            FunctionId::FILE_GET_ATTRIBUTE => {
+                let bits = [(READ_ONLY, metadata.permissions().readonly()), (FOLDER, metadata.is_dir())];
+                Value::I4(bits.iter().filter(|(_, on)| *on).map(|(bit, _)| bit).sum()).into()
             }
             FunctionId::FILE_GET_SIZE if metadata.is_dir() => Value::I4(0).into(),
             FunctionId::FILE_GET_SIZE => {

@@ -13,15 +13,16 @@
 //! * An arm of six axes with its kinematics, a motor, the arm authority, motions that take their time, Halt and Hold.
 //! * Slave mode with its three modes, buffers, formats, limits and errors.
 //! * Files below a folder of this machine.
+//! * A hand, as an extension and by the commands of a COBOTTA; what a COBOTTA needs before it moves.
+//! * Command objects, and messages about the controller's errors.
 //! * Tasks that run on the clock that is given.
 //! * The emergency stop, the mode switch, the executable token and any error, for a test to throw in.
 //! * Faults by a scenario, on the wire as well as in the controller.
 //!
 //! # What answers `E_NOTIMPL`
 //!
-//! Extensions, commands and messages, arcs and free
-//! curves, Rotate, Chuck and Unchuck, Task_Delete, definitions of tools and work coordinates, hands, logs, force
-//! control. A command that no controller is known to have answers `E_INVALID_CMD_NAME`. Nothing answers `S_OK` without
+//! Arcs and free curves, Rotate, File_Run, Task_Delete, definitions of tools and work coordinates, logs of positions and
+//! of operations, force control. A command that no controller is known to have answers `E_INVALID_CMD_NAME`. Nothing answers `S_OK` without
 //! having done what it was asked.
 //!
 //! # Decisions, where the manuals are silent
@@ -33,11 +34,12 @@
 //!   must be cleared: with level 1 and 2 they stop motion and suspend tasks; from level 3 on they also switch the motor
 //!   off and reset the tasks.
 //! * A robot's name may be anything; there is one arm, and a client's `ID=` other than 0 is `E_CAO_OBJECT_NOTFOUND`.
-//! * GetAttribute answers 0. GetTag and GetID answer what PutTag and PutID have set; a user variable's ID is its index.
+//! * GetAttribute answers 0, of a file the sum of 1 (read-only) and 16 (folder). GetTag and GetID answer what PutTag and PutID have set; a user variable's ID is its index.
 //! * Variable_GetDateTime tells when the variable was last read or written through this handle.
 //!
-//! The tables of names, types and answers stand with the code: [`variables`], [`system`], [`arm`], [`execute`], [`files`],
-//! [`pose`], [`kinematics`], [`scenario`], [`slave`], [`tasks`].
+//! The tables of names, types and answers stand with the code: [`variables`], [`system`], [`arm`], [`execute`],
+//! [`commands`], [`messages`], [`files`], [`hand`], [`preparation`], [`pose`], [`kinematics`], [`scenario`], [`slave`],
+//! [`tasks`].
 //!
 //! # Examples
 //!
@@ -56,17 +58,21 @@
 //! ```
 
 pub mod arm;
+pub mod commands;
 mod config;
 mod controller;
 mod dispatch;
 mod errors;
 pub mod execute;
 pub mod files;
+pub mod hand;
 pub mod kinematics;
+pub mod messages;
 pub mod motion;
 mod objects;
 mod options;
 pub mod pose;
+pub mod preparation;
 mod robot;
 pub mod scenario;
 pub mod slave;

@@ -11,6 +11,8 @@ use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 
+use crate::commands::Command;
+use crate::messages::Message;
 use crate::system::Owner;
 use crate::variables::Family;
 
@@ -37,6 +39,19 @@ pub(crate) enum Item {
     Variable(Target),
     /// A file or a folder; its name from the root is the entry's name.
     File,
+    /// The hand.
+    Extension,
+    /// A command, whose name is the entry's.
+    Command,
+    Message,
+}
+
+/// What an object keeps of its own.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Contents {
+    Nothing,
+    Command(Command),
+    Message(Message),
 }
 
 impl Item {
@@ -47,6 +62,9 @@ impl Item {
             Self::Task(_) => Object::Task,
             Self::Variable(_) => Object::Variable,
             Self::File => Object::File,
+            Self::Extension => Object::Extension,
+            Self::Command => Object::Command,
+            Self::Message => Object::Message,
         }
     }
 }
@@ -57,6 +75,7 @@ pub(crate) struct Entry {
     pub(crate) peer: PeerId,
     pub(crate) item: Item,
     pub(crate) name: String,
+    pub(crate) contents: Contents,
     /// What PutTag has set, encoded.
     pub(crate) tag: Option<Vec<u8>>,
     /// What PutID has set, encoded; the index of a variable is in its [`Target`].
@@ -136,7 +155,15 @@ mod tests {
 
     fn entry(peer: u32) -> Entry {
         let name = String::new();
-        Entry { peer: PeerId(peer), item: Item::Robot, name, tag: None, id: None, stamp: Instant::ZERO }
+        Entry {
+            peer: PeerId(peer),
+            item: Item::Robot,
+            name,
+            contents: Contents::Nothing,
+            tag: None,
+            id: None,
+            stamp: Instant::ZERO,
+        }
     }
 
     #[test]

@@ -55,6 +55,22 @@ impl Encode for Value {
     }
 }
 
+impl Value {
+    /// Returns its encoding; nothing when it cannot be sent.
+    pub(crate) fn encoded(&self) -> Vec<u8> {
+        let mut size = 256;
+        while size <= 16 << 20 {
+            let mut buffer = vec![0; size];
+            let mut copy = ReplyValue::new(&mut buffer);
+            if copy.set(self as &dyn Encode).is_ok() {
+                return copy.as_bytes().to_vec();
+            }
+            size *= 4;
+        }
+        Vec::new()
+    }
+}
+
 impl From<&str> for Value {
     fn from(text: &str) -> Self {
         Self::Text(text.to_owned())

@@ -185,3 +185,16 @@ fn reading_alone_is_permitted_without_permission_to_write() {
     assert_eq!(rig.get("new.txt", "@Create=1"), refused);
     assert_eq!(rig.on_disk("a.pcs").as_deref(), Some("Sub Main\n"));
 }
+
+#[test]
+fn the_attribute_tells_folders_and_what_cannot_be_written() {
+    let mut rig = Rig::new();
+    let (file, folder) = (rig.open("a.pcs"), rig.open("Sub"));
+    assert_eq!(rig.call(call::file_get_attribute(file)), ok(&0));
+    assert_eq!(rig.call(call::file_get_attribute(folder)), ok(&16));
+    let path = rig.folder.path().join("a.pcs");
+    let mut permissions = fs::metadata(&path).unwrap().permissions();
+    permissions.set_readonly(true);
+    fs::set_permissions(&path, permissions).unwrap();
+    assert_eq!(rig.call(call::file_get_attribute(file)), ok(&1));
+}

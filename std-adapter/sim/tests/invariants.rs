@@ -126,6 +126,13 @@ const NAMES: &[&str] = &[
     "NEXT",
     "SPEED=20",
     "SPEED=50,NEXT",
+    "Hand0",
+    "Chuck",
+    "UnChuck",
+    "HandMoveA",
+    "HandStop",
+    "ManualResetPreparation",
+    "MotionPreparation",
 ];
 
 const POSES: &[&str] = &[
@@ -264,6 +271,8 @@ impl Run {
         self.request(peer, FunctionId::CONTROLLER_GET_ROBOT, &[&controller, &"Arm", &""]);
         self.request(peer, FunctionId::CONTROLLER_GET_TASK, &[&controller, &"Pro1", &""]);
         self.request(peer, FunctionId::CONTROLLER_GET_VARIABLE, &[&controller, &"P1", &""]);
+        self.request(peer, FunctionId::CONTROLLER_GET_EXTENSION, &[&controller, &"Hand0", &""]);
+        self.request(peer, FunctionId::CONTROLLER_GET_COMMAND, &[&controller, &"Motor", &""]);
     }
 
     fn handle(&self, peer: u32, object: Object) -> i32 {
@@ -326,14 +335,12 @@ impl Run {
             Step::Call { .. } => self.any_call(step),
             Step::Move { peer, interpolation, pose, option } => {
                 let robot = self.handle(*peer, Object::Robot);
-                self.request(*peer, FunctionId::ROBOT_EXECUTE, &[&robot, &"TakeArm", &[0, 1]]);
-                self.request(*peer, FunctionId::ROBOT_EXECUTE, &[&robot, &"Motor", &[1, 1]]);
+                self.take_arm(*peer, robot);
                 self.request(*peer, FunctionId::ROBOT_MOVE, &[&robot, interpolation, pose, option]);
             }
             Step::Slave { peer, mode, pose } => {
                 let robot = self.handle(*peer, Object::Robot);
-                self.request(*peer, FunctionId::ROBOT_EXECUTE, &[&robot, &"TakeArm", &[0, 1]]);
-                self.request(*peer, FunctionId::ROBOT_EXECUTE, &[&robot, &"Motor", &[1, 1]]);
+                self.take_arm(*peer, robot);
                 self.request(*peer, FunctionId::ROBOT_EXECUTE, &[&robot, &"slvChangeMode", mode]);
                 self.request(*peer, FunctionId::ROBOT_EXECUTE, &[&robot, &"slvMove", pose]);
             }
@@ -364,6 +371,15 @@ impl Run {
         self.check();
     }
 
+    /// Takes the arm and switches its motor on, if that is possible.
+    fn take_arm(&mut self, peer: u32, robot: i32) {
+        let commands: [(&str, &dyn Encode); 4] =
+            [("ManualResetPreparation", &()), ("MotionPreparation", &()), ("TakeArm", &[0, 1]), ("Motor", &[1, 1])];
+        for (command, param) in commands {
+            self.request(peer, FunctionId::ROBOT_EXECUTE, &[&robot, &command, &param]);
+        }
+    }
+
     fn leave(&mut self, peer: u32) {
         if self.waiting[peer as usize].take().is_some() {
             self.sim.abandoned(PeerId(peer), self.now);
@@ -377,6 +393,7 @@ impl Run {
             assert!((low - 1e-3..=high + 1e-3).contains(angle), "{:?}", self.sim.joints());
         }
         assert!(self.sim.motor_is_on() || (!self.sim.is_moving() && self.sim.slave_mode() == 0));
+        assert!((0.0..=bcap_sim::hand::STROKE).contains(&self.sim.hand_position()), "{}", self.sim.hand_position());
         assert!(self.sim.slave_mode() == 0 || (self.sim.arm_owner().is_some() && self.sim.errors().count() == 0));
         assert!(!self.sim.emergency_stopped() || (!self.sim.motor_is_on() && self.sim.errors().count() > 0));
     }
@@ -407,8 +424,8 @@ proptest! {
     #![proptest_config(ProptestConfig { cases: 128, failure_persistence: None, ..ProptestConfig::default() })]
 
     #[test]
-    fn any_calls_keep_the_controller_sound(steps in proptest::collection::vec(step(), 0..120), rc9: bool) {
-        let profile = if rc9 { Profile::Rc9 } else { Profile::Rc8 };
+    fn any_calls_keep_the_controller_sound(steps in proptest::collection::vec(step(), 0..120), model in 0..3_usize) {
+        let profile = [Profile::Rc8, Profile::Rc9, Profile::Cobotta][model];
         prop_assert_eq!(run(&steps, profile), run(&steps, profile));
     }
 }

@@ -332,14 +332,15 @@ fn what_is_not_modelled_says_so() {
     let task = world.task(client, "Pro1");
     let c = client.controller;
     assert_eq!(world.call(client.peer, call::controller_get_file(c, "a.pcs", "")), code(HResult::E_NOTIMPL));
-    assert_eq!(world.call(client.peer, call::controller_get_extension(c, "Hand0", "")), code(HResult::E_NOTIMPL));
-    assert_eq!(world.call(client.peer, call::controller_get_command(c, "x", "")), code(HResult::E_NOTIMPL));
-    assert_eq!(world.call(client.peer, call::controller_get_message(c)), code(HResult::E_NOTIMPL));
     assert_eq!(world.call(client.peer, call::controller_get_file_names(c, "")), code(HResult::E_NOTIMPL));
     assert_eq!(world.call(client.peer, call::task_delete(task, "")), code(HResult::E_NOTIMPL));
-    assert_eq!(world.call(client.peer, call::robot_chuck(client.robot, "")), code(HResult::E_NOTIMPL));
+    let rotate = call::robot_rotate(client.robot, (), 0.0, (), "");
+    assert_eq!(world.call(client.peer, rotate), code(HResult::E_NOTIMPL));
     assert_eq!(world.robot(client, "StartLog", ()), code(HResult::E_NOTIMPL));
-    assert_eq!(world.execute(client, "HandStop", ()), code(HResult::E_NOTIMPL));
+    assert_eq!(world.execute(client, "GetOprLog", 0), code(HResult::E_NOTIMPL));
+    // an RC8 has not what a COBOTTA has
+    assert_eq!(world.execute(client, "HandStop", ()), code(HResult::E_INVALID_CMD_NAME));
+    assert_eq!(world.robot(client, "MotionPreparation", ()), code(HResult::E_INVALID_CMD_NAME));
     assert_eq!(world.robot(client, "Sing", ()), code(HResult::E_INVALID_CMD_NAME));
     assert_eq!(world.execute(client, "Sing", ()), code(HResult::E_INVALID_CMD_NAME));
 }

@@ -166,7 +166,11 @@ impl Controller {
         }
         setup.errors.iter().for_each(|code| self.raise(*code));
         match setup.motor {
-            Some(true) => self.robot.servo = Servo::On,
+            Some(true) => {
+                self.preparation.motion = true;
+                self.torque_off = false;
+                self.robot.servo = Servo::On;
+            }
             Some(false) => self.motor_off(HResult::E_MOTOR_OFF),
             None => {}
         }

@@ -147,6 +147,10 @@ impl World {
     /// Opens a session that holds the arm, with the motor on and the external speed at 100 %.
     pub(crate) fn mover(&mut self, peer: u32) -> Client {
         let client = self.client(peer);
+        if self.sim.config().profile == Profile::Cobotta {
+            assert_eq!(self.robot(client, "ManualResetPreparation", ()), ok(&()));
+            assert_eq!(self.robot(client, "MotionPreparation", ()), ok(&()));
+        }
         assert_eq!(self.robot(client, "TakeArm", [0, 1]), ok(&()));
         assert_eq!(self.robot(client, "Motor", [1, 0]), ok(&()));
         assert_eq!(self.robot(client, "ExtSpeed", 100), ok(&()));

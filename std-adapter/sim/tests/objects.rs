@@ -1,0 +1,288 @@
+//! Extensions, command objects and messages over the handler of b-CAP.
+
+mod common;
+
+use bcap_core::bcap::call::{self, CommandHandle, ExtensionHandle, MessageHandle};
+use bcap_core::bcap::server::Handler as _;
+use bcap_core::handler::{Outcome, PeerId};
+use bcap_core::hresult::HResult;
+use bcap_core::time::Instant;
+use bcap_core::variant::OleDate;
+use bcap_sim::{Config, Profile, Token};
+
+use common::{Client, Reply, World, code, ok, value};
+
+fn cobotta() -> (World, Client) {
+    let mut world = World::with(Config::new(Profile::Cobotta));
+    let client = world.client(1);
+    (world, client)
+}
+
+// --- the hand
+
+fn hand(world: &mut World, client: Client) -> ExtensionHandle {
+    ExtensionHandle(world.handle(client.peer, call::controller_get_extension(client.controller, "hand0", "")))
+}
+
+#[test]
+fn the_hand_opens_and_closes_in_its_time() {
+    let mut world = World::new();
+    let client = world.client(1);
+    let names = call::controller_get_extension_names(client.controller, "");
+    assert_eq!(world.call(client.peer, names), ok(&["Hand0"][..]));
+    let other = call::controller_get_extension(client.controller, "Comm", "");
+    assert_eq!(world.call(client.peer, other), code(HResult::E_CAO_OBJECT_NOTFOUND));
+
+    let hand = hand(&mut world, client);
+    let execute = |command| call::extension_execute(hand, command, ());
+    assert_eq!(world.call(client.peer, call::extension_get_name(hand)), ok("Hand0"));
+    assert_eq!(world.call(client.peer, execute("CurPos")), ok(&0.0));
+    world.begin(client.peer, &execute("UnChuck"));
+    // 30 mm at 80 mm per second
+    world.pass(100);
+    assert!((world.sim.hand_position() - 8.0).abs() < 1e-3);
+    assert_eq!(world.run_again(client.peer, &execute("UnChuck")), ok(&()));
+    assert_eq!((world.now, world.sim.hand_position()), (Instant::from_millis(375), 30.0));
+    assert_eq!(world.call(client.peer, execute("unchuck")), ok(&()), "open already");
+    assert_eq!(world.run(client.peer, call::robot_chuck(client.robot, "")), code(HResult::S_OK));
+    assert_eq!((world.now, world.call(client.peer, execute("CurPos"))), (Instant::from_millis(750), ok(&0.0)));
+    assert_eq!(world.run(client.peer, call::robot_unchuck(client.robot, "")), code(HResult::S_OK));
+    assert_eq!(world.sim.hand_position(), 30.0);
+    assert_eq!(world.call(client.peer, call::robot_chuck(client.robot, "x")), code(HResult::E_INVALIDARG));
+    assert_eq!(world.call(client.peer, execute("Wave")), code(HResult::E_INVALID_CMD_NAME));
+    assert_eq!(world.call(client.peer, call::extension_get_variable_names(hand, "")), ok(&[""; 0][..]));
+    assert_eq!(world.call(client.peer, call::extension_release(hand)), code(HResult::S_OK));
+    assert_eq!(world.call(client.peer, execute("CurPos")), code(HResult::E_HANDLE));
+}
+
+#[test]
+fn a_cobotta_moves_its_hand_by_its_controller() {
+    let (mut world, client) = cobotta();
+    let run = |world: &mut World, command, first: f64, second: f64| {
+        let before = world.now;
+        let reply = world.run(client.peer, call::controller_execute(client.controller, command, [first, second]));
+        (reply, world.now.saturating_since(before).as_millis(), world.sim.hand_position())
+    };
+    assert_eq!(run(&mut world, "HandMoveA", 20.0, 50.0), (ok(&()), 500, 20.0));
+    assert_eq!(run(&mut world, "HandMoveR", -4.0, 100.0), (ok(&()), 50, 16.0));
+    assert_eq!(run(&mut world, "HandMoveH", 10.0, 1.0), (ok(&()), 800, 0.0));
+    assert_eq!(run(&mut world, "HandMoveH", 10.0, 0.0), (ok(&()), 1500, 30.0));
+    assert_eq!(world.execute(client, "HandCurPos", ()), ok(&30.0));
+    assert_eq!(world.execute(client, "HandCurLoad", ()), ok(&0.0));
+    for (command, first, second) in [
+        ("HandMoveA", 30.1, 50.0),
+        ("HandMoveA", -0.1, 50.0),
+        ("HandMoveA", f64::NAN, 50.0),
+        ("HandMoveA", 10.0, 0.0),
+        ("HandMoveA", 10.0, 101.0),
+        ("HandMoveR", 1.0, 50.0),
+        ("HandMoveH", 5.0, 1.0),
+        ("HandMoveH", 21.0, 1.0),
+    ] {
+        assert_eq!(run(&mut world, command, first, second), (code(HResult::E_INVALIDARG), 0, 30.0), "{command}");
+    }
+    assert_eq!(world.execute(client, "HandMoveA", 10), code(HResult::E_INVALIDARG));
+}
+
+#[test]
+fn the_hand_is_stopped_by_a_command_an_error_or_the_end_of_its_client() {
+    let (mut world, client) = cobotta();
+    let other = world.client(2);
+    let open = call::controller_execute(client.controller, "HandMoveA", [30, 10]);
+    world.begin(client.peer, &open);
+    let second = world.execute(other, "HandMoveA", [0, 10]);
+    assert_eq!(second, code(HResult::E_ROBOTISBUSY));
+    world.pass(1000);
+    assert_eq!(world.execute(other, "HandStop", ()), ok(&()));
+    assert_eq!(world.again(client.peer, &open), (Outcome::Done(HResult::E_ABORT), common::Value::EMPTY));
+    assert!((world.sim.hand_position() - 8.0).abs() < 1e-9);
+    assert_eq!(world.execute(other, "HandStop", ()), code(HResult::S_FALSE));
+
+    world.begin(client.peer, &open);
+    world.pass(500);
+    let error = HResult::from_u32(0x8150_0001);
+    world.sim.inject_error(error, world.now);
+    assert_eq!(world.again(client.peer, &open).0, Outcome::Done(error));
+    world.pass(500);
+    assert!((world.sim.hand_position() - 12.0).abs() < 1e-9);
+    assert_eq!(world.execute(client, "HandMoveA", [30, 10]), code(HResult::E_ERROR_PRESENT));
+
+    world.execute(client, "ManualResetPreparation", ());
+    world.execute(client, "ClearError", ());
+    world.sim.set_token(Token::TeachPendant);
+    assert_eq!(world.execute(client, "HandMoveA", [30, 10]), code(HResult::E_TOKEN_NOT_ETHERNET));
+    world.sim.set_token(Token::Any);
+    world.begin(client.peer, &open);
+    world.pass(500);
+    world.sim.left(client.peer, world.now);
+    world.pass(500);
+    assert!((world.sim.hand_position() - 16.0).abs() < 1e-9);
+}
+
+// --- command objects
+
+fn command(world: &mut World, client: Client, name: &str) -> CommandHandle {
+    CommandHandle(world.handle(client.peer, call::controller_get_command(client.controller, name, "")))
+}
+
+fn state(world: &mut World, client: Client, command: CommandHandle) -> Reply {
+    world.call(client.peer, call::command_get_state(command))
+}
+
+#[test]
+fn a_command_object_keeps_parameters_and_result() {
+    let mut world = World::new();
+    let client = world.client(1);
+    let description = command(&mut world, client, "geterrordescription");
+    assert_eq!(world.call(client.peer, call::command_get_name(description)), ok("GetErrorDescription"));
+    assert_eq!(state(&mut world, client, description), ok(&0));
+    assert_eq!(world.call(client.peer, call::command_get_parameters(description)), ok(&()));
+    assert_eq!(world.call(client.peer, call::command_get_result(description)), ok(&()));
+
+    let unknown = HResult::E_MOTOR_OFF.0;
+    let put = call::command_put_parameters(description, unknown);
+    assert_eq!(world.call(client.peer, put), code(HResult::S_OK));
+    assert_eq!(world.call(client.peer, call::command_get_parameters(description)), ok(&unknown));
+    let expected = world.execute(client, "GetErrorDescription", unknown);
+    assert_eq!(world.call(client.peer, call::command_execute(description, 0)), expected);
+    assert_eq!(world.call(client.peer, call::command_get_result(description)), expected);
+    assert_eq!(state(&mut world, client, description), ok(&2));
+
+    let put = call::command_put_parameters(description, "nothing");
+    assert_eq!(world.call(client.peer, put), code(HResult::S_OK));
+    let failed = code(HResult::DISP_E_TYPEMISMATCH);
+    assert_eq!(world.call(client.peer, call::command_execute(description, 1)), failed);
+    assert_eq!(world.call(client.peer, call::command_get_result(description)), failed);
+    assert_eq!(state(&mut world, client, description), ok(&3));
+    assert_eq!(world.call(client.peer, call::command_execute(description, 2)), code(HResult::E_INVALIDARG));
+    assert_eq!(world.call(client.peer, call::command_cancel(description)), code(HResult::S_FALSE));
+    assert_eq!(world.call(client.peer, call::command_release(description)), code(HResult::S_OK));
+    assert_eq!(state(&mut world, client, description), code(HResult::E_HANDLE));
+}
+
+#[test]
+fn the_names_of_commands_are_those_that_can_be_opened_and_executed() {
+    for (profile, count) in [(Profile::Rc8, 9), (Profile::Rc9, 12), (Profile::Cobotta, 19)] {
+        let mut world = World::with(Config::new(profile));
+        let client = world.client(1);
+        let (_, names) = world.call(client.peer, call::controller_get_command_names(client.controller, ""));
+        let names: Vec<String> =
+            names.as_variant().as_array().unwrap().iter().map(|name| name.as_bstr().unwrap().to_string()).collect();
+        assert_eq!(names.len(), count, "{profile:?}: {names:?}");
+        for name in names {
+            let opened = command(&mut world, client, &name);
+            let reply = world.run(client.peer, call::command_execute(opened, 0)).0;
+            let unknown = [HResult::E_NOTIMPL, HResult::E_INVALID_CMD_NAME].contains(&reply);
+            assert!(!unknown, "{profile:?}: {name} answers {reply}");
+        }
+        let other = call::controller_get_command(client.controller, "GetOprLog", "");
+        assert_eq!(world.call(client.peer, other), code(HResult::E_CAO_OBJECT_NOTFOUND));
+    }
+}
+
+#[test]
+fn a_command_that_takes_time_is_waited_for_or_not() {
+    let mut world = World::new();
+    let client = world.client(1);
+    let motor = command(&mut world, client, "Motor");
+    world.call(client.peer, call::command_put_parameters(motor, 1));
+    assert_eq!(world.run(client.peer, call::command_execute(motor, 0)), ok(&()));
+    assert_eq!((world.now, state(&mut world, client, motor)), (Instant::from_millis(300), ok(&2)));
+
+    world.robot(client, "Motor", 0);
+    assert_eq!(world.call(client.peer, call::command_execute(motor, 1)), code(HResult::S_OK));
+    assert_eq!(state(&mut world, client, motor), ok(&1));
+    assert_eq!(world.call(client.peer, call::command_execute(motor, 1)), code(HResult::E_CAO_CMD_EXECUTE));
+    world.pass(299);
+    assert_eq!((state(&mut world, client, motor), world.sim.motor_is_on()), (ok(&1), false));
+    world.pass(1);
+    assert_eq!((state(&mut world, client, motor), world.sim.motor_is_on()), (ok(&2), true));
+
+    world.robot(client, "Motor", 0);
+    world.call(client.peer, call::command_execute(motor, 1));
+    assert_eq!(world.call(client.peer, call::command_cancel(motor)), code(HResult::S_OK));
+    world.pass(1000);
+    assert_eq!((state(&mut world, client, motor), world.sim.motor_is_on()), (ok(&3), false));
+    assert_eq!(world.call(client.peer, call::command_get_result(motor)), code(HResult::E_CANCEL));
+
+    world.call(client.peer, call::command_execute(motor, 1));
+    world.sim.emergency_stop(true, world.now);
+    assert_eq!(state(&mut world, client, motor), ok(&3));
+}
+
+#[test]
+fn the_timeout_of_a_command_ends_the_waiting_but_not_the_command() {
+    let mut world = World::new();
+    let client = world.client(1);
+    let motor = command(&mut world, client, "Motor");
+    world.call(client.peer, call::command_put_parameters(motor, 1));
+    assert_eq!(world.call(client.peer, call::command_get_timeout(motor)), ok(&0));
+    assert_eq!(world.call(client.peer, call::command_put_timeout(motor, -1)), code(HResult::E_INVALIDARG));
+    assert_eq!(world.call(client.peer, call::command_put_timeout(motor, 120)), code(HResult::S_OK));
+    assert_eq!(world.call(client.peer, call::command_get_timeout(motor)), ok(&120));
+    assert_eq!(world.run(client.peer, call::command_execute(motor, 0)), code(HResult::E_TIMEOUT));
+    assert_eq!((world.now, world.sim.motor_is_on()), (Instant::from_millis(120), false));
+    assert_eq!(state(&mut world, client, motor), ok(&1));
+    world.pass(180);
+    assert_eq!((state(&mut world, client, motor), world.sim.motor_is_on()), (ok(&2), true));
+}
+
+// --- messages
+
+fn fetch(world: &mut World, client: Client) -> MessageHandle {
+    MessageHandle(world.handle(client.peer, call::controller_get_message(client.controller)))
+}
+
+#[test]
+fn each_error_is_a_message_to_each_client() {
+    let mut world = World::with(Config { wall_clock_origin_ms: 1_700_000_000_000, ..Config::default() });
+    let clients = [world.client(1), world.client(2)];
+    for client in clients {
+        assert_eq!(world.call(client.peer, call::controller_get_message(client.controller)), code(HResult::S_FALSE));
+    }
+    let errors = [HResult::from_u32(0x8420_4043), HResult::E_COMMAND_BUFFER_EMPTY];
+    for (n, error) in (1..).zip(errors) {
+        world.sim.inject_error(error, Instant::from_millis(n * 1000));
+    }
+    world.now = Instant::from_millis(5000);
+    for client in clients {
+        for (n, error) in (1..).zip(errors) {
+            let message = fetch(&mut world, client);
+            let (_, text) = world.execute(client, "GetErrorDescription", error);
+            assert_eq!(world.call(client.peer, call::message_get_number(message)), ok(&error.0));
+            assert_eq!(world.call(client.peer, call::message_get_value(message)), ok(&error.0));
+            assert_eq!(world.call(client.peer, call::message_get_description(message)), (HResult::S_OK, text));
+            let date = OleDate::from_unix_millis(1_700_000_000_000 + i64::from(n) * 1000).unwrap();
+            assert_eq!(world.call(client.peer, call::message_get_date_time(message)), ok(&date));
+            assert_eq!(world.call(client.peer, call::message_get_serial_number(message)), ok(&n));
+            assert_eq!(world.call(client.peer, call::message_get_source(message)), ok("RC8"));
+            assert_eq!(world.call(client.peer, call::message_get_destination(message)), ok(""));
+            assert_eq!(world.call(client.peer, call::message_reply(message, 1)), code(HResult::S_FALSE));
+            assert_eq!(world.call(client.peer, call::message_clear(message)), code(HResult::S_OK));
+            assert_eq!(world.call(client.peer, call::message_release(message)), code(HResult::S_OK));
+        }
+        assert_eq!(world.call(client.peer, call::controller_get_message(client.controller)), code(HResult::S_FALSE));
+    }
+}
+
+#[test]
+fn messages_are_bounded_and_only_for_those_that_want_them() {
+    let mut world = World::new();
+    let client = world.client(1);
+    let silent = PeerId(2);
+    world.call(silent, call::service_start(""));
+    let connect = call::controller_connect("", "CaoProv.DENSO.VRC", "localhost", "@EventDisable=True,Wpj=*");
+    let controller = call::ControllerHandle(world.handle(silent, connect));
+    for n in 0..100 {
+        world.sim.inject_error(HResult::from_u32(0x8150_0000 + n), world.now);
+    }
+    assert_eq!(world.call(silent, call::controller_get_message(controller)), code(HResult::S_FALSE));
+    for n in 36..100_i32 {
+        let message = fetch(&mut world, client);
+        assert_eq!(world.call(client.peer, call::message_get_serial_number(message)), ok(&(n + 1)));
+        world.call(client.peer, call::message_release(message));
+    }
+    assert_eq!(world.call(client.peer, call::controller_get_message(client.controller)).1, value(&()));
+    let late = world.client(3);
+    assert_eq!(world.call(late.peer, call::controller_get_message(late.controller)), code(HResult::S_FALSE));
+}

@@ -1,0 +1,110 @@
+//! What a COBOTTA needs before it moves, and that other models do not.
+
+mod common;
+
+use bcap_core::hresult::HResult;
+use bcap_sim::{Bit, Config, EMERGENCY_STOP, Profile, Token};
+
+use common::{Client, World, code, ok};
+
+fn cobotta() -> (World, Client) {
+    let mut world = World::with(Config::new(Profile::Cobotta));
+    let client = world.client(1);
+    (world, client)
+}
+
+fn calibrated(world: &mut World, client: Client) -> bool {
+    let (_, state) = world.execute(client, "SysState", ());
+    state.as_variant().as_i32().unwrap() & 1 << Bit::Calibrated as u32 != 0
+}
+
+#[test]
+fn the_motor_wants_the_motion_prepared_and_that_the_manual_reset() {
+    let (mut world, client) = cobotta();
+    assert_eq!(world.robot(client, "GetMotionPreparationState", ()), ok(&false));
+    assert_eq!(world.robot(client, "Motor", 1), code(HResult::E_MOTION_UNPREPARED));
+    assert_eq!(world.robot(client, "MotionPreparation", ()), code(HResult::E_MANUAL_RESET_UNPREPARED));
+    assert_eq!(world.robot(client, "ManualResetPreparation", ""), ok(&()));
+    assert_eq!(world.robot(client, "Motionpreparation", ""), ok(&()));
+    assert_eq!(world.robot(client, "GetMotionPreparationState", ()), ok(&true));
+    assert_eq!(world.robot(client, "Motor", 1), ok(&()));
+    assert!(world.sim.motor_is_on());
+    // one preparation is for one command
+    assert_eq!(world.robot(client, "MotionPreparation", ()), code(HResult::E_MANUAL_RESET_UNPREPARED));
+}
+
+#[test]
+fn errors_are_cleared_behind_a_preparation_only() {
+    let (mut world, client) = cobotta();
+    world.sim.inject_error(HResult::from_u32(0x8350_0001), world.now);
+    for _ in 0..2 {
+        assert_eq!(world.execute(client, "ClearError", ()), code(HResult::E_MANUAL_RESET_UNPREPARED));
+        assert_eq!(world.put(client, "@ERROR_CODE", 0), HResult::E_MANUAL_RESET_UNPREPARED);
+    }
+    assert_eq!(world.sim.errors().count(), 1);
+    // the controller has the command as well as the robot
+    assert_eq!(world.execute(client, "ManualResetPreparation", ()), ok(&()));
+    assert_eq!(world.robot(client, "AutoCal", ()), code(HResult::E_ERROR_PRESENT));
+    assert_eq!(world.robot(client, "MotionPreparation", ()), code(HResult::E_ERROR_PRESENT), "it uses up nothing");
+    assert_eq!(world.execute(client, "ClearError", ()), ok(&()));
+    assert_eq!(world.execute(client, "ClearError", ()), code(HResult::E_MANUAL_RESET_UNPREPARED));
+}
+
+#[test]
+fn an_emergency_stop_undoes_the_preparation() {
+    let (mut world, client) = cobotta();
+    let _ = world.mover(2);
+    assert_eq!(world.execute(client, "StoState", ()), ok(&false));
+    world.sim.emergency_stop(true, world.now);
+    assert_eq!(world.robot(client, "GetMotionPreparationState", ()), ok(&false));
+    assert_eq!(world.execute(client, "StoState", ()), ok(&true));
+    world.robot(client, "ManualResetPreparation", ());
+    assert_eq!(world.execute(client, "ClearError", ()), code(EMERGENCY_STOP));
+    world.sim.emergency_stop(false, world.now);
+    assert_eq!(world.execute(client, "ClearError", ()), ok(&()), "the refused one has used up nothing");
+    assert_eq!(world.robot(client, "Motor", 1), code(HResult::E_MOTION_UNPREPARED));
+    world.robot(client, "ManualResetPreparation", ());
+    assert_eq!(world.robot(client, "MotionPreparation", ()), ok(&()));
+    assert_eq!(world.execute(client, "StoState", ()), ok(&false));
+    assert_eq!(world.robot(client, "Motor", 1), ok(&()));
+}
+
+#[test]
+fn calibrating_needs_the_token_and_is_told_by_sys_state() {
+    let (mut world, client) = cobotta();
+    assert!(!calibrated(&mut world, client));
+    world.sim.set_token(Token::TeachPendant);
+    assert_eq!(world.robot(client, "AutoCal", ()), code(HResult::E_TOKEN_NOT_ETHERNET));
+    world.sim.set_token(Token::Any);
+    assert_eq!(world.robot(client, "AutoCal", ()), ok(&()));
+    assert!(calibrated(&mut world, client));
+}
+
+#[test]
+fn other_models_have_nothing_to_prepare() {
+    for profile in [Profile::Rc8, Profile::Rc9] {
+        let mut world = World::with(Config::new(profile));
+        let client = world.client(1);
+        assert!(calibrated(&mut world, client));
+        for command in ["ManualResetPreparation", "MotionPreparation", "GetMotionPreparationState", "AutoCal"] {
+            assert_eq!(world.robot(client, command, ()), code(HResult::E_INVALID_CMD_NAME), "{profile:?}: {command}");
+        }
+        assert_eq!(world.robot(client, "Motor", 1), ok(&()));
+        assert_eq!(world.execute(client, "ClearError", ()), ok(&()));
+    }
+}
+
+#[test]
+fn an_rc9_is_reset_by_either_name_of_the_command() {
+    for command in ["ManualReset", "ResetStoState"] {
+        let mut world = World::with(Config::new(Profile::Rc9));
+        let client = world.client(1);
+        world.sim.emergency_stop(true, world.now);
+        assert_eq!(world.execute(client, command, ()), code(HResult::E_ACCESSDENIED));
+        world.sim.emergency_stop(false, world.now);
+        assert_eq!(world.execute(client, "ClearError", ()), ok(&()));
+        assert_eq!(world.robot(client, "Motor", 1), code(HResult::E_ACCESSDENIED));
+        assert_eq!(world.execute(client, command, ()), ok(&()));
+        assert_eq!(world.robot(client, "Motor", 1), ok(&()));
+    }
+}
