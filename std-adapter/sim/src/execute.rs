@@ -13,7 +13,7 @@
 //! | StoState                           | -                   | BOOL; RC9, COBOTTA                               |
 //! | ManualReset, ResetStoState         | -                   | EMPTY; likewise; `E_ACCESSDENIED` in emergency stop |
 //! | ManualResetPreparation             | -                   | see [`preparation`](crate::preparation); COBOTTA |
-//! | HandMoveA, HandMoveH, ...          | see [`hand`](crate::hand) | likewise                                   |
+//! | HandMoveA, HandMoveH, ...          | see [`hand`]        | likewise                                         |
 //!
 //! ```text
 //! GetCurErrorInfo  code I4, message BSTR, subcode I4, file and line I4, program BSTR, line I4, file I4
