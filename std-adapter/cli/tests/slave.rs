@@ -180,7 +180,7 @@ fn the_first_error_is_named() {
     assert_at_rest(&sim, 1);
     // what the controller still holds against it is said as well
     let run = slave(&sim, &["cosine", "--yes"]);
-    assert!(run.code == 1 && run.err.contains("Motor: refused") && run.err.contains("0x84204043"), "{run:?}");
+    assert!(run.code == 1 && run.err.contains("TakeArm: refused") && run.err.contains("0x84204043"), "{run:?}");
 }
 
 #[test]
