@@ -114,7 +114,7 @@ impl<'b> Writer<'b> {
     /// # Errors
     ///
     /// [`EncodeError::Full`] when they do not fit; nothing is written then.
-    #[inline]
+    #[cfg_attr(target_os = "none", inline(never))]
     pub fn put_slice(&mut self, bytes: &[u8]) -> Result<(), EncodeError> {
         self.reserve(bytes.len())?.copy_from_slice(bytes);
         Ok(())
@@ -138,10 +138,11 @@ impl<'b> Writer<'b> {
     }
 
     /// Runs `body`, and puts the number of bytes that it appended, as a u32, in front of them.
-    #[inline]
+    // on a board one copy of it is enough, elsewhere a call would cost more
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     pub(crate) fn length_prefixed(
         &mut self,
-        body: impl FnOnce(&mut Self) -> Result<(), EncodeError>,
+        body: &dyn Fn(&mut Self) -> Result<(), EncodeError>,
     ) -> Result<(), EncodeError> {
         let at = self.len;
         self.put([0; 4])?;
@@ -162,7 +163,7 @@ impl<'b> Writer<'b> {
 }
 
 /// Splits a length-prefixed byte string off.
-#[inline]
+#[cfg_attr(target_os = "none", inline(never))]
 pub(crate) fn length_prefixed<'a>(r: &mut Reader<'a>) -> Option<&'a [u8]> {
     let len = r.u32()?;
     r.slice(to_usize(len))

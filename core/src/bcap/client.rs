@@ -22,6 +22,7 @@
 use core::fmt;
 use core::time::Duration;
 
+use crate::bcap::FunctionId;
 use crate::bcap::call::{Call, Reply, ReplyError};
 use crate::bcap::frame::{Frame, FrameWriter, MIN_FRAME, renumber};
 use crate::bcap::link::{Inbox, Link, OnMalformed, Received, Span};
@@ -252,15 +253,30 @@ impl<T: Storage, R: Storage> Client<T, R> {
     /// [`ClientError::Busy`] while a call is in flight or part of an abandoned one is unsent, [`ClientError::Closed`]
     /// after the session ended, [`ClientError::TooLarge`] before anything over the link's limit is sent.
     pub fn start<C: Call + ?Sized>(&mut self, call: &C, now: Instant) -> Result<(), ClientError> {
+        self.start_any(call.prepared(), call.function(), &|frame| call.arguments(frame), now)
+    }
+
+    /// Begins a call of any kind; there is one copy of this in an image, however many kinds of calls it makes.
+    fn start_any(
+        &mut self,
+        prepared: Option<&[u8]>,
+        function: FunctionId,
+        arguments: Arguments<'_>,
+        now: Instant,
+    ) -> Result<(), ClientError> {
         self.state.check_idle()?;
         self.reply = None;
-        let (config, serial) = (self.state.config, self.state.take_serial());
-        let reserved = if config.link.is_lossy() { serial } else { 0 };
-        let max = config.link.send_max();
+        let (link, serial) = (self.state.config.link, self.state.take_serial());
+        let reserved = if link.is_lossy() { serial } else { 0 };
+        let max = link.send_max();
         let len = loop {
             let room = self.tx.bytes().len().min(max);
             let memory = self.tx.bytes_mut().get_mut(..room).unwrap_or_default();
-            match encode(call, memory, &config, serial, reserved) {
+            let encoded = match prepared.filter(|_| link != Link::Serial) {
+                Some(prepared) => encode_prepared(prepared, memory, serial, reserved),
+                None => encode(function, arguments, memory, link, serial, reserved),
+            };
+            match encoded {
                 Ok(len) => break len,
                 // memory that can grow does so, up to the link's limit
                 Err(EncodeError::Full) if room < max && self.tx.grow(room.saturating_mul(2).clamp(MIN_FRAME, max)) => {}
@@ -398,24 +414,28 @@ impl<T: Storage, R: Storage> Client<T, R> {
     }
 }
 
-fn encode<C: Call + ?Sized>(
-    call: &C,
+/// What appends the arguments of a call.
+type Arguments<'a> = &'a dyn Fn(&mut FrameWriter<'_>) -> Result<(), EncodeError>;
+
+fn encode(
+    function: FunctionId,
+    arguments: Arguments<'_>,
     memory: &mut [u8],
-    config: &Config,
+    link: Link,
     serial: u16,
     reserved: u16,
 ) -> Result<usize, EncodeError> {
-    if config.link != Link::Serial
-        && let Some(prepared) = call.prepared()
-    {
-        let frame = memory.get_mut(..prepared.len()).ok_or(EncodeError::Full)?;
-        frame.copy_from_slice(prepared);
-        renumber(frame, serial, reserved, false);
-        return Ok(prepared.len());
-    }
-    let mut frame = FrameWriter::new(memory)?.with_crc(config.link == Link::Serial);
-    call.arguments(&mut frame)?;
-    frame.finish(serial, reserved, call.function().0).map(<[u8]>::len)
+    let mut frame = FrameWriter::new(memory)?.with_crc(link == Link::Serial);
+    arguments(&mut frame)?;
+    frame.finish(serial, reserved, function.0).map(<[u8]>::len)
+}
+
+/// Copies a frame that was made before.
+fn encode_prepared(prepared: &[u8], memory: &mut [u8], serial: u16, reserved: u16) -> Result<usize, EncodeError> {
+    let frame = memory.get_mut(..prepared.len()).ok_or(EncodeError::Full)?;
+    frame.copy_from_slice(prepared);
+    renumber(frame, serial, reserved, false);
+    Ok(prepared.len())
 }
 
 impl State {

@@ -493,8 +493,15 @@ impl<'b> FrameWriter<'b> {
     /// [`EncodeError::Full`] when it does not fit.
     #[inline]
     pub fn argument<T: Encode + ?Sized>(&mut self, value: &T) -> Result<(), EncodeError> {
+        self.argument_of_any_type(&value)
+    }
+
+    /// Appends an argument; there is one copy of this in an image, however many types it sends.
+    // elsewhere than on a board a call would cost more
+    #[cfg_attr(not(target_os = "none"), inline(always))]
+    fn argument_of_any_type(&mut self, value: &dyn Encode) -> Result<(), EncodeError> {
         self.arguments = self.arguments.wrapping_add(1);
-        self.out.length_prefixed(|out| value.encode(out))
+        self.out.length_prefixed(&|out| value.encode(out))
     }
 
     /// Fills the header in, closes the frame and returns its bytes.

@@ -126,12 +126,12 @@ impl State {
             let Some(at) = new.iter().position(|b| *b == CR) else {
                 return self.unfinished(buffer);
             };
-            let end = self.scanned.saturating_add(at);
+            let end = self.scanned.wrapping_add(at);
             let mut from = self.start;
             while from < end && buffer.get(from) == Some(&b'\n') {
-                from = from.saturating_add(1);
+                from = from.wrapping_add(1);
             }
-            self.start = end.saturating_add(1);
+            self.start = end.wrapping_add(1);
             self.scanned = self.start;
             if !core::mem::take(&mut self.dropping) {
                 self.line = (from, end);
@@ -143,14 +143,14 @@ impl State {
     /// Goes on when there is no CR in the buffer.
     fn unfinished(&mut self, buffer: &[u8]) -> Option<Framed> {
         while self.start < self.end && buffer.get(self.start) == Some(&b'\n') {
-            self.start = self.start.saturating_add(1);
+            self.start = self.start.wrapping_add(1);
         }
         self.scanned = self.end;
         if self.dropping {
             self.start = self.end;
             return None;
         }
-        if self.end.saturating_sub(self.start) < buffer.len() {
+        if self.end.wrapping_sub(self.start) < buffer.len() {
             return None;
         }
         self.line = (self.start, self.end);
@@ -167,8 +167,8 @@ impl State {
         if let Some(used) = buffer.get_mut(..self.end) {
             crate::storage::shift_down(used, self.start);
         }
-        self.end = self.end.saturating_sub(self.start);
-        self.scanned = self.scanned.saturating_sub(self.start);
+        self.end = self.end.wrapping_sub(self.start);
+        self.scanned = self.scanned.wrapping_sub(self.start);
         self.start = 0;
         self.line = (0, 0);
     }

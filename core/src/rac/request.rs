@@ -78,7 +78,7 @@ impl VariableKind {
     }
 
     fn from_word(word: &[u8]) -> Option<Self> {
-        Self::ALL.into_iter().find(|kind| kind.name().as_bytes().eq_ignore_ascii_case(word))
+        Self::ALL.into_iter().find(|kind| is(word, kind.name()))
     }
 
     /// Returns the type of the variable's value.
@@ -250,23 +250,39 @@ pub enum Verb {
     Put,
 }
 
+impl Verb {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Get => "GET",
+            Self::Put => "PUT",
+        }
+    }
+}
+
 /// Writes `GET` or `PUT`.
 impl fmt::Display for Verb {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Get => "GET",
-            Self::Put => "PUT",
-        })
+        f.write_str(self.name())
     }
 }
 
 /// `request = blanks verb ":" part ":" index ":" kind ":" [ blanks value ]`
 pub(super) fn read(line: &[u8], out: &mut Writer<'_>) -> Result<(Verb, Variable), Fault> {
     let (rest, ()) = blanks(line)?;
-    let (rest, verb) = field(rest, RequestPart::Verb, TextErrorKind::Verb, verb)?;
-    let (rest, ()) = field(rest, RequestPart::PartName, TextErrorKind::PartName, part_name)?;
-    let (rest, index) = field(rest, RequestPart::Index, TextErrorKind::Index, index)?;
-    let (rest, kind) = field(rest, RequestPart::VariableType, TextErrorKind::VariableType, VariableKind::from_word)?;
+    let (word, behind) = word(rest);
+    let verb = verb(word).ok_or(Fault::new(TextErrorKind::Verb, rest))?;
+    let rest = colon(behind, RequestPart::Verb)?;
+    let (word, behind) = self::word(rest);
+    if !is(word, PART) {
+        return Err(Fault::new(TextErrorKind::PartName, rest));
+    }
+    let rest = colon(behind, RequestPart::PartName)?;
+    let (word, behind) = self::word(rest);
+    let index = index(word).ok_or(Fault::new(TextErrorKind::Index, rest))?;
+    let rest = colon(behind, RequestPart::Index)?;
+    let (word, behind) = self::word(rest);
+    let kind = VariableKind::from_word(word).ok_or(Fault::new(TextErrorKind::VariableType, rest))?;
+    let rest = colon(behind, RequestPart::VariableType)?;
     let (rest, ()) = blanks(rest)?;
     match (verb, rest) {
         (Verb::Get, []) => {}
@@ -279,16 +295,16 @@ pub(super) fn read(line: &[u8], out: &mut Writer<'_>) -> Result<(Verb, Variable)
 
 /// `verb = "GET" | "PUT"`, in any case
 fn verb(word: &[u8]) -> Option<Verb> {
-    match word {
-        _ if word.eq_ignore_ascii_case(b"GET") => Some(Verb::Get),
-        _ if word.eq_ignore_ascii_case(b"PUT") => Some(Verb::Put),
-        _ => None,
-    }
+    [Verb::Get, Verb::Put].into_iter().find(|verb| is(word, verb.name()))
 }
 
 /// `part = "RC8"`, in any case
-fn part_name(word: &[u8]) -> Option<()> {
-    word.eq_ignore_ascii_case(b"RC8").then_some(())
+const PART: &str = "RC8";
+
+/// Compares a word without regard to the case of its letters.
+#[cfg_attr(target_os = "none", inline(never))]
+fn is(word: &[u8], name: &str) -> bool {
+    word.eq_ignore_ascii_case(name.as_bytes())
 }
 
 /// `index = digits`
@@ -298,18 +314,17 @@ fn index(word: &[u8]) -> Option<u32> {
     rest.iter().try_fold(digit(first)?, |n, b| n.checked_mul(10)?.checked_add(digit(b)?))
 }
 
-/// A word and its colon.
-fn field<T>(
-    text: &[u8],
-    part: RequestPart,
-    wrong: TextErrorKind,
-    read: impl Fn(&[u8]) -> Option<T>,
-) -> Result<(&[u8], T), Fault> {
+/// Splits off what stands in front of the next colon.
+#[cfg_attr(target_os = "none", inline(never))]
+fn word(text: &[u8]) -> (&[u8], &[u8]) {
     let len = text.iter().position(|b| *b == b':').unwrap_or(text.len());
-    let (word, rest) = text.split_at_checked(len).unwrap_or((text, &[]));
-    let read = read(word).ok_or(Fault::new(wrong, text))?;
-    match rest.split_first() {
-        Some((_, rest)) => Ok((rest, read)),
-        None => Err(Fault::new(TextErrorKind::Colon(part), rest)),
+    text.split_at_checked(len).unwrap_or((text, &[]))
+}
+
+/// The colon behind a word.
+fn colon(text: &[u8], part: RequestPart) -> Result<&[u8], Fault> {
+    match text.split_first() {
+        Some((_, rest)) => Ok(rest),
+        None => Err(Fault::new(TextErrorKind::Colon(part), text)),
     }
 }

@@ -3,7 +3,7 @@
 //! Everything that can be sent implements [`Encode`]; what that writes is canonical (a scalar's count is 1, BOOL is -1
 //! or 0), whatever a value came from.
 
-use super::{Array, Bstr, Currency, Nested, Null, OleDate, Scalar, VarType, Variant};
+use super::{Array, Bstr, Currency, Layout, Nested, Null, OleDate, Scalar, VarType, Variant};
 use crate::error::EncodeError;
 use crate::hresult::HResult;
 use crate::num::to_u32;
@@ -56,7 +56,8 @@ pub trait Element {
 }
 
 /// Appends type and count.
-#[inline]
+#[cfg_attr(target_os = "none", inline(never))]
+#[cfg_attr(not(target_os = "none"), inline)]
 pub(super) fn head(vartype: VarType, count: u32, out: &mut Writer<'_>) -> Result<(), EncodeError> {
     let [t0, t1] = vartype.0.to_le_bytes();
     let [c0, c1, c2, c3] = count.to_le_bytes();
@@ -134,7 +135,7 @@ impl Element for &str {
             }
         }
         out.truncate(start);
-        out.length_prefixed(|out| self.encode_utf16().try_for_each(|unit| out.put(unit.to_le_bytes())))
+        out.length_prefixed(&|out| self.encode_utf16().try_for_each(|unit| out.put(unit.to_le_bytes())))
     }
 }
 
@@ -229,27 +230,48 @@ encode_tuples! {
 impl Encode for Variant<'_> {
     fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
         match self {
-            Self::Empty => ().encode(out),
-            Self::Null => Null.encode(out),
-            Self::I2(n) => n.encode(out),
-            Self::I4(n) => n.encode(out),
-            Self::R4(n) => n.encode(out),
-            Self::R8(n) => n.encode(out),
-            Self::Cy(n) => n.encode(out),
-            Self::Date(n) => n.encode(out),
-            Self::Bstr(text) => text.encode(out),
-            Self::Error(n) => n.encode(out),
-            Self::Bool(n) => n.encode(out),
             Self::Nested(nested) => nested.encode(out),
-            Self::Ui1(n) => n.encode(out),
-            Self::Ui2(n) => n.encode(out),
-            Self::Ui4(n) => n.encode(out),
-            Self::I8(n) => n.encode(out),
-            Self::Ui8(n) => n.encode(out),
             Self::Array(array) => array.encode(out),
             Self::Opaque(opaque) => Err(EncodeError::Unsendable(opaque.vartype.0)),
+            scalar => {
+                head(scalar.vartype(), 1, out)?;
+                put_scalar(scalar, out)
+            }
         }
     }
+}
+
+/// Appends the data of a value that is neither an array nor a VARIANT.
+fn put_scalar(value: &Variant<'_>, out: &mut Writer<'_>) -> Result<(), EncodeError> {
+    // all numbers by way of the same 64 bits: a copy of the code for each type would be 1 KiB
+    let bits = match *value {
+        Variant::I2(n) => u64::from(n.cast_unsigned()),
+        Variant::I4(n) | Variant::Error(HResult(n)) => u64::from(n.cast_unsigned()),
+        Variant::R4(n) => u64::from(n.to_bits()),
+        Variant::R8(n) => n.to_bits(),
+        Variant::Cy(n) => n.raw().cast_unsigned(),
+        Variant::Date(n) => n.raw().to_bits(),
+        Variant::Bool(n) => u64::from(n).wrapping_neg(),
+        Variant::Ui1(n) => u64::from(n),
+        Variant::Ui2(n) => u64::from(n),
+        Variant::Ui4(n) => u64::from(n),
+        Variant::I8(n) => n.cast_unsigned(),
+        Variant::Ui8(n) => n,
+        Variant::Bstr(text) => return text.put(out),
+        Variant::Empty | Variant::Null | Variant::Nested(_) | Variant::Array(_) | Variant::Opaque(_) => return Ok(()),
+    };
+    match value.vartype().layout() {
+        Layout::Fixed(width) => put_bits(bits, width, out),
+        _ => Ok(()),
+    }
+}
+
+/// Appends the lower bytes of `bits`, at most 8.
+pub(super) fn put_bits(bits: u64, width: u8, out: &mut Writer<'_>) -> Result<(), EncodeError> {
+    for (slot, byte) in out.reserve(usize::from(width))?.iter_mut().zip(bits.to_le_bytes()) {
+        *slot = byte;
+    }
+    Ok(())
 }
 
 /// Makes a scalar VARIANT of the value inside.
@@ -265,8 +287,7 @@ impl Encode for Array<'_> {
     fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
         head(self.element().array_of(), to_u32(self.len()), out)?;
         match self.element() {
-            VarType::BOOL => self.iter().try_for_each(|b| b.as_bool().unwrap_or(false).put(out)),
-            VarType::BSTR => self.iter().try_for_each(|s| s.as_bstr().unwrap_or_default().put(out)),
+            VarType::BOOL | VarType::BSTR => self.iter().try_for_each(|element| put_scalar(&element, out)),
             VarType::VARIANT => self.iter().try_for_each(|value| value.encode(out)),
             _ => out.put_slice(self.as_bytes()),
         }

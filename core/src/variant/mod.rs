@@ -49,6 +49,7 @@ mod array;
 mod bstr;
 mod buf;
 mod encode;
+mod float;
 mod scalar;
 pub(crate) mod text;
 
@@ -340,23 +341,31 @@ impl<'a> Variant<'a> {
 
     /// Splits the data of a value off that is neither an array nor a VARIANT, and views it.
     fn read_data(vartype: VarType, r: &mut Reader<'a>) -> Self {
+        // what most numbers are
         match vartype {
-            VarType::EMPTY => Self::Empty,
+            VarType::I4 => return Self::I4(r.array().map_or(0, i32::from_le_bytes)),
+            VarType::R4 => return Self::R4(r.array().map_or(0.0, f32::from_le_bytes)),
+            _ => {}
+        }
+        // all other numbers by way of the same 8 bytes: a copy of the code for each type would be large
+        let bytes = match vartype.layout() {
+            Layout::Fixed(width) => next(width, r),
+            _ => return Self::Bstr(Bstr::truncated(crate::wire::length_prefixed(r).unwrap_or_default())),
+        };
+        let [a, b, c, d, ..] = bytes;
+        match vartype {
             VarType::NULL => Self::Null,
-            VarType::I2 => Self::I2(i16::from_le_bytes(next(r))),
-            VarType::I4 => Self::I4(i32::from_le_bytes(next(r))),
-            VarType::R4 => Self::R4(f32::from_le_bytes(next(r))),
-            VarType::R8 => Self::R8(f64::from_le_bytes(next(r))),
-            VarType::CY => Self::Cy(Currency::from_wire(next(r))),
-            VarType::DATE => Self::Date(OleDate::from_wire(next(r))),
-            VarType::BSTR => Self::Bstr(Bstr::truncated(crate::wire::length_prefixed(r).unwrap_or_default())),
-            VarType::ERROR => Self::Error(HResult::from_wire(next(r))),
-            VarType::BOOL => Self::Bool(bool::from_wire(next(r))),
-            VarType::UI1 => Self::Ui1(u8::from_le_bytes(next(r))),
-            VarType::UI2 => Self::Ui2(u16::from_le_bytes(next(r))),
-            VarType::UI4 => Self::Ui4(u32::from_le_bytes(next(r))),
-            VarType::I8 => Self::I8(i64::from_le_bytes(next(r))),
-            VarType::UI8 => Self::Ui8(u64::from_le_bytes(next(r))),
+            VarType::I2 => Self::I2(i16::from_le_bytes([a, b])),
+            VarType::R8 => Self::R8(f64::from_le_bytes(bytes)),
+            VarType::CY => Self::Cy(Currency::from_wire(bytes)),
+            VarType::DATE => Self::Date(OleDate::from_wire(bytes)),
+            VarType::ERROR => Self::Error(HResult::from_wire([a, b, c, d])),
+            VarType::BOOL => Self::Bool(bool::from_wire([a, b])),
+            VarType::UI1 => Self::Ui1(a),
+            VarType::UI2 => Self::Ui2(u16::from_le_bytes([a, b])),
+            VarType::UI4 => Self::Ui4(u32::from_le_bytes([a, b, c, d])),
+            VarType::I8 => Self::I8(i64::from_le_bytes(bytes)),
+            VarType::UI8 => Self::Ui8(u64::from_le_bytes(bytes)),
             _ => Self::Empty,
         }
     }
@@ -523,10 +532,14 @@ impl fmt::Debug for Variant<'_> {
     }
 }
 
-/// Reads the next bytes of checked data; they are there.
+/// Reads the next bytes of checked data, at most 8; they are there.
 #[inline]
-fn next<const N: usize>(r: &mut Reader<'_>) -> [u8; N] {
-    r.array().unwrap_or([0; N])
+fn next(width: u8, r: &mut Reader<'_>) -> [u8; 8] {
+    let mut bytes = [0; 8];
+    for (slot, byte) in bytes.iter_mut().zip(r.slice(usize::from(width)).unwrap_or_default()) {
+        *slot = *byte;
+    }
+    bytes
 }
 
 /// Reads type and count.
@@ -597,7 +610,9 @@ fn check_inner(r: &mut Reader<'_>, count: u32, limits: &Limits, strictness: Stri
 }
 
 /// Steps over one value, up to the values inside it; returns how many of these follow.
-#[inline]
+// on a board one copy of it is enough, elsewhere a call would cost more
+#[cfg_attr(target_os = "none", inline(never))]
+#[cfg_attr(not(target_os = "none"), inline)]
 fn check_one(r: &mut Reader<'_>, strictness: Strictness) -> Result<u32, Fault> {
     let Some((vartype, mut count)) = head(r) else { return Err(truncated(r, HEAD)) };
     let layout = vartype.layout();

@@ -4,6 +4,8 @@
 
 use core::fmt;
 
+use super::float::Format;
+
 /// The value of VT_NULL; the unit `()` stands for VT_EMPTY.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -109,12 +111,12 @@ pub struct CivilTime {
     pub millisecond: u16,
 }
 
-const MILLIS_PER_DAY: i64 = 86_400_000;
+const MILLIS_PER_DAY: u32 = 86_400_000;
 /// 1970-01-01 as an OLE date.
-const UNIX_EPOCH_DAY: i64 = 25_569;
+const UNIX_EPOCH_DAY: i32 = 25_569;
 /// 0100-01-01 and 9999-12-31, the first and last day of the OLE calendar.
-const FIRST_DAY: i64 = -657_434;
-const LAST_DAY: i64 = 2_958_465;
+const FIRST_DAY: i32 = -657_434;
+const LAST_DAY: i32 = 2_958_465;
 
 impl OleDate {
     /// Takes the wire's number.
@@ -132,15 +134,17 @@ impl OleDate {
     /// Returns the date for a count of milliseconds since 1970-01-01 00:00; `None` outside the years 100 to 9999.
     #[must_use]
     pub fn from_unix_millis(millis: i64) -> Option<Self> {
-        let day = millis.div_euclid(MILLIS_PER_DAY).checked_add(UNIX_EPOCH_DAY)?;
-        Self::from_day_and_millis(day, millis.rem_euclid(MILLIS_PER_DAY))
+        let of = i64::from(MILLIS_PER_DAY);
+        let day = i32::try_from(millis.div_euclid(of)).ok()?.checked_add(UNIX_EPOCH_DAY)?;
+        Self::from_day_and_millis(day, u32::try_from(millis.rem_euclid(of)).ok()?)
     }
 
     /// Returns the milliseconds since 1970-01-01 00:00, rounded to the nearest; `None` outside the years 100 to 9999.
     #[must_use]
     pub fn to_unix_millis(self) -> Option<i64> {
         let (day, millis) = self.to_day_and_millis()?;
-        day.checked_sub(UNIX_EPOCH_DAY)?.checked_mul(MILLIS_PER_DAY)?.checked_add(millis)
+        let days = i64::from(day.checked_sub(UNIX_EPOCH_DAY)?);
+        days.checked_mul(i64::from(MILLIS_PER_DAY))?.checked_add(i64::from(millis))
     }
 
     /// Returns the date for a calendar time; `None` when it is none (a 30th of February) or out of range.
@@ -151,11 +155,9 @@ impl OleDate {
             return None;
         }
         let day = day_from_civil(time.year, time.month, time.day)?;
-        let seconds = i64::from(time.hour)
-            .checked_mul(3600)?
-            .checked_add(i64::from(time.minute).checked_mul(60)?)?
-            .checked_add(i64::from(time.second))?;
-        Self::from_day_and_millis(day, seconds.checked_mul(1000)?.checked_add(i64::from(time.millisecond))?)
+        let minutes = u32::from(time.hour).wrapping_mul(60).wrapping_add(u32::from(time.minute));
+        let seconds = minutes.wrapping_mul(60).wrapping_add(u32::from(time.second));
+        Self::from_day_and_millis(day, seconds.wrapping_mul(1000).wrapping_add(u32::from(time.millisecond)))
     }
 
     /// Returns the calendar time, rounded to the nearest millisecond; `None` outside the years 100 to 9999.
@@ -163,39 +165,43 @@ impl OleDate {
     pub fn to_civil(self) -> Option<CivilTime> {
         let (day, millis) = self.to_day_and_millis()?;
         let (year, month, day) = civil_from_day(day)?;
-        let part = |unit: i64, of: i64| millis.checked_div(unit).and_then(|n| n.checked_rem(of));
+        let part = |unit: u32, of| millis.checked_div(unit)?.checked_rem(of)?.try_into().ok();
         Some(CivilTime {
             year,
             month,
             day,
-            hour: u8::try_from(part(3_600_000, 24)?).ok()?,
-            minute: u8::try_from(part(60_000, 60)?).ok()?,
-            second: u8::try_from(part(1000, 60)?).ok()?,
-            millisecond: u16::try_from(part(1, 1000)?).ok()?,
+            hour: part(3_600_000, 24)?,
+            minute: part(60_000, 60)?,
+            second: part(1000, 60)?,
+            millisecond: u16::try_from(millis % 1000).unwrap_or(0),
         })
     }
 
-    #[expect(clippy::as_conversions, reason = "both numbers are far below 2^53, so the conversions are exact")]
-    fn from_day_and_millis(day: i64, millis: i64) -> Option<Self> {
+    fn from_day_and_millis(day: i32, millis: u32) -> Option<Self> {
         if !(FIRST_DAY..=LAST_DAY).contains(&day) {
             return None;
         }
-        let fraction = millis as f64 / MILLIS_PER_DAY as f64;
+        let fraction = Format::Double.of_ratio(u64::from(millis), u64::from(MILLIS_PER_DAY));
         // OLE counts the fraction away from zero
-        Some(Self(if day < 0 { day as f64 - fraction } else { day as f64 + fraction }))
+        let sum = Format::Double.plus_whole(fraction, day.unsigned_abs());
+        Some(Self(f64::from_bits(if day < 0 { sum | Format::Double.sign() } else { sum })))
     }
 
-    #[expect(clippy::as_conversions, reason = "float to integer casts truncate and saturate; both are wanted here")]
-    fn to_day_and_millis(self) -> Option<(i64, i64)> {
-        if !self.0.is_finite() {
-            return None;
-        }
-        let day = self.0 as i64;
+    /// Returns the day, towards zero, and the milliseconds of the day.
+    fn to_day_and_millis(self) -> Option<(i32, u32)> {
+        let bits = self.0.to_bits() & !Format::Double.sign();
+        // the upper half are days, the lower half parts of a day
+        let (days, fraction) = Format::Double.fixed(bits)?;
+        let day = i32::try_from(days).ok()?;
+        let day = if self.0.is_sign_negative() { day.checked_neg()? } else { day };
         if !(FIRST_DAY..=LAST_DAY).contains(&day) {
             return None;
         }
-        let fraction = (self.0 - day as f64).abs();
-        let millis = (fraction * MILLIS_PER_DAY as f64 + 0.5) as i64;
+        let (above, below) = (fraction >> 32, fraction & u64::from(u32::MAX));
+        let of = u64::from(MILLIS_PER_DAY);
+        // both products are below 2^59
+        let scaled = above.wrapping_mul(of).wrapping_add(below.wrapping_mul(of) >> 32);
+        let millis = u32::try_from(scaled.wrapping_add(1 << 31) >> 32).ok()?;
         // rounding may reach midnight of the day after
         if millis >= MILLIS_PER_DAY {
             let next = day.checked_add(1)?;
@@ -240,57 +246,33 @@ impl fmt::Display for CivilTime {
 // eras of 400 years, after which the calendar repeats (146097 days). Years here are 100 to 9999, all sums are small.
 
 /// OLE date of 0000-03-01.
-const ERA_ORIGIN: i64 = -693_899;
+const ERA_ORIGIN: i32 = -693_899;
 
-fn day_from_civil(year: i16, month: u8, day: u8) -> Option<i64> {
-    if day == 0 || day > days_in_month(year, month)? {
-        return None;
-    }
-    let (year, month, day) = (i64::from(year), i64::from(month), i64::from(day));
+fn day_from_civil(year: i16, month: u8, day: u8) -> Option<i32> {
+    let date = (year, month, day);
+    let (year, month, day) = (u32::try_from(year).ok()?, u32::from(month), i32::from(day));
     let (year, month) =
-        if month < 3 { (year.checked_sub(1)?, month.checked_add(9)?) } else { (year, month.checked_sub(3)?) };
-    let leap_days = year.checked_div(4)?.checked_sub(year.checked_div(100)?)?.checked_add(year.checked_div(400)?)?;
-    let month_days = month.checked_mul(153)?.checked_add(2)?.checked_div(5)?;
-    year.checked_mul(365)?
-        .checked_add(leap_days)?
-        .checked_add(month_days)?
-        .checked_add(day)?
-        .checked_sub(1)?
-        .checked_add(ERA_ORIGIN)
+        if month < 3 { (year.wrapping_sub(1), month.wrapping_add(9)) } else { (year, month.wrapping_sub(3)) };
+    let leap_days = (year / 4).wrapping_sub(year / 100).wrapping_add(year / 400);
+    let month_days = month.wrapping_mul(153).wrapping_add(2) / 5;
+    let days = year.wrapping_mul(365).wrapping_add(leap_days).wrapping_add(month_days);
+    let day = day.wrapping_sub(1).wrapping_add_unsigned(days).wrapping_add(ERA_ORIGIN);
+    // a day that does not exist has the number of one that does
+    (civil_from_day(day) == Some(date)).then_some(day)
 }
 
-fn civil_from_day(day: i64) -> Option<(i16, u8, u8)> {
-    let days = day.checked_sub(ERA_ORIGIN)?;
-    let era = days.checked_div(146_097)?;
-    let of_era = days.checked_rem(146_097)?;
-    // the last day of a 4-year, 100-year and 400-year span does not start a new year
-    let leap = of_era
-        .checked_div(1460)?
-        .checked_sub(of_era.checked_div(36_524)?)?
-        .checked_add(of_era.checked_div(146_096)?)?;
-    let year_of_era = of_era.checked_sub(leap)?.checked_div(365)?;
-    let before = year_of_era
-        .checked_mul(365)?
-        .checked_add(year_of_era.checked_div(4)?)?
-        .checked_sub(year_of_era.checked_div(100)?)?;
-    let of_year = of_era.checked_sub(before)?;
-    let month = of_year.checked_mul(5)?.checked_add(2)?.checked_div(153)?;
-    let first = month.checked_mul(153)?.checked_add(2)?.checked_div(5)?;
-    let day = of_year.checked_sub(first)?.checked_add(1)?;
-    let year = era.checked_mul(400)?.checked_add(year_of_era)?;
+fn civil_from_day(day: i32) -> Option<(i16, u8, u8)> {
+    // in quarters of a day a century has 146097 of them, and a year 1461
+    let quarters = u32::try_from(day.checked_sub(ERA_ORIGIN)?).ok()?.wrapping_mul(4).wrapping_add(3);
+    let of_century = (quarters % 146_097) | 3;
+    let of_year = of_century % 1461 / 4;
+    let year = (quarters / 146_097).wrapping_mul(100).wrapping_add(of_century / 1461);
+    // months of 30 and 31 days, as the days of March to July are
+    let fifths = of_year.wrapping_mul(5).wrapping_add(2);
+    let (month, day) = (fifths / 153, (fifths % 153 / 5).wrapping_add(1));
     let (year, month) =
-        if month < 10 { (year, month.checked_add(3)?) } else { (year.checked_add(1)?, month.checked_sub(9)?) };
+        if month < 10 { (year, month.wrapping_add(3)) } else { (year.wrapping_add(1), month.wrapping_sub(9)) };
     Some((i16::try_from(year).ok()?, u8::try_from(month).ok()?, u8::try_from(day).ok()?))
-}
-
-fn days_in_month(year: i16, month: u8) -> Option<u8> {
-    let leap = year.checked_rem(4)? == 0 && (year.checked_rem(100)? != 0 || year.checked_rem(400)? == 0);
-    match month {
-        1 | 3 | 5 | 7 | 8 | 10 | 12 => Some(31),
-        4 | 6 | 9 | 11 => Some(30),
-        2 => Some(if leap { 29 } else { 28 }),
-        _ => None,
-    }
 }
 
 #[cfg(test)]
@@ -345,10 +327,41 @@ mod tests {
     fn milliseconds_round_trip_on_both_sides_of_the_origin() {
         for millis in [0, 1, 999, 43_200_001, 86_399_999] {
             for day in [FIRST_DAY, -25_569, -1, 0, 1, 45_000, LAST_DAY] {
-                let unix = (day - UNIX_EPOCH_DAY) * MILLIS_PER_DAY + millis;
+                let unix = i64::from(day - UNIX_EPOCH_DAY) * i64::from(MILLIS_PER_DAY) + millis;
                 let date = OleDate::from_unix_millis(unix).unwrap();
                 assert_eq!(date.to_unix_millis(), Some(unix), "{unix}");
                 assert_eq!(OleDate::from_civil(date.to_civil().unwrap()), Some(date));
+            }
+        }
+    }
+
+    /// What Windows computes, in doubles.
+    fn in_doubles(day: i32, millis: u32) -> f64 {
+        let fraction = f64::from(millis) / f64::from(MILLIS_PER_DAY);
+        f64::from(day) + if day < 0 { -fraction } else { fraction }
+    }
+
+    #[test]
+    fn dates_have_the_bits_that_doubles_have() {
+        let days = [FIRST_DAY, -25_569, -2, -1, 0, 1, 2, 3, 1023, 1024, 45_000, 46_347, LAST_DAY];
+        let check = |day, millis| {
+            let date = OleDate::from_day_and_millis(day, millis).unwrap();
+            assert_eq!(date.raw().to_bits(), in_doubles(day, millis).to_bits(), "{day} {millis}");
+            assert_eq!(date.to_day_and_millis(), Some((day, millis)), "{day} {millis}");
+        };
+        for day in days {
+            (0..MILLIS_PER_DAY).step_by(7919).chain(0..100).for_each(|millis| check(day, millis));
+        }
+    }
+
+    #[test]
+    #[ignore = "the milliseconds of a few days take a minute with --release"]
+    fn every_millisecond_has_the_bits_that_doubles_have() {
+        for day in [-1, 0, 1, 46_347] {
+            for millis in 0..MILLIS_PER_DAY {
+                let date = OleDate::from_day_and_millis(day, millis).unwrap();
+                assert_eq!(date.raw().to_bits(), in_doubles(day, millis).to_bits(), "{day} {millis}");
+                assert_eq!(date.to_day_and_millis(), Some((day, millis)), "{day} {millis}");
             }
         }
     }

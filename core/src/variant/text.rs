@@ -38,14 +38,12 @@
 //! The parsers are built with nom. They hold no reference of their own into the text, and what they cannot read is a
 //! [`Fault`]: what is wrong, and how much text was left then.
 
-mod float;
-
 use nom::Parser as _;
 use nom::error::{ErrorKind, ParseError};
 use nom::sequence::preceded;
 
-use self::float::{Decimal, Format, MAX_DIGITS};
-use super::encode::{Element as _, head};
+use super::encode::{head, put_bits};
+use super::float::{Decimal, Format, MAX_DIGITS, divide_by_10, low};
 use super::{Bstr, CivilTime, Layout, OUTER, OleDate, VarType, Variant, VariantBuf};
 use crate::error::{TextError, TextErrorKind};
 use crate::num::{to_u32, to_usize};
@@ -124,7 +122,7 @@ impl Fault {
 
     /// Places the fault in a text of `total` bytes.
     pub(crate) fn at(self, total: usize) -> TextError {
-        TextError { kind: self.kind, column: to_u32(total.saturating_sub(self.left).saturating_add(1)) }
+        TextError { kind: self.kind, column: to_u32(total.wrapping_sub(self.left).wrapping_add(1)) }
     }
 }
 
@@ -157,7 +155,7 @@ const fn fault<T>(kind: TextErrorKind, rest: &[u8]) -> Parsed<'_, T> {
 }
 
 /// `blanks = { " " | TAB }`
-#[inline]
+#[cfg_attr(target_os = "none", inline(never))]
 pub(crate) fn blanks(text: &[u8]) -> Parsed<'_, ()> {
     let mut rest = text;
     while let [b' ' | b'\t', behind @ ..] = rest {
@@ -176,7 +174,7 @@ pub(crate) const fn byte(wanted: u8, kind: TextErrorKind) -> impl Fn(&[u8]) -> P
 }
 
 /// `digits = digit { digit }`, or none; the caller decides whether that is allowed.
-#[inline]
+#[cfg_attr(target_os = "none", inline(never))]
 fn digits(text: &[u8]) -> Parsed<'_, &[u8]> {
     let len = text.iter().position(|b| !b.is_ascii_digit()).unwrap_or(text.len());
     let (digits, rest) = text.split_at_checked(len).unwrap_or((text, &[]));
@@ -184,7 +182,7 @@ fn digits(text: &[u8]) -> Parsed<'_, &[u8]> {
 }
 
 /// `sign = "+" | "-"`, or none; true for minus.
-#[inline]
+#[cfg_attr(target_os = "none", inline(never))]
 const fn sign(text: &[u8]) -> (&[u8], bool) {
     match text {
         [b'-', rest @ ..] => (rest, true),
@@ -218,7 +216,7 @@ struct Level {
 impl Level {
     /// Writes the head of a container or array whose count is not known yet.
     fn open(vartype: VarType, out: &mut Writer<'_>) -> Result<Self, TextErrorKind> {
-        let level = Self { is_array: vartype.is_array(), count_at: out.len().saturating_add(TYPE_LEN), count: 1 };
+        let level = Self { is_array: vartype.is_array(), count_at: out.len().wrapping_add(TYPE_LEN), count: 1 };
         head(vartype, 1, out).map_err(|_| TextErrorKind::Full)?;
         Ok(level)
     }
@@ -227,7 +225,7 @@ impl Level {
     fn next<'a>(&mut self, rest: &'a [u8], out: &mut Writer<'_>) -> (&'a [u8], bool) {
         match rest {
             [b',', behind @ ..] if self.is_array => {
-                self.count = self.count.saturating_add(1);
+                self.count = self.count.wrapping_add(1);
                 (behind, true)
             }
             _ => {
@@ -266,7 +264,7 @@ fn tree<'a>(text: &'a [u8], out: &mut Writer<'_>) -> Result<&'a [u8], Fault> {
         if vartype.element() == VarType::VARIANT {
             let slot = levels.get_mut(depth).ok_or(Fault::new(TextErrorKind::TooDeep, rest))?;
             *slot = Level::open(vartype, out).map_err(|kind| Fault::new(kind, rest))?;
-            depth = depth.saturating_add(1);
+            depth = depth.wrapping_add(1);
             let (data, ()) = byte(b',', TextErrorKind::Comma)(behind)?;
             rest = open_paren(data)?.0;
             continue;
@@ -280,7 +278,7 @@ fn tree<'a>(text: &'a [u8], out: &mut Writer<'_>) -> Result<&'a [u8], Fault> {
             if more {
                 break;
             }
-            depth = depth.saturating_sub(1);
+            depth = depth.wrapping_sub(1);
         }
         if depth == 0 {
             return Ok(rest);
@@ -361,12 +359,46 @@ fn string<'a>(text: &'a [u8], bounds: Bounds, out: &mut Writer<'_>) -> Result<&'
     let len = string_len(text, bounds)?;
     let (bytes, rest) = text.split_at_checked(len).unwrap_or((text, &[]));
     if let Some(at) = bytes.iter().position(|b| matches!(b, b'\r' | b'\n')) {
-        return Err(Fault { kind: TextErrorKind::LineBreak, left: text.len().saturating_sub(at) });
+        return Err(Fault { kind: TextErrorKind::LineBreak, left: text.len().wrapping_sub(at) });
     }
-    let utf8 = core::str::from_utf8(bytes)
-        .map_err(|e| Fault { kind: TextErrorKind::Utf8, left: text.len().saturating_sub(e.valid_up_to()) })?;
-    utf8.put(out).map_err(|_| Fault::new(TextErrorKind::Full, text))?;
+    let full = Fault::new(TextErrorKind::Full, text);
+    let head_at = out.len();
+    out.put([0; 4]).map_err(|_| full)?;
+    let mut left = bytes;
+    while !left.is_empty() {
+        let (c, behind) =
+            character(left).ok_or(Fault { kind: TextErrorKind::Utf8, left: rest.len().wrapping_add(left.len()) })?;
+        left = behind;
+        for unit in c.encode_utf16(&mut [0; 2]) {
+            out.put(unit.to_le_bytes()).map_err(|_| full)?;
+        }
+    }
+    let len = out.len().wrapping_sub(head_at).wrapping_sub(4);
+    out.patch(head_at, to_u32(len).to_le_bytes());
     Ok(rest)
+}
+
+/// Splits a character off UTF-8; `None` when that is broken.
+///
+/// The standard library's check takes 620 bytes with its table, which nothing else on a board needs.
+fn character(text: &[u8]) -> Option<(char, &[u8])> {
+    let (first, mut rest) = text.split_first()?;
+    // the least code of so many bytes, which a longer form must not be used for
+    let (least, count, bits) = match first {
+        0..0x80 => (0, 0, *first),
+        0xc0..0xe0 => (0x80, 1, first & 0x1f),
+        0xe0..0xf0 => (0x800, 2, first & 0x0f),
+        0xf0..0xf8 => (0x1_0000, 3, first & 0x07),
+        _ => return None,
+    };
+    let mut code = u32::from(bits);
+    for _ in 0..count {
+        let (next, behind) = rest.split_first().filter(|(next, _)| **next & 0xc0 == 0x80)?;
+        code = code << 6 | u32::from(next & 0x3f);
+        rest = behind;
+    }
+    let c = char::from_u32(code).filter(|_| code >= least)?;
+    Some((c, rest))
 }
 
 /// Finds the end of a string.
@@ -376,9 +408,9 @@ fn string_len(text: &[u8], bounds: Bounds) -> Result<usize, Fault> {
     }
     let mut open = 0_u32;
     for (at, b) in text.iter().enumerate() {
-        let fault = |kind| Err(Fault { kind, left: text.len().saturating_sub(at) });
+        let fault = |kind| Err(Fault { kind, left: text.len().wrapping_sub(at) });
         match b {
-            b'(' => open = open.saturating_add(1),
+            b'(' => open = open.wrapping_add(1),
             b')' => match open.checked_sub(1) {
                 Some(outer) => open = outer,
                 None if bounds.nested => return Ok(at),
@@ -403,7 +435,7 @@ fn number<'a>(element: VarType, text: &'a [u8], nested: bool, out: &mut Writer<'
             (rest, (bits, 8))
         }
         VarType::R4 | VarType::R8 | VarType::DATE => {
-            let (format, width) = if element == VarType::R4 { (Format::SINGLE, 4) } else { (Format::DOUBLE, 8) };
+            let (format, width) = if element == VarType::R4 { (Format::Single, 4) } else { (Format::Double, 8) };
             let (rest, bits) = float(text, format)?;
             (rest, (bits, width))
         }
@@ -412,14 +444,7 @@ fn number<'a>(element: VarType, text: &'a [u8], nested: bool, out: &mut Writer<'
             (rest, number.to_wire(element).ok_or(Fault::new(TextErrorKind::OutOfRange, text))?)
         }
     };
-    let [a, b, c, d, ..] = bits.to_le_bytes();
-    let put = match width {
-        1 => out.put([a]),
-        2 => out.put([a, b]),
-        4 => out.put([a, b, c, d]),
-        _ => out.put(bits.to_le_bytes()),
-    };
-    put.map_err(|_| Fault::new(TextErrorKind::Full, text))?;
+    put_bits(bits, width, out).map_err(|_| Fault::new(TextErrorKind::Full, text))?;
     Ok(rest)
 }
 
@@ -432,43 +457,36 @@ pub(crate) struct Integer {
 }
 
 impl Integer {
-    /// Returns the number as 64 bits, two's complement when `signed`; `None` when it is out of range.
-    fn bits(self, signed: bool) -> Option<u64> {
-        match (self.negative, signed) {
-            (false, false) => Some(self.magnitude),
-            (false, true) => i64::try_from(self.magnitude).ok().map(i64::cast_unsigned),
-            (true, true) => 0_i64.checked_sub_unsigned(self.magnitude).map(i64::cast_unsigned),
-            (true, false) => (self.magnitude == 0).then_some(0),
+    /// Returns the number as the bits of an integer of `width` bytes, the sign repeated above them; `None` when it is
+    /// out of range.
+    #[cfg_attr(target_os = "none", inline(never))]
+    fn bits(self, width: u8, signed: bool) -> Option<u64> {
+        let spare = 64_u32.checked_sub(u32::from(width).checked_mul(8)?)?;
+        let most = u64::MAX.checked_shr(spare.checked_add(u32::from(signed))?)?;
+        match self.negative {
+            false => (self.magnitude <= most).then_some(self.magnitude),
+            true if signed => (self.magnitude <= most.checked_add(1)?).then_some(self.magnitude.wrapping_neg()),
+            true => (self.magnitude == 0).then_some(0),
         }
     }
 
     /// Returns the number as 32 bits: signed, or unsigned as the bits of it when `unsigned` allows that.
     pub(crate) fn to_code(self, unsigned: bool) -> Option<i32> {
-        match u32::try_from(self.magnitude) {
-            Ok(bits) if !self.negative && (unsigned || self.hex) => Some(bits.cast_signed()),
-            _ => i32::try_from(self.bits(true)?.cast_signed()).ok(),
-        }
+        let [a, b, c, d, ..] = self.bits(4, self.negative || !(unsigned || self.hex))?.to_le_bytes();
+        Some(i32::from_le_bytes([a, b, c, d]))
     }
 
     /// Returns the number as the data of an element, and how many bytes that are.
-    fn to_wire(self, element: VarType) -> Option<(u64, usize)> {
+    fn to_wire(self, element: VarType) -> Option<(u64, u8)> {
         let Layout::Fixed(width) = element.layout() else { return None };
-        let signed = !matches!(element, VarType::UI1 | VarType::UI2 | VarType::UI4 | VarType::UI8);
         let bits = match element {
-            VarType::ERROR => i64::from(self.to_code(false)?).cast_unsigned(),
-            _ => self.bits(signed)?,
-        };
-        // the bits above the width must repeat the sign, or be 0
-        let spare = 64_u32.checked_sub(u32::from(width).checked_mul(8)?)?;
-        let shifted = bits.checked_shl(spare)?;
-        let back = if signed { (shifted.cast_signed() >> spare).cast_unsigned() } else { shifted >> spare };
-        let bits = match element {
-            _ if back != bits => return None,
+            VarType::ERROR => u64::from(self.to_code(false)?.cast_unsigned()),
             // true is -1 on the wire, whatever was written
-            VarType::BOOL if bits != 0 => u64::MAX,
-            _ => bits,
+            VarType::BOOL => u64::from(self.bits(width, true)? != 0).wrapping_neg(),
+            VarType::UI1 | VarType::UI2 | VarType::UI4 | VarType::UI8 => self.bits(width, false)?,
+            _ => self.bits(width, true)?,
         };
-        Some((bits, usize::from(width)))
+        Some((bits, width))
     }
 }
 
@@ -502,72 +520,55 @@ pub(crate) fn integer(text: &[u8]) -> Parsed<'_, Integer> {
 }
 
 /// `float = [ sign ] ( decimal [ "e" [ sign ] digits ] | "inf" | "nan" )`, words in any case; its bits
-#[inline]
 fn float(text: &[u8], format: Format) -> Parsed<'_, u64> {
     let (unsigned, negative) = sign(text);
-    let (rest, bits) = match whole_number(unsigned) {
-        Some((rest, number)) => (rest, format.of_whole(number)),
-        None => other_float(text, unsigned, format)?,
+    let (word, behind) = unsigned.split_at_checked(3).unwrap_or_default();
+    let (rest, bits) = match word.first_chunk().map(|word: &[u8; 3]| word.map(|byte| byte | 0x20)) {
+        Some([b'i', b'n', b'f']) => (behind, format.infinity()),
+        Some([b'n', b'a', b'n']) => (behind, format.nan()),
+        _ => {
+            let (rest, decimal) = decimal(unsigned)?;
+            match format.of_decimal(&decimal) {
+                Some(bits) => (rest, bits),
+                None => return fault(TextErrorKind::OutOfRange, text),
+            }
+        }
     };
     Ok((rest, if negative { bits | format.sign() } else { bits }))
 }
 
-/// `decimal [ "e" [ sign ] digits ] | "inf" | "nan"`
-#[inline(never)]
-fn other_float<'a>(text: &'a [u8], unsigned: &'a [u8], format: Format) -> Parsed<'a, u64> {
-    match unsigned {
-        [b'i' | b'I', b'n' | b'N', b'f' | b'F', rest @ ..] => return Ok((rest, format.infinity())),
-        [b'n' | b'N', b'a' | b'A', b'n' | b'N', rest @ ..] => return Ok((rest, format.nan())),
-        _ => {}
-    }
-    let (rest, decimal) = decimal(unsigned)?;
-    match format.of_decimal(&decimal) {
-        Some(bits) => Ok((rest, bits)),
-        None if decimal.integer.is_empty() && decimal.fraction.is_empty() => Ok((rest, 0)),
-        None => fault(TextErrorKind::OutOfRange, text),
-    }
-}
-
-/// `digits`, when they are few and nothing else follows: what most numbers are
-#[inline]
-fn whole_number(text: &[u8]) -> Option<(&[u8], u64)> {
-    let mut number = 0_u64;
-    let mut rest = text;
-    while let [digit @ b'0'..=b'9', behind @ ..] = rest {
-        number = number.wrapping_mul(10).wrapping_add(u64::from(digit & 0x0f));
+/// `decimal [ "e" [ sign ] digits ]`, `decimal = digits [ "." [ digits ] ] | "." digits`
+pub(super) fn decimal(text: &[u8]) -> Parsed<'_, Decimal<'_>> {
+    let mut number = Decimal { digits: text, count: 0, number: 0, exponent: 0 };
+    let (mut rest, mut has_digits, mut has_point) = (text, false, false);
+    while let [byte, behind @ ..] = rest {
+        match byte {
+            b'0'..=b'9' => {
+                has_digits = true;
+                // all three are right as far as they are used; too many digits are refused below
+                number.exponent = number.exponent.wrapping_sub(i32::from(has_point));
+                number.number = number.number.wrapping_mul(10).wrapping_add(u64::from(byte & 0x0f));
+                number.count = number.count.wrapping_add(u32::from(number.count > 0 || *byte != b'0'));
+            }
+            b'.' if !has_point => has_point = true,
+            _ => break,
+        }
         rest = behind;
     }
-    // 19 digits fit 64 bits
-    let fits = matches!(text.len().wrapping_sub(rest.len()), 1..=19);
-    (fits && !matches!(rest, [b'.' | b'e' | b'E', ..])).then_some((rest, number))
-}
-
-/// `decimal [ "e" [ sign ] digits ]`, `decimal = digits [ "." [ digits ] ] | "." digits`
-#[inline(never)]
-fn decimal(text: &[u8]) -> Parsed<'_, Decimal<'_>> {
-    let (mut rest, mut integer) = digits(text)?;
-    let mut fraction: &[u8] = &[];
-    let mut exponent = 0;
-    if let [b'.', behind @ ..] = rest {
-        (rest, fraction) = digits(behind)?;
-    }
-    if integer.is_empty() && fraction.is_empty() {
+    if !has_digits {
         let kind = if matches!(text, [] | [b',' | b')', ..]) { TextErrorKind::Missing } else { TextErrorKind::Digit };
         return fault(kind, text);
     }
+    number.digits = text.get(..text.len().wrapping_sub(rest.len())).unwrap_or_default();
     if let [b'e' | b'E', behind @ ..] = rest {
+        let exponent;
         (rest, exponent) = exponent_of(behind)?;
+        number.exponent = number.exponent.wrapping_add(exponent);
     }
-    if text.len().saturating_sub(rest.len()) > MAX_DIGITS {
+    if number.digits.len() > MAX_DIGITS {
         return fault(TextErrorKind::NumberTooLong, text);
     }
-    while let [b'0', behind @ ..] = integer {
-        integer = behind;
-    }
-    while let [front @ .., b'0'] = fraction {
-        fraction = front;
-    }
-    Ok((rest, Decimal { integer, fraction, exponent }))
+    Ok((rest, number))
 }
 
 /// `[ sign ] digits`, behind the `e`
@@ -579,8 +580,8 @@ fn exponent_of(text: &[u8]) -> Parsed<'_, i32> {
     }
     // no float has an exponent near the bound, whatever its digits
     let size =
-        digits.iter().fold(0_i32, |n, digit| n.saturating_mul(10).saturating_add(i32::from(digit & 0x0f)).min(99_999));
-    Ok((behind, if negative { size.saturating_neg() } else { size }))
+        digits.iter().fold(0_i32, |n, digit| n.wrapping_mul(10).wrapping_add(i32::from(digit & 0x0f)).min(99_999));
+    Ok((behind, if negative { size.wrapping_neg() } else { size }))
 }
 
 /// Tells a date from the raw number of one.
@@ -590,16 +591,17 @@ fn is_date(text: &[u8]) -> bool {
 
 /// `date = digits "/" digits "/" digits blank blanks digits ":" digits ":" digits`
 fn date(text: &[u8]) -> Parsed<'_, u64> {
-    let slash = || byte(b'/', TextErrorKind::DateLayout);
-    let colon = || byte(b':', TextErrorKind::DateLayout);
-    let (rest, (year, month, day)) =
-        (field, preceded(slash(), field), preceded(slash(), field)).parse_complete(text)?;
-    let (behind, ()) = blanks(rest)?;
-    if behind.len() == rest.len() {
-        return fault(TextErrorKind::DateLayout, rest);
+    let mut numbers = [0; 6];
+    let mut rest = text;
+    for (number, separator) in numbers.iter_mut().zip(b"// ::.") {
+        (rest, *number) = field(rest)?;
+        rest = match (separator, rest) {
+            (b'.', _) => rest,
+            (b' ', [b' ' | b'\t', ..]) => blanks(rest)?.0,
+            (wanted, _) => byte(*wanted, TextErrorKind::DateLayout)(rest)?.0,
+        };
     }
-    let (rest, (hour, minute, second)) =
-        (field, preceded(colon(), field), preceded(colon(), field)).parse_complete(behind)?;
+    let [year, month, day, hour, minute, second] = numbers;
     let small = |number: i16| u8::try_from(number).ok();
     let civil =
         || Some(CivilTime::date(year, small(month)?, small(day)?).at(small(hour)?, small(minute)?, small(second)?));
@@ -615,7 +617,7 @@ fn field(text: &[u8]) -> Parsed<'_, i16> {
     if digits.is_empty() || digits.len() > 4 {
         return fault(TextErrorKind::DateLayout, text);
     }
-    let number = digits.iter().fold(0_i16, |n, digit| n.saturating_mul(10).saturating_add(i16::from(digit & 0x0f)));
+    let number = digits.iter().fold(0_i16, |n, digit| n.wrapping_mul(10).wrapping_add(i16::from(digit & 0x0f)));
     Ok((rest, number))
 }
 
@@ -623,11 +625,12 @@ fn field(text: &[u8]) -> Parsed<'_, i16> {
 
 type Printed = Result<(), TextErrorKind>;
 
+#[cfg_attr(target_os = "none", inline(never))]
 fn put(bytes: &[u8], out: &mut Writer<'_>) -> Printed {
     out.put_slice(bytes).map_err(|_| TextErrorKind::Full)
 }
 
-#[inline]
+#[cfg_attr(target_os = "none", inline(never))]
 fn put_byte(byte: u8, out: &mut Writer<'_>) -> Printed {
     out.put([byte]).map_err(|_| TextErrorKind::Full)
 }
@@ -668,7 +671,7 @@ fn print_inner(r: &mut Reader<'_>, count: u32, out: &mut Writer<'_>) -> Printed 
         put_type(vartype, out)?;
         if vartype.element() == VarType::VARIANT {
             *outer.get_mut(depth).ok_or(TextErrorKind::TooDeep)? = here;
-            depth = depth.saturating_add(1);
+            depth = depth.wrapping_add(1);
             here = count;
             continue;
         }
@@ -691,6 +694,7 @@ fn split_head(r: &mut Reader<'_>) -> Option<(VarType, u32)> {
     Some((vartype, if vartype.is_array() { count } else { 1 }))
 }
 
+/// Writes the elements of an array, or the one of a scalar, that are no VARIANTs.
 fn print_elements(element: VarType, count: u32, bounds: Bounds, r: &mut Reader<'_>, out: &mut Writer<'_>) -> Printed {
     match element {
         VarType::EMPTY | VarType::NULL if bounds.in_array => return Err(TextErrorKind::ArrayOfNothing),
@@ -701,19 +705,19 @@ fn print_elements(element: VarType, count: u32, bounds: Bounds, r: &mut Reader<'
         if index > 0 {
             put_byte(b',', out)?;
         }
-        print_scalar(Variant::read_element(element, r), bounds, out)?;
+        print_scalar(Variant::read_data(element, r), bounds, out)?;
     }
     Ok(())
 }
 
 fn print_scalar(value: Variant<'_>, bounds: Bounds, out: &mut Writer<'_>) -> Printed {
     let number = match value {
-        Variant::R4(n) => return print_f32(n, out),
-        Variant::R8(n) => return print_f64(n, out),
+        Variant::R4(n) => return print_float(u64::from(n.to_bits()), Format::Single, out),
+        Variant::R8(n) => return print_float(n.to_bits(), Format::Double, out),
         Variant::Date(date) => return print_date(date, out),
         Variant::Bstr(text) => return print_string(text, bounds, out),
         Variant::Ui8(n) => return put_integer(false, n, out),
-        Variant::Bool(b) => i64::from(b).saturating_neg(),
+        Variant::Bool(b) => i64::from(b).wrapping_neg(),
         Variant::Error(code) => i64::from(code.0),
         Variant::Cy(amount) => amount.raw(),
         other => match other.as_i64() {
@@ -725,119 +729,109 @@ fn print_scalar(value: Variant<'_>, bounds: Bounds, out: &mut Writer<'_>) -> Pri
     put_integer(number < 0, number.unsigned_abs(), out)
 }
 
+/// The most digits of 64 bits.
+const MAX_INTEGER: usize = 20;
+
 /// Writes a decimal number.
 pub(crate) fn put_integer(negative: bool, magnitude: u64, out: &mut Writer<'_>) -> Printed {
     if negative {
         put_byte(b'-', out)?;
     }
-    let mut left = magnitude;
-    if left < 10 {
-        return put_byte(digit(left), out);
+    if magnitude < 10 {
+        return put_byte(digit(low(magnitude)), out);
     }
-    let mut buffer = [0_u8; 20];
-    let mut from = buffer.len();
+    put(decimal_digits(magnitude, &mut [0; MAX_INTEGER]), out)
+}
+
+/// Writes the digits of a number that is not 0 to the end of a buffer, and returns them.
+fn decimal_digits(number: u64, buffer: &mut [u8; MAX_INTEGER]) -> &[u8] {
+    let (mut left, mut from) = (number, buffer.len());
     for slot in buffer.iter_mut().rev() {
         if left == 0 {
             break;
         }
-        *slot = digit(left % 10);
-        left /= 10;
-        from = from.saturating_sub(1);
+        let last;
+        (left, last) = divide_by_10(left);
+        *slot = digit(last);
+        from = from.wrapping_sub(1);
     }
-    put(buffer.get(from..).unwrap_or_default(), out)
+    buffer.get(from..).unwrap_or_default()
 }
 
 #[inline]
-fn digit(number: u64) -> u8 {
+fn digit(number: u32) -> u8 {
     b'0' | u8::try_from(number).unwrap_or(0)
 }
 
-/// Writes a number of the calendar with leading zeros.
-fn put_padded(number: u16, out: &mut Writer<'_>, separator: u8) -> Printed {
-    if number < 10 {
+/// Writes a number of the calendar, with a zero in front if it is below `least`.
+fn put_padded(least: u16, number: u16, out: &mut Writer<'_>) -> Printed {
+    if number < least {
         put_byte(b'0', out)?;
     }
-    put_integer(false, u64::from(number), out)?;
-    if separator == 0 { Ok(()) } else { put_byte(separator, out) }
+    put_integer(false, u64::from(number), out)
 }
 
-fn print_f32(number: f32, out: &mut Writer<'_>) -> Printed {
-    if let Some(magnitude) = whole(f64::from(number)).filter(|n| *n < 1 << f32::MANTISSA_DIGITS) {
-        return put_integer(number.is_sign_negative(), magnitude, out);
-    }
-    if number.is_finite() {
-        return put_finite(zmij::Buffer::new().format_finite(number), out);
-    }
-    let quiet = u64::from(number.to_bits() & 0x7fff_ffff) == Format::SINGLE.nan();
-    put_special(number.is_sign_negative(), number.is_nan(), quiet, out)
-}
-
-fn print_f64(number: f64, out: &mut Writer<'_>) -> Printed {
-    if let Some(magnitude) = whole(number) {
-        return put_integer(number.is_sign_negative(), magnitude, out);
-    }
-    if number.is_finite() {
-        return put_finite(zmij::Buffer::new().format_finite(number), out);
-    }
-    let quiet = number.to_bits() & !Format::DOUBLE.sign() == Format::DOUBLE.nan();
-    put_special(number.is_sign_negative(), number.is_nan(), quiet, out)
-}
-
-/// Returns the magnitude of a whole number below 2^53, whose digits are then the shortest too.
-fn whole(number: f64) -> Option<u64> {
-    const FRACTION: u32 = f64::MANTISSA_DIGITS - 1;
-    const HIDDEN: u64 = 1 << FRACTION;
-    let bits = number.to_bits() & !(1 << 63);
-    if bits == 0 {
-        return Some(0);
-    }
-    // 1023 is the exponent of 1
-    let shift = 1023_u64.checked_add(u64::from(FRACTION))?.checked_sub(bits >> FRACTION)?;
-    let shift = u32::try_from(shift).ok().filter(|shift| *shift <= FRACTION)?;
-    let mantissa = bits & (HIDDEN - 1) | HIDDEN;
-    (mantissa.trailing_zeros() >= shift).then_some(mantissa >> shift)
-}
-
-/// Writes shortest digits without what says nothing: `1.0` as `1`, `1e+300` as `1e300`.
-fn put_finite(digits: &str, out: &mut Writer<'_>) -> Printed {
-    match digits.as_bytes() {
-        [integer @ .., b'.', b'0'] => put(integer, out),
-        [mantissa @ .., b'e', b'+', hundreds, tens, ones] => put_exponent(mantissa, &[*hundreds, *tens, *ones], out),
-        [mantissa @ .., b'e', b'+', tens, ones] => put_exponent(mantissa, &[*tens, *ones], out),
-        digits => put(digits, out),
-    }
-}
-
-fn put_exponent(mantissa: &[u8], exponent: &[u8], out: &mut Writer<'_>) -> Printed {
-    put(mantissa, out)?;
-    put_byte(b'e', out)?;
-    put(exponent, out)
-}
-
-/// `quiet` tells whether a NaN has no payload.
-fn put_special(negative: bool, nan: bool, quiet: bool, out: &mut Writer<'_>) -> Printed {
-    if nan && !quiet {
+/// Writes a float of its bits.
+///
+/// Without an exponent where that takes at most 16 digits in front of the point, or four zeros behind it.
+fn print_float(bits: u64, format: Format, out: &mut Writer<'_>) -> Printed {
+    let magnitude = bits & !format.sign();
+    if magnitude > format.infinity() && magnitude != format.nan() {
         return Err(TextErrorKind::NanPayload);
     }
-    if negative {
+    if magnitude != bits {
         put_byte(b'-', out)?;
     }
-    put(if nan { b"NaN" } else { b"inf" }, out)
+    if magnitude >= format.infinity() {
+        return put(if magnitude == format.infinity() { b"inf" } else { b"NaN" }, out);
+    }
+    if let Some(whole) = format.whole(magnitude) {
+        return put_integer(false, whole, out);
+    }
+    let (number, exponent) = format.shortest(magnitude);
+    let mut buffer = [0; MAX_INTEGER];
+    put_decimal(decimal_digits(number, &mut buffer), exponent, out)
+}
+
+/// Writes `digits * 10^exponent`, the last digit of which is not 0.
+fn put_decimal(digits: &[u8], exponent: i32, out: &mut Writer<'_>) -> Printed {
+    // how many digits are in front of the point
+    let point = exponent.wrapping_add_unsigned(to_u32(digits.len()));
+    let (front, zeros) = match point {
+        1..=16 => (point, exponent.max(0)),
+        -4..=0 => (0, point.wrapping_neg()),
+        _ => (1, 0),
+    };
+    let (integer, fraction) = digits.split_at_checked(to_usize(front.unsigned_abs())).unwrap_or((digits, &[]));
+    if front == 0 {
+        put(b"0.", out)?;
+    }
+    put(integer, out)?;
+    (0..zeros).try_for_each(|_| put_byte(b'0', out))?;
+    if front > 0 && !fraction.is_empty() {
+        put_byte(b'.', out)?;
+    }
+    put(fraction, out)?;
+    if (-4..=16).contains(&point) {
+        return Ok(());
+    }
+    put_byte(b'e', out)?;
+    let exponent = point.wrapping_sub(1);
+    put_integer(exponent < 0, u64::from(exponent.unsigned_abs()), out)
 }
 
 fn print_date(date: OleDate, out: &mut Writer<'_>) -> Printed {
     let same = |civil: &CivilTime| civil.millisecond == 0 && OleDate::from_civil(*civil) == Some(date);
-    let Some(civil) = date.to_civil().filter(same) else { return print_f64(date.raw(), out) };
-    let year = civil.year.unsigned_abs();
-    if year < 1000 {
-        put_byte(b'0', out)?;
+    let Some(civil) = date.to_civil().filter(same) else {
+        return print_float(date.raw().to_bits(), Format::Double, out);
+    };
+    let numbers = [civil.month, civil.day, civil.hour, civil.minute, civil.second];
+    put_padded(1000, civil.year.unsigned_abs(), out)?;
+    for (separator, number) in b"// ::".iter().zip(numbers) {
+        put_byte(*separator, out)?;
+        put_padded(10, u16::from(number), out)?;
     }
-    put_padded(year, out, b'/')?;
-    put_padded(u16::from(civil.month), out, b'/')?;
-    put_padded(u16::from(civil.day), out, b' ')?;
-    put_padded(u16::from(civil.hour), out, b':')?;
-    put_padded(u16::from(civil.minute), out, b':')?;
-    put_padded(u16::from(civil.second), out, 0)
+    Ok(())
 }
 
 fn print_string(text: Bstr<'_>, bounds: Bounds, out: &mut Writer<'_>) -> Printed {
@@ -849,7 +843,7 @@ fn print_string(text: Bstr<'_>, bounds: Bounds, out: &mut Writer<'_>) -> Printed
             ' ' | '\t' if first => return Err(TextErrorKind::LeadingBlank),
             '\r' | '\n' => return Err(TextErrorKind::LineBreak),
             ',' if bounds.in_array => return Err(TextErrorKind::CommaInString),
-            '(' => open = open.saturating_add(1),
+            '(' => open = open.wrapping_add(1),
             ')' if bounds.nested || bounds.in_array => open = open.checked_sub(1).ok_or(TextErrorKind::Unbalanced)?,
             _ => {}
         }

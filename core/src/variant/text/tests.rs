@@ -297,6 +297,37 @@ fn strings_keep_what_their_place_can_carry() {
 }
 
 #[test]
+fn characters_are_split_off_as_the_standard_library_does() {
+    const BYTES: [u8; 24] = [
+        0, 0x41, 0x7f, 0x80, 0x8f, 0x90, 0x9f, 0xa0, 0xbf, 0xc0, 0xc1, 0xc2, 0xdf, 0xe0, 0xe1, 0xec, 0xed, 0xee, 0xef,
+        0xf0, 0xf3, 0xf4, 0xf5, 0xff,
+    ];
+    let compare = |text: &[u8]| {
+        let theirs = match core::str::from_utf8(text) {
+            Ok(text) => text.chars().next(),
+            Err(error) => core::str::from_utf8(&text[..error.valid_up_to()]).unwrap().chars().next(),
+        };
+        assert_eq!(character(text).map(|(c, rest)| (c, text.len() - rest.len())), theirs.map(|c| (c, c.len_utf8())));
+    };
+    compare(&[]);
+    for first in 0..=0xff {
+        compare(&[first]);
+        for second in BYTES {
+            compare(&[first, second]);
+            for third in BYTES {
+                compare(&[first, second, third]);
+                for fourth in BYTES {
+                    compare(&[first, second, third, fourth]);
+                }
+            }
+        }
+    }
+    for c in (0..=0x10_ffff).filter_map(char::from_u32) {
+        compare(c.encode_utf8(&mut [0; 4]).as_bytes());
+    }
+}
+
+#[test]
 fn what_has_no_text_is_an_error() {
     assert_eq!(print_of::<[i32; 0]>(&[]), Err(K::EmptyArray));
     assert_eq!(print_of::<[&str; 0]>(&[]), Err(K::EmptyArray));
