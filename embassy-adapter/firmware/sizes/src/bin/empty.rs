@@ -1,0 +1,11 @@
+//! Nothing: what is subtracted from the others.
+#![no_std]
+#![no_main]
+
+use bcap_sizes::{Memory, entry};
+
+entry!(run);
+
+fn run(memory: &mut Memory) {
+    core::hint::black_box(memory);
+}

@@ -1,0 +1,39 @@
+//! A RAC client with the text of values: requests are written, and replies of any kind read.
+#![no_std]
+#![no_main]
+
+use core::hint::black_box;
+
+use bcap_core::rac::client::{Client, Config};
+use bcap_core::rac::{Request, Variable, VariableKind};
+use bcap_core::time::Instant;
+use bcap_core::variant::Variant;
+use bcap_sizes::{Memory, copy, entry};
+
+entry!(run);
+
+fn run(memory: &mut Memory) {
+    let now = black_box(Instant::ZERO);
+    let mut client = Client::new(black_box(Config::TCP), [0; 256]);
+    let variable = black_box(Variable::new(VariableKind::P, 1));
+    // what is written next is what was read last, of any type
+    let value = black_box(Variant::I4(1));
+    for request in [Request::Get(variable), Request::Put(variable, value)] {
+        black_box(client.start(&request, now).is_ok());
+        while client.is_busy() {
+            let sent = copy(client.transmit(), &mut memory.output);
+            client.transmitted(sent);
+            let received = copy(&memory.input, client.receive_buffer());
+            client.received(received);
+            while let Some(event) = client.poll_event(now) {
+                let _ = black_box(event);
+                let pose = client.reply().and_then(|reply| reply.value?.as_array()?.items::<f32>()?.to_array::<7>());
+                black_box(pose.is_some());
+            }
+            if client.poll_timeout().is_some_and(|at| black_box(at) < now) {
+                let _ = black_box(client.handle_timeout(now));
+                client.reset();
+            }
+        }
+    }
+}
