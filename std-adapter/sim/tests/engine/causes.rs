@@ -3,8 +3,8 @@
 
 use bcap_core::bcap::call;
 use bcap_core::bcap::slave::{
-    Action, AxisLimits, Cause, Config as Stream, Engine, Extended, ExtendedAxes, Format, Mode, Pose, PoseError,
-    PoseType, Released, SendFormat, Step,
+    Action, AxisLimits, Cause, Config as Stream, Engine, Extended, ExtendedAxes, Format, Handles, Mode, Pose,
+    PoseError, PoseType, Released, SendFormat, Step,
 };
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Encode;
@@ -316,4 +316,42 @@ fn an_error_before_the_start_is_the_first_cause_of_the_refusal() {
     assert_eq!(fault.cause, Cause::Refused(HResult::E_ERROR_PRESENT));
     let codes: Vec<_> = fault.errors().iter().map(|error| error.code).collect();
     assert_eq!(codes, [HResult::from_u32(0x8420_4043), HResult::E_SLVMODE_OFF], "the first cause first");
+}
+
+#[test]
+fn a_cobotta_wants_its_preparations_and_the_engine_says_which() {
+    let cobotta = || Rig::with(Link::Udp, format(Mode::Mode0, PoseType::J), Config::new(Profile::Cobotta), |_| {});
+    let mut rig = cobotta();
+    assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+    let fault = rig.engine.fault().unwrap();
+    assert_eq!((fault.step, fault.code()), (Step::Motor, Some(HResult::E_MOTION_UNPREPARED)));
+
+    // by hand, as its user would
+    let prepare = |rig: &mut Rig, command| {
+        let Handles { robot, .. } = rig.engine.config().motion;
+        rig.wires[0].call(&mut rig.world, &call::robot_execute(robot, command, ()))
+    };
+    let mut rig = cobotta();
+    for command in ["ManualResetPreparation", "MotionPreparation"] {
+        assert_eq!(prepare(&mut rig, command), Ok(HResult::S_OK), "{command}");
+    }
+    let text = "[[fault]]\nwhen = { cycle = 20 }\nthen = { error = '0x84204043' }";
+    rig.world.sim.play(Scenario::parse(text).unwrap());
+    assert_eq!(rig.run(|rig| Some(from_start(rig, 0, 0.0))), Action::Faulted);
+    assert_eq!(rig.engine.fault().unwrap().code(), Some(HResult::from_u32(0x8420_4043)));
+
+    rig.engine.recover().unwrap();
+    assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+    let fault = rig.engine.fault().unwrap();
+    assert_eq!((fault.step, fault.cause), (Step::ClearError, Cause::Refused(HResult::E_MANUAL_RESET_UNPREPARED)));
+    assert_eq!(fault.code(), Some(HResult::from_u32(0x8420_4043)), "the first cause is still there");
+
+    assert_eq!(prepare(&mut rig, "ManualResetPreparation"), Ok(HResult::S_OK));
+    rig.engine.recover().unwrap();
+    let mut count = 0;
+    let end = rig.run(|rig| {
+        count += 1;
+        (count <= 20).then(|| from_start(rig, 0, 0.0))
+    });
+    assert_eq!((end, rig.errors()), (Action::Finished, vec![]));
 }
