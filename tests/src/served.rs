@@ -15,6 +15,7 @@ use bcap_core::rac;
 use bcap_core::time::Instant;
 use bcap_core::variant::VariantBuf;
 use bcap_std::server::{Limits, Server};
+use tokio::runtime::Handle;
 use tokio::sync::oneshot;
 
 use crate::network::answer_to;
@@ -37,6 +38,8 @@ pub struct Application {
     until: HashMap<PeerId, Instant>,
     /// Peers that have started the service.
     started: BTreeSet<PeerId>,
+    /// How often it was asked again about a call that sleeps.
+    pub asked_again: u64,
     /// How often each token was executed.
     pub executed: HashMap<i32, u32>,
     /// Peers that have called and have not gone.
@@ -77,6 +80,7 @@ impl Application {
 
     fn sleep(&mut self, peer: PeerId, millis: i32, now: Instant) -> Outcome {
         let length = Duration::from_millis(u64::try_from(millis).unwrap_or(0));
+        self.asked_again += u64::from(self.until.contains_key(&peer));
         let until = *self.until.entry(peer).or_insert_with(|| now + length);
         if now < until {
             return Outcome::Wait(until);
@@ -167,6 +171,7 @@ pub struct Served<H = Application> {
     /// Where it takes RAC.
     pub rac: SocketAddr,
     application: Arc<Mutex<H>>,
+    runtime: Handle,
     stop: Option<oneshot::Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
@@ -205,17 +210,23 @@ impl<H: Handler + rac::server::Handler + Send + 'static> Served<H> {
                 let server = server.bcap_tcp("127.0.0.1:0").await.expect("a port for TCP");
                 let server = server.bcap_udp("127.0.0.1:0").await.expect("a port for UDP");
                 let server = server.rac_tcp("127.0.0.1:0").await.expect("a port for RAC");
-                tell.send(server.addresses()).expect("the test waits");
+                tell.send((server.addresses(), Handle::current())).expect("the test waits");
                 server.run(async { _ = stopped.await }).await.expect("the listeners last");
             });
         });
-        let addresses = told.recv().expect("the server starts");
+        let (addresses, runtime) = told.recv().expect("the server starts");
         let (tcp, udp, rac) = (addresses.bcap_tcp[0], addresses.bcap_udp[0], addresses.rac_tcp[0]);
-        Self { tcp, udp, rac, application, stop: Some(stop), thread: Some(thread) }
+        Self { tcp, udp, rac, application, runtime, stop: Some(stop), thread: Some(thread) }
     }
 }
 
 impl<H> Served<H> {
+    /// Returns how many tasks the server has: some for its sockets, and one for each connection.
+    #[must_use]
+    pub fn tasks(&self) -> usize {
+        self.runtime.metrics().num_alive_tasks()
+    }
+
     /// Looks at the application; the server waits meanwhile.
     pub fn application(&self) -> MutexGuard<'_, H> {
         self.application.lock().unwrap_or_else(PoisonError::into_inner)

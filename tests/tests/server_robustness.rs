@@ -244,6 +244,34 @@ fn two_hundred_connections_are_served_at_once() {
     nothing_left(server);
 }
 
+/// Every call of one may concern every call that waits, but those who wait are not asked after each of them.
+#[test]
+fn many_calls_that_wait_cost_the_others_little() {
+    const WAITING: u64 = 200;
+    let server = Served::start(Limits::default());
+    let waiting: Vec<_> = (0..WAITING)
+        .map(|_| {
+            let mut client = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
+            client.call(call::service_start("")).unwrap();
+            let controller = client.call(call::controller_connect("", "", "", "")).unwrap();
+            let sleep = frame(&call::controller_execute(controller, "sleep", 3_600_000), 9);
+            client.transport().stream().write_all(&sleep).unwrap();
+            client
+        })
+        .collect();
+    let mut client = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
+    let (before, begun) = (server.application().asked_again, std::time::Instant::now());
+    for _ in 0..5000 {
+        client.call(call::service_start("")).unwrap();
+    }
+    let asked = server.application().asked_again - before;
+    // each of them at most once in 10 ms, and once more when a call begins to wait
+    let most = WAITING * (3 + u64::try_from(begun.elapsed().as_millis()).unwrap() / 10);
+    assert!(asked > 0 && asked <= most, "asked {asked} times, {most} at most");
+    drop((client, waiting));
+    nothing_left(server);
+}
+
 #[test]
 fn connections_over_the_limit_are_told_so_and_take_no_place() {
     let server = Served::start(Limits { connections: 20, ..Limits::default() });

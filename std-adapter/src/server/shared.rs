@@ -3,9 +3,13 @@
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::Duration;
 
 use bcap_core::handler::PeerId;
+use bcap_core::time::Instant;
 use tokio::sync::watch;
+
+use crate::clock::{now, until};
 
 /// A handler that many tasks call, one at a time.
 #[derive(Debug)]
@@ -63,7 +67,7 @@ impl<H> Shared<H> {
 
     /// Listens for changes from now on.
     pub(super) fn changes(self: &Arc<Self>) -> Changes<H> {
-        Changes { changed: self.changed.subscribe(), shared: Arc::clone(self), waiting: false }
+        Changes { changed: self.changed.subscribe(), shared: Arc::clone(self), waiting: false, not_before: now() }
     }
 }
 
@@ -82,7 +86,17 @@ pub(super) struct Changes<H> {
     changed: watch::Receiver<()>,
     shared: Arc<Shared<H>>,
     waiting: bool,
+    /// When the next change may be returned; see [`PAUSE`].
+    not_before: Instant,
 }
+
+/// How long a task that waits hears of no change after the last one: so long for each that waits, and not less than
+/// [`LEAST_PAUSE`].
+///
+/// Every change asks all handlers that wait. Without a pause two hundred long calls would be asked again for each call of
+/// somebody else, who would pay for it; with it, all of them together are asked 20,000 times a second at most.
+const PAUSE: Duration = Duration::from_micros(50);
+const LEAST_PAUSE: Duration = Duration::from_millis(1);
 
 impl<H> Changes<H> {
     /// Says whether this task waits for changes; it must say so before it asks its handler, not to miss one.
@@ -110,9 +124,19 @@ impl<H> Changes<H> {
     ///
     /// A change that was not returned is returned next time.
     pub(super) async fn next(&mut self) {
-        if !self.waiting || self.changed.changed().await.is_err() {
+        if !self.waiting {
             std::future::pending().await
         }
+        // while it sleeps nobody has to wake it
+        let pause = until(self.not_before);
+        if !pause.is_zero() {
+            tokio::time::sleep(pause).await;
+        }
+        if self.changed.changed().await.is_err() {
+            std::future::pending().await
+        }
+        let waiting = u32::try_from(self.shared.waiting.load(Ordering::Acquire)).unwrap_or(u32::MAX);
+        self.not_before = now().saturating_add(PAUSE.saturating_mul(waiting).max(LEAST_PAUSE));
     }
 }
 
