@@ -63,6 +63,10 @@ fuzz seconds="30":
 lossy calls="100000":
     UDP_CALLS={{calls}} cargo test -p bcap-tests --test faults datagrams_are_lost -- --nocapture
 
+# Two hundred clients for a minute, or for `just soak 36000` seconds; half of them misbehave.
+soak seconds="60":
+    cargo bench -p bcap-tests --bench soak -- --seconds {{seconds}}
+
 # Licences, sources and advisories of the dependencies.
 dependencies:
     bash .ci/run dependencies

@@ -13,6 +13,7 @@
 //! | [`served`]     | a server on real sockets with a small application                                   |
 //! | [`slowed`]     | a virtual controller with a slow clock                                              |
 //! | [`proxy`]      | what stands between a client and a server on real sockets, and does its worst       |
+//! | [`process`]    | memory, processor time and file descriptors of a process                            |
 //! | [`allocation`] | an allocator that counts what each thread asks of it                                |
 //!
 //! Nothing here is fast or frugal; where it disagrees with the core, one of the two is wrong.
@@ -21,6 +22,7 @@ pub mod allocation;
 pub mod frame;
 pub mod network;
 pub mod oracle;
+pub mod process;
 pub mod proxy;
 pub mod served;
 pub mod slowed;

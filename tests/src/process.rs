@@ -4,29 +4,35 @@ use std::time::Duration;
 
 /// A process.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Process {
+pub struct Process {
     id: u32,
 }
 
 /// The resident memory of a process, in bytes.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Memory {
-    pub(crate) now: u64,
-    pub(crate) most: u64,
+pub struct Memory {
+    /// What it takes now.
+    pub now: u64,
+    /// The most that it has taken so far.
+    pub most: u64,
 }
 
 impl Process {
-    pub(crate) const fn new(id: u32) -> Self {
+    /// Returns the process with this number.
+    #[must_use]
+    pub const fn new(id: u32) -> Self {
         Self { id }
     }
 
     /// Returns the process that asks.
-    pub(crate) fn this() -> Self {
+    #[must_use]
+    pub fn this() -> Self {
         Self::new(std::process::id())
     }
 
     /// Returns its memory.
-    pub(crate) fn memory(self) -> Option<Memory> {
+    #[must_use]
+    pub fn memory(self) -> Option<Memory> {
         let status = self.read("status")?;
         let kibibytes = |key: &str| {
             let line = status.lines().find_map(|line| line.strip_prefix(key))?;
@@ -36,7 +42,8 @@ impl Process {
     }
 
     /// Returns the processor time that it has used.
-    pub(crate) fn processor_time(self) -> Option<Duration> {
+    #[must_use]
+    pub fn processor_time(self) -> Option<Duration> {
         let stat = self.read("stat")?;
         // the name in front of the `)` may have blanks; utime and stime are the fields 14 and 15
         let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
@@ -45,8 +52,15 @@ impl Process {
         Some(Duration::from_millis(10 * ticks))
     }
 
+    /// Returns how many threads it has.
+    #[must_use]
+    pub fn threads(self) -> Option<usize> {
+        std::fs::read_dir(format!("/proc/{}/task", self.id)).ok().map(Iterator::count)
+    }
+
     /// Returns how many file descriptors it has open.
-    pub(crate) fn descriptors(self) -> Option<usize> {
+    #[must_use]
+    pub fn descriptors(self) -> Option<usize> {
         std::fs::read_dir(format!("/proc/{}/fd", self.id)).ok().map(Iterator::count)
     }
 

@@ -19,7 +19,6 @@ mod datagram_clients;
 mod datagrams;
 mod frames;
 mod lines;
-mod process;
 mod rac_clients;
 mod script;
 mod serial;
@@ -29,9 +28,9 @@ mod wire;
 use std::process::ExitCode;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use bcap_tests::process::{Memory, Process};
 use libtest_mimic::{Arguments, Trial};
 
-use crate::process::Process;
 use crate::target::Target;
 
 /// How much a process may grow over the whole list.
@@ -129,7 +128,7 @@ fn trials(target: &Arc<Mutex<Option<Target>>>) -> Vec<Trial> {
 }
 
 /// Returns what the two processes take.
-fn memory(target: &Mutex<Option<Target>>) -> [(&'static str, Option<process::Memory>); 2] {
+fn memory(target: &Mutex<Option<Target>>) -> [(&'static str, Option<Memory>); 2] {
     let target = target.lock().unwrap_or_else(PoisonError::into_inner);
     let server = target.as_ref().and_then(|target| target.process().memory());
     [("the server", server), ("the clients", Process::this().memory())]

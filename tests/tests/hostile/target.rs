@@ -13,9 +13,8 @@ use bcap_core::variant::Variant;
 use bcap_std::blocking::{self, Connection, RacClient, TcpClient, Transport, UdpClient};
 use bcap_std::server::Limits;
 use bcap_std::{Options, now};
+use bcap_tests::process::Process;
 use bcap_tests::served::Served;
-
-use crate::process::Process;
 
 /// The argument by which this program becomes the server.
 pub(crate) const SERVE: &str = "--serve";

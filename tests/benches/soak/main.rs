@@ -1,0 +1,235 @@
+//! A server with many clients for a long time, half of which misbehave: does it keep what it promises to the others, and does
+//! anything grow?
+//!
+//! ```text
+//!   idle      all clients are connected and say nothing
+//!   alone     the well-behaved half works, for a second                           ┐
+//!   together  the other half misbehaves at the same time, for two                 ┘ in turn, until the time is over
+//!   after     all have gone
+//! ```
+//!
+//! `cargo bench -p bcap-tests --bench soak -- --seconds 60 --clients 200`; the seconds are those together. The server is a
+//! process of its own, with the limits that a server has unless told otherwise, and one thread.
+//!
+//! It fails when the well-behaved half keeps less than 80 % of what it does alone (in 60 s or more), when 200 silent
+//! connections cost 1 % of a processor, when handles, tasks or files are not in the end what they were, or when memory has
+//! grown by 10 MiB since the first line of the table. A machine that does other things meanwhile measures those as well.
+
+mod mischief;
+mod server;
+mod work;
+
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use crate::server::{SERVE, Server, State};
+
+/// Lines of the table.
+const ROWS: u32 = 6;
+/// How long the well-behaved half works alone at a time, and both together.
+const ALONE: Duration = Duration::from_secs(1);
+const TOGETHER: Duration = Duration::from_secs(2);
+/// The time together that says something about throughput.
+const ENOUGH: Duration = Duration::from_secs(60);
+/// How much of its throughput the well-behaved half keeps, in per cent.
+const KEPT: f64 = 80.0;
+/// What silent connections may cost of a processor, in per cent.
+const IDLE: f64 = 1.0;
+/// How much the server may grow, in bytes.
+const GROWTH: u64 = 10 << 20;
+
+/// What all clients share.
+#[derive(Debug, Default)]
+pub(crate) struct Plan {
+    /// Calls that the well-behaved have made.
+    pub(crate) calls: AtomicU64,
+    /// What the others have done.
+    pub(crate) mischief: AtomicU64,
+    /// Whether the others are to misbehave now.
+    pub(crate) is_together: AtomicBool,
+    /// Whether all are to go.
+    pub(crate) is_over: AtomicBool,
+}
+
+/// What was asked for.
+#[derive(Clone, Copy, Debug)]
+struct Wishes {
+    time: Duration,
+    clients: usize,
+}
+
+fn main() -> ExitCode {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    if arguments.first().is_some_and(|first| first == SERVE) {
+        server::serve();
+        return ExitCode::SUCCESS;
+    }
+    let Some(wishes) = wishes(&arguments) else {
+        eprintln!("usage: soak [--seconds SECONDS] [--clients CLIENTS]");
+        return ExitCode::from(2);
+    };
+    let mut verdict = Verdict(true);
+    soak(wishes, &mut verdict);
+    if verdict.0 { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+fn wishes(arguments: &[String]) -> Option<Wishes> {
+    let mut wishes = Wishes { time: Duration::from_secs(60), clients: 200 };
+    let mut words = arguments.iter().filter(|word| *word != "--bench");
+    while let Some(word) = words.next() {
+        match word.as_str() {
+            "--seconds" => wishes.time = Duration::from_secs(words.next()?.parse().ok()?),
+            "--clients" => wishes.clients = words.next()?.parse().ok().filter(|clients| *clients >= 2)?,
+            _ => return None,
+        }
+    }
+    Some(wishes)
+}
+
+/// Whether all is as it should be.
+struct Verdict(bool);
+
+impl Verdict {
+    fn check(&mut self, is_good: bool, what: &str) {
+        println!("{}  {what}", if is_good { "  ok  " } else { "FAILED" });
+        self.0 &= is_good;
+    }
+}
+
+fn soak(wishes: Wishes, verdict: &mut Verdict) {
+    let mut server = Server::start();
+    idle(&mut server, wishes, verdict);
+    let begin = server.quiet();
+
+    let plan = Arc::<Plan>::default();
+    let half = wishes.clients / 2;
+    let good = work::start(server.addresses(), half, Arc::clone(&plan));
+    let bad = mischief::start(server.addresses(), wishes.clients - half, Arc::clone(&plan));
+    // what is made once is made before anything is measured
+    let _ = Window::of(&plan, &server, ALONE);
+    println!("calls/s alone  together  kept   mischief  {}", State::HEAD);
+    let mut rows = Vec::new();
+    for _ in 0..ROWS {
+        let (alone, together) = row(&plan, &server, wishes.time / ROWS);
+        let state = server.state();
+        let (kept, mischief) = (100.0 * together.calls() / alone.calls(), together.mischief());
+        println!("{:13.0}  {:8.0}  {kept:3.0} %  {mischief:6.0}/s  {state}", alone.calls(), together.calls());
+        rows.push(Row { alone, together, state });
+    }
+    plan.is_over.store(true, Ordering::Relaxed);
+    good.join().expect("the well-behaved have been served");
+    bad.join().expect("the others have found their end");
+    judge(wishes, &rows, &begin, &server.settled(&begin), verdict);
+}
+
+/// Measures both ways of working in turn, until the two together have taken so long.
+fn row(plan: &Plan, server: &Server, time: Duration) -> (Window, Window) {
+    let (mut alone, mut together) = (Window::default(), Window::default());
+    while together.time < time {
+        plan.is_together.store(false, Ordering::Relaxed);
+        // until the last of the others has let go
+        std::thread::sleep(Duration::from_millis(300));
+        alone.add(Window::of(plan, server, ALONE));
+        plan.is_together.store(true, Ordering::Relaxed);
+        together.add(Window::of(plan, server, TOGETHER.min(time)));
+    }
+    (alone, together)
+}
+
+/// What was done in a while.
+#[derive(Clone, Copy, Debug, Default)]
+struct Window {
+    calls: u64,
+    mischief: u64,
+    time: Duration,
+    /// What the server has used of it.
+    used: Duration,
+}
+
+impl Window {
+    fn of(plan: &Plan, server: &Server, time: Duration) -> Self {
+        let count = || [&plan.calls, &plan.mischief].map(|count| count.load(Ordering::Relaxed));
+        let used = || server.process().processor_time().unwrap_or_default();
+        let (before, used_before, begun) = (count(), used(), Instant::now());
+        std::thread::sleep(time);
+        let (after, used, time) = (count(), used() - used_before, begun.elapsed());
+        Self { calls: after[0] - before[0], mischief: after[1] - before[1], time, used }
+    }
+
+    fn add(&mut self, other: Self) {
+        self.calls += other.calls;
+        self.mischief += other.mischief;
+        self.time += other.time;
+        self.used += other.used;
+    }
+
+    /// Returns the calls of a second.
+    fn calls(&self) -> f64 {
+        self.calls as f64 / self.time.as_secs_f64()
+    }
+
+    /// Returns the calls in a second of the server's processor time, on which what else a machine does has no influence.
+    fn calls_for_time_used(&self) -> f64 {
+        self.calls as f64 / self.used.as_secs_f64()
+    }
+
+    fn mischief(&self) -> f64 {
+        self.mischief as f64 / self.time.as_secs_f64()
+    }
+}
+
+/// A line of the table.
+struct Row {
+    alone: Window,
+    together: Window,
+    state: State,
+}
+
+/// Measures what connections cost that say nothing.
+fn idle(server: &mut Server, wishes: Wishes, verdict: &mut Verdict) {
+    let connections = work::silent(server.addresses(), wishes.clients);
+    let time = (wishes.time / 12).max(Duration::from_secs(2));
+    let (before, begun) = (server.process().processor_time(), Instant::now());
+    std::thread::sleep(time);
+    let Some(used) = server.process().processor_time().zip(before).map(|(after, before)| after - before) else {
+        return println!("the server's processor time is not known here: there is no /proc");
+    };
+    let share = 100.0 * used.as_secs_f64() / begun.elapsed().as_secs_f64();
+    let what = format!("{} silent connections cost {share:.2} % of a processor, of {IDLE} % allowed", wishes.clients);
+    verdict.check(share < IDLE, &what);
+    drop(connections);
+}
+
+fn judge(wishes: Wishes, rows: &[Row], begin: &State, end: &State, verdict: &mut Verdict) {
+    let (Some(first), Some(last)) = (rows.first(), rows.last()) else { return };
+    let (mut alone, mut together) = (Window::default(), Window::default());
+    for row in rows {
+        alone.add(row.alone);
+        together.add(row.together);
+    }
+    let kept = 100.0 * together.calls() / alone.calls();
+    let what = format!("beside the others the well-behaved keep {kept:.0} % of their throughput, {KEPT} % wanted");
+    if wishes.time >= ENOUGH {
+        verdict.check(kept >= KEPT, &what);
+    } else {
+        println!("        {what}; not judged by so short a run");
+    }
+    let share = 100.0 * together.calls_for_time_used() / alone.calls_for_time_used();
+    println!("        a second of the server's processor time has {share:.0} % of the calls that it has alone");
+    let steady = 100.0 * last.alone.calls() / first.alone.calls();
+    println!("        alone they have {steady:.0} % of the first line's throughput in the last");
+    println!("        when all have gone: {end}");
+    let flat = (begin.handles, begin.peers, begin.tasks) == (end.handles, end.peers, end.tasks);
+    verdict.check(flat, "handles, peers and tasks are what they were before");
+    match (begin.descriptors, end.descriptors) {
+        (Some(before), Some(after)) => verdict.check(before == after, "so are file descriptors"),
+        _ => println!("        file descriptors are not known here: there is no /proc"),
+    }
+    if let (Some(early), Some(late)) = (first.state.memory, last.state.memory) {
+        let growth = late.now.saturating_sub(early.now);
+        let what = format!("memory has grown by {:.1} MiB since the first line", growth as f64 / f64::from(1 << 20));
+        verdict.check(growth < GROWTH, &what);
+    }
+}

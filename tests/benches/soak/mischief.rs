@@ -1,0 +1,186 @@
+//! The clients that do not behave: each does one thing after the other that a client should not, some five in a second.
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use bcap_core::bcap::FunctionId;
+use bcap_tests::frame::TestFrame;
+use bcap_tests::network::Random;
+use bcap_tests::value::Value;
+use socket2::SockRef;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpStream, UdpSocket};
+use tokio::task::JoinSet;
+use tokio::time::{sleep, timeout};
+
+use crate::Plan;
+use crate::server::Addresses;
+
+/// How long a client waits between two of its deeds, on average.
+const PACE: Duration = Duration::from_millis(100);
+
+/// Starts clients in a thread of their own, which ends when all have.
+pub(crate) fn start(server: Addresses, clients: usize, plan: Arc<Plan>) -> JoinHandle<()> {
+    std::thread::spawn(move || {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+        runtime.block_on(async {
+            let mut tasks = JoinSet::new();
+            for seed in 0..clients {
+                tasks.spawn(client(server, Random(seed as u64), Arc::clone(&plan)));
+            }
+            while tasks.join_next().await.is_some() {}
+        });
+    })
+}
+
+async fn client(server: Addresses, mut random: Random, plan: Arc<Plan>) {
+    while !plan.is_over.load(Ordering::Relaxed) {
+        if plan.is_together.load(Ordering::Relaxed) {
+            // the server defends itself, so most deeds end with an error
+            let _ = timeout(Duration::from_secs(5), deed(server, &mut random)).await;
+            plan.mischief.fetch_add(1, Ordering::Relaxed);
+        }
+        sleep(Duration::from_micros(random.below(2 * PACE.as_micros() as u64))).await;
+    }
+}
+
+/// Does one thing that a client should not.
+async fn deed(server: Addresses, random: &mut Random) -> io::Result<()> {
+    let kind = random.below(14);
+    match kind {
+        0 => return datagrams(server, random).await,
+        1 => return line(server).await,
+        _ => {}
+    }
+    let mut stream = TcpStream::connect(server.tcp).await?;
+    stream.set_nodelay(true)?;
+    match kind {
+        // comes and goes
+        2 => {}
+        // says one byte, or a part, and hangs on
+        3 => {
+            stream.write_all(&[1]).await?;
+            sleep(PACE).await;
+        }
+        4 => {
+            stream.write_all(&connect()[..40]).await?;
+            sleep(PACE).await;
+            reset(&stream)?;
+        }
+        // sends what is no frame
+        5 => {
+            let garbage: Vec<u8> = (0..1000).map(|_| random.number() as u8).collect();
+            ask(&mut stream, &garbage).await?;
+        }
+        6 => ask(&mut stream, &broken(&[0x0c, 0x20, 1, 0, 0, 0].repeat(10_000))).await?,
+        7 => ask(&mut stream, &broken(&[5, 0x20, 1, 0, 0, 0x20])).await?,
+        // promises much and sends little
+        8 => {
+            stream.write_all(&[1, 0, 0, 0, 1]).await?;
+            stream.write_all(&vec![0; 64 << 10]).await?;
+            sleep(PACE).await;
+        }
+        // asks much and reads nothing
+        9 => {
+            stream.write_all(&begin().repeat(200)).await?;
+            sleep(PACE).await;
+            reset(&stream)?;
+        }
+        // opens much and goes without a word
+        10 => {
+            session(&mut stream).await?;
+            stream.write_all(&connect().repeat(50)).await?;
+        }
+        // goes in the middle of a long call
+        11 => {
+            let controller = session(&mut stream).await?;
+            let args = vec![Value::I4(controller), Value::text("sleep"), Value::I4(3_600_000)];
+            stream.write_all(&request(FunctionId::CONTROLLER_EXECUTE, args)).await?;
+            sleep(PACE).await;
+        }
+        // a byte at a time
+        12 => {
+            for byte in begin() {
+                stream.write_all(&[byte]).await?;
+                sleep(Duration::from_millis(2)).await;
+            }
+            reset(&stream)?;
+        }
+        // a large request, and away before the answer
+        _ => {
+            let much = Value::Array(17, vec![Value::Ui1(7); 100_000]);
+            stream.write_all(&request(FunctionId::SERVICE_START, vec![much])).await?;
+            reset(&stream)?;
+        }
+    }
+    Ok(())
+}
+
+async fn datagrams(server: Addresses, random: &mut Random) -> io::Result<()> {
+    let socket = UdpSocket::bind("127.0.0.1:0").await?;
+    socket.connect(server.udp).await?;
+    for _ in 0..10 {
+        let garbage: Vec<u8> = (0..random.below(600)).map(|_| random.number() as u8).collect();
+        socket.send(&garbage).await?;
+        socket.send(&begin()[..9]).await?;
+    }
+    Ok(())
+}
+
+async fn line(server: Addresses) -> io::Result<()> {
+    let mut stream = TcpStream::connect(server.rac).await?;
+    stream.write_all(&[&[b'x'; 2000][..], b"\r8204,(\r\xff\r", &b"(".repeat(200), b"\r"].concat()).await?;
+    stream.write_all(b"GET:RC8:1").await?;
+    stream.read_exact(&mut [0; 12]).await?;
+    Ok(())
+}
+
+/// Sends bytes and reads to the end.
+async fn ask(stream: &mut TcpStream, bytes: &[u8]) -> io::Result<()> {
+    stream.write_all(bytes).await?;
+    stream.shutdown().await?;
+    stream.read_to_end(&mut Vec::new()).await?;
+    Ok(())
+}
+
+/// Begins a session and returns the handle of the controller.
+async fn session(stream: &mut TcpStream) -> io::Result<i32> {
+    stream.write_all(&[begin(), connect()].concat()).await?;
+    // a reply without a value, and one with an I4 in front of its last byte
+    let mut replies = [0; 16 + 30];
+    stream.read_exact(&mut replies).await?;
+    let [.., a, b, c, d, _] = replies;
+    Ok(i32::from_le_bytes([a, b, c, d]))
+}
+
+fn reset(stream: &TcpStream) -> io::Result<()> {
+    SockRef::from(stream).set_linger(Some(Duration::ZERO))
+}
+
+fn request(function: FunctionId, args: Vec<Value>) -> Vec<u8> {
+    TestFrame { serial: 1, reserved: 0, code: function.0, args }.to_wire(false)
+}
+
+fn begin() -> Vec<u8> {
+    request(FunctionId::SERVICE_START, vec![])
+}
+
+fn connect() -> Vec<u8> {
+    request(FunctionId::CONTROLLER_CONNECT, vec![Value::text(""); 4])
+}
+
+/// A request with an argument that is no value.
+fn broken(value: &[u8]) -> Vec<u8> {
+    let mut bytes = begin();
+    bytes.pop();
+    bytes[13] = 1;
+    bytes.extend((value.len() as u32).to_le_bytes());
+    bytes.extend(value);
+    bytes.push(4);
+    let length = bytes.len() as u32;
+    bytes[1..5].copy_from_slice(&length.to_le_bytes());
+    bytes
+}
