@@ -1,7 +1,7 @@
 //! Slave Mode over real sockets: the engine on the blocking clients, the virtual controller on the server.
 //!
-//! Each format with each other, over a wire without time, is tested beside the virtual controller itself; here a part of
-//! them shows that sockets carry the same.
+//! Each format with each other, over a wire without time, is tested beside the virtual controller itself; here a part
+//! of them shows that sockets carry the same.
 
 use std::fmt::Debug;
 use std::net::SocketAddr;

@@ -55,8 +55,8 @@
 //! A motion while another one runs is refused with `E_ROBOTISBUSY`, also behind `NEXT`: that is what the specification
 //! says of the code. So there is no queue, and nothing for a pass motion to blend with.
 //!
-//! TakeArm while an error is present answers `E_ERROR_PRESENT`. GiveArm while the robot moves answers `E_ROBOTISBUSY`. Commands that real controllers have and this one has not
-//! answer `E_NOTIMPL`, other names `E_INVALID_CMD_NAME`.
+//! TakeArm while an error is present answers `E_ERROR_PRESENT`. GiveArm while the robot moves answers `E_ROBOTISBUSY`.
+//! Commands that real controllers have and this one has not answer `E_NOTIMPL`, other names `E_INVALID_CMD_NAME`.
 
 mod moves;
 

@@ -6,14 +6,14 @@
 //! | Controller_GetCommandNames               | BSTR array: those that this controller has                      |
 //! | Command_PutParameters, -GetParameters    | what Controller_Execute would get; EMPTY before                 |
 //! | Command_Execute 0                        | executes it and answers its result                              |
-//! | Command_Execute 1                        | begins it and answers at once; `E_CAO_CMD_EXECUTE` while it runs |
-//! | Command_GetState                         | I4: 0 not executed yet, 1 running, 2 done, 3 failed or cancelled |
+//! | Command_Execute 1                        | begins it and answers; `E_CAO_CMD_EXECUTE` while it runs        |
+//! | Command_GetState                         | I4: 0 not executed yet, 1 running, 2 done, 3 failed, cancelled  |
 //! | Command_GetResult                        | the result; the code with which it failed; EMPTY before         |
-//! | Command_PutTimeout, -GetTimeout          | I4, ms that Execute 0 waits, then `E_TIMEOUT`; 0, as at first, for as long as it takes |
-//! | Command_Cancel                           | stops what runs (the motor, the hand); `S_FALSE` when nothing does |
+//! | Command_PutTimeout, -GetTimeout          | I4, ms that Execute 0 waits, then `E_TIMEOUT`; 0 is without end |
+//! | Command_Cancel                           | stops the motor or the hand; `S_FALSE` when nothing runs        |
 //!
-//! Only Motor and the motions of a COBOTTA's hand take time; all others are done when they are begun. The numbers of the
-//! states and of the modes are this model's: no public client uses command objects.
+//! Only Motor and the motions of a COBOTTA's hand take time; all others are done when they are begun. The numbers of
+//! the states and of the modes are this model's: no public client uses command objects.
 
 use std::time::Duration;
 

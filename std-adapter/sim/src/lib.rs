@@ -21,9 +21,9 @@
 //!
 //! # What answers `E_NOTIMPL`
 //!
-//! Arcs and free curves, Rotate, File_Run, Task_Delete, definitions of tools and work coordinates, logs of positions and
-//! of operations, force control. A command that no controller is known to have answers `E_INVALID_CMD_NAME`. Nothing answers `S_OK` without
-//! having done what it was asked.
+//! Arcs and free curves, Rotate, File_Run, Task_Delete, definitions of tools and work coordinates, logs of positions
+//! and of operations, force control. A command that no controller is known to have answers `E_INVALID_CMD_NAME`.
+//! Nothing answers `S_OK` without having done what it was asked.
 //!
 //! # Decisions, where the manuals are silent
 //!
@@ -34,7 +34,8 @@
 //!   must be cleared: with level 1 and 2 they stop motion and suspend tasks; from level 3 on they also switch the motor
 //!   off and reset the tasks.
 //! * A robot's name may be anything; there is one arm, and a client's `ID=` other than 0 is `E_CAO_OBJECT_NOTFOUND`.
-//! * GetAttribute answers 0, of a file the sum of 1 (read-only) and 16 (folder). GetTag and GetID answer what PutTag and PutID have set; a user variable's ID is its index.
+//! * GetAttribute answers 0, of a file the sum of 1 (read-only) and 16 (folder). GetTag and GetID answer what PutTag
+//!   and PutID have set; a user variable's ID is its index.
 //! * Variable_GetDateTime tells when the variable was last read or written through this handle.
 //!
 //! The tables of names, types and answers stand with the code: [`variables`], [`system`], [`arm`], [`execute`],

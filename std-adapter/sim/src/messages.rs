@@ -1,9 +1,9 @@
 //! Messages: what the controller tells without being asked, for a client to fetch.
 //!
 //! Each error of the controller is a message to every client that is connected then. Controller_GetMessage opens the
-//! oldest one that this client has not fetched, and answers `S_FALSE` without a handle when there is none. A client that
-//! has connected with `@EventDisable=true` gets none. The latest 64 are kept for each; older ones are lost, which the
-//! serial numbers show.
+//! oldest one that this client has not fetched, and answers `S_FALSE` without a handle when there is none. A client
+//! that has connected with `@EventDisable=true` gets none. The latest 64 are kept for each; older ones are lost, which
+//! the serial numbers show.
 //!
 //! | function                      | answer                                                      |
 //! |-------------------------------|-------------------------------------------------------------|

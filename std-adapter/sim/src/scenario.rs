@@ -38,9 +38,8 @@
 //! | `{ error = code }`      | an error of the controller occurs; at a call, before it is carried out           |
 //! | `{ emergency_stop = b }`| the emergency stop is pressed (true) or released (false)                         |
 //! | `{ link_loss_ms = t }`  | for this time nothing arrives and nothing is answered; 0 is for good             |
-//!
 //! | `{ mode = m }`          | the mode switch is turned: `"auto"`, `"manual"`, `"teach_check"`                 |
-//! | `{ token = t }`         | the executable token goes to `"any"`, the teach `"pendant"` or an `"other"` client |
+//! | `{ token = t }`         | the executable token goes to `"any"`, the `"pendant"` or an `"other"` client     |
 //! | `{ motor = b }`         | the motor is switched on or off from outside                                     |
 //!
 //! A code is a name or a number: `"E_BUF_FULL"`, `"0x83201483"`. `bcap sim --scenario FILE` plays a file.
@@ -69,10 +68,10 @@
 //!
 //! # On the wire
 //!
-//! The controller has no wire. Whoever moves its replies asks [`Controller::deliver`](crate::Controller::deliver) about each one, with its bytes:
-//! it says whether they go out, and changes them where the scenario wants that. Without being asked, `"drop"`,
-//! `"wrong_serial"`, `"corrupt"` and `"disconnect"` have no effect; during a link loss calls are not carried out and
-//! not answered in any case.
+//! The controller has no wire. Whoever moves its replies asks
+//! [`Controller::deliver`](crate::Controller::deliver) about each one, with its bytes: it says whether they go out, and
+//! changes them where the scenario wants that. Without being asked, `"drop"`, `"wrong_serial"`, `"corrupt"` and
+//! `"disconnect"` have no effect; during a link loss calls are not carried out and not answered in any case.
 
 mod file;
 mod run;
