@@ -10,13 +10,14 @@ use bcap_core::rac::server::{Config, Handler, Session};
 use bcap_core::rac::{Request, Variable, VariableKind};
 use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
-use bcap_sizes::{Memory, copy, entry};
+use bcap_sizes::{Memory, Place, copy, entry};
 
 entry!(run);
 
 fn run(memory: &mut Memory) {
     let now = black_box(Instant::ZERO);
-    let mut session = Session::new(black_box(Config::TCP), [0; 256]);
+    static SESSION: Place<Session<[u8; 256]>> = Place::new();
+    let session = SESSION.put(Session::new(black_box(Config::TCP), [0; 256]));
     let mut store = Store { pose: [0.0; 7], number: 0 };
     loop {
         let received = copy(&memory.input, session.receive_buffer());

@@ -8,13 +8,14 @@ use bcap_core::rac::client::{Client, Config};
 use bcap_core::rac::{Request, Variable, VariableKind};
 use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
-use bcap_sizes::{Memory, copy, entry};
+use bcap_sizes::{Memory, Place, copy, entry};
 
 entry!(run);
 
 fn run(memory: &mut Memory) {
     let now = black_box(Instant::ZERO);
-    let mut client = Client::new(black_box(Config::TCP), [0; 256]);
+    static CLIENT: Place<Client<[u8; 256]>> = Place::new();
+    let client = CLIENT.put(Client::new(black_box(Config::TCP), [0; 256]));
     let variable = black_box(Variable::new(VariableKind::P, 1));
     // what is written next is what was read last, of any type
     let value = black_box(Variant::I4(1));
