@@ -287,7 +287,8 @@ pub(crate) struct Sim {
     #[arg(long)]
     pub(crate) no_slave_licence: bool,
 
-    /// A file of faults that happen by themselves: refused calls, errors, the emergency stop, a bad link
+    /// A file of what is wrong from the beginning, and of faults that happen by themselves: refused calls, errors, the
+    /// emergency stop, a bad link
     #[arg(long, value_name = "FILE")]
     pub(crate) scenario: Option<PathBuf>,
 
@@ -303,7 +304,7 @@ pub(crate) enum Model {
     Rc8,
     /// RC9: it has StoState and ManualReset
     Rc9,
-    /// COBOTTA: the same, but its slave mode has no HandIO
+    /// COBOTTA: the same; it is to be prepared before it moves, and its slave mode has no HandIO
     Cobotta,
 }
 

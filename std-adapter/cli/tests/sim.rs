@@ -172,6 +172,16 @@ fn a_scenario_refuses_loses_and_garbles() {
 }
 
 #[test]
+fn a_scenario_says_what_is_wrong_from_the_beginning() {
+    let text = "[controller]\ntoken = 'pendant'\nerrors = ['0x84201482']\nversion = '1.2.3'\n";
+    let sim = Sim::start(&["--scenario", &scenario("beginning.toml", text)]);
+    assert_eq!(sim.tcp(&["get", "@VERSION"]).out, "@VERSION = 1.2.3\n");
+    assert_eq!(sim.tcp(&["exec", "controller", "GetCurErrorCount"]).out, "1\n");
+    let run = sim.tcp(&["exec", "robot", "TakeArm"]);
+    assert!(run.code == 1 && run.err.contains("E_TOKEN_NOT_ETHERNET"), "{run:?}");
+}
+
+#[test]
 fn the_controllers_files_are_those_of_a_folder() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("files");
     fs::create_dir_all(&folder).unwrap();
