@@ -70,3 +70,8 @@ soak seconds="60":
 # Licences, sources and advisories of the dependencies.
 dependencies:
     bash .ci/run dependencies
+
+# The gateway board in QEMU for a minute behind a wire that drops, repeats and delays frames; a seed decides which.
+wire seed="1":
+    cargo build --quiet --locked --release -p bcap-cli
+    WIRE_SECONDS=60 WIRE_SEED={{seed}} BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo test -p bcap-board --test wire
