@@ -194,12 +194,14 @@ fn a_connection_that_is_closed_leaves_the_watch_to_ask() {
 
 #[test]
 fn an_error_at_any_cycle_ends_the_stream_there() {
-    let code = HResult::from_u32(0x8350_0001);
-    for (link, mode) in each() {
+    // of level 1, after which the motor stays on, and of level 3
+    for (number, (link, mode)) in [0x8150_0001, 0x8350_0001].into_iter().flat_map(|n| each().map(move |on| (n, on))) {
+        let code = HResult::from_u32(number);
         for cycle in [1, 2, 3, 50, 150, 299] {
-            let text = format!("[[fault]]\nwhen = {{ cycle = {cycle} }}\nthen = {{ error = '0x83500001' }}");
+            let text = format!("[[fault]]\nwhen = {{ cycle = {cycle} }}\nthen = {{ error = '{number:#x}' }}");
             let (mut rig, end) = play(link, mode, &text);
             assert_eq!((end, fault(&rig).code()), (Action::Faulted, Some(code)), "{link:?}, {mode:?}, {cycle}");
+            assert_eq!(rig.world.sim.motor_is_on(), code.level() == Some(1));
             // what the engine met was that slave mode is off, or the error itself when its answer was withheld
             let refused = [HResult::E_SLVMODE_OFF, code].map(Cause::Refused);
             assert!(refused.contains(&fault(&rig).cause), "{}", fault(&rig));
