@@ -10,6 +10,7 @@ use std::net::{TcpListener, TcpStream};
 use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
 use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::Once;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -26,10 +27,12 @@ pub(crate) fn error(code: HResult) -> String {
 
 /// Returns the command `bcap`; without one it says that something was left out.
 pub(crate) fn bcap() -> Option<PathBuf> {
+    static SAID: Once = Once::new();
     let bcap = std::env::var_os("BCAP").map(PathBuf::from);
     if bcap.is_none() {
         // not `eprintln`, which the tests of cargo show of failures only
-        let _ = writeln!(io::stderr(), "left out: the board was not run; embassy-adapter/firmware/test does that");
+        let say = || writeln!(io::stderr(), "left out: the board was not run; embassy-adapter/firmware/test does that");
+        SAID.call_once(|| drop(say()));
     }
     bcap
 }
