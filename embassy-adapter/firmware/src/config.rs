@@ -1,6 +1,7 @@
 //! The block of settings in the flash; what it can say stands in `bcap_board`.
 
 use bcap_board::{BLOCK, MAGIC, Settings};
+use static_cell::StaticCell;
 
 use crate::mmio;
 
@@ -15,13 +16,15 @@ static SETTINGS: [u8; BLOCK] = {
     block
 };
 
-/// Reads the block; `unreadable` is told the lines that are no settings.
+/// Reads the block; `unreadable` is told the lines that are no settings. To be called once.
 ///
 /// Not inlined: the settings are made on the stack on their way into their place.
 #[inline(never)]
 #[must_use]
-pub fn load(unreadable: fn(&[u8])) -> Settings<'static> {
-    Settings::read(mmio::patched(&SETTINGS).get(MAGIC.len()..).unwrap_or_default(), unreadable)
+pub fn load(unreadable: fn(&[u8])) -> &'static Settings<'static> {
+    static PLACE: StaticCell<Settings<'static>> = StaticCell::new();
+    let text = mmio::patched(&SETTINGS).get(MAGIC.len()..).unwrap_or_default();
+    PLACE.init_with(|| Settings::read(text, unreadable))
 }
 
 /// Logs a line that is no setting.

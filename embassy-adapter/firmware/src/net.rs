@@ -16,7 +16,8 @@ pub type NetRunner = Runner<'static, &'static mut Lan9118<'static>>;
 
 /// Starts the network; `mac` is the address that the board has when the settings have none. To be called once.
 ///
-/// Without an Ethernet controller the program ends.
+/// Without an Ethernet controller the program ends. Not inlined, as the stack of the network is made on that of the board.
+#[inline(never)]
 pub fn start<const SOCKETS: usize>(
     settings: &Settings<'_>,
     mac: [u8; 6],

@@ -56,7 +56,7 @@ fn main() -> ! {
     let socket = tcp::Socket::new(tcp::SocketBuffer::new(&mut rx[..]), tcp::SocketBuffer::new(&mut tx[..]));
     let socket = sockets.add(socket);
     let mut robot = Robot {
-        interface: interface(&mut device, &settings),
+        interface: interface(&mut device, settings),
         device,
         sockets,
         socket,
@@ -65,7 +65,7 @@ fn main() -> ! {
         next_port: 49_152,
     };
     loop {
-        match robot.read(&settings) {
+        match robot.read(settings) {
             Ok(()) => {}
             Err(error) => {
                 let _ = writeln!(Text, "cannot read {}: {error}", settings.variable);

@@ -67,7 +67,6 @@ fn main() -> ! {
 /// Not inlined: what is made here on its way into its place would stay on the stack for ever.
 #[inline(never)]
 fn start(spawner: Spawner) -> Result<(), SpawnError> {
-    static SETTINGS: StaticCell<Settings<'static>> = StaticCell::new();
     static RESOURCES: ConstStaticCell<StackResources<SOCKETS>> = ConstStaticCell::new(StackResources::new());
     static SOCKET_MEMORY: ConstStaticCell<[[[u8; 512]; 2]; SESSIONS]> = ConstStaticCell::new([[[0; 512]; 2]; SESSIONS]);
 
@@ -75,7 +74,7 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     if let Some(peripherals) = cortex_m::Peripherals::take() {
         clock::init(peripherals.SYST);
     }
-    let settings = &*SETTINGS.init_with(|| config::load(config::log));
+    let settings = config::load(config::log);
     let robot = settings.robot;
     defmt::info!("gateway to {}, provider {=str}", defmt::Debug2Format(&robot), settings.provider);
     let (stack, runner) = net::start(settings, ADDRESS, RESOURCES.take());

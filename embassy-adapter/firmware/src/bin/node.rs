@@ -57,7 +57,6 @@ fn main() -> ! {
 #[inline(never)]
 fn start(spawner: Spawner) -> Result<(), SpawnError> {
     static RESOURCES: ConstStaticCell<StackResources<SOCKETS>> = ConstStaticCell::new(StackResources::new());
-    static SETTINGS: StaticCell<Settings<'static>> = StaticCell::new();
     static RAC: ConstStaticCell<[[[u8; 512]; 2]; RAC_SESSIONS]> = ConstStaticCell::new([[[0; 512]; 2]; RAC_SESSIONS]);
     // apart from their memory, which would lie in the flash as well if it were part of a value that is not all zero
     static SESSIONS: [StaticCell<Option<RacSession>>; RAC_SESSIONS] = [const { StaticCell::new() }; RAC_SESSIONS];
@@ -66,7 +65,7 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     if let Some(peripherals) = cortex_m::Peripherals::take() {
         clock::init(peripherals.SYST);
     }
-    let settings = &*SETTINGS.init(config::load(config::log));
+    let settings = config::load(config::log);
     let robot = settings.robot.address;
     defmt::info!("robot {}, provider {=str}", defmt::Debug2Format(&robot), settings.provider);
     let (stack, runner) = net::start(settings, ADDRESS, RESOURCES.take());
