@@ -106,6 +106,8 @@ async fn converse<X: Transport, M: RawMutex, const N: usize>(
         let now = transport.now();
         match next(seat, &mut chunk) {
             Next::Send(count) => {
+                // a line was whole, so what there is of another has only just come
+                partial = None;
                 let until = unread.get_or_insert(now).saturating_add(limits.send);
                 let answer = chunk.get(..count).unwrap_or_default();
                 match transport.send(answer, until).await? {

@@ -74,10 +74,14 @@ impl<M: RawMutex, H, const WAITERS: usize> Shared<M, H, WAITERS> {
         .await;
     }
 
-    /// Lets a session go on as far as it can.
-    pub(super) fn run<S: Session<H>>(&self, session: &mut S, peer: PeerId, now: Instant) {
+    /// Lets a session go on as far as it can; `false` when it had nothing to do.
+    pub(super) fn run<S: Session<H>>(&self, session: &mut S, peer: PeerId, now: Instant) -> bool {
+        let mut stepped = false;
         // one step for each lock, so that a chatty peer does not keep interrupts out for long
-        while self.step(session, peer, now) {}
+        while self.step(session, peer, now) {
+            stepped = true;
+        }
+        stepped
     }
 
     /// Lets a session go one step on; `false` when it has nothing to do.
@@ -144,7 +148,10 @@ impl<'a, S: Session<H>, M: RawMutex, H, const N: usize> Visit<'a, S, M, H, N> {
     }
 
     pub(super) fn run(&mut self, now: Instant) {
-        self.shared.run(self.session, self.peer, now);
+        if self.shared.run(self.session, self.peer, now) {
+            // a request was whole, so what there is of another has only just come
+            self.partial_since = None;
+        }
     }
 
     pub(super) fn received(&mut self, count: usize, now: Instant) {

@@ -143,6 +143,8 @@ async fn converse(stream: &TcpStream, peer: PeerId, wake: &Notify, shared: &Shar
                 let sent = stream.try_write(gateway.transmit(peer));
                 if !must_wait(&sent) {
                     gateway.transmitted(peer, sent?);
+                    // it reads, and a line was whole: what there is of another has only just come
+                    since = None;
                 }
             }
             ready = stream.readable(), if receives => {
