@@ -65,6 +65,8 @@ pub struct Limits {
     pub receive: Duration,
     /// How long a peer may take to accept a reply.
     pub send: Duration,
+    /// The silence after which a connection without a request under way is closed; `None` lets it stay.
+    pub idle: Option<Duration>,
     /// Bytes of a request at most.
     pub frame: u32,
     /// The silence on TCP after which the operating system probes the peer.
@@ -80,6 +82,7 @@ impl Default for Limits {
             udp_lost: Duration::from_secs(600),
             receive: Duration::from_secs(30),
             send: Duration::from_secs(10),
+            idle: None,
             frame: bcap_core::limits::Limits::STREAM.frame,
             keep_alive: Some(Duration::from_secs(60)),
         }

@@ -98,7 +98,8 @@ pub(super) async fn serve<H: Send, M: Machine<H>>(
     stopped: watch::Receiver<()>,
 ) {
     let changes = shared.changes();
-    let mut connection = Connection { stream, session, peer, shared, changes, limits, partial_since: None };
+    let mut connection =
+        Connection { stream, session, peer, shared, changes, limits, partial_since: None, heard: now() };
     match connection.run(stopped).await {
         Ok(reason) => tracing::debug!(peer = peer.0, reason, "connection ended"),
         Err(error) => tracing::debug!(peer = peer.0, %error, "connection failed"),
@@ -116,6 +117,8 @@ struct Connection<H, M> {
     limits: Limits,
     /// When the first byte of an unfinished request came.
     partial_since: Option<Instant>,
+    /// When bytes came last, or a reply left.
+    heard: Instant,
 }
 
 impl<H, M: Machine<H>> Connection<H, M> {
@@ -128,6 +131,7 @@ impl<H, M: Machine<H>> Connection<H, M> {
                 if let Some(reason) = self.send().await? {
                     return Ok(reason);
                 }
+                self.heard = now();
                 sent = sent.wrapping_add(1);
                 if sent.is_multiple_of(TURN) {
                     tokio::task::yield_now().await;
@@ -144,11 +148,17 @@ impl<H, M: Machine<H>> Connection<H, M> {
             tokio::select! {
                 count = self.stream.read(room), if !room.is_empty() => match count? {
                     0 => return Ok("the peer has closed it"),
-                    count => self.session.received(count),
+                    count => {
+                        self.heard = now();
+                        self.session.received(count);
+                    }
                 },
                 () = tokio::time::sleep(until(due.unwrap_or(Instant::ZERO))), if due.is_some() => {
                     if self.partial_since.is_some_and(|since| since.saturating_add(self.limits.receive) <= now()) {
                         return Ok("a request took too long to arrive");
+                    }
+                    if self.silent_until().is_some_and(|until| until <= now()) {
+                        return Ok("the peer was silent for too long");
                     }
                 }
                 () = self.changes.next() => {}
@@ -214,9 +224,12 @@ impl<H, M: Machine<H>> Connection<H, M> {
     /// Returns when something is due even if no bytes come.
     fn due(&self) -> Option<Instant> {
         let partial = self.partial_since.map(|since| since.saturating_add(self.limits.receive));
-        match (self.session.poll_timeout(), partial) {
-            (Some(a), Some(b)) => Some(a.min(b)),
-            (a, b) => a.or(b),
-        }
+        [self.session.poll_timeout(), partial, self.silent_until()].into_iter().flatten().min()
+    }
+
+    /// Returns when the peer has been silent for too long, unless it waits for us.
+    fn silent_until(&self) -> Option<Instant> {
+        let idle = self.limits.idle.filter(|_| !self.session.is_running())?;
+        Some(self.heard.saturating_add(idle))
     }
 }
