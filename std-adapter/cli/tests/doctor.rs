@@ -35,8 +35,13 @@ impl Sim {
 
     fn ready(more: &[&str]) -> Self {
         let sim = Self::start(more);
-        let run = bcap(&["exec", "robot", "Motor", "1", "--robot", &sim.robot()]);
-        assert_eq!(run.code, 0, "{run:?}");
+        // a COBOTTA is to be prepared first; the others have no such commands
+        let prepare = [&["ManualResetPreparation"][..], &["MotionPreparation"]];
+        let commands = if more.contains(&"cobotta") { &prepare[..] } else { &[] };
+        for command in commands.iter().chain(&[&["Motor", "1"][..]]) {
+            let run = bcap(&[&["exec", "robot"], *command, &["--robot", &sim.robot()]].concat());
+            assert_eq!(run.code, 0, "{run:?}");
+        }
         sim
     }
 
