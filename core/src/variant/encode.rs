@@ -3,7 +3,7 @@
 //! Everything that can be sent implements [`Encode`]; what that writes is canonical (a scalar's count is 1, BOOL is -1
 //! or 0), whatever a value came from.
 
-use super::{Array, Bstr, Currency, Layout, Nested, Null, OleDate, Scalar, VarType, Variant};
+use super::{Array, Bstr, Currency, Nested, Null, OleDate, Scalar, VarType, Variant};
 use crate::error::EncodeError;
 use crate::hresult::HResult;
 use crate::num::to_u32;
@@ -244,26 +244,23 @@ impl Encode for Variant<'_> {
 /// Appends the data of a value that is neither an array nor a VARIANT.
 fn put_scalar(value: &Variant<'_>, out: &mut Writer<'_>) -> Result<(), EncodeError> {
     // all numbers by way of the same 64 bits: a copy of the code for each type would be 1 KiB
-    let bits = match *value {
-        Variant::I2(n) => u64::from(n.cast_unsigned()),
-        Variant::I4(n) | Variant::Error(HResult(n)) => u64::from(n.cast_unsigned()),
-        Variant::R4(n) => u64::from(n.to_bits()),
-        Variant::R8(n) => n.to_bits(),
-        Variant::Cy(n) => n.raw().cast_unsigned(),
-        Variant::Date(n) => n.raw().to_bits(),
-        Variant::Bool(n) => u64::from(n).wrapping_neg(),
-        Variant::Ui1(n) => u64::from(n),
-        Variant::Ui2(n) => u64::from(n),
-        Variant::Ui4(n) => u64::from(n),
-        Variant::I8(n) => n.cast_unsigned(),
-        Variant::Ui8(n) => n,
+    let (bits, width) = match *value {
+        Variant::I2(n) => (u64::from(n.cast_unsigned()), 2),
+        Variant::I4(n) | Variant::Error(HResult(n)) => (u64::from(n.cast_unsigned()), 4),
+        Variant::R4(n) => (u64::from(n.to_bits()), 4),
+        Variant::R8(n) => (n.to_bits(), 8),
+        Variant::Date(n) => (n.raw().to_bits(), 8),
+        Variant::Cy(n) => (n.raw().cast_unsigned(), 8),
+        Variant::Bool(n) => (u64::from(n).wrapping_neg(), 2),
+        Variant::Ui1(n) => (u64::from(n), 1),
+        Variant::Ui2(n) => (u64::from(n), 2),
+        Variant::Ui4(n) => (u64::from(n), 4),
+        Variant::I8(n) => (n.cast_unsigned(), 8),
+        Variant::Ui8(n) => (n, 8),
         Variant::Bstr(text) => return text.put(out),
-        Variant::Empty | Variant::Null | Variant::Nested(_) | Variant::Array(_) | Variant::Opaque(_) => return Ok(()),
+        Variant::Empty | Variant::Null | Variant::Nested(_) | Variant::Array(_) | Variant::Opaque(_) => (0, 0),
     };
-    match value.vartype().layout() {
-        Layout::Fixed(width) => put_bits(bits, width, out),
-        _ => Ok(()),
-    }
+    put_bits(bits, width, out)
 }
 
 /// Appends the lower bytes of `bits`, at most 8.
