@@ -246,14 +246,14 @@ fn two_hundred_connections_are_served_at_once() {
 
 #[test]
 fn silent_connections_make_room_where_that_is_wished() {
-    let limits = Limits { connections: 4, idle: Some(Duration::from_millis(300)), ..Limits::default() };
+    let limits = Limits { connections: 4, idle: Some(Duration::from_secs(1)), ..Limits::default() };
     let server = Served::start(limits);
     let mut waiting = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
     waiting.call(call::service_start("WDT=100")).unwrap();
     let controller = waiting.call(call::controller_connect("", "", "", "")).unwrap();
     let mut silent: Vec<TcpStream> = (0..3).map(|_| raw(server.tcp)).collect();
     // a call that takes longer than anybody may be silent is no silence
-    waiting.call(call::controller_execute(controller, "sleep", 1000)).unwrap();
+    waiting.call(call::controller_execute(controller, "sleep", 2500)).unwrap();
     for stream in &mut silent {
         assert_eq!(rest(stream), [0_u8; 0]);
     }
