@@ -292,17 +292,17 @@ struct Outcome<'a> {
 impl Outcome<'_> {
     fn report(&self, stats: &Stats, kind: PoseType, samples: &[Sample]) -> Result<(), Failure> {
         let report = Report::of(stats).to_json();
-        if self.json {
-            print_line(&report)?;
-        } else if stats.cycles > 0 {
-            print_line(&text(stats))?;
-        }
         if let Some(path) = &self.args.report {
-            fs::write(path, report + "\n")
+            fs::write(path, format!("{report}\n"))
                 .map_err(|error| Failure::Input(format!("cannot write the report {}: {error}", path.display())))?;
         }
         if let Some(path) = self.args.plot.as_ref().filter(|_| stats.cycles > 1) {
             super::plot::plot(path, kind, samples)?;
+        }
+        if self.json {
+            print_line(&report)?;
+        } else if stats.cycles > 0 {
+            print_line(&text(stats))?;
         }
         Ok(())
     }
