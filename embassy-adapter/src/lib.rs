@@ -6,6 +6,7 @@
 //! | `serial`   | `serial`      | clients over a serial line, with the CRC that those have                         |
 //! | `server`   | `server`      | servers of both protocols over any transport; with `embassy-net`, over TCP and UDP |
 //! | `gateway`  | `gateway`     | RAC on one side, b-CAP on the other: the core's gateway over embassy-net         |
+//! | `slave`    | `embassy-net` or `serial` | streams of Slave Mode: a pose every 8 ms                             |
 //! | `bare`     | `smoltcp`     | clients and servers for smoltcp alone, polled                                    |
 //!
 //! The protocols are in [`bcap_core`]; this crate moves their bytes and tells them the time. What it guarantees:
@@ -36,3 +37,5 @@ pub mod serial;
 pub mod server;
 #[cfg(any(feature = "server", feature = "smoltcp"))]
 pub mod session;
+#[cfg(any(feature = "embassy-net", feature = "serial"))]
+pub mod slave;

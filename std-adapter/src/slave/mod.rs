@@ -17,7 +17,7 @@
 //!   [`StreamError::Fault`] tells. Nothing moves again before [`recover`](blocking::Stream::recover), which refuses after
 //!   an emergency stop.
 //!
-//! How well it ran is in [`Stats`]: counters and two histograms in fixed memory. [`Realtime`] asks Linux for what a
+//! How well it ran is in [`Stats`](bcap_core::bcap::slave::Stats): counters and two histograms in fixed memory. [`Realtime`] asks Linux for what a
 //! stream needs on a busy machine.
 
 #[cfg(feature = "tokio")]
@@ -25,9 +25,8 @@ pub mod asynch;
 pub mod blocking;
 mod realtime;
 
-use std::time::Duration;
-
-use bcap_core::bcap::slave::{Engine, Fault, MoveReply, Pose, PoseError, Stats};
+pub use bcap_core::bcap::slave::{Cycle, Next, Trajectory};
+use bcap_core::bcap::slave::{Engine, Fault, PoseError};
 use bcap_core::time::Instant;
 
 pub use self::realtime::{Realtime, RealtimeError};
@@ -38,54 +37,6 @@ const SERVICE: &str = "WDT=400";
 const MACHINE: &str = "localhost";
 /// The name of the robot: controllers take any, the vendor's samples use this.
 const ROBOT: &str = "Arm0";
-
-/// What a trajectory wants next.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Next {
-    /// The robot shall be here one cycle after the last pose.
-    Pose(Pose),
-    /// The last pose is the end: the robot stands there, then the stream ends.
-    Finish,
-    /// The robot slows down along its present direction and stands, then the stream ends.
-    Stop,
-}
-
-/// The cycle for which a pose is wanted.
-#[derive(Clone, Copy, Debug)]
-pub struct Cycle<'a> {
-    /// Poses that were given before, so 0 is the first.
-    pub number: u32,
-    /// When it is sent; a pose that is found later makes the cycle late.
-    pub due: Instant,
-    /// Where the stream began.
-    pub start: &'a Pose,
-    /// The last pose that was given; before the first one the start.
-    pub last: &'a Pose,
-    /// How long the controller's buffer lasts, by this side's reckoning; `None` in mode 1.
-    pub margin: Option<Duration>,
-    /// The figures so far.
-    pub stats: &'a Stats,
-}
-
-/// Where the poses of a stream come from.
-///
-/// It is asked once a cycle and shall answer at once: no files, no locks that others hold for long. A closure that takes
-/// a [`Cycle`] and returns a [`Next`] is one.
-pub trait Trajectory {
-    /// Gives the next pose, or ends the stream.
-    fn next(&mut self, cycle: &Cycle<'_>) -> Next;
-
-    /// Sees what the controller has answered to a pose.
-    fn moved(&mut self, reply: &MoveReply<'_>, now: Instant) {
-        let _ = (reply, now);
-    }
-}
-
-impl<F: FnMut(&Cycle<'_>) -> Next> Trajectory for F {
-    fn next(&mut self, cycle: &Cycle<'_>) -> Next {
-        self(cycle)
-    }
-}
 
 /// Why a stream has not gone to its end.
 #[derive(Clone, Debug, thiserror::Error)]
@@ -131,27 +82,12 @@ impl Run {
         due: Instant,
         now: Instant,
     ) {
-        let last = engine.last_pose();
-        let cycle = Cycle {
-            number: self.given,
-            due,
-            start: engine.start_pose().unwrap_or(last),
-            last,
-            margin: engine.margin(now),
-            stats: engine.stats(),
-        };
-        let next = trajectory.next(&cycle);
-        match next {
-            Next::Finish => engine.finish(),
-            Next::Stop => engine.stop(),
-            Next::Pose(pose) => match engine.push(&pose) {
-                Ok(()) => self.given = self.given.saturating_add(1),
-                Err(error) => {
-                    tracing::warn!(number = self.given, %error, "a pose is refused, the stream stops");
-                    self.refused = Some(StreamError::Pose { number: self.given, error });
-                    engine.stop();
-                }
-            },
+        match engine.supply(trajectory, self.given, due, now) {
+            Ok(()) => self.given = self.given.saturating_add(1),
+            Err(error) => {
+                tracing::warn!(number = self.given, %error, "a pose is refused, the stream stops");
+                self.refused = Some(StreamError::Pose { number: self.given, error });
+            }
         }
     }
 

@@ -35,6 +35,7 @@ mod pose;
 mod reply;
 mod request;
 mod stats;
+mod trajectory;
 
 pub use self::command::{
     MOVE_FRAME, Outputs, PreparedMove, change_mode, get_mode, receive_format, send_format, slv_move,
@@ -49,6 +50,7 @@ pub use self::pose::{Extended, ExtendedAxes, Pose, Shape};
 pub use self::reply::{CURRENT_LEN, MoveReply, MoveReplyError, MoveReplyErrorKind, ReplyPart, Timestamp};
 pub use self::request::{Channel, Request, Step};
 pub use self::stats::{Histogram, Stats};
+pub use self::trajectory::{Cycle, Next, Trajectory};
 
 #[cfg(test)]
 mod tests;

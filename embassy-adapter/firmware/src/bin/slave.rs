@@ -1,0 +1,182 @@
+//! A board that moves the robot: a trajectory in Slave Mode, a pose every 8 ms by the board's own timer.
+//!
+//! ```text
+//!  joint 1   ____----____      10 degrees and back in 16 s, from where the robot stands; mode 0, 2,000 poses
+//!  slave: 2005 cycles, late 0, underflows 0, refused 0, round trip p50 .. p99 .. max .. us, jitter p50 .. p99 .. max .. us
+//!  slave: slvMove: refused with ...           and the controller's first error, over a second connection
+//! ```
+//!
+//! It speaks TCP to the controller of the settings. After the trajectory the program ends, well if no pose came too late
+//! for the robot.
+#![no_std]
+#![no_main]
+
+use core::fmt::Write as _;
+
+use bcap_board::Settings;
+use bcap_core::bcap::Client;
+use bcap_core::bcap::client::Config as ClientConfig;
+use bcap_core::bcap::slave::{
+    AxisLimits, Config, Format, Mode, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode, Stats,
+};
+use bcap_embassy::net::{Connection, Options, TcpClient, TcpTransport};
+use bcap_embassy::slave::{Cycle, Next, Stream, StreamError, open};
+use bcap_firmware::net::{self, NetRunner};
+use bcap_firmware::uart::{self, Text};
+use bcap_firmware::{clock, config, executor, fault};
+use embassy_executor::{SpawnError, Spawner};
+use embassy_net::{Stack, StackResources};
+use embassy_time::Timer;
+use static_cell::{ConstStaticCell, StaticCell};
+
+const ADDRESS: [u8; 6] = [0x02, 0, 0, 0xbc, 0xa9, 0x04];
+/// Sockets: two connections, DHCP.
+const SOCKETS: usize = 3;
+const CYCLES: u32 = 2000;
+/// How far joint 1 turns, in degrees.
+const TURN: f64 = 10.0;
+
+type Link = TcpClient<'static, &'static mut [u8]>;
+/// Memory of a connection: for the socket both ways, for a request and for a reply.
+type Memory = [[u8; 512]; 4];
+
+#[panic_handler]
+fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
+    fault::panic_text(info)
+}
+
+#[cortex_m_rt::entry]
+fn main() -> ! {
+    executor::run(|spawner| {
+        if start(spawner).is_err() {
+            let _ = writeln!(Text, "there is no room for a task");
+            fault::end()
+        }
+    })
+}
+
+/// Starts the board and all tasks.
+#[inline(never)]
+fn start(spawner: Spawner) -> Result<(), SpawnError> {
+    static RESOURCES: ConstStaticCell<StackResources<SOCKETS>> = ConstStaticCell::new(StackResources::new());
+    static SETTINGS: StaticCell<Settings<'static>> = StaticCell::new();
+
+    uart::init();
+    if let Some(peripherals) = cortex_m::Peripherals::take() {
+        clock::init(peripherals.SYST);
+    }
+    let settings = &*SETTINGS.init(config::load(|line| {
+        let _ = writeln!(Text, "settings: cannot read \"{}\"", line.escape_ascii());
+    }));
+    let (stack, runner) = net::start(settings, ADDRESS, RESOURCES.take());
+    spawner.spawn(run_stack(runner)?);
+    spawner.spawn(play(stack, settings)?);
+    Ok(())
+}
+
+#[embassy_executor::task]
+async fn run_stack(mut runner: NetRunner) -> ! {
+    runner.run().await
+}
+
+#[embassy_executor::task]
+async fn play(stack: Stack<'static>, settings: &'static Settings<'static>) -> ! {
+    static MOTION: ConstStaticCell<Memory> = ConstStaticCell::new([[0; 512]; 4]);
+    static WATCH: ConstStaticCell<Memory> = ConstStaticCell::new([[0; 512]; 4]);
+    net::find_address(stack, settings).await;
+    let mut motion = link(stack, MOTION.take());
+    let mut watch = link(stack, WATCH.take());
+    while let Err(error) = connect(&mut motion, &mut watch, settings).await {
+        let _ = writeln!(Text, "slave: no connection, again in 1 s: {error}");
+        Timer::after_secs(1).await;
+    }
+    if stream(&mut motion, &mut watch, settings).await { fault::succeed() } else { fault::end() }
+}
+
+fn link(stack: Stack<'static>, memory: &'static mut Memory) -> Link {
+    let [rx, tx, request, reply] = memory;
+    let transport = TcpTransport::new(stack, rx, tx, Options::default());
+    Connection::new(transport, Client::new(ClientConfig::TCP, &mut request[..], &mut reply[..]))
+}
+
+async fn connect(
+    motion: &mut Link,
+    watch: &mut Link,
+    settings: &Settings<'_>,
+) -> Result<(), bcap_embassy::net::NetError> {
+    for link in [motion, watch] {
+        link.transport().connect(settings.robot.address).await?;
+        link.client().reset();
+    }
+    Ok(())
+}
+
+/// Streams the trajectory and says how it went; `true` when that was well.
+async fn stream(motion: &mut Link, watch: &mut Link, settings: &Settings<'_>) -> bool {
+    let handles = open(motion, settings.provider).await;
+    let watching = open(watch, settings.provider).await;
+    let (handles, watching) = match (handles, watching) {
+        (Ok(handles), Ok(watching)) => (handles, watching),
+        (Err(error), _) | (_, Err(error)) => {
+            let _ = writeln!(Text, "slave: no session: {error}");
+            return false;
+        }
+    };
+    let mode = SlaveMode { mode: Mode::Mode0, pose: PoseType::J };
+    let format = Format::new(mode, ReceiveFormat::pose(ReceivePose::J));
+    let limits = AxisLimits::uniform(20.0, 100.0);
+    let config = Config { watch: Some(watching), limits, ..Config::new(format, handles) };
+    let mut stream = match Stream::<_, _, _>::new(config, motion, Some(watch)) {
+        Ok(stream) => stream,
+        Err(error) => {
+            let _ = writeln!(Text, "slave: {error}");
+            return false;
+        }
+    };
+    let ended = stream.run(&mut trajectory).await;
+    match (&ended, stream.engine().fault()) {
+        (Err(StreamError::Fault), Some(fault)) => {
+            let _ = writeln!(Text, "slave: {fault}");
+        }
+        (Err(error), _) => {
+            let _ = writeln!(Text, "slave: {error}");
+        }
+        (Ok(()), _) => {}
+    }
+    if ended == Err(StreamError::Fault) {
+        let _ = stream.give_up().await;
+    }
+    report(stream.stats());
+    ended.is_ok() && stream.stats().underflows == 0
+}
+
+/// Turns joint 1 there and back, at rest at both ends, its acceleration without steps.
+fn trajectory(cycle: &Cycle<'_>) -> Next {
+    if cycle.number == CYCLES {
+        return Next::Finish;
+    }
+    let part = f64::from(cycle.number + 1) / f64::from(CYCLES / 2);
+    let x = if part > 1.0 { 2.0 - part } else { part };
+    let by = TURN * x * x * x * (10.0 + x * (6.0 * x - 15.0));
+    let mut joints = [0.0; 8];
+    for (joint, start) in joints.iter_mut().zip(cycle.start.numbers()) {
+        *joint = *start;
+    }
+    joints[0] += by;
+    Next::Pose(Pose::j(joints))
+}
+
+fn report(stats: &Stats) {
+    let Stats { cycles, late, underflows, refused, rtt, jitter, .. } = stats;
+    let _ = writeln!(
+        Text,
+        "slave: {cycles} cycles, late {late}, underflows {underflows}, refused {refused}, round trip p50 {} p99 {} max {} us, \
+         jitter p50 {} p99 {} max {} us",
+        rtt.quantile(500),
+        rtt.quantile(990),
+        rtt.max(),
+        jitter.quantile(500),
+        jitter.quantile(990),
+        jitter.max(),
+    );
+}
