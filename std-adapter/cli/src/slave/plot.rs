@@ -40,10 +40,10 @@ fn draw(path: &Path, kind: PoseType, samples: &[Sample]) -> Drawn {
     let mut lines = Vec::new();
     for (number, colour) in shown.iter().copied().zip(COLOURS) {
         let name = columns(kind)[number];
-        lines.push(Line::of(samples, &format!("{name} commanded"), colour.mix(0.45), 4, |s| s.commanded[number]));
+        lines.push(Line::of(samples, &format!("{name} commanded"), colour.mix(0.35), 5, |s| s.commanded[number]));
         lines.push(Line::of(samples, &format!("{name} actual"), colour.to_rgba(), 1, |s| s.actual[number]));
     }
-    chart(poses, "Pose", unit, &lines)?;
+    chart(poses, "Pose", unit, SeriesLabelPosition::UpperRight, &lines)?;
 
     let lines: Vec<Line> = shown
         .iter()
@@ -54,7 +54,7 @@ fn draw(path: &Path, kind: PoseType, samples: &[Sample]) -> Drawn {
             Line::of(samples, &name, colour.to_rgba(), 1, |s| s.commanded[number] - s.actual[number])
         })
         .collect();
-    chart(errors, "Difference", unit, &lines)?;
+    chart(errors, "Difference", unit, SeriesLabelPosition::UpperRight, &lines)?;
 
     let intervals = samples.windows(2).map(|pair| (pair[1].at, (pair[1].at - pair[0].at) * 1000.0)).collect();
     let last = samples.last().map_or(0.0, |sample| sample.at);
@@ -63,7 +63,8 @@ fn draw(path: &Path, kind: PoseType, samples: &[Sample]) -> Drawn {
         Line { name: "8 ms".into(), colour: GREY.to_rgba(), width: 1, points: vec![(0.0, cycle), (last, cycle)] },
         Line { name: "from answer to answer".into(), colour: COLOURS[0].to_rgba(), width: 1, points: intervals },
     ];
-    chart(times, "Cycle", "ms", &lines)?;
+    // there is room below: the poses that fill the buffer at the start take no time
+    chart(times, "Cycle", "ms", SeriesLabelPosition::LowerRight, &lines)?;
     root.present()?;
     Ok(())
 }
@@ -83,7 +84,7 @@ impl Line {
     }
 }
 
-fn chart(area: &Area<'_>, title: &str, unit: &str, lines: &[Line]) -> Drawn {
+fn chart(area: &Area<'_>, title: &str, unit: &str, legend: SeriesLabelPosition, lines: &[Line]) -> Drawn {
     let points = || lines.iter().flat_map(|line| line.points.iter().copied());
     let end = points().map(|(at, _)| at).fold(0.0, f64::max);
     let (low, high) =
@@ -92,6 +93,7 @@ fn chart(area: &Area<'_>, title: &str, unit: &str, lines: &[Line]) -> Drawn {
     let mut chart = ChartBuilder::on(area)
         .caption(title, ("sans-serif", 20))
         .margin(12)
+        .margin_right(28)
         .x_label_area_size(36)
         .y_label_area_size(64)
         .build_cartesian_2d(0.0..end.max(CYCLE), low - room..high + room)?;
@@ -111,7 +113,8 @@ fn chart(area: &Area<'_>, title: &str, unit: &str, lines: &[Line]) -> Drawn {
     }
     chart
         .configure_series_labels()
-        .position(SeriesLabelPosition::UpperRight)
+        .position(legend)
+        .legend_area_size(36)
         .background_style(WHITE.mix(0.85))
         .border_style(GREY)
         .label_font(("sans-serif", 14))
