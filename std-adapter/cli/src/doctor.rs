@@ -395,7 +395,9 @@ fn motor(on: bool, ready: bool) -> Finding {
         (true, _) => Finding::Passed("on".into()),
         (false, false) => Finding::Skipped("off, and it needs all of the above"),
         (false, true) => {
-            Finding::failed("off", "`bcap exec robot Motor 1` switches it on; `bcap slave` does so by itself")
+            let hint = "`bcap exec robot Motor 1` switches it on; `bcap slave` does so by itself. A COBOTTA wants \
+                        ManualResetPreparation and MotionPreparation before";
+            Finding::failed("off", hint)
         }
     }
 }
