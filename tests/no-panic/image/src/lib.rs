@@ -6,6 +6,7 @@
 #![expect(unsafe_code, reason = "system calls, the entry point and memcpy have no safe form")]
 
 pub mod gateway;
+pub mod loops;
 pub mod slave;
 
 use core::arch::asm;

@@ -14,7 +14,7 @@ use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::limits::{Limits, Strictness};
 use bcap_core::time::Instant;
 use bcap_core::variant::{Bstr, Variant, VariantBuf};
-use no_panic_image::{entry, read_all, slave, write_all};
+use no_panic_image::{entry, loops, read_all, slave, write_all};
 
 entry!(main);
 
@@ -41,6 +41,7 @@ fn main() -> i32 {
         seen = seen.wrapping_add(converse(&mut client, &mut session, input));
     }
     seen = seen.wrapping_add(slave::stream(input));
+    seen = seen.wrapping_add(loops::binary(input));
     i32::from(seen == 0)
 }
 
