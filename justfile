@@ -67,6 +67,35 @@ lossy calls="100000":
 soak seconds="60":
     cargo bench -p bcap-tests --bench soak -- --seconds {{seconds}}
 
+# What the corpora of the fuzz targets reach, line by line: `just coverage text`. Needs nightly's llvm-tools.
+coverage target:
+    bash fuzz/coverage {{target}}
+
+# Every length and count of the wire: all 2^32 of each, and the edges with 32-bit addresses (Debian's gcc-multilib).
+lengths:
+    cargo test --release -p bcap-tests --test lengths -- --ignored
+    rustup target add i686-unknown-linux-gnu
+    cargo test -p bcap-core --lib --target i686-unknown-linux-gnu
+    cargo test -p bcap-tests --test lengths --test vectors --target i686-unknown-linux-gnu
+
+# Changes the core in small ways and sees whether its tests notice: `just mutants core/src/bcap/frame.rs`.
+mutants file shard="0/1":
+    cargo install --locked cargo-mutants@27.1.0
+    cargo mutants -p bcap-core --file {{file}} --sharding round-robin --shard {{shard}} --timeout 120 --jobs 1 -- --lib
+
+# The core's tests under Miri; hours, unless told which: `just miri bcap::frame`.
+miri filter="":
+    rustup component add --toolchain nightly miri rust-src
+    cargo +nightly miri test -p bcap-core --lib -- {{filter}}
+
+# The tests of the std adapter under AddressSanitizer and ThreadSanitizer; that one needs an instrumented std.
+sanitizers:
+    rustup component add --toolchain nightly rust-src
+    RUSTFLAGS=-Zsanitizer=address CARGO_TARGET_DIR=target/asan \
+        cargo +nightly test -p bcap-std --all-features --lib --tests --target x86_64-unknown-linux-gnu
+    RUSTFLAGS=-Zsanitizer=thread CARGO_TARGET_DIR=target/tsan \
+        cargo +nightly test -Zbuild-std -p bcap-std --all-features --lib --tests --target x86_64-unknown-linux-gnu
+
 # Licences, sources and advisories of the dependencies.
 dependencies:
     bash .ci/run dependencies

@@ -58,6 +58,10 @@ struct Model {
     deadline: Instant,
     /// The serials of calls that ended without an answer, as far as they are remembered.
     unanswered: VecDeque<Vec<u16>>,
+    /// Whether the frame that comes is the last one to its serial, where that is known.
+    is_final: Option<bool>,
+    /// Whether `unanswered` is sure to be what the client remembers.
+    certain: bool,
     last: u16,
     /// Whether nothing but whole frames has come on the stream.
     clean: bool,
@@ -87,6 +91,13 @@ pub fn client(data: &[u8]) {
     }
 }
 
+impl Model {
+    /// Tells whether a reply to an earlier call may still come with this serial.
+    fn is_unanswered(&self, serial: u16) -> bool {
+        self.certain && self.unanswered.iter().flatten().any(|s| *s == serial)
+    }
+}
+
 struct Run<R> {
     client: Client<[u8; 256], R>,
     model: Model,
@@ -101,6 +112,8 @@ impl<R: Storage> Run<R> {
             first: 0,
             deadline: Instant::ZERO,
             unanswered: VecDeque::new(),
+            is_final: None,
+            certain: true,
             last: 0,
             clean: true,
         };
@@ -134,7 +147,7 @@ impl<R: Storage> Run<R> {
                     self.client.reset();
                     self.ended(false);
                     self.model.unanswered.clear();
-                    self.model.clean = true;
+                    (self.model.certain, self.model.clean) = (true, true);
                     assert!(self.client.transmit().is_empty() && !self.client.is_closed());
                 }
                 // and once
@@ -186,7 +199,7 @@ impl<R: Storage> Run<R> {
         }
         assert_eq!(frame.reserved, if link.is_lossy() { self.model.first } else { 0 });
         assert!(!self.model.serials.contains(&frame.serial));
-        assert!(!self.model.unanswered.iter().flatten().any(|s| *s == frame.serial), "a reply to it may still come");
+        assert!(!self.model.is_unanswered(frame.serial), "a reply to it may still come");
         self.model.serials.push(frame.serial);
         self.model.last = frame.serial;
     }
@@ -208,7 +221,9 @@ impl<R: Storage> Run<R> {
         let missing = if cut.is_multiple_of(4) { usize::from(cut).min(wire.len()) } else { 0 };
         // what is too long for the line is searched for frames
         self.model.clean &= missing == 0 && wire.len() <= self.client.config().link.send_max();
+        self.model.is_final = self.model.clean.then_some(code != HResult::S_EXECUTING.0);
         self.receive(&wire[..wire.len() - missing]);
+        self.model.is_final = None;
     }
 
     fn too_large(&mut self, behind: u8) {
@@ -242,7 +257,7 @@ impl<R: Storage> Run<R> {
                 let frame = self.client.reply().expect("the reply can be read");
                 assert!(code == frame.hresult() && code != HResult::S_EXECUTING);
                 assert!(self.model.serials.contains(&frame.serial), "it is the call's own");
-                assert!(!self.model.unanswered.iter().flatten().any(|s| *s == frame.serial), "and no late one");
+                assert!(!self.model.is_unanswered(frame.serial), "and no late one");
                 let _ = self.client.value::<call::Int>();
                 let _ = self.client.value::<call::Text>();
                 assert!(self.client.value::<call::Any>().is_ok());
@@ -260,7 +275,10 @@ impl<R: Storage> Run<R> {
                 self.attempt();
                 assert_eq!(usize::from(attempt), self.model.serials.len());
             }
+            // that a call runs is no answer
+            Event::Stale { .. } if self.model.is_final == Some(false) => {}
             Event::Stale { serial } => {
+                self.model.certain &= self.model.is_final.is_some();
                 for serials in &mut self.model.unanswered {
                     if serials.len() == 1 {
                         serials.retain(|s| *s != serial);
@@ -301,7 +319,7 @@ impl<R: Storage> Run<R> {
                 return;
             }
             let serial = self.client.transmit().get(5..7).map_or(0, |s| u16::from_le_bytes([s[0], s[1]]));
-            assert!(serial != 0 && !self.model.unanswered.iter().flatten().any(|s| *s == serial));
+            assert!(serial != 0 && !self.model.is_unanswered(serial));
             self.model.last = serial;
             self.client.abandon();
         }

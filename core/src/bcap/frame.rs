@@ -539,3 +539,6 @@ pub(crate) fn renumber(frame: &mut [u8], serial: u16, reserved: u16, crc: bool) 
         }
     }
 }
+
+#[cfg(test)]
+mod tests;
