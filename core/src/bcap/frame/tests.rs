@@ -155,3 +155,20 @@ fn a_frame_fits_to_the_byte_or_not_at_all() {
         assert_eq!((found.serial, found.reserved, found.value()), (0x1234, 0x5678, Some(Variant::I4(5))));
     }
 }
+
+#[test]
+fn a_lenient_frame_is_read_as_deep_as_its_decoder_allows() {
+    let mut value = [12, 0, 1, 0, 0, 0].repeat(10);
+    value.extend([17, 0, 1, 0, 0, 0, 7]);
+    let mut wire = frame(false, &[]);
+    wire.pop();
+    wire.extend(u32::try_from(value.len()).unwrap().to_le_bytes());
+    wire.extend(value);
+    wire.push(EOT);
+    (wire[1], wire[13]) = (u8::try_from(wire.len()).unwrap(), 1);
+    let limits = Limits { depth: crate::limits::MAX_DEPTH, ..Limits::STREAM };
+    let lenient = Decoder { limits, strictness: Strictness::Lenient, crc: false };
+    let Ok(Progress::Complete(found, _)) = lenient.decode(&wire) else { panic!("{:?}", lenient.decode(&wire)) };
+    assert_eq!(found.args.get(0).map(Variant::flatten), Some(Variant::Ui1(7)));
+    assert!(lenient.decode(&wire).is_ok() && Decoder::TCP.strictness(Strictness::Lenient).decode(&wire).is_err());
+}
