@@ -1,5 +1,4 @@
 //! Frames at their edges: lengths, CRC, arguments, and what is wrong where.
-#![expect(clippy::arithmetic_side_effects, reason = "an overflow here fails the test, as it should")]
 
 extern crate std;
 
