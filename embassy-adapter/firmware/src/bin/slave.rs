@@ -27,7 +27,7 @@ use bcap_firmware::{clock, config, executor, fault};
 use embassy_executor::{SpawnError, Spawner};
 use embassy_net::{Stack, StackResources};
 use embassy_time::Timer;
-use static_cell::{ConstStaticCell, StaticCell};
+use static_cell::ConstStaticCell;
 
 const ADDRESS: [u8; 6] = [0x02, 0, 0, 0xbc, 0xa9, 0x04];
 /// Sockets: two connections, DHCP.
@@ -59,15 +59,14 @@ fn main() -> ! {
 #[inline(never)]
 fn start(spawner: Spawner) -> Result<(), SpawnError> {
     static RESOURCES: ConstStaticCell<StackResources<SOCKETS>> = ConstStaticCell::new(StackResources::new());
-    static SETTINGS: StaticCell<Settings<'static>> = StaticCell::new();
 
     uart::init();
     if let Some(peripherals) = cortex_m::Peripherals::take() {
         clock::init(peripherals.SYST);
     }
-    let settings = &*SETTINGS.init(config::load(|line| {
+    let settings = config::load(|line| {
         let _ = writeln!(Text, "settings: cannot read \"{}\"", line.escape_ascii());
-    }));
+    });
     let (stack, runner) = net::start(settings, ADDRESS, RESOURCES.take());
     spawner.spawn(run_stack(runner)?);
     spawner.spawn(play(stack, settings)?);
