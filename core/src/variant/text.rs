@@ -565,7 +565,8 @@ pub(super) fn decimal(text: &[u8]) -> Parsed<'_, Decimal<'_>> {
         (rest, exponent) = exponent_of(behind)?;
         number.exponent = number.exponent.wrapping_add(exponent);
     }
-    if number.digits.len() > MAX_DIGITS {
+    // the exponent counts, or the time to read one would have no bound
+    if text.len().wrapping_sub(rest.len()) > MAX_DIGITS {
         return fault(TextErrorKind::NumberTooLong, text);
     }
     Ok((rest, number))

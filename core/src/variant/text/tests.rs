@@ -256,6 +256,10 @@ fn what_is_wrong_is_named_with_its_column() {
     assert_eq!((error.kind, error.column), (K::Utf8, 8));
     let long = format!("5,0.{}1", "0".repeat(600));
     assert_eq!(refused(&long), (K::NumberTooLong, 3));
+    // the exponent counts
+    let number = |zeros| format!("5,1.{}e165", "0".repeat(zeros));
+    reads(&number(494), &1e165, "5,1e165");
+    assert_eq!(refused(&number(495)), (K::NumberTooLong, 3));
 }
 
 #[test]
