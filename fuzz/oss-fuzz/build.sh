@@ -1,7 +1,7 @@
 #!/bin/bash -eu
 # Builds every target, with its corpus and its dictionary beside it. OSS-Fuzz sets OUT, and the flags in the environment.
 #
-# It runs anywhere: OUT=/tmp/out bash fuzz/oss-fuzz/build.sh, from the root of the project.
+# It runs anywhere: OUT=$PWD/fuzz/out bash fuzz/oss-fuzz/build.sh, from the root of the project.
 mkdir -p "$OUT"
 export RUSTUP_TOOLCHAIN=${RUSTUP_TOOLCHAIN:-nightly}
 cargo fuzz build -O --debug-assertions
