@@ -22,6 +22,11 @@ pub trait Storage {
     fn grow(&mut self, len: usize) -> bool {
         self.bytes().len() >= len
     }
+
+    /// Gives back what is over `len` bytes, if it can; what was in that part is gone.
+    fn shrink(&mut self, len: usize) {
+        let _ = len;
+    }
 }
 
 impl<const N: usize> Storage for [u8; N] {
@@ -59,6 +64,11 @@ impl Storage for alloc::vec::Vec<u8> {
             self.resize(len, 0);
         }
         true
+    }
+
+    fn shrink(&mut self, len: usize) {
+        self.truncate(len);
+        self.shrink_to(len);
     }
 }
 

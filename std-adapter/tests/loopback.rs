@@ -39,7 +39,9 @@ impl Handler for Store {
         match request.function {
             FunctionId::CONTROLLER_GET_VARIABLE => {
                 self.next_handle += 1;
-                let number = request.text(1).to_string().parse().unwrap_or(0);
+                let name = request.text(1).to_string();
+                assert_ne!(name, "panic", "as the test wants it");
+                let number = name.parse().unwrap_or(0);
                 self.names.insert(self.next_handle, number);
                 let _ = reply.set(&self.next_handle);
             }
@@ -322,6 +324,74 @@ fn a_request_that_does_not_arrive_whole_is_given_up() {
     stream.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
     stream.write_all(b"\x01").unwrap();
     assert_eq!(stream.read(&mut [0; 16]).unwrap(), 0);
+}
+
+#[test]
+fn a_handler_that_panics_ends_its_call_and_nothing_else() {
+    let server = start(Limits::default());
+    let mut tcp = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
+    let mut udp = blocking::connect_udp(server.udp, &Options::default()).unwrap();
+    tcp.call(call::service_start("")).unwrap();
+    udp.call(call::service_start("")).unwrap();
+    let controller = tcp.call(call::controller_connect("", "", "", "")).unwrap();
+    let its_own = udp.call(call::controller_connect("", "", "", "")).unwrap();
+    for _ in 0..3 {
+        let error = tcp.call(call::controller_get_variable(controller, "panic", "")).unwrap_err();
+        assert_eq!(error.hresult(), Some(HResult::E_UNEXPECTED));
+        let error = udp.call(call::controller_get_variable(its_own, "panic", "")).unwrap_err();
+        assert_eq!(error.hresult(), Some(HResult::E_UNEXPECTED));
+    }
+    // two services and controllers; and each call that panicked, once
+    assert_eq!(server.store.lock().unwrap().executed, 4 + 6);
+    let variable = tcp.call(call::controller_get_variable(controller, "5", "")).unwrap();
+    tcp.call(call::variable_put_value(variable, &7)).unwrap();
+    let variable = udp.call(call::controller_get_variable(its_own, "5", "")).unwrap();
+    assert_eq!(udp.call(call::variable_get_value(variable)).unwrap(), Variant::I4(7));
+}
+
+#[test]
+fn large_requests_and_replies_share_the_memory_that_there_is() {
+    let server = start(Limits { memory: 100 << 10, ..Limits::default() });
+    let connect = || {
+        let mut client = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
+        client.call(call::service_start("")).unwrap();
+        let controller = client.call(call::controller_connect("", "", "", "")).unwrap();
+        let variable = client.call(call::controller_get_variable(controller, "1", "")).unwrap();
+        (client, variable)
+    };
+    let large = [0_u8; 60 << 10];
+    // the handler has no room for it; what matters is that it has come that far
+    let arrived = Some(HResult::E_OUTOFMEMORY);
+    let refused = Some(HResult::E_PACKETSIZEOVER);
+
+    let (mut first, one) = connect();
+    let (mut second, two) = connect();
+    assert_eq!(first.call(call::variable_put_value(one, &large[..])).unwrap_err().hresult(), arrived);
+    for _ in 0..3 {
+        assert_eq!(second.call(call::variable_put_value(two, &large[..])).unwrap_err().hresult(), refused);
+        second.call(call::variable_put_value(two, &1)).unwrap();
+        // who has the memory can use it again
+        assert_eq!(first.call(call::variable_put_value(one, &large[..])).unwrap_err().hresult(), arrived);
+    }
+
+    // a connection that ends gives its memory back, and so does one that falls silent
+    drop(first);
+    until(|| second.call(call::variable_put_value(two, &large[..])).unwrap_err().hresult() == arrived);
+    let (mut third, three) = connect();
+    assert_eq!(third.call(call::variable_put_value(three, &large[..])).unwrap_err().hresult(), refused);
+    until(|| third.call(call::variable_put_value(three, &large[..])).unwrap_err().hresult() == arrived);
+    assert_eq!(second.call(call::variable_put_value(two, &large[..])).unwrap_err().hresult(), refused);
+    second.call(call::variable_put_value(two, &2)).unwrap();
+}
+
+/// Waits until `condition` holds, for half a minute at most.
+#[track_caller]
+fn until(mut condition: impl FnMut() -> bool) {
+    let begin = std::time::Instant::now();
+    while !condition() {
+        assert!(begin.elapsed() < Duration::from_secs(30), "it never came to that");
+        std::thread::sleep(Duration::from_millis(50));
+    }
 }
 
 #[test]

@@ -320,6 +320,28 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         self.objects.len()
     }
 
+    /// Returns the bytes of memory that it has, both ways together.
+    #[must_use]
+    pub fn memory(&self) -> usize {
+        self.tx.bytes().len().saturating_add(self.rx.bytes().len())
+    }
+
+    /// Gives back memory over `room` bytes each way, unless something is in it: for servers whose sessions keep silent
+    /// after large frames. A repetition of the last call is not answered then, if its reply was larger than that.
+    pub fn shrink(&mut self, room: usize) {
+        if self.state.running.is_some() || self.state.is_sending() || self.inbox.is_partial() {
+            return;
+        }
+        if self.state.tx_len > room {
+            self.state.last = self.state.last.map(|last| Last { cached: false, ..last });
+            (self.state.tx_len, self.state.tx_sent) = (0, 0);
+        }
+        // nothing is in it, so what was read is forgotten with this
+        let _ = self.inbox.free(&mut self.rx);
+        self.tx.shrink(room);
+        self.rx.shrink(room);
+    }
+
     /// Goes on as far as it can, and says what was done; `None` when bytes must come, leave, or time pass.
     ///
     /// It is to be called until it returns `None`.

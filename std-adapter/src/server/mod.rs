@@ -27,6 +27,7 @@
 //! # mod tokio { pub async fn signal_that_ends_it() {} }
 //! ```
 
+mod memory;
 mod rac;
 mod shared;
 mod stream;
@@ -45,6 +46,7 @@ use tokio::net::{TcpListener, ToSocketAddrs, UdpSocket};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
+use memory::Pool;
 use shared::Shared;
 
 pub use shared::Tap;
@@ -69,6 +71,11 @@ pub struct Limits {
     pub idle: Option<Duration>,
     /// Bytes of a request at most.
     pub frame: u32,
+    /// Bytes that requests and replies over TCP may take, of all connections together, beside the 2 KiB that each has
+    /// from the beginning. Without enough of it a request is answered E_PACKETSIZEOVER, and in place of a reply there is
+    /// E_TOO_MUCH_DATA; small ones always pass. A connection gives back what it has when it ends, or keeps silent for
+    /// some seconds.
+    pub memory: usize,
     /// The silence on TCP after which the operating system probes the peer.
     pub keep_alive: Option<Duration>,
 }
@@ -84,6 +91,7 @@ impl Default for Limits {
             send: Duration::from_secs(10),
             idle: None,
             frame: bcap_core::limits::Limits::STREAM.frame,
+            memory: 256 << 20,
             keep_alive: Some(Duration::from_secs(60)),
         }
     }
@@ -205,8 +213,10 @@ impl<H: Handler + Send + 'static> Server<H> {
     pub async fn run(self, shutdown: impl Future<Output = ()>) -> io::Result<()> {
         let (stop, stopped) = watch::channel(());
         let mut tasks = JoinSet::new();
+        let pool = Pool::new(self.limits.memory);
         for listener in self.bcap {
-            tasks.spawn(tcp::listen(listener, Arc::clone(&self.shared), self.limits, stopped.clone()));
+            let shared = Arc::clone(&self.shared);
+            tasks.spawn(tcp::listen(listener, shared, pool.clone(), self.limits, stopped.clone()));
         }
         for socket in self.udp {
             tasks.spawn(udp::serve(socket, Arc::clone(&self.shared), self.limits, stopped.clone()));

@@ -15,14 +15,24 @@ use tokio::sync::watch;
 use tokio::time::timeout;
 
 use super::Limits;
-use super::shared::Shared;
+use super::shared::{Held, Shared};
 use super::stream::{self, Machine, machine};
 use super::tcp::{REFUSAL_TIME, accept};
 
 type LineSession = Session<Vec<u8>>;
 
-// a line that is none is answered, and the stream goes on behind it
-machine!(LineSession, Handler, |_| false);
+machine!(LineSession, Handler, {
+    fn is_finished(&self) -> bool {
+        // a line that is none is answered, and the stream goes on behind it
+        false
+    }
+
+    fn has_spare_memory(&self) -> bool {
+        false
+    }
+
+    fn give_memory_back(&mut self) {}
+});
 
 /// Accepts connections until the server stops.
 pub(super) async fn listen<H: Handler + Send + 'static>(

@@ -1,11 +1,15 @@
 //! What all tasks of a server share: the handler, the numbers of peers, and the news that something has changed.
 
 use std::ops::ControlFlow;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 
-use bcap_core::handler::PeerId;
+use bcap_core::bcap::server as bcap;
+use bcap_core::handler::{Outcome, PeerId, ReplyValue};
+use bcap_core::hresult::HResult;
+use bcap_core::rac::{Request as RacRequest, server as rac};
 use bcap_core::time::Instant;
 use tokio::sync::watch;
 
@@ -47,15 +51,15 @@ impl<H> Shared<H> {
     pub(super) fn tapped(&self, peer: PeerId, bytes: &[u8]) -> Option<Tapped> {
         let Some(tap) = self.tap.get() else { return Some(Tapped::Untouched) };
         let mut bytes = bytes.to_vec();
-        match tap(&mut self.handler(), peer, &mut bytes) {
+        match self.handler().ask(peer, |handler| tap(handler, peer, &mut bytes))? {
             ControlFlow::Continue(()) => Some(Tapped::Instead(bytes)),
             ControlFlow::Break(()) => None,
         }
     }
 
-    /// Takes the handler. One that panicked in a call before is used on: its other peers shall not suffer.
-    pub(super) fn handler(&self) -> MutexGuard<'_, H> {
-        self.handler.lock().unwrap_or_else(PoisonError::into_inner)
+    /// Takes the handler. One that panicked before, here or elsewhere, is used on: its other peers shall not suffer.
+    pub(super) fn handler(&self) -> Held<'_, H> {
+        Held(self.handler.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
     /// Tells those who wait that something may have changed.
@@ -68,6 +72,62 @@ impl<H> Shared<H> {
     /// Listens for changes from now on.
     pub(super) fn changes(self: &Arc<Self>) -> Changes<H> {
         Changes { changed: self.changed.subscribe(), shared: Arc::clone(self), waiting: false, not_before: now() }
+    }
+}
+
+/// The handler of a task that has it to itself. A panic in a call ends that call with E_UNEXPECTED, and nothing else.
+#[derive(Debug)]
+pub(super) struct Held<'s, H>(MutexGuard<'s, H>);
+
+impl<H> Held<'_, H> {
+    /// Calls it; `None` when it panicked.
+    fn ask<T>(&mut self, peer: PeerId, call: impl FnOnce(&mut H) -> T) -> Option<T> {
+        let answer = catch_unwind(AssertUnwindSafe(|| call(&mut self.0)));
+        answer.inspect_err(|_| tracing::error!(peer = peer.0, "the handler has panicked")).ok()
+    }
+
+    fn answer(
+        &mut self,
+        peer: PeerId,
+        reply: &mut ReplyValue<'_>,
+        call: impl FnOnce(&mut H, &mut ReplyValue<'_>) -> Outcome,
+    ) -> Outcome {
+        self.ask(peer, |handler| call(handler, reply)).unwrap_or_else(|| {
+            reply.clear();
+            HResult::E_UNEXPECTED.into()
+        })
+    }
+}
+
+impl<H: bcap::Handler> bcap::Handler for Held<'_, H> {
+    fn call(&mut self, peer: PeerId, request: &bcap::Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        self.answer(peer, reply, |handler, reply| handler.call(peer, request, reply, now))
+    }
+
+    fn abandoned(&mut self, peer: PeerId, now: Instant) {
+        self.ask(peer, |handler| handler.abandoned(peer, now));
+    }
+
+    fn left(&mut self, peer: PeerId, now: Instant) {
+        self.ask(peer, |handler| handler.left(peer, now));
+    }
+}
+
+impl<H: rac::Handler> rac::Handler for Held<'_, H> {
+    fn call(&mut self, peer: PeerId, request: &RacRequest<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        self.answer(peer, reply, |handler, reply| handler.call(peer, request, reply, now))
+    }
+
+    fn resume(&mut self, peer: PeerId, request: &RacRequest<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        self.answer(peer, reply, |handler, reply| handler.resume(peer, request, reply, now))
+    }
+
+    fn abandoned(&mut self, peer: PeerId, now: Instant) {
+        self.ask(peer, |handler| handler.abandoned(peer, now));
+    }
+
+    fn left(&mut self, peer: PeerId, now: Instant) {
+        self.ask(peer, |handler| handler.left(peer, now));
     }
 }
 

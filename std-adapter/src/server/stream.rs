@@ -2,6 +2,7 @@
 
 use std::io;
 use std::sync::Arc;
+use std::time::Duration;
 
 use bcap_core::handler::PeerId;
 use bcap_core::time::Instant;
@@ -11,15 +12,15 @@ use tokio::sync::watch;
 use tokio::time::timeout;
 
 use super::Limits;
-use super::shared::{Changes, Shared, Tapped};
+use super::shared::{Changes, Held, Shared, Tapped};
 use crate::clock::{now, until};
 
 /// A session of the core, as far as a connection sees it.
 pub(super) trait Machine<H>: Send {
     /// Goes on as far as it can; `false` when there was nothing to do.
-    fn run(&mut self, handler: &mut H, peer: PeerId, now: Instant) -> bool;
+    fn run(&mut self, handler: &mut Held<'_, H>, peer: PeerId, now: Instant) -> bool;
     /// Ends the session.
-    fn close(&mut self, handler: &mut H, peer: PeerId, now: Instant);
+    fn close(&mut self, handler: &mut Held<'_, H>, peer: PeerId, now: Instant);
     fn transmit(&self) -> &[u8];
     fn transmitted(&mut self, count: usize);
     fn receive_buffer(&mut self) -> &mut [u8];
@@ -29,13 +30,17 @@ pub(super) trait Machine<H>: Send {
     fn is_receiving(&self) -> bool;
     /// Tells whether the session wants the connection closed.
     fn is_finished(&self) -> bool;
+    /// Tells whether it has memory that it does not need until the next request comes.
+    fn has_spare_memory(&self) -> bool;
+    /// Gives that back.
+    fn give_memory_back(&mut self);
 }
 
-/// Implements [`Machine`] for a session of the core by its methods of the same names.
+/// Implements [`Machine`] for a session of the core by its methods of the same names, and those that are given.
 macro_rules! machine {
-    ($session:ty, $handler:path, $is_finished:expr) => {
+    ($session:ty, $handler:path, { $($own:tt)* }) => {
         impl<H: $handler> Machine<H> for $session {
-            fn run(&mut self, handler: &mut H, peer: PeerId, now: Instant) -> bool {
+            fn run(&mut self, handler: &mut Held<'_, H>, peer: PeerId, now: Instant) -> bool {
                 let event = <$session>::run(self, handler, peer, now);
                 if let Some(event) = &event {
                     tracing::trace!(peer = peer.0, ?event);
@@ -43,7 +48,7 @@ macro_rules! machine {
                 event.is_some()
             }
 
-            fn close(&mut self, handler: &mut H, peer: PeerId, now: Instant) {
+            fn close(&mut self, handler: &mut Held<'_, H>, peer: PeerId, now: Instant) {
                 <$session>::close(self, handler, peer, now);
             }
 
@@ -75,10 +80,7 @@ macro_rules! machine {
                 <$session>::is_receiving(self)
             }
 
-            fn is_finished(&self) -> bool {
-                let is_finished: fn(&$session) -> bool = $is_finished;
-                is_finished(self)
-            }
+            $($own)*
         }
     };
 }
@@ -87,6 +89,9 @@ pub(super) use machine;
 /// How many replies a connection may send in a row before others have their turn: a peer that has many requests in our
 /// buffer, and reads as fast as we write, would have the thread to itself.
 const TURN: u32 = 32;
+
+/// The silence after which a connection gives back the memory that its last request or reply took.
+const MEMORY_KEPT: Duration = Duration::from_secs(5);
 
 /// Serves one connection until it ends or the server stops.
 pub(super) async fn serve<H: Send, M: Machine<H>>(
@@ -104,7 +109,7 @@ pub(super) async fn serve<H: Send, M: Machine<H>>(
         Ok(reason) => tracing::debug!(peer = peer.0, reason, "connection ended"),
         Err(error) => tracing::debug!(peer = peer.0, %error, "connection failed"),
     }
-    connection.session.close(&mut *connection.shared.handler(), peer, now());
+    connection.session.close(&mut connection.shared.handler(), peer, now());
     connection.shared.has_changed();
 }
 
@@ -160,6 +165,9 @@ impl<H, M: Machine<H>> Connection<H, M> {
                     if self.silent_until().is_some_and(|until| until <= now()) {
                         return Ok("the peer was silent for too long");
                     }
+                    if self.memory_kept_until().is_some_and(|until| until <= now()) {
+                        self.session.give_memory_back();
+                    }
                 }
                 () = self.changes.next() => {}
                 _ = stopped.changed() => return Ok("the server stops"),
@@ -173,7 +181,7 @@ impl<H, M: Machine<H>> Connection<H, M> {
         self.changes.wait(self.session.is_running());
         let mut changed = false;
         loop {
-            if !self.session.run(&mut *self.shared.handler(), self.peer, now()) {
+            if !self.session.run(&mut self.shared.handler(), self.peer, now()) {
                 break;
             }
             changed = true;
@@ -186,7 +194,7 @@ impl<H, M: Machine<H>> Connection<H, M> {
         if self.session.is_running() && !self.changes.is_waiting() {
             // the handler has just begun to wait; ask once more, now that changes are heard
             self.changes.wait(true);
-            self.session.run(&mut *self.shared.handler(), self.peer, now());
+            self.session.run(&mut self.shared.handler(), self.peer, now());
         }
     }
 
@@ -224,7 +232,13 @@ impl<H, M: Machine<H>> Connection<H, M> {
     /// Returns when something is due even if no bytes come.
     fn due(&self) -> Option<Instant> {
         let partial = self.partial_since.map(|since| since.saturating_add(self.limits.receive));
-        [self.session.poll_timeout(), partial, self.silent_until()].into_iter().flatten().min()
+        let memory = self.memory_kept_until();
+        [self.session.poll_timeout(), partial, self.silent_until(), memory].into_iter().flatten().min()
+    }
+
+    /// Returns when memory that lies idle is to be given back.
+    fn memory_kept_until(&self) -> Option<Instant> {
+        self.session.has_spare_memory().then(|| self.heard.saturating_add(MEMORY_KEPT))
     }
 
     /// Returns when the peer has been silent for too long, unless it waits for us.

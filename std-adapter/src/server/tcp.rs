@@ -17,7 +17,8 @@ use tokio::task::JoinSet;
 use tokio::time::timeout;
 
 use super::Limits;
-use super::shared::Shared;
+use super::memory::{Buffer, Pool};
+use super::shared::{Held, Shared};
 use super::stream::{self, Machine, machine};
 use crate::connect::{STREAM_ROOM, set_up_tcp};
 
@@ -28,21 +29,34 @@ const REFUSALS: usize = 32;
 /// How long a connection over the limit has for its first request.
 pub(super) const REFUSAL_TIME: Duration = Duration::from_secs(2);
 
-type StreamSession = Session<Vec<u8>, Vec<u8>, OBJECTS>;
+type StreamSession = Session<Buffer, Buffer, OBJECTS>;
 
-machine!(StreamSession, Handler, StreamSession::is_finished);
+machine!(StreamSession, Handler, {
+    fn is_finished(&self) -> bool {
+        Self::is_finished(self)
+    }
+
+    fn has_spare_memory(&self) -> bool {
+        self.memory() > 2 * STREAM_ROOM && !self.is_running() && !self.is_receiving()
+    }
+
+    fn give_memory_back(&mut self) {
+        self.shrink(STREAM_ROOM);
+    }
+});
 
 /// Accepts connections until the server stops.
 pub(super) async fn listen<H: Handler + Send + 'static>(
     listener: TcpListener,
     shared: Arc<Shared<H>>,
+    pool: Pool,
     limits: Limits,
     stopped: watch::Receiver<()>,
 ) -> io::Result<()> {
     accept(listener, limits, stopped.clone(), refuse, |stream| {
         let mut config = Config::TCP;
         config.limits.frame = limits.frame;
-        let session = StreamSession::new(config, vec![0; STREAM_ROOM], vec![0; STREAM_ROOM]);
+        let session = StreamSession::new(config, pool.buffer(), pool.buffer());
         stream::serve(stream, session, shared.next_peer(), Arc::clone(&shared), limits, stopped.clone())
     })
     .await

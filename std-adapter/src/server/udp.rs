@@ -121,7 +121,7 @@ impl<H: Handler + Send + 'static> Peers<H> {
         let Some(peer) = self.known.get_mut(&address) else { return };
         let mut changed = false;
         loop {
-            let event = peer.session.run(&mut *self.shared.handler(), peer.id, now());
+            let event = peer.session.run(&mut self.shared.handler(), peer.id, now());
             let bytes = peer.session.transmit();
             if !bytes.is_empty() {
                 let tapped = self.shared.tapped(peer.id, bytes).unwrap_or(Tapped::Instead(Vec::new()));
@@ -180,7 +180,7 @@ impl<H: Handler + Send + 'static> Peers<H> {
     fn forget(&mut self, address: SocketAddr) {
         if let Some(mut peer) = self.known.remove(&address) {
             tracing::debug!(peer = peer.id.0, %address, "UDP peer forgotten");
-            peer.session.close(&mut *self.shared.handler(), peer.id, now());
+            peer.session.close(&mut self.shared.handler(), peer.id, now());
             self.shared.has_changed();
         }
     }

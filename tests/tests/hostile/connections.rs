@@ -23,6 +23,7 @@ pub(crate) const CASES: &[Case] = crate::cases! {
         many_requests_in_one_piece
         requests_without_end_and_others
         pieces_that_never_end_with_a_request
+        large_requests_of_many_at_the_same_time
         a_peer_that_never_reads
         a_peer_that_asks_for_much_and_never_reads
         silent_connections_cost_no_processor_time
@@ -178,6 +179,32 @@ fn pieces_that_never_end_with_a_request(target: &mut Target) {
         assert_eq!(raw.reply().code, 0);
         std::thread::sleep(Duration::from_millis(20));
     }
+}
+
+/// Who finds no memory left is told so and goes on; small requests always pass.
+fn large_requests_of_many_at_the_same_time(target: &mut Target) {
+    let large = bytes(FunctionId::SERVICE_START, vec![Value::Bstr(vec![0x30a2; 4 << 20])]);
+    let (end, large) = large.split_last().unwrap();
+    let before = target.process().memory();
+    let mut all: Vec<Raw> = (0..12).map(|_| Raw::connect(target.tcp)).collect();
+    for raw in &mut all {
+        raw.send(large);
+    }
+    target.serves_others();
+    if let (Some(before), Some(after)) = (before, target.process().memory()) {
+        let most = before.now + LIMITS.memory as u64 + (4 << 20);
+        assert!(after.now < most, "12 requests of 8 MiB: {before:?}, then {after:?}");
+    }
+    let mut taken = 0;
+    for raw in &mut all {
+        raw.send(&[*end]);
+        let code = HResult(raw.reply().code);
+        // there is no such option
+        assert!([HResult::E_INVALIDARG, HResult::E_PACKETSIZEOVER].contains(&code), "{code}");
+        taken += usize::from(code == HResult::E_INVALIDARG);
+        assert_eq!(raw.call(&request(FunctionId::SERVICE_START, vec![])).code, 0);
+    }
+    assert!((1..=LIMITS.memory / (8 << 20)).contains(&taken), "{taken} found memory");
 }
 
 fn a_peer_that_never_reads(target: &mut Target) {

@@ -29,6 +29,7 @@ pub(crate) const LIMITS: Limits = Limits {
     send: Duration::from_secs(1),
     idle: None,
     frame: 16 << 20,
+    memory: 40 << 20,
     keep_alive: None,
 };
 

@@ -355,6 +355,70 @@ fn a_value_over_the_datagram_is_answered_with_a_code() {
     assert_eq!(bench.call(get(), 6, at(0)), [(6, HResult::E_TOO_MUCH_DATA)]);
 }
 
+#[cfg(feature = "alloc")]
+#[test]
+fn memory_is_given_back_when_nothing_is_in_it() {
+    type Growing = Session<Vec<u8>, Vec<u8>, 4>;
+
+    fn deliver(session: &mut Growing, handler: &mut Recorder, bytes: &[u8]) {
+        let mut rest = bytes;
+        while !rest.is_empty() {
+            let free = session.receive_buffer();
+            let (now, later) = rest.split_at(free.len().min(rest.len()));
+            free[..now.len()].copy_from_slice(now);
+            session.received(now.len());
+            rest = later;
+            while session.run(handler, PeerId(1), at(0)).is_some() {}
+        }
+    }
+
+    fn taken(session: &mut Growing) -> usize {
+        let count = session.transmit().len();
+        session.transmitted(count);
+        count
+    }
+
+    // the kind of link that repeats and has no datagrams
+    let config = Config { limits: Limits::STREAM, ..Config::SERIAL };
+    let mut session = Growing::new(config, Vec::new(), std::vec![0; 64]);
+    let mut handler = Recorder { value: std::vec![7; 400], ..Recorder::default() };
+    deliver(&mut session, &mut handler, &frame(&call::service_start(""), 1, 0, true));
+    assert_eq!(taken(&mut session), 18);
+    deliver(&mut session, &mut handler, &frame(&call::controller_connect("", "", "", ""), 2, 0, true));
+    assert_eq!(taken(&mut session), 32);
+    let open = call::controller_get_variable(ControllerHandle(1), "V1", "");
+    deliver(&mut session, &mut handler, &frame(&open, 3, 0, true));
+    assert_eq!(taken(&mut session), 32);
+    session.shrink(64);
+    assert_eq!(session.memory(), 128);
+
+    let put = frame(&call::variable_put_value(VariableHandle(2), &[7_u8; 1000][..]), 4, 0, true);
+    deliver(&mut session, &mut handler, &put[..900]);
+    session.shrink(64);
+    assert!(session.memory() >= 900, "half a request is in it");
+    deliver(&mut session, &mut handler, &put[900..]);
+    assert_eq!(taken(&mut session), 18);
+    deliver(&mut session, &mut handler, &frame(&call::variable_get_value(VariableHandle(2)), 5, 0, true));
+    session.shrink(64);
+    assert!(session.memory() > 1400, "a reply is in it");
+    let reply = taken(&mut session);
+    assert!(reply > 400, "{reply}");
+
+    // a repetition is answered as long as the reply is kept
+    let again = frame(&call::variable_get_value(VariableHandle(2)), 6, 5, true);
+    deliver(&mut session, &mut handler, &again);
+    assert_eq!(taken(&mut session), reply);
+    session.shrink(64);
+    assert_eq!(session.memory(), 128);
+    let calls = handler.calls.len();
+    deliver(&mut session, &mut handler, &again);
+    assert_eq!((taken(&mut session), handler.calls.len()), (0, calls));
+
+    // and the next call is as good as ever
+    deliver(&mut session, &mut handler, &frame(&call::variable_get_value(VariableHandle(2)), 7, 0, true));
+    assert_eq!((taken(&mut session), handler.calls.len()), (reply, calls + 1));
+}
+
 #[test]
 fn nothing_is_read_while_a_reply_waits_to_be_sent() {
     let mut bench = Bench::new(Config::TCP);
