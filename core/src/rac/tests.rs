@@ -572,6 +572,66 @@ fn abandoning_is_safe_at_every_byte() {
 }
 
 #[test]
+fn a_client_says_how_it_stands() {
+    let short = client::Config { timeout: Duration::from_millis(10) };
+    let mut client = Client::new(client::Config::TCP, [0; 64]);
+    client.set_config(short);
+    assert_eq!(client.config(), &short);
+    assert!(!client.is_busy() && !client.is_closed());
+    client.start(&get(1), NOW).unwrap();
+    assert_eq!((client.is_busy(), client.poll_timeout()), (true, Some(at(10))));
+    sent(&mut client);
+
+    // the reply to what was given up is stale, even if nobody asks for anything else
+    client.abandon();
+    receive(&mut client, b"0,3,1\r");
+    assert_eq!(client.poll_event(NOW), Some(client::Event::Stale));
+    assert!(!client.is_owed() && !client.is_closed());
+
+    // half a request has no reply
+    client.start(&get(1), NOW).unwrap();
+    client.transmitted(5);
+    client.abandon();
+    receive(&mut client, b"0,3,1\r");
+    assert_eq!(client.poll_event(NOW), Some(client::Event::Failed(ClientError::Unsolicited)));
+    assert!(client.is_closed());
+    client.reset();
+    assert!(!client.is_closed());
+    assert_eq!(client.config(), &short);
+}
+
+#[test]
+fn a_session_says_how_it_stands() {
+    let mut session = Session::new(server::Config::TCP, [0; 64]);
+    assert!(!session.is_receiving() && !session.is_running());
+    let line = b"GET:RC8:2:I:\r";
+    session.receive_buffer()[..4].copy_from_slice(&line[..4]);
+    session.received(4);
+    assert_eq!(session.poll(NOW), None);
+    assert!(session.is_receiving() && !session.is_running());
+    session.receive_buffer()[..9].copy_from_slice(&line[4..]);
+    session.received(9);
+    assert_eq!(session.poll(NOW), Some(server::Event::Requested(variable(VariableKind::I, 2))));
+    assert!(!session.is_receiving() && session.is_running());
+    // an error stays that error, whatever becomes of the value
+    let served = server::Event::Served { variable: variable(VariableKind::I, 2), result: HResult::E_NOT_CONNECTED };
+    assert_eq!(session.respond_with(HResult::E_NOT_CONNECTED, &"a\rb"), Some(served));
+    assert!(!session.is_receiving() && !session.is_running());
+    assert_eq!((Verb::Get.to_string(), Verb::Put.to_string()), ("GET".into(), "PUT".into()));
+}
+
+#[test]
+fn what_lies_in_memory_behind_the_bytes_that_came_is_nothing() {
+    let mut framer = LineFramer::<16>::new();
+    framer.receive_buffer()[..3].copy_from_slice(b"\n\n\n");
+    framer.received(1);
+    assert_eq!((framer.poll(), framer.has_begun()), (None, false));
+    framer.receive_buffer()[..4].copy_from_slice(b"0,1\r");
+    framer.received(4);
+    assert_eq!((framer.poll(), framer.line()), (Some(Framed::Line), &b"0,1"[..]));
+}
+
+#[test]
 fn replies_that_cannot_be_read_end_their_request_only() {
     let text = |kind, column| TextError { kind, column };
     let long = format!("0,8,{}\r", "x".repeat(400));

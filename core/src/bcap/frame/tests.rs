@@ -84,6 +84,10 @@ fn the_strict_and_the_lenient_reading_of_a_length_are_told_apart() {
     wire[15] = 11;
     assert_eq!(kind(Decoder::TCP.decode(&wire)), (K::Truncated { needed: 11, left: 10 }, 15));
     assert!(lenient.decode(&wire).is_ok());
+    // more than the value takes, all of it there
+    let mut wire = frame(false, &[5, 6]);
+    (wire[13], wire[15]) = (1, 24);
+    assert_eq!(kind(Decoder::TCP.decode(&wire)), (K::ArgumentLength { declared: 24, used: 10 }, 15));
     // a value of unknown type is as long as its length field says, at least as long as its head
     let mut wire = frame(false, &[5]);
     wire[19] = 99;
