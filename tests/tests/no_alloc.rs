@@ -1,5 +1,7 @@
 //! The core never allocates: each operation runs under an allocator that counts, and must count 0.
 
+use std::pin::pin;
+use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 
 use bcap_core::bcap::call::{self, Call, ControllerHandle, Reply, RobotHandle, VariableHandle};
@@ -13,8 +15,9 @@ use bcap_core::error::EncodeError;
 use bcap_core::gateway;
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
+use bcap_core::io::{asynch, blocking};
 use bcap_core::limits::{Limits, Strictness};
-use bcap_core::rac;
+use bcap_core::rac::{self, Variable, VariableKind};
 use bcap_core::time::Instant;
 use bcap_core::variant::{Variant, VariantBuf};
 use bcap_tests::allocation::{Counting, allocations};
@@ -233,6 +236,104 @@ fn lines_of_rac_both_ways() {
             assert_eq!(client.poll_event(now), Some(rac::client::Event::Replied(HResult::S_OK)));
             assert_eq!(client.reply().and_then(|reply| reply.value).is_some(), matches!(request, rac::Request::Get(_)));
         }
+    });
+}
+
+/// A transport with the server at its other end.
+struct Behind<S>(S);
+
+/// Implements both kinds of [`Transport`](blocking::Transport) over a session of this type.
+macro_rules! transport {
+    ($session:ty) => {
+        impl blocking::Transport for Behind<$session> {
+            type Error = std::convert::Infallible;
+
+            fn now(&self) -> Instant {
+                Instant::from_millis(1)
+            }
+
+            fn send(&mut self, bytes: &[u8], _: Instant) -> Result<Option<usize>, Self::Error> {
+                let count = carry(bytes, self.0.receive_buffer());
+                self.0.received(count);
+                Ok(Some(count))
+            }
+
+            fn receive(&mut self, buffer: &mut [u8], _: Instant) -> Result<Option<usize>, Self::Error> {
+                while self.0.run(&mut Answer, PeerId(1), Instant::from_millis(1)).is_some() {}
+                let count = carry(self.0.transmit(), buffer);
+                self.0.transmitted(count);
+                Ok(Some(count))
+            }
+        }
+
+        impl asynch::Transport for Behind<$session> {
+            type Error = std::convert::Infallible;
+
+            fn now(&self) -> Instant {
+                Instant::from_millis(1)
+            }
+
+            async fn send(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, Self::Error> {
+                blocking::Transport::send(self, bytes, until)
+            }
+
+            async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, Self::Error> {
+                blocking::Transport::receive(self, buffer, until)
+            }
+        }
+    };
+}
+transport!(BoardSession);
+transport!(rac::server::Session<[u8; 512]>);
+
+/// Runs a future of which nothing has to wait.
+fn at_once<T>(future: impl Future<Output = T>) -> T {
+    match pin!(future).poll(&mut Context::from_waker(Waker::noop())) {
+        Poll::Ready(result) => result,
+        Poll::Pending => panic!("it waits"),
+    }
+}
+
+#[test]
+fn loops_that_block_and_loops_that_await() {
+    let of_bcap = || {
+        let client = BoardClient::new(client::Config::TCP, [0; 512], [0; 512]);
+        (Behind(BoardSession::new(server::Config::TCP, [0; 512], [0; 512])), client)
+    };
+    let of_rac = || {
+        let client = rac::client::Client::new(rac::client::Config::TCP, [0; 512]);
+        (Behind(rac::server::Session::new(rac::server::Config::TCP, [0; 512])), client)
+    };
+    let variable = Variable::new(VariableKind::P, 7);
+    without(|| {
+        let (behind, client) = of_bcap();
+        let mut client = blocking::Connection::new(behind, client);
+        client.call(call::service_start("")).unwrap();
+        let controller = client.call(call::controller_connect("", "", "", "")).unwrap();
+        let robot = client.call(call::controller_get_robot(controller, "Arm", "")).unwrap();
+        assert!(walk(client.call(call::robot_execute(robot, "slvMove", [1.0; 8])).unwrap()) > 1);
+        assert!(client.call(call::robot_release(RobotHandle(9))).is_err());
+
+        let (behind, client) = of_rac();
+        let mut client = blocking::RacConnection::new(behind, client);
+        client.put(variable, Variant::I4(5)).unwrap();
+        assert!(walk(client.get(variable).unwrap()) > 1);
+    });
+    without(|| {
+        at_once(async {
+            let (behind, client) = of_bcap();
+            let mut client = asynch::Connection::new(behind, client);
+            client.call(call::service_start("")).await.unwrap();
+            let controller = client.call(call::controller_connect("", "", "", "")).await.unwrap();
+            let robot = client.call(call::controller_get_robot(controller, "Arm", "")).await.unwrap();
+            assert!(walk(client.call(call::robot_execute(robot, "slvMove", [1.0; 8])).await.unwrap()) > 1);
+            assert!(client.call(call::robot_release(RobotHandle(9))).await.is_err());
+
+            let (behind, client) = of_rac();
+            let mut client = asynch::RacConnection::new(behind, client);
+            client.put(variable, Variant::I4(5)).await.unwrap();
+            assert!(walk(client.get(variable).await.unwrap()) > 1);
+        });
     });
 }
 
