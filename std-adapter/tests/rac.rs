@@ -19,7 +19,7 @@ use bcap_std::server::{Limits, Server};
 use bcap_std::{Options, asynch, blocking};
 use tokio::sync::oneshot;
 
-/// One integer, I0; a read of I1 waits until I0 is 0.
+/// One integer, I0; a read of I1 waits until I0 is 0, and one of I2 panics.
 #[derive(Default)]
 struct Counter {
     count: i32,
@@ -31,6 +31,11 @@ impl server::Handler for Counter {
         let variable = request.variable();
         match (variable.kind, variable.index, request.value()) {
             (VariableKind::I, 0, Some(Variant::I4(count))) => self.count = count,
+            (VariableKind::I, 2, None) => {
+                // what it has said before is not sent
+                let _ = reply.set(&self.count);
+                panic!("as the test wants it");
+            }
             (VariableKind::I, 1, None) if self.count != 0 => return Outcome::Wait(Instant::FAR_FUTURE),
             (VariableKind::I, 0 | 1, None) => {
                 let _ = reply.set(&self.count);
@@ -141,6 +146,17 @@ fn a_connection_over_the_limit_is_told_so() {
     second.write_all(b"GET:RC8:0:I:\r").unwrap();
     assert_eq!(line(&mut second), HResult::E_MAX_CONNECT.0.to_string());
     assert_eq!(second.read(&mut [0; 8]).unwrap(), 0);
+}
+
+#[test]
+fn a_handler_that_panics_ends_its_request_and_nothing_else() {
+    let server = start(Limits::default());
+    let mut stream = TcpStream::connect(server.address).unwrap();
+    for _ in 0..3 {
+        stream.write_all(b"GET:RC8:2:I:\rGET:RC8:0:I:\r").unwrap();
+        assert_eq!(line(&mut stream), HResult::E_UNEXPECTED.0.to_string());
+        assert_eq!(line(&mut stream), "0,3,41");
+    }
 }
 
 #[test]

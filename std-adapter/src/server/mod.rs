@@ -11,7 +11,10 @@
 //! handler waits, another request has changed something.
 //!
 //! What one peer can cost is bounded by [`Limits`]: the connections, what a connection may leave unfinished, its
-//! objects. A connection over the limit is told so (E_MAX_CONNECT) and closed.
+//! objects, the memory of all. A connection over the limit is told so (E_MAX_CONNECT) and closed.
+//!
+//! A panic of the handler is a bug that must not stop a plant: it ends the call that it happened in with E_UNEXPECTED, and
+//! the handler is used on. With `panic = "abort"` it ends the process, as everywhere.
 //!
 //! # Examples
 //!
