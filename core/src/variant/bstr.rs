@@ -177,6 +177,7 @@ mod tests {
         let bytes = utf16(text);
         let bstr = Bstr::from_utf16le(&bytes).unwrap();
         assert_eq!(bstr, text);
+        assert!(bstr.is_unicode());
         assert_eq!(bstr.to_string(), text);
         assert_eq!(bstr.len(), 7);
         let mut buffer = [0; 12];
@@ -198,6 +199,7 @@ mod tests {
     fn a_lone_surrogate_is_kept_and_shown() {
         let bytes = [0x41, 0, 0x00, 0xd8, 0x42, 0];
         let bstr = Bstr::from_utf16le(&bytes).unwrap();
+        assert!(!bstr.is_unicode());
         assert!(!bstr.is_unicode());
         assert_eq!(bstr.to_string(), "A\u{fffd}B");
         assert_eq!(format!("{bstr:?}"), "\"A\\u{d800}B\"");

@@ -53,9 +53,9 @@ mod float;
 mod scalar;
 pub(crate) mod text;
 
-pub use self::array::{Array, Items, Scalar};
+pub use self::array::{Array, Elements, Items, Scalar};
 pub use self::bstr::Bstr;
-pub use self::buf::VariantBuf;
+pub use self::buf::{VariantBuf, VariantBufError};
 pub use self::encode::{Element, Encode};
 pub use self::scalar::{CivilTime, Currency, Null, OleDate};
 pub use crate::wire::Writer;

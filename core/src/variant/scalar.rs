@@ -292,6 +292,12 @@ mod tests {
     }
 
     #[test]
+    fn times_are_shown_as_iso_8601_does() {
+        let time = CivilTime { millisecond: 7, ..CivilTime::date(2026, 1, 2).at(3, 4, 5) };
+        assert_eq!(time.to_string(), "2026-01-02T03:04:05.007");
+    }
+
+    #[test]
     fn known_dates() {
         let known = [
             (0.0, CivilTime::date(1899, 12, 30)),

@@ -263,3 +263,37 @@ fn types_have_names() {
     assert_eq!(VarType(9).to_string(), "VarType(0x0009)");
     assert_eq!(VarType(0x4003).to_string(), "VarType(0x4003)");
 }
+
+#[test]
+fn views_of_arrays_say_what_is_in_them() {
+    let numbers = bytes(&[1_i32, 2, 3]);
+    let Some(array) = strict(&numbers).unwrap().as_array() else { panic!("no array") };
+    let items = array.items::<i32>().unwrap();
+    let mut target = [9; 4];
+    assert_eq!((items.copy_to(&mut target), target), (Some(3), [1, 2, 3, 9]));
+    assert_eq!(items.copy_to(&mut target[..2]), None);
+    assert!(!items.is_empty());
+    let none = bytes(&[0_i32; 0]);
+    assert!(strict(&none).unwrap().as_array().unwrap().items::<i32>().unwrap().is_empty());
+
+    // equal are arrays of the same type and length with the same elements
+    let others = [bytes(&[1_i32, 2]), bytes(&[1_i32, 2, 4]), bytes(&[1_i16, 2, 3]), none];
+    for other in &others {
+        assert_ne!(array, strict(other).unwrap().as_array().unwrap(), "{other:?}");
+    }
+    assert_eq!(array, strict(&numbers).unwrap().as_array().unwrap());
+
+    assert_eq!(format!("{array:?}"), "I4[1, 2, 3]");
+    let mixed = bytes(&(1_i32, "a", 2.5_f64));
+    assert_eq!(format!("{:?}", strict(&mixed).unwrap().as_array().unwrap()), "VARIANT[I4(1), \"a\", R8(2.5)]");
+}
+
+#[test]
+fn why_there_is_no_owned_value_is_told() {
+    let encode = VariantBufError::Encode(EncodeError::Full);
+    assert_eq!(encode.to_string(), EncodeError::Full.to_string());
+    let decode = VariantBuf::<8>::decode(&[99, 0, 1, 0, 0, 0], &Limits::STREAM, Strictness::Strict).unwrap_err();
+    let VariantBufError::Decode(error) = decode else { panic!("{decode}") };
+    assert_eq!(decode.to_string(), error.to_string());
+    assert!(!encode.to_string().is_empty() && !decode.to_string().is_empty());
+}
