@@ -197,27 +197,6 @@ fn lenient_takes_what_peers_leave_and_sends_it_canonical() {
 }
 
 #[test]
-fn integers_convert_only_when_they_fit() {
-    assert_eq!(Variant::Ui4(7).as_i32(), Some(7));
-    assert_eq!(Variant::Ui4(u32::MAX).as_i32(), None);
-    assert_eq!(Variant::Ui8(u64::MAX).as_i64(), None);
-    assert_eq!(Variant::R8(1.0).as_i64(), None);
-    assert_eq!(Variant::R4(0.5).as_f64(), Some(0.5));
-    assert_eq!(Variant::I8(1).as_f64(), Some(1.0));
-    assert_eq!(Variant::Bool(true).as_i32(), None);
-    assert_eq!(Variant::Ui8(u64::MAX).as_bool(), Some(true));
-}
-
-#[test]
-fn equality_is_that_of_the_bytes() {
-    assert_eq!(Variant::R8(f64::NAN), Variant::R8(f64::NAN));
-    assert_ne!(Variant::R8(0.0), Variant::R8(-0.0));
-    assert_ne!(Variant::I4(1), Variant::I2(1));
-    assert_ne!(Variant::Empty, Variant::Null);
-    assert_ne!(Variant::Ui8(u64::MAX), Variant::Ui8(u64::MAX - 1));
-}
-
-#[test]
 fn a_buffer_too_short_is_an_error_and_no_panic() {
     let value = (1_i32, "abc", [1.0_f64, 2.0]);
     let whole = bytes(&value).len();
@@ -296,4 +275,93 @@ fn why_there_is_no_owned_value_is_told() {
     let VariantBufError::Decode(error) = decode else { panic!("{decode}") };
     assert_eq!(decode.to_string(), error.to_string());
     assert!(!encode.to_string().is_empty() && !decode.to_string().is_empty());
+}
+
+#[test]
+fn a_value_equals_itself_and_no_other() {
+    let encoded: [Vec<u8>; 28] = [
+        bytes(&()),
+        bytes(&Null),
+        bytes(&1_i16),
+        bytes(&2_i16),
+        bytes(&1_i32),
+        bytes(&1_i64),
+        bytes(&1_u8),
+        bytes(&1_u16),
+        bytes(&1_u32),
+        bytes(&1_u64),
+        bytes(&u64::MAX),
+        bytes(&(u64::MAX - 1)),
+        bytes(&0.0_f32),
+        bytes(&-0.0_f32),
+        bytes(&0.0_f64),
+        bytes(&f64::NAN),
+        bytes(&Currency::from_raw(1)),
+        bytes(&Currency::from_raw(2)),
+        bytes(&OleDate::from_raw(1.0)),
+        bytes(&OleDate::from_raw(2.0)),
+        bytes("1"),
+        bytes("2"),
+        bytes(&HResult(1)),
+        bytes(&HResult(2)),
+        bytes(&true),
+        bytes(&false),
+        bytes(&[1_i16][..]),
+        bytes(&(1_i16, 1_i32)),
+    ];
+    let nested = |value: &[u8]| [&[12, 0, 1, 0, 0, 0], value].concat();
+    let unknown = |last| Variant::Opaque(Opaque { vartype: VarType(99), bytes: if last { &[1] } else { &[0] } });
+    let nested: Vec<_> = encoded[2..4].iter().map(|value| nested(value)).collect();
+    let mut values: Vec<_> = encoded.iter().chain(&nested).map(|value| strict(value).unwrap()).collect();
+    values.extend([unknown(true), unknown(false)]);
+    for (i, one) in values.iter().enumerate() {
+        for (j, other) in values.iter().enumerate() {
+            assert_eq!(one == other, i == j, "{one:?} and {other:?}");
+        }
+    }
+}
+
+#[test]
+fn numbers_convert_where_nothing_is_lost() {
+    let whole = [
+        Variant::I2(7),
+        Variant::I4(7),
+        Variant::I8(7),
+        Variant::Ui1(7),
+        Variant::Ui2(7),
+        Variant::Ui4(7),
+        Variant::Ui8(7),
+    ];
+    for value in whole {
+        assert_eq!((value.as_i64(), value.as_i32(), value.as_bool()), (Some(7), Some(7), Some(true)), "{value:?}");
+        assert_eq!(value.as_f64(), Some(7.0), "{value:?}");
+        assert!(!value.is_empty());
+    }
+    assert_eq!(Variant::I4(-1).as_i32(), Some(-1));
+    assert_eq!(Variant::Ui4(u32::MAX).as_f64(), Some(4_294_967_295.0));
+    assert_eq!((Variant::Ui4(u32::MAX).as_i32(), Variant::Ui4(u32::MAX).as_i64()), (None, Some(4_294_967_295)));
+    assert_eq!((Variant::Ui8(u64::MAX).as_i64(), Variant::Ui8(u64::MAX).as_bool()), (None, Some(true)));
+    assert_eq!((Variant::Ui8(0).as_bool(), Variant::I2(0).as_bool()), (Some(false), Some(false)));
+    assert_eq!((Variant::R4(2.5).as_f64(), Variant::R8(-2.5).as_f64()), (Some(2.5), Some(-2.5)));
+    assert_eq!((Variant::R8(2.0).as_i32(), Variant::R8(2.0).as_i64(), Variant::R8(2.0).as_bool()), (None, None, None));
+    assert_eq!((Variant::Bool(true).as_bool(), Variant::Bool(true).as_i32()), (Some(true), None));
+    assert_eq!((Variant::Bool(false).as_bool(), Variant::Bool(true).as_f64()), (Some(false), None));
+    assert!(Variant::Empty.is_empty() && Variant::Null.is_empty());
+    assert_eq!(Variant::Empty.as_bool(), None);
+}
+
+#[test]
+fn an_array_knows_how_much_of_it_is_left() {
+    let wire = bytes(&(1_i32, "a", [2.5_f64]));
+    let array = strict(&wire).unwrap().as_array().unwrap();
+    assert_eq!((array.len(), array.is_empty(), array.element()), (3, false, VarType::VARIANT));
+    let mut elements = array.iter();
+    for left in (0..3).rev() {
+        assert_eq!(elements.size_hint(), (left + 1, Some(left + 1)));
+        assert!(elements.next().is_some());
+        assert_eq!(elements.len(), left);
+    }
+    assert_eq!(elements.next(), None);
+    let none = bytes(&[0_i32; 0]);
+    assert!(strict(&none).unwrap().as_array().unwrap().is_empty());
 }
