@@ -387,8 +387,13 @@ mod tests {
             CivilTime::date(99, 1, 1),
             CivilTime::date(10_000, 1, 1),
             CivilTime::date(2023, 1, 1).at(24, 0, 0),
+            CivilTime::date(2023, 1, 1).at(0, 60, 0),
+            CivilTime::date(2023, 1, 1).at(0, 0, 60),
+            CivilTime { millisecond: 1000, ..CivilTime::date(2023, 1, 1) },
         ] {
             assert_eq!(OleDate::from_civil(civil), None, "{civil}");
         }
+        let last = CivilTime { millisecond: 999, ..CivilTime::date(9999, 12, 31).at(23, 59, 59) };
+        assert_eq!(OleDate::from_civil(last).unwrap().to_civil(), Some(last));
     }
 }

@@ -215,6 +215,8 @@ fn owned_values_keep_their_encoding() {
     assert_eq!(value.set("a string of more than the room"), Err(EncodeError::Full));
     assert_eq!(value.as_variant().as_array().unwrap().len(), 2);
     assert_eq!(value, VariantBuf::<10>::new(&[1_i16, 2]).unwrap());
+    assert_ne!(value, VariantBuf::<10>::new(&[1_i16, 3]).unwrap());
+    assert_eq!(format!("{value:?}"), "I2[1, 2]");
     let decoded =
         VariantBuf::<16>::decode(&[3, 0, 9, 0, 0, 0, 1, 0, 0, 0], &Limits::STREAM, Strictness::Lenient).unwrap();
     assert_eq!(decoded.as_bytes(), [3, 0, 1, 0, 0, 0, 1, 0, 0, 0]);
