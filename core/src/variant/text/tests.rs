@@ -200,6 +200,8 @@ fn what_is_wrong_is_named_with_its_column() {
         ("4,123. 01", K::BlankBehind, 7),
         ("4,.", K::Digit, 3),
         ("4,e5", K::Digit, 3),
+        ("4,1.2.3", K::Digit, 6),
+        ("5,1..", K::Digit, 5),
         ("4,1e", K::Digit, 5),
         ("4,1e+", K::Digit, 6),
         ("4,0x10", K::Digit, 4),
