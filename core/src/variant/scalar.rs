@@ -286,6 +286,10 @@ mod tests {
         assert_eq!(Currency::from_parts(1234, 5678), Some(Currency::from_raw(12_345_678)));
         assert_eq!(Currency::from_raw(-12_345_678).to_parts(), (-1234, 5678));
         assert_eq!(Currency::from_raw(-5).to_string(), "-0.0005");
+        assert_eq!(
+            (Currency::from_raw(0).to_string(), Currency::from_raw(5).to_string()),
+            ("0.0000".into(), "0.0005".into())
+        );
         assert_eq!(Currency::from_raw(i64::MIN).to_string(), "-922337203685477.5808");
         assert_eq!(Currency::from_parts(1, 10_000), None);
         assert_eq!(Currency::from_parts(i64::MAX, 0), None);
@@ -295,6 +299,7 @@ mod tests {
     fn times_are_shown_as_iso_8601_does() {
         let time = CivilTime { millisecond: 7, ..CivilTime::date(2026, 1, 2).at(3, 4, 5) };
         assert_eq!(time.to_string(), "2026-01-02T03:04:05.007");
+        assert_eq!(time.at(6, 7, 8).to_string(), "2026-01-02T06:07:08.000");
     }
 
     #[test]
