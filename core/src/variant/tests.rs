@@ -246,6 +246,15 @@ fn types_have_names() {
 }
 
 #[test]
+fn a_type_and_that_of_its_arrays_belong_together() {
+    for (scalar, array) in [(VarType(3), VarType(0x2003)), (VarType::VARIANT, VarType(0x200c))] {
+        assert_eq!((scalar.array_of(), array.array_of()), (array, array));
+        assert_eq!((scalar.element(), array.element()), (scalar, scalar));
+        assert_eq!((scalar.is_array(), array.is_array()), (false, true));
+    }
+}
+
+#[test]
 fn views_of_arrays_say_what_is_in_them() {
     let numbers = bytes(&[1_i32, 2, 3]);
     let Some(array) = strict(&numbers).unwrap().as_array() else { panic!("no array") };
