@@ -274,6 +274,7 @@ fn views_of_arrays_say_what_is_in_them() {
     assert_eq!(array, strict(&numbers).unwrap().as_array().unwrap());
 
     assert_eq!(format!("{array:?}"), "I4[1, 2, 3]");
+    assert_eq!(format!("{items:?}"), "[1, 2, 3]");
     let mixed = bytes(&(1_i32, "a", 2.5_f64));
     assert_eq!(format!("{:?}", strict(&mixed).unwrap().as_array().unwrap()), "VARIANT[I4(1), \"a\", R8(2.5)]");
 }
