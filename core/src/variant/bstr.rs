@@ -178,6 +178,7 @@ mod tests {
         let bstr = Bstr::from_utf16le(&bytes).unwrap();
         assert_eq!(bstr, text);
         assert!(bstr.is_unicode());
+        assert!(bstr == text && bstr == *text && bstr != "aé€😀\0" && bstr != *"aé€😀\0z.");
         assert_eq!(bstr.to_string(), text);
         assert_eq!(bstr.len(), 7);
         let mut buffer = [0; 12];

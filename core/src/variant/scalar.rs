@@ -291,6 +291,7 @@ mod tests {
             ("0.0000".into(), "0.0005".into())
         );
         assert_eq!(Currency::from_raw(i64::MIN).to_string(), "-922337203685477.5808");
+        assert_eq!(Currency::from_parts(0, 5), Some(Currency::from_raw(5)));
         assert_eq!(Currency::from_parts(1, 10_000), None);
         assert_eq!(Currency::from_parts(i64::MAX, 0), None);
     }

@@ -262,6 +262,8 @@ fn views_of_arrays_say_what_is_in_them() {
     let mut target = [9; 4];
     assert_eq!((items.copy_to(&mut target), target), (Some(3), [1, 2, 3, 9]));
     assert_eq!(items.copy_to(&mut target[..2]), None);
+    assert_eq!((items.get(0), items.get(2), items.get(3)), (Some(1), Some(3), None));
+    assert_eq!((array.get(2), array.get(3)), (Some(Variant::I4(3)), None));
     assert!(!items.is_empty());
     let none = bytes(&[0_i32; 0]);
     assert!(strict(&none).unwrap().as_array().unwrap().items::<i32>().unwrap().is_empty());
