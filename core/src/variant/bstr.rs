@@ -180,7 +180,8 @@ mod tests {
         assert!(bstr.is_unicode());
         assert!(bstr == text && bstr == *text && bstr != "aé€😀\0" && bstr != *"aé€😀\0z.");
         assert_eq!(bstr.to_string(), text);
-        assert_eq!(bstr.len(), 7);
+        assert_eq!((bstr.len(), bstr.is_empty()), (7, false));
+        assert!(Bstr::from_utf16le(&[]).unwrap().is_empty());
         let mut buffer = [0; 12];
         assert_eq!(bstr.to_str(&mut buffer), Some(text));
         assert_eq!(bstr.to_str(&mut [0; 11]), None);

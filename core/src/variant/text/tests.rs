@@ -167,6 +167,15 @@ fn numbers_outside_of_their_type_are_refused() {
 }
 
 #[test]
+fn true_is_minus_one_on_the_wire_whatever_was_written() {
+    for (text, data) in
+        [("11,1", &[0xff, 0xff][..]), ("11,-7", &[0xff, 0xff]), ("11,0", &[0, 0]), ("8203,2,0", &[0xff, 0xff, 0, 0])]
+    {
+        assert_eq!(&parsed(text).as_bytes()[6..], data, "{text}");
+    }
+}
+
+#[test]
 fn what_is_wrong_is_named_with_its_column() {
     for (text, kind, column) in [
         ("", K::Type, 1),
