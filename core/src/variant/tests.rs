@@ -370,6 +370,7 @@ fn an_array_knows_how_much_of_it_is_left() {
     let array = strict(&wire).unwrap().as_array().unwrap();
     assert_eq!((array.len(), array.is_empty(), array.element()), (3, false, VarType::VARIANT));
     let mut elements = array.iter();
+    assert_eq!(format!("{elements:?}"), "Elements { element: VT_VARIANT, left: 3, .. }");
     for left in (0..3).rev() {
         assert_eq!(elements.size_hint(), (left + 1, Some(left + 1)));
         assert!(elements.next().is_some());
