@@ -119,6 +119,15 @@ fn a_scalar_variant_holds_one_value() {
 }
 
 #[test]
+fn what_comes_behind_a_scalar_variant_in_an_array_is_found() {
+    let seven = [3, 0, 1, 0, 0, 0, 7, 0, 0, 0];
+    let wire = [&[12, 0x20, 2, 0, 0, 0, 12, 0, 1, 0, 0, 0][..], &seven, &[2, 0, 1, 0, 0, 0, 8, 0]].concat();
+    let mut elements = strict(&wire).unwrap().as_array().unwrap().iter();
+    let Some(Variant::Nested(inner)) = elements.next() else { panic!("a VARIANT comes first") };
+    assert_eq!((inner.value(), elements.next(), elements.next()), (Variant::I4(7), Some(Variant::I2(8)), None));
+}
+
+#[test]
 fn depth_is_counted_and_limited() {
     // eight arrays of one VARIANT around an EMPTY
     let mut wire = Vec::new();
