@@ -255,6 +255,12 @@ fn types_have_names() {
 }
 
 #[test]
+fn views_are_sent_on_as_elements() {
+    let wire = bytes(&[Variant::I2(7), Variant::Bool(true)]);
+    assert_eq!(wire, [12, 0x20, 2, 0, 0, 0, 2, 0, 1, 0, 0, 0, 7, 0, 11, 0, 1, 0, 0, 0, 0xff, 0xff]);
+}
+
+#[test]
 fn a_type_and_that_of_its_arrays_belong_together() {
     for (scalar, array) in [(VarType(3), VarType(0x2003)), (VarType::VARIANT, VarType(0x200c))] {
         assert_eq!((scalar.array_of(), array.array_of()), (array, array));
