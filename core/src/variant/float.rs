@@ -571,6 +571,24 @@ mod tests {
     }
 
     #[test]
+    fn of_two_that_are_as_near_the_even_digit_is_written() {
+        // quarters, of which the digits behind the first are not needed
+        for (bits, digits) in [
+            ((4_503_599_627_370_497.0_f64 / 4.0).to_bits(), 11_258_999_068_426_242),
+            ((4_503_599_627_370_499.0_f64 / 4.0).to_bits(), 11_258_999_068_426_248),
+            ((4_503_599_627_370_501.0_f64 / 4.0).to_bits(), 11_258_999_068_426_252),
+            ((4_503_599_627_370_503.0_f64 / 4.0).to_bits(), 11_258_999_068_426_258),
+        ] {
+            assert_eq!(Format::Double.shortest(bits), (digits, -1));
+        }
+        for (float, digits) in
+            [(8_388_609.0_f32 / 4.0, 20_971_522), (8_388_611.0 / 4.0, 20_971_528), (8_388_613.0 / 4.0, 20_971_532)]
+        {
+            assert_eq!(Format::Single.shortest(float.to_bits().into()), (digits, -1));
+        }
+    }
+
+    #[test]
     #[ignore = "the 2139095039 floats take half an hour with --release; BCAP_STEP=n takes every nth"]
     fn every_single_is_written_and_read_as_the_standard_library_does() {
         let step = std::env::var("BCAP_STEP").map_or(1, |step| step.parse().unwrap());
