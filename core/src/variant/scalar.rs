@@ -402,7 +402,10 @@ mod tests {
         // what is nearest to midnight is the next day, and before 1899-12-30 too
         assert_eq!(OleDate::from_raw(1.999_999_999_9).to_civil(), Some(CivilTime::date(1900, 1, 1)));
         assert_eq!(OleDate::from_raw(-2.999_999_999_9).to_civil(), Some(CivilTime::date(1899, 12, 29)));
-        assert_eq!(OleDate::from_raw(0.5 + 1.0 / 86_400_000.0).to_civil().unwrap().millisecond, 1);
+        for (tenths, millis) in [(10.0, 1), (3.0, 0), (7.0, 1), (13.0, 1), (17.0, 2)] {
+            let time = OleDate::from_raw(0.5 + tenths / 864_000_000.0).to_civil().unwrap();
+            assert_eq!(time.millisecond, millis, "{tenths} tenths of a millisecond");
+        }
         let last = CivilTime { millisecond: 999, ..CivilTime::date(9999, 12, 31).at(23, 59, 59) };
         assert_eq!(OleDate::from_civil(last).unwrap().to_civil(), Some(last));
     }
