@@ -615,7 +615,7 @@ fn a_session_says_how_it_stands() {
     assert!(!session.is_receiving() && session.is_running());
     // an error stays that error, whatever becomes of the value
     let served = server::Event::Served { variable: variable(VariableKind::I, 2), result: HResult::E_NOT_CONNECTED };
-    assert_eq!(session.respond_with(HResult::E_NOT_CONNECTED, &"a\rb"), Some(served));
+    assert_eq!(session.respond_with(HResult::E_NOT_CONNECTED, &[7_u8; 100][..]), Some(served));
     assert!(!session.is_receiving() && !session.is_running());
     assert_eq!((Verb::Get.to_string(), Verb::Put.to_string()), ("GET".into(), "PUT".into()));
 }
