@@ -77,7 +77,7 @@ pub struct Limits {
     /// Bytes that requests and replies over TCP may take, of all connections together, beside the 2 KiB that each has
     /// from the beginning. Without enough of it a request is answered E_PACKETSIZEOVER, and in place of a reply there is
     /// E_TOO_MUCH_DATA; small ones always pass. A connection gives back what it has when it ends, or keeps silent for
-    /// some seconds.
+    /// 5 s.
     pub memory: usize,
     /// The silence on TCP after which the operating system probes the peer.
     pub keep_alive: Option<Duration>,
