@@ -1,8 +1,8 @@
 //! The clients that do not behave: each does one thing after the other that a client should not, some five in a second.
 
 use std::io;
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, LazyLock};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
@@ -21,6 +21,55 @@ use crate::server::Addresses;
 
 /// How long a client waits between two of its deeds, on average.
 const PACE: Duration = Duration::from_millis(100);
+
+/// What they send, made once: the work of making it is not the server's, but the processor may be.
+static MESSAGES: LazyLock<Messages> = LazyLock::new(Messages::new);
+
+struct Messages {
+    /// Random bytes.
+    garbage: Vec<u8>,
+    /// Arrays in arrays in a request, 10,000 deep.
+    deep: Vec<u8>,
+    /// An array that promises more elements than the request has bytes.
+    long: Vec<u8>,
+    /// The beginning of a frame of 16 MiB.
+    promise: Vec<u8>,
+    begin: Vec<u8>,
+    begins: Vec<u8>,
+    connect: Vec<u8>,
+    connects: Vec<u8>,
+    session: Vec<u8>,
+    /// A request with an array of 100,000 bytes.
+    large: Vec<u8>,
+    line: Vec<u8>,
+}
+
+impl Messages {
+    fn new() -> Self {
+        let mut random = Random(0);
+        let (begin, connect) = (begin(), connect());
+        let much = Value::Array(17, vec![Value::Ui1(7); 100_000]);
+        Self {
+            garbage: (0..64 << 10).map(|_| random.number() as u8).collect(),
+            deep: broken(&[0x0c, 0x20, 1, 0, 0, 0].repeat(10_000)),
+            long: broken(&[5, 0x20, 1, 0, 0, 0x20]),
+            promise: [&[1, 0, 0, 0, 1][..], &[0; 64 << 10]].concat(),
+            begins: begin.repeat(200),
+            connects: connect.repeat(50),
+            session: [&begin[..], &connect].concat(),
+            large: request(FunctionId::SERVICE_START, vec![much]),
+            line: [&[b'x'; 2000][..], b"\r8204,(\r\xff\r", &b"(".repeat(200), b"\rGET:RC8:1"].concat(),
+            begin,
+            connect,
+        }
+    }
+
+    /// Returns so many random bytes from anywhere.
+    fn garbage(&self, len: usize, random: &mut Random) -> &[u8] {
+        let at = random.below((self.garbage.len() - len) as u64) as usize;
+        &self.garbage[at..at + len]
+    }
+}
 
 /// Starts clients in a thread of their own, which ends when all have.
 pub(crate) fn start(server: Addresses, clients: usize, plan: Arc<Plan>) -> JoinHandle<()> {
@@ -66,33 +115,29 @@ async fn deed(server: Addresses, random: &mut Random) -> io::Result<()> {
             sleep(PACE).await;
         }
         4 => {
-            stream.write_all(&connect()[..40]).await?;
+            stream.write_all(&MESSAGES.connect[..40]).await?;
             sleep(PACE).await;
             reset(&stream)?;
         }
         // sends what is no frame
-        5 => {
-            let garbage: Vec<u8> = (0..1000).map(|_| random.number() as u8).collect();
-            ask(&mut stream, &garbage).await?;
-        }
-        6 => ask(&mut stream, &broken(&[0x0c, 0x20, 1, 0, 0, 0].repeat(10_000))).await?,
-        7 => ask(&mut stream, &broken(&[5, 0x20, 1, 0, 0, 0x20])).await?,
+        5 => ask(&mut stream, MESSAGES.garbage(1000, random)).await?,
+        6 => ask(&mut stream, &MESSAGES.deep).await?,
+        7 => ask(&mut stream, &MESSAGES.long).await?,
         // promises much and sends little
         8 => {
-            stream.write_all(&[1, 0, 0, 0, 1]).await?;
-            stream.write_all(&vec![0; 64 << 10]).await?;
+            stream.write_all(&MESSAGES.promise).await?;
             sleep(PACE).await;
         }
         // asks much and reads nothing
         9 => {
-            stream.write_all(&begin().repeat(200)).await?;
+            stream.write_all(&MESSAGES.begins).await?;
             sleep(PACE).await;
             reset(&stream)?;
         }
         // opens much and goes without a word
         10 => {
             session(&mut stream).await?;
-            stream.write_all(&connect().repeat(50)).await?;
+            stream.write_all(&MESSAGES.connects).await?;
         }
         // goes in the middle of a long call
         11 => {
@@ -103,16 +148,15 @@ async fn deed(server: Addresses, random: &mut Random) -> io::Result<()> {
         }
         // a byte at a time
         12 => {
-            for byte in begin() {
-                stream.write_all(&[byte]).await?;
+            for byte in &MESSAGES.begin {
+                stream.write_all(&[*byte]).await?;
                 sleep(Duration::from_millis(2)).await;
             }
             reset(&stream)?;
         }
         // a large request, and away before the answer
         _ => {
-            let much = Value::Array(17, vec![Value::Ui1(7); 100_000]);
-            stream.write_all(&request(FunctionId::SERVICE_START, vec![much])).await?;
+            stream.write_all(&MESSAGES.large).await?;
             reset(&stream)?;
         }
     }
@@ -123,17 +167,16 @@ async fn datagrams(server: Addresses, random: &mut Random) -> io::Result<()> {
     let socket = UdpSocket::bind("127.0.0.1:0").await?;
     socket.connect(server.udp).await?;
     for _ in 0..10 {
-        let garbage: Vec<u8> = (0..random.below(600)).map(|_| random.number() as u8).collect();
-        socket.send(&garbage).await?;
-        socket.send(&begin()[..9]).await?;
+        let len = random.below(600) as usize;
+        socket.send(MESSAGES.garbage(len, random)).await?;
+        socket.send(&MESSAGES.begin[..9]).await?;
     }
     Ok(())
 }
 
 async fn line(server: Addresses) -> io::Result<()> {
     let mut stream = TcpStream::connect(server.rac).await?;
-    stream.write_all(&[&[b'x'; 2000][..], b"\r8204,(\r\xff\r", &b"(".repeat(200), b"\r"].concat()).await?;
-    stream.write_all(b"GET:RC8:1").await?;
+    stream.write_all(&MESSAGES.line).await?;
     stream.read_exact(&mut [0; 12]).await?;
     Ok(())
 }
@@ -148,7 +191,7 @@ async fn ask(stream: &mut TcpStream, bytes: &[u8]) -> io::Result<()> {
 
 /// Begins a session and returns the handle of the controller.
 async fn session(stream: &mut TcpStream) -> io::Result<i32> {
-    stream.write_all(&[begin(), connect()].concat()).await?;
+    stream.write_all(&MESSAGES.session).await?;
     // a reply without a value, and one with an I4 in front of its last byte
     let mut replies = [0; 16 + 30];
     stream.read_exact(&mut replies).await?;
