@@ -11,7 +11,7 @@ use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::rac::{Request as RacRequest, server as rac};
 use bcap_core::time::Instant;
-use tokio::sync::watch;
+use tokio::sync::Notify;
 
 use crate::clock::{now, until};
 
@@ -22,8 +22,11 @@ pub(super) struct Shared<H> {
     next_peer: AtomicU32,
     /// Tasks whose handler waits.
     waiting: AtomicUsize,
-    /// Changes whenever a request has been carried out while others wait.
-    changed: watch::Sender<()>,
+    /// Those of them that are to be woken by the next change.
+    listening: AtomicUsize,
+    /// How often a request has been carried out while others waited.
+    changes: AtomicUsize,
+    changed: Notify,
     tap: OnceLock<Tap<H>>,
 }
 
@@ -33,8 +36,15 @@ pub type Tap<H> = fn(&mut H, PeerId, &mut Vec<u8>) -> ControlFlow<()>;
 
 impl<H> Shared<H> {
     pub(super) fn new(handler: Arc<Mutex<H>>) -> Self {
-        let (changed, _) = watch::channel(());
-        Self { handler, next_peer: AtomicU32::new(1), waiting: AtomicUsize::new(0), changed, tap: OnceLock::new() }
+        Self {
+            handler,
+            next_peer: AtomicU32::new(1),
+            waiting: AtomicUsize::new(0),
+            listening: AtomicUsize::new(0),
+            changes: AtomicUsize::new(0),
+            changed: Notify::new(),
+            tap: OnceLock::new(),
+        }
     }
 
     /// Returns a number that no peer has had before.
@@ -62,16 +72,42 @@ impl<H> Shared<H> {
         Held(self.handler.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
-    /// Tells those who wait that something may have changed.
+    /// Tells those who wait that something may have changed. Every call of every peer comes by here, and most of those who
+    /// wait pause most of the time: they are not woken, and see the change when their pause is over.
     pub(super) fn has_changed(&self) {
         if self.waiting.load(Ordering::Acquire) > 0 {
-            self.changed.send_replace(());
+            // counted, then looked who listens; a listener is noted, then looks at the count: one sees the other
+            self.changes.fetch_add(1, Ordering::SeqCst);
+            if self.listening.load(Ordering::SeqCst) > 0 {
+                self.changed.notify_waiters();
+            }
+        }
+    }
+
+    /// Waits until there are not as many changes any more; returns how many there are.
+    async fn change_after(&self, seen: usize) -> usize {
+        struct Listening<'s>(&'s AtomicUsize);
+        impl Drop for Listening<'_> {
+            fn drop(&mut self) {
+                self.0.fetch_sub(1, Ordering::SeqCst);
+            }
+        }
+        loop {
+            // it hears from now on, whenever it is awaited
+            let changed = self.changed.notified();
+            self.listening.fetch_add(1, Ordering::SeqCst);
+            let _listening = Listening(&self.listening);
+            let changes = self.changes.load(Ordering::SeqCst);
+            if changes != seen {
+                return changes;
+            }
+            changed.await;
         }
     }
 
     /// Listens for changes from now on.
     pub(super) fn changes(self: &Arc<Self>) -> Changes<H> {
-        Changes { changed: self.changed.subscribe(), shared: Arc::clone(self), waiting: false, not_before: now() }
+        Changes { shared: Arc::clone(self), seen: 0, waiting: false, not_before: now() }
     }
 }
 
@@ -143,8 +179,9 @@ pub(super) enum Tapped {
 /// A task's ear for changes.
 #[derive(Debug)]
 pub(super) struct Changes<H> {
-    changed: watch::Receiver<()>,
     shared: Arc<Shared<H>>,
+    /// How many changes there were when the handler was asked last.
+    seen: usize,
     waiting: bool,
     /// When the next change may be returned; see [`PAUSE`].
     not_before: Instant,
@@ -166,7 +203,7 @@ impl<H> Changes<H> {
             let count = &self.shared.waiting;
             if waiting {
                 count.fetch_add(1, Ordering::AcqRel);
-                self.changed.mark_unchanged();
+                self.seen = self.shared.changes.load(Ordering::SeqCst);
             } else {
                 count.fetch_sub(1, Ordering::AcqRel);
             }
@@ -192,9 +229,7 @@ impl<H> Changes<H> {
         if !pause.is_zero() {
             tokio::time::sleep(pause).await;
         }
-        if self.changed.changed().await.is_err() {
-            std::future::pending().await
-        }
+        self.seen = self.shared.change_after(self.seen).await;
         let waiting = u32::try_from(self.shared.waiting.load(Ordering::Acquire)).unwrap_or(u32::MAX);
         self.not_before = now().saturating_add(PAUSE.saturating_mul(waiting).max(LEAST_PAUSE));
     }
@@ -203,5 +238,68 @@ impl<H> Changes<H> {
 impl<H> Drop for Changes<H> {
     fn drop(&mut self) {
         self.wait(false);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn shared() -> Arc<Shared<()>> {
+        Arc::new(Shared::new(Arc::default()))
+    }
+
+    /// Returns whether a change is heard of soon.
+    async fn is_heard(changes: &mut Changes<()>) -> bool {
+        tokio::time::timeout(Duration::from_millis(100), changes.next()).await.is_ok()
+    }
+
+    #[tokio::test]
+    async fn a_change_is_heard_once_by_those_who_wait_for_it() {
+        let shared = shared();
+        let mut changes = shared.changes();
+        shared.has_changed();
+        assert!(!is_heard(&mut changes).await, "it does not wait");
+        changes.wait(true);
+        assert!(!is_heard(&mut changes).await, "that was before");
+        assert_eq!(shared.listening.load(Ordering::SeqCst), 0, "who has been cancelled does not listen");
+        shared.has_changed();
+        shared.has_changed();
+        assert!(is_heard(&mut changes).await, "while nobody listened");
+        shared.has_changed();
+        assert!(is_heard(&mut changes).await, "while it paused");
+        assert!(!is_heard(&mut changes).await, "nothing is new");
+        let (heard, ()) = tokio::join!(is_heard(&mut changes), async { shared.has_changed() });
+        assert!(heard, "while it listened");
+        drop(changes);
+        assert_eq!(shared.waiting.load(Ordering::Acquire), 0);
+    }
+
+    #[test]
+    fn no_change_is_missed_between_looking_and_listening() {
+        const ROUNDS: usize = 20_000;
+        let shared = shared();
+        shared.waiting.store(1, Ordering::Release);
+        let changing = Arc::clone(&shared);
+        let heard = Arc::new(AtomicUsize::new(0));
+        let has_heard = Arc::clone(&heard);
+        let changer = std::thread::spawn(move || {
+            for round in 0..ROUNDS {
+                while has_heard.load(Ordering::Acquire) < round {
+                    std::thread::yield_now();
+                }
+                changing.has_changed();
+            }
+        });
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
+        runtime.block_on(async {
+            for round in 0..ROUNDS {
+                let change = shared.change_after(round);
+                let changes = tokio::time::timeout(Duration::from_secs(10), change).await.expect("a change");
+                assert_eq!(changes, round + 1);
+                heard.store(changes, Ordering::Release);
+            }
+        });
+        changer.join().unwrap();
     }
 }
