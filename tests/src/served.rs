@@ -115,6 +115,7 @@ impl Handler for Application {
                 let is_there = released.0 != Object::Service || self.started.remove(&peer);
                 if let Some(at) = self.open.iter().position(|open| is_there && *open == released) {
                     self.open.remove(at);
+                    self.names.remove(&released.1);
                 }
                 Ok(())
             }
