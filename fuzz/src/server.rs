@@ -18,6 +18,8 @@ use crate::input::AnyValue;
 
 const PEER: PeerId = PeerId(3);
 const OBJECTS: usize = 5;
+/// The memory each way that a session which can grow begins with.
+const ROOM: usize = 64;
 
 /// Something that happens.
 #[derive(Arbitrary, Debug)]
@@ -36,7 +38,7 @@ enum Op {
     Take(u8),
     Pass(u16),
     Due,
-    /// The handler is asked, as when something else has changed.
+    /// The handler is asked, as when something else has changed; before that, memory is given back in every other run.
     Ask,
 }
 
@@ -95,7 +97,9 @@ pub fn server(data: &[u8]) {
     if options & 16 == 0 {
         Run::new(config, [0; 128], [0; 128], plans).run(&mut u);
     } else {
-        Run::new(config, vec![0; 64], vec![0; 64], plans).run(&mut u);
+        let mut run = Run::new(config, vec![0; ROOM], vec![0; ROOM], plans);
+        run.shrinks = options & 32 != 0;
+        run.run(&mut u);
     }
 }
 
@@ -202,6 +206,8 @@ struct Run<T> {
     running: Option<(u16, FunctionId)>,
     /// What was sent and is not a whole frame yet.
     sent: Vec<u8>,
+    /// Whether memory is given back now and then.
+    shrinks: bool,
 }
 
 impl<T: Storage> Run<T> {
@@ -229,6 +235,7 @@ impl<T: Storage> Run<T> {
             in_step: true,
             running: None,
             sent: Vec::new(),
+            shrinks: false,
         }
     }
 
@@ -256,6 +263,7 @@ impl<T: Storage> Run<T> {
                 Op::Take(count) => self.take(usize::from(count)),
                 Op::Pass(millis) => self.now = self.now + Duration::from_millis(u64::from(millis)),
                 Op::Due => self.now = self.session.poll_timeout().unwrap_or(self.now).max(self.now),
+                Op::Ask if self.shrinks => self.shrink(),
                 Op::Ask => {}
             }
             self.serve();
@@ -392,6 +400,16 @@ impl<T: Storage> Run<T> {
             }
         }
         panic!("the session never comes to an end");
+    }
+
+    /// Gives memory back; what is to be sent, what has come and what runs must stay as it was.
+    fn shrink(&mut self) {
+        let (sending, partial) = (self.session.transmit().to_vec(), self.session.is_receiving());
+        self.session.shrink(ROOM);
+        assert_eq!((self.session.transmit(), self.session.is_receiving()), (&sending[..], partial));
+        if sending.is_empty() && !partial && !self.session.is_running() {
+            assert_eq!(self.session.memory(), 2 * ROOM);
+        }
     }
 
     fn take(&mut self, count: usize) {
