@@ -329,8 +329,10 @@ fn a_request_that_does_not_arrive_whole_is_given_up() {
 #[test]
 fn a_handler_that_panics_ends_its_call_and_nothing_else() {
     let server = start(Limits::default());
-    let mut tcp = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
-    let mut udp = blocking::connect_udp(server.udp, &Options::default()).unwrap();
+    // a backtrace that is printed for the first time may take seconds
+    let options = Options::default().timeout(Duration::from_secs(30));
+    let mut tcp = blocking::connect_tcp(server.tcp, &options).unwrap();
+    let mut udp = blocking::connect_udp(server.udp, &options).unwrap();
     tcp.call(call::service_start("")).unwrap();
     udp.call(call::service_start("")).unwrap();
     let controller = tcp.call(call::controller_connect("", "", "", "")).unwrap();
