@@ -78,6 +78,10 @@ lengths:
     cargo test -p bcap-core --lib --target i686-unknown-linux-gnu
     cargo test -p bcap-tests --test lengths --test vectors --target i686-unknown-linux-gnu
 
+# Every 1000th float there and back (`just floats 1` for all, half an hour), and the milliseconds of a few days.
+floats step="1000":
+    BCAP_STEP={{step}} cargo test --release -p bcap-core --lib -- --ignored
+
 # Changes the core in small ways and sees whether its tests notice: `just mutants core/src/bcap/frame.rs`.
 mutants file shard="0/1":
     cargo install --locked cargo-mutants@27.1.0

@@ -589,7 +589,7 @@ mod tests {
     }
 
     #[test]
-    #[ignore = "the 2139095039 floats take half an hour with --release; BCAP_STEP=n takes every nth"]
+    #[ignore = "the 2139095039 floats take half an hour, see `just floats`; BCAP_STEP=n takes every nth"]
     fn every_single_is_written_and_read_as_the_standard_library_does() {
         let step = std::env::var("BCAP_STEP").map_or(1, |step| step.parse().unwrap());
         for bits in (1..Format::Single.infinity()).step_by(step) {

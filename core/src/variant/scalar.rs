@@ -367,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    #[ignore = "the milliseconds of a few days take a minute with --release"]
+    #[ignore = "the milliseconds of a few days take a minute, see `just floats`"]
     fn every_millisecond_has_the_bits_that_doubles_have() {
         for day in [-1, 0, 1, 46_347] {
             for millis in 0..MILLIS_PER_DAY {
