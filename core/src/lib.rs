@@ -111,6 +111,7 @@ pub mod io;
 pub mod limits;
 mod num;
 pub mod rac;
+pub mod session;
 pub mod storage;
 pub mod time;
 pub mod variant;

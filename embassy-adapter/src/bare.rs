@@ -57,7 +57,7 @@ use smoltcp::socket::tcp::{self, RecvError};
 use smoltcp::socket::udp;
 use smoltcp::wire::IpEndpoint;
 
-pub use crate::session::Session;
+pub use bcap_core::session::Session;
 
 /// The silence after which a peer is asked whether it is still there.
 const KEEP_ALIVE: smoltcp::time::Duration = smoltcp::time::Duration::from_secs(5);
@@ -268,7 +268,7 @@ where
     H: ?Sized,
 {
     loop {
-        while session.run(handler, peer, now) {}
+        while session.run(handler, peer, now).is_some() {}
         let sent = send(socket, session.transmit())?;
         session.transmitted(sent);
         if session.is_finished() {

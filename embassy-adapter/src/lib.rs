@@ -35,7 +35,5 @@ pub mod net;
 pub mod serial;
 #[cfg(feature = "server")]
 pub mod server;
-#[cfg(any(feature = "server", feature = "smoltcp"))]
-pub mod session;
 #[cfg(any(feature = "embassy-net", feature = "serial"))]
 pub mod slave;

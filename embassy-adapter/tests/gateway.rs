@@ -10,8 +10,8 @@ use bcap_core::bcap::{client, server};
 use bcap_core::gateway::{Allow, Config, Event, Gateway, Memory, Refusal, Rules};
 use bcap_core::hresult::HResult;
 use bcap_core::rac::{self, VariableKind};
-use bcap_embassy::gateway::{self, Report, TcpRobot, UdpRobot, run_robot};
-use bcap_embassy::net::{NetError, Options};
+use bcap_embassy::gateway::{self, Report, TcpRobot, run_robot};
+use bcap_embassy::net::{NetError, Options, UdpTransport};
 use bcap_embassy::server::{Ended, Limits, Listener, Shared, UdpPeer, UdpServer};
 use common::{Number, address, between};
 use embassy_futures::join::join3;
@@ -235,7 +235,7 @@ fn a_robot_behind_udp_is_reached_through_losses() {
         let plant = Plant::new(Gateway::new(Config { client, ..CONFIG }, &mut memory), log);
         let (mut metas, mut buffers) = ([[PacketMetadata::EMPTY; 2]; 2], [[0; 1024]; 2]);
         let ([rx_meta, tx_meta], [rx, tx]) = (&mut metas, &mut buffers);
-        let link = UdpRobot::new(board, UdpSocket::new(board, rx_meta, rx, tx_meta, tx), robot()).unwrap();
+        let link = UdpTransport::new(board, UdpSocket::new(board, rx_meta, rx, tx_meta, tx), robot()).unwrap();
         let serving = async {
             let (mut metas, mut buffers) = ([[PacketMetadata::EMPTY; 2]; 2], [[0; 1024]; 2]);
             let ([rx_meta, tx_meta], [rx, tx]) = (&mut metas, &mut buffers);

@@ -213,6 +213,19 @@ impl<V: Storage> Session<V> {
         self.state.running.is_none() && self.state.framer.is_partial()
     }
 
+    /// Returns the bytes of memory that it has for values.
+    #[must_use]
+    pub fn memory(&self) -> usize {
+        self.value.bytes().len()
+    }
+
+    /// Gives back memory over `room` bytes, unless a request's value is in it.
+    pub fn shrink(&mut self, room: usize) {
+        if self.state.running.is_none() {
+            self.value.shrink(room);
+        }
+    }
+
     /// Goes on as far as it can, and says what was done; `None` when bytes must come, leave, or time pass.
     ///
     /// It is to be called until it returns `None`.

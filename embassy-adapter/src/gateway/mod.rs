@@ -50,7 +50,7 @@ use bcap_core::gateway::Event;
 use embassy_net::IpEndpoint;
 
 pub use self::clients::{Listener, serve};
-pub use self::robot::{Link, TcpRobot, UdpRobot, run_robot};
+pub use self::robot::{Link, TcpRobot, run_robot};
 pub use self::shared::Shared;
 use crate::net::NetError;
 use crate::server::Ended;

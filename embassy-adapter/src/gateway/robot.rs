@@ -1,12 +1,9 @@
 //! The robot's side of a gateway: one connection, which is opened and closed as the gateway wants it.
 
-use core::fmt;
-
 use bcap_core::bcap;
 use bcap_core::io::asynch::Transport;
 use bcap_core::time::Instant;
 use embassy_futures::select::{Either, select};
-use embassy_net::udp::UdpSocket;
 use embassy_net::{IpEndpoint, Stack};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::Timer;
@@ -15,7 +12,7 @@ use super::Shared;
 use crate::clock::{now, ticks};
 use crate::net::{NetError, Options, TcpTransport, UdpTransport};
 
-/// A transport that can be opened and closed again and again.
+/// A transport that can be opened and closed again and again: a [`TcpRobot`], or a [`UdpTransport`].
 pub trait Link: Transport<Error = NetError> {
     /// Opens a connection.
     ///
@@ -76,46 +73,9 @@ impl Link for TcpRobot<'_> {
 }
 
 /// The robot behind UDP; the gateway's configuration must say [`Link::Datagram`](bcap::Link::Datagram) as well.
-pub struct UdpRobot<'s> {
-    transport: UdpTransport<'s>,
-}
-
-impl<'s> UdpRobot<'s> {
-    /// Takes a socket, which is bound to a free port unless it is bound already.
-    ///
-    /// # Errors
-    ///
-    /// [`NetError::NoRoute`] when the board has no address to bind to.
-    pub fn new(stack: Stack<'s>, socket: UdpSocket<'s>, peer: impl Into<IpEndpoint>) -> Result<Self, NetError> {
-        Ok(Self { transport: UdpTransport::new(stack, socket, peer)? })
-    }
-}
-
-impl fmt::Debug for UdpRobot<'_> {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_tuple("UdpRobot").field(&self.transport).finish()
-    }
-}
-
-impl Transport for UdpRobot<'_> {
-    type Error = NetError;
-
-    fn now(&self) -> Instant {
-        now()
-    }
-
-    async fn send(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, NetError> {
-        self.transport.send(bytes, until).await
-    }
-
-    async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, NetError> {
-        self.transport.receive(buffer, until).await
-    }
-}
-
-impl Link for UdpRobot<'_> {
-    // datagrams need no connection; whether the robot is there shows when it answers
-
+///
+/// Datagrams need no connection; whether the robot is there shows when it answers.
+impl Link for UdpTransport<'_> {
     async fn open(&mut self) -> Result<(), NetError> {
         Ok(())
     }

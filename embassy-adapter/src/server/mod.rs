@@ -63,7 +63,7 @@ pub use self::tcp::Listener;
 #[cfg(feature = "embassy-net")]
 pub use self::udp::{UdpPeer, UdpServer};
 use crate::clock::ticks;
-pub use crate::session::Session;
+pub use bcap_core::session::Session;
 
 /// What a peer may cost in time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

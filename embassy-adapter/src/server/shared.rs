@@ -110,7 +110,7 @@ impl<M: RawMutex, H, const WAITERS: usize> Shared<M, H, WAITERS> {
 
 impl<H, const WAITERS: usize> Inner<H, WAITERS> {
     fn step<S: Session<H>>(&mut self, session: &mut S, peer: PeerId, now: Instant) -> bool {
-        let stepped = session.run(&mut self.handler, peer, now);
+        let stepped = session.run(&mut self.handler, peer, now).is_some();
         if stepped {
             self.changed();
         }

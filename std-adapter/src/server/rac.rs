@@ -3,11 +3,9 @@
 use std::io;
 use std::sync::Arc;
 
-use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::rac::server::{Config, Handler, Session};
 use bcap_core::rac::{Framed, LineFramer, Response};
-use bcap_core::time::Instant;
 use bcap_core::variant::Writer;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
@@ -15,24 +13,9 @@ use tokio::sync::watch;
 use tokio::time::timeout;
 
 use super::Limits;
-use super::shared::{Held, Shared};
-use super::stream::{self, Machine, machine};
+use super::shared::Shared;
+use super::stream;
 use super::tcp::{REFUSAL_TIME, accept};
-
-type LineSession = Session<Vec<u8>>;
-
-machine!(LineSession, Handler, {
-    fn is_finished(&self) -> bool {
-        // a line that is none is answered, and the stream goes on behind it
-        false
-    }
-
-    fn has_spare_memory(&self) -> bool {
-        false
-    }
-
-    fn give_memory_back(&mut self) {}
-});
 
 /// Accepts connections until the server stops.
 pub(super) async fn listen<H: Handler + Send + 'static>(
@@ -42,7 +25,7 @@ pub(super) async fn listen<H: Handler + Send + 'static>(
     stopped: watch::Receiver<()>,
 ) -> io::Result<()> {
     accept(listener, limits, stopped.clone(), refuse, |stream| {
-        let session = LineSession::new(Config::TCP, Vec::new());
+        let session = Session::<Vec<u8>>::new(Config::TCP, Vec::new());
         stream::serve(stream, session, shared.next_peer(), Arc::clone(&shared), limits, stopped.clone())
     })
     .await

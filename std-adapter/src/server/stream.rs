@@ -5,6 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bcap_core::handler::PeerId;
+use bcap_core::session::Session;
 use bcap_core::time::Instant;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
@@ -14,77 +15,12 @@ use tokio::time::timeout;
 use super::Limits;
 use super::shared::{Changes, Held, Shared, Tapped};
 use crate::clock::{now, until};
+use crate::connect::STREAM_ROOM;
 
-/// A session of the core, as far as a connection sees it.
-pub(super) trait Machine<H>: Send {
-    /// Goes on as far as it can; `false` when there was nothing to do.
-    fn run(&mut self, handler: &mut Held<'_, H>, peer: PeerId, now: Instant) -> bool;
-    /// Ends the session.
-    fn close(&mut self, handler: &mut Held<'_, H>, peer: PeerId, now: Instant);
-    fn transmit(&self) -> &[u8];
-    fn transmitted(&mut self, count: usize);
-    fn receive_buffer(&mut self) -> &mut [u8];
-    fn received(&mut self, count: usize);
-    fn poll_timeout(&self) -> Option<Instant>;
-    fn is_running(&self) -> bool;
-    fn is_receiving(&self) -> bool;
-    /// Tells whether the session wants the connection closed.
-    fn is_finished(&self) -> bool;
-    /// Tells whether it has memory that it does not need until the next request comes.
-    fn has_spare_memory(&self) -> bool;
-    /// Gives that back.
-    fn give_memory_back(&mut self);
-}
+/// A session of either protocol, whose handler is shared.
+pub(super) trait Machine<H>: for<'h> Session<Held<'h, H>> + Send {}
 
-/// Implements [`Machine`] for a session of the core by its methods of the same names, and those that are given.
-macro_rules! machine {
-    ($session:ty, $handler:path, { $($own:tt)* }) => {
-        impl<H: $handler> Machine<H> for $session {
-            fn run(&mut self, handler: &mut Held<'_, H>, peer: PeerId, now: Instant) -> bool {
-                let event = <$session>::run(self, handler, peer, now);
-                if let Some(event) = &event {
-                    tracing::trace!(peer = peer.0, ?event);
-                }
-                event.is_some()
-            }
-
-            fn close(&mut self, handler: &mut Held<'_, H>, peer: PeerId, now: Instant) {
-                <$session>::close(self, handler, peer, now);
-            }
-
-            fn transmit(&self) -> &[u8] {
-                <$session>::transmit(self)
-            }
-
-            fn transmitted(&mut self, count: usize) {
-                <$session>::transmitted(self, count);
-            }
-
-            fn receive_buffer(&mut self) -> &mut [u8] {
-                <$session>::receive_buffer(self)
-            }
-
-            fn received(&mut self, count: usize) {
-                <$session>::received(self, count);
-            }
-
-            fn poll_timeout(&self) -> Option<Instant> {
-                <$session>::poll_timeout(self)
-            }
-
-            fn is_running(&self) -> bool {
-                <$session>::is_running(self)
-            }
-
-            fn is_receiving(&self) -> bool {
-                <$session>::is_receiving(self)
-            }
-
-            $($own)*
-        }
-    };
-}
-pub(super) use machine;
+impl<H, S: for<'h> Session<Held<'h, H>> + Send> Machine<H> for S {}
 
 /// How many replies a connection may send in a row before others have their turn: a peer that has many requests in our
 /// buffer, and reads as fast as we write, would have the thread to itself.
@@ -166,7 +102,7 @@ impl<H, M: Machine<H>> Connection<H, M> {
                         return Ok("the peer was silent for too long");
                     }
                     if self.memory_kept_until().is_some_and(|until| until <= now()) {
-                        self.session.give_memory_back();
+                        self.session.shrink(STREAM_ROOM);
                     }
                 }
                 () = self.changes.next() => {}
@@ -180,10 +116,7 @@ impl<H, M: Machine<H>> Connection<H, M> {
         // said beforehand: what others change while the handler is asked must not be missed
         self.changes.wait(self.session.is_running());
         let mut changed = false;
-        loop {
-            if !self.session.run(&mut self.shared.handler(), self.peer, now()) {
-                break;
-            }
+        while self.step() {
             changed = true;
         }
         if changed {
@@ -194,8 +127,17 @@ impl<H, M: Machine<H>> Connection<H, M> {
         if self.session.is_running() && !self.changes.is_waiting() {
             // the handler has just begun to wait; ask once more, now that changes are heard
             self.changes.wait(true);
-            self.session.run(&mut self.shared.handler(), self.peer, now());
+            self.step();
         }
+    }
+
+    /// Lets the session do one thing; `false` when it has nothing to do.
+    fn step(&mut self) -> bool {
+        let event = self.session.run(&mut self.shared.handler(), self.peer, now());
+        if let Some(event) = &event {
+            tracing::trace!(peer = self.peer.0, ?event);
+        }
+        event.is_some()
     }
 
     /// Sends what it can; says why when the connection is to end.
@@ -238,7 +180,8 @@ impl<H, M: Machine<H>> Connection<H, M> {
 
     /// Returns when memory that lies idle is to be given back.
     fn memory_kept_until(&self) -> Option<Instant> {
-        self.session.has_spare_memory().then(|| self.heard.saturating_add(MEMORY_KEPT))
+        let idle = !self.session.is_running() && !self.session.is_receiving();
+        (idle && self.session.memory() > 2 * STREAM_ROOM).then(|| self.heard.saturating_add(MEMORY_KEPT))
     }
 
     /// Returns when the peer has been silent for too long, unless it waits for us.

@@ -6,9 +6,7 @@ use std::time::Duration;
 
 use bcap_core::bcap::server::{Config, Handler, Session};
 use bcap_core::bcap::{Decoder, FrameWriter, Progress};
-use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
-use bcap_core::time::Instant;
 use socket2::SockRef;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
@@ -18,9 +16,9 @@ use tokio::time::timeout;
 
 use super::Limits;
 use super::memory::{Buffer, Pool};
-use super::shared::{Held, Shared};
-use super::stream::{self, Machine, machine};
-use crate::connect::{STREAM_ROOM, set_up_tcp};
+use super::shared::Shared;
+use super::stream;
+use crate::connect::set_up_tcp;
 
 /// Handles that one peer can have open.
 const OBJECTS: usize = 1000;
@@ -30,20 +28,6 @@ const REFUSALS: usize = 32;
 pub(super) const REFUSAL_TIME: Duration = Duration::from_secs(2);
 
 type StreamSession = Session<Buffer, Buffer, OBJECTS>;
-
-machine!(StreamSession, Handler, {
-    fn is_finished(&self) -> bool {
-        Self::is_finished(self)
-    }
-
-    fn has_spare_memory(&self) -> bool {
-        self.memory() > 2 * STREAM_ROOM && !self.is_running() && !self.is_receiving()
-    }
-
-    fn give_memory_back(&mut self) {
-        self.shrink(STREAM_ROOM);
-    }
-});
 
 /// Accepts connections until the server stops.
 pub(super) async fn listen<H: Handler + Send + 'static>(

@@ -17,8 +17,8 @@ use bcap_core::bcap::client;
 use bcap_core::gateway::{Config, Event, Gateway, Memory, Tally};
 use bcap_core::rac;
 use bcap_core::time::Instant;
-use bcap_embassy::gateway::{Listener, Report, Shared, TcpRobot, UdpRobot, run_robot};
-use bcap_embassy::net::Options;
+use bcap_embassy::gateway::{Listener, Report, Shared, TcpRobot, run_robot};
+use bcap_embassy::net::{Options, UdpTransport};
 use bcap_embassy::server::Limits;
 use bcap_firmware::net::{self, NetRunner};
 use bcap_firmware::watchdog::{self, Task, watched};
@@ -142,13 +142,16 @@ async fn keep_robot(stack: Stack<'static>, settings: &'static Settings<'static>,
                 let mut robot = TcpRobot::new(stack, rx, tx, Options::default(), address);
                 run_robot(&mut robot, frame, board).await
             }
-            Transport::Udp => match UdpRobot::new(stack, UdpSocket::new(stack, rx_meta, rx, tx_meta, tx), address) {
-                Ok(mut robot) => run_robot(&mut robot, frame, board).await,
-                Err(error) => {
-                    defmt::error!("no socket for the robot: {}", error);
-                    fault::end()
+            Transport::Udp => {
+                let socket = UdpSocket::new(stack, rx_meta, rx, tx_meta, tx);
+                match UdpTransport::new(stack, socket, address) {
+                    Ok(mut robot) => run_robot(&mut robot, frame, board).await,
+                    Err(error) => {
+                        defmt::error!("no socket for the robot: {}", error);
+                        fault::end()
+                    }
                 }
-            },
+            }
         }
     };
     watched(ROBOT, keep).await
