@@ -184,6 +184,23 @@ impl Served {
         Self::of(Application::default(), limits)
     }
 
+    /// Waits until all peers have gone and everything is released, and stops the server.
+    ///
+    /// # Panics
+    ///
+    /// When it has not come to that in half a minute.
+    pub fn stop_empty(self) {
+        let until = std::time::Instant::now() + Duration::from_secs(30);
+        let left = || {
+            let application = self.application();
+            (application.open.len(), application.peers.len())
+        };
+        while left() != (0, 0) && std::time::Instant::now() < until {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        assert_eq!(left(), (0, 0), "handles and peers that nobody has any more");
+    }
+
     /// Stops the server and waits for its end; returns what it left behind.
     #[must_use]
     pub fn stop(mut self) -> Application {

@@ -118,6 +118,8 @@ pub struct Config {
     pub on_malformed: OnMalformed,
     /// How long a call may run, unless Service_Start says otherwise.
     pub invoke_timeout: Duration,
+    /// How long it may run at most, whatever Service_Start says.
+    pub invoke_timeout_max: Duration,
 }
 
 impl Config {
@@ -128,6 +130,7 @@ impl Config {
         strictness: Strictness::Strict,
         on_malformed: OnMalformed::Close,
         invoke_timeout: Duration::from_secs(180),
+        invoke_timeout_max: Duration::from_secs(60 * 60),
     };
     /// Defaults for UDP.
     pub const UDP: Self =
@@ -698,7 +701,7 @@ impl State {
             serial,
             resumed: false,
             wake: now,
-            until: now.saturating_add(self.invoke_timeout),
+            until: now.saturating_add(self.invoke_timeout.min(self.config.invoke_timeout_max)),
             keep_alive_at: self.next_keep_alive(now),
         }
     }

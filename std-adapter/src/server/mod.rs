@@ -43,7 +43,7 @@ use std::pin::Pin;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use bcap_core::bcap::server::Handler;
+use bcap_core::bcap::server::{Config, Handler};
 use bcap_core::rac::server::Handler as RacHandler;
 use tokio::net::{TcpListener, ToSocketAddrs, UdpSocket};
 use tokio::sync::watch;
@@ -68,13 +68,16 @@ pub struct Limits {
     pub udp_lost: Duration,
     /// How long a request may take to arrive once its first byte has.
     pub receive: Duration,
-    /// How long a peer may take to accept a reply.
+    /// How long a peer may take nothing of a reply; with a [tap](Server::tap), how long it may take for all of it.
     pub send: Duration,
+    /// How long a call of b-CAP may run at most, whatever its client asks for with `InvokeTimeout`. Clients that ask for
+    /// nothing have 180 s, those of RAC too.
+    pub call: Duration,
     /// The silence after which a connection without a request under way is closed; `None` lets it stay.
     pub idle: Option<Duration>,
     /// Bytes of a request at most.
     pub frame: u32,
-    /// Bytes that requests and replies over TCP may take, of all connections together, beside the 2 KiB that each has
+    /// Bytes that requests and replies of b-CAP over TCP may take, of all connections together, beside the 2 KiB that each has
     /// from the beginning. Without enough of it a request is answered E_PACKETSIZEOVER, and in place of a reply there is
     /// E_TOO_MUCH_DATA; small ones always pass. A connection gives back what it has when it ends, or keeps silent for
     /// 5 s.
@@ -92,6 +95,7 @@ impl Default for Limits {
             udp_lost: Duration::from_secs(600),
             receive: Duration::from_secs(30),
             send: Duration::from_secs(10),
+            call: Config::TCP.invoke_timeout_max,
             idle: None,
             frame: bcap_core::limits::Limits::STREAM.frame,
             memory: 256 << 20,
@@ -204,7 +208,8 @@ impl<H: Handler + Send + 'static> Server<H> {
         }
     }
 
-    /// Serves until `shutdown` is ready; then releases what peers have open and closes their connections.
+    /// Serves until `shutdown` is ready; then releases what peers have open and closes their connections. Nobody is waited
+    /// for: who does not take a reply at once loses it.
     ///
     /// # Errors
     ///

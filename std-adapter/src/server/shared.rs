@@ -1,5 +1,6 @@
 //! What all tasks of a server share: the handler, the numbers of peers, and the news that something has changed.
 
+use std::cmp::Ordering::{Equal, Greater, Less};
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
@@ -20,9 +21,9 @@ use crate::clock::{now, until};
 pub(super) struct Shared<H> {
     handler: Arc<Mutex<H>>,
     next_peer: AtomicU32,
-    /// Tasks whose handler waits.
+    /// Requests whose handler waits.
     waiting: AtomicUsize,
-    /// Those of them that are to be woken by the next change.
+    /// Tasks with such requests that are to be woken by the next change.
     listening: AtomicUsize,
     /// How often a request has been carried out while others waited.
     changes: AtomicUsize,
@@ -107,7 +108,7 @@ impl<H> Shared<H> {
 
     /// Listens for changes from now on.
     pub(super) fn changes(self: &Arc<Self>) -> Changes<H> {
-        Changes { shared: Arc::clone(self), seen: 0, waiting: false, not_before: now() }
+        Changes { shared: Arc::clone(self), seen: 0, waiting: 0, not_before: now() }
     }
 }
 
@@ -182,36 +183,36 @@ pub(super) struct Changes<H> {
     shared: Arc<Shared<H>>,
     /// How many changes there were when the handler was asked last.
     seen: usize,
-    waiting: bool,
+    /// Requests of this task whose handler waits.
+    waiting: usize,
     /// When the next change may be returned; see [`PAUSE`].
     not_before: Instant,
 }
 
-/// How long a task that waits hears of no change after the last one: so long for each that waits, and not less than
-/// [`LEAST_PAUSE`].
+/// How long a task that waits hears of no change after the last one: so long for each request that waits, whosever it is,
+/// and not less than [`LEAST_PAUSE`].
 ///
-/// Every change asks all handlers that wait. Without a pause two hundred long calls would be asked again for each call of
+/// Every change asks again for all requests that wait. Without a pause two hundred long calls would be asked again for each call of
 /// somebody else, who would pay for it; with it, all of them together are asked 20,000 times a second at most.
 const PAUSE: Duration = Duration::from_micros(50);
 const LEAST_PAUSE: Duration = Duration::from_millis(1);
 
 impl<H> Changes<H> {
-    /// Says whether this task waits for changes; it must say so before it asks its handler, not to miss one.
-    pub(super) fn wait(&mut self, waiting: bool) {
-        if waiting != self.waiting {
-            self.waiting = waiting;
-            let count = &self.shared.waiting;
-            if waiting {
-                count.fetch_add(1, Ordering::AcqRel);
-                self.seen = self.shared.changes.load(Ordering::SeqCst);
-            } else {
-                count.fetch_sub(1, Ordering::AcqRel);
-            }
+    /// Says how many requests of this task wait for changes; it must say so before it asks its handler, not to miss one.
+    pub(super) fn wait(&mut self, requests: usize) {
+        let before = std::mem::replace(&mut self.waiting, requests);
+        match requests.cmp(&before) {
+            Less => drop(self.shared.waiting.fetch_sub(before - requests, Ordering::AcqRel)),
+            Equal => {}
+            Greater => drop(self.shared.waiting.fetch_add(requests - before, Ordering::AcqRel)),
+        }
+        if before == 0 && requests > 0 {
+            self.seen = self.shared.changes.load(Ordering::SeqCst);
         }
     }
 
-    /// Tells whether this task waits for changes.
-    pub(super) const fn is_waiting(&self) -> bool {
+    /// Returns how many requests of this task wait for changes.
+    pub(super) const fn waiting(&self) -> usize {
         self.waiting
     }
 
@@ -221,7 +222,7 @@ impl<H> Changes<H> {
     ///
     /// A change that was not returned is returned next time.
     pub(super) async fn next(&mut self) {
-        if !self.waiting {
+        if self.waiting == 0 {
             std::future::pending().await
         }
         // while it sleeps nobody has to wake it
@@ -237,7 +238,7 @@ impl<H> Changes<H> {
 
 impl<H> Drop for Changes<H> {
     fn drop(&mut self) {
-        self.wait(false);
+        self.wait(0);
     }
 }
 
@@ -260,7 +261,7 @@ mod tests {
         let mut changes = shared.changes();
         shared.has_changed();
         assert!(!is_heard(&mut changes).await, "it does not wait");
-        changes.wait(true);
+        changes.wait(1);
         assert!(!is_heard(&mut changes).await, "that was before");
         assert_eq!(shared.listening.load(Ordering::SeqCst), 0, "who has been cancelled does not listen");
         shared.has_changed();
@@ -271,6 +272,8 @@ mod tests {
         assert!(!is_heard(&mut changes).await, "nothing is new");
         let (heard, ()) = tokio::join!(is_heard(&mut changes), async { shared.has_changed() });
         assert!(heard, "while it listened");
+        changes.wait(3);
+        assert_eq!(shared.waiting.load(Ordering::Acquire), 3);
         drop(changes);
         assert_eq!(shared.waiting.load(Ordering::Acquire), 0);
     }

@@ -69,7 +69,7 @@ impl<H, M: Machine<H>> Connection<H, M> {
         loop {
             self.think();
             if !self.session.transmit().is_empty() {
-                if let Some(reason) = self.send().await? {
+                if let Some(reason) = self.send(&mut stopped).await? {
                     return Ok(reason);
                 }
                 self.heard = now();
@@ -114,51 +114,43 @@ impl<H, M: Machine<H>> Connection<H, M> {
     /// Lets the session do what it can.
     fn think(&mut self) {
         // said beforehand: what others change while the handler is asked must not be missed
-        self.changes.wait(self.session.is_running());
-        let mut changed = false;
-        while self.step() {
-            changed = true;
-        }
-        if changed {
-            self.shared.has_changed();
-            // a request was whole, so what there is of another has only just come
-            self.partial_since = None;
-        }
-        if self.session.is_running() && !self.changes.is_waiting() {
+        self.changes.wait(self.session.is_running().into());
+        while self.step() {}
+        if self.session.is_running() && self.changes.waiting() == 0 {
             // the handler has just begun to wait; ask once more, now that changes are heard
-            self.changes.wait(true);
+            self.changes.wait(1);
             self.step();
         }
     }
 
     /// Lets the session do one thing; `false` when it has nothing to do.
     fn step(&mut self) -> bool {
-        let event = self.session.run(&mut self.shared.handler(), self.peer, now());
-        if let Some(event) = &event {
-            tracing::trace!(peer = self.peer.0, ?event);
-        }
-        event.is_some()
+        let Some(event) = self.session.run(&mut self.shared.handler(), self.peer, now()) else { return false };
+        tracing::trace!(peer = self.peer.0, ?event);
+        self.shared.has_changed();
+        // a request was whole, so what there is of another has only just come
+        self.partial_since = None;
+        true
     }
 
     /// Sends what it can; says why when the connection is to end.
-    async fn send(&mut self) -> io::Result<Option<&'static str>> {
-        const SLOW: &str = "the peer does not read";
+    async fn send(&mut self, stopped: &mut watch::Receiver<()>) -> io::Result<Option<&'static str>> {
         let bytes = self.session.transmit();
         match self.shared.tapped(self.peer, bytes) {
             None => return Ok(Some("the tap closes it")),
             Some(Tapped::Instead(instead)) => {
                 let count = bytes.len();
                 self.session.transmitted(count);
-                let written = timeout(self.limits.send, self.stream.write_all(&instead)).await;
-                return written.map_or(Ok(Some(SLOW)), |written| written.map(|()| None));
+                let written = self.stream.write_all(&instead);
+                return Ok(patiently(written, self.limits.send, stopped).await?.err());
             }
             Some(Tapped::Untouched) => {}
         }
         let count = match self.stream.try_write(bytes) {
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                match timeout(self.limits.send, self.stream.write(bytes)).await {
-                    Ok(written) => written?,
-                    Err(_) => return Ok(Some(SLOW)),
+                match patiently(self.stream.write(bytes), self.limits.send, stopped).await? {
+                    Ok(count) => count,
+                    Err(reason) => return Ok(Some(reason)),
                 }
             }
             written => written?,
@@ -188,5 +180,20 @@ impl<H, M: Machine<H>> Connection<H, M> {
     fn silent_until(&self) -> Option<Instant> {
         let idle = self.limits.idle.filter(|_| !self.session.is_running())?;
         Some(self.heard.saturating_add(idle))
+    }
+}
+
+/// Waits until a peer takes bytes; says why it waits no longer.
+async fn patiently<T>(
+    written: impl Future<Output = io::Result<T>>,
+    limit: Duration,
+    stopped: &mut watch::Receiver<()>,
+) -> io::Result<Result<T, &'static str>> {
+    tokio::select! {
+        written = timeout(limit, written) => match written {
+            Ok(written) => written.map(Ok),
+            Err(_) => Ok(Err("the peer does not read")),
+        },
+        _ = stopped.changed() => Ok(Err("the server stops")),
     }
 }

@@ -38,7 +38,7 @@ pub(super) async fn listen<H: Handler + Send + 'static>(
     stopped: watch::Receiver<()>,
 ) -> io::Result<()> {
     accept(listener, limits, stopped.clone(), refuse, |stream| {
-        let mut config = Config::TCP;
+        let mut config = Config { invoke_timeout_max: limits.call, ..Config::TCP };
         config.limits.frame = limits.frame;
         let session = StreamSession::new(config, pool.buffer(), pool.buffer());
         stream::serve(stream, session, shared.next_peer(), Arc::clone(&shared), limits, stopped.clone())
@@ -67,6 +67,8 @@ where
             _ = served.join_next(), if !served.is_empty() => continue,
             _ = refused.join_next(), if !refused.is_empty() => continue,
         };
+        // those that have ended hold no place, whichever of the two came first
+        while served.try_join_next().is_some() || refused.try_join_next().is_some() {}
         match accepted {
             Ok((stream, address)) => {
                 if let Err(error) = set_up_tcp(SockRef::from(&stream), limits.keep_alive) {

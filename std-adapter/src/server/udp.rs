@@ -80,6 +80,8 @@ impl<H: Handler + Send + 'static> Peers<H> {
         let Some(room) = room.get_mut(..bytes.len()) else { return };
         room.copy_from_slice(bytes);
         peer.session.received(bytes.len());
+        // said beforehand: what others change while the handler is asked must not be missed
+        self.changes.wait(self.changes.waiting().max(1));
         self.run(from).await;
         self.listen_for_changes();
     }
@@ -98,7 +100,8 @@ impl<H: Handler + Send + 'static> Peers<H> {
             }
             return false;
         }
-        let session = Box::new(Session::new(Config::UDP, [0; UDP_SEND_MAX], [0; ROOM]));
+        let config = Config { invoke_timeout_max: self.limits.call, ..Config::UDP };
+        let session = Box::new(Session::new(config, [0; UDP_SEND_MAX], [0; ROOM]));
         self.known.insert(from, Peer { id: self.shared.next_peer(), session, heard: now() });
         true
     }
@@ -162,8 +165,7 @@ impl<H: Handler + Send + 'static> Peers<H> {
     }
 
     fn listen_for_changes(&mut self) {
-        let running = self.known.values().any(|peer| peer.session.is_running());
-        self.changes.wait(running);
+        self.changes.wait(self.known.values().filter(|peer| peer.session.is_running()).count());
     }
 
     /// Returns when something is due even if nothing comes.

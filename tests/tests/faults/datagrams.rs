@@ -118,19 +118,22 @@ fn datagrams_are_lost_doubled_and_reordered_and_every_call_is_executed_once() {
 }
 
 #[test]
-fn garbled_datagrams_are_dropped_or_refused_and_no_call_runs_twice() {
+fn garbled_datagrams_end_no_service() {
     let server = Served::start(limits());
-    // turned bits in values cannot be seen, so tokens change; what is asserted is that all ends, and the server serves
+    // a turned bit in a value or a marker cannot be seen, so nothing can be said of what was executed how often
     let faults = Faults { loss: 50, garble: 5, delay: Duration::from_millis(5), ..Faults::default() };
     let proxy = UdpProxy::start(server.udp, faults, 7);
     let udp = Config { attempt_timeout: Duration::from_millis(50), deadline: Duration::from_secs(10), ..Config::UDP };
     let mut client = blocking::connect_udp(proxy.address, &Options { udp, ..Options::default() }).unwrap();
+    let mut done = 0;
     for _ in 0..300 {
         match client.call(call::service_start("")) {
-            Ok(()) | Err(CallError::Client(_) | CallError::Refused(_)) => {}
+            Ok(()) => done += 1,
+            Err(CallError::Client(_) | CallError::Refused(_)) => {}
             Err(other) => panic!("{other}"),
         }
     }
+    assert!(done > 200, "{done} of 300");
     let mut direct = blocking::connect_udp(server.udp, &Options::default()).unwrap();
     direct.call(call::service_start("")).unwrap();
     direct.call(call::service_stop()).unwrap();

@@ -59,7 +59,9 @@ fn a_bad_link_of_the_kernel_carries_every_call_once() {
     let program = std::env::current_exe().unwrap();
     let mut command = namespace.inside(program.to_str().expect("a path of text"));
     let output = run(command.args(["--exact", "netem::on_this_link", "--ignored", "--nocapture"])).unwrap();
-    print!("{}", String::from_utf8_lossy(&output.stdout));
+    let said = String::from_utf8_lossy(&output.stdout);
+    print!("{said}");
+    assert!(said.contains("1 passed"), "the test that runs there has another name");
 }
 
 /// Calls over UDP and TCP on the link that is there, in a namespace that the test above has made.

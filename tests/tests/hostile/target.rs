@@ -27,6 +27,7 @@ pub(crate) const LIMITS: Limits = Limits {
     udp_lost: Duration::from_secs(600),
     receive: Duration::from_secs(2),
     send: Duration::from_secs(1),
+    call: Duration::from_secs(3600),
     idle: None,
     frame: 16 << 20,
     memory: 40 << 20,

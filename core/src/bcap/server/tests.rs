@@ -253,6 +253,18 @@ fn a_call_out_of_time_is_answered_and_abandoned() {
 }
 
 #[test]
+fn no_client_lets_a_call_run_for_longer_than_the_server_allows() {
+    for options in ["", "InvokeTimeout=4294967295", "InvokeTimeout=3000", "InvokeTimeout=80"] {
+        let mut bench = Bench::connected(Config { invoke_timeout_max: Duration::from_secs(2), ..Config::TCP }, options);
+        bench.handler.wait_until = Some(Instant::FAR_FUTURE);
+        assert_eq!(bench.call(halt(), 4, at(0)), []);
+        let until = if options.ends_with("=80") { at(80) } else { at(2000) };
+        assert_eq!(bench.session.poll_timeout(), Some(until), "{options}");
+        assert_eq!(bench.run(until)[0].1, HResult::E_TIMEOUT);
+    }
+}
+
+#[test]
 fn wrong_options_are_refused_with_a_reply() {
     let mut bench = Bench::new(Config::TCP);
     for (serial, options) in (1..).zip(["WDT=79", "InvokeTimeout=abc", "WDT=(100"]) {
