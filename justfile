@@ -69,7 +69,7 @@ soak seconds="60":
 
 # What the corpora of the fuzz targets reach, line by line: `just coverage text`. Needs nightly's llvm-tools.
 coverage target:
-    bash fuzz/coverage {{target}}
+    bash fuzz/measure-coverage {{target}}
 
 # Every length and count of the wire: all 2^32 of each, and the edges with 32-bit addresses (Debian's gcc-multilib).
 lengths:

@@ -6,13 +6,15 @@
 //! | [`variant`]           | bytes as a value                             | the oracle's verdict and value; no accessor fails      |
 //! | [`text`]              | bytes as the text of a value                 | the oracle's verdict and value; columns in the text    |
 //! | [`rac_line`]          | bytes as lines, cut into chunks              | the lines of a plain split; written requests read back |
-//! | [`roundtrip_binary`]  | a made-up value, or what bytes decode to     | encoded and decoded the same                           |
+//! | [`roundtrip_binary`]  | a made-up value                              | encoded and decoded the same                           |
 //! | [`roundtrip_text`]    | a made-up value, or a made-up float          | the same bits, or no text and an error; std's floats   |
 //! | [`stream`]            | bytes cut into chunks, on all three links    | the frames of one piece, on both sides                 |
+//! | [`rac_client`]        | requests, lines, time in any order           | requests end once and in time, with their own response |
 //! | [`client`]            | calls, bytes, replies, time in any order     | calls end once and in time, with their own reply       |
 //! | [`server`]            | bytes, calls, waits, time in any order       | valid replies, checked calls, no handle left behind    |
 //! | [`gateway`]           | lines of PLCs, replies of a robot, any order | one answer a line; no PUT against the rules            |
 //! | [`sim`]               | calls and events of the virtual controller   | its invariants, and the same run twice                 |
+//! | [`slave`]             | replies, failures, poses, time in any order  | no motion after an error, no pose over a limit, an end |
 //!
 //! They run under libFuzzer (`cargo fuzz run frame`), and as ordinary functions: the corpora are replayed by
 //! `cargo test`.
@@ -26,6 +28,7 @@ mod rac_line;
 mod roundtrip;
 mod server;
 mod sim;
+mod slave;
 mod stream;
 mod text;
 mod variant;
@@ -38,6 +41,7 @@ pub use self::rac_line::rac_line;
 pub use self::roundtrip::{roundtrip_binary, roundtrip_text};
 pub use self::server::server;
 pub use self::sim::sim;
+pub use self::slave::slave;
 pub use self::stream::stream;
 pub use self::text::text;
 pub use self::variant::variant;
@@ -46,7 +50,7 @@ pub use self::variant::variant;
 pub type Target = (&'static str, fn(&[u8]));
 
 /// All targets.
-pub const TARGETS: [Target; 12] = [
+pub const TARGETS: [Target; 13] = [
     ("frame", frame),
     ("variant", variant),
     ("text", text),
@@ -59,4 +63,5 @@ pub const TARGETS: [Target; 12] = [
     ("server", server),
     ("gateway", gateway),
     ("sim", sim),
+    ("slave", slave),
 ];

@@ -42,4 +42,4 @@ macro_rules! replays {
     };
 }
 
-replays! { frame variant text rac_line roundtrip_binary roundtrip_text stream rac_client client server gateway sim }
+replays! { frame variant text rac_line roundtrip_binary roundtrip_text stream rac_client client server gateway sim slave }

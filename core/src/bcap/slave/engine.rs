@@ -166,7 +166,7 @@ pub struct Engine<const N: usize = MOVE_FRAME> {
     has_arm: bool,
     /// Whether this is a start after a fault, which begins wherever the robot stands.
     restarted: bool,
-    /// Asked for while starting.
+    /// Asked for while starting or recovering.
     stop_wanted: bool,
     stop: Option<Stop>,
     /// Where the stream began; its poses are the shape of the format.
@@ -363,7 +363,7 @@ impl<const N: usize> Engine<N> {
 
     fn end(&mut self, ramp: Duration) {
         match self.phase {
-            Phase::Starting => self.stop_wanted = true,
+            Phase::Starting | Phase::Recovering => self.stop_wanted = true,
             Phase::Streaming if self.stop.is_none() => self.begin_stop(ramp),
             Phase::Faulted => self.give_arm(),
             _ => {}
@@ -388,6 +388,7 @@ impl<const N: usize> Engine<N> {
         }
         self.phase = Phase::Recovering;
         self.step = Step::SystemState;
+        self.stop_wanted = false;
         Ok(())
     }
 
@@ -631,7 +632,6 @@ impl<const N: usize> Engine<N> {
             };
         }
         self.fault = None;
-        self.stop_wanted = false;
         self.restarted = true;
         self.phase = Phase::Starting;
         self.step = Step::SendFormat;

@@ -485,6 +485,30 @@ fn recovery_happens_on_request_and_starts_where_the_robot_stands() {
 }
 
 #[test]
+fn a_stop_during_a_recovery_is_not_forgotten() {
+    let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
+    rig.controller.script.push(("Motor", refused(HResult::from_u32(0x8350_106e))));
+    assert_eq!(rig.run(|_| None), Action::Faulted);
+    rig.engine.recover().unwrap();
+    assert!(matches!(rig.engine.poll(rig.now), Action::Call(Step::SystemState, _)));
+    rig.engine.stop();
+    assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Finished);
+    assert_eq!((rig.names().last(), rig.moves), (Some(&"GiveArm"), 0));
+    // one that was asked for before the fault is over with it
+    let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
+    rig.controller.script.push(("slvSendFormat", refused(HResult::from_u32(0x8350_106e))));
+    rig.engine.stop();
+    assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+    rig.engine.recover().unwrap();
+    let mut poses = 0;
+    let _ = rig.run(|_| {
+        poses += 1;
+        (poses < 3).then(|| joints(0.0))
+    });
+    assert_eq!(poses, 3);
+}
+
+#[test]
 fn nothing_recovers_after_an_emergency_stop() {
     let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
     let mut count = 0;

@@ -1,0 +1,367 @@
+//! An engine of Slave Mode whose controller, connections, poses and clock do anything at any time.
+
+use std::time::Duration;
+
+use arbitrary::{Arbitrary, Unstructured};
+use bcap_core::bcap::call::{Call, ControllerHandle, RobotHandle};
+use bcap_core::bcap::slave::{
+    Action, AxisLimits, Channel, Config, Engine, ExtendedAxes, Failure, Format, Handles, Mode, Pose, PoseType,
+    ReceiveFormat, ReceivePose, SendFormat, SendIo, SlaveMode, Step, TimeUnit,
+};
+use bcap_core::bcap::{Decoder, FrameWriter, Progress};
+use bcap_core::hresult::HResult;
+use bcap_core::limits::{Limits, Strictness};
+use bcap_core::time::Instant;
+use bcap_tests::frame::TestFrame;
+use bcap_tests::oracle::{Oracle, Verdict};
+use bcap_tests::value::{VARIANT, Value};
+
+use crate::input::AnyValue;
+
+/// What is streamed, and what the robot is believed to be.
+#[derive(Arbitrary, Debug)]
+struct Plan {
+    mode: u8,
+    receive: u8,
+    parts: u8,
+    options: u8,
+    speed: u8,
+}
+
+/// Something that happens.
+#[derive(Arbitrary, Debug)]
+enum Op {
+    /// The controller does what it was asked for; the robot stands here, in hundredths.
+    Obey(i16),
+    /// It answers with one of the codes that mean something.
+    Answer(u8),
+    /// It answers anything.
+    Any(i32, AnyValue),
+    Value(AnyValue),
+    /// There is no answer.
+    Fail(u8),
+    /// A pose beside the last one, by hundredths of what an axis may move in a cycle.
+    Push([i8; 10]),
+    /// Any pose of any kind.
+    PushAny(u8, Vec<f64>),
+    Stop,
+    Finish,
+    Recover,
+    Pass(u16),
+    /// So many cycles of a stream as it should be.
+    Stream(u8),
+}
+
+const ROBOT: f64 = 0.0;
+const CYCLE: Duration = Duration::from_millis(8);
+
+/// Runs an engine through what the bytes say.
+///
+/// # Panics
+///
+/// When the core is wrong.
+pub fn slave(data: &[u8]) {
+    let mut u = Unstructured::new(data);
+    let Ok(plan) = Plan::arbitrary(&mut u) else { return };
+    let mut run = Run::new(&plan);
+    while let (false, Ok(op)) = (u.is_empty(), Op::arbitrary(&mut u)) {
+        run.apply(op);
+        let _ = run.poll();
+    }
+    run.finish(plan.options);
+}
+
+struct Run {
+    engine: Engine,
+    now: Instant,
+    /// The call that was asked for and has no answer yet.
+    flight: Option<(Step, Channel)>,
+    /// Slave Mode has been entered and not left.
+    entered: bool,
+    /// A call has failed, and nobody has said that the stream may begin anew.
+    failed: bool,
+    /// Somebody has, and it has not begun yet.
+    recovering: bool,
+}
+
+fn config(plan: &Plan) -> Config {
+    let pick = |of: u8, count: u8| usize::from(of % count);
+    let mode = SlaveMode {
+        mode: [Mode::Mode0, Mode::Mode1, Mode::Mode2][pick(plan.mode, 3)],
+        pose: [PoseType::P, PoseType::J, PoseType::T][pick(plan.mode / 3, 3)],
+    };
+    let receive = ReceiveFormat {
+        pose: [ReceivePose::P, ReceivePose::J, ReceivePose::T, ReceivePose::PJ, ReceivePose::TJ][pick(plan.receive, 5)],
+        time: [None, Some(TimeUnit::Millis), Some(TimeUnit::Micros)][pick(plan.receive / 5, 3)],
+        mini_io: plan.parts & 1 != 0,
+        user_io: None,
+        hand_io: plan.parts & 2 != 0,
+        current: plan.parts & 4 != 0,
+    };
+    let send =
+        SendFormat { io: if plan.parts & 8 == 0 { SendIo::None } else { SendIo::Mini }, hand_io: plan.parts & 16 != 0 };
+    let extended =
+        [ExtendedAxes::None, ExtendedAxes::Seven, ExtendedAxes::Eight, ExtendedAxes::Both][pick(plan.parts / 32, 4)];
+    let extended = if mode.pose == PoseType::J { ExtendedAxes::None } else { extended };
+    let motion = Handles { controller: ControllerHandle(1), robot: RobotHandle(2) };
+    let watch = Handles { controller: ControllerHandle(3), robot: RobotHandle(4) };
+    let speed = f64::from(plan.speed) * 10.0;
+    Config {
+        watch: (plan.options & 1 != 0).then_some(watch),
+        arm: (plan.options & 2 != 0).then_some([0, 1]),
+        motor: plan.options & 4 != 0,
+        limits: if plan.speed == 0 { AxisLimits::NONE } else { AxisLimits::uniform(speed, 10.0 * speed) },
+        cycle: CYCLE,
+        ..Config::new(Format { mode, extended, send, receive }, motion)
+    }
+}
+
+impl Run {
+    fn new(plan: &Plan) -> Self {
+        let engine = Engine::new(config(plan)).expect("the configuration is in order");
+        let now = Instant::from_millis(1);
+        Self { engine, now, flight: None, entered: false, failed: false, recovering: false }
+    }
+
+    fn apply(&mut self, op: Op) {
+        match op {
+            Op::Obey(hundredths) => self.obey(f64::from(hundredths) / 100.0),
+            Op::Answer(index) => {
+                const CODES: [HResult; 8] = [
+                    HResult::S_OK,
+                    HResult::S_BUF_FULL,
+                    HResult::E_BUF_FULL,
+                    HResult::E_COMMAND_BUFFER_EMPTY,
+                    HResult::E_SLVMODE_OFF,
+                    HResult::E_TIMEOUT,
+                    HResult::S_EXECUTING,
+                    HResult::E_FAIL,
+                ];
+                let value = self.flight.map_or(Value::Empty, |(step, _)| self.value(step, ROBOT));
+                self.reply(CODES[usize::from(index) % CODES.len()], value);
+            }
+            Op::Any(code, AnyValue(value)) => self.reply(HResult(code), value),
+            Op::Value(AnyValue(value)) => self.reply(HResult::S_OK, value),
+            Op::Fail(index) => {
+                self.fail([Failure::Timeout, Failure::NotSent, Failure::Lost][usize::from(index % 3)]);
+            }
+            Op::Push(steps) => self.push_beside(steps),
+            Op::PushAny(kind, numbers) => {
+                let kind = [PoseType::P, PoseType::J, PoseType::T][usize::from(kind % 3)];
+                if let Some(pose) = Pose::from_numbers(kind, &numbers) {
+                    self.push(&pose);
+                }
+            }
+            Op::Stop => self.engine.stop(),
+            Op::Finish => self.engine.finish(),
+            Op::Recover => {
+                let stopped = self.engine.fault().and_then(|fault| fault.emergency_stop) == Some(true);
+                if self.engine.recover().is_ok() {
+                    assert!(self.failed && self.flight.is_none() && !stopped);
+                    (self.failed, self.recovering, self.entered) = (false, true, false);
+                }
+            }
+            Op::Pass(millis) => self.now = self.now + Duration::from_millis(u64::from(millis)),
+            Op::Stream(cycles) => {
+                for _ in 0..3 * u32::from(cycles) {
+                    self.go_on();
+                }
+            }
+        }
+    }
+
+    /// Asks the engine what it wants, and checks that it may.
+    fn poll(&mut self) -> Action {
+        let action = self.engine.poll(self.now);
+        let call = match action {
+            Action::Call(step, channel) => Some((step, channel)),
+            _ => None,
+        };
+        if self.flight.is_some() {
+            assert_eq!(call, self.flight, "a call is asked for until it has an answer");
+            return action;
+        }
+        match action {
+            Action::Call(step, channel) => self.check_call(step, channel),
+            Action::Pose { .. } => assert!(self.entered && !self.failed),
+            Action::Wait(until) => assert!(until > self.now && self.entered && !self.failed),
+            Action::Finished => {}
+            Action::Faulted => assert!(self.failed && self.engine.fault().is_some()),
+        }
+        assert_eq!(self.engine.request().is_some(), call.is_some());
+        self.flight = call;
+        action
+    }
+
+    fn check_call(&self, step: Step, channel: Channel) {
+        assert!(channel == Channel::Motion || self.engine.config().watch.is_some());
+        let may = match step {
+            // nothing moves the robot after an error
+            Step::Move => self.entered && !self.failed,
+            Step::Motor | Step::TakeArm | Step::Enter => !self.failed && !self.entered,
+            Step::ClearError => self.recovering && !self.failed,
+            _ => true,
+        };
+        assert!(may, "{step:?}: entered {}, failed {}", self.entered, self.failed);
+        let request = self.engine.request().expect("a call is wanted");
+        assert_eq!((request.step(), request.channel()), (step, channel));
+        let mut buffer = [0; 512];
+        let mut frame = FrameWriter::new(&mut buffer).expect("there is room");
+        request.arguments(&mut frame).expect("the arguments fit");
+        let bytes = frame.finish(7, 0, request.function().0).expect("the frame fits");
+        let oracle = Oracle { limits: Limits::STREAM, strictness: Strictness::Strict, crc: false };
+        let Verdict::Frame(frame, used) = oracle.decode(bytes) else { panic!("the call is no frame: {bytes:02x?}") };
+        assert_eq!((used, frame.args.len()), (bytes.len(), 3));
+        if step == Step::Move {
+            assert!(self.engine.last_pose().as_slice().iter().all(|number| number.is_finite()));
+        }
+    }
+
+    /// Hands an answer in, if there is a call that it could be to.
+    fn reply(&mut self, code: HResult, value: Value) {
+        let wire = TestFrame { serial: 7, reserved: 0, code: code.0, args: vec![value] }.to_wire(false);
+        let Ok(Progress::Complete(frame, _)) = Decoder::TCP.decode(&wire) else { return };
+        let answered = self.engine.handle_reply(&frame, self.now).is_some();
+        let Some((step, _)) = self.flight.take() else {
+            assert!(!answered, "there was no call");
+            return;
+        };
+        assert!(!answered || (step == Step::Move && code.is_ok()));
+        let full = step == Step::Move && code == HResult::E_BUF_FULL;
+        self.failed |= self.engine.fault().is_some() && !self.recovering;
+        if code.is_err() && !full {
+            (self.failed, self.recovering) = (true, false);
+        }
+        match step {
+            Step::Enter => self.entered = code.is_ok(),
+            Step::Leave => self.entered &= code.is_err(),
+            Step::ClearError => self.recovering = false,
+            Step::SystemState if self.recovering => {
+                // an emergency stop ends the recovery, and so does an answer without a state
+                let next = self.engine.poll(self.now);
+                self.flight = match next {
+                    Action::Call(step, channel) => Some((step, channel)),
+                    _ => None,
+                };
+                if self.flight.is_none_or(|(step, _)| step != Step::ClearError) {
+                    (self.failed, self.recovering) = (true, false);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn fail(&mut self, failure: Failure) {
+        self.engine.handle_failure(failure, self.now);
+        if self.flight.take().is_some() {
+            (self.failed, self.recovering) = (true, false);
+        }
+    }
+
+    /// Lets the controller do what it was asked for, while the robot stands at `position` with every axis.
+    fn obey(&mut self, position: f64) {
+        if let Some((step, _)) = self.flight {
+            let value = self.value(step, position);
+            self.reply(HResult::S_OK, value);
+        }
+    }
+
+    /// What is answered to a call that succeeds.
+    fn value(&self, step: Step, position: f64) -> Value {
+        let numbers = |count: usize| Value::Array(5, vec![Value::R8(position.to_bits()); count]);
+        let format = &self.engine.config().format;
+        match step {
+            Step::Position => numbers(format.mode.pose.len()),
+            Step::Joints => numbers(PoseType::J.len()),
+            Step::GetMode => Value::I4(if self.entered { format.mode.code() } else { SlaveMode::OFF }),
+            Step::ErrorCount | Step::SystemState => Value::I4(0),
+            Step::Move => {
+                let receive = &format.receive;
+                let mut parts = Vec::new();
+                parts.extend(receive.time.map(|_| Value::I4(7)));
+                parts.push(numbers(receive.pose.len()));
+                parts.extend(receive.mini_io.then_some(Value::I4(1)));
+                parts.extend(receive.hand_io.then_some(Value::I4(2)));
+                parts.extend(receive.current.then(|| numbers(8)));
+                if parts.len() == 1 { parts.remove(0) } else { Value::Array(VARIANT, parts) }
+            }
+            _ => Value::Empty,
+        }
+    }
+
+    /// Gives a pose, and checks whether it may be taken.
+    fn push(&mut self, pose: &Pose) {
+        let before = *self.engine.last_pose();
+        let wanted = self.flight.is_none() && matches!(self.engine.poll(self.now), Action::Pose { .. });
+        if !wanted {
+            // what is asked for instead is looked at next time
+            if self.flight.is_none() {
+                let _ = self.poll();
+            }
+            assert!(self.engine.push(pose).is_err(), "no pose was asked for");
+            return;
+        }
+        match self.engine.push(pose) {
+            Ok(()) => {
+                assert_eq!(self.engine.last_pose(), pose);
+                assert!(pose.as_slice().iter().all(|number| number.is_finite()));
+                let limits = self.engine.config().limits;
+                if pose.shape().pose == PoseType::J {
+                    for ((from, to), limit) in before.as_slice().iter().zip(pose.as_slice()).zip(limits.speed) {
+                        assert!((to - from).abs() / CYCLE.as_secs_f64() <= limit, "{from} to {to}");
+                    }
+                }
+            }
+            Err(error) => {
+                assert!(!error.to_string().is_empty());
+                assert_eq!(self.engine.last_pose(), &before);
+            }
+        }
+    }
+
+    fn push_beside(&mut self, steps: [i8; 10]) {
+        let last = *self.engine.last_pose();
+        let speed = self.engine.config().limits.speed[0].min(1000.0);
+        let part = speed * CYCLE.as_secs_f64() / 100.0;
+        let mut numbers = last.numbers().to_vec();
+        for (number, step) in numbers.iter_mut().zip(steps) {
+            *number += f64::from(step) * part;
+        }
+        if let Some(pose) = Pose::from_numbers(last.shape().pose, &numbers) {
+            self.push(&pose);
+        }
+    }
+
+    /// One step of a stream as it should be.
+    fn go_on(&mut self) {
+        match self.poll() {
+            Action::Call(..) => self.obey(ROBOT),
+            Action::Pose { .. } => {
+                let last = *self.engine.last_pose();
+                self.push(&last);
+            }
+            Action::Wait(until) => self.now = until,
+            Action::Finished | Action::Faulted => {}
+        }
+    }
+
+    /// Whatever came before, a stream that is to end comes to its end: with a controller that obeys, that says nothing, or
+    /// whose buffer stays full.
+    fn finish(mut self, options: u8) {
+        self.engine.stop();
+        for _ in 0..5000 {
+            match self.poll() {
+                Action::Call(..) if options & 8 != 0 => self.fail(Failure::Timeout),
+                Action::Call(Step::Move, _) if options & 16 != 0 => {
+                    self.now = self.now + Duration::from_millis(1);
+                    self.reply(HResult::E_BUF_FULL, Value::Empty);
+                }
+                Action::Call(..) => self.obey(ROBOT),
+                Action::Pose { .. } => panic!("no pose is wanted after the end was"),
+                Action::Wait(until) => self.now = until,
+                Action::Finished | Action::Faulted => return,
+            }
+        }
+        panic!("the stream never ends");
+    }
+}
