@@ -21,6 +21,8 @@ format:
     cargo fmt --all
     cargo fmt --all --manifest-path tests/no-panic/Cargo.toml
     cargo fmt --manifest-path fuzz/Cargo.toml
+    cargo fmt --manifest-path embassy-adapter/firmware/Cargo.toml
+    cargo fmt --manifest-path embassy-adapter/firmware/sizes/Cargo.toml
 
 # Format check and clippy over every feature set, warnings as errors.
 lint:

@@ -1,6 +1,6 @@
 //! What the server sessions of both protocols have in common, for those who run them.
 //!
-//! Whoever moves the bytes of a link needs not know which protocol they are of: the adapters' loops are written once, over
+//! Whoever moves the bytes of a link need not know which protocol they are of: the adapters' loops are written once, over
 //! [`Session`].
 
 use core::fmt::Debug;

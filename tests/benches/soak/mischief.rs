@@ -1,4 +1,4 @@
-//! The clients that do not behave: each does one thing after the other that a client should not, some five in a second.
+//! The clients that do not behave: each does one thing after the other that a client should not, some seven in a second.
 
 use std::io;
 use std::sync::atomic::Ordering;
