@@ -87,8 +87,6 @@ fn half_a_request_then_the_rest(target: &mut Target) {
     for at in [1, 4, 5, 15, 16, start.len() - 1] {
         let mut raw = Raw::connect(target.tcp);
         raw.send(&start[..at]);
-        // others are served in the pause
-        target.serves_others();
         std::thread::sleep(Duration::from_millis(100));
         raw.send(&start[at..]);
         let reply = raw.reply();

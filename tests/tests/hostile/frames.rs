@@ -263,10 +263,13 @@ fn random_garbage(target: &mut Target) {
         let mut raw = Raw::connect(target.tcp);
         raw.send(&bytes);
         raw.finish();
-        for reply in raw.replies() {
-            let code = HResult(reply.code);
-            assert!([HResult::E_INVALIDRCPACKET, HResult::E_PACKETSIZEOVER].contains(&code), "{code}");
+        let codes: Vec<HResult> = raw.replies().into_iter().map(|reply| HResult(reply.code)).collect();
+        // what comes behind a refusal is not read, and a connection that is closed with bytes unread may lose its answer
+        if bytes[0] != 1 && length < 4096 {
+            assert_eq!(codes, [HResult::E_INVALIDRCPACKET], "{length} bytes");
         }
+        let refusals = [HResult::E_INVALIDRCPACKET, HResult::E_PACKETSIZEOVER];
+        assert!(codes.len() <= 1 && codes.iter().all(|code| refusals.contains(code)), "{codes:?}");
     }
 }
 

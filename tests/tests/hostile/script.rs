@@ -126,10 +126,10 @@ pub(crate) fn serial_of(datagram: &[u8]) -> u16 {
 /// Options of a client that soon gives up.
 pub(crate) fn brief() -> Options {
     let config = |config: Config| Config {
-        attempt_timeout: Duration::from_millis(200),
+        attempt_timeout: Duration::from_millis(500),
         attempts: 3,
         deadline: Duration::from_secs(20),
-        keep_alive: Duration::from_millis(500),
+        keep_alive: Duration::from_secs(1),
         ..config
     };
     let options = Options::default();
