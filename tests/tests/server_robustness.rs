@@ -2,7 +2,7 @@
 //! nothing of them is left behind. What hostile peers do to it is in `tests/hostile`.
 
 use std::io::{Read, Write};
-use std::net::TcpStream;
+use std::net::{Shutdown, TcpStream};
 use std::time::{Duration, Instant};
 
 use bcap_core::bcap::FrameWriter;
@@ -95,6 +95,31 @@ fn many_calls_that_wait_cost_the_others_little() {
     let most = WAITING * (3 + u64::try_from(begun.elapsed().as_millis()).unwrap() / 10);
     assert!(asked > 0 && asked <= most, "asked {asked} times, {most} at most");
     drop((client, waiting));
+    server.stop_empty();
+}
+
+/// Bytes that there is no room for while a call runs hide the end of the stream behind them.
+#[test]
+#[cfg_attr(
+    not(any(target_os = "linux", target_os = "android")),
+    ignore = "only Linux tells of an end behind unread bytes"
+)]
+fn a_peer_that_goes_behind_requests_that_wait_is_noticed() {
+    let server = Served::start(Limits::default());
+    for end in [Shutdown::Write, Shutdown::Both] {
+        let (mut client, controller) = client(&server);
+        let mut buffer = [0; 512];
+        let sleep = frame(&call::controller_execute(controller, "sleep", 3_600_000), &mut buffer);
+        client.transport().stream().write_all(&buffer[..sleep]).unwrap();
+        let more = frame(&call::controller_execute(controller, "echo", [1; 20]), &mut buffer);
+        client.transport().stream().write_all(&buffer[..more].repeat(100)).unwrap();
+        let until = Instant::now() + Duration::from_secs(30);
+        client.transport().stream().shutdown(end).unwrap();
+        while !server.application().peers.is_empty() {
+            assert!(Instant::now() < until, "its call still runs");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
     server.stop_empty();
 }
 

@@ -127,8 +127,17 @@ impl Inbox {
         buffer.bytes_mut().get_mut(self.len..).unwrap_or_default()
     }
 
-    /// Returns the free part of the buffer without moving anything in it.
-    pub(crate) fn tail<'b>(&self, buffer: &'b mut [u8]) -> &'b mut [u8] {
+    /// Returns the free part of the buffer; of the frames found before, the one of `span` stays.
+    pub(crate) fn free_behind<'b>(&mut self, buffer: &'b mut [u8], span: Span) -> &'b mut [u8] {
+        let end = span.start.saturating_add(span.len);
+        let read = self.next.saturating_sub(end);
+        if read > 0
+            && let Some(behind) = buffer.get_mut(end..self.len)
+        {
+            shift_down(behind, read);
+            self.next = end;
+            self.len = self.len.saturating_sub(read);
+        }
         buffer.get_mut(self.len..).unwrap_or_default()
     }
 

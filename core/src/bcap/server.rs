@@ -270,9 +270,9 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
     /// It is empty while a request runs and there is no room behind it; then bytes must wait (or datagrams be dropped).
     #[must_use]
     pub fn receive_buffer(&mut self) -> &mut [u8] {
-        if self.state.running.is_some() {
-            // the handler will look at its request again, so nothing may move
-            return self.inbox.tail(self.rx.bytes_mut());
+        if let Some(running) = &self.state.running {
+            // the handler will look at its request again, so that stays where it is
+            return self.inbox.free_behind(self.rx.bytes_mut(), running.span);
         }
         self.inbox.free(&mut self.rx)
     }

@@ -90,8 +90,17 @@ pub(crate) fn shown(name: &str, value: &Value, json: bool) -> String {
         let name = serde_json::Value::from(name);
         format!("{{\"name\":{name},{}", &value.to_json()[1..])
     } else {
-        format!("{name} = {}", plain::to_plain(value.as_variant()))
+        format!("{name} = {}", visible(&plain::to_plain(value.as_variant())))
     }
+}
+
+/// Writes control characters as Rust does, not to let a peer's text command the terminal.
+fn visible(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        if c.is_control() { out.extend(c.escape_default()) } else { out.push(c) }
+    }
+    out
 }
 
 /// The functions that list names, and the objects that the names are of.
@@ -160,5 +169,15 @@ fn print_name(path: &Path, json: bool) -> Result<(), Failure> {
         print_line(&serde_json::json!({ "kind": kind, "name": path.to_string() }).to_string())
     } else {
         print_line(&path.to_string())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::visible;
+
+    #[test]
+    fn control_characters_do_not_reach_the_terminal() {
+        assert_eq!(visible("\u{1b}]0;x\u{7}\u{9b}31m, Grün\n"), "\\u{1b}]0;x\\u{7}\\u{9b}31m, Grün\\n");
     }
 }

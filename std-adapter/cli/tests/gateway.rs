@@ -3,8 +3,10 @@
 mod common;
 
 use std::io::{BufRead, BufReader, Read, Write};
-use std::net::{TcpListener, TcpStream};
+use std::net::{Shutdown, TcpListener, TcpStream};
 use std::process::{Child, ChildStdout, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use common::{Run, bcap, command};
@@ -279,6 +281,46 @@ fn no_answer_is_another_clients() {
         let (served, away) = client.join().unwrap();
         assert!(served > 0, "{served} {away}");
     }
+}
+
+/// Lines without a pause, and their answers read as fast, are no reason not to serve the others, or not to end.
+#[test]
+#[cfg(unix)]
+fn a_flood_of_lines_keeps_nobody_from_being_served() {
+    let sim = Server::sim("127.0.0.1:0");
+    let gateway = up(&sim.address("bcap"), &[]);
+    let flood = TcpStream::connect(gateway.address("rac")).unwrap();
+    let (mut to, mut from) = (flood.try_clone().unwrap(), flood.try_clone().unwrap());
+    let writer = std::thread::spawn(move || while to.write_all(&[b'\r'; 500]).is_ok() {});
+    let (answers, count) = (Arc::new(AtomicUsize::new(0)), |answers: &AtomicUsize| answers.load(Ordering::Relaxed));
+    let reader = std::thread::spawn({
+        let answers = Arc::clone(&answers);
+        move || {
+            let mut buffer = [0; 1 << 16];
+            while let Ok(bytes) = from.read(&mut buffer)
+                && bytes > 0
+            {
+                answers.fetch_add(bytes, Ordering::Relaxed);
+            }
+        }
+    });
+    let mut plc = Plc::connect(&gateway);
+    while count(&answers) < 100_000 {
+        std::thread::yield_now();
+    }
+    for _ in 0..100 {
+        let before = count(&answers);
+        assert_eq!(plc.ask("GET:RC8:1:I:\r"), "0,3,0\r");
+        assert!(count(&answers) >= before);
+    }
+    let before = count(&answers);
+    while count(&answers) == before {
+        std::thread::yield_now();
+    }
+    gateway.end("-TERM");
+    flood.shutdown(Shutdown::Both).unwrap_or_default();
+    writer.join().unwrap();
+    reader.join().unwrap();
 }
 
 #[cfg(unix)]

@@ -14,8 +14,11 @@ use crate::hand;
 use crate::objects::{Contents, Entry, Item, Target};
 use crate::options::option;
 use crate::system::{self, Owner};
-use crate::value::{Value, keep, one_int};
+use crate::value::{Value, keep_small, one_int};
 use crate::variables::{Family, parse_name, wildcard_names};
+
+/// Bytes of an object's name at most.
+const NAME_MAX: usize = 1024;
 
 /// What a function answers when it is not refused.
 #[derive(Debug, PartialEq)]
@@ -159,6 +162,9 @@ impl Controller {
 
     /// Opens an object that keeps something of its own.
     pub(crate) fn open_with(&mut self, peer: PeerId, item: Item, name: String, contents: Contents) -> Answered {
+        if name.len() > NAME_MAX {
+            return Err(HResult::E_ARGSIZEOVER);
+        }
         let entry = Entry { peer, item, name, contents, tag: None, id: None, stamp: self.now };
         let handle = self.objects.open(entry, self.config().max_objects)?;
         Ok(Value::I4(handle).into())
@@ -177,7 +183,7 @@ impl Controller {
             "GetAttribute" => Value::I4(0).into(),
             "GetTag" => entry.tag.clone().map_or(Value::Empty, Value::Kept).into(),
             "PutTag" => {
-                entry.tag = Some(keep(&request.value(1))?);
+                entry.tag = Some(keep_small(&request.value(1))?);
                 Answer::Done
             }
             "GetID" => match entry.item {
@@ -203,7 +209,7 @@ impl Controller {
             }
             // the index is part of the name
             Item::Variable(Target::User(..)) => return Err(HResult::E_CAO_NOT_WRITABLE),
-            _ => entry.id = Some(keep(id)?),
+            _ => entry.id = Some(keep_small(id)?),
         }
         Ok(())
     }

@@ -44,6 +44,9 @@ use crate::value::Value;
 /// The most bytes that are read into one value: what a frame can carry.
 const LARGEST: u64 = 16 << 20;
 
+/// Folders and names of a path at most.
+const PARTS_MAX: usize = 32;
+
 /// The bits of File_GetAttribute, as Windows numbers them.
 const READ_ONLY: i32 = 1;
 const FOLDER: i32 = 16;
@@ -66,6 +69,8 @@ impl Place {
                 part if part.contains(|c: char| c.is_control() || "<>:\"|?*".contains(c)) => {
                     return Err(HResult::E_INVALIDARG);
                 }
+                // every part is looked at, each time
+                _ if parts.len() == PARTS_MAX => return Err(HResult::E_INVALIDARG),
                 part => parts.push(part.to_owned()),
             }
         }

@@ -77,7 +77,18 @@ impl From<&str> for Value {
     }
 }
 
-/// Keeps a client's value of any type as its encoding.
+/// Bytes of a tag, an ID or the parameters of a command at most; every object of every client may have them.
+const KEPT_MAX: usize = 4096;
+
+/// Keeps a client's value of any type as its encoding, if it is not large.
+pub(crate) fn keep_small(value: &Variant<'_>) -> Result<Vec<u8>, HResult> {
+    let mut buffer = [0; KEPT_MAX];
+    let mut copy = ReplyValue::new(&mut buffer);
+    copy.set(value).map_err(refused)?;
+    Ok(copy.as_bytes().to_vec())
+}
+
+/// Keeps a value of any type as its encoding.
 pub(crate) fn keep(value: &Variant<'_>) -> Result<Vec<u8>, HResult> {
     let mut size = 256;
     loop {
@@ -86,9 +97,15 @@ pub(crate) fn keep(value: &Variant<'_>) -> Result<Vec<u8>, HResult> {
         match copy.set(value) {
             Ok(()) => return Ok(copy.as_bytes().to_vec()),
             Err(EncodeError::Full) if size < Limits::STREAM.frame as usize => size *= 4,
-            Err(EncodeError::Full) => return Err(HResult::E_ARGSIZEOVER),
-            Err(_) => return Err(HResult::E_INVALIDARGTYPE),
+            Err(error) => return Err(refused(error)),
         }
+    }
+}
+
+const fn refused(error: EncodeError) -> HResult {
+    match error {
+        EncodeError::Full => HResult::E_ARGSIZEOVER,
+        _ => HResult::E_INVALIDARGTYPE,
     }
 }
 
@@ -97,6 +114,10 @@ pub(crate) fn kept(bytes: &[u8]) -> Variant<'_> {
     let limits = Limits { depth: MAX_DEPTH, ..Limits::STREAM };
     Variant::decode(bytes, &limits, Strictness::Strict).unwrap_or(Variant::Empty)
 }
+
+/// Elements of an array, and bytes of a text, beyond which no command takes numbers: they would be read while all wait.
+const NUMBERS_MAX: usize = 256;
+const TEXT_MAX: usize = 4096;
 
 /// Reads a number of any numeric type but CY.
 pub(crate) fn number(value: &Variant<'_>) -> Option<f64> {
@@ -109,10 +130,11 @@ pub(crate) fn numbers(value: &Variant<'_>) -> Result<Vec<f64>, HResult> {
     match value.flatten() {
         Variant::Empty | Variant::Null => Ok(Vec::new()),
         Variant::Bool(b) => Ok(vec![if b { 1.0 } else { 0.0 }]),
-        Variant::Bstr(text) => numbers_of_text(&text.to_string()),
-        Variant::Array(array) => {
+        Variant::Bstr(text) if text.as_bytes().len() <= TEXT_MAX => numbers_of_text(&text.to_string()),
+        Variant::Array(array) if array.len() <= NUMBERS_MAX => {
             array.iter().map(|item| number(&item.flatten()).ok_or(HResult::E_INVALIDARGTYPE)).collect()
         }
+        Variant::Bstr(_) | Variant::Array(_) => Err(HResult::E_INVALIDARG),
         other => number(&other).map(|n| vec![n]).ok_or(HResult::E_INVALIDARGTYPE),
     }
 }

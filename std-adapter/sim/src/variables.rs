@@ -74,6 +74,9 @@ impl Sizes {
     }
 }
 
+/// Bytes of an S variable at most; they stay when their writer has gone.
+const S_MAX: usize = 64 << 10;
+
 /// A kind of variables as a name tells it: one of the nine, or a view of the IO bits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Family {
@@ -225,7 +228,11 @@ impl Variables {
             Family::Plain(Kind::J) => self.j[n] = floats(value)?,
             Family::Plain(Kind::T) => self.t[n] = floats(value)?,
             Family::Plain(Kind::S) => {
-                self.s[n] = value.as_bstr().ok_or(HResult::E_INVALIDARGTYPE)?.as_bytes().to_vec();
+                let text = value.as_bstr().ok_or(HResult::E_INVALIDARGTYPE)?.as_bytes();
+                if text.len() > S_MAX {
+                    return Err(HResult::E_ARGSIZEOVER);
+                }
+                self.s[n] = text.to_vec();
             }
             Family::Plain(Kind::Io) => self.io[n] = value.as_bool().ok_or(HResult::E_INVALIDARGTYPE)?,
             Family::Byte => self.set_bits(n, 8, pattern(value, 8)?),

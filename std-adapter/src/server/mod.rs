@@ -68,7 +68,7 @@ pub struct Limits {
     pub udp_lost: Duration,
     /// How long a request may take to arrive once its first byte has.
     pub receive: Duration,
-    /// How long a peer may take nothing of a reply; with a [tap](Server::tap), how long it may take for all of it.
+    /// How long a peer may take nothing of a reply.
     pub send: Duration,
     /// How long a call of b-CAP may run at most, whatever its client asks for with `InvokeTimeout`. Clients that ask for
     /// nothing have 180 s, those of RAC too.

@@ -86,8 +86,10 @@ impl<H, M: Machine<H>> Connection<H, M> {
             self.note_partial();
             let due = self.due();
             let room = self.session.receive_buffer();
+            let is_full = room.is_empty();
+            let (mut reader, writer) = self.stream.split();
             tokio::select! {
-                count = self.stream.read(room), if !room.is_empty() => match count? {
+                count = reader.read(room), if !is_full => match count? {
                     0 => return Ok("the peer has closed it"),
                     count => {
                         self.heard = now();
@@ -104,6 +106,10 @@ impl<H, M: Machine<H>> Connection<H, M> {
                     if self.memory_kept_until().is_some_and(|until| until <= now()) {
                         self.session.shrink(STREAM_ROOM);
                     }
+                }
+                closed = closed(writer.as_ref()), if is_full => {
+                    closed?;
+                    return Ok("the peer has closed it, behind bytes that have not been read");
                 }
                 () = self.changes.next() => {}
                 _ = stopped.changed() => return Ok("the server stops"),
@@ -141,8 +147,14 @@ impl<H, M: Machine<H>> Connection<H, M> {
             Some(Tapped::Instead(instead)) => {
                 let count = bytes.len();
                 self.session.transmitted(count);
-                let written = self.stream.write_all(&instead);
-                return Ok(patiently(written, self.limits.send, stopped).await?.err());
+                let mut rest = &instead[..];
+                while !rest.is_empty() {
+                    match patiently(self.stream.write(rest), self.limits.send, stopped).await? {
+                        Ok(written) => rest = rest.get(written..).unwrap_or_default(),
+                        Err(reason) => return Ok(Some(reason)),
+                    }
+                }
+                return Ok(None);
             }
             Some(Tapped::Untouched) => {}
         }
@@ -196,4 +208,24 @@ async fn patiently<T>(
         },
         _ = stopped.changed() => Ok(Err("the server stops")),
     }
+}
+
+/// Waits until the peer has closed the connection, even if it has sent what there is no room for: whoever goes must not let
+/// the robot go on because of that.
+#[cfg(any(target_os = "linux", target_os = "android"))]
+async fn closed(stream: &TcpStream) -> io::Result<()> {
+    use tokio::io::Interest;
+    loop {
+        if stream.ready(Interest::PRIORITY).await?.is_read_closed() {
+            return Ok(());
+        }
+        // urgent bytes, which nobody looks at
+        let _ = stream.try_io(Interest::PRIORITY, || Err::<(), _>(io::ErrorKind::WouldBlock.into()));
+    }
+}
+
+/// Waits for ever: here it shows only when there is room again.
+#[cfg(not(any(target_os = "linux", target_os = "android")))]
+async fn closed(_: &TcpStream) -> io::Result<()> {
+    std::future::pending().await
 }

@@ -253,6 +253,24 @@ fn a_call_out_of_time_is_answered_and_abandoned() {
 }
 
 #[test]
+fn every_repetition_of_a_call_that_runs_is_told_so() {
+    for config in [Config::UDP, Config::SERIAL] {
+        let mut bench = Bench::connected(config, "");
+        bench.handler.wait_until = Some(at(5000));
+        assert_eq!(bench.call(halt(), 4, at(0)), []);
+        for serial in 5..200 {
+            assert_eq!(bench.attempt(&halt(), serial, 4, at(1)), [(serial, HResult::S_EXECUTING)]);
+        }
+        // what the handler is asked about again is still its request
+        assert_eq!(
+            bench.run(at(5000)).iter().map(|reply| (reply.0, reply.1)).collect::<Vec<_>>(),
+            [(199, HResult::S_OK)]
+        );
+        assert_eq!(bench.handler.calls, [(70, 2)]);
+    }
+}
+
+#[test]
 fn no_client_lets_a_call_run_for_longer_than_the_server_allows() {
     for options in ["", "InvokeTimeout=4294967295", "InvokeTimeout=3000", "InvokeTimeout=80"] {
         let mut bench = Bench::connected(Config { invoke_timeout_max: Duration::from_secs(2), ..Config::TCP }, options);

@@ -166,9 +166,7 @@ impl Audit {
 
     /// Tells whether the record was taken; without a reader it is of no use to anybody, so it counts as taken.
     fn send(&self, record: &Record) -> bool {
-        // strings and numbers have no way to fail
-        let line = serde_json::to_string(&Line { time: time(), record }).unwrap_or_default();
-        !matches!(self.lines.try_send(line), Err(TrySendError::Full(_)))
+        !matches!(self.lines.try_send(text(record)), Err(TrySendError::Full(_)))
     }
 
     /// Writes what waits, as far as somebody reads it.
@@ -181,13 +179,32 @@ impl Audit {
     }
 }
 
-/// Writes lines until there are no more, or nobody reads them.
-fn write(mut output: Box<dyn Write + Send>, lines: &Receiver<String>) {
+/// Writes lines until there are no more, or nobody reads them. What a full disk does not take is counted, and the count is
+/// written as soon as it takes something again.
+fn write(mut output: impl Write, lines: &Receiver<String>) {
+    let mut put = |line: &str| writeln!(output, "{line}").and_then(|()| output.flush());
+    let mut lost = 0;
     while let Ok(line) = lines.recv() {
-        if writeln!(output, "{line}").and_then(|()| output.flush()).is_err() {
-            return;
+        let written = match lost {
+            0 => put(&line),
+            lines => put(&text(&Record::Dropped { lines })).and_then(|()| put(&line)),
+        };
+        match written {
+            Ok(()) => lost = 0,
+            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => return,
+            Err(error) => {
+                if lost == 0 {
+                    eprintln!("warning: the audit log cannot be written: {error}");
+                }
+                lost += 1;
+            }
         }
     }
+}
+
+fn text(record: &Record) -> String {
+    // strings and numbers have no way to fail
+    serde_json::to_string(&Line { time: time(), record }).unwrap_or_default()
 }
 
 /// Returns the time of day in UTC, as `2026-11-21T08:05:00.000Z`.
@@ -200,6 +217,40 @@ fn time() -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// A disk that is full for some writes.
+    struct Disk {
+        written: Vec<u8>,
+        full_for: u32,
+    }
+
+    impl Write for &mut Disk {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            if self.full_for > 0 {
+                self.full_for -= 1;
+                return Err(io::ErrorKind::StorageFull.into());
+            }
+            self.written.extend(bytes);
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn what_a_full_disk_does_not_take_is_counted() {
+        let mut disk = Disk { written: Vec::new(), full_for: 2 };
+        let (sender, lines) = sync_channel(10);
+        ["one", "two", "three"].iter().for_each(|line| sender.send((*line).to_owned()).unwrap());
+        drop(sender);
+        write(&mut disk, &lines);
+        let written = String::from_utf8(disk.written).unwrap();
+        let [dropped, three] = written.lines().collect::<Vec<_>>()[..] else { panic!("{written}") };
+        assert!(dropped.contains("\"lines\":2"), "{dropped}");
+        assert_eq!(three, "three");
+    }
 
     #[test]
     fn a_line_says_when_who_what_and_how_it_ended() {

@@ -14,6 +14,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{Notify, watch};
 use tokio::task::JoinSet;
+use tokio::task::coop::consume_budget;
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
 use super::audit::Record;
@@ -126,6 +127,8 @@ async fn converse(stream: &TcpStream, peer: PeerId, wake: &Notify, shared: &Shar
     // when the line or the response began that is under way
     let mut since = None;
     loop {
+        // readiness costs nothing, so who sends and reads without a pause would have the thread to himself
+        consume_budget().await;
         shared.step();
         // there may be something to send, or another time to wake up at
         shared.robot.notify_one();

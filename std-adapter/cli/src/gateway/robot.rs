@@ -7,6 +7,7 @@ use std::time::Duration;
 use bcap_core::time::Instant;
 use tokio::net::TcpStream;
 use tokio::sync::watch;
+use tokio::task::coop::consume_budget;
 use tokio::time::{sleep, timeout};
 
 use super::{Shared, must_wait};
@@ -16,6 +17,8 @@ use crate::target::Target;
 pub(super) async fn run(shared: Arc<Shared>, target: Target, limit: Duration, mut stopped: watch::Receiver<()>) {
     let mut stream = None;
     loop {
+        // a robot that sends without a pause shall not have the thread to itself
+        consume_budget().await;
         shared.step();
         let wanted = shared.lock().gateway.robot_wanted();
         stream = match stream.take() {
