@@ -527,10 +527,14 @@ impl<const N: usize> Engine<N> {
         let pose = self.config.format.mode.pose;
         let mut numbers = [0.0; 10];
         let count = read_numbers(value, numbers.get_mut(..pose.len()).unwrap_or_default()).ok_or(Cause::NoValue)?;
+        if pose == PoseType::J {
+            // whatever stands for joints that the robot has not
+            let absent = numbers.iter_mut().skip(usize::from(self.config.joints));
+            absent.filter(|number| !number.is_finite()).for_each(|number| *number = 0.0);
+        }
         let at = Pose::from_numbers(pose, numbers.get(..count).unwrap_or_default()).ok_or(Cause::NoValue)?;
         let [.., j7, j8] = at.axes();
-        self.last = at.with_axes(self.config.format.extended, j7, j8);
-        Ok(())
+        self.stand_at(at.with_axes(self.config.format.extended, j7, j8))
     }
 
     /// Reads where the extended joints stand.
@@ -538,7 +542,15 @@ impl<const N: usize> Engine<N> {
         let mut numbers = [0.0; 8];
         read_numbers(value, &mut numbers).filter(|count| *count == numbers.len()).ok_or(Cause::NoValue)?;
         let [.., j7, j8] = numbers;
-        self.last = self.last.with_axes(self.config.format.extended, j7, j8);
+        self.stand_at(self.last.with_axes(self.config.format.extended, j7, j8))
+    }
+
+    /// Takes note of where the robot stands. What is not a number is nowhere: every limit would hold for a step from there.
+    fn stand_at(&mut self, pose: Pose) -> Result<(), Cause> {
+        if !pose.as_slice().iter().all(|number| number.is_finite()) {
+            return Err(Cause::NoValue);
+        }
+        self.last = pose;
         Ok(())
     }
 

@@ -485,6 +485,21 @@ fn recovery_happens_on_request_and_starts_where_the_robot_stands() {
 }
 
 #[test]
+fn a_robot_that_stands_nowhere_is_not_moved() {
+    for number in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
+        let limited = Config { limits: AxisLimits::uniform(10.0, 100.0), ..config(Mode::Mode0) };
+        let mut rig = Rig::new(limited, &[0.0, number, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
+        let fault = rig.engine.fault().unwrap();
+        assert_eq!((fault.step, fault.cause, rig.moves), (Step::Position, Cause::NoValue, 0));
+        // joints that it has not may stand anywhere
+        let mut rig = Rig::new(limited, &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, number, number]);
+        assert_eq!(rig.run(|_| None), Action::Finished);
+        assert_eq!(*rig.engine.start_pose().unwrap(), joints(0.0));
+    }
+}
+
+#[test]
 fn a_stop_during_a_recovery_is_not_forgotten() {
     let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
     rig.controller.script.push(("Motor", refused(HResult::from_u32(0x8350_106e))));
