@@ -48,7 +48,7 @@ enum Op {
     Finish,
     Recover,
     Pass(u16),
-    /// So many cycles of a stream as it should be.
+    /// So many steps of a stream as it should be, a few for each cycle.
     Stream(u8),
 }
 
@@ -163,7 +163,7 @@ impl Run {
             }
             Op::Pass(millis) => self.now = self.now + Duration::from_millis(u64::from(millis)),
             Op::Stream(cycles) => {
-                for _ in 0..3 * u32::from(cycles) {
+                for _ in 0..cycles {
                     self.go_on();
                 }
             }
@@ -353,7 +353,7 @@ impl Run {
             match self.poll() {
                 Action::Call(..) if options & 8 != 0 => self.fail(Failure::Timeout),
                 Action::Call(Step::Move, _) if options & 16 != 0 => {
-                    self.now = self.now + Duration::from_millis(1);
+                    self.now = self.now + Duration::from_millis(50);
                     self.reply(HResult::E_BUF_FULL, Value::Empty);
                 }
                 Action::Call(..) => self.obey(ROBOT),
