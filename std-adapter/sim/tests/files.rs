@@ -198,3 +198,12 @@ fn the_attribute_tells_folders_and_what_cannot_be_written() {
     fs::set_permissions(&path, permissions).unwrap();
     assert_eq!(rig.call(call::file_get_attribute(file)), ok(&1));
 }
+
+#[test]
+fn paths_have_no_more_than_32_parts() {
+    let mut rig = Rig::new();
+    let path = |parts| vec!["a"; parts].join("/");
+    assert_eq!(rig.get(&path(32), ""), code(HResult::E_CAO_OBJECT_NOTFOUND));
+    assert_eq!(rig.get(&path(33), ""), code(HResult::E_INVALIDARG));
+    assert_eq!(rig.get(&"./".repeat(40_000), ""), code(HResult::E_INVALIDARG), "the root itself");
+}

@@ -2,7 +2,7 @@
 
 mod common;
 
-use bcap_core::bcap::call::{self, ControllerHandle, RobotHandle, TaskHandle, VariableHandle};
+use bcap_core::bcap::call::{self, CommandHandle, ControllerHandle, RobotHandle, TaskHandle, VariableHandle};
 use bcap_core::bcap::server::Handler as _;
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
@@ -343,4 +343,32 @@ fn what_is_not_modelled_says_so() {
     assert_eq!(world.robot(client, "MotionPreparation", ()), code(HResult::E_INVALID_CMD_NAME));
     assert_eq!(world.robot(client, "Sing", ()), code(HResult::E_INVALID_CMD_NAME));
     assert_eq!(world.execute(client, "Sing", ()), code(HResult::E_INVALID_CMD_NAME));
+}
+
+#[test]
+fn what_a_client_leaves_behind_has_a_largest_size() {
+    let mut world = World::new();
+    let client = world.client(1);
+    let peer = client.peer;
+    let (fits, over) = ([7_u8; 4000], [7_u8; 4100]);
+    let too_large = code(HResult::E_ARGSIZEOVER);
+    assert_eq!(world.call(peer, call::robot_put_tag(client.robot, &fits[..])), code(HResult::S_OK));
+    assert_eq!(world.call(peer, call::robot_put_tag(client.robot, 7)), code(HResult::S_OK));
+    assert_eq!(world.call(peer, call::robot_put_tag(client.robot, &over[..])), too_large);
+    assert_eq!(world.call(peer, call::robot_get_tag(client.robot)), ok(&7), "what was there stays");
+    assert_eq!(world.call(peer, call::controller_put_id(client.controller, &over[..])), too_large);
+    let command = CommandHandle(world.handle(peer, call::controller_get_command(client.controller, "Motor", "")));
+    assert_eq!(world.call(peer, call::command_put_parameters(command, &over[..])), too_large);
+    assert_eq!(world.call(peer, call::command_put_parameters(command, &fits[..])), code(HResult::S_OK));
+    assert_eq!(world.call(peer, call::command_execute(command, 0)), code(HResult::E_INVALIDARG), "so many numbers");
+    let name = "x".repeat(1025);
+    let robot = |name| call::controller_get_robot(client.controller, name, "");
+    assert_eq!(world.call(peer, robot(&name)), too_large);
+    world.handle(peer, robot(&name[1..]));
+    let text = world.variable(client, "S1");
+    let (fits, over) = ("x".repeat(32 << 10), "x".repeat((32 << 10) + 1));
+    assert_eq!(world.call(peer, call::variable_put_value(text, fits.as_str())), code(HResult::S_OK));
+    assert_eq!(world.call(peer, call::variable_put_value(text, "seven")), code(HResult::S_OK));
+    assert_eq!(world.call(peer, call::variable_put_value(text, over.as_str())), too_large);
+    assert_eq!(world.call(peer, call::variable_get_value(text)), ok("seven"));
 }

@@ -57,13 +57,13 @@ impl World {
 
     /// Calls the handler once.
     pub(crate) fn poll(&mut self, peer: PeerId, call: &impl Call, resumed: bool) -> (Outcome, Value) {
-        let mut frame = [0; 8192];
+        let mut frame = vec![0; 1 << 18];
         let mut writer = FrameWriter::new(&mut frame).unwrap();
         call.arguments(&mut writer).unwrap();
         let bytes = writer.finish(1, 0, call.function().0).unwrap();
         let frame = Decoder::TCP.decode_datagram(bytes).unwrap();
         let request = Request { function: frame.function(), args: frame.args, resumed };
-        let mut buffer = [0; 8192];
+        let mut buffer = vec![0; 1 << 18];
         let mut reply = ReplyValue::new(&mut buffer);
         let outcome = self.sim.call(peer, &request, &mut reply, self.now);
         let value = match reply.as_bytes() {
