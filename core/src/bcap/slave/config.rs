@@ -83,6 +83,12 @@ impl Config {
         Duration::from_micros(u64::from(micros(self.cycle)).wrapping_mul(u64::from(count)))
     }
 
+    /// Tells whether every number can be compared: what is not one is within any bound.
+    pub(super) fn has_numbers(&self) -> bool {
+        let bounds = self.limits.speed.iter().chain(&self.limits.acceleration).chain([&self.tolerance]);
+        self.start.is_none_or(|start| start.is_finite()) && !bounds.copied().any(f64::is_nan)
+    }
+
     /// Returns the cycle in seconds.
     pub(super) const fn seconds(&self) -> f64 {
         self.cycle.as_secs_f64()
@@ -100,6 +106,8 @@ pub enum ConfigError {
     Frame(EncodeError),
     /// The cycle is below one microsecond.
     Cycle,
+    /// The start has a number that is not finite, or the tolerance or a limit is NaN: every pose would be within it.
+    Number,
 }
 
 impl fmt::Display for ConfigError {
@@ -108,6 +116,7 @@ impl fmt::Display for ConfigError {
             Self::Start(error) => write!(f, "the start of the stream: {error}"),
             Self::Frame(error) => write!(f, "the frame of slvMove: {error}"),
             Self::Cycle => f.write_str("the cycle is too short"),
+            Self::Number => f.write_str("the start, the tolerance or a limit is not a number"),
         }
     }
 }

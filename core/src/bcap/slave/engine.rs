@@ -198,6 +198,9 @@ impl<const N: usize> Engine<N> {
         if config.cycle < Duration::from_micros(1) {
             return Err(ConfigError::Cycle);
         }
+        if !config.has_numbers() {
+            return Err(ConfigError::Number);
+        }
         Ok(Self {
             config,
             frame: frame.map_err(ConfigError::Frame)?,
@@ -547,7 +550,7 @@ impl<const N: usize> Engine<N> {
 
     /// Takes note of where the robot stands. What is not a number is nowhere: every limit would hold for a step from there.
     fn stand_at(&mut self, pose: Pose) -> Result<(), Cause> {
-        if !pose.as_slice().iter().all(|number| number.is_finite()) {
+        if !pose.is_finite() {
             return Err(Cause::NoValue);
         }
         self.last = pose;

@@ -224,6 +224,11 @@ impl Pose {
         &self.numbers
     }
 
+    /// Tells whether no number is infinite or NaN.
+    pub(super) fn is_finite(&self) -> bool {
+        self.as_slice().iter().all(|number| number.is_finite())
+    }
+
     /// Returns the numbers without the extended-joint option and what follows it.
     #[must_use]
     pub fn numbers(&self) -> &[f64] {

@@ -500,6 +500,28 @@ fn a_robot_that_stands_nowhere_is_not_moved() {
 }
 
 #[test]
+fn bounds_that_are_no_numbers_are_refused() {
+    let nan = |axis: usize| {
+        let mut limits = AxisLimits::uniform(10.0, 100.0);
+        limits.speed[axis] = f64::NAN;
+        limits
+    };
+    let good = config(Mode::Mode0);
+    let acceleration = AxisLimits { acceleration: [f64::NAN; 8], ..AxisLimits::NONE };
+    for bad in [
+        Config { limits: nan(0), ..good },
+        Config { limits: nan(7), ..good },
+        Config { limits: acceleration, ..good },
+        Config { tolerance: f64::NAN, ..good },
+        Config { start: Some(joints(f64::NAN)), ..good },
+        Config { start: Some(joints(f64::INFINITY)), ..good },
+    ] {
+        assert_eq!(Engine::<256>::new(bad).unwrap_err(), ConfigError::Number);
+    }
+    assert!(Engine::<256>::new(Config { limits: AxisLimits::NONE, ..good }).is_ok(), "infinite limits are none");
+}
+
+#[test]
 fn a_stop_during_a_recovery_is_not_forgotten() {
     let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
     rig.controller.script.push(("Motor", refused(HResult::from_u32(0x8350_106e))));
