@@ -168,7 +168,7 @@ fn print_name(path: &Path, json: bool) -> Result<(), Failure> {
         let kind = word(path.object());
         print_line(&serde_json::json!({ "kind": kind, "name": path.to_string() }).to_string())
     } else {
-        print_line(&path.to_string())
+        print_line(&visible(&path.to_string()))
     }
 }
 

@@ -27,7 +27,7 @@ use crate::controller::{Controller, Wait};
 use crate::dispatch::{Answer, Answered};
 use crate::objects::{Contents, Item};
 use crate::robot::Servo;
-use crate::value::{Value, keep_small, kept};
+use crate::value::{Value, keep, kept};
 
 /// A command object's own state.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -88,7 +88,7 @@ impl Controller {
             .into(),
             FunctionId::COMMAND_GET_PARAMETERS => Value::Kept(command.parameters.clone()).into(),
             FunctionId::COMMAND_PUT_PARAMETERS => {
-                command.parameters = keep_small(&request.value(1))?;
+                command.parameters = keep(&request.value(1))?;
                 Answer::Done
             }
             FunctionId::COMMAND_GET_RESULT => match &command.progress {

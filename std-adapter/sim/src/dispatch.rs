@@ -14,7 +14,7 @@ use crate::hand;
 use crate::objects::{Contents, Entry, Item, Target};
 use crate::options::option;
 use crate::system::{self, Owner};
-use crate::value::{Value, keep_small, one_int};
+use crate::value::{Value, keep, one_int};
 use crate::variables::{Family, parse_name, wildcard_names};
 
 /// Bytes of an object's name at most.
@@ -183,7 +183,7 @@ impl Controller {
             "GetAttribute" => Value::I4(0).into(),
             "GetTag" => entry.tag.clone().map_or(Value::Empty, Value::Kept).into(),
             "PutTag" => {
-                entry.tag = Some(keep_small(&request.value(1))?);
+                entry.tag = Some(keep(&request.value(1))?);
                 Answer::Done
             }
             "GetID" => match entry.item {
@@ -209,7 +209,7 @@ impl Controller {
             }
             // the index is part of the name
             Item::Variable(Target::User(..)) => return Err(HResult::E_CAO_NOT_WRITABLE),
-            _ => entry.id = Some(keep_small(id)?),
+            _ => entry.id = Some(keep(id)?),
         }
         Ok(())
     }

@@ -80,32 +80,14 @@ impl From<&str> for Value {
 /// Bytes of a tag, an ID or the parameters of a command at most; every object of every client may have them.
 const KEPT_MAX: usize = 4096;
 
-/// Keeps a client's value of any type as its encoding, if it is not large.
-pub(crate) fn keep_small(value: &Variant<'_>) -> Result<Vec<u8>, HResult> {
+/// Keeps a client's value of any type as its encoding.
+pub(crate) fn keep(value: &Variant<'_>) -> Result<Vec<u8>, HResult> {
     let mut buffer = [0; KEPT_MAX];
     let mut copy = ReplyValue::new(&mut buffer);
-    copy.set(value).map_err(refused)?;
-    Ok(copy.as_bytes().to_vec())
-}
-
-/// Keeps a value of any type as its encoding.
-pub(crate) fn keep(value: &Variant<'_>) -> Result<Vec<u8>, HResult> {
-    let mut size = 256;
-    loop {
-        let mut buffer = vec![0; size];
-        let mut copy = ReplyValue::new(&mut buffer);
-        match copy.set(value) {
-            Ok(()) => return Ok(copy.as_bytes().to_vec()),
-            Err(EncodeError::Full) if size < Limits::STREAM.frame as usize => size *= 4,
-            Err(error) => return Err(refused(error)),
-        }
-    }
-}
-
-const fn refused(error: EncodeError) -> HResult {
-    match error {
-        EncodeError::Full => HResult::E_ARGSIZEOVER,
-        _ => HResult::E_INVALIDARGTYPE,
+    match copy.set(value) {
+        Ok(()) => Ok(copy.as_bytes().to_vec()),
+        Err(EncodeError::Full) => Err(HResult::E_ARGSIZEOVER),
+        Err(_) => Err(HResult::E_INVALIDARGTYPE),
     }
 }
 

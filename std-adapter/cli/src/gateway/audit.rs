@@ -185,12 +185,12 @@ fn write(mut output: impl Write, lines: &Receiver<String>) {
     let mut put = |line: &str| writeln!(output, "{line}").and_then(|()| output.flush());
     let mut lost = 0;
     while let Ok(line) = lines.recv() {
-        let written = match lost {
-            0 => put(&line),
-            lines => put(&text(&Record::Dropped { lines })).and_then(|()| put(&line)),
+        let told = match lost {
+            0 => Ok(()),
+            lines => put(&text(&Record::Dropped { lines })).inspect(|()| lost = 0),
         };
-        match written {
-            Ok(()) => lost = 0,
+        match told.and_then(|()| put(&line)) {
+            Ok(()) => {}
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => return,
             Err(error) => {
                 if lost == 0 {

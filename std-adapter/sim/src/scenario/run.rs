@@ -10,7 +10,7 @@ use bcap_core::time::Instant;
 
 use super::{Delivery, Effect, Fault, Scenario, Trigger, Which, WireFault};
 use crate::controller::Controller;
-use crate::value::{keep, kept};
+use crate::value::kept;
 
 /// A scenario that is being played.
 #[derive(Clone, Debug)]
@@ -217,7 +217,7 @@ impl Controller {
         };
         match outcome {
             Outcome::Done(code) if self.now < fate.until => {
-                let value = reply.get().and_then(|value| keep(&value).ok()).unwrap_or_default();
+                let value = reply.as_bytes().to_vec();
                 reply.clear();
                 if let Some(fate) = self.fates.get_mut(&peer) {
                     fate.answer = Some((code, value));
