@@ -1,6 +1,7 @@
 //! The command line.
 #![allow(rustdoc::broken_intra_doc_links, reason = "these comments are the help text, where brackets are brackets")]
 
+use std::env;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -13,6 +14,7 @@ mod slave;
 
 pub(crate) use self::slave::{Cosine, Doctor, Halt, Play, Record, Slave, SlaveCommand, StreamArgs};
 use crate::error::Failure;
+use crate::escape;
 use crate::frame::Role;
 use crate::gateway::AllowPut;
 use crate::target::Target;
@@ -37,6 +39,44 @@ Exit codes: 0 done, 1 the controller refused, 2 wrong usage or malformed input, 
 130 stopped by a signal before the end.
 Colours are left out when NO_COLOR is set or the output is not a terminal.";
 
+/// How long to wait for an answer unless the user says otherwise.
+const DEFAULT_TIMEOUT: Duration = Duration::from_secs(3);
+
+impl Cli {
+    /// Reads the command line, or ends the program with the help or an error.
+    pub(crate) fn parse_or_exit() -> Self {
+        Self::try_parse().unwrap_or_else(|error| {
+            if !error.use_stderr() {
+                // help and version are the command's own text
+                error.exit();
+            }
+            // clap repeats arguments in its errors, so these are made again of arguments that are safe to print
+            let safe = env::args_os().map(|argument| escape::line(&escape::cut(&argument.display())));
+            match Self::try_parse_from(safe) {
+                Err(error) if error.use_stderr() => error.exit(),
+                // the error was in what is escaped now
+                _ => Failure::Input(escape::line(&error.to_string())).exit(),
+            }
+        })
+    }
+}
+
+/// Reads a time: a number of milliseconds, or one with `ms`, `s` or `min`, from 1 ms to a day.
+fn duration(text: &str) -> Result<Duration, String> {
+    const DAY: u64 = 86_400_000;
+    let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+    let (number, unit) = text.split_at(digits);
+    let factor = match unit {
+        "" | "ms" => Some(1),
+        "s" => Some(1000),
+        "min" => Some(60_000),
+        _ => None,
+    };
+    let time = number.parse::<u64>().ok().zip(factor).and_then(|(number, factor)| number.checked_mul(factor));
+    let time = time.filter(|ms| (1..=DAY).contains(ms)).map(Duration::from_millis);
+    time.ok_or_else(|| "write a time from 1 ms to a day, such as 500, 500ms, 2s or 1min".into())
+}
+
 /// How to reach the controller.
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Connection")]
@@ -47,9 +87,14 @@ pub(crate) struct LinkArgs {
     #[arg(long, global = true, value_name = "ADDRESS")]
     pub(crate) robot: Option<String>,
 
-    /// How long to wait for a connection, and for an answer or a sign of life; over UDP five attempts share it
-    #[arg(long, global = true, value_name = "MS", default_value_t = 3000, value_parser = clap::value_parser!(u64).range(1..=86_400_000))]
-    pub(crate) timeout: u64,
+    /// How long the whole command may take, in ms or with a unit (2s) [default: 3 s for each answer or keep-alive]
+    ///
+    /// It bounds the connection, all calls, their keep-alives and the end of the session. For `watch` and `slave record`
+    /// it bounds each round; for `doctor` each link, then all that is looked at; for `slave play`, `slave cosine` and
+    /// `gateway` each answer. Without it `halt` ends within 3 s, and a controller may keep any other call alive for
+    /// 180 s. Over UDP five attempts share the time.
+    #[arg(long, global = true, value_name = "MS", value_parser = duration)]
+    pub(crate) timeout: Option<Duration>,
 
     /// The provider to connect to: an RC9 or COBOTTA PRO has CaoProv.DENSO.VRC9
     #[arg(long, global = true, value_name = "NAME", default_value = "CaoProv.DENSO.VRC")]
@@ -67,13 +112,24 @@ impl LinkArgs {
         Target::rac(self.robot.as_deref())
     }
 
+    /// Returns how long to wait for a connection, and for an answer or the next keep-alive.
     pub(crate) fn timeout(&self) -> Duration {
-        Duration::from_millis(self.timeout)
+        self.timeout.unwrap_or(DEFAULT_TIMEOUT)
     }
 
-    /// Returns the option of Service_Start: signs of life three times as often as they are waited for.
+    /// Returns how long the whole command may take; `None` if the user has not limited it.
+    pub(crate) const fn limit(&self) -> Option<Duration> {
+        self.timeout
+    }
+
+    /// Limits the whole command even if the user has not.
+    pub(crate) fn limited(&self) -> Self {
+        Self { timeout: Some(self.timeout()), ..self.clone() }
+    }
+
+    /// Returns the option of Service_Start: three keep-alives in the time that one is waited for.
     pub(crate) fn start_option(&self) -> String {
-        match self.timeout / 3 {
+        match self.timeout().as_millis() / 3 {
             // a server refuses less than 80 ms (S2:225)
             0..80 => String::new(),
             interval => format!("WDT={}", interval.min(400)),
@@ -170,7 +226,9 @@ pub(crate) struct Watch {
 
 /// Lists what the controller has: variables, robots, tasks, files, extensions, commands
 ///
-/// The names are printed as the other commands take them. A list that the controller does not have is left out.
+/// The names are printed as the other commands take them. A list that the controller does not implement (E_NOTIMPL) is left
+/// out; any other list that cannot be read is an error, and the exit code is then 1. Over UDP a list must fit one datagram of
+/// at most 504 bytes; TCP carries longer ones.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -470,8 +528,9 @@ pub(crate) struct Form {
 
 /// Turns values into the text that RAC carries, and back
 ///
-/// The text is TYPE,DATA: the VARTYPE as a number, then the data. What is printed parses back to the same bits; a value that
-/// has no text, such as an empty array, is an error. With `-` each line of the standard input is one item and gives one
+/// The text is TYPE,DATA: the VARTYPE as a number, then the data. What is printed parses back to the same bits, unless it has
+/// control characters, which are printed as \u{1b}; with --json the text is {"text":"8,\u001b"} and exact. A value that has
+/// no text, such as an empty array, is an error. With `-` each line of the standard input is one item and gives one
 /// line; a bad one gives {"error":...,"offset":...}, and the exit code is 2 at the end.
 #[derive(Debug, Args)]
 #[command(after_help = "\

@@ -2,16 +2,19 @@
 
 use std::io;
 use std::net::{SocketAddr, ToSocketAddrs};
+use std::sync::mpsc;
+use std::thread;
 use std::time::Duration;
 
 use bcap_core::bcap::call::{Call, Maybe};
 use bcap_core::bcap::client::{ClientError, Timeout};
-use bcap_core::bcap::{FrameWriter, FunctionId};
+use bcap_core::bcap::{FrameWriter, FunctionId, Link};
 use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
 use bcap_std::blocking::{self, TcpClient, Transport as Wire, UdpClient};
 use bcap_std::{CallError, ConnectError, Options};
 
+use crate::budget::Budget;
 use crate::error::Failure;
 use crate::target::{Target, Transport};
 use crate::value::Value;
@@ -23,7 +26,8 @@ const UDP_ATTEMPTS: u8 = 5;
 pub(crate) struct Connection {
     client: Client,
     target: Target,
-    timeout: Duration,
+    /// The time limits of the calls to come.
+    pub(crate) budget: Budget,
 }
 
 enum Client {
@@ -51,19 +55,17 @@ impl Call for AnyCall<'_> {
 
 impl Connection {
     /// Connects; over UDP nothing is sent before the first call.
-    pub(crate) fn open(target: &Target, timeout: Duration) -> Result<Self, Failure> {
-        let mut options = Options::default().timeout(timeout);
-        options.udp.attempts = UDP_ATTEMPTS;
-        options.udp.attempt_timeout = (timeout / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
-        let peer = (target.host.as_str(), target.port);
+    pub(crate) fn open(target: &Target, budget: Budget) -> Result<Self, Failure> {
+        let addresses = addresses(target, &budget)?;
         let client = match target.transport {
-            Transport::Tcp => blocking::connect_tcp(peer, &options).map(Client::Tcp),
-            Transport::Udp => blocking::connect_udp(&addresses(peer)?[..], &options).map(Client::Udp),
-        };
-        match client {
-            Ok(client) => Ok(Self { client, target: target.clone(), timeout }),
-            Err(error) => Err(not_connected(&error, target)),
-        }
+            Transport::Tcp => first(&addresses, target, &budget, |address, options| {
+                blocking::connect_tcp(address, options).map(Client::Tcp)
+            }),
+            Transport::Udp => first(&addresses, target, &budget, |address, options| {
+                blocking::connect_udp(address, options).map(Client::Udp)
+            }),
+        }?;
+        Ok(Self { client, target: target.clone(), budget })
     }
 
     /// Calls a function and returns the controller's code, and the value of a success.
@@ -72,15 +74,42 @@ impl Connection {
         function: FunctionId,
         arguments: &[Value],
     ) -> Result<(HResult, Option<Value>), Failure> {
-        let call = AnyCall { function, arguments };
+        let (call, budget) = (AnyCall { function, arguments }, &self.budget);
+        if budget.left().is_some_and(|left| left.is_zero()) {
+            return Err(exhausted(&self.target, budget, &function.to_string()));
+        }
         let replied = match &mut self.client {
-            Client::Tcp(client) => call_over(client, call),
-            Client::Udp(client) => call_over(client, call),
+            Client::Tcp(client) => call_over(client, call, budget),
+            Client::Udp(client) => call_over(client, call, budget),
         };
         match replied {
             Ok(reply) => Ok(reply),
             Err(CallError::Refused(code)) => Ok((code, None)),
-            Err(error) => Err(failed(&error, &self.target, self.timeout, &function.to_string())),
+            Err(CallError::Client(ClientError::Timeout(Timeout::Deadline | Timeout::KeepAlive)))
+                if budget.total().is_some() =>
+            {
+                Err(exhausted(&self.target, budget, &function.to_string()))
+            }
+            Err(error) => Err(failed(&error, &self.target, budget.answer(), &function.to_string())),
+        }
+    }
+}
+
+/// Reports that the time limit of the whole command passed before the controller had answered.
+pub(crate) fn exhausted(target: &Target, budget: &Budget, call: &str) -> Failure {
+    let limit = budget.total().unwrap_or_default().as_millis();
+    Failure::Timeout {
+        message: format!("{target} did not answer {call} within the command's time limit of {limit} ms (--timeout)"),
+        hint: format!("allow more time with --timeout, or {}", check(target.transport)),
+    }
+}
+
+/// Says what to check when nothing answers.
+const fn check(transport: Transport) -> &'static str {
+    match transport {
+        Transport::Tcp => "check that the controller's server listens there",
+        Transport::Udp => {
+            "check the address, that the controller's b-CAP accepts UDP, that the reply fits a datagram, and firewalls"
         }
     }
 }
@@ -98,14 +127,8 @@ pub(crate) fn failed(error: &CallError, target: &Target, timeout: Duration, func
                 Timeout::Attempt => format!("{target} did not answer {function} within {} ms", timeout.as_millis()),
                 Timeout::Deadline | Timeout::KeepAlive => format!("{function} took too long: {error}"),
             };
-            let hint = match target.transport {
-                Transport::Tcp => "check that a b-CAP server listens there, or allow more time with --timeout",
-                Transport::Udp => {
-                    "check the address, that the controller's b-CAP accepts UDP, and firewalls, or allow more time \
-                     with --timeout"
-                }
-            };
-            Failure::Timeout { message, hint: hint.into() }
+            let hint = format!("{}, or allow more time with --timeout", check(target.transport));
+            Failure::Timeout { message, hint }
         }
         CallError::Client(ClientError::Encode(_) | ClientError::TooLarge { .. }) => {
             let hint = match target.transport {
@@ -121,21 +144,64 @@ pub(crate) fn failed(error: &CallError, target: &Target, timeout: Duration, func
     }
 }
 
-/// Looks a host up for UDP, where nothing tells beforehand which of several addresses is heard.
+/// Looks a host up, for no longer than the command may take.
 ///
-/// IPv4 goes first: controllers speak it, and `localhost` has both.
-fn addresses((host, port): (&str, u16)) -> Result<Vec<SocketAddr>, Failure> {
-    let found = (host, port).to_socket_addrs().map_err(|error| not_found(host, &error))?;
-    let (mut addresses, others): (Vec<_>, Vec<_>) = found.partition(SocketAddr::is_ipv4);
+/// IPv4 goes first: controllers speak it, `localhost` has both, and over UDP nothing shows which address is in use.
+pub(crate) fn addresses(target: &Target, budget: &Budget) -> Result<Vec<SocketAddr>, Failure> {
+    let (sender, receiver) = mpsc::channel();
+    let (host, port) = (target.host.clone(), target.port);
+    // the system's resolver takes no time limit
+    thread::Builder::new().name("resolver".into()).spawn(move || {
+        let found = (host.as_str(), port).to_socket_addrs().map(Iterator::collect::<Vec<_>>);
+        // there is no receiver after the time limit
+        let _ = sender.send(found);
+    })?;
+    let found = match budget.left() {
+        Some(left) => receiver.recv_timeout(left).ok(),
+        None => receiver.recv().ok(),
+    };
+    let found = found.unwrap_or_else(|| Err(io::ErrorKind::TimedOut.into()));
+    let found = found.map_err(|error| not_found(&target.host, &error))?;
+    let (mut addresses, others): (Vec<_>, Vec<_>) = found.into_iter().partition(SocketAddr::is_ipv4);
     addresses.extend(others);
     Ok(addresses)
 }
 
-/// Calls, and copies what the reply carries.
+/// Connects to the first address that accepts; each may take an equal share of the time that is left.
+pub(crate) fn first<T>(
+    addresses: &[SocketAddr],
+    target: &Target,
+    budget: &Budget,
+    mut connect: impl FnMut(SocketAddr, &Options) -> Result<T, ConnectError>,
+) -> Result<T, Failure> {
+    let mut failure = not_found(&target.host, &io::ErrorKind::NotFound.into());
+    for (i, address) in addresses.iter().enumerate() {
+        let options = Options::default().timeout(budget.share(addresses.len() - i));
+        match connect(*address, &options) {
+            Ok(connected) => return Ok(connected),
+            Err(error) => failure = not_connected(&error, target),
+        }
+    }
+    Err(failure)
+}
+
+/// Calls within the time that is left, and copies the value of the reply.
 fn call_over<X: Wire<Error = io::Error>>(
     client: &mut blocking::Connection<X, Vec<u8>>,
     call: AnyCall<'_>,
+    budget: &Budget,
 ) -> Result<(HResult, Option<Value>), CallError> {
+    let mut config = *client.client().config();
+    if config.link == Link::Datagram {
+        config.attempts = UDP_ATTEMPTS;
+        config.attempt_timeout = (budget.answer() / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
+    } else {
+        config.attempt_timeout = budget.answer();
+    }
+    if let Some(left) = budget.left() {
+        (config.deadline, config.keep_alive) = (left, left);
+    }
+    client.client().set_config(config);
     let value = client.call(call)?;
     let value = value.map(|value| Value::new(&value)).transpose().map_err(ClientError::Encode)?;
     Ok((client.last_result().unwrap_or_default(), value))

@@ -19,7 +19,7 @@ use crate::json::{self, LIMITS, Part};
 pub(crate) fn decode(args: &Decode, json: bool) -> Result<(), Failure> {
     let strictness = if args.lenient { Strictness::Lenient } else { Strictness::Strict };
     let decoder = Decoder { limits: LIMITS, strictness, crc: args.form.com };
-    Items::from_words(&args.hex).convert(|text, place| {
+    Items::from_words(&args.hex).convert(json, |text, place| {
         let bytes = hex::parse(text)?;
         match place {
             _ if args.form.variant => {
@@ -60,7 +60,7 @@ fn all_frames(bytes: &[u8], decoder: Decoder, role: Role, json: bool) -> Result<
 
 /// Runs `bcap encode`.
 pub(crate) fn encode(args: &Encode) -> Result<(), Failure> {
-    Items::from_words(&args.line).convert(|text, _| {
+    Items::from_words(&args.line).convert(false, |text, _| {
         let text =
             str::from_utf8(text).map_err(|error| ItemError::new("the text is not UTF-8", error.valid_up_to()))?;
         let bytes = if args.form.variant {

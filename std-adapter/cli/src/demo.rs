@@ -14,7 +14,7 @@ use bcap_std::{CallError, ConnectError, Options};
 use tokio::sync::oneshot;
 
 use crate::error::Failure;
-use crate::item::print_line;
+use crate::item::print_block;
 use crate::sim::{self, Listening};
 use crate::tap::{Protocol, Tap};
 use crate::value::Value;
@@ -24,7 +24,7 @@ const POSE: [f32; 7] = [400.0, 0.0, 300.5, 180.0, 0.0, 180.0, 5.0];
 /// Runs `bcap demo`.
 pub(crate) fn demo() -> Result<(), Failure> {
     let robot = Robot::start()?;
-    print_line(&format!(
+    print_block(&format!(
         "A virtual controller is running in this process: {}.\n\
          It has what `bcap sim` has. Below, -> is what the client sends and <- what the controller answers.",
         robot.listening.to_string().trim_start_matches("ready ")
@@ -33,7 +33,7 @@ pub(crate) fn demo() -> Result<(), Failure> {
     over_udp(&robot.listening)?;
     over_rac(&robot.listening)?;
     robot.stop()?;
-    print_line(
+    print_block(
         "\nThe three links saw the same variables. What to try next:\n  \
          bcap sim                  a virtual controller for other programs\n  \
          bcap names                what it has\n  \
@@ -43,7 +43,7 @@ pub(crate) fn demo() -> Result<(), Failure> {
 }
 
 fn over_tcp(listening: &Listening) -> Result<(), Failure> {
-    print_line(&format!("\n== b-CAP over TCP, {} ==", listening.bcap))?;
+    print_block(&format!("\n== b-CAP over TCP, {} ==", listening.bcap))?;
     let connected = blocking::connect_tcp(listening.bcap, &Options::default())
         .map_err(|error| unreached(&error, listening.bcap))?;
     let mut link = Link::tapping(connected);
@@ -78,7 +78,7 @@ fn over_tcp(listening: &Listening) -> Result<(), Failure> {
 }
 
 fn over_udp(listening: &Listening) -> Result<(), Failure> {
-    print_line(&format!(
+    print_block(&format!(
         "\n== b-CAP over UDP, {}: the reserved field says which attempt was the first ==",
         listening.udp
     ))?;
@@ -102,7 +102,7 @@ fn over_udp(listening: &Listening) -> Result<(), Failure> {
 }
 
 fn over_rac(listening: &Listening) -> Result<(), Failure> {
-    print_line(&format!("\n== RAC, text over TCP, {} ==", listening.rac))?;
+    print_block(&format!("\n== RAC, text over TCP, {} ==", listening.rac))?;
     let connected = blocking::connect_rac(listening.rac, &Options::default());
     let (transport, client) = connected.map_err(|error| unreached(&error, listening.rac))?.into_parts();
     let mut robot = RacConnection::new(Tap::new(transport, Protocol::Rac), client);
@@ -122,7 +122,7 @@ fn over_rac(listening: &Listening) -> Result<(), Failure> {
 /// Prints what has passed a tap, and what it was for.
 fn show<X>(purpose: &str, tap: &mut Tap<X>) -> Result<(), Failure> {
     let purpose = if purpose.is_empty() { String::new() } else { format!("\n{purpose}\n") };
-    print_line(&format!("{purpose}{}", tap.take().trim_end()))
+    print_block(&format!("{purpose}{}", tap.take().trim_end()))
 }
 
 /// A client whose frames are printed.
@@ -169,7 +169,7 @@ impl<X: Transport<Error = io::Error>> Link<X> {
             Ok(_) => Err(disagreement(format!("{doing} should have been refused"))),
         };
         show(purpose, self.connection.transport())?;
-        print_line(&format!("     {}", explained(code?)))
+        print_block(&format!("     {}", explained(code?)))
     }
 }
 

@@ -5,10 +5,10 @@
 //!   udp ─┘
 //! ```
 //!
-//! What cannot be told because of something else is skipped, so that what has failed is what is to be mended. Nothing moves
-//! and no variable is written. The arm is taken for a moment and given back (Keep 1, so that speeds, tool and work stay):
+//! A check that depends on one that failed is skipped, so that what has failed is what must be fixed. A check that got no
+//! usable answer is untested, which is not a success either. Nothing moves and no variable is written. The arm is taken for a moment and given back (Keep 1, so that speeds, tool and work stay):
 //! there is no other way to learn whether it is free. The licence shows in slvChangeMode, which without the arm cannot enter
-//! Slave Mode; the formats are set for this session alone, and only while nobody is in Slave Mode.
+//! Slave Mode; the formats are set for this session alone, and only while no client is in Slave Mode.
 
 mod report;
 
@@ -20,6 +20,7 @@ use bcap_core::variant::{Encode, Variant};
 
 use self::report::{Finding, Report};
 use crate::args::{Doctor, LinkArgs};
+use crate::budget::Budget;
 use crate::error::Failure;
 use crate::object::Path;
 use crate::session::{Session, integer, text};
@@ -27,8 +28,8 @@ use crate::target::Transport;
 use crate::value::Value;
 
 const PROVIDERS: [&str; 2] = ["CaoProv.DENSO.VRC", "CaoProv.DENSO.VRC9"];
-/// Over UDP nothing is refused, so silence is waited for no longer than this.
-const UDP_PATIENCE: Duration = Duration::from_secs(2);
+/// How long Service_Start over UDP may take: a port without a server is silent.
+const UDP_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Bits of SysState.
 const SERVO_ON: u32 = 2;
@@ -43,8 +44,8 @@ const CHECKS: [&str; 10] =
 /// Runs `bcap doctor`.
 pub(crate) fn doctor(args: &Doctor, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let mut report = Report::new(json);
-    let tcp = reach(&mut report, "tcp", &over(Transport::Tcp, args, link)?)?;
-    let udp = reach(&mut report, "udp", &over(Transport::Udp, args, link)?)?;
+    let tcp = reach(&mut report, Transport::Tcp, args, link)?;
+    let udp = reach(&mut report, Transport::Udp, args, link)?;
     let (session, other) = if tcp.is_some() { (tcp, udp) } else { (udp, None) };
     if let Some(other) = other {
         other.close();
@@ -53,6 +54,7 @@ pub(crate) fn doctor(args: &Doctor, link: &LinkArgs, json: bool) -> Result<(), F
         CHECKS.into_iter().try_for_each(|check| report.note(check, Finding::Skipped("there is no connection")))?;
         return report.end();
     };
+    session.set_budget(Budget::start(link));
     let examined = examine(&mut session, link, &mut report);
     if examined.as_ref().err().is_none_or(Failure::leaves_the_session_alive) {
         session.close();
@@ -63,24 +65,32 @@ pub(crate) fn doctor(args: &Doctor, link: &LinkArgs, json: bool) -> Result<(), F
 
 /// Returns the way to the controller over a transport.
 fn over(transport: Transport, args: &Doctor, link: &LinkArgs) -> Result<LinkArgs, Failure> {
-    let (mut target, mut link) = (link.target()?, link.clone());
+    let mut target = link.target()?;
     target.transport = transport;
     let port = match transport {
         Transport::Tcp => args.tcp_port,
-        Transport::Udp => {
-            link.timeout = link.timeout.min(u64::try_from(UDP_PATIENCE.as_millis()).unwrap_or(u64::MAX));
-            args.udp_port
-        }
+        Transport::Udp => args.udp_port,
     };
     target.port = port.unwrap_or(target.port);
-    link.robot = Some(target.to_string());
-    Ok(link)
+    Ok(LinkArgs { robot: Some(target.to_string()), ..link.clone() })
 }
 
 /// Starts a session over a transport; `None` when that is not possible.
-fn reach(report: &mut Report, check: &'static str, link: &LinkArgs) -> Result<Option<Session>, Failure> {
-    let began = Instant::now();
-    let reached = Session::open(link).and_then(|mut session| session.start(link).map(|()| session));
+fn reach(
+    report: &mut Report,
+    transport: Transport,
+    args: &Doctor,
+    link: &LinkArgs,
+) -> Result<Option<Session>, Failure> {
+    let (link, began) = (&over(transport, args, link)?, Instant::now());
+    let (check, budget) = match transport {
+        Transport::Tcp => ("tcp", Budget::start(link)),
+        Transport::Udp => ("udp", Budget::start(link).answer_within(UDP_TIMEOUT)),
+    };
+    let reached = Session::open(link).and_then(|mut session| {
+        session.set_budget(budget);
+        session.start(link).map(|()| session)
+    });
     match reached {
         Ok(session) => {
             let took = began.elapsed().as_secs_f64() * 1000.0;
@@ -247,16 +257,35 @@ impl Patient<'_> {
         report.note("emergency stop", emergency)?;
         report.note("arm", arm)?;
         report.note("motor", motor(is(SERVO_ON), ready))?;
-        let busy = self.robot("slvGetMode", &())?.int().is_some_and(|mode| mode != 0);
-        if !ready || busy {
-            let why = if busy { "a client is in Slave Mode" } else { "it needs all of the above but the motor" };
-            report.note("licence", Finding::Skipped(why))?;
-            return report.note("formats", Finding::Skipped(why));
-        }
-        let licence = self.licence()?;
+        let (licence, formats) =
+            if ready { self.slave_mode()? } else { both("it needs all of the above but the motor") };
         report.note("licence", licence)?;
-        let formats = self.formats()?;
         report.note("formats", formats)
+    }
+
+    /// Looks at the licence and the formats of Slave Mode, unless a client is in it.
+    fn slave_mode(&mut self) -> Result<(Finding, Finding), Failure> {
+        let mode = self.robot("slvGetMode", &())?;
+        let mut answers = vec![("slvGetMode", mode.code)];
+        let Some(number) = mode.int() else {
+            let why = format!("slvGetMode gives no mode ({}), so a client may be in Slave Mode", mode.code);
+            return Ok(match mode.code {
+                HResult::E_NO_LICENSE => (licence(&answers), Finding::Skipped("it needs the licence")),
+                _ => (Finding::Untested(why.clone()), Finding::Untested(why)),
+            });
+        };
+        if number != 0 {
+            return Ok(both("a client is in Slave Mode"));
+        }
+        let formats = self.formats(&mut answers)?;
+        // without the arm this is refused in any case
+        let code = self.robot("slvChangeMode", &0x202_i32)?.code;
+        if code.is_ok() {
+            // it should not have been
+            self.robot("slvChangeMode", &0_i32)?;
+        }
+        answers.push(("slvChangeMode", code));
+        Ok((licence(&answers), formats))
     }
 
     /// Looks for errors; those of an emergency stop are the emergency stop's.
@@ -300,11 +329,14 @@ impl Patient<'_> {
         // an RC8 does not know the command
         let torque_off = self.controller("StoState", &())?;
         let off = torque_off.value.as_ref().filter(|_| torque_off.code.is_ok()).map(|value| value.as_variant());
-        if off == Some(Variant::Bool(true)) {
-            let hint = "`bcap exec controller ManualReset` gives the torque back";
-            return Ok(Finding::failed("released, but the torque is still off", hint));
-        }
-        Ok(Finding::Passed("released".into()))
+        Ok(match off {
+            Some(Variant::Bool(true)) => {
+                let hint = "`bcap exec controller ManualReset` gives the torque back";
+                Finding::failed("released, but the torque is still off", hint)
+            }
+            Some(Variant::Bool(false)) => Finding::Passed("released, the torque is not off".into()),
+            _ => Finding::Passed(format!("released; StoState does not tell of the torque ({})", torque_off.code)),
+        })
     }
 
     /// Takes the arm for a moment; also returns what that says about the token.
@@ -322,23 +354,8 @@ impl Patient<'_> {
         Ok((None, Finding::failed(format!("TakeArm is refused with {taken}"), hint)))
     }
 
-    /// Asks for Slave Mode, which without the arm is refused in any case.
-    fn licence(&mut self) -> Result<Finding, Failure> {
-        let code = self.robot("slvChangeMode", &0x202_i32)?.code;
-        if code.is_ok() {
-            // it should not have been
-            self.robot("slvChangeMode", &0_i32)?;
-        }
-        if code == HResult::E_NO_LICENSE {
-            let hint = "enter the licence key of \"b-CAP Slave\" on the teach pendant: it is free, and made for the serial \
-                        number of the controller";
-            return Ok(Finding::failed(format!("slvChangeMode is refused with {code}"), hint));
-        }
-        Ok(Finding::Passed("not missed by slvChangeMode".into()))
-    }
-
-    /// Sets all formats, the plain ones at last.
-    fn formats(&mut self) -> Result<Finding, Failure> {
+    /// Sets all formats, the plain ones at last; adds the refusals of those that Slave Mode needs.
+    fn formats(&mut self, answers: &mut Vec<(&'static str, HResult)>) -> Result<Finding, Failure> {
         const SEND: [(i32, &str); 4] = [(0x200, "user IO"), (0x100, "MiniIO"), (0x20, "HandIO"), (0, "the pose alone")];
         const RECEIVE: [(i32, &str); 8] = [
             (0x202, "user IO"),
@@ -359,6 +376,7 @@ impl Patient<'_> {
                 let code = self.robot(command, format)?.code;
                 let needed = *format <= 3;
                 if code.is_err() && needed {
+                    answers.push((command, code));
                     refused.get_or_insert(format!("{command} {format:#x} ({name}) is refused with {code}"));
                 } else if code.is_err() {
                     missing.push(format!("{way} {name}"));
@@ -371,6 +389,36 @@ impl Patient<'_> {
             (None, missing) => Finding::Passed(format!("all but {}", missing.join(", "))),
         })
     }
+}
+
+/// Tells what the answers to the commands of Slave Mode say about its licence.
+///
+/// slvChangeMode is the last of them. Only a refusal for want of the arm shows that the licence was not missed, and only if
+/// the controller has the other commands, which may refuse a format that it lacks. Any other refusal can come before the
+/// controller looks at the licence.
+fn licence(answers: &[(&str, HResult)]) -> Finding {
+    let is = |wanted: HResult| answers.iter().find(|(_, code)| *code == wanted);
+    if let Some((command, code)) = is(HResult::E_NO_LICENSE) {
+        let hint = "enter the licence key of \"b-CAP Slave\" on the teach pendant: it is free, and made for the serial \
+                    number of the controller";
+        return Finding::failed(format!("{command} is refused with {code}"), hint);
+    }
+    let tells = |(command, code): &&(&str, HResult)| match *code {
+        HResult::E_ARM_NOT_TAKEN => *command == "slvChangeMode",
+        HResult::E_INVALIDARG | HResult::E_INVALIDARGTYPE => *command != "slvChangeMode",
+        code => code.is_ok(),
+    };
+    match answers.iter().find(|answer| !tells(answer)) {
+        None => Finding::Passed("not missed by slvChangeMode".into()),
+        Some((command, code)) => {
+            Finding::Untested(format!("{command} is refused with {code}, perhaps before a look at the licence"))
+        }
+    }
+}
+
+/// Skips licence and formats.
+const fn both(why: &'static str) -> (Finding, Finding) {
+    (Finding::Skipped(why), Finding::Skipped(why))
 }
 
 const TOKEN_HINT: &str =

@@ -13,7 +13,7 @@
 //! `code` and `hresult` for a refusal, `name` for the variable that was refused, and `hint`.
 
 use std::io::{self, Write};
-use std::process::ExitCode;
+use std::process::{self, ExitCode};
 
 use anstyle::{AnsiColor, Style};
 use bcap_core::error::EncodeError;
@@ -21,7 +21,8 @@ use bcap_core::hresult::HResult;
 use serde::Serialize;
 use thiserror::Error;
 
-use crate::item::{ItemError, print_line};
+use crate::escape;
+use crate::item::{ItemError, print_json};
 
 const RED: Style = AnsiColor::Red.on_default().bold();
 const CYAN: Style = AnsiColor::Cyan.on_default();
@@ -49,6 +50,14 @@ pub(crate) enum Failure {
     /// Some of several things were refused; each has been reported.
     #[error("{refused} of {asked} were refused")]
     SomeRefused {
+        /// How many.
+        refused: usize,
+        /// Of how many.
+        asked: usize,
+    },
+    /// Some lists of names were refused; each has been reported.
+    #[error("{refused} of {asked} lists of names were refused; the output is not complete")]
+    ListsRefused {
         /// How many.
         refused: usize,
         /// Of how many.
@@ -98,7 +107,7 @@ impl From<EncodeError> for Failure {
 impl Failure {
     fn code(&self) -> u8 {
         match self {
-            Self::Refused { .. } | Self::SomeRefused { .. } | Self::Unfit { .. } => 1,
+            Self::Refused { .. } | Self::SomeRefused { .. } | Self::ListsRefused { .. } | Self::Unfit { .. } => 1,
             Self::Input(_) | Self::Item(_) | Self::BadLines(_) | Self::Stdio(_) => 2,
             Self::Connection { .. } => 3,
             Self::Timeout { .. } => 4,
@@ -117,6 +126,7 @@ impl Failure {
             | Self::Item(_)
             | Self::BadLines(_)
             | Self::SomeRefused { .. }
+            | Self::ListsRefused { .. }
             | Self::Interrupted(_)
             | Self::Stdio(_) => None,
         }
@@ -139,6 +149,12 @@ impl Failure {
         ExitCode::from(self.code())
     }
 
+    /// Reports the failure of a command line that cannot be read, and ends the program.
+    pub(crate) fn exit(&self) -> ! {
+        self.print(false, None);
+        process::exit(self.code().into())
+    }
+
     /// Prints what went wrong and what to do; with `json` also as a line of the output, about `name` if there is one.
     pub(crate) fn print(&self, json: bool, name: Option<&str>) {
         if matches!(self, Self::SomeRefused { asked: 1, .. }) {
@@ -147,21 +163,21 @@ impl Failure {
         }
         // nobody is left to be told when even this fails
         if json && let Some(line) = self.to_json(name) {
-            let _ = print_line(&line);
+            let _ = print_json(&line);
         }
         let mut err = anstream::stderr().lock();
-        let _ = writeln!(err, "{RED}error:{RED:#} {self}");
+        let _ = writeln!(err, "{RED}error:{RED:#} {}", escape::failure(self));
         if let Some(hint) = self.hint() {
-            let _ = writeln!(err, " {CYAN}hint:{CYAN:#} {hint}");
+            let _ = writeln!(err, " {CYAN}hint:{CYAN:#} {}", escape::failure(&hint));
         }
     }
 
     /// Returns the line of the output that tells of the failure; `None` when its parts have been told already.
     fn to_json(&self, name: Option<&str>) -> Option<String> {
         let mut line =
-            Line { name, error: self.to_string(), offset: None, code: None, hresult: None, hint: self.hint() };
+            Line { name, error: escape::cut(self), offset: None, code: None, hresult: None, hint: self.hint() };
         match self {
-            Self::BadLines(_) | Self::SomeRefused { .. } => return None,
+            Self::BadLines(_) | Self::SomeRefused { .. } | Self::ListsRefused { .. } => return None,
             Self::Item(item) => line.offset = Some(item.offset),
             Self::Refused { code, .. } | Self::Unfit { code: Some(code), .. } => {
                 (line.code, line.hresult) = (Some(code.0), code.name());

@@ -5,7 +5,7 @@ use bcap_core::hresult::HResult;
 
 use crate::args::LinkArgs;
 use crate::error::Failure;
-use crate::item::print_line;
+use crate::item::{print_json, print_line};
 use crate::object::Path;
 use crate::session::{integer, text, with_session};
 
@@ -14,15 +14,17 @@ pub(crate) fn halt(link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let code = halt_now(link)?;
     let moved = code != HResult::S_FALSE;
     match (json, moved) {
-        (true, _) => print_line(&format!("{{\"halted\":{moved}}}")),
+        (true, _) => print_json(&format!("{{\"halted\":{moved}}}")),
         (false, true) => print_line("halted"),
         (false, false) => print_line("nothing was moving"),
     }
 }
 
 /// Halts the robot, and returns the controller's code: S_FALSE when nothing was moving.
+///
+/// All of it has one short time limit: a controller that does not halt must be reported while there is time to act.
 pub(crate) fn halt_now(link: &LinkArgs) -> Result<HResult, Failure> {
-    with_session(link, |session| {
+    with_session(&link.limited(), |session| {
         let robot = Path::parse("robot").transpose().map_err(Failure::Input)?;
         let robot = session.object(&robot.unwrap_or(Path { steps: Vec::new() }))?;
         let (code, _) = session.call_for_code(FunctionId::ROBOT_HALT, &[integer(robot)?, text("")?])?;

@@ -9,6 +9,7 @@ use bcap_core::error::{DecodeError, EncodeError, TextError};
 use serde::Serialize;
 
 use crate::error::Failure;
+use crate::escape;
 
 /// The longest line that is read: 16 MiB of bytes as digits with something between each two, with room to spare.
 const MAX_LINE: usize = 128 * 1024 * 1024;
@@ -30,8 +31,9 @@ impl ItemError {
 
     /// Returns the line that stands in the output in place of the item.
     pub(crate) fn to_json(&self) -> String {
+        let short = Self::new(escape::cut(&self.message), self.offset);
         // a struct of a string and a number has no way to fail
-        serde_json::to_string(self).unwrap_or_default()
+        escape::json(&serde_json::to_string(&short).unwrap_or_default())
     }
 }
 
@@ -81,15 +83,21 @@ impl Items {
         }
     }
 
-    /// Converts every item and prints what comes of it.
+    /// Converts every item and prints the results, as JSON if `json`.
     pub(crate) fn convert(
         self,
+        json: bool,
         mut convert: impl FnMut(&[u8], Place) -> Result<String, ItemError>,
     ) -> Result<(), Failure> {
         match self {
-            Self::One(text) => print_line(&convert(text.as_bytes(), Place::Argument).map_err(Failure::Item)?),
+            Self::One(text) => {
+                let print = if json { print_json } else { print_block };
+                print(&convert(text.as_bytes(), Place::Argument).map_err(Failure::Item)?)
+            }
             Self::Lines => {
-                let bad = each_line(io::stdin().lock(), io::stdout().lock(), |line| convert(line, Place::Line))?;
+                let escape = if json { escape::json } else { escape::line };
+                let convert = |line: &[u8]| convert(line, Place::Line).map(|converted| escape(&converted));
+                let bad = each_line(io::stdin().lock(), io::stdout().lock(), convert)?;
                 if bad > 0 { Err(Failure::BadLines(bad)) } else { Ok(()) }
             }
         }
@@ -105,10 +113,25 @@ pub(crate) enum Place {
     Line,
 }
 
-/// Prints one line, or several.
+/// Prints one line for people.
 pub(crate) fn print_line(line: &str) -> Result<(), Failure> {
+    print_raw(&escape::line(line))
+}
+
+/// Prints lines of the command's own layout.
+pub(crate) fn print_block(lines: &str) -> Result<(), Failure> {
+    print_raw(&escape::block(lines))
+}
+
+/// Prints one line of JSON, or several.
+pub(crate) fn print_json(lines: &str) -> Result<(), Failure> {
+    print_raw(&escape::json(lines))
+}
+
+/// Prints text as it is, with an end of line: nothing of it may come from outside.
+pub(crate) fn print_raw(text: &str) -> Result<(), Failure> {
     let mut out = io::stdout().lock();
-    out.write_all(line.as_bytes())?;
+    out.write_all(text.as_bytes())?;
     out.write_all(b"\n")?;
     out.flush()?;
     Ok(())

@@ -1,6 +1,7 @@
 //! `bcap`: DENSO robot controllers from the command line.
 
 mod args;
+mod budget;
 mod call;
 mod connection;
 mod decode;
@@ -8,6 +9,7 @@ mod demo;
 mod dissect;
 mod doctor;
 mod error;
+mod escape;
 mod frame;
 mod gateway;
 mod halt;
@@ -30,13 +32,13 @@ mod watch;
 
 use std::process::ExitCode;
 
-use clap::{CommandFactory as _, Parser as _};
+use clap::CommandFactory as _;
 
 use crate::args::{Cli, Command};
 use crate::error::Failure;
 
 fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = Cli::parse_or_exit();
     match run(&cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => failure.report(cli.json),
@@ -68,5 +70,5 @@ fn run(cli: &Cli) -> Result<(), Failure> {
 fn completions(args: &args::Completions) -> Result<(), Failure> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut Cli::command(), "bcap", &mut script);
-    item::print_line(String::from_utf8_lossy(&script).trim_end())
+    item::print_raw(String::from_utf8_lossy(&script).trim_end())
 }

@@ -1,20 +1,18 @@
 //! `bcap rac`: variables over RAC, the text protocol.
 
-use std::time::Duration;
-
-use bcap_core::rac::client::ClientError;
+use bcap_core::rac::client::{ClientError, Config};
 use bcap_core::rac::{Variable, VariableKind};
+use bcap_std::RacError;
 use bcap_std::blocking::{self, RacClient};
-use bcap_std::{Options, RacError};
 
 use crate::args::{Get, LinkArgs, Put, Rac, RacCommand};
-use crate::connection::{broken, not_connected};
+use crate::budget::Budget;
+use crate::connection::{addresses, broken, exhausted, first};
 use crate::error::Failure;
-use crate::item::print_line;
 use crate::plain;
 use crate::target::Target;
 use crate::value::Value;
-use crate::variables::{expected, print_each, shown};
+use crate::variables::{expected, print, print_each, shown};
 
 /// Runs `bcap rac get` or `bcap rac put`.
 pub(crate) fn rac(args: &Rac, link: &LinkArgs, json: bool) -> Result<(), Failure> {
@@ -36,7 +34,7 @@ fn put(args: &Put, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let value = plain::from_input(&args.value, model.as_variant())
         .map_err(|error| Failure::Input(format!("{}: {error}{}", args.value, expected(model.as_variant()))))?;
     Session::open(link)?.put(variable, &value)?;
-    print_line(&shown(&args.name, &value, json))
+    print(&shown(&args.name, &value, json), json)
 }
 
 /// Reads `I10` or `I[10]`.
@@ -68,37 +66,49 @@ fn model(kind: VariableKind) -> Result<Value, Failure> {
     }?)
 }
 
-/// A connection, its failures told in words.
+/// A connection whose failures are reported in words.
 struct Session {
     client: RacClient,
     target: Target,
-    timeout: Duration,
+    budget: Budget,
 }
 
 impl Session {
     fn open(link: &LinkArgs) -> Result<Self, Failure> {
-        let (target, timeout) = (link.rac_target()?, link.timeout());
-        let client = blocking::connect_rac((target.host.as_str(), target.port), &Options::default().timeout(timeout))
-            .map_err(|error| not_connected(&error, &target))?;
-        Ok(Self { client, target, timeout })
+        let (target, budget) = (link.rac_target()?, Budget::start(link));
+        let addresses = addresses(&target, &budget)?;
+        let client = first(&addresses, &target, &budget, blocking::connect_rac)?;
+        Ok(Self { client, target, budget })
+    }
+
+    /// Gives the next request the rest of the time.
+    fn prepare(&mut self, request: &str) -> Result<(), Failure> {
+        let timeout = self.budget.share(1);
+        if self.budget.left().is_some_and(|left| left.is_zero()) {
+            return Err(exhausted(&self.target, &self.budget, request));
+        }
+        self.client.client().set_config(Config { timeout });
+        Ok(())
     }
 
     fn get(&mut self, variable: Variable) -> Result<Value, Failure> {
-        let Self { client, target, timeout } = self;
-        let value =
-            client.get(variable).map_err(|error| failed(error, &format!("GET {variable}"), target, *timeout))?;
+        let request = format!("GET {variable}");
+        self.prepare(&request)?;
+        let Self { client, target, budget } = self;
+        let value = client.get(variable).map_err(|error| failed(error, &request, target, budget))?;
         Ok(Value::new(&value)?)
     }
 
     fn put(&mut self, variable: Variable, value: &Value) -> Result<(), Failure> {
-        let Self { client, target, timeout } = self;
-        let done = client.put(variable, value.as_variant());
-        done.map_err(|error| failed(error, &format!("PUT {variable}"), target, *timeout))
+        let request = format!("PUT {variable}");
+        self.prepare(&request)?;
+        let Self { client, target, budget } = self;
+        client.put(variable, value.as_variant()).map_err(|error| failed(error, &request, target, budget))
     }
 }
 
 /// Tells a failed request in words.
-fn failed(error: RacError, what: &str, target: &Target, timeout: Duration) -> Failure {
+fn failed(error: RacError, what: &str, target: &Target, budget: &Budget) -> Failure {
     match error {
         RacError::Refused(code) => Failure::Refused { doing: what.to_owned(), code },
         RacError::Io(error) => broken(&error, target),
@@ -107,8 +117,9 @@ fn failed(error: RacError, what: &str, target: &Target, timeout: Duration) -> Fa
             hint: "the controller may have no connection to spare; try again".into(),
         },
         RacError::Client(ClientError::Request(error)) => Failure::Input(format!("{what}: {error}")),
+        RacError::Client(ClientError::Timeout(_)) if budget.total().is_some() => exhausted(target, budget, what),
         RacError::Client(ClientError::Timeout(_)) => Failure::Timeout {
-            message: format!("{target} did not answer {what} within {} ms", timeout.as_millis()),
+            message: format!("{target} did not answer {what} within {} ms", budget.answer().as_millis()),
             hint: "check that this is the port of the RAC server, or allow more time with --timeout".into(),
         },
         RacError::Client(error) => Failure::Connection {

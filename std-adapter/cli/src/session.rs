@@ -11,6 +11,7 @@ use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
 
 use crate::args::LinkArgs;
+use crate::budget::Budget;
 use crate::connection::Connection;
 use crate::error::Failure;
 use crate::object::{Path, opened_by, word};
@@ -42,7 +43,7 @@ pub(crate) fn with_session<T>(
 impl Session {
     /// Connects, but does not start the service yet.
     pub(crate) fn open(link: &LinkArgs) -> Result<Self, Failure> {
-        let connection = Connection::open(&link.target()?, link.timeout())?;
+        let connection = Connection::open(&link.target()?, Budget::start(link))?;
         let provider = link.provider.clone();
         Ok(Self { connection, provider, started: false, controller: None, opened: Vec::new() })
     }
@@ -53,6 +54,16 @@ impl Session {
         self.call(FunctionId::SERVICE_START, &[text(&option)?])?;
         self.started = true;
         Ok(())
+    }
+
+    /// Gives what comes next the whole time limit of the command again.
+    pub(crate) fn restart_budget(&mut self) {
+        self.connection.budget.restart();
+    }
+
+    /// Replaces the time limits.
+    pub(crate) fn set_budget(&mut self, budget: Budget) {
+        self.connection.budget = budget;
     }
 
     /// Connects to another provider than the one that was asked for, from the next connection on.
@@ -137,7 +148,8 @@ impl Session {
             value => value.as_i32(),
         });
         let Some(handle) = handle else {
-            let message = format!("{function}: the reply carries {value:?} instead of a handle");
+            let found = reply.as_ref().map_or("no value".into(), Value::described);
+            let message = format!("{function}: the reply carries {found} instead of a handle");
             let hint = "check that the other end is a b-CAP server".into();
             return Err(Failure::Connection { message, hint });
         };

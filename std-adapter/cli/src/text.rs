@@ -7,23 +7,25 @@ use bcap_core::variant::Variant;
 
 use crate::args::{Text, TextCommand};
 use crate::error::Failure;
+use crate::escape;
 use crate::hex;
 use crate::item::{ItemError, Items};
 use crate::json::LIMITS;
 use crate::value::{self, Value};
 
-/// Runs `bcap text parse` or `bcap text print`.
+/// Runs `bcap text parse` or `bcap text print`; with `json` the text is `{"text":"3,100"}`.
 pub(crate) fn text(args: &Text, json: bool) -> Result<(), Failure> {
     match &args.command {
-        TextCommand::Parse { text } => Items::from_word(text.as_deref()).convert(|text, _| {
+        TextCommand::Parse { text } => Items::from_word(text.as_deref()).convert(json, |text, _| {
             let text = str::from_utf8(text).map_err(|e| ItemError::new("the text is not UTF-8", e.valid_up_to()))?;
             let value = Value::from_text(text)?;
             Ok(if json { value.to_json() } else { hex::compact(value.as_bytes()) })
         }),
-        TextCommand::Print { hex } => Items::from_words(hex).convert(|text, _| {
+        TextCommand::Print { hex } => Items::from_words(hex).convert(json, |text, _| {
             let bytes = hex::parse(text)?;
             let value = Variant::decode(&bytes, &LIMITS, Strictness::Strict)?;
-            Ok(value::to_text(value)?)
+            let text = value::to_text(value)?;
+            Ok(if json { serde_json::json!({ "text": text }).to_string() } else { escape::line(&text) })
         }),
     }
 }

@@ -58,6 +58,18 @@ impl Value {
         &self.bytes
     }
 
+    /// Describes the value for an error: itself if it is short, else its type and size.
+    pub(crate) fn described(&self) -> String {
+        let value = self.as_variant();
+        match value {
+            _ if self.bytes.len() <= 64 => format!("{value:?}"),
+            Variant::Array(array) => {
+                format!("an array of {} {} in {} bytes", array.len(), array.element(), self.bytes.len())
+            }
+            value => format!("a {} of {} bytes", value.vartype(), self.bytes.len()),
+        }
+    }
+
     /// Returns the value as JSON, `{"vt":3,"v":100}`.
     pub(crate) fn to_json(&self) -> String {
         let mut out = String::new();

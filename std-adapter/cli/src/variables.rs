@@ -1,14 +1,15 @@
 //! `bcap get`, `bcap put` and `bcap names`.
 
 use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
 
 use crate::args::{Get, LinkArgs, Put};
 use crate::error::Failure;
-use crate::item::print_line;
+use crate::item::{print_json, print_line};
 use crate::object::{Path, Step, word};
 use crate::plain;
-use crate::session::{Session, integer, strings, text, with_session};
+use crate::session::{Session, integer, text, with_session};
 use crate::value::Value;
 
 /// Runs `bcap get`.
@@ -27,7 +28,7 @@ pub(crate) fn print_each<V>(
     let mut refused = 0;
     for (name, variable) in names.iter().zip(variables) {
         match read(variable) {
-            Ok(value) => print_line(&shown(name, &value, json))?,
+            Ok(value) => print(&shown(name, &value, json), json)?,
             Err(failure @ Failure::Refused { .. }) => {
                 failure.print(json, Some(name));
                 refused += 1;
@@ -52,7 +53,7 @@ pub(crate) fn put(args: &Put, link: &LinkArgs, json: bool) -> Result<(), Failure
         let value = plain::from_input(&args.value, current)
             .map_err(|error| Failure::Input(format!("{}: {error}{}", args.value, expected(current))))?;
         session.call_on(&path, FunctionId::VARIABLE_PUT_VALUE, &[integer(variable)?, value.clone()])?;
-        print_line(&shown(&args.name, &value, json))
+        print(&shown(&args.name, &value, json), json)
     })
 }
 
@@ -90,17 +91,13 @@ pub(crate) fn shown(name: &str, value: &Value, json: bool) -> String {
         let name = serde_json::Value::from(name);
         format!("{{\"name\":{name},{}", &value.to_json()[1..])
     } else {
-        format!("{name} = {}", visible(&plain::to_plain(value.as_variant())))
+        format!("{name} = {}", plain::to_plain(value.as_variant()))
     }
 }
 
-/// Writes control characters as Rust does, not to let a peer's text command the terminal.
-fn visible(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
-        if c.is_control() { out.extend(c.escape_default()) } else { out.push(c) }
-    }
-    out
+/// Prints a line as people or, with `json`, programs read it.
+pub(crate) fn print(line: &str, json: bool) -> Result<(), Failure> {
+    if json { print_json(line) } else { print_line(line) }
 }
 
 /// The functions that list names, and the objects that the names are of.
@@ -116,68 +113,101 @@ const LISTS: [(Object, FunctionId); 6] = [
 /// Runs `bcap names`.
 pub(crate) fn names(link: &LinkArgs, json: bool) -> Result<(), Failure> {
     with_session(link, |session| {
+        let mut lists = Lists { session, json, asked: 0, missing: 0, refused: 0 };
         let controller = Path { steps: Vec::new() };
-        let mut refusals = Vec::new();
         for (object, function) in LISTS {
-            let names = match list(session, &controller, function) {
-                Err(failure @ Failure::Refused { .. }) => {
-                    refusals.push(failure);
-                    continue;
-                }
-                names => names?,
-            };
-            for name in names {
-                let path = Path { steps: vec![Step { object, name: Some(name) }] };
-                print_name(&path, json)?;
+            for path in lists.print(&controller, object, function)? {
                 let inner = match object {
                     Object::Robot => FunctionId::ROBOT_GET_VARIABLE_NAMES,
                     Object::Task => FunctionId::TASK_GET_VARIABLE_NAMES,
                     _ => continue,
                 };
-                match list(session, &path, inner) {
-                    Err(Failure::Refused { .. }) => {}
-                    variables => {
-                        for variable in variables? {
-                            let mut path = path.clone();
-                            path.steps.push(Step { object: Object::Variable, name: Some(variable) });
-                            print_name(&path, json)?;
-                        }
-                    }
-                }
+                lists.print(&path, Object::Variable, inner)?;
             }
         }
-        // not every controller has lists of everything; one without any is worth an error
-        match refusals.pop() {
-            Some(failure) if refusals.len() + 1 == LISTS.len() => Err(failure),
-            _ => Ok(()),
-        }
+        lists.end()
     })
 }
 
+/// The lists of `bcap names`: each is printed whole, or counted and, unless the controller has none, reported.
+struct Lists<'a> {
+    session: &'a mut Session,
+    json: bool,
+    asked: usize,
+    /// How many the controller does not implement.
+    missing: usize,
+    refused: usize,
+}
+
+impl Lists<'_> {
+    /// Prints a list of the names of `owner`'s objects, and returns the paths to them.
+    fn print(&mut self, owner: &Path, object: Object, function: FunctionId) -> Result<Vec<Path>, Failure> {
+        self.asked += 1;
+        let names = match list(self.session, owner, function) {
+            Err(Failure::Refused { code: HResult::E_NOTIMPL, .. }) => {
+                self.missing += 1;
+                return Ok(Vec::new());
+            }
+            Err(failure @ Failure::Refused { .. }) => {
+                // such as E_TOO_MUCH_DATA, for a list that does not fit a datagram
+                failure.print(self.json, None);
+                self.refused += 1;
+                return Ok(Vec::new());
+            }
+            names => names?,
+        };
+        let path = |name: String| {
+            let mut path = owner.clone();
+            path.steps.push(Step { object, name: Some(name) });
+            path
+        };
+        let paths: Vec<Path> = names.into_iter().map(path).collect();
+        paths.iter().try_for_each(|path| print_name(path, self.json))?;
+        Ok(paths)
+    }
+
+    /// Ends with an error if a list is not complete, or there is no list at all.
+    fn end(self) -> Result<(), Failure> {
+        match self {
+            Self { refused: 0, missing, asked, .. } if missing < asked => Ok(()),
+            Self { refused: 0, .. } => {
+                Err(Failure::Refused { doing: "the lists of names".into(), code: HResult::E_NOTIMPL })
+            }
+            Self { refused, asked, .. } => Err(Failure::ListsRefused { refused, asked }),
+        }
+    }
+}
+
+/// Asks for a list of names; a reply that is not one is an error, so that no part of a list is lost.
 fn list(session: &mut Session, owner: &Path, function: FunctionId) -> Result<Vec<String>, Failure> {
     let handle = session.object(owner)?;
     let names = session.call_on(owner, function, &[integer(handle)?, text("")?]);
-    if !owner.steps.is_empty() {
-        session.release(handle)?;
+    let released = if owner.steps.is_empty() { Ok(()) } else { session.release(handle) };
+    // why there are no names says more than why the object cannot be released
+    let names = names?;
+    released?;
+    match names {
+        None => Ok(Vec::new()),
+        Some(value) => all_strings(value.as_variant()).ok_or_else(|| Failure::Connection {
+            message: format!("{function}: the reply carries {} instead of a list of names", value.described()),
+            hint: "read the list with `bcap call`, which prints any value".into(),
+        }),
     }
-    Ok(names?.as_ref().map(strings).unwrap_or_default())
+}
+
+/// Returns the strings of a list; `None` when one of its elements is not a string.
+fn all_strings(list: Variant<'_>) -> Option<Vec<String>> {
+    match list {
+        Variant::Empty | Variant::Null => Some(Vec::new()),
+        list => list.as_array()?.iter().map(|name| name.as_bstr().map(|name| name.to_string())).collect(),
+    }
 }
 
 fn print_name(path: &Path, json: bool) -> Result<(), Failure> {
     if json {
         let kind = word(path.object());
-        print_line(&serde_json::json!({ "kind": kind, "name": path.to_string() }).to_string())
+        print_json(&serde_json::json!({ "kind": kind, "name": path.to_string() }).to_string())
     } else {
-        print_line(&visible(&path.to_string()))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::visible;
-
-    #[test]
-    fn control_characters_do_not_reach_the_terminal() {
-        assert_eq!(visible("\u{1b}]0;x\u{7}\u{9b}31m, Grün\n"), "\\u{1b}]0;x\\u{7}\\u{9b}31m, Grün\\n");
+        print_line(&path.to_string())
     }
 }

@@ -5,11 +5,10 @@ use std::time::{Duration, Instant};
 
 use crate::args::{LinkArgs, Watch};
 use crate::error::Failure;
-use crate::item::print_line;
 use crate::session::with_session;
 use crate::signal;
 use crate::value::Value;
-use crate::variables::{parse_all, read, shown};
+use crate::variables::{parse_all, print, read, shown};
 
 /// Runs `bcap watch`, until it is interrupted or has read as often as was wanted.
 pub(crate) fn watch(args: &Watch, link: &LinkArgs, json: bool) -> Result<(), Failure> {
@@ -22,10 +21,11 @@ pub(crate) fn watch(args: &Watch, link: &LinkArgs, json: bool) -> Result<(), Fai
         let mut pace = Pace { interval: Duration::from_millis(args.interval), next: start };
         let mut rounds = 0;
         loop {
+            session.restart_budget();
             for (((name, path), variable), last) in args.names.iter().zip(&paths).zip(&variables).zip(&mut last) {
                 let value = read(session, path, *variable)?;
                 if !args.changed || last.as_ref() != Some(&value) {
-                    print_line(&stamped(start.elapsed(), &shown(name, &value, json), json))?;
+                    print(&stamped(start.elapsed(), &shown(name, &value, json), json), json)?;
                 }
                 *last = Some(value);
             }
@@ -35,7 +35,11 @@ pub(crate) fn watch(args: &Watch, link: &LinkArgs, json: bool) -> Result<(), Fai
             }
             match ended.recv_timeout(pace.until_next(Instant::now())) {
                 Err(RecvTimeoutError::Timeout) => {}
-                Ok(()) | Err(RecvTimeoutError::Disconnected) => return Ok(()),
+                Ok(()) | Err(RecvTimeoutError::Disconnected) => {
+                    // the wait for the round is no part of the time to end the session
+                    session.restart_budget();
+                    return Ok(());
+                }
             }
         }
     })

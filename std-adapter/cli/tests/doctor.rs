@@ -75,6 +75,14 @@ fn failed(run: &Run) -> Vec<(String, String)> {
         .collect()
 }
 
+/// Returns the result and the detail of a check.
+fn result(run: &Run, check: &str) -> (String, String) {
+    let mut lines = run.out.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+    let line = lines.find(|line| line["check"] == check).unwrap();
+    let text = |key: &str| line[key].as_str().unwrap().to_owned();
+    (text("result"), text("detail"))
+}
+
 /// Checks that exactly this is named.
 #[track_caller]
 fn names(sim: &Sim, check: &str, word: &str, code: i32) {
@@ -225,4 +233,49 @@ fn a_missing_format_is_named() {
     let fault = [("every = 1, of = 'slvRecvFormat'", "{ refuse = 'E_INVALIDARG' }")];
     let sim = Sim::ready(&["--scenario", &scenario("doctor-format.toml", &fault)]);
     names(&sim, "formats", "slvRecvFormat 0x1 (P) is refused", 1);
+}
+
+#[test]
+fn a_licence_that_cannot_be_tested_is_not_called_fine() {
+    for (command, code) in [
+        // without the command no refusal of slvChangeMode says that the licence is there
+        ("slvSendFormat", "E_NOTIMPL"),
+        ("slvSendFormat", "E_INVALID_CMD_NAME"),
+        ("slvRecvFormat", "E_NOT_USE"),
+        ("slvChangeMode", "E_NOTIMPL"),
+        ("slvChangeMode", "E_FAIL"),
+        ("slvGetMode", "E_NOTIMPL"),
+    ] {
+        let refuse = format!("{{ refuse = '{code}' }}");
+        let when = format!("every = 1, of = '{command}'");
+        let name = format!("doctor-untested-{command}-{code}.toml");
+        let sim = Sim::ready(&["--scenario", &scenario(&name, &[(&when, &refuse)])]);
+        let run = sim.doctor(&["--json"]);
+        let (result, detail) = result(&run, "licence");
+        assert_eq!((result.as_str(), run.code), ("untested", 1), "{run:?}");
+        assert!(detail.contains(command) && detail.contains(code), "{detail}");
+        assert!(run.err.contains("licence: could not be tested"), "{}", run.err);
+        let run = sim.doctor(&[]);
+        assert!(run.out.lines().any(|line| line.starts_with("?      licence ")), "{}", run.out);
+    }
+}
+
+#[test]
+fn a_licence_that_another_command_misses_is_named() {
+    for command in ["slvSendFormat", "slvGetMode"] {
+        let when = format!("every = 1, of = '{command}'");
+        let text = [(when.as_str(), "{ refuse = 'E_NO_LICENSE' }")];
+        let sim = Sim::ready(&["--scenario", &scenario(&format!("doctor-licence-{command}.toml"), &text)]);
+        let run = sim.doctor(&["--json"]);
+        assert_eq!((result(&run, "licence").0.as_str(), run.code), ("failed", 1), "{run:?}");
+    }
+}
+
+#[test]
+fn formats_are_not_touched_while_a_client_may_be_in_slave_mode() {
+    let fault = [("every = 1, of = 'slvGetMode'", "{ refuse = 'E_FAIL' }")];
+    let sim = Sim::ready(&["--scenario", &scenario("doctor-slave-mode.toml", &fault)]);
+    let (result, detail) = result(&sim.doctor(&["--json"]), "formats");
+    assert_eq!(result, "untested");
+    assert!(detail.contains("a client may be in Slave Mode"), "{detail}");
 }

@@ -85,7 +85,7 @@ fn failures_have_their_codes() {
     let silent = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = silent.local_addr().unwrap().to_string();
     let run = bcap(&["rac", "get", "I1", "--timeout", "50", "--robot", &address]);
-    assert!(run.code == 4 && run.err.contains("within 50 ms"), "{run:?}");
+    assert!(run.code == 4 && run.err.contains("time limit of 50 ms (--timeout)"), "{run:?}");
 }
 
 #[test]

@@ -263,7 +263,11 @@ fn silence_is_code_4() {
     for address in [tcp, udp] {
         let run = bcap(&["get", "I1", "--timeout", "50", "--robot", &address]);
         assert_eq!((run.out.as_str(), run.code), ("", 4));
-        assert!(run.err.contains("did not answer Service_Start within 50 ms"), "{}", run.err);
+        assert!(
+            run.err.contains("did not answer Service_Start within the command's time limit of 50 ms"),
+            "{}",
+            run.err
+        );
         assert!(run.err.contains("hint: "), "{}", run.err);
     }
 }

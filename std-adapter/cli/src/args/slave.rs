@@ -208,7 +208,8 @@ fn percent(text: &str) -> Result<f64, String> {
 
 /// Stops the robot, whoever moves it
 ///
-/// Takes a connection of its own, whatever else runs, and needs neither the arm nor the token. What moved the robot fails: a
+/// Takes a connection of its own, whatever else runs, and needs neither the arm nor the token. All of it takes at most
+/// --timeout, or 3 s; if the controller has not halted by then, the exit code is 4. What moved the robot fails: a
 /// motion with E_ABORT, a stream of Slave Mode because Slave Mode is off.
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -220,9 +221,10 @@ pub(crate) struct Halt {}
 /// Looks at all that a program needs before it can move the robot, and says what to do about what is missing
 ///
 /// Reachability over TCP and UDP, provider, version, mode, executable token, errors, emergency stop, arm, motor, the licence
-/// and the formats of Slave Mode: each is ok, FAILED or - (cannot be told because of something else), with --json a line
-/// {"check":"mode","result":"failed","detail":"..","hint":".."}. The exit code is that of the first failure. Nothing moves
-/// and nothing is written; the arm is taken for a moment if it is free.
+/// and the formats of Slave Mode: each is ok, FAILED, ? (the controller's answer tells neither) or - (not looked at, because of
+/// something else). With --json a line is {"check":"mode","result":"failed","detail":"..","hint":".."}, its result one of
+/// passed, failed, untested and skipped. The exit code is that of the first that is FAILED or ?. Nothing moves and nothing is
+/// written; the arm is taken for a moment if it is free.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

@@ -6,7 +6,8 @@ use anstyle::{AnsiColor, Style};
 use serde::Serialize;
 
 use crate::error::Failure;
-use crate::item::print_line;
+use crate::escape;
+use crate::item::print_json;
 
 const GREEN: Style = AnsiColor::Green.on_default();
 const RED: Style = AnsiColor::Red.on_default().bold();
@@ -24,8 +25,10 @@ pub(super) enum Finding {
         /// What to do.
         hint: String,
     },
-    /// It cannot be told; why.
+    /// It was not looked at, as something that it depends on has failed or is busy; what.
     Skipped(&'static str),
+    /// The controller's answer tells neither; the answer.
+    Untested(String),
 }
 
 impl Finding {
@@ -37,6 +40,8 @@ impl Finding {
         matches!(self, Self::Failed { .. })
     }
 }
+
+const UNTESTED_HINT: &str = "check that the controller's software has the commands of Slave Mode";
 
 /// The findings so far.
 pub(super) struct Report {
@@ -65,12 +70,15 @@ impl Report {
             Finding::Passed(detail) => ("passed", detail.as_str(), None),
             Finding::Failed { detail, hint } => ("failed", detail.as_str(), Some(hint.as_str())),
             Finding::Skipped(why) => ("skipped", *why, None),
+            Finding::Untested(answer) => ("untested", answer.as_str(), Some(UNTESTED_HINT)),
         };
         self.print(&Line { check, result, detail, hint })?;
-        if let Finding::Failed { detail, hint } = finding {
-            let message = format!("{check}: {detail}");
-            self.first.get_or_insert(Failure::Unfit { message, code: None, hint: Some(hint) });
-        }
+        let (message, hint) = match finding {
+            Finding::Failed { detail, hint } => (format!("{check}: {detail}"), hint),
+            Finding::Untested(answer) => (format!("{check}: could not be tested: {answer}"), UNTESTED_HINT.into()),
+            Finding::Passed(_) | Finding::Skipped(_) => return Ok(()),
+        };
+        self.first.get_or_insert(Failure::Unfit { message, code: None, hint: Some(hint) });
         Ok(())
     }
 
@@ -84,18 +92,19 @@ impl Report {
 
     fn print(&self, line: &Line<'_>) -> Result<(), Failure> {
         if self.json {
-            return print_line(&serde_json::to_string(line).unwrap_or_default());
+            return print_json(&serde_json::to_string(line).unwrap_or_default());
         }
         let (style, word) = match line.result {
             "passed" => (GREEN, "ok"),
             "failed" => (RED, "FAILED"),
+            "untested" => (YELLOW, "?"),
             _ => (YELLOW, "-"),
         };
         // which takes the colours out where they are not wanted
         let mut out = anstream::stdout().lock();
-        writeln!(out, "{style}{word:<6}{style:#} {:<14} {}", line.check, line.detail)?;
+        writeln!(out, "{style}{word:<6}{style:#} {:<14} {}", line.check, escape::line(line.detail))?;
         if let Some(hint) = line.hint {
-            writeln!(out, "{:21} {hint}", "")?;
+            writeln!(out, "{:21} {}", "", escape::line(hint))?;
         }
         Ok(())
     }

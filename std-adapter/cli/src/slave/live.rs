@@ -10,6 +10,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::args::LinkArgs;
 use crate::error::Failure;
+use crate::escape;
 use crate::halt;
 use crate::signal;
 
@@ -119,7 +120,9 @@ fn watch(link: &LinkArgs, shared: &Shared, signals: &Receiver<()>, ended: &Recei
                 shared.halted.store(true, Relaxed);
                 let told = match halt::halt_now(link) {
                     Ok(_) => "halted".into(),
-                    Err(failure) => format!("the halt has failed: {failure}; use the emergency stop"),
+                    Err(failure) => {
+                        format!("the halt has failed: {}; use the emergency stop", escape::failure(&failure))
+                    }
                 };
                 tell(&bar, &told);
             }

@@ -13,6 +13,7 @@ use bcap_core::bcap::slave::PoseType;
 
 use crate::args::{Cosine, LinkArgs, Play, Slave, SlaveCommand};
 use crate::error::Failure;
+use crate::escape;
 use poses::Poses;
 use stream::{CYCLE, Course, stream};
 
@@ -69,7 +70,7 @@ fn confirm(what: &str, yes: bool) -> Result<(), Failure> {
         return Err(Failure::Input(format!("{what}: nobody can be asked whether the robot may move; give --yes")));
     }
     let mut err = anstream::stderr().lock();
-    write!(err, "{what}. The robot will move. Go on? [y/N] ")?;
+    write!(err, "{}. The robot will move. Go on? [y/N] ", escape::line(what))?;
     err.flush()?;
     let mut line = String::new();
     input.lock().read_line(&mut line)?;

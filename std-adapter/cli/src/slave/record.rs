@@ -13,7 +13,7 @@ use indicatif::ProgressBar;
 use super::poses::columns;
 use crate::args::{LinkArgs, Record};
 use crate::error::Failure;
-use crate::item::print_line;
+use crate::item::{print_json, print_line};
 use crate::object::Path as Object;
 use crate::session::{Session, integer, text, with_session};
 use crate::signal;
@@ -34,6 +34,7 @@ pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), F
         let bar = ProgressBar::new_spinner();
         let mut lines = 0_u32;
         loop {
+            session.restart_budget();
             let before = start.elapsed();
             let numbers = position(session, robot, kind)?;
             // half of the way there and back
@@ -55,13 +56,15 @@ pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), F
             }
         }
         bar.finish_and_clear();
+        // the wait for the next pose is no part of the time to end the session
+        session.restart_budget();
         Ok(lines)
     });
     // what there is is kept, whatever ended it
     file.flush().map_err(|error| cannot_write(&args.file, &error.into()))?;
     let lines = lines?;
     if json {
-        return print_line(&format!("{{\"poses\":{lines}}}"));
+        return print_json(&format!("{{\"poses\":{lines}}}"));
     }
     print_line(&format!("{lines} poses in {}", args.file.display()))
 }
@@ -82,8 +85,8 @@ fn position(session: &mut Session, robot: i32, kind: PoseType) -> Result<Vec<f64
     let numbers: Option<Vec<f64>> = array.map(|array| array.iter().filter_map(|number| number.as_f64()).collect());
     numbers.filter(|numbers| numbers.len() == kind.len()).ok_or_else(|| Failure::Connection {
         message: format!(
-            "{command} was answered with {:?} instead of {} numbers",
-            value.as_ref().map(Value::as_variant),
+            "{command} was answered with {} instead of {} numbers",
+            value.as_ref().map_or("nothing".into(), Value::described),
             kind.len()
         ),
         hint: "check that the other end is a robot controller".into(),

@@ -22,7 +22,7 @@ use super::report::{Report, text};
 use crate::args::{LinkArgs, StreamArgs};
 use crate::connection::{failed, not_connected};
 use crate::error::Failure;
-use crate::item::print_line;
+use crate::item::{print_block, print_json};
 use crate::target::{Target, Transport};
 
 /// The cycle of a controller, in seconds.
@@ -300,9 +300,9 @@ impl Outcome<'_> {
             super::plot::plot(path, kind, samples)?;
         }
         if self.json {
-            print_line(&report)?;
+            print_json(&report)?;
         } else if stats.cycles > 0 {
-            print_line(&text(stats))?;
+            print_block(&text(stats))?;
         }
         Ok(())
     }

@@ -96,7 +96,8 @@ fn reply(request: &Frame<'_>, answer: &impl Fn(&Frame<'_>) -> Answer, seen: &Mut
     let arguments: Vec<String> = request.args.iter().map(|value| format!("{value:?}")).collect();
     seen.lock().unwrap().push(format!("{:?}({})", request.function(), arguments.join(", ")));
     let answer = answer(request);
-    let mut buffer = [0; 1024];
+    // room for the largest frame that there is
+    let mut buffer = vec![0; if answer.value.is_some() { 16 * 1024 * 1024 } else { 16 }];
     let mut frame = FrameWriter::new(&mut buffer).unwrap();
     if let Some(value) = answer.value {
         frame.argument(&*value).unwrap();

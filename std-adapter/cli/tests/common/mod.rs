@@ -24,12 +24,15 @@ impl From<Output> for Run {
     }
 }
 
-/// The command, undisturbed by the environment of the tests, and patient where a test does not say otherwise.
+/// The command without the environment of the tests, and with much time unless a test says otherwise.
 pub(crate) fn command(args: &[&str]) -> Command {
+    let time = if args.contains(&"--timeout") { &[][..] } else { &["--timeout", "30000"] };
+    bare(&[time, args].concat())
+}
+
+/// The command with these arguments alone.
+pub(crate) fn bare(args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_bcap"));
-    if !args.contains(&"--timeout") {
-        command.args(["--timeout", "30000"]);
-    }
     command.args(args).env_remove("BCAP_ROBOT").env_remove("NO_COLOR").env_remove("CLICOLOR_FORCE");
     command
 }
