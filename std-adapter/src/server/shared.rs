@@ -1,5 +1,6 @@
 //! What all tasks of a server share: the handler, the numbers of peers, and the news that something has changed.
 
+use std::any::Any;
 use std::cmp::Ordering::{Equal, Greater, Less};
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -117,10 +118,16 @@ impl<H> Shared<H> {
 pub(super) struct Held<'s, H>(MutexGuard<'s, H>);
 
 impl<H> Held<'_, H> {
-    /// Calls it; `None` when it panicked.
+    /// Calls the handler; `None` when it panicked.
     fn ask<T>(&mut self, peer: PeerId, call: impl FnOnce(&mut H) -> T) -> Option<T> {
-        let answer = catch_unwind(AssertUnwindSafe(|| call(&mut self.0)));
-        answer.inspect_err(|_| tracing::error!(peer = peer.0, "the handler has panicked")).ok()
+        match catch_unwind(AssertUnwindSafe(|| call(&mut self.0))) {
+            Ok(answer) => Some(answer),
+            Err(payload) => {
+                tracing::error!(peer = peer.0, "the handler has panicked");
+                discard(payload);
+                None
+            }
+        }
     }
 
     fn answer(
@@ -133,6 +140,14 @@ impl<H> Held<'_, H> {
             reply.clear();
             HResult::E_UNEXPECTED.into()
         })
+    }
+}
+
+/// Drops a panic's payload. That runs code of the handler once more, which may panic as well; the second payload is leaked,
+/// so that this ends.
+fn discard(payload: Box<dyn Any + Send>) {
+    if let Err(second) = catch_unwind(AssertUnwindSafe(|| drop(payload))) {
+        std::mem::forget(second);
     }
 }
 
