@@ -15,6 +15,9 @@ const REPORT: Duration = Duration::from_secs(10);
 /// The number of addresses with a bucket of their own; further ones share a bucket.
 const BUCKETS: usize = 1024;
 
+/// The interval at which full buckets are forgotten.
+const PURGE: Duration = Duration::from_secs(1);
+
 /// Decides which lines are written, and counts the others.
 #[derive(Debug)]
 pub(super) struct Throttle {
@@ -24,6 +27,8 @@ pub(super) struct Throttle {
     buckets: HashMap<Option<IpAddr>, Bucket>,
     /// When counts are to be written; `None` without any.
     report_at: Option<Instant>,
+    /// When full buckets may be forgotten next: looking for them costs more than a line.
+    purge_at: Instant,
 }
 
 /// The allowance of one address.
@@ -44,7 +49,7 @@ pub(super) struct Suppressed {
 
 impl Throttle {
     pub(super) fn new(rate: u32) -> Self {
-        Self { rate, buckets: HashMap::new(), report_at: None }
+        Self { rate, buckets: HashMap::new(), report_at: None, purge_at: Instant::ZERO }
     }
 
     /// Takes a token of a client; `false`, and one more suppressed line, without a token.
@@ -68,7 +73,10 @@ impl Throttle {
         if self.buckets.len() < BUCKETS || self.buckets.contains_key(&key) {
             return key;
         }
-        self.buckets.retain(|_, bucket| bucket.suppressed > 0 || bucket.full_at > now);
+        if now >= self.purge_at {
+            self.buckets.retain(|_, bucket| bucket.suppressed > 0 || bucket.full_at > now);
+            self.purge_at = now.saturating_add(PURGE);
+        }
         key.filter(|_| self.buckets.len() < BUCKETS)
     }
 
