@@ -231,7 +231,8 @@ mod tests {
 
         fn release(&mut self, objects: &mut Objects, peer: u32, handle: i32) {
             let at = self.0.iter().position(|known| *known == (peer, handle));
-            let expected = at.map(|at| drop(self.0.remove(at))).ok_or(HResult::E_HANDLE);
+            let expected = at.map(|_| ()).ok_or(HResult::E_HANDLE);
+            self.0.retain(|known| *known != (peer, handle));
             assert_eq!(objects.release(PeerId(peer), handle, Object::Robot), expected, "{peer} {handle}");
         }
 
