@@ -44,6 +44,14 @@ instructions:
 arrays:
     cargo bench -p bcap-tests --bench arrays
 
+# Opening an object of the virtual controller with 10 and with 90,000 objects open.
+objects:
+    cargo bench -p bcap-tests --bench objects
+
+# How long a small call waits beside a client of 16 MiB requests.
+fairness:
+    cargo bench -p bcap-tests --bench fairness
+
 # Round trips over loopback beside a bare ping-pong, and a server with 100 connections.
 loopback:
     cargo bench -p bcap-tests --bench loopback

@@ -50,10 +50,11 @@ impl From<HResult> for Outcome {
 /// ```
 pub struct ReplyValue<'b> {
     memory: Memory<'b>,
-    /// Where in the memory the value begins, and how large it may get.
+    /// Where in the memory the value begins, how large it may get, and how many bytes must be left after it.
     offset: usize,
     max: usize,
-    /// Bytes of the value; 0 while there is none.
+    tail: usize,
+    /// Bytes of the value; 0 without a value.
     len: usize,
     overflow: bool,
 }
@@ -84,6 +85,13 @@ impl Memory<'_> {
             Self::Storage(storage) => storage.grow(len),
         }
     }
+
+    fn shrink(&mut self, len: usize) {
+        match self {
+            Self::Slice(_) => {}
+            Self::Storage(storage) => storage.shrink(len),
+        }
+    }
 }
 
 impl<'b> ReplyValue<'b> {
@@ -91,39 +99,62 @@ impl<'b> ReplyValue<'b> {
     #[must_use]
     pub const fn new(buffer: &'b mut [u8]) -> Self {
         let max = buffer.len();
-        Self { memory: Memory::Slice(buffer), offset: 0, max, len: 0, overflow: false }
+        Self { memory: Memory::Slice(buffer), offset: 0, max, tail: 0, len: 0, overflow: false }
     }
 
-    /// Makes a place for a value of at most `max` bytes, behind `offset` bytes of memory that may grow.
-    pub(crate) const fn behind(storage: &'b mut dyn Storage, offset: usize, max: usize) -> Self {
-        Self { memory: Memory::Storage(storage), offset, max, len: 0, overflow: false }
+    /// Makes a place for a value of at most `max` bytes, after `offset` bytes of memory that may grow and before `tail` bytes.
+    pub(crate) const fn within(storage: &'b mut dyn Storage, offset: usize, max: usize, tail: usize) -> Self {
+        Self { memory: Memory::Storage(storage), offset, max, tail, len: 0, overflow: false }
     }
 
-    /// Sets the value; one that was set before is replaced.
+    /// Sets the value, and replaces one that was set before.
+    ///
+    /// Memory grows to what the value needs. A value fits if there is that much memory, even if there is not more.
     ///
     /// # Errors
     ///
-    /// An [`EncodeError`] when the value does not fit; there is no value then, and the server will answer
-    /// E_TOO_MUCH_DATA whatever the outcome says.
+    /// An [`EncodeError`] when the value does not fit; there is no value then, and the server answers E_TOO_MUCH_DATA
+    /// whatever the outcome says.
     pub fn set<T: Encode + ?Sized>(&mut self, value: &T) -> Result<(), EncodeError> {
         self.clear();
-        loop {
-            let end = self.offset.saturating_add(self.max);
-            let memory = self.memory.bytes_mut();
-            let room = memory.len().min(end);
-            let mut out = Writer::new(memory.get_mut(self.offset..room).unwrap_or_default());
+        let before = self.memory.bytes().len();
+        let encoded = loop {
+            let mut out = Writer::new(self.room());
             match value.encode(&mut out) {
-                Ok(()) => {
-                    self.len = out.len();
-                    return Ok(());
-                }
-                Err(EncodeError::Full) if room < end && self.memory.grow(room.saturating_mul(2).max(64).min(end)) => {}
-                Err(error) => {
-                    self.overflow = true;
-                    return Err(error);
-                }
+                Ok(()) => break Ok(out.len()),
+                Err(EncodeError::Full) if self.grow() => {}
+                Err(error) => break Err(error),
             }
+        };
+        let used = encoded.map_or(0, |len| self.offset.saturating_add(len).saturating_add(self.tail));
+        // memory of a server is shared by its sessions: what the value does not need is for the others
+        if self.memory.bytes().len() > used.max(before) {
+            self.memory.shrink(used.max(before));
         }
+        self.overflow = encoded.is_err();
+        self.len = encoded?;
+        Ok(())
+    }
+
+    /// Returns the memory that the value may take as it is.
+    fn room(&mut self) -> &mut [u8] {
+        let memory = self.memory.bytes_mut();
+        let end = memory.len().saturating_sub(self.tail).min(self.offset.saturating_add(self.max));
+        memory.get_mut(self.offset..end).unwrap_or_default()
+    }
+
+    /// Doubles the memory, or grows it by less where there is less; `false` when it cannot grow.
+    fn grow(&mut self) -> bool {
+        let len = self.memory.bytes().len();
+        let most = self.offset.saturating_add(self.max).saturating_add(self.tail);
+        let mut more = len.max(64).min(most.saturating_sub(len));
+        while more > 0 {
+            if self.memory.grow(len.saturating_add(more)) {
+                return true;
+            }
+            more /= 2;
+        }
+        false
     }
 
     /// Removes the value.
@@ -155,5 +186,82 @@ impl<'b> ReplyValue<'b> {
 impl core::fmt::Debug for ReplyValue<'_> {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         f.debug_tuple("ReplyValue").field(&self.get()).finish()
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    #![allow(clippy::arithmetic_side_effects, reason = "lengths of a test")]
+
+    extern crate std;
+
+    use std::vec::Vec;
+
+    use super::*;
+
+    /// Memory that grows up to a limit.
+    #[derive(Debug)]
+    pub(crate) struct Capped {
+        bytes: Vec<u8>,
+        limit: usize,
+    }
+
+    impl Capped {
+        pub(crate) fn new(len: usize, limit: usize) -> Self {
+            Self { bytes: std::vec![0; len], limit }
+        }
+    }
+
+    impl Storage for Capped {
+        fn bytes(&self) -> &[u8] {
+            &self.bytes
+        }
+
+        fn bytes_mut(&mut self) -> &mut [u8] {
+            &mut self.bytes
+        }
+
+        fn grow(&mut self, len: usize) -> bool {
+            let fits = len <= self.limit;
+            if fits && len > self.bytes.len() {
+                self.bytes.resize(len, 0);
+            }
+            fits
+        }
+
+        fn shrink(&mut self, len: usize) {
+            self.bytes.truncate(len);
+        }
+    }
+
+    #[test]
+    fn a_value_fits_if_there_is_as_much_memory_as_it_needs() {
+        const OFFSET: usize = 19;
+        const TAIL: usize = 3;
+        // type and count
+        const HEAD: usize = 6;
+        for limit in [64, 65, 100, 127, 128, 129, 1000, 1025, 5000] {
+            for before in [0, 20, 64] {
+                for (needed, fits) in [(limit - 1, true), (limit, true), (limit + 1, false), (2 * limit, false)] {
+                    let mut memory = Capped::new(before, limit);
+                    let value = std::vec![7_u8; needed - OFFSET - HEAD - TAIL];
+                    let mut reply = ReplyValue::within(&mut memory, OFFSET, 1 << 20, TAIL);
+                    let what = std::format!("{needed} bytes of {limit}, {before} before");
+                    assert_eq!((reply.set(&value[..]).is_ok(), reply.is_overflow()), (fits, !fits), "{what}");
+                    assert_eq!(reply.get().is_some(), fits, "{what}");
+                    let kept = if fits { needed.max(before) } else { before };
+                    assert_eq!(memory.bytes.len(), kept, "{what}: the memory that is not needed is released");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_value_of_the_largest_size_fits_and_no_larger_one() {
+        for (max, fits) in [(105, false), (106, true), (107, true)] {
+            let mut memory = Capped::new(0, 1000);
+            let mut reply = ReplyValue::within(&mut memory, 19, max, 1);
+            assert_eq!(reply.set(&[7_u8; 100]).is_ok(), fits, "{max}");
+        }
     }
 }

@@ -36,6 +36,9 @@ pub trait Session<H: ?Sized> {
     /// Tells whether part of a request has come and its rest has not.
     fn is_receiving(&self) -> bool;
 
+    /// Returns the length in bytes of the request that the next call of [`run`](Self::run) decodes; 0 without one.
+    fn next_request(&self) -> usize;
+
     /// Tells whether the session is over and the link is to be closed.
     fn is_finished(&self) -> bool;
 
@@ -109,6 +112,10 @@ where
 {
     type Event = bcap::server::Event;
 
+    fn next_request(&self) -> usize {
+        self.next_request()
+    }
+
     fn is_finished(&self) -> bool {
         self.is_finished()
     }
@@ -122,6 +129,11 @@ where
     V: Storage,
 {
     type Event = rac::server::Event;
+
+    fn next_request(&self) -> usize {
+        // lines are short
+        0
+    }
 
     fn is_finished(&self) -> bool {
         // a line that is none costs an answer, never the session

@@ -266,6 +266,56 @@ fn a_connection_over_the_limit_is_told_so() {
 }
 
 #[test]
+fn one_address_gets_no_more_than_its_share_of_the_slots() {
+    let server = start(Limits { connections_per_address: 1, udp_peers_per_address: 1, ..Limits::default() });
+    let refused = Some(HResult::E_MAX_CONNECT);
+    let mut first = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
+    first.call(call::service_start("")).unwrap();
+    let mut second = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
+    assert_eq!(second.call(call::service_start("")).unwrap_err().hresult(), refused);
+    let mut first = blocking::connect_udp(server.udp, &Options::default()).unwrap();
+    first.call(call::service_start("")).unwrap();
+    let mut second = blocking::connect_udp(server.udp, &Options::default()).unwrap();
+    assert_eq!(second.call(call::service_start("")).unwrap_err().hresult(), refused);
+}
+
+#[test]
+fn the_longest_idle_connection_makes_room_for_another() {
+    let server = start(Limits { connections: 2, evict_after: Duration::ZERO, ..Limits::default() });
+    let mut clients = [(); 2].map(|()| blocking::connect_tcp(server.tcp, &Options::default()).unwrap());
+    // the second is idle longest
+    for n in [0, 1, 0] {
+        clients[n].call(call::service_start("")).unwrap();
+    }
+    let mut late = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
+    late.call(call::service_start("")).unwrap();
+    clients[0].call(call::service_start("")).unwrap();
+    until(|| server.store.lock().unwrap().left.len() == 1);
+    assert!(matches!(clients[1].call(call::service_start("")), Err(CallError::Disconnected | CallError::Io(_))));
+}
+
+#[test]
+fn a_connection_whose_call_runs_keeps_its_slot() {
+    let server = start(Limits { connections: 1, evict_after: Duration::ZERO, ..Limits::default() });
+    let (address, patient) = (server.tcp, Options::default().timeout(Duration::from_secs(30)));
+    let waiting = std::thread::spawn(move || {
+        let mut client = blocking::connect_tcp(address, &patient).unwrap();
+        client.call(call::service_start("")).unwrap();
+        let controller = client.call(call::controller_connect("", "", "", "")).unwrap();
+        client.call(call::controller_execute(controller, "wait", ())).map(|value| value == Variant::Empty)
+    });
+    until(|| server.store.lock().unwrap().executed >= 3);
+    let mut late = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
+    assert_eq!(late.call(call::service_start("")).unwrap_err().hresult(), Some(HResult::E_MAX_CONNECT));
+    let mut other = blocking::connect_udp(server.udp, &Options::default()).unwrap();
+    other.call(call::service_start("")).unwrap();
+    let controller = other.call(call::controller_connect("", "", "", "")).unwrap();
+    let variable = other.call(call::controller_get_variable(controller, "9", "")).unwrap();
+    other.call(call::variable_put_value(variable, 1)).unwrap();
+    assert!(waiting.join().unwrap().unwrap());
+}
+
+#[test]
 fn a_udp_peer_over_the_limit_is_told_so() {
     let server = start(Limits { udp_peers: 1, ..Limits::default() });
     let mut first = blocking::connect_udp(server.udp, &Options::default()).unwrap();

@@ -29,7 +29,7 @@ fn frame(call: &impl Call, buffer: &mut [u8]) -> usize {
 
 #[test]
 fn two_hundred_connections_are_served_at_once() {
-    let server = Served::start(Limits::default());
+    let server = Served::start(Limits { connections_per_address: 200, ..Limits::default() });
     let mut clients: Vec<_> = (0..200)
         .map(|n| {
             let (mut client, controller) = client(&server);

@@ -157,6 +157,15 @@ impl Inbox {
         self.next = self.next.wrapping_add(skipped);
     }
 
+    /// Returns the length of the frame that `poll` finds next, by its header; 0 as long as it has not arrived.
+    pub(crate) fn next_frame(&self, buffer: &[u8]) -> usize {
+        let bytes = buffer.get(self.next..self.len).unwrap_or_default();
+        match self.decoder.frame_length(bytes) {
+            Ok(Some(length)) if length <= bytes.len() => length,
+            _ => 0,
+        }
+    }
+
     /// Takes the next frame out of what was received.
     pub(crate) fn poll(&mut self, buffer: &mut impl Storage) -> Option<Received> {
         let bytes = buffer.bytes().get(self.next..self.len)?;

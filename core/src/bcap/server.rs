@@ -323,6 +323,17 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         self.objects.len()
     }
 
+    /// Returns the length in bytes of the request that the next call of [`run`](Self::run) decodes; 0 without one.
+    ///
+    /// The time of that call grows with this length, so a server of many peers can give a large one to another thread.
+    #[must_use]
+    pub fn next_request(&self) -> usize {
+        if self.state.running.is_some() || self.state.is_sending() || self.state.closing {
+            return 0;
+        }
+        self.inbox.next_frame(self.rx.bytes())
+    }
+
     /// Returns the bytes of memory that it has, both ways together.
     #[must_use]
     pub fn memory(&self) -> usize {
@@ -490,8 +501,9 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
     ) -> Option<Event> {
         let Running { span, function, first, serial, resumed, .. } = running;
         let args = self.inbox.frame(self.rx.bytes(), span)?.args;
-        let max = self.state.config.link.send_max().saturating_sub(VALUE_AT).saturating_sub(self.state.tail());
-        let mut reply = ReplyValue::behind(&mut self.tx, VALUE_AT, max);
+        let tail = self.state.tail();
+        let max = self.state.config.link.send_max().saturating_sub(VALUE_AT).saturating_sub(tail);
+        let mut reply = ReplyValue::within(&mut self.tx, VALUE_AT, max, tail);
         let request = Request { function, args, resumed };
         let result = match handler.call(peer, &request, &mut reply, now) {
             Outcome::Wait(wake) => {

@@ -445,9 +445,31 @@ pub(crate) struct Gateway {
     #[arg(long, value_name = "VARIABLES", value_delimiter = ',', value_parser = AllowPut::parse)]
     pub(crate) allow_put: Vec<AllowPut>,
 
+    /// Connections of one IP address at the same time, of 64 in all
+    #[arg(long, value_name = "COUNT", default_value_t = 16)]
+    pub(crate) clients_per_address: usize,
+
+    /// The seconds of silence after which a connection may be closed when another needs its slot; the longest idle one is
+    /// closed first
+    #[arg(long, value_name = "SECONDS", default_value_t = 10)]
+    pub(crate) evict_after: u32,
+
     /// Where the audit log goes; a file is appended to, - is the standard output
     #[arg(long, value_name = "FILE", default_value = "-")]
     pub(crate) audit: PathBuf,
+
+    /// Lines a second that one IP address may cause in the audit log, ten times as many at once; more are counted, 0
+    /// writes all. Successful writes are always logged
+    #[arg(long, value_name = "LINES", default_value_t = 10)]
+    pub(crate) audit_rate: u32,
+
+    /// The size in MiB at which a log file is renamed to FILE.1, and a new one begun; 0 for any size
+    #[arg(long, value_name = "MIB", default_value_t = 16)]
+    pub(crate) audit_size: u32,
+
+    /// The number of old log files that are kept: FILE.1 is the newest
+    #[arg(long, value_name = "COUNT", default_value_t = 4)]
+    pub(crate) audit_keep: u32,
 }
 
 /// Shows a session with a virtual controller, every frame decoded beside its bytes

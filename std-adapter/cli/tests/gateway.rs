@@ -340,9 +340,93 @@ fn signals_end_it_with_0_and_the_log_with_the_totals() {
     }
 }
 
+/// Two bytes a line cost some 200 in the log: their number is limited, and what is left out is counted.
+#[test]
+#[cfg(unix)]
+fn a_flood_of_wrong_lines_is_counted_in_the_log() {
+    const LINES: u64 = 20_000;
+    let gateway = Server::gateway("127.0.0.1:9", &[]);
+    let begun = Instant::now();
+    let mut flood = TcpStream::connect(gateway.address("rac")).unwrap();
+    let mut answers = flood.try_clone().unwrap();
+    let writer = std::thread::spawn(move || flood.write_all("X\r".repeat(LINES as usize).as_bytes()).unwrap());
+    let (mut answered, mut buffer) = (0, [0; 1 << 16]);
+    while answered < LINES {
+        let count = answers.read(&mut buffer).unwrap();
+        assert!(count > 0, "the connection is kept");
+        answered += buffer[..count].iter().filter(|byte| **byte == b'\r').count() as u64;
+    }
+    writer.join().unwrap();
+    let seconds = begun.elapsed().as_secs() + 1;
+    let log = gateway.end("-TERM");
+    let records: Vec<Value> = log.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let refused = records.iter().filter(|record| record["event"] == "refused").count() as u64;
+    let suppressed = records.iter().filter(|record| record["event"] == "suppressed");
+    let suppressed: u64 = suppressed
+        .inspect(|record| assert_eq!(record["client"], "127.0.0.1"))
+        .map(|r| r["lines"].as_u64().unwrap())
+        .sum();
+    assert!(refused >= 50 && refused <= 100 + 10 * seconds, "{refused} lines in {seconds} s");
+    // beside the refusals the connection and its end make a line each
+    assert!((LINES..=LINES + 2).contains(&(refused + suppressed)), "{refused} and {suppressed}");
+    assert_eq!(records.last().unwrap()["refused"], LINES, "the totals count all of them");
+}
+
+/// Writes change the robot: whatever else a client asks, each of them is in the log.
+#[test]
+#[cfg(unix)]
+fn every_successful_write_is_logged() {
+    let sim = Server::sim("127.0.0.1:0");
+    let gateway = up(&sim.address("bcap"), &["--allow-put", "I", "--audit-rate", "1"]);
+    let mut plc = Plc::connect(&gateway);
+    for n in 0..50 {
+        assert_eq!(plc.ask("GET:RC8:1:I:\r"), if n == 0 { "0,3,0\r".into() } else { format!("0,3,{}\r", n - 1) });
+        assert_eq!(plc.ask(&format!("PUT:RC8:1:I:3,{n}\r")), "0\r");
+    }
+    let log = gateway.end("-TERM");
+    for n in 0..50 {
+        assert!(log.contains(&format!("\"line\":\"PUT:RC8:1:I:3,{n}\"")), "{n} in {log}");
+    }
+    assert!(log.contains("\"event\":\"suppressed\""), "{log}");
+}
+
+#[test]
+fn one_address_gets_no_more_than_its_share_of_the_slots() {
+    let gateway = Server::gateway("127.0.0.1:9", &[]);
+    let mut seated: Vec<Plc> = (0..16).map(|_| Plc::connect(&gateway)).collect();
+    for plc in &mut seated {
+        assert_eq!(plc.ask("GET:RC8:1:I:\r"), NOT_CONNECTED);
+    }
+    assert_eq!(Plc::connect(&gateway).ask("GET:RC8:1:I:\r"), "-2147481333\r", "E_MAX_CONNECT");
+    // another address has slots of its own
+    #[cfg(target_os = "linux")]
+    {
+        let address = socket2::SockAddr::from("127.0.0.2:0".parse::<std::net::SocketAddr>().unwrap());
+        let socket = socket2::Socket::new(socket2::Domain::IPV4, socket2::Type::STREAM, None).unwrap();
+        socket.bind(&address).unwrap();
+        socket.connect(&gateway.address("rac").parse::<std::net::SocketAddr>().unwrap().into()).unwrap();
+        let mut other = Plc { stream: BufReader::new(socket.into()) };
+        assert_eq!(other.ask("GET:RC8:1:I:\r"), NOT_CONNECTED);
+    }
+}
+
+#[test]
+fn the_longest_idle_connection_makes_room_for_another() {
+    let gateway = Server::gateway("127.0.0.1:9", &["--clients-per-address", "2", "--evict-after", "0"]);
+    let mut plcs = [(); 2].map(|()| Plc::connect(&gateway));
+    // the second is idle longest
+    for n in [0, 1, 0] {
+        assert_eq!(plcs[n].ask("GET:RC8:1:I:\r"), NOT_CONNECTED);
+    }
+    let mut late = Plc::connect(&gateway);
+    assert_eq!(late.ask("GET:RC8:1:I:\r"), NOT_CONNECTED);
+    assert_eq!(plcs[1].stream.read(&mut [0; 1]).unwrap(), 0, "it is closed");
+    assert_eq!(plcs[0].ask("GET:RC8:1:I:\r"), NOT_CONNECTED);
+}
+
 #[test]
 fn who_finds_no_seat_is_told_so() {
-    let gateway = Server::gateway("127.0.0.1:9", &[]);
+    let gateway = Server::gateway("127.0.0.1:9", &["--clients-per-address", "64"]);
     let mut seated: Vec<Plc> = (0..64).map(|_| Plc::connect(&gateway)).collect();
     for plc in &mut seated {
         assert_eq!(plc.ask("GET:RC8:1:I:\r"), NOT_CONNECTED);

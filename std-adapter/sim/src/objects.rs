@@ -4,7 +4,7 @@
 //! released, a call is refused with `E_HANDLE`. Numbers count up from 2, as in the guide's frames, and start over when
 //! nothing is open; none is given twice at the same time.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use bcap_core::bcap::Object;
 use bcap_core::handler::PeerId;
@@ -85,20 +85,30 @@ pub(crate) struct Entry {
 }
 
 /// All open objects.
+///
+/// Every operation takes logarithmic time in the number of open objects, so that one client's objects do not slow the
+/// calls of the others.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Objects {
     open: BTreeMap<i32, Entry>,
+    /// The handles of each client; a client without handles has no entry.
+    by_peer: BTreeMap<PeerId, BTreeSet<i32>>,
     last: i32,
 }
 
 impl Objects {
     /// Opens an object and returns its handle.
+    ///
+    /// # Errors
+    ///
+    /// `E_MAX_OBJECT` when the client has `limit` objects already.
     pub(crate) fn open(&mut self, entry: Entry, limit: usize) -> Result<i32, HResult> {
-        if self.open.values().filter(|e| e.peer == entry.peer).count() >= limit {
+        if self.by_peer.get(&entry.peer).map_or(0, BTreeSet::len) >= limit {
             return Err(HResult::E_MAX_OBJECT);
         }
         let handle = self.free_handle();
         self.last = handle;
+        self.by_peer.entry(entry.peer).or_default().insert(handle);
         self.open.insert(handle, entry);
         Ok(handle)
     }
@@ -116,6 +126,12 @@ impl Objects {
     pub(crate) fn release(&mut self, peer: PeerId, handle: i32, object: Object) -> Result<(), HResult> {
         self.get(peer, handle, object)?;
         self.open.remove(&handle);
+        if let Some(handles) = self.by_peer.get_mut(&peer) {
+            handles.remove(&handle);
+            if handles.is_empty() {
+                self.by_peer.remove(&peer);
+            }
+        }
         Ok(())
     }
 
@@ -125,9 +141,11 @@ impl Objects {
         Ok(())
     }
 
-    /// Releases all that a client holds.
+    /// Releases all objects of a client.
     pub(crate) fn release_all(&mut self, peer: PeerId) {
-        self.open.retain(|_, entry| entry.peer != peer);
+        for handle in self.by_peer.remove(&peer).unwrap_or_default() {
+            self.open.remove(&handle);
+        }
     }
 
     pub(crate) fn len(&self) -> usize {
@@ -139,7 +157,8 @@ impl Objects {
             return FIRST;
         }
         let mut handle = self.last;
-        // ends, because far fewer than 2^31 can be open
+        // ends, because far fewer than 2^31 can be open; constant on average, because an open object is passed over once
+        // in a round of 2^31 handles
         loop {
             handle = handle.checked_add(1).unwrap_or(FIRST);
             if !self.open.contains_key(&handle) {
@@ -191,5 +210,70 @@ mod tests {
         objects.release_all(PeerId(1));
         assert_eq!(objects.len(), 0);
         assert_eq!(objects.open(entry(1), 1), Ok(FIRST));
+    }
+
+    /// The same in the simplest way: a list of client and handle.
+    #[derive(Default)]
+    struct Model(Vec<(u32, i32)>);
+
+    impl Model {
+        fn open(&mut self, objects: &mut Objects, peer: u32, limit: usize) {
+            let count = self.0.iter().filter(|(owner, _)| *owner == peer).count();
+            match objects.open(entry(peer), limit) {
+                Ok(handle) => {
+                    assert!(count < limit, "{count} of {limit}");
+                    assert!(handle >= FIRST && self.0.iter().all(|(_, known)| *known != handle), "{handle}");
+                    self.0.push((peer, handle));
+                }
+                Err(refused) => assert_eq!((refused, count), (HResult::E_MAX_OBJECT, limit)),
+            }
+        }
+
+        fn release(&mut self, objects: &mut Objects, peer: u32, handle: i32) {
+            let at = self.0.iter().position(|known| *known == (peer, handle));
+            let expected = at.map(|_| ()).ok_or(HResult::E_HANDLE);
+            self.0.retain(|known| *known != (peer, handle));
+            assert_eq!(objects.release(PeerId(peer), handle, Object::Robot), expected, "{peer} {handle}");
+        }
+
+        fn release_all(&mut self, objects: &mut Objects, peer: u32) {
+            self.0.retain(|(owner, _)| *owner != peer);
+            objects.release_all(PeerId(peer));
+        }
+
+        /// Checks that the indices of `objects` hold the same, and nothing of clients without objects.
+        fn check(&self, objects: &Objects) {
+            let mut known: Vec<_> = objects.open.iter().map(|(handle, entry)| (entry.peer.0, *handle)).collect();
+            let indexed = objects.by_peer.iter().flat_map(|(peer, handles)| handles.iter().map(|h| (peer.0, *h)));
+            let mut expected = self.0.clone();
+            expected.sort_unstable();
+            known.sort_unstable();
+            assert_eq!(known, expected);
+            assert_eq!(indexed.collect::<Vec<_>>(), expected);
+            assert!(objects.by_peer.values().all(|handles| !handles.is_empty()));
+        }
+    }
+
+    #[test]
+    fn any_sequence_of_calls_gives_what_a_list_gives() {
+        const LIMIT: usize = 7;
+        let mut random = fastrand::Rng::with_seed(11);
+        for _ in 0..200 {
+            let (mut objects, mut model) = (Objects::default(), Model::default());
+            // handles near the end of their range, too
+            objects.last = if random.bool() { i32::MAX - 9 } else { 0 };
+            for _ in 0..100 {
+                let peer = random.u32(0..4);
+                match random.u32(0..20) {
+                    0 => model.release_all(&mut objects, peer),
+                    1..8 => {
+                        let known = model.0.get(random.usize(0..=model.0.len())).map_or(5, |known| known.1);
+                        model.release(&mut objects, peer, known);
+                    }
+                    _ => model.open(&mut objects, peer, LIMIT),
+                }
+                model.check(&objects);
+            }
+        }
     }
 }

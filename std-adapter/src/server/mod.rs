@@ -6,15 +6,20 @@
 //!   RAC listener ─► a task for each connection ─┘
 //! ```
 //!
-//! The protocol is the core's: a [`Session`](bcap_core::bcap::server::Session) for each peer. No thread is made for a
-//! request, and nothing is polled: a task sleeps until bytes come, a deadline of its session is due, or, while its
-//! handler waits, another request has changed something.
+//! The protocol is the core's: a [`Session`](bcap_core::bcap::server::Session) for each peer. Nothing is polled: a task sleeps
+//! until bytes arrive, a deadline of its session passes, or, while its handler waits, another request has changed
+//! something.
 //!
-//! What one peer can cost is bounded by [`Limits`]: the connections, what a connection may leave unfinished, its
-//! objects, the memory of all. A connection over the limit is told so (E_MAX_CONNECT) and closed.
+//! Connections take turns by bytes: after 256 KiB, or 32 small requests, other tasks run. A request of 256 KiB or more
+//! is decoded and carried out by a thread of tokio's pool for blocking calls, so other calls need not wait for it. The
+//! handler is locked for each call, not for decoding.
 //!
-//! A panic of the handler is a bug that must not stop a plant: it ends the call that it happened in with E_UNEXPECTED, and
-//! the handler is used on. With `panic = "abort"` it ends the process, as everywhere.
+//! [`Limits`] bounds what one peer can cost: its connections, partly received requests, objects, and the memory of all
+//! peers. When slots are short a new connection gets the slot of the one that has been idle longest; without such a
+//! connection it is answered E_MAX_CONNECT and closed.
+//!
+//! A handler that panics fails its call with E_UNEXPECTED; the server and the handler go on. With `panic = "abort"` a
+//! panic ends the process.
 //!
 //! # Examples
 //!
@@ -30,6 +35,7 @@
 //! # mod tokio { pub async fn signal_that_ends_it() {} }
 //! ```
 
+mod admission;
 mod memory;
 mod rac;
 mod shared;
@@ -52,6 +58,7 @@ use tokio::task::JoinSet;
 use memory::Pool;
 use shared::Shared;
 
+pub use admission::{Admission, SlotState, Slots};
 pub use shared::Tap;
 
 /// What peers can use up.
@@ -59,10 +66,17 @@ pub use shared::Tap;
 pub struct Limits {
     /// Connections at the same time, b-CAP and RAC each.
     pub connections: usize,
+    /// Connections of one IP address at the same time, b-CAP and RAC each.
+    pub connections_per_address: usize,
+    /// The silence after which a connection without a request under way may be closed when another connection needs its
+    /// slot; the one that has been idle longest is closed first.
+    pub evict_after: Duration,
     /// UDP peers at the same time; one that has stopped its service, or was silent for [`udp_idle`](Self::udp_idle),
     /// makes room for another.
     pub udp_peers: usize,
-    /// The silence after which a UDP peer may be forgotten when another wants its place.
+    /// UDP peers of one IP address at the same time.
+    pub udp_peers_per_address: usize,
+    /// The silence after which a UDP peer may be forgotten when another needs its slot.
     pub udp_idle: Duration,
     /// The silence after which a UDP peer is forgotten in any case, and its objects are released.
     pub udp_lost: Duration,
@@ -86,11 +100,26 @@ pub struct Limits {
     pub keep_alive: Option<Duration>,
 }
 
+impl Limits {
+    /// Returns the slots for connections of one protocol.
+    const fn connection_slots(&self) -> Slots {
+        Slots { total: self.connections, per_address: self.connections_per_address, evict_after: self.evict_after }
+    }
+
+    /// Returns the slots for UDP peers.
+    const fn udp_slots(&self) -> Slots {
+        Slots { total: self.udp_peers, per_address: self.udp_peers_per_address, evict_after: self.udp_idle }
+    }
+}
+
 impl Default for Limits {
     fn default() -> Self {
         Self {
             connections: 256,
+            connections_per_address: 128,
+            evict_after: Duration::from_secs(10),
             udp_peers: 32,
+            udp_peers_per_address: 16,
             udp_idle: Duration::from_secs(10),
             udp_lost: Duration::from_secs(600),
             receive: Duration::from_secs(30),
@@ -154,7 +183,7 @@ impl<H: Handler + Send + 'static> Server<H> {
     /// Lets a function look at everything that is sent, and change it: to record it, or to try what clients do about a
     /// bad link. The first one that is given stays.
     ///
-    /// It is called with each frame of b-CAP and each line of RAC, while it has the handler to itself; it must be short.
+    /// It is called with each frame of b-CAP and each line of RAC, with the handler locked; it must be short.
     /// UDP has no connection to close, so `Break` sends nothing there.
     #[must_use]
     pub fn tap(self, tap: Tap<H>) -> Self {

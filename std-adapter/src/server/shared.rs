@@ -1,10 +1,11 @@
 //! What all tasks of a server share: the handler, the numbers of peers, and the news that something has changed.
 
+use std::any::Any;
 use std::cmp::Ordering::{Equal, Greater, Less};
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 use bcap_core::bcap::server as bcap;
@@ -68,9 +69,9 @@ impl<H> Shared<H> {
         }
     }
 
-    /// Takes the handler. One that panicked before, here or elsewhere, is used on: its other peers shall not suffer.
-    pub(super) fn handler(&self) -> Held<'_, H> {
-        Held(self.handler.lock().unwrap_or_else(PoisonError::into_inner))
+    /// Returns the handler for a session. It is locked for each call, so that decoding a large request holds no lock.
+    pub(super) fn handler(&self) -> Locking<'_, H> {
+        Locking(&self.handler)
     }
 
     /// Tells those who wait that something may have changed. Every call of every peer comes by here, and most of those who
@@ -112,15 +113,23 @@ impl<H> Shared<H> {
     }
 }
 
-/// The handler of a task that has it to itself. A panic in a call ends that call with E_UNEXPECTED, and nothing else.
+/// The handler, locked for the time of each call. A panic in a call ends that call with E_UNEXPECTED, and nothing else.
 #[derive(Debug)]
-pub(super) struct Held<'s, H>(MutexGuard<'s, H>);
+pub(super) struct Locking<'s, H>(&'s Mutex<H>);
 
-impl<H> Held<'_, H> {
-    /// Calls it; `None` when it panicked.
+impl<H> Locking<'_, H> {
+    /// Calls the handler; `None` when it panicked.
     fn ask<T>(&mut self, peer: PeerId, call: impl FnOnce(&mut H) -> T) -> Option<T> {
-        let answer = catch_unwind(AssertUnwindSafe(|| call(&mut self.0)));
-        answer.inspect_err(|_| tracing::error!(peer = peer.0, "the handler has panicked")).ok()
+        // a handler that panicked before is used on, for its other peers
+        let mut handler = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        match catch_unwind(AssertUnwindSafe(|| call(&mut handler))) {
+            Ok(answer) => Some(answer),
+            Err(payload) => {
+                tracing::error!(peer = peer.0, "the handler has panicked");
+                discard(payload);
+                None
+            }
+        }
     }
 
     fn answer(
@@ -136,7 +145,15 @@ impl<H> Held<'_, H> {
     }
 }
 
-impl<H: bcap::Handler> bcap::Handler for Held<'_, H> {
+/// Drops a panic's payload. That runs code of the handler once more, which may panic as well; the second payload is leaked,
+/// so that this ends.
+fn discard(payload: Box<dyn Any + Send>) {
+    if let Err(second) = catch_unwind(AssertUnwindSafe(|| drop(payload))) {
+        std::mem::forget(second);
+    }
+}
+
+impl<H: bcap::Handler> bcap::Handler for Locking<'_, H> {
     fn call(&mut self, peer: PeerId, request: &bcap::Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
         self.answer(peer, reply, |handler, reply| handler.call(peer, request, reply, now))
     }
@@ -150,7 +167,7 @@ impl<H: bcap::Handler> bcap::Handler for Held<'_, H> {
     }
 }
 
-impl<H: rac::Handler> rac::Handler for Held<'_, H> {
+impl<H: rac::Handler> rac::Handler for Locking<'_, H> {
     fn call(&mut self, peer: PeerId, request: &RacRequest<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
         self.answer(peer, reply, |handler, reply| handler.call(peer, request, reply, now))
     }

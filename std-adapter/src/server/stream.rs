@@ -13,192 +13,285 @@ use tokio::sync::watch;
 use tokio::time::timeout;
 
 use super::Limits;
-use super::shared::{Changes, Held, Shared, Tapped};
+use super::admission::Activity;
+use super::shared::{Changes, Locking, Shared, Tapped};
 use crate::clock::{now, until};
 use crate::connect::STREAM_ROOM;
 
 /// A session of either protocol, whose handler is shared.
-pub(super) trait Machine<H>: for<'h> Session<Held<'h, H>> + Send {}
+pub(super) trait Machine<H>: for<'h> Session<Locking<'h, H>> + Send {}
 
-impl<H, S: for<'h> Session<Held<'h, H>> + Send> Machine<H> for S {}
+impl<H, S: for<'h> Session<Locking<'h, H>> + Send> Machine<H> for S {}
 
-/// How many replies a connection may send in a row before others have their turn: a peer that has many requests in our
-/// buffer, and reads as fast as we write, would have the thread to itself.
-const TURN: u32 = 32;
+/// The bytes that a connection may receive and send before other tasks have a turn. A peer that sends and reads as fast as the
+/// server does would have the thread to itself.
+///
+/// A request of this size or more is carried out by another thread, because it takes longer than a turn.
+const TURN: usize = 256 << 10;
+
+/// What carrying out a request costs of a turn, in bytes: 32 small requests are a turn.
+const REQUEST: usize = TURN / 32;
 
 /// The silence after which a connection gives back the memory that its last request or reply took.
 const MEMORY_KEPT: Duration = Duration::from_secs(5);
 
 /// Serves one connection until it ends or the server stops.
-pub(super) async fn serve<H: Send, M: Machine<H>>(
+pub(super) async fn serve<H: Send + 'static, M: Machine<H> + 'static>(
     stream: TcpStream,
     session: M,
     peer: PeerId,
     shared: Arc<Shared<H>>,
     limits: Limits,
-    stopped: watch::Receiver<()>,
+    activity: Arc<Activity>,
+    mut stopped: watch::Receiver<()>,
 ) {
     let changes = shared.changes();
-    let mut connection =
-        Connection { stream, session, peer, shared, changes, limits, partial_since: None, heard: now() };
-    match connection.run(stopped).await {
-        Ok(reason) => tracing::debug!(peer = peer.0, reason, "connection ended"),
-        Err(error) => tracing::debug!(peer = peer.0, %error, "connection failed"),
+    let mut session = Box::new(session);
+    let mut connection = Connection {
+        stream,
+        peer,
+        shared,
+        changes,
+        limits,
+        activity,
+        partial_since: None,
+        last_active: now(),
+        moved: 0,
+    };
+    loop {
+        match connection.run(&mut *session, &mut stopped).await {
+            Ok(Pause::LargeRequest) => match connection.run_elsewhere(session).await {
+                Some(back) => session = back,
+                // the runtime shuts down
+                None => return,
+            },
+            Ok(Pause::Ended(reason)) => {
+                tracing::debug!(peer = peer.0, reason, "connection ended");
+                break;
+            }
+            Err(error) => {
+                tracing::debug!(peer = peer.0, %error, "connection failed");
+                break;
+            }
+        }
     }
-    connection.session.close(&mut connection.shared.handler(), peer, now());
+    session.close(&mut connection.shared.handler(), peer, now());
     connection.shared.has_changed();
 }
 
-struct Connection<H, M> {
+struct Connection<H> {
     stream: TcpStream,
-    session: M,
     peer: PeerId,
     shared: Arc<Shared<H>>,
     changes: Changes<H>,
     limits: Limits,
-    /// When the first byte of an unfinished request came.
+    activity: Arc<Activity>,
+    /// When the first byte of an unfinished request arrived.
     partial_since: Option<Instant>,
-    /// When bytes came last, or a reply left.
-    heard: Instant,
+    /// When bytes arrived last, or a reply was sent.
+    last_active: Instant,
+    /// The part of the turn that is used up, in bytes.
+    moved: usize,
 }
 
-impl<H, M: Machine<H>> Connection<H, M> {
-    /// Moves bytes until there is a reason to end.
-    async fn run(&mut self, mut stopped: watch::Receiver<()>) -> io::Result<&'static str> {
-        let mut sent = 0_u32;
+/// Why a connection moves no more bytes.
+enum Pause {
+    /// The next request is for another thread.
+    LargeRequest,
+    /// For good.
+    Ended(&'static str),
+}
+
+impl<H: Send + 'static> Connection<H> {
+    /// Moves bytes until a large request has arrived, or there is a reason to end.
+    async fn run<M: Machine<H>>(&mut self, session: &mut M, stopped: &mut watch::Receiver<()>) -> io::Result<Pause> {
         loop {
-            self.think();
-            if !self.session.transmit().is_empty() {
-                if let Some(reason) = self.send(&mut stopped).await? {
-                    return Ok(reason);
+            self.end_turn().await;
+            if session.next_request() >= TURN {
+                return Ok(Pause::LargeRequest);
+            }
+            self.run_session(session);
+            if !session.transmit().is_empty() {
+                self.activity.set(None);
+                if let Some(reason) = self.send(session, stopped).await? {
+                    return Ok(Pause::Ended(reason));
                 }
-                self.heard = now();
-                sent = sent.wrapping_add(1);
-                if sent.is_multiple_of(TURN) {
-                    tokio::task::yield_now().await;
-                }
+                self.last_active = now();
                 continue;
             }
-            if self.session.is_finished() {
+            if session.is_finished() {
                 let _ = self.stream.shutdown().await;
-                return Ok("the peer sent no valid frame");
+                return Ok(Pause::Ended("the peer sent no valid frame"));
             }
-            self.note_partial();
-            let due = self.due();
-            let room = self.session.receive_buffer();
-            let is_full = room.is_empty();
-            let (mut reader, writer) = self.stream.split();
-            tokio::select! {
-                count = reader.read(room), if !is_full => match count? {
-                    0 => return Ok("the peer has closed it"),
-                    count => {
-                        self.heard = now();
-                        self.session.received(count);
-                    }
-                },
-                () = tokio::time::sleep(until(due.unwrap_or(Instant::ZERO))), if due.is_some() => {
-                    if self.partial_since.is_some_and(|since| since.saturating_add(self.limits.receive) <= now()) {
-                        return Ok("a request took too long to arrive");
-                    }
-                    if self.silent_until().is_some_and(|until| until <= now()) {
-                        return Ok("the peer was silent for too long");
-                    }
-                    if self.memory_kept_until().is_some_and(|until| until <= now()) {
-                        self.session.shrink(STREAM_ROOM);
-                    }
-                }
-                closed = closed(writer.as_ref()), if is_full => {
-                    closed?;
-                    return Ok("the peer has closed it, behind bytes that have not been read");
-                }
-                () = self.changes.next() => {}
-                _ = stopped.changed() => return Ok("the server stops"),
+            if let Some(reason) = self.wait(session, stopped).await? {
+                return Ok(Pause::Ended(reason));
             }
         }
     }
 
-    /// Lets the session do what it can.
-    fn think(&mut self) {
-        // said beforehand: what others change while the handler is asked must not be missed
-        self.changes.wait(self.session.is_running().into());
-        while self.step() {}
-        if self.session.is_running() && self.changes.waiting() == 0 {
-            // the handler has just begun to wait; ask once more, now that changes are heard
+    /// Lets other tasks run when this one has used up its turn.
+    async fn end_turn(&mut self) {
+        if self.moved >= TURN {
+            self.moved = 0;
+            tokio::task::yield_now().await;
+        }
+    }
+
+    /// Waits until bytes arrive, a deadline passes or something changes; says why when the connection is to end.
+    async fn wait<M: Machine<H>>(
+        &mut self,
+        session: &mut M,
+        stopped: &mut watch::Receiver<()>,
+    ) -> io::Result<Option<&'static str>> {
+        self.partial_since = session.is_receiving().then(|| self.partial_since.unwrap_or_else(now));
+        let (due, is_idle) = (self.due(session), !session.is_running());
+        self.activity.set(is_idle.then_some(self.last_active));
+        let room = session.receive_buffer();
+        let is_full = room.is_empty();
+        let room = room.split_at_mut(room.len().min(TURN)).0;
+        let (mut reader, writer) = self.stream.split();
+        tokio::select! {
+            count = reader.read(room), if !is_full => match count? {
+                0 => return Ok(Some("the peer has closed it")),
+                count => {
+                    self.last_active = now();
+                    self.moved += count;
+                    session.received(count);
+                }
+            },
+            () = tokio::time::sleep(until(due.unwrap_or(Instant::ZERO))), if due.is_some() => {
+                return Ok(self.meet_deadline(session));
+            }
+            closed = closed(writer.as_ref()), if is_full => {
+                closed?;
+                return Ok(Some("the peer has closed it after bytes that have not been read"));
+            }
+            () = self.changes.next() => {}
+            // a call that has just begun keeps its connection, and its motion
+            () = self.activity.evicted(), if is_idle => return Ok(Some("another connection needs its slot")),
+            _ = stopped.changed() => return Ok(Some("the server stops")),
+        }
+        Ok(None)
+    }
+
+    /// Does what a deadline asks for; says why when the connection is to end.
+    fn meet_deadline<M: Machine<H>>(&self, session: &mut M) -> Option<&'static str> {
+        let is_over = |until: Option<Instant>| until.is_some_and(|until| until <= now());
+        if is_over(self.partial_since.map(|since| since.saturating_add(self.limits.receive))) {
+            return Some("a request took too long to arrive");
+        }
+        if is_over(self.silent_until(session)) {
+            return Some("the peer was silent for too long");
+        }
+        if is_over(self.memory_kept_until(session)) {
+            session.shrink(STREAM_ROOM);
+        }
+        None
+    }
+
+    /// Runs the session as far as it goes.
+    fn run_session<M: Machine<H>>(&mut self, session: &mut M) {
+        // before the handler is asked, so that no change of another peer is missed
+        self.changes.wait(session.is_running().into());
+        while session.next_request() < TURN && self.step(session) {}
+        if session.is_running() && self.changes.waiting() == 0 {
+            // the handler has just begun to wait; ask once more, now that changes are noticed
             self.changes.wait(1);
-            self.step();
+            self.step(session);
         }
     }
 
-    /// Lets the session do one thing; `false` when it has nothing to do.
-    fn step(&mut self) -> bool {
-        let Some(event) = self.session.run(&mut self.shared.handler(), self.peer, now()) else { return false };
+    /// Performs one step of the session; `false` when there is nothing to do.
+    fn step<M: Machine<H>>(&mut self, session: &mut M) -> bool {
+        let Some(event) = session.run(&mut self.shared.handler(), self.peer, now()) else { return false };
         tracing::trace!(peer = self.peer.0, ?event);
         self.shared.has_changed();
-        // a request was whole, so what there is of another has only just come
+        self.moved += REQUEST;
+        // a request was complete, so bytes of another have only just arrived
         self.partial_since = None;
         true
     }
 
+    /// Performs one step of the session on another thread, so that a large request does not delay other connections;
+    /// `None` when that thread did not run to its end.
+    async fn run_elsewhere<M: Machine<H> + 'static>(&mut self, mut session: Box<M>) -> Option<Box<M>> {
+        self.activity.set(None);
+        let (shared, peer) = (Arc::clone(&self.shared), self.peer);
+        let step = tokio::task::spawn_blocking(move || {
+            let event = session.run(&mut shared.handler(), peer, now());
+            tracing::trace!(peer = peer.0, ?event);
+            shared.has_changed();
+            session
+        });
+        self.partial_since = None;
+        step.await.ok()
+    }
+
     /// Sends what it can; says why when the connection is to end.
-    async fn send(&mut self, stopped: &mut watch::Receiver<()>) -> io::Result<Option<&'static str>> {
-        let bytes = self.session.transmit();
+    async fn send<M: Machine<H>>(
+        &mut self,
+        session: &mut M,
+        stopped: &mut watch::Receiver<()>,
+    ) -> io::Result<Option<&'static str>> {
+        let bytes = session.transmit();
         match self.shared.tapped(self.peer, bytes) {
             None => return Ok(Some("the tap closes it")),
             Some(Tapped::Instead(instead)) => {
                 let count = bytes.len();
-                self.session.transmitted(count);
+                session.transmitted(count);
                 let mut rest = &instead[..];
                 while !rest.is_empty() {
-                    match patiently(self.stream.write(rest), self.limits.send, stopped).await? {
+                    let part = &rest[..rest.len().min(TURN)];
+                    match within(self.limits.send, self.stream.write(part), stopped).await? {
                         Ok(written) => rest = rest.get(written..).unwrap_or_default(),
                         Err(reason) => return Ok(Some(reason)),
                     }
+                    self.moved += part.len();
+                    self.end_turn().await;
                 }
                 return Ok(None);
             }
             Some(Tapped::Untouched) => {}
         }
+        let bytes = &bytes[..bytes.len().min(TURN)];
         let count = match self.stream.try_write(bytes) {
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                match patiently(self.stream.write(bytes), self.limits.send, stopped).await? {
+                match within(self.limits.send, self.stream.write(bytes), stopped).await? {
                     Ok(count) => count,
                     Err(reason) => return Ok(Some(reason)),
                 }
             }
             written => written?,
         };
-        self.session.transmitted(count);
+        session.transmitted(count);
+        self.moved += count;
         Ok(None)
     }
 
-    fn note_partial(&mut self) {
-        self.partial_since = self.session.is_receiving().then(|| self.partial_since.unwrap_or_else(now));
-    }
-
-    /// Returns when something is due even if no bytes come.
-    fn due(&self) -> Option<Instant> {
+    /// Returns the next deadline.
+    fn due<M: Machine<H>>(&self, session: &M) -> Option<Instant> {
         let partial = self.partial_since.map(|since| since.saturating_add(self.limits.receive));
-        let memory = self.memory_kept_until();
-        [self.session.poll_timeout(), partial, self.silent_until(), memory].into_iter().flatten().min()
+        let memory = self.memory_kept_until(session);
+        [session.poll_timeout(), partial, self.silent_until(session), memory].into_iter().flatten().min()
     }
 
-    /// Returns when memory that lies idle is to be given back.
-    fn memory_kept_until(&self) -> Option<Instant> {
-        let idle = !self.session.is_running() && !self.session.is_receiving();
-        (idle && self.session.memory() > 2 * STREAM_ROOM).then(|| self.heard.saturating_add(MEMORY_KEPT))
+    /// Returns when unused memory is to be released.
+    fn memory_kept_until<M: Machine<H>>(&self, session: &M) -> Option<Instant> {
+        let idle = !session.is_running() && !session.is_receiving();
+        (idle && session.memory() > 2 * STREAM_ROOM).then(|| self.last_active.saturating_add(MEMORY_KEPT))
     }
 
-    /// Returns when the peer has been silent for too long, unless it waits for us.
-    fn silent_until(&self) -> Option<Instant> {
-        let idle = self.limits.idle.filter(|_| !self.session.is_running())?;
-        Some(self.heard.saturating_add(idle))
+    /// Returns when the peer has been silent for too long; `None` while it waits for a reply.
+    fn silent_until<M: Machine<H>>(&self, session: &M) -> Option<Instant> {
+        let idle = self.limits.idle.filter(|_| !session.is_running())?;
+        Some(self.last_active.saturating_add(idle))
     }
 }
 
-/// Waits until a peer takes bytes; says why it waits no longer.
-async fn patiently<T>(
-    written: impl Future<Output = io::Result<T>>,
+/// Waits for a write; says why when it did not end within `limit`.
+async fn within<T>(
     limit: Duration,
+    written: impl Future<Output = io::Result<T>>,
     stopped: &mut watch::Receiver<()>,
 ) -> io::Result<Result<T, &'static str>> {
     tokio::select! {

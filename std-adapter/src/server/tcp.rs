@@ -1,6 +1,8 @@
 //! b-CAP over TCP: a listener, and a task for each connection.
 
+use std::collections::HashMap;
 use std::io;
+use std::net::IpAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -11,13 +13,15 @@ use socket2::SockRef;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
-use tokio::task::JoinSet;
+use tokio::task::{Id, JoinError, JoinSet};
 use tokio::time::timeout;
 
 use super::Limits;
+use super::admission::{Activity, Admission, Slots};
 use super::memory::{Buffer, Pool};
 use super::shared::Shared;
 use super::stream;
+use crate::clock::now;
 use crate::connect::set_up_tcp;
 
 /// Handles that one peer can have open.
@@ -37,50 +41,51 @@ pub(super) async fn listen<H: Handler + Send + 'static>(
     limits: Limits,
     stopped: watch::Receiver<()>,
 ) -> io::Result<()> {
-    accept(listener, limits, stopped.clone(), refuse, |stream| {
+    accept(listener, limits, stopped.clone(), refuse, |stream, activity| {
         let mut config = Config { invoke_timeout_max: limits.call, ..Config::TCP };
         config.limits.frame = limits.frame;
         let session = StreamSession::new(config, pool.buffer(), pool.buffer());
-        stream::serve(stream, session, shared.next_peer(), Arc::clone(&shared), limits, stopped.clone())
+        stream::serve(stream, session, shared.next_peer(), Arc::clone(&shared), limits, activity, stopped.clone())
     })
     .await
 }
 
-/// Accepts connections, serves as many as the limit allows and refuses the others.
+/// Accepts connections, serves those that get a slot and refuses the others.
 pub(super) async fn accept<S, R>(
     listener: TcpListener,
     limits: Limits,
     mut stopped: watch::Receiver<()>,
     refuse: impl Fn(TcpStream) -> R,
-    mut serve: impl FnMut(TcpStream) -> S,
+    mut serve: impl FnMut(TcpStream, Arc<Activity>) -> S,
 ) -> io::Result<()>
 where
     S: Future<Output = ()> + Send + 'static,
     R: Future<Output = ()> + Send + 'static,
 {
-    let mut served = JoinSet::new();
+    let mut served = Served { slots: limits.connection_slots(), tasks: JoinSet::new(), holders: HashMap::new() };
     let mut refused = JoinSet::new();
     loop {
         let accepted = tokio::select! {
             accepted = listener.accept() => accepted,
             _ = stopped.changed() => break,
-            _ = served.join_next(), if !served.is_empty() => continue,
+            () = served.ended(), if !served.tasks.is_empty() => continue,
             _ = refused.join_next(), if !refused.is_empty() => continue,
         };
-        // those that have ended hold no place, whichever of the two came first
-        while served.try_join_next().is_some() || refused.try_join_next().is_some() {}
+        // those that have ended hold no slot, whichever of the two came first
+        served.free_slots();
+        while refused.try_join_next().is_some() {}
         match accepted {
             Ok((stream, address)) => {
                 if let Err(error) = set_up_tcp(SockRef::from(&stream), limits.keep_alive) {
                     tracing::debug!(%address, %error, "the connection was gone at once");
-                } else if served.len() < limits.connections {
-                    served.spawn(serve(stream));
+                } else if let Some(activity) = served.admit(address.ip()) {
+                    served.spawn(address.ip(), &activity, serve(stream, Arc::clone(&activity)));
                 } else if refused.len() < REFUSALS {
                     tracing::warn!(%address, limit = limits.connections, "too many connections");
                     refused.spawn(refuse(stream));
                 }
             }
-            // what one connection does wrong is not the listener's end; out of files is over when some are closed
+            // an error of one connection is not the listener's end; too many open files is over when some are closed
             Err(error) => {
                 tracing::warn!(%error, "cannot accept a connection");
                 tokio::time::sleep(Duration::from_millis(50)).await;
@@ -88,8 +93,58 @@ where
         }
     }
     refused.abort_all();
-    while served.join_next().await.is_some() {}
+    while served.tasks.join_next().await.is_some() {}
     Ok(())
+}
+
+/// The connections that are served.
+struct Served {
+    slots: Slots,
+    tasks: JoinSet<()>,
+    /// The holders of slots, by their tasks. A task that was told to end has lost its slot.
+    holders: HashMap<Id, (IpAddr, Arc<Activity>)>,
+}
+
+impl Served {
+    /// Finds a slot for a connection, and tells the connection that loses it to end; `None` without a slot.
+    fn admit(&mut self, address: IpAddr) -> Option<Arc<Activity>> {
+        let taken = self.holders.iter().map(|(id, (address, activity))| (*id, *address, activity.state()));
+        match self.slots.admit(taken, address, now()) {
+            Admission::Free => {}
+            Admission::Instead(id) => {
+                if let Some((address, activity)) = self.holders.remove(&id) {
+                    tracing::info!(%address, "an idle connection is closed for another");
+                    activity.evict();
+                }
+            }
+            Admission::Refused => return None,
+        }
+        Some(Arc::new(Activity::new(now())))
+    }
+
+    fn spawn(&mut self, address: IpAddr, activity: &Arc<Activity>, task: impl Future<Output = ()> + Send + 'static) {
+        let id = self.tasks.spawn(task).id();
+        self.holders.insert(id, (address, Arc::clone(activity)));
+    }
+
+    /// Waits until a connection has ended, and frees its slot.
+    async fn ended(&mut self) {
+        if let Some(ended) = self.tasks.join_next_with_id().await {
+            self.free(ended);
+        }
+    }
+
+    /// Frees the slots of all connections that have ended.
+    fn free_slots(&mut self) {
+        while let Some(ended) = self.tasks.try_join_next_with_id() {
+            self.free(ended);
+        }
+    }
+
+    fn free(&mut self, ended: Result<(Id, ()), JoinError>) {
+        let id = ended.map_or_else(|error| error.id(), |(id, ())| id);
+        self.holders.remove(&id);
+    }
 }
 
 /// Answers the first request of a connection over the limit with E_MAX_CONNECT.

@@ -18,6 +18,7 @@ use tokio::net::UdpSocket;
 use tokio::sync::watch;
 
 use super::Limits;
+use super::admission::{Admission, SlotState};
 use super::shared::{Changes, Shared, Tapped};
 use crate::clock::{now, until};
 
@@ -30,6 +31,19 @@ struct Peer {
     id: PeerId,
     session: Box<Session<[u8; UDP_SEND_MAX], [u8; ROOM], OBJECTS>>,
     heard: Instant,
+}
+
+impl Peer {
+    fn state(&self) -> SlotState {
+        if self.session.is_running() {
+            SlotState::Busy
+        } else if self.session.open_objects() == 0 {
+            // after Service_Stop; it is known only so that a repetition can be answered
+            SlotState::Over
+        } else {
+            SlotState::Idle(self.heard)
+        }
+    }
 }
 
 /// Serves a socket until the server stops.
@@ -90,7 +104,7 @@ impl<H: Handler + Send + 'static> Peers<H> {
     async fn welcome(&mut self, bytes: &[u8], from: SocketAddr) -> bool {
         // garbage makes no peers
         let Ok(frame) = Decoder::UDP.decode_datagram(bytes) else { return false };
-        if self.known.len() >= self.limits.udp_peers && !self.make_room() {
+        if !self.make_room(from) {
             tracing::warn!(%from, limit = self.limits.udp_peers, "too many UDP peers");
             let mut reply = [0; 16];
             let reply =
@@ -106,17 +120,17 @@ impl<H: Handler + Send + 'static> Peers<H> {
         true
     }
 
-    /// Forgets a peer that has ended its service, else the one that was silent longest, if it was silent long enough.
-    fn make_room(&mut self) -> bool {
-        let idle = self.known.iter().filter(|(_, peer)| !peer.session.is_running());
-        // after Service_Stop nothing is open; it is known on only so that a repetition can be answered
-        let oldest = idle.map(|(address, peer)| (peer.session.open_objects() > 0, peer.heard, *address)).min();
-        let Some((is_in_service, heard, address)) = oldest else { return false };
-        if is_in_service && now().saturating_since(heard) < self.limits.udp_idle {
-            return false;
+    /// Makes sure of a slot for a new peer, and forgets the peer that loses it; `false` without a slot.
+    fn make_room(&mut self, from: SocketAddr) -> bool {
+        let taken = self.known.iter().map(|(address, peer)| (*address, address.ip(), peer.state()));
+        match self.limits.udp_slots().admit(taken, from.ip(), now()) {
+            Admission::Free => true,
+            Admission::Instead(address) => {
+                self.forget(address);
+                true
+            }
+            Admission::Refused => false,
         }
-        self.forget(address);
-        true
     }
 
     /// Runs the session of one peer and sends what it has to say.

@@ -15,7 +15,7 @@ pub(crate) const SERVE: &str = "--serve";
 
 /// Serves until the standard input ends; each line of that is answered with what there is.
 pub(crate) fn serve() {
-    let server = Served::start(Limits::default());
+    let server = Served::start(Limits { connections_per_address: Limits::default().connections, ..Limits::default() });
     println!("{} {} {}", server.tcp, server.udp, server.rac);
     for _ in std::io::stdin().lines() {
         let tasks = server.tasks();

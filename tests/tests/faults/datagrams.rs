@@ -58,7 +58,7 @@ impl Calls {
 
 /// Room for all clients, and for those that begin again from another port.
 pub(crate) fn limits() -> Limits {
-    Limits { udp_peers: 1000, ..Limits::default() }
+    Limits { udp_peers: 1000, udp_peers_per_address: 1000, ..Limits::default() }
 }
 
 /// Makes calls by a hundred clients at once, each with a token of its own, and checks how often each was executed. Returns

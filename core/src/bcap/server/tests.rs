@@ -8,6 +8,7 @@ use super::*;
 use crate::bcap::call::{self, Call, ControllerHandle, RawCall, RobotHandle, VariableHandle};
 use crate::bcap::{Decoder, Progress};
 use crate::error::DecodeErrorKind;
+use crate::handler::tests::Capped;
 use crate::variant::VariantBuf;
 
 /// A handler that notes what it is asked, gives handles out, and waits where it is told to.
@@ -447,6 +448,40 @@ fn memory_is_given_back_when_nothing_is_in_it() {
     // and the next call is as good as ever
     deliver(&mut session, &mut handler, &frame(&call::variable_get_value(VariableHandle(2)), 7, 0, true));
     assert_eq!((taken(&mut session), handler.calls.len()), (reply, calls + 1));
+}
+
+#[test]
+fn a_reply_that_just_fits_the_memory_is_sent() {
+    for link in [Config::TCP, Config { limits: Limits::STREAM, ..Config::SERIAL }] {
+        let crc = link.link == Link::Serial;
+        for (missing, expected) in [(0, HResult::S_OK), (1, HResult::E_TOO_MUCH_DATA)] {
+            let value = std::vec![7; if crc { 460 } else { 40_000 }];
+            // the header, the argument's length, type and count, the value, and the end
+            let frame_len = 15 + 4 + 6 + value.len() + if crc { 3 } else { 1 };
+            let tx = Capped::new(64, frame_len - missing);
+            let mut session = Session::<_, [u8; 256], 4>::new(link, tx, [0; 256]);
+            let mut handler = Recorder { value, ..Recorder::default() };
+            let mut sent = Vec::new();
+            for request in [
+                frame(&call::service_start(""), 1, 0, crc),
+                frame(&call::controller_connect("", "", "", ""), 2, 0, crc),
+                frame(&call::controller_get_variable(ControllerHandle(1), "V1", ""), 3, 0, crc),
+                frame(&call::variable_get_value(VariableHandle(2)), 4, 0, crc),
+            ] {
+                session.receive_buffer()[..request.len()].copy_from_slice(&request);
+                assert_eq!(session.next_request(), 0);
+                session.received(request.len());
+                assert_eq!(session.next_request(), request.len());
+                while session.run(&mut handler, PeerId(1), at(0)).is_some() {}
+                sent = session.transmit().to_vec();
+                session.transmitted(sent.len());
+            }
+            let decoder = Decoder { limits: Limits::STREAM, ..link.link.decoder() };
+            let Ok(Progress::Complete(reply, length)) = decoder.decode(&sent) else { panic!("{} bytes", sent.len()) };
+            assert_eq!((HResult(reply.code), length), (expected, sent.len()));
+            assert_eq!(sent.len() == frame_len, expected.is_ok());
+        }
+    }
 }
 
 #[test]

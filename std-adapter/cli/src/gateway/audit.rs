@@ -1,4 +1,4 @@
-//! The audit log: one JSON object a line for everything that a client asked, and for what became of the robot.
+//! The audit log: one JSON object a line for what clients ask, and for what becomes of the robot.
 //!
 //! | `event`                            | further fields                                             |
 //! |------------------------------------|------------------------------------------------------------|
@@ -7,14 +7,16 @@
 //! | `refused`                          | `client` `line` `result` `name` `reason`                   |
 //! | `robot_up`                         | `robot`                                                    |
 //! | `robot_down`                       | `robot` `reason` `retry_ms`                                |
+//! | `suppressed`                       | `client` `lines`: so many of this address were too many    |
 //! | `dropped`                          | `lines`: so many could not be written in time              |
 //! | `end`                              | `served` `failed` `refused` `sessions` and the times in us |
 //!
-//! Every object has `time`, in UTC. Lines are written by a thread: a reader that does not read costs lines, which are
-//! counted, and never holds the gateway up.
+//! Every object has `time`, in UTC. A successful PUT is always written. All other lines of one IP address are limited by a
+//! token bucket; `suppressed` says at most every 10 s, and at the end, how many lines of an address it has cost. Lines are
+//! written by a thread: a reader that does not read costs lines, which are counted, and never delays the gateway.
 
-use std::fs::OpenOptions;
 use std::io::{self, Write};
+use std::net::IpAddr;
 use std::path::Path;
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::{self, JoinHandle};
@@ -23,8 +25,11 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use bcap_core::gateway::{Counters, Tally};
 use bcap_core::hresult::HResult;
 use bcap_core::variant::OleDate;
+use bcap_std::now;
 use serde::Serialize;
 
+use super::rotate::Rotating;
+use super::throttle::{Suppressed, Throttle};
 use crate::error::Failure;
 
 /// Lines that wait for the writer at most.
@@ -45,6 +50,7 @@ pub(super) enum Record {
     Refused(Answer),
     RobotUp { robot: String },
     RobotDown { robot: String, reason: String, retry_ms: u64 },
+    Suppressed { client: String, lines: u64 },
     Dropped { lines: u64 },
     End(Totals),
 }
@@ -132,26 +138,56 @@ struct Line<'a> {
     record: &'a Record,
 }
 
+/// What bounds an audit log.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Bounds {
+    /// Lines a second of one IP address; 0 for all.
+    pub(super) rate: u32,
+    /// Bytes of a file at most; 0 for any size.
+    pub(super) size: u64,
+    /// Old files that are kept.
+    pub(super) keep: u32,
+}
+
 /// An audit log.
 #[derive(Debug)]
 pub(super) struct Audit {
     lines: SyncSender<String>,
     dropped: u64,
+    throttle: Throttle,
     writer: JoinHandle<()>,
 }
 
 impl Audit {
     /// Opens the log: `-` is the standard output, a file is appended to.
-    pub(super) fn open(path: &Path) -> Result<Self, Failure> {
+    pub(super) fn open(path: &Path, bounds: Bounds) -> Result<Self, Failure> {
         let output: Box<dyn Write + Send> = if path == Path::new("-") {
             Box::new(io::stdout())
         } else {
-            let file = OpenOptions::new().append(true).create(true).open(path);
+            let file = Rotating::open(path, bounds.size, bounds.keep);
             Box::new(file.map_err(|error| Failure::Input(format!("cannot write to {}: {error}", path.display())))?)
         };
         let (lines, waiting) = sync_channel(BACKLOG);
         let writer = thread::Builder::new().name("audit".into()).spawn(move || write(output, &waiting))?;
-        Ok(Self { lines, dropped: 0, writer })
+        Ok(Self { lines, dropped: 0, throttle: Throttle::new(bounds.rate), writer })
+    }
+
+    /// Tells whether one more line about a client may be written; if not, it is counted.
+    pub(super) fn admits(&mut self, client: IpAddr) -> bool {
+        self.throttle.admits(client, now())
+    }
+
+    /// Writes how many lines were suppressed, when that is due.
+    pub(super) fn report(&mut self) {
+        let due = self.throttle.due(now());
+        self.write_suppressed(due);
+    }
+
+    fn write_suppressed(&mut self, suppressed: Vec<Suppressed>) {
+        for Suppressed { client, lines } in suppressed {
+            let client = client.map_or_else(|| "others".to_owned(), |client| client.to_string());
+            self.write(&Record::Suppressed { client, lines });
+        }
     }
 
     /// Writes a record.
@@ -169,8 +205,11 @@ impl Audit {
         !matches!(self.lines.try_send(text(record)), Err(TrySendError::Full(_)))
     }
 
-    /// Writes what waits, as far as somebody reads it.
-    pub(super) fn close(self) {
+    /// Writes the totals and what waits, as far as there is a reader.
+    pub(super) fn close(mut self, totals: Totals) {
+        let suppressed = self.throttle.take();
+        self.write_suppressed(suppressed);
+        self.write(&Record::End(totals));
         drop(self.lines);
         let until = Instant::now() + PATIENCE;
         while !self.writer.is_finished() && Instant::now() < until {
@@ -182,7 +221,8 @@ impl Audit {
 /// Writes lines until there are no more, or nobody reads them. What a full disk does not take is counted, and the count is
 /// written as soon as it takes something again.
 fn write(mut output: impl Write, lines: &Receiver<String>) {
-    let mut put = |line: &str| writeln!(output, "{line}").and_then(|()| output.flush());
+    // in one piece, so that a rotation does not split it
+    let mut put = |line: &str| output.write_all(format!("{line}\n").as_bytes()).and_then(|()| output.flush());
     let mut lost = 0;
     while let Ok(line) = lines.recv() {
         let told = match lost {
@@ -267,7 +307,8 @@ mod tests {
     #[test]
     fn a_reader_that_does_not_read_costs_lines_and_they_are_counted() {
         let (lines, waiting) = sync_channel(2);
-        let mut audit = Audit { lines, dropped: 0, writer: thread::spawn(|| {}) };
+        let throttle = Throttle::new(10);
+        let mut audit = Audit { lines, dropped: 0, throttle, writer: thread::spawn(|| {}) };
         let up = Record::RobotUp { robot: "tcp:10.0.0.1:5007".into() };
         for _ in 0..5 {
             audit.write(&up);
@@ -280,7 +321,7 @@ mod tests {
         assert_eq!((lines.len(), audit.dropped), (2, 0));
         drop(waiting);
         audit.write(&up);
-        assert_eq!(audit.dropped, 0, "nobody is there to miss it");
-        audit.close();
+        assert_eq!(audit.dropped, 0, "without a reader no line is missing");
+        audit.close(Totals::from(&Counters::default()));
     }
 }

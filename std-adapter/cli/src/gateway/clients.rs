@@ -18,7 +18,7 @@ use tokio::task::coop::consume_budget;
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
 use super::audit::Record;
-use super::{Client, Shared, must_wait};
+use super::{Shared, must_wait};
 
 /// How long a line may take to arrive once its first byte has, and a client to accept a response.
 const LINE: Duration = Duration::from_secs(30);
@@ -59,18 +59,15 @@ pub(super) async fn listen(listener: TcpListener, shared: Arc<Shared>, mut stopp
     while tasks.join_next().await.is_some() {}
 }
 
-/// Gives a client a seat, if there is one.
+/// Seats a client, and logs whether it got a slot.
 fn seat(shared: &Shared, address: SocketAddr) -> Option<(PeerId, Arc<Notify>)> {
     let mut inner = shared.lock();
-    let client = address.to_string();
-    let Some(peer) = inner.gateway.open() else {
-        inner.audit.write(&Record::TurnedAway { client });
-        return None;
-    };
-    let wake = Arc::new(Notify::new());
-    inner.clients.insert(peer, Client { address, wake: Arc::clone(&wake) });
-    inner.audit.write(&Record::Connected { client });
-    Some((peer, wake))
+    let seated = inner.open(address);
+    match seated {
+        Some(_) => inner.log_client(address, |client| Record::Connected { client }),
+        None => inner.log_client(address, |client| Record::TurnedAway { client }),
+    }
+    seated
 }
 
 /// Answers the first line of a client without a seat with E_MAX_CONNECT.
@@ -108,11 +105,7 @@ async fn serve(
         _ = converse(&stream, peer, &wake, &shared) => {}
         _ = stopped.changed() => {}
     }
-    let mut inner = shared.lock();
-    inner.gateway.close(peer);
-    if let Some(client) = inner.clients.remove(&peer) {
-        inner.audit.write(&Record::Disconnected { client: client.address.to_string() });
-    }
+    shared.lock().close(peer);
 }
 
 /// Sets a socket up for short messages, and for peers that vanish without a word.
@@ -122,7 +115,7 @@ fn set_up(stream: &TcpStream) -> io::Result<()> {
     SockRef::from(stream).set_tcp_keepalive(&probes)
 }
 
-/// Moves lines and responses until the client goes.
+/// Moves lines and responses until the client goes, or loses its slot.
 async fn converse(stream: &TcpStream, peer: PeerId, wake: &Notify, shared: &Shared) -> io::Result<()> {
     // when the line or the response began that is under way
     let mut since = None;
@@ -133,7 +126,11 @@ async fn converse(stream: &TcpStream, peer: PeerId, wake: &Notify, shared: &Shar
         // there may be something to send, or another time to wake up at
         shared.robot.notify_one();
         let (sends, receives, partial) = {
-            let gateway = &mut shared.lock().gateway;
+            let inner = &mut shared.lock();
+            if !inner.clients.contains_key(&peer) {
+                return Ok(());
+            }
+            let gateway = &mut inner.gateway;
             let sends = !gateway.transmit(peer).is_empty();
             (sends, !gateway.receive_buffer(peer).is_empty(), gateway.is_receiving(peer))
         };
@@ -142,18 +139,19 @@ async fn converse(stream: &TcpStream, peer: PeerId, wake: &Notify, shared: &Shar
         tokio::select! {
             ready = stream.writable(), if sends => {
                 ready?;
-                let gateway = &mut shared.lock().gateway;
-                let sent = stream.try_write(gateway.transmit(peer));
+                let mut inner = shared.lock();
+                let sent = stream.try_write(inner.gateway.transmit(peer));
                 if !must_wait(&sent) {
-                    gateway.transmitted(peer, sent?);
+                    inner.gateway.transmitted(peer, sent?);
+                    inner.moved(peer);
                     // it reads, and a line was whole: what there is of another has only just come
                     since = None;
                 }
             }
             ready = stream.readable(), if receives => {
                 ready?;
-                let gateway = &mut shared.lock().gateway;
-                let room = gateway.receive_buffer(peer);
+                let mut inner = shared.lock();
+                let room = inner.gateway.receive_buffer(peer);
                 if room.is_empty() {
                     // another task has let the gateway take a line that was here already
                     continue;
@@ -162,7 +160,10 @@ async fn converse(stream: &TcpStream, peer: PeerId, wake: &Notify, shared: &Shar
                 if !must_wait(&received) {
                     match received? {
                         0 => return Ok(()),
-                        count => gateway.received(peer, count),
+                        count => {
+                            inner.gateway.received(peer, count);
+                            inner.moved(peer);
+                        }
                     }
                 }
             }

@@ -1,12 +1,14 @@
 //! `bcap gateway`: the gateway of the core between the sockets of this machine.
 //!
-//! A task for each client and one for the robot share one [`Gateway`]. Whoever has moved bytes lets it take its steps,
-//! then wakes those whom the events are about; the robot's task also keeps the gateway's time.
+//! A task for each client and one for the robot share one [`Gateway`]. After moving bytes, a task polls the gateway and
+//! wakes the tasks its events concern; the robot's task also keeps the gateway's time.
 
 mod audit;
 mod clients;
 mod robot;
+mod rotate;
 mod rules;
+mod throttle;
 
 use std::collections::HashMap;
 use std::io;
@@ -17,10 +19,13 @@ use std::time::Duration;
 use bcap_core::bcap::client;
 use bcap_core::gateway::{Config, Event, Gateway, Memory, RobotError};
 use bcap_core::handler::PeerId;
+use bcap_core::rac::Verb;
+use bcap_core::time::Instant;
+use bcap_std::server::{Admission, SlotState, Slots};
 use tokio::net::TcpListener;
 use tokio::sync::{Notify, watch};
 
-use self::audit::{Answer, Audit, Record};
+use self::audit::{Answer, Audit, Bounds, Record};
 use crate::args::{self, LinkArgs};
 use crate::error::Failure;
 use crate::item::print_line;
@@ -30,8 +35,11 @@ use crate::target::Transport;
 
 pub(crate) use self::rules::AllowPut;
 
-/// Clients at once, and handles that are kept at the robot.
-type Places = Memory<64, 256>;
+/// Clients at once.
+pub(crate) const CLIENTS: usize = 64;
+
+/// Memory for the clients, and for the handles that are kept at the robot.
+type Places = Memory<CLIENTS, 256>;
 
 /// How long the robot may take for a call that it shows to be working on.
 const CALL: Duration = Duration::from_secs(8);
@@ -43,7 +51,17 @@ pub(crate) fn gateway(args: &args::Gateway, link: &LinkArgs) -> Result<(), Failu
         return Err(Failure::Input(format!("{target}: the gateway reaches the robot over TCP; write tcp:HOST[:PORT]")));
     }
     let config = config(args, link)?;
-    let audit = Audit::open(&args.audit)?;
+    let bounds = Bounds {
+        rate: args.audit_rate,
+        size: u64::from(args.audit_size).saturating_mul(1 << 20),
+        keep: args.audit_keep,
+    };
+    let audit = Audit::open(&args.audit, bounds)?;
+    let slots = Slots {
+        total: CLIENTS,
+        per_address: args.clients_per_address,
+        evict_after: Duration::from_secs(args.evict_after.into()),
+    };
     let shared = runtime()?.block_on(async {
         // the signals first: who reads the line may send one at once
         let ended = signal::wait()?;
@@ -51,7 +69,7 @@ pub(crate) fn gateway(args: &args::Gateway, link: &LinkArgs) -> Result<(), Failu
         print_line(&format!("ready rac={}", listener.local_addr()?))?;
         // what it takes lives as long as the command
         let gateway = Gateway::new(config, Box::leak(Box::new(Places::new())));
-        let shared = Arc::new(Shared::new(gateway, target.to_string(), audit));
+        let shared = Arc::new(Shared::new(gateway, slots, target.to_string(), audit));
         let (stop, stopped) = watch::channel(());
         let robot = robot::run(Arc::clone(&shared), target, link.timeout(), stopped.clone());
         let clients = clients::listen(listener, Arc::clone(&shared), stopped);
@@ -91,6 +109,7 @@ struct Shared {
 
 struct Inner {
     gateway: Gateway<'static>,
+    slots: Slots,
     clients: HashMap<PeerId, Client>,
     audit: Audit,
     /// The robot's address, for the log.
@@ -102,13 +121,15 @@ struct Inner {
 /// A client that is connected.
 struct Client {
     address: SocketAddr,
+    /// When bytes were received or sent last.
+    last_active: Instant,
     /// Wakes its task.
     wake: Arc<Notify>,
 }
 
 impl Shared {
-    fn new(gateway: Gateway<'static>, robot: String, audit: Audit) -> Self {
-        let inner = Inner { gateway, clients: HashMap::new(), audit, robot, trouble: None };
+    fn new(gateway: Gateway<'static>, slots: Slots, robot: String, audit: Audit) -> Self {
+        let inner = Inner { gateway, slots, clients: HashMap::new(), audit, robot, trouble: None };
         Self { inner: Mutex::new(inner), robot: Notify::new() }
     }
 
@@ -117,7 +138,7 @@ impl Shared {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Lets the gateway take its steps, and tells those whom they concern.
+    /// Polls the gateway, and wakes the tasks that its events concern.
     fn step(&self) {
         let mut inner = self.lock();
         while let Some(event) = inner.gateway.poll_event(bcap_std::now()) {
@@ -126,14 +147,14 @@ impl Shared {
                 client.wake.notify_one();
             }
         }
+        inner.audit.report();
     }
 
     /// Closes the log.
     fn end(self) {
-        let mut inner = self.inner.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let inner = self.inner.into_inner().unwrap_or_else(PoisonError::into_inner);
         let totals = inner.gateway.counters().into();
-        inner.audit.write(&Record::End(totals));
-        inner.audit.close();
+        inner.audit.close(totals);
     }
 }
 
@@ -144,12 +165,69 @@ impl Inner {
         self.gateway.robot_closed(bcap_std::now());
     }
 
+    /// Seats a client that has connected; `None` when it gets no slot.
+    fn open(&mut self, address: SocketAddr) -> Option<(PeerId, Arc<Notify>)> {
+        let taken = self.clients.iter().map(|(peer, client)| (*peer, client.address.ip(), self.state(*peer, client)));
+        match self.slots.admit(taken, address.ip(), bcap_std::now()) {
+            Admission::Free => {}
+            Admission::Instead(peer) => self.close(peer),
+            Admission::Refused => return None,
+        }
+        let peer = self.gateway.open()?;
+        let wake = Arc::new(Notify::new());
+        self.clients.insert(peer, Client { address, last_active: bcap_std::now(), wake: Arc::clone(&wake) });
+        Some((peer, wake))
+    }
+
+    fn state(&self, peer: PeerId, client: &Client) -> SlotState {
+        match self.gateway.is_running(peer) || !self.gateway.transmit(peer).is_empty() {
+            true => SlotState::Busy,
+            false => SlotState::Idle(client.last_active),
+        }
+    }
+
+    /// Frees the slot of a client, and ends its task if that still runs.
+    fn close(&mut self, peer: PeerId) {
+        self.gateway.close(peer);
+        if let Some(client) = self.clients.remove(&peer) {
+            client.wake.notify_one();
+            self.log_client(client.address, |client| Record::Disconnected { client });
+        }
+    }
+
+    /// Records that bytes of a client were received or sent.
+    fn moved(&mut self, peer: PeerId) {
+        if let Some(client) = self.clients.get_mut(&peer) {
+            client.last_active = bcap_std::now();
+        }
+    }
+
+    /// Writes a record about a client, unless there are too many of its address.
+    fn log_client(&mut self, client: SocketAddr, record: impl FnOnce(String) -> Record) {
+        if self.audit.admits(client.ip()) {
+            self.audit.write(&record(client.to_string()));
+        }
+    }
+
     fn log(&mut self, event: Event) {
-        let answer = |peer, result| {
-            let client = self.clients.get(&peer).map(|client| client.address.to_string()).unwrap_or_default();
-            Answer::new(client, self.gateway.line(peer), result)
-        };
-        let record = match event {
+        if let Some(client) = event.peer().and_then(|peer| self.clients.get(&peer)) {
+            let address = client.address;
+            // what has changed the robot is never left out
+            let must = matches!(event, Event::Served { request, .. } if request.verb == Verb::Put);
+            if must || self.audit.admits(address.ip()) {
+                let record = self.record(event, address.to_string());
+                self.audit.write(&record);
+            }
+        } else {
+            let record = self.record(event, String::new());
+            self.audit.write(&record);
+        }
+    }
+
+    /// Describes an event; `client` is the address of the client that it concerns.
+    fn record(&mut self, event: Event, client: String) -> Record {
+        let answer = |peer, result| Answer::new(client, self.gateway.line(peer), result);
+        match event {
             Event::Served { peer, result, time, .. } => Record::Served(answer(peer, result).took(time)),
             Event::Failed { peer, result, time, .. } => Record::Failed(answer(peer, result).took(time)),
             Event::Refused { peer, refusal } => {
@@ -164,8 +242,7 @@ impl Inner {
                 },
                 retry_ms: u64::try_from(pause.as_millis()).unwrap_or(u64::MAX),
             },
-        };
-        self.audit.write(&record);
+        }
     }
 }
 

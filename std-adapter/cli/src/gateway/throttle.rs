@@ -1,0 +1,158 @@
+//! The rate at which one client may make lines of the audit log: a token bucket for each IP address.
+
+use std::collections::HashMap;
+use std::net::IpAddr;
+use std::time::Duration;
+
+use bcap_core::time::Instant;
+
+/// The seconds of a client's rate that it may use at once.
+const BURST: u32 = 10;
+
+/// How long the log waits before it says how many lines were suppressed.
+const REPORT: Duration = Duration::from_secs(10);
+
+/// The number of addresses with a bucket of their own; further ones share a bucket.
+const BUCKETS: usize = 1024;
+
+/// The interval at which full buckets are forgotten.
+const PURGE: Duration = Duration::from_secs(1);
+
+/// Decides which lines are written, and counts the others.
+#[derive(Debug)]
+pub(super) struct Throttle {
+    /// Lines a second for each address; 0 writes all.
+    rate: u32,
+    /// `None` is for the addresses without a bucket of their own.
+    buckets: HashMap<Option<IpAddr>, Bucket>,
+    /// When counts are to be written; `None` without any.
+    report_at: Option<Instant>,
+    /// When full buckets may be forgotten next: looking for them costs more than a line.
+    purge_at: Instant,
+}
+
+/// The allowance of one address.
+#[derive(Debug)]
+struct Bucket {
+    /// When all tokens are back.
+    full_at: Instant,
+    suppressed: u64,
+}
+
+/// Lines of a client that were not written.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct Suppressed {
+    /// `None` for the clients without a bucket of their own.
+    pub(super) client: Option<IpAddr>,
+    pub(super) lines: u64,
+}
+
+impl Throttle {
+    pub(super) fn new(rate: u32) -> Self {
+        Self { rate, buckets: HashMap::new(), report_at: None, purge_at: Instant::ZERO }
+    }
+
+    /// Takes a token of a client; `false`, and one more suppressed line, without a token.
+    pub(super) fn admits(&mut self, client: IpAddr, now: Instant) -> bool {
+        let Some(interval) = Duration::from_secs(1).checked_div(self.rate) else { return true };
+        let ahead = interval.saturating_mul(self.rate.saturating_mul(BURST).saturating_sub(1));
+        let key = self.key(client.to_canonical(), now);
+        let bucket = self.buckets.entry(key).or_insert(Bucket { full_at: now, suppressed: 0 });
+        if bucket.full_at.saturating_since(now) > ahead {
+            bucket.suppressed += 1;
+            self.report_at.get_or_insert(now.saturating_add(REPORT));
+            return false;
+        }
+        bucket.full_at = bucket.full_at.max(now).saturating_add(interval);
+        true
+    }
+
+    /// Returns the key of a client's bucket, and forgets full buckets when there are too many.
+    fn key(&mut self, client: IpAddr, now: Instant) -> Option<IpAddr> {
+        let key = Some(client);
+        if self.buckets.len() < BUCKETS || self.buckets.contains_key(&key) {
+            return key;
+        }
+        if now >= self.purge_at {
+            self.buckets.retain(|_, bucket| bucket.suppressed > 0 || bucket.full_at > now);
+            self.purge_at = now.saturating_add(PURGE);
+        }
+        key.filter(|_| self.buckets.len() < BUCKETS)
+    }
+
+    /// Returns the counts that are to be written now.
+    pub(super) fn due(&mut self, now: Instant) -> Vec<Suppressed> {
+        match self.report_at {
+            Some(at) if at <= now => self.take(),
+            _ => Vec::new(),
+        }
+    }
+
+    /// Returns all counts, which start again at 0.
+    pub(super) fn take(&mut self) -> Vec<Suppressed> {
+        self.report_at = None;
+        let counted = self.buckets.iter_mut().filter(|(_, bucket)| bucket.suppressed > 0);
+        counted
+            .map(|(client, bucket)| Suppressed { client: *client, lines: std::mem::take(&mut bucket.suppressed) })
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(millis: u64) -> Instant {
+        Instant::from_millis(millis)
+    }
+
+    fn ip(n: u32) -> IpAddr {
+        IpAddr::V4(n.into())
+    }
+
+    #[test]
+    fn a_flood_is_written_at_the_rate_and_the_rest_is_counted() {
+        let mut throttle = Throttle::new(10);
+        // a line every millisecond for a minute
+        let (mut written, mut counted) = (0, 0);
+        for millis in 0..60_000 {
+            written += u64::from(throttle.admits(ip(1), at(millis)));
+            let due = throttle.due(at(millis));
+            assert!(due.len() <= 1);
+            counted += due.iter().map(|suppressed| suppressed.lines).sum::<u64>();
+        }
+        counted += throttle.take().iter().map(|suppressed| suppressed.lines).sum::<u64>();
+        assert_eq!((written, counted), (100 + 599, 60_000 - 699));
+        assert_eq!(throttle.take(), []);
+    }
+
+    #[test]
+    fn one_clients_flood_costs_no_line_of_another() {
+        let mut throttle = Throttle::new(1);
+        for _ in 0..1000 {
+            throttle.admits(ip(1), at(0));
+        }
+        assert!(throttle.admits(ip(2), at(0)));
+        assert_eq!(throttle.due(at(9_999)), []);
+        assert_eq!(throttle.due(at(10_000)), [Suppressed { client: Some(ip(1)), lines: 990 }]);
+        assert_eq!(throttle.due(at(20_000)), []);
+    }
+
+    #[test]
+    fn a_rate_of_0_writes_all() {
+        let mut throttle = Throttle::new(0);
+        assert!((0..10_000).all(|_| throttle.admits(ip(1), at(0))));
+    }
+
+    #[test]
+    fn many_addresses_share_a_bucket_when_there_are_too_many() {
+        let mut throttle = Throttle::new(1);
+        let written = (0..100_000).filter(|n| throttle.admits(ip(*n), at(0))).count();
+        assert_eq!(written, BUCKETS + BURST as usize);
+        assert_eq!(throttle.buckets.len(), BUCKETS + 1);
+        assert_eq!(throttle.take(), [Suppressed { client: None, lines: 100_000 - written as u64 }]);
+        // buckets that are full again are not kept
+        assert!(throttle.admits(ip(200_000), at(60_000)));
+        assert!(throttle.buckets.len() < 3);
+    }
+}

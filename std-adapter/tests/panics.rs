@@ -1,0 +1,278 @@
+//! A handler that panics, in every method and over every link: the call fails, the server goes on.
+#![cfg(feature = "server")]
+
+use std::fmt::Debug;
+use std::io::Write as _;
+use std::net::TcpStream;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use bcap_core::bcap::call::{self, Call, ControllerHandle};
+use bcap_core::bcap::server::{Handler, Request};
+use bcap_core::bcap::{FrameWriter, FunctionId, Object};
+use bcap_core::handler::{Outcome, PeerId, ReplyValue};
+use bcap_core::hresult::HResult;
+use bcap_core::rac::{self, VariableKind};
+use bcap_core::time::Instant;
+use bcap_core::variant::Variant;
+use bcap_std::blocking::{self, Connection, Transport};
+use bcap_std::server::{Addresses, Limits, Server};
+use bcap_std::{Options, now};
+use tokio::sync::oneshot;
+
+/// The payload of a panic that panics when it is dropped.
+struct Bomb;
+
+impl Drop for Bomb {
+    fn drop(&mut self) {
+        panic!("in the destructor of a panic's payload");
+    }
+}
+
+/// Panics in whatever it is asked, and counts how often; only what opens objects works.
+///
+/// Of RAC, I0 is read, I1 panics, I2 panics when the request is resumed, and I3 waits for ever.
+#[derive(Debug, Default)]
+struct Panicking {
+    next_handle: i32,
+    calls: usize,
+    waiting: usize,
+    resumed: usize,
+    abandoned: usize,
+    left: usize,
+    released: Vec<i32>,
+}
+
+impl Handler for Panicking {
+    fn call(&mut self, _: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, _: Instant) -> Outcome {
+        if request.function.releases().is_some() {
+            self.released.push(request.handle());
+            panic!("on release");
+        }
+        match request.function.opens() {
+            Some(Object::Service) => return HResult::S_OK.into(),
+            Some(_) => {
+                self.next_handle += 1;
+                return reply.set(&self.next_handle).map_or(HResult::E_FAIL, |()| HResult::S_OK).into();
+            }
+            None => {}
+        }
+        let command = (request.function == FunctionId::CONTROLLER_EXECUTE).then(|| request.text(1).to_string());
+        match command.as_deref() {
+            Some("works") => return HResult::S_OK.into(),
+            Some("waits") => {
+                self.waiting += usize::from(!request.resumed);
+                return Outcome::Wait(Instant::FAR_FUTURE);
+            }
+            Some("resumed") if !request.resumed => return Outcome::Wait(Instant::ZERO),
+            Some("resumed") => self.resumed += 1,
+            Some("payload") => std::panic::panic_any(Bomb),
+            _ => self.calls += 1,
+        }
+        // a value that was set before must not be sent
+        let _ = reply.set("a value");
+        panic!("in a call");
+    }
+
+    fn abandoned(&mut self, _: PeerId, _: Instant) {
+        self.abandoned += 1;
+        panic!("on abandoning a call");
+    }
+
+    fn left(&mut self, _: PeerId, _: Instant) {
+        self.left += 1;
+        panic!("on a peer's end");
+    }
+}
+
+impl rac::server::Handler for Panicking {
+    fn call(&mut self, _: PeerId, request: &rac::Request<'_>, reply: &mut ReplyValue<'_>, _: Instant) -> Outcome {
+        let _ = reply.set(&7_i32);
+        match request.variable().index {
+            0 => HResult::S_OK.into(),
+            2 => Outcome::Wait(Instant::ZERO),
+            3 => {
+                self.waiting += 1;
+                Outcome::Wait(Instant::FAR_FUTURE)
+            }
+            _ => {
+                self.calls += 1;
+                panic!("in a call");
+            }
+        }
+    }
+
+    fn resume(&mut self, _: PeerId, request: &rac::Request<'_>, _: &mut ReplyValue<'_>, _: Instant) -> Outcome {
+        if request.variable().index == 3 {
+            return Outcome::Wait(Instant::FAR_FUTURE);
+        }
+        self.resumed += 1;
+        panic!("on resuming a call");
+    }
+
+    fn abandoned(&mut self, peer: PeerId, now: Instant) {
+        Handler::abandoned(self, peer, now);
+    }
+
+    fn left(&mut self, peer: PeerId, now: Instant) {
+        Handler::left(self, peer, now);
+    }
+}
+
+/// A server in a thread of its own, which must end without an error.
+struct Running {
+    addresses: Addresses,
+    handler: Arc<Mutex<Panicking>>,
+    stop: oneshot::Sender<()>,
+    thread: std::thread::JoinHandle<std::io::Result<()>>,
+}
+
+impl Running {
+    fn start() -> Self {
+        let handler = Arc::<Mutex<Panicking>>::default();
+        let shared = Arc::clone(&handler);
+        let (stop, stopped) = oneshot::channel::<()>();
+        let (tell, addresses) = std::sync::mpsc::channel();
+        let thread = std::thread::spawn(move || {
+            let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+            runtime.block_on(async {
+                let server = Server::with_shared(shared).limits(Limits::default());
+                let server = server.bcap_tcp("127.0.0.1:0").await.unwrap().bcap_udp("127.0.0.1:0").await.unwrap();
+                let server = server.rac_tcp("127.0.0.1:0").await.unwrap();
+                tell.send(server.addresses()).unwrap();
+                server.run(async { drop(stopped.await) }).await
+            })
+        });
+        Self { addresses: addresses.recv().unwrap(), handler, stop, thread }
+    }
+
+    /// Takes the handler, which is poisoned by its panics.
+    fn handler(&self) -> MutexGuard<'_, Panicking> {
+        self.handler.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Waits until the handler is as expected.
+    #[track_caller]
+    fn until(&self, condition: impl Fn(&Panicking) -> bool) {
+        let until = now() + Duration::from_secs(60);
+        while !condition(&self.handler()) {
+            assert!(now() < until, "{:?}", self.handler());
+            std::thread::yield_now();
+        }
+    }
+
+    /// Stops the server, which must not have ended before; returns the handler.
+    fn stop(self) -> Panicking {
+        self.stop.send(()).expect("the server runs");
+        self.thread.join().expect("the server's thread has not panicked").expect("the server ends without an error");
+        std::mem::take(&mut *self.handler.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+/// Options for clients that wait for backtraces, which may take seconds when they are printed for the first time.
+fn options() -> Options {
+    Options::default().timeout(Duration::from_secs(60))
+}
+
+/// Calls everything that panics, then goes without releasing anything; returns what it had, in the order of its
+/// release.
+fn call_all<X: Transport<Error: Debug>>(client: &mut Connection<X, Vec<u8>>) -> [i32; 3] {
+    let unexpected = Some(HResult::E_UNEXPECTED);
+    client.call(call::service_start("InvokeTimeout=100")).unwrap();
+    let controller = client.call(call::controller_connect("", "", "", "")).unwrap();
+    let released = client.call(call::controller_get_variable(controller, "I1", "")).unwrap();
+    let left = client.call(call::controller_get_variable(controller, "I2", "")).unwrap();
+    for _ in 0..2 {
+        assert_eq!(client.call(call::controller_get_name(controller)).unwrap_err().hresult(), unexpected);
+        let resumed = client.call(call::controller_execute(controller, "resumed", ()));
+        assert_eq!(resumed.unwrap_err().hresult(), unexpected);
+        let abandoned = client.call(call::controller_execute(controller, "waits", ()));
+        assert_eq!(abandoned.unwrap_err().hresult(), Some(HResult::E_TIMEOUT));
+        let payload = client.call(call::controller_execute(controller, "payload", ()));
+        assert_eq!(payload.unwrap_err().hresult(), unexpected);
+    }
+    assert_eq!(client.call(call::variable_release(released)).unwrap_err().hresult(), unexpected);
+    client.call(call::controller_execute(controller, "works", ())).unwrap();
+    [left.0, released.0, controller.0]
+}
+
+#[test]
+fn every_method_may_panic_over_tcp() {
+    let server = Running::start();
+    let mut client = blocking::connect_tcp(server.addresses.bcap_tcp[0], &options()).unwrap();
+    let had = call_all(&mut client);
+    drop(client);
+    server.until(|handler| handler.left == 1);
+    let mut next = blocking::connect_tcp(server.addresses.bcap_tcp[0], &options()).unwrap();
+    call_all(&mut next);
+    drop(next);
+    server.until(|handler| handler.left == 2);
+    let handler = server.stop();
+    assert_eq!((handler.calls, handler.resumed, handler.abandoned), (4, 4, 4));
+    // a release that fails leaves the object open; one that panics at the client's end prevents no other
+    assert_eq!(handler.released[..5], [had[1], had[0], had[1], had[2], 0]);
+    assert_eq!(handler.released.len(), 2 * 5);
+}
+
+#[test]
+fn every_method_may_panic_over_udp() {
+    let server = Running::start();
+    let address = server.addresses.bcap_udp[0];
+    let mut client = blocking::connect_udp(address, &options()).unwrap();
+    let had = call_all(&mut client);
+    // Service_Stop releases what is open, and is answered although its own release panics
+    assert_eq!(client.call(call::service_stop()).unwrap_err().hresult(), Some(HResult::E_UNEXPECTED));
+    assert_eq!(server.handler().released[1..4], had);
+    // the other peers are served: by the same task
+    let mut next = blocking::connect_udp(address, &options()).unwrap();
+    call_all(&mut next);
+    let handler = server.stop();
+    assert_eq!((handler.calls, handler.resumed, handler.abandoned, handler.left), (4, 4, 4, 2));
+}
+
+#[test]
+fn a_peer_that_goes_while_its_call_waits_may_panic_everywhere() {
+    let server = Running::start();
+    let calling = {
+        let mut stream = TcpStream::connect(server.addresses.bcap_tcp[0]).unwrap();
+        let mut ask = |frame: Vec<u8>| stream.write_all(&frame).unwrap();
+        ask(frame(call::service_start("")));
+        ask(frame(call::controller_connect("", "", "", "")));
+        ask(frame(call::controller_execute(ControllerHandle(1), "waits", ())));
+        stream
+    };
+    server.until(|handler| handler.waiting == 1);
+    drop(calling);
+    server.until(|handler| handler.left == 1);
+    let handler = server.stop();
+    assert_eq!((handler.abandoned, &handler.released[..]), (1, &[1, 0][..]));
+}
+
+#[test]
+fn every_method_may_panic_over_rac() {
+    let server = Running::start();
+    let mut client = blocking::connect_rac(server.addresses.rac_tcp[0], &options()).unwrap();
+    let variable = |index| rac::Variable::new(VariableKind::I, index);
+    for _ in 0..2 {
+        for index in [1, 2] {
+            assert_eq!(client.get(variable(index)).unwrap_err().hresult(), Some(HResult::E_UNEXPECTED));
+        }
+        assert_eq!(client.get(variable(0)).unwrap(), Variant::I4(7));
+    }
+    // a request that waits is abandoned when its client goes
+    let mut gone = TcpStream::connect(server.addresses.rac_tcp[0]).unwrap();
+    gone.write_all(b"GET:RC8:3:I:\r").unwrap();
+    server.until(|handler| handler.waiting == 1);
+    drop((gone, client));
+    server.until(|handler| handler.left == 2);
+    let handler = server.stop();
+    assert_eq!((handler.calls, handler.resumed, handler.abandoned), (2, 2, 1));
+}
+
+/// Encodes a request.
+fn frame(call: impl Call) -> Vec<u8> {
+    let mut buffer = [0; 512];
+    let mut writer = FrameWriter::new(&mut buffer).unwrap();
+    call.arguments(&mut writer).unwrap();
+    writer.finish(1, 0, call.function().0).unwrap().to_vec()
+}

@@ -1,0 +1,137 @@
+//! One connection with large requests leaves the server's thread to others: by counts and threads, not by times.
+#![cfg(feature = "server")]
+
+use std::io::{Read as _, Write as _};
+use std::net::{SocketAddr, TcpStream};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, mpsc};
+use std::thread::{self, ThreadId};
+use std::time::Duration;
+
+use bcap_core::bcap::call::{self, Call, ControllerHandle, VariableHandle};
+use bcap_core::bcap::server::{Handler, Request};
+use bcap_core::bcap::{FrameWriter, FunctionId};
+use bcap_core::handler::{Outcome, PeerId, ReplyValue};
+use bcap_core::hresult::HResult;
+use bcap_core::time::Instant;
+use bcap_std::server::Server;
+
+/// Opens anything, takes any value, and records for each value on which thread, and after how many turns of another task.
+struct Recorder {
+    puts: Vec<Put>,
+    /// Counted by a task that does nothing else.
+    turns: Arc<AtomicUsize>,
+    /// Awaited before the first value is taken, so that others are in the server's socket by then.
+    begin: mpsc::Receiver<()>,
+}
+
+#[derive(Clone, Copy)]
+struct Put {
+    thread: ThreadId,
+    turn: usize,
+}
+
+impl Handler for Recorder {
+    fn call(&mut self, _: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, _: Instant) -> Outcome {
+        if request.function == FunctionId::VARIABLE_PUT_VALUE {
+            if self.puts.is_empty() {
+                let _ = self.begin.recv_timeout(Duration::from_millis(500));
+            }
+            let turn = self.turns.load(Ordering::Relaxed);
+            self.puts.push(Put { thread: thread::current().id(), turn });
+        } else if request.function.opens().is_some() && request.function != FunctionId::SERVICE_START {
+            return reply.set(&1_i32).map_or(HResult::E_FAIL, |()| HResult::S_OK).into();
+        }
+        HResult::S_OK.into()
+    }
+}
+
+/// Sends `count` values of `bytes` bytes without waiting for a reply; returns what was recorded, and the server's thread.
+fn puts(count: usize, bytes: usize) -> (Vec<Put>, ThreadId) {
+    let (begin, begun) = mpsc::channel();
+    let turns = Arc::<AtomicUsize>::default();
+    let handler = Recorder { puts: Vec::new(), turns: Arc::clone(&turns), begin: begun };
+    let handler = Arc::new(Mutex::new(handler));
+    let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
+    let (tell, address) = mpsc::channel();
+    let shared = Arc::clone(&handler);
+    let server = thread::spawn(move || {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+        runtime.block_on(async {
+            tokio::spawn(async move {
+                loop {
+                    turns.fetch_add(1, Ordering::Relaxed);
+                    tokio::task::yield_now().await;
+                }
+            });
+            let server = Server::with_shared(shared).bcap_tcp("127.0.0.1:0").await.unwrap();
+            tell.send(server.addresses().bcap_tcp[0]).unwrap();
+            server.run(async { drop(stopped.await) }).await.unwrap();
+        });
+    });
+    let thread = server.thread().id();
+    flood(address.recv().unwrap(), count, bytes, begin);
+    stop.send(()).unwrap();
+    server.join().unwrap();
+    let puts = handler.lock().unwrap().puts.clone();
+    (puts, thread)
+}
+
+fn flood(address: SocketAddr, count: usize, bytes: usize, begin: mpsc::Sender<()>) {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.write_all(&frame(call::service_start(""))).unwrap();
+    stream.write_all(&frame(call::controller_connect("", "", "", ""))).unwrap();
+    stream.write_all(&frame(call::controller_get_variable(ControllerHandle(1), "I1", ""))).unwrap();
+    let mut replies = stream.try_clone().unwrap();
+    let put = frame(call::variable_put_value(VariableHandle(1), &vec![7_u8; bytes][..]));
+    let writer = thread::spawn(move || {
+        for _ in 0..count {
+            stream.write_all(&put).unwrap();
+        }
+        let _ = begin.send(());
+        stream
+    });
+    // replies without and with a handle
+    let mut all = vec![0; 16 + 2 * 30 + count * 16];
+    replies.read_exact(&mut all).unwrap();
+    drop(writer.join().unwrap());
+}
+
+fn frame(call: impl Call) -> Vec<u8> {
+    let mut buffer = vec![0; 17 << 20];
+    let mut writer = FrameWriter::new(&mut buffer).unwrap();
+    call.arguments(&mut writer).unwrap();
+    writer.finish(1, 0, call.function().0).unwrap().to_vec()
+}
+
+/// Checks that another task had a turn among any `count` values. The scheduler of tokio may give a task two turns in a row, so
+/// `count` is that of three turns.
+#[track_caller]
+fn assert_turns(puts: &[Put], count: usize) {
+    for window in puts.windows(count) {
+        assert!(window[count - 1].turn > window[0].turn, "{count} values in one turn");
+    }
+}
+
+#[test]
+fn a_turn_ends_after_so_many_bytes() {
+    // 2 MiB, in requests of half a turn
+    let (puts, server) = puts(16, 128 << 10);
+    assert_eq!(puts.len(), 16);
+    assert!(puts.iter().all(|put| put.thread == server), "these are small enough for the server's thread");
+    assert_turns(&puts, 3 * 2 + 1);
+}
+
+#[test]
+fn a_turn_ends_after_so_many_small_requests() {
+    let (puts, _) = puts(300, 4);
+    assert_eq!(puts.len(), 300);
+    assert_turns(&puts, 3 * 32 + 1);
+}
+
+#[test]
+fn a_large_request_is_carried_out_by_another_thread() {
+    let (puts, server) = puts(3, 15 << 20);
+    assert_eq!(puts.len(), 3);
+    assert!(puts.iter().all(|put| put.thread != server), "the server's thread serves others meanwhile");
+}
