@@ -141,6 +141,16 @@ impl Inbox {
         buffer.get_mut(self.len..).unwrap_or_default()
     }
 
+    /// Drops what lies before a frame, so that there is more room after it; returns where the frame is then.
+    pub(crate) fn move_to_front(&mut self, buffer: &mut [u8], span: Span) -> Span {
+        if let Some(received) = buffer.get_mut(..self.len) {
+            shift_down(received, span.start);
+        }
+        self.len = self.len.saturating_sub(span.start);
+        self.next = self.next.saturating_sub(span.start);
+        Span { start: 0, len: span.len }
+    }
+
     /// Returns the serial of the bytes that were found to be no frame last, if they are as long as a header.
     pub(crate) fn malformed_header(&self, buffer: &[u8]) -> Option<u16> {
         match buffer.get(self.malformed..self.len)? {

@@ -10,6 +10,8 @@ use crate::bcap::{Decoder, Progress};
 use crate::error::DecodeErrorKind;
 use crate::variant::VariantBuf;
 
+mod cells;
+
 /// A handler that notes what it is asked, gives handles out, and waits where it is told to.
 #[derive(Default)]
 struct Recorder {
