@@ -256,7 +256,7 @@ impl<R: Storage> Run<R> {
             Event::Replied(code) => {
                 let frame = self.client.reply().expect("the reply can be read");
                 assert!(code == frame.hresult() && code != HResult::S_EXECUTING);
-                assert!(self.model.serials.contains(&frame.serial), "it is the call's own");
+                assert!(self.model.sent && self.model.serials.contains(&frame.serial), "it is the call's own");
                 assert!(!self.model.is_unanswered(frame.serial), "and no late one");
                 let _ = self.client.value::<call::Int>();
                 let _ = self.client.value::<call::Text>();
@@ -265,13 +265,14 @@ impl<R: Storage> Run<R> {
             }
             Event::Failed(error) => {
                 assert!(!error.to_string().is_empty());
-                assert!(!self.model.serials.is_empty() || matches!(error, ClientError::Malformed(_)), "{error}");
+                let ends_the_session = matches!(error, ClientError::Malformed(_) | ClientError::Flooded);
+                assert_eq!(self.client.is_closed(), ends_the_session);
+                assert!(!self.model.serials.is_empty() || ends_the_session, "{error}");
                 self.ended(matches!(error, ClientError::ReplyTooLarge { .. }));
             }
-            Event::Executing => assert!(!self.model.serials.is_empty()),
+            Event::Executing => assert!(self.model.sent && !self.model.serials.is_empty()),
             Event::Retried { attempt } => {
                 assert!(self.client.config().link.is_lossy() && attempt <= self.client.config().attempts);
-                self.model.sent = true;
                 self.attempt();
                 assert_eq!(usize::from(attempt), self.model.serials.len());
             }

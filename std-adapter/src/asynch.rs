@@ -11,7 +11,7 @@ use bcap_core::bcap::Client;
 pub use bcap_core::io::asynch::{Connection, RacConnection, Transport};
 use bcap_core::rac;
 use bcap_core::time::Instant;
-use socket2::SockRef;
+use socket2::{SockRef, Socket};
 use tokio::net::{TcpStream, ToSocketAddrs, UdpSocket, lookup_host};
 use tokio::time::timeout;
 
@@ -87,7 +87,8 @@ pub async fn connect_udp<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -
     let socket = connect::udp(&addresses(peer).await?[..])?;
     socket.set_nonblocking(true).map_err(ConnectError::Setup)?;
     let socket = UdpSocket::from_std(socket).map_err(ConnectError::Setup)?;
-    let client = Client::new(options.udp, vec![0; DATAGRAM_ROOM], vec![0; DATAGRAM_ROOM]);
+    let mut client = Client::new(options.udp, vec![0; DATAGRAM_ROOM], vec![0; DATAGRAM_ROOM]);
+    client.set_next_serial(connect::random_serial());
     Ok(Connection::new(UdpTransport::new(socket), client))
 }
 
@@ -152,6 +153,24 @@ async fn within(at: Instant, work: impl Future<Output = io::Result<usize>>) -> i
     }
 }
 
+/// Tells whether a receive must not wait.
+fn at_once(at: Instant) -> bool {
+    until(at).is_zero()
+}
+
+/// Receives what has arrived, without waiting. It asks the socket, because tokio knows only of bytes that had arrived when it
+/// last waited for events.
+fn receive_at_once(mut socket: &Socket, buffer: &mut [u8]) -> io::Result<Option<usize>> {
+    loop {
+        match io::Read::read(&mut socket, buffer) {
+            Ok(count) => return Ok(Some(count)),
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => return Ok(None),
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
+}
+
 impl Transport for TcpTransport {
     type Error = io::Error;
 
@@ -169,6 +188,9 @@ impl Transport for TcpTransport {
     }
 
     async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
+        if at_once(until) {
+            return receive_at_once(&SockRef::from(&self.stream), buffer);
+        }
         within(until, tokio::io::AsyncReadExt::read(&mut self.stream, buffer)).await
     }
 }
@@ -185,6 +207,9 @@ impl Transport for UdpTransport {
     }
 
     async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
+        if at_once(until) {
+            return receive_at_once(&SockRef::from(&self.socket), buffer);
+        }
         within(until, self.socket.recv(buffer)).await
     }
 }

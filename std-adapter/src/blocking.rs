@@ -13,6 +13,7 @@ use bcap_core::bcap::Client;
 pub use bcap_core::io::blocking::{Connection, RacConnection, Transport};
 use bcap_core::rac;
 use bcap_core::time::Instant;
+use socket2::{SockRef, Socket};
 
 use crate::clock::{now, until};
 use crate::connect::{self, ConnectError, DATAGRAM_ROOM, Options, STREAM_ROOM};
@@ -43,7 +44,8 @@ pub fn connect_tcp<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Resu
 /// A [`ConnectError`] when the name has no address or there is no socket to be had.
 pub fn connect_udp<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Result<UdpClient, ConnectError> {
     let transport = UdpTransport::new(connect::udp(peer)?);
-    let client = Client::new(options.udp, vec![0; DATAGRAM_ROOM], vec![0; DATAGRAM_ROOM]);
+    let mut client = Client::new(options.udp, vec![0; DATAGRAM_ROOM], vec![0; DATAGRAM_ROOM]);
+    client.set_next_serial(connect::random_serial());
     Ok(Connection::new(transport, client))
 }
 
@@ -129,6 +131,29 @@ fn limit(
     Ok(true)
 }
 
+/// Receives what has arrived, without waiting.
+fn receive_at_once(socket: &Socket, buffer: &mut [u8]) -> io::Result<Option<usize>> {
+    loop {
+        if let Some(end) = ended(try_receive(socket, buffer)) {
+            return end;
+        }
+    }
+}
+
+#[cfg(target_os = "linux")]
+fn try_receive(socket: &Socket, buffer: &mut [u8]) -> io::Result<usize> {
+    use rustix::net::{RecvFlags, recv};
+    Ok(recv(socket, buffer, RecvFlags::DONTWAIT)?.0)
+}
+
+#[cfg(not(target_os = "linux"))]
+fn try_receive(mut socket: &Socket, buffer: &mut [u8]) -> io::Result<usize> {
+    socket.set_nonblocking(true)?;
+    let received = io::Read::read(&mut socket, buffer);
+    socket.set_nonblocking(false)?;
+    received
+}
+
 /// Sorts the ways in which a system call ends: done, too late, interrupted, failed.
 fn ended(result: io::Result<usize>) -> Option<io::Result<Option<usize>>> {
     match result {
@@ -164,7 +189,7 @@ impl Transport for TcpTransport {
         let Self { stream, limits } = self;
         loop {
             if !limit(&mut limits.read, until, |time| stream.set_read_timeout(time))? {
-                return Ok(None);
+                return receive_at_once(&SockRef::from(&*stream), buffer);
             }
             if let Some(end) = ended(io::Read::read(stream, buffer)) {
                 return end;
@@ -196,7 +221,7 @@ impl Transport for UdpTransport {
         let Self { socket, limits } = self;
         loop {
             if !limit(&mut limits.read, until, |time| socket.set_read_timeout(time))? {
-                return Ok(None);
+                return receive_at_once(&SockRef::from(&*socket), buffer);
             }
             if let Some(end) = ended(socket.recv(buffer)) {
                 return end;

@@ -1,6 +1,8 @@
 //! How a client reaches its peer: options, names and addresses, and what can go wrong on the way.
 
+use std::collections::hash_map::RandomState;
 use std::fmt::Debug;
+use std::hash::{BuildHasher, Hasher};
 use std::io;
 use std::net::{SocketAddr, TcpStream, ToSocketAddrs, UdpSocket};
 use std::time::Duration;
@@ -144,3 +146,10 @@ pub(crate) fn udp<A: ToSocketAddrs + Debug>(name: A) -> Result<UdpSocket, Connec
 pub(crate) const DATAGRAM_ROOM: usize = UDP_RECEIVE_MAX + 1;
 /// Memory that a stream's client begins with; it grows with its frames.
 pub(crate) const STREAM_ROOM: usize = 1024;
+
+/// Returns a serial for the first call over UDP that cannot be guessed.
+pub(crate) fn random_serial() -> u16 {
+    // the keys of the standard library's hash maps are random
+    let random = RandomState::new().build_hasher().finish();
+    u16::try_from(random % u64::from(u16::MAX)).unwrap_or(0) + 1
+}

@@ -16,6 +16,9 @@
 //!   attempt's time, but may not keep a call alive beyond its own budget. The error says which of the three it was.
 //! * **Late replies** are matched by serial, reported as [`Event::Stale`] and dropped. Datagrams that are no frame are
 //!   reported and dropped too; neither costs an attempt.
+//! * **Early replies**, of which the first byte arrived before the first byte of the request left, are stale as well, and so is
+//!   success before the whole request has left. An error is accepted then: a server may refuse a long request at its header.
+//! * **Floods** end the session: a token bucket bounds the rate of S_EXECUTING, and on a stream that of stale replies.
 //! * **Cancelling** is [`abandon`](Client::abandon), at any byte: what was begun to be sent is finished, its reply
 //!   will be stale.
 
@@ -134,6 +137,8 @@ pub enum ClientError {
     Timeout(Timeout),
     /// The peer sent bytes that are no frame; the session has ended.
     Malformed(DecodeError),
+    /// The peer sent far more keep-alives than a server does, or replies to no call; the session has ended.
+    Flooded,
     /// The reply is larger than the receive buffer; the session goes on.
     ReplyTooLarge {
         /// The reply's length, in bytes.
@@ -155,6 +160,7 @@ impl fmt::Display for ClientError {
             Self::Timeout(Timeout::Deadline) => f.write_str("the call took longer than its deadline"),
             Self::Timeout(Timeout::KeepAlive) => f.write_str("the server kept the call alive for too long"),
             Self::Malformed(e) => write!(f, "the peer sent no valid frame: {e}"),
+            Self::Flooded => f.write_str("the peer floods this client with keep-alives or replies to no call"),
             Self::ReplyTooLarge { length } => write!(f, "the reply of {length} bytes does not fit the receive buffer"),
             Self::Reply(e) => e.fmt(f),
             Self::Closed => f.write_str("the session has ended"),
@@ -211,6 +217,7 @@ struct State {
     tx_len: usize,
     tx_sent: usize,
     unanswered: Unanswered,
+    flood: Flood,
     closed: bool,
 }
 
@@ -221,6 +228,8 @@ struct InFlight {
     first: u16,
     last: u16,
     attempt: u8,
+    /// The serial of the last attempt of which bytes have left.
+    sent: Option<u16>,
     attempt_until: Instant,
     deadline: Instant,
     /// Set by the first S_EXECUTING.
@@ -239,6 +248,14 @@ impl<T: Storage, R: Storage> Client<T, R> {
     #[must_use]
     pub const fn config(&self) -> &Config {
         &self.state.config
+    }
+
+    /// Sets the serial of the next call, which is 1 at first and must not be 0.
+    ///
+    /// A client over UDP begins with a random one: replies to an earlier client on the same port are stale then, a forger
+    /// has to guess, and a server does not take its Service_Start for a copy of that client's.
+    pub const fn set_next_serial(&mut self, serial: u16) {
+        self.state.next_serial = if serial == 0 { 1 } else { serial };
     }
 
     /// Changes the time limits and the number of attempts, from the next call on; the link stays what it was.
@@ -294,9 +311,18 @@ impl<T: Storage, R: Storage> Client<T, R> {
         self.tx.bytes().get(self.state.tx_sent..self.state.tx_len).unwrap_or_default()
     }
 
-    /// Takes note that the link has taken `count` bytes of [`transmit`](Self::transmit).
+    /// Records that the link has taken `count` bytes of [`transmit`](Self::transmit).
     pub fn transmitted(&mut self, count: usize) {
-        self.state.tx_sent = self.state.tx_sent.saturating_add(count).min(self.state.tx_len);
+        let sent = self.state.tx_sent.saturating_add(count).min(self.state.tx_len);
+        if sent > self.state.tx_sent
+            && let Some(call) = &mut self.state.call
+        {
+            if call.sent.is_none() {
+                self.inbox.mark();
+            }
+            call.sent = Some(call.last);
+        }
+        self.state.tx_sent = sent;
     }
 
     /// Returns memory for bytes that arrive; with datagrams, for one of them. The last reply is gone then.
@@ -321,13 +347,16 @@ impl<T: Storage, R: Storage> Client<T, R> {
         Some(match self.inbox.poll(&mut self.rx)? {
             Received::Frame(span) => {
                 let frame = self.inbox.frame(self.rx.bytes(), span)?;
-                let event = self.state.handle_frame(frame.serial, frame.hresult(), now);
+                let is_early = self.inbox.is_early(span);
+                let event = self.state.handle_frame(frame.serial, frame.hresult(), is_early, now);
                 if matches!(event, Event::Replied(_)) {
                     self.reply = Some(span);
                 }
                 event
             }
-            Received::TooLarge { serial, length } => self.state.handle_too_large(serial, length),
+            Received::TooLarge { span, serial, length } => {
+                self.state.handle_too_large(serial, length, self.inbox.is_early(span))
+            }
             Received::Malformed(error) => Event::Malformed(error),
             Received::Broken(error) => self.state.close(ClientError::Malformed(error)),
         })
@@ -411,6 +440,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
         self.state.tx_len = 0;
         self.state.tx_sent = 0;
         self.state.unanswered = Unanswered::default();
+        self.state.flood = Flood::default();
     }
 }
 
@@ -447,6 +477,7 @@ impl State {
             tx_len: 0,
             tx_sent: 0,
             unanswered: Unanswered::default(),
+            flood: Flood::default(),
             closed: false,
         }
     }
@@ -481,6 +512,7 @@ impl State {
             first: serial,
             last: serial,
             attempt: 1,
+            sent: None,
             attempt_until: self.attempt_end(now),
             deadline: now.saturating_add(self.config.deadline),
             keep_alive_until: Instant::FAR_FUTURE,
@@ -499,38 +531,56 @@ impl State {
         serial
     }
 
-    fn handle_frame(&mut self, serial: u16, result: HResult, now: Instant) -> Event {
-        let attempt_until = self.attempt_end(now);
-        match &mut self.call {
-            // an old serial may lie in the range of a call whose attempts had to step over it
-            Some(call) if within(serial, call.first, call.last) && !self.unanswered.contains(serial) => {
-                if result == HResult::S_EXECUTING {
-                    call.attempt_until = attempt_until;
-                    if call.keep_alive_until == Instant::FAR_FUTURE {
-                        call.keep_alive_until = now.saturating_add(self.config.keep_alive);
-                    }
-                    return Event::Executing;
-                }
-                self.end_call(Some(serial));
-                Event::Replied(result)
+    fn handle_frame(&mut self, serial: u16, result: HResult, is_early: bool, now: Instant) -> Event {
+        let is_answer = !is_early && self.is_awaited(serial) && (result.is_err() || self.is_sent());
+        // over UDP anybody can send stale replies, so those end no session
+        let is_useless = if is_answer { result == HResult::S_EXECUTING } else { self.config.link == Link::Stream };
+        if is_useless && self.flood.is_over(now) {
+            return self.close(ClientError::Flooded);
+        }
+        if !is_answer {
+            if result != HResult::S_EXECUTING {
+                self.unanswered.answered(serial);
             }
-            _ => {
-                if result != HResult::S_EXECUTING {
-                    self.unanswered.answered(serial);
-                }
-                Event::Stale { serial }
+            return Event::Stale { serial };
+        }
+        if result == HResult::S_EXECUTING {
+            self.keep_alive(now);
+            return Event::Executing;
+        }
+        self.end_call(Some(serial));
+        Event::Replied(result)
+    }
+
+    /// Restarts the time of the attempt.
+    fn keep_alive(&mut self, now: Instant) {
+        let (attempt_until, keep_alive) = (self.attempt_end(now), self.config.keep_alive);
+        if let Some(call) = &mut self.call {
+            call.attempt_until = attempt_until;
+            if call.keep_alive_until == Instant::FAR_FUTURE {
+                call.keep_alive_until = now.saturating_add(keep_alive);
             }
         }
     }
 
-    fn handle_too_large(&mut self, serial: u16, length: u32) -> Event {
-        match self.call {
-            Some(call) if within(serial, call.first, call.last) && !self.unanswered.contains(serial) => {
-                self.end_call(Some(serial));
-                Event::Failed(ClientError::ReplyTooLarge { length })
-            }
-            _ => Event::Stale { serial },
+    fn handle_too_large(&mut self, serial: u16, length: u32, is_early: bool) -> Event {
+        if is_early || !self.is_awaited(serial) {
+            return Event::Stale { serial };
         }
+        self.end_call(Some(serial));
+        Event::Failed(ClientError::ReplyTooLarge { length })
+    }
+
+    /// Tells whether an attempt of the call in flight has left with this serial.
+    fn is_awaited(&self, serial: u16) -> bool {
+        let sent = self.call.and_then(|call| call.sent.map(|sent| (call.first, sent)));
+        // an old serial may lie in the range of a call whose attempts had to step over it
+        sent.is_some_and(|(first, sent)| within(serial, first, sent)) && !self.unanswered.contains(serial)
+    }
+
+    /// Tells whether an attempt of the call in flight has left wholly.
+    fn is_sent(&self) -> bool {
+        self.tx_sent >= self.tx_len || self.call.is_some_and(|call| call.attempt > 1)
     }
 
     fn fail(&mut self, timeout: Timeout) -> Event {
@@ -547,8 +597,7 @@ impl State {
     /// Ends the call in flight, if there is one, and remembers its attempts that were sent but not answered.
     fn end_call(&mut self, answered: Option<u16>) {
         let Some(call) = self.call.take() else { return };
-        let sent = self.tx_sent > 0 || call.attempt > 1;
-        if sent && (answered.is_none() || call.attempt > 1) {
+        if call.sent.is_some() && (answered.is_none() || call.attempt > 1) {
             self.unanswered.push(call.first, call.last);
         }
         if !self.is_sending() || self.config.link == Link::Datagram {
@@ -571,6 +620,31 @@ impl State {
 /// Tells whether `serial` lies in a range that may wrap.
 const fn within(serial: u16, first: u16, last: u16) -> bool {
     serial != 0 && serial.wrapping_sub(first) <= last.wrapping_sub(first)
+}
+
+/// A token bucket for frames that bring a call no further.
+///
+/// A server sends S_EXECUTING at most every 80 ms, the least WDT (S2:225). Four times that rate is allowed, and bursts of
+/// 256 frames, as a network that stalls delivers them.
+#[derive(Clone, Copy, Debug, Default)]
+struct Flood {
+    /// When the bucket is full again.
+    full_at: Instant,
+}
+
+impl Flood {
+    const INTERVAL: Duration = Duration::from_millis(20);
+    const BURST: Duration = Duration::from_millis(20 * 256);
+
+    /// Takes a token; tells whether there was none.
+    fn is_over(&mut self, now: Instant) -> bool {
+        let full_at = self.full_at.max(now).saturating_add(Self::INTERVAL);
+        if full_at.saturating_since(now) > Self::BURST {
+            return true;
+        }
+        self.full_at = full_at;
+        false
+    }
 }
 
 /// Serials whose replies may still come, as ranges; when there are more than this holds, the oldest are forgotten.

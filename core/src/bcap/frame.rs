@@ -334,6 +334,11 @@ impl<'a> Args<'a> {
         self.count == 0
     }
 
+    /// Returns the bytes of the arguments, which may be followed by unused ones.
+    pub(crate) const fn as_bytes(self) -> &'a [u8] {
+        self.data
+    }
+
     /// Returns an argument, counted from 0.
     #[must_use]
     pub fn get(self, index: usize) -> Option<Variant<'a>> {

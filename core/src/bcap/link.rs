@@ -83,6 +83,8 @@ pub(crate) struct Inbox {
     skip: usize,
     /// Where the bytes began that were found to be no frame last.
     malformed: usize,
+    /// Bytes at the head of the buffer that arrived before `mark`.
+    early: usize,
 }
 
 /// What the inbox has found.
@@ -90,8 +92,8 @@ pub(crate) struct Inbox {
 pub(crate) enum Received {
     /// A frame; `Inbox::frame` views it.
     Frame(Span),
-    /// A frame that the buffer cannot hold; the stream goes on behind it.
-    TooLarge { serial: u16, length: u32 },
+    /// A frame that the buffer cannot hold; the stream goes on after it.
+    TooLarge { span: Span, serial: u16, length: u32 },
     /// Bytes that are no frame; they have been dropped.
     Malformed(DecodeError),
     /// Bytes that are no frame; nothing more will be read.
@@ -108,7 +110,7 @@ pub(crate) struct Span {
 impl Inbox {
     pub(crate) const fn new(link: Link, limits: Limits, strictness: Strictness, on_malformed: OnMalformed) -> Self {
         let decoder = Decoder { limits, strictness, ..link.decoder() };
-        Self { decoder, link, on_malformed, len: 0, next: 0, skip: 0, malformed: 0 }
+        Self { decoder, link, on_malformed, len: 0, next: 0, skip: 0, malformed: 0, early: 0 }
     }
 
     /// Returns the free part of the buffer; frames found before are gone then.
@@ -123,6 +125,7 @@ impl Inbox {
             shift_down(received, self.next);
         }
         self.len = self.len.saturating_sub(self.next);
+        self.early = self.early.saturating_sub(self.next);
         self.next = 0;
         buffer.bytes_mut().get_mut(self.len..).unwrap_or_default()
     }
@@ -139,6 +142,16 @@ impl Inbox {
             self.len = self.len.saturating_sub(read);
         }
         buffer.get_mut(self.len..).unwrap_or_default()
+    }
+
+    /// Drops what lies before a frame, so that there is more room after it; returns where the frame is then.
+    pub(crate) fn move_to_front(&mut self, buffer: &mut [u8], span: Span) -> Span {
+        if let Some(received) = buffer.get_mut(..self.len) {
+            shift_down(received, span.start);
+        }
+        self.len = self.len.saturating_sub(span.start);
+        self.next = self.next.saturating_sub(span.start);
+        Span { start: 0, len: span.len }
     }
 
     /// Returns the serial of the bytes that were found to be no frame last, if they are as long as a header.
@@ -214,7 +227,8 @@ impl Inbox {
         self.next = self.len;
         match bytes.first_chunk::<HEADER_LEN>() {
             Some(&[_, _, _, _, _, s0, s1, ..]) => {
-                Received::TooLarge { serial: u16::from_le_bytes([s0, s1]), length: to_u32(length) }
+                let span = Span { start: 0, len: length };
+                Received::TooLarge { span, serial: u16::from_le_bytes([s0, s1]), length: to_u32(length) }
             }
             // memory without room for a header will never see a serial
             None => {
@@ -246,9 +260,20 @@ impl Inbox {
     }
 
     /// Forgets a part of a frame whose rest will not come: the line has been silent for too long.
-    pub(crate) const fn forget_partial(&mut self) {
+    pub(crate) fn forget_partial(&mut self) {
         self.len = self.next;
+        self.early = self.early.min(self.len);
         self.skip = 0;
+    }
+
+    /// Marks the bytes that have arrived so far.
+    pub(crate) const fn mark(&mut self) {
+        self.early = self.len;
+    }
+
+    /// Tells whether a frame had begun to arrive before `mark`.
+    pub(crate) const fn is_early(&self, span: Span) -> bool {
+        span.start < self.early
     }
 
     /// Forgets everything, for a new connection.
@@ -256,5 +281,6 @@ impl Inbox {
         self.len = 0;
         self.next = 0;
         self.skip = 0;
+        self.early = 0;
     }
 }

@@ -16,8 +16,9 @@
 //!   (E_INVALIDARG), their kinds (E_INVALIDARGTYPE), and that a handle was given to this peer (E_HANDLE).
 //! * **Time**: with `WDT=ms` in Service_Start, S_EXECUTING goes out at that interval while a call runs. A call that runs
 //!   longer than `InvokeTimeout=ms` (180 s) is answered with E_TIMEOUT and abandoned.
-//! * **Repetitions** on lossy links are recognised by the retry marker and the function. The last reply is sent again;
-//!   a call that still runs is answered with S_EXECUTING; an older one that the network held back is dropped.
+//! * **Copies** of a call on lossy links are recognised by the retry marker and the function. The last reply is sent again;
+//!   a call that still runs is answered with S_EXECUTING; a late copy of an older call of the session is dropped. Without
+//!   a session every request is executed or answered (`docs/udp-sessions.md`).
 //! * **Objects**: every handle given to the peer is noted. What is left is released, newest first, at Service_Stop and
 //!   when the peer goes. When the list is full E_MAX_OBJECT refuses to open more.
 
@@ -25,7 +26,7 @@ use core::time::Duration;
 
 use crate::bcap::frame::{EOT, FrameWriter, HEADER_LEN, SOH, crc16, renumber};
 use crate::bcap::link::{Inbox, Link, OnMalformed, Received, Span};
-use crate::bcap::{Args, Frame, FunctionId, Kind, Object};
+use crate::bcap::{Args, FunctionId, Kind, Object};
 use crate::error::DecodeError;
 use crate::handler::{Outcome, PeerId, ReplyValue};
 use crate::hresult::HResult;
@@ -36,7 +37,10 @@ use crate::time::Instant;
 use crate::variant::{Bstr, Variant};
 
 mod options;
+mod serials;
+
 pub use self::options::{OptionError, StartOptions};
+use self::serials::{Attempt, Serials, Verdict};
 
 /// A request whose arguments have been checked against the table: their number and their kinds are right.
 #[derive(Clone, Copy, Debug)]
@@ -213,10 +217,8 @@ struct State {
     /// Bytes of the last reply in `tx`, and how many of them the link has taken.
     tx_len: usize,
     tx_sent: usize,
-    last: Option<Last>,
-    /// The first serial of Service_Start, and when its client went on to another call, having the reply then; until that,
-    /// when it came.
-    started: Option<(Instant, u16)>,
+    /// What tells copies of a call from new calls, on a lossy link.
+    serials: Serials,
     /// Nothing more is read; when `tx` is sent the link is to be closed.
     closing: bool,
 }
@@ -226,30 +228,15 @@ struct State {
 struct Running {
     span: Span,
     function: FunctionId,
-    /// The serials of the call's first attempt and of the latest one that came; the reply goes to that.
-    first: u16,
+    /// The serial of the call's first attempt.
+    marker: u16,
+    /// The serial of the attempt that was sent last; the reply goes to it.
     serial: u16,
     resumed: bool,
     wake: Instant,
     until: Instant,
     keep_alive_at: Instant,
 }
-
-/// The call that was answered last, on a lossy link.
-#[derive(Clone, Copy, Debug)]
-struct Last {
-    first: u16,
-    function: FunctionId,
-    /// Whether `tx` still holds its reply.
-    cached: bool,
-}
-
-/// How far behind the last call a first serial is taken for a repetition that the network held back.
-const OLD_SERIALS: u16 = 1024;
-
-/// For how long after its client went on to other calls a repeated Service_Start may be one that the network held back;
-/// later it begins a new session.
-const RESTART_AFTER: Duration = Duration::from_secs(2);
 
 /// How soon a handler that waits is asked again at the earliest, if nothing else happens.
 const SOONEST: Duration = Duration::from_millis(1);
@@ -347,7 +334,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
             return;
         }
         if self.state.tx_len > room {
-            self.state.last = self.state.last.map(|last| Last { cached: false, ..last });
+            self.state.serials.forget_reply();
             (self.state.tx_len, self.state.tx_sent) = (0, 0);
         }
         // nothing is in it, so what was read is forgotten with this
@@ -398,41 +385,64 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
 
     /// Begins to work on a frame.
     fn begin<H: Handler + ?Sized>(&mut self, span: Span, handler: &mut H, peer: PeerId, now: Instant) -> Option<Event> {
+        let attempt = self.attempt(span)?;
+        match self.state.judge(&attempt, now) {
+            Verdict::New => self.execute(span, attempt, handler, peer, now),
+            Verdict::Begin => {
+                if self.check(span).is_err() {
+                    return self.execute(span, attempt, handler, peer, now);
+                }
+                self.end_service(handler, peer, now);
+                let span = self.inbox.move_to_front(self.rx.bytes_mut(), span);
+                self.execute(span, attempt, handler, peer, now)
+            }
+            Verdict::Repeat => Some(self.repeat(&attempt)),
+            Verdict::Executing => Some(self.executing(&attempt)),
+            Verdict::Drop => Some(Event::Repeated { first: attempt.marker }),
+        }
+    }
+
+    /// Reads what tells a request from copies of others.
+    fn attempt(&self, span: Span) -> Option<Attempt> {
         let frame = self.inbox.frame(self.rx.bytes(), span)?;
         let function = frame.function();
-        let serial = frame.serial;
-        let first = if frame.reserved == 0 { serial } else { frame.reserved };
-        if self.state.config.link.is_lossy() {
-            if self.state.is_restart(function, first, now) {
-                self.release_objects(handler, peer, now);
-                self.state.last = None;
-            } else if let Some(known) = self.state.repetition(function, first) {
-                return Some(self.repeat(known, serial, first));
-            }
-            self.state.go_on(first, now);
-        }
-        let frame = self.inbox.frame(self.rx.bytes(), span)?;
-        let refused = match self.check(&frame) {
-            Err(refused) => Some(refused),
-            Ok(()) if function == FunctionId::SERVICE_START => match StartOptions::read(frame.args.get(0)) {
-                Ok(options) => {
-                    self.state.start(options, first, now);
-                    None
-                }
-                Err(_) => Some(HResult::E_INVALIDARG),
-            },
-            Ok(()) => None,
-        };
-        if let Some(result) = refused {
-            let event = self.refuse(serial, function, result);
-            self.state.last = Some(Last { first, function, cached: true });
-            return Some(event);
+        let marker = if frame.reserved == 0 { frame.serial } else { frame.reserved };
+        let arguments = if function == FunctionId::SERVICE_START { crc16(frame.args.as_bytes()) } else { 0 };
+        Some(Attempt { function, marker, serial: frame.serial, arguments })
+    }
+
+    /// Checks a request and asks the handler.
+    fn execute<H: Handler + ?Sized>(
+        &mut self,
+        span: Span,
+        attempt: Attempt,
+        handler: &mut H,
+        peer: PeerId,
+        now: Instant,
+    ) -> Option<Event> {
+        let function = attempt.function;
+        let is_full = function.opens().is_some() && self.objects.is_full();
+        match self.check(span) {
+            Ok(_) if is_full => return Some(self.refuse_attempt(&attempt, HResult::E_MAX_OBJECT)),
+            Ok(Some(options)) => self.state.set_options(options),
+            Ok(None) => {}
+            Err(result) => return Some(self.refuse_attempt(&attempt, result)),
         }
         if function == FunctionId::SERVICE_STOP {
-            self.release_objects(handler, peer, now);
+            self.end_service(handler, peer, now);
         }
-        let running = self.state.begin(span, function, first, serial, now);
+        self.state.serials.began(&attempt, now);
+        let running = self.state.begin(span, &attempt, now);
         self.call(running, handler, peer, now)
+    }
+
+    /// Ends what the peer has begun: abandons what runs, and releases its objects in reverse order.
+    fn end_service<H: Handler + ?Sized>(&mut self, handler: &mut H, peer: PeerId, now: Instant) {
+        if self.state.running.take().is_some() {
+            handler.abandoned(peer, now);
+        }
+        self.release_objects(handler, peer, now);
+        self.state.serials.end_service();
     }
 
     /// Goes on with a request that runs.
@@ -443,15 +453,15 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         peer: PeerId,
         now: Instant,
     ) -> Option<Event> {
-        if let Some(event) = self.called_while_running(running) {
+        if let Some(event) = self.called_while_running(handler, peer, now) {
             return Some(event);
         }
-        let Running { function, serial, first, .. } = running;
+        let Running { function, serial, marker, .. } = running;
         if now >= running.until {
             self.state.running = None;
             handler.abandoned(peer, now);
             let event = self.refuse(serial, function, HResult::E_TIMEOUT);
-            self.state.last = Some(Last { first, function, cached: true });
+            self.state.serials.answered(marker, function, false);
             return Some(event);
         }
         if now >= running.keep_alive_at {
@@ -463,32 +473,32 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         self.call(running, handler, peer, now)
     }
 
-    /// Looks at what came while a request runs: its own repetitions, or another call that must wait.
-    fn called_while_running(&mut self, running: Running) -> Option<Event> {
+    /// Handles a request that arrives while another one runs; a stream keeps it for later.
+    fn called_while_running<H: Handler + ?Sized>(
+        &mut self,
+        handler: &mut H,
+        peer: PeerId,
+        now: Instant,
+    ) -> Option<Event> {
         if !self.state.config.link.is_lossy() {
-            // a stream keeps the order: the next request waits where it is
             return None;
         }
         let span = match self.next_frame()? {
             Ok(span) => span,
-            // or it would hide the frame behind it
+            // or it would hide the frame after it
             Err(event) => return Some(event),
         };
-        let frame = self.inbox.frame(self.rx.bytes(), span)?;
-        let (serial, function) = (frame.serial, frame.function());
-        let first = if frame.reserved == 0 { serial } else { frame.reserved };
-        if (first, function) == (running.first, running.function) {
-            // the network may have changed the order of the attempts, so the newest is the one sent last
-            let newer = serial.wrapping_sub(running.serial) < 0x8000;
-            let serial = if newer { serial } else { running.serial };
-            self.state.running = Some(Running { serial, ..running });
-            self.send_code(serial, HResult::S_EXECUTING, false);
-            return Some(Event::Repeated { first });
+        let attempt = self.attempt(span)?;
+        let refused = match self.state.judge(&attempt, now) {
+            Verdict::New => Err(HResult::E_BUSY_PROC),
+            // a client that begins a session does not wait for the call of another
+            Verdict::Begin => self.check(span).map(drop),
+            Verdict::Executing | Verdict::Repeat | Verdict::Drop => Ok(()),
+        };
+        match refused {
+            Err(result) => Some(self.refuse(attempt.serial, attempt.function, result)),
+            Ok(()) => self.begin(span, handler, peer, now),
         }
-        if self.state.is_old(first) {
-            return Some(Event::Repeated { first });
-        }
-        Some(self.refuse(serial, function, HResult::E_BUSY_PROC))
     }
 
     /// Asks the handler.
@@ -499,7 +509,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         peer: PeerId,
         now: Instant,
     ) -> Option<Event> {
-        let Running { span, function, first, serial, resumed, .. } = running;
+        let Running { span, function, marker, serial, resumed, .. } = running;
         let args = self.inbox.frame(self.rx.bytes(), span)?.args;
         let tail = self.state.tail();
         let max = self.state.config.link.send_max().saturating_sub(VALUE_AT).saturating_sub(tail);
@@ -524,7 +534,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         }
         let len = if result == HResult::E_TOO_MUCH_DATA { 0 } else { len };
         self.send_reply(serial, function, result, len);
-        self.state.last = Some(Last { first, function, cached: true });
+        self.state.serials.answered(marker, function, result.is_ok());
         Some(Event::Served { function, result })
     }
 
@@ -562,8 +572,9 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         }
     }
 
-    /// Checks a request against the function table and the peer's objects.
-    fn check(&self, frame: &Frame<'_>) -> Result<(), HResult> {
+    /// Checks a request against the function table and the peer's objects; returns the options of Service_Start.
+    fn check(&self, span: Span) -> Result<Option<StartOptions>, HResult> {
+        let frame = self.inbox.frame(self.rx.bytes(), span).ok_or(HResult::E_INVALIDRCPACKET)?;
         let function = frame.function();
         let Some(signature) = function.signature() else { return Err(HResult::E_INVALIDARG) };
         let (given, taken) = (frame.args.len(), signature.arguments.len());
@@ -580,10 +591,10 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
                 return Err(HResult::E_HANDLE);
             }
         }
-        if function.opens().is_some() && self.objects.is_full() {
-            return Err(HResult::E_MAX_OBJECT);
+        if function != FunctionId::SERVICE_START {
+            return Ok(None);
         }
-        Ok(())
+        StartOptions::read(frame.args.get(0)).map(Some).map_err(|_| HResult::E_INVALIDARG)
     }
 
     /// Answers without asking the handler.
@@ -592,14 +603,33 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         Event::Served { function, result }
     }
 
-    /// Sends the last reply once more, if it is still there.
-    fn repeat(&mut self, known: Last, serial: u16, first: u16) -> Event {
-        if known.cached {
-            let frame = self.tx.bytes_mut().get_mut(..self.state.tx_len).unwrap_or_default();
-            renumber(frame, serial, 0, self.state.config.link == Link::Serial);
-            self.state.tx_sent = 0;
+    /// Answers without asking the handler, and keeps the reply for further attempts.
+    fn refuse_attempt(&mut self, attempt: &Attempt, result: HResult) -> Event {
+        let event = self.refuse(attempt.serial, attempt.function, result);
+        self.state.serials.answered(attempt.marker, attempt.function, false);
+        event
+    }
+
+    /// Sends the last reply again, for another attempt of its call.
+    fn repeat(&mut self, attempt: &Attempt) -> Event {
+        let frame = self.tx.bytes_mut().get_mut(..self.state.tx_len).unwrap_or_default();
+        renumber(frame, attempt.serial, 0, self.state.config.link == Link::Serial);
+        self.state.tx_sent = 0;
+        Event::Repeated { first: attempt.marker }
+    }
+
+    /// Answers another attempt of the running call with S_EXECUTING.
+    fn executing(&mut self, attempt: &Attempt) -> Event {
+        let mut serial = attempt.serial;
+        if let Some(running) = &mut self.state.running {
+            // the network may have reordered the attempts: the reply goes to the one that was sent last
+            if serial.wrapping_sub(running.serial) >= 0x8000 {
+                serial = running.serial;
+            }
+            running.serial = serial;
         }
-        Event::Repeated { first }
+        self.send_code(serial, HResult::S_EXECUTING, false);
+        Event::Repeated { first: attempt.marker }
     }
 
     /// Reports bytes that are no frame, and answers them where the link has a use for that.
@@ -620,7 +650,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
 
     /// Puts a frame with a code, and EMPTY as its value if wanted, into `tx`; the reply that was there is gone.
     fn send_code(&mut self, serial: u16, code: HResult, empty: bool) {
-        self.state.last = self.state.last.map(|last| Last { cached: false, ..last });
+        self.state.serials.forget_reply();
         self.tx.grow(64);
         let crc = self.state.config.link == Link::Serial;
         let frame = FrameWriter::new(self.tx.bytes_mut()).and_then(|frame| {
@@ -684,8 +714,7 @@ impl State {
             running: None,
             tx_len: 0,
             tx_sent: 0,
-            last: None,
-            started: None,
+            serials: Serials::new(matches!(config.link, Link::Serial)),
             closing: false,
         }
     }
@@ -699,18 +728,17 @@ impl State {
         if matches!(self.config.link, Link::Serial) { 3 } else { 1 }
     }
 
-    fn start(&mut self, options: StartOptions, first: u16, now: Instant) {
+    fn set_options(&mut self, options: StartOptions) {
         self.watchdog = options.watchdog;
         self.invoke_timeout = options.invoke_timeout.unwrap_or(self.config.invoke_timeout);
-        self.started = Some((now, first));
     }
 
-    fn begin(&self, span: Span, function: FunctionId, first: u16, serial: u16, now: Instant) -> Running {
+    fn begin(&self, span: Span, attempt: &Attempt, now: Instant) -> Running {
         Running {
             span,
-            function,
-            first,
-            serial,
+            function: attempt.function,
+            marker: attempt.marker,
+            serial: attempt.serial,
             resumed: false,
             wake: now,
             until: now.saturating_add(self.invoke_timeout.min(self.config.invoke_timeout_max)),
@@ -722,34 +750,13 @@ impl State {
         self.watchdog.map_or(Instant::FAR_FUTURE, |interval| now.saturating_add(interval))
     }
 
-    /// Takes note of a call that is no repetition: after Service_Start no attempt of that will be sent any more.
-    fn go_on(&mut self, first: u16, now: Instant) {
-        if let Some((at, serial)) = &mut self.started
-            && *serial != first
-            && self.last.is_some_and(|last| last.first == *serial)
-        {
-            *at = now;
+    /// Decides about a request by its serials; a stream neither loses nor copies one.
+    fn judge(&self, attempt: &Attempt, now: Instant) -> Verdict {
+        if !self.config.link.is_lossy() {
+            return Verdict::New;
         }
-    }
-
-    /// Tells whether a Service_Start is that of a new client behind an address that is known.
-    fn is_restart(&self, function: FunctionId, first: u16, now: Instant) -> bool {
-        function == FunctionId::SERVICE_START
-            && self.started.is_some_and(|(at, serial)| serial != first || now.saturating_since(at) >= RESTART_AFTER)
-    }
-
-    /// Returns the call that a request repeats, or that is newer than it.
-    fn repetition(&self, function: FunctionId, first: u16) -> Option<Last> {
-        let last = self.last?;
-        if last.first == first {
-            // another function under the same marker is another call
-            return (last.function == function).then_some(last);
-        }
-        self.is_old(first).then_some(Last { cached: false, ..last })
-    }
-
-    fn is_old(&self, first: u16) -> bool {
-        self.last.is_some_and(|last| (1..=OLD_SERIALS).contains(&last.first.wrapping_sub(first)))
+        let running = self.running.map(|running| (running.marker, running.function));
+        self.serials.judge(attempt, running, now)
     }
 }
 

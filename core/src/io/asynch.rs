@@ -8,7 +8,7 @@ mod stream;
 use crate::bcap::Client;
 use crate::bcap::call::{Call, Reply};
 use crate::hresult::HResult;
-use crate::io::{CallError, Machine, RacError, Step};
+use crate::io::{CallError, MAX_EARLY, Machine, RacError, Step};
 use crate::rac::{self, Request, Variable};
 use crate::storage::Storage;
 use crate::time::Instant;
@@ -35,6 +35,8 @@ pub trait Transport {
 
     /// Receives a datagram, or what is there of a stream; `None` when it is `until` before that. On a stream, 0 bytes
     /// mean that the peer has closed it.
+    ///
+    /// When `until` has passed, it returns what has arrived without waiting: this is called once before each request.
     ///
     /// # Errors
     ///
@@ -98,6 +100,7 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     /// and the reply, if it comes, is dropped. Whether the controller has executed the call is then unknown.
     pub async fn call<C: Call>(&mut self, call: C) -> Result<<C::Reply as Reply>::Value<'_>, CallError<X::Error>> {
         flush(&mut self.transport, &mut self.client).await?;
+        drain(&mut self.transport, &mut self.client).await?;
         self.client.start(&call, self.transport.now())?;
         wait(&mut self.transport, &mut self.client).await?;
         Ok(self.client.value::<C::Reply>()?)
@@ -165,6 +168,7 @@ impl<X: Transport, V: Storage> RacConnection<X, V> {
 
     async fn request(&mut self, request: &Request<'_>) -> Result<(), RacError<X::Error>> {
         flush(&mut self.transport, &mut self.client).await?;
+        drain(&mut self.transport, &mut self.client).await?;
         self.client.start(request, self.transport.now())?;
         wait(&mut self.transport, &mut self.client).await
     }
@@ -183,6 +187,22 @@ async fn flush<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> E
     while !client.transmit().is_empty() {
         if !send(transport, client, until).await? {
             return Err(CallError::Client(M::BUSY));
+        }
+    }
+    Ok(())
+}
+
+/// Receives what has arrived before a call, so that it is not taken for the reply.
+async fn drain<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
+    for _ in 0..MAX_EARLY {
+        let now = transport.now();
+        if !receive(transport, client, now).await? {
+            break;
+        }
+        while let Some(step) = client.poll(now) {
+            if let Some(end @ Err(_)) = step.end() {
+                return end;
+            }
         }
     }
     Ok(())

@@ -8,7 +8,7 @@ mod stream;
 use crate::bcap::Client;
 use crate::bcap::call::{Call, Reply};
 use crate::hresult::HResult;
-use crate::io::{CallError, Machine, RacError, Step};
+use crate::io::{CallError, MAX_EARLY, Machine, RacError, Step};
 use crate::rac::{self, Request, Variable};
 use crate::storage::Storage;
 use crate::time::Instant;
@@ -31,6 +31,8 @@ pub trait Transport {
 
     /// Receives a datagram, or what is there of a stream; `None` when it is `until` before that. On a stream, 0 bytes
     /// mean that the peer has closed it.
+    ///
+    /// When `until` has passed, it returns what has arrived without waiting: this is called once before each request.
     ///
     /// # Errors
     ///
@@ -81,6 +83,7 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     /// A [`CallError`]; [`is_recoverable`](CallError::is_recoverable) tells whether the connection is still good.
     pub fn call<C: Call>(&mut self, call: C) -> Result<<C::Reply as Reply>::Value<'_>, CallError<X::Error>> {
         flush(&mut self.transport, &mut self.client)?;
+        drain(&mut self.transport, &mut self.client)?;
         self.client.start(&call, self.transport.now())?;
         wait(&mut self.transport, &mut self.client)?;
         Ok(self.client.value::<C::Reply>()?)
@@ -138,6 +141,7 @@ impl<X: Transport, V: Storage> RacConnection<X, V> {
 
     fn request(&mut self, request: &Request<'_>) -> Result<(), RacError<X::Error>> {
         flush(&mut self.transport, &mut self.client)?;
+        drain(&mut self.transport, &mut self.client)?;
         self.client.start(request, self.transport.now())?;
         wait(&mut self.transport, &mut self.client)
     }
@@ -156,6 +160,22 @@ fn flush<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X
     while !client.transmit().is_empty() {
         if !send(transport, client, until)? {
             return Err(CallError::Client(M::BUSY));
+        }
+    }
+    Ok(())
+}
+
+/// Receives what has arrived before a call, so that it is not taken for the reply.
+fn drain<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
+    for _ in 0..MAX_EARLY {
+        let now = transport.now();
+        if !receive(transport, client, now)? {
+            break;
+        }
+        while let Some(step) = client.poll(now) {
+            if let Some(end @ Err(_)) = step.end() {
+                return end;
+            }
         }
     }
     Ok(())

@@ -58,8 +58,8 @@ impl<E> CallError<E> {
     /// Tells whether the same connection can be used for another call.
     #[must_use]
     pub const fn is_recoverable(&self) -> bool {
-        use bcap::client::ClientError::{Closed, Malformed};
-        !matches!(self, Self::Io(_) | Self::Disconnected | Self::Client(Malformed(_) | Closed))
+        use bcap::client::ClientError::{Closed, Flooded, Malformed};
+        !matches!(self, Self::Io(_) | Self::Disconnected | Self::Client(Malformed(_) | Flooded | Closed))
     }
 }
 
@@ -115,6 +115,10 @@ fn failure<E>(error: Option<&CallError<E>>) -> Failure {
         Some(CallError::Refused(_)) | None => Failure::Timeout,
     }
 }
+
+/// How often a loop reads at most what arrived before a call. A socket's buffer holds fewer datagrams, and a stream that sends
+/// more ends its session.
+const MAX_EARLY: usize = 512;
 
 /// A sans-IO client, as the loops see it.
 trait Machine {

@@ -18,7 +18,8 @@
 //!   sent, and only a new connection helps.
 //! * What was begun to be sent is finished, so that the stream stays in step; a request of which nothing has left when
 //!   it is abandoned was never sent, and owes nothing.
-//! * A line that nobody asked for ends the session: the count is not to be trusted any more.
+//! * A line that no request asked for ends the session, because the count cannot be trusted any more. A line of which the
+//!   first byte arrived before the last byte of its request had left is one of these.
 //! * A reply that cannot be read is the end of its request and of nothing else.
 
 use core::fmt;
@@ -95,7 +96,7 @@ pub enum ClientError {
         /// How much memory there is, in bytes.
         limit: u32,
     },
-    /// The peer sent a line that nobody asked for; the session has ended.
+    /// The peer sent a line that no request asked for; the session has ended.
     Unsolicited,
     /// The session had ended before.
     Closed,
@@ -112,7 +113,7 @@ impl fmt::Display for ClientError {
             }
             Self::Reply(e) => write!(f, "the peer's reply cannot be read: {e}"),
             Self::ReplyTooLarge { limit } => write!(f, "the value of the reply is over {limit} bytes"),
-            Self::Unsolicited => f.write_str("the peer sent a line that nobody asked for"),
+            Self::Unsolicited => f.write_str("the peer sent a line that no request asked for"),
             Self::Closed => f.write_str("the session has ended"),
         }
     }
@@ -162,6 +163,8 @@ struct State {
     until: Option<Instant>,
     /// An earlier request has no reply yet; there is never more than one, because then nothing is sent.
     owed: bool,
+    /// The line that is arriving had begun before the request in flight had left.
+    is_early: bool,
     reply: Option<Reply>,
     closed: bool,
 }
@@ -209,10 +212,13 @@ impl<V: Storage> Client<V> {
         self.state.transmit()
     }
 
-    /// Takes note that the link has taken `count` bytes of [`transmit`](Self::transmit).
+    /// Records that the link has taken `count` bytes of [`transmit`](Self::transmit).
     pub fn transmitted(&mut self, count: usize) {
         let most = self.state.transmit().len();
         self.state.tx_sent = self.state.tx_sent.saturating_add(count.min(most));
+        if most > 0 && count >= most && self.state.until.is_some() {
+            self.state.is_early = self.state.framer.has_begun();
+        }
     }
 
     /// Returns memory for bytes that arrive.
@@ -282,7 +288,7 @@ impl<V: Storage> Client<V> {
         self.state.owed
     }
 
-    /// Tells whether the session has ended because the peer sent a line that nobody asked for.
+    /// Tells whether the session has ended because the peer sent a line that no request asked for.
     #[must_use]
     pub const fn is_closed(&self) -> bool {
         self.state.closed
@@ -304,6 +310,7 @@ impl State {
             tx_sent: 0,
             until: None,
             owed: false,
+            is_early: false,
             reply: None,
             closed: false,
         }
@@ -355,12 +362,12 @@ impl State {
     fn handle_line(&mut self, framed: Framed, memory: &mut [u8]) -> Event {
         self.reply = None;
         let (in_flight, unsent) = (self.until.is_some(), self.tx_sent < self.tx_len);
-        if self.owed && (in_flight || !unsent) {
+        if self.owed && (in_flight || !unsent) && !self.is_early {
             self.owed = false;
             return Event::Stale;
         }
-        if !in_flight || unsent {
-            // a reply to a line that is not even sent is none
+        if !in_flight || unsent || self.is_early {
+            // a reply cannot begin before its request has ended
             self.closed = true;
             self.until = None;
             return Event::Failed(ClientError::Unsolicited);

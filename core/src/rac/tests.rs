@@ -697,6 +697,31 @@ fn a_line_that_nobody_asked_for_ends_the_session() {
     client.transmitted(5);
     assert_eq!(client.poll_event(NOW), unsolicited);
 
+    // begun before the request has left, and complete after that
+    for sent in [0, 5] {
+        for times_out in [false, true] {
+            client.reset();
+            assert_eq!(client.start(&get(1), NOW), Ok(()));
+            client.transmitted(sent);
+            receive(&mut client, b"0,3,66");
+            assert_eq!(client.poll_event(NOW), None);
+            client.transmitted(usize::MAX);
+            if times_out {
+                client.abandon();
+            }
+            receive(&mut client, b"6\r");
+            assert_eq!(client.poll_event(NOW), unsolicited);
+        }
+    }
+
+    // the LF after a CR is no line
+    client.reset();
+    assert_eq!(client.start(&get(1), NOW), Ok(()));
+    receive(&mut client, b"\n");
+    client.transmitted(usize::MAX);
+    receive(&mut client, b"0,3,7\r");
+    assert_eq!(client.poll_event(NOW), Some(client::Event::Replied(HResult::S_OK)));
+
     // begun before the request was
     client.reset();
     receive(&mut client, b"\n0");

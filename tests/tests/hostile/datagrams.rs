@@ -29,6 +29,7 @@ pub(crate) const CASES: &[Case] = crate::cases! {
         a_serial_of_zero
         a_repeated_request_runs_once
         a_new_client_behind_a_known_address
+        a_forged_call_locks_no_client_out
         a_long_call_holds_no_other_peer_up
         a_reply_that_no_datagram_holds
         more_peers_than_there_are_places
@@ -255,19 +256,44 @@ fn a_repeated_request_runs_once(target: &mut Target) {
     peer.end();
 }
 
-/// One who starts anew from the same address and with the same serials gets answers to his own calls, and inherits nothing.
+/// A client that restarts on the same port, with the same serials, gets answers to its own calls and inherits nothing.
 fn a_new_client_behind_a_known_address(target: &mut Target) {
     let mut peer = Peer::new(target);
     let before = target.open();
     let first = peer.begin();
-    // time goes by, as it does between two programs
-    peer.call(FunctionId::CONTROLLER_GET_NAME, vec![Value::I4(first)]);
-    std::thread::sleep(Duration::from_millis(2100));
-    peer.serial = 1;
-    let second = peer.begin();
-    assert_ne!(first, second, "a handle of its own");
+    let marker = 2;
+    // its first attempt may be a copy of the old client's; the serial of its second one was that of another call
+    let start = request(FunctionId::SERVICE_START, vec![]);
+    peer.send(&TestFrame { serial: marker, reserved: marker, ..start.clone() }.to_wire(false));
+    peer.send(&TestFrame { serial: marker + 1, reserved: marker, ..start }.to_wire(false));
+    let reply = peer.reply();
+    assert_eq!((reply.serial, reply.code), (marker + 1, 0));
+    let connect = peer.call(FunctionId::CONTROLLER_CONNECT, vec![Value::text(""); 4]);
+    assert_ne!(connect.args, [Value::I4(first)], "a handle of its own");
     assert_eq!(target.open(), before + 2, "what the first one had is released");
     assert_eq!(peer.call(FunctionId::CONTROLLER_GET_NAME, vec![Value::I4(first)]).code, HResult::E_HANDLE.0);
+    peer.end();
+}
+
+/// A forged call from the address of a client, before its session and in it, costs the client nothing.
+fn a_forged_call_locks_no_client_out(target: &mut Target) {
+    let mut peer = Peer::new(target);
+    let forged = request(FunctionId::CONTROLLER_GET_NAME, vec![Value::I4(3)]);
+    let forged = TestFrame { serial: 57, reserved: 57, ..forged }.to_wire(false);
+    peer.send(&forged);
+    assert_eq!(peer.reply().code, HResult::E_HANDLE.0);
+    peer.serial = 0;
+    peer.begin();
+    peer.send(&forged);
+    assert_eq!(peer.reply().code, HResult::E_HANDLE.0);
+    peer.end();
+    // without a session there are no copies: every request is answered, under any serial
+    for serial in [57, 57, 1, 65_535, 2000, 57] {
+        peer.send(&TestFrame { serial, ..request(FunctionId::CONTROLLER_GET_NAME, vec![Value::I4(3)]) }.to_wire(false));
+        assert_eq!(peer.reply().serial, serial);
+    }
+    peer.serial = 0;
+    peer.begin();
     peer.end();
 }
 

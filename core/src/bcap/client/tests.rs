@@ -301,3 +301,156 @@ fn a_half_frame_on_a_silent_serial_line_is_forgotten_at_the_next_attempt() {
     assert_eq!(sent(&mut client), (2, 1));
     assert_eq!(deliver(&mut client, &good, at(501)), [Event::Replied(HResult::S_OK)]);
 }
+
+/// What a server that knows the next serial answers beforehand.
+fn forged(serial: u16) -> Vec<u8> {
+    ok(serial, 666)
+}
+
+#[test]
+fn a_reply_that_arrived_before_its_request_left_is_stale() {
+    for config in [Config::TCP, Config::UDP] {
+        let mut client = Small::new(config, [0; 512], [0; 512]);
+        client.start(&get(), at(0)).unwrap();
+        // the call has begun, and nothing of it has left
+        assert_eq!(deliver(&mut client, &forged(1), at(0)), [Event::Stale { serial: 1 }]);
+        let executing = reply(1, HResult::S_EXECUTING, None, false);
+        assert_eq!(deliver(&mut client, &executing, at(0)), [Event::Stale { serial: 1 }]);
+        sent(&mut client);
+        assert_eq!(deliver(&mut client, &ok(1, 7), at(0)), [Event::Replied(HResult::S_OK)]);
+        assert!(replied(7, &client));
+    }
+}
+
+#[test]
+fn a_reply_that_was_received_with_the_one_before_is_stale() {
+    let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
+    for serial in (1..40).step_by(2) {
+        client.start(&get(), at(0)).unwrap();
+        sent(&mut client);
+        let both = [ok(serial, 1), forged(serial + 1)].concat();
+        client.receive_buffer()[..both.len()].copy_from_slice(&both);
+        client.received(both.len());
+        assert_eq!(client.poll_event(at(0)), Some(Event::Replied(HResult::S_OK)));
+        // the loop has its reply and does not look further
+        client.start(&get(), at(0)).unwrap();
+        sent(&mut client);
+        assert_eq!(client.poll_event(at(0)), Some(Event::Stale { serial: serial + 1 }));
+        assert_eq!(deliver(&mut client, &ok(serial + 1, 2), at(0)), [Event::Replied(HResult::S_OK)]);
+        assert!(replied(2, &client));
+    }
+}
+
+#[test]
+fn a_reply_that_began_to_arrive_before_its_request_left_is_stale() {
+    for cut in 1..30 {
+        let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
+        assert_eq!(deliver(&mut client, &forged(1)[..cut], at(0)), []);
+        client.start(&get(), at(0)).unwrap();
+        sent(&mut client);
+        assert_eq!(deliver(&mut client, &forged(1)[cut..], at(0)), [Event::Stale { serial: 1 }], "cut at {cut}");
+        assert_eq!(deliver(&mut client, &ok(1, 7), at(0)), [Event::Replied(HResult::S_OK)]);
+        assert!(replied(7, &client));
+    }
+}
+
+#[test]
+fn a_large_reply_that_began_to_arrive_before_its_request_left_fails_no_call() {
+    let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
+    let huge = reply(1, HResult::S_OK, Some(&[0_u8; 2000]), false);
+    assert_eq!(deliver(&mut client, &huge[..100], at(0)), []);
+    client.start(&get(), at(0)).unwrap();
+    sent(&mut client);
+    assert_eq!(deliver(&mut client, &huge[100..], at(0)), [Event::Stale { serial: 1 }]);
+    assert_eq!(deliver(&mut client, &ok(1, 7), at(0)), [Event::Replied(HResult::S_OK)]);
+}
+
+#[test]
+fn a_partly_sent_request_is_refused_but_not_carried_out() {
+    for sent in 1..30 {
+        let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
+        client.start(&get(), at(0)).unwrap();
+        client.transmitted(sent);
+        assert_eq!(deliver(&mut client, &forged(1), at(0)), [Event::Stale { serial: 1 }], "{sent}");
+        let refused = reply(1, HResult::E_PACKETSIZEOVER, None, false);
+        assert_eq!(deliver(&mut client, &refused, at(0)), [Event::Replied(HResult::E_PACKETSIZEOVER)]);
+    }
+}
+
+#[test]
+fn a_reply_to_an_attempt_that_has_not_left_is_stale() {
+    let mut client = Small::new(Config::UDP, [0; 512], [0; 512]);
+    client.start(&get(), at(0)).unwrap();
+    assert_eq!(sent(&mut client), (1, 1));
+    assert_eq!(client.handle_timeout(at(500)), Some(Event::Retried { attempt: 2 }));
+    assert_eq!(deliver(&mut client, &forged(2), at(500)), [Event::Stale { serial: 2 }]);
+    // the first attempt has left, so a reply to it counts
+    assert_eq!(deliver(&mut client, &ok(1, 7), at(500)), [Event::Replied(HResult::S_OK)]);
+    assert!(replied(7, &client));
+}
+
+#[test]
+fn keep_alives_in_excess_end_the_session() {
+    for config in [Config::TCP, Config::UDP] {
+        let mut client = Small::new(config, [0; 512], [0; 512]);
+        client.start(&get(), at(0)).unwrap();
+        sent(&mut client);
+        let executing = reply(1, HResult::S_EXECUTING, None, false);
+        for _ in 0..256 {
+            assert_eq!(deliver(&mut client, &executing, at(0)), [Event::Executing]);
+        }
+        assert_eq!(deliver(&mut client, &executing, at(19)), [Event::Failed(ClientError::Flooded)]);
+        assert!(client.is_closed() && !client.is_busy());
+        assert_eq!(deliver(&mut client, &ok(1, 7), at(20)), []);
+        client.reset();
+        client.start(&get(), at(20)).unwrap();
+        assert_eq!(sent(&mut client).0, 2);
+        assert_eq!(deliver(&mut client, &ok(2, 7), at(20)), [Event::Replied(HResult::S_OK)]);
+    }
+}
+
+#[test]
+fn keep_alives_at_the_least_interval_end_no_session() {
+    let mut client = Small::new(Config { keep_alive: Duration::MAX, deadline: Duration::MAX, ..Config::TCP }, [0; 512], [0; 512]);
+    client.start(&get(), at(0)).unwrap();
+    sent(&mut client);
+    let executing = reply(1, HResult::S_EXECUTING, None, false);
+    let mut now = 0;
+    for round in 0..5000 {
+        now += 80;
+        assert_eq!(deliver(&mut client, &executing, at(now)), [Event::Executing]);
+        if round % 1000 == 0 {
+            // a stall: what was sent in 10 s arrives at once
+            now += 10_000;
+            for _ in 0..125 {
+                assert_eq!(deliver(&mut client, &executing, at(now)), [Event::Executing]);
+            }
+        }
+    }
+}
+
+#[test]
+fn replies_to_no_call_in_excess_end_a_stream_and_no_datagrams() {
+    let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
+    for _ in 0..256 {
+        assert_eq!(deliver(&mut client, &ok(9, 1), at(0)), [Event::Stale { serial: 9 }]);
+    }
+    assert_eq!(deliver(&mut client, &ok(9, 1), at(0)), [Event::Failed(ClientError::Flooded)]);
+    let mut client = Small::new(Config::UDP, [0; 512], [0; 512]);
+    for _ in 0..1000 {
+        assert_eq!(deliver(&mut client, &ok(9, 1), at(0)), [Event::Stale { serial: 9 }]);
+    }
+    client.start(&get(), at(0)).unwrap();
+    sent(&mut client);
+    assert_eq!(deliver(&mut client, &ok(1, 7), at(0)), [Event::Replied(HResult::S_OK)]);
+}
+
+#[test]
+fn the_first_serial_can_be_chosen_and_is_never_zero() {
+    for (chosen, used) in [(0, 1), (1, 1), (40_000, 40_000), (65_535, 65_535)] {
+        let mut client = Small::new(Config::UDP, [0; 512], [0; 512]);
+        client.set_next_serial(chosen);
+        client.start(&get(), at(0)).unwrap();
+        assert_eq!(sent(&mut client), (used, used));
+    }
+}

@@ -11,6 +11,8 @@ use crate::error::DecodeErrorKind;
 use crate::handler::tests::Capped;
 use crate::variant::VariantBuf;
 
+mod cells;
+
 /// A handler that notes what it is asked, gives handles out, and waits where it is told to.
 #[derive(Default)]
 struct Recorder {

@@ -73,7 +73,7 @@ impl From<ClientError> for Failure {
         match error {
             ClientError::Timeout(_) | ClientError::ReplyTooLarge { .. } | ClientError::Reply(_) => Self::Timeout,
             ClientError::Encode(_) | ClientError::TooLarge { .. } | ClientError::Busy => Self::NotSent,
-            ClientError::Malformed(_) | ClientError::Closed => Self::Lost,
+            ClientError::Malformed(_) | ClientError::Flooded | ClientError::Closed => Self::Lost,
         }
     }
 }

@@ -187,8 +187,10 @@ impl Transport for Robot {
 
     fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, Self::Error> {
         let Some(reply) = self.reply.take() else {
-            self.waited.push(until.saturating_since(self.now));
-            self.now = until;
+            if until > self.now {
+                self.waited.push(until.saturating_since(self.now));
+                self.now = until;
+            }
             return Ok(None);
         };
         buffer[..reply.len()].copy_from_slice(&reply);

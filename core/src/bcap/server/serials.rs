@@ -1,0 +1,172 @@
+//! What the serials of a lossy link tell about a request: whether it is new, a copy, or begins a session.
+//!
+//! Every attempt of a call carries the serial of the first one, its *marker* (S2:1487). A copy of a call has the marker
+//! and the function of the original. `docs/udp-sessions.md` lists every case; `cells.rs` tests each of them.
+
+use core::time::Duration;
+
+use crate::bcap::FunctionId;
+use crate::time::Instant;
+
+/// How far below the newest marker of a session a marker belongs to an older call of it.
+const OLD_MARKERS: u16 = 1024;
+
+/// For how long after the first call of a session the network may deliver copies of its Service_Start.
+const RESTART_AFTER: Duration = Duration::from_secs(2);
+
+/// One attempt of a call.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Attempt {
+    pub(super) function: FunctionId,
+    /// The serial of the call's first attempt.
+    pub(super) marker: u16,
+    pub(super) serial: u16,
+    /// A checksum of the arguments of Service_Start; 0 for other functions.
+    pub(super) arguments: u16,
+}
+
+impl Attempt {
+    /// Tells whether both are attempts of one call, as far as marker and function say.
+    fn is_of(&self, marker: u16, function: FunctionId) -> bool {
+        (self.marker, self.function) == (marker, function)
+    }
+}
+
+/// What to do with a request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Verdict {
+    /// Execute it, or refuse it while another call runs.
+    New,
+    /// Execute it and end what was before: a Service_Start that begins a session.
+    Begin,
+    /// Answer that the call is still executing.
+    Executing,
+    /// Send the last reply again.
+    Repeat,
+    /// Drop it: the call has ended, and its client has gone on to another one.
+    Drop,
+}
+
+/// What a session remembers of the requests of its peer.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Serials {
+    /// Whether the link keeps the order of the attempts.
+    is_ordered: bool,
+    last: Option<Last>,
+    /// The checksum of the arguments of the last Service_Start.
+    start_arguments: u16,
+    service: Option<Service>,
+}
+
+/// The call that was answered last.
+#[derive(Clone, Copy, Debug)]
+struct Last {
+    marker: u16,
+    function: FunctionId,
+    /// Whether its reply can be sent again.
+    is_kept: bool,
+}
+
+/// What is between a successful Service_Start and Service_Stop.
+#[derive(Clone, Copy, Debug)]
+struct Service {
+    /// The marker of Service_Start.
+    marker: u16,
+    /// The newest call that was executed. Refused calls do not count, or one forged request could make those of the client old.
+    newest: (u16, FunctionId),
+    /// The first call after Service_Start: when it arrived, and its marker.
+    went_on: Option<(Instant, u16)>,
+}
+
+impl Serials {
+    pub(super) const fn new(is_ordered: bool) -> Self {
+        Self { is_ordered, last: None, start_arguments: 0, service: None }
+    }
+
+    /// Decides about a request while the call with the marker and function of `running` runs.
+    pub(super) fn judge(&self, attempt: &Attempt, running: Option<(u16, FunctionId)>, now: Instant) -> Verdict {
+        let is_running = running.is_some_and(|(marker, function)| attempt.is_of(marker, function));
+        if attempt.function == FunctionId::SERVICE_START {
+            return if is_running && attempt.arguments == self.start_arguments {
+                Verdict::Executing
+            } else {
+                self.judge_start(attempt, now)
+            };
+        }
+        if is_running {
+            return Verdict::Executing;
+        }
+        if running.is_none() && self.is_last_and_kept(attempt) {
+            return Verdict::Repeat;
+        }
+        match &self.service {
+            Some(service) if service.is_old(attempt) || self.is_last(attempt) => Verdict::Drop,
+            // without a session there are no copies, so that no forged request can silence those of a client
+            _ => Verdict::New,
+        }
+    }
+
+    /// Decides about a Service_Start that is no attempt of the running call.
+    fn judge_start(&self, attempt: &Attempt, now: Instant) -> Verdict {
+        let Some(service) = self.service else { return Verdict::Begin };
+        if attempt.marker != service.marker || attempt.arguments != self.start_arguments {
+            return Verdict::Begin;
+        }
+        let Some((at, next)) = service.went_on else {
+            return if self.is_last_and_kept(attempt) { Verdict::Repeat } else { Verdict::Begin };
+        };
+        // each attempt takes the next serial, so those of Service_Start end where the next call begins
+        let could_be_a_copy = attempt.serial.wrapping_sub(service.marker) < next.wrapping_sub(service.marker);
+        if could_be_a_copy && !self.is_ordered && now.saturating_since(at) < RESTART_AFTER {
+            Verdict::Drop
+        } else {
+            Verdict::Begin
+        }
+    }
+
+    fn is_last(&self, attempt: &Attempt) -> bool {
+        self.last.is_some_and(|last| attempt.is_of(last.marker, last.function))
+    }
+
+    fn is_last_and_kept(&self, attempt: &Attempt) -> bool {
+        self.is_last(attempt) && self.last.is_some_and(|last| last.is_kept)
+    }
+
+    /// Records that a request is handed to the handler.
+    pub(super) fn began(&mut self, attempt: &Attempt, now: Instant) {
+        if attempt.function == FunctionId::SERVICE_START {
+            self.start_arguments = attempt.arguments;
+        } else if let Some(service) = &mut self.service {
+            service.newest = (attempt.marker, attempt.function);
+            service.went_on.get_or_insert((now, attempt.marker));
+        }
+    }
+
+    /// Records that a call is answered, and whether it was carried out.
+    pub(super) fn answered(&mut self, marker: u16, function: FunctionId, is_done: bool) {
+        self.last = Some(Last { marker, function, is_kept: true });
+        if function == FunctionId::SERVICE_START && is_done {
+            self.service = Some(Service { marker, newest: (marker, function), went_on: None });
+        }
+    }
+
+    /// Records that the last reply cannot be sent again.
+    pub(super) const fn forget_reply(&mut self) {
+        if let Some(last) = &mut self.last {
+            last.is_kept = false;
+        }
+    }
+
+    /// Records that the session has ended.
+    pub(super) const fn end_service(&mut self) {
+        self.service = None;
+    }
+}
+
+impl Service {
+    /// Tells whether an attempt is one of a call before the newest, or of the newest one.
+    fn is_old(&self, attempt: &Attempt) -> bool {
+        let (marker, function) = self.newest;
+        attempt.is_of(marker, function) || (1..=OLD_MARKERS).contains(&marker.wrapping_sub(attempt.marker))
+    }
+}
