@@ -5,7 +5,7 @@
 //! | Robot_Move                   | interpolation 1 (joints) and 2 (line); 3, 4 (arc, free curve) answer `E_NOTIMPL` |
 //! | Robot_Drive                  | turns joint 1 to 6 by degrees                                                    |
 //! | Robot_GoHome                 | moves the joints to [`Config::home`](crate::Config::home)                        |
-//! | Robot_Halt                   | brakes; the waiting call ends with `E_ABORT`; any client may; `S_FALSE` at rest  |
+//! | Robot_Halt                   | brakes, answers at rest; ends the waiting call with `E_ABORT`; any client may; `S_FALSE` at rest already |
 //! | Robot_Hold                   | brakes until Unhold; any client may; `S_FALSE` when nothing runs                 |
 //! | Robot_Unhold                 | goes on; any client with the token may, in Auto mode and without an error        |
 //! | Robot_Speed                  | axis -1 sets the internal speed of lines and joints, 0 that of joints only       |
@@ -68,7 +68,7 @@ use bcap_core::rac::VariableKind as Kind;
 use bcap_core::variant::Variant;
 
 use crate::controller::{Controller, Wait};
-use crate::dispatch::{Answer, Answered, names, system_names};
+use crate::dispatch::{Answer, Answered, names, system_names, with_value};
 use crate::hand;
 use crate::kinematics::figure;
 use crate::pose::Pose;
@@ -136,7 +136,7 @@ impl Controller {
                 let home = self.config().home;
                 self.move_joints(peer, "", |_| Ok(home))
             }
-            FunctionId::ROBOT_HALT => Ok(done_if(self.halt())),
+            FunctionId::ROBOT_HALT => self.robot_halt(peer),
             FunctionId::ROBOT_HOLD => {
                 let now = self.now;
                 Ok(done_if(self.robot.motion_mut().is_some_and(|m| m.hold(now))))
@@ -158,6 +158,16 @@ impl Controller {
             FunctionId::ROBOT_CHANGE => self.change(peer, &request.text(1).to_string()),
             _ => Err(HResult::E_NOTIMPL),
         }
+    }
+
+    /// Brakes, and answers when the arm is at rest: a motion that follows at once is not refused.
+    fn robot_halt(&mut self, peer: PeerId) -> Answered {
+        if !self.halt() {
+            return Ok(Answer::Code(HResult::S_FALSE));
+        }
+        self.waits.insert(peer, Wait::Rest);
+        self.advance(self.now);
+        self.resume(peer)
     }
 
     fn robot_execute(&mut self, peer: PeerId, command: &str, param: &Variant<'_>) -> Answered {
@@ -280,16 +290,21 @@ impl Controller {
             [state, no_wait] => (whole(*state)?, whole(*no_wait)?),
             _ => return Err(HResult::E_INVALIDARG),
         };
-        self.motor(peer, state != 0)?;
-        if state == 0 || no_wait != 0 || self.motor_is_on() {
-            return Ok(Value::Empty.into());
-        }
-        self.waits.insert(peer, Wait::Servo);
-        self.resume_execute(peer)
+        self.switch_motor(peer, state != 0, no_wait == 0).map(with_value)
     }
 
-    /// Switches the motor; on, it is on some time later.
-    pub(crate) fn motor(&mut self, peer: PeerId, on: bool) -> Result<(), HResult> {
+    /// Switches the motor. With `wait`, the answer comes when it is on.
+    pub(crate) fn switch_motor(&mut self, peer: PeerId, on: bool, wait: bool) -> Answered {
+        self.motor(peer, on)?;
+        if !on || !wait || self.motor_is_on() {
+            return Ok(Answer::Done);
+        }
+        self.waits.insert(peer, Wait::Servo);
+        self.resume(peer)
+    }
+
+    /// Begins to switch the motor; on, it is on some time later.
+    fn motor(&mut self, peer: PeerId, on: bool) -> Result<(), HResult> {
         self.may_command(peer)?;
         if !on {
             self.motor_off(HResult::E_MOTOR_OFF);

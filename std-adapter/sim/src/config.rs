@@ -121,6 +121,9 @@ pub struct Config {
     pub home: Joints,
     /// The time from switching the motor on until it is on.
     pub motor_on_delay: Duration,
+    /// Whether writing true to `@SERVO_ON` answers when the motor is on. False answers at once, and the motor is on
+    /// `motor_on_delay` later.
+    pub servo_on_waits: bool,
     /// The internal speed at the start, in percent.
     pub speed: f32,
     /// The external speed at the start, in percent.
@@ -161,6 +164,7 @@ impl Config {
             wall_clock_origin_ms: 0,
             home: [0.0, 45.0, 90.0, 0.0, 45.0, 0.0],
             motor_on_delay: Duration::from_millis(300),
+            servo_on_waits: true,
             speed: 100.0,
             ext_speed: 100.0,
             slave: SlaveConfig {

@@ -40,6 +40,8 @@ pub(crate) enum Wait {
     Motion(u64),
     /// The motor being on.
     Servo,
+    /// The arm being at rest.
+    Rest,
     /// The fingers of the hand being where they shall.
     Hand,
     /// Room for a pose of slave mode.
@@ -138,6 +140,9 @@ impl Controller {
         }
         if self.robot.motor_is_on() {
             self.end_waits(|wait| wait == Wait::Servo, HResult::S_OK);
+        }
+        if !self.is_moving() {
+            self.end_waits(|wait| wait == Wait::Rest, HResult::S_OK);
         }
         if self.hand.end(self.now).is_none() {
             self.end_waits(|wait| wait == Wait::Hand, HResult::S_OK);
@@ -408,7 +413,7 @@ impl Controller {
     pub(crate) fn look_again(&self, wait: Wait) -> Instant {
         let soon = self.now.saturating_add(LOOK_AGAIN);
         let end = match wait {
-            Wait::Motion(_) => self.robot.motion().and_then(|m| m.end()),
+            Wait::Motion(_) | Wait::Rest => self.robot.motion().and_then(|m| m.end()),
             Wait::Servo => match self.robot.servo {
                 Servo::TurningOn(at) => Some(at),
                 _ => None,

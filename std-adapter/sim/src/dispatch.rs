@@ -278,10 +278,8 @@ impl Controller {
         let now = self.now;
         let answer = match request.function {
             FunctionId::VARIABLE_GET_VALUE => self.target_get(target)?.into(),
-            FunctionId::VARIABLE_PUT_VALUE => {
-                self.target_put(peer, target, &request.value(1))?;
-                Answer::Done
-            }
+            FunctionId::VARIABLE_PUT_VALUE if request.resumed => self.resume(peer)?,
+            FunctionId::VARIABLE_PUT_VALUE => self.target_put(peer, target, &request.value(1))?,
             FunctionId::VARIABLE_GET_DATE_TIME => {
                 let stamp = self.objects.get(peer, request.handle(), Object::Variable)?.stamp;
                 return Ok(Value::Date(self.date(stamp)?).into());
@@ -324,9 +322,11 @@ impl Controller {
         }
     }
 
-    fn target_put(&mut self, peer: PeerId, target: Target, value: &Variant<'_>) -> Result<(), HResult> {
+    fn target_put(&mut self, peer: PeerId, target: Target, value: &Variant<'_>) -> Answered {
         match target {
-            Target::User(family, n) | Target::Wildcard(family, Some(n)) => self.put_user(family, n, value),
+            Target::User(family, n) | Target::Wildcard(family, Some(n)) => {
+                self.put_user(family, n, value).map(|()| Answer::Done)
+            }
             Target::Wildcard(_, None) => Err(HResult::DISP_E_BADINDEX),
             Target::System(owner, name) => {
                 self.may_write()?;
@@ -350,10 +350,7 @@ impl Controller {
 
     /// Goes on with a command that has waited; its reply has an empty value.
     pub(crate) fn resume_execute(&mut self, peer: PeerId) -> Answered {
-        match self.resume(peer)? {
-            Answer::Done => Ok(Value::Empty.into()),
-            answer => Ok(answer),
-        }
+        self.resume(peer).map(with_value)
     }
 
     /// Waits, or goes on waiting, for what was entered for this client.
@@ -366,6 +363,14 @@ impl Controller {
             Some(wait) => Ok(Answer::Wait(self.look_again(wait))),
             None => Err(HResult::E_ABORT),
         }
+    }
+}
+
+/// Adds the empty value that commands answer and functions do not.
+pub(crate) fn with_value(answer: Answer) -> Answer {
+    match answer {
+        Answer::Done => Value::Empty.into(),
+        answer => answer,
     }
 }
 

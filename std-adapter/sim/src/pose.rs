@@ -67,11 +67,11 @@ impl Pose {
         }
     }
 
-    /// Reads a command's parameter that is a pose of one kind, as numbers or as text.
+    /// Reads a command's parameter that is a pose of one kind: numbers alone, or any form of a motion's pose.
     pub(crate) fn parse_as(kind: Kind, value: &Variant<'_>, vars: &Variables) -> Result<Self, HResult> {
         match value.flatten() {
-            Variant::Bstr(text) => Self::parse_text(&text.to_string(), vars),
-            _ => Self::new(kind, &numbers(value)?),
+            Variant::Array(array) if array.len() > 4 => Self::new(kind, &numbers(value)?),
+            _ => Self::parse(value, vars),
         }
     }
 

@@ -14,6 +14,7 @@ use bcap_core::variant::{OleDate, Variant};
 
 use crate::config::Mode;
 use crate::controller::Controller;
+use crate::dispatch::{Answer, Answered};
 use crate::errors::description;
 use crate::robot::{Percent, angle, percent, position, trans};
 use crate::value::{Value, number, one_int};
@@ -146,13 +147,15 @@ impl Controller {
     }
 
     /// Writes a system variable.
+    ///
+    /// Writing true to `@SERVO_ON` answers when the motor is on, as `Motor` does without its NoWait.
     pub(crate) fn system_put(
         &mut self,
         peer: PeerId,
         owner: Owner,
         name: &'static str,
         value: &Variant<'_>,
-    ) -> Result<(), HResult> {
+    ) -> Answered {
         if access(owner, name)? == Access::Read {
             return Err(HResult::E_CAO_NOT_WRITABLE);
         }
@@ -162,7 +165,10 @@ impl Controller {
                 0 => self.clear_error()?,
                 _ => return Err(HResult::E_INVALIDARG),
             },
-            (Owner::Robot, "@SERVO_ON") => self.motor(peer, truth(value)?)?,
+            (Owner::Robot, "@SERVO_ON") => {
+                let wait = self.config().servo_on_waits;
+                return self.switch_motor(peer, truth(value)?, wait);
+            }
             (Owner::Robot, "@CURRENT_TOOL") => {
                 self.may_set_arm(peer)?;
                 self.robot.tool = coordinates(one_int(value)?)?;
@@ -181,7 +187,7 @@ impl Controller {
             }
             _ => return Err(HResult::E_CAO_NOT_WRITABLE),
         }
-        Ok(())
+        Ok(Answer::Done)
     }
 
     fn controller_get(&self, name: &str) -> Result<Value, HResult> {
