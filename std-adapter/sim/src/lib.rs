@@ -63,6 +63,7 @@ pub mod commands;
 mod config;
 mod controller;
 mod dispatch;
+mod drive;
 mod errors;
 pub mod execute;
 pub mod files;

@@ -69,7 +69,7 @@ use bcap_core::variant::Variant;
 
 use crate::controller::{Controller, Wait};
 use crate::dispatch::{Answer, Answered};
-use crate::kinematics::{OutOfReach, SPEEDS};
+use crate::kinematics::{AXIS_SPEEDS, Axes, OutOfReach, out_of_range, six};
 use crate::motion::ACCELERATION_TIME;
 use crate::pose::Pose;
 use crate::robot::Percent;
@@ -79,19 +79,13 @@ use stream::Offered;
 
 pub(crate) use format::Formats;
 pub use format::SlaveFormats;
-pub(crate) use stream::{Axes, SlaveMode, Stream};
+pub(crate) use stream::{SlaveMode, Stream};
 
 /// The time of a control cycle.
 pub const CYCLE: Duration = Duration::from_millis(8);
 
 /// The option element of a pose, without the bits of its joints.
 const OPTION: i64 = 0x0040_0000;
-
-/// The range of an extended axis, in degrees or mm to either side.
-pub const EXTENDED_RANGE: f64 = 1000.0;
-
-/// The largest speed of an extended axis, in degrees or mm per second.
-pub const EXTENDED_SPEED: f64 = 500.0;
 
 /// What limits speed and acceleration in slave mode: the controller's parameter 153, "Speed setting for b-CAP Slave".
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -101,7 +95,7 @@ pub enum SpeedSetting {
     Servo = 0,
     /// The same by the external speed, and the external acceleration.
     ServoByExtSpeed = 1,
-    /// What a motion command may do: [`SPEEDS`], reached in [`ACCELERATION_TIME`].
+    /// What a motion command may do: [`SPEEDS`](crate::kinematics::SPEEDS), reached in [`ACCELERATION_TIME`].
     Command = 2,
     /// The same by the external speed, and the external acceleration.
     CommandByExtSpeed = 3,
@@ -178,8 +172,6 @@ impl Controller {
     /// Returns the limits that slave mode has, or would have if it were entered now.
     #[must_use]
     pub fn slave_limits(&self) -> Limits {
-        let [j1, j2, j3, j4, j5, j6] = SPEEDS;
-        let speeds = [j1, j2, j3, j4, j5, j6, EXTENDED_SPEED, EXTENDED_SPEED];
         let setting = self.config().slave.speed_setting;
         let (mut speed, mut acceleration) = match setting {
             SpeedSetting::Servo | SpeedSetting::ServoByExtSpeed => (1.2, 4.0),
@@ -191,8 +183,8 @@ impl Controller {
             acceleration *= f64::from(accel) / 100.0;
         }
         Limits {
-            speed: speeds.map(|limit| limit * speed),
-            acceleration: speeds.map(|limit| limit / ACCELERATION_TIME * acceleration),
+            speed: AXIS_SPEEDS.map(|limit| limit * speed),
+            acceleration: AXIS_SPEEDS.map(|limit| limit / ACCELERATION_TIME * acceleration),
         }
     }
 
@@ -336,13 +328,9 @@ impl Controller {
         }
         let numbers = if kind == Kind::J { &numbers[..6] } else { numbers };
         let pose = Pose::new(kind, numbers)?;
-        let [j1, j2, j3, j4, j5, j6, ..] = near;
-        Ok(pose.joints(&[j1, j2, j3, j4, j5, j6]).and_then(|joints| {
+        Ok(pose.joints(&six(&near)).and_then(|joints| {
             axes[..6].copy_from_slice(&joints);
-            match axes[6..].iter().position(|value| value.abs() > EXTENDED_RANGE) {
-                Some(n) => Err(OutOfReach(if n == 0 { 7 } else { 8 })),
-                None => Ok(axes),
-            }
+            out_of_range(&axes).map_or(Ok(axes), |axis| Err(OutOfReach(axis)))
         }))
     }
 

@@ -16,7 +16,8 @@ use crate::config::Mode;
 use crate::controller::Controller;
 use crate::dispatch::{Answer, Answered};
 use crate::errors::description;
-use crate::robot::{Percent, angle, percent, position, trans};
+use crate::kinematics::six;
+use crate::robot::{Percent, percent, position, trans};
 use crate::value::{Value, number, one_int};
 
 /// The object that a system variable belongs to.
@@ -227,9 +228,9 @@ impl Controller {
             "@CURRENT_POSITION" | "@HIGH_CURRENT_POSITION" => Value::R8s(position(&here)),
             "@CURRENT_ANGLE" | "@HIGH_CURRENT_ANGLE" => Value::R8s(self.axes().to_vec()),
             "@CURRENT_TRANS" | "@HIGH_CURRENT_TRANS" => Value::R8s(trans(&here)),
-            "@DEST_POSITION" => Value::R8s(position(&there)),
-            "@DEST_ANGLE" => Value::R8s(angle(&there)),
-            "@DEST_TRANS" => Value::R8s(trans(&there)),
+            "@DEST_POSITION" => Value::R8s(position(&six(&there))),
+            "@DEST_ANGLE" => Value::R8s(there.to_vec()),
+            "@DEST_TRANS" => Value::R8s(trans(&six(&there))),
             "@SERVO_ON" => Value::Bool(robot.motor_is_on()),
             "@BUSY_STATUS" => Value::Bool(self.is_moving()),
             "@TYPE_NAME" => Value::from(self.config().robot_type.as_str()),

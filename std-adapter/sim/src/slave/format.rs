@@ -13,8 +13,7 @@
 use bcap_core::hresult::HResult;
 use bcap_core::variant::{Array, VarType, Variant};
 
-use super::stream::Axes;
-use crate::kinematics::Joints;
+use crate::kinematics::{Axes, six};
 use crate::robot::{position, trans};
 use crate::value::{Value, numbers, numbers_of_array, one_int, whole};
 use crate::variables::Variables;
@@ -163,8 +162,7 @@ impl Formats {
     }
 
     fn pose(self, axes: &Axes) -> Vec<f64> {
-        let [j1, j2, j3, j4, j5, j6, ..] = *axes;
-        let joints: Joints = [j1, j2, j3, j4, j5, j6];
+        let joints = six(axes);
         match self.receive & 0xF {
             1 => position(&joints),
             3 => trans(&joints),

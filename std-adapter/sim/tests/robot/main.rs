@@ -1,6 +1,7 @@
 //! The arm over the handler of b-CAP: authority, motor, motions and what stops them.
 
 mod authority;
+mod drives;
 #[path = "../common/mod.rs"]
 mod common;
 mod motions;
