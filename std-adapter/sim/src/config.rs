@@ -43,6 +43,29 @@ impl Profile {
         }
     }
 
+    /// Returns a type of robot that such a controller has, `@TYPE_NAME`.
+    ///
+    /// COBOTTA: the one that the public ROS 2 driver asks for. RC8, RC9: the arm whose lengths
+    /// [`kinematics`](crate::kinematics) has, spelled as public launch files spell its sister, `VS060A3`.
+    #[must_use]
+    pub const fn robot_type(self) -> &'static str {
+        match self {
+            Self::Rc8 | Self::Rc9 => "VS050A3",
+            Self::Cobotta => "CVR038A1",
+        }
+    }
+
+    /// Returns a version of its software that public sources name, `@VERSION`.
+    ///
+    /// The public ROS 2 driver clears errors of a COBOTTA from 2.8.0 on, and calls ManualReset of an RC9 from 1.4.0 on.
+    #[must_use]
+    pub const fn version(self) -> &'static str {
+        match self {
+            Self::Rc8 | Self::Cobotta => "2.8.0",
+            Self::Rc9 => "1.4.0",
+        }
+    }
+
     /// Tells whether it has to be prepared before its motor is switched on.
     pub(crate) const fn wants_preparation(self) -> bool {
         matches!(self, Self::Cobotta)
@@ -130,7 +153,7 @@ pub struct Config {
     pub ext_speed: f32,
     /// Slave mode: licence, limits, formats.
     pub slave: SlaveConfig,
-    /// Axes beyond the sixth, 0 to 2; only slave mode moves them.
+    /// Axes beyond the sixth, 0 to 2: J7 and J8.
     pub extended_axes: u8,
     /// The folder whose files the controller has; without one it has none, and says so.
     pub files: Option<PathBuf>,
@@ -146,8 +169,10 @@ pub struct Config {
     pub serial_number: String,
     /// `@VERSION`.
     pub version: String,
-    /// `@TYPE_NAME` of the robot.
+    /// `@TYPE_NAME` of the robot. It does not change the arm's lengths, ranges and speeds.
     pub robot_type: String,
+    /// The robot's name, as Controller_GetRobotNames answers it.
+    pub arm_name: String,
 }
 
 impl Config {
@@ -178,8 +203,9 @@ impl Config {
             task_lines: 10,
             max_objects: 1000,
             serial_number: "VIRTUAL".to_owned(),
-            version: env!("CARGO_PKG_VERSION").to_owned(),
-            robot_type: "BCAP-SIM-6".to_owned(),
+            version: profile.version().to_owned(),
+            robot_type: profile.robot_type().to_owned(),
+            arm_name: "Arm0".to_owned(),
         }
     }
 }

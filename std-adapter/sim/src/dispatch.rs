@@ -233,7 +233,7 @@ impl Controller {
             FunctionId::CONTROLLER_GET_VARIABLE_NAMES => {
                 Ok(names(system_names(Owner::Controller).chain(wildcard_names())))
             }
-            FunctionId::CONTROLLER_GET_ROBOT_NAMES => Ok(names(["Arm0".to_owned()])),
+            FunctionId::CONTROLLER_GET_ROBOT_NAMES => Ok(names([self.config().arm_name.clone()])),
             FunctionId::CONTROLLER_GET_TASK_NAMES => Ok(names(self.tasks.iter().map(|t| t.name().to_owned()))),
             FunctionId::CONTROLLER_EXECUTE => self.controller_execute(peer, &name(), &request.value(2)),
             FunctionId::CONTROLLER_GET_FILE => self.open_file(peer, "", &name(), &request.text(2).to_string()),

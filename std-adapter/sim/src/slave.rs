@@ -102,12 +102,17 @@ pub enum SpeedSetting {
 }
 
 /// How slave mode is set up.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SlaveConfig {
     /// Whether the controller has the licence.
     pub licensed: bool,
     /// Parameter 153.
     pub speed_setting: SpeedSetting,
+    /// Limits of speed for J1 to J8 in degrees or mm per second, instead of those that `speed_setting` gives an axis.
+    /// The external speed scales them too, where the setting says so.
+    pub speed_limits: [Option<f64>; 8],
+    /// Likewise of acceleration, in degrees or mm per second squared.
+    pub acceleration_limits: [Option<f64>; 8],
     /// The formats that there are.
     pub formats: SlaveFormats,
     /// How many cycles [`Controller::slave_record`] keeps.
@@ -117,7 +122,14 @@ pub struct SlaveConfig {
 impl Default for SlaveConfig {
     /// Licensed, with the drives' limits, all formats, and a record of two minutes.
     fn default() -> Self {
-        Self { licensed: true, speed_setting: SpeedSetting::default(), formats: SlaveFormats::ALL, record: 15_000 }
+        Self {
+            licensed: true,
+            speed_setting: SpeedSetting::default(),
+            speed_limits: [None; 8],
+            acceleration_limits: [None; 8],
+            formats: SlaveFormats::ALL,
+            record: 15_000,
+        }
     }
 }
 
@@ -172,20 +184,24 @@ impl Controller {
     /// Returns the limits that slave mode has, or would have if it were entered now.
     #[must_use]
     pub fn slave_limits(&self) -> Limits {
-        let setting = self.config().slave.speed_setting;
-        let (mut speed, mut acceleration) = match setting {
-            SpeedSetting::Servo | SpeedSetting::ServoByExtSpeed => (1.2, 4.0),
-            SpeedSetting::Command | SpeedSetting::CommandByExtSpeed => (1.0, 1.0),
+        let slave = &self.config().slave;
+        let (mut speed, mut acceleration) = match slave.speed_setting {
+            SpeedSetting::Servo | SpeedSetting::ServoByExtSpeed => {
+                (AXIS_SPEEDS.map(|limit| limit * 1.2), AXIS_SPEEDS.map(|limit| limit / ACCELERATION_TIME * 4.0))
+            }
+            SpeedSetting::Command | SpeedSetting::CommandByExtSpeed => {
+                (AXIS_SPEEDS, AXIS_SPEEDS.map(|limit| limit / ACCELERATION_TIME))
+            }
         };
-        if matches!(setting, SpeedSetting::ServoByExtSpeed | SpeedSetting::CommandByExtSpeed) {
+        for (limits, own) in [(&mut speed, slave.speed_limits), (&mut acceleration, slave.acceleration_limits)] {
+            limits.iter_mut().zip(own).for_each(|(limit, own)| *limit = own.unwrap_or(*limit));
+        }
+        if matches!(slave.speed_setting, SpeedSetting::ServoByExtSpeed | SpeedSetting::CommandByExtSpeed) {
             let Percent { speed: by_speed, accel, .. } = self.robot.external;
-            speed *= f64::from(by_speed) / 100.0;
-            acceleration *= f64::from(accel) / 100.0;
+            speed = speed.map(|limit| limit * f64::from(by_speed) / 100.0);
+            acceleration = acceleration.map(|limit| limit * f64::from(accel) / 100.0);
         }
-        Limits {
-            speed: AXIS_SPEEDS.map(|limit| limit * speed),
-            acceleration: AXIS_SPEEDS.map(|limit| limit / ACCELERATION_TIME * acceleration),
-        }
+        Limits { speed, acceleration }
     }
 
     /// Returns what slave mode has done.
