@@ -196,6 +196,41 @@ fn the_controllers_files_are_those_of_a_folder() {
     assert!(run.code == 2 && run.err.contains("--files no/such/folder: there is no such folder"), "{run:?}");
 }
 
+#[cfg(unix)]
+#[test]
+fn a_fifo_among_the_files_stops_neither_b_cap_nor_rac_nor_a_signal() {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("files-with-a-fifo");
+    let _ = fs::remove_dir_all(&folder);
+    fs::create_dir_all(&folder).unwrap();
+    fs::write(folder.join("a.pcs"), "Sub Main").unwrap();
+    assert!(Command::new("mkfifo").arg(folder.join("fifo")).status().unwrap().success());
+    let mut sim = Sim::start(&["--files", folder.to_str().unwrap()]);
+    let names = sim.tcp(&["call", "ControllerGetFileNames", "controller", "8,"]);
+    assert_eq!((names.out.as_str(), names.code), ("a.pcs\n", 0), "{names:?}");
+    let read = |name: &str| sim.tcp(&["call", "FileGetValue", &format!("file:{name}")]);
+    assert_eq!(read("a.pcs").out, "Sub Main\n");
+    let fifo = read("fifo");
+    assert!(fifo.code == 1 && fifo.err.contains("E_ACCESSDENIED"), "{fifo:?}");
+
+    let copy = sim.tcp(&["call", "FileCopy", "file:fifo", "8,b.pcs", "8,"]);
+    assert_eq!(copy.code, 1, "{copy:?}");
+    assert_eq!(sim.rac(&["get", "I1"]).out, "I1 = 0\n");
+    assert_eq!(sim.udp(&["get", "I1"]).out, "I1 = 0\n");
+    assert!(Command::new("kill").args(["-TERM", &sim.child.id().to_string()]).status().unwrap().success());
+    assert_eq!(sim.child.wait().unwrap().code(), Some(0));
+}
+
+#[test]
+fn the_robot_has_a_type_that_drivers_ask_for() {
+    let type_of = |more: &[&str]| Sim::start(more).tcp(&["get", "robot/@TYPE_NAME", "@VERSION"]).out;
+    assert_eq!(type_of(&[]), "robot/@TYPE_NAME = VS050A3\n@VERSION = 2.8.0\n");
+    assert_eq!(type_of(&["--model", "cobotta"]), "robot/@TYPE_NAME = CVR038A1\n@VERSION = 2.8.0\n");
+    assert_eq!(type_of(&["--robot-type", "HS035"]), "robot/@TYPE_NAME = HS035\n@VERSION = 2.8.0\n");
+    let text = "[controller]\nrobot_type = 'VM060'\naxes = 7\narm_name = 'Left'\nversion = '1.2.3'\n";
+    let path = scenario("robot.toml", text);
+    assert_eq!(type_of(&["--scenario", &path]), "robot/@TYPE_NAME = VM060\n@VERSION = 1.2.3\n");
+}
+
 #[test]
 fn what_is_no_scenario_is_explained() {
     let wrong = scenario("wrong.toml", "[[fault]]\nwhen = { cal = 1 }\nthen = 'drop'");

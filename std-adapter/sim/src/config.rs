@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use bcap_core::handler::PeerId;
 
+use crate::files::Executor;
 use crate::kinematics::Joints;
 use crate::slave::{SlaveConfig, SlaveFormats};
 use crate::variables::Sizes;
@@ -157,6 +158,8 @@ pub struct Config {
     pub extended_axes: u8,
     /// The folder whose files the controller has; without one it has none, and says so.
     pub files: Option<PathBuf>,
+    /// Where the work with these files is done.
+    pub file_work: Executor,
     /// The names of the tasks.
     pub tasks: Vec<String>,
     /// The time of one cycle of a task.
@@ -198,6 +201,7 @@ impl Config {
             },
             extended_axes: 0,
             files: None,
+            file_work: Executor::default(),
             tasks: ["Pro1", "Pro2", "Pro3"].map(str::to_owned).to_vec(),
             task_cycle: Duration::from_secs(1),
             task_lines: 10,

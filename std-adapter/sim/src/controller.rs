@@ -11,6 +11,7 @@ use bcap_core::variant::{Encode, Variant, VariantBuf};
 
 use crate::config::{Config, Mode, Permission, Token};
 use crate::errors::{ErrorEntry, Errors};
+use crate::files::Files;
 use crate::hand::Hand;
 use crate::kinematics::Joints;
 use crate::messages::Messages;
@@ -74,6 +75,7 @@ pub struct Controller {
     pub(crate) variables: Variables,
     pub(crate) robot: Robot,
     pub(crate) hand: Hand,
+    pub(crate) files: Files,
     pub(crate) tasks: Vec<Task>,
     pub(crate) errors: Errors,
     pub(crate) messages: Messages,
@@ -104,6 +106,7 @@ impl Controller {
             variables: Variables::new(&config.sizes),
             robot: Robot::new(&config),
             hand: Hand::new(),
+            files: Files::default(),
             tasks: config.tasks.iter().map(task).collect(),
             errors: Errors::default(),
             messages: Messages::default(),
@@ -314,6 +317,7 @@ impl Controller {
         self.slave_formats.remove(&peer);
         self.fates.remove(&peer);
         self.messages.forget(peer);
+        self.files.forget(peer);
         self.forget_hand(peer);
         let streams = self.robot.slave.as_ref().is_some_and(|stream| stream.peer == peer);
         if streams || self.robot.motion().is_some_and(|m| m.peer == peer) {

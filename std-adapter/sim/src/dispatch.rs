@@ -58,6 +58,7 @@ impl Handler for Controller {
         self.advance(now);
         self.waits.remove(&peer);
         self.fates.remove(&peer);
+        self.files.forget(peer);
         self.abandon_slave_move(peer);
     }
 
@@ -236,8 +237,9 @@ impl Controller {
             FunctionId::CONTROLLER_GET_ROBOT_NAMES => Ok(names([self.config().arm_name.clone()])),
             FunctionId::CONTROLLER_GET_TASK_NAMES => Ok(names(self.tasks.iter().map(|t| t.name().to_owned()))),
             FunctionId::CONTROLLER_EXECUTE => self.controller_execute(peer, &name(), &request.value(2)),
-            FunctionId::CONTROLLER_GET_FILE => self.open_file(peer, "", &name(), &request.text(2).to_string()),
-            FunctionId::CONTROLLER_GET_FILE_NAMES => self.file_names(""),
+            FunctionId::CONTROLLER_GET_FILE | FunctionId::CONTROLLER_GET_FILE_NAMES => {
+                self.file_call(peer, "", request)
+            }
             FunctionId::CONTROLLER_GET_EXTENSION => {
                 let wanted = name();
                 let found = wanted.trim().eq_ignore_ascii_case(hand::NAME);
