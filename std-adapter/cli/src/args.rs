@@ -303,6 +303,12 @@ pub(crate) struct Sim {
     /// empty, and gone at the end
     #[arg(long, value_name = "DIR")]
     pub(crate) files: Option<PathBuf>,
+
+    /// Prints on stderr why an argument was refused: the call, what it was given, what is accepted
+    ///
+    /// GetErrorDescription of the code tells the same.
+    #[arg(long)]
+    pub(crate) explain: bool,
 }
 
 /// A model of controller.

@@ -21,8 +21,13 @@ struct Sim {
 
 impl Sim {
     fn start(more: &[&str]) -> Self {
+        Self::start_with(more, Stdio::inherit())
+    }
+
+    fn start_with(more: &[&str], stderr: Stdio) -> Self {
         let free = ["--bcap", "127.0.0.1:0", "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"];
-        let mut child = command(&[&["sim"], &free[..], more].concat()).stdout(Stdio::piped()).spawn().unwrap();
+        let mut command = command(&[&["sim"], &free[..], more].concat());
+        let mut child = command.stdout(Stdio::piped()).stderr(stderr).spawn().unwrap();
         let mut line = String::new();
         BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
         let mut words = line.trim_end().split(' ');
@@ -129,6 +134,19 @@ fn refusals_are_explained_over_all_links() {
     }
     let run = sim.tcp(&["get", "I1", "--provider", "NoSuchProvider"]);
     assert!(run.code == 1 && run.err.contains("Controller_Connect: the controller refused"), "{run:?}");
+}
+
+#[test]
+fn a_refused_argument_is_explained_on_stderr_and_by_its_description() {
+    let mut sim = Sim::start_with(&["--explain"], Stdio::piped());
+    assert_eq!(sim.tcp(&["exec", "robot", "TakeArm", "8195,5,0"]).code, 1);
+    let mut line = String::new();
+    BufReader::new(sim.child.stderr.take().unwrap()).read_line(&mut line).unwrap();
+    let why = "Robot_Execute \"TakeArm\": given [I4(5), I4(0)]; accepted nothing, the group, or [group, keep]: group 0, \
+               keep 0 or 1";
+    assert!(line.contains("E_INVALIDARG") && line.trim_end().ends_with(why), "{line}");
+    let text = sim.tcp(&["exec", "controller", "GetErrorDescription", "-2147024809"]).out;
+    assert!(text.trim_end().ends_with(why), "{text}");
 }
 
 #[test]

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use bcap_core::handler::PeerId;
 
+use crate::explain::Observer;
 use crate::files::Executor;
 use crate::kinematics::Joints;
 use crate::slave::{SlaveConfig, SlaveFormats};
@@ -160,6 +161,8 @@ pub struct Config {
     pub files: Option<PathBuf>,
     /// Where the work with these files is done.
     pub file_work: Executor,
+    /// Is told why arguments were refused.
+    pub observer: Observer,
     /// The names of the tasks.
     pub tasks: Vec<String>,
     /// The time of one cycle of a task.
@@ -202,6 +205,7 @@ impl Config {
             extended_axes: 0,
             files: None,
             file_work: Executor::default(),
+            observer: Observer::default(),
             tasks: ["Pro1", "Pro2", "Pro3"].map(str::to_owned).to_vec(),
             task_cycle: Duration::from_secs(1),
             task_lines: 10,

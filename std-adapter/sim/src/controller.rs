@@ -11,6 +11,7 @@ use bcap_core::variant::{Encode, Variant, VariantBuf};
 
 use crate::config::{Config, Mode, Permission, Token};
 use crate::errors::{ErrorEntry, Errors};
+use crate::explain::Refusals;
 use crate::files::Files;
 use crate::hand::Hand;
 use crate::kinematics::Joints;
@@ -78,6 +79,7 @@ pub struct Controller {
     pub(crate) files: Files,
     pub(crate) tasks: Vec<Task>,
     pub(crate) errors: Errors,
+    pub(crate) refusals: Refusals,
     pub(crate) messages: Messages,
     pub(crate) waits: BTreeMap<PeerId, Wait>,
     pub(crate) slave_formats: BTreeMap<PeerId, Formats>,
@@ -109,6 +111,7 @@ impl Controller {
             files: Files::default(),
             tasks: config.tasks.iter().map(task).collect(),
             errors: Errors::default(),
+            refusals: Refusals::default(),
             messages: Messages::default(),
             waits: BTreeMap::new(),
             slave_formats: BTreeMap::new(),

@@ -78,9 +78,29 @@ impl Controller {
                 HResult::S_OK => Outcome::Done(code),
                 failed => Outcome::Done(failed),
             },
-            Ok(Answer::Code(code)) | Err(code) => Outcome::Done(code),
+            Ok(Answer::Code(code)) => Outcome::Done(code),
+            Err(code) => {
+                self.note_refusal(peer, request, code);
+                Outcome::Done(code)
+            }
             Ok(Answer::Wait(at)) => Outcome::Wait(at),
         }
+    }
+}
+
+impl Controller {
+    /// Keeps the reason of a refusal, for GetErrorDescription.
+    fn note_refusal(&mut self, peer: PeerId, request: &Request<'_>, code: HResult) {
+        let target = match request.function {
+            FunctionId::VARIABLE_PUT_VALUE => self.objects.get(peer, request.handle(), Object::Variable).ok(),
+            _ => None,
+        };
+        let target = target.and_then(|entry| match entry.item {
+            Item::Variable(target) => Some(target),
+            _ => None,
+        });
+        let observer = self.config().observer.clone();
+        self.refusals.note(request, target, code, &observer);
     }
 }
 

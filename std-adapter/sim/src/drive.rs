@@ -58,7 +58,9 @@ impl Drive {
             }
             // one pair alone
             Variant::Array(array) if is_pair(array) => Self::new(absolute, vec![pair(&value.flatten())?]),
-            Variant::Array(array) => Self::new(absolute, array.iter().map(|item| pair_item(&item)).collect::<Result<_, _>>()?),
+            Variant::Array(array) => {
+                Self::new(absolute, array.iter().map(|item| pair_item(&item)).collect::<Result<_, _>>()?)
+            }
             _ => Err(HResult::E_INVALIDARGTYPE),
         }
     }
@@ -178,7 +180,9 @@ mod tests {
 
     #[test]
     fn what_is_no_pair_is_refused() {
-        for text in ["", "1,5", "(1,5", "(1,5)(2,5)", "(1,5),", "(1)", "(9,1)", "(0,1)", "(1,5),(1,6)", "@X (1,5)", "(1,inf)"] {
+        for text in
+            ["", "1,5", "(1,5", "(1,5)(2,5)", "(1,5),", "(1)", "(9,1)", "(0,1)", "(1,5),(1,6)", "@X (1,5)", "(1,inf)"]
+        {
             assert_eq!(drive(false, &text), Err(HResult::E_INVALIDARG), "{text}");
         }
         assert_eq!(drive(false, &"(a,5)"), Err(HResult::DISP_E_TYPEMISMATCH));

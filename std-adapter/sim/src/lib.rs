@@ -39,7 +39,7 @@
 //! * Variable_GetDateTime tells when the variable was last read or written through this handle.
 //!
 //! The tables of names, types and answers stand with the code: [`variables`], [`system`], [`arm`], [`execute`],
-//! [`commands`], [`messages`], [`files`], [`hand`], [`preparation`], [`pose`], [`kinematics`], [`scenario`], [`slave`],
+//! [`commands`], [`messages`], [`explain`], [`files`], [`hand`], [`preparation`], [`pose`], [`kinematics`], [`scenario`], [`slave`],
 //! [`tasks`].
 //!
 //! # Examples
@@ -66,6 +66,7 @@ mod dispatch;
 mod drive;
 mod errors;
 pub mod execute;
+pub mod explain;
 pub mod files;
 pub mod hand;
 pub mod kinematics;

@@ -62,9 +62,7 @@ impl Pose {
             Variant::Bstr(text) => {
                 let text = text.to_string();
                 match text.to_ascii_uppercase().find("EX") {
-                    Some(n) => {
-                        Ok((Self::parse_text(&text[..n], vars)?, Some(Drive::parse_extended_text(&text[n..])?)))
-                    }
+                    Some(n) => Ok((Self::parse_text(&text[..n], vars)?, Some(Drive::parse_extended_text(&text[n..])?))),
                     None => Ok((Self::parse_text(&text, vars)?, None)),
                 }
             }

@@ -358,9 +358,11 @@ fn what_is_no_scenario_says_where_and_why() {
 
 #[test]
 fn each_model_has_a_type_of_robot_and_a_version_that_drivers_accept() {
-    for (profile, robot_type, version) in
-        [(Profile::Rc8, "VS050A3", "2.8.0"), (Profile::Rc9, "VS050A3", "1.4.0"), (Profile::Cobotta, "CVR038A1", "2.8.0")]
-    {
+    for (profile, robot_type, version) in [
+        (Profile::Rc8, "VS050A3", "2.8.0"),
+        (Profile::Rc9, "VS050A3", "1.4.0"),
+        (Profile::Cobotta, "CVR038A1", "2.8.0"),
+    ] {
         let mut world = World::with(Config::new(profile));
         let client = world.client(1);
         assert_eq!(world.robot_get(client, "@TYPE_NAME"), ok(robot_type), "{profile:?}");

@@ -39,7 +39,10 @@ pub(super) struct Work {
 
 /// What is to be done.
 pub(super) enum Task {
-    Open { name: String, options: String },
+    Open {
+        name: String,
+        options: String,
+    },
     List,
     Write(Result<Vec<u8>, HResult>),
     Copy(String),
@@ -135,7 +138,9 @@ impl Work {
                 Value::I4(i32::try_from(metadata.len()).map_err(|_| HResult::DISP_E_OVERFLOW)?)
             }
             FunctionId::FILE_GET_TYPE if metadata.is_dir() => Value::from("Folder"),
-            FunctionId::FILE_GET_TYPE => Value::Text(path.extension().unwrap_or_default().to_string_lossy().into_owned()),
+            FunctionId::FILE_GET_TYPE => {
+                Value::Text(path.extension().unwrap_or_default().to_string_lossy().into_owned())
+            }
             _ => return Err(HResult::E_NOTIMPL),
         }))
     }
@@ -227,7 +232,9 @@ fn list(folder: &Path) -> Result<Done, HResult> {
     for entry in fs::read_dir(folder).map_err(failed)? {
         let entry = entry.map_err(failed)?;
         // a link to nowhere, a FIFO, a device
-        let Some(metadata) = fs::metadata(entry.path()).ok().and_then(|metadata| known(metadata).ok()) else { continue };
+        let Some(metadata) = fs::metadata(entry.path()).ok().and_then(|metadata| known(metadata).ok()) else {
+            continue;
+        };
         if names.len() == NAMES_MAX {
             return Err(HResult::E_TOO_MUCH_DATA);
         }

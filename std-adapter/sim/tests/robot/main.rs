@@ -1,9 +1,9 @@
 //! The arm over the handler of b-CAP: authority, motor, motions and what stops them.
 
 mod authority;
-mod drives;
 #[path = "../common/mod.rs"]
 mod common;
+mod drives;
 mod motions;
 mod stops;
 
