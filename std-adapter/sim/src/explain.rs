@@ -100,9 +100,11 @@ const FUNCTIONS: &[(FunctionId, &str)] = &[
 const FILE_NAME: &str =
     "name BSTR: a path of at most 32 parts without control characters and < > : \" | ? *; option BSTR";
 
-/// Is told the text of each refusal.
+type Tell = dyn Fn(HResult, &str) + Send + Sync;
+
+/// Is told the code and the text of each refusal of an argument.
 #[derive(Clone, Default)]
-pub struct Observer(Option<Arc<dyn Fn(HResult, &str) + Send + Sync>>);
+pub struct Observer(Option<Arc<Tell>>);
 
 impl Observer {
     /// Makes an observer of a function, which must not block.

@@ -99,7 +99,9 @@ impl Work {
         }
         let path = place.path();
         match fs::metadata(&path) {
-            Ok(metadata) => drop(known(metadata)?),
+            Ok(metadata) => {
+                known(metadata)?;
+            }
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(failed(error)),
             Err(_) if option(options, "@Create") != Some("1") => return Err(HResult::E_CAO_OBJECT_NOTFOUND),
             Err(_) => {
