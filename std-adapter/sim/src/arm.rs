@@ -5,7 +5,7 @@
 //! | Robot_Move                   | interpolation 1 (joints) and 2 (line); 3, 4 (arc, free curve) answer `E_NOTIMPL` |
 //! | Robot_Drive                  | turns one axis by degrees or mm                                                  |
 //! | Robot_GoHome                 | moves the joints to [`Config::home`](crate::Config::home)                        |
-//! | Robot_Halt                   | brakes, answers at rest; ends the waiting call with `E_ABORT`; any client may; `S_FALSE` at rest already |
+//! | Robot_Halt                   | brakes, and answers when the arm is at rest; any client may; see below           |
 //! | Robot_Hold                   | brakes until Unhold; any client may; `S_FALSE` when nothing runs                 |
 //! | Robot_Unhold                 | goes on; any client with the token may, in Auto mode and without an error        |
 //! | Robot_Speed                  | axis -1 sets the internal speed of lines and joints, 0 that of joints only       |
@@ -28,8 +28,12 @@
 //!
 //! The call answers when the motion has ended: with `S_OK`, with `E_ABORT` after Halt or the end of Auto mode, with
 //! the error's code after an error. With the option `NEXT` it answers at once. Further options are `SPEED=` (or `S=`),
-//! `ACCEL=` and `DECEL=`, in percent of the internal values, each a number or a variable (`SPEED=F2`); another option is refused with `E_INVALIDARG`. A pose that
-//! joint n would have to leave its range for is the controller's error 0x8320407n, as is a line through a singularity.
+//! `ACCEL=` and `DECEL=`, in percent of the internal values, each a number or a variable (`SPEED=F2`); another option
+//! is refused with `E_INVALIDARG`. A pose that axis n would have to leave its range for is the controller's error
+//! 0x8320407n, as is a line through a singularity.
+//!
+//! Halt answers when the arm is at rest, so a motion that follows is not refused; at rest already, it answers
+//! `S_FALSE`. The halted call ends with `E_ABORT`.
 //!
 //! # Commands of Robot_Execute
 //!
@@ -42,7 +46,7 @@
 //! | ExtSpeed                        | \[speed, accel, decel\]     | EMPTY; accel, decel default to speed² / 100      |
 //! | DriveEx, DriveAEx               | \[pairs, option\] or pairs  | EMPTY; turns axes by, or to, a value             |
 //! | CurPos, DestPos, HighCurPos     | -                           | R8\[7\]: X Y Z RX RY RZ Fig                      |
-//! | CurJnt, DestJnt, HighCurJnt     | -                           | R8\[8\]: J1 to J8, 0 for an axis it does not have |
+//! | CurJnt, DestJnt, HighCurJnt     | -                           | R8\[8\]: J1 to J8; an axis it has not is 0       |
 //! | CurTrn, DestTrn, HighCurTrn     | -                           | R8\[10\]: position, orient, approach, Fig        |
 //! | CurPosEx, HighCurPosEx, ...     | -                           | the same behind the time in ms                   |
 //! | CurSpd, CurAcc, CurDec          | -                           | R4: internal, of lines                           |

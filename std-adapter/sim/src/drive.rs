@@ -18,7 +18,8 @@ use crate::kinematics::Axes;
 use crate::pose::{check_pass_item, split_pass};
 use crate::value::{numbers_of_array, numbers_of_text, whole};
 
-/// The first extended axis.
+/// The last axis that an arm can have, and the first extended one.
+const AXES: usize = 8;
 const FIRST_EXTENDED: usize = 7;
 
 /// Turns of single axes.
@@ -41,7 +42,7 @@ impl Drive {
         for (axis, value) in pairs {
             let axis = usize::try_from(whole(axis)?).map_err(|_| HResult::E_INVALIDARG)?;
             let again = turns.iter().any(|(known, _)| *known == axis);
-            if !(1..=8).contains(&axis) || again || !value.is_finite() {
+            if !(1..=AXES).contains(&axis) || again || !value.is_finite() {
                 return Err(HResult::E_INVALIDARG);
             }
             turns.push((axis, value));
@@ -58,8 +59,10 @@ impl Drive {
             }
             // one pair alone
             Variant::Array(array) if is_pair(array) => Self::new(absolute, vec![pair(&value.flatten())?]),
+            Variant::Array(array) if array.len() > AXES => Err(HResult::E_INVALIDARG),
             Variant::Array(array) => {
-                Self::new(absolute, array.iter().map(|item| pair_item(&item)).collect::<Result<_, _>>()?)
+                let pairs = array.iter().map(|item| pair_item(&item)).collect::<Result<_, _>>()?;
+                Self::new(absolute, pairs)
             }
             _ => Err(HResult::E_INVALIDARGTYPE),
         }
@@ -77,6 +80,9 @@ impl Drive {
     /// Reads the extended joints of a pose in an array: the mode, then the pairs.
     pub(crate) fn parse_extended(value: &Variant<'_>) -> Result<Self, HResult> {
         let Variant::Array(array) = value.flatten() else { return Err(HResult::E_INVALIDARGTYPE) };
+        if array.len() > AXES {
+            return Err(HResult::E_INVALIDARG);
+        }
         let mut items = array.iter();
         let absolute = match items.next().and_then(|mode| mode.flatten().as_i32()) {
             Some(1) => false,
@@ -141,6 +147,9 @@ fn pairs_of_text(text: &str) -> Result<Vec<(f64, f64)>, HResult> {
     let mut pairs = Vec::new();
     let mut rest = text.trim();
     while !rest.is_empty() {
+        if pairs.len() == AXES {
+            return Err(HResult::E_INVALIDARG);
+        }
         let (list, more) = rest.strip_prefix('(').and_then(|r| r.split_once(')')).ok_or(HResult::E_INVALIDARG)?;
         let [axis, value] = numbers_of_text(list)?[..] else { return Err(HResult::E_INVALIDARG) };
         pairs.push((axis, value));

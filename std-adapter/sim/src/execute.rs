@@ -3,7 +3,7 @@
 //! | command                            | parameter           | answer                                           |
 //! |------------------------------------|---------------------|--------------------------------------------------|
 //! | ClearError                         | -                   | EMPTY; the error's code while its cause persists |
-//! | GetErrorDescription                | I4, UI4, ERROR code | BSTR; of a refused argument see [`explain`](crate::explain) |
+//! | GetErrorDescription                | I4, UI4, ERROR code | BSTR; see [`explain`](crate::explain)            |
 //! | GetCurErrorCount, GetErrorLogCount | -                   | I4                                               |
 //! | GetCurErrorInfo                    | I4 index            | an array of VARIANT, see below                   |
 //! | GetErrorLog                        | I4 index            | an array of VARIANT, see below                   |

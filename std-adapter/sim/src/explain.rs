@@ -1,8 +1,8 @@
 //! Why a call was refused: what it was given, and what its arguments may be.
 //!
-//! The wire has no text beside a code. So the text is kept, and GetErrorDescription of that code ends with it; the
-//! server of the model can have it too, see [`Observer`]. There is one text for each code, of the last call of any client:
-//! drivers ask for descriptions over another session than the one that was refused.
+//! The wire has no text beside a code. So the text is kept, and GetErrorDescription of that code ends with it; an
+//! [`Observer`] gets it too. There is one text for each code, of the last call of any client: drivers ask for
+//! descriptions over another session than the one that was refused.
 //!
 //! A call that the server refuses before it reaches the model has no text.
 
@@ -65,16 +65,16 @@ const COMMANDS: &[(&str, &str)] = &[
     ("HandMoveH", "[force, close]: 6 to 20 N, BOOL or a number"),
 ];
 
-const DRIVE: &str = "pairs or [pairs, option]: pairs are \"@E (axis, value), ...\" or [[axis, value], ...], with axes 1 to \
-                     6, and 7 and 8 where the arm has them; option as for Robot_Move";
+const DRIVE: &str = "pairs or [pairs, option]: pairs are \"@E (axis, value), ...\" or [[axis, value], ...], with axes \
+                     1 to 6, and 7 and 8 where the arm has them; option as for Robot_Move";
 
 /// What the other functions take, without their handle.
 const FUNCTIONS: &[(FunctionId, &str)] = &[
     (
         FunctionId::ROBOT_MOVE,
-        "interpolation I4: 1 joints, 2 line; pose BSTR (\"@E P1\", \"J(0,45,90,0,45,0) EXA((7,10))\"), an array of 7 (P), \
-         8 (J) or 10 (T) numbers, or [numbers or index, type, pass, extended joints]; option BSTR: NEXT, SPEED= (S=), \
-         ACCEL=, DECEL= with a number or a variable I, F or D in percent, 0.0001 to 100",
+        "interpolation I4: 1 joints, 2 line; pose BSTR (\"@E P1\", \"J(0,45,90,0,45,0) EXA((7,10))\"), an array of \
+         7 (P), 8 (J) or 10 (T) numbers, or [numbers or index, type, pass, extended joints]; option BSTR: NEXT, \
+         SPEED= (S=), ACCEL=, DECEL= with a number or a variable I, F or D in percent, 0.0001 to 100",
     ),
     (
         FunctionId::ROBOT_DRIVE,

@@ -8,8 +8,10 @@
 //! | VARIANT array: index, type, pass   | `[1, "P", "@E"]`                                             |
 //! | array of 7, 8 or 10 numbers        | P, J or T by their count                                     |
 //!
-//! Extended joints may follow the pose, as `EX((7,30.5))` or as the fourth element `[1, [7, 30.5]]`. Types are 0 P, 1 T, 2 J. The pass (`@P` -1, `@E` -2, `@0`, `@n`) is checked and has no effect: every motion of this
+//! Types are 0 P, 1 T, 2 J. The pass (`@P` -1, `@E` -2, `@0`, `@n`) is checked and has no effect: every motion of this
 //! model ends exactly at its pose. A P may be without its Fig, or have a negative one: the nearest posture is taken.
+//! Extended joints may follow the pose: `"P1 EX((7, 30.5))"`, or `[1, [7, 30.5]]` as the fourth element. With 1 or EX
+//! the values count from where the axis is, with 2 or EXA from its zero.
 
 use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind as Kind;

@@ -25,8 +25,8 @@ fn a_refused_argument_is_named_with_what_is_accepted() {
     assert!(plain.starts_with("E_INVALIDARG: ") && !plain.contains("Last refused"), "{plain}");
 
     assert_eq!(world.robot(client, "takearm", [5, 0]), code(HResult::E_INVALIDARG));
-    let expected = "Robot_Execute \"takearm\": given [I4(5), I4(0)]; accepted nothing, the group, or [group, keep]: group \
-                    0, keep 0 or 1";
+    let expected = "Robot_Execute \"takearm\": given [I4(5), I4(0)]; accepted nothing, the group, or [group, keep]: \
+                    group 0, keep 0 or 1";
     // also over another session: drivers ask there
     assert_eq!(description(&mut world, other, HResult::E_INVALIDARG), format!("{plain} Last refused: {expected}"));
 
