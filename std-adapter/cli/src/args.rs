@@ -315,6 +315,7 @@ Examples:
   bcap sim
   bcap sim --bcap 127.0.0.1:0 --udp 127.0.0.1:0 --rac 127.0.0.1:0
   bcap sim --scenario faults.toml
+  bcap sim --model cobotta --robot-type CVR038A1-NV6
   bcap sim --bcap [::]:5007 --udp [::]:5007 --rac [::]:5006")]
 pub(crate) struct Sim {
     /// Where b-CAP over TCP listens
@@ -333,6 +334,12 @@ pub(crate) struct Sim {
     #[arg(long, value_name = "MODEL", default_value = "rc8")]
     pub(crate) model: Model,
 
+    /// The type of the robot, which drivers read as @TYPE_NAME [default: VS050A3; CVR038A1 for a COBOTTA]
+    ///
+    /// Lengths, ranges and speeds of the arm stay the same. Name, axes and version are keys of a scenario.
+    #[arg(long, value_name = "TYPE")]
+    pub(crate) robot_type: Option<String>,
+
     /// The operation mode at the start
     #[arg(long, value_name = "MODE", default_value = "auto")]
     pub(crate) mode: OperationMode,
@@ -345,14 +352,21 @@ pub(crate) struct Sim {
     #[arg(long)]
     pub(crate) no_slave_licence: bool,
 
-    /// A file of what is wrong from the beginning, and of faults that happen by themselves: refused calls, errors, the
-    /// emergency stop, a bad link
+    /// A file of how the controller begins (what is wrong, type, axes, version, limits), and of faults that happen by
+    /// themselves: refused calls, errors, the emergency stop, a bad link
     #[arg(long, value_name = "FILE")]
     pub(crate) scenario: Option<PathBuf>,
 
-    /// The folder of the controller's files; otherwise one that is empty, and gone at the end
+    /// The folder of the controller's files, of which clients see regular files and folders; otherwise one that is
+    /// empty, and gone at the end
     #[arg(long, value_name = "DIR")]
     pub(crate) files: Option<PathBuf>,
+
+    /// Prints on stderr why an argument was refused: the call, what it was given, what is accepted
+    ///
+    /// GetErrorDescription of the code tells the same.
+    #[arg(long)]
+    pub(crate) explain: bool,
 }
 
 /// A model of controller.

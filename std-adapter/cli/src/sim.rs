@@ -2,13 +2,17 @@
 
 use std::fmt;
 use std::fs;
-use std::io;
+use std::io::{self, Write as _};
 use std::net::SocketAddr;
 use std::ops::ControlFlow;
 use std::path::Path;
+use std::sync::mpsc;
+use std::thread;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use bcap_core::handler::PeerId;
+use bcap_sim::explain::Observer;
+use bcap_sim::files::{Executor, Job};
 use bcap_sim::scenario::Delivery;
 use bcap_sim::{Config, Controller, Profile, Scenario};
 use bcap_std::server::Server;
@@ -18,6 +22,12 @@ use crate::args::Sim;
 use crate::error::Failure;
 use crate::item::print_line;
 use crate::signal;
+
+/// Pieces of file work that wait for their turn at most.
+const FILE_JOBS: usize = 64;
+
+/// Explanations that wait to be printed at most.
+const EXPLANATIONS: usize = 64;
 
 /// Runs `bcap sim`, until a signal ends it.
 pub(crate) fn sim(args: &Sim) -> Result<(), Failure> {
@@ -32,8 +42,15 @@ pub(crate) fn sim(args: &Sim) -> Result<(), Failure> {
         if !files.is_dir() {
             return Err(Failure::Input(format!("--files {}: there is no such folder", files.display())));
         }
-        let mut config = Config { files: Some(files.to_owned()), ..config(args.model.into()) };
+        let mut config =
+            Config { files: Some(files.to_owned()), file_work: file_worker()?, ..config(args.model.into()) };
         (config.mode, config.token) = (args.mode.into(), args.token.into());
+        if args.explain {
+            config.observer = explainer()?;
+        }
+        if let Some(robot_type) = &args.robot_type {
+            config.robot_type.clone_from(robot_type);
+        }
         config.slave.licensed = !args.no_slave_licence;
         let mut controller = Controller::new(config);
         if let Some(path) = &args.scenario {
@@ -43,6 +60,24 @@ pub(crate) fn sim(args: &Sim) -> Result<(), Failure> {
         print_line(&listening.to_string())?;
         Ok(server.run(ended).await?)
     })
+}
+
+/// Starts a thread for file work, so that a file system that blocks delays no other call.
+///
+/// The thread is not waited for at the end of the process.
+fn file_worker() -> io::Result<Executor> {
+    let (jobs, queue) = mpsc::sync_channel::<Job>(FILE_JOBS);
+    thread::Builder::new().name("files".into()).spawn(move || queue.into_iter().for_each(|job| job()))?;
+    // a full queue drops the job, which answers its call with E_BUSY_PROC
+    Ok(Executor::new(move |job| drop(jobs.try_send(job))))
+}
+
+/// Starts a thread that prints why arguments are refused; when it cannot keep up, lines are missing.
+fn explainer() -> io::Result<Observer> {
+    let (lines, queue) = mpsc::sync_channel::<String>(EXPLANATIONS);
+    let print = move || queue.into_iter().try_for_each(|line| writeln!(io::stderr(), "{line}"));
+    thread::Builder::new().name("explain".into()).spawn(print)?;
+    Ok(Observer::new(move |code, text| drop(lines.try_send(format!("refused with {code}: {text}")))))
 }
 
 /// Where a virtual controller listens.

@@ -21,8 +21,13 @@ struct Sim {
 
 impl Sim {
     fn start(more: &[&str]) -> Self {
+        Self::start_with(more, Stdio::inherit())
+    }
+
+    fn start_with(more: &[&str], stderr: Stdio) -> Self {
         let free = ["--bcap", "127.0.0.1:0", "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"];
-        let mut child = command(&[&["sim"], &free[..], more].concat()).stdout(Stdio::piped()).spawn().unwrap();
+        let mut command = command(&[&["sim"], &free[..], more].concat());
+        let mut child = command.stdout(Stdio::piped()).stderr(stderr).spawn().unwrap();
         let mut line = String::new();
         BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
         let mut words = line.trim_end().split(' ');
@@ -132,6 +137,19 @@ fn refusals_are_explained_over_all_links() {
 }
 
 #[test]
+fn a_refused_argument_is_explained_on_stderr_and_by_its_description() {
+    let mut sim = Sim::start_with(&["--explain"], Stdio::piped());
+    assert_eq!(sim.tcp(&["exec", "robot", "TakeArm", "8195,5,0"]).code, 1);
+    let mut line = String::new();
+    BufReader::new(sim.child.stderr.take().unwrap()).read_line(&mut line).unwrap();
+    let why = "Robot_Execute \"TakeArm\": given [I4(5), I4(0)]; accepted nothing, the group, or [group, keep]: group 0, \
+               keep 0 or 1";
+    assert!(line.contains("E_INVALIDARG") && line.trim_end().ends_with(why), "{line}");
+    let text = sim.tcp(&["exec", "controller", "GetErrorDescription", "-2147024809"]).out;
+    assert!(text.trim_end().ends_with(why), "{text}");
+}
+
+#[test]
 fn the_rc9_has_what_the_rc8_has_not() {
     let rc9 = Sim::start(&["--model", "rc9"]);
     let run = rc9.tcp(&["exec", "controller", "StoState", "--provider", "CaoProv.DENSO.VRC9"]);
@@ -194,6 +212,41 @@ fn the_controllers_files_are_those_of_a_folder() {
     assert_eq!((run.code, run.out.as_str()), (0, "BSTR[]\n"), "{run:?}");
     let run = bcap(&["sim", "--files", "no/such/folder"]);
     assert!(run.code == 2 && run.err.contains("--files no/such/folder: there is no such folder"), "{run:?}");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_fifo_among_the_files_stops_neither_b_cap_nor_rac_nor_a_signal() {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("files-with-a-fifo");
+    let _ = fs::remove_dir_all(&folder);
+    fs::create_dir_all(&folder).unwrap();
+    fs::write(folder.join("a.pcs"), "Sub Main").unwrap();
+    assert!(Command::new("mkfifo").arg(folder.join("fifo")).status().unwrap().success());
+    let mut sim = Sim::start(&["--files", folder.to_str().unwrap()]);
+    let names = sim.tcp(&["call", "ControllerGetFileNames", "controller", "8,"]);
+    assert_eq!((names.out.as_str(), names.code), ("a.pcs\n", 0), "{names:?}");
+    let read = |name: &str| sim.tcp(&["call", "FileGetValue", &format!("file:{name}")]);
+    assert_eq!(read("a.pcs").out, "Sub Main\n");
+    let fifo = read("fifo");
+    assert!(fifo.code == 1 && fifo.err.contains("E_ACCESSDENIED"), "{fifo:?}");
+
+    let copy = sim.tcp(&["call", "FileCopy", "file:fifo", "8,b.pcs", "8,"]);
+    assert_eq!(copy.code, 1, "{copy:?}");
+    assert_eq!(sim.rac(&["get", "I1"]).out, "I1 = 0\n");
+    assert_eq!(sim.udp(&["get", "I1"]).out, "I1 = 0\n");
+    assert!(Command::new("kill").args(["-TERM", &sim.child.id().to_string()]).status().unwrap().success());
+    assert_eq!(sim.child.wait().unwrap().code(), Some(0));
+}
+
+#[test]
+fn the_robot_has_a_type_that_drivers_ask_for() {
+    let type_of = |more: &[&str]| Sim::start(more).tcp(&["get", "robot/@TYPE_NAME", "@VERSION"]).out;
+    assert_eq!(type_of(&[]), "robot/@TYPE_NAME = VS050A3\n@VERSION = 2.8.0\n");
+    assert_eq!(type_of(&["--model", "cobotta"]), "robot/@TYPE_NAME = CVR038A1\n@VERSION = 2.8.0\n");
+    assert_eq!(type_of(&["--robot-type", "HS035"]), "robot/@TYPE_NAME = HS035\n@VERSION = 2.8.0\n");
+    let text = "[controller]\nrobot_type = 'VM060'\naxes = 7\narm_name = 'Left'\nversion = '1.2.3'\n";
+    let path = scenario("robot.toml", text);
+    assert_eq!(type_of(&["--scenario", &path]), "robot/@TYPE_NAME = VM060\n@VERSION = 1.2.3\n");
 }
 
 #[test]

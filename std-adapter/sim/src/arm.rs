@@ -3,9 +3,9 @@
 //! | function                     | what it does here                                                                |
 //! |------------------------------|----------------------------------------------------------------------------------|
 //! | Robot_Move                   | interpolation 1 (joints) and 2 (line); 3, 4 (arc, free curve) answer `E_NOTIMPL` |
-//! | Robot_Drive                  | turns joint 1 to 6 by degrees                                                    |
+//! | Robot_Drive                  | turns one axis by degrees or mm                                                  |
 //! | Robot_GoHome                 | moves the joints to [`Config::home`](crate::Config::home)                        |
-//! | Robot_Halt                   | brakes; the waiting call ends with `E_ABORT`; any client may; `S_FALSE` at rest  |
+//! | Robot_Halt                   | brakes, and answers when the arm is at rest; any client may; see below           |
 //! | Robot_Hold                   | brakes until Unhold; any client may; `S_FALSE` when nothing runs                 |
 //! | Robot_Unhold                 | goes on; any client with the token may, in Auto mode and without an error        |
 //! | Robot_Speed                  | axis -1 sets the internal speed of lines and joints, 0 that of joints only       |
@@ -28,8 +28,12 @@
 //!
 //! The call answers when the motion has ended: with `S_OK`, with `E_ABORT` after Halt or the end of Auto mode, with
 //! the error's code after an error. With the option `NEXT` it answers at once. Further options are `SPEED=` (or `S=`),
-//! `ACCEL=` and `DECEL=`, in percent of the internal values; another option is refused with `E_INVALIDARG`. A pose that
-//! joint n would have to leave its range for is the controller's error 0x8320407n, as is a line through a singularity.
+//! `ACCEL=` and `DECEL=`, in percent of the internal values, each a number or a variable (`SPEED=F2`); another option
+//! is refused with `E_INVALIDARG`. A pose that axis n would have to leave its range for is the controller's error
+//! 0x8320407n, as is a line through a singularity.
+//!
+//! Halt answers when the arm is at rest, so a motion that follows is not refused; at rest already, it answers
+//! `S_FALSE`. The halted call ends with `E_ABORT`.
 //!
 //! # Commands of Robot_Execute
 //!
@@ -40,8 +44,9 @@
 //! | TakeArmState                    | group or -1                 | I4: the group this client holds, -1 for none     |
 //! | Motor                           | \[state, no wait\] or state | EMPTY when the motor is on; at once with no wait |
 //! | ExtSpeed                        | \[speed, accel, decel\]     | EMPTY; accel, decel default to speed² / 100      |
+//! | DriveEx, DriveAEx               | \[pairs, option\] or pairs  | EMPTY; turns axes by, or to, a value             |
 //! | CurPos, DestPos, HighCurPos     | -                           | R8\[7\]: X Y Z RX RY RZ Fig                      |
-//! | CurJnt, DestJnt, HighCurJnt     | -                           | R8\[8\]: J1 to J8, the last two 0                |
+//! | CurJnt, DestJnt, HighCurJnt     | -                           | R8\[8\]: J1 to J8; an axis it has not is 0       |
 //! | CurTrn, DestTrn, HighCurTrn     | -                           | R8\[10\]: position, orient, approach, Fig        |
 //! | CurPosEx, HighCurPosEx, ...     | -                           | the same behind the time in ms                   |
 //! | CurSpd, CurAcc, CurDec          | -                           | R4: internal, of lines                           |
@@ -68,9 +73,9 @@ use bcap_core::rac::VariableKind as Kind;
 use bcap_core::variant::Variant;
 
 use crate::controller::{Controller, Wait};
-use crate::dispatch::{Answer, Answered, names, system_names};
+use crate::dispatch::{Answer, Answered, names, system_names, with_value};
 use crate::hand;
-use crate::kinematics::figure;
+use crate::kinematics::{figure, six, with_joints};
 use crate::pose::Pose;
 use crate::robot::{Percent, Servo, angle, percent, pose_numbers, position, trans};
 use crate::system::{Owner, coordinates};
@@ -110,8 +115,6 @@ const NOT_HERE: &[&str] = &[
     "SyncTimeEnd",
     "SyncMoveStart",
     "SyncMoveEnd",
-    "DriveEx",
-    "DriveAEx",
     "RotateH",
 ];
 
@@ -134,9 +137,9 @@ impl Controller {
             FunctionId::ROBOT_DRIVE => self.robot_drive(peer, request),
             FunctionId::ROBOT_GO_HOME => {
                 let home = self.config().home;
-                self.move_joints(peer, "", |_| Ok(home))
+                self.move_axes(peer, "", |here| Ok(with_joints(&home, here)))
             }
-            FunctionId::ROBOT_HALT => Ok(done_if(self.halt())),
+            FunctionId::ROBOT_HALT => self.robot_halt(peer),
             FunctionId::ROBOT_HOLD => {
                 let now = self.now;
                 Ok(done_if(self.robot.motion_mut().is_some_and(|m| m.hold(now))))
@@ -160,6 +163,16 @@ impl Controller {
         }
     }
 
+    /// Brakes, and answers when the arm is at rest: a motion that follows at once is not refused.
+    fn robot_halt(&mut self, peer: PeerId) -> Answered {
+        if !self.halt() {
+            return Ok(Answer::Code(HResult::S_FALSE));
+        }
+        self.waits.insert(peer, Wait::Rest);
+        self.advance(self.now);
+        self.resume(peer)
+    }
+
     fn robot_execute(&mut self, peer: PeerId, command: &str, param: &Variant<'_>) -> Answered {
         if let Some(value) = self.read_out(command) {
             return Ok(value.into());
@@ -179,6 +192,8 @@ impl Controller {
                 Ok(Value::I4(held.map_or(-1, |(_, group)| group)).into())
             }
             "motor" => self.motor_command(peer, param),
+            "driveex" => self.drive_command(peer, false, param),
+            "driveaex" => self.drive_command(peer, true, param),
             "extspeed" => self.set_external_speed(param),
             "slvchangemode" => self.slave_change_mode(peer, param),
             "slvgetmode" => Ok(Value::I4(self.slave_mode()).into()),
@@ -206,9 +221,9 @@ impl Controller {
             "curposex" | "highcurposex" => timed(position(&here)),
             "curjntex" | "highcurjntex" => timed(self.axes().to_vec()),
             "curtrnex" | "highcurtrnex" => timed(trans(&here)),
-            "destpos" => Value::R8s(position(&there)),
-            "destjnt" => Value::R8s(angle(&there)),
-            "desttrn" => Value::R8s(trans(&there)),
+            "destpos" => Value::R8s(position(&six(&there))),
+            "destjnt" => Value::R8s(there.to_vec()),
+            "desttrn" => Value::R8s(trans(&six(&there))),
             "curspd" => Value::R4(robot.hand.speed),
             "curacc" => Value::R4(robot.hand.accel),
             "curdec" => Value::R4(robot.hand.decel),
@@ -245,8 +260,8 @@ impl Controller {
             [group, keep] => (whole(*group)?, whole(*keep)?),
             _ => return Err(HResult::E_INVALIDARG),
         };
-        // there is one arm, and group 0 is the arm
-        if group != 0 || ![0, 1].contains(&keep) {
+        // there is one arm, and group 0 is the arm; -1 is TRUE
+        if group != 0 || ![-1, 0, 1].contains(&keep) {
             return Err(HResult::E_INVALIDARG);
         }
         self.may_execute(peer)?;
@@ -280,16 +295,21 @@ impl Controller {
             [state, no_wait] => (whole(*state)?, whole(*no_wait)?),
             _ => return Err(HResult::E_INVALIDARG),
         };
-        self.motor(peer, state != 0)?;
-        if state == 0 || no_wait != 0 || self.motor_is_on() {
-            return Ok(Value::Empty.into());
-        }
-        self.waits.insert(peer, Wait::Servo);
-        self.resume_execute(peer)
+        self.switch_motor(peer, state != 0, no_wait == 0).map(with_value)
     }
 
-    /// Switches the motor; on, it is on some time later.
-    pub(crate) fn motor(&mut self, peer: PeerId, on: bool) -> Result<(), HResult> {
+    /// Switches the motor. With `wait`, the answer comes when it is on.
+    pub(crate) fn switch_motor(&mut self, peer: PeerId, on: bool, wait: bool) -> Answered {
+        self.motor(peer, on)?;
+        if !on || !wait || self.motor_is_on() {
+            return Ok(Answer::Done);
+        }
+        self.waits.insert(peer, Wait::Servo);
+        self.resume(peer)
+    }
+
+    /// Begins to switch the motor; on, it is on some time later.
+    fn motor(&mut self, peer: PeerId, on: bool) -> Result<(), HResult> {
         self.may_command(peer)?;
         if !on {
             self.motor_off(HResult::E_MOTOR_OFF);

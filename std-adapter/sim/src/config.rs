@@ -5,6 +5,8 @@ use std::time::Duration;
 
 use bcap_core::handler::PeerId;
 
+use crate::explain::Observer;
+use crate::files::Executor;
 use crate::kinematics::Joints;
 use crate::slave::{SlaveConfig, SlaveFormats};
 use crate::variables::Sizes;
@@ -40,6 +42,29 @@ impl Profile {
             Self::Rc8 => "RC8",
             Self::Rc9 => "RC9",
             Self::Cobotta => "COBOTTA",
+        }
+    }
+
+    /// Returns a type of robot that such a controller has, `@TYPE_NAME`.
+    ///
+    /// COBOTTA: the one that the public ROS 2 driver asks for. RC8, RC9: the arm whose lengths
+    /// [`kinematics`](crate::kinematics) has, spelled as public launch files spell its sister, `VS060A3`.
+    #[must_use]
+    pub const fn robot_type(self) -> &'static str {
+        match self {
+            Self::Rc8 | Self::Rc9 => "VS050A3",
+            Self::Cobotta => "CVR038A1",
+        }
+    }
+
+    /// Returns a version of its software that public sources name, `@VERSION`.
+    ///
+    /// The public ROS 2 driver clears errors of a COBOTTA from 2.8.0 on, and calls ManualReset of an RC9 from 1.4.0 on.
+    #[must_use]
+    pub const fn version(self) -> &'static str {
+        match self {
+            Self::Rc8 | Self::Cobotta => "2.8.0",
+            Self::Rc9 => "1.4.0",
         }
     }
 
@@ -121,16 +146,23 @@ pub struct Config {
     pub home: Joints,
     /// The time from switching the motor on until it is on.
     pub motor_on_delay: Duration,
+    /// Whether writing true to `@SERVO_ON` answers when the motor is on. False answers at once, and the motor is on
+    /// `motor_on_delay` later.
+    pub servo_on_waits: bool,
     /// The internal speed at the start, in percent.
     pub speed: f32,
     /// The external speed at the start, in percent.
     pub ext_speed: f32,
     /// Slave mode: licence, limits, formats.
     pub slave: SlaveConfig,
-    /// Axes beyond the sixth, 0 to 2; only slave mode moves them.
+    /// Axes beyond the sixth, 0 to 2: J7 and J8.
     pub extended_axes: u8,
     /// The folder whose files the controller has; without one it has none, and says so.
     pub files: Option<PathBuf>,
+    /// Where the work with these files is done.
+    pub file_work: Executor,
+    /// Is told why arguments were refused.
+    pub observer: Observer,
     /// The names of the tasks.
     pub tasks: Vec<String>,
     /// The time of one cycle of a task.
@@ -143,8 +175,10 @@ pub struct Config {
     pub serial_number: String,
     /// `@VERSION`.
     pub version: String,
-    /// `@TYPE_NAME` of the robot.
+    /// `@TYPE_NAME` of the robot. It does not change the arm's lengths, ranges and speeds.
     pub robot_type: String,
+    /// The robot's name, as Controller_GetRobotNames answers it.
+    pub arm_name: String,
 }
 
 impl Config {
@@ -161,6 +195,7 @@ impl Config {
             wall_clock_origin_ms: 0,
             home: [0.0, 45.0, 90.0, 0.0, 45.0, 0.0],
             motor_on_delay: Duration::from_millis(300),
+            servo_on_waits: true,
             speed: 100.0,
             ext_speed: 100.0,
             slave: SlaveConfig {
@@ -169,13 +204,16 @@ impl Config {
             },
             extended_axes: 0,
             files: None,
+            file_work: Executor::default(),
+            observer: Observer::default(),
             tasks: ["Pro1", "Pro2", "Pro3"].map(str::to_owned).to_vec(),
             task_cycle: Duration::from_secs(1),
             task_lines: 10,
             max_objects: 1000,
             serial_number: "VIRTUAL".to_owned(),
-            version: env!("CARGO_PKG_VERSION").to_owned(),
-            robot_type: "BCAP-SIM-6".to_owned(),
+            version: profile.version().to_owned(),
+            robot_type: profile.robot_type().to_owned(),
+            arm_name: "Arm0".to_owned(),
         }
     }
 }

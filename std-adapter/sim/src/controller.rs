@@ -11,6 +11,8 @@ use bcap_core::variant::{Encode, Variant, VariantBuf};
 
 use crate::config::{Config, Mode, Permission, Token};
 use crate::errors::{ErrorEntry, Errors};
+use crate::explain::Refusals;
+use crate::files::Files;
 use crate::hand::Hand;
 use crate::kinematics::Joints;
 use crate::messages::Messages;
@@ -40,6 +42,8 @@ pub(crate) enum Wait {
     Motion(u64),
     /// The motor being on.
     Servo,
+    /// The arm being at rest.
+    Rest,
     /// The fingers of the hand being where they shall.
     Hand,
     /// Room for a pose of slave mode.
@@ -72,8 +76,10 @@ pub struct Controller {
     pub(crate) variables: Variables,
     pub(crate) robot: Robot,
     pub(crate) hand: Hand,
+    pub(crate) files: Files,
     pub(crate) tasks: Vec<Task>,
     pub(crate) errors: Errors,
+    pub(crate) refusals: Refusals,
     pub(crate) messages: Messages,
     pub(crate) waits: BTreeMap<PeerId, Wait>,
     pub(crate) slave_formats: BTreeMap<PeerId, Formats>,
@@ -102,8 +108,10 @@ impl Controller {
             variables: Variables::new(&config.sizes),
             robot: Robot::new(&config),
             hand: Hand::new(),
+            files: Files::default(),
             tasks: config.tasks.iter().map(task).collect(),
             errors: Errors::default(),
+            refusals: Refusals::default(),
             messages: Messages::default(),
             waits: BTreeMap::new(),
             slave_formats: BTreeMap::new(),
@@ -138,6 +146,9 @@ impl Controller {
         }
         if self.robot.motor_is_on() {
             self.end_waits(|wait| wait == Wait::Servo, HResult::S_OK);
+        }
+        if !self.is_moving() {
+            self.end_waits(|wait| wait == Wait::Rest, HResult::S_OK);
         }
         if self.hand.end(self.now).is_none() {
             self.end_waits(|wait| wait == Wait::Hand, HResult::S_OK);
@@ -309,6 +320,7 @@ impl Controller {
         self.slave_formats.remove(&peer);
         self.fates.remove(&peer);
         self.messages.forget(peer);
+        self.files.forget(peer);
         self.forget_hand(peer);
         let streams = self.robot.slave.as_ref().is_some_and(|stream| stream.peer == peer);
         if streams || self.robot.motion().is_some_and(|m| m.peer == peer) {
@@ -408,7 +420,7 @@ impl Controller {
     pub(crate) fn look_again(&self, wait: Wait) -> Instant {
         let soon = self.now.saturating_add(LOOK_AGAIN);
         let end = match wait {
-            Wait::Motion(_) => self.robot.motion().and_then(|m| m.end()),
+            Wait::Motion(_) | Wait::Rest => self.robot.motion().and_then(|m| m.end()),
             Wait::Servo => match self.robot.servo {
                 Servo::TurningOn(at) => Some(at),
                 _ => None,

@@ -58,6 +58,7 @@ impl Handler for Controller {
         self.advance(now);
         self.waits.remove(&peer);
         self.fates.remove(&peer);
+        self.files.forget(peer);
         self.abandon_slave_move(peer);
     }
 
@@ -77,9 +78,29 @@ impl Controller {
                 HResult::S_OK => Outcome::Done(code),
                 failed => Outcome::Done(failed),
             },
-            Ok(Answer::Code(code)) | Err(code) => Outcome::Done(code),
+            Ok(Answer::Code(code)) => Outcome::Done(code),
+            Err(code) => {
+                self.note_refusal(peer, request, code);
+                Outcome::Done(code)
+            }
             Ok(Answer::Wait(at)) => Outcome::Wait(at),
         }
+    }
+}
+
+impl Controller {
+    /// Keeps the reason of a refusal, for GetErrorDescription.
+    fn note_refusal(&mut self, peer: PeerId, request: &Request<'_>, code: HResult) {
+        let target = match request.function {
+            FunctionId::VARIABLE_PUT_VALUE => self.objects.get(peer, request.handle(), Object::Variable).ok(),
+            _ => None,
+        };
+        let target = target.and_then(|entry| match entry.item {
+            Item::Variable(target) => Some(target),
+            _ => None,
+        });
+        let observer = self.config().observer.clone();
+        self.refusals.note(request, target, code, &observer);
     }
 }
 
@@ -233,11 +254,12 @@ impl Controller {
             FunctionId::CONTROLLER_GET_VARIABLE_NAMES => {
                 Ok(names(system_names(Owner::Controller).chain(wildcard_names())))
             }
-            FunctionId::CONTROLLER_GET_ROBOT_NAMES => Ok(names(["Arm0".to_owned()])),
+            FunctionId::CONTROLLER_GET_ROBOT_NAMES => Ok(names([self.config().arm_name.clone()])),
             FunctionId::CONTROLLER_GET_TASK_NAMES => Ok(names(self.tasks.iter().map(|t| t.name().to_owned()))),
             FunctionId::CONTROLLER_EXECUTE => self.controller_execute(peer, &name(), &request.value(2)),
-            FunctionId::CONTROLLER_GET_FILE => self.open_file(peer, "", &name(), &request.text(2).to_string()),
-            FunctionId::CONTROLLER_GET_FILE_NAMES => self.file_names(""),
+            FunctionId::CONTROLLER_GET_FILE | FunctionId::CONTROLLER_GET_FILE_NAMES => {
+                self.file_call(peer, "", request)
+            }
             FunctionId::CONTROLLER_GET_EXTENSION => {
                 let wanted = name();
                 let found = wanted.trim().eq_ignore_ascii_case(hand::NAME);
@@ -278,10 +300,8 @@ impl Controller {
         let now = self.now;
         let answer = match request.function {
             FunctionId::VARIABLE_GET_VALUE => self.target_get(target)?.into(),
-            FunctionId::VARIABLE_PUT_VALUE => {
-                self.target_put(peer, target, &request.value(1))?;
-                Answer::Done
-            }
+            FunctionId::VARIABLE_PUT_VALUE if request.resumed => self.resume(peer)?,
+            FunctionId::VARIABLE_PUT_VALUE => self.target_put(peer, target, &request.value(1))?,
             FunctionId::VARIABLE_GET_DATE_TIME => {
                 let stamp = self.objects.get(peer, request.handle(), Object::Variable)?.stamp;
                 return Ok(Value::Date(self.date(stamp)?).into());
@@ -324,9 +344,11 @@ impl Controller {
         }
     }
 
-    fn target_put(&mut self, peer: PeerId, target: Target, value: &Variant<'_>) -> Result<(), HResult> {
+    fn target_put(&mut self, peer: PeerId, target: Target, value: &Variant<'_>) -> Answered {
         match target {
-            Target::User(family, n) | Target::Wildcard(family, Some(n)) => self.put_user(family, n, value),
+            Target::User(family, n) | Target::Wildcard(family, Some(n)) => {
+                self.put_user(family, n, value).map(|()| Answer::Done)
+            }
             Target::Wildcard(_, None) => Err(HResult::DISP_E_BADINDEX),
             Target::System(owner, name) => {
                 self.may_write()?;
@@ -350,10 +372,7 @@ impl Controller {
 
     /// Goes on with a command that has waited; its reply has an empty value.
     pub(crate) fn resume_execute(&mut self, peer: PeerId) -> Answered {
-        match self.resume(peer)? {
-            Answer::Done => Ok(Value::Empty.into()),
-            answer => Ok(answer),
-        }
+        self.resume(peer).map(with_value)
     }
 
     /// Waits, or goes on waiting, for what was entered for this client.
@@ -366,6 +385,14 @@ impl Controller {
             Some(wait) => Ok(Answer::Wait(self.look_again(wait))),
             None => Err(HResult::E_ABORT),
         }
+    }
+}
+
+/// Adds the empty value that commands answer and functions do not.
+pub(crate) fn with_value(answer: Answer) -> Answer {
+    match answer {
+        Answer::Done => Value::Empty.into(),
+        answer => answer,
     }
 }
 

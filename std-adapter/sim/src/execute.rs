@@ -3,7 +3,7 @@
 //! | command                            | parameter           | answer                                           |
 //! |------------------------------------|---------------------|--------------------------------------------------|
 //! | ClearError                         | -                   | EMPTY; the error's code while its cause persists |
-//! | GetErrorDescription                | I4, UI4, ERROR code | BSTR                                             |
+//! | GetErrorDescription                | I4, UI4, ERROR code | BSTR; see [`explain`](crate::explain)            |
 //! | GetCurErrorCount, GetErrorLogCount | -                   | I4                                               |
 //! | GetCurErrorInfo                    | I4 index            | an array of VARIANT, see below                   |
 //! | GetErrorLog                        | I4 index            | an array of VARIANT, see below                   |
@@ -105,7 +105,7 @@ impl Controller {
                 self.clear_error()?;
                 Value::Empty
             }
-            "geterrordescription" => Value::Text(description(code_of(param)?)),
+            "geterrordescription" => Value::Text(self.describe(code_of(param)?)),
             "getcurerrorcount" => count(self.errors.present().len()),
             "geterrorlogcount" => count(self.errors.log().len()),
             "getcurerrorinfo" => {
@@ -133,6 +133,14 @@ impl Controller {
             _ => return Err(HResult::E_INVALID_CMD_NAME),
         };
         Ok(value.into())
+    }
+
+    /// Describes a code; one that refuses arguments together with the last call that it refused.
+    fn describe(&self, code: HResult) -> String {
+        match self.refusals.last(code) {
+            Some(refusal) => format!("{} Last refused: {refusal}", description(code)),
+            None => description(code),
+        }
     }
 
     /// Iterates over the commands of Controller_Execute that this controller has.

@@ -28,6 +28,9 @@
 /// J1 to J6, in degrees.
 pub type Joints = [f64; 6];
 
+/// J1 to J8; an axis that the arm does not have is 0.
+pub(crate) type Axes = [f64; 8];
+
 /// Base to shoulder.
 const D1: f64 = 345.0;
 /// Upper arm.
@@ -45,6 +48,24 @@ pub const RANGES: [(f64, f64); 6] =
 
 /// The largest speeds of J1 to J6, in degrees per second.
 pub const SPEEDS: Joints = [375.0, 330.0, 405.0, 450.0, 450.0, 720.0];
+
+/// The range of an extended axis (J7, J8), in degrees or mm to either side.
+pub const EXTENDED_RANGE: f64 = 1000.0;
+
+/// The largest speed of an extended axis (J7, J8), in degrees or mm per second.
+pub const EXTENDED_SPEED: f64 = 500.0;
+
+/// The ranges of J1 to J8.
+pub(crate) const AXIS_RANGES: [(f64, f64); 8] = {
+    let ([j1, j2, j3, j4, j5, j6], extended) = (RANGES, (-EXTENDED_RANGE, EXTENDED_RANGE));
+    [j1, j2, j3, j4, j5, j6, extended, extended]
+};
+
+/// The largest speeds of J1 to J8.
+pub(crate) const AXIS_SPEEDS: Axes = {
+    let [j1, j2, j3, j4, j5, j6] = SPEEDS;
+    [j1, j2, j3, j4, j5, j6, EXTENDED_SPEED, EXTENDED_SPEED]
+};
 
 /// Below this a sine counts as zero: two wrist axes in line, or the wrist centre over J1.
 const SINGULAR: f64 = 1e-9;
@@ -66,7 +87,7 @@ pub(crate) struct Frame {
     rotation: Matrix,
 }
 
-/// Why no joints reach a pose: the axis, 1 to 6, that would have to leave its range.
+/// Why no joints reach a pose: the axis, 1 to 8, that would have to leave its range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct OutOfReach(pub(crate) u8);
 
@@ -205,12 +226,24 @@ pub(crate) fn inverse_nearest(frame: &Frame, near: &Joints) -> Result<Joints, Ou
     best.map(|(_, joints)| joints)
 }
 
-/// Returns the first axis, 1 to 6, whose angle is no number or outside of its range.
-pub(crate) fn out_of_range(joints: &Joints) -> Option<u8> {
+/// Returns the first axis whose place is NaN or outside its range; joints alone are the first six.
+pub(crate) fn out_of_range(axes: &[f64]) -> Option<u8> {
     // a pose that was computed on the very end of a range may lie beyond it by rounding
     const SLACK: f64 = 1e-6;
-    let outside = |(angle, (low, high)): (&f64, &(f64, f64))| !(*low - SLACK..=*high + SLACK).contains(angle);
-    joints.iter().zip(&RANGES).position(outside).and_then(|n| u8::try_from(n + 1).ok())
+    let outside = |(place, (low, high)): (&f64, &(f64, f64))| !(*low - SLACK..=*high + SLACK).contains(place);
+    axes.iter().zip(&AXIS_RANGES).position(outside).and_then(|n| u8::try_from(n + 1).ok())
+}
+
+/// Returns J1 to J6 of all axes.
+pub(crate) fn six(axes: &Axes) -> Joints {
+    let [j1, j2, j3, j4, j5, j6, ..] = *axes;
+    [j1, j2, j3, j4, j5, j6]
+}
+
+/// Returns the axes whose first six are these joints; J7 and J8 are those of `rest`.
+pub(crate) fn with_joints(joints: &Joints, rest: &Axes) -> Axes {
+    let ([j1, j2, j3, j4, j5, j6], [.., j7, j8]) = (*joints, *rest);
+    [j1, j2, j3, j4, j5, j6, j7, j8]
 }
 
 fn base_angle(centre: [f64; 3], lefty: bool, near: f64) -> f64 {

@@ -10,7 +10,8 @@
 //! * The objects of the protocol: controller, robot, tasks, variables; handles that belong to the client that got them.
 //! * The user variables I F D V P J T S IO, with wildcards and views of the IO bits, in the types a controller uses.
 //! * The system variables of controller, robot and tasks, the error lists, the commands about them.
-//! * An arm of six axes with its kinematics, a motor, the arm authority, motions that take their time, Halt and Hold.
+//! * An arm of six axes with its kinematics, and up to two extended axes.
+//! * A motor, the arm authority, motions that take their time, Halt and Hold.
 //! * Slave mode with its three modes, buffers, formats, limits and errors.
 //! * Files below a folder of this machine.
 //! * A hand, as an extension and by the commands of a COBOTTA; what a COBOTTA needs before it moves.
@@ -39,8 +40,8 @@
 //! * Variable_GetDateTime tells when the variable was last read or written through this handle.
 //!
 //! The tables of names, types and answers stand with the code: [`variables`], [`system`], [`arm`], [`execute`],
-//! [`commands`], [`messages`], [`files`], [`hand`], [`preparation`], [`pose`], [`kinematics`], [`scenario`], [`slave`],
-//! [`tasks`].
+//! [`commands`], [`messages`], [`explain`], [`files`], [`hand`], [`preparation`], [`pose`], [`kinematics`],
+//! [`scenario`], [`slave`], [`tasks`].
 //!
 //! # Examples
 //!
@@ -63,8 +64,10 @@ pub mod commands;
 mod config;
 mod controller;
 mod dispatch;
+mod drive;
 mod errors;
 pub mod execute;
+pub mod explain;
 pub mod files;
 pub mod hand;
 pub mod kinematics;

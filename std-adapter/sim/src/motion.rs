@@ -1,20 +1,20 @@
-//! A motion: a path of joints, and how far along it the robot is at a time.
+//! A motion: a path of the axes, and how far along it the robot is at a time.
 //!
 //! ```text
-//!  speed along      ____________            a path runs from 0 to 1, through knots of joints;
+//!  speed along      ____________            a path runs from 0 to 1, through knots of axes;
 //!  the path        /            \           speed and acceleration are those at which the slowest
-//!                 /              \          joint (on a line: or the flange) keeps its limit
+//!                 /              \          axis (on a line: or the flange) keeps its limit
 //!              __/                \__> t
 //! ```
 //!
-//! The joints move together and arrive together. Halt and Hold brake along the path, at full deceleration.
+//! The axes move together and arrive together. Halt and Hold brake along the path, at full deceleration.
 
 use std::time::Duration;
 
 use bcap_core::handler::PeerId;
 use bcap_core::time::Instant;
 
-use crate::kinematics::{Frame, Joints, OutOfReach, RANGES, SPEEDS, inverse_nearest};
+use crate::kinematics::{AXIS_RANGES, AXIS_SPEEDS, Axes, Frame, OutOfReach, inverse_nearest, six, with_joints};
 
 /// The largest speed of the flange on a line, in mm per second.
 pub const LINE_SPEED: f64 = 2000.0;
@@ -31,68 +31,75 @@ const LINE_PARTS: usize = 100;
 /// A joint that turns more than this, in degrees, in one part of a line has met a singularity.
 const LARGEST_STEP: f64 = 30.0;
 
-/// Joints to pass through at an even pace.
+/// Places of the axes to pass through at an even pace.
 #[derive(Clone, Debug)]
 pub(crate) struct Path {
     /// At least two.
-    knots: Vec<Joints>,
+    knots: Vec<Axes>,
     /// The speed that no limit allows to be higher, in paths per second.
     full_speed: f64,
 }
 
 impl Path {
-    /// Plans a motion in which every joint turns at its own even pace.
-    pub(crate) fn joints(from: Joints, to: Joints) -> Self {
-        Self { full_speed: joint_limit(&from, &to, 1.0), knots: vec![from, to] }
+    /// Plans a motion in which every axis moves at its own even pace.
+    pub(crate) fn axes(from: Axes, to: Axes) -> Self {
+        Self { full_speed: axis_limit(&from, &to, 1.0), knots: vec![from, to] }
     }
 
-    /// Plans a motion of the flange on a straight line.
-    pub(crate) fn line(start: Joints, from: &Frame, to: &Frame) -> Result<Self, OutOfReach> {
+    /// Plans a motion of the flange on a straight line, on which J7 and J8 move evenly to those of `end`.
+    pub(crate) fn line(start: Axes, from: &Frame, to: &Frame, end: &Axes) -> Result<Self, OutOfReach> {
         let (distance, angle) = from.distance(to);
         let mut full_speed = (LINE_SPEED / distance).min(TURN_SPEED / angle);
         let mut knots = vec![start];
         let mut here = start;
         for n in 1..=LINE_PARTS {
-            let next = inverse_nearest(&from.towards(to, n as f64 / LINE_PARTS as f64), &here)?;
-            if let Some(axis) = here.iter().zip(&next).position(|(a, b)| (a - b).abs() > LARGEST_STEP) {
+            let part = n as f64 / LINE_PARTS as f64;
+            let joints = inverse_nearest(&from.towards(to, part), &six(&here))?;
+            let next = with_joints(&joints, &between(&start, end, part));
+            if let Some(axis) = here.iter().zip(&next).take(6).position(|(a, b)| (a - b).abs() > LARGEST_STEP) {
                 return Err(OutOfReach(u8::try_from(axis + 1).unwrap_or(0)));
             }
-            full_speed = full_speed.min(joint_limit(&here, &next, LINE_PARTS as f64));
+            full_speed = full_speed.min(axis_limit(&here, &next, LINE_PARTS as f64));
             knots.push(next);
             here = next;
         }
         Ok(Self { knots, full_speed })
     }
 
-    /// Plans the way on which joints at these speeds come to rest, all together, none beyond its acceleration.
+    /// Plans the way on which axes at these speeds come to rest, all together, none beyond its acceleration.
     ///
-    /// `None` when they stand. A joint that would leave its range on the way stops at its end, so it brakes harder.
-    pub(crate) fn braking(from: Joints, speeds: &Joints, limits: &Joints) -> Option<Self> {
+    /// `None` when they stand. An axis that would leave its range on the way stops at its end, so it brakes harder.
+    pub(crate) fn braking(from: Axes, speeds: &Axes, limits: &Axes) -> Option<Self> {
         let seconds = speeds.iter().zip(limits).map(|(speed, limit)| speed.abs() / limit).fold(0.0, f64::max);
-        let to = [0, 1, 2, 3, 4, 5].map(|i| {
-            let (low, high) = RANGES[i];
-            // a joint may stand a rounding beyond its range
+        let to = [0, 1, 2, 3, 4, 5, 6, 7].map(|i| {
+            let (low, high) = AXIS_RANGES[i];
+            // an axis may stand a rounding beyond its range
             (from[i] + speeds[i] * seconds / 2.0).clamp(low.min(from[i]), high.max(from[i]))
         });
         (seconds > 1e-6).then(|| Self { knots: vec![from, to], full_speed: 2.0 / seconds })
     }
 
-    /// Returns the joints at its end.
-    pub(crate) fn end(&self) -> Joints {
+    /// Returns where the axes are at its end.
+    pub(crate) fn end(&self) -> Axes {
         self.knots.last().copied().unwrap_or_default()
     }
 
-    fn at(&self, part: f64) -> Joints {
+    fn at(&self, part: f64) -> Axes {
         let place = part.clamp(0.0, 1.0) * (self.knots.len() - 1) as f64;
         let before = (place as usize).min(self.knots.len() - 2);
         let (a, b, rest) = (&self.knots[before], &self.knots[before + 1], place - before as f64);
-        if rest >= 1.0 { *b } else { [0, 1, 2, 3, 4, 5].map(|i| a[i] + (b[i] - a[i]) * rest) }
+        if rest >= 1.0 { *b } else { between(a, b, rest) }
     }
 }
 
-/// Returns the speed at which the first joint reaches its limit, in paths per second.
-fn joint_limit(from: &Joints, to: &Joints, parts: f64) -> f64 {
-    let limits = from.iter().zip(to).zip(&SPEEDS).map(|((a, b), speed)| speed / ((a - b).abs() * parts));
+/// Returns the axes a part of the way, 0 to 1, from one place to another.
+fn between(a: &Axes, b: &Axes, part: f64) -> Axes {
+    [0, 1, 2, 3, 4, 5, 6, 7].map(|i| a[i] + (b[i] - a[i]) * part)
+}
+
+/// Returns the speed at which the first axis reaches its limit, in paths per second.
+fn axis_limit(from: &Axes, to: &Axes, parts: f64) -> f64 {
+    let limits = from.iter().zip(to).zip(&AXIS_SPEEDS).map(|((a, b), speed)| speed / ((a - b).abs() * parts));
     limits.fold(f64::INFINITY, f64::min)
 }
 
@@ -208,11 +215,11 @@ impl Motion {
         Self { id, peer, path, rates, ramp, stage: Stage::Halting }
     }
 
-    pub(crate) fn joints(&self, now: Instant) -> Joints {
+    pub(crate) fn axes(&self, now: Instant) -> Axes {
         self.path.at(self.ramp.at(now).0)
     }
 
-    pub(crate) fn destination(&self) -> Joints {
+    pub(crate) fn destination(&self) -> Axes {
         self.path.end()
     }
 
@@ -278,11 +285,12 @@ impl Motion {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::kinematics::SPEEDS;
 
     const FULL: Rates = Rates { speed: 1.0, accel: 1.0, decel: 1.0 };
 
     fn turn_of_j1(degrees: f64, rates: Rates) -> Motion {
-        let path = Path::joints([0.0; 6], [degrees, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        let path = Path::axes([0.0; 8], [degrees, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
         Motion::start(1, PeerId(1), path, rates, Instant::ZERO)
     }
 
@@ -296,7 +304,7 @@ mod tests {
         assert!((seconds(&motion) - (150.0 / SPEEDS[0] + ACCELERATION_TIME)).abs() < 1e-5);
         let half = turn_of_j1(150.0, Rates { speed: 0.5, ..FULL });
         assert!((seconds(&half) - (150.0 / SPEEDS[0] * 2.0 + ACCELERATION_TIME / 2.0)).abs() < 1e-5);
-        assert_eq!(motion.joints(motion.end().unwrap())[0], 150.0);
+        assert_eq!(motion.axes(motion.end().unwrap())[0], 150.0);
         assert_eq!(motion.ended(motion.end().unwrap()), Some(Ended::Arrived));
     }
 
@@ -306,14 +314,14 @@ mod tests {
         // up and down at 375/0.2 degrees per second squared
         let expected = 2.0 * (1.0 / (SPEEDS[0] / ACCELERATION_TIME)).sqrt();
         assert!((seconds(&motion) - expected).abs() < 1e-5, "{}", seconds(&motion));
-        let middle = motion.joints(Instant::from_micros((expected * 5e5) as u64))[0];
+        let middle = motion.axes(Instant::from_micros((expected * 5e5) as u64))[0];
         assert!((middle - 0.5).abs() < 1e-3);
     }
 
     #[test]
     fn the_way_grows_and_never_faster_than_the_limit() {
         let motion = turn_of_j1(150.0, FULL);
-        let places: Vec<f64> = (0..600).map(|n| motion.joints(Instant::from_millis(n))[0]).collect();
+        let places: Vec<f64> = (0..600).map(|n| motion.axes(Instant::from_millis(n))[0]).collect();
         for pair in places.windows(2) {
             assert!(pair[1] >= pair[0] && pair[1] - pair[0] <= SPEEDS[0] / 1000.0 + 1e-9);
         }
@@ -323,18 +331,18 @@ mod tests {
     fn halt_brakes_and_hold_goes_on() {
         let mut motion = turn_of_j1(150.0, FULL);
         let at = Instant::from_millis(300);
-        let before = motion.joints(at)[0];
+        let before = motion.axes(at)[0];
         assert!(motion.hold(at) && !motion.hold(at));
         assert_eq!(motion.end(), None);
-        let held = motion.joints(Instant::from_millis(10_000))[0];
+        let held = motion.axes(Instant::from_millis(10_000))[0];
         // braking from full speed takes half of speed times the ramp's time
         assert!((held - before - SPEEDS[0] * ACCELERATION_TIME / 2.0).abs() < 1e-6, "{before} {held}");
         assert!(motion.unhold(Instant::from_millis(10_000)) && !motion.unhold(at));
-        assert_eq!(motion.joints(motion.end().unwrap())[0], 150.0);
+        assert_eq!(motion.axes(motion.end().unwrap())[0], 150.0);
         motion.halt(Instant::from_millis(10_001));
         let end = motion.end().unwrap();
         assert_eq!(motion.ended(end), Some(Ended::Halted));
-        assert!(motion.joints(end)[0] < held + 1.0);
+        assert!(motion.axes(end)[0] < held + 1.0);
     }
 
     #[test]
@@ -349,7 +357,7 @@ mod tests {
         let mut motion = turn_of_j1(150.0, slow);
         motion.hold(at);
         motion.unhold(Instant::from_millis(505));
-        assert_eq!(motion.joints(motion.end().unwrap())[0], 150.0);
+        assert_eq!(motion.axes(motion.end().unwrap())[0], 150.0);
     }
 
     #[test]

@@ -10,11 +10,14 @@
 //!
 //! Types are 0 P, 1 T, 2 J. The pass (`@P` -1, `@E` -2, `@0`, `@n`) is checked and has no effect: every motion of this
 //! model ends exactly at its pose. A P may be without its Fig, or have a negative one: the nearest posture is taken.
+//! Extended joints may follow the pose: `"P1 EX((7, 30.5))"`, or `[1, [7, 30.5]]` as the fourth element. With 1 or EX
+//! the values count from where the axis is, with 2 or EXA from its zero.
 
 use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind as Kind;
 use bcap_core::variant::{Array, Variant};
 
+use crate::drive::Drive;
 use crate::kinematics::{Frame, Joints, OutOfReach, inverse, inverse_nearest, out_of_range};
 use crate::value::{number, numbers, numbers_of_text, whole};
 use crate::variables::{Family, Variables, parse_name};
@@ -55,33 +58,44 @@ impl Pose {
         Ok(Self::Frame(Frame::from_trans(t).ok_or(HResult::E_INVALIDARG)?, fig))
     }
 
-    /// Reads a motion command's pose.
-    pub(crate) fn parse(value: &Variant<'_>, vars: &Variables) -> Result<Self, HResult> {
+    /// Reads a motion command's pose, and the turns of extended joints that follow it.
+    pub(crate) fn parse_target(value: &Variant<'_>, vars: &Variables) -> Result<(Self, Option<Drive>), HResult> {
         match value.flatten() {
-            Variant::Bstr(text) => Self::parse_text(&text.to_string(), vars),
-            Variant::Array(array) => match array.len() {
-                1..=4 => Self::parse_items(array, vars),
-                len => Self::new(kind_of(len)?, &numbers(value)?),
-            },
+            Variant::Bstr(text) => {
+                let text = text.to_string();
+                match text.to_ascii_uppercase().find("EX") {
+                    Some(n) => Ok((Self::parse_text(&text[..n], vars)?, Some(Drive::parse_extended_text(&text[n..])?))),
+                    None => Ok((Self::parse_text(&text, vars)?, None)),
+                }
+            }
+            Variant::Array(array) if (1..=4).contains(&array.len()) => {
+                let pose = Self::parse_items(array, vars)?;
+                let more = array.get(3).unwrap_or(Variant::Empty).flatten();
+                Ok((pose, if more.is_empty() { None } else { Some(Drive::parse_extended(&more)?) }))
+            }
+            Variant::Array(array) => Ok((Self::new(kind_of(array.len())?, &numbers(value)?)?, None)),
             _ => Err(HResult::E_INVALIDARGTYPE),
         }
     }
 
-    /// Reads a command's parameter that is a pose of one kind, as numbers or as text.
+    /// Reads a pose alone.
+    pub(crate) fn parse(value: &Variant<'_>, vars: &Variables) -> Result<Self, HResult> {
+        match Self::parse_target(value, vars)? {
+            (pose, None) => Ok(pose),
+            _ => Err(HResult::E_INVALIDARG),
+        }
+    }
+
+    /// Reads a command's parameter that is a pose of one kind: numbers alone, or any form of a motion's pose.
     pub(crate) fn parse_as(kind: Kind, value: &Variant<'_>, vars: &Variables) -> Result<Self, HResult> {
         match value.flatten() {
-            Variant::Bstr(text) => Self::parse_text(&text.to_string(), vars),
-            _ => Self::new(kind, &numbers(value)?),
+            Variant::Array(array) if array.len() > 4 => Self::new(kind, &numbers(value)?),
+            _ => Self::parse(value, vars),
         }
     }
 
     fn parse_text(text: &str, vars: &Variables) -> Result<Self, HResult> {
-        let mut text = text.trim();
-        if text.starts_with('@') {
-            let (pass, rest) = text.split_once(char::is_whitespace).ok_or(HResult::E_INVALIDARG)?;
-            check_pass(pass)?;
-            text = rest.trim_start();
-        }
+        let text = split_pass(text)?;
         if let Some((family, Some(index))) = parse_name(text) {
             return Self::of_variable(family, index, vars);
         }
@@ -90,20 +104,10 @@ impl Pose {
         Self::new(kind_of_letter(letter)?, &numbers_of_text(list)?)
     }
 
-    /// Reads `[numbers or index, type, pass]`.
+    /// Reads `[numbers or index, type, pass]`; a fourth element is not looked at.
     fn parse_items(array: Array<'_>, vars: &Variables) -> Result<Self, HResult> {
         let item = |n| array.get(n).unwrap_or(Variant::Empty).flatten();
-        match item(2) {
-            Variant::Empty | Variant::Null => {}
-            Variant::Bstr(pass) => check_pass(&pass.to_string())?,
-            // @P -1, @E -2, @0, @n
-            pass if pass.as_i32().is_some_and(|n| n >= -2) => {}
-            _ => return Err(HResult::E_INVALIDARG),
-        }
-        // extended joints
-        if !item(3).is_empty() {
-            return Err(HResult::E_NOTIMPL);
-        }
+        check_pass_item(&item(2))?;
         let kind = match item(1) {
             Variant::Empty | Variant::Null => None,
             Variant::Bstr(letter) => Some(kind_of_letter(&letter.to_string())?),
@@ -178,6 +182,27 @@ fn kind_of_letter(letter: &str) -> Result<Kind, HResult> {
     }
 }
 
+/// Takes the pass from the beginning of a text, if there is one, and returns the rest.
+pub(crate) fn split_pass(text: &str) -> Result<&str, HResult> {
+    let text = text.trim();
+    if !text.starts_with('@') {
+        return Ok(text);
+    }
+    let (pass, rest) = text.split_once(char::is_whitespace).ok_or(HResult::E_INVALIDARG)?;
+    check_pass(pass)?;
+    Ok(rest.trim_start())
+}
+
+/// Checks a pass in an array: EMPTY, its text, or its number (`@P` -1, `@E` -2, `@0`, `@n`).
+pub(crate) fn check_pass_item(item: &Variant<'_>) -> Result<(), HResult> {
+    match item.flatten() {
+        Variant::Empty | Variant::Null => Ok(()),
+        Variant::Bstr(pass) => check_pass(&pass.to_string()),
+        pass if pass.as_i32().is_some_and(|n| n >= -2) => Ok(()),
+        _ => Err(HResult::E_INVALIDARG),
+    }
+}
+
 fn check_pass(pass: &str) -> Result<(), HResult> {
     let rest = pass.trim().strip_prefix('@').unwrap_or(pass.trim());
     match rest {
@@ -228,7 +253,9 @@ mod tests {
         assert_eq!(parse(&"J(0,45,90,0,45,nan)"), Err(HResult::E_INVALIDARG));
         assert_eq!(parse(&"J100"), Err(HResult::DISP_E_BADINDEX));
         assert_eq!(parse(&1), Err(HResult::E_INVALIDARGTYPE));
-        assert_eq!(parse(&(JOINTS, "J", "@E", (1, 2))), Err(HResult::E_NOTIMPL));
+        assert_eq!(parse(&(JOINTS, "J", "@E", (3, [7, 1]))), Err(HResult::E_INVALIDARG));
+        assert_eq!(parse(&(JOINTS, "J", "@E", (1, [6, 1]))), Err(HResult::E_INVALIDARG));
+        assert_eq!(parse(&(JOINTS, "J", "@E", 1)), Err(HResult::E_INVALIDARGTYPE));
         assert_eq!(parse(&(JOINTS, "V")), Err(HResult::E_INVALIDARG));
         assert_eq!(parse(&[1.0_f64; 5]), Err(HResult::E_INVALIDARG));
     }

@@ -5,9 +5,9 @@ use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 
 use crate::config::Config;
-use crate::kinematics::{Frame, Joints, figure, forward};
+use crate::kinematics::{Axes, Frame, Joints, figure, forward, six, with_joints};
 use crate::motion::{Ended, Motion, Path, Rates};
-use crate::slave::{Axes, Stream};
+use crate::slave::Stream;
 
 /// The motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,15 +49,13 @@ impl Percent {
 #[derive(Clone, Debug)]
 pub(crate) struct Robot {
     /// Where it stands while it does not move.
-    rest: Joints,
-    /// Where the axes 7 and 8 stand while slave mode does not move them.
-    extended: [f64; 2],
+    rest: Axes,
     motion: Option<Motion>,
     /// Slave mode; there is no motion while it is on.
     pub(crate) slave: Option<Stream>,
     last_motion: u64,
     /// Where the last motion was to end.
-    destination: Joints,
+    destination: Axes,
     pub(crate) servo: Servo,
     /// Who has the arm authority, and of which arm group.
     pub(crate) arm: Option<(PeerId, i32)>,
@@ -73,13 +71,13 @@ pub(crate) struct Robot {
 
 impl Robot {
     pub(crate) fn new(config: &Config) -> Self {
+        let home = with_joints(&config.home, &[0.0; 8]);
         Self {
-            rest: config.home,
-            extended: [0.0; 2],
+            rest: home,
             motion: None,
             slave: None,
             last_motion: 0,
-            destination: config.home,
+            destination: home,
             servo: Servo::Off,
             arm: None,
             hand: Percent { speed: config.speed, ..Percent::FULL },
@@ -98,7 +96,12 @@ impl Robot {
             self.servo = Servo::On;
         }
         let (id, ended) = self.motion.as_ref().and_then(|m| Some((m.id, m.ended(now)?)))?;
+        let destination = self.destination;
         self.freeze(now);
+        if ended == Ended::Arrived {
+            // exactly, without the rounding of the way
+            (self.rest, self.destination) = (destination, destination);
+        }
         Some((id, ended))
     }
 
@@ -120,17 +123,16 @@ impl Robot {
 
     /// Returns J1 to J8.
     pub(crate) fn axes(&self, now: Instant) -> Axes {
-        let eight = |[j1, j2, j3, j4, j5, j6]: Joints| [j1, j2, j3, j4, j5, j6, self.extended[0], self.extended[1]];
         match (&self.slave, &self.motion) {
             (Some(slave), _) => slave.axes(now),
-            (None, Some(motion)) => eight(motion.joints(now)),
-            (None, None) => eight(self.rest),
+            (None, Some(motion)) => motion.axes(now),
+            (None, None) => self.rest,
         }
     }
 
-    /// Returns where the joints are commanded to.
-    pub(crate) fn destination(&self) -> Joints {
-        self.slave.as_ref().map_or(self.destination, |slave| six(&slave.commanded()))
+    /// Returns where the axes are commanded to.
+    pub(crate) fn destination(&self) -> Axes {
+        self.slave.as_ref().map_or(self.destination, Stream::commanded)
     }
 
     /// Starts a motion and returns its number.
@@ -145,7 +147,7 @@ impl Robot {
     /// Stands still at once, wherever it is; returns the number of the motion that this has ended.
     pub(crate) fn freeze(&mut self, now: Instant) -> Option<u64> {
         let motion = self.motion.take()?;
-        self.rest = motion.joints(now);
+        self.rest = motion.axes(now);
         self.destination = self.rest;
         Some(motion.id)
     }
@@ -153,27 +155,19 @@ impl Robot {
     /// Ends slave mode at once, wherever the axes are.
     pub(crate) fn stop_slave(&mut self, now: Instant) -> Option<Stream> {
         let slave = self.slave.take()?;
-        let axes = slave.axes(now);
-        self.rest = six(&axes);
-        self.extended = [axes[6], axes[7]];
+        self.rest = slave.axes(now);
         self.destination = self.rest;
         Some(slave)
     }
 
-    /// Brakes from these speeds to rest, as fast as these limits of acceleration let the six joints together; the
-    /// extended axes stand at once.
+    /// Brakes from these speeds to rest, all axes together, as fast as these limits of acceleration allow.
     pub(crate) fn brake(&mut self, peer: PeerId, speeds: &Axes, limits: &Axes, now: Instant) {
-        let Some(path) = Path::braking(self.rest, &six(speeds), &six(limits)) else { return };
+        let Some(path) = Path::braking(self.rest, speeds, limits) else { return };
         self.last_motion += 1;
         let motion = Motion::braking(self.last_motion, peer, path, now);
         self.destination = motion.destination();
         self.motion = Some(motion);
     }
-}
-
-fn six(axes: &Axes) -> Joints {
-    let [j1, j2, j3, j4, j5, j6, ..] = *axes;
-    [j1, j2, j3, j4, j5, j6]
 }
 
 /// Returns X Y Z RX RY RZ Fig of joints.

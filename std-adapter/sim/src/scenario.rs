@@ -61,6 +61,12 @@
 //! licence = false             # of slave mode
 //! formats = ["mini_io"]       # of slave mode there are only these: mini_io, hand_io, user_io, current
 //! version = "1.2.0"           # @VERSION
+//! robot_type = "CVR038A1"     # @TYPE_NAME
+//! arm_name = "Arm0"           # the robot's name
+//! axes = 8                    # 6, 7 or 8: with J7 and J8
+//! servo_on_waits = false      # writing @SERVO_ON answers at once, and the motor comes on later
+//! slave_speed = { j1 = 500.0 }            # limits of slave mode for single axes, in degrees or mm per second,
+//! slave_acceleration = { j2 = 10000.0 }   # and per second squared
 //! ```
 //!
 //! A service that refuses everybody is a fault of every call: `when = { every = 1, of = "Service_Start" }` with

@@ -69,7 +69,7 @@ use bcap_core::variant::Variant;
 
 use crate::controller::{Controller, Wait};
 use crate::dispatch::{Answer, Answered};
-use crate::kinematics::{OutOfReach, SPEEDS};
+use crate::kinematics::{AXIS_SPEEDS, Axes, OutOfReach, out_of_range, six};
 use crate::motion::ACCELERATION_TIME;
 use crate::pose::Pose;
 use crate::robot::Percent;
@@ -79,19 +79,13 @@ use stream::Offered;
 
 pub(crate) use format::Formats;
 pub use format::SlaveFormats;
-pub(crate) use stream::{Axes, SlaveMode, Stream};
+pub(crate) use stream::{SlaveMode, Stream};
 
 /// The time of a control cycle.
 pub const CYCLE: Duration = Duration::from_millis(8);
 
 /// The option element of a pose, without the bits of its joints.
 const OPTION: i64 = 0x0040_0000;
-
-/// The range of an extended axis, in degrees or mm to either side.
-pub const EXTENDED_RANGE: f64 = 1000.0;
-
-/// The largest speed of an extended axis, in degrees or mm per second.
-pub const EXTENDED_SPEED: f64 = 500.0;
 
 /// What limits speed and acceleration in slave mode: the controller's parameter 153, "Speed setting for b-CAP Slave".
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -101,19 +95,24 @@ pub enum SpeedSetting {
     Servo = 0,
     /// The same by the external speed, and the external acceleration.
     ServoByExtSpeed = 1,
-    /// What a motion command may do: [`SPEEDS`], reached in [`ACCELERATION_TIME`].
+    /// What a motion command may do: [`SPEEDS`](crate::kinematics::SPEEDS), reached in [`ACCELERATION_TIME`].
     Command = 2,
     /// The same by the external speed, and the external acceleration.
     CommandByExtSpeed = 3,
 }
 
 /// How slave mode is set up.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SlaveConfig {
     /// Whether the controller has the licence.
     pub licensed: bool,
     /// Parameter 153.
     pub speed_setting: SpeedSetting,
+    /// Limits of speed for J1 to J8 in degrees or mm per second, instead of those that `speed_setting` gives an axis.
+    /// The external speed scales them too, where the setting says so.
+    pub speed_limits: [Option<f64>; 8],
+    /// Likewise of acceleration, in degrees or mm per second squared.
+    pub acceleration_limits: [Option<f64>; 8],
     /// The formats that there are.
     pub formats: SlaveFormats,
     /// How many cycles [`Controller::slave_record`] keeps.
@@ -123,7 +122,14 @@ pub struct SlaveConfig {
 impl Default for SlaveConfig {
     /// Licensed, with the drives' limits, all formats, and a record of two minutes.
     fn default() -> Self {
-        Self { licensed: true, speed_setting: SpeedSetting::default(), formats: SlaveFormats::ALL, record: 15_000 }
+        Self {
+            licensed: true,
+            speed_setting: SpeedSetting::default(),
+            speed_limits: [None; 8],
+            acceleration_limits: [None; 8],
+            formats: SlaveFormats::ALL,
+            record: 15_000,
+        }
     }
 }
 
@@ -178,22 +184,24 @@ impl Controller {
     /// Returns the limits that slave mode has, or would have if it were entered now.
     #[must_use]
     pub fn slave_limits(&self) -> Limits {
-        let [j1, j2, j3, j4, j5, j6] = SPEEDS;
-        let speeds = [j1, j2, j3, j4, j5, j6, EXTENDED_SPEED, EXTENDED_SPEED];
-        let setting = self.config().slave.speed_setting;
-        let (mut speed, mut acceleration) = match setting {
-            SpeedSetting::Servo | SpeedSetting::ServoByExtSpeed => (1.2, 4.0),
-            SpeedSetting::Command | SpeedSetting::CommandByExtSpeed => (1.0, 1.0),
+        let slave = &self.config().slave;
+        let (mut speed, mut acceleration) = match slave.speed_setting {
+            SpeedSetting::Servo | SpeedSetting::ServoByExtSpeed => {
+                (AXIS_SPEEDS.map(|limit| limit * 1.2), AXIS_SPEEDS.map(|limit| limit / ACCELERATION_TIME * 4.0))
+            }
+            SpeedSetting::Command | SpeedSetting::CommandByExtSpeed => {
+                (AXIS_SPEEDS, AXIS_SPEEDS.map(|limit| limit / ACCELERATION_TIME))
+            }
         };
-        if matches!(setting, SpeedSetting::ServoByExtSpeed | SpeedSetting::CommandByExtSpeed) {
+        for (limits, own) in [(&mut speed, slave.speed_limits), (&mut acceleration, slave.acceleration_limits)] {
+            limits.iter_mut().zip(own).for_each(|(limit, own)| *limit = own.unwrap_or(*limit));
+        }
+        if matches!(slave.speed_setting, SpeedSetting::ServoByExtSpeed | SpeedSetting::CommandByExtSpeed) {
             let Percent { speed: by_speed, accel, .. } = self.robot.external;
-            speed *= f64::from(by_speed) / 100.0;
-            acceleration *= f64::from(accel) / 100.0;
+            speed = speed.map(|limit| limit * f64::from(by_speed) / 100.0);
+            acceleration = acceleration.map(|limit| limit * f64::from(accel) / 100.0);
         }
-        Limits {
-            speed: speeds.map(|limit| limit * speed),
-            acceleration: speeds.map(|limit| limit / ACCELERATION_TIME * acceleration),
-        }
+        Limits { speed, acceleration }
     }
 
     /// Returns what slave mode has done.
@@ -336,13 +344,9 @@ impl Controller {
         }
         let numbers = if kind == Kind::J { &numbers[..6] } else { numbers };
         let pose = Pose::new(kind, numbers)?;
-        let [j1, j2, j3, j4, j5, j6, ..] = near;
-        Ok(pose.joints(&[j1, j2, j3, j4, j5, j6]).and_then(|joints| {
+        Ok(pose.joints(&six(&near)).and_then(|joints| {
             axes[..6].copy_from_slice(&joints);
-            match axes[6..].iter().position(|value| value.abs() > EXTENDED_RANGE) {
-                Some(n) => Err(OutOfReach(if n == 0 { 7 } else { 8 })),
-                None => Ok(axes),
-            }
+            out_of_range(&axes).map_or(Ok(axes), |axis| Err(OutOfReach(axis)))
         }))
     }
 

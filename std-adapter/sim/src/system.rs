@@ -14,8 +14,10 @@ use bcap_core::variant::{OleDate, Variant};
 
 use crate::config::Mode;
 use crate::controller::Controller;
+use crate::dispatch::{Answer, Answered};
 use crate::errors::description;
-use crate::robot::{Percent, angle, percent, position, trans};
+use crate::kinematics::six;
+use crate::robot::{Percent, percent, position, trans};
 use crate::value::{Value, number, one_int};
 
 /// The object that a system variable belongs to.
@@ -146,13 +148,15 @@ impl Controller {
     }
 
     /// Writes a system variable.
+    ///
+    /// Writing true to `@SERVO_ON` answers when the motor is on, as `Motor` does without its NoWait.
     pub(crate) fn system_put(
         &mut self,
         peer: PeerId,
         owner: Owner,
         name: &'static str,
         value: &Variant<'_>,
-    ) -> Result<(), HResult> {
+    ) -> Answered {
         if access(owner, name)? == Access::Read {
             return Err(HResult::E_CAO_NOT_WRITABLE);
         }
@@ -162,7 +166,10 @@ impl Controller {
                 0 => self.clear_error()?,
                 _ => return Err(HResult::E_INVALIDARG),
             },
-            (Owner::Robot, "@SERVO_ON") => self.motor(peer, truth(value)?)?,
+            (Owner::Robot, "@SERVO_ON") => {
+                let wait = self.config().servo_on_waits;
+                return self.switch_motor(peer, truth(value)?, wait);
+            }
             (Owner::Robot, "@CURRENT_TOOL") => {
                 self.may_set_arm(peer)?;
                 self.robot.tool = coordinates(one_int(value)?)?;
@@ -181,7 +188,7 @@ impl Controller {
             }
             _ => return Err(HResult::E_CAO_NOT_WRITABLE),
         }
-        Ok(())
+        Ok(Answer::Done)
     }
 
     fn controller_get(&self, name: &str) -> Result<Value, HResult> {
@@ -221,9 +228,9 @@ impl Controller {
             "@CURRENT_POSITION" | "@HIGH_CURRENT_POSITION" => Value::R8s(position(&here)),
             "@CURRENT_ANGLE" | "@HIGH_CURRENT_ANGLE" => Value::R8s(self.axes().to_vec()),
             "@CURRENT_TRANS" | "@HIGH_CURRENT_TRANS" => Value::R8s(trans(&here)),
-            "@DEST_POSITION" => Value::R8s(position(&there)),
-            "@DEST_ANGLE" => Value::R8s(angle(&there)),
-            "@DEST_TRANS" => Value::R8s(trans(&there)),
+            "@DEST_POSITION" => Value::R8s(position(&six(&there))),
+            "@DEST_ANGLE" => Value::R8s(there.to_vec()),
+            "@DEST_TRANS" => Value::R8s(trans(&six(&there))),
             "@SERVO_ON" => Value::Bool(robot.motor_is_on()),
             "@BUSY_STATUS" => Value::Bool(self.is_moving()),
             "@TYPE_NAME" => Value::from(self.config().robot_type.as_str()),

@@ -106,18 +106,38 @@ pub(crate) fn number(value: &Variant<'_>) -> Option<f64> {
     value.as_f64().or_else(|| value.as_i64().map(|n| n as f64))
 }
 
-/// Reads the numbers of a command's parameter: one number, an array of any numeric type (also of VARIANT), text with
-/// commas as in `"1,0"`, or nothing at all.
+/// Reads a number of a command without loss; TRUE is -1, as OLE Automation converts it.
+fn command_number(value: &Variant<'_>) -> Result<f64, HResult> {
+    let value = value.flatten();
+    if let Variant::Bool(b) = value {
+        return Ok(if b { -1.0 } else { 0.0 });
+    }
+    let wide = number(&value).ok_or(HResult::E_INVALIDARGTYPE)?;
+    match value.as_i64() {
+        // i64::MAX rounds up to 2^63, and from there back to itself
+        Some(n) if n == i64::MAX || wide as i64 != n => Err(HResult::DISP_E_OVERFLOW),
+        _ => Ok(wide),
+    }
+}
+
+/// Reads the numbers of a command's parameter: one number, an array of numbers, text with commas as in `"1,0"`, or
+/// nothing at all. The elements of an array of VARIANT may have different types.
 pub(crate) fn numbers(value: &Variant<'_>) -> Result<Vec<f64>, HResult> {
     match value.flatten() {
         Variant::Empty | Variant::Null => Ok(Vec::new()),
-        Variant::Bool(b) => Ok(vec![if b { 1.0 } else { 0.0 }]),
         Variant::Bstr(text) if text.as_bytes().len() <= TEXT_MAX => numbers_of_text(&text.to_string()),
-        Variant::Array(array) if array.len() <= NUMBERS_MAX => {
-            array.iter().map(|item| number(&item.flatten()).ok_or(HResult::E_INVALIDARGTYPE)).collect()
-        }
-        Variant::Bstr(_) | Variant::Array(_) => Err(HResult::E_INVALIDARG),
-        other => number(&other).map(|n| vec![n]).ok_or(HResult::E_INVALIDARGTYPE),
+        Variant::Bstr(_) => Err(HResult::E_INVALIDARG),
+        array @ Variant::Array(_) => numbers_of_array(&array),
+        other => Ok(vec![command_number(&other)?]),
+    }
+}
+
+/// Reads an array of numbers, also of VARIANT with different types, and nothing else.
+pub(crate) fn numbers_of_array(value: &Variant<'_>) -> Result<Vec<f64>, HResult> {
+    match value.flatten() {
+        Variant::Array(array) if array.len() <= NUMBERS_MAX => array.iter().map(|item| command_number(&item)).collect(),
+        Variant::Array(_) => Err(HResult::E_INVALIDARG),
+        _ => Err(HResult::E_INVALIDARGTYPE),
     }
 }
 
@@ -163,10 +183,20 @@ mod tests {
         assert_eq!(parse(&1_i16), Ok(vec![1.0]));
         assert_eq!(parse(&[1, 0]), Ok(vec![1.0, 0.0]));
         assert_eq!(parse(&(1, 2.5_f64)), Ok(vec![1.0, 2.5]));
+        assert_eq!(parse(&(10_i16, true)), Ok(vec![10.0, -1.0]));
+        assert_eq!(parse(&((1_u8, false), 2.5_f32)), Err(HResult::E_INVALIDARGTYPE));
         assert_eq!(parse(&"1, 0"), Ok(vec![1.0, 0.0]));
         assert_eq!(parse(&""), Ok(vec![]));
         assert_eq!(parse(&"x"), Err(HResult::DISP_E_TYPEMISMATCH));
         assert_eq!(parse(&["1"]), Err(HResult::E_INVALIDARGTYPE));
+    }
+
+    #[test]
+    fn an_integer_that_would_lose_digits_is_refused() {
+        assert_eq!(parse(&(1_i64 << 53)), Ok(vec![9_007_199_254_740_992.0]));
+        assert_eq!(parse(&((1_i64 << 53) + 1)), Err(HResult::DISP_E_OVERFLOW));
+        assert_eq!(parse(&i64::MAX), Err(HResult::DISP_E_OVERFLOW));
+        assert_eq!(parse(&i64::MIN), Ok(vec![-9_223_372_036_854_775_808.0]));
     }
 
     #[test]

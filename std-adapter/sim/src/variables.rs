@@ -251,6 +251,20 @@ impl Variables {
         }
     }
 
+    /// Reads a number in text: the number itself, or the name of an I, F or D variable that holds it.
+    pub(crate) fn number_of_text(&self, text: &str) -> Result<f64, HResult> {
+        if let Ok(number) = text.trim().parse() {
+            return Ok(number);
+        }
+        let (family, index) = parse_name(text).ok_or(HResult::E_INVALIDARG)?;
+        match self.get(family, index.ok_or(HResult::E_INVALIDARG)?)? {
+            Value::I4(n) if family == Family::Plain(Kind::I) => Ok(n.into()),
+            Value::R4(n) if family == Family::Plain(Kind::F) => Ok(n.into()),
+            Value::R8(n) => Ok(n),
+            _ => Err(HResult::E_INVALIDARG),
+        }
+    }
+
     /// Returns the number of IO.
     pub(crate) fn io_len(&self) -> usize {
         self.io.len()

@@ -3,10 +3,13 @@
 mod common;
 
 use std::fs;
+use std::sync::{Arc, Mutex};
 
 use bcap_core::bcap::call::{self, FileHandle};
+use bcap_core::handler::Outcome;
 use bcap_core::hresult::HResult;
 use bcap_core::variant::{OleDate, Variant};
+use bcap_sim::files::{Executor, Job};
 use bcap_sim::{Config, Permission};
 use tempfile::TempDir;
 
@@ -206,4 +209,100 @@ fn paths_have_no_more_than_32_parts() {
     assert_eq!(rig.get(&path(32), ""), code(HResult::E_CAO_OBJECT_NOTFOUND));
     assert_eq!(rig.get(&path(33), ""), code(HResult::E_INVALIDARG));
     assert_eq!(rig.get(&"./".repeat(40_000), ""), code(HResult::E_INVALIDARG), "the root itself");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_fifo_and_a_device_block_nothing() {
+    use rustix::fs::{CWD, Mode, mkfifoat};
+    let mut rig = Rig::new();
+    let refused = code(HResult::E_ACCESSDENIED);
+    mkfifoat(CWD, rig.folder.path().join("fifo"), Mode::RUSR | Mode::WUSR).unwrap();
+    mkfifoat(CWD, rig.folder.path().join("Sub/fifo"), Mode::RUSR | Mode::WUSR).unwrap();
+    std::os::unix::net::UnixListener::bind(rig.folder.path().join("socket")).unwrap();
+    std::os::unix::fs::symlink("fifo", rig.folder.path().join("link")).unwrap();
+    std::os::unix::fs::symlink("/dev/zero", rig.folder.path().join("zero")).unwrap();
+    for name in ["fifo", "Sub\\fifo", "socket", "link", "zero"] {
+        assert_eq!(rig.get(name, ""), refused, "{name}");
+        assert_eq!(rig.get(name, "@Create=1"), refused, "{name}");
+    }
+    assert_eq!(rig.names(), ok(&["Sub\\", "a.pcs"]));
+    let folder = rig.open("Sub");
+    assert_eq!(rig.call(call::file_get_file_names(folder, "")), ok(&["b.txt"]));
+
+    // one that takes the place of an open file
+    let file = rig.open("a.pcs");
+    let path = rig.folder.path().join("a.pcs");
+    fs::remove_file(&path).unwrap();
+    mkfifoat(CWD, &path, Mode::RUSR | Mode::WUSR).unwrap();
+    assert_eq!(rig.call(call::file_get_value(file)), refused);
+    assert_eq!(rig.call(call::file_put_value(file, "x")), refused);
+    assert_eq!(rig.call(call::file_copy(file, "c.pcs", "")), refused);
+    assert_eq!(rig.call(call::file_move(file, "c.pcs", "")), refused);
+    assert_eq!(rig.call(call::file_delete(file, "")), refused);
+    assert_eq!(rig.call(call::file_get_size(file)), refused);
+}
+
+/// Jobs that run when the test says so.
+type Queue = Arc<Mutex<Vec<Job>>>;
+
+fn queued() -> (Rig, Queue) {
+    let queue = Queue::default();
+    let jobs = Arc::clone(&queue);
+    let folder = Rig::new().folder;
+    let file_work = Executor::new(move |job| jobs.lock().unwrap().push(job));
+    let mut world = World::with(Config { files: Some(folder.path().into()), file_work, ..Config::default() });
+    let client = world.client(1);
+    (Rig { world, client, folder }, queue)
+}
+
+fn run_all(queue: &Queue) {
+    let jobs: Vec<Job> = queue.lock().unwrap().drain(..).collect();
+    jobs.into_iter().for_each(|job| job());
+}
+
+#[test]
+fn while_file_work_takes_its_time_other_clients_are_served() {
+    let (mut rig, queue) = queued();
+    let (peer, open) = (rig.client.peer, call::controller_get_file(rig.client.controller, "a.pcs", ""));
+    rig.world.begin(peer, &open);
+    let other = rig.world.client(2);
+    assert_eq!(rig.world.put(other, "I1", 5), HResult::S_OK);
+    assert_eq!(rig.world.rac("GET:RC8:1:I:"), ok(&5));
+    assert!(matches!(rig.world.again(peer, &open).0, Outcome::Wait(_)));
+    run_all(&queue);
+    let (outcome, handle) = rig.world.again(peer, &open);
+    assert_eq!(outcome, Outcome::Done(HResult::S_OK));
+    let file = FileHandle(handle.as_variant().as_i32().unwrap());
+    let read = call::file_get_value(file);
+    rig.world.begin(peer, &read);
+    run_all(&queue);
+    assert_eq!(rig.world.again(peer, &read), (Outcome::Done(HResult::S_OK), common::value("Sub Main\n")));
+    let moved = call::file_move(file, "c.pcs", "");
+    rig.world.begin(peer, &moved);
+    run_all(&queue);
+    assert_eq!(rig.world.again(peer, &moved).0, Outcome::Done(HResult::S_OK));
+    assert_eq!(rig.call(call::file_get_name(file)), ok(&"c.pcs"));
+    assert_eq!(rig.on_disk("c.pcs").as_deref(), Some("Sub Main\n"));
+}
+
+#[test]
+fn file_work_that_is_dropped_or_that_no_client_waits_for_changes_nothing() {
+    let (mut rig, queue) = queued();
+    let (peer, open) = (rig.client.peer, call::controller_get_file(rig.client.controller, "a.pcs", ""));
+    rig.world.begin(peer, &open);
+    queue.lock().unwrap().clear();
+    assert_eq!(rig.world.again(peer, &open).0, Outcome::Done(HResult::E_BUSY_PROC));
+
+    // a client that leaves
+    rig.world.begin(peer, &open);
+    let open_before = rig.world.sim.open_objects();
+    bcap_core::bcap::server::Handler::left(&mut rig.world.sim, peer, rig.world.now);
+    run_all(&queue);
+    assert_eq!(rig.world.sim.open_objects(), open_before - 2, "controller and robot are gone, no file has come");
+    let again = rig.world.client(1);
+    let names = call::controller_get_file_names(again.controller, "");
+    rig.world.begin(again.peer, &names);
+    run_all(&queue);
+    assert_eq!(rig.world.again(again.peer, &names), (Outcome::Done(HResult::S_OK), common::value(&["Sub\\", "a.pcs"])));
 }

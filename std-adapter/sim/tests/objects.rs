@@ -67,6 +67,12 @@ fn a_cobotta_moves_its_hand_by_its_controller() {
     assert_eq!(run(&mut world, "HandMoveR", -4.0, 100.0), (ok(&()), 50, 16.0));
     assert_eq!(run(&mut world, "HandMoveH", 10.0, 1.0), (ok(&()), 800, 0.0));
     assert_eq!(run(&mut world, "HandMoveH", 10.0, 0.0), (ok(&()), 1500, 30.0));
+    let close = call::controller_execute(client.controller, "HandMoveH", (10, true));
+    assert_eq!(world.run(client.peer, close), ok(&()));
+    assert_eq!(world.sim.hand_position(), 0.0);
+    let open = call::controller_execute(client.controller, "HandMoveH", (10.0_f32, false));
+    assert_eq!(world.run(client.peer, open), ok(&()));
+    assert_eq!(world.sim.hand_position(), 30.0);
     assert_eq!(world.execute(client, "HandCurPos", ()), ok(&30.0));
     assert_eq!(world.execute(client, "HandCurLoad", ()), ok(&0.0));
     for (command, first, second) in [

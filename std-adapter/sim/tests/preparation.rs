@@ -2,6 +2,7 @@
 
 mod common;
 
+use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
 use bcap_sim::{Bit, Config, EMERGENCY_STOP, Profile, Token};
 
@@ -107,4 +108,24 @@ fn an_rc9_is_reset_by_either_name_of_the_command() {
         assert_eq!(world.execute(client, command, ()), ok(&()));
         assert_eq!(world.robot(client, "Motor", 1), ok(&()));
     }
+}
+
+#[test]
+fn the_start_of_the_ros_2_driver_succeeds() {
+    let mut world = World::with(Config::new(Profile::Cobotta));
+    // one session for what moves, one for what watches
+    let (acts, watches) = (world.client(1), world.client(2));
+    assert_eq!(world.robot_get(watches, "@TYPE_NAME"), ok("CVR038A1"));
+    assert_eq!(world.robot(acts, "ManualResetPreparation", ()), ok(&()));
+    assert_eq!(world.execute(watches, "ClearError", ()), ok(&()));
+    assert_eq!(world.robot(acts, "ManualResetPreparation", ()), ok(&()));
+    assert_eq!(world.robot(acts, "MotionPreparation", ()), ok(&()));
+    assert_eq!(world.robot(watches, "HighCurJntEx", ()).0, HResult::S_OK);
+    let servo = world.robot_variable(watches, "@SERVO_ON");
+    assert_eq!(world.run(watches.peer, call::variable_put_value(servo, true)), code(HResult::S_OK));
+    assert_eq!(world.robot(acts, "slvSendFormat", 0), ok(&()));
+    assert_eq!(world.robot(acts, "slvRecvFormat", 2), ok(&()));
+    assert_eq!(world.robot(acts, "TakeArm", [0, 1]), ok(&()));
+    assert_eq!(world.robot(acts, "slvChangeMode", 514), ok(&()));
+    assert_eq!(world.sim.slave_mode(), 514);
 }

@@ -9,7 +9,7 @@ use bcap_core::handler::{Outcome, PeerId};
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use bcap_sim::scenario::Delivery;
-use bcap_sim::{Config, Controller, EMERGENCY_STOP, Scenario};
+use bcap_sim::{Config, Controller, EMERGENCY_STOP, Profile, Scenario};
 
 use common::{Client, World, code, ok};
 
@@ -353,5 +353,36 @@ fn what_is_no_scenario_says_where_and_why() {
     ] {
         let error = Scenario::parse(text).unwrap_err().to_string();
         assert!(error.contains(problem), "{text:?}: {error}");
+    }
+}
+
+#[test]
+fn each_model_has_a_type_of_robot_and_a_version_that_drivers_accept() {
+    for (profile, robot_type, version) in [
+        (Profile::Rc8, "VS050A3", "2.8.0"),
+        (Profile::Rc9, "VS050A3", "1.4.0"),
+        (Profile::Cobotta, "CVR038A1", "2.8.0"),
+    ] {
+        let mut world = World::with(Config::new(profile));
+        let client = world.client(1);
+        assert_eq!(world.robot_get(client, "@TYPE_NAME"), ok(robot_type), "{profile:?}");
+        assert_eq!(world.get(client, "@VERSION"), ok(version), "{profile:?}");
+        let names = call::controller_get_robot_names(client.controller, "");
+        assert_eq!(world.call(client.peer, names), ok(&["Arm0"]), "{profile:?}");
+    }
+}
+
+#[test]
+fn a_scenario_sets_type_name_and_axes_of_the_robot() {
+    let (mut world, client) =
+        begun("robot_type = 'CVR038A1-NV6'\narm_name = 'Left'\naxes = 7\nversion = '3.0.1'\nservo_on_waits = false");
+    assert_eq!(world.robot_get(client, "@TYPE_NAME"), ok("CVR038A1-NV6"));
+    assert_eq!(world.get(client, "@VERSION"), ok("3.0.1"));
+    let names = call::controller_get_robot_names(client.controller, "");
+    assert_eq!(world.call(client.peer, names), ok(&["Left"]));
+    assert_eq!((world.sim.config().extended_axes, world.sim.config().servo_on_waits), (1, false));
+    for axes in [5, 9] {
+        let error = Scenario::parse(&format!("[controller]\naxes = {axes}")).unwrap_err();
+        assert_eq!(error.to_string(), "controller: `axes` is 6, 7 or 8");
     }
 }

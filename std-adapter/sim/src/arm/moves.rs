@@ -3,10 +3,12 @@
 use bcap_core::bcap::server::Request;
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
+use bcap_core::variant::Variant;
 
 use crate::controller::{Controller, Wait};
-use crate::dispatch::{Answer, Answered};
-use crate::kinematics::{Joints, OutOfReach, figure, forward};
+use crate::dispatch::{Answer, Answered, with_value};
+use crate::drive::Drive;
+use crate::kinematics::{Axes, OutOfReach, figure, forward, out_of_range, six, with_joints};
 use crate::motion::Path;
 use crate::options::options;
 use crate::pose::Pose;
@@ -26,42 +28,59 @@ impl Controller {
         if ![1, 2].contains(&interpolation) {
             return Err(if [3, 4].contains(&interpolation) { HResult::E_NOTIMPL } else { HResult::E_INVALIDARG });
         }
-        let pose = Pose::parse(&request.value(2), &self.variables)?;
+        let (pose, drive) = Pose::parse_target(&request.value(2), &self.variables)?;
+        if let Some(drive) = &drive {
+            drive.check(self.config().extended_axes)?;
+        }
+        let extended = |here: &Axes| drive.as_ref().map_or(*here, |drive| drive.apply(here));
         if interpolation == 1 {
-            return self.move_joints(peer, &option, |near| pose.joints(near));
+            return self.move_axes(peer, &option, |here| Ok(with_joints(&pose.joints(&six(here))?, &extended(here))));
         }
         let options = self.move_options(&option, self.robot.hand)?;
         self.may_move(peer)?;
-        let here = self.joints();
-        let path = line(here, &pose)?.map_err(|e| self.fail_reach(e))?;
+        let here = self.axes();
+        let path = line(here, &pose, &extended(&here))?.map_err(|e| self.fail_reach(e))?;
         self.start_motion(peer, path, options)
     }
 
     pub(super) fn robot_drive(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
-        let axis = usize::try_from(request.int(1)).ok().filter(|n| (1..=6).contains(n)).ok_or(HResult::E_INVALIDARG)?;
-        let turn = request.float(2);
-        if !turn.is_finite() {
-            return Err(HResult::E_INVALIDARG);
-        }
-        self.move_joints(peer, &request.text(3).to_string(), |near| {
-            let mut joints = *near;
-            joints[axis - 1] += turn;
-            Pose::Joints(joints).joints(near)
-        })
+        let drive = Drive::relative(request.int(1), request.float(2))?;
+        self.drive(peer, &drive, &request.text(3).to_string())
     }
 
-    /// Moves the joints to where `target` says, seen from where they are.
-    pub(super) fn move_joints(
+    /// Executes DriveEx or DriveAEx, whose parameter is `[pairs, option]` or the pairs as text.
+    pub(super) fn drive_command(&mut self, peer: PeerId, absolute: bool, param: &Variant<'_>) -> Answered {
+        let param = param.flatten();
+        let (pairs, option) = match param {
+            Variant::Array(array) => match array.get(1).map(|item| item.flatten()) {
+                Some(Variant::Bstr(option)) if array.len() == 2 => (array.get(0).unwrap_or(param), option.to_string()),
+                _ => (param, String::new()),
+            },
+            _ => (param, String::new()),
+        };
+        let drive = Drive::parse(absolute, &pairs)?;
+        self.drive(peer, &drive, &option).map(with_value)
+    }
+
+    /// Turns single axes.
+    fn drive(&mut self, peer: PeerId, drive: &Drive, option: &str) -> Answered {
+        drive.check(self.config().extended_axes)?;
+        self.move_axes(peer, option, |here| Ok(drive.apply(here)))
+    }
+
+    /// Moves the axes to where `target` says, seen from where they are.
+    pub(super) fn move_axes(
         &mut self,
         peer: PeerId,
         option: &str,
-        target: impl FnOnce(&Joints) -> Result<Joints, OutOfReach>,
+        target: impl FnOnce(&Axes) -> Result<Axes, OutOfReach>,
     ) -> Answered {
         let options = self.move_options(option, self.robot.joint)?;
         self.may_move(peer)?;
-        let here = self.joints();
-        let there = target(&here).map_err(|e| self.fail_reach(e))?;
-        self.start_motion(peer, Path::joints(here, there), options)
+        let here = self.axes();
+        let reached = target(&here).and_then(in_range);
+        let there = reached.map_err(|e| self.fail_reach(e))?;
+        self.start_motion(peer, Path::axes(here, there), options)
     }
 
     /// Starts a motion and, without NEXT, waits for its end.
@@ -94,7 +113,7 @@ impl Controller {
         let mut read = MoveOptions { internal, next: false };
         for (key, value) in options(text) {
             let scaled = |base: f32| -> Result<f32, HResult> {
-                let value = value.and_then(|v| v.parse().ok()).ok_or(HResult::E_INVALIDARG)?;
+                let value = self.variables.number_of_text(value.ok_or(HResult::E_INVALIDARG)?)?;
                 Ok(base * percent(value)? / 100.0)
             };
             match key.to_ascii_uppercase().as_str() {
@@ -116,17 +135,22 @@ impl Controller {
     }
 }
 
-/// Plans a line, which cannot change the posture on its way.
-fn line(here: Joints, pose: &Pose) -> Result<Result<Path, OutOfReach>, HResult> {
+fn in_range(axes: Axes) -> Result<Axes, OutOfReach> {
+    out_of_range(&axes).map_or(Ok(axes), |axis| Err(OutOfReach(axis)))
+}
+
+/// Plans a line, which cannot change the posture on its way; J7 and J8 move to those of `extended`.
+fn line(here: Axes, pose: &Pose, extended: &Axes) -> Result<Result<Path, OutOfReach>, HResult> {
     let (frame, fig) = match pose {
         Pose::Joints(joints) => (forward(joints), None),
         Pose::Frame(frame, fig) => (*frame, *fig),
     };
-    let path = Path::line(here, &forward(&here), &frame);
+    let end = with_joints(&six(&here), extended);
+    let path = in_range(end).and_then(|end| Path::line(here, &forward(&six(&here)), &frame, &end));
     // shoulder, elbow and wrist; how often J4 and J6 have turned is left to the line
     const POSTURE: u8 = 7;
     match (&path, fig) {
-        (Ok(path), Some(fig)) if (figure(&path.end()) ^ fig) & POSTURE != 0 => Err(HResult::E_INVALIDARG),
+        (Ok(path), Some(fig)) if (figure(&six(&path.end())) ^ fig) & POSTURE != 0 => Err(HResult::E_INVALIDARG),
         _ => Ok(path),
     }
 }

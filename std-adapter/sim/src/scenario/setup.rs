@@ -4,7 +4,7 @@ use bcap_core::hresult::HResult;
 use serde::Deserialize;
 
 use super::file::read_code;
-use crate::config::{ABSENT, Mode, Permission, Token};
+use crate::config::{ABSENT, Config, Mode, Permission, Token};
 use crate::controller::Controller;
 use crate::robot::Servo;
 use crate::slave::SlaveFormats;
@@ -21,7 +21,7 @@ use crate::slave::SlaveFormats;
 /// assert_eq!(controller.mode(), Mode::Manual);
 /// # Ok::<(), bcap_sim::scenario::ScenarioError>(())
 /// ```
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Setup {
     /// The mode switch.
     pub mode: Option<Mode>,
@@ -43,6 +43,18 @@ pub struct Setup {
     pub formats: Option<SlaveFormats>,
     /// `@VERSION`.
     pub version: Option<String>,
+    /// `@TYPE_NAME` of the robot.
+    pub robot_type: Option<String>,
+    /// The robot's name.
+    pub arm_name: Option<String>,
+    /// Axes beyond the sixth, 0 to 2.
+    pub extended_axes: Option<u8>,
+    /// Whether writing true to `@SERVO_ON` answers when the motor is on.
+    pub servo_on_waits: Option<bool>,
+    /// Limits of speed in slave mode, for J1 to J8; `None` leaves that axis as it is.
+    pub slave_speed: [Option<f64>; 8],
+    /// Likewise of acceleration.
+    pub slave_acceleration: [Option<f64>; 8],
 }
 
 #[derive(Default, Deserialize)]
@@ -58,6 +70,37 @@ pub(super) struct SetupEntry {
     licence: Option<bool>,
     formats: Option<Vec<FormatName>>,
     version: Option<String>,
+    robot_type: Option<String>,
+    arm_name: Option<String>,
+    axes: Option<u8>,
+    servo_on_waits: Option<bool>,
+    slave_speed: AxesEntry,
+    slave_acceleration: AxesEntry,
+}
+
+/// A value for some of the axes.
+#[derive(Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct AxesEntry {
+    j1: Option<f64>,
+    j2: Option<f64>,
+    j3: Option<f64>,
+    j4: Option<f64>,
+    j5: Option<f64>,
+    j6: Option<f64>,
+    j7: Option<f64>,
+    j8: Option<f64>,
+}
+
+impl AxesEntry {
+    fn read(&self) -> Result<[Option<f64>; 8], &'static str> {
+        let Self { j1, j2, j3, j4, j5, j6, j7, j8 } = *self;
+        let limits = [j1, j2, j3, j4, j5, j6, j7, j8];
+        match limits.iter().flatten().all(|limit| *limit > 0.0 && limit.is_finite()) {
+            true => Ok(limits),
+            false => Err("a limit of slave_speed or slave_acceleration is a finite number above 0"),
+        }
+    }
 }
 
 #[derive(Clone, Copy, Deserialize)]
@@ -137,6 +180,12 @@ impl SetupEntry {
         if self.motor == Some(true) && (self.emergency_stop == Some(true) || !errors.is_empty()) {
             return Err("the motor is off while the emergency stop is pressed or an error is present");
         }
+        let extended_axes = match self.axes {
+            Some(axes @ 6..=8) => Some(axes - 6),
+            None => None,
+            Some(_) => return Err("`axes` is 6, 7 or 8"),
+        };
+        let (slave_speed, slave_acceleration) = (self.slave_speed.read()?, self.slave_acceleration.read()?);
         let formats = self.formats.map(|list| SlaveFormats {
             mini_io: list.contains(&FormatName::MiniIo),
             hand_io: list.contains(&FormatName::HandIo),
@@ -154,6 +203,12 @@ impl SetupEntry {
             licence: self.licence,
             formats,
             version: self.version,
+            robot_type: self.robot_type,
+            arm_name: self.arm_name,
+            extended_axes,
+            servo_on_waits: self.servo_on_waits,
+            slave_speed,
+            slave_acceleration,
         })
     }
 }
@@ -188,11 +243,32 @@ impl Controller {
         if let Some(permission) = setup.permission {
             self.set_permission(permission);
         }
-        let config = self.config_mut();
-        config.slave.licensed = setup.licence.unwrap_or(config.slave.licensed);
-        config.slave.formats = setup.formats.unwrap_or(config.slave.formats);
-        if let Some(version) = &setup.version {
-            config.version.clone_from(version);
+        self.config_mut().set_up(setup);
+    }
+}
+
+impl Config {
+    /// Takes over what a scenario says about the model.
+    fn set_up(&mut self, setup: &Setup) {
+        self.slave.licensed = setup.licence.unwrap_or(self.slave.licensed);
+        self.slave.formats = setup.formats.unwrap_or(self.slave.formats);
+        for (limits, own) in [
+            (&mut self.slave.speed_limits, setup.slave_speed),
+            (&mut self.slave.acceleration_limits, setup.slave_acceleration),
+        ] {
+            limits.iter_mut().zip(own).for_each(|(limit, own)| *limit = own.or(*limit));
+        }
+        self.servo_on_waits = setup.servo_on_waits.unwrap_or(self.servo_on_waits);
+        self.extended_axes = setup.extended_axes.unwrap_or(self.extended_axes);
+        let texts = [
+            (&mut self.version, &setup.version),
+            (&mut self.robot_type, &setup.robot_type),
+            (&mut self.arm_name, &setup.arm_name),
+        ];
+        for (text, own) in texts {
+            if let Some(own) = own {
+                text.clone_from(own);
+            }
         }
     }
 }

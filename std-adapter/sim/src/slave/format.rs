@@ -7,15 +7,15 @@
 //!               [currents R8 array of 8]                                    alone: the R8 array itself
 //! ```
 //!
+//! An array of numbers may also be one of VARIANT, and a number may have any type that converts without loss.
 //! Offsets are IO numbers from 128 on and, as sizes, multiples of 8: a size counts bits.
 
 use bcap_core::hresult::HResult;
 use bcap_core::variant::{Array, VarType, Variant};
 
-use super::stream::Axes;
-use crate::kinematics::Joints;
+use crate::kinematics::{Axes, six};
 use crate::robot::{position, trans};
-use crate::value::{Value, numbers, whole};
+use crate::value::{Value, numbers, numbers_of_array, one_int, whole};
 use crate::variables::Variables;
 
 const TIME: i32 = 0x0010;
@@ -104,7 +104,7 @@ impl Formats {
         let mut order = Order::default();
         let (sends, receives) = (self.send, self.receive & USER != 0);
         if sends == 0 && !receives {
-            order.pose = doubles(param)?;
+            order.pose = numbers_of_array(param)?;
             return Ok(order);
         }
         let Variant::Array(array) = param else { return Err(HResult::E_INVALIDARGTYPE) };
@@ -112,7 +112,7 @@ impl Formats {
             return Err(HResult::E_INVALIDARGTYPE);
         }
         let mut items = Items { array: *array, next: 0 };
-        order.pose = doubles(&items.next()?)?;
+        order.pose = numbers_of_array(&items.next()?)?;
         if sends & MINI != 0 {
             order.mini = Some(items.int()?);
         }
@@ -162,8 +162,7 @@ impl Formats {
     }
 
     fn pose(self, axes: &Axes) -> Vec<f64> {
-        let [j1, j2, j3, j4, j5, j6, ..] = *axes;
-        let joints: Joints = [j1, j2, j3, j4, j5, j6];
+        let joints = six(axes);
         match self.receive & 0xF {
             1 => position(&joints),
             3 => trans(&joints),
@@ -229,10 +228,7 @@ impl<'a> Items<'a> {
     }
 
     fn int(&mut self) -> Result<i32, HResult> {
-        match self.next()? {
-            Variant::I4(n) => Ok(n),
-            _ => Err(HResult::E_INVALIDARGTYPE),
-        }
+        one_int(&self.next()?)
     }
 
     /// Reads where user IO begins, and its size in bytes.
@@ -246,18 +242,15 @@ impl<'a> Items<'a> {
     }
 }
 
-fn doubles(value: &Variant<'_>) -> Result<Vec<f64>, HResult> {
-    match value {
-        Variant::Array(array) => Ok(array.items::<f64>().ok_or(HResult::E_INVALIDARGTYPE)?.iter().collect()),
-        _ => Err(HResult::E_INVALIDARGTYPE),
-    }
-}
-
+/// Reads bytes: an array of UI1, or of whole numbers from 0 to 255.
 fn bytes(value: &Variant<'_>) -> Result<Vec<u8>, HResult> {
-    match value {
-        Variant::Array(array) => Ok(array.items::<u8>().ok_or(HResult::E_INVALIDARGTYPE)?.iter().collect()),
-        _ => Err(HResult::E_INVALIDARGTYPE),
+    if let Variant::Array(array) = value
+        && let Some(bytes) = array.items::<u8>()
+    {
+        return Ok(bytes.iter().collect());
     }
+    let byte = |n: f64| u8::try_from(whole(n)?).map_err(|_| HResult::DISP_E_OVERFLOW);
+    numbers_of_array(value)?.into_iter().map(byte).collect()
 }
 
 /// Reads 32 IO from `first` on; those that are not readable are 0.

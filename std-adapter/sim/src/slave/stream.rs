@@ -14,9 +14,7 @@ use bcap_core::rac::VariableKind as Kind;
 use bcap_core::time::Instant;
 
 use super::{CYCLE, Limits, SlaveCounters};
-
-/// J1 to J8; what the arm has not is 0.
-pub(crate) type Axes = [f64; 8];
+use crate::kinematics::Axes;
 
 /// Positions that modes 0 and 2 buffer.
 const BUFFER: usize = 3;

@@ -8,8 +8,8 @@ use bcap_core::bcap::slave::{
 };
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Encode;
+use bcap_sim::kinematics::EXTENDED_SPEED;
 use bcap_sim::kinematics::SPEEDS;
-use bcap_sim::slave::EXTENDED_SPEED;
 use bcap_sim::{Config, Profile, Scenario};
 
 use crate::common::{Client, World};

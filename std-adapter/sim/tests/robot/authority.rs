@@ -132,6 +132,39 @@ fn external_speed_sets_its_accelerations_unless_told() {
 }
 
 #[test]
+fn a_written_servo_on_is_answered_when_the_motor_is_on() {
+    let mut world = World::new();
+    let client = world.client(1);
+    let servo = world.robot_variable(client, "@SERVO_ON");
+    let on = call::variable_put_value(servo, true);
+    assert_eq!(world.run(client.peer, &on), code(HResult::S_OK));
+    assert_eq!(world.now, Instant::from_millis(300));
+    // as the public ROS 2 driver does it: the next calls are these
+    assert_eq!(world.robot(client, "TakeArm", [0, 1]), ok(&()));
+    assert_eq!(world.robot(client, "slvChangeMode", 514), ok(&()));
+    assert_eq!(world.robot(client, "slvChangeMode", 0), ok(&()));
+    // it is on already, so nothing has to be waited for
+    assert_eq!(world.call(client.peer, &on), code(HResult::S_OK));
+    assert_eq!(world.call(client.peer, call::variable_put_value(servo, false)), code(HResult::S_OK));
+    // an error of level 3 ends the wait with its code
+    world.begin(client.peer, &on);
+    world.sim.inject_error(HResult::from_u32(0x8320_0001), world.now);
+    assert_eq!(world.again(client.peer, &on).0, Outcome::Done(HResult::from_u32(0x8320_0001)));
+    assert!(!world.sim.motor_is_on());
+}
+
+#[test]
+fn a_written_servo_on_is_answered_at_once_where_the_settings_say_so() {
+    let mut world = World::with(Config { servo_on_waits: false, ..Config::default() });
+    let client = world.client(1);
+    let servo = world.robot_variable(client, "@SERVO_ON");
+    assert_eq!(world.call(client.peer, call::variable_put_value(servo, true)), code(HResult::S_OK));
+    assert_eq!(world.call(client.peer, call::variable_get_value(servo)), ok(&false));
+    world.pass(300);
+    assert_eq!(world.call(client.peer, call::variable_get_value(servo)), ok(&true));
+}
+
+#[test]
 fn the_motor_takes_its_time() {
     let mut world = World::with(Config { motor_on_delay: Duration::from_millis(500), ..Config::default() });
     let client = world.client(1);
@@ -142,10 +175,6 @@ fn the_motor_takes_its_time() {
     let servo = world.robot_variable(client, "@SERVO_ON");
     assert_eq!(world.call(client.peer, call::variable_put_value(servo, false)), code(HResult::S_OK));
     assert!(!world.sim.motor_is_on());
-    assert_eq!(world.call(client.peer, call::variable_put_value(servo, true)), code(HResult::S_OK));
-    assert_eq!(world.call(client.peer, call::variable_get_value(servo)), ok(&false));
-    world.pass(500);
-    assert_eq!(world.call(client.peer, call::variable_get_value(servo)), ok(&true));
 
     // switched off while somebody waits for it
     world.robot(client, "Motor", 0);

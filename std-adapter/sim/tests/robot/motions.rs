@@ -67,7 +67,8 @@ fn the_slowest_motion_is_still_one() {
     let here = joints(&mut world, client)[0];
     assert!(here > 0.0 && here < 0.1, "{here}");
     assert!(world.sim.is_moving());
-    assert_eq!(world.call(client.peer, call::robot_halt(client.robot, "")), code(HResult::S_OK));
+    assert_eq!(world.run(client.peer, call::robot_halt(client.robot, "")), code(HResult::S_OK));
+    assert!(!world.sim.is_moving());
 }
 
 #[test]

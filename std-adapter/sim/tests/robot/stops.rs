@@ -17,17 +17,18 @@ fn halt_from_another_connection_ends_the_waiting_move() {
     let go = call::robot_move(client.robot, 1, "J(120,45,90,0,45,0)", "");
     world.begin(client.peer, &go);
     world.pass(300);
-    assert_eq!(world.call(stopper.peer, call::robot_halt(stopper.robot, "")), code(HResult::S_OK));
-    // it brakes before it stands
+    // it brakes before it stands, and is answered when it does
+    world.begin(stopper.peer, &call::robot_halt(stopper.robot, ""));
     assert!(matches!(world.again(client.peer, &go).0, Outcome::Wait(_)));
-    world.pass(250);
+    assert_eq!(world.run_again(stopper.peer, &call::robot_halt(stopper.robot, "")), code(HResult::S_OK));
+    assert!(!world.sim.is_moving());
     assert_eq!(world.again(client.peer, &go).0, Outcome::Done(HResult::E_ABORT));
     let stopped = joints(&mut world, client)[0];
     assert!(stopped > 10.0 && stopped < 119.0, "{stopped}");
     world.pass(1000);
     assert_eq!(joints(&mut world, client)[0], stopped);
     assert_eq!(world.call(stopper.peer, call::robot_halt(stopper.robot, "")), code(HResult::S_FALSE));
-    // no error, and it may go on
+    // no error, and the next motion is not refused
     assert_eq!(world.move_to(client, 1, "J(120,45,90,0,45,0)", ""), HResult::S_OK);
 }
 

@@ -168,7 +168,8 @@ fn halt_brakes_from_any_connection() {
     let mut rig = moving(0x002);
     rig.world.pass(4);
     let other = rig.world.client(2);
-    assert_eq!(rig.world.call(other.peer, call::robot_halt(other.robot, "")), code(HResult::S_OK));
+    let halt = call::robot_halt(other.robot, "");
+    rig.world.begin(other.peer, &halt);
     assert_eq!(rig.mode(), 0);
     // 25 degrees per second at the servo's 7500 per second squared: 3.33 ms, and half as far as at that speed
     let way = 25.0 * 25.0 / 7500.0 / 2.0;
@@ -177,6 +178,7 @@ fn halt_brakes_from_any_connection() {
     rig.world.pass(4);
     assert!(!rig.world.sim.is_moving());
     assert_close(&rig.here(), &j1(0.1 + way), 1e-9);
+    assert_eq!(rig.world.again(other.peer, &halt), (Outcome::Done(HResult::S_OK), Value::EMPTY));
     assert_eq!((rig.errors(), rig.world.sim.motor_is_on()), (vec![], true));
 }
 

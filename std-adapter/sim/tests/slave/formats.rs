@@ -239,11 +239,29 @@ fn a_withheld_pose_writes_its_io_when_it_is_stored() {
 }
 
 #[test]
+fn numbers_of_mixed_types_are_converted() {
+    let mut rig = Rig::enter(0x102);
+    assert_eq!(rig.slv_move((0.0_f64, 45, 90_i16, 0_u8, 45.0_f32, 0_i64, 0, 0)), ok(&START));
+    assert_eq!(rig.slv_move([0, 45, 90, 0, 45, 0, 0, 0]), ok(&START));
+    assert_eq!(rig.slv_move([0.0_f32, 45.0, 90.0, 0.0, 45.0, 0.0, 0.0, 0.0]), ok(&START));
+    assert_eq!(rig.slv_move((0, 45, 90, 0, 45, 0, 0, "0")), code(HResult::E_INVALIDARGTYPE));
+
+    let mut rig = Rig::new();
+    rig.execute("slvSendFormat", 0x0220);
+    rig.execute("slvChangeMode", 0x102);
+    // user IO: offset, size in bits, the bytes; then HandIO
+    let pose = [0, 45, 90, 0, 45, 0, 0, 0];
+    assert_eq!(rig.slv_move((pose, 128.0_f64, 16_i16, [1, 2], 0_u8)).0, HResult::S_OK);
+    assert!(io(&rig, 128) && io(&rig, 137) && !io(&rig, 129));
+    assert_eq!(rig.slv_move((pose, 128, 16, [1, 256], 0)).0, HResult::DISP_E_OVERFLOW);
+    assert_eq!(rig.slv_move((pose, 128, 16, [1.0_f64, 2.0], 0)).0, HResult::S_OK);
+}
+
+#[test]
 fn parameters_that_do_not_fit_the_formats_are_refused_and_change_nothing() {
     let mut rig = Rig::enter(0x002);
     let wrong = HResult::E_INVALIDARGTYPE;
     assert_eq!(rig.slv_move((START, 1)), code(wrong));
-    assert_eq!(rig.slv_move([0.0_f32; 8]), code(wrong));
     assert_eq!(rig.slv_move("J(0,45,90,0,45,0)"), code(wrong));
     assert_eq!(rig.slv_move(()), code(wrong));
     for pose in [&[0.0; 7][..], &[0.0; 10], &[]] {
@@ -258,7 +276,8 @@ fn parameters_that_do_not_fit_the_formats_are_refused_and_change_nothing() {
     rig.execute("slvSendFormat", 0x0100);
     rig.execute("slvChangeMode", 0x002);
     assert_eq!(rig.slv_move(START), code(wrong));
-    assert_eq!(rig.slv_move((START, 1.0_f64)), code(wrong));
+    assert_eq!(rig.slv_move((START, "1.5")), code(HResult::DISP_E_TYPEMISMATCH));
+    assert_eq!(rig.slv_move((START, 1.5_f64)), code(HResult::DISP_E_TYPEMISMATCH));
     assert_eq!(rig.slv_move((START, 1, 2)), code(HResult::E_INVALIDARG));
     assert_eq!(rig.slv_move(&[&START as &dyn Encode][..]), code(HResult::E_INVALIDARG));
     assert_eq!(rig.slv_move((START, 1)).0, HResult::S_OK);

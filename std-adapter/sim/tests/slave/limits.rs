@@ -4,7 +4,7 @@ use bcap_core::hresult::HResult;
 use bcap_sim::kinematics::SPEEDS;
 use bcap_sim::motion::ACCELERATION_TIME;
 use bcap_sim::slave::CYCLE;
-use bcap_sim::{Config, SlaveConfig, SpeedSetting};
+use bcap_sim::{Config, Scenario, SlaveConfig, SpeedSetting};
 
 use crate::common::ok;
 use crate::{Rig, START, assert_close, limit};
@@ -93,4 +93,81 @@ fn a_pose_out_of_reach_is_an_error_at_once() {
     assert_eq!((rig.mode(), rig.errors()), (0, vec![limit(0x8320_4070, 1)]));
     let mut rig = Rig::enter(0x001);
     assert_eq!(rig.slv_move([2000.0, 0.0, 0.0, 180.0, 0.0, 180.0, 5.0]).0, limit(0x8320_4070, 3));
+}
+
+/// Streams poses in mode 0 as the maker's sample does: it waits for 8 ms after each reply that is not `S_OK`, and sends
+/// a pose again that was not stored. Returns the errors that this ended with.
+fn stream(rig: &mut Rig, poses: &[[f64; 8]]) -> Vec<HResult> {
+    for pose in poses {
+        loop {
+            let (reply, _) = rig.slv_move(*pose);
+            if reply != HResult::S_OK {
+                rig.cycles(1);
+            }
+            match reply {
+                HResult::E_BUF_FULL => {}
+                _ if reply.is_ok() => break,
+                _ => return rig.errors(),
+            }
+        }
+    }
+    let leave = bcap_core::bcap::call::robot_execute(rig.client.robot, "slvChangeMode", 0);
+    let (peer, left) = (rig.client.peer, ok(&()));
+    let reply = rig.world.run(peer, leave);
+    if rig.errors().is_empty() {
+        assert_eq!(reply, left);
+    }
+    rig.errors()
+}
+
+/// One turn in 100 cycles around the start, J1 going on by 0.1 degrees a cycle, and the last pose once more.
+fn sample(j2: impl Fn(f64) -> f64) -> Vec<[f64; 8]> {
+    let mut poses: Vec<[f64; 8]> = (0..100_u8)
+        .map(|n| {
+            let mut pose = START;
+            pose[0] += f64::from(n) / 10.0;
+            pose[1] += j2(f64::from(n) / 100.0 * std::f64::consts::TAU);
+            pose
+        })
+        .collect();
+    poses.push(poses[99]);
+    poses
+}
+
+#[test]
+fn the_sine_of_the_old_sample_starts_too_hard_and_the_cosine_of_the_new_one_does_not() {
+    // docs/spec-notes.md has the arithmetic: 9,811 and 617 degrees per second squared of J2, whose limit is 6,600
+    let mut rig = Rig::enter(0x002);
+    assert!((rig.world.sim.slave_limits().acceleration[1] - 6600.0).abs() < 1e-9);
+    assert_eq!(stream(&mut rig, &sample(|turn| 10.0 * turn.sin())), [limit(0x8420_4040, 2)]);
+    assert_close(&rig.here(), &START, 1e-9);
+
+    let mut rig = Rig::enter(0x002);
+    assert_eq!(stream(&mut rig, &sample(|turn| 10.0 * (1.0 - turn.cos()))), []);
+    assert_close(&rig.here()[..1], &[9.9], 1e-9);
+}
+
+#[test]
+fn a_scenario_sets_limits_of_single_axes() {
+    let with = |text: &str| {
+        let mut rig = Rig::new();
+        rig.world.sim.play(Scenario::parse(&format!("[controller]\n{text}")).unwrap());
+        rig
+    };
+    let mut rig = with("slave_acceleration = { j2 = 10000.0 }");
+    let limits = rig.world.sim.slave_limits();
+    assert_close(&limits.acceleration[..3], &[7500.0, 10_000.0, 8100.0], 1e-9);
+    assert_eq!(rig.execute("slvChangeMode", 0x002), ok(&()));
+    assert_eq!(stream(&mut rig, &sample(|turn| 10.0 * turn.sin())), []);
+
+    let mut rig = with("slave_speed = { j1 = 10, j8 = 0.5 }");
+    assert_close(&rig.world.sim.slave_limits().speed[..2], &[10.0, 330.0 * 1.2], 1e-9);
+    assert_eq!(rig.world.sim.slave_limits().speed[7], 0.5);
+    assert_eq!(rig.execute("slvChangeMode", 0x002), ok(&()));
+    // 0.1 degrees a cycle are 12.5 degrees per second
+    assert_eq!(stream(&mut rig, &sample(|_| 0.0)), [limit(0x8420_4050, 1)]);
+
+    for text in ["slave_speed = { j1 = 0 }", "slave_speed = { j1 = inf }", "slave_speed = { j9 = 1 }"] {
+        assert!(Scenario::parse(&format!("[controller]\n{text}")).is_err(), "{text}");
+    }
 }

@@ -1,0 +1,313 @@
+//! What is done in the file system; nothing of the controller.
+
+use std::fs::{self, File, Metadata, OpenOptions};
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use bcap_core::bcap::FunctionId;
+use bcap_core::hresult::HResult;
+use bcap_core::variant::{OleDate, Variant};
+
+use super::Done;
+use crate::options::option;
+use crate::value::Value;
+
+/// The most bytes of a file that are read, written or copied: what a frame can carry.
+const LARGEST: u64 = 16 << 20;
+
+/// The most names of a folder.
+const NAMES_MAX: usize = 1 << 16;
+
+/// Folders and names of a path at most.
+const PARTS_MAX: usize = 32;
+
+/// The bits of File_GetAttribute, as Windows numbers them.
+const READ_ONLY: i32 = 1;
+const FOLDER: i32 = 16;
+
+/// A piece of file work, with all that it needs.
+pub(super) struct Work {
+    /// The folder that has the controller's files.
+    pub(super) root: PathBuf,
+    /// The name from the root of the file or folder that is asked.
+    pub(super) base: String,
+    pub(super) task: Task,
+    /// The communication permission.
+    pub(super) writable: Result<(), HResult>,
+}
+
+/// What is to be done.
+pub(super) enum Task {
+    Open {
+        name: String,
+        options: String,
+    },
+    List,
+    Write(Result<Vec<u8>, HResult>),
+    Copy(String),
+    Move(String),
+    /// A function without arguments.
+    Other(FunctionId),
+}
+
+/// Returns the bytes of a value that is written to a file.
+pub(super) fn contents(value: &Variant<'_>) -> Result<Vec<u8>, HResult> {
+    match value.flatten() {
+        Variant::Bstr(text) => Ok(text.to_string().into_bytes()),
+        Variant::Array(array) => Ok(array.items::<u8>().ok_or(HResult::E_INVALIDARGTYPE)?.iter().collect()),
+        _ => Err(HResult::E_INVALIDARGTYPE),
+    }
+}
+
+impl Work {
+    pub(super) fn perform(self) -> Result<Done, HResult> {
+        let place = self.place(&self.base, "")?;
+        let path = place.path();
+        match &self.task {
+            Task::Open { name, options } => return self.open(name, options),
+            Task::List => return list(&path),
+            _ => {}
+        }
+        let metadata = known(fs::metadata(&path).map_err(failed)?)?;
+        match self.task {
+            Task::Write(ref contents) => {
+                self.writable?;
+                write(&path, contents.as_ref().map_err(|refused| *refused)?)?;
+                Ok(Done::Nothing)
+            }
+            Task::Copy(ref target) => {
+                copy(&path, &self.target(target)?.path())?;
+                Ok(Done::Nothing)
+            }
+            Task::Move(ref target) => {
+                let target = self.target(target)?;
+                fs::rename(&path, target.path()).map_err(failed)?;
+                Ok(Done::Moved(target.name()))
+            }
+            Task::Other(function) => self.other(function, &path, &metadata),
+            Task::Open { .. } | Task::List => Ok(Done::Nothing),
+        }
+    }
+
+    /// Opens a file or folder; the option `@Create=1` makes one that does not exist.
+    fn open(&self, name: &str, options: &str) -> Result<Done, HResult> {
+        let place = self.place(&self.base, name)?;
+        if place.parts.is_empty() {
+            // no client may move or delete the root
+            return Err(HResult::E_INVALIDARG);
+        }
+        let path = place.path();
+        match fs::metadata(&path) {
+            Ok(metadata) => {
+                known(metadata)?;
+            }
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(failed(error)),
+            Err(_) if option(options, "@Create") != Some("1") => return Err(HResult::E_CAO_OBJECT_NOTFOUND),
+            Err(_) => {
+                self.writable?;
+                let made = if is_folder_name(name) { fs::create_dir(path) } else { create(&path).map(drop) };
+                made.map_err(failed)?;
+            }
+        }
+        Ok(Done::Open(place.name()))
+    }
+
+    /// Carries out a function without arguments.
+    fn other(&self, function: FunctionId, path: &Path, metadata: &Metadata) -> Result<Done, HResult> {
+        let date = |time: io::Result<SystemTime>| date(time.or_else(|_| metadata.modified()));
+        Ok(Done::Value(match function {
+            FunctionId::FILE_GET_VARIABLE_NAMES => Value::Texts(Vec::new()),
+            FunctionId::FILE_GET_VALUE => read(path)?,
+            FunctionId::FILE_DELETE => {
+                self.writable?;
+                let deleted = if metadata.is_dir() { fs::remove_dir(path) } else { fs::remove_file(path) };
+                deleted.map_err(failed)?;
+                return Ok(Done::Nothing);
+            }
+            FunctionId::FILE_GET_DATE_CREATED => date(metadata.created())?,
+            FunctionId::FILE_GET_DATE_LAST_ACCESSED => date(metadata.accessed())?,
+            FunctionId::FILE_GET_DATE_LAST_MODIFIED => date(metadata.modified())?,
+            FunctionId::FILE_GET_PATH => {
+                Value::Text(self.base.rsplit_once('\\').map_or("\\".into(), |(folder, _)| format!("\\{folder}\\")))
+            }
+            FunctionId::FILE_GET_ATTRIBUTE => {
+                let bits = [(READ_ONLY, metadata.permissions().readonly()), (FOLDER, metadata.is_dir())];
+                Value::I4(bits.iter().filter(|(_, on)| *on).map(|(bit, _)| bit).sum())
+            }
+            FunctionId::FILE_GET_SIZE if metadata.is_dir() => Value::I4(0),
+            FunctionId::FILE_GET_SIZE => {
+                Value::I4(i32::try_from(metadata.len()).map_err(|_| HResult::DISP_E_OVERFLOW)?)
+            }
+            FunctionId::FILE_GET_TYPE if metadata.is_dir() => Value::from("Folder"),
+            FunctionId::FILE_GET_TYPE => {
+                Value::Text(path.extension().unwrap_or_default().to_string_lossy().into_owned())
+            }
+            _ => return Err(HResult::E_NOTIMPL),
+        }))
+    }
+
+    /// Finds where a copy goes, which must not exist yet.
+    fn target(&self, target: &str) -> Result<Place, HResult> {
+        self.writable?;
+        let own = if is_folder_name(target) { self.base.rsplit('\\').next().unwrap_or(&self.base) } else { "" };
+        let place = self.place(target, own)?;
+        if place.parts.is_empty() {
+            return Err(HResult::E_INVALIDARG);
+        }
+        if place.path().exists() {
+            return Err(HResult::E_CAO_COLLECTION_REGISTERED);
+        }
+        Ok(place)
+    }
+
+    fn place(&self, base: &str, name: &str) -> Result<Place, HResult> {
+        Place::new(&self.root, base, name)
+    }
+}
+
+/// The root folder, and a path below it.
+struct Place {
+    root: PathBuf,
+    /// The parts of the name.
+    parts: Vec<String>,
+}
+
+impl Place {
+    /// Reads a name, seen from a folder below the root.
+    fn new(root: &Path, base: &str, name: &str) -> Result<Self, HResult> {
+        let mut parts = Vec::new();
+        for part in [base, name].into_iter().flat_map(|name| name.split(['\\', '/'])) {
+            match part.trim() {
+                "" | "." => {}
+                ".." => return Err(HResult::E_ACCESSDENIED),
+                part if part.contains(|c: char| c.is_control() || "<>:\"|?*".contains(c)) => {
+                    return Err(HResult::E_INVALIDARG);
+                }
+                // each part costs a look into the file system
+                _ if parts.len() == PARTS_MAX => return Err(HResult::E_INVALIDARG),
+                part => parts.push(part.to_owned()),
+            }
+        }
+        let place = Self { root: root.canonicalize().map_err(failed)?, parts };
+        place.check_links()?;
+        Ok(place)
+    }
+
+    /// Checks that no part of the path leads out of the root.
+    fn check_links(&self) -> Result<(), HResult> {
+        let mut path = self.root.clone();
+        for part in &self.parts {
+            path.push(part);
+            match path.canonicalize() {
+                Ok(real) if real.starts_with(&self.root) => {}
+                Ok(_) => return Err(HResult::E_ACCESSDENIED),
+                // creating a file there would follow a link to nowhere
+                Err(_) if path.is_symlink() => return Err(HResult::E_ACCESSDENIED),
+                Err(_) => break,
+            }
+        }
+        Ok(())
+    }
+
+    fn path(&self) -> PathBuf {
+        self.root.join(self.parts.iter().collect::<PathBuf>())
+    }
+
+    /// Returns the name from the root.
+    fn name(&self) -> String {
+        self.parts.join("\\")
+    }
+}
+
+fn is_folder_name(name: &str) -> bool {
+    name.trim_end().ends_with(['\\', '/'])
+}
+
+/// Refuses what is neither a regular file nor a folder.
+fn known(metadata: Metadata) -> Result<Metadata, HResult> {
+    if metadata.is_file() || metadata.is_dir() { Ok(metadata) } else { Err(HResult::E_ACCESSDENIED) }
+}
+
+fn list(folder: &Path) -> Result<Done, HResult> {
+    let mut names = Vec::new();
+    for entry in fs::read_dir(folder).map_err(failed)? {
+        let entry = entry.map_err(failed)?;
+        // a link to nowhere, a FIFO, a device
+        let Some(metadata) = fs::metadata(entry.path()).ok().and_then(|metadata| known(metadata).ok()) else {
+            continue;
+        };
+        if names.len() == NAMES_MAX {
+            return Err(HResult::E_TOO_MUCH_DATA);
+        }
+        let end = if metadata.is_dir() { "\\" } else { "" };
+        names.push(format!("{}{end}", entry.file_name().to_string_lossy()));
+    }
+    names.sort();
+    Ok(Done::Value(Value::Texts(names)))
+}
+
+/// Opens a regular file, without waiting for the other end of a FIFO that took its place meanwhile.
+fn open_regular(path: &Path, options: &mut OpenOptions) -> Result<File, HResult> {
+    #[cfg(unix)]
+    {
+        use rustix::fs::OFlags;
+        use std::os::unix::fs::OpenOptionsExt;
+        options.custom_flags((OFlags::NONBLOCK | OFlags::NOCTTY).bits().cast_signed());
+    }
+    let file = options.open(path).map_err(failed)?;
+    match file.metadata().map_err(failed)? {
+        metadata if metadata.is_file() => Ok(file),
+        metadata if metadata.is_dir() => Err(HResult::E_INVALIDARG),
+        _ => Err(HResult::E_ACCESSDENIED),
+    }
+}
+
+/// Makes a file that does not exist, and follows no link.
+fn create(path: &Path) -> io::Result<File> {
+    OpenOptions::new().write(true).create_new(true).open(path)
+}
+
+fn read_bytes(path: &Path) -> Result<Vec<u8>, HResult> {
+    let file = open_regular(path, OpenOptions::new().read(true))?;
+    let mut bytes = Vec::new();
+    // it may grow while it is read
+    file.take(LARGEST + 1).read_to_end(&mut bytes).map_err(failed)?;
+    if bytes.len() as u64 > LARGEST { Err(HResult::E_TOO_MUCH_DATA) } else { Ok(bytes) }
+}
+
+fn read(path: &Path) -> Result<Value, HResult> {
+    Ok(String::from_utf8(read_bytes(path)?).map_or_else(|error| Value::Ui1s(error.into_bytes()), Value::Text))
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), HResult> {
+    if path.is_dir() {
+        return Err(HResult::E_INVALIDARG);
+    }
+    let mut file = open_regular(path, OpenOptions::new().write(true))?;
+    file.set_len(0).and_then(|()| file.write_all(bytes)).map_err(failed)
+}
+
+fn copy(path: &Path, target: &Path) -> Result<(), HResult> {
+    let bytes = read_bytes(path)?;
+    create(target).and_then(|mut file| file.write_all(&bytes)).map_err(failed)
+}
+
+fn date(time: io::Result<SystemTime>) -> Result<Value, HResult> {
+    let since = time.map_err(failed)?.duration_since(UNIX_EPOCH).map_err(|_| HResult::DISP_E_OVERFLOW)?;
+    let millis = i64::try_from(since.as_millis()).map_err(|_| HResult::DISP_E_OVERFLOW)?;
+    OleDate::from_unix_millis(millis).map(Value::Date).ok_or(HResult::DISP_E_OVERFLOW)
+}
+
+/// Returns the code for what the file system refuses.
+#[expect(clippy::needless_pass_by_value, reason = "for map_err")]
+fn failed(error: io::Error) -> HResult {
+    match error.kind() {
+        io::ErrorKind::NotFound | io::ErrorKind::NotADirectory => HResult::E_CAO_OBJECT_NOTFOUND,
+        io::ErrorKind::AlreadyExists => HResult::E_CAO_COLLECTION_REGISTERED,
+        io::ErrorKind::PermissionDenied | io::ErrorKind::DirectoryNotEmpty => HResult::E_ACCESSDENIED,
+        io::ErrorKind::IsADirectory | io::ErrorKind::InvalidInput => HResult::E_INVALIDARG,
+        io::ErrorKind::StorageFull | io::ErrorKind::FileTooLarge => HResult::E_OUTOFMEMORY,
+        _ => HResult::E_FAIL,
+    }
+}

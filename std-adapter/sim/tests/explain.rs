@@ -1,0 +1,87 @@
+//! Why arguments are refused, as GetErrorDescription and an observer tell it.
+
+mod common;
+
+use std::sync::{Arc, Mutex};
+
+use bcap_core::bcap::call;
+use bcap_core::hresult::HResult;
+use bcap_sim::explain::Observer;
+use bcap_sim::{Config, Controller};
+
+use common::{Client, World, code, ok};
+
+fn description(world: &mut World, client: Client, code: HResult) -> String {
+    let (result, text) = world.execute(client, "GetErrorDescription", code.0);
+    assert_eq!(result, HResult::S_OK);
+    text.as_variant().as_bstr().unwrap().to_string()
+}
+
+#[test]
+fn a_refused_argument_is_named_with_what_is_accepted() {
+    let mut world = World::new();
+    let (client, other) = (world.mover(1), world.client(2));
+    let plain = description(&mut world, other, HResult::E_INVALIDARG);
+    assert!(plain.starts_with("E_INVALIDARG: ") && !plain.contains("Last refused"), "{plain}");
+
+    assert_eq!(world.robot(client, "takearm", [5, 0]), code(HResult::E_INVALIDARG));
+    let expected = "Robot_Execute \"takearm\": given [I4(5), I4(0)]; accepted nothing, the group, or [group, keep]: \
+                    group 0, keep 0 or 1";
+    // also over another session: drivers ask there
+    assert_eq!(description(&mut world, other, HResult::E_INVALIDARG), format!("{plain} Last refused: {expected}"));
+
+    assert_eq!(world.move_to(client, 1, "J1", "FAST"), HResult::E_INVALIDARG);
+    let text = description(&mut world, client, HResult::E_INVALIDARG);
+    assert!(
+        text.contains("Robot_Move: given I4(1); \"J1\"; \"FAST\"; accepted interpolation I4: 1 joints, 2 line"),
+        "{text}"
+    );
+    assert!(text.contains("option BSTR: NEXT, SPEED="), "{text}");
+
+    assert_eq!(world.robot(client, "slvChangeMode", 4), code(HResult::E_INVALIDARG));
+    let text = description(&mut world, client, HResult::E_INVALIDARG);
+    assert!(
+        text.ends_with("given I4(4); accepted one number: 0, 0x001 to 0x003, 0x101 to 0x103, 0x201 to 0x203"),
+        "{text}"
+    );
+
+    // each code has its own
+    assert_eq!(world.put(client, "P1", "x"), HResult::E_INVALIDARGTYPE);
+    let text = description(&mut world, client, HResult::E_INVALIDARGTYPE);
+    let end = "Variable_PutValue: given \"x\"; accepted an array of 7 numbers: X Y Z RX RY RZ Fig";
+    assert!(text.ends_with(end), "{text}");
+    assert!(description(&mut world, client, HResult::E_INVALIDARG).contains("slvChangeMode"));
+    // a refusal for another reason has none
+    assert_eq!(world.robot(other, "TakeArm", [0, 0]), code(HResult::E_ARM_NOT_TAKEN));
+    assert!(!description(&mut world, client, HResult::E_ARM_NOT_TAKEN).contains("Last refused"));
+}
+
+#[test]
+fn long_values_are_cut_and_control_characters_escaped() {
+    let mut world = World::new();
+    let client = world.client(1);
+    let long = format!("\u{1b}[31m\u{9b}{}", "x".repeat(10_000));
+    let pose = call::robot_move(client.robot, 1, long.as_str(), long.as_str());
+    assert_eq!(world.run(client.peer, pose).0, HResult::E_INVALIDARG);
+    let text = description(&mut world, client, HResult::E_INVALIDARG);
+    assert!(text.len() < 2000 && !text.contains(char::is_control), "{text}");
+    assert!(text.contains(r"\u{1b}[31m\u{9b}xxx"), "{text}");
+    assert_eq!(world.robot(client, "TakeArm", vec![1.0_f64; 5000].as_slice()), code(HResult::E_INVALIDARG));
+    let text = description(&mut world, client, HResult::E_INVALIDARG);
+    assert!(text.contains("given VT_R8 of 5000 elements;"), "{text}");
+}
+
+#[test]
+fn an_observer_is_told() {
+    let seen: Arc<Mutex<Vec<(HResult, String)>>> = Arc::default();
+    let tell = Arc::clone(&seen);
+    let observer = Observer::new(move |code, text| tell.lock().unwrap().push((code, text.to_owned())));
+    let mut world = World::new();
+    world.sim = Controller::new(Config { observer, ..Config::default() });
+    let client = world.client(1);
+    assert_eq!(world.execute(client, "ClearError", ()), ok(&()));
+    assert_eq!(world.execute(client, "SysInfo", 7), code(HResult::E_NOTIMPL));
+    assert_eq!(world.execute(client, "SysInfo", "a"), code(HResult::DISP_E_TYPEMISMATCH));
+    let text = "Controller_Execute \"SysInfo\": given \"a\"; accepted one number: 0, the serial number";
+    assert_eq!(*seen.lock().unwrap(), [(HResult::DISP_E_TYPEMISMATCH, text.to_owned())]);
+}
