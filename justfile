@@ -61,6 +61,10 @@ board:
 fuzz seconds="30":
     FUZZ_SECONDS={{seconds}} bash .ci/run fuzz
 
+# The corpora of the fuzz targets: `just corpora unpack` writes the archives' inputs to folders, `just corpora pack` the reverse.
+corpora action:
+    cargo run --quiet --locked --manifest-path fuzz/Cargo.toml --no-default-features --example corpora -- {{action}}
+
 # A hundred thousand calls over UDP, of whose datagrams one in ten is lost and one in ten doubled.
 lossy calls="100000":
     UDP_CALLS={{calls}} cargo test -p bcap-tests --test faults datagrams_are_lost -- --nocapture
