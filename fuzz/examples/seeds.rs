@@ -7,8 +7,8 @@
 use std::path::Path;
 use std::{fs, io};
 
-use bcap_tests::value::Value;
-use bcap_tests::vectors::{frames, texts};
+use bcap_testkit::value::Value;
+use bcap_testkit::vectors::{frames, texts};
 
 fn main() -> io::Result<()> {
     for (index, frame) in frames().iter().enumerate() {

@@ -14,8 +14,8 @@ use bcap_core::variant::Variant;
 use bcap_core::{rac, variant::VariantBuf};
 use bcap_sim::kinematics::RANGES;
 use bcap_sim::{Config, Controller, Mode, Permission, Profile, Scenario, Token};
-use bcap_tests::frame::TestFrame;
-use bcap_tests::value::{VARIANT, Value};
+use bcap_testkit::frame::TestFrame;
+use bcap_testkit::value::{VARIANT, Value};
 
 use crate::input::AnyValue;
 

@@ -7,9 +7,9 @@ use serde_json::Value as Json;
 
 use crate::value::{ARRAY, VARIANT, Value};
 
-const GUIDE: &str = include_str!("../vectors/bcap-rc8-guide.jsonl");
-const SPEC: &str = include_str!("../vectors/bcap-rc9-spec.jsonl");
-const RAC: &str = include_str!("../vectors/rac-spec.jsonl");
+const GUIDE: &str = include_str!("../../vectors/bcap-rc8-guide.jsonl");
+const SPEC: &str = include_str!("../../vectors/bcap-rc9-spec.jsonl");
+const RAC: &str = include_str!("../../vectors/rac-spec.jsonl");
 
 /// A frame as a specification prints it.
 #[derive(Clone, Debug)]
