@@ -33,6 +33,7 @@ mod slave;
 mod stream;
 mod text;
 mod variant;
+pub mod world;
 
 pub use self::client::client;
 pub use self::frame::frame;

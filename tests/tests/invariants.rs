@@ -1,20 +1,15 @@
-//! Whatever is called in whatever order: nothing panics, the same calls give the same answers, the arm stays in its
-//! ranges, moves only with its motor on, and a client that goes leaves nothing behind.
+//! The virtual controller under any calls in any order: nothing panics, the same calls give the same answers, and the
+//! invariants of [`World`] hold.
 
-use std::collections::BTreeMap;
 use std::time::Duration;
 
-use bcap_core::bcap::server::{Handler as _, Request};
-use bcap_core::bcap::{Decoder, FrameWriter, FunctionId, Kind, Object};
-use bcap_core::handler::{Outcome, PeerId, ReplyValue};
+use bcap_core::bcap::{FunctionId, Kind};
+use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
-use bcap_core::time::Instant;
-use bcap_core::variant::{Encode, Variant};
-use bcap_sim::kinematics::RANGES;
-use bcap_sim::{Config, Controller, Mode, Permission, Profile, Token};
+use bcap_core::variant::Encode;
+use bcap_fuzz::world::{CLIENTS, Trace, World};
+use bcap_sim::{Mode, Permission, Profile, Scenario, Token};
 use proptest::prelude::*;
-
-const CLIENTS: u32 = 3;
 
 /// An argument that fits any kind.
 #[derive(Clone, Debug)]
@@ -226,198 +221,54 @@ fn step() -> impl Strategy<Value = Step> {
     ]
 }
 
-/// Encodes a request.
-fn frame(function: FunctionId, arguments: &[&dyn Encode]) -> Option<Vec<u8>> {
-    let mut buffer = vec![0; 2048];
-    let mut frame = FrameWriter::new(&mut buffer).ok()?;
-    arguments.iter().try_for_each(|argument| frame.argument(*argument)).ok()?;
-    Some(frame.finish(1, 0, function.0).ok()?.to_vec())
+/// Makes a call with arguments that the server would let pass; `guess` stands for handles that this client has not.
+fn any_call(world: &mut World, step: &Step) {
+    let Step::Call { peer, function, handle: guess, ints, float, name, arg } = step else { return };
+    let function = FunctionId(*function);
+    let Some(signature) = function.signature() else { return };
+    let known = world.handle(*peer, signature.object);
+    let handle = if known == 0 || guess % 5 == 0 { guess } else { &known };
+    let mut ints = [&ints.0, &ints.1].into_iter().cycle();
+    let argument = |kind: &Kind| -> &dyn Encode {
+        match kind {
+            Kind::Handle(_) => handle,
+            Kind::Int => ints.next().unwrap_or(&0),
+            Kind::Float => float,
+            Kind::Text => name,
+            _ => arg,
+        }
+    };
+    let arguments: Vec<_> = signature.arguments.iter().map(argument).collect();
+    world.request(*peer, function, &arguments);
 }
 
-/// What a run has shown of itself.
-type Trace = Vec<(Outcome, Vec<u8>)>;
-
-struct Run {
-    sim: Controller,
-    now: Instant,
-    /// The request that each client waits for.
-    waiting: [Option<Vec<u8>>; CLIENTS as usize],
-    /// The last handle of each kind that each client has got.
-    handles: BTreeMap<(u32, &'static str), i32>,
-    trace: Trace,
-}
-
-impl Run {
-    fn new(profile: Profile) -> Self {
-        let mut run = Self {
-            sim: Controller::new(Config { max_objects: 10, motor_on_delay: Duration::ZERO, ..Config::new(profile) }),
-            now: Instant::ZERO,
-            waiting: [const { None }; CLIENTS as usize],
-            handles: BTreeMap::new(),
-            trace: Trace::new(),
-        };
-        for peer in 0..CLIENTS {
-            run.open(peer);
+impl Step {
+    fn apply(&self, world: &mut World) {
+        let now = world.now;
+        match self {
+            Self::Call { .. } => any_call(world, self),
+            Self::Move { peer, interpolation, pose, option } => world.move_arm(*peer, *interpolation, pose, option),
+            Self::Slave { peer, mode, pose } => world.slave(*peer, *mode, *pose),
+            Self::Again { peer } => world.resume(*peer),
+            Self::Pass(millis) => world.pass(Duration::from_millis(*millis)),
+            Self::EmergencyStop(pressed) => world.sim.emergency_stop(*pressed, now),
+            Self::Mode(mode) => world.sim.set_mode(*mode, now),
+            Self::Error(code) => world.sim.inject_error(HResult::from_u32(*code), now),
+            Self::Token(token) => world.sim.set_token(*token),
+            Self::Permission(permission) => world.sim.set_permission(*permission),
+            Self::Abandon(peer) => world.abandon(*peer),
+            Self::Leave(peer) => world.reconnect(*peer),
         }
-        run
-    }
-
-    /// Gives a client a session, a controller, a robot, a task and a variable.
-    fn open(&mut self, peer: u32) {
-        let provider = self.sim.config().profile.provider();
-        self.request(peer, FunctionId::SERVICE_START, &[&""]);
-        self.request(peer, FunctionId::CONTROLLER_CONNECT, &[&"", &provider, &"", &""]);
-        let controller = self.handle(peer, Object::Controller);
-        self.request(peer, FunctionId::CONTROLLER_GET_ROBOT, &[&controller, &"Arm", &""]);
-        self.request(peer, FunctionId::CONTROLLER_GET_TASK, &[&controller, &"Pro1", &""]);
-        self.request(peer, FunctionId::CONTROLLER_GET_VARIABLE, &[&controller, &"P1", &""]);
-        self.request(peer, FunctionId::CONTROLLER_GET_EXTENSION, &[&controller, &"Hand0", &""]);
-        self.request(peer, FunctionId::CONTROLLER_GET_COMMAND, &[&controller, &"Motor", &""]);
-    }
-
-    fn handle(&self, peer: u32, object: Object) -> i32 {
-        self.handles.get(&(peer, object.name())).copied().unwrap_or(0)
-    }
-
-    /// Makes a call, unless the client waits for another.
-    fn request(&mut self, peer: u32, function: FunctionId, arguments: &[&dyn Encode]) {
-        if let (None, Some(bytes)) = (&self.waiting[peer as usize], frame(function, arguments)) {
-            self.call(peer, &bytes, false);
-        }
-    }
-
-    /// Makes a call with arguments that the server would let pass; `guess` stands for handles that this client has not.
-    fn any_call(&mut self, step: &Step) {
-        let Step::Call { peer, function, handle: guess, ints, float, name, arg } = step else { return };
-        let function = FunctionId(*function);
-        let Some(signature) = function.signature() else { return };
-        let known = self.handle(*peer, signature.object);
-        let handle = if known == 0 || guess % 5 == 0 { guess } else { &known };
-        let mut ints = [&ints.0, &ints.1].into_iter().cycle();
-        let argument = |kind: &Kind| -> &dyn Encode {
-            match kind {
-                Kind::Handle(_) => handle,
-                Kind::Int => ints.next().unwrap_or(&0),
-                Kind::Float => float,
-                Kind::Text => name,
-                _ => arg,
-            }
-        };
-        let arguments: Vec<_> = signature.arguments.iter().map(argument).collect();
-        self.request(*peer, function, &arguments);
-    }
-
-    fn call(&mut self, peer: u32, bytes: &[u8], resumed: bool) {
-        let frame = Decoder::TCP.decode_datagram(bytes).unwrap();
-        let request = Request { function: frame.function(), args: frame.args, resumed };
-        let mut buffer = [0; 8192];
-        let mut reply = ReplyValue::new(&mut buffer);
-        let outcome = self.sim.call(PeerId(peer), &request, &mut reply, self.now);
-        let waits = match outcome {
-            Outcome::Wait(at) => {
-                assert!(at > self.now, "{:?} asks to come again at {at}, at {}", frame.function(), self.now);
-                true
-            }
-            Outcome::Done(code) => {
-                if let (HResult::S_OK, Some(object), Some(value)) = (code, frame.function().opens(), reply.get()) {
-                    let Variant::I4(handle @ 2..) = value else { panic!("{value:?} is no handle") };
-                    self.handles.insert((peer, object.name()), handle);
-                }
-                false
-            }
-        };
-        self.trace.push((outcome, reply.as_bytes().to_vec()));
-        self.waiting[peer as usize] = waits.then(|| bytes.to_vec());
-    }
-
-    fn apply(&mut self, step: &Step) {
-        match step {
-            Step::Call { .. } => self.any_call(step),
-            Step::Move { peer, interpolation, pose, option } => {
-                let robot = self.handle(*peer, Object::Robot);
-                self.take_arm(*peer, robot);
-                self.request(*peer, FunctionId::ROBOT_MOVE, &[&robot, interpolation, pose, option]);
-            }
-            Step::Slave { peer, mode, pose } => {
-                let robot = self.handle(*peer, Object::Robot);
-                self.take_arm(*peer, robot);
-                self.request(*peer, FunctionId::ROBOT_EXECUTE, &[&robot, &"slvChangeMode", mode]);
-                self.request(*peer, FunctionId::ROBOT_EXECUTE, &[&robot, &"slvMove", pose]);
-            }
-            Step::Again { peer } => {
-                if let Some(bytes) = self.waiting[*peer as usize].take() {
-                    self.call(*peer, &bytes, true);
-                }
-            }
-            Step::Pass(millis) => {
-                self.now = Instant::from_micros(self.now.as_micros() + millis * 1000);
-                self.sim.advance(self.now);
-            }
-            Step::EmergencyStop(pressed) => self.sim.emergency_stop(*pressed, self.now),
-            Step::Mode(mode) => self.sim.set_mode(*mode, self.now),
-            Step::Error(code) => self.sim.inject_error(HResult::from_u32(*code), self.now),
-            Step::Token(token) => self.sim.set_token(*token),
-            Step::Permission(permission) => self.sim.set_permission(*permission),
-            Step::Abandon(peer) => {
-                if self.waiting[*peer as usize].take().is_some() {
-                    self.sim.abandoned(PeerId(*peer), self.now);
-                }
-            }
-            Step::Leave(peer) => {
-                self.leave(*peer);
-                self.open(*peer);
-            }
-        }
-        self.check();
-    }
-
-    /// Takes the arm and switches its motor on, if that is possible.
-    fn take_arm(&mut self, peer: u32, robot: i32) {
-        let commands: [(&str, &dyn Encode); 4] =
-            [("ManualResetPreparation", &()), ("MotionPreparation", &()), ("TakeArm", &[0, 1]), ("Motor", &[1, 1])];
-        for (command, param) in commands {
-            self.request(peer, FunctionId::ROBOT_EXECUTE, &[&robot, &command, &param]);
-        }
-    }
-
-    fn leave(&mut self, peer: u32) {
-        if self.waiting[peer as usize].take().is_some() {
-            self.sim.abandoned(PeerId(peer), self.now);
-        }
-        self.sim.left(PeerId(peer), self.now);
-        assert_ne!(self.sim.arm_owner(), Some(PeerId(peer)));
-    }
-
-    fn check(&self) {
-        for (angle, (low, high)) in self.sim.joints().iter().zip(RANGES) {
-            assert!((low - 1e-3..=high + 1e-3).contains(angle), "{:?}", self.sim.joints());
-        }
-        assert!(self.sim.motor_is_on() || (!self.sim.is_moving() && self.sim.slave_mode() == 0));
-        assert!((0.0..=bcap_sim::hand::STROKE).contains(&self.sim.hand_position()), "{}", self.sim.hand_position());
-        assert!(self.sim.slave_mode() == 0 || (self.sim.arm_owner().is_some() && self.sim.errors().count() == 0));
-        assert!(!self.sim.emergency_stopped() || (!self.sim.motor_is_on() && self.sim.errors().count() > 0));
     }
 }
 
 fn run(steps: &[Step], profile: Profile) -> Trace {
-    let mut run = Run::new(profile);
-    steps.iter().for_each(|step| run.apply(step));
-    for peer in 0..CLIENTS {
-        run.leave(peer);
+    let mut world = World::new(profile, &Scenario::default());
+    for step in steps {
+        step.apply(&mut world);
+        world.check();
     }
-    run.now = run.now + Duration::from_secs(60);
-    run.sim.advance(run.now);
-    assert!(!run.sim.is_moving() && run.sim.slave_mode() == 0);
-    let limits = run.sim.slave_limits();
-    let cycles: Vec<_> = run.sim.slave_record().collect();
-    for pair in cycles.windows(2).filter(|pair| pair[1].cycle == pair[0].cycle + 1) {
-        for (axis, limit) in limits.speed.iter().enumerate() {
-            let way = pair[1].axes[axis] - pair[0].axes[axis];
-            assert!(way.abs() <= limit * 0.008 * 1.000_01, "{pair:?}");
-        }
-    }
-    assert_eq!((run.sim.open_objects(), run.sim.arm_owner()), (0, None));
-    run.trace
+    world.finish()
 }
 
 proptest! {
