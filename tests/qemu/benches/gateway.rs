@@ -9,13 +9,10 @@
 //! two programs of this machine more; the times are the emulator's and this machine's, not those of a board.
 #![allow(missing_docs, reason = "a benchmark has no users")]
 
-#[path = "../tests/common/mod.rs"]
-mod common;
-
 use std::thread;
 use std::time::{Duration, Instant};
 
-use common::{Board, Plc, Sim, bcap, run};
+use bcap_qemu::{Board, Plc, Sim, bcap, run};
 
 /// How long each of the rounds lasts, and how many there are.
 const ROUND: Duration = Duration::from_secs(2);

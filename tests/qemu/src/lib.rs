@@ -1,8 +1,9 @@
-//! A virtual controller, a board in QEMU, and PLCs, as processes and connections of this machine.
+//! The gateway board in QEMU, a virtual controller and PLCs, as processes and connections of this machine.
 //!
-//! Building an image takes a compiler for the board, and running it QEMU, so nothing of this is done unless it is asked for
-//! by `BCAP`, the path of the built command `bcap`; `embassy-adapter/firmware/test` does. `BOARD` names another board.
-#![allow(dead_code, reason = "every file uses its own part of this")]
+//! Building an image takes a compiler for the board, and running it takes QEMU. The tests of this package therefore run only
+//! if the variable `BCAP` has the path of the built command `bcap`; `embassy-adapter/firmware/test` sets it. `BOARD` names
+//! another board.
+#![cfg(unix)]
 
 use std::fs::{self, File};
 use std::io::{self, BufRead, BufReader, Read, Write};
@@ -17,16 +18,16 @@ use std::time::{Duration, Instant};
 
 use bcap_core::hresult::HResult;
 
-/// How long anything may take before it counts as hanging.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
+/// How long anything may take before a test fails.
+pub const TIMEOUT: Duration = Duration::from_secs(60);
 
-/// The answer that says why there is no value.
-pub(crate) fn error(code: HResult) -> String {
+/// The RAC line that reports an error.
+pub fn error(code: HResult) -> String {
     format!("{}\r", code.0)
 }
 
-/// Returns the command `bcap`; without one it says that something was left out.
-pub(crate) fn bcap() -> Option<PathBuf> {
+/// Returns the path of the command `bcap`; without one it prints that the test is skipped.
+pub fn bcap() -> Option<PathBuf> {
     static SAID: Once = Once::new();
     let bcap = std::env::var_os("BCAP").map(PathBuf::from);
     if bcap.is_none() {
@@ -37,15 +38,19 @@ pub(crate) fn bcap() -> Option<PathBuf> {
     bcap
 }
 
-/// What a run of `bcap` printed, and whether it succeeded.
+/// The result of a run of `bcap`.
 #[derive(Debug, PartialEq, Eq)]
-pub(crate) struct Run {
-    pub(crate) out: String,
-    pub(crate) err: String,
-    pub(crate) ok: bool,
+pub struct Run {
+    /// The standard output.
+    pub out: String,
+    /// The standard error.
+    pub err: String,
+    /// Whether the exit code was 0.
+    pub ok: bool,
 }
 
-pub(crate) fn run(bcap: &PathBuf, args: &[&str]) -> Run {
+/// Runs `bcap` to its end.
+pub fn run(bcap: &PathBuf, args: &[&str]) -> Run {
     let output = Command::new(bcap).args(args).env_remove("BCAP_ROBOT").stdin(Stdio::null()).output().unwrap();
     Run {
         out: String::from_utf8(output.stdout).unwrap(),
@@ -60,15 +65,17 @@ fn signal(signal: &str, process: &str) {
 }
 
 /// A virtual controller: `bcap sim`.
-pub(crate) struct Sim {
+pub struct Sim {
     child: Child,
-    pub(crate) bcap: String,
-    pub(crate) udp: String,
+    /// Its address for b-CAP over TCP.
+    pub bcap: String,
+    /// Its address for b-CAP over UDP.
+    pub udp: String,
 }
 
 impl Sim {
     /// Starts one at this address of b-CAP; port 0 takes a free one.
-    pub(crate) fn start(bcap: &PathBuf, address: &str) -> Self {
+    pub fn start(bcap: &PathBuf, address: &str) -> Self {
         let args = ["sim", "--bcap", address, "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"];
         let mut child = Command::new(bcap).args(args).stdout(Stdio::piped()).spawn().unwrap();
         let mut ready = String::new();
@@ -80,12 +87,13 @@ impl Sim {
         Self { bcap: address("bcap"), udp: address("udp"), child }
     }
 
-    pub(crate) fn signal(&self, name: &str) {
+    /// Sends it a signal.
+    pub fn signal(&self, name: &str) {
         signal(name, &self.child.id().to_string());
     }
 
     /// Ends it with a signal, and waits for its end.
-    pub(crate) fn end(mut self, name: &str) {
+    pub fn end(mut self, name: &str) {
         self.signal(name);
         self.child.wait().unwrap();
     }
@@ -98,26 +106,28 @@ impl Drop for Sim {
     }
 }
 
-/// A board in QEMU that runs the gateway; it is ended when the test is over.
-pub(crate) struct Board {
+/// A board in QEMU that runs the gateway until this value is dropped.
+pub struct Board {
     child: Child,
-    /// What it does not read, but would end by if it were closed.
+    /// The board reads nothing from it, but would end if it were closed.
     _input: ChildStdin,
     log: PathBuf,
-    pub(crate) rac: String,
-    pub(crate) echo: String,
+    /// The address of its RAC server.
+    pub rac: String,
+    /// The address of its echo.
+    pub echo: String,
     /// Whether the log is text: there is `defmt-print`.
-    pub(crate) log_is_text: bool,
+    pub log_is_text: bool,
 }
 
 impl Board {
-    /// Builds the image, if need be, and starts it with a robot and settings.
-    pub(crate) fn start(robot: &str, options: &[&str], settings: &[&str]) -> Self {
+    /// Builds the image if it is not built, and starts it with a robot and settings.
+    pub fn start(robot: &str, options: &[&str], settings: &[&str]) -> Self {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
-        let log = std::env::temp_dir().join(format!("bcap-board-{}-{number}.log", std::process::id()));
+        let log = std::env::temp_dir().join(format!("bcap-qemu-{}-{number}.log", std::process::id()));
         let (rac, echo) = (free_port(), free_port());
-        let mut command = Command::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../firmware/run"));
+        let mut command = Command::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../embassy-adapter/firmware/run"));
         command.args(["--robot", robot, "--rac", &rac.to_string(), "--echo", &echo.to_string(), "--time", "600"]);
         if let Ok(board) = std::env::var("BOARD") {
             command.args(["--board", &board]);
@@ -127,7 +137,7 @@ impl Board {
         }
         let out = File::create(&log).unwrap();
         let err = out.try_clone().unwrap();
-        // a group, as there is more than one process to be ended
+        // a process group, so that one signal ends QEMU and defmt-print too
         command.args(options).arg("gateway").process_group(0);
         let mut child = command.stdin(Stdio::piped()).stdout(out).stderr(err).spawn().unwrap();
         let input = child.stdin.take().unwrap();
@@ -137,40 +147,41 @@ impl Board {
     }
 
     /// Waits until the board answers, and then until its robot is there.
-    pub(crate) fn up(mut self) -> Self {
+    pub fn up(mut self) -> Self {
         let since = Instant::now();
         while !self.try_get().is_some_and(|answer| answer.starts_with("0,")) {
-            assert!(since.elapsed() < 5 * PATIENCE, "the board does not answer: {}", self.log());
+            assert!(since.elapsed() < 5 * TIMEOUT, "the board does not answer: {}", self.log());
             assert!(self.is_running(), "the board has ended: {}", self.log());
             sleep(Duration::from_millis(50));
         }
         self
     }
 
-    /// Asks once: a connection may be had before the board is up.
+    /// Asks once: QEMU accepts connections before the board is up.
     fn try_get(&self) -> Option<String> {
         let mut plc = Plc::try_connect(&self.rac, Duration::from_secs(2)).ok()?;
         plc.try_ask("GET:RC8:1:I:\r").ok()
     }
 
     /// Tells whether it runs; a reset would have ended it.
-    pub(crate) fn is_running(&mut self) -> bool {
+    pub fn is_running(&mut self) -> bool {
         self.child.try_wait().unwrap().is_none()
     }
 
-    pub(crate) fn log(&self) -> String {
+    /// Returns the log so far.
+    pub fn log(&self) -> String {
         String::from_utf8_lossy(&fs::read(&self.log).unwrap()).into_owned()
     }
 
     /// Waits for a line of the log with all of these words, and returns it; the log must be text.
-    pub(crate) fn log_line(&self, words: &[&str]) -> String {
+    pub fn log_line(&self, words: &[&str]) -> String {
         let since = Instant::now();
         loop {
             let log = self.log();
             if let Some(line) = log.lines().find(|line| words.iter().all(|word| line.contains(word))) {
                 return line.to_owned();
             }
-            assert!(since.elapsed() < PATIENCE, "no line with {words:?} in the log: {log}");
+            assert!(since.elapsed() < TIMEOUT, "no line with {words:?} in the log: {log}");
             sleep(Duration::from_millis(50));
         }
     }
@@ -187,47 +198,53 @@ impl Drop for Board {
     }
 }
 
-/// A port that nobody listens to just now.
+/// Returns a port that is free at the moment.
 fn free_port() -> u16 {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
 /// A PLC: a connection on which lines are sent and answers read.
-pub(crate) struct Plc {
+pub struct Plc {
     stream: BufReader<TcpStream>,
 }
 
 impl Plc {
-    pub(crate) fn connect(address: &str) -> Self {
-        Self::try_connect(address, PATIENCE).unwrap()
+    /// Connects.
+    pub fn connect(address: &str) -> Self {
+        Self::try_connect(address, TIMEOUT).unwrap()
     }
 
-    /// Connects until the board has a place: that of a connection before may not be free at once.
-    pub(crate) fn seated(address: &str) -> Self {
+    /// Connects until the board accepts the connection: the slot of an earlier one may not be free at once.
+    pub fn seated(address: &str) -> Self {
         let since = Instant::now();
         loop {
             let mut plc = Self::connect(address);
             if plc.try_ask("GET:RC8:1:I:\r").is_ok() {
                 return plc;
             }
-            assert!(since.elapsed() < PATIENCE, "{address} has no place");
+            assert!(since.elapsed() < TIMEOUT, "{address} has no free slot");
             sleep(Duration::from_millis(20));
         }
     }
 
-    fn try_connect(address: &str, patience: Duration) -> io::Result<Self> {
+    fn try_connect(address: &str, timeout: Duration) -> io::Result<Self> {
         let stream = TcpStream::connect(address)?;
-        stream.set_read_timeout(Some(patience))?;
+        stream.set_read_timeout(Some(timeout))?;
         stream.set_nodelay(true)?;
         Ok(Self { stream: BufReader::new(stream) })
     }
 
-    pub(crate) fn send(&mut self, bytes: &[u8]) {
+    /// Sends bytes.
+    pub fn send(&mut self, bytes: &[u8]) {
         self.stream.get_mut().write_all(bytes).unwrap();
     }
 
-    /// Reads an answer; that it is cut off, or does not come, is an error.
-    pub(crate) fn answer(&mut self) -> io::Result<String> {
+    /// Reads an answer.
+    ///
+    /// # Errors
+    ///
+    /// The answer is cut off, or does not arrive.
+    pub fn answer(&mut self) -> io::Result<String> {
         let mut answer = Vec::new();
         self.stream.read_until(b'\r', &mut answer)?;
         match answer.last() {
@@ -242,12 +259,12 @@ impl Plc {
     }
 
     /// Sends a line and returns its answer; both end with a CR.
-    pub(crate) fn ask(&mut self, line: &str) -> String {
+    pub fn ask(&mut self, line: &str) -> String {
         self.try_ask(line).unwrap_or_else(|error| panic!("{line:?}: {error}"))
     }
 
     /// Sends bytes and returns as many.
-    pub(crate) fn echo(&mut self, bytes: &[u8], back: &mut [u8]) {
+    pub fn echo(&mut self, bytes: &[u8], back: &mut [u8]) {
         self.send(bytes);
         self.stream.read_exact(back).unwrap();
     }

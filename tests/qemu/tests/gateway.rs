@@ -1,8 +1,6 @@
 //! The gateway board in QEMU between `bcap rac` and `bcap sim`: what a PLC meets.
 #![cfg(unix)]
 
-mod common;
-
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -10,7 +8,7 @@ use std::thread::{JoinHandle, sleep};
 use std::time::{Duration, Instant};
 
 use bcap_core::hresult::HResult;
-use common::{Board, PATIENCE, Plc, Sim, bcap, error, run};
+use bcap_qemu::{Board, Plc, Sim, TIMEOUT, bcap, error, run};
 
 const PROVIDER: &str = "provider=CaoProv.DENSO.VRC";
 
@@ -233,7 +231,7 @@ fn wait_for_more(seen: &[Arc<Seen>], count: impl Fn(&Seen) -> &AtomicU32, more: 
     let since = Instant::now();
     while !seen.iter().zip(&before).all(|(seen, before)| count(seen).load(Ordering::Relaxed) >= before + more) {
         assert!(board.is_running(), "the board was reset: {}", board.log());
-        assert!(since.elapsed() < 2 * PATIENCE, "the PLCs wait for {what}: {}", board.log());
+        assert!(since.elapsed() < 2 * TIMEOUT, "the PLCs wait for {what}: {}", board.log());
         sleep(Duration::from_millis(10));
     }
 }

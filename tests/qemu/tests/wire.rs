@@ -12,8 +12,6 @@
 //! `WIRE_SECONDS` and `WIRE_SEED` are the length, 15 s, and the seed of the faults, 1.
 #![cfg(unix)]
 
-mod common;
-
 use std::collections::VecDeque;
 use std::io::{self, Write};
 use std::net::UdpSocket;
@@ -26,7 +24,7 @@ use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant as CoreInstant;
 use bcap_embassy::bare::{self, TcpServer};
-use common::{Board, bcap};
+use bcap_qemu::{Board, bcap};
 use fastrand::Rng;
 use smoltcp::iface::{self, Interface, SocketHandle, SocketSet};
 use smoltcp::phy::{self, Device, DeviceCapabilities, Medium};
