@@ -1,7 +1,7 @@
 //! Reads the files of a crate: its modules, and what each of them names of the others.
 //!
 //! A file is read as tokens, so that comments and strings do not count and the bodies of macros do. Code for tests
-//! (`#[cfg(test)]`) is left out.
+//! (`#[cfg(test)]`, `#[cfg(all(test, ...))]`) is left out.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -149,7 +149,9 @@ fn punct(token: &TokenTree) -> Option<char> {
 }
 
 fn is_cfg_test(attribute: Option<&TokenTree>) -> bool {
-    matches!(attribute, Some(TokenTree::Group(group)) if group.stream().to_string().replace(' ', "") == "cfg(test)")
+    let Some(TokenTree::Group(attribute)) = attribute else { return false };
+    let text = attribute.stream().to_string().replace(' ', "");
+    text == "cfg(test)" || text.starts_with("cfg(all(test,")
 }
 
 /// Skips the rest of an attribute and the item after it.
