@@ -30,7 +30,7 @@ const WITH_CIRCLES: [&str; 3] = ["bcap-std", "bcap-sim", "bcap-cli"];
 /// Circles that the types themselves have: a value can be an array, and the elements of an array are values.
 const RECURSIVE_TYPES: [(&str, [&str; 2]); 1] = [("bcap-core", ["variant/array.rs", "variant/mod.rs"])];
 
-/// Packages without sources of their own to check; their dependencies count.
+/// Packages of which only the dependencies are checked.
 const PACKAGES: [(&str, &str); 4] =
     [("bcap-fuzz", "fuzz"), ("bcap-qemu", "tests/qemu"), ("bcap-testkit", "tests/testkit"), ("bcap-tests", "tests")];
 
@@ -57,7 +57,7 @@ fn designed() -> BTreeMap<String, Layers> {
     lines.map(|(name, layers)| (name.to_owned(), layers.split('>').map(layer).collect())).collect()
 }
 
-/// Returns what is wrong with arrows, by the layers that they must keep.
+/// Returns the arrows that break the layers, and the nodes that are missing in one of the two.
 fn violations(arrows: &Arrows, layers: &Layers) -> Vec<String> {
     let places: BTreeMap<_, _> =
         layers.iter().enumerate().flat_map(|(place, names)| names.iter().map(move |name| (name, place))).collect();
@@ -80,7 +80,7 @@ fn proposal(name: &str, arrows: &Arrows) -> String {
     format!("{name}: {}", layers.join("\n    > "))
 }
 
-/// Holds arrows against the layers that the design has under a name, and says what is wrong.
+/// Checks arrows against the layers that the design lists under a name; returns what is wrong.
 fn check(name: &str, arrows: &Arrows) -> Option<String> {
     let circles = graph::circles(arrows);
     if !circles.is_empty() {

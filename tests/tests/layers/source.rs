@@ -29,7 +29,7 @@ pub(crate) struct Import {
     pub(crate) is_reexport: bool,
 }
 
-/// What the files of a crate say.
+/// The modules of a crate and the names in them.
 #[derive(Debug, Default)]
 pub(crate) struct Source {
     /// The file of each module, inline ones included, relative to `src`.
@@ -37,7 +37,7 @@ pub(crate) struct Source {
     pub(crate) mentions: Vec<Mention>,
     /// By module and local name.
     imports: BTreeMap<(Names, String), Import>,
-    /// All identifiers of a module outside of `use`, which tell whether it uses what it re-exports.
+    /// All identifiers of each module outside of `use`: they show whether a module uses what it re-exports.
     pub(crate) identifiers: Vec<(Names, String)>,
 }
 
@@ -80,8 +80,7 @@ impl Source {
                     "use" if after != '.' => self.use_item(&mut tokens, scope, is_public),
                     "mod" => self.mod_item(&mut tokens, scope, load),
                     "pub" => {
-                        // a restriction is no mention of the module it names
-                        tokens.next_if(|next| matches!(next, TokenTree::Group(_)));
+                        tokens.next_if(is_restriction);
                         is_public = true;
                         continue;
                     }
@@ -154,6 +153,13 @@ fn is_cfg_test(attribute: Option<&TokenTree>) -> bool {
     text == "cfg(test)" || text.starts_with("cfg(all(test,")
 }
 
+/// Whether this is the `(crate)` of `pub(crate)`, which does not count as a mention of the module.
+fn is_restriction(token: &TokenTree) -> bool {
+    let TokenTree::Group(group) = token else { return false };
+    let first = group.stream().into_iter().next().map(|token| token.to_string());
+    first.is_some_and(|first| ["crate", "super", "self", "in"].contains(&first.as_str()))
+}
+
 /// Skips the rest of an attribute and the item after it.
 fn skip_item(tokens: &mut Tokens) {
     let mut is_use = false;
@@ -184,7 +190,6 @@ fn rest_of_path(first: &str, tokens: &mut Tokens) -> Names {
 
 /// Returns the paths of a `use`, each with its local name. A glob is the path of something in the module.
 fn use_tree(prefix: &Names, tree: TokenStream) -> Vec<(Names, String)> {
-    let mut found = Vec::new();
     let (mut path, mut alias) = (prefix.clone(), None);
     let mut tokens = tree.into_iter();
     while let Some(token) = tokens.next() {
@@ -198,9 +203,7 @@ fn use_tree(prefix: &Names, tree: TokenStream) -> Vec<(Names, String)> {
             _ => {}
         }
     }
-    let alias = alias.or_else(|| path.last().cloned());
-    found.extend(alias.map(|alias| (path, alias)));
-    found
+    alias.or_else(|| path.last().cloned()).map(|alias| (path, alias)).into_iter().collect()
 }
 
 /// Returns the paths of `{a, b::c}`.
