@@ -63,11 +63,15 @@ slave cycles="10000":
 # Requests through the gateway board in QEMU beside a bare echo on it; `bash .ci/run firmware` installs what that takes.
 board:
     cargo build --release -p bcap-cli
-    BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo bench -p bcap-board --bench gateway
+    BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo bench -p bcap-qemu --bench gateway
 
 # Each fuzz target for half a minute, or for `just fuzz 1200` seconds.
 fuzz seconds="30":
     FUZZ_SECONDS={{seconds}} bash .ci/run fuzz
+
+# The corpora of the fuzz targets: `just corpora unpack` writes the archives' inputs to folders, `just corpora pack` the reverse.
+corpora action:
+    cargo run --quiet --locked --manifest-path fuzz/Cargo.toml --no-default-features --example corpora -- {{action}}
 
 # A hundred thousand calls over UDP, of whose datagrams one in ten is lost and one in ten doubled.
 lossy calls="100000":
@@ -117,4 +121,4 @@ dependencies:
 # The gateway board in QEMU for a minute behind a wire that drops, repeats and delays frames; a seed decides which.
 wire seed="1":
     cargo build --quiet --locked --release -p bcap-cli
-    WIRE_SECONDS=60 WIRE_SEED={{seed}} BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo test -p bcap-board --test wire
+    WIRE_SECONDS=60 WIRE_SEED={{seed}} BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo test -p bcap-qemu --test wire

@@ -5,7 +5,7 @@
 
 use std::time::Instant;
 
-use bcap_tests::network::Random;
+use bcap_testkit::network::Random;
 
 fn main() -> Result<(), String> {
     let mut args = std::env::args().skip(1);

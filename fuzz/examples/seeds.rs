@@ -1,4 +1,5 @@
-//! Puts the frames and lines of the specifications into the corpora: `cargo run --no-default-features --example seeds`.
+//! Writes the frames and lines of the specifications to the unpacked corpora:
+//! `cargo run --no-default-features --example seeds`, between `just corpora unpack` and `just corpora pack`.
 //!
 //! The state machines are fed with what `arbitrary` makes of bytes: a variant is a `u32` of which the highest bits count,
 //! and each byte of a vector follows one that says that the vector goes on. See the `Op` of each target.
@@ -6,8 +7,8 @@
 use std::path::Path;
 use std::{fs, io};
 
-use bcap_tests::value::Value;
-use bcap_tests::vectors::{frames, texts};
+use bcap_testkit::value::Value;
+use bcap_testkit::vectors::{frames, texts};
 
 fn main() -> io::Result<()> {
     for (index, frame) in frames().iter().enumerate() {

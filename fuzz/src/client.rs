@@ -11,8 +11,8 @@ use bcap_core::hresult::HResult;
 use bcap_core::limits::{Limits, Strictness};
 use bcap_core::storage::Storage;
 use bcap_core::time::Instant;
-use bcap_tests::frame::TestFrame;
-use bcap_tests::oracle::{Oracle, Verdict};
+use bcap_testkit::frame::TestFrame;
+use bcap_testkit::oracle::{Oracle, Verdict};
 
 use crate::input::AnyValue;
 
@@ -169,7 +169,7 @@ impl<R: Storage> Run<R> {
         assert!(self.client.reply().is_none_or(|frame| frame.hresult() != HResult::S_EXECUTING));
     }
 
-    fn start(&mut self, value: &bcap_tests::value::Value) {
+    fn start(&mut self, value: &bcap_testkit::value::Value) {
         let could = !self.client.is_closed() && !self.client.is_busy() && self.client.transmit().is_empty();
         let call = call::controller_execute(ControllerHandle(7), "x", value);
         match self.client.start(&call, self.now) {
@@ -339,11 +339,11 @@ impl<R: Storage> Run<R> {
         if self.client.is_closed() {
             return;
         }
-        self.start(&bcap_tests::value::Value::I4(1));
+        self.start(&bcap_testkit::value::Value::I4(1));
         assert!(self.client.is_busy());
         self.take(usize::MAX);
         if self.model.clean || self.client.config().link == Link::Datagram {
-            self.reply(0, false, 5, vec![AnyValue(bcap_tests::value::Value::Ui1(9))], 1);
+            self.reply(0, false, 5, vec![AnyValue(bcap_testkit::value::Value::Ui1(9))], 1);
             assert!(!self.client.is_busy());
         }
     }

@@ -2,8 +2,8 @@
 
 use bcap_core::bcap::{Decoder, Progress};
 use bcap_core::limits::{Limits, Strictness};
-use bcap_tests::frame::{TestFrame, bitwise_crc};
-use bcap_tests::oracle::{Oracle, Verdict};
+use bcap_testkit::frame::{TestFrame, bitwise_crc};
+use bcap_testkit::oracle::{Oracle, Verdict};
 
 use crate::input::BOTH;
 

@@ -11,9 +11,9 @@ use bcap_core::hresult::HResult;
 use bcap_core::limits::{Limits, Strictness};
 use bcap_core::rac::{MAX_LINE, MAX_VALUE, Response, VariableKind};
 use bcap_core::time::Instant;
-use bcap_tests::frame::TestFrame;
-use bcap_tests::oracle::{Oracle, Verdict};
-use bcap_tests::value::Value;
+use bcap_testkit::frame::TestFrame;
+use bcap_testkit::oracle::{Oracle, Verdict};
+use bcap_testkit::value::Value;
 
 use crate::input::AnyValue;
 

@@ -1,7 +1,7 @@
 //! Structured input: values made from bytes.
 
 use arbitrary::{Arbitrary, Result, Unstructured};
-use bcap_tests::value::{VARIANT, Value};
+use bcap_testkit::value::{VARIANT, Value};
 
 /// Both strictnesses.
 pub(crate) const BOTH: [bcap_core::limits::Strictness; 2] =

@@ -16,10 +16,11 @@
 //! | [`sim`]               | calls and events of the virtual controller   | its invariants, and the same run twice                 |
 //! | [`slave`]             | replies, failures, poses, time in any order  | no motion after an error, no pose over a limit, an end |
 //!
-//! They run under libFuzzer (`cargo fuzz run frame`), and as ordinary functions: the corpora are replayed by
-//! `cargo test`.
+//! They run under libFuzzer (`cargo fuzz run frame`), and as ordinary functions: `cargo test` replays the corpora
+//! ([`corpus`]).
 
 mod client;
+pub mod corpus;
 mod frame;
 mod gateway;
 mod input;
@@ -32,6 +33,7 @@ mod slave;
 mod stream;
 mod text;
 mod variant;
+pub mod world;
 
 pub use self::client::client;
 pub use self::frame::frame;

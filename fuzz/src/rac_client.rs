@@ -10,7 +10,7 @@ use bcap_core::rac::{MAX_LINE, MAX_VALUE, Request, Response, Variable, VariableK
 use bcap_core::storage::Storage;
 use bcap_core::time::Instant;
 use bcap_core::variant::{Variant, VariantBuf};
-use bcap_tests::value::Value;
+use bcap_testkit::value::Value;
 
 use crate::input::AnyValue;
 use crate::rac_line::split;

@@ -8,7 +8,7 @@ use bcap_core::rac::server::{Config, Handler, Session};
 use bcap_core::rac::{Framed, LineFramer, MAX_LINE, MAX_VALUE, Request, Response, Variable};
 use bcap_core::time::Instant;
 use bcap_core::variant::{VariantBuf, Writer};
-use bcap_tests::value::Value;
+use bcap_testkit::value::Value;
 
 use crate::input::chunks;
 use crate::text::check_error;
@@ -153,11 +153,11 @@ fn response(line: &[u8]) {
         assert_eq!(Response::parse(&written[..written.len() - 1], &mut memory), Ok(response));
     }
     let text = line.iter().position(|b| *b == b',').map(|at| &line[at + 1..]);
-    assert_eq!(response.value.map(Value::read), text.map(|text| bcap_tests::text::parse(text).expect("it was read")));
+    assert_eq!(response.value.map(Value::read), text.map(|text| bcap_testkit::text::parse(text).expect("it was read")));
 }
 
 /// Returns the value behind the last colon of a request, by the oracle.
 fn line_value(line: &[u8], fields: usize) -> Option<Value> {
     let text = line.splitn(fields, |b| *b == b':').nth(fields - 1)?;
-    bcap_tests::text::parse(text)
+    bcap_testkit::text::parse(text)
 }

@@ -6,9 +6,9 @@ use arbitrary::Unstructured;
 use bcap_core::bcap::{Decoder, FrameWriter, Progress};
 use bcap_core::limits::{Limits, MAX_DEPTH, Strictness};
 use bcap_core::variant::{Encode as _, Variant, Writer};
-use bcap_tests::frame::TestFrame;
-use bcap_tests::text;
-use bcap_tests::value::Value;
+use bcap_testkit::frame::TestFrame;
+use bcap_testkit::text;
+use bcap_testkit::value::Value;
 
 use crate::input::{AnyValue, BOTH};
 use crate::text::Owned;

@@ -1,25 +1,18 @@
 //! The virtual controller: any calls of any clients, with anything happening around it.
 
-use std::collections::BTreeMap;
 use std::time::Duration;
 
 use arbitrary::{Arbitrary, Unstructured};
-use bcap_core::bcap::server::{Handler as _, Request};
-use bcap_core::bcap::{Decoder, FunctionId, Kind, Object, Progress};
-use bcap_core::handler::{Outcome, PeerId, ReplyValue};
+use bcap_core::bcap::{FunctionId, Kind, Object};
+use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
-use bcap_core::limits::{Limits, MAX_DEPTH, Strictness};
-use bcap_core::time::Instant;
-use bcap_core::variant::Variant;
-use bcap_core::{rac, variant::VariantBuf};
-use bcap_sim::kinematics::RANGES;
-use bcap_sim::{Config, Controller, Mode, Permission, Profile, Scenario, Token};
-use bcap_tests::frame::TestFrame;
-use bcap_tests::value::{VARIANT, Value};
+use bcap_core::rac;
+use bcap_core::variant::{Encode, VariantBuf};
+use bcap_sim::{Mode, Permission, Profile, Scenario, Token};
+use bcap_testkit::value::{VARIANT, Value};
 
 use crate::input::AnyValue;
-
-const CLIENTS: u8 = 3;
+use crate::world::{CLIENTS, Trace, World};
 
 /// One thing that happens.
 #[derive(Arbitrary, Clone, Debug)]
@@ -268,19 +261,6 @@ impl Arg {
     }
 }
 
-/// What a run has shown of itself.
-type Trace = Vec<(Outcome, Vec<u8>)>;
-
-struct Run {
-    sim: Controller,
-    now: Instant,
-    /// The request that each client waits for.
-    waiting: BTreeMap<u8, Vec<u8>>,
-    /// The last handle of each kind that each client has got.
-    handles: BTreeMap<(u8, &'static str), i32>,
-    trace: Trace,
-}
-
 /// Runs a controller through what the bytes say, twice.
 ///
 /// # Panics
@@ -304,248 +284,108 @@ pub fn sim(data: &[u8]) {
 }
 
 fn run(steps: &[Step], profile: Profile, scenario: &Scenario) -> Trace {
-    let mut run = Run {
-        sim: Controller::new(Config { max_objects: 10, motor_on_delay: Duration::ZERO, ..Config::new(profile) }),
-        now: Instant::ZERO,
-        waiting: BTreeMap::new(),
-        handles: BTreeMap::new(),
-        trace: Trace::new(),
-    };
-    run.sim.play(scenario.clone());
-    (0..CLIENTS).for_each(|peer| run.open(peer));
+    let mut world = World::new(profile, scenario);
     for step in steps {
-        run.apply(step);
-        run.check();
+        step.apply(&mut world);
+        world.check();
     }
-    (0..CLIENTS).for_each(|peer| run.leave(peer));
-    run.now = run.now + Duration::from_secs(5);
-    run.sim.advance(run.now);
-    assert!(!run.sim.is_moving() && run.sim.slave_mode() == 0);
-    let limits = run.sim.slave_limits();
-    let cycles: Vec<_> = run.sim.slave_record().collect();
-    for pair in cycles.windows(2).filter(|pair| pair[1].cycle == pair[0].cycle + 1) {
-        for (axis, limit) in limits.speed.iter().enumerate() {
-            let way = pair[1].axes[axis] - pair[0].axes[axis];
-            assert!(way.abs() <= limit * 0.008 * 1.000_01, "axis {axis} is too fast: {pair:?}");
-        }
-    }
-    assert_eq!((run.sim.open_objects(), run.sim.arm_owner()), (0, None));
-    run.trace
+    world.finish()
 }
 
-impl Run {
-    /// Gives a client a session, a controller, a robot, a task and a variable.
-    fn open(&mut self, peer: u8) {
-        let provider = Value::text(self.sim.config().profile.provider());
-        let text = Value::text;
-        self.request(peer, FunctionId::SERVICE_START, vec![text("")]);
-        self.request(peer, FunctionId::CONTROLLER_CONNECT, vec![text(""), provider, text(""), text("")]);
-        let controller = Value::I4(self.handle(peer, Object::Controller));
-        for (function, name) in [
-            (FunctionId::CONTROLLER_GET_ROBOT, "Arm"),
-            (FunctionId::CONTROLLER_GET_TASK, "Pro1"),
-            (FunctionId::CONTROLLER_GET_VARIABLE, "P1"),
-            (FunctionId::CONTROLLER_GET_EXTENSION, "Hand0"),
-            (FunctionId::CONTROLLER_GET_COMMAND, "Motor"),
-        ] {
-            self.request(peer, function, vec![controller.clone(), text(name), text("")]);
-        }
-    }
+/// The client that a byte stands for.
+fn client(byte: u8) -> u32 {
+    u32::from(byte) % CLIENTS
+}
 
-    fn handle(&self, peer: u8, object: Object) -> i32 {
-        self.handles.get(&(peer, object.name())).copied().unwrap_or(0)
-    }
-
-    /// Makes a call, unless the client waits for another or the server would not let it pass.
-    fn request(&mut self, peer: u8, function: FunctionId, args: Vec<Value>) {
-        if self.waiting.contains_key(&peer) {
-            return;
-        }
-        let wire = TestFrame { serial: 1, reserved: 0, code: function.0, args }.to_wire(false);
-        self.call(peer, &wire, false);
-    }
-
-    fn call(&mut self, peer: u8, wire: &[u8], resumed: bool) {
-        let decoder = Decoder { limits: Limits { depth: MAX_DEPTH, ..Limits::STREAM }, ..Decoder::TCP };
-        let Ok(Progress::Complete(frame, _)) = decoder.decode(wire) else { panic!("{:?}", decoder.decode(wire)) };
-        let function = frame.function();
-        let kinds = function.signature().map_or(&[][..], |signature| signature.arguments);
-        if kinds.len() != frame.args.len() || !frame.args.iter().zip(kinds).all(|(value, kind)| kind.accepts(&value)) {
-            return;
-        }
-        let request = Request { function, args: frame.args, resumed };
-        let mut buffer = vec![0; 8192];
-        let mut reply = ReplyValue::new(&mut buffer);
-        let outcome = self.sim.call(PeerId(u32::from(peer)), &request, &mut reply, self.now);
-        if let Some(value) = reply.get() {
-            let bytes = reply.as_bytes();
-            assert_eq!(Variant::decode(bytes, &decoder.limits, Strictness::Strict), Ok(value));
-        }
-        match outcome {
-            Outcome::Wait(at) => {
-                assert!(at > self.now, "{function:?} asks to come again at {at}, at {}", self.now);
-                self.waiting.insert(peer, wire.to_vec());
-            }
-            Outcome::Done(code) => {
-                if let (HResult::S_OK, Some(object), Some(value)) = (code, function.opens(), reply.get()) {
-                    let Variant::I4(handle @ 2..) = value else { panic!("{value:?} is no handle") };
-                    self.handles.insert((peer, object.name()), handle);
-                }
-            }
-        }
-        self.trace.push((outcome, reply.as_bytes().to_vec()));
-    }
-
-    fn apply(&mut self, step: &Step) {
-        match step {
-            Step::Call { peer, function, guess, args } => self.any_call(peer % CLIENTS, *function, *guess, args),
-            Step::Execute { peer, robot, command, arg } => {
-                let (peer, command) = (peer % CLIENTS, Value::text(word(*command)));
+impl Step {
+    fn apply(&self, world: &mut World) {
+        match self {
+            Self::Call { peer, function, guess, args } => any_call(world, client(*peer), *function, *guess, args),
+            Self::Execute { peer, robot, command, arg } => {
                 let (function, object) = match robot {
                     true => (FunctionId::ROBOT_EXECUTE, Object::Robot),
                     false => (FunctionId::CONTROLLER_EXECUTE, Object::Controller),
                 };
-                self.request(peer, function, vec![Value::I4(self.handle(peer, object)), command, arg.value()]);
+                let handle = world.handle(client(*peer), object);
+                world.request(client(*peer), function, &[&handle, &word(*command), &arg.value()]);
             }
-            Step::Variable { peer, name } => {
-                let controller = Value::I4(self.handle(peer % CLIENTS, Object::Controller));
-                let args = vec![controller, Value::text(word(*name)), Value::text("")];
-                self.request(peer % CLIENTS, FunctionId::CONTROLLER_GET_VARIABLE, args);
+            Self::Variable { peer, name } => {
+                let controller = world.handle(client(*peer), Object::Controller);
+                let function = FunctionId::CONTROLLER_GET_VARIABLE;
+                world.request(client(*peer), function, &[&controller, &word(*name), &""]);
             }
-            Step::Move { peer, interpolation, pose, option } => {
-                let peer = peer % CLIENTS;
-                let robot = Value::I4(self.handle(peer, Object::Robot));
-                self.take_arm(peer, &robot);
-                let how = Value::I4(i32::from(interpolation % 4));
-                self.request(peer, FunctionId::ROBOT_MOVE, vec![robot, how, pose.value(), Value::text(word(*option))]);
+            Self::Move { peer, interpolation, pose, option } => {
+                world.move_arm(client(*peer), i32::from(interpolation % 4), &pose.value(), word(*option));
             }
-            Step::Slave { peer, mode, pose } => {
-                let peer = peer % CLIENTS;
-                let robot = Value::I4(self.handle(peer, Object::Robot));
-                self.take_arm(peer, &robot);
+            Self::Slave { peer, mode, pose } => {
                 let mode = [0x001, 0x002, 0x101, 0x102, 0x202, 0][usize::from(mode % 6)];
                 // near to where the arm stands at first
-                let home = [0.0, 45.0, 90.0, 0.0, 45.0, 0.0, 0.0, 0.0];
-                let turns = pose.iter().map(|n| f64::from(*n) / 512.0).chain(std::iter::repeat(0.0));
-                let pose = home.iter().zip(turns).map(|(at, turn)| Value::R8((at + turn).to_bits())).collect();
-                for (command, arg) in [("slvChangeMode", Value::I4(mode)), ("slvMove", Value::Array(5, pose))] {
-                    self.request(peer, FunctionId::ROBOT_EXECUTE, vec![robot.clone(), Value::text(command), arg]);
-                }
+                let mut at = [0.0, 45.0, 90.0, 0.0, 45.0, 0.0, 0.0, 0.0];
+                at.iter_mut().zip(pose).for_each(|(angle, turn)| *angle += f64::from(*turn) / 512.0);
+                world.slave(client(*peer), mode, at);
             }
-            Step::Again(peer) => {
-                if let Some(wire) = self.waiting.remove(&(peer % CLIENTS)) {
-                    self.call(peer % CLIENTS, &wire, true);
-                }
-            }
-            Step::Rac { kind, index, value } => self.rac(*kind, *index, value.as_ref()),
-            Step::Pass(millis) => {
-                self.now = self.now + Duration::from_millis(u64::from(*millis) / 8);
-                self.sim.advance(self.now);
-            }
-            other => self.disturb(other),
-        }
-    }
-
-    /// Takes the arm and switches its motor on, if that is possible.
-    fn take_arm(&mut self, peer: u8, robot: &Value) {
-        for command in ["ManualResetPreparation", "MotionPreparation"] {
-            if self.sim.config().profile == Profile::Cobotta {
-                self.request(peer, FunctionId::ROBOT_EXECUTE, vec![robot.clone(), Value::text(command), Value::Empty]);
-            }
-        }
-        let pair = |a, b| Value::Array(3, vec![Value::I4(a), Value::I4(b)]);
-        for (command, arg) in [("TakeArm", pair(0, 1)), ("Motor", pair(1, 1))] {
-            self.request(peer, FunctionId::ROBOT_EXECUTE, vec![robot.clone(), Value::text(command), arg]);
+            Self::Again(peer) => world.resume(client(*peer)),
+            Self::Rac { kind, index, value } => any_rac(world, *kind, *index, value.as_ref()),
+            Self::Pass(millis) => world.pass(Duration::from_millis(u64::from(*millis) / 8)),
+            Self::Abandon(peer) => world.abandon(client(*peer)),
+            Self::Leave(peer) => world.reconnect(client(*peer)),
+            other => other.disturb(world),
         }
     }
 
     /// What is done to the controller from outside.
-    fn disturb(&mut self, step: &Step) {
-        match step {
-            Step::EmergencyStop(pressed) => self.sim.emergency_stop(*pressed, self.now),
-            Step::Mode(mode) => {
+    fn disturb(&self, world: &mut World) {
+        let (sim, now) = (&mut world.sim, world.now);
+        match self {
+            Self::EmergencyStop(pressed) => sim.emergency_stop(*pressed, now),
+            Self::Mode(mode) => {
                 let modes = [Mode::Auto, Mode::Auto, Mode::Manual, Mode::TeachCheck];
-                self.sim.set_mode(modes[usize::from(mode % 4)], self.now);
+                sim.set_mode(modes[usize::from(mode % 4)], now);
             }
-            Step::Error(code) => self.sim.inject_error(HResult(*code | i32::MIN), self.now),
-            Step::Token(token) => {
+            Self::Error(code) => sim.inject_error(HResult(*code | i32::MIN), now),
+            Self::Token(token) => {
                 let tokens = [Token::Any, Token::Any, Token::TeachPendant, Token::Client(PeerId(1))];
-                self.sim.set_token(tokens[usize::from(token % 4)]);
+                sim.set_token(tokens[usize::from(token % 4)]);
             }
-            Step::Permission(write) => {
-                self.sim.set_permission(if *write { Permission::ReadWrite } else { Permission::ReadOnly });
-            }
-            Step::Abandon(peer) => {
-                let peer = peer % CLIENTS;
-                let Some(_) = self.waiting.remove(&peer) else { return };
-                self.sim.abandoned(PeerId(u32::from(peer)), self.now);
-            }
-            Step::Leave(peer) => {
-                self.leave(peer % CLIENTS);
-                self.open(peer % CLIENTS);
+            Self::Permission(write) => {
+                sim.set_permission(if *write { Permission::ReadWrite } else { Permission::ReadOnly });
             }
             _ => {}
         }
     }
+}
 
-    /// Makes a call with arguments of the kinds that the table wants.
-    fn any_call(&mut self, peer: u8, function: u8, guess: u8, args: &[Arg; 3]) {
-        let function = FunctionId(i32::from(function % 140));
-        let Some(signature) = function.signature() else { return };
-        let known = self.handle(peer, signature.object);
-        let mut args = args.iter().cycle();
-        let mut argument = |kind: &Kind| {
-            let arg = args.next().map_or(Value::Empty, Arg::value);
-            match (kind, arg) {
-                (Kind::Handle(_), _) if guess < 200 => Value::I4(known),
-                (Kind::Handle(_), _) => Value::I4(i32::from(guess - 200)),
-                (Kind::Int, Value::I4(n)) => Value::I4(n),
-                (Kind::Int, _) => Value::I4(i32::from(guess % 8) - 1),
-                (Kind::Float, Value::R4(bits)) => Value::R4(bits),
-                (Kind::Float, _) => Value::R4(f32::from(guess).to_bits()),
-                (Kind::Text, Value::Bstr(units)) => Value::Bstr(units),
-                (Kind::Text, _) => Value::text(word(guess)),
-                (_, arg) => arg,
-            }
-        };
-        let args = signature.arguments.iter().map(&mut argument).collect();
-        self.request(peer, function, args);
-    }
-
-    /// Reads or writes a variable by RAC.
-    fn rac(&mut self, kind: u8, index: u8, value: Option<&Arg>) {
-        let kinds = rac::VariableKind::ALL;
-        let variable = rac::Variable::new(kinds[usize::from(kind) % kinds.len()], u32::from(index));
-        let value = value.and_then(|arg| VariantBuf::<2048>::new(&arg.value()).ok());
-        let request = match &value {
-            Some(value) => rac::Request::Put(variable, value.as_variant()),
-            None => rac::Request::Get(variable),
-        };
-        let mut buffer = vec![0; 8192];
-        let mut reply = ReplyValue::new(&mut buffer);
-        let outcome = rac::server::Handler::call(&mut self.sim, PeerId(9), &request, &mut reply, self.now);
-        self.trace.push((outcome, reply.as_bytes().to_vec()));
-    }
-
-    fn leave(&mut self, peer: u8) {
-        let id = PeerId(u32::from(peer));
-        if self.waiting.remove(&peer).is_some() {
-            self.sim.abandoned(id, self.now);
+/// Makes a call with arguments of the kinds that the table wants.
+fn any_call(world: &mut World, peer: u32, function: u8, guess: u8, args: &[Arg; 3]) {
+    let function = FunctionId(i32::from(function % 140));
+    let Some(signature) = function.signature() else { return };
+    let known = world.handle(peer, signature.object);
+    let mut args = args.iter().cycle();
+    let mut argument = |kind: &Kind| {
+        let arg = args.next().map_or(Value::Empty, Arg::value);
+        match (kind, arg) {
+            (Kind::Handle(_), _) if guess < 200 => Value::I4(known),
+            (Kind::Handle(_), _) => Value::I4(i32::from(guess - 200)),
+            (Kind::Int, Value::I4(n)) => Value::I4(n),
+            (Kind::Int, _) => Value::I4(i32::from(guess % 8) - 1),
+            (Kind::Float, Value::R4(bits)) => Value::R4(bits),
+            (Kind::Float, _) => Value::R4(f32::from(guess).to_bits()),
+            (Kind::Text, Value::Bstr(units)) => Value::Bstr(units),
+            (Kind::Text, _) => Value::text(word(guess)),
+            (_, arg) => arg,
         }
-        self.sim.left(id, self.now);
-        self.handles.retain(|(owner, _), _| *owner != peer);
-        assert_ne!(self.sim.arm_owner(), Some(id));
-    }
+    };
+    let args: Vec<_> = signature.arguments.iter().map(&mut argument).collect();
+    world.request(peer, function, &args.iter().map(|arg| arg as &dyn Encode).collect::<Vec<_>>());
+}
 
-    fn check(&self) {
-        for (angle, (low, high)) in self.sim.joints().iter().zip(RANGES) {
-            assert!((low - 1e-3..=high + 1e-3).contains(angle), "{:?}", self.sim.joints());
-        }
-        assert!(self.sim.motor_is_on() || (!self.sim.is_moving() && self.sim.slave_mode() == 0));
-        assert!(self.sim.slave_mode() == 0 || (self.sim.arm_owner().is_some() && self.sim.errors().count() == 0));
-        assert!(!self.sim.emergency_stopped() || (!self.sim.motor_is_on() && self.sim.errors().count() > 0));
-        let (least, most) = (0.0, bcap_sim::hand::STROKE);
-        assert!((least..=most).contains(&self.sim.hand_position()), "{}", self.sim.hand_position());
-        assert!(self.sim.open_objects() <= 10 * usize::from(CLIENTS));
-    }
+/// Reads or writes a variable by RAC.
+fn any_rac(world: &mut World, kind: u8, index: u8, value: Option<&Arg>) {
+    let kinds = rac::VariableKind::ALL;
+    let variable = rac::Variable::new(kinds[usize::from(kind) % kinds.len()], u32::from(index));
+    let value = value.and_then(|arg| VariantBuf::<2048>::new(&arg.value()).ok());
+    world.rac(&match &value {
+        Some(value) => rac::Request::Put(variable, value.as_variant()),
+        None => rac::Request::Get(variable),
+    });
 }

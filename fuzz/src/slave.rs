@@ -12,9 +12,9 @@ use bcap_core::bcap::{Decoder, FrameWriter, Progress};
 use bcap_core::hresult::HResult;
 use bcap_core::limits::{Limits, Strictness};
 use bcap_core::time::Instant;
-use bcap_tests::frame::TestFrame;
-use bcap_tests::oracle::{Oracle, Verdict};
-use bcap_tests::value::{VARIANT, Value};
+use bcap_testkit::frame::TestFrame;
+use bcap_testkit::oracle::{Oracle, Verdict};
+use bcap_testkit::value::{VARIANT, Value};
 
 use crate::input::AnyValue;
 

@@ -9,8 +9,8 @@ use bcap_core::hresult::HResult;
 use bcap_core::limits::{Limits, Strictness};
 use bcap_core::storage::Storage;
 use bcap_core::time::Instant;
-use bcap_tests::frame::TestFrame;
-use bcap_tests::oracle::{Oracle, Verdict};
+use bcap_testkit::frame::TestFrame;
+use bcap_testkit::oracle::{Oracle, Verdict};
 
 use crate::input::{AnyValue, chunks};
 

@@ -2,8 +2,8 @@
 
 use bcap_core::error::{TextError, TextErrorKind};
 use bcap_core::variant::VariantBuf;
-use bcap_tests::text;
-use bcap_tests::value::Value;
+use bcap_testkit::text;
+use bcap_testkit::value::Value;
 
 /// The longest text that is tried; what it says then fits [`Owned`].
 const LONGEST: usize = 1500;

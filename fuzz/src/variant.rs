@@ -3,8 +3,8 @@
 use bcap_core::hresult::HResult;
 use bcap_core::limits::{Limits, MAX_DEPTH, Strictness};
 use bcap_core::variant::{Bstr, Currency, Encode as _, OleDate, Scalar, Variant, VariantBuf, Writer};
-use bcap_tests::oracle::Oracle;
-use bcap_tests::value::Value;
+use bcap_testkit::oracle::Oracle;
+use bcap_testkit::value::Value;
 
 use crate::input::BOTH;
 

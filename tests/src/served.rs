@@ -18,7 +18,7 @@ use bcap_std::server::{Limits, Server};
 use tokio::runtime::Handle;
 use tokio::sync::oneshot;
 
-use crate::network::answer_to;
+use bcap_testkit::network::answer_to;
 
 /// A controller with variables of any name and some commands.
 ///

@@ -2,29 +2,28 @@
 //! the inputs that once broke a promise, each with its name.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use bcap_fuzz::TARGETS;
+use bcap_fuzz::{TARGETS, corpus};
 
-/// Lists the files of `folder/target`, none where there is no such folder.
-fn inputs(folder: &str, target: &str) -> Vec<PathBuf> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz").join(folder).join(target);
-    let Ok(entries) = fs::read_dir(&folder) else { return Vec::new() };
-    let mut paths: Vec<_> = entries.map(|entry| entry.expect("a folder that can be read").path()).collect();
-    paths.sort();
-    paths
+/// Reads the files of `fuzz/regressions/TARGET`; many targets have no such folder.
+fn regressions(target: &str) -> corpus::Inputs {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/regressions").join(target);
+    let Ok(entries) = fs::read_dir(&folder) else { return corpus::Inputs::new() };
+    let paths = entries.map(|entry| entry.expect("a folder that can be read").path());
+    paths.map(|path| (path.display().to_string(), fs::read(&path).expect("a file that can be read"))).collect()
 }
 
-/// Runs a target on all its inputs and returns their number.
+/// Runs a target on all its inputs and returns the number of those in its archive.
 fn replay(name: &str) -> usize {
     let (_, body) = TARGETS.iter().find(|target| target.0 == name).expect("a target of this name");
-    let paths: Vec<_> = ["corpus", "regressions"].iter().flat_map(|folder| inputs(folder, name)).collect();
-    for path in &paths {
+    let inputs = corpus::read(name).expect("the archive of the target's corpus");
+    for (input, bytes) in inputs.iter().chain(&regressions(name)) {
         // shown only when it fails
-        println!("{}", path.display());
-        body(&fs::read(path).expect("a file that can be read"));
+        println!("{input}");
+        body(bytes);
     }
-    paths.len()
+    inputs.len()
 }
 
 macro_rules! replays {
@@ -32,7 +31,7 @@ macro_rules! replays {
         $(#[test]
         fn $name() {
             let count = replay(stringify!($name));
-            assert!(count >= 50, "only {count} inputs: is fuzz/corpus there?");
+            assert!(count >= 50, "{} has only {count} inputs", corpus::archive_path(stringify!($name)).display());
         })*
 
         #[test]
@@ -43,3 +42,13 @@ macro_rules! replays {
 }
 
 replays! { frame variant text rac_line roundtrip_binary roundtrip_text stream rac_client client server gateway sim slave }
+
+#[test]
+fn packing_the_inputs_of_an_archive_gives_the_same_bytes() {
+    for (target, _) in TARGETS {
+        let inputs = corpus::read(target).expect("the archive of the target's corpus");
+        let packed = corpus::archive(target, &inputs).expect("names that fit");
+        let committed = fs::read(corpus::archive_path(target)).expect("the archive of the target's corpus");
+        assert!(packed == committed, "{target}.tar was not made by `just corpora pack`");
+    }
+}

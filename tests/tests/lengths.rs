@@ -13,9 +13,9 @@
 use bcap_core::bcap::{Decoder, Progress};
 use bcap_core::limits::{Limits, Strictness};
 use bcap_core::variant::{MAX_EMPTY_ELEMENTS, Variant};
-use bcap_tests::frame::{TestFrame, bitwise_crc};
-use bcap_tests::oracle::{Oracle, Verdict};
-use bcap_tests::value::{ARRAY, VARIANT, Value};
+use bcap_testkit::frame::{TestFrame, bitwise_crc};
+use bcap_testkit::oracle::{Oracle, Verdict};
+use bcap_testkit::value::{ARRAY, VARIANT, Value};
 
 const BOTH: [Strictness; 2] = [Strictness::Strict, Strictness::Lenient];
 

@@ -10,7 +10,7 @@ use bcap_core::io::{CallError, asynch, blocking};
 use bcap_core::time::Instant;
 use bcap_std::server::Limits;
 use bcap_std::{Options, asynch as tokio_clients, blocking as std_clients};
-use bcap_tests::network::Random;
+use bcap_testkit::network::Random;
 use bcap_tests::served::{Application, Served};
 
 /// Makes the calls of the script and returns what came of each; `$wait` is `.await` or nothing.

@@ -8,7 +8,7 @@ use bcap_core::bcap::{FrameWriter, OnMalformed, server};
 use bcap_core::hresult::HResult;
 use bcap_core::limits::Limits;
 use bcap_core::time::Instant;
-use bcap_tests::network::{Faults, Simulation, answer_to};
+use bcap_testkit::network::{Faults, Simulation, answer_to};
 
 fn millis(count: u64) -> Duration {
     Duration::from_millis(count)

@@ -20,8 +20,8 @@ use bcap_core::limits::{Limits, Strictness};
 use bcap_core::rac::{self, Variable, VariableKind};
 use bcap_core::time::Instant;
 use bcap_core::variant::{Variant, VariantBuf};
+use bcap_testkit::vectors::frames;
 use bcap_tests::allocation::{Counting, allocations};
-use bcap_tests::vectors::frames;
 
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;

@@ -4,9 +4,9 @@ use bcap_core::error::TextErrorKind;
 use bcap_core::hresult::HResult;
 use bcap_core::rac::{Framed, LineFramer, MAX_LINE, MAX_VALUE, Request, Response, Variable, VariableKind};
 use bcap_core::variant::{VariantBuf, Writer};
-use bcap_tests::strategies;
-use bcap_tests::value::Value;
-use bcap_tests::vectors::texts;
+use bcap_testkit::strategies;
+use bcap_testkit::value::Value;
+use bcap_testkit::vectors::texts;
 use proptest::prelude::*;
 
 fn request_line(request: &Request<'_>) -> Option<String> {

@@ -4,10 +4,10 @@ use bcap_core::bcap::{Decoder, FrameWriter, Progress};
 use bcap_core::error::{DecodeErrorKind, EncodeError};
 use bcap_core::limits::{Limits, MAX_DEPTH, Strictness};
 use bcap_core::variant::{Encode, Variant, VariantBuf, Writer};
-use bcap_tests::frame::{TestFrame, bitwise_crc};
-use bcap_tests::oracle::{Oracle, Verdict};
-use bcap_tests::strategies;
-use bcap_tests::value::{VARIANT, Value};
+use bcap_testkit::frame::{TestFrame, bitwise_crc};
+use bcap_testkit::oracle::{Oracle, Verdict};
+use bcap_testkit::strategies;
+use bcap_testkit::value::{VARIANT, Value};
 use proptest::prelude::*;
 
 const BOTH: [Strictness; 2] = [Strictness::Strict, Strictness::Lenient];

@@ -4,10 +4,10 @@
 use bcap_core::error::{TextError, TextErrorKind};
 use bcap_core::limits::{Limits, MAX_DEPTH, Strictness};
 use bcap_core::variant::{Variant, VariantBuf};
-use bcap_tests::strategies;
-use bcap_tests::text::has_text;
-use bcap_tests::value::{VARIANT, Value};
-use bcap_tests::vectors::texts;
+use bcap_testkit::strategies;
+use bcap_testkit::text::has_text;
+use bcap_testkit::value::{VARIANT, Value};
+use bcap_testkit::vectors::texts;
 use proptest::prelude::*;
 
 type Owned = VariantBuf<4096>;

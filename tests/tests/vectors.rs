@@ -3,9 +3,9 @@
 use bcap_core::bcap::{Decoder, FrameWriter, Progress};
 use bcap_core::error::DecodeErrorKind;
 use bcap_core::limits::Strictness;
-use bcap_tests::frame::TestFrame;
-use bcap_tests::oracle::{Oracle, Verdict};
-use bcap_tests::vectors::{FrameVector, frames};
+use bcap_testkit::frame::TestFrame;
+use bcap_testkit::oracle::{Oracle, Verdict};
+use bcap_testkit::vectors::{FrameVector, frames};
 
 fn whole(decoder: Decoder, bytes: &[u8]) -> TestFrame {
     match decoder.decode(bytes) {

@@ -61,31 +61,3 @@ pub(crate) fn unmask(irq: Irq) {
     // SAFETY: no critical section is made with this mask
     unsafe { cortex_m::peripheral::NVIC::unmask(irq) };
 }
-
-/// Exceptions that the board's interrupts arrive at.
-mod exceptions {
-    use cortex_m::peripheral::NVIC;
-    use cortex_m_rt::exception;
-
-    #[exception]
-    unsafe fn DefaultHandler(number: i16) {
-        if number == super::ETHERNET_IRQ.0.cast_signed() {
-            // the line stays up until the driver has looked; it unmasks the interrupt then
-            NVIC::mask(super::ETHERNET_IRQ);
-            crate::lan9118::wake();
-        } else {
-            crate::fault::unexpected(number);
-        }
-    }
-
-    /// Nothing but the watchdog is connected to it.
-    #[exception]
-    unsafe fn NonMaskableInt() -> ! {
-        crate::fault::hung()
-    }
-
-    #[exception]
-    unsafe fn HardFault(frame: &cortex_m_rt::ExceptionFrame) -> ! {
-        crate::fault::hard_fault(frame)
-    }
-}

@@ -15,14 +15,15 @@
 //! | [`watchdog`] | a reset when the tasks make no progress                                           |
 //! | [`fault`]    | what happens after a panic or a fault                                             |
 //!
-//! Unsafe code stands where the hardware leaves no choice, and nowhere else: access to registers (`mmio`), the symbols
-//! that the linker looks for, and the handlers of exceptions.
+//! The handlers of exceptions (`exceptions`) are above all of them. Unsafe code is only where the hardware leaves no choice:
+//! access to registers (`mmio`), the symbols that the linker looks for, and the handlers of exceptions.
 #![no_std]
 
 pub mod board;
 pub mod clock;
 pub mod config;
 pub mod echo;
+mod exceptions;
 pub mod executor;
 pub mod fault;
 pub mod lan9118;

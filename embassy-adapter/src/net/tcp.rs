@@ -8,7 +8,8 @@ use embassy_net::tcp::{ConnectError, TcpSocket};
 use embassy_net::{IpEndpoint, Stack};
 use embassy_time::{Duration, with_timeout};
 
-use super::{NetError, is_down, now, wait};
+use super::link::{NetError, is_down, wait};
+use crate::clock::now;
 
 /// What a connection may take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

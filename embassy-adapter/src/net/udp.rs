@@ -7,7 +7,8 @@ use bcap_core::time::Instant;
 use embassy_net::udp::{BindError, RecvError, SendError, UdpSocket};
 use embassy_net::{IpEndpoint, Stack};
 
-use super::{NetError, now, wait};
+use super::link::{NetError, wait};
+use crate::clock::now;
 
 /// A UDP socket with one peer as a transport; datagrams from others are dropped.
 ///

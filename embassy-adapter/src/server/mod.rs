@@ -42,13 +42,12 @@
 //! }
 //! ```
 
+mod limits;
 mod shared;
 #[cfg(feature = "embassy-net")]
 mod tcp;
 #[cfg(feature = "embassy-net")]
 mod udp;
-
-use core::time::Duration;
 
 use bcap_core::io::asynch::Transport;
 use bcap_core::time::Instant;
@@ -56,6 +55,8 @@ use embassy_futures::select::{Either, select};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::Timer;
 
+pub use self::limits::Limits;
+use self::limits::{Due, TooLong};
 pub use self::shared::Shared;
 use self::shared::Visit;
 #[cfg(feature = "embassy-net")]
@@ -64,32 +65,6 @@ pub use self::tcp::Listener;
 pub use self::udp::{UdpPeer, UdpServer};
 use crate::clock::ticks;
 pub use bcap_core::session::Session;
-
-/// What a peer may cost in time.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Limits {
-    /// How long a request may take to arrive once its first byte has.
-    pub receive: Duration,
-    /// How long a peer may take to accept a reply.
-    pub send: Duration,
-    /// How long a peer may be silent, which would keep its place from others; `None` for as long as it likes.
-    pub idle: Option<Duration>,
-    /// The silence after which a UDP peer may be forgotten when another wants its place.
-    pub udp_idle: Duration,
-}
-
-impl Default for Limits {
-    /// 30 s for a request, 10 s for a reply, no limit to silence on a connection, 10 s on UDP.
-    fn default() -> Self {
-        Self {
-            receive: Duration::from_secs(30),
-            send: Duration::from_secs(10),
-            idle: None,
-            udp_idle: Duration::from_secs(10),
-        }
-    }
-}
 
 /// Why a session has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -167,17 +142,6 @@ where
             Err(error) => return Ended::Failed(error),
         }
     }
-}
-
-/// When a session must be looked at again, or why it must end.
-enum Due {
-    At(Instant),
-    Ended(TooLong),
-}
-
-enum TooLong {
-    Request,
-    Silence,
 }
 
 impl<E> From<TooLong> for Ended<E> {

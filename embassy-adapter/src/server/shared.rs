@@ -11,7 +11,8 @@ use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_sync::waitqueue::MultiWakerRegistration;
 
-use super::{Due, Limits, Session, TooLong};
+use super::Session;
+use super::limits::{Due, Limits, TooLong};
 use crate::clock::now;
 
 /// A handler that many tasks call, one at a time; `WAITERS` of them (at least 1) can wait for each other's changes.

@@ -7,9 +7,9 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use bcap_core::bcap::FunctionId;
-use bcap_tests::frame::TestFrame;
-use bcap_tests::network::Random;
-use bcap_tests::value::Value;
+use bcap_testkit::frame::TestFrame;
+use bcap_testkit::network::Random;
+use bcap_testkit::value::Value;
 use socket2::SockRef;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpStream, UdpSocket};

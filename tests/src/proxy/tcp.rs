@@ -12,7 +12,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::time::{Instant, sleep, timeout_at};
 
 use super::Thread;
-use crate::network::Random;
+use bcap_testkit::network::Random;
 
 /// What happens to one direction of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

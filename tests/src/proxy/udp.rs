@@ -11,7 +11,7 @@ use tokio::net::UdpSocket;
 use tokio::time::sleep;
 
 use super::Thread;
-use crate::network::{Faults, Random};
+use bcap_testkit::network::{Faults, Random};
 
 /// A network of datagrams, with a port of its own for each client, so that the server can tell them apart.
 #[derive(Debug)]

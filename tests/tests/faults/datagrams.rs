@@ -11,7 +11,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::io::CallError;
 use bcap_std::server::Limits;
 use bcap_std::{Options, asynch, blocking};
-use bcap_tests::network::{Faults, answer_to};
+use bcap_testkit::network::{Faults, answer_to};
 use bcap_tests::proxy::UdpProxy;
 use bcap_tests::served::Served;
 

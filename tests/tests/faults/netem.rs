@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use bcap_core::bcap::call;
 use bcap_std::{Options, blocking};
-use bcap_tests::network::answer_to;
+use bcap_testkit::network::answer_to;
 use bcap_tests::served::Served;
 
 use crate::datagrams::{call_over_udp, limits};

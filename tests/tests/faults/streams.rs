@@ -8,7 +8,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::io::CallError;
 use bcap_std::server::Limits;
 use bcap_std::{Options, asynch, blocking};
-use bcap_tests::network::{Random, answer_to};
+use bcap_testkit::network::{Random, answer_to};
 use bcap_tests::proxy::{Fault, Script, Step, TcpProxy};
 use bcap_tests::served::Served;
 

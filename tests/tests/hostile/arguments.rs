@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use bcap_core::bcap::{FunctionId, Kind, Object};
 use bcap_core::hresult::HResult;
-use bcap_tests::value::Value;
+use bcap_testkit::value::Value;
 
 use crate::Case;
 use crate::target::Target;

@@ -10,7 +10,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::io::CallError;
 use bcap_core::variant::VarType;
 use bcap_std::{ConnectError, Options, asynch, blocking};
-use bcap_tests::value::Value;
+use bcap_testkit::value::Value;
 
 use crate::Case;
 use crate::script::{Connection, Outcome, RIGHT, Script, brief, calls, right, runtime, serve, serve_bytes};

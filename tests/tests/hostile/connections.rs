@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
-use bcap_tests::value::Value;
+use bcap_testkit::value::Value;
 
 use crate::Case;
 use crate::target::{LIMITS, Target, skipped};

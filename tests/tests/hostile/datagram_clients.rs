@@ -4,7 +4,7 @@ use std::net::UdpSocket;
 
 use bcap_core::bcap::client::{ClientError, Timeout};
 use bcap_core::hresult::HResult;
-use bcap_tests::value::Value;
+use bcap_testkit::value::Value;
 
 use crate::Case;
 use crate::script::{Answers, Outcome, RIGHT, brief, calls_udp, right, serial_of, serve_udp};

@@ -5,10 +5,10 @@ use std::time::Duration;
 
 use bcap_core::bcap::{Decoder, FunctionId};
 use bcap_core::hresult::HResult;
-use bcap_tests::frame::TestFrame;
-use bcap_tests::network::Random;
-use bcap_tests::value::Value;
-use bcap_tests::vectors::frames;
+use bcap_testkit::frame::TestFrame;
+use bcap_testkit::network::Random;
+use bcap_testkit::value::Value;
+use bcap_testkit::vectors::frames;
 
 use crate::Case;
 use crate::target::{LIMITS, Target};

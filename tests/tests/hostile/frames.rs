@@ -2,9 +2,9 @@
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
-use bcap_tests::frame::TestFrame;
-use bcap_tests::network::Random;
-use bcap_tests::value::Value;
+use bcap_testkit::frame::TestFrame;
+use bcap_testkit::network::Random;
+use bcap_testkit::value::Value;
 
 use crate::Case;
 use crate::target::Target;

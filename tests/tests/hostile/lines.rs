@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use bcap_core::hresult::HResult;
 use bcap_core::variant::VariantBuf;
-use bcap_tests::network::Random;
+use bcap_testkit::network::Random;
 
 use crate::Case;
 use crate::target::{LIMITS, Target};

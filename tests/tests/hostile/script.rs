@@ -11,7 +11,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::io::CallError;
 use bcap_core::variant::Variant;
 use bcap_std::{Options, asynch, blocking};
-use bcap_tests::value::Value;
+use bcap_testkit::value::Value;
 
 use crate::target::PATIENCE;
 use crate::wire::reply_frame;

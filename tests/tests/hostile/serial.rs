@@ -8,8 +8,8 @@ use bcap_core::bcap::client::{self, Client};
 use bcap_core::bcap::server::{self, Session};
 use bcap_core::handler::PeerId;
 use bcap_core::time::Instant;
+use bcap_testkit::value::Value;
 use bcap_tests::served::Application;
-use bcap_tests::value::Value;
 
 use crate::Case;
 use crate::target::Target;

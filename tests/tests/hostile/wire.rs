@@ -7,8 +7,8 @@ use std::time::Duration;
 use bcap_core::bcap::{Decoder, FunctionId, Progress};
 use bcap_core::hresult::HResult;
 use bcap_core::limits::Limits;
-use bcap_tests::frame::TestFrame;
-use bcap_tests::value::Value;
+use bcap_testkit::frame::TestFrame;
+use bcap_testkit::value::Value;
 
 /// The serial of requests that are made here.
 pub(crate) const SERIAL: u16 = 9;

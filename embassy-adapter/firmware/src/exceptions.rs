@@ -1,0 +1,33 @@
+//! The handlers of exceptions: the Ethernet interrupt, the watchdog's NMI and faults.
+//!
+//! The linker finds the handlers by their names, so no other file refers to this one. SysTick is in [`clock`](crate::clock).
+#![expect(unsafe_code, reason = "handlers of exceptions are unsafe functions")]
+
+use cortex_m::interrupt::InterruptNumber as _;
+use cortex_m::peripheral::NVIC;
+use cortex_m_rt::{ExceptionFrame, exception};
+
+use crate::board::ETHERNET_IRQ;
+use crate::{fault, lan9118};
+
+#[exception]
+unsafe fn DefaultHandler(number: i16) {
+    if number == ETHERNET_IRQ.number().cast_signed() {
+        // the line stays active until the driver has looked; the driver unmasks the interrupt then
+        NVIC::mask(ETHERNET_IRQ);
+        lan9118::wake();
+    } else {
+        fault::unexpected(number);
+    }
+}
+
+/// Only the watchdog is connected to it.
+#[exception]
+unsafe fn NonMaskableInt() -> ! {
+    fault::hung()
+}
+
+#[exception]
+unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
+    fault::hard_fault(frame)
+}

@@ -1,0 +1,271 @@
+//! The gateway board in QEMU, a virtual controller and PLCs, as processes and connections of this machine.
+//!
+//! Building an image takes a compiler for the board, and running it takes QEMU. The tests of this package therefore run only
+//! if the variable `BCAP` has the path of the built command `bcap`; `embassy-adapter/firmware/test` sets it. `BOARD` names
+//! another board.
+#![cfg(unix)]
+
+use std::fs::{self, File};
+use std::io::{self, BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::os::unix::process::CommandExt;
+use std::path::PathBuf;
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::Once;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use bcap_core::hresult::HResult;
+
+/// How long anything may take before a test fails.
+pub const TIMEOUT: Duration = Duration::from_secs(60);
+
+/// The RAC line that reports an error.
+pub fn error(code: HResult) -> String {
+    format!("{}\r", code.0)
+}
+
+/// Returns the path of the command `bcap`; without one it prints that the test is skipped.
+pub fn bcap() -> Option<PathBuf> {
+    static SAID: Once = Once::new();
+    let bcap = std::env::var_os("BCAP").map(PathBuf::from);
+    if bcap.is_none() {
+        // not `eprintln`, which the tests of cargo show of failures only
+        let say = || writeln!(io::stderr(), "left out: the board was not run; embassy-adapter/firmware/test does that");
+        SAID.call_once(|| drop(say()));
+    }
+    bcap
+}
+
+/// The result of a run of `bcap`.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Run {
+    /// The standard output.
+    pub out: String,
+    /// The standard error.
+    pub err: String,
+    /// Whether the exit code was 0.
+    pub ok: bool,
+}
+
+/// Runs `bcap` to its end.
+pub fn run(bcap: &PathBuf, args: &[&str]) -> Run {
+    let output = Command::new(bcap).args(args).env_remove("BCAP_ROBOT").stdin(Stdio::null()).output().unwrap();
+    Run {
+        out: String::from_utf8(output.stdout).unwrap(),
+        err: String::from_utf8(output.stderr).unwrap(),
+        ok: output.status.success(),
+    }
+}
+
+/// Sends a signal to a process, or to a group of them.
+fn signal(signal: &str, process: &str) {
+    assert!(Command::new("kill").args([signal, "--", process]).status().unwrap().success());
+}
+
+/// A virtual controller: `bcap sim`.
+pub struct Sim {
+    child: Child,
+    /// Its address for b-CAP over TCP.
+    pub bcap: String,
+    /// Its address for b-CAP over UDP.
+    pub udp: String,
+}
+
+impl Sim {
+    /// Starts one at this address of b-CAP; port 0 takes a free one.
+    pub fn start(bcap: &PathBuf, address: &str) -> Self {
+        let args = ["sim", "--bcap", address, "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"];
+        let mut child = Command::new(bcap).args(args).stdout(Stdio::piped()).spawn().unwrap();
+        let mut ready = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut ready).unwrap();
+        let address = |key: &str| {
+            let mut words = ready.split_whitespace();
+            words.find_map(|word| word.strip_prefix(key)?.strip_prefix('=')).unwrap().to_owned()
+        };
+        Self { bcap: address("bcap"), udp: address("udp"), child }
+    }
+
+    /// Sends it a signal.
+    pub fn signal(&self, name: &str) {
+        signal(name, &self.child.id().to_string());
+    }
+
+    /// Ends it with a signal, and waits for its end.
+    pub fn end(mut self, name: &str) {
+        self.signal(name);
+        self.child.wait().unwrap();
+    }
+}
+
+impl Drop for Sim {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A board in QEMU that runs the gateway until this value is dropped.
+pub struct Board {
+    child: Child,
+    /// The board reads nothing from it, but would end if it were closed.
+    _input: ChildStdin,
+    log: PathBuf,
+    /// The address of its RAC server.
+    pub rac: String,
+    /// The address of its echo.
+    pub echo: String,
+    /// Whether the log is text: there is `defmt-print`.
+    pub log_is_text: bool,
+}
+
+impl Board {
+    /// Builds the image if it is not built, and starts it with a robot and settings.
+    pub fn start(robot: &str, options: &[&str], settings: &[&str]) -> Self {
+        static NUMBER: AtomicU32 = AtomicU32::new(0);
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let log = std::env::temp_dir().join(format!("bcap-qemu-{}-{number}.log", std::process::id()));
+        let (rac, echo) = (free_port(), free_port());
+        let mut command = Command::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../embassy-adapter/firmware/run"));
+        command.args(["--robot", robot, "--rac", &rac.to_string(), "--echo", &echo.to_string(), "--time", "600"]);
+        if let Ok(board) = std::env::var("BOARD") {
+            command.args(["--board", &board]);
+        }
+        for setting in settings {
+            command.args(["--set", setting]);
+        }
+        let out = File::create(&log).unwrap();
+        let err = out.try_clone().unwrap();
+        // a process group, so that one signal ends QEMU and defmt-print too
+        command.args(options).arg("gateway").process_group(0);
+        let mut child = command.stdin(Stdio::piped()).stdout(out).stderr(err).spawn().unwrap();
+        let input = child.stdin.take().unwrap();
+        let log_is_text = Command::new("defmt-print").arg("--version").output().is_ok();
+        let (rac, echo) = (format!("127.0.0.1:{rac}"), format!("127.0.0.1:{echo}"));
+        Self { child, _input: input, log, rac, echo, log_is_text }
+    }
+
+    /// Waits until the board answers, and then until its robot is there.
+    pub fn up(mut self) -> Self {
+        let since = Instant::now();
+        while !self.try_get().is_some_and(|answer| answer.starts_with("0,")) {
+            assert!(since.elapsed() < 5 * TIMEOUT, "the board does not answer: {}", self.log());
+            assert!(self.is_running(), "the board has ended: {}", self.log());
+            sleep(Duration::from_millis(50));
+        }
+        self
+    }
+
+    /// Asks once: QEMU accepts connections before the board is up.
+    fn try_get(&self) -> Option<String> {
+        let mut plc = Plc::try_connect(&self.rac, Duration::from_secs(2)).ok()?;
+        plc.try_ask("GET:RC8:1:I:\r").ok()
+    }
+
+    /// Tells whether it runs; a reset would have ended it.
+    pub fn is_running(&mut self) -> bool {
+        self.child.try_wait().unwrap().is_none()
+    }
+
+    /// Returns the log so far.
+    pub fn log(&self) -> String {
+        String::from_utf8_lossy(&fs::read(&self.log).unwrap()).into_owned()
+    }
+
+    /// Waits for a line of the log with all of these words, and returns it; the log must be text.
+    pub fn log_line(&self, words: &[&str]) -> String {
+        let since = Instant::now();
+        loop {
+            let log = self.log();
+            if let Some(line) = log.lines().find(|line| words.iter().all(|word| line.contains(word))) {
+                return line.to_owned();
+            }
+            assert!(since.elapsed() < TIMEOUT, "no line with {words:?} in the log: {log}");
+            sleep(Duration::from_millis(50));
+        }
+    }
+}
+
+impl Drop for Board {
+    fn drop(&mut self) {
+        signal("-TERM", &format!("-{}", self.child.id()));
+        let _ = self.child.wait();
+        if std::thread::panicking() {
+            let _ = writeln!(io::stderr(), "the board's log: {}", self.log());
+        }
+        let _ = fs::remove_file(&self.log);
+    }
+}
+
+/// Returns a port that is free at the moment.
+fn free_port() -> u16 {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+/// A PLC: a connection on which lines are sent and answers read.
+pub struct Plc {
+    stream: BufReader<TcpStream>,
+}
+
+impl Plc {
+    /// Connects.
+    pub fn connect(address: &str) -> Self {
+        Self::try_connect(address, TIMEOUT).unwrap()
+    }
+
+    /// Connects until the board accepts the connection: the slot of an earlier one may not be free at once.
+    pub fn seated(address: &str) -> Self {
+        let since = Instant::now();
+        loop {
+            let mut plc = Self::connect(address);
+            if plc.try_ask("GET:RC8:1:I:\r").is_ok() {
+                return plc;
+            }
+            assert!(since.elapsed() < TIMEOUT, "{address} has no free slot");
+            sleep(Duration::from_millis(20));
+        }
+    }
+
+    fn try_connect(address: &str, timeout: Duration) -> io::Result<Self> {
+        let stream = TcpStream::connect(address)?;
+        stream.set_read_timeout(Some(timeout))?;
+        stream.set_nodelay(true)?;
+        Ok(Self { stream: BufReader::new(stream) })
+    }
+
+    /// Sends bytes.
+    pub fn send(&mut self, bytes: &[u8]) {
+        self.stream.get_mut().write_all(bytes).unwrap();
+    }
+
+    /// Reads an answer.
+    ///
+    /// # Errors
+    ///
+    /// The answer is cut off, or does not arrive.
+    pub fn answer(&mut self) -> io::Result<String> {
+        let mut answer = Vec::new();
+        self.stream.read_until(b'\r', &mut answer)?;
+        match answer.last() {
+            Some(b'\r') => String::from_utf8(answer).map_err(io::Error::other),
+            _ => Err(io::ErrorKind::UnexpectedEof.into()),
+        }
+    }
+
+    fn try_ask(&mut self, line: &str) -> io::Result<String> {
+        self.stream.get_mut().write_all(line.as_bytes())?;
+        self.answer()
+    }
+
+    /// Sends a line and returns its answer; both end with a CR.
+    pub fn ask(&mut self, line: &str) -> String {
+        self.try_ask(line).unwrap_or_else(|error| panic!("{line:?}: {error}"))
+    }
+
+    /// Sends bytes and returns as many.
+    pub fn echo(&mut self, bytes: &[u8], back: &mut [u8]) {
+        self.send(bytes);
+        self.stream.read_exact(back).unwrap();
+    }
+}
