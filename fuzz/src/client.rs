@@ -172,7 +172,7 @@ impl<R: Storage> Run<R> {
     fn start(&mut self, value: &bcap_tests::value::Value) {
         let could = !self.client.is_closed() && !self.client.is_busy() && self.client.transmit().is_empty();
         let call = call::controller_execute(ControllerHandle(7), "x", value);
-        match self.client.start(&call, self.now) {
+        match self.client.start(&call, self.client.config().timing, self.now) {
             Ok(()) => {
                 assert!(could);
                 self.model.serials.clear();
@@ -315,7 +315,7 @@ impl<R: Storage> Run<R> {
 
     fn burn(&mut self, left: u16) {
         for _ in left..u16::MAX {
-            if self.client.start(&call::service_stop(), self.now).is_err() {
+            if self.client.start(&call::service_stop(), self.client.config().timing, self.now).is_err() {
                 return;
             }
             let serial = self.client.transmit().get(5..7).map_or(0, |s| u16::from_le_bytes([s[0], s[1]]));

@@ -224,7 +224,7 @@ impl Simulation {
     /// When the client cannot begin it.
     pub fn begin(&mut self, token: i32) -> Result<(), ClientError> {
         let call = call::controller_execute(self.controller, "token", token);
-        self.client.start(&call, self.now)
+        self.client.start(&call, self.client.config().timing, self.now)
     }
 
     /// Makes a call and sees it to its end.
@@ -236,7 +236,7 @@ impl Simulation {
     where
         C::Reply: Reply,
     {
-        self.client.start(call, self.now)?;
+        self.client.start(call, self.client.config().timing, self.now)?;
         self.finish()
     }
 

@@ -161,7 +161,7 @@ type BoardSession = server::Session<[u8; 512]>;
 
 /// Lets a client call a server; returns whether the reply had a value.
 fn served<C: Call>(client: &mut BoardClient, session: &mut BoardSession, call: &C, now: Instant) -> bool {
-    client.start(call, now).unwrap();
+    client.start(call, client.config().timing, now).unwrap();
     let count = carry(client.transmit(), session.receive_buffer());
     client.transmitted(count);
     session.received(count);
@@ -197,7 +197,7 @@ fn calls_of_a_client_answered_by_a_server() {
             assert!(served(&mut client, &mut session, &call::robot_execute(RobotHandle(7), "slvMove", [1.0; 8]), now));
             // one that the handler is asked about twice
             served(&mut client, &mut session, &call::robot_halt(RobotHandle(7), ""), now);
-            client.start(&call::service_stop(), now).unwrap();
+            client.start(&call::service_stop(), client.config().timing, now).unwrap();
             while client.handle_timeout(now + client.config().deadline).is_some() {}
             session.close(&mut Answer, PeerId(1), now);
         });
@@ -225,7 +225,7 @@ fn lines_of_rac_both_ways() {
         let variable = rac::Variable::new(rac::VariableKind::P, 10);
         let pose = VariantBuf::<64>::new(&[1.5_f32; 7]).unwrap();
         for request in [rac::Request::Get(variable), rac::Request::Put(variable, pose.as_variant())] {
-            client.start(&request, now).unwrap();
+            client.start(&request, client.config().timing, now).unwrap();
             let count = carry(client.transmit(), session.receive_buffer());
             client.transmitted(count);
             session.received(count);
@@ -395,7 +395,7 @@ fn streaming_in_slave_mode() {
                 }
                 Action::Wait(until) => now = until,
                 Action::Call(step, Channel::Motion) => {
-                    client.start(&engine.request()?, now).ok()?;
+                    client.start(&engine.request()?, client.config().timing, now).ok()?;
                     let sent = client.transmit().len();
                     request.get_mut(..sent)?.copy_from_slice(client.transmit());
                     client.transmitted(sent);

@@ -32,6 +32,37 @@ use crate::limits::{Limits, Strictness};
 use crate::storage::Storage;
 use crate::time::Instant;
 
+/// The time limits and the attempts of one call.
+///
+/// Each call has its own: they are an argument of [`Client::start`], so that dropping a call cannot leave them changed
+/// for the next one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Timing {
+    /// How long an attempt waits for a reply or a keep-alive.
+    pub attempt_timeout: Duration,
+    /// How often the call is sent at most, on lossy links; a stream sends it once.
+    pub attempts: u8,
+    /// How long the call may take altogether.
+    pub deadline: Duration,
+    /// How long S_EXECUTING may keep the call alive, from the first one on.
+    pub keep_alive: Duration,
+}
+
+impl Timing {
+    /// Defaults for TCP: 3 s for the reply or the next keep-alive, 180 s for a call, as long as a server runs one.
+    pub const TCP: Self = Self {
+        attempt_timeout: Duration::from_secs(3),
+        attempts: 1,
+        deadline: Duration::from_secs(180),
+        keep_alive: Duration::from_secs(180),
+    };
+    /// Defaults for UDP and serial lines: five attempts of 500 ms (S2:1493).
+    pub const UDP: Self = Self { attempt_timeout: Duration::from_millis(500), attempts: 5, ..Self::TCP };
+    /// Defaults for serial lines, as for UDP.
+    pub const SERIAL: Self = Self::UDP;
+}
+
 /// How a client behaves; every field can be changed at run time, before the client is made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -42,41 +73,31 @@ pub struct Config {
     pub limits: Limits,
     /// How forgiving the client is with replies.
     pub strictness: Strictness,
-    /// What to do when the bytes of a stream are no frame; datagrams are dropped in any case.
+    /// What to do when the bytes of a stream are not a valid frame; such datagrams are always dropped.
     pub on_malformed: OnMalformed,
-    /// How long an attempt waits for a reply or a keep-alive.
-    pub attempt_timeout: Duration,
-    /// How often a call is sent at most, on lossy links; a stream sends it once.
-    pub attempts: u8,
-    /// How long a call may take altogether.
-    pub deadline: Duration,
-    /// How long S_EXECUTING may keep a call alive, from the first one on.
-    pub keep_alive: Duration,
+    /// The timing of calls that bring none of their own: those of [`Connection::call`](crate::io::blocking::Connection::call).
+    pub timing: Timing,
 }
 
 impl Config {
-    /// Defaults for TCP: 3 s for the reply or the next keep-alive, 180 s for a call, as long as a server runs one.
+    /// Defaults for TCP.
     pub const TCP: Self = Self {
         link: Link::Stream,
         limits: Limits::STREAM,
         strictness: Strictness::Strict,
         on_malformed: OnMalformed::Close,
-        attempt_timeout: Duration::from_secs(3),
-        attempts: 1,
-        deadline: Duration::from_secs(180),
-        keep_alive: Duration::from_secs(180),
+        timing: Timing::TCP,
     };
-    /// Defaults for UDP: five attempts of 500 ms (S2:1493).
+    /// Defaults for UDP.
     pub const UDP: Self = Self {
         link: Link::Datagram,
         limits: Limits::DATAGRAM,
-        attempt_timeout: Duration::from_millis(500),
-        attempts: 5,
         on_malformed: OnMalformed::Resync,
+        timing: Timing::UDP,
         ..Self::TCP
     };
-    /// Defaults for serial lines: five attempts of 500 ms.
-    pub const SERIAL: Self = Self { link: Link::Serial, limits: Limits::SERIAL, ..Self::UDP };
+    /// Defaults for serial lines.
+    pub const SERIAL: Self = Self { link: Link::Serial, limits: Limits::SERIAL, timing: Timing::SERIAL, ..Self::UDP };
 }
 
 /// What has happened; nothing is borrowed, so an event can be kept while the client goes on.
@@ -170,13 +191,13 @@ impl core::error::Error for ClientError {}
 ///
 /// ```
 /// use bcap_core::bcap::call::{self, VariableHandle};
-/// use bcap_core::bcap::client::{Client, Config, Event};
+/// use bcap_core::bcap::client::{Client, Config, Event, Timing};
 /// use bcap_core::time::Instant;
 /// use bcap_core::variant::Variant;
 ///
 /// let mut client = Client::new(Config::TCP, [0; 512], [0; 512]);
 /// let get = call::variable_get_value(VariableHandle(3));
-/// client.start(&get, Instant::ZERO)?;
+/// client.start(&get, Timing::TCP, Instant::ZERO)?;
 /// let request = client.transmit(); // to be sent
 /// # assert_eq!(request.len(), 30);
 /// # let sent = request.len();
@@ -221,6 +242,7 @@ struct InFlight {
     first: u16,
     last: u16,
     attempt: u8,
+    timing: Timing,
     attempt_until: Instant,
     deadline: Instant,
     /// Set by the first S_EXECUTING.
@@ -241,19 +263,19 @@ impl<T: Storage, R: Storage> Client<T, R> {
         &self.state.config
     }
 
-    /// Changes the time limits and the number of attempts, from the next call on; the link stays what it was.
-    pub const fn set_config(&mut self, config: Config) {
-        self.state.config = Config { link: self.state.config.link, ..config };
+    /// Sets [`Config::timing`], the timing of calls that bring none of their own.
+    pub const fn set_timing(&mut self, timing: Timing) {
+        self.state.config.timing = timing;
     }
 
-    /// Begins a call; its frame is then to be sent.
+    /// Begins a call with its timing; its frame is then to be sent.
     ///
     /// # Errors
     ///
     /// [`ClientError::Busy`] while a call is in flight or part of an abandoned one is unsent, [`ClientError::Closed`]
     /// after the session ended, [`ClientError::TooLarge`] before anything over the link's limit is sent.
-    pub fn start<C: Call + ?Sized>(&mut self, call: &C, now: Instant) -> Result<(), ClientError> {
-        self.start_any(call.prepared(), call.function(), &|frame| call.arguments(frame), now)
+    pub fn start<C: Call + ?Sized>(&mut self, call: &C, timing: Timing, now: Instant) -> Result<(), ClientError> {
+        self.start_any(call.prepared(), call.function(), &|frame| call.arguments(frame), timing, now)
     }
 
     /// Begins a call of any kind; there is one copy of this in an image, however many kinds of calls it makes.
@@ -262,6 +284,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
         prepared: Option<&[u8]>,
         function: FunctionId,
         arguments: Arguments<'_>,
+        timing: Timing,
         now: Instant,
     ) -> Result<(), ClientError> {
         self.state.check_idle()?;
@@ -284,7 +307,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
                 Err(other) => return Err(ClientError::Encode(other)),
             }
         };
-        self.state.begin(serial, len, now);
+        self.state.begin(serial, len, timing, now);
         Ok(())
     }
 
@@ -370,13 +393,13 @@ impl<T: Storage, R: Storage> Client<T, R> {
         if self.state.config.link == Link::Serial {
             if self.state.is_sending() {
                 // a slow line: the attempt has not really begun
-                self.state.call = Some(InFlight { attempt_until: self.state.attempt_end(now), ..call });
+                self.state.call = Some(InFlight { attempt_until: call.attempt_end(now), ..call });
                 return None;
             }
             // the line was silent for a whole attempt, so the rest of a frame will not come
             self.inbox.forget_partial();
         }
-        if !self.state.config.link.is_lossy() || call.attempt >= self.state.config.attempts {
+        if !self.state.config.link.is_lossy() || call.attempt >= call.timing.attempts {
             return Some(self.state.fail(Timeout::Attempt));
         }
         let serial = self.state.retry(call, now);
@@ -474,15 +497,16 @@ impl State {
         }
     }
 
-    fn begin(&mut self, serial: u16, len: usize, now: Instant) {
+    fn begin(&mut self, serial: u16, len: usize, timing: Timing, now: Instant) {
         self.tx_len = len;
         self.tx_sent = 0;
         self.call = Some(InFlight {
             first: serial,
             last: serial,
             attempt: 1,
-            attempt_until: self.attempt_end(now),
-            deadline: now.saturating_add(self.config.deadline),
+            timing,
+            attempt_until: now.saturating_add(timing.attempt_timeout),
+            deadline: now.saturating_add(timing.deadline),
             keep_alive_until: Instant::FAR_FUTURE,
         });
     }
@@ -493,21 +517,20 @@ impl State {
         self.call = Some(InFlight {
             last: serial,
             attempt: call.attempt.saturating_add(1),
-            attempt_until: self.attempt_end(now),
+            attempt_until: call.attempt_end(now),
             ..call
         });
         serial
     }
 
     fn handle_frame(&mut self, serial: u16, result: HResult, now: Instant) -> Event {
-        let attempt_until = self.attempt_end(now);
         match &mut self.call {
             // an old serial may lie in the range of a call whose attempts had to step over it
             Some(call) if within(serial, call.first, call.last) && !self.unanswered.contains(serial) => {
                 if result == HResult::S_EXECUTING {
-                    call.attempt_until = attempt_until;
+                    call.attempt_until = call.attempt_end(now);
                     if call.keep_alive_until == Instant::FAR_FUTURE {
-                        call.keep_alive_until = now.saturating_add(self.config.keep_alive);
+                        call.keep_alive_until = now.saturating_add(call.timing.keep_alive);
                     }
                     return Event::Executing;
                 }
@@ -562,9 +585,12 @@ impl State {
     const fn is_sending(&self) -> bool {
         0 < self.tx_sent && self.tx_sent < self.tx_len
     }
+}
 
+impl InFlight {
+    /// Returns when an attempt that begins now, or that is kept alive now, times out.
     const fn attempt_end(&self, now: Instant) -> Instant {
-        now.saturating_add(self.config.attempt_timeout)
+        now.saturating_add(self.timing.attempt_timeout)
     }
 }
 

@@ -62,7 +62,7 @@ impl Wire {
         if self.cut {
             return Err(ClientError::Closed);
         }
-        self.client.start(call, world.now)?;
+        self.client.start(call, self.client.config().timing, world.now)?;
         for _ in 0..10_000 {
             self.send();
             self.serve(world);
