@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use arbitrary::{Arbitrary, Unstructured};
 use bcap_core::bcap::call::{self, ControllerHandle};
-use bcap_core::bcap::client::{Client, ClientError, Config, Event};
+use bcap_core::bcap::client::{Client, ClientError, Config, Event, Timing};
 use bcap_core::bcap::{Link, OnMalformed};
 use bcap_core::hresult::HResult;
 use bcap_core::limits::{Limits, Strictness};
@@ -78,9 +78,12 @@ pub fn client(data: &[u8]) {
     let config = Config {
         strictness: if options & 4 == 0 { Strictness::Strict } else { Strictness::Lenient },
         on_malformed: if options & 8 == 0 { OnMalformed::Close } else { OnMalformed::Resync },
-        deadline: Duration::from_secs(20),
-        keep_alive: Duration::from_secs(5),
-        attempts: if options & 32 == 0 { 3 } else { 255 },
+        timing: Timing {
+            deadline: Duration::from_secs(20),
+            keep_alive: Duration::from_secs(5),
+            attempts: if options & 32 == 0 { 3 } else { 255 },
+            ..base.timing
+        },
         ..base
     };
     let mut u = Unstructured::new(rest);
@@ -177,7 +180,7 @@ impl<R: Storage> Run<R> {
                 assert!(could);
                 self.model.serials.clear();
                 self.model.sent = false;
-                self.model.deadline = self.now + self.client.config().deadline;
+                self.model.deadline = self.now + self.client.config().timing.deadline;
                 self.attempt();
             }
             Err(ClientError::Busy | ClientError::Closed) => assert!(!could),
@@ -270,7 +273,7 @@ impl<R: Storage> Run<R> {
             }
             Event::Executing => assert!(!self.model.serials.is_empty()),
             Event::Retried { attempt } => {
-                assert!(self.client.config().link.is_lossy() && attempt <= self.client.config().attempts);
+                assert!(self.client.config().link.is_lossy() && attempt <= self.client.config().timing.attempts);
                 self.model.sent = true;
                 self.attempt();
                 assert_eq!(usize::from(attempt), self.model.serials.len());

@@ -171,6 +171,10 @@ impl Transport for TcpTransport {
     async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
         within(until, tokio::io::AsyncReadExt::read(&mut self.stream, buffer)).await
     }
+
+    async fn sleep_until(&mut self, at: Instant) {
+        tokio::time::sleep(until(at)).await;
+    }
 }
 
 impl Transport for UdpTransport {
@@ -186,5 +190,9 @@ impl Transport for UdpTransport {
 
     async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
         within(until, self.socket.recv(buffer)).await
+    }
+
+    async fn sleep_until(&mut self, at: Instant) {
+        tokio::time::sleep(until(at)).await;
     }
 }

@@ -124,6 +124,10 @@ impl blocking::Transport for Wire {
     fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, Self::Error> {
         Ok(self.0.take(buffer, until, self.1))
     }
+
+    fn sleep_until(&mut self, at: Instant) {
+        self.0.now = self.0.now.max(at);
+    }
 }
 
 impl asynch::Transport for Wire {
@@ -139,6 +143,10 @@ impl asynch::Transport for Wire {
 
     async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, Self::Error> {
         Ok(self.0.take(buffer, until, self.1))
+    }
+
+    async fn sleep_until(&mut self, at: Instant) {
+        self.0.now = self.0.now.max(at);
     }
 }
 

@@ -198,7 +198,7 @@ fn calls_of_a_client_answered_by_a_server() {
             // one that the handler is asked about twice
             served(&mut client, &mut session, &call::robot_halt(RobotHandle(7), ""), now);
             client.start(&call::service_stop(), client.config().timing, now).unwrap();
-            while client.handle_timeout(now + client.config().deadline).is_some() {}
+            while client.handle_timeout(now + client.config().timing.deadline).is_some() {}
             session.close(&mut Answer, PeerId(1), now);
         });
     }
@@ -225,7 +225,7 @@ fn lines_of_rac_both_ways() {
         let variable = rac::Variable::new(rac::VariableKind::P, 10);
         let pose = VariantBuf::<64>::new(&[1.5_f32; 7]).unwrap();
         for request in [rac::Request::Get(variable), rac::Request::Put(variable, pose.as_variant())] {
-            client.start(&request, client.config().timing, now).unwrap();
+            client.start(&request, now).unwrap();
             let count = carry(client.transmit(), session.receive_buffer());
             client.transmitted(count);
             session.received(count);
@@ -264,6 +264,8 @@ macro_rules! transport {
                 self.0.transmitted(count);
                 Ok(Some(count))
             }
+
+            fn sleep_until(&mut self, _: Instant) {}
         }
 
         impl asynch::Transport for Behind<$session> {
@@ -280,6 +282,8 @@ macro_rules! transport {
             async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, Self::Error> {
                 blocking::Transport::receive(self, buffer, until)
             }
+
+            async fn sleep_until(&mut self, _: Instant) {}
         }
     };
 }

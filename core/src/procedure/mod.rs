@@ -196,12 +196,17 @@ impl StepError {
 
 impl fmt::Display for StepError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: ", self.function)?;
-        match self.cause {
-            StepCause::Refused(code) => write!(f, "the controller refused: {code}"),
-            StepCause::Reply(error) => error.fmt(f),
-            StepCause::Failed(failure) => failure.fmt(f),
-            StepCause::TooLarge => f.write_str("the reply is longer than expected"),
+        write!(f, "{}: {}", self.function, self.cause)
+    }
+}
+
+impl fmt::Display for StepCause {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Refused(code) => write!(f, "the controller refused: {code}"),
+            Self::Reply(error) => error.fmt(f),
+            Self::Failed(failure) => failure.fmt(f),
+            Self::TooLarge => f.write_str("the reply is longer than expected"),
         }
     }
 }

@@ -53,8 +53,8 @@ impl Connection {
     /// Connects; over UDP nothing is sent before the first call.
     pub(crate) fn open(target: &Target, timeout: Duration) -> Result<Self, Failure> {
         let mut options = Options::default().timeout(timeout);
-        options.udp.attempts = UDP_ATTEMPTS;
-        options.udp.attempt_timeout = (timeout / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
+        options.udp.timing.attempts = UDP_ATTEMPTS;
+        options.udp.timing.attempt_timeout = (timeout / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
         let peer = (target.host.as_str(), target.port);
         let client = match target.transport {
             Transport::Tcp => blocking::connect_tcp(peer, &options).map(Client::Tcp),

@@ -69,7 +69,7 @@ fn garbage_in_front_of_a_reply(_: &mut Target) {
 fn garbage_costs_no_attempt(_: &mut Target) {
     let mut options = patient();
     options.udp.attempts = 1;
-    options.udp.attempt_timeout = crate::target::PATIENCE;
+    options.udp.timing.attempt_timeout = crate::target::PATIENCE;
     let server = || {
         serve_udp(|datagram, _| {
             let serial = serial_of(datagram);
@@ -143,7 +143,7 @@ fn keep_alives_for_ever_over_udp(_: &mut Target) {
         address
     };
     let mut options = brief();
-    options.udp.attempt_timeout = std::time::Duration::from_secs(20);
+    options.udp.timing.attempt_timeout = std::time::Duration::from_secs(20);
     let expected = Outcome::Client(ClientError::Timeout(Timeout::KeepAlive));
     assert_eq!(calls_udp(&options, 1, server), [expected]);
 }
@@ -168,6 +168,6 @@ fn datagrams_from_elsewhere(_: &mut Target) {
     };
     let mut options = patient();
     options.udp.attempts = 1;
-    options.udp.attempt_timeout = crate::target::PATIENCE;
+    options.udp.timing.attempt_timeout = crate::target::PATIENCE;
     assert_eq!(calls_udp(&options, 3, server), [RIGHT, RIGHT, RIGHT]);
 }
