@@ -8,7 +8,7 @@ use std::ops::ControlFlow;
 use std::time::Duration;
 
 use bcap_core::bcap::call::{self, VariableHandle};
-use bcap_core::bcap::client::{ClientError, Config, Timeout};
+use bcap_core::bcap::client::{ClientError, Timeout};
 use bcap_core::bcap::server::{Handler, Request};
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};

@@ -208,7 +208,7 @@ fn a_call_is_the_same_bytes_from_every_client() {
     let call = call::variable_put_value(VariableHandle(3), [1.0_f64; 8]);
     let bytes = |config: Config| {
         let mut client = client(config);
-        client.start(&call, client.config().timing, Instant::ZERO).unwrap();
+        client.start(&call, client.timing(), Instant::ZERO).unwrap();
         client.transmit().to_vec()
     };
     let (tcp, mut udp) = (bytes(Config::TCP), bytes(Config::UDP));

@@ -38,8 +38,8 @@ fn call_many(simulation: &mut Simulation, calls: i32) -> Tally {
             }
             Err(other) => panic!("token {token}: {other}"),
         }
-        let config = simulation.client.config();
-        assert!(simulation.now.saturating_since(begun) <= config.timing.deadline, "token {token} ends in time");
+        let timing = simulation.client.timing();
+        assert!(simulation.now.saturating_since(begun) <= timing.deadline, "token {token} ends in time");
     }
     simulation.settle(millis(20_000));
     for (token, count) in &simulation.counter.executed {

@@ -81,7 +81,7 @@ fn stream<X: Transport<Error: Debug>, T: Storage, R: Storage>(
     format: Format,
 ) -> (u32, u32) {
     // a machine that is busy may keep an answer for long; what is tested here is not the time
-    let usual = connection.client().config().timing;
+    let usual = connection.client().timing();
     connection.client().set_timing(Timing { attempts: 250, ..usual });
     connection.call(call::service_start("")).unwrap();
     let provider = Profile::Rc8.provider();
@@ -92,8 +92,8 @@ fn stream<X: Transport<Error: Debug>, T: Storage, R: Storage>(
     let end = loop {
         match engine.poll(now()) {
             Action::Call(..) => {
-                let config = *connection.client().config();
-                let timing = engine.timing(config.link, config.timing);
+                let client = connection.client();
+                let timing = engine.timing(client.link(), client.timing());
                 let replied = connection.call_with(engine.request().unwrap(), timing).map(drop);
                 assert!(matches!(replied, Ok(()) | Err(CallError::Refused(_))), "{format:?}: {replied:?}");
                 let reply = connection.client().reply().unwrap();

@@ -224,7 +224,8 @@ pub struct Client<T, R = T> {
 /// Everything of a client that does not depend on its memory.
 #[derive(Debug)]
 struct State {
-    config: Config,
+    link: Link,
+    timing: Timing,
     /// The serial of the next attempt.
     next_serial: u16,
     call: Option<InFlight>,
@@ -242,11 +243,21 @@ struct InFlight {
     first: u16,
     last: u16,
     attempt: u8,
-    timing: Timing,
+    /// What of its timing is still needed; times in microseconds.
+    attempts: u8,
+    attempt_timeout: u64,
+    keep_alive: KeepAlive,
     attempt_until: Instant,
     deadline: Instant,
-    /// Set by the first S_EXECUTING.
-    keep_alive_until: Instant,
+}
+
+/// How long S_EXECUTING may keep a call alive.
+#[derive(Clone, Copy, Debug)]
+enum KeepAlive {
+    /// For so many microseconds, from the first one on.
+    For(u64),
+    /// Until then: the first one has arrived.
+    Until(Instant),
 }
 
 impl<T: Storage, R: Storage> Client<T, R> {
@@ -257,15 +268,21 @@ impl<T: Storage, R: Storage> Client<T, R> {
         Self { tx, rx, inbox, reply: None, state: State::new(config) }
     }
 
-    /// Returns the configuration.
+    /// Returns what carries the frames.
     #[must_use]
-    pub const fn config(&self) -> &Config {
-        &self.state.config
+    pub const fn link(&self) -> Link {
+        self.state.link
+    }
+
+    /// Returns [`Config::timing`], the timing of calls that bring none of their own.
+    #[must_use]
+    pub const fn timing(&self) -> Timing {
+        self.state.timing
     }
 
     /// Sets [`Config::timing`], the timing of calls that bring none of their own.
     pub const fn set_timing(&mut self, timing: Timing) {
-        self.state.config.timing = timing;
+        self.state.timing = timing;
     }
 
     /// Begins a call with its timing; its frame is then to be sent.
@@ -289,7 +306,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
     ) -> Result<(), ClientError> {
         self.state.check_idle()?;
         self.reply = None;
-        let (link, serial) = (self.state.config.link, self.state.take_serial());
+        let (link, serial) = (self.state.link, self.state.take_serial());
         let reserved = if link.is_lossy() { serial } else { 0 };
         let max = link.send_max();
         let len = loop {
@@ -375,7 +392,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
     /// Returns when [`handle_timeout`](Self::handle_timeout) is to be called; `None` while no call is in flight.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
-        self.state.call.map(|call| call.attempt_until.min(call.deadline).min(call.keep_alive_until))
+        self.state.call.map(|call| call.attempt_until.min(call.deadline).min(call.keep_alive_until()))
     }
 
     /// Acts on the time: sends a call again, or ends it. Nothing happens before the time is due.
@@ -384,13 +401,13 @@ impl<T: Storage, R: Storage> Client<T, R> {
         if now >= call.deadline {
             return Some(self.state.fail(Timeout::Deadline));
         }
-        if now >= call.keep_alive_until {
+        if now >= call.keep_alive_until() {
             return Some(self.state.fail(Timeout::KeepAlive));
         }
         if now < call.attempt_until {
             return None;
         }
-        if self.state.config.link == Link::Serial {
+        if self.state.link == Link::Serial {
             if self.state.is_sending() {
                 // a slow line: the attempt has not really begun
                 self.state.call = Some(InFlight { attempt_until: call.attempt_end(now), ..call });
@@ -399,12 +416,12 @@ impl<T: Storage, R: Storage> Client<T, R> {
             // the line was silent for a whole attempt, so the rest of a frame will not come
             self.inbox.forget_partial();
         }
-        if !self.state.config.link.is_lossy() || call.attempt >= call.timing.attempts {
+        if !self.state.link.is_lossy() || call.attempt >= call.attempts {
             return Some(self.state.fail(Timeout::Attempt));
         }
         let serial = self.state.retry(call, now);
         let frame = self.tx.bytes_mut().get_mut(..self.state.tx_len).unwrap_or_default();
-        renumber(frame, serial, call.first, self.state.config.link == Link::Serial);
+        renumber(frame, serial, call.first, self.state.link == Link::Serial);
         Some(Event::Retried { attempt: call.attempt.saturating_add(1) })
     }
 
@@ -464,7 +481,8 @@ fn encode_prepared(prepared: &[u8], memory: &mut [u8], serial: u16, reserved: u1
 impl State {
     fn new(config: Config) -> Self {
         Self {
-            config,
+            link: config.link,
+            timing: config.timing,
             next_serial: 1,
             call: None,
             tx_len: 0,
@@ -504,10 +522,11 @@ impl State {
             first: serial,
             last: serial,
             attempt: 1,
-            timing,
+            attempts: timing.attempts,
+            attempt_timeout: Instant::ZERO.saturating_add(timing.attempt_timeout).as_micros(),
+            keep_alive: KeepAlive::For(Instant::ZERO.saturating_add(timing.keep_alive).as_micros()),
             attempt_until: now.saturating_add(timing.attempt_timeout),
             deadline: now.saturating_add(timing.deadline),
-            keep_alive_until: Instant::FAR_FUTURE,
         });
     }
 
@@ -529,8 +548,8 @@ impl State {
             Some(call) if within(serial, call.first, call.last) && !self.unanswered.contains(serial) => {
                 if result == HResult::S_EXECUTING {
                     call.attempt_until = call.attempt_end(now);
-                    if call.keep_alive_until == Instant::FAR_FUTURE {
-                        call.keep_alive_until = now.saturating_add(call.timing.keep_alive);
+                    if let KeepAlive::For(micros) = call.keep_alive {
+                        call.keep_alive = KeepAlive::Until(later(now, micros));
                     }
                     return Event::Executing;
                 }
@@ -574,7 +593,7 @@ impl State {
         if sent && (answered.is_none() || call.attempt > 1) {
             self.unanswered.push(call.first, call.last);
         }
-        if !self.is_sending() || self.config.link == Link::Datagram {
+        if !self.is_sending() || self.link == Link::Datagram {
             // nothing of the frame has left, or all of it has
             self.tx_len = 0;
             self.tx_sent = 0;
@@ -588,10 +607,21 @@ impl State {
 }
 
 impl InFlight {
+    const fn keep_alive_until(&self) -> Instant {
+        match self.keep_alive {
+            KeepAlive::For(_) => Instant::FAR_FUTURE,
+            KeepAlive::Until(until) => until,
+        }
+    }
+
     /// Returns when an attempt that begins now, or that is kept alive now, times out.
     const fn attempt_end(&self, now: Instant) -> Instant {
-        now.saturating_add(self.timing.attempt_timeout)
+        later(now, self.attempt_timeout)
     }
+}
+
+const fn later(now: Instant, micros: u64) -> Instant {
+    Instant::from_micros(now.as_micros().saturating_add(micros))
 }
 
 /// Tells whether `serial` lies in a range that may wrap.

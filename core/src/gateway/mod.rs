@@ -543,7 +543,7 @@ impl Gateway<'_> {
                 let arguments: [&dyn Encode; 1] = [&handle];
                 self.client.start(
                     &RawCall { function: FunctionId::VARIABLE_GET_VALUE, arguments: &arguments },
-                    self.client.config().timing,
+                    self.client.timing(),
                     now,
                 )
             }
@@ -552,7 +552,7 @@ impl Gateway<'_> {
                 let arguments: [&dyn Encode; 2] = [&handle, &held];
                 self.client.start(
                     &RawCall { function: FunctionId::VARIABLE_PUT_VALUE, arguments: &arguments },
-                    self.client.config().timing,
+                    self.client.timing(),
                     now,
                 )
             }
@@ -569,7 +569,7 @@ impl Gateway<'_> {
 
     /// Sends a call; whatever it is, by the same code.
     fn start(&mut self, function: FunctionId, arguments: &[&dyn Encode], now: Instant) -> Result<(), ClientError> {
-        self.client.start(&RawCall { function, arguments }, self.client.config().timing, now)
+        self.client.start(&RawCall { function, arguments }, self.client.timing(), now)
     }
 
     /// Answers a request, if it still waits, with the value of the reply if that was to a GET.

@@ -102,7 +102,7 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     /// When the future is dropped the call is given up: a partly sent request is finished before the next call, and the
     /// reply, if it arrives, is dropped. Whether the controller has executed the call is then unknown.
     pub async fn call<C: Call>(&mut self, call: C) -> Result<<C::Reply as Reply>::Value<'_>, CallError<X::Error>> {
-        let timing = self.client.config().timing;
+        let timing = self.client.timing();
         self.call_with(call, timing).await
     }
 
@@ -169,8 +169,7 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
 
     /// Makes the call that a procedure wants, and hands its reply or failure in; returns why there is no reply.
     async fn perform<P: Procedure>(&mut self, procedure: &mut P) -> Option<CallError<X::Error>> {
-        let config = self.client.config();
-        let timing = procedure.timing(config.link, config.timing);
+        let timing = procedure.timing(self.client.link(), self.client.timing());
         let ended = match procedure.request() {
             Some(request) => self.exchange(&request, timing).await,
             None => return None,

@@ -85,7 +85,7 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     ///
     /// A [`CallError`]; [`is_recoverable`](CallError::is_recoverable) tells whether the connection is still good.
     pub fn call<C: Call>(&mut self, call: C) -> Result<<C::Reply as Reply>::Value<'_>, CallError<X::Error>> {
-        let timing = self.client.config().timing;
+        let timing = self.client.timing();
         self.call_with(call, timing)
     }
 
@@ -139,8 +139,7 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
 
     /// Makes the call that a procedure wants, and hands its reply or failure in; returns why there is no reply.
     fn perform<P: Procedure>(&mut self, procedure: &mut P) -> Option<CallError<X::Error>> {
-        let config = self.client.config();
-        let timing = procedure.timing(config.link, config.timing);
+        let timing = procedure.timing(self.client.link(), self.client.timing());
         let ended = match procedure.request() {
             Some(request) => self.exchange(&request, timing),
             None => return None,

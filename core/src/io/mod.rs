@@ -298,11 +298,11 @@ impl<T: Storage, R: Storage> Machine for bcap::Client<T, R> {
     const CLOSED: Self::Error = bcap::client::ClientError::Closed;
 
     fn has_datagrams(&self) -> bool {
-        self.config().link == bcap::Link::Datagram
+        self.link() == bcap::Link::Datagram
     }
 
     fn flush_timeout(&self) -> core::time::Duration {
-        self.config().timing.attempt_timeout
+        self.timing().attempt_timeout
     }
 
     machine!(bcap::Client<T, R>);

@@ -167,8 +167,8 @@ fn keep_alives_for_ever(_: &mut Target) {
         }
     });
     // the deadline of the whole call holds as well
-    options.tcp.keep_alive = Duration::from_secs(30);
-    options.tcp.deadline = Duration::from_millis(500);
+    options.tcp.timing.keep_alive = Duration::from_secs(30);
+    options.tcp.timing.deadline = Duration::from_millis(500);
     ends(&options, &[Outcome::Client(ClientError::Timeout(Timeout::Deadline))], |connection| {
         let serial = connection.request();
         while connection.send(&reply_frame(serial, HResult::S_EXECUTING, vec![])) {}

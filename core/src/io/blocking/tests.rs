@@ -241,7 +241,7 @@ fn a_stream_runs_over_a_link_that_loses_datagrams() {
     let waited = &connection.transport().waited;
     assert!(waited.iter().all(|wait| [8, 500].map(Duration::from_millis).contains(wait)), "{waited:?}");
     assert!(waited.contains(&Duration::from_millis(8)) && waited.contains(&Duration::from_millis(500)));
-    assert_eq!(connection.client().config().timing, Config::UDP.timing);
+    assert_eq!(connection.client().timing(), Config::UDP.timing);
 }
 
 #[test]

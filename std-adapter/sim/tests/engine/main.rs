@@ -56,8 +56,7 @@ impl Rig {
         let wire = &mut self.wires[usize::from(channel == Channel::Watch)];
         let request = self.engine.request().unwrap();
         self.sent.push((self.world.now, request.step()));
-        let config = *wire.client.config();
-        let timing = self.engine.timing(config.link, config.timing);
+        let timing = self.engine.timing(wire.client.link(), wire.client.timing());
         let result = wire.call_with(&mut self.world, &request, timing);
         match result {
             Ok(_) => {

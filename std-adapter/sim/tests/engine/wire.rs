@@ -59,7 +59,7 @@ impl Wire {
 
     /// Makes a call and sees it to its end, moving the clock to whatever comes next.
     pub(crate) fn call(&mut self, world: &mut World, call: &impl Call) -> Result<HResult, ClientError> {
-        self.call_with(world, call, self.client.config().timing)
+        self.call_with(world, call, self.client.timing())
     }
 
     /// Makes a call with its own timing.
