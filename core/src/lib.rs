@@ -43,7 +43,8 @@
 //! ```
 //! use bcap_core::bcap::call::{self, VariableHandle};
 //! use bcap_core::bcap::server::{self, Handler, Request, Session};
-//! use bcap_core::bcap::{Client, FunctionId, client};
+//! use bcap_core::bcap::client::{self, Client, Timing};
+//! use bcap_core::bcap::FunctionId;
 //! use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 //! use bcap_core::hresult::HResult;
 //! use bcap_core::time::Instant;
@@ -84,15 +85,15 @@
 //!     client.poll_event(now)
 //! };
 //!
-//! client.start(&call::service_start("WDT=400"), now)?;
+//! client.start(&call::service_start("WDT=400"), Timing::TCP, now)?;
 //! exchange(&mut client);
-//! client.start(&call::controller_connect("", "CaoProv.DENSO.VRC9", "localhost", ""), now)?;
+//! client.start(&call::controller_connect("", "CaoProv.DENSO.VRC9", "localhost", ""), Timing::TCP, now)?;
 //! exchange(&mut client);
 //! let controller = client.value::<call::ControllerHandle>()?;
-//! client.start(&call::controller_get_variable(controller, "I1", ""), now)?;
+//! client.start(&call::controller_get_variable(controller, "I1", ""), Timing::TCP, now)?;
 //! exchange(&mut client);
 //! let variable = client.value::<VariableHandle>()?;
-//! client.start(&call::variable_get_value(variable), now)?;
+//! client.start(&call::variable_get_value(variable), Timing::TCP, now)?;
 //! exchange(&mut client);
 //! assert_eq!(client.value::<call::Any>()?, Variant::I4(42));
 //! # Ok::<(), bcap_core::bcap::client::ClientError>(())
@@ -110,6 +111,7 @@ pub mod hresult;
 pub mod io;
 pub mod limits;
 mod num;
+pub mod procedure;
 pub mod rac;
 pub mod session;
 pub mod storage;

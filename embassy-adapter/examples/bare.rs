@@ -56,7 +56,7 @@ pub fn poll<D: Device>(
         look(&board.tcp, event);
     }
     if !board.tcp.is_busy() {
-        let _ = board.tcp.start(&call::variable_get_value(VariableHandle(1)), now);
+        let _ = board.tcp.start(&call::variable_get_value(VariableHandle(1)), board.tcp.timing(), now);
     }
     let socket = sockets.set.get_mut::<udp::Socket<'_>>(sockets.robot_udp);
     while let Some(event) = bare::poll_udp(&mut board.udp, socket, robot, now)? {

@@ -38,7 +38,7 @@
 //!             }
 //!             Some(_) => {}
 //!             None if !client.is_busy() => {
-//!                 let _ = client.start(&call::variable_get_value(VariableHandle(1)), now);
+//!                 let _ = client.start(&call::variable_get_value(VariableHandle(1)), client.timing(), now);
 //!             }
 //!             None => {}
 //!         }

@@ -6,7 +6,6 @@
 //! | `serial`   | `serial`      | clients over a serial line, with the CRC that those have                         |
 //! | `server`   | `server`      | servers of both protocols over any transport; with `embassy-net`, over TCP and UDP |
 //! | `gateway`  | `gateway`     | RAC on one side, b-CAP on the other: the core's gateway over embassy-net         |
-//! | `slave`    | `embassy-net` or `serial` | streams of Slave Mode: a pose every 8 ms                             |
 //! | `bare`     | `smoltcp`     | clients and servers for smoltcp alone, polled                                    |
 //!
 //! The protocols are in [`bcap_core`]; this crate moves their bytes and tells them the time. What it guarantees:
@@ -35,5 +34,3 @@ pub mod net;
 pub mod serial;
 #[cfg(feature = "server")]
 pub mod server;
-#[cfg(any(feature = "embassy-net", feature = "serial"))]
-pub mod slave;

@@ -231,7 +231,10 @@ fn a_robot_behind_udp_is_reached_through_losses() {
     between(|cable, plcs, board| async move {
         let number = Shared::<NoopRawMutex, _, 4>::new(Number { value: 7, left: 0 });
         let mut memory = Memory::<2, 4>::new();
-        let client = client::Config { attempt_timeout: core::time::Duration::from_millis(20), ..client::Config::UDP };
+        let client = client::Config {
+            timing: client::Timing { attempt_timeout: core::time::Duration::from_millis(20), ..client::Timing::UDP },
+            ..client::Config::UDP
+        };
         let plant = Plant::new(Gateway::new(Config { client, ..CONFIG }, &mut memory), log);
         let (mut metas, mut buffers) = ([[PacketMetadata::EMPTY; 2]; 2], [[0; 1024]; 2]);
         let ([rx_meta, tx_meta], [rx, tx]) = (&mut metas, &mut buffers);

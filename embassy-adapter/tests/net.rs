@@ -5,7 +5,7 @@
 mod common;
 
 use bcap_core::bcap::call::{self, ControllerHandle, VariableHandle};
-use bcap_core::bcap::client::{ClientError, Config, Timeout};
+use bcap_core::bcap::client::{ClientError, Config, Timeout, Timing};
 use bcap_core::bcap::{Client, server};
 use bcap_core::hresult::HResult;
 use bcap_core::io::CallError;
@@ -144,7 +144,8 @@ fn a_client_over_udp_survives_losses() {
             let (mut rx, mut tx) = ([0; 1024], [0; 1024]);
             let socket = UdpSocket::new(client, &mut rx_meta, &mut rx, &mut tx_meta, &mut tx);
             let transport = UdpTransport::new(client, socket, (address(1), 5007)).unwrap();
-            let config = Config { attempt_timeout: core::time::Duration::from_millis(50), attempts: 20, ..Config::UDP };
+            let timing = Timing { attempt_timeout: core::time::Duration::from_millis(50), attempts: 20, ..Timing::UDP };
+            let config = Config { timing, ..Config::UDP };
             let mut robot = Connection::new(transport, Client::new(config, [0; 488], [0; 505]));
             robot.call(call::service_start("")).await.unwrap();
             let controller = robot.call(call::controller_connect("", "P", "", "")).await.unwrap();
@@ -155,8 +156,7 @@ fn a_client_over_udp_survives_losses() {
                 assert_eq!(robot.call(call::variable_get_value(variable)).await, Ok(Variant::I4(value)));
             }
             cable.lose(1);
-            let config = Config { attempts: 2, ..config };
-            robot.client().set_config(config);
+            robot.client().set_timing(Timing { attempts: 2, ..timing });
             let silent = robot.call(call::variable_get_value(variable)).await;
             assert_eq!(silent, Err(CallError::Client(ClientError::Timeout(Timeout::Attempt))));
         };

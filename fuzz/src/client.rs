@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use arbitrary::{Arbitrary, Unstructured};
 use bcap_core::bcap::call::{self, ControllerHandle};
-use bcap_core::bcap::client::{Client, ClientError, Config, Event};
+use bcap_core::bcap::client::{Client, ClientError, Config, Event, Timing};
 use bcap_core::bcap::{Link, OnMalformed};
 use bcap_core::hresult::HResult;
 use bcap_core::limits::{Limits, Strictness};
@@ -78,9 +78,12 @@ pub fn client(data: &[u8]) {
     let config = Config {
         strictness: if options & 4 == 0 { Strictness::Strict } else { Strictness::Lenient },
         on_malformed: if options & 8 == 0 { OnMalformed::Close } else { OnMalformed::Resync },
-        deadline: Duration::from_secs(20),
-        keep_alive: Duration::from_secs(5),
-        attempts: if options & 32 == 0 { 3 } else { 255 },
+        timing: Timing {
+            deadline: Duration::from_secs(20),
+            keep_alive: Duration::from_secs(5),
+            attempts: if options & 32 == 0 { 3 } else { 255 },
+            ..base.timing
+        },
         ..base
     };
     let mut u = Unstructured::new(rest);
@@ -172,12 +175,12 @@ impl<R: Storage> Run<R> {
     fn start(&mut self, value: &bcap_testkit::value::Value) {
         let could = !self.client.is_closed() && !self.client.is_busy() && self.client.transmit().is_empty();
         let call = call::controller_execute(ControllerHandle(7), "x", value);
-        match self.client.start(&call, self.now) {
+        match self.client.start(&call, self.client.timing(), self.now) {
             Ok(()) => {
                 assert!(could);
                 self.model.serials.clear();
                 self.model.sent = false;
-                self.model.deadline = self.now + self.client.config().deadline;
+                self.model.deadline = self.now + self.client.timing().deadline;
                 self.attempt();
             }
             Err(ClientError::Busy | ClientError::Closed) => assert!(!could),
@@ -188,7 +191,7 @@ impl<R: Storage> Run<R> {
 
     /// A new attempt is to be sent: a whole frame with a new serial.
     fn attempt(&mut self) {
-        let link = self.client.config().link;
+        let link = self.client.link();
         let oracle = Oracle { limits: Limits::STREAM, strictness: Strictness::Strict, crc: link == Link::Serial };
         let Verdict::Frame(frame, used) = oracle.decode(self.client.transmit()) else { panic!("no frame is sent") };
         assert_eq!(used, self.client.transmit().len());
@@ -207,7 +210,7 @@ impl<R: Storage> Run<R> {
     /// The link takes bytes; all of a datagram.
     fn take(&mut self, count: usize) {
         let len = self.client.transmit().len();
-        let count = if self.client.config().link == Link::Datagram { len } else { count.min(len) };
+        let count = if self.client.link() == Link::Datagram { len } else { count.min(len) };
         self.client.transmitted(count);
         self.model.sent |= count > 0;
     }
@@ -217,10 +220,10 @@ impl<R: Storage> Run<R> {
         let serial = self.model.last.wrapping_sub(u16::from(behind));
         let code = if executing { HResult::S_EXECUTING.0 } else { code };
         let args = args.into_iter().take(2).map(|AnyValue(value)| value).collect();
-        let wire = TestFrame { serial, reserved: 0, code, args }.to_wire(self.client.config().link == Link::Serial);
+        let wire = TestFrame { serial, reserved: 0, code, args }.to_wire(self.client.link() == Link::Serial);
         let missing = if cut.is_multiple_of(4) { usize::from(cut).min(wire.len()) } else { 0 };
         // what is too long for the line is searched for frames
-        self.model.clean &= missing == 0 && wire.len() <= self.client.config().link.send_max();
+        self.model.clean &= missing == 0 && wire.len() <= self.client.link().send_max();
         self.model.is_final = self.model.clean.then_some(code != HResult::S_EXECUTING.0);
         self.receive(&wire[..wire.len() - missing]);
         self.model.is_final = None;
@@ -243,7 +246,7 @@ impl<R: Storage> Run<R> {
             let count = rest.len().min(room.len());
             room[..count].copy_from_slice(&rest[..count]);
             self.client.received(count);
-            rest = if self.client.config().link == Link::Datagram { &[] } else { &rest[count..] };
+            rest = if self.client.link() == Link::Datagram { &[] } else { &rest[count..] };
             while let Some(event) = self.client.poll_event(self.now) {
                 self.note(event);
             }
@@ -272,7 +275,7 @@ impl<R: Storage> Run<R> {
             }
             Event::Executing => assert!(self.model.sent && !self.model.serials.is_empty()),
             Event::Retried { attempt } => {
-                assert!(self.client.config().link.is_lossy() && attempt <= self.client.config().attempts);
+                assert!(self.client.link().is_lossy() && attempt <= self.client.timing().attempts);
                 self.attempt();
                 assert_eq!(usize::from(attempt), self.model.serials.len());
             }
@@ -316,7 +319,7 @@ impl<R: Storage> Run<R> {
 
     fn burn(&mut self, left: u16) {
         for _ in left..u16::MAX {
-            if self.client.start(&call::service_stop(), self.now).is_err() {
+            if self.client.start(&call::service_stop(), self.client.timing(), self.now).is_err() {
                 return;
             }
             let serial = self.client.transmit().get(5..7).map_or(0, |s| u16::from_le_bytes([s[0], s[1]]));
@@ -342,7 +345,7 @@ impl<R: Storage> Run<R> {
         self.start(&bcap_testkit::value::Value::I4(1));
         assert!(self.client.is_busy());
         self.take(usize::MAX);
-        if self.model.clean || self.client.config().link == Link::Datagram {
+        if self.model.clean || self.client.link() == Link::Datagram {
             self.reply(0, false, 5, vec![AnyValue(bcap_testkit::value::Value::Ui1(9))], 1);
             assert!(!self.client.is_busy());
         }

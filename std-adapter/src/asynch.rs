@@ -193,6 +193,10 @@ impl Transport for TcpTransport {
         }
         within(until, tokio::io::AsyncReadExt::read(&mut self.stream, buffer)).await
     }
+
+    async fn sleep_until(&mut self, at: Instant) {
+        tokio::time::sleep(until(at)).await;
+    }
 }
 
 impl Transport for UdpTransport {
@@ -211,5 +215,9 @@ impl Transport for UdpTransport {
             return receive_at_once(&SockRef::from(&self.socket), buffer);
         }
         within(until, self.socket.recv(buffer)).await
+    }
+
+    async fn sleep_until(&mut self, at: Instant) {
+        tokio::time::sleep(until(at)).await;
     }
 }

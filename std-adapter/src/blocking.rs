@@ -7,6 +7,7 @@
 use std::fmt::Debug;
 use std::io;
 use std::net::{TcpStream, ToSocketAddrs, UdpSocket};
+use std::thread;
 use std::time::Duration;
 
 use bcap_core::bcap::Client;
@@ -196,6 +197,10 @@ impl Transport for TcpTransport {
             }
         }
     }
+
+    fn sleep_until(&mut self, at: Instant) {
+        sleep_until(at);
+    }
 }
 
 impl Transport for UdpTransport {
@@ -227,5 +232,19 @@ impl Transport for UdpTransport {
                 return end;
             }
         }
+    }
+
+    fn sleep_until(&mut self, at: Instant) {
+        sleep_until(at);
+    }
+}
+
+fn sleep_until(at: Instant) {
+    loop {
+        let rest = until(at);
+        if rest.is_zero() {
+            return;
+        }
+        thread::sleep(rest);
     }
 }

@@ -7,7 +7,7 @@ use std::io;
 use std::net::{SocketAddr, TcpStream, ToSocketAddrs, UdpSocket};
 use std::time::Duration;
 
-use bcap_core::bcap::client::Config;
+use bcap_core::bcap::client::{Config, Timing};
 use bcap_core::limits::UDP_RECEIVE_MAX;
 use socket2::{SockRef, TcpKeepalive};
 
@@ -47,8 +47,8 @@ impl Options {
     pub const fn timeout(self, timeout: Duration) -> Self {
         Self {
             connect_timeout: timeout,
-            tcp: Config { attempt_timeout: timeout, ..self.tcp },
-            udp: Config { attempt_timeout: timeout, ..self.udp },
+            tcp: Config { timing: Timing { attempt_timeout: timeout, ..self.tcp.timing }, ..self.tcp },
+            udp: Config { timing: Timing { attempt_timeout: timeout, ..self.udp.timing }, ..self.udp },
             rac: bcap_core::rac::client::Config { timeout },
             ..self
         }

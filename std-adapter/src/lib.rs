@@ -4,7 +4,7 @@
 //! |--------------|----------|-------------------------------------------------------------------------|
 //! | [`blocking`] |          | clients that block: b-CAP over TCP and UDP, RAC over TCP                |
 //! | `asynch`     | `tokio`  | the same clients for tokio                                              |
-//! | [`slave`]    |          | streams of Slave Mode: a pose every 8 ms, blocking and for tokio        |
+//! | [`slave`]    |          | what Linux can do for a stream of Slave Mode                             |
 //! | `server`     | `server` | a server for any handler: b-CAP over TCP and UDP, RAC over TCP          |
 //!
 //! The protocol itself is in [`bcap_core`]: this crate moves its bytes and tells it the time. A call takes two system
@@ -43,6 +43,9 @@ pub use connect::{ConnectError, Options};
 
 /// A failed call of a client of this crate.
 pub type CallError = bcap_core::io::CallError<std::io::Error>;
+
+/// A failed procedure over a client of this crate.
+pub type RunError<P = bcap_core::procedure::StepError> = bcap_core::io::RunError<P, std::io::Error>;
 
 /// A failed request of a client of RAC of this crate.
 pub type RacError = bcap_core::io::RacError<std::io::Error>;

@@ -8,7 +8,7 @@ use std::ops::ControlFlow;
 use std::time::Duration;
 
 use bcap_core::bcap::call::{self, VariableHandle};
-use bcap_core::bcap::client::{ClientError, Config, Timeout};
+use bcap_core::bcap::client::{ClientError, Timeout};
 use bcap_core::bcap::server::{Handler, Request};
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
@@ -217,8 +217,7 @@ fn a_large_value_grows_the_buffers() {
 #[test]
 fn a_call_that_waits_is_kept_alive_and_ends_when_another_changes_something() {
     let server = start(Limits::default());
-    let options =
-        Options { tcp: Config { attempt_timeout: Duration::from_secs(1), ..Config::TCP }, ..Options::default() };
+    let options = Options::default().timeout(Duration::from_secs(1));
     let address = server.tcp;
     let waiting = std::thread::spawn(move || {
         let mut client = blocking::connect_tcp(address, &options).unwrap();

@@ -246,7 +246,7 @@ fn engine_cycle(bench: &mut Bench) {
 fn start_slv_move(bench: &mut Bench) {
     let patched = bench.slv_move.set_pose(black_box(&bench.slv_pose)).is_ok();
     black_box(patched);
-    black_box(bench.client.start(&bench.slv_move, black_box(Instant::ZERO)).is_ok());
+    black_box(bench.client.start(&bench.slv_move, bench.client.timing(), black_box(Instant::ZERO)).is_ok());
     bench.client.abandon();
 }
 

@@ -17,17 +17,17 @@ use std::thread;
 use std::time::Instant;
 
 use bcap_core::bcap::slave::{
-    AxisLimits, Config, Format, Histogram, Mode, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode, Stats,
+    AxisLimits, Config, Cycle, Engine, Format, Histogram, MOVE_FRAME, Mode, Next, Pose, PoseType, ReceiveFormat,
+    ReceivePose, SlaveMode, Stats,
 };
+use bcap_core::procedure::{Provider, open_robot};
 use bcap_sim::{Controller, Profile};
 use bcap_std::server::Limits;
-use bcap_std::slave::{Cycle, Next, Realtime};
-use bcap_std::{Options, asynch, blocking, slave};
+use bcap_std::slave::Realtime;
+use bcap_std::{Options, asynch, blocking};
 use bcap_tests::served::Served;
 
 type Failure = Box<dyn std::error::Error + Send + Sync>;
-
-const PROVIDER: &str = "CaoProv.DENSO.VRC";
 
 fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -112,19 +112,17 @@ fn stream(driver: Driver, mode: Mode, cycles: u32, realtime: Realtime) -> Result
     let stats = match driver {
         Driver::Blocking => {
             let mut motion = blocking::connect_tcp(sim.tcp, &Options::default())?;
-            let handles = slave::blocking::open(&mut motion, PROVIDER)?;
-            let config = Config { limits, ..Config::new(format, handles) };
-            let mut stream = slave::blocking::Stream::<_>::new(config, motion, None)?;
-            stream.run(&mut trajectory)?;
-            stream.stats().clone()
+            let handles = motion.run(open_robot(Provider::RC8, None))?;
+            let mut engine = Engine::<MOVE_FRAME>::new(Config { limits, ..Config::new(format, handles) })?;
+            motion.run(engine.stream(&mut trajectory))?;
+            engine.stats().clone()
         }
         Driver::Tokio => tokio::runtime::Builder::new_current_thread().enable_all().build()?.block_on(async {
             let mut motion = asynch::connect_tcp(sim.tcp, &Options::default()).await?;
-            let handles = slave::asynch::open(&mut motion, PROVIDER).await?;
-            let config = Config { limits, ..Config::new(format, handles) };
-            let mut stream = slave::asynch::Stream::<_>::new(config, motion, None)?;
-            stream.run(&mut trajectory).await?;
-            Ok::<_, Failure>(stream.stats().clone())
+            let handles = motion.run(open_robot(Provider::RC8, None)).await?;
+            let mut engine = Engine::<MOVE_FRAME>::new(Config { limits, ..Config::new(format, handles) })?;
+            motion.run(engine.stream(&mut trajectory)).await?;
+            Ok::<_, Failure>(engine.stats().clone())
         })?,
     };
     if began.elapsed() < bcap_sim::slave::CYCLE * cycles.saturating_sub(10) {

@@ -124,6 +124,10 @@ impl blocking::Transport for Wire {
     fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, Self::Error> {
         Ok(self.0.take(buffer, until, self.1))
     }
+
+    fn sleep_until(&mut self, at: Instant) {
+        self.0.now = self.0.now.max(at);
+    }
 }
 
 impl asynch::Transport for Wire {
@@ -139,6 +143,10 @@ impl asynch::Transport for Wire {
 
     async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, Self::Error> {
         Ok(self.0.take(buffer, until, self.1))
+    }
+
+    async fn sleep_until(&mut self, at: Instant) {
+        self.0.now = self.0.now.max(at);
     }
 }
 
@@ -200,7 +208,7 @@ fn a_call_is_the_same_bytes_from_every_client() {
     let call = call::variable_put_value(VariableHandle(3), [1.0_f64; 8]);
     let bytes = |config: Config| {
         let mut client = client(config);
-        client.start(&call, Instant::ZERO).unwrap();
+        client.start(&call, client.timing(), Instant::ZERO).unwrap();
         client.transmit().to_vec()
     };
     let (tcp, mut udp) = (bytes(Config::TCP), bytes(Config::UDP));

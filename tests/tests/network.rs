@@ -38,8 +38,8 @@ fn call_many(simulation: &mut Simulation, calls: i32) -> Tally {
             }
             Err(other) => panic!("token {token}: {other}"),
         }
-        let config = simulation.client.config();
-        assert!(simulation.now.saturating_since(begun) <= config.deadline, "token {token} ends in time");
+        let timing = simulation.client.timing();
+        assert!(simulation.now.saturating_since(begun) <= timing.deadline, "token {token} ends in time");
     }
     simulation.settle(millis(20_000));
     for (token, count) in &simulation.counter.executed {
@@ -126,7 +126,8 @@ fn serials_wrap_under_way() {
 #[test]
 fn a_serial_line_garbles_and_loses_and_calls_are_executed_once() {
     for seed in 300..310 {
-        let config = client::Config { deadline: Duration::from_secs(30), ..client::Config::SERIAL };
+        let timing = client::Timing { deadline: Duration::from_secs(30), ..client::Timing::SERIAL };
+        let config = client::Config { timing, ..client::Config::SERIAL };
         // a line loses whole pieces of frames, and one byte in two hundred is wrong
         let faults = Faults { loss: 10, garble: 2, delay: millis(3), ..Faults::default() };
         let mut simulation = Simulation::new(config, server::Config::SERIAL, faults, seed);
@@ -238,7 +239,8 @@ fn no_reply_with_a_wrong_serial_ends_or_prolongs_a_call() {
 
 #[test]
 fn a_server_that_only_keeps_alive_is_left_in_the_end() {
-    let config = client::Config { keep_alive: Duration::from_secs(60), ..client::Config::TCP };
+    let timing = client::Timing { keep_alive: Duration::from_secs(60), ..client::Timing::TCP };
+    let config = client::Config { timing, ..client::Config::TCP };
     let mut s = Simulation::new(config, server::Config::TCP, Faults::default(), 7);
     s.begin(1).unwrap();
     let length = s.client.transmit().len();

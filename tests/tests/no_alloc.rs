@@ -161,7 +161,7 @@ type BoardSession = server::Session<[u8; 512]>;
 
 /// Lets a client call a server; returns whether the reply had a value.
 fn served<C: Call>(client: &mut BoardClient, session: &mut BoardSession, call: &C, now: Instant) -> bool {
-    client.start(call, now).unwrap();
+    client.start(call, client.timing(), now).unwrap();
     let count = carry(client.transmit(), session.receive_buffer());
     client.transmitted(count);
     session.received(count);
@@ -197,8 +197,8 @@ fn calls_of_a_client_answered_by_a_server() {
             assert!(served(&mut client, &mut session, &call::robot_execute(RobotHandle(7), "slvMove", [1.0; 8]), now));
             // one that the handler is asked about twice
             served(&mut client, &mut session, &call::robot_halt(RobotHandle(7), ""), now);
-            client.start(&call::service_stop(), now).unwrap();
-            while client.handle_timeout(now + client.config().deadline).is_some() {}
+            client.start(&call::service_stop(), client.timing(), now).unwrap();
+            while client.handle_timeout(now + client.timing().deadline).is_some() {}
             session.close(&mut Answer, PeerId(1), now);
         });
     }
@@ -264,6 +264,8 @@ macro_rules! transport {
                 self.0.transmitted(count);
                 Ok(Some(count))
             }
+
+            fn sleep_until(&mut self, _: Instant) {}
         }
 
         impl asynch::Transport for Behind<$session> {
@@ -280,6 +282,8 @@ macro_rules! transport {
             async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, Self::Error> {
                 blocking::Transport::receive(self, buffer, until)
             }
+
+            async fn sleep_until(&mut self, _: Instant) {}
         }
     };
 }
@@ -395,7 +399,7 @@ fn streaming_in_slave_mode() {
                 }
                 Action::Wait(until) => now = until,
                 Action::Call(step, Channel::Motion) => {
-                    client.start(&engine.request()?, now).ok()?;
+                    client.start(&engine.request()?, client.timing(), now).ok()?;
                     let sent = client.transmit().len();
                     request.get_mut(..sent)?.copy_from_slice(client.transmit());
                     client.transmitted(sent);

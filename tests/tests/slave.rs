@@ -1,24 +1,25 @@
 //! The streams of `bcap-std` against the virtual controller, over real sockets: counts and positions are asserted,
 //! never times, and the controller's clock is slow enough for a busy machine.
 
-use std::fmt;
 use std::time::Duration;
+use std::{fmt, io};
 
 use bcap_core::bcap::slave::{
-    AxisLimits, Cause, Config, Format, Handles, Mode, MoveReply, Pose, PoseError, PoseType, ReceiveFormat, ReceivePose,
-    RecoverError, Released, SlaveMode, Stats, Step,
+    AxisLimits, Cause, Config, Cycle, Engine, Fault, Format, Handles, MOVE_FRAME, Mode, MoveReply, Next, Pose,
+    PoseError, PoseType, ReceiveFormat, ReceivePose, RecoverError, Released, SlaveMode, Stats, Step, StreamError,
+    Trajectory,
 };
 use bcap_core::hresult::HResult;
+use bcap_core::procedure::{Provider, open_robot, release_robot};
 use bcap_core::time::Instant;
 use bcap_sim::{Controller, EMERGENCY_STOP, Profile};
+use bcap_std::blocking::Connection;
 use bcap_std::server::Limits;
-use bcap_std::slave::{Cycle, Next, StreamError, Trajectory};
-use bcap_std::{Options, asynch, blocking, slave};
+use bcap_std::{Options, asynch, blocking};
 use bcap_tests::served::Served;
 use bcap_tests::slowed::{CYCLE, Slowed, inner};
 
 const MODES: [Mode; 3] = [Mode::Mode0, Mode::Mode1, Mode::Mode2];
-const PROVIDER: &str = "CaoProv.DENSO.VRC";
 
 fn controller() -> Served<Slowed> {
     let config = bcap_sim::Config { motor_on_delay: Duration::from_millis(1), ..bcap_sim::Config::new(Profile::Rc8) };
@@ -82,41 +83,58 @@ fn assert_wave(sim: &Served<Slowed>, wave: &Wave, stats: &Stats, what: impl fmt:
     assert!((1.9..=2.0 + 1e-9).contains(&highest), "{what}: {highest}");
 }
 
-macro_rules! blocking_stream {
-    ($sim:expr, $connect:ident, $address:ident, $change:expr) => {{
-        let options = Options::default();
-        let mut motion = blocking::$connect($sim.$address, &options).unwrap();
-        let mut watch = blocking::connect_tcp($sim.tcp, &options).unwrap();
-        let handles = slave::blocking::open(&mut motion, PROVIDER).unwrap();
-        let watching = slave::blocking::open(&mut watch, PROVIDER).unwrap();
-        let change: fn(&mut Config) = $change;
+/// An engine with the connections of its stream.
+struct Rig<X> {
+    engine: Engine,
+    motion: Connection<X, Vec<u8>>,
+    watch: blocking::TcpClient,
+}
+
+impl<X: blocking::Transport<Error = io::Error>> Rig<X> {
+    fn new(mut motion: Connection<X, Vec<u8>>, sim: &Served<Slowed>, change: impl FnOnce(&mut Config)) -> Self {
+        let mut watch = blocking::connect_tcp(sim.tcp, &Options::default()).unwrap();
+        let handles = motion.run(open_robot(Provider::RC8, None)).unwrap();
+        let watching = watch.run(open_robot(Provider::RC8, None)).unwrap();
         let mut config = set_up(Mode::Mode2, handles, Some(watching));
         change(&mut config);
-        (slave::blocking::Stream::new(config, motion, Some(watch)).unwrap(), handles)
-    }};
+        Self { engine: Engine::new(config).unwrap(), motion, watch }
+    }
+
+    fn run(&mut self, trajectory: &mut impl Trajectory) -> Result<(), StreamError> {
+        let stream = self.engine.stream(trajectory);
+        self.motion.run_beside(&mut self.watch, stream).map_err(|error| error.error)
+    }
+
+    fn fault(&self) -> &Fault {
+        self.engine.fault().unwrap()
+    }
+}
+
+fn over_tcp(sim: &Served<Slowed>, change: impl FnOnce(&mut Config)) -> Rig<blocking::TcpTransport> {
+    Rig::new(blocking::connect_tcp(sim.tcp, &Options::default()).unwrap(), sim, change)
+}
+
+fn over_udp(sim: &Served<Slowed>, change: impl FnOnce(&mut Config)) -> Rig<blocking::UdpTransport> {
+    Rig::new(blocking::connect_udp(sim.udp, &Options::default()).unwrap(), sim, change)
 }
 
 #[test]
 fn every_mode_streams_over_both_links_blocking() {
     for mode in MODES {
         let sim = controller();
-        let set = match mode {
-            Mode::Mode0 => |config: &mut Config| config.format = format(Mode::Mode0),
-            Mode::Mode1 => |config: &mut Config| config.format = format(Mode::Mode1),
-            Mode::Mode2 => |config: &mut Config| config.format = format(Mode::Mode2),
-        };
+        let set = |config: &mut Config| config.format = format(mode);
         let mut wave = Wave { cycles: 25, ..Wave::default() };
-        let (mut stream, handles) = blocking_stream!(sim, connect_tcp, tcp, set);
-        stream.run(&mut wave).unwrap();
-        assert_wave(&sim, &wave, stream.stats(), format_args!("{mode:?} over TCP"));
-        let (mut motion, watch) = stream.into_connections();
-        slave::blocking::close(&mut motion, handles).unwrap();
+        let mut rig = over_tcp(&sim, set);
+        rig.run(&mut wave).unwrap();
+        assert_wave(&sim, &wave, rig.engine.stats(), format_args!("{mode:?} over TCP"));
+        let Rig { engine, mut motion, watch } = rig;
+        motion.run(release_robot(engine.config().motion)).unwrap();
         drop((motion, watch));
 
         let mut wave = Wave { cycles: 25, ..Wave::default() };
-        let (mut stream, _) = blocking_stream!(sim, connect_udp, udp, set);
-        stream.run(&mut wave).unwrap();
-        assert_wave(&sim, &wave, stream.stats(), format_args!("{mode:?} over UDP"));
+        let mut rig = over_udp(&sim, set);
+        rig.run(&mut wave).unwrap();
+        assert_wave(&sim, &wave, rig.engine.stats(), format_args!("{mode:?} over UDP"));
     }
 }
 
@@ -126,35 +144,32 @@ async fn every_mode_streams_over_both_links_under_tokio() {
     for mode in MODES {
         let sim = controller();
         let mut motion = asynch::connect_tcp(sim.tcp, &options).await.unwrap();
-        let handles = slave::asynch::open(&mut motion, PROVIDER).await.unwrap();
-        let config = set_up(mode, handles, None);
-        let mut stream = slave::asynch::Stream::<_>::new(config, motion, None).unwrap();
+        let handles = motion.run(open_robot(Provider::RC8, None)).await.unwrap();
+        let mut engine = Engine::<MOVE_FRAME>::new(set_up(mode, handles, None)).unwrap();
         let mut wave = Wave { cycles: 25, ..Wave::default() };
-        stream.run(&mut wave).await.unwrap();
-        assert_wave(&sim, &wave, stream.stats(), format_args!("{mode:?} over TCP"));
-        let (mut motion, _) = stream.into_connections();
-        slave::asynch::close(&mut motion, handles).await.unwrap();
+        motion.run(engine.stream(&mut wave)).await.unwrap();
+        assert_wave(&sim, &wave, engine.stats(), format_args!("{mode:?} over TCP"));
+        motion.run(release_robot(handles)).await.unwrap();
 
         let mut motion = asynch::connect_udp(sim.udp, &options).await.unwrap();
         let mut watch = asynch::connect_tcp(sim.tcp, &options).await.unwrap();
-        let handles = slave::asynch::open(&mut motion, PROVIDER).await.unwrap();
-        let watching = slave::asynch::open(&mut watch, PROVIDER).await.unwrap();
-        let config = set_up(mode, handles, Some(watching));
-        let mut stream = slave::asynch::Stream::new(config, motion, Some(watch)).unwrap();
+        let handles = motion.run(open_robot(Provider::RC8, None)).await.unwrap();
+        let watching = watch.run(open_robot(Provider::RC8, None)).await.unwrap();
+        let mut engine = Engine::<MOVE_FRAME>::new(set_up(mode, handles, Some(watching))).unwrap();
         let mut wave = Wave { cycles: 25, ..Wave::default() };
-        stream.run(&mut wave).await.unwrap();
-        assert_wave(&sim, &wave, stream.stats(), format_args!("{mode:?} over UDP"));
+        motion.run_beside(&mut watch, engine.stream(&mut wave)).await.unwrap();
+        assert_wave(&sim, &wave, engine.stats(), format_args!("{mode:?} over UDP"));
     }
 }
 
 #[test]
 fn a_stop_ramps_within_the_limits_and_gives_the_arm_back() {
     let sim = controller();
-    let (mut stream, _) = blocking_stream!(sim, connect_tcp, tcp, |config| {
+    let mut rig = over_tcp(&sim, |config| {
         config.limits = AxisLimits::uniform(100.0, 500.0);
     });
     let mut wave = Wave { cycles: 100, stop_at: Some(25), ..Wave::default() };
-    stream.run(&mut wave).unwrap();
+    rig.run(&mut wave).unwrap();
     let controller = &sim.application().0;
     let axes: Vec<f64> = controller.slave_record().map(|cycle| cycle.axes[0]).collect();
     let steps: Vec<f64> = axes.windows(2).map(|pair| (pair[1] - pair[0]) / CYCLE.as_secs_f64()).collect();
@@ -170,11 +185,11 @@ fn a_stop_ramps_within_the_limits_and_gives_the_arm_back() {
 #[test]
 fn a_pose_that_is_too_far_is_not_sent_and_the_stream_stops() {
     let sim = controller();
-    let (mut stream, _) = blocking_stream!(sim, connect_tcp, tcp, |config| {
+    let mut rig = over_tcp(&sim, |config| {
         config.limits = AxisLimits::uniform(100.0, 8000.0);
     });
     let mut far = |cycle: &Cycle<'_>| Next::Pose(turned(cycle.start, if cycle.number < 30 { 0.0 } else { 5.0 }));
-    let error = stream.run(&mut far).unwrap_err();
+    let error = rig.run(&mut far).unwrap_err();
     let StreamError::Pose { number: 30, error: PoseError::Speed { axis: 1, speed, limit: 100.0 } } = error else {
         panic!("{error}")
     };
@@ -197,24 +212,22 @@ fn disturbed<'a>(sim: &'a Served<Slowed>, act: impl Fn(&mut Controller) + 'a) ->
 #[test]
 fn the_first_error_is_told_and_recovery_is_by_request() {
     let sim = controller();
-    let (mut stream, _) = blocking_stream!(sim, connect_udp, udp, |_| {});
+    let mut rig = over_udp(&sim, |_| {});
     let code = HResult::from_u32(0x8420_4043);
     let inject = |sim: &mut Controller| sim.inject_error(code, inner(bcap_std::now()));
-    let error = stream.run(&mut disturbed(&sim, inject)).unwrap_err();
-    let fault = error.fault().unwrap();
+    rig.run(&mut disturbed(&sim, inject)).unwrap_err();
+    let fault = rig.fault();
     assert_eq!((fault.step, fault.code(), fault.released), (Step::Move, Some(code), Released::Yes));
     assert!(matches!(fault.cause, Cause::Refused(refused) if refused != code), "{fault}");
-    let after = stream.stats().cycles;
+    let after = rig.engine.stats().cycles;
     // nothing moves and nothing is cleared by itself
-    assert_eq!(
-        stream.run(&mut Wave { cycles: 10, ..Wave::default() }).unwrap_err().fault().unwrap().code(),
-        Some(code)
-    );
-    assert_eq!((stream.stats().cycles, sim.application().0.errors().count()), (after, 1));
+    let error = rig.run(&mut Wave { cycles: 10, ..Wave::default() }).unwrap_err();
+    assert!(matches!(error, StreamError::Fault { code: Some(told), .. } if told == code), "{error}");
+    assert_eq!((rig.engine.stats().cycles, sim.application().0.errors().count()), (after, 1));
 
-    stream.recover().unwrap();
-    stream.run(&mut Wave { cycles: 10, ..Wave::default() }).unwrap();
-    assert!(stream.stats().cycles >= after + 10);
+    rig.engine.recover().unwrap();
+    rig.run(&mut Wave { cycles: 10, ..Wave::default() }).unwrap();
+    assert!(rig.engine.stats().cycles >= after + 10);
     let controller = &sim.application().0;
     assert_eq!((controller.errors().count(), controller.arm_owner()), (0, None));
 }
@@ -222,30 +235,30 @@ fn the_first_error_is_told_and_recovery_is_by_request() {
 #[test]
 fn after_an_emergency_stop_there_is_no_recovery_and_the_arm_can_be_given_back() {
     let sim = controller();
-    let (mut stream, _) = blocking_stream!(sim, connect_tcp, tcp, |_| {});
+    let mut rig = over_tcp(&sim, |_| {});
     let press = |sim: &mut Controller| sim.emergency_stop(true, inner(bcap_std::now()));
-    let error = stream.run(&mut disturbed(&sim, press)).unwrap_err();
-    let fault = error.fault().unwrap();
+    rig.run(&mut disturbed(&sim, press)).unwrap_err();
+    let fault = rig.fault();
     assert_eq!((fault.code(), fault.emergency_stop), (Some(EMERGENCY_STOP), Some(true)));
-    assert_eq!(stream.recover(), Err(RecoverError::EmergencyStop));
-    stream.give_up().unwrap();
+    assert_eq!(rig.engine.recover(), Err(RecoverError::EmergencyStop));
+    let giving_up = rig.engine.give_up();
+    rig.motion.run_beside(&mut rig.watch, giving_up).unwrap();
     assert_eq!(sim.application().0.arm_owner(), None);
 }
 
 #[test]
 fn a_controller_that_is_gone_is_a_fault_and_not_a_wait() {
     let sim = controller();
-    let (mut stream, _) = blocking_stream!(sim, connect_tcp, tcp, |_| {});
+    let mut rig = over_tcp(&sim, |_| {});
     let mut sim = Some(sim);
-    let error = stream
-        .run(&mut |cycle: &Cycle<'_>| {
-            if cycle.number == 20 {
-                sim = None;
-            }
-            Next::Pose(*cycle.start)
-        })
-        .unwrap_err();
-    let fault = error.fault().unwrap();
+    rig.run(&mut |cycle: &Cycle<'_>| {
+        if cycle.number == 20 {
+            sim = None;
+        }
+        Next::Pose(*cycle.start)
+    })
+    .unwrap_err();
+    let fault = rig.fault();
     assert_eq!((fault.step, fault.released), (Step::Move, Released::Unknown), "{fault}");
-    assert_eq!(stream.recover(), Err(RecoverError::Lost));
+    assert_eq!(rig.engine.recover(), Err(RecoverError::Lost));
 }

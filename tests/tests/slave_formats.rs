@@ -9,12 +9,14 @@ use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
+use bcap_core::bcap::call;
+use bcap_core::bcap::client::Timing;
 use bcap_core::bcap::slave::{
     Action, Config, Engine, Extended, ExtendedAxes, Format, Handles, Mode, Pose, PoseType, ReceiveFormat, ReceivePose,
     SendFormat, SendIo, SlaveMode, TimeUnit, UserIo,
 };
-use bcap_core::bcap::{call, client};
 use bcap_core::hresult::HResult;
+use bcap_core::io::CallError;
 use bcap_core::io::blocking::{Connection, Transport};
 use bcap_core::storage::Storage;
 use bcap_sim::{Controller, Profile, VariableKind};
@@ -79,8 +81,8 @@ fn stream<X: Transport<Error: Debug>, T: Storage, R: Storage>(
     format: Format,
 ) -> (u32, u32) {
     // a machine that is busy may keep an answer for long; what is tested here is not the time
-    let usual = *connection.client().config();
-    connection.client().set_config(client::Config { attempts: 250, ..usual });
+    let usual = connection.client().timing();
+    connection.client().set_timing(Timing { attempts: 250, ..usual });
     connection.call(call::service_start("")).unwrap();
     let provider = Profile::Rc8.provider();
     let controller = connection.call(call::controller_connect("", provider, "localhost", "")).unwrap();
@@ -90,8 +92,12 @@ fn stream<X: Transport<Error: Debug>, T: Storage, R: Storage>(
     let end = loop {
         match engine.poll(now()) {
             Action::Call(..) => {
-                let error = connection.carry_out(&mut engine, |_| answers += 1);
-                assert!(error.is_none(), "{format:?}: {error:?}");
+                let client = connection.client();
+                let timing = engine.timing(client.link(), client.timing());
+                let replied = connection.call_with(engine.request().unwrap(), timing).map(drop);
+                assert!(matches!(replied, Ok(()) | Err(CallError::Refused(_))), "{format:?}: {replied:?}");
+                let reply = connection.client().reply().unwrap();
+                answers += u32::from(engine.handle_reply(&reply, now()).is_some());
             }
             Action::Wait(until) => thread::sleep(until.saturating_since(now())),
             Action::Pose { .. } if count == POSES => engine.finish(),

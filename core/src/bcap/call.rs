@@ -104,6 +104,19 @@ fn value<'a, T>(
     found.as_ref().and_then(read).ok_or(ReplyError { expected, found: found.map(|v| v.vartype()) })
 }
 
+fn handle_from(args: Args<'_>, expected: &'static str) -> Result<i32, ReplyError> {
+    value(args, expected, |v| match *v {
+        // some servers keep handles as unsigned numbers
+        Variant::Ui4(n) => Some(n.cast_signed()),
+        _ => v.as_i32(),
+    })
+}
+
+/// Returns the handle that a reply carries, of an object of any kind.
+pub(crate) fn handle_of(args: Args<'_>) -> Result<i32, ReplyError> {
+    handle_from(args, "a handle")
+}
+
 /// A reply without a value; one that a peer sends all the same is ignored.
 #[derive(Clone, Copy, Debug)]
 pub struct Nothing;
@@ -182,11 +195,7 @@ macro_rules! handles {
             type Value<'a> = Self;
 
             fn read(args: Args<'_>) -> Result<Self, ReplyError> {
-                let handle = value(args, concat!("the handle of a ", $text), |v| match *v {
-                    // some servers keep handles as unsigned numbers
-                    Variant::Ui4(n) => Some(n.cast_signed()),
-                    _ => v.as_i32(),
-                })?;
+                let handle = handle_from(args, concat!("the handle of a ", $text))?;
                 Ok(Self(handle))
             }
         }

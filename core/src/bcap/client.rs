@@ -35,6 +35,37 @@ use crate::limits::{Limits, Strictness};
 use crate::storage::Storage;
 use crate::time::Instant;
 
+/// The time limits and the attempts of one call.
+///
+/// Each call has its own: they are an argument of [`Client::start`], so that dropping a call cannot leave them changed
+/// for the next one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Timing {
+    /// How long an attempt waits for a reply or a keep-alive.
+    pub attempt_timeout: Duration,
+    /// How often the call is sent at most, on lossy links; a stream sends it once.
+    pub attempts: u8,
+    /// How long the call may take altogether.
+    pub deadline: Duration,
+    /// How long S_EXECUTING may keep the call alive, from the first one on.
+    pub keep_alive: Duration,
+}
+
+impl Timing {
+    /// Defaults for TCP: 3 s for the reply or the next keep-alive, 180 s for a call, as long as a server runs one.
+    pub const TCP: Self = Self {
+        attempt_timeout: Duration::from_secs(3),
+        attempts: 1,
+        deadline: Duration::from_secs(180),
+        keep_alive: Duration::from_secs(180),
+    };
+    /// Defaults for UDP and serial lines: five attempts of 500 ms (S2:1493).
+    pub const UDP: Self = Self { attempt_timeout: Duration::from_millis(500), attempts: 5, ..Self::TCP };
+    /// Defaults for serial lines, as for UDP.
+    pub const SERIAL: Self = Self::UDP;
+}
+
 /// How a client behaves; every field can be changed at run time, before the client is made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -45,41 +76,31 @@ pub struct Config {
     pub limits: Limits,
     /// How forgiving the client is with replies.
     pub strictness: Strictness,
-    /// What to do when the bytes of a stream are no frame; datagrams are dropped in any case.
+    /// What to do when the bytes of a stream are not a valid frame; such datagrams are always dropped.
     pub on_malformed: OnMalformed,
-    /// How long an attempt waits for a reply or a keep-alive.
-    pub attempt_timeout: Duration,
-    /// How often a call is sent at most, on lossy links; a stream sends it once.
-    pub attempts: u8,
-    /// How long a call may take altogether.
-    pub deadline: Duration,
-    /// How long S_EXECUTING may keep a call alive, from the first one on.
-    pub keep_alive: Duration,
+    /// The timing of calls that bring none of their own: those of [`Connection::call`](crate::io::blocking::Connection::call).
+    pub timing: Timing,
 }
 
 impl Config {
-    /// Defaults for TCP: 3 s for the reply or the next keep-alive, 180 s for a call, as long as a server runs one.
+    /// Defaults for TCP.
     pub const TCP: Self = Self {
         link: Link::Stream,
         limits: Limits::STREAM,
         strictness: Strictness::Strict,
         on_malformed: OnMalformed::Close,
-        attempt_timeout: Duration::from_secs(3),
-        attempts: 1,
-        deadline: Duration::from_secs(180),
-        keep_alive: Duration::from_secs(180),
+        timing: Timing::TCP,
     };
-    /// Defaults for UDP: five attempts of 500 ms (S2:1493).
+    /// Defaults for UDP.
     pub const UDP: Self = Self {
         link: Link::Datagram,
         limits: Limits::DATAGRAM,
-        attempt_timeout: Duration::from_millis(500),
-        attempts: 5,
         on_malformed: OnMalformed::Resync,
+        timing: Timing::UDP,
         ..Self::TCP
     };
-    /// Defaults for serial lines: five attempts of 500 ms.
-    pub const SERIAL: Self = Self { link: Link::Serial, limits: Limits::SERIAL, ..Self::UDP };
+    /// Defaults for serial lines.
+    pub const SERIAL: Self = Self { link: Link::Serial, limits: Limits::SERIAL, timing: Timing::SERIAL, ..Self::UDP };
 }
 
 /// What has happened; nothing is borrowed, so an event can be kept while the client goes on.
@@ -176,13 +197,13 @@ impl core::error::Error for ClientError {}
 ///
 /// ```
 /// use bcap_core::bcap::call::{self, VariableHandle};
-/// use bcap_core::bcap::client::{Client, Config, Event};
+/// use bcap_core::bcap::client::{Client, Config, Event, Timing};
 /// use bcap_core::time::Instant;
 /// use bcap_core::variant::Variant;
 ///
 /// let mut client = Client::new(Config::TCP, [0; 512], [0; 512]);
 /// let get = call::variable_get_value(VariableHandle(3));
-/// client.start(&get, Instant::ZERO)?;
+/// client.start(&get, Timing::TCP, Instant::ZERO)?;
 /// let request = client.transmit(); // to be sent
 /// # assert_eq!(request.len(), 30);
 /// # let sent = request.len();
@@ -209,7 +230,8 @@ pub struct Client<T, R = T> {
 /// Everything of a client that does not depend on its memory.
 #[derive(Debug)]
 struct State {
-    config: Config,
+    link: Link,
+    timing: Timing,
     /// The serial of the next attempt.
     next_serial: u16,
     call: Option<InFlight>,
@@ -230,10 +252,21 @@ struct InFlight {
     attempt: u8,
     /// The serial of the last attempt of which bytes have left.
     sent: Option<u16>,
+    /// What of its timing is still needed; times in microseconds.
+    attempts: u8,
+    attempt_timeout: u64,
+    keep_alive: KeepAlive,
     attempt_until: Instant,
     deadline: Instant,
-    /// Set by the first S_EXECUTING.
-    keep_alive_until: Instant,
+}
+
+/// How long S_EXECUTING may keep a call alive.
+#[derive(Clone, Copy, Debug)]
+enum KeepAlive {
+    /// For so many microseconds, from the first one on.
+    For(u64),
+    /// Until then: the first one has arrived.
+    Until(Instant),
 }
 
 impl<T: Storage, R: Storage> Client<T, R> {
@@ -244,10 +277,10 @@ impl<T: Storage, R: Storage> Client<T, R> {
         Self { tx, rx, inbox, reply: None, state: State::new(config) }
     }
 
-    /// Returns the configuration.
+    /// Returns what carries the frames.
     #[must_use]
-    pub const fn config(&self) -> &Config {
-        &self.state.config
+    pub const fn link(&self) -> Link {
+        self.state.link
     }
 
     /// Sets the serial of the next call, which is 1 at first and must not be 0.
@@ -258,19 +291,25 @@ impl<T: Storage, R: Storage> Client<T, R> {
         self.state.next_serial = if serial == 0 { 1 } else { serial };
     }
 
-    /// Changes the time limits and the number of attempts, from the next call on; the link stays what it was.
-    pub const fn set_config(&mut self, config: Config) {
-        self.state.config = Config { link: self.state.config.link, ..config };
+    /// Returns [`Config::timing`], the timing of calls that bring none of their own.
+    #[must_use]
+    pub const fn timing(&self) -> Timing {
+        self.state.timing
     }
 
-    /// Begins a call; its frame is then to be sent.
+    /// Sets [`Config::timing`], the timing of calls that bring none of their own.
+    pub const fn set_timing(&mut self, timing: Timing) {
+        self.state.timing = timing;
+    }
+
+    /// Begins a call with its timing; its frame is then to be sent.
     ///
     /// # Errors
     ///
     /// [`ClientError::Busy`] while a call is in flight or part of an abandoned one is unsent, [`ClientError::Closed`]
     /// after the session ended, [`ClientError::TooLarge`] before anything over the link's limit is sent.
-    pub fn start<C: Call + ?Sized>(&mut self, call: &C, now: Instant) -> Result<(), ClientError> {
-        self.start_any(call.prepared(), call.function(), &|frame| call.arguments(frame), now)
+    pub fn start<C: Call + ?Sized>(&mut self, call: &C, timing: Timing, now: Instant) -> Result<(), ClientError> {
+        self.start_any(call.prepared(), call.function(), &|frame| call.arguments(frame), timing, now)
     }
 
     /// Begins a call of any kind; there is one copy of this in an image, however many kinds of calls it makes.
@@ -279,11 +318,12 @@ impl<T: Storage, R: Storage> Client<T, R> {
         prepared: Option<&[u8]>,
         function: FunctionId,
         arguments: Arguments<'_>,
+        timing: Timing,
         now: Instant,
     ) -> Result<(), ClientError> {
         self.state.check_idle()?;
         self.reply = None;
-        let (link, serial) = (self.state.config.link, self.state.take_serial());
+        let (link, serial) = (self.state.link, self.state.take_serial());
         let reserved = if link.is_lossy() { serial } else { 0 };
         let max = link.send_max();
         let len = loop {
@@ -301,7 +341,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
                 Err(other) => return Err(ClientError::Encode(other)),
             }
         };
-        self.state.begin(serial, len, now);
+        self.state.begin(serial, len, timing, now);
         Ok(())
     }
 
@@ -381,7 +421,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
     /// Returns when [`handle_timeout`](Self::handle_timeout) is to be called; `None` while no call is in flight.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
-        self.state.call.map(|call| call.attempt_until.min(call.deadline).min(call.keep_alive_until))
+        self.state.call.map(|call| call.attempt_until.min(call.deadline).min(call.keep_alive_until()))
     }
 
     /// Acts on the time: sends a call again, or ends it. Nothing happens before the time is due.
@@ -390,27 +430,27 @@ impl<T: Storage, R: Storage> Client<T, R> {
         if now >= call.deadline {
             return Some(self.state.fail(Timeout::Deadline));
         }
-        if now >= call.keep_alive_until {
+        if now >= call.keep_alive_until() {
             return Some(self.state.fail(Timeout::KeepAlive));
         }
         if now < call.attempt_until {
             return None;
         }
-        if self.state.config.link == Link::Serial {
+        if self.state.link == Link::Serial {
             if self.state.is_sending() {
                 // a slow line: the attempt has not really begun
-                self.state.call = Some(InFlight { attempt_until: self.state.attempt_end(now), ..call });
+                self.state.call = Some(InFlight { attempt_until: call.attempt_end(now), ..call });
                 return None;
             }
             // the line was silent for a whole attempt, so the rest of a frame will not come
             self.inbox.forget_partial();
         }
-        if !self.state.config.link.is_lossy() || call.attempt >= self.state.config.attempts {
+        if !self.state.link.is_lossy() || call.attempt >= call.attempts {
             return Some(self.state.fail(Timeout::Attempt));
         }
         let serial = self.state.retry(call, now);
         let frame = self.tx.bytes_mut().get_mut(..self.state.tx_len).unwrap_or_default();
-        renumber(frame, serial, call.first, self.state.config.link == Link::Serial);
+        renumber(frame, serial, call.first, self.state.link == Link::Serial);
         Some(Event::Retried { attempt: call.attempt.saturating_add(1) })
     }
 
@@ -471,7 +511,8 @@ fn encode_prepared(prepared: &[u8], memory: &mut [u8], serial: u16, reserved: u1
 impl State {
     fn new(config: Config) -> Self {
         Self {
-            config,
+            link: config.link,
+            timing: config.timing,
             next_serial: 1,
             call: None,
             tx_len: 0,
@@ -505,7 +546,7 @@ impl State {
         }
     }
 
-    fn begin(&mut self, serial: u16, len: usize, now: Instant) {
+    fn begin(&mut self, serial: u16, len: usize, timing: Timing, now: Instant) {
         self.tx_len = len;
         self.tx_sent = 0;
         self.call = Some(InFlight {
@@ -513,9 +554,11 @@ impl State {
             last: serial,
             attempt: 1,
             sent: None,
-            attempt_until: self.attempt_end(now),
-            deadline: now.saturating_add(self.config.deadline),
-            keep_alive_until: Instant::FAR_FUTURE,
+            attempts: timing.attempts,
+            attempt_timeout: Instant::ZERO.saturating_add(timing.attempt_timeout).as_micros(),
+            keep_alive: KeepAlive::For(Instant::ZERO.saturating_add(timing.keep_alive).as_micros()),
+            attempt_until: now.saturating_add(timing.attempt_timeout),
+            deadline: now.saturating_add(timing.deadline),
         });
     }
 
@@ -525,7 +568,7 @@ impl State {
         self.call = Some(InFlight {
             last: serial,
             attempt: call.attempt.saturating_add(1),
-            attempt_until: self.attempt_end(now),
+            attempt_until: call.attempt_end(now),
             ..call
         });
         serial
@@ -534,7 +577,7 @@ impl State {
     fn handle_frame(&mut self, serial: u16, result: HResult, is_early: bool, now: Instant) -> Event {
         let is_answer = !is_early && self.is_awaited(serial) && (result.is_err() || self.is_sent());
         // over UDP anybody can send stale replies, so those end no session
-        let is_useless = if is_answer { result == HResult::S_EXECUTING } else { self.config.link == Link::Stream };
+        let is_useless = if is_answer { result == HResult::S_EXECUTING } else { self.link == Link::Stream };
         if is_useless && self.flood.is_over(now) {
             return self.close(ClientError::Flooded);
         }
@@ -554,11 +597,10 @@ impl State {
 
     /// Restarts the time of the attempt.
     fn keep_alive(&mut self, now: Instant) {
-        let (attempt_until, keep_alive) = (self.attempt_end(now), self.config.keep_alive);
         if let Some(call) = &mut self.call {
-            call.attempt_until = attempt_until;
-            if call.keep_alive_until == Instant::FAR_FUTURE {
-                call.keep_alive_until = now.saturating_add(keep_alive);
+            call.attempt_until = call.attempt_end(now);
+            if let KeepAlive::For(micros) = call.keep_alive {
+                call.keep_alive = KeepAlive::Until(later(now, micros));
             }
         }
     }
@@ -600,7 +642,7 @@ impl State {
         if call.sent.is_some() && (answered.is_none() || call.attempt > 1) {
             self.unanswered.push(call.first, call.last);
         }
-        if !self.is_sending() || self.config.link == Link::Datagram {
+        if !self.is_sending() || self.link == Link::Datagram {
             // nothing of the frame has left, or all of it has
             self.tx_len = 0;
             self.tx_sent = 0;
@@ -611,10 +653,24 @@ impl State {
     const fn is_sending(&self) -> bool {
         0 < self.tx_sent && self.tx_sent < self.tx_len
     }
+}
 
-    const fn attempt_end(&self, now: Instant) -> Instant {
-        now.saturating_add(self.config.attempt_timeout)
+impl InFlight {
+    const fn keep_alive_until(&self) -> Instant {
+        match self.keep_alive {
+            KeepAlive::For(_) => Instant::FAR_FUTURE,
+            KeepAlive::Until(until) => until,
+        }
     }
+
+    /// Returns when an attempt that begins now, or that is kept alive now, times out.
+    const fn attempt_end(&self, now: Instant) -> Instant {
+        later(now, self.attempt_timeout)
+    }
+}
+
+const fn later(now: Instant, micros: u64) -> Instant {
+    Instant::from_micros(now.as_micros().saturating_add(micros))
 }
 
 /// Tells whether `serial` lies in a range that may wrap.

@@ -194,6 +194,15 @@ pub enum Object {
 }
 
 impl Object {
+    /// Returns the function that opens an object of this kind by its name, from one of the kind `owner`.
+    #[must_use]
+    pub fn opened_from(self, owner: Self) -> Option<FunctionId> {
+        let by_name = [Kind::Handle(owner), Kind::Text, Kind::Text];
+        FunctionId::all().find(|function| {
+            function.opens() == Some(self) && function.signature().is_some_and(|found| found.arguments == by_name)
+        })
+    }
+
     /// Returns the function that releases an object of this kind.
     #[must_use]
     pub const fn released_by(self) -> FunctionId {

@@ -49,8 +49,11 @@ impl Config<'_> {
     /// to 16 s, a heartbeat after 2 s of silence.
     pub const RC8: Self = Self {
         client: client::Config {
-            deadline: Duration::from_secs(8),
-            keep_alive: Duration::from_secs(8),
+            timing: client::Timing {
+                deadline: Duration::from_secs(8),
+                keep_alive: Duration::from_secs(8),
+                ..client::Timing::TCP
+            },
             ..client::Config::TCP
         },
         service: "WDT=400",

@@ -541,12 +541,20 @@ impl Gateway<'_> {
         let started = match seat.session.request()? {
             Request::Get(_) => {
                 let arguments: [&dyn Encode; 1] = [&handle];
-                self.client.start(&RawCall { function: FunctionId::VARIABLE_GET_VALUE, arguments: &arguments }, now)
+                self.client.start(
+                    &RawCall { function: FunctionId::VARIABLE_GET_VALUE, arguments: &arguments },
+                    self.client.timing(),
+                    now,
+                )
             }
             Request::Put(variable, value) => {
                 let held = Held { kind: variable.kind, value };
                 let arguments: [&dyn Encode; 2] = [&handle, &held];
-                self.client.start(&RawCall { function: FunctionId::VARIABLE_PUT_VALUE, arguments: &arguments }, now)
+                self.client.start(
+                    &RawCall { function: FunctionId::VARIABLE_PUT_VALUE, arguments: &arguments },
+                    self.client.timing(),
+                    now,
+                )
             }
         };
         match started {
@@ -561,7 +569,7 @@ impl Gateway<'_> {
 
     /// Sends a call; whatever it is, by the same code.
     fn start(&mut self, function: FunctionId, arguments: &[&dyn Encode], now: Instant) -> Result<(), ClientError> {
-        self.client.start(&RawCall { function, arguments }, now)
+        self.client.start(&RawCall { function, arguments }, self.client.timing(), now)
     }
 
     /// Answers a request, if it still waits, with the value of the reply if that was to a GET.

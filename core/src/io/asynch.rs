@@ -3,12 +3,12 @@
 //! With the feature `embedded-io-async`, `Timed` makes a transport of anything that reads and writes and a timer.
 //! Nothing is allocated and no executor is assumed; all futures here may be dropped at any point.
 
-mod stream;
-
 use crate::bcap::Client;
 use crate::bcap::call::{Call, Reply};
+use crate::bcap::client::Timing;
 use crate::hresult::HResult;
-use crate::io::{CallError, MAX_EARLY, Machine, RacError, Step};
+use crate::io::{CallError, Direction, MAX_EARLY, Machine, RacError, RunError, hand_in, moved, next};
+use crate::procedure::{Action, Channel, Failure, Procedure};
 use crate::rac::{self, Request, Variable};
 use crate::storage::Storage;
 use crate::time::Instant;
@@ -50,6 +50,9 @@ pub trait Transport {
         buffer: &mut [u8],
         until: Instant,
     ) -> impl Future<Output = Result<Option<usize>, Self::Error>>;
+
+    /// Waits until it is `at`; received bytes stay where they are.
+    fn sleep_until(&mut self, at: Instant) -> impl Future<Output = ()>;
 }
 
 /// A client of b-CAP with its transport.
@@ -90,20 +93,125 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
 
     /// Makes a call, waits for its reply and returns the value, which borrows from the client's buffer.
     ///
+    /// Its timing is that of the client's configuration; [`call_with`](Self::call_with) takes another one.
+    ///
     /// # Errors
     ///
     /// A [`CallError`]; [`is_recoverable`](CallError::is_recoverable) tells whether the connection is still good.
     ///
     /// # Cancel safety
     ///
-    /// When the future is dropped the call is given up: what had begun to be sent is finished before the next call,
-    /// and the reply, if it comes, is dropped. Whether the controller has executed the call is then unknown.
+    /// When the future is dropped the call is given up: a partly sent request is finished before the next call, and the
+    /// reply, if it arrives, is dropped. Whether the controller has executed the call is then unknown.
     pub async fn call<C: Call>(&mut self, call: C) -> Result<<C::Reply as Reply>::Value<'_>, CallError<X::Error>> {
+        let timing = self.client.timing();
+        self.call_with(call, timing).await
+    }
+
+    /// Makes a call as [`call`](Self::call) does, with its own time limits and attempts.
+    ///
+    /// # Errors
+    ///
+    /// As [`call`](Self::call).
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`call`](Self::call).
+    pub async fn call_with<C: Call>(
+        &mut self,
+        call: C,
+        timing: Timing,
+    ) -> Result<<C::Reply as Reply>::Value<'_>, CallError<X::Error>> {
+        self.exchange(&call, timing).await?;
+        Ok(self.client.value::<C::Reply>()?)
+    }
+
+    async fn exchange<C: Call>(&mut self, call: &C, timing: Timing) -> Result<(), CallError<X::Error>> {
         flush(&mut self.transport, &mut self.client).await?;
         drain(&mut self.transport, &mut self.client).await?;
-        self.client.start(&call, self.transport.now())?;
-        wait(&mut self.transport, &mut self.client).await?;
-        Ok(self.client.value::<C::Reply>()?)
+        self.client.start(call, timing, self.transport.now())?;
+        wait(&mut self.transport, &mut self.client).await
+    }
+
+    /// Runs a procedure over this connection until it is done.
+    ///
+    /// # Errors
+    ///
+    /// A [`RunError`]: the procedure's own error, and that of the first call without a reply.
+    ///
+    /// # Cancel safety
+    ///
+    /// When the future is dropped, its call is given up as in [`call`](Self::call), and the procedure keeps its place. When
+    /// it is run again, it first learns that its call has no reply.
+    pub async fn run<P: Procedure>(&mut self, procedure: P) -> Result<P::Output, RunError<P::Error, X::Error>> {
+        run(procedure, self, None::<&mut Self>).await
+    }
+
+    /// Runs a procedure over this connection, its calls of [`Channel::Watch`] over another one.
+    ///
+    /// # Errors
+    ///
+    /// As [`run`](Self::run).
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`run`](Self::run).
+    pub async fn run_beside<P, Y, U, S>(
+        &mut self,
+        watch: &mut Connection<Y, U, S>,
+        procedure: P,
+    ) -> Result<P::Output, RunError<P::Error, X::Error>>
+    where
+        P: Procedure,
+        Y: Transport<Error = X::Error>,
+        U: Storage,
+        S: Storage,
+    {
+        run(procedure, self, Some(watch)).await
+    }
+
+    /// Makes the call that a procedure wants, and hands its reply or failure in; returns why there is no reply.
+    async fn perform<P: Procedure>(&mut self, procedure: &mut P) -> Option<CallError<X::Error>> {
+        let timing = procedure.timing(self.client.link(), self.client.timing());
+        let ended = match procedure.request() {
+            Some(request) => self.exchange(&request, timing).await,
+            None => return None,
+        };
+        hand_in(procedure, &self.client, ended, self.transport.now())
+    }
+}
+
+/// Runs a procedure over one connection or two.
+async fn run<P, X, T, R, Y, U, S>(
+    mut procedure: P,
+    motion: &mut Connection<X, T, R>,
+    mut watch: Option<&mut Connection<Y, U, S>>,
+) -> Result<P::Output, RunError<P::Error, X::Error>>
+where
+    P: Procedure,
+    X: Transport,
+    Y: Transport<Error = X::Error>,
+    T: Storage,
+    R: Storage,
+    U: Storage,
+    S: Storage,
+{
+    let mut lost = None;
+    if procedure.request().is_some() {
+        // a run that was dropped has left a call without a reply
+        procedure.handle_failure(Failure::Timeout, motion.transport.now());
+    }
+    loop {
+        let error = match (procedure.poll(motion.transport.now()), &mut watch) {
+            (Action::Call(Channel::Watch), Some(watch)) => watch.perform(&mut procedure).await,
+            (Action::Call(_), _) => motion.perform(&mut procedure).await,
+            (Action::Wait(at), _) => {
+                motion.transport.sleep_until(at).await;
+                None
+            }
+            (Action::Done(result), _) => return result.map_err(|error| RunError { error, call: lost }),
+        };
+        lost = lost.or(error);
     }
 }
 
@@ -145,8 +253,8 @@ impl<X: Transport, V: Storage> RacConnection<X, V> {
     ///
     /// # Cancel safety
     ///
-    /// When the future is dropped the request is given up: what had begun to be sent is finished, and its reply is
-    /// awaited and dropped, before the next one. Whether the controller has carried it out is then unknown.
+    /// When the future is dropped the request is given up: a partly sent request is finished, and its reply is awaited and
+    /// dropped, before the next one. Whether the controller has carried it out is then unknown.
     pub async fn get(&mut self, variable: Variable) -> Result<Variant<'_>, RacError<X::Error>> {
         self.request(&Request::Get(variable)).await?;
         Ok(self.client.reply().and_then(|reply| reply.value).unwrap_or(Variant::Empty))
@@ -160,8 +268,8 @@ impl<X: Transport, V: Storage> RacConnection<X, V> {
     ///
     /// # Cancel safety
     ///
-    /// When the future is dropped the request is given up: what had begun to be sent is finished, and its reply is
-    /// awaited and dropped, before the next one. Whether the controller has carried it out is then unknown.
+    /// When the future is dropped the request is given up: a partly sent request is finished, and its reply is awaited and
+    /// dropped, before the next one. Whether the controller has carried it out is then unknown.
     pub async fn put(&mut self, variable: Variable, value: Variant<'_>) -> Result<(), RacError<X::Error>> {
         self.request(&Request::Put(variable, value)).await
     }
@@ -175,7 +283,6 @@ impl<X: Transport, V: Storage> RacConnection<X, V> {
 }
 
 type Ended<X, M> = Result<(), CallError<<X as Transport>::Error, <M as Machine>::Error>>;
-type Moved<X, M> = Result<bool, CallError<<X as Transport>::Error, <M as Machine>::Error>>;
 
 /// Sends the rest of a call that was given up.
 async fn flush<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
@@ -183,11 +290,10 @@ async fn flush<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> E
     if client.transmit().is_empty() {
         return Ok(());
     }
-    let until = transport.now().saturating_add(client.patience());
+    let until = transport.now().saturating_add(client.flush_timeout());
     while !client.transmit().is_empty() {
-        if !send(transport, client, until).await? {
-            return Err(CallError::Client(M::BUSY));
-        }
+        let sent = transport.send(client.transmit(), until).await.map_err(CallError::Io)?;
+        client.transmitted(sent.ok_or(CallError::Client(M::BUSY))?);
     }
     Ok(())
 }
@@ -196,13 +302,12 @@ async fn flush<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> E
 async fn drain<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
     for _ in 0..MAX_EARLY {
         let now = transport.now();
-        if !receive(transport, client, now).await? {
+        let count = transport.receive(client.receive_buffer(), now).await.map_err(CallError::Io)?;
+        if count.is_none() {
             break;
         }
-        while let Some(step) = client.poll(now) {
-            if let Some(end @ Err(_)) = step.end() {
-                return end;
-            }
+        if let Some(end @ Err(_)) = moved(client, Direction::Receive, count, Instant::FAR_FUTURE, now) {
+            return end;
         }
     }
     Ok(())
@@ -210,45 +315,17 @@ async fn drain<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> E
 
 /// Moves bytes and time until the call has ended.
 async fn wait<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
-    while let Some(until) = client.poll_timeout() {
-        let moved = match client.transmit() {
-            [] => receive(transport, client, until).await?,
-            _ => send(transport, client, until).await?,
+    while let Some((direction, until)) = next(client) {
+        let count = match direction {
+            Direction::Send => transport.send(client.transmit(), until).await,
+            Direction::Receive => transport.receive(client.receive_buffer(), until).await,
         };
-        let now = transport.now();
-        while let Some(step) = client.poll(now) {
-            if let Some(end) = step.end() {
-                return end;
-            }
-        }
-        // after the events, so that a reply that has just come counts
-        if (!moved || now >= until)
-            && let Some(end) = client.handle_timeout(now).and_then(Step::end)
-        {
+        let count = count.map_err(CallError::Io)?;
+        if let Some(end) = moved(client, direction, count, until, transport.now()) {
             return end;
         }
     }
     Err(CallError::Client(M::CLOSED))
-}
-
-/// Sends what it can; `false` when the time was over first.
-async fn send<X: Transport, M: Machine>(transport: &mut X, client: &mut M, until: Instant) -> Moved<X, M> {
-    let sent = transport.send(client.transmit(), until).await.map_err(CallError::Io)?;
-    client.transmitted(sent.unwrap_or(0));
-    Ok(sent.is_some())
-}
-
-/// Receives what there is; `false` when the time was over first.
-async fn receive<X: Transport, M: Machine>(transport: &mut X, client: &mut M, until: Instant) -> Moved<X, M> {
-    let received = transport.receive(client.receive_buffer(), until).await.map_err(CallError::Io)?;
-    match received {
-        Some(0) if !client.has_datagrams() => Err(CallError::Disconnected),
-        Some(count) => {
-            client.received(count);
-            Ok(true)
-        }
-        None => Ok(false),
-    }
 }
 
 /// A timer for [`Timed`].
@@ -302,6 +379,10 @@ where
             device.read(buffer).await
         };
         first(read, timer.sleep_until(until)).await.transpose()
+    }
+
+    async fn sleep_until(&mut self, at: Instant) {
+        self.timer.sleep_until(at).await;
     }
 }
 

@@ -3,12 +3,12 @@
 //! With the feature `embedded-io`, `Polled` makes a transport of anything that reads, writes and can say whether bytes
 //! are there (a UART), and a clock.
 
-mod stream;
-
 use crate::bcap::Client;
 use crate::bcap::call::{Call, Reply};
+use crate::bcap::client::Timing;
 use crate::hresult::HResult;
-use crate::io::{CallError, MAX_EARLY, Machine, RacError, Step};
+use crate::io::{CallError, Direction, MAX_EARLY, Machine, RacError, RunError, hand_in, moved, next};
+use crate::procedure::{Action, Channel, Failure, Procedure};
 use crate::rac::{self, Request, Variable};
 use crate::storage::Storage;
 use crate::time::Instant;
@@ -38,6 +38,9 @@ pub trait Transport {
     ///
     /// When the connection cannot be used any more.
     fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, Self::Error>;
+
+    /// Waits until it is `at`; received bytes stay where they are.
+    fn sleep_until(&mut self, at: Instant);
 }
 
 /// A client of b-CAP with its transport.
@@ -78,15 +81,107 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
 
     /// Makes a call, waits for its reply and returns the value, which borrows from the client's buffer.
     ///
+    /// Its timing is that of the client's configuration; [`call_with`](Self::call_with) takes another one.
+    ///
     /// # Errors
     ///
     /// A [`CallError`]; [`is_recoverable`](CallError::is_recoverable) tells whether the connection is still good.
     pub fn call<C: Call>(&mut self, call: C) -> Result<<C::Reply as Reply>::Value<'_>, CallError<X::Error>> {
+        let timing = self.client.timing();
+        self.call_with(call, timing)
+    }
+
+    /// Makes a call as [`call`](Self::call) does, with its own time limits and attempts.
+    ///
+    /// # Errors
+    ///
+    /// As [`call`](Self::call).
+    pub fn call_with<C: Call>(
+        &mut self,
+        call: C,
+        timing: Timing,
+    ) -> Result<<C::Reply as Reply>::Value<'_>, CallError<X::Error>> {
+        self.exchange(&call, timing)?;
+        Ok(self.client.value::<C::Reply>()?)
+    }
+
+    fn exchange<C: Call>(&mut self, call: &C, timing: Timing) -> Result<(), CallError<X::Error>> {
         flush(&mut self.transport, &mut self.client)?;
         drain(&mut self.transport, &mut self.client)?;
-        self.client.start(&call, self.transport.now())?;
-        wait(&mut self.transport, &mut self.client)?;
-        Ok(self.client.value::<C::Reply>()?)
+        self.client.start(call, timing, self.transport.now())?;
+        wait(&mut self.transport, &mut self.client)
+    }
+
+    /// Runs a procedure over this connection until it is done.
+    ///
+    /// # Errors
+    ///
+    /// A [`RunError`]: the procedure's own error, and that of the first call without a reply.
+    pub fn run<P: Procedure>(&mut self, procedure: P) -> Result<P::Output, RunError<P::Error, X::Error>> {
+        run(procedure, self, None::<&mut Self>)
+    }
+
+    /// Runs a procedure over this connection, its calls of [`Channel::Watch`] over another one.
+    ///
+    /// # Errors
+    ///
+    /// As [`run`](Self::run).
+    pub fn run_beside<P, Y, U, S>(
+        &mut self,
+        watch: &mut Connection<Y, U, S>,
+        procedure: P,
+    ) -> Result<P::Output, RunError<P::Error, X::Error>>
+    where
+        P: Procedure,
+        Y: Transport<Error = X::Error>,
+        U: Storage,
+        S: Storage,
+    {
+        run(procedure, self, Some(watch))
+    }
+
+    /// Makes the call that a procedure wants, and hands its reply or failure in; returns why there is no reply.
+    fn perform<P: Procedure>(&mut self, procedure: &mut P) -> Option<CallError<X::Error>> {
+        let timing = procedure.timing(self.client.link(), self.client.timing());
+        let ended = match procedure.request() {
+            Some(request) => self.exchange(&request, timing),
+            None => return None,
+        };
+        hand_in(procedure, &self.client, ended, self.transport.now())
+    }
+}
+
+/// Runs a procedure over one connection or two.
+fn run<P, X, T, R, Y, U, S>(
+    mut procedure: P,
+    motion: &mut Connection<X, T, R>,
+    mut watch: Option<&mut Connection<Y, U, S>>,
+) -> Result<P::Output, RunError<P::Error, X::Error>>
+where
+    P: Procedure,
+    X: Transport,
+    Y: Transport<Error = X::Error>,
+    T: Storage,
+    R: Storage,
+    U: Storage,
+    S: Storage,
+{
+    let mut lost = None;
+    if procedure.request().is_some() {
+        // an earlier run has left a call without a reply
+        procedure.handle_failure(Failure::Timeout, motion.transport.now());
+    }
+    loop {
+        let error = match (procedure.poll(motion.transport.now()), &mut watch) {
+            (Action::Call(Channel::Watch), Some(watch)) => watch.perform(&mut procedure),
+            (Action::Call(_), _) => motion.perform(&mut procedure),
+            (Action::Wait(at), _) => {
+                motion.transport.sleep_until(at);
+                None
+            }
+            (Action::Done(result), _) => return result.map_err(|error| RunError { error, call: lost }),
+        };
+        lost = lost.or(error);
     }
 }
 
@@ -148,7 +243,6 @@ impl<X: Transport, V: Storage> RacConnection<X, V> {
 }
 
 type Ended<X, M> = Result<(), CallError<<X as Transport>::Error, <M as Machine>::Error>>;
-type Moved<X, M> = Result<bool, CallError<<X as Transport>::Error, <M as Machine>::Error>>;
 
 /// Sends the rest of a call that was given up.
 fn flush<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
@@ -156,11 +250,10 @@ fn flush<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X
     if client.transmit().is_empty() {
         return Ok(());
     }
-    let until = transport.now().saturating_add(client.patience());
+    let until = transport.now().saturating_add(client.flush_timeout());
     while !client.transmit().is_empty() {
-        if !send(transport, client, until)? {
-            return Err(CallError::Client(M::BUSY));
-        }
+        let sent = transport.send(client.transmit(), until).map_err(CallError::Io)?;
+        client.transmitted(sent.ok_or(CallError::Client(M::BUSY))?);
     }
     Ok(())
 }
@@ -169,13 +262,12 @@ fn flush<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X
 fn drain<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
     for _ in 0..MAX_EARLY {
         let now = transport.now();
-        if !receive(transport, client, now)? {
+        let count = transport.receive(client.receive_buffer(), now).map_err(CallError::Io)?;
+        if count.is_none() {
             break;
         }
-        while let Some(step) = client.poll(now) {
-            if let Some(end @ Err(_)) = step.end() {
-                return end;
-            }
+        if let Some(end @ Err(_)) = moved(client, Direction::Receive, count, Instant::FAR_FUTURE, now) {
+            return end;
         }
     }
     Ok(())
@@ -183,45 +275,17 @@ fn drain<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X
 
 /// Moves bytes and time until the call has ended.
 fn wait<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
-    while let Some(until) = client.poll_timeout() {
-        let moved = match client.transmit() {
-            [] => receive(transport, client, until)?,
-            _ => send(transport, client, until)?,
+    while let Some((direction, until)) = next(client) {
+        let count = match direction {
+            Direction::Send => transport.send(client.transmit(), until),
+            Direction::Receive => transport.receive(client.receive_buffer(), until),
         };
-        let now = transport.now();
-        while let Some(step) = client.poll(now) {
-            if let Some(end) = step.end() {
-                return end;
-            }
-        }
-        // after the events, so that a reply that has just come counts
-        if (!moved || now >= until)
-            && let Some(end) = client.handle_timeout(now).and_then(Step::end)
-        {
+        let count = count.map_err(CallError::Io)?;
+        if let Some(end) = moved(client, direction, count, until, transport.now()) {
             return end;
         }
     }
     Err(CallError::Client(M::CLOSED))
-}
-
-/// Sends what it can; `false` when the time was over first.
-fn send<X: Transport, M: Machine>(transport: &mut X, client: &mut M, until: Instant) -> Moved<X, M> {
-    let sent = transport.send(client.transmit(), until).map_err(CallError::Io)?;
-    client.transmitted(sent.unwrap_or(0));
-    Ok(sent.is_some())
-}
-
-/// Receives what there is; `false` when the time was over first.
-fn receive<X: Transport, M: Machine>(transport: &mut X, client: &mut M, until: Instant) -> Moved<X, M> {
-    let received = transport.receive(client.receive_buffer(), until).map_err(CallError::Io)?;
-    match received {
-        Some(0) if !client.has_datagrams() => Err(CallError::Disconnected),
-        Some(count) => {
-            client.received(count);
-            Ok(true)
-        }
-        None => Ok(false),
-    }
 }
 
 /// A transport made of something that can be asked whether it has bytes, such as a UART, and a clock.
@@ -270,6 +334,12 @@ where
             core::hint::spin_loop();
         }
         self.device.read(buffer).map(Some)
+    }
+
+    fn sleep_until(&mut self, at: Instant) {
+        while self.clock.now() < at {
+            core::hint::spin_loop();
+        }
     }
 }
 

@@ -1,8 +1,11 @@
 //! Two short loops that run a client over a transport: [`blocking`] and [`asynch`].
 //!
 //! Both do the same with the clients of [b-CAP](crate::bcap::Client) and [RAC](crate::rac::client::Client): send what
-//! there is to send, wait for bytes until the next deadline, let the client think. All progress lives in the client,
-//! never on the stack of a loop: to drop a future, or to return early with an error, loses nothing.
+//! there is to send, wait for bytes until the next deadline, and poll the client. What a step means is decided here, once
+//! for both. All progress lives in the client, never on the stack of a loop: dropping a future, or returning early with an
+//! error, loses nothing.
+//!
+//! `Connection::run` runs any [`Procedure`](crate::procedure::Procedure), over one connection or over two.
 
 /// Tells the log about an event that the caller of a loop will not see.
 macro_rules! note {
@@ -20,8 +23,8 @@ pub mod blocking;
 use core::fmt;
 
 use crate::bcap;
-use crate::bcap::slave::Failure;
 use crate::hresult::HResult;
+use crate::procedure::{Failure, Procedure};
 use crate::rac;
 use crate::storage::Storage;
 use crate::time::Instant;
@@ -107,13 +110,64 @@ where
     }
 }
 
-/// Says what an engine of Slave Mode must know of a call without a reply.
-fn failure<E>(error: Option<&CallError<E>>) -> Failure {
-    match error {
-        Some(CallError::Client(error)) => (*error).into(),
-        Some(CallError::Io(_) | CallError::Disconnected) => Failure::Lost,
-        Some(CallError::Refused(_)) | None => Failure::Timeout,
+/// A procedure has failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct RunError<P, E> {
+    /// Why, as the procedure tells it.
+    pub error: P,
+    /// The first of its calls that has no reply, with the transport's error; `None` when all of them were answered.
+    pub call: Option<CallError<E>>,
+}
+
+impl<P: fmt::Display, E: fmt::Display> fmt::Display for RunError<P, E> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.error.fmt(f)?;
+        match &self.call {
+            Some(call) => write!(f, ": {call}"),
+            None => Ok(()),
+        }
     }
+}
+
+impl<P, E> core::error::Error for RunError<P, E>
+where
+    P: core::error::Error + 'static,
+    E: core::error::Error + 'static,
+{
+    fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
+        self.call.as_ref().map(|call| call as _)
+    }
+}
+
+/// Says what a procedure must know of a call without a reply.
+fn failure<E>(error: &CallError<E>) -> Failure {
+    match error {
+        CallError::Client(error) => (*error).into(),
+        CallError::Io(_) | CallError::Disconnected => Failure::Lost,
+        // the code is in the reply, which is handed in instead
+        CallError::Refused(_) => Failure::Timeout,
+    }
+}
+
+/// Hands the end of a call to the procedure that wanted it, and returns why there is no reply.
+fn hand_in<P: Procedure, T: Storage, R: Storage, E>(
+    procedure: &mut P,
+    client: &bcap::Client<T, R>,
+    ended: Result<(), CallError<E>>,
+    now: Instant,
+) -> Option<CallError<E>> {
+    match (ended, client.reply()) {
+        (Ok(()) | Err(CallError::Refused(_)), Some(reply)) => procedure.handle_reply(&reply, now),
+        (Ok(()), None) => procedure.handle_failure(Failure::Timeout, now),
+        (Err(error), _) => {
+            let failure = failure(&error);
+            note!("b-CAP, a call of a procedure has no reply", failure);
+            procedure.handle_failure(failure, now);
+            return Some(error);
+        }
+    }
+    None
 }
 
 /// How often a loop reads at most what arrived before a call. A socket's buffer holds fewer datagrams, and a stream that sends
@@ -131,7 +185,7 @@ trait Machine {
     /// Whether an empty read is a datagram and not the end.
     fn has_datagrams(&self) -> bool;
     /// How long the rest of an abandoned call may take to be sent.
-    fn patience(&self) -> core::time::Duration;
+    fn flush_timeout(&self) -> core::time::Duration;
     fn transmit(&self) -> &[u8];
     fn transmitted(&mut self, count: usize);
     fn receive_buffer(&mut self) -> &mut [u8];
@@ -163,6 +217,45 @@ impl<C> Step<C> {
             Self::Failed(error) => Some(Err(CallError::Client(error))),
         }
     }
+}
+
+/// What a loop does next to the link.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Direction {
+    Send,
+    Receive,
+}
+
+/// Returns what a loop does next for the call in flight, and until when; `None` when no call is in flight.
+fn next<M: Machine>(client: &M) -> Option<(Direction, Instant)> {
+    let direction = if client.transmit().is_empty() { Direction::Receive } else { Direction::Send };
+    client.poll_timeout().map(|until| (direction, until))
+}
+
+/// Records bytes that were sent or received, `None` when the time was over first, and returns the end of the call.
+fn moved<M: Machine, E>(
+    client: &mut M,
+    direction: Direction,
+    count: Option<usize>,
+    until: Instant,
+    now: Instant,
+) -> Option<Result<(), CallError<E, M::Error>>> {
+    match (direction, count) {
+        (_, None) => {}
+        (Direction::Send, Some(count)) => client.transmitted(count),
+        (Direction::Receive, Some(0)) if !client.has_datagrams() => return Some(Err(CallError::Disconnected)),
+        (Direction::Receive, Some(count)) => client.received(count),
+    }
+    while let Some(step) = client.poll(now) {
+        if let Some(end) = step.end() {
+            return Some(end);
+        }
+    }
+    // after the events, so that a reply that has just arrived counts
+    if count.is_some() && now < until {
+        return None;
+    }
+    client.handle_timeout(now).and_then(Step::end)
 }
 
 /// The methods that both clients have under the same names.
@@ -209,11 +302,11 @@ impl<T: Storage, R: Storage> Machine for bcap::Client<T, R> {
     const CLOSED: Self::Error = bcap::client::ClientError::Closed;
 
     fn has_datagrams(&self) -> bool {
-        self.config().link == bcap::Link::Datagram
+        self.link() == bcap::Link::Datagram
     }
 
-    fn patience(&self) -> core::time::Duration {
-        self.config().attempt_timeout
+    fn flush_timeout(&self) -> core::time::Duration {
+        self.timing().attempt_timeout
     }
 
     machine!(bcap::Client<T, R>);
@@ -229,7 +322,7 @@ impl<V: Storage> Machine for rac::client::Client<V> {
         false
     }
 
-    fn patience(&self) -> core::time::Duration {
+    fn flush_timeout(&self) -> core::time::Duration {
         self.config().timeout
     }
 

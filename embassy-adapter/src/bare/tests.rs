@@ -3,7 +3,7 @@ extern crate std;
 use std::vec;
 
 use bcap_core::bcap::call::{self, VariableHandle};
-use bcap_core::bcap::client::{ClientError, Config, Timeout};
+use bcap_core::bcap::client::{ClientError, Config, Timeout, Timing};
 use bcap_core::bcap::{FunctionId, server};
 use bcap_core::handler::{Outcome, ReplyValue};
 use bcap_core::hresult::HResult;
@@ -125,7 +125,7 @@ impl Pair {
     }
 
     fn call<C: call::Call>(&mut self, call: C) -> Result<Event, LinkError> {
-        self.client.start(&call, self.net.now).unwrap();
+        self.client.start(&call, self.client.timing(), self.net.now).unwrap();
         self.event()
     }
 }
@@ -167,7 +167,7 @@ fn a_connection_that_ends_is_told_from_one_that_is_refused() {
     let mut pair = Pair::new();
     // nobody listens yet
     pair.net.connect(pair.client_socket, 40_000);
-    pair.client.start(&call::service_start(""), pair.net.now).unwrap();
+    pair.client.start(&call::service_start(""), pair.client.timing(), pair.net.now).unwrap();
     let refused = (0..10).find_map(|_| {
         pair.net.step();
         let socket = pair.net.sockets.get_mut(pair.client_socket);
@@ -191,8 +191,9 @@ fn a_connection_that_ends_is_told_from_one_that_is_refused() {
 fn calls_over_udp_are_repeated_and_strangers_are_not_heard() {
     let mut net = Net::new();
     let (here, there, stranger) = (net.udp(40_000), net.udp(5007), net.udp(5008));
-    let mut client = Client::new(Config { attempts: 2, ..Config::UDP }, [0; 488], [0; 505]);
-    client.start(&call::service_start(""), net.now).unwrap();
+    let mut client =
+        Client::new(Config { timing: Timing { attempts: 2, ..Timing::UDP }, ..Config::UDP }, [0; 488], [0; 505]);
+    client.start(&call::service_start(""), client.timing(), net.now).unwrap();
     let peer = IpEndpoint::new(HOST, 5007);
     let mut requests = 0;
     let end = (0..2000).find_map(|_| {

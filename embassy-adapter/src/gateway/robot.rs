@@ -60,6 +60,10 @@ impl Transport for TcpRobot<'_> {
     async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, NetError> {
         self.transport.receive(buffer, until).await
     }
+
+    async fn sleep_until(&mut self, at: Instant) {
+        self.transport.sleep_until(at).await;
+    }
 }
 
 impl Link for TcpRobot<'_> {

@@ -6,10 +6,10 @@ use bcap_core::io::asynch::Transport;
 use bcap_core::time::Instant;
 use embassy_net::tcp::{ConnectError, TcpSocket};
 use embassy_net::{IpEndpoint, Stack};
-use embassy_time::{Duration, with_timeout};
+use embassy_time::{Duration, Timer, with_timeout};
 
 use super::link::{NetError, is_down, wait};
-use crate::clock::now;
+use crate::clock::{now, ticks};
 
 /// What a connection may take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -145,5 +145,9 @@ impl Transport for TcpTransport<'_> {
     async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, NetError> {
         let received = wait(self.stack, until, self.socket.read(buffer)).await?;
         received.transpose().map_err(|_| NetError::Reset)
+    }
+
+    async fn sleep_until(&mut self, at: Instant) {
+        Timer::at(ticks(at)).await;
     }
 }

@@ -6,9 +6,10 @@ use bcap_core::io::asynch::Transport;
 use bcap_core::time::Instant;
 use embassy_net::udp::{BindError, RecvError, SendError, UdpSocket};
 use embassy_net::{IpEndpoint, Stack};
+use embassy_time::Timer;
 
 use super::link::{NetError, wait};
-use crate::clock::now;
+use crate::clock::{now, ticks};
 
 /// A UDP socket with one peer as a transport; datagrams from others are dropped.
 ///
@@ -91,6 +92,10 @@ impl Transport for UdpTransport<'_> {
                 None => return Ok(None),
             }
         }
+    }
+
+    async fn sleep_until(&mut self, at: Instant) {
+        Timer::at(ticks(at)).await;
     }
 }
 

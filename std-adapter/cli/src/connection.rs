@@ -191,18 +191,17 @@ fn call_over<X: Wire<Error = io::Error>>(
     call: AnyCall<'_>,
     budget: &Budget,
 ) -> Result<(HResult, Option<Value>), CallError> {
-    let mut config = *client.client().config();
-    if config.link == Link::Datagram {
-        config.attempts = UDP_ATTEMPTS;
-        config.attempt_timeout = (budget.answer() / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
+    let (link, mut timing) = (client.client().link(), client.client().timing());
+    if link == Link::Datagram {
+        timing.attempts = UDP_ATTEMPTS;
+        timing.attempt_timeout = (budget.answer() / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
     } else {
-        config.attempt_timeout = budget.answer();
+        timing.attempt_timeout = budget.answer();
     }
     if let Some(left) = budget.left() {
-        (config.deadline, config.keep_alive) = (left, left);
+        (timing.deadline, timing.keep_alive) = (left, left);
     }
-    client.client().set_config(config);
-    let value = client.call(call)?;
+    let value = client.call_with(call, timing)?;
     let value = value.map(|value| Value::new(&value)).transpose().map_err(ClientError::Encode)?;
     Ok((client.last_result().unwrap_or_default(), value))
 }

@@ -86,4 +86,8 @@ impl<X: Transport<Error = io::Error>> Transport for Tap<X> {
         self.note(Role::Response, buffer.get(..received.unwrap_or(0)).unwrap_or_default());
         Ok(received)
     }
+
+    fn sleep_until(&mut self, at: Instant) {
+        self.inner.sleep_until(at);
+    }
 }

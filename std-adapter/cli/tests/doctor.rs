@@ -8,7 +8,8 @@ use std::path::Path;
 use std::process::{Child, Stdio};
 
 use bcap_core::bcap::call;
-use bcap_std::{Options, blocking, slave};
+use bcap_core::procedure::{Provider, open_robot};
+use bcap_std::{Options, blocking};
 use common::{Run, bcap, command};
 use serde_json::Value;
 
@@ -208,7 +209,7 @@ fn the_emergency_stop_is_named() {
 fn an_arm_that_another_has_is_named() {
     let sim = Sim::ready(&[]);
     let mut other = blocking::connect_tcp(sim.robot().trim_start_matches("tcp:"), &Options::default()).unwrap();
-    let handles = slave::blocking::open(&mut other, "CaoProv.DENSO.VRC").unwrap();
+    let handles = other.run(open_robot(Provider::RC8, None)).unwrap();
     other.call(call::robot_execute(handles.robot, "TakeArm", [0, 0])).unwrap();
     let run = sim.doctor(&["--json"]);
     assert_eq!(failed(&run).iter().map(|(check, _)| check.as_str()).collect::<Vec<_>>(), ["arm"], "{run:?}");

@@ -1,103 +1,52 @@
-//! Streams of Slave Mode over sockets: the core's [`Engine`] with a clock, connections and a trajectory.
+//! Slave Mode over sockets: what the operating system adds to the streams of [`bcap_core::bcap::slave`].
 //!
-//! ```text
-//!   Trajectory ──pose──► Engine ──call──► motion connection ─────────────────────────► controller
-//!       ▲                  │  └──call──► watch connection: what the controller says after an error
-//!       └──where, answer───┘ waits for times, not for durations: a late cycle does not shift the next
+//! A stream is a [`Procedure`](bcap_core::procedure::Procedure): [`Engine::stream`](bcap_core::bcap::slave::Engine::stream)
+//! makes it of an engine and a trajectory, and [`Connection::run`](crate::blocking::Connection::run) runs it, blocking and
+//! under tokio alike. [`Realtime`] asks Linux for what a stream needs on a busy machine.
+//!
+//! Timers of tokio have a resolution of a millisecond and never fire early, so poses of modes 0 and 1 leave one to two
+//! milliseconds after their time. That jitter does not add up, and the buffer of mode 0 (24 ms) absorbs it. Mode 2 uses no
+//! timer. In mode 1 the blocking client keeps time better.
+//!
+//! # Examples
+//!
+//! One degree about the first joint, there and back:
+//!
+//! ```no_run
+//! use bcap_std::blocking;
+//! use bcap_std::core::bcap::slave::{
+//!     AxisLimits, Config, Cycle, Engine, Format, Mode, Next, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode,
+//! };
+//! use bcap_std::core::procedure::{Provider, open_robot, release_robot};
+//! use bcap_std::slave::Realtime;
+//!
+//! let mut motion = blocking::connect_udp("192.168.0.1:5007", &Default::default())?;
+//! let mut watch = blocking::connect_tcp("192.168.0.1:5007", &Default::default())?;
+//! let handles = motion.run(open_robot(Provider::RC9, None))?;
+//! let watching = watch.run(open_robot(Provider::RC9, None))?;
+//!
+//! let mode = SlaveMode { mode: Mode::Mode2, pose: PoseType::J };
+//! let format = Format::new(mode, ReceiveFormat::pose(ReceivePose::J));
+//! let limits = AxisLimits::uniform(100.0, 800.0);
+//! let mut engine = Engine::<256>::new(Config { watch: Some(watching), limits, ..Config::new(format, handles) })?;
+//!
+//! Realtime { fifo: Some(80), lock_memory: true, core: Some(1) }.apply()?;
+//! let mut swing = |cycle: &Cycle<'_>| {
+//!     let turn = f64::from(cycle.number) / 250.0;
+//!     if turn > 1.0 {
+//!         return Next::Finish;
+//!     }
+//!     let mut joints: [f64; 8] = cycle.start.numbers().try_into().unwrap_or_default();
+//!     joints[0] += 0.5 * (1.0 - (turn * std::f64::consts::TAU).cos());
+//!     Next::Pose(Pose::j(joints))
+//! };
+//! motion.run_beside(&mut watch, engine.stream(&mut swing))?;
+//! println!("{} cycles, {} late", engine.stats().cycles, engine.stats().late);
+//! watch.run(release_robot(watching))?;
+//! motion.run(release_robot(handles))?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
-//!
-//! [`blocking::Stream`] blocks its thread, `asynch::Stream` (feature `tokio`) is awaited; both do the same. A stream ends in
-//! one of four ways, and in all but the last the robot slows down before it stands:
-//!
-//! * the trajectory says [`Next::Finish`]: the last pose is repeated until the robot stands, Slave Mode is left, the arm
-//!   given back;
-//! * it says [`Next::Stop`]: the same after a ramp along the present direction, within the limits;
-//! * it gives a pose that may not be sent: the same ramp, then [`StreamError::Pose`];
-//! * a call fails: Slave Mode is off, the controller was asked for its first error over the watch connection, and
-//!   [`StreamError::Fault`] tells. Nothing moves again before [`recover`](blocking::Stream::recover), which refuses after
-//!   an emergency stop.
-//!
-//! How well it ran is in [`Stats`](bcap_core::bcap::slave::Stats): counters and two histograms in fixed memory. [`Realtime`] asks Linux for what a
-//! stream needs on a busy machine.
 
-#[cfg(feature = "tokio")]
-pub mod asynch;
-pub mod blocking;
 mod realtime;
 
-pub use bcap_core::bcap::slave::{Cycle, Next, Trajectory};
-use bcap_core::bcap::slave::{Engine, Fault, PoseError};
-use bcap_core::time::Instant;
-
 pub use self::realtime::{Realtime, RealtimeError};
-
-/// The option of Service_Start: a sign of life every 400 ms of a call that takes long, as the vendor's samples have it.
-const SERVICE: &str = "WDT=400";
-/// The machine of Controller_Connect: the controller itself.
-const MACHINE: &str = "localhost";
-/// The name of the robot: controllers take any, the vendor's samples use this.
-const ROBOT: &str = "Arm0";
-
-/// Why a stream has not gone to its end.
-#[derive(Clone, Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum StreamError {
-    /// A call has failed; Slave Mode was left if that was possible.
-    #[error(transparent)]
-    Fault(Box<Fault>),
-    /// The trajectory gave a pose that may not be sent; the robot was stopped in an orderly way and the arm given back.
-    #[error("pose {number}: {error}")]
-    Pose {
-        /// Poses that were given before it.
-        number: u32,
-        /// What is wrong with it.
-        error: PoseError,
-    },
-}
-
-impl StreamError {
-    /// Returns the fault of the controller or the connection, if that is the reason.
-    #[must_use]
-    pub fn fault(&self) -> Option<&Fault> {
-        match self {
-            Self::Fault(fault) => Some(fault),
-            Self::Pose { .. } => None,
-        }
-    }
-}
-
-/// A run of a trajectory: what has been given so far, and what was wrong with it.
-#[derive(Debug, Default)]
-struct Run {
-    given: u32,
-    refused: Option<StreamError>,
-}
-
-impl Run {
-    /// Asks the trajectory for the next pose and gives it to the engine.
-    fn pose<const N: usize>(
-        &mut self,
-        engine: &mut Engine<N>,
-        trajectory: &mut impl Trajectory,
-        due: Instant,
-        now: Instant,
-    ) {
-        match engine.supply(trajectory, self.given, due, now) {
-            Ok(()) => self.given = self.given.saturating_add(1),
-            Err(error) => {
-                tracing::warn!(number = self.given, %error, "a pose is refused, the stream stops");
-                self.refused = Some(StreamError::Pose { number: self.given, error });
-            }
-        }
-    }
-
-    fn finished(self) -> Result<(), StreamError> {
-        self.refused.map_or(Ok(()), Err)
-    }
-}
-
-/// Returns why an engine is faulted.
-fn fault<const N: usize>(engine: &Engine<N>) -> Result<(), StreamError> {
-    // a faulted engine has a fault
-    engine.fault().cloned().map_or(Ok(()), |fault| Err(StreamError::Fault(Box::new(fault))))
-}

@@ -224,7 +224,7 @@ impl Simulation {
     /// When the client cannot begin it.
     pub fn begin(&mut self, token: i32) -> Result<(), ClientError> {
         let call = call::controller_execute(self.controller, "token", token);
-        self.client.start(&call, self.now)
+        self.client.start(&call, self.client.timing(), self.now)
     }
 
     /// Makes a call and sees it to its end.
@@ -236,7 +236,7 @@ impl Simulation {
     where
         C::Reply: Reply,
     {
-        self.client.start(call, self.now)?;
+        self.client.start(call, self.client.timing(), self.now)?;
         self.finish()
     }
 
@@ -313,7 +313,7 @@ impl Simulation {
             let count = rest.len().min(buffer.len());
             if count == 0 {
                 // a busy server has no room for a datagram; one call at a time never fills the buffer of a stream
-                assert_eq!(self.client.config().link, Link::Datagram, "no room for {} bytes", rest.len());
+                assert_eq!(self.client.link(), Link::Datagram, "no room for {} bytes", rest.len());
                 break;
             }
             buffer[..count].copy_from_slice(&rest[..count]);
@@ -373,7 +373,7 @@ impl Simulation {
         if bytes.is_empty() {
             return false;
         }
-        let datagram = self.client.config().link == Link::Datagram;
+        let datagram = self.client.link() == Link::Datagram;
         let count = if datagram { bytes.len() } else { 1 + self.random.below(bytes.len() as u64) as usize };
         let mut packet = bytes[..count].to_vec();
         match to {

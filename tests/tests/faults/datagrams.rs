@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use bcap_core::bcap::call;
-use bcap_core::bcap::client::{ClientError, Config};
+use bcap_core::bcap::client::{ClientError, Config, Timing};
 use bcap_core::hresult::HResult;
 use bcap_core::io::CallError;
 use bcap_std::server::Limits;
@@ -64,7 +64,8 @@ pub(crate) fn limits() -> Limits {
 /// Makes calls by a hundred clients at once, each with a token of its own, and checks how often each was executed. Returns
 /// how many were reported as done, and how many as failed.
 pub(crate) fn call_over_udp(server: Served, address: SocketAddr, calls: usize, attempt: Duration) -> (usize, usize) {
-    let udp = Config { attempt_timeout: attempt, attempts: 5, deadline: Duration::from_secs(10), ..Config::UDP };
+    let timing = Timing { attempt_timeout: attempt, deadline: Duration::from_secs(10), ..Timing::UDP };
+    let udp = Config { timing, ..Config::UDP };
     let options = Options { udp, ..Options::default() };
     let reported = Mutex::new(vec![None; calls]);
     let all = Arc::new(Calls { address, options, next: AtomicI32::new(0), reported });
@@ -123,7 +124,9 @@ fn garbled_datagrams_end_no_service() {
     // a turned bit in a value or a marker cannot be seen, so nothing can be said of what was executed how often
     let faults = Faults { loss: 50, garble: 5, delay: Duration::from_millis(5), ..Faults::default() };
     let proxy = UdpProxy::start(server.udp, faults, 7);
-    let udp = Config { attempt_timeout: Duration::from_millis(50), deadline: Duration::from_secs(10), ..Config::UDP };
+    let timing =
+        Timing { attempt_timeout: Duration::from_millis(50), deadline: Duration::from_secs(10), ..Timing::UDP };
+    let udp = Config { timing, ..Config::UDP };
     let mut client = blocking::connect_udp(proxy.address, &Options { udp, ..Options::default() }).unwrap();
     let mut done = 0;
     for _ in 0..300 {

@@ -122,7 +122,7 @@ fn a_reply_that_stops_at_every_byte(_: &mut Target) {
             })
         };
         let mut options = brief();
-        options.tcp.attempt_timeout = Duration::from_secs(1);
+        options.tcp.timing.attempt_timeout = Duration::from_secs(1);
         assert_eq!(calls(&options, 2, server), [SILENCE, RIGHT], "{at}");
     }
 }
@@ -159,7 +159,7 @@ fn a_keep_alive_and_a_reply_in_pieces(_: &mut Target) {
 
 fn keep_alives_for_ever(_: &mut Target) {
     let mut options = brief();
-    options.tcp.attempt_timeout = Duration::from_secs(20);
+    options.tcp.timing.attempt_timeout = Duration::from_secs(20);
     ends(&options, &[Outcome::Client(ClientError::Timeout(Timeout::KeepAlive))], |connection| {
         let serial = connection.request();
         while connection.send(&reply_frame(serial, HResult::S_EXECUTING, vec![])) {
@@ -167,8 +167,8 @@ fn keep_alives_for_ever(_: &mut Target) {
         }
     });
     // the deadline of the whole call holds as well
-    options.tcp.keep_alive = Duration::from_secs(30);
-    options.tcp.deadline = Duration::from_millis(500);
+    options.tcp.timing.keep_alive = Duration::from_secs(30);
+    options.tcp.timing.deadline = Duration::from_millis(500);
     ends(&options, &[Outcome::Client(ClientError::Timeout(Timeout::Deadline))], |connection| {
         let serial = connection.request();
         while connection.send(&reply_frame(serial, HResult::S_EXECUTING, vec![])) {}

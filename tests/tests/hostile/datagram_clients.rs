@@ -68,8 +68,8 @@ fn garbage_in_front_of_a_reply(_: &mut Target) {
 /// One attempt is all there is; the datagrams that are none of the server's do not end it.
 fn garbage_costs_no_attempt(_: &mut Target) {
     let mut options = patient();
-    options.udp.attempts = 1;
-    options.udp.attempt_timeout = crate::target::PATIENCE;
+    options.udp.timing.attempts = 1;
+    options.udp.timing.attempt_timeout = crate::target::PATIENCE;
     let server = || {
         serve_udp(|datagram, _| {
             let serial = serial_of(datagram);
@@ -143,7 +143,7 @@ fn keep_alives_for_ever_over_udp(_: &mut Target) {
         address
     };
     let mut options = brief();
-    options.udp.attempt_timeout = std::time::Duration::from_secs(20);
+    options.udp.timing.attempt_timeout = std::time::Duration::from_secs(20);
     let expected = Outcome::Client(ClientError::Timeout(Timeout::KeepAlive));
     assert_eq!(calls_udp(&options, 1, server), [expected]);
 }
@@ -167,7 +167,7 @@ fn datagrams_from_elsewhere(_: &mut Target) {
         address
     };
     let mut options = patient();
-    options.udp.attempts = 1;
-    options.udp.attempt_timeout = crate::target::PATIENCE;
+    options.udp.timing.attempts = 1;
+    options.udp.timing.attempt_timeout = crate::target::PATIENCE;
     assert_eq!(calls_udp(&options, 3, server), [RIGHT, RIGHT, RIGHT]);
 }

@@ -5,7 +5,7 @@ use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::time::Duration;
 
 use bcap_core::bcap::call::{self, VariableHandle};
-use bcap_core::bcap::client::{ClientError, Config};
+use bcap_core::bcap::client::{ClientError, Config, Timing};
 use bcap_core::bcap::{Decoder, Progress};
 use bcap_core::hresult::HResult;
 use bcap_core::io::CallError;
@@ -125,13 +125,13 @@ pub(crate) fn serial_of(datagram: &[u8]) -> u16 {
 
 /// Options of a client that soon gives up.
 pub(crate) fn brief() -> Options {
-    let config = |config: Config| Config {
+    let timing = Timing {
         attempt_timeout: Duration::from_millis(500),
         attempts: 3,
         deadline: Duration::from_secs(20),
         keep_alive: Duration::from_secs(1),
-        ..config
     };
+    let config = |config: Config| Config { timing, ..config };
     let options = Options::default();
     Options { tcp: config(options.tcp), udp: config(options.udp), connect_timeout: PATIENCE, ..options }
 }

@@ -97,7 +97,7 @@ fn a_frame_that_lost_a_byte(_: &mut Target) {
 fn a_reply_with_a_wrong_crc(_: &mut Target) {
     let mut now = Instant::ZERO;
     let mut client = Client::new(client::Config::SERIAL, [0; 512], [0; 512]);
-    client.start(&call::variable_get_value(VariableHandle(1)), now).unwrap();
+    client.start(&call::variable_get_value(VariableHandle(1)), client.timing(), now).unwrap();
     for attempt in 1..=3 {
         assert!(!client.transmit().is_empty());
         client.transmitted(usize::MAX);

@@ -7,7 +7,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use bcap_core::bcap::call::{self, ControllerHandle, VariableHandle};
-use bcap_core::bcap::client::Config;
+use bcap_core::bcap::client::{Config, Timing};
 use bcap_core::rac::{Variable, VariableKind};
 use bcap_core::variant::Variant;
 use bcap_std::blocking::{self, Connection, RacClient, TcpClient, Transport, UdpClient};
@@ -55,7 +55,7 @@ pub(crate) fn serve() {
 /// Returns the options of clients that are not to give up.
 pub(crate) fn patient() -> Options {
     let options = Options::default().timeout(PATIENCE);
-    Options { udp: Config { attempt_timeout: Duration::from_millis(500), attempts: 60, ..options.udp }, ..options }
+    Options { udp: Config { timing: Timing { attempts: 60, ..Timing::UDP }, ..options.udp }, ..options }
 }
 
 /// The server and those who use it as it is meant to be used.

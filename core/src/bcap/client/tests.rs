@@ -33,7 +33,7 @@ fn ok(serial: u16, value: i32) -> Vec<u8> {
 
 /// Takes everything that is to be sent, as (serial, reserved).
 fn sent<B: Storage>(client: &mut Client<B>) -> (u16, u16) {
-    let decoder = client.config().link.decoder();
+    let decoder = client.link().decoder();
     let bytes = client.transmit().to_vec();
     client.transmitted(bytes.len());
     let frame = decoder.decode_datagram(&bytes).unwrap();
@@ -64,7 +64,7 @@ fn replied(value: i32, client: &Small) -> bool {
 fn calls_go_out_with_serials_from_one_and_wrap_past_zero() {
     let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
     for n in 1..=65_540_u32 {
-        client.start(&get(), at(0)).unwrap();
+        client.start(&get(), client.timing(), at(0)).unwrap();
         let expected = u16::try_from((n - 1) % 65_535 + 1).unwrap();
         assert_eq!(sent(&mut client), (expected, 0));
         assert_eq!(deliver(&mut client, &ok(expected, 7), at(0)), [Event::Replied(HResult::S_OK)]);
@@ -77,7 +77,7 @@ fn a_reply_in_any_pieces_is_one_reply() {
     let bytes = ok(1, 42);
     for cut in 1..bytes.len() {
         let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
-        client.start(&get(), at(0)).unwrap();
+        client.start(&get(), client.timing(), at(0)).unwrap();
         sent(&mut client);
         assert_eq!(deliver(&mut client, &bytes[..cut], at(0)), []);
         assert_eq!(deliver(&mut client, &bytes[cut..], at(0)), [Event::Replied(HResult::S_OK)]);
@@ -88,12 +88,12 @@ fn a_reply_in_any_pieces_is_one_reply() {
 #[test]
 fn a_late_reply_is_stale_and_never_the_answer() {
     let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
-    client.start(&get(), at(0)).unwrap();
+    client.start(&get(), client.timing(), at(0)).unwrap();
     assert_eq!(sent(&mut client), (1, 0));
     assert_eq!(client.poll_timeout(), Some(at(3000)));
     assert_eq!(client.handle_timeout(at(2999)), None);
     assert_eq!(client.handle_timeout(at(3000)), Some(Event::Failed(ClientError::Timeout(Timeout::Attempt))));
-    client.start(&get(), at(4000)).unwrap();
+    client.start(&get(), client.timing(), at(4000)).unwrap();
     assert_eq!(sent(&mut client), (2, 0));
     let both = [ok(1, 1), ok(2, 2)].concat();
     assert_eq!(deliver(&mut client, &both, at(4000)), [Event::Stale { serial: 1 }, Event::Replied(HResult::S_OK)]);
@@ -104,33 +104,34 @@ fn a_late_reply_is_stale_and_never_the_answer() {
 #[test]
 fn a_serial_whose_reply_may_come_is_passed_over() {
     let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
-    client.start(&get(), at(0)).unwrap();
+    client.start(&get(), client.timing(), at(0)).unwrap();
     sent(&mut client);
     client.abandon();
     client.state.next_serial = 65_535;
-    client.start(&get(), at(0)).unwrap();
+    client.start(&get(), client.timing(), at(0)).unwrap();
     assert_eq!(sent(&mut client).0, 65_535);
     let _ = deliver(&mut client, &ok(65_535, 1), at(0));
-    client.start(&get(), at(0)).unwrap();
+    client.start(&get(), client.timing(), at(0)).unwrap();
     assert_eq!(sent(&mut client).0, 2, "1 may still be answered");
     assert_eq!(deliver(&mut client, &ok(1, 1), at(0)), [Event::Stale { serial: 1 }]);
     let _ = deliver(&mut client, &ok(2, 1), at(0));
     client.state.next_serial = 1;
-    client.start(&get(), at(0)).unwrap();
+    client.start(&get(), client.timing(), at(0)).unwrap();
     assert_eq!(sent(&mut client).0, 1, "its reply has come");
 }
 
 #[test]
 fn udp_tries_again_with_the_marker_and_takes_a_reply_to_any_attempt() {
-    let mut client = Small::new(Config { attempts: 3, ..Config::UDP }, [0; 512], [0; 512]);
-    client.start(&get(), at(0)).unwrap();
+    let mut client =
+        Small::new(Config { timing: Timing { attempts: 3, ..Timing::UDP }, ..Config::UDP }, [0; 512], [0; 512]);
+    client.start(&get(), client.timing(), at(0)).unwrap();
     assert_eq!(sent(&mut client), (1, 1));
     assert_eq!(client.handle_timeout(at(500)), Some(Event::Retried { attempt: 2 }));
     assert_eq!(sent(&mut client), (2, 1));
     assert_eq!(client.handle_timeout(at(1000)), Some(Event::Retried { attempt: 3 }));
     assert_eq!(sent(&mut client), (3, 1));
     assert_eq!(deliver(&mut client, &ok(2, 5), at(1001)), [Event::Replied(HResult::S_OK)]);
-    client.start(&get(), at(1002)).unwrap();
+    client.start(&get(), client.timing(), at(1002)).unwrap();
     assert_eq!(sent(&mut client), (4, 4));
     assert_eq!(deliver(&mut client, &ok(3, 5), at(1003)), [Event::Stale { serial: 3 }]);
     assert_eq!(client.handle_timeout(at(1502)), Some(Event::Retried { attempt: 2 }));
@@ -142,7 +143,7 @@ fn udp_tries_again_with_the_marker_and_takes_a_reply_to_any_attempt() {
 #[test]
 fn stray_datagrams_cost_no_attempt() {
     let mut client = Small::new(Config::UDP, [0; 512], [0; 512]);
-    client.start(&get(), at(0)).unwrap();
+    client.start(&get(), client.timing(), at(0)).unwrap();
     sent(&mut client);
     for garbage in [&b"\x01"[..], b"hello", &ok(1, 1)[..20], &[&ok(1, 1)[..], b"x"].concat()] {
         let events = deliver(&mut client, garbage, at(1));
@@ -155,9 +156,10 @@ fn stray_datagrams_cost_no_attempt() {
 
 #[test]
 fn executing_restarts_the_attempt_but_not_the_deadline() {
-    let config = Config { deadline: Duration::from_secs(5), keep_alive: Duration::from_secs(60), ..Config::TCP };
+    let timing = Timing { deadline: Duration::from_secs(5), keep_alive: Duration::from_secs(60), ..Timing::TCP };
+    let config = Config { timing, ..Config::TCP };
     let mut client = Small::new(config, [0; 512], [0; 512]);
-    client.start(&get(), at(0)).unwrap();
+    client.start(&get(), client.timing(), at(0)).unwrap();
     sent(&mut client);
     let executing = reply(1, HResult::S_EXECUTING, None, false);
     assert_eq!(deliver(&mut client, &executing, at(2000)), [Event::Executing]);
@@ -169,9 +171,9 @@ fn executing_restarts_the_attempt_but_not_the_deadline() {
 
 #[test]
 fn a_server_cannot_keep_a_call_alive_for_ever() {
-    let config = Config { keep_alive: Duration::from_secs(4), ..Config::TCP };
+    let config = Config { timing: Timing { keep_alive: Duration::from_secs(4), ..Timing::TCP }, ..Config::TCP };
     let mut client = Small::new(config, [0; 512], [0; 512]);
-    client.start(&get(), at(0)).unwrap();
+    client.start(&get(), client.timing(), at(0)).unwrap();
     sent(&mut client);
     let executing = reply(1, HResult::S_EXECUTING, None, false);
     for second in 1..5 {
@@ -185,17 +187,17 @@ fn a_server_cannot_keep_a_call_alive_for_ever() {
 fn a_call_can_be_abandoned_at_any_byte_of_its_request() {
     for cut in 0..=30 {
         let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
-        client.start(&get(), at(0)).unwrap();
+        client.start(&get(), client.timing(), at(0)).unwrap();
         let request = client.transmit().to_vec();
         let mut wire = request[..cut].to_vec();
         client.transmitted(cut);
         client.abandon();
         if 0 < cut && cut < request.len() {
-            assert_eq!(client.start(&get(), at(1)), Err(ClientError::Busy));
+            assert_eq!(client.start(&get(), client.timing(), at(1)), Err(ClientError::Busy));
         }
         wire.extend(client.transmit());
         client.transmitted(client.transmit().len());
-        client.start(&get(), at(1)).unwrap();
+        client.start(&get(), client.timing(), at(1)).unwrap();
         wire.extend(client.transmit());
         // whatever the peer has read, it is whole frames
         let mut rest = &wire[..];
@@ -216,7 +218,7 @@ fn a_call_can_be_abandoned_at_any_byte_of_its_request() {
 #[test]
 fn a_reply_over_the_buffer_fails_its_call_and_leaves_the_stream_in_step() {
     let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
-    client.start(&get(), at(0)).unwrap();
+    client.start(&get(), client.timing(), at(0)).unwrap();
     sent(&mut client);
     let huge = reply(1, HResult::S_OK, Some(&[0_u8; 2000]), false);
     let length = u32::try_from(huge.len()).unwrap();
@@ -227,11 +229,11 @@ fn a_reply_over_the_buffer_fails_its_call_and_leaves_the_stream_in_step() {
             events.extend(deliver(&mut client, part, at(0)));
         }
         assert_eq!(events, [failed]);
-        client.start(&get(), at(0)).unwrap();
+        client.start(&get(), client.timing(), at(0)).unwrap();
         let (serial, _) = sent(&mut client);
         assert_eq!(deliver(&mut client, &ok(serial, 5), at(0)), [Event::Replied(HResult::S_OK)]);
         client.state.next_serial = 1;
-        client.start(&get(), at(0)).unwrap();
+        client.start(&get(), client.timing(), at(0)).unwrap();
         sent(&mut client);
     }
 }
@@ -241,7 +243,7 @@ fn a_reply_over_the_buffer_fails_its_call_and_leaves_the_stream_in_step() {
 fn memory_that_can_grow_takes_large_calls_and_replies() {
     let mut client = Client::new(Config::TCP, Vec::new(), std::vec![0; 16]);
     let big = std::vec![1.5_f64; 1000];
-    client.start(&call::variable_put_value(VariableHandle(1), &big[..]), at(0)).unwrap();
+    client.start(&call::variable_put_value(VariableHandle(1), &big[..]), client.timing(), at(0)).unwrap();
     assert_eq!(client.transmit().len(), 16 + 14 + 10 + 8000);
     client.transmitted(usize::MAX);
     let bytes = reply(1, HResult::S_OK, Some(&[7_u8; 3000]), false);
@@ -254,31 +256,31 @@ fn memory_that_can_grow_takes_large_calls_and_replies() {
 fn what_is_over_the_links_limit_is_refused_before_anything_is_sent() {
     let mut client = Client::new(Config::UDP, [0; 1024], [0; 512]);
     let put = |n: usize| call::variable_put_value(VariableHandle(1), &*std::vec![0_u8; n].leak());
-    assert_eq!(client.start(&put(449), at(0)), Err(ClientError::TooLarge { limit: 488 }));
+    assert_eq!(client.start(&put(449), client.timing(), at(0)), Err(ClientError::TooLarge { limit: 488 }));
     assert!(client.transmit().is_empty());
-    client.start(&put(448), at(0)).unwrap();
+    client.start(&put(448), client.timing(), at(0)).unwrap();
     assert_eq!(client.transmit().len(), 488);
 }
 
 #[test]
 fn a_stream_that_is_no_bcap_closes_the_session() {
     let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
-    client.start(&get(), at(0)).unwrap();
+    client.start(&get(), client.timing(), at(0)).unwrap();
     sent(&mut client);
     let events = deliver(&mut client, b"HTTP/1.1 200 OK", at(0));
     let [Event::Failed(ClientError::Malformed(error))] = events[..] else { panic!("{events:?}") };
     assert_eq!((error.kind, error.offset), (DecodeErrorKind::Soh(b'H'), 0));
     assert!(client.is_closed());
-    assert_eq!(client.start(&get(), at(0)), Err(ClientError::Closed));
+    assert_eq!(client.start(&get(), client.timing(), at(0)), Err(ClientError::Closed));
     client.reset();
-    client.start(&get(), at(0)).unwrap();
+    client.start(&get(), client.timing(), at(0)).unwrap();
     assert_eq!(sent(&mut client), (2, 0));
 }
 
 #[test]
 fn a_serial_line_finds_its_frames_in_noise() {
     let mut client = Small::new(Config::SERIAL, [0; 512], [0; 512]);
-    client.start(&get(), at(0)).unwrap();
+    client.start(&get(), client.timing(), at(0)).unwrap();
     assert_eq!(sent(&mut client), (1, 1));
     let good = reply(1, HResult::S_OK, Some(&9_i32), true);
     let mut garbled = good.clone();
@@ -293,7 +295,7 @@ fn a_serial_line_finds_its_frames_in_noise() {
 #[test]
 fn a_half_frame_on_a_silent_serial_line_is_forgotten_at_the_next_attempt() {
     let mut client = Small::new(Config::SERIAL, [0; 512], [0; 512]);
-    client.start(&get(), at(0)).unwrap();
+    client.start(&get(), client.timing(), at(0)).unwrap();
     sent(&mut client);
     let good = reply(1, HResult::S_OK, Some(&9_i32), true);
     assert_eq!(deliver(&mut client, &good[..10], at(1)), []);
@@ -311,7 +313,7 @@ fn forged(serial: u16) -> Vec<u8> {
 fn a_reply_that_arrived_before_its_request_left_is_stale() {
     for config in [Config::TCP, Config::UDP] {
         let mut client = Small::new(config, [0; 512], [0; 512]);
-        client.start(&get(), at(0)).unwrap();
+        client.start(&get(), client.timing(), at(0)).unwrap();
         // the call has begun, and nothing of it has left
         assert_eq!(deliver(&mut client, &forged(1), at(0)), [Event::Stale { serial: 1 }]);
         let executing = reply(1, HResult::S_EXECUTING, None, false);
@@ -326,14 +328,14 @@ fn a_reply_that_arrived_before_its_request_left_is_stale() {
 fn a_reply_that_was_received_with_the_one_before_is_stale() {
     let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
     for serial in (1..40).step_by(2) {
-        client.start(&get(), at(0)).unwrap();
+        client.start(&get(), client.timing(), at(0)).unwrap();
         sent(&mut client);
         let both = [ok(serial, 1), forged(serial + 1)].concat();
         client.receive_buffer()[..both.len()].copy_from_slice(&both);
         client.received(both.len());
         assert_eq!(client.poll_event(at(0)), Some(Event::Replied(HResult::S_OK)));
         // the loop has its reply and does not look further
-        client.start(&get(), at(0)).unwrap();
+        client.start(&get(), client.timing(), at(0)).unwrap();
         sent(&mut client);
         assert_eq!(client.poll_event(at(0)), Some(Event::Stale { serial: serial + 1 }));
         assert_eq!(deliver(&mut client, &ok(serial + 1, 2), at(0)), [Event::Replied(HResult::S_OK)]);
@@ -346,7 +348,7 @@ fn a_reply_that_began_to_arrive_before_its_request_left_is_stale() {
     for cut in 1..30 {
         let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
         assert_eq!(deliver(&mut client, &forged(1)[..cut], at(0)), []);
-        client.start(&get(), at(0)).unwrap();
+        client.start(&get(), client.timing(), at(0)).unwrap();
         sent(&mut client);
         assert_eq!(deliver(&mut client, &forged(1)[cut..], at(0)), [Event::Stale { serial: 1 }], "cut at {cut}");
         assert_eq!(deliver(&mut client, &ok(1, 7), at(0)), [Event::Replied(HResult::S_OK)]);
@@ -359,7 +361,7 @@ fn a_large_reply_that_began_to_arrive_before_its_request_left_fails_no_call() {
     let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
     let huge = reply(1, HResult::S_OK, Some(&[0_u8; 2000]), false);
     assert_eq!(deliver(&mut client, &huge[..100], at(0)), []);
-    client.start(&get(), at(0)).unwrap();
+    client.start(&get(), client.timing(), at(0)).unwrap();
     sent(&mut client);
     assert_eq!(deliver(&mut client, &huge[100..], at(0)), [Event::Stale { serial: 1 }]);
     assert_eq!(deliver(&mut client, &ok(1, 7), at(0)), [Event::Replied(HResult::S_OK)]);
@@ -369,7 +371,7 @@ fn a_large_reply_that_began_to_arrive_before_its_request_left_fails_no_call() {
 fn a_partly_sent_request_is_refused_but_not_carried_out() {
     for sent in 1..30 {
         let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
-        client.start(&get(), at(0)).unwrap();
+        client.start(&get(), client.timing(), at(0)).unwrap();
         client.transmitted(sent);
         assert_eq!(deliver(&mut client, &forged(1), at(0)), [Event::Stale { serial: 1 }], "{sent}");
         let refused = reply(1, HResult::E_PACKETSIZEOVER, None, false);
@@ -380,7 +382,7 @@ fn a_partly_sent_request_is_refused_but_not_carried_out() {
 #[test]
 fn a_reply_to_an_attempt_that_has_not_left_is_stale() {
     let mut client = Small::new(Config::UDP, [0; 512], [0; 512]);
-    client.start(&get(), at(0)).unwrap();
+    client.start(&get(), client.timing(), at(0)).unwrap();
     assert_eq!(sent(&mut client), (1, 1));
     assert_eq!(client.handle_timeout(at(500)), Some(Event::Retried { attempt: 2 }));
     assert_eq!(deliver(&mut client, &forged(2), at(500)), [Event::Stale { serial: 2 }]);
@@ -393,7 +395,7 @@ fn a_reply_to_an_attempt_that_has_not_left_is_stale() {
 fn keep_alives_in_excess_end_the_session() {
     for config in [Config::TCP, Config::UDP] {
         let mut client = Small::new(config, [0; 512], [0; 512]);
-        client.start(&get(), at(0)).unwrap();
+        client.start(&get(), client.timing(), at(0)).unwrap();
         sent(&mut client);
         let executing = reply(1, HResult::S_EXECUTING, None, false);
         for _ in 0..256 {
@@ -403,7 +405,7 @@ fn keep_alives_in_excess_end_the_session() {
         assert!(client.is_closed() && !client.is_busy());
         assert_eq!(deliver(&mut client, &ok(1, 7), at(20)), []);
         client.reset();
-        client.start(&get(), at(20)).unwrap();
+        client.start(&get(), client.timing(), at(20)).unwrap();
         assert_eq!(sent(&mut client).0, 2);
         assert_eq!(deliver(&mut client, &ok(2, 7), at(20)), [Event::Replied(HResult::S_OK)]);
     }
@@ -411,8 +413,9 @@ fn keep_alives_in_excess_end_the_session() {
 
 #[test]
 fn keep_alives_at_the_least_interval_end_no_session() {
-    let mut client = Small::new(Config { keep_alive: Duration::MAX, deadline: Duration::MAX, ..Config::TCP }, [0; 512], [0; 512]);
-    client.start(&get(), at(0)).unwrap();
+    let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
+    let timing = Timing { keep_alive: Duration::MAX, deadline: Duration::MAX, ..Timing::TCP };
+    client.start(&get(), timing, at(0)).unwrap();
     sent(&mut client);
     let executing = reply(1, HResult::S_EXECUTING, None, false);
     let mut now = 0;
@@ -440,7 +443,7 @@ fn replies_to_no_call_in_excess_end_a_stream_and_no_datagrams() {
     for _ in 0..1000 {
         assert_eq!(deliver(&mut client, &ok(9, 1), at(0)), [Event::Stale { serial: 9 }]);
     }
-    client.start(&get(), at(0)).unwrap();
+    client.start(&get(), client.timing(), at(0)).unwrap();
     sent(&mut client);
     assert_eq!(deliver(&mut client, &ok(1, 7), at(0)), [Event::Replied(HResult::S_OK)]);
 }
@@ -450,7 +453,7 @@ fn the_first_serial_can_be_chosen_and_is_never_zero() {
     for (chosen, used) in [(0, 1), (1, 1), (40_000, 40_000), (65_535, 65_535)] {
         let mut client = Small::new(Config::UDP, [0; 512], [0; 512]);
         client.set_next_serial(chosen);
-        client.start(&get(), at(0)).unwrap();
+        client.start(&get(), client.timing(), at(0)).unwrap();
         assert_eq!(sent(&mut client), (used, used));
     }
 }

@@ -188,7 +188,7 @@ pub const MOVE_FRAME: usize = 256;
 ///
 /// ```
 /// use bcap_core::bcap::call::RobotHandle;
-/// use bcap_core::bcap::client::{Client, Config};
+/// use bcap_core::bcap::client::{Client, Config, Timing};
 /// use bcap_core::bcap::slave::{Format, Mode, Pose, PoseType, PreparedMove, ReceiveFormat, ReceivePose, SlaveMode};
 /// use bcap_core::time::Instant;
 ///
@@ -198,7 +198,7 @@ pub const MOVE_FRAME: usize = 256;
 /// let mut client = Client::new(Config::TCP, [0; 512], [0; 512]);
 ///
 /// slv_move.set_pose(&Pose::j([0.0, 45.0, 90.0, 0.0, 45.0, 0.0, 0.0, 0.0]))?;
-/// client.start(&slv_move, Instant::ZERO)?;
+/// client.start(&slv_move, Timing::TCP, Instant::ZERO)?;
 /// assert_eq!(client.transmit().len(), 132);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```

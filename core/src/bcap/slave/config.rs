@@ -7,18 +7,8 @@ use super::format::{Format, FormatError};
 use super::limits::AxisLimits;
 use super::pose::Pose;
 use super::stats::micros;
-use crate::bcap::call::{ControllerHandle, RobotHandle};
 use crate::error::EncodeError;
-
-/// The handles of one connection; those of another one are good for that one only.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Handles {
-    /// The controller.
-    pub controller: ControllerHandle,
-    /// The robot.
-    pub robot: RobotHandle,
-}
+use crate::procedure::Handles;
 
 /// How an [`Engine`](super::Engine) streams; [`new`](Self::new) gives values that suit most robots.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -24,17 +24,19 @@ use core::time::Duration;
 
 use super::command::{MOVE_FRAME, PreparedMove};
 use super::config::{Config, ConfigError};
-use super::fault::{Cause, ControllerError, ERRORS_MAX, Failure, Fault, RecoverError, Released};
+use super::fault::{Cause, ControllerError, ERRORS_MAX, Fault, RecoverError, Released};
 use super::format::FormatError;
 use super::limits::{self, PoseError, Velocity};
 use super::mode::{Mode, PoseType};
 use super::pacer::Pacer;
 use super::pose::{Delta, ExtendedAxes, Pose, half_turn};
 use super::reply::MoveReply;
-use super::request::{Channel, Request, Step};
+use super::request::{Request, Step};
 use super::stats::{Stats, micros};
-use crate::bcap::Frame;
+use crate::bcap::client::Timing;
+use crate::bcap::{Frame, Link};
 use crate::hresult::HResult;
+use crate::procedure::{Channel, Failure};
 use crate::time::Instant;
 use crate::variant::Variant;
 
@@ -425,12 +427,15 @@ impl<const N: usize> Engine<N> {
         self.pacer.margin(now)
     }
 
-    /// Returns how long an attempt of the present call should wait on a link that loses frames: two cycles for a slvMove
-    /// of mode 2, whose answer may be withheld, one for those of the other modes, `None` for other calls.
+    /// Returns the timing of the present call: on a link that loses frames, an attempt of a slvMove waits for two cycles in
+    /// mode 2, whose answer may be withheld, and for one in the other modes.
     #[must_use]
-    pub fn attempt_timeout(&self) -> Option<Duration> {
+    pub fn timing(&self, link: Link, usual: Timing) -> Timing {
+        if self.phase != Phase::Streaming || !link.is_lossy() {
+            return usual;
+        }
         let cycles = if self.config.format.mode.mode == Mode::Mode2 { 2 } else { 1 };
-        (self.phase == Phase::Streaming).then(|| self.config.cycles(cycles))
+        Timing { attempt_timeout: self.config.cycles(cycles), ..usual }
     }
 
     /// Returns the configuration.

@@ -4,8 +4,8 @@ use core::fmt;
 
 use super::reply::MoveReplyError;
 use super::request::Step;
-use crate::bcap::client::ClientError;
 use crate::hresult::HResult;
+use crate::procedure::Failure;
 use crate::variant::{Bstr, Variant};
 
 /// How many of the controller's errors a fault keeps, the earliest ones.
@@ -54,28 +54,6 @@ pub enum Cause {
     Stalled,
     /// The emergency stop is pressed, so the recovery was not begun.
     EmergencyStop,
-}
-
-/// A call had no answer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Failure {
-    /// A time limit has passed; the connection can still be used.
-    Timeout,
-    /// The call could not be sent; the connection can still be used.
-    NotSent,
-    /// The connection is lost.
-    Lost,
-}
-
-impl From<ClientError> for Failure {
-    fn from(error: ClientError) -> Self {
-        match error {
-            ClientError::Timeout(_) | ClientError::ReplyTooLarge { .. } | ClientError::Reply(_) => Self::Timeout,
-            ClientError::Encode(_) | ClientError::TooLarge { .. } | ClientError::Busy => Self::NotSent,
-            ClientError::Malformed(_) | ClientError::Flooded | ClientError::Closed => Self::Lost,
-        }
-    }
 }
 
 /// Whether Slave Mode is off after a fault.
@@ -169,23 +147,26 @@ impl Fault {
     }
 }
 
-impl fmt::Display for Fault {
+impl fmt::Display for Cause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}: ", self.step.name())?;
-        match self.cause {
-            Cause::Refused(code) => write!(f, "refused with {code}")?,
-            Cause::Failed(Failure::Timeout) => f.write_str("no reply in time")?,
-            Cause::Failed(Failure::NotSent) => f.write_str("could not be sent")?,
-            Cause::Failed(Failure::Lost) => f.write_str("the connection is lost")?,
-            Cause::Reply(error) => error.fmt(f)?,
-            Cause::NoValue => f.write_str("the reply has no such value")?,
-            Cause::NotAtStart { number, actual, expected } => write!(
+        match self {
+            Self::Refused(code) => write!(f, "refused with {code}"),
+            Self::Failed(failure) => failure.fmt(f),
+            Self::Reply(error) => error.fmt(f),
+            Self::NoValue => f.write_str("the reply has no such value"),
+            Self::NotAtStart { number, actual, expected } => write!(
                 f,
                 "the robot is not at the start: number {number} of its pose is {actual}, the stream begins at {expected}"
-            )?,
-            Cause::Stalled => f.write_str("the controller takes no more poses")?,
-            Cause::EmergencyStop => f.write_str("the emergency stop is pressed")?,
+            ),
+            Self::Stalled => f.write_str("the controller takes no more poses"),
+            Self::EmergencyStop => f.write_str("the emergency stop is pressed"),
         }
+    }
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.step.name(), self.cause)?;
         if let Some(first) = self.errors.first() {
             write!(f, "; the controller's first error is {} {}", first.code, first.text())?;
         }

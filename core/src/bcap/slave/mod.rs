@@ -18,7 +18,8 @@
 //!   and when it wants a pose. It keeps the pace of each mode, sends again what E_BUF_FULL refused, checks [`AxisLimits`]
 //!   before anything is sent, stops in an orderly way, and after an error finds out what the controller says came first.
 //!
-//! The loops of [`io`](crate::io) make the engine's calls: `Connection::carry_out`, blocking and asynchronous.
+//! [`Engine::stream`] joins an engine and a [`Trajectory`] to a [`Procedure`](crate::procedure::Procedure), which the loops of
+//! [`io`](crate::io) run, blocking and asynchronous.
 //!
 //! Of Slave Mode the controller wants: its licence, Auto mode, the executable token, no error, and that the robot stands
 //! still at the start; two robots and the virtual fence are not supported (S2:1454).
@@ -35,22 +36,26 @@ mod pose;
 mod reply;
 mod request;
 mod stats;
+mod stream;
 mod trajectory;
 
 pub use self::command::{
     MOVE_FRAME, Outputs, PreparedMove, change_mode, get_mode, receive_format, send_format, slv_move,
 };
-pub use self::config::{Config, ConfigError, Handles};
+pub use self::config::{Config, ConfigError};
 pub use self::engine::{Action, Engine};
-pub use self::fault::{Cause, ControllerError, ERRORS_MAX, Failure, Fault, RecoverError, Released};
+pub use self::fault::{Cause, ControllerError, ERRORS_MAX, Fault, RecoverError, Released};
 pub use self::format::{Format, FormatError, ReceiveFormat, ReceivePose, SendFormat, SendIo, TimeUnit, UserIo};
 pub use self::limits::{AxisLimits, PoseError};
 pub use self::mode::{J_LEN, Mode, P_LEN, PoseType, SlaveMode, T_LEN};
 pub use self::pose::{Extended, ExtendedAxes, Pose, Shape};
 pub use self::reply::{CURRENT_LEN, MoveReply, MoveReplyError, MoveReplyErrorKind, ReplyPart, Timestamp};
-pub use self::request::{Channel, Request, Step};
+pub use self::request::{Request, Step};
 pub use self::stats::{Histogram, Stats};
+pub use self::stream::{Stream, StreamError};
 pub use self::trajectory::{Cycle, Next, Trajectory};
+
+pub use crate::procedure::{Channel, Failure, Handles};
 
 #[cfg(test)]
 mod tests;

@@ -1,11 +1,12 @@
 //! The calls that an engine makes.
 
 use super::command::MoveCall;
-use super::config::{Config, Handles};
+use super::config::Config;
 use super::mode::{PoseType, SlaveMode};
 use crate::bcap::call::{Any, Call};
 use crate::bcap::{FrameWriter, FunctionId};
 use crate::error::EncodeError;
+use crate::procedure::{Channel, Handles};
 use crate::variant::Encode;
 
 /// A call of the engine, by what it is for.
@@ -71,16 +72,6 @@ impl Step {
     const fn is_of_controller(self) -> bool {
         matches!(self, Self::ErrorCount | Self::ErrorInfo | Self::SystemState | Self::ClearError)
     }
-}
-
-/// Which connection a call goes over.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum Channel {
-    /// The one that moves the robot.
-    Motion,
-    /// The second one.
-    Watch,
 }
 
 /// The call that the engine wants to be made: to be given to a client or a connection as it is.

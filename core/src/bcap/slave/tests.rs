@@ -32,10 +32,10 @@ fn vector(name: &str) -> Vec<u8> {
 fn request(call: impl Call, serial: u16) -> Vec<u8> {
     let mut client = Client::new(client::Config::TCP, [0; 512], [0; 512]);
     for _ in 1..serial {
-        client.start(&get_mode(ROBOT), Instant::ZERO).unwrap();
+        client.start(&get_mode(ROBOT), client.timing(), Instant::ZERO).unwrap();
         client.abandon();
     }
-    client.start(&call, Instant::ZERO).unwrap();
+    client.start(&call, client.timing(), Instant::ZERO).unwrap();
     client.transmit().to_vec()
 }
 
@@ -194,12 +194,12 @@ fn check_prepared(format: &Format, pose: &Pose, outputs: Outputs<'_>, bytes: &[u
     assert_eq!(request(&prepared, 1), bytes);
 
     let mut client = Client::new(client::Config::SERIAL, [0; 512], [0; 512]);
-    client.start(&prepared, Instant::ZERO).unwrap();
+    client.start(&prepared, client.timing(), Instant::ZERO).unwrap();
     let serial = Decoder::SERIAL.decode_datagram(client.transmit()).unwrap();
     assert_eq!(serial.args, Decoder::TCP.decode_datagram(bytes).unwrap().args);
 
     let mut client = Client::new(client::Config::UDP, [0; 512], [0; 512]);
-    client.start(&prepared, Instant::ZERO).unwrap();
+    client.start(&prepared, client.timing(), Instant::ZERO).unwrap();
     let datagram = Decoder::UDP.decode_datagram(client.transmit()).unwrap();
     assert_eq!((datagram.serial, datagram.reserved), (1, 1));
 }

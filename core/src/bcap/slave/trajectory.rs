@@ -68,7 +68,7 @@ impl<const N: usize> Engine<N> {
     /// When the pose may not be sent; the stream then [stops](Self::stop).
     pub fn supply(
         &mut self,
-        trajectory: &mut impl Trajectory,
+        trajectory: &mut (impl Trajectory + ?Sized),
         number: u32,
         due: Instant,
         now: Instant,

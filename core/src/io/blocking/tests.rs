@@ -8,8 +8,8 @@ use super::*;
 use crate::bcap::call::{self, ControllerHandle, RobotHandle, VariableHandle};
 use crate::bcap::client::{ClientError, Config, Timeout};
 use crate::bcap::slave::{
-    self, Action, Cause, Channel, Engine, Failure, Format, Handles, Mode, Pose, PoseType, ReceiveFormat, ReceivePose,
-    SlaveMode, Step,
+    self, Cause, Cycle, Engine, Failure, Format, Handles, Mode, MoveReply, Pose, PoseType, ReceiveFormat, ReceivePose,
+    SlaveMode, Step, StreamError, Trajectory,
 };
 use crate::bcap::{Decoder, FrameWriter};
 use crate::variant::Variant;
@@ -18,7 +18,7 @@ use crate::variant::Variant;
 #[derive(Default)]
 struct Scripted {
     now: Instant,
-    heard: Vec<u8>,
+    received: Vec<u8>,
     replies: VecDeque<Reaction>,
     pending: VecDeque<u8>,
     chunk: usize,
@@ -40,7 +40,7 @@ impl Scripted {
     }
 
     fn react(&mut self) {
-        let Ok(frame) = Decoder::TCP.decode_datagram(&self.heard) else { return };
+        let Ok(frame) = Decoder::TCP.decode_datagram(&self.received) else { return };
         let mut buffer = [0; 64];
         let mut reply = FrameWriter::new(&mut buffer).unwrap();
         let code = match self.replies.pop_front() {
@@ -54,12 +54,12 @@ impl Scripted {
                 HResult::S_OK
             }
             Some(Reaction::Silence) => {
-                self.heard.clear();
+                self.received.clear();
                 return;
             }
         };
         self.pending.extend(reply.finish(frame.serial, 0, code.0).unwrap());
-        self.heard.clear();
+        self.received.clear();
     }
 }
 
@@ -72,7 +72,7 @@ impl Transport for Scripted {
 
     fn send(&mut self, bytes: &[u8], _: Instant) -> Result<Option<usize>, Self::Error> {
         let count = bytes.len().min(self.chunk);
-        self.heard.extend(&bytes[..count]);
+        self.received.extend(&bytes[..count]);
         self.react();
         Ok(Some(count))
     }
@@ -90,6 +90,10 @@ impl Transport for Scripted {
             *slot = byte;
         }
         Ok(Some(count))
+    }
+
+    fn sleep_until(&mut self, at: Instant) {
+        self.now = self.now.max(at);
     }
 }
 
@@ -196,6 +200,32 @@ impl Transport for Robot {
         buffer[..reply.len()].copy_from_slice(&reply);
         Ok(Some(reply.len()))
     }
+
+    fn sleep_until(&mut self, at: Instant) {
+        self.now = at;
+    }
+}
+
+/// Holds the robot where it is for a hundred poses, and counts the answers.
+#[derive(Default)]
+struct Hold {
+    poses: u32,
+    moved: u32,
+}
+
+impl Trajectory for Hold {
+    fn next(&mut self, _: &Cycle<'_>) -> slave::Next {
+        if self.poses == 100 {
+            return slave::Next::Stop;
+        }
+        self.poses += 1;
+        slave::Next::Pose(Pose::j([1.5; 8]))
+    }
+
+    fn moved(&mut self, reply: &MoveReply<'_>, _: Instant) {
+        self.moved += 1;
+        assert_eq!(reply.joints(), Some([1.5; 8]));
+    }
 }
 
 #[test]
@@ -203,26 +233,9 @@ fn a_stream_runs_over_a_link_that_loses_datagrams() {
     let mut engine = engine(Mode::Mode0);
     let robot = Robot { now: Instant::ZERO, reply: None, sent: 0, waited: Vec::new() };
     let mut connection = Connection::new(robot, Client::new(Config::UDP, [0; 512], [0; 512]));
-    let (mut poses, mut moved) = (0_u32, 0_u32);
-    loop {
-        match engine.poll(connection.transport().now) {
-            Action::Call(..) => {
-                let error = connection.carry_out(&mut engine, |reply| {
-                    moved += 1;
-                    assert_eq!(reply.joints(), Some([1.5; 8]));
-                });
-                assert_eq!(error, None);
-            }
-            Action::Pose { .. } if poses == 100 => engine.stop(),
-            Action::Pose { .. } => {
-                poses += 1;
-                engine.push(&Pose::j([1.5; 8])).unwrap();
-            }
-            Action::Wait(until) => connection.transport().now = until,
-            Action::Finished => break,
-            Action::Faulted => panic!("{:?}", engine.fault()),
-        }
-    }
+    let mut hold = Hold::default();
+    assert_eq!(connection.run(engine.stream(&mut hold)), Ok(()));
+    let Hold { poses, moved } = hold;
     let stats = engine.stats();
     assert_eq!((stats.cycles, moved, poses), (moved, moved, 100));
     assert!(stats.refused > 10);
@@ -230,7 +243,7 @@ fn a_stream_runs_over_a_link_that_loses_datagrams() {
     let waited = &connection.transport().waited;
     assert!(waited.iter().all(|wait| [8, 500].map(Duration::from_millis).contains(wait)), "{waited:?}");
     assert!(waited.contains(&Duration::from_millis(8)) && waited.contains(&Duration::from_millis(500)));
-    assert_eq!(connection.client().config().attempt_timeout, Config::UDP.attempt_timeout);
+    assert_eq!(connection.client().timing(), Config::UDP.timing);
 }
 
 #[test]
@@ -239,12 +252,10 @@ fn a_connection_that_closes_ends_the_stream() {
     let replies = [Reaction::Value(HResult::S_OK, 0), Reaction::Close];
     let link = Scripted::new(512, replies);
     let mut connection = Connection::new(link, Client::new(Config::TCP, [0; 512], [0; 512]));
-    assert_eq!(engine.poll(Instant::ZERO), Action::Call(Step::SendFormat, Channel::Motion));
-    assert_eq!(connection.carry_out(&mut engine, |_| {}), None);
-    let _ = engine.poll(Instant::ZERO);
-    assert_eq!(connection.carry_out(&mut engine, |_| {}), Some(CallError::Disconnected));
-    assert_eq!(engine.poll(Instant::ZERO), Action::Faulted);
+    let cause = Cause::Failed(Failure::Lost);
+    let error = StreamError::Fault { step: Step::ReceiveFormat, cause, code: None };
+    let lost = Some(CallError::Disconnected);
+    assert_eq!(connection.run(engine.stream(&mut Hold::default())), Err(RunError { error, call: lost }));
     let fault = engine.fault().unwrap();
-    assert_eq!((fault.step, fault.cause), (Step::ReceiveFormat, Cause::Failed(Failure::Lost)));
-    assert_eq!(connection.carry_out(&mut engine, |_| {}), None);
+    assert_eq!((fault.step, fault.cause), (Step::ReceiveFormat, cause));
 }

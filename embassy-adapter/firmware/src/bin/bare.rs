@@ -176,7 +176,7 @@ impl Robot<'_> {
 
     /// Makes a call and waits until it has ended.
     fn call<C: Call>(&mut self, call: &C) -> Result<(), Error> {
-        self.client.start(call, now())?;
+        self.client.start(call, self.client.timing(), now())?;
         loop {
             let now = now();
             self.interface.poll(bare::to_smoltcp(now), &mut self.device, &mut self.sockets);

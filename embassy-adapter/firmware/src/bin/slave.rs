@@ -17,10 +17,10 @@ use bcap_board::Settings;
 use bcap_core::bcap::Client;
 use bcap_core::bcap::client::Config as ClientConfig;
 use bcap_core::bcap::slave::{
-    AxisLimits, Config, Format, Mode, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode, Stats,
+    AxisLimits, Config, Cycle, Engine, Format, MOVE_FRAME, Mode, Next, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode, Stats,
 };
+use bcap_core::procedure::{Provider, open_robot};
 use bcap_embassy::net::{Connection, Options, TcpClient, TcpTransport};
-use bcap_embassy::slave::{Cycle, Next, Stream, StreamError, open};
 use bcap_firmware::net::{self, NetRunner};
 use bcap_firmware::uart::{self, Text};
 use bcap_firmware::{clock, config, executor, fault};
@@ -112,8 +112,9 @@ async fn connect(
 
 /// Streams the trajectory and says how it went; `true` when that was well.
 async fn stream(motion: &mut Link, watch: &mut Link, settings: &Settings<'_>) -> bool {
-    let handles = open(motion, settings.provider).await;
-    let watching = open(watch, settings.provider).await;
+    let provider = Provider::new(settings.provider);
+    let handles = motion.run(open_robot(provider, None)).await;
+    let watching = watch.run(open_robot(provider, None)).await;
     let (handles, watching) = match (handles, watching) {
         (Ok(handles), Ok(watching)) => (handles, watching),
         (Err(error), _) | (_, Err(error)) => {
@@ -125,28 +126,26 @@ async fn stream(motion: &mut Link, watch: &mut Link, settings: &Settings<'_>) ->
     let format = Format::new(mode, ReceiveFormat::pose(ReceivePose::J));
     let limits = AxisLimits::uniform(20.0, 100.0);
     let config = Config { watch: Some(watching), limits, ..Config::new(format, handles) };
-    let mut stream = match Stream::<_, _, _>::new(config, motion, Some(watch)) {
-        Ok(stream) => stream,
+    let mut engine = match Engine::<MOVE_FRAME>::new(config) {
+        Ok(engine) => engine,
         Err(error) => {
             let _ = writeln!(Text, "slave: {error}");
             return false;
         }
     };
-    let ended = stream.run(&mut trajectory).await;
-    match (&ended, stream.engine().fault()) {
-        (Err(StreamError::Fault), Some(fault)) => {
+    let ended = motion.run_beside(watch, engine.stream(&mut trajectory)).await;
+    match (&ended, engine.fault()) {
+        (Err(_), Some(fault)) => {
             let _ = writeln!(Text, "slave: {fault}");
+            let _ = motion.run_beside(watch, engine.give_up()).await;
         }
-        (Err(error), _) => {
+        (Err(error), None) => {
             let _ = writeln!(Text, "slave: {error}");
         }
         (Ok(()), _) => {}
     }
-    if ended == Err(StreamError::Fault) {
-        let _ = stream.give_up().await;
-    }
-    report(stream.stats());
-    ended.is_ok() && stream.stats().underflows == 0
+    report(engine.stats());
+    ended.is_ok() && engine.stats().underflows == 0
 }
 
 /// Turns joint 1 there and back, at rest at both ends, its acceleration without steps.

@@ -88,10 +88,10 @@ pub(crate) fn gateway(args: &args::Gateway, link: &LinkArgs) -> Result<(), Failu
 
 fn config(args: &args::Gateway, link: &LinkArgs) -> Result<Config<'static>, Failure> {
     let call = CALL.max(link.timeout());
-    let client =
-        client::Config { attempt_timeout: link.timeout(), deadline: call, keep_alive: call, ..client::Config::TCP };
+    let timing =
+        client::Timing { attempt_timeout: link.timeout(), deadline: call, keep_alive: call, ..client::Timing::TCP };
     Ok(Config {
-        client,
+        client: client::Config { timing, ..client::Config::TCP },
         service: String::leak(link.start_option()),
         provider: String::leak(link.provider.clone()),
         request_timeout: call.saturating_add(Duration::from_secs(2)),

@@ -7,15 +7,15 @@ use std::time::Duration;
 
 use bcap_core::bcap::call;
 use bcap_core::bcap::slave::{
-    AxisLimits, Cause, Config, Failure as NoReply, Fault, Format, Handles, Mode, MoveReply, Pose, PoseType,
-    ReceiveFormat, ReceivePose, SlaveMode, Stats,
+    AxisLimits, Cause, Config, Cycle, Engine, Failure as NoReply, Fault, Format, Handles, MOVE_FRAME, Mode, MoveReply,
+    Next, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode, Stats, StreamError, Trajectory,
 };
 use bcap_core::hresult::HResult;
+use bcap_core::procedure::{Provider, StepCause, open_robot, release_robot};
 use bcap_core::time::Instant;
 use bcap_std::blocking::{self, Transport as Wire};
-use bcap_std::slave::blocking::{Link, Stream, close, open};
-use bcap_std::slave::{Cycle, Next, Realtime, StreamError, Trajectory};
-use bcap_std::{CallError, ConnectError, Options};
+use bcap_std::slave::Realtime;
+use bcap_std::{CallError, ConnectError, Options, RunError};
 
 use super::live::{Live, Shared, signals};
 use super::report::{Report, text};
@@ -156,8 +156,8 @@ pub(crate) fn stream(
     let realtime = Realtime { fifo: args.fifo, lock_memory: args.lock_memory, core: args.core };
     let target = link.target()?;
     let mut options = Options::default().timeout(link.timeout());
-    options.udp.attempts = UDP_ATTEMPTS;
-    options.udp.attempt_timeout = (link.timeout() / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
+    options.udp.timing.attempts = UDP_ATTEMPTS;
+    options.udp.timing.attempt_timeout = (link.timeout() / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
     let peer = (target.host.as_str(), target.port);
     match target.transport {
         Transport::Tcp => {
@@ -185,15 +185,16 @@ struct Job<'a> {
 impl Job<'_> {
     fn run<X: Wire<Error = io::Error>>(
         self,
-        connect: impl Fn() -> Result<Link<X>, ConnectError>,
+        connect: impl Fn() -> Result<blocking::Connection<X, Vec<u8>>, ConnectError>,
     ) -> Result<(), Failure> {
         // the signals first: who has said yes may think better of it at once
         let signals = signals()?;
         let mut motion = connect().map_err(|error| not_connected(&error, self.target))?;
         let mut watch = connect().map_err(|error| not_connected(&error, self.target))?;
-        let provider = &self.link.provider;
-        let handles = open(&mut motion, provider).map_err(|error| self.told(&error, "opening the session"))?;
-        let watching = open(&mut watch, provider).map_err(|error| self.told(&error, "opening the second session"))?;
+        let provider = Provider::new(&self.link.provider);
+        let opened = |error: RunError| self.not_opened(&error);
+        let handles = motion.run(open_robot(provider, None)).map_err(opened)?;
+        let watching = watch.run(open_robot(provider, None)).map_err(opened)?;
         let config = self.config(handles, watching);
         if let Course::Poses { poses, approach: Some(percent), .. } = &self.course
             && let Some(first) = poses.first()
@@ -201,7 +202,7 @@ impl Job<'_> {
             self.approach(&mut motion, handles, first, *percent)?;
         }
         let live = Live::start(self.link, signals, self.course.cycles())?;
-        let mut stream = Stream::new(config, motion, Some(watch)).map_err(|error| Failure::Input(error.to_string()))?;
+        let mut engine = Engine::<MOVE_FRAME>::new(config).map_err(|error| Failure::Input(error.to_string()))?;
         // after all threads have been started, which shall stay what they are
         self.realtime.apply().map_err(|error| Failure::Input(error.to_string()))?;
         let room = if self.args.plot.is_some() { self.course.cycles() as usize + 500 } else { 0 };
@@ -214,22 +215,20 @@ impl Job<'_> {
             began: None,
             samples: Vec::with_capacity(room),
         };
-        let ended = stream.run(&mut player);
-        if matches!(ended, Err(StreamError::Fault(_))) {
-            // it has told all that it knows; what fails now is of no interest
-            let _ = stream.give_up();
+        let ended = motion.run_beside(&mut watch, engine.stream(&mut player)).map_err(|error| error.error);
+        let fault = engine.fault().cloned();
+        if fault.is_some() {
+            // the fault is reported; a failure to give the arm back adds nothing to it
+            let _ = motion.run_beside(&mut watch, engine.give_up());
         }
         let shared = Arc::clone(&live.shared);
         live.end();
-        let stats = stream.stats().clone();
-        let (mut motion, watch) = stream.into_connections();
-        let _ = close(&mut motion, handles);
-        if let Some(mut watch) = watch {
-            let _ = close(&mut watch, watching);
-        }
+        let stats = engine.stats().clone();
+        let _ = motion.run(release_robot(handles));
+        let _ = watch.run(release_robot(watching));
         let job = Outcome { args: self.args, json: self.json, target: self.target };
         let reported = job.report(&stats, kind, &player.samples);
-        job.end(ended, &shared)?;
+        job.end(ended, fault.as_ref(), &shared)?;
         reported
     }
 
@@ -252,7 +251,7 @@ impl Job<'_> {
     /// Brings the robot to a pose by a motion of its own, which ends there exactly.
     fn approach<X: Wire<Error = io::Error>>(
         &self,
-        motion: &mut Link<X>,
+        motion: &mut blocking::Connection<X, Vec<u8>>,
         handles: Handles,
         pose: &Pose,
         percent: f64,
@@ -271,6 +270,19 @@ impl Job<'_> {
         let given = motion.call(call::robot_execute(robot, "GiveArm", ())).map(drop);
         moved?;
         given.map_err(|error| self.told(&error, "GiveArm"))
+    }
+
+    /// Says why a session was not opened.
+    fn not_opened(&self, error: &RunError) -> Failure {
+        let doing = error.error.function.to_string();
+        match (error.error.cause, &error.call) {
+            (StepCause::Refused(code), _) => Failure::Refused { doing, code },
+            (_, Some(call)) => failed(call, self.target, self.link.timeout(), &doing),
+            (cause, None) => Failure::Connection {
+                message: format!("{doing}: {cause}"),
+                hint: format!("check that {} is a b-CAP server", self.target),
+            },
+        }
     }
 
     /// Tells a failed call in words.
@@ -307,15 +319,15 @@ impl Outcome<'_> {
         Ok(())
     }
 
-    fn end(&self, ended: Result<(), StreamError>, shared: &Shared) -> Result<(), Failure> {
-        match ended {
+    fn end(&self, ended: Result<(), StreamError>, fault: Option<&Fault>, shared: &Shared) -> Result<(), Failure> {
+        match (ended, fault) {
             _ if shared.was_halted() => Err(Failure::Interrupted("interrupted twice: the robot was halted".into())),
-            Ok(()) if shared.is_stopped() => {
+            (Ok(()), _) if shared.is_stopped() => {
                 Err(Failure::Interrupted("interrupted: the robot stands, the arm is given back".into()))
             }
-            Ok(()) => Ok(()),
-            Err(StreamError::Fault(fault)) => Err(self.fault(&fault)),
-            Err(error) => Err(Failure::Input(format!("{error}; the robot was stopped, the arm is given back"))),
+            (Ok(()), _) => Ok(()),
+            (Err(StreamError::Fault { .. }), Some(fault)) => Err(self.fault(fault)),
+            (Err(error), _) => Err(Failure::Input(format!("{error}; the robot was stopped, the arm is given back"))),
         }
     }
 

@@ -56,12 +56,8 @@ impl Rig {
         let wire = &mut self.wires[usize::from(channel == Channel::Watch)];
         let request = self.engine.request().unwrap();
         self.sent.push((self.world.now, request.step()));
-        let usual = *wire.client.config();
-        if let Some(attempt_timeout) = self.engine.attempt_timeout().filter(|_| usual.link.is_lossy()) {
-            wire.client.set_config(bcap_core::bcap::client::Config { attempt_timeout, ..usual });
-        }
-        let result = wire.call(&mut self.world, &request);
-        wire.client.set_config(usual);
+        let timing = self.engine.timing(wire.client.link(), wire.client.timing());
+        let result = wire.call_with(&mut self.world, &request, timing);
         match result {
             Ok(_) => {
                 let format = self.engine.config().format;

@@ -1,7 +1,7 @@
 //! A client and a server of the core with a wire between them that takes no time, and does what a scenario wants.
 
 use bcap_core::bcap::call::{self, Call, ControllerHandle, RobotHandle};
-use bcap_core::bcap::client::{self, ClientError, Event};
+use bcap_core::bcap::client::{self, ClientError, Event, Timing};
 use bcap_core::bcap::server::{self, Session};
 use bcap_core::bcap::slave::Handles;
 use bcap_core::handler::PeerId;
@@ -59,10 +59,20 @@ impl Wire {
 
     /// Makes a call and sees it to its end, moving the clock to whatever comes next.
     pub(crate) fn call(&mut self, world: &mut World, call: &impl Call) -> Result<HResult, ClientError> {
+        self.call_with(world, call, self.client.timing())
+    }
+
+    /// Makes a call with its own timing.
+    pub(crate) fn call_with(
+        &mut self,
+        world: &mut World,
+        call: &impl Call,
+        timing: Timing,
+    ) -> Result<HResult, ClientError> {
         if self.cut {
             return Err(ClientError::Closed);
         }
-        self.client.start(call, world.now)?;
+        self.client.start(call, timing, world.now)?;
         for _ in 0..10_000 {
             self.send();
             self.serve(world);

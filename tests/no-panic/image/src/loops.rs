@@ -3,13 +3,16 @@
 //! The loops that await cannot be searched like this: the compiler puts a panic into every `async fn`, for being polled
 //! again after it has ended. It is the only one that they have; `.await` never does that.
 
+use core::time::Duration;
+
 use bcap_core::bcap::call::{self, ControllerHandle, RobotHandle};
 use bcap_core::bcap::client::{self, Client};
 use bcap_core::bcap::server;
-use bcap_core::bcap::slave::{self, Action, Engine};
+use bcap_core::bcap::slave::{self, Engine};
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::io::blocking::{Connection, RacConnection, Transport};
+use bcap_core::procedure::{self, Motion, MotionConfig, Move, Provider};
 use bcap_core::rac::{self, Variable, VariableKind};
 use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
@@ -104,6 +107,10 @@ macro_rules! transports {
                 self.session.transmitted(received.unwrap_or(0));
                 Ok(received)
             }
+
+            fn sleep_until(&mut self, at: Instant) {
+                self.fate.now = at;
+            }
         }
     )*};
 }
@@ -130,26 +137,32 @@ pub fn binary(input: &[u8]) -> u32 {
     answered.wrapping_add(stream(&mut connection).unwrap_or(0))
 }
 
-/// Makes the calls of streams; returns how many poses were taken.
+/// Runs the procedures, and a stream that recovers from its faults; returns how many poses were taken.
 fn stream(connection: &mut Connection<Binary<'_>, [u8; 512]>) -> Option<u32> {
     let mode = slave::SlaveMode { mode: slave::Mode::Mode0, pose: slave::PoseType::J };
     let format = slave::Format::new(mode, slave::ReceiveFormat::pose(slave::ReceivePose::J));
-    let handles = slave::Handles { controller: ControllerHandle(7), robot: RobotHandle(7) };
+    let opened = connection.run(procedure::open_robot(Provider::RC9, None));
+    let handles = opened.unwrap_or(slave::Handles { controller: ControllerHandle(7), robot: RobotHandle(7) });
+    let number = procedure::read_variable(handles.controller, "I1", |value| value.as_i32()).ok()?;
+    let mut moved = connection.run(number).ok().flatten().map_or(0, i32::unsigned_abs);
+    let put = procedure::write_variable(handles.controller, "I1", &moved).ok()?;
+    let put = connection.run(put).is_ok();
+    let motion = Move { interpolation: 1, pose: &"@E P1", option: "NEXT" };
+    let prepared = connection.run(procedure::prepare_robot(handles.robot, [0, 1], true)).is_ok();
+    let config = MotionConfig::within(Duration::from_secs(1));
+    let arrived = connection.run(procedure::move_and_wait(handles, motion, config));
+    moved = moved.wrapping_add(u32::from(put)).wrapping_add(u32::from(prepared));
+    moved = moved.wrapping_add(u32::from(arrived == Ok(Motion::Arrived)));
     let mut engine = Engine::<256>::new(slave::Config::new(format, handles)).ok()?;
-    let (mut now, mut moved) = (Instant::ZERO, 0_u32);
     for _ in 0..CALLS {
-        match engine.poll(now) {
-            Action::Call(..) => {
-                let failed = connection.carry_out(&mut engine, |_| moved = moved.wrapping_add(1)).is_some();
-                moved = moved.wrapping_add(u32::from(failed));
-            }
-            Action::Pose { .. } => engine.stop(),
-            Action::Wait(until) => now = until,
-            Action::Finished => break,
-            Action::Faulted => engine.recover().ok()?,
+        let mut stop = |_: &slave::Cycle<'_>| slave::Next::Stop;
+        if connection.run(engine.stream(&mut stop)).is_ok() || engine.recover().is_err() {
+            break;
         }
+        moved = moved.wrapping_add(1);
     }
-    Some(moved)
+    let _ = connection.run(procedure::release_robot(handles));
+    Some(moved.wrapping_add(engine.stats().cycles))
 }
 
 /// Reads and writes variables by the blocking loop; returns how many times that worked.

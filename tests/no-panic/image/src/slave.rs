@@ -44,7 +44,7 @@ fn run(mode: slave::SlaveMode, bits: u8, input: &[u8]) -> Option<u32> {
     for turn in 0..2000_u32 {
         match engine.poll(now) {
             Action::Call(..) => {
-                client.start(&engine.request()?, now).ok()?;
+                client.start(&engine.request()?, client.timing(), now).ok()?;
                 moved = moved.wrapping_add(u32::from(client.transmit().len() > 100));
                 client.abandon();
                 match Decoder::TCP.decode(rest) {

@@ -217,7 +217,7 @@ impl Rig {
         }
         let channel = request.channel();
         let client = &mut self.clients[usize::from(channel == Channel::Watch)];
-        client.start(&request, self.now).unwrap();
+        client.start(&request, client.timing(), self.now).unwrap();
         let bytes = client.transmit().to_vec();
         client.transmitted(bytes.len());
         self.controller.advance(self.now + LATENCY);

@@ -36,7 +36,7 @@ fn run(memory: &mut Memory) {
 /// Makes a call and goes on until it has ended.
 fn converse<C: Call>(client: &mut Board, memory: &mut Memory, call: &C) {
     let now = black_box(Instant::ZERO);
-    black_box(client.start(call, now).is_ok());
+    black_box(client.start(call, client.timing(), now).is_ok());
     carry(client, memory, now);
 }
 

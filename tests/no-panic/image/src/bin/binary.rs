@@ -182,11 +182,11 @@ fn converse(client: &mut BoardClient, session: &mut BoardSession, input: &[u8]) 
     for millis in 0..200_u64 {
         let (now, number) = (Instant::from_millis(millis.wrapping_mul(100)), i32::try_from(millis % 8).unwrap_or(0));
         let started = match millis % 5 {
-            0 => client.start(&call::service_start("WDT=400"), now),
-            1 => client.start(&call::controller_connect(name, name, name, ""), now),
-            2 => client.start(&call::controller_get_robot(call::ControllerHandle(0), name, ""), now),
-            3 => client.start(&call::variable_put_value(call::VariableHandle(number), [1.5; 8]), now),
-            _ => client.start(&call::service_stop(), now),
+            0 => client.start(&call::service_start("WDT=400"), client.timing(), now),
+            1 => client.start(&call::controller_connect(name, name, name, ""), client.timing(), now),
+            2 => client.start(&call::controller_get_robot(call::ControllerHandle(0), name, ""), client.timing(), now),
+            3 => client.start(&call::variable_put_value(call::VariableHandle(number), [1.5; 8]), client.timing(), now),
+            _ => client.start(&call::service_stop(), client.timing(), now),
         };
         replies = replies.wrapping_add(u32::from(started.is_err()));
         let sent = carry(client.transmit(), session.receive_buffer());

@@ -1,0 +1,265 @@
+//! Starting a motion and waiting for its end.
+//!
+//! ```text
+//!  Robot_Move NEXT ─► DestJnt ─► (pause ─► SysState ─► CurJnt)* ─► Arrived
+//!                                             │            └────► Halted: at rest, and not at the destination
+//!                                             └─► GetCurErrorCount ─► GetCurErrorInfo ─► Failed
+//! ```
+//!
+//! Arrival is decided by position: the robot has arrived when its joints are where DestJnt said that the motion ends, and
+//! stay there. "Not busy" is not enough, because a motion that somebody halted is not busy either.
+
+use core::convert::identity;
+use core::time::Duration;
+
+use super::open::Handles;
+use super::sequence::{Argument, Next, Sequence, StepCall, Steps, Undo};
+use super::{Procedure, StepCause, StepError};
+use crate::bcap::call::{Any, Int, Reply, ReplyError};
+use crate::bcap::{Frame, FunctionId};
+use crate::hresult::HResult;
+use crate::time::Instant;
+use crate::variant::{Encode, Variant};
+
+/// A motion of Robot_Move.
+#[derive(Clone, Copy)]
+pub struct Move<'a> {
+    /// The interpolation: 1 point to point, 2 line, 3 circle, 4 free curve.
+    pub interpolation: i32,
+    /// The destination: `"@E P1"`, or an array of numbers, type and pass.
+    pub pose: &'a dyn Encode,
+    /// The options, which must contain `NEXT`: otherwise the reply comes when the motion has ended.
+    pub option: &'a str,
+}
+
+/// How a motion is waited for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct MotionConfig {
+    /// How long to wait for the end, from the start of the motion on; then the robot is halted.
+    pub limit: Duration,
+    /// The pause between two looks at the robot.
+    pub interval: Duration,
+    /// How far each joint may be from the destination, in degrees or mm.
+    pub tolerance: f64,
+    /// How many looks in a row must see the robot at rest before it counts as halted.
+    pub still: u8,
+}
+
+impl MotionConfig {
+    /// Waits for this long, looking every 20 ms; within 0.05 degrees of the destination, at rest for five looks.
+    #[must_use]
+    pub const fn within(limit: Duration) -> Self {
+        Self { limit, interval: Duration::from_millis(20), tolerance: 0.05, still: 5 }
+    }
+}
+
+/// How a motion has ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+#[must_use]
+pub enum Motion {
+    /// The robot stands at its destination.
+    Arrived,
+    /// The robot stands elsewhere, and the controller has no error: somebody halted it.
+    Halted,
+    /// The controller has an error; this is the first one.
+    Failed(HResult),
+    /// The time limit has passed, and the robot was halted.
+    TimedOut,
+}
+
+/// Starts a motion and waits for its end.
+///
+/// The arm must be taken and the motor on. When a call fails after the motion may have started, the robot is halted: it
+/// is unknown what it does.
+pub fn move_and_wait<'a>(
+    handles: Handles,
+    motion: Move<'a>,
+    config: MotionConfig,
+) -> impl Procedure<Output = Motion, Error = StepError> + use<'a> {
+    let steps = MoveSteps {
+        handles,
+        motion,
+        config,
+        step: Step::Move,
+        until: Instant::FAR_FUTURE,
+        destination: [0.0; JOINTS],
+        last: None,
+        still: 0,
+        error: 0,
+        outcome: Motion::Halted,
+    };
+    Sequence::new(steps, identity)
+}
+
+/// The joints of CurJnt and DestJnt.
+const JOINTS: usize = 8;
+/// How much a joint moves between two looks at rest, in degrees or mm.
+const AT_REST: f64 = 0.002;
+/// The bits of SysState for an error and for the emergency stop.
+const ERROR: i32 = 1 << 1;
+const EMERGENCY_STOP: i32 = 1 << 10;
+
+struct MoveSteps<'a> {
+    handles: Handles,
+    motion: Move<'a>,
+    config: MotionConfig,
+    step: Step,
+    /// When the time limit passes.
+    until: Instant,
+    destination: [f64; JOINTS],
+    last: Option<[f64; JOINTS]>,
+    /// Looks in a row that saw no change of position.
+    still: u8,
+    /// The index of the error to ask for.
+    error: i32,
+    outcome: Motion,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Step {
+    Move,
+    Destination,
+    Pause(Instant),
+    State,
+    Position,
+    ErrorCount,
+    ErrorInfo,
+    Halt,
+    End,
+}
+
+impl MoveSteps<'_> {
+    fn of_robot(&self, command: &'static str) -> Next<'_> {
+        let execute = StepCall::new(FunctionId::ROBOT_EXECUTE).with(self.handles.robot.0);
+        Next::Call(execute.with(command).with(Argument::Empty))
+    }
+
+    fn of_controller<'a>(&'a self, command: &'static str, parameter: Argument<'a>) -> Next<'a> {
+        let execute = StepCall::new(FunctionId::CONTROLLER_EXECUTE).with(self.handles.controller.0);
+        Next::Call(execute.with(command).with(parameter))
+    }
+
+    fn end(&mut self, outcome: Motion) {
+        self.outcome = outcome;
+        self.step = Step::End;
+    }
+
+    /// Compares where the robot is with its destination and with where it was.
+    fn look(&mut self, joints: [f64; JOINTS], now: Instant) {
+        let within = |other: &[f64; JOINTS], tolerance: f64| {
+            joints.iter().zip(other).all(|(joint, other)| (joint - other).abs() <= tolerance)
+        };
+        let rests = self.last.is_some_and(|last| within(&last, AT_REST));
+        self.still = if rests { self.still.saturating_add(1) } else { 0 };
+        self.last = Some(joints);
+        if self.still >= 1 && within(&self.destination, self.config.tolerance) {
+            self.end(Motion::Arrived);
+        } else if self.still >= self.config.still {
+            self.end(Motion::Halted);
+        } else if now >= self.until {
+            self.outcome = Motion::TimedOut;
+            self.step = Step::Halt;
+        } else {
+            self.step = Step::Pause(now.saturating_add(self.config.interval));
+        }
+    }
+}
+
+impl Steps for MoveSteps<'_> {
+    type Output = Motion;
+    const KEEPS_OBJECTS: bool = true;
+
+    fn next(&self) -> Next<'_> {
+        match self.step {
+            Step::Move => Next::Call(
+                StepCall::new(FunctionId::ROBOT_MOVE)
+                    .with(self.handles.robot.0)
+                    .with(self.motion.interpolation)
+                    .with(self.motion.pose)
+                    .with(self.motion.option),
+            ),
+            Step::Destination => self.of_robot("DestJnt"),
+            Step::Pause(until) => Next::Wait(until),
+            Step::State => self.of_controller("SysState", Argument::Empty),
+            Step::Position => self.of_robot("CurJnt"),
+            Step::ErrorCount => self.of_controller("GetCurErrorCount", Argument::Empty),
+            Step::ErrorInfo => self.of_controller("GetCurErrorInfo", Argument::Int(self.error)),
+            Step::Halt => Next::Call(StepCall::new(FunctionId::ROBOT_HALT).with(self.handles.robot.0).with("")),
+            Step::End => Next::End,
+        }
+    }
+
+    fn waited(&mut self) {
+        self.step = Step::State;
+    }
+
+    fn succeeded(&mut self, reply: &Frame<'_>, now: Instant) -> Result<(), StepCause> {
+        match self.step {
+            Step::Move => {
+                self.until = now.saturating_add(self.config.limit);
+                self.step = Step::Destination;
+            }
+            Step::Destination => {
+                self.destination = joints(reply)?;
+                self.step = Step::State;
+            }
+            Step::State => {
+                let bits = Int::read(reply.args).map_err(StepCause::Reply)?;
+                self.step = if bits & (ERROR | EMERGENCY_STOP) == 0 { Step::Position } else { Step::ErrorCount };
+            }
+            Step::Position => self.look(joints(reply)?, now),
+            Step::ErrorCount => {
+                // the last error of the list is the oldest, so the first cause
+                self.error = Int::read(reply.args).map_err(StepCause::Reply)?.saturating_sub(1);
+                if self.error >= 0 {
+                    self.step = Step::ErrorInfo;
+                } else {
+                    self.end(Motion::Failed(HResult::E_FAIL));
+                }
+            }
+            Step::ErrorInfo => {
+                let value = Any::read(reply.args).map_err(StepCause::Reply)?;
+                let code = value.as_array().and_then(|array| array.iter().next()).as_ref().and_then(code);
+                self.end(Motion::Failed(code.unwrap_or(HResult::E_FAIL)));
+            }
+            Step::Halt | Step::Pause(_) | Step::End => self.step = Step::End,
+        }
+        Ok(())
+    }
+
+    fn undo(&self, cause: Option<&StepCause>) -> Option<Undo> {
+        let cause = cause?;
+        // a motion that was refused has not started; after any other failure the robot may move
+        let moves = self.step != Step::Move || !matches!(cause, StepCause::Refused(_));
+        moves.then_some(Undo::Halt(self.handles.robot.0))
+    }
+
+    fn output(&mut self) -> Motion {
+        self.outcome
+    }
+}
+
+/// Reads a position in joints. A number that is not finite would be within every tolerance.
+fn joints(reply: &Frame<'_>) -> Result<[f64; JOINTS], StepCause> {
+    let value = Any::read(reply.args).map_err(StepCause::Reply)?;
+    let wrong = StepCause::Reply(ReplyError { expected: "an array of joints", found: Some(value.vartype()) });
+    let mut joints = [0.0; JOINTS];
+    for (joint, element) in joints.iter_mut().zip(value.as_array().ok_or(wrong)?) {
+        *joint = element.as_f64().filter(|number| number.is_finite()).ok_or(wrong)?;
+    }
+    Ok(joints)
+}
+
+/// Reads the code of an error, which controllers keep as I4, UI4, ERROR or I8.
+fn code(value: &Variant<'_>) -> Option<HResult> {
+    match *value {
+        Variant::I4(n) => Some(HResult(n)),
+        Variant::Ui4(n) => Some(HResult(n.cast_signed())),
+        Variant::Error(code) => Some(code),
+        Variant::I8(n) => u32::try_from(n).map(u32::cast_signed).or_else(|_| i32::try_from(n)).ok().map(HResult),
+        _ => None,
+    }
+}

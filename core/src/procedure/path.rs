@@ -1,0 +1,243 @@
+//! Opening an object by its path: the service and the controller where they are not open yet, then object after object.
+
+use core::convert::identity;
+use core::fmt;
+
+use super::open::Provider;
+use super::sequence::{Next, Sequence, StepCall, Steps, UNDO_MAX};
+use super::{Procedure, StepCause, StepError};
+use crate::bcap::call::{
+    Any, ControllerHandle, ExtensionHandle, FileHandle, Reply, ReplyError, RobotHandle, TaskHandle, handle_of,
+};
+use crate::bcap::{Frame, FunctionId, Object};
+use crate::time::Instant;
+
+/// How many objects a path has at most: a sequence also keeps the service and the controller.
+pub const PATH_MAX: usize = UNDO_MAX - 2;
+/// How many bytes of UTF-8 the name of the first robot has at most.
+const NAME_MAX: usize = 64;
+/// The robot of a controller that refuses to list its robots: the name that the specification's samples use.
+const DEFAULT_ROBOT: &str = "Arm0";
+
+/// An open object that others are opened from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Owner {
+    object: Object,
+    handle: i32,
+}
+
+macro_rules! owners {
+    ($($handle:ident $object:ident;)*) => {$(
+        impl From<$handle> for Owner {
+            fn from(handle: $handle) -> Self {
+                Self { object: Object::$object, handle: handle.0 }
+            }
+        }
+    )*};
+}
+
+owners! {
+    ControllerHandle Controller;
+    RobotHandle Robot;
+    TaskHandle Task;
+    FileHandle File;
+    ExtensionHandle Extension;
+}
+
+/// One object of a path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct PathStep<'a> {
+    /// Its kind.
+    pub object: Object,
+    /// Its name; `None` is the controller's first robot.
+    pub name: Option<&'a str>,
+}
+
+impl<'a> PathStep<'a> {
+    /// A variable of this name.
+    #[must_use]
+    pub const fn variable(name: &'a str) -> Self {
+        Self { object: Object::Variable, name: Some(name) }
+    }
+}
+
+/// A path cannot be opened.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum PathError {
+    /// It has more than [`PATH_MAX`] objects.
+    TooLong,
+    /// Objects of this kind have none of that kind.
+    NoSuchObject {
+        /// The kind of the owner.
+        owner: Object,
+        /// The kind of the object.
+        object: Object,
+    },
+    /// Only robots can be opened without a name.
+    NoName(Object),
+}
+
+impl fmt::Display for PathError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::TooLong => write!(f, "the path has more than {PATH_MAX} objects"),
+            Self::NoSuchObject { owner, object } => {
+                write!(f, "an object of the kind {} has no object of the kind {}", owner.name(), object.name())
+            }
+            Self::NoName(object) => write!(f, "an object of the kind {} needs a name", object.name()),
+        }
+    }
+}
+
+impl core::error::Error for PathError {}
+
+/// The handles of a path, in the order in which they were opened: for [`release`](super::release).
+pub type Opened = heapless::Vec<(Object, i32), UNDO_MAX>;
+
+/// Opens an object and the objects on the way to it; returns their handles, the last being that of the object.
+///
+/// # Errors
+///
+/// A [`PathError`]: the path is too long, or the kinds of its objects do not follow each other.
+pub fn open_path<'a, O: Into<Owner>>(
+    owner: O,
+    path: &[PathStep<'a>],
+) -> Result<impl Procedure<Output = Opened, Error = StepError> + use<'a, O>, PathError> {
+    Ok(Sequence::new(PathSteps::from(owner.into(), path)?, identity))
+}
+
+/// The steps: Service_Start and Controller_Connect, when a provider is given, and then the path.
+#[derive(Debug)]
+pub(super) struct PathSteps<'a> {
+    provider: Option<Provider<'a>>,
+    path: heapless::Vec<PathStep<'a>, PATH_MAX>,
+    opened: Opened,
+    /// What the next object of the path is opened from.
+    owner: Owner,
+    /// How many objects of the path are open.
+    done: usize,
+    /// The name of the first robot, once the controller has told it.
+    first: Option<heapless::String<NAME_MAX>>,
+}
+
+impl<'a> PathSteps<'a> {
+    /// The steps from an open object on.
+    pub(super) fn from(owner: Owner, path: &[PathStep<'a>]) -> Result<Self, PathError> {
+        let mut from = owner.object;
+        for step in path {
+            if step.object.opened_from(from).is_none() {
+                return Err(PathError::NoSuchObject { owner: from, object: step.object });
+            }
+            if step.name.is_none() && step.object != Object::Robot {
+                return Err(PathError::NoName(step.object));
+            }
+            from = step.object;
+        }
+        let path = heapless::Vec::from_slice(path).map_err(|_| PathError::TooLong)?;
+        Ok(Self { provider: None, path, opened: Opened::new(), owner, done: 0, first: None })
+    }
+
+    /// The steps of a new session, up to the controller, or to one of its robots.
+    pub(super) fn session(provider: Provider<'a>, robot: Option<PathStep<'a>>) -> Self {
+        let owner = Owner { object: Object::Service, handle: 0 };
+        let path = robot.into_iter().collect();
+        Self { provider: Some(provider), path, opened: Opened::new(), owner, done: 0, first: None }
+    }
+
+    /// Returns the handle of the object that was opened last.
+    pub(super) fn last_handle(&self) -> i32 {
+        self.opened.last().map_or(0, |(_, handle)| *handle)
+    }
+
+    fn open_session(&self, provider: &Provider<'a>) -> Option<StepCall<'_>> {
+        let Provider { service, name, provider, machine, option } = *provider;
+        match self.opened.len() {
+            0 => Some(StepCall::new(FunctionId::SERVICE_START).with(service)),
+            1 => {
+                Some(StepCall::new(FunctionId::CONTROLLER_CONNECT).with(name).with(provider).with(machine).with(option))
+            }
+            _ => None,
+        }
+    }
+
+    /// Tells whether the next call asks for the names of the robots.
+    fn wants_first(&self) -> bool {
+        self.path.get(self.done).is_some_and(|step| step.name.is_none()) && self.first.is_none()
+    }
+}
+
+impl Steps for PathSteps<'_> {
+    type Output = Opened;
+    const KEEPS_OBJECTS: bool = true;
+
+    fn next(&self) -> Next<'_> {
+        if let Some(call) = self.provider.as_ref().and_then(|provider| self.open_session(provider)) {
+            return Next::Call(call);
+        }
+        let Some(step) = self.path.get(self.done) else { return Next::End };
+        let owner = self.owner.handle;
+        let name = match (step.name, &self.first) {
+            (Some(name), _) => name,
+            (None, Some(first)) => first.as_str(),
+            (None, None) => {
+                return Next::Call(StepCall::new(FunctionId::CONTROLLER_GET_ROBOT_NAMES).with(owner).with(""));
+            }
+        };
+        match step.object.opened_from(self.owner.object) {
+            Some(function) => Next::Call(StepCall::new(function).with(owner).with(name).with("")),
+            // checked when the steps were made
+            None => Next::End,
+        }
+    }
+
+    fn succeeded(&mut self, reply: &Frame<'_>, _now: Instant) -> Result<(), StepCause> {
+        let in_session = self.provider.is_none() || self.opened.len() >= 2;
+        if in_session && self.wants_first() {
+            self.first = Some(first_name(reply)?);
+            return Ok(());
+        }
+        let object = match (in_session, self.opened.len()) {
+            (false, 0) => Object::Service,
+            (false, _) => Object::Controller,
+            (true, _) => self.path.get(self.done).map_or(Object::Service, |step| step.object),
+        };
+        let handle = match object {
+            Object::Service => 0,
+            _ => handle_of(reply.args).map_err(StepCause::Reply)?,
+        };
+        self.opened.push((object, handle)).map_err(|_| StepCause::TooLarge)?;
+        self.owner = Owner { object, handle };
+        self.done = if in_session { self.done.saturating_add(1) } else { 0 };
+        Ok(())
+    }
+
+    fn recovered(&mut self, cause: &StepCause) -> bool {
+        let in_session = self.provider.is_none() || self.opened.len() >= 2;
+        if !(in_session && self.wants_first() && matches!(cause, StepCause::Refused(_))) {
+            return false;
+        }
+        self.first = heapless::String::try_from(DEFAULT_ROBOT).ok();
+        true
+    }
+
+    fn output(&mut self) -> Opened {
+        self.opened.clone()
+    }
+}
+
+/// Copies the first of a reply's names.
+fn first_name(reply: &Frame<'_>) -> Result<heapless::String<NAME_MAX>, StepCause> {
+    let value = Any::read(reply.args).map_err(StepCause::Reply)?;
+    let expected = ReplyError { expected: "an array of names", found: Some(value.vartype()) };
+    let mut names = value.as_array().into_iter().flatten();
+    let name = names.next().and_then(|name| name.as_bstr()).ok_or(StepCause::Reply(expected))?;
+    let mut copy = heapless::String::new();
+    for unit in name.chars() {
+        copy.push(unit.unwrap_or(char::REPLACEMENT_CHARACTER)).map_err(|_| StepCause::TooLarge)?;
+    }
+    Ok(copy)
+}

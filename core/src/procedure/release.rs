@@ -1,0 +1,50 @@
+//! Releasing what was opened.
+
+use core::convert::identity;
+
+use super::open::Handles;
+use super::sequence::{Next, Sequence, Steps, Undo};
+use super::{Procedure, StepCause, StepError};
+use crate::bcap::call::ControllerHandle;
+use crate::bcap::{Frame, Object};
+use crate::time::Instant;
+
+/// Releases objects in reverse order, of which it takes the first eight: a refusal is ignored, because an object that
+/// cannot be released is already gone.
+///
+/// When the connection is lost it ends at once: the controller releases what is left.
+#[must_use]
+pub fn release(opened: &[(Object, i32)]) -> impl Procedure<Output = (), Error = StepError> + use<> {
+    let undo = opened.iter().map(|(object, handle)| Undo::Release(*object, *handle));
+    Sequence::new(Nothing, identity).with_undo(undo)
+}
+
+/// Disconnects from the controller and stops the service.
+#[must_use]
+pub fn release_controller(controller: ControllerHandle) -> impl Procedure<Output = (), Error = StepError> + use<> {
+    release(&[(Object::Service, 0), (Object::Controller, controller.0)])
+}
+
+/// Releases the robot, disconnects from the controller and stops the service.
+#[must_use]
+pub fn release_robot(handles: Handles) -> impl Procedure<Output = (), Error = StepError> + use<> {
+    release(&[(Object::Service, 0), (Object::Controller, handles.controller.0), (Object::Robot, handles.robot.0)])
+}
+
+/// No steps forward: all of it is the way back.
+struct Nothing;
+
+impl Steps for Nothing {
+    type Output = ();
+    const KEEPS_OBJECTS: bool = false;
+
+    fn next(&self) -> Next<'_> {
+        Next::End
+    }
+
+    fn succeeded(&mut self, _reply: &Frame<'_>, _now: Instant) -> Result<(), StepCause> {
+        Ok(())
+    }
+
+    fn output(&mut self) {}
+}

@@ -1,0 +1,273 @@
+//! What the procedures of this module have in common: one call after the other, and the way back after a failure.
+//!
+//! ```text
+//!  Forward ── next() is End, handles are kept ──────────────────► Done(Ok)
+//!     │  └─── next() is End, handles are not kept ──► Backward ──► Done(Ok)
+//!     └────── a call fails ─────────────────────────► Backward ──► Done(Err)
+//! ```
+//!
+//! Backward undoes what was done, in reverse order: it releases handles, gives the arm back, halts a motion. A failure on
+//! the way back is ignored, because the first failure is the one to report.
+
+use super::{Action, Channel, Failure, Procedure, StepCause, StepError};
+use crate::bcap::call::{Call, Maybe, handle_of};
+use crate::bcap::{Frame, FrameWriter, FunctionId, Object};
+use crate::error::EncodeError;
+use crate::time::Instant;
+use crate::variant::Encode;
+
+/// How many undo entries a sequence holds: a service, a controller, and the objects on the deepest path.
+pub(super) const UNDO_MAX: usize = 8;
+
+/// What undoes the effect of a call.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Undo {
+    /// Releases this object; the handle of the service is not used.
+    Release(Object, i32),
+    /// Gives the arm of this robot back.
+    GiveArm(i32),
+    /// Halts this robot.
+    Halt(i32),
+}
+
+impl Undo {
+    fn call<'a>(self) -> StepCall<'a> {
+        match self {
+            Self::Release(Object::Service, _) => StepCall::new(FunctionId::SERVICE_STOP),
+            Self::Release(object, handle) => StepCall::new(object.released_by()).with(handle),
+            Self::GiveArm(robot) => {
+                StepCall::new(FunctionId::ROBOT_EXECUTE).with(robot).with("GiveArm").with(Argument::Empty)
+            }
+            Self::Halt(robot) => StepCall::new(FunctionId::ROBOT_HALT).with(robot).with(""),
+        }
+    }
+}
+
+/// What a sequence does next on its way forward.
+pub(super) enum Next<'a> {
+    Call(StepCall<'a>),
+    Wait(Instant),
+    End,
+}
+
+/// The calls of a sequence and what their replies mean.
+pub(super) trait Steps {
+    /// What the sequence returns at its end.
+    type Output;
+
+    /// Whether the objects that were opened stay open after a success.
+    const KEEPS_OBJECTS: bool;
+
+    /// Returns what comes next; it stays the same until [`succeeded`](Self::succeeded).
+    fn next(&self) -> Next<'_>;
+
+    /// Takes the reply to a call that succeeded, and moves to the next step.
+    fn succeeded(&mut self, reply: &Frame<'_>, now: Instant) -> Result<(), StepCause>;
+
+    /// Moves to the step after [`Next::Wait`].
+    fn waited(&mut self) {}
+
+    /// Returns what undoes the present call, in addition to releasing what it opened. `cause` says why it failed; `None`
+    /// after a success.
+    fn undo(&self, cause: Option<&StepCause>) -> Option<Undo> {
+        let _ = cause;
+        None
+    }
+
+    /// Decides about a call that has failed: `true` when the steps go on without it.
+    fn recovered(&mut self, cause: &StepCause) -> bool {
+        let _ = cause;
+        false
+    }
+
+    /// Returns the result, after [`Next::End`].
+    fn output(&mut self) -> Self::Output;
+}
+
+/// A call whose function and arguments are known at run time.
+#[derive(Clone, Copy)]
+pub(super) struct StepCall<'a> {
+    function: FunctionId,
+    arguments: [Argument<'a>; 4],
+}
+
+/// An argument of a step.
+#[derive(Clone, Copy)]
+pub(super) enum Argument<'a> {
+    /// There are no further arguments.
+    End,
+    Empty,
+    Int(i32),
+    Text(&'a str),
+    Value(&'a dyn Encode),
+}
+
+impl From<i32> for Argument<'_> {
+    fn from(number: i32) -> Self {
+        Self::Int(number)
+    }
+}
+
+impl<'a> From<&'a str> for Argument<'a> {
+    fn from(text: &'a str) -> Self {
+        Self::Text(text)
+    }
+}
+
+impl<'a> From<&'a dyn Encode> for Argument<'a> {
+    fn from(value: &'a dyn Encode) -> Self {
+        Self::Value(value)
+    }
+}
+
+impl<'a> StepCall<'a> {
+    /// Makes a call without arguments.
+    pub(super) const fn new(function: FunctionId) -> Self {
+        Self { function, arguments: [Argument::End; 4] }
+    }
+
+    /// Appends an argument, of which a call has at most four.
+    pub(super) fn with(mut self, argument: impl Into<Argument<'a>>) -> Self {
+        if let Some(free) = self.arguments.iter_mut().find(|slot| matches!(slot, Argument::End)) {
+            *free = argument.into();
+        }
+        self
+    }
+}
+
+impl Call for StepCall<'_> {
+    type Reply = Maybe;
+
+    fn function(&self) -> FunctionId {
+        self.function
+    }
+
+    fn arguments(&self, frame: &mut FrameWriter<'_>) -> Result<(), EncodeError> {
+        self.arguments.iter().try_for_each(|argument| match argument {
+            Argument::End => Ok(()),
+            Argument::Empty => frame.argument(&()),
+            Argument::Int(number) => frame.argument(number),
+            Argument::Text(text) => frame.argument(text),
+            Argument::Value(value) => frame.argument(*value),
+        })
+    }
+}
+
+/// A sequence that runs; `M` turns the result of the steps into that of the procedure.
+pub(super) struct Sequence<S, M> {
+    steps: S,
+    map: M,
+    undo: heapless::Vec<Undo, UNDO_MAX>,
+    backward: bool,
+    in_flight: bool,
+    error: Option<StepError>,
+    lost: bool,
+}
+
+impl<S: Steps, M> Sequence<S, M> {
+    pub(super) const fn new(steps: S, map: M) -> Self {
+        Self { steps, map, undo: heapless::Vec::new(), backward: false, in_flight: false, error: None, lost: false }
+    }
+
+    /// Begins with objects that were opened before.
+    pub(super) fn with_undo(self, undo: impl IntoIterator<Item = Undo>) -> Self {
+        Self { undo: undo.into_iter().take(UNDO_MAX).collect(), ..self }
+    }
+
+    fn next(&self) -> Next<'_> {
+        if !self.backward {
+            return self.steps.next();
+        }
+        match self.undo.last() {
+            Some(undo) if !self.lost => Next::Call(undo.call()),
+            _ => Next::End,
+        }
+    }
+
+    fn advance(&mut self, function: FunctionId, reply: &Frame<'_>, now: Instant) -> Result<(), StepCause> {
+        if let Some(undo) = self.steps.undo(None) {
+            self.push(undo)?;
+        }
+        if let Some(object) = function.opens() {
+            let handle = if object == Object::Service { 0 } else { handle_of(reply.args).map_err(StepCause::Reply)? };
+            self.push(Undo::Release(object, handle))?;
+        }
+        self.steps.succeeded(reply, now)
+    }
+
+    fn push(&mut self, undo: Undo) -> Result<(), StepCause> {
+        self.undo.push(undo).map_err(|_| StepCause::TooLarge)
+    }
+
+    fn fail(&mut self, function: FunctionId, cause: StepCause) {
+        if let Some(undo) = self.steps.undo(Some(&cause)) {
+            // without room for it, the end of the session undoes it
+            let _ = self.undo.push(undo);
+        }
+        self.error = Some(StepError { function, cause });
+        self.backward = true;
+    }
+
+    /// Handles the end of the call in flight.
+    fn ended(&mut self, failure: Option<Failure>, reply: Option<&Frame<'_>>, now: Instant) {
+        if !core::mem::take(&mut self.in_flight) {
+            return;
+        }
+        if self.backward {
+            self.undo.pop();
+            return;
+        }
+        let Next::Call(StepCall { function, .. }) = self.steps.next() else { return };
+        let result = match (reply, failure) {
+            (Some(reply), _) if reply.hresult().is_err() => Err(StepCause::Refused(reply.hresult())),
+            (Some(reply), _) => self.advance(function, reply, now),
+            (None, failure) => Err(StepCause::Failed(failure.unwrap_or(Failure::Timeout))),
+        };
+        if let Err(cause) = result
+            && !self.steps.recovered(&cause)
+        {
+            self.fail(function, cause);
+        }
+    }
+}
+
+impl<S: Steps, M: FnMut(S::Output) -> T, T> Procedure for Sequence<S, M> {
+    type Output = T;
+    type Error = StepError;
+
+    fn poll(&mut self, now: Instant) -> Action<Result<T, StepError>> {
+        loop {
+            match self.next() {
+                Next::Call(_) => {
+                    self.in_flight = true;
+                    return Action::Call(Channel::Motion);
+                }
+                Next::Wait(until) if now < until => return Action::Wait(until),
+                Next::Wait(_) => self.steps.waited(),
+                Next::End if !self.backward && !S::KEEPS_OBJECTS && !self.undo.is_empty() => self.backward = true,
+                Next::End => {
+                    return Action::Done(match self.error {
+                        Some(error) => Err(error),
+                        None => Ok((self.map)(self.steps.output())),
+                    });
+                }
+            }
+        }
+    }
+
+    fn request(&self) -> Option<impl Call> {
+        match self.next() {
+            Next::Call(call) if self.in_flight => Some(call),
+            _ => None,
+        }
+    }
+
+    fn handle_reply(&mut self, reply: &Frame<'_>, now: Instant) {
+        self.ended(None, Some(reply), now);
+    }
+
+    fn handle_failure(&mut self, failure: Failure, now: Instant) {
+        self.lost |= failure == Failure::Lost;
+        self.ended(Some(failure), None, now);
+    }
+}
