@@ -2,8 +2,8 @@
 
     python3 check.py LINK ADDRESS [WORD]
 
-LINK is tcp, udp, serial or rac; ADDRESS is host:port, or a device for serial; only checks whose names contain WORD
-run. Prints a line for each check and a last line with their number; exits with 1 if one failed.
+LINK is tcp, udp, serial or rac; ADDRESS is host:port (for serial, frames with a CRC over TCP); only checks whose
+names contain WORD run. Prints a line for each check and a last line with their number; exits with 1 if one failed.
 """
 
 import sys

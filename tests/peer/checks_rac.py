@@ -1,8 +1,6 @@
 """Checks of RAC, the text protocol of the RC8 (S0)."""
 
-import socket
-
-from client import rac_line
+from client import connect, rac_line
 from session import check, equal, holds
 
 VALUES = [("I", "3,123"), ("I", "3,-2147483648"), ("F", "4,123.5"), ("D", "5,123.01"), ("S", "8,Test"), ("S", "8,a,b(c)"),
@@ -110,8 +108,7 @@ def codes_of_errors(_, address):
 @check("rac")
 def lines_in_pieces_and_lines_together(_, address):
     line = rac_line(address)
-    host, port = address.rsplit(":", 1)
-    with socket.create_connection((host, int(port)), 5) as raw:
+    with connect(address) as raw:
         for byte in b"PUT:RC8:14:I:3,14\r":
             raw.sendall(bytes([byte]))
         raw.settimeout(5)

@@ -6,7 +6,6 @@ specification describes raises `Malformed`, so every call is also a check of the
 S2:n is line n of the b-CAP specification for RC9, S0:n line n of the RAC specification for RC8.
 """
 
-import os
 import select
 import socket
 import struct
@@ -154,26 +153,11 @@ class Packet:
 
 
 class Stream:
-    """A TCP connection, or a serial line as a device or behind a TCP port."""
+    """A TCP connection, or a serial line behind a TCP port."""
 
-    def __init__(self, address, has_crc=False):
-        self.has_crc, self.repeats, self.pending = has_crc, has_crc, b""
-        if address.startswith("/"):
-            import tty
-            self.line = os.open(address, os.O_RDWR | os.O_NOCTTY)
-            tty.setraw(self.line)
-            self.read, self.write, self.close = self.read_line, lambda data: os.write(self.line, data), self.close_line
-        else:
-            host, port = address.rsplit(":", 1)
-            self.line = socket.create_connection((host, int(port)), 5)
-            self.line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            self.read, self.write, self.close = self.line.recv, self.line.sendall, self.line.close
-
-    def read_line(self, count):
-        return os.read(self.line, count)
-
-    def close_line(self):
-        os.close(self.line)
+    def __init__(self, line, has_crc=False):
+        self.line, self.has_crc, self.repeats, self.pending = line, has_crc, has_crc, b""
+        self.write, self.close = line.sendall, line.close
 
     def receive(self, until):
         """Returns the next packet, or None at `until`."""
@@ -187,7 +171,7 @@ class Stream:
             ready, _, _ = select.select([self.line], [], [], max(until - time.monotonic(), 0))
             if not ready:
                 return None
-            data = self.read(65536)
+            data = self.line.recv(65536)
             if not data:
                 raise Closed
             self.pending += data
@@ -210,7 +194,14 @@ class Datagrams:
 
 
 def open_link(kind, address):
-    return Datagrams(address) if kind == "udp" else Stream(address, kind == "serial")
+    return Datagrams(address) if kind == "udp" else Stream(connect(address), kind == "serial")
+
+
+def connect(address):
+    host, port = address.rsplit(":", 1)
+    line = socket.create_connection((host, int(port)), 5)
+    line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return line
 
 
 class Client:
@@ -260,9 +251,7 @@ class Client:
 
 def rac_line(address):
     """Opens a RAC connection; returns a function that sends bytes and returns the next response without its CR."""
-    host, port = address.rsplit(":", 1)
-    line = socket.create_connection((host, int(port)), 5)
-    pending = bytearray()
+    line, pending = connect(address), bytearray()
 
     def exchange(data, timeout=5.0):
         line.sendall(data)

@@ -11,6 +11,7 @@
 //! | [`vectors`]    | the frames and lines of the specifications, from `tests/vectors`                     |
 //! | [`network`]    | a simulated network between a client and a server, with a clock of its own          |
 //! | [`served`]     | a server on real sockets with a small application                                   |
+//! | [`serial`]     | a server of serial framing, over TCP instead of a serial line                       |
 //! | [`slowed`]     | a virtual controller with a slow clock                                              |
 //! | [`proxy`]      | what stands between a client and a server on real sockets, and does its worst       |
 //! | [`process`]    | memory, processor time and file descriptors of a process                            |
@@ -24,6 +25,7 @@ pub mod network;
 pub mod oracle;
 pub mod process;
 pub mod proxy;
+pub mod serial;
 pub mod served;
 pub mod slowed;
 pub mod strategies;
