@@ -69,12 +69,7 @@ fn serve<H: Handler>(mut stream: TcpStream, handler: &Mutex<H>, peer: PeerId) ->
 }
 
 /// Moves bytes until the client closes the stream.
-fn exchange<H: Handler>(
-    stream: &mut TcpStream,
-    line: &mut Line,
-    handler: &Mutex<H>,
-    peer: PeerId,
-) -> io::Result<()> {
+fn exchange<H: Handler>(stream: &mut TcpStream, line: &mut Line, handler: &Mutex<H>, peer: PeerId) -> io::Result<()> {
     stream.set_nodelay(true)?;
     loop {
         while line.run(&mut *handler.lock().unwrap_or_else(PoisonError::into_inner), peer, now()).is_some() {

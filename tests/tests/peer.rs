@@ -123,7 +123,8 @@ fn values() -> Vec<Value> {
         Value::I8(i64::MIN),
         Value::Ui8(u64::MAX),
     ];
-    let mut values: Vec<_> = scalars.iter().map(|value| Value::Array(value.vartype(), vec![value.clone(); 3])).collect();
+    let mut values: Vec<_> =
+        scalars.iter().map(|value| Value::Array(value.vartype(), vec![value.clone(); 3])).collect();
     values.extend(scalars.iter().map(|value| Value::Array(value.vartype(), Vec::new())));
     let nested = Value::Array(12, scalars.clone());
     values.push(Value::Array(12, vec![nested.clone(), Value::Array(12, Vec::new()), Value::Empty, Value::Null]));
