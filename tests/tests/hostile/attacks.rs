@@ -2,6 +2,8 @@
 //!
 //! What only the `bcap` command is exposed to is in `std-adapter/cli/tests/attacks.rs`.
 
+mod forged_datagrams;
+
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread;
 
@@ -14,6 +16,7 @@ use bcap_core::time::Instant;
 use bcap_tests::served::{Application, Served};
 use bcap_tests::value::Value;
 
+use self::forged_datagrams::a_forged_first_datagram_locks_no_client_out;
 use crate::Case;
 use crate::datagrams::Peer;
 use crate::target::{LIMITS, Target};
@@ -23,6 +26,7 @@ pub(crate) const CASES: &[Case] = crate::cases! {
     attacks:
         large_requests_leave_others_their_turn
         a_handler_that_panics_over_udp
+        a_forged_first_datagram_locks_no_client_out
 };
 
 /// Two clients with one request of 14 MiB after the other; between a small call and its reply the server carries out a

@@ -54,6 +54,11 @@ impl Peer {
         Self { socket, server, serial: 1 }
     }
 
+    /// Makes the next call use the serial after this one.
+    pub(crate) const fn set_serial(&mut self, serial: u16) {
+        self.serial = serial;
+    }
+
     pub(crate) fn send(&self, bytes: &[u8]) {
         // what is larger than a datagram does not even leave
         let _ = self.socket.send_to(bytes, self.server);
