@@ -2,6 +2,7 @@
 //!
 //! What only the `bcap` command is exposed to is in `std-adapter/cli/tests/attacks.rs`.
 
+mod early_replies;
 mod forged_datagrams;
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -16,6 +17,9 @@ use bcap_core::time::Instant;
 use bcap_tests::served::{Application, Served};
 use bcap_tests::value::Value;
 
+use self::early_replies::{
+    a_datagram_before_its_request_is_not_its_reply, a_reply_before_its_request_is_not_its_reply,
+};
 use self::forged_datagrams::a_forged_first_datagram_locks_no_client_out;
 use crate::Case;
 use crate::datagrams::Peer;
@@ -27,6 +31,8 @@ pub(crate) const CASES: &[Case] = crate::cases! {
         large_requests_leave_others_their_turn
         a_handler_that_panics_over_udp
         a_forged_first_datagram_locks_no_client_out
+        a_reply_before_its_request_is_not_its_reply
+        a_datagram_before_its_request_is_not_its_reply
 };
 
 /// Two clients with one request of 14 MiB after the other; between a small call and its reply the server carries out a
