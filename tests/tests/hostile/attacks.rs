@@ -4,6 +4,7 @@
 
 mod early_replies;
 mod forged_datagrams;
+mod keep_alives;
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread;
@@ -21,6 +22,7 @@ use self::early_replies::{
     a_datagram_before_its_request_is_not_its_reply, a_reply_before_its_request_is_not_its_reply,
 };
 use self::forged_datagrams::a_forged_first_datagram_locks_no_client_out;
+use self::keep_alives::a_flood_of_keep_alives_costs_little;
 use crate::Case;
 use crate::datagrams::Peer;
 use crate::target::{LIMITS, Target};
@@ -33,6 +35,7 @@ pub(crate) const CASES: &[Case] = crate::cases! {
         a_forged_first_datagram_locks_no_client_out
         a_reply_before_its_request_is_not_its_reply
         a_datagram_before_its_request_is_not_its_reply
+        a_flood_of_keep_alives_costs_little
 };
 
 /// Two clients with one request of 14 MiB after the other; between a small call and its reply the server carries out a
