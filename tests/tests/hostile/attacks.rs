@@ -6,6 +6,7 @@ mod early_replies;
 mod forged_datagrams;
 mod keep_alives;
 mod objects;
+mod slots;
 
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread;
@@ -25,6 +26,7 @@ use self::early_replies::{
 use self::forged_datagrams::a_forged_first_datagram_locks_no_client_out;
 use self::keep_alives::a_flood_of_keep_alives_costs_little;
 use self::objects::objects_of_others_do_not_slow_opening;
+use self::slots::idle_connections_of_one_address_leave_slots_to_others;
 use crate::Case;
 use crate::datagrams::Peer;
 use crate::target::{LIMITS, Target};
@@ -39,6 +41,7 @@ pub(crate) const CASES: &[Case] = crate::cases! {
         a_datagram_before_its_request_is_not_its_reply
         a_flood_of_keep_alives_costs_little
         objects_of_others_do_not_slow_opening
+        idle_connections_of_one_address_leave_slots_to_others
 };
 
 /// Two clients with one request of 14 MiB after the other; between a small call and its reply the server carries out a
