@@ -3,6 +3,7 @@
 //! What only the `bcap` command is exposed to is in `std-adapter/cli/tests/attacks.rs`.
 
 mod early_replies;
+mod fifo;
 mod forged_datagrams;
 mod keep_alives;
 mod objects;
@@ -23,6 +24,7 @@ use bcap_tests::value::Value;
 use self::early_replies::{
     a_datagram_before_its_request_is_not_its_reply, a_reply_before_its_request_is_not_its_reply,
 };
+use self::fifo::a_fifo_among_the_files;
 use self::forged_datagrams::a_forged_first_datagram_locks_no_client_out;
 use self::keep_alives::a_flood_of_keep_alives_costs_little;
 use self::objects::objects_of_others_do_not_slow_opening;
@@ -42,6 +44,7 @@ pub(crate) const CASES: &[Case] = crate::cases! {
         a_flood_of_keep_alives_costs_little
         objects_of_others_do_not_slow_opening
         idle_connections_of_one_address_leave_slots_to_others
+        a_fifo_among_the_files
 };
 
 /// Two clients with one request of 14 MiB after the other; between a small call and its reply the server carries out a
