@@ -3,6 +3,7 @@
 //! | module         | what it gives                                                                       |
 //! |----------------|-------------------------------------------------------------------------------------|
 //! | [`served`]     | a server on real sockets with a small application                                   |
+//! | [`serial`]     | a server of serial framing, over TCP instead of a serial line                       |
 //! | [`slowed`]     | a virtual controller with a slow clock                                              |
 //! | [`proxy`]      | a proxy between a client and a server on real sockets that injects faults            |
 //! | [`process`]    | memory, processor time and file descriptors of a process                            |
@@ -11,6 +12,7 @@
 pub mod allocation;
 pub mod process;
 pub mod proxy;
+pub mod serial;
 pub mod served;
 pub mod slowed;
 

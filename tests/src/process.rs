@@ -2,6 +2,13 @@
 
 use std::time::Duration;
 
+/// Returns the processor time that the calling thread has used.
+#[must_use]
+pub fn thread_time() -> Option<Duration> {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
+    text.split_whitespace().next()?.parse().ok().map(Duration::from_nanos)
+}
+
 /// A process.
 #[derive(Clone, Copy, Debug)]
 pub struct Process {

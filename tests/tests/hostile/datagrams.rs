@@ -37,26 +37,35 @@ pub(crate) const CASES: &[Case] = crate::cases! {
 };
 
 /// A socket that sends what it likes to the server.
-struct Peer {
+pub(crate) struct Peer {
     socket: UdpSocket,
     server: SocketAddr,
     serial: u16,
 }
 
 impl Peer {
-    fn new(target: &Target) -> Self {
+    pub(crate) fn new(target: &Target) -> Self {
+        Self::to(target.udp)
+    }
+
+    pub(crate) fn to(server: SocketAddr) -> Self {
         let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
         // only a bound for a case that fails
         socket.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
-        Self { socket, server: target.udp, serial: 1 }
+        Self { socket, server, serial: 1 }
     }
 
-    fn send(&self, bytes: &[u8]) {
+    /// Makes the next call use the serial after this one.
+    pub(crate) const fn set_serial(&mut self, serial: u16) {
+        self.serial = serial;
+    }
+
+    pub(crate) fn send(&self, bytes: &[u8]) {
         // what is larger than a datagram does not even leave
         let _ = self.socket.send_to(bytes, self.server);
     }
 
-    fn reply(&self) -> TestFrame {
+    pub(crate) fn reply(&self) -> TestFrame {
         let mut buffer = [0; 2048];
         let (count, from) = self.socket.recv_from(&mut buffer).expect("the server answers");
         assert_eq!(from, self.server);
@@ -70,7 +79,7 @@ impl Peer {
     }
 
     /// Makes a call under a serial of its own.
-    fn call(&mut self, function: FunctionId, args: Vec<Value>) -> TestFrame {
+    pub(crate) fn call(&mut self, function: FunctionId, args: Vec<Value>) -> TestFrame {
         self.serial += 1;
         let request = TestFrame { serial: self.serial, reserved: self.serial, ..request(function, args) };
         self.send(&request.to_wire(false));
@@ -79,14 +88,14 @@ impl Peer {
         reply
     }
 
-    fn begin(&mut self) -> i32 {
+    pub(crate) fn begin(&mut self) -> i32 {
         assert_eq!(self.call(FunctionId::SERVICE_START, vec![]).code, 0);
         let connect = self.call(FunctionId::CONTROLLER_CONNECT, vec![Value::text(""); 4]);
         let [Value::I4(handle)] = connect.args[..] else { panic!("a handle: {connect:?}") };
         handle
     }
 
-    fn end(&mut self) {
+    pub(crate) fn end(&mut self) {
         assert_eq!(self.call(FunctionId::SERVICE_STOP, vec![]).code, 0);
     }
 }

@@ -13,6 +13,7 @@
 //! `cargo test -p bcap-tests --test hostile NAME` runs the cases whose names contain NAME; `--list` names them.
 
 mod arguments;
+mod attacks;
 mod clients;
 mod connections;
 mod datagram_clients;
@@ -113,6 +114,7 @@ fn trials(target: &Arc<Mutex<Option<Target>>>) -> Vec<Trial> {
         clients::CASES,
         datagram_clients::CASES,
         rac_clients::CASES,
+        attacks::CASES,
     ];
     let test = |&(name, case): &Case| {
         let target = Arc::clone(target);

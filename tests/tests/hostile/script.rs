@@ -28,8 +28,14 @@ pub(crate) enum Outcome {
 
 impl From<Result<Variant<'_>, CallError<std::io::Error>>> for Outcome {
     fn from(result: Result<Variant<'_>, CallError<std::io::Error>>) -> Self {
+        result.map(Value::read).into()
+    }
+}
+
+impl From<Result<Value, CallError<std::io::Error>>> for Outcome {
+    fn from(result: Result<Value, CallError<std::io::Error>>) -> Self {
         match result {
-            Ok(value) => Self::Value(Value::read(value)),
+            Ok(value) => Self::Value(value),
             Err(CallError::Refused(code)) => Self::Refused(code),
             Err(CallError::Client(error)) => Self::Client(error),
             Err(CallError::Disconnected) => Self::Disconnected,

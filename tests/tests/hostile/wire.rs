@@ -102,7 +102,11 @@ pub(crate) struct Raw {
 
 impl Raw {
     pub(crate) fn connect(address: SocketAddr) -> Self {
-        let stream = TcpStream::connect(address).unwrap();
+        Self::new(TcpStream::connect(address).unwrap())
+    }
+
+    /// Takes a connected stream.
+    pub(crate) fn new(stream: TcpStream) -> Self {
         stream.set_nodelay(true).unwrap();
         // only bounds for a case that fails: nothing here waits so long
         stream.set_read_timeout(Some(Duration::from_secs(30))).unwrap();
@@ -143,6 +147,11 @@ impl Raw {
         let reply = self.reply();
         assert_eq!((reply.serial, reply.reserved), (request.serial, 0));
         reply
+    }
+
+    /// Reads the next reply; `None` when the server has closed.
+    pub(crate) fn next_reply(&mut self) -> Option<TestFrame> {
+        self.next()
     }
 
     /// Reads all replies until the server closes.

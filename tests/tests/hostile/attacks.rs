@@ -1,0 +1,125 @@
+//! Attacks that succeeded against an earlier version of this project.
+//!
+//! What only the `bcap` command is exposed to is in `std-adapter/cli/tests/attacks.rs`.
+
+mod early_replies;
+mod fifo;
+mod forged_datagrams;
+mod keep_alives;
+mod objects;
+mod slots;
+
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::thread;
+
+use bcap_core::bcap::FunctionId;
+use bcap_core::bcap::server::{Handler, Request};
+use bcap_core::handler::{Outcome, PeerId, ReplyValue};
+use bcap_core::hresult::HResult;
+use bcap_core::rac;
+use bcap_core::time::Instant;
+use bcap_tests::served::{Application, Served};
+use bcap_tests::value::Value;
+
+use self::early_replies::{
+    a_datagram_before_its_request_is_not_its_reply, a_reply_before_its_request_is_not_its_reply,
+};
+use self::fifo::a_fifo_among_the_files;
+use self::forged_datagrams::a_forged_first_datagram_locks_no_client_out;
+use self::keep_alives::a_flood_of_keep_alives_costs_little;
+use self::objects::objects_of_others_do_not_slow_opening;
+use self::slots::idle_connections_of_one_address_leave_slots_to_others;
+use crate::Case;
+use crate::datagrams::Peer;
+use crate::target::{LIMITS, Target};
+use crate::wire::{Raw, bytes};
+
+pub(crate) const CASES: &[Case] = crate::cases! {
+    attacks:
+        large_requests_leave_others_their_turn
+        a_handler_that_panics_over_udp
+        a_forged_first_datagram_locks_no_client_out
+        a_reply_before_its_request_is_not_its_reply
+        a_datagram_before_its_request_is_not_its_reply
+        a_flood_of_keep_alives_costs_little
+        objects_of_others_do_not_slow_opening
+        idle_connections_of_one_address_leave_slots_to_others
+        a_fifo_among_the_files
+};
+
+/// Two clients with one request of 14 MiB after the other; between a small call and its reply the server carries out a
+/// few of them at most.
+fn large_requests_leave_others_their_turn(target: &mut Target) {
+    let large = bytes(FunctionId::SERVICE_START, vec![Value::Bstr(vec![0x30a2; 7 << 20])]);
+    let (carried_out, stopped) = (AtomicUsize::new(0), AtomicBool::new(false));
+    let server = target.tcp;
+    thread::scope(|scope| {
+        let attack = || {
+            let mut raw = Raw::connect(server);
+            let mut writer = Raw::new(raw.stream().try_clone().unwrap());
+            scope.spawn({
+                let (large, stopped) = (&large, &stopped);
+                move || {
+                    while !stopped.load(Ordering::Relaxed) {
+                        writer.send(large);
+                    }
+                    writer.finish();
+                }
+            });
+            while raw.next_reply().is_some() {
+                carried_out.fetch_add(1, Ordering::Relaxed);
+            }
+        };
+        let attackers = [scope.spawn(attack), scope.spawn(attack)];
+        let mut most = 0;
+        for _ in 0..20 {
+            let before = carried_out.load(Ordering::Relaxed);
+            target.open();
+            most = most.max(carried_out.load(Ordering::Relaxed) - before);
+        }
+        stopped.store(true, Ordering::Relaxed);
+        for attacker in attackers {
+            attacker.join().unwrap();
+        }
+        assert!(most <= 4, "{most} large requests between a small one and its reply");
+    });
+}
+
+/// An application that panics when it is told to.
+#[derive(Default)]
+struct Panicking(Application);
+
+impl Handler for Panicking {
+    fn call(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        let panics =
+            request.function == FunctionId::CONTROLLER_EXECUTE && request.text(1).eq_ignore_ascii_case("panic");
+        if panics {
+            // without the hook, which would print a backtrace, and take the memory for it
+            std::panic::resume_unwind(Box::new("the handler was told to panic"));
+        }
+        Handler::call(&mut self.0, peer, request, reply, now)
+    }
+}
+
+impl rac::server::Handler for Panicking {
+    fn call(&mut self, peer: PeerId, request: &rac::Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        rac::server::Handler::call(&mut self.0, peer, request, reply, now)
+    }
+}
+
+/// One call fails; its client and others are served, over UDP and over TCP.
+fn a_handler_that_panics_over_udp(_: &mut Target) {
+    let served = Served::of(Panicking::default(), LIMITS);
+    let (mut one, mut other) = (Peer::to(served.udp), Peer::to(served.udp));
+    let (first, second) = (one.begin(), other.begin());
+    for _ in 0..3 {
+        let panic = vec![Value::I4(first), Value::text("panic"), Value::Empty];
+        assert_eq!(one.call(FunctionId::CONTROLLER_EXECUTE, panic).code, HResult::E_UNEXPECTED.0);
+        for (peer, handle) in [(&mut one, first), (&mut other, second)] {
+            assert_eq!(peer.call(FunctionId::CONTROLLER_GET_NAME, vec![Value::I4(handle)]).code, 0);
+        }
+        Raw::connect(served.tcp).begin();
+    }
+    one.end();
+    other.end();
+}

@@ -1,0 +1,36 @@
+//! Connections that take slots and say nothing.
+
+use std::net::{IpAddr, SocketAddr, TcpStream};
+
+use bcap_core::bcap::FunctionId;
+use socket2::{Domain, Socket, Type};
+
+use crate::target::{LIMITS, Target, skipped};
+use crate::wire::{Raw, bytes};
+
+/// Connects from an address of the loopback other than that of the bystanders.
+fn connect_from(source: IpAddr, server: SocketAddr) -> std::io::Result<TcpStream> {
+    let socket = Socket::new(Domain::IPV4, Type::STREAM, None)?;
+    socket.bind(&SocketAddr::new(source, 0).into())?;
+    socket.connect(&server.into())?;
+    Ok(socket.into())
+}
+
+/// Half of the connections say nothing at all, and the others nothing after Service_Start.
+pub(super) fn idle_connections_of_one_address_leave_slots_to_others(target: &mut Target) {
+    let attacker = IpAddr::from([127, 0, 0, 2]);
+    let mut all = Vec::new();
+    for server in [target.tcp, target.rac] {
+        for n in 0..LIMITS.connections + 10 {
+            let Ok(stream) = connect_from(attacker, server) else {
+                return skipped("the loopback has one address only");
+            };
+            let mut raw = Raw::new(stream);
+            if n % 2 == 1 && server == target.tcp {
+                raw.send(&bytes(FunctionId::SERVICE_START, vec![]));
+            }
+            all.push(raw);
+        }
+    }
+    target.serves_others();
+}
