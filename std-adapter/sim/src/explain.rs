@@ -95,6 +95,23 @@ const FUNCTIONS: &[(FunctionId, &str)] = &[
     (FunctionId::FILE_COPY, FILE_NAME),
     (FunctionId::FILE_MOVE, FILE_NAME),
     (FunctionId::VARIABLE_PUT_ID, "ID: one number, the index of a variable that exists"),
+    (FunctionId::VARIABLE_GET_VALUE, "a variable, or a wildcard (I*) of which Variable_PutID has chosen one"),
+    (
+        FunctionId::CONTROLLER_GET_VARIABLE,
+        "name BSTR: @NAME, or a user variable whose index is below @VAR_..._LEN; option BSTR",
+    ),
+];
+
+/// What may be written to system variables.
+const SYSTEM: &[(&str, &str)] = &[
+    ("@LOCK", "BOOL, or an integer: 0 is off"),
+    ("@SERVO_ON", "BOOL, or an integer: 0 is off"),
+    ("@ERROR_CODE", "0, which clears the errors"),
+    ("@CURRENT_TOOL", "one number, 0 to 63"),
+    ("@CURRENT_WORK", "one number, 0 to 63"),
+    ("@EXTSPEED", "one number: percent, 0.0001 to 100"),
+    ("@START", "one number: 1 one cycle, 2 continuous, 3 one line"),
+    ("@STOP", "one number, 0 to 4"),
 ];
 
 const FILE_NAME: &str =
@@ -158,6 +175,7 @@ fn explain(request: &Request<'_>, target: Option<Target>) -> String {
     text.push_str(": given ");
     // the handle and the command are known already
     let first = if command.is_some() { 2 } else { 1 };
+    text.push_str(if request.args.len() <= first { "nothing" } else { "" });
     for n in first..request.args.len() {
         text.push_str(if n > first { "; " } else { "" });
         show(&mut text, &request.value(n), 0);
@@ -180,7 +198,11 @@ fn find<K>(table: &'static [(K, &'static str)], is_it: impl Fn(&K) -> bool) -> O
 
 /// Returns what may be written to a variable.
 fn accepted_by(target: Target) -> Option<&'static str> {
-    let (Target::User(family, _) | Target::Wildcard(family, _)) = target else { return None };
+    let family = match target {
+        Target::User(family, _) | Target::Wildcard(family, Some(_)) => family,
+        Target::Wildcard(_, None) => return Some("a value after Variable_PutID has chosen one variable"),
+        Target::System(_, name) => return find(SYSTEM, |known| *known == name),
+    };
     Some(match family {
         Family::Plain(Kind::I) => "one integer of 32 bits; R4 or R8 without a fraction",
         Family::Plain(Kind::F | Kind::D) | Family::Float => "one number: an integer, R4 or R8",
