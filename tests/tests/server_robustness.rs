@@ -75,7 +75,7 @@ fn silent_connections_make_room_where_that_is_wished() {
 #[test]
 fn many_calls_that_wait_cost_the_others_little() {
     const WAITING: u64 = 200;
-    let server = Served::start(Limits::default());
+    let server = Served::start(Limits { connections_per_address: 256, ..Limits::default() });
     let waiting: Vec<_> = (0..WAITING)
         .map(|_| {
             let (mut client, controller) = client(&server);

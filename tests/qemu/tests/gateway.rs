@@ -217,7 +217,7 @@ fn load(address: &str, plc: u32, seen: &Arc<Seen>) -> JoinHandle<()> {
             let (index, number) = (plc * 20 + request % 20, plc * 100_000_000 + request);
             let Some(put) = ask(&format!("PUT:RC8:{index}:I:3,{number}\r")) else { continue };
             assert_eq!(put, "0\r");
-            // nobody else writes there, and a robot that was started again in between would have been missed
+            // no other client writes there, and a robot that was started again in between would have been missed
             let Some(get) = ask(&format!("GET:RC8:{index}:I:\r")) else { continue };
             assert_eq!(get, format!("0,3,{number}\r"), "the answer to another request");
             seen.served.fetch_add(1, Ordering::Relaxed);

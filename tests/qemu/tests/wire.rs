@@ -68,7 +68,7 @@ fn no_answer_is_wrong_and_every_request_ends_on_a_lossy_wire() {
 
     // not `eprintln`, which the tests of cargo show of failures only
     let _ = writeln!(io::stderr(), "lossy wire, seed {seed}, {} s: {under_faults}", length.as_secs());
-    assert_eq!(world.robot.wrong, 0, "values at the robot that nobody put there");
+    assert_eq!(world.robot.wrong, 0, "values at the robot that no PLC wrote");
     for way in &world.wire.ways {
         assert!(way.dropped > 0 && way.repeated > 0 && way.delayed > 0, "too few frames for a test: {under_faults}");
     }
@@ -214,7 +214,7 @@ impl Plc {
     }
 
     fn check(&mut self, answer: &str) {
-        let Some((number, put, since)) = self.waiting.take() else { panic!("nobody asked for {answer:?}") };
+        let Some((number, put, since)) = self.waiting.take() else { panic!("an answer without a request: {answer:?}") };
         self.longest = self.longest.max(since.elapsed());
         let right = if put { "0".to_owned() } else { format!("0,3,{}", value_of(number)) };
         match i32::from_str(answer) {
@@ -328,7 +328,7 @@ impl Wire {
             self.arrive(to_board, frame);
         }
         let mut buffer = [0; 2048];
-        // before QEMU is there nobody takes the frames, which is an error of the next call
+        // until QEMU is up no process receives the frames, and the next call reports that as an error
         while let Ok(count) = self.link.recv(&mut buffer) {
             self.carry(false, buffer[..count].to_vec());
             if self.arrived.len() >= 16 {

@@ -208,7 +208,7 @@ fn large_requests_of_many_at_the_same_time(target: &mut Target) {
 fn a_peer_that_never_reads(target: &mut Target) {
     let mut raw = Raw::connect(target.tcp);
     raw.begin();
-    raw.stream().set_write_timeout(Some(Duration::from_millis(100))).unwrap();
+    raw.stream().set_write_timeout(Some(Duration::from_millis(500))).unwrap();
     let requests = bytes(FunctionId::SERVICE_START, vec![]).repeat(1000);
     // until neither side's buffers take any more
     while raw.stream().write_all(&requests).is_ok() {}
@@ -220,7 +220,7 @@ fn a_peer_that_never_reads(target: &mut Target) {
 fn a_peer_that_asks_for_much_and_never_reads(target: &mut Target) {
     let mut raw = Raw::connect(target.tcp);
     let controller = raw.begin();
-    raw.stream().set_write_timeout(Some(Duration::from_millis(100))).unwrap();
+    raw.stream().set_write_timeout(Some(Duration::from_millis(500))).unwrap();
     let much = Value::Array(17, vec![Value::Ui1(7); 1 << 20]);
     let echo = bytes(FunctionId::CONTROLLER_EXECUTE, vec![Value::I4(controller), Value::text("echo"), much]);
     while raw.stream().write_all(&echo).is_ok() {}

@@ -99,8 +99,9 @@ impl Serials {
         if running.is_none() && self.is_last_and_kept(attempt) {
             return Verdict::Repeat;
         }
+        let is_lost = running.is_none() && self.is_last(attempt);
         match &self.service {
-            Some(service) if service.is_old(attempt) || self.is_last(attempt) => Verdict::Drop,
+            Some(service) if is_lost || service.is_old(attempt) => Verdict::Drop,
             // without a session there are no copies, so that no forged request can silence those of a client
             _ => Verdict::New,
         }
@@ -144,10 +145,14 @@ impl Serials {
 
     /// Records that a call is answered, and whether it was carried out.
     pub(super) fn answered(&mut self, marker: u16, function: FunctionId, is_done: bool) {
-        self.last = Some(Last { marker, function, is_kept: true });
-        if function == FunctionId::SERVICE_START && is_done {
+        if function == FunctionId::SERVICE_START {
+            if !is_done {
+                // its reply is never sent again, and must not be taken for that of one with the same marker and other options
+                return self.forget_reply();
+            }
             self.service = Some(Service { marker, newest: (marker, function), went_on: None });
         }
+        self.last = Some(Last { marker, function, is_kept: true });
     }
 
     /// Records that the last reply cannot be sent again.

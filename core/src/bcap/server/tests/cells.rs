@@ -169,20 +169,24 @@ fn start_much_older(peer: Peer) -> Done {
 }
 
 fn call_copy(peer: Peer) -> Done {
-    match peer.bench.session.open_objects() {
-        0 => peer.send(&call::service_stop(), NEWEST, NEWEST + 1),
-        // only Service_Start has been executed, so the last call is one that was refused
-        1 => {
-            let (mut peer, refused) = (peer, call::robot_halt(RobotHandle(9), ""));
-            assert_eq!(peer.bench.call(&refused, NEWEST, peer.now), [(NEWEST, HResult::E_HANDLE)]);
-            peer.send(&refused, NEWEST, NEWEST + 1)
-        }
-        _ => peer.send(&halt(), NEWEST, NEWEST + 1),
-    }
+    copy(peer, |peer| peer)
 }
 
 fn call_copy_reply_lost(peer: Peer) -> Done {
-    call_copy(peer.lose_the_reply())
+    copy(peer, Peer::lose_the_reply)
+}
+
+fn copy(mut peer: Peer, between: fn(Peer) -> Peer) -> Done {
+    match peer.bench.session.open_objects() {
+        0 => between(peer).send(&call::service_stop(), NEWEST, NEWEST + 1),
+        // only Service_Start has been executed, so the last call is one that was refused
+        1 => {
+            let refused = call::robot_halt(RobotHandle(9), "");
+            assert_eq!(peer.bench.call(&refused, NEWEST, peer.now), [(NEWEST, HResult::E_HANDLE)]);
+            between(peer).send(&refused, NEWEST, NEWEST + 1)
+        }
+        _ => between(peer).send(&halt(), NEWEST, NEWEST + 1),
+    }
 }
 
 fn call_same_marker_other_function(peer: Peer) -> Done {
@@ -256,6 +260,7 @@ cells! {
         start_older => Began;
         start_much_older => Began;
         call_copy => Repeated;
+        call_copy_reply_lost => Dropped;
         call_same_marker_other_function => Executed;
         call_newer => Executed;
         call_older => Dropped;
@@ -363,4 +368,12 @@ fn a_refused_service_start_ends_nothing() {
         assert_eq!((bench.session.open_objects(), bench.handler.abandoned), (3, 0));
         assert_eq!(bench.run(at(50)).len(), usize::from(runs));
     }
+}
+
+#[test]
+fn a_refused_service_start_is_not_answered_again_for_one_with_other_options() {
+    let mut bench = Bench::new(Config::UDP);
+    assert_eq!(bench.call(call::service_start("WDT=100"), 7, at(0)), [(7, HResult::S_OK)]);
+    assert_eq!(bench.call(call::service_start("WDT=1"), 7, at(0)), [(7, HResult::E_INVALIDARG)]);
+    assert_eq!(bench.attempt(&call::service_start("WDT=100"), 8, 7, at(0)), [(8, HResult::S_OK)]);
 }
