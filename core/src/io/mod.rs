@@ -136,7 +136,8 @@ where
     E: core::error::Error + 'static,
 {
     fn source(&self) -> Option<&(dyn core::error::Error + 'static)> {
-        self.call.as_ref().map(|call| call as _)
+        let call = self.call.as_ref()?;
+        Some(call)
     }
 }
 

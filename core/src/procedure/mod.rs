@@ -183,6 +183,14 @@ pub enum StepCause {
     TooLarge,
 }
 
+impl StepCause {
+    /// Tells whether the controller may have executed the call all the same: only a refused call, and one that was never
+    /// sent, are certain to have had no effect.
+    pub(super) const fn may_have_run(&self) -> bool {
+        !matches!(self, Self::Refused(_) | Self::Failed(Failure::NotSent))
+    }
+}
+
 impl StepError {
     /// Returns the controller's code, when it has refused the call.
     #[must_use]

@@ -6,8 +6,11 @@
 //!                                             └─► GetCurErrorCount ─► GetCurErrorInfo ─► Failed
 //! ```
 //!
-//! Arrival is decided by position: the robot has arrived when its joints are where DestJnt said that the motion ends, and
-//! stay there. "Not busy" is not enough, because a motion that somebody halted is not busy either.
+//! Arrival is decided by position: the robot has arrived when its joints rest where DestJnt said that the motion ends. That
+//! SysState reports no motion is not enough, because it reports none after a halt either.
+//!
+//! A robot that rests elsewhere has been halted, unless SysState reports a motion (a slow start, a motion on hold) or the
+//! robot has not begun to move yet.
 
 use core::convert::identity;
 use core::time::Duration;
@@ -38,6 +41,9 @@ pub struct Move<'a> {
 pub struct MotionConfig {
     /// How long to wait for the end, from the start of the motion on; then the robot is halted.
     pub limit: Duration,
+    /// How long the robot may take to begin the motion. If it still rests after that, it is halted, so that it does not
+    /// begin later.
+    pub start: Duration,
     /// The pause between two looks at the robot.
     pub interval: Duration,
     /// How far each joint may be from the destination, in degrees or mm.
@@ -47,10 +53,11 @@ pub struct MotionConfig {
 }
 
 impl MotionConfig {
-    /// Waits for this long, looking every 20 ms; within 0.05 degrees of the destination, at rest for five looks.
+    /// Waits for this long, looking every 20 ms; the motion begins within a second and ends within 0.05 degrees of its
+    /// destination, and a halt takes five looks at rest.
     #[must_use]
     pub const fn within(limit: Duration) -> Self {
-        Self { limit, interval: Duration::from_millis(20), tolerance: 0.05, still: 5 }
+        Self { limit, start: Duration::from_secs(1), interval: Duration::from_millis(20), tolerance: 0.05, still: 5 }
     }
 }
 
@@ -60,9 +67,9 @@ impl MotionConfig {
 #[non_exhaustive]
 #[must_use]
 pub enum Motion {
-    /// The robot stands at its destination.
+    /// The robot rests at its destination.
     Arrived,
-    /// The robot stands elsewhere, and the controller has no error: somebody halted it.
+    /// The robot rests elsewhere, and the controller has no error: another client halted it, or it did not begin to move.
     Halted,
     /// The controller has an error; this is the first one.
     Failed(HResult),
@@ -72,8 +79,13 @@ pub enum Motion {
 
 /// Starts a motion and waits for its end.
 ///
-/// The arm must be taken and the motor on. When a call fails after the motion may have started, the robot is halted: it
-/// is unknown what it does.
+/// The arm must be taken and the motor on. When a call fails after the motion may have started, the robot is halted,
+/// because its state is unknown. A motion on hold counts as a motion until the time limit passes.
+///
+/// # Cancel safety
+///
+/// When a run is dropped, the robot goes on moving. Run the procedure again to halt it: it learns that a call has no reply
+/// and fails, or it goes on waiting if no call was in flight.
 pub fn move_and_wait<'a>(
     handles: Handles,
     motion: Move<'a>,
@@ -85,8 +97,11 @@ pub fn move_and_wait<'a>(
         config,
         step: Step::Move,
         until: Instant::FAR_FUTURE,
+        start_until: Instant::FAR_FUTURE,
         destination: [0.0; JOINTS],
-        last: None,
+        reports_motion: false,
+        rest: None,
+        moved: false,
         still: 0,
         error: 0,
         outcome: Motion::Halted,
@@ -96,11 +111,12 @@ pub fn move_and_wait<'a>(
 
 /// The joints of CurJnt and DestJnt.
 const JOINTS: usize = 8;
-/// How much a joint moves between two looks at rest, in degrees or mm.
+/// How far a joint at rest may be from where the rest began, in degrees or mm.
 const AT_REST: f64 = 0.002;
-/// The bits of SysState for an error and for the emergency stop.
+/// The bits of SysState for an error, for the emergency stop, and for a motion.
 const ERROR: i32 = 1 << 1;
 const EMERGENCY_STOP: i32 = 1 << 10;
+const MOVING: i32 = 0b11 << 20;
 
 struct MoveSteps<'a> {
     handles: Handles,
@@ -109,9 +125,16 @@ struct MoveSteps<'a> {
     step: Step,
     /// When the time limit passes.
     until: Instant,
+    /// When the motion must have begun.
+    start_until: Instant,
     destination: [f64; JOINTS],
-    last: Option<[f64; JOINTS]>,
-    /// Looks in a row that saw no change of position.
+    /// Whether SysState reports a motion.
+    reports_motion: bool,
+    /// Where the robot was when it was first seen at rest.
+    rest: Option<[f64; JOINTS]>,
+    /// Whether the robot has moved since the first look.
+    moved: bool,
+    /// Looks in a row that saw the robot at rest.
     still: u8,
     /// The index of the error to ask for.
     error: i32,
@@ -149,23 +172,38 @@ impl MoveSteps<'_> {
 
     /// Compares where the robot is with its destination and with where it was.
     fn look(&mut self, joints: [f64; JOINTS], now: Instant) {
-        let within = |other: &[f64; JOINTS], tolerance: f64| {
-            joints.iter().zip(other).all(|(joint, other)| (joint - other).abs() <= tolerance)
-        };
-        let rests = self.last.is_some_and(|last| within(&last, AT_REST));
-        self.still = if rests { self.still.saturating_add(1) } else { 0 };
-        self.last = Some(joints);
-        if self.still >= 1 && within(&self.destination, self.config.tolerance) {
+        // from where the rest began, not from the last look: a slow motion adds up
+        let rests = self.rest.map(|rest| within(&joints, &rest, AT_REST));
+        match rests {
+            Some(true) => self.still = self.still.saturating_add(1),
+            _ => (self.still, self.rest) = (0, Some(joints)),
+        }
+        self.moved |= rests == Some(false);
+        // a motion may end where it began, so resting there is no arrival while it goes on
+        let at_end = within(&joints, &self.destination, self.config.tolerance) && (self.moved || !self.reports_motion);
+        let stopped = self.still >= self.config.still.max(1) && !self.reports_motion;
+        if self.still >= 1 && at_end {
             self.end(Motion::Arrived);
-        } else if self.still >= self.config.still {
+        } else if stopped && self.moved {
             self.end(Motion::Halted);
+        } else if stopped && now >= self.start_until {
+            self.halt(Motion::Halted);
         } else if now >= self.until {
-            self.outcome = Motion::TimedOut;
-            self.step = Step::Halt;
+            self.halt(Motion::TimedOut);
         } else {
-            self.step = Step::Pause(now.saturating_add(self.config.interval));
+            self.step = Step::Pause(now.saturating_add(self.config.interval).min(self.until));
         }
     }
+
+    fn halt(&mut self, outcome: Motion) {
+        self.outcome = outcome;
+        self.step = Step::Halt;
+    }
+}
+
+/// Tells whether no joint is further away than this.
+fn within(joints: &[f64; JOINTS], other: &[f64; JOINTS], distance: f64) -> bool {
+    joints.iter().zip(other).all(|(joint, other)| (joint - other).abs() <= distance)
 }
 
 impl Steps for MoveSteps<'_> {
@@ -200,6 +238,7 @@ impl Steps for MoveSteps<'_> {
         match self.step {
             Step::Move => {
                 self.until = now.saturating_add(self.config.limit);
+                self.start_until = now.saturating_add(self.config.start);
                 self.step = Step::Destination;
             }
             Step::Destination => {
@@ -208,6 +247,7 @@ impl Steps for MoveSteps<'_> {
             }
             Step::State => {
                 let bits = Int::read(reply.args).map_err(StepCause::Reply)?;
+                self.reports_motion = bits & MOVING != 0;
                 self.step = if bits & (ERROR | EMERGENCY_STOP) == 0 { Step::Position } else { Step::ErrorCount };
             }
             Step::Position => self.look(joints(reply)?, now),
@@ -232,8 +272,7 @@ impl Steps for MoveSteps<'_> {
 
     fn undo(&self, cause: Option<&StepCause>) -> Option<Undo> {
         let cause = cause?;
-        // a motion that was refused has not started; after any other failure the robot may move
-        let moves = self.step != Step::Move || !matches!(cause, StepCause::Refused(_));
+        let moves = self.step != Step::Move || cause.may_have_run();
         moves.then_some(Undo::Halt(self.handles.robot.0))
     }
 
@@ -242,12 +281,14 @@ impl Steps for MoveSteps<'_> {
     }
 }
 
-/// Reads a position in joints. A number that is not finite would be within every tolerance.
+/// Reads a position in joints, of which there is at least one. NaN is refused: no comparison with it holds, so the robot
+/// would never be seen to arrive or to rest.
 fn joints(reply: &Frame<'_>) -> Result<[f64; JOINTS], StepCause> {
     let value = Any::read(reply.args).map_err(StepCause::Reply)?;
     let wrong = StepCause::Reply(ReplyError { expected: "an array of joints", found: Some(value.vartype()) });
     let mut joints = [0.0; JOINTS];
-    for (joint, element) in joints.iter_mut().zip(value.as_array().ok_or(wrong)?) {
+    let array = value.as_array().filter(|array| !array.is_empty()).ok_or(wrong)?;
+    for (joint, element) in joints.iter_mut().zip(array) {
         *joint = element.as_f64().filter(|number| number.is_finite()).ok_or(wrong)?;
     }
     Ok(joints)

@@ -12,6 +12,11 @@ use crate::time::Instant;
 ///
 /// `arm` is the parameter of TakeArm: the arm group and Keep, where 0 resets speed, tool and work, and 1 keeps them. On a
 /// failure the arm is given back, also when the reply to TakeArm was lost.
+///
+/// # Cancel safety
+///
+/// When a run is dropped, the arm may stay taken. Run the procedure again, and it gives the arm back; or run
+/// [`give_arm`].
 pub fn prepare_robot(
     robot: RobotHandle,
     arm: [i32; 2],
@@ -67,7 +72,7 @@ impl Steps for PrepareSteps {
 
     fn undo(&self, cause: Option<&StepCause>) -> Option<Undo> {
         // without a reply the arm may have been taken
-        let taken = self.step == Step::TakeArm && !matches!(cause, Some(StepCause::Refused(_)));
+        let taken = self.step == Step::TakeArm && cause.is_none_or(StepCause::may_have_run);
         taken.then_some(Undo::GiveArm(self.robot.0))
     }
 

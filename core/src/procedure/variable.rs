@@ -17,9 +17,9 @@ use crate::variant::{Encode, Variant};
 /// # Errors
 ///
 /// A [`PathError`] for an owner that has no variables.
-pub fn read_variable<'a, T: Default>(
+pub fn read_variable<T: Default>(
     owner: impl Into<Owner>,
-    name: &'a str,
+    name: &str,
     read: impl FnMut(Variant<'_>) -> T,
 ) -> Result<impl Procedure<Output = T, Error = StepError>, PathError> {
     let path = PathSteps::from(owner.into(), &[PathStep::variable(name)])?;

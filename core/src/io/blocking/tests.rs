@@ -218,12 +218,12 @@ impl Trajectory for Hold {
         if self.poses == 100 {
             return slave::Next::Stop;
         }
-        self.poses += 1;
+        self.poses = self.poses.saturating_add(1);
         slave::Next::Pose(Pose::j([1.5; 8]))
     }
 
     fn moved(&mut self, reply: &MoveReply<'_>, _: Instant) {
-        self.moved += 1;
+        self.moved = self.moved.saturating_add(1);
         assert_eq!(reply.joints(), Some([1.5; 8]));
     }
 }
