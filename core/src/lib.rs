@@ -114,6 +114,7 @@ mod num;
 pub mod procedure;
 pub mod rac;
 pub mod session;
+pub mod slave;
 pub mod storage;
 pub mod time;
 pub mod variant;

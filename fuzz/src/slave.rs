@@ -4,13 +4,13 @@ use std::time::Duration;
 
 use arbitrary::{Arbitrary, Unstructured};
 use bcap_core::bcap::call::{Call, ControllerHandle, RobotHandle};
-use bcap_core::bcap::slave::{
-    Action, AxisLimits, Channel, Config, Engine, ExtendedAxes, Failure, Format, Handles, Mode, Pose, PoseType,
-    ReceiveFormat, ReceivePose, SendFormat, SendIo, SlaveMode, Step, TimeUnit,
-};
 use bcap_core::bcap::{Decoder, FrameWriter, Progress};
 use bcap_core::hresult::HResult;
 use bcap_core::limits::{Limits, Strictness};
+use bcap_core::slave::{
+    Action, AxisLimits, Channel, Config, Engine, ExtendedAxes, Failure, Format, Handles, Mode, Pose, PoseType,
+    ReceiveFormat, ReceivePose, SendFormat, SendIo, SlaveMode, Step, TimeUnit,
+};
 use bcap_core::time::Instant;
 use bcap_testkit::frame::TestFrame;
 use bcap_testkit::oracle::{Oracle, Verdict};

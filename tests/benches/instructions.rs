@@ -14,11 +14,11 @@ use std::process::{Command, ExitCode};
 
 use bcap_core::bcap::call::{self, Call, ControllerHandle, RobotHandle, VariableHandle};
 use bcap_core::bcap::client::{self, Client};
-use bcap_core::bcap::slave::{
+use bcap_core::bcap::{Decoder, FrameWriter, Progress};
+use bcap_core::slave::{
     Action, AxisLimits, Config, Engine, Format, Handles, Mode, Pose, PoseType, PreparedMove, ReceiveFormat,
     ReceivePose, SlaveMode, Step,
 };
-use bcap_core::bcap::{Decoder, FrameWriter, Progress};
 use bcap_core::time::Instant;
 use bcap_core::variant::{Encode, VariantBuf};
 

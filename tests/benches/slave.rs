@@ -16,11 +16,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::Instant;
 
-use bcap_core::bcap::slave::{
+use bcap_core::procedure::{Provider, open_robot};
+use bcap_core::slave::{
     AxisLimits, Config, Cycle, Engine, Format, Histogram, MOVE_FRAME, Mode, Next, Pose, PoseType, ReceiveFormat,
     ReceivePose, SlaveMode, Stats,
 };
-use bcap_core::procedure::{Provider, open_robot};
 use bcap_sim::{Controller, Profile};
 use bcap_std::server::Limits;
 use bcap_std::slave::Realtime;

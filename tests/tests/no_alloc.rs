@@ -6,10 +6,6 @@ use std::time::Duration;
 
 use bcap_core::bcap::call::{self, Call, ControllerHandle, Reply, RobotHandle, VariableHandle};
 use bcap_core::bcap::client::{self, Client};
-use bcap_core::bcap::slave::{
-    Action, AxisLimits, Channel, Config, Engine, Format, Handles, Mode, Pose, PoseType, ReceiveFormat, ReceivePose,
-    SlaveMode, Step,
-};
 use bcap_core::bcap::{Decoder, FrameWriter, FunctionId, server};
 use bcap_core::error::EncodeError;
 use bcap_core::gateway;
@@ -18,6 +14,10 @@ use bcap_core::hresult::HResult;
 use bcap_core::io::{asynch, blocking};
 use bcap_core::limits::{Limits, Strictness};
 use bcap_core::rac::{self, Variable, VariableKind};
+use bcap_core::slave::{
+    Action, AxisLimits, Channel, Config, Engine, Format, Handles, Mode, Pose, PoseType, ReceiveFormat, ReceivePose,
+    SlaveMode, Step,
+};
 use bcap_core::time::Instant;
 use bcap_core::variant::{Variant, VariantBuf};
 use bcap_testkit::vectors::frames;

@@ -19,9 +19,9 @@ use bcap_core::variant::{Variant, VariantBuf};
 use bcap_sim::{Config, Controller, Profile};
 use bcap_std::server::Limits;
 use bcap_std::{Options, blocking};
+use bcap_testkit::value::Value;
 use bcap_tests::serial::SerialServer;
 use bcap_tests::served::Served;
-use bcap_tests::value::Value;
 
 #[test]
 fn checks_of_a_server_over_tcp() {
@@ -56,7 +56,7 @@ fn a_client_over_udp() {
     let Some(server) = Peer::start("udp") else { return };
     let mut options = Options::default();
     // some attempts are lost on purpose
-    options.udp.attempt_timeout = Duration::from_millis(100);
+    options.udp.timing.attempt_timeout = Duration::from_millis(100);
     exercise(blocking::connect_udp(server.address, &options).unwrap());
     server.assert_passes(8);
 }

@@ -1,7 +1,8 @@
 //! What the state machines of the core take of a board's memory, beside the buffers that they are given.
 
-use bcap_core::bcap::{Client, server, slave};
+use bcap_core::bcap::{Client, server};
 use bcap_core::rac;
+use bcap_core::slave;
 
 #[test]
 fn a_client_is_its_two_buffers_and_at_most_256_bytes() {

@@ -4,13 +4,13 @@
 use std::time::Duration;
 use std::{fmt, io};
 
-use bcap_core::bcap::slave::{
+use bcap_core::hresult::HResult;
+use bcap_core::procedure::{Provider, open_robot, release_robot};
+use bcap_core::slave::{
     AxisLimits, Cause, Config, Cycle, Engine, Fault, Format, Handles, MOVE_FRAME, Mode, MoveReply, Next, Pose,
     PoseError, PoseType, ReceiveFormat, ReceivePose, RecoverError, Released, SlaveMode, Stats, Step, StreamError,
     Trajectory,
 };
-use bcap_core::hresult::HResult;
-use bcap_core::procedure::{Provider, open_robot, release_robot};
 use bcap_core::time::Instant;
 use bcap_sim::{Controller, EMERGENCY_STOP, Profile};
 use bcap_std::blocking::Connection;

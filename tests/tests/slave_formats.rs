@@ -11,13 +11,13 @@ use std::time::Duration;
 
 use bcap_core::bcap::call;
 use bcap_core::bcap::client::Timing;
-use bcap_core::bcap::slave::{
-    Action, Config, Engine, Extended, ExtendedAxes, Format, Handles, Mode, Pose, PoseType, ReceiveFormat, ReceivePose,
-    SendFormat, SendIo, SlaveMode, TimeUnit, UserIo,
-};
 use bcap_core::hresult::HResult;
 use bcap_core::io::CallError;
 use bcap_core::io::blocking::{Connection, Transport};
+use bcap_core::slave::{
+    Action, Config, Engine, Extended, ExtendedAxes, Format, Handles, Mode, Pose, PoseType, ReceiveFormat, ReceivePose,
+    SendFormat, SendIo, SlaveMode, TimeUnit, UserIo,
+};
 use bcap_core::storage::Storage;
 use bcap_sim::{Controller, Profile, VariableKind};
 use bcap_std::server::Server;

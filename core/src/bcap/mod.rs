@@ -6,7 +6,6 @@ mod frame;
 pub mod function;
 mod link;
 pub mod server;
-pub mod slave;
 
 pub use self::call::Call;
 pub use self::client::Client;

@@ -15,9 +15,10 @@
 use core::convert::identity;
 use core::time::Duration;
 
-use super::open::Handles;
+use super::action::Procedure;
+use super::failure::{StepCause, StepError};
+use super::provider::Handles;
 use super::sequence::{Argument, Next, Sequence, StepCall, Steps, Undo};
-use super::{Procedure, StepCause, StepError};
 use crate::bcap::call::{Any, Int, Reply, ReplyError};
 use crate::bcap::{Frame, FunctionId};
 use crate::hresult::HResult;

@@ -3,9 +3,10 @@
 use core::convert::identity;
 use core::fmt;
 
-use super::open::Provider;
+use super::action::Procedure;
+use super::failure::{StepCause, StepError};
+use super::provider::Provider;
 use super::sequence::{Next, Sequence, StepCall, Steps, UNDO_MAX};
-use super::{Procedure, StepCause, StepError};
 use crate::bcap::call::{
     Any, ControllerHandle, ExtensionHandle, FileHandle, Reply, ReplyError, RobotHandle, TaskHandle, handle_of,
 };

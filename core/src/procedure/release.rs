@@ -2,9 +2,10 @@
 
 use core::convert::identity;
 
-use super::open::Handles;
+use super::action::Procedure;
+use super::failure::{StepCause, StepError};
+use super::provider::Handles;
 use super::sequence::{Next, Sequence, Steps, Undo};
-use super::{Procedure, StepCause, StepError};
 use crate::bcap::call::ControllerHandle;
 use crate::bcap::{Frame, Object};
 use crate::time::Instant;

@@ -2,8 +2,9 @@
 
 use core::convert::identity;
 
+use super::action::Procedure;
+use super::failure::{StepCause, StepError};
 use super::sequence::{Argument, Next, Sequence, StepCall, Steps, Undo};
-use super::{Procedure, StepCause, StepError};
 use crate::bcap::call::RobotHandle;
 use crate::bcap::{Frame, FunctionId};
 use crate::time::Instant;

@@ -9,7 +9,8 @@
 //! Backward undoes what was done, in reverse order: it releases handles, gives the arm back, halts a motion. A failure on
 //! the way back is ignored, because the first failure is the one to report.
 
-use super::{Action, Channel, Failure, Procedure, StepCause, StepError};
+use super::action::{Action, Channel, Procedure};
+use super::failure::{Failure, StepCause, StepError};
 use crate::bcap::call::{Call, Maybe, handle_of};
 use crate::bcap::{Frame, FrameWriter, FunctionId, Object};
 use crate::error::EncodeError;

@@ -11,8 +11,12 @@ use std::vec;
 use std::vec::Vec;
 
 use super::*;
+use crate::bcap::call::Call;
 use crate::bcap::call::{ControllerHandle, FileHandle, ReplyError, RobotHandle};
-use crate::bcap::{Decoder, FrameWriter, Object};
+use crate::bcap::client::Timing;
+use crate::bcap::{Decoder, FrameWriter, FunctionId, Link, Object};
+use crate::hresult::HResult;
+use crate::time::Instant;
 use crate::variant::{Encode, VarType, Variant, VariantBuf};
 
 mod motion;

@@ -2,9 +2,10 @@
 
 use core::convert::identity;
 
+use super::action::Procedure;
+use super::failure::{StepCause, StepError};
 use super::path::{Owner, PathError, PathStep, PathSteps};
 use super::sequence::{Next, Sequence, StepCall, Steps};
-use super::{Procedure, StepCause, StepError};
 use crate::bcap::{Frame, FunctionId};
 use crate::time::Instant;
 use crate::variant::{Encode, Variant};

@@ -1,6 +1,6 @@
-//! Slave Mode over sockets: what the operating system adds to the streams of [`bcap_core::bcap::slave`].
+//! Slave Mode over sockets: what the operating system adds to the streams of [`bcap_core::slave`].
 //!
-//! A stream is a [`Procedure`](bcap_core::procedure::Procedure): [`Engine::stream`](bcap_core::bcap::slave::Engine::stream)
+//! A stream is a [`Procedure`](bcap_core::procedure::Procedure): [`Engine::stream`](bcap_core::slave::Engine::stream)
 //! makes it of an engine and a trajectory, and [`Connection::run`](crate::blocking::Connection::run) runs it, blocking and
 //! under tokio alike. [`Realtime`] asks Linux for what a stream needs on a busy machine.
 //!
@@ -14,7 +14,7 @@
 //!
 //! ```no_run
 //! use bcap_std::blocking;
-//! use bcap_std::core::bcap::slave::{
+//! use bcap_std::core::slave::{
 //!     AxisLimits, Config, Cycle, Engine, Format, Mode, Next, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode,
 //! };
 //! use bcap_std::core::procedure::{Provider, open_robot, release_robot};

@@ -18,8 +18,8 @@ use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::rac;
 use bcap_core::time::Instant;
+use bcap_testkit::value::Value;
 use bcap_tests::served::{Application, Served};
-use bcap_tests::value::Value;
 
 use self::early_replies::{
     a_datagram_before_its_request_is_not_its_reply, a_reply_before_its_request_is_not_its_reply,

@@ -8,11 +8,11 @@ use std::vec::Vec;
 use super::*;
 use crate::bcap::call::{self, ControllerHandle, RobotHandle, VariableHandle};
 use crate::bcap::client::Config;
-use crate::bcap::slave::{
+use crate::bcap::{Decoder, FrameWriter, Progress};
+use crate::slave::{
     self, Cause, Cycle, Engine, Failure, Format, Handles, Mode, PoseType, ReceiveFormat, ReceivePose, SlaveMode, Step,
     StreamError,
 };
-use crate::bcap::{Decoder, FrameWriter, Progress};
 use crate::variant::Variant;
 
 /// A link that is ready for one byte at every other poll, to a peer that answers each request with its own serial.

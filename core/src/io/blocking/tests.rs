@@ -7,11 +7,11 @@ use std::vec::Vec;
 use super::*;
 use crate::bcap::call::{self, ControllerHandle, RobotHandle, VariableHandle};
 use crate::bcap::client::{ClientError, Config, Timeout};
-use crate::bcap::slave::{
+use crate::bcap::{Decoder, FrameWriter};
+use crate::slave::{
     self, Cause, Cycle, Engine, Failure, Format, Handles, Mode, MoveReply, Pose, PoseType, ReceiveFormat, ReceivePose,
     SlaveMode, Step, StreamError, Trajectory,
 };
-use crate::bcap::{Decoder, FrameWriter};
 use crate::variant::Variant;
 
 /// A peer that answers each whole request as its script says, over a link that takes and gives a few bytes at a time.

@@ -16,7 +16,7 @@ use core::fmt::Write as _;
 use bcap_board::Settings;
 use bcap_core::bcap::Client;
 use bcap_core::bcap::client::Config as ClientConfig;
-use bcap_core::bcap::slave::{
+use bcap_core::slave::{
     AxisLimits, Config, Cycle, Engine, Format, MOVE_FRAME, Mode, Next, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode, Stats,
 };
 use bcap_core::procedure::{Provider, open_robot};

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use bcap_core::bcap::slave::{Mode, PoseType};
+use bcap_core::slave::{Mode, PoseType};
 use clap::{Args, Subcommand, ValueEnum};
 
 /// Streams poses in Slave Mode, one every 8 ms, and shows how well that went

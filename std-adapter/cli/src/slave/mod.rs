@@ -9,7 +9,7 @@ mod stream;
 
 use std::io::{self, BufRead, IsTerminal, Write};
 
-use bcap_core::bcap::slave::PoseType;
+use bcap_core::slave::PoseType;
 
 use crate::args::{Cosine, LinkArgs, Play, Slave, SlaveCommand};
 use crate::error::Failure;

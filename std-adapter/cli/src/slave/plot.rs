@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use bcap_core::bcap::slave::PoseType;
+use bcap_core::slave::PoseType;
 use plotters::coord::Shift;
 use plotters::prelude::*;
 

@@ -10,7 +10,7 @@
 
 use std::path::Path;
 
-use bcap_core::bcap::slave::{Pose, PoseType};
+use bcap_core::slave::{Pose, PoseType};
 
 use crate::error::Failure;
 

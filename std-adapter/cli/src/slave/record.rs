@@ -7,7 +7,7 @@ use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 
 use bcap_core::bcap::FunctionId;
-use bcap_core::bcap::slave::PoseType;
+use bcap_core::slave::PoseType;
 use indicatif::ProgressBar;
 
 use super::poses::columns;

@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use bcap_core::bcap::slave::{Histogram, Stats};
+use bcap_core::slave::{Histogram, Stats};
 use serde::Serialize;
 
 /// The figures of a stream; times in microseconds.

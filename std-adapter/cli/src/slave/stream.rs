@@ -6,12 +6,12 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bcap_core::bcap::call;
-use bcap_core::bcap::slave::{
+use bcap_core::hresult::HResult;
+use bcap_core::procedure::{Provider, StepCause, open_robot, release_robot};
+use bcap_core::slave::{
     AxisLimits, Cause, Config, Cycle, Engine, Failure as NoReply, Fault, Format, Handles, MOVE_FRAME, Mode, MoveReply,
     Next, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode, Stats, StreamError, Trajectory,
 };
-use bcap_core::hresult::HResult;
-use bcap_core::procedure::{Provider, StepCause, open_robot, release_robot};
 use bcap_core::time::Instant;
 use bcap_std::blocking::{self, Transport as Wire};
 use bcap_std::slave::Realtime;

@@ -2,11 +2,11 @@
 //! reported by the engine under their names, the first cause first.
 
 use bcap_core::bcap::call;
-use bcap_core::bcap::slave::{
+use bcap_core::hresult::HResult;
+use bcap_core::slave::{
     Action, AxisLimits, Cause, Config as Stream, Engine, Extended, ExtendedAxes, Format, Handles, Mode, Pose,
     PoseError, PoseType, Released, SendFormat, Step,
 };
-use bcap_core::hresult::HResult;
 use bcap_core::variant::Encode;
 use bcap_sim::kinematics::EXTENDED_SPEED;
 use bcap_sim::kinematics::SPEEDS;

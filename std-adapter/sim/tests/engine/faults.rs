@@ -1,7 +1,7 @@
 //! Scenarios in the middle of a stream: how the engine ends, what it has sent, and that nothing moved afterwards.
 
-use bcap_core::bcap::slave::{Action, Cause, Failure, Fault, Mode, PoseType, RecoverError, Released, Step};
 use bcap_core::hresult::HResult;
+use bcap_core::slave::{Action, Cause, Failure, Fault, Mode, PoseType, RecoverError, Released, Step};
 use bcap_core::time::Instant;
 use bcap_sim::{EMERGENCY_STOP, Scenario};
 

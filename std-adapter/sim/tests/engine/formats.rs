@@ -2,7 +2,7 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use bcap_core::bcap::slave::{
+use bcap_core::slave::{
     Action, ExtendedAxes, Format, Mode, MoveReply, PoseType, ReceiveFormat, ReceivePose, SendFormat, SendIo, SlaveMode,
     Step, TimeUnit, UserIo,
 };

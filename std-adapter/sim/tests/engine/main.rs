@@ -10,11 +10,11 @@ mod formats;
 mod streams;
 mod wire;
 
-use bcap_core::bcap::slave::{
+use bcap_core::hresult::HResult;
+use bcap_core::slave::{
     Action, Channel, Config as Stream, Engine, Extended, ExtendedAxes, Failure, Format, Mode, MoveReply, Pose,
     PoseType, ReceiveFormat, ReceivePose, SlaveMode, Step,
 };
-use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use bcap_sim::Config;
 

@@ -1,7 +1,7 @@
 //! Streams that arrive, stop, or are not begun.
 
-use bcap_core::bcap::slave::{Action, AxisLimits, Cause, Mode, PoseType, Released, Step};
 use bcap_core::hresult::HResult;
+use bcap_core::slave::{Action, AxisLimits, Cause, Mode, PoseType, Released, Step};
 use bcap_sim::Config;
 
 use crate::wire::{LINKS, Link};

@@ -1,7 +1,7 @@
 //! Slave Mode: streams in every mode, answered by whatever frames are in the input.
 
 use bcap_core::bcap::client::{self, Client};
-use bcap_core::bcap::slave::{self, Action, Engine};
+use bcap_core::slave::{self, Action, Engine};
 use bcap_core::bcap::{Decoder, Progress, call};
 use bcap_core::time::Instant;
 

@@ -13,7 +13,7 @@ const BUCKETS: usize = SUB * (POWERS + 1);
 /// # Examples
 ///
 /// ```
-/// use bcap_core::bcap::slave::Histogram;
+/// use bcap_core::slave::Histogram;
 ///
 /// let mut rtt = Histogram::new();
 /// (1..=1000).for_each(|us| rtt.record(us));

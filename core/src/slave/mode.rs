@@ -76,7 +76,7 @@ pub const T_LEN: usize = 10;
 /// # Examples
 ///
 /// ```
-/// use bcap_core::bcap::slave::{Mode, PoseType, SlaveMode};
+/// use bcap_core::slave::{Mode, PoseType, SlaveMode};
 ///
 /// let mode = SlaveMode { mode: Mode::Mode2, pose: PoseType::J };
 /// assert_eq!(mode.code(), 0x202);

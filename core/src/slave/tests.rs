@@ -17,7 +17,7 @@ use crate::variant::{Encode, VarType, Variant, VariantBuf};
 const ROBOT: RobotHandle = RobotHandle(3);
 
 /// The frames that the specification prints, from `tests/vectors`.
-const SPEC: &str = include_str!("../../../../tests/vectors/bcap-rc9-spec.jsonl");
+const SPEC: &str = include_str!("../../../tests/vectors/bcap-rc9-spec.jsonl");
 
 /// Finds a frame of the specification by its name.
 fn vector(name: &str) -> Vec<u8> {

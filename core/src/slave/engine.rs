@@ -115,7 +115,7 @@ const RECEIVED_MAX: usize = 18;
 /// ```no_run
 /// # use bcap_core::bcap::Frame;
 /// # use bcap_core::bcap::call::{Call, ControllerHandle, RobotHandle};
-/// # use bcap_core::bcap::slave::*;
+/// # use bcap_core::slave::*;
 /// # use bcap_core::time::Instant;
 /// # fn now() -> Instant { Instant::ZERO }
 /// # fn sleep_until(_: Instant) {}

@@ -59,7 +59,7 @@ pub fn receive_format(robot: RobotHandle, format: ReceiveFormat) -> impl Call<Re
 ///
 /// ```
 /// use bcap_core::bcap::call::RobotHandle;
-/// use bcap_core::bcap::slave::{self, Format, Mode, Outputs, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode};
+/// use bcap_core::slave::{self, Format, Mode, Outputs, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode};
 ///
 /// let mode = SlaveMode { mode: Mode::Mode0, pose: PoseType::P };
 /// let format = Format::new(mode, ReceiveFormat::pose(ReceivePose::J));
@@ -189,7 +189,7 @@ pub const MOVE_FRAME: usize = 256;
 /// ```
 /// use bcap_core::bcap::call::RobotHandle;
 /// use bcap_core::bcap::client::{Client, Config, Timing};
-/// use bcap_core::bcap::slave::{Format, Mode, Pose, PoseType, PreparedMove, ReceiveFormat, ReceivePose, SlaveMode};
+/// use bcap_core::slave::{Format, Mode, Pose, PoseType, PreparedMove, ReceiveFormat, ReceivePose, SlaveMode};
 /// use bcap_core::time::Instant;
 ///
 /// let mode = SlaveMode { mode: Mode::Mode2, pose: PoseType::J };

@@ -109,7 +109,7 @@ impl fmt::Display for Shape {
 /// # Examples
 ///
 /// ```
-/// use bcap_core::bcap::slave::{Extended, Pose};
+/// use bcap_core::slave::{Extended, Pose};
 ///
 /// let pose = Pose::p([364.16, 0.0, 278.5, 180.0, 0.0, 180.0, 5.0]).with_extended(Extended::Eight(12.5));
 /// assert_eq!(pose.as_slice()[7..], [f64::from(0x0040_0080), 12.5]);

@@ -18,7 +18,7 @@ pub const CURRENT_LEN: usize = 8;
 /// # Examples
 ///
 /// ```
-/// use bcap_core::bcap::slave::{ReceiveFormat, ReceivePose};
+/// use bcap_core::slave::{ReceiveFormat, ReceivePose};
 /// use bcap_core::variant::VariantBuf;
 ///
 /// let format = ReceiveFormat { mini_io: true, ..ReceiveFormat::pose(ReceivePose::J) };

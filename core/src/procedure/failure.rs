@@ -1,0 +1,103 @@
+//! Why a call of a procedure has failed.
+
+use core::fmt;
+
+use crate::bcap::FunctionId;
+use crate::bcap::call::ReplyError;
+use crate::bcap::client::ClientError;
+use crate::hresult::HResult;
+
+/// Why a call has no reply.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Failure {
+    /// A time limit has passed, or the call was dropped; the connection can still be used.
+    Timeout,
+    /// The call could not be sent; the connection can still be used.
+    NotSent,
+    /// The connection is lost.
+    Lost,
+}
+
+impl From<ClientError> for Failure {
+    fn from(error: ClientError) -> Self {
+        match error {
+            ClientError::Timeout(_) | ClientError::ReplyTooLarge { .. } | ClientError::Reply(_) => Self::Timeout,
+            ClientError::Encode(_) | ClientError::TooLarge { .. } | ClientError::Busy => Self::NotSent,
+            ClientError::Malformed(_) | ClientError::Flooded | ClientError::Closed => Self::Lost,
+        }
+    }
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Timeout => "no reply in time",
+            Self::NotSent => "could not be sent",
+            Self::Lost => "the connection is lost",
+        })
+    }
+}
+
+/// A call of a procedure has failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct StepError {
+    /// The function that was called.
+    pub function: FunctionId,
+    /// Why it failed.
+    pub cause: StepCause,
+}
+
+/// Why a call of a procedure has failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum StepCause {
+    /// The controller refused it.
+    Refused(HResult),
+    /// The reply carries another value than the function gives.
+    Reply(ReplyError),
+    /// It has no reply.
+    Failed(Failure),
+    /// The procedure has no room for what the reply carries.
+    TooLarge,
+}
+
+impl StepCause {
+    /// Tells whether the controller may have executed the call all the same: only a refused call, and one that was never
+    /// sent, are certain to have had no effect.
+    pub(super) const fn may_have_run(&self) -> bool {
+        !matches!(self, Self::Refused(_) | Self::Failed(Failure::NotSent))
+    }
+}
+
+impl StepError {
+    /// Returns the controller's code, when it has refused the call.
+    #[must_use]
+    pub const fn hresult(&self) -> Option<HResult> {
+        match self.cause {
+            StepCause::Refused(code) => Some(code),
+            _ => None,
+        }
+    }
+}
+
+impl fmt::Display for StepError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.function, self.cause)
+    }
+}
+
+impl fmt::Display for StepCause {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Refused(code) => write!(f, "the controller refused: {code}"),
+            Self::Reply(error) => error.fmt(f),
+            Self::Failed(failure) => failure.fmt(f),
+            Self::TooLarge => f.write_str("the reply is longer than expected"),
+        }
+    }
+}
+
+impl core::error::Error for StepError {}
