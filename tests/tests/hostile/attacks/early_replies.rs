@@ -7,7 +7,7 @@ use std::thread;
 use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
 use bcap_std::{asynch, blocking};
-use bcap_tests::value::Value;
+use bcap_testkit::value::Value;
 
 use crate::script::{Outcome, RIGHT, VARIABLE, brief, right, runtime, serial_of, serve};
 use crate::target::Target;

@@ -10,8 +10,8 @@ use std::time::Duration;
 use bcap_core::bcap::call;
 use bcap_sim::{Controller, Profile};
 use bcap_std::{Options, blocking};
+use bcap_testkit::value::Value;
 use bcap_tests::served::Served;
-use bcap_tests::value::Value;
 
 use crate::script::Outcome;
 use crate::target::{LIMITS, Target, skipped};

@@ -1,8 +1,8 @@
 //! Datagrams with the address of another client.
 
 use bcap_core::bcap::FunctionId;
-use bcap_tests::frame::TestFrame;
-use bcap_tests::value::Value;
+use bcap_testkit::frame::TestFrame;
+use bcap_testkit::value::Value;
 
 use crate::datagrams::Peer;
 use crate::target::Target;

@@ -36,7 +36,7 @@ pub(super) fn a_flood_of_keep_alives_costs_little(_: &mut Target) {
     let budget = Duration::from_secs(3);
     let mut options = brief();
     for config in [&mut options.tcp, &mut options.udp] {
-        (config.keep_alive, config.attempt_timeout) = (budget, budget);
+        (config.timing.keep_alive, config.timing.attempt_timeout) = (budget, budget);
     }
     let value = || call::variable_get_value(VARIABLE);
     let mut over_tcp = blocking::connect_tcp(flood(), &options).unwrap();

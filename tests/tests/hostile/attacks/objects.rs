@@ -5,9 +5,9 @@ use bcap_core::bcap::{Decoder, FunctionId};
 use bcap_core::handler::PeerId;
 use bcap_core::time::Instant;
 use bcap_sim::{Controller, Profile};
-use bcap_tests::frame::TestFrame;
+use bcap_testkit::frame::TestFrame;
+use bcap_testkit::value::Value;
 use bcap_tests::process::thread_time;
-use bcap_tests::value::Value;
 
 use crate::target::{Target, skipped};
 use crate::wire::bytes;
