@@ -12,6 +12,8 @@
 //! | [`network`]    | a simulated network between a client and a server, with a clock of its own          |
 //! | [`served`]     | a server on real sockets with a small application                                   |
 //! | [`slowed`]     | a virtual controller with a slow clock                                              |
+//! | [`stepped`]    | a virtual controller whose clock advances only when clients call or wait            |
+//! | [`drivers`]    | the call sequences of public drivers, from `tests/drivers`                          |
 //! | [`proxy`]      | what stands between a client and a server on real sockets, and does its worst       |
 //! | [`process`]    | memory, processor time and file descriptors of a process                            |
 //! | [`allocation`] | an allocator that counts what each thread asks of it                                |
@@ -19,6 +21,7 @@
 //! Nothing here is fast or frugal; where it disagrees with the core, one of the two is wrong.
 
 pub mod allocation;
+pub mod drivers;
 pub mod frame;
 pub mod network;
 pub mod oracle;
@@ -26,6 +29,7 @@ pub mod process;
 pub mod proxy;
 pub mod served;
 pub mod slowed;
+pub mod stepped;
 pub mod strategies;
 pub mod text;
 pub mod value;
