@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use bcap_core::handler::PeerId;
 
+use crate::executor::Executor;
 use crate::explain::Observer;
-use crate::files::Executor;
 use crate::kinematics::Joints;
 use crate::slave::{SlaveConfig, SlaveFormats};
 use crate::variables::Sizes;

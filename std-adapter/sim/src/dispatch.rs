@@ -15,7 +15,7 @@ use crate::objects::{Contents, Entry, Item, Target};
 use crate::options::option;
 use crate::system::{self, Owner};
 use crate::value::{Value, keep, one_int};
-use crate::variables::{Family, parse_name, wildcard_names};
+use crate::variables::{self, Family, parse_name, wildcard_names};
 
 /// Bytes of an object's name at most.
 const NAME_MAX: usize = 1024;
@@ -91,16 +91,20 @@ impl Controller {
 impl Controller {
     /// Keeps the reason of a refusal, for GetErrorDescription.
     fn note_refusal(&mut self, peer: PeerId, request: &Request<'_>, code: HResult) {
-        let target = match request.function {
+        let written = match request.function {
             FunctionId::VARIABLE_PUT_VALUE => self.objects.get(peer, request.handle(), Object::Variable).ok(),
             _ => None,
         };
-        let target = target.and_then(|entry| match entry.item {
-            Item::Variable(target) => Some(target),
+        let accepted = written.and_then(|entry| match entry.item {
+            Item::Variable(Target::User(family, _) | Target::Wildcard(family, Some(_))) => {
+                Some(variables::accepted(family))
+            }
+            Item::Variable(Target::Wildcard(_, None)) => Some("a value after Variable_PutID has chosen one variable"),
+            Item::Variable(Target::System(_, name)) => system::accepted(name),
             _ => None,
         });
         let observer = self.config().observer.clone();
-        self.refusals.note(request, target, code, &observer);
+        self.refusals.note(request, accepted, code, &observer);
     }
 }
 

@@ -15,7 +15,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::variant::{Array, Variant};
 
 use crate::kinematics::Axes;
-use crate::pose::{check_pass_item, split_pass};
+use crate::options::{check_pass_item, split_pass};
 use crate::value::{numbers_of_array, numbers_of_text, whole};
 
 /// The last axis that an arm can have, and the first extended one.

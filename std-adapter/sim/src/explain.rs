@@ -13,11 +13,7 @@ use std::sync::Arc;
 use bcap_core::bcap::FunctionId;
 use bcap_core::bcap::server::Request;
 use bcap_core::hresult::HResult;
-use bcap_core::rac::VariableKind as Kind;
 use bcap_core::variant::Variant;
-
-use crate::objects::Target;
-use crate::variables::Family;
 
 /// The codes that say that an argument is refused.
 const CODES: [HResult; 6] = [
@@ -95,6 +91,11 @@ const FUNCTIONS: &[(FunctionId, &str)] = &[
     (FunctionId::FILE_COPY, FILE_NAME),
     (FunctionId::FILE_MOVE, FILE_NAME),
     (FunctionId::VARIABLE_PUT_ID, "ID: one number, the index of a variable that exists"),
+    (FunctionId::VARIABLE_GET_VALUE, "a variable, or a wildcard (I*) of which Variable_PutID has chosen one"),
+    (
+        FunctionId::CONTROLLER_GET_VARIABLE,
+        "name BSTR: @NAME, or a user variable whose index is below @VAR_..._LEN; option BSTR",
+    ),
 ];
 
 const FILE_NAME: &str =
@@ -127,12 +128,19 @@ pub(crate) struct Refusals {
 }
 
 impl Refusals {
-    /// Notes that a request was refused, if it was for its arguments. `target` is the variable it is called on.
-    pub(crate) fn note(&mut self, request: &Request<'_>, target: Option<Target>, code: HResult, observer: &Observer) {
+    /// Notes that a request was refused, if it was for its arguments. `accepted` says what it takes, where that depends
+    /// on more than its function and its command.
+    pub(crate) fn note(
+        &mut self,
+        request: &Request<'_>,
+        accepted: Option<&'static str>,
+        code: HResult,
+        observer: &Observer,
+    ) {
         if !CODES.contains(&code) {
             return;
         }
-        let text = explain(request, target);
+        let text = explain(request, accepted);
         if let Some(tell) = &observer.0 {
             tell(code, &text);
         }
@@ -146,7 +154,7 @@ impl Refusals {
 }
 
 /// Says what a call was given, and what it takes.
-fn explain(request: &Request<'_>, target: Option<Target>) -> String {
+fn explain(request: &Request<'_>, accepted: Option<&'static str>) -> String {
     let mut text = request.function.to_string();
     let command = match (request.function.name(), request.value(1)) {
         (Some(name), Variant::Bstr(command)) if name.ends_with("Execute") => Some(beginning(command.chars())),
@@ -158,15 +166,15 @@ fn explain(request: &Request<'_>, target: Option<Target>) -> String {
     text.push_str(": given ");
     // the handle and the command are known already
     let first = if command.is_some() { 2 } else { 1 };
+    text.push_str(if request.args.len() <= first { "nothing" } else { "" });
     for n in first..request.args.len() {
         text.push_str(if n > first { "; " } else { "" });
         show(&mut text, &request.value(n), 0);
     }
-    let accepted = match (target, &command) {
-        (Some(target), _) => accepted_by(target),
-        (None, Some(command)) => find(COMMANDS, |name| name.eq_ignore_ascii_case(command.trim())),
-        (None, None) => find(FUNCTIONS, |function| *function == request.function),
-    };
+    let accepted = accepted.or_else(|| match &command {
+        Some(command) => find(COMMANDS, |name| name.eq_ignore_ascii_case(command.trim())),
+        None => find(FUNCTIONS, |function| *function == request.function),
+    });
     if let Some(accepted) = accepted {
         text.push_str("; accepted ");
         text.push_str(accepted);
@@ -176,24 +184,6 @@ fn explain(request: &Request<'_>, target: Option<Target>) -> String {
 
 fn find<K>(table: &'static [(K, &'static str)], is_it: impl Fn(&K) -> bool) -> Option<&'static str> {
     table.iter().find(|(key, _)| is_it(key)).map(|(_, text)| *text)
-}
-
-/// Returns what may be written to a variable.
-fn accepted_by(target: Target) -> Option<&'static str> {
-    let (Target::User(family, _) | Target::Wildcard(family, _)) = target else { return None };
-    Some(match family {
-        Family::Plain(Kind::I) => "one integer of 32 bits; R4 or R8 without a fraction",
-        Family::Plain(Kind::F | Kind::D) | Family::Float => "one number: an integer, R4 or R8",
-        Family::Plain(Kind::V) => "an array of 3 numbers",
-        Family::Plain(Kind::P) => "an array of 7 numbers: X Y Z RX RY RZ Fig",
-        Family::Plain(Kind::J) => "an array of 8 numbers: J1 to J8",
-        Family::Plain(Kind::T) => "an array of 10 numbers: position, orient, approach, Fig",
-        Family::Plain(Kind::S) => "BSTR of at most 64 KiB",
-        Family::Plain(Kind::Io) => "BOOL, or an integer: 0 is off",
-        Family::Byte => "one integer of 8 bits",
-        Family::Word => "one integer of 16 bits",
-        Family::Dword => "one integer of 32 bits",
-    })
 }
 
 /// Returns the beginning of a string.

@@ -34,7 +34,6 @@
 mod work;
 
 use std::collections::BTreeMap;
-use std::fmt;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -49,51 +48,10 @@ use crate::objects::Item;
 use crate::value::Value;
 use work::{Task, Work, contents};
 
+pub use crate::executor::{Executor, Job};
+
 /// How often a call looks whether its file work has ended.
 const LOOK: Duration = Duration::from_millis(2);
-
-/// A piece of file work, to be run once.
-pub type Job = Box<dyn FnOnce() + Send>;
-
-/// Runs file work, in the call or elsewhere.
-///
-/// # Examples
-///
-/// ```
-/// use std::sync::mpsc;
-/// use std::thread;
-/// use bcap_sim::Config;
-/// use bcap_sim::files::{Executor, Job};
-///
-/// let (jobs, queue) = mpsc::sync_channel::<Job>(64);
-/// thread::spawn(move || queue.into_iter().for_each(|job| job()));
-/// // a full queue drops the job
-/// let file_work = Executor::new(move |job| drop(jobs.try_send(job)));
-/// let config = Config { files: Some("/srv/robot".into()), file_work, ..Config::default() };
-/// ```
-#[derive(Clone)]
-pub struct Executor(Arc<dyn Fn(Job) + Send + Sync>);
-
-impl Executor {
-    /// Makes an executor of a function that runs a job, queues it, or drops it when there is too much to do.
-    #[must_use]
-    pub fn new(run: impl Fn(Job) + Send + Sync + 'static) -> Self {
-        Self(Arc::new(run))
-    }
-}
-
-impl Default for Executor {
-    /// Runs each job at once, inside of the call.
-    fn default() -> Self {
-        Self::new(|job| job())
-    }
-}
-
-impl fmt::Debug for Executor {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("Executor")
-    }
-}
 
 /// What a piece of file work has done.
 #[derive(Debug)]
@@ -165,7 +123,7 @@ impl Controller {
         let slot = Slot::default();
         let promise = Promise(Some(Arc::clone(&slot)));
         self.files.pending.insert(peer, slot);
-        (self.config().file_work.0)(Box::new(move || promise.keep(work.perform())));
+        self.config().file_work.run(Box::new(move || promise.keep(work.perform())));
         self.resume_file(peer, request.handle())
     }
 

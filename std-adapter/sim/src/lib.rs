@@ -67,6 +67,7 @@ mod dispatch;
 mod drive;
 mod errors;
 pub mod execute;
+mod executor;
 pub mod explain;
 pub mod files;
 pub mod hand;

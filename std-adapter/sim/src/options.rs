@@ -1,4 +1,7 @@
-//! Option strings: `KEY=VALUE, KEY` between commas, whatever the case of the keys.
+//! Option strings: `KEY=VALUE, KEY` between commas, whatever the case of the keys; and the pass of a motion.
+
+use bcap_core::hresult::HResult;
+use bcap_core::variant::Variant;
 
 /// Iterates over the options, as key and value; commas inside brackets belong to the value.
 pub(crate) fn options(text: &str) -> impl Iterator<Item = (&str, Option<&str>)> {
@@ -20,6 +23,36 @@ pub(crate) fn options(text: &str) -> impl Iterator<Item = (&str, Option<&str>)> 
 /// Returns the value of an option; the first one wins.
 pub(crate) fn option<'t>(text: &'t str, key: &str) -> Option<&'t str> {
     options(text).find(|(k, _)| k.eq_ignore_ascii_case(key)).and_then(|(_, value)| value)
+}
+
+/// Takes the pass from the beginning of a text, if there is one, and returns the rest.
+pub(crate) fn split_pass(text: &str) -> Result<&str, HResult> {
+    let text = text.trim();
+    if !text.starts_with('@') {
+        return Ok(text);
+    }
+    let (pass, rest) = text.split_once(char::is_whitespace).ok_or(HResult::E_INVALIDARG)?;
+    check_pass(pass)?;
+    Ok(rest.trim_start())
+}
+
+/// Checks a pass in an array: EMPTY, its text, or its number (`@P` -1, `@E` -2, `@0`, `@n`).
+pub(crate) fn check_pass_item(item: &Variant<'_>) -> Result<(), HResult> {
+    match item.flatten() {
+        Variant::Empty | Variant::Null => Ok(()),
+        Variant::Bstr(pass) => check_pass(&pass.to_string()),
+        pass if pass.as_i32().is_some_and(|n| n >= -2) => Ok(()),
+        _ => Err(HResult::E_INVALIDARG),
+    }
+}
+
+fn check_pass(pass: &str) -> Result<(), HResult> {
+    let rest = pass.trim().strip_prefix('@').unwrap_or(pass.trim());
+    match rest {
+        "P" | "p" | "E" | "e" => Ok(()),
+        digits if !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_digit()) => Ok(()),
+        _ => Err(HResult::E_INVALIDARG),
+    }
 }
 
 #[cfg(test)]

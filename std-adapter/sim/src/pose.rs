@@ -19,6 +19,7 @@ use bcap_core::variant::{Array, Variant};
 
 use crate::drive::Drive;
 use crate::kinematics::{Frame, Joints, OutOfReach, inverse, inverse_nearest, out_of_range};
+use crate::options::{check_pass_item, split_pass};
 use crate::value::{number, numbers, numbers_of_text, whole};
 use crate::variables::{Family, Variables, parse_name};
 
@@ -178,36 +179,6 @@ fn kind_of_letter(letter: &str) -> Result<Kind, HResult> {
         "P" | "p" => Ok(Kind::P),
         "J" | "j" => Ok(Kind::J),
         "T" | "t" => Ok(Kind::T),
-        _ => Err(HResult::E_INVALIDARG),
-    }
-}
-
-/// Takes the pass from the beginning of a text, if there is one, and returns the rest.
-pub(crate) fn split_pass(text: &str) -> Result<&str, HResult> {
-    let text = text.trim();
-    if !text.starts_with('@') {
-        return Ok(text);
-    }
-    let (pass, rest) = text.split_once(char::is_whitespace).ok_or(HResult::E_INVALIDARG)?;
-    check_pass(pass)?;
-    Ok(rest.trim_start())
-}
-
-/// Checks a pass in an array: EMPTY, its text, or its number (`@P` -1, `@E` -2, `@0`, `@n`).
-pub(crate) fn check_pass_item(item: &Variant<'_>) -> Result<(), HResult> {
-    match item.flatten() {
-        Variant::Empty | Variant::Null => Ok(()),
-        Variant::Bstr(pass) => check_pass(&pass.to_string()),
-        pass if pass.as_i32().is_some_and(|n| n >= -2) => Ok(()),
-        _ => Err(HResult::E_INVALIDARG),
-    }
-}
-
-fn check_pass(pass: &str) -> Result<(), HResult> {
-    let rest = pass.trim().strip_prefix('@').unwrap_or(pass.trim());
-    match rest {
-        "P" | "p" | "E" | "e" => Ok(()),
-        digits if !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_digit()) => Ok(()),
         _ => Err(HResult::E_INVALIDARG),
     }
 }

@@ -129,6 +129,19 @@ pub(crate) fn find(owner: Owner, name: &str) -> Option<&'static str> {
     names(owner).iter().map(|(known, _)| *known).find(|known| known.eq_ignore_ascii_case(name.trim()))
 }
 
+/// Says what may be written to a system variable.
+pub(crate) fn accepted(name: &str) -> Option<&'static str> {
+    Some(match name {
+        "@LOCK" | "@SERVO_ON" => "BOOL, or an integer: 0 is off",
+        "@ERROR_CODE" => "0, which clears the errors",
+        "@CURRENT_TOOL" | "@CURRENT_WORK" => "one number, 0 to 63",
+        "@EXTSPEED" => "one number: percent, 0.0001 to 100",
+        "@START" => "one number: 1 one cycle, 2 continuous, 3 one line",
+        "@STOP" => "one number, 0 to 4",
+        _ => return None,
+    })
+}
+
 fn access(owner: Owner, name: &str) -> Result<Access, HResult> {
     let found = names(owner).iter().find(|(known, _)| *known == name);
     found.map(|(_, access)| *access).ok_or(HResult::E_CAO_OBJECT_NOTFOUND)

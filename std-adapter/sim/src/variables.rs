@@ -149,6 +149,23 @@ pub(crate) fn wildcard_names() -> impl Iterator<Item = String> {
     Kind::ALL.into_iter().map(Family::Plain).chain(views).map(|f| format!("{}*", f.name()))
 }
 
+/// Says what may be written to a variable of a family.
+pub(crate) const fn accepted(family: Family) -> &'static str {
+    match family {
+        Family::Plain(Kind::I) => "one integer of 32 bits; R4 or R8 without a fraction",
+        Family::Plain(Kind::F | Kind::D) | Family::Float => "one number: an integer, R4 or R8",
+        Family::Plain(Kind::V) => "an array of 3 numbers",
+        Family::Plain(Kind::P) => "an array of 7 numbers: X Y Z RX RY RZ Fig",
+        Family::Plain(Kind::J) => "an array of 8 numbers: J1 to J8",
+        Family::Plain(Kind::T) => "an array of 10 numbers: position, orient, approach, Fig",
+        Family::Plain(Kind::S) => "BSTR of at most 64 KiB",
+        Family::Plain(Kind::Io) => "BOOL, or an integer: 0 is off",
+        Family::Byte => "one integer of 8 bits",
+        Family::Word => "one integer of 16 bits",
+        Family::Dword => "one integer of 32 bits",
+    }
+}
+
 /// The variables' values.
 #[derive(Clone, Debug)]
 pub(crate) struct Variables {

@@ -51,6 +51,14 @@ fn a_refused_argument_is_named_with_what_is_accepted() {
     let end = "Variable_PutValue: given \"x\"; accepted an array of 7 numbers: X Y Z RX RY RZ Fig";
     assert!(text.ends_with(end), "{text}");
     assert!(description(&mut world, client, HResult::E_INVALIDARG).contains("slvChangeMode"));
+    let servo = world.robot_variable(client, "@SERVO_ON");
+    let put = call::variable_put_value(servo, "on");
+    assert_eq!(world.call(client.peer, put), code(HResult::E_INVALIDARGTYPE));
+    let text = description(&mut world, client, HResult::E_INVALIDARGTYPE);
+    assert!(text.ends_with("given \"on\"; accepted BOOL, or an integer: 0 is off"), "{text}");
+    assert_eq!(world.get(client, "I*"), code(HResult::DISP_E_BADINDEX));
+    let text = description(&mut world, client, HResult::DISP_E_BADINDEX);
+    assert!(text.contains("Variable_GetValue: given nothing; accepted a variable, or a wildcard (I*)"), "{text}");
     // a refusal for another reason has none
     assert_eq!(world.robot(other, "TakeArm", [0, 0]), code(HResult::E_ARM_NOT_TAKEN));
     assert!(!description(&mut world, client, HResult::E_ARM_NOT_TAKEN).contains("Last refused"));

@@ -1,0 +1,51 @@
+//! Where the model has work done that may block.
+
+use std::fmt;
+use std::sync::Arc;
+
+/// A piece of file work, to be run once.
+pub type Job = Box<dyn FnOnce() + Send>;
+
+/// Runs file work, in the call or elsewhere.
+///
+/// # Examples
+///
+/// ```
+/// use std::sync::mpsc;
+/// use std::thread;
+/// use bcap_sim::Config;
+/// use bcap_sim::files::{Executor, Job};
+///
+/// let (jobs, queue) = mpsc::sync_channel::<Job>(64);
+/// thread::spawn(move || queue.into_iter().for_each(|job| job()));
+/// // a full queue drops the job
+/// let file_work = Executor::new(move |job| drop(jobs.try_send(job)));
+/// let config = Config { files: Some("/srv/robot".into()), file_work, ..Config::default() };
+/// ```
+#[derive(Clone)]
+pub struct Executor(Arc<dyn Fn(Job) + Send + Sync>);
+
+impl Executor {
+    /// Makes an executor of a function that runs a job, queues it, or drops it when there is too much to do.
+    #[must_use]
+    pub fn new(run: impl Fn(Job) + Send + Sync + 'static) -> Self {
+        Self(Arc::new(run))
+    }
+
+    pub(crate) fn run(&self, job: Job) {
+        (self.0)(job);
+    }
+}
+
+impl Default for Executor {
+    /// Runs each job at once, inside of the call.
+    fn default() -> Self {
+        Self::new(|job| job())
+    }
+}
+
+impl fmt::Debug for Executor {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Executor")
+    }
+}
