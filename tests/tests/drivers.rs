@@ -1,6 +1,8 @@
 //! The call sequences of public drivers and programs against the virtual controller, in each model, over real sockets.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::PathBuf;
 use std::sync::mpsc;
 use std::thread;
 use std::time::Duration;
@@ -16,7 +18,9 @@ use bcap_sim::{Config, Controller, Scenario};
 use bcap_std::blocking::{TcpClient, UdpClient};
 use bcap_std::server::Limits;
 use bcap_std::{Options, blocking};
-use bcap_tests::drivers::{Call, Event, Link, Model, Names, Sequence, Step, Stream, sequences, type_name, value};
+use bcap_tests::drivers::{
+    Call, Event, Link, Model, Names, Sequence, Step, Stream, sequence, sequences, type_name, value,
+};
 use bcap_tests::served::Served;
 use bcap_tests::stepped::Stepped;
 use bcap_tests::value::Value;
@@ -286,9 +290,7 @@ fn set_variable(controller: &mut Controller, name: &str, value: &Value) {
 /// Plays a sequence; returns the number of calls and how it ended.
 fn play(sequence: &Sequence, model: Model, links: &BTreeMap<String, Link>) -> (usize, Result<(), Departure>) {
     let Sequence { head, steps } = sequence;
-    let files = std::env::temp_dir().join(format!("bcap-drivers-{}-{model:?}", std::process::id()));
-    std::fs::create_dir_all(&files).expect("a folder for files");
-    let config = Config { files: Some(files), ..Config::new(model.profile()) };
+    let config = Config { files: Some(files(model)), ..Config::new(model.profile()) };
     let mut controller = Controller::new(config);
     if !head.scenario.is_empty() {
         controller.play(Scenario::parse(&head.scenario).unwrap_or_else(|e| panic!("{}: {e}", head.name)));
@@ -310,8 +312,13 @@ fn play(sequence: &Sequence, model: Model, links: &BTreeMap<String, Link>) -> (u
     (calls, end)
 }
 
+/// Returns the folder for the controller's files.
+fn files(model: Model) -> PathBuf {
+    std::env::temp_dir().join(format!("bcap-drivers-{}-{model:?}", std::process::id()))
+}
+
 /// What was played.
-#[derive(Debug, Default, PartialEq, Eq)]
+#[derive(Debug, Default)]
 struct Total {
     runs: usize,
     refused: usize,
@@ -322,6 +329,7 @@ struct Total {
 /// Plays all sequences in one model.
 fn play_all(sequences: &[Sequence], model: Model) -> (Total, Vec<String>) {
     let (mut total, mut faults) = (Total::default(), Vec::new());
+    fs::create_dir_all(files(model)).expect("a folder for files");
     for sequence in sequences {
         let Sequence { head, .. } = sequence;
         let elsewhere = head.elsewhere.get(&model);
@@ -339,7 +347,40 @@ fn play_all(sequences: &[Sequence], model: Model) -> (Total, Vec<String>) {
             }
         }
     }
+    fs::remove_dir_all(files(model)).expect("the folder is there");
     (total, faults)
+}
+
+/// Returns the sequence with this name.
+fn named(name: &str) -> Sequence {
+    sequences().into_iter().find(|sequence| sequence.head.name == name).expect("a sequence")
+}
+
+#[test]
+fn the_ros_2_driver_fails_where_the_motor_comes_after_the_answer() {
+    let mut sequence = named("ros2-control-rc8");
+    sequence.head.scenario = "[controller]\nservo_on_waits = false".into();
+    let (_, end) = play(&sequence, Model::Rc8, &sequence.head.sessions);
+    let departure = end.expect_err("the motor is not on yet");
+    assert_eq!((departure.at.as_str(), departure.code), ("slvChangeMode", HResult::E_MOTOR_OFF));
+}
+
+#[test]
+fn an_answer_that_departs_is_found() {
+    let head = r#"{"name": "x", "source": "x", "models": ["rc8"]}"#;
+    let start = r#"{"call": "ServiceStart", "args": [""]}"#;
+    let connect = r#"{"call": "ControllerConnect", "args": ["", "$provider", "", ""], "as": "c""#;
+    let ask = r#"{"call": "ControllerExecute", "args": ["$c", "GetCurErrorCount", null]"#;
+    for (wrong, at) in [
+        (format!(r#"{connect}, "code": "E_FAIL"}}"#), "ControllerConnect"),
+        (format!("{connect}}}\n{ask}, \"is\": 1}}"), "GetCurErrorCount"),
+        (format!("{connect}}}\n{ask}, \"gives\": \"R8\"}}"), "GetCurErrorCount"),
+        (format!("{connect}}}\n{ask}, \"until\": 1}}"), "GetCurErrorCount"),
+    ] {
+        let sequence = sequence(&format!("{head}\n{start}\n{wrong}"), "a test");
+        let (_, end) = play(&sequence, Model::Rc8, &sequence.head.sessions);
+        assert_eq!(end.map_err(|departure| departure.at), Err(at.into()), "{wrong}");
+    }
 }
 
 #[test]
@@ -348,7 +389,15 @@ fn every_sequence_runs_in_its_models_over_both_links() {
     let only = std::env::var("SEQUENCE").unwrap_or_default();
     let chosen: Vec<Sequence> = sequences.iter().filter(|s| s.head.name.contains(&only)).cloned().collect();
     let ended: Vec<(Model, (Total, Vec<String>))> = thread::scope(|scope| {
-        let play = |model| (model, scope.spawn({ let chosen = &chosen; move || play_all(chosen, model) }));
+        let play = |model| {
+            (
+                model,
+                scope.spawn({
+                    let chosen = &chosen;
+                    move || play_all(chosen, model)
+                }),
+            )
+        };
         let threads: Vec<_> = Model::ALL.map(play).into_iter().collect();
         threads.into_iter().map(|(model, thread)| (model, thread.join().expect("the model is played"))).collect()
     });
@@ -358,7 +407,12 @@ fn every_sequence_runs_in_its_models_over_both_links() {
     let faults: Vec<&String> = ended.iter().flat_map(|(_, (_, faults))| faults).collect();
     assert!(faults.is_empty(), "{faults:#?}");
     let calls: usize = ended.iter().map(|(_, (total, _))| total.calls).sum();
-    println!("{} sequences, {calls} calls, 3 models, 2 links", chosen.len());
+    let links: BTreeSet<Link> = ended.iter().flat_map(|(_, (total, _))| total.links.clone()).collect();
+    println!("{} sequences, {calls} calls, {} models, {} links", chosen.len(), ended.len(), links.len());
+    if only.is_empty() {
+        assert!(chosen.len() >= 46 && calls >= 60_000, "sequences or calls are missing");
+        assert_eq!(links, BTreeSet::from([Link::Tcp, Link::Udp]));
+    }
     for (model, (total, _)) in &ended {
         let of = |models: &dyn Fn(&Sequence) -> bool| {
             chosen.iter().filter(|s| models(s)).map(|s| links(s).len()).sum::<usize>()

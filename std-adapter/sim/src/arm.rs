@@ -101,6 +101,7 @@ const NOT_HERE: &[&str] = &[
     "SpeedMode",
     "MotionSkip",
     "MotionComplete",
+    "GetAreaDef",
     "GetAreaEnabled",
     "SetAreaEnabled",
     "CheckVirtualFence",

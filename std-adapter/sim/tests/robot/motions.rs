@@ -142,12 +142,12 @@ fn after_next_the_next_motion_of_the_same_client_begins_at_the_end() {
 
 #[test]
 fn halt_and_errors_end_the_motion_that_waits_too() {
-    let error = HResult::from_u32(0x8150_0001);
+    const ERROR: HResult = HResult::from_u32(0x8150_0001);
     let halt: fn(&mut World, Client) = |world, other| {
         assert_eq!(world.run(other.peer, call::robot_halt(other.robot, "")), code(HResult::S_OK));
     };
-    let fail: fn(&mut World, Client) = |world, _| world.sim.inject_error(HResult::from_u32(0x8150_0001), world.now);
-    for (happens, end) in [(halt, HResult::E_ABORT), (fail, error)] {
+    let fail: fn(&mut World, Client) = |world, _| world.sim.inject_error(ERROR, world.now);
+    for (happens, end) in [(halt, HResult::E_ABORT), (fail, ERROR)] {
         let mut world = World::new();
         let (client, other) = (world.mover(1), world.client(2));
         let first = call::robot_move(client.robot, 1, "J(60,45,90,0,45,0)", "NEXT");
@@ -184,6 +184,7 @@ fn every_form_of_a_pose_moves_to_the_same_place() {
         check(&mut world, client, pose, target);
     }
     check(&mut world, client, (pose.as_slice(), "P", "@E"), target);
+    check(&mut world, client, (pose.as_slice(), "@E", "P"), target);
     check(&mut world, client, (pose.as_slice(), 0, -2), target);
     check(&mut world, client, (target, 2, 0), target);
     check(&mut world, client, (target_joints, "J"), target);
