@@ -407,11 +407,11 @@ fn every_sequence_runs_in_its_models_over_both_links() {
     let faults: Vec<&String> = ended.iter().flat_map(|(_, (_, faults))| faults).collect();
     assert!(faults.is_empty(), "{faults:#?}");
     let calls: usize = ended.iter().map(|(_, (total, _))| total.calls).sum();
-    let links: BTreeSet<Link> = ended.iter().flat_map(|(_, (total, _))| total.links.clone()).collect();
-    println!("{} sequences, {calls} calls, {} models, {} links", chosen.len(), ended.len(), links.len());
+    let played: BTreeSet<Link> = ended.iter().flat_map(|(_, (total, _))| total.links.clone()).collect();
+    println!("{} sequences, {calls} calls, {} models, {} links", chosen.len(), ended.len(), played.len());
     if only.is_empty() {
         assert!(chosen.len() >= 46 && calls >= 60_000, "sequences or calls are missing");
-        assert_eq!(links, BTreeSet::from([Link::Tcp, Link::Udp]));
+        assert_eq!(played, BTreeSet::from([Link::Tcp, Link::Udp]));
     }
     for (model, (total, _)) in &ended {
         let of = |models: &dyn Fn(&Sequence) -> bool| {
