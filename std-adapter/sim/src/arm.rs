@@ -147,6 +147,7 @@ impl Controller {
         self.robot.motion().is_some_and(|motion| motion.peer == peer && !motion.is_halting())
     }
 
+    /// Calls a function of the robot; a motion of a client whose own motion still runs is `E_ROBOTISBUSY`.
     fn robot_function(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
         match request.function {
             FunctionId::ROBOT_EXECUTE
