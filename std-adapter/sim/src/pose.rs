@@ -11,8 +11,9 @@
 //! Types are 0 P, 1 T, 2 J. The pass (`@P` -1, `@E` -2, `@0`, `@n`) is checked and has no effect: every motion of this
 //! model ends exactly at its pose. As text it may stand before the type, where a public sample program has it.
 //!
-//! A P may be without its Fig, or have a negative one: the nearest posture is taken. Extended joints may follow the pose: `"P1 EX((7, 30.5))"`, or `[1, [7, 30.5]]` as the fourth element. With 1 or EX
-//! the values count from where the axis is, with 2 or EXA from its zero.
+//! A P may be without its Fig, or have a negative one: the nearest posture is taken. Extended joints may follow the pose:
+//! `"P1 EX((7, 30.5))"`, or `[1, [7, 30.5]]` as the fourth element. With 1 or EX the values count from where the axis is,
+//! with 2 or EXA from its zero.
 
 use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind as Kind;
