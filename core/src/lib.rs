@@ -104,6 +104,7 @@
 extern crate alloc;
 
 pub mod bcap;
+pub mod endpoint;
 pub mod error;
 pub mod gateway;
 pub mod handler;
@@ -111,9 +112,9 @@ pub mod hresult;
 pub mod io;
 pub mod limits;
 mod num;
+mod outbox;
 pub mod procedure;
 pub mod rac;
-pub mod session;
 pub mod slave;
 pub mod storage;
 pub mod time;
