@@ -45,6 +45,7 @@
 //! use bcap_core::bcap::server::{self, Handler, Request, Session};
 //! use bcap_core::bcap::client::{self, Client, Timing};
 //! use bcap_core::bcap::FunctionId;
+//! use bcap_core::endpoint::{Endpoint, Serve};
 //! use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 //! use bcap_core::hresult::HResult;
 //! use bcap_core::time::Instant;

@@ -201,6 +201,7 @@ impl core::error::Error for ClientError {}
 /// ```
 /// use bcap_core::bcap::call::{self, VariableHandle};
 /// use bcap_core::bcap::client::{Client, Config, Event, Timing};
+/// use bcap_core::endpoint::Endpoint;
 /// use bcap_core::time::Instant;
 /// use bcap_core::variant::Variant;
 ///

@@ -176,6 +176,7 @@ pub enum Event {
 /// ```
 /// use bcap_core::bcap::server::{Config, Event, Handler, Request, Session};
 /// use bcap_core::bcap::{FunctionId, HEADER_LEN};
+/// use bcap_core::endpoint::{Endpoint, Serve};
 /// use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 /// use bcap_core::hresult::HResult;
 /// use bcap_core::time::Instant;

@@ -130,6 +130,7 @@ impl core::error::Error for ClientError {}
 /// # Examples
 ///
 /// ```
+/// use bcap_core::endpoint::Endpoint;
 /// use bcap_core::rac::client::{Client, Config, Event};
 /// use bcap_core::rac::{Request, Variable, VariableKind};
 /// use bcap_core::time::Instant;

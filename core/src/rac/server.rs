@@ -113,6 +113,7 @@ pub enum Event {
 /// A gateway answers when it has asked elsewhere:
 ///
 /// ```
+/// use bcap_core::endpoint::Endpoint;
 /// use bcap_core::hresult::HResult;
 /// use bcap_core::rac::server::{Config, Event, Session};
 /// use bcap_core::rac::{Request, Variable, VariableKind};
