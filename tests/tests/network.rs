@@ -1,6 +1,7 @@
 //! A client against a server over links that lose, repeat, reorder, delay, cut and garble: every call ends, what is
 //! reported as done was done exactly once, and no reply is taken for another call's.
 
+use bcap_core::endpoint::{Endpoint, Serve};
 use std::time::Duration;
 
 use bcap_core::bcap::client::{self, ClientError, Event, Timeout};

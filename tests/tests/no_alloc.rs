@@ -1,5 +1,6 @@
 //! The core never allocates: each operation runs under an allocator that counts, and must count 0.
 
+use bcap_core::endpoint::{Endpoint, Serve};
 use std::pin::pin;
 use std::task::{Context, Poll, Waker};
 use std::time::Duration;

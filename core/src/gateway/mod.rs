@@ -59,6 +59,7 @@ mod link;
 mod rules;
 mod seat;
 
+use crate::endpoint::{Endpoint, ServerEndpoint};
 use core::fmt;
 
 use self::convert::Held;

@@ -286,7 +286,7 @@ type Ended<X, M> = Result<(), CallError<<X as Transport>::Error, <M as Machine>:
 
 /// Sends the rest of a call that was given up.
 async fn flush<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
-    client.abandon();
+    client.give_up();
     if client.transmit().is_empty() {
         return Ok(());
     }

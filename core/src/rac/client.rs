@@ -29,9 +29,11 @@ use super::MAX_VALUE;
 use super::line::{Framed, LineFramer, MAX_LINE};
 use super::request::Request;
 use super::response::{self, Response};
+use crate::endpoint::Endpoint;
 use crate::error::{TextError, TextErrorKind};
 use crate::hresult::HResult;
 use crate::num::to_u32;
+use crate::outbox::Outbox;
 use crate::storage::Storage;
 use crate::time::Instant;
 use crate::variant::{Variant, Writer};
@@ -128,6 +130,7 @@ impl core::error::Error for ClientError {}
 /// # Examples
 ///
 /// ```
+/// use bcap_core::endpoint::Endpoint;
 /// use bcap_core::rac::client::{Client, Config, Event};
 /// use bcap_core::rac::{Request, Variable, VariableKind};
 /// use bcap_core::time::Instant;
@@ -156,9 +159,8 @@ struct State {
     config: Config,
     framer: LineFramer,
     tx: [u8; MAX_LINE],
-    /// Bytes of the request in `tx`, and how many of them the link has taken.
-    tx_len: usize,
-    tx_sent: usize,
+    /// What of the request in `tx` is to be sent.
+    outbox: Outbox,
     /// Until when the request in flight waits.
     until: Option<Instant>,
     /// An earlier request has no reply yet; there is never more than one, because then nothing is sent.
@@ -206,34 +208,6 @@ impl<V: Storage> Client<V> {
         self.state.start(request, now)
     }
 
-    /// Returns the bytes that are to be sent.
-    #[must_use]
-    pub fn transmit(&self) -> &[u8] {
-        self.state.transmit()
-    }
-
-    /// Records that the link has taken `count` bytes of [`transmit`](Self::transmit).
-    pub fn transmitted(&mut self, count: usize) {
-        let most = self.state.transmit().len();
-        self.state.tx_sent = self.state.tx_sent.saturating_add(count.min(most));
-        if most > 0 && count >= most && self.state.until.is_some() {
-            self.state.is_early = self.state.framer.has_begun();
-        }
-    }
-
-    /// Returns memory for bytes that arrive.
-    #[must_use]
-    pub fn receive_buffer(&mut self) -> &mut [u8] {
-        self.state.framer.receive_buffer()
-    }
-
-    /// Takes note that `count` bytes have been put into [`receive_buffer`](Self::receive_buffer).
-    ///
-    /// [`poll_event`](Self::poll_event) is to be called next, until it returns `None`.
-    pub fn received(&mut self, count: usize) {
-        self.state.framer.received(count);
-    }
-
     /// Returns what the received bytes mean; `None` when more are needed. The reply before is gone when a line has come.
     pub fn poll_event(&mut self, now: Instant) -> Option<Event> {
         // the time decides nothing here; a reply that came is a reply, even when its deadline is being missed
@@ -253,12 +227,6 @@ impl<V: Storage> Client<V> {
         let Reply { result, len } = self.state.reply?;
         let bytes = self.value.bytes().get(..len)?;
         Some(Response { result, value: (!bytes.is_empty()).then(|| Variant::from_checked(bytes)) })
-    }
-
-    /// Returns when [`handle_timeout`](Self::handle_timeout) is to be called; `None` while no request is in flight.
-    #[must_use]
-    pub const fn poll_timeout(&self) -> Option<Instant> {
-        self.state.until
     }
 
     /// Acts on the time: ends a request that has waited too long. Nothing happens before the time is due.
@@ -300,14 +268,39 @@ impl<V: Storage> Client<V> {
     }
 }
 
+impl<V: Storage> Endpoint for Client<V> {
+    fn transmit(&self) -> &[u8] {
+        self.state.transmit()
+    }
+
+    fn transmitted(&mut self, count: usize) {
+        // what is held back cannot have left
+        let count = count.min(self.state.transmit().len());
+        if self.state.outbox.transmitted(count) && !self.state.outbox.is_sending() && self.state.until.is_some() {
+            self.state.is_early = self.state.framer.has_begun();
+        }
+    }
+
+    fn receive_buffer(&mut self) -> &mut [u8] {
+        self.state.framer.receive_buffer()
+    }
+
+    fn received(&mut self, count: usize) {
+        self.state.framer.received(count);
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        self.state.until
+    }
+}
+
 impl State {
     const fn new(config: Config) -> Self {
         Self {
             config,
             framer: LineFramer::new(),
             tx: [0; MAX_LINE],
-            tx_len: 0,
-            tx_sent: 0,
+            outbox: Outbox::EMPTY,
             until: None,
             owed: false,
             is_early: false,
@@ -320,7 +313,7 @@ impl State {
         if self.closed {
             return Err(ClientError::Closed);
         }
-        if self.until.is_some() || self.tx_sent < self.tx_len {
+        if self.until.is_some() || self.outbox.is_sending() {
             return Err(ClientError::Busy);
         }
         // what has come before the request cannot be its reply
@@ -329,11 +322,10 @@ impl State {
             return Err(ClientError::Unsolicited);
         }
         self.reply = None;
-        self.tx_len = 0;
-        self.tx_sent = 0;
+        self.outbox = Outbox::EMPTY;
         let mut out = Writer::new(&mut self.tx);
         request.write_line(&mut out).map_err(ClientError::Request)?;
-        self.tx_len = out.len();
+        self.outbox = Outbox::new(out.len());
         self.until = Some(now.saturating_add(self.config.timeout));
         Ok(())
     }
@@ -343,7 +335,7 @@ impl State {
             // held back; what is still to be sent of an abandoned request goes out with nothing in flight
             return &[];
         }
-        self.tx.get(self.tx_sent..self.tx_len).unwrap_or_default()
+        self.outbox.unsent(&self.tx)
     }
 
     /// Ends the request in flight without its reply.
@@ -351,9 +343,9 @@ impl State {
         if self.until.take().is_none() {
             return;
         }
-        if self.tx_sent == 0 {
+        if self.outbox.is_unsent() {
             // nothing has left, so nothing will be answered
-            self.tx_len = 0;
+            self.outbox = Outbox::EMPTY;
         } else {
             self.owed = true;
         }
@@ -361,7 +353,7 @@ impl State {
 
     fn handle_line(&mut self, framed: Framed, memory: &mut [u8]) -> Event {
         self.reply = None;
-        let (in_flight, unsent) = (self.until.is_some(), self.tx_sent < self.tx_len);
+        let (in_flight, unsent) = (self.until.is_some(), self.outbox.is_sending());
         if self.owed && (in_flight || !unsent) && !self.is_early {
             self.owed = false;
             return Event::Stale;

@@ -22,6 +22,7 @@
 //! A client reads a variable from a server:
 //!
 //! ```
+//! use bcap_core::endpoint::{Endpoint, Serve};
 //! use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 //! use bcap_core::hresult::HResult;
 //! use bcap_core::rac::client::{Client, Event};

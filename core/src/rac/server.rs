@@ -33,10 +33,12 @@ use super::MAX_VALUE;
 use super::line::{Framed, LineFramer, MAX_LINE};
 use super::request::{Request, Variable, Verb, read};
 use super::response::Response;
+use crate::endpoint::{Endpoint, Serve, ServerEndpoint};
 use crate::error::{TextError, TextErrorKind};
 use crate::handler::{Outcome, PeerId, ReplyValue};
 use crate::hresult::HResult;
 use crate::num::to_u32;
+use crate::outbox::Outbox;
 use crate::storage::Storage;
 use crate::time::Instant;
 use crate::variant::{Encode, Variant, Writer};
@@ -111,6 +113,7 @@ pub enum Event {
 /// A gateway answers when it has asked elsewhere:
 ///
 /// ```
+/// use bcap_core::endpoint::Endpoint;
 /// use bcap_core::hresult::HResult;
 /// use bcap_core::rac::server::{Config, Event, Session};
 /// use bcap_core::rac::{Request, Variable, VariableKind};
@@ -139,9 +142,8 @@ struct State {
     config: Config,
     framer: LineFramer,
     tx: [u8; MAX_LINE],
-    /// Bytes of the response in `tx`, and how many of them the link has taken.
-    tx_len: usize,
-    tx_sent: usize,
+    /// What of the response in `tx` is to be sent.
+    outbox: Outbox,
     running: Option<Running>,
 }
 
@@ -165,101 +167,8 @@ impl<V: Storage> Session<V> {
     #[must_use]
     pub const fn new(config: Config, value: V) -> Self {
         let state =
-            State { config, framer: LineFramer::new(), tx: [0; MAX_LINE], tx_len: 0, tx_sent: 0, running: None };
+            State { config, framer: LineFramer::new(), tx: [0; MAX_LINE], outbox: Outbox::EMPTY, running: None };
         Self { value, state }
-    }
-
-    /// Returns memory for bytes that arrive.
-    ///
-    /// It is empty while a request runs, or a response has not left, and the buffer is full of what comes behind; then
-    /// bytes must wait.
-    #[must_use]
-    pub fn receive_buffer(&mut self) -> &mut [u8] {
-        self.state.framer.receive_buffer()
-    }
-
-    /// Takes note that `count` bytes have been put into [`receive_buffer`](Self::receive_buffer).
-    pub fn received(&mut self, count: usize) {
-        self.state.framer.received(count);
-    }
-
-    /// Returns the bytes that are to be sent.
-    #[must_use]
-    pub fn transmit(&self) -> &[u8] {
-        self.state.tx.get(self.state.tx_sent..self.state.tx_len).unwrap_or_default()
-    }
-
-    /// Takes note that the link has taken `count` bytes of [`transmit`](Self::transmit).
-    pub fn transmitted(&mut self, count: usize) {
-        self.state.tx_sent = self.state.tx_sent.saturating_add(count).min(self.state.tx_len);
-    }
-
-    /// Returns when [`run`](Self::run), or [`poll`](Self::poll), is to be called even if no bytes come; `None` while no
-    /// request runs.
-    #[must_use]
-    pub fn poll_timeout(&self) -> Option<Instant> {
-        self.state.running.map(|running| running.wake.min(running.until))
-    }
-
-    /// Tells whether a request runs that has not been answered.
-    #[must_use]
-    pub const fn is_running(&self) -> bool {
-        self.state.running.is_some()
-    }
-
-    /// Tells whether part of a request has come and its rest has not.
-    #[must_use]
-    pub const fn is_receiving(&self) -> bool {
-        self.state.running.is_none() && self.state.framer.is_partial()
-    }
-
-    /// Returns the bytes of memory that it has for values.
-    #[must_use]
-    pub fn memory(&self) -> usize {
-        self.value.bytes().len()
-    }
-
-    /// Gives back memory over `room` bytes, unless a request's value is in it.
-    pub fn shrink(&mut self, room: usize) {
-        if self.state.running.is_none() {
-            self.value.shrink(room);
-        }
-    }
-
-    /// Goes on as far as it can, and says what was done; `None` when bytes must come, leave, or time pass.
-    ///
-    /// It is to be called until it returns `None`.
-    pub fn run<H: Handler + ?Sized>(&mut self, handler: &mut H, peer: PeerId, now: Instant) -> Option<Event> {
-        if self.state.running.is_none() {
-            match self.next_line(now)? {
-                Event::Requested(_) => {}
-                other => return Some(other),
-            }
-        }
-        let running = self.state.running?;
-        if now >= running.until {
-            handler.abandoned(peer, now);
-            return Some(self.state.expire(running));
-        }
-        let memory = self.value.bytes_mut();
-        let (value, room) = memory.split_at_mut_checked(running.len)?;
-        let request = running.request(value);
-        let mut reply = ReplyValue::new(room);
-        let outcome = match running.resumed {
-            false => handler.call(peer, &request, &mut reply, now),
-            true => handler.resume(peer, &request, &mut reply, now),
-        };
-        let result = match outcome {
-            Outcome::Wait(wake) => {
-                // a handler that asks for a time that has passed must not keep its server spinning
-                let wake = wake.max(now.saturating_add(SOONEST));
-                self.state.running = Some(Running { resumed: true, wake, ..running });
-                return None;
-            }
-            Outcome::Done(result) if result.is_ok() && reply.is_overflow() => HResult::E_INVALIDSNDPACKET,
-            Outcome::Done(result) => result,
-        };
-        Some(self.state.answer(running, result, reply.get()))
     }
 
     /// Takes the next line if nothing is being answered, and says what it is; the gateway's side of [`run`](Self::run).
@@ -314,23 +223,111 @@ impl<V: Storage> Session<V> {
         Some(self.state.answer(running, result, reply.get()))
     }
 
-    /// Ends the session: abandons what runs and tells the handler.
-    pub fn close<H: Handler + ?Sized>(&mut self, handler: &mut H, peer: PeerId, now: Instant) {
-        if self.state.running.take().is_some() {
-            handler.abandoned(peer, now);
-        }
-        handler.left(peer, now);
-    }
-
     /// Reads the next line, when the response before it has left.
     fn next_line(&mut self, now: Instant) -> Option<Event> {
-        if self.state.tx_sent < self.state.tx_len {
+        if self.state.outbox.is_sending() {
             return None;
         }
         let framed = self.state.framer.poll()?;
         // memory that can grow does, once: for the value of a request and that of its reply
         self.value.grow(MAX_VALUE.saturating_mul(2));
         Some(self.state.handle_line(framed, self.value.bytes_mut(), now))
+    }
+}
+
+impl<V: Storage> Endpoint for Session<V> {
+    fn transmit(&self) -> &[u8] {
+        self.state.outbox.unsent(&self.state.tx)
+    }
+
+    fn transmitted(&mut self, count: usize) {
+        self.state.outbox.transmitted(count);
+    }
+
+    fn receive_buffer(&mut self) -> &mut [u8] {
+        self.state.framer.receive_buffer()
+    }
+
+    fn received(&mut self, count: usize) {
+        self.state.framer.received(count);
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        self.state.running.map(|running| running.wake.min(running.until))
+    }
+}
+
+impl<V: Storage> ServerEndpoint for Session<V> {
+    fn is_running(&self) -> bool {
+        self.state.running.is_some()
+    }
+
+    fn is_receiving(&self) -> bool {
+        self.state.running.is_none() && self.state.framer.is_partial()
+    }
+
+    fn next_request(&self) -> usize {
+        // lines are short
+        0
+    }
+
+    fn is_finished(&self) -> bool {
+        // an invalid line is answered, and never ends the session
+        false
+    }
+
+    fn memory(&self) -> usize {
+        self.value.bytes().len()
+    }
+
+    fn shrink(&mut self, room: usize) {
+        if self.state.running.is_none() {
+            self.value.shrink(room);
+        }
+    }
+}
+
+impl<H: Handler + ?Sized, V: Storage> Serve<H> for Session<V> {
+    type Event = Event;
+
+    fn run(&mut self, handler: &mut H, peer: PeerId, now: Instant) -> Option<Event> {
+        if self.state.running.is_none() {
+            match self.next_line(now)? {
+                Event::Requested(_) => {}
+                other => return Some(other),
+            }
+        }
+        let running = self.state.running?;
+        if now >= running.until {
+            handler.abandoned(peer, now);
+            return Some(self.state.expire(running));
+        }
+        let memory = self.value.bytes_mut();
+        let (value, room) = memory.split_at_mut_checked(running.len)?;
+        let request = running.request(value);
+        let mut reply = ReplyValue::new(room);
+        let outcome = match running.resumed {
+            false => handler.call(peer, &request, &mut reply, now),
+            true => handler.resume(peer, &request, &mut reply, now),
+        };
+        let result = match outcome {
+            Outcome::Wait(wake) => {
+                // a handler that asks for a time that has passed must not keep its server spinning
+                let wake = wake.max(now.saturating_add(SOONEST));
+                self.state.running = Some(Running { resumed: true, wake, ..running });
+                return None;
+            }
+            Outcome::Done(result) if result.is_ok() && reply.is_overflow() => HResult::E_INVALIDSNDPACKET,
+            Outcome::Done(result) => result,
+        };
+        Some(self.state.answer(running, result, reply.get()))
+    }
+
+    fn close(&mut self, handler: &mut H, peer: PeerId, now: Instant) {
+        if self.state.running.take().is_some() {
+            handler.abandoned(peer, now);
+        }
+        handler.left(peer, now);
     }
 }
 
@@ -379,8 +376,7 @@ impl State {
     fn send(&mut self, result: HResult, value: Option<Variant<'_>>) -> HResult {
         let mut out = Writer::new(&mut self.tx);
         let sent = Response { result, value }.write_line(&mut out);
-        self.tx_len = out.len();
-        self.tx_sent = 0;
+        self.outbox = Outbox::new(out.len());
         match sent {
             Ok(()) => result,
             // a result alone always fits, so this ends here

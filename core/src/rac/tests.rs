@@ -3,6 +3,7 @@
 
 extern crate std;
 
+use crate::endpoint::{Endpoint, Serve, ServerEndpoint};
 use std::collections::BTreeMap;
 use std::format;
 use std::string::{String, ToString as _};
