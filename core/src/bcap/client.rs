@@ -23,6 +23,7 @@
 //!   will be stale.
 
 use core::fmt;
+use core::num::NonZeroU8;
 use core::time::Duration;
 
 use crate::bcap::FunctionId;
@@ -201,8 +202,8 @@ pub struct Client<T, R = T> {
     tx: T,
     rx: R,
     inbox: Inbox,
-    /// The reply to the last call, while it is still in `rx`.
-    reply: Option<Span>,
+    /// The reply to the last call, while it is still in `rx`; empty otherwise.
+    reply: Span,
     state: State,
 }
 
@@ -227,9 +228,9 @@ struct InFlight {
     /// The serials of the first and the last attempt.
     first: u16,
     last: u16,
-    attempt: u8,
-    /// The serial of the last attempt of which bytes have left.
-    sent: Option<u16>,
+    /// The serial of the last attempt of which bytes have left; 0 before the first one has.
+    sent: u16,
+    attempt: NonZeroU8,
     attempt_until: Instant,
     deadline: Instant,
     /// Set by the first S_EXECUTING.
@@ -241,7 +242,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
     #[must_use]
     pub fn new(config: Config, tx: T, rx: R) -> Self {
         let inbox = Inbox::new(config.link, config.limits, config.strictness, config.on_malformed);
-        Self { tx, rx, inbox, reply: None, state: State::new(config) }
+        Self { tx, rx, inbox, reply: Span::default(), state: State::new(config) }
     }
 
     /// Returns the configuration.
@@ -282,7 +283,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
         now: Instant,
     ) -> Result<(), ClientError> {
         self.state.check_idle()?;
-        self.reply = None;
+        self.reply = Span::default();
         let (link, serial) = (self.state.config.link, self.state.take_serial());
         let reserved = if link.is_lossy() { serial } else { 0 };
         let max = link.send_max();
@@ -317,10 +318,10 @@ impl<T: Storage, R: Storage> Client<T, R> {
         if sent > self.state.tx_sent
             && let Some(call) = &mut self.state.call
         {
-            if call.sent.is_none() {
+            if call.sent == 0 {
                 self.inbox.mark();
             }
-            call.sent = Some(call.last);
+            call.sent = call.last;
         }
         self.state.tx_sent = sent;
     }
@@ -328,7 +329,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
     /// Returns memory for bytes that arrive; with datagrams, for one of them. The last reply is gone then.
     #[must_use]
     pub fn receive_buffer(&mut self) -> &mut [u8] {
-        self.reply = None;
+        self.reply = Span::default();
         self.inbox.free(&mut self.rx)
     }
 
@@ -350,7 +351,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
                 let is_early = self.inbox.is_early(span);
                 let event = self.state.handle_frame(frame.serial, frame.hresult(), is_early, now);
                 if matches!(event, Event::Replied(_)) {
-                    self.reply = Some(span);
+                    self.reply = span;
                 }
                 event
             }
@@ -365,7 +366,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
     /// Returns the reply that [`Event::Replied`] has announced, until bytes are received or a call is started.
     #[must_use]
     pub fn reply(&self) -> Option<Frame<'_>> {
-        self.inbox.frame(self.rx.bytes(), self.reply?)
+        self.inbox.frame(self.rx.bytes(), self.reply)
     }
 
     /// Reads the value of the reply as that of a call.
@@ -405,13 +406,13 @@ impl<T: Storage, R: Storage> Client<T, R> {
             // the line was silent for a whole attempt, so the rest of a frame will not come
             self.inbox.forget_partial();
         }
-        if !self.state.config.link.is_lossy() || call.attempt >= self.state.config.attempts {
+        if !self.state.config.link.is_lossy() || call.attempt.get() >= self.state.config.attempts {
             return Some(self.state.fail(Timeout::Attempt));
         }
         let serial = self.state.retry(call, now);
         let frame = self.tx.bytes_mut().get_mut(..self.state.tx_len).unwrap_or_default();
         renumber(frame, serial, call.first, self.state.config.link == Link::Serial);
-        Some(Event::Retried { attempt: call.attempt.saturating_add(1) })
+        Some(Event::Retried { attempt: call.attempt.saturating_add(1).get() })
     }
 
     /// Gives the call in flight up, if there is one. A reply that comes later will be stale.
@@ -434,7 +435,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
     /// Begins a new session over a new connection: forgets the call in flight and everything received. Serials go on.
     pub fn reset(&mut self) {
         self.inbox.reset();
-        self.reply = None;
+        self.reply = Span::default();
         self.state.end_call(None);
         self.state.closed = false;
         self.state.tx_len = 0;
@@ -511,8 +512,8 @@ impl State {
         self.call = Some(InFlight {
             first: serial,
             last: serial,
-            attempt: 1,
-            sent: None,
+            sent: 0,
+            attempt: NonZeroU8::MIN,
             attempt_until: self.attempt_end(now),
             deadline: now.saturating_add(self.config.deadline),
             keep_alive_until: Instant::FAR_FUTURE,
@@ -573,14 +574,14 @@ impl State {
 
     /// Tells whether an attempt of the call in flight has left with this serial.
     fn is_awaited(&self, serial: u16) -> bool {
-        let sent = self.call.and_then(|call| call.sent.map(|sent| (call.first, sent)));
+        let sent = self.call.map(|call| (call.first, call.sent)).filter(|(_, sent)| *sent != 0);
         // an old serial may lie in the range of a call whose attempts had to step over it
         sent.is_some_and(|(first, sent)| within(serial, first, sent)) && !self.unanswered.contains(serial)
     }
 
     /// Tells whether an attempt of the call in flight has left wholly.
     fn is_sent(&self) -> bool {
-        self.tx_sent >= self.tx_len || self.call.is_some_and(|call| call.attempt > 1)
+        self.tx_sent >= self.tx_len || self.call.is_some_and(|call| call.attempt > NonZeroU8::MIN)
     }
 
     fn fail(&mut self, timeout: Timeout) -> Event {
@@ -597,7 +598,7 @@ impl State {
     /// Ends the call in flight, if there is one, and remembers its attempts that were sent but not answered.
     fn end_call(&mut self, answered: Option<u16>) {
         let Some(call) = self.call.take() else { return };
-        if call.sent.is_some() && (answered.is_none() || call.attempt > 1) {
+        if call.sent != 0 && (answered.is_none() || call.attempt > NonZeroU8::MIN) {
             self.unanswered.push(call.first, call.last);
         }
         if !self.is_sending() || self.config.link == Link::Datagram {

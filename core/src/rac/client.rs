@@ -216,7 +216,7 @@ impl<V: Storage> Client<V> {
     pub fn transmitted(&mut self, count: usize) {
         let most = self.state.transmit().len();
         self.state.tx_sent = self.state.tx_sent.saturating_add(count.min(most));
-        if most > 0 && count >= most && self.state.until.is_some() {
+        if most > 0 && count >= most {
             self.state.is_early = self.state.framer.has_begun();
         }
     }
