@@ -71,15 +71,8 @@ fn table() -> BTreeMap<Cell, Word> {
     table
 }
 
-const STATES: [&str; 7] = [
-    "no_session",
-    "no_session_call_runs",
-    "begun",
-    "gone_on",
-    "gone_on_call_runs",
-    "settled",
-    "settled_call_runs",
-];
+const STATES: [&str; 7] =
+    ["no_session", "no_session_call_runs", "begun", "gone_on", "gone_on_call_runs", "settled", "settled_call_runs"];
 const REQUESTS: [&str; 13] = [
     "start_copy",
     "start_copy_reply_lost",
@@ -106,13 +99,19 @@ fn known(name: &str) -> &'static str {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Ask {
     /// Service_Start with `WDT=` a large number, so that no keep-alive is sent by itself.
-    Start { options: u16 },
+    Start {
+        options: u16,
+    },
     /// Service_Start with options that are refused.
     BadStart,
     Stop,
     Connect,
     /// Controller_Execute on a handle; `runs` leaves it running.
-    Execute { handle: i32, token: i32, runs: bool },
+    Execute {
+        handle: i32,
+        token: i32,
+        runs: bool,
+    },
 }
 
 /// An attempt of a call.
@@ -552,8 +551,7 @@ impl Server {
                 seen.retain(|seen| !matches!(seen, Seen::Called(FunctionId::CONTROLLER_DISCONNECT, _)));
             }
             Some(Fault::ReleasedForwards) => {
-                let released =
-                    |seen: &&Seen| matches!(seen, Seen::Called(FunctionId::CONTROLLER_DISCONNECT, handle) if *handle > 0);
+                let released = |seen: &&Seen| matches!(seen, Seen::Called(FunctionId::CONTROLLER_DISCONNECT, handle) if *handle > 0);
                 let mut handles: Vec<Seen> = seen.iter().filter(released).cloned().collect();
                 for seen in seen.iter_mut().filter(|seen| released(&&**seen)) {
                     *seen = handles.pop().unwrap();
@@ -884,7 +882,8 @@ fn every_fault_of_a_session_is_noticed() {
     let table = table();
     let mut found = 0;
     for fault in FAULTS {
-        let (seed, difference) = first_difference(&table, Some(fault)).unwrap_or_else(|| panic!("{fault:?} is not noticed"));
+        let (seed, difference) =
+            first_difference(&table, Some(fault)).unwrap_or_else(|| panic!("{fault:?} is not noticed"));
         println!("{fault:?}: sequence {seed}, {difference}");
         found += 1;
     }

@@ -435,12 +435,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
     }
 
     /// Goes on with a request that runs.
-    fn resume<H: Handler + ?Sized>(
-        &mut self,
-        handler: &mut H,
-        peer: PeerId,
-        now: Instant,
-    ) -> Option<Event> {
+    fn resume<H: Handler + ?Sized>(&mut self, handler: &mut H, peer: PeerId, now: Instant) -> Option<Event> {
         if let Some(event) = self.called_while_running(handler, peer, now) {
             return Some(event);
         }

@@ -137,6 +137,7 @@ trait Machine {
     fn receive_buffer(&mut self) -> &mut [u8];
     fn received(&mut self, count: usize);
     fn poll_timeout(&self) -> Option<Instant>;
+    fn is_closed(&self) -> bool;
     fn abandon(&mut self);
     /// Looks at what was received.
     fn poll(&mut self, now: Instant) -> Option<Step<Self::Error>>;
@@ -186,6 +187,10 @@ macro_rules! machine {
 
         fn poll_timeout(&self) -> Option<Instant> {
             <$client>::poll_timeout(self)
+        }
+
+        fn is_closed(&self) -> bool {
+            <$client>::is_closed(self)
         }
 
         fn abandon(&mut self) {

@@ -411,7 +411,8 @@ fn keep_alives_in_excess_end_the_session() {
 
 #[test]
 fn keep_alives_at_the_least_interval_end_no_session() {
-    let mut client = Small::new(Config { keep_alive: Duration::MAX, deadline: Duration::MAX, ..Config::TCP }, [0; 512], [0; 512]);
+    let mut client =
+        Small::new(Config { keep_alive: Duration::MAX, deadline: Duration::MAX, ..Config::TCP }, [0; 512], [0; 512]);
     client.start(&get(), at(0)).unwrap();
     sent(&mut client);
     let executing = reply(1, HResult::S_EXECUTING, None, false);
