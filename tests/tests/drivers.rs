@@ -18,12 +18,12 @@ use bcap_sim::{Config, Controller, Scenario};
 use bcap_std::blocking::{TcpClient, UdpClient};
 use bcap_std::server::Limits;
 use bcap_std::{Options, blocking};
+use bcap_testkit::value::Value;
 use bcap_tests::drivers::{
     Call, Event, Link, Model, Names, Sequence, Step, Stream, sequence, sequences, type_name, value,
 };
 use bcap_tests::served::Served;
 use bcap_tests::stepped::Stepped;
-use bcap_testkit::value::Value;
 
 /// The most rounds of a loop that waits for a value.
 const ROUNDS: u32 = 10_000;

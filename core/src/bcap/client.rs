@@ -253,8 +253,8 @@ struct InFlight {
     first: u16,
     last: u16,
     attempt: u8,
-    /// The serial of the last attempt of which bytes have left.
-    sent: Option<u16>,
+    /// The serial of the last attempt of which bytes have left; 0 before the first one has.
+    sent: u16,
     /// What of its timing is still needed; times in microseconds.
     attempts: u8,
     attempt_timeout: u64,
@@ -451,10 +451,10 @@ impl<T: Storage, R: Storage> Endpoint for Client<T, R> {
         if self.state.outbox.transmitted(count)
             && let Some(call) = &mut self.state.call
         {
-            if call.sent.is_none() {
+            if call.sent == 0 {
                 self.inbox.mark();
             }
-            call.sent = Some(call.last);
+            call.sent = call.last;
         }
     }
 
@@ -539,7 +539,7 @@ impl State {
             first: serial,
             last: serial,
             attempt: 1,
-            sent: None,
+            sent: 0,
             attempts: timing.attempts,
             attempt_timeout: Instant::ZERO.saturating_add(timing.attempt_timeout).as_micros(),
             keep_alive: KeepAlive::For(Instant::ZERO.saturating_add(timing.keep_alive).as_micros()),
@@ -603,7 +603,7 @@ impl State {
 
     /// Tells whether an attempt of the call in flight has left with this serial.
     fn is_awaited(&self, serial: u16) -> bool {
-        let sent = self.call.and_then(|call| call.sent.map(|sent| (call.first, sent)));
+        let sent = self.call.map(|call| (call.first, call.sent)).filter(|(_, sent)| *sent != 0);
         // an old serial may lie in the range of a call whose attempts had to step over it
         sent.is_some_and(|(first, sent)| within(serial, first, sent)) && !self.unanswered.contains(serial)
     }
@@ -627,7 +627,7 @@ impl State {
     /// Ends the call in flight, if there is one, and remembers its attempts that were sent but not answered.
     fn end_call(&mut self, answered: Option<u16>) {
         let Some(call) = self.call.take() else { return };
-        if call.sent.is_some() && (answered.is_none() || call.attempt > 1) {
+        if call.sent != 0 && (answered.is_none() || call.attempt > 1) {
             self.unanswered.push(call.first, call.last);
         }
         if !self.outbox.is_partial() || self.link == Link::Datagram {

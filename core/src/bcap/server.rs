@@ -346,16 +346,12 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
     }
 
     /// Goes on with a request that runs.
-    fn resume<H: Handler + ?Sized>(
-        &mut self,
-        running: Running,
-        handler: &mut H,
-        peer: PeerId,
-        now: Instant,
-    ) -> Option<Event> {
+    fn resume<H: Handler + ?Sized>(&mut self, handler: &mut H, peer: PeerId, now: Instant) -> Option<Event> {
         if let Some(event) = self.called_while_running(handler, peer, now) {
             return Some(event);
         }
+        // a Service_Start may have taken the place of the call
+        let running = self.state.running?;
         let Running { function, serial, marker, .. } = running;
         if now >= running.until {
             self.state.running = None;
@@ -669,8 +665,8 @@ where
         if self.state.outbox.is_sending() {
             return None;
         }
-        if let Some(running) = self.state.running {
-            return self.resume(running, handler, peer, now);
+        if self.state.running.is_some() {
+            return self.resume(handler, peer, now);
         }
         if self.state.closing {
             return None;

@@ -188,6 +188,7 @@ trait Machine: Endpoint {
     fn has_datagrams(&self) -> bool;
     /// How long the rest of an abandoned call may take to be sent.
     fn flush_timeout(&self) -> core::time::Duration;
+    fn is_over(&self) -> bool;
     fn give_up(&mut self);
     /// Returns what the received bytes mean.
     fn poll(&mut self, now: Instant) -> Option<Step<Self::Error>>;
@@ -270,6 +271,10 @@ impl<T: Storage, R: Storage> Machine for bcap::Client<T, R> {
         self.timing().attempt_timeout
     }
 
+    fn is_over(&self) -> bool {
+        self.is_closed()
+    }
+
     fn give_up(&mut self) {
         self.abandon();
     }
@@ -295,6 +300,10 @@ impl<V: Storage> Machine for rac::client::Client<V> {
 
     fn flush_timeout(&self) -> core::time::Duration {
         self.config().timeout
+    }
+
+    fn is_over(&self) -> bool {
+        self.is_closed()
     }
 
     fn give_up(&mut self) {
