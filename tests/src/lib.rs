@@ -15,10 +15,12 @@
 //! | [`proxy`]      | what stands between a client and a server on real sockets, and does its worst       |
 //! | [`process`]    | memory, processor time and file descriptors of a process                            |
 //! | [`allocation`] | an allocator that counts what each thread asks of it                                |
+//! | [`async_functions`] | the async functions of a crate, read from its sources                          |
 //!
 //! Nothing here is fast or frugal; where it disagrees with the core, one of the two is wrong.
 
 pub mod allocation;
+pub mod async_functions;
 pub mod frame;
 pub mod network;
 pub mod oracle;
