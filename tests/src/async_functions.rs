@@ -27,7 +27,9 @@ pub fn check(
     let found: BTreeSet<String> = functions(src).into_iter().collect();
     let listed: BTreeSet<&str> = table.iter().map(|(name, _)| *name).collect();
     let mut wrong = Vec::new();
-    wrong.extend(found.iter().filter(|name| !listed.contains(name.as_str())).map(|name| format!("{name} is not covered")));
+    wrong.extend(
+        found.iter().filter(|name| !listed.contains(name.as_str())).map(|name| format!("{name} is not covered")),
+    );
     wrong.extend(listed.iter().filter(|name| !found.contains(**name)).map(|name| format!("{name} does not exist")));
     for (name, coverage) in table {
         match coverage {
@@ -73,12 +75,14 @@ fn in_file(text: &str) -> Vec<String> {
     let code = text.split("#[cfg(test)]\nmod tests {").next().unwrap_or_default();
     for line in code.lines().filter(|line| !line.trim_start().starts_with("//")) {
         if line.starts_with("impl") || line.contains("trait ") && !line.starts_with(' ') {
-            owner = owner_of(line);
+            owner = if line.ends_with('}') { String::new() } else { owner_of(line) };
         } else if line.starts_with('}') {
             owner.clear();
         }
         if let Some((before, after)) = line.split_once("fn ")
-            && before.split_whitespace().all(|word| word.starts_with("pub") || ["async", "const", "super)"].contains(&word))
+            && before
+                .split_whitespace()
+                .all(|word| word.starts_with("pub") || ["async", "const", "super)"].contains(&word))
         {
             let name: String = after.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();
             let name = if owner.is_empty() { name } else { format!("{owner}::{name}") };

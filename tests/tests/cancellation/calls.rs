@@ -4,16 +4,16 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use bcap_core::bcap::Link;
+use bcap_core::bcap::Object;
 use bcap_core::bcap::call;
 use bcap_core::bcap::client::Timing;
 use bcap_core::bcap::slave::{
     Config, Cycle, Engine, Format, MOVE_FRAME, Mode, Next, PoseType, ReceiveFormat, ReceivePose, SlaveMode,
 };
 use bcap_core::procedure::{
-    Motion, MotionConfig, Move, PathStep, Provider, give_arm, move_and_wait, open, open_path, open_robot, prepare_robot,
-    read_variable, release, release_controller, release_robot, write_variable,
+    Motion, MotionConfig, Move, PathStep, Provider, give_arm, move_and_wait, open, open_path, open_robot,
+    prepare_robot, read_variable, release, release_controller, release_robot, write_variable,
 };
-use bcap_core::bcap::Object;
 
 use crate::sweep::{Rig, Sweep, Work, finish, usual};
 
@@ -59,19 +59,25 @@ pub(crate) fn all() -> BTreeMap<&'static str, usize> {
         let sweep = |name, prepare| Sweep { name, kind, piece: 1, prepare };
         let idle: fn(&mut Rig) = |_| {};
         add("call", sweep("call", idle).run(|rig| Box::pin(get(rig))));
-        add("call_with", sweep("call_with", idle).run(|rig| {
-            let call = call::controller_get_robot_names(rig.handles.controller, "");
-            Box::pin(async { rig.motion.call_with(call, short()).await.is_ok() })
-        }));
+        add(
+            "call_with",
+            sweep("call_with", idle).run(|rig| {
+                let call = call::controller_get_robot_names(rig.handles.controller, "");
+                Box::pin(async { rig.motion.call_with(call, short()).await.is_ok() })
+            }),
+        );
         procedures(kind, &mut add);
         let piece = if kind == Link::Stream { 3 } else { 64 };
         let long = |name, prepare| Sweep { name, kind, piece, prepare };
         add("run", long("run a stream", idle).run(|rig| stream(rig, false)));
         add("run_beside", long("run_beside", idle).run(|rig| stream(rig, true)));
-        add("run", long("move_and_wait", ready).run(|rig| {
-            let motion = move_and_wait(rig.handles, MOVE, config());
-            Box::pin(async { rig.motion.run(motion).await.is_ok_and(|motion| motion == Motion::Arrived) })
-        }));
+        add(
+            "run",
+            long("move_and_wait", ready).run(|rig| {
+                let motion = move_and_wait(rig.handles, MOVE, config());
+                Box::pin(async { rig.motion.run(motion).await.is_ok_and(|motion| motion == Motion::Arrived) })
+            }),
+        );
         again(long("move_and_wait", ready).run_again(|rig| move_and_wait(rig.handles, MOVE, config())));
     }
     points
@@ -89,10 +95,13 @@ fn again(result: Result<(), String>) {
 macro_rules! procedure {
     ($kind:ident, $add:ident, $name:literal, $prepare:expr, $make:expr) => {{
         let sweep = Sweep { name: $name, kind: $kind, piece: 1, prepare: $prepare };
-        $add("run", sweep.run(|rig| {
-            let procedure = $make(rig);
-            Box::pin(async { rig.motion.run(procedure).await.is_ok() })
-        }));
+        $add(
+            "run",
+            sweep.run(|rig| {
+                let procedure = $make(rig);
+                Box::pin(async { rig.motion.run(procedure).await.is_ok() })
+            }),
+        );
         again(sweep.run_again($make));
     }};
 }
@@ -127,19 +136,22 @@ async fn change_timing_and_call(rig: &mut Rig) -> bool {
     replied
 }
 
-/// A call that is made again when it was dropped.
-async fn call_twice(rig: &mut Rig) -> bool {
-    struct Again<'a>(&'a mut Rig, bool);
-    impl Drop for Again<'_> {
-        fn drop(&mut self) {
-            if !self.1 {
-                finish(get(self.0));
-            }
+/// What a faulty call does when it is dropped.
+struct OnDrop<'a, F: FnMut(&mut Rig)>(&'a mut Rig, Option<F>);
+
+impl<F: FnMut(&mut Rig)> Drop for OnDrop<'_, F> {
+    fn drop(&mut self) {
+        if let Some(fault) = &mut self.1 {
+            fault(self.0);
         }
     }
-    let mut again = Again(rig, false);
-    again.1 = get(again.0).await;
-    again.1
+}
+
+async fn call_and<F: FnMut(&mut Rig)>(rig: &mut Rig, on_drop: F) -> bool {
+    let mut guard = OnDrop(rig, Some(on_drop));
+    let replied = get(guard.0).await;
+    guard.1 = None;
+    replied
 }
 
 #[test]
@@ -148,7 +160,14 @@ fn planted_faults_are_found() {
         let sweep = |name| Sweep { name, kind, piece: 1, prepare: |_| {} };
         let fault = sweep("timing").run(|rig| Box::pin(change_timing_and_call(rig))).unwrap_err();
         assert!(fault.contains(" polls: the timing: sent at"), "{fault}");
-        let fault = sweep("twice").run(|rig| Box::pin(call_twice(rig))).unwrap_err();
-        assert!(fault.contains("executed"), "{fault}");
+        // a call that is made again when it is dropped
+        let call_again = |rig: &mut Rig| assert!(finish(get(rig)));
+        let fault = sweep("twice").run(|rig| Box::pin(call_and(rig, call_again))).unwrap_err();
+        assert!(fault.contains(" polls: executed"), "{fault}");
     }
+    // the rest of a request is forgotten, so the next one begins in the middle of it
+    let forget = |rig: &mut Rig| rig.motion.client().reset();
+    let sweep = Sweep { name: "reset", kind: Link::Stream, piece: 1, prepare: |_| {} };
+    let fault = sweep.run(|rig| Box::pin(call_and(rig, forget))).unwrap_err();
+    assert!(fault.contains("the reply is"), "{fault}");
 }

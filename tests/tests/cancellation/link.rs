@@ -69,7 +69,8 @@ impl Handler for Logged<'_> {
 /// are dropped. While it waits, time jumps to the next event.
 pub(crate) struct Wire {
     kind: Link,
-    piece: usize,
+    /// How many bytes of a stream are taken at once.
+    pub(crate) piece: usize,
     peer: PeerId,
     session: Session<[u8; 1024], [u8; 1024], 128>,
     world: Rc<RefCell<World>>,
@@ -84,7 +85,7 @@ pub(crate) struct Wire {
 }
 
 impl Wire {
-    pub(crate) fn new(kind: Link, piece: usize, peer: u32, world: &Rc<RefCell<World>>) -> Self {
+    pub(crate) fn new(kind: Link, peer: u32, world: &Rc<RefCell<World>>) -> Self {
         let config = match kind {
             Link::Stream => server::Config::TCP,
             Link::Datagram => server::Config::UDP,
@@ -92,7 +93,7 @@ impl Wire {
         };
         Self {
             kind,
-            piece,
+            piece: usize::MAX,
             peer: PeerId(peer),
             session: Session::new(config, [0; 1024], [0; 1024]),
             world: Rc::clone(world),
@@ -117,7 +118,7 @@ impl Wire {
             let event = self.session.run(&mut Logged(&mut world), self.peer, now);
             let bytes = self.session.transmit();
             if !bytes.is_empty() {
-                let pieces = if self.kind == Link::Datagram { bytes.len() } else { self.piece };
+                let pieces = if self.kind == Link::Datagram { bytes.len() } else { self.piece.min(bytes.len()) };
                 self.pending.extend(bytes.chunks(pieces).map(<[u8]>::to_vec));
                 self.session.transmitted(usize::MAX);
             } else if event.is_none() {

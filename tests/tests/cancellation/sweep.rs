@@ -6,9 +6,9 @@ use std::rc::Rc;
 use std::task::{Context, Poll, Waker};
 use std::time::Duration;
 
+use bcap_core::bcap::Link;
 use bcap_core::bcap::call::{self, ControllerHandle, RobotHandle};
 use bcap_core::bcap::client::{Client, Config, Timing};
-use bcap_core::bcap::Link;
 use bcap_core::hresult::HResult;
 use bcap_core::io::CallError;
 use bcap_core::io::asynch::Connection;
@@ -40,19 +40,19 @@ pub(crate) const fn usual(kind: Link) -> Timing {
 }
 
 impl Rig {
-    pub(crate) fn new(kind: Link, piece: usize) -> Self {
+    fn new(kind: Link) -> Self {
         let world = World::new();
-        let connect = |kind, piece, peer| {
+        let connect = |kind, peer| {
             let config = match kind {
                 Link::Stream => Config::TCP,
                 Link::Datagram => Config::UDP,
                 Link::Serial => Config::SERIAL,
             };
             let client = Client::new(Config { timing: usual(kind), ..config }, [0; 512], [0; 512]);
-            Connection::new(Wire::new(kind, piece, peer, &world), client)
+            Connection::new(Wire::new(kind, peer, &world), client)
         };
         let none = Handles { controller: ControllerHandle(0), robot: RobotHandle(0) };
-        let (motion, watch) = (connect(kind, piece, 1), connect(Link::Stream, piece, 2));
+        let (motion, watch) = (connect(kind, 1), connect(Link::Stream, 2));
         let mut rig = Self { motion, watch, handles: none, watching: none, world: Rc::clone(&world), kind };
         rig.handles = finish(rig.motion.run(open_robot(Provider::RC8, None))).unwrap();
         rig.watching = finish(rig.watch.run(open_robot(Provider::RC8, None))).unwrap();
@@ -92,7 +92,8 @@ impl Rig {
         }
         let second = start.saturating_add(usual.attempt_timeout);
         let wire = self.motion.transport();
-        let (sent, limits): (Vec<_>, Vec<_>) = (wire.sent.iter().copied().collect(), wire.limits.iter().copied().collect());
+        let (sent, limits): (Vec<_>, Vec<_>) =
+            (wire.sent.iter().copied().collect(), wire.limits.iter().copied().collect());
         let third = second.saturating_add(usual.attempt_timeout);
         let expected = if lost { (vec![start, second], vec![second, third]) } else { (vec![start], vec![second]) };
         if (&sent, &limits) != (&expected.0, &expected.1) {
@@ -162,8 +163,11 @@ impl Sweep {
     }
 
     fn rig(&self) -> Rig {
-        let mut rig = Rig::new(self.kind, self.piece);
+        let mut rig = Rig::new(self.kind);
         (self.prepare)(&mut rig);
+        for connection in [&mut rig.motion, &mut rig.watch] {
+            connection.transport().piece = self.piece;
+        }
         rig
     }
 
