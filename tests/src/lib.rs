@@ -10,8 +10,10 @@
 //! | [`proxy`]      | a proxy between a client and a server on real sockets that injects faults            |
 //! | [`process`]    | memory, processor time and file descriptors of a process                            |
 //! | [`allocation`] | an allocator that counts the allocations of each thread                             |
+//! | [`async_functions`] | the async functions of a crate, read from its sources                          |
 
 pub mod allocation;
+pub mod async_functions;
 pub mod drivers;
 pub mod process;
 pub mod proxy;

@@ -177,7 +177,7 @@ fn keep_alives_for_ever(_: &mut Target) {
         }
     });
     // a flood ends the session at once
-    options.tcp.deadline = Duration::from_secs(20);
+    options.tcp.timing.deadline = Duration::from_secs(20);
     ends(&options, &[FLOODED, Outcome::Client(ClientError::Closed)], |connection| {
         let serial = connection.request();
         while connection.send(&reply_frame(serial, HResult::S_EXECUTING, vec![])) {}
