@@ -33,6 +33,7 @@ use crate::hresult::HResult;
 use crate::num::to_u32;
 use crate::storage::Storage;
 use crate::time::Instant;
+use crate::variant::text::complete;
 use crate::variant::{Variant, Writer};
 
 /// How a client behaves; every field is a run-time choice.
@@ -374,7 +375,7 @@ impl State {
             }
         };
         let mut out = Writer::new(memory);
-        match response::read(line, &mut out).map_err(|fault| fault.at(line.len())) {
+        match complete(line, |line| response::read(line, &mut out)) {
             Ok(result) => {
                 self.reply = Some(Reply { result, len: out.len() });
                 Event::Replied(result)

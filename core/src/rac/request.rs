@@ -16,9 +16,12 @@
 
 use core::fmt;
 
+use nom::Parser;
+use nom::bytes::complete::take_till;
+
 use super::line::{CR, MAX_LINE};
 use crate::error::{RequestPart, TextError, TextErrorKind};
-use crate::variant::text::{Fault, blanks, put_integer, value};
+use crate::variant::text::{Parsed, blanks, complete, fault, put_integer, value};
 use crate::variant::{VarType, Variant, Writer};
 
 /// A type of user variables.
@@ -207,7 +210,7 @@ impl<'a> Request<'a> {
     /// A [`TextError`] with the column in the line; [`TextErrorKind::Full`] when the value does not fit `memory`.
     pub fn parse(line: &[u8], memory: &'a mut [u8]) -> Result<Self, TextError> {
         let mut out = Writer::new(memory);
-        match read(line, &mut out).map_err(|fault| fault.at(line.len()))? {
+        match complete(line, |line| read(line, &mut out))? {
             (Verb::Get, variable) => Ok(Self::Get(variable)),
             (Verb::Put, variable) => Ok(Self::Put(variable, Variant::from_checked(out.into_bytes()))),
         }
@@ -237,7 +240,7 @@ impl<'a> Request<'a> {
 /// Appends the CR of a line that began at `start`.
 pub(super) fn end_line(start: usize, out: &mut Writer<'_>) -> Result<(), TextError> {
     out.put_slice(&[CR])?;
-    if out.len().saturating_sub(start) > MAX_LINE { Err(TextError::printing(TextErrorKind::Full)) } else { Ok(()) }
+    if out.len().wrapping_sub(start) > MAX_LINE { Err(TextError::printing(TextErrorKind::Full)) } else { Ok(()) }
 }
 
 /// The first word of a request.
@@ -267,30 +270,39 @@ impl fmt::Display for Verb {
 }
 
 /// `request = blanks verb ":" part ":" index ":" kind ":" [ blanks value ]`
-pub(super) fn read(line: &[u8], out: &mut Writer<'_>) -> Result<(Verb, Variable), Fault> {
-    let (rest, ()) = blanks(line)?;
-    let (word, behind) = word(rest);
-    let verb = verb(word).ok_or(Fault::new(TextErrorKind::Verb, rest))?;
-    let rest = colon(behind, RequestPart::Verb)?;
-    let (word, behind) = self::word(rest);
-    if !is(word, PART) {
-        return Err(Fault::new(TextErrorKind::PartName, rest));
+pub(super) fn read<'a>(line: &'a [u8], out: &mut Writer<'_>) -> Parsed<'a, (Verb, Variable)> {
+    let rest = blanks(line);
+    let (rest, (verb, (), index, kind)) = (
+        field(TextErrorKind::Verb, RequestPart::Verb, verb),
+        field(TextErrorKind::PartName, RequestPart::PartName, part),
+        field(TextErrorKind::Index, RequestPart::Index, index),
+        field(TextErrorKind::VariableType, RequestPart::VariableType, VariableKind::from_word),
+    )
+        .parse_complete(rest)?;
+    let rest = blanks(rest);
+    let (rest, ()) = match (verb, rest) {
+        (Verb::Get, []) => (rest, ()),
+        (Verb::Get, _) => return fault(TextErrorKind::GetWithData, rest),
+        (Verb::Put, []) => return fault(TextErrorKind::PutWithoutData, rest),
+        (Verb::Put, _) => value(rest, out)?,
+    };
+    Ok((rest, (verb, Variable { kind, index })))
+}
+
+/// `word ":"`, `word = { any byte but ":" }`; `read` decides what the word means
+fn field<'a, T>(
+    kind: TextErrorKind,
+    part: RequestPart,
+    read: impl Fn(&[u8]) -> Option<T>,
+) -> impl FnMut(&'a [u8]) -> Parsed<'a, T> {
+    move |text| {
+        let (rest, word) = word(text)?;
+        match (read(word), rest) {
+            (None, _) => fault(kind, text),
+            (Some(_), []) => fault(TextErrorKind::Colon(part), rest),
+            (Some(meaning), [_, rest @ ..]) => Ok((rest, meaning)),
+        }
     }
-    let rest = colon(behind, RequestPart::PartName)?;
-    let (word, behind) = self::word(rest);
-    let index = index(word).ok_or(Fault::new(TextErrorKind::Index, rest))?;
-    let rest = colon(behind, RequestPart::Index)?;
-    let (word, behind) = self::word(rest);
-    let kind = VariableKind::from_word(word).ok_or(Fault::new(TextErrorKind::VariableType, rest))?;
-    let rest = colon(behind, RequestPart::VariableType)?;
-    let (rest, ()) = blanks(rest)?;
-    match (verb, rest) {
-        (Verb::Get, []) => {}
-        (Verb::Get, _) => return Err(Fault::new(TextErrorKind::GetWithData, rest)),
-        (Verb::Put, []) => return Err(Fault::new(TextErrorKind::PutWithoutData, rest)),
-        (Verb::Put, text) => value(text, out)?,
-    }
-    Ok((verb, Variable { kind, index }))
 }
 
 /// `verb = "GET" | "PUT"`, in any case
@@ -299,7 +311,9 @@ fn verb(word: &[u8]) -> Option<Verb> {
 }
 
 /// `part = "RC8"`, in any case
-const PART: &str = "RC8";
+fn part(word: &[u8]) -> Option<()> {
+    is(word, "RC8").then_some(())
+}
 
 /// Compares a word without regard to the case of its letters.
 #[cfg_attr(target_os = "none", inline(never))]
@@ -314,17 +328,8 @@ fn index(word: &[u8]) -> Option<u32> {
     rest.iter().try_fold(digit(first)?, |n, b| n.checked_mul(10)?.checked_add(digit(b)?))
 }
 
-/// Splits off what stands in front of the next colon.
+/// The bytes up to the next colon.
 #[cfg_attr(target_os = "none", inline(never))]
-fn word(text: &[u8]) -> (&[u8], &[u8]) {
-    let len = text.iter().position(|b| *b == b':').unwrap_or(text.len());
-    text.split_at_checked(len).unwrap_or((text, &[]))
-}
-
-/// The colon behind a word.
-fn colon(text: &[u8], part: RequestPart) -> Result<&[u8], Fault> {
-    match text.split_first() {
-        Some((_, rest)) => Ok(rest),
-        None => Err(Fault::new(TextErrorKind::Colon(part), text)),
-    }
+fn word(text: &[u8]) -> Parsed<'_, &[u8]> {
+    take_till(|b| b == b':').parse_complete(text)
 }

@@ -12,10 +12,12 @@
 //! The samples of the specification show no result but `0`. What is read is every form that a 32-bit code may take,
 //! what is written is signed decimal, the "integral value of the HRESULT type" (S0:105).
 
+use nom::combinator::map_opt;
+
 use super::request::end_line;
 use crate::error::{TextError, TextErrorKind};
 use crate::hresult::HResult;
-use crate::variant::text::{Fault, blanks, integer, put_integer, value};
+use crate::variant::text::{Integer, Parsed, blanks, complete, expect, fault, integer, put_integer, value};
 use crate::variant::{Variant, Writer};
 
 /// What a server answers.
@@ -49,7 +51,7 @@ impl<'a> Response<'a> {
     /// A [`TextError`] with the column in the line; [`TextErrorKind::Full`] when the value does not fit `memory`.
     pub fn parse(line: &[u8], memory: &'a mut [u8]) -> Result<Self, TextError> {
         let mut out = Writer::new(memory);
-        let result = read(line, &mut out).map_err(|fault| fault.at(line.len()))?;
+        let result = complete(line, |line| read(line, &mut out))?;
         let bytes = out.into_bytes();
         Ok(Self { result, value: (!bytes.is_empty()).then(|| Variant::from_checked(bytes)) })
     }
@@ -72,15 +74,18 @@ impl<'a> Response<'a> {
 }
 
 /// `response = blanks result [ "," value ]`
-pub(super) fn read(line: &[u8], out: &mut Writer<'_>) -> Result<HResult, Fault> {
-    let (text, ()) = blanks(line)?;
-    let wrong = |at: &[u8]| Fault::new(TextErrorKind::ResultCode, at);
-    let (rest, number) = integer(text).map_err(|_| wrong(text))?;
-    let result = number.to_code(true).map(HResult).ok_or(wrong(text))?;
-    match rest {
-        [] => {}
+pub(super) fn read<'a>(line: &'a [u8], out: &mut Writer<'_>) -> Parsed<'a, HResult> {
+    let (rest, result) = result(blanks(line))?;
+    let (rest, ()) = match rest {
+        [] => (rest, ()),
         [b',', text @ ..] => value(text, out)?,
-        _ => return Err(wrong(rest)),
-    }
-    Ok(result)
+        _ => return fault(TextErrorKind::ResultCode, rest),
+    };
+    Ok((rest, result))
+}
+
+/// `result = integer`
+fn result(text: &[u8]) -> Parsed<'_, HResult> {
+    let code = |number: Integer| number.to_code(true).map(HResult);
+    expect(TextErrorKind::ResultCode, map_opt(integer, code))(text)
 }

@@ -39,6 +39,7 @@ use crate::hresult::HResult;
 use crate::num::to_u32;
 use crate::storage::Storage;
 use crate::time::Instant;
+use crate::variant::text::complete;
 use crate::variant::{Encode, Variant, Writer};
 
 /// The application behind a server of RAC.
@@ -348,7 +349,7 @@ impl State {
         let mut out = Writer::new(memory);
         let line = self.framer.line();
         let read = match framed {
-            Framed::Line => read(line, &mut out).map_err(|fault| fault.at(line.len())),
+            Framed::Line => complete(line, |line| read(line, &mut out)),
             Framed::TooLong => Err(TextError { kind: TextErrorKind::LineTooLong, column: to_u32(MAX_LINE) }),
         };
         match read {

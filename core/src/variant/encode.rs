@@ -264,6 +264,7 @@ fn put_scalar(value: &Variant<'_>, out: &mut Writer<'_>) -> Result<(), EncodeErr
 }
 
 /// Appends the lower bytes of `bits`, at most 8.
+#[cfg_attr(not(target_os = "none"), inline(always))]
 pub(super) fn put_bits(bits: u64, width: u8, out: &mut Writer<'_>) -> Result<(), EncodeError> {
     for (slot, byte) in out.reserve(usize::from(width))?.iter_mut().zip(bits.to_le_bytes()) {
         *slot = byte;

@@ -96,12 +96,23 @@ impl Format {
         }
     }
 
-    /// Returns the bits of the float nearest to a number; `None` when it is none of 0 and becomes 0 or infinite.
+    /// Returns the bits of the float nearest to a number; `None` if the number is not 0 and the float 0 or infinite.
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     pub(super) fn of_decimal(self, decimal: &Decimal<'_>) -> Option<u64> {
-        let Decimal { digits, count, number, exponent } = *decimal;
+        let Decimal { count, number, exponent, .. } = *decimal;
         if count == 0 {
             return Some(0);
         }
+        // most numbers of robots; a board does without for its flash
+        if cfg!(not(target_os = "none")) && exponent == 0 && count <= 19 && number >> self.precision() == 0 {
+            return Some(self.of_whole(number));
+        }
+        self.nearest(decimal)
+    }
+
+    #[cfg_attr(not(target_os = "none"), cold)]
+    fn nearest(self, decimal: &Decimal<'_>) -> Option<u64> {
+        let Decimal { digits, count, number, exponent } = *decimal;
         if !POINTS.contains(&exponent.wrapping_add_unsigned(count)) {
             return None;
         }
@@ -116,6 +127,16 @@ impl Format {
         });
         let bits = self.round(quotient, scale, inexact);
         (bits != 0 && bits < self.infinity()).then_some(bits)
+    }
+
+    /// Returns the bits of a whole number of at most [`precision`](Self::precision) bits, not 0.
+    #[inline]
+    fn of_whole(self, number: u64) -> u64 {
+        let fraction = self.precision().wrapping_sub(1);
+        let top = number.checked_ilog2().unwrap_or(0);
+        // one less than the exponent: the first bit of the number adds 1 to it
+        let exponent = self.least().unsigned_abs().wrapping_sub(fraction).wrapping_add(top);
+        (u64::from(exponent) << fraction).wrapping_add(number << fraction.wrapping_sub(top))
     }
 
     /// Rounds `(number + a bit more if inexact) * 2^scale`, to even if it is a tie; the first bit of `number` is set.
@@ -423,7 +444,7 @@ mod tests {
     use std::format;
 
     fn both(text: &str) -> (Option<u64>, Option<u64>) {
-        let (rest, decimal) = super::super::text::decimal(text.as_bytes()).unwrap();
+        let (rest, decimal) = super::super::text::number::decimal(text.as_bytes()).unwrap();
         assert!(rest.is_empty());
         if decimal.count == 0 {
             return (None, None);
