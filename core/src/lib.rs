@@ -106,6 +106,7 @@ pub mod bcap;
 pub mod error;
 pub mod gateway;
 pub mod handler;
+pub mod histogram;
 pub mod hresult;
 pub mod io;
 pub mod limits;

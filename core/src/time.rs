@@ -45,15 +45,23 @@ impl Instant {
     /// Returns `self + duration`; a sum that does not fit is [`FAR_FUTURE`](Self::FAR_FUTURE).
     #[must_use]
     pub const fn saturating_add(self, duration: Duration) -> Self {
-        // seconds and the rest apart, so that a 32-bit target needs no 128-bit division
-        let micros = duration.as_secs().saturating_mul(1_000_000).saturating_add(sub_micros(duration));
-        Self(self.0.saturating_add(micros))
+        Self(self.0.saturating_add(micros(duration)))
     }
 }
 
+/// Returns a duration in microseconds, saturating.
+///
+/// Unlike [`Duration::as_micros`] it needs no 128-bit arithmetic, which is slow on a small processor.
+#[must_use]
 #[expect(clippy::as_conversions, reason = "From is not const; u32 to u64 is lossless")]
-const fn sub_micros(duration: Duration) -> u64 {
-    duration.subsec_micros() as u64
+pub const fn micros(duration: Duration) -> u64 {
+    duration.as_secs().saturating_mul(1_000_000).saturating_add(duration.subsec_micros() as u64)
+}
+
+/// Returns a duration in microseconds, at most 71 minutes.
+#[must_use]
+pub(crate) fn micros_u32(duration: Duration) -> u32 {
+    u32::try_from(micros(duration)).unwrap_or(u32::MAX)
 }
 
 impl core::ops::Add<Duration> for Instant {
@@ -96,5 +104,12 @@ mod tests {
         assert_eq!(Instant::from_millis(u64::MAX), Instant::FAR_FUTURE);
         assert_eq!(Instant::ZERO.saturating_since(a), Duration::ZERO);
         assert_eq!(a.saturating_since(Instant::ZERO), Duration::from_millis(2));
+    }
+
+    #[test]
+    fn microseconds_saturate() {
+        assert_eq!((micros(Duration::from_nanos(1_999)), micros_u32(Duration::from_nanos(1_999))), (1, 1));
+        assert_eq!(micros(Duration::new(7, 5_000)), 7_000_005);
+        assert_eq!((micros(Duration::MAX), micros_u32(Duration::from_secs(4295))), (u64::MAX, u32::MAX));
     }
 }
