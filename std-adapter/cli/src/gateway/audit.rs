@@ -22,10 +22,12 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use bcap_core::gateway::{Counters, Tally};
 use bcap_core::hresult::HResult;
+use bcap_core::time::micros;
 use bcap_core::variant::OleDate;
 use serde::Serialize;
 
 use crate::error::Failure;
+use crate::times::Times;
 
 /// Lines that wait for the writer at most.
 const BACKLOG: usize = 4096;
@@ -82,14 +84,15 @@ impl Answer {
 /// What was done in all.
 #[derive(Debug, Serialize)]
 pub(super) struct Totals {
-    served: Times,
-    failed: Times,
+    served: TimesOf,
+    failed: TimesOf,
     refused: u32,
     sessions: u32,
 }
 
+/// The times of all requests of one outcome, in microseconds.
 #[derive(Debug, Serialize)]
-struct Times {
+struct TimesOf {
     count: u32,
     mean_us: u64,
     p50_us: u64,
@@ -97,31 +100,16 @@ struct Times {
     max_us: u64,
 }
 
-impl From<&Counters> for Totals {
-    fn from(counters: &Counters) -> Self {
-        Self {
-            served: Times::from(&counters.served),
-            failed: Times::from(&counters.failed),
-            refused: counters.refused,
-            sessions: counters.connected,
-        }
-    }
-}
-
-impl From<&Tally> for Times {
-    fn from(tally: &Tally) -> Self {
+impl TimesOf {
+    fn new(tally: &Tally, times: &Times) -> Self {
         Self {
             count: tally.count(),
             mean_us: micros(tally.mean()),
-            p50_us: micros(tally.percentile(50)),
-            p99_us: micros(tally.percentile(99)),
+            p50_us: times.quantile(0.5),
+            p99_us: times.quantile(0.99),
             max_us: micros(tally.max()),
         }
     }
-}
-
-fn micros(time: Duration) -> u64 {
-    u64::try_from(time.as_micros()).unwrap_or(u64::MAX)
 }
 
 /// A line of the log.
@@ -138,6 +126,8 @@ pub(super) struct Audit {
     lines: SyncSender<String>,
     dropped: u64,
     writer: JoinHandle<()>,
+    served: Times,
+    failed: Times,
 }
 
 impl Audit {
@@ -151,11 +141,20 @@ impl Audit {
         };
         let (lines, waiting) = sync_channel(BACKLOG);
         let writer = thread::Builder::new().name("audit".into()).spawn(move || write(output, &waiting))?;
-        Ok(Self { lines, dropped: 0, writer })
+        Ok(Self::new(lines, writer))
+    }
+
+    fn new(lines: SyncSender<String>, writer: JoinHandle<()>) -> Self {
+        Self { lines, dropped: 0, writer, served: Times::new(), failed: Times::new() }
     }
 
     /// Writes a record.
     pub(super) fn write(&mut self, record: &Record) {
+        match record {
+            Record::Served(Answer { us: Some(us), .. }) => self.served.record(*us),
+            Record::Failed(Answer { us: Some(us), .. }) => self.failed.record(*us),
+            _ => {}
+        }
         if self.dropped > 0 && self.send(&Record::Dropped { lines: self.dropped }) {
             self.dropped = 0;
         }
@@ -169,8 +168,15 @@ impl Audit {
         !matches!(self.lines.try_send(text(record)), Err(TrySendError::Full(_)))
     }
 
-    /// Writes what waits, as far as somebody reads it.
-    pub(super) fn close(self) {
+    /// Writes the totals and the waiting lines, as long as a reader takes them.
+    pub(super) fn end(mut self, counters: &Counters) {
+        let totals = Totals {
+            served: TimesOf::new(&counters.served, &self.served),
+            failed: TimesOf::new(&counters.failed, &self.failed),
+            refused: counters.refused,
+            sessions: counters.connected,
+        };
+        self.write(&Record::End(totals));
         drop(self.lines);
         let until = Instant::now() + PATIENCE;
         while !self.writer.is_finished() && Instant::now() < until {
@@ -267,7 +273,7 @@ mod tests {
     #[test]
     fn a_reader_that_does_not_read_costs_lines_and_they_are_counted() {
         let (lines, waiting) = sync_channel(2);
-        let mut audit = Audit { lines, dropped: 0, writer: thread::spawn(|| {}) };
+        let mut audit = Audit::new(lines, thread::spawn(|| {}));
         let up = Record::RobotUp { robot: "tcp:10.0.0.1:5007".into() };
         for _ in 0..5 {
             audit.write(&up);
@@ -281,6 +287,19 @@ mod tests {
         drop(waiting);
         audit.write(&up);
         assert_eq!(audit.dropped, 0, "nobody is there to miss it");
-        audit.close();
+        audit.end(&Counters::default());
+    }
+
+    #[test]
+    fn the_totals_have_quantiles_with_three_digits() {
+        let (lines, waiting) = sync_channel(1000);
+        let mut audit = Audit::new(lines, thread::spawn(|| {}));
+        for us in 900..1000 {
+            let answer = Answer::new("10.0.0.2:40000".into(), b"GET:RC8:1:I:", HResult::S_OK);
+            audit.write(&Record::Served(answer.took(Duration::from_micros(us))));
+        }
+        audit.end(&Counters::default());
+        let end = waiting.try_iter().last().unwrap_or_default();
+        assert!(end.contains(r#""p50_us":949,"p99_us":998"#), "{end}");
     }
 }

@@ -130,10 +130,8 @@ impl Shared {
 
     /// Closes the log.
     fn end(self) {
-        let mut inner = self.inner.into_inner().unwrap_or_else(PoisonError::into_inner);
-        let totals = inner.gateway.counters().into();
-        inner.audit.write(&Record::End(totals));
-        inner.audit.close();
+        let Inner { gateway, audit, .. } = self.inner.into_inner().unwrap_or_else(PoisonError::into_inner);
+        audit.end(gateway.counters());
     }
 }
 
