@@ -1,7 +1,7 @@
-//! Time as the state machines see it: microseconds that somebody else counts.
+//! Time in microseconds, from a clock of the caller.
 //!
-//! The core has no clock. Whoever drives a client or a server passes the present [`Instant`] in and gets the next
-//! deadline back. Only differences matter, so any monotonic counter will do: `std::time::Instant` since the start of
+//! The core has no clock. The caller of a client or server passes the current [`Instant`] and gets the next deadline.
+//! Only differences matter, so any monotonic counter works: `std::time::Instant` since the start of
 //! the program, embassy's ticks, a timer of the board, the fake clock of a test.
 
 use core::fmt;
@@ -15,7 +15,7 @@ pub struct Instant(u64);
 impl Instant {
     /// The origin.
     pub const ZERO: Self = Self(0);
-    /// A point that never comes.
+    /// The latest instant, which is never reached.
     pub const FAR_FUTURE: Self = Self(u64::MAX);
 
     /// Makes the instant `micros` microseconds after the origin.
@@ -78,9 +78,9 @@ impl fmt::Display for Instant {
     }
 }
 
-/// A clock that only goes forward.
+/// A monotonic clock.
 ///
-/// Any function that returns the time is one.
+/// Any function that returns an [`Instant`] is one.
 pub trait Clock {
     /// Returns the time.
     fn now(&self) -> Instant;

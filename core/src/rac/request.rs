@@ -1,4 +1,4 @@
-//! Requests: the lines with which a client reads and writes variables.
+//! Requests: lines that read and write variables.
 //!
 //! ```text
 //!  GET:RC8:10:I:                     read integer variable 10
@@ -6,13 +6,13 @@
 //!
 //!  request = blanks verb ":" part ":" index ":" kind ":" [ blanks value ] CR
 //!  verb    = "GET" | "PUT"                         a GET has no value, a PUT has one
-//!  part    = "RC8"                                 the controller's name, which is fixed
+//!  part    = "RC8"                                 the fixed name of the controller
 //!  index   = digits                                at most 32 bits
 //!  kind    = "I" | "F" | "D" | "S" | "V" | "P" | "J" | "T" | "IO"
 //! ```
 //!
-//! Words are read in any case and written in capitals. The last colon of a GET is part of it (S0:218). What cannot be
-//! read is a [`TextError`] that names the part of the line and the column.
+//! Words are read in any case and written in capitals. A GET ends with a colon (S0:218). An invalid line is a [`TextError`]
+//! that names the part of the line and the column.
 
 use core::fmt;
 
@@ -58,7 +58,7 @@ impl VariableKind {
     /// All of them, in the order of the specification.
     pub const ALL: [Self; 9] = [Self::I, Self::F, Self::D, Self::S, Self::V, Self::P, Self::J, Self::T, Self::Io];
 
-    /// Returns the word that stands for it on the line.
+    /// Returns its name in a line.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -97,7 +97,7 @@ impl VariableKind {
         }
     }
 
-    /// Returns the number of elements of the variable's value; 1 for what is no array.
+    /// Returns the number of elements of the variable's value; 1 for a scalar.
     #[must_use]
     pub const fn elements(self) -> usize {
         match self {
@@ -109,7 +109,7 @@ impl VariableKind {
         }
     }
 
-    /// Tells whether a value is exactly what such a variable holds, in type and number of elements.
+    /// Returns whether a value has exactly the type and number of elements of such a variable.
     #[must_use]
     pub fn fits(self, value: &Variant<'_>) -> bool {
         value.vartype() == self.vartype() && value.as_array().is_none_or(|array| array.len() == self.elements())
@@ -147,7 +147,7 @@ impl fmt::Display for Variable {
     }
 }
 
-/// What a client asks for.
+/// A request of a client.
 ///
 /// # Examples
 ///
@@ -175,7 +175,7 @@ pub enum Request<'a> {
 }
 
 impl<'a> Request<'a> {
-    /// Returns the variable that is asked for.
+    /// Returns the variable to read or write.
     #[must_use]
     pub const fn variable(&self) -> Variable {
         match self {
@@ -183,7 +183,7 @@ impl<'a> Request<'a> {
         }
     }
 
-    /// Returns its first word.
+    /// Returns the first word of the line.
     #[must_use]
     pub const fn verb(&self) -> Verb {
         match self {
@@ -192,7 +192,7 @@ impl<'a> Request<'a> {
         }
     }
 
-    /// Returns the value that is to be written.
+    /// Returns the value to write; `None` for a GET.
     #[must_use]
     pub const fn value(&self) -> Option<Variant<'a>> {
         match self {
@@ -201,9 +201,9 @@ impl<'a> Request<'a> {
         }
     }
 
-    /// Parses a line without its CR; the value of a PUT is put into `memory`.
+    /// Parses a line without its CR; the encoded value of a PUT is stored in `memory`.
     ///
-    /// 1024 bytes hold any value that a line can carry; 64 hold those of all types but long strings.
+    /// 1024 bytes hold any value that fits a line; 64 bytes hold any value but long strings.
     ///
     /// # Errors
     ///
@@ -216,12 +216,12 @@ impl<'a> Request<'a> {
         }
     }
 
-    /// Appends the line, its CR included.
+    /// Appends the line with its CR.
     ///
     /// # Errors
     ///
-    /// A [`TextError`] without a column when the value has no text, or the line is over 256 bytes or the buffer; part
-    /// of it may have been written.
+    /// A [`TextError`] without a column if the value has no text, or if the line does not fit 256 bytes or the buffer; part
+    /// of the line may have been written.
     pub fn write_line(&self, out: &mut Writer<'_>) -> Result<(), TextError> {
         let start = out.len();
         let Variable { kind, index } = self.variable();
@@ -289,7 +289,7 @@ pub(super) fn read<'a>(line: &'a [u8], out: &mut Writer<'_>) -> Parsed<'a, (Verb
     Ok((rest, (verb, Variable { kind, index })))
 }
 
-/// `word ":"`, `word = { any byte but ":" }`; `read` decides what the word means
+/// `word ":"`, `word = { byte - ":" }`; `read` interprets the word, and `kind` is the error if it is invalid
 fn field<'a, T>(
     kind: TextErrorKind,
     part: RequestPart,
@@ -315,7 +315,7 @@ fn part(word: &[u8]) -> Option<()> {
     is(word, "RC8").then_some(())
 }
 
-/// Compares a word without regard to the case of its letters.
+/// Compares a word, ignoring ASCII case.
 #[cfg_attr(target_os = "none", inline(never))]
 fn is(word: &[u8], name: &str) -> bool {
     word.eq_ignore_ascii_case(name.as_bytes())

@@ -1,4 +1,4 @@
-//! Responses: the lines with which a server answers.
+//! Responses: the replies of a server.
 //!
 //! ```text
 //!  0                   done
@@ -9,8 +9,8 @@
 //!  result   = integer                   an HRESULT: signed or unsigned decimal, or 0x and hex digits
 //! ```
 //!
-//! The samples of the specification show no result but `0`. What is read is every form that a 32-bit code may take,
-//! what is written is signed decimal, the "integral value of the HRESULT type" (S0:105).
+//! The samples of the specification show no result but `0`. Every form of a 32-bit code is read; signed decimal is written,
+//! the "integral value of the HRESULT type" (S0:105).
 
 use nom::combinator::map_opt;
 
@@ -20,7 +20,7 @@ use crate::hresult::HResult;
 use crate::variant::text::{Integer, Parsed, blanks, complete, expect, fault, integer, put_integer, value};
 use crate::variant::{Variant, Writer};
 
-/// What a server answers.
+/// A reply of a server.
 ///
 /// # Examples
 ///
@@ -37,14 +37,14 @@ use crate::variant::{Variant, Writer};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Response<'a> {
-    /// How it went.
+    /// The result of the request.
     pub result: HResult,
-    /// The value of the variable that was read.
+    /// The value of a variable that was read.
     pub value: Option<Variant<'a>>,
 }
 
 impl<'a> Response<'a> {
-    /// Parses a line without its CR; its value is put into `memory`.
+    /// Parses a line without its CR; its encoded value is stored in `memory`.
     ///
     /// # Errors
     ///
@@ -56,12 +56,12 @@ impl<'a> Response<'a> {
         Ok(Self { result, value: (!bytes.is_empty()).then(|| Variant::from_checked(bytes)) })
     }
 
-    /// Appends the line, its CR included.
+    /// Appends the line with its CR.
     ///
     /// # Errors
     ///
-    /// A [`TextError`] without a column when the value has no text, or the line is over 256 bytes or the buffer; part
-    /// of it may have been written.
+    /// A [`TextError`] without a column if the value has no text, or if the line does not fit 256 bytes or the buffer; part
+    /// of the line may have been written.
     pub fn write_line(&self, out: &mut Writer<'_>) -> Result<(), TextError> {
         let start = out.len();
         put_integer(self.result.is_err(), u64::from(self.result.0.unsigned_abs()), out).map_err(TextError::printing)?;

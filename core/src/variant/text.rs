@@ -1,4 +1,4 @@
-//! The text form of values, as the lines of RAC carry it: `<type>,<data>`.
+//! The text form of values in RAC lines: `<type>,<data>`.
 //!
 //! ```text
 //!  3,123                       I4 123                 8,Sample,Test            BSTR "Sample,Test"
@@ -6,37 +6,38 @@
 //!  12,(8,Sample)               VARIANT holding        8204,(8,Sample),(2,100)  VARIANT["Sample", I2 100]
 //!                              BSTR "Sample"          0,   1,                  EMPTY, NULL
 //!
-//!  value    = blanks type [ "," data ]            data and its comma are left out for EMPTY and NULL only
+//!  value    = blanks type data
 //!  type     = digits                              a VARTYPE, 8192 (0x2000) added for arrays
-//!  data     = blanks ( element | element { "," blanks element } )      one for a scalar, more for an array
+//!  data     = { "," blanks element }              exactly one for a scalar, one or more for an array
+//!           | [ "," blanks ]                      EMPTY NULL
 //!  element  = "(" value ")" blanks                VARIANT
 //!           | integer                             I2 I4 I8 UI1 UI2 UI4 UI8 ERROR; BOOL, 0 is false; CY, unscaled
 //!           | float                               R4 R8
 //!           | date | float                        DATE
 //!           | string                              BSTR
 //!  integer  = [ sign ] ( digits | "0x" hexdigits )
-//!  float    = [ sign ] ( decimal [ "e" [ sign ] digits ] | "inf" | "nan" )
-//!  decimal  = digits [ "." [ digits ] ] | "." digits
+//!  float    = [ sign ] ( "inf" | "nan" | decimal )
+//!  decimal  = mantissa [ "e" exponent ]
+//!  mantissa = digits [ "." [ digits ] ] | "." digits
+//!  exponent = [ sign ] digits
 //!  date     = digits "/" digits "/" digits blank blanks digits ":" digits ":" digits
-//!  string   = UTF-8 without CR and LF; of its own and at the top to the end of the text; inside of a VARIANT with
-//!             paired parentheses; in an array with paired parentheses and without a comma
+//!  string   = { character - CR - LF }             UTF-8; a scalar outside of a VARIANT ends with the text; inside a
+//!                                                 VARIANT parentheses are paired; in an array there is no comma, too
 //! ```
 //!
 //! There is no quoting and no escaping, so some values have no text. What is guaranteed:
 //!
-//! * What [`Variant::write_text`] writes parses back to the same bits, -0 and NaN included; floats take the fewest
-//!   digits that do. A value without text is an error: an empty array, an array of EMPTY or NULL (peers crash on
-//!   it), a string that begins with a blank (readers drop blanks behind commas), has a line break, a lone surrogate, or
-//!   parentheses or commas that its place cannot carry, a NaN with a payload.
-//! * Numbers are checked against their type; a leading 0 does not make them octal; a float that is not 0 but would
-//!   become 0, or that would become infinite, is out of range. ERROR takes `0x80070057` as its bits. Blanks are
-//!   dropped behind commas, in front of types and behind `)`, nowhere else; none are written.
-//! * A DATE is written as a date when that is the same instant to the bit, else as its raw number.
-//! * Text is read once from front to back, and nesting takes no stack: both ways keep a few words a level, for at most
+//! * The output of [`Variant::write_text`] parses back to the same bits, -0 and NaN included. Floats have the fewest
+//!   digits that allow this.
+//! * A value without text is an error: an empty array; an array of EMPTY or NULL (peers crash on it); a NaN with a payload;
+//!   a string that begins with a blank (readers drop blanks after commas), or contains a line break, a lone surrogate, or
+//!   a comma or parenthesis that is invalid in its place.
+//! * Numbers are checked against their type. A leading 0 does not mean octal. A float is out of range if it would become
+//!   infinite, or 0 without being 0. ERROR accepts its bits in hexadecimal: `0x80070057`.
+//! * Blanks are dropped after commas, before types and after `)`, and nowhere else. None are written.
+//! * A DATE is written as a date if that is exactly the same instant, and otherwise as its raw number.
+//! * Text is read once, from front to back. Nesting uses no recursion: both directions keep a few words for each of at most
 //!   [`MAX_DEPTH`](crate::limits::MAX_DEPTH) levels.
-//!
-//! The parsers are built with nom. They hold no reference of their own into the text, and what they cannot read is a
-//! [`Fault`]: what is wrong, and how much text was left then.
 
 pub(super) mod number;
 mod parse;
@@ -105,7 +106,7 @@ impl Variant<'_> {
     }
 }
 
-/// Where a string is, which decides what it cannot hold.
+/// The place of a string, which decides which characters it cannot contain.
 #[derive(Clone, Copy)]
 struct Place {
     /// Inside the parentheses of a VARIANT.

@@ -1,4 +1,4 @@
-//! Reads numbers and dates.
+//! Numbers and dates: from text to the bits of an element.
 
 use super::parse::{Parsed, blanks, byte, fault};
 use crate::error::TextErrorKind;
@@ -53,12 +53,12 @@ const fn sign(text: &[u8]) -> (&[u8], bool) {
     }
 }
 
-/// Says what is wrong with a number that has no digit.
+/// Returns the error for a number without digits.
 const fn no_digit(rest: &[u8]) -> TextErrorKind {
     if matches!(rest, [] | [b',' | b')', ..]) { TextErrorKind::Missing } else { TextErrorKind::Digit }
 }
 
-/// An integer as it was written.
+/// An integer before its type is known.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Integer {
     negative: bool,
@@ -67,8 +67,7 @@ pub(crate) struct Integer {
 }
 
 impl Integer {
-    /// Returns the number as the bits of an integer of `width` bytes, the sign repeated above them; `None` when it is
-    /// out of range.
+    /// Returns the number as a sign-extended integer of `width` bytes; `None` if it is out of range.
     #[cfg_attr(target_os = "none", inline(never))]
     fn bits(self, width: u8, signed: bool) -> Option<u64> {
         let spare = 64_u32.checked_sub(u32::from(width).checked_mul(8)?)?;
@@ -80,18 +79,18 @@ impl Integer {
         }
     }
 
-    /// Returns the number as 32 bits: signed, or unsigned as the bits of it when `unsigned` allows that.
+    /// Returns the number as 32 bits. `unsigned` also accepts decimal numbers above `i32::MAX`.
     pub(crate) fn to_code(self, unsigned: bool) -> Option<i32> {
         let [a, b, c, d, ..] = self.bits(4, self.negative || !(unsigned || self.hex))?.to_le_bytes();
         Some(i32::from_le_bytes([a, b, c, d]))
     }
 
-    /// Returns the number as the data of an element, and how many bytes that are.
+    /// Returns the data of an element and their width in bytes.
     fn to_wire(self, element: VarType) -> Option<(u64, u8)> {
         let Layout::Fixed(width) = element.layout() else { return None };
         let bits = match element {
             VarType::ERROR => u64::from(self.to_code(false)?.cast_unsigned()),
-            // true is -1 on the wire, whatever was written
+            // every true is -1 on the wire
             VarType::BOOL => u64::from(self.bits(width, true)? != 0).wrapping_neg(),
             VarType::UI1 | VarType::UI2 | VarType::UI4 | VarType::UI8 => self.bits(width, false)?,
             _ => self.bits(width, true)?,
@@ -152,7 +151,7 @@ pub(in crate::variant) fn decimal(text: &[u8]) -> Parsed<'_, Decimal<'_>> {
         (rest, power) = exponent(behind)?;
         number.exponent = number.exponent.wrapping_add(power);
     }
-    // the exponent counts, or the time to read one would have no bound
+    // with the exponent, which would otherwise have no bound
     if text.len().wrapping_sub(rest.len()) > MAX_DIGITS {
         return fault(TextErrorKind::NumberTooLong, text);
     }
@@ -182,7 +181,7 @@ fn mantissa(text: &[u8]) -> Parsed<'_, Decimal<'_>> {
 fn add_digits<'a>(text: &'a [u8], number: &mut Decimal<'_>) -> &'a [u8] {
     let mut rest = text;
     while let [digit @ b'0'..=b'9', behind @ ..] = rest {
-        // wraps after 19 digits; `Format::of_decimal` does not use it then
+        // wraps after 19 digits, and is not used then
         number.number = number.number.wrapping_mul(10).wrapping_add(u64::from(digit & 0x0f));
         number.count = number.count.wrapping_add(u32::from(number.count > 0 || *digit != b'0'));
         rest = behind;
@@ -194,7 +193,7 @@ fn add_digits<'a>(text: &'a [u8], number: &mut Decimal<'_>) -> &'a [u8] {
 fn exponent(text: &[u8]) -> Parsed<'_, i32> {
     let (rest, negative) = sign(text);
     let (rest, digits) = digits(rest)?;
-    // limited far above the exponent of any float
+    // the limit is far above the exponent of any float
     let add = |n: i32, digit: &u8| n.wrapping_mul(10).wrapping_add(i32::from(digit & 0x0f)).min(99_999);
     let size = digits.iter().fold(0, add);
     Ok((rest, if negative { size.wrapping_neg() } else { size }))

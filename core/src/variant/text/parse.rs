@@ -1,11 +1,11 @@
-//! The grammar of values, in nom parsers; each quotes its rule.
+//! The grammar of values as nom parsers; each quotes its rule.
 //!
-//! A parser that writes a value appends it to a [`Writer`], so the text is read once and takes no other memory.
-//! nom tells two errors apart: after `Error` the caller may try something else, after `Failure` (see [`cut`]) it may not.
+//! A parser that reads a value appends the encoding to a [`Writer`], so the text is read once and needs no other memory.
+//! Every error is final: the first bytes decide which rule applies, so no parser tries a second one.
 
 use nom::Parser;
 use nom::combinator::all_consuming;
-use nom::error::{ErrorKind, FromExternalError, ParseError};
+use nom::error::{ErrorKind, ParseError};
 use nom::sequence::preceded;
 
 use super::Place;
@@ -17,10 +17,10 @@ use crate::variant::encode::head;
 use crate::variant::{OUTER, VarType};
 use crate::wire::Writer;
 
-/// The rest of the text, and what was read.
+/// The rest of the text and the result.
 pub(crate) type Parsed<'a, T> = nom::IResult<&'a [u8], T, Fault>;
 
-/// What is wrong, and how many bytes of the text were left there.
+/// An error and its position, as the number of bytes that were left.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Fault {
     kind: TextErrorKind,
@@ -37,18 +37,12 @@ impl ParseError<&[u8]> for Fault {
     }
 }
 
-/// `map_res` places an error at the first byte of what was mapped.
-impl FromExternalError<&[u8], TextErrorKind> for Fault {
-    fn from_external_error(rest: &[u8], _: ErrorKind, kind: TextErrorKind) -> Self {
-        Self { kind, left: rest.len() }
-    }
-}
-
+/// Fails with an error at the first byte of `rest`.
 pub(crate) const fn fault<T>(kind: TextErrorKind, rest: &[u8]) -> Parsed<'_, T> {
     Err(nom::Err::Error(Fault { kind, left: rest.len() }))
 }
 
-/// Applies a parser to the whole of a text.
+/// Applies a parser to the whole text, and converts its error to one with a column.
 pub(crate) fn complete<'a, T>(
     text: &'a [u8],
     parser: impl Parser<&'a [u8], Output = T, Error = Fault>,
@@ -56,13 +50,13 @@ pub(crate) fn complete<'a, T>(
     let Fault { kind, left } = match all_consuming(parser).parse_complete(text) {
         Ok((_, value)) => return Ok(value),
         Err(nom::Err::Error(fault) | nom::Err::Failure(fault)) => fault,
-        // made by streaming parsers only
+        // only streaming parsers ask for more text
         Err(nom::Err::Incomplete(_)) => Fault { kind: TextErrorKind::Missing, left: 0 },
     };
     Err(TextError { kind, column: to_u32(text.len().wrapping_sub(left).wrapping_add(1)) })
 }
 
-/// The same parser, with `kind` at its first byte for any error.
+/// Replaces any error of a parser by `kind` at its first byte.
 pub(crate) fn expect<'a, T>(
     kind: TextErrorKind,
     mut parser: impl Parser<&'a [u8], Output = T>,
@@ -70,7 +64,7 @@ pub(crate) fn expect<'a, T>(
     move |text| parser.parse_complete(text).or(fault(kind, text))
 }
 
-/// One byte; `kind` is the error without it.
+/// Accepts one byte; `kind` is the error for any other.
 #[inline]
 pub(crate) const fn byte(wanted: u8, kind: TextErrorKind) -> impl Fn(&[u8]) -> Parsed<'_, ()> {
     move |text| match text.split_first() {
@@ -125,7 +119,7 @@ fn close(text: &[u8]) -> Parsed<'_, ()> {
 /// A `value` of VARIANTs: `blanks type { "," blanks "(" value ")" blanks }`, without recursion
 #[inline(never)]
 fn tree<'a>(text: &'a [u8], out: &mut Writer<'_>) -> Parsed<'a, ()> {
-    // containers whose end was not read yet, the outermost first
+    // open containers, the outermost first
     let mut levels = [Level::default(); OUTER];
     let mut depth = 0_usize;
     let mut rest = text;
@@ -156,17 +150,17 @@ fn tree<'a>(text: &'a [u8], out: &mut Writer<'_>) -> Parsed<'a, ()> {
     }
 }
 
-/// A value whose type is written and whose elements are being read.
+/// A value whose type is already written and whose elements are still being read.
 #[derive(Clone, Copy, Default)]
 struct Level {
     is_array: bool,
-    /// Where in the encoding the count is.
+    /// Offset of the count in the encoding.
     count_at: usize,
     count: u32,
 }
 
 impl Level {
-    /// Appends type and count; the count is that of a scalar until [`close`](Self::close).
+    /// Appends type and count; the count is 1 until [`close`](Self::close).
     fn open<'a>(vartype: VarType, text: &'a [u8], out: &mut Writer<'_>) -> Parsed<'a, Self> {
         const TYPE_LEN: usize = 2;
         let level = Self { is_array: vartype.is_array(), count_at: out.len().wrapping_add(TYPE_LEN), count: 1 };
@@ -176,7 +170,7 @@ impl Level {
         }
     }
 
-    /// Counts the next element of an array and returns its text, if a comma promises one.
+    /// Counts the next element of an array and returns its text; `None` without a comma.
     fn next<'a>(&mut self, rest: &'a [u8]) -> Option<&'a [u8]> {
         let (b',', element) = rest.split_first().filter(|_| self.is_array)? else { return None };
         self.count = self.count.wrapping_add(1);
@@ -199,7 +193,7 @@ const fn full(_: EncodeError) -> TextErrorKind {
 fn data<'a>(vartype: VarType, text: &'a [u8], nested: bool, out: &mut Writer<'_>) -> Parsed<'a, ()> {
     match vartype.element() {
         VarType::EMPTY | VarType::NULL => nothing(vartype, text, nested, out),
-        // a copy of its own for positions halves their instructions; a board has no flash for it
+        // positions are R4: a copy for them saves a quarter of their instructions, and a board has no flash for it
         VarType::R4 if cfg!(not(target_os = "none")) => elements(VarType::R4, vartype, text, nested, out),
         element => elements(element, vartype, text, nested, out),
     }
@@ -238,7 +232,7 @@ const fn at_end(rest: &[u8], nested: bool) -> bool {
     matches!(rest, []) || nested && matches!(rest, [b')', ..])
 }
 
-/// Says what is wrong with text that follows a number.
+/// Returns the error for text that follows a number.
 const fn behind_number(element: VarType, rest: &[u8]) -> TextErrorKind {
     match rest {
         [b' ' | b'\t', ..] => TextErrorKind::BlankBehind,

@@ -1,4 +1,4 @@
-//! Writes values as text.
+//! Values as text.
 
 use super::Place;
 use crate::error::TextErrorKind;
@@ -42,9 +42,9 @@ pub(super) fn print(value: Variant<'_>, out: &mut Writer<'_>) -> Printed {
     }
 }
 
-/// Writes `count` values of a container, each in parentheses, and what is inside of them.
+/// Writes `count` values of a container, each in parentheses, with their contents.
 fn print_inner(r: &mut Reader<'_>, count: u32, out: &mut Writer<'_>) -> Printed {
-    // values still to come on each outer level; `here` is the innermost
+    // remaining values of each outer level; `here` counts the innermost
     let mut outer = [0_u32; OUTER];
     let mut depth = 0_usize;
     let mut here = count;
@@ -71,14 +71,14 @@ fn print_inner(r: &mut Reader<'_>, count: u32, out: &mut Writer<'_>) -> Printed 
     }
 }
 
-/// Splits type and count of a checked value off; a scalar counts 1.
+/// Splits type and count off a validated value; the count of a scalar is 1.
 fn split_head(r: &mut Reader<'_>) -> Option<(VarType, u32)> {
     let vartype = VarType(u16::from_le_bytes(r.array()?));
     let count = r.u32()?;
     Some((vartype, if vartype.is_array() { count } else { 1 }))
 }
 
-/// Writes the elements of an array, or the one of a scalar, that are no VARIANTs.
+/// Writes the elements of an array, or the one of a scalar; they hold no VARIANT.
 fn print_elements(element: VarType, count: u32, place: Place, r: &mut Reader<'_>, out: &mut Writer<'_>) -> Printed {
     match element {
         VarType::EMPTY | VarType::NULL if place.in_array => return Err(TextErrorKind::ArrayOfNothing),
@@ -113,7 +113,7 @@ fn print_scalar(value: Variant<'_>, place: Place, out: &mut Writer<'_>) -> Print
     put_integer(number < 0, number.unsigned_abs(), out)
 }
 
-/// The most digits of 64 bits.
+/// Digits of the largest 64-bit number.
 const MAX_INTEGER: usize = 20;
 
 /// Writes a decimal number.
@@ -127,7 +127,7 @@ pub(crate) fn put_integer(negative: bool, magnitude: u64, out: &mut Writer<'_>) 
     put(decimal_digits(magnitude, &mut [0; MAX_INTEGER]), out)
 }
 
-/// Writes the digits of a number that is not 0 to the end of a buffer, and returns them.
+/// Writes the digits of a number other than 0 to the end of a buffer, and returns them.
 fn decimal_digits(number: u64, buffer: &mut [u8; MAX_INTEGER]) -> &[u8] {
     let (mut left, mut from) = (number, buffer.len());
     for slot in buffer.iter_mut().rev() {
@@ -147,7 +147,7 @@ fn digit(number: u32) -> u8 {
     b'0' | u8::try_from(number).unwrap_or(0)
 }
 
-/// Writes a number of the calendar, with a zero in front if it is below `least`.
+/// Writes a number of a date, after a zero if it is below `least`.
 fn put_padded(least: u16, number: u16, out: &mut Writer<'_>) -> Printed {
     if number < least {
         put_byte(b'0', out)?;
@@ -155,9 +155,9 @@ fn put_padded(least: u16, number: u16, out: &mut Writer<'_>) -> Printed {
     put_integer(false, u64::from(number), out)
 }
 
-/// Writes a float of its bits.
+/// Writes a float, given as its bits.
 ///
-/// Without an exponent where that takes at most 16 digits in front of the point, or four zeros behind it.
+/// It has no exponent if that takes at most 16 digits before the point, or four zeros after it.
 fn print_float(bits: u64, format: Format, out: &mut Writer<'_>) -> Printed {
     let magnitude = bits & !format.sign();
     if magnitude > format.infinity() && magnitude != format.nan() {
@@ -179,7 +179,7 @@ fn print_float(bits: u64, format: Format, out: &mut Writer<'_>) -> Printed {
 
 /// Writes `digits * 10^exponent`, the last digit of which is not 0.
 fn put_decimal(digits: &[u8], exponent: i32, out: &mut Writer<'_>) -> Printed {
-    // how many digits are in front of the point
+    // digits before the point
     let point = exponent.wrapping_add_unsigned(to_u32(digits.len()));
     let (front, zeros) = match point {
         1..=16 => (point, exponent.max(0)),

@@ -1,4 +1,4 @@
-//! Reads strings: where they end, and their UTF-8 as UTF-16.
+//! Strings: where they end, and their UTF-8 as UTF-16.
 
 use super::Place;
 use super::parse::{Parsed, fault};
@@ -59,12 +59,12 @@ fn extent(text: &[u8], Place { nested, in_array }: Place) -> Parsed<'_, &[u8]> {
     if open > 0 || nested { fault(TextErrorKind::Unbalanced, &[]) } else { Ok((&[], text)) }
 }
 
-/// Splits a character off UTF-8; `None` when that is broken.
+/// Splits the first character off UTF-8; `None` if it is invalid.
 ///
 /// The standard library's check takes 620 bytes with its table, which nothing else on a board needs.
 pub(super) fn character(text: &[u8]) -> Option<(char, &[u8])> {
     let (first, mut rest) = text.split_first()?;
-    // the least code of so many bytes, which a longer form must not be used for
+    // the smallest code point of this length; a smaller one is an overlong form
     let (least, count, bits) = match first {
         0..0x80 => (0, 0, *first),
         0xc0..0xe0 => (0x80, 1, first & 0x1f),
