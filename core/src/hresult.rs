@@ -426,7 +426,7 @@ codes! {
 
     0x80020005 DISP_E_TYPEMISMATCH, "the vendor's libraries",
         "The value cannot be converted to this type.",
-        "write the value the way its type wants, without blanks behind numbers";
+        "write the value in the form of its type, without blanks after numbers";
     0x80020008 DISP_E_BADVARTYPE, "the vendor's libraries",
         "The VARTYPE cannot be converted.",
         "use one of the types of the RAC table, such as 3, 5, 8 or 8197";

@@ -113,7 +113,7 @@ impl fmt::Display for ClientError {
             }
             Self::Reply(e) => write!(f, "the peer's reply cannot be read: {e}"),
             Self::ReplyTooLarge { limit } => write!(f, "the value of the reply is over {limit} bytes"),
-            Self::Unsolicited => f.write_str("the peer sent a line that nobody asked for"),
+            Self::Unsolicited => f.write_str("the peer sent an unsolicited line"),
             Self::Closed => f.write_str("the session has ended"),
         }
     }
@@ -171,7 +171,7 @@ struct State {
 #[derive(Clone, Copy, Debug)]
 struct Reply {
     result: HResult,
-    /// Bytes of the value; 0 while there is none.
+    /// Bytes of the value; 0 without a value.
     len: usize,
 }
 

@@ -593,7 +593,7 @@ mod tests {
 
     #[test]
     fn of_two_that_are_as_near_the_even_digit_is_written() {
-        // quarters, of which the digits behind the first are not needed
+        // quarters, whose digits after the first are not needed
         for (bits, digits) in [
             ((4_503_599_627_370_497.0_f64 / 4.0).to_bits(), 11_258_999_068_426_242),
             ((4_503_599_627_370_499.0_f64 / 4.0).to_bits(), 11_258_999_068_426_248),

@@ -108,7 +108,7 @@ pub(crate) fn integer(text: &[u8]) -> Parsed<'_, Integer> {
         _ => (unsigned, false),
     };
     let (mut rest, mut magnitude) = (first, 0_u64);
-    while let [b, behind @ ..] = rest {
+    while let [b, after @ ..] = rest {
         let digit = match b {
             b'0'..=b'9' => b & 0x0f,
             b'a'..=b'f' | b'A'..=b'F' if hex => (b & 0x0f).wrapping_add(9),
@@ -119,7 +119,7 @@ pub(crate) fn integer(text: &[u8]) -> Parsed<'_, Integer> {
             return fault(TextErrorKind::OutOfRange, text);
         };
         magnitude = sum;
-        rest = behind;
+        rest = after;
     }
     if rest.len() == first.len() {
         return fault(no_digit(rest), rest);
@@ -146,9 +146,9 @@ fn float(text: &[u8], format: Format) -> Parsed<'_, u64> {
 #[cfg_attr(not(target_os = "none"), inline(always))]
 pub(in crate::variant) fn decimal(text: &[u8]) -> Parsed<'_, Decimal<'_>> {
     let (mut rest, mut number) = mantissa(text)?;
-    if let [b'e' | b'E', behind @ ..] = rest {
+    if let [b'e' | b'E', after @ ..] = rest {
         let power;
-        (rest, power) = exponent(behind)?;
+        (rest, power) = exponent(after)?;
         number.exponent = number.exponent.wrapping_add(power);
     }
     // with the exponent, which would otherwise have no bound
@@ -180,11 +180,11 @@ fn mantissa(text: &[u8]) -> Parsed<'_, Decimal<'_>> {
 #[cfg_attr(not(target_os = "none"), inline(always))]
 fn add_digits<'a>(text: &'a [u8], number: &mut Decimal<'_>) -> &'a [u8] {
     let mut rest = text;
-    while let [digit @ b'0'..=b'9', behind @ ..] = rest {
+    while let [digit @ b'0'..=b'9', after @ ..] = rest {
         // wraps after 19 digits, and is not used then
         number.number = number.number.wrapping_mul(10).wrapping_add(u64::from(digit & 0x0f));
         number.count = number.count.wrapping_add(u32::from(number.count > 0 || *digit != b'0'));
-        rest = behind;
+        rest = after;
     }
     rest
 }

@@ -11,7 +11,7 @@ use nom::sequence::preceded;
 use super::Place;
 use super::number::{digits, number};
 use super::string::string;
-use crate::error::{EncodeError, TextError, TextErrorKind};
+use crate::error::{TextError, TextErrorKind};
 use crate::num::to_u32;
 use crate::variant::encode::head;
 use crate::variant::{OUTER, VarType};
@@ -77,8 +77,8 @@ pub(crate) const fn byte(wanted: u8, kind: TextErrorKind) -> impl Fn(&[u8]) -> P
 #[cfg_attr(target_os = "none", inline(never))]
 pub(crate) const fn blanks(text: &[u8]) -> &[u8] {
     let mut rest = text;
-    while let [b' ' | b'\t', behind @ ..] = rest {
-        rest = behind;
+    while let [b' ' | b'\t', after @ ..] = rest {
+        rest = after;
     }
     rest
 }
@@ -124,16 +124,16 @@ fn tree<'a>(text: &'a [u8], out: &mut Writer<'_>) -> Parsed<'a, ()> {
     let mut depth = 0_usize;
     let mut rest = text;
     loop {
-        let (behind, vartype) = vartype(rest)?;
+        let (after, vartype) = vartype(rest)?;
         if vartype.element() == VarType::VARIANT {
             let Some(slot) = levels.get_mut(depth) else { return fault(TextErrorKind::TooDeep, rest) };
             let (_, level) = Level::open(vartype, rest, out)?;
             *slot = level;
             depth = depth.wrapping_add(1);
-            (rest, ()) = preceded(byte(b',', TextErrorKind::Comma), open).parse_complete(behind)?;
+            (rest, ()) = preceded(byte(b',', TextErrorKind::Comma), open).parse_complete(after)?;
             continue;
         }
-        (rest, ()) = data(vartype, behind, true, out)?;
+        (rest, ()) = data(vartype, after, true, out)?;
         while let Some(level) = depth.checked_sub(1).and_then(|top| levels.get_mut(top)) {
             (rest, ()) = close(rest)?;
             if let Some(element) = level.next(rest) {
@@ -166,7 +166,7 @@ impl Level {
         let level = Self { is_array: vartype.is_array(), count_at: out.len().wrapping_add(TYPE_LEN), count: 1 };
         match head(vartype, 1, out) {
             Ok(()) => Ok((text, level)),
-            Err(error) => fault(full(error), text),
+            Err(_) => fault(TextErrorKind::Full, text),
         }
     }
 
@@ -185,10 +185,6 @@ impl Level {
     }
 }
 
-const fn full(_: EncodeError) -> TextErrorKind {
-    TextErrorKind::Full
-}
-
 /// `data = { "," blanks element }` of types that hold no VARIANT: one element for a scalar, one or more for an array
 fn data<'a>(vartype: VarType, text: &'a [u8], nested: bool, out: &mut Writer<'_>) -> Parsed<'a, ()> {
     match vartype.element() {
@@ -199,6 +195,7 @@ fn data<'a>(vartype: VarType, text: &'a [u8], nested: bool, out: &mut Writer<'_>
     }
 }
 
+/// `data` of an `element` type that may be a constant
 #[cfg_attr(not(target_os = "none"), inline(always))]
 fn elements<'a>(
     element: VarType,
@@ -225,7 +222,7 @@ fn elements<'a>(
         }
     };
     level.close(out);
-    if at_end(rest, nested) { Ok((rest, ())) } else { fault(behind_number(element, rest), rest) }
+    if at_end(rest, nested) { Ok((rest, ())) } else { fault(after_number(element, rest), rest) }
 }
 
 const fn at_end(rest: &[u8], nested: bool) -> bool {
@@ -233,7 +230,7 @@ const fn at_end(rest: &[u8], nested: bool) -> bool {
 }
 
 /// Returns the error for text that follows a number.
-const fn behind_number(element: VarType, rest: &[u8]) -> TextErrorKind {
+const fn after_number(element: VarType, rest: &[u8]) -> TextErrorKind {
     match rest {
         [b' ' | b'\t', ..] => TextErrorKind::BlankBehind,
         [b'.', ..] if matches!(element, VarType::CY) => TextErrorKind::CurrencyPoint,

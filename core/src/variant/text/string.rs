@@ -15,8 +15,8 @@ pub(super) fn string<'a>(text: &'a [u8], place: Place, out: &mut Writer<'_>) -> 
     let head_at = out.len();
     let written = out.put([0; 4]).and_then(|()| {
         let mut left = string;
-        while let Some((c, behind)) = character(left) {
-            left = behind;
+        while let Some((c, after)) = character(left) {
+            left = after;
             c.encode_utf16(&mut [0; 2]).iter().try_for_each(|unit| out.put(unit.to_le_bytes()))?;
         }
         Ok(left)
@@ -74,9 +74,9 @@ pub(super) fn character(text: &[u8]) -> Option<(char, &[u8])> {
     };
     let mut code = u32::from(bits);
     for _ in 0..count {
-        let (next, behind) = rest.split_first().filter(|(next, _)| **next & 0xc0 == 0x80)?;
+        let (next, after) = rest.split_first().filter(|(next, _)| **next & 0xc0 == 0x80)?;
         code = code << 6 | u32::from(next & 0x3f);
-        rest = behind;
+        rest = after;
     }
     let c = char::from_u32(code).filter(|_| code >= least)?;
     Some((c, rest))
