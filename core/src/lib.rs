@@ -109,6 +109,7 @@ pub mod endpoint;
 pub mod error;
 pub mod gateway;
 pub mod handler;
+pub mod histogram;
 pub mod hresult;
 pub mod io;
 pub mod limits;

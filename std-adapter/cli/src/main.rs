@@ -26,6 +26,7 @@ mod slave;
 mod tap;
 mod target;
 mod text;
+mod times;
 mod value;
 mod variables;
 mod watch;
