@@ -39,13 +39,15 @@
 //! * Text is read once, from front to back. Nesting uses no recursion: both directions keep a few words for each of at most
 //!   [`MAX_DEPTH`](crate::limits::MAX_DEPTH) levels.
 
+mod grammar;
 pub(super) mod number;
 mod parse;
 mod print;
 mod string;
 
+pub(crate) use self::grammar::{Parsed, blanks, complete, expect, fault};
 pub(crate) use self::number::{Integer, integer};
-pub(crate) use self::parse::{Parsed, blanks, complete, expect, fault, value};
+pub(crate) use self::parse::value;
 pub(crate) use self::print::put_integer;
 
 use super::{Variant, VariantBuf};
@@ -104,14 +106,6 @@ impl Variant<'_> {
         self.write_text(&mut out)?;
         core::str::from_utf8(out.into_bytes()).map_err(|_| TextError::printing(TextErrorKind::Utf8))
     }
-}
-
-/// The place of a string, which decides which characters it cannot contain.
-#[derive(Clone, Copy)]
-struct Place {
-    /// Inside the parentheses of a VARIANT.
-    nested: bool,
-    in_array: bool,
 }
 
 #[cfg(test)]

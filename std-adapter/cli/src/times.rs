@@ -20,6 +20,11 @@ impl Times {
         Self { histogram, max: 0 }
     }
 
+    #[cfg(test)]
+    pub(crate) fn record(&mut self, micros: u64) {
+        self.record_n(micros, 1);
+    }
+
     fn record_n(&mut self, micros: u64, count: u32) {
         self.histogram.saturating_record_n(micros, count);
         self.max = self.max.max(micros);

@@ -1,6 +1,6 @@
 //! Numbers and dates: from text to the bits of an element.
 
-use super::parse::{Parsed, blanks, byte, fault};
+use super::grammar::{Parsed, blanks, byte, fault};
 use crate::error::TextErrorKind;
 use crate::num::to_u32;
 use crate::variant::encode::put_bits;

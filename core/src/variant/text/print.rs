@@ -1,6 +1,6 @@
 //! Values as text.
 
-use super::Place;
+use super::grammar::Place;
 use crate::error::TextErrorKind;
 use crate::num::{to_u32, to_usize};
 use crate::variant::float::{Format, divide_by_10, low};

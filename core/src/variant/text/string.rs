@@ -1,7 +1,6 @@
 //! Strings: where they end, and their UTF-8 as UTF-16.
 
-use super::Place;
-use super::parse::{Parsed, fault};
+use super::grammar::{Parsed, Place, fault};
 use crate::error::TextErrorKind;
 use crate::num::to_u32;
 use crate::wire::Writer;
