@@ -104,8 +104,12 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     /// When the future is dropped the call is given up: a partly sent request is finished before the next call, and the
     /// reply, if it arrives, is dropped. Whether the controller has executed the call is then unknown.
     pub async fn call<C: Call>(&mut self, call: C) -> Result<<C::Reply as Reply>::Value<'_>, CallError<X::Error>> {
+        // not through `call_with`, whose future would hold the call twice and its timing
+        flush(&mut self.transport, &mut self.client).await?;
         let timing = self.client.timing();
-        self.call_with(call, timing).await
+        self.client.start(&call, timing, self.transport.now())?;
+        wait(&mut self.transport, &mut self.client).await?;
+        Ok(self.client.value::<C::Reply>()?)
     }
 
     /// Makes a call as [`call`](Self::call) does, with its own time limits and attempts.
