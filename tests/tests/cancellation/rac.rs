@@ -79,6 +79,14 @@ impl Transport for Line {
     }
 
     async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, Infallible> {
+        if until <= self.now() {
+            // reads what arrived before the call, and waits for nothing
+            let byte = poll_fn(|_| self.poll(|line| Some(line.pending.pop_front()))).await;
+            return Ok(byte.map(|byte| {
+                buffer[0] = byte;
+                1
+            }));
+        }
         self.limits.push(until);
         buffer[0] = poll_fn(|_| self.poll(|line| line.pending.pop_front())).await;
         Ok(Some(1))

@@ -21,7 +21,7 @@ pub(crate) const SERVE: &str = "--serve";
 
 /// What the attacked server allows: little enough for a case to go beyond it.
 pub(crate) const LIMITS: Limits = Limits {
-    connections: 64,
+    connections: 96,
     connections_per_address: 64,
     evict_after: Duration::from_secs(60),
     udp_peers: 16,
