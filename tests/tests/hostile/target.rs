@@ -28,7 +28,7 @@ pub(crate) const LIMITS: Limits = Limits {
     udp_peers_per_address: 16,
     udp_idle: Duration::from_secs(60),
     udp_lost: Duration::from_secs(600),
-    receive: Duration::from_secs(2),
+    receive: Duration::from_secs(4),
     send: Duration::from_secs(1),
     call: Duration::from_secs(3600),
     idle: None,
