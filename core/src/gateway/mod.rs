@@ -56,6 +56,7 @@ mod counters;
 mod event;
 mod handles;
 mod link;
+mod rule_text;
 mod rules;
 mod seat;
 
@@ -70,6 +71,7 @@ pub use self::config::Config;
 pub use self::counters::{Counters, Tally};
 pub use self::event::{Asked, Event};
 pub use self::link::RobotError;
+pub use self::rule_text::{AllowBuf, RuleError, RuleErrorKind};
 pub use self::rules::{Allow, Bounds, Rate, Refusal, Rules};
 
 use crate::bcap::FunctionId;
@@ -192,6 +194,12 @@ impl<'m> Gateway<'m> {
         &self.counters
     }
 
+    /// Returns the number of clients that the gateway has memory for.
+    #[must_use]
+    pub const fn capacity(&self) -> usize {
+        self.seats.len()
+    }
+
     /// Tells whether there is a session with the robot, so that requests are passed on.
     #[must_use]
     pub const fn is_up(&self) -> bool {
@@ -307,6 +315,11 @@ impl Gateway<'_> {
             self.news = Some(self.fail_link(RobotError::Closed));
         }
         self.link.closed(now);
+    }
+
+    /// Sets the serial of the next call to the robot, such as a random one over UDP, where replies can be forged.
+    pub const fn set_next_serial(&mut self, serial: u16) {
+        self.client.set_next_serial(serial);
     }
 
     /// Returns memory for bytes that arrive from the robot; with datagrams, for one of them.

@@ -519,6 +519,15 @@ pub(crate) fn integer(text: &[u8]) -> Parsed<'_, Integer> {
     Ok((behind, Integer { negative, magnitude, hex }))
 }
 
+/// Parses a text that is one R8 and nothing else.
+pub(crate) fn double(text: &[u8]) -> Result<f64, TextError> {
+    match float(text, Format::Double) {
+        Ok(([], bits)) => Ok(f64::from_bits(bits)),
+        Ok((rest, _)) => Err(Fault::new(TextErrorKind::Digit, rest).at(text.len())),
+        Err(error) => Err(Fault::from(error).at(text.len())),
+    }
+}
+
 /// `float = [ sign ] ( decimal [ "e" [ sign ] digits ] | "inf" | "nan" )`, words in any case; its bits
 fn float(text: &[u8], format: Format) -> Parsed<'_, u64> {
     let (unsigned, negative) = sign(text);
