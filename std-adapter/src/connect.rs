@@ -88,6 +88,16 @@ impl ConnectError {
     }
 }
 
+/// Keeps the kind of the error of the operating system, and writes both errors in one line.
+impl From<ConnectError> for io::Error {
+    fn from(error: ConnectError) -> Self {
+        let (ConnectError::Resolve { source, .. }
+        | ConnectError::Connect { source, .. }
+        | ConnectError::Setup(source)) = &error;
+        Self::new(source.kind(), format!("{error}: {source}"))
+    }
+}
+
 /// Looks a name up and tries its addresses in turn.
 pub(crate) fn first_address<A: ToSocketAddrs + Debug, T>(
     name: A,

@@ -16,7 +16,7 @@ pub(crate) use self::slave::{Cosine, Doctor, Halt, Play, Record, Slave, SlaveCom
 use crate::error::Failure;
 use crate::escape;
 use crate::frame::Role;
-use crate::gateway::AllowPut;
+use crate::rules::AllowPut;
 use crate::target::Target;
 
 /// Talks to DENSO robot controllers over b-CAP and RAC, and takes their traffic apart.

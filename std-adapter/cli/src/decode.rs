@@ -12,7 +12,8 @@ use crate::dissect::dissect;
 use crate::error::Failure;
 use crate::frame::{self, Role};
 use crate::hex;
-use crate::item::{ItemError, Items, Place};
+use crate::error::ItemError;
+use crate::item::{Items, Place};
 use crate::json::{self, LIMITS, Part};
 
 /// Runs `bcap decode`.

@@ -26,7 +26,7 @@ use serde::Deserialize;
 use serde_json::value::RawValue;
 
 use crate::hex;
-use crate::item::ItemError;
+use crate::error::ItemError;
 
 /// What this command reads and writes at most: the specification's 16 MiB, but as many arguments and as deep as can be.
 pub(crate) const LIMITS: Limits = Limits { arguments: u16::MAX, depth: MAX_DEPTH, ..Limits::STREAM };

@@ -9,7 +9,8 @@ use crate::args::{Text, TextCommand};
 use crate::error::Failure;
 use crate::escape;
 use crate::hex;
-use crate::item::{ItemError, Items};
+use crate::error::ItemError;
+use crate::item::Items;
 use crate::json::LIMITS;
 use crate::value::{self, Value};
 

@@ -16,8 +16,8 @@ use tokio::sync::watch;
 use tokio::task::{Id, JoinError, JoinSet};
 use tokio::time::timeout;
 
-use super::Limits;
 use super::admission::{Activity, Admission, Slots};
+use super::limits::Limits;
 use super::memory::{Buffer, Pool};
 use super::shared::Shared;
 use super::stream;
@@ -26,8 +26,8 @@ use crate::connect::set_up_tcp;
 
 /// Handles that one peer can have open.
 const OBJECTS: usize = 1000;
-/// Connections over the limit that are told so at the same time; more are closed without a word.
-const REFUSALS: usize = 32;
+/// Connections over the limit that are answered at the same time; further ones are closed without an answer.
+pub(crate) const REFUSALS: usize = 32;
 /// How long a connection over the limit has for its first request.
 pub(super) const REFUSAL_TIME: Duration = Duration::from_secs(2);
 
