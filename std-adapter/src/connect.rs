@@ -91,9 +91,8 @@ impl ConnectError {
 /// Keeps the kind of the error of the operating system, and writes both errors in one line.
 impl From<ConnectError> for io::Error {
     fn from(error: ConnectError) -> Self {
-        let (ConnectError::Resolve { source, .. }
-        | ConnectError::Connect { source, .. }
-        | ConnectError::Setup(source)) = &error;
+        let (ConnectError::Resolve { source, .. } | ConnectError::Connect { source, .. } | ConnectError::Setup(source)) =
+            &error;
         Self::new(source.kind(), format!("{error}: {source}"))
     }
 }

@@ -174,7 +174,11 @@ impl fmt::Display for RuleErrorKind {
                 write!(f, "invalid value range {bounds}: the minimum is above the maximum")
             }
             Self::TooManyRanges { kind, count } => {
-                write!(f, "too many value ranges: {count}, but a variable of kind {kind} has {} elements", kind.elements())
+                write!(
+                    f,
+                    "too many value ranges: {count}, but a variable of kind {kind} has {} elements",
+                    kind.elements()
+                )
             }
         }
     }
@@ -292,11 +296,7 @@ mod tests {
             ("I/1=0..1x", "invalid bound of a value range: not a digit of the number, at column 9", ""),
             ("I=2..-1.5", "invalid value range 2..-1.5: the minimum is above the maximum, at column 3", ""),
             ("I=nan..1", "invalid value range NaN..1: a bound cannot be NaN, at column 3", ""),
-            (
-                "I=0..1,0..1",
-                "too many value ranges: 2, but a variable of kind I has 1 elements, at column 8",
-                "",
-            ),
+            ("I=0..1,0..1", "too many value ranges: 2, but a variable of kind I has 1 elements, at column 8", ""),
         ] {
             assert_eq!(AllowBuf::parse(text).unwrap_err().to_string(), [error, column].concat(), "{text}");
         }

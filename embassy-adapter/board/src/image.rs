@@ -140,7 +140,8 @@ mod tests {
     fn wrong_settings_and_wrong_images_are_told_apart() {
         let mut image = image();
         let error = write(&mut image, b"echo=7\nput=X\nrate=x\n").unwrap_err();
-        let text = "invalid setting \"put=X\": unknown kind of variable: expected one of I F D S V P J T IO, at column 1";
+        let text =
+            "invalid setting \"put=X\": unknown kind of variable: expected one of I F D S V P J T IO, at column 1";
         assert_eq!(error.to_string(), text);
         assert_eq!(image, self::image());
         assert_eq!(write(&mut [0x55; 4096], b""), Err(ImageError::NoBlock));

@@ -7,8 +7,8 @@ use bcap_core::variant::{VarType, Variant};
 
 use crate::args::{Call, Exec, LinkArgs};
 use crate::error::Failure;
-use crate::output::{print_json, print_line};
 use crate::object::{Path, word};
+use crate::output::{print_json, print_line};
 use crate::plain;
 use crate::session::{Session, integer, text, with_session};
 use crate::value::Value;

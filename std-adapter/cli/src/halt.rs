@@ -5,8 +5,8 @@ use bcap_core::hresult::HResult;
 
 use crate::args::LinkArgs;
 use crate::error::Failure;
-use crate::output::{print_json, print_line};
 use crate::object::Path;
+use crate::output::{print_json, print_line};
 use crate::session::{integer, text, with_session};
 
 /// Runs `bcap halt`.

@@ -46,7 +46,8 @@ fn parse(text: &str) -> Result<Rules<'static>, String> {
     let file: File = toml::from_str(text).map_err(|error| error.to_string().trim_end().to_owned())?;
     let rules = |table: &str, entries: &[Entry]| -> Result<&'static [Allow<'static>], String> {
         let numbered = (1..).zip(entries);
-        let rules = numbered.map(|(n, entry)| entry.to_allow().map_err(|error| format!("[[{table}]] number {n}, {error}")));
+        let rules =
+            numbered.map(|(n, entry)| entry.to_allow().map_err(|error| format!("[[{table}]] number {n}, {error}")));
         rules.collect::<Result<Vec<_>, _>>().map(|rules| &*Vec::leak(rules))
     };
     let get = file.get.as_deref().map_or(Ok(&Allow::EVERYTHING[..]), |get| rules("get", get))?;

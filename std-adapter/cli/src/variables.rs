@@ -6,8 +6,8 @@ use bcap_core::variant::Variant;
 
 use crate::args::{Get, LinkArgs, Put};
 use crate::error::Failure;
-use crate::output::{print_json, print_line};
 use crate::object::{Path, Step, word};
+use crate::output::{print_json, print_line};
 use crate::plain;
 use crate::session::{Session, integer, text, with_session};
 use crate::value::Value;

@@ -108,7 +108,11 @@ mod tests {
             let lines: Vec<_> = all.lines().collect();
             let first = 100 - lines.len();
             assert!(lines.iter().zip(first..).all(|(line, n)| **line == format!("line {n:04}")), "{lines:?}");
-            assert_eq!(lines.len(), 9 * keep as usize + 1, "the last file has the line that did not fit the one before");
+            assert_eq!(
+                lines.len(),
+                9 * keep as usize + 1,
+                "the last file has the line that did not fit the one before"
+            );
         }
     }
 
