@@ -56,6 +56,10 @@ fairness:
 loopback:
     cargo bench -p bcap-tests --bench loopback
 
+# What a flood of S_EXECUTING costs a client and a gateway: processor time in 5 s each.
+flood:
+    cargo bench -p bcap-tests --bench flood
+
 # How well streams of Slave Mode keep 8 ms beside a busy core: every mode, blocking and tokio, 80 s each.
 slave cycles="10000":
     cargo bench -p bcap-tests --bench slave -- {{cycles}}

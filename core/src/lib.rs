@@ -45,6 +45,7 @@
 //! use bcap_core::bcap::server::{self, Handler, Request, Session};
 //! use bcap_core::bcap::client::{self, Client, Timing};
 //! use bcap_core::bcap::FunctionId;
+//! use bcap_core::endpoint::{Endpoint, Serve};
 //! use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 //! use bcap_core::hresult::HResult;
 //! use bcap_core::time::Instant;
@@ -104,16 +105,18 @@
 extern crate alloc;
 
 pub mod bcap;
+pub mod endpoint;
 pub mod error;
 pub mod gateway;
 pub mod handler;
+pub mod histogram;
 pub mod hresult;
 pub mod io;
 pub mod limits;
 mod num;
+mod outbox;
 pub mod procedure;
 pub mod rac;
-pub mod session;
 pub mod slave;
 pub mod storage;
 pub mod time;

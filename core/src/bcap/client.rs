@@ -28,10 +28,13 @@ use core::time::Duration;
 use crate::bcap::FunctionId;
 use crate::bcap::call::{Call, Reply, ReplyError};
 use crate::bcap::frame::{Frame, FrameWriter, MIN_FRAME, renumber};
-use crate::bcap::link::{Inbox, Link, OnMalformed, Received, Span};
+use crate::bcap::header::Header;
+use crate::bcap::link::{Inbox, Link, Located, OnMalformed, Received};
+use crate::endpoint::Endpoint;
 use crate::error::{DecodeError, EncodeError};
 use crate::hresult::HResult;
 use crate::limits::{Limits, Strictness};
+use crate::outbox::Outbox;
 use crate::storage::Storage;
 use crate::time::Instant;
 
@@ -198,6 +201,7 @@ impl core::error::Error for ClientError {}
 /// ```
 /// use bcap_core::bcap::call::{self, VariableHandle};
 /// use bcap_core::bcap::client::{Client, Config, Event, Timing};
+/// use bcap_core::endpoint::Endpoint;
 /// use bcap_core::time::Instant;
 /// use bcap_core::variant::Variant;
 ///
@@ -223,7 +227,7 @@ pub struct Client<T, R = T> {
     rx: R,
     inbox: Inbox,
     /// The reply to the last call, while it is still in `rx`.
-    reply: Option<Span>,
+    reply: Option<Located>,
     state: State,
 }
 
@@ -235,9 +239,8 @@ struct State {
     /// The serial of the next attempt.
     next_serial: u16,
     call: Option<InFlight>,
-    /// Bytes of the request in `tx`, and how many of them the link has taken.
-    tx_len: usize,
-    tx_sent: usize,
+    /// What of the request in `tx` is to be sent.
+    outbox: Outbox,
     unanswered: Unanswered,
     flood: Flood,
     closed: bool,
@@ -250,8 +253,8 @@ struct InFlight {
     first: u16,
     last: u16,
     attempt: u8,
-    /// The serial of the last attempt of which bytes have left.
-    sent: Option<u16>,
+    /// The serial of the last attempt of which bytes have left; 0 before the first one has.
+    sent: u16,
     /// What of its timing is still needed; times in microseconds.
     attempts: u8,
     attempt_timeout: u64,
@@ -345,58 +348,20 @@ impl<T: Storage, R: Storage> Client<T, R> {
         Ok(())
     }
 
-    /// Returns the bytes that are to be sent: one datagram, or the rest of a frame for a stream.
-    #[must_use]
-    pub fn transmit(&self) -> &[u8] {
-        self.tx.bytes().get(self.state.tx_sent..self.state.tx_len).unwrap_or_default()
-    }
-
-    /// Records that the link has taken `count` bytes of [`transmit`](Self::transmit).
-    pub fn transmitted(&mut self, count: usize) {
-        let sent = self.state.tx_sent.saturating_add(count).min(self.state.tx_len);
-        if sent > self.state.tx_sent
-            && let Some(call) = &mut self.state.call
-        {
-            if call.sent.is_none() {
-                self.inbox.mark();
-            }
-            call.sent = Some(call.last);
-        }
-        self.state.tx_sent = sent;
-    }
-
-    /// Returns memory for bytes that arrive; with datagrams, for one of them. The last reply is gone then.
-    #[must_use]
-    pub fn receive_buffer(&mut self) -> &mut [u8] {
-        self.reply = None;
-        self.inbox.free(&mut self.rx)
-    }
-
-    /// Takes note that `count` bytes have been put into [`receive_buffer`](Self::receive_buffer).
-    ///
-    /// [`poll_event`](Self::poll_event) is to be called next, until it returns `None`.
-    pub fn received(&mut self, count: usize) {
-        self.inbox.received(self.rx.bytes(), count);
-    }
-
     /// Returns what the received bytes mean; `None` when more are needed.
     pub fn poll_event(&mut self, now: Instant) -> Option<Event> {
         if self.state.closed {
             return None;
         }
         Some(match self.inbox.poll(&mut self.rx)? {
-            Received::Frame(span) => {
-                let frame = self.inbox.frame(self.rx.bytes(), span)?;
-                let is_early = self.inbox.is_early(span);
-                let event = self.state.handle_frame(frame.serial, frame.hresult(), is_early, now);
+            Received::Frame(frame) => {
+                let event = self.state.handle_frame(&frame.header, self.inbox.is_early(frame), now);
                 if matches!(event, Event::Replied(_)) {
-                    self.reply = Some(span);
+                    self.reply = Some(frame);
                 }
                 event
             }
-            Received::TooLarge { span, serial, length } => {
-                self.state.handle_too_large(serial, length, self.inbox.is_early(span))
-            }
+            Received::TooLarge(frame) => self.state.handle_too_large(&frame.header, self.inbox.is_early(frame)),
             Received::Malformed(error) => Event::Malformed(error),
             Received::Broken(error) => self.state.close(ClientError::Malformed(error)),
         })
@@ -418,12 +383,6 @@ impl<T: Storage, R: Storage> Client<T, R> {
         V::read(args).map_err(ClientError::Reply)
     }
 
-    /// Returns when [`handle_timeout`](Self::handle_timeout) is to be called; `None` while no call is in flight.
-    #[must_use]
-    pub fn poll_timeout(&self) -> Option<Instant> {
-        self.state.call.map(|call| call.attempt_until.min(call.deadline).min(call.keep_alive_until()))
-    }
-
     /// Acts on the time: sends a call again, or ends it. Nothing happens before the time is due.
     pub fn handle_timeout(&mut self, now: Instant) -> Option<Event> {
         let call = self.state.call?;
@@ -437,7 +396,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
             return None;
         }
         if self.state.link == Link::Serial {
-            if self.state.is_sending() {
+            if self.state.outbox.is_partial() {
                 // a slow line: the attempt has not really begun
                 self.state.call = Some(InFlight { attempt_until: call.attempt_end(now), ..call });
                 return None;
@@ -449,7 +408,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
             return Some(self.state.fail(Timeout::Attempt));
         }
         let serial = self.state.retry(call, now);
-        let frame = self.tx.bytes_mut().get_mut(..self.state.tx_len).unwrap_or_default();
+        let frame = self.state.outbox.whole(self.tx.bytes_mut());
         renumber(frame, serial, call.first, self.state.link == Link::Serial);
         Some(Event::Retried { attempt: call.attempt.saturating_add(1) })
     }
@@ -477,10 +436,39 @@ impl<T: Storage, R: Storage> Client<T, R> {
         self.reply = None;
         self.state.end_call(None);
         self.state.closed = false;
-        self.state.tx_len = 0;
-        self.state.tx_sent = 0;
+        self.state.outbox = Outbox::EMPTY;
         self.state.unanswered = Unanswered::default();
         self.state.flood = Flood::default();
+    }
+}
+
+impl<T: Storage, R: Storage> Endpoint for Client<T, R> {
+    fn transmit(&self) -> &[u8] {
+        self.state.outbox.unsent(self.tx.bytes())
+    }
+
+    fn transmitted(&mut self, count: usize) {
+        if self.state.outbox.transmitted(count)
+            && let Some(call) = &mut self.state.call
+        {
+            if call.sent == 0 {
+                self.inbox.mark();
+            }
+            call.sent = call.last;
+        }
+    }
+
+    fn receive_buffer(&mut self) -> &mut [u8] {
+        self.reply = None;
+        self.inbox.free(&mut self.rx)
+    }
+
+    fn received(&mut self, count: usize) {
+        self.inbox.received(self.rx.bytes(), count);
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        self.state.call.map(|call| call.attempt_until.min(call.deadline).min(call.keep_alive_until()))
     }
 }
 
@@ -515,8 +503,7 @@ impl State {
             timing: config.timing,
             next_serial: 1,
             call: None,
-            tx_len: 0,
-            tx_sent: 0,
+            outbox: Outbox::EMPTY,
             unanswered: Unanswered::default(),
             flood: Flood::default(),
             closed: false,
@@ -527,7 +514,7 @@ impl State {
         if self.closed {
             return Err(ClientError::Closed);
         }
-        if self.call.is_some() || self.tx_sent < self.tx_len {
+        if self.call.is_some() || self.outbox.is_sending() {
             return Err(ClientError::Busy);
         }
         Ok(())
@@ -547,13 +534,12 @@ impl State {
     }
 
     fn begin(&mut self, serial: u16, len: usize, timing: Timing, now: Instant) {
-        self.tx_len = len;
-        self.tx_sent = 0;
+        self.outbox = Outbox::new(len);
         self.call = Some(InFlight {
             first: serial,
             last: serial,
             attempt: 1,
-            sent: None,
+            sent: 0,
             attempts: timing.attempts,
             attempt_timeout: Instant::ZERO.saturating_add(timing.attempt_timeout).as_micros(),
             keep_alive: KeepAlive::For(Instant::ZERO.saturating_add(timing.keep_alive).as_micros()),
@@ -564,7 +550,7 @@ impl State {
 
     fn retry(&mut self, call: InFlight, now: Instant) -> u16 {
         let serial = self.take_serial();
-        self.tx_sent = 0;
+        self.outbox.rewind();
         self.call = Some(InFlight {
             last: serial,
             attempt: call.attempt.saturating_add(1),
@@ -574,7 +560,8 @@ impl State {
         serial
     }
 
-    fn handle_frame(&mut self, serial: u16, result: HResult, is_early: bool, now: Instant) -> Event {
+    fn handle_frame(&mut self, header: &Header, is_early: bool, now: Instant) -> Event {
+        let (serial, result) = (header.serial, HResult(header.code));
         let is_answer = !is_early && self.is_awaited(serial) && (result.is_err() || self.is_sent());
         // over UDP anybody can send stale replies, so those end no session
         let is_useless = if is_answer { result == HResult::S_EXECUTING } else { self.link == Link::Stream };
@@ -605,7 +592,8 @@ impl State {
         }
     }
 
-    fn handle_too_large(&mut self, serial: u16, length: u32, is_early: bool) -> Event {
+    fn handle_too_large(&mut self, header: &Header, is_early: bool) -> Event {
+        let Header { serial, length, .. } = *header;
         if is_early || !self.is_awaited(serial) {
             return Event::Stale { serial };
         }
@@ -615,14 +603,14 @@ impl State {
 
     /// Tells whether an attempt of the call in flight has left with this serial.
     fn is_awaited(&self, serial: u16) -> bool {
-        let sent = self.call.and_then(|call| call.sent.map(|sent| (call.first, sent)));
+        let sent = self.call.map(|call| (call.first, call.sent)).filter(|(_, sent)| *sent != 0);
         // an old serial may lie in the range of a call whose attempts had to step over it
         sent.is_some_and(|(first, sent)| within(serial, first, sent)) && !self.unanswered.contains(serial)
     }
 
     /// Tells whether an attempt of the call in flight has left wholly.
     fn is_sent(&self) -> bool {
-        self.tx_sent >= self.tx_len || self.call.is_some_and(|call| call.attempt > 1)
+        !self.outbox.is_sending() || self.call.is_some_and(|call| call.attempt > 1)
     }
 
     fn fail(&mut self, timeout: Timeout) -> Event {
@@ -639,19 +627,13 @@ impl State {
     /// Ends the call in flight, if there is one, and remembers its attempts that were sent but not answered.
     fn end_call(&mut self, answered: Option<u16>) {
         let Some(call) = self.call.take() else { return };
-        if call.sent.is_some() && (answered.is_none() || call.attempt > 1) {
+        if call.sent != 0 && (answered.is_none() || call.attempt > 1) {
             self.unanswered.push(call.first, call.last);
         }
-        if !self.is_sending() || self.link == Link::Datagram {
+        if !self.outbox.is_partial() || self.link == Link::Datagram {
             // nothing of the frame has left, or all of it has
-            self.tx_len = 0;
-            self.tx_sent = 0;
+            self.outbox = Outbox::EMPTY;
         }
-    }
-
-    /// Tells whether a frame has left in part: what follows it on the link must be its rest.
-    const fn is_sending(&self) -> bool {
-        0 < self.tx_sent && self.tx_sent < self.tx_len
     }
 }
 

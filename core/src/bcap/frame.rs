@@ -2,12 +2,7 @@
 //!
 //! ```text
 //!  offset  size  field
-//!       0     1  SOH 0x01
-//!       1     4  length of the whole frame, SOH to EOT
-//!       5     2  serial number; a reply repeats its request's
-//!       7     2  reserved; on UDP and serial lines the serial of a call's first attempt
-//!       9     4  request: function number; reply: HRESULT
-//!      13     2  number of arguments
+//!       0    15  header: SOH, length, serial, reserved, code, number of arguments (`header.rs`)
 //!      15     …  arguments: u32 length of the value | value (VARIANT)
 //!   end-3     2  CRC-16 over length..last argument; serial lines only
 //!   end-1     1  EOT 0x04
@@ -19,6 +14,7 @@
 use core::fmt;
 
 use crate::bcap::FunctionId;
+use crate::bcap::header::{COUNT_AT, HEADER_LEN, Header, LENGTH_AT, SOH};
 use crate::error::{DecodeError, DecodeErrorKind, EncodeError, Layer};
 use crate::hresult::HResult;
 use crate::limits::{Limits, Strictness};
@@ -26,14 +22,10 @@ use crate::num::{to_u16, to_u32, to_usize};
 use crate::variant::{self, Encode, Variant};
 use crate::wire::{Reader, Writer};
 
-/// The first byte of every frame.
-pub const SOH: u8 = 0x01;
 /// The last byte of every frame.
 pub const EOT: u8 = 0x04;
-/// Bytes in front of the arguments.
-pub const HEADER_LEN: usize = 15;
-/// The least frame: a header and EOT.
-pub const MIN_FRAME: usize = 16;
+/// The length of the shortest frame: a header and EOT.
+pub const MIN_FRAME: usize = HEADER_LEN + 1;
 
 /// Decodes frames; its fields are run-time choices of the user.
 ///
@@ -74,6 +66,12 @@ pub enum Progress<'a> {
     NeedMore(usize),
 }
 
+/// As [`Progress`], with the header of the frame.
+pub(crate) enum Decoded<'a> {
+    Complete(Header, Args<'a>),
+    NeedMore(usize),
+}
+
 /// A checked frame, as a view of its bytes.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Frame<'a> {
@@ -111,10 +109,19 @@ impl Decoder {
     /// A [`DecodeError`]; a stream can go on behind the bytes that [`resync`](Self::resync) says.
     #[inline]
     pub fn decode<'a>(&self, bytes: &'a [u8]) -> Result<Progress<'a>, DecodeError> {
-        let Some(length) = self.frame_length(bytes)? else { return Ok(Progress::NeedMore(MIN_FRAME)) };
+        Ok(match self.decode_with_header(bytes)? {
+            Decoded::Complete(header, args) => Progress::Complete(Frame::new(header, args), to_usize(header.length)),
+            Decoded::NeedMore(needed) => Progress::NeedMore(needed),
+        })
+    }
+
+    /// Decodes the frame at the front of `bytes`, and returns its header as it was read.
+    #[inline]
+    pub(crate) fn decode_with_header<'a>(&self, bytes: &'a [u8]) -> Result<Decoded<'a>, DecodeError> {
+        let Some(length) = self.frame_length(bytes)? else { return Ok(Decoded::NeedMore(MIN_FRAME)) };
         match bytes.get(..length) {
-            Some(frame) => self.check(frame).map(|frame| Progress::Complete(frame, length)),
-            None => Ok(Progress::NeedMore(length)),
+            Some(frame) => self.check(frame).map(|(header, args)| Decoded::Complete(header, args)),
+            None => Ok(Decoded::NeedMore(length)),
         }
     }
 
@@ -124,15 +131,21 @@ impl Decoder {
     ///
     /// As [`decode`](Self::decode), and for bytes that are missing, or too many (a lenient decoder leaves those out).
     pub fn decode_datagram<'a>(&self, bytes: &'a [u8]) -> Result<Frame<'a>, DecodeError> {
-        match self.decode(bytes)? {
-            Progress::Complete(frame, used) if used == bytes.len() || self.strictness == Strictness::Lenient => {
-                Ok(frame)
+        self.decode_datagram_with_header(bytes).map(|(header, args)| Frame::new(header, args))
+    }
+
+    /// Decodes a datagram, and returns its header as it was read.
+    pub(crate) fn decode_datagram_with_header<'a>(&self, bytes: &'a [u8]) -> Result<(Header, Args<'a>), DecodeError> {
+        match self.decode_with_header(bytes)? {
+            Decoded::Complete(header, args) => {
+                let used = to_usize(header.length);
+                if used < bytes.len() && self.strictness == Strictness::Strict {
+                    let unused = to_u32(bytes.len().wrapping_sub(used));
+                    return Err(DecodeError::frame(DecodeErrorKind::Unused(unused), used));
+                }
+                Ok((header, args))
             }
-            Progress::Complete(_, used) => {
-                let unused = to_u32(bytes.len().saturating_sub(used));
-                Err(DecodeError::frame(DecodeErrorKind::Unused(unused), used))
-            }
-            Progress::NeedMore(needed) => {
+            Decoded::NeedMore(needed) => {
                 Err(DecodeError::frame(DecodeErrorKind::Incomplete { needed: to_u32(needed) }, bytes.len()))
             }
         }
@@ -145,22 +158,18 @@ impl Decoder {
     /// When the first byte or the length cannot begin a frame.
     #[inline]
     pub fn frame_length(&self, bytes: &[u8]) -> Result<Option<usize>, DecodeError> {
-        match bytes {
-            [] => Ok(None),
-            [SOH, l0, l1, l2, l3, ..] => {
-                let length = u32::from_le_bytes([*l0, *l1, *l2, *l3]);
-                if length < to_u32(self.min_frame()) {
-                    return Err(DecodeError::frame(DecodeErrorKind::FrameTooShort(length), 1));
-                }
-                if length > self.limits.frame {
-                    let limit = self.limits.frame;
-                    return Err(DecodeError::frame(DecodeErrorKind::FrameTooLong { length, limit }, 1));
-                }
-                Ok(Some(to_usize(length)))
-            }
-            [SOH, ..] => Ok(None),
-            [found, ..] => Err(DecodeError::frame(DecodeErrorKind::Soh(*found), 0)),
+        if let Some(found) = bytes.first().filter(|first| **first != SOH) {
+            return Err(DecodeError::frame(DecodeErrorKind::Soh(*found), 0));
         }
+        let Some(length) = Header::read_length(bytes) else { return Ok(None) };
+        if length < to_u32(self.min_frame()) {
+            return Err(DecodeError::frame(DecodeErrorKind::FrameTooShort(length), LENGTH_AT));
+        }
+        if length > self.limits.frame {
+            let limit = self.limits.frame;
+            return Err(DecodeError::frame(DecodeErrorKind::FrameTooLong { length, limit }, LENGTH_AT));
+        }
+        Ok(Some(to_usize(length)))
     }
 
     /// Returns how many bytes to drop after an error, so that what follows may begin a frame: at least one, when there
@@ -183,33 +192,26 @@ impl Decoder {
 
     /// Checks a frame of the right length.
     #[inline]
-    fn check<'a>(&self, frame: &'a [u8]) -> Result<Frame<'a>, DecodeError> {
-        // `frame_length` has seen at least a header and EOT; the fallbacks keep this free of panics
-        let short = DecodeError::frame(DecodeErrorKind::FrameTooShort(to_u32(frame.len())), 1);
-        let Some((&[_, _, _, _, _, s0, s1, r0, r1, c0, c1, c2, c3, n0, n1], rest)) =
-            frame.split_first_chunk::<HEADER_LEN>()
+    fn check<'a>(&self, frame: &'a [u8]) -> Result<(Header, Args<'a>), DecodeError> {
+        // `frame_length` has seen at least a header and EOT; the fallback keeps this free of panics
+        let (Some(header), Some((&eot, mut body))) =
+            (Header::read(frame), frame.get(HEADER_LEN..).and_then(<[u8]>::split_last))
         else {
-            return Err(short);
+            return Err(DecodeError::frame(DecodeErrorKind::FrameTooShort(to_u32(frame.len())), LENGTH_AT));
         };
-        let Some((&eot, mut body)) = rest.split_last() else { return Err(short) };
         if eot != EOT {
             return Err(DecodeError::frame(DecodeErrorKind::Eot(eot), frame.len().wrapping_sub(1)));
         }
         if self.crc {
             body = check_crc(frame, body)?;
         }
-        let count = u16::from_le_bytes([n0, n1]);
+        let Header { count, .. } = header;
         if count > self.limits.arguments {
             let limit = self.limits.arguments;
-            return Err(DecodeError::frame(DecodeErrorKind::TooManyArguments { count, limit }, 13));
+            return Err(DecodeError::frame(DecodeErrorKind::TooManyArguments { count, limit }, COUNT_AT));
         }
         let data = self.check_args(count, body)?;
-        Ok(Frame {
-            serial: u16::from_le_bytes([s0, s1]),
-            reserved: u16::from_le_bytes([r0, r1]),
-            code: i32::from_le_bytes([c0, c1, c2, c3]),
-            args: Args { count, data, strictness: self.strictness },
-        })
+        Ok((header, Args { count, data, strictness: self.strictness }))
     }
 
     /// Checks the arguments and returns their bytes.
@@ -276,7 +278,7 @@ fn truncated(r: Reader<'_>, needed: u32, at: Reader<'_>) -> variant::Fault {
 fn check_crc<'a>(frame: &[u8], body: &'a [u8]) -> Result<&'a [u8], DecodeError> {
     let end = frame.len().saturating_sub(3);
     let Some((args, found)) = body.split_last_chunk::<2>() else {
-        return Err(DecodeError::frame(DecodeErrorKind::FrameTooShort(to_u32(frame.len())), 1));
+        return Err(DecodeError::frame(DecodeErrorKind::FrameTooShort(to_u32(frame.len())), LENGTH_AT));
     };
     let computed = crc16(frame.get(1..end).unwrap_or_default());
     let found = u16::from_le_bytes(*found);
@@ -421,6 +423,10 @@ impl fmt::Debug for ArgsIter<'_> {
 }
 
 impl<'a> Frame<'a> {
+    pub(crate) const fn new(header: Header, args: Args<'a>) -> Self {
+        Self { serial: header.serial, reserved: header.reserved, code: header.code, args }
+    }
+
     /// Returns the function that a request asks for.
     #[must_use]
     pub const fn function(&self) -> FunctionId {
@@ -481,7 +487,8 @@ impl<'b> FrameWriter<'b> {
     #[inline]
     pub fn new(buffer: &'b mut [u8]) -> Result<Self, EncodeError> {
         let mut out = Writer::new(buffer);
-        out.put([SOH, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0])?;
+        // filled in by `finish`, which knows its fields
+        out.put([0; HEADER_LEN])?;
         Ok(Self { out, arguments: 0, crc: false })
     }
 
@@ -518,10 +525,8 @@ impl<'b> FrameWriter<'b> {
     pub fn finish(mut self, serial: u16, reserved: u16, code: i32) -> Result<&'b [u8], EncodeError> {
         let tail = if self.crc { 3 } else { 1 };
         let length = to_u32(self.out.len().wrapping_add(tail));
-        let ([l0, l1, l2, l3], [s0, s1]) = (length.to_le_bytes(), serial.to_le_bytes());
-        let ([r0, r1], [c0, c1, c2, c3]) = (reserved.to_le_bytes(), code.to_le_bytes());
-        let [n0, n1] = to_u16(self.arguments).to_le_bytes();
-        self.out.patch(0, [SOH, l0, l1, l2, l3, s0, s1, r0, r1, c0, c1, c2, c3, n0, n1]);
+        let header = Header { length, serial, reserved, code, count: to_u16(self.arguments) };
+        self.out.patch(0, header.to_bytes());
         if self.crc {
             let crc = crc16(self.out.as_bytes().get(1..).unwrap_or_default());
             self.out.put(crc.to_le_bytes())?;
@@ -533,15 +538,18 @@ impl<'b> FrameWriter<'b> {
 
 /// Rewrites serial and reserved of a finished frame, and its CRC, so that it can be sent once more.
 pub(crate) fn renumber(frame: &mut [u8], serial: u16, reserved: u16, crc: bool) {
-    if let Some(fields) = frame.get_mut(5..).and_then(<[u8]>::first_chunk_mut::<4>) {
-        let ([s0, s1], [r0, r1]) = (serial.to_le_bytes(), reserved.to_le_bytes());
-        *fields = [s0, s1, r0, r1];
+    Header::renumber(frame, serial, reserved);
+    if crc {
+        seal(frame);
     }
-    if crc && let Some(end) = frame.len().checked_sub(3) {
-        let sum = crc16(frame.get(1..end).unwrap_or_default());
-        if let Some(slot) = frame.get_mut(end..).and_then(<[u8]>::first_chunk_mut::<2>) {
-            *slot = sum.to_le_bytes();
-        }
+}
+
+/// Writes the CRC of a finished frame.
+pub(crate) fn seal(frame: &mut [u8]) {
+    let Some(end) = frame.len().checked_sub(3) else { return };
+    let sum = crc16(frame.get(LENGTH_AT..end).unwrap_or_default());
+    if let Some(slot) = frame.get_mut(end..).and_then(<[u8]>::first_chunk_mut::<2>) {
+        *slot = sum.to_le_bytes();
     }
 }
 

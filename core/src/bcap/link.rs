@@ -7,8 +7,9 @@
 //!  Serial    their length           yes      yes   is skipped by search
 //! ```
 
-use crate::bcap::frame::{Args, Decoder, Frame, HEADER_LEN, MIN_FRAME, Progress, SOH};
-use crate::error::{DecodeError, DecodeErrorKind, Layer};
+use crate::bcap::frame::{Args, Decoded, Decoder, Frame, MIN_FRAME};
+use crate::bcap::header::{HEADER_LEN, Header, LENGTH_AT, SOH};
+use crate::error::{DecodeError, DecodeErrorKind};
 use crate::limits::{Limits, SERIAL_MAX, Strictness, UDP_SEND_MAX};
 use crate::num::{to_u32, to_usize};
 use crate::storage::{Storage, shift_down};
@@ -91,20 +92,35 @@ pub(crate) struct Inbox {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Received {
     /// A frame; `Inbox::frame` views it.
-    Frame(Span),
+    Frame(Located),
     /// A frame that the buffer cannot hold; the stream goes on after it.
-    TooLarge { span: Span, serial: u16, length: u32 },
+    TooLarge(Located),
     /// Bytes that are no frame; they have been dropped.
     Malformed(DecodeError),
     /// Bytes that are no frame; nothing more will be read.
     Broken(DecodeError),
 }
 
-/// Where a checked frame lies in the buffer.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Span {
-    start: usize,
-    len: usize,
+/// A checked frame: its header, and where it begins in the buffer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Located {
+    /// As 32 bits, because no buffer is larger than the longest frame, and sessions keep this.
+    start: u32,
+    pub(crate) header: Header,
+}
+
+impl Located {
+    fn new(start: usize, header: Header) -> Self {
+        Self { start: to_u32(start), header }
+    }
+
+    fn start(self) -> usize {
+        to_usize(self.start)
+    }
+
+    fn end(self) -> usize {
+        self.start().saturating_add(to_usize(self.header.length))
+    }
 }
 
 impl Inbox {
@@ -130,14 +146,14 @@ impl Inbox {
         buffer.bytes_mut().get_mut(self.len..).unwrap_or_default()
     }
 
-    /// Returns the free part of the buffer; of the frames found before, the one of `span` stays.
-    pub(crate) fn free_behind<'b>(&mut self, buffer: &'b mut [u8], span: Span) -> &'b mut [u8] {
-        let end = span.start.saturating_add(span.len);
+    /// Returns the free part of the buffer; of the frames found before, this one stays.
+    pub(crate) fn free_after<'b>(&mut self, buffer: &'b mut [u8], frame: Located) -> &'b mut [u8] {
+        let end = frame.end();
         let read = self.next.saturating_sub(end);
         if read > 0
-            && let Some(behind) = buffer.get_mut(end..self.len)
+            && let Some(after) = buffer.get_mut(end..self.len)
         {
-            shift_down(behind, read);
+            shift_down(after, read);
             self.next = end;
             self.len = self.len.saturating_sub(read);
         }
@@ -145,24 +161,23 @@ impl Inbox {
     }
 
     /// Drops what lies before a frame, so that there is more room after it; returns where the frame is then.
-    pub(crate) fn move_to_front(&mut self, buffer: &mut [u8], span: Span) -> Span {
+    pub(crate) fn move_to_front(&mut self, buffer: &mut [u8], frame: Located) -> Located {
         if let Some(received) = buffer.get_mut(..self.len) {
-            shift_down(received, span.start);
+            shift_down(received, frame.start());
         }
-        self.len = self.len.saturating_sub(span.start);
-        self.next = self.next.saturating_sub(span.start);
-        Span { start: 0, len: span.len }
+        self.len = self.len.saturating_sub(frame.start());
+        self.next = self.next.saturating_sub(frame.start());
+        Located { start: 0, ..frame }
     }
 
-    /// Returns the serial of the bytes that were found to be no frame last, if they are as long as a header.
-    pub(crate) fn malformed_header(&self, buffer: &[u8]) -> Option<u16> {
-        match buffer.get(self.malformed..self.len)? {
-            [SOH, _, _, _, _, s0, s1, rest @ ..] if rest.len() >= MIN_FRAME - 7 => Some(u16::from_le_bytes([*s0, *s1])),
-            _ => None,
-        }
+    /// Returns the header of the malformed bytes that were found last, if they are as long as a frame.
+    pub(crate) fn malformed_header(&self, buffer: &[u8]) -> Option<Header> {
+        let bytes = buffer.get(self.malformed..self.len)?;
+        let has_header = bytes.len() >= MIN_FRAME && bytes.first() == Some(&SOH);
+        has_header.then(|| Header::read(bytes)).flatten()
     }
 
-    /// Takes note of `count` bytes that were put into the free part.
+    /// Records `count` bytes that were put into the free part.
     pub(crate) fn received(&mut self, buffer: &[u8], count: usize) {
         self.len = self.len.saturating_add(count).min(buffer.len());
         let skipped = self.skip.min(self.len.saturating_sub(self.next));
@@ -186,21 +201,21 @@ impl Inbox {
             return None;
         }
         if self.link == Link::Datagram {
-            let span = Span { start: self.next, len: bytes.len() };
+            let start = self.next;
             self.malformed = self.next;
             self.next = self.len;
-            return Some(match self.decoder.decode_datagram(bytes) {
-                Ok(_) => Received::Frame(span),
+            return Some(match self.decoder.decode_datagram_with_header(bytes) {
+                Ok((header, _)) => Received::Frame(Located::new(start, header)),
                 Err(error) => Received::Malformed(error),
             });
         }
-        match self.decoder.decode(bytes) {
-            Ok(Progress::Complete(_, used)) => {
-                let span = Span { start: self.next, len: used };
-                self.next = self.next.saturating_add(used).min(self.len);
-                Some(Received::Frame(span))
+        match self.decoder.decode_with_header(bytes) {
+            Ok(Decoded::Complete(header, _)) => {
+                let frame = Located::new(self.next, header);
+                self.next = frame.end().min(self.len);
+                Some(Received::Frame(frame))
             }
-            Ok(Progress::NeedMore(needed)) => {
+            Ok(Decoded::NeedMore(needed)) => {
                 let room = buffer.bytes().len();
                 // a frame larger than the memory shows when it has filled it
                 let full = self.next == 0 && self.len >= room && needed > room;
@@ -225,33 +240,22 @@ impl Inbox {
     fn too_large(&mut self, bytes: &[u8], length: usize) -> Received {
         self.skip = length.saturating_sub(self.len);
         self.next = self.len;
-        match bytes.first_chunk::<HEADER_LEN>() {
-            Some(&[_, _, _, _, _, s0, s1, ..]) => {
-                let span = Span { start: 0, len: length };
-                Received::TooLarge { span, serial: u16::from_le_bytes([s0, s1]), length: to_u32(length) }
-            }
+        match Header::read(bytes) {
+            Some(header) => Received::TooLarge(Located::new(0, header)),
             // memory without room for a header will never see a serial
             None => {
-                let limit = to_u32(bytes.len());
-                let kind = DecodeErrorKind::FrameTooLong { length: to_u32(length), limit };
-                Received::Broken(DecodeError { kind, layer: Layer::Frame, offset: 1 })
+                let kind = DecodeErrorKind::FrameTooLong { length: to_u32(length), limit: to_u32(bytes.len()) };
+                Received::Broken(DecodeError::frame(kind, LENGTH_AT))
             }
         }
     }
 
     /// Views a frame that `poll` has found, as long as `free` was not called.
-    pub(crate) fn frame<'b>(&self, buffer: &'b [u8], span: Span) -> Option<Frame<'b>> {
-        let bytes = buffer.get(span.start..)?.get(..span.len)?;
-        let (header, rest) = bytes.split_first_chunk::<HEADER_LEN>()?;
-        let &[_, _, _, _, _, s0, s1, r0, r1, c0, c1, c2, c3, n0, n1] = header;
+    pub(crate) fn frame<'b>(&self, buffer: &'b [u8], frame: Located) -> Option<Frame<'b>> {
         let tail = if self.decoder.crc { 3 } else { 1 };
-        let body = rest.get(..rest.len().checked_sub(tail)?)?;
-        Some(Frame {
-            serial: u16::from_le_bytes([s0, s1]),
-            reserved: u16::from_le_bytes([r0, r1]),
-            code: i32::from_le_bytes([c0, c1, c2, c3]),
-            args: Args::from_checked(u16::from_le_bytes([n0, n1]), body, self.decoder.strictness),
-        })
+        let body = frame.start().saturating_add(HEADER_LEN)..frame.end().checked_sub(tail)?;
+        let args = Args::from_checked(frame.header.count, buffer.get(body)?, self.decoder.strictness);
+        Some(Frame::new(frame.header, args))
     }
 
     /// Tells whether part of a frame waits for its rest.
@@ -272,8 +276,8 @@ impl Inbox {
     }
 
     /// Tells whether a frame had begun to arrive before `mark`.
-    pub(crate) const fn is_early(&self, span: Span) -> bool {
-        span.start < self.early
+    pub(crate) fn is_early(&self, frame: Located) -> bool {
+        frame.start() < self.early
     }
 
     /// Forgets everything, for a new connection.

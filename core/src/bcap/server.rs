@@ -24,14 +24,17 @@
 
 use core::time::Duration;
 
-use crate::bcap::frame::{EOT, FrameWriter, HEADER_LEN, SOH, crc16, renumber};
-use crate::bcap::link::{Inbox, Link, OnMalformed, Received, Span};
+use crate::bcap::frame::{EOT, FrameWriter, crc16, renumber, seal};
+use crate::bcap::header::{HEADER_LEN, Header};
+use crate::bcap::link::{Inbox, Link, Located, OnMalformed, Received};
 use crate::bcap::{Args, FunctionId, Kind, Object};
+use crate::endpoint::{Endpoint, Serve, ServerEndpoint};
 use crate::error::DecodeError;
 use crate::handler::{Outcome, PeerId, ReplyValue};
 use crate::hresult::HResult;
 use crate::limits::{Limits, Strictness};
 use crate::num::to_u32;
+use crate::outbox::Outbox;
 use crate::storage::Storage;
 use crate::time::Instant;
 use crate::variant::{Bstr, Variant};
@@ -173,6 +176,7 @@ pub enum Event {
 /// ```
 /// use bcap_core::bcap::server::{Config, Event, Handler, Request, Session};
 /// use bcap_core::bcap::{FunctionId, HEADER_LEN};
+/// use bcap_core::endpoint::{Endpoint, Serve};
 /// use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 /// use bcap_core::hresult::HResult;
 /// use bcap_core::time::Instant;
@@ -214,9 +218,8 @@ struct State {
     /// The interval of S_EXECUTING.
     watchdog: Option<Duration>,
     running: Option<Running>,
-    /// Bytes of the last reply in `tx`, and how many of them the link has taken.
-    tx_len: usize,
-    tx_sent: usize,
+    /// What of the last reply in `tx` is to be sent.
+    outbox: Outbox,
     /// What tells copies of a call from new calls, on a lossy link.
     serials: Serials,
     /// Nothing more is read; when `tx` is sent the link is to be closed.
@@ -226,7 +229,7 @@ struct State {
 /// A request that the handler has not answered yet.
 #[derive(Clone, Copy, Debug)]
 struct Running {
-    span: Span,
+    frame: Located,
     function: FunctionId,
     /// The serial of the call's first attempt.
     marker: u16,
@@ -252,149 +255,42 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         Self { tx, rx, inbox, state: State::new(config), objects: heapless::Vec::new() }
     }
 
-    /// Returns memory for bytes that arrive; with datagrams, for one of them.
-    ///
-    /// It is empty while a request runs and there is no room behind it; then bytes must wait (or datagrams be dropped).
-    #[must_use]
-    pub fn receive_buffer(&mut self) -> &mut [u8] {
-        if let Some(running) = &self.state.running {
-            // the handler will look at its request again, so that stays where it is
-            return self.inbox.free_behind(self.rx.bytes_mut(), running.span);
-        }
-        self.inbox.free(&mut self.rx)
-    }
-
-    /// Takes note that `count` bytes have been put into [`receive_buffer`](Self::receive_buffer).
-    pub fn received(&mut self, count: usize) {
-        self.inbox.received(self.rx.bytes(), count);
-    }
-
-    /// Returns the bytes that are to be sent: one datagram, or the rest of a frame for a stream.
-    #[must_use]
-    pub fn transmit(&self) -> &[u8] {
-        self.tx.bytes().get(self.state.tx_sent..self.state.tx_len).unwrap_or_default()
-    }
-
-    /// Takes note that the link has taken `count` bytes of [`transmit`](Self::transmit).
-    pub fn transmitted(&mut self, count: usize) {
-        self.state.tx_sent = self.state.tx_sent.saturating_add(count).min(self.state.tx_len);
-    }
-
-    /// Returns when [`run`](Self::run) is to be called even if no bytes come; `None` while no request runs.
-    #[must_use]
-    pub fn poll_timeout(&self) -> Option<Instant> {
-        self.state.running.map(|running| running.wake.min(running.until).min(running.keep_alive_at))
-    }
-
-    /// Tells whether a request runs that its handler has not answered.
-    #[must_use]
-    pub const fn is_running(&self) -> bool {
-        self.state.running.is_some()
-    }
-
-    /// Tells whether part of a request has come and its rest has not.
-    #[must_use]
-    pub const fn is_receiving(&self) -> bool {
-        self.state.running.is_none() && self.inbox.is_partial()
-    }
-
-    /// Tells whether the session is over: what there was to send is sent, and the link is to be closed.
-    #[must_use]
-    pub const fn is_finished(&self) -> bool {
-        self.state.closing && self.state.tx_sent >= self.state.tx_len
-    }
-
     /// Returns the number of handles that the peer has open.
     #[must_use]
     pub fn open_objects(&self) -> usize {
         self.objects.len()
     }
 
-    /// Returns the length in bytes of the request that the next call of [`run`](Self::run) decodes; 0 without one.
-    ///
-    /// The time of that call grows with this length, so a server of many peers can give a large one to another thread.
-    #[must_use]
-    pub fn next_request(&self) -> usize {
-        if self.state.running.is_some() || self.state.is_sending() || self.state.closing {
-            return 0;
-        }
-        self.inbox.next_frame(self.rx.bytes())
-    }
-
-    /// Returns the bytes of memory that it has, both ways together.
-    #[must_use]
-    pub fn memory(&self) -> usize {
-        self.tx.bytes().len().saturating_add(self.rx.bytes().len())
-    }
-
-    /// Gives back memory over `room` bytes each way, unless something is in it: for servers whose sessions keep silent
-    /// after large frames. A repetition of the last call is not answered then, if its reply was larger than that.
-    pub fn shrink(&mut self, room: usize) {
-        if self.state.running.is_some() || self.state.is_sending() || self.inbox.is_partial() {
-            return;
-        }
-        if self.state.tx_len > room {
-            self.state.serials.forget_reply();
-            (self.state.tx_len, self.state.tx_sent) = (0, 0);
-        }
-        // nothing is in it, so what was read is forgotten with this
-        let _ = self.inbox.free(&mut self.rx);
-        self.tx.shrink(room);
-        self.rx.shrink(room);
-    }
-
-    /// Goes on as far as it can, and says what was done; `None` when bytes must come, leave, or time pass.
-    ///
-    /// It is to be called until it returns `None`.
-    pub fn run<H: Handler + ?Sized>(&mut self, handler: &mut H, peer: PeerId, now: Instant) -> Option<Event> {
-        if self.state.is_sending() {
-            return None;
-        }
-        if let Some(running) = self.state.running {
-            return self.resume(running, handler, peer, now);
-        }
-        if self.state.closing {
-            return None;
-        }
-        match self.next_frame()? {
-            Ok(span) => self.begin(span, handler, peer, now),
-            Err(event) => Some(event),
-        }
-    }
-
-    /// Ends the session: abandons what runs, releases the objects newest first, and tells the handler.
-    pub fn close<H: Handler + ?Sized>(&mut self, handler: &mut H, peer: PeerId, now: Instant) {
-        if self.state.running.take().is_some() {
-            handler.abandoned(peer, now);
-        }
-        self.release_objects(handler, peer, now);
-        handler.left(peer, now);
-        self.state.closing = true;
-        self.state.tx_sent = self.state.tx_len;
-    }
-
     /// Takes the next frame out of what was received; what is none is answered where the link has a use for that.
-    fn next_frame(&mut self) -> Option<Result<Span, Event>> {
+    fn next_frame(&mut self) -> Option<Result<Located, Event>> {
         Some(match self.inbox.poll(&mut self.rx)? {
-            Received::Frame(span) => Ok(span),
-            Received::TooLarge { serial, .. } => Err(self.refuse(serial, FunctionId(0), HResult::E_PACKETSIZEOVER)),
+            Received::Frame(frame) => Ok(frame),
+            Received::TooLarge(frame) => {
+                Err(self.refuse(frame.header.serial, FunctionId(0), HResult::E_PACKETSIZEOVER))
+            }
             Received::Malformed(error) => Err(self.malformed(error, false)),
             Received::Broken(error) => Err(self.malformed(error, true)),
         })
     }
 
     /// Begins to work on a frame.
-    fn begin<H: Handler + ?Sized>(&mut self, span: Span, handler: &mut H, peer: PeerId, now: Instant) -> Option<Event> {
-        let attempt = self.attempt(span)?;
+    fn begin<H: Handler + ?Sized>(
+        &mut self,
+        frame: Located,
+        handler: &mut H,
+        peer: PeerId,
+        now: Instant,
+    ) -> Option<Event> {
+        let attempt = self.attempt(frame)?;
         match self.state.judge(&attempt, now) {
-            Verdict::New => self.execute(span, attempt, handler, peer, now),
+            Verdict::New => self.execute(frame, attempt, handler, peer, now),
             Verdict::Begin => {
-                if self.check(span).is_err() {
-                    return self.execute(span, attempt, handler, peer, now);
+                if self.check(frame).is_err() {
+                    return self.execute(frame, attempt, handler, peer, now);
                 }
                 self.end_service(handler, peer, now);
-                let span = self.inbox.move_to_front(self.rx.bytes_mut(), span);
-                self.execute(span, attempt, handler, peer, now)
+                let frame = self.inbox.move_to_front(self.rx.bytes_mut(), frame);
+                self.execute(frame, attempt, handler, peer, now)
             }
             Verdict::Repeat => Some(self.repeat(&attempt)),
             Verdict::Executing => Some(self.executing(&attempt)),
@@ -403,18 +299,22 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
     }
 
     /// Reads what tells a request from copies of others.
-    fn attempt(&self, span: Span) -> Option<Attempt> {
-        let frame = self.inbox.frame(self.rx.bytes(), span)?;
-        let function = frame.function();
-        let marker = if frame.reserved == 0 { frame.serial } else { frame.reserved };
-        let arguments = if function == FunctionId::SERVICE_START { crc16(frame.args.as_bytes()) } else { 0 };
-        Some(Attempt { function, marker, serial: frame.serial, arguments })
+    fn attempt(&self, frame: Located) -> Option<Attempt> {
+        let Header { serial, reserved, code, .. } = frame.header;
+        let function = FunctionId(code);
+        let marker = if reserved == 0 { serial } else { reserved };
+        let arguments = if function == FunctionId::SERVICE_START {
+            crc16(self.inbox.frame(self.rx.bytes(), frame)?.args.as_bytes())
+        } else {
+            0
+        };
+        Some(Attempt { function, marker, serial, arguments })
     }
 
     /// Checks a request and asks the handler.
     fn execute<H: Handler + ?Sized>(
         &mut self,
-        span: Span,
+        frame: Located,
         attempt: Attempt,
         handler: &mut H,
         peer: PeerId,
@@ -422,7 +322,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
     ) -> Option<Event> {
         let function = attempt.function;
         let is_full = function.opens().is_some() && self.objects.is_full();
-        match self.check(span) {
+        match self.check(frame) {
             Ok(_) if is_full => return Some(self.refuse_attempt(&attempt, HResult::E_MAX_OBJECT)),
             Ok(Some(options)) => self.state.set_options(options),
             Ok(None) => {}
@@ -432,7 +332,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
             self.end_service(handler, peer, now);
         }
         self.state.serials.began(&attempt, now);
-        let running = self.state.begin(span, &attempt, now);
+        let running = self.state.begin(frame, &attempt, now);
         self.call(running, handler, peer, now)
     }
 
@@ -446,16 +346,12 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
     }
 
     /// Goes on with a request that runs.
-    fn resume<H: Handler + ?Sized>(
-        &mut self,
-        running: Running,
-        handler: &mut H,
-        peer: PeerId,
-        now: Instant,
-    ) -> Option<Event> {
+    fn resume<H: Handler + ?Sized>(&mut self, handler: &mut H, peer: PeerId, now: Instant) -> Option<Event> {
         if let Some(event) = self.called_while_running(handler, peer, now) {
             return Some(event);
         }
+        // a Service_Start may have taken the place of the call
+        let running = self.state.running?;
         let Running { function, serial, marker, .. } = running;
         if now >= running.until {
             self.state.running = None;
@@ -483,21 +379,21 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         if !self.state.config.link.is_lossy() {
             return None;
         }
-        let span = match self.next_frame()? {
-            Ok(span) => span,
+        let frame = match self.next_frame()? {
+            Ok(frame) => frame,
             // or it would hide the frame after it
             Err(event) => return Some(event),
         };
-        let attempt = self.attempt(span)?;
+        let attempt = self.attempt(frame)?;
         let refused = match self.state.judge(&attempt, now) {
             Verdict::New => Err(HResult::E_BUSY_PROC),
             // a client that begins a session does not wait for the call of another
-            Verdict::Begin => self.check(span).map(drop),
+            Verdict::Begin => self.check(frame).map(drop),
             Verdict::Executing | Verdict::Repeat | Verdict::Drop => Ok(()),
         };
         match refused {
             Err(result) => Some(self.refuse(attempt.serial, attempt.function, result)),
-            Ok(()) => self.begin(span, handler, peer, now),
+            Ok(()) => self.begin(frame, handler, peer, now),
         }
     }
 
@@ -509,8 +405,8 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         peer: PeerId,
         now: Instant,
     ) -> Option<Event> {
-        let Running { span, function, marker, serial, resumed, .. } = running;
-        let args = self.inbox.frame(self.rx.bytes(), span)?.args;
+        let Running { frame, function, marker, serial, resumed, .. } = running;
+        let args = self.inbox.frame(self.rx.bytes(), frame)?.args;
         let tail = self.state.tail();
         let max = self.state.config.link.send_max().saturating_sub(VALUE_AT).saturating_sub(tail);
         let mut reply = ReplyValue::within(&mut self.tx, VALUE_AT, max, tail);
@@ -573,8 +469,8 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
     }
 
     /// Checks a request against the function table and the peer's objects; returns the options of Service_Start.
-    fn check(&self, span: Span) -> Result<Option<StartOptions>, HResult> {
-        let frame = self.inbox.frame(self.rx.bytes(), span).ok_or(HResult::E_INVALIDRCPACKET)?;
+    fn check(&self, frame: Located) -> Result<Option<StartOptions>, HResult> {
+        let frame = self.inbox.frame(self.rx.bytes(), frame).ok_or(HResult::E_INVALIDRCPACKET)?;
         let function = frame.function();
         let Some(signature) = function.signature() else { return Err(HResult::E_INVALIDARG) };
         let (given, taken) = (frame.args.len(), signature.arguments.len());
@@ -612,9 +508,9 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
 
     /// Sends the last reply again, for another attempt of its call.
     fn repeat(&mut self, attempt: &Attempt) -> Event {
-        let frame = self.tx.bytes_mut().get_mut(..self.state.tx_len).unwrap_or_default();
+        let frame = self.state.outbox.whole(self.tx.bytes_mut());
         renumber(frame, attempt.serial, 0, self.state.config.link == Link::Serial);
-        self.state.tx_sent = 0;
+        self.state.outbox.rewind();
         Event::Repeated { first: attempt.marker }
     }
 
@@ -642,7 +538,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
             Link::Serial => false,
         };
         if answer {
-            self.send_code(header.unwrap_or(0), error.hresult(), false);
+            self.send_code(header.map_or(0, |header| header.serial), error.hresult(), false);
         }
         self.state.closing |= close;
         Event::Malformed(error)
@@ -660,8 +556,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
             }
             frame.finish(serial, 0, code.0)
         });
-        self.state.tx_len = frame.map_or(0, <[u8]>::len);
-        self.state.tx_sent = 0;
+        self.state.outbox = Outbox::new(frame.map_or(0, <[u8]>::len));
     }
 
     /// Closes the frame around the value of `len` bytes that the handler has left in `tx`.
@@ -671,29 +566,125 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
             // a function that gives a value gives EMPTY when it has none, as peers expect
             return self.send_code(serial, result, !matches!(kind, Kind::Nothing | Kind::Maybe));
         }
-        let crc = self.state.config.link == Link::Serial;
-        let end = VALUE_AT.saturating_add(len);
-        let total = end.saturating_add(self.state.tail());
+        let total = VALUE_AT.saturating_add(len).saturating_add(self.state.tail());
         self.tx.grow(total);
-        self.state.tx_sent = 0;
-        self.state.tx_len = total;
+        self.state.outbox = Outbox::new(total);
         let Some(frame) = self.tx.bytes_mut().get_mut(..total) else {
             return self.send_code(serial, HResult::E_TOO_MUCH_DATA, false);
         };
-        if let Some(head) = frame.first_chunk_mut::<VALUE_AT>() {
-            let ([l0, l1, l2, l3], [s0, s1]) = (to_u32(total).to_le_bytes(), serial.to_le_bytes());
-            let ([c0, c1, c2, c3], [a0, a1, a2, a3]) = (result.0.to_le_bytes(), to_u32(len).to_le_bytes());
-            *head = [SOH, l0, l1, l2, l3, s0, s1, 0, 0, c0, c1, c2, c3, 1, 0, a0, a1, a2, a3];
-        }
-        if crc {
-            let sum = crc16(frame.get(1..end).unwrap_or_default()).to_le_bytes();
-            if let Some(slot) = frame.get_mut(end..).and_then(<[u8]>::first_chunk_mut::<2>) {
-                *slot = sum;
+        let header = Header { length: to_u32(total), serial, reserved: 0, code: result.0, count: 1 };
+        if let Some((head, rest)) = frame.split_first_chunk_mut::<HEADER_LEN>() {
+            *head = header.to_bytes();
+            if let Some(length) = rest.first_chunk_mut::<4>() {
+                *length = to_u32(len).to_le_bytes();
             }
+        }
+        if self.state.config.link == Link::Serial {
+            seal(frame);
         }
         if let Some(last) = frame.last_mut() {
             *last = EOT;
         }
+    }
+}
+
+impl<T: Storage, R: Storage, const OBJECTS: usize> Endpoint for Session<T, R, OBJECTS> {
+    fn transmit(&self) -> &[u8] {
+        self.state.outbox.unsent(self.tx.bytes())
+    }
+
+    fn transmitted(&mut self, count: usize) {
+        self.state.outbox.transmitted(count);
+    }
+
+    fn receive_buffer(&mut self) -> &mut [u8] {
+        if let Some(running) = &self.state.running {
+            // the handler will look at its request again, so that stays where it is
+            return self.inbox.free_after(self.rx.bytes_mut(), running.frame);
+        }
+        self.inbox.free(&mut self.rx)
+    }
+
+    fn received(&mut self, count: usize) {
+        self.inbox.received(self.rx.bytes(), count);
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        self.state.running.map(|running| running.wake.min(running.until).min(running.keep_alive_at))
+    }
+}
+
+impl<T: Storage, R: Storage, const OBJECTS: usize> ServerEndpoint for Session<T, R, OBJECTS> {
+    fn is_running(&self) -> bool {
+        self.state.running.is_some()
+    }
+
+    fn is_receiving(&self) -> bool {
+        self.state.running.is_none() && self.inbox.is_partial()
+    }
+
+    fn next_request(&self) -> usize {
+        if self.state.running.is_some() || self.state.outbox.is_sending() || self.state.closing {
+            return 0;
+        }
+        self.inbox.next_frame(self.rx.bytes())
+    }
+
+    fn is_finished(&self) -> bool {
+        self.state.closing && !self.state.outbox.is_sending()
+    }
+
+    fn memory(&self) -> usize {
+        self.tx.bytes().len().saturating_add(self.rx.bytes().len())
+    }
+
+    fn shrink(&mut self, room: usize) {
+        if self.state.running.is_some() || self.state.outbox.is_sending() || self.inbox.is_partial() {
+            return;
+        }
+        if self.state.outbox.len() > room {
+            self.state.serials.forget_reply();
+            self.state.outbox = Outbox::EMPTY;
+        }
+        // nothing is in it, so what was read is forgotten with this
+        let _ = self.inbox.free(&mut self.rx);
+        self.tx.shrink(room);
+        self.rx.shrink(room);
+    }
+}
+
+impl<H, T, R, const OBJECTS: usize> Serve<H> for Session<T, R, OBJECTS>
+where
+    H: Handler + ?Sized,
+    T: Storage,
+    R: Storage,
+{
+    type Event = Event;
+
+    fn run(&mut self, handler: &mut H, peer: PeerId, now: Instant) -> Option<Event> {
+        if self.state.outbox.is_sending() {
+            return None;
+        }
+        if self.state.running.is_some() {
+            return self.resume(handler, peer, now);
+        }
+        if self.state.closing {
+            return None;
+        }
+        match self.next_frame()? {
+            Ok(frame) => self.begin(frame, handler, peer, now),
+            Err(event) => Some(event),
+        }
+    }
+
+    fn close(&mut self, handler: &mut H, peer: PeerId, now: Instant) {
+        if self.state.running.take().is_some() {
+            handler.abandoned(peer, now);
+        }
+        self.release_objects(handler, peer, now);
+        handler.left(peer, now);
+        self.state.closing = true;
+        self.state.outbox.skip();
     }
 }
 
@@ -712,15 +703,10 @@ impl State {
             invoke_timeout: config.invoke_timeout,
             watchdog: None,
             running: None,
-            tx_len: 0,
-            tx_sent: 0,
+            outbox: Outbox::EMPTY,
             serials: Serials::new(matches!(config.link, Link::Serial)),
             closing: false,
         }
-    }
-
-    const fn is_sending(&self) -> bool {
-        self.tx_sent < self.tx_len
     }
 
     /// Returns the bytes of a frame behind its arguments.
@@ -733,9 +719,9 @@ impl State {
         self.invoke_timeout = options.invoke_timeout.unwrap_or(self.config.invoke_timeout);
     }
 
-    fn begin(&self, span: Span, attempt: &Attempt, now: Instant) -> Running {
+    fn begin(&self, frame: Located, attempt: &Attempt, now: Instant) -> Running {
         Running {
-            span,
+            frame,
             function: attempt.function,
             marker: attempt.marker,
             serial: attempt.serial,

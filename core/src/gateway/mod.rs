@@ -60,6 +60,7 @@ mod rule_text;
 mod rules;
 mod seat;
 
+use crate::endpoint::{Endpoint, ServerEndpoint};
 use core::fmt;
 
 use self::convert::Held;

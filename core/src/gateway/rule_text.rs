@@ -293,7 +293,7 @@ mod tests {
             ("P=0..1,", range, "8"),
             ("I=..", "invalid bound of a value range: a number is missing, at column 3", ""),
             ("I=a..b", "invalid bound of a value range: not a digit of the number, at column 3", ""),
-            ("I/1=0..1x", "invalid bound of a value range: not a digit of the number, at column 9", ""),
+            ("I/1=0..1x", "invalid bound of a value range: text after the end of the value, at column 9", ""),
             ("I=2..-1.5", "invalid value range 2..-1.5: the minimum is above the maximum, at column 3", ""),
             ("I=nan..1", "invalid value range NaN..1: a bound cannot be NaN, at column 3", ""),
             ("I=0..1,0..1", "too many value ranges: 2, but a variable of kind I has 1 elements, at column 8", ""),

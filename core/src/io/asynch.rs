@@ -286,7 +286,7 @@ type Ended<X, M> = Result<(), CallError<<X as Transport>::Error, <M as Machine>:
 
 /// Sends the rest of a call that was given up.
 async fn flush<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
-    client.abandon();
+    client.give_up();
     if client.transmit().is_empty() {
         return Ok(());
     }
@@ -301,6 +301,9 @@ async fn flush<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> E
 /// Receives what has arrived before a call, so that it is not taken for the reply.
 async fn drain<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
     for _ in 0..MAX_EARLY {
+        if client.is_over() {
+            return Err(CallError::Client(M::CLOSED));
+        }
         let now = transport.now();
         let count = transport.receive(client.receive_buffer(), now).await.map_err(CallError::Io)?;
         if count.is_none() {

@@ -246,7 +246,7 @@ type Ended<X, M> = Result<(), CallError<<X as Transport>::Error, <M as Machine>:
 
 /// Sends the rest of a call that was given up.
 fn flush<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
-    client.abandon();
+    client.give_up();
     if client.transmit().is_empty() {
         return Ok(());
     }
@@ -261,6 +261,9 @@ fn flush<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X
 /// Receives what has arrived before a call, so that it is not taken for the reply.
 fn drain<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
     for _ in 0..MAX_EARLY {
+        if client.is_over() {
+            return Err(CallError::Client(M::CLOSED));
+        }
         let now = transport.now();
         let count = transport.receive(client.receive_buffer(), now).map_err(CallError::Io)?;
         if count.is_none() {

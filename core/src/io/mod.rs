@@ -23,6 +23,7 @@ pub mod blocking;
 use core::fmt;
 
 use crate::bcap;
+use crate::endpoint::Endpoint;
 use crate::hresult::HResult;
 use crate::procedure::{Failure, Procedure};
 use crate::rac;
@@ -176,7 +177,7 @@ fn hand_in<P: Procedure, T: Storage, R: Storage, E>(
 const MAX_EARLY: usize = 512;
 
 /// A sans-IO client, as the loops see it.
-trait Machine {
+trait Machine: Endpoint {
     type Error;
 
     /// What to say when part of an abandoned call cannot be sent, and when there is no call to wait for.
@@ -187,15 +188,12 @@ trait Machine {
     fn has_datagrams(&self) -> bool;
     /// How long the rest of an abandoned call may take to be sent.
     fn flush_timeout(&self) -> core::time::Duration;
-    fn transmit(&self) -> &[u8];
-    fn transmitted(&mut self, count: usize);
-    fn receive_buffer(&mut self) -> &mut [u8];
-    fn received(&mut self, count: usize);
-    fn poll_timeout(&self) -> Option<Instant>;
-    fn abandon(&mut self);
-    /// Looks at what was received.
+    fn is_over(&self) -> bool;
+    fn give_up(&mut self);
+    /// Returns what the received bytes mean.
     fn poll(&mut self, now: Instant) -> Option<Step<Self::Error>>;
-    fn handle_timeout(&mut self, now: Instant) -> Option<Step<Self::Error>>;
+    /// Returns what the time means.
+    fn time_out(&mut self, now: Instant) -> Option<Step<Self::Error>>;
 }
 
 /// What an event means for the call that a loop waits for.
@@ -256,44 +254,7 @@ fn moved<M: Machine, E>(
     if count.is_some() && now < until {
         return None;
     }
-    client.handle_timeout(now).and_then(Step::end)
-}
-
-/// The methods that both clients have under the same names.
-macro_rules! machine {
-    ($client:path) => {
-        fn transmit(&self) -> &[u8] {
-            <$client>::transmit(self)
-        }
-
-        fn transmitted(&mut self, count: usize) {
-            <$client>::transmitted(self, count);
-        }
-
-        fn receive_buffer(&mut self) -> &mut [u8] {
-            <$client>::receive_buffer(self)
-        }
-
-        fn received(&mut self, count: usize) {
-            <$client>::received(self, count);
-        }
-
-        fn poll_timeout(&self) -> Option<Instant> {
-            <$client>::poll_timeout(self)
-        }
-
-        fn abandon(&mut self) {
-            <$client>::abandon(self);
-        }
-
-        fn poll(&mut self, now: Instant) -> Option<Step<Self::Error>> {
-            self.poll_event(now).map(Step::from)
-        }
-
-        fn handle_timeout(&mut self, now: Instant) -> Option<Step<Self::Error>> {
-            <$client>::handle_timeout(self, now).map(Step::from)
-        }
-    };
+    client.time_out(now).and_then(Step::end)
 }
 
 impl<T: Storage, R: Storage> Machine for bcap::Client<T, R> {
@@ -310,7 +271,21 @@ impl<T: Storage, R: Storage> Machine for bcap::Client<T, R> {
         self.timing().attempt_timeout
     }
 
-    machine!(bcap::Client<T, R>);
+    fn is_over(&self) -> bool {
+        self.is_closed()
+    }
+
+    fn give_up(&mut self) {
+        self.abandon();
+    }
+
+    fn poll(&mut self, now: Instant) -> Option<Step<Self::Error>> {
+        self.poll_event(now).map(Step::from)
+    }
+
+    fn time_out(&mut self, now: Instant) -> Option<Step<Self::Error>> {
+        self.handle_timeout(now).map(Step::from)
+    }
 }
 
 impl<V: Storage> Machine for rac::client::Client<V> {
@@ -327,7 +302,21 @@ impl<V: Storage> Machine for rac::client::Client<V> {
         self.config().timeout
     }
 
-    machine!(rac::client::Client<V>);
+    fn is_over(&self) -> bool {
+        self.is_closed()
+    }
+
+    fn give_up(&mut self) {
+        self.abandon();
+    }
+
+    fn poll(&mut self, now: Instant) -> Option<Step<Self::Error>> {
+        self.poll_event(now).map(Step::from)
+    }
+
+    fn time_out(&mut self, now: Instant) -> Option<Step<Self::Error>> {
+        self.handle_timeout(now).map(Step::from)
+    }
 }
 
 impl From<bcap::client::Event> for Step<bcap::client::ClientError> {

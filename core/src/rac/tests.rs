@@ -3,6 +3,7 @@
 
 extern crate std;
 
+use crate::endpoint::{Endpoint, Serve, ServerEndpoint};
 use std::collections::BTreeMap;
 use std::format;
 use std::string::{String, ToString as _};
@@ -157,7 +158,7 @@ fn what_is_wrong_with_a_request_is_named_with_its_column() {
     let error = Request::parse(b"PUT:RC8:10:10:11, 0", &mut [0; 64]).unwrap_err();
     assert_eq!(error.to_string(), "the variable type is one of I F D S V P J T IO at column 12");
     let error = Request::parse(b"GET:RC8:10:I", &mut []).unwrap_err();
-    assert_eq!(error.to_string(), "a colon is missing behind the variable type at column 13");
+    assert_eq!(error.to_string(), "a colon is missing after the variable type at column 13");
     let error = Request::parse(b"PUT:RC8:10:I:3,1", &mut [0; 9]).unwrap_err();
     assert_eq!((error.kind, error.column), (K::Full, 16));
 }

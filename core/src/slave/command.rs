@@ -189,6 +189,7 @@ pub const MOVE_FRAME: usize = 256;
 /// ```
 /// use bcap_core::bcap::call::RobotHandle;
 /// use bcap_core::bcap::client::{Client, Config, Timing};
+/// use bcap_core::endpoint::Endpoint;
 /// use bcap_core::slave::{Format, Mode, Pose, PoseType, PreparedMove, ReceiveFormat, ReceivePose, SlaveMode};
 /// use bcap_core::time::Instant;
 ///

@@ -6,9 +6,9 @@ use core::time::Duration;
 use super::format::{Format, FormatError};
 use super::limits::AxisLimits;
 use super::pose::Pose;
-use super::stats::micros;
 use crate::error::EncodeError;
 use crate::procedure::Handles;
+use crate::time::micros_u32;
 
 /// How an [`Engine`](super::Engine) streams; [`new`](Self::new) gives values that suit most robots.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -70,7 +70,7 @@ impl Config {
     ///
     /// In microseconds: `Duration`'s own products leave a panic in the image.
     pub(super) fn cycles(&self, count: u32) -> Duration {
-        Duration::from_micros(u64::from(micros(self.cycle)).wrapping_mul(u64::from(count)))
+        Duration::from_micros(u64::from(micros_u32(self.cycle)).wrapping_mul(u64::from(count)))
     }
 
     /// Tells whether every number can be compared: what is not one is within any bound.

@@ -32,12 +32,12 @@ use super::pacer::Pacer;
 use super::pose::{Delta, ExtendedAxes, Pose, half_turn};
 use super::reply::MoveReply;
 use super::request::{Request, Step};
-use super::stats::{Stats, micros};
+use super::stats::Stats;
 use crate::bcap::client::Timing;
 use crate::bcap::{Frame, Link};
 use crate::hresult::HResult;
 use crate::procedure::{Channel, Failure};
-use crate::time::Instant;
+use crate::time::{Instant, micros_u32};
 use crate::variant::Variant;
 
 /// What the engine wants next.
@@ -687,7 +687,7 @@ impl<const N: usize> Engine<N> {
     }
 
     fn handle_move<'a>(&mut self, code: HResult, value: Variant<'a>, now: Instant) -> Option<MoveReply<'a>> {
-        self.stats.rtt.record(micros(now.saturating_since(self.sent_at)));
+        self.stats.rtt.record(micros_u32(now.saturating_since(self.sent_at)));
         if code == HResult::E_BUF_FULL {
             self.stats.refused = self.stats.refused.saturating_add(1);
             if self.pacer.refused(&self.config, now) {

@@ -14,8 +14,8 @@ use core::time::Duration;
 
 use super::config::Config;
 use super::mode::Mode;
-use super::stats::{Stats, micros};
-use crate::time::Instant;
+use super::stats::Stats;
+use crate::time::{Instant, micros_u32};
 
 /// When the next pose is sent.
 #[derive(Clone, Copy, Debug)]
@@ -43,14 +43,14 @@ impl Pacer {
     /// Takes note that the pose is sent now.
     pub(super) fn sending(&mut self, config: &Config, stats: &mut Stats, now: Instant) {
         if self.steady {
-            let (behind, cycle) = (micros(now.saturating_since(self.due)), micros(config.cycle));
-            let interval = micros(now.saturating_since(self.last_sent));
+            let (behind, cycle) = (micros_u32(now.saturating_since(self.due)), micros_u32(config.cycle));
+            let interval = micros_u32(now.saturating_since(self.last_sent));
             let (late, off) = match config.format.mode.mode {
                 Mode::Mode0 | Mode::Mode1 => (behind, behind),
                 Mode::Mode2 => (interval.saturating_sub(cycle), interval.abs_diff(cycle)),
             };
             stats.jitter.record(off);
-            if late > micros(config.late_after) {
+            if late > micros_u32(config.late_after) {
                 stats.late = stats.late.saturating_add(1);
             }
             if let Some(margin) = self.margin(now) {

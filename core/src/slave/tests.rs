@@ -4,6 +4,7 @@ extern crate std;
 
 mod engine;
 
+use crate::endpoint::Endpoint;
 use std::string::ToString;
 use std::vec::Vec;
 

@@ -29,6 +29,7 @@ mod slave;
 mod tap;
 mod target;
 mod text;
+mod times;
 mod value;
 mod variables;
 mod watch;

@@ -53,12 +53,14 @@
 //! | CurJSpd, CurJAcc, CurJDec       | -                           | R4: internal, of joints                          |
 //! | CurExtSpd, CurExtAcc, CurExtDec | -                           | R4: external                                     |
 //! | CurFig, CurTool, CurWork        | -                           | I4                                               |
+//! | GetRobotTypeName, RobInfo       | -; I4: 1                    | BSTR: the robot's type; other numbers `E_NOTIMPL` |
 //! | J2P J2T P2J P2T T2J T2P         | a pose                      | R8 array                                         |
 //! | slvMove, slvChangeMode, ...     | see [`slave`](crate::slave) |                                                  |
 //! | MotionPreparation, ...          | see [`preparation`](crate::preparation), COBOTTA |                             |
 //!
-//! A motion while another one runs is refused with `E_ROBOTISBUSY`, also behind `NEXT`: that is what the specification
-//! says of the code. So there is no queue, and nothing for a pass motion to blend with.
+//! A motion while another one runs is refused with `E_ROBOTISBUSY`. The client that started the running motion with
+//! `NEXT` is not refused: its next motion begins, and its reply comes, after that motion; Halt and errors end both. Public
+//! sample programs send motions like that. There is no other queue, and nothing for a pass motion to blend with.
 //!
 //! TakeArm while an error is present answers `E_ERROR_PRESENT`. GiveArm while the robot moves answers `E_ROBOTISBUSY`.
 //! Commands that real controllers have and this one has not answer `E_NOTIMPL`, other names `E_INVALID_CMD_NAME`.
@@ -99,6 +101,7 @@ const NOT_HERE: &[&str] = &[
     "SpeedMode",
     "MotionSkip",
     "MotionComplete",
+    "GetAreaDef",
     "GetAreaEnabled",
     "SetAreaEnabled",
     "CheckVirtualFence",
@@ -120,6 +123,32 @@ const NOT_HERE: &[&str] = &[
 
 impl Controller {
     pub(crate) fn robot_call(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
+        let turn = request.resumed && self.waits.get(&peer) == Some(&Wait::Turn);
+        if turn && self.robot.motion().is_some() {
+            return self.resume(peer);
+        }
+        let answered = if turn {
+            self.waits.remove(&peer);
+            self.robot_function(peer, &Request { resumed: false, ..*request })
+        } else {
+            self.robot_function(peer, request)
+        };
+        match answered {
+            Err(HResult::E_ROBOTISBUSY) if is_motion(request) && self.moves_next(peer) => {
+                self.waits.insert(peer, Wait::Turn);
+                self.resume(peer)
+            }
+            answered => answered,
+        }
+    }
+
+    /// Tells whether a motion runs whose end its client, this one, did not wait for.
+    fn moves_next(&self, peer: PeerId) -> bool {
+        self.robot.motion().is_some_and(|motion| motion.peer == peer && !motion.is_halting())
+    }
+
+    /// Calls a function of the robot; a motion of a client whose own motion still runs is `E_ROBOTISBUSY`.
+    fn robot_function(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
         match request.function {
             FunctionId::ROBOT_EXECUTE
                 if request.resumed && request.text(1).to_string().trim().eq_ignore_ascii_case("slvMove") =>
@@ -184,6 +213,10 @@ impl Controller {
             return answered;
         }
         match command.to_ascii_lowercase().as_str() {
+            "robinfo" => match one_int(param)? {
+                1 => Ok(Value::from(self.config().robot_type.as_str()).into()),
+                _ => Err(HResult::E_NOTIMPL),
+            },
             "takearm" => self.take_arm(peer, param),
             "givearm" => self.give_arm(peer),
             "takearmstate" => {
@@ -234,6 +267,7 @@ impl Controller {
             "curextacc" => Value::R4(robot.external.accel),
             "curextdec" => Value::R4(robot.external.decel),
             "curfig" => Value::I4(figure(&here).into()),
+            "getrobottypename" => Value::from(self.config().robot_type.as_str()),
             "curtool" => Value::I4(robot.tool),
             "curwork" => Value::I4(robot.work),
             _ => return None,
@@ -398,6 +432,18 @@ impl Controller {
             Some(owner) if owner != peer => Err(self.refuse(HResult::E_ARM_NOT_TAKEN)),
             _ => Ok(()),
         }
+    }
+}
+
+/// Tells whether a call moves the arm along a path.
+fn is_motion(request: &Request<'_>) -> bool {
+    match request.function {
+        FunctionId::ROBOT_MOVE | FunctionId::ROBOT_DRIVE | FunctionId::ROBOT_GO_HOME => true,
+        FunctionId::ROBOT_EXECUTE => {
+            let command = request.text(1).to_string();
+            ["DriveEx", "DriveAEx"].iter().any(|name| name.eq_ignore_ascii_case(command.trim()))
+        }
+        _ => false,
     }
 }
 

@@ -40,6 +40,8 @@ const LOOK_AGAIN: Duration = Duration::from_millis(50);
 pub(crate) enum Wait {
     /// The end of the motion with this number.
     Motion(u64),
+    /// The end of this client's own motion with NEXT; then its next motion begins.
+    Turn,
     /// The motor being on.
     Servo,
     /// The arm being at rest.
@@ -143,6 +145,9 @@ impl Controller {
         if let Some((id, ended)) = self.robot.advance(self.now) {
             let result = if ended == Ended::Arrived { HResult::S_OK } else { HResult::E_ABORT };
             self.end_waits(|wait| wait == Wait::Motion(id), result);
+            if ended == Ended::Halted {
+                self.end_waits(|wait| wait == Wait::Turn, result);
+            }
         }
         if self.robot.motor_is_on() {
             self.end_waits(|wait| wait == Wait::Servo, HResult::S_OK);
@@ -405,7 +410,7 @@ impl Controller {
     pub(crate) fn abort_motion(&mut self, code: HResult) {
         self.end_slave_mode(code);
         if let Some(id) = self.robot.freeze(self.now) {
-            self.end_waits(|wait| wait == Wait::Motion(id), code);
+            self.end_waits(|wait| wait == Wait::Motion(id) || wait == Wait::Turn, code);
         }
     }
 
@@ -420,7 +425,7 @@ impl Controller {
     pub(crate) fn look_again(&self, wait: Wait) -> Instant {
         let soon = self.now.saturating_add(LOOK_AGAIN);
         let end = match wait {
-            Wait::Motion(_) | Wait::Rest => self.robot.motion().and_then(|m| m.end()),
+            Wait::Motion(_) | Wait::Turn | Wait::Rest => self.robot.motion().and_then(|m| m.end()),
             Wait::Servo => match self.robot.servo {
                 Servo::TurningOn(at) => Some(at),
                 _ => None,

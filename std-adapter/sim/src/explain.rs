@@ -36,6 +36,7 @@ const COMMANDS: &[(&str, &str)] = &[
     ("TakeArmState", "nothing, or one number: the group 0, or -1"),
     ("Motor", "one number or BOOL: 0 off, otherwise on; or [state, no wait]"),
     ("ExtSpeed", "a speed, [speed, accel] or [speed, accel, decel], in percent, 0.0001 to 100"),
+    ("RobInfo", "one number: 1"),
     ("DriveEx", DRIVE),
     ("DriveAEx", DRIVE),
     ("J2P", "6 to 8 numbers in degrees, \"J(...)\", \"J1\" or [numbers, \"J\"]"),

@@ -9,9 +9,11 @@
 //! | array of 7, 8 or 10 numbers        | P, J or T by their count                                     |
 //!
 //! Types are 0 P, 1 T, 2 J. The pass (`@P` -1, `@E` -2, `@0`, `@n`) is checked and has no effect: every motion of this
-//! model ends exactly at its pose. A P may be without its Fig, or have a negative one: the nearest posture is taken.
-//! Extended joints may follow the pose: `"P1 EX((7, 30.5))"`, or `[1, [7, 30.5]]` as the fourth element. With 1 or EX
-//! the values count from where the axis is, with 2 or EXA from its zero.
+//! model ends exactly at its pose. As text it may stand before the type, where a public sample program has it.
+//!
+//! A P may be without its Fig, or have a negative one: the nearest posture is taken. Extended joints may follow the pose:
+//! `"P1 EX((7, 30.5))"`, or `[1, [7, 30.5]]` as the fourth element. With 1 or EX the values count from where the axis is,
+//! with 2 or EXA from its zero.
 
 use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind as Kind;
@@ -108,8 +110,10 @@ impl Pose {
     /// Reads `[numbers or index, type, pass]`; a fourth element is not looked at.
     fn parse_items(array: Array<'_>, vars: &Variables) -> Result<Self, HResult> {
         let item = |n| array.get(n).unwrap_or(Variant::Empty).flatten();
-        check_pass_item(&item(2))?;
-        let kind = match item(1) {
+        let has_pass = |item: &Variant<'_>| matches!(item, Variant::Bstr(text) if text.to_string().starts_with('@'));
+        let (kind, pass) = if has_pass(&item(1)) { (item(2), item(1)) } else { (item(1), item(2)) };
+        check_pass_item(&pass)?;
+        let kind = match kind {
             Variant::Empty | Variant::Null => None,
             Variant::Bstr(letter) => Some(kind_of_letter(&letter.to_string())?),
             number => match number.as_i32() {

@@ -3,6 +3,7 @@
 //! Handlers do not block, so all peers can be served by one task; each has its own session, and one whose call takes
 //! long holds nobody else up.
 
+use bcap_core::endpoint::{Endpoint, Serve, ServerEndpoint};
 use std::collections::HashMap;
 use std::io;
 use std::net::SocketAddr;

@@ -2,6 +2,7 @@
 
 #![expect(clippy::arithmetic_side_effects, reason = "a test in which a sum overflows fails, as it should")]
 
+use crate::endpoint::Endpoint;
 use core::time::Duration;
 use std::collections::VecDeque;
 use std::string::{String, ToString};

@@ -16,7 +16,7 @@ use bcap_board::{RuleMemory, Settings, Transport};
 use bcap_core::bcap::client;
 use bcap_core::gateway::{Config, Event, Gateway, Memory, Tally};
 use bcap_core::rac;
-use bcap_core::time::Instant;
+use bcap_core::time::{Instant, micros};
 use bcap_embassy::gateway::{Listener, Report, Shared, TcpRobot, run_robot};
 use bcap_embassy::net::{Options, UdpTransport};
 use bcap_embassy::server::Limits;
@@ -200,11 +200,10 @@ struct Times<'a>(&'a Tally);
 
 impl defmt::Format for Times<'_> {
     fn format(&self, f: defmt::Formatter<'_>) {
-        let micros = |time: core::time::Duration| u32::try_from(time.as_micros()).unwrap_or(u32::MAX);
         let Self(tally) = self;
         defmt::write!(
             f,
-            "{=u32} (p50 {=u32} us, p99 {=u32} us, longest {=u32} us)",
+            "{=u32} (p50 {=u64} us, p99 {=u64} us, longest {=u64} us)",
             tally.count(),
             micros(tally.percentile(50)),
             micros(tally.percentile(99)),

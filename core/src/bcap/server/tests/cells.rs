@@ -377,3 +377,32 @@ fn a_refused_service_start_is_not_answered_again_for_one_with_other_options() {
     assert_eq!(bench.call(call::service_start("WDT=1"), 7, at(0)), [(7, HResult::E_INVALIDARG)]);
     assert_eq!(bench.attempt(&call::service_start("WDT=100"), 8, 7, at(0)), [(8, HResult::S_OK)]);
 }
+
+/// The other handlers here answer Service_Start at once.
+#[derive(Default)]
+struct SlowToStart(usize);
+
+impl Handler for SlowToStart {
+    fn call(&mut self, _: PeerId, request: &Request<'_>, _: &mut ReplyValue<'_>, _: Instant) -> Outcome {
+        assert!(request.args.len() < 2, "its own arguments");
+        self.0 += 1;
+        match request.function {
+            FunctionId::SERVICE_START => Outcome::Wait(Instant::FAR_FUTURE),
+            _ => HResult::S_OK.into(),
+        }
+    }
+}
+
+#[test]
+fn a_service_start_that_waits_can_take_the_place_of_another() {
+    let mut session = Session::<[u8; 512], [u8; 1024], 4>::new(Config::UDP, [0; 512], [0; 1024]);
+    let mut handler = SlowToStart::default();
+    for (calls, options) in (1..).zip(["WDT=100", "WDT=200, and more", ""]) {
+        let bytes = frame(&call::service_start(options), 7, 7, false);
+        session.receive_buffer()[..bytes.len()].copy_from_slice(&bytes);
+        session.received(bytes.len());
+        while session.run(&mut handler, PeerId(1), at(0)).is_some() {}
+        assert!(session.is_running() && handler.0 >= calls);
+        assert_eq!(session.receive_buffer().len(), 1024 - bytes.len(), "it lies in front");
+    }
+}
