@@ -1,7 +1,7 @@
-//! Items, one as an argument or many as lines: how each is converted, and what happens to those that are wrong.
+//! Items to convert: one as an argument, or many as lines.
 //!
 //! With `-` every line of the standard input gives exactly one line of output, in order. A line that cannot be converted
-//! gives `{"error":"...","offset":n}` in its place; the others are still done, and the exit code tells at the end.
+//! gives `{"error":"...","offset":n}` in its place. The other lines are still converted, and the exit code is an error.
 
 use std::io::{self, BufRead, Write};
 
@@ -12,7 +12,7 @@ use crate::output::{print_block, print_json};
 /// The longest line that is read: 16 MiB of bytes as digits with something between each two, with room to spare.
 const MAX_LINE: usize = 128 * 1024 * 1024;
 
-/// The items that a command is to convert.
+/// The items of a command.
 pub(crate) enum Items {
     /// One, from the command line.
     One(String),

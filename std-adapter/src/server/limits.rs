@@ -1,4 +1,4 @@
-//! What peers of a server can use up.
+//! What peers can cost a server.
 
 use std::time::Duration;
 
@@ -6,17 +6,17 @@ use bcap_core::bcap::server::Config;
 
 use super::admission::Slots;
 
-/// What peers can use up.
+/// What peers can cost a server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Connections at the same time, b-CAP and RAC each.
     pub connections: usize,
     /// Connections of one IP address at the same time, b-CAP and RAC each.
     pub connections_per_address: usize,
-    /// The silence after which a connection without a request under way may be closed when another connection needs its
-    /// slot; the one that has been idle longest is closed first.
+    /// The silence after which a connection without a running request may be closed when another connection needs its
+    /// slot. The connection that has been idle longest is closed first.
     pub evict_after: Duration,
-    /// UDP peers at the same time; one that has stopped its service, or was silent for [`udp_idle`](Self::udp_idle),
+    /// UDP peers at the same time. A peer that has stopped its service, or was silent for [`udp_idle`](Self::udp_idle),
     /// makes room for another.
     pub udp_peers: usize,
     /// UDP peers of one IP address at the same time.
@@ -27,19 +27,18 @@ pub struct Limits {
     pub udp_lost: Duration,
     /// How long a request may take to arrive once its first byte has.
     pub receive: Duration,
-    /// How long a peer may take nothing of a reply.
+    /// How long a peer may accept no bytes of a reply.
     pub send: Duration,
-    /// How long a call of b-CAP may run at most, whatever its client asks for with `InvokeTimeout`. Clients that ask for
-    /// nothing have 180 s, those of RAC too.
+    /// The longest time of a b-CAP call, whatever its client asks for with `InvokeTimeout`. The default for b-CAP clients
+    /// and the limit for RAC clients is 180 s.
     pub call: Duration,
-    /// The silence after which a connection without a request under way is closed; `None` lets it stay.
+    /// The silence after which a connection without a running request is closed; `None` is without a limit.
     pub idle: Option<Duration>,
-    /// Bytes of a request at most.
+    /// The most bytes of a request.
     pub frame: u32,
-    /// Bytes that requests and replies of b-CAP over TCP may take, of all connections together, beside the 2 KiB that each has
-    /// from the beginning. Without enough of it a request is answered E_PACKETSIZEOVER, and in place of a reply there is
-    /// E_TOO_MUCH_DATA; small ones always pass. A connection gives back what it has when it ends, or keeps silent for
-    /// 5 s.
+    /// Bytes for requests and replies of b-CAP over TCP, of all connections together, beyond the 2 KiB that each connection
+    /// has from the beginning. Without enough memory a request is answered with E_PACKETSIZEOVER, and a reply is replaced
+    /// by E_TOO_MUCH_DATA; small ones always pass. A connection releases its memory when it ends or is silent for 5 s.
     pub memory: usize,
     /// The silence on TCP after which the operating system probes the peer.
     pub keep_alive: Option<Duration>,

@@ -66,7 +66,7 @@ pub use shared::Tap;
 #[cfg(feature = "gateway")]
 pub(crate) use tcp::REFUSALS;
 
-/// A server that listens, and serves when it is run.
+/// A server that listens, and serves while it runs.
 #[derive(Debug)]
 pub struct Server<H> {
     shared: Arc<Shared<H>>,
@@ -76,11 +76,11 @@ pub struct Server<H> {
     rac: Vec<(TcpListener, ListenRac<H>)>,
 }
 
-/// Accepts connections of RAC; known by its address, so that handlers of b-CAP alone can be served as well.
+/// Accepts connections of RAC. A function pointer, so that a handler needs to implement RAC only if it serves it.
 type ListenRac<H> = fn(TcpListener, Arc<Shared<H>>, Limits, watch::Receiver<()>) -> Listening;
 type Listening = Pin<Box<dyn Future<Output = io::Result<()>> + Send>>;
 
-/// Where a server listens.
+/// The addresses that a server listens on.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Addresses {
     /// b-CAP over TCP.
@@ -92,15 +92,15 @@ pub struct Addresses {
 }
 
 impl<H: Handler + Send + 'static> Server<H> {
-    /// Makes a server that listens nowhere yet.
+    /// Makes a server without listeners.
     #[must_use]
     pub fn new(handler: H) -> Self {
         Self::with_shared(Arc::new(Mutex::new(handler)))
     }
 
-    /// Makes a server of a handler that others look into as well, such as a display of its state.
+    /// Makes a server of a handler that other code reads, too, such as a display of its state.
     ///
-    /// The lock is held for the time of one call; whoever else takes it must be as short.
+    /// The server holds the lock for the time of one call; other code must be as short.
     #[must_use]
     pub fn with_shared(handler: Arc<Mutex<H>>) -> Self {
         let shared = Arc::new(Shared::new(handler));
@@ -113,11 +113,11 @@ impl<H: Handler + Send + 'static> Server<H> {
         Self { limits, ..self }
     }
 
-    /// Lets a function look at everything that is sent, and change it: to record it, or to try what clients do about a
-    /// bad link. The first one that is given stays.
+    /// Passes everything that is sent to a function, which may change it: to record it, or to test clients over a bad
+    /// link. Only the first tap of a server counts.
     ///
-    /// It is called with each frame of b-CAP and each line of RAC, with the handler locked; it must be short.
-    /// UDP has no connection to close, so `Break` sends nothing there.
+    /// It is called with each frame of b-CAP and each line of RAC, with the handler locked, so it must be short.
+    /// UDP has no connection to close, so `Break` only sends nothing there.
     #[must_use]
     pub fn tap(self, tap: Tap<H>) -> Self {
         self.shared.set_tap(tap);
@@ -128,7 +128,7 @@ impl<H: Handler + Send + 'static> Server<H> {
     ///
     /// # Errors
     ///
-    /// When the address cannot be had.
+    /// When the address cannot be listened on.
     pub async fn bcap_tcp<A: ToSocketAddrs>(mut self, address: A) -> io::Result<Self> {
         self.bcap.push(TcpListener::bind(address).await?);
         Ok(self)
@@ -138,7 +138,7 @@ impl<H: Handler + Send + 'static> Server<H> {
     ///
     /// # Errors
     ///
-    /// When the address cannot be had.
+    /// When the address cannot be listened on.
     pub async fn bcap_udp<A: ToSocketAddrs>(mut self, address: A) -> io::Result<Self> {
         self.udp.push(UdpSocket::bind(address).await?);
         Ok(self)
@@ -148,7 +148,7 @@ impl<H: Handler + Send + 'static> Server<H> {
     ///
     /// # Errors
     ///
-    /// When the address cannot be had.
+    /// When the address cannot be listened on.
     pub async fn rac_tcp<A: ToSocketAddrs>(mut self, address: A) -> io::Result<Self>
     where
         H: RacHandler,
@@ -160,7 +160,7 @@ impl<H: Handler + Send + 'static> Server<H> {
         Ok(self)
     }
 
-    /// Returns where the server listens.
+    /// Returns the addresses of the listeners.
     #[must_use]
     pub fn addresses(&self) -> Addresses {
         Addresses {
@@ -170,16 +170,16 @@ impl<H: Handler + Send + 'static> Server<H> {
         }
     }
 
-    /// Serves until `shutdown` is ready; then releases what peers have open and closes their connections. Nobody is waited
-    /// for: who does not take a reply at once loses it.
+    /// Serves until `shutdown` is ready, then releases the objects of all peers and closes their connections. Shutdown does
+    /// not wait for slow clients; unsent replies are lost.
     ///
     /// # Errors
     ///
-    /// When a socket that it listens on fails for good.
+    /// When a listening socket fails for good.
     ///
     /// # Cancel safety
     ///
-    /// When the future is dropped everything ends at once, and the handler does not learn that its peers have gone.
+    /// When the future is dropped all connections end at once, and the handler does not learn that its peers have gone.
     pub async fn run(self, shutdown: impl Future<Output = ()>) -> io::Result<()> {
         let (stop, stopped) = watch::channel(());
         let mut tasks = JoinSet::new();
@@ -198,7 +198,7 @@ impl<H: Handler + Send + 'static> Server<H> {
             () = shutdown => Ok(()),
             ended = tasks.join_next(), if !tasks.is_empty() => outcome(ended),
         };
-        // every task sees that the sender is gone
+        // every task sees that the sender is dropped
         drop((stop, stopped));
         while let Some(ended) = tasks.join_next().await {
             result = result.and(outcome(Some(ended)));
@@ -207,7 +207,7 @@ impl<H: Handler + Send + 'static> Server<H> {
     }
 }
 
-/// Returns how a listening task has ended.
+/// Returns the result of a listening task.
 fn outcome(ended: Option<Result<io::Result<()>, tokio::task::JoinError>>) -> io::Result<()> {
     match ended {
         Some(Ok(result)) => result,

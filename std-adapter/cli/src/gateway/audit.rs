@@ -35,6 +35,7 @@ use super::rotate::Rotating;
 use super::throttle::{Suppressed, Throttle};
 use crate::error::Failure;
 use crate::escape;
+use crate::times::Times;
 
 /// The most lines that wait for the writer.
 const BACKLOG: usize = 4096;
@@ -91,15 +92,15 @@ impl Answer {
 
 /// The totals at the end.
 #[derive(Debug, Serialize)]
-pub(super) struct Totals {
-    served: Times,
-    failed: Times,
+struct Totals {
+    served: Total,
+    failed: Total,
     refused: u32,
     sessions: u32,
 }
 
 #[derive(Debug, Serialize)]
-struct Times {
+struct Total {
     count: u32,
     mean_us: u64,
     p50_us: u64,
@@ -107,25 +108,14 @@ struct Times {
     max_us: u64,
 }
 
-impl From<&Counters> for Totals {
-    fn from(counters: &Counters) -> Self {
-        Self {
-            served: Times::from(&counters.served),
-            failed: Times::from(&counters.failed),
-            refused: counters.refused,
-            sessions: counters.connected,
-        }
-    }
-}
-
-impl From<&Tally> for Times {
-    fn from(tally: &Tally) -> Self {
+impl Total {
+    fn new(tally: &Tally, times: &Times) -> Self {
         Self {
             count: tally.count(),
             mean_us: micros(tally.mean()),
-            p50_us: micros(tally.percentile(50)),
-            p99_us: micros(tally.percentile(99)),
-            max_us: micros(tally.max()),
+            p50_us: times.quantile(0.5),
+            p99_us: times.quantile(0.99),
+            max_us: times.max(),
         }
     }
 }
@@ -160,6 +150,9 @@ pub(super) struct Audit {
     robot: String,
     lines: SyncSender<String>,
     dropped: u64,
+    /// The times of all answers, also of those that are not written.
+    served: Times,
+    failed: Times,
     throttle: Throttle,
     writer: JoinHandle<()>,
 }
@@ -175,7 +168,11 @@ impl Audit {
         };
         let (lines, waiting) = sync_channel(BACKLOG);
         let writer = thread::Builder::new().name("audit".into()).spawn(move || write(output, &waiting))?;
-        Ok(Self { robot, lines, dropped: 0, throttle: Throttle::new(bounds.rate), writer })
+        Ok(Self::new(robot, lines, Throttle::new(bounds.rate), writer))
+    }
+
+    fn new(robot: String, lines: SyncSender<String>, throttle: Throttle, writer: JoinHandle<()>) -> Self {
+        Self { robot, lines, dropped: 0, served: Times::new(), failed: Times::new(), throttle, writer }
     }
 
     /// Writes a report of the gateway, unless its client has exceeded its rate.
@@ -198,6 +195,11 @@ impl Audit {
     }
 
     fn log_answer(&mut self, client: SocketAddr, line: &[u8], event: Event) {
+        match event {
+            Event::Served { time, .. } => self.served.record(micros(time)),
+            Event::Failed { time, .. } => self.failed.record(micros(time)),
+            _ => {}
+        }
         let answer = |client, result| Answer::new(client, line, result);
         match event {
             // a write has changed the robot, so it is always logged
@@ -261,9 +263,15 @@ impl Audit {
     }
 
     /// Writes the totals and waits for the writer.
-    pub(super) fn close(mut self, totals: Totals) {
+    pub(super) fn close(mut self, counters: &Counters) {
         let suppressed = self.throttle.take();
         self.write_suppressed(suppressed);
+        let totals = Totals {
+            served: Total::new(&counters.served, &self.served),
+            failed: Total::new(&counters.failed, &self.failed),
+            refused: counters.refused,
+            sessions: counters.connected,
+        };
         self.write(&Record::End(totals));
         drop(self.lines);
         let until = Instant::now() + CLOSE_TIMEOUT;
@@ -374,7 +382,7 @@ mod tests {
     fn lines_without_room_in_the_queue_are_counted() {
         let (lines, waiting) = sync_channel(2);
         let throttle = Throttle::new(10);
-        let mut audit = Audit { robot: String::new(), lines, dropped: 0, throttle, writer: thread::spawn(|| {}) };
+        let mut audit = Audit::new(String::new(), lines, throttle, thread::spawn(|| {}));
         let up = Record::RobotUp { robot: "tcp:10.0.0.1:5007".into() };
         for _ in 0..5 {
             audit.write(&up);
@@ -388,6 +396,6 @@ mod tests {
         drop(waiting);
         audit.write(&up);
         assert_eq!(audit.dropped, 0, "without a reader no line is missing");
-        audit.close(Totals::from(&Counters::default()));
+        audit.close(&Counters::default());
     }
 }

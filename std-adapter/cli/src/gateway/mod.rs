@@ -70,7 +70,7 @@ pub(crate) fn gateway(args: &args::Gateway, link: &LinkArgs) -> Result<(), Failu
     })?;
     // the driver has dropped its log
     if let Some(audit) = Arc::into_inner(audit) {
-        audit.into_inner().unwrap_or_else(PoisonError::into_inner).close((&counters).into());
+        audit.into_inner().unwrap_or_else(PoisonError::into_inner).close(&counters);
     }
     Ok(())
 }

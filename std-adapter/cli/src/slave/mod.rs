@@ -69,7 +69,9 @@ fn confirm(what: &str, yes: bool) -> Result<(), Failure> {
     }
     let input = io::stdin();
     if !input.is_terminal() {
-        return Err(Failure::Input(format!("{what}: nobody can be asked whether the robot may move; give --yes")));
+        return Err(Failure::Input(format!(
+            "{what}: cannot ask whether the robot may move, because the input is not a terminal; give --yes"
+        )));
     }
     let mut err = anstream::stderr().lock();
     write!(err, "{}. The robot will move. Go on? [y/N] ", escape::line(what))?;
