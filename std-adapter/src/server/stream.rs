@@ -12,8 +12,8 @@ use tokio::net::TcpStream;
 use tokio::sync::watch;
 use tokio::time::timeout;
 
-use super::Limits;
 use super::admission::Activity;
+use super::limits::Limits;
 use super::shared::{Changes, Locking, Shared, Tapped};
 use crate::clock::{now, until};
 use crate::connect::STREAM_ROOM;
@@ -307,8 +307,8 @@ async fn within<T>(
     }
 }
 
-/// Waits until the peer has closed the connection, even if it has sent what there is no room for: whoever goes must not let
-/// the robot go on because of that.
+/// Waits until the peer has closed the connection, even if unread bytes are left before the end: the robot must not
+/// continue because a disconnected client had sent more.
 #[cfg(any(target_os = "linux", target_os = "android"))]
 async fn closed(stream: &TcpStream) -> io::Result<()> {
     use tokio::io::Interest;
@@ -316,7 +316,7 @@ async fn closed(stream: &TcpStream) -> io::Result<()> {
         if stream.ready(Interest::PRIORITY).await?.is_read_closed() {
             return Ok(());
         }
-        // urgent bytes, which nobody looks at
+        // urgent bytes, which are ignored
         let _ = stream.try_io(Interest::PRIORITY, || Err::<(), _>(io::ErrorKind::WouldBlock.into()));
     }
 }

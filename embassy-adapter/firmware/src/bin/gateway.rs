@@ -103,7 +103,7 @@ fn make(settings: &'static Settings<'static>) -> &'static Board {
     defmt::info!("{=usize} rules for GET, {=usize} for PUT", rules.get.len(), rules.put.len());
     let client = match settings.robot.transport {
         Transport::Tcp => Config::RC8.client,
-        // five attempts take 2.5 s; what is still at work then has shown so
+        // five attempts take 2.5 s; a call that runs longer has sent keep-alives
         Transport::Udp => client::Config {
             timing: Timing {
                 deadline: Config::RC8.client.timing.deadline,
