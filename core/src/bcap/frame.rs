@@ -234,7 +234,11 @@ impl Decoder {
 
 /// Splits one argument off and checks it.
 #[inline]
-fn check_argument<'a>(r: &mut Reader<'a>, limits: &Limits, strictness: Strictness) -> Result<&'a [u8], variant::Fault> {
+fn check_argument<'a>(
+    r: &mut Reader<'a>,
+    limits: &Limits,
+    strictness: Strictness,
+) -> Result<&'a [u8], variant::CheckError> {
     let at = *r;
     let Some(declared) = r.u32() else { return Err(truncated(at, 4, at)) };
     if strictness == Strictness::Lenient {
@@ -246,17 +250,17 @@ fn check_argument<'a>(r: &mut Reader<'a>, limits: &Limits, strictness: Strictnes
         Ok(()) if inner.left() == 0 => Ok(value),
         Ok(()) => {
             let used = to_u32(value.len().wrapping_sub(inner.left()));
-            Err(variant::Fault { kind: DecodeErrorKind::ArgumentLength { declared, used }, left: at.left() })
+            Err(variant::CheckError { kind: DecodeErrorKind::ArgumentLength { declared, used }, left: at.left() })
         }
         // the fault counts from the end of the argument, and more may follow that
-        Err(fault) => Err(variant::Fault { left: fault.left.wrapping_add(r.left()), ..fault }),
+        Err(fault) => Err(variant::CheckError { left: fault.left.wrapping_add(r.left()), ..fault }),
     }
 }
 
 /// Splits one argument off by its value, whatever its length field says; only an unknown type needs that.
 ///
 /// Peers that go wrong in the length field read on by the values themselves.
-fn check_lenient<'a>(declared: u32, r: &mut Reader<'a>, limits: &Limits) -> Result<&'a [u8], variant::Fault> {
+fn check_lenient<'a>(declared: u32, r: &mut Reader<'a>, limits: &Limits) -> Result<&'a [u8], variant::CheckError> {
     let value = r.rest();
     if variant::is_opaque(value)
         && declared >= 6
@@ -270,8 +274,8 @@ fn check_lenient<'a>(declared: u32, r: &mut Reader<'a>, limits: &Limits) -> Resu
 
 /// Says that `needed` bytes are not in `r`; the fault is where the argument begins.
 #[cold]
-fn truncated(r: Reader<'_>, needed: u32, at: Reader<'_>) -> variant::Fault {
-    variant::Fault { kind: DecodeErrorKind::Truncated { needed, left: to_u32(r.left()) }, left: at.left() }
+fn truncated(r: Reader<'_>, needed: u32, at: Reader<'_>) -> variant::CheckError {
+    variant::CheckError { kind: DecodeErrorKind::Truncated { needed, left: to_u32(r.left()) }, left: at.left() }
 }
 
 /// Splits the CRC off the end of `body` and compares it.

@@ -34,7 +34,7 @@ pub(super) enum State {
 
 /// The link, as far as it does not depend on the client.
 #[derive(Debug)]
-pub(super) struct Link {
+pub(super) struct RobotLink {
     pub(super) state: State,
     /// The pause after the next failure.
     pause: Duration,
@@ -42,7 +42,7 @@ pub(super) struct Link {
     longest_pause: Duration,
 }
 
-impl Link {
+impl RobotLink {
     pub(super) const fn new(first_pause: Duration, longest_pause: Duration) -> Self {
         Self { state: State::Opening, pause: first_pause, first_pause, longest_pause }
     }
@@ -137,7 +137,7 @@ mod tests {
     #[test]
     fn pauses_grow_to_the_longest_and_begin_anew_after_a_session() {
         let ms = Duration::from_millis;
-        let mut link = Link::new(ms(500), ms(3000));
+        let mut link = RobotLink::new(ms(500), ms(3000));
         let mut now = Instant::from_millis(7);
         for pause in [500, 1000, 2000, 3000, 3000] {
             assert_eq!((link.state, link.pause()), (State::Opening, ms(pause)));

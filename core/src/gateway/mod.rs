@@ -64,7 +64,7 @@ use core::fmt;
 
 use self::convert::Held;
 use self::handles::{Entry, Handles, Lookup};
-use self::link::{Link, State};
+use self::link::{RobotLink, State};
 use self::seat::{Seat, Waiting};
 
 pub use self::config::Config;
@@ -122,7 +122,7 @@ impl<const SESSIONS: usize, const HANDLES: usize> fmt::Debug for Memory<SESSIONS
 pub struct Gateway<'m> {
     config: Config<'m>,
     client: Client<&'m mut [u8]>,
-    link: Link,
+    link: RobotLink,
     handles: Handles<'m>,
     seats: &'m mut [Seat],
     /// What the call that is with the robot is for.
@@ -169,7 +169,7 @@ impl<'m> Gateway<'m> {
         Self {
             config,
             client,
-            link: Link::new(config.first_pause, config.longest_pause),
+            link: RobotLink::new(config.first_pause, config.longest_pause),
             handles: Handles::new(&mut memory.handles),
             seats,
             call: None,

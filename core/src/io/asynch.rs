@@ -219,18 +219,18 @@ where
 #[derive(Debug)]
 pub struct RacConnection<X, V> {
     transport: X,
-    client: rac::client::Client<V>,
+    client: rac::Client<V>,
 }
 
 impl<X: Transport, V: Storage> RacConnection<X, V> {
     /// Joins the two.
     #[must_use]
-    pub const fn new(transport: X, client: rac::client::Client<V>) -> Self {
+    pub const fn new(transport: X, client: rac::Client<V>) -> Self {
         Self { transport, client }
     }
 
     /// Returns the client, to change its time limit.
-    pub const fn client(&mut self) -> &mut rac::client::Client<V> {
+    pub const fn client(&mut self) -> &mut rac::Client<V> {
         &mut self.client
     }
 
@@ -241,7 +241,7 @@ impl<X: Transport, V: Storage> RacConnection<X, V> {
 
     /// Takes the two apart, to put something between them, such as a transport that writes down what passes.
     #[must_use]
-    pub fn into_parts(self) -> (X, rac::client::Client<V>) {
+    pub fn into_parts(self) -> (X, rac::Client<V>) {
         (self.transport, self.client)
     }
 

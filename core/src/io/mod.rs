@@ -1,6 +1,6 @@
 //! Two short loops that run a client over a transport: [`blocking`] and [`asynch`].
 //!
-//! Both do the same with the clients of [b-CAP](crate::bcap::Client) and [RAC](crate::rac::client::Client): send what
+//! Both do the same with the clients of [b-CAP](crate::bcap::Client) and [RAC](crate::rac::Client): send what
 //! there is to send, wait for bytes until the next deadline, and poll the client. What a step means is decided here, once
 //! for both. All progress lives in the client, never on the stack of a loop: dropping a future, or returning early with an
 //! error, loses nothing.
@@ -288,7 +288,7 @@ impl<T: Storage, R: Storage> Machine for bcap::Client<T, R> {
     }
 }
 
-impl<V: Storage> Machine for rac::client::Client<V> {
+impl<V: Storage> Machine for rac::Client<V> {
     type Error = rac::client::ClientError;
 
     const BUSY: Self::Error = rac::client::ClientError::Busy;
