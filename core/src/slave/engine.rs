@@ -1,4 +1,4 @@
-//! The engine: a whole stream as a state machine, without socket, clock or allocation.
+//! The engine: a stream of poses as a sans-IO state machine.
 //!
 //! ```text
 //!              poll ──► Call ──► make request() over its channel ──► handle_reply, or handle_failure ──┐
@@ -13,12 +13,11 @@
 //!  Diagnosing ─► Faulted ─► (recover()) ─► Recovering ─► Starting
 //! ```
 //!
-//! What is guaranteed:
+//! Guarantees:
 //!
-//! * A pose that is outside of the limits, of another layout, or not finite is never sent.
-//! * Nothing moves the robot after an error: from then on the engine asks, and leaves Slave Mode if it is on.
-//! * The error list is cleared and the motor switched on again only by [`Engine::recover`], and never after an
-//!   emergency stop.
+//! * The engine never sends a pose that exceeds the limits, has another layout, or is not finite.
+//! * After an error it sends no pose: it queries the controller, and leaves Slave Mode if it is on.
+//! * Only [`Engine::recover`] clears the error list and switches the motor on again, and never after an emergency stop.
 
 use core::time::Duration;
 
@@ -40,27 +39,27 @@ use crate::procedure::{Channel, Failure};
 use crate::time::{Instant, micros_u32};
 use crate::variant::Variant;
 
-/// What the engine wants next.
+/// The next action of an engine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
 pub enum Action {
-    /// Make the call of [`Engine::request`], and hand its reply or failure in. Until then this is repeated.
+    /// Make the call of [`Engine::request`], and pass in its reply or failure. Until then, this action is repeated.
     Call(Step, Channel),
     /// [`push`](Engine::push) a pose, or end with [`stop`](Engine::stop) or [`finish`](Engine::finish).
     Pose {
-        /// When it will be sent; a pose that comes later makes the cycle late.
+        /// When it will be sent; a pose that is pushed later makes the cycle late.
         due: Instant,
     },
     /// Poll again at this time.
     Wait(Instant),
-    /// The robot stands, Slave Mode is off, the arm is given back.
+    /// The robot is at rest, Slave Mode is off, and the arm is given back.
     Finished,
-    /// [`Engine::fault`] says why; Slave Mode was left if that was possible.
+    /// The stream failed; [`Engine::fault`] says why. Slave Mode was left if that was possible.
     Faulted,
 }
 
-/// What a run of calls is for.
+/// The phase of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
     Starting,
@@ -72,11 +71,11 @@ enum Phase {
     Faulted,
 }
 
-/// What is known of a connection; a reply makes it good again.
+/// The state of a connection; a reply makes it good again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Health {
     Good,
-    /// The last call had no reply.
+    /// The last call timed out.
     Silent,
     Lost,
 }
