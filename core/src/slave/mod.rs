@@ -23,7 +23,6 @@
 //! For Slave Mode the controller requires its licence, Auto mode, the executable token, no error, and a robot at rest at
 //! the start; two robots and the virtual fence are not supported (S2:1454).
 
-
 mod command;
 mod config;
 mod engine;
