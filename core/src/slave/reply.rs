@@ -135,7 +135,7 @@ impl ReceiveFormat {
     ///
     /// # Errors
     ///
-    /// A [`MoveReplyError`] when any element has another type or length than this format gives.
+    /// A [`MoveReplyError`] when the type or length of an element differs from this format.
     pub fn read<'a>(&self, value: Variant<'a>) -> Result<MoveReply<'a>, MoveReplyError> {
         if self.is_plain() {
             let pose = numbers(ReplyPart::Pose, Some(value), self.pose.len())?;
@@ -222,25 +222,25 @@ fn wrong_type(part: ReplyPart, value: Variant<'_>) -> MoveReplyError {
 }
 
 impl<'a> MoveReply<'a> {
-    /// Returns the pose as it came: as many numbers as the receive format's pose has.
+    /// Returns the pose as it was received, with the length of the receive format's pose.
     #[must_use]
     pub const fn pose(&self) -> Items<'a, f64> {
         self.pose
     }
 
-    /// Returns X, Y, Z, RX, RY, RZ and Fig, if P or P+J was asked for.
+    /// Returns X, Y, Z, RX, RY, RZ and Fig, if the receive format has P or P+J.
     #[must_use]
     pub fn position(&self) -> Option<[f64; P_LEN]> {
         matches!(self.format.pose, ReceivePose::P | ReceivePose::PJ).then(|| self.part(0))
     }
 
-    /// Returns X, Y, Z, both vectors and Fig, if T or T+J was asked for.
+    /// Returns X, Y, Z, both vectors and Fig, if the receive format has T or T+J.
     #[must_use]
     pub fn transform(&self) -> Option<[f64; T_LEN]> {
         matches!(self.format.pose, ReceivePose::T | ReceivePose::TJ).then(|| self.part(0))
     }
 
-    /// Returns the joints, if J, P+J or T+J was asked for; those that the robot has not are no zeros.
+    /// Returns the joints, if the receive format has J, P+J or T+J; those that the robot does not have may be other than 0.
     #[must_use]
     pub fn joints(&self) -> Option<[f64; J_LEN]> {
         self.format.pose.joints_at().map(|at| self.part(at))
@@ -254,31 +254,31 @@ impl<'a> MoveReply<'a> {
         out
     }
 
-    /// Returns the controller's time, if it was asked for.
+    /// Returns the controller's time, if the receive format has it.
     #[must_use]
     pub fn timestamp(&self) -> Option<Timestamp> {
         Some(Timestamp { ticks: self.time?, unit: self.format.time? })
     }
 
-    /// Returns the bits of MiniIO, if they were asked for.
+    /// Returns the bits of MiniIO, if the receive format has them.
     #[must_use]
     pub const fn mini_io(&self) -> Option<i32> {
         self.mini_io
     }
 
-    /// Returns the bytes of user IO, as many as were asked for.
+    /// Returns the bytes of user IO, if the receive format has them.
     #[must_use]
     pub const fn user_io(&self) -> Option<&'a [u8]> {
         self.user_io
     }
 
-    /// Returns the bits of HandIO, if they were asked for.
+    /// Returns the bits of HandIO, if the receive format has them.
     #[must_use]
     pub const fn hand_io(&self) -> Option<i32> {
         self.hand_io
     }
 
-    /// Returns the motors' currents, if they were asked for.
+    /// Returns the motors' currents, if the receive format has them.
     #[must_use]
     pub const fn current(&self) -> Option<[f64; CURRENT_LEN]> {
         self.current

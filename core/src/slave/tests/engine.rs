@@ -274,7 +274,7 @@ fn joints(first: f64) -> Pose {
     Pose::j([first, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 }
 
-/// A trajectory of `count` poses that starts and ends at rest, and its first joints.
+/// A source of `count` poses, which starts and ends at rest.
 fn trajectory(count: u16) -> impl FnMut(&mut Rig) -> Option<Pose> {
     let mut sent = 0;
     move |_| {
