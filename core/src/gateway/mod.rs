@@ -221,7 +221,7 @@ impl Gateway<'_> {
     #[must_use]
     pub fn receive_buffer(&mut self, peer: PeerId) -> &mut [u8] {
         match self.seat_mut(peer) {
-            // otherwise the line stays readable until its reply is reported
+            // none while a request runs, so that its line stays readable until its reply is reported
             Some(seat) if !seat.session.is_running() => seat.session.receive_buffer(),
             _ => &mut [],
         }

@@ -228,7 +228,7 @@ fn extended_joints_have_the_positions_of_the_specification() {
 fn data_that_differs_from_the_format_is_refused() {
     let format = format(Mode::Mode2, PoseType::J);
     let error = slv_move(ROBOT, &format, &spec_pose(), Outputs::default()).err().unwrap();
-    assert_eq!(error.to_string(), "the format has poses of type J, this is P");
+    assert_eq!(error.to_string(), "the format has poses of type J, this pose is P");
     let pose = Pose::j([0.0; 8]).with_extended(Extended::Seven(1.0));
     assert!(matches!(slv_move(ROBOT, &format, &pose, Outputs::default()).err(), Some(FormatError::Shape { .. })));
 

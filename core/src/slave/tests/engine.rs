@@ -829,7 +829,7 @@ fn an_inconsistent_configuration_is_refused() {
     let wrong = Config { start: Some(spec_pose()), ..config(Mode::Mode0) };
     assert_eq!(
         Engine::<256>::new(wrong).unwrap_err().to_string(),
-        "the start of the stream: the format has poses of type J, this is P"
+        "the start of the stream: the format has poses of type J, this pose is P"
     );
     let wrong = Config { cycle: Duration::ZERO, ..config(Mode::Mode0) };
     assert_eq!(Engine::<256>::new(wrong).unwrap_err(), ConfigError::Cycle);
