@@ -8,9 +8,9 @@ use crate::time::Instant;
 
 /// A sequence of calls.
 pub trait Procedure {
-    /// What it returns when it is done.
+    /// The result of a success.
     type Output;
-    /// Why it fails.
+    /// The error of a failure.
     type Error;
 
     /// Returns the next action. If it is a call, `now` is the time of sending.
@@ -79,6 +79,6 @@ pub enum Action<T> {
 pub enum Channel {
     /// The first connection; most procedures use no other.
     Motion,
-    /// A second connection, which is idle while the first is busy. Without one, the call uses the first.
+    /// A second connection, for queries while the first is busy. Without one, the call uses the first.
     Watch,
 }
