@@ -80,6 +80,5 @@ pub trait Serve<H: ?Sized>: ServerEndpoint {
     fn run(&mut self, handler: &mut H, peer: PeerId, now: Instant) -> Option<Self::Event>;
 
     /// Ends the session: abandons the running call, releases the peer's objects in reverse order, and notifies the handler.
-
     fn close(&mut self, handler: &mut H, peer: PeerId, now: Instant);
 }

@@ -116,7 +116,6 @@ impl<'b> ReplyValue<'b> {
     ///
     /// An [`EncodeError`] when the value does not fit. The reply then has no value; its result is E_TOO_MUCH_DATA in b-CAP
     /// regardless of the outcome, and E_INVALIDSNDPACKET in RAC unless the outcome is an error.
-
     pub fn set<T: Encode + ?Sized>(&mut self, value: &T) -> Result<(), EncodeError> {
         self.clear();
         let before = self.memory.bytes().len();

@@ -73,7 +73,6 @@
 //! let mut server = Session::<_, _, 8>::new(server::Config::TCP, [0; 512], [0; 512]);
 //!
 //! // moves a request to the server and its reply to the client
-
 //! let mut exchange = |client: &mut Client<[u8; 512]>| {
 //!     let request = client.transmit();
 //!     server.receive_buffer()[..request.len()].copy_from_slice(request);

@@ -366,7 +366,6 @@ mod tests {
     use crate::hresult::HResult;
 
     /// Encodes a call, and passes the decoded function and arguments to `check`.
-
     fn sent(call: impl Call, check: impl FnOnce(FunctionId, Args<'_>)) {
         let mut buffer = [0; 256];
         let mut frame = FrameWriter::new(&mut buffer).unwrap();

@@ -706,7 +706,6 @@ impl Unanswered {
     }
 
     /// Forgets a range of one serial whose reply arrived. A retried call may get further replies.
-
     fn answered(&mut self, serial: u16) {
         for _ in 0..self.ranges.len() {
             if let Some(range) = self.ranges.pop_front()

@@ -540,7 +540,6 @@ impl<'b> FrameWriter<'b> {
 }
 
 /// Changes serial and reserved field of a finished frame, and its CRC, for another attempt.
-
 pub(crate) fn renumber(frame: &mut [u8], serial: u16, reserved: u16, crc: bool) {
     Header::renumber(frame, serial, reserved);
     if crc {

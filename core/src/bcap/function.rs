@@ -436,7 +436,6 @@ mod tests {
             assert!(function.name().unwrap().starts_with(object.name()));
             assert_eq!(function.argument_names().len(), signature.arguments.len());
             // all except the Service functions and Controller_Connect are called on a handle of their own group
-
             if function.0 > 3 {
                 assert_eq!(signature.arguments[0], Kind::Handle(*object), "{function:?}");
             }

@@ -94,7 +94,6 @@ impl Header {
 }
 
 // the ranges are constants within the array, so the compiler removes the fallbacks
-
 #[inline(always)]
 fn get<const N: usize>(header: &[u8; HEADER_LEN], field: Range<usize>) -> [u8; N] {
     header.get(field).and_then(<[u8]>::first_chunk).copied().unwrap_or([0; N])

@@ -281,7 +281,6 @@ impl Inbox {
     }
 
     /// Drops all bytes, for a new connection.
-
     pub(crate) const fn reset(&mut self) {
         self.len = 0;
         self.next = 0;

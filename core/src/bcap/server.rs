@@ -737,7 +737,6 @@ impl State {
     }
 
     /// Decides about a request by its serials. A stream neither loses nor duplicates requests.
-
     fn judge(&self, attempt: &Attempt, now: Instant) -> Verdict {
         if !self.config.link.is_lossy() {
             return Verdict::New;

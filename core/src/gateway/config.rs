@@ -69,6 +69,5 @@ impl Config<'_> {
     };
 
     /// An RC9 over TCP, otherwise as [`RC8`](Self::RC8).
-
     pub const RC9: Self = Self { provider: "CaoProv.DENSO.VRC9", ..Self::RC8 };
 }

@@ -86,7 +86,6 @@ impl Event {
     }
 
     /// Returns the client that the event concerns.
-
     #[must_use]
     pub const fn peer(&self) -> Option<PeerId> {
         match self {

@@ -146,7 +146,6 @@ mod tests {
             assert_eq!(link.state, State::Down { until });
             link.closed(now + ms(1));
             assert_eq!(link.state, State::Down { until }, "a second report changes nothing");
-
             link.handle_timeout(until - 1);
             assert_eq!(link.state, State::Down { until });
             link.handle_timeout(until);

@@ -222,7 +222,6 @@ impl core::error::Error for Refusal {}
 
 impl Rules<'_> {
     /// Checks a request against the rules.
-
     pub(super) fn check(&self, request: &Request<'_>, pace: &mut Pace, now: Instant) -> Result<(), Refusal> {
         if !pace.admits(self.rate, now) {
             return Err(Refusal::Rate);

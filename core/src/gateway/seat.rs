@@ -73,7 +73,6 @@ impl Seat {
     }
 
     /// Replies to a request with a refusal.
-
     pub(super) fn refuse(&mut self, refusal: Refusal) -> Option<Event> {
         let _ = self.session.respond(refusal.hresult())?;
         Some(Event::Refused { peer: self.peer?, refusal })

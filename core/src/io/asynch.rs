@@ -317,7 +317,6 @@ async fn drain<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> E
 }
 
 /// Runs the client until the call has ended.
-
 async fn wait<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
     while let Some((direction, until)) = next(client) {
         let count = match direction {
@@ -391,7 +390,6 @@ where
 }
 
 /// Waits for `work` or `end`; `None` when `end` is ready first.
-
 #[cfg(feature = "embedded-io-async")]
 async fn first<T>(work: impl Future<Output = T>, end: impl Future<Output = ()>) -> Option<T> {
     use core::task::Poll;

@@ -277,7 +277,6 @@ fn drain<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X
 }
 
 /// Runs the client until the call has ended.
-
 fn wait<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
     while let Some((direction, until)) = next(client) {
         let count = match direction {
@@ -325,7 +324,6 @@ where
 
     fn send(&mut self, bytes: &[u8], _until: Instant) -> Result<Option<usize>, D::Error> {
         // a write waits for the device, never for the peer
-
         let count = self.device.write(bytes)?;
         self.device.flush()?;
         Ok(Some(count))

@@ -4,7 +4,7 @@
 //! client's bytes, wait for bytes until the next deadline, and poll the client. This file contains the steps that both
 //! share. All progress is in the client, not on the stack of a loop: a dropped future or an early return loses nothing.
 //!
-//! `Connection::run` runs any [`Procedure`](crate::procedure::Procedure), over one connection or over two.
+//! `Connection::run` runs any [`Procedure`], over one connection or over two.
 
 /// Logs an event that a loop does not return to its caller.
 macro_rules! log_event {
@@ -250,7 +250,6 @@ fn moved<M: Machine, E>(
         }
     }
     // after the events, so that a reply that arrived in time counts
-
     if count.is_some() && now < until {
         return None;
     }

@@ -8,7 +8,6 @@ use crate::bcap::client::ClientError;
 use crate::hresult::HResult;
 
 /// The reason why a call has no reply.
-
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Failure {

@@ -19,7 +19,6 @@ pub fn open<'a>(provider: Provider<'a>) -> impl Procedure<Output = ControllerHan
 ///
 /// Without a name it is the first robot that the controller lists, or `Arm0` when it refuses to list them.
 /// [`release_robot`](super::release_robot) undoes it.
-
 pub fn open_robot<'a>(
     provider: Provider<'a>,
     robot: Option<&'a str>,

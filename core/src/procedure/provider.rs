@@ -27,7 +27,6 @@ impl Provider<'static> {
 
 impl<'a> Provider<'a> {
     /// Returns a provider on the controller itself, with a keep-alive every 400 ms.
-
     #[must_use]
     pub const fn new(provider: &'a str) -> Self {
         Self { service: "WDT=400", name: "", provider, machine: "localhost", option: "" }

@@ -33,7 +33,6 @@ pub fn release_robot(handles: Handles) -> impl Procedure<Output = (), Error = St
 }
 
 /// No steps forward: the sequence consists of its undo entries.
-
 struct Nothing;
 
 impl Steps for Nothing {

@@ -14,7 +14,6 @@ use crate::variant::{Encode, Variant};
 ///
 /// The variable belongs to a controller (`I1`), a robot (`@SERVO_ON`), a task, a file or an extension. This makes three
 /// calls for each value; a program that reads a variable often should keep its handle.
-
 ///
 /// # Errors
 ///

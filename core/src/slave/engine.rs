@@ -843,7 +843,6 @@ impl<const N: usize> Engine<N> {
 }
 
 /// Reads an array of numbers into `target`, up to the shorter length, and returns their count.
-
 fn read_numbers(value: Variant<'_>, target: &mut [f64]) -> Option<usize> {
     let array = value.as_array()?;
     for (slot, element) in target.iter_mut().zip(array) {

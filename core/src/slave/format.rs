@@ -304,7 +304,6 @@ impl fmt::Display for FormatError {
             Self::Shape { expected, found } => {
                 write!(f, "the format has poses of type {expected}, this pose is {found}")
             }
-
             Self::NoMiniIo => f.write_str("the send format has no MiniIO: set its `io` to `SendIo::Mini`"),
             Self::NoHandIo => f.write_str("the send format has no HandIO: set its `hand_io`"),
             Self::NoUserIo => f.write_str("the send format has no user IO: set its `io` to `SendIo::User`"),

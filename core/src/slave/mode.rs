@@ -108,7 +108,6 @@ impl SlaveMode {
     }
 
     /// Returns the mode with this number; `None` for [`OFF`](Self::OFF) and for invalid numbers.
-
     #[must_use]
     pub const fn from_code(code: i32) -> Option<Self> {
         let mode = match code & !0xf {

@@ -107,7 +107,6 @@ impl Pacer {
     }
 
     /// Returns an estimate of how long the controller's buffer will last.
-
     pub(super) fn margin(&self, now: Instant) -> Option<Duration> {
         self.empty_at.map(|at| at.saturating_since(now))
     }

@@ -346,7 +346,6 @@ pub(super) fn half_turn(angle: f64) -> f64 {
 fn normalize(vector: [&mut f64; 3]) {
     let square: f64 = vector.iter().map(|n| **n * **n).sum();
     // Newton's iteration for 1 / sqrt(square), because `core` has no square root
-
     let mut inverse = 1.0;
     for _ in 0..4 {
         inverse *= 1.5 - 0.5 * square * inverse * inverse;

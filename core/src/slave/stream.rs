@@ -135,7 +135,6 @@ impl<T: Trajectory + ?Sized, const N: usize> Procedure for Stream<'_, T, N> {
     }
 
     /// Returns short timeouts for slvMove on lossy links, as [`Engine::timing`] does.
-
     fn timing(&self, link: Link, usual: Timing) -> Timing {
         self.engine.timing(link, usual)
     }

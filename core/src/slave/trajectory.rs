@@ -66,7 +66,6 @@ impl<const N: usize> Engine<N> {
     /// # Errors
     ///
     /// When the pose is invalid or exceeds the limits; the stream then [stops](Self::stop).
-
     pub fn supply(
         &mut self,
         trajectory: &mut (impl Trajectory + ?Sized),

@@ -103,7 +103,6 @@ fn unwrap(value: &[u8]) -> &[u8] {
 }
 
 /// Reads a decimal number, or a hexadecimal one with the prefix `0x`.
-
 fn number(text: &[u8]) -> Option<u32> {
     let (digits, radix) = match text {
         [b'0', b'x' | b'X', digits @ ..] => (digits, 16),

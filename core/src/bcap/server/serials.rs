@@ -171,7 +171,6 @@ impl Serials {
 
 impl Service {
     /// Tells whether an attempt belongs to the newest call or to an older one.
-
     fn is_old(&self, attempt: &Attempt) -> bool {
         let (marker, function) = self.newest;
         attempt.is_of(marker, function) || (1..=OLD_MARKERS).contains(&marker.wrapping_sub(attempt.marker))
