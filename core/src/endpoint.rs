@@ -1,4 +1,4 @@
-//! What the clients and the sessions of both protocols have in common, for code that moves their bytes.
+//! The common interface of the clients and sessions of both protocols, for code that moves their bytes.
 //!
 //! ```text
 //!  link ──► receive_buffer, received ──► Endpoint ──► transmit, transmitted ──► link
@@ -8,7 +8,7 @@
 //! | trait              | implemented by                                     | used by                             |
 //! |--------------------|----------------------------------------------------|-------------------------------------|
 //! | [`Endpoint`]       | both clients and both sessions                     | any loop that moves bytes           |
-//! | [`ServerEndpoint`] | both sessions                                      | servers that watch over many of them |
+//! | [`ServerEndpoint`] | both sessions                                      | servers that manage many sessions   |
 //! | [`Serve`]          | both sessions, with a handler of their protocol    | servers that run them               |
 
 use core::fmt::Debug;
@@ -16,32 +16,32 @@ use core::fmt::Debug;
 use crate::handler::PeerId;
 use crate::time::Instant;
 
-/// One end of a link, without the link: bytes go in and out, and it says when it must be called again.
+/// One end of a link as a sans-IO state machine: it takes and returns bytes, and reports its next timeout.
 pub trait Endpoint {
-    /// Returns memory for bytes that arrive; with datagrams, for one of them. What was read before is gone then.
+    /// Returns memory for received bytes; for datagrams, for one datagram. Drops the frames that were read before.
     ///
-    /// It is empty while there is no room: then a stream's bytes must wait, and datagrams be dropped.
+    /// An empty slice means that there is no room: the caller must leave the bytes of a stream unread, and drop datagrams.
     #[must_use]
     fn receive_buffer(&mut self) -> &mut [u8];
 
     /// Records that `count` bytes were put into [`receive_buffer`](Self::receive_buffer).
     fn received(&mut self, count: usize);
 
-    /// Returns the bytes that are to be sent: one datagram, or the rest of a frame or line for a stream.
+    /// Returns the bytes to send: one datagram, or the rest of a frame or line for a stream.
     #[must_use]
     fn transmit(&self) -> &[u8];
 
     /// Records that the link has taken `count` bytes of [`transmit`](Self::transmit).
     fn transmitted(&mut self, count: usize);
 
-    /// Returns when it must be called even if no bytes arrive; `None` while nothing is waited for.
+    /// Returns when it must be called even if no bytes arrive; `None` without a timeout.
     #[must_use]
     fn poll_timeout(&self) -> Option<Instant>;
 }
 
 /// A server's session with one peer.
 pub trait ServerEndpoint: Endpoint {
-    /// Tells whether a request runs that its handler has not answered.
+    /// Tells whether a request runs, which the handler has not completed.
     #[must_use]
     fn is_running(&self) -> bool;
 
@@ -55,28 +55,30 @@ pub trait ServerEndpoint: Endpoint {
     #[must_use]
     fn next_request(&self) -> usize;
 
-    /// Tells whether the session is over: everything is sent, and the link is to be closed.
+    /// Tells whether the session has ended: everything is sent, and the caller must close the link.
     #[must_use]
     fn is_finished(&self) -> bool;
 
-    /// Returns the bytes of memory that it has, both ways together.
+    /// Returns the size of both buffers together, in bytes.
     #[must_use]
     fn memory(&self) -> usize;
 
-    /// Releases memory above `room` bytes each way, unless something is in it.
+    /// Releases memory above `room` bytes in each buffer, unless the buffers are in use.
     ///
-    /// A copy of the last call is not answered after that, if its reply was larger.
+    /// If the last reply was larger than that, the session cannot send it again for a copy of its call.
     fn shrink(&mut self, room: usize);
 }
 
-/// A session that a handler of type `H` can answer.
+/// A session whose requests a handler of type `H` can execute.
 pub trait Serve<H: ?Sized>: ServerEndpoint {
-    /// What it reports of a step.
+    /// The event of a step.
     type Event: Debug;
 
-    /// Performs one step and says what was done; `None` when bytes must arrive, leave, or time pass. Call it until then.
+    /// Performs one step and returns its event; `None` when bytes must be received or sent, or time must pass.
+    ///
+    /// The caller repeats it until it returns `None`.
     fn run(&mut self, handler: &mut H, peer: PeerId, now: Instant) -> Option<Self::Event>;
 
-    /// Ends the session: abandons what runs, releases the peer's objects in reverse order, and tells the handler.
+    /// Ends the session: abandons the running call, releases the peer's objects in reverse order, and notifies the handler.
     fn close(&mut self, handler: &mut H, peer: PeerId, now: Instant);
 }

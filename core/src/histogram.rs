@@ -1,4 +1,4 @@
-//! Histograms of times, in a fixed number of counters.
+//! Histograms of times with a fixed number of buckets.
 //!
 //! ```text
 //!  bucket       0   1   ...  SUB-1 │ SUB ... 2 SUB-1 │ 2 SUB ... 3 SUB-1  │ ...
@@ -6,14 +6,14 @@
 //!                    one each      │    one each     │     two each       │ twice as many each time
 //! ```
 //!
-//! A quantile is the upper bound of its bucket, so it is at most `1 / SUB` above the true one. The buckets of a narrow
-//! distribution are few: a host that has the memory reads [`last`](Histogram::last) after each time and keeps more digits.
+//! A quantile is the upper bound of its bucket, so it is at most `1 / SUB` above the true one. A narrow distribution fills
+//! only a few buckets; a host with enough memory can read [`last`](Histogram::last) after each time and keep all digits.
 
 use crate::num::{to_u32, to_usize};
 
-/// A histogram of times with `SUB` buckets for each power of two, a power of two itself, and `N` buckets in all.
+/// A histogram of times with `SUB` buckets for each power of two, and `N` buckets in total; `SUB` is a power of two.
 ///
-/// Times above the last bucket are counted in it; the greatest time is exact. Counts saturate.
+/// The last bucket also counts times above it; the maximum is exact. Counts saturate.
 ///
 /// # Examples
 ///
@@ -45,7 +45,7 @@ impl<const SUB: usize, const N: usize> Histogram<SUB, N> {
         Self { buckets: [0; N], count: 0, max: 0, last: 0 }
     }
 
-    /// Counts a time.
+    /// Counts a time, in microseconds.
     pub fn record(&mut self, micros: u32) {
         if let Some(bucket) = self.buckets.get_mut(Self::bucket(micros).min(N.saturating_sub(1))) {
             *bucket = bucket.saturating_add(1);
@@ -55,26 +55,25 @@ impl<const SUB: usize, const N: usize> Histogram<SUB, N> {
         self.last = micros;
     }
 
-    /// Returns how many times were counted.
+    /// Returns the number of recorded times.
     #[must_use]
     pub const fn count(&self) -> u32 {
         self.count
     }
 
-    /// Returns the greatest time in microseconds; 0 without any.
+    /// Returns the maximum in microseconds; 0 for an empty histogram.
     #[must_use]
     pub const fn max(&self) -> u32 {
         self.max
     }
 
-    /// Returns the time that was counted last, in microseconds; 0 without any.
+    /// Returns the last recorded time in microseconds; 0 for an empty histogram.
     #[must_use]
     pub const fn last(&self) -> u32 {
         self.last
     }
 
-    /// Returns the time in microseconds that `permille` of a thousand times do not exceed: 500 is the median, 999 the
-    /// 99.9th percentile.
+    /// Returns a quantile in microseconds, in per mille: 500 is the median, 999 the 99.9th percentile.
     #[must_use]
     pub fn quantile(&self, permille: u32) -> u32 {
         let needed = u64::from(self.count).wrapping_mul(u64::from(permille.min(1000))).div_ceil(1000);
@@ -109,7 +108,7 @@ impl<const SUB: usize, const N: usize> Histogram<SUB, N> {
         }
     }
 
-    /// Returns the greatest time of a bucket.
+    /// Returns the upper bound of a bucket.
     fn upper(index: usize) -> u32 {
         let power = to_u32(index.wrapping_shr(Self::LOG));
         let sub = to_u32(index & SUB.wrapping_sub(1));
@@ -155,14 +154,14 @@ mod tests {
     }
 
     #[test]
-    fn every_time_is_in_the_bucket_that_ends_next_above_it() {
+    fn every_time_is_in_the_bucket_with_the_next_upper_bound() {
         bounds::<1, 22>();
         bounds::<2, 44>();
         bounds::<8, 152>();
     }
 
     #[test]
-    fn what_is_above_the_last_bucket_is_counted_in_it_and_the_greatest_time_is_exact() {
+    fn the_last_bucket_counts_times_above_it_and_the_maximum_is_exact() {
         let mut times = Histogram::<1, 4>::new();
         times.record(3);
         times.record(3_000_000);

@@ -1,14 +1,14 @@
-//! The sending side of a link: how much of a buffer is to be sent, and how much of that has left.
+//! The sending side of a link: how many bytes of a buffer to send, and how many of them are sent.
 //!
 //! ```text
 //!  buffer  [ sent | unsent | free ... ]
 //!                 ^`sent`  ^`len`
 //! ```
 
-/// What is to be sent out of a buffer. The buffer itself belongs to the client or session.
+/// The outgoing bytes of a buffer. The buffer itself belongs to the client or session.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Outbox {
-    /// Bytes of the buffer that are to be sent.
+    /// Bytes of the buffer to send.
     len: usize,
     /// How many of them the link has taken; never above `len`.
     sent: usize,
@@ -18,12 +18,12 @@ impl Outbox {
     /// Nothing to send.
     pub(crate) const EMPTY: Self = Self { len: 0, sent: 0 };
 
-    /// The first `len` bytes of the buffer, of which nothing has left.
+    /// The first `len` bytes of the buffer, all unsent.
     pub(crate) const fn new(len: usize) -> Self {
         Self { len, sent: 0 }
     }
 
-    /// Returns the bytes that are still to be sent.
+    /// Returns the unsent bytes.
     pub(crate) fn unsent<'b>(&self, buffer: &'b [u8]) -> &'b [u8] {
         buffer.get(self.sent..self.len).unwrap_or_default()
     }
@@ -33,7 +33,7 @@ impl Outbox {
         buffer.get_mut(..self.len).unwrap_or_default()
     }
 
-    /// Records that the link has taken `count` bytes; returns whether that were any.
+    /// Records that the link has taken `count` bytes; returns whether any unsent bytes were taken.
     pub(crate) fn transmitted(&mut self, count: usize) -> bool {
         let before = self.sent;
         self.sent = self.sent.saturating_add(count).min(self.len);
@@ -45,7 +45,7 @@ impl Outbox {
         self.sent = 0;
     }
 
-    /// Counts everything as sent; it can be sent again by [`rewind`](Self::rewind).
+    /// Marks everything as sent; [`rewind`](Self::rewind) sends it again.
     pub(crate) const fn skip(&mut self) {
         self.sent = self.len;
     }
@@ -54,17 +54,17 @@ impl Outbox {
         self.len
     }
 
-    /// Tells whether bytes are still to be sent.
+    /// Tells whether there are unsent bytes.
     pub(crate) const fn is_sending(&self) -> bool {
         self.sent < self.len
     }
 
-    /// Tells whether nothing has left.
+    /// Tells whether no byte was sent.
     pub(crate) const fn is_unsent(&self) -> bool {
         self.sent == 0
     }
 
-    /// Tells whether a part has left: what follows it on a stream must be its rest.
+    /// Tells whether a part was sent: on a stream, the rest must follow it.
     pub(crate) const fn is_partial(&self) -> bool {
         0 < self.sent && self.sent < self.len
     }
@@ -75,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn bytes_leave_in_pieces_and_can_be_sent_again() {
+    fn bytes_are_sent_in_pieces_and_can_be_sent_again() {
         let mut buffer = *b"abcdef..";
         let mut outbox = Outbox::new(6);
         assert!(outbox.is_sending() && outbox.is_unsent() && !outbox.is_partial());
@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn a_buffer_that_has_shrunk_gives_nothing() {
+    fn a_buffer_that_was_shrunk_has_no_unsent_bytes() {
         assert_eq!(Outbox::new(6).unsent(b"abc"), b"");
     }
 }

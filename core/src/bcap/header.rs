@@ -10,7 +10,7 @@
 //!      13     2  number of arguments
 //! ```
 //!
-//! All fields are little-endian (S2:200-384). This is the one place that knows their offsets.
+//! All fields are little-endian (S2:200-384). Only this file contains their offsets.
 
 use core::ops::Range;
 
@@ -19,7 +19,7 @@ pub const SOH: u8 = 0x01;
 /// Bytes before the arguments.
 pub const HEADER_LEN: usize = 15;
 
-/// Where the fields are.
+/// The byte ranges of the fields.
 mod field {
     use super::Range;
 
@@ -31,9 +31,9 @@ mod field {
     pub(super) const COUNT: Range<usize> = 13..super::HEADER_LEN;
 }
 
-/// The offset of the length, for errors that name it.
+/// The offset of the length, for errors.
 pub(crate) const LENGTH_AT: usize = field::LENGTH.start;
-/// The offset of the number of arguments, for errors that name it.
+/// The offset of the number of arguments, for errors.
 pub(crate) const COUNT_AT: usize = field::COUNT.start;
 
 /// The fields of a header.
@@ -50,7 +50,7 @@ pub(crate) struct Header {
 }
 
 impl Header {
-    /// Reads the header at the front of `bytes`; `None` while it is not complete. SOH is not checked.
+    /// Reads the header at the front of `bytes`; `None` while it is incomplete. SOH is not checked.
     #[inline]
     pub(crate) fn read(bytes: &[u8]) -> Option<Self> {
         let header = bytes.first_chunk::<HEADER_LEN>()?;
@@ -83,7 +83,7 @@ impl Header {
         bytes
     }
 
-    /// Writes serial and reserved field into a finished frame.
+    /// Changes serial and reserved field of a finished frame.
     #[inline]
     pub(crate) fn renumber(frame: &mut [u8], serial: u16, reserved: u16) {
         if let Some(header) = frame.first_chunk_mut::<HEADER_LEN>() {
@@ -93,7 +93,7 @@ impl Header {
     }
 }
 
-// the ranges are constants within the array, so that the compiler removes the fallbacks
+// the ranges are constants within the array, so the compiler removes the fallbacks
 #[inline(always)]
 fn get<const N: usize>(header: &[u8; HEADER_LEN], field: Range<usize>) -> [u8; N] {
     header.get(field).and_then(<[u8]>::first_chunk).copied().unwrap_or([0; N])

@@ -14,6 +14,7 @@ pub use self::frame::{Args, ArgsIter, Decoder, EOT, Frame, FrameWriter, MIN_FRAM
 pub use self::function::{FunctionId, Kind, Object, Signature};
 pub use self::header::{HEADER_LEN, SOH};
 pub use self::link::{Link, OnMalformed};
+pub use self::server::Session;
 
 /// The port of b-CAP, TCP and UDP.
 pub const PORT: u16 = 5007;

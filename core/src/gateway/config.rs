@@ -1,11 +1,11 @@
-//! How a gateway reaches its robot, and its time limits.
+//! The configuration of a gateway: its robot, timeouts and rules.
 
 use core::time::Duration;
 
 use super::rules::Rules;
 use crate::bcap::client;
 
-/// How a gateway behaves; every field is a run-time choice.
+/// The configuration of a gateway.
 ///
 /// # Examples
 ///
@@ -24,7 +24,7 @@ pub struct Config<'a> {
     pub client: client::Config,
     /// The option of Service_Start. With `WDT` the robot sends keep-alives while it works on a call.
     pub service: &'a str,
-    /// The controller's name for Controller_Connect; free text.
+    /// The controller's name for Controller_Connect; any text.
     pub name: &'a str,
     /// The provider: `CaoProv.DENSO.VRC` or `CaoProv.DENSO.VRC9`.
     pub provider: &'a str,
@@ -40,13 +40,13 @@ pub struct Config<'a> {
     pub first_pause: Duration,
     /// The longest pause between two attempts to connect.
     pub longest_pause: Duration,
-    /// What PLCs may do.
+    /// The rules for PLCs.
     pub rules: Rules<'a>,
 }
 
 impl Config<'_> {
     /// An RC8 over TCP, read-only: 3 s for a reply or keep-alive, 8 s for a call, 10 s for a request, pauses of 0.5 s to
-    /// 16 s, a heartbeat after 2 s of silence.
+    /// 16 s, a heartbeat after an idle time of 2 s.
     pub const RC8: Self = Self {
         client: client::Config {
             timing: client::Timing {

@@ -1,4 +1,4 @@
-//! What a gateway has done so far: figures for a status line.
+//! The counters of a gateway, for a status line.
 
 use core::time::Duration;
 
@@ -9,17 +9,17 @@ use crate::time::micros_u32;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Counters {
-    /// Requests that the robot carried out.
+    /// Requests that the robot executed.
     pub served: Tally,
-    /// Requests that the robot refused, or did not answer, or that came while it was away.
+    /// Requests that the robot refused or did not reply to, or that arrived while it was disconnected.
     pub failed: Tally,
-    /// Lines that the gateway refused by itself; they are answered in the step that sees them, in no time.
+    /// Lines that the gateway refused. They get their reply at once, so their times are not counted.
     pub refused: u32,
-    /// Sessions with the robot that have begun.
+    /// Sessions with the robot.
     pub connected: u32,
 }
 
-/// Requests of one outcome, and how long they took from the end of the line to the answer.
+/// Requests of one outcome, and their times from the end of the line to the reply.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Tally {
@@ -53,7 +53,7 @@ impl Tally {
         Duration::from_micros(self.times.max().into())
     }
 
-    /// Returns a time that so many percent of the requests did not exceed: at most twice the least such time.
+    /// Returns a percentile of the times; it is at most twice the exact one.
     #[must_use]
     pub fn percentile(&self, percent: u8) -> Duration {
         Duration::from_micros(self.times.quantile(u32::from(percent).saturating_mul(10)).into())
@@ -65,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn times_are_summed_up() {
+    fn times_have_a_mean_a_maximum_and_percentiles() {
         let mut tally = Tally::default();
         assert_eq!((tally.mean(), tally.max(), tally.percentile(50)), Default::default());
         for micros in (1..=98).map(|_| 100).chain([5_000, 3_000_000]) {
@@ -77,11 +77,11 @@ mod tests {
         assert_eq!(tally.percentile(50), Duration::from_micros(127));
         assert_eq!(tally.percentile(98), Duration::from_micros(127));
         assert_eq!(tally.percentile(99), Duration::from_micros(8191));
-        assert_eq!(tally.percentile(100), Duration::from_secs(3), "what is longer than the last bound is the longest");
+        assert_eq!(tally.percentile(100), Duration::from_secs(3), "a time above the last bound is the maximum");
     }
 
     #[test]
-    fn a_time_over_71_minutes_is_cut() {
+    fn a_time_above_71_minutes_is_clamped() {
         let mut tally = Tally::default();
         tally.add(Duration::from_secs(5000));
         assert_eq!(tally.max(), Duration::from_micros(u32::MAX.into()));

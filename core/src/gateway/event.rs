@@ -1,4 +1,4 @@
-//! What a gateway reports to its driver and for logs.
+//! The events of a gateway, for logs and alarms.
 
 use core::fmt;
 use core::time::Duration;
@@ -9,7 +9,7 @@ use crate::handler::PeerId;
 use crate::hresult::HResult;
 use crate::rac::{Request, Variable, Verb};
 
-/// A request without its value.
+/// The verb and the variable of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Asked {
@@ -32,34 +32,34 @@ impl fmt::Display for Asked {
     }
 }
 
-/// What has happened. [`Gateway::line`](super::Gateway::line) views the line of the first three until the next step.
+/// An event of a gateway; [`Gateway::line`](super::Gateway::line) views the line of the first three until the next step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
 pub enum Event {
-    /// The robot has carried a request out.
+    /// The robot executed a request.
     Served {
         /// The client.
         peer: PeerId,
         /// The request.
         request: Asked,
-        /// The answer: a success.
+        /// The result in the reply: a success.
         result: HResult,
-        /// How long it took, from the end of the line to the answer.
+        /// The time from the end of the line to the reply.
         time: Duration,
     },
-    /// A request has failed: the robot refused it, did not answer, or was disconnected.
+    /// A request failed: the robot refused it, did not reply, or was disconnected.
     Failed {
         /// The client.
         peer: PeerId,
         /// The request.
         request: Asked,
-        /// The answer: an error.
+        /// The result in the reply: an error.
         result: HResult,
-        /// How long it took.
+        /// The time from the end of the line to the reply.
         time: Duration,
     },
-    /// The gateway refused a line, and answered with the code of the refusal.
+    /// The gateway refused a line, and replied with the refusal's code.
     Refused {
         /// The client.
         peer: PeerId,
@@ -68,7 +68,7 @@ pub enum Event {
     },
     /// A session with the robot has begun.
     RobotUp,
-    /// The session with the robot has ended or could not begin.
+    /// The session with the robot ended, or could not begin.
     RobotDown {
         /// The reason.
         error: RobotError,
@@ -85,7 +85,7 @@ impl Event {
         }
     }
 
-    /// Returns the client of the event.
+    /// Returns the client that the event concerns.
     #[must_use]
     pub const fn peer(&self) -> Option<PeerId> {
         match self {

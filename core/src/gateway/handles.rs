@@ -1,4 +1,4 @@
-//! The handles of variables at the robot: an LRU cache of fixed size.
+//! An LRU cache of variable handles, of fixed size.
 
 use crate::bcap::call::VariableHandle;
 use crate::rac::Variable;
@@ -12,10 +12,10 @@ pub(super) struct Entry {
     used: u32,
 }
 
-/// What to do about a variable.
+/// The result of a lookup.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Lookup {
-    /// Its handle is known.
+    /// The handle of the variable.
     Known(VariableHandle),
     /// Its handle must be requested; there is room for it.
     Unknown,
@@ -36,7 +36,7 @@ impl<'m> Handles<'m> {
         Self { entries, clock: 0 }
     }
 
-    /// Looks up a variable, and records its use.
+    /// Looks a variable up, and marks it as used.
     pub(super) fn look_up(&mut self, variable: Variable) -> Lookup {
         self.clock = self.clock.wrapping_add(1);
         let clock = self.clock;
@@ -54,14 +54,14 @@ impl<'m> Handles<'m> {
         }
     }
 
-    /// Keeps a handle where there is room.
+    /// Adds a handle, if there is room.
     pub(super) fn insert(&mut self, variable: Variable, handle: VariableHandle) {
         if let Some(free) = self.entries.iter_mut().find(|entry| entry.is_none()) {
             *free = Some(Entry { variable, handle, used: self.clock });
         }
     }
 
-    /// Forgets a handle.
+    /// Removes a handle.
     pub(super) fn remove(&mut self, handle: VariableHandle) {
         for entry in &mut *self.entries {
             if entry.is_some_and(|entry| entry.handle == handle) {
@@ -70,7 +70,7 @@ impl<'m> Handles<'m> {
         }
     }
 
-    /// Forgets all handles, whose connection has ended.
+    /// Removes all handles, which are invalid after their connection.
     pub(super) fn clear(&mut self) {
         self.entries.fill(None);
     }
@@ -86,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn the_one_used_longest_ago_makes_room_even_when_the_clock_wraps() {
+    fn the_least_recently_used_handle_is_replaced_even_when_the_clock_wraps() {
         let mut memory = [None; 3];
         let mut handles = Handles::new(&mut memory);
         handles.clock = u32::MAX - 3;

@@ -1,4 +1,4 @@
-//! The link to the robot: whether it is wanted, the state of its session, and when to try again.
+//! The state of the link to the robot, with an exponential backoff between attempts to connect.
 //!
 //! ```text
 //!             opened              Service_Start, Controller_Connect
@@ -10,8 +10,8 @@
 //!         closed
 //! ```
 //!
-//! Down lasts for an exponential backoff, which a session resets. In Closing the old connection is still open; a new
-//! connection waits until the driver has closed it.
+//! Down lasts for a pause that doubles with each attempt; a session resets it. In Closing the old connection is still open:
+//! the gateway requests a new one after its caller has closed the old one.
 
 use core::fmt;
 use core::time::Duration;
@@ -32,9 +32,9 @@ pub(super) enum State {
     Closing,
 }
 
-/// The part of the link that does not depend on the client.
+/// The link to the robot, without its client.
 #[derive(Debug)]
-pub(super) struct Link {
+pub(super) struct RobotLink {
     pub(super) state: State,
     /// The pause after the next failure.
     pause: Duration,
@@ -42,7 +42,7 @@ pub(super) struct Link {
     longest_pause: Duration,
 }
 
-impl Link {
+impl RobotLink {
     pub(super) const fn new(first_pause: Duration, longest_pause: Duration) -> Self {
         Self { state: State::Opening, pause: first_pause, first_pause, longest_pause }
     }
@@ -53,12 +53,12 @@ impl Link {
         self.pause = self.first_pause;
     }
 
-    /// Records a failure while the connection is open, which the driver then closes.
+    /// Records a failure while the connection is open; the caller must close it.
     pub(super) const fn fail(&mut self) {
         self.state = State::Closing;
     }
 
-    /// Records that the connection was closed or could not be opened.
+    /// Records that the connection is closed, or could not be opened.
     pub(super) fn closed(&mut self, now: Instant) {
         if !matches!(self.state, State::Down { .. }) {
             self.state = State::Down { until: now.saturating_add(self.pause()) };
@@ -93,13 +93,13 @@ impl Link {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum RobotError {
-    /// The connection was closed or could not be opened.
+    /// The connection could not be opened, or was closed.
     Closed,
     /// The robot refused to begin a session.
     Refused {
         /// The refused function.
         function: FunctionId,
-        /// The robot's answer.
+        /// The robot's result.
         result: HResult,
     },
     /// A call ended without a valid reply.
@@ -107,7 +107,7 @@ pub enum RobotError {
 }
 
 impl RobotError {
-    /// Returns the answer to the request that ran at the robot.
+    /// Returns the result of the request in flight when the session failed.
     pub(super) const fn hresult(self) -> HResult {
         match self {
             Self::Call(ClientError::Timeout(Timeout::Attempt | Timeout::Deadline | Timeout::KeepAlive)) => {
@@ -135,9 +135,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pauses_grow_to_the_longest_and_begin_anew_after_a_session() {
+    fn pauses_double_up_to_the_longest_and_a_session_resets_them() {
         let ms = Duration::from_millis;
-        let mut link = Link::new(ms(500), ms(3000));
+        let mut link = RobotLink::new(ms(500), ms(3000));
         let mut now = Instant::from_millis(7);
         for pause in [500, 1000, 2000, 3000, 3000] {
             assert_eq!((link.state, link.pause()), (State::Opening, ms(pause)));

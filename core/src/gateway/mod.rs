@@ -4,27 +4,27 @@
 //!  PLC ─ receive_buffer, received ─►┌─────────┐─ robot_transmit ───────────────────► robot
 //!  PLC ◄─ transmit, transmitted ────│ Gateway │◄─ robot_receive_buffer, robot_received ─
 //!  ...                              └─────────┘
-//!                            poll_event, at poll_timeout, and
-//!                            after bytes or connections have changed
+//!                            poll_event, at poll_timeout, and after
+//!                            bytes moved or a connection opened or closed
 //! ```
 //!
-//! A GET becomes Variable_GetValue, a PUT Variable_PutValue, on a handle that Controller_GetVariable has given. A
-//! [`Gateway`] holds no socket and no clock. A driver moves the bytes, opens the connection to the robot while it
-//! [is wanted](Gateway::robot_wanted), and reads events. All memory is in a [`Memory`]. The gateway itself is not generic,
-//! so an image has one copy of its code.
+//! A GET becomes Variable_GetValue, a PUT Variable_PutValue, with a handle from Controller_GetVariable. A [`Gateway`]
+//! contains no socket and no clock. The caller moves the bytes, opens and closes the connection to the robot as
+//! [`robot_wanted`](Gateway::robot_wanted) says, and reads events. All memory is in a [`Memory`]; the gateway itself is not
+//! generic, so an image contains one copy of it.
 //!
-//! * **Answers**: every line is answered once, in the order of a client's lines. An answer never reaches another request.
-//!   A request that exceeds its time is answered with E_TIMEOUT, and a later reply of the robot to it is dropped.
-//! * **Order**: one call runs at the robot at a time. Requests of all clients are served in the order of their arrival.
-//! * **A disconnected robot** costs no time: without a session every request is answered with E_NOT_CONNECTED at once.
-//!   The request that ran at the robot when the session ended is answered with E_NOT_CONNECTED, or with E_TIMEOUT when the
-//!   robot stopped responding. A PUT may have been carried out then. The gateway never sends a PUT twice, except after
-//!   E_HANDLE, which means that it was not carried out.
-//! * **Handles** are kept in an LRU cache until their connection ends. After E_HANDLE a handle is requested anew, once.
-//! * **Results** of the robot pass through unchanged. **Values** are converted to the type of the variable if the
-//!   conversion is lossless, and pass through unchanged otherwise: a line contains its type. A value without a text, or
-//!   with a text beyond the 256 bytes of a line, is answered with E_INVALIDSNDPACKET.
-//! * **Rules** ([`Rules`]) are checked first. By default nothing can be written.
+//! * **Replies**: every line gets exactly one reply, its own, in the order of a client's lines. A request that times out
+//!   gets the reply E_TIMEOUT; a later reply of the robot is dropped.
+//! * **Order**: one call to the robot is in flight at a time. Requests of all clients are served in the order of arrival.
+//! * **Without a session** with the robot, every request gets the reply E_NOT_CONNECTED at once. The request in flight when
+//!   the session ends gets E_NOT_CONNECTED, or E_TIMEOUT if the robot stopped responding; a PUT may have been executed then.
+//!   The gateway never sends a PUT twice, except after E_HANDLE, which means that it was not executed.
+//! * **Handles** are valid on the connection that opened them, and kept in an LRU cache. When the cache is full, the least
+//!   recently used handle is released. After E_HANDLE the gateway gets a new handle, once per request.
+//! * **Results** of the robot are passed on unchanged. **Values** are converted to the type of the variable if that is
+//!   lossless, and passed on unchanged otherwise: a line contains the type. A value that has no text, or does not fit the
+//!   256 bytes of a line, becomes the reply E_INVALIDSNDPACKET.
+//! * **Rules** ([`Rules`]) are checked first; by default nothing can be written.
 //!
 //! # Examples
 //!
@@ -36,7 +36,7 @@
 //! let mut memory = Memory::<4, 32>::new();
 //! let mut gateway = Gateway::new(Config::RC8, &mut memory);
 //! let now = Instant::ZERO;
-//! assert!(gateway.robot_wanted(), "the driver opens a connection to the robot");
+//! assert!(gateway.robot_wanted(), "open a connection to the robot");
 //!
 //! let plc = gateway.open().ok_or("all seats are taken")?;
 //! let line = b"PUT:RC8:10:I:3,5\r";
@@ -62,9 +62,9 @@ mod seat;
 use crate::endpoint::{Endpoint, ServerEndpoint};
 use core::fmt;
 
-use self::convert::Held;
+use self::convert::Converted;
 use self::handles::{Entry, Handles, Lookup};
-use self::link::{Link, State};
+use self::link::{RobotLink, State};
 use self::seat::{Seat, Waiting};
 
 pub use self::config::Config;
@@ -123,7 +123,7 @@ impl<const SESSIONS: usize, const HANDLES: usize> fmt::Debug for Memory<SESSIONS
 pub struct Gateway<'m> {
     config: Config<'m>,
     client: Client<&'m mut [u8]>,
-    link: Link,
+    link: RobotLink,
     handles: Handles<'m>,
     seats: &'m mut [Seat],
     /// The purpose of the call that runs at the robot.
@@ -156,12 +156,12 @@ struct Job {
     seat: usize,
     ticket: u32,
     variable: Variable,
-    /// Whether the handle is the second one, after E_HANDLE.
+    /// Whether this is the second attempt, after E_HANDLE.
     again: bool,
 }
 
 impl<'m> Gateway<'m> {
-    /// Makes a gateway without clients that wants a connection to its robot.
+    /// Makes a gateway without clients, which requests a connection to its robot.
     #[must_use]
     pub fn new<const S: usize, const H: usize>(config: Config<'m>, memory: &'m mut Memory<S, H>) -> Self {
         let client = Client::new(config.client, memory.tx.as_mut_slice(), memory.rx.as_mut_slice());
@@ -170,7 +170,7 @@ impl<'m> Gateway<'m> {
         Self {
             config,
             client,
-            link: Link::new(config.first_pause, config.longest_pause),
+            link: RobotLink::new(config.first_pause, config.longest_pause),
             handles: Handles::new(&mut memory.handles),
             seats,
             call: None,
@@ -188,7 +188,7 @@ impl<'m> Gateway<'m> {
         &self.config
     }
 
-    /// Returns what the gateway has done so far.
+    /// Returns the counters.
     #[must_use]
     pub const fn counters(&self) -> &Counters {
         &self.counters
@@ -207,9 +207,9 @@ impl<'m> Gateway<'m> {
     }
 }
 
-/// The side of the PLCs. A client without a seat has no bytes to send and no room to receive.
+/// The side of the PLCs. For a client without a seat, there are no bytes to send and no room to receive.
 impl Gateway<'_> {
-    /// Seats a client that has connected; `None` when all seats are taken.
+    /// Assigns a seat to a new client; `None` when all seats are taken.
     pub fn open(&mut self) -> Option<PeerId> {
         let seat = self.seats.iter_mut().find(|seat| seat.peer.is_none())?;
         let peer = PeerId(self.next_peer);
@@ -218,7 +218,7 @@ impl Gateway<'_> {
         Some(peer)
     }
 
-    /// Frees the seat of a client that has disconnected. Its request that runs at the robot is still carried out.
+    /// Frees the seat of a client that disconnected. Its request in flight is executed nevertheless.
     pub fn close(&mut self, peer: PeerId) {
         if let Some(seat) = self.seat_mut(peer) {
             seat.close();
@@ -235,7 +235,7 @@ impl Gateway<'_> {
         }
     }
 
-    /// Records `count` received bytes in [`receive_buffer`](Self::receive_buffer).
+    /// Records that `count` bytes were put into [`receive_buffer`](Self::receive_buffer).
     pub fn received(&mut self, peer: PeerId, count: usize) {
         if let Some(seat) = self.seat_mut(peer) {
             seat.session.received(count);
@@ -248,28 +248,28 @@ impl Gateway<'_> {
         self.seat(peer).map_or(&[], |seat| seat.session.transmit())
     }
 
-    /// Records that `count` bytes of [`transmit`](Self::transmit) were sent.
+    /// Records that the link to a client has taken `count` bytes of [`transmit`](Self::transmit).
     pub fn transmitted(&mut self, peer: PeerId, count: usize) {
         if let Some(seat) = self.seat_mut(peer) {
             seat.session.transmitted(count);
         }
     }
 
-    /// Views the last line of a client, without its CR; of an over-long line the first 256 bytes.
+    /// Views the last line of a client, without its CR; of an over-long one the first 256 bytes.
     ///
-    /// After [`poll_event`](Self::poll_event) has returned an event of this client, it is the line of that event.
+    /// Directly after [`poll_event`](Self::poll_event) has reported an event of this client, it is the line of the event.
     #[must_use]
     pub fn line(&self, peer: PeerId) -> &[u8] {
         self.seat(peer).map_or(&[], |seat| seat.session.line())
     }
 
-    /// Tells whether a request of a client runs.
+    /// Tells whether a client has a request without a reply.
     #[must_use]
     pub fn is_running(&self, peer: PeerId) -> bool {
         self.seat(peer).is_some_and(|seat| seat.session.is_running())
     }
 
-    /// Tells whether a part of a line has arrived from a client.
+    /// Tells whether part of a client's line has arrived and its rest has not.
     #[must_use]
     pub fn is_receiving(&self, peer: PeerId) -> bool {
         self.seat(peer).is_some_and(|seat| seat.session.is_receiving())
@@ -286,10 +286,10 @@ impl Gateway<'_> {
 
 /// The side of the robot.
 impl Gateway<'_> {
-    /// Tells whether a connection to the robot is wanted.
+    /// Tells whether the gateway requests a connection to the robot.
     ///
-    /// While it is wanted, the driver opens and keeps one; otherwise it closes it. The driver reports each end with
-    /// [`robot_closed`](Self::robot_closed); no other connection is wanted before that.
+    /// While it does, the caller must open a connection and keep it open; otherwise, the caller must close it. The caller
+    /// reports each end with [`robot_closed`](Self::robot_closed); before that, the gateway requests no other connection.
     #[must_use]
     pub const fn robot_wanted(&self) -> bool {
         matches!(self.link.state, State::Opening | State::Starting | State::Up(_))
@@ -328,7 +328,7 @@ impl Gateway<'_> {
         self.client.receive_buffer()
     }
 
-    /// Records `count` received bytes in [`robot_receive_buffer`](Self::robot_receive_buffer).
+    /// Records that `count` bytes were put into [`robot_receive_buffer`](Self::robot_receive_buffer).
     pub fn robot_received(&mut self, count: usize) {
         self.client.received(count);
     }
@@ -339,13 +339,13 @@ impl Gateway<'_> {
         self.client.transmit()
     }
 
-    /// Records that `count` bytes of [`robot_transmit`](Self::robot_transmit) were sent.
+    /// Records that the connection has taken `count` bytes of [`robot_transmit`](Self::robot_transmit).
     pub fn robot_transmitted(&mut self, count: usize) {
         self.client.transmitted(count);
     }
 }
 
-/// The work between the two sides.
+/// The state machine between both sides.
 impl Gateway<'_> {
     /// Returns when [`poll_event`](Self::poll_event) must be called even if nothing else happens.
     #[must_use]
@@ -376,7 +376,7 @@ impl Gateway<'_> {
         event
     }
 
-    /// Handles the robot's replies and the deadlines of its calls.
+    /// Handles received replies and timeouts of the robot.
     fn poll_robot(&mut self, now: Instant) -> Option<Event> {
         self.link.handle_timeout(now);
         loop {
@@ -456,10 +456,10 @@ impl Gateway<'_> {
         self.fail_link(RobotError::Refused { function, result })
     }
 
-    /// Ends the session with the robot. `poll_sessions` answers the waiting requests.
+    /// Ends the session with the robot. `poll_sessions` replies to the waiting requests.
     fn fail_link(&mut self, error: RobotError) -> Event {
         if let Some(InFlight::GetVariable(job) | InFlight::Value(job, _)) = self.call.take()
-            && let Some(waiting) = live(self.seats, job).and_then(|seat| seat.waiting.as_mut())
+            && let Some(waiting) = waiting_seat(self.seats, job).and_then(|seat| seat.waiting.as_mut())
         {
             waiting.if_down = error.hresult();
         }
@@ -469,7 +469,7 @@ impl Gateway<'_> {
         Event::RobotDown { error, pause: self.link.pause() }
     }
 
-    /// Takes the clients' requests. Those that need no robot are answered, the others wait.
+    /// Reads the clients' requests, replies to those that need no call to the robot, and queues the others.
     fn poll_sessions(&mut self, now: Instant) -> Option<Event> {
         let is_up = self.is_up();
         for seat in self.seats.iter_mut().filter(|seat| seat.peer.is_some()) {
@@ -488,7 +488,7 @@ impl Gateway<'_> {
                 Some(server::Event::Malformed(error)) => {
                     seat.peer.map(|peer| Event::Refused { peer, refusal: Refusal::Line(error) })
                 }
-                // the session has answered a request that exceeded its time
+                // the session has replied to a request that timed out
                 Some(server::Event::Served { result, .. }) => seat.answered(result, now),
                 None => None,
             };
@@ -503,7 +503,7 @@ impl Gateway<'_> {
         None
     }
 
-    /// Begins the next call, if none is running.
+    /// Starts the next call, if no call is in flight.
     fn begin(&mut self, now: Instant) -> Option<Event> {
         let controller = self.link.controller()?;
         if self.call.is_some() {
@@ -524,14 +524,14 @@ impl Gateway<'_> {
         None
     }
 
-    /// Begins the first call of a request.
+    /// Starts the first call that a request needs.
     fn begin_job(&mut self, job: Job, now: Instant) -> Option<Event> {
         let controller = self.link.controller()?;
-        live(self.seats, job)?;
+        waiting_seat(self.seats, job)?;
         let started = match self.handles.look_up(job.variable) {
             Lookup::Known(handle) => return self.begin_value(job, handle, now),
             Lookup::Full(oldest) => {
-                // the request is still the first when the handle has been released
+                // the request stays the first in the queue until the handle is released
                 self.call = Some(InFlight::Release(oldest));
                 self.start(FunctionId::VARIABLE_RELEASE, &[&oldest], now)
             }
@@ -548,9 +548,9 @@ impl Gateway<'_> {
         started.err().map(|error| self.fail_link(RobotError::Call(error)))
     }
 
-    /// Begins the call that reads or writes the value, if the request still waits.
+    /// Starts the call that reads or writes the value, if the request still waits.
     fn begin_value(&mut self, job: Job, handle: VariableHandle, now: Instant) -> Option<Event> {
-        let seat = live(self.seats, job)?;
+        let seat = waiting_seat(self.seats, job)?;
         let started = match seat.session.request()? {
             Request::Get(_) => {
                 let arguments: [&dyn Encode; 1] = [&handle];
@@ -561,8 +561,8 @@ impl Gateway<'_> {
                 )
             }
             Request::Put(variable, value) => {
-                let held = Held { kind: variable.kind, value };
-                let arguments: [&dyn Encode; 2] = [&handle, &held];
+                let converted = Converted { kind: variable.kind, value };
+                let arguments: [&dyn Encode; 2] = [&handle, &converted];
                 self.client.start(
                     &RawCall { function: FunctionId::VARIABLE_PUT_VALUE, arguments: &arguments },
                     self.client.timing(),
@@ -580,21 +580,21 @@ impl Gateway<'_> {
         }
     }
 
-    /// Starts a call, by one copy of the code for all functions.
+    /// Starts a call. It is not generic, so an image contains one copy of it.
     fn start(&mut self, function: FunctionId, arguments: &[&dyn Encode], now: Instant) -> Result<(), ClientError> {
         self.client.start(&RawCall { function, arguments }, self.client.timing(), now)
     }
 
-    /// Answers a request, if it still waits. A GET gets the value of the reply.
+    /// Replies to a request, if it still waits, with the value of the robot's reply if it is a GET.
     fn answer(&mut self, job: Job, result: HResult, now: Instant) -> Option<Event> {
-        let seat = live(self.seats, job)?;
+        let seat = waiting_seat(self.seats, job)?;
         let value = self.client.value::<Any>().unwrap_or(Variant::Empty);
-        seat.answer(result, &Held { kind: job.variable.kind, value }, now)
+        seat.answer(result, &Converted { kind: job.variable.kind, value }, now)
     }
 }
 
 /// Returns the seat of a request, if it still waits there.
-fn live(seats: &mut [Seat], job: Job) -> Option<&mut Seat> {
+fn waiting_seat(seats: &mut [Seat], job: Job) -> Option<&mut Seat> {
     seats.get_mut(job.seat).filter(|seat| seat.waiting.is_some_and(|waiting| waiting.ticket == job.ticket))
 }
 

@@ -1,11 +1,11 @@
-//! What PLCs may do: which variables they may read and write, with which values, and how often.
+//! Access rules for PLCs: which variables they may read and write, with which values, and how often.
 //!
-//! Nothing may be written unless a rule allows it. A request is checked against the rules before anything is sent to the
-//! robot, in this order. The first refusal answers it:
+//! Nothing may be written unless a rule allows it. The gateway checks a request before it sends anything to the robot, in
+//! this order; the first violation is the reply:
 //!
-//! | [`Refusal`]             | answer             | what is wrong                                            |
+//! | [`Refusal`]             | reply              | reason                                                   |
 //! |-------------------------|--------------------|----------------------------------------------------------|
-//! | `Line`                  | the error's own    | the line is not a request                                |
+//! | `Line`                  | the error's code   | the line is not a valid request                          |
 //! | `Rate`                  | `E_BUSY_PROC`      | the client exceeds its rate                              |
 //! | `ReadOnly`              | `E_ACCESSDENIED`   | no variable may be written                               |
 //! | `Kind`, `Index`         | `E_ACCESSDENIED`   | no variable of this kind, or not this one                |
@@ -22,13 +22,13 @@ use crate::rac::{Request, Variable, VariableKind};
 use crate::time::Instant;
 use crate::variant::Variant;
 
-/// What PLCs may do.
+/// Access rules for PLCs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Rules<'a> {
-    /// What may be read; bounds of values are ignored.
+    /// The variables that may be read; bounds are ignored.
     pub get: &'a [Allow<'a>],
-    /// What may be written.
+    /// The variables that may be written.
     pub put: &'a [Allow<'a>],
     /// Whether a PUT of another type is converted if that is lossless; otherwise it is refused.
     pub convert: bool,
@@ -57,13 +57,13 @@ pub struct Allow<'a> {
     pub first: u32,
     /// The last index.
     pub last: u32,
-    /// The range of each element of the value; the last range also counts for the elements after it. Without ranges any
-    /// value is allowed.
+    /// The range of each element of the value; the last range applies to all further elements. An empty slice allows any
+    /// value.
     pub values: &'a [Bounds],
 }
 
 impl Allow<'_> {
-    /// All variables.
+    /// All variables, with any value.
     pub const EVERYTHING: [Self; 9] = [
         Self::all(VariableKind::I),
         Self::all(VariableKind::F),
@@ -150,14 +150,14 @@ impl Rate {
 /// The token bucket of one seat.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pace {
-    /// When the bucket is full again.
+    /// When all admitted requests would be finished at the allowed rate.
     due: Instant,
 }
 
 impl Pace {
     pub(super) const NEW: Self = Self { due: Instant::ZERO };
 
-    /// Takes a token; `false` when there is none.
+    /// Takes a token for a request; `false` if the bucket is empty.
     fn admits(&mut self, rate: Rate, now: Instant) -> bool {
         let interval = rate.interval();
         let ahead = interval.saturating_mul(rate.burst.saturating_sub(1));
@@ -174,7 +174,7 @@ impl Pace {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum Refusal {
-    /// The line is not a request.
+    /// The line is not a valid request.
     Line(TextError),
     /// The client exceeds its rate.
     Rate,
@@ -329,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn another_type_is_refused_unless_conversion_is_allowed_and_loses_nothing() {
+    fn another_type_is_refused_unless_conversion_is_allowed_and_lossless() {
         let allow = [Allow::all(Kind::F), Allow::all(Kind::J)];
         let strict = Rules { put: &allow, ..Rules::READ_ONLY };
         let converting = Rules { convert: true, ..strict };

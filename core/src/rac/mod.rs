@@ -78,9 +78,11 @@ mod request;
 mod response;
 pub mod server;
 
+pub use self::client::Client;
 pub use self::line::{Framed, LineFramer, MAX_LINE};
 pub use self::request::{Request, Variable, VariableKind, Verb};
 pub use self::response::Response;
+pub use self::server::Session;
 
 /// The port of RAC.
 pub const PORT: u16 = 5006;

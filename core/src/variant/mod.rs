@@ -295,11 +295,14 @@ impl<'a> Variant<'a> {
     ///
     /// A [`DecodeError`] of [`Layer::Value`], with the offset from the start of `bytes`.
     pub fn decode(bytes: &'a [u8], limits: &Limits, strictness: Strictness) -> Result<Self, DecodeError> {
-        let fault = |fault: Fault| fault.at(bytes.len(), Layer::Value);
+        let located = |error: CheckError| error.at(bytes.len(), Layer::Value);
         let mut reader = Reader::new(bytes);
-        check(&mut reader, limits, strictness).map_err(fault)?;
+        check(&mut reader, limits, strictness).map_err(located)?;
         if reader.left() > 0 && strictness == Strictness::Strict {
-            return Err(fault(Fault { kind: DecodeErrorKind::Unused(to_u32(reader.left())), left: reader.left() }));
+            return Err(located(CheckError {
+                kind: DecodeErrorKind::Unused(to_u32(reader.left())),
+                left: reader.left(),
+            }));
         }
         let used = bytes.len().wrapping_sub(reader.left());
         Ok(Self::from_checked(bytes.get(..used).unwrap_or_default()))
@@ -550,13 +553,13 @@ fn head(r: &mut Reader<'_>) -> Option<(VarType, u32)> {
 }
 
 /// An error and its position, as the number of bytes that were left.
-pub(crate) struct Fault {
+pub(crate) struct CheckError {
     pub(crate) kind: DecodeErrorKind,
     pub(crate) left: usize,
 }
 
-impl Fault {
-    /// Places the fault in an input of `total` bytes.
+impl CheckError {
+    /// Places the error in an input of `total` bytes.
     pub(crate) const fn at(&self, total: usize, layer: Layer) -> DecodeError {
         DecodeError { kind: self.kind, layer, offset: total.saturating_sub(self.left) }
     }
@@ -566,7 +569,7 @@ impl Fault {
 ///
 /// It does not recurse: an array contains the number of remaining values of each level.
 #[inline(always)]
-pub(crate) fn check(r: &mut Reader<'_>, limits: &Limits, strictness: Strictness) -> Result<(), Fault> {
+pub(crate) fn check(r: &mut Reader<'_>, limits: &Limits, strictness: Strictness) -> Result<(), CheckError> {
     match check_one(r, strictness)? {
         0 => Ok(()),
         inner => check_inner(r, inner, limits, strictness),
@@ -574,10 +577,10 @@ pub(crate) fn check(r: &mut Reader<'_>, limits: &Limits, strictness: Strictness)
 }
 
 #[inline(never)]
-fn check_inner(r: &mut Reader<'_>, count: u32, limits: &Limits, strictness: Strictness) -> Result<(), Fault> {
+fn check_inner(r: &mut Reader<'_>, count: u32, limits: &Limits, strictness: Strictness) -> Result<(), CheckError> {
     let max = limits.depth.min(MAX_DEPTH);
     if max == 0 {
-        return Err(Fault { kind: DecodeErrorKind::TooDeep(max), left: r.left() });
+        return Err(CheckError { kind: DecodeErrorKind::TooDeep(max), left: r.left() });
     }
     // remaining values of each outer level; `here` counts the innermost
     let mut outer = [0_u32; OUTER];
@@ -597,7 +600,7 @@ fn check_inner(r: &mut Reader<'_>, count: u32, limits: &Limits, strictness: Stri
         let inner = check_one(r, strictness)?;
         if inner > 0 {
             if depth >= max {
-                return Err(Fault { kind: DecodeErrorKind::TooDeep(max), left: at });
+                return Err(CheckError { kind: DecodeErrorKind::TooDeep(max), left: at });
             }
             if let Some(slot) = outer.get_mut(usize::from(depth)) {
                 *slot = here;
@@ -612,13 +615,13 @@ fn check_inner(r: &mut Reader<'_>, count: u32, limits: &Limits, strictness: Stri
 // a board has one copy of this function; elsewhere a call would be slower
 #[cfg_attr(target_os = "none", inline(never))]
 #[cfg_attr(not(target_os = "none"), inline)]
-fn check_one(r: &mut Reader<'_>, strictness: Strictness) -> Result<u32, Fault> {
+fn check_one(r: &mut Reader<'_>, strictness: Strictness) -> Result<u32, CheckError> {
     let Some((vartype, mut count)) = head(r) else { return Err(truncated(r, HEAD)) };
     let layout = vartype.layout();
     let scalar = !vartype.is_array();
     if scalar {
         if count != 1 && strictness == Strictness::Strict && layout != Layout::Unknown {
-            return Err(Fault { kind: DecodeErrorKind::ScalarCount(count), left: r.left().wrapping_add(4) });
+            return Err(CheckError { kind: DecodeErrorKind::ScalarCount(count), left: r.left().wrapping_add(4) });
         }
         count = 1;
     }
@@ -648,16 +651,16 @@ fn check_one(r: &mut Reader<'_>, strictness: Strictness) -> Result<u32, Fault> {
         }
         Layout::Variant => Ok(count),
         Layout::Unknown => {
-            Err(Fault { kind: DecodeErrorKind::UnknownType(vartype.0), left: r.left().wrapping_add(HEAD) })
+            Err(CheckError { kind: DecodeErrorKind::UnknownType(vartype.0), left: r.left().wrapping_add(HEAD) })
         }
     }
 }
 
 #[inline]
-fn check_bstr(r: &mut Reader<'_>, strictness: Strictness) -> Result<(), Fault> {
+fn check_bstr(r: &mut Reader<'_>, strictness: Strictness) -> Result<(), CheckError> {
     let Some(length) = r.u32() else { return Err(truncated(r, 4)) };
     if length & 1 != 0 && strictness == Strictness::Strict {
-        return Err(Fault { kind: DecodeErrorKind::OddBstr(length), left: r.left().wrapping_add(4) });
+        return Err(CheckError { kind: DecodeErrorKind::OddBstr(length), left: r.left().wrapping_add(4) });
     }
     match r.slice(to_usize(length)) {
         Some(_) => Ok(()),
@@ -667,15 +670,15 @@ fn check_bstr(r: &mut Reader<'_>, strictness: Strictness) -> Result<(), Fault> {
 
 /// Returns the error for `needed` missing bytes.
 #[cold]
-fn truncated(r: &Reader<'_>, needed: usize) -> Fault {
+fn truncated(r: &Reader<'_>, needed: usize) -> CheckError {
     let left = r.left();
-    Fault { kind: DecodeErrorKind::Truncated { needed: to_u32(needed), left: to_u32(left) }, left }
+    CheckError { kind: DecodeErrorKind::Truncated { needed: to_u32(needed), left: to_u32(left) }, left }
 }
 
 /// Returns the error for an array with too many elements, directly after its count.
 #[cold]
-fn too_many(r: &Reader<'_>, count: u32) -> Fault {
-    Fault { kind: DecodeErrorKind::ArrayCount(count), left: r.left().wrapping_add(4) }
+fn too_many(r: &Reader<'_>, count: u32) -> CheckError {
+    CheckError { kind: DecodeErrorKind::ArrayCount(count), left: r.left().wrapping_add(4) }
 }
 
 /// Returns whether the value at the start of `bytes` has an unknown VARTYPE, which only an argument's length can skip.

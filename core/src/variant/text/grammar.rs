@@ -8,16 +8,16 @@ use crate::error::{TextError, TextErrorKind};
 use crate::num::to_u32;
 
 /// The rest of the text and the result.
-pub(crate) type Parsed<'a, T> = nom::IResult<&'a [u8], T, Fault>;
+pub(crate) type Parsed<'a, T> = nom::IResult<&'a [u8], T, ParseFault>;
 
 /// An error and its position, as the number of bytes that were left.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Fault {
+pub(crate) struct ParseFault {
     kind: TextErrorKind,
     left: usize,
 }
 
-impl ParseError<&[u8]> for Fault {
+impl ParseError<&[u8]> for ParseFault {
     fn from_error_kind(rest: &[u8], _: ErrorKind) -> Self {
         Self { kind: TextErrorKind::Unexpected, left: rest.len() }
     }
@@ -29,19 +29,19 @@ impl ParseError<&[u8]> for Fault {
 
 /// Fails with an error at the first byte of `rest`.
 pub(crate) const fn fault<T>(kind: TextErrorKind, rest: &[u8]) -> Parsed<'_, T> {
-    Err(nom::Err::Error(Fault { kind, left: rest.len() }))
+    Err(nom::Err::Error(ParseFault { kind, left: rest.len() }))
 }
 
 /// Applies a parser to the whole text, and converts its error to one with a column.
 pub(crate) fn complete<'a, T>(
     text: &'a [u8],
-    parser: impl Parser<&'a [u8], Output = T, Error = Fault>,
+    parser: impl Parser<&'a [u8], Output = T, Error = ParseFault>,
 ) -> Result<T, TextError> {
-    let Fault { kind, left } = match all_consuming(parser).parse_complete(text) {
+    let ParseFault { kind, left } = match all_consuming(parser).parse_complete(text) {
         Ok((_, value)) => return Ok(value),
         Err(nom::Err::Error(fault) | nom::Err::Failure(fault)) => fault,
         // only streaming parsers ask for more text
-        Err(nom::Err::Incomplete(_)) => Fault { kind: TextErrorKind::Missing, left: 0 },
+        Err(nom::Err::Incomplete(_)) => ParseFault { kind: TextErrorKind::Missing, left: 0 },
     };
     Err(TextError { kind, column: to_u32(text.len().wrapping_sub(left).wrapping_add(1)) })
 }
