@@ -24,8 +24,8 @@ pub(crate) const CORE: &[(&str, Coverage)] = &[
     ("io/asynch.rs: Transport::receive", DECLARED),
     ("io/asynch.rs: Transport::send", DECLARED),
     ("io/asynch.rs: Transport::sleep_until", DECLARED),
+    ("io/asynch.rs: clear", Through("io/asynch.rs: Connection::call")),
     ("io/asynch.rs: first", Through("io/asynch.rs: Timed::receive")),
-    ("io/asynch.rs: flush", Through("io/asynch.rs: Connection::call_with")),
     ("io/asynch.rs: run", Through("io/asynch.rs: Connection::run")),
     ("io/asynch.rs: wait", Through("io/asynch.rs: Connection::call_with")),
 ];

@@ -13,7 +13,7 @@
 #![no_main]
 
 use bcap_board::{RuleMemory, Settings, Transport};
-use bcap_core::bcap::client;
+use bcap_core::bcap::client::{self, Timing};
 use bcap_core::gateway::{Config, Event, Gateway, Memory, Tally};
 use bcap_core::rac;
 use bcap_core::time::{Instant, micros};
@@ -105,10 +105,10 @@ fn make(settings: &'static Settings<'static>) -> &'static Board {
         Transport::Tcp => Config::RC8.client,
         // five attempts take 2.5 s; a call that runs longer has sent keep-alives
         Transport::Udp => client::Config {
-            timing: client::Timing {
+            timing: Timing {
                 deadline: Config::RC8.client.timing.deadline,
                 keep_alive: Config::RC8.client.timing.keep_alive,
-                ..client::Timing::UDP
+                ..Timing::UDP
             },
             ..client::Config::UDP
         },
