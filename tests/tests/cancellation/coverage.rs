@@ -4,6 +4,7 @@ use bcap_tests::async_functions::Coverage::{self, Exempt, Swept, Through};
 
 const DECLARED: Coverage = Exempt("a declaration; its implementations are covered");
 const OF_A_TASK: Coverage = Through("server/mod.rs: Server::run");
+const OF_A_GATEWAY: Coverage = Through("gateway/mod.rs: Driver::run");
 
 /// The functions of bcap-core.
 pub(crate) const CORE: &[(&str, Coverage)] = &[
@@ -38,11 +39,23 @@ pub(crate) const STD: &[(&str, Coverage)] = &[
     ("asynch.rs: UdpTransport::send", Swept("UdpTransport::send")),
     ("asynch.rs: UdpTransport::sleep_until", Swept("UdpTransport::sleep_until")),
     ("asynch.rs: addresses", Through("asynch.rs: connect_tcp")),
+    ("asynch.rs: connect_datagrams", Through("asynch.rs: connect_udp")),
     ("asynch.rs: connect_rac", Swept("connect_rac")),
     ("asynch.rs: connect_stream", Through("asynch.rs: connect_tcp")),
     ("asynch.rs: connect_tcp", Swept("connect_tcp")),
     ("asynch.rs: connect_udp", Swept("connect_udp")),
     ("asynch.rs: within", Through("asynch.rs: TcpTransport::receive")),
+    ("gateway/clients.rs: converse", OF_A_GATEWAY),
+    ("gateway/clients.rs: listen", OF_A_GATEWAY),
+    ("gateway/clients.rs: serve", OF_A_GATEWAY),
+    ("gateway/mod.rs: Driver::run", Swept("Driver::run")),
+    ("gateway/robot.rs: Link::open", OF_A_GATEWAY),
+    ("gateway/robot.rs: Link::readable", OF_A_GATEWAY),
+    ("gateway/robot.rs: Link::writable", OF_A_GATEWAY),
+    ("gateway/robot.rs: open", OF_A_GATEWAY),
+    ("gateway/robot.rs: run", OF_A_GATEWAY),
+    ("gateway/robot.rs: transfer", OF_A_GATEWAY),
+    ("gateway/robot.rs: wait", OF_A_GATEWAY),
     ("server/admission.rs: Activity::evicted", OF_A_TASK),
     ("server/mod.rs: Server::bcap_tcp", Swept("bcap_tcp")),
     ("server/mod.rs: Server::bcap_udp", Swept("bcap_udp")),

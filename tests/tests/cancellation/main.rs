@@ -7,6 +7,7 @@
 
 mod calls;
 mod coverage;
+mod gateway;
 mod link;
 mod rac;
 mod sockets;
@@ -48,6 +49,7 @@ fn the_core_survives_a_drop_at_every_await_point() {
 
 #[test]
 fn bcap_std_survives_a_drop_at_every_await_point() {
-    let points = sockets::all();
+    let mut points = sockets::all();
+    points.extend(gateway::all());
     report("bcap-std", "../std-adapter/src", coverage::STD, &points);
 }
