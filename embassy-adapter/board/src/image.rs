@@ -1,23 +1,23 @@
-//! The block of settings in an image, for the host that writes it.
+//! Reads and writes the settings block of an image, on a host.
 
 use core::fmt;
 use core::ops::Range;
 
 use crate::{BLOCK, MAGIC, Settings};
 
-/// Why settings cannot be read from an image, or written into it.
+/// Why settings cannot be read from an image or written into it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ImageError<'a> {
-    /// The image has no block.
+    /// The image has no block, or is cut off inside it.
     NoBlock,
-    /// The letters of the block stand in the image more than once.
+    /// The image contains [`MAGIC`] more than once.
     ManyBlocks,
-    /// A line of the settings cannot be read.
+    /// A line is not a valid setting.
     Unreadable(&'a [u8]),
     /// The settings are longer than the block.
     TooLong {
-        /// Their bytes.
+        /// Their length in bytes.
         len: usize,
     },
 }
@@ -27,15 +27,17 @@ impl fmt::Display for ImageError<'_> {
         match self {
             Self::NoBlock => f.write_str("the image has no configuration block"),
             Self::ManyBlocks => f.write_str("the image has more than one configuration block"),
-            Self::Unreadable(line) => write!(f, "\"{}\" is no setting", line.escape_ascii()),
-            Self::TooLong { len } => write!(f, "the settings take {len} bytes of {}", BLOCK - MAGIC.len()),
+            Self::Unreadable(line) => write!(f, "invalid setting \"{}\"", line.escape_ascii()),
+            Self::TooLong { len } => {
+                write!(f, "the settings take {len} bytes; the block holds at most {}", BLOCK - MAGIC.len())
+            }
         }
     }
 }
 
 impl core::error::Error for ImageError<'_> {}
 
-/// Views the settings in an image.
+/// Returns the text of the settings in an image.
 ///
 /// # Errors
 ///
@@ -45,11 +47,11 @@ pub fn text(image: &[u8]) -> Result<&[u8], ImageError<'static>> {
     Ok(text.split(|byte| *byte == 0).next().unwrap_or_default())
 }
 
-/// Writes settings into an image, in the place of those that were there.
+/// Replaces the settings in an image.
 ///
 /// # Errors
 ///
-/// An [`ImageError`]; the image is then as it was.
+/// An [`ImageError`]; the image is then unchanged.
 ///
 /// # Examples
 ///
@@ -60,19 +62,19 @@ pub fn text(image: &[u8]) -> Result<&[u8], ImageError<'static>> {
 /// file[1000..1008].copy_from_slice(MAGIC);
 /// image::write(&mut file, b"robot=192.168.0.1:5007\n")?;
 /// assert_eq!(image::text(&file)?, b"robot=192.168.0.1:5007\n");
-/// assert_eq!(file[1000 + BLOCK], 0x55, "what stands behind the block is as it was");
+/// assert_eq!(file[1000 + BLOCK], 0x55, "bytes after the block are unchanged");
 /// # Ok::<(), image::ImageError<'_>>(())
 /// ```
 pub fn write<'a>(image: &mut [u8], settings: &'a [u8]) -> Result<(), ImageError<'a>> {
-    let mut wrong = None;
+    let mut invalid = None;
     let _ = Settings::read(settings, |line| {
-        wrong.get_or_insert(line);
+        invalid.get_or_insert(line);
     });
-    if let Some(line) = wrong {
+    if let Some(line) = invalid {
         return Err(ImageError::Unreadable(line));
     }
-    let place = find(image)?;
-    match image.get_mut(place).unwrap_or_default().split_at_mut_checked(settings.len()) {
+    let range = find(image)?;
+    match image.get_mut(range).unwrap_or_default().split_at_mut_checked(settings.len()) {
         Some((text, rest)) => {
             text.copy_from_slice(settings);
             rest.fill(0);
@@ -82,14 +84,14 @@ pub fn write<'a>(image: &mut [u8], settings: &'a [u8]) -> Result<(), ImageError<
     }
 }
 
-/// Finds the text of the one block in an image.
+/// Returns the range of the settings' text in an image.
 fn find(image: &[u8]) -> Result<Range<usize>, ImageError<'static>> {
     let mut found = image.windows(MAGIC.len()).enumerate().filter(|(_, window)| window == MAGIC);
     let (start, _) = found.next().ok_or(ImageError::NoBlock)?;
     if found.next().is_some() {
         return Err(ImageError::ManyBlocks);
     }
-    // an image that ends inside of its block is cut off
+    // an image that ends inside its block is cut off
     let block = start..start + BLOCK;
     image.get(block.clone()).map(|_| block.start + MAGIC.len()..block.end).ok_or(ImageError::NoBlock)
 }
@@ -108,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn settings_replace_the_ones_before_and_nothing_else() {
+    fn write_replaces_only_the_settings() {
         let mut image = image();
         write(&mut image, b"provider=a long one\necho=7\n").unwrap();
         assert_eq!(text(&image).unwrap(), b"provider=a long one\necho=7\n");
@@ -119,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn a_block_can_be_full_and_no_more() {
+    fn settings_longer_than_the_block_are_refused() {
         let mut image = image();
         let room = BLOCK - MAGIC.len();
         let fill = |len: usize| format!("provider={}", "x".repeat(len - 9));
@@ -132,11 +134,11 @@ mod tests {
     }
 
     #[test]
-    fn wrong_settings_and_wrong_images_are_told_apart() {
+    fn invalid_settings_and_invalid_images_have_distinct_errors() {
         let mut image = image();
         assert_eq!(write(&mut image, b"echo=7\nput=X\nrate=x\n"), Err(ImageError::Unreadable(b"put=X")));
         assert_eq!(image, self::image());
-        assert_eq!(ImageError::Unreadable(b"put=X").to_string(), "\"put=X\" is no setting");
+        assert_eq!(ImageError::Unreadable(b"put=X").to_string(), "invalid setting \"put=X\"");
         assert_eq!(write(&mut [0x55; 4096], b""), Err(ImageError::NoBlock));
         assert_eq!(write(&mut image[..3000], b""), Err(ImageError::NoBlock), "cut off");
         image[100..108].copy_from_slice(MAGIC);

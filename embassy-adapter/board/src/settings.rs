@@ -1,4 +1,4 @@
-//! The settings, and how they are read.
+//! The settings and their parser.
 
 use core::net::{Ipv4Addr, SocketAddrV4};
 use core::str;
@@ -7,12 +7,12 @@ use bcap_core::gateway::{Rate, Rules};
 
 use crate::rules::{List, RuleMemory};
 
-/// What can be set. Texts are where they were read from.
+/// The settings of a board; its texts borrow from the block.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings<'a> {
     /// The robot controller.
     pub robot: Robot,
-    /// The provider to connect to there.
+    /// The provider to connect to.
     pub provider: &'a str,
     /// The machine that the provider runs on, seen from the robot.
     pub machine: &'a str,
@@ -20,17 +20,17 @@ pub struct Settings<'a> {
     pub option: &'a str,
     /// The option of Service_Start.
     pub service: &'a str,
-    /// What the images `bare` and `node` read.
+    /// The variable that the images `bare` and `node` read.
     pub variable: &'a str,
-    /// Whether the network is asked for an address.
+    /// Whether the board requests an address by DHCP.
     pub dhcp: bool,
-    /// The board's own address when no DHCP server answers, and the bits of its network.
+    /// The board's address when no DHCP server answers, and the length of its network prefix in bits.
     pub address: (Ipv4Addr, u8),
-    /// The way to other networks, with that address.
+    /// The default gateway, used with `address`.
     pub gateway: Ipv4Addr,
-    /// The hardware address; the image's own if there is none.
+    /// The MAC address; `None` means that of the image.
     pub mac: Option<[u8; 6]>,
-    /// A port that sends back what comes.
+    /// The port of the echo server, if there is one.
     pub echo: Option<u16>,
     convert: bool,
     rate: Rate,
@@ -40,13 +40,13 @@ pub struct Settings<'a> {
 /// Where the robot controller is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Robot {
-    /// What carries b-CAP to it.
+    /// The transport of b-CAP.
     pub transport: Transport,
-    /// Its address.
+    /// The controller's address and port.
     pub address: SocketAddrV4,
 }
 
-/// What carries b-CAP.
+/// The transport of b-CAP.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Transport {
     /// TCP.
@@ -78,7 +78,7 @@ impl Default for Settings<'_> {
 }
 
 impl<'a> Settings<'a> {
-    /// Reads the text of a block, up to the first NUL; `unreadable` is told the lines that are skipped.
+    /// Parses the text of a block up to the first NUL; calls `invalid` with each line that is skipped.
     ///
     /// # Examples
     ///
@@ -93,19 +93,19 @@ impl<'a> Settings<'a> {
     /// assert_eq!(rules.put[0].values[0].max, 10.0);
     /// ```
     #[must_use]
-    pub fn read(text: &'a [u8], mut unreadable: impl FnMut(&'a [u8])) -> Self {
+    pub fn read(text: &'a [u8], mut invalid: impl FnMut(&'a [u8])) -> Self {
         let mut settings = Self::default();
         let text = text.split(|byte| *byte == 0).next().unwrap_or_default();
         for line in text.split(|byte| *byte == b'\n').filter(|line| !line.is_empty()) {
             if settings.set(line).is_none() {
                 settings.lists.distrust();
-                unreadable(line);
+                invalid(line);
             }
         }
         settings
     }
 
-    /// Returns what PLCs may do.
+    /// Returns the rules for PLCs.
     #[must_use]
     pub fn rules<'r, 's: 'r>(&'s self, memory: &'r mut RuleMemory<'s>) -> Rules<'r> {
         self.lists.rules(memory, self.convert, self.rate)
@@ -161,7 +161,7 @@ fn mac(value: &str) -> Option<[u8; 6]> {
     for byte in &mut mac {
         *byte = parts.next().filter(|part| part.len() == 2).and_then(|part| u8::from_str_radix(part, 16).ok())?;
     }
-    // an address of several boards, or of none, is no board's
+    // a multicast address or the zero address cannot be a board's address
     (parts.next().is_none() && mac[0] & 1 == 0 && mac != [0; 6]).then_some(mac)
 }
 
@@ -188,11 +188,11 @@ mod tests {
         assert_eq!(settings, Settings::default());
         assert_eq!(settings.rules(&mut RuleMemory::new()), Rules::READ_ONLY);
         assert_eq!(Settings::read(&[0; 64], |_| panic!()), Settings::default());
-        assert_eq!(Settings::read(b"\0echo=7\n", |_| panic!()).echo, None, "what stands behind the end is not read");
+        assert_eq!(Settings::read(b"\0echo=7\n", |_| panic!()).echo, None, "text after the first NUL is ignored");
     }
 
     #[test]
-    fn every_key_is_read() {
+    fn every_key_is_parsed() {
         let settings = read(
             "robot=udp:192.168.0.1:5008\nprovider=P\nmachine=m\noption=Server=10.6.235.60\nservice=\nvariable=P7\n\
              dhcp=no\naddress=192.168.0.9/16\ngateway=192.168.0.254\nmac=02:00:00:BC:a9:7f\necho=7\nconvert=yes\n\
@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_read_is_told_and_forbids_every_put() {
+    fn an_invalid_line_is_reported_and_forbids_every_put() {
         for line in [
             "robot=10.0.2.2",
             "robot=robot:5007",
@@ -243,21 +243,21 @@ mod tests {
             "echo=65536",
             "colour=red",
             "nonsense",
-            "provider=\u{fffd}\u{fffd}=x", // readable: a provider may be called so
+            "provider=\u{fffd}\u{fffd}=x", // valid: a provider may have any name
         ] {
             let text = ["put=I\n", line, "\nput=F\necho=9"].concat();
-            let mut told = Vec::new();
-            let settings = Settings::read(text.as_bytes(), |line| told.push(line));
+            let mut reported = Vec::new();
+            let settings = Settings::read(text.as_bytes(), |line| reported.push(line));
             if line.starts_with("provider") {
-                assert!(told.is_empty());
+                assert!(reported.is_empty());
                 continue;
             }
-            assert_eq!(told, [line.as_bytes()]);
+            assert_eq!(reported, [line.as_bytes()]);
             assert_eq!(settings.rules(&mut RuleMemory::new()), Rules::READ_ONLY, "{line}");
-            assert_eq!(settings.echo, Some(9), "the lines behind it are read");
+            assert_eq!(settings.echo, Some(9), "the lines after it are parsed");
         }
-        let mut told = 0;
-        let _ = Settings::read(b"provider=\xff\xfe\n", |_| told += 1);
-        assert_eq!(told, 1, "no UTF-8");
+        let mut reported = 0;
+        let _ = Settings::read(b"provider=\xff\xfe\n", |_| reported += 1);
+        assert_eq!(reported, 1, "invalid UTF-8");
     }
 }

@@ -17,7 +17,7 @@ use bcap_core::bcap::client;
 use bcap_core::gateway::{Config, Event, Gateway, Memory, Tally};
 use bcap_core::rac;
 use bcap_core::time::{Instant, micros};
-use bcap_embassy::gateway::{Listener, Report, Shared, TcpRobot, run_robot};
+use bcap_embassy::gateway::{Listener, Report, SharedGateway, TcpRobot, run_robot};
 use bcap_embassy::net::{Options, UdpTransport};
 use bcap_embassy::server::Limits;
 use bcap_firmware::net::{self, NetRunner};
@@ -45,7 +45,7 @@ const PLC: u32 = 3;
 /// How late the gateway may be with what is due; more means that its tasks hang.
 const LATE: core::time::Duration = core::time::Duration::from_secs(2);
 
-type Board = Shared<'static, NoopRawMutex, SESSIONS>;
+type Board = SharedGateway<'static, NoopRawMutex, SESSIONS>;
 
 #[panic_handler]
 fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
@@ -112,7 +112,7 @@ fn make(settings: &'static Settings<'static>) -> &'static Board {
     };
     let Settings { provider, machine, option, service, .. } = *settings;
     let config = Config { client, service, provider, machine, option, rules, ..Config::RC8 };
-    BOARD.init(Shared::new(Gateway::new(config, MEMORY.take()), log))
+    BOARD.init(SharedGateway::new(Gateway::new(config, MEMORY.take()), log))
 }
 
 #[embassy_executor::task]

@@ -14,7 +14,7 @@ use bcap_core::bcap::{Client, call, server as bcap_server};
 use bcap_core::io::CallError;
 use bcap_core::rac::{self, server as rac_server};
 use bcap_embassy::net::{Connection, NetError, Options, TcpClient, TcpTransport};
-use bcap_embassy::server::{Limits, Listener, Shared, UdpPeer, UdpServer};
+use bcap_embassy::server::{Limits, Listener, SharedHandler, UdpPeer, UdpServer};
 use bcap_firmware::net::{self, NetRunner};
 use bcap_firmware::node::Node;
 use bcap_firmware::{clock, config, executor, fault, lan9118, stack, uart};
@@ -34,7 +34,7 @@ const SOCKETS: usize = RAC_SESSIONS + 4;
 type RacSession = rac_server::Session<[u8; 512]>;
 type BcapSession = bcap_server::Session<[u8; 512], [u8; 512], 16>;
 
-static NODE: Shared<CriticalSectionRawMutex, Node, SOCKETS> = Shared::new(Node::new());
+static NODE: SharedHandler<CriticalSectionRawMutex, Node, SOCKETS> = SharedHandler::new(Node::new());
 
 #[panic_handler]
 fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
