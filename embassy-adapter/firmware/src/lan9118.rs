@@ -224,7 +224,7 @@ impl<'m> Lan9118<'m> {
         None
     }
 
-    /// Checks for a received frame; if there is none, registers the waker.
+    /// Checks for a received frame; without one, registers the waker.
     fn poll_frame(&mut self, waker: &Waker) -> Option<usize> {
         if let Some(len) = self.take_frame() {
             return Some(len);
@@ -237,7 +237,7 @@ impl<'m> Lan9118<'m> {
         found
     }
 
-    /// Checks for room for a frame; if there is none, registers the waker.
+    /// Checks for room for a frame; without room, registers the waker.
     fn poll_room(&mut self, waker: &Waker) -> bool {
         if has_room() {
             return true;

@@ -25,7 +25,7 @@ mod register {
 const UNLOCK: u32 = 0x1acc_e551;
 const INTERRUPT_AND_RESET: u32 = 0b11;
 /// Seconds without feeding until the NMI.
-const PATIENCE: u32 = 4;
+const TIMEOUT_SECONDS: u32 = 4;
 /// The interval at which tasks report progress and at which the reports are checked.
 const PULSE: Duration = Duration::from_secs(1);
 
@@ -62,7 +62,7 @@ pub async fn watched<F: Future>(task: Task, work: F) -> F::Output {
 /// Starts the watchdog, and feeds it while all registered tasks run and `is_healthy` returns true.
 pub async fn run(is_healthy: impl Fn() -> bool) -> ! {
     WATCHDOG.write::<{ register::LOCK }>(UNLOCK);
-    WATCHDOG.write::<{ register::LOAD }>(CLOCK_HZ * PATIENCE);
+    WATCHDOG.write::<{ register::LOAD }>(CLOCK_HZ * TIMEOUT_SECONDS);
     WATCHDOG.write::<{ register::CONTROL }>(INTERRUPT_AND_RESET);
     loop {
         Timer::after(PULSE).await;

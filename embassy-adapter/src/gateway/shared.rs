@@ -153,7 +153,7 @@ impl<'m, M: RawMutex, const SESSIONS: usize> SharedGateway<'m, M, SESSIONS> {
 }
 
 impl<const SESSIONS: usize> Inner<'_, SESSIONS> {
-    /// Handles the gateway's next event; `false` when there is none.
+    /// Handles the gateway's next event; `false` without an event.
     fn poll_event(&mut self) -> bool {
         let Some(event) = self.gateway.poll_event(now()) else { return false };
         match event.peer() {
