@@ -74,7 +74,13 @@ impl Transport for Line {
 
     async fn send(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, Infallible> {
         self.limits.push(until);
-        poll_fn(|_| self.poll(|line| Some(line.put(bytes[0])))).await;
+        poll_fn(|_| {
+            self.poll(|line| {
+                line.put(bytes[0]);
+                Some(())
+            })
+        })
+        .await;
         Ok(Some(1))
     }
 

@@ -66,7 +66,13 @@ impl Read for Device {
 
 impl Write for Device {
     async fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
-        poll_fn(|_| self.poll(|device| Some(device.written.borrow_mut().push(bytes[0])))).await;
+        poll_fn(|_| {
+            self.poll(|device| {
+                device.written.borrow_mut().push(bytes[0]);
+                Some(())
+            })
+        })
+        .await;
         Ok(1)
     }
 
