@@ -8,12 +8,12 @@ use core::time::Duration;
 use bcap_core::bcap::call::{self, ControllerHandle, RobotHandle};
 use bcap_core::bcap::client::{self, Client};
 use bcap_core::bcap::server;
-use bcap_core::slave::{self, Engine};
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::io::blocking::{Connection, RacConnection, Transport};
 use bcap_core::procedure::{self, Motion, MotionConfig, Move, Provider};
 use bcap_core::rac::{self, Variable, VariableKind};
+use bcap_core::slave::{self, Engine};
 use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
 
