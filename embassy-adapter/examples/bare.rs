@@ -1,4 +1,4 @@
-//! Clients over TCP and UDP, and a RAC server, on smoltcp without embassy: all in one loop.
+//! b-CAP clients over TCP and UDP and a RAC server in one polling loop, on smoltcp without embassy.
 #![no_std]
 
 use bcap_core::bcap::Client;
@@ -15,13 +15,13 @@ use smoltcp::wire::IpEndpoint;
 /// The sockets of the board; the first is connected to the robot, the second is bound.
 #[derive(Debug)]
 pub struct Sockets<'m> {
-    /// All of them.
+    /// All sockets.
     pub set: SocketSet<'m>,
-    /// To the robot over TCP.
+    /// The TCP socket to the robot.
     pub robot_tcp: SocketHandle,
-    /// To the robot over UDP.
+    /// The UDP socket to the robot.
     pub robot_udp: SocketHandle,
-    /// For a RAC client.
+    /// The TCP socket for a RAC client.
     pub rac: SocketHandle,
 }
 
@@ -36,11 +36,11 @@ pub struct Board {
     pub rac: TcpServer<Session<[u8; 64]>>,
 }
 
-/// Does what can be done now; to be called when a frame has come and when time has passed.
+/// Does all work that is possible without waiting; call it when a frame arrives and when a timer expires.
 ///
 /// # Errors
 ///
-/// When the connection to the robot is over.
+/// A [`LinkError`] when the connection to the robot ended.
 pub fn poll<D: Device>(
     board: &mut Board,
     sockets: &mut Sockets<'_>,
@@ -53,14 +53,14 @@ pub fn poll<D: Device>(
     interface.poll(bare::to_smoltcp(now), device, &mut sockets.set);
     let socket = sockets.set.get_mut::<tcp::Socket<'_>>(sockets.robot_tcp);
     while let Some(event) = bare::poll_tcp(&mut board.tcp, socket, now)? {
-        look(&board.tcp, event);
+        handle(&board.tcp, event);
     }
     if !board.tcp.is_busy() {
         let _ = board.tcp.start(&call::variable_get_value(VariableHandle(1)), board.tcp.timing(), now);
     }
     let socket = sockets.set.get_mut::<udp::Socket<'_>>(sockets.robot_udp);
     while let Some(event) = bare::poll_udp(&mut board.udp, socket, robot, now)? {
-        look(&board.udp, event);
+        handle(&board.udp, event);
     }
     let socket = sockets.set.get_mut::<tcp::Socket<'_>>(sockets.rac);
     board.rac.poll(socket, || Session::new(Config::TCP, [0; 64]), handler, now);
@@ -68,7 +68,7 @@ pub fn poll<D: Device>(
     Ok(())
 }
 
-fn look<const N: usize>(client: &Client<[u8; N]>, event: Event) {
+fn handle<const N: usize>(client: &Client<[u8; N]>, event: Event) {
     if let Event::Replied(result) = event
         && result.is_ok()
     {

@@ -1,32 +1,32 @@
-//! A board between PLCs that speak RAC and a robot that speaks b-CAP: two PLCs over the network, one on a serial line.
+//! A gateway board between a b-CAP robot and three RAC PLCs: two over the network, one on a serial line.
 //!
-//! Like its neighbours this is a library of tasks, which a firmware calls with its own network stack.
+//! Like the other examples, this is a library of tasks that a firmware calls with its own network stack.
 #![no_std]
 
 use bcap_core::gateway::{Allow, Config, Event, Gateway, Memory, Rules};
 use bcap_core::io::asynch::Timed;
 use bcap_core::rac::{self, VariableKind};
 use bcap_embassy::clock::EmbassyClock;
-use bcap_embassy::gateway::{Listener, Report, Shared, TcpRobot, run_robot, serve};
+use bcap_embassy::gateway::{Listener, Report, SharedGateway, TcpRobot, run_robot, serve};
 use bcap_embassy::net::Options;
 use bcap_embassy::server::Limits;
 use embassy_net::{IpEndpoint, Stack};
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embedded_io_async::{Read, Write};
 
-/// What PLCs may write: `I0` to `I99`.
+/// The variables that PLCs may write: `I0` to `I99`.
 const PUT: [Allow<'static>; 1] = [Allow::range(VariableKind::I, 0, 99)];
 
-/// The gateway as four tasks share it.
-pub type Board<'m> = Shared<'m, NoopRawMutex, 3>;
+/// The gateway that four tasks share.
+pub type Board<'m> = SharedGateway<'m, NoopRawMutex, 3>;
 
-/// Makes a gateway for three PLCs and the handles of 32 variables.
+/// Creates a gateway for three PLCs, with handles for 32 variables.
 pub fn make(memory: &mut Memory<3, 32>) -> Board<'_> {
     let rules = Rules { put: &PUT, ..Rules::READ_ONLY };
-    Shared::new(Gateway::new(Config { rules, ..Config::RC9 }, memory), log)
+    SharedGateway::new(Gateway::new(Config { rules, ..Config::RC9 }, memory), log)
 }
 
-/// A firmware writes these to its log.
+/// The place where a firmware writes a report to its log.
 fn log(report: &Report<'_>) {
     match report {
         Report::Answered { client: _, line: _, event: Event::Refused { refusal: _, .. } } => {}
@@ -35,7 +35,7 @@ fn log(report: &Report<'_>) {
     }
 }
 
-/// Serves one PLC at a time; to be run twice.
+/// Serves one PLC at a time; run it twice to serve two.
 pub async fn serve_plc(stack: Stack<'_>, [rx, tx]: &mut [[u8; 512]; 2], board: &Board<'_>) -> ! {
     Listener::new(stack, rac::PORT, rx, tx).run(board, &Limits::default()).await
 }
@@ -46,7 +46,7 @@ pub async fn serve_serial<U: Read + Write>(uart: U, board: &Board<'_>) {
     let _ = serve(&mut transport, None, board, &Limits::default()).await;
 }
 
-/// Keeps the connection to the robot.
+/// Runs the connection to the robot.
 pub async fn keep_robot(stack: Stack<'_>, robot: IpEndpoint, memory: &mut [[u8; 512]; 3], board: &Board<'_>) -> ! {
     let [rx, tx, frame] = memory;
     let mut link = TcpRobot::new(stack, rx, tx, Options::default(), robot);

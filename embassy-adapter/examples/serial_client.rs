@@ -1,4 +1,4 @@
-//! A b-CAP client over a serial line, with the CRC that frames have there.
+//! A b-CAP client over a serial line; its frames carry a CRC.
 #![no_std]
 
 use bcap_core::bcap::call;
@@ -7,18 +7,18 @@ use bcap_core::limits::SERIAL_MAX;
 use bcap_embassy::serial::{self, Config};
 use embedded_io_async::{Read, Write};
 
-/// Memory of the client.
+/// The client's buffers.
 #[derive(Debug)]
 pub struct Memory {
     request: [u8; SERIAL_MAX],
     reply: [u8; SERIAL_MAX],
 }
 
-/// Reads `I1` once, over a UART with a buffer.
+/// Reads `I1` once over a buffered UART.
 ///
 /// # Errors
 ///
-/// When the line fails, or the robot does not answer or refuses.
+/// A [`CallError`] when the line fails, or the robot does not answer or refuses a call.
 pub async fn read<U: Read + Write>(uart: U, memory: &mut Memory) -> Result<Option<i32>, CallError<U::Error>> {
     let Memory { request, reply } = memory;
     let mut robot = serial::client(uart, Config::SERIAL, &mut request[..], &mut reply[..]);

@@ -1,4 +1,4 @@
-//! A board with two inputs that is a controller: over RAC, over b-CAP on TCP and UDP, and over b-CAP on a serial line.
+//! A board that serves its two inputs over RAC and over b-CAP on TCP, UDP and a serial line.
 #![no_std]
 
 use bcap_core::bcap::{self, FunctionId, server as bcap_server};
@@ -8,13 +8,13 @@ use bcap_core::io::asynch::Timed;
 use bcap_core::rac::{self, Request, Variable, VariableKind, server as rac_server};
 use bcap_core::time::Instant;
 use bcap_embassy::clock::EmbassyClock;
-use bcap_embassy::server::{Limits, Listener, Shared, UdpPeer, UdpServer, serve};
+use bcap_embassy::server::{Limits, Listener, SharedHandler, UdpPeer, UdpServer, serve};
 use embassy_net::Stack;
 use embassy_net::udp::{PacketMetadata, UdpSocket};
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embedded_io_async::{Read, Write};
 
-/// The state of the inputs; whoever reads the pins calls [`Shared::update`].
+/// The state of the inputs; the task that reads the pins calls [`SharedHandler::update`].
 #[derive(Debug, Default)]
 pub struct Inputs(pub [bool; 2]);
 
@@ -45,7 +45,7 @@ impl bcap_server::Handler for Inputs {
     fn call(&mut self, _: PeerId, call: &bcap_server::Request<'_>, reply: &mut ReplyValue<'_>, _: Instant) -> Outcome {
         let handle = match call.function {
             FunctionId::CONTROLLER_CONNECT => 1,
-            // the handle of a variable is its number and 1
+            // the handle of a variable is its number plus 1
             FunctionId::CONTROLLER_GET_VARIABLE if call.text(1) == *"IO0" => 1,
             FunctionId::CONTROLLER_GET_VARIABLE if call.text(1) == *"IO1" => 2,
             FunctionId::VARIABLE_GET_VALUE => {
@@ -62,8 +62,8 @@ impl bcap_server::Handler for Inputs {
     }
 }
 
-/// The inputs as four tasks share them.
-pub type Board = Shared<NoopRawMutex, Inputs, 4>;
+/// The inputs that four tasks share.
+pub type Board = SharedHandler<NoopRawMutex, Inputs, 4>;
 
 /// Serves one RAC client at a time.
 pub async fn serve_rac(
@@ -90,7 +90,7 @@ pub async fn serve_tcp(
     Listener::new(stack, 5007, rx, tx).run(session, make, board, &Limits::default()).await
 }
 
-/// Serves as many b-CAP clients over UDP as there are places.
+/// Serves as many b-CAP clients over UDP as there are slots.
 pub async fn serve_udp(
     stack: Stack<'_>,
     [rx_meta, tx_meta]: &mut [[PacketMetadata; 2]; 2],
@@ -114,5 +114,5 @@ pub async fn serve_serial<U: Read + Write>(
     let _ = serve(&mut transport, session, board, &Limits::default()).await;
 }
 
-/// The configuration of a session for that line.
+/// The configuration of a session on a serial line.
 pub const SERIAL: bcap::server::Config = bcap::server::Config::SERIAL;

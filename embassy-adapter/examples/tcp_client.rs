@@ -1,6 +1,6 @@
-//! A b-CAP client over TCP on embassy-net: it reads a variable, and connects again when the connection breaks.
+//! A b-CAP client over TCP on embassy-net that reads a variable and reconnects after a failure.
 //!
-//! Like its neighbours this is a library of tasks, which a firmware calls with its own network stack.
+//! Like the other examples, this is a library of tasks that a firmware calls with its own network stack.
 #![no_std]
 
 use bcap_core::bcap::client::Config;
@@ -10,7 +10,7 @@ use bcap_embassy::net::{Connection, NetError, Options, TcpClient, TcpTransport};
 use embassy_net::{IpEndpoint, Stack};
 use embassy_time::Timer;
 
-/// Memory of the socket and of the client, which a board places where it likes.
+/// The buffers of the socket and of the client.
 #[derive(Debug)]
 pub struct Memory {
     rx: [u8; 512],
@@ -19,16 +19,16 @@ pub struct Memory {
     reply: [u8; 512],
 }
 
-/// Reads `I1` ten times a second and gives it to `seen`.
-pub async fn watch(stack: Stack<'_>, robot: IpEndpoint, memory: &mut Memory, mut seen: impl FnMut(i32)) -> ! {
+/// Reads `I1` ten times a second and calls `on_value` with it.
+pub async fn watch(stack: Stack<'_>, robot: IpEndpoint, memory: &mut Memory, mut on_value: impl FnMut(i32)) -> ! {
     let Memory { rx, tx, request, reply } = memory;
     let transport = TcpTransport::new(stack, rx, tx, Options::default());
     let mut connection = Connection::new(transport, Client::new(Config::TCP, &mut request[..], &mut reply[..]));
     loop {
         if connection.transport().connect(robot).await.is_ok() {
             connection.client().reset();
-            // why it ended does not matter here: all there is to do is to connect again
-            let _ = read(&mut connection, &mut seen).await;
+            // every error has the same remedy: reconnect
+            let _ = read(&mut connection, &mut on_value).await;
         }
         Timer::after_secs(1).await;
     }
@@ -36,14 +36,14 @@ pub async fn watch(stack: Stack<'_>, robot: IpEndpoint, memory: &mut Memory, mut
 
 async fn read(
     robot: &mut TcpClient<'_, &mut [u8]>,
-    seen: &mut impl FnMut(i32),
+    on_value: &mut impl FnMut(i32),
 ) -> Result<core::convert::Infallible, CallError<NetError>> {
     robot.call(call::service_start("WDT=400")).await?;
     let controller = robot.call(call::controller_connect("", "CaoProv.DENSO.VRC9", "localhost", "")).await?;
     let variable = robot.call(call::controller_get_variable(controller, "I1", "")).await?;
     loop {
         if let Some(value) = robot.call(call::variable_get_value(variable)).await?.as_i32() {
-            seen(value);
+            on_value(value);
         }
         Timer::after_millis(100).await;
     }

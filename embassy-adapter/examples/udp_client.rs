@@ -1,4 +1,4 @@
-//! A b-CAP client over UDP on embassy-net; a call that is not answered is sent again by itself.
+//! A b-CAP client over UDP on embassy-net; the client retransmits calls that are not answered.
 #![no_std]
 
 use bcap_core::bcap::client::Config;
@@ -9,13 +9,13 @@ use bcap_embassy::net::{Connection, NetError, UdpTransport};
 use embassy_net::udp::{PacketMetadata, UdpSocket};
 use embassy_net::{IpEndpoint, Stack};
 
-/// Memory of the socket and of the client.
+/// The buffers of the socket and of the client.
 #[derive(Debug)]
 pub struct Memory {
     meta: [[PacketMetadata; 2]; 2],
     socket: [[u8; 1024]; 2],
     request: [u8; UDP_SEND_MAX],
-    /// A byte more than a datagram may have, so that a longer one shows.
+    /// One byte more than the longest datagram, so that a longer one is detected.
     reply: [u8; UDP_RECEIVE_MAX + 1],
 }
 
@@ -23,7 +23,7 @@ pub struct Memory {
 ///
 /// # Errors
 ///
-/// When the robot does not answer, or refuses.
+/// A [`CallError`] when the robot does not answer or refuses a call.
 pub async fn read(
     stack: Stack<'_>,
     robot: IpEndpoint,

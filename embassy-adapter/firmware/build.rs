@@ -1,14 +1,14 @@
-//! Lays the memory of the chosen board out and links with it.
+//! Writes the linker script with the memory layout of the chosen board.
 
 use std::env;
 use std::error::Error;
 use std::fs;
 use std::path::PathBuf;
 
-/// What a small board has, whatever the emulator would give.
+/// The memory sizes of a small board; the emulator offers more.
 const FLASH: u32 = 256 * 1024;
 const RAM: u32 = 96 * 1024;
-/// The part of the memory that is the stack's.
+/// The part of the memory that the stack uses.
 const STACK: u32 = 12 * 1024;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -17,7 +17,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         None => (0, 0x2000_0000),
     };
     let (data, data_len) = (ram + STACK, RAM - STACK);
-    // the stack lies lowest and grows away from the data: one that overflows leaves the memory and faults
+    // the stack is at the lowest addresses and grows away from the data, so an overflow faults
     let layout = format!(
         "MEMORY
 {{

@@ -1,15 +1,15 @@
-//! Clients and servers for smoltcp alone: whoever polls the interface polls these, and nothing is awaited.
+//! Clients and servers for smoltcp without embassy: the loop that polls the interface polls them too; nothing is async.
 //!
 //! ```text
 //!   loop { interface.poll ─► poll_tcp, poll_udp, TcpServer::poll ─► interface.poll ─► sleep }
 //! ```
 //!
-//! A client is the core's [`Client`], a server the core's sessions; the functions here carry their bytes to and from a
-//! socket of smoltcp. The sockets, and their memory, are the caller's.
+//! The client is the core's [`Client`], the server runs the core's sessions. The functions here move their bytes to and
+//! from a smoltcp socket. The caller owns the sockets and their buffers.
 //!
 //! # Examples
 //!
-//! A loop that reads a variable again and again:
+//! A loop that reads a variable repeatedly:
 //!
 //! ```
 //! use bcap_core::bcap::Client;
@@ -60,59 +60,57 @@ use smoltcp::wire::IpEndpoint;
 use bcap_core::endpoint::Endpoint;
 pub use bcap_core::endpoint::Serve;
 
-/// The silence after which a peer is asked whether it is still there.
+/// The time without traffic after which a TCP keep-alive is sent.
 const KEEP_ALIVE: smoltcp::time::Duration = smoltcp::time::Duration::from_secs(5);
-/// How long a peer may leave that, or data, without an acknowledgement.
-const LOST: smoltcp::time::Duration = smoltcp::time::Duration::from_secs(15);
+/// The time without an acknowledgement, of data or of a keep-alive, after which the connection is reset.
+const TIMEOUT: smoltcp::time::Duration = smoltcp::time::Duration::from_secs(15);
 
-/// Why a connection cannot be used any more.
+/// Why a connection can no longer be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum LinkError {
-    /// The peer has closed the connection in order.
+    /// The peer closed the connection.
     Closed,
-    /// The peer refused or reset the connection, or vanished.
+    /// The peer refused or reset the connection, or stopped responding.
     Reset,
-    /// The request does not fit the socket's memory, or the peer has no address.
+    /// The request does not fit into the socket's buffer, or the peer's address is invalid.
     Unsendable,
 }
 
 impl fmt::Display for LinkError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Self::Closed => "the peer has closed the connection",
+            Self::Closed => "the peer closed the connection",
             Self::Reset => "the connection was refused, reset or lost",
-            Self::Unsendable => "the datagram does not fit the socket or has no destination",
+            Self::Unsendable => "the datagram does not fit into the socket's buffer or has no valid destination",
         })
     }
 }
 
 impl core::error::Error for LinkError {}
 
-/// Returns a point in time as smoltcp counts it.
+/// Converts an instant to smoltcp's type.
 #[must_use]
 pub fn to_smoltcp(now: Instant) -> smoltcp::time::Instant {
     smoltcp::time::Instant::from_micros(i64::try_from(now.as_micros()).unwrap_or(i64::MAX))
 }
 
-/// Sets a TCP socket up for short messages: no delay, and a peer that vanished is noticed after 15 s.
+/// Configures a TCP socket for short messages: no Nagle delay, a keep-alive after 5 s and a timeout of 15 s.
 pub fn set_up(socket: &mut tcp::Socket<'_>) {
     socket.set_nagle_enabled(false);
     socket.set_keep_alive(Some(KEEP_ALIVE));
-    socket.set_timeout(Some(LOST));
+    socket.set_timeout(Some(TIMEOUT));
 }
 
-/// Moves the bytes of a client over TCP, and returns the next thing that has happened.
+/// Moves a client's bytes over TCP and returns the next event.
 ///
-/// It is to be called until it returns `None`, whenever the interface was polled, and when the client's
-/// [`poll_timeout`](Client::poll_timeout) is due. A reply can be looked at until it is called again. While the socket
-/// is still connecting nothing happens.
+/// Call it after each poll of the interface, and when the client's [`poll_timeout`](Client::poll_timeout) is reached,
+/// until it returns `None`. A reply can be read until the next call. While the socket is connecting, no bytes move.
 ///
 /// # Errors
 ///
-/// A [`LinkError`] when the connection is over; the socket is to be connected again, and the client to be
-/// [reset](Client::reset).
+/// A [`LinkError`] when the connection ended. Connect the socket again and [reset](Client::reset) the client.
 pub fn poll_tcp<T: Storage, R: Storage>(
     client: &mut Client<T, R>,
     socket: &mut tcp::Socket<'_>,
@@ -136,9 +134,9 @@ pub fn poll_tcp<T: Storage, R: Storage>(
     Ok(event)
 }
 
-/// Moves the datagrams of a client over UDP, and returns the next thing that has happened.
+/// Moves a client's datagrams over UDP and returns the next event.
 ///
-/// It is to be called like [`poll_tcp`]. Datagrams from others than `peer` are dropped.
+/// Call it like [`poll_tcp`]. Datagrams that are not from `peer` are dropped.
 ///
 /// # Errors
 ///
@@ -158,7 +156,7 @@ pub fn poll_udp<T: Storage, R: Storage>(
         }
         match socket.recv_slice(client.receive_buffer()) {
             Ok((count, from)) if from.endpoint == peer => client.received(count),
-            // from a stranger, or longer than any frame
+            // from another sender, or longer than any frame
             Ok(_) | Err(udp::RecvError::Truncated) => {}
             Err(udp::RecvError::Exhausted) => break,
         }
@@ -177,7 +175,7 @@ pub fn poll_udp<T: Storage, R: Storage>(
 
 /// A server on one TCP socket: it listens, serves a connection, and listens again.
 ///
-/// For more connections at the same time there are more of these on the same port, with a socket each.
+/// Use several on the same port, with a socket each, to serve several connections concurrently.
 ///
 /// # Examples
 ///
@@ -201,14 +199,14 @@ pub struct TcpServer<S> {
     port: u16,
     session: Option<S>,
     peer: PeerId,
-    /// What the numbers of peers grow by.
+    /// The increment of the peer number for each connection.
     stride: u32,
 }
 
 impl<S> TcpServer<S> {
-    /// Makes a server for a port; it is number `index` of `count` servers of the same handler, counted from 0.
+    /// Creates the server `index`, counted from 0, of `count` servers that share a handler.
     ///
-    /// The two keep the peers of several servers apart.
+    /// `index` and `count` make the [`PeerId`]s of these servers distinct.
     #[must_use]
     pub const fn new(port: u16, index: u32, count: u32) -> Self {
         Self { port, session: None, peer: PeerId(index), stride: count }
@@ -220,9 +218,9 @@ impl<S> TcpServer<S> {
         self.session.is_some()
     }
 
-    /// Goes on as far as it can; a new connection has a session of `make`.
+    /// Does all work that is possible without waiting; `make` creates the session of a new connection.
     ///
-    /// It is to be called whenever the interface was polled, and when [`poll_timeout`](Self::poll_timeout) is due.
+    /// Call it after each poll of the interface, and when [`poll_timeout`](Self::poll_timeout) is reached.
     pub fn poll<H>(&mut self, socket: &mut tcp::Socket<'_>, make: impl FnOnce() -> S, handler: &mut H, now: Instant)
     where
         H: ?Sized,
@@ -230,7 +228,7 @@ impl<S> TcpServer<S> {
     {
         if !socket.is_open() && self.session.is_none() {
             set_up(socket);
-            // a port that is 0 is the only error there is
+            // the only possible error is port 0
             let _ = socket.listen(self.port);
             return;
         }
@@ -246,7 +244,7 @@ impl<S> TcpServer<S> {
         }
     }
 
-    /// Returns when [`poll`](Self::poll) is to be called even if no bytes come.
+    /// Returns when [`poll`](Self::poll) must be called if no bytes arrive before.
     #[must_use]
     pub fn poll_timeout<H: ?Sized>(&self) -> Option<Instant>
     where
@@ -256,7 +254,7 @@ impl<S> TcpServer<S> {
     }
 }
 
-/// Moves the bytes of a session until nothing moves.
+/// Moves a session's bytes until neither direction makes progress.
 fn pump<S, H>(
     session: &mut S,
     socket: &mut tcp::Socket<'_>,
@@ -284,7 +282,7 @@ where
     }
 }
 
-/// Gives a socket as much as it takes.
+/// Sends as many bytes as fit into the socket's buffer.
 fn send(socket: &mut tcp::Socket<'_>, bytes: &[u8]) -> Result<usize, LinkError> {
     if bytes.is_empty() {
         return Ok(0);
@@ -292,7 +290,7 @@ fn send(socket: &mut tcp::Socket<'_>, bytes: &[u8]) -> Result<usize, LinkError> 
     socket.send_slice(bytes).map_err(|_| LinkError::Reset)
 }
 
-/// Takes what a socket has; without room only its state is looked at.
+/// Receives into `room`; without room, only checks the socket's state.
 fn receive(socket: &mut tcp::Socket<'_>, room: Option<&mut [u8]>) -> Result<usize, LinkError> {
     socket.recv_slice(room.unwrap_or_default()).map_err(|error| match error {
         RecvError::Finished => LinkError::Closed,

@@ -1,8 +1,8 @@
-//! embassy's time as the clock of the protocols.
+//! embassy's time as the core's [`Clock`].
 
 use bcap_core::time::{Clock, Instant};
 
-/// The clock, and the timer, of embassy.
+/// embassy's clock and timer.
 #[derive(Clone, Copy, Debug, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct EmbassyClock;
@@ -20,13 +20,13 @@ impl bcap_core::io::asynch::Timer for EmbassyClock {
     }
 }
 
-/// Returns the time.
+/// Returns the current time.
 #[must_use]
 pub fn now() -> Instant {
     Instant::from_micros(embassy_time::Instant::now().as_micros())
 }
 
-/// Returns a point in time as embassy counts it; never earlier, so that what waits for it finds it due.
+/// Converts an instant to embassy's type, rounding up so that a timer never fires before the instant.
 #[must_use]
 pub(crate) fn ticks(at: Instant) -> embassy_time::Instant {
     match embassy_time::Instant::try_from_micros(at.as_micros()) {
@@ -41,7 +41,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_point_in_time_is_never_early() {
+    fn ticks_rounds_up() {
         for micros in [0, 1, 999, 1_000_001] {
             assert!(ticks(Instant::from_micros(micros)).as_micros() >= micros);
         }

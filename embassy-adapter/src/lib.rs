@@ -3,18 +3,18 @@
 //! | module     | feature       | what it is                                                                       |
 //! |------------|---------------|----------------------------------------------------------------------------------|
 //! | `net`      | `embassy-net` | clients over the TCP and UDP of embassy-net                                      |
-//! | `serial`   | `serial`      | clients over a serial line, with the CRC that those have                         |
+//! | `serial`   | `serial`      | clients over a serial line, with the CRC of serial frames                        |
 //! | `server`   | `server`      | servers of both protocols over any transport; with `embassy-net`, over TCP and UDP |
-//! | `gateway`  | `gateway`     | RAC on one side, b-CAP on the other: the core's gateway over embassy-net         |
-//! | `bare`     | `smoltcp`     | clients and servers for smoltcp alone, polled                                    |
+//! | `gateway`  | `gateway`     | gateway from RAC clients to a b-CAP robot: the core's gateway over embassy-net   |
+//! | `bare`     | `smoltcp`     | clients and servers for smoltcp without embassy, by polling                      |
 //!
-//! The protocols are in [`bcap_core`]; this crate moves their bytes and tells them the time. What it guarantees:
+//! [`bcap_core`] implements the protocols. This crate moves their bytes and supplies the time. Guarantees:
 //!
-//! * **Memory belongs to the caller**: socket buffers, sessions and tables of peers are borrowed, so a board places them
-//!   where it likes, and futures stay small.
-//! * **Every wait ends.** A connection whose peer vanished, or whose cable was pulled, fails with an error that says so;
-//!   a call has its time limits, a server's session those of its limits.
-//! * **Futures may be dropped** at any point; the docs say what has happened then.
+//! * **The caller owns the memory.** Socket buffers, sessions and tables of peers are borrowed, so a board can place
+//!   them in static memory, and futures stay small.
+//! * **Every wait ends.** A connection fails with an error when its peer disappears or its cable is pulled. A call ends at
+//!   its timeouts, a server's session at its [`Limits`](server::Limits).
+//! * **Futures are cancel-safe.** They may be dropped at any point; each function documents the state after that.
 #![no_std]
 
 #[cfg(test)]

@@ -1,10 +1,9 @@
-//! Clients over a serial line: any device of `embedded_io_async`, such as a UART with a buffer.
+//! Clients over a serial line: any `embedded_io_async` device, such as a buffered UART.
 //!
-//! Frames on a serial line carry a CRC, bytes that are no frame are passed over, and a call that is not answered is
-//! repeated; [`Config::SERIAL`] says how often.
+//! Frames on a serial line carry a CRC. The client skips bytes that are not part of a frame, and retries a call that is
+//! not answered as often as [`Config::SERIAL`] says.
 //!
-//! A device whose `read` loses bytes when its future is dropped is none for this: the drivers with a buffer (a
-//! `BufferedUart`, a ring buffer of a DMA channel) lose nothing.
+//! Do not use devices whose `read` is not cancel-safe. Buffered drivers (a `BufferedUart`, a DMA ring buffer) are.
 
 use bcap_core::bcap::Client;
 pub use bcap_core::bcap::client::Config;
@@ -13,12 +12,12 @@ use bcap_core::storage::Storage;
 
 use crate::clock::EmbassyClock;
 
-/// A device as a transport.
+/// A serial device as a transport.
 pub type SerialTransport<D> = Timed<D, EmbassyClock>;
 /// A client over a serial line.
 pub type SerialClient<D, T, R = T> = Connection<SerialTransport<D>, T, R>;
 
-/// Makes a client of a device; `tx` and `rx` hold a frame each, 503 bytes at most.
+/// Creates a client on a device; `tx` and `rx` hold one frame each, at most 503 bytes.
 ///
 /// # Examples
 ///

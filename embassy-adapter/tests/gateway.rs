@@ -1,4 +1,4 @@
-//! The gateway between PLCs and a robot, over two stacks of embassy-net that are joined by a cable in memory.
+//! Tests the gateway between PLCs and a robot, over two embassy-net stacks connected by a simulated cable.
 #![cfg(feature = "gateway")]
 #![allow(clippy::indexing_slicing, clippy::large_futures, clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -12,7 +12,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::rac::{self, VariableKind};
 use bcap_embassy::gateway::{self, Report, TcpRobot, run_robot};
 use bcap_embassy::net::{NetError, Options, UdpTransport};
-use bcap_embassy::server::{Ended, Limits, Listener, Shared, UdpPeer, UdpServer};
+use bcap_embassy::server::{Ended, Limits, Listener, SharedHandler, UdpPeer, UdpServer};
 use common::{Number, address, between};
 use embassy_futures::join::join3;
 use embassy_futures::select::{select, select3};
@@ -23,20 +23,20 @@ use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embassy_time::{Duration, Timer, with_timeout};
 
 const PUT: [Allow<'static>; 1] = [Allow::all(VariableKind::I)];
-/// As on a board, with pauses that suit a test.
+/// The configuration of a board, with shorter pauses.
 const CONFIG: Config<'static> = Config {
     rules: Rules { put: &PUT, ..Rules::READ_ONLY },
     first_pause: core::time::Duration::from_millis(20),
     longest_pause: core::time::Duration::from_millis(100),
-    // what is forgotten must not be found by chance
+    // a heartbeat could hide a missing wake-up
     heartbeat: core::time::Duration::from_secs(3600),
     ..Config::RC8
 };
 
-type Plant<'m> = gateway::Shared<'m, NoopRawMutex, 2>;
+type Plant<'m> = gateway::SharedGateway<'m, NoopRawMutex, 2>;
 
 thread_local! {
-    /// What the log was told: for a line its text, and what else there was.
+    /// The reports as texts.
     static LOG: RefCell<Vec<String>> = const { RefCell::new(Vec::new()) };
 }
 
@@ -60,8 +60,8 @@ fn logged(text: &str) -> bool {
     LOG.with_borrow(|log| log.iter().any(|line| line == text))
 }
 
-/// Serves two PLCs and keeps the robot, for ever.
-async fn run<L: gateway::Link>(stack: Stack<'_>, mut link: L, plant: &Plant<'_>, limits: Limits) {
+/// Serves two PLCs and runs the connection to the robot, forever.
+async fn run<L: gateway::RobotLink>(stack: Stack<'_>, mut link: L, plant: &Plant<'_>, limits: Limits) {
     let mut memory = [[[0; 512]; 2]; 2];
     let [[rx0, tx0], [rx1, tx1]] = &mut memory;
     let mut first = gateway::Listener::new(stack, rac::PORT, rx0, tx0);
@@ -75,14 +75,14 @@ fn robot() -> IpEndpoint {
 }
 
 /// Serves b-CAP over TCP, on the PLCs' side of the cable.
-async fn serve_robot(stack: Stack<'_>, number: &Shared<NoopRawMutex, Number, 4>) {
+async fn serve_robot(stack: Stack<'_>, number: &SharedHandler<NoopRawMutex, Number, 4>) {
     let (mut rx, mut tx) = ([0; 512], [0; 512]);
     let mut slot = None;
     let make = || server::Session::<_, _, 8>::new(server::Config::TCP, [0; 512], [0; 512]);
     Listener::new(stack, 5007, &mut rx, &mut tx).run(&mut slot, make, number, &Limits::default()).await
 }
 
-/// Connects once the board has a place.
+/// Connects, retrying until the gateway has a free slot.
 async fn plc<'s>(stack: Stack<'s>, memory: &'s mut [[u8; 512]; 2]) -> TcpSocket<'s> {
     let [rx, tx] = memory;
     let mut socket = TcpSocket::new(stack, rx, tx);
@@ -92,7 +92,7 @@ async fn plc<'s>(stack: Stack<'s>, memory: &'s mut [[u8; 512]; 2]) -> TcpSocket<
     socket
 }
 
-/// Sends a line and returns the one that comes back.
+/// Sends a line and returns the answer.
 async fn ask(socket: &mut TcpSocket<'_>, line: &str) -> String {
     let mut sent = 0;
     while sent < line.len() {
@@ -111,14 +111,14 @@ fn error(code: HResult) -> String {
     format!("{}\r", code.0)
 }
 
-/// Asks until the answer is this one.
+/// Repeats a request until it has this answer.
 async fn until(socket: &mut TcpSocket<'_>, line: &str, answer: &str) {
     while ask(socket, line).await != answer {
         Timer::after_millis(1).await;
     }
 }
 
-/// What hangs fails.
+/// Fails a test that hangs.
 async fn ends(test: impl Future<Output = ()>) {
     with_timeout(Duration::from_secs(60), test).await.unwrap();
 }
@@ -126,7 +126,7 @@ async fn ends(test: impl Future<Output = ()>) {
 #[test]
 fn plcs_are_served_and_refusals_logged() {
     between(|_, plcs, board| async move {
-        let number = Shared::new(Number { value: 7, left: 0 });
+        let number = SharedHandler::new(Number { value: 7, left: 0 });
         let mut memory = Memory::<2, 4>::new();
         let plant = Plant::new(Gateway::new(CONFIG, &mut memory), log);
         let mut buffers = [[0; 1024]; 2];
@@ -141,7 +141,7 @@ fn plcs_are_served_and_refusals_logged() {
             assert_eq!(ask(&mut a, "GET:RC8:1:I:\r").await, "0,3,8\r");
             assert_eq!(ask(&mut b, "PUT:RC8:1:F:4,8\r").await, error(HResult::E_ACCESSDENIED));
             assert_eq!(ask(&mut b, &(["X"; 300].concat() + "\r")).await, error(HResult::E_PACKETSIZEOVER));
-            // several lines at once, and the rest of one behind them
+            // several lines in one segment, then the rest of a partial line
             a.write(b"GET:RC8:1:I:\rHELLO\rGET:RC8:1:I:\rGET:RC").await.unwrap();
             assert_eq!(ask(&mut a, "").await, "0,3,8\r");
             assert_eq!(ask(&mut a, "").await, error(HResult::E_INVALIDCOMMAND));
@@ -154,7 +154,7 @@ fn plcs_are_served_and_refusals_logged() {
             assert!(logged(&format!("refused {from} {}", ["X"; 256].concat())));
             let served = plant.view(|gateway| gateway.counters().served.count()).unwrap();
             assert!(served >= 6, "{served}");
-            // a place is free again when its PLC has gone
+            // the slot of a PLC is free after it disconnects
             drop(a);
             let mut c = [[0; 512]; 2];
             let mut c = plc(plcs, &mut c).await;
@@ -166,9 +166,9 @@ fn plcs_are_served_and_refusals_logged() {
 }
 
 #[test]
-fn a_robot_that_goes_is_told_at_once_and_found_again() {
+fn a_disconnected_robot_is_reported_at_once_and_reconnected() {
     between(|_, plcs, board| async move {
-        let number = Shared::new(Number { value: 7, left: 0 });
+        let number = SharedHandler::new(Number { value: 7, left: 0 });
         let mut memory = Memory::<2, 4>::new();
         let plant = Plant::new(Gateway::new(CONFIG, &mut memory), log);
         let mut buffers = [[0; 1024]; 2];
@@ -180,7 +180,7 @@ fn a_robot_that_goes_is_told_at_once_and_found_again() {
             assert_eq!(ask(&mut a, "GET:RC8:1:I:\r").await, error(HResult::E_NOT_CONNECTED), "there is no robot yet");
             for _ in 0..3 {
                 select(serve_robot(plcs, &number), until(&mut a, "GET:RC8:1:I:\r", "0,3,7\r")).await;
-                // its server is dropped, and so is the connection
+                // dropping the server closes the connection
                 until(&mut a, "GET:RC8:1:I:\r", &error(HResult::E_NOT_CONNECTED)).await;
             }
             assert!(logged(&format!("robot down {:?}", Some(NetError::Reset))));
@@ -191,9 +191,9 @@ fn a_robot_that_goes_is_told_at_once_and_found_again() {
 }
 
 #[test]
-fn a_cable_that_is_pulled_ends_all_sessions_and_silence_those_of_plcs() {
+fn slow_requests_end_a_session_and_an_unplugged_cable_ends_all() {
     between(|cable, plcs, board| async move {
-        let number = Shared::new(Number { value: 7, left: 0 });
+        let number = SharedHandler::new(Number { value: 7, left: 0 });
         let mut memory = Memory::<2, 4>::new();
         let plant = Plant::new(Gateway::new(CONFIG, &mut memory), log);
         let mut buffers = [[0; 1024]; 2];
@@ -204,7 +204,7 @@ fn a_cable_that_is_pulled_ends_all_sessions_and_silence_those_of_plcs() {
             let (mut a, mut b) = ([[0; 512]; 2], [[0; 512]; 2]);
             let mut a = plc(plcs, &mut a).await;
             until(&mut a, "GET:RC8:1:I:\r", "0,3,7\r").await;
-            // half a line, and then nothing
+            // half a line without its rest
             a.write(b"GET:RC8").await.unwrap();
             assert_eq!(a.read(&mut [0]).await, Ok(0), "the session is over");
             let mut b = plc(plcs, &mut b).await;
@@ -227,9 +227,9 @@ fn a_cable_that_is_pulled_ends_all_sessions_and_silence_those_of_plcs() {
 }
 
 #[test]
-fn a_robot_behind_udp_is_reached_through_losses() {
+fn a_robot_over_udp_is_reached_despite_losses() {
     between(|cable, plcs, board| async move {
-        let number = Shared::<NoopRawMutex, _, 4>::new(Number { value: 7, left: 0 });
+        let number = SharedHandler::<NoopRawMutex, _, 4>::new(Number { value: 7, left: 0 });
         let mut memory = Memory::<2, 4>::new();
         let client = client::Config {
             timing: client::Timing { attempt_timeout: core::time::Duration::from_millis(20), ..client::Timing::UDP },

@@ -1,4 +1,4 @@
-//! Clients and servers over two stacks of embassy-net that are joined by a cable in memory.
+//! Tests clients and servers over two embassy-net stacks connected by a simulated cable.
 #![cfg(all(feature = "embassy-net", feature = "server"))]
 #![allow(clippy::indexing_slicing, clippy::large_futures, clippy::unwrap_used, reason = "a test fails by panicking")]
 
@@ -12,7 +12,7 @@ use bcap_core::io::CallError;
 use bcap_core::rac;
 use bcap_core::variant::Variant;
 use bcap_embassy::net::{Connection, NetError, Options, TcpClient, TcpTransport, UdpTransport};
-use bcap_embassy::server::{Limits, Listener, Shared, UdpPeer, UdpServer};
+use bcap_embassy::server::{Limits, Listener, SharedHandler, UdpPeer, UdpServer};
 use common::{Number, address, between};
 use embassy_futures::join::join;
 use embassy_futures::select::select;
@@ -22,17 +22,17 @@ use embassy_net::udp::{PacketMetadata, UdpSocket};
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embassy_time::{Duration, Timer, with_timeout};
 
-type Controller = Shared<NoopRawMutex, Number, 4>;
+type Controller = SharedHandler<NoopRawMutex, Number, 4>;
 
 fn number(value: i32) -> Controller {
-    Shared::new(Number { value, left: 0 })
+    SharedHandler::new(Number { value, left: 0 })
 }
 
 fn left(shared: &Controller) -> usize {
     shared.view(|number| number.left).unwrap()
 }
 
-/// Serves b-CAP on port 5007 for ever.
+/// Serves b-CAP on port 5007 forever.
 async fn serve(stack: Stack<'_>, shared: &Controller, limits: Limits) {
     let (mut rx, mut tx) = ([0; 512], [0; 512]);
     let mut slot = None;
@@ -43,7 +43,7 @@ async fn serve(stack: Stack<'_>, shared: &Controller, limits: Limits) {
 async fn connect<'s>(stack: Stack<'s>, memory: &'s mut [[u8; 512]; 2]) -> TcpClient<'s, [u8; 512]> {
     let [rx, tx] = memory;
     let mut transport = TcpTransport::new(stack, rx, tx, Options::default());
-    // a listener that is just closing the connection before refuses
+    // a listener that is still closing its last connection refuses
     while transport.connect((address(1), 5007)).await == Err(NetError::Reset) {
         Timer::after_millis(1).await;
     }
@@ -71,7 +71,7 @@ fn a_client_reads_and_writes_over_tcp() {
             let foreign = robot.call(call::variable_get_value(VariableHandle(8))).await;
             assert_eq!(foreign, Err(CallError::Refused(HResult::E_HANDLE)));
             robot.transport().close().await;
-            // the next connection finds the listener again
+            // the listener accepts the next connection
             drop(robot);
             let mut memory = [[0; 512]; 2];
             let mut robot = connect(client, &mut memory).await;
@@ -84,7 +84,7 @@ fn a_client_reads_and_writes_over_tcp() {
 }
 
 #[test]
-fn a_cable_that_is_pulled_ends_calls_and_sessions() {
+fn an_unplugged_cable_ends_calls_and_sessions() {
     between(|cable, client, server| async move {
         let shared = number(42);
         let test = async {
@@ -95,7 +95,7 @@ fn a_cable_that_is_pulled_ends_calls_and_sessions() {
             let call = robot.call(call::variable_get_value(variable)).await;
             assert_eq!(call, Err(CallError::Io(NetError::Down)));
             assert_eq!(robot.transport().connect((address(1), 5007)).await, Err(NetError::Down));
-            // the server notices by itself
+            // the server detects it itself
             while left(&shared) == 0 {
                 Timer::after_millis(10).await;
             }
@@ -116,7 +116,7 @@ fn a_cable_that_is_pulled_ends_calls_and_sessions() {
 }
 
 #[test]
-fn a_port_that_nobody_serves_refuses_and_a_peer_that_is_not_there_times_out() {
+fn a_closed_port_refuses_and_a_missing_peer_times_out() {
     between(|_, client, _| async move {
         let mut memory = [[0; 512]; 2];
         let [rx, tx] = &mut memory;
@@ -164,7 +164,7 @@ fn a_client_over_udp_survives_losses() {
     });
 }
 
-/// Serves RAC on port 5006 for ever.
+/// Serves RAC on port 5006 forever.
 async fn serve_rac(stack: Stack<'_>, shared: &Controller, limits: Limits) {
     let (mut rx, mut tx) = ([0; 512], [0; 512]);
     let mut slot = None;
@@ -172,7 +172,7 @@ async fn serve_rac(stack: Stack<'_>, shared: &Controller, limits: Limits) {
     Listener::new(stack, rac::PORT, &mut rx, &mut tx).run(&mut slot, make, shared, &limits).await
 }
 
-/// Sends a line and returns the one that comes back.
+/// Sends a line and returns the answer.
 async fn ask(socket: &mut TcpSocket<'_>, line: &str) -> String {
     let mut sent = 0;
     while sent < line.len() {
@@ -180,7 +180,7 @@ async fn ask(socket: &mut TcpSocket<'_>, line: &str) -> String {
     }
     let mut reply = Vec::new();
     while reply.last() != Some(&b'\r') {
-        // one by one, so that what comes behind the line stays for the next
+        // byte by byte, so that bytes after the line stay for the next read
         let mut byte = [0];
         assert_eq!(socket.read(&mut byte).await, Ok(1), "closed after {reply:?}");
         reply.extend(byte);
@@ -189,7 +189,7 @@ async fn ask(socket: &mut TcpSocket<'_>, line: &str) -> String {
 }
 
 #[test]
-fn lines_are_answered_and_a_handler_that_waits_is_asked_again() {
+fn lines_are_answered_and_waiting_requests_polled_after_changes() {
     between(|_, client, server| async move {
         let shared = number(0);
         let serving =
@@ -203,25 +203,25 @@ fn lines_are_answered_and_a_handler_that_waits_is_asked_again() {
             b.connect((address(1), rac::PORT)).await.unwrap();
 
             assert_eq!(ask(&mut a, "GET:RC8:1:I:\r").await, "0,3,0\r");
-            // two hundred bytes too many, and the session is still alive
+            // 200 bytes too many do not end the session
             assert_eq!(
                 ask(&mut a, &(["X"; 456].concat() + "\r")).await,
                 ask(&mut b, &(["Y"; 300].concat() + "\r")).await
             );
-            // several lines at once
+            // several lines in one segment
             a.write(b"GET:RC8:1:I:\rPUT:RC8:1:I:3,5\rGET:RC8:1:I:\r").await.unwrap();
             assert_eq!(ask(&mut a, "").await, "0,3,0\r");
             assert_eq!(ask(&mut a, "").await, "0\r");
             assert_eq!(ask(&mut a, "PUT:RC8:1:I:3,0\r").await, "0,3,5\r");
             assert_eq!(ask(&mut a, "").await, "0\r");
-            // one waits for what the other sets
+            // a request waits until another client sets the number
             let (waited, put) = join(ask(&mut a, "GET:RC8:2:I:\r"), async {
                 Timer::after_millis(20).await;
                 ask(&mut b, "PUT:RC8:1:I:3,7\r").await
             })
             .await;
             assert_eq!((waited.as_str(), put.as_str()), ("0,3,7\r", "0\r"));
-            // or for what the board sets
+            // or until the board sets it
             shared.update(|number| number.value = 0).unwrap();
             let (waited, _) = join(ask(&mut a, "GET:RC8:2:I:\r"), async {
                 Timer::after_millis(20).await;
@@ -235,7 +235,7 @@ fn lines_are_answered_and_a_handler_that_waits_is_asked_again() {
 }
 
 #[test]
-fn a_peer_that_is_silent_or_half_done_loses_its_place() {
+fn idle_peers_and_partial_requests_end_their_sessions() {
     between(|_, client, server| async move {
         let short = core::time::Duration::from_millis(100);
         for (limits, line) in [
@@ -260,7 +260,7 @@ fn a_peer_that_is_silent_or_half_done_loses_its_place() {
 }
 
 #[test]
-fn lines_that_are_never_done_when_their_packets_are_are_not_slow() {
+fn lines_split_across_packets_do_not_count_as_slow() {
     between(|_, client, server| async move {
         let limits = Limits { receive: core::time::Duration::from_secs(1), ..Limits::default() };
         let shared = number(7);

@@ -1,7 +1,7 @@
 //! Runs a target on random bytes, without libFuzzer and sanitizers, on any toolchain:
 //! `cargo run --release --no-default-features --example random -- TARGET [COUNT [SEED [FIRST-BYTE]]]`.
 //!
-//! Bytes that break a promise are put into the file `random-input`, for the example `replay`.
+//! Bytes that break a guarantee are written to the file `random-input`, for the example `replay`.
 
 use std::time::Instant;
 
@@ -9,8 +9,8 @@ use bcap_testkit::network::Random;
 
 fn main() -> Result<(), String> {
     let mut args = std::env::args().skip(1);
-    let name = args.next().ok_or("which target?")?;
-    let (_, body) = bcap_fuzz::TARGETS.iter().find(|target| target.0 == name).ok_or("there is no such target")?;
+    let name = args.next().ok_or("usage: random TARGET [COUNT [SEED [FIRST-BYTE]]]")?;
+    let (_, body) = bcap_fuzz::TARGETS.iter().find(|target| target.0 == name).ok_or("unknown target")?;
     let mut number = |default: u64| match args.next() {
         Some(text) => text.parse().map_err(|e| format!("{text}: {e}")),
         None => Ok(default),
@@ -28,7 +28,7 @@ fn main() -> Result<(), String> {
         }
         if std::panic::catch_unwind(|| body(&data)).is_err() {
             std::fs::write("random-input", &data).map_err(|e| format!("random-input: {e}"))?;
-            return Err("a promise is broken, see the file random-input".into());
+            return Err("a guarantee is broken; the input is in the file random-input".into());
         }
     }
     println!("{name}: {count} runs in {:.1} s, seed {seed}", start.elapsed().as_secs_f64());

@@ -1,8 +1,8 @@
 //! Writes the frames and lines of the specifications to the unpacked corpora:
 //! `cargo run --no-default-features --example seeds`, between `just corpora unpack` and `just corpora pack`.
 //!
-//! The state machines are fed with what `arbitrary` makes of bytes: a variant is a `u32` of which the highest bits count,
-//! and each byte of a vector follows one that says that the vector goes on. See the `Op` of each target.
+//! The seeds of the state machines follow the encoding of `arbitrary`: the highest bits of a `u32` choose a variant, and
+//! before each byte of a vector, a byte says that the vector continues. See the `Op` of each target.
 
 use std::path::Path;
 use std::{fs, io};
@@ -13,9 +13,9 @@ use bcap_testkit::vectors::{frames, texts};
 fn main() -> io::Result<()> {
     for (index, frame) in frames().iter().enumerate() {
         seed("frame", index, &[&[0], &frame.bytes[..]])?;
-        // a request as a peer of either side sends it: chunk sizes or options first
+        // a request from either side, after chunk sizes or options
         seed("stream", index, &[&[0, 15, 3, 7, 200], &frame.bytes[..]])?;
-        // a server is sent it; a client awaits it, as a reply or not; a gateway gets it from its robot
+        // a server receives it; a client receives it as a reply or as a stray frame; a gateway receives it from its robot
         seed("server", index, &[&[0; 33], &variant(2, 7), &bytes(&frame.bytes), &variant(3, 7), &[255]])?;
         let mut reply = frame.bytes.clone();
         reply[5..7].copy_from_slice(&[1, 0]);
@@ -42,24 +42,24 @@ fn main() -> io::Result<()> {
     regressions()
 }
 
-/// The two findings of the table in `README.md` that were known before a fuzzer ran.
+/// The two regressions of the table in `README.md` that were known before the first fuzzing.
 fn regressions() -> io::Result<()> {
     // a request, 300 bytes of its reply without an end, the next request
     let start = [&variant(0, 11)[..], &[0, 0]].concat();
     let long = [&variant(6, 11)[..], &300_u16.to_le_bytes()].concat();
     write("regressions/rac_client", "rest-of-an-over-long-reply", &[&[0], &start, &variant(2, 11), &long, &start])?;
-    // Service_Start on a serial line, which its handler lets wait, and behind a byte of noise again
+    // Service_Start on a serial line, for which the handler waits, and its retransmission after a byte of noise
     let wait = [&variant(3, 6)[..], &[0xff; 2]].concat().repeat(8);
     let again = [&variant(0, 7)[..], &[1, 7, 0, 0, 7]].concat();
     write("regressions/server", "repetition-behind-noise", &[&[10], &wait, &variant(1, 7), &variant(0, 4), &again])
 }
 
-/// A value: the last kind, and of the scalars the second.
+/// A value of the last kind: the second scalar.
 const NULL: [u8; 2] = [7, 1];
 
-/// The choice of a variant among `count`.
+/// Returns the encoding of variant `index` of `count`.
 fn variant(index: u64, count: u64) -> [u8; 4] {
-    // the first number of its share
+    // the lowest number that selects it
     ((index << 32).div_ceil(count) as u32).to_le_bytes()
 }
 

@@ -1,4 +1,4 @@
-//! A client whose peer, link and user do anything at any time.
+//! Fuzzes a client: its peer, link and user perform arbitrary operations in any order.
 
 use bcap_core::endpoint::Endpoint;
 use std::collections::VecDeque;
@@ -17,17 +17,17 @@ use bcap_testkit::oracle::{Oracle, Verdict};
 
 use crate::input::AnyValue;
 
-/// How many ranges of unanswered serials a client remembers.
+/// The number of unanswered ranges of serials that a client stores.
 const REMEMBERED: usize = 8;
 
-/// Something that happens.
+/// An operation.
 #[derive(Arbitrary, Debug)]
 enum Op {
     Start(AnyValue),
-    /// The link takes this many bytes.
+    /// The link accepts this many bytes.
     Take(u8),
     TakeAll,
-    /// A frame comes whose serial lies this far behind the last one sent.
+    /// A frame arrives whose serial is this much below the last one sent.
     Reply {
         behind: u8,
         executing: bool,
@@ -35,44 +35,44 @@ enum Op {
         args: Vec<AnyValue>,
         cut: u8,
     },
-    /// The same, and the reply is too large for any memory here.
+    /// The same, with a reply that is larger than the client's memory.
     TooLarge {
         behind: u8,
     },
     Bytes(Vec<u8>),
     Pass(u16),
-    /// Time passes until something is due.
-    Due,
+    /// Time passes until the next timeout.
+    Timeout,
     Abandon,
     Reset,
-    /// The serials go round, but for a few: of calls that are given up before they are sent. Rare, for it takes its time.
-    Burn(u8),
+    /// Abandons calls before they are sent, until all but a few serials are used. Rare, because it is slow.
+    SkipSerials(u8),
 }
 
-/// What a client must keep to.
+/// The expected state of the client.
 struct Model {
-    /// The serials of the call in flight; empty while there is none.
+    /// The serials of the call in flight; empty without a call.
     serials: Vec<u16>,
-    /// Whether bytes of it have left.
+    /// Whether bytes of it were sent.
     sent: bool,
     first: u16,
     deadline: Instant,
-    /// The serials of calls that ended without an answer, as far as they are remembered.
+    /// The serials of calls that ended without an answer, as far as the client stores them.
     unanswered: VecDeque<Vec<u16>>,
-    /// Whether the frame that comes is the last one to its serial, where that is known.
+    /// Whether the arriving frame is the last one for its serial, where that is known.
     is_final: Option<bool>,
-    /// Whether `unanswered` is sure to be what the client remembers.
+    /// Whether `unanswered` is certain to equal the client's state.
     certain: bool,
     last: u16,
-    /// Whether nothing but whole frames has come on the stream.
+    /// Whether only complete frames arrived on the stream.
     clean: bool,
 }
 
-/// Runs a client through what the bytes say.
+/// Runs a client through the operations that the bytes encode.
 ///
 /// # Panics
 ///
-/// When the core is wrong.
+/// When an assertion about the core fails.
 pub fn client(data: &[u8]) {
     let Some((options, rest)) = data.split_first() else { return };
     let base = [Config::TCP, Config::UDP, Config::SERIAL, Config::UDP][usize::from(options & 3)];
@@ -96,7 +96,7 @@ pub fn client(data: &[u8]) {
 }
 
 impl Model {
-    /// Tells whether a reply to an earlier call may still come with this serial.
+    /// Returns whether a reply to an earlier call may still arrive with this serial.
     fn is_unanswered(&self, serial: u16) -> bool {
         self.certain && self.unanswered.iter().flatten().any(|s| *s == serial)
     }
@@ -125,7 +125,7 @@ impl<R: Storage> Run<R> {
     }
 
     fn run(mut self, u: &mut Unstructured<'_>) {
-        let mut burnt = false;
+        let mut skipped = false;
         while let (false, Ok(op)) = (u.is_empty(), Op::arbitrary(u)) {
             match op {
                 Op::Start(AnyValue(value)) => self.start(&value),
@@ -138,7 +138,7 @@ impl<R: Storage> Run<R> {
                     self.receive(&bytes);
                 }
                 Op::Pass(millis) => self.pass(self.now + Duration::from_millis(u64::from(millis))),
-                Op::Due => {
+                Op::Timeout => {
                     if let Some(due) = self.client.poll_timeout() {
                         self.pass(due.max(self.now));
                     }
@@ -154,12 +154,12 @@ impl<R: Storage> Run<R> {
                     (self.model.certain, self.model.clean) = (true, true);
                     assert!(self.client.transmit().is_empty() && !self.client.is_closed());
                 }
-                // and once
-                Op::Burn(left @ 0xb0..0xb8) if !burnt => {
-                    burnt = true;
-                    self.burn(u16::from(left) - 0xb0);
+                // at most once
+                Op::SkipSerials(left @ 0xb0..0xb8) if !skipped => {
+                    skipped = true;
+                    self.skip_serials(u16::from(left) - 0xb0);
                 }
-                Op::Burn(_) => {}
+                Op::SkipSerials(_) => {}
             }
             self.check();
         }
@@ -190,11 +190,13 @@ impl<R: Storage> Run<R> {
         }
     }
 
-    /// A new attempt is to be sent: a whole frame with a new serial.
+    /// Checks that the client sends a new attempt: a complete frame with a new serial.
     fn attempt(&mut self) {
         let link = self.client.link();
         let oracle = Oracle { limits: Limits::STREAM, strictness: Strictness::Strict, crc: link == Link::Serial };
-        let Verdict::Frame(frame, used) = oracle.decode(self.client.transmit()) else { panic!("no frame is sent") };
+        let Verdict::Frame(frame, used) = oracle.decode(self.client.transmit()) else {
+            panic!("the client sends an invalid frame")
+        };
         assert_eq!(used, self.client.transmit().len());
         assert!(used <= link.send_max());
         assert_ne!(frame.serial, 0);
@@ -203,12 +205,12 @@ impl<R: Storage> Run<R> {
         }
         assert_eq!(frame.reserved, if link.is_lossy() { self.model.first } else { 0 });
         assert!(!self.model.serials.contains(&frame.serial));
-        assert!(!self.model.is_unanswered(frame.serial), "a reply to it may still come");
+        assert!(!self.model.is_unanswered(frame.serial), "a late reply may still arrive with this serial");
         self.model.serials.push(frame.serial);
         self.model.last = frame.serial;
     }
 
-    /// The link takes bytes; all of a datagram.
+    /// The link accepts bytes; a datagram as a whole.
     fn take(&mut self, count: usize) {
         let len = self.client.transmit().len();
         let count = if self.client.link() == Link::Datagram { len } else { count.min(len) };
@@ -216,14 +218,14 @@ impl<R: Storage> Run<R> {
         self.model.sent |= count > 0;
     }
 
-    /// Lets a frame come; `cut` bytes of its end do not, on a stream.
+    /// Delivers a frame, on a stream without its last `cut` bytes.
     fn reply(&mut self, behind: u8, executing: bool, code: i32, args: Vec<AnyValue>, cut: u8) {
         let serial = self.model.last.wrapping_sub(u16::from(behind));
         let code = if executing { HResult::S_EXECUTING.0 } else { code };
         let args = args.into_iter().take(2).map(|AnyValue(value)| value).collect();
         let wire = TestFrame { serial, reserved: 0, code, args }.to_wire(self.client.link() == Link::Serial);
         let missing = if cut.is_multiple_of(4) { usize::from(cut).min(wire.len()) } else { 0 };
-        // what is too long for the line is searched for frames
+        // on a serial line, a receiver searches a frame that is too long for other frames
         self.model.clean &= missing == 0 && wire.len() <= self.client.link().send_max();
         self.model.is_final = self.model.clean.then_some(code != HResult::S_EXECUTING.0);
         self.receive(&wire[..wire.len() - missing]);
@@ -233,7 +235,7 @@ impl<R: Storage> Run<R> {
     fn too_large(&mut self, behind: u8) {
         let serial = self.model.last.wrapping_sub(u16::from(behind));
         let mut wire = vec![0; 600];
-        crate::frame::mend_frame(&mut wire, false);
+        crate::frame::fix_frame(&mut wire, false);
         wire[5..7].copy_from_slice(&serial.to_le_bytes());
         self.model.clean = false;
         self.receive(&wire);
@@ -243,25 +245,25 @@ impl<R: Storage> Run<R> {
         let mut rest = bytes;
         while !rest.is_empty() && !self.client.is_closed() {
             let room = self.client.receive_buffer();
-            assert!(!room.is_empty(), "everything was read, so there is room");
+            assert!(!room.is_empty(), "everything was read, but the buffer is full");
             let count = rest.len().min(room.len());
             room[..count].copy_from_slice(&rest[..count]);
             self.client.received(count);
             rest = if self.client.link() == Link::Datagram { &[] } else { &rest[count..] };
             while let Some(event) = self.client.poll_event(self.now) {
-                self.note(event);
+                self.check_event(event);
             }
         }
     }
 
-    /// Compares an event with what is known.
-    fn note(&mut self, event: Event) {
+    /// Compares an event with the model.
+    fn check_event(&mut self, event: Event) {
         match event {
             Event::Replied(code) => {
-                let frame = self.client.reply().expect("the reply can be read");
+                let frame = self.client.reply().expect("the reply is valid");
                 assert!(code == frame.hresult() && code != HResult::S_EXECUTING);
-                assert!(self.model.sent && self.model.serials.contains(&frame.serial), "it is the call's own");
-                assert!(!self.model.is_unanswered(frame.serial), "and no late one");
+                assert!(self.model.sent && self.model.serials.contains(&frame.serial), "a reply to another call");
+                assert!(!self.model.is_unanswered(frame.serial), "a late reply");
                 let _ = self.client.value::<call::Int>();
                 let _ = self.client.value::<call::Text>();
                 assert!(self.client.value::<call::Any>().is_ok());
@@ -280,7 +282,7 @@ impl<R: Storage> Run<R> {
                 self.attempt();
                 assert_eq!(usize::from(attempt), self.model.serials.len());
             }
-            // that a call runs is no answer
+            // S_EXECUTING is not an answer
             Event::Stale { .. } if self.model.is_final == Some(false) => {}
             Event::Stale { serial } => {
                 self.model.certain &= self.model.is_final.is_some();
@@ -295,7 +297,7 @@ impl<R: Storage> Run<R> {
         }
     }
 
-    /// The call in flight has ended, if there is one.
+    /// Updates the model at the end of the call in flight, if there is one.
     fn ended(&mut self, answered: bool) {
         let serials = std::mem::take(&mut self.model.serials);
         if self.model.sent && (serials.len() > 1 || (!answered && !serials.is_empty())) {
@@ -306,19 +308,19 @@ impl<R: Storage> Run<R> {
         }
     }
 
-    /// Lets time pass, with what that brings.
+    /// Moves the time to `to` and handles its timeouts.
     fn pass(&mut self, to: Instant) {
         self.now = to;
         for _ in 0..4 {
             match self.client.handle_timeout(self.now) {
-                Some(event) => self.note(event),
+                Some(event) => self.check_event(event),
                 None => return,
             }
         }
-        panic!("the same moment is due again and again");
+        panic!("the timeouts of one instant do not end");
     }
 
-    fn burn(&mut self, left: u16) {
+    fn skip_serials(&mut self, left: u16) {
         for _ in left..u16::MAX {
             if self.client.start(&call::service_stop(), self.client.timing(), self.now).is_err() {
                 return;
@@ -330,7 +332,7 @@ impl<R: Storage> Run<R> {
         }
     }
 
-    /// Whatever has happened, the call ends; and if the stream is good, so does the next, with its reply.
+    /// Checks that the call ends, and that the next one gets its reply if the stream is still valid.
     fn finish(mut self) {
         for _ in 0..600 {
             let Some(due) = self.client.poll_timeout() else { break };

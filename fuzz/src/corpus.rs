@@ -1,8 +1,8 @@
 //! The corpora: one tar archive of inputs for each target, `fuzz/corpus/TARGET.tar`.
 //!
-//! An archive depends on nothing but the names and bytes of its inputs: entries are sorted by name, and owner, mode and
-//! time are constants. Packing the same inputs twice gives the same bytes. It is not compressed, so git stores only the
-//! difference between two versions, and any `tar` reads it: the entries are named `TARGET/NAME`.
+//! An archive depends only on the names and bytes of its inputs: entries are sorted by name, and owner, mode and time are
+//! constants, so packing is reproducible. Archives are not compressed, so that git stores only the difference between two
+//! versions. Their entries are named `TARGET/NAME`.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -14,12 +14,12 @@ use tar::{Archive, Builder, EntryType, Header};
 /// The inputs of a target by name.
 pub type Inputs = BTreeMap<String, Vec<u8>>;
 
-/// Returns the folder of the archives, where cargo-fuzz expects the unpacked corpora as well.
+/// Returns the folder of the archives, where cargo-fuzz also expects the unpacked corpora.
 pub fn folder() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus")
 }
 
-/// Returns where the archive of a target is.
+/// Returns the path of a target's archive.
 pub fn archive_path(target: &str) -> PathBuf {
     folder().join(target).with_extension("tar")
 }
@@ -28,7 +28,7 @@ pub fn archive_path(target: &str) -> PathBuf {
 ///
 /// # Errors
 ///
-/// There is no archive, or it cannot be read.
+/// When the archive does not exist or cannot be read.
 pub fn read(target: &str) -> io::Result<Inputs> {
     let mut inputs = Inputs::new();
     for entry in Archive::new(File::open(archive_path(target))?).entries()? {
@@ -45,7 +45,7 @@ pub fn read(target: &str) -> io::Result<Inputs> {
 ///
 /// # Errors
 ///
-/// A name is too long for an archive.
+/// When a name is too long for an archive.
 pub fn archive(target: &str, inputs: &Inputs) -> io::Result<Vec<u8>> {
     let mut builder = Builder::new(Vec::new());
     for (name, bytes) in inputs {
@@ -61,11 +61,11 @@ pub fn archive(target: &str, inputs: &Inputs) -> io::Result<Vec<u8>> {
     builder.into_inner()
 }
 
-/// Writes the inputs of a target's archive into `folder/TARGET`, beside what is there; returns how many there are.
+/// Writes the inputs of a target's archive into `folder/TARGET`, and keeps other files there; returns their number.
 ///
 /// # Errors
 ///
-/// The archive cannot be read, or a file cannot be written.
+/// When the archive cannot be read, or a file cannot be written.
 pub fn unpack(target: &str, folder: &Path) -> io::Result<usize> {
     let inputs = read(target)?;
     let folder = folder.join(target);
@@ -76,11 +76,11 @@ pub fn unpack(target: &str, folder: &Path) -> io::Result<usize> {
     Ok(inputs.len())
 }
 
-/// Replaces the archive of a target by the files in `folder/TARGET`; returns how many there are.
+/// Replaces the archive of a target by the files in `folder/TARGET`; returns their number.
 ///
 /// # Errors
 ///
-/// A file cannot be read, or the archive cannot be written.
+/// When a file cannot be read, or the archive cannot be written.
 pub fn pack(target: &str, folder: &Path) -> io::Result<usize> {
     let mut inputs = Inputs::new();
     for entry in fs::read_dir(folder.join(target))? {
@@ -93,5 +93,7 @@ pub fn pack(target: &str, folder: &Path) -> io::Result<usize> {
 
 fn file_name(path: &Path) -> io::Result<String> {
     let name = path.file_name().and_then(|name| name.to_str()).map(String::from);
-    name.ok_or_else(|| io::Error::new(io::ErrorKind::InvalidData, format!("{} is no name of an input", path.display())))
+    name.ok_or_else(|| {
+        io::Error::new(io::ErrorKind::InvalidData, format!("{} is not a valid name of an input", path.display()))
+    })
 }

@@ -1,4 +1,4 @@
-//! Frames against the oracle.
+//! Fuzzes the frame decoder against the oracle.
 
 use bcap_core::bcap::{Decoder, Progress};
 use bcap_core::limits::{Limits, Strictness};
@@ -7,40 +7,44 @@ use bcap_testkit::oracle::{Oracle, Verdict};
 
 use crate::input::BOTH;
 
-/// Decodes bytes as the front of a stream and as a datagram, by the oracle too; with its first byte's bits as options:
-/// CRC, small limits, and a header that is mended so that what is behind it is reached.
+/// Decodes bytes as the start of a stream and as a datagram, and compares with the oracle.
+///
+/// The first byte holds options: CRC, small limits, and a fixed header, so that the decoder reaches the body.
 ///
 /// # Panics
 ///
-/// When the core is wrong.
+/// When an assertion about the core fails.
 pub fn frame(data: &[u8]) {
     let Some((options, rest)) = data.split_first() else { return };
     let (crc, small, mend) = (options & 1 != 0, options & 2 != 0, options & 4 != 0);
     let limits = if small { Limits { frame: 64, arguments: 2, depth: 1 } } else { Limits::STREAM };
     let mut bytes = rest.to_vec();
     if mend {
-        mend_frame(&mut bytes, crc);
+        fix_frame(&mut bytes, crc);
     }
     let [strict, lenient] = BOTH.map(|strictness| check(Decoder { limits, strictness, crc }, &bytes));
     if matches!(strict, Verdict::Frame(..)) {
-        assert_eq!(strict, lenient, "what is strictly right is leniently the same");
+        assert_eq!(strict, lenient, "a strictly valid frame decodes leniently to the same");
     }
     let decoder = Decoder { limits, strictness: Strictness::Strict, crc };
     let drop = decoder.resync(&bytes);
     assert!(drop <= bytes.len() && (drop > 0 || bytes.is_empty()));
-    assert!(decoder.frame_length(&bytes[drop..]).is_ok(), "what follows may begin a frame");
-    assert!((1..drop).all(|at| decoder.frame_length(&bytes[at..]).is_err()), "no beginning was passed over");
+    assert!(decoder.frame_length(&bytes[drop..]).is_ok(), "resynchronisation stops where a frame may begin");
+    assert!(
+        (1..drop).all(|at| decoder.frame_length(&bytes[at..]).is_err()),
+        "resynchronisation skips no possible frame"
+    );
 }
 
-/// Puts a right header, CRC and end around bytes that are long enough.
-pub(crate) fn mend_frame(bytes: &mut [u8], crc: bool) {
+/// Writes a valid header, CRC and end into bytes that are long enough.
+pub(crate) fn fix_frame(bytes: &mut [u8], crc: bool) {
     let length = bytes.len();
     if length < if crc { 18 } else { 16 } {
         return;
     }
     bytes[0] = 1;
     bytes[1..5].copy_from_slice(&(length as u32).to_le_bytes());
-    // few arguments, so that they are reached
+    // few arguments, so that the decoder reaches them
     bytes[13] &= 7;
     bytes[14] = 0;
     if crc {

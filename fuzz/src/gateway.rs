@@ -1,4 +1,4 @@
-//! A gateway between PLCs that send anything and a robot that answers anything.
+//! Fuzzes a gateway between PLCs that send arbitrary lines and a robot that gives arbitrary answers.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -17,12 +17,12 @@ use bcap_testkit::value::Value;
 
 use crate::input::AnyValue;
 
-const SEATS: usize = 3;
+const SLOTS: usize = 3;
 
-/// How many handles the gateway has room for.
+/// The capacity of the gateway's handle cache.
 const HANDLES: usize = 4;
 
-/// What may be written: some integers in a range, one float, short strings, positions with a figure, any output.
+/// The allowed PUTs: some integers in a range, one float, short strings, positions with a figure, any output.
 const PUT: [Allow<'static>; 5] = [
     Allow { values: &[Bounds { min: -100.0, max: 100.0 }], ..Allow::range(VariableKind::I, 2, 9) },
     Allow::range(VariableKind::F, 5, 5),
@@ -31,39 +31,39 @@ const PUT: [Allow<'static>; 5] = [
     Allow::all(VariableKind::Io),
 ];
 
-/// Something that happens.
+/// An operation.
 #[derive(Arbitrary, Debug)]
 enum Op {
     Open,
     Close(u8),
     Line {
-        seat: u8,
+        slot: u8,
         put: bool,
         kind: u8,
         index: u8,
         value: Text,
     },
     Bytes {
-        seat: u8,
+        slot: u8,
         bytes: Vec<u8>,
     },
-    /// A link takes bytes.
+    /// A client's link accepts bytes.
     Take {
-        seat: u8,
+        slot: u8,
         count: u8,
     },
     RobotOpened,
     RobotClosed,
-    /// The robot takes what is sent and does what it should.
+    /// The robot answers its call correctly.
     Obey,
-    /// It does so until it has nothing to do.
+    /// The robot answers several calls correctly.
     ObeyAll,
-    /// It answers the call with this.
+    /// The robot answers the call with this.
     Answer {
         code: i32,
         value: Option<AnyValue>,
     },
-    /// It answers another call.
+    /// The robot answers an earlier call.
     Stray {
         behind: u8,
         code: i32,
@@ -72,7 +72,7 @@ enum Op {
     Executing,
     Garbage(Vec<u8>),
     Pass(u16),
-    Due,
+    Timeout,
 }
 
 /// The value of a PUT.
@@ -110,18 +110,18 @@ impl Text {
     }
 }
 
-/// Runs a gateway through what the bytes say.
+/// Runs a gateway through the operations that the bytes encode.
 ///
 /// # Panics
 ///
-/// When the core is wrong.
+/// When an assertion about the core fails.
 pub fn gateway(data: &[u8]) {
     let Some((options, rest)) = data.split_first() else { return };
     let base = if options & 1 == 0 { Config::RC8 } else { Config::RC9 };
     let rate = if options & 2 == 0 { Rate::UNLIMITED } else { Rate { per_second: 5, burst: 3 } };
     let put = if options & 4 == 0 { &PUT[..] } else { &[] };
     let config = Config { rules: Rules { put, convert: options & 8 != 0, rate, ..Rules::READ_ONLY }, ..base };
-    let mut memory = Memory::<SEATS, HANDLES>::new();
+    let mut memory = Memory::<SLOTS, HANDLES>::new();
     let mut run = Run {
         gateway: Gateway::new(config, &mut memory),
         plcs: Vec::new(),
@@ -129,10 +129,10 @@ pub fn gateway(data: &[u8]) {
         now: Instant::from_millis(1),
         read_only: put.is_empty(),
     };
-    run.plug_in();
+    run.connect_plc();
     if options & 16 == 0 {
         run.open_robot();
-        run.go_on();
+        run.poll_until_idle();
         // Service_Start and Controller_Connect
         (0..2).for_each(|_| run.obey());
         assert!(run.gateway.is_up());
@@ -140,32 +140,33 @@ pub fn gateway(data: &[u8]) {
     let mut u = Unstructured::new(rest);
     while let (false, Ok(op)) = (u.is_empty(), Op::arbitrary(&mut u)) {
         run.apply(op);
-        run.go_on();
+        run.poll_until_idle();
     }
     run.finish();
 }
 
-/// A client as the test sees it.
+/// A client and its expected state.
 struct Plc {
     peer: PeerId,
-    /// Lines that have come whole, and answers that have left.
+    /// Complete lines received from the client.
     lines: usize,
-    /// Bytes that have come of a line that is not whole.
-    begun: usize,
-    /// What was sent of an answer that is not whole.
+    /// Received bytes of a partial line.
+    partial_len: usize,
+    /// Sent bytes of a partial answer.
     sent: Vec<u8>,
+    /// Complete answers sent to the client.
     answers: usize,
 }
 
 #[derive(Default)]
 struct Robot {
     open: bool,
-    /// What came of a frame that is not whole.
+    /// Received bytes of a partial frame.
     received: Vec<u8>,
-    /// The call that has no answer yet.
+    /// The unanswered call.
     call: Option<TestFrame>,
     last: u16,
-    /// Which variables a handle was given for that was not given back.
+    /// The handles that are not released, and the names of their variables.
     handles: BTreeMap<i32, BTreeSet<String>>,
     next_handle: i32,
 }
@@ -181,15 +182,15 @@ struct Run<'m> {
 impl Run<'_> {
     fn apply(&mut self, op: Op) {
         match op {
-            Op::Open => self.plug_in(),
-            Op::Close(seat) => {
-                if let Some(at) = self.seat(seat) {
+            Op::Open => self.connect_plc(),
+            Op::Close(slot) => {
+                if let Some(at) = self.slot(slot) {
                     let plc = self.plcs.remove(at);
                     self.gateway.close(plc.peer);
                     assert!(self.gateway.receive_buffer(plc.peer).is_empty() && !self.gateway.is_running(plc.peer));
                 }
             }
-            Op::Line { seat, put, kind, index, value } => {
+            Op::Line { slot, put, kind, index, value } => {
                 let kind = VariableKind::ALL[usize::from(kind) % VariableKind::ALL.len()];
                 let verb = if put { "PUT" } else { "GET" };
                 let mut line = format!("{verb}:RC8:{}:{kind}:", index % 16).into_bytes();
@@ -197,11 +198,11 @@ impl Run<'_> {
                     line.extend(value.bytes());
                 }
                 line.push(b'\r');
-                self.receive(seat, &line);
+                self.receive(slot, &line);
             }
-            Op::Bytes { seat, bytes } => self.receive(seat, &bytes),
-            Op::Take { seat, count } => {
-                if let Some(at) = self.seat(seat) {
+            Op::Bytes { slot, bytes } => self.receive(slot, &bytes),
+            Op::Take { slot, count } => {
+                if let Some(at) = self.slot(slot) {
                     self.take(at, usize::from(count));
                 }
             }
@@ -213,56 +214,56 @@ impl Run<'_> {
             Op::Answer { code, value } => self.answer(code, value.map(|AnyValue(value)| value)),
             Op::Stray { behind, code, value } => {
                 let serial = self.robot.last.wrapping_sub(u16::from(behind) + 1);
-                self.robot_says(serial, code, value.map(|AnyValue(value)| value));
+                self.send_reply(serial, code, value.map(|AnyValue(value)| value));
             }
-            Op::Executing => self.robot_says(self.robot.last, HResult::S_EXECUTING.0, None),
-            Op::Garbage(bytes) => self.robot_sends(&bytes),
+            Op::Executing => self.send_reply(self.robot.last, HResult::S_EXECUTING.0, None),
+            Op::Garbage(bytes) => self.send_from_robot(&bytes),
             Op::Pass(millis) => self.now = self.now + Duration::from_millis(u64::from(millis)),
-            Op::Due => self.now = self.gateway.poll_timeout().unwrap_or(self.now).max(self.now),
+            Op::Timeout => self.now = self.gateway.poll_timeout().unwrap_or(self.now).max(self.now),
         }
     }
 
-    fn seat(&self, seat: u8) -> Option<usize> {
-        usize::from(seat).checked_rem(self.plcs.len())
+    fn slot(&self, slot: u8) -> Option<usize> {
+        usize::from(slot).checked_rem(self.plcs.len())
     }
 
-    fn plug_in(&mut self) {
-        let seated = self.gateway.open();
-        assert_eq!(seated.is_some(), self.plcs.len() < SEATS);
-        if let Some(peer) = seated {
+    fn connect_plc(&mut self) {
+        let opened = self.gateway.open();
+        assert_eq!(opened.is_some(), self.plcs.len() < SLOTS);
+        if let Some(peer) = opened {
             assert!(self.plcs.iter().all(|plc| plc.peer != peer));
-            self.plcs.push(Plc { peer, lines: 0, begun: 0, sent: Vec::new(), answers: 0 });
+            self.plcs.push(Plc { peer, lines: 0, partial_len: 0, sent: Vec::new(), answers: 0 });
         }
     }
 
-    /// Lets bytes come from a client; what has no room is lost with its line, which this never counts then.
-    fn receive(&mut self, seat: u8, bytes: &[u8]) {
-        let Some(at) = self.seat(seat) else { return };
+    /// Delivers bytes from a client; a line that does not fit is dropped and not counted.
+    fn receive(&mut self, slot: u8, bytes: &[u8]) {
+        let Some(at) = self.slot(slot) else { return };
         let peer = self.plcs[at].peer;
         for byte in bytes {
             let room = self.gateway.receive_buffer(peer);
-            let Some(slot) = room.first_mut() else { return };
-            *slot = *byte;
+            let Some(first) = room.first_mut() else { return };
+            *first = *byte;
             self.gateway.received(peer, 1);
             let plc = &mut self.plcs[at];
             match byte {
-                b'\r' if plc.begun >= MAX_LINE => plc.begun = 0,
+                b'\r' if plc.partial_len >= MAX_LINE => plc.partial_len = 0,
                 b'\r' => {
                     plc.lines += 1;
-                    plc.begun = 0;
+                    plc.partial_len = 0;
                 }
-                b'\n' if plc.begun == 0 => {}
+                b'\n' if plc.partial_len == 0 => {}
                 _ => {
-                    plc.begun += 1;
+                    plc.partial_len += 1;
                     // an over-long line is answered before its end
-                    plc.lines += usize::from(plc.begun == MAX_LINE);
+                    plc.lines += usize::from(plc.partial_len == MAX_LINE);
                 }
             }
-            self.go_on();
+            self.poll_until_idle();
         }
     }
 
-    /// The link of a client takes bytes; whole answers are counted.
+    /// Accepts bytes for a client, and counts its complete answers.
     fn take(&mut self, at: usize, count: usize) {
         let plc = &mut self.plcs[at];
         let bytes = self.gateway.transmit(plc.peer);
@@ -274,7 +275,7 @@ impl Run<'_> {
             assert!(end < MAX_LINE && Response::parse(&plc.sent[..end], &mut memory).is_ok(), "{:02x?}", plc.sent);
             plc.sent.drain(..=end);
             plc.answers += 1;
-            assert!(plc.answers <= plc.lines, "an answer to nothing");
+            assert!(plc.answers <= plc.lines, "an answer without a line");
         }
     }
 
@@ -291,11 +292,11 @@ impl Run<'_> {
         self.gateway.robot_closed(self.now);
     }
 
-    /// Does what calls for doing, until nothing does.
-    fn go_on(&mut self) {
+    /// Polls the gateway until it has no event.
+    fn poll_until_idle(&mut self) {
         for _ in 0..200 {
             let event = self.gateway.poll_event(self.now);
-            self.robot_takes();
+            self.read_robot_bytes();
             if self.robot.open && !self.gateway.robot_wanted() {
                 self.close_robot();
                 continue;
@@ -306,11 +307,11 @@ impl Run<'_> {
                 assert!(self.robot.open && !request.to_string().is_empty());
             }
         }
-        panic!("the gateway never comes to an end");
+        panic!("the gateway does not stop producing events");
     }
 
-    /// The robot takes what is sent to it.
-    fn robot_takes(&mut self) {
+    /// Reads the bytes that the gateway sends to the robot.
+    fn read_robot_bytes(&mut self) {
         if !self.robot.open {
             return;
         }
@@ -322,21 +323,21 @@ impl Run<'_> {
             Verdict::Frame(frame, used) => {
                 assert_eq!(used, self.robot.received.len(), "one call at a time");
                 self.robot.received.clear();
-                self.judge(&frame);
+                self.check_call(&frame);
                 if let (true, [Value::I4(handle), ..]) = (frame.code == FunctionId::VARIABLE_RELEASE.0, &frame.args[..])
                 {
-                    assert!(self.robot.handles.remove(handle).is_some(), "{handle} is given back twice");
+                    assert!(self.robot.handles.remove(handle).is_some(), "handle {handle} is released twice");
                 }
                 self.robot.last = frame.serial;
                 self.robot.call = Some(frame);
             }
             Verdict::Incomplete => {}
-            Verdict::Refused => panic!("the robot is sent no frame"),
+            Verdict::Refused => panic!("the gateway sends an invalid frame"),
         }
     }
 
-    /// Nothing reaches the robot that the rules refuse.
-    fn judge(&self, frame: &TestFrame) {
+    /// Checks that the rules allow a call to the robot.
+    fn check_call(&self, frame: &TestFrame) {
         let known = [
             FunctionId::SERVICE_START,
             FunctionId::CONTROLLER_CONNECT,
@@ -350,13 +351,13 @@ impl Run<'_> {
         if frame.code != FunctionId::VARIABLE_PUT_VALUE.0 {
             return;
         }
-        assert!(!self.read_only, "nothing may be written");
+        assert!(!self.read_only, "the rules allow no PUT");
         let [Value::I4(handle), value] = &frame.args[..] else { panic!("{frame:?}") };
-        let names = self.robot.handles.get(handle).expect("a handle of this connection");
+        let names = self.robot.handles.get(handle).expect("the handle belongs to this connection");
         assert!(names.iter().any(|name| may_write(name, value)), "{names:?} := {value:?}");
     }
 
-    /// The robot does as it is told.
+    /// Answers the robot's call correctly.
     fn obey(&mut self) {
         let Some(call) = self.robot.call.clone() else { return };
         match FunctionId(call.code) {
@@ -373,7 +374,7 @@ impl Run<'_> {
         let Some(call) = self.robot.call.take() else { return };
         if code == HResult::S_EXECUTING.0 {
             self.robot.call = Some(call);
-            return self.robot_says(self.robot.last, code, value);
+            return self.send_reply(self.robot.last, code, value);
         }
         if code == HResult::E_HANDLE.0
             && let (true, Some(Value::I4(handle))) = (call.code != FunctionId::CONTROLLER_GET_NAME.0, call.args.first())
@@ -385,39 +386,39 @@ impl Run<'_> {
             && let (Some(handle), Some(Value::Bstr(name))) = (value.as_ref().and_then(handle_of), call.args.get(1))
         {
             self.robot.handles.entry(handle).or_default().insert(String::from_utf16_lossy(name));
-            assert!(self.robot.handles.len() <= HANDLES, "handles are given back before more are asked for");
+            assert!(self.robot.handles.len() <= HANDLES, "the gateway requests a handle before it releases one");
         }
-        self.robot_says(call.serial, code, value);
+        self.send_reply(call.serial, code, value);
     }
 
-    fn robot_says(&mut self, serial: u16, code: i32, value: Option<Value>) {
+    fn send_reply(&mut self, serial: u16, code: i32, value: Option<Value>) {
         let args = value.into_iter().collect();
-        self.robot_sends(&TestFrame { serial, reserved: 0, code, args }.to_wire(false));
+        self.send_from_robot(&TestFrame { serial, reserved: 0, code, args }.to_wire(false));
     }
 
-    fn robot_sends(&mut self, bytes: &[u8]) {
+    fn send_from_robot(&mut self, bytes: &[u8]) {
         let mut rest = bytes;
         while !rest.is_empty() && self.robot.open {
             let room = self.gateway.robot_receive_buffer();
-            assert!(!room.is_empty(), "everything was read, so there is room");
+            assert!(!room.is_empty(), "everything was read, but the buffer is full");
             let count = rest.len().min(room.len());
             room[..count].copy_from_slice(&rest[..count]);
             self.gateway.robot_received(count);
             rest = &rest[count..];
-            self.go_on();
+            self.poll_until_idle();
         }
     }
 
-    /// Whatever has happened, every whole line gets its answer in time.
+    /// Checks that every complete line gets an answer within its deadline.
     fn finish(mut self) {
         for _ in 0..2000 {
             (0..self.plcs.len()).for_each(|at| self.take(at, usize::MAX));
-            self.go_on();
+            self.poll_until_idle();
             if self.plcs.iter().all(|plc| plc.answers == plc.lines) {
                 return;
             }
             let busy = self.plcs.iter().any(|plc| self.gateway.is_running(plc.peer));
-            assert!(!busy || self.gateway.poll_timeout().is_some(), "a request that nothing will end");
+            assert!(!busy || self.gateway.poll_timeout().is_some(), "a request without a deadline");
             if busy && self.plcs.iter().all(|plc| self.gateway.transmit(plc.peer).is_empty()) {
                 self.now = self.gateway.poll_timeout().unwrap_or(self.now).max(self.now);
             }
@@ -426,7 +427,7 @@ impl Run<'_> {
     }
 }
 
-/// The handle in a reply, as a client reads it.
+/// Returns the handle in a reply, as a client reads it.
 fn handle_of(value: &Value) -> Option<i32> {
     match *value {
         Value::I2(n) => Some(n.into()),
@@ -440,7 +441,7 @@ fn handle_of(value: &Value) -> Option<i32> {
     }
 }
 
-/// The rules of [`PUT`], once more and by hand.
+/// An independent implementation of the rules in [`PUT`].
 fn may_write(name: &str, value: &Value) -> bool {
     let letters = name.trim_end_matches(|c: char| c.is_ascii_digit());
     let Ok(index) = name[letters.len()..].parse::<u32>() else { return false };

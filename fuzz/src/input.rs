@@ -60,7 +60,7 @@ fn scalar(vartype: u16, u: &mut Unstructured<'_>) -> Result<Value> {
     })
 }
 
-/// Doubles: any, whole ones, hundredths.
+/// Doubles: any bits, integers, hundredths.
 fn double_bits(u: &mut Unstructured<'_>) -> Result<u64> {
     Ok(match u.int_in_range(0..=3)? {
         0 => f64::from(u.arbitrary::<i32>()?).to_bits(),
@@ -69,7 +69,7 @@ fn double_bits(u: &mut Unstructured<'_>) -> Result<u64> {
     })
 }
 
-/// Dates: any double, or a whole second of a year that is near.
+/// Dates: any double, or a whole second of a recent year.
 fn date_bits(u: &mut Unstructured<'_>) -> Result<u64> {
     if u.arbitrary()? {
         return double_bits(u);
@@ -78,7 +78,7 @@ fn date_bits(u: &mut Unstructured<'_>) -> Result<u64> {
     Ok((seconds as f64 / 86_400.0).to_bits())
 }
 
-/// Strings: what has a meaning in text, or any units.
+/// Strings: characters with a meaning in the text format, or any units.
 fn units(u: &mut Unstructured<'_>) -> Result<Vec<u16>> {
     const SPECIAL: &[u8] = b"(),=: \t\r\n0aZ";
     let count = u.int_in_range(0..=12)?;
@@ -94,7 +94,7 @@ fn units(u: &mut Unstructured<'_>) -> Result<Vec<u16>> {
         .collect()
 }
 
-/// Cuts `bytes` into chunks of sizes from `sizes`, over and over; whole without sizes.
+/// Splits `bytes` into chunks with the sizes of `sizes`, repeated; without sizes, returns one chunk.
 pub(crate) fn chunks<'a>(bytes: &'a [u8], sizes: &'a [u8]) -> impl Iterator<Item = &'a [u8]> {
     let mut rest = bytes;
     let mut sizes = sizes.iter().cycle();

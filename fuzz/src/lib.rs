@@ -1,20 +1,20 @@
-//! The bodies of the fuzz targets: each takes any bytes, and panics when something is not as promised.
+//! The bodies of the fuzz targets: each takes arbitrary bytes and panics when a guarantee is broken.
 //!
-//! | target                | what is fed                                  | what must hold                                         |
+//! | target                | input                                        | guarantee                                              |
 //! |-----------------------|----------------------------------------------|--------------------------------------------------------|
-//! | [`frame`]             | bytes as a frame, as they are or mended      | the oracle's verdict and values, strict within lenient |
+//! | [`frame`]             | bytes as a frame, unchanged or fixed up      | the oracle's verdict and values, strict within lenient |
 //! | [`variant`]           | bytes as a value                             | the oracle's verdict and value; no accessor fails      |
 //! | [`text`]              | bytes as the text of a value                 | the oracle's verdict and value; columns in the text    |
-//! | [`rac_line`]          | bytes as lines, cut into chunks              | the lines of a plain split; written requests read back |
-//! | [`roundtrip_binary`]  | a made-up value                              | encoded and decoded the same                           |
-//! | [`roundtrip_text`]    | a made-up value, or a made-up float          | the same bits, or no text and an error; std's floats   |
-//! | [`stream`]            | bytes cut into chunks, on all three links    | the frames of one piece, on both sides                 |
+//! | [`rac_line`]          | bytes as lines, split into chunks            | the lines of a plain split; written requests read back |
+//! | [`roundtrip_binary`]  | a generated value                            | encoded and decoded to the same value                  |
+//! | [`roundtrip_text`]    | a generated value or float                   | the same bits, or no text and an error; std's floats   |
+//! | [`stream`]            | bytes split into chunks, on all three links  | the frames of the unsplit stream, on both sides        |
 //! | [`rac_client`]        | requests, lines, time in any order           | requests end once and in time, with their own response |
 //! | [`client`]            | calls, bytes, replies, time in any order     | calls end once and in time, with their own reply       |
-//! | [`server`]            | bytes, calls, waits, time in any order       | valid replies, checked calls, no handle left behind    |
+//! | [`server`]            | bytes, calls, waits, time in any order       | valid replies, checked calls, no leaked handle         |
 //! | [`gateway`]           | lines of PLCs, replies of a robot, any order | one answer a line; no PUT against the rules            |
 //! | [`sim`]               | calls and events of the virtual controller   | its invariants, and the same run twice                 |
-//! | [`slave`]             | replies, failures, poses, time in any order  | no motion after an error, no pose over a limit, an end |
+//! | [`slave`]             | replies, failures, poses, time in any order  | no motion after an error or over a limit; it ends      |
 //!
 //! They run under libFuzzer (`cargo fuzz run frame`), and as ordinary functions: `cargo test` replays the corpora
 //! ([`corpus`]).

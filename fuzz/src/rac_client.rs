@@ -1,4 +1,4 @@
-//! A client of RAC whose peer, link and user do anything at any time.
+//! Fuzzes a RAC client: its peer, link and user perform arbitrary operations in any order.
 
 use bcap_core::endpoint::Endpoint;
 use std::collections::VecDeque;
@@ -16,20 +16,20 @@ use bcap_testkit::value::Value;
 use crate::input::AnyValue;
 use crate::rac_line::split;
 
-/// Bytes of the fixed memory; a value that is larger does not fit it.
+/// Bytes of the fixed memory; a larger value does not fit.
 const ROOM: usize = 64;
 
-/// Something that happens.
+/// An operation.
 #[derive(Arbitrary, Debug)]
 enum Op {
     Start {
         kind: u8,
         value: Option<AnyValue>,
     },
-    /// The link takes this many bytes.
+    /// The link accepts this many bytes.
     Take(u8),
     TakeAll,
-    /// A response comes, the end of it at times not.
+    /// A response arrives, sometimes without its end.
     Reply {
         code: i32,
         value: Option<AnyValue>,
@@ -37,40 +37,40 @@ enum Op {
     },
     Line(Vec<u8>),
     Bytes(Vec<u8>),
-    /// So many bytes of one line.
+    /// This many bytes of one line.
     Long(u16),
     Pass(u16),
-    Due,
+    Timeout,
     Abandon,
     Reset,
 }
 
-/// What a client must keep to, told from what is on the wire alone.
+/// The expected state of the client, derived only from the bytes on the wire.
 #[derive(Default)]
 struct Model {
-    /// The request in flight, by the index of its variable, and when it ends at the latest.
+    /// The request in flight, by the index of its variable, and its deadline.
     in_flight: Option<(u32, Instant)>,
-    /// The index that the next request gets: no two are alike.
+    /// The index of the next request's variable; each request has another.
     next: u32,
-    /// Lines that have left whole and have no reply.
+    /// Completely sent lines without a reply.
     unanswered: VecDeque<u32>,
-    /// What has left of a line that is not whole.
+    /// Sent bytes of a partial line.
     sent: Vec<u8>,
-    /// The request whose line left last, or leaves.
+    /// The request whose line was sent last, or is being sent.
     sent_last: Option<u32>,
-    /// Everything that has come, and how many lines of it were reported.
+    /// All received bytes, and the number of their lines that were reported.
     received: Vec<u8>,
     reported: usize,
-    /// Whether a line had begun to come when the last request had left.
+    /// Whether a partial line had arrived when the last request was sent.
     early: bool,
     closed: bool,
 }
 
-/// Runs a client through what the bytes say; the first chooses its memory.
+/// Runs a client through the operations that the bytes encode; the first byte chooses its memory.
 ///
 /// # Panics
 ///
-/// When the core is wrong.
+/// When an assertion about the core fails.
 pub fn rac_client(data: &[u8]) {
     let Some((options, rest)) = data.split_first() else { return };
     let mut u = Unstructured::new(rest);
@@ -106,7 +106,7 @@ impl<V: Storage> Run<V> {
                 Op::Bytes(bytes) => self.receive(&bytes),
                 Op::Long(count) => self.receive(&vec![b'0'; usize::from(count % 1024)]),
                 Op::Pass(millis) => self.pass(self.now + Duration::from_millis(u64::from(millis))),
-                Op::Due => {
+                Op::Timeout => {
                     if let Some(due) = self.client.poll_timeout() {
                         self.pass(due.max(self.now));
                     }
@@ -153,10 +153,13 @@ impl<V: Storage> Run<V> {
         match self.client.start(&request, self.now) {
             Ok(()) => {
                 assert!(could && !self.model.closed);
-                assert!(self.client.is_owed() || !self.has_begun(), "what comes now is no reply to it");
+                assert!(
+                    self.client.is_owed() || !self.has_begun(),
+                    "a line that has begun to arrive cannot be its reply"
+                );
                 self.model.in_flight = Some((self.model.next, self.now + self.client.config().timeout));
                 self.model.next += 1;
-                assert!(self.client.transmit().is_empty() == self.client.is_owed(), "one at a time");
+                assert!(self.client.transmit().is_empty() == self.client.is_owed(), "one request at a time");
             }
             Err(ClientError::Closed) => assert!(self.model.closed),
             Err(ClientError::Busy) => assert!(!could && !self.model.closed),
@@ -165,30 +168,30 @@ impl<V: Storage> Run<V> {
                 assert!(self.client.transmit().is_empty());
             }
             Err(ClientError::Unsolicited) => {
-                assert!(could && self.has_begun() && !self.client.is_owed(), "nothing has come");
+                assert!(could && self.has_begun() && !self.client.is_owed(), "no line has begun to arrive");
                 self.model.closed = true;
             }
             Err(other) => panic!("{other}"),
         }
     }
 
-    /// Returns how much has come of a line that is not whole.
+    /// Returns the number of received bytes of a partial line.
     fn begun(&self) -> usize {
         let begun = self.model.received.rsplit(|b| *b == b'\r').next().unwrap_or_default();
         begun.iter().skip_while(|b| **b == b'\n').count()
     }
 
-    /// Tells whether a line has begun to come that was not reported, as one that is too long was.
+    /// Returns whether a partial line arrived that was not reported; an over-long line is reported before its end.
     fn has_begun(&self) -> bool {
         (1..MAX_LINE).contains(&self.begun())
     }
 
-    /// The link takes bytes, which are whole lines of requests in the order of their start.
+    /// Accepts bytes; they must be complete request lines in the order of their start.
     fn take(&mut self, count: usize) {
         let bytes = self.client.transmit();
         let count = count.min(bytes.len());
         if count > 0 && self.model.sent.is_empty() && !self.model.closed {
-            let (index, _) = self.model.in_flight.expect("only what is in flight begins to leave");
+            let (index, _) = self.model.in_flight.expect("only a request in flight is sent");
             assert!(self.model.unanswered.is_empty(), "a session carries one request at a time");
             self.model.sent_last = Some(index);
         }
@@ -196,7 +199,7 @@ impl<V: Storage> Run<V> {
         self.client.transmitted(count);
         if let [line @ .., b'\r'] = &self.model.sent[..] {
             let mut memory = [0; MAX_VALUE];
-            let request = Request::parse(line, &mut memory).expect("what is sent is a request");
+            let request = Request::parse(line, &mut memory).expect("the client sends valid requests");
             assert!(line.len() < MAX_LINE);
             assert!(Some(request.variable().index) == self.model.sent_last || self.model.closed);
             self.model.unanswered.push_back(request.variable().index);
@@ -206,7 +209,7 @@ impl<V: Storage> Run<V> {
         }
     }
 
-    /// Lets a response come; every fourth is cut.
+    /// Delivers a response; every fourth is truncated.
     fn reply(&mut self, code: i32, value: Option<&AnyValue>, cut: u8) {
         let mut line = code.to_string().into_bytes();
         if let Some(AnyValue(value)) = value {
@@ -225,7 +228,7 @@ impl<V: Storage> Run<V> {
         let mut rest = bytes;
         while !rest.is_empty() && !self.client.is_closed() {
             let room = self.client.receive_buffer();
-            assert!(!room.is_empty(), "everything was read, so there is room");
+            assert!(!room.is_empty(), "everything was read, but the buffer is full");
             let count = rest.len().min(room.len());
             room[..count].copy_from_slice(&rest[..count]);
             self.client.received(count);
@@ -233,16 +236,16 @@ impl<V: Storage> Run<V> {
             rest = &rest[count..];
             let lines = split(&self.model.received);
             while let Some(event) = self.client.poll_event(self.now) {
-                let line = lines.get(self.model.reported).expect("an event is a line");
+                let line = lines.get(self.model.reported).expect("each event belongs to a line");
                 self.model.reported += 1;
-                self.note(event, line.as_deref());
+                self.check_event(event, line.as_deref());
             }
-            assert!(self.model.closed || self.model.reported == lines.len(), "a line is an event");
+            assert!(self.model.closed || self.model.reported == lines.len(), "each line causes an event");
         }
     }
 
-    /// Compares an event with the line that has come: it belongs to the oldest request without a reply.
-    fn note(&mut self, event: Event, line: Option<&[u8]>) {
+    /// Compares an event with the received line, which belongs to the oldest request without a reply.
+    fn check_event(&mut self, event: Event, line: Option<&[u8]>) {
         let Some(index) = self.model.unanswered.pop_front().filter(|_| !self.model.early) else {
             assert_eq!(event, Event::Failed(ClientError::Unsolicited));
             self.model.closed = true;
@@ -274,7 +277,7 @@ impl<V: Storage> Run<V> {
         }
     }
 
-    /// Lets time pass, with what that brings.
+    /// Moves the time to `to` and handles its timeouts.
     fn pass(&mut self, to: Instant) {
         self.now = to;
         let Some(event) = self.client.handle_timeout(self.now) else { return };
@@ -284,11 +287,11 @@ impl<V: Storage> Run<V> {
         let held_back = !self.model.unanswered.is_empty() && !sent;
         let timeout = if held_back { Timeout::Outstanding } else { Timeout::Reply };
         assert_eq!(event, Event::Failed(ClientError::Timeout(timeout)));
-        assert!(sent || self.client.transmit().is_empty(), "what has not begun to leave never leaves");
+        assert!(sent || self.client.transmit().is_empty(), "an unsent request is discarded at its end");
         assert_eq!(self.client.handle_timeout(self.now), None);
     }
 
-    /// Whatever has happened, the request ends; and with what is owed, the next gets its own reply.
+    /// Checks that the request ends, and that the next one gets its own reply after the outstanding ones.
     fn finish(mut self) {
         self.take(usize::MAX);
         if let Some(due) = self.client.poll_timeout() {
@@ -303,7 +306,7 @@ impl<V: Storage> Run<V> {
             return;
         }
         if !self.model.unanswered.is_empty() {
-            // a line that is too long was the reply to an earlier request, so its end is none
+            // an over-long line was the reply to an earlier request, so its end is not a reply
             self.receive(if self.begun() < MAX_LINE { b"7\r" } else { b"\r7\r" });
         } else if self.has_begun() {
             return;

@@ -1,4 +1,4 @@
-//! Lines of RAC: cutting, requests, responses.
+//! Fuzzes RAC lines: splitting, requests, responses.
 
 use bcap_core::endpoint::{Endpoint, Serve};
 use std::collections::BTreeMap;
@@ -14,12 +14,14 @@ use bcap_testkit::value::Value;
 use crate::input::chunks;
 use crate::text::check_error;
 
-/// Cuts bytes into lines, in chunks whose sizes are the first four bytes, reads each as a request and a response, and
-/// feeds them to a server, which answers each line once, the same however they are cut.
+/// Splits bytes into lines and parses each as a request and as a response.
+///
+/// The bytes arrive in chunks; the first four bytes are their sizes. A server must answer each line once, and the answers
+/// must not depend on the chunks.
 ///
 /// # Panics
 ///
-/// When the core is wrong.
+/// When an assertion about the core fails.
 pub fn rac_line(data: &[u8]) {
     let Some((sizes, bytes)) = data.split_at_checked(4) else { return };
     let mut framer = LineFramer::<MAX_LINE>::new();
@@ -28,7 +30,7 @@ pub fn rac_line(data: &[u8]) {
         while !chunk.is_empty() {
             let room = framer.receive_buffer();
             let count = chunk.len().min(room.len());
-            assert!(count > 0, "all lines were taken, so there is room");
+            assert!(count > 0, "all lines were taken, but the buffer is full");
             room[..count].copy_from_slice(&chunk[..count]);
             framer.received(count);
             chunk = &chunk[count..];
@@ -47,9 +49,9 @@ pub fn rac_line(data: &[u8]) {
     let answers: Vec<&[u8]> = answers.split_inclusive(|b| *b == b'\r').collect();
     assert_eq!(answers.len(), lines.len());
     for (answer, line) in answers.iter().zip(lines) {
-        let (cr, text) = answer.split_last().expect("it has a CR");
+        let (cr, text) = answer.split_last().expect("the answer ends with a CR");
         let mut memory = [0; MAX_VALUE];
-        let response = Response::parse(text, &mut memory).expect("the server answers in lines");
+        let response = Response::parse(text, &mut memory).expect("the server sends valid responses");
         assert!(*cr == b'\r' && answer.len() <= MAX_LINE);
         let mut memory = [0; MAX_VALUE];
         let good = line.is_some_and(|line| Request::parse(&line, &mut memory).is_ok());
@@ -57,7 +59,7 @@ pub fn rac_line(data: &[u8]) {
     }
 }
 
-/// Keeps what is put.
+/// A handler that stores the values of PUTs.
 #[derive(Default)]
 struct Store(BTreeMap<Variable, VariantBuf<MAX_VALUE>>);
 
@@ -66,7 +68,7 @@ impl Handler for Store {
         match *request {
             Request::Get(variable) => {
                 let Some(kept) = self.0.get(&variable) else { return HResult::E_INVALIDARG.into() };
-                // one that does not fit is the server's to answer
+                // the server answers for a value that does not fit
                 let _ = reply.set(kept);
             }
             Request::Put(variable, value) => {
@@ -77,7 +79,7 @@ impl Handler for Store {
     }
 }
 
-/// Returns what a server answers to all of it.
+/// Returns a server's answers to `bytes`.
 fn serve(bytes: &[u8], sizes: &[u8]) -> Vec<u8> {
     let mut session = Session::new(Config::TCP, [0; MAX_VALUE]);
     let mut store = Store::default();
@@ -86,7 +88,7 @@ fn serve(bytes: &[u8], sizes: &[u8]) -> Vec<u8> {
         while !chunk.is_empty() {
             let room = session.receive_buffer();
             let count = chunk.len().min(room.len());
-            assert!(count > 0, "all lines were answered, so there is room");
+            assert!(count > 0, "all lines were answered, but the buffer is full");
             room[..count].copy_from_slice(&chunk[..count]);
             session.received(count);
             chunk = &chunk[count..];
@@ -103,7 +105,7 @@ fn serve(bytes: &[u8], sizes: &[u8]) -> Vec<u8> {
     answers
 }
 
-/// Cuts bytes into lines the obvious way; `None` stands for one that is too long.
+/// Splits bytes into lines in the simplest way; `None` is an over-long line.
 pub(crate) fn split(bytes: &[u8]) -> Vec<Option<Vec<u8>>> {
     let mut pieces: Vec<&[u8]> = bytes.split(|b| *b == b'\r').collect();
     let trimmed = |mut line: &[u8]| {
@@ -114,7 +116,7 @@ pub(crate) fn split(bytes: &[u8]) -> Vec<Option<Vec<u8>>> {
     };
     let begun = pieces.pop().map(trimmed);
     let mut lines: Vec<_> = pieces.into_iter().map(trimmed).collect();
-    // one that is too long shows before its end comes
+    // an over-long line is reported before its end arrives
     if begun == Some(None) {
         lines.push(None);
     }
@@ -154,10 +156,13 @@ fn response(line: &[u8]) {
         assert_eq!(Response::parse(&written[..written.len() - 1], &mut memory), Ok(response));
     }
     let text = line.iter().position(|b| *b == b',').map(|at| &line[at + 1..]);
-    assert_eq!(response.value.map(Value::read), text.map(|text| bcap_testkit::text::parse(text).expect("it was read")));
+    assert_eq!(
+        response.value.map(Value::read),
+        text.map(|text| bcap_testkit::text::parse(text).expect("the oracle parses it too"))
+    );
 }
 
-/// Returns the value behind the last colon of a request, by the oracle.
+/// Returns the value after the last colon of a request, by the oracle.
 fn line_value(line: &[u8], fields: usize) -> Option<Value> {
     let text = line.splitn(fields, |b| *b == b':').nth(fields - 1)?;
     bcap_testkit::text::parse(text)

@@ -1,4 +1,4 @@
-//! Made-up values there and back again.
+//! Fuzzes round trips of generated values.
 
 use std::fmt::Write as _;
 
@@ -15,11 +15,11 @@ use crate::text::Owned;
 
 const DEEPEST: Limits = Limits { depth: MAX_DEPTH, ..Limits::STREAM };
 
-/// Makes a frame of values up, encodes it, and decodes it.
+/// Generates a frame of values, encodes it and decodes it.
 ///
 /// # Panics
 ///
-/// When the core is wrong.
+/// When an assertion about the core fails.
 pub fn roundtrip_binary(data: &[u8]) {
     let mut u = Unstructured::new(data);
     let Ok((crc, serial, reserved, code)) = u.arbitrary::<(bool, u16, u16, i32)>() else { return };
@@ -46,7 +46,7 @@ pub fn roundtrip_binary(data: &[u8]) {
         let cut = usize::from(serial) % wire.len();
         assert!(matches!(decoder.decode(&wire[..cut]), Ok(Progress::NeedMore(_))));
     }
-    // one byte less, and it does not fit
+    // with one byte less the frame does not fit
     let less = buffer.len() - 1;
     let refused = FrameWriter::new(&mut buffer[..less]).and_then(|writer| {
         let mut writer = writer.with_crc(crc);
@@ -63,17 +63,17 @@ fn value_there_and_back(value: &Value) {
     value.encode(&mut out).expect("it fits");
     assert_eq!(out.as_bytes(), wire);
     for strictness in BOTH {
-        let decoded = Variant::decode(&wire, &DEEPEST, strictness).expect("it is canonical");
+        let decoded = Variant::decode(&wire, &DEEPEST, strictness).expect("the encoding is canonical");
         assert_eq!(&Value::read(decoded), value);
     }
 }
 
-/// Makes a value up and writes it as text, which must read back; or makes the text of a float up, which must read as the
-/// standard library reads it.
+/// Generates a value and checks that its text parses to the same; or generates the text of a float and checks that it
+/// parses as in the standard library.
 ///
 /// # Panics
 ///
-/// When the core is wrong.
+/// When an assertion about the core fails.
 pub fn roundtrip_text(data: &[u8]) {
     let mut u = Unstructured::new(data);
     match u.arbitrary::<u8>() {
@@ -92,7 +92,7 @@ fn text_there_and_back(value: &Value) {
     if wire.len() > 4096 {
         return;
     }
-    let variant = Variant::decode(&wire, &DEEPEST, Strictness::Strict).expect("it is canonical");
+    let variant = Variant::decode(&wire, &DEEPEST, Strictness::Strict).expect("the encoding is canonical");
     let mut buffer = vec![0; 64 * 1024];
     match variant.to_text(&mut buffer) {
         Ok(text) => {
@@ -110,7 +110,7 @@ fn text_there_and_back(value: &Value) {
     }
 }
 
-/// Makes the text of a number up: a float's own digits or its neighbour's middle, cut or prolonged; or any digits.
+/// Generates the text of a number: a float's digits, or the midpoint to its neighbour, cut or extended; or any digits.
 fn float_text(kind: u8, u: &mut Unstructured<'_>) -> arbitrary::Result<()> {
     let mut text = String::new();
     match kind % 4 {
@@ -124,7 +124,7 @@ fn float_text(kind: u8, u: &mut Unstructured<'_>) -> arbitrary::Result<()> {
             let _ = write!(text, "{number:.digits$e}");
         }
         2 => {
-            // the middle of two singles or doubles is a number of the next wider kind, in all its digits
+            // the midpoint of two singles or doubles is exact in the next wider type
             let bits: u32 = u.arbitrary()?;
             let (low, high) = (f64::from(f32::from_bits(bits)), f64::from(f32::from_bits(bits.wrapping_add(1))));
             let middle = (low + high).abs() / 2.0;

@@ -1,4 +1,4 @@
-//! A server's session whose peer, link and handler do anything at any time.
+//! Fuzzes a server's session: its peer, link and handler perform arbitrary operations in any order.
 
 use bcap_core::endpoint::{Endpoint, Serve, ServerEndpoint};
 use std::time::Duration;
@@ -19,13 +19,13 @@ use crate::input::AnyValue;
 
 const PEER: PeerId = PeerId(3);
 const OBJECTS: usize = 5;
-/// The memory each way that a session which can grow begins with.
+/// The initial memory in each direction of a session that can grow.
 const ROOM: usize = 64;
 
-/// Something that happens.
+/// An operation.
 #[derive(Arbitrary, Debug)]
 enum Op {
-    /// A request comes; its handles are mostly good.
+    /// A request arrives; most of its handles are valid.
     Call {
         function: u8,
         retry: u8,
@@ -35,12 +35,12 @@ enum Op {
     },
     Start(Options),
     Bytes(Vec<u8>),
-    /// The link takes this many bytes.
+    /// The link accepts this many bytes.
     Take(u8),
     Pass(u16),
-    Due,
-    /// The handler is asked, as when something else has changed; before that, memory is given back in every other run.
-    Ask,
+    Timeout,
+    /// Polls the handler, as after a change by another client; in every other run, releases memory before.
+    Poll,
 }
 
 /// Options of Service_Start.
@@ -52,38 +52,38 @@ enum Options {
     Text(String),
 }
 
-/// What the handler does with a call.
+/// The handler's result for a call.
 #[derive(Arbitrary, Clone, Debug)]
 enum Plan {
     Succeed,
     Answer(AnyValue),
     Refuse(i32),
     Wait(u16),
-    /// Asks to be asked at a time that has passed.
+    /// Requests to be polled at a time in the past.
     WaitForPast,
-    /// Answers with far too much.
+    /// Answers with a value that is far too large.
     Flood,
 }
 
-/// The application, which knows what it may be asked.
+/// The application, with the expected state of the session.
 struct Application {
     plans: Vec<Plan>,
     next_plan: usize,
     open: Vec<(Object, i32)>,
     next_handle: i32,
-    /// The function that was answered with a wait.
+    /// The function of the waiting request.
     waiting: Option<FunctionId>,
     left: u32,
-    /// On datagrams: the call that came last, by first serial and function, and the one that was begun last.
+    /// On datagrams, by first serial and function: the last received call, and the last started call.
     current: Option<(u16, FunctionId)>,
     begun: Option<(u16, FunctionId)>,
 }
 
-/// Runs a session through what the bytes say.
+/// Runs a session through the operations that the bytes encode.
 ///
 /// # Panics
 ///
-/// When the core is wrong.
+/// When an assertion about the core fails.
 pub fn server(data: &[u8]) {
     let Some((options, rest)) = data.split_first() else { return };
     let base = [Config::TCP, Config::UDP, Config::SERIAL, Config::TCP][usize::from(options & 3)];
@@ -118,7 +118,10 @@ impl Handler for Application {
             return HResult::S_OK.into();
         }
         if !request.resumed && self.current.is_some() {
-            assert!(self.begun != self.current || function == FunctionId::SERVICE_START, "a repetition was executed");
+            assert!(
+                self.begun != self.current || function == FunctionId::SERVICE_START,
+                "a retransmission was executed"
+            );
             self.begun = self.current;
         }
         self.carry_out(function, reply, now)
@@ -143,7 +146,7 @@ impl Application {
             assert!(kind.accepts(&value));
         }
         if let Some(Kind::Handle(object)) = signature.arguments.first() {
-            assert!(self.open.contains(&(*object, request.handle())), "{} was not given", request.handle());
+            assert!(self.open.contains(&(*object, request.handle())), "handle {} was not issued", request.handle());
         }
         assert_eq!(request.resumed, self.waiting.is_some());
         assert!(self.waiting.is_none_or(|function| function == request.function));
@@ -194,20 +197,21 @@ struct Run<T> {
     link: Link,
     now: Instant,
     serial: u16,
-    /// The last request, which may be repeated.
+    /// The last request, which may be retransmitted.
     last: Option<TestFrame>,
-    /// Serials of requests that may be answered; any of them on a stream with garbage in it.
-    asked: Vec<u16>,
+    /// Serials of requests that may be answered.
+    requested: Vec<u16>,
+    /// Whether only complete frames arrived; otherwise a reply may have any serial.
     clean: bool,
-    /// Whether noise that begins no frame is passed over.
+    /// Whether noise that does not begin a frame is skipped.
     skips_noise: bool,
-    /// Whether a frame that comes whole now is seen as one: nothing has come that may be the beginning of another.
-    in_step: bool,
-    /// The request that runs, by first serial and function, where that is certain.
+    /// Whether the session will decode the next complete frame: no received byte may begin another frame.
+    synchronized: bool,
+    /// The running request, by first serial and function, where that is certain.
     running: Option<(u16, FunctionId)>,
-    /// What was sent and is not a whole frame yet.
+    /// Sent bytes of a partial frame.
     sent: Vec<u8>,
-    /// Whether memory is given back now and then.
+    /// Whether [`Op::Poll`] releases memory.
     shrinks: bool,
 }
 
@@ -230,10 +234,10 @@ impl<T: Storage> Run<T> {
             now: Instant::from_millis(1),
             serial: 0,
             last: None,
-            asked: Vec::new(),
+            requested: Vec::new(),
             clean: true,
             skips_noise: config.on_malformed == OnMalformed::Resync,
-            in_step: true,
+            synchronized: true,
             running: None,
             sent: Vec::new(),
             shrinks: false,
@@ -258,22 +262,22 @@ impl<T: Storage> Run<T> {
                 }
                 Op::Bytes(bytes) => {
                     self.clean = false;
-                    self.in_step &= self.skips_noise && (self.link == Link::Datagram || !bytes.contains(&1));
+                    self.synchronized &= self.skips_noise && (self.link == Link::Datagram || !bytes.contains(&1));
                     self.receive(&bytes, None);
                 }
                 Op::Take(count) => self.take(usize::from(count)),
                 Op::Pass(millis) => self.now = self.now + Duration::from_millis(u64::from(millis)),
-                Op::Due => self.now = self.session.poll_timeout().unwrap_or(self.now).max(self.now),
-                Op::Ask if self.shrinks => self.shrink(),
-                Op::Ask => {}
+                Op::Timeout => self.now = self.session.poll_timeout().unwrap_or(self.now).max(self.now),
+                Op::Poll if self.shrinks => self.shrink(),
+                Op::Poll => {}
             }
             self.serve();
         }
         self.finish();
     }
 
-    /// Makes a request up and lets it come; every eighth is a repetition, every eighth is cut, and every eighth comes
-    /// behind noise of the line.
+    /// Generates and delivers a request. Every eighth is a retransmission, every eighth is truncated, and every eighth
+    /// follows noise on the line.
     fn request(&mut self, function: FunctionId, retry: u8, values: Vec<AnyValue>, wrong_handle: bool, cut: u8) {
         let kinds = function.signature().map_or(&[][..], |signature| signature.arguments);
         let mut values = values.into_iter().map(|AnyValue(value)| value);
@@ -289,19 +293,19 @@ impl<T: Storage> Run<T> {
         if cut.is_multiple_of(8) {
             self.clean = false;
             wire.truncate(wire.len().saturating_sub(usize::from(cut)));
-            self.in_step &= cut == 0 || self.link == Link::Datagram;
+            self.synchronized &= cut == 0 || self.link == Link::Datagram;
         }
-        // what is too long for the line is searched for frames
+        // on a serial line, a receiver searches a frame that is too long for other frames
         let fits = wire.len() <= self.link.send_max();
         self.clean &= fits;
-        self.in_step &= fits || self.link == Link::Datagram;
-        self.asked.push(self.serial);
+        self.synchronized &= fits || self.link == Link::Datagram;
+        self.requested.push(self.serial);
         if cut % 8 == 7 && self.link == Link::Serial {
             self.clean = false;
-            self.in_step &= self.skips_noise;
+            self.synchronized &= self.skips_noise;
             wire.insert(0, 0xff);
         }
-        let certain = self.in_step && fits && self.session.transmit().is_empty() && self.room(wire.len());
+        let certain = self.synchronized && fits && self.session.transmit().is_empty() && self.room(wire.len());
         let (was_running, complete) = (self.session.is_running(), !cut.is_multiple_of(8) || cut == 0);
         self.receive(&wire, Some((first, function)));
         if self.link.is_lossy() && certain && complete {
@@ -313,15 +317,17 @@ impl<T: Storage> Run<T> {
         }
     }
 
-    /// Tells whether so many bytes have room at once.
+    /// Returns whether `count` bytes fit into the receive buffer at once.
     fn room(&mut self, count: usize) -> bool {
         count <= self.session.receive_buffer().len()
     }
 
-    /// A repetition of the request that runs is told at once that it runs, whatever noise came before it.
+    /// Checks that a retransmission of the running request is answered with S_EXECUTING at once, also after noise.
     fn expect_executing(&self) {
         let oracle = Oracle { limits: Limits::STREAM, strictness: Strictness::Strict, crc: self.link == Link::Serial };
-        let Verdict::Frame(frame, _) = oracle.decode(self.session.transmit()) else { panic!("it was not answered") };
+        let Verdict::Frame(frame, _) = oracle.decode(self.session.transmit()) else {
+            panic!("the retransmission was not answered")
+        };
         assert_eq!((frame.serial, frame.code), (self.serial, HResult::S_EXECUTING.0));
     }
 
@@ -339,7 +345,7 @@ impl<T: Storage> Run<T> {
         }
     }
 
-    /// Lets bytes come; those that have no room are lost with a datagram, and wait on a stream.
+    /// Delivers bytes. Bytes that do not fit are dropped on datagrams and wait on a stream.
     fn receive(&mut self, bytes: &[u8], call: Option<(u16, FunctionId)>) {
         let mut rest = bytes;
         for _ in 0..1000 {
@@ -352,10 +358,13 @@ impl<T: Storage> Run<T> {
                 return;
             }
             if count == 0 {
-                // nobody reads while a request runs, or a reply waits to be sent
-                assert!(self.session.is_running() || !self.session.transmit().is_empty(), "nothing else is in the way");
+                // the session does not read while a request runs or a reply is unsent
+                assert!(
+                    self.session.is_running() || !self.session.transmit().is_empty(),
+                    "the buffer is full for no other reason"
+                );
                 self.take(usize::MAX);
-                // a handler that waits for the past is asked every millisecond, so time must get on by itself
+                // a handler that waits for a past time is polled every millisecond, so the time must advance here
                 let due = self.session.poll_timeout().unwrap_or(self.now).max(self.now);
                 self.now = due + Duration::from_secs(1);
                 self.serve();
@@ -374,10 +383,10 @@ impl<T: Storage> Run<T> {
             rest = &rest[count..];
             self.serve();
         }
-        panic!("the session never makes room");
+        panic!("the receive buffer stays full");
     }
 
-    /// Lets the session go on as far as it can.
+    /// Runs the session until it makes no progress.
     fn serve(&mut self) {
         for _ in 0..2000 {
             let was_running = self.session.is_running();
@@ -385,7 +394,9 @@ impl<T: Storage> Run<T> {
             match event {
                 Some(Event::Malformed(error)) => assert!(!error.to_string().is_empty()),
                 Some(Event::Repeated { .. } | Event::KeptAlive) => assert!(was_running || self.link.is_lossy()),
-                Some(Event::Served { .. }) => assert!(!self.session.transmit().is_empty(), "there is room for a code"),
+                Some(Event::Served { .. }) => {
+                    assert!(!self.session.transmit().is_empty(), "the send buffer has room for a result code")
+                }
                 _ => {}
             }
             assert_eq!(self.session.is_running(), self.application.waiting.is_some());
@@ -395,15 +406,15 @@ impl<T: Storage> Run<T> {
             if event.is_none() {
                 if self.session.transmit().is_empty() {
                     let due = self.session.poll_timeout();
-                    assert!(due.is_none_or(|due| due > self.now), "what is due is done");
+                    assert!(due.is_none_or(|due| due > self.now), "a deadline in the past was not handled");
                 }
                 return;
             }
         }
-        panic!("the session never comes to an end");
+        panic!("the session does not stop making progress");
     }
 
-    /// Gives memory back; what is to be sent, what has come and what runs must stay as it was.
+    /// Releases memory; unsent bytes, received bytes and the running request must not change.
     fn shrink(&mut self) {
         let (sending, partial) = (self.session.transmit().to_vec(), self.session.is_receiving());
         self.session.shrink(ROOM);
@@ -421,17 +432,21 @@ impl<T: Storage> Run<T> {
         let oracle = Oracle { limits: Limits::STREAM, strictness: Strictness::Strict, crc: self.link == Link::Serial };
         match oracle.decode(&self.sent) {
             Verdict::Frame(frame, used) => {
-                assert_eq!(used, self.sent.len(), "one at a time");
+                assert_eq!(used, self.sent.len(), "one frame at a time");
                 assert!(frame.reserved == 0 && frame.args.len() <= 1 && used <= self.link.send_max());
-                assert!(!self.clean || self.asked.contains(&frame.serial), "nobody asked with {}", frame.serial);
+                assert!(
+                    !self.clean || self.requested.contains(&frame.serial),
+                    "no request has the serial {}",
+                    frame.serial
+                );
                 self.sent.clear();
             }
             Verdict::Incomplete => assert!(self.link != Link::Datagram || self.sent.is_empty()),
-            Verdict::Refused => panic!("what is sent is no frame: {:02x?}", self.sent),
+            Verdict::Refused => panic!("the session sends an invalid frame: {:02x?}", self.sent),
         }
     }
 
-    /// What runs ends in time, and nothing is left behind.
+    /// Checks that the running request ends within its deadline, and that no object remains open.
     fn finish(mut self) {
         for _ in 0..4000 {
             self.take(usize::MAX);

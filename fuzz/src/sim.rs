@@ -1,4 +1,4 @@
-//! The virtual controller: any calls of any clients, with anything happening around it.
+//! Fuzzes the virtual controller with arbitrary calls of several clients and arbitrary external events.
 
 use std::time::Duration;
 
@@ -14,7 +14,7 @@ use bcap_testkit::value::{VARIANT, Value};
 use crate::input::AnyValue;
 use crate::world::{CLIENTS, Trace, World};
 
-/// One thing that happens.
+/// An operation.
 #[derive(Arbitrary, Clone, Debug)]
 enum Step {
     Call {
@@ -39,7 +39,7 @@ enum Step {
         pose: Pose,
         option: u8,
     },
-    /// TakeArm, Motor, slvChangeMode and a pose, which may or may not be possible.
+    /// TakeArm, Motor, slvChangeMode and a pose; each may fail.
     Slave {
         peer: u8,
         mode: u8,
@@ -195,7 +195,7 @@ const WORDS: &[&str] = &[
     "@EventDisable=true",
 ];
 
-/// What may be wrong from the beginning, or go wrong by the clock.
+/// Scenarios: faults from the start, and faults at a time.
 const SCENARIOS: &[&str] = &[
     "",
     "[controller]\nmotor = true",
@@ -261,11 +261,11 @@ impl Arg {
     }
 }
 
-/// Runs a controller through what the bytes say, twice.
+/// Runs a controller twice through the operations that the bytes encode, and compares the answers.
 ///
 /// # Panics
 ///
-/// When the controller is wrong.
+/// When an assertion about the controller fails.
 pub fn sim(data: &[u8]) {
     let Some((options, rest)) = data.split_first() else { return };
     let mut u = Unstructured::new(rest);
@@ -276,11 +276,7 @@ pub fn sim(data: &[u8]) {
     let profile = [Profile::Rc8, Profile::Rc9, Profile::Cobotta][usize::from(options % 3)];
     let scenario = SCENARIOS[usize::from(options / 3) % SCENARIOS.len()];
     let scenario = Scenario::parse(scenario).expect("a scenario of the list");
-    assert_eq!(
-        run(&steps, profile, &scenario),
-        run(&steps, profile, &scenario),
-        "the same steps give the same answers"
-    );
+    assert_eq!(run(&steps, profile, &scenario), run(&steps, profile, &scenario), "the controller is not deterministic");
 }
 
 fn run(steps: &[Step], profile: Profile, scenario: &Scenario) -> Trace {
@@ -292,7 +288,7 @@ fn run(steps: &[Step], profile: Profile, scenario: &Scenario) -> Trace {
     world.finish()
 }
 
-/// The client that a byte stands for.
+/// Returns the client that a byte selects.
 fn client(byte: u8) -> u32 {
     u32::from(byte) % CLIENTS
 }
@@ -319,7 +315,7 @@ impl Step {
             }
             Self::Slave { peer, mode, pose } => {
                 let mode = [0x001, 0x002, 0x101, 0x102, 0x202, 0][usize::from(mode % 6)];
-                // near to where the arm stands at first
+                // near the arm's initial pose
                 let mut at = [0.0, 45.0, 90.0, 0.0, 45.0, 0.0, 0.0, 0.0];
                 at.iter_mut().zip(pose).for_each(|(angle, turn)| *angle += f64::from(*turn) / 512.0);
                 world.slave(client(*peer), mode, at);
@@ -333,7 +329,7 @@ impl Step {
         }
     }
 
-    /// What is done to the controller from outside.
+    /// Applies an external event to the controller.
     fn disturb(&self, world: &mut World) {
         let (sim, now) = (&mut world.sim, world.now);
         match self {
@@ -355,7 +351,7 @@ impl Step {
     }
 }
 
-/// Makes a call with arguments of the kinds that the table wants.
+/// Makes a call with arguments of the kinds in the function table.
 fn any_call(world: &mut World, peer: u32, function: u8, guess: u8, args: &[Arg; 3]) {
     let function = FunctionId(i32::from(function % 140));
     let Some(signature) = function.signature() else { return };

@@ -1,4 +1,4 @@
-//! An engine of Slave Mode whose controller, connections, poses and clock do anything at any time.
+//! Fuzzes an engine of Slave Mode with arbitrary replies, failures, poses and times.
 
 use std::time::Duration;
 
@@ -18,7 +18,7 @@ use bcap_testkit::value::{VARIANT, Value};
 
 use crate::input::AnyValue;
 
-/// What is streamed, and what the robot is believed to be.
+/// The configuration of the stream and of the robot.
 #[derive(Arbitrary, Debug)]
 struct Plan {
     mode: u8,
@@ -28,19 +28,19 @@ struct Plan {
     speed: u8,
 }
 
-/// Something that happens.
+/// An operation.
 #[derive(Arbitrary, Debug)]
 enum Op {
-    /// The controller does what it was asked for; the robot stands here, in hundredths.
+    /// The controller executes the call; the robot is at this position, in hundredths.
     Obey(i16),
-    /// It answers with one of the codes that mean something.
+    /// The controller answers with one of the codes that the engine distinguishes.
     Answer(u8),
-    /// It answers anything.
+    /// The controller answers with any code.
     Any(i32, AnyValue),
     Value(AnyValue),
-    /// There is no answer.
+    /// The call fails without an answer.
     Fail(u8),
-    /// A pose beside the last one, by hundredths of what an axis may move in a cycle.
+    /// A pose near the last one, by hundredths of an axis's maximum motion in a cycle.
     Push([i8; 10]),
     /// Any pose of any kind.
     PushAny(u8, Vec<f64>),
@@ -48,18 +48,18 @@ enum Op {
     Finish,
     Recover,
     Pass(u16),
-    /// So many steps of a stream as it should be, a few for each cycle.
+    /// This many steps of a regular stream, a few for each cycle.
     Stream(u8),
 }
 
 const ROBOT: f64 = 0.0;
 const CYCLE: Duration = Duration::from_millis(8);
 
-/// Runs an engine through what the bytes say.
+/// Runs an engine through the operations that the bytes encode.
 ///
 /// # Panics
 ///
-/// When the core is wrong.
+/// When an assertion about the core fails.
 pub fn slave(data: &[u8]) {
     let mut u = Unstructured::new(data);
     let Ok(plan) = Plan::arbitrary(&mut u) else { return };
@@ -74,13 +74,13 @@ pub fn slave(data: &[u8]) {
 struct Run {
     engine: Engine,
     now: Instant,
-    /// The call that was asked for and has no answer yet.
+    /// The requested call without an answer.
     flight: Option<(Step, Channel)>,
-    /// Slave Mode has been entered and not left.
+    /// Slave Mode was entered and not left.
     entered: bool,
-    /// A call has failed, and nobody has said that the stream may begin anew.
+    /// A call failed, and the stream was not restarted.
     failed: bool,
-    /// Somebody has, and it has not begun yet.
+    /// The restart after a failure is in progress.
     recovering: bool,
 }
 
@@ -118,7 +118,7 @@ fn config(plan: &Plan) -> Config {
 
 impl Run {
     fn new(plan: &Plan) -> Self {
-        let engine = Engine::new(config(plan)).expect("the configuration is in order");
+        let engine = Engine::new(config(plan)).expect("the configuration is valid");
         let now = Instant::from_millis(1);
         Self { engine, now, flight: None, entered: false, failed: false, recovering: false }
     }
@@ -164,13 +164,13 @@ impl Run {
             Op::Pass(millis) => self.now = self.now + Duration::from_millis(u64::from(millis)),
             Op::Stream(cycles) => {
                 for _ in 0..cycles {
-                    self.go_on();
+                    self.run_engine();
                 }
             }
         }
     }
 
-    /// Asks the engine what it wants, and checks that it may.
+    /// Polls the engine, and checks that its action is allowed.
     fn poll(&mut self) -> Action {
         let action = self.engine.poll(self.now);
         let call = match action {
@@ -178,7 +178,7 @@ impl Run {
             _ => None,
         };
         if self.flight.is_some() {
-            assert_eq!(call, self.flight, "a call is asked for until it has an answer");
+            assert_eq!(call, self.flight, "the engine requests a call until it is answered");
             return action;
         }
         match action {
@@ -196,34 +196,36 @@ impl Run {
     fn check_call(&self, step: Step, channel: Channel) {
         assert!(channel == Channel::Motion || self.engine.config().watch.is_some());
         let may = match step {
-            // nothing moves the robot after an error
+            // the robot must not move after an error
             Step::Move => self.entered && !self.failed,
             Step::Motor | Step::TakeArm | Step::Enter => !self.failed && !self.entered,
             Step::ClearError => self.recovering && !self.failed,
             _ => true,
         };
         assert!(may, "{step:?}: entered {}, failed {}", self.entered, self.failed);
-        let request = self.engine.request().expect("a call is wanted");
+        let request = self.engine.request().expect("the engine requests a call");
         assert_eq!((request.step(), request.channel()), (step, channel));
         let mut buffer = [0; 512];
         let mut frame = FrameWriter::new(&mut buffer).expect("there is room");
         request.arguments(&mut frame).expect("the arguments fit");
         let bytes = frame.finish(7, 0, request.function().0).expect("the frame fits");
         let oracle = Oracle { limits: Limits::STREAM, strictness: Strictness::Strict, crc: false };
-        let Verdict::Frame(frame, used) = oracle.decode(bytes) else { panic!("the call is no frame: {bytes:02x?}") };
+        let Verdict::Frame(frame, used) = oracle.decode(bytes) else {
+            panic!("the call is not a valid frame: {bytes:02x?}")
+        };
         assert_eq!((used, frame.args.len()), (bytes.len(), 3));
         if step == Step::Move {
             assert!(self.engine.last_pose().as_slice().iter().all(|number| number.is_finite()));
         }
     }
 
-    /// Hands an answer in, if there is a call that it could be to.
+    /// Delivers an answer, and checks that it counts only for a call in flight.
     fn reply(&mut self, code: HResult, value: Value) {
         let wire = TestFrame { serial: 7, reserved: 0, code: code.0, args: vec![value] }.to_wire(false);
         let Ok(Progress::Complete(frame, _)) = Decoder::TCP.decode(&wire) else { return };
         let answered = self.engine.handle_reply(&frame, self.now).is_some();
         let Some((step, _)) = self.flight.take() else {
-            assert!(!answered, "there was no call");
+            assert!(!answered, "an answer without a call");
             return;
         };
         assert!(!answered || (step == Step::Move && code.is_ok()));
@@ -237,7 +239,7 @@ impl Run {
             Step::Leave => self.entered &= code.is_err(),
             Step::ClearError => self.recovering = false,
             Step::SystemState if self.recovering => {
-                // an emergency stop ends the recovery, and so does an answer without a state
+                // an emergency stop, or an answer without a state, ends the recovery
                 let next = self.engine.poll(self.now);
                 self.flight = match next {
                     Action::Call(step, channel) => Some((step, channel)),
@@ -258,7 +260,7 @@ impl Run {
         }
     }
 
-    /// Lets the controller do what it was asked for, while the robot stands at `position` with every axis.
+    /// Lets the controller execute the call; every axis of the robot is at `position`.
     fn obey(&mut self, position: f64) {
         if let Some((step, _)) = self.flight {
             let value = self.value(step, position);
@@ -266,7 +268,7 @@ impl Run {
         }
     }
 
-    /// What is answered to a call that succeeds.
+    /// Returns the value of a successful reply.
     fn value(&self, step: Step, position: f64) -> Value {
         let numbers = |count: usize| Value::Array(5, vec![Value::R8(position.to_bits()); count]);
         let format = &self.engine.config().format;
@@ -289,16 +291,16 @@ impl Run {
         }
     }
 
-    /// Gives a pose, and checks whether it may be taken.
+    /// Pushes a pose, and checks whether the engine may accept it.
     fn push(&mut self, pose: &Pose) {
         let before = *self.engine.last_pose();
         let wanted = self.flight.is_none() && matches!(self.engine.poll(self.now), Action::Pose { .. });
         if !wanted {
-            // what is asked for instead is looked at next time
+            // the next poll checks the action that the engine requests instead
             if self.flight.is_none() {
                 let _ = self.poll();
             }
-            assert!(self.engine.push(pose).is_err(), "no pose was asked for");
+            assert!(self.engine.push(pose).is_err(), "the engine requested no pose");
             return;
         }
         match self.engine.push(pose) {
@@ -332,8 +334,8 @@ impl Run {
         }
     }
 
-    /// One step of a stream as it should be.
-    fn go_on(&mut self) {
+    /// Performs one step of a regular stream.
+    fn run_engine(&mut self) {
         match self.poll() {
             Action::Call(..) => self.obey(ROBOT),
             Action::Pose { .. } => {
@@ -345,8 +347,8 @@ impl Run {
         }
     }
 
-    /// Whatever came before, a stream that is to end comes to its end: with a controller that obeys, that says nothing, or
-    /// whose buffer stays full.
+    /// Checks that a stream ends when requested: with a controller that executes calls, that does not answer, or whose
+    /// buffer stays full.
     fn finish(mut self, options: u8) {
         self.engine.stop();
         for _ in 0..5000 {
@@ -357,11 +359,11 @@ impl Run {
                     self.reply(HResult::E_BUF_FULL, Value::Empty);
                 }
                 Action::Call(..) => self.obey(ROBOT),
-                Action::Pose { .. } => panic!("no pose is wanted after the end was"),
+                Action::Pose { .. } => panic!("the engine requests a pose after the end was requested"),
                 Action::Wait(until) => self.now = until,
                 Action::Finished | Action::Faulted => return,
             }
         }
-        panic!("the stream never ends");
+        panic!("the stream does not end");
     }
 }

@@ -1,4 +1,4 @@
-//! Bytes cut into any chunks, into a client and into a server's session.
+//! Fuzzes the splitting of a stream into chunks, for a client and for a server's session.
 
 use arbitrary::{Arbitrary, Unstructured};
 use bcap_core::bcap::client::{self, Client};
@@ -15,10 +15,10 @@ use bcap_testkit::oracle::{Oracle, Verdict};
 
 use crate::input::{AnyValue, chunks};
 
-/// Bytes of the fixed memory; a frame that is longer does not fit it.
+/// Bytes of the fixed memory; a longer frame does not fit.
 const ROOM: usize = 96;
 
-/// How a run is set up.
+/// The configuration of a run.
 #[derive(Clone, Copy, Debug)]
 struct Setup {
     link: Link,
@@ -28,7 +28,7 @@ struct Setup {
     grows: bool,
 }
 
-/// A piece of a stream that is made up.
+/// A part of a generated stream.
 #[derive(Arbitrary, Debug)]
 enum Piece {
     Frame {
@@ -37,20 +37,20 @@ enum Piece {
         code: u8,
         args: Vec<AnyValue>,
     },
-    /// A frame of this many bytes, all of it there, that may be larger than the memory.
+    /// A complete frame of this many bytes, which may be larger than the memory.
     Long(u8, u16),
     Junk(Vec<u8>),
     Noise(u8),
 }
 
-/// Feeds bytes in chunks, and compares with the frames that the oracle finds in one piece.
+/// Feeds bytes in chunks, and compares with the frames that the oracle finds in the unsplit stream.
 ///
-/// The first byte chooses link, strictness, what happens to broken frames, the memory, and whether the bytes behind it
-/// are the stream or say how to make it up; the next four are sizes of chunks.
+/// The first byte chooses the link, the strictness, the handling of malformed frames and the memory, and whether the rest
+/// is the stream or encodes a generated one. The next four bytes are the sizes of the chunks.
 ///
 /// # Panics
 ///
-/// When the core is wrong.
+/// When an assertion about the core fails.
 pub fn stream(data: &[u8]) {
     let Some((&[options, ref sizes @ ..], rest)) = data.split_first_chunk::<5>() else { return };
     let setup = Setup {
@@ -92,7 +92,7 @@ fn made_up(rest: &[u8], crc: bool) -> Vec<u8> {
             }
             Piece::Long(fill, len) => {
                 let mut frame = vec![fill; usize::from(len % 600) + 18];
-                crate::frame::mend_frame(&mut frame, crc);
+                crate::frame::fix_frame(&mut frame, crc);
                 bytes.extend(frame);
             }
             Piece::Junk(junk) => bytes.extend(junk),
@@ -102,16 +102,16 @@ fn made_up(rest: &[u8], crc: bool) -> Vec<u8> {
     bytes
 }
 
-/// What came out of a client, or should.
+/// A result of a client or a server, found or expected.
 #[derive(Debug, PartialEq, Eq)]
 enum Found {
-    /// A frame, or one that is too large, with this serial.
+    /// A frame, or a too large frame, with this serial.
     Serial(u16),
     /// The end of the session.
     Broken,
 }
 
-/// Lists what is to be found.
+/// Returns the expected results.
 fn by_oracle(setup: Setup, bytes: &[u8], sizes: &[u8]) -> Vec<Found> {
     let limits = limits(setup.link);
     let oracle = Oracle { limits, strictness: setup.strictness, crc: setup.link == Link::Serial };
@@ -165,7 +165,7 @@ fn limits(link: Link) -> Limits {
     }
 }
 
-/// Feeds a client that has no call in flight, so that every reply is stale.
+/// Feeds a client without a call in flight, so that every reply is stale.
 fn client_log<R: Storage>(setup: Setup, rx: R, bytes: &[u8], sizes: &[u8]) -> Vec<Found> {
     let Setup { link, strictness, on_malformed, .. } = setup;
     let config = client::Config { link, limits: limits(link), strictness, on_malformed, ..client::Config::TCP };
@@ -175,10 +175,10 @@ fn client_log<R: Storage>(setup: Setup, rx: R, bytes: &[u8], sizes: &[u8]) -> Ve
         while !chunk.is_empty() && !client.is_closed() {
             let room = client.receive_buffer();
             let count = chunk.len().min(room.len());
-            assert!(count > 0, "everything was read, so there is room");
+            assert!(count > 0, "everything was read, but the buffer is full");
             room[..count].copy_from_slice(&chunk[..count]);
             client.received(count);
-            // what does not fit of a datagram is lost, as with a socket
+            // a datagram is truncated to the buffer, as by a socket
             chunk = if link == Link::Datagram { &[] } else { &chunk[count..] };
             while let Some(event) = client.poll_event(Instant::ZERO) {
                 match event {
@@ -194,20 +194,20 @@ fn client_log<R: Storage>(setup: Setup, rx: R, bytes: &[u8], sizes: &[u8]) -> Ve
     found
 }
 
-/// Refuses everything but sessions.
+/// A handler that refuses every call except those of the session.
 struct Quiet;
 
 impl Handler for Quiet {
     fn call(&mut self, _: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, _: Instant) -> Outcome {
         if let Some(value) = request.args.get(1) {
-            // too large for the memory, at times
+            // sometimes too large for the memory
             let _ = reply.set(&value);
         }
         HResult::S_OK.into()
     }
 }
 
-/// Feeds a server and lists what it answered.
+/// Feeds a server and returns its answers.
 fn server_log<T: Storage, R: Storage>(setup: Setup, tx: T, rx: R, bytes: &[u8], sizes: &[u8]) -> Vec<Found> {
     let Setup { link, strictness, on_malformed, .. } = setup;
     let config = server::Config { link, limits: limits(link), strictness, on_malformed, ..server::Config::TCP };
@@ -217,14 +217,14 @@ fn server_log<T: Storage, R: Storage>(setup: Setup, tx: T, rx: R, bytes: &[u8], 
         while !chunk.is_empty() && !session.is_finished() {
             let room = session.receive_buffer();
             let count = chunk.len().min(room.len());
-            assert!(count > 0, "everything was read, so there is room");
+            assert!(count > 0, "everything was read, but the buffer is full");
             room[..count].copy_from_slice(&chunk[..count]);
             session.received(count);
             chunk = if link == Link::Datagram { &[] } else { &chunk[count..] };
             loop {
                 let event = session.run(&mut Quiet, PeerId(1), Instant::ZERO);
                 match event {
-                    // its answer has the request's serial only if that has come before the error shows
+                    // the answer has the request's serial only if that arrived before the error was detected
                     Some(server::Event::Malformed(_)) => drop(read_answers(session.transmit(), link)),
                     _ => answers.extend(read_answers(session.transmit(), link)),
                 }
@@ -239,13 +239,15 @@ fn server_log<T: Storage, R: Storage>(setup: Setup, tx: T, rx: R, bytes: &[u8], 
     answers
 }
 
-/// What a server sends are frames, by the oracle.
+/// Decodes a server's answers with the oracle.
 fn read_answers(answers: &[u8], link: Link) -> Vec<Found> {
     let oracle = Oracle { limits: Limits::STREAM, strictness: Strictness::Strict, crc: link == Link::Serial };
     let mut found = Vec::new();
     let mut rest = answers;
     while !rest.is_empty() {
-        let Verdict::Frame(frame, used) = oracle.decode(rest) else { panic!("the server sends no frame: {rest:02x?}") };
+        let Verdict::Frame(frame, used) = oracle.decode(rest) else {
+            panic!("the server sends an invalid frame: {rest:02x?}")
+        };
         assert_eq!(frame.reserved, 0);
         found.push(Found::Serial(frame.serial));
         rest = &rest[used..];

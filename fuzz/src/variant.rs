@@ -1,4 +1,4 @@
-//! Values against the oracle, and every accessor on what was accepted.
+//! Fuzzes the binary format of values against the oracle, and calls every accessor of accepted values.
 
 use bcap_core::hresult::HResult;
 use bcap_core::limits::{Limits, MAX_DEPTH, Strictness};
@@ -8,11 +8,11 @@ use bcap_testkit::value::Value;
 
 use crate::input::BOTH;
 
-/// Decodes bytes as one value, with the depth that the first byte allows.
+/// Decodes bytes as one value; the first byte chooses the maximum depth.
 ///
 /// # Panics
 ///
-/// When the core is wrong.
+/// When an assertion about the core fails.
 pub fn variant(data: &[u8]) {
     let Some((depth, bytes)) = data.split_first() else { return };
     let limits = Limits { depth: depth % (MAX_DEPTH + 4), ..Limits::STREAM };
@@ -36,7 +36,7 @@ pub fn variant(data: &[u8]) {
     assert!(strict.is_none() || strict == lenient);
 }
 
-/// What was decoded, encodes canonically, and decodes strictly to the same.
+/// Checks that a decoded value encodes canonically, and that the encoding decodes strictly to the same value.
 fn encode_again(value: Variant<'_>, bytes: &[u8], strictness: Strictness) {
     let mut buffer = vec![0xa5; bytes.len()];
     let mut out = Writer::new(&mut buffer);
@@ -46,7 +46,7 @@ fn encode_again(value: Variant<'_>, bytes: &[u8], strictness: Strictness) {
     let deepest = Limits { depth: MAX_DEPTH, ..Limits::STREAM };
     assert_eq!(Variant::decode(canonical, &deepest, Strictness::Strict), Ok(value));
     if strictness == Strictness::Strict && !canonical.contains(&0xff) && !bytes.contains(&11) {
-        assert_eq!(canonical, bytes, "a strict value is canonical, but for the bits of BOOL");
+        assert_eq!(canonical, bytes, "a strict value is canonical, except for the bits of BOOL");
     }
     match VariantBuf::<256>::decode(bytes, &deepest, strictness) {
         Ok(owned) => assert!(owned.as_variant() == value && owned.as_bytes() == canonical),
@@ -54,10 +54,10 @@ fn encode_again(value: Variant<'_>, bytes: &[u8], strictness: Strictness) {
     }
 }
 
-/// Calls everything that a value offers.
+/// Calls every accessor of a value.
 fn look_at(value: Variant<'_>) {
     let same = value;
-    assert_eq!(value, same, "a NaN is itself");
+    assert_eq!(value, same, "a value equals itself, even with a NaN");
     let _ = (value.as_i32(), value.as_i64(), value.as_f64(), value.as_bool(), value.is_empty());
     assert!(!format!("{value:?}").is_empty());
     assert!(!matches!(value.flatten(), Variant::Nested(_)));
@@ -121,9 +121,9 @@ fn look_at_date(date: OleDate) {
     if let Some(civil) = date.to_civil() {
         assert!((1..=12).contains(&civil.month) && (1..=31).contains(&civil.day), "{civil:?}");
         assert!(civil.hour < 24 && civil.minute < 60 && civil.second < 60 && civil.millisecond < 1000, "{civil:?}");
-        let again = OleDate::from_civil(civil).expect("what a date shows is a date");
+        let again = OleDate::from_civil(civil).expect("the civil time of a date is a valid date");
         assert_eq!(again.to_civil(), Some(civil), "{:?}", date.raw());
-        // the fraction of a date before day 0 counts forward too
+        // the fraction of a date before day 0 also counts forward
         let instant = |date: OleDate| date.raw().trunc() + date.raw().fract().abs();
         assert!((instant(again) - instant(date)).abs() < 1e-7, "{:?} {:?}", again.raw(), date.raw());
     }

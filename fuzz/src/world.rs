@@ -1,7 +1,7 @@
-//! A virtual controller and its clients, without sockets: each call goes straight to the handler, and the caller moves the
-//! clock. The fuzz target `sim` and the property test in `tests/tests/invariants.rs` drive it.
+//! A virtual controller and its clients without sockets: calls go directly to the handler, and the caller moves the clock.
 //!
-//! The methods assert what must hold after every step ([`World::check`]) and after the last one ([`World::finish`]).
+//! The fuzz target `sim` and the property test in `tests/tests/invariants.rs` use it. [`World::check`] asserts the
+//! invariants after every step, [`World::finish`] those after the last one.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -17,16 +17,16 @@ use bcap_core::variant::{Encode, Variant};
 use bcap_sim::kinematics::RANGES;
 use bcap_sim::{Config, Controller, Profile, Scenario, hand};
 
-/// How many clients call the controller; their numbers are below this.
+/// The number of clients; their indices are below this.
 pub const CLIENTS: u32 = 3;
-/// Objects that each client may open.
+/// The number of objects that each client may open.
 const MAX_OBJECTS: usize = 10;
 /// Bytes of the largest request and of the largest reply.
 const BUFFER: usize = 8192;
-/// What the handler sees of a request: values as deep as the core allows.
+/// The decoder of requests; it accepts values as deep as the core allows.
 const DECODER: Decoder = Decoder { limits: Limits { depth: MAX_DEPTH, ..Limits::STREAM }, ..Decoder::TCP };
 
-/// What a run has shown: the outcome of every call, and the bytes of its value.
+/// The trace of a run: the outcome of every call, and the bytes of its value.
 pub type Trace = Vec<(Outcome, Vec<u8>)>;
 
 /// A controller, its clients and the time.
@@ -38,7 +38,7 @@ pub struct World {
     pub now: Instant,
     /// The waiting request of each client that has one.
     waiting: BTreeMap<u32, Vec<u8>>,
-    /// The newest handle of each kind that each client was given.
+    /// The latest handle of each kind that each client received.
     handles: BTreeMap<(u32, &'static str), i32>,
     trace: Trace,
 }
@@ -77,21 +77,21 @@ impl World {
         }
     }
 
-    /// Returns the newest handle of this kind that the client was given, 0 without one.
+    /// Returns the latest handle of this kind that the client received; 0 without one.
     #[must_use]
     pub fn handle(&self, peer: u32, object: Object) -> i32 {
         self.handles.get(&(peer, object.name())).copied().unwrap_or(0)
     }
 
-    /// Makes a call. A call that a server would refuse, or that does not fit into a frame, is left out, and so is a call of
-    /// a client that waits for another.
+    /// Makes a call. Skips calls that a server would refuse, that do not fit into a frame, or whose client has a waiting
+    /// call.
     pub fn request(&mut self, peer: u32, function: FunctionId, arguments: &[&dyn Encode]) {
         if let (false, Some(bytes)) = (self.waiting.contains_key(&peer), frame(function, arguments)) {
             self.call(peer, &bytes, false);
         }
     }
 
-    /// Makes the waiting call of a client again.
+    /// Resumes the waiting call of a client.
     pub fn resume(&mut self, peer: u32) {
         if let Some(bytes) = self.waiting.remove(&peer) {
             self.call(peer, &bytes, true);
@@ -114,12 +114,12 @@ impl World {
         }
         match outcome {
             Outcome::Wait(at) => {
-                assert!(at > self.now, "{function:?} asks to come again at {at}, at {}", self.now);
+                assert!(at > self.now, "{function:?} waits until {at}, which is not after {}", self.now);
                 self.waiting.insert(peer, bytes.to_vec());
             }
             Outcome::Done(code) => {
                 if let (HResult::S_OK, Some(object), Some(value)) = (code, function.opens(), reply.get()) {
-                    let Variant::I4(handle @ 2..) = value else { panic!("{value:?} is no handle") };
+                    let Variant::I4(handle @ 2..) = value else { panic!("{value:?} is not a valid handle") };
                     self.handles.insert((peer, object.name()), handle);
                 }
             }
@@ -135,13 +135,13 @@ impl World {
         self.trace.push((outcome, reply.as_bytes().to_vec()));
     }
 
-    /// Takes the arm, switches its motor on and moves it, as far as that is possible.
+    /// Takes the arm, switches its motor on and moves it; each call may fail.
     pub fn move_arm(&mut self, peer: u32, interpolation: i32, pose: &dyn Encode, option: &str) {
         let robot = self.take_arm(peer);
         self.request(peer, FunctionId::ROBOT_MOVE, &[&robot, &interpolation, &pose, &option]);
     }
 
-    /// Takes the arm, switches its motor on, changes the Slave Mode and sends a pose, as far as that is possible.
+    /// Takes the arm, switches its motor on, changes the Slave Mode and sends a pose; each call may fail.
     pub fn slave(&mut self, peer: u32, mode: i32, pose: [f64; 8]) {
         let robot = self.take_arm(peer);
         self.request(peer, FunctionId::ROBOT_EXECUTE, &[&robot, &"slvChangeMode", &mode]);
@@ -165,7 +165,7 @@ impl World {
         self.sim.advance(self.now);
     }
 
-    /// Gives up the waiting call of a client.
+    /// Abandons the waiting call of a client.
     pub fn abandon(&mut self, peer: u32) {
         if self.waiting.remove(&peer).is_some() {
             self.sim.abandoned(PeerId(peer), self.now);
@@ -185,12 +185,12 @@ impl World {
         assert_ne!(self.sim.arm_owner(), Some(PeerId(peer)));
     }
 
-    /// Asserts what holds at any time: the arm and the hand are within their ranges, nothing moves without the motor, an
+    /// Asserts the invariants: the arm and the hand are within their ranges, the arm does not move without its motor, an
     /// error or an emergency stop ends Slave Mode, and no client has more objects than it may open.
     ///
     /// # Panics
     ///
-    /// When the controller is wrong.
+    /// When an invariant does not hold.
     pub fn check(&self) {
         let sim = &self.sim;
         for (angle, (low, high)) in sim.joints().iter().zip(RANGES) {
@@ -203,11 +203,11 @@ impl World {
         assert!(sim.open_objects() <= MAX_OBJECTS * CLIENTS as usize);
     }
 
-    /// Ends all sessions, and returns what the run has shown.
+    /// Ends all sessions, and returns the trace of the run.
     ///
     /// # Panics
     ///
-    /// When a client has left anything behind, or when Slave Mode moved an axis faster than its limit.
+    /// When an object of a client remains open, or when Slave Mode moved an axis faster than its limit.
     #[must_use]
     pub fn finish(mut self) -> Trace {
         (0..CLIENTS).for_each(|peer| self.leave(peer));

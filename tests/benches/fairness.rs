@@ -1,4 +1,4 @@
-//! Time that a small call waits while another client sends large requests and asks for large replies.
+//! Measures how long a small call waits while another client sends large requests and requests large replies.
 //!
 //! ```text
 //! cargo bench -p bcap-tests --bench fairness

@@ -1,4 +1,4 @@
-//! What a flood of S_EXECUTING costs a client and a gateway: the processor time that they use in 5 s.
+//! Measures the processor time that a client and a gateway use in 5 s under a flood of S_EXECUTING.
 //!
 //! ```text
 //! cargo bench -p bcap-tests --bench flood

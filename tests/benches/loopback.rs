@@ -1,4 +1,4 @@
-//! Round trips over loopback TCP, and a server with 100 connections, each beside the least that could do the same.
+//! Round trips over loopback TCP, and a server with 100 connections, each compared with a minimal implementation.
 //!
 //! ```text
 //! cargo bench -p bcap-tests --bench loopback

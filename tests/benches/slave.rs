@@ -1,4 +1,4 @@
-//! How well a stream of Slave Mode keeps its 8 ms, with a core of the machine kept busy.
+//! Measures how well a stream of Slave Mode meets its deadlines of 8 ms while another thread keeps a core busy.
 //!
 //! ```text
 //! cargo bench -p bcap-tests --bench slave                      10,000 cycles in each mode, blocking and under tokio

@@ -1,4 +1,4 @@
-//! A global allocator that counts, for tests that code does not allocate.
+//! A global allocator that counts allocations, for tests that code does not allocate.
 //!
 //! The count is kept per thread, so that the test harness and other tests do not disturb it.
 //!
@@ -23,7 +23,7 @@ thread_local! {
     static COUNT: Cell<u64> = const { Cell::new(0) };
 }
 
-/// The system's allocator, counting what is asked of it.
+/// The system's allocator with a counter of allocations.
 #[derive(Debug)]
 pub struct Counting;
 

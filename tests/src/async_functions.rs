@@ -1,4 +1,4 @@
-//! The async functions of a crate, read from its sources, so that a test can tell whether it covers all of them.
+//! The async functions of a crate, read from its sources, so that a test can check that it covers all of them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;

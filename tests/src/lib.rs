@@ -1,6 +1,6 @@
-//! What the tests of the b-CAP stack share beyond [`bcap_testkit`]: servers on real sockets, and what they cost.
+//! Support code for the tests of the b-CAP stack in addition to [`bcap_testkit`]: servers on real sockets and measurements.
 //!
-//! | module         | what it gives                                                                       |
+//! | module         | contents                                                                            |
 //! |----------------|-------------------------------------------------------------------------------------|
 //! | [`served`]     | a server on real sockets with a small application                                   |
 //! | [`serial`]     | a server of serial framing, over TCP instead of a serial line                       |

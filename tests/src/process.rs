@@ -1,4 +1,4 @@
-//! What a process takes of the machine, as `/proc` tells it; nothing where there is no `/proc`.
+//! The resources that a process uses, read from `/proc`; without `/proc`, no value.
 
 use std::time::Duration;
 

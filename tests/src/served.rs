@@ -1,4 +1,4 @@
-//! A server on real sockets, in a thread of its own, with a small application or anything else behind it.
+//! A server on real sockets, in its own thread, with a small application or any other handler.
 
 use std::collections::{BTreeSet, HashMap};
 use std::net::SocketAddr;
@@ -24,12 +24,12 @@ use bcap_testkit::network::answer_to;
 ///
 /// | command | what it does                                                                                |
 /// |---------|---------------------------------------------------------------------------------------------|
-/// | `sleep` | takes as many milliseconds as it is told                                                    |
-/// | `echo`  | gives its parameter back                                                                    |
-/// | `open`  | tells how many handles are given out                                                        |
-/// | `token` | takes a token and milliseconds, counts that it was told to, sleeps, and answers the token   |
+/// | `sleep` | waits for this number of milliseconds                                                       |
+/// | `echo`  | returns its parameter                                                                       |
+/// | `open`  | returns the number of open handles                                                          |
+/// | `token` | counts the call of this token, waits for these milliseconds and returns the token           |
 ///
-/// It works without sockets as well, and does the same then.
+/// It behaves the same without sockets.
 #[derive(Debug, Default)]
 pub struct Application {
     values: HashMap<String, VariantBuf<1024>>,
@@ -38,13 +38,13 @@ pub struct Application {
     until: HashMap<PeerId, Instant>,
     /// Peers that have started the service.
     started: BTreeSet<PeerId>,
-    /// How often it was asked again about a call that sleeps.
+    /// How often a sleeping call was polled.
     pub asked_again: u64,
     /// How often each token was executed.
     pub executed: HashMap<i32, u32>,
-    /// Peers that have called and have not gone.
+    /// Connected peers that have made a call.
     pub peers: BTreeSet<PeerId>,
-    /// Handles given out and not released.
+    /// Open handles.
     pub open: Vec<(Object, i32)>,
 }
 
@@ -184,11 +184,11 @@ impl Served {
         Self::of(Application::default(), limits)
     }
 
-    /// Waits until all peers have gone and everything is released, and stops the server.
+    /// Waits until all peers are disconnected and all handles released, then stops the server.
     ///
     /// # Panics
     ///
-    /// When it has not come to that in half a minute.
+    /// When that takes longer than half a minute.
     pub fn stop_empty(self) {
         let until = std::time::Instant::now() + Duration::from_secs(30);
         let left = || {
@@ -198,10 +198,10 @@ impl Served {
         while left() != (0, 0) && std::time::Instant::now() < until {
             std::thread::sleep(Duration::from_millis(10));
         }
-        assert_eq!(left(), (0, 0), "handles and peers that nobody has any more");
+        assert_eq!(left(), (0, 0), "leaked handles and peers");
     }
 
-    /// Stops the server and waits for its end; returns what it left behind.
+    /// Stops the server and waits for its end; returns the application.
     #[must_use]
     pub fn stop(mut self) -> Application {
         self.end();
@@ -210,7 +210,7 @@ impl Served {
 }
 
 impl<H: Handler + rac::server::Handler + Send + 'static> Served<H> {
-    /// Starts a server of anything on free ports of the loopback.
+    /// Starts a server of any handler on free ports of the loopback.
     ///
     /// # Panics
     ///
@@ -245,7 +245,7 @@ impl<H> Served<H> {
         self.runtime.metrics().num_alive_tasks()
     }
 
-    /// Looks at the application; the server waits meanwhile.
+    /// Calls a function with the application; the server waits meanwhile.
     pub fn application(&self) -> MutexGuard<'_, H> {
         self.application.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -1,4 +1,4 @@
-//! A virtual controller whose clock runs slow, so that a busy machine is fast enough for it.
+//! A virtual controller with a slow clock, so that even a busy machine meets its deadlines.
 //!
 //! Its cycle of 8 ms takes [`SLOWNESS`] times as long, and its buffer lasts as much longer: a test in real time can then
 //! assert that nothing was late without measuring the machine.
@@ -11,10 +11,10 @@ use bcap_core::rac;
 use bcap_core::time::Instant;
 use bcap_sim::Controller;
 
-/// How many of our seconds one of the controller's takes.
+/// The real time of one second on the controller's clock, in seconds.
 pub const SLOWNESS: u32 = 4;
 
-/// The controller's cycle, in our time.
+/// The controller's cycle in real time.
 pub const CYCLE: Duration = bcap_sim::slave::CYCLE.saturating_mul(SLOWNESS);
 
 /// The controller.

@@ -16,7 +16,7 @@ use bcap_sim::Controller;
 /// The time that a new call takes on the controller's clock.
 pub const CALL: Duration = Duration::from_millis(1);
 
-/// How often the server asks again for a call that is held, in real time.
+/// The interval at which the server polls a call that waits on hold, in real time.
 const LOOK: Duration = Duration::from_millis(1);
 
 /// A call that waits without moving the clock.

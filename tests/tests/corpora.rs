@@ -1,5 +1,4 @@
-//! The fuzzers' corpora, as ordinary tests: every input that reached something new, through the body of its target; and
-//! the inputs that once broke a promise, each with its name.
+//! Replays the fuzzers' corpora as ordinary tests, and the named regressions: inputs that once broke a guarantee.
 
 use std::fs;
 use std::path::Path;

@@ -1,4 +1,4 @@
-//! The call sequences of public drivers and programs against the virtual controller, in each model, over real sockets.
+//! Tests the virtual controller, in each model and over real sockets, with the call sequences of public drivers.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -366,7 +366,7 @@ fn the_ros_2_driver_fails_where_the_motor_comes_after_the_answer() {
 }
 
 #[test]
-fn an_answer_that_departs_is_found() {
+fn a_differing_answer_is_detected() {
     let head = r#"{"name": "x", "source": "x", "models": ["rc8"]}"#;
     let start = r#"{"call": "ServiceStart", "args": [""]}"#;
     let connect = r#"{"call": "ControllerConnect", "args": ["", "$provider", "", ""], "as": "c""#;

@@ -1,4 +1,4 @@
-//! A server that answers the next request before it is sent: no client takes that for the reply.
+//! Tests that no client accepts a reply that a server sent before the request.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};

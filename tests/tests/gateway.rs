@@ -1,4 +1,4 @@
-//! The gateway of the core in front of the virtual controller, in one process and under one fake clock.
+//! Tests the core's gateway with the virtual controller, in one process and with one fake clock.
 
 use bcap_core::endpoint::{Endpoint, Serve};
 use std::time::Duration;
@@ -95,7 +95,7 @@ fn line(result: HResult) -> String {
 }
 
 #[test]
-fn all_kinds_go_through_and_are_in_the_controller() {
+fn all_kinds_are_written_to_the_controller() {
     let mut memory = Memory::<2, 4>::new();
     let mut plant = Plant::new(Config { rules: WRITABLE, ..Config::RC8 }, &mut memory);
     plant.connect();
@@ -126,7 +126,7 @@ fn all_kinds_go_through_and_are_in_the_controller() {
 }
 
 #[test]
-fn many_clients_count_each_for_itself() {
+fn many_clients_use_their_own_variables() {
     let mut memory = Memory::<8, 5>::new();
     let mut plant = Plant::new(Config { rules: WRITABLE, ..Config::RC8 }, &mut memory);
     plant.connect();
@@ -152,7 +152,7 @@ fn many_clients_count_each_for_itself() {
 }
 
 #[test]
-fn a_controller_that_goes_and_comes_back_is_used_again() {
+fn the_gateway_reconnects_to_a_controller() {
     let mut memory = Memory::<1, 4>::new();
     let mut plant = Plant::new(Config { rules: WRITABLE, ..Config::RC8 }, &mut memory);
     let plc = plant.gateway.open().unwrap();
@@ -173,7 +173,7 @@ fn a_controller_that_goes_and_comes_back_is_used_again() {
 #[test]
 fn a_provider_that_the_controller_does_not_have_is_reported() {
     let mut memory = Memory::<1, 4>::new();
-    let mut plant = Plant::new(Config { provider: "CaoProv.Nobody", ..Config::RC8 }, &mut memory);
+    let mut plant = Plant::new(Config { provider: "CaoProv.Unknown", ..Config::RC8 }, &mut memory);
     plant.connect();
     let [Event::RobotDown { error: RobotError::Refused { function, result }, pause }] = plant.events[..] else {
         panic!("{:?}", plant.events)
@@ -183,7 +183,7 @@ fn a_provider_that_the_controller_does_not_have_is_reported() {
 }
 
 #[test]
-fn a_silent_line_is_kept_alive_by_a_question_that_a_controller_answers() {
+fn an_idle_connection_is_kept_alive_by_a_request() {
     let mut memory = Memory::<1, 4>::new();
     let mut plant = Plant::new(Config::RC8, &mut memory);
     plant.connect();

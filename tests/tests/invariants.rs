@@ -1,5 +1,5 @@
-//! The virtual controller under any calls in any order: nothing panics, the same calls give the same answers, and the
-//! invariants of [`World`] hold.
+//! Property tests of the virtual controller with arbitrary calls: it does not panic, it is deterministic, and the invariants
+//! of [`World`] hold.
 
 use std::time::Duration;
 

@@ -103,7 +103,7 @@ fn the_length_of_an_argument_is_right_at_every_edge() {
 }
 
 #[test]
-fn the_count_of_arguments_is_right_whatever_it_is() {
+fn the_count_of_arguments_is_right_for_every_value() {
     let frame = TestFrame { serial: 7, reserved: 0, code: 3, args: vec![Value::I4(5), Value::Ui1(1)] };
     let mut wire = frame.to_wire(false);
     for count in 0..=u16::MAX {

@@ -1,5 +1,5 @@
-//! Blocking, tokio and core loops behave alike: one script of calls gives the same record over each of them, on TCP, on
-//! UDP and without sockets.
+//! Tests that blocking, tokio and core loops behave the same: one script of calls gives the same record over each of them,
+//! on TCP, on UDP and without sockets.
 
 use bcap_core::bcap::call::{self, Call, RawCall, VariableHandle};
 use bcap_core::bcap::client::{Client, Config};
@@ -14,7 +14,7 @@ use bcap_std::{Options, asynch as tokio_clients, blocking as std_clients};
 use bcap_testkit::network::Random;
 use bcap_tests::served::{Application, Served};
 
-/// Makes the calls of the script and returns what came of each; `$wait` is `.await` or nothing.
+/// Makes the calls of the script and returns the outcome of each; `$wait` is `.await` or empty.
 macro_rules! script {
     ($client:expr, $name:literal $(, $wait:tt)?) => {{
         let client = &mut $client;
@@ -61,7 +61,7 @@ fn without_io<E>(error: &CallError<E>) -> String {
     }
 }
 
-/// A transport without sockets: the server sits behind it, and bytes come in pieces.
+/// A transport without sockets: it contains the server, and bytes arrive in pieces.
 struct Direct {
     session: Session<[u8; 1024]>,
     application: Application,
@@ -75,7 +75,7 @@ impl Direct {
         Self { session, application: Application::default(), now: Instant::from_millis(1), random: Random(9) }
     }
 
-    /// Lets the server have a datagram, or a piece of a stream.
+    /// Delivers a datagram or a piece of a stream to the server.
     fn put(&mut self, bytes: &[u8], link: Link) -> usize {
         let count =
             if link == Link::Datagram { bytes.len() } else { 1 + self.random.below(bytes.len() as u64) as usize };
@@ -84,7 +84,7 @@ impl Direct {
         count
     }
 
-    /// Takes a datagram, or a piece of a stream, from the server, as soon as there is one.
+    /// Receives a datagram or a piece of a stream from the server; lets time pass until there is one.
     fn take(&mut self, buffer: &mut [u8], until: Instant, link: Link) -> Option<usize> {
         loop {
             while self.session.run(&mut self.application, PeerId(1), self.now).is_some() {}
@@ -96,7 +96,7 @@ impl Direct {
                 self.session.transmitted(count);
                 return Some(count);
             }
-            // time passes until the server has something to do, or the client's patience ends
+            // time passes until the server's or the client's next timeout
             match self.session.poll_timeout().filter(|due| *due < until) {
                 Some(due) => self.now = due,
                 None => {

@@ -1,5 +1,5 @@
-//! A client against a server over links that lose, repeat, reorder, delay, cut and garble: every call ends, what is
-//! reported as done was done exactly once, and no reply is taken for another call's.
+//! Tests a client and a server over links that lose, repeat, reorder, delay, truncate and corrupt: every call ends, a call
+//! reported as done was executed exactly once, and no call gets the reply of another.
 
 use bcap_core::endpoint::{Endpoint, Serve};
 use std::time::Duration;
@@ -65,7 +65,7 @@ fn without_faults_every_call_is_done_at_the_first_attempt() {
 }
 
 #[test]
-fn datagrams_get_lost_and_calls_are_executed_once() {
+fn lost_datagrams_execute_calls_once() {
     for seed in 0..20 {
         let mut simulation = udp(Faults { loss: 300, delay: millis(20), ..Faults::default() }, seed);
         let tally = call_many(&mut simulation, 300);
@@ -75,7 +75,7 @@ fn datagrams_get_lost_and_calls_are_executed_once() {
 }
 
 #[test]
-fn datagrams_repeat_overtake_and_straggle_and_calls_are_executed_once() {
+fn duplicated_reordered_and_late_datagrams_execute_calls_once() {
     let mut stale = 0;
     for seed in 100..120 {
         let faults = Faults { loss: 200, repeat: 200, delay: millis(800), ..Faults::default() };
@@ -104,7 +104,7 @@ fn long_calls_are_kept_alive_on_a_lossy_network() {
 }
 
 #[test]
-fn a_dead_network_ends_every_call_in_the_time_of_its_attempts() {
+fn a_dead_network_ends_every_call_at_its_timeouts() {
     let mut simulation = udp(Faults::default(), 3);
     simulation.faults.loss = 1000;
     for token in 1..=10 {
@@ -125,7 +125,7 @@ fn serials_wrap_under_way() {
 }
 
 #[test]
-fn a_serial_line_garbles_and_loses_and_calls_are_executed_once() {
+fn a_lossy_serial_line_executes_calls_once() {
     for seed in 300..310 {
         let timing = client::Timing { deadline: Duration::from_secs(30), ..client::Timing::SERIAL };
         let config = client::Config { timing, ..client::Config::SERIAL };
@@ -241,7 +241,7 @@ fn no_reply_with_a_wrong_serial_ends_or_prolongs_a_call() {
 }
 
 #[test]
-fn a_server_that_only_keeps_alive_is_left_in_the_end() {
+fn endless_keep_alives_end_a_call() {
     let timing = client::Timing { keep_alive: Duration::from_secs(60), ..client::Timing::TCP };
     let config = client::Config { timing, ..client::Config::TCP };
     let mut s = Simulation::new(config, server::Config::TCP, Faults::default(), 7);
@@ -263,7 +263,7 @@ fn a_server_that_only_keeps_alive_is_left_in_the_end() {
 }
 
 #[test]
-fn a_stream_with_noise_goes_on_where_that_is_wished() {
+fn a_stream_with_noise_resynchronises_if_configured() {
     // noise can look like the length of a long frame, so the bound is that of the frames that are wanted
     let limits = Limits { frame: 1024, ..Limits::STREAM };
     let config = client::Config { on_malformed: OnMalformed::Resync, limits, ..client::Config::TCP };

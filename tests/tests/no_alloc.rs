@@ -300,7 +300,7 @@ fn at_once<T>(future: impl Future<Output = T>) -> T {
 }
 
 #[test]
-fn loops_that_block_and_loops_that_await() {
+fn blocking_and_async_loops() {
     let of_bcap = || {
         let client = BoardClient::new(client::Config::TCP, [0; 512], [0; 512]);
         (Behind(BoardSession::new(server::Config::TCP, [0; 512], [0; 512])), client)

@@ -1,5 +1,5 @@
-//! Servers and clients of this project against the independent peers in `tests/peer`, which are written in Python from
-//! the specifications alone.
+//! Tests this project's servers and clients with the independent peers in `tests/peer`, which are written in Python from
+//! the specifications only.
 //!
 //! The number of checks is asserted, so that a check that no longer runs is a failure too.
 

@@ -1,4 +1,4 @@
-//! Lines of RAC: all samples of the specification, and properties of requests, responses and the framing.
+//! Tests of RAC lines: all samples of the specification, and properties of requests, responses and the framing.
 
 use bcap_core::error::TextErrorKind;
 use bcap_core::hresult::HResult;

@@ -1,4 +1,4 @@
-//! Properties: what is encoded decodes to the same, and the core agrees with the oracle about any bytes.
+//! Property tests: encoded values decode to the same values, and the core agrees with the oracle on arbitrary bytes.
 
 use bcap_core::bcap::{Decoder, FrameWriter, Progress};
 use bcap_core::error::{DecodeErrorKind, EncodeError};
@@ -129,7 +129,7 @@ proptest! {
     }
 
     #[test]
-    fn damaged_frames_with_a_mended_crc_too(wire in strategies::damaged_frame()) {
+    fn damaged_frames_with_a_corrected_crc(wire in strategies::damaged_frame()) {
         let mut wire = wire;
         let Some(covered) = wire.len().checked_sub(3).filter(|end| *end >= 15) else { return Ok(()) };
         let crc = bitwise_crc(&wire[1..covered]);
@@ -201,7 +201,7 @@ fn nested(levels: usize) -> Value {
 }
 
 #[test]
-fn nesting_ends_at_the_limit_and_not_on_the_stack() {
+fn nesting_is_limited_before_the_stack_overflows() {
     let deepest = Limits { depth: u8::MAX, ..Limits::STREAM };
     for levels in 0..=usize::from(MAX_DEPTH) {
         let wire = nested(levels).to_wire();

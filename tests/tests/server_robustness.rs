@@ -1,5 +1,5 @@
-//! The server on real sockets with many peers, with peers that wait or say nothing, and at its end: all are served, and
-//! nothing of them is left behind. What hostile peers do to it is in `tests/hostile`.
+//! Tests the server on real sockets with many, waiting and silent peers, and its shutdown: all peers are served, and the
+//! server releases all their resources. `tests/hostile` tests hostile peers.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpStream};
@@ -54,7 +54,7 @@ fn two_hundred_connections_are_served_at_once() {
 }
 
 #[test]
-fn silent_connections_make_room_where_that_is_wished() {
+fn idle_connections_are_closed_after_the_configured_limit() {
     let limits = Limits { connections: 4, idle: Some(Duration::from_secs(1)), ..Limits::default() };
     let server = Served::start(limits);
     let (mut waiting, controller) = client(&server);
@@ -71,9 +71,9 @@ fn silent_connections_make_room_where_that_is_wished() {
     server.stop_empty();
 }
 
-/// Every call of one may concern every call that waits, but those who wait are not asked after each of them.
+/// A call may complete any waiting call, but the server does not poll all waiting calls after each call.
 #[test]
-fn many_calls_that_wait_cost_the_others_little() {
+fn many_waiting_calls_do_not_slow_other_calls() {
     const WAITING: u64 = 200;
     let server = Served::start(Limits { connections_per_address: 256, ..Limits::default() });
     let waiting: Vec<_> = (0..WAITING)
@@ -98,13 +98,13 @@ fn many_calls_that_wait_cost_the_others_little() {
     server.stop_empty();
 }
 
-/// Bytes that there is no room for while a call runs hide the end of the stream behind them.
+/// Bytes that do not fit into the buffer while a call runs hide the end of the stream after them.
 #[test]
 #[cfg_attr(
     not(any(target_os = "linux", target_os = "android")),
     ignore = "only Linux tells of an end behind unread bytes"
 )]
-fn a_peer_that_goes_behind_requests_that_wait_is_noticed() {
+fn a_disconnect_after_unread_requests_is_detected() {
     let server = Served::start(Limits::default());
     for end in [Shutdown::Write, Shutdown::Both] {
         let (mut client, controller) = client(&server);
@@ -124,7 +124,7 @@ fn a_peer_that_goes_behind_requests_that_wait_is_noticed() {
 }
 
 #[test]
-fn a_reply_without_memory_is_told_so() {
+fn a_reply_without_memory_is_reported() {
     // a request of 60 KiB fits, and its reply of as much does not fit beside it
     let server = Served::start(Limits { memory: 100 << 10, ..Limits::default() });
     let (mut client, controller) = client(&server);
@@ -140,11 +140,11 @@ fn a_reply_without_memory_is_told_so() {
     server.stop_empty();
 }
 
-/// Whatever its peers are doing, a server that is told to stop stops: it waits for nobody's patience to end.
+/// Shutdown does not wait for the timeouts of slow, waiting or unresponsive peers.
 #[test]
-fn nobody_keeps_a_server_from_stopping() {
-    const PATIENCE: Duration = Duration::from_secs(300);
-    let server = Served::start(Limits { send: PATIENCE, receive: PATIENCE, ..Limits::default() });
+fn a_server_stops_despite_busy_peers() {
+    const TIMEOUT: Duration = Duration::from_secs(300);
+    let server = Served::start(Limits { send: TIMEOUT, receive: TIMEOUT, ..Limits::default() });
     let (mut deaf, controller) = client(&server);
     let (mut slow, its_own) = client(&server);
     let (mut waiting, another) = client(&server);
@@ -166,7 +166,7 @@ fn nobody_keeps_a_server_from_stopping() {
         std::thread::spawn(move || while slow.transport().stream().read(&mut some[..100]).is_ok_and(|n| n > 0) {});
     let begun = Instant::now();
     let application = server.stop();
-    assert!(begun.elapsed() < PATIENCE / 2);
+    assert!(begun.elapsed() < TIMEOUT / 2);
     assert_eq!((application.open.len(), application.peers.len()), (0, 0));
     reader.join().unwrap();
 }

@@ -1,4 +1,4 @@
-//! What the state machines of the core take of a board's memory, beside the buffers that they are given.
+//! Tests the memory of the core's state machines without the buffers of the caller.
 
 use bcap_core::bcap::{Client, server};
 use bcap_core::rac;

@@ -1,5 +1,5 @@
-//! The streams of `bcap-std` against the virtual controller, over real sockets: counts and positions are asserted,
-//! never times, and the controller's clock is slow enough for a busy machine.
+//! Tests the streams of `bcap-std` with the virtual controller over real sockets. They assert counts and positions, not
+//! times; the controller's clock is slow enough for a busy machine.
 
 use std::time::Duration;
 use std::{fmt, io};
@@ -210,7 +210,7 @@ fn disturbed<'a>(sim: &'a Served<Slowed>, act: impl Fn(&mut Controller) + 'a) ->
 }
 
 #[test]
-fn the_first_error_is_told_and_recovery_is_by_request() {
+fn the_first_error_is_reported_and_recovery_is_explicit() {
     let sim = controller();
     let mut rig = over_udp(&sim, |_| {});
     let code = HResult::from_u32(0x8420_4043);
@@ -247,7 +247,7 @@ fn after_an_emergency_stop_there_is_no_recovery_and_the_arm_can_be_given_back() 
 }
 
 #[test]
-fn a_controller_that_is_gone_is_a_fault_and_not_a_wait() {
+fn a_disconnected_controller_is_a_fault() {
     let sim = controller();
     let mut rig = over_tcp(&sim, |_| {});
     let mut sim = Some(sim);

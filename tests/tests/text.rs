@@ -1,5 +1,5 @@
-//! The text of values: what is printed parses back to the same bits, what has no text is an error, and floats are those
-//! of the standard library.
+//! Tests the text format of values: printed text parses back to the same bits, values without a text are errors, and floats
+//! equal those of the standard library.
 
 use bcap_core::error::{TextError, TextErrorKind};
 use bcap_core::limits::{Limits, MAX_DEPTH, Strictness};

@@ -1,9 +1,9 @@
-//! Random peers over UDP against the server's session and a model of it: clients that start, restart, repeat, reorder and
-//! forge from one address.
+//! Tests the server's session over UDP against a model, with random peers that start, restart, repeat, reorder and forge
+//! requests from one address.
 //!
-//! The model is the table of `docs/udp-sessions.md`, which is read from there, and what the table's words mean. Every
-//! request is given to both; what they execute and send must be the same. Then faults are planted: each cell of the table is
-//! changed in every possible way, and the session is wrapped so that it behaves wrongly. Each must be noticed.
+//! The model interprets the table in `docs/udp-sessions.md`. Both receive every request, and must execute and send the same.
+//! Mutation tests then plant faults: they change each cell of the table in every possible way, and wrap the session so that
+//! it misbehaves. The comparison must detect each fault.
 
 use bcap_core::endpoint::{Endpoint, Serve, ServerEndpoint};
 use std::collections::{BTreeMap, BTreeSet};
@@ -153,7 +153,7 @@ impl Attempt {
     }
 }
 
-/// What the application is told, and what is sent to the peer.
+/// The calls to the application, and the bytes to the peer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Seen {
     Called(FunctionId, i32),
@@ -201,7 +201,7 @@ impl Handler for Application {
 
 // --- the model ---------------------------------------------------------------------------------------------------------
 
-/// What a server must know of its peer.
+/// The state that a server must have of its peer.
 struct Model {
     table: BTreeMap<Cell, Word>,
     covered: BTreeSet<Cell>,
@@ -262,7 +262,7 @@ impl Model {
                 let is_last = self.last.as_ref().is_some_and(|last| (last.0, last.1) == (marker, function));
                 return match () {
                     () if options != ask => "start_other_options",
-                    // while nobody knows how many attempts there were, the kept reply decides
+                    // the number of attempts is unknown, so the stored reply decides
                     () if self.session == Some(None) && !(is_last && is_kept) => "start_copy_reply_lost",
                     () if !is_attempt => "start_attempt_of_another_client",
                     () if self.running.is_none() && !is_kept => "start_copy_reply_lost",
@@ -294,7 +294,7 @@ impl Model {
         }
     }
 
-    /// Says what a request leads to.
+    /// Returns the effect of a request.
     fn take(&mut self, attempt: Attempt, now: Instant) -> Vec<Seen> {
         let cell = (self.state(now), self.request(&attempt));
         self.covered.insert(cell);
@@ -400,7 +400,7 @@ impl Model {
         vec![Seen::Called(function, number), sent]
     }
 
-    /// Says what the end of the running call leads to.
+    /// Returns the effect of the end of the running call.
     fn end_of_call(&mut self) -> Vec<Seen> {
         let Some(Attempt { ask, marker, serial }) = self.running.take() else { return Vec::new() };
         self.finish(ask, marker, serial)
@@ -431,7 +431,7 @@ fn reply_to(serial: u16, function: FunctionId, code: HResult, value: Option<i32>
 
 // --- the run -----------------------------------------------------------------------------------------------------------
 
-/// What is wrong with the session.
+/// A planted fault of the session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fault {
     /// The marker is not read, so that every attempt is a call of its own.
@@ -446,7 +446,7 @@ enum Fault {
     ClockRuns,
     /// A repeated reply keeps its serial.
     OldSerialAgain,
-    /// A running call is repeated in silence.
+    /// A retransmission of a running call is not answered.
     NoExecuting,
     /// A running call gets its reply under the serial of its first attempt.
     FirstSerialReplied,
@@ -717,7 +717,7 @@ impl Sequence {
         self.send(Attempt { serial, ..current }).map(drop)
     }
 
-    /// The network delivers a copy of something, of the last requests rather than of others.
+    /// The network delivers a copy of a request, preferably of a recent one.
     fn copy(&mut self) -> Result<(), Difference> {
         let behind = if self.random.happens(700) { 6 } else { 10_000 };
         let behind = 1 + self.random.below(behind.min(self.sent.len().max(1) as u64)) as usize;
@@ -752,7 +752,7 @@ impl Sequence {
         Err(self.difference("a client that starts is locked out".to_owned()))
     }
 
-    /// Somebody sends a request in the client's name.
+    /// A forged request arrives from the client's address.
     fn forge(&mut self) -> Result<(), Difference> {
         self.tally.forged += 1;
         if let Some((marker, ask)) = self.model.start.filter(|_| self.random.happens(250)) {

@@ -164,7 +164,7 @@ fn a_stream_in_pieces_gives_all_frames_in_order() {
 }
 
 #[test]
-fn the_stream_goes_on_behind_garbage() {
+fn a_stream_resynchronises_after_garbage() {
     // with the bound of a stream, 16 MiB, garbage may pass for a long frame; a line's bound leaves little room for that
     let decoder = Decoder { crc: false, ..Decoder::SERIAL };
     let vectors = frames();

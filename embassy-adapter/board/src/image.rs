@@ -1,4 +1,4 @@
-//! The block of settings in an image, for the host that writes it.
+//! Reads and writes the settings block of an image, on a host.
 
 use core::fmt;
 use core::ops::Range;
@@ -9,9 +9,9 @@ use crate::{BLOCK, MAGIC, SettingError, Settings};
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum ImageError<'a> {
-    /// The image has no block.
+    /// The image has no block, or is cut off inside it.
     NoBlock,
-    /// The letters of the block stand in the image more than once.
+    /// The image contains [`MAGIC`] more than once.
     ManyBlocks,
     /// A line of the settings is invalid.
     Invalid {
@@ -22,7 +22,7 @@ pub enum ImageError<'a> {
     },
     /// The settings are longer than the block.
     TooLong {
-        /// Their bytes.
+        /// Their length in bytes.
         len: usize,
     },
 }
@@ -40,7 +40,7 @@ impl fmt::Display for ImageError<'_> {
 
 impl core::error::Error for ImageError<'_> {}
 
-/// Views the settings in an image.
+/// Returns the text of the settings in an image.
 ///
 /// # Errors
 ///
@@ -50,11 +50,11 @@ pub fn text(image: &[u8]) -> Result<&[u8], ImageError<'static>> {
     Ok(text.split(|byte| *byte == 0).next().unwrap_or_default())
 }
 
-/// Writes settings into an image, in the place of those that were there.
+/// Replaces the settings in an image.
 ///
 /// # Errors
 ///
-/// An [`ImageError`]; the image is then as it was.
+/// An [`ImageError`]; the image is then unchanged.
 ///
 /// # Examples
 ///
@@ -65,7 +65,7 @@ pub fn text(image: &[u8]) -> Result<&[u8], ImageError<'static>> {
 /// file[1000..1008].copy_from_slice(MAGIC);
 /// image::write(&mut file, b"robot=192.168.0.1:5007\n")?;
 /// assert_eq!(image::text(&file)?, b"robot=192.168.0.1:5007\n");
-/// assert_eq!(file[1000 + BLOCK], 0x55, "what stands behind the block is as it was");
+/// assert_eq!(file[1000 + BLOCK], 0x55, "bytes after the block are unchanged");
 /// # Ok::<(), image::ImageError<'_>>(())
 /// ```
 pub fn write<'a>(image: &mut [u8], settings: &'a [u8]) -> Result<(), ImageError<'a>> {
@@ -76,8 +76,8 @@ pub fn write<'a>(image: &mut [u8], settings: &'a [u8]) -> Result<(), ImageError<
     if let Some(error) = invalid {
         return Err(error);
     }
-    let place = find(image)?;
-    match image.get_mut(place).unwrap_or_default().split_at_mut_checked(settings.len()) {
+    let range = find(image)?;
+    match image.get_mut(range).unwrap_or_default().split_at_mut_checked(settings.len()) {
         Some((text, rest)) => {
             text.copy_from_slice(settings);
             rest.fill(0);
@@ -87,14 +87,14 @@ pub fn write<'a>(image: &mut [u8], settings: &'a [u8]) -> Result<(), ImageError<
     }
 }
 
-/// Finds the text of the one block in an image.
+/// Returns the range of the settings' text in an image.
 fn find(image: &[u8]) -> Result<Range<usize>, ImageError<'static>> {
     let mut found = image.windows(MAGIC.len()).enumerate().filter(|(_, window)| window == MAGIC);
     let (start, _) = found.next().ok_or(ImageError::NoBlock)?;
     if found.next().is_some() {
         return Err(ImageError::ManyBlocks);
     }
-    // an image that ends inside of its block is cut off
+    // an image that ends inside its block is cut off
     let block = start..start + BLOCK;
     image.get(block.clone()).map(|_| block.start + MAGIC.len()..block.end).ok_or(ImageError::NoBlock)
 }
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn settings_replace_the_ones_before_and_nothing_else() {
+    fn write_replaces_only_the_settings() {
         let mut image = image();
         write(&mut image, b"provider=a long one\necho=7\n").unwrap();
         assert_eq!(text(&image).unwrap(), b"provider=a long one\necho=7\n");
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn a_block_can_be_full_and_no_more() {
+    fn settings_longer_than_the_block_are_refused() {
         let mut image = image();
         let room = BLOCK - MAGIC.len();
         let fill = |len: usize| format!("provider={}", "x".repeat(len - 9));
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_settings_and_wrong_images_are_told_apart() {
+    fn invalid_settings_and_invalid_images_have_distinct_errors() {
         let mut image = image();
         let error = write(&mut image, b"echo=7\nput=X\nrate=x\n").unwrap_err();
         let text =

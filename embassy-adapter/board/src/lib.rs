@@ -1,32 +1,32 @@
-//! The settings of a board: a block of text in its flash, which a host can write without building the image again.
+//! The settings of a board: a text block in its flash, which a host can change without rebuilding the image.
 //!
 //! ```text
 //!  "BCAPCONF"  key=value LF  key=value LF  ...  NUL up to 2048 bytes
 //! ```
 //!
-//! The block is in the image as it is, ELF or binary. [`write`](image::write) finds the eight letters and writes the settings
-//! after them. Host and board read the text with [`Settings::read`], so the board accepts every line that the host accepted.
+//! The block is stored unencoded in ELF and binary images, so a tool can search for the eight letters and write after
+//! them, as [`write`](image::write) does. Both sides parse it with [`Settings::read`], so the board accepts the same
+//! settings as the host.
 //!
-//! | key        | value                                | without it               |
+//! | key        | value                                | default                  |
 //! |------------|--------------------------------------|--------------------------|
 //! | `robot`    | `[tcp:\|udp:]ADDRESS:PORT`           | `tcp:10.0.2.2:5007`      |
 //! | `provider` | the provider to connect to           | `CaoProv.DENSO.VRC9`     |
-//! | `machine`  | the machine that it runs on          | `localhost`              |
-//! | `option`   | the option of Controller_Connect     | none                     |
+//! | `machine`  | the machine that the provider runs on | `localhost`             |
+//! | `option`   | the option of Controller_Connect     | empty                    |
 //! | `service`  | the option of Service_Start          | `WDT=400`                |
-//! | `variable` | what the images `bare` and `node` read | `I1`                   |
-//! | `dhcp`     | `yes`, `no`: ask the network for an address | `yes`             |
-//! | `address`  | `ADDRESS/PREFIX`: the board's own, when the network gives none | `10.0.2.15/24` |
-//! | `gateway`  | the router to other networks, with that address | `10.0.2.2`       |
-//! | `mac`      | `02:00:00:bc:a9:03`: the hardware address | the image's         |
+//! | `variable` | the variable that the images `bare` and `node` read | `I1`      |
+//! | `dhcp`     | `yes`, `no`: request an address by DHCP | `yes`                 |
+//! | `address`  | `ADDRESS/PREFIX`: the board's address without DHCP | `10.0.2.15/24` |
+//! | `gateway`  | the default gateway, used with `address` | `10.0.2.2`           |
+//! | `mac`      | `02:00:00:bc:a9:03`: the MAC address | that of the image        |
 //! | `get`      | `KIND[/FIRST[-LAST]]`: what PLCs may read; can be repeated | everything |
-//! | `put`      | `KIND[/FIRST[-LAST]][=MIN..MAX[,MIN..MAX]...]`: what they may write, with which values; can be repeated | nothing |
-//! | `convert`  | `yes`, `no`: a PUT of another type is converted where nothing is lost | `no` |
-//! | `rate`     | `PER_SECOND[/BURST]`: requests of each PLC | no limit           |
-//! | `echo`     | a port that sends back the bytes that it receives, to compare with | none |
+//! | `put`      | `KIND[/FIRST[-LAST]][=MIN..MAX[,MIN..MAX]...]`: what PLCs may write, and the accepted values; can be repeated | nothing |
+//! | `convert`  | `yes`, `no`: convert a PUT of another type where the conversion is lossless | `no` |
+//! | `rate`     | `PER_SECOND[/BURST]`: token bucket per PLC, in requests | no limit |
+//! | `echo`     | the port of an echo server, to compare round trips | no echo server |
 //!
-//! An invalid line is skipped and reported. Then no PUT is allowed, whatever the other lines say: the invalid line may have
-//! been one that forbids something.
+//! An invalid line is skipped and reported. The board then refuses every PUT, whatever the other lines allow.
 #![no_std]
 
 #[cfg(test)]
@@ -41,8 +41,8 @@ pub use self::error::SettingError;
 pub use self::rules::RuleMemory;
 pub use self::settings::{Robot, Settings, Transport};
 
-/// The letters that the block begins with.
+/// The eight letters at the start of the block.
 pub const MAGIC: &[u8; 8] = b"BCAPCONF";
 
-/// Bytes of the block, the letters included.
+/// The size of the block in bytes, including [`MAGIC`].
 pub const BLOCK: usize = 2048;

@@ -1,4 +1,4 @@
-//! The settings, and how they are read.
+//! The settings and their parser.
 
 use core::net::{Ipv4Addr, SocketAddrV4};
 use core::str;
@@ -8,12 +8,12 @@ use bcap_core::gateway::{Rate, Rules};
 use crate::SettingError;
 use crate::rules::{List, RuleMemory};
 
-/// What can be set. Texts are borrowed from the block.
+/// The settings of a board; its texts borrow from the block.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings<'a> {
     /// The robot controller.
     pub robot: Robot,
-    /// The provider to connect to there.
+    /// The provider to connect to.
     pub provider: &'a str,
     /// The machine that the provider runs on, seen from the robot.
     pub machine: &'a str,
@@ -21,17 +21,17 @@ pub struct Settings<'a> {
     pub option: &'a str,
     /// The option of Service_Start.
     pub service: &'a str,
-    /// What the images `bare` and `node` read.
+    /// The variable that the images `bare` and `node` read.
     pub variable: &'a str,
-    /// Whether a DHCP server is asked for an address.
+    /// Whether the board requests an address by DHCP.
     pub dhcp: bool,
-    /// The board's own address when no DHCP server answers, and the bits of its network.
+    /// The board's address when no DHCP server answers, and the length of its network prefix in bits.
     pub address: (Ipv4Addr, u8),
-    /// The router to other networks, used with that address.
+    /// The default gateway, used with `address`.
     pub gateway: Ipv4Addr,
-    /// The hardware address; the image's own if there is none.
+    /// The MAC address; `None` means that of the image.
     pub mac: Option<[u8; 6]>,
-    /// A port that sends back the bytes that it receives.
+    /// The port of the echo server, if there is one.
     pub echo: Option<u16>,
     convert: bool,
     rate: Rate,
@@ -41,13 +41,13 @@ pub struct Settings<'a> {
 /// The address of the robot controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Robot {
-    /// What carries b-CAP to it.
+    /// The transport of b-CAP.
     pub transport: Transport,
-    /// Its address.
+    /// The controller's address and port.
     pub address: SocketAddrV4,
 }
 
-/// What carries b-CAP.
+/// The transport of b-CAP.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Transport {
     /// TCP.
@@ -79,7 +79,7 @@ impl Default for Settings<'_> {
 }
 
 impl<'a> Settings<'a> {
-    /// Reads the text of a block, up to the first NUL. Invalid lines are skipped and passed to `invalid`.
+    /// Parses the text of a block up to the first NUL; calls `invalid` with each line that is skipped.
     ///
     /// # Examples
     ///
@@ -106,7 +106,7 @@ impl<'a> Settings<'a> {
         settings
     }
 
-    /// Returns what PLCs may do.
+    /// Returns the rules for PLCs.
     #[must_use]
     pub fn rules<'r, 's: 'r>(&'s self, memory: &'r mut RuleMemory<'s>) -> Rules<'r> {
         self.lists.rules(memory, self.convert, self.rate)
@@ -169,7 +169,7 @@ fn mac(value: &str) -> Option<[u8; 6]> {
     for byte in &mut mac {
         *byte = parts.next().filter(|part| part.len() == 2).and_then(|part| u8::from_str_radix(part, 16).ok())?;
     }
-    // refuses a multicast address and the address of no board
+    // a multicast address or the zero address cannot be a board's address
     (parts.next().is_none() && mac[0] & 1 == 0 && mac != [0; 6]).then_some(mac)
 }
 
@@ -200,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn every_key_is_read() {
+    fn every_key_is_parsed() {
         let settings = read(
             "robot=udp:192.168.0.1:5008\nprovider=P\nmachine=m\noption=Server=10.6.235.60\nservice=\nvariable=P7\n\
              dhcp=no\naddress=192.168.0.9/16\ngateway=192.168.0.254\nmac=02:00:00:BC:a9:7f\necho=7\nconvert=yes\n\
@@ -251,16 +251,16 @@ mod tests {
             "echo=65536",
             "colour=red",
             "nonsense",
-            "provider=\u{fffd}\u{fffd}=x", // readable: a provider may be called so
+            "provider=\u{fffd}\u{fffd}=x", // valid: a provider may have any name
         ] {
             let text = ["put=I\n", line, "\nput=F\necho=9"].concat();
             let mut told = Vec::new();
             let settings = Settings::read(text.as_bytes(), |line, _| told.push(line));
             if line.starts_with("provider") {
-                assert!(told.is_empty());
+                assert!(reported.is_empty());
                 continue;
             }
-            assert_eq!(told, [line.as_bytes()]);
+            assert_eq!(reported, [line.as_bytes()]);
             assert_eq!(settings.rules(&mut RuleMemory::new()), Rules::READ_ONLY, "{line}");
             assert_eq!(settings.echo, Some(9), "the lines after it are read");
         }

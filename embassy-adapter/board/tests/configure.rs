@@ -1,4 +1,4 @@
-//! The command `configure`, on files that stand for images.
+//! Tests the command `configure` on files with a configuration block.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -28,7 +28,7 @@ impl Drop for Temporary {
     }
 }
 
-/// Runs the command; returns what it printed, what it complained of, and its exit code.
+/// Runs the command; returns its stdout, its stderr and its exit code.
 fn configure(image: &Path, settings: &[&str]) -> (String, String, i32) {
     let output = Command::new(env!("CARGO_BIN_EXE_configure")).arg(image).args(settings).output().unwrap();
     let text = |bytes| String::from_utf8(bytes).unwrap();
@@ -54,14 +54,14 @@ fn settings_are_written_and_shown() {
 fn invalid_settings_are_refused() {
     let image = Temporary::image("refused");
     let before = fs::read(&image.0).unwrap();
-    for (settings, complaint) in [
+    for (settings, message) in [
         (["echo=7", "put=X"], "invalid setting \"put=X\": unknown kind of variable"),
         (["echo=7", "nonsense"], "invalid setting \"nonsense\": expected KEY=VALUE"),
         (["echo=7", "@/no/such/file"], "/no/such/file"),
     ] {
         let (out, err, code) = configure(&image.0, &settings);
         assert_eq!((out.as_str(), code), ("", 1));
-        assert!(err.contains(complaint) && err.contains("refused"), "{err}");
+        assert!(err.contains(message) && err.contains("refused"), "{err}");
     }
     assert_eq!(fs::read(&image.0).unwrap(), before);
     let none = Temporary::new("none", &[0x55; 4096]);

@@ -1,4 +1,4 @@
-//! Where the peripherals of the chosen board are.
+//! The addresses and interrupts of the chosen board's peripherals.
 //!
 //! ```text
 //!               CPU   Ethernet     IRQ  UART 0       watchdog     clock     flash        memory
@@ -33,7 +33,7 @@ mod chosen {
     pub(super) const CLOCK_HZ: u32 = 20_000_000;
 }
 
-// SAFETY: the LAN9118 moves frames through its registers only; it is no bus master
+// SAFETY: the LAN9118 moves frames through its registers only; it is not a bus master
 pub(crate) const ETHERNET: Block = unsafe { Block::new(chosen::ETHERNET) };
 // SAFETY: a serial port without DMA
 pub(crate) const UART: Block = unsafe { Block::new(chosen::UART) };
@@ -56,7 +56,7 @@ unsafe impl cortex_m::interrupt::InterruptNumber for Irq {
     }
 }
 
-/// Lets an interrupt through.
+/// Unmasks an interrupt.
 pub(crate) fn unmask(irq: Irq) {
     // SAFETY: no critical section is made with this mask
     unsafe { cortex_m::peripheral::NVIC::unmask(irq) };

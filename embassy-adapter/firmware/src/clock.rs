@@ -1,7 +1,7 @@
-//! SysTick as a clock of microseconds, and embassy's time driver on it.
+//! SysTick as a microsecond clock, and embassy's time driver on it.
 //!
-//! The timer counts a millisecond down again and again. The time is the number of milliseconds, and within one, how far
-//! it has counted. Alarms are looked at each millisecond, and are late by that much at most.
+//! The timer reloads each millisecond. The time is the number of elapsed milliseconds plus the timer's count within the
+//! current one. Alarms are checked each millisecond, so they fire at most 1 ms late.
 
 use core::cell::RefCell;
 use core::task::Waker;
@@ -14,7 +14,7 @@ use embassy_time_queue_utils::Queue;
 
 use crate::board::CLOCK_HZ;
 
-/// Counts of the timer in a millisecond, and in a microsecond.
+/// Timer counts per millisecond and per microsecond.
 const PER_MILLI: u32 = CLOCK_HZ / 1000;
 const PER_MICRO: u32 = CLOCK_HZ / 1_000_000;
 
@@ -23,9 +23,9 @@ struct Clock {
 }
 
 struct State {
-    /// Milliseconds that have passed.
+    /// Elapsed milliseconds.
     millis: u64,
-    /// When the next alarm is due, in microseconds.
+    /// The time of the next alarm, in microseconds.
     due: Option<u64>,
     queue: Queue,
 }
@@ -40,7 +40,7 @@ pub fn init(mut timer: SYST) {
     timer.set_reload(PER_MILLI - 1);
     timer.clear_current();
     timer.enable_counter();
-    // it loads its first count when it has begun; before that it would read as the end of a millisecond
+    // the count is 0, the end of a millisecond, until the timer loads its first value
     while SYST::get_current() == 0 {}
     timer.enable_interrupt();
 }
@@ -49,7 +49,7 @@ impl embassy_time_driver::Driver for Clock {
     fn now(&self) -> u64 {
         critical_section::with(|cs| {
             let before = SYST::get_current();
-            // the timer may have begun anew while its interrupt cannot come
+            // the timer may have wrapped while its interrupt is masked
             let pending = SCB::is_pendst_pending();
             let count = if pending { SYST::get_current() } else { before };
             let passed = PER_MILLI.saturating_sub(1).saturating_sub(count) / PER_MICRO;

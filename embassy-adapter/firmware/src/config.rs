@@ -1,4 +1,4 @@
-//! The block of settings in the flash; `bcap_board` describes it.
+//! The settings block in the flash; `bcap_board` documents its contents.
 
 use bcap_board::{BLOCK, MAGIC, Settings};
 use static_cell::StaticCell;
@@ -16,9 +16,9 @@ static SETTINGS: [u8; BLOCK] = {
     block
 };
 
-/// Reads the block, and passes invalid lines to `invalid`. To be called once.
+/// Parses the block; calls `invalid` with each invalid line. Call it once.
 ///
-/// Not inlined: the settings are made on the stack on their way into their place.
+/// Not inlined, because the settings are built on the stack before they move into their static.
 #[inline(never)]
 #[must_use]
 pub fn load(invalid: fn(&[u8])) -> &'static Settings<'static> {
@@ -30,5 +30,5 @@ pub fn load(invalid: fn(&[u8])) -> &'static Settings<'static> {
 
 /// Logs an invalid line.
 pub fn log(line: &[u8]) {
-    defmt::error!("settings: cannot read \"{=[u8]:a}\", so nothing may be written", line);
+    defmt::error!("settings: invalid line \"{=[u8]:a}\", so every PUT is refused", line);
 }

@@ -1,4 +1,4 @@
-//! A port that sends back what comes: what the network and the board take by themselves, to compare with.
+//! An echo server, to measure the round trip of the network and the board without the gateway.
 
 use embassy_executor::{SpawnError, Spawner};
 use embassy_net::Stack;
@@ -6,14 +6,14 @@ use embassy_net::tcp::{Error, TcpSocket};
 use embassy_time::Timer;
 use static_cell::ConstStaticCell;
 
-/// Connections at the same time.
+/// Concurrent connections.
 pub const ECHOES: usize = 4;
 
-/// Starts the tasks that serve the port. To be called once.
+/// Starts the tasks that serve the port. Call it once.
 ///
 /// # Errors
 ///
-/// When they are running already.
+/// A [`SpawnError`] when they are already running.
 pub fn start(spawner: Spawner, stack: Stack<'static>, port: u16) -> Result<(), SpawnError> {
     static MEMORY: ConstStaticCell<[[[u8; 512]; 2]; ECHOES]> = ConstStaticCell::new([[[0; 512]; 2]; ECHOES]);
     for memory in MEMORY.take() {
@@ -31,7 +31,7 @@ async fn serve(stack: Stack<'static>, port: u16, memory: &'static mut [[u8; 512]
         socket.abort();
         match socket.accept(port).await {
             Ok(()) => {
-                // the peer ends it, one way or the other
+                // the peer closed or reset the connection
                 let _ = echo(&mut socket).await;
             }
             Err(_) => Timer::after_millis(100).await,

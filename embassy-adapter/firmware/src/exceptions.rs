@@ -1,6 +1,6 @@
-//! The handlers of exceptions: the Ethernet interrupt, the watchdog's NMI and faults.
+//! The exception handlers: the Ethernet interrupt, the watchdog's NMI and faults.
 //!
-//! The linker finds the handlers by their names, so no other file refers to this one. SysTick is in [`clock`](crate::clock).
+//! The linker finds the handlers by name, so no other file refers to this one. SysTick is in [`clock`](crate::clock).
 #![expect(unsafe_code, reason = "handlers of exceptions are unsafe functions")]
 
 use cortex_m::interrupt::InterruptNumber as _;
@@ -13,7 +13,7 @@ use crate::{fault, lan9118};
 #[exception]
 unsafe fn DefaultHandler(number: i16) {
     if number == ETHERNET_IRQ.number().cast_signed() {
-        // the line stays active until the driver has looked; the driver unmasks the interrupt then
+        // the line stays active until the driver has read the frame; the driver then unmasks the interrupt
         NVIC::mask(ETHERNET_IRQ);
         lan9118::wake();
     } else {
@@ -21,7 +21,7 @@ unsafe fn DefaultHandler(number: i16) {
     }
 }
 
-/// Only the watchdog is connected to it.
+/// The NMI, to which only the watchdog is connected.
 #[exception]
 unsafe fn NonMaskableInt() -> ! {
     fault::hung()

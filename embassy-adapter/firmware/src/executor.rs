@@ -1,6 +1,6 @@
-//! An executor of embassy's that sleeps with WFI.
+//! An embassy executor that sleeps with WFI.
 //!
-//! The one that comes with embassy waits for events (WFE), which an emulator turns into a busy loop.
+//! embassy's own executor waits for events (WFE), which an emulator turns into a busy loop.
 #![expect(unsafe_code, reason = "the executor is polled, and found by the name of a symbol")]
 
 use core::sync::atomic::{AtomicBool, Ordering};
@@ -9,7 +9,7 @@ use embassy_executor::{Spawner, raw};
 use static_cell::StaticCell;
 
 static EXECUTOR: StaticCell<raw::Executor> = StaticCell::new();
-/// Whether a task has been woken since the executor looked last.
+/// Whether a task was woken since the executor's last poll.
 static WOKEN: AtomicBool = AtomicBool::new(false);
 
 #[unsafe(export_name = "__pender")]
@@ -17,7 +17,7 @@ fn pender(_context: *mut ()) {
     WOKEN.store(true, Ordering::Release);
 }
 
-/// Runs tasks for ever; there can be one executor.
+/// Runs tasks forever; there can be only one executor.
 pub fn run(start: impl FnOnce(Spawner)) -> ! {
     let executor = EXECUTOR.init_with(|| raw::Executor::new(core::ptr::null_mut()));
     start(executor.spawner());
@@ -25,7 +25,7 @@ pub fn run(start: impl FnOnce(Spawner)) -> ! {
         WOKEN.store(false, Ordering::Release);
         // SAFETY: `poll` is called here only, and this function never returns
         unsafe { executor.poll() };
-        // an interrupt that comes between the look and the sleep ends the sleep, though it is served after it
+        // an interrupt between this check and the sleep ends the sleep, although its handler runs after it
         critical_section::with(|_| {
             if !WOKEN.load(Ordering::Acquire) {
                 cortex_m::asm::wfi();

@@ -1,6 +1,6 @@
-//! What happens after a panic or a fault: it is reported, and the board starts again.
+//! Reports a panic or a fault and resets the board.
 //!
-//! With the feature `semihosting` the emulator ends with an error instead, so that a test sees it.
+//! With the feature `semihosting` the emulator exits with an error instead, so that a test detects it.
 
 use core::fmt::Write as _;
 use core::panic::PanicInfo;
@@ -9,7 +9,7 @@ use cortex_m_rt::ExceptionFrame;
 
 use crate::uart::Text;
 
-/// Reports a panic over defmt; what an image with a log calls in its panic handler.
+/// Reports a panic over defmt; for the panic handler of an image with a log.
 pub fn panic_logged(info: &PanicInfo<'_>) -> ! {
     cortex_m::interrupt::disable();
     match info.location() {
@@ -21,7 +21,7 @@ pub fn panic_logged(info: &PanicInfo<'_>) -> ! {
     end()
 }
 
-/// Reports a panic as text; what an image without a log calls in its panic handler.
+/// Reports a panic as text; for the panic handler of an image without a log.
 pub fn panic_text(info: &PanicInfo<'_>) -> ! {
     cortex_m::interrupt::disable();
     let _ = writeln!(Text, "{info}");
@@ -29,13 +29,13 @@ pub fn panic_text(info: &PanicInfo<'_>) -> ! {
 }
 
 pub(crate) fn hard_fault(frame: &ExceptionFrame) -> ! {
-    // as text even in an image with defmt: a fault inside of the logger must be told too
+    // as text even in an image with defmt, so that a fault inside the logger is reported too
     let _ = writeln!(Text, "\nhard fault at {:#010x}, called from {:#010x}", frame.pc(), frame.lr());
     end()
 }
 
 pub(crate) fn hung() -> ! {
-    let _ = writeln!(Text, "\nwatchdog: no progress of the tasks {:#b}", crate::watchdog::late());
+    let _ = writeln!(Text, "\nwatchdog: stalled tasks {:#b}", crate::watchdog::stalled());
     end()
 }
 
@@ -44,14 +44,14 @@ pub(crate) fn unexpected(number: i16) -> ! {
     end()
 }
 
-/// Ends the program well: the emulator exits with success, a board starts again.
+/// Ends the program with success: the emulator exits with 0, a board resets.
 pub fn succeed() -> ! {
     #[cfg(feature = "semihosting")]
     cortex_m_semihosting::debug::exit(cortex_m_semihosting::debug::EXIT_SUCCESS);
     cortex_m::peripheral::SCB::sys_reset()
 }
 
-/// Ends the program after a failure: the emulator exits with an error, a board starts again.
+/// Ends the program after a failure: the emulator exits with an error, a board resets.
 pub fn end() -> ! {
     #[cfg(feature = "semihosting")]
     cortex_m_semihosting::debug::exit(cortex_m_semihosting::debug::EXIT_FAILURE);

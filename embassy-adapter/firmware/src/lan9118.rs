@@ -1,16 +1,16 @@
-//! The Ethernet controller LAN9118, and its seams to embassy-net and smoltcp.
+//! A driver of the Ethernet controller LAN9118 for embassy-net and smoltcp.
 //!
 //! ```text
-//!  the wire ─► RX FIFO ──────── read a word at a time ─────► `received`   ─► RxToken
-//!  the wire ◄─ TX FIFO ◄─────── written a word at a time ─── `to_send`    ◄─ TxToken
-//!                 interrupt: a frame has come, or there is room again ─► WAKER
+//!  wire ─► RX FIFO ──────── read a word at a time ─────► `received`   ─► RxToken
+//!  wire ◄─ TX FIFO ◄─────── written a word at a time ─── `to_send`    ◄─ TxToken
+//!             interrupt: frame received, or room to send ─► WAKER
 //! ```
 //!
-//! * A frame is copied out of the controller before its token is made, and into it when the token is consumed. The two
-//!   tokens that are handed out together borrow different fields, so neither can see the other's bytes.
-//! * A token to send is only made when the controller has room for the largest frame, so sending never waits.
-//! * The interrupt handler masks the interrupt and wakes the driver; the driver unmasks it when it has found nothing
-//!   more to do. A frame that comes in between keeps the interrupt pending and is not missed.
+//! * A received frame is copied out of the controller before its token is created. A frame to send is copied into the
+//!   controller when its token is consumed. The two tokens of a pair borrow different fields, so they share no bytes.
+//! * A `TxToken` is created only when the controller has room for the largest frame, so sending never waits.
+//! * The interrupt handler masks the interrupt and wakes the driver. The driver unmasks it when it has no more work. A
+//!   frame that arrives in between keeps the interrupt pending and is not missed.
 
 use core::sync::atomic::{AtomicU32, Ordering};
 use core::task::{Context, Waker};
@@ -22,7 +22,7 @@ use smoltcp::phy::{self, Device, DeviceCapabilities, Medium};
 
 use crate::board::{self, ETHERNET};
 
-/// Registers, in bytes from the base.
+/// Registers, as byte offsets from the base.
 mod register {
     pub(super) const RX_DATA: usize = 0x00;
     pub(super) const TX_DATA: usize = 0x20;
@@ -42,7 +42,7 @@ mod register {
     pub(super) const MAC_CSR_DATA: usize = 0xa8;
 }
 
-/// Registers behind `MAC_CSR_CMD`.
+/// Registers that are accessed through `MAC_CSR_CMD`.
 mod mac {
     pub(super) const CR: u32 = 1;
     pub(super) const ADDR_HIGH: u32 = 2;
@@ -63,7 +63,7 @@ const SOFT_RESET: u32 = 1;
 const HW_CFG: u32 = 5 << 16 | 1 << 20;
 /// Interrupt output: enabled, active high, push-pull.
 const IRQ_CFG: u32 = 1 << 8 | 1 << 4 | 1;
-/// A frame has been received; there is room for a frame to send.
+/// Interrupt bits: a frame was received; there is room for a frame to send.
 const RX_STATUS_LEVEL: u32 = 1 << 3;
 const TX_DATA_LEVEL: u32 = 1 << 9;
 /// Levels: more than 24 blocks of 64 bytes free to send, more than 0 frames received.
@@ -81,13 +81,13 @@ const TX_FIRST_AND_LAST: u32 = 1 << 13 | 1 << 12;
 
 /// Bytes of the largest frame, without its checksum.
 const MAX_FRAME: usize = 1514;
-/// The checksum that the controller leaves behind a received frame.
+/// Bytes of the checksum that the controller leaves after a received frame.
 const CHECKSUM: usize = 4;
-/// Bytes of the TX FIFO that a frame takes beside its own: two commands, and padding to words.
+/// Bytes of the TX FIFO that a frame takes in addition to its own: two commands, and padding to words.
 const TX_OVERHEAD: usize = 8 + 3;
-/// How often the controller is asked for a register that is not ready before it counts as broken.
-const PATIENCE: usize = 100_000;
-/// How often the PHY is asked whether the link is up.
+/// How often a register that is not ready is polled before the controller counts as defective.
+const READY_POLLS: usize = 100_000;
+/// The interval at which the driver reads the link state from the PHY.
 const LINK_INTERVAL: Duration = Duration::from_millis(250);
 
 static WAKER: AtomicWaker = AtomicWaker::new();
@@ -100,16 +100,16 @@ pub(crate) fn wake() {
     WAKER.wake();
 }
 
-/// Why there is no controller to work with.
+/// Why the controller cannot be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, defmt::Format)]
 pub enum InitError {
-    /// The register that should read 0x87654321 does not; this is no LAN9118.
+    /// The byte test register has this value instead of 0x87654321; the device is not a LAN9118.
     NotFound(u32),
-    /// A reset, or an access to the MAC or the PHY, did not end.
+    /// A reset, or an access to the MAC or the PHY, did not complete.
     Stuck,
 }
 
-/// Frames that the controller has passed on and dropped.
+/// Counters of received, sent and dropped frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, defmt::Format)]
 pub struct Counters {
     /// Frames received.
@@ -120,7 +120,7 @@ pub struct Counters {
     pub dropped: u32,
 }
 
-/// Returns what has passed since the start.
+/// Returns the counters since the start.
 #[must_use]
 pub fn counters() -> Counters {
     Counters {
@@ -130,7 +130,7 @@ pub fn counters() -> Counters {
     }
 }
 
-/// Memory for the frame that was received last, and for the one that is being made.
+/// Buffers for the last received frame and for the frame to send.
 #[derive(Debug)]
 pub struct Frames {
     received: [u8; MAX_FRAME],
@@ -138,7 +138,7 @@ pub struct Frames {
 }
 
 impl Frames {
-    /// Makes memory without a frame in it.
+    /// Creates empty buffers.
     #[must_use]
     pub const fn new() -> Self {
         Self { received: [0; MAX_FRAME], to_send: [0; MAX_FRAME] }
@@ -151,7 +151,7 @@ impl Default for Frames {
     }
 }
 
-/// The controller; there can be one.
+/// The controller; there can be only one.
 #[derive(Debug)]
 pub struct Lan9118<'m> {
     address: [u8; 6],
@@ -159,19 +159,19 @@ pub struct Lan9118<'m> {
     link: PhyLink,
 }
 
-/// The link as the PHY told last.
+/// The link state that the PHY last reported.
 #[derive(Debug)]
 struct PhyLink {
     up: bool,
-    asked: Option<Instant>,
+    checked_at: Option<Instant>,
 }
 
 impl<'m> Lan9118<'m> {
-    /// Resets the controller and gives it an address.
+    /// Resets the controller and sets its MAC address.
     ///
     /// # Errors
     ///
-    /// An [`InitError`] when it does not answer as it should.
+    /// An [`InitError`] when the controller is missing or does not respond.
     pub fn new(address: [u8; 6], frames: &'m mut Frames) -> Result<Self, InitError> {
         let found = ETHERNET.read::<{ register::BYTE_TEST }>();
         if found != BYTE_TEST {
@@ -192,17 +192,17 @@ impl<'m> Lan9118<'m> {
         ETHERNET.write::<{ register::INT_STS }>(u32::MAX);
         ETHERNET.write::<{ register::IRQ_CFG }>(IRQ_CFG);
         ETHERNET.write::<{ register::INT_EN }>(RX_STATUS_LEVEL);
-        let link = PhyLink { up: false, asked: None };
+        let link = PhyLink { up: false, checked_at: None };
         Ok(Self { address, frames, link })
     }
 
-    /// Returns the hardware address.
+    /// Returns the MAC address.
     #[must_use]
     pub const fn address(&self) -> [u8; 6] {
         self.address
     }
 
-    /// Copies the next good frame out of the controller, and returns its length.
+    /// Copies the next valid frame out of the controller and returns its length.
     fn take_frame(&mut self) -> Option<usize> {
         DROPPED.fetch_add(ETHERNET.read::<{ register::RX_DROP }>(), Ordering::Relaxed);
         while frames_waiting() > 0 {
@@ -224,20 +224,20 @@ impl<'m> Lan9118<'m> {
         None
     }
 
-    /// Looks for a frame; when there is none, arranges to be woken.
+    /// Checks for a received frame; without one, registers the waker.
     fn poll_frame(&mut self, waker: &Waker) -> Option<usize> {
         if let Some(len) = self.take_frame() {
             return Some(len);
         }
         WAKER.register(waker);
         ETHERNET.write::<{ register::INT_STS }>(RX_STATUS_LEVEL);
-        // one that came before the flag was cleared raises no interrupt
+        // a frame that arrived before the flag was cleared raises no interrupt
         let found = self.take_frame();
         board::unmask(board::ETHERNET_IRQ);
         found
     }
 
-    /// Tells whether there is room for a frame; when there is none, arranges to be woken.
+    /// Checks for room for a frame; without room, registers the waker.
     fn poll_room(&mut self, waker: &Waker) -> bool {
         if has_room() {
             return true;
@@ -261,13 +261,13 @@ impl<'m> Lan9118<'m> {
     }
 }
 
-/// A frame that has been received.
+/// A received frame.
 #[derive(Debug)]
 pub struct RxToken<'a> {
     frame: &'a mut [u8],
 }
 
-/// Room for a frame that is to be sent.
+/// Room for a frame to send.
 #[derive(Debug)]
 pub struct TxToken<'a> {
     frame: &'a mut [u8; MAX_FRAME],
@@ -276,10 +276,10 @@ pub struct TxToken<'a> {
 impl TxToken<'_> {
     /// Lets `fill` write the frame, and sends it.
     fn send<R>(self, len: usize, fill: impl FnOnce(&mut [u8]) -> R) -> R {
-        // both stacks were told the largest frame; one that would be longer is cut, and dropped by whoever gets it
+        // both stacks know the largest frame; a longer one would be truncated here and dropped by its receiver
         let frame = self.frame.get_mut(..len.min(MAX_FRAME)).unwrap_or_default();
         let result = fill(frame);
-        forget_sent();
+        discard_tx_status();
         let length = u32::try_from(frame.len()).unwrap_or_default();
         ETHERNET.write::<{ register::TX_DATA }>(TX_FIRST_AND_LAST | length);
         ETHERNET.write::<{ register::TX_DATA }>(length);
@@ -330,7 +330,7 @@ impl Driver for Lan9118<'_> {
         Self: 'a;
 
     fn receive(&mut self, cx: &mut Context<'_>) -> Option<(RxToken<'_>, TxToken<'_>)> {
-        // a frame stays in the controller until its answer has room
+        // a frame stays in the controller until there is room for an answer
         if !self.poll_room(cx.waker()) {
             return None;
         }
@@ -344,11 +344,11 @@ impl Driver for Lan9118<'_> {
 
     fn link_state(&mut self, cx: &mut Context<'_>) -> LinkState {
         let now = Instant::now();
-        if self.link.asked.is_none_or(|asked| now >= asked + LINK_INTERVAL) {
-            self.link.asked = Some(now);
+        if self.link.checked_at.is_none_or(|checked_at| now >= checked_at + LINK_INTERVAL) {
+            self.link.checked_at = Some(now);
             self.link.up = is_link_up();
         }
-        // nothing wakes the driver when the link changes, so it has itself woken to ask
+        // the controller signals no change of the link, so the driver wakes itself to poll it
         embassy_time_driver::schedule_wake((now + LINK_INTERVAL).as_ticks(), cx.waker());
         if self.link.up { LinkState::Up } else { LinkState::Down }
     }
@@ -404,14 +404,14 @@ fn has_room() -> bool {
     to_usize(ETHERNET.read::<{ register::TX_FIFO_INF }>() & 0xffff) >= MAX_FRAME + TX_OVERHEAD
 }
 
-/// Takes the notes about frames that have left out of the controller, which stops when it is full of them.
-fn forget_sent() {
+/// Discards the status words of sent frames; the controller stops sending when their FIFO is full.
+fn discard_tx_status() {
     for _ in 0..ETHERNET.read::<{ register::TX_FIFO_INF }>() >> 16 & 0xff {
         let _ = ETHERNET.read::<{ register::TX_STATUS }>();
     }
 }
 
-/// Asks the PHY; a PHY that does not answer has no link.
+/// Reads the link state from the PHY; a PHY that does not respond has no link.
 fn is_link_up() -> bool {
     // the bit stays low after a failure until it is read, so it is read twice
     let _ = read_phy(phy_register::BASIC_STATUS);
@@ -431,7 +431,7 @@ fn write_phy(register: u32, value: u32) -> Result<(), InitError> {
 }
 
 fn mii_ready() -> Result<(), InitError> {
-    for _ in 0..PATIENCE {
+    for _ in 0..READY_POLLS {
         if read_mac(mac::MII_ACC)? & MII_BUSY == 0 {
             return Ok(());
         }
@@ -456,10 +456,10 @@ fn mac_ready() -> Result<(), InitError> {
 }
 
 fn wait_until(mut done: impl FnMut() -> bool) -> Result<(), InitError> {
-    (0..PATIENCE).any(|_| done()).then_some(()).ok_or(InitError::Stuck)
+    (0..READY_POLLS).any(|_| done()).then_some(()).ok_or(InitError::Stuck)
 }
 
-/// Widens a number that fits: the board has 32 bits.
+/// Converts a `u32` without loss, because `usize` has 32 bits on the board.
 const fn to_usize(n: u32) -> usize {
     n as usize
 }

@@ -1,22 +1,22 @@
-//! What the images share: a board that QEMU emulates, with its Ethernet controller, clock, serial port and executor.
+//! Board support that the images share: the Ethernet controller, clock, serial port and executor of a board in QEMU.
 //!
 //! | module       | what it is                                                                        |
 //! |--------------|-----------------------------------------------------------------------------------|
-//! | [`board`]    | where the peripherals of the chosen board are                                     |
-//! | [`lan9118`]  | the Ethernet controller, and its seams to embassy-net and smoltcp                 |
-//! | [`clock`]    | SysTick, and embassy's time driver on it                                          |
+//! | [`board`]    | the addresses of the chosen board's peripherals                                   |
+//! | [`lan9118`]  | the driver of the Ethernet controller for embassy-net and smoltcp                 |
+//! | [`clock`]    | SysTick as a clock, and embassy's time driver on it                               |
 //! | [`executor`] | an executor that sleeps with WFI                                                  |
-//! | [`uart`]     | the serial port, and defmt's frames over it                                       |
-//! | [`config`]   | the block of flash that a host tool patches: addresses, names and rules           |
-//! | [`net`]      | embassy-net on the board: its tasks, and an address                               |
-//! | [`stack`]    | how much of the stack has ever been in use                                        |
-//! | [`echo`]     | a port that sends back what comes                                                 |
+//! | [`uart`]     | the serial port, as text or as defmt frames                                       |
+//! | [`config`]   | the settings block in the flash, which a host tool patches                        |
+//! | [`net`]      | embassy-net on the board: its task and its address                                |
+//! | [`stack`]    | the high-water mark of the stack                                                  |
+//! | [`echo`]     | an echo server                                                                    |
 //! | [`node`]     | the board as a controller: uptime, counters and some memory                       |
-//! | [`watchdog`] | a reset when the tasks make no progress                                           |
-//! | [`fault`]    | what happens after a panic or a fault                                             |
+//! | [`watchdog`] | a reset when a task makes no progress                                             |
+//! | [`fault`]    | reports and resets after a panic or a fault                                       |
 //!
-//! The handlers of exceptions (`exceptions`) are above all of them. Unsafe code is only where the hardware leaves no choice:
-//! access to registers (`mmio`), the symbols that the linker looks for, and the handlers of exceptions.
+//! The exception handlers (`exceptions`) use all of them. Unsafe code is limited to what the hardware requires: access to
+//! registers (`mmio`), the symbols that the linker looks for, and the exception handlers.
 #![no_std]
 
 pub mod board;

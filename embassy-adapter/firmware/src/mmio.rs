@@ -1,4 +1,4 @@
-//! The registers of peripherals, and other memory that changes behind the compiler's back.
+//! Volatile access to registers, and to constants that change after the build.
 #![expect(unsafe_code, reason = "registers are reached through their addresses")]
 
 /// A block of 32-bit registers at a fixed address.
@@ -8,12 +8,12 @@ pub(crate) struct Block {
 }
 
 impl Block {
-    /// Names the block of registers at `base`.
+    /// Creates a handle to the block of registers at `base`.
     ///
     /// # Safety
     ///
-    /// The address must be that of a peripheral, and reading or writing its registers must not change memory that Rust
-    /// knows of (a DMA controller would).
+    /// The address must be that of a peripheral. Accesses to its registers must not change memory that Rust uses, as a DMA
+    /// controller would.
     pub(crate) const unsafe fn new(base: usize) -> Self {
         Self { base }
     }
@@ -21,7 +21,7 @@ impl Block {
     /// Reads the register `offset` bytes into the block.
     pub(crate) fn read<const OFFSET: usize>(self) -> u32 {
         const { assert!(OFFSET.is_multiple_of(4) && OFFSET < 0x1000) };
-        // SAFETY: the address is an aligned one inside of the peripheral's page, by `new` and the assertion
+        // SAFETY: the address is aligned and inside the peripheral's page, by `new` and the assertion
         unsafe { core::ptr::with_exposed_provenance::<u32>(self.base + OFFSET).read_volatile() }
     }
 
@@ -33,9 +33,9 @@ impl Block {
     }
 }
 
-/// Returns a constant that may have been changed in the image after it was built.
+/// Returns a constant whose value in the image may have been changed after the build.
 pub(crate) fn patched<T>(constant: &'static T) -> &'static T {
-    // what has been read like this the compiler does not know, nor what it leads to
+    // the volatile read keeps the compiler from assuming the value of the constant
     // SAFETY: a reference is valid to read from
     unsafe { core::ptr::from_ref(&constant).read_volatile() }
 }

@@ -1,4 +1,4 @@
-//! embassy-net on the board: the Ethernet controller, the stack, and an address.
+//! embassy-net on the board: the Ethernet controller, the network stack and its address.
 
 use bcap_board::Settings;
 use embassy_net::{Config, ConfigV4, DhcpConfig, Ipv4Cidr, Runner, Stack, StackResources, StaticConfigV4};
@@ -8,15 +8,15 @@ use static_cell::{ConstStaticCell, StaticCell};
 use crate::fault;
 use crate::lan9118::{Frames, Lan9118};
 
-/// How long to wait for an address before the configured one is taken.
+/// How long to wait for DHCP before using the configured address.
 const DHCP_TIME: Duration = Duration::from_secs(5);
 
-/// What moves the frames; one task must run it.
+/// The runner that moves frames; one task must run it.
 pub type NetRunner = Runner<'static, &'static mut Lan9118<'static>>;
 
-/// Starts the network; `mac` is the address that the board has when the settings have none. To be called once.
+/// Starts the network; `mac` is the default MAC address for settings without one. Call it once.
 ///
-/// Without an Ethernet controller the program ends. Not inlined, as the stack of the network is made on that of the board.
+/// Without an Ethernet controller the program ends. Not inlined, because the network stack is built on the call stack.
 #[inline(never)]
 pub fn start<const SOCKETS: usize>(
     settings: &Settings<'_>,
@@ -40,11 +40,11 @@ pub fn start<const SOCKETS: usize>(
     embassy_net::new(device, config, resources, Instant::now().as_ticks())
 }
 
-/// Waits for an address from the network; when none comes the configured one is taken.
+/// Waits for an address from DHCP; after a timeout uses the configured address.
 pub async fn find_address(stack: Stack<'_>, settings: &Settings<'_>) {
     if with_timeout(DHCP_TIME, stack.wait_config_up()).await.is_err() {
         if settings.dhcp {
-            defmt::warn!("no DHCP server answers, taking the configured address");
+            defmt::warn!("no DHCP server answers, using the configured address");
             stack.set_config_v4(ConfigV4::Static(own(settings)));
         }
         stack.wait_config_up().await;
@@ -54,7 +54,7 @@ pub async fn find_address(stack: Stack<'_>, settings: &Settings<'_>) {
     }
 }
 
-/// The address that the settings give the board.
+/// Returns the configured address.
 fn own(settings: &Settings<'_>) -> StaticConfigV4 {
     let (address, prefix) = settings.address;
     StaticConfigV4 {

@@ -1,4 +1,4 @@
-//! A controller without a robot: what the board knows of itself, as variables.
+//! A controller without a robot that serves the board's state as variables.
 //!
 //! ```text
 //!  RAC                     b-CAP        value
@@ -7,7 +7,7 @@
 //!  GET:RC8:2:I:            I2           requests refused
 //!  GET:RC8:3:I:            I3           frames received
 //!  GET:RC8:4:I:            I4           frames sent
-//!  GET:RC8:5:I:            I5           bytes of the stack that have been in use
+//!  GET:RC8:5:I:            I5           high-water mark of the stack, in bytes
 //!  GET:RC8:10:I: .. 19     I10 .. I19   memory, which a PUT writes
 //!  GET:RC8:0:D:            D0           seconds since the start, with a fraction
 //!  GET:RC8:0:S:            S0           name and version of the image
@@ -26,9 +26,9 @@ use bcap_core::variant::Variant;
 
 use crate::{lan9118, stack};
 
-/// The first of the variables that can be written.
+/// The index of the first variable that can be written.
 const MEMORY: u32 = 10;
-/// The handle of the one controller.
+/// The handle of the only controller.
 const CONTROLLER: i32 = 1;
 
 /// The board as a controller.
@@ -37,12 +37,12 @@ pub struct Node {
     answered: u32,
     refused: u32,
     memory: [i32; 10],
-    /// Whether the robot answered last.
+    /// Whether the robot answered the last request.
     pub robot_is_up: bool,
 }
 
 impl Node {
-    /// Makes a board that has just been started.
+    /// Creates the state of a board that has just started.
     #[must_use]
     pub const fn new() -> Self {
         Self { answered: 0, refused: 0, memory: [0; 10], robot_is_up: false }
@@ -156,7 +156,7 @@ fn place(index: u32) -> Option<usize> {
     usize::try_from(index.checked_sub(MEMORY)?).ok()
 }
 
-/// Reads a name such as `I10`.
+/// Parses a name such as `I10`.
 fn from_name(name: &str) -> Option<Variable> {
     let digits = name.find(|c: char| c.is_ascii_digit())?;
     let (kind, index) = name.split_at_checked(digits)?;

@@ -1,6 +1,6 @@
-//! How much of the stack has ever been in use.
+//! The high-water mark of the stack.
 //!
-//! The memory of the stack is painted before the program starts; what is not painted any more has been in use.
+//! The stack's memory is filled with a pattern before the program starts; words that differ from it have been in use.
 #![expect(unsafe_code, reason = "the stack is memory that Rust has no name for")]
 
 use core::ptr::addr_of;
@@ -18,12 +18,12 @@ pub fn size() -> usize {
     bounds().1.addr() - bounds().0.addr()
 }
 
-/// Returns the most bytes of the stack that have been in use.
+/// Returns the high-water mark of the stack, in bytes.
 #[must_use]
 pub fn high_water() -> usize {
     let (lowest, top) = bounds();
     let mut word = lowest;
-    // SAFETY: the words lie in the stack's memory, and below the present end of it nobody else writes
+    // SAFETY: the words are in the stack's memory, and no other code writes below the present end of the stack
     while word < top && unsafe { word.read_volatile() } == STACK_PAINT_VALUE {
         word = word.wrapping_add(1);
     }

@@ -1,7 +1,7 @@
-//! The serial port, for plain text or for defmt's frames.
+//! The serial port, for plain text or for defmt frames.
 //!
-//! Bytes are sent one by one, and whoever sends waits for them: a log is worth that here, and an image for production
-//! would put a buffer and an interrupt between.
+//! Sending blocks until each byte is sent. That is acceptable for the log of a demonstration; a production image would
+//! use a buffer and an interrupt.
 #![expect(unsafe_code, reason = "defmt's logger is an unsafe trait")]
 
 use core::cell::RefCell;
@@ -24,13 +24,13 @@ const RX_FULL: u32 = 1 << 1;
 const ENABLE_TX_RX: u32 = 0b11;
 const BAUD: u32 = 115_200;
 
-/// Switches the port on: 115200 baud, 8 data bits, no parity.
+/// Enables the port: 115200 baud, 8 data bits, no parity.
 pub fn init() {
     UART.write::<{ register::BAUD_DIVISOR }>(crate::board::CLOCK_HZ / BAUD);
     UART.write::<{ register::CONTROL }>(ENABLE_TX_RX);
 }
 
-/// Sends bytes.
+/// Sends bytes, blocking.
 pub fn write(bytes: &[u8]) {
     for byte in bytes {
         while UART.read::<{ register::STATE }>() & TX_FULL != 0 {}
@@ -38,14 +38,14 @@ pub fn write(bytes: &[u8]) {
     }
 }
 
-/// Returns the byte that has come, if one has.
+/// Returns the received byte, if there is one.
 #[must_use]
 pub fn read() -> Option<u8> {
     let has_come = UART.read::<{ register::STATE }>() & RX_FULL != 0;
     has_come.then(|| UART.read::<{ register::DATA }>().to_le_bytes()[0])
 }
 
-/// Text for the serial port.
+/// A text writer to the serial port.
 #[derive(Clone, Copy, Debug)]
 pub struct Text;
 
@@ -56,20 +56,20 @@ impl fmt::Write for Text {
     }
 }
 
-/// Frames of defmt on the port; `None` of a state while no frame is being written.
+/// defmt's logger on the port; the state is `None` while no frame is being written.
 static FRAMES: Mutex<RefCell<Frames>> =
     Mutex::new(RefCell::new(Frames { encoder: defmt::Encoder::new(), restore: None }));
 
 struct Frames {
     encoder: defmt::Encoder,
-    /// The critical section that lasts as long as a frame.
+    /// The critical section around a frame.
     restore: Option<RestoreState>,
 }
 
 #[defmt::global_logger]
 struct Logger;
 
-// SAFETY: a frame is written inside of one critical section, so nobody comes between
+// SAFETY: each frame is written inside one critical section, so frames do not interleave
 unsafe impl defmt::Logger for Logger {
     fn acquire() {
         // SAFETY: `release` ends the section
@@ -88,7 +88,7 @@ unsafe impl defmt::Logger for Logger {
             frames.restore.take()
         });
         if let Some(Some(restore)) = restore {
-            // SAFETY: it is what `acquire` got
+            // SAFETY: this is the state that `acquire` returned
             unsafe { critical_section::release(restore) };
         }
     }
@@ -98,7 +98,7 @@ unsafe impl defmt::Logger for Logger {
     }
 }
 
-/// Reaches the encoder; `None` when a log statement is inside of another, whose bytes then get lost.
+/// Returns the encoder; `None` when a log statement is nested in another, whose bytes are then lost.
 fn with<T>(work: impl FnOnce(&mut Frames) -> T) -> Option<T> {
     critical_section::with(|cs| FRAMES.borrow(cs).try_borrow_mut().ok().map(|mut frames| work(&mut frames)))
 }

@@ -1,12 +1,11 @@
-//! The watchdog of the board (CMSDK): a reset when the tasks make no progress.
+//! The watchdog of the board (CMSDK): a reset when a task makes no progress.
 //!
 //! ```text
-//!  fed ── 4 s without food ──► NMI: reported, reset ── 4 s more ──► reset by the watchdog itself
+//!  fed ── 4 s without feeding ──► NMI: reported, reset ── 4 s more ──► reset by the watchdog itself
 //! ```
 //!
-//! It is fed when every task that was promised has gone on since it was fed last: [`watched`] wakes its task each second,
-//! so that one that does not get its turn, or never gives the processor back, is missed. What a task waits for may take
-//! as long as it likes.
+//! It is fed when every registered task has run since the last feeding. [`watched`] wakes its task each second, so the
+//! watchdog detects a task that starves or that never yields. A task may still wait for an event for any time.
 
 use core::pin::pin;
 use core::sync::atomic::{AtomicU32, Ordering};
@@ -25,56 +24,56 @@ mod register {
 
 const UNLOCK: u32 = 0x1acc_e551;
 const INTERRUPT_AND_RESET: u32 = 0b11;
-/// Seconds without food until the NMI comes.
-const PATIENCE: u32 = 4;
-/// How often a task shows that it is alive, and how often that is looked at.
+/// Seconds without feeding until the NMI.
+const TIMEOUT_SECONDS: u32 = 4;
+/// The interval at which tasks report progress and at which the reports are checked.
 const PULSE: Duration = Duration::from_secs(1);
 
-/// A bit for each task that has gone on since the watchdog was fed last, and for each that was promised.
+/// A bit for each task that has run since the last feeding, and a bit for each registered task.
 static ALIVE: AtomicU32 = AtomicU32::new(0);
 static PROMISED: AtomicU32 = AtomicU32::new(0);
 
-/// A task of the image, by its number, which is below 32.
+/// A task of the image, identified by a number below 32.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Task(u32);
 
 impl Task {
-    /// Names a task.
+    /// Creates the identifier of a task.
     #[must_use]
     pub const fn new(number: u32) -> Self {
         Self(1_u32.wrapping_shl(number))
     }
 }
 
-/// Works, and shows that the task is alive.
+/// Runs `work` and reports the task's progress.
 pub async fn watched<F: Future>(task: Task, work: F) -> F::Output {
     PROMISED.fetch_or(task.0, Ordering::Relaxed);
     let mut work = pin!(work);
     loop {
         ALIVE.fetch_or(task.0, Ordering::Relaxed);
         if let Ok(done) = with_timeout(PULSE, work.as_mut()).await {
-            // a task that has ended is not missed
+            // a task that has ended is no longer registered
             PROMISED.fetch_and(!task.0, Ordering::Relaxed);
             return done;
         }
     }
 }
 
-/// Starts the watchdog, and feeds it for as long as all tasks go on and `is_well` says so.
-pub async fn run(is_well: impl Fn() -> bool) -> ! {
+/// Starts the watchdog, and feeds it while all registered tasks run and `is_healthy` returns true.
+pub async fn run(is_healthy: impl Fn() -> bool) -> ! {
     WATCHDOG.write::<{ register::LOCK }>(UNLOCK);
-    WATCHDOG.write::<{ register::LOAD }>(CLOCK_HZ * PATIENCE);
+    WATCHDOG.write::<{ register::LOAD }>(CLOCK_HZ * TIMEOUT_SECONDS);
     WATCHDOG.write::<{ register::CONTROL }>(INTERRUPT_AND_RESET);
     loop {
         Timer::after(PULSE).await;
-        if late() == 0 && is_well() {
+        if stalled() == 0 && is_healthy() {
             ALIVE.store(0, Ordering::Relaxed);
             WATCHDOG.write::<{ register::INT_CLEAR }>(1);
         }
     }
 }
 
-/// Returns a bit for each task that has not gone on.
-pub(crate) fn late() -> u32 {
+/// Returns a bit for each registered task that has not run since the last feeding.
+pub(crate) fn stalled() -> u32 {
     PROMISED.load(Ordering::Relaxed) & !ALIVE.load(Ordering::Relaxed)
 }

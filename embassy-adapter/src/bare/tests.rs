@@ -16,7 +16,7 @@ use super::*;
 
 const HOST: IpAddress = IpAddress::v4(127, 0, 0, 1);
 
-/// A stack that talks to itself, and a clock that is moved by hand.
+/// A loopback network with a manual clock.
 struct Net {
     device: Loopback,
     interface: Interface,
@@ -82,7 +82,7 @@ fn session() -> server::Session<[u8; 512], [u8; 512], 8> {
     server::Session::new(server::Config::TCP, [0; 512], [0; 512])
 }
 
-/// Two ends of a connection: a client, and the server it talks to.
+/// A client and its server on a loopback network.
 struct Pair {
     net: Net,
     client: Client<[u8; 512]>,
@@ -111,7 +111,7 @@ impl Pair {
         self.server.poll(socket, session, &mut self.handler, self.net.now);
     }
 
-    /// Lets time pass until something happens at the client.
+    /// Advances the time until the client has an event.
     fn event(&mut self) -> Result<Event, LinkError> {
         for _ in 0..10_000 {
             self.net.step();
@@ -121,7 +121,7 @@ impl Pair {
                 return Ok(event);
             }
         }
-        panic!("nothing happens");
+        panic!("no event within 10 s");
     }
 
     fn call<C: call::Call>(&mut self, call: C) -> Result<Event, LinkError> {
@@ -131,13 +131,13 @@ impl Pair {
 }
 
 #[test]
-fn calls_go_over_tcp_and_a_new_connection_is_served_after_the_old() {
+fn tcp_server_serves_consecutive_connections() {
     let mut pair = Pair::new();
     for round in 0..3 {
         pair.serve();
         pair.net.connect(pair.client_socket, 40_000 + round);
         assert_eq!(pair.call(call::service_start("")), Ok(Event::Replied(HResult::S_OK)));
-        // a handle that was given to no peer
+        // this session has not issued the handle
         assert_eq!(
             pair.call(call::variable_get_value(VariableHandle(1))),
             Ok(Event::Replied(HResult::E_HANDLE)),
@@ -163,9 +163,9 @@ fn calls_go_over_tcp_and_a_new_connection_is_served_after_the_old() {
 }
 
 #[test]
-fn a_connection_that_ends_is_told_from_one_that_is_refused() {
+fn closed_and_refused_connections_have_distinct_errors() {
     let mut pair = Pair::new();
-    // nobody listens yet
+    // no socket listens yet
     pair.net.connect(pair.client_socket, 40_000);
     pair.client.start(&call::service_start(""), pair.client.timing(), pair.net.now).unwrap();
     let refused = (0..10).find_map(|_| {
@@ -179,7 +179,7 @@ fn a_connection_that_ends_is_told_from_one_that_is_refused() {
     pair.serve();
     pair.net.connect(pair.client_socket, 40_001);
     assert_eq!(pair.call(call::service_start("")), Ok(Event::Replied(HResult::S_OK)));
-    // the server closes after bytes that are no frame, and says so first
+    // after invalid bytes the server sends an error reply and closes
     let socket = pair.net.sockets.get_mut::<tcp::Socket<'_>>(pair.client_socket);
     socket.send_slice(b"no frame at all ").unwrap();
     assert_eq!(pair.event(), Ok(Event::Stale { serial: 0 }));
@@ -188,7 +188,7 @@ fn a_connection_that_ends_is_told_from_one_that_is_refused() {
 }
 
 #[test]
-fn calls_over_udp_are_repeated_and_strangers_are_not_heard() {
+fn udp_calls_are_retried_and_other_senders_ignored() {
     let mut net = Net::new();
     let (here, there, stranger) = (net.udp(40_000), net.udp(5007), net.udp(5008));
     let mut client =
@@ -203,7 +203,7 @@ fn calls_over_udp_are_repeated_and_strangers_are_not_heard() {
             assert_eq!(request[9..13], FunctionId::SERVICE_START.0.to_le_bytes()[..]);
             requests += 1;
         }
-        // what would be the reply, were it not from someone else
+        // a valid reply, but from the wrong address
         let reply = b"\x01\x10\0\0\0\x01\0\0\0\0\0\0\0\0\0\x04";
         let _ = net.sockets.get_mut::<udp::Socket<'_>>(stranger).send_slice(reply, IpEndpoint::new(HOST, 40_000));
         let socket = net.sockets.get_mut(here);

@@ -1,4 +1,4 @@
-//! The PLCs' side of a gateway.
+//! The PLC side of a gateway: listeners and sessions.
 
 use core::cell::Cell;
 
@@ -10,17 +10,17 @@ use embassy_net::{IpEndpoint, Stack};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::Timer;
 
-use super::Shared;
+use super::SharedGateway;
 use crate::net::{Options, TcpTransport};
 use crate::server::{Ended, Limits};
 
-/// Bytes that are moved at once; most lines are shorter.
+/// The size of the buffer through which bytes move; most lines are shorter.
 const CHUNK: usize = 64;
 
-/// How long a port that cannot be listened to, or a client that there is no seat for, is left alone.
+/// The pause before listening again, after listening failed or no slot was free.
 const PAUSE_MS: u64 = 100;
 
-/// A port that takes one PLC at a time; for more at the same time there are more listeners on the same port.
+/// A TCP listener that serves one PLC at a time; use several on the same port to serve several PLCs concurrently.
 #[derive(Debug)]
 pub struct Listener<'s> {
     transport: TcpTransport<'s>,
@@ -28,14 +28,14 @@ pub struct Listener<'s> {
 }
 
 impl<'s> Listener<'s> {
-    /// Makes a listener; `rx` and `tx` are its socket's memory.
+    /// Creates a listener; `rx` and `tx` are its socket's buffers.
     #[must_use]
     pub fn new(stack: Stack<'s>, port: u16, rx: &'s mut [u8], tx: &'s mut [u8]) -> Self {
         Self { transport: TcpTransport::new(stack, rx, tx, Options::default()), port }
     }
 
-    /// Serves PLCs for ever, one after the other.
-    pub async fn run<M: RawMutex, const N: usize>(&mut self, shared: &Shared<'_, M, N>, limits: &Limits) -> ! {
+    /// Serves PLCs forever, one after another.
+    pub async fn run<M: RawMutex, const N: usize>(&mut self, shared: &SharedGateway<'_, M, N>, limits: &Limits) -> ! {
         loop {
             if self.transport.accept(self.port).await.is_err() {
                 Timer::after_millis(PAUSE_MS).await;
@@ -50,63 +50,63 @@ impl<'s> Listener<'s> {
     }
 }
 
-/// Serves one PLC until it goes, and says why it did; `None` when there was no seat for it.
+/// Serves one PLC until its session ends, and returns the reason; `None` when all slots are in use.
 ///
-/// `client` is its address, for the log.
+/// `client` is the PLC's address, for the log.
 ///
 /// # Cancel safety
 ///
-/// When the future is dropped the seat is free again; the transport is as it was.
+/// Dropping the future frees the slot and leaves the transport open.
 pub async fn serve<X: Transport, M: RawMutex, const N: usize>(
     transport: &mut X,
     client: Option<IpEndpoint>,
-    shared: &Shared<'_, M, N>,
+    shared: &SharedGateway<'_, M, N>,
     limits: &Limits,
 ) -> Option<Ended<X::Error>> {
-    let seat = Seat { peer: shared.open(client)?, shared, ended: Cell::new(None) };
-    let ended = converse(transport, &seat, limits).await.unwrap_or_else(Ended::Failed);
-    seat.ended.set(Some(ended.reason()));
+    let slot = ClientSlot { peer: shared.open(client)?, shared, ended: Cell::new(None) };
+    let ended = run_session(transport, &slot, limits).await.unwrap_or_else(Ended::Failed);
+    slot.ended.set(Some(ended.reason()));
     Some(ended)
 }
 
-/// A client's seat, which is free again however its session ends.
-struct Seat<'a, 'm, M: RawMutex, const N: usize> {
+/// A client's slot in the gateway; dropping it frees the slot.
+struct ClientSlot<'a, 'm, M: RawMutex, const N: usize> {
     peer: PeerId,
-    shared: &'a Shared<'m, M, N>,
+    shared: &'a SharedGateway<'m, M, N>,
     ended: Cell<Option<Ended<()>>>,
 }
 
-impl<M: RawMutex, const N: usize> Drop for Seat<'_, '_, M, N> {
+impl<M: RawMutex, const N: usize> Drop for ClientSlot<'_, '_, M, N> {
     fn drop(&mut self) {
         self.shared.close(self.peer, self.ended.get());
     }
 }
 
-/// What a session waits for.
+/// What a session does next.
 enum Next {
-    /// The client is to take so many bytes.
+    /// Send this number of bytes to the client.
     Send(usize),
-    /// The client may send so many bytes; 0 while it has to wait for an answer.
+    /// Receive up to this number of bytes; 0 while an answer is outstanding.
     Receive(usize),
 }
 
-/// Moves lines and answers until the client goes.
-async fn converse<X: Transport, M: RawMutex, const N: usize>(
+/// Moves lines and answers until the session ends.
+async fn run_session<X: Transport, M: RawMutex, const N: usize>(
     transport: &mut X,
-    seat: &Seat<'_, '_, M, N>,
+    slot: &ClientSlot<'_, '_, M, N>,
     limits: &Limits,
 ) -> Result<Ended<X::Error>, X::Error> {
-    let Seat { peer, shared, .. } = *seat;
+    let ClientSlot { peer, shared, .. } = *slot;
     let mut chunk = [0; CHUNK];
-    let mut heard = transport.now();
-    // when the first byte of an unfinished line came, and when an answer began that the client does not read
+    let mut last_received = transport.now();
+    // the arrival of the first byte of a partial line, and the start of sending an answer that is not yet accepted
     let (mut partial, mut unread) = (None, None);
     loop {
-        shared.step_for_client();
+        shared.poll_for_client();
         let now = transport.now();
-        match next(seat, &mut chunk) {
+        match next(slot, &mut chunk) {
             Next::Send(count) => {
-                // a line was whole, so what there is of another has only just come
+                // a line was complete, so the timeout for a following partial line starts now
                 partial = None;
                 let until = unread.get_or_insert(now).saturating_add(limits.send);
                 let answer = chunk.get(..count).unwrap_or_default();
@@ -120,17 +120,17 @@ async fn converse<X: Transport, M: RawMutex, const N: usize>(
                 let receiving = shared.view(|gateway| gateway.is_receiving(peer)).unwrap_or_default();
                 partial = receiving.then(|| partial.unwrap_or(now));
                 let late = partial.map(|since: Instant| since.saturating_add(limits.receive));
-                let idle = limits.idle.filter(|_| room > 0).map(|idle| heard.saturating_add(idle));
+                let idle = limits.idle.filter(|_| room > 0).map(|idle| last_received.saturating_add(idle));
                 let until = late.into_iter().chain(idle).min().unwrap_or(Instant::FAR_FUTURE);
                 if now >= until {
                     return Ok(if late.is_some_and(|late| now >= late) { Ended::RequestTooSlow } else { Ended::Idle });
                 }
                 let room = chunk.get_mut(..room).unwrap_or_default();
-                match hear(transport, room, until, seat).await? {
+                match wait_for_bytes(transport, room, until, slot).await? {
                     Some(0) => return Ok(Ended::Closed),
                     Some(count) => {
-                        heard = transport.now();
-                        received(seat, chunk.get(..count).unwrap_or_default());
+                        last_received = transport.now();
+                        received(slot, chunk.get(..count).unwrap_or_default());
                     }
                     None => {}
                 }
@@ -139,49 +139,49 @@ async fn converse<X: Transport, M: RawMutex, const N: usize>(
     }
 }
 
-/// Says what is to be done for a client; the bytes that it is to take are in `chunk`.
-fn next<M: RawMutex, const N: usize>(seat: &Seat<'_, '_, M, N>, chunk: &mut [u8; CHUNK]) -> Next {
-    let next = seat.shared.with(|inner| {
-        let mut sends = 0;
-        for (to, from) in chunk.iter_mut().zip(inner.gateway.transmit(seat.peer)) {
+/// Decides what a session does next; copies bytes to send into `chunk`.
+fn next<M: RawMutex, const N: usize>(slot: &ClientSlot<'_, '_, M, N>, chunk: &mut [u8; CHUNK]) -> Next {
+    let next = slot.shared.with(|inner| {
+        let mut count = 0;
+        for (to, from) in chunk.iter_mut().zip(inner.gateway.transmit(slot.peer)) {
             *to = *from;
-            sends += 1;
+            count += 1;
         }
-        match sends {
-            0 => Next::Receive(inner.gateway.receive_buffer(seat.peer).len().min(CHUNK)),
-            sends => Next::Send(sends),
+        match count {
+            0 => Next::Receive(inner.gateway.receive_buffer(slot.peer).len().min(CHUNK)),
+            count => Next::Send(count),
         }
     });
     next.unwrap_or(Next::Receive(0))
 }
 
-/// Waits for bytes, for the time, or for something that concerns the client.
-async fn hear<X: Transport, M: RawMutex, const N: usize>(
+/// Waits for bytes, for `until`, or for an event that concerns the client.
+async fn wait_for_bytes<X: Transport, M: RawMutex, const N: usize>(
     transport: &mut X,
     room: &mut [u8],
     until: Instant,
-    seat: &Seat<'_, '_, M, N>,
+    slot: &ClientSlot<'_, '_, M, N>,
 ) -> Result<Option<usize>, X::Error> {
-    let bell = seat.shared.wait_for_client(seat.peer);
+    let notify = slot.shared.wait_for_client(slot.peer);
     if room.is_empty() {
-        // what comes must wait until the request before it is answered
-        bell.await;
+        // further bytes wait until the request before them is answered
+        notify.await;
         return Ok(None);
     }
-    match select(transport.receive(room, until), bell).await {
+    match select(transport.receive(room, until), notify).await {
         Either::First(received) => received,
         Either::Second(()) => Ok(None),
     }
 }
 
-/// Gives a client's bytes to the gateway.
+/// Passes bytes from a client to the gateway.
 ///
-/// They fit: nobody but this task puts bytes into the client's seat, and an answer only makes room.
-fn received<M: RawMutex, const N: usize>(seat: &Seat<'_, '_, M, N>, bytes: &[u8]) {
-    seat.shared.with(|inner| {
-        if let Some(room) = inner.gateway.receive_buffer(seat.peer).get_mut(..bytes.len()) {
+/// They fit, because only this task adds bytes to the client's slot and answers only remove some.
+fn received<M: RawMutex, const N: usize>(slot: &ClientSlot<'_, '_, M, N>, bytes: &[u8]) {
+    slot.shared.with(|inner| {
+        if let Some(room) = inner.gateway.receive_buffer(slot.peer).get_mut(..bytes.len()) {
             room.copy_from_slice(bytes);
-            inner.gateway.received(seat.peer, bytes.len());
+            inner.gateway.received(slot.peer, bytes.len());
         }
     });
 }

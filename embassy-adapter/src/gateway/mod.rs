@@ -1,22 +1,22 @@
-//! The gateway of the core over embassy-net: PLCs that speak RAC on one side, a robot that speaks b-CAP on the other.
+//! The core's gateway over embassy-net: it connects PLCs that speak RAC to a robot that speaks b-CAP.
 //!
 //! ```text
 //!  PLC ─► Listener ─► serve ─┐
-//!  PLC ─► Listener ─► serve ─┼─► Shared: the gateway ◄─► run_robot ─► the robot, over TCP or UDP
-//!  a serial line ───► serve ─┘            │
-//!                                         └─► Log: what was refused, and why; the robot comes and goes
+//!  PLC ─► Listener ─► serve ─┼─► SharedGateway ◄─► run_robot ─► robot, over TCP or UDP
+//!  serial line ─────► serve ─┘         │
+//!                                      └─► Log: answered and refused lines, connections and disconnections
 //! ```
 //!
-//! Each PLC that is to be served at the same time needs a task, a socket's memory and a seat in the gateway; the robot
-//! needs one task, which also keeps the gateway's time. Whoever has moved bytes lets the gateway take its steps, and wakes
-//! those whom they concern. What is answered, and when, is [`bcap_core::gateway`]'s affair.
+//! Each PLC that is served concurrently needs a task, socket buffers and a client slot of the gateway. The robot needs
+//! one task, which also polls the gateway at its deadlines. After moving bytes, a task polls the gateway and wakes the
+//! tasks that its events concern. [`bcap_core::gateway`] defines the answers and their timing.
 //!
 //! # Examples
 //!
 //! ```
 //! use bcap_core::gateway::{Config, Gateway, Memory};
 //! use bcap_core::rac;
-//! use bcap_embassy::gateway::{Listener, Report, Shared, TcpRobot, run_robot};
+//! use bcap_embassy::gateway::{Listener, Report, SharedGateway, TcpRobot, run_robot};
 //! use bcap_embassy::net::Options;
 //! use bcap_embassy::server::Limits;
 //! use embassy_futures::join::join;
@@ -25,14 +25,14 @@
 //!
 //! fn log(report: &Report<'_>) {
 //!     if let Report::Answered { client, line, .. } = report {
-//!         // ... say it somewhere ...
+//!         // ... write it to a log ...
 //!     }
 //! }
 //!
-//! // on a board the memory is static, and each of the two has a task of its own
+//! // on a board the memory is static, and the robot and the PLC have a task each
 //! async fn gateway(stack: Stack<'_>, robot: IpEndpoint) {
 //!     let mut memory = Memory::<1, 16>::new();
-//!     let shared: Shared<'_, NoopRawMutex, 1> = Shared::new(Gateway::new(Config::RC8, &mut memory), log);
+//!     let shared: SharedGateway<'_, NoopRawMutex, 1> = SharedGateway::new(Gateway::new(Config::RC8, &mut memory), log);
 //!
 //!     let ([mut rx, mut tx], mut frame) = ([[0; 512]; 2], [0; 512]);
 //!     let mut robot = TcpRobot::new(stack, &mut rx, &mut tx, Options::default(), robot);
@@ -50,44 +50,46 @@ use bcap_core::gateway::Event;
 use embassy_net::IpEndpoint;
 
 pub use self::clients::{Listener, serve};
-pub use self::robot::{Link, TcpRobot, run_robot};
-pub use self::shared::Shared;
+pub use self::robot::{RobotLink, TcpRobot, run_robot};
+pub use self::shared::SharedGateway;
 use crate::net::NetError;
 use crate::server::Ended;
 
-/// Says what has happened; it is called while the gateway takes a step, so it must not call the gateway.
+/// A callback that receives reports for a log.
+///
+/// It runs while the gateway is borrowed, so it must not call the [`SharedGateway`].
 pub type Log = fn(&Report<'_>);
 
-/// What has happened, for a log.
+/// An event of the gateway, for a log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Report<'a> {
-    /// A client has been given a seat.
+    /// A client connected and has a slot.
     Connected {
-        /// Its address; `None` when it did not come over the network.
+        /// The client's address; `None` on a serial line.
         client: Option<IpEndpoint>,
     },
-    /// A client has gone.
+    /// A client disconnected.
     Disconnected {
-        /// Its address.
+        /// The client's address; `None` on a serial line.
         client: Option<IpEndpoint>,
-        /// Why its session ended; `None` when its task was dropped.
+        /// Why the session ended; `None` when its future was dropped.
         ended: Option<Ended<()>>,
     },
     /// A line was answered: served, failed or refused.
     Answered {
-        /// The client's address.
+        /// The client's address; `None` on a serial line.
         client: Option<IpEndpoint>,
-        /// The line, without its CR; of an over-long one the first 256 bytes.
+        /// The line without its CR; the first 256 bytes of an over-long line.
         line: &'a [u8],
-        /// How it was answered.
+        /// How the line was answered.
         event: Event,
     },
-    /// The robot has come, or gone.
+    /// The robot connected or disconnected.
     Robot {
-        /// Which of the two.
+        /// Which of the two happened.
         event: Event,
-        /// What the network said, when it is the reason.
+        /// The network error that ended the connection, if one did.
         cause: Option<NetError>,
     },
 }

@@ -1,4 +1,4 @@
-//! The robot's side of a gateway: one connection, which is opened and closed as the gateway wants it.
+//! The robot's side of a gateway: one connection, which is opened and closed as the gateway requests.
 
 use bcap_core::bcap;
 use bcap_core::io::asynch::Transport;
@@ -8,24 +8,24 @@ use embassy_net::{IpEndpoint, Stack};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::Timer;
 
-use super::Shared;
+use super::SharedGateway;
 use crate::clock::{now, ticks};
 use crate::net::{NetError, Options, TcpTransport, UdpTransport};
 
-/// A transport that can be opened and closed again and again: a [`TcpRobot`], or a [`UdpTransport`].
-pub trait Link: Transport<Error = NetError> {
+/// A transport to the robot that can be reopened: a [`TcpRobot`] or a [`UdpTransport`].
+pub trait RobotLink: Transport<Error = NetError> {
     /// Opens a connection.
     ///
     /// # Errors
     ///
-    /// A [`NetError`] that says why there is none.
+    /// A [`NetError`] when the connection cannot be opened.
     fn open(&mut self) -> impl Future<Output = Result<(), NetError>>;
 
-    /// Ends the connection at once.
+    /// Closes the connection without waiting.
     fn close(&mut self);
 }
 
-/// The robot behind TCP.
+/// A link to the robot over TCP.
 #[derive(Debug)]
 pub struct TcpRobot<'s> {
     transport: TcpTransport<'s>,
@@ -33,7 +33,7 @@ pub struct TcpRobot<'s> {
 }
 
 impl<'s> TcpRobot<'s> {
-    /// Makes a link that is not open; `rx` and `tx` are the socket's memory.
+    /// Creates a link that is not open; `rx` and `tx` are the socket's buffers.
     #[must_use]
     pub fn new(
         stack: Stack<'s>,
@@ -66,7 +66,7 @@ impl Transport for TcpRobot<'_> {
     }
 }
 
-impl Link for TcpRobot<'_> {
+impl RobotLink for TcpRobot<'_> {
     async fn open(&mut self) -> Result<(), NetError> {
         self.transport.connect(self.peer).await
     }
@@ -76,10 +76,10 @@ impl Link for TcpRobot<'_> {
     }
 }
 
-/// The robot behind UDP; the gateway's configuration must say [`Link::Datagram`](bcap::Link::Datagram) as well.
+/// A link to the robot over UDP; the gateway's configuration must have [`Link::Datagram`](bcap::Link::Datagram) too.
 ///
-/// Datagrams need no connection; whether the robot is there shows when it answers.
-impl Link for UdpTransport<'_> {
+/// UDP has no connection, so opening it succeeds even without a robot; only an answer shows that the robot is connected.
+impl RobotLink for UdpTransport<'_> {
     async fn open(&mut self) -> Result<(), NetError> {
         Ok(())
     }
@@ -87,23 +87,23 @@ impl Link for UdpTransport<'_> {
     fn close(&mut self) {}
 }
 
-/// Keeps the connection to the robot, and the gateway's time, for ever.
+/// Runs the connection to the robot and polls the gateway at its deadlines, forever.
 ///
 /// `frame` is memory for the bytes on their way: at least a datagram of 505 bytes over UDP, any length over TCP.
 ///
 /// # Cancel safety
 ///
 /// When the future is dropped, the connection is closed and the gateway learns it. The next run opens another one.
-pub async fn run_robot<L: Link, M: RawMutex, const N: usize>(
+pub async fn run_robot<L: RobotLink, M: RawMutex, const N: usize>(
     link: &mut L,
     frame: &mut [u8],
-    shared: &Shared<'_, M, N>,
+    shared: &SharedGateway<'_, M, N>,
 ) -> ! {
     let mut robot = Robot { link, shared, open: false };
     loop {
-        shared.step();
+        shared.poll();
         let wanted = shared.view(|gateway| gateway.robot_wanted()).unwrap_or_default();
-        let went_on = match (robot.open, wanted) {
+        let result = match (robot.open, wanted) {
             (false, true) => robot.link.open().await.map(|()| {
                 robot.open = true;
                 shared.with(|inner| inner.gateway.robot_opened(now()));
@@ -114,26 +114,26 @@ pub async fn run_robot<L: Link, M: RawMutex, const N: usize>(
             }
             (true, true) => transfer(robot.link, frame, shared).await,
             (false, false) => {
-                select(Timer::at(ticks(shared.due())), shared.wait_for_robot()).await;
+                select(Timer::at(ticks(shared.next_poll())), shared.wait_for_robot()).await;
                 Ok(())
             }
         };
-        if let Err(cause) = went_on {
+        if let Err(cause) = result {
             robot.open = false;
             robot.link.close();
-            shared.with(|inner| inner.robot_lost(cause));
+            shared.with(|inner| inner.robot_failed(cause));
         }
     }
 }
 
 /// The connection to the robot, which ends with the task that keeps it.
-struct Robot<'a, 'm, L: Link, M: RawMutex, const N: usize> {
+struct Robot<'a, 'm, L: RobotLink, M: RawMutex, const N: usize> {
     link: &'a mut L,
-    shared: &'a Shared<'m, M, N>,
+    shared: &'a SharedGateway<'m, M, N>,
     open: bool,
 }
 
-impl<L: Link, M: RawMutex, const N: usize> Robot<'_, '_, L, M, N> {
+impl<L: RobotLink, M: RawMutex, const N: usize> Robot<'_, '_, L, M, N> {
     fn close(&mut self) {
         self.open = false;
         self.link.close();
@@ -141,7 +141,7 @@ impl<L: Link, M: RawMutex, const N: usize> Robot<'_, '_, L, M, N> {
     }
 }
 
-impl<L: Link, M: RawMutex, const N: usize> Drop for Robot<'_, '_, L, M, N> {
+impl<L: RobotLink, M: RawMutex, const N: usize> Drop for Robot<'_, '_, L, M, N> {
     fn drop(&mut self) {
         if self.open {
             self.close();
@@ -150,12 +150,12 @@ impl<L: Link, M: RawMutex, const N: usize> Drop for Robot<'_, '_, L, M, N> {
 }
 
 /// Moves bytes when some can be moved; otherwise waits until it is time for something.
-async fn transfer<L: Link, M: RawMutex, const N: usize>(
+async fn transfer<L: RobotLink, M: RawMutex, const N: usize>(
     link: &mut L,
     frame: &mut [u8],
-    shared: &Shared<'_, M, N>,
+    shared: &SharedGateway<'_, M, N>,
 ) -> Result<(), NetError> {
-    let due = shared.due();
+    let until = shared.next_poll();
     let to_send = shared.with(|inner| {
         let mut count = 0;
         for (to, from) in frame.iter_mut().zip(inner.gateway.robot_transmit()) {
@@ -166,24 +166,24 @@ async fn transfer<L: Link, M: RawMutex, const N: usize>(
     });
     let to_send = frame.get(..to_send.unwrap_or_default()).unwrap_or_default();
     if !to_send.is_empty() {
-        if let Some(sent) = link.send(to_send, due).await? {
+        if let Some(sent) = link.send(to_send, until).await? {
             shared.with(|inner| inner.gateway.robot_transmitted(sent));
         }
         return Ok(());
     }
-    // nobody but this task puts bytes there, so the room is still there when they have come
+    // only this task writes to that buffer, so the room is still free when bytes arrive
     let room = shared.with(|inner| inner.gateway.robot_receive_buffer().len()).unwrap_or_default();
     let len = room.min(frame.len());
     let room = frame.get_mut(..len).unwrap_or_default();
-    match select(link.receive(room, due), shared.wait_for_robot()).await {
+    match select(link.receive(room, until), shared.wait_for_robot()).await {
         Either::First(Ok(Some(count))) => received(frame.get(..count).unwrap_or_default(), shared),
         Either::First(Ok(None)) | Either::Second(()) => Ok(()),
         Either::First(Err(error)) => Err(error),
     }
 }
 
-/// Gives the robot's bytes to the gateway.
-fn received<M: RawMutex, const N: usize>(bytes: &[u8], shared: &Shared<'_, M, N>) -> Result<(), NetError> {
+/// Passes bytes from the robot to the gateway.
+fn received<M: RawMutex, const N: usize>(bytes: &[u8], shared: &SharedGateway<'_, M, N>) -> Result<(), NetError> {
     let ended = shared.with(|inner| {
         if let Some(room) = inner.gateway.robot_receive_buffer().get_mut(..bytes.len()) {
             room.copy_from_slice(bytes);

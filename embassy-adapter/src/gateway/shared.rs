@@ -1,4 +1,4 @@
-//! What all tasks of a gateway share: the gateway itself, who sits where, and who is to be woken.
+//! The state that all tasks of a gateway share: the gateway, the connected clients and the tasks to wake.
 
 use core::cell::RefCell;
 use core::fmt;
@@ -18,51 +18,51 @@ use crate::clock::now;
 use crate::net::NetError;
 use crate::server::Ended;
 
-/// A gateway that many tasks use; `SESSIONS` is the number of its seats, or more.
+/// A gateway that several tasks share; `SESSIONS` is at least the number of its client slots.
 ///
-/// The mutex is embassy's: `NoopRawMutex` for one executor, `CriticalSectionRawMutex` for more.
-pub struct Shared<'m, M: RawMutex, const SESSIONS: usize> {
+/// `M` is embassy's mutex: `NoopRawMutex` for one executor, `CriticalSectionRawMutex` for several.
+pub struct SharedGateway<'m, M: RawMutex, const SESSIONS: usize> {
     inner: Mutex<M, RefCell<Inner<'m, SESSIONS>>>,
 }
 
 pub(super) struct Inner<'m, const SESSIONS: usize> {
     pub(super) gateway: Gateway<'m>,
     clients: [Client; SESSIONS],
-    robot: Bell,
-    /// Why the network ended the last connection to the robot, or had none to give.
+    robot: Notify,
+    /// The error that ended the last connection to the robot, or that prevented it.
     cause: Option<NetError>,
     log: Log,
 }
 
-/// Who has a seat.
+/// A client slot.
 struct Client {
     peer: Option<PeerId>,
     endpoint: Option<IpEndpoint>,
-    bell: Bell,
+    notify: Notify,
 }
 
 impl Client {
-    const NONE: Self = Self { peer: None, endpoint: None, bell: Bell::new() };
+    const FREE: Self = Self { peer: None, endpoint: None, notify: Notify::new() };
 }
 
-/// Wakes a task; a ring that nobody waits for is kept until somebody does.
-struct Bell {
-    rung: bool,
+/// Wakes one task; a notification without a waiting task stays pending.
+struct Notify {
+    pending: bool,
     waker: WakerRegistration,
 }
 
-impl Bell {
+impl Notify {
     const fn new() -> Self {
-        Self { rung: false, waker: WakerRegistration::new() }
+        Self { pending: false, waker: WakerRegistration::new() }
     }
 
-    fn ring(&mut self) {
-        self.rung = true;
+    fn notify(&mut self) {
+        self.pending = true;
         self.waker.wake();
     }
 
     fn poll(&mut self, cx: &Context<'_>) -> Poll<()> {
-        if core::mem::take(&mut self.rung) {
+        if core::mem::take(&mut self.pending) {
             return Poll::Ready(());
         }
         self.waker.register(cx.waker());
@@ -70,104 +70,104 @@ impl Bell {
     }
 }
 
-impl<'m, M: RawMutex, const SESSIONS: usize> Shared<'m, M, SESSIONS> {
-    /// Takes a gateway.
+impl<'m, M: RawMutex, const SESSIONS: usize> SharedGateway<'m, M, SESSIONS> {
+    /// Wraps a gateway; `log` receives its reports.
     #[must_use]
     pub const fn new(gateway: Gateway<'m>, log: Log) -> Self {
         const { assert!(SESSIONS > 0) };
-        let clients = [const { Client::NONE }; SESSIONS];
-        let inner = Inner { gateway, clients, robot: Bell::new(), cause: None, log };
+        let clients = [const { Client::FREE }; SESSIONS];
+        let inner = Inner { gateway, clients, robot: Notify::new(), cause: None, log };
         Self { inner: Mutex::new(RefCell::new(inner)) }
     }
 
-    /// Lends the gateway to be looked at: its counters, and whether the robot is there.
+    /// Calls `work` with the gateway, for example to read its counters or whether the robot is connected.
     ///
-    /// `None` when it is lent already, which only a log that calls it can bring about.
+    /// Returns `None` when the gateway is already borrowed, which happens only when the log callback calls this.
     pub fn view<T>(&self, work: impl FnOnce(&Gateway<'m>) -> T) -> Option<T> {
         self.with(|inner| work(&inner.gateway))
     }
 
-    /// Lends all there is, for as long as nothing is awaited.
+    /// Calls `work` with the shared state; `None` when it is already borrowed.
     pub(super) fn with<T>(&self, work: impl FnOnce(&mut Inner<'m, SESSIONS>) -> T) -> Option<T> {
         self.inner.lock(|inner| inner.try_borrow_mut().ok().map(|mut inner| work(&mut inner)))
     }
 
-    /// Lets the gateway take its steps, and tells the clients whom they concern; for the robot's task.
-    pub(super) fn step(&self) {
-        // one step for each lock, so that a chatty client does not keep interrupts out for long
-        while self.with(Inner::step).unwrap_or_default() {}
+    /// Polls the gateway until it has no event, and wakes the clients that its events concern; for the robot's task.
+    pub(super) fn poll(&self) {
+        // one event for each lock, so that a busy client does not block interrupts for long
+        while self.with(Inner::poll_event).unwrap_or_default() {}
     }
 
-    /// Lets the gateway take its steps for a client, and wakes the robot's task when they concern it.
-    pub(super) fn step_for_client(&self) {
-        let before = self.due();
-        self.step();
-        let due = self.due();
+    /// Polls the gateway for a client's task, and wakes the robot's task when it has bytes to send or an earlier deadline.
+    pub(super) fn poll_for_client(&self) {
+        let before = self.next_poll();
+        self.poll();
+        let after = self.next_poll();
         self.with(|inner| {
-            if !inner.gateway.robot_transmit().is_empty() || due < before {
-                inner.robot.ring();
+            if !inner.gateway.robot_transmit().is_empty() || after < before {
+                inner.robot.notify();
             }
         });
     }
 
-    /// Returns when the gateway must be asked again even if nothing else happens.
-    pub(super) fn due(&self) -> Instant {
+    /// Returns when the gateway must be polled again if no bytes arrive before.
+    pub(super) fn next_poll(&self) -> Instant {
         self.view(|gateway| gateway.poll_timeout()).flatten().unwrap_or(Instant::FAR_FUTURE)
     }
 
-    /// Gives a client a seat, if there is one.
+    /// Opens a session for a client; `None` when all slots are in use.
     pub(super) fn open(&self, endpoint: Option<IpEndpoint>) -> Option<PeerId> {
         self.with(|inner| {
             let client = inner.clients.iter_mut().find(|client| client.peer.is_none())?;
             let peer = inner.gateway.open()?;
-            *client = Client { peer: Some(peer), endpoint, ..Client::NONE };
+            *client = Client { peer: Some(peer), endpoint, ..Client::FREE };
             (inner.log)(&Report::Connected { client: endpoint });
             Some(peer)
         })?
     }
 
-    /// Frees the seat of a client that has gone.
+    /// Closes a client's session and frees its slot.
     pub(super) fn close(&self, peer: PeerId, ended: Option<Ended<()>>) {
         self.with(|inner| {
             inner.gateway.close(peer);
             if let Some(client) = inner.client(peer) {
-                let gone = core::mem::replace(client, Client::NONE);
-                (inner.log)(&Report::Disconnected { client: gone.endpoint, ended });
+                let client = core::mem::replace(client, Client::FREE);
+                (inner.log)(&Report::Disconnected { client: client.endpoint, ended });
             }
         });
     }
 
-    /// Waits until something concerns a client.
+    /// Waits until an event concerns a client.
     pub(super) async fn wait_for_client(&self, peer: PeerId) {
         poll_fn(|cx| {
-            self.with(|inner| inner.client(peer).map_or(Poll::Pending, |client| client.bell.poll(cx)))
+            self.with(|inner| inner.client(peer).map_or(Poll::Pending, |client| client.notify.poll(cx)))
                 .unwrap_or(Poll::Pending)
         })
         .await;
     }
 
-    /// Waits until something concerns the robot's task.
+    /// Waits until a change concerns the robot's task.
     pub(super) async fn wait_for_robot(&self) {
         poll_fn(|cx| self.with(|inner| inner.robot.poll(cx)).unwrap_or(Poll::Pending)).await;
     }
 }
 
 impl<const SESSIONS: usize> Inner<'_, SESSIONS> {
-    /// Takes one step; `false` when there is none to take.
-    fn step(&mut self) -> bool {
+    /// Handles the gateway's next event; `false` without an event.
+    fn poll_event(&mut self) -> bool {
         let Some(event) = self.gateway.poll_event(now()) else { return false };
         match event.peer() {
             Some(peer) => {
                 let mut endpoint = None;
                 if let Some(client) = self.client(peer) {
                     endpoint = client.endpoint;
-                    client.bell.ring();
+                    client.notify.notify();
                 }
                 (self.log)(&Report::Answered { client: endpoint, line: self.gateway.line(peer), event });
             }
             None => {
-                // a client's step may have found it out
-                self.robot.ring();
+                // a client's task may have polled this event
+                self.robot.notify();
                 let cause = self.cause.take();
                 let cause = cause.filter(|_| matches!(event, Event::RobotDown { .. }));
                 (self.log)(&Report::Robot { event, cause });
@@ -180,15 +180,15 @@ impl<const SESSIONS: usize> Inner<'_, SESSIONS> {
         self.clients.iter_mut().find(|client| client.peer == Some(peer))
     }
 
-    /// Takes note that there is no connection to the robot.
-    pub(super) fn robot_lost(&mut self, cause: NetError) {
+    /// Records that the connection to the robot failed.
+    pub(super) fn robot_failed(&mut self, cause: NetError) {
         self.cause = Some(cause);
         self.gateway.robot_closed(now());
     }
 }
 
-impl<M: RawMutex, const SESSIONS: usize> fmt::Debug for Shared<'_, M, SESSIONS> {
+impl<M: RawMutex, const SESSIONS: usize> fmt::Debug for SharedGateway<'_, M, SESSIONS> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Shared").field("sessions", &SESSIONS).finish_non_exhaustive()
+        f.debug_struct("SharedGateway").field("sessions", &SESSIONS).finish_non_exhaustive()
     }
 }

@@ -1,4 +1,4 @@
-//! What both transports need of the network: its errors, and waiting that ends when the link is lost.
+//! Network errors, and a wait that ends when the link goes down; shared by both transports.
 
 use core::fmt;
 use core::pin::pin;
@@ -8,20 +8,20 @@ use embassy_time::{Duration, TimeoutError, with_deadline};
 
 use crate::clock::ticks;
 
-/// Why a connection cannot be opened, or used any more.
+/// Why a connection cannot be opened or can no longer be used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum NetError {
-    /// The board has no link, or no address.
+    /// The board has no link or no address.
     Down,
     /// There is no route to the peer.
     NoRoute,
-    /// The peer refused the connection, or ended it.
+    /// The peer refused or closed the connection.
     Reset,
     /// The peer did not answer in time.
     Timeout,
-    /// The datagram is larger than the socket's memory.
+    /// The datagram is larger than the socket's buffer.
     TooLarge,
 }
 
@@ -30,9 +30,9 @@ impl fmt::Display for NetError {
         f.write_str(match self {
             Self::Down => "the network is down",
             Self::NoRoute => "there is no route to the peer",
-            Self::Reset => "the peer refused or ended the connection",
-            Self::Timeout => "the peer did not answer",
-            Self::TooLarge => "the datagram does not fit the socket's memory",
+            Self::Reset => "the peer refused or closed the connection",
+            Self::Timeout => "the peer did not answer in time",
+            Self::TooLarge => "the datagram does not fit into the socket's buffer",
         })
     }
 }
@@ -41,10 +41,14 @@ impl core::error::Error for NetError {}
 
 /// How often a waiting call checks that the link is up.
 ///
-/// embassy-net wakes only one task when its link changes, and the application may need that wake-up.
+/// This polls because embassy-net wakes only one task when its link changes, and the application may use that wake-up.
 const LINK_INTERVAL: Duration = Duration::from_millis(250);
 
-/// Waits for `work` until it is `until`, or the network is down.
+/// Waits for `work`; returns `None` at `until`.
+///
+/// # Errors
+///
+/// [`NetError::Down`] when the network goes down.
 pub(super) async fn wait<T>(
     stack: embassy_net::Stack<'_>,
     until: Instant,
@@ -53,8 +57,8 @@ pub(super) async fn wait<T>(
     let mut work = pin!(work);
     let until = ticks(until);
     loop {
-        let look = embassy_time::Instant::now().saturating_add(LINK_INTERVAL).min(until);
-        match with_deadline(look, work.as_mut()).await {
+        let check = embassy_time::Instant::now().saturating_add(LINK_INTERVAL).min(until);
+        match with_deadline(check, work.as_mut()).await {
             Ok(done) => return Ok(Some(done)),
             Err(TimeoutError) if is_down(stack) => return Err(NetError::Down),
             Err(TimeoutError) if embassy_time::Instant::now() >= until => return Ok(None),

@@ -1,10 +1,10 @@
 //! Clients over the TCP and UDP of embassy-net.
 //!
-//! embassy-net's own task (`Runner::run`) must run beside, and needs one socket for each client.
+//! embassy-net's own task (`Runner::run`) must run concurrently, and its `StackResources` need one socket per client.
 //!
 //! # Examples
 //!
-//! A client over TCP that reads a variable, and connects again when the connection breaks:
+//! A client over TCP that reads a variable and reconnects after a failure:
 //!
 //! ```
 //! use bcap_core::bcap::client::Config;

@@ -11,22 +11,22 @@ use embassy_time::{Duration, Timer, with_timeout};
 use super::link::{NetError, is_down, wait};
 use crate::clock::{now, ticks};
 
-/// What a connection may take.
+/// The timeouts of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Options {
     /// How long connecting may take.
     pub connect_timeout: Duration,
-    /// The silence after which the peer is asked whether it is still there.
+    /// The time without traffic after which a TCP keep-alive is sent.
     pub keep_alive: Duration,
-    /// How long a peer may leave that, or data, without an acknowledgement; the connection is then reset.
+    /// The time without an acknowledgement, of data or of a keep-alive, after which the connection is reset.
     ///
-    /// smoltcp repeats what was lost after a second at the earliest, so less than 3 s breaks good connections.
+    /// smoltcp retransmits after one second at the earliest, so less than 3 s breaks good connections.
     pub lost: Duration,
 }
 
 impl Default for Options {
-    /// 3 s to connect; a peer is asked after 5 s of silence and given up after 15 s.
+    /// 3 s to connect, a keep-alive after 5 s, a reset after 15 s without an acknowledgement.
     fn default() -> Self {
         Self {
             connect_timeout: Duration::from_secs(3),
@@ -48,25 +48,25 @@ pub struct TcpTransport<'s> {
 }
 
 impl<'s> TcpTransport<'s> {
-    /// Makes a transport that is not connected; `rx` and `tx` are the socket's memory.
+    /// Creates a transport that is not connected; `rx` and `tx` are the socket's buffers.
     ///
-    /// The stack must have a place for one more socket in its `StackResources`, or it panics.
+    /// embassy-net panics when the stack's `StackResources` have no free socket.
     #[must_use]
     pub fn new(stack: Stack<'s>, rx: &'s mut [u8], tx: &'s mut [u8], options: Options) -> Self {
         Self { stack, socket: TcpSocket::new(stack, rx, tx), options }
     }
 
-    /// Connects to a peer; a connection that was there is reset.
+    /// Connects to a peer; resets an earlier connection.
     ///
-    /// The client on top must begin anew as well: [`Client::reset`](bcap_core::bcap::Client::reset).
+    /// [Reset](bcap_core::bcap::Client::reset) the client that uses the transport, too.
     ///
     /// # Errors
     ///
-    /// A [`NetError`] that says why not.
+    /// A [`NetError`] when connecting fails.
     ///
     /// # Cancel safety
     ///
-    /// When the future is dropped there is no connection.
+    /// Dropping the future leaves the transport not connected.
     pub async fn connect(&mut self, peer: impl Into<IpEndpoint>) -> Result<(), NetError> {
         if is_down(self.stack) {
             return Err(NetError::Down);
@@ -86,15 +86,15 @@ impl<'s> TcpTransport<'s> {
         result
     }
 
-    /// Waits for a peer that connects to `port`.
+    /// Waits for a peer to connect to `port`.
     ///
     /// # Errors
     ///
-    /// A [`NetError`] when the peer was gone at once, or the port is 0.
+    /// A [`NetError`] when the peer disconnected while connecting, or the port is 0.
     ///
     /// # Cancel safety
     ///
-    /// When the future is dropped a peer that is just connecting is reset with the next use.
+    /// After the future is dropped, the next use of the transport resets a peer that is just connecting.
     #[cfg(feature = "server")]
     pub(crate) async fn accept(&mut self, port: u16) -> Result<(), NetError> {
         self.reset().await;
@@ -103,11 +103,11 @@ impl<'s> TcpTransport<'s> {
         Ok(())
     }
 
-    /// Closes the connection in order, after what was sent has arrived; one that hangs is reset.
+    /// Closes the connection after the sent bytes are acknowledged; resets it after [`Options::connect_timeout`].
     ///
     /// # Cancel safety
     ///
-    /// When the future is dropped the connection goes on closing.
+    /// After the future is dropped, the connection continues to close.
     pub async fn close(&mut self) {
         self.socket.close();
         if with_timeout(self.options.connect_timeout, self.socket.flush()).await.is_err() {
@@ -134,7 +134,7 @@ impl<'s> TcpTransport<'s> {
     }
 
     fn set_up(&mut self) {
-        // a request is one segment, and is to leave at once
+        // a request is one segment and must be sent at once
         self.socket.set_nagle_enabled(false);
         self.socket.set_keep_alive(Some(self.options.keep_alive));
         self.socket.set_timeout(Some(self.options.lost));

@@ -1,4 +1,4 @@
-//! A UDP socket of embassy-net with one peer as a transport.
+//! An embassy-net UDP socket with one peer as a transport.
 
 use core::fmt;
 
@@ -11,7 +11,7 @@ use embassy_time::Timer;
 use super::link::{NetError, wait};
 use crate::clock::{now, ticks};
 
-/// A UDP socket with one peer as a transport; datagrams from others are dropped.
+/// A UDP socket with one peer as a transport; datagrams from other senders are dropped.
 ///
 /// # Examples
 ///
@@ -40,7 +40,7 @@ pub struct UdpTransport<'s> {
 }
 
 impl<'s> UdpTransport<'s> {
-    /// Takes a socket, which is bound to a free port unless it is bound already.
+    /// Wraps a socket; binds it to a free port if it is not bound yet.
     ///
     /// # Errors
     ///
@@ -87,7 +87,7 @@ impl Transport for UdpTransport<'_> {
         loop {
             match wait(self.stack, until, self.socket.recv_from(buffer)).await? {
                 Some(Ok((count, from))) if from.endpoint == self.peer => return Ok(Some(count)),
-                // from a stranger, or too long for any frame; either way it is no reply
+                // from another sender, or longer than any frame: not a reply
                 Some(Ok(_) | Err(RecvError::Truncated)) => {}
                 None => return Ok(None),
             }

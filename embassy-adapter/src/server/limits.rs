@@ -1,25 +1,25 @@
-//! The time that a peer may take, and what follows from it.
+//! The time limits of a peer's session.
 
 use core::time::Duration;
 
 use bcap_core::time::Instant;
 
-/// What a peer may cost in time.
+/// The time limits of a peer's session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Limits {
-    /// How long a request may take to arrive once its first byte has.
+    /// How long a request may take from its first byte to its last.
     pub receive: Duration,
     /// How long a peer may take to accept a reply.
     pub send: Duration,
-    /// How long a peer may be silent before its slot is free for others; `None` is without a limit.
+    /// How long a connection may be idle before it is closed; `None` means forever.
     pub idle: Option<Duration>,
-    /// The silence after which a UDP peer may be forgotten when another needs its slot.
+    /// How long a UDP peer must be idle before another peer may take its slot.
     pub udp_idle: Duration,
 }
 
 impl Default for Limits {
-    /// 30 s for a request, 10 s for a reply, no limit to silence on a connection, 10 s on UDP.
+    /// 30 s for a request, 10 s for a reply, no idle limit on a connection, 10 s on UDP.
     fn default() -> Self {
         Self {
             receive: Duration::from_secs(30),
@@ -30,14 +30,14 @@ impl Default for Limits {
     }
 }
 
-/// When a session must be polled again, or why it must end.
-pub(super) enum Due {
+/// When a session must be polled again, or which limit it exceeded.
+pub(super) enum Deadline {
     At(Instant),
-    Ended(TooLong),
+    Exceeded(Limit),
 }
 
-/// What took longer than its limit.
-pub(super) enum TooLong {
-    Request,
-    Silence,
+/// A limit that a session can exceed.
+pub(super) enum Limit {
+    Receive,
+    Idle,
 }

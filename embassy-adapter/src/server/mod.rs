@@ -2,12 +2,12 @@
 //!
 //! ```text
 //!   Listener (TCP)  ─► serve ─┐
-//!   UdpServer ────────────────┼─► Shared: the handler, one call at a time
-//!   a serial line   ─► serve ─┘
+//!   UdpServer ────────────────┼─► SharedHandler: one call at a time
+//!   serial line     ─► serve ─┘
 //! ```
 //!
-//! The core has the session of each peer ([`Serve`]). Each connection that is to be served at the same time needs a task, a
-//! session and a socket's memory, which the caller places; a peer for whom there is none is refused by the network.
+//! The core implements the session of each peer ([`Serve`]). Each connection that is served concurrently needs a task, a
+//! session and socket buffers, which the caller provides. The network stack refuses connections beyond those.
 //!
 //! # Examples
 //!
@@ -19,7 +19,7 @@
 //! use bcap_core::rac::server::{Config, Handler, Session};
 //! use bcap_core::rac::{Request, VariableKind};
 //! use bcap_core::time::Instant;
-//! use bcap_embassy::server::{Limits, Shared};
+//! use bcap_embassy::server::{Limits, SharedHandler};
 //! use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 //!
 //! struct Answer;
@@ -34,7 +34,7 @@
 //! }
 //!
 //! # #[cfg(feature = "embassy-net")]
-//! async fn serve(stack: embassy_net::Stack<'_>, shared: &Shared<NoopRawMutex, Answer, 4>) -> ! {
+//! async fn serve(stack: embassy_net::Stack<'_>, shared: &SharedHandler<NoopRawMutex, Answer, 4>) -> ! {
 //!     let (mut rx, mut tx) = ([0; 512], [0; 512]);
 //!     let mut listener = bcap_embassy::server::Listener::new(stack, bcap_core::rac::PORT, &mut rx, &mut tx);
 //!     let mut session = None;
@@ -56,9 +56,9 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::Timer;
 
 pub use self::limits::Limits;
-use self::limits::{Due, TooLong};
-pub use self::shared::Shared;
-use self::shared::Visit;
+use self::limits::{Deadline, Limit};
+use self::shared::ActiveSession;
+pub use self::shared::SharedHandler;
 #[cfg(feature = "embassy-net")]
 pub use self::tcp::Listener;
 #[cfg(feature = "embassy-net")]
@@ -66,27 +66,27 @@ pub use self::udp::{UdpPeer, UdpServer};
 use crate::clock::ticks;
 pub use bcap_core::endpoint::Serve;
 
-/// Why a session has ended.
+/// Why a session ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum Ended<E> {
-    /// The peer has closed the connection.
+    /// The peer closed the connection.
     Closed,
-    /// The peer sent bytes that are no request.
+    /// The peer sent bytes that are not a valid request.
     Malformed,
-    /// A request took too long to arrive.
+    /// A request took longer to arrive than [`Limits::receive`].
     RequestTooSlow,
-    /// The peer was silent for too long.
+    /// The peer was idle for longer than [`Limits::idle`].
     Idle,
-    /// The peer did not read its replies.
+    /// The peer did not accept a reply within [`Limits::send`].
     ReplyNotRead,
-    /// The transport failed: the peer vanished, or the network did.
+    /// The transport failed, because the peer stopped responding or the network is down.
     Failed(E),
 }
 
 impl<E> Ended<E> {
-    /// Returns the reason without what the transport said.
+    /// Returns the reason without the transport's error.
     #[cfg(feature = "gateway")]
     pub(crate) const fn reason(&self) -> Ended<()> {
         match self {
@@ -100,15 +100,15 @@ impl<E> Ended<E> {
     }
 }
 
-/// Serves one peer until its session ends, and tells the handler that it has gone.
+/// Serves one peer until its session ends, and notifies the handler that the peer left.
 ///
 /// # Cancel safety
 ///
-/// When the future is dropped the session is closed and the handler learns it; the transport is as it was.
+/// Dropping the future closes the session, notifies the handler and leaves the transport open.
 pub async fn serve<X, S, M, H, const N: usize>(
     transport: &mut X,
     session: &mut S,
-    shared: &Shared<M, H, N>,
+    shared: &SharedHandler<M, H, N>,
     limits: &Limits,
 ) -> Ended<X::Error>
 where
@@ -116,50 +116,50 @@ where
     S: Serve<H>,
     M: RawMutex,
 {
-    let mut visit = Visit::new(session, shared, transport.now());
+    let mut active = ActiveSession::new(session, shared, transport.now());
     loop {
-        // noted before the handler is asked, so that what others change meanwhile is not missed
+        // read before the handler is called, so that a change by another task in between is not missed
         let seen = shared.changes();
-        visit.run(transport.now());
-        if !visit.session.transmit().is_empty() {
-            match send(transport, visit.session, limits).await {
+        active.run(transport.now());
+        if !active.session.transmit().is_empty() {
+            match send(transport, active.session, limits).await {
                 Some(ended) => return ended,
-                // what came behind the request can be looked at now
+                // bytes after the request can be processed now
                 None => continue,
             }
         }
-        if visit.session.is_finished() {
+        if active.session.is_finished() {
             return Ended::Malformed;
         }
-        let heard = match visit.due(limits, transport.now()) {
-            Due::Ended(ended) => return ended.into(),
-            Due::At(at) => wait(transport, visit.session, shared, seen, at).await,
+        let wake = match active.deadline(limits, transport.now()) {
+            Deadline::Exceeded(limit) => return limit.into(),
+            Deadline::At(at) => wait(transport, active.session, shared, seen, at).await,
         };
-        match heard {
-            Ok(Heard::Bytes(0)) => return Ended::Closed,
-            Ok(Heard::Bytes(count)) => visit.received(count, transport.now()),
-            Ok(Heard::Nothing) => {}
+        match wake {
+            Ok(Wake::Bytes(0)) => return Ended::Closed,
+            Ok(Wake::Bytes(count)) => active.received(count, transport.now()),
+            Ok(Wake::Poll) => {}
             Err(error) => return Ended::Failed(error),
         }
     }
 }
 
-impl<E> From<TooLong> for Ended<E> {
-    fn from(reason: TooLong) -> Self {
-        match reason {
-            TooLong::Request => Self::RequestTooSlow,
-            TooLong::Silence => Self::Idle,
+impl<E> From<Limit> for Ended<E> {
+    fn from(limit: Limit) -> Self {
+        match limit {
+            Limit::Receive => Self::RequestTooSlow,
+            Limit::Idle => Self::Idle,
         }
     }
 }
 
-enum Heard {
+enum Wake {
     Bytes(usize),
-    /// It is time to look at the session again.
-    Nothing,
+    /// No bytes; the session must be polled.
+    Poll,
 }
 
-/// Sends what the session has to say; returns how it ended if that cannot be done.
+/// Sends the session's pending bytes; returns why the session ended if that fails.
 async fn send<X, H, S>(transport: &mut X, session: &mut S, limits: &Limits) -> Option<Ended<X::Error>>
 where
     X: Transport,
@@ -177,35 +177,35 @@ where
     None
 }
 
-/// Waits for bytes, for the time, or for something that a waiting handler may be waiting for.
+/// Waits for bytes, for `due`, or, while the handler has a waiting request, for a change.
 async fn wait<X, S, M, H, const N: usize>(
     transport: &mut X,
     session: &mut S,
-    shared: &Shared<M, H, N>,
+    shared: &SharedHandler<M, H, N>,
     seen: u32,
     due: Instant,
-) -> Result<Heard, X::Error>
+) -> Result<Wake, X::Error>
 where
     X: Transport,
     S: Serve<H>,
     M: RawMutex,
 {
-    let listening = session.is_running();
+    let waiting = session.is_running();
     let room = session.receive_buffer();
     let bytes = async {
         if room.is_empty() {
-            // what comes must wait until the handler is done with the request before it
+            // further bytes wait until the handler has completed the request before them
             Timer::at(ticks(due)).await;
             return Ok(None);
         }
         transport.receive(room, due).await
     };
-    let heard = match listening {
+    let wake = match waiting {
         true => match select(bytes, shared.changed(seen)).await {
-            Either::First(heard) => heard,
+            Either::First(wake) => wake,
             Either::Second(()) => Ok(None),
         },
         false => bytes.await,
     };
-    heard.map(|count| count.map_or(Heard::Nothing, Heard::Bytes))
+    wake.map(|count| count.map_or(Wake::Poll, Wake::Bytes))
 }

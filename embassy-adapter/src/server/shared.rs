@@ -1,4 +1,4 @@
-//! What all tasks of a server share: the handler, the numbers of peers, and the news that something has changed.
+//! The state that all tasks of a server share: the handler, the next peer number and the notification of changes.
 
 use core::cell::RefCell;
 use core::fmt;
@@ -12,26 +12,26 @@ use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_sync::waitqueue::MultiWakerRegistration;
 
 use super::Serve;
-use super::limits::{Due, Limits, TooLong};
+use super::limits::{Deadline, Limit, Limits};
 use crate::clock::now;
 
-/// A handler that many tasks call, one at a time; `WAITERS` of them (at least 1) can wait for each other's changes.
+/// A handler that several tasks call, one at a time; up to `WAITERS` tasks (at least 1) can wait for changes.
 ///
-/// The mutex is embassy's: `NoopRawMutex` for one executor, `CriticalSectionRawMutex` for more.
-pub struct Shared<M: RawMutex, H, const WAITERS: usize> {
+/// `M` is embassy's mutex: `NoopRawMutex` for one executor, `CriticalSectionRawMutex` for several.
+pub struct SharedHandler<M: RawMutex, H, const WAITERS: usize> {
     inner: Mutex<M, RefCell<Inner<H, WAITERS>>>,
 }
 
 struct Inner<H, const WAITERS: usize> {
     handler: H,
     next_peer: u32,
-    /// Counts what may matter to a handler that waits.
+    /// Counts the changes that may complete a waiting request.
     changes: u32,
     wakers: MultiWakerRegistration<WAITERS>,
 }
 
-impl<M: RawMutex, H, const WAITERS: usize> Shared<M, H, WAITERS> {
-    /// Takes a handler.
+impl<M: RawMutex, H, const WAITERS: usize> SharedHandler<M, H, WAITERS> {
+    /// Wraps a handler.
     #[must_use]
     pub const fn new(handler: H) -> Self {
         const { assert!(WAITERS > 0) };
@@ -39,9 +39,9 @@ impl<M: RawMutex, H, const WAITERS: usize> Shared<M, H, WAITERS> {
         Self { inner: Mutex::new(RefCell::new(inner)) }
     }
 
-    /// Lends the handler, and has those asked again that wait for something to change.
+    /// Calls `work` with the handler, and polls waiting requests again afterwards.
     ///
-    /// `None` when it is lent already: a handler cannot borrow itself while it is called.
+    /// Returns `None` when the handler is already borrowed: a handler cannot call this while it is called itself.
     pub fn update<T>(&self, work: impl FnOnce(&mut H) -> T) -> Option<T> {
         self.with(|inner| {
             let result = work(&mut inner.handler);
@@ -50,7 +50,7 @@ impl<M: RawMutex, H, const WAITERS: usize> Shared<M, H, WAITERS> {
         })
     }
 
-    /// Lends the handler to be looked at.
+    /// Calls `work` with the handler, without polling waiting requests; `None` as for [`update`](Self::update).
     pub fn view<T>(&self, work: impl FnOnce(&H) -> T) -> Option<T> {
         self.with(|inner| work(&inner.handler))
     }
@@ -60,7 +60,7 @@ impl<M: RawMutex, H, const WAITERS: usize> Shared<M, H, WAITERS> {
         self.with(|inner| inner.changes).unwrap_or_default()
     }
 
-    /// Waits until the number of changes is not `seen` any more.
+    /// Waits until the number of changes differs from `seen`.
     pub(super) async fn changed(&self, seen: u32) {
         poll_fn(|cx| {
             let ready = self.with(|inner| {
@@ -75,17 +75,17 @@ impl<M: RawMutex, H, const WAITERS: usize> Shared<M, H, WAITERS> {
         .await;
     }
 
-    /// Lets a session go on as far as it can; `false` when it had nothing to do.
+    /// Runs a session until it makes no progress; returns whether it made any.
     pub(super) fn run<S: Serve<H>>(&self, session: &mut S, peer: PeerId, now: Instant) -> bool {
-        let mut stepped = false;
-        // one step for each lock, so that a chatty peer does not keep interrupts out for long
+        let mut progressed = false;
+        // one step for each lock, so that a busy peer does not block interrupts for long
         while self.step(session, peer, now) {
-            stepped = true;
+            progressed = true;
         }
-        stepped
+        progressed
     }
 
-    /// Lets a session go one step on; `false` when it has nothing to do.
+    /// Performs one step of a session; returns whether it made progress.
     pub(super) fn step<S: Serve<H>>(&self, session: &mut S, peer: PeerId, now: Instant) -> bool {
         self.with(|inner| inner.step(session, peer, now)).unwrap_or_default()
     }
@@ -94,7 +94,7 @@ impl<M: RawMutex, H, const WAITERS: usize> Shared<M, H, WAITERS> {
         self.update(|handler| session.close(handler, peer, now));
     }
 
-    /// Returns a number that no peer has had before.
+    /// Returns the next unused peer number.
     pub(super) fn next_peer(&self) -> PeerId {
         let next = self.with(|inner| {
             let peer = inner.next_peer;
@@ -111,11 +111,11 @@ impl<M: RawMutex, H, const WAITERS: usize> Shared<M, H, WAITERS> {
 
 impl<H, const WAITERS: usize> Inner<H, WAITERS> {
     fn step<S: Serve<H>>(&mut self, session: &mut S, peer: PeerId, now: Instant) -> bool {
-        let stepped = session.run(&mut self.handler, peer, now).is_some();
-        if stepped {
+        let progressed = session.run(&mut self.handler, peer, now).is_some();
+        if progressed {
             self.changed();
         }
-        stepped
+        progressed
     }
 
     fn changed(&mut self) {
@@ -124,62 +124,62 @@ impl<H, const WAITERS: usize> Inner<H, WAITERS> {
     }
 }
 
-impl<M: RawMutex, H: fmt::Debug, const WAITERS: usize> fmt::Debug for Shared<M, H, WAITERS> {
+impl<M: RawMutex, H: fmt::Debug, const WAITERS: usize> fmt::Debug for SharedHandler<M, H, WAITERS> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         self.inner.lock(|inner| match inner.try_borrow() {
-            Ok(inner) => f.debug_tuple("Shared").field(&inner.handler).finish(),
-            Err(_) => f.write_str("Shared(<in use>)"),
+            Ok(inner) => f.debug_tuple("SharedHandler").field(&inner.handler).finish(),
+            Err(_) => f.write_str("SharedHandler(<in use>)"),
         })
     }
 }
 
-/// A session while it lasts; the handler learns its end however it ends.
-pub(super) struct Visit<'a, S: Serve<H>, M: RawMutex, H, const N: usize> {
+/// A session in progress; dropping it closes the session and notifies the handler.
+pub(super) struct ActiveSession<'a, S: Serve<H>, M: RawMutex, H, const N: usize> {
     pub(super) session: &'a mut S,
-    shared: &'a Shared<M, H, N>,
+    shared: &'a SharedHandler<M, H, N>,
     peer: PeerId,
-    /// When bytes came last, and when the first byte of an unfinished request came.
-    heard: Instant,
+    last_received: Instant,
+    /// When the first byte of a partial request arrived.
     partial_since: Option<Instant>,
 }
 
-impl<'a, S: Serve<H>, M: RawMutex, H, const N: usize> Visit<'a, S, M, H, N> {
-    pub(super) fn new(session: &'a mut S, shared: &'a Shared<M, H, N>, now: Instant) -> Self {
-        Self { session, shared, peer: shared.next_peer(), heard: now, partial_since: None }
+impl<'a, S: Serve<H>, M: RawMutex, H, const N: usize> ActiveSession<'a, S, M, H, N> {
+    pub(super) fn new(session: &'a mut S, shared: &'a SharedHandler<M, H, N>, now: Instant) -> Self {
+        Self { session, shared, peer: shared.next_peer(), last_received: now, partial_since: None }
     }
 
     pub(super) fn run(&mut self, now: Instant) {
         if self.shared.run(self.session, self.peer, now) {
-            // a request was whole, so what there is of another has only just come
+            // a request was complete, so the timeout for a following partial request starts now
             self.partial_since = None;
         }
     }
 
     pub(super) fn received(&mut self, count: usize, now: Instant) {
-        self.heard = now;
+        self.last_received = now;
         self.session.received(count);
     }
 
-    /// Says when the session must be looked at again.
-    pub(super) fn due(&mut self, limits: &Limits, now: Instant) -> Due {
+    /// Returns when the session must be polled again, or the limit that it exceeded.
+    pub(super) fn deadline(&mut self, limits: &Limits, now: Instant) -> Deadline {
         self.partial_since = self.session.is_receiving().then(|| self.partial_since.unwrap_or(now));
         let request = self.partial_since.map(|since| since.saturating_add(limits.receive));
         if request.is_some_and(|until| now >= until) {
-            return Due::Ended(TooLong::Request);
+            return Deadline::Exceeded(Limit::Receive);
         }
-        let silence = match limits.idle {
-            Some(idle) if !self.session.is_running() => self.heard.saturating_add(idle),
+        let idle = match limits.idle {
+            Some(limit) if !self.session.is_running() => self.last_received.saturating_add(limit),
             _ => Instant::FAR_FUTURE,
         };
-        if now >= silence {
-            return Due::Ended(TooLong::Silence);
+        if now >= idle {
+            return Deadline::Exceeded(Limit::Idle);
         }
         let session = self.session.poll_timeout();
-        Due::At(silence.min(request.unwrap_or(silence)).min(session.unwrap_or(silence)))
+        Deadline::At(idle.min(request.unwrap_or(idle)).min(session.unwrap_or(idle)))
     }
 }
 
-impl<S: Serve<H>, M: RawMutex, H, const N: usize> Drop for Visit<'_, S, M, H, N> {
+impl<S: Serve<H>, M: RawMutex, H, const N: usize> Drop for ActiveSession<'_, S, M, H, N> {
     fn drop(&mut self) {
         self.shared.close(self.session, self.peer, now());
     }

@@ -1,35 +1,37 @@
-//! A port of TCP that is served, one connection after the other.
+//! A TCP listener that serves one connection after another.
 
 use embassy_net::Stack;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::Timer;
 
-use super::{Ended, Limits, Serve, Shared, serve};
+use super::{Ended, Limits, Serve, SharedHandler, serve};
 use crate::net::{NetError, Options, TcpTransport};
 
-/// A port that takes one connection at a time; for more at the same time there are more listeners on the same port.
+/// A TCP listener that serves one connection at a time.
+///
+/// Use several listeners on the same port to serve several connections concurrently.
 #[derive(Debug)]
 pub struct Listener<'s> {
     transport: TcpTransport<'s>,
     port: u16,
 }
 
-/// How long a port that cannot be listened to is left alone.
+/// The pause before listening again, after listening failed.
 const PAUSE_MS: u64 = 100;
 
 impl<'s> Listener<'s> {
-    /// Makes a listener; `rx` and `tx` are its socket's memory.
+    /// Creates a listener; `rx` and `tx` are its socket's buffers.
     #[must_use]
     pub fn new(stack: Stack<'s>, port: u16, rx: &'s mut [u8], tx: &'s mut [u8]) -> Self {
         Self { transport: TcpTransport::new(stack, rx, tx, Options::default()), port }
     }
 
-    /// Serves connections for ever; each has a session of `make`, which lives in `slot`.
+    /// Serves connections forever; `make` creates the session of each, which is stored in `slot`.
     pub async fn run<S, M, H, const N: usize>(
         &mut self,
         slot: &mut Option<S>,
         mut make: impl FnMut() -> S,
-        shared: &Shared<M, H, N>,
+        shared: &SharedHandler<M, H, N>,
         limits: &Limits,
     ) -> !
     where
@@ -41,7 +43,7 @@ impl<'s> Listener<'s> {
             match self.serve_one(session, shared, limits).await {
                 Ok(_ended) => {
                     #[cfg(feature = "defmt")]
-                    defmt::debug!("port {=u16}: the session has ended: {}", self.port, _ended);
+                    defmt::debug!("port {=u16}: session ended: {}", self.port, _ended);
                 }
                 Err(_) => Timer::after_millis(PAUSE_MS).await,
             }
@@ -52,15 +54,15 @@ impl<'s> Listener<'s> {
     ///
     /// # Errors
     ///
-    /// A [`NetError`] when the peer was gone before there was a connection, or the port is 0.
+    /// A [`NetError`] when the peer disconnected while connecting, or the port is 0.
     ///
     /// # Cancel safety
     ///
-    /// When the future is dropped the session is closed, and its connection is reset with the next use.
+    /// Dropping the future closes the session. The next use of the listener resets its connection.
     pub async fn serve_one<S, M, H, const N: usize>(
         &mut self,
         session: &mut S,
-        shared: &Shared<M, H, N>,
+        shared: &SharedHandler<M, H, N>,
         limits: &Limits,
     ) -> Result<Ended<NetError>, NetError>
     where
@@ -74,9 +76,9 @@ impl<'s> Listener<'s> {
     }
 }
 
-/// Puts a new session into its place.
+/// Stores a new session in the slot.
 ///
-/// Not inlined: a session is made on the stack, and would stay there as long as it is served.
+/// Not inlined: otherwise the temporary session would take stack or future memory for as long as the connection.
 #[inline(never)]
 fn renew<'s, S>(slot: &'s mut Option<S>, make: &mut impl FnMut() -> S) -> &'s mut S {
     slot.insert(make())

@@ -1,4 +1,4 @@
-//! Two stacks of embassy-net on one cable, and a controller with one number.
+//! Two embassy-net stacks connected by a simulated cable, and a controller with one number.
 
 use std::cell::RefCell;
 use std::collections::VecDeque;
@@ -17,13 +17,13 @@ use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState};
 
 const MTU: usize = 1514;
 
-/// What is on the cable: the frames to each end, and whether it is plugged in.
+/// The state of the cable: the frames to each end, and whether it is unplugged.
 #[derive(Default)]
 struct Wire {
     frames: [VecDeque<Vec<u8>>; 2],
     wakers: [Option<Waker>; 2],
     cut: bool,
-    /// Frames of which every so many-th is lost; 0 loses none.
+    /// Loses every `lose`-th frame; 0 loses none.
     lose: usize,
     sent: usize,
 }
@@ -32,7 +32,7 @@ struct Wire {
 pub(crate) struct Cable(Rc<RefCell<Wire>>);
 
 impl Cable {
-    /// Pulls the cable out, or plugs it in.
+    /// Unplugs the cable, or plugs it in.
     pub(crate) fn cut(&self, cut: bool) {
         let mut wire = self.0.borrow_mut();
         wire.cut = cut;

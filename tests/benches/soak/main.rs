@@ -1,21 +1,22 @@
-//! A server with many clients for a long time, half of which misbehave: does it keep what it promises to the others, and does
-//! anything grow?
+//! A soak test: a server with many clients, half of which misbehave. It measures the throughput of the others and checks
+//! that the server's resources do not grow.
 //!
 //! ```text
-//!   idle      all clients are connected and say nothing
+//!   idle      all clients are connected and send nothing
 //!   alone     the well-behaved half works, for a second                           ┐
 //!   together  the other half misbehaves at the same time, for two                 ┘ in turn, until the time is over
-//!   after     all have gone
+//!   after     all clients are disconnected
 //! ```
 //!
 //! `cargo bench -p bcap-tests --bench soak -- --seconds 60 --clients 200`; the seconds are those together. The server is a
 //! process of its own, with the limits that a server has unless told otherwise, and one thread.
 //!
-//! It fails when the well-behaved half keeps less than 80 % of what it does alone (in 60 s or more), when 200 silent
-//! connections cost 1 % of a processor, when handles, tasks or files are not in the end what they were, or when memory has
-//! grown by 10 MiB since the first line of the table. A machine that does other things meanwhile measures those as well.
+//! It fails when the well-behaved half keeps less than 80 % of its throughput alone (in 60 s or more), when 200 silent
+//! connections use 1 % of a processor, when the numbers of handles, tasks or files at the end differ from those at the
+//! start, or when memory has grown by 10 MiB since the first line of the table. Other load on the machine distorts the
+//! figures.
 
-mod mischief;
+mod misbehaviour;
 mod server;
 mod work;
 
@@ -46,7 +47,7 @@ pub(crate) struct Plan {
     /// Calls that the well-behaved have made.
     pub(crate) calls: AtomicU64,
     /// What the others have done.
-    pub(crate) mischief: AtomicU64,
+    pub(crate) misbehaviour: AtomicU64,
     /// Whether the others are to misbehave now.
     pub(crate) is_together: AtomicBool,
     /// Whether all are to go.
@@ -106,16 +107,16 @@ fn soak(wishes: Wishes, verdict: &mut Verdict) {
     let plan = Arc::<Plan>::default();
     let half = wishes.clients / 2;
     let good = work::start(server.addresses(), half, Arc::clone(&plan));
-    let bad = mischief::start(server.addresses(), wishes.clients - half, Arc::clone(&plan));
+    let bad = misbehaviour::start(server.addresses(), wishes.clients - half, Arc::clone(&plan));
     // what is made once is made before anything is measured
     let _ = Window::of(&plan, &server, ALONE);
-    println!("calls/s alone  together  kept   mischief  {}", State::HEAD);
+    println!("calls/s alone  together  kept   misbehaviour  {}", State::HEAD);
     let mut rows = Vec::new();
     for _ in 0..ROWS {
         let (alone, together) = row(&plan, &server, wishes.time / ROWS);
         let state = server.state();
-        let (kept, mischief) = (100.0 * together.calls() / alone.calls(), together.mischief());
-        println!("{:13.0}  {:8.0}  {kept:3.0} %  {mischief:6.0}/s  {state}", alone.calls(), together.calls());
+        let (kept, misbehaviour) = (100.0 * together.calls() / alone.calls(), together.misbehaviour());
+        println!("{:13.0}  {:8.0}  {kept:3.0} %  {misbehaviour:6.0}/s  {state}", alone.calls(), together.calls());
         rows.push(Row { alone, together, state });
     }
     plan.is_over.store(true, Ordering::Relaxed);
@@ -142,7 +143,7 @@ fn row(plan: &Plan, server: &Server, time: Duration) -> (Window, Window) {
 #[derive(Clone, Copy, Debug, Default)]
 struct Window {
     calls: u64,
-    mischief: u64,
+    misbehaviour: u64,
     time: Duration,
     /// What the server has used of it.
     used: Duration,
@@ -150,17 +151,17 @@ struct Window {
 
 impl Window {
     fn of(plan: &Plan, server: &Server, time: Duration) -> Self {
-        let count = || [&plan.calls, &plan.mischief].map(|count| count.load(Ordering::Relaxed));
+        let count = || [&plan.calls, &plan.misbehaviour].map(|count| count.load(Ordering::Relaxed));
         let used = || server.process().processor_time().unwrap_or_default();
         let (before, used_before, begun) = (count(), used(), Instant::now());
         std::thread::sleep(time);
         let (after, used, time) = (count(), used() - used_before, begun.elapsed());
-        Self { calls: after[0] - before[0], mischief: after[1] - before[1], time, used }
+        Self { calls: after[0] - before[0], misbehaviour: after[1] - before[1], time, used }
     }
 
     fn add(&mut self, other: Self) {
         self.calls += other.calls;
-        self.mischief += other.mischief;
+        self.misbehaviour += other.misbehaviour;
         self.time += other.time;
         self.used += other.used;
     }
@@ -175,8 +176,8 @@ impl Window {
         self.calls as f64 / self.used.as_secs_f64()
     }
 
-    fn mischief(&self) -> f64 {
-        self.mischief as f64 / self.time.as_secs_f64()
+    fn misbehaviour(&self) -> f64 {
+        self.misbehaviour as f64 / self.time.as_secs_f64()
     }
 }
 

@@ -1,4 +1,4 @@
-//! The server, in a process of its own, and what can be seen of it.
+//! The server, in a separate process, and its resources as seen from outside.
 
 use std::fmt;
 use std::io::{BufRead, BufReader, Write};
@@ -13,7 +13,7 @@ use bcap_tests::served::Served;
 /// The argument by which this program becomes the server.
 pub(crate) const SERVE: &str = "--serve";
 
-/// Serves until the standard input ends; each line of that is answered with what there is.
+/// Serves until the standard input ends; answers each input line with the server's resources.
 pub(crate) fn serve() {
     let server = Served::start(Limits { connections_per_address: Limits::default().connections, ..Limits::default() });
     println!("{} {} {}", server.tcp, server.udp, server.rac);
@@ -41,7 +41,7 @@ pub(crate) struct Server {
     addresses: Addresses,
 }
 
-/// What the server has at one time.
+/// The resources of the server at one time.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct State {
     pub(crate) handles: usize,
@@ -87,7 +87,7 @@ impl Server {
         Process::new(self.child.id())
     }
 
-    /// Returns what the server has now.
+    /// Returns the server's present resources.
     pub(crate) fn state(&mut self) -> State {
         writeln!(self.input).expect("the server lives");
         let words: Vec<usize> = line(&mut self.output);
@@ -96,7 +96,7 @@ impl Server {
         State { handles, peers, tasks, descriptors: process.descriptors(), memory: process.memory() }
     }
 
-    /// Returns what the server has when nobody is there and nothing changes any more.
+    /// Returns the server's resources when no client is connected and they no longer change.
     pub(crate) fn quiet(&mut self) -> State {
         let mut state = self.state();
         loop {
@@ -108,7 +108,7 @@ impl Server {
         }
     }
 
-    /// Returns what the server has when it is what it was, or has had the time for that.
+    /// Waits until the server's resources are as before or a timeout; returns them.
     pub(crate) fn settled(&mut self, before: &State) -> State {
         let until = Instant::now() + Duration::from_secs(10);
         loop {

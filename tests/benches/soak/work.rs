@@ -1,4 +1,4 @@
-//! The clients that behave: sessions one after the other, each with calls as fast as they are answered.
+//! The well-behaved clients: consecutive sessions, each with calls as fast as they are answered.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -33,7 +33,7 @@ pub(crate) fn start(server: Addresses, clients: usize, plan: Arc<Plan>) -> JoinH
     })
 }
 
-/// Comes, works and goes until it is over; that it is served is asserted.
+/// Runs sessions until the end of the measurement, and asserts that their calls are answered.
 async fn client(server: Addresses, name: String, plan: Arc<Plan>) {
     // the server is busy on purpose; what counts here is that it answers, and how much in a second
     let options = Options::default().timeout(Duration::from_secs(30));
@@ -66,7 +66,7 @@ async fn session(
     Ok(())
 }
 
-/// Connects clients that begin a session and then say nothing.
+/// Connects clients that begin a session and then send nothing.
 pub(crate) fn silent(server: Addresses, clients: usize) -> Vec<blocking::TcpClient> {
     (0..clients)
         .map(|_| {

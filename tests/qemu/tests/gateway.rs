@@ -1,4 +1,4 @@
-//! The gateway board in QEMU between `bcap rac` and `bcap sim`: what a PLC meets.
+//! Tests the gateway board in QEMU between `bcap rac` and `bcap sim`.
 #![cfg(unix)]
 
 use std::io;
@@ -55,7 +55,7 @@ fn all_kinds_are_read_and_none_is_written_unless_a_rule_allows_it() {
         let get = run(&bcap, &["get", name, "--robot", &robot]);
         assert_eq!((&get.out, get.ok), (&shown, true), "{}", get.err);
     }
-    // what no rule names
+    // variables without a rule
     for name in ["IO144", "F3", "P7"] {
         let (_, value) = other(name);
         let refused = run(&bcap, &["rac", "put", name, value, "--robot", &writing.rac]);
@@ -63,7 +63,7 @@ fn all_kinds_are_read_and_none_is_written_unless_a_rule_allows_it() {
     }
     let refused = run(&bcap, &["rac", "put", "P6", "401,0,0,0,0,0,0", "--robot", &writing.rac]);
     assert!(!refused.ok && refused.err.contains("E_INVALIDARG"), "{refused:?}");
-    // what the robot refuses passes through
+    // the robot's refusal passes through
     let missing = run(&bcap, &["rac", "get", "I100", "--robot", &read_only.rac]);
     assert!(!missing.ok && missing.err.contains("DISP_E_BADINDEX"), "{missing:?}");
     if read_only.log_is_text {
@@ -193,7 +193,7 @@ impl Seen {
     }
 }
 
-/// Puts numbers that no other request has, gets them back, and counts how it went, until it is told to stop.
+/// Puts unique numbers, reads them back and counts the outcomes, until it is stopped.
 fn load(address: &str, plc: u32, seen: &Arc<Seen>) -> JoinHandle<()> {
     let (mut connection, seen) = (Plc::seated(address), Arc::clone(seen));
     std::thread::spawn(move || {
@@ -225,7 +225,7 @@ fn load(address: &str, plc: u32, seen: &Arc<Seen>) -> JoinHandle<()> {
     })
 }
 
-/// Waits until each PLC has seen something so many times more.
+/// Waits until a counter of each PLC has grown by this number.
 fn wait_for_more(seen: &[Arc<Seen>], count: impl Fn(&Seen) -> &AtomicU32, more: u32, board: &mut Board, what: &str) {
     let before: Vec<u32> = seen.iter().map(|seen| count(seen).load(Ordering::Relaxed)).collect();
     let since = Instant::now();
@@ -256,7 +256,7 @@ fn a_robot_that_stops_under_load_costs_errors_and_nothing_else() {
         Duration::from_micros(micros.into())
     };
     let closed = longest();
-    // a robot that falls silent is away after 3 s; what is in its hands then is out of time
+    // a robot that stops responding is disconnected after 3 s; its pending calls time out
     wait_for_more(&seen, |seen| &seen.served, 50, &mut board, "a robot that is there");
     sim.signal("-STOP");
     wait_for_more(&seen, |seen| &seen.away, 50, &mut board, "E_NOT_CONNECTED after silence");

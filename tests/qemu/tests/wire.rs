@@ -1,4 +1,5 @@
-//! The gateway board in QEMU behind a wire that drops, repeats and delays frames, with PLCs and robot at its other end.
+//! Tests the gateway board in QEMU over a wire that drops, repeats and delays frames, with PLCs and a robot at the other
+//! end.
 //!
 //! ```text
 //!  4 PLCs ─┐                                     ┌─ gateway image
@@ -6,8 +7,9 @@
 //!   robot ─┘            2 % of each kind         └─ QEMU, a datagram for each frame
 //! ```
 //!
-//! Every request has its own number, and its value follows from that: an answer with another's value, or a value at the
-//! robot that was not put there, is seen. An answer may be an error, and a connection may end, but none may hang.
+//! Every request has a unique number that determines its value. So the test detects an answer with the value of another
+//! request, and a value at the robot that was not put there. An answer may be an error and a connection may end, but no
+//! request may hang.
 //!
 //! `WIRE_SECONDS` and `WIRE_SEED` are the length, 15 s, and the seed of the faults, 1.
 #![cfg(unix)]
@@ -34,12 +36,12 @@ use smoltcp::wire::{EthernetAddress, IpCidr, Ipv4Address};
 const BOARD: Ipv4Address = Ipv4Address::new(10, 0, 2, 15);
 const HOST: Ipv4Address = Ipv4Address::new(10, 0, 2, 2);
 const PLCS: usize = 4;
-/// More variables than the board keeps handles for.
+/// More variables than the board's handle cache holds.
 const VARIABLES: i32 = 200;
 /// In percent, of each kind and in each direction.
 const FAULTS: u8 = 2;
 const DELAY_MS: std::ops::Range<u64> = 5..150;
-/// What a request may take: 10 s at the gateway, and frames that are lost again and again on the way.
+/// The time limit of a request: 10 s at the gateway, plus retransmissions of lost frames.
 const BOUND: Duration = Duration::from_secs(45);
 
 #[test]
@@ -112,7 +114,7 @@ impl World {
         Self { begin: Instant::now(), wire, interface, sockets, robot, servers, plcs, rng: Rng::with_seed(seed) }
     }
 
-    /// Goes on until `done`, at most for `limit`; the board must run all the time.
+    /// Runs until `done`, at most for `limit`; the board must run throughout.
     fn run_until(&mut self, board: &mut Board, limit: Duration, done: impl Fn(&Self) -> bool) {
         let since = Instant::now();
         while !done(self) {
@@ -239,7 +241,7 @@ impl Plc {
 
 /// A robot controller whose variables have their values.
 struct Robot {
-    /// Values that are none of their variable.
+    /// Values that do not belong to their variable.
     wrong: u32,
     requests: u32,
 }
@@ -289,7 +291,7 @@ impl std::fmt::Display for Way {
     }
 }
 
-/// The wire: a datagram for each frame, and what goes wrong on it.
+/// The wire: a datagram for each frame, and the injected faults.
 struct Wire {
     link: UdpSocket,
     rng: Rng,
@@ -320,7 +322,7 @@ impl Wire {
         (wire, netdev)
     }
 
-    /// Takes what has come and what is due; waits for a millisecond when there is nothing.
+    /// Receives arrived frames and delivers due ones; without any, waits for a millisecond.
     fn receive(&mut self) {
         let now = Instant::now();
         while let Some(at) = self.delayed.iter().position(|(due, _, _)| *due <= now) {

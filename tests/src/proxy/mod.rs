@@ -1,12 +1,11 @@
-//! Proxies between real clients and a real server, which do to the bytes what networks do at their worst.
+//! Proxies between real clients and a real server that inject network faults.
 //!
 //! ```text
 //!   client ── proxy ── server       [`TcpProxy`]: split, merged, stalled, doubled, corrupted, cut, reset, by a script
 //!                                   [`UdpProxy`]: lost, doubled, delayed and so reordered, garbled, by chance
 //! ```
 //!
-//! Both run in a thread of their own until they are dropped. A seed decides about everything that is left to chance; when
-//! it happens is up to the machine.
+//! Each runs in its own thread until it is dropped. A seed determines all random decisions, but not their timing.
 
 mod tcp;
 mod udp;

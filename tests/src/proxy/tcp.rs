@@ -1,4 +1,4 @@
-//! Streams between clients and a server, whose bytes come in other pieces, late, twice, wrong, or not at all.
+//! A TCP proxy that splits, delays, repeats, corrupts and drops bytes.
 
 use std::collections::VecDeque;
 use std::io;
@@ -14,37 +14,37 @@ use tokio::time::{Instant, sleep, timeout_at};
 use super::Thread;
 use bcap_testkit::network::Random;
 
-/// What happens to one direction of a connection.
+/// A fault in one direction of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
-    /// From here on bytes come one at a time.
+    /// From here on, delivers bytes one at a time.
     Split,
-    /// From here on what comes within this time comes in one piece.
+    /// From here on, merges bytes that arrive within this time.
     Merge(Duration),
-    /// From here on bytes come as they were sent.
+    /// From here on, delivers bytes unchanged.
     Plain,
-    /// Nothing comes for so long.
+    /// Stalls for this time.
     Stall(Duration),
-    /// The last bytes, so many, come once more.
+    /// Repeats this number of the last bytes.
     Repeat(usize),
-    /// These bits of the next byte are turned.
+    /// Flips these bits of the next byte.
     Corrupt(u8),
-    /// The connection ends, in order.
+    /// Closes the connection.
     Cut,
-    /// The connection is reset.
+    /// Resets the connection.
     Reset,
 }
 
-/// A fault, and how many bytes pass in front of it.
+/// A fault and its position in the stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Step {
-    /// Bytes of this direction in front of it.
+    /// The number of bytes of this direction before it.
     pub at: u64,
-    /// What happens there.
+    /// The fault at this position.
     pub fault: Fault,
 }
 
-/// What happens to a connection, in the order of the bytes.
+/// The faults of a connection, in the order of the bytes.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Script {
     /// From the client to the server.
@@ -62,7 +62,7 @@ impl Script {
     }
 
     /// Returns a script of up to six faults each way within the first `bytes`; without [`Corrupt`](Fault::Corrupt) and
-    /// [`Repeat`](Fault::Repeat) unless `lies`, so that every byte that comes is the right one.
+    /// [`Repeat`](Fault::Repeat) unless `lies`, so that every delivered byte is correct.
     #[must_use]
     pub fn random(random: &mut Random, bytes: u64, lies: bool) -> Self {
         Self { to_server: random_steps(random, bytes, lies), to_client: random_steps(random, bytes, lies) }
@@ -93,7 +93,7 @@ fn random_steps(random: &mut Random, bytes: u64, lies: bool) -> Vec<Step> {
 /// A proxy in front of a server; each connection has a script.
 #[derive(Debug)]
 pub struct TcpProxy {
-    /// Where clients are to connect.
+    /// The address to which clients connect.
     pub address: SocketAddr,
     _thread: Thread,
 }
@@ -173,7 +173,7 @@ impl<'a> Pump<'a> {
     async fn run(mut self) -> End {
         match self.pump().await {
             Ok(end) => end,
-            // whoever has gone, the other is to learn of it
+            // when one side disconnects, disconnect the other
             Err(_) => End::Cut,
         }
     }
@@ -202,7 +202,7 @@ impl<'a> Pump<'a> {
         }
     }
 
-    /// Lets happen what is to happen at this byte.
+    /// Applies the faults at this byte.
     async fn faults(&mut self) -> io::Result<Option<End>> {
         while let Some(step) = self.steps.front().copied().filter(|step| step.at <= self.passed) {
             self.steps.pop_front();

@@ -1,4 +1,4 @@
-//! Datagrams between clients and a server, some of them late, twice or never.
+//! A UDP proxy that delays, duplicates and drops datagrams.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -16,23 +16,23 @@ use bcap_testkit::network::{Faults, Random};
 /// A network of datagrams, with a port of its own for each client, so that the server can tell them apart.
 #[derive(Debug)]
 pub struct UdpProxy {
-    /// Where clients are to send.
+    /// The address to which clients send.
     pub address: SocketAddr,
     /// What has happened so far.
     pub counts: Arc<Counts>,
     _thread: Thread,
 }
 
-/// What a proxy has done to datagrams, both ways together.
+/// Counters of a proxy, both directions together.
 #[derive(Debug, Default)]
 pub struct Counts {
-    /// How many came.
+    /// Received datagrams.
     pub datagrams: AtomicU64,
-    /// How many of them were lost.
+    /// Dropped datagrams.
     pub lost: AtomicU64,
-    /// How many were sent twice.
+    /// Duplicated datagrams.
     pub repeated: AtomicU64,
-    /// How many were sent after one that came later.
+    /// Datagrams sent after one that arrived later.
     pub overtaken: AtomicU64,
 }
 
@@ -51,7 +51,7 @@ impl UdpProxy {
     }
 }
 
-/// What all ways have in common.
+/// The state that all directions share.
 #[derive(Clone, Debug)]
 struct Network {
     faults: Faults,
@@ -59,7 +59,7 @@ struct Network {
     counts: Arc<Counts>,
 }
 
-/// Takes what clients send to the server, and makes a way back for each of them.
+/// Forwards the clients' datagrams to the server, and opens a return path for each client.
 async fn forward(socket: Arc<UdpSocket>, server: SocketAddr, network: Network) {
     let mut known: HashMap<SocketAddr, Way> = HashMap::new();
     let mut buffer = [0; 2048];
@@ -81,7 +81,7 @@ async fn forward(socket: Arc<UdpSocket>, server: SocketAddr, network: Network) {
     }
 }
 
-/// Takes what the server sends to one client.
+/// Forwards the server's datagrams to one client.
 async fn backward(from: Arc<UdpSocket>, mut way: Way) {
     let mut buffer = [0; 2048];
     loop {
@@ -108,7 +108,7 @@ impl Way {
         Self { network: network.clone(), random: Random(seed), socket, to, newest: Arc::default(), count: 0 }
     }
 
-    /// Decides what becomes of a datagram.
+    /// Decides whether to drop, duplicate or delay a datagram.
     fn pass(&mut self, bytes: &[u8]) {
         let Network { faults, counts, .. } = &self.network;
         self.count += 1;

@@ -1,5 +1,5 @@
-//! What tests and fuzz targets of b-CAP software share: values and their generators, an independent decoder, a simulated
-//! network, and the frames of the specifications.
+//! Support code for tests and fuzz targets of b-CAP software: values and their generators, an independent decoder, a
+//! simulated network and the frames of the specifications.
 //!
 //! | module         | what it gives                                                                       |
 //! |----------------|-------------------------------------------------------------------------------------|
@@ -11,7 +11,8 @@
 //! | [`vectors`]    | the frames and lines of the specifications, from `tests/vectors`                     |
 //! | [`network`]    | a simulated network between a client and a server, with a clock of its own          |
 //!
-//! It depends on the core alone. Nothing here is fast or frugal; where it disagrees with the core, one of the two is wrong.
+//! It depends only on the core. It is written for clarity, not for speed; where it disagrees with the core, one of the two
+//! has a bug.
 
 pub mod frame;
 pub mod network;

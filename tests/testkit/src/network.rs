@@ -1,7 +1,6 @@
-//! A network and a serial line that exist only in a test: with a seed, a clock of their own, and every fault wished for.
+//! A simulated network and serial line with a seed, a fake clock and configurable faults.
 //!
-//! Nothing waits. Time jumps to whatever comes next, a packet or a deadline, so that hours of lost datagrams pass in a
-//! moment, and the same seed gives the same hours.
+//! The simulation never sleeps: the clock jumps to the next packet or deadline. The same seed gives the same run.
 
 use bcap_core::endpoint::{Endpoint, Serve};
 use std::cmp::Reverse;
@@ -41,7 +40,7 @@ impl Random {
     }
 }
 
-/// What goes wrong on the way; probabilities in thousandths.
+/// The faults of the network; probabilities in thousandths.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Faults {
     /// A packet is lost. On a stream nothing is.
@@ -58,7 +57,7 @@ pub struct Faults {
     pub work: Duration,
 }
 
-/// The application behind the simulated server: it counts how often each token was executed.
+/// The application of the simulated server; it counts how often each token was executed.
 #[derive(Debug)]
 pub struct Counter {
     /// How often each token was executed.
@@ -193,7 +192,7 @@ impl Simulation {
         }
     }
 
-    /// Starts the service and connects to the controller, however often that takes.
+    /// Starts the service and connects to the controller, with as many retries as necessary.
     pub fn connect(&mut self) {
         while self.run(&call::service_start("WDT=200")).is_err() {}
         loop {
@@ -228,7 +227,7 @@ impl Simulation {
         self.client.start(&call, self.client.timing(), self.now)
     }
 
-    /// Makes a call and sees it to its end.
+    /// Makes a call and waits for its end.
     ///
     /// # Errors
     ///
@@ -348,7 +347,7 @@ impl Simulation {
         ended
     }
 
-    /// Lets the server go on as far as it can.
+    /// Runs the server until it makes no progress.
     fn serve(&mut self) {
         loop {
             let event = self.session.run(&mut self.counter, PeerId(1), self.now);
@@ -359,13 +358,13 @@ impl Simulation {
         }
     }
 
-    /// Puts what both ends have to send on the wire.
+    /// Puts the pending bytes of both ends on the wire.
     fn send(&mut self) {
         while self.transmit(To::Server) {}
         self.serve();
     }
 
-    /// Puts what one end has to send on the wire: a datagram, or a piece of a stream.
+    /// Puts the pending bytes of one end on the wire: a datagram or a piece of a stream.
     fn transmit(&mut self, to: To) -> bool {
         let bytes = match to {
             To::Client => self.session.transmit(),

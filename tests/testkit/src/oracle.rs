@@ -1,6 +1,6 @@
-//! A decoder that the core is compared with: recursive, allocating, written the obvious way.
+//! The oracle of the binary format: a simple recursive, allocating decoder that the core is compared with.
 //!
-//! It says only whether bytes are accepted and as what, not what is wrong with them.
+//! It returns the decoded value or rejects the bytes; it does not report the error.
 
 use bcap_core::limits::{Limits, Strictness};
 
@@ -10,22 +10,22 @@ use crate::value::{ARRAY, VARIANT, Value};
 /// The rules to decode by.
 #[derive(Clone, Copy, Debug)]
 pub struct Oracle {
-    /// What is accepted at most.
+    /// The limits of accepted frames.
     pub limits: Limits,
-    /// What is forgiven.
+    /// How strictly to decode.
     pub strictness: Strictness,
     /// Whether frames carry a CRC.
     pub crc: bool,
 }
 
-/// What the oracle says of the front of a stream.
+/// The oracle's verdict on the start of a stream.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// A frame, and its length.
     Frame(TestFrame, usize),
-    /// Nothing is wrong yet, but the frame is not whole.
+    /// A valid but incomplete frame.
     Incomplete,
-    /// These bytes begin no frame.
+    /// The bytes do not begin a valid frame.
     Refused,
 }
 

@@ -1,4 +1,4 @@
-//! proptest strategies for values, for frames, and for what a bad line or a bad peer makes of them.
+//! proptest strategies for values, frames and damaged frames.
 
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -21,7 +21,7 @@ pub fn units() -> impl Strategy<Value = Vec<u16>> {
 ///
 /// # Panics
 ///
-/// For a VARTYPE that is none.
+/// When the VARTYPE is invalid.
 pub fn scalar_of(vartype: u16) -> BoxedStrategy<Value> {
     match vartype {
         0 => Just(Value::Empty).boxed(),
@@ -130,7 +130,7 @@ impl Damage {
     }
 }
 
-/// Encoded frames with damage, some of them with the length field mended so that the damage lies deeper.
+/// Encoded frames with damage; some have a corrected length field, so that the decoder reaches the damage.
 pub fn damaged_frame() -> impl Strategy<Value = Vec<u8>> {
     (frame(), vec(damage(), 1..4), any::<bool>()).prop_map(|(frame, damages, mend)| {
         let mut wire = frame.to_wire(false);

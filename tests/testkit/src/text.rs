@@ -1,7 +1,7 @@
-//! A reader of the text of values that the core is compared with: recursive, allocating, its floats those of the
-//! standard library; and the rule for which values have a text at all.
+//! The oracle of the text format: a recursive, allocating parser with the standard library's floats, and the rule that
+//! decides which values have a text.
 //!
-//! Both are written from the grammar, not from the core. Only the instants of dates are the core's own.
+//! Both are written from the grammar, not from the core. Only the instants of dates use the core.
 
 use bcap_core::limits::MAX_DEPTH;
 use bcap_core::variant::{CivilTime, OleDate};
@@ -11,7 +11,7 @@ use crate::value::{ARRAY, VARIANT, Value};
 /// The most characters of a float that is read exactly.
 const MAX_FLOAT: usize = 500;
 
-/// Reads the text of one value; `None` when it is none.
+/// Parses the text of one value; `None` when it is invalid.
 #[must_use]
 pub fn parse(text: &[u8]) -> Option<Value> {
     let mut rest = text;
@@ -143,7 +143,7 @@ fn integer(text: &str) -> Option<i128> {
     Some(if text.starts_with('-') { -magnitude } else { magnitude })
 }
 
-/// Returns the text of a float as the standard library takes it, which also takes words that are none here.
+/// Returns the text of a float for the standard library; `None` for words that only the library accepts.
 fn float(text: &str) -> Option<&str> {
     let unsigned = text.strip_prefix(['+', '-']).unwrap_or(text);
     if unsigned.eq_ignore_ascii_case("inf") || unsigned.eq_ignore_ascii_case("nan") {

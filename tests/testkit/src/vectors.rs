@@ -1,7 +1,7 @@
 //! The frames and lines of the specifications: `tests/vectors/*.jsonl`.
 //!
 //! Some headings and kinds of the RC8 guide's frames are wrong there (`rc8_24` is a response that is called a request),
-//! so nothing is taken from them but names; bytes, serials, codes and values are compared.
+//! so only their names are used; bytes, serials, codes and values are compared.
 
 use serde_json::Value as Json;
 
@@ -113,7 +113,7 @@ fn scalar(vartype: u16, json: &Json) -> Value {
 ///
 /// # Panics
 ///
-/// When they are none.
+/// When a digit is invalid.
 #[must_use]
 pub fn unhex(text: &str) -> Vec<u8> {
     let digit = |at: usize| u8::from_str_radix(&text[at..at + 2], 16).expect("hexadecimal digits");

@@ -111,7 +111,7 @@ impl Wire {
         self.session.open_objects()
     }
 
-    /// Lets the server work as far as it can without more time.
+    /// Runs the server until it needs more time to make progress.
     fn serve(&mut self) {
         let mut world = self.world.borrow_mut();
         let now = world.now;
@@ -154,7 +154,7 @@ impl Wire {
         count
     }
 
-    /// Receives a piece; lets time pass when there is none. `None` when nothing has happened yet.
+    /// Receives a piece; without one, lets time pass. Returns `None` when no event has happened yet.
     fn take(&mut self, buffer: &mut [u8], until: Instant) -> Option<Option<usize>> {
         self.serve();
         if let Some(piece) = self.pending.pop_front() {

@@ -1,4 +1,4 @@
-//! Every async function is dropped at every await point: the next call must find the connection in order.
+//! Drops every async function at every await point; the connection must then work for the next call.
 //!
 //! A future is polled n times and dropped, for n = 1, 2, ... until it ends. Then an ordinary call is made. Its reply must
 //! be its own, its timing the usual one, and on the server nothing may have run twice. The functions are listed in

@@ -1,4 +1,4 @@
-//! Datagrams that are lost, doubled, overtaken and garbled.
+//! Tests with lost, duplicated, reordered and corrupted datagrams.
 
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicI32, AtomicU64, Ordering};
@@ -25,7 +25,7 @@ struct Calls {
 }
 
 impl Calls {
-    /// Makes calls until there are no more; whoever cannot begin a session tries again from another port.
+    /// Makes calls until all tokens are used; retries from another port when a session cannot be started.
     async fn client(self: Arc<Self>) {
         while !self.session().await {}
     }

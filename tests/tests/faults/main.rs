@@ -1,8 +1,8 @@
-//! Real clients and a real server on links that do what networks do at their worst: behind a proxy that does it by a script
-//! or by chance, and behind netem where the kernel has that.
+//! Tests real clients and a real server on faulty links: through a proxy that injects scripted or random faults, and
+//! through netem where the kernel has it.
 //!
-//! What is asserted of every call: it ends; a value is its own; over UDP it was executed exactly once if it was reported as
-//! done, and at most once if not. When the clients have gone nothing of them is left in the server.
+//! Every call must end and must get its own value. Over UDP it is executed exactly once if it was reported as done, and at
+//! most once if not. After the clients disconnect, the server holds none of their resources.
 
 mod datagrams;
 mod netem;

@@ -1,4 +1,4 @@
-//! The same over the loopback of a network namespace that the kernel's netem makes a bad link.
+//! The same over the loopback of a network namespace whose faults the kernel's netem injects.
 
 use std::process::{Command, Output};
 use std::time::Duration;

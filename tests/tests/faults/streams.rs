@@ -1,4 +1,4 @@
-//! Streams whose bytes come in other pieces, late, wrong, twice, or not at all.
+//! Tests with streams whose bytes are split, delayed, corrupted, repeated or lost.
 
 use std::time::Duration;
 
@@ -40,10 +40,10 @@ fn options(timeout: Duration) -> Options {
     Options { connect_timeout: Duration::from_secs(30), ..Options::default().timeout(timeout) }
 }
 
-/// Long enough for everything that is to be waited for, on any machine.
+/// A timeout that is long enough for every event, on any machine.
 const PATIENT: Duration = Duration::from_secs(30);
 
-/// A session by a client that blocks: it begins, tells so many tokens, and goes without a word.
+/// A session of a blocking client: it starts, sends this number of tokens and disconnects without ending the service.
 fn blocking_session(proxy: &TcpProxy, options: &Options, tokens: i32) -> Result<i32, Outcome> {
     let mut client = blocking::connect_tcp(proxy.address, options).map_err(|_| Outcome::Lost)?;
     client.call(call::service_start(""))?;
@@ -120,7 +120,7 @@ fn a_stall_beyond_the_timeout_costs_its_call_and_not_the_next() {
         let mut client = blocking::connect_tcp(proxy.address, &options(Duration::from_millis(800))).unwrap();
         let outcomes: Vec<bool> = (0..200)
             .map(|token| match client.call(call::controller_execute(ControllerHandle(1), "token", [token, 0])) {
-                // nobody has given this handle out; the refusal is an answer as well
+                // the server has not issued this handle; the refusal is an answer, too
                 Err(CallError::Refused(HResult::E_HANDLE)) => true,
                 Err(CallError::Client(ClientError::Timeout(Timeout::Attempt))) => false,
                 other => panic!("{other:?}"),
@@ -134,7 +134,7 @@ fn a_stall_beyond_the_timeout_costs_its_call_and_not_the_next() {
 }
 
 #[test]
-fn whatever_happens_to_a_stream_every_call_ends() {
+fn every_call_ends_on_a_faulty_stream() {
     let server = Served::start(Limits::default());
     let (mut whole, mut ended) = (0, 0);
     for seed in 0..150 {

@@ -1,4 +1,4 @@
-//! Requests over TCP that are frames, but not what a function takes: the call is refused, the connection goes on.
+//! Valid frames over TCP with invalid arguments: the server refuses the call and the connection continues.
 
 use std::collections::HashMap;
 
@@ -15,18 +15,18 @@ pub(crate) const CASES: &[Case] = crate::cases! {
         every_function_without_arguments
         every_function_with_arguments_of_another_kind
         every_function_with_too_many_arguments
-        functions_that_there_are_not
+        unknown_functions
         releases_of_nothing
         handles_of_another_client
         handles_of_another_kind
         dates_beyond_the_calendar
         options_that_are_none
         a_time_limit_that_passes
-        more_objects_than_there_is_room_for
+        more_objects_than_the_limit
         serials_and_reserved_fields_of_any_value
 };
 
-/// Returns a value that a kind takes, with handles that nobody has.
+/// Returns a value that a kind accepts, with handles that were not issued.
 fn fitting(kind: Kind) -> Value {
     match kind {
         Kind::Handle(_) => Value::I4(-77),
@@ -134,7 +134,7 @@ fn every_function_with_too_many_arguments(target: &mut Target) {
     }
 }
 
-fn functions_that_there_are_not(target: &mut Target) {
+fn unknown_functions(target: &mut Target) {
     let mut raw = Raw::connect(target.tcp);
     for number in [0, -1, 138, 0x900, 0x8000, i32::MAX, i32::MIN] {
         for args in [vec![], vec![Value::I4(1)]] {
@@ -158,7 +158,7 @@ fn releases_of_nothing(target: &mut Target) {
     assert_eq!(raw.call(&disconnect).code, HResult::E_HANDLE.0, "a second time");
 }
 
-/// Handles are small numbers that anybody can guess; they are good for the connection that got them.
+/// Handles are small numbers that any client can guess; they are valid only on the connection that opened them.
 fn handles_of_another_client(target: &mut Target) {
     let (mut owner, mut thief) = (Raw::connect(target.tcp), Raw::connect(target.tcp));
     let controller = owner.begin();
@@ -193,7 +193,7 @@ fn dates_beyond_the_calendar(target: &mut Target) {
     let controller = raw.begin();
     for date in [1e14, 1e300, -1e300, f64::MAX, f64::INFINITY, f64::NAN, -657_435.0, 2_958_466.0] {
         let date = Value::Date(date.to_bits());
-        // where a text is expected it is none; as a value it passes through as its bits
+        // it is refused in place of a text; as a value its bits pass through unchanged
         let reply = raw.call(&request(FunctionId::SERVICE_START, vec![date.clone()]));
         assert_eq!(reply.code, HResult::E_INVALIDARGTYPE.0);
         let args = vec![Value::I4(controller), Value::text("echo"), date.clone()];
@@ -248,7 +248,7 @@ fn a_time_limit_that_passes(target: &mut Target) {
     raw.reset();
 }
 
-fn more_objects_than_there_is_room_for(target: &mut Target) {
+fn more_objects_than_the_limit(target: &mut Target) {
     let mut raw = Raw::connect(target.tcp);
     let controller = raw.begin();
     let variable =

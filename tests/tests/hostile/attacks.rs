@@ -1,6 +1,6 @@
 //! Attacks that succeeded against an earlier version of this project.
 //!
-//! What only the `bcap` command is exposed to is in `std-adapter/cli/tests/attacks.rs`.
+//! Attacks on only the `bcap` command are in `std-adapter/cli/tests/attacks.rs`.
 
 mod early_replies;
 mod fifo;

@@ -1,5 +1,5 @@
-//! Clients over TCP, blocking and tokio, whose server is broken, slow, deaf or a liar: every call ends, with an error
-//! that says what happened, and a right reply behind all of it is still read.
+//! Attacks on blocking and tokio clients over TCP by broken, slow, silent or lying servers: every call ends with a specific
+//! error, and the client still reads a valid reply after the invalid ones.
 
 use std::time::Duration;
 
@@ -14,12 +14,12 @@ use bcap_testkit::value::Value;
 
 use crate::Case;
 use crate::script::{Connection, Outcome, RIGHT, Script, brief, calls, right, runtime, serve, serve_bytes};
-use crate::target::{Target, patient, skipped};
+use crate::target::{Target, long_timeouts, skipped};
 use crate::wire::{UNKNOWN_TYPES, argument, broken_values, frame, nested, reply_frame, value};
 
 pub(crate) const CASES: &[Case] = crate::cases! {
     clients:
-        a_server_that_accepts_and_says_nothing
+        a_server_that_accepts_and_does_not_answer
         a_server_that_closes_at_once
         a_server_that_resets
         one_byte_then_silence_from_the_server
@@ -27,23 +27,23 @@ pub(crate) const CASES: &[Case] = crate::cases! {
         a_reply_that_stops_at_every_byte
         a_reply_at_a_byte_a_time
         a_keep_alive_and_a_reply_in_pieces
-        keep_alives_for_ever
+        endless_keep_alives
         keep_alives_and_then_silence
-        replies_with_wrong_serials_for_ever
-        a_late_reply_is_not_the_next_ones
+        endless_replies_with_wrong_serials
+        a_late_reply_does_not_end_the_next_call
         foreign_replies_leave_no_value_behind
         replies_with_broken_values
         replies_with_unknown_types
         replies_nested_without_end
-        replies_with_a_length_that_is_none
+        replies_with_an_invalid_length
         replies_with_a_large_string
         a_reply_that_is_too_large
         replies_with_two_values_or_another
-        handles_that_are_none
+        handles_of_an_invalid_type
         every_code_of_failure_and_success
         a_server_that_floods
         a_server_that_never_reads
-        a_port_that_nobody_listens_on
+        a_port_without_a_listener
         names_that_do_not_resolve
         more_files_than_a_bitmap_holds
         many_clients_that_connect_at_once
@@ -67,18 +67,18 @@ fn ends(options: &Options, expected: &[Outcome], script: Script) {
     assert_eq!(calls(options, expected.len(), || serve(script)), expected);
 }
 
-fn a_server_that_accepts_and_says_nothing(_: &mut Target) {
+fn a_server_that_accepts_and_does_not_answer(_: &mut Target) {
     ends(&brief(), &[SILENCE, SILENCE], Connection::hold);
 }
 
 fn a_server_that_closes_at_once(_: &mut Target) {
-    ends(&patient(), &[Outcome::Disconnected], |connection| {
+    ends(&long_timeouts(), &[Outcome::Disconnected], |connection| {
         connection.request();
     });
 }
 
 fn a_server_that_resets(_: &mut Target) {
-    ends(&patient(), &[Outcome::Io], |connection| {
+    ends(&long_timeouts(), &[Outcome::Io], |connection| {
         connection.request();
         connection.reset();
     });
@@ -105,11 +105,11 @@ fn a_reply_cut_at_every_byte(_: &mut Target) {
                 connection.send(&right(FIRST)[..at]);
             })
         };
-        assert_eq!(calls(&patient(), 1, server), [Outcome::Disconnected], "{at}");
+        assert_eq!(calls(&long_timeouts(), 1, server), [Outcome::Disconnected], "{at}");
     }
 }
 
-/// The rest that comes late is read as what it is, and the next call has its own reply.
+/// The late rest of the reply is dropped as stale, and the next call gets its own reply.
 fn a_reply_that_stops_at_every_byte(_: &mut Target) {
     for at in [1, 4, 5, 14, 15, 29] {
         let server = || {
@@ -129,7 +129,7 @@ fn a_reply_that_stops_at_every_byte(_: &mut Target) {
 }
 
 fn a_reply_at_a_byte_a_time(_: &mut Target) {
-    ends(&patient(), &[RIGHT, RIGHT, RIGHT], |connection| {
+    ends(&long_timeouts(), &[RIGHT, RIGHT, RIGHT], |connection| {
         for _ in 0..3 {
             let serial = connection.request();
             for byte in right(serial) {
@@ -140,7 +140,7 @@ fn a_reply_at_a_byte_a_time(_: &mut Target) {
     });
 }
 
-/// Wherever the bytes are cut, a reply behind keep-alives is found.
+/// The client finds a reply after keep-alives wherever the bytes are split.
 fn a_keep_alive_and_a_reply_in_pieces(_: &mut Target) {
     let both = [reply_frame(FIRST, HResult::S_EXECUTING, vec![]), right(FIRST)].concat();
     for at in 0..both.len() {
@@ -154,11 +154,11 @@ fn a_keep_alive_and_a_reply_in_pieces(_: &mut Target) {
                 connection.hold();
             })
         };
-        assert_eq!(calls(&patient(), 1, server), [RIGHT], "{at}");
+        assert_eq!(calls(&long_timeouts(), 1, server), [RIGHT], "{at}");
     }
 }
 
-fn keep_alives_for_ever(_: &mut Target) {
+fn endless_keep_alives(_: &mut Target) {
     let mut options = brief();
     options.tcp.timing.attempt_timeout = Duration::from_secs(20);
     ends(&options, &[Outcome::Client(ClientError::Timeout(Timeout::KeepAlive))], |connection| {
@@ -194,7 +194,7 @@ fn keep_alives_and_then_silence(_: &mut Target) {
     });
 }
 
-fn replies_with_wrong_serials_for_ever(_: &mut Target) {
+fn endless_replies_with_wrong_serials(_: &mut Target) {
     ends(&brief(), &[FLOODED, Outcome::Client(ClientError::Closed)], |connection| {
         let serial = connection.request();
         let mut wrong = serial;
@@ -214,7 +214,7 @@ fn replies_with_wrong_serials_for_ever(_: &mut Target) {
     });
 }
 
-fn a_late_reply_is_not_the_next_ones(_: &mut Target) {
+fn a_late_reply_does_not_end_the_next_call(_: &mut Target) {
     ends(&brief(), &[SILENCE, RIGHT], |connection| {
         let first = connection.request();
         let second = connection.request();
@@ -225,7 +225,7 @@ fn a_late_reply_is_not_the_next_ones(_: &mut Target) {
 }
 
 fn foreign_replies_leave_no_value_behind(_: &mut Target) {
-    ends(&patient(), &[RIGHT, Outcome::Refused(HResult::E_FAIL)], |connection| {
+    ends(&long_timeouts(), &[RIGHT, Outcome::Refused(HResult::E_FAIL)], |connection| {
         let first = connection.request();
         for foreign in 2..200 {
             connection.send(&reply_frame(first + foreign, HResult::S_OK, vec![Value::text(&"x".repeat(1000))]));
@@ -241,20 +241,20 @@ fn foreign_replies_leave_no_value_behind(_: &mut Target) {
 fn replies_with_broken_values(_: &mut Target) {
     for (name, value) in broken_values() {
         let bytes = frame(FIRST, 0, 1, &argument(&value));
-        let outcomes = calls(&patient(), 2, || serve_bytes(bytes.clone()));
+        let outcomes = calls(&long_timeouts(), 2, || serve_bytes(bytes.clone()));
         assert!(malformed(&outcomes[0]).is_some(), "{name}: {outcomes:?}");
         // what such a server says next is not read
         assert_eq!(outcomes[1], Outcome::Client(ClientError::Closed), "{name}");
     }
     let fewer = frame(FIRST, 0, 9, &argument(&Value::I4(1).to_wire()));
-    let outcomes = calls(&patient(), 1, || serve_bytes(fewer.clone()));
+    let outcomes = calls(&long_timeouts(), 1, || serve_bytes(fewer.clone()));
     assert!(malformed(&outcomes[0]).is_some(), "nine values of which one is there: {outcomes:?}");
 }
 
 fn replies_with_unknown_types(_: &mut Target) {
     for vartype in UNKNOWN_TYPES {
         let bytes = frame(FIRST, 0, 1, &argument(&value(*vartype, 1, &[0; 4])));
-        let outcomes = calls(&patient(), 1, || serve_bytes(bytes.clone()));
+        let outcomes = calls(&long_timeouts(), 1, || serve_bytes(bytes.clone()));
         assert_eq!(malformed(&outcomes[0]), Some(DecodeErrorKind::UnknownType(*vartype)));
     }
 }
@@ -262,16 +262,16 @@ fn replies_with_unknown_types(_: &mut Target) {
 fn replies_nested_without_end(_: &mut Target) {
     for levels in [9, 17, 1000, 100_000] {
         let bytes = frame(FIRST, 0, 1, &argument(&nested(levels)));
-        let outcomes = calls(&patient(), 1, || serve_bytes(bytes.clone()));
+        let outcomes = calls(&long_timeouts(), 1, || serve_bytes(bytes.clone()));
         assert_eq!(malformed(&outcomes[0]), Some(DecodeErrorKind::TooDeep(8)), "{levels}");
     }
 }
 
-fn replies_with_a_length_that_is_none(_: &mut Target) {
+fn replies_with_an_invalid_length(_: &mut Target) {
     for length in [0, 3, 15, (16 << 20) + 1, 0x7fff_ffff, 0x8000_0000, 0xffff_ffff_u32] {
         let mut bytes = right(FIRST);
         bytes[1..5].copy_from_slice(&length.to_le_bytes());
-        let outcomes = calls(&patient(), 1, || serve_bytes(bytes.clone()));
+        let outcomes = calls(&long_timeouts(), 1, || serve_bytes(bytes.clone()));
         let expected = match length {
             0..16 => DecodeErrorKind::FrameTooShort(length),
             _ => DecodeErrorKind::FrameTooLong { length, limit: 16 << 20 },
@@ -281,7 +281,7 @@ fn replies_with_a_length_that_is_none(_: &mut Target) {
     for (at, wrong) in [(0, 0), (0, 2), (1, 29), (29, 5)] {
         let mut bytes = right(FIRST);
         bytes[at] = wrong;
-        let outcomes = calls(&patient(), 1, || serve_bytes(bytes.clone()));
+        let outcomes = calls(&long_timeouts(), 1, || serve_bytes(bytes.clone()));
         assert!(malformed(&outcomes[0]).is_some(), "byte {at}: {outcomes:?}");
     }
     // a length within the limit is waited for, and no longer than for any reply
@@ -294,11 +294,11 @@ fn replies_with_a_large_string(_: &mut Target) {
     for length in [16_383, 16_384, 70_000] {
         let text = Value::Bstr(vec![0x3042; length]);
         let bytes = reply_frame(FIRST, HResult::S_OK, vec![text.clone()]);
-        assert!(calls(&patient(), 1, || serve_bytes(bytes.clone())) == [Outcome::Value(text)]);
+        assert!(calls(&long_timeouts(), 1, || serve_bytes(bytes.clone())) == [Outcome::Value(text)]);
     }
 }
 
-/// A client may be made with less room; what does not fit is skipped, and the next reply is read.
+/// A client may have a smaller buffer; it skips a reply that does not fit, and reads the next one.
 fn a_reply_that_is_too_large(_: &mut Target) {
     use bcap_core::bcap::Client;
     use bcap_core::io::blocking::Connection;
@@ -311,7 +311,7 @@ fn a_reply_that_is_too_large(_: &mut Target) {
         connection.hold();
     });
     let stream = std::net::TcpStream::connect(address).unwrap();
-    let client = Client::new(patient().tcp, [0; 512], [0; 512]);
+    let client = Client::new(long_timeouts().tcp, [0; 512], [0; 512]);
     let mut client = Connection::new(blocking::TcpTransport::new(stream), client);
     let first = client.call(call::variable_get_value(crate::script::VARIABLE)).unwrap_err();
     assert!(matches!(first, CallError::Client(ClientError::ReplyTooLarge { length: 200_030 })), "{first}");
@@ -321,31 +321,32 @@ fn a_reply_that_is_too_large(_: &mut Target) {
 fn replies_with_two_values_or_another(_: &mut Target) {
     // the first of two is the value; peers differ in how many they send
     let two = reply_frame(FIRST, HResult::S_OK, vec![Value::I4(42), Value::text("x")]);
-    assert_eq!(calls(&patient(), 1, || serve_bytes(two.clone())), [RIGHT]);
+    assert_eq!(calls(&long_timeouts(), 1, || serve_bytes(two.clone())), [RIGHT]);
     // none is as good as EMPTY where any value may come
     let none = reply_frame(FIRST, HResult::S_OK, vec![]);
-    assert_eq!(calls(&patient(), 1, || serve_bytes(none.clone())), [Outcome::Value(Value::Empty)]);
+    assert_eq!(calls(&long_timeouts(), 1, || serve_bytes(none.clone())), [Outcome::Value(Value::Empty)]);
 }
 
-/// A handle of a type that is none is an error, and not a handle that was there before.
-fn handles_that_are_none(_: &mut Target) {
+/// A handle of an invalid type is an error, and does not leave an earlier handle in its place.
+fn handles_of_an_invalid_type(_: &mut Target) {
     let wrong = [Value::text("7"), Value::R8(0), Value::Empty, Value::Array(3, vec![Value::I4(7)])];
     for wrong in wrong {
         let found = VarType(wrong.vartype());
         let address = serve_bytes(reply_frame(FIRST, HResult::S_OK, vec![wrong]));
-        let mut client = blocking::connect_tcp(address, &patient()).unwrap();
+        let mut client = blocking::connect_tcp(address, &long_timeouts()).unwrap();
         let error = client.call(call::controller_connect("", "", "", "")).unwrap_err();
         let CallError::Client(ClientError::Reply(ReplyError { found: Some(it), .. })) = error else {
             panic!("{error}")
         };
         assert_eq!(it, found);
     }
-    let mut client = blocking::connect_tcp(serve_bytes(reply_frame(FIRST, HResult::S_OK, vec![])), &patient()).unwrap();
+    let mut client =
+        blocking::connect_tcp(serve_bytes(reply_frame(FIRST, HResult::S_OK, vec![])), &long_timeouts()).unwrap();
     let error = client.call(call::controller_connect("", "", "", "")).unwrap_err();
     assert!(matches!(error, CallError::Client(ClientError::Reply(ReplyError { found: None, .. }))), "{error}");
     // unsigned is as good
     let address = serve_bytes(reply_frame(FIRST, HResult::S_OK, vec![Value::Ui4(7)]));
-    let mut client = blocking::connect_tcp(address, &patient()).unwrap();
+    let mut client = blocking::connect_tcp(address, &long_timeouts()).unwrap();
     assert_eq!(client.call(call::controller_connect("", "", "", "")).unwrap().0, 7);
 }
 
@@ -353,11 +354,11 @@ fn every_code_of_failure_and_success(_: &mut Target) {
     for code in [0x8000_0000, 0x8001_0001, 0x8320_1483, 0xffff_ffff_u32] {
         let code = HResult::from_u32(code);
         let bytes = reply_frame(FIRST, code, vec![Value::I4(42)]);
-        assert_eq!(calls(&patient(), 1, || serve_bytes(bytes.clone())), [Outcome::Refused(code)]);
+        assert_eq!(calls(&long_timeouts(), 1, || serve_bytes(bytes.clone())), [Outcome::Refused(code)]);
     }
     for code in [0, 1, 0x0f20_0501, 0x7fff_ffff_u32] {
         let bytes = reply_frame(FIRST, HResult::from_u32(code), vec![Value::I4(42)]);
-        assert_eq!(calls(&patient(), 1, || serve_bytes(bytes.clone())), [RIGHT]);
+        assert_eq!(calls(&long_timeouts(), 1, || serve_bytes(bytes.clone())), [RIGHT]);
     }
 }
 
@@ -368,12 +369,12 @@ fn a_server_that_floods(_: &mut Target) {
             let garbage = garbage.clone();
             serve(move |connection| while connection.send(&garbage) {})
         };
-        let outcomes = calls(&patient(), 1, server);
+        let outcomes = calls(&long_timeouts(), 1, server);
         assert!(malformed(&outcomes[0]).is_some(), "{outcomes:?}");
     }
 }
 
-/// A request that nobody takes ends in time.
+/// A request that the server never reads ends at its timeout.
 fn a_server_that_never_reads(_: &mut Target) {
     let much = vec![7_u8; 12 << 20];
     let address = serve(|connection| {
@@ -394,8 +395,8 @@ fn a_server_that_never_reads(_: &mut Target) {
     assert!(matches!(error, CallError::Client(ClientError::Timeout(Timeout::Attempt))), "{error}");
 }
 
-/// That nobody listens is said when connecting, and not by the first call.
-fn a_port_that_nobody_listens_on(_: &mut Target) {
+/// Connecting reports that there is no listener; the first call would be too late.
+fn a_port_without_a_listener(_: &mut Target) {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
     drop(listener);
@@ -403,11 +404,11 @@ fn a_port_that_nobody_listens_on(_: &mut Target) {
         matches!(error, ConnectError::Connect { address: at, source }
         if *at == address && source.kind() == std::io::ErrorKind::ConnectionRefused)
     };
-    let error = blocking::connect_tcp(address, &patient()).unwrap_err();
+    let error = blocking::connect_tcp(address, &long_timeouts()).unwrap_err();
     assert!(refused(&error), "{error:?}");
-    let error = runtime().block_on(asynch::connect_tcp(address, &patient())).unwrap_err();
+    let error = runtime().block_on(asynch::connect_tcp(address, &long_timeouts())).unwrap_err();
     assert!(refused(&error), "{error:?}");
-    let error = blocking::connect_rac(address, &patient()).unwrap_err();
+    let error = blocking::connect_rac(address, &long_timeouts()).unwrap_err();
     assert!(refused(&error), "{error:?}");
 }
 
@@ -415,17 +416,17 @@ fn names_that_do_not_resolve(_: &mut Target) {
     // none of them reaches a name server: what is no name is not asked for
     for name in ["no such name:5007", "..:5007", "-:5007", "[::1:5007", "127.0.0.1:65536", "127.0.0.1", ""] {
         let is_unresolved = |error: ConnectError| matches!(error, ConnectError::Resolve { .. });
-        assert!(is_unresolved(blocking::connect_tcp(name, &patient()).unwrap_err()), "{name:?}");
-        assert!(is_unresolved(blocking::connect_udp(name, &patient()).unwrap_err()), "{name:?}");
-        assert!(is_unresolved(blocking::connect_rac(name, &patient()).unwrap_err()), "{name:?}");
+        assert!(is_unresolved(blocking::connect_tcp(name, &long_timeouts()).unwrap_err()), "{name:?}");
+        assert!(is_unresolved(blocking::connect_udp(name, &long_timeouts()).unwrap_err()), "{name:?}");
+        assert!(is_unresolved(blocking::connect_rac(name, &long_timeouts()).unwrap_err()), "{name:?}");
         runtime().block_on(async {
-            assert!(is_unresolved(asynch::connect_tcp(name, &patient()).await.unwrap_err()), "{name:?}");
-            assert!(is_unresolved(asynch::connect_udp(name, &patient()).await.unwrap_err()), "{name:?}");
+            assert!(is_unresolved(asynch::connect_tcp(name, &long_timeouts()).await.unwrap_err()), "{name:?}");
+            assert!(is_unresolved(asynch::connect_udp(name, &long_timeouts()).await.unwrap_err()), "{name:?}");
         });
     }
 }
 
-/// Sockets whose numbers are beyond what `select` can say are as good as others.
+/// Sockets whose numbers exceed the limit of `select` work like others.
 fn more_files_than_a_bitmap_holds(target: &mut Target) {
     let mut files = Vec::new();
     while files.len() < 1100 {
@@ -443,7 +444,7 @@ fn many_clients_that_connect_at_once(target: &mut Target) {
     let clients: Vec<_> = (0..32)
         .map(|_| {
             std::thread::spawn(move || {
-                let mut client = blocking::connect_tcp(address, &patient()).unwrap();
+                let mut client = blocking::connect_tcp(address, &long_timeouts()).unwrap();
                 client.call(call::service_start("")).unwrap();
                 let controller = client.call(call::controller_connect("", "", "", "")).unwrap();
                 client.call(call::controller_disconnect(controller)).unwrap();

@@ -1,4 +1,4 @@
-//! Connections over TCP that do what connections should not: stall, hang, flood, vanish.
+//! Misbehaving TCP connections: they stall, hang, flood or disappear.
 
 use std::io::Write;
 use std::time::Duration;
@@ -21,7 +21,7 @@ pub(crate) const CASES: &[Case] = crate::cases! {
         a_reset_at_every_byte
         a_byte_at_a_time
         many_requests_in_one_piece
-        requests_without_end_and_others
+        endless_requests_do_not_starve_others
         pieces_that_never_end_with_a_request
         large_requests_of_many_at_the_same_time
         a_peer_that_never_reads
@@ -81,7 +81,7 @@ fn half_a_request_then_silence(target: &mut Target) {
     }
 }
 
-/// A pause in the middle, as long as a slow network makes it, costs nothing.
+/// A pause in the middle of a request, as on a slow network, does no harm.
 fn half_a_request_then_the_rest(target: &mut Target) {
     let start = bytes(FunctionId::SERVICE_START, vec![Value::text("")]);
     for at in [1, 4, 5, 15, 16, start.len() - 1] {
@@ -144,8 +144,8 @@ fn many_requests_in_one_piece(target: &mut Target) {
     }
 }
 
-/// One that asks without end, into a buffer that it has made large, gets no more than its turn.
-fn requests_without_end_and_others(target: &mut Target) {
+/// A client that sends requests without a pause, into an enlarged buffer, does not delay the others.
+fn endless_requests_do_not_starve_others(target: &mut Target) {
     let mut raw = Raw::connect(target.tcp);
     let controller = raw.begin();
     let large = vec![Value::I4(controller), Value::text("sleep"), Value::Array(17, vec![Value::Ui1(0); 2 << 20])];
@@ -179,7 +179,7 @@ fn pieces_that_never_end_with_a_request(target: &mut Target) {
     }
 }
 
-/// Who finds no memory left is told so and goes on; small requests always pass.
+/// A client whose request exceeds the memory gets an error and continues; small requests are always served.
 fn large_requests_of_many_at_the_same_time(target: &mut Target) {
     let large = bytes(FunctionId::SERVICE_START, vec![Value::Bstr(vec![0x30a2; 4 << 20])]);
     let (end, large) = large.split_last().unwrap();
@@ -240,7 +240,7 @@ fn silent_connections_cost_no_processor_time(target: &mut Target) {
     drop(all);
 }
 
-/// Over the limit the first request is answered with E_MAX_CONNECT; nobody who is in has to leave.
+/// Above the limit the first request is answered with E_MAX_CONNECT; connected clients keep their slots.
 fn connections_to_the_limit_and_past_it(target: &mut Target) {
     target.has_released_all();
     // one place is the bystander's, and one is left for those who come
@@ -265,7 +265,7 @@ fn connections_to_the_limit_and_past_it(target: &mut Target) {
     drop(inside);
 }
 
-/// Takes a place that somebody who has just gone may still have.
+/// Connects, retrying while a client that has just disconnected still occupies the slot.
 fn last_place(target: &Target) -> Raw {
     loop {
         let mut raw = Raw::connect(target.tcp);

@@ -1,4 +1,4 @@
-//! Clients over UDP, blocking and tokio, whose server loses, repeats, garbles, or is not the one that answers.
+//! Attacks on blocking and tokio clients over UDP: the server loses, repeats or corrupts replies, or another host answers.
 
 use std::net::UdpSocket;
 
@@ -8,23 +8,23 @@ use bcap_testkit::value::Value;
 
 use crate::Case;
 use crate::script::{Answers, Outcome, RIGHT, brief, calls_udp, right, serial_of, serve_udp};
-use crate::target::{Target, patient};
+use crate::target::{Target, long_timeouts};
 use crate::wire::{argument, broken_values, frame, nested, reply_frame};
 
 pub(crate) const CASES: &[Case] = crate::cases! {
     datagram_clients:
-        a_server_that_hears_and_says_nothing
-        nobody_at_the_port
-        garbage_in_front_of_a_reply
+        a_server_that_does_not_answer
+        a_closed_port
+        garbage_before_a_reply
         garbage_costs_no_attempt
         replies_over_the_limit
         a_reply_cut_in_two_datagrams
         two_replies_in_one_datagram
         replies_repeated
-        a_late_datagram_is_not_the_next_ones
+        a_late_datagram_does_not_end_the_next_call
         a_reply_to_an_earlier_attempt
-        wrong_serials_for_ever_over_udp
-        keep_alives_for_ever_over_udp
+        endless_wrong_serials_over_udp
+        endless_keep_alives_over_udp
         datagrams_from_elsewhere
 };
 
@@ -34,12 +34,12 @@ fn ends(expected: &[Outcome], answers: Answers) {
     assert_eq!(calls_udp(&brief(), expected.len(), || serve_udp(answers)), expected);
 }
 
-fn a_server_that_hears_and_says_nothing(_: &mut Target) {
+fn a_server_that_does_not_answer(_: &mut Target) {
     ends(&[SILENCE, SILENCE], |_, _| vec![]);
 }
 
-/// The network says that there is nobody, or says nothing: both are an end.
-fn nobody_at_the_port(_: &mut Target) {
+/// The call ends whether or not the network reports the closed port.
+fn a_closed_port(_: &mut Target) {
     let address = UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let outcomes = calls_udp(&brief(), 1, || address);
     assert!([Outcome::Io, SILENCE].contains(&outcomes[0]), "{outcomes:?}");
@@ -55,21 +55,21 @@ fn garbage(serial: u16) -> Vec<Vec<u8>> {
     all
 }
 
-fn garbage_in_front_of_a_reply(_: &mut Target) {
+fn garbage_before_a_reply(_: &mut Target) {
     let server = || {
         serve_udp(|datagram, _| {
             let serial = serial_of(datagram);
             garbage(serial).into_iter().chain([right(serial)]).collect()
         })
     };
-    assert_eq!(calls_udp(&patient(), 3, server), [RIGHT, RIGHT, RIGHT]);
+    assert_eq!(calls_udp(&long_timeouts(), 3, server), [RIGHT, RIGHT, RIGHT]);
 }
 
-/// One attempt is all there is; the datagrams that are none of the server's do not end it.
+/// There is only one attempt; datagrams from other senders do not end it.
 fn garbage_costs_no_attempt(_: &mut Target) {
-    let mut options = patient();
+    let mut options = long_timeouts();
     options.udp.timing.attempts = 1;
-    options.udp.timing.attempt_timeout = crate::target::PATIENCE;
+    options.udp.timing.attempt_timeout = crate::target::TIMEOUT;
     let server = || {
         serve_udp(|datagram, _| {
             let serial = serial_of(datagram);
@@ -85,14 +85,14 @@ fn replies_over_the_limit(_: &mut Target) {
         let long = Value::Array(17, vec![Value::Ui1(1); 600]);
         vec![reply_frame(serial_of(datagram), HResult::S_OK, vec![long])]
     });
-    // the largest that is none over it
+    // the largest datagram that does not exceed it
     let largest = Value::Array(17, vec![Value::Ui1(1); 504 - 26]);
     let expected = Outcome::Value(largest.clone());
     let server = || {
         let largest = largest.clone();
         serve_udp(move |datagram, _| vec![reply_frame(serial_of(datagram), HResult::S_OK, vec![largest.clone()])])
     };
-    assert_eq!(calls_udp(&patient(), 1, server), [expected]);
+    assert_eq!(calls_udp(&long_timeouts(), 1, server), [expected]);
 }
 
 fn a_reply_cut_in_two_datagrams(_: &mut Target) {
@@ -108,10 +108,10 @@ fn two_replies_in_one_datagram(_: &mut Target) {
 
 fn replies_repeated(_: &mut Target) {
     let server = || serve_udp(|datagram, _| vec![right(serial_of(datagram)); 20]);
-    assert_eq!(calls_udp(&patient(), 5, server), [RIGHT, RIGHT, RIGHT, RIGHT, RIGHT]);
+    assert_eq!(calls_udp(&long_timeouts(), 5, server), [RIGHT, RIGHT, RIGHT, RIGHT, RIGHT]);
 }
 
-fn a_late_datagram_is_not_the_next_ones(_: &mut Target) {
+fn a_late_datagram_does_not_end_the_next_call(_: &mut Target) {
     // the first call's three attempts are answered when the second call has come
     ends(&[SILENCE, RIGHT], |datagram, count| {
         let serial = serial_of(datagram);
@@ -120,7 +120,7 @@ fn a_late_datagram_is_not_the_next_ones(_: &mut Target) {
     });
 }
 
-/// The server executes a call once, so the answer to any attempt is as good as that to the last.
+/// The server executes a call once, so a reply to any attempt is valid.
 fn a_reply_to_an_earlier_attempt(_: &mut Target) {
     ends(&[RIGHT], |datagram, count| if count < 3 { vec![] } else { vec![right(marker_of(datagram))] });
 }
@@ -130,11 +130,11 @@ fn marker_of(datagram: &[u8]) -> u16 {
     u16::from_le_bytes([datagram[7], datagram[8]])
 }
 
-fn wrong_serials_for_ever_over_udp(_: &mut Target) {
+fn endless_wrong_serials_over_udp(_: &mut Target) {
     ends(&[SILENCE], |datagram, _| (10..200).map(|n| right(serial_of(datagram) + n)).collect());
 }
 
-fn keep_alives_for_ever_over_udp(_: &mut Target) {
+fn endless_keep_alives_over_udp(_: &mut Target) {
     let server = || {
         let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
         let address = socket.local_addr().unwrap();
@@ -155,7 +155,7 @@ fn keep_alives_for_ever_over_udp(_: &mut Target) {
     assert_eq!(calls_udp(&options, 1, server), [expected]);
 }
 
-/// The socket hears its server only: what others send neither answers a call nor costs an attempt.
+/// The socket accepts only its server's datagrams: those of others neither answer a call nor use up an attempt.
 fn datagrams_from_elsewhere(_: &mut Target) {
     let server = || {
         let (socket, other) = (UdpSocket::bind("127.0.0.1:0").unwrap(), UdpSocket::bind("127.0.0.1:0").unwrap());
@@ -173,8 +173,8 @@ fn datagrams_from_elsewhere(_: &mut Target) {
         });
         address
     };
-    let mut options = patient();
+    let mut options = long_timeouts();
     options.udp.timing.attempts = 1;
-    options.udp.timing.attempt_timeout = crate::target::PATIENCE;
+    options.udp.timing.attempt_timeout = crate::target::TIMEOUT;
     assert_eq!(calls_udp(&options, 3, server), [RIGHT, RIGHT, RIGHT]);
 }

@@ -1,4 +1,4 @@
-//! Datagrams that are no requests, and peers over UDP that are not what they seem.
+//! Datagrams that are not valid requests, and UDP peers with forged or reused addresses.
 
 use std::net::{SocketAddr, UdpSocket};
 use std::time::Duration;
@@ -29,14 +29,14 @@ pub(crate) const CASES: &[Case] = crate::cases! {
         a_serial_of_zero
         a_repeated_request_runs_once
         a_new_client_behind_a_known_address
-        a_forged_call_locks_no_client_out
-        a_long_call_holds_no_other_peer_up
+        a_forged_call_does_not_lock_out_a_client
+        a_long_call_does_not_block_other_peers
         a_reply_that_no_datagram_holds
-        more_peers_than_there_are_places
+        more_peers_than_slots
         a_peer_that_ends_its_service_leaves_nothing
 };
 
-/// A socket that sends what it likes to the server.
+/// A socket that sends arbitrary datagrams to the server.
 pub(crate) struct Peer {
     socket: UdpSocket,
     server: SocketAddr,
@@ -165,7 +165,7 @@ fn several_frames_in_one_datagram(target: &mut Target) {
     peer.hears_nothing();
 }
 
-/// Nothing tells a reply from a request but its code, which is no function: two servers cannot keep each other busy.
+/// A reply differs from a request only by its code, which is not a function; two servers must not answer each other.
 fn replies_in_place_of_requests(target: &mut Target) {
     let mut peer = Peer::new(target);
     for (serial, code) in (100..).zip([HResult::S_OK, HResult::S_EXECUTING, HResult::E_FAIL, HResult::E_INVALIDARG]) {
@@ -285,7 +285,7 @@ fn a_new_client_behind_a_known_address(target: &mut Target) {
 }
 
 /// A forged call from the address of a client, before its session and in it, costs the client nothing.
-fn a_forged_call_locks_no_client_out(target: &mut Target) {
+fn a_forged_call_does_not_lock_out_a_client(target: &mut Target) {
     let mut peer = Peer::new(target);
     let forged = request(FunctionId::CONTROLLER_GET_NAME, vec![Value::I4(3)]);
     let forged = TestFrame { serial: 57, reserved: 57, ..forged }.to_wire(false);
@@ -306,7 +306,7 @@ fn a_forged_call_locks_no_client_out(target: &mut Target) {
     peer.end();
 }
 
-fn a_long_call_holds_no_other_peer_up(target: &mut Target) {
+fn a_long_call_does_not_block_other_peers(target: &mut Target) {
     let mut slow = Peer::new(target);
     assert_eq!(slow.call(FunctionId::SERVICE_START, vec![Value::text("InvokeTimeout=3000")]).code, 0);
     let connect = slow.call(FunctionId::CONTROLLER_CONNECT, vec![Value::text(""); 4]);
@@ -329,7 +329,7 @@ fn a_long_call_holds_no_other_peer_up(target: &mut Target) {
     slow.end();
 }
 
-/// The client is told, rather than left to its timeouts.
+/// The client gets an error reply instead of running into its timeouts.
 fn a_reply_that_no_datagram_holds(target: &mut Target) {
     let mut peer = Peer::new(target);
     let controller = peer.begin();
@@ -348,8 +348,8 @@ fn a_reply_that_no_datagram_holds(target: &mut Target) {
     peer.end();
 }
 
-/// Who is in service keeps his place while he is heard; others are told that there is none.
-fn more_peers_than_there_are_places(target: &mut Target) {
+/// A peer keeps its slot while it sends requests; other peers get E_MAX_CONNECT.
+fn more_peers_than_slots(target: &mut Target) {
     let mut inside = Vec::new();
     let mut turned_away = 0;
     for _ in 0..3 * LIMITS.udp_peers {

@@ -1,4 +1,4 @@
-//! Frames over TCP that are none, or whose values claim what is not there; and values that are large but right.
+//! Invalid frames over TCP, frames whose values claim more bytes than there are, and values that are large but valid.
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
@@ -13,11 +13,11 @@ use crate::wire::{Raw, SERIAL, UNKNOWN_TYPES, argument, broken_values, bytes, fr
 pub(crate) const CASES: &[Case] = crate::cases! {
     frames:
         values_that_claim_more_than_is_there
-        types_that_the_wire_does_not_have
-        arguments_that_are_not_there
+        unknown_types_of_values
+        missing_arguments
         more_arguments_than_any_function_takes
         an_argument_length_that_disagrees
-        bytes_behind_the_last_argument
+        bytes_after_the_last_argument
         a_wrong_terminator
         a_length_that_is_short_or_long_by_one
         a_length_below_a_header
@@ -29,7 +29,7 @@ pub(crate) const CASES: &[Case] = crate::cases! {
         every_unit_of_a_string
         empty_arrays
         arrays_of_errors
-        bytes_in_front_of_a_frame
+        bytes_before_a_frame
         another_protocol
         random_garbage
         a_bit_turned_in_any_place
@@ -56,7 +56,7 @@ fn values_that_claim_more_than_is_there(target: &mut Target) {
     }
 }
 
-fn types_that_the_wire_does_not_have(target: &mut Target) {
+fn unknown_types_of_values(target: &mut Target) {
     for vartype in UNKNOWN_TYPES {
         for data in [&[][..], &[0; 4], &[0; 16]] {
             let bytes = with_value(&value(*vartype, 1, data));
@@ -65,7 +65,7 @@ fn types_that_the_wire_does_not_have(target: &mut Target) {
     }
 }
 
-fn arguments_that_are_not_there(target: &mut Target) {
+fn missing_arguments(target: &mut Target) {
     let one = argument(&Value::I4(1).to_wire());
     for count in [2, 3, 64] {
         let name = format!("{count} arguments, of which one is there");
@@ -98,7 +98,7 @@ fn an_argument_length_that_disagrees(target: &mut Target) {
     }
 }
 
-fn bytes_behind_the_last_argument(target: &mut Target) {
+fn bytes_after_the_last_argument(target: &mut Target) {
     let mut body = argument(&Value::I4(1).to_wire());
     for _ in 0..8 {
         body.push(0);
@@ -142,7 +142,7 @@ fn a_length_over_the_limit(target: &mut Target) {
     }
 }
 
-/// What a length field says is neither allocated nor trusted; the connection ends when its time for a request is over.
+/// The server does not allocate the claimed length; the connection ends at the timeout of the request.
 fn the_longest_frame_promised_and_not_sent(target: &mut Target) {
     let before = target.process().memory();
     let mut promises: Vec<Raw> = (0..20).map(|_| Raw::connect(target.tcp)).collect();
@@ -158,7 +158,7 @@ fn the_longest_frame_promised_and_not_sent(target: &mut Target) {
     }
 }
 
-/// A frame of exactly the limit is read to its end and answered; when its connection ends, its memory is given back.
+/// A frame of exactly the limit is read and answered; when its connection ends, its memory is released.
 fn the_longest_frame(target: &mut Target) {
     let mut raw = Raw::connect(target.tcp);
     let controller = raw.begin();
@@ -232,7 +232,7 @@ fn arrays_of_errors(target: &mut Target) {
     );
 }
 
-fn bytes_in_front_of_a_frame(target: &mut Target) {
+fn bytes_before_a_frame(target: &mut Target) {
     let good = bytes(FunctionId::SERVICE_START, vec![Value::text("")]);
     for junk in [&[0][..], &[4; 50], b"\r\n", &[0xff; 3]] {
         let mut raw = Raw::connect(target.tcp);
@@ -273,7 +273,7 @@ fn random_garbage(target: &mut Target) {
     }
 }
 
-/// Whatever bit is turned, the answer is one reply or none, and the next connection is served.
+/// For every flipped bit, the server sends at most one reply, and serves the next connection.
 fn a_bit_turned_in_any_place(target: &mut Target) {
     let right = bytes(FunctionId::CONTROLLER_CONNECT, vec![Value::text("a"); 4]);
     for at in 0..right.len() {

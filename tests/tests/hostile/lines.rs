@@ -1,4 +1,4 @@
-//! Lines of RAC that are none, or whose values have no type to fit: every line is answered, and the next one is read.
+//! Invalid lines of RAC, and lines whose values do not fit their type: the server answers every line and reads the next.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -28,7 +28,7 @@ pub(crate) const CASES: &[Case] = crate::cases! {
         parentheses_that_do_not_pair
         bytes_that_are_no_text
         types_that_text_does_not_have
-        verbs_parts_and_variables_that_there_are_not
+        unknown_verbs_fields_and_variables
         numbers_come_back_as_they_were
         text_and_random_bytes
         rac_connections_past_the_limit
@@ -284,7 +284,7 @@ fn bytes_that_are_no_text(target: &mut Target) {
     for bytes in [&b"\xff\xfe"[..], b"\xc3", b"\xed\xa0\x80", b"\x80", b"\xf5\x80\x80\x80"] {
         lines.refuses([b"PUT:RC8:1:S:8,", bytes].concat(), HResult::E_INVALIDARGTYPE);
     }
-    // text of any language is none of those
+    // text in any language is valid
     assert_eq!(lines.through("S", "8,\u{65e5}\u{672c} \u{1f600}"), "0,8,\u{65e5}\u{672c} \u{1f600}");
     assert_eq!(lines.through("S", "8,a\0b"), "0,8,a\0b");
 }
@@ -298,7 +298,7 @@ fn types_that_text_does_not_have(target: &mut Target) {
     }
 }
 
-fn verbs_parts_and_variables_that_there_are_not(target: &mut Target) {
+fn unknown_verbs_fields_and_variables(target: &mut Target) {
     let mut lines = Lines::connect(target);
     for line in ["", "x", "\0", "DEL:RC8:1:I:", "GET:RC9:1:I:", "GET:RC8:1:X:", "PUT:RC8:10:10:"] {
         lines.refuses(line, HResult::E_INVALIDCOMMAND);
@@ -310,7 +310,7 @@ fn verbs_parts_and_variables_that_there_are_not(target: &mut Target) {
     }
 }
 
-/// No digit is lost, no sign, and no country writes them in another way.
+/// Digits and signs are preserved, independent of the locale.
 fn numbers_come_back_as_they_were(target: &mut Target) {
     let mut lines = Lines::connect(target);
     let same = [

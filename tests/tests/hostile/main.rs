@@ -1,4 +1,4 @@
-//! Everything that is known to bring peers of these protocols down, tried on ours, one named case after the other.
+//! Known attacks on peers of these protocols, as named cases against this project's clients and servers.
 //!
 //! ```text
 //!   this process                                        a process of its own
@@ -6,9 +6,9 @@
 //!   bystanders: a client of each link, held open ──►
 //! ```
 //!
-//! A case asserts what the server (or the client, if that is attacked) answers and what becomes of the connection. After
-//! each case the bystanders must have been served, a new client of each link as well, and the server must have nothing
-//! of the case left: no handle, no file descriptor. At the end neither process may have grown by 10 MiB.
+//! A case asserts the answers of the server (or the behaviour of the attacked client) and the state of the connection. After
+//! each case, the server must answer the bystanders and a new client of each link, and must hold no handle or file
+//! descriptor of the case. At the end neither process may have grown by 10 MiB.
 //!
 //! `cargo test -p bcap-tests --test hostile NAME` runs the cases whose names contain NAME; `--list` names them.
 
@@ -88,9 +88,9 @@ fn main() -> ExitCode {
     if is_good { ExitCode::SUCCESS } else { ExitCode::from(101) }
 }
 
-/// The variable by which glibc is told which memory to give back as soon as it is free.
+/// The variable that makes glibc release memory as soon as it is free.
 ///
-/// Left to itself it keeps what large requests have used, in the hope of more, and what is still in use cannot be told.
+/// By default glibc keeps the memory of large requests, which hides how much is still in use.
 const THRESHOLD: &str = "MALLOC_MMAP_THRESHOLD_";
 
 /// Runs this program again with that variable set.
@@ -129,7 +129,7 @@ fn trials(target: &Arc<Mutex<Option<Target>>>) -> Vec<Trial> {
     all.into_iter().flatten().map(test).collect()
 }
 
-/// Returns what the two processes take.
+/// Returns the memory of the two processes.
 fn memory(target: &Mutex<Option<Target>>) -> [(&'static str, Option<Memory>); 2] {
     let target = target.lock().unwrap_or_else(PoisonError::into_inner);
     let server = target.as_ref().and_then(|target| target.process().memory());

@@ -1,4 +1,4 @@
-//! Clients of RAC, blocking and tokio, whose server answers what is no answer, too much, or nothing.
+//! Attacks on blocking and tokio RAC clients: the server sends invalid answers, too many answers, or none.
 
 use std::time::Duration;
 
@@ -11,17 +11,17 @@ use bcap_std::{Options, asynch, blocking};
 
 use crate::Case;
 use crate::script::{Connection, runtime, serve};
-use crate::target::{Target, patient};
+use crate::target::{Target, long_timeouts};
 
 pub(crate) const CASES: &[Case] = crate::cases! {
     rac_clients:
-        a_rac_server_that_says_nothing
+        a_rac_server_that_does_not_answer
         a_rac_server_that_closes
         answers_that_are_none
         an_answer_that_never_ends
         an_answer_at_a_byte_a_time
-        answers_that_nobody_asked_for
-        a_late_answer_is_not_the_next_ones
+        unsolicited_answers
+        a_late_answer_does_not_end_the_next_request
         results_of_every_notation
         values_that_cannot_be_sent
 };
@@ -77,33 +77,33 @@ fn request(connection: &mut Connection) {
 }
 
 fn brief() -> Options {
-    Options { rac: Config { timeout: Duration::from_millis(200) }, ..patient() }
+    Options { rac: Config { timeout: Duration::from_millis(200) }, ..long_timeouts() }
 }
 
 const LATE: Outcome = Outcome::Client(ClientError::Timeout(Timeout::Reply));
 const OUTSTANDING: Outcome = Outcome::Client(ClientError::Timeout(Timeout::Outstanding));
 
-fn a_rac_server_that_says_nothing(_: &mut Target) {
+fn a_rac_server_that_does_not_answer(_: &mut Target) {
     assert_eq!(gets(&brief(), 2, Connection::hold), [LATE, OUTSTANDING]);
 }
 
 fn a_rac_server_that_closes(_: &mut Target) {
-    assert_eq!(gets(&patient(), 1, request), [Outcome::Disconnected]);
+    assert_eq!(gets(&long_timeouts(), 1, request), [Outcome::Disconnected]);
     let cut = |connection: &mut Connection| {
         request(connection);
         connection.send(b"0,3,4");
     };
-    assert_eq!(gets(&patient(), 1, cut), [Outcome::Disconnected]);
+    assert_eq!(gets(&long_timeouts(), 1, cut), [Outcome::Disconnected]);
     let reset = |connection: &mut Connection| {
         request(connection);
         connection.reset();
     };
-    assert_eq!(gets(&patient(), 1, reset), [Outcome::Io]);
+    assert_eq!(gets(&long_timeouts(), 1, reset), [Outcome::Io]);
 }
 
-/// An answer that cannot be read is the end of its request and of nothing else.
+/// An invalid answer ends only its request.
 fn answers_that_are_none(_: &mut Target) {
-    let outcomes = gets(&patient(), 12, |connection| {
+    let outcomes = gets(&long_timeouts(), 12, |connection| {
         let wrong: [&[u8]; 6] = [b"", b"OK", b"0,9,1", b"0,3,99999999999", b"0,8,\xff", b"\xff\0\x01"];
         for answer in wrong {
             request(connection);
@@ -128,7 +128,7 @@ fn an_answer_that_never_ends(_: &mut Target) {
 }
 
 fn an_answer_at_a_byte_a_time(_: &mut Target) {
-    let outcomes = gets(&patient(), 3, |connection| {
+    let outcomes = gets(&long_timeouts(), 3, |connection| {
         for _ in 0..3 {
             request(connection);
             for byte in b"0, 3, 42\r\n" {
@@ -140,9 +140,9 @@ fn an_answer_at_a_byte_a_time(_: &mut Target) {
     assert_eq!(outcomes, [Outcome::Number(42), Outcome::Number(42), Outcome::Number(42)]);
 }
 
-/// There are no serials to tell answers by, so one too many ends the session: the next answer would be another's.
-fn answers_that_nobody_asked_for(_: &mut Target) {
-    let outcomes = gets(&patient(), 2, |connection| {
+/// RAC has no serials, so an unsolicited answer ends the session; otherwise the next request would get it.
+fn unsolicited_answers(_: &mut Target) {
+    let outcomes = gets(&long_timeouts(), 2, |connection| {
         request(connection);
         connection.send(b"0,3,42\r0,3,43\r");
         connection.hold();
@@ -152,8 +152,8 @@ fn answers_that_nobody_asked_for(_: &mut Target) {
     assert!(unsolicited.contains(&outcomes[1]), "{outcomes:?}");
 }
 
-fn a_late_answer_is_not_the_next_ones(_: &mut Target) {
-    let options = Options { rac: Config { timeout: Duration::from_secs(1) }, ..patient() };
+fn a_late_answer_does_not_end_the_next_request(_: &mut Target) {
+    let options = Options { rac: Config { timeout: Duration::from_secs(1) }, ..long_timeouts() };
     let outcomes = gets(&options, 2, |connection| {
         request(connection);
         std::thread::sleep(Duration::from_millis(1500));
@@ -166,7 +166,7 @@ fn a_late_answer_is_not_the_next_ones(_: &mut Target) {
 }
 
 fn results_of_every_notation(_: &mut Target) {
-    let outcomes = gets(&patient(), 5, |connection| {
+    let outcomes = gets(&long_timeouts(), 5, |connection| {
         for answer in ["0x80070057\r", "2147942487\r", "-2147024809\r", "1,3,42\r", "-1,8,left out\r"] {
             request(connection);
             connection.send(answer.as_bytes());
@@ -178,11 +178,11 @@ fn results_of_every_notation(_: &mut Target) {
     assert_eq!(outcomes[4], Outcome::Refused(HResult(-1)));
 }
 
-/// What a line cannot say is refused before a byte of it has left.
+/// A value without a text is refused before any byte is sent.
 fn values_that_cannot_be_sent(target: &mut Target) {
     use bcap_core::variant::VariantBuf;
 
-    let mut client = blocking::connect_rac(target.rac, &patient()).unwrap();
+    let mut client = blocking::connect_rac(target.rac, &long_timeouts()).unwrap();
     let long = "x".repeat(300);
     for text in ["a\rPUT:RC8:1:I:3,666", "a\nb", " leading", &long] {
         let value = VariantBuf::<1024>::new(text).unwrap();

@@ -1,4 +1,4 @@
-//! Servers that follow a script instead of the protocol, and what clients make of them.
+//! Servers that follow a script instead of the protocol, and the outcomes of calls to them.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream, UdpSocket};
@@ -13,7 +13,7 @@ use bcap_core::variant::Variant;
 use bcap_std::{Options, asynch, blocking};
 use bcap_testkit::value::Value;
 
-use crate::target::PATIENCE;
+use crate::target::TIMEOUT;
 use crate::wire::reply_frame;
 
 /// How a call has ended.
@@ -71,12 +71,12 @@ impl Connection {
         self.0.write_all(bytes).is_ok()
     }
 
-    /// Reads and drops what comes until the client has gone.
+    /// Reads and drops bytes until the client disconnects.
     pub(crate) fn hold(&mut self) {
         let _ = std::io::copy(&mut self.0, &mut std::io::sink());
     }
 
-    /// Goes away with a reset.
+    /// Resets the connection.
     pub(crate) fn reset(&mut self) {
         let _ = socket2::SockRef::from(&self.0).set_linger(Some(Duration::ZERO));
     }
@@ -139,7 +139,7 @@ pub(crate) fn brief() -> Options {
     };
     let config = |config: Config| Config { timing, ..config };
     let options = Options::default();
-    Options { tcp: config(options.tcp), udp: config(options.udp), connect_timeout: PATIENCE, ..options }
+    Options { tcp: config(options.tcp), udp: config(options.udp), connect_timeout: TIMEOUT, ..options }
 }
 
 /// What clients read.

@@ -53,8 +53,8 @@ fn good(serial: u16) -> Vec<u8> {
 /// The length of an answer to `good`.
 const ANSWER: usize = 18;
 
-/// Asserts that the server hears a request that is repeated. What came before may look like the beginning of a frame, and
-/// hide repetitions up to the length that it claims, which is a frame of 503 bytes at most.
+/// Asserts that the server decodes a repeated request. Earlier bytes may look like the beginning of a frame, and hide
+/// repetitions up to the length that it claims, at most 503 bytes.
 fn is_heard(line: &mut (Line, Application), serial: u16) {
     let repetitions = 1 + 503 / good(serial).len();
     let answer = (0..=repetitions).map(|_| send(line, &good(serial))).find(|sent| !sent.is_empty());

@@ -1,4 +1,4 @@
-//! The server that is attacked, in a process of its own, and the clients beside that must not notice.
+//! The attacked server, in a separate process, and the bystanders: clients that the attacks must not disturb.
 
 use std::fmt::Debug;
 use std::io::{BufRead, BufReader, Read, Write};
@@ -19,7 +19,7 @@ use bcap_tests::served::Served;
 /// The argument by which this program becomes the server.
 pub(crate) const SERVE: &str = "--serve";
 
-/// What the attacked server allows: little enough for a case to go beyond it.
+/// The limits of the attacked server: low enough for a case to exceed them.
 pub(crate) const LIMITS: Limits = Limits {
     connections: 96,
     connections_per_address: 64,
@@ -40,8 +40,8 @@ pub(crate) const LIMITS: Limits = Limits {
 /// Handles that the bystanders have open: service, controller and variable over TCP and UDP.
 const OPEN: i32 = 6;
 
-/// How long something that must happen may take on a machine that does other things as well.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(30);
+/// The timeout for an event that must happen, long enough for a busy machine.
+pub(crate) const TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Serves until the standard input ends; for the process that [`Target::start`] begins.
 pub(crate) fn serve() {
@@ -52,13 +52,13 @@ pub(crate) fn serve() {
     println!("{} {}", left.open.len(), left.peers.len());
 }
 
-/// Returns the options of clients that are not to give up.
-pub(crate) fn patient() -> Options {
-    let options = Options::default().timeout(PATIENCE);
+/// Returns the options of clients that must not time out.
+pub(crate) fn long_timeouts() -> Options {
+    let options = Options::default().timeout(TIMEOUT);
     Options { udp: Config { timing: Timing { attempts: 60, ..Timing::UDP }, ..options.udp }, ..options }
 }
 
-/// The server and those who use it as it is meant to be used.
+/// The server and its well-behaved clients.
 #[derive(Debug)]
 pub(crate) struct Target {
     child: Child,
@@ -101,9 +101,9 @@ impl Target {
             tcp,
             udp,
             rac,
-            over_tcp: Bystander::new(blocking::connect_tcp(tcp, &patient()).unwrap(), "TCP"),
-            over_udp: Bystander::new(blocking::connect_udp(udp, &patient()).unwrap(), "UDP"),
-            over_rac: blocking::connect_rac(rac, &patient()).unwrap(),
+            over_tcp: Bystander::new(blocking::connect_tcp(tcp, &long_timeouts()).unwrap(), "TCP"),
+            over_udp: Bystander::new(blocking::connect_udp(udp, &long_timeouts()).unwrap(), "UDP"),
+            over_rac: blocking::connect_rac(rac, &long_timeouts()).unwrap(),
             rounds: 0,
             descriptors: None,
         };
@@ -131,31 +131,31 @@ impl Target {
         true
     }
 
-    /// Asserts that the case has harmed nobody and left nothing.
+    /// Asserts that the case disturbed no other client and leaked no resource.
     pub(crate) fn is_unharmed(&mut self) {
         assert_eq!(self.child.try_wait().unwrap(), None, "the server lives");
         self.serves_others();
         self.has_released_all();
     }
 
-    /// Asserts that those who are connected are served, and those who come are.
+    /// Asserts that the server answers connected and new clients.
     pub(crate) fn serves_others(&mut self) {
         self.rounds += 1;
         let round = self.rounds;
         self.over_tcp.works(round);
         self.over_udp.works(round);
         works(&mut self.over_rac, round);
-        let mut client = blocking::connect_tcp(self.tcp, &patient()).unwrap();
+        let mut client = blocking::connect_tcp(self.tcp, &long_timeouts()).unwrap();
         session(&mut client, "new over TCP", round);
         // the end of the connection is its release, and that is looked for
-        let mut client = blocking::connect_udp(self.udp, &patient()).unwrap();
+        let mut client = blocking::connect_udp(self.udp, &long_timeouts()).unwrap();
         session(&mut client, "new over UDP", round);
-        works(&mut blocking::connect_rac(self.rac, &patient()).unwrap(), round);
+        works(&mut blocking::connect_rac(self.rac, &long_timeouts()).unwrap(), round);
     }
 
-    /// Asserts that soon nothing is open but what the bystanders have.
+    /// Waits until only the bystanders' handles are open; panics at [`TIMEOUT`].
     pub(crate) fn has_released_all(&mut self) {
-        let until = now() + PATIENCE;
+        let until = now() + TIMEOUT;
         loop {
             let open = self.open();
             let descriptors = self.process().descriptors();
@@ -229,7 +229,7 @@ fn works(client: &mut RacClient, round: i32) {
     assert_eq!(client.get(variable).unwrap(), Variant::I4(round));
 }
 
-/// Says why a case has not been tried on this machine.
+/// Prints why a case was skipped on this machine.
 pub(crate) fn skipped(why: &str) {
     let _ = writeln!(std::io::stdout(), "skipped: {why}");
 }

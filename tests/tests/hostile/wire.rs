@@ -1,4 +1,4 @@
-//! Frames with something wrong in them, and a connection that sends them.
+//! Invalid frames, and a connection that sends them.
 
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpStream};
@@ -64,7 +64,7 @@ pub(crate) fn nested(levels: usize) -> Vec<u8> {
     bytes
 }
 
-/// Values that are none, by what is wrong with them; of every one the wire has claimed more than is there.
+/// Invalid values, by their error; each claims more bytes than there are.
 pub(crate) fn broken_values() -> Vec<(&'static str, Vec<u8>)> {
     let some = [0x5a; 64];
     vec![
@@ -93,7 +93,7 @@ pub(crate) fn broken_values() -> Vec<(&'static str, Vec<u8>)> {
 pub(crate) const UNKNOWN_TYPES: &[u16] =
     &[9, 13, 14, 16, 22, 23, 24, 36, 0x1003, 0x2009, 0x200d, 0x200e, 0x2010, 0x2018, 0x4003, 0x400c, 0x6003, 0xffff];
 
-/// A connection that does with bytes as it likes.
+/// A connection that sends and reads raw bytes.
 #[derive(Debug)]
 pub(crate) struct Raw {
     stream: TcpStream,

@@ -1,4 +1,4 @@
-//! Writes settings into the configuration block of an image, ELF or binary, without building it again.
+//! Writes settings into the configuration block of an image, ELF or binary, without rebuilding it.
 
 use std::error::Error;
 use std::path::Path;
@@ -9,8 +9,8 @@ use bcap_board::image;
 
 const USAGE: &str = "usage: configure IMAGE [KEY=VALUE | @FILE]...
 
-Writes settings into an image, in the place of those that were there; without settings, shows those.
-A file has a setting on each line, and may have empty lines and comments behind #.";
+Replaces the settings in an image; without settings as arguments, prints those of the image.
+A file has one setting on each line, and may have empty lines and comments after #.";
 
 fn main() -> ExitCode {
     let mut arguments = env::args().skip(1);
@@ -41,7 +41,7 @@ fn configure(path: &Path, arguments: &[String]) -> Result<(), Box<dyn Error>> {
     Ok(fs::write(path, file)?)
 }
 
-/// Puts the settings together, one on each line.
+/// Joins the settings, one on each line.
 fn settings(arguments: &[String]) -> Result<String, String> {
     let mut settings = String::new();
     for argument in arguments {
@@ -50,7 +50,7 @@ fn settings(arguments: &[String]) -> Result<String, String> {
             None => argument,
         };
         for line in text.lines() {
-            // an argument is taken as it is; only files have comments
+            // only files have comments; an argument may contain #
             let line = if argument.starts_with('@') { line.split('#').next().unwrap_or_default().trim() } else { line };
             if !line.is_empty() {
                 settings.push_str(line);

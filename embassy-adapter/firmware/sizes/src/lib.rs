@@ -1,7 +1,7 @@
-//! What the measured images share: an entry point, memory that the compiler knows nothing of, and the end of a panic.
+//! Support code of the measured images: an entry point, memory that is opaque to the compiler, and the panic handler.
 //!
-//! The image `empty` has this and nothing else; its size is subtracted from those of the others. `memcpy`, divisions and
-//! soft floats are not in it: what a part needs of them counts as its own. The images are linked, not run.
+//! The image `empty` has only this; its size is subtracted from those of the others. It has no `memcpy`, division or soft
+//! float, so those that a part uses count as the part's own. The images are linked, not run.
 #![no_std]
 
 use core::cell::UnsafeCell;
@@ -23,29 +23,29 @@ macro_rules! entry {
     };
 }
 
-/// Bytes that come from outside, and room for those that leave.
+/// Input bytes, and a buffer for output bytes.
 #[derive(Debug)]
 pub struct Memory {
-    /// What has come.
+    /// The input bytes.
     pub input: [u8; 256],
-    /// Where results go.
+    /// The buffer for results.
     pub output: [u8; 256],
 }
 
 impl Memory {
-    /// Views the memory; what is in it the compiler cannot know.
+    /// Returns the memory; its contents are opaque to the compiler.
     #[expect(
         unsafe_code,
         clippy::mut_from_ref,
         reason = "the reference before has ended with its turn of the one loop"
     )]
     pub fn of(place: &Place<Self>) -> &mut Self {
-        // SAFETY: any bytes are a value, and the place was zero at first
+        // SAFETY: any bytes are a valid value, and the memory is initially zero
         black_box(unsafe { (*place.0.get()).assume_init_mut() })
     }
 }
 
-/// A place for a value in the image's memory, so that the value is counted there.
+/// A static cell for a value, so that the value counts as memory of the image.
 #[derive(Debug)]
 pub struct Place<T>(UnsafeCell<MaybeUninit<T>>);
 
@@ -54,20 +54,20 @@ pub struct Place<T>(UnsafeCell<MaybeUninit<T>>);
 unsafe impl<T> Sync for Place<T> {}
 
 impl<T> Place<T> {
-    /// Makes it.
+    /// Creates an empty cell.
     #[must_use]
     pub const fn new() -> Self {
         Self(UnsafeCell::new(MaybeUninit::zeroed()))
     }
 
-    /// Puts a value there, instead of the one before.
+    /// Replaces the value.
     #[expect(
         unsafe_code,
         clippy::mut_from_ref,
         reason = "the reference before has ended with its turn of the one loop"
     )]
     pub fn put(&self, value: T) -> &mut T {
-        // SAFETY: there is one caller for each place, whose reference of the turn before has ended
+        // SAFETY: each cell has one caller, whose reference from the previous iteration has ended
         black_box(unsafe { &mut *self.0.get() }).write(value)
     }
 }
@@ -78,7 +78,7 @@ impl<T> Default for Place<T> {
     }
 }
 
-/// Copies what fits, as a link would, and returns how much that was.
+/// Copies as many bytes as fit, as a link would, and returns their number.
 pub fn copy(from: &[u8], to: &mut [u8]) -> usize {
     let count = from.len().min(to.len());
     for (to, from) in to.iter_mut().zip(from) {

@@ -1,7 +1,7 @@
-//! A b-CAP client on smoltcp alone: it reads a variable of the robot, and says its value on the serial port.
+//! A b-CAP client on smoltcp without embassy that reads a variable of the robot and prints it on the serial port.
 //!
 //! ```text
-//!  I1 = I4(42)          at the start, and after each line that comes
+//!  I1 = I4(42)          at the start, and after each line received
 //!  cannot read I1: ...
 //!  q                    ends the program
 //! ```
@@ -76,12 +76,12 @@ fn main() -> ! {
     }
 }
 
-/// Makes the interface, with the address that the settings give it.
+/// Creates the interface with the configured address.
 fn interface(device: &mut Lan9118<'_>, settings: &Settings<'_>) -> Interface {
     let address = EthernetAddress(ADDRESS);
     let mut interface = Interface::new(iface::Config::new(address.into()), device, bare::to_smoltcp(now()));
     let (own, prefix) = settings.address;
-    // there is room for an address and a route: the interface is new
+    // a new interface has room for an address and a route
     interface.update_ip_addrs(|addresses| {
         let _ = addresses.push(IpCidr::new(own.into(), prefix));
     });
@@ -93,14 +93,14 @@ fn now() -> Instant {
     bcap_embassy::clock::now()
 }
 
-/// The way to the robot.
+/// The connection to the robot.
 struct Robot<'m> {
     device: Lan9118<'m>,
     interface: Interface,
     sockets: SocketSet<'m>,
     socket: SocketHandle,
     client: Client<[u8; 512]>,
-    /// The variable's handle, while there is a connection.
+    /// The variable's handle while connected.
     variable: Option<VariableHandle>,
     next_port: u16,
 }
@@ -144,7 +144,7 @@ impl Robot<'_> {
         Ok(())
     }
 
-    /// Connects, and opens the variable.
+    /// Connects and opens the variable.
     fn open(&mut self, settings: &Settings<'_>) -> Result<VariableHandle, Error> {
         self.connect(settings)?;
         self.call(&call::service_start(""))?;
@@ -174,7 +174,7 @@ impl Robot<'_> {
         Ok(self.client.value::<C::Reply>()?)
     }
 
-    /// Makes a call and waits until it has ended.
+    /// Makes a call and waits for its end.
     fn call<C: Call>(&mut self, call: &C) -> Result<(), Error> {
         self.client.start(call, self.client.timing(), now())?;
         loop {
@@ -186,11 +186,11 @@ impl Robot<'_> {
                 Some(Event::Replied(_)) => return Ok(()),
                 Some(Event::Failed(error)) => return Err(Error::Client(error)),
                 Some(_) => {}
-                // what the client has just given to the socket goes out before the sleep
+                // bytes that the client just queued are sent before the sleep
                 None if self.interface.poll(bare::to_smoltcp(now), &mut self.device, &mut self.sockets)
                     == iface::PollResult::None =>
                 {
-                    // until a frame comes, or the clock ticks
+                    // until a frame arrives or the clock ticks
                     cortex_m::asm::wfi();
                 }
                 None => {}
@@ -198,7 +198,7 @@ impl Robot<'_> {
         }
     }
 
-    /// Keeps the connection alive until a line has come; ends the program at a `q`.
+    /// Keeps the connection alive until a line is received; ends the program at a `q`.
     fn wait_for_line(&mut self) {
         loop {
             match uart::read() {

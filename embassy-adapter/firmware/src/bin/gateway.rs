@@ -1,14 +1,14 @@
-//! The gateway board: PLCs that speak RAC on one side, a robot controller that speaks b-CAP on the other.
+//! The gateway board: connects PLCs that speak RAC to a robot controller that speaks b-CAP.
 //!
 //! ```text
 //!  PLCs ─► port 5006, 4 sessions ─┐
-//!                                 ├─► Gateway: rules, handles, counters ─► the robot, over TCP or UDP
-//!  the settings in the flash ─────┘        │
-//!                                          └─► the log on the serial port, a status line every 10 s
+//!                                 ├─► Gateway: rules, handles, counters ─► robot, over TCP or UDP
+//!  settings in the flash ─────────┘        │
+//!                                          └─► log on the serial port, a status line every 10 s
 //! ```
 //!
-//! What PLCs may do, and where the robot is, stands in the settings; as long as nothing is set they may read everything
-//! and write nothing. Each refusal is logged with its client and its line.
+//! The settings define the rules for PLCs and the robot's address. By default PLCs may read every variable and write
+//! none. Each refusal is logged with its client and its line.
 #![no_std]
 #![no_main]
 
@@ -17,7 +17,7 @@ use bcap_core::bcap::client::{self, Timing};
 use bcap_core::gateway::{Config, Event, Gateway, Memory, Tally};
 use bcap_core::rac;
 use bcap_core::time::{Instant, micros};
-use bcap_embassy::gateway::{Listener, Report, Shared, TcpRobot, run_robot};
+use bcap_embassy::gateway::{Listener, Report, SharedGateway, TcpRobot, run_robot};
 use bcap_embassy::net::{Options, UdpTransport};
 use bcap_embassy::server::Limits;
 use bcap_firmware::net::{self, NetRunner};
@@ -31,21 +31,21 @@ use embassy_time::Timer;
 use static_cell::{ConstStaticCell, StaticCell};
 
 const ADDRESS: [u8; 6] = [0x02, 0, 0, 0xbc, 0xa9, 0x03];
-/// PLCs at the same time, and handles that are kept at the robot.
+/// Concurrent PLCs, and the capacity of the LRU cache of handles.
 const SESSIONS: usize = 4;
 const HANDLES: usize = 64;
 /// Sockets: the PLCs, the echo, the robot, DHCP.
 const SOCKETS: usize = SESSIONS + echo::ECHOES + 2;
 
-/// The tasks that the watchdog looks after; the PLCs' have the numbers from `PLC` on.
+/// The tasks that the watchdog watches; the PLCs' tasks have the numbers from `PLC` on.
 const NETWORK: Task = Task::new(0);
 const ROBOT: Task = Task::new(1);
 const STATUS: Task = Task::new(2);
 const PLC: u32 = 3;
-/// How late the gateway may be with what is due; more means that its tasks hang.
-const LATE: core::time::Duration = core::time::Duration::from_secs(2);
+/// How far the gateway may overrun its deadline; a longer overrun means that its tasks hang.
+const MAX_OVERRUN: core::time::Duration = core::time::Duration::from_secs(2);
 
-type Board = Shared<'static, NoopRawMutex, SESSIONS>;
+type Board = SharedGateway<'static, NoopRawMutex, SESSIONS>;
 
 #[panic_handler]
 fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
@@ -56,7 +56,7 @@ fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
 fn main() -> ! {
     executor::run(|spawner| {
         if start(spawner).is_err() {
-            defmt::error!("there is no room for a task");
+            defmt::error!("cannot start a task: its pool is full");
             fault::end()
         }
     })
@@ -64,7 +64,7 @@ fn main() -> ! {
 
 /// Starts the board and all tasks.
 ///
-/// Not inlined: what is made here on its way into its place would stay on the stack for ever.
+/// Not inlined: otherwise the temporaries of initialisation would stay on the stack forever.
 #[inline(never)]
 fn start(spawner: Spawner) -> Result<(), SpawnError> {
     static RESOURCES: ConstStaticCell<StackResources<SOCKETS>> = ConstStaticCell::new(StackResources::new());
@@ -80,7 +80,7 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     let (stack, runner) = net::start(settings, ADDRESS, RESOURCES.take());
     let board = make(settings);
     spawner.spawn(run_stack(runner)?);
-    spawner.spawn(keep_robot(stack, settings, board)?);
+    spawner.spawn(run_robot_link(stack, settings, board)?);
     for (number, memory) in (PLC..).zip(SOCKET_MEMORY.take()) {
         spawner.spawn(serve(stack, memory, board, Task::new(number))?);
     }
@@ -92,7 +92,7 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     Ok(())
 }
 
-/// Makes the gateway as the settings want it.
+/// Creates the gateway from the settings.
 #[inline(never)]
 fn make(settings: &'static Settings<'static>) -> &'static Board {
     static MEMORY: ConstStaticCell<Memory<SESSIONS, HANDLES>> = ConstStaticCell::new(Memory::new());
@@ -115,7 +115,7 @@ fn make(settings: &'static Settings<'static>) -> &'static Board {
     };
     let Settings { provider, machine, option, service, .. } = *settings;
     let config = Config { client, service, provider, machine, option, rules, ..Config::RC8 };
-    BOARD.init(Shared::new(Gateway::new(config, MEMORY.take()), log))
+    BOARD.init(SharedGateway::new(Gateway::new(config, MEMORY.take()), log))
 }
 
 #[embassy_executor::task]
@@ -123,7 +123,7 @@ async fn run_stack(mut runner: NetRunner) -> ! {
     watched(NETWORK, runner.run()).await
 }
 
-/// Serves PLCs, one after the other.
+/// Serves PLCs, one after another.
 #[embassy_executor::task(pool_size = SESSIONS)]
 async fn serve(stack: Stack<'static>, memory: &'static mut [[u8; 512]; 2], board: &'static Board, task: Task) -> ! {
     let [rx, tx] = memory;
@@ -131,14 +131,14 @@ async fn serve(stack: Stack<'static>, memory: &'static mut [[u8; 512]; 2], board
     watched(task, listener.run(board, &Limits::default())).await
 }
 
-/// Finds an address, and then the robot, again and again.
+/// Waits for an address, then runs the connection to the robot.
 #[embassy_executor::task]
-async fn keep_robot(stack: Stack<'static>, settings: &'static Settings<'static>, board: &'static Board) {
+async fn run_robot_link(stack: Stack<'static>, settings: &'static Settings<'static>, board: &'static Board) {
     static MEMORY: ConstStaticCell<[[u8; 1024]; 3]> = ConstStaticCell::new([[0; 1024]; 3]);
     static META: ConstStaticCell<[[PacketMetadata; 2]; 2]> = ConstStaticCell::new([[PacketMetadata::EMPTY; 2]; 2]);
     let ([rx, tx, frame], [rx_meta, tx_meta]) = (MEMORY.take(), META.take());
     let address = settings.robot.address;
-    let keep = async {
+    let work = async {
         net::find_address(stack, settings).await;
         match settings.robot.transport {
             Transport::Tcp => {
@@ -150,27 +150,27 @@ async fn keep_robot(stack: Stack<'static>, settings: &'static Settings<'static>,
                 match UdpTransport::new(stack, socket, address) {
                     Ok(mut robot) => run_robot(&mut robot, frame, board).await,
                     Err(error) => {
-                        defmt::error!("no socket for the robot: {}", error);
+                        defmt::error!("cannot open a socket for the robot: {}", error);
                         fault::end()
                     }
                 }
             }
         }
     };
-    watched(ROBOT, keep).await
+    watched(ROBOT, work).await
 }
 
-/// Feeds the watchdog as long as the tasks go on and the gateway does in time what is due.
+/// Feeds the watchdog while the tasks run and the gateway meets its deadlines.
 #[embassy_executor::task]
 async fn watch(board: &'static Board) -> ! {
-    let is_well = || {
+    let is_healthy = || {
         let due = board.view(Gateway::poll_timeout).flatten();
-        due.is_none_or(|due| now() <= due.saturating_add(LATE))
+        due.is_none_or(|due| now() <= due.saturating_add(MAX_OVERRUN))
     };
-    watchdog::run(is_well).await
+    watchdog::run(is_healthy).await
 }
 
-/// Reports the state of the board now and then.
+/// Logs the state of the board every 10 s.
 #[embassy_executor::task]
 async fn report(board: &'static Board) -> ! {
     let report = async {
@@ -187,7 +187,7 @@ fn status(gateway: &Gateway<'_>) {
     defmt::info!(
         "up {=u64} s, robot {=str} ({=u32}), served {}, failed {}, refused {=u32}, {}, stack {=usize} of {=usize}",
         now().as_micros() / 1_000_000,
-        if gateway.is_up() { "up" } else { "away" },
+        if gateway.is_up() { "up" } else { "down" },
         counters.connected,
         Times(&counters.served),
         Times(&counters.failed),
@@ -198,7 +198,7 @@ fn status(gateway: &Gateway<'_>) {
     );
 }
 
-/// A tally as a line shows it: how many, and the times of half, of 99 of 100, and of all of them in microseconds.
+/// Formats a tally: the count, the median, the 99th percentile and the maximum, in microseconds.
 struct Times<'a>(&'a Tally);
 
 impl defmt::Format for Times<'_> {
@@ -215,11 +215,11 @@ impl defmt::Format for Times<'_> {
     }
 }
 
-/// Writes what happens to the log: every refusal, every failure, and when someone comes or goes.
+/// Logs every refusal, every failure, and the connections of clients and of the robot.
 fn log(report: &Report<'_>) {
     match *report {
         Report::Connected { client } => defmt::info!("{}: connected", Client(client)),
-        Report::Disconnected { client, ended } => defmt::info!("{}: gone: {}", Client(client), ended),
+        Report::Disconnected { client, ended } => defmt::info!("{}: disconnected: {}", Client(client), ended),
         Report::Answered { client, line, event: Event::Refused { refusal, .. } } => {
             defmt::warn!("{}: refused {=[u8]:a}: {}", Client(client), line, refusal)
         }
@@ -229,13 +229,13 @@ fn log(report: &Report<'_>) {
         Report::Answered { .. } => {}
         Report::Robot { event: Event::RobotDown { error, pause }, cause } => {
             let pause = u32::try_from(pause.as_millis()).unwrap_or(u32::MAX);
-            defmt::warn!("robot away: {} {}, again in {=u32} ms", error, cause, pause)
+            defmt::warn!("robot down: {} {}, retry in {=u32} ms", error, cause, pause)
         }
         Report::Robot { .. } => defmt::info!("robot up"),
     }
 }
 
-/// A client as a line shows it.
+/// Formats a client.
 struct Client(Option<IpEndpoint>);
 
 impl defmt::Format for Client {

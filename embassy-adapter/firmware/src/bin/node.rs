@@ -1,9 +1,9 @@
-//! A board on embassy-net that is a small controller itself, and a client of the robot's controller.
+//! A board on embassy-net that is a small controller and a client of the robot's controller.
 //!
 //! ```text
 //!  RAC clients    ─► port 5006, 4 sessions ─┐
 //!  b-CAP clients  ─► port 5007, TCP and UDP ┴─► Node: uptime, counters, memory
-//!  the robot      ◄─ a b-CAP client that reads one variable each second
+//!  robot          ◄─ a b-CAP client that reads one variable each second
 //! ```
 #![no_std]
 #![no_main]
@@ -14,7 +14,7 @@ use bcap_core::bcap::{Client, call, server as bcap_server};
 use bcap_core::io::CallError;
 use bcap_core::rac::{self, server as rac_server};
 use bcap_embassy::net::{Connection, NetError, Options, TcpClient, TcpTransport};
-use bcap_embassy::server::{Limits, Listener, Shared, UdpPeer, UdpServer};
+use bcap_embassy::server::{Limits, Listener, SharedHandler, UdpPeer, UdpServer};
 use bcap_firmware::net::{self, NetRunner};
 use bcap_firmware::node::Node;
 use bcap_firmware::{clock, config, executor, fault, lan9118, stack, uart};
@@ -34,7 +34,7 @@ const SOCKETS: usize = RAC_SESSIONS + 4;
 type RacSession = rac_server::Session<[u8; 512]>;
 type BcapSession = bcap_server::Session<[u8; 512], [u8; 512], 16>;
 
-static NODE: Shared<CriticalSectionRawMutex, Node, SOCKETS> = Shared::new(Node::new());
+static NODE: SharedHandler<CriticalSectionRawMutex, Node, SOCKETS> = SharedHandler::new(Node::new());
 
 #[panic_handler]
 fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
@@ -45,7 +45,7 @@ fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
 fn main() -> ! {
     executor::run(|spawner| {
         if start(spawner).is_err() {
-            defmt::error!("there is no room for a task");
+            defmt::error!("cannot start a task: its pool is full");
             fault::end()
         }
     })
@@ -53,7 +53,7 @@ fn main() -> ! {
 
 /// Starts the board and all tasks.
 ///
-/// Not inlined: what is made here on its way into its place would stay on the stack for ever.
+/// Not inlined: otherwise the temporaries of initialisation would stay on the stack forever.
 #[inline(never)]
 fn start(spawner: Spawner) -> Result<(), SpawnError> {
     static RESOURCES: ConstStaticCell<StackResources<SOCKETS>> = ConstStaticCell::new(StackResources::new());
@@ -124,7 +124,7 @@ async fn serve_udp(stack: Stack<'static>) {
     }
 }
 
-/// Reads a variable of the robot each second, and connects again when that fails.
+/// Reads a variable of the robot each second; reconnects after a failure.
 #[embassy_executor::task]
 async fn watch_robot(stack: Stack<'static>, settings: &'static Settings<'static>) -> ! {
     static MEMORY: ConstStaticCell<[[u8; 512]; 4]> = ConstStaticCell::new([[0; 512]; 4]);
@@ -141,7 +141,7 @@ async fn watch_robot(stack: Stack<'static>, settings: &'static Settings<'static>
             Err(error) => CallError::Io(error),
         };
         NODE.update(|node| node.robot_is_up = false);
-        defmt::warn!("robot: {}, again in {=u64} s", error, pause);
+        defmt::warn!("robot: {}, retry in {=u64} s", error, pause);
         Timer::after_secs(pause).await;
         pause = (pause * 2).min(30);
     }
@@ -153,7 +153,7 @@ async fn connect(robot: &mut TcpClient<'_, &mut [u8]>, settings: &Settings<'_>) 
     Ok(())
 }
 
-/// Reads the variable until something fails.
+/// Reads the variable until a call fails.
 async fn read(robot: &mut TcpClient<'_, &mut [u8]>, settings: &Settings<'_>) -> CallError<NetError> {
     let read = async {
         robot.call(call::service_start("WDT=400")).await?;
@@ -173,7 +173,7 @@ async fn read(robot: &mut TcpClient<'_, &mut [u8]>, settings: &Settings<'_>) -> 
     }
 }
 
-/// Reports the state of the board now and then.
+/// Logs the state of the board periodically.
 #[embassy_executor::task]
 async fn report() -> ! {
     loop {

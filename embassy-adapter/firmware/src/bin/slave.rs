@@ -1,13 +1,13 @@
-//! A board that moves the robot: a trajectory in Slave Mode, a pose every 8 ms by the board's own timer.
+//! A board that moves the robot: it streams a trajectory in Slave Mode, a pose every 8 ms by its own timer.
 //!
 //! ```text
-//!  joint 1   ____----____      10 degrees and back in 16 s, from where the robot stands; mode 0, 2,000 poses
+//!  joint 1   ____----____      10 degrees and back in 16 s, from the robot's present pose; mode 0, 2,000 poses
 //!  slave: 2005 cycles, late 0, underflows 0, refused 0, round trip p50 .. p99 .. max .. us, jitter p50 .. p99 .. max .. us
 //!  slave: slvMove: refused with ...           and the controller's first error, over a second connection
 //! ```
 //!
-//! It speaks TCP to the controller of the settings. After the trajectory the program ends, well if no pose came too late
-//! for the robot.
+//! It speaks TCP to the configured controller. After the trajectory the program ends; with success if no pose reached the
+//! robot too late.
 #![no_std]
 #![no_main]
 
@@ -38,7 +38,7 @@ const CYCLES: u32 = 2000;
 const TURN: f64 = 10.0;
 
 type Link = TcpClient<'static, &'static mut [u8]>;
-/// Memory of a connection: for the socket both ways, for a request and for a reply.
+/// The buffers of a connection: the socket's two, one for a request and one for a reply.
 type Memory = [[u8; 512]; 4];
 
 #[panic_handler]
@@ -111,7 +111,7 @@ async fn connect(
     Ok(())
 }
 
-/// Streams the trajectory and says how it went; `true` when that was well.
+/// Streams the trajectory and logs its statistics; returns whether it succeeded.
 async fn stream(motion: &mut Link, watch: &mut Link, settings: &Settings<'_>) -> bool {
     let provider = Provider::new(settings.provider);
     let handles = motion.run(open_robot(provider, None)).await;
@@ -149,7 +149,7 @@ async fn stream(motion: &mut Link, watch: &mut Link, settings: &Settings<'_>) ->
     ended.is_ok() && engine.stats().underflows == 0
 }
 
-/// Turns joint 1 there and back, at rest at both ends, its acceleration without steps.
+/// Turns joint 1 there and back, at rest at both ends and with a continuous acceleration.
 fn trajectory(cycle: &Cycle<'_>) -> Next {
     if cycle.number == CYCLES {
         return Next::Finish;

@@ -6,8 +6,8 @@
 //!
 //! 1. `binary`, all of b-CAP, must not have any symbol of `core::panicking`, nor the place where a panic ends.
 //! 2. `text`, the text of values and RAC, must not either; what is found is listed by the crate that it comes from.
-//! 3. The first image with a panic path planted must have one: the check sees what it looks for.
-//! 4. Both are run, to show that what was searched is what works.
+//! 3. The first image with a planted panic path must have one, which shows that the check detects it.
+//! 4. Both are run, which shows that the searched images work.
 
 mod disassembly;
 

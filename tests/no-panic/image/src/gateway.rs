@@ -53,7 +53,7 @@ pub fn serve(input: &[u8]) -> u32 {
             session.transmitted(received);
             gateway.robot_received(received);
         }
-        // now and then its bytes are none of a robot
+        // some of its bytes are not valid replies
         if robot.next() == b'!' {
             let received = super::carry(chunk, gateway.robot_receive_buffer());
             gateway.robot_received(received);

@@ -1,7 +1,7 @@
-//! The loops that block: servers in the same program answer, and what the input says goes wrong with the link.
+//! The blocking loops, with servers in the same program, and link faults that the input selects.
 //!
-//! The loops that await cannot be searched like this: the compiler puts a panic into every `async fn`, for being polled
-//! again after it has ended. It is the only one that they have; `.await` never does that.
+//! The async loops cannot be searched: the compiler puts a panic into every `async fn` for a poll after its end, which
+//! `.await` never does. They have no other panic.
 
 use bcap_core::endpoint::{Endpoint, Serve};
 use core::time::Duration;

@@ -1,4 +1,4 @@
-//! Connections that take slots and say nothing.
+//! Connections that occupy slots and send nothing.
 
 use std::net::{IpAddr, SocketAddr, TcpStream};
 

@@ -1,5 +1,5 @@
-//! The b-CAP codec and client: a session that opens a controller, a variable and a robot, reads, writes and executes; of
-//! what comes numbers, poses and strings are read.
+//! The b-CAP codec and client: a session that opens a controller, a variable and a robot, reads, writes and executes. It
+//! reads numbers, poses and strings from the replies.
 #![no_std]
 #![no_main]
 
@@ -17,7 +17,7 @@ type Board = Client<[u8; 512]>;
 fn run(memory: &mut Memory) {
     static CLIENT: Place<Board> = Place::new();
     let client = CLIENT.put(Client::new(black_box(Config::TCP), [0; 512], [0; 512]));
-    // the results that are handles are those of the last reply, as nothing of this is run
+    // the handles are those of the last reply; that is enough, because the image is not run
     let handle = black_box(1);
     converse(client, memory, &call::service_start("WDT=400"));
     converse(client, memory, &call::controller_connect("", black_box("CaoProv.DENSO.VRC9"), "localhost", ""));
@@ -33,14 +33,14 @@ fn run(memory: &mut Memory) {
     converse(client, memory, &call::service_stop());
 }
 
-/// Makes a call and goes on until it has ended.
+/// Makes a call and polls the client until its end.
 fn converse<C: Call>(client: &mut Board, memory: &mut Memory, call: &C) {
     let now = black_box(Instant::ZERO);
     black_box(client.start(call, client.timing(), now).is_ok());
     carry(client, memory, now);
 }
 
-/// Moves bytes in both directions, as a link does.
+/// Moves bytes in both directions, as a link would.
 #[inline(never)]
 fn carry(client: &mut Board, memory: &mut Memory, now: Instant) {
     loop {

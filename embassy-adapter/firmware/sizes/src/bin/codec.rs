@@ -1,4 +1,4 @@
-//! The b-CAP codec: frames of any link are decoded, every value in them read, and written anew behind a request.
+//! The b-CAP codec: it decodes frames of any link, reads every value in them and encodes the values in a new request.
 #![no_std]
 #![no_main]
 
@@ -12,7 +12,7 @@ use bcap_sizes::{Memory, entry};
 entry!(run);
 
 fn run(memory: &mut Memory) {
-    // which link it is, how strict, and with which limits is known at run time only
+    // the link, the strictness and the limits are known only at run time
     let decoder = black_box(Decoder::TCP);
     let seen = match decoder.decode(&memory.input) {
         Ok(Progress::Complete(frame, used)) => {
@@ -25,7 +25,7 @@ fn run(memory: &mut Memory) {
     black_box(seen);
 }
 
-/// Reads a value of any type, and those inside of an array.
+/// Reads a value of any type, and the elements of an array.
 fn read(value: Variant<'_>) -> usize {
     match value {
         Variant::Bstr(text) => text.len(),
@@ -42,7 +42,7 @@ fn number(value: &Variant<'_>) -> usize {
     value.as_i32().map_or(usize::from(float), |number| usize::try_from(number).unwrap_or(0))
 }
 
-/// Writes a request with arguments as calls have them, and the values that came.
+/// Writes a request with the arguments of a typical call and the received values.
 fn write(decoder: &Decoder, frame: &bcap_core::bcap::Frame<'_>, output: &mut [u8]) -> Result<usize, EncodeError> {
     let mut out = FrameWriter::new(output)?.with_crc(decoder.crc);
     out.argument(&black_box(1_i32))?;

@@ -1,4 +1,4 @@
-//! Nothing: what is subtracted from the others.
+//! The empty image, whose size is subtracted from those of the others.
 #![no_std]
 #![no_main]
 

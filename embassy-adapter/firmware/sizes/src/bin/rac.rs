@@ -1,4 +1,4 @@
-//! A RAC server with the text of values: lines of any kind are read, answered and written.
+//! A RAC server with the text format of values: it parses lines of every kind and answers them.
 #![no_std]
 #![no_main]
 
@@ -33,7 +33,7 @@ fn run(memory: &mut Memory) {
     }
 }
 
-/// A position and a number, which can be read and written.
+/// A position and a number that can be read and written.
 struct Store {
     pose: [f32; 7],
     number: i32,

@@ -1,4 +1,4 @@
-//! A RAC client with the text of values: requests are written, and replies of any kind read.
+//! A RAC client with the text format of values: it writes requests and parses replies of every kind.
 #![no_std]
 #![no_main]
 
@@ -17,7 +17,7 @@ fn run(memory: &mut Memory) {
     static CLIENT: Place<Client<[u8; 256]>> = Place::new();
     let client = CLIENT.put(Client::new(black_box(Config::TCP), [0; 256]));
     let variable = black_box(Variable::new(VariableKind::P, 1));
-    // what is written next is what was read last, of any type
+    // the next request writes the last value read, of any type
     let value = black_box(Variant::I4(1));
     for request in [Request::Get(variable), Request::Put(variable, value)] {
         black_box(client.start(&request, now).is_ok());

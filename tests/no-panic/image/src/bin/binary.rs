@@ -1,7 +1,7 @@
 //! Everything of b-CAP: reads frames from standard input, decodes, reads, checks and writes them again.
 //!
-//! Whatever follows from the input is unknown to the compiler, so nothing of this can be computed at build time. The
-//! frames that were understood go to standard output, encoded anew.
+//! The compiler does not know the input, so it cannot compute any of this at build time. The decoded frames are encoded
+//! again to standard output.
 #![no_std]
 #![no_main]
 

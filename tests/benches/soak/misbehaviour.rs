@@ -1,4 +1,4 @@
-//! The clients that do not behave: each does one thing after the other that a client should not, some seven in a second.
+//! The misbehaving clients: each violates the protocol about seven times a second.
 
 use std::io;
 use std::sync::atomic::Ordering;
@@ -19,10 +19,10 @@ use tokio::time::{sleep, timeout};
 use crate::Plan;
 use crate::server::Addresses;
 
-/// How long a client waits between two of its deeds, on average.
+/// The average pause of a client between two violations.
 const PACE: Duration = Duration::from_millis(100);
 
-/// What they send, made once: the work of making it is not the server's, but the processor may be.
+/// The bytes that the clients send. They are made only once, because the clients may share a processor with the server.
 static MESSAGES: LazyLock<Messages> = LazyLock::new(Messages::new);
 
 struct Messages {
@@ -90,13 +90,13 @@ async fn client(server: Addresses, mut random: Random, plan: Arc<Plan>) {
         if plan.is_together.load(Ordering::Relaxed) {
             // the server defends itself, so most deeds end with an error
             let _ = timeout(Duration::from_secs(5), deed(server, &mut random)).await;
-            plan.mischief.fetch_add(1, Ordering::Relaxed);
+            plan.misbehaviour.fetch_add(1, Ordering::Relaxed);
         }
         sleep(Duration::from_micros(random.below(2 * PACE.as_micros() as u64))).await;
     }
 }
 
-/// Does one thing that a client should not.
+/// Commits one random violation.
 async fn deed(server: Addresses, random: &mut Random) -> io::Result<()> {
     let kind = random.below(14);
     match kind {
