@@ -24,11 +24,12 @@ use super::stream;
 use crate::clock::now;
 use crate::connect::set_up_tcp;
 
-/// Handles that one peer can have open.
+/// The maximum number of open handles of one peer.
 const OBJECTS: usize = 1000;
-/// Connections over the limit that are told so at the same time; more are closed without a word.
+/// The number of connections over the limit that are answered E_MAX_CONNECT at the same time; further ones are closed at
+/// once.
 const REFUSALS: usize = 32;
-/// How long a connection over the limit has for its first request.
+/// How long a connection over the limit may take to send its first request.
 pub(super) const REFUSAL_TIME: Duration = Duration::from_secs(2);
 
 type StreamSession = Session<Buffer, Buffer, OBJECTS>;
@@ -50,7 +51,7 @@ pub(super) async fn listen<H: Handler + Send + 'static>(
     .await
 }
 
-/// Accepts connections, serves those that get a slot and refuses the others.
+/// Accepts connections, serves those that get a slot, and refuses the others.
 pub(super) async fn accept<S, R>(
     listener: TcpListener,
     limits: Limits,
@@ -71,13 +72,13 @@ where
             () = served.ended(), if !served.tasks.is_empty() => continue,
             _ = refused.join_next(), if !refused.is_empty() => continue,
         };
-        // those that have ended hold no slot, whichever of the two came first
+        // connections that have ended hold no slot, even if `select!` has not returned them yet
         served.free_slots();
         while refused.try_join_next().is_some() {}
         match accepted {
             Ok((stream, address)) => {
                 if let Err(error) = set_up_tcp(SockRef::from(&stream), limits.keep_alive) {
-                    tracing::debug!(%address, %error, "the connection was gone at once");
+                    tracing::debug!(%address, %error, "the new connection is closed already");
                 } else if let Some(activity) = served.admit(address.ip()) {
                     served.spawn(address.ip(), &activity, serve(stream, Arc::clone(&activity)));
                 } else if refused.len() < REFUSALS {
@@ -85,7 +86,7 @@ where
                     refused.spawn(refuse(stream));
                 }
             }
-            // an error of one connection is not the listener's end; too many open files is over when some are closed
+            // an error of one connection does not end the listener; "too many open files" ends when some are closed
             Err(error) => {
                 tracing::warn!(%error, "cannot accept a connection");
                 tokio::time::sleep(Duration::from_millis(50)).await;
@@ -101,19 +102,19 @@ where
 struct Served {
     slots: Slots,
     tasks: JoinSet<()>,
-    /// The holders of slots, by their tasks. A task that was told to end has lost its slot.
+    /// The holders of slots by their tasks. An evicted task holds no slot, even before it ends.
     holders: HashMap<Id, (IpAddr, Arc<Activity>)>,
 }
 
 impl Served {
-    /// Finds a slot for a connection, and tells the connection that loses it to end; `None` without a slot.
+    /// Finds a slot for a connection, and evicts the connection that loses it; `None` if there is no slot.
     fn admit(&mut self, address: IpAddr) -> Option<Arc<Activity>> {
         let taken = self.holders.iter().map(|(id, (address, activity))| (*id, *address, activity.state()));
         match self.slots.admit(taken, address, now()) {
             Admission::Free => {}
             Admission::Instead(id) => {
                 if let Some((address, activity)) = self.holders.remove(&id) {
-                    tracing::info!(%address, "an idle connection is closed for another");
+                    tracing::info!(%address, "an idle connection is evicted: another needs its slot");
                     activity.evict();
                 }
             }
