@@ -23,7 +23,7 @@ use crate::args::{Doctor, LinkArgs};
 use crate::budget::Budget;
 use crate::error::Failure;
 use crate::object::Path;
-use crate::session::{Session, integer, text};
+use crate::session::{ControllerSession, integer, text};
 use crate::target::Transport;
 use crate::value::Value;
 
@@ -81,13 +81,13 @@ fn reach(
     transport: Transport,
     args: &Doctor,
     link: &LinkArgs,
-) -> Result<Option<Session>, Failure> {
+) -> Result<Option<ControllerSession>, Failure> {
     let (link, began) = (&over(transport, args, link)?, Instant::now());
     let (check, budget) = match transport {
         Transport::Tcp => ("tcp", Budget::start(link)),
         Transport::Udp => ("udp", Budget::start(link).answer_within(UDP_TIMEOUT)),
     };
-    let reached = Session::open(link).and_then(|mut session| {
+    let reached = ControllerSession::open(link).and_then(|mut session| {
         session.set_budget(budget);
         session.start(link).map(|()| session)
     });
@@ -106,7 +106,7 @@ fn reach(
 }
 
 /// Looks at the controller behind a connection.
-fn examine(session: &mut Session, link: &LinkArgs, report: &mut Report) -> Result<(), Failure> {
+fn examine(session: &mut ControllerSession, link: &LinkArgs, report: &mut Report) -> Result<(), Failure> {
     let Some(controller) = provider(session, link, report)? else {
         let rest = CHECKS.into_iter().skip(1);
         return rest.into_iter().try_for_each(|check| report.note(check, Finding::Skipped("it needs the provider")));
@@ -130,7 +130,7 @@ fn robot() -> Result<Path, Failure> {
 }
 
 /// Connects to the provider that was asked for, or else to the other one.
-fn provider(session: &mut Session, link: &LinkArgs, report: &mut Report) -> Result<Option<i32>, Failure> {
+fn provider(session: &mut ControllerSession, link: &LinkArgs, report: &mut Report) -> Result<Option<i32>, Failure> {
     let asked = link.provider.as_str();
     let mut refusals = Vec::new();
     for provider in [asked].into_iter().chain(PROVIDERS.into_iter().filter(|other| *other != asked)) {
@@ -163,7 +163,7 @@ fn provider(session: &mut Session, link: &LinkArgs, report: &mut Report) -> Resu
     Ok(None)
 }
 
-fn version(session: &mut Session) -> Result<Finding, Failure> {
+fn version(session: &mut ControllerSession) -> Result<Finding, Failure> {
     let (version, serial) = (variable(session, "@VERSION")?, variable(session, "@SERIAL_NO")?);
     Ok(match version {
         Some(version) => {
@@ -178,7 +178,7 @@ fn version(session: &mut Session) -> Result<Finding, Failure> {
 }
 
 /// Reads a variable of the controller; `None` when it is refused.
-fn variable(session: &mut Session, name: &str) -> Result<Option<Value>, Failure> {
+fn variable(session: &mut ControllerSession, name: &str) -> Result<Option<Value>, Failure> {
     let path = Path::variable(name).map_err(Failure::Input)?;
     let read = session.object(&path).and_then(|handle| {
         let value = session.call(FunctionId::VARIABLE_GET_VALUE, &[integer(handle)?]);
@@ -196,7 +196,7 @@ fn plain(value: &Value) -> String {
 
 /// A controller with its robot.
 struct Patient<'a> {
-    session: &'a mut Session,
+    session: &'a mut ControllerSession,
     controller: i32,
     robot: i32,
 }

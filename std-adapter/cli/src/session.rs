@@ -18,7 +18,7 @@ use crate::object::{Path, opened_by, word};
 use crate::value::Value;
 
 /// A session, from Service_Start on.
-pub(crate) struct Session {
+pub(crate) struct ControllerSession {
     connection: Connection,
     provider: String,
     started: bool,
@@ -30,9 +30,9 @@ pub(crate) struct Session {
 /// Runs `body` with a session, and ends the session properly.
 pub(crate) fn with_session<T>(
     link: &LinkArgs,
-    body: impl FnOnce(&mut Session) -> Result<T, Failure>,
+    body: impl FnOnce(&mut ControllerSession) -> Result<T, Failure>,
 ) -> Result<T, Failure> {
-    let mut session = Session::open(link)?;
+    let mut session = ControllerSession::open(link)?;
     let result = session.start(link).and_then(|()| body(&mut session));
     if result.as_ref().err().is_none_or(Failure::leaves_the_session_alive) {
         session.close();
@@ -40,7 +40,7 @@ pub(crate) fn with_session<T>(
     result
 }
 
-impl Session {
+impl ControllerSession {
     /// Connects, but does not start the service yet.
     pub(crate) fn open(link: &LinkArgs) -> Result<Self, Failure> {
         let connection = Connection::open(&link.target()?, Budget::start(link))?;

@@ -9,7 +9,7 @@ use crate::error::Failure;
 use crate::item::{print_json, print_line};
 use crate::object::{Path, Step, word};
 use crate::plain;
-use crate::session::{Session, integer, text, with_session};
+use crate::session::{ControllerSession, integer, text, with_session};
 use crate::value::Value;
 
 /// Runs `bcap get`.
@@ -70,7 +70,7 @@ pub(crate) fn parse_all(names: &[String]) -> Result<Vec<Path>, Failure> {
     names.iter().map(|name| Path::variable(name).map_err(Failure::Input)).collect()
 }
 
-fn get_one(session: &mut Session, path: &Path) -> Result<Value, Failure> {
+fn get_one(session: &mut ControllerSession, path: &Path) -> Result<Value, Failure> {
     let variable = session.object(path)?;
     let value = read(session, path, variable);
     let released = session.release(variable);
@@ -80,7 +80,7 @@ fn get_one(session: &mut Session, path: &Path) -> Result<Value, Failure> {
 }
 
 /// Reads an opened variable.
-pub(crate) fn read(session: &mut Session, path: &Path, variable: i32) -> Result<Value, Failure> {
+pub(crate) fn read(session: &mut ControllerSession, path: &Path, variable: i32) -> Result<Value, Failure> {
     let value = session.call_on(path, FunctionId::VARIABLE_GET_VALUE, &[integer(variable)?])?;
     Ok(value.map_or_else(|| Value::new(&()), Ok)?)
 }
@@ -131,7 +131,7 @@ pub(crate) fn names(link: &LinkArgs, json: bool) -> Result<(), Failure> {
 
 /// The lists of `bcap names`: each is printed whole, or counted and, unless the controller has none, reported.
 struct Lists<'a> {
-    session: &'a mut Session,
+    session: &'a mut ControllerSession,
     json: bool,
     asked: usize,
     /// How many the controller does not implement.
@@ -179,7 +179,7 @@ impl Lists<'_> {
 }
 
 /// Asks for a list of names; a reply that is not one is an error, so that no part of a list is lost.
-fn list(session: &mut Session, owner: &Path, function: FunctionId) -> Result<Vec<String>, Failure> {
+fn list(session: &mut ControllerSession, owner: &Path, function: FunctionId) -> Result<Vec<String>, Failure> {
     let handle = session.object(owner)?;
     let names = session.call_on(owner, function, &[integer(handle)?, text("")?]);
     let released = if owner.steps.is_empty() { Ok(()) } else { session.release(handle) };

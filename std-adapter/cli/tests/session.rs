@@ -148,7 +148,7 @@ fn call_takes_names_numbers_objects_and_values() {
     for (args, word) in [
         (&["NoSuchFunction"][..], "no function NoSuchFunction"),
         (&["138"], "no function 138"),
-        (&["RobotSpeed", "task:Pro1", "1", "1"], "takes a robot"),
+        (&["RobotSpeed", "task:Pro1", "1", "1"], "task:Pro1 is not a robot"),
         (&["VariablePutValue", "3,1", "x"], "Variable_PutValue(variable, value)"),
     ] {
         let run = call(args);
@@ -224,7 +224,7 @@ fn nobody_there_is_code_3() {
     let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let run = bcap(&["get", "I1", "--robot", &format!("tcp:{free}")]);
     assert_eq!((run.out.as_str(), run.code), ("", 3));
-    assert!(run.err.contains(&free.to_string()) && run.err.contains("hint: nothing listens there"), "{}", run.err);
+    assert!(run.err.contains(&free.to_string()) && run.err.contains("hint: no server listens there"), "{}", run.err);
     let run = bcap(&["get", "I1", "--robot", "tcp:no-such-host.invalid"]);
     assert!(run.code == 3 && run.err.contains("no-such-host.invalid"), "{run:?}");
 }

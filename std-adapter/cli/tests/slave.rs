@@ -154,7 +154,10 @@ fn nothing_moves_without_consent_or_with_a_file_that_is_none() {
     assert!(run.code == 2 && run.err.contains("give --yes"), "{run:?}");
     let bad = file("bad.csv", "0,45,90,0,45,0\n0,45,ninety,0,45,0\n");
     let run = slave(&sim, &["play", &bad, "--yes"]);
-    assert!(run.code == 2 && run.err.contains("bad.csv: line 2: field 3: \"ninety\" is not a number"), "{run:?}");
+    assert!(
+        run.code == 2 && run.err.contains("bad.csv: line 2: field 3: \"ninety\" is not a finite number"),
+        "{run:?}"
+    );
     let run = slave(&sim, &["play", "no/such.csv", "--yes"]);
     assert!(run.code == 2 && run.err.contains("cannot read no/such.csv"), "{run:?}");
     assert_eq!(sim.application().0.error_log().count(), 0);
@@ -197,7 +200,7 @@ fn ctrl_c_slows_down_within_the_limits_and_gives_the_arm_back() {
     let mut err = String::new();
     child.stderr.take().unwrap().read_to_string(&mut err).unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(130), "{err}");
-    assert!(err.contains("stopping") && err.contains("the robot stands, the arm is given back"), "{err}");
+    assert!(err.contains("stopping") && err.contains("the robot has stopped and the arm is released"), "{err}");
 
     let speeds = speeds(&sim);
     let limits = sim.application().0.slave_limits();
