@@ -40,7 +40,7 @@ impl Handler for Store {
             FunctionId::CONTROLLER_GET_VARIABLE => {
                 self.next_handle += 1;
                 let name = request.text(1).to_string();
-                assert_ne!(name, "panic", "as the test wants it");
+                assert_ne!(name, "panic", "on request of the test");
                 let number = name.parse().unwrap_or(0);
                 self.names.insert(self.next_handle, number);
                 let _ = reply.set(&self.next_handle);
@@ -91,13 +91,13 @@ fn start_with(limits: Limits, set_up: fn(Server<Store>) -> Server<Store>) -> Run
     let store = std::sync::Arc::default();
     let handler = std::sync::Arc::clone(&store);
     let (stop, stopped) = oneshot::channel();
-    let (tell, addresses) = std::sync::mpsc::channel();
+    let (sender, addresses) = std::sync::mpsc::channel();
     let thread = std::thread::spawn(move || {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         runtime.block_on(async {
             let server = set_up(Server::with_shared(handler)).limits(limits);
             let server = server.bcap_tcp("127.0.0.1:0").await.unwrap().bcap_udp("127.0.0.1:0").await.unwrap();
-            tell.send(server.addresses()).unwrap();
+            sender.send(server.addresses()).unwrap();
             let shutdown = async {
                 let _ = stopped.await;
             };

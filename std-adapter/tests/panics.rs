@@ -132,14 +132,14 @@ impl Running {
         let handler = Arc::<Mutex<Panicking>>::default();
         let shared = Arc::clone(&handler);
         let (stop, stopped) = oneshot::channel::<()>();
-        let (tell, addresses) = std::sync::mpsc::channel();
+        let (sender, addresses) = std::sync::mpsc::channel();
         let thread = std::thread::spawn(move || {
             let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
             runtime.block_on(async {
                 let server = Server::with_shared(shared).limits(Limits::default());
                 let server = server.bcap_tcp("127.0.0.1:0").await.unwrap().bcap_udp("127.0.0.1:0").await.unwrap();
                 let server = server.rac_tcp("127.0.0.1:0").await.unwrap();
-                tell.send(server.addresses()).unwrap();
+                sender.send(server.addresses()).unwrap();
                 server.run(async { drop(stopped.await) }).await
             })
         });

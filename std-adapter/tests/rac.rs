@@ -34,7 +34,7 @@ impl server::Handler for Counter {
             (VariableKind::I, 2, None) => {
                 // a value that was set before the panic is not sent
                 let _ = reply.set(&self.count);
-                panic!("as the test wants it");
+                panic!("on request of the test");
             }
             (VariableKind::I, 1, None) if self.count != 0 => return Outcome::Wait(Instant::FAR_FUTURE),
             (VariableKind::I, 0 | 1, None) => {
@@ -68,12 +68,12 @@ fn start(limits: Limits) -> Running {
     let counter = Arc::new(Mutex::new(Counter { count: 41, left: 0 }));
     let handler = Arc::clone(&counter);
     let (stop, stopped) = oneshot::channel::<()>();
-    let (tell, addresses) = std::sync::mpsc::channel();
+    let (sender, addresses) = std::sync::mpsc::channel();
     let thread = std::thread::spawn(move || {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         runtime.block_on(async {
             let server = Server::with_shared(handler).limits(limits).rac_tcp("127.0.0.1:0").await.unwrap();
-            tell.send(server.addresses()).unwrap();
+            sender.send(server.addresses()).unwrap();
             server.run(async { drop(stopped.await) }).await.unwrap();
         });
     });

@@ -54,7 +54,7 @@ fn puts(count: usize, bytes: usize) -> (Vec<Put>, ThreadId) {
     let handler = Recorder { puts: Vec::new(), turns: Arc::clone(&turns), begin: begun };
     let handler = Arc::new(Mutex::new(handler));
     let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
-    let (tell, address) = mpsc::channel();
+    let (sender, address) = mpsc::channel();
     let shared = Arc::clone(&handler);
     let server = thread::spawn(move || {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
@@ -66,7 +66,7 @@ fn puts(count: usize, bytes: usize) -> (Vec<Put>, ThreadId) {
                 }
             });
             let server = Server::with_shared(shared).bcap_tcp("127.0.0.1:0").await.unwrap();
-            tell.send(server.addresses().bcap_tcp[0]).unwrap();
+            sender.send(server.addresses().bcap_tcp[0]).unwrap();
             server.run(async { drop(stopped.await) }).await.unwrap();
         });
     });

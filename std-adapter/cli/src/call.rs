@@ -48,7 +48,7 @@ fn call_in(
     if code.is_err() {
         return Err(Failure::Refused { doing: usage(function), code });
     }
-    session.note(function, &values, value.as_ref());
+    session.record(function, &values, value.as_ref());
     print_reply(code, value.as_ref(), json)
 }
 

@@ -279,7 +279,7 @@ impl<H: Send + 'static> Connection<H> {
         [session.poll_timeout(), partial, self.silent_until(session), memory].into_iter().flatten().min()
     }
 
-    /// Returns when unused memory must be released; `None` if there is none or the session is busy.
+    /// Returns when unused memory must be released; `None` if the session is busy or has no unused memory.
     fn memory_kept_until<M: ServeLocked<H>>(&self, session: &M) -> Option<Instant> {
         let idle = !session.is_running() && !session.is_receiving();
         (idle && session.memory() > 2 * STREAM_ROOM).then(|| self.last_active.saturating_add(MEMORY_KEPT))

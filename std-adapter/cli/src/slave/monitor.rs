@@ -25,7 +25,7 @@ pub(crate) struct StreamStatus {
     sent: AtomicU32,
     late: AtomicU32,
     refused: AtomicU32,
-    /// The margin of the controller's buffer in microseconds; `NO_MARGIN` if there is none.
+    /// The margin of the controller's buffer in microseconds; `NO_MARGIN` without a buffer.
     margin: AtomicU32,
 }
 
