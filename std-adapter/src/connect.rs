@@ -70,7 +70,7 @@ pub enum ConnectError {
     /// No address of the name accepted the connection; this is the error of the last one.
     #[error("cannot connect to {address}")]
     Connect {
-        /// The address that was tried last.
+        /// The last address.
         address: SocketAddr,
         /// The operating system's error.
         source: io::Error,
@@ -85,6 +85,15 @@ impl ConnectError {
     #[must_use]
     pub fn is_timeout(&self) -> bool {
         matches!(self, Self::Connect { source, .. } if source.kind() == io::ErrorKind::TimedOut)
+    }
+}
+
+/// Keeps the kind of the error of the operating system, and writes both errors in one line.
+impl From<ConnectError> for io::Error {
+    fn from(error: ConnectError) -> Self {
+        let (ConnectError::Resolve { source, .. } | ConnectError::Connect { source, .. } | ConnectError::Setup(source)) =
+            &error;
+        Self::new(source.kind(), format!("{error}: {source}"))
     }
 }
 

@@ -6,6 +6,7 @@
 //! | `asynch`     | `tokio`  | the same clients for tokio                                              |
 //! | [`slave`]    |          | real-time settings of Linux for streams of Slave Mode                   |
 //! | `server`     | `server` | a server for any handler: b-CAP over TCP and UDP, RAC over TCP          |
+//! | `gateway`    | `gateway` | RAC for PLCs on one side, b-CAP to a robot on the other                |
 //!
 //! The protocol is in [`bcap_core`], which does no I/O. This crate connects it to sockets and a clock. A call takes two
 //! system calls: one send and one receive.
@@ -34,6 +35,8 @@ pub mod asynch;
 pub mod blocking;
 mod clock;
 mod connect;
+#[cfg(feature = "gateway")]
+pub mod gateway;
 #[cfg(feature = "server")]
 pub mod server;
 pub mod slave;

@@ -685,34 +685,28 @@ impl Flood {
     }
 }
 
-/// Serials whose replies may still come, as ranges; when there are more than this holds, the oldest are forgotten.
+/// Serials whose replies may still arrive, as ranges; when there are more than this holds, the oldest are forgotten.
 #[derive(Debug, Default)]
 struct Unanswered {
-    ranges: heapless::Deque<(u16, u16), 8>,
+    ranges: heapless::Vec<(u16, u16), 8>,
 }
 
 impl Unanswered {
     fn push(&mut self, first: u16, last: u16) {
         if self.ranges.is_full() {
-            self.ranges.pop_front();
+            self.ranges.remove(0);
         }
-        // there is room: one was just taken out
-        let _ = self.ranges.push_back((first, last));
+        // there is room: one was just removed
+        let _ = self.ranges.push((first, last));
     }
 
     fn contains(&self, serial: u16) -> bool {
         self.ranges.iter().any(|(first, last)| within(serial, *first, *last))
     }
 
-    /// Forgets a range of one serial that has been answered; of retried calls more replies may come.
+    /// Forgets a range of one serial that has been answered; of retried calls more replies may arrive.
     fn answered(&mut self, serial: u16) {
-        for _ in 0..self.ranges.len() {
-            if let Some(range) = self.ranges.pop_front()
-                && range != (serial, serial)
-            {
-                let _ = self.ranges.push_back(range);
-            }
-        }
+        self.ranges.retain(|range| *range != (serial, serial));
     }
 }
 

@@ -1,4 +1,4 @@
-//! The handles of variables that the robot has given: a fixed table, in which the one used longest ago makes room.
+//! The handles of variables at the robot: an LRU cache of fixed size.
 
 use crate::bcap::call::VariableHandle;
 use crate::rac::Variable;
@@ -17,13 +17,13 @@ pub(super) struct Entry {
 pub(super) enum Lookup {
     /// Its handle is known.
     Known(VariableHandle),
-    /// Its handle is to be got; there is room for it.
+    /// Its handle must be requested; there is room for it.
     Unknown,
-    /// The table is full: this handle is to be released first.
+    /// The table is full: this handle, used longest ago, must be released first.
     Full(VariableHandle),
 }
 
-/// A table of handles; it counts its own uses to know which came last.
+/// A table of handles, whose clock counts its uses.
 #[derive(Debug)]
 pub(super) struct Handles<'m> {
     entries: &'m mut [Option<Entry>],
@@ -36,7 +36,7 @@ impl<'m> Handles<'m> {
         Self { entries, clock: 0 }
     }
 
-    /// Looks a variable up, and takes note that it is used.
+    /// Looks up a variable, and records its use.
     pub(super) fn look_up(&mut self, variable: Variable) -> Lookup {
         self.clock = self.clock.wrapping_add(1);
         let clock = self.clock;
@@ -47,7 +47,7 @@ impl<'m> Handles<'m> {
         if self.entries.iter().any(Option::is_none) {
             return Lookup::Unknown;
         }
-        // differences, so that the clock may wrap
+        // compares differences, because the clock wraps
         match self.entries.iter().flatten().max_by_key(|entry| clock.wrapping_sub(entry.used)) {
             Some(oldest) => Lookup::Full(oldest.handle),
             None => Lookup::Unknown,
@@ -70,7 +70,7 @@ impl<'m> Handles<'m> {
         }
     }
 
-    /// Forgets all: they belonged to a connection that is gone.
+    /// Forgets all handles, whose connection has ended.
     pub(super) fn clear(&mut self) {
         self.entries.fill(None);
     }

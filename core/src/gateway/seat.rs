@@ -17,9 +17,9 @@ const VALUE: usize = 512;
 #[derive(Debug)]
 pub(super) struct Seat {
     pub(super) session: Session<[u8; VALUE]>,
-    /// Who sits here.
+    /// The client.
     pub(super) peer: Option<PeerId>,
-    /// Outlives its client, so that a new connection does not begin with a new allowance.
+    /// Outlives the client, so a new connection does not get a full bucket.
     pub(super) pace: Pace,
     pub(super) waiting: Option<Waiting>,
 }
@@ -27,10 +27,10 @@ pub(super) struct Seat {
 /// A request that has passed the rules and waits for the robot.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Waiting {
-    /// No two requests have the same; the lower came first.
+    /// Unique; the lower one was received first.
     pub(super) ticket: u32,
     pub(super) asked: Asked,
-    /// What is answered if the robot goes.
+    /// The answer if the session with the robot ends.
     pub(super) if_down: HResult,
     since: Instant,
 }
@@ -52,13 +52,13 @@ impl Seat {
         self.waiting = None;
     }
 
-    /// Frees the seat; what was asked is forgotten.
+    /// Frees the seat and forgets its request.
     pub(super) fn close(&mut self) {
         self.peer = None;
         self.waiting = None;
     }
 
-    /// Answers the request that waits, and says what was answered.
+    /// Answers the waiting request, and returns the event.
     pub(super) fn answer<T: Encode + ?Sized>(&mut self, result: HResult, value: &T, now: Instant) -> Option<Event> {
         match self.session.respond_with(result, value)? {
             server::Event::Served { result, .. } => self.answered(result, now),
@@ -66,7 +66,7 @@ impl Seat {
         }
     }
 
-    /// Takes note that the request that waits has been answered.
+    /// Records that the waiting request has been answered.
     pub(super) fn answered(&mut self, result: HResult, now: Instant) -> Option<Event> {
         let Waiting { asked, since, .. } = self.waiting.take()?;
         Some(Event::answered(self.peer?, asked, result, now.saturating_since(since)))

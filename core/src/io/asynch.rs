@@ -104,8 +104,12 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     /// When the future is dropped the call is given up: a partly sent request is finished before the next call, and the
     /// reply, if it arrives, is dropped. Whether the controller has executed the call is then unknown.
     pub async fn call<C: Call>(&mut self, call: C) -> Result<<C::Reply as Reply>::Value<'_>, CallError<X::Error>> {
+        // not through `call_with`, whose future would hold the call twice and its timing
+        clear(&mut self.transport, &mut self.client).await?;
         let timing = self.client.timing();
-        self.call_with(call, timing).await
+        self.client.start(&call, timing, self.transport.now())?;
+        wait(&mut self.transport, &mut self.client).await?;
+        Ok(self.client.value::<C::Reply>()?)
     }
 
     /// Makes a call as [`call`](Self::call) does, with its own time limits and attempts.
@@ -127,8 +131,7 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     }
 
     async fn exchange<C: Call>(&mut self, call: &C, timing: Timing) -> Result<(), CallError<X::Error>> {
-        flush(&mut self.transport, &mut self.client).await?;
-        drain(&mut self.transport, &mut self.client).await?;
+        clear(&mut self.transport, &mut self.client).await?;
         self.client.start(call, timing, self.transport.now())?;
         wait(&mut self.transport, &mut self.client).await
     }
@@ -275,8 +278,7 @@ impl<X: Transport, V: Storage> RacConnection<X, V> {
     }
 
     async fn request(&mut self, request: &Request<'_>) -> Result<(), RacError<X::Error>> {
-        flush(&mut self.transport, &mut self.client).await?;
-        drain(&mut self.transport, &mut self.client).await?;
+        clear(&mut self.transport, &mut self.client).await?;
         self.client.start(request, self.transport.now())?;
         wait(&mut self.transport, &mut self.client).await
     }
@@ -284,22 +286,15 @@ impl<X: Transport, V: Storage> RacConnection<X, V> {
 
 type Ended<X, M> = Result<(), CallError<<X as Transport>::Error, <M as Machine>::Error>>;
 
-/// Sends the rest of a call that was given up.
-async fn flush<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
+/// Clears the link for a call: sends the rest of one that was given up, and drops what arrived before this one, so that it
+/// is not taken for the reply.
+async fn clear<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
     client.give_up();
-    if client.transmit().is_empty() {
-        return Ok(());
-    }
     let until = transport.now().saturating_add(client.flush_timeout());
     while !client.transmit().is_empty() {
         let sent = transport.send(client.transmit(), until).await.map_err(CallError::Io)?;
         client.transmitted(sent.ok_or(CallError::Client(M::BUSY))?);
     }
-    Ok(())
-}
-
-/// Receives what has arrived before a call, so that it is not taken for the reply.
-async fn drain<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
     for _ in 0..MAX_EARLY {
         if client.is_over() {
             return Err(CallError::Client(M::CLOSED));

@@ -106,8 +106,7 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     }
 
     fn exchange<C: Call>(&mut self, call: &C, timing: Timing) -> Result<(), CallError<X::Error>> {
-        flush(&mut self.transport, &mut self.client)?;
-        drain(&mut self.transport, &mut self.client)?;
+        clear(&mut self.transport, &mut self.client)?;
         self.client.start(call, timing, self.transport.now())?;
         wait(&mut self.transport, &mut self.client)
     }
@@ -235,8 +234,7 @@ impl<X: Transport, V: Storage> RacConnection<X, V> {
     }
 
     fn request(&mut self, request: &Request<'_>) -> Result<(), RacError<X::Error>> {
-        flush(&mut self.transport, &mut self.client)?;
-        drain(&mut self.transport, &mut self.client)?;
+        clear(&mut self.transport, &mut self.client)?;
         self.client.start(request, self.transport.now())?;
         wait(&mut self.transport, &mut self.client)
     }
@@ -244,22 +242,15 @@ impl<X: Transport, V: Storage> RacConnection<X, V> {
 
 type Ended<X, M> = Result<(), CallError<<X as Transport>::Error, <M as Machine>::Error>>;
 
-/// Sends the rest of a call that was given up.
-fn flush<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
+/// Clears the link for a call: sends the rest of one that was given up, and drops what arrived before this one, so that it
+/// is not taken for the reply.
+fn clear<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
     client.give_up();
-    if client.transmit().is_empty() {
-        return Ok(());
-    }
     let until = transport.now().saturating_add(client.flush_timeout());
     while !client.transmit().is_empty() {
         let sent = transport.send(client.transmit(), until).map_err(CallError::Io)?;
         client.transmitted(sent.ok_or(CallError::Client(M::BUSY))?);
     }
-    Ok(())
-}
-
-/// Receives what has arrived before a call, so that it is not taken for the reply.
-fn drain<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
     for _ in 0..MAX_EARLY {
         if client.is_over() {
             return Err(CallError::Client(M::CLOSED));

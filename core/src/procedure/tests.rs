@@ -418,7 +418,7 @@ fn a_run_that_was_dropped_undoes_what_it_did() {
     assert_eq!(calls, ["Controller_Disconnect(7)", "Service_Stop()"]);
     let cause = StepCause::Failed(Failure::Timeout);
     assert_eq!(done.result.err(), Some(StepError { function: FunctionId::CONTROLLER_GET_ROBOT, cause }));
-    // a reply that nobody waits for changes nothing
+    // a reply without a call changes nothing
     hand_in(&mut procedure, &Answer::value(&1), Instant::ZERO);
     assert!(procedure.request().is_none());
 }

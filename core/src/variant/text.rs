@@ -46,7 +46,7 @@ mod print;
 mod string;
 
 pub(crate) use self::grammar::{Parsed, blanks, complete, expect, fault};
-pub(crate) use self::number::{Integer, integer};
+pub(crate) use self::number::{Integer, double, integer};
 pub(crate) use self::parse::value;
 pub(crate) use self::print::put_integer;
 

@@ -16,13 +16,13 @@ use std::io::{self, Write};
 use std::process::{self, ExitCode};
 
 use anstyle::{AnsiColor, Style};
-use bcap_core::error::EncodeError;
+use bcap_core::error::{DecodeError, EncodeError, TextError};
 use bcap_core::hresult::HResult;
 use serde::Serialize;
 use thiserror::Error;
 
 use crate::escape;
-use crate::item::{ItemError, print_json};
+use crate::output::print_json;
 
 const RED: Style = AnsiColor::Red.on_default().bold();
 const CYAN: Style = AnsiColor::Cyan.on_default();
@@ -95,6 +95,49 @@ pub(crate) enum Failure {
     /// The standard input or output failed.
     #[error("standard input or output: {0}")]
     Stdio(#[from] io::Error),
+}
+
+/// Why one item could not be converted.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub(crate) struct ItemError {
+    /// What is wrong, in words.
+    #[serde(rename = "error")]
+    pub(crate) message: String,
+    /// Where: a byte of the decoded bytes, or of the item's text when that is what is wrong; 0 is the whole item.
+    pub(crate) offset: usize,
+}
+
+impl ItemError {
+    pub(crate) fn new(message: impl Into<String>, offset: usize) -> Self {
+        Self { message: message.into(), offset }
+    }
+
+    /// Returns the line of the output in place of the item.
+    pub(crate) fn to_json(&self) -> String {
+        let short = Self::new(escape::cut(&self.message), self.offset);
+        // serializing a string and a number cannot fail
+        escape::json(&serde_json::to_string(&short).unwrap_or_default())
+    }
+}
+
+impl From<DecodeError> for ItemError {
+    fn from(error: DecodeError) -> Self {
+        Self::new(error.to_string(), error.offset)
+    }
+}
+
+impl From<EncodeError> for ItemError {
+    fn from(error: EncodeError) -> Self {
+        Self::new(error.to_string(), 0)
+    }
+}
+
+impl From<TextError> for ItemError {
+    fn from(error: TextError) -> Self {
+        // columns count from 1; 0 is an error of the value as a whole
+        let column = usize::try_from(error.column).unwrap_or(usize::MAX);
+        Self::new(error.to_string(), column.saturating_sub(1))
+    }
 }
 
 /// A value of the user is too large to encode.

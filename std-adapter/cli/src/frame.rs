@@ -18,7 +18,7 @@ use bcap_core::variant::Variant;
 use serde::Deserialize;
 use serde_json::value::RawValue;
 
-use crate::item::ItemError;
+use crate::error::ItemError;
 use crate::json::{self, LIMITS, Part};
 
 /// The role of a frame, which decides the meaning of its code.

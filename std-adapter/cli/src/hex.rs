@@ -3,7 +3,7 @@
 //! Digits come in pairs, in either case. Blanks, colons, commas and `0x` prefixes may separate the pairs, so the output of
 //! Wireshark, `xxd` or `candump`, or a part of a source file, can be pasted without changes.
 
-use crate::item::ItemError;
+use crate::error::ItemError;
 
 /// Parses bytes from their digits.
 pub(crate) fn parse(text: &[u8]) -> Result<Vec<u8>, ItemError> {

@@ -5,59 +5,14 @@
 
 use std::io::{self, BufRead, Write};
 
-use bcap_core::error::{DecodeError, EncodeError, TextError};
-use serde::Serialize;
-
-use crate::error::Failure;
+use crate::error::{Failure, ItemError};
 use crate::escape;
+use crate::output::{print_block, print_json};
 
 /// The maximum length of a line: enough for 16 MiB of bytes as digits with separators.
 const MAX_LINE: usize = 128 * 1024 * 1024;
 
-/// Why one item could not be converted.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub(crate) struct ItemError {
-    /// What is wrong, in words.
-    #[serde(rename = "error")]
-    pub(crate) message: String,
-    /// Where: a byte of the decoded bytes, or of the item's text when that is what is wrong; 0 is the whole item.
-    pub(crate) offset: usize,
-}
-
-impl ItemError {
-    pub(crate) fn new(message: impl Into<String>, offset: usize) -> Self {
-        Self { message: message.into(), offset }
-    }
-
-    /// Returns the line that stands in the output in place of the item.
-    pub(crate) fn to_json(&self) -> String {
-        let short = Self::new(escape::cut(&self.message), self.offset);
-        // a struct of a string and a number has no way to fail
-        escape::json(&serde_json::to_string(&short).unwrap_or_default())
-    }
-}
-
-impl From<DecodeError> for ItemError {
-    fn from(error: DecodeError) -> Self {
-        Self::new(error.to_string(), error.offset)
-    }
-}
-
-impl From<EncodeError> for ItemError {
-    fn from(error: EncodeError) -> Self {
-        Self::new(error.to_string(), 0)
-    }
-}
-
-impl From<TextError> for ItemError {
-    fn from(error: TextError) -> Self {
-        // columns count from 1; 0 is an error of the value as a whole
-        let column = usize::try_from(error.column).unwrap_or(usize::MAX);
-        Self::new(error.to_string(), column.saturating_sub(1))
-    }
-}
-
-/// The items that a command is to convert.
+/// The items of a command.
 pub(crate) enum Items {
     /// One, from the command line.
     One(String),
@@ -93,7 +48,7 @@ impl Items {
         match self {
             Self::One(text) => {
                 let print = if json { print_json } else { print_block };
-                print(&convert(text.as_bytes(), Place::Argument).map_err(Failure::Item)?)
+                Ok(print(&convert(text.as_bytes(), Place::Argument).map_err(Failure::Item)?)?)
             }
             Self::Lines => {
                 let escape = if json { escape::json } else { escape::line };
@@ -112,30 +67,6 @@ pub(crate) enum Place {
     Argument,
     /// A line of the standard input: the output has one line.
     Line,
-}
-
-/// Prints one line for people.
-pub(crate) fn print_line(line: &str) -> Result<(), Failure> {
-    print_raw(&escape::line(line))
-}
-
-/// Prints lines of the command's own layout.
-pub(crate) fn print_block(lines: &str) -> Result<(), Failure> {
-    print_raw(&escape::block(lines))
-}
-
-/// Prints one line of JSON, or several.
-pub(crate) fn print_json(lines: &str) -> Result<(), Failure> {
-    print_raw(&escape::json(lines))
-}
-
-/// Prints text as it is, with an end of line: nothing of it may come from outside.
-pub(crate) fn print_raw(text: &str) -> Result<(), Failure> {
-    let mut out = io::stdout().lock();
-    out.write_all(text.as_bytes())?;
-    out.write_all(b"\n")?;
-    out.flush()?;
-    Ok(())
 }
 
 /// Converts line by line, and returns the number of invalid lines.

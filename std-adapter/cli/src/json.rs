@@ -25,8 +25,8 @@ use bcap_core::variant::{Bstr, Currency, Element, Encode, Null, OleDate, VarType
 use serde::Deserialize;
 use serde_json::value::RawValue;
 
+use crate::error::ItemError;
 use crate::hex;
-use crate::item::ItemError;
 
 /// The limits of this command: 16 MiB as in the specification, and the maximum number of arguments and depth.
 pub(crate) const LIMITS: Limits = Limits { arguments: u16::MAX, depth: MAX_DEPTH, ..Limits::STREAM };

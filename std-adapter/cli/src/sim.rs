@@ -16,11 +16,11 @@ use bcap_sim::files::{Executor, Job};
 use bcap_sim::scenario::Delivery;
 use bcap_sim::{Config, Controller, Profile, Scenario};
 use bcap_std::server::Server;
-use tokio::runtime::{self, Runtime};
 
 use crate::args::Sim;
 use crate::error::Failure;
-use crate::item::print_line;
+use crate::listen::{runtime, taken};
+use crate::output::print_line;
 use crate::signal;
 
 /// The maximum number of queued file jobs.
@@ -121,23 +121,10 @@ fn read_scenario(path: &Path) -> Result<Scenario, Failure> {
         .map_err(|error| Failure::Input(format!("{} is not a valid scenario: {error}", path.display())))
 }
 
-/// Tells why an address cannot be listened on.
-pub(crate) fn taken(option: &str, address: SocketAddr, error: &io::Error) -> Failure {
-    Failure::Connection {
-        message: format!("cannot listen on {address}: {error}"),
-        hint: format!("choose another address with {option}; port 0 takes a free one"),
-    }
-}
-
 impl fmt::Display for Listening {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "ready bcap={} udp={} rac={}", self.bcap, self.udp, self.rac)
     }
-}
-
-/// Makes what runs a server: one thread is plenty for a controller.
-pub(crate) fn runtime() -> io::Result<Runtime> {
-    runtime::Builder::new_current_thread().enable_all().build()
 }
 
 /// Creates a controller.

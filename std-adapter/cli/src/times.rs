@@ -20,7 +20,6 @@ impl Times {
         Self { histogram, max: 0 }
     }
 
-    #[cfg(test)]
     pub(crate) fn record(&mut self, micros: u64) {
         self.record_n(micros, 1);
     }

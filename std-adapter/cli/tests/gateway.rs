@@ -178,8 +178,41 @@ fn a_file_of_rules_limits_writes() {
     std::fs::remove_file(&path).unwrap();
     let run = bcap(&["gateway", "--allow-put", "X"]);
     assert!(run.code == 2 && run.err.contains("I F D S V P J T IO"), "{run:?}");
-    let run = bcap(&["gateway", "--robot", "udp:127.0.0.1"]);
-    assert!(run.code == 2 && run.err.contains("over TCP"), "{run:?}");
+    let run = bcap(&["gateway", "--allow-put", "F,I/3-1"]);
+    let error = "\"I/3-1\": invalid index range 3-1: the first index is above the last, at column 3";
+    assert!(run.code == 2 && run.err.contains(error), "{run:?}");
+}
+
+#[test]
+fn the_robot_is_reached_over_udp_too() {
+    let sim = Server::sim("127.0.0.1:0");
+    let robot = format!("udp:{}", sim.address("udp"));
+    let mut gateway =
+        Server::start(&["gateway", "--rac", "127.0.0.1:0", "--robot", &robot, "--allow-put", "V/7=0..1,-5..5,I"]);
+    assert_eq!(gateway.log("robot_up")["robot"], robot);
+    let mut plc = Plc::connect(&gateway);
+    assert_eq!(plc.ask("PUT:RC8:7:V:8196,1,-5,5\r"), "0\r");
+    assert_eq!(plc.ask("PUT:RC8:7:V:8196,2,-5,5\r"), "-2147024809\r");
+    assert_eq!(plc.ask("PUT:RC8:1:I:3,5\r"), "0\r");
+    assert_eq!(bcap(&["get", "I1", "V7", "--robot", &robot]).out, "I1 = 5\nV7 = 1,-5,5\n");
+    drop(sim);
+    assert_eq!(gateway.log("robot_down")["robot"], robot);
+    assert_eq!(plc.ask("GET:RC8:1:I:\r"), NOT_CONNECTED);
+}
+
+/// A client chooses the text of its lines; a terminal that shows the log must not act on them.
+#[test]
+fn lines_in_the_log_are_escaped() {
+    let mut gateway = Server::gateway("127.0.0.1:9", &[]);
+    let line = "GET:\u{9b}31m\u{202e}";
+    Plc::connect(&gateway).ask(&format!("{line}\r"));
+    let mut raw = String::new();
+    while !raw.contains("\"refused\"") {
+        raw.clear();
+        gateway.out.read_line(&mut raw).unwrap();
+    }
+    assert!(raw.contains("\"line\":\"GET:\\u009b31m\\u202e\""), "{raw}");
+    assert_eq!(serde_json::from_str::<Value>(&raw).unwrap()["line"], line);
 }
 
 #[test]

@@ -12,8 +12,8 @@ use tokio::net::TcpStream;
 use tokio::sync::watch;
 use tokio::time::timeout;
 
-use super::Limits;
 use super::admission::Activity;
+use super::limits::Limits;
 use super::shared::{Changes, Locking, Shared, Tapped};
 use crate::clock::{now, until};
 use crate::connect::STREAM_ROOM;

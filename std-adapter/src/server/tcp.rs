@@ -16,8 +16,8 @@ use tokio::sync::watch;
 use tokio::task::{Id, JoinError, JoinSet};
 use tokio::time::timeout;
 
-use super::Limits;
 use super::admission::{Activity, Admission, Slots};
+use super::limits::Limits;
 use super::memory::{Buffer, Pool};
 use super::shared::Shared;
 use super::stream;
@@ -28,7 +28,7 @@ use crate::connect::set_up_tcp;
 const OBJECTS: usize = 1000;
 /// The number of connections over the limit that are answered E_MAX_CONNECT at the same time; further ones are closed at
 /// once.
-const REFUSALS: usize = 32;
+pub(crate) const REFUSALS: usize = 32;
 /// How long a connection over the limit may take to send its first request.
 pub(super) const REFUSAL_TIME: Duration = Duration::from_secs(2);
 
@@ -98,7 +98,7 @@ where
     Ok(())
 }
 
-/// The connections that are served.
+/// The served connections.
 struct Served {
     slots: Slots,
     tasks: JoinSet<()>,

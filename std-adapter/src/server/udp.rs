@@ -18,8 +18,8 @@ use bcap_core::time::Instant;
 use tokio::net::UdpSocket;
 use tokio::sync::watch;
 
-use super::Limits;
 use super::admission::{Admission, SlotState};
+use super::limits::Limits;
 use super::shared::{Changes, Shared, Tapped};
 use crate::clock::{now, until};
 

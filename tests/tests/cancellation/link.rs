@@ -200,7 +200,10 @@ impl Transport for Wire {
     }
 
     async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, Infallible> {
-        self.limits.insert(until);
+        // a time that has passed reads what arrived before the call, and waits for nothing
+        if until > self.now() {
+            self.limits.insert(until);
+        }
         Ok(poll_fn(|_| self.poll(|wire| wire.take(buffer, until))).await)
     }
 

@@ -113,7 +113,10 @@ impl<X: Transport> Transport for Recorded<X> {
     }
 
     async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, X::Error> {
-        self.limits.push(until);
+        // a time that has passed reads what arrived before the call, and waits for nothing
+        if until > self.now() {
+            self.limits.push(until);
+        }
         self.inner.receive(buffer, until).await
     }
 

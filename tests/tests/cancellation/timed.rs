@@ -66,8 +66,13 @@ impl Read for Device {
 
 impl Write for Device {
     async fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
-        poll_fn(|_| self.poll(|device| Some(device.written.borrow_mut().push(bytes[0])))).await;
-        Ok(1)
+        poll_fn(|_| {
+            self.poll(|device| {
+                device.written.borrow_mut().push(bytes[0]);
+                Some(Ok(1))
+            })
+        })
+        .await
     }
 
     async fn flush(&mut self) -> Result<(), Infallible> {

@@ -201,7 +201,7 @@ fn each_failure_halts_the_robot_once_it_may_move() {
 }
 
 #[test]
-fn a_position_that_is_none_is_an_error_and_halts_the_robot() {
+fn an_invalid_position_is_an_error_and_halts_the_robot() {
     let wrong: [&dyn Encode; 5] = [&"here", &5_i32, &[0.0_f64; 0], &["a"; 8], &[f64::NAN; 8]];
     for value in wrong {
         for call in [DESTINATION, POSITION] {

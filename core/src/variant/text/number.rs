@@ -1,7 +1,7 @@
 //! Numbers and dates: from text to the bits of an element.
 
-use super::grammar::{Parsed, blanks, byte, fault};
-use crate::error::TextErrorKind;
+use super::grammar::{Parsed, blanks, byte, complete, fault};
+use crate::error::{TextError, TextErrorKind};
 use crate::num::to_u32;
 use crate::variant::encode::put_bits;
 use crate::variant::float::{Decimal, Format, MAX_DIGITS};
@@ -125,6 +125,11 @@ pub(crate) fn integer(text: &[u8]) -> Parsed<'_, Integer> {
         return fault(no_digit(rest), rest);
     }
     Ok((rest, Integer { negative, magnitude, hex }))
+}
+
+/// Parses a text that is one `float` and nothing else.
+pub(crate) fn double(text: &[u8]) -> Result<f64, TextError> {
+    complete(text, |text| float(text, Format::Double)).map(f64::from_bits)
 }
 
 /// `float = [ sign ] ( "inf" | "nan" | decimal )`, words in any case; its bits

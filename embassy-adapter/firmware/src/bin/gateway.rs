@@ -13,7 +13,7 @@
 #![no_main]
 
 use bcap_board::{RuleMemory, Settings, Transport};
-use bcap_core::bcap::client;
+use bcap_core::bcap::client::{self, Timing};
 use bcap_core::gateway::{Config, Event, Gateway, Memory, Tally};
 use bcap_core::rac;
 use bcap_core::time::{Instant, micros};
@@ -103,10 +103,13 @@ fn make(settings: &'static Settings<'static>) -> &'static Board {
     defmt::info!("{=usize} rules for GET, {=usize} for PUT", rules.get.len(), rules.put.len());
     let client = match settings.robot.transport {
         Transport::Tcp => Config::RC8.client,
-        // five attempts take 2.5 s; what is still at work then has shown so
+        // five attempts take 2.5 s; a call that runs longer has sent keep-alives
         Transport::Udp => client::Config {
-            deadline: Config::RC8.client.deadline,
-            keep_alive: Config::RC8.client.keep_alive,
+            timing: Timing {
+                deadline: Config::RC8.client.timing.deadline,
+                keep_alive: Config::RC8.client.timing.keep_alive,
+                ..Timing::UDP
+            },
             ..client::Config::UDP
         },
     };

@@ -5,6 +5,7 @@ mod plot;
 mod poses;
 mod record;
 mod report;
+mod sample;
 mod stream;
 
 use std::io::{self, BufRead, IsTerminal, Write};
@@ -15,7 +16,8 @@ use crate::args::{Cosine, LinkArgs, Play, Slave, SlaveCommand};
 use crate::error::Failure;
 use crate::escape;
 use poses::Poses;
-use stream::{CYCLE, Course, stream};
+use sample::CYCLE;
+use stream::{Course, stream};
 
 /// Runs `bcap slave`.
 pub(crate) fn slave(args: &Slave, link: &LinkArgs, json: bool) -> Result<(), Failure> {

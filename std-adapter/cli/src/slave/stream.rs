@@ -19,14 +19,13 @@ use bcap_std::{CallError, ConnectError, Options, RunError};
 
 use super::monitor::{Monitor, StreamStatus, signals};
 use super::report::{Report, StreamTimes, text};
+use super::sample::Sample;
 use crate::args::{LinkArgs, StreamArgs};
 use crate::connection::{failed, not_connected};
 use crate::error::Failure;
-use crate::item::{print_block, print_json};
+use crate::output::{print_block, print_json};
 use crate::target::{Target, Transport};
 
-/// The cycle of a controller, in seconds.
-pub(crate) const CYCLE: f64 = 0.008;
 /// The attempts of a call over UDP, which share the time limit.
 const UDP_ATTEMPTS: u8 = 5;
 
@@ -84,17 +83,6 @@ impl Course {
             Self::Cosine { .. } => None,
         }
     }
-}
-
-/// What one cycle has brought.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Sample {
-    /// When the answer came, in seconds since the first one.
-    pub(crate) at: f64,
-    /// The pose that was commanded.
-    pub(crate) commanded: [f64; 10],
-    /// The pose that was answered.
-    pub(crate) actual: [f64; 10],
 }
 
 /// The trajectory of a running stream.
