@@ -1,7 +1,7 @@
 //! Clients for tokio.
 //!
-//! The same as [`blocking`](crate::blocking), awaited: a [`Connection`] of the core over tokio's sockets. Its calls may be
-//! dropped at any point; the next call finds the connection in order.
+//! The async counterpart of [`blocking`](crate::blocking): a [`Connection`] of the core over tokio's sockets. Calls are
+//! cancel safe: the future of a call may be dropped at any point, and the connection stays usable.
 
 use std::fmt::Debug;
 use std::io;
@@ -23,7 +23,7 @@ pub type TcpClient = Connection<TcpTransport, Vec<u8>>;
 /// A client over UDP.
 pub type UdpClient = Connection<UdpTransport, Vec<u8>>;
 
-/// A client of RAC.
+/// A RAC client.
 pub type RacClient = RacConnection<TcpTransport, [u8; rac::MAX_VALUE]>;
 
 /// Connects a client over TCP.
@@ -34,14 +34,14 @@ pub type RacClient = RacConnection<TcpTransport, [u8; rac::MAX_VALUE]>;
 ///
 /// # Cancel safety
 ///
-/// When the future is dropped the connection is.
+/// Dropping the future closes the connection.
 pub async fn connect_tcp<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Result<TcpClient, ConnectError> {
     let transport = TcpTransport::new(connect_stream(peer, options).await?);
     let client = Client::new(options.tcp, vec![0; STREAM_ROOM], vec![0; STREAM_ROOM]);
     Ok(Connection::new(transport, client))
 }
 
-/// Connects a client of RAC.
+/// Connects a RAC client.
 ///
 /// # Errors
 ///
@@ -49,13 +49,13 @@ pub async fn connect_tcp<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -
 ///
 /// # Cancel safety
 ///
-/// When the future is dropped the connection is.
+/// Dropping the future closes the connection.
 pub async fn connect_rac<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Result<RacClient, ConnectError> {
     let transport = TcpTransport::new(connect_stream(peer, options).await?);
     Ok(RacConnection::new(transport, rac::client::Client::new(options.rac, [0; rac::MAX_VALUE])))
 }
 
-/// Connects a TCP stream and sets it up for short messages.
+/// Connects a TCP stream and configures it for short messages.
 pub(crate) async fn connect_stream<A: ToSocketAddrs + Debug>(
     peer: A,
     options: &Options,
@@ -74,15 +74,15 @@ pub(crate) async fn connect_stream<A: ToSocketAddrs + Debug>(
         };
         failed = Some(ConnectError::Connect { address, source });
     }
-    // there was an address, so there is a failure
+    // `addresses` returns at least one, so `failed` is set
     Err(failed.unwrap_or_else(|| ConnectError::Setup(connect::no_address())))
 }
 
-/// Makes a client over UDP; nothing is sent before the first call.
+/// Creates a client over UDP. Nothing is sent before the first call.
 ///
 /// # Errors
 ///
-/// A [`ConnectError`] when the name has no address or there is no socket to be had.
+/// A [`ConnectError`] if the name has no address or the socket cannot be created.
 pub async fn connect_udp<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Result<UdpClient, ConnectError> {
     let socket = connect_datagrams(peer).await?;
     let mut client = Client::new(options.udp, vec![0; DATAGRAM_ROOM], vec![0; DATAGRAM_ROOM]);
@@ -90,14 +90,14 @@ pub async fn connect_udp<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -
     Ok(Connection::new(UdpTransport::new(socket), client))
 }
 
-/// Makes a UDP socket that receives datagrams of one peer only.
+/// Creates a UDP socket that receives datagrams of one peer only.
 pub(crate) async fn connect_datagrams<A: ToSocketAddrs + Debug>(peer: A) -> Result<UdpSocket, ConnectError> {
     let socket = connect::udp(&addresses(peer).await?[..])?;
     socket.set_nonblocking(true).map_err(ConnectError::Setup)?;
     UdpSocket::from_std(socket).map_err(ConnectError::Setup)
 }
 
-/// Looks a name up; it has at least one address.
+/// Resolves a name to one or more addresses.
 async fn addresses<A: ToSocketAddrs + Debug>(peer: A) -> Result<Vec<SocketAddr>, ConnectError> {
     let name = format!("{peer:?}");
     let found = match lookup_host(peer).await {
@@ -110,14 +110,14 @@ async fn addresses<A: ToSocketAddrs + Debug>(peer: A) -> Result<Vec<SocketAddr>,
     Ok(found)
 }
 
-/// A TCP stream as a transport; made by [`connect_tcp`], or of any connected stream.
+/// A TCP stream as a transport; created by [`connect_tcp`], or from any connected stream.
 #[derive(Debug)]
 pub struct TcpTransport {
     stream: TcpStream,
 }
 
 impl TcpTransport {
-    /// Takes a connected stream.
+    /// Wraps a connected stream.
     #[must_use]
     pub const fn new(stream: TcpStream) -> Self {
         Self { stream }
@@ -130,14 +130,14 @@ impl TcpTransport {
     }
 }
 
-/// A UDP socket with one peer as a transport; made by [`connect_udp`], or of any connected socket.
+/// A connected UDP socket as a transport; created by [`connect_udp`], or from any connected socket.
 #[derive(Debug)]
 pub struct UdpTransport {
     socket: UdpSocket,
 }
 
 impl UdpTransport {
-    /// Takes a connected socket.
+    /// Wraps a connected socket.
     #[must_use]
     pub const fn new(socket: UdpSocket) -> Self {
         Self { socket }
@@ -150,22 +150,22 @@ impl UdpTransport {
     }
 }
 
-/// Waits for `work` until it is `at`.
-async fn within(at: Instant, work: impl Future<Output = io::Result<usize>>) -> io::Result<Option<usize>> {
-    match timeout(until(at), work).await {
-        Ok(done) => done.map(Some),
+/// Waits for `operation` until `deadline`; `None` if the deadline passes first.
+async fn within(deadline: Instant, operation: impl Future<Output = io::Result<usize>>) -> io::Result<Option<usize>> {
+    match timeout(until(deadline), operation).await {
+        Ok(result) => result.map(Some),
         Err(_) => Ok(None),
     }
 }
 
-/// Tells whether a receive must not wait.
-fn at_once(at: Instant) -> bool {
-    until(at).is_zero()
+/// Returns whether `deadline` has passed, so that a receive must not wait.
+fn has_passed(deadline: Instant) -> bool {
+    until(deadline).is_zero()
 }
 
-/// Receives what has arrived, without waiting. It asks the socket, because tokio knows only of bytes that had arrived when it
-/// last waited for events.
-fn receive_at_once(mut socket: &Socket, buffer: &mut [u8]) -> io::Result<Option<usize>> {
+/// Receives bytes that have arrived, without waiting. It reads from the socket directly, because tokio's readiness is as old
+/// as its last wait for events.
+fn receive_now(mut socket: &Socket, buffer: &mut [u8]) -> io::Result<Option<usize>> {
     loop {
         match io::Read::read(&mut socket, buffer) {
             Ok(count) => return Ok(Some(count)),
@@ -184,7 +184,7 @@ impl Transport for TcpTransport {
     }
 
     async fn send(&mut self, bytes: &[u8], until: Instant) -> io::Result<Option<usize>> {
-        // there is almost always room for a request, so no timer is set up for it
+        // the send buffer almost always has room for a request, so the common case needs no timer
         match self.stream.try_write(bytes) {
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
             done => return done.map(Some),
@@ -193,8 +193,8 @@ impl Transport for TcpTransport {
     }
 
     async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
-        if at_once(until) {
-            return receive_at_once(&SockRef::from(&self.stream), buffer);
+        if has_passed(until) {
+            return receive_now(&SockRef::from(&self.stream), buffer);
         }
         within(until, tokio::io::AsyncReadExt::read(&mut self.stream, buffer)).await
     }
@@ -216,8 +216,8 @@ impl Transport for UdpTransport {
     }
 
     async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
-        if at_once(until) {
-            return receive_at_once(&SockRef::from(&self.socket), buffer);
+        if has_passed(until) {
+            return receive_now(&SockRef::from(&self.socket), buffer);
         }
         within(until, self.socket.recv(buffer)).await
     }

@@ -1,8 +1,8 @@
-//! Clients that block.
+//! Blocking clients.
 //!
-//! [`connect_tcp`], [`connect_udp`] and [`connect_rac`] take a name or an address, IPv4 or IPv6. What they return is a
-//! [`Connection`] of the core, whose `call` makes a typed call and waits for the reply, or a [`RacConnection`], whose
-//! `get` and `put` do the same for variables.
+//! [`connect_tcp`], [`connect_udp`] and [`connect_rac`] take a host name or an address, IPv4 or IPv6. The first two return
+//! a [`Connection`] of the core, whose `call` makes a typed call and waits for the reply. `connect_rac` returns a
+//! [`RacConnection`], whose `get` and `put` read and write variables.
 
 use std::fmt::Debug;
 use std::io;
@@ -24,7 +24,7 @@ pub type TcpClient = Connection<TcpTransport, Vec<u8>>;
 /// A client over UDP.
 pub type UdpClient = Connection<UdpTransport, Vec<u8>>;
 
-/// A client of RAC.
+/// A RAC client.
 pub type RacClient = RacConnection<TcpTransport, [u8; rac::MAX_VALUE]>;
 
 /// Connects a client over TCP.
@@ -38,11 +38,11 @@ pub fn connect_tcp<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Resu
     Ok(Connection::new(transport, client))
 }
 
-/// Makes a client over UDP; nothing is sent before the first call.
+/// Creates a client over UDP. Nothing is sent before the first call.
 ///
 /// # Errors
 ///
-/// A [`ConnectError`] when the name has no address or there is no socket to be had.
+/// A [`ConnectError`] if the name has no address or the socket cannot be created.
 pub fn connect_udp<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Result<UdpClient, ConnectError> {
     let transport = UdpTransport::new(connect::udp(peer)?);
     let mut client = Client::new(options.udp, vec![0; DATAGRAM_ROOM], vec![0; DATAGRAM_ROOM]);
@@ -50,7 +50,7 @@ pub fn connect_udp<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Resu
     Ok(Connection::new(transport, client))
 }
 
-/// Connects a client of RAC.
+/// Connects a RAC client.
 ///
 /// # Errors
 ///
@@ -60,18 +60,18 @@ pub fn connect_rac<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Resu
     Ok(RacConnection::new(transport, rac::client::Client::new(options.rac, [0; rac::MAX_VALUE])))
 }
 
-/// A TCP stream as a transport; made by [`connect_tcp`], or of any connected stream.
+/// A TCP stream as a transport; created by [`connect_tcp`], or from any connected stream.
 #[derive(Debug)]
 pub struct TcpTransport {
     stream: TcpStream,
-    limits: Limits,
+    timeouts: Timeouts,
 }
 
 impl TcpTransport {
-    /// Takes a connected stream.
+    /// Wraps a connected stream.
     #[must_use]
     pub const fn new(stream: TcpStream) -> Self {
-        Self { stream, limits: Limits { read: None, write: None } }
+        Self { stream, timeouts: Timeouts { read: None, write: None } }
     }
 
     /// Returns the stream.
@@ -81,18 +81,18 @@ impl TcpTransport {
     }
 }
 
-/// A UDP socket with one peer as a transport; made by [`connect_udp`], or of any connected socket.
+/// A connected UDP socket as a transport; created by [`connect_udp`], or from any connected socket.
 #[derive(Debug)]
 pub struct UdpTransport {
     socket: UdpSocket,
-    limits: Limits,
+    timeouts: Timeouts,
 }
 
 impl UdpTransport {
-    /// Takes a connected socket.
+    /// Wraps a connected socket.
     #[must_use]
     pub const fn new(socket: UdpSocket) -> Self {
-        Self { socket, limits: Limits { read: None, write: None } }
+        Self { socket, timeouts: Timeouts { read: None, write: None } }
     }
 
     /// Returns the socket.
@@ -102,29 +102,29 @@ impl UdpTransport {
     }
 }
 
-/// The time limits that a socket has now.
+/// The timeouts that are set on a socket.
 #[derive(Debug)]
-struct Limits {
+struct Timeouts {
     read: Option<Duration>,
     write: Option<Duration>,
 }
 
-/// Brings a limit near `at`, and returns `false` when it is over.
+/// Sets a socket's timeout so that an operation ends at `deadline`; returns `false` if the deadline has passed.
 ///
-/// A limit that is a little too long is left as it is, so that a call after a call of the same timeout costs no system
-/// call for it; it can be overstepped by an eighth.
-fn limit(
+/// A timeout that is at most an eighth too long is not changed, so repeated calls with equal timeouts need no system call
+/// for it. An operation may therefore end that much after its deadline.
+fn set_timeout(
     current: &mut Option<Duration>,
-    at: Instant,
+    deadline: Instant,
     set: impl FnOnce(Option<Duration>) -> io::Result<()>,
 ) -> io::Result<bool> {
-    let wanted = until(at);
+    let wanted = until(deadline);
     if wanted.is_zero() {
         return Ok(false);
     }
     let near = current.is_some_and(|current| wanted <= current && current <= wanted + wanted / 8);
     if !near {
-        // a socket's limit cannot be zero, and is cut to microseconds
+        // a socket's timeout must not be zero, and is truncated to microseconds
         let wanted = wanted.max(Duration::from_micros(100));
         set(Some(wanted))?;
         *current = Some(wanted);
@@ -132,11 +132,11 @@ fn limit(
     Ok(true)
 }
 
-/// Receives what has arrived, without waiting.
-fn receive_at_once(socket: &Socket, buffer: &mut [u8]) -> io::Result<Option<usize>> {
+/// Receives bytes that have arrived, without waiting.
+fn receive_now(socket: &Socket, buffer: &mut [u8]) -> io::Result<Option<usize>> {
     loop {
-        if let Some(end) = ended(try_receive(socket, buffer)) {
-            return end;
+        if let Some(result) = classified(try_receive(socket, buffer)) {
+            return result;
         }
     }
 }
@@ -155,8 +155,8 @@ fn try_receive(mut socket: &Socket, buffer: &mut [u8]) -> io::Result<usize> {
     received
 }
 
-/// Sorts the ways in which a system call ends: done, too late, interrupted, failed.
-fn ended(result: io::Result<usize>) -> Option<io::Result<Option<usize>>> {
+/// Classifies the result of a system call: a count, `Ok(None)` after a timeout, an error, or `None` to try again.
+fn classified(result: io::Result<usize>) -> Option<io::Result<Option<usize>>> {
     match result {
         Ok(count) => Some(Ok(Some(count))),
         Err(error) => match error.kind() {
@@ -175,25 +175,25 @@ impl Transport for TcpTransport {
     }
 
     fn send(&mut self, bytes: &[u8], until: Instant) -> io::Result<Option<usize>> {
-        let Self { stream, limits } = self;
+        let Self { stream, timeouts } = self;
         loop {
-            if !limit(&mut limits.write, until, |time| stream.set_write_timeout(time))? {
+            if !set_timeout(&mut timeouts.write, until, |time| stream.set_write_timeout(time))? {
                 return Ok(None);
             }
-            if let Some(end) = ended(io::Write::write(stream, bytes)) {
-                return end;
+            if let Some(result) = classified(io::Write::write(stream, bytes)) {
+                return result;
             }
         }
     }
 
     fn receive(&mut self, buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
-        let Self { stream, limits } = self;
+        let Self { stream, timeouts } = self;
         loop {
-            if !limit(&mut limits.read, until, |time| stream.set_read_timeout(time))? {
-                return receive_at_once(&SockRef::from(&*stream), buffer);
+            if !set_timeout(&mut timeouts.read, until, |time| stream.set_read_timeout(time))? {
+                return receive_now(&SockRef::from(&*stream), buffer);
             }
-            if let Some(end) = ended(io::Read::read(stream, buffer)) {
-                return end;
+            if let Some(result) = classified(io::Read::read(stream, buffer)) {
+                return result;
             }
         }
     }
@@ -211,25 +211,25 @@ impl Transport for UdpTransport {
     }
 
     fn send(&mut self, bytes: &[u8], until: Instant) -> io::Result<Option<usize>> {
-        let Self { socket, limits } = self;
+        let Self { socket, timeouts } = self;
         loop {
-            if !limit(&mut limits.write, until, |time| socket.set_write_timeout(time))? {
+            if !set_timeout(&mut timeouts.write, until, |time| socket.set_write_timeout(time))? {
                 return Ok(None);
             }
-            if let Some(end) = ended(socket.send(bytes)) {
-                return end;
+            if let Some(result) = classified(socket.send(bytes)) {
+                return result;
             }
         }
     }
 
     fn receive(&mut self, buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
-        let Self { socket, limits } = self;
+        let Self { socket, timeouts } = self;
         loop {
-            if !limit(&mut limits.read, until, |time| socket.set_read_timeout(time))? {
-                return receive_at_once(&SockRef::from(&*socket), buffer);
+            if !set_timeout(&mut timeouts.read, until, |time| socket.set_read_timeout(time))? {
+                return receive_now(&SockRef::from(&*socket), buffer);
             }
-            if let Some(end) = ended(socket.recv(buffer)) {
-                return end;
+            if let Some(result) = classified(socket.recv(buffer)) {
+                return result;
             }
         }
     }

@@ -1,4 +1,4 @@
-//! The time of this process: a monotonic clock that starts with its first use.
+//! The monotonic clock of this process. It starts at zero on first use.
 
 use std::sync::OnceLock;
 use std::time::Duration;
@@ -10,13 +10,13 @@ fn origin() -> std::time::Instant {
     *ORIGIN.get_or_init(std::time::Instant::now)
 }
 
-/// Returns the time that all clients and servers of this crate go by.
+/// Returns the present time on the clock that all clients and servers of this crate share.
 #[must_use]
 pub fn now() -> Instant {
     Instant::ZERO.saturating_add(origin().elapsed())
 }
 
-/// Returns how long it is until `at`; zero when it is over.
+/// Returns the duration until `at`; zero if `at` has passed.
 pub(crate) fn until(at: Instant) -> Duration {
     at.saturating_since(now())
 }

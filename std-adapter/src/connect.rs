@@ -1,4 +1,4 @@
-//! How a client reaches its peer: options, names, addresses and errors.
+//! How a client connects: options, name resolution, socket settings, and errors.
 
 use std::collections::hash_map::RandomState;
 use std::fmt::Debug;
@@ -11,21 +11,21 @@ use bcap_core::bcap::client::{Config, Timing};
 use bcap_core::limits::UDP_RECEIVE_MAX;
 use socket2::{SockRef, TcpKeepalive};
 
-/// How to connect.
+/// The options of a connection.
 ///
-/// The defaults are those of the core ([`Config::TCP`], [`Config::UDP`]), 3 s to connect, and keep-alive probes after
-/// 60 s of silence, which detect a peer that has disappeared.
+/// The defaults are those of the core ([`Config::TCP`], [`Config::UDP`]), 3 s to connect, and TCP keep-alive probes after
+/// 60 s of silence. The probes detect a peer that has vanished.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Options {
-    /// How long connecting may take for each address of a name.
+    /// The time limit for connecting to each address of a name.
     pub connect_timeout: Duration,
-    /// The time limits of TCP calls and the strictness of the client.
+    /// The time limits of TCP calls, and the strictness of decoding.
     pub tcp: Config,
     /// The time limits and attempts of UDP calls.
     pub udp: Config,
-    /// The time limit of requests over RAC.
+    /// The time limit of RAC requests.
     pub rac: bcap_core::rac::client::Config,
-    /// The silence on TCP after which the operating system probes the peer; `None` never does.
+    /// The silence on TCP after which the operating system probes the peer; `None` disables probes.
     pub keep_alive: Option<Duration>,
 }
 
@@ -42,7 +42,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// Returns options with this time limit for connecting and for each attempt of a call.
+    /// Returns these options with `timeout` for connecting, for each attempt of a call, and for RAC requests.
     #[must_use]
     pub const fn timeout(self, timeout: Duration) -> Self {
         Self {
@@ -55,24 +55,24 @@ impl Options {
     }
 }
 
-/// Why there is no connection.
+/// Why a connection was not established.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConnectError {
-    /// The name has no address or could not be looked up.
-    #[error("the address {name} cannot be found")]
+    /// The name has no address, or its resolution failed.
+    #[error("cannot resolve the address {name}")]
     Resolve {
-        /// The name.
+        /// The name, as the caller gave it.
         name: String,
-        /// The error of the look-up.
+        /// The resolver's error.
         source: io::Error,
     },
-    /// No address of the name accepted the connection; the error is that of the last one.
+    /// No address of the name accepted the connection; this is the error of the last one.
     #[error("cannot connect to {address}")]
     Connect {
         /// The last address.
         address: SocketAddr,
-        /// The error of the operating system.
+        /// The operating system's error.
         source: io::Error,
     },
     /// An option of the socket could not be set.
@@ -81,7 +81,7 @@ pub enum ConnectError {
 }
 
 impl ConnectError {
-    /// Tells whether the peer did not answer in time.
+    /// Returns whether the peer did not answer in time.
     #[must_use]
     pub fn is_timeout(&self) -> bool {
         matches!(self, Self::Connect { source, .. } if source.kind() == io::ErrorKind::TimedOut)
@@ -97,13 +97,13 @@ impl From<ConnectError> for io::Error {
     }
 }
 
-/// Looks a name up and tries its addresses in turn.
+/// Resolves a name and tries its addresses in turn.
 pub(crate) fn first_address<A: ToSocketAddrs + Debug, T>(
     name: A,
     mut connect: impl FnMut(SocketAddr) -> io::Result<T>,
 ) -> Result<T, ConnectError> {
-    let written = format!("{name:?}");
-    let unresolved = |source| ConnectError::Resolve { name: written.clone(), source };
+    let text = format!("{name:?}");
+    let unresolved = |source| ConnectError::Resolve { name: text.clone(), source };
     let mut last = None;
     for address in name.to_socket_addrs().map_err(unresolved)? {
         match connect(address) {
@@ -118,14 +118,14 @@ pub(crate) fn no_address() -> io::Error {
     io::Error::new(io::ErrorKind::NotFound, "the name has no address")
 }
 
-/// Connects a TCP stream and sets it up for short messages.
+/// Connects a TCP stream and configures it for short messages.
 pub(crate) fn tcp<A: ToSocketAddrs + Debug>(name: A, options: &Options) -> Result<TcpStream, ConnectError> {
     let stream = first_address(name, |address| TcpStream::connect_timeout(&address, options.connect_timeout))?;
     set_up_tcp(SockRef::from(&stream), options.keep_alive).map_err(ConnectError::Setup)?;
     Ok(stream)
 }
 
-/// Sets up a TCP socket for short messages: no delay, and probes of a silent peer.
+/// Configures a TCP socket for short messages: `TCP_NODELAY`, and keep-alive probes of a silent peer.
 pub(crate) fn set_up_tcp(socket: SockRef<'_>, keep_alive: Option<Duration>) -> io::Result<()> {
     socket.set_tcp_nodelay(true)?;
     match keep_alive {
@@ -137,7 +137,7 @@ pub(crate) fn set_up_tcp(socket: SockRef<'_>, keep_alive: Option<Duration>) -> i
     }
 }
 
-/// Makes a UDP socket for one peer: the operating system drops datagrams of other addresses.
+/// Creates a connected UDP socket: the operating system drops datagrams of other peers.
 pub(crate) fn udp<A: ToSocketAddrs + Debug>(name: A) -> Result<UdpSocket, ConnectError> {
     first_address(name, |address| {
         let any: SocketAddr = if address.is_ipv4() {
@@ -151,14 +151,14 @@ pub(crate) fn udp<A: ToSocketAddrs + Debug>(name: A) -> Result<UdpSocket, Connec
     })
 }
 
-/// Memory for one datagram: one byte above the limit, to detect longer datagrams.
+/// The buffer for one datagram: one byte more than the limit, so that a longer datagram is detected.
 pub(crate) const DATAGRAM_ROOM: usize = UDP_RECEIVE_MAX + 1;
-/// The first memory of a stream's client, which grows with its frames.
+/// The initial buffer of a stream's client; it grows with its frames.
 pub(crate) const STREAM_ROOM: usize = 1024;
 
-/// Returns an unpredictable serial for the first call over UDP.
+/// Returns an unpredictable serial for the first call over UDP, so that replies are hard to forge.
 pub(crate) fn random_serial() -> u16 {
-    // the keys of the standard library's hash maps are random
+    // the standard library seeds its hash maps with random keys
     let random = RandomState::new().build_hasher().finish();
     u16::try_from(random % u64::from(u16::MAX)).unwrap_or(0) + 1
 }

@@ -2,14 +2,14 @@
 //!
 //! | module       | feature  | what it is                                                              |
 //! |--------------|----------|-------------------------------------------------------------------------|
-//! | [`blocking`] |          | clients that block: b-CAP over TCP and UDP, RAC over TCP                |
+//! | [`blocking`] |          | blocking clients: b-CAP over TCP and UDP, RAC over TCP                  |
 //! | `asynch`     | `tokio`  | the same clients for tokio                                              |
-//! | [`slave`]    |          | what Linux can do for a stream of Slave Mode                             |
+//! | [`slave`]    |          | real-time settings of Linux for streams of Slave Mode                   |
 //! | `server`     | `server` | a server for any handler: b-CAP over TCP and UDP, RAC over TCP          |
 //! | `gateway`    | `gateway` | RAC for PLCs on one side, b-CAP to a robot on the other                |
 //!
-//! The protocol itself is in [`bcap_core`]: this crate moves its bytes and tells it the time. A call takes two system
-//! calls, one that sends and one that receives.
+//! The protocol is in [`bcap_core`], which does no I/O. This crate connects it to sockets and a clock. A call takes two
+//! system calls: one send and one receive.
 //!
 //! # Examples
 //!
@@ -44,11 +44,11 @@ pub mod slave;
 pub use clock::now;
 pub use connect::{ConnectError, Options};
 
-/// A failed call of a client of this crate.
+/// A failed call.
 pub type CallError = bcap_core::io::CallError<std::io::Error>;
 
-/// A failed procedure over a client of this crate.
+/// A failed procedure.
 pub type RunError<P = bcap_core::procedure::StepError> = bcap_core::io::RunError<P, std::io::Error>;
 
-/// A failed request of a client of RAC of this crate.
+/// A failed RAC request.
 pub type RacError = bcap_core::io::RacError<std::io::Error>;

@@ -1,4 +1,4 @@
-//! Clients of both kinds against the server, over real sockets on the loopback.
+//! Blocking and tokio clients against the server, over loopback sockets.
 #![cfg(feature = "server")]
 
 use std::collections::HashMap;
@@ -20,7 +20,7 @@ use bcap_std::server::{Limits, Server};
 use bcap_std::{Options, asynch, blocking};
 use tokio::sync::oneshot;
 
-/// Variables by number, a Halt that waits until somebody writes variable 9, and a list of who has gone.
+/// A handler with variables by number. An Execute call waits until a client writes variable 9.
 #[derive(Default)]
 struct Store {
     values: HashMap<i32, VariantBuf<512>>,
@@ -29,7 +29,7 @@ struct Store {
     left: Vec<PeerId>,
     released: Vec<i32>,
     executed: usize,
-    /// What has gone to the wire, and is seen by a tap only.
+    /// The number of frames that a tap has seen.
     sent: usize,
 }
 
@@ -40,7 +40,7 @@ impl Handler for Store {
             FunctionId::CONTROLLER_GET_VARIABLE => {
                 self.next_handle += 1;
                 let name = request.text(1).to_string();
-                assert_ne!(name, "panic", "as the test wants it");
+                assert_ne!(name, "panic", "on request of the test");
                 let number = name.parse().unwrap_or(0);
                 self.names.insert(self.next_handle, number);
                 let _ = reply.set(&self.next_handle);
@@ -74,7 +74,7 @@ impl Handler for Store {
     }
 }
 
-/// A server in a thread of its own; it stops when this is dropped.
+/// A server in its own thread; dropping this stops it.
 struct Running {
     tcp: SocketAddr,
     udp: SocketAddr,
@@ -91,13 +91,13 @@ fn start_with(limits: Limits, set_up: fn(Server<Store>) -> Server<Store>) -> Run
     let store = std::sync::Arc::default();
     let handler = std::sync::Arc::clone(&store);
     let (stop, stopped) = oneshot::channel();
-    let (tell, addresses) = std::sync::mpsc::channel();
+    let (sender, addresses) = std::sync::mpsc::channel();
     let thread = std::thread::spawn(move || {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         runtime.block_on(async {
             let server = set_up(Server::with_shared(handler)).limits(limits);
             let server = server.bcap_tcp("127.0.0.1:0").await.unwrap().bcap_udp("127.0.0.1:0").await.unwrap();
-            tell.send(server.addresses()).unwrap();
+            sender.send(server.addresses()).unwrap();
             let shutdown = async {
                 let _ = stopped.await;
             };
@@ -110,7 +110,7 @@ fn start_with(limits: Limits, set_up: fn(Server<Store>) -> Server<Store>) -> Run
 }
 
 impl Running {
-    /// Stops the server and waits for its end.
+    /// Stops the server and joins its thread.
     fn stop(&mut self) {
         drop(self.stop.take());
         if let Some(thread) = self.thread.take() {
@@ -168,7 +168,7 @@ async fn tokio_clients_work_over_both_links_and_from_any_task() {
     over_udp.await.unwrap();
 }
 
-/// Closes the connection in place of E_NOTIMPL, and loses every third frame.
+/// Closes the connection instead of sending E_NOTIMPL, and drops every third frame.
 fn tap(store: &mut Store, _: PeerId, frame: &mut Vec<u8>) -> ControlFlow<()> {
     store.sent += 1;
     if frame[9..13] == HResult::E_NOTIMPL.0.to_le_bytes() {
@@ -181,7 +181,7 @@ fn tap(store: &mut Store, _: PeerId, frame: &mut Vec<u8>) -> ControlFlow<()> {
 }
 
 #[test]
-fn a_tap_sees_loses_and_closes() {
+fn a_tap_can_count_drop_and_disconnect() {
     let server = start_with(Limits::default(), |server| server.tap(tap));
     let options = Options::default().timeout(Duration::from_secs(1));
     let mut client = blocking::connect_tcp(server.tcp, &options).unwrap();
@@ -195,7 +195,7 @@ fn a_tap_sees_loses_and_closes() {
     assert!(!matches!(closed, CallError::Client(ClientError::Timeout(_))), "{closed}");
     assert_eq!(server.store.lock().unwrap().sent, 5);
 
-    // the sixth frame is lost, and UDP asks again
+    // the sixth frame is dropped, and the UDP client retransmits
     let mut client = blocking::connect_udp(server.udp, &Options::default().timeout(Duration::from_secs(2))).unwrap();
     client.call(call::service_start("")).unwrap();
     let store = server.store.lock().unwrap();
@@ -209,13 +209,13 @@ fn a_large_value_grows_the_buffers() {
     client.call(call::service_start("")).unwrap();
     let controller = client.call(call::controller_connect("", "", "", "")).unwrap();
     let variable = client.call(call::controller_get_variable(controller, "1", "")).unwrap();
-    // larger than the store keeps, but the frame has to arrive whole to be refused so
+    // larger than the store holds; the refusal shows that the whole frame arrived
     let error = client.call(call::variable_put_value(variable, &vec![1.0; 200_000][..])).unwrap_err();
     assert_eq!(error.hresult(), Some(HResult::E_OUTOFMEMORY));
 }
 
 #[test]
-fn a_call_that_waits_is_kept_alive_and_ends_when_another_changes_something() {
+fn a_waiting_call_is_kept_alive_and_resumed_by_another_client_s_change() {
     let server = start(Limits::default());
     let options = Options::default().timeout(Duration::from_secs(1));
     let address = server.tcp;
@@ -223,7 +223,7 @@ fn a_call_that_waits_is_kept_alive_and_ends_when_another_changes_something() {
         let mut client = blocking::connect_tcp(address, &options).unwrap();
         client.call(call::service_start("WDT=80")).unwrap();
         let controller = client.call(call::controller_connect("", "", "", "")).unwrap();
-        // longer than the attempt's timeout: only keep-alives make it possible
+        // takes longer than the attempt timeout, so it depends on keep-alives
         client.call(call::controller_execute(controller, "wait", ())).map(|v| v == Variant::Empty)
     });
     until(|| server.store.lock().unwrap().executed >= 3);
@@ -237,7 +237,7 @@ fn a_call_that_waits_is_kept_alive_and_ends_when_another_changes_something() {
 }
 
 #[test]
-fn a_silent_peer_and_a_closed_port_are_told_apart() {
+fn a_silent_peer_a_closed_port_and_an_unknown_host_give_different_errors() {
     let silent = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let options = Options::default().timeout(Duration::from_millis(100));
     let mut client = blocking::connect_tcp(silent.local_addr().unwrap(), &options).unwrap();
@@ -250,11 +250,11 @@ fn a_silent_peer_and_a_closed_port_are_told_apart() {
     assert_eq!(error.to_string(), format!("cannot connect to {address}"));
     assert!(!error.is_timeout());
     let error = blocking::connect_tcp("no-such-host.invalid:5007", &options).unwrap_err();
-    assert_eq!(error.to_string(), "the address \"no-such-host.invalid:5007\" cannot be found");
+    assert_eq!(error.to_string(), "cannot resolve the address \"no-such-host.invalid:5007\"");
 }
 
 #[test]
-fn a_connection_over_the_limit_is_told_so() {
+fn a_connection_over_the_limit_is_answered_e_max_connect() {
     let server = start(Limits { connections: 1, ..Limits::default() });
     let mut first = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
     first.call(call::service_start("")).unwrap();
@@ -265,7 +265,7 @@ fn a_connection_over_the_limit_is_told_so() {
 }
 
 #[test]
-fn one_address_gets_no_more_than_its_share_of_the_slots() {
+fn one_address_cannot_exceed_its_share_of_the_slots() {
     let server = start(Limits { connections_per_address: 1, udp_peers_per_address: 1, ..Limits::default() });
     let refused = Some(HResult::E_MAX_CONNECT);
     let mut first = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
@@ -279,7 +279,7 @@ fn one_address_gets_no_more_than_its_share_of_the_slots() {
 }
 
 #[test]
-fn the_longest_idle_connection_makes_room_for_another() {
+fn the_longest_idle_connection_is_evicted_for_a_new_one() {
     let server = start(Limits { connections: 2, evict_after: Duration::ZERO, ..Limits::default() });
     let mut clients = [(); 2].map(|()| blocking::connect_tcp(server.tcp, &Options::default()).unwrap());
     // the second is idle longest
@@ -294,11 +294,11 @@ fn the_longest_idle_connection_makes_room_for_another() {
 }
 
 #[test]
-fn a_connection_whose_call_runs_keeps_its_slot() {
+fn a_connection_with_a_running_call_is_not_evicted() {
     let server = start(Limits { connections: 1, evict_after: Duration::ZERO, ..Limits::default() });
-    let (address, patient) = (server.tcp, Options::default().timeout(Duration::from_secs(30)));
+    let (address, options) = (server.tcp, Options::default().timeout(Duration::from_secs(30)));
     let waiting = std::thread::spawn(move || {
-        let mut client = blocking::connect_tcp(address, &patient).unwrap();
+        let mut client = blocking::connect_tcp(address, &options).unwrap();
         client.call(call::service_start("")).unwrap();
         let controller = client.call(call::controller_connect("", "", "", "")).unwrap();
         client.call(call::controller_execute(controller, "wait", ())).map(|value| value == Variant::Empty)
@@ -315,7 +315,7 @@ fn a_connection_whose_call_runs_keeps_its_slot() {
 }
 
 #[test]
-fn a_udp_peer_over_the_limit_is_told_so() {
+fn a_udp_peer_over_the_limit_is_answered_e_max_connect() {
     let server = start(Limits { udp_peers: 1, ..Limits::default() });
     let mut first = blocking::connect_udp(server.udp, &Options::default()).unwrap();
     first.call(call::service_start("")).unwrap();
@@ -325,7 +325,7 @@ fn a_udp_peer_over_the_limit_is_told_so() {
 }
 
 #[test]
-fn a_udp_peer_that_has_stopped_makes_room_at_once() {
+fn a_udp_peer_frees_its_slot_with_service_stop() {
     let server = start(Limits { udp_peers: 2, ..Limits::default() });
     let mut first = blocking::connect_udp(server.udp, &Options::default()).unwrap();
     first.call(call::service_start("")).unwrap();
@@ -338,7 +338,7 @@ fn a_udp_peer_that_has_stopped_makes_room_at_once() {
 }
 
 #[test]
-fn what_a_peer_leaves_open_is_released_newest_first() {
+fn open_objects_of_a_peer_are_released_in_reverse_order() {
     let mut server = start(Limits::default());
     let mut client = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
     client.call(call::service_start("")).unwrap();
@@ -355,7 +355,7 @@ fn what_a_peer_leaves_open_is_released_newest_first() {
 }
 
 #[test]
-fn a_bad_frame_is_answered_and_the_connection_closed() {
+fn an_invalid_frame_is_answered_and_the_connection_closed() {
     let server = start(Limits::default());
     let mut stream = TcpStream::connect(server.tcp).unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
@@ -367,7 +367,7 @@ fn a_bad_frame_is_answered_and_the_connection_closed() {
 }
 
 #[test]
-fn a_request_that_does_not_arrive_whole_is_given_up() {
+fn a_partly_received_request_times_out() {
     let server = start(Limits { receive: Duration::from_millis(150), ..Limits::default() });
     let mut stream = TcpStream::connect(server.tcp).unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
@@ -376,9 +376,9 @@ fn a_request_that_does_not_arrive_whole_is_given_up() {
 }
 
 #[test]
-fn a_handler_that_panics_ends_its_call_and_nothing_else() {
+fn a_panic_of_the_handler_fails_only_its_call() {
     let server = start(Limits::default());
-    // a backtrace that is printed for the first time may take seconds
+    // printing the first backtrace may take seconds
     let options = Options::default().timeout(Duration::from_secs(30));
     let mut tcp = blocking::connect_tcp(server.tcp, &options).unwrap();
     let mut udp = blocking::connect_udp(server.udp, &options).unwrap();
@@ -392,7 +392,7 @@ fn a_handler_that_panics_ends_its_call_and_nothing_else() {
         let error = udp.call(call::controller_get_variable(its_own, "panic", "")).unwrap_err();
         assert_eq!(error.hresult(), Some(HResult::E_UNEXPECTED));
     }
-    // two services and controllers; and each call that panicked, once
+    // two services, two controllers, and six calls that panicked once each
     assert_eq!(server.store.lock().unwrap().executed, 4 + 6);
     let variable = tcp.call(call::controller_get_variable(controller, "5", "")).unwrap();
     tcp.call(call::variable_put_value(variable, &7)).unwrap();
@@ -401,7 +401,7 @@ fn a_handler_that_panics_ends_its_call_and_nothing_else() {
 }
 
 #[test]
-fn large_requests_and_replies_share_the_memory_that_there_is() {
+fn large_requests_and_replies_share_the_memory_pool() {
     let server = start(Limits { memory: 100 << 10, ..Limits::default() });
     let connect = || {
         let mut client = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
@@ -411,7 +411,7 @@ fn large_requests_and_replies_share_the_memory_that_there_is() {
         (client, variable)
     };
     let large = [0_u8; 60 << 10];
-    // the handler has no room for it; what matters is that it has come that far
+    // the handler refuses the value, which shows that the request arrived
     let arrived = Some(HResult::E_OUTOFMEMORY);
     let refused = Some(HResult::E_PACKETSIZEOVER);
 
@@ -421,11 +421,11 @@ fn large_requests_and_replies_share_the_memory_that_there_is() {
     for _ in 0..3 {
         assert_eq!(second.call(call::variable_put_value(two, &large[..])).unwrap_err().hresult(), refused);
         second.call(call::variable_put_value(two, &1)).unwrap();
-        // who has the memory can use it again
+        // a connection can reuse the memory that it has
         assert_eq!(first.call(call::variable_put_value(one, &large[..])).unwrap_err().hresult(), arrived);
     }
 
-    // a connection that ends gives its memory back, and so does one that falls silent
+    // a connection returns its memory when it ends, and after 5 s of silence
     drop(first);
     until(|| second.call(call::variable_put_value(two, &large[..])).unwrap_err().hresult() == arrived);
     let (mut third, three) = connect();
@@ -435,24 +435,24 @@ fn large_requests_and_replies_share_the_memory_that_there_is() {
     second.call(call::variable_put_value(two, &2)).unwrap();
 }
 
-/// Waits until `condition` holds, for half a minute at most.
+/// Waits until `condition` holds, at most 30 s.
 #[track_caller]
 fn until(mut condition: impl FnMut() -> bool) {
     let begin = std::time::Instant::now();
     while !condition() {
-        assert!(begin.elapsed() < Duration::from_secs(30), "it never came to that");
+        assert!(begin.elapsed() < Duration::from_secs(30), "the condition did not hold within 30 s");
         std::thread::sleep(Duration::from_millis(50));
     }
 }
 
 #[test]
-fn datagrams_of_any_kind_do_not_stop_the_service() {
-    // a peer that garbage had made would have to go for the client
+fn invalid_datagrams_create_no_peer() {
+    // there is one slot: a peer created by garbage would be evicted for the client, and counted in `left`
     let server = start(Limits { udp_peers: 1, udp_idle: Duration::ZERO, ..Limits::default() });
     let socket = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
     for garbage in [&b""[..], b"\x01", b"hello", &[1; 600], &[0xff; 504]] {
         socket.send_to(garbage, server.udp).unwrap();
     }
     session!(blocking::connect_udp(server.udp, &Options::default()).unwrap(), "2");
-    assert_eq!(server.store.lock().unwrap().left.len(), 0, "garbage makes no peers");
+    assert_eq!(server.store.lock().unwrap().left.len(), 0, "no peer was evicted");
 }

@@ -1,4 +1,4 @@
-//! A handler that panics, in every method and over every link: the call fails, the server goes on.
+//! Panics in every method of a handler, over every link: the call fails, and the server keeps running.
 #![cfg(feature = "server")]
 
 use std::fmt::Debug;
@@ -29,9 +29,9 @@ impl Drop for Bomb {
     }
 }
 
-/// Panics in whatever it is asked, and counts how often; only what opens objects works.
+/// A handler that counts its calls and panics in all of them, except those that open objects.
 ///
-/// Of RAC, I0 is read, I1 panics, I2 panics when the request is resumed, and I3 waits for ever.
+/// Over RAC a read of I0 succeeds, I1 panics, I2 panics when it is resumed, and I3 never completes.
 #[derive(Debug, Default)]
 struct Panicking {
     next_handle: i32,
@@ -119,7 +119,7 @@ impl rac::server::Handler for Panicking {
     }
 }
 
-/// A server in a thread of its own, which must end without an error.
+/// A server in its own thread, which must end without an error.
 struct Running {
     addresses: Addresses,
     handler: Arc<Mutex<Panicking>>,
@@ -132,26 +132,26 @@ impl Running {
         let handler = Arc::<Mutex<Panicking>>::default();
         let shared = Arc::clone(&handler);
         let (stop, stopped) = oneshot::channel::<()>();
-        let (tell, addresses) = std::sync::mpsc::channel();
+        let (sender, addresses) = std::sync::mpsc::channel();
         let thread = std::thread::spawn(move || {
             let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
             runtime.block_on(async {
                 let server = Server::with_shared(shared).limits(Limits::default());
                 let server = server.bcap_tcp("127.0.0.1:0").await.unwrap().bcap_udp("127.0.0.1:0").await.unwrap();
                 let server = server.rac_tcp("127.0.0.1:0").await.unwrap();
-                tell.send(server.addresses()).unwrap();
+                sender.send(server.addresses()).unwrap();
                 server.run(async { drop(stopped.await) }).await
             })
         });
         Self { addresses: addresses.recv().unwrap(), handler, stop, thread }
     }
 
-    /// Takes the handler, which is poisoned by its panics.
+    /// Locks the handler, whose mutex is poisoned.
     fn handler(&self) -> MutexGuard<'_, Panicking> {
         self.handler.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits until the handler is as expected.
+    /// Waits until `condition` holds for the handler.
     #[track_caller]
     fn until(&self, condition: impl Fn(&Panicking) -> bool) {
         let until = now() + Duration::from_secs(60);
@@ -161,7 +161,7 @@ impl Running {
         }
     }
 
-    /// Stops the server, which must not have ended before; returns the handler.
+    /// Stops the server, which must still run; returns the handler.
     fn stop(self) -> Panicking {
         self.stop.send(()).expect("the server runs");
         self.thread.join().expect("the server's thread has not panicked").expect("the server ends without an error");
@@ -169,13 +169,12 @@ impl Running {
     }
 }
 
-/// Options for clients that wait for backtraces, which may take seconds when they are printed for the first time.
+/// Options with a long timeout: printing the first backtrace may take seconds.
 fn options() -> Options {
     Options::default().timeout(Duration::from_secs(60))
 }
 
-/// Calls everything that panics, then goes without releasing anything; returns what it had, in the order of its
-/// release.
+/// Makes every call that panics, and leaves its objects open. Returns the handles in the order of their release.
 fn call_all<X: Transport<Error: Debug>>(client: &mut Connection<X, Vec<u8>>) -> [i32; 3] {
     let unexpected = Some(HResult::E_UNEXPECTED);
     client.call(call::service_start("InvokeTimeout=100")).unwrap();
@@ -197,10 +196,10 @@ fn call_all<X: Transport<Error: Debug>>(client: &mut Connection<X, Vec<u8>>) -> 
 }
 
 #[test]
-fn every_method_may_panic_over_tcp() {
+fn panics_over_tcp_fail_only_their_calls() {
     let server = Running::start();
     let mut client = blocking::connect_tcp(server.addresses.bcap_tcp[0], &options()).unwrap();
-    let had = call_all(&mut client);
+    let handles = call_all(&mut client);
     drop(client);
     server.until(|handler| handler.left == 1);
     let mut next = blocking::connect_tcp(server.addresses.bcap_tcp[0], &options()).unwrap();
@@ -209,21 +208,21 @@ fn every_method_may_panic_over_tcp() {
     server.until(|handler| handler.left == 2);
     let handler = server.stop();
     assert_eq!((handler.calls, handler.resumed, handler.abandoned), (4, 4, 4));
-    // a release that fails leaves the object open; one that panics at the client's end prevents no other
-    assert_eq!(handler.released[..5], [had[1], had[0], had[1], had[2], 0]);
+    // a failed release leaves the object open; a panic while a peer is closed does not prevent the other releases
+    assert_eq!(handler.released[..5], [handles[1], handles[0], handles[1], handles[2], 0]);
     assert_eq!(handler.released.len(), 2 * 5);
 }
 
 #[test]
-fn every_method_may_panic_over_udp() {
+fn panics_over_udp_fail_only_their_calls() {
     let server = Running::start();
     let address = server.addresses.bcap_udp[0];
     let mut client = blocking::connect_udp(address, &options()).unwrap();
-    let had = call_all(&mut client);
-    // Service_Stop releases what is open, and is answered although its own release panics
+    let handles = call_all(&mut client);
+    // Service_Stop releases open objects, and is answered although each release panics
     assert_eq!(client.call(call::service_stop()).unwrap_err().hresult(), Some(HResult::E_UNEXPECTED));
-    assert_eq!(server.handler().released[1..4], had);
-    // the other peers are served: by the same task
+    assert_eq!(server.handler().released[1..4], handles);
+    // the same task still serves other peers
     let mut next = blocking::connect_udp(address, &options()).unwrap();
     call_all(&mut next);
     let handler = server.stop();
@@ -231,14 +230,14 @@ fn every_method_may_panic_over_udp() {
 }
 
 #[test]
-fn a_peer_that_goes_while_its_call_waits_may_panic_everywhere() {
+fn panics_while_a_peer_with_a_waiting_call_is_closed_do_not_stop_the_server() {
     let server = Running::start();
     let calling = {
         let mut stream = TcpStream::connect(server.addresses.bcap_tcp[0]).unwrap();
-        let mut ask = |frame: Vec<u8>| stream.write_all(&frame).unwrap();
-        ask(frame(call::service_start("")));
-        ask(frame(call::controller_connect("", "", "", "")));
-        ask(frame(call::controller_execute(ControllerHandle(1), "waits", ())));
+        let mut send = |frame: Vec<u8>| stream.write_all(&frame).unwrap();
+        send(frame(call::service_start("")));
+        send(frame(call::controller_connect("", "", "", "")));
+        send(frame(call::controller_execute(ControllerHandle(1), "waits", ())));
         stream
     };
     server.until(|handler| handler.waiting == 1);
@@ -249,7 +248,7 @@ fn a_peer_that_goes_while_its_call_waits_may_panic_everywhere() {
 }
 
 #[test]
-fn every_method_may_panic_over_rac() {
+fn panics_over_rac_fail_only_their_requests() {
     let server = Running::start();
     let mut client = blocking::connect_rac(server.addresses.rac_tcp[0], &options()).unwrap();
     let variable = |index| rac::Variable::new(VariableKind::I, index);
@@ -259,7 +258,7 @@ fn every_method_may_panic_over_rac() {
         }
         assert_eq!(client.get(variable(0)).unwrap(), Variant::I4(7));
     }
-    // a request that waits is abandoned when its client goes
+    // a waiting request is abandoned when its client disconnects
     let mut gone = TcpStream::connect(server.addresses.rac_tcp[0]).unwrap();
     gone.write_all(b"GET:RC8:3:I:\r").unwrap();
     server.until(|handler| handler.waiting == 1);

@@ -1,4 +1,4 @@
-//! RAC over real sockets on the loopback: the server, and both clients.
+//! RAC over loopback sockets: the server, the blocking client and the tokio client.
 #![cfg(feature = "server")]
 
 use std::io::{Read as _, Write as _};
@@ -19,7 +19,7 @@ use bcap_std::server::{Limits, Server};
 use bcap_std::{Options, asynch, blocking};
 use tokio::sync::oneshot;
 
-/// One integer, I0; a read of I1 waits until I0 is 0, and one of I2 panics.
+/// A handler with one integer, I0. A read of I1 waits until I0 is 0, and a read of I2 panics.
 #[derive(Default)]
 struct Counter {
     count: i32,
@@ -32,9 +32,9 @@ impl server::Handler for Counter {
         match (variable.kind, variable.index, request.value()) {
             (VariableKind::I, 0, Some(Variant::I4(count))) => self.count = count,
             (VariableKind::I, 2, None) => {
-                // what it has said before is not sent
+                // a value that was set before the panic is not sent
                 let _ = reply.set(&self.count);
-                panic!("as the test wants it");
+                panic!("on request of the test");
             }
             (VariableKind::I, 1, None) if self.count != 0 => return Outcome::Wait(Instant::FAR_FUTURE),
             (VariableKind::I, 0 | 1, None) => {
@@ -56,7 +56,7 @@ impl bcap::server::Handler for Counter {
     }
 }
 
-/// A server in a thread of its own; it stops when this is dropped.
+/// A server in its own thread; dropping this stops it.
 struct Running {
     address: SocketAddr,
     counter: Arc<Mutex<Counter>>,
@@ -68,12 +68,12 @@ fn start(limits: Limits) -> Running {
     let counter = Arc::new(Mutex::new(Counter { count: 41, left: 0 }));
     let handler = Arc::clone(&counter);
     let (stop, stopped) = oneshot::channel::<()>();
-    let (tell, addresses) = std::sync::mpsc::channel();
+    let (sender, addresses) = std::sync::mpsc::channel();
     let thread = std::thread::spawn(move || {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
         runtime.block_on(async {
             let server = Server::with_shared(handler).limits(limits).rac_tcp("127.0.0.1:0").await.unwrap();
-            tell.send(server.addresses()).unwrap();
+            sender.send(server.addresses()).unwrap();
             server.run(async { drop(stopped.await) }).await.unwrap();
         });
     });
@@ -110,7 +110,7 @@ fn line(stream: &mut TcpStream) -> String {
 }
 
 #[test]
-fn every_line_is_answered_in_order_however_it_is_cut() {
+fn every_line_is_answered_in_order_for_any_segmentation() {
     let server = start(Limits::default());
     let mut stream = TcpStream::connect(server.address).unwrap();
     let long = "X".repeat(300);
@@ -126,7 +126,7 @@ fn every_line_is_answered_in_order_however_it_is_cut() {
 }
 
 #[test]
-fn a_request_that_waits_is_woken_by_another_connection() {
+fn a_waiting_request_is_resumed_by_another_connection() {
     let server = start(Limits::default());
     let mut waiting = TcpStream::connect(server.address).unwrap();
     waiting.write_all(b"GET:RC8:1:I:\r").unwrap();
@@ -137,7 +137,7 @@ fn a_request_that_waits_is_woken_by_another_connection() {
 }
 
 #[test]
-fn a_connection_over_the_limit_is_told_so() {
+fn a_connection_over_the_limit_is_answered_e_max_connect() {
     let server = start(Limits { connections: 1, ..Limits::default() });
     let mut first = TcpStream::connect(server.address).unwrap();
     first.write_all(b"GET:RC8:0:I:\r").unwrap();
@@ -149,7 +149,7 @@ fn a_connection_over_the_limit_is_told_so() {
 }
 
 #[test]
-fn a_handler_that_panics_ends_its_request_and_nothing_else() {
+fn a_panic_of_the_handler_fails_only_its_request() {
     let server = start(Limits::default());
     let mut stream = TcpStream::connect(server.address).unwrap();
     for _ in 0..3 {
@@ -160,7 +160,7 @@ fn a_handler_that_panics_ends_its_request_and_nothing_else() {
 }
 
 #[test]
-fn a_peer_that_goes_is_told_to_the_handler_and_a_stop_closes_connections() {
+fn a_stop_closes_connections_and_reports_them_to_the_handler() {
     let mut server = start(Limits::default());
     let mut stream = TcpStream::connect(server.address).unwrap();
     stream.write_all(b"GET:RC8:0:I:\r").unwrap();
@@ -170,7 +170,7 @@ fn a_peer_that_goes_is_told_to_the_handler_and_a_stop_closes_connections() {
     assert_eq!(server.counter.lock().unwrap().left, 1);
 }
 
-/// Reads, writes, is refused, and goes on.
+/// Reads and writes a variable, and keeps the connection after refused requests.
 macro_rules! session {
     ($client:expr $(, $wait:tt)?) => {{
         let client = &mut $client;
@@ -179,7 +179,7 @@ macro_rules! session {
         client.put(first, Variant::I4(-7))$(.$wait)?.unwrap();
         assert_eq!(client.get(other)$(.$wait)?.unwrap_err().hresult(), Some(HResult::E_INVALIDARG));
         assert_eq!(client.get(first)$(.$wait)?.unwrap(), Variant::I4(-7));
-        // what has no text is the caller's fault, and nothing is sent
+        // a value that has no text is an error of the caller, and nothing is sent
         let error = client.put(first, Variant::R8(f64::from_bits(0x7ff8_0000_0000_0001)))$(.$wait)?.unwrap_err();
         assert!(matches!(error, CallError::Client(ClientError::Request(_))), "{error}");
         assert_eq!(client.get(first)$(.$wait)?.unwrap(), Variant::I4(-7));
@@ -199,12 +199,12 @@ async fn a_tokio_client_reads_writes_and_is_refused() {
 }
 
 #[test]
-fn a_reply_that_is_late_is_awaited_and_never_taken_for_another() {
+fn a_late_reply_is_never_matched_to_a_later_request() {
     let server = start(Limits::default());
     let options = Options::default().timeout(Duration::from_millis(600));
     let mut client = blocking::connect_rac(server.address, &options).unwrap();
     let (count, zero) = (Variable::new(VariableKind::I, 0), Variable::new(VariableKind::I, 1));
-    // the server holds this reply back until the count is 0
+    // the server delays this reply until the count is 0
     let error = client.get(zero).unwrap_err();
     assert!(matches!(error, CallError::Client(ClientError::Timeout(Timeout::Reply))), "{error}");
     assert!(error.is_recoverable());

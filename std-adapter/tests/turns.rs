@@ -1,4 +1,4 @@
-//! One connection with large requests leaves the server's thread to others: by counts and threads, not by times.
+//! A connection with large or many requests yields to other tasks. The tests check counts and threads, not times.
 #![cfg(feature = "server")]
 
 use std::io::{Read as _, Write as _};
@@ -16,12 +16,13 @@ use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use bcap_std::server::Server;
 
-/// Opens anything, takes any value, and records for each value on which thread, and after how many turns of another task.
+/// A handler that opens any object and accepts any value. For each value it records the thread, and the number of turns of
+/// another task.
 struct Recorder {
     puts: Vec<Put>,
-    /// Counted by a task that does nothing else.
+    /// The turns of a task that only counts.
     turns: Arc<AtomicUsize>,
-    /// Awaited before the first value is taken, so that others are in the server's socket by then.
+    /// Received before the first value is recorded, so that further requests are in the server's socket by then.
     begin: mpsc::Receiver<()>,
 }
 
@@ -53,7 +54,7 @@ fn puts(count: usize, bytes: usize) -> (Vec<Put>, ThreadId) {
     let handler = Recorder { puts: Vec::new(), turns: Arc::clone(&turns), begin: begun };
     let handler = Arc::new(Mutex::new(handler));
     let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
-    let (tell, address) = mpsc::channel();
+    let (sender, address) = mpsc::channel();
     let shared = Arc::clone(&handler);
     let server = thread::spawn(move || {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
@@ -65,7 +66,7 @@ fn puts(count: usize, bytes: usize) -> (Vec<Put>, ThreadId) {
                 }
             });
             let server = Server::with_shared(shared).bcap_tcp("127.0.0.1:0").await.unwrap();
-            tell.send(server.addresses().bcap_tcp[0]).unwrap();
+            sender.send(server.addresses().bcap_tcp[0]).unwrap();
             server.run(async { drop(stopped.await) }).await.unwrap();
         });
     });
@@ -104,8 +105,8 @@ fn frame(call: impl Call) -> Vec<u8> {
     writer.finish(1, 0, call.function().0).unwrap().to_vec()
 }
 
-/// Checks that another task had a turn among any `count` values. The scheduler of tokio may give a task two turns in a row, so
-/// `count` is that of three turns.
+/// Checks that another task had a turn within any `count` consecutive values. Tokio's scheduler may give a task two turns in
+/// a row, so `count` is the number of values in three turns.
 #[track_caller]
 fn assert_turns(puts: &[Put], count: usize) {
     for window in puts.windows(count) {
@@ -114,24 +115,24 @@ fn assert_turns(puts: &[Put], count: usize) {
 }
 
 #[test]
-fn a_turn_ends_after_so_many_bytes() {
+fn a_turn_ends_after_256_kib() {
     // 2 MiB, in requests of half a turn
     let (puts, server) = puts(16, 128 << 10);
     assert_eq!(puts.len(), 16);
-    assert!(puts.iter().all(|put| put.thread == server), "these are small enough for the server's thread");
+    assert!(puts.iter().all(|put| put.thread == server), "requests below 256 KiB run on the server's thread");
     assert_turns(&puts, 3 * 2 + 1);
 }
 
 #[test]
-fn a_turn_ends_after_so_many_small_requests() {
+fn a_turn_ends_after_32_small_requests() {
     let (puts, _) = puts(300, 4);
     assert_eq!(puts.len(), 300);
     assert_turns(&puts, 3 * 32 + 1);
 }
 
 #[test]
-fn a_large_request_is_carried_out_by_another_thread() {
+fn a_large_request_runs_on_another_thread() {
     let (puts, server) = puts(3, 15 << 20);
     assert_eq!(puts.len(), 3);
-    assert!(puts.iter().all(|put| put.thread != server), "the server's thread serves others meanwhile");
+    assert!(puts.iter().all(|put| put.thread != server), "requests of 256 KiB or more run on another thread");
 }

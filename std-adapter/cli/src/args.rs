@@ -19,11 +19,11 @@ use crate::frame::Role;
 use crate::rules::AllowPut;
 use crate::target::Target;
 
-/// Talks to DENSO robot controllers over b-CAP and RAC, and takes their traffic apart.
+/// Talks to DENSO robot controllers over b-CAP and RAC, and decodes their traffic.
 #[derive(Debug, Parser)]
 #[command(name = "bcap", version, after_help = EXIT_CODES)]
 pub(crate) struct Cli {
-    /// Prints results as JSON, one object a line; a failure is then {"error":...} as well
+    /// Prints results as JSON, one object per line; failures too, as {"error":...}
     #[arg(long, global = true)]
     pub(crate) json: bool,
 
@@ -35,33 +35,33 @@ pub(crate) struct Cli {
 }
 
 const EXIT_CODES: &str = "\
-Exit codes: 0 done, 1 the controller refused, 2 wrong usage or malformed input, 3 no connection, 4 no answer in time,
-130 stopped by a signal before the end.
-Colours are left out when NO_COLOR is set or the output is not a terminal.";
+Exit codes: 0 done, 1 the controller refused, 2 wrong usage or malformed input, 3 no connection, 4 timeout,
+130 interrupted by a signal.
+There are no colours if NO_COLOR is set or the output is not a terminal.";
 
-/// How long to wait for an answer unless the user says otherwise.
+/// The default time limit for an answer.
 const DEFAULT_TIMEOUT: Duration = Duration::from_secs(3);
 
 impl Cli {
-    /// Reads the command line, or ends the program with the help or an error.
+    /// Parses the command line, or exits with the help or an error.
     pub(crate) fn parse_or_exit() -> Self {
         Self::try_parse().unwrap_or_else(|error| {
             if !error.use_stderr() {
-                // help and version are the command's own text
+                // help and version contain no text from outside
                 error.exit();
             }
-            // clap repeats arguments in its errors, so these are made again of arguments that are safe to print
+            // clap quotes arguments in its errors, so parse again with escaped arguments, which are safe to print
             let safe = env::args_os().map(|argument| escape::line(&escape::cut(&argument.display())));
             match Self::try_parse_from(safe) {
                 Err(error) if error.use_stderr() => error.exit(),
-                // the error was in what is escaped now
+                // the escaped arguments parse differently
                 _ => Failure::Input(escape::line(&error.to_string())).exit(),
             }
         })
     }
 }
 
-/// Reads a time: a number of milliseconds, or one with `ms`, `s` or `min`, from 1 ms to a day.
+/// Parses a time: a number of milliseconds, or a number with `ms`, `s` or `min`, from 1 ms to a day.
 fn duration(text: &str) -> Result<Duration, String> {
     const DAY: u64 = 86_400_000;
     let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
@@ -77,26 +77,26 @@ fn duration(text: &str) -> Result<Duration, String> {
     time.ok_or_else(|| "write a time from 1 ms to a day, such as 500, 500ms, 2s or 1min".into())
 }
 
-/// How to reach the controller.
+/// The connection to the controller.
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Connection")]
 pub(crate) struct LinkArgs {
     /// The controller: tcp:HOST[:PORT] or udp:HOST[:PORT]; for rac HOST[:PORT] [env: BCAP_ROBOT=] [default: tcp:127.0.0.1]
     ///
-    /// IPv6 addresses stand in brackets: tcp:[fe80::1]:5007.
+    /// Write IPv6 addresses in brackets: tcp:[fe80::1]:5007.
     #[arg(long, global = true, value_name = "ADDRESS")]
     pub(crate) robot: Option<String>,
 
-    /// How long the whole command may take, in ms or with a unit (2s) [default: 3 s for each answer or keep-alive]
+    /// The time limit of the whole command, in ms or with a unit (2s) [default: 3 s for each answer or keep-alive]
     ///
-    /// It bounds the connection, all calls, their keep-alives and the end of the session. For `watch` and `slave record`
-    /// it bounds each round; for `doctor` each link, then all that is looked at; for `slave play`, `slave cosine` and
-    /// `gateway` each answer. Without it `halt` ends within 3 s, and a controller may keep any other call alive for
-    /// 180 s. Over UDP five attempts share the time.
+    /// It covers connecting, all calls with their keep-alives, and the end of the session. `watch` and `slave record` apply
+    /// it to each round; `doctor` to each link, and then to all other checks together; `slave play`, `slave cosine` and
+    /// `gateway` to each answer. Without this option `halt` ends within 3 s, and a controller can keep any other call alive
+    /// for 180 s. Over UDP five attempts share the time.
     #[arg(long, global = true, value_name = "MS", value_parser = duration)]
     pub(crate) timeout: Option<Duration>,
 
-    /// The provider to connect to: an RC9 or COBOTTA PRO has CaoProv.DENSO.VRC9
+    /// The provider to connect to; an RC9 or a COBOTTA PRO has CaoProv.DENSO.VRC9
     #[arg(long, global = true, value_name = "NAME", default_value = "CaoProv.DENSO.VRC")]
     pub(crate) provider: String,
 }
@@ -112,25 +112,25 @@ impl LinkArgs {
         Target::rac(self.robot.as_deref())
     }
 
-    /// Returns how long to wait for a connection, and for an answer or the next keep-alive.
+    /// Returns the time limit for connecting, and for each answer or keep-alive.
     pub(crate) fn timeout(&self) -> Duration {
         self.timeout.unwrap_or(DEFAULT_TIMEOUT)
     }
 
-    /// Returns how long the whole command may take; `None` if the user has not limited it.
+    /// Returns the time limit of the whole command; `None` if the user gave none.
     pub(crate) const fn limit(&self) -> Option<Duration> {
         self.timeout
     }
 
-    /// Limits the whole command even if the user has not.
+    /// Limits the whole command even if the user gave no limit.
     pub(crate) fn limited(&self) -> Self {
         Self { timeout: Some(self.timeout()), ..self.clone() }
     }
 
-    /// Returns the option of Service_Start: three keep-alives in the time that one is waited for.
+    /// Returns the option of Service_Start: a third of the timeout as keep-alive interval, at most 400 ms.
     pub(crate) fn start_option(&self) -> String {
         match self.timeout().as_millis() / 3 {
-            // a server refuses less than 80 ms (S2:225)
+            // a server refuses intervals below 80 ms (S2:225)
             0..80 => String::new(),
             interval => format!("WDT={}", interval.min(400)),
         }
@@ -160,9 +160,9 @@ pub(crate) enum Command {
 
 /// Reads variables
 ///
-/// NAME is a variable of the controller, such as I1, P10 or @MODE, or one of an object: robot/@SERVO_ON,
-/// robot:Arm0/@CURRENT_POSITION, task:Pro1/@STATUS. With --json a line is {"name":"I1","vt":3,"v":5}; the types and their
-/// `v` are those of `bcap encode --help`.
+/// NAME is a variable of the controller, such as I1, P10 or @MODE, or of an object: robot/@SERVO_ON,
+/// robot:Arm0/@CURRENT_POSITION, task:Pro1/@STATUS. With --json a line is {"name":"I1","vt":3,"v":5}; `bcap encode --help`
+/// describes `vt` and `v`.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -177,9 +177,9 @@ pub(crate) struct Get {
 
 /// Writes a variable
 ///
-/// VALUE is plain data, which take the type that the variable has now, or TYPE,DATA with a VARTYPE. Where both can be
-/// meant, TYPE,DATA with the variable's own type and length goes first, then plain data: `3,5` is the I4 5 for I1, but a
-/// text for S1.
+/// VALUE is plain data, which take the variable's present type, or TYPE,DATA with a VARTYPE number. If both readings are
+/// possible, TYPE,DATA with the variable's own type and length has priority, then plain data: `3,5` is the I4 5 for I1, but
+/// the string "3,5" for S1.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -197,10 +197,10 @@ pub(crate) struct Put {
     pub(crate) value: String,
 }
 
-/// Reads variables again and again
+/// Reads variables periodically
 ///
-/// A line begins with the seconds since the start, or has them in milliseconds as \"ms\" with --json. SIGINT and SIGTERM
-/// end it with 0, after the controller has been told.
+/// A line begins with the seconds since the start; with --json it has the milliseconds as "ms". On SIGINT and SIGTERM the
+/// command releases its objects, stops the service and exits with 0.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -211,24 +211,24 @@ pub(crate) struct Watch {
     #[arg(value_name = "NAME", required = true)]
     pub(crate) names: Vec<String>,
 
-    /// The time from one round to the next
+    /// The time from one round to the next, in ms
     #[arg(long, value_name = "MS", default_value_t = 100)]
     pub(crate) interval: u64,
 
-    /// Prints a variable only when its value is another than before
+    /// Prints a variable only when its value has changed
     #[arg(long)]
     pub(crate) changed: bool,
 
-    /// Ends after so many rounds
+    /// Ends after this number of rounds
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) count: Option<u64>,
 }
 
-/// Lists what the controller has: variables, robots, tasks, files, extensions, commands
+/// Lists the variables, robots, tasks, files, extensions and commands of the controller
 ///
-/// The names are printed as the other commands take them. A list that the controller does not implement (E_NOTIMPL) is left
-/// out; any other list that cannot be read is an error, and the exit code is then 1. Over UDP a list must fit one datagram of
-/// at most 504 bytes; TCP carries longer ones.
+/// The other commands accept the names as they are printed. A list that the controller does not implement (E_NOTIMPL) is
+/// omitted. Any other list that cannot be read is an error, and the exit code is 1. Over UDP a list must fit one datagram of
+/// at most 504 bytes; TCP carries longer lists.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -238,11 +238,10 @@ pub(crate) struct Names {}
 
 /// Calls any of the 137 functions
 ///
-/// FUNCTION is a name (VariableGetValue, Variable_GetValue, variable_get_value) or a number. ARG is TYPE,DATA; where a
-/// handle is wanted it may be an object, which is opened first and released at the end: controller, robot, robot:Arm0,
-/// task:Pro1, file:NAME, extension:NAME, variable:I1, robot/variable:@SERVO_ON. What is not TYPE,DATA is taken as plain
-/// data where the function wants an integer, a float or a string. The service is started, and the controller connected
-/// to, as far as it is needed.
+/// FUNCTION is a name (VariableGetValue, Variable_GetValue, variable_get_value) or a number. ARG is TYPE,DATA. For a handle
+/// it may be the name of an object, which is opened first and released at the end: controller, robot, robot:Arm0,
+/// task:Pro1, file:NAME, extension:NAME, variable:I1, robot/variable:@SERVO_ON. For an integer, a float or a string it may
+/// be plain data. The command starts the service and connects to the controller as needed.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -262,8 +261,8 @@ pub(crate) struct Call {
 
 /// Executes a command of the controller or a robot
 ///
-/// OBJECT is controller, robot or robot:NAME; task:NAME, file:NAME and extension:NAME have commands as well. ARG is
-/// TYPE,DATA; an integer is taken as I4, another number as R8, anything else as a string; without it EMPTY is sent.
+/// OBJECT is controller, robot, robot:NAME, task:NAME, file:NAME or extension:NAME. ARG is TYPE,DATA; otherwise an integer
+/// is sent as I4, another number as R8, any other text as a string. Without ARG the parameter is EMPTY.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -275,7 +274,7 @@ pub(crate) struct Exec {
     /// The object
     pub(crate) object: String,
 
-    /// The command, in any case
+    /// The command; case does not matter
     pub(crate) command: String,
 
     /// Its parameter
@@ -285,8 +284,8 @@ pub(crate) struct Exec {
 
 /// Reads and writes variables over RAC, the text protocol
 ///
-/// NAME is one of I F D V P J T S IO with a number: I1, P10, IO128. --robot is HOST[:PORT] here, the port 5006 if it is
-/// left out; of the environment variable BCAP_ROBOT only the host counts.
+/// NAME is one of I F D V P J T S IO with a number: I1, P10, IO128. --robot is HOST[:PORT] here, with the default port 5006.
+/// Only the host of the environment variable BCAP_ROBOT is used.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -307,8 +306,8 @@ pub(crate) enum RacCommand {
 
 /// Runs a virtual controller on real sockets
 ///
-/// Prints one line, `ready bcap=IP:PORT udp=IP:PORT rac=IP:PORT`, when it listens. Port 0 takes a free one. SIGINT and
-/// SIGTERM end it with 0.
+/// Prints one line, `ready bcap=IP:PORT udp=IP:PORT rac=IP:PORT`, when it listens. Port 0 selects a free port. On SIGINT and
+/// SIGTERM it exits with 0.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -318,25 +317,25 @@ Examples:
   bcap sim --model cobotta --robot-type CVR038A1-NV6
   bcap sim --bcap [::]:5007 --udp [::]:5007 --rac [::]:5006")]
 pub(crate) struct Sim {
-    /// Where b-CAP over TCP listens
+    /// The address for b-CAP over TCP
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:5007")]
     pub(crate) bcap: SocketAddr,
 
-    /// Where b-CAP over UDP listens
+    /// The address for b-CAP over UDP
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:5007")]
     pub(crate) udp: SocketAddr,
 
-    /// Where RAC listens
+    /// The address for RAC
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:5006")]
     pub(crate) rac: SocketAddr,
 
-    /// Which controller it is like
+    /// The controller to simulate
     #[arg(long, value_name = "MODEL", default_value = "rc8")]
     pub(crate) model: Model,
 
     /// The type of the robot, which drivers read as @TYPE_NAME [default: VS050A3; CVR038A1 for a COBOTTA]
     ///
-    /// Lengths, ranges and speeds of the arm stay the same. Name, axes and version are keys of a scenario.
+    /// The type does not change the lengths, ranges and speeds of the arm. A scenario sets name, axes and version.
     #[arg(long, value_name = "TYPE")]
     pub(crate) robot_type: Option<String>,
 
@@ -344,27 +343,26 @@ pub(crate) struct Sim {
     #[arg(long, value_name = "MODE", default_value = "auto")]
     pub(crate) mode: OperationMode,
 
-    /// Who has the executable token
-    #[arg(long, value_name = "WHO", default_value = "any")]
+    /// The holder of the executable token
+    #[arg(long, value_name = "HOLDER", default_value = "any")]
     pub(crate) token: TokenHolder,
 
-    /// Leaves out the licence of Slave Mode
+    /// Starts without a Slave Mode licence
     #[arg(long)]
     pub(crate) no_slave_licence: bool,
 
-    /// A file of how the controller begins (what is wrong, type, axes, version, limits), and of faults that happen by
-    /// themselves: refused calls, errors, the emergency stop, a bad link
+    /// A file with the initial state of the controller (errors, type, axes, version, limits) and with faults to inject:
+    /// refused calls, errors, the emergency stop, a bad link
     #[arg(long, value_name = "FILE")]
     pub(crate) scenario: Option<PathBuf>,
 
-    /// The folder of the controller's files, of which clients see regular files and folders; otherwise one that is
-    /// empty, and gone at the end
+    /// The folder of the controller's files; clients see its regular files and folders [default: an empty temporary folder]
     #[arg(long, value_name = "DIR")]
     pub(crate) files: Option<PathBuf>,
 
-    /// Prints on stderr why an argument was refused: the call, what it was given, what is accepted
+    /// Prints on stderr why an argument was refused: the call, the refused value, the accepted values
     ///
-    /// GetErrorDescription of the code tells the same.
+    /// GetErrorDescription of the code returns the same text.
     #[arg(long)]
     pub(crate) explain: bool,
 }
@@ -374,9 +372,9 @@ pub(crate) struct Sim {
 pub(crate) enum Model {
     /// RC8
     Rc8,
-    /// RC9: it has StoState and ManualReset
+    /// RC9: has StoState and ManualReset
     Rc9,
-    /// COBOTTA: the same; it is to be prepared before it moves, and its slave mode has no HandIO
+    /// COBOTTA: as RC9, but must be prepared before it moves, and has no HandIO in Slave Mode
     Cobotta,
 }
 
@@ -408,12 +406,12 @@ impl From<OperationMode> for bcap_sim::Mode {
     }
 }
 
-/// Who has the executable token.
+/// The holder of the executable token.
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 pub(crate) enum TokenHolder {
-    /// Anybody
+    /// Any client or the teach pendant
     Any,
-    /// The teach pendant, and no client
+    /// The teach pendant only
     Pendant,
 }
 
@@ -489,9 +487,9 @@ pub(crate) struct Gateway {
     pub(crate) audit_keep: u32,
 }
 
-/// Shows a session with a virtual controller, every frame decoded beside its bytes
+/// Shows a session with a virtual controller: each frame with its bytes and their meaning
 ///
-/// Starts the controller inside itself, on free ports of this machine, then talks to it over TCP, UDP and RAC.
+/// Starts the controller in this process, on free ports of this machine, and connects to it over TCP, UDP and RAC.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -499,11 +497,11 @@ Examples:
   bcap demo | less")]
 pub(crate) struct Demo {}
 
-/// Takes frames or values apart
+/// Decodes frames or values
 ///
-/// HEX is printed field by field with its offsets; it may hold several frames, one behind the other. With `-` each line of the standard input is one item and gives one
-/// line; a bad one gives {"error":...,"offset":...}, and the exit code is 2 at the end. HEX may have blanks, colons, commas
-/// and 0x prefixes between bytes.
+/// Prints HEX field by field with offsets; HEX may hold several frames in sequence. With `-` each line of the standard input
+/// is one item and gives one line of output. An invalid line gives {"error":...,"offset":...}, and the exit code is then 2.
+/// HEX may have blanks, colons, commas and 0x prefixes between bytes.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -515,25 +513,25 @@ pub(crate) struct Decode {
     #[command(flatten)]
     pub(crate) form: Form,
 
-    /// Tolerates what peers in the field get wrong: slack, counts and argument lengths that disagree, unknown types
+    /// Accepts common errors of peers: trailing bytes, counts and lengths that disagree, unknown types
     #[arg(long)]
     pub(crate) lenient: bool,
 
-    /// The bytes; `-` or nothing reads lines
+    /// The bytes; without it, or with `-`, the lines of the standard input
     #[arg(value_name = "HEX")]
     pub(crate) hex: Vec<String>,
 }
 
-/// Makes frames or values from the JSON that `bcap decode --json` prints
+/// Encodes frames or values from the JSON that `bcap decode --json` prints
 ///
-/// A frame is {"serial":4,"reserved":0,"code":101,"args":[{"vt":3,"v":3}]}: `serial` is 1, `reserved` 0 and `args` empty
-/// when they are left out, and `name` may stand for `code`. A field of another name is an error. With --variant a value is
-/// {"vt":3,"v":100}. The output is hexadecimal digits in lower case.
+/// A frame is {"serial":4,"reserved":0,"code":101,"args":[{"vt":3,"v":3}]}. The defaults are 1 for `serial`, 0 for
+/// `reserved` and no `args`; `name` may replace `code`. Unknown fields are errors. With --variant a value is
+/// {"vt":3,"v":100}. The output is lower-case hexadecimal digits.
 ///
-/// `v` is a number for numbers, CY (ten-thousandths), DATE (days since 1899-12-30) and ERROR, -1 or 0 for BOOL, a string
-/// for BSTR, null for EMPTY and NULL, a list for arrays; elements of VARIANT arrays are again {"vt":..,"v":..}. Floats that
-/// are not finite are "NaN", "inf", "-inf", and "NaN(0x7ff8000000000001)" for a NaN of other bits; a surrogate without its
-/// partner is written \ud800.
+/// `v` is a number for numbers, CY (ten-thousandths), DATE (days since 1899-12-30) and ERROR; -1 or 0 for BOOL; a string
+/// for BSTR; null for EMPTY and NULL; a list for arrays. Elements of VARIANT arrays are again {"vt":..,"v":..}. Floats that
+/// are not finite are "NaN", "inf" and "-inf"; a NaN with other bits is "NaN(0x7ff8000000000001)". An unpaired surrogate is
+/// \ud800.
 #[derive(Debug, Args)]
 #[command(after_help = r#"Examples:
   bcap encode '{"serial":4,"code":101,"args":[{"vt":3,"v":3}]}'
@@ -544,33 +542,33 @@ pub(crate) struct Encode {
     #[command(flatten)]
     pub(crate) form: Form,
 
-    /// The JSON; `-` or nothing reads lines
+    /// The JSON; without it, or with `-`, the lines of the standard input
     #[arg(value_name = "JSON")]
     pub(crate) line: Vec<String>,
 }
 
-/// What the bytes are.
+/// The format of the bytes.
 #[derive(Debug, Args)]
 pub(crate) struct Form {
     /// The bytes are a single VARIANT instead of a frame
     #[arg(long)]
     pub(crate) variant: bool,
 
-    /// Frames are those of a serial (COM) line, with a CRC
+    /// Frames have the CRC of a serial (COM) line
     #[arg(long, conflicts_with = "variant")]
     pub(crate) com: bool,
 
-    /// What the frames are: nothing in their bytes tells
+    /// The kind of the frames, which their bytes do not show
     #[arg(long = "as", value_name = "ROLE", default_value = "request", conflicts_with = "variant")]
     pub(crate) role: Role,
 }
 
-/// Turns values into the text that RAC carries, and back
+/// Converts values to the text form of RAC, and back
 ///
-/// The text is TYPE,DATA: the VARTYPE as a number, then the data. What is printed parses back to the same bits, unless it has
-/// control characters, which are printed as \u{1b}; with --json the text is {"text":"8,\u001b"} and exact. A value that has
-/// no text, such as an empty array, is an error. With `-` each line of the standard input is one item and gives one
-/// line; a bad one gives {"error":...,"offset":...}, and the exit code is 2 at the end.
+/// The text is TYPE,DATA: the VARTYPE as a number, then the data. Parsing the output gives the same bits, except that control
+/// characters are printed as \u{1b}; with --json the text is {"text":"8,\u001b"}, which is exact. A value without a text
+/// form, such as an empty array, is an error. With `-` each line of the standard input is one item and gives one line of
+/// output. An invalid line gives {"error":...,"offset":...}, and the exit code is then 2.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -587,18 +585,18 @@ pub(crate) struct Text {
 pub(crate) enum TextCommand {
     /// Prints the bytes of a value, as hexadecimal digits, or as JSON with --json
     Parse {
-        /// The text; `-` or nothing reads lines
+        /// The text; without it, or with `-`, the lines of the standard input
         text: Option<String>,
     },
     /// Prints the text of a value
     Print {
-        /// The bytes; `-` or nothing reads lines
+        /// The bytes; without it, or with `-`, the lines of the standard input
         #[arg(value_name = "HEX")]
         hex: Vec<String>,
     },
 }
 
-/// Prints the completions for a shell
+/// Prints a completion script for a shell
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

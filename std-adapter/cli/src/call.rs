@@ -1,4 +1,4 @@
-//! `bcap call` and `bcap exec`: any function, with arguments as people write them.
+//! `bcap call` and `bcap exec`: call any function with arguments from the command line.
 
 use bcap_core::bcap::{FunctionId, Kind, Object};
 use bcap_core::error::EncodeError;
@@ -10,7 +10,7 @@ use crate::error::Failure;
 use crate::object::{Path, word};
 use crate::output::{print_json, print_line};
 use crate::plain;
-use crate::session::{Session, integer, text, with_session};
+use crate::session::{ControllerSession, integer, text, with_session};
 use crate::value::Value;
 
 /// Runs `bcap call`.
@@ -24,14 +24,19 @@ pub(crate) fn call(args: &Call, link: &LinkArgs, json: bool) -> Result<(), Failu
         .map(|(i, argument)| Argument::parse(argument, kinds.get(i).copied(), function))
         .collect::<Result<_, _>>()?;
     if function == FunctionId::SERVICE_START {
-        // this call is the session's start itself
-        let mut session = Session::open(link)?;
+        // this call starts the session itself
+        let mut session = ControllerSession::open(link)?;
         return call_in(&mut session, function, &arguments, json).inspect(|()| session.close());
     }
     with_session(link, |session| call_in(session, function, &arguments, json))
 }
 
-fn call_in(session: &mut Session, function: FunctionId, arguments: &[Argument], json: bool) -> Result<(), Failure> {
+fn call_in(
+    session: &mut ControllerSession,
+    function: FunctionId,
+    arguments: &[Argument],
+    json: bool,
+) -> Result<(), Failure> {
     let values = arguments
         .iter()
         .map(|argument| match argument {
@@ -43,11 +48,11 @@ fn call_in(session: &mut Session, function: FunctionId, arguments: &[Argument], 
     if code.is_err() {
         return Err(Failure::Refused { doing: usage(function), code });
     }
-    session.note(function, &values, value.as_ref());
+    session.record(function, &values, value.as_ref());
     print_reply(code, value.as_ref(), json)
 }
 
-/// Prints what a successful call has given: its value, or `{"code":0,"name":"S_OK","value":{"vt":3,"v":5}}`.
+/// Prints the result of a successful call: its value, or `{"code":0,"name":"S_OK","value":{"vt":3,"v":5}}`.
 fn print_reply(code: HResult, value: Option<&Value>, json: bool) -> Result<(), Failure> {
     if json {
         let name = serde_json::Value::from(code.name());
@@ -67,19 +72,20 @@ fn print_reply(code: HResult, value: Option<&Value>, json: bool) -> Result<(), F
 /// An argument of a call.
 enum Argument {
     Value(Value),
-    /// The handle of an object that is to be opened first.
+    /// The handle of this object, which is opened first.
     Object(Path),
 }
 
 impl Argument {
-    /// Reads an argument: an object where a handle is wanted, `TYPE,DATA`, or plain data of the kind that is wanted.
+    /// Parses an argument: the path of an object if the function takes a handle, `TYPE,DATA`, or plain data of the kind that
+    /// the function takes.
     fn parse(argument: &str, kind: Option<Kind>, function: FunctionId) -> Result<Self, Failure> {
         if let Some(Kind::Handle(object)) = kind
             && let Some(path) = Path::parse(argument)
         {
             let path = path.map_err(Failure::Input)?;
             if path.object() != object {
-                let message = format!("{argument}: {function} takes a {} here", word(object));
+                let message = format!("{argument} is not a {}, which {function} takes here", word(object));
                 return Err(Failure::Input(message));
             }
             return Ok(Self::Object(path));
@@ -109,7 +115,7 @@ fn unknown(function: &str) -> Failure {
     ))
 }
 
-/// Writes a function as it is called: `Robot_Speed(robot, axis, speed)`.
+/// Returns the signature of a function: `Robot_Speed(robot, axis, speed)`.
 fn usage(function: FunctionId) -> String {
     format!("{function}({})", function.argument_names().join(", "))
 }
@@ -117,7 +123,10 @@ fn usage(function: FunctionId) -> String {
 /// Runs `bcap exec`.
 pub(crate) fn exec(args: &Exec, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let path = Path::parse(&args.object).unwrap_or_else(|| {
-        Err(format!("{}: write controller, robot, robot:NAME, task:NAME, file:NAME or extension:NAME", args.object))
+        Err(format!(
+            "{:?} is not an object; write controller, robot, robot:NAME, task:NAME, file:NAME or extension:NAME",
+            args.object
+        ))
     });
     let path = path.map_err(Failure::Input)?;
     let function = match path.object() {
@@ -143,7 +152,7 @@ pub(crate) fn exec(args: &Exec, link: &LinkArgs, json: bool) -> Result<(), Failu
     })
 }
 
-/// Reads the parameter of a command: `TYPE,DATA`, an integer as I4, another number as R8, anything else as a string.
+/// Parses the parameter of a command: `TYPE,DATA`, an integer as I4, another number as R8, any other text as a string.
 fn guess(argument: &str) -> Result<Value, EncodeError> {
     if let Ok(value) = plain::from_typed(argument) {
         return Ok(value);

@@ -1,4 +1,4 @@
-//! A b-CAP client over TCP or UDP, its failures told in words.
+//! A b-CAP client over TCP or UDP that reports errors as a [`Failure`] with a message and a hint.
 
 use std::io;
 use std::net::{SocketAddr, ToSocketAddrs};
@@ -19,14 +19,14 @@ use crate::error::Failure;
 use crate::target::{Target, Transport};
 use crate::value::Value;
 
-/// Attempts of a call over UDP (S2:1493).
+/// The attempts of a call over UDP (S2:1493).
 const UDP_ATTEMPTS: u8 = 5;
 
-/// A connection over which functions are called by their number.
+/// A connection that calls functions by their number.
 pub(crate) struct Connection {
     client: Client,
     target: Target,
-    /// The time limits of the calls to come.
+    /// The time limits of further calls.
     pub(crate) budget: Budget,
 }
 
@@ -35,7 +35,7 @@ enum Client {
     Udp(UdpClient),
 }
 
-/// A call whose function and arguments are known at run time only.
+/// A call whose function and arguments are known only at run time.
 struct AnyCall<'a> {
     function: FunctionId,
     arguments: &'a [Value],
@@ -54,7 +54,7 @@ impl Call for AnyCall<'_> {
 }
 
 impl Connection {
-    /// Connects; over UDP nothing is sent before the first call.
+    /// Connects. Over UDP nothing is sent before the first call.
     pub(crate) fn open(target: &Target, budget: Budget) -> Result<Self, Failure> {
         let addresses = addresses(target, &budget)?;
         let client = match target.transport {
@@ -68,7 +68,7 @@ impl Connection {
         Ok(Self { client, target: target.clone(), budget })
     }
 
-    /// Calls a function and returns the controller's code, and the value of a success.
+    /// Calls a function; returns the controller's code, and the value if the call succeeded.
     pub(crate) fn call(
         &mut self,
         function: FunctionId,
@@ -95,7 +95,7 @@ impl Connection {
     }
 }
 
-/// Reports that the time limit of the whole command passed before the controller had answered.
+/// Returns the failure of a call that exceeded the time limit of the whole command.
 pub(crate) fn exhausted(target: &Target, budget: &Budget, call: &str) -> Failure {
     let limit = budget.total().unwrap_or_default().as_millis();
     Failure::Timeout {
@@ -104,23 +104,26 @@ pub(crate) fn exhausted(target: &Target, budget: &Budget, call: &str) -> Failure
     }
 }
 
-/// Says what to check when nothing answers.
+/// Returns what to check if no answer arrives.
 const fn check(transport: Transport) -> &'static str {
     match transport {
-        Transport::Tcp => "check that the controller's server listens there",
+        Transport::Tcp => "check that the controller's b-CAP server listens on this port",
         Transport::Udp => {
-            "check the address, that the controller's b-CAP accepts UDP, that the reply fits a datagram, and firewalls"
+            "check the address and the firewalls, that the controller accepts b-CAP over UDP, and that the reply fits a \
+             datagram"
         }
     }
 }
 
-/// Tells a failed call in words; `function` is what was called.
+/// Converts the error of a call to `function`.
 pub(crate) fn failed(error: &CallError, target: &Target, timeout: Duration, function: &str) -> Failure {
     match error {
         CallError::Io(error) => broken(error, target),
         CallError::Disconnected => Failure::Connection {
-            message: format!("{target} has closed the connection during {function}"),
-            hint: "a controller does so when it dislikes a packet or runs out of connections; read its log".into(),
+            message: format!("{target} closed the connection during {function}"),
+            hint:
+                "a controller closes a connection after an invalid packet, or at its limit of connections; read its log"
+                    .into(),
         },
         CallError::Client(ClientError::Timeout(which)) => {
             let message = match which {
@@ -133,7 +136,7 @@ pub(crate) fn failed(error: &CallError, target: &Target, timeout: Duration, func
         CallError::Client(ClientError::Encode(_) | ClientError::TooLarge { .. }) => {
             let hint = match target.transport {
                 Transport::Tcp => "",
-                Transport::Udp => "; TCP carries more than UDP",
+                Transport::Udp => "; use TCP for larger values",
             };
             Failure::Input(format!("{function}: {error}{hint}"))
         }
@@ -144,16 +147,17 @@ pub(crate) fn failed(error: &CallError, target: &Target, timeout: Duration, func
     }
 }
 
-/// Looks a host up, for no longer than the command may take.
+/// Resolves a host name within the time limit of the command.
 ///
-/// IPv4 goes first: controllers speak it, `localhost` has both, and over UDP nothing shows which address is in use.
+/// IPv4 addresses come first: controllers use IPv4, `localhost` has addresses of both kinds, and over UDP connecting does
+/// not show which address is in use.
 pub(crate) fn addresses(target: &Target, budget: &Budget) -> Result<Vec<SocketAddr>, Failure> {
     let (sender, receiver) = mpsc::channel();
     let (host, port) = (target.host.clone(), target.port);
-    // the system's resolver takes no time limit
+    // the system's resolver has no time limit, so it runs in its own thread
     thread::Builder::new().name("resolver".into()).spawn(move || {
         let found = (host.as_str(), port).to_socket_addrs().map(Iterator::collect::<Vec<_>>);
-        // there is no receiver after the time limit
+        // the receiver is dropped at the time limit
         let _ = sender.send(found);
     })?;
     let found = match budget.left() {
@@ -167,7 +171,7 @@ pub(crate) fn addresses(target: &Target, budget: &Budget) -> Result<Vec<SocketAd
     Ok(addresses)
 }
 
-/// Connects to the first address that accepts; each may take an equal share of the time that is left.
+/// Connects to the first address that accepts; each attempt gets an equal share of the remaining time.
 pub(crate) fn first<T>(
     addresses: &[SocketAddr],
     target: &Target,
@@ -185,7 +189,7 @@ pub(crate) fn first<T>(
     Err(failure)
 }
 
-/// Calls within the time that is left, and copies the value of the reply.
+/// Makes a call within the remaining time, and copies the value of the reply.
 fn call_over<X: Wire<Error = io::Error>>(
     client: &mut blocking::Connection<X, Vec<u8>>,
     call: AnyCall<'_>,
@@ -206,29 +210,29 @@ fn call_over<X: Wire<Error = io::Error>>(
     Ok((client.last_result().unwrap_or_default(), value))
 }
 
-/// Tells in words why there is no connection.
+/// Converts the error of connecting.
 pub(crate) fn not_connected(error: &ConnectError, target: &Target) -> Failure {
     match error {
         ConnectError::Resolve { source, .. } => not_found(&target.host, source),
         ConnectError::Connect { address, source } => Failure::Connection {
-            message: format!("{target} ({address}) cannot be connected to: {source}"),
+            message: format!("cannot connect to {target} ({address}): {source}"),
             hint: connect_hint(source.kind()).into(),
         },
         other => Failure::Connection {
             message: format!("{target}: {other}"),
-            hint: "check the limits of this machine, such as that of open files".into(),
+            hint: "check the limits of this machine, such as the limit of open files".into(),
         },
     }
 }
 
 fn not_found(host: &str, error: &io::Error) -> Failure {
     Failure::Connection {
-        message: format!("the host {host} cannot be found: {error}"),
-        hint: "check the spelling, or give the IP address".into(),
+        message: format!("cannot resolve the host {host}: {error}"),
+        hint: "check the spelling, or use an IP address".into(),
     }
 }
 
-/// Tells in words why a connection broke.
+/// Converts the error of a broken connection.
 pub(crate) fn broken(error: &io::Error, target: &Target) -> Failure {
     Failure::Connection {
         message: format!("the connection to {target} failed: {error}"),
@@ -239,12 +243,12 @@ pub(crate) fn broken(error: &io::Error, target: &Target) -> Failure {
 fn connect_hint(kind: io::ErrorKind) -> &'static str {
     match kind {
         io::ErrorKind::ConnectionRefused => {
-            "nothing listens there: check the port, and that the controller's b-CAP or RAC server is enabled; \
+            "no server listens there: check the port, and that the controller's b-CAP or RAC server is enabled; \
              `bcap sim` starts a virtual controller"
         }
         io::ErrorKind::TimedOut => "check the address, the cable and firewalls, or allow more time with --timeout",
         io::ErrorKind::ConnectionReset | io::ErrorKind::BrokenPipe | io::ErrorKind::ConnectionAborted => {
-            "the controller ended the connection: it may have restarted, or run out of connections; try again"
+            "the controller closed the connection: it may have restarted or reached its limit of connections; try again"
         }
         _ => "check the address and the network",
     }

@@ -1,4 +1,4 @@
-//! `bcap decode` and `bcap encode`: frames and values between their bytes and JSON.
+//! `bcap decode` and `bcap encode`: convert frames and values between their bytes and JSON.
 
 use std::str;
 
@@ -36,22 +36,22 @@ pub(crate) fn decode(args: &Decode, json: bool) -> Result<(), Failure> {
     })
 }
 
-/// Decodes frames one behind the other, as a capture of a stream holds them.
+/// Decodes a sequence of frames, such as the capture of a stream.
 fn all_frames(bytes: &[u8], decoder: Decoder, role: Role, json: bool) -> Result<String, ItemError> {
     let mut frames = Vec::new();
     let mut at = 0;
     while at == 0 || at < bytes.len() {
         let rest = bytes.get(at..).unwrap_or_default();
-        let placed = |error: DecodeError| DecodeError { offset: error.offset + at, ..error };
-        let (frame, length) = match decoder.decode(rest).map_err(placed)? {
+        let shifted = |error: DecodeError| DecodeError { offset: error.offset + at, ..error };
+        let (frame, length) = match decoder.decode(rest).map_err(shifted)? {
             Progress::Complete(frame, length) => (frame, length),
-            // says how much is missing
-            Progress::NeedMore(_) => (decoder.decode_datagram(rest).map_err(placed)?, rest.len()),
+            // its error says how many bytes are missing
+            Progress::NeedMore(_) => (decoder.decode_datagram(rest).map_err(shifted)?, rest.len()),
         };
         frames.push(match (json, decoder.strictness) {
             (true, _) => frame::to_json(&frame, role),
             (false, Strictness::Strict) => dissect(rest.get(..length).unwrap_or(rest), &frame, role, decoder.crc),
-            // where lengths may lie, there is no saying which byte belongs to what
+            // lenient decoding accepts wrong lengths, so bytes cannot be assigned to fields
             (false, Strictness::Lenient) => frame::to_line(&frame, role),
         });
         at += length;

@@ -1,4 +1,4 @@
-//! A frame taken apart: every field beside its offset and its bytes.
+//! A frame as a table: each field with its offset and its bytes.
 //!
 //! ```text
 //! offset  bytes                          field
@@ -21,10 +21,10 @@ use bcap_core::bcap::{Frame, HEADER_LEN};
 use crate::frame::Role;
 use crate::hex;
 
-/// Bytes of a row; a longer field goes on in the next.
+/// The bytes in a row; a longer field continues in the next row.
 const ROW: usize = 16;
 
-/// Writes the fields of a strictly checked frame, one a row; `bytes` are those that it was decoded from.
+/// Writes the fields of a strictly decoded frame, one per row; `bytes` is the encoded frame.
 pub(crate) fn dissect(bytes: &[u8], frame: &Frame<'_>, role: Role, crc: bool) -> String {
     let fields = fields(bytes, frame, role, crc);
     let widest = fields.iter().map(|(range, _)| range.len().min(ROW)).max().unwrap_or(0) * 3;
@@ -41,7 +41,7 @@ pub(crate) fn dissect(bytes: &[u8], frame: &Frame<'_>, role: Role, crc: bool) ->
     out
 }
 
-/// Writes a strictly checked frame without CRC as few rows: its head, then its arguments, each beside its bytes.
+/// Writes a strictly decoded frame without CRC in few rows: its header, then its arguments, each with its bytes.
 ///
 /// ```text
 /// 01 2a 00 00 00 05 00 00 00 66 00 00 00 02 00     #5 Variable_PutValue, 42 bytes
@@ -68,7 +68,7 @@ pub(crate) fn outline(bytes: &[u8], frame: &Frame<'_>, role: Role) -> String {
     table(bytes, &rows, ROW * 3)
 }
 
-/// Writes rows of bytes with a text beside the first row of each field.
+/// Writes rows of bytes, with a text next to the first row of each field.
 fn table(bytes: &[u8], fields: &[Field], width: usize) -> String {
     let mut lines = Vec::new();
     for (range, text) in fields {
@@ -115,7 +115,7 @@ fn fields(bytes: &[u8], frame: &Frame<'_>, role: Role, crc: bool) -> Vec<Field> 
     fields
 }
 
-/// An argument: where its length and its value lie, and what it is.
+/// An argument: the positions of its length and its value, and its text.
 struct Argument {
     length: Range<usize>,
     value: Range<usize>,

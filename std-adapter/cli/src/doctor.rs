@@ -1,14 +1,16 @@
-//! `bcap doctor`: looks at what a program needs before it can move a robot, and says what to do about what is missing.
+//! `bcap doctor`: checks what a program needs before it can move a robot, and says how to fix each failure.
 //!
 //! ```text
 //!   tcp ─┬─ provider ─ version ─ mode ─ token ─ errors ─ emergency stop ─ arm ─ motor ─ licence ─ formats
 //!   udp ─┘
 //! ```
 //!
-//! A check that depends on one that failed is skipped, so that what has failed is what must be fixed. A check that got no
-//! usable answer is untested, which is not a success either. Nothing moves and no variable is written. The arm is taken for a moment and given back (Keep 1, so that speeds, tool and work stay):
-//! there is no other way to learn whether it is free. The licence shows in slvChangeMode, which without the arm cannot enter
-//! Slave Mode; the formats are set for this session alone, and only while no client is in Slave Mode.
+//! A check that depends on a failed one is skipped, so only causes are reported as failures. A check with an inconclusive
+//! answer is untested, which is not a success.
+//!
+//! Nothing moves and no variable is written. TakeArm is the only way to check that the arm is free, so the arm is taken and
+//! released at once (Keep 1, so that speeds, tool and work coordinates stay). slvChangeMode checks the licence; without the
+//! arm it cannot enter Slave Mode. The formats are set for this session only, and only while no client is in Slave Mode.
 
 mod report;
 
@@ -23,12 +25,12 @@ use crate::args::{Doctor, LinkArgs};
 use crate::budget::Budget;
 use crate::error::Failure;
 use crate::object::Path;
-use crate::session::{Session, integer, text};
+use crate::session::{ControllerSession, integer, text};
 use crate::target::Transport;
 use crate::value::Value;
 
 const PROVIDERS: [&str; 2] = ["CaoProv.DENSO.VRC", "CaoProv.DENSO.VRC9"];
-/// How long Service_Start over UDP may take: a port without a server is silent.
+/// The time limit of Service_Start over UDP, where a port without a server does not answer.
 const UDP_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// Bits of SysState.
@@ -37,7 +39,7 @@ const AUTO: u32 = 4;
 const TOKEN_OUTSIDE: u32 = 5;
 const EMERGENCY_STOP: u32 = 10;
 
-/// What is looked at once there is a connection, in this order.
+/// The checks after the links, in this order.
 const CHECKS: [&str; 10] =
     ["provider", "version", "mode", "token", "errors", "emergency stop", "arm", "motor", "licence", "formats"];
 
@@ -63,7 +65,7 @@ pub(crate) fn doctor(args: &Doctor, link: &LinkArgs, json: bool) -> Result<(), F
     report.end()
 }
 
-/// Returns the way to the controller over a transport.
+/// Returns the arguments of a connection over a transport.
 fn over(transport: Transport, args: &Doctor, link: &LinkArgs) -> Result<LinkArgs, Failure> {
     let mut target = link.target()?;
     target.transport = transport;
@@ -75,19 +77,19 @@ fn over(transport: Transport, args: &Doctor, link: &LinkArgs) -> Result<LinkArgs
     Ok(LinkArgs { robot: Some(target.to_string()), ..link.clone() })
 }
 
-/// Starts a session over a transport; `None` when that is not possible.
+/// Starts a session over a transport; `None` if that fails.
 fn reach(
     report: &mut Report,
     transport: Transport,
     args: &Doctor,
     link: &LinkArgs,
-) -> Result<Option<Session>, Failure> {
+) -> Result<Option<ControllerSession>, Failure> {
     let (link, began) = (&over(transport, args, link)?, Instant::now());
     let (check, budget) = match transport {
         Transport::Tcp => ("tcp", Budget::start(link)),
         Transport::Udp => ("udp", Budget::start(link).answer_within(UDP_TIMEOUT)),
     };
-    let reached = Session::open(link).and_then(|mut session| {
+    let reached = ControllerSession::open(link).and_then(|mut session| {
         session.set_budget(budget);
         session.start(link).map(|()| session)
     });
@@ -105,35 +107,35 @@ fn reach(
     }
 }
 
-/// Looks at the controller behind a connection.
-fn examine(session: &mut Session, link: &LinkArgs, report: &mut Report) -> Result<(), Failure> {
+/// Runs the checks of the controller.
+fn examine(session: &mut ControllerSession, link: &LinkArgs, report: &mut Report) -> Result<(), Failure> {
     let Some(controller) = provider(session, link, report)? else {
         let rest = CHECKS.into_iter().skip(1);
         return rest.into_iter().try_for_each(|check| report.note(check, Finding::Skipped("it needs the provider")));
     };
     let version = version(session)?;
     report.note("version", version)?;
-    let mut patient = Patient { session, controller, robot: 0 };
-    patient.robot = match patient.session.object(&robot()?) {
+    let mut examined = Examined { session, controller, robot: 0 };
+    examined.robot = match examined.session.object(&robot()?) {
         Ok(robot) => robot,
         Err(failure) if failure.leaves_the_session_alive() => {
-            return report
-                .note("arm", Finding::failed(failure.to_string(), "the controller has no robot that can be opened"));
+            let hint = "check with `bcap names` that the controller has a robot";
+            return report.note("arm", Finding::failed(failure.to_string(), hint));
         }
         Err(failure) => return Err(failure),
     };
-    patient.state(report)
+    examined.state(report)
 }
 
 fn robot() -> Result<Path, Failure> {
     Path::variable("robot/@SERVO_ON").map(|path| Path { steps: path.steps[..1].to_vec() }).map_err(Failure::Input)
 }
 
-/// Connects to the provider that was asked for, or else to the other one.
-fn provider(session: &mut Session, link: &LinkArgs, report: &mut Report) -> Result<Option<i32>, Failure> {
-    let asked = link.provider.as_str();
+/// Connects to the provider of the command line, or otherwise to the known ones.
+fn provider(session: &mut ControllerSession, link: &LinkArgs, report: &mut Report) -> Result<Option<i32>, Failure> {
+    let requested = link.provider.as_str();
     let mut refusals = Vec::new();
-    for provider in [asked].into_iter().chain(PROVIDERS.into_iter().filter(|other| *other != asked)) {
+    for provider in [requested].into_iter().chain(PROVIDERS.into_iter().filter(|other| *other != requested)) {
         session.set_provider(provider);
         match session.controller() {
             Ok(controller) => {
@@ -143,11 +145,11 @@ fn provider(session: &mut Session, link: &LinkArgs, report: &mut Report) -> Resu
                 let kind = if kind.is_empty() || kind == family { String::new() } else { format!(", it is a {kind}") };
                 report.note(
                     "provider",
-                    if provider == asked {
+                    if provider == requested {
                         Finding::Passed(format!("{provider} ({family}){kind}"))
                     } else {
                         Finding::failed(
-                            format!("{asked} is refused, {provider} ({family}) is there{kind}"),
+                            format!("{requested} is refused, {provider} ({family}) is accepted{kind}"),
                             format!("give --provider {provider}"),
                         )
                     },
@@ -158,12 +160,12 @@ fn provider(session: &mut Session, link: &LinkArgs, report: &mut Report) -> Resu
             Err(failure) => return Err(failure),
         }
     }
-    let hint = "check the name of the provider (--provider), and that the controller has started up";
+    let hint = "check --provider, and that the controller has finished starting";
     report.note("provider", Finding::failed(refusals.join(", "), hint))?;
     Ok(None)
 }
 
-fn version(session: &mut Session) -> Result<Finding, Failure> {
+fn version(session: &mut ControllerSession) -> Result<Finding, Failure> {
     let (version, serial) = (variable(session, "@VERSION")?, variable(session, "@SERIAL_NO")?);
     Ok(match version {
         Some(version) => {
@@ -172,13 +174,13 @@ fn version(session: &mut Session) -> Result<Finding, Failure> {
         }
         None => Finding::failed(
             "@VERSION cannot be read",
-            "allow reading in the controller's communication permission, on the teach pendant",
+            "allow reading in the controller's communication permission, with the teach pendant",
         ),
     })
 }
 
-/// Reads a variable of the controller; `None` when it is refused.
-fn variable(session: &mut Session, name: &str) -> Result<Option<Value>, Failure> {
+/// Reads a variable of the controller; `None` if it is refused.
+fn variable(session: &mut ControllerSession, name: &str) -> Result<Option<Value>, Failure> {
     let path = Path::variable(name).map_err(Failure::Input)?;
     let read = session.object(&path).and_then(|handle| {
         let value = session.call(FunctionId::VARIABLE_GET_VALUE, &[integer(handle)?]);
@@ -194,9 +196,9 @@ fn plain(value: &Value) -> String {
     crate::plain::to_plain(value.as_variant())
 }
 
-/// A controller with its robot.
-struct Patient<'a> {
-    session: &'a mut Session,
+/// The controller and the robot that are examined.
+struct Examined<'a> {
+    session: &'a mut ControllerSession,
     controller: i32,
     robot: i32,
 }
@@ -213,7 +215,7 @@ impl Answer {
     }
 }
 
-impl Patient<'_> {
+impl Examined<'_> {
     fn controller(&mut self, command: &str, parameter: &dyn Encode) -> Result<Answer, Failure> {
         self.execute(FunctionId::CONTROLLER_EXECUTE, self.controller, command, parameter)
     }
@@ -234,12 +236,12 @@ impl Patient<'_> {
         Ok(Answer { code, value })
     }
 
-    /// Looks at the state of controller and robot.
+    /// Checks the state of the controller and the robot.
     fn state(&mut self, report: &mut Report) -> Result<(), Failure> {
         let state = self.controller("SysState", &())?;
         let Some(bits) = state.int() else {
             let refused = format!("SysState is refused with {}", state.code);
-            report.note("mode", Finding::failed(refused, "check that the controller has started up"))?;
+            report.note("mode", Finding::failed(refused, "check that the controller has finished starting"))?;
             let rest = CHECKS.into_iter().skip(3);
             return rest.into_iter().try_for_each(|check| report.note(check, Finding::Skipped("it needs SysState")));
         };
@@ -263,12 +265,12 @@ impl Patient<'_> {
         report.note("formats", formats)
     }
 
-    /// Looks at the licence and the formats of Slave Mode, unless a client is in it.
+    /// Checks the licence and the formats of Slave Mode, unless a client is in Slave Mode.
     fn slave_mode(&mut self) -> Result<(Finding, Finding), Failure> {
         let mode = self.robot("slvGetMode", &())?;
         let mut answers = vec![("slvGetMode", mode.code)];
         let Some(number) = mode.int() else {
-            let why = format!("slvGetMode gives no mode ({}), so a client may be in Slave Mode", mode.code);
+            let why = format!("slvGetMode returns no mode ({}), so a client may be in Slave Mode", mode.code);
             return Ok(match mode.code {
                 HResult::E_NO_LICENSE => (licence(&answers), Finding::Skipped("it needs the licence")),
                 _ => (Finding::Untested(why.clone()), Finding::Untested(why)),
@@ -278,20 +280,20 @@ impl Patient<'_> {
             return Ok(both("a client is in Slave Mode"));
         }
         let formats = self.formats(&mut answers)?;
-        // without the arm this is refused in any case
+        // the controller refuses this without the arm, also with a licence
         let code = self.robot("slvChangeMode", &0x202_i32)?.code;
         if code.is_ok() {
-            // it should not have been
+            // a controller that accepts it is in Slave Mode now
             self.robot("slvChangeMode", &0_i32)?;
         }
         answers.push(("slvChangeMode", code));
         Ok((licence(&answers), formats))
     }
 
-    /// Looks for errors; those of an emergency stop are the emergency stop's.
+    /// Checks for errors; the errors of an emergency stop belong to that check.
     fn errors(&mut self, stopped: bool) -> Result<Finding, Failure> {
         if stopped {
-            return Ok(Finding::Skipped("the emergency stop is an error by itself"));
+            return Ok(Finding::Skipped("the emergency stop causes errors"));
         }
         let counted = self.controller("GetCurErrorCount", &())?;
         let count = match counted.int() {
@@ -299,10 +301,10 @@ impl Patient<'_> {
             Some(count) => count,
             None => {
                 let refused = format!("GetCurErrorCount is refused with {}", counted.code);
-                return Ok(Finding::failed(refused, "look at the teach pendant"));
+                return Ok(Finding::failed(refused, "check the errors on the teach pendant"));
             }
         };
-        // the last one is the oldest, the first cause
+        // the last entry is the oldest error, which is the first cause
         let first = self.controller("GetCurErrorInfo", &(count - 1))?;
         let first = first.value.as_ref().and_then(|value| {
             let mut elements = value.as_variant().as_array()?.iter();
@@ -317,29 +319,30 @@ impl Patient<'_> {
         let what = first.map(|(code, text)| format!(", the first is {code} {}", text.unwrap_or_default()));
         Ok(Finding::failed(
             format!("{count}{}", what.unwrap_or_default()),
-            hint.unwrap_or_else(|| "see to its cause, then `bcap exec controller ClearError`".into()),
+            hint.unwrap_or_else(|| "fix its cause, then `bcap exec controller ClearError`".into()),
         ))
     }
 
     fn emergency_stop(&mut self, stopped: bool) -> Result<Finding, Failure> {
         if stopped {
-            let hint = "see that nobody is in danger, release it, then `bcap exec controller ClearError`";
+            let hint = "make sure that the robot endangers no person, release the stop, then \
+                        `bcap exec controller ClearError`";
             return Ok(Finding::failed("pressed", hint));
         }
-        // an RC8 does not know the command
+        // an RC8 does not have this command
         let torque_off = self.controller("StoState", &())?;
         let off = torque_off.value.as_ref().filter(|_| torque_off.code.is_ok()).map(|value| value.as_variant());
         Ok(match off {
             Some(Variant::Bool(true)) => {
-                let hint = "`bcap exec controller ManualReset` gives the torque back";
+                let hint = "restore the torque with `bcap exec controller ManualReset`";
                 Finding::failed("released, but the torque is still off", hint)
             }
             Some(Variant::Bool(false)) => Finding::Passed("released, the torque is not off".into()),
-            _ => Finding::Passed(format!("released; StoState does not tell of the torque ({})", torque_off.code)),
+            _ => Finding::Passed(format!("released; the torque is unknown, StoState returns {}", torque_off.code)),
         })
     }
 
-    /// Takes the arm for a moment; also returns what that says about the token.
+    /// Takes and releases the arm; also returns a finding about the token, if TakeArm is refused for it.
     fn take_arm(&mut self) -> Result<(Option<Finding>, Finding), Failure> {
         let taken = self.robot("TakeArm", &[0_i32, 1])?.code;
         if taken.is_ok() {
@@ -350,11 +353,11 @@ impl Patient<'_> {
             let token = Finding::failed(format!("TakeArm is refused with {taken}"), TOKEN_HINT);
             return Ok((Some(token), Finding::Skipped("it needs the token")));
         }
-        let hint = "end the program that has it; the arm is free when its connection has gone";
+        let hint = "end the program that owns the arm; closing its connection releases the arm";
         Ok((None, Finding::failed(format!("TakeArm is refused with {taken}"), hint)))
     }
 
-    /// Sets all formats, the plain ones at last; adds the refusals of those that Slave Mode needs.
+    /// Sets all formats, the default ones last; adds the refusals of the formats that Slave Mode needs to `answers`.
     fn formats(&mut self, answers: &mut Vec<(&'static str, HResult)>) -> Result<Finding, Failure> {
         const SEND: [(i32, &str); 4] = [(0x200, "user IO"), (0x100, "MiniIO"), (0x20, "HandIO"), (0, "the pose alone")];
         const RECEIVE: [(i32, &str); 8] = [
@@ -384,56 +387,61 @@ impl Patient<'_> {
             }
         }
         Ok(match (refused, missing.as_slice()) {
-            (Some(refused), _) => Finding::failed(refused, "Slave Mode needs it: update the controller's software"),
+            (Some(refused), _) => {
+                Finding::failed(refused, "update the controller's software: Slave Mode needs this format")
+            }
             (None, []) => Finding::Passed("all".into()),
             (None, missing) => Finding::Passed(format!("all but {}", missing.join(", "))),
         })
     }
 }
 
-/// Tells what the answers to the commands of Slave Mode say about its licence.
+/// Concludes from the answers to the commands of Slave Mode whether there is a licence.
 ///
-/// slvChangeMode is the last of them. Only a refusal for want of the arm shows that the licence was not missed, and only if
-/// the controller has the other commands, which may refuse a format that it lacks. Any other refusal can come before the
-/// controller looks at the licence.
+/// slvChangeMode is the last command. Only its refusal with E_ARM_NOT_TAKEN shows that there is a licence, and only if the
+/// controller has the other commands; these may refuse a format that it does not support. A controller may return any other
+/// error before it checks the licence.
 fn licence(answers: &[(&str, HResult)]) -> Finding {
     let is = |wanted: HResult| answers.iter().find(|(_, code)| *code == wanted);
     if let Some((command, code)) = is(HResult::E_NO_LICENSE) {
-        let hint = "enter the licence key of \"b-CAP Slave\" on the teach pendant: it is free, and made for the serial \
+        let hint = "enter the licence key of \"b-CAP Slave\" on the teach pendant; the key is free and bound to the serial \
                     number of the controller";
         return Finding::failed(format!("{command} is refused with {code}"), hint);
     }
-    let tells = |(command, code): &&(&str, HResult)| match *code {
+    let is_conclusive = |(command, code): &&(&str, HResult)| match *code {
         HResult::E_ARM_NOT_TAKEN => *command == "slvChangeMode",
         HResult::E_INVALIDARG | HResult::E_INVALIDARGTYPE => *command != "slvChangeMode",
         code => code.is_ok(),
     };
-    match answers.iter().find(|answer| !tells(answer)) {
-        None => Finding::Passed("not missed by slvChangeMode".into()),
+    match answers.iter().find(|answer| !is_conclusive(answer)) {
+        None => Finding::Passed("present: slvChangeMode is refused only because the arm is not taken".into()),
         Some((command, code)) => {
-            Finding::Untested(format!("{command} is refused with {code}, perhaps before a look at the licence"))
+            Finding::Untested(format!("{command} is refused with {code}, possibly before the check of the licence"))
         }
     }
 }
 
-/// Skips licence and formats.
+/// Skips both the licence and the formats.
 const fn both(why: &'static str) -> (Finding, Finding) {
     (Finding::Skipped(why), Finding::Skipped(why))
 }
 
 const TOKEN_HINT: &str =
-    "set the executable token to Ethernet with this machine's address, or to Any, on the teach pendant";
+    "on the teach pendant, set the executable token to Ethernet with the address of this machine, or to Any";
 
 fn mode(auto: bool) -> Finding {
     if auto {
         return Finding::Passed("Auto".into());
     }
-    Finding::failed("Manual or teach check", "switch the controller to Auto: programs move the robot in no other mode")
+    Finding::failed(
+        "Manual or teach check",
+        "switch the controller to Auto: clients can move the robot only in this mode",
+    )
 }
 
 fn token_finding(outside: bool) -> Finding {
     if outside {
-        return Finding::Passed("not with the teach pendant".into());
+        return Finding::Passed("available: the teach pendant does not have it".into());
     }
     Finding::failed("the teach pendant has it", TOKEN_HINT)
 }
@@ -443,8 +451,8 @@ fn motor(on: bool, ready: bool) -> Finding {
         (true, _) => Finding::Passed("on".into()),
         (false, false) => Finding::Skipped("off, and it needs all of the above"),
         (false, true) => {
-            let hint = "`bcap exec robot Motor 1` switches it on; `bcap slave` does so by itself. A COBOTTA wants \
-                        ManualResetPreparation and MotionPreparation before";
+            let hint = "switch it on with `bcap exec robot Motor 1`; `bcap slave` does so itself. A COBOTTA needs \
+                        ManualResetPreparation and MotionPreparation first";
             Finding::failed("off", hint)
         }
     }

@@ -1,4 +1,4 @@
-//! Failures of commands: the kind of failure decides the exit code, and the hint says what to do.
+//! Failures of commands: their messages, hints and exit codes.
 //!
 //! | code | meaning                                                |
 //! |------|--------------------------------------------------------|
@@ -7,10 +7,10 @@
 //! | 2    | wrong usage, or input that cannot be read              |
 //! | 3    | no connection, or a connection that broke              |
 //! | 4    | the controller did not answer in time                  |
-//! | 130  | stopped by a signal before the end                     |
+//! | 130  | interrupted by a signal                                |
 //!
-//! With `--json` a failure is a line of the output as well: `{"error":...}`, with `offset` for input that cannot be read,
-//! `code` and `hresult` for a refusal, `name` for the variable that was refused, and `hint`.
+//! With `--json` a failure is also a line of the output: `{"error":...}`, with `offset` for malformed input, `code` and
+//! `hresult` for a refusal, `name` for the refused variable, and `hint`.
 
 use std::io::{self, Write};
 use std::process::{self, ExitCode};
@@ -30,69 +30,69 @@ const CYAN: Style = AnsiColor::Cyan.on_default();
 /// Why a command failed.
 #[derive(Debug, Error)]
 pub(crate) enum Failure {
-    /// The user's input is invalid.
+    /// The arguments or a file of the user are invalid.
     #[error("{0}")]
     Input(String),
     /// The item on the command line cannot be converted.
     #[error("{}", .0.message)]
     Item(ItemError),
-    /// Some lines could not be converted; each has been reported in its place.
+    /// Some lines could not be converted; each has been reported in the output.
     #[error("{0} of the lines could not be converted; the output has an error in place of each")]
     BadLines(usize),
     /// The controller answered with an error.
     #[error("{doing}: the controller refused with {code}{}", meaning(*code))]
     Refused {
-        /// The request.
+        /// The refused call or command.
         doing: String,
-        /// The answer.
+        /// The controller's code.
         code: HResult,
     },
-    /// Some of several requests were refused; each has been reported.
-    #[error("{refused} of {asked} were refused")]
+    /// Some of several variables were refused; each has been reported.
+    #[error("{refused} of {total} were refused")]
     SomeRefused {
-        /// The number of refusals.
+        /// The number of refused variables.
         refused: usize,
-        /// The number of requests.
-        asked: usize,
+        /// The number of all variables.
+        total: usize,
     },
     /// Some lists of names were refused; each has been reported.
-    #[error("{refused} of {asked} lists of names were refused; the output is not complete")]
+    #[error("{refused} of {total} lists of names were refused; the output is not complete")]
     ListsRefused {
-        /// The number of refusals.
+        /// The number of refused lists.
         refused: usize,
-        /// The number of requests.
-        asked: usize,
+        /// The number of all lists.
+        total: usize,
     },
-    /// There is no connection, it broke, or the peer sent invalid data.
+    /// The connection failed, or the peer sent an invalid or unexpected reply.
     #[error("{message}")]
     Connection {
         /// What happened.
         message: String,
-        /// What the user can do.
+        /// What to do.
         hint: String,
     },
-    /// No answer came in time.
+    /// No answer arrived in time.
     #[error("{message}")]
     Timeout {
-        /// The missing answer.
+        /// Which answer is missing.
         message: String,
-        /// What the user can do.
+        /// What to do.
         hint: String,
     },
-    /// The controller is not ready, or has ended a stream of Slave Mode.
+    /// The controller is not in the required state, or has ended a stream of Slave Mode.
     #[error("{message}")]
     Unfit {
-        /// The problem, the controller's first error included.
+        /// What is wrong, including the controller's first error.
         message: String,
         /// The code of that error.
         code: Option<HResult>,
-        /// What the user can do.
+        /// What to do.
         hint: Option<String>,
     },
-    /// A signal has ended the command.
+    /// A signal ended the command.
     #[error("{0}")]
     Interrupted(String),
-    /// The standard input or output broke.
+    /// The standard input or output failed.
     #[error("standard input or output: {0}")]
     Stdio(#[from] io::Error),
 }
@@ -140,7 +140,7 @@ impl From<TextError> for ItemError {
     }
 }
 
-/// The input is too large to encode.
+/// A value of the user is too large to encode.
 impl From<EncodeError> for Failure {
     fn from(error: EncodeError) -> Self {
         Self::Input(error.to_string())
@@ -175,36 +175,36 @@ impl Failure {
         }
     }
 
-    /// Tells whether the session can continue: the controller has answered, or got no request.
+    /// Returns whether the session can continue: the controller answered, or no call was made.
     pub(crate) fn leaves_the_session_alive(&self) -> bool {
         !matches!(self, Self::Connection { .. } | Self::Timeout { .. })
     }
 
-    /// Prints what went wrong and what to do, and returns the code to exit with.
+    /// Prints the message and the hint, and returns the exit code.
     pub(crate) fn report(&self, json: bool) -> ExitCode {
         if let Self::Stdio(error) = self
             && error.kind() == io::ErrorKind::BrokenPipe
         {
-            // the reader of the output, such as `head`, needs no more
+            // the reader, such as `head`, closed the pipe: not an error
             return ExitCode::SUCCESS;
         }
         self.print(json, None);
         ExitCode::from(self.code())
     }
 
-    /// Reports the failure of a command line that cannot be read, and ends the program.
+    /// Reports an invalid command line, and exits.
     pub(crate) fn exit(&self) -> ! {
         self.print(false, None);
         process::exit(self.code().into())
     }
 
-    /// Prints what went wrong and what to do; with `json` also as a line of the output, about `name` if there is one.
+    /// Prints the message and the hint on stderr; with `json` also as a line of the output, with `name` if given.
     pub(crate) fn print(&self, json: bool, name: Option<&str>) {
-        if matches!(self, Self::SomeRefused { asked: 1, .. }) {
+        if matches!(self, Self::SomeRefused { total: 1, .. }) {
             // the refusal itself has been printed
             return;
         }
-        // an error of this write cannot be reported
+        // an error of printing cannot be reported
         if json && let Some(line) = self.to_json(name) {
             let _ = print_json(&line);
         }
@@ -215,7 +215,7 @@ impl Failure {
         }
     }
 
-    /// Returns the failure as a line of the output; `None` when its parts have been printed already.
+    /// Returns the failure as a line of JSON; `None` if its parts have been printed already.
     fn to_json(&self, name: Option<&str>) -> Option<String> {
         let mut line =
             Line { name, error: escape::cut(self), offset: None, code: None, hresult: None, hint: self.hint() };
@@ -252,7 +252,7 @@ struct Line<'a> {
     hint: Option<&'a str>,
 }
 
-/// Returns the meaning of a code as the end of a sentence.
+/// Returns the meaning of a code as the end of a message.
 fn meaning(code: HResult) -> String {
     let meaning = code.meaning().map(|meaning| meaning.trim_end_matches('.'));
     meaning.map(|meaning| format!(": {meaning}")).unwrap_or_default()

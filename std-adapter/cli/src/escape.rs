@@ -1,15 +1,15 @@
-//! Text that came from outside, made safe to print.
+//! Escapes untrusted text before it is printed.
 //!
-//! A controller, a file or a caller chooses names, values and error texts. Some characters in them do not print but act:
-//! they move the cursor, reorder what stands beside them, or begin a new line. [`acts`] is the one list of these
-//! characters. Every line that the command prints passes through [`line()`], [`block`], [`json`] or [`failure`].
+//! Names, values and error texts can come from a controller, a file or a caller. Control characters in them could move the
+//! cursor, reorder the text around them, or begin a new line. [`acts`] is the only list of these characters. Every line that
+//! the command prints passes through [`line()`], [`block`], [`json`] or [`failure`].
 
 use std::fmt::{self, Write as _};
 
 /// The longest error or hint, in characters.
 const LONGEST: usize = 1000;
 
-/// Tells whether a character acts on a terminal or on the text around it.
+/// Returns whether a character acts on a terminal or on the text around it.
 ///
 /// These are the control characters of ASCII and Latin-1, the bidirectional controls of Unicode (UAX #9), and the
 /// separators of lines and paragraphs.
@@ -23,7 +23,7 @@ pub(crate) fn line(text: &str) -> String {
     escaped(text, acts)
 }
 
-/// Escapes lines of the command's own layout, and keeps their ends.
+/// Escapes text that the command has laid out in lines, and keeps its line breaks.
 ///
 /// Text from outside that is part of the layout must have been escaped with [`line()`] or as a `Debug` literal.
 pub(crate) fn block(text: &str) -> String {
@@ -40,7 +40,7 @@ fn escaped(text: &str, is_escaped: impl Fn(char) -> bool) -> String {
 
 /// Escapes lines of JSON as JSON does: `\u009b`. The value of the JSON stays the same.
 ///
-/// A serializer has escaped what JSON demands, so an end of line stands between two lines only.
+/// The serializer has escaped line breaks inside strings, so every line break is between two lines of JSON.
 pub(crate) fn json(lines: &str) -> String {
     let mut out = String::with_capacity(lines.len());
     for c in lines.chars() {
@@ -54,15 +54,15 @@ pub(crate) fn json(lines: &str) -> String {
     out
 }
 
-/// Escapes an error or a hint for people; a further line is indented, so that it cannot pass for an error of its own.
+/// Escapes an error or a hint. Further lines are indented, so they cannot be mistaken for another error.
 pub(crate) fn failure(text: &impl fmt::Display) -> String {
     block(&cut(text)).replace('\n', "\n       ")
 }
 
-/// Writes at most [`LONGEST`] characters, and how many more there are.
+/// Truncates a text to [`LONGEST`] characters, and adds the number of omitted characters.
 pub(crate) fn cut(text: &impl fmt::Display) -> String {
     let mut cut = Cut { text: String::new(), room: LONGEST, more: 0 };
-    // it takes everything
+    // `Cut` accepts all text
     let _ = write!(cut, "{text}");
     match cut.more {
         0 => cut.text,
@@ -96,7 +96,7 @@ mod tests {
 
     use super::*;
 
-    /// The same list, as ranges.
+    /// The list of [`acts`] as ranges.
     const ACTING: [(u32, u32); 7] = [
         (0, 0x1f),
         (0x7f, 0x9f),
@@ -108,7 +108,7 @@ mod tests {
     ];
 
     #[test]
-    fn exactly_these_characters_act() {
+    fn acts_is_true_for_exactly_the_listed_characters() {
         for c in '\0'..=char::MAX {
             let listed = ACTING.iter().any(|(first, last)| (*first..=*last).contains(&u32::from(c)));
             assert_eq!(acts(c), listed, "{c:?}");
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_error_says_how_much_is_missing() {
+    fn a_truncated_error_has_the_number_of_omitted_characters() {
         assert_eq!(cut(&"é".repeat(LONGEST)), "é".repeat(LONGEST));
         let long = cut(&"é".repeat(LONGEST + 23));
         assert_eq!(long, format!("{}... (23 more characters)", "é".repeat(LONGEST)));
@@ -138,7 +138,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn nothing_that_acts_is_left(text in text()) {
+        fn escaped_text_has_no_acting_character(text in text()) {
             prop_assert!(!line(&text).chars().any(acts));
             prop_assert!(!block(&text).chars().any(|c| acts(c) && c != '\n'));
             prop_assert!(!failure(&text).chars().any(|c| acts(c) && c != '\n'));

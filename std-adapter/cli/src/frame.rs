@@ -1,12 +1,12 @@
-//! Frames as JSON lines and as readable lines.
+//! Frames as lines of JSON and as lines of text.
 //!
 //! ```text
 //! {"serial":4,"reserved":0,"code":101,"name":"VariableGetValue","args":[{"vt":3,"v":3}]}
 //! ```
 //!
 //! `code` is the number on the wire: the function of a request, the HRESULT of a response (signed, so that errors are
-//! negative). `name` is the name of that function or HRESULT, `null` when it has none. Nothing in a frame tells requests
-//! from responses, so the reader has to be told; requests are the default.
+//! negative). `name` is the name of that function or HRESULT, `null` if it has no name. A frame does not show whether it is a
+//! request or a response, so the caller gives the role; requests are the default.
 
 use std::borrow::Cow;
 use std::fmt::Write as _;
@@ -21,7 +21,7 @@ use serde_json::value::RawValue;
 use crate::error::ItemError;
 use crate::json::{self, LIMITS, Part};
 
-/// What a frame's code means.
+/// The role of a frame, which decides the meaning of its code.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
 pub(crate) enum Role {
     /// A client's request: the code is a function.
@@ -49,7 +49,7 @@ impl Role {
     }
 }
 
-/// Writes a frame as its JSON line.
+/// Formats a frame as a line of JSON.
 pub(crate) fn to_json(frame: &Frame<'_>, role: Role) -> String {
     let name = role.name(frame.code).map_or("null".into(), |name| format!("\"{name}\""));
     let mut out = format!(
@@ -66,7 +66,7 @@ pub(crate) fn to_json(frame: &Frame<'_>, role: Role) -> String {
     out
 }
 
-/// Writes a frame as a line for people: `#4 Variable_GetValue(variable: I4(3))`, `#4 0x00000000 (S_OK): I4(1)`.
+/// Formats a frame as a line of text: `#4 Variable_GetValue(variable: I4(3))`, `#4 0x00000000 (S_OK): I4(1)`.
 pub(crate) fn to_line(frame: &Frame<'_>, role: Role) -> String {
     let mut out = format!("#{}", frame.serial);
     if frame.reserved != 0 && frame.reserved != frame.serial {
@@ -96,7 +96,7 @@ pub(crate) fn to_line(frame: &Frame<'_>, role: Role) -> String {
     out
 }
 
-/// The fields of a frame's line; what is left out is what a first request has.
+/// The fields of a frame in JSON; the defaults are those of a first request.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Fields<'a> {
@@ -116,9 +116,9 @@ fn first_serial() -> u16 {
     1
 }
 
-/// Reads a frame's line and returns the frame's bytes.
+/// Encodes a frame from its line of JSON.
 ///
-/// `code` goes before `name`, which is looked up only when there is no code.
+/// `code` has priority over `name`, which is used only if there is no code.
 pub(crate) fn from_json(text: &str, role: Role, crc: bool) -> Result<Vec<u8>, ItemError> {
     let line = Part::whole(text);
     let fields: Fields<'_> = line.parse()?;
@@ -127,7 +127,7 @@ pub(crate) fn from_json(text: &str, role: Role, crc: bool) -> Result<Vec<u8>, It
         (None, Some(name)) => {
             role.code(name).ok_or_else(|| line.error(format!("no {} is named {name:?}", noun(role))))?
         }
-        (None, None) => return Err(line.error(format!("\"code\" or \"name\" is missing, to say which {}", noun(role)))),
+        (None, None) => return Err(line.error(format!("\"code\" or \"name\" of the {} is missing", noun(role)))),
     };
     if fields.args.len() > usize::from(u16::MAX) {
         return Err(line.error(format!("a frame has at most {} arguments", u16::MAX)));

@@ -1,4 +1,4 @@
-//! `bcap halt`: the robot stops, over a connection that is used for nothing else.
+//! `bcap halt`: halts the robot over a connection of its own.
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
@@ -21,9 +21,9 @@ pub(crate) fn halt(link: &LinkArgs, json: bool) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Halts the robot, and returns the controller's code: S_FALSE when nothing was moving.
+/// Halts the robot, and returns the controller's code: S_FALSE if nothing was moving.
 ///
-/// All of it has one short time limit: a controller that does not halt must be reported while there is time to act.
+/// The whole operation has one short time limit, so that a failure is reported while the user still has time to act.
 pub(crate) fn halt_now(link: &LinkArgs) -> Result<HResult, Failure> {
     with_session(&link.limited(), |session| {
         let robot = Path::parse("robot").transpose().map_err(Failure::Input)?;

@@ -1,11 +1,11 @@
-//! Bytes as hexadecimal digits, the way people and tools write them down.
+//! Bytes as hexadecimal digits, in the formats of common tools.
 //!
-//! Digits come in pairs, in either case. Between pairs there may be blanks, colons, commas and `0x` prefixes, so that what
-//! Wireshark, `xxd`, `candump` or a source file show can be pasted as it is.
+//! Digits come in pairs, in either case. Blanks, colons, commas and `0x` prefixes may separate the pairs, so the output of
+//! Wireshark, `xxd` or `candump`, or a part of a source file, can be pasted without changes.
 
 use crate::error::ItemError;
 
-/// Reads bytes from their digits.
+/// Parses bytes from their digits.
 pub(crate) fn parse(text: &[u8]) -> Result<Vec<u8>, ItemError> {
     let mut bytes = Vec::with_capacity(text.len() / 2);
     let mut at = 0;
@@ -15,7 +15,7 @@ pub(crate) fn parse(text: &[u8]) -> Result<Vec<u8>, ItemError> {
         } else if let (b'0', Some(b'x' | b'X')) = (first, text.get(at + 1)) {
             at += 2;
             if !text.get(at).is_some_and(u8::is_ascii_hexdigit) {
-                return Err(ItemError::new("there are no digits behind 0x", at));
+                return Err(ItemError::new(format!("two digits must follow 0x (character {at})"), at));
             }
         } else {
             let high = digit(first).ok_or_else(|| not_a_digit(text, at))?;
@@ -28,7 +28,7 @@ pub(crate) fn parse(text: &[u8]) -> Result<Vec<u8>, ItemError> {
     Ok(bytes)
 }
 
-/// Writes bytes as lower-case digits, without anything in between.
+/// Writes bytes as lower-case digits without separators.
 pub(crate) fn compact(bytes: &[u8]) -> String {
     joined(bytes, "")
 }
@@ -55,21 +55,21 @@ fn digit(character: u8) -> Option<u8> {
     char::from(character).to_digit(16).and_then(|value| u8::try_from(value).ok())
 }
 
-/// What is found where the first digit of a byte should be.
+/// The error at the position of a byte's first digit.
 fn not_a_digit(text: &[u8], at: usize) -> ItemError {
     ItemError::new(format!("{} is not a hexadecimal digit (character {at} of the text)", character(text, at)), at)
 }
 
-/// What is found where the second digit of a byte should be.
+/// The error at the position of a byte's second digit.
 fn half_a_byte(text: &[u8], at: usize) -> ItemError {
     let message = match text.get(at) {
         None => format!("the text ends inside a byte, after {at} characters"),
-        Some(_) => format!("{} stands where a byte's second digit should (character {at})", character(text, at)),
+        Some(_) => format!("expected the second digit of a byte, found {} (character {at})", character(text, at)),
     };
     ItemError::new(message, at)
 }
 
-/// The character at a place of a text that need not be UTF-8, as messages show it.
+/// Describes the character at an offset of a text that may not be UTF-8, for a message.
 fn character(text: &[u8], at: usize) -> String {
     let rest = text.get(at..).unwrap_or_default();
     match rest.utf8_chunks().next().and_then(|chunk| chunk.valid().chars().next()) {
@@ -83,24 +83,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn digits_are_read_as_people_write_them() {
+    fn digits_are_parsed_in_all_formats() {
         for text in ["011004ff", "01 10 04 FF", "01:10:04:ff", "0x01, 0x10,0X04 0xff", " 0x011004 ff\t", "01\n1004ff\r"]
         {
             assert_eq!(parse(text.as_bytes()).unwrap(), [1, 0x10, 4, 0xff], "{text}");
         }
         assert_eq!(parse(b"").unwrap(), [0_u8; 0]);
-        // 0x is a prefix, and 00 in front of an x is not
+        // 0x is a prefix only at the start of a byte
         assert!(parse(b"00x1").is_err());
     }
 
     #[test]
-    fn what_is_wrong_is_named_with_its_place() {
+    fn errors_name_the_character_and_its_offset() {
         for (text, offset, word) in [
             ("01g0", 2, "'g'"),
             ("011", 3, "ends"),
             ("0 1", 1, "' '"),
             ("01-02", 2, "'-'"),
-            ("0x", 2, "behind 0x"),
+            ("0x", 2, "two digits must follow 0x"),
             ("01é1", 2, "'é'"),
         ] {
             let error = parse(text.as_bytes()).unwrap_err();

@@ -1,7 +1,7 @@
-//! Items to convert: one as an argument, or many as lines.
+//! Converts items: one from the command line, or many from the lines of the standard input.
 //!
 //! With `-` every line of the standard input gives exactly one line of output, in order. A line that cannot be converted
-//! gives `{"error":"...","offset":n}` in its place. The other lines are still converted, and the exit code is an error.
+//! gives `{"error":"...","offset":n}`. The other lines are still converted, and the exit code is then 2.
 
 use std::io::{self, BufRead, Write};
 
@@ -9,7 +9,7 @@ use crate::error::{Failure, ItemError};
 use crate::escape;
 use crate::output::{print_block, print_json};
 
-/// The longest line that is read: 16 MiB of bytes as digits with something between each two, with room to spare.
+/// The maximum length of a line: enough for 16 MiB of bytes as digits with separators.
 const MAX_LINE: usize = 128 * 1024 * 1024;
 
 /// The items of a command.
@@ -21,7 +21,7 @@ pub(crate) enum Items {
 }
 
 impl Items {
-    /// Takes the words of the command line; none, or a single `-`, stand for the standard input.
+    /// Creates items from the words of the command line; no words, or a single `-`, select the standard input.
     pub(crate) fn from_words(words: &[String]) -> Self {
         match words {
             [] => Self::Lines,
@@ -30,7 +30,8 @@ impl Items {
         }
     }
 
-    /// Takes one word of the command line, whose blanks matter; none, or `-`, stand for the standard input.
+    /// Creates items from one word of the command line, whose blanks are significant; no word, or `-`, selects the standard
+    /// input.
     pub(crate) fn from_word(word: Option<&str>) -> Self {
         match word {
             None | Some("-") => Self::Lines,
@@ -59,16 +60,16 @@ impl Items {
     }
 }
 
-/// Where an item stands.
+/// The source of an item.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Place {
-    /// It is the command line's only one, and what comes of it may take several lines.
+    /// The command line: the output may have several lines.
     Argument,
-    /// It is one of many lines, and what comes of it takes one.
+    /// A line of the standard input: the output has one line.
     Line,
 }
 
-/// Converts line by line, and returns how many lines were wrong.
+/// Converts line by line, and returns the number of invalid lines.
 fn each_line(
     mut input: impl BufRead,
     out: impl Write,
@@ -94,7 +95,7 @@ fn each_line(
     Ok(bad)
 }
 
-/// Reads a line without its end into `line`: `None` at the end of the input, `Some(false)` when it is too long to keep.
+/// Reads a line without its end into `line`: `None` at the end of the input, `Some(false)` if the line is too long.
 fn read_line(input: &mut impl BufRead, line: &mut Vec<u8>) -> io::Result<Option<bool>> {
     line.clear();
     let (mut any, mut whole) = (false, true);
@@ -146,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_comes_whole_out_of_small_reads() {
+    fn a_line_is_assembled_from_small_reads() {
         let mut input = io::BufReader::with_capacity(2, "abcdef\nxyz".as_bytes());
         let mut line = Vec::new();
         assert_eq!(read_line(&mut input, &mut line).unwrap(), Some(true));

@@ -1,4 +1,4 @@
-//! Values as JSON, exact both ways: `{"vt":3,"v":100}`.
+//! Lossless conversion between values and JSON: `{"vt":3,"v":100}`.
 //!
 //! | VARTYPE                            | `v`                                                                  |
 //! |------------------------------------|----------------------------------------------------------------------|
@@ -7,14 +7,14 @@
 //! | R4, R8, DATE                       | the shortest number that reads back to the same bits, `-0.0` too     |
 //! | the same, not finite               | `"NaN"` `"inf"` `"-inf"`; other NaNs by their bits, `"NaN(0x7fc00001)"` |
 //! | CY                                 | the ten-thousandths, an integer                                      |
-//! | BOOL                               | -1 or 0, as the wire's other numbers are true too; `true` and `false` are read as well |
-//! | BSTR                               | a string; a surrogate without its partner is `\ud800`                |
+//! | BOOL                               | -1 or 0; `true` and `false` are accepted too                         |
+//! | BSTR                               | a string; an unpaired surrogate is `\ud800`                          |
 //! | VARIANT                            | the value inside, `{"vt":8,"v":"Sample"}`                            |
 //! | ARRAY of VARIANT                   | a list of `{"vt":..,"v":..}`                                         |
-//! | ARRAY of anything else             | a list of what stands here for its elements                          |
+//! | ARRAY of another type              | a list of the `v` of its elements                                    |
 //!
-//! A value of unknown VARTYPE, which only lenient decoding lets pass, is `{"vt":16,"opaque":"010000007f"}` with its
-//! bytes behind the type, the count among them. It cannot be encoded.
+//! A value of unknown VARTYPE, which only lenient decoding accepts, is `{"vt":16,"opaque":"010000007f"}`: the bytes after
+//! the type, including the count. It cannot be encoded.
 
 use std::borrow::Cow;
 use std::fmt::Write as _;
@@ -28,7 +28,7 @@ use serde_json::value::RawValue;
 use crate::error::ItemError;
 use crate::hex;
 
-/// What this command reads and writes at most: the specification's 16 MiB, but as many arguments and as deep as can be.
+/// The limits of this command: 16 MiB as in the specification, and the maximum number of arguments and depth.
 pub(crate) const LIMITS: Limits = Limits { arguments: u16::MAX, depth: MAX_DEPTH, ..Limits::STREAM };
 
 /// Appends a value.
@@ -43,7 +43,7 @@ pub(crate) fn put_value(out: &mut String, value: Variant<'_>) {
     out.push('}');
 }
 
-/// Appends what stands behind `"v":`.
+/// Appends the data after `"v":`.
 fn put_data(out: &mut String, value: Variant<'_>) {
     match value {
         Variant::Empty | Variant::Null | Variant::Opaque(_) => out.push_str("null"),
@@ -72,7 +72,7 @@ fn put_data(out: &mut String, value: Variant<'_>) {
     }
 }
 
-/// Appends a float from its shortest digits, or from its bits when it is not finite.
+/// Appends a float: its shortest digits, or a string if it is not finite.
 fn put_float(out: &mut String, finite: Option<serde_json::Result<String>>, value: f64, bits: u64) {
     match finite {
         // numbers always serialize
@@ -84,7 +84,7 @@ fn put_float(out: &mut String, finite: Option<serde_json::Result<String>>, value
     }
 }
 
-/// Appends a string, with escapes for what JSON wants escaped and for surrogates without their partner.
+/// Appends a string with the escapes of JSON, and with escapes for unpaired surrogates.
 fn put_string(out: &mut String, text: Bstr<'_>) {
     out.push('"');
     for c in text.chars() {
@@ -102,12 +102,12 @@ fn put_string(out: &mut String, text: Bstr<'_>) {
     out.push('"');
 }
 
-/// Appends formatted text, which a `String` always takes.
+/// Appends formatted text; writing to a `String` cannot fail.
 fn put(out: &mut String, text: std::fmt::Arguments<'_>) {
     let _ = out.write_fmt(text);
 }
 
-/// A value, with its data still as text: what they are depends on `vt`.
+/// A value whose data are still text: their type depends on `vt`.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Item<'a> {
@@ -117,7 +117,7 @@ struct Item<'a> {
     v: Option<&'a RawValue>,
 }
 
-/// A part of the text of an item; errors are placed in the whole of it.
+/// A part of the text of an item; its errors have offsets in the whole text.
 #[derive(Clone, Copy)]
 pub(crate) struct Part<'a> {
     whole: &'a str,
@@ -134,7 +134,7 @@ impl<'a> Part<'a> {
         Self { part: raw.get(), ..self }
     }
 
-    /// Returns the text for a message, cut to what a line holds.
+    /// Returns the text for a message, truncated to 40 characters.
     fn shown(self) -> Cow<'a, str> {
         match self.part.char_indices().nth(40) {
             Some((end, _)) => Cow::Owned(format!("{}...", &self.part[..end])),
@@ -150,7 +150,7 @@ impl<'a> Part<'a> {
         ItemError::new(message, self.offset())
     }
 
-    /// Reads the part as JSON of a certain shape.
+    /// Deserializes the part.
     pub(crate) fn parse<T: Deserialize<'a>>(self) -> Result<T, ItemError> {
         serde_json::from_str(self.part).map_err(|error| {
             let message = error.to_string();
@@ -163,15 +163,15 @@ impl<'a> Part<'a> {
     }
 }
 
-/// Reads a value and returns its encoding.
+/// Parses a value and returns its encoding.
 pub(crate) fn parse_value(item: Part<'_>) -> Result<Vec<u8>, ItemError> {
-    // no value takes more than 8 bytes for 2 characters, as the zeros of an I8 array do
+    // the zeros of an I8 array need 8 bytes for 2 characters; no other value needs more
     let mut buffer = vec![0; item.part.len() * 4 + 16];
     let mut out = Writer::new(&mut buffer);
     encode_value(item, 0, &mut out)?;
     let len = out.len();
     buffer.truncate(len);
-    // the decoder knows best what can be received, such as how deep values may be nested
+    // the decoder checks the limits of a receiver, such as the nesting depth
     match Variant::decode(&buffer, &LIMITS, Strictness::Strict) {
         Ok(_) => Ok(buffer),
         Err(error) => Err(item.error(error.kind.to_string())),
@@ -182,7 +182,7 @@ fn encode_value(item: Part<'_>, depth: u8, out: &mut Writer<'_>) -> Result<(), I
     let Item { vt, v } = item.parse()?;
     let vartype = VarType(vt);
     if !vartype.is_known() {
-        return Err(item.error(format!("there is no VARTYPE {vt} that can be sent")));
+        return Err(item.error(format!("cannot encode the unknown VARTYPE {vt}")));
     }
     if depth > MAX_DEPTH {
         return Err(item.error(format!("VARIANTs are nested deeper than {MAX_DEPTH}")));
@@ -191,7 +191,7 @@ fn encode_value(item: Part<'_>, depth: u8, out: &mut Writer<'_>) -> Result<(), I
         Some(v) => item.of(v),
         None if vartype == VarType::EMPTY => return Ok(().encode(out)?),
         None if vartype == VarType::NULL => return Ok(Null.encode(out)?),
-        None => return Err(item.error(format!("\"v\" is missing, which holds the data of {vartype}"))),
+        None => return Err(item.error(format!("\"v\" is missing: {vartype} needs data"))),
     };
     if !vartype.is_array() {
         head(vartype, 1, out)?;
@@ -229,14 +229,14 @@ fn encode_data(vartype: VarType, data: Part<'_>, depth: u8, out: &mut Writer<'_>
             Bstr::from_utf16le(&bytes).unwrap_or_default().put(out)?;
         }
         VarType::VARIANT => encode_value(data, depth + 1, out)?,
-        // what is left are EMPTY and NULL
+        // EMPTY and NULL
         _ if data.part == "null" => {}
         other => return Err(data.error(format!("a value of {other} is null, found {}", data.shown()))),
     }
     Ok(())
 }
 
-/// Reads an integer and checks that it is in the range of its type.
+/// Parses an integer in the range of its type.
 fn integer<T: std::str::FromStr>(data: Part<'_>) -> Result<T, ItemError> {
     data.part.parse().map_err(|_| {
         let name = std::any::type_name::<T>();
@@ -244,7 +244,7 @@ fn integer<T: std::str::FromStr>(data: Part<'_>) -> Result<T, ItemError> {
     })
 }
 
-/// Reads an HRESULT as the signed number that is printed, or as the unsigned one that manuals show.
+/// Parses an HRESULT: the signed number that this command prints, or the unsigned number of manuals.
 pub(crate) fn code(data: Part<'_>) -> Result<i32, ItemError> {
     match data.part.parse::<u32>() {
         Ok(code) => Ok(code.cast_signed()),
@@ -260,14 +260,14 @@ fn boolean(data: Part<'_>) -> Result<bool, ItemError> {
     }
 }
 
-/// A float type, as far as reading it from JSON differs.
+/// The operations that differ between f32 and f64 when parsing JSON.
 trait Float: std::str::FromStr {
     type Bits: std::str::FromStr;
-    /// The bits of the value; `None` when it is not finite.
+    /// The bits of the value; `None` if it is not finite.
     fn finite_bits(self) -> Option<Self::Bits>;
     fn inf() -> [Self::Bits; 2];
     fn nan() -> Self::Bits;
-    /// The bits from their digits; `None` unless they are those of a NaN.
+    /// Parses the bits of a NaN; `None` if they are not those of a NaN.
     fn nan_from_hex(digits: &str) -> Option<Self::Bits>;
 }
 
@@ -297,7 +297,7 @@ macro_rules! floats {
 
 floats!(f32 u32, f64 u64);
 
-/// Reads a float; from its bits on, so that no NaN is changed on the way.
+/// Parses a float and returns its bits, because moving a NaN as a float may change it.
 fn float_bits<T: Float>(data: Part<'_>) -> Result<T::Bits, ItemError> {
     let [inf, minus_inf] = T::inf();
     let bits = match data.part.strip_prefix('"').and_then(|text| text.strip_suffix('"')) {
@@ -319,7 +319,7 @@ fn float_bits<T: Float>(data: Part<'_>) -> Result<T::Bits, ItemError> {
     })
 }
 
-/// Reads a string as its UTF-16 units, so that a surrogate without its partner passes.
+/// Parses a string as UTF-16 units, so that unpaired surrogates are preserved.
 fn string(data: Part<'_>) -> Result<Vec<u16>, ItemError> {
     let wrong = || data.error(format!("a BSTR is a string, found {} (character {})", data.shown(), data.offset()));
     let text = data.part.strip_prefix('"').and_then(|text| text.strip_suffix('"')).ok_or_else(wrong)?;
@@ -341,7 +341,7 @@ fn string(data: Part<'_>) -> Result<Vec<u16>, ItemError> {
                 rest.nth(3);
                 unit.ok_or_else(wrong)?
             }
-            // JSON has been checked: this is a quotation mark, a solidus or a reverse solidus
+            // the JSON is valid, so this is a quotation mark, a solidus or a reverse solidus
             Some(itself) => u16::try_from(u32::from(itself)).map_err(|_| wrong())?,
             None => return Err(wrong()),
         });

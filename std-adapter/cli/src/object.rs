@@ -1,18 +1,18 @@
-//! Objects of a controller by name, so that nobody has to handle handles: `robot:Arm0`, `task:Pro1/@STATUS`.
+//! Names for the objects of a controller, in place of handles: `robot:Arm0`, `task:Pro1/@STATUS`.
 //!
 //! ```text
 //!  path     = "controller" | object { "/" object }
 //!  object   = kind [ ":" name ]           kind: robot task file extension variable command
-//!  variable = [ object "/" ] name         where a variable is wanted: one of the controller, or of the object
+//!  variable = [ object "/" ] name         a variable of the controller, or of the object
 //! ```
 //!
-//! `robot` without a name is the first robot that the controller names.
+//! `robot` without a name is the first robot in the controller's list of names.
 
 use std::fmt;
 
 use bcap_core::bcap::{FunctionId, Kind, Object};
 
-/// The kinds of objects that are opened by a name.
+/// The kinds of objects that are opened by name.
 const NAMED: [(Object, &str); 6] = [
     (Object::Robot, "robot"),
     (Object::Task, "task"),
@@ -29,14 +29,14 @@ pub(crate) struct Step {
     pub(crate) name: Option<String>,
 }
 
-/// The way from the controller to an object; no steps are the controller itself.
+/// The path from the controller to an object; an empty path is the controller itself.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Path {
     pub(crate) steps: Vec<Step>,
 }
 
 impl Path {
-    /// Reads an object; `None` when the text does not begin with a kind of object.
+    /// Parses the path of an object; `None` if the text does not begin with a kind of object.
     pub(crate) fn parse(text: &str) -> Option<Result<Self, String>> {
         if text.eq_ignore_ascii_case("controller") {
             return Some(Ok(Self { steps: Vec::new() }));
@@ -48,7 +48,7 @@ impl Path {
         }))
     }
 
-    /// Reads a variable: `I1`, `robot/@SERVO_ON`, `task:Pro1/@STATUS`.
+    /// Parses the path of a variable: `I1`, `robot/@SERVO_ON`, `task:Pro1/@STATUS`.
     pub(crate) fn variable(text: &str) -> Result<Self, String> {
         let variable = |name: &str| Step { object: Object::Variable, name: Some(name.to_owned()) };
         let owner = text.rsplit_once('/').and_then(|(owner, name)| Some((Self::parse(owner)?, name)));
@@ -58,7 +58,7 @@ impl Path {
                 path.steps.push(variable(name));
                 path.checked(text)
             }
-            _ if text.is_empty() => Err("the name of the variable is empty".into()),
+            _ if text.is_empty() => Err("the name of the variable is empty; write a name such as I1".into()),
             _ => Ok(Self { steps: vec![variable(text)] }),
         }
     }
@@ -68,7 +68,7 @@ impl Path {
         self.steps.last().map_or(Object::Controller, |step| step.object)
     }
 
-    /// Checks that each object can be opened on the one before it.
+    /// Checks that each object can be opened on its predecessor.
     fn checked(self, text: &str) -> Result<Self, String> {
         let mut owner = Object::Controller;
         for step in &self.steps {
@@ -81,7 +81,7 @@ impl Path {
     }
 }
 
-/// Returns the function that opens an object by its name on another.
+/// Returns the function that opens an object by name on its owner.
 pub(crate) fn opened_by(owner: Object, object: Object) -> Option<FunctionId> {
     let by_name = [Kind::Handle(owner), Kind::Text, Kind::Text];
     FunctionId::all().find(|function| {
@@ -89,7 +89,7 @@ pub(crate) fn opened_by(owner: Object, object: Object) -> Option<FunctionId> {
     })
 }
 
-/// Returns a kind of object as it is written on the command line.
+/// Returns the word for a kind of object on the command line.
 pub(crate) fn word(object: Object) -> &'static str {
     match NAMED.iter().find(|(kind, _)| *kind == object) {
         Some((_, word)) => word,
@@ -99,7 +99,7 @@ pub(crate) fn word(object: Object) -> &'static str {
     }
 }
 
-/// Reads one step; `None` when it does not begin with a kind of object.
+/// Parses one step; `None` if it does not begin with a kind of object.
 fn step(part: &str) -> Option<Result<Step, String>> {
     let (kind, name) = match part.split_once(':') {
         Some((kind, name)) => (kind, Some(name)),
@@ -118,7 +118,7 @@ fn unknown(text: &str, part: &str) -> String {
     format!("{text}: {part:?} is not an object; write KIND:NAME with one of {kinds}")
 }
 
-/// Writes the path as it is given on the command line; a variable at its end without its kind.
+/// Writes the path as on the command line, with the kind of a variable omitted.
 impl fmt::Display for Path {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.steps.is_empty() {
@@ -143,7 +143,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn objects_are_named() {
+    fn object_paths_are_parsed() {
         assert_eq!(Path::parse("Controller").unwrap().unwrap().steps, []);
         for (text, object) in [
             ("robot", Object::Robot),
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn the_table_knows_what_opens_what() {
+    fn objects_are_opened_by_the_function_of_their_owner() {
         assert_eq!(opened_by(Object::Controller, Object::Robot), Some(FunctionId::CONTROLLER_GET_ROBOT));
         assert_eq!(opened_by(Object::Task, Object::Variable), Some(FunctionId::TASK_GET_VARIABLE));
         assert_eq!(opened_by(Object::File, Object::File), Some(FunctionId::FILE_GET_FILE));

@@ -1,11 +1,11 @@
-//! Plain data: what people type and see for a value, without its type in front.
+//! Plain data: the text form of a value without its type.
 
 use bcap_core::error::{TextError, TextErrorKind};
 use bcap_core::variant::{VarType, Variant};
 
 use crate::value::{self, Value};
 
-/// Reads `TYPE,DATA`; the comma has to be there, as a lone 0 or 1 is meant as a number and not as EMPTY or NULL.
+/// Parses `TYPE,DATA`. The comma is required: `0` and `1` alone are numbers, not EMPTY and NULL.
 pub(crate) fn from_typed(text: &str) -> Result<Value, TextError> {
     let value = Value::from_text(text)?;
     if text.contains(',') {
@@ -15,7 +15,7 @@ pub(crate) fn from_typed(text: &str) -> Result<Value, TextError> {
     }
 }
 
-/// Reads `text` as data of a type, without the type in front; truth values may also be `true` and `false`.
+/// Parses `text` as data of a type. A BOOL may also be `true`, `false`, `on` or `off`.
 pub(crate) fn from_data(vartype: VarType, text: &str) -> Result<Value, TextError> {
     match (vartype, text.trim().to_ascii_lowercase().as_str()) {
         (VarType::BOOL, "true" | "on") => Value::from_text("11,-1"),
@@ -24,16 +24,16 @@ pub(crate) fn from_data(vartype: VarType, text: &str) -> Result<Value, TextError
     }
 }
 
-/// Reads what a person wrote for a variable that now holds `current`: plain data of its type, or `TYPE,DATA`.
+/// Parses user input for a variable that now holds `current`: plain data of its type, or `TYPE,DATA`.
 ///
-/// Both readings can be possible: `8196,1,2` is three numbers for a vector. `TYPE,DATA` with the variable's own type
-/// goes first, then plain data, then `TYPE,DATA` of another type; but one with as many elements as the variable
-/// has goes before those with another number.
+/// Both readings can be possible: `8196,1,2` is also three numbers for a vector. The order of priority is `TYPE,DATA` with
+/// the variable's own type, plain data, `TYPE,DATA` of another type. A reading with as many elements as the variable has
+/// priority over readings with another number of elements.
 pub(crate) fn from_input(text: &str, current: Variant<'_>) -> Result<Value, TextError> {
     let vartype = current.vartype();
     let typed = from_typed(text);
     if current.is_empty() || vartype == VarType::VARIANT {
-        // the variable does not tell a type
+        // the variable's type is unknown
         return typed;
     }
     let (own, other) = match typed {
@@ -49,18 +49,18 @@ pub(crate) fn from_input(text: &str, current: Variant<'_>) -> Result<Value, Text
     }
 }
 
-/// Writes a value for people: the data alone, or as Rust would write it when it has no text.
+/// Formats a value for people: its data, or its `Debug` form if the data have no readable text.
 ///
-/// A date that its text does not tell exactly is for people a date all the same.
+/// RAC writes a date as a number if its text is not exact; then the `Debug` form shows the date.
 pub(crate) fn to_plain(value: Variant<'_>) -> String {
     let text = value::to_text(value).ok();
     let data = text.as_deref().and_then(|text| text.split_once(',')).map(|(_, data)| data.to_owned());
-    let tells = |data: &String| match value {
+    let is_readable = |data: &String| match value {
         Variant::Bstr(_) => true,
         Variant::Date(_) => data.contains('/'),
         _ => !data.is_empty(),
     };
-    data.filter(tells).unwrap_or_else(|| format!("{value:?}"))
+    data.filter(is_readable).unwrap_or_else(|| format!("{value:?}"))
 }
 
 /// Returns the number of elements of an array, `None` for a scalar.
@@ -68,7 +68,7 @@ fn elements(value: Variant<'_>) -> Option<usize> {
     value.as_array().map(|array| array.len())
 }
 
-/// Moves the column of an error from the text with its type in front to the text alone.
+/// Converts the column of an error in `TYPE,DATA` to a column in the data.
 fn shifted(error: TextError, vartype: VarType) -> TextError {
     let prefix = column(vartype.0.to_string().len() + 1);
     TextError { column: error.column.saturating_sub(prefix), ..error }
@@ -106,7 +106,7 @@ mod tests {
     }
 
     #[test]
-    fn a_type_in_front_is_seen() {
+    fn a_type_before_the_data_is_recognised() {
         assert_eq!(input("3,5", &1_i32), "3,5");
         assert_eq!(input("5,2.5", &1_i32), "5,2.5");
         assert_eq!(input("8,hello", &"x"), "8,hello");
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn a_lone_number_is_no_type() {
+    fn a_number_without_a_comma_is_not_a_type() {
         assert_eq!(input("0", &7_i32), "3,0");
         assert_eq!(input("1", &7.5_f64), "5,1");
         assert_eq!(input("0,", &7_i32), "0,");
@@ -127,14 +127,14 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_read_is_placed_in_what_was_typed() {
+    fn errors_have_columns_of_the_input() {
         assert_eq!(input("12x", &1_i32), "not a digit of the number at column 3");
         assert_eq!(input("1,2,x", &[0_f32; 3]), "not a digit of the number at column 5");
         assert!(input("5", &()).contains("comma"), "{}", input("5", &()));
     }
 
     #[test]
-    fn people_see_the_data_alone() {
+    fn values_are_printed_without_their_type() {
         let plain = |value: &dyn Encode| to_plain(Value::new(value).unwrap().as_variant());
         assert_eq!(plain(&5_i32), "5");
         assert_eq!(plain(&[1.5_f32, -2.0]), "1.5,-2");

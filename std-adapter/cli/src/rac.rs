@@ -24,8 +24,8 @@ pub(crate) fn rac(args: &Rac, link: &LinkArgs, json: bool) -> Result<(), Failure
 
 fn get(args: &Get, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let variables = args.names.iter().map(|name| variable(name)).collect::<Result<Vec<_>, _>>()?;
-    let mut session = Session::open(link)?;
-    print_each(&args.names, &variables, json, |variable| session.get(*variable))
+    let mut robot = RacLink::open(link)?;
+    print_each(&args.names, &variables, json, |variable| robot.get(*variable))
 }
 
 fn put(args: &Put, link: &LinkArgs, json: bool) -> Result<(), Failure> {
@@ -33,26 +33,26 @@ fn put(args: &Put, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let model = model(variable.kind)?;
     let value = plain::from_input(&args.value, model.as_variant())
         .map_err(|error| Failure::Input(format!("{}: {error}{}", args.value, expected(model.as_variant()))))?;
-    Session::open(link)?.put(variable, &value)?;
+    RacLink::open(link)?.put(variable, &value)?;
     print(&shown(&args.name, &value, json), json)
 }
 
-/// Reads `I10` or `I[10]`.
+/// Parses `I10` or `I[10]`.
 fn variable(name: &str) -> Result<Variable, Failure> {
     let digits = name.find(|c: char| !c.is_ascii_alphabetic()).unwrap_or(name.len());
     let (kind, index) = name.split_at(digits);
     let index = index.strip_prefix('[').and_then(|index| index.strip_suffix(']')).unwrap_or(index);
     match (VariableKind::from_name(kind), index.parse()) {
-        // for Rust a number may have a plus sign, for a name it may not
+        // Rust's integer parser accepts a plus sign, which a name must not have
         (Some(kind), Ok(index)) if !name.contains('+') => Ok(Variable { kind, index }),
         _ => Err(Failure::Input(format!(
-            "{name}: RAC reads and writes I F D V P J T S IO with a number, such as I10 or IO128; other variables are to \
-             be had over b-CAP"
+            "{name}: RAC reads and writes I F D V P J T S IO with a number, such as I10 or IO128; use `bcap get` and \
+             `bcap put` for other variables"
         ))),
     }
 }
 
-/// Returns a value as such a variable holds it: the type and the number of elements are fixed.
+/// Returns an example value of a variable kind, which has a fixed type and number of elements.
 fn model(kind: VariableKind) -> Result<Value, Failure> {
     Ok(match kind {
         VariableKind::I => Value::new(&0_i32),
@@ -66,14 +66,14 @@ fn model(kind: VariableKind) -> Result<Value, Failure> {
     }?)
 }
 
-/// A connection whose failures are reported in words.
-struct Session {
+/// A RAC connection that reports errors as a [`Failure`].
+struct RacLink {
     client: RacClient,
     target: Target,
     budget: Budget,
 }
 
-impl Session {
+impl RacLink {
     fn open(link: &LinkArgs) -> Result<Self, Failure> {
         let (target, budget) = (link.rac_target()?, Budget::start(link));
         let addresses = addresses(&target, &budget)?;
@@ -81,7 +81,7 @@ impl Session {
         Ok(Self { client, target, budget })
     }
 
-    /// Gives the next request the rest of the time.
+    /// Sets the timeout of the next request from the remaining time.
     fn prepare(&mut self, request: &str) -> Result<(), Failure> {
         let timeout = self.budget.share(1);
         if self.budget.left().is_some_and(|left| left.is_zero()) {
@@ -107,20 +107,20 @@ impl Session {
     }
 }
 
-/// Tells a failed request in words.
+/// Converts the error of a request.
 fn failed(error: RacError, what: &str, target: &Target, budget: &Budget) -> Failure {
     match error {
         RacError::Refused(code) => Failure::Refused { doing: what.to_owned(), code },
         RacError::Io(error) => broken(&error, target),
         RacError::Disconnected => Failure::Connection {
-            message: format!("{target} has closed the connection during {what}"),
-            hint: "the controller may have no connection to spare; try again".into(),
+            message: format!("{target} closed the connection during {what}"),
+            hint: "the controller may have reached its limit of connections; close others or try again".into(),
         },
         RacError::Client(ClientError::Request(error)) => Failure::Input(format!("{what}: {error}")),
         RacError::Client(ClientError::Timeout(_)) if budget.total().is_some() => exhausted(target, budget, what),
         RacError::Client(ClientError::Timeout(_)) => Failure::Timeout {
             message: format!("{target} did not answer {what} within {} ms", budget.answer().as_millis()),
-            hint: "check that this is the port of the RAC server, or allow more time with --timeout".into(),
+            hint: "check that the RAC server uses this port, or allow more time with --timeout".into(),
         },
         RacError::Client(error) => Failure::Connection {
             message: format!("{what}: {error}"),
@@ -134,7 +134,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn variables_are_named_as_over_b_cap() {
+    fn variable_names_are_parsed() {
         for (name, kind, index) in
             [("I1", VariableKind::I, 1), ("io128", VariableKind::Io, 128), ("P[10]", VariableKind::P, 10)]
         {
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn models_fit_their_variables() {
+    fn example_values_fit_their_variables() {
         for kind in VariableKind::ALL {
             assert!(kind.fits(&model(kind).unwrap().as_variant()), "{kind}");
         }

@@ -1,11 +1,11 @@
-//! A session with a controller: from the connection to the objects that a command works on, and back.
+//! A session with a controller: connects, opens the objects that a command needs, and releases them at the end.
 //!
 //! ```text
 //!  connect ─ Service_Start ─ [ Controller_Connect ─ [ Get objects ─ calls ─ release ] ─ Controller_Disconnect ] ─ Service_Stop
 //! ```
 //!
-//! The controller is connected to when something first needs it. What was opened is released newest first when the
-//! session ends, after a refusal too; only a connection that is gone is left as it is.
+//! Controller_Connect is called when a command first needs the controller. At the end of the session, also after a refusal,
+//! the objects are released in reverse order. After a failed connection nothing is sent.
 
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
@@ -17,22 +17,22 @@ use crate::error::Failure;
 use crate::object::{Path, opened_by, word};
 use crate::value::Value;
 
-/// A session, from Service_Start on.
-pub(crate) struct Session {
+/// A session, from Service_Start to Service_Stop.
+pub(crate) struct ControllerSession {
     connection: Connection,
     provider: String,
     started: bool,
     controller: Option<i32>,
-    /// What is to be released, in the order in which it was opened.
+    /// The objects to release, in the order in which they were opened.
     opened: Vec<(Object, i32)>,
 }
 
-/// Runs `body` with a session, and ends the session properly.
+/// Runs `body` with a started session, then releases its objects and stops the service.
 pub(crate) fn with_session<T>(
     link: &LinkArgs,
-    body: impl FnOnce(&mut Session) -> Result<T, Failure>,
+    body: impl FnOnce(&mut ControllerSession) -> Result<T, Failure>,
 ) -> Result<T, Failure> {
-    let mut session = Session::open(link)?;
+    let mut session = ControllerSession::open(link)?;
     let result = session.start(link).and_then(|()| body(&mut session));
     if result.as_ref().err().is_none_or(Failure::leaves_the_session_alive) {
         session.close();
@@ -40,8 +40,8 @@ pub(crate) fn with_session<T>(
     result
 }
 
-impl Session {
-    /// Connects, but does not start the service yet.
+impl ControllerSession {
+    /// Connects without starting the service.
     pub(crate) fn open(link: &LinkArgs) -> Result<Self, Failure> {
         let connection = Connection::open(&link.target()?, Budget::start(link))?;
         let provider = link.provider.clone();
@@ -56,7 +56,7 @@ impl Session {
         Ok(())
     }
 
-    /// Gives what comes next the whole time limit of the command again.
+    /// Restarts the time limit of the command.
     pub(crate) fn restart_budget(&mut self) {
         self.connection.budget.restart();
     }
@@ -66,12 +66,12 @@ impl Session {
         self.connection.budget = budget;
     }
 
-    /// Connects to another provider than the one that was asked for, from the next connection on.
+    /// Sets the provider for the next Controller_Connect.
     pub(crate) fn set_provider(&mut self, provider: &str) {
         provider.clone_into(&mut self.provider);
     }
 
-    /// Calls a function; a success other than S_OK is returned with its code.
+    /// Calls a function; returns the code, which may be an error, and the value.
     pub(crate) fn call_for_code(
         &mut self,
         function: FunctionId,
@@ -98,7 +98,7 @@ impl Session {
         self.call(function, arguments).map_err(|failure| about(failure, subject))
     }
 
-    /// Returns the handle of the controller, after connecting to it if need be.
+    /// Returns the handle of the controller; calls Controller_Connect first if necessary.
     pub(crate) fn controller(&mut self) -> Result<i32, Failure> {
         if let Some(handle) = self.controller {
             return Ok(handle);
@@ -109,7 +109,7 @@ impl Session {
         Ok(handle)
     }
 
-    /// Opens an object, and those on the way to it, and returns its handle.
+    /// Opens all objects of a path, and returns the handle of the last one.
     pub(crate) fn object(&mut self, path: &Path) -> Result<i32, Failure> {
         let mut handle = self.controller()?;
         let mut owner = Object::Controller;
@@ -135,11 +135,11 @@ impl Session {
             names => names.ok().flatten(),
         };
         let name = names.and_then(|names| strings(&names).into_iter().next());
-        // a controller that does not tell has its robot under the name that the samples use
+        // a controller without a list of names accepts the name of the samples
         Ok(name.unwrap_or_else(|| "Arm0".into()))
     }
 
-    /// Calls a function that opens an object, and keeps its handle to be released.
+    /// Calls a function that opens an object, and records its handle for the release.
     fn open_with(&mut self, function: FunctionId, arguments: &[Value]) -> Result<i32, Failure> {
         let reply = self.call(function, arguments)?;
         let value = reply.as_ref().map(Value::as_variant);
@@ -167,8 +167,8 @@ impl Session {
         Ok(())
     }
 
-    /// Takes note of what a call by the user has opened or released.
-    pub(crate) fn note(&mut self, function: FunctionId, arguments: &[Value], reply: Option<&Value>) {
+    /// Records the objects that a user's call has opened or released.
+    pub(crate) fn record(&mut self, function: FunctionId, arguments: &[Value], reply: Option<&Value>) {
         match (function.opens(), function.releases()) {
             (_, Some(Object::Service)) => {
                 self.opened.clear();
@@ -187,7 +187,7 @@ impl Session {
         }
     }
 
-    /// Releases everything, newest first, and stops the service; a refusal of that is of no use to anybody.
+    /// Releases all objects in reverse order and stops the service. Refusals are ignored: the user cannot act on them.
     pub(crate) fn close(mut self) {
         while let Some((_, handle)) = self.opened.last().copied() {
             if self.release(handle).is_err_and(|failure| !failure.leaves_the_session_alive()) {
@@ -206,7 +206,7 @@ pub(crate) fn strings(names: &Value) -> Vec<String> {
     elements.filter_map(|name| name.as_bstr().map(|name| name.to_string())).collect()
 }
 
-/// Adds the name of what was worked on to a refusal.
+/// Adds the name of an object to a refusal.
 fn about(failure: Failure, subject: &Path) -> Failure {
     match failure {
         Failure::Refused { doing, code } => Failure::Refused { doing: format!("{subject}: {doing}"), code },
@@ -214,12 +214,12 @@ fn about(failure: Failure, subject: &Path) -> Failure {
     }
 }
 
-/// Makes a string argument.
+/// Encodes a string argument.
 pub(crate) fn text(text: &str) -> Result<Value, Failure> {
     Ok(Value::new(text)?)
 }
 
-/// Makes an integer argument, as handles are.
+/// Encodes an I4 argument, such as a handle.
 pub(crate) fn integer(number: i32) -> Result<Value, Failure> {
     Ok(Value::new(&number)?)
 }

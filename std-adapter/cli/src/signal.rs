@@ -1,10 +1,10 @@
-//! SIGINT and SIGTERM: the end of what would otherwise run for ever.
+//! SIGINT and SIGTERM, which end commands that run until they are interrupted.
 
 use std::io;
 use std::sync::mpsc::{Receiver, channel};
 use std::thread;
 
-/// Returns a receiver that gets a message when the user, or a service manager, wants the command to end.
+/// Returns a receiver that gets a message on the first signal.
 pub(crate) fn ended() -> io::Result<Receiver<()>> {
     let (sender, receiver) = channel();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
@@ -15,13 +15,13 @@ pub(crate) fn ended() -> io::Result<Receiver<()>> {
     };
     thread::Builder::new().name("signals".into()).spawn(move || {
         runtime.block_on(waiting);
-        // when nobody listens any more, the command is ending anyway
+        // without a receiver the command is ending already
         let _ = sender.send(());
     })?;
     Ok(receiver)
 }
 
-/// Returns a receiver that gets a message each time.
+/// Returns a receiver that gets a message on each signal.
 pub(crate) fn each() -> io::Result<Receiver<()>> {
     let (sender, receiver) = channel();
     let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
@@ -32,9 +32,9 @@ pub(crate) fn each() -> io::Result<Receiver<()>> {
     thread::Builder::new().name("signals".into()).spawn(move || {
         runtime.block_on(async {
             let mut waiting = Some(waiting);
-            // the next wait begins before the news of the last one is out, so that no signal falls in between
-            while let Some(now) = waiting.take() {
-                now.await;
+            // listen for the next signal before reporting this one, so that no signal is lost in between
+            while let Some(current) = waiting.take() {
+                current.await;
                 waiting = wait().map(Some).unwrap_or_default();
                 if sender.send(()).is_err() {
                     return;
@@ -45,7 +45,7 @@ pub(crate) fn each() -> io::Result<Receiver<()>> {
     Ok(receiver)
 }
 
-/// Begins to listen for the signals, and returns a future that ends with the first of them.
+/// Installs the signal handlers, and returns a future that completes on the first signal.
 #[cfg(unix)]
 pub(crate) fn wait() -> io::Result<impl Future<Output = ()>> {
     use tokio::signal::unix::{SignalKind, signal};
@@ -59,7 +59,7 @@ pub(crate) fn wait() -> io::Result<impl Future<Output = ()>> {
     })
 }
 
-/// Begins to listen for Ctrl-C, and returns a future that ends with it.
+/// Returns a future that completes on Ctrl-C.
 #[cfg(not(unix))]
 pub(crate) fn wait() -> io::Result<impl Future<Output = ()>> {
     Ok(async {

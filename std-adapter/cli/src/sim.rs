@@ -1,4 +1,4 @@
-//! `bcap sim`: a virtual controller on real sockets.
+//! `bcap sim`: serves a virtual controller on sockets.
 
 use std::fmt;
 use std::fs;
@@ -23,24 +23,24 @@ use crate::listen::{runtime, taken};
 use crate::output::print_line;
 use crate::signal;
 
-/// The most jobs for files in the queue.
+/// The maximum number of queued file jobs.
 const FILE_JOBS: usize = 64;
 
-/// The most explanations in the queue.
+/// The maximum number of queued explanations.
 const EXPLANATIONS: usize = 64;
 
 /// Runs `bcap sim`, until a signal ends it.
 pub(crate) fn sim(args: &Sim) -> Result<(), Failure> {
     let runtime = runtime()?;
     runtime.block_on(async {
-        // the signals first: a reader of the line may send one at once
+        // install the signal handlers before the `ready` line: a reader of that line may send a signal at once
         let ended = signal::wait()?;
         let wanted = Listening { bcap: args.bcap, udp: args.udp, rac: args.rac };
-        // kept as long as the controller runs
+        // dropped, and thereby deleted, after the controller has ended
         let temporary = tempfile::tempdir()?;
         let files = args.files.as_deref().unwrap_or(temporary.path());
         if !files.is_dir() {
-            return Err(Failure::Input(format!("--files {}: there is no such folder", files.display())));
+            return Err(Failure::Input(format!("--files {}: the folder does not exist", files.display())));
         }
         let mut config =
             Config { files: Some(files.to_owned()), file_work: file_worker()?, ..config(args.model.into()) };
@@ -62,17 +62,17 @@ pub(crate) fn sim(args: &Sim) -> Result<(), Failure> {
     })
 }
 
-/// Starts a thread for file work, so that a file system that blocks delays no other call.
+/// Starts a thread for file jobs, so that a blocking file system does not delay other calls.
 ///
-/// The thread is not waited for at the end of the process.
+/// The process does not wait for this thread when it exits.
 fn file_worker() -> io::Result<Executor> {
     let (jobs, queue) = mpsc::sync_channel::<Job>(FILE_JOBS);
     thread::Builder::new().name("files".into()).spawn(move || queue.into_iter().for_each(|job| job()))?;
-    // a full queue drops the job, which answers its call with E_BUSY_PROC
+    // a job that does not fit the queue is dropped, which answers its call with E_BUSY_PROC
     Ok(Executor::new(move |job| drop(jobs.try_send(job))))
 }
 
-/// Starts a thread that prints why arguments are refused; when it cannot keep up, lines are missing.
+/// Starts a thread that prints why arguments are refused. It drops lines when its queue is full.
 fn explainer() -> io::Result<Observer> {
     let (lines, queue) = mpsc::sync_channel::<String>(EXPLANATIONS);
     let print = move || queue.into_iter().try_for_each(|line| writeln!(io::stderr(), "{line}"));
@@ -87,7 +87,7 @@ pub(crate) struct Listening {
     pub(crate) rac: SocketAddr,
 }
 
-/// Binds the sockets of a controller; port 0 takes a free one.
+/// Binds the sockets of a controller; port 0 selects a free port.
 pub(crate) async fn listen(
     controller: Controller,
     wanted: &Listening,
@@ -100,11 +100,11 @@ pub(crate) async fn listen(
     let first = |addresses: &[SocketAddr]| addresses.first().copied();
     match (first(&addresses.bcap_tcp), first(&addresses.bcap_udp), first(&addresses.rac_tcp)) {
         (Some(bcap), Some(udp), Some(rac)) => Ok((server, Listening { bcap, udp, rac })),
-        _ => Err(Failure::Stdio(io::Error::other("a socket does not tell its address"))),
+        _ => Err(Failure::Stdio(io::Error::other("a socket has no local address"))),
     }
 }
 
-/// Applies the scenario to the bytes of an answer.
+/// Applies the scenario to the bytes of a reply: sends them, drops them, or closes the connection.
 fn deliver(controller: &mut Controller, peer: PeerId, bytes: &mut Vec<u8>) -> ControlFlow<()> {
     match controller.deliver(peer, bytes) {
         Delivery::Send => {}
@@ -117,7 +117,8 @@ fn deliver(controller: &mut Controller, peer: PeerId, bytes: &mut Vec<u8>) -> Co
 fn read_scenario(path: &Path) -> Result<Scenario, Failure> {
     let text = fs::read_to_string(path)
         .map_err(|error| Failure::Input(format!("cannot read the scenario {}: {error}", path.display())))?;
-    Scenario::parse(&text).map_err(|error| Failure::Input(format!("invalid scenario {}: {error}", path.display())))
+    Scenario::parse(&text)
+        .map_err(|error| Failure::Input(format!("{} is not a valid scenario: {error}", path.display())))
 }
 
 impl fmt::Display for Listening {
@@ -126,12 +127,12 @@ impl fmt::Display for Listening {
     }
 }
 
-/// Makes a controller.
+/// Creates a controller.
 pub(crate) fn controller(model: Profile) -> Controller {
     Controller::new(config(model))
 }
 
-/// Configures a controller with the time of this machine. It accepts the providers of all models.
+/// Returns the configuration of a controller with the clock of this machine, which accepts the providers of all models.
 fn config(model: Profile) -> Config {
     let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let origin = since_1970.as_micros().saturating_sub(bcap_std::now().as_micros().into()) / 1000;

@@ -1,4 +1,4 @@
-//! A transport that also writes down what passes through it.
+//! A transport that records the frames or lines that pass through it.
 
 use std::io;
 
@@ -10,7 +10,7 @@ use crate::dissect::outline;
 use crate::frame::Role;
 use crate::hex;
 
-/// A transport, and what has passed through it since it was asked last.
+/// A transport, and a transcript of its traffic.
 pub(crate) struct Tap<X> {
     inner: X,
     protocol: Protocol,
@@ -19,7 +19,7 @@ pub(crate) struct Tap<X> {
     lines: String,
 }
 
-/// What passes.
+/// The protocol of the traffic.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Protocol {
     Bcap,
@@ -31,27 +31,27 @@ impl<X> Tap<X> {
         Self { inner, protocol, sent: Vec::new(), received: Vec::new(), lines: String::new() }
     }
 
-    /// Returns what has passed, decoded beside its bytes.
+    /// Takes the transcript since the last call: each frame decoded next to its bytes.
     pub(crate) fn take(&mut self) -> String {
         std::mem::take(&mut self.lines)
     }
 
-    fn note(&mut self, role: Role, bytes: &[u8]) {
-        let waiting = if role == Role::Request { &mut self.sent } else { &mut self.received };
-        waiting.extend_from_slice(bytes);
-        while let Some((text, used)) = front(waiting, self.protocol, role) {
+    fn record(&mut self, role: Role, bytes: &[u8]) {
+        let pending = if role == Role::Request { &mut self.sent } else { &mut self.received };
+        pending.extend_from_slice(bytes);
+        while let Some((text, used)) = next_frame(pending, self.protocol, role) {
             let mut arrow = if role == Role::Request { "->" } else { "<-" };
             for line in text.lines() {
                 self.lines.push_str(&format!("  {arrow} {line}\n"));
                 arrow = "  ";
             }
-            waiting.drain(..used);
+            pending.drain(..used);
         }
     }
 }
 
-/// Takes the first frame or line, when it is whole; bytes that are none are left to the client to complain about.
-fn front(bytes: &[u8], protocol: Protocol, role: Role) -> Option<(String, usize)> {
+/// Decodes the first frame or line, if it is complete, and returns its length. The client reports invalid bytes.
+fn next_frame(bytes: &[u8], protocol: Protocol, role: Role) -> Option<(String, usize)> {
     match protocol {
         Protocol::Bcap => match Decoder::TCP.decode(bytes).ok()? {
             Progress::Complete(frame, used) => Some((outline(bytes.get(..used)?, &frame, role), used)),
@@ -77,13 +77,13 @@ impl<X: Transport<Error = io::Error>> Transport for Tap<X> {
 
     fn send(&mut self, bytes: &[u8], until: Instant) -> io::Result<Option<usize>> {
         let sent = self.inner.send(bytes, until)?;
-        self.note(Role::Request, bytes.get(..sent.unwrap_or(0)).unwrap_or_default());
+        self.record(Role::Request, bytes.get(..sent.unwrap_or(0)).unwrap_or_default());
         Ok(sent)
     }
 
     fn receive(&mut self, buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
         let received = self.inner.receive(buffer, until)?;
-        self.note(Role::Response, buffer.get(..received.unwrap_or(0)).unwrap_or_default());
+        self.record(Role::Response, buffer.get(..received.unwrap_or(0)).unwrap_or_default());
         Ok(received)
     }
 

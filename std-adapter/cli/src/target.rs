@@ -1,7 +1,7 @@
-//! Where the controller is: `tcp:HOST[:PORT]`, `udp:HOST[:PORT]`, and `HOST[:PORT]` for RAC.
+//! The address of the controller: `tcp:HOST[:PORT]`, `udp:HOST[:PORT]`, and `HOST[:PORT]` for RAC.
 //!
-//! A host is a name, an IPv4 address, or an IPv6 address in brackets, `tcp:[fe80::1]:5007`. The option `--robot` goes
-//! before the environment variable `BCAP_ROBOT`, and that before the default, a controller on this machine.
+//! A host is a name, an IPv4 address, or an IPv6 address in brackets, `tcp:[fe80::1]:5007`. The option `--robot` has
+//! priority over the environment variable `BCAP_ROBOT`; the default is a controller on this machine.
 
 use std::env;
 use std::fmt;
@@ -13,7 +13,7 @@ use crate::error::Failure;
 /// The port of RAC (S0:206).
 const RAC_PORT: u16 = 5006;
 
-/// What carries the packets.
+/// The transport protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Transport {
     Tcp,
@@ -30,7 +30,7 @@ pub(crate) struct Target {
 }
 
 impl Target {
-    /// Chooses the controller for b-CAP.
+    /// Returns the controller's address for b-CAP.
     pub(crate) fn bcap(option: Option<&str>) -> Result<Self, Failure> {
         match option.map(str::to_owned).or_else(from_environment) {
             Some(text) => Self::parse_bcap(&text).map_err(Failure::Input),
@@ -38,7 +38,8 @@ impl Target {
         }
     }
 
-    /// Chooses the controller for RAC; the port in the environment variable is that of b-CAP, so only its host counts.
+    /// Returns the controller's address for RAC. The port in the environment variable is the port of b-CAP, so only its host
+    /// is used.
     pub(crate) fn rac(option: Option<&str>) -> Result<Self, Failure> {
         let (text, from_environment) = match (option, from_environment()) {
             (Some(text), _) => (text.to_owned(), false),
@@ -67,7 +68,7 @@ fn from_environment() -> Option<String> {
     env::var("BCAP_ROBOT").ok().filter(|text| !text.is_empty())
 }
 
-/// Splits `tcp:` or `udp:` off.
+/// Splits off `tcp:` or `udp:`.
 fn split_scheme(text: &str) -> (Option<Transport>, &str) {
     match text.split_once(':') {
         Some((scheme, rest)) if scheme.eq_ignore_ascii_case("tcp") => (Some(Transport::Tcp), rest),
@@ -76,15 +77,16 @@ fn split_scheme(text: &str) -> (Option<Transport>, &str) {
     }
 }
 
-/// Splits `HOST[:PORT]`; `text` is for messages.
+/// Splits `HOST[:PORT]`; `text` is the whole address, for messages.
 fn parse_host(text: &str, rest: &str) -> Result<(String, Option<u16>), String> {
     let (host, port) = match rest.strip_prefix('[') {
         Some(bracketed) => {
-            let (host, behind) = bracketed.split_once(']').ok_or_else(|| format!("{text}: the ] is missing"))?;
-            match (behind, behind.strip_prefix(':')) {
+            let missing = || format!("{text}: the ] is missing; write an IPv6 address as tcp:[fe80::1]:5007");
+            let (host, after) = bracketed.split_once(']').ok_or_else(missing)?;
+            match (after, after.strip_prefix(':')) {
                 ("", _) => (host, None),
                 (_, Some(port)) => (host, Some(port)),
-                _ => return Err(format!("{text}: only :PORT can stand behind the ]")),
+                _ => return Err(format!("{text}: only :PORT may follow the ]")),
             }
         }
         None if rest.matches(':').count() > 1 => {
@@ -96,7 +98,7 @@ fn parse_host(text: &str, rest: &str) -> Result<(String, Option<u16>), String> {
         },
     };
     if host.is_empty() {
-        return Err(format!("{text}: the host is missing"));
+        return Err(format!("{text}: the host is missing; write a name or an IP address"));
     }
     let port = port.map(|port| match port.parse::<u16>() {
         Ok(number) if number > 0 => Ok(number),
@@ -105,7 +107,7 @@ fn parse_host(text: &str, rest: &str) -> Result<(String, Option<u16>), String> {
     Ok((host.to_owned(), port.transpose()?))
 }
 
-/// Writes the address as it is given on the command line.
+/// Writes the address as on the command line.
 impl fmt::Display for Target {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let scheme = match self.transport {
@@ -143,7 +145,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_with_an_address_is_said() {
+    fn errors_name_the_wrong_part_of_an_address() {
         for (text, word) in [
             ("192.168.0.1", "tcp:HOST"),
             ("com:1", "tcp:HOST"),
@@ -154,7 +156,7 @@ mod tests {
             ("tcp:a:65536", "not a port"),
             ("tcp:fe80::1", "brackets"),
             ("tcp:[::1", "]"),
-            ("tcp:[::1]5007", "behind"),
+            ("tcp:[::1]5007", "only :PORT may follow the ]"),
         ] {
             let error = Target::parse_bcap(text).unwrap_err();
             assert!(error.contains(word) && error.starts_with(text), "{error}");

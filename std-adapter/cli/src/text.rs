@@ -1,4 +1,4 @@
-//! `bcap text`: values between their bytes and the text that RAC carries.
+//! `bcap text`: converts values between their bytes and the text form of RAC.
 
 use std::str;
 

@@ -1,7 +1,7 @@
 //! Histograms of times with three significant digits, for reports.
 //!
-//! The core counts in a few buckets, where p50, p99 and the maximum of a narrow distribution are the same. A host has
-//! the memory for an HDR histogram, which allocates once and not while it records.
+//! The core's histogram has few buckets, so p50, p99 and the maximum of a narrow distribution are equal there. A host has
+//! the memory for an HDR histogram, which allocates once and never while it records.
 
 use hdrhistogram::Histogram;
 
@@ -29,7 +29,7 @@ impl Times {
         self.max = self.max.max(micros);
     }
 
-    /// Records what `counted` has counted since the last call: its last time, as often as its count has grown.
+    /// Follows the core's histogram `counted`: records its last time once for each count since the last call.
     pub(crate) fn follow<const SUB: usize, const N: usize>(
         &mut self,
         counted: &bcap_core::histogram::Histogram<SUB, N>,
@@ -40,7 +40,7 @@ impl Times {
         }
     }
 
-    /// Returns the time that this share of the times do not exceed: 0.5 is the median.
+    /// Returns a quantile: the time that this share of all times does not exceed. 0.5 is the median.
     pub(crate) fn quantile(&self, share: f64) -> u64 {
         self.histogram.value_at_quantile(share).min(self.max)
     }
@@ -72,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn a_time_over_the_bounds_is_the_maximum() {
+    fn a_time_above_the_bounds_is_exact_in_the_maximum() {
         let mut times = Times::new();
         assert_eq!((times.quantile(0.5), times.max()), (0, 0));
         times.record(0);

@@ -7,13 +7,13 @@ use bcap_core::variant::{Encode, Variant, VariantBuf, Writer};
 
 use crate::json::{self, LIMITS};
 
-/// The largest value that text can stand for: many times what a RAC line holds, which is tried first.
+/// The largest value that is parsed from text. Values that fit a RAC line are parsed in a smaller buffer.
 const TEXT_MAX: usize = 64 * 1024;
 
-/// A value that owns its bytes, however many.
+/// A value of any size that owns its bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Value {
-    /// One canonical value.
+    /// The encoding of one value.
     bytes: Vec<u8>,
 }
 
@@ -29,14 +29,14 @@ impl Value {
                     bytes.truncate(len);
                     return Ok(Self { bytes });
                 }
-                // a frame of more than 16 MiB is refused by every peer
+                // no peer accepts a frame above 16 MiB
                 Err(EncodeError::Full) if bytes.len() < 32 * 1024 * 1024 => bytes = vec![0; bytes.len() * 4],
                 Err(error) => return Err(error),
             }
         }
     }
 
-    /// Reads `TYPE,DATA`, such as `3,100` or `8196,1,2.5,-3`.
+    /// Parses `TYPE,DATA`, such as `3,100` or `8196,1,2.5,-3`.
     pub(crate) fn from_text(text: &str) -> Result<Self, TextError> {
         let bytes = match VariantBuf::<MAX_VALUE>::parse_text(text.as_bytes()) {
             Err(TextError { kind: TextErrorKind::Full, .. }) => {
@@ -47,9 +47,9 @@ impl Value {
         Ok(Self { bytes })
     }
 
-    /// Views the value.
+    /// Returns a view of the value.
     pub(crate) fn as_variant(&self) -> Variant<'_> {
-        // what was encoded can be decoded
+        // the bytes were encoded by `new` or by the parser, so decoding them succeeds
         Variant::decode(&self.bytes, &LIMITS, Strictness::Strict).unwrap_or(Variant::Empty)
     }
 
@@ -58,7 +58,7 @@ impl Value {
         &self.bytes
     }
 
-    /// Describes the value for an error: itself if it is short, else its type and size.
+    /// Describes the value for an error: the value itself if it is short, otherwise its type and size.
     pub(crate) fn described(&self) -> String {
         let value = self.as_variant();
         match value {
@@ -87,7 +87,7 @@ impl Encode for Value {
 /// Writes a value as `TYPE,DATA`.
 pub(crate) fn to_text(value: Variant<'_>) -> Result<String, TextError> {
     let bytes = Value::new(&value)?;
-    // no type takes more than 4 characters a byte, as the elements of a UI1 array do
+    // the elements of a UI1 array need 4 characters per byte; no other type needs more
     let mut buffer = vec![0; bytes.as_bytes().len() * 4 + 64];
     value.to_text(&mut buffer).map(str::to_owned)
 }
@@ -97,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn large_values_are_kept_whole() {
+    fn large_values_are_not_truncated() {
         let numbers: Vec<f64> = (0..100_000).map(f64::from).collect();
         let value = Value::new(numbers.as_slice()).unwrap();
         assert_eq!(value.as_bytes().len(), 6 + 8 * numbers.len());

@@ -9,7 +9,7 @@ use crate::error::Failure;
 use crate::object::{Path, Step, word};
 use crate::output::{print_json, print_line};
 use crate::plain;
-use crate::session::{Session, integer, text, with_session};
+use crate::session::{ControllerSession, integer, text, with_session};
 use crate::value::Value;
 
 /// Runs `bcap get`.
@@ -18,7 +18,7 @@ pub(crate) fn get(args: &Get, link: &LinkArgs, json: bool) -> Result<(), Failure
     with_session(link, |session| print_each(&args.names, &paths, json, |path| get_one(session, path)))
 }
 
-/// Reads variables one after the other and prints what they hold; one that is refused does not cost the others.
+/// Reads variables in order and prints their values; continues after a refusal.
 pub(crate) fn print_each<V>(
     names: &[String],
     variables: &[V],
@@ -36,7 +36,7 @@ pub(crate) fn print_each<V>(
             Err(failure) => return Err(failure),
         }
     }
-    if refused > 0 { Err(Failure::SomeRefused { refused, asked: names.len() }) } else { Ok(()) }
+    if refused > 0 { Err(Failure::SomeRefused { refused, total: names.len() }) } else { Ok(()) }
 }
 
 /// Runs `bcap put`.
@@ -45,7 +45,7 @@ pub(crate) fn put(args: &Put, link: &LinkArgs, json: bool) -> Result<(), Failure
     with_session(link, |session| {
         let variable = session.object(&path)?;
         let current = match session.call_on(&path, FunctionId::VARIABLE_GET_VALUE, &[integer(variable)?]) {
-            // a variable that can only be written tells no type, but one may stand in front of the data
+            // the type of a write-only variable is unknown, so the user must give it
             Err(Failure::Refused { .. }) if plain::from_typed(&args.value).is_ok() => None,
             current => current?,
         };
@@ -57,10 +57,10 @@ pub(crate) fn put(args: &Put, link: &LinkArgs, json: bool) -> Result<(), Failure
     })
 }
 
-/// Says which data a variable takes.
+/// Describes the data that a variable takes, for an error.
 pub(crate) fn expected(current: Variant<'_>) -> String {
     match current {
-        Variant::Empty | Variant::Null => "; write TYPE,DATA, as the variable does not tell its type".into(),
+        Variant::Empty | Variant::Null => "; the variable's type is unknown, write TYPE,DATA".into(),
         Variant::Array(array) => format!("; the variable holds {} of {}", array.len(), array.element()),
         scalar => format!("; the variable holds {}", scalar.vartype()),
     }
@@ -70,22 +70,22 @@ pub(crate) fn parse_all(names: &[String]) -> Result<Vec<Path>, Failure> {
     names.iter().map(|name| Path::variable(name).map_err(Failure::Input)).collect()
 }
 
-fn get_one(session: &mut Session, path: &Path) -> Result<Value, Failure> {
+fn get_one(session: &mut ControllerSession, path: &Path) -> Result<Value, Failure> {
     let variable = session.object(path)?;
     let value = read(session, path, variable);
     let released = session.release(variable);
-    // why it cannot be read says more than why it cannot be released
+    // an error of the read is more useful than an error of the release
     let value = value?;
     released.map(|()| value)
 }
 
 /// Reads an opened variable.
-pub(crate) fn read(session: &mut Session, path: &Path, variable: i32) -> Result<Value, Failure> {
+pub(crate) fn read(session: &mut ControllerSession, path: &Path, variable: i32) -> Result<Value, Failure> {
     let value = session.call_on(path, FunctionId::VARIABLE_GET_VALUE, &[integer(variable)?])?;
     Ok(value.map_or_else(|| Value::new(&()), Ok)?)
 }
 
-/// Writes a value with its name: `I1 = 5`, or `{"name":"I1","vt":3,"v":5}`.
+/// Formats a value with its name: `I1 = 5`, or `{"name":"I1","vt":3,"v":5}`.
 pub(crate) fn shown(name: &str, value: &Value, json: bool) -> String {
     if json {
         let name = serde_json::Value::from(name);
@@ -95,12 +95,12 @@ pub(crate) fn shown(name: &str, value: &Value, json: bool) -> String {
     }
 }
 
-/// Prints a line as people or, with `json`, programs read it.
+/// Prints a line of text, or of JSON.
 pub(crate) fn print(line: &str, json: bool) -> Result<(), Failure> {
     Ok(if json { print_json(line) } else { print_line(line) }?)
 }
 
-/// The functions that list names, and the objects that the names are of.
+/// The functions that list names, with the kind of the listed objects.
 const LISTS: [(Object, FunctionId); 6] = [
     (Object::Variable, FunctionId::CONTROLLER_GET_VARIABLE_NAMES),
     (Object::Robot, FunctionId::CONTROLLER_GET_ROBOT_NAMES),
@@ -113,7 +113,7 @@ const LISTS: [(Object, FunctionId); 6] = [
 /// Runs `bcap names`.
 pub(crate) fn names(link: &LinkArgs, json: bool) -> Result<(), Failure> {
     with_session(link, |session| {
-        let mut lists = Lists { session, json, asked: 0, missing: 0, refused: 0 };
+        let mut lists = Lists { session, json, total: 0, missing: 0, refused: 0 };
         let controller = Path { steps: Vec::new() };
         for (object, function) in LISTS {
             for path in lists.print(&controller, object, function)? {
@@ -129,12 +129,13 @@ pub(crate) fn names(link: &LinkArgs, json: bool) -> Result<(), Failure> {
     })
 }
 
-/// The lists of `bcap names`: each is printed whole, or counted and, unless the controller has none, reported.
+/// Prints the lists of `bcap names`: each completely, or not at all. A refused list is reported, except one that the
+/// controller does not implement.
 struct Lists<'a> {
-    session: &'a mut Session,
+    session: &'a mut ControllerSession,
     json: bool,
-    asked: usize,
-    /// How many the controller does not implement.
+    total: usize,
+    /// The number of lists that the controller does not implement.
     missing: usize,
     refused: usize,
 }
@@ -142,14 +143,14 @@ struct Lists<'a> {
 impl Lists<'_> {
     /// Prints a list of the names of `owner`'s objects, and returns the paths to them.
     fn print(&mut self, owner: &Path, object: Object, function: FunctionId) -> Result<Vec<Path>, Failure> {
-        self.asked += 1;
+        self.total += 1;
         let names = match list(self.session, owner, function) {
             Err(Failure::Refused { code: HResult::E_NOTIMPL, .. }) => {
                 self.missing += 1;
                 return Ok(Vec::new());
             }
             Err(failure @ Failure::Refused { .. }) => {
-                // such as E_TOO_MUCH_DATA, for a list that does not fit a datagram
+                // for example E_TOO_MUCH_DATA for a list that does not fit a datagram
                 failure.print(self.json, None);
                 self.refused += 1;
                 return Ok(Vec::new());
@@ -166,36 +167,36 @@ impl Lists<'_> {
         Ok(paths)
     }
 
-    /// Ends with an error if a list is not complete, or there is no list at all.
+    /// Returns an error if a list was refused, or if the controller implements no list.
     fn end(self) -> Result<(), Failure> {
         match self {
-            Self { refused: 0, missing, asked, .. } if missing < asked => Ok(()),
+            Self { refused: 0, missing, total, .. } if missing < total => Ok(()),
             Self { refused: 0, .. } => {
                 Err(Failure::Refused { doing: "the lists of names".into(), code: HResult::E_NOTIMPL })
             }
-            Self { refused, asked, .. } => Err(Failure::ListsRefused { refused, asked }),
+            Self { refused, total, .. } => Err(Failure::ListsRefused { refused, total }),
         }
     }
 }
 
-/// Asks for a list of names; a reply that is not one is an error, so that no part of a list is lost.
-fn list(session: &mut Session, owner: &Path, function: FunctionId) -> Result<Vec<String>, Failure> {
+/// Reads a list of names. A reply that is not a list of strings is an error, so no list is printed in part.
+fn list(session: &mut ControllerSession, owner: &Path, function: FunctionId) -> Result<Vec<String>, Failure> {
     let handle = session.object(owner)?;
     let names = session.call_on(owner, function, &[integer(handle)?, text("")?]);
     let released = if owner.steps.is_empty() { Ok(()) } else { session.release(handle) };
-    // why there are no names says more than why the object cannot be released
+    // an error of the list is more useful than an error of the release
     let names = names?;
     released?;
     match names {
         None => Ok(Vec::new()),
         Some(value) => all_strings(value.as_variant()).ok_or_else(|| Failure::Connection {
             message: format!("{function}: the reply carries {} instead of a list of names", value.described()),
-            hint: "read the list with `bcap call`, which prints any value".into(),
+            hint: "use `bcap call` to see the reply: it prints any value".into(),
         }),
     }
 }
 
-/// Returns the strings of a list; `None` when one of its elements is not a string.
+/// Returns the strings of a list; `None` if an element is not a string.
 fn all_strings(list: Variant<'_>) -> Option<Vec<String>> {
     match list {
         Variant::Empty | Variant::Null => Some(Vec::new()),

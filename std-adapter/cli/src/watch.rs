@@ -1,4 +1,4 @@
-//! `bcap watch`: variables read again and again.
+//! `bcap watch`: reads variables periodically.
 
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
@@ -10,7 +10,7 @@ use crate::signal;
 use crate::value::Value;
 use crate::variables::{parse_all, print, read, shown};
 
-/// Runs `bcap watch`, until it is interrupted or has read as often as was wanted.
+/// Runs `bcap watch` until it is interrupted or has done `--count` rounds.
 pub(crate) fn watch(args: &Watch, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let ended = signal::ended()?;
     let paths = parse_all(&args.names)?;
@@ -36,7 +36,7 @@ pub(crate) fn watch(args: &Watch, link: &LinkArgs, json: bool) -> Result<(), Fai
             match ended.recv_timeout(pace.until_next(Instant::now())) {
                 Err(RecvTimeoutError::Timeout) => {}
                 Ok(()) | Err(RecvTimeoutError::Disconnected) => {
-                    // the wait for the round is no part of the time to end the session
+                    // the time limit covers the end of the session, not the wait before it
                     session.restart_budget();
                     return Ok(());
                 }
@@ -45,7 +45,7 @@ pub(crate) fn watch(args: &Watch, link: &LinkArgs, json: bool) -> Result<(), Fai
     })
 }
 
-/// Puts the time since the start in front of a line.
+/// Adds the time since the start to the beginning of a line.
 fn stamped(elapsed: Duration, line: &str, json: bool) -> String {
     if json {
         format!("{{\"ms\":{},{}", elapsed.as_millis(), &line[1..])
@@ -54,7 +54,7 @@ fn stamped(elapsed: Duration, line: &str, json: bool) -> String {
     }
 }
 
-/// When the rounds begin: at multiples of the interval; those that a slow controller has missed are left out.
+/// The schedule of the rounds: they start at multiples of the interval. Rounds that a slow controller missed are skipped.
 struct Pace {
     interval: Duration,
     next: Instant,
@@ -75,7 +75,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rounds_keep_their_pace_and_missed_ones_are_left_out() {
+    fn rounds_are_periodic_and_missed_rounds_are_skipped() {
         let start = Instant::now();
         let ms = Duration::from_millis;
         let mut pace = Pace { interval: ms(100), next: start };
@@ -86,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_are_stamped() {
+    fn lines_have_timestamps() {
         assert_eq!(stamped(Duration::from_millis(1234), "I1 = 5", false), "     1.234 I1 = 5");
         let json = stamped(Duration::from_millis(1234), r#"{"name":"I1","vt":3,"v":5}"#, true);
         assert_eq!(json, r#"{"ms":1234,"name":"I1","vt":3,"v":5}"#);

@@ -19,7 +19,7 @@ use bcap_tests::process::Process;
 use common::{bcap, command};
 use socket2::{Domain, Socket, Type};
 
-/// A command that runs until this is dropped.
+/// A process of the command; dropping this kills it.
 struct Running {
     child: Child,
     out: BufReader<ChildStdout>,
@@ -82,7 +82,7 @@ fn folder(name: &str) -> std::path::PathBuf {
     folder
 }
 
-/// 200,000 wrong lines of two bytes; the log, with the files that it was rotated to, stays small.
+/// Sends 200,000 invalid lines of two bytes; the log and its rotated files stay small.
 #[test]
 fn a_flood_of_wrong_lines_does_not_fill_the_audit_log() {
     let folder = folder("flood");
@@ -110,7 +110,7 @@ fn a_flood_of_wrong_lines_does_not_fill_the_audit_log() {
     assert!(written < 1 << 20, "{written} bytes of log for 200,000 wrong lines");
 }
 
-/// Connections of one address that say nothing; a client of another address gets a slot.
+/// Idle connections of one address; a client of another address gets a slot.
 #[test]
 fn idle_connections_of_one_address_leave_slots_at_the_gateway() {
     let sim = Running::sim(&[]);
@@ -124,7 +124,7 @@ fn idle_connections_of_one_address_leave_slots_at_the_gateway() {
     assert!(!response.is_empty() && response != "-2147481333\r", "{response:?}");
 }
 
-/// A robot that answers the first calls and then sends nothing but S_EXECUTING, as fast as it can.
+/// A robot that answers the first calls, then sends only S_EXECUTING, as fast as it can.
 #[test]
 fn a_flood_of_keep_alives_costs_the_gateway_little() {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
@@ -145,7 +145,7 @@ fn a_flood_of_keep_alives_costs_the_gateway_little() {
     (&plc).write_all(b"GET:RC8:1:I:\r").unwrap();
     let process = Process::new(gateway.child.id());
     let before = process.processor_time().unwrap();
-    // measured for a while, and not waited out
+    // measure for a fixed time
     thread::sleep(Duration::from_secs(3));
     let used = process.processor_time().unwrap() - before;
     assert!(used < Duration::from_millis(300), "{used:?} of processor time in 3 s");

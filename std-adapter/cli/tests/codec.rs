@@ -1,4 +1,4 @@
-//! `bcap decode` and `bcap encode`, as a user runs them.
+//! `bcap decode` and `bcap encode` on the command line.
 
 mod common;
 
@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 const FRAME: &str = "011e000000040000006500000001000a0000000300010000000300000004";
 
 #[test]
-fn a_frame_becomes_the_documented_line_and_comes_back() {
+fn a_frame_decodes_to_the_documented_line_and_encodes_back() {
     let run = bcap(&["decode", "--json", FRAME]);
     let line = r#"{"serial":4,"reserved":0,"code":101,"name":"VariableGetValue","args":[{"vt":3,"v":3}]}"#;
     assert_eq!((run.out.as_str(), run.err.as_str(), run.code), (format!("{line}\n").as_str(), "", 0));
@@ -35,7 +35,7 @@ fn all_frames_of_the_vectors_are_decoded_and_encoded() {
             if frame.get("args").is_some() {
                 assert_eq!((&line["reserved"], &line["args"]), (&frame["reserved"], &frame["args"]), "{frame}");
             }
-            // the guide lists one reply, with the code 0, as a request; there is no function 0
+            // the guide lists a reply with code 0 as a request; there is no function 0
             assert_eq!(line["name"].is_null(), role == "request" && line["code"] == 0, "{line}");
         }
 
@@ -47,7 +47,7 @@ fn all_frames_of_the_vectors_are_decoded_and_encoded() {
 
 #[test]
 fn all_values_of_the_vectors_are_decoded_and_encoded() {
-    // every argument of every frame, cut out by its length
+    // every argument of every frame, located by its length
     let mut values = Vec::new();
     for frame in frames() {
         let hex = frame["hex"].as_str().unwrap();
@@ -68,7 +68,7 @@ fn all_values_of_the_vectors_are_decoded_and_encoded() {
 }
 
 #[test]
-fn a_bad_line_is_reported_in_its_place_and_the_others_are_done() {
+fn an_invalid_line_is_reported_in_order_and_the_others_are_converted() {
     let input = format!("{FRAME}\n02{}\nzz\n\n{FRAME}", &FRAME[2..]);
     let run = bcap_with(&["decode", "--json", "-"], input.as_bytes());
     assert_eq!(run.code, 2);
@@ -91,7 +91,7 @@ fn a_bad_line_is_reported_in_its_place_and_the_others_are_done() {
 }
 
 #[test]
-fn a_bad_argument_is_an_error_with_code_2() {
+fn an_invalid_argument_exits_with_2() {
     let run = bcap(&["decode", &FRAME[..40]]);
     assert_eq!((run.out.as_str(), run.code), ("", 2));
     assert_eq!(run.err, "error: the input ends inside a frame of 30 bytes at byte 20\n");
@@ -130,7 +130,7 @@ fn a_response_names_its_hresult() {
 }
 
 #[test]
-fn people_get_every_field_beside_its_bytes() {
+fn text_output_has_every_field_with_its_bytes() {
     let run = bcap(&["decode", "01 1e 00 00 00", "0400 0000 65000000", "0x0100", "0a0000000300010000000300000004"]);
     assert_eq!(run.code, 0);
     let expected = "\
@@ -154,25 +154,25 @@ offset  bytes                          field
 }
 
 #[test]
-fn frames_one_behind_the_other_are_all_shown() {
+fn a_sequence_of_frames_is_decoded() {
     let two = format!("{FRAME}01100000000500000002000000000004");
     let run = bcap(&["decode", "--json", &two]);
     let codes: Vec<Value> =
         run.out.lines().map(|l| serde_json::from_str::<Value>(l).unwrap()["code"].clone()).collect();
     assert_eq!((codes, run.code), (vec![json!(101), json!(2)], 0));
     assert_eq!(bcap(&["decode", &two]).out.matches("SOH").count(), 2);
-    // what is wrong behind the first frame is placed in the whole
+    // an error after the first frame has its offset in the whole input
     let run = bcap(&["decode", "--json", &format!("{FRAME}ff")]);
     assert_eq!((run.code, serde_json::from_str::<Value>(&run.out).unwrap()["offset"].clone()), (2, json!(30)));
     let run = bcap(&["decode", "--json", &two[..two.len() - 2]]);
     assert_eq!((run.code, serde_json::from_str::<Value>(&run.out).unwrap()["offset"].clone()), (2, json!(45)));
-    // a line is one item, and one item is one frame
+    // a line has exactly one frame
     assert_eq!(bcap_with(&["decode", "-"], two.as_bytes()).code, 2);
 }
 
 #[test]
-fn lenient_decoding_lets_slack_and_unknown_types_pass() {
-    // a VT_I1 (16), which no array of types knows, and a byte behind the last argument
+fn lenient_decoding_accepts_trailing_bytes_and_unknown_types() {
+    // a VT_I1 (16), which is not a type of b-CAP, and a byte after the last argument
     let hex = "011c00000001000000650000000100070000001000010000007fff04";
     assert_eq!(bcap(&["decode", hex]).code, 2);
     let run = bcap(&["decode", "--lenient", "--json", hex]);
@@ -183,7 +183,7 @@ fn lenient_decoding_lets_slack_and_unknown_types_pass() {
 }
 
 #[test]
-fn completions_know_the_commands() {
+fn completions_have_the_commands() {
     for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
         let run = bcap(&["completions", shell]);
         assert_eq!(run.code, 0);

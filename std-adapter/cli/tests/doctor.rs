@@ -1,4 +1,4 @@
-//! `bcap doctor` against virtual controllers with one thing wrong each: it names exactly that one.
+//! `bcap doctor` against virtual controllers with one fault each: it reports exactly that fault.
 
 mod common;
 
@@ -13,7 +13,7 @@ use bcap_std::{Options, blocking};
 use common::{Run, bcap, command};
 use serde_json::Value;
 
-/// A `bcap sim` of this test's own; it is killed when the test is over.
+/// A `bcap sim` process; dropping this kills it.
 struct Sim {
     child: Child,
     tcp: String,
@@ -21,7 +21,7 @@ struct Sim {
 }
 
 impl Sim {
-    /// Starts one with its motor on, if that can be had.
+    /// Starts a controller, with the motor off.
     fn start(more: &[&str]) -> Self {
         let free = ["--bcap", "127.0.0.1:0", "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"];
         let mut child = command(&[&["sim"], &free[..], more].concat()).stdout(Stdio::piped()).spawn().unwrap();
@@ -34,9 +34,10 @@ impl Sim {
         Self { tcp: port("bcap="), udp: port("udp="), child }
     }
 
+    /// Starts a controller and prepares it, with the motor on.
     fn ready(more: &[&str]) -> Self {
         let sim = Self::start(more);
-        // a COBOTTA is to be prepared first; the others have no such commands
+        // a COBOTTA must be prepared first; the other models do not have these commands
         let prepare = [&["ManualResetPreparation"][..], &["MotionPreparation"]];
         let commands = if more.contains(&"cobotta") { &prepare[..] } else { &[] };
         for command in commands.iter().chain(&[&["Motor", "1"][..]]) {
@@ -62,7 +63,7 @@ impl Drop for Sim {
     }
 }
 
-/// Returns the checks that have failed, with the detail of each.
+/// Returns the failed checks with their details.
 fn failed(run: &Run) -> Vec<(String, String)> {
     let lines = run.out.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
     let text = |value: &Value| value.as_str().unwrap().to_owned();
@@ -84,7 +85,7 @@ fn result(run: &Run, check: &str) -> (String, String) {
     (text("result"), text("detail"))
 }
 
-/// Checks that exactly this is named.
+/// Checks that exactly this check fails, with this word in its detail.
 #[track_caller]
 fn names(sim: &Sim, check: &str, word: &str, code: i32) {
     let run = sim.doctor(&["--json"]);
@@ -105,7 +106,7 @@ fn scenario(name: &str, faults: &[(&str, &str)]) -> String {
 }
 
 #[test]
-fn a_controller_in_order_passes_and_nothing_has_changed() {
+fn a_ready_controller_passes_and_its_state_is_unchanged() {
     for (model, family) in [("rc8", "RC8"), ("rc9", "RC9"), ("cobotta", "it is a COBOTTA")] {
         let sim = Sim::ready(&["--model", model]);
         let run = sim.doctor(&[]);
@@ -116,7 +117,7 @@ fn a_controller_in_order_passes_and_nothing_has_changed() {
         assert!(run.out.lines().all(|line| line.starts_with("ok ")), "{}", run.out);
         assert!(run.out.contains(family), "{}", run.out);
         assert_eq!(run.out.contains("all but sending HandIO, receiving HandIO"), model == "cobotta", "{}", run.out);
-        // it has left nothing behind: the arm is free, Slave Mode off, the log empty but for what was refused
+        // the controller has no error and the arm is free
         let state = bcap(&["exec", "controller", "SysState", "--robot", &sim.robot()]);
         assert_eq!(state.out.trim().parse::<i32>().unwrap() & 0b10, 0, "no error");
         assert_eq!(bcap(&["exec", "robot", "TakeArm", "8195,0,1", "--robot", &sim.robot()]).code, 0);
@@ -124,23 +125,23 @@ fn a_controller_in_order_passes_and_nothing_has_changed() {
 }
 
 #[test]
-fn an_unreachable_link_is_named() {
+fn an_unreachable_link_is_reported() {
     let sim = Sim::ready(&[]);
-    let nowhere = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port().to_string();
-    let run = sim.doctor(&["--json", "--tcp-port", &nowhere]);
+    let closed = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port().to_string();
+    let run = sim.doctor(&["--json", "--tcp-port", &closed]);
     assert_eq!((failed(&run).iter().map(|(check, _)| check.as_str()).collect::<Vec<_>>(), run.code), (vec!["tcp"], 3));
     let silent = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
     let port = silent.local_addr().unwrap().port().to_string();
     let run = bcap(&["doctor", "--json", "--robot", &sim.robot(), "--udp-port", &port, "--timeout", "500"]);
     assert_eq!((failed(&run).iter().map(|(check, _)| check.as_str()).collect::<Vec<_>>(), run.code), (vec!["udp"], 4));
-    // with neither there is nothing else to look at
+    // without any link all other checks are skipped
     let run = bcap(&[
         "doctor",
         "--json",
         "--robot",
         &sim.robot(),
         "--tcp-port",
-        &nowhere,
+        &closed,
         "--udp-port",
         &port,
         "--timeout",
@@ -151,11 +152,11 @@ fn an_unreachable_link_is_named() {
 }
 
 #[test]
-fn a_wrong_provider_is_named_and_the_right_one_told() {
+fn a_wrong_provider_is_reported_with_the_accepted_one() {
     let refuse = ("call = 2, of = 'Controller_Connect'", "{ refuse = 'E_CAO_PROVIDER_NOTFOUND' }");
     let only_once = scenario("doctor-provider.toml", &[(refuse.0, "{ refuse = 'E_FAIL' }")]);
     let sim = Sim::ready(&["--scenario", &only_once]);
-    names(&sim, "provider", "CaoProv.DENSO.VRC9 (RC9) is there", 1);
+    names(&sim, "provider", "CaoProv.DENSO.VRC9 (RC9) is accepted", 1);
     let all =
         scenario("doctor-providers.toml", &[("call = 2, to = 3, of = 'Controller_Connect'", "{ refuse = 'E_FAIL' }")]);
     let sim = Sim::ready(&["--scenario", &all]);
@@ -163,21 +164,21 @@ fn a_wrong_provider_is_named_and_the_right_one_told() {
 }
 
 #[test]
-fn an_unreadable_version_is_named() {
+fn an_unreadable_version_is_reported() {
     let fault = [("every = 2, of = 'Variable_GetValue'", "{ refuse = 'E_ACCESSDENIED' }")];
-    // the second variable is @VERSION, the first @TYPE
+    // the first variable read is @TYPE, the second @VERSION
     let sim = Sim::ready(&["--scenario", &scenario("doctor-version.toml", &fault)]);
     names(&sim, "version", "@VERSION cannot be read", 1);
 }
 
 #[test]
-fn a_wrong_mode_is_named() {
+fn a_wrong_mode_is_reported() {
     names(&Sim::start(&["--mode", "manual"]), "mode", "Manual", 1);
     names(&Sim::start(&["--mode", "teach-check"]), "mode", "teach check", 1);
 }
 
 #[test]
-fn a_token_that_is_elsewhere_is_named() {
+fn a_missing_token_is_reported() {
     names(&Sim::start(&["--token", "pendant"]), "token", "the teach pendant has it", 1);
     let fault = [("call = 1, of = 'TakeArm'", "{ refuse = 'E_TOKEN_ADDRESS' }")];
     let sim = Sim::ready(&["--scenario", &scenario("doctor-token.toml", &fault)]);
@@ -185,20 +186,20 @@ fn a_token_that_is_elsewhere_is_named() {
 }
 
 #[test]
-fn an_error_is_named_with_the_first_cause() {
+fn errors_are_reported_with_the_first_cause() {
     let faults = [("at_ms = 0", "{ error = '0x84204043' }"), ("at_ms = 1", "{ error = '0x83204072' }")];
     let sim = Sim::start(&["--scenario", &scenario("doctor-error.toml", &faults)]);
     names(&sim, "errors", "2, the first is 0x84204043", 1);
 }
 
 #[test]
-fn the_emergency_stop_is_named() {
+fn the_emergency_stop_is_reported() {
     let pressed = [("at_ms = 0", "{ emergency_stop = true }")];
     for model in ["rc8", "rc9"] {
         let sim = Sim::start(&["--model", model, "--scenario", &scenario(&format!("doctor-{model}.toml"), &pressed)]);
         names(&sim, "emergency stop", "pressed", 1);
     }
-    // an RC9 keeps the torque off after it was released
+    // on an RC9 the torque stays off after the release
     let released = [pressed[0], ("at_ms = 1", "{ emergency_stop = false }")];
     let sim = Sim::start(&["--model", "rc9", "--scenario", &scenario("doctor-sto.toml", &released)]);
     bcap(&["exec", "controller", "ClearError", "--robot", &sim.robot()]);
@@ -206,7 +207,7 @@ fn the_emergency_stop_is_named() {
 }
 
 #[test]
-fn an_arm_that_another_has_is_named() {
+fn an_arm_of_another_client_is_reported() {
     let sim = Sim::ready(&[]);
     let mut other = blocking::connect_tcp(sim.robot().trim_start_matches("tcp:"), &Options::default()).unwrap();
     let handles = other.run(open_robot(Provider::RC8, None)).unwrap();
@@ -214,32 +215,32 @@ fn an_arm_that_another_has_is_named() {
     let run = sim.doctor(&["--json"]);
     assert_eq!(failed(&run).iter().map(|(check, _)| check.as_str()).collect::<Vec<_>>(), ["arm"], "{run:?}");
     assert_eq!(run.code, 1);
-    // and the other one still has it
+    // the other client still owns the arm
     let state = other.call(call::robot_execute(handles.robot, "TakeArmState", -1)).unwrap();
     assert_eq!(state.as_i32(), Some(0));
 }
 
 #[test]
-fn a_motor_that_is_off_is_named() {
+fn a_motor_that_is_off_is_reported() {
     names(&Sim::start(&[]), "motor", "off", 1);
 }
 
 #[test]
-fn a_missing_licence_is_named() {
+fn a_missing_licence_is_reported() {
     names(&Sim::ready(&["--no-slave-licence"]), "licence", "E_NO_LICENSE", 1);
 }
 
 #[test]
-fn a_missing_format_is_named() {
+fn a_missing_format_is_reported() {
     let fault = [("every = 1, of = 'slvRecvFormat'", "{ refuse = 'E_INVALIDARG' }")];
     let sim = Sim::ready(&["--scenario", &scenario("doctor-format.toml", &fault)]);
     names(&sim, "formats", "slvRecvFormat 0x1 (P) is refused", 1);
 }
 
 #[test]
-fn a_licence_that_cannot_be_tested_is_not_called_fine() {
+fn an_inconclusive_licence_check_is_untested() {
     for (command, code) in [
-        // without the command no refusal of slvChangeMode says that the licence is there
+        // without this command a refusal of slvChangeMode does not show that there is a licence
         ("slvSendFormat", "E_NOTIMPL"),
         ("slvSendFormat", "E_INVALID_CMD_NAME"),
         ("slvRecvFormat", "E_NOT_USE"),
@@ -262,7 +263,7 @@ fn a_licence_that_cannot_be_tested_is_not_called_fine() {
 }
 
 #[test]
-fn a_licence_that_another_command_misses_is_named() {
+fn a_missing_licence_is_reported_for_every_command() {
     for command in ["slvSendFormat", "slvGetMode"] {
         let when = format!("every = 1, of = '{command}'");
         let text = [(when.as_str(), "{ refuse = 'E_NO_LICENSE' }")];
@@ -273,7 +274,7 @@ fn a_licence_that_another_command_misses_is_named() {
 }
 
 #[test]
-fn formats_are_not_touched_while_a_client_may_be_in_slave_mode() {
+fn formats_are_not_set_while_a_client_may_be_in_slave_mode() {
     let fault = [("every = 1, of = 'slvGetMode'", "{ refuse = 'E_FAIL' }")];
     let sim = Sim::ready(&["--scenario", &scenario("doctor-slave-mode.toml", &fault)]);
     let (result, detail) = result(&sim.doctor(&["--json"]), "formats");

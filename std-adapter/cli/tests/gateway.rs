@@ -1,4 +1,4 @@
-//! `bcap gateway` between `bcap rac` and `bcap sim`, as processes.
+//! `bcap gateway` between a PLC (`bcap rac`) and a robot (`bcap sim`), as processes.
 
 mod common;
 
@@ -14,7 +14,7 @@ use serde_json::Value;
 
 const NOT_CONNECTED: &str = "-2147481342\r";
 
-/// A command that is killed when the test ends.
+/// A process of the command that runs until a signal; dropping this kills it.
 struct Server {
     child: Child,
     out: BufReader<ChildStdout>,
@@ -30,7 +30,7 @@ impl Server {
         Self { child, out, ready }
     }
 
-    /// Returns the address after `key` in the line `ready ...`.
+    /// Returns the address after `key` in the `ready` line.
     fn address(&self, key: &str) -> String {
         let mut words = self.ready.trim_end().split(' ');
         assert_eq!(words.next(), Some("ready"), "{}", self.ready);
@@ -62,7 +62,7 @@ impl Server {
         bcap(&[&["rac"], args, &["--robot", &self.address("rac")]].concat())
     }
 
-    /// Ends it with a signal, as a service manager does, and returns the rest of its output.
+    /// Sends a signal, waits for the exit, and returns the rest of the output.
     #[cfg(unix)]
     fn end(mut self, signal: &str) -> String {
         assert!(Command::new("kill").args([signal, &self.child.id().to_string()]).status().unwrap().success());
@@ -100,7 +100,7 @@ impl Plc {
     }
 }
 
-/// Starts a gateway, and waits until its robot is connected.
+/// Starts a gateway and waits until its robot is connected.
 fn up(robot: &str, more: &[&str]) -> Server {
     let mut gateway = Server::gateway(robot, more);
     gateway.log("robot_up");
@@ -121,7 +121,7 @@ const KINDS: [(&str, &str); 9] = [
 ];
 
 #[test]
-fn all_kinds_are_read_and_none_is_written_unless_a_rule_allows_it() {
+fn all_kinds_can_be_read_and_only_allowed_kinds_written() {
     let sim = Server::sim("127.0.0.1:0");
     let robot = sim.address("bcap");
     let mut read_only = up(&robot, &[]);
@@ -135,7 +135,7 @@ fn all_kinds_are_read_and_none_is_written_unless_a_rule_allows_it() {
             let get = gateway.rac(&["get", name]);
             assert_eq!((get.out, get.code), (format!("{name} = {value}\n"), 0), "{}", get.err);
         }
-        // and the robot has it
+        // the robot has the value
         let get = bcap(&["get", name, "--robot", &format!("tcp:{robot}")]);
         assert_eq!(get.out, format!("{name} = {value}\n"));
     }
@@ -149,7 +149,7 @@ fn all_kinds_are_read_and_none_is_written_unless_a_rule_allows_it() {
 }
 
 #[test]
-fn a_file_of_rules_bounds_what_is_written() {
+fn a_file_of_rules_limits_writes() {
     let path = std::env::temp_dir().join(format!("bcap-gateway-{}.toml", std::process::id()));
     let rules = "\
         convert = true\n\
@@ -216,7 +216,7 @@ fn lines_in_the_log_are_escaped() {
 }
 
 #[test]
-fn wrong_lines_are_answered_and_the_session_lives() {
+fn invalid_lines_are_answered_and_the_session_continues() {
     let sim = Server::sim("127.0.0.1:0");
     let mut gateway = up(&sim.address("bcap"), &[]);
     let mut plc = Plc::connect(&gateway);
@@ -240,8 +240,8 @@ fn wrong_lines_are_answered_and_the_session_lives() {
 }
 
 #[test]
-fn without_the_robot_requests_fail_at_once_and_then_service_resumes() {
-    // a free port, which the robot uses later
+fn a_disconnected_robot_gives_an_error_at_once_and_service_resumes_after_reconnecting() {
+    // a free port, on which the robot will listen later
     let robot = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
     let mut gateway = Server::gateway(&robot, &["--allow-put", "I"]);
     let down = gateway.log("robot_down");
@@ -268,14 +268,14 @@ fn without_the_robot_requests_fail_at_once_and_then_service_resumes() {
         for plc in &mut plcs {
             assert_eq!(plc.ask("GET:RC8:1:I:\r"), NOT_CONNECTED);
         }
-        // far from any timeout, however slow the machine is
+        // far below any timeout, even on a slow machine
         assert!(since.elapsed() < Duration::from_secs(2));
     }
 }
 
-/// Many clients, each with its own variables, while the robot dies and comes back: an answer is that of its own request.
+/// Many clients, each with its own variables, while the robot is restarted: every answer belongs to its own request.
 #[test]
-fn no_answer_is_another_clients() {
+fn no_client_gets_the_answer_of_another() {
     let robot = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
     let sim = Server::sim(&robot);
     let mut gateway = up(&robot, &["--allow-put", "I"]);
@@ -289,7 +289,7 @@ fn no_answer_is_another_clients() {
                     let put = plc.ask(&format!("PUT:RC8:{index}:I:3,{value}\r"));
                     let get = plc.ask(&format!("GET:RC8:{index}:I:\r"));
                     let whole = put == "0\r" && get == format!("0,3,{value}\r");
-                    // a robot that has come back between the two begins with 0
+                    // a robot that was restarted between the two has the value 0
                     let cut = [put.as_str(), get.as_str()].contains(&NOT_CONNECTED) || get == "0,3,0\r";
                     assert!(whole || cut, "{put} {get} for {value}");
                     if whole {
@@ -316,7 +316,7 @@ fn no_answer_is_another_clients() {
     }
 }
 
-/// One client sends lines without a pause and reads the answers as fast. Others are served, and the command ends.
+/// A client that sends lines without a pause, and reads the answers as fast, delays neither other clients nor the shutdown.
 #[test]
 #[cfg(unix)]
 fn a_flood_of_lines_does_not_starve_other_clients() {
@@ -358,7 +358,7 @@ fn a_flood_of_lines_does_not_starve_other_clients() {
 
 #[cfg(unix)]
 #[test]
-fn signals_end_it_with_0_and_the_log_with_the_totals() {
+fn signals_end_the_gateway_with_0_and_the_log_with_totals() {
     let sim = Server::sim("127.0.0.1:0");
     for signal in ["-INT", "-TERM"] {
         let gateway = up(&sim.address("bcap"), &[]);
@@ -373,7 +373,7 @@ fn signals_end_it_with_0_and_the_log_with_the_totals() {
     }
 }
 
-/// A line of two bytes costs about 200 in the log, so the log limits and counts such lines.
+/// A line of two bytes takes about 200 bytes in the log, so the number of lines is limited and omitted lines are counted.
 #[test]
 #[cfg(unix)]
 fn a_flood_of_wrong_lines_is_counted_in_the_log() {
@@ -400,12 +400,12 @@ fn a_flood_of_wrong_lines_is_counted_in_the_log() {
         .map(|r| r["lines"].as_u64().unwrap())
         .sum();
     assert!(refused >= 50 && refused <= 100 + 10 * seconds, "{refused} lines in {seconds} s");
-    // beside the refusals the connection and its end make a line each
+    // besides the refusals, connecting and disconnecting give a line each
     assert!((LINES..=LINES + 2).contains(&(refused + suppressed)), "{refused} and {suppressed}");
     assert_eq!(records.last().unwrap()["refused"], LINES, "the totals count all of them");
 }
 
-/// Writes change the robot, so the rate of the log does not apply to them.
+/// Writes change the robot, so each successful write is in the log, also during a flood of other requests.
 #[test]
 #[cfg(unix)]
 fn every_successful_write_is_logged() {
@@ -424,10 +424,10 @@ fn every_successful_write_is_logged() {
 }
 
 #[test]
-fn one_address_gets_no_more_than_its_share_of_the_slots() {
+fn one_address_cannot_exceed_its_share_of_the_slots() {
     let gateway = Server::gateway("127.0.0.1:9", &[]);
-    let mut seated: Vec<Plc> = (0..16).map(|_| Plc::connect(&gateway)).collect();
-    for plc in &mut seated {
+    let mut connected: Vec<Plc> = (0..16).map(|_| Plc::connect(&gateway)).collect();
+    for plc in &mut connected {
         assert_eq!(plc.ask("GET:RC8:1:I:\r"), NOT_CONNECTED);
     }
     assert_eq!(Plc::connect(&gateway).ask("GET:RC8:1:I:\r"), "-2147481333\r", "E_MAX_CONNECT");
@@ -444,10 +444,10 @@ fn one_address_gets_no_more_than_its_share_of_the_slots() {
 }
 
 #[test]
-fn the_longest_idle_connection_makes_room_for_another() {
+fn the_longest_idle_connection_is_evicted_for_a_new_one() {
     let gateway = Server::gateway("127.0.0.1:9", &["--clients-per-address", "2", "--evict-after", "0"]);
     let mut plcs = [(); 2].map(|()| Plc::connect(&gateway));
-    // the second is idle longest
+    // the second connection is idle longest
     for n in [0, 1, 0] {
         assert_eq!(plcs[n].ask("GET:RC8:1:I:\r"), NOT_CONNECTED);
     }
@@ -458,10 +458,10 @@ fn the_longest_idle_connection_makes_room_for_another() {
 }
 
 #[test]
-fn a_client_without_a_slot_is_answered() {
+fn a_client_over_the_limit_is_answered_e_max_connect() {
     let gateway = Server::gateway("127.0.0.1:9", &["--clients-per-address", "64"]);
-    let mut seated: Vec<Plc> = (0..64).map(|_| Plc::connect(&gateway)).collect();
-    for plc in &mut seated {
+    let mut connected: Vec<Plc> = (0..64).map(|_| Plc::connect(&gateway)).collect();
+    for plc in &mut connected {
         assert_eq!(plc.ask("GET:RC8:1:I:\r"), NOT_CONNECTED);
     }
     let mut late = Plc::connect(&gateway);
@@ -470,7 +470,7 @@ fn a_client_without_a_slot_is_answered() {
 }
 
 #[test]
-fn an_address_that_is_taken_is_named() {
+fn an_address_in_use_is_reported() {
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = taken.local_addr().unwrap().to_string();
     let run = bcap(&["gateway", "--rac", &address]);

@@ -1,4 +1,4 @@
-//! Peers that send text that acts on a terminal, too much, a part, or nothing but keep-alives.
+//! Hostile peers: terminal control characters, oversized and truncated replies, endless keep-alives.
 
 mod common;
 #[path = "common/fake.rs"]
@@ -19,7 +19,7 @@ use fake::{Answer, Fake, usual, value};
 use proptest::prelude::*;
 use serde_json::Value;
 
-/// A character of each kind that acts on a terminal or on the text around it, but for NUL, which no argument can hold.
+/// A character of each kind that acts on a terminal or on the text around it, except NUL, which an argument cannot hold.
 const ACTING: &str = "\u{1}\t\n\r\u{1b}]0;x\u{7}\u{7f}\u{80}\u{9b}31m\u{9f}\u{61c}\u{200e}\u{200f}\u{2028}\u{2029}\u{202a}\u{202e}\u{2066}\u{2069}";
 
 fn acts(c: char) -> bool {
@@ -27,7 +27,7 @@ fn acts(c: char) -> bool {
     c.is_control() || bidirectional.contains(&c) || ('\u{2028}'..='\u{202e}').contains(&c)
 }
 
-/// Checks that only ends of lines act.
+/// Checks that the output has no acting character except line breaks.
 #[track_caller]
 fn assert_inert(run: &Run) {
     for text in [&run.out, &run.err] {
@@ -35,7 +35,7 @@ fn assert_inert(run: &Run) {
     }
 }
 
-/// Runs with and without `--json`, and checks both.
+/// Runs the command with and without `--json`, and checks both outputs.
 #[track_caller]
 fn inert(args: &[&str], code: i32) -> [Run; 2] {
     let runs = [bcap(args), bcap(&[args, &["--json"]].concat())];
@@ -133,7 +133,7 @@ fn arguments_in_errors_do_not_act() {
         &["decode", ACTING][..],
         &["text", "parse", ACTING],
         &["encode", ACTING],
-        // these are the errors of the argument parser, and of the parsers that it calls
+        // errors of clap, and of the value parsers that it calls
         &[ACTING],
         &["get", "I1", &format!("--{ACTING}")],
         &["get", "I1", "--timeout", ACTING],
@@ -150,7 +150,7 @@ fn arguments_in_errors_do_not_act() {
 
 #[cfg(unix)]
 #[test]
-fn arguments_that_are_no_text_do_not_act() {
+fn arguments_that_are_not_utf_8_do_not_act() {
     use std::os::unix::ffi::OsStrExt as _;
     let argument = std::ffi::OsStr::from_bytes(b"I1\x1b]\xff\xc2\x9b");
     let run: Run = command(&["get"]).arg(argument).output().unwrap().into();
@@ -165,7 +165,7 @@ fn a_further_line_of_an_error_is_indented() {
 }
 
 #[test]
-fn long_errors_are_cut() {
+fn long_errors_are_truncated() {
     let fake = Fake::tcp(|request| match request.function() {
         FunctionId::CONTROLLER_EXECUTE => HResult::E_FAIL.into(),
         _ => usual(request),
@@ -199,14 +199,14 @@ fn a_reply_of_a_wrong_type_is_described_by_type_and_size() {
     assert!(run.err.contains("the reply carries \"one\" instead of a handle"), "{}", run.err);
 }
 
-/// Text of any characters, those that act more often than others.
+/// Text of any characters, with acting characters more frequent than others.
 fn text() -> impl Strategy<Value = String> {
     let acting = proptest::sample::select(ACTING.chars().chain(['\0']).collect::<Vec<_>>());
     proptest::collection::vec(prop_oneof![acting, any::<char>()], 0..30).prop_map(String::from_iter)
 }
 
 proptest! {
-    // a case runs the command four times, for a hundred texts
+    // one case runs the command four times with a hundred texts
     #![proptest_config(ProptestConfig { cases: 8, ..ProptestConfig::default() })]
 
     #[test]
@@ -228,7 +228,7 @@ proptest! {
             for (line, text) in run.out.lines().zip(&texts) {
                 let line: Value = serde_json::from_str(line).unwrap();
                 let is_same = line["v"] == *text || line["text"] == format!("8,{text}");
-                // not every string has a text for RAC
+                // some strings have no text form in RAC
                 let is_refused = args[0] == "text" && line["error"].is_string();
                 prop_assert!(is_same || is_refused, "{} {:?}", line, text);
             }
@@ -237,13 +237,13 @@ proptest! {
 }
 
 #[test]
-fn a_list_is_complete_or_an_error_over_udp() {
+fn an_incomplete_list_over_udp_is_an_error() {
     let sim = Served::of(Controller::new(bcap_sim::Config::new(Profile::Rc8)), Limits::default());
     let tcp = bcap(&["names", "--robot", &format!("tcp:{}", sim.tcp)]);
     assert_eq!((tcp.code, tcp.err.as_str()), (0, ""));
     let udp = bcap(&["names", "--robot", &format!("udp:{}", sim.udp)]);
     assert_eq!(udp.code, 1, "{udp:?}");
-    // the two lists that do not fit a datagram are named, the others are complete
+    // the two lists that do not fit a datagram are reported, the others are complete
     for list in ["controller: Controller_GetVariableNames", "robot:Arm0: Robot_GetVariableNames"] {
         let refused = format!("error: {list}: the controller refused with 0x80000909 (E_TOO_MUCH_DATA)");
         assert!(udp.err.contains(&refused), "{}", udp.err);
@@ -261,7 +261,7 @@ fn a_list_is_complete_or_an_error_over_udp() {
 }
 
 #[test]
-fn a_list_that_is_refused_is_an_error_unless_the_controller_has_none() {
+fn a_refused_list_is_an_error_except_with_e_notimpl() {
     let names = |code: HResult| {
         let fake = Fake::udp(move |request| match request.function() {
             FunctionId::CONTROLLER_GET_VARIABLE_NAMES => value(["I1"]),
@@ -280,7 +280,7 @@ fn a_list_that_is_refused_is_an_error_unless_the_controller_has_none() {
 }
 
 #[test]
-fn a_reply_that_is_no_list_of_names_is_an_error() {
+fn a_reply_that_is_not_a_list_of_strings_is_an_error() {
     for odd in [|| value(5), || value([1, 2]), || value(("I1", 5)), || value("I1")] {
         let fake = Fake::tcp(move |request| match request.function() {
             FunctionId::CONTROLLER_GET_VARIABLE_NAMES => odd(),
@@ -292,14 +292,14 @@ fn a_reply_that_is_no_list_of_names_is_an_error() {
     }
 }
 
-/// S_EXECUTING for a request.
+/// Encodes an S_EXECUTING reply to a request.
 fn executing(request: &[u8]) -> Vec<u8> {
     let Ok(Progress::Complete(frame, _)) = Decoder::TCP.decode(request) else { panic!("{request:?}") };
     let mut buffer = [0; 16];
     FrameWriter::new(&mut buffer).unwrap().finish(frame.serial, 0, HResult::S_EXECUTING.0).unwrap().to_vec()
 }
 
-/// A server whose only answer is S_EXECUTING, so many at a time; returns its address over TCP and UDP.
+/// A server that only sends S_EXECUTING, `at_a_time` at once; returns its addresses for TCP and UDP.
 fn keeps_alive(at_a_time: usize) -> [String; 2] {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
@@ -307,7 +307,7 @@ fn keeps_alive(at_a_time: usize) -> [String; 2] {
         [format!("tcp:{}", listener.local_addr().unwrap()), format!("udp:{}", socket.local_addr().unwrap())];
     let pace = move || {
         if at_a_time == 1 {
-            // often enough to keep an attempt alive, and too seldom for a flood
+            // frequent enough to keep an attempt alive, but not a flood
             thread::sleep(std::time::Duration::from_millis(25));
         }
     };
@@ -317,7 +317,7 @@ fn keeps_alive(at_a_time: usize) -> [String; 2] {
             let mut request = [0; 1024];
             let count = stream.read(&mut request).unwrap();
             let reply = executing(&request[..count]).repeat(at_a_time);
-            // until the client goes
+            // until the client disconnects
             while stream.write_all(&reply).is_ok() {
                 pace();
             }
@@ -327,7 +327,7 @@ fn keeps_alive(at_a_time: usize) -> [String; 2] {
         let mut request = [0; 600];
         let (count, client) = socket.recv_from(&mut request).unwrap();
         let reply = executing(&request[..count]);
-        // the client may be gone already
+        // the client may have disconnected already
         while socket.send_to(&reply, client).is_ok() {
             pace();
         }
@@ -364,7 +364,7 @@ fn a_halt_has_a_short_limit_of_its_own() {
 
 #[test]
 fn calls_share_the_limit_of_the_command() {
-    // every call takes half of what the command may take, so the third is too late
+    // every call takes half of the limit, so the third call exceeds it
     let fake = Fake::tcp(|request| {
         thread::sleep(std::time::Duration::from_millis(300));
         usual(request)
@@ -377,7 +377,7 @@ fn calls_share_the_limit_of_the_command() {
 
 #[test]
 fn a_watch_has_the_limit_for_each_round() {
-    // each round takes a quarter of the limit, all of them more than it
+    // each round takes a quarter of the limit, and all rounds together exceed it
     let fake = Fake::tcp(|request| match request.function() {
         FunctionId::VARIABLE_GET_VALUE => {
             thread::sleep(std::time::Duration::from_millis(250));

@@ -1,4 +1,4 @@
-//! `bcap rac`: the lines it sends, and what it makes of the answers.
+//! `bcap rac`: the lines that it sends, and the output for each answer.
 
 mod common;
 
@@ -9,7 +9,7 @@ use std::thread;
 
 use common::bcap;
 
-/// A RAC server that answers every line with what `answer` says; returns its address and the lines it has seen.
+/// A RAC server that answers every line with `answer(line)`; returns its address and the received lines.
 fn server(answer: impl Fn(&str) -> &'static str + Send + 'static) -> (String, Arc<Mutex<Vec<String>>>) {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap().to_string();
@@ -32,7 +32,7 @@ fn server(answer: impl Fn(&str) -> &'static str + Send + 'static) -> (String, Ar
 }
 
 #[test]
-fn values_are_read_as_over_b_cap() {
+fn values_are_printed_as_by_get() {
     let (address, seen) = server(|line| if line.contains(":P:") { "0, 8196, 1, 2.5, 3\r" } else { "0,3,-7\r" });
     let run = bcap(&["rac", "--robot", &address, "get", "I1", "P[2]"]);
     assert_eq!((run.out.as_str(), run.err.as_str(), run.code), ("I1 = -7\nP[2] = 1,2.5,3\n", "", 0));
@@ -64,7 +64,7 @@ fn values_are_written_with_the_type_of_their_variable() {
 }
 
 #[test]
-fn failures_have_their_codes() {
+fn failures_have_their_exit_codes() {
     let (address, _) = server(|_| "-2147024809\r");
     let run = bcap(&["rac", "get", "I1", "--robot", &address]);
     assert_eq!(run.code, 1);
@@ -89,13 +89,13 @@ fn failures_have_their_codes() {
 }
 
 #[test]
-fn of_the_environment_only_the_host_counts() {
+fn only_the_host_of_the_environment_variable_is_used() {
     let (address, seen) = server(|_| "0,3,1\r");
     let run = |robot: &str| common::command(&["rac", "get", "I1"]).env("BCAP_ROBOT", robot).output().unwrap();
-    // without a scheme it is a RAC address
+    // without a scheme the variable is a RAC address
     assert_eq!(run(&address).status.code(), Some(0));
     assert_eq!(seen.lock().unwrap().len(), 1);
-    // with one the port is that of b-CAP, and port 5006 of a host that is none cannot be reached
+    // with a scheme its port is the port of b-CAP and is ignored; the command fails at port 5006 of an unknown host
     let output = run("udp:no-such-host.invalid:5007");
     assert_eq!(output.status.code(), Some(3));
 }

@@ -14,7 +14,7 @@ use common::bcap;
 use fake::{Fake, usual, value};
 
 #[test]
-fn a_get_is_a_whole_session_over_both_links() {
+fn get_runs_a_complete_session_over_both_links() {
     let answer = |request: &Frame<'_>| match request.function() {
         FunctionId::VARIABLE_GET_VALUE => value(42),
         _ => usual(request),
@@ -48,7 +48,7 @@ fn values_are_printed_as_json() {
 }
 
 #[test]
-fn put_types_the_value_by_the_variable() {
+fn put_gives_the_value_the_type_of_the_variable() {
     let fake = Fake::tcp(|request| match request.function() {
         FunctionId::VARIABLE_GET_VALUE => value([0.0_f32; 3]),
         _ => usual(request),
@@ -62,7 +62,7 @@ fn put_types_the_value_by_the_variable() {
 }
 
 #[test]
-fn a_variable_that_can_only_be_written_takes_a_type() {
+fn a_write_only_variable_needs_a_type() {
     let fake = Fake::tcp(|request| match request.function() {
         FunctionId::VARIABLE_GET_VALUE => HResult::E_ACCESSDENIED.into(),
         _ => usual(request),
@@ -73,7 +73,7 @@ fn a_variable_that_can_only_be_written_takes_a_type() {
 }
 
 #[test]
-fn a_refusal_names_its_code_and_says_what_to_do() {
+fn a_refusal_has_its_code_and_a_hint() {
     let fake = Fake::tcp(|request| match request.function() {
         FunctionId::CONTROLLER_GET_VARIABLE => HResult::E_NOT_CONNECTED.into(),
         _ => usual(request),
@@ -83,12 +83,12 @@ fn a_refusal_names_its_code_and_says_what_to_do() {
     assert!(run.err.contains("I1: Controller_GetVariable"), "{}", run.err);
     assert!(run.err.contains("0x80000902 (E_NOT_CONNECTED)"), "{}", run.err);
     assert!(run.err.contains("hint: ") && run.err.contains(HResult::E_NOT_CONNECTED.hint().unwrap()), "{}", run.err);
-    // the session has been ended all the same
+    // the session is ended after a refusal too
     assert_eq!(fake.seen().last().unwrap(), "ServiceStop()");
 }
 
 #[test]
-fn one_refused_name_does_not_cost_the_others() {
+fn get_continues_after_a_refused_name() {
     let fake = Fake::tcp(|request| match request.function() {
         FunctionId::CONTROLLER_GET_VARIABLE if request.args.get(1).is_some_and(|n| n.as_bstr().unwrap() == "I2") => {
             HResult::E_CAO_OBJECT_NOTFOUND.into()
@@ -102,7 +102,7 @@ fn one_refused_name_does_not_cost_the_others() {
 }
 
 #[test]
-fn failures_are_lines_of_json_too() {
+fn failures_are_printed_as_json() {
     let fake = Fake::tcp(|request| match request.function() {
         FunctionId::CONTROLLER_GET_VARIABLE => HResult::E_CAO_OBJECT_NOTFOUND.into(),
         _ => usual(request),
@@ -124,7 +124,7 @@ fn failures_are_lines_of_json_too() {
 }
 
 #[test]
-fn call_takes_names_numbers_objects_and_values() {
+fn call_accepts_names_numbers_objects_and_values() {
     let fake = Fake::tcp(|request| match request.function() {
         FunctionId::ROBOT_SPEED => HResult::S_FALSE.into(),
         FunctionId::CONTROLLER_EXECUTE => value("done"),
@@ -148,7 +148,7 @@ fn call_takes_names_numbers_objects_and_values() {
     for (args, word) in [
         (&["NoSuchFunction"][..], "no function NoSuchFunction"),
         (&["138"], "no function 138"),
-        (&["RobotSpeed", "task:Pro1", "1", "1"], "takes a robot"),
+        (&["RobotSpeed", "task:Pro1", "1", "1"], "task:Pro1 is not a robot"),
         (&["VariablePutValue", "3,1", "x"], "Variable_PutValue(variable, value)"),
     ] {
         let run = call(args);
@@ -157,7 +157,7 @@ fn call_takes_names_numbers_objects_and_values() {
 }
 
 #[test]
-fn calls_of_the_service_are_the_session_itself() {
+fn service_start_and_stop_are_called_once() {
     let fake = Fake::tcp(usual);
     assert_eq!(bcap(&["call", "ServiceStart", "WDT=100", "--robot", &fake.address]).code, 0);
     assert_eq!(fake.seen(), [r#"ServiceStart("WDT=100")"#, "ServiceStop()"]);
@@ -187,7 +187,7 @@ fn exec_sends_a_command_with_its_parameter() {
 }
 
 #[test]
-fn watch_reads_again_and_prints_changes() {
+fn watch_prints_changes() {
     let count = std::sync::atomic::AtomicI32::new(0);
     let fake = Fake::tcp(move |request| match request.function() {
         FunctionId::VARIABLE_GET_VALUE => value(count.fetch_add(1, std::sync::atomic::Ordering::Relaxed) / 2),
@@ -205,7 +205,7 @@ fn watch_reads_again_and_prints_changes() {
 }
 
 #[test]
-fn names_are_listed_as_the_other_commands_take_them() {
+fn names_are_listed_in_the_form_of_the_other_commands() {
     let fake = Fake::tcp(|request| match request.function() {
         FunctionId::CONTROLLER_GET_VARIABLE_NAMES => value(["I*", "@MODE"]),
         FunctionId::CONTROLLER_GET_ROBOT_NAMES => value(("Arm0",)),
@@ -220,17 +220,17 @@ fn names_are_listed_as_the_other_commands_take_them() {
 }
 
 #[test]
-fn nobody_there_is_code_3() {
+fn an_unreachable_controller_exits_with_3() {
     let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let run = bcap(&["get", "I1", "--robot", &format!("tcp:{free}")]);
     assert_eq!((run.out.as_str(), run.code), ("", 3));
-    assert!(run.err.contains(&free.to_string()) && run.err.contains("hint: nothing listens there"), "{}", run.err);
+    assert!(run.err.contains(&free.to_string()) && run.err.contains("hint: no server listens there"), "{}", run.err);
     let run = bcap(&["get", "I1", "--robot", "tcp:no-such-host.invalid"]);
     assert!(run.code == 3 && run.err.contains("no-such-host.invalid"), "{run:?}");
 }
 
 #[test]
-fn a_peer_that_closes_is_code_3() {
+fn a_closed_connection_exits_with_3() {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = format!("tcp:{}", listener.local_addr().unwrap());
     thread::spawn(move || {
@@ -242,7 +242,7 @@ fn a_peer_that_closes_is_code_3() {
 }
 
 #[test]
-fn a_peer_that_is_no_controller_is_code_3() {
+fn a_peer_that_is_not_a_controller_exits_with_3() {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = format!("tcp:{}", listener.local_addr().unwrap());
     thread::spawn(move || {
@@ -255,7 +255,7 @@ fn a_peer_that_is_no_controller_is_code_3() {
 }
 
 #[test]
-fn silence_is_code_4() {
+fn a_timeout_exits_with_4() {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
     let tcp = format!("tcp:{}", listener.local_addr().unwrap());
@@ -273,7 +273,7 @@ fn silence_is_code_4() {
 }
 
 #[test]
-fn a_name_with_addresses_of_both_kinds_is_reached() {
+fn a_name_with_ipv4_and_ipv6_addresses_is_reached() {
     for fake in [Fake::tcp(usual), Fake::udp(usual)] {
         let address = fake.address.replace("127.0.0.1", "localhost");
         assert_eq!(bcap(&["call", "ServiceStop", "--robot", &address]).code, 0, "{address}");

@@ -1,4 +1,4 @@
-//! `bcap sim`, `bcap demo`, and the other commands against a virtual controller: what a user's first hour looks like.
+//! `bcap sim`, `bcap demo`, and the other commands against a virtual controller.
 
 mod common;
 
@@ -11,7 +11,7 @@ use std::process::{Child, Command, Stdio};
 use common::{Run, bcap, command};
 use serde_json::Value;
 
-/// A `bcap sim` of this test's own; it is killed when the test is over.
+/// A `bcap sim` process; dropping this kills it.
 struct Sim {
     child: Child,
     tcp: String,
@@ -103,7 +103,7 @@ fn a_session_of_commands_works() {
     assert!(names.out.lines().any(|line| line == "task:Pro1"), "{}", names.out);
     assert!(names.out.lines().any(|line| line.starts_with("robot:") && line.ends_with("/@SERVO_ON")), "{}", names.out);
 
-    // several sessions, but the arm authority belongs to one: taking and giving are shown apart
+    // each command is a session of its own, and the arm authority belongs to one session
     assert_eq!(sim.tcp(&["exec", "robot", "TakeArm", "8195,0,0"]).code, 0);
     assert_eq!(sim.tcp(&["get", "robot/@SERVO_ON"]).out, "robot/@SERVO_ON = 0\n");
     assert_eq!(sim.udp(&["exec", "robot", "Motor", "1"]).code, 0);
@@ -150,7 +150,7 @@ fn a_refused_argument_is_explained_on_stderr_and_by_its_description() {
 }
 
 #[test]
-fn the_rc9_has_what_the_rc8_has_not() {
+fn the_rc9_has_commands_that_the_rc8_does_not_have() {
     let rc9 = Sim::start(&["--model", "rc9"]);
     let run = rc9.tcp(&["exec", "controller", "StoState", "--provider", "CaoProv.DENSO.VRC9"]);
     assert_eq!(run.code, 0, "{run:?}");
@@ -158,7 +158,7 @@ fn the_rc9_has_what_the_rc8_has_not() {
     assert_eq!(rc8.tcp(&["exec", "controller", "StoState"]).code, 1);
 }
 
-/// Writes a scenario into a file of this name, and returns its path.
+/// Writes a scenario to a file, and returns its path.
 fn scenario(name: &str, text: &str) -> String {
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     fs::write(&path, text).unwrap();
@@ -170,7 +170,7 @@ fn fault(when: &str, then: &str) -> String {
 }
 
 #[test]
-fn a_scenario_refuses_loses_and_garbles() {
+fn a_scenario_can_refuse_drop_and_corrupt() {
     let text = fault("call = 1", "{ refuse = 'E_FAIL' }") + &fault("call = 3", "'disconnect'");
     let sim = Sim::start(&["--scenario", &scenario("stream.toml", &text)]);
     let run = sim.tcp(&["get", "I1"]);
@@ -180,7 +180,7 @@ fn a_scenario_refuses_loses_and_garbles() {
     assert!(run.code != 0 && run.out.is_empty(), "the connection is cut: {run:?}");
     assert_eq!(sim.tcp(&["get", "I1"]).out, "I1 = 0\n");
 
-    // what is lost or cannot be read on UDP is asked for again, and not carried out again
+    // the UDP client retransmits after a lost or corrupt reply, and the call is executed at most once
     let text = ["'drop'", "'wrong_serial'", "'corrupt'"].iter().enumerate();
     let text: String = text.map(|(n, then)| fault(&format!("call = {}", n + 1), then)).collect();
     let sim = Sim::start(&["--scenario", &scenario("datagrams.toml", &text)]);
@@ -190,7 +190,7 @@ fn a_scenario_refuses_loses_and_garbles() {
 }
 
 #[test]
-fn a_scenario_says_what_is_wrong_from_the_beginning() {
+fn a_scenario_sets_the_initial_state() {
     let text = "[controller]\ntoken = 'pendant'\nerrors = ['0x84201482']\nversion = '1.2.3'\n";
     let sim = Sim::start(&["--scenario", &scenario("beginning.toml", text)]);
     assert_eq!(sim.tcp(&["get", "@VERSION"]).out, "@VERSION = 1.2.3\n");
@@ -206,17 +206,17 @@ fn the_controllers_files_are_those_of_a_folder() {
     fs::write(folder.join("a.pcs"), "Sub Main").unwrap();
     let sim = Sim::start(&["--files", folder.to_str().unwrap()]);
     assert_eq!(sim.tcp(&["call", "ControllerGetFileNames", "controller", "8,"]).out, "a.pcs\n");
-    // without a folder there is an empty one
+    // without --files the controller has an empty folder
     let sim = Sim::start(&[]);
     let run = sim.tcp(&["call", "ControllerGetFileNames", "controller", "8,"]);
     assert_eq!((run.code, run.out.as_str()), (0, "BSTR[]\n"), "{run:?}");
     let run = bcap(&["sim", "--files", "no/such/folder"]);
-    assert!(run.code == 2 && run.err.contains("--files no/such/folder: there is no such folder"), "{run:?}");
+    assert!(run.code == 2 && run.err.contains("--files no/such/folder: the folder does not exist"), "{run:?}");
 }
 
 #[cfg(unix)]
 #[test]
-fn a_fifo_among_the_files_stops_neither_b_cap_nor_rac_nor_a_signal() {
+fn a_fifo_in_the_folder_blocks_neither_b_cap_nor_rac_nor_signals() {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("files-with-a-fifo");
     let _ = fs::remove_dir_all(&folder);
     fs::create_dir_all(&folder).unwrap();
@@ -239,7 +239,7 @@ fn a_fifo_among_the_files_stops_neither_b_cap_nor_rac_nor_a_signal() {
 }
 
 #[test]
-fn the_robot_has_a_type_that_drivers_ask_for() {
+fn the_robot_type_can_be_set() {
     let type_of = |more: &[&str]| Sim::start(more).tcp(&["get", "robot/@TYPE_NAME", "@VERSION"]).out;
     assert_eq!(type_of(&[]), "robot/@TYPE_NAME = VS050A3\n@VERSION = 2.8.0\n");
     assert_eq!(type_of(&["--model", "cobotta"]), "robot/@TYPE_NAME = CVR038A1\n@VERSION = 2.8.0\n");
@@ -250,7 +250,7 @@ fn the_robot_has_a_type_that_drivers_ask_for() {
 }
 
 #[test]
-fn what_is_no_scenario_is_explained() {
+fn an_invalid_scenario_is_reported() {
     let wrong = scenario("wrong.toml", "[[fault]]\nwhen = { cal = 1 }\nthen = 'drop'");
     let run = bcap(&["sim", "--scenario", &wrong]);
     assert!(run.code == 2 && run.err.contains("wrong.toml") && run.err.contains("unknown field `cal`"), "{run:?}");
@@ -260,10 +260,10 @@ fn what_is_no_scenario_is_explained() {
 
 #[cfg(unix)]
 #[test]
-fn signals_end_it_with_0() {
+fn signals_end_sim_with_0() {
     for signal in ["-INT", "-TERM"] {
         let mut sim = Sim::start(&[]);
-        // a client that stays does not keep it
+        // a connected client does not delay the exit
         let mut watch = command(&["watch", "I1", "--interval", "1", "--robot", &sim.tcp]);
         let mut watch = watch.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
         watch.stdout.as_mut().unwrap().read_exact(&mut [0; 8]).unwrap();
@@ -273,7 +273,7 @@ fn signals_end_it_with_0() {
         let mut rest = String::new();
         sim.child.stdout.as_mut().unwrap().read_to_string(&mut rest).unwrap();
         assert_eq!(rest, "", "one line and no more");
-        // the client notices
+        // the client's connection is closed
         drop(watch.stdout.take());
         watch.wait().unwrap();
     }
@@ -293,7 +293,7 @@ fn a_watch_ends_with_0_when_it_is_interrupted() {
 }
 
 #[test]
-fn an_address_that_is_taken_is_named() {
+fn an_address_in_use_is_reported() {
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = taken.local_addr().unwrap().to_string();
     let run = bcap(&["sim", "--bcap", &address, "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"]);
@@ -303,7 +303,7 @@ fn an_address_that_is_taken_is_named() {
 }
 
 #[test]
-fn the_demo_shows_frames_of_all_links_and_ends_well() {
+fn the_demo_shows_frames_of_all_links() {
     let run = bcap(&["demo"]);
     assert_eq!((run.code, run.err.as_str()), (0, ""));
     for part in [

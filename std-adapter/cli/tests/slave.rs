@@ -1,4 +1,4 @@
-//! `bcap slave` and `bcap halt` against a virtual controller of the test's own, whose every cycle it can look at.
+//! `bcap slave` and `bcap halt` against a virtual controller in the test, which can inspect each cycle.
 
 mod common;
 
@@ -16,7 +16,7 @@ use bcap_tests::slowed::Slowed;
 use common::{Run, bcap, command};
 use serde_json::Value;
 
-/// A controller whose clock runs slow: mode 2 paces the command, however busy the machine is.
+/// A controller with a slow clock. Mode 2 paces the command, so a busy machine does not affect the test.
 fn controller() -> Served<Slowed> {
     let config = bcap_sim::Config { motor_on_delay: Duration::from_millis(1), ..bcap_sim::Config::new(Profile::Rc8) };
     Served::of(Slowed(Controller::new(config)), Limits::default())
@@ -40,7 +40,7 @@ fn path(name: &str) -> PathBuf {
     Path::new(env!("CARGO_TARGET_TMPDIR")).join(name)
 }
 
-/// Joint 1 at 10 degrees a second, after a start that is gentle; the others as the robot stands.
+/// Moves joint 1 at 10 degrees per second after a smooth start; the other joints do not move.
 fn ramp(name: &str, seconds: u32) -> String {
     let mut at = 0.0;
     let mut text = String::new();
@@ -55,12 +55,12 @@ fn cycles(sim: &Served<Slowed>) -> Vec<SlaveCycle> {
     sim.application().0.slave_record().collect()
 }
 
-/// The speeds of joint 1 from cycle to cycle, in degrees per second of the controller's time.
+/// The speed of joint 1 in each cycle, in degrees per second of the controller's time.
 fn speeds(sim: &Served<Slowed>) -> Vec<f64> {
     cycles(sim).windows(2).map(|pair| (pair[1].axes[0] - pair[0].axes[0]) / 0.008).collect()
 }
 
-/// Checks that slave mode is off, the arm free, nothing moves, and how many errors there are.
+/// Checks that Slave Mode is off, the arm is free, nothing moves, and that there are `errors` errors.
 fn assert_at_rest(sim: &Served<Slowed>, errors: usize) {
     let controller = &sim.application().0;
     assert_eq!((controller.slave_mode(), controller.arm_owner(), controller.is_moving()), (0, None, false));
@@ -78,7 +78,7 @@ fn await_speed(sim: &Served<Slowed>, least: f64) {
 }
 
 #[test]
-fn a_cosine_goes_there_and_back_and_is_reported() {
+fn a_cosine_returns_to_its_start_and_is_reported() {
     let sim = controller();
     let (report, plot) = (path("cosine.json"), path("cosine.svg"));
     let files = ["--report", report.to_str().unwrap(), "--plot", plot.to_str().unwrap()];
@@ -94,7 +94,7 @@ fn a_cosine_goes_there_and_back_and_is_reported() {
         (keys(&json["rtt_us"]), keys(&json["jitter_us"])),
         ("max p50 p99 p999".into(), "max p50 p99 p999".into())
     );
-    // 125 poses, and the last one again until the robot stands
+    // 125 poses, and repetitions of the last one until the robot has stopped
     let count = json["cycles"].as_u64().unwrap();
     assert!((130..200).contains(&count), "{count}");
     assert_eq!((&json["underflows"], &json["refused"]), (&0.into(), &0.into()));
@@ -119,7 +119,7 @@ fn a_cosine_goes_there_and_back_and_is_reported() {
 }
 
 #[test]
-fn what_is_recorded_can_be_played() {
+fn a_recording_can_be_played() {
     let sim = controller();
     let recorded = path("recorded.csv");
     let recorded = recorded.to_str().unwrap();
@@ -134,7 +134,7 @@ fn what_is_recorded_can_be_played() {
     assert!(cycles(&sim).iter().filter(|cycle| cycle.took).count() > 3 * 25, "three times 0.2 s");
     assert_at_rest(&sim, 0);
 
-    // from elsewhere it is refused, or approached
+    // from another pose the stream is refused without --approach
     let elsewhere = file("elsewhere.csv", "J1,J2,J3,J4,J5,J6\n5,45,90,0,45,0\n5.01,45,90,0,45,0\n");
     let run = slave(&sim, &["play", &elsewhere, "--yes"]);
     assert!(
@@ -148,19 +148,22 @@ fn what_is_recorded_can_be_played() {
 }
 
 #[test]
-fn nothing_moves_without_consent_or_with_a_file_that_is_none() {
+fn nothing_moves_without_confirmation_or_with_an_invalid_file() {
     let sim = controller();
     let run = slave(&sim, &["cosine"]);
     assert!(run.code == 2 && run.err.contains("give --yes"), "{run:?}");
     let bad = file("bad.csv", "0,45,90,0,45,0\n0,45,ninety,0,45,0\n");
     let run = slave(&sim, &["play", &bad, "--yes"]);
-    assert!(run.code == 2 && run.err.contains("bad.csv: line 2: field 3: \"ninety\" is not a number"), "{run:?}");
+    assert!(
+        run.code == 2 && run.err.contains("bad.csv: line 2: field 3: \"ninety\" is not a finite number"),
+        "{run:?}"
+    );
     let run = slave(&sim, &["play", "no/such.csv", "--yes"]);
     assert!(run.code == 2 && run.err.contains("cannot read no/such.csv"), "{run:?}");
     assert_eq!(sim.application().0.error_log().count(), 0);
     assert!(!sim.application().0.motor_is_on());
 
-    // a pose that is too fast is not sent, and the robot is stopped
+    // a pose that is too fast is not sent, and the robot stops
     let jump = file("jump.csv", &("0,45,90,0,45,0\n".repeat(20) + "9,45,90,0,45,0\n"));
     let run = slave(&sim, &["play", &jump, "--yes", "--max-speed", "100"]);
     assert!(run.code == 2 && run.err.contains("pose 20: axis 1 would move at 1125"), "{run:?}");
@@ -169,7 +172,7 @@ fn nothing_moves_without_consent_or_with_a_file_that_is_none() {
 }
 
 #[test]
-fn the_first_error_is_named() {
+fn the_first_error_is_reported() {
     let sim = controller();
     let text = "[[fault]]\nwhen = { cycle = 40 }\nthen = { error = '0x84204043' }\n";
     sim.application().0.play(Scenario::parse(text).unwrap());
@@ -178,13 +181,13 @@ fn the_first_error_is_named() {
     assert!(run.code == 1 && run.err.contains("the controller's first error is 0x84204043"), "{run:?}");
     assert!(fs::read_to_string(report).unwrap().starts_with("{\"cycles\":"), "a stream that failed is reported, too");
     assert_at_rest(&sim, 1);
-    // what the controller still holds against it is said as well
+    // a refusal also reports the controller's pending error
     let run = slave(&sim, &["cosine", "--yes"]);
     assert!(run.code == 1 && run.err.contains("TakeArm: refused") && run.err.contains("0x84204043"), "{run:?}");
 }
 
 #[test]
-fn ctrl_c_slows_down_within_the_limits_and_gives_the_arm_back() {
+fn ctrl_c_slows_down_within_the_limits_and_releases_the_arm() {
     let sim = controller();
     let ramp = ramp("ramp.csv", 60);
     let mut child = command(&["slave", "play", &ramp, "--yes", "--robot", &tcp(&sim)])
@@ -197,7 +200,7 @@ fn ctrl_c_slows_down_within_the_limits_and_gives_the_arm_back() {
     let mut err = String::new();
     child.stderr.take().unwrap().read_to_string(&mut err).unwrap();
     assert_eq!(child.wait().unwrap().code(), Some(130), "{err}");
-    assert!(err.contains("stopping") && err.contains("the robot stands, the arm is given back"), "{err}");
+    assert!(err.contains("stopping") && err.contains("the robot has stopped and the arm is released"), "{err}");
 
     let speeds = speeds(&sim);
     let limits = sim.application().0.slave_limits();
@@ -205,7 +208,7 @@ fn ctrl_c_slows_down_within_the_limits_and_gives_the_arm_back() {
     assert!((9.9..10.1).contains(&top), "{top}");
     let begin = speeds.iter().rposition(|speed| *speed > top - 0.01).unwrap();
     let falling = &speeds[begin..];
-    // 200 ms of ramp are 25 cycles
+    // a ramp of 200 ms has 25 cycles
     assert!((24..=40).contains(&falling.len()), "{falling:?}");
     assert!(falling.windows(2).all(|pair| pair[1] <= pair[0] + 1e-9), "ever slower: {falling:?}");
     assert!(falling.last().unwrap().abs() < 1e-9, "to rest: {falling:?}");
@@ -217,7 +220,7 @@ fn ctrl_c_slows_down_within_the_limits_and_gives_the_arm_back() {
 }
 
 #[test]
-fn a_second_ctrl_c_halts_over_a_connection_of_its_own() {
+fn a_second_ctrl_c_halts_over_its_own_connection() {
     let sim = controller();
     let ramp = ramp("ramp2.csv", 60);
     let mut child = command(&["slave", "play", &ramp, "--yes", "--robot", &tcp(&sim)])
@@ -240,7 +243,7 @@ fn a_second_ctrl_c_halts_over_a_connection_of_its_own() {
 }
 
 #[test]
-fn halt_stops_what_another_connection_moves() {
+fn halt_stops_a_motion_of_another_connection() {
     let sim = controller();
     let halt = || bcap(&["halt", "--robot", &tcp(&sim)]);
     assert_eq!((halt().code, halt().out.as_str()), (0, "nothing was moving\n"));

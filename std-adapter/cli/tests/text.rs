@@ -1,4 +1,4 @@
-//! `bcap text`, as a user runs it.
+//! `bcap text` on the command line.
 
 mod common;
 
@@ -6,7 +6,7 @@ use common::{bcap, bcap_with, vectors};
 use serde_json::Value;
 
 #[test]
-fn text_becomes_bytes_and_comes_back() {
+fn text_is_converted_to_bytes_and_back() {
     let run = bcap(&["text", "parse", "8204,(8,Sample),(2,100)"]);
     let hex = "0c2002000000080001000000\
                0c000000530061006d0070006c0065000200010000006400";
@@ -18,7 +18,7 @@ fn text_becomes_bytes_and_comes_back() {
 }
 
 #[test]
-fn all_values_of_the_vectors_survive_both_ways() {
+fn all_values_of_the_vectors_round_trip() {
     let texts: Vec<String> = vectors("rac-spec.jsonl")
         .iter()
         .filter(|vector| vector["name"].as_str().unwrap().starts_with("rac_spec_eg"))
@@ -33,7 +33,7 @@ fn all_values_of_the_vectors_survive_both_ways() {
 }
 
 #[test]
-fn bad_lines_are_reported_with_their_place() {
+fn invalid_lines_are_reported_with_their_offset() {
     let run = bcap_with(&["text", "parse", "-"], b"3,1\n8194,1,x\n3,2\n");
     let lines: Vec<&str> = run.out.lines().collect();
     assert_eq!((run.code, lines.len()), (2, 3));

@@ -1,4 +1,4 @@
-//! Which connection or UDP peer gets a slot when slots are short.
+//! Admission: which connection or UDP peer gets a slot when slots are short.
 
 use std::net::IpAddr;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -7,10 +7,11 @@ use std::time::Duration;
 use bcap_core::time::Instant;
 use tokio::sync::Notify;
 
-/// The slots of a server, and the rule by which they are given to clients.
+/// The slots of a server, and the policy that assigns them to clients.
 ///
-/// An address that has its share gives up its own slots only; when all slots are taken any address may lose one. The
-/// connection that has been idle longest is closed first, and only if it has been idle for `evict_after`.
+/// A new client of an address that has used its share can only replace a client of the same address. When all slots are
+/// taken, it can replace a client of any address. The client that has been idle longest is evicted first, and only if it has
+/// been idle for `evict_after`.
 ///
 /// # Examples
 ///
@@ -29,36 +30,36 @@ use tokio::sync::Notify;
 pub struct Slots {
     /// The number of slots.
     pub total: usize,
-    /// The number of slots that one IP address may take.
+    /// The maximum number of slots of one IP address.
     pub per_address: usize,
-    /// The time without traffic after which the holder of a slot may lose it to another.
+    /// The time without traffic after which the holder of a slot may be evicted.
     pub evict_after: Duration,
 }
 
-/// What the holder of a slot does; in the order in which slots are taken back.
+/// The state of the holder of a slot, in the order of eviction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum SlotState {
-    /// Nothing any more: its session is over.
+    /// Its session has ended.
     Over,
-    /// Nothing since a time.
+    /// It has been idle since this time.
     Idle(Instant),
-    /// Has a call that runs, or takes a reply: it keeps its slot.
+    /// It has a running call or receives a reply: it is never evicted.
     Busy,
 }
 
 /// Whether a client gets a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Admission<K> {
-    /// It gets a free slot.
+    /// The client gets a free slot.
     Free,
-    /// It gets the slot of this holder, which must be closed.
+    /// The client gets the slot of this holder, which must be closed.
     Instead(K),
-    /// It gets no slot.
+    /// The client gets no slot.
     Refused,
 }
 
 impl Slots {
-    /// Decides about a client that connects from `address`; `taken` lists the holders of slots.
+    /// Decides on a client that connects from `address`; `taken` lists the holders of slots.
     pub fn admit<K>(
         &self,
         taken: impl IntoIterator<Item = (K, IpAddr, SlotState)>,
@@ -83,10 +84,10 @@ impl Slots {
     }
 }
 
-/// What the task of a connection says about its traffic, and how it is told to end.
+/// The activity of a connection's task, and the signal that evicts it.
 #[derive(Debug)]
 pub(super) struct Activity {
-    /// Microseconds since which it is idle; [`BUSY`] while it is not.
+    /// The time in microseconds since which it is idle; [`BUSY`] while it is not.
     idle_since: AtomicU64,
     evicted: Notify,
 }
@@ -98,7 +99,7 @@ impl Activity {
         Self { idle_since: AtomicU64::new(now.as_micros()), evicted: Notify::new() }
     }
 
-    /// Says since when the connection is idle; `None` while it is busy.
+    /// Records since when the connection is idle; `None` while it is busy.
     pub(super) fn set(&self, idle_since: Option<Instant>) {
         self.idle_since.store(idle_since.map_or(BUSY, Instant::as_micros), Ordering::Release);
     }
@@ -110,12 +111,12 @@ impl Activity {
         }
     }
 
-    /// Tells the connection to end.
+    /// Requests the connection's task to end.
     pub(super) fn evict(&self) {
         self.evicted.notify_one();
     }
 
-    /// Waits until the connection must end.
+    /// Waits until the connection is evicted.
     ///
     /// # Cancel safety
     ///
@@ -146,26 +147,26 @@ mod tests {
     }
 
     #[test]
-    fn a_free_slot_is_given_and_nothing_is_closed_for_it() {
+    fn a_free_slot_is_used_before_any_connection_is_evicted() {
         assert_eq!(admit(&[]), Admission::Free);
         assert_eq!(admit(&[(1, idle(0)), (9, idle(0)), (9, SlotState::Over)]), Admission::Free);
     }
 
     #[test]
-    fn the_longest_idle_connection_is_closed_first() {
+    fn the_longest_idle_connection_is_evicted_first() {
         assert_eq!(admit(&[(1, idle(50)), (1, idle(20)), (2, idle(40)), (9, idle(30))]), Admission::Instead(1));
         assert_eq!(admit(&[(1, idle(20)), (1, SlotState::Over), (2, idle(40)), (9, idle(0))]), Admission::Instead(1));
         assert_eq!(admit(&[(1, SlotState::Busy), (1, idle(91)), (2, idle(90)), (9, idle(95))]), Admission::Instead(2));
     }
 
     #[test]
-    fn a_connection_that_is_not_idle_for_long_enough_is_kept() {
+    fn a_connection_that_was_active_recently_is_not_evicted() {
         assert_eq!(admit(&[(1, SlotState::Busy), (1, idle(91)), (2, idle(92)), (9, idle(100))]), Admission::Refused);
         assert_eq!(admit(&[(1, SlotState::Busy); 4]), Admission::Refused);
     }
 
     #[test]
-    fn an_address_with_its_share_gets_its_own_slots_only() {
+    fn an_address_that_has_used_its_share_evicts_its_own_connections_only() {
         let own = [(9, idle(30)), (9, idle(20)), (9, idle(40))];
         assert_eq!(admit(&own), Admission::Instead(1));
         assert_eq!(admit(&[&own[..], &[(1, idle(0))]].concat()), Admission::Instead(1));
@@ -173,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_written_as_ipv6_is_the_same_address() {
+    fn an_ipv4_mapped_ipv6_address_is_the_same_address() {
         let mapped = |n: u8| IpAddr::V6(std::net::Ipv4Addr::new(10, 0, 0, n).to_ipv6_mapped());
         let taken = [(0, mapped(9), SlotState::Busy), (1, ip(9), SlotState::Busy), (2, mapped(9), SlotState::Busy)];
         assert_eq!(SLOTS.admit(taken, ip(9), Instant::ZERO), Admission::Refused);

@@ -1,4 +1,4 @@
-//! The memory for large requests and replies, of which all connections together have no more than was allowed.
+//! A memory pool for large requests and replies, which bounds the memory of all connections together.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -7,7 +7,7 @@ use bcap_core::storage::Storage;
 
 use crate::connect::STREAM_ROOM;
 
-/// What is left for connections that need more than each has from the beginning.
+/// The bytes that are left for connections that outgrow their initial buffers.
 #[derive(Clone, Debug)]
 pub(super) struct Pool(Arc<AtomicUsize>);
 
@@ -16,7 +16,7 @@ impl Pool {
         Self(Arc::new(AtomicUsize::new(bytes)))
     }
 
-    /// Makes a buffer of [`STREAM_ROOM`] bytes, which cost the pool nothing.
+    /// Creates a buffer of [`STREAM_ROOM`] bytes, which do not count against the pool.
     pub(super) fn buffer(&self) -> Buffer {
         Buffer { bytes: vec![0; STREAM_ROOM], pool: self.clone() }
     }
@@ -25,12 +25,12 @@ impl Pool {
         self.0.fetch_update(Ordering::AcqRel, Ordering::Acquire, |left| left.checked_sub(bytes)).is_ok()
     }
 
-    fn give(&self, bytes: usize) {
+    fn give_back(&self, bytes: usize) {
         self.0.fetch_add(bytes, Ordering::AcqRel);
     }
 }
 
-/// A buffer that grows as long as its pool allows.
+/// A buffer that grows as far as its pool allows.
 #[derive(Debug)]
 pub(super) struct Buffer {
     bytes: Vec<u8>,
@@ -38,8 +38,8 @@ pub(super) struct Buffer {
 }
 
 impl Buffer {
-    /// Returns how many bytes are the pool's.
-    fn lent(&self) -> usize {
+    /// Returns how many bytes were taken from the pool.
+    fn borrowed(&self) -> usize {
         self.bytes.len().saturating_sub(STREAM_ROOM)
     }
 }
@@ -59,12 +59,12 @@ impl Storage for Buffer {
             return true;
         }
         if !self.pool.take(more) {
-            tracing::warn!(more, "the memory of all connections is used up");
+            tracing::warn!(more, "the memory pool of all connections is exhausted");
             return false;
         }
-        // exactly as much as was taken, and no end of the process when the system has none
+        // reserves exactly the bytes taken, and does not abort the process if the allocation fails
         if self.bytes.try_reserve_exact(more).is_err() {
-            self.pool.give(more);
+            self.pool.give_back(more);
             return false;
         }
         self.bytes.resize(len, 0);
@@ -72,15 +72,15 @@ impl Storage for Buffer {
     }
 
     fn shrink(&mut self, len: usize) {
-        let lent = self.lent();
+        let before = self.borrowed();
         self.bytes.shrink(len.max(STREAM_ROOM));
-        self.pool.give(lent.saturating_sub(self.lent()));
+        self.pool.give_back(before.saturating_sub(self.borrowed()));
     }
 }
 
 impl Drop for Buffer {
     fn drop(&mut self) {
-        self.pool.give(self.lent());
+        self.pool.give_back(self.borrowed());
     }
 }
 
@@ -89,11 +89,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_one_has_the_others_cannot_have_until_it_is_given_back() {
+    fn buffers_share_the_pool_and_return_its_memory() {
         let pool = Pool::new(1000);
         let (mut first, mut second) = (pool.buffer(), pool.buffer());
         assert!(first.grow(STREAM_ROOM + 700));
-        assert!(first.grow(10), "what it has already costs nothing");
+        assert!(first.grow(10), "it has these bytes already");
         assert!(!second.grow(STREAM_ROOM + 301));
         assert_eq!(second.bytes().len(), STREAM_ROOM);
         assert!(second.grow(STREAM_ROOM + 300));

@@ -1,4 +1,7 @@
-//! What all tasks of a server share: the handler, the numbers of peers, and the news that something has changed.
+//! State that all tasks of a server share: the handler, the peer numbers, and change notifications.
+//!
+//! A call that waits is resumed when another request has changed something. [`Shared::notify_change`] signals such a change,
+//! and a task receives it through its [`Changes`].
 
 use std::any::Any;
 use std::cmp::Ordering::{Equal, Greater, Less};
@@ -17,23 +20,23 @@ use tokio::sync::Notify;
 
 use crate::clock::{now, until};
 
-/// A handler that many tasks call, one at a time.
+/// The handler, which many tasks call one at a time, and the state around it.
 #[derive(Debug)]
 pub(super) struct Shared<H> {
     handler: Arc<Mutex<H>>,
     next_peer: AtomicU32,
-    /// Requests whose handler waits.
+    /// The number of requests whose handler waits.
     waiting: AtomicUsize,
-    /// Tasks with such requests that are to be woken by the next change.
+    /// The number of tasks with such requests that the next change must wake.
     listening: AtomicUsize,
-    /// How often a request has been carried out while others waited.
+    /// The number of requests carried out while others waited.
     changes: AtomicUsize,
     changed: Notify,
     tap: OnceLock<Tap<H>>,
 }
 
-/// Looks at the bytes of a frame or line before they are sent to a peer, and may change them; without bytes nothing is
-/// sent, and with `Break` the connection is closed.
+/// A function that inspects the bytes of a frame or line before they are sent to a peer, and may change them. If it leaves
+/// no bytes, nothing is sent; if it returns `Break`, the connection is closed.
 pub type Tap<H> = fn(&mut H, PeerId, &mut Vec<u8>) -> ControlFlow<()>;
 
 impl<H> Shared<H> {
@@ -55,30 +58,33 @@ impl<H> Shared<H> {
     }
 
     pub(super) fn set_tap(&self, tap: Tap<H>) {
-        // whoever was first stays
+        // the first tap stays
         let _ = self.tap.set(tap);
     }
 
-    /// Returns what the tap makes of bytes that are to be sent; `None` when the connection is to be closed.
+    /// Passes bytes through the tap before they are sent; `None` if the connection must be closed.
     pub(super) fn tapped(&self, peer: PeerId, bytes: &[u8]) -> Option<Tapped> {
         let Some(tap) = self.tap.get() else { return Some(Tapped::Untouched) };
         let mut bytes = bytes.to_vec();
-        match self.handler().ask(peer, |handler| tap(handler, peer, &mut bytes))? {
-            ControlFlow::Continue(()) => Some(Tapped::Instead(bytes)),
+        match self.handler().with_handler(peer, |handler| tap(handler, peer, &mut bytes))? {
+            ControlFlow::Continue(()) => Some(Tapped::Replaced(bytes)),
             ControlFlow::Break(()) => None,
         }
     }
 
-    /// Returns the handler for a session. It is locked for each call, so that decoding a large request holds no lock.
+    /// Returns the handler for a session. The lock is taken for each call only, so decoding a large request holds no lock.
     pub(super) fn handler(&self) -> Locking<'_, H> {
         Locking(&self.handler)
     }
 
-    /// Tells those who wait that something may have changed. Every call of every peer comes by here, and most of those who
-    /// wait pause most of the time: they are not woken, and see the change when their pause is over.
-    pub(super) fn has_changed(&self) {
+    /// Notifies waiting tasks that something may have changed.
+    ///
+    /// Every call of every peer ends here. Most waiting tasks are in their [`PAUSE`]: they are not woken, and see the change
+    /// when the pause ends.
+    pub(super) fn notify_change(&self) {
         if self.waiting.load(Ordering::Acquire) > 0 {
-            // counted, then looked who listens; a listener is noted, then looks at the count: one sees the other
+            // This increments `changes`, then reads `listening`; `change_after` increments `listening`, then reads `changes`.
+            // With SeqCst at least one of the two sees the other's increment, so no change is missed.
             self.changes.fetch_add(1, Ordering::SeqCst);
             if self.listening.load(Ordering::SeqCst) > 0 {
                 self.changed.notify_waiters();
@@ -86,7 +92,7 @@ impl<H> Shared<H> {
         }
     }
 
-    /// Waits until there are not as many changes any more; returns how many there are.
+    /// Waits until the number of changes differs from `seen`; returns the new number.
     async fn change_after(&self, seen: usize) -> usize {
         struct Listening<'s>(&'s AtomicUsize);
         impl Drop for Listening<'_> {
@@ -95,7 +101,7 @@ impl<H> Shared<H> {
             }
         }
         loop {
-            // it hears from now on, whenever it is awaited
+            // `notify_waiters` wakes this future from now on, even before it is polled
             let changed = self.changed.notified();
             self.listening.fetch_add(1, Ordering::SeqCst);
             let _listening = Listening(&self.listening);
@@ -107,20 +113,20 @@ impl<H> Shared<H> {
         }
     }
 
-    /// Listens for changes from now on.
+    /// Subscribes to changes from now on.
     pub(super) fn changes(self: &Arc<Self>) -> Changes<H> {
         Changes { shared: Arc::clone(self), seen: 0, waiting: 0, not_before: now() }
     }
 }
 
-/// The handler, locked for the time of each call. A panic in a call ends that call with E_UNEXPECTED, and nothing else.
+/// The handler, locked during each call. A panic in a call fails that call with E_UNEXPECTED and has no other effect.
 #[derive(Debug)]
 pub(super) struct Locking<'s, H>(&'s Mutex<H>);
 
 impl<H> Locking<'_, H> {
-    /// Calls the handler; `None` when it panicked.
-    fn ask<T>(&mut self, peer: PeerId, call: impl FnOnce(&mut H) -> T) -> Option<T> {
-        // a handler that panicked before is used on, for its other peers
+    /// Locks the handler and calls `call`; `None` if it panicked.
+    fn with_handler<T>(&mut self, peer: PeerId, call: impl FnOnce(&mut H) -> T) -> Option<T> {
+        // a handler that panicked before still serves its other peers
         let mut handler = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         match catch_unwind(AssertUnwindSafe(|| call(&mut handler))) {
             Ok(answer) => Some(answer),
@@ -138,15 +144,15 @@ impl<H> Locking<'_, H> {
         reply: &mut ReplyValue<'_>,
         call: impl FnOnce(&mut H, &mut ReplyValue<'_>) -> Outcome,
     ) -> Outcome {
-        self.ask(peer, |handler| call(handler, reply)).unwrap_or_else(|| {
+        self.with_handler(peer, |handler| call(handler, reply)).unwrap_or_else(|| {
             reply.clear();
             HResult::E_UNEXPECTED.into()
         })
     }
 }
 
-/// Drops a panic's payload. That runs code of the handler once more, which may panic as well; the second payload is leaked,
-/// so that this ends.
+/// Drops a panic's payload. The payload's destructor is code of the handler and may panic too; that second payload is leaked,
+/// which bounds the recursion.
 fn discard(payload: Box<dyn Any + Send>) {
     if let Err(second) = catch_unwind(AssertUnwindSafe(|| drop(payload))) {
         std::mem::forget(second);
@@ -159,11 +165,11 @@ impl<H: bcap::Handler> bcap::Handler for Locking<'_, H> {
     }
 
     fn abandoned(&mut self, peer: PeerId, now: Instant) {
-        self.ask(peer, |handler| handler.abandoned(peer, now));
+        self.with_handler(peer, |handler| handler.abandoned(peer, now));
     }
 
     fn left(&mut self, peer: PeerId, now: Instant) {
-        self.ask(peer, |handler| handler.left(peer, now));
+        self.with_handler(peer, |handler| handler.left(peer, now));
     }
 }
 
@@ -177,45 +183,46 @@ impl<H: rac::Handler> rac::Handler for Locking<'_, H> {
     }
 
     fn abandoned(&mut self, peer: PeerId, now: Instant) {
-        self.ask(peer, |handler| handler.abandoned(peer, now));
+        self.with_handler(peer, |handler| handler.abandoned(peer, now));
     }
 
     fn left(&mut self, peer: PeerId, now: Instant) {
-        self.ask(peer, |handler| handler.left(peer, now));
+        self.with_handler(peer, |handler| handler.left(peer, now));
     }
 }
 
-/// What is to be sent.
+/// The bytes to send after the tap.
 #[derive(Debug)]
 pub(super) enum Tapped {
-    /// The bytes as they are.
+    /// The original bytes.
     Untouched,
-    /// These in their place.
-    Instead(Vec<u8>),
+    /// These bytes instead.
+    Replaced(Vec<u8>),
 }
 
-/// A task's ear for changes.
+/// A task's subscription to changes.
 #[derive(Debug)]
 pub(super) struct Changes<H> {
     shared: Arc<Shared<H>>,
-    /// How many changes there were when the handler was asked last.
+    /// The number of changes when the handler was called last.
     seen: usize,
-    /// Requests of this task whose handler waits.
+    /// The number of requests of this task whose handler waits.
     waiting: usize,
-    /// When the next change may be returned; see [`PAUSE`].
+    /// The earliest time for the next change; see [`PAUSE`].
     not_before: Instant,
 }
 
-/// How long a task that waits hears of no change after the last one: so long for each request that waits, whosever it is,
-/// and not less than [`LEAST_PAUSE`].
+/// The pause of a waiting task between two changes, for each waiting request of the server. It lasts at least
+/// [`MIN_PAUSE`].
 ///
-/// Every change asks again for all requests that wait. Without a pause two hundred long calls would be asked again for each call of
-/// somebody else, who would pay for it; with it, all of them together are asked 20,000 times a second at most.
+/// Every change resumes all waiting requests. Without a pause, each short call would resume two hundred long ones and be
+/// slowed by them. With it, waiting requests are resumed at most 20,000 times a second in total.
 const PAUSE: Duration = Duration::from_micros(50);
-const LEAST_PAUSE: Duration = Duration::from_millis(1);
+const MIN_PAUSE: Duration = Duration::from_millis(1);
 
 impl<H> Changes<H> {
-    /// Says how many requests of this task wait for changes; it must say so before it asks its handler, not to miss one.
+    /// Sets how many requests of this task wait for changes. A task must call this before it calls its handler, or it can
+    /// miss a change.
     pub(super) fn wait(&mut self, requests: usize) {
         let before = std::mem::replace(&mut self.waiting, requests);
         match requests.cmp(&before) {
@@ -233,23 +240,23 @@ impl<H> Changes<H> {
         self.waiting
     }
 
-    /// Waits for the next change; for ever while this task does not wait for any.
+    /// Waits for the next change; never returns while no request of this task waits.
     ///
     /// # Cancel safety
     ///
-    /// A change that was not returned is returned next time.
+    /// Cancel safe: a change that was not returned is returned by the next call.
     pub(super) async fn next(&mut self) {
         if self.waiting == 0 {
             std::future::pending().await
         }
-        // while it sleeps nobody has to wake it
+        // while the task sleeps, `listening` does not count it and notifications cost nothing
         let pause = until(self.not_before);
         if !pause.is_zero() {
             tokio::time::sleep(pause).await;
         }
         self.seen = self.shared.change_after(self.seen).await;
         let waiting = u32::try_from(self.shared.waiting.load(Ordering::Acquire)).unwrap_or(u32::MAX);
-        self.not_before = now().saturating_add(PAUSE.saturating_mul(waiting).max(LEAST_PAUSE));
+        self.not_before = now().saturating_add(PAUSE.saturating_mul(waiting).max(MIN_PAUSE));
     }
 }
 
@@ -267,28 +274,28 @@ mod tests {
         Arc::new(Shared::new(Arc::default()))
     }
 
-    /// Returns whether a change is heard of soon.
-    async fn is_heard(changes: &mut Changes<()>) -> bool {
+    /// Returns whether a change is received within 100 ms.
+    async fn is_notified(changes: &mut Changes<()>) -> bool {
         tokio::time::timeout(Duration::from_millis(100), changes.next()).await.is_ok()
     }
 
     #[tokio::test]
-    async fn a_change_is_heard_once_by_those_who_wait_for_it() {
+    async fn a_waiting_task_receives_each_change_once() {
         let shared = shared();
         let mut changes = shared.changes();
-        shared.has_changed();
-        assert!(!is_heard(&mut changes).await, "it does not wait");
+        shared.notify_change();
+        assert!(!is_notified(&mut changes).await, "no request waits");
         changes.wait(1);
-        assert!(!is_heard(&mut changes).await, "that was before");
-        assert_eq!(shared.listening.load(Ordering::SeqCst), 0, "who has been cancelled does not listen");
-        shared.has_changed();
-        shared.has_changed();
-        assert!(is_heard(&mut changes).await, "while nobody listened");
-        shared.has_changed();
-        assert!(is_heard(&mut changes).await, "while it paused");
-        assert!(!is_heard(&mut changes).await, "nothing is new");
-        let (heard, ()) = tokio::join!(is_heard(&mut changes), async { shared.has_changed() });
-        assert!(heard, "while it listened");
+        assert!(!is_notified(&mut changes).await, "the change was before the wait");
+        assert_eq!(shared.listening.load(Ordering::SeqCst), 0, "a cancelled task does not listen");
+        shared.notify_change();
+        shared.notify_change();
+        assert!(is_notified(&mut changes).await, "changed before the task listened");
+        shared.notify_change();
+        assert!(is_notified(&mut changes).await, "changed during the pause");
+        assert!(!is_notified(&mut changes).await, "no further change");
+        let (notified, ()) = tokio::join!(is_notified(&mut changes), async { shared.notify_change() });
+        assert!(notified, "changed while the task listened");
         changes.wait(3);
         assert_eq!(shared.waiting.load(Ordering::Acquire), 3);
         drop(changes);
@@ -296,19 +303,19 @@ mod tests {
     }
 
     #[test]
-    fn no_change_is_missed_between_looking_and_listening() {
+    fn no_change_is_missed_between_the_check_and_the_wait() {
         const ROUNDS: usize = 20_000;
         let shared = shared();
         shared.waiting.store(1, Ordering::Release);
         let changing = Arc::clone(&shared);
-        let heard = Arc::new(AtomicUsize::new(0));
-        let has_heard = Arc::clone(&heard);
+        let received = Arc::new(AtomicUsize::new(0));
+        let acknowledged = Arc::clone(&received);
         let changer = std::thread::spawn(move || {
             for round in 0..ROUNDS {
-                while has_heard.load(Ordering::Acquire) < round {
+                while acknowledged.load(Ordering::Acquire) < round {
                     std::thread::yield_now();
                 }
-                changing.has_changed();
+                changing.notify_change();
             }
         });
         let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap();
@@ -317,7 +324,7 @@ mod tests {
                 let change = shared.change_after(round);
                 let changes = tokio::time::timeout(Duration::from_secs(10), change).await.expect("a change");
                 assert_eq!(changes, round + 1);
-                heard.store(changes, Ordering::Release);
+                received.store(changes, Ordering::Release);
             }
         });
         changer.join().unwrap();

@@ -1,4 +1,4 @@
-//! One connection of a stream: its bytes to and from a session of the core, whatever its protocol.
+//! One TCP connection: moves bytes between its socket and a session of the core, for either protocol.
 
 use std::io;
 use std::sync::Arc;
@@ -18,21 +18,21 @@ use super::shared::{Changes, Locking, Shared, Tapped};
 use crate::clock::{now, until};
 use crate::connect::STREAM_ROOM;
 
-/// A session of either protocol, whose handler is shared.
+/// A session of either protocol whose handler is shared.
 pub(super) trait ServeLocked<H>: for<'h> Serve<Locking<'h, H>> + Send {}
 
 impl<H, S: for<'h> Serve<Locking<'h, H>> + Send> ServeLocked<H> for S {}
 
-/// The bytes that a connection may receive and send before other tasks have a turn. A peer that sends and reads as fast as the
-/// server does would have the thread to itself.
+/// The bytes that a connection may receive and send before it yields to other tasks. Without this limit, a peer that sends
+/// and reads as fast as the server does would starve the others.
 ///
 /// A request of this size or more is carried out by another thread, because it takes longer than a turn.
 const TURN: usize = 256 << 10;
 
-/// What carrying out a request costs of a turn, in bytes: 32 small requests are a turn.
+/// The share of a turn that one request costs, in bytes: a turn has 32 small requests.
 const REQUEST: usize = TURN / 32;
 
-/// The silence after which a connection gives back the memory that its last request or reply took.
+/// The silence after which a connection releases the memory of its last request or reply.
 const MEMORY_KEPT: Duration = Duration::from_secs(5);
 
 /// Serves one connection until it ends or the server stops.
@@ -62,7 +62,7 @@ pub(super) async fn serve<H: Send + 'static, M: ServeLocked<H> + 'static>(
         match connection.run(&mut *session, &mut stopped).await {
             Ok(Pause::LargeRequest) => match connection.run_elsewhere(session).await {
                 Some(back) => session = back,
-                // the runtime shuts down
+                // the runtime is shutting down
                 None => return,
             },
             Ok(Pause::Ended(reason)) => {
@@ -76,7 +76,7 @@ pub(super) async fn serve<H: Send + 'static, M: ServeLocked<H> + 'static>(
         }
     }
     session.close(&mut connection.shared.handler(), peer, now());
-    connection.shared.has_changed();
+    connection.shared.notify_change();
 }
 
 struct Connection<H> {
@@ -88,22 +88,22 @@ struct Connection<H> {
     activity: Arc<Activity>,
     /// When the first byte of an unfinished request arrived.
     partial_since: Option<Instant>,
-    /// When bytes arrived last, or a reply was sent.
+    /// When the last bytes arrived or the last reply was sent.
     last_active: Instant,
-    /// The part of the turn that is used up, in bytes.
+    /// The used part of the turn, in bytes.
     moved: usize,
 }
 
-/// Why a connection moves no more bytes.
+/// Why a connection stopped moving bytes.
 enum Pause {
-    /// The next request is for another thread.
+    /// Another thread must carry out the next request.
     LargeRequest,
-    /// For good.
+    /// The connection must end.
     Ended(&'static str),
 }
 
 impl<H: Send + 'static> Connection<H> {
-    /// Moves bytes until a large request has arrived, or there is a reason to end.
+    /// Moves bytes until a large request has arrived or the connection must end.
     async fn run<M: ServeLocked<H>>(
         &mut self,
         session: &mut M,
@@ -133,7 +133,7 @@ impl<H: Send + 'static> Connection<H> {
         }
     }
 
-    /// Lets other tasks run when this one has used up its turn.
+    /// Yields to other tasks when this one has used its turn.
     async fn end_turn(&mut self) {
         if self.moved >= TURN {
             self.moved = 0;
@@ -141,14 +141,14 @@ impl<H: Send + 'static> Connection<H> {
         }
     }
 
-    /// Waits until bytes arrive, a deadline passes or something changes; says why when the connection is to end.
+    /// Waits until bytes arrive, a deadline passes or something changes; returns the reason if the connection must end.
     async fn wait<M: ServeLocked<H>>(
         &mut self,
         session: &mut M,
         stopped: &mut watch::Receiver<()>,
     ) -> io::Result<Option<&'static str>> {
         self.partial_since = session.is_receiving().then(|| self.partial_since.unwrap_or_else(now));
-        let (due, is_idle) = (self.due(session), !session.is_running());
+        let (deadline, is_idle) = (self.next_deadline(session), !session.is_running());
         self.activity.set(is_idle.then_some(self.last_active));
         let room = session.receive_buffer();
         let is_full = room.is_empty();
@@ -156,29 +156,29 @@ impl<H: Send + 'static> Connection<H> {
         let (mut reader, writer) = self.stream.split();
         tokio::select! {
             count = reader.read(room), if !is_full => match count? {
-                0 => return Ok(Some("the peer has closed it")),
+                0 => return Ok(Some("the peer closed it")),
                 count => {
                     self.last_active = now();
                     self.moved += count;
                     session.received(count);
                 }
             },
-            () = tokio::time::sleep(until(due.unwrap_or(Instant::ZERO))), if due.is_some() => {
+            () = tokio::time::sleep(until(deadline.unwrap_or(Instant::ZERO))), if deadline.is_some() => {
                 return Ok(self.meet_deadline(session));
             }
             closed = closed(writer.as_ref()), if is_full => {
                 closed?;
-                return Ok(Some("the peer has closed it after bytes that have not been read"));
+                return Ok(Some("the peer closed it before all of its bytes were read"));
             }
             () = self.changes.next() => {}
-            // a call that has just begun keeps its connection, and its motion
+            // a connection whose call has just begun is not evicted: that would stop a motion
             () = self.activity.evicted(), if is_idle => return Ok(Some("another connection needs its slot")),
             _ = stopped.changed() => return Ok(Some("the server stops")),
         }
         Ok(None)
     }
 
-    /// Does what a deadline asks for; says why when the connection is to end.
+    /// Handles a deadline that has passed; returns the reason if the connection must end.
     fn meet_deadline<M: ServeLocked<H>>(&self, session: &mut M) -> Option<&'static str> {
         let is_over = |until: Option<Instant>| until.is_some_and(|until| until <= now());
         if is_over(self.partial_since.map(|since| since.saturating_add(self.limits.receive))) {
@@ -193,45 +193,45 @@ impl<H: Send + 'static> Connection<H> {
         None
     }
 
-    /// Runs the session as far as it goes.
+    /// Runs the session until it has no more work.
     fn run_session<M: ServeLocked<H>>(&mut self, session: &mut M) {
-        // before the handler is asked, so that no change of another peer is missed
+        // register before the handler runs, so that no change of another peer is missed
         self.changes.wait(session.is_running().into());
         while session.next_request() < TURN && self.step(session) {}
         if session.is_running() && self.changes.waiting() == 0 {
-            // the handler has just begun to wait; ask once more, now that changes are noticed
+            // the handler has just begun to wait: call it once more now that this task is registered for changes
             self.changes.wait(1);
             self.step(session);
         }
     }
 
-    /// Performs one step of the session; `false` when there is nothing to do.
+    /// Performs one step of the session; `false` if there is nothing to do.
     fn step<M: ServeLocked<H>>(&mut self, session: &mut M) -> bool {
         let Some(event) = session.run(&mut self.shared.handler(), self.peer, now()) else { return false };
         tracing::trace!(peer = self.peer.0, ?event);
-        self.shared.has_changed();
+        self.shared.notify_change();
         self.moved += REQUEST;
-        // a request was complete, so bytes of another have only just arrived
+        // a request is complete, so the time limit of the next one starts anew
         self.partial_since = None;
         true
     }
 
     /// Performs one step of the session on another thread, so that a large request does not delay other connections;
-    /// `None` when that thread did not run to its end.
+    /// `None` if that thread did not finish.
     async fn run_elsewhere<M: ServeLocked<H> + 'static>(&mut self, mut session: Box<M>) -> Option<Box<M>> {
         self.activity.set(None);
         let (shared, peer) = (Arc::clone(&self.shared), self.peer);
         let step = tokio::task::spawn_blocking(move || {
             let event = session.run(&mut shared.handler(), peer, now());
             tracing::trace!(peer = peer.0, ?event);
-            shared.has_changed();
+            shared.notify_change();
             session
         });
         self.partial_since = None;
         step.await.ok()
     }
 
-    /// Sends what it can; says why when the connection is to end.
+    /// Sends pending bytes; returns the reason if the connection must end.
     async fn send<M: ServeLocked<H>>(
         &mut self,
         session: &mut M,
@@ -240,10 +240,10 @@ impl<H: Send + 'static> Connection<H> {
         let bytes = session.transmit();
         match self.shared.tapped(self.peer, bytes) {
             None => return Ok(Some("the tap closes it")),
-            Some(Tapped::Instead(instead)) => {
+            Some(Tapped::Replaced(replacement)) => {
                 let count = bytes.len();
                 session.transmitted(count);
-                let mut rest = &instead[..];
+                let mut rest = &replacement[..];
                 while !rest.is_empty() {
                     let part = &rest[..rest.len().min(TURN)];
                     match within(self.limits.send, self.stream.write(part), stopped).await? {
@@ -273,26 +273,26 @@ impl<H: Send + 'static> Connection<H> {
     }
 
     /// Returns the next deadline.
-    fn due<M: ServeLocked<H>>(&self, session: &M) -> Option<Instant> {
+    fn next_deadline<M: ServeLocked<H>>(&self, session: &M) -> Option<Instant> {
         let partial = self.partial_since.map(|since| since.saturating_add(self.limits.receive));
         let memory = self.memory_kept_until(session);
         [session.poll_timeout(), partial, self.silent_until(session), memory].into_iter().flatten().min()
     }
 
-    /// Returns when unused memory is to be released.
+    /// Returns when unused memory must be released; `None` if the session is busy or has no unused memory.
     fn memory_kept_until<M: ServeLocked<H>>(&self, session: &M) -> Option<Instant> {
         let idle = !session.is_running() && !session.is_receiving();
         (idle && session.memory() > 2 * STREAM_ROOM).then(|| self.last_active.saturating_add(MEMORY_KEPT))
     }
 
-    /// Returns when the peer has been silent for too long; `None` while it waits for a reply.
+    /// Returns when the idle limit ends; `None` without a limit or while a request runs.
     fn silent_until<M: ServeLocked<H>>(&self, session: &M) -> Option<Instant> {
         let idle = self.limits.idle.filter(|_| !session.is_running())?;
         Some(self.last_active.saturating_add(idle))
     }
 }
 
-/// Waits for a write; says why when it did not end within `limit`.
+/// Waits for a write; returns the reason if it does not end within `limit`.
 async fn within<T>(
     limit: Duration,
     written: impl Future<Output = io::Result<T>>,
@@ -307,8 +307,8 @@ async fn within<T>(
     }
 }
 
-/// Waits until the peer has closed the connection, even if unread bytes are left before the end: the robot must not
-/// continue because a disconnected client had sent more.
+/// Waits until the peer has closed the connection, even if bytes before the close do not fit into the receive buffer. A
+/// client that disconnects must stop its motion in this case too.
 #[cfg(any(target_os = "linux", target_os = "android"))]
 async fn closed(stream: &TcpStream) -> io::Result<()> {
     use tokio::io::Interest;
@@ -316,12 +316,12 @@ async fn closed(stream: &TcpStream) -> io::Result<()> {
         if stream.ready(Interest::PRIORITY).await?.is_read_closed() {
             return Ok(());
         }
-        // urgent bytes, which are ignored
+        // urgent (out-of-band) bytes are ignored
         let _ = stream.try_io(Interest::PRIORITY, || Err::<(), _>(io::ErrorKind::WouldBlock.into()));
     }
 }
 
-/// Waits for ever: here it shows only when there is room again.
+/// Never returns: on this platform a close is detected only once the receive buffer has room again.
 #[cfg(not(any(target_os = "linux", target_os = "android")))]
 async fn closed(_: &TcpStream) -> io::Result<()> {
     std::future::pending().await

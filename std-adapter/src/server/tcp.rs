@@ -24,11 +24,12 @@ use super::stream;
 use crate::clock::now;
 use crate::connect::set_up_tcp;
 
-/// The most open handles of one peer.
+/// The maximum number of open handles of one peer.
 const OBJECTS: usize = 1000;
-/// Connections over the limit that are answered at the same time; further ones are closed without an answer.
+/// The number of connections over the limit that are answered E_MAX_CONNECT at the same time; further ones are closed at
+/// once.
 pub(crate) const REFUSALS: usize = 32;
-/// The longest time for the first request of a connection over the limit.
+/// How long a connection over the limit may take to send its first request.
 pub(super) const REFUSAL_TIME: Duration = Duration::from_secs(2);
 
 type StreamSession = Session<Buffer, Buffer, OBJECTS>;
@@ -50,7 +51,7 @@ pub(super) async fn listen<H: Handler + Send + 'static>(
     .await
 }
 
-/// Accepts connections, serves those that get a slot and refuses the others.
+/// Accepts connections, serves those that get a slot, and refuses the others.
 pub(super) async fn accept<S, R>(
     listener: TcpListener,
     limits: Limits,
@@ -71,13 +72,13 @@ where
             () = served.ended(), if !served.tasks.is_empty() => continue,
             _ = refused.join_next(), if !refused.is_empty() => continue,
         };
-        // a connection that has ended holds no slot, even if its end is seen only now
+        // connections that have ended hold no slot, even if `select!` has not returned them yet
         served.free_slots();
         while refused.try_join_next().is_some() {}
         match accepted {
             Ok((stream, address)) => {
                 if let Err(error) = set_up_tcp(SockRef::from(&stream), limits.keep_alive) {
-                    tracing::debug!(%address, %error, "the connection was closed at once");
+                    tracing::debug!(%address, %error, "the new connection is closed already");
                 } else if let Some(activity) = served.admit(address.ip()) {
                     served.spawn(address.ip(), &activity, serve(stream, Arc::clone(&activity)));
                 } else if refused.len() < REFUSALS {
@@ -85,7 +86,7 @@ where
                     refused.spawn(refuse(stream));
                 }
             }
-            // the error of one connection is not the end of the listener; file descriptors become free again
+            // an error of one connection does not end the listener; "too many open files" ends when some are closed
             Err(error) => {
                 tracing::warn!(%error, "cannot accept a connection");
                 tokio::time::sleep(Duration::from_millis(50)).await;
@@ -101,19 +102,19 @@ where
 struct Served {
     slots: Slots,
     tasks: JoinSet<()>,
-    /// The holders of slots, by their tasks. An evicted task has lost its slot.
+    /// The holders of slots by their tasks. An evicted task holds no slot, even before it ends.
     holders: HashMap<Id, (IpAddr, Arc<Activity>)>,
 }
 
 impl Served {
-    /// Finds a slot for a connection, if need be that of another connection, which is evicted; `None` without a slot.
+    /// Finds a slot for a connection, and evicts the connection that loses it; `None` if there is no slot.
     fn admit(&mut self, address: IpAddr) -> Option<Arc<Activity>> {
         let taken = self.holders.iter().map(|(id, (address, activity))| (*id, *address, activity.state()));
         match self.slots.admit(taken, address, now()) {
             Admission::Free => {}
             Admission::Instead(id) => {
                 if let Some((address, activity)) = self.holders.remove(&id) {
-                    tracing::info!(%address, "an idle connection is closed for another");
+                    tracing::info!(%address, "an idle connection is evicted: another needs its slot");
                     activity.evict();
                 }
             }

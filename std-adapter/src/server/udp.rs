@@ -23,14 +23,14 @@ use super::limits::Limits;
 use super::shared::{Changes, Shared, Tapped};
 use crate::clock::{now, until};
 
-/// The most open handles of one peer.
+/// The maximum number of open handles of one peer.
 const OBJECTS: usize = 1000;
-/// Room for a running request and the next one.
-const ROOM: usize = 2 * UDP_RECEIVE_MAX;
+/// The receive buffer of a session: a running request, and one that arrives meanwhile.
+const RECEIVE_BUFFER: usize = 2 * UDP_RECEIVE_MAX;
 
 struct Peer {
     id: PeerId,
-    session: Box<Session<[u8; UDP_SEND_MAX], [u8; ROOM], OBJECTS>>,
+    session: Box<Session<[u8; UDP_SEND_MAX], [u8; RECEIVE_BUFFER], OBJECTS>>,
     last_seen: Instant,
 }
 
@@ -39,7 +39,7 @@ impl Peer {
         if self.session.is_running() {
             SlotState::Busy
         } else if self.session.open_objects() == 0 {
-            // after Service_Stop; it is kept only to answer retransmissions
+            // after Service_Stop the peer is kept only to answer retransmissions
             SlotState::Over
         } else {
             SlotState::Idle(self.last_seen)
@@ -58,14 +58,16 @@ pub(super) async fn serve<H: Handler + Send + 'static>(
     let mut peers = Peers { socket, shared, changes, limits, known: HashMap::new() };
     let mut buffer = [0; UDP_RECEIVE_MAX + 1];
     loop {
-        let due = peers.due();
+        let deadline = peers.next_deadline();
         tokio::select! {
             received = peers.socket.recv_from(&mut buffer) => match received {
                 Ok((count, from)) => peers.datagram(&buffer[..count], from).await,
-                // an earlier reply could not be delivered; the socket is still valid
+                // an ICMP error for an earlier reply (port unreachable) does not affect the socket
                 Err(error) => tracing::debug!(%error, "UDP receive"),
             },
-            () = tokio::time::sleep(until(due.unwrap_or(Instant::ZERO))), if due.is_some() => peers.run_all().await,
+            () = tokio::time::sleep(until(deadline.unwrap_or(Instant::ZERO))), if deadline.is_some() => {
+                peers.run_all().await;
+            }
             () = peers.changes.next() => peers.run_all().await,
             _ = stopped.changed() => break,
         }
@@ -83,29 +85,28 @@ struct Peers<H> {
 }
 
 impl<H: Handler + Send + 'static> Peers<H> {
-    /// Gives a datagram to its peer's session.
+    /// Passes a datagram to the session of its sender.
     async fn datagram(&mut self, bytes: &[u8], from: SocketAddr) {
-        if !self.known.contains_key(&from) && !self.welcome(bytes, from).await {
+        if !self.known.contains_key(&from) && !self.accept(bytes, from).await {
             return;
         }
         let Some(peer) = self.known.get_mut(&from) else { return };
         peer.last_seen = now();
-        let room = peer.session.receive_buffer();
-        // a datagram that finds no room is lost, as datagrams are; its sender will repeat it
-        let Some(room) = room.get_mut(..bytes.len()) else { return };
-        room.copy_from_slice(bytes);
+        // a full buffer drops the datagram; its sender retransmits it
+        let Some(buffer) = peer.session.receive_buffer().get_mut(..bytes.len()) else { return };
+        buffer.copy_from_slice(bytes);
         peer.session.received(bytes.len());
-        // said beforehand: what others change while the handler is asked must not be missed
+        // register before the handler runs, so that no change made meanwhile is missed
         self.changes.wait(self.changes.waiting().max(1));
         self.run(from).await;
-        self.listen_for_changes();
+        self.update_waiting();
     }
 
-    /// Makes a session for a peer that is not known; `false` when it is no peer, or there is no place.
-    async fn welcome(&mut self, bytes: &[u8], from: SocketAddr) -> bool {
-        // garbage makes no peers
+    /// Creates a session for a new peer; `false` if the datagram is not a valid frame or there is no slot.
+    async fn accept(&mut self, bytes: &[u8], from: SocketAddr) -> bool {
+        // an invalid datagram gets no session
         let Ok(frame) = Decoder::UDP.decode_datagram(bytes) else { return false };
-        if !self.make_room(from) {
+        if !self.reserve_slot(from) {
             tracing::warn!(%from, limit = self.limits.udp_peers, "too many UDP peers");
             let mut reply = [0; 16];
             let reply =
@@ -116,25 +117,25 @@ impl<H: Handler + Send + 'static> Peers<H> {
             return false;
         }
         let config = Config { invoke_timeout_max: self.limits.call, ..Config::UDP };
-        let session = Box::new(Session::new(config, [0; UDP_SEND_MAX], [0; ROOM]));
+        let session = Box::new(Session::new(config, [0; UDP_SEND_MAX], [0; RECEIVE_BUFFER]));
         self.known.insert(from, Peer { id: self.shared.next_peer(), session, last_seen: now() });
         true
     }
 
-    /// Makes sure of a slot for a new peer, and forgets the peer that loses it; `false` without a slot.
-    fn make_room(&mut self, from: SocketAddr) -> bool {
+    /// Reserves a slot for a new peer, and removes the peer that loses it; `false` if there is no slot.
+    fn reserve_slot(&mut self, from: SocketAddr) -> bool {
         let taken = self.known.iter().map(|(address, peer)| (*address, address.ip(), peer.state()));
         match self.limits.udp_slots().admit(taken, from.ip(), now()) {
             Admission::Free => true,
             Admission::Instead(address) => {
-                self.forget(address);
+                self.remove(address);
                 true
             }
             Admission::Refused => false,
         }
     }
 
-    /// Runs the session of one peer and sends what it has to say.
+    /// Runs the session of one peer and sends its replies.
     async fn run(&mut self, address: SocketAddr) {
         let Some(peer) = self.known.get_mut(&address) else { return };
         let mut changed = false;
@@ -142,8 +143,8 @@ impl<H: Handler + Send + 'static> Peers<H> {
             let event = peer.session.run(&mut self.shared.handler(), peer.id, now());
             let bytes = peer.session.transmit();
             if !bytes.is_empty() {
-                let tapped = self.shared.tapped(peer.id, bytes).unwrap_or(Tapped::Instead(Vec::new()));
-                let bytes = if let Tapped::Instead(instead) = &tapped { instead } else { bytes };
+                let tapped = self.shared.tapped(peer.id, bytes).unwrap_or(Tapped::Replaced(Vec::new()));
+                let bytes = if let Tapped::Replaced(replacement) = &tapped { replacement } else { bytes };
                 if !bytes.is_empty()
                     && let Err(error) = self.socket.send_to(bytes, address).await
                 {
@@ -156,11 +157,11 @@ impl<H: Handler + Send + 'static> Peers<H> {
             changed = true;
         }
         if changed {
-            self.shared.has_changed();
+            self.shared.notify_change();
         }
     }
 
-    /// Runs the sessions whose handler waits, and forgets peers that are lost.
+    /// Runs the sessions whose handler waits, and removes lost peers.
     async fn run_all(&mut self) {
         let now = now();
         let lost =
@@ -172,39 +173,41 @@ impl<H: Handler + Send + 'static> Peers<H> {
             .map(|(address, peer)| (*address, lost(peer)))
             .partition(|(_, lost)| *lost);
         for (address, _) in gone {
-            self.forget(address);
+            self.remove(address);
         }
         for (address, _) in running {
             self.run(address).await;
         }
-        self.listen_for_changes();
+        self.update_waiting();
     }
 
-    fn listen_for_changes(&mut self) {
+    /// Registers the number of running requests for changes.
+    fn update_waiting(&mut self) {
         self.changes.wait(self.known.values().filter(|peer| peer.session.is_running()).count());
     }
 
-    /// Returns when something is due even if nothing comes.
-    fn due(&self) -> Option<Instant> {
+    /// Returns the earliest deadline of all peers.
+    fn next_deadline(&self) -> Option<Instant> {
         self.known
             .values()
             .map(|peer| match peer.session.poll_timeout() {
-                Some(due) => due,
+                Some(deadline) => deadline,
                 None => peer.last_seen.saturating_add(self.limits.udp_lost),
             })
             .min()
     }
 
-    fn forget(&mut self, address: SocketAddr) {
+    /// Closes the session of a peer and frees its slot.
+    fn remove(&mut self, address: SocketAddr) {
         if let Some(mut peer) = self.known.remove(&address) {
-            tracing::debug!(peer = peer.id.0, %address, "UDP peer forgotten");
+            tracing::debug!(peer = peer.id.0, %address, "UDP peer removed");
             peer.session.close(&mut self.shared.handler(), peer.id, now());
-            self.shared.has_changed();
+            self.shared.notify_change();
         }
     }
 
     fn close(&mut self) {
         let addresses: Vec<_> = self.known.keys().copied().collect();
-        addresses.into_iter().for_each(|address| self.forget(address));
+        addresses.into_iter().for_each(|address| self.remove(address));
     }
 }

@@ -1,16 +1,16 @@
-//! Slave Mode over sockets: what the operating system adds to the streams of [`bcap_core::slave`].
+//! Slave Mode over sockets: real-time settings for the streams of [`bcap_core::slave`].
 //!
-//! A stream is a [`Procedure`](bcap_core::procedure::Procedure): [`Engine::stream`](bcap_core::slave::Engine::stream)
-//! makes it of an engine and a trajectory, and [`Connection::run`](crate::blocking::Connection::run) runs it, blocking and
-//! under tokio alike. [`Realtime`] asks Linux for what a stream needs on a busy machine.
+//! A stream is a [`Procedure`](bcap_core::procedure::Procedure). [`Engine::stream`](bcap_core::slave::Engine::stream)
+//! makes it from an engine and a trajectory. [`Connection::run`](crate::blocking::Connection::run) runs it, in the blocking
+//! and the tokio client. [`Realtime`] requests the scheduling and memory settings that a stream needs on a busy machine.
 //!
-//! Timers of tokio have a resolution of a millisecond and never fire early, so poses of modes 0 and 1 leave one to two
-//! milliseconds after their time. That jitter does not add up, and the buffer of mode 0 (24 ms) absorbs it. Mode 2 uses no
-//! timer. In mode 1 the blocking client keeps time better.
+//! Timers of tokio have a resolution of one millisecond and never fire early, so in modes 0 and 1 poses are sent one to two
+//! milliseconds after their deadline. That jitter does not accumulate, and the buffer of mode 0 (24 ms) absorbs it. Mode 2
+//! uses no timer. In mode 1 the blocking client has less jitter.
 //!
 //! # Examples
 //!
-//! One degree about the first joint, there and back:
+//! Moves the first joint by one degree and back:
 //!
 //! ```no_run
 //! use bcap_std::blocking;

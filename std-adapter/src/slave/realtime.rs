@@ -1,81 +1,83 @@
-//! What a stream can ask of Linux: a place before others, memory that stays, a core of its own.
+//! Real-time settings of Linux for a stream: SCHED_FIFO priority, locked memory, CPU affinity.
 
 use std::io;
 
-/// What the operating system shall do for the thread that streams.
+/// Real-time settings for the thread that streams.
 ///
-/// An ordinary thread keeps 8 ms on a machine that is not overloaded; with these it does on a busy one, too.
+/// Without them a thread keeps the cycle of 8 ms on a machine that is not overloaded; with them also on a busy one.
 ///
 /// # Examples
 ///
 /// ```
 /// use bcap_std::slave::Realtime;
 ///
-/// // nothing is asked for, so nothing can be refused
+/// // the default requests nothing, so nothing can be refused
 /// Realtime::default().apply()?;
 /// # Ok::<(), bcap_std::slave::RealtimeError>(())
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Realtime {
-    /// The priority for SCHED_FIFO, 1 to 99: the thread runs before all ordinary ones.
+    /// The SCHED_FIFO priority, 1 to 99: the thread runs before all threads of the normal policy.
     pub fifo: Option<u8>,
-    /// Whether all memory of the process, also what it gets later, is kept from being paged out.
+    /// Whether to lock the memory of the process, present and future, so that it is never paged out.
     pub lock_memory: bool,
-    /// The processor core to stay on, counted from 0.
+    /// The processor core to run on, counted from 0.
     pub core: Option<usize>,
 }
 
-/// The operating system does not do what was asked for; what it did before stays.
+/// The operating system refused a setting; settings that were applied before remain.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RealtimeError {
-    /// The thread's policy cannot be set.
+    /// The scheduling policy cannot be set.
     #[error(
-        "SCHED_FIFO with priority {priority} cannot be had: {reason}; run as root, give the program the right with \
+        "cannot set SCHED_FIFO priority {priority}: {reason}; run as root, grant the capability with \
          `setcap cap_sys_nice,cap_ipc_lock+ep PROGRAM`, or allow an rtprio in /etc/security/limits.conf"
     )]
     Fifo {
         /// The priority.
         priority: u8,
-        /// What the system said.
+        /// The operating system's error, or the accepted range.
         reason: String,
     },
     /// The memory cannot be locked.
     #[error(
-        "memory cannot be locked: {0}; run as root, give the program the right with `setcap \
+        "cannot lock memory: {0}; run as root, grant the capability with `setcap \
          cap_sys_nice,cap_ipc_lock+ep PROGRAM`, or raise `ulimit -l`"
     )]
     Memory(#[source] io::Error),
-    /// The thread cannot be put on the core.
-    #[error("core {core} cannot be had: {source}; cores that this process may use are in /proc/self/status")]
+    /// The thread cannot be pinned to the core.
+    #[error(
+        "cannot pin the thread to core {core}: {source}; /proc/self/status lists the cores that this process may use"
+    )]
     Core {
         /// The core.
         core: usize,
-        /// What the system said.
+        /// The operating system's error.
         source: io::Error,
     },
-    /// Only Linux is asked.
-    #[error("priorities, locked memory and pinned cores are for Linux")]
+    /// The operating system is not Linux.
+    #[error("SCHED_FIFO, locked memory and pinned cores need Linux")]
     Unsupported,
 }
 
 impl Realtime {
-    /// Asks for them, for the calling thread; the memory for the whole process.
+    /// Applies priority and core to the calling thread, and locks the memory of the process.
     ///
-    /// Under tokio the calling thread is the one that streams only in a runtime of the current thread.
+    /// Under tokio, call this in a current-thread runtime: in a multi-thread runtime the stream may run on another thread.
     ///
     /// # Errors
     ///
-    /// The first thing that was refused; most often rights are missing, and the message says how to give them.
+    /// The first setting that was refused. The usual cause is a missing privilege; the message says how to grant it.
     pub fn apply(&self) -> Result<(), RealtimeError> {
         if *self == Self::default() {
             return Ok(());
         }
-        self.ask()
+        self.request()
     }
 
     #[cfg(target_os = "linux")]
-    fn ask(&self) -> Result<(), RealtimeError> {
+    fn request(&self) -> Result<(), RealtimeError> {
         use rustix::mm::{MlockAllFlags, mlockall};
         use rustix::thread::{CpuSet, sched_setaffinity};
         use thread_priority::{
@@ -99,7 +101,7 @@ impl Realtime {
         if let Some(priority) = self.fifo {
             let refused = |reason: String| RealtimeError::Fifo { priority, reason };
             if !(1..=99).contains(&priority) {
-                return Err(refused("priorities are 1 to 99".into()));
+                return Err(refused("the priority must be 1 to 99".into()));
             }
             let wanted = ThreadPriority::try_from(priority).map_err(|error| refused(error.to_string()))?;
             let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
@@ -114,7 +116,7 @@ impl Realtime {
     }
 
     #[cfg(not(target_os = "linux"))]
-    fn ask(&self) -> Result<(), RealtimeError> {
+    fn request(&self) -> Result<(), RealtimeError> {
         Err(RealtimeError::Unsupported)
     }
 }
@@ -124,23 +126,23 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_cannot_be_had_is_said_with_what_to_do() {
+    fn errors_name_the_refused_setting_and_the_remedy() {
         let error = Realtime { core: Some(1_000_000), ..Realtime::default() }.apply().unwrap_err().to_string();
-        assert!(error.starts_with("core 1000000 cannot be had"), "{error}");
+        assert!(error.starts_with("cannot pin the thread to core 1000000"), "{error}");
         let error = Realtime { fifo: Some(0), ..Realtime::default() }.apply().unwrap_err().to_string();
-        assert!(error.contains("priority 0 cannot be had") && error.contains("setcap"), "{error}");
+        assert!(error.contains("SCHED_FIFO priority 0: the priority must be 1 to 99"), "{error}");
+        assert!(error.contains("setcap"), "{error}");
     }
 
     #[test]
-    fn a_thread_stays_on_its_core() {
-        // the first core that this process may use
+    fn the_thread_is_pinned_to_its_core() {
         let allowed = rustix::thread::sched_getaffinity(None).unwrap();
         let core = (0..rustix::thread::CpuSet::MAX_CPU).find(|core| allowed.is_set(*core)).unwrap();
-        let alone = std::thread::spawn(move || {
+        let pinned = std::thread::spawn(move || {
             Realtime { core: Some(core), ..Realtime::default() }.apply().unwrap();
             let now = rustix::thread::sched_getaffinity(None).unwrap();
             (now.count(), now.is_set(core))
         });
-        assert_eq!(alone.join().unwrap(), (1, true));
+        assert_eq!(pinned.join().unwrap(), (1, true));
     }
 }

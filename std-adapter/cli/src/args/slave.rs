@@ -5,12 +5,12 @@ use std::path::PathBuf;
 use bcap_core::slave::{Mode, PoseType};
 use clap::{Args, Subcommand, ValueEnum};
 
-/// Streams poses in Slave Mode, one every 8 ms, and shows how well that went
+/// Streams poses in Slave Mode, one every 8 ms, and reports the timing
 ///
-/// The robot moves with `play` and `cosine`: both ask first. Ctrl-C stops in an orderly way (a ramp, Slave Mode is left, the
-/// arm given back) and ends with 130; a second Ctrl-C halts the robot over a connection of its own. After an error nothing
-/// moves any more, and the controller's first error is told. The controller needs its b-CAP Slave licence, Auto mode, the
-/// executable token and no error: `bcap doctor` looks.
+/// `play` and `cosine` move the robot and ask for confirmation first. Ctrl-C slows the robot down, leaves Slave Mode,
+/// releases the arm and exits with 130. A second Ctrl-C halts the robot over a separate connection. After an error the robot
+/// stops, and the first error of the controller is printed. The controller needs a b-CAP Slave licence, Auto mode, the
+/// executable token and no pending error; `bcap doctor` checks these.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -31,11 +31,11 @@ pub(crate) enum SlaveCommand {
 
 /// Plays a file of poses
 ///
-/// A line of the file is a pose, its numbers separated by commas: J1 to J8 in degrees (fewer will do), X Y Z RX RY RZ FIG in
-/// mm and degrees (P), or X Y Z OX OY OZ AX AY AZ FIG (T). The first line may name the columns; then their order does not
-/// matter, columns of other names are left out, and a column `t` says when each pose is due, in seconds; as in what
-/// `bcap slave record` writes. Poses between those of the file are interpolated where the cycle of 8 ms wants them. The
-/// robot has to stand at the first pose; --approach brings it there.
+/// A line of the file is a pose, with its numbers separated by commas: J1 to J8 in degrees (trailing joints are optional),
+/// X Y Z RX RY RZ FIG in mm and degrees (P), or X Y Z OX OY OZ AX AY AZ FIG (T). The first line may name the columns, as in
+/// a file of `bcap slave record`. Then they may have any order, columns with other names are ignored, and a column `t` is
+/// the time of each pose in seconds. Poses are interpolated to the cycle of 8 ms. The robot must be at the first pose;
+/// --approach moves it there.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -46,15 +46,15 @@ pub(crate) struct Play {
     /// The poses
     pub(crate) file: PathBuf,
 
-    /// How many lines of the file are due in a second, when it has no column `t`
+    /// The lines of the file per second, if it has no column `t`
     #[arg(long, default_value_t = 125.0, value_parser = positive)]
     pub(crate) hz: f64,
 
-    /// How often the file is played, from its last pose straight on to its first
+    /// How often the file is played; the first pose follows the last one without a pause
     #[arg(long = "loop", value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) loops: u32,
 
-    /// Moves the robot to the first pose before, at this percentage of its speed
+    /// First moves the robot to the first pose, at this percentage of its speed
     #[arg(long, value_name = "PERCENT", num_args = 0..=1, default_missing_value = "10", value_parser = percent)]
     pub(crate) approach: Option<f64>,
 
@@ -62,7 +62,7 @@ pub(crate) struct Play {
     pub(crate) stream: StreamArgs,
 }
 
-/// Moves along one period of a cosine, from where the robot stands, and back: the sample of the specification
+/// Moves along one period of a cosine, which ends where the robot stands now: the sample of the specification
 ///
 /// Type J turns joint 1; types P and T move along Z.
 #[derive(Debug, Args)]
@@ -71,11 +71,11 @@ Examples:
   bcap slave cosine
   bcap slave cosine --seconds 80 --amplitude 5 --mode 1 --yes")]
 pub(crate) struct Cosine {
-    /// How long the period takes
+    /// The period, in seconds
     #[arg(long, value_name = "N", default_value_t = 5.0, value_parser = positive)]
     pub(crate) seconds: f64,
 
-    /// How far it goes, in degrees (J) or mm (P, T); negative for the other direction
+    /// The distance to the turning point, in degrees (J) or mm (P, T); negative for the other direction
     #[arg(long, value_name = "A", default_value_t = 10.0, allow_negative_numbers = true, value_parser = finite)]
     pub(crate) amplitude: f64,
 
@@ -83,71 +83,71 @@ pub(crate) struct Cosine {
     pub(crate) stream: StreamArgs,
 }
 
-/// Writes down where the robot is, over a connection that moves nothing
+/// Records the pose of the robot in a file, without moving it
 ///
-/// Ends after --seconds, or with Ctrl-C, which is 0 as well. `bcap slave play` plays the file.
+/// Ends after --seconds or on Ctrl-C, and exits with 0. `bcap slave play` plays the file.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   bcap slave record path.csv --seconds 10
   bcap slave record poses.csv --type P --hz 50")]
 pub(crate) struct Record {
-    /// Where to write; a file that is there is replaced
+    /// The file to write; an existing file is replaced
     pub(crate) file: PathBuf,
 
-    /// What to write: joints, position, or homogeneous transform
+    /// The pose type: joints, position, or homogeneous transform
     #[arg(long = "type", value_name = "TYPE", default_value = "J")]
     pub(crate) pose: PoseArg,
 
-    /// How often in a second
+    /// The poses per second
     #[arg(long, default_value_t = 125.0, value_parser = positive)]
     pub(crate) hz: f64,
 
-    /// For how long; until Ctrl-C unless given
+    /// The duration in seconds [default: until Ctrl-C]
     #[arg(long, value_name = "N", value_parser = positive)]
     pub(crate) seconds: Option<f64>,
 }
 
-/// What all streams have in common.
+/// The options of all streams.
 #[derive(Debug, Args)]
 pub(crate) struct StreamArgs {
-    /// When the controller takes a pose: 0 fills a buffer of 3, 1 overwrites the last, 2 answers when there is room
+    /// How the controller accepts poses: 0 fills a buffer of 3, 1 overwrites the last pose, 2 answers when there is room
     #[arg(long, value_name = "MODE", default_value = "2")]
     pub(crate) mode: ModeArg,
 
-    /// What the poses are: joints, position, or homogeneous transform; otherwise what the file's first line says, or J
+    /// The pose type: joints, position, or homogeneous transform [default: from the file's first line, or J]
     #[arg(long = "type", value_name = "TYPE")]
     pub(crate) pose: Option<PoseArg>,
 
-    /// Does not ask before the robot moves
+    /// Moves the robot without asking for confirmation
     #[arg(long)]
     pub(crate) yes: bool,
 
-    /// Refuses a pose that asks more of an axis than this, in degrees or mm per second
+    /// Refuses poses that need a higher speed of an axis, in degrees or mm per second
     #[arg(long, value_name = "SPEED", value_parser = positive)]
     pub(crate) max_speed: Option<f64>,
 
-    /// Refuses a pose that asks more of an axis than this, in degrees or mm per second squared; also slows down so
+    /// Refuses poses that need a higher acceleration of an axis, in degrees or mm per second squared; also limits the stop
     #[arg(long, value_name = "ACCELERATION", value_parser = positive)]
     pub(crate) max_acceleration: Option<f64>,
 
-    /// Writes the figures as JSON: cycles, late, underflows, refused, rtt_us and jitter_us with p50, p99, p999 and max
+    /// Writes the statistics as JSON: cycles, late, underflows, refused, rtt_us and jitter_us with p50, p99, p999 and max
     #[arg(long, value_name = "FILE")]
     pub(crate) report: Option<PathBuf>,
 
-    /// Draws where the robot was to be and where it was, the difference, and the times of the cycles
+    /// Plots the commanded and actual poses, their difference, and the cycle times
     #[arg(long, value_name = "FILE.svg")]
     pub(crate) plot: Option<PathBuf>,
 
-    /// Runs before all ordinary threads of this machine (SCHED_FIFO, 1 to 99); needs rights
+    /// Runs with this real-time priority (SCHED_FIFO, 1 to 99); needs a privilege
     #[arg(long, value_name = "PRIORITY", num_args = 0..=1, default_missing_value = "80", value_parser = clap::value_parser!(u8).range(1..=99))]
     pub(crate) fifo: Option<u8>,
 
-    /// Keeps the program's memory from being paged out; needs rights
+    /// Locks the program's memory, so that it is never paged out; needs a privilege
     #[arg(long)]
     pub(crate) lock_memory: bool,
 
-    /// Stays on this core of the processor
+    /// Runs on this processor core, counted from 0
     #[arg(long, value_name = "N")]
     pub(crate) core: Option<usize>,
 }
@@ -194,7 +194,7 @@ impl From<PoseArg> for PoseType {
 
 fn finite(text: &str) -> Result<f64, String> {
     let number = text.parse::<f64>().ok().filter(|number| number.is_finite());
-    number.ok_or_else(|| "write a number, such as 2.5".into())
+    number.ok_or_else(|| "write a finite number, such as 2.5".into())
 }
 
 fn positive(text: &str) -> Result<f64, String> {
@@ -206,11 +206,11 @@ fn percent(text: &str) -> Result<f64, String> {
     positive(text).ok().filter(|number| *number <= 100.0).ok_or_else(|| "write a percentage, above 0 up to 100".into())
 }
 
-/// Stops the robot, whoever moves it
+/// Halts the robot, also when another client moves it
 ///
-/// Takes a connection of its own, whatever else runs, and needs neither the arm nor the token. All of it takes at most
-/// --timeout, or 3 s; if the controller has not halted by then, the exit code is 4. What moved the robot fails: a
-/// motion with E_ABORT, a stream of Slave Mode because Slave Mode is off.
+/// Uses a connection of its own and needs neither the arm nor the executable token. The whole command takes at most
+/// --timeout, or 3 s; if the controller has not answered by then, the exit code is 4. The halted motion fails with E_ABORT;
+/// a Slave Mode stream fails because Slave Mode is off.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -218,24 +218,25 @@ Examples:
   bcap halt --robot tcp:192.168.0.1 --provider CaoProv.DENSO.VRC9")]
 pub(crate) struct Halt {}
 
-/// Looks at all that a program needs before it can move the robot, and says what to do about what is missing
+/// Checks what a program needs before it can move the robot, and says how to fix each failure
 ///
-/// Reachability over TCP and UDP, provider, version, mode, executable token, errors, emergency stop, arm, motor, the licence
-/// and the formats of Slave Mode: each is ok, FAILED, ? (the controller's answer tells neither) or - (not looked at, because of
-/// something else). With --json a line is {"check":"mode","result":"failed","detail":"..","hint":".."}, its result one of
-/// passed, failed, untested and skipped. The exit code is that of the first that is FAILED or ?. Nothing moves and nothing is
-/// written; the arm is taken for a moment if it is free.
+/// Checks reachability over TCP and UDP, provider, version, mode, executable token, errors, emergency stop, arm, motor, and
+/// the licence and formats of Slave Mode. Each result is ok, FAILED, ? (the controller's answer is inconclusive) or -
+/// (skipped, because another check failed). With --json a line is
+/// {"check":"mode","result":"failed","detail":"..","hint":".."}, with the results passed, failed, untested and skipped. The
+/// exit code is that of the first FAILED or ? result. The command moves nothing and writes nothing; it takes the arm for a
+/// moment if the arm is free.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   bcap doctor --robot tcp:192.168.0.1
   bcap doctor --robot tcp:192.168.0.1 --provider CaoProv.DENSO.VRC9 --json")]
 pub(crate) struct Doctor {
-    /// Where b-CAP over TCP is, if not at the port of --robot
+    /// The port of b-CAP over TCP [default: the port of --robot]
     #[arg(long, value_name = "PORT", value_parser = clap::value_parser!(u16).range(1..))]
     pub(crate) tcp_port: Option<u16>,
 
-    /// Where b-CAP over UDP is, if not at the port of --robot
+    /// The port of b-CAP over UDP [default: the port of --robot]
     #[arg(long, value_name = "PORT", value_parser = clap::value_parser!(u16).range(1..))]
     pub(crate) udp_port: Option<u16>,
 }

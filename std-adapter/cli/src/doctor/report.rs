@@ -1,4 +1,4 @@
-//! What `bcap doctor` has found, a line each.
+//! The findings of `bcap doctor`, one line each.
 
 use std::io::Write as _;
 
@@ -13,21 +13,21 @@ const GREEN: Style = AnsiColor::Green.on_default();
 const RED: Style = AnsiColor::Red.on_default().bold();
 const YELLOW: Style = AnsiColor::Yellow.on_default();
 
-/// What one check has found.
+/// The result of one check.
 #[derive(Debug)]
 pub(super) enum Finding {
-    /// It is as it should be; what it is.
+    /// The check passed; the details.
     Passed(String),
-    /// It is not.
+    /// The check failed.
     Failed {
-        /// What it is.
+        /// What is wrong.
         detail: String,
         /// What to do.
         hint: String,
     },
-    /// It was not looked at, as something that it depends on has failed or is busy; what.
+    /// The check was skipped; the check or condition that it depends on.
     Skipped(&'static str),
-    /// The controller's answer tells neither; the answer.
+    /// The controller's answer is inconclusive; the answer.
     Untested(String),
 }
 
@@ -82,7 +82,7 @@ impl Report {
         Ok(())
     }
 
-    /// Prints that the controller cannot be reached in some way.
+    /// Prints that the controller cannot be reached over a link.
     pub(super) fn unreachable(&mut self, check: &'static str, failure: Failure) -> Result<(), Failure> {
         let detail = failure.to_string();
         self.print(&Line { check, result: "failed", detail: &detail, hint: failure.hint() })?;
@@ -100,7 +100,7 @@ impl Report {
             "untested" => (YELLOW, "?"),
             _ => (YELLOW, "-"),
         };
-        // which takes the colours out where they are not wanted
+        // this stream strips colours if NO_COLOR is set or the output is not a terminal
         let mut out = anstream::stdout().lock();
         writeln!(out, "{style}{word:<6}{style:#} {:<14} {}", line.check, escape::line(line.detail))?;
         if let Some(hint) = line.hint {

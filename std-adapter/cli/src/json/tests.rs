@@ -12,7 +12,7 @@ fn from_json(text: &str) -> Result<Vec<u8>, ItemError> {
     parse_value(Part::whole(text))
 }
 
-/// Encodes a native value, and checks its JSON and the way back.
+/// Encodes a native value, and checks the conversion to JSON and back.
 #[track_caller]
 fn both_ways<T: Encode + ?Sized>(value: &T, json: &str) {
     let mut buffer = [0xa5; 256];
@@ -80,7 +80,7 @@ fn floats_keep_their_bits() {
     both_ways(&f64::from_bits(0xfff8_0000_0000_0000), r#"{"vt":5,"v":"NaN(0xfff8000000000000)"}"#);
     both_ways(&f32::from_bits(0x7f80_0001), r#"{"vt":4,"v":"NaN(0x7f800001)"}"#);
     both_ways(&OleDate::from_raw(f64::NAN), r#"{"vt":7,"v":"NaN"}"#);
-    // a number without a point is a float all the same
+    // a number without a decimal point is accepted as a float
     assert_eq!(from_json(r#"{"vt":4,"v":3}"#), from_json(r#"{"vt":4,"v":3.0}"#));
 }
 
@@ -92,12 +92,12 @@ fn strings_keep_their_units() {
     );
     let lone: Vec<u8> = [0x41_u16, 0xd800, 0x42, 0xdc00].into_iter().flat_map(u16::to_le_bytes).collect();
     both_ways(&Bstr::from_utf16le(&lone).unwrap(), r#"{"vt":8,"v":"A\ud800B\udc00"}"#);
-    // all of JSON's escapes are read, pairs of surrogates too
+    // all escapes of JSON are accepted, including surrogate pairs
     assert_eq!(from_json(r#"{"vt":8,"v":"\ud83d\ude00\b\f\/"}"#), from_json("{\"vt\":8,\"v\":\"😀\\u0008\\u000C/\"}"));
 }
 
 #[test]
-fn what_is_wrong_is_placed() {
+fn errors_have_their_offset() {
     for (text, offset, word) in [
         (r#"{"vt":3,"v":3000000000}"#, 12, "i32"),
         (r#"{"vt":17,"v":-1}"#, 13, "u8"),

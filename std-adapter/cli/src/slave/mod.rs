@@ -1,6 +1,6 @@
-//! `bcap slave`: streams of poses, and how well they ran.
+//! `bcap slave`: streams poses in Slave Mode and reports the timing.
 
-mod live;
+mod monitor;
 mod plot;
 mod poses;
 mod record;
@@ -40,7 +40,7 @@ fn play(args: &Play, link: &LinkArgs, json: bool) -> Result<(), Failure> {
         args.file.display(),
         course.cycles(),
         f64::from(course.cycles()) * CYCLE,
-        args.approach.map(|percent| format!(", where it moves before at {percent} %")).unwrap_or_default(),
+        args.approach.map(|percent| format!(", and first moves there at {percent} %")).unwrap_or_default(),
     );
     confirm(&what, args.stream.yes)?;
     stream(course, kind, &args.stream, link, json)
@@ -49,9 +49,10 @@ fn play(args: &Play, link: &LinkArgs, json: bool) -> Result<(), Failure> {
 fn cosine(args: &Cosine, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let cycles = (args.seconds / CYCLE).round();
     if cycles > f64::from(u32::MAX) {
-        return Err(Failure::Input(format!("{} s are more cycles than can be counted", args.seconds)));
+        let most = f64::from(u32::MAX) * CYCLE;
+        return Err(Failure::Input(format!("--seconds {} is too long; the maximum is {most:.0} s", args.seconds)));
     }
-    // it has at least one, and was compared with the greatest
+    // the range was checked above
     let course = Course::Cosine { cycles: (cycles as u32).max(1), amplitude: args.amplitude };
     let kind = args.stream.pose.map_or(PoseType::J, PoseType::from);
     let (along, unit) = if kind == PoseType::J { ("joint 1", "degrees") } else { ("Z", "mm") };
@@ -62,7 +63,7 @@ fn cosine(args: &Cosine, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     stream(course, kind, &args.stream, link, json)
 }
 
-/// Asks whether the robot may move.
+/// Asks for confirmation before the robot moves.
 fn confirm(what: &str, yes: bool) -> Result<(), Failure> {
     if yes {
         return Ok(());
@@ -70,16 +71,16 @@ fn confirm(what: &str, yes: bool) -> Result<(), Failure> {
     let input = io::stdin();
     if !input.is_terminal() {
         return Err(Failure::Input(format!(
-            "{what}: cannot ask whether the robot may move, because the input is not a terminal; give --yes"
+            "{what}: cannot ask for confirmation, as stdin is not a terminal; give --yes"
         )));
     }
     let mut err = anstream::stderr().lock();
-    write!(err, "{}. The robot will move. Go on? [y/N] ", escape::line(what))?;
+    write!(err, "{}. The robot will move. Continue? [y/N] ", escape::line(what))?;
     err.flush()?;
     let mut line = String::new();
     input.lock().read_line(&mut line)?;
     match line.trim().to_ascii_lowercase().as_str() {
         "y" | "yes" => Ok(()),
-        _ => Err(Failure::Input("nothing was moved".into())),
+        _ => Err(Failure::Input("not confirmed: the robot was not moved".into())),
     }
 }

@@ -1,7 +1,7 @@
-//! The plot of a stream, as an SVG: where the robot was to be and was, the difference, and the times of the cycles.
+//! The plot of a stream as SVG: commanded and actual poses, their difference, and the cycle times.
 //!
-//! Shown are the numbers of the pose that moved the most, three at most. The difference is that of the pose that was
-//! commanded and the one that came back with its answer, so it contains the poses that wait in the controller's buffer.
+//! The plot shows the elements of the pose with the largest motion, at most three. The difference is between the commanded
+//! pose and the pose in its reply, so it includes the poses that wait in the controller's buffer.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ use super::sample::{CYCLE, Sample};
 use crate::error::Failure;
 
 const SIZE: (u32, u32) = (1000, 1000);
-/// One colour for each of the numbers that are shown.
+/// The colours of the plotted elements.
 const COLOURS: [RGBColor; 3] = [RGBColor(31, 119, 180), RGBColor(214, 39, 40), RGBColor(44, 140, 60)];
 const GREY: RGBColor = RGBColor(120, 120, 120);
 
@@ -24,7 +24,7 @@ type Drawn = Result<(), Box<dyn std::error::Error>>;
 /// Draws a plot into a file.
 pub(crate) fn plot(path: &Path, kind: PoseType, samples: &[Sample]) -> Result<(), Failure> {
     if samples.len() < 2 {
-        return Err(Failure::Input(format!("{}: there are no cycles to draw", path.display())));
+        return Err(Failure::Input(format!("cannot draw {}: a plot needs at least two cycles", path.display())));
     }
     draw(path, kind, samples).map_err(|error| Failure::Input(format!("cannot draw {}: {error}", path.display())))
 }
@@ -63,7 +63,7 @@ fn draw(path: &Path, kind: PoseType, samples: &[Sample]) -> Drawn {
         Line { name: "8 ms".into(), colour: GREY.to_rgba(), width: 1, points: vec![(0.0, cycle), (last, cycle)] },
         Line { name: "from answer to answer".into(), colour: COLOURS[0].to_rgba(), width: 1, points: intervals },
     ];
-    // there is room below: the poses that fill the buffer at the start take no time
+    // the lower right is free: only the poses that fill the buffer at the start have short cycles
     chart(times, "Cycle", "ms", SeriesLabelPosition::LowerRight, &lines)?;
     root.present()?;
     Ok(())
@@ -122,9 +122,9 @@ fn chart(area: &Area<'_>, title: &str, unit: &str, legend: SeriesLabelPosition, 
     Ok(())
 }
 
-/// Returns which numbers moved the most; the first one when none did.
+/// Returns the elements with the largest motion; the first element if none moved.
 fn moving(kind: PoseType, samples: &[Sample]) -> Vec<usize> {
-    /// What counts as moving, in degrees or mm.
+    /// The smallest range that counts as motion, in degrees or mm.
     const MOVED: f64 = 1e-3;
     let range = |number: usize| {
         let values = samples.iter().map(|sample| sample.commanded[number]);

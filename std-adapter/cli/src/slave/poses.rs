@@ -1,12 +1,12 @@
-//! Poses in files: a CSV of one pose a line, and the poses that a stream needs of them, one each cycle.
+//! Files of poses: CSV with one pose per line, and the interpolation to one pose per cycle.
 //!
 //! ```text
-//!   t,J1,J2,...            names, or none; `t` in seconds
+//!   t,J1,J2,...            optional column names; `t` in seconds
 //!   0.000,0,45,...         a pose
 //! ```
 //!
-//! Between two poses of the file the motion is a cubic curve through both (Catmull-Rom, with the file's own times), so that
-//! speeds have no steps; angles of P poses go the short way round.
+//! Poses are interpolated by Catmull-Rom splines with the file's times, so the speed is continuous. Angles of P poses take
+//! the shorter direction.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ use bcap_core::slave::{Pose, PoseType};
 
 use crate::error::Failure;
 
-/// What the columns of a pose are called.
+/// Returns the column names of a pose type.
 pub(crate) const fn columns(pose: PoseType) -> &'static [&'static str] {
     match pose {
         PoseType::P => &["X", "Y", "Z", "RX", "RY", "RZ", "FIG"],
@@ -65,12 +65,12 @@ impl Poses {
             if let Some((before, _)) = rows.last()
                 && at <= *before
             {
-                return Err(format!("line {line}: the time {at} is not after the one before, {before}"));
+                return Err(format!("line {line}: the time {at} s is not after the previous time {before} s"));
             }
             rows.push((at, numbers));
         }
         let (Some(layout), Some((begin, _))) = (layout, rows.first()) else {
-            return Err("there is no pose in it".into());
+            return Err("the file has no pose; write one pose per line, such as 0,45,90".into());
         };
         let (kind, begin) = (layout.kind, *begin);
         rows.iter_mut().for_each(|(at, _)| *at -= begin);
@@ -88,7 +88,7 @@ impl Poses {
     /// Returns a pose for each cycle, from the first pose of the file to its last.
     pub(crate) fn each_cycle(&self, cycle: f64) -> Vec<Pose> {
         let end = self.rows.last().map_or(0.0, |(at, _)| *at);
-        // rounding shall not cost the last one
+        // the tolerance keeps the last cycle despite rounding
         let count = (end / cycle + 1e-6).floor();
         let mut out = Vec::new();
         let (mut index, mut row) = (0.0, 0);
@@ -101,13 +101,13 @@ impl Poses {
             index += 1.0;
         }
         if end - count * cycle > cycle * 1e-3 {
-            // the file ends within a cycle
+            // the file ends inside a cycle
             out.extend(self.rows.last().and_then(|(_, numbers)| Pose::from_numbers(self.kind, numbers)));
         }
         out
     }
 
-    /// Returns the numbers at a time that is not before that of a row, and before that of the next.
+    /// Returns the interpolated numbers at a time between a row and the next one.
     fn at(&self, row: usize, at: f64, cycle: f64) -> Vec<f64> {
         let (from, numbers) = &self.rows[row];
         let Some((to, next)) = self.rows.get(row + 1).filter(|_| at - from > cycle * 1e-6) else {
@@ -131,7 +131,7 @@ impl Poses {
         out
     }
 
-    /// Returns the speed of a column at a row: that between its neighbours, and none at the ends.
+    /// Returns the slope of a column at a row: the slope between its neighbours, and 0 at the ends.
     fn slope(&self, row: usize, column: usize) -> f64 {
         let before = row.checked_sub(1).and_then(|before| self.rows.get(before));
         match (before, self.rows.get(row + 1)) {
@@ -141,7 +141,7 @@ impl Poses {
     }
 }
 
-/// Returns the cubic curve from `a` to `b` with these slopes at its ends.
+/// Evaluates the cubic Hermite curve from `a` to `b` with these slopes at its ends.
 fn hermite(a: f64, b: f64, slope_a: f64, slope_b: f64, x: f64) -> f64 {
     let (x2, x3) = (x * x, x * x * x);
     a * (2.0 * x3 - 3.0 * x2 + 1.0) + b * (3.0 * x2 - 2.0 * x3) + slope_a * (x3 - 2.0 * x2 + x) + slope_b * (x3 - x2)
@@ -154,7 +154,7 @@ fn normalize(numbers: &mut [f64], from: usize) {
     }
 }
 
-/// Takes the turns out of the angles, so that they can be interpolated.
+/// Unwraps the angles (no steps above 180 degrees), so that they can be interpolated.
 fn unwind(rows: &mut [(f64, Vec<f64>)]) {
     for column in 3..6 {
         let mut last: Option<f64> = None;
@@ -167,18 +167,18 @@ fn unwind(rows: &mut [(f64, Vec<f64>)]) {
     }
 }
 
-/// Which column is which.
+/// The columns of a file.
 struct Layout {
     kind: PoseType,
     time: Option<usize>,
     /// The column of each number.
     numbers: Vec<usize>,
-    /// How many fields a line has.
+    /// The number of fields in a line.
     fields: usize,
 }
 
 impl Layout {
-    /// Finds the columns by the first line, and tells whether that names them.
+    /// Determines the columns from the first line; also returns whether that line is a header.
     fn of(fields: &[&str], kind: Option<PoseType>) -> Result<(Self, bool), String> {
         if fields.iter().all(|field| field.parse::<f64>().is_ok()) {
             let kind = kind.unwrap_or(PoseType::J);
@@ -186,7 +186,7 @@ impl Layout {
             if fields.len() > expected || (kind != PoseType::J && fields.len() < expected) {
                 let found = fields.len();
                 return Err(format!(
-                    "it has {found} numbers, a pose of type {kind:?} has {expected}; name the columns in a first line"
+                    "it has {found} numbers, but a pose of type {kind:?} has {expected}; name the columns in the first line"
                 ));
             }
             return Ok((Self { kind, time: None, numbers: (0..fields.len()).collect(), fields: fields.len() }, false));
@@ -199,10 +199,10 @@ impl Layout {
             () if has(PoseType::T) => PoseType::T,
             () => PoseType::J,
         });
-        // joints may be fewer, but none in between may be missing
+        // trailing joints may be missing, but no joint in between
         let numbers: Vec<usize> = columns(kind).iter().map_while(|name| find(name)).collect();
         if numbers.is_empty() || (kind != PoseType::J && numbers.len() < columns(kind).len()) {
-            return Err(format!("a pose of type {kind:?} has the columns {}", columns(kind).join(",")));
+            return Err(format!("a pose of type {kind:?} needs the columns {}", columns(kind).join(",")));
         }
         Ok((Self { kind, time: find("t"), numbers, fields: fields.len() }, true))
     }
@@ -210,12 +210,12 @@ impl Layout {
     /// Reads a line.
     fn row(&self, fields: &[&str], index: usize, hz: f64) -> Result<(f64, Vec<f64>), String> {
         if fields.len() != self.fields {
-            return Err(format!("it has {} fields, the first line has {}", fields.len(), self.fields));
+            return Err(format!("it has {} fields, but the first line has {}", fields.len(), self.fields));
         }
         let number = |column: usize| {
             let field = fields[column];
             let number = field.parse::<f64>().ok().filter(|number| number.is_finite());
-            number.ok_or_else(|| format!("field {}: {field:?} is not a number", column + 1))
+            number.ok_or_else(|| format!("field {}: {field:?} is not a finite number", column + 1))
         };
         let at = match self.time {
             Some(column) => number(column)?,
@@ -238,19 +238,19 @@ mod tests {
     }
 
     #[test]
-    fn lines_at_the_rate_of_the_cycle_go_out_as_they_are() {
+    fn poses_at_the_rate_of_the_cycle_are_not_changed() {
         let poses = parse("1,2,3\n4,5,6\n4.5,0.1,1e-3\n").unwrap();
         assert_eq!(first_column(&poses), [1.0, 4.0, 4.5]);
         assert_eq!(poses.each_cycle(0.008)[2].numbers(), [4.5, 0.1, 1e-3, 0.0, 0.0, 0.0, 0.0, 0.0]);
     }
 
     #[test]
-    fn slower_files_are_interpolated_without_steps_of_speed() {
+    fn slower_files_are_interpolated_with_continuous_speed() {
         let text: String = (0..=10).map(|n| format!("{}\n", f64::from(n * n))).collect();
         let poses = Poses::parse(&text, None, 25.0).unwrap();
         let each = first_column(&poses);
         assert_eq!(each.len(), 51);
-        // the rows themselves, and a parabola between them but at the ends, which begin and end at rest
+        // the rows are exact; between inner rows the curve is the parabola, and it starts and ends at rest
         assert_eq!((each[0], each[5], each[50]), (0.0, 1.0, 100.0));
         for (n, value) in each.iter().enumerate().take(46).skip(5) {
             let exact = (n as f64 / 5.0).powi(2);
@@ -266,7 +266,7 @@ mod tests {
         let each = poses.each_cycle(0.008);
         assert_eq!(each.len(), 3);
         assert_eq!(each[0].numbers(), [1.0, 2.0, 3.0, 180.0, 0.0, 179.0, 5.0]);
-        // the short way round
+        // the shorter direction, through 180 degrees
         let expected = [1.25, 2.0, 3.0, 180.0, 0.0, 180.0, 5.0];
         for (found, expected) in each[1].numbers().iter().zip(expected) {
             assert!((found - expected).abs() < 1e-9, "{:?}", each[1]);
@@ -276,16 +276,16 @@ mod tests {
     }
 
     #[test]
-    fn what_is_wrong_is_said_with_its_line() {
+    fn errors_name_the_line_and_the_field() {
         for (text, problem) in [
-            ("", "there is no pose"),
-            ("J1,J2\n", "there is no pose"),
-            ("1,2\n3,x\n", "line 2: field 2: \"x\" is not a number"),
-            ("1,2\n3\n", "line 2: it has 1 fields, the first line has 2"),
-            ("1,2,3,4,5,6,7,8,9\n", "line 1: it has 9 numbers, a pose of type J has 8"),
-            ("t,J1\n0,1\n0,2\n", "line 3: the time 0 is not after the one before"),
-            ("a,b\n1,2\n", "line 1: a pose of type J has the columns J1,J2"),
-            ("J1\nnan\n", "line 2: field 1: \"nan\" is not a number"),
+            ("", "the file has no pose"),
+            ("J1,J2\n", "the file has no pose"),
+            ("1,2\n3,x\n", "line 2: field 2: \"x\" is not a finite number"),
+            ("1,2\n3\n", "line 2: it has 1 fields, but the first line has 2"),
+            ("1,2,3,4,5,6,7,8,9\n", "line 1: it has 9 numbers, but a pose of type J has 8"),
+            ("t,J1\n0,1\n0,2\n", "line 3: the time 0 s is not after the previous time 0 s"),
+            ("a,b\n1,2\n", "line 1: a pose of type J needs the columns J1,J2"),
+            ("J1\nnan\n", "line 2: field 1: \"nan\" is not a finite number"),
         ] {
             let error = parse(text).unwrap_err();
             assert!(error.contains(problem), "{text:?}: {error}");

@@ -1,4 +1,4 @@
-//! `bcap slave record`: where the robot is, again and again, as a file that `bcap slave play` reads.
+//! `bcap slave record`: records the pose of the robot periodically, in a file that `bcap slave play` reads.
 
 use std::fs::File;
 use std::io;
@@ -15,7 +15,7 @@ use crate::args::{LinkArgs, Record};
 use crate::error::Failure;
 use crate::object::Path as Object;
 use crate::output::{print_json, print_line};
-use crate::session::{Session, integer, text, with_session};
+use crate::session::{ControllerSession, integer, text, with_session};
 use crate::signal;
 use crate::value::Value;
 
@@ -37,7 +37,7 @@ pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), F
             session.restart_budget();
             let before = start.elapsed();
             let numbers = position(session, robot, kind)?;
-            // half of the way there and back
+            // the middle of the round trip
             let at = (before + start.elapsed()).as_secs_f64() / 2.0;
             write(&mut file, at, &numbers).map_err(refused)?;
             lines += 1;
@@ -45,7 +45,7 @@ pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), F
                 bar.set_message(format!("{lines} poses, {at:.1} s; Ctrl-C ends"));
                 bar.tick();
             }
-            // by the start, not by the last one: what takes long does not shift the rest
+            // relative to the start, so that a slow round does not delay the following ones
             let next = Duration::from_secs_f64(f64::from(lines) / args.hz);
             if args.seconds.is_some_and(|seconds| next.as_secs_f64() > seconds) {
                 break;
@@ -56,11 +56,11 @@ pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), F
             }
         }
         bar.finish_and_clear();
-        // the wait for the next pose is no part of the time to end the session
+        // the time limit covers the end of the session, not the wait before it
         session.restart_budget();
         Ok(lines)
     });
-    // what there is is kept, whatever ended it
+    // after an error too, the file keeps the recorded poses
     file.flush().map_err(|error| cannot_write(&args.file, &error.into()))?;
     let lines = lines?;
     if json {
@@ -69,8 +69,8 @@ pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), F
     Ok(print_line(&format!("{lines} poses in {}", args.file.display()))?)
 }
 
-/// Asks where the robot is.
-fn position(session: &mut Session, robot: i32, kind: PoseType) -> Result<Vec<f64>, Failure> {
+/// Reads the current pose of the robot.
+fn position(session: &mut ControllerSession, robot: i32, kind: PoseType) -> Result<Vec<f64>, Failure> {
     let command = match kind {
         PoseType::J => "CurJnt",
         PoseType::P => "CurPos",
@@ -85,8 +85,8 @@ fn position(session: &mut Session, robot: i32, kind: PoseType) -> Result<Vec<f64
     let numbers: Option<Vec<f64>> = array.map(|array| array.iter().filter_map(|number| number.as_f64()).collect());
     numbers.filter(|numbers| numbers.len() == kind.len()).ok_or_else(|| Failure::Connection {
         message: format!(
-            "{command} was answered with {} instead of {} numbers",
-            value.as_ref().map_or("nothing".into(), Value::described),
+            "{command}: the reply carries {} instead of {} numbers",
+            value.as_ref().map_or("no value".into(), Value::described),
             kind.len()
         ),
         hint: "check that the other end is a robot controller".into(),

@@ -1,4 +1,4 @@
-//! How well a stream ran: as JSON for programs, as text with histograms for people.
+//! The statistics of a stream: as JSON for programs, as text with histograms for people.
 
 use std::fmt::Write as _;
 
@@ -26,7 +26,7 @@ impl StreamTimes {
     }
 }
 
-/// The figures of a stream; times in microseconds.
+/// The statistics of a stream; times in microseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub(crate) struct Report {
     cycles: u32,
@@ -68,17 +68,17 @@ impl Report {
     }
 }
 
-/// Formats the figures for a person.
+/// Formats the statistics as text.
 pub(crate) fn text(stats: &Stats, times: &StreamTimes) -> String {
     let report = Report::of(stats, times);
     let mut out = String::new();
     let seconds = f64::from(stats.cycles) * 0.008;
     let _ = writeln!(out, "cycles      {:>8}   {seconds:.1} s of 8 ms each", report.cycles);
     let _ = writeln!(out, "late        {:>8}   sent more than 4 ms after their deadline", report.late);
-    let _ = writeln!(out, "underflows  {:>8}   the controller's buffer was empty in motion", report.underflows);
-    let _ = writeln!(out, "refused     {:>8}   the buffer was full, sent again", report.refused);
+    let _ = writeln!(out, "underflows  {:>8}   the controller's buffer ran empty during motion", report.underflows);
+    let _ = writeln!(out, "refused     {:>8}   poses sent again because the buffer was full", report.refused);
     if let Some(margin) = stats.least_margin {
-        let _ = writeln!(out, "margin      {:>8.1}   ms left in the buffer at least", margin.as_secs_f64() * 1000.0);
+        let _ = writeln!(out, "margin      {:>8.1}   ms, the lowest buffer level", margin.as_secs_f64() * 1000.0);
     }
     let _ = writeln!(out, "us               p50      p99    p99.9      max");
     for (name, Quantiles { p50, p99, p999, max }) in [("round trip", report.rtt_us), ("jitter", report.jitter_us)] {
@@ -92,7 +92,7 @@ pub(crate) fn text(stats: &Stats, times: &StreamTimes) -> String {
     out
 }
 
-/// Draws a histogram: a line for each power of two from the first to the last that is not empty.
+/// Draws a histogram with one line per power of two, from the first to the last that is not empty.
 fn bars(out: &mut String, times: &Times) {
     const WIDTH: u64 = 50;
     let powers: Vec<u64> = (0..=32).map(|power| times.count_between(1 << power >> 1, (1 << power) - 1)).collect();
@@ -102,7 +102,7 @@ fn bars(out: &mut String, times: &Times) {
     let most = powers.iter().copied().max().unwrap_or(1).max(1);
     for (power, count) in powers.iter().enumerate().take(last + 1).skip(first) {
         let end = (1_u64 << power) - 1;
-        // one is shown, too
+        // rounds up, so that a single count is visible
         let bar = "█".repeat((count * WIDTH).div_ceil(most) as usize);
         let _ = writeln!(out, "  up to {end:>8} {count:>8} {bar}");
     }
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn people_see_figures_and_bars() {
+    fn text_has_statistics_and_histograms() {
         let (stats, times) = stream();
         let text = text(&stats, &times);
         assert!(text.contains("late               2"), "{text}");

@@ -1,4 +1,4 @@
-//! One stream from its sessions to its report: what `play` and `cosine` have in common.
+//! Runs one stream for `play` and `cosine`: opens the sessions, streams the poses, and writes the report.
 
 use std::fs;
 use std::io;
@@ -17,7 +17,7 @@ use bcap_std::blocking::{self, Transport as Wire};
 use bcap_std::slave::Realtime;
 use bcap_std::{CallError, ConnectError, Options, RunError};
 
-use super::live::{Live, Shared, signals};
+use super::monitor::{Monitor, StreamStatus, signals};
 use super::report::{Report, StreamTimes, text};
 use super::sample::Sample;
 use crate::args::{LinkArgs, StreamArgs};
@@ -26,31 +26,31 @@ use crate::error::Failure;
 use crate::output::{print_block, print_json};
 use crate::target::{Target, Transport};
 
-/// The elbow room of UDP: five attempts share the time limit.
+/// The attempts of a call over UDP, which share the time limit.
 const UDP_ATTEMPTS: u8 = 5;
 
-/// Where the robot is to go.
+/// The path of the robot.
 pub(crate) enum Course {
-    /// Along these poses, so often.
+    /// A sequence of poses, played `loops` times.
     Poses {
-        /// One for each cycle.
+        /// One pose per cycle.
         poses: Vec<Pose>,
-        /// How often.
+        /// The number of repetitions.
         loops: u32,
-        /// At what part of its speed the robot is brought to the first pose before, in percent.
+        /// The speed of a motion to the first pose before the stream, in percent; `None` without such a motion.
         approach: Option<f64>,
     },
-    /// One period of a cosine from where it stands.
+    /// One period of a cosine from the current pose.
     Cosine {
         /// The period in cycles.
         cycles: u32,
-        /// How far it goes.
+        /// The distance to the turning point, in degrees or mm.
         amplitude: f64,
     },
 }
 
 impl Course {
-    /// Returns how many cycles it has.
+    /// Returns the number of cycles.
     pub(crate) fn cycles(&self) -> u32 {
         match self {
             Self::Poses { poses, loops, .. } => u32::try_from(poses.len()).unwrap_or(u32::MAX).saturating_mul(*loops),
@@ -76,7 +76,7 @@ impl Course {
         }
     }
 
-    /// Returns where the robot has to stand; `None` where it stands.
+    /// Returns the pose where the stream starts; `None` for the current pose.
     fn start(&self) -> Option<Pose> {
         match self {
             Self::Poses { poses, .. } => poses.first().copied(),
@@ -85,23 +85,23 @@ impl Course {
     }
 }
 
-/// A course that is being run.
+/// The trajectory of a running stream.
 struct Player {
     course: Course,
-    shared: Arc<Shared>,
+    status: Arc<StreamStatus>,
     kind: PoseType,
     commanded: [f64; 10],
     began: Option<Instant>,
     times: StreamTimes,
-    /// Of the cycles, for the plot; it does not grow beyond the room that it begins with.
+    /// The cycles for the plot. It never grows beyond its initial capacity, so recording does not allocate.
     samples: Vec<Sample>,
 }
 
 impl Trajectory for Player {
     fn next(&mut self, cycle: &Cycle<'_>) -> Next {
         self.times.follow(cycle.stats);
-        self.shared.note(cycle.number, cycle.stats.late, cycle.stats.refused, cycle.margin);
-        if self.shared.is_stopped() {
+        self.status.update(cycle.number, cycle.stats.late, cycle.stats.refused, cycle.margin);
+        if self.status.is_stopped() {
             return Next::Stop;
         }
         match self.course.pose(cycle) {
@@ -135,7 +135,7 @@ fn padded(numbers: &[f64]) -> [f64; 10] {
     out
 }
 
-/// Streams a course and tells how it went.
+/// Streams a course and reports the result.
 pub(crate) fn stream(
     course: Course,
     kind: PoseType,
@@ -161,7 +161,7 @@ pub(crate) fn stream(
     }
 }
 
-/// A stream that is to be made.
+/// The parameters of a stream.
 struct Job<'a> {
     course: Course,
     kind: PoseType,
@@ -177,7 +177,7 @@ impl Job<'_> {
         self,
         connect: impl Fn() -> Result<blocking::Connection<X, Vec<u8>>, ConnectError>,
     ) -> Result<(), Failure> {
-        // the signals first: who has said yes may think better of it at once
+        // install the signal handlers first: the user may press Ctrl-C right after confirming
         let signals = signals()?;
         let mut motion = connect().map_err(|error| not_connected(&error, self.target))?;
         let mut watch = connect().map_err(|error| not_connected(&error, self.target))?;
@@ -191,15 +191,15 @@ impl Job<'_> {
         {
             self.approach(&mut motion, handles, first, *percent)?;
         }
-        let live = Live::start(self.link, signals, self.course.cycles())?;
+        let monitor = Monitor::start(self.link, signals, self.course.cycles())?;
         let mut engine = Engine::<MOVE_FRAME>::new(config).map_err(|error| Failure::Input(error.to_string()))?;
-        // after all threads have been started, which shall stay what they are
+        // after all other threads have started, so that they do not inherit the real-time settings
         self.realtime.apply().map_err(|error| Failure::Input(error.to_string()))?;
         let room = if self.args.plot.is_some() { self.course.cycles() as usize + 500 } else { 0 };
         let Self { course, kind, .. } = self;
         let mut player = Player {
             course,
-            shared: Arc::clone(&live.shared),
+            status: Arc::clone(&monitor.status),
             kind,
             commanded: [0.0; 10],
             began: None,
@@ -209,18 +209,18 @@ impl Job<'_> {
         let ended = motion.run_beside(&mut watch, engine.stream(&mut player)).map_err(|error| error.error);
         let fault = engine.fault().cloned();
         if fault.is_some() {
-            // the fault is reported; a failure to give the arm back adds nothing to it
+            // the fault is reported below; a failure to release the arm adds no information
             let _ = motion.run_beside(&mut watch, engine.give_up());
         }
-        let shared = Arc::clone(&live.shared);
-        live.end();
+        let status = Arc::clone(&monitor.status);
+        monitor.end();
         let stats = engine.stats().clone();
         player.times.follow(&stats);
         let _ = motion.run(release_robot(handles));
         let _ = watch.run(release_robot(watching));
         let job = Outcome { args: self.args, json: self.json, target: self.target };
         let reported = job.report(&stats, kind, &player);
-        job.end(ended, fault.as_ref(), &shared)?;
+        job.end(ended, fault.as_ref(), &status)?;
         reported
     }
 
@@ -240,7 +240,7 @@ impl Job<'_> {
         }
     }
 
-    /// Brings the robot to a pose by a motion of its own, which ends there exactly.
+    /// Moves the robot to a pose by an ordinary motion, which ends exactly there (`@E`).
     fn approach<X: Wire<Error = io::Error>>(
         &self,
         motion: &mut blocking::Connection<X, Vec<u8>>,
@@ -253,18 +253,18 @@ impl Job<'_> {
         let robot = handles.robot;
         let mut execute = |command: &str, parameter: [i32; 2]| {
             let done = motion.call(call::robot_execute(robot, command, parameter)).map(drop);
-            done.map_err(|error| self.told(&error, command))
+            done.map_err(|error| self.not_called(&error, command))
         };
         execute("TakeArm", [0, 1])?;
         execute("Motor", [1, 0])?;
         let moved = motion.call(call::robot_move(robot, 1, to.as_str(), format!("SPEED={percent}").as_str()));
-        let moved = moved.map(drop).map_err(|error| self.told(&error, &format!("Robot_Move {to}")));
-        let given = motion.call(call::robot_execute(robot, "GiveArm", ())).map(drop);
+        let moved = moved.map(drop).map_err(|error| self.not_called(&error, &format!("Robot_Move {to}")));
+        let released = motion.call(call::robot_execute(robot, "GiveArm", ())).map(drop);
         moved?;
-        given.map_err(|error| self.told(&error, "GiveArm"))
+        released.map_err(|error| self.not_called(&error, "GiveArm"))
     }
 
-    /// Says why a session was not opened.
+    /// Converts the error of opening a session.
     fn not_opened(&self, error: &RunError) -> Failure {
         let doing = error.error.function.to_string();
         match (error.error.cause, &error.call) {
@@ -277,8 +277,8 @@ impl Job<'_> {
         }
     }
 
-    /// Tells a failed call in words.
-    fn told(&self, error: &CallError, doing: &str) -> Failure {
+    /// Converts the error of a call.
+    fn not_called(&self, error: &CallError, doing: &str) -> Failure {
         match error.hresult() {
             Some(code) => Failure::Refused { doing: doing.into(), code },
             None => failed(error, self.target, self.link.timeout(), doing),
@@ -286,7 +286,7 @@ impl Job<'_> {
     }
 }
 
-/// What is said of a stream that has ended.
+/// Reports a stream that has ended.
 struct Outcome<'a> {
     args: &'a StreamArgs,
     json: bool,
@@ -311,19 +311,19 @@ impl Outcome<'_> {
         Ok(())
     }
 
-    fn end(&self, ended: Result<(), StreamError>, fault: Option<&Fault>, shared: &Shared) -> Result<(), Failure> {
+    fn end(&self, ended: Result<(), StreamError>, fault: Option<&Fault>, status: &StreamStatus) -> Result<(), Failure> {
         match (ended, fault) {
-            _ if shared.was_halted() => Err(Failure::Interrupted("interrupted twice: the robot was halted".into())),
-            (Ok(()), _) if shared.is_stopped() => {
-                Err(Failure::Interrupted("interrupted: the robot stands, the arm is given back".into()))
+            _ if status.was_halted() => Err(Failure::Interrupted("interrupted twice: the robot was halted".into())),
+            (Ok(()), _) if status.is_stopped() => {
+                Err(Failure::Interrupted("interrupted: the robot has stopped and the arm is released".into()))
             }
             (Ok(()), _) => Ok(()),
             (Err(StreamError::Fault { .. }), Some(fault)) => Err(self.fault(fault)),
-            (Err(error), _) => Err(Failure::Input(format!("{error}; the robot was stopped, the arm is given back"))),
+            (Err(error), _) => Err(Failure::Input(format!("{error}; the robot was stopped and the arm released"))),
         }
     }
 
-    /// Tells a fault in words.
+    /// Converts a fault of the stream.
     fn fault(&self, fault: &Fault) -> Failure {
         let mut message = fault.to_string();
         if let Some(meaning) = fault.code().and_then(HResult::meaning).filter(|_| fault.errors().is_empty()) {
@@ -335,16 +335,16 @@ impl Outcome<'_> {
         match fault.cause {
             Cause::Failed(NoReply::Timeout) => Failure::Timeout {
                 message: format!("{}: {message}", self.target),
-                hint: "check the link and the controller; `bcap doctor` looks".into(),
+                hint: "check the network and the controller with `bcap doctor`".into(),
             },
             Cause::Failed(_) => Failure::Connection {
                 message: format!("{}: {message}", self.target),
-                hint: "check the link and the controller; `bcap doctor` looks".into(),
+                hint: "check the network and the controller with `bcap doctor`".into(),
             },
             Cause::NotAtStart { .. } => Failure::Unfit {
                 message,
                 code: None,
-                hint: Some("--approach moves the robot to the first pose before it plays".into()),
+                hint: Some("give --approach to move the robot to the first pose before the stream".into()),
             },
             _ => Failure::Unfit { message, code: fault.code(), hint: None },
         }

@@ -1,4 +1,4 @@
-//! A controller that answers as a test wants, for what a well-behaved one does not do.
+//! A fake controller with scripted answers, for behaviour that the virtual controller does not have.
 
 use std::io::{Read, Write};
 use std::net::{TcpListener, UdpSocket};
@@ -9,7 +9,7 @@ use bcap_core::bcap::{Decoder, Frame, FrameWriter, FunctionId, Progress};
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Encode;
 
-/// What the controller says to a request.
+/// The controller's answer to a request.
 pub(crate) struct Answer {
     pub(crate) code: HResult,
     pub(crate) value: Option<Box<dyn Encode>>,
@@ -26,7 +26,7 @@ pub(crate) fn value(value: impl Encode + 'static) -> Answer {
     Answer { code: HResult::S_OK, value: Some(Box::new(value)) }
 }
 
-/// Answers as any controller does to what a session begins and ends with.
+/// Answers the calls that begin and end a session, as any controller does.
 pub(crate) fn usual(request: &Frame<'_>) -> Answer {
     match request.function() {
         FunctionId::CONTROLLER_CONNECT => value(1),
@@ -37,11 +37,11 @@ pub(crate) fn usual(request: &Frame<'_>) -> Answer {
     }
 }
 
-/// A controller on a port of its own; it serves one client after the other as long as the test runs.
+/// A controller on its own port, which serves one client at a time until the test ends.
 pub(crate) struct Fake {
-    /// As `--robot` takes it.
+    /// The address in the form of `--robot`.
     pub(crate) address: String,
-    /// The requests that came, as `Function(argument, ...)`.
+    /// The received requests, as `Function(argument, ...)`.
     pub(crate) seen: Arc<Mutex<Vec<String>>>,
 }
 
@@ -86,7 +86,7 @@ impl Fake {
         Self { address, seen }
     }
 
-    /// Returns the requests that came so far.
+    /// Returns the requests received so far.
     pub(crate) fn seen(&self) -> Vec<String> {
         self.seen.lock().unwrap().clone()
     }
@@ -96,7 +96,7 @@ fn reply(request: &Frame<'_>, answer: &impl Fn(&Frame<'_>) -> Answer, seen: &Mut
     let arguments: Vec<String> = request.args.iter().map(|value| format!("{value:?}")).collect();
     seen.lock().unwrap().push(format!("{:?}({})", request.function(), arguments.join(", ")));
     let answer = answer(request);
-    // room for the largest frame that there is
+    // large enough for any frame
     let mut buffer = vec![0; if answer.value.is_some() { 16 * 1024 * 1024 } else { 16 }];
     let mut frame = FrameWriter::new(&mut buffer).unwrap();
     if let Some(value) = answer.value {

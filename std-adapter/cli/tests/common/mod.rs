@@ -1,4 +1,4 @@
-//! Running the built command, and the vectors.
+//! Helpers that run the built command and read the test vectors.
 #![allow(dead_code, reason = "every test file uses its own part of this")]
 
 use std::io::Write;
@@ -6,7 +6,7 @@ use std::process::{Command, Output, Stdio};
 
 use serde_json::Value;
 
-/// What a run printed, and its exit code.
+/// The output and the exit code of a run.
 #[derive(Debug)]
 pub(crate) struct Run {
     pub(crate) out: String,
@@ -24,13 +24,13 @@ impl From<Output> for Run {
     }
 }
 
-/// The command without the environment of the tests, and with much time unless a test says otherwise.
+/// The command with a clean environment, and with a long --timeout unless the test gives one.
 pub(crate) fn command(args: &[&str]) -> Command {
     let time = if args.contains(&"--timeout") { &[][..] } else { &["--timeout", "30000"] };
     bare(&[time, args].concat())
 }
 
-/// The command with these arguments alone.
+/// The command with exactly these arguments.
 pub(crate) fn bare(args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_bcap"));
     command.args(args).env_remove("BCAP_ROBOT").env_remove("NO_COLOR").env_remove("CLICOLOR_FORCE");
@@ -42,7 +42,7 @@ pub(crate) fn bcap(args: &[&str]) -> Run {
     command(args).stdin(Stdio::null()).output().unwrap().into()
 }
 
-/// Runs the command with these lines as its input.
+/// Runs the command with this input.
 pub(crate) fn bcap_with(args: &[&str], input: &[u8]) -> Run {
     let mut child = command(args).stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let mut stdin = child.stdin.take().unwrap();

@@ -1,4 +1,4 @@
-//! What goes on beside a stream: progress on the terminal, Ctrl-C, and the halt of a second one.
+//! The monitor thread of a stream: shows the progress, stops the stream on Ctrl-C, and halts the robot on a second one.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering::Relaxed};
@@ -15,23 +15,23 @@ use crate::escape;
 use crate::halt;
 use crate::signal;
 
-/// What the stream's thread and the others tell each other.
+/// The state that the stream's thread and the monitor share.
 #[derive(Debug)]
-pub(crate) struct Shared {
-    /// Set by the first Ctrl-C; the trajectory ends then.
+pub(crate) struct StreamStatus {
+    /// Set by the first Ctrl-C; the trajectory then ends.
     stop: AtomicBool,
-    /// Whether the robot was halted.
+    /// Set by the second Ctrl-C.
     halted: AtomicBool,
-    given: AtomicU32,
+    sent: AtomicU32,
     late: AtomicU32,
     refused: AtomicU32,
-    /// The margin of the buffer in microseconds; `NO_MARGIN` without one.
+    /// The margin of the controller's buffer in microseconds; `NO_MARGIN` without a buffer.
     margin: AtomicU32,
 }
 
 const NO_MARGIN: u32 = u32::MAX;
 
-impl Shared {
+impl StreamStatus {
     pub(crate) fn is_stopped(&self) -> bool {
         self.stop.load(Relaxed)
     }
@@ -40,9 +40,9 @@ impl Shared {
         self.halted.load(Relaxed)
     }
 
-    /// Takes note of how the stream goes; short, as it is called each cycle.
-    pub(crate) fn note(&self, given: u32, late: u32, refused: u32, margin: Option<Duration>) {
-        self.given.store(given, Relaxed);
+    /// Records the progress of the stream. It is called in each cycle, so it must be short.
+    pub(crate) fn update(&self, sent: u32, late: u32, refused: u32, margin: Option<Duration>) {
+        self.sent.store(sent, Relaxed);
         self.late.store(late, Relaxed);
         self.refused.store(refused, Relaxed);
         let margin = margin.map_or(NO_MARGIN, |margin| u32::try_from(micros(margin)).unwrap_or(NO_MARGIN - 1));
@@ -59,33 +59,33 @@ impl Shared {
     }
 }
 
-/// The thread that watches over a stream.
-pub(crate) struct Live {
-    pub(crate) shared: Arc<Shared>,
+/// The monitor thread of a stream.
+pub(crate) struct Monitor {
+    pub(crate) status: Arc<StreamStatus>,
     done: Option<Sender<()>>,
     thread: Option<JoinHandle<()>>,
 }
 
-impl Live {
-    /// Begins to listen for signals and to show progress up to `cycles`.
+impl Monitor {
+    /// Starts to handle signals and to show the progress up to `cycles`.
     pub(crate) fn start(link: &LinkArgs, signals: Receiver<()>, cycles: u32) -> Result<Self, Failure> {
-        let shared = Arc::new(Shared {
+        let status = Arc::new(StreamStatus {
             stop: AtomicBool::new(false),
             halted: AtomicBool::new(false),
-            given: AtomicU32::new(0),
+            sent: AtomicU32::new(0),
             late: AtomicU32::new(0),
             refused: AtomicU32::new(0),
             margin: AtomicU32::new(NO_MARGIN),
         });
         let (done, ended) = mpsc::channel();
-        let (link, watched) = (link.clone(), Arc::clone(&shared));
+        let (link, shared) = (link.clone(), Arc::clone(&status));
         let thread = thread::Builder::new()
-            .name("live".into())
-            .spawn(move || watch(&link, &watched, &signals, &ended, cycles))?;
-        Ok(Self { shared, done: Some(done), thread: Some(thread) })
+            .name("monitor".into())
+            .spawn(move || monitor(&link, &shared, &signals, &ended, cycles))?;
+        Ok(Self { status, done: Some(done), thread: Some(thread) })
     }
 
-    /// Takes the progress from the terminal.
+    /// Clears the progress from the terminal and ends the thread.
     pub(crate) fn end(mut self) {
         self.join();
     }
@@ -93,46 +93,46 @@ impl Live {
     fn join(&mut self) {
         drop(self.done.take());
         if let Some(thread) = self.thread.take() {
-            // a display that has panicked has said so
+            // a panic of the thread has printed its message
             let _ = thread.join();
         }
     }
 }
 
-impl Drop for Live {
+impl Drop for Monitor {
     fn drop(&mut self) {
         self.join();
     }
 }
 
-fn watch(link: &LinkArgs, shared: &Shared, signals: &Receiver<()>, ended: &Receiver<()>, cycles: u32) {
-    const EACH: Duration = Duration::from_millis(50);
+fn monitor(link: &LinkArgs, status: &StreamStatus, signals: &Receiver<()>, ended: &Receiver<()>, cycles: u32) {
+    const INTERVAL: Duration = Duration::from_millis(50);
     let bar = ProgressBar::new(cycles.into());
     let template = "{bar:30} {pos}/{len} {elapsed} {msg}";
     if let Ok(style) = ProgressStyle::with_template(template) {
         bar.set_style(style);
     }
     loop {
-        match signals.recv_timeout(EACH) {
-            Ok(()) if !shared.stop.swap(true, Relaxed) => {
-                tell(&bar, "stopping: the robot slows down, then the arm is given back; Ctrl-C again halts it at once");
+        match signals.recv_timeout(INTERVAL) {
+            Ok(()) if !status.stop.swap(true, Relaxed) => {
+                print(&bar, "stopping: the robot slows down and the arm is released; Ctrl-C again halts it at once");
             }
             Ok(()) => {
-                shared.halted.store(true, Relaxed);
-                let told = match halt::halt_now(link) {
+                status.halted.store(true, Relaxed);
+                let line = match halt::halt_now(link) {
                     Ok(_) => "halted".into(),
                     Err(failure) => {
-                        format!("the halt has failed: {}; use the emergency stop", escape::failure(&failure))
+                        format!("the halt failed: {}; use the emergency stop", escape::failure(&failure))
                     }
                 };
-                tell(&bar, &told);
+                print(&bar, &line);
             }
             Err(RecvTimeoutError::Timeout) => {}
-            // there will be no more signals
-            Err(RecvTimeoutError::Disconnected) => thread::sleep(EACH),
+            // no further signal can arrive
+            Err(RecvTimeoutError::Disconnected) => thread::sleep(INTERVAL),
         }
-        bar.set_position(shared.given.load(Relaxed).into());
-        bar.set_message(shared.message());
+        bar.set_position(status.sent.load(Relaxed).into());
+        bar.set_message(status.message());
         if let Err(mpsc::TryRecvError::Disconnected) = ended.try_recv() {
             bar.finish_and_clear();
             return;
@@ -140,8 +140,8 @@ fn watch(link: &LinkArgs, shared: &Shared, signals: &Receiver<()>, ended: &Recei
     }
 }
 
-/// Prints a line, above the progress where that is shown.
-fn tell(bar: &ProgressBar, line: &str) {
+/// Prints a line, above the progress bar if it is shown.
+fn print(bar: &ProgressBar, line: &str) {
     if bar.is_hidden() {
         anstream::eprintln!("{line}");
     } else {
@@ -149,7 +149,7 @@ fn tell(bar: &ProgressBar, line: &str) {
     }
 }
 
-/// Begins to listen for signals.
+/// Installs the signal handlers.
 pub(crate) fn signals() -> Result<Receiver<()>, Failure> {
     Ok(signal::each()?)
 }
