@@ -39,9 +39,9 @@ use bcap_core::io::asynch::Timer as _;
 use bcap_core::rac::{self, VariableKind};
 use bcap_core::time::Instant;
 use bcap_embassy::clock::{EmbassyClock, now};
-use bcap_embassy::gateway::{self, Link as _, TcpRobot, run_robot};
+use bcap_embassy::gateway::{self, RobotLink as _, TcpRobot, run_robot};
 use bcap_embassy::net::{Connection, NetError, Options, TcpTransport, Transport, UdpTransport};
-use bcap_embassy::server::{Limits, Listener, Shared, UdpPeer, UdpServer};
+use bcap_embassy::server::{Limits, Listener, SharedHandler, UdpPeer, UdpServer};
 use common::{address, between};
 use embassy_futures::join::join;
 use embassy_futures::select::{Either, Either3, select, select3};
@@ -134,7 +134,7 @@ impl Handler for Tokens {
     }
 }
 
-type Controller = Shared<NoopRawMutex, Tokens, 4>;
+type Controller = SharedHandler<NoopRawMutex, Tokens, 4>;
 
 fn executed(controller: &Controller, token: i32) -> u32 {
     controller.view(|tokens| tokens.executed.get(&token).copied().unwrap_or(0)).unwrap()
@@ -537,7 +537,7 @@ fn gateway() {
     between(|_, plcs, board| async move {
         let controller = Controller::new(Tokens::default());
         let mut memory = Memory::<2, 4>::new();
-        let plant = gateway::Shared::<NoopRawMutex, 2>::new(Gateway::new(GATEWAY, &mut memory), |_| {});
+        let plant = gateway::SharedGateway::<NoopRawMutex, 2>::new(Gateway::new(GATEWAY, &mut memory), |_| {});
         let mut buffers = [[0; 1024]; 4];
         let [rx, tx, plc_rx, plc_tx] = &mut buffers;
         let mut link = TcpRobot::new(board, rx, tx, Options::default(), (address(0), 5007));
@@ -638,8 +638,8 @@ const FUNCTIONS: &[(&str, Coverage)] = &[
     ("gateway/robot.rs: UdpTransport::open", Exempt("it awaits nothing")),
     ("gateway/robot.rs: run_robot", Swept("run_robot")),
     ("gateway/robot.rs: transfer", Through("gateway/robot.rs: run_robot")),
-    ("gateway/shared.rs: Shared::wait_for_client", Through("gateway/clients.rs: Listener::run")),
-    ("gateway/shared.rs: Shared::wait_for_robot", Through("gateway/robot.rs: run_robot")),
+    ("gateway/shared.rs: SharedHandler::wait_for_client", Through("gateway/clients.rs: Listener::run")),
+    ("gateway/shared.rs: SharedHandler::wait_for_robot", Through("gateway/robot.rs: run_robot")),
     ("net/mod.rs: wait", Through("net/tcp.rs: TcpTransport::receive")),
     ("net/tcp.rs: TcpTransport::accept", Through("server/tcp.rs: Listener::serve_one")),
     ("net/tcp.rs: TcpTransport::close", Swept("TcpTransport::close")),
@@ -654,7 +654,7 @@ const FUNCTIONS: &[(&str, Coverage)] = &[
     ("server/mod.rs: send", Through("server/mod.rs: serve")),
     ("server/mod.rs: serve", Through("server/tcp.rs: Listener::serve_one")),
     ("server/mod.rs: wait", Through("server/mod.rs: serve")),
-    ("server/shared.rs: Shared::changed", Through("server/mod.rs: serve")),
+    ("server/shared.rs: SharedHandler::changed", Through("server/mod.rs: serve")),
     ("server/tcp.rs: Listener::run", Swept("Listener::run")),
     ("server/tcp.rs: Listener::serve_one", Swept("Listener::serve_one")),
     ("server/udp.rs: UdpServer::receive", Through("server/udp.rs: UdpServer::run")),

@@ -254,8 +254,8 @@ mod tests {
             "provider=\u{fffd}\u{fffd}=x", // valid: a provider may have any name
         ] {
             let text = ["put=I\n", line, "\nput=F\necho=9"].concat();
-            let mut told = Vec::new();
-            let settings = Settings::read(text.as_bytes(), |line, _| told.push(line));
+            let mut reported = Vec::new();
+            let settings = Settings::read(text.as_bytes(), |line, _| reported.push(line));
             if line.starts_with("provider") {
                 assert!(reported.is_empty());
                 continue;
