@@ -7,6 +7,7 @@ use core::hint::black_box;
 
 use bcap_core::bcap::call::{self, Call, ControllerHandle, Int, RobotHandle, VariableHandle};
 use bcap_core::bcap::client::{Client, Config, Event};
+use bcap_core::endpoint::Endpoint;
 use bcap_core::time::Instant;
 use bcap_sizes::{Memory, Place, copy, entry};
 

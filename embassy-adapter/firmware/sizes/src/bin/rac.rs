@@ -4,6 +4,7 @@
 
 use core::hint::black_box;
 
+use bcap_core::endpoint::{Endpoint, Serve};
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::rac::server::{Config, Handler, Session};

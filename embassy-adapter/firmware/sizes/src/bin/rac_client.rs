@@ -4,6 +4,7 @@
 
 use core::hint::black_box;
 
+use bcap_core::endpoint::Endpoint;
 use bcap_core::rac::client::{Client, Config};
 use bcap_core::rac::{Request, Variable, VariableKind};
 use bcap_core::time::Instant;
