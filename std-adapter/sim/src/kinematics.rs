@@ -25,6 +25,8 @@
 //! (NONFLIP: J5 >= 0), 8 J4 is beyond ±180 (DOUBLE4), 16 J6 is beyond ±180 (DOUBLE6). That NONFLIP, ABOVE and LEFTY
 //! make 5 is seen in the guide; the bits 8 and 16 are as the maker's manuals name them, in the order read off there.
 
+use bcap_core::hresult::HResult;
+
 /// J1 to J6, in degrees.
 pub type Joints = [f64; 6];
 
@@ -90,6 +92,13 @@ pub(crate) struct Frame {
 /// Why no joints reach a pose: the axis, 1 to 8, that would have to leave its range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct OutOfReach(pub(crate) u8);
+
+impl OutOfReach {
+    /// Returns the error of the controller.
+    pub(crate) fn code(self) -> HResult {
+        HResult::from_u32(0x8320_4070 + u32::from(self.0))
+    }
+}
 
 impl Frame {
     /// Makes a frame from X Y Z in mm and RX RY RZ in degrees: turned about the fixed axes x, then y, then z.
@@ -364,6 +373,32 @@ fn about(axis: [f64; 3], angle: f64) -> Matrix {
         [t * x * y + s * z, t * y * y + c, t * y * z - s * x],
         [t * x * z - s * y, t * y * z + s * x, t * z * z + c],
     ]
+}
+
+/// Returns X Y Z RX RY RZ Fig of joints.
+pub(crate) fn position(joints: &Joints) -> Vec<f64> {
+    pose_numbers(&forward(joints), figure(joints))
+}
+
+/// Returns X Y Z RX RY RZ Fig.
+pub(crate) fn pose_numbers(frame: &Frame, fig: u8) -> Vec<f64> {
+    let mut numbers = frame.to_xyz_rpy().to_vec();
+    numbers.push(f64::from(fig));
+    numbers
+}
+
+/// Returns position, orient vector, approach vector and Fig of joints.
+pub(crate) fn trans(joints: &Joints) -> Vec<f64> {
+    let mut numbers = forward(joints).to_trans().to_vec();
+    numbers.push(f64::from(figure(joints)));
+    numbers
+}
+
+/// Returns J1 to J8 of six joints; axes 7 and 8 are 0.
+pub(crate) fn angle(joints: &Joints) -> Vec<f64> {
+    let mut numbers = joints.to_vec();
+    numbers.resize(8, 0.0);
+    numbers
 }
 
 #[cfg(test)]

@@ -59,17 +59,18 @@
 //! # Ok::<(), bcap_core::hresult::HResult>(())
 //! ```
 
+mod answer;
 pub mod arm;
 pub mod commands;
 mod config;
+mod context;
 mod controller;
-mod dispatch;
 mod drive;
 mod errors;
-pub mod execute;
 mod executor;
 pub mod explain;
 pub mod files;
+mod function;
 pub mod hand;
 pub mod kinematics;
 pub mod messages;
@@ -81,17 +82,19 @@ pub mod preparation;
 mod robot;
 pub mod scenario;
 pub mod slave;
-pub mod system;
+mod stream;
+mod table;
 pub mod tasks;
 mod value;
 pub mod variables;
+mod waits;
 
-pub use config::{Config, Mode, Permission, Profile, Token};
-pub use controller::{Controller, EMERGENCY_STOP};
+pub use config::{Config, Mode, Permission, Profile, SlaveConfig, SlaveFormats, SpeedSetting, Token};
+pub use controller::execute::Bit;
+pub use controller::{Controller, EMERGENCY_STOP, execute, system};
 pub use errors::ErrorEntry;
-pub use execute::Bit;
 pub use scenario::Scenario;
-pub use slave::{SlaveConfig, SlaveCounters, SlaveCycle, SlaveFormats, SpeedSetting};
+pub use stream::{SlaveCounters, SlaveCycle};
 pub use tasks::TaskStatus;
 pub use variables::Sizes;
 // the kinds of user variables, as both protocols name them

@@ -81,6 +81,7 @@
 
 mod file;
 mod run;
+mod section;
 mod setup;
 
 use std::time::Duration;
@@ -91,7 +92,7 @@ use serde::Deserialize;
 
 use crate::config::{Mode, Token};
 
-pub(crate) use run::{Fate, Running};
+pub(crate) use run::{Running, Step};
 pub use setup::Setup;
 
 /// A list of faults.
