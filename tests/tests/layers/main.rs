@@ -25,7 +25,7 @@ const CRATES: [(&str, &str); 7] = [
 ];
 
 /// Crates whose files still import each other in circles. Those that are not in the design have no order of modules yet.
-const WITH_CIRCLES: [&str; 3] = ["bcap-std", "bcap-sim", "bcap-cli"];
+const WITH_CIRCLES: [&str; 2] = ["bcap-std", "bcap-cli"];
 
 /// Circles that the types themselves have: a value can be an array, and the elements of an array are values.
 const RECURSIVE_TYPES: [(&str, [&str; 2]); 1] = [("bcap-core", ["variant/array.rs", "variant/mod.rs"])];
