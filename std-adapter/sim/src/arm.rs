@@ -48,7 +48,8 @@
 //! | CurPos, DestPos, HighCurPos     | -                           | R8\[7\]: X Y Z RX RY RZ Fig                      |
 //! | CurJnt, DestJnt, HighCurJnt     | -                           | R8\[8\]: J1 to J8; 0 for an axis that it lacks   |
 //! | CurTrn, DestTrn, HighCurTrn     | -                           | R8\[10\]: position, orient, approach, Fig        |
-//! | CurPosEx, HighCurPosEx, ...     | -                           | the same after the time in ms                    |
+//! | CurPosEx, CurJntEx, CurTrnEx    | -                           | the same after the time in ms                    |
+//! | HighCurPosEx, HighCurJntEx, HighCurTrnEx | -                  | likewise                                         |
 //! | CurSpd, CurAcc, CurDec          | -                           | R4: internal, of lines                           |
 //! | CurJSpd, CurJAcc, CurJDec       | -                           | R4: internal, of joints                          |
 //! | CurExtSpd, CurExtAcc, CurExtDec | -                           | R4: external                                     |

@@ -124,3 +124,13 @@ impl<G: Copy, P: Copy> Property<G, P> {
         self.put.ok_or(HResult::E_CAO_NOT_WRITABLE)
     }
 }
+
+/// Asserts that the module headers of these sources name every command of a table that a profile executes.
+#[cfg(test)]
+pub(crate) fn assert_documented<R: Copy>(table: &[Command<R>], sources: &[&str]) {
+    let lines = sources.iter().flat_map(|source| source.lines()).filter(|line| line.starts_with("//!"));
+    let words: Vec<_> = lines.flat_map(|line| line.split(|c: char| !c.is_ascii_alphanumeric())).collect();
+    for command in table.iter().filter(|command| command.run.is_some()) {
+        assert!(words.contains(&command.name), "{} is not documented", command.name);
+    }
+}

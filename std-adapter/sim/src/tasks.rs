@@ -30,11 +30,11 @@ use crate::value::{Value, one_int};
 /// The priority of every task.
 const PRIORITY: i32 = 128;
 
-/// The commands of Task_Execute.
-const COMMANDS: &[Command<fn(&Task) -> Value>] = &[Command::new("GetStatus", Task::status_value)];
-
 type Read = fn(&Task) -> Value;
 type Write = fn(&mut Task, &mut Context<'_>, &Variant<'_>) -> Answered;
+
+/// The commands of Task_Execute.
+const COMMANDS: &[Command<Read>] = &[Command::new("GetStatus", Task::status_value)];
 
 const fn read(name: &'static str, get: Read) -> Property<Read, Write> {
     Property::read(name, get)

@@ -220,3 +220,15 @@ fn external_speed(arm: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> An
     arm.robot.settings_mut().external = external;
     Ok(Answer::Done)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::table::assert_documented;
+
+    #[test]
+    fn every_command_is_documented() {
+        let sources = [include_str!("../arm.rs"), include_str!("../slave.rs"), include_str!("../preparation.rs")];
+        assert_documented(COMMANDS, &sources);
+    }
+}

@@ -235,3 +235,15 @@ fn error_info(entry: &ErrorEntry) -> Value {
     let message = Value::Text(description(entry.code));
     Value::List(vec![Value::I4(entry.code.0), message, zero(), zero(), program, zero(), zero()])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::table::assert_documented;
+
+    #[test]
+    fn every_command_is_documented() {
+        let sources = [include_str!("execute.rs"), include_str!("../hand.rs")];
+        assert_documented(COMMANDS, &sources);
+    }
+}
