@@ -1,8 +1,10 @@
 //! The controller: it composes its parts, advances their time, and offers to a test what happens around a robot.
 
+mod command;
 mod dispatch;
 pub mod execute;
 pub mod system;
+mod variable;
 
 use std::collections::BTreeSet;
 use std::time::Duration;

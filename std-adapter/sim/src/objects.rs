@@ -149,12 +149,12 @@ impl Entry {
     }
 }
 
-/// A function that all kinds of objects have.
-#[derive(Clone, Copy, Debug)]
+/// A function that all kinds of objects have, except messages.
+#[derive(Clone, Copy, Debug, PartialEq)]
 enum Common {
-    GetName,
-    GetHelp,
     GetAttribute,
+    GetHelp,
+    GetName,
     GetTag,
     PutTag,
     GetId,
@@ -162,61 +162,28 @@ enum Common {
 }
 
 impl Common {
+    /// In the order of their numbers, which are consecutive for each kind of object.
+    const ALL: [Self; 7] =
+        [Self::GetAttribute, Self::GetHelp, Self::GetName, Self::GetTag, Self::PutTag, Self::GetId, Self::PutId];
+
+    const FIRST: [FunctionId; 7] = [
+        FunctionId::CONTROLLER_GET_ATTRIBUTE,
+        FunctionId::EXTENSION_GET_ATTRIBUTE,
+        FunctionId::FILE_GET_ATTRIBUTE,
+        FunctionId::ROBOT_GET_ATTRIBUTE,
+        FunctionId::TASK_GET_ATTRIBUTE,
+        FunctionId::VARIABLE_GET_ATTRIBUTE,
+        FunctionId::COMMAND_GET_ATTRIBUTE,
+    ];
+
     fn of(function: FunctionId) -> Option<Self> {
-        Some(match function {
-            FunctionId::CONTROLLER_GET_NAME
-            | FunctionId::EXTENSION_GET_NAME
-            | FunctionId::FILE_GET_NAME
-            | FunctionId::ROBOT_GET_NAME
-            | FunctionId::TASK_GET_NAME
-            | FunctionId::VARIABLE_GET_NAME
-            | FunctionId::COMMAND_GET_NAME => Self::GetName,
-            FunctionId::CONTROLLER_GET_HELP
-            | FunctionId::EXTENSION_GET_HELP
-            | FunctionId::FILE_GET_HELP
-            | FunctionId::ROBOT_GET_HELP
-            | FunctionId::TASK_GET_HELP
-            | FunctionId::VARIABLE_GET_HELP
-            | FunctionId::COMMAND_GET_HELP => Self::GetHelp,
-            // not of a file, whose attributes are those of the file system
-            FunctionId::CONTROLLER_GET_ATTRIBUTE
-            | FunctionId::EXTENSION_GET_ATTRIBUTE
-            | FunctionId::ROBOT_GET_ATTRIBUTE
-            | FunctionId::TASK_GET_ATTRIBUTE
-            | FunctionId::VARIABLE_GET_ATTRIBUTE
-            | FunctionId::COMMAND_GET_ATTRIBUTE => Self::GetAttribute,
-            FunctionId::CONTROLLER_GET_TAG
-            | FunctionId::EXTENSION_GET_TAG
-            | FunctionId::FILE_GET_TAG
-            | FunctionId::ROBOT_GET_TAG
-            | FunctionId::TASK_GET_TAG
-            | FunctionId::VARIABLE_GET_TAG
-            | FunctionId::COMMAND_GET_TAG => Self::GetTag,
-            FunctionId::CONTROLLER_PUT_TAG
-            | FunctionId::EXTENSION_PUT_TAG
-            | FunctionId::FILE_PUT_TAG
-            | FunctionId::ROBOT_PUT_TAG
-            | FunctionId::TASK_PUT_TAG
-            | FunctionId::VARIABLE_PUT_TAG
-            | FunctionId::COMMAND_PUT_TAG => Self::PutTag,
-            FunctionId::CONTROLLER_GET_ID
-            | FunctionId::EXTENSION_GET_ID
-            | FunctionId::FILE_GET_ID
-            | FunctionId::ROBOT_GET_ID
-            | FunctionId::TASK_GET_ID
-            | FunctionId::VARIABLE_GET_ID
-            | FunctionId::COMMAND_GET_ID => Self::GetId,
-            FunctionId::CONTROLLER_PUT_ID
-            | FunctionId::EXTENSION_PUT_ID
-            | FunctionId::FILE_PUT_ID
-            | FunctionId::ROBOT_PUT_ID
-            | FunctionId::TASK_PUT_ID
-            | FunctionId::VARIABLE_PUT_ID
-            | FunctionId::COMMAND_PUT_ID => Self::PutId,
-            _ => return None,
-        })
+        let place = |first: &FunctionId| usize::try_from(function.0.checked_sub(first.0)?).ok();
+        let found = Self::FIRST.iter().find_map(|first| Self::ALL.get(place(first)?).copied());
+        // the attributes of a file are those of the file system
+        found.filter(|_| function != FunctionId::FILE_GET_ATTRIBUTE)
     }
 }
+
 /// All open objects.
 ///
 /// Every operation takes logarithmic time in the number of open objects, so that the objects of one client do not slow
@@ -307,6 +274,20 @@ impl Objects {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_common_functions_of_all_objects_are_found() {
+        for function in FunctionId::all() {
+            let name = function.name().unwrap_or_default();
+            let object = function.signature().map_or("", |signature| signature.object.name());
+            let found = Common::of(function).map(|common| format!("{object}{common:?}").to_lowercase());
+            let suffix = name.strip_prefix(object).unwrap_or_default();
+            let is_common = ["GetAttribute", "GetHelp", "GetName", "GetTag", "PutTag", "GetID", "PutID"]
+                .contains(&suffix)
+                && function != FunctionId::FILE_GET_ATTRIBUTE;
+            assert_eq!(found, is_common.then(|| name.to_lowercase()), "{name}");
+        }
+    }
 
     fn entry(peer: u32) -> Entry {
         Entry::new(PeerId(peer), Item::Robot, String::new(), Instant::ZERO)

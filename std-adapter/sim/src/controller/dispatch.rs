@@ -8,21 +8,21 @@ use bcap_core::rac;
 use bcap_core::time::Instant;
 use bcap_core::variant::{Encode, Variant};
 
-use super::{Controller, execute, system};
+use super::variable::{accepted_value, names_of};
+use super::{Controller, execute};
 use crate::answer::{Answer, Answered};
 use crate::arm;
-use crate::commands;
 use crate::config::Profile;
 use crate::files::{Done, Progress};
 use crate::function::{command_of, executes};
 use crate::hand;
-use crate::objects::{Entry, Item, Owner, Target};
+use crate::objects::{Entry, Item, Owner};
 use crate::options::option;
 use crate::scenario::Step;
-use crate::table::{Command, Property};
+use crate::table::Command;
 use crate::tasks;
 use crate::value::{Value, kept};
-use crate::variables::{self, Family, parse_name, wildcard_names};
+use crate::variables::{Family, wildcard_names};
 use crate::waits::Wait;
 
 impl Handler for Controller {
@@ -196,7 +196,7 @@ impl Controller {
     }
 
     /// Returns the result of the event that a client waits for.
-    fn poll(&mut self, peer: PeerId) -> Answered {
+    pub(super) fn poll(&mut self, peer: PeerId) -> Answered {
         match self.common.waits.get(peer) {
             Some(Wait::Over(result)) => {
                 self.common.waits.forget(peer);
@@ -221,7 +221,7 @@ impl Controller {
     }
 
     /// Opens an object and answers its handle.
-    fn open(&mut self, peer: PeerId, item: Item, name: String) -> Answered {
+    pub(super) fn open(&mut self, peer: PeerId, item: Item, name: String) -> Answered {
         let entry = Entry::new(peer, item, name, self.common.now);
         Ok(Value::I4(self.objects.open(entry, self.common.config.max_objects)?).into())
     }
@@ -231,9 +231,9 @@ impl Controller {
         match request.function {
             FunctionId::CONTROLLER_EXECUTE => self.run(peer, &name(), &request.value(2)),
             FunctionId::CONTROLLER_GET_VARIABLE => self.open_variable(peer, Owner::Controller, &name()),
-            FunctionId::CONTROLLER_GET_VARIABLE_NAMES => Ok(Answer::names(
-                variable_names(Owner::Controller).into_iter().map(str::to_owned).chain(wildcard_names()),
-            )),
+            FunctionId::CONTROLLER_GET_VARIABLE_NAMES => {
+                Ok(Answer::names(names_of(Owner::Controller).into_iter().map(str::to_owned).chain(wildcard_names())))
+            }
             FunctionId::CONTROLLER_GET_ROBOT => match option(&request.text(2).to_string(), "ID") {
                 // there is one arm, and it may have any name
                 None | Some("0") => self.open(peer, Item::Robot, name()),
@@ -263,7 +263,7 @@ impl Controller {
     }
 
     /// Executes a command of Controller_Execute.
-    fn run(&mut self, peer: PeerId, name: &str, param: &Variant<'_>) -> Answered {
+    pub(super) fn run(&mut self, peer: PeerId, name: &str, param: &Variant<'_>) -> Answered {
         let run = Command::handler(execute::COMMANDS, name, self.common.config.profile)?;
         run(self, peer, param).map(Answer::of_command)
     }
@@ -271,7 +271,7 @@ impl Controller {
     fn call_robot(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
         match request.function {
             FunctionId::ROBOT_GET_VARIABLE => self.open_variable(peer, Owner::Robot, &request.text(1).to_string()),
-            FunctionId::ROBOT_GET_VARIABLE_NAMES => Ok(Answer::names(variable_names(Owner::Robot))),
+            FunctionId::ROBOT_GET_VARIABLE_NAMES => Ok(Answer::names(names_of(Owner::Robot))),
             _ => self.arm.call(&mut self.common.context(peer), request),
         }
     }
@@ -292,7 +292,7 @@ impl Controller {
     fn call_task(&mut self, peer: PeerId, n: usize, request: &Request<'_>) -> Answered {
         match request.function {
             FunctionId::TASK_GET_VARIABLE => self.open_variable(peer, Owner::Task(n), &request.text(1).to_string()),
-            FunctionId::TASK_GET_VARIABLE_NAMES => Ok(Answer::names(variable_names(Owner::Task(n)))),
+            FunctionId::TASK_GET_VARIABLE_NAMES => Ok(Answer::names(names_of(Owner::Task(n)))),
             _ => self.tasks.get_mut(n)?.call(&mut self.common.context(peer), request),
         }
     }
@@ -336,170 +336,7 @@ impl Controller {
         if request.function != FunctionId::VARIABLE_PUT_VALUE {
             return command(request)?.0;
         }
-        match self.objects.get(peer, request.handle(), Object::Variable).ok()?.item {
-            Item::Variable(Target::User(family, _) | Target::Wildcard(family, Some(_))) => {
-                Some(variables::accepted(family))
-            }
-            Item::Variable(Target::Wildcard(_, None)) => Some("a value after Variable_PutID has chosen one variable"),
-            Item::Variable(Target::System(owner, n)) => match owner {
-                Owner::Controller => system::VARIABLES.get(n)?.accepts,
-                Owner::Robot => arm::variables::VARIABLES.get(n)?.accepts,
-                Owner::Task(_) => tasks::VARIABLES.get(n)?.accepts,
-            },
-            _ => None,
-        }
-    }
-}
-
-/// Functions of command objects.
-impl Controller {
-    fn open_command(&mut self, peer: PeerId, name: &str) -> Answered {
-        let profile = self.common.config.profile;
-        let command = Command::find(execute::COMMANDS, name).filter(|command| command.exists(profile));
-        let name = command.ok_or(HResult::E_CAO_OBJECT_NOTFOUND)?.name;
-        self.open(peer, Item::Command(commands::Command::default()), name.to_owned())
-    }
-
-    fn command_mut(&mut self, peer: PeerId, handle: i32) -> Result<&mut commands::Command, HResult> {
-        match &mut self.objects.get_mut(peer, handle, Object::Command)?.item {
-            Item::Command(command) => Ok(command),
-            _ => Err(HResult::E_HANDLE),
-        }
-    }
-
-    fn call_command(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
-        let handle = request.handle();
-        let running = self.command_mut(peer, handle)?.running();
-        // it may have ended while no call waited for it
-        if let Some(outcome) = running.and_then(|wait| self.arm.outcome(wait, self.common.now)) {
-            self.command_mut(peer, handle)?.end(outcome);
-        }
-        match request.function {
-            FunctionId::COMMAND_EXECUTE => self.execute_command(peer, handle, request.int(1)),
-            FunctionId::COMMAND_CANCEL => self.cancel_command(peer, handle),
-            _ => self.command_mut(peer, handle)?.call(request),
-        }
-    }
-
-    fn execute_command(&mut self, peer: PeerId, handle: i32, mode: i32) -> Answered {
-        if ![0, 1].contains(&mode) {
-            return Err(HResult::E_INVALIDARG);
-        }
-        let name = self.objects.get(peer, handle, Object::Command)?.name.clone();
-        let now = self.common.now;
-        let parameters = self.command_mut(peer, handle)?.begin(now)?;
-        let mut answered = self.run(peer, &name, &kept(&parameters));
-        if let Ok(Answer::Until(wait)) = answered {
-            self.common.waits.begin(peer, wait);
-            self.arm.advance(now, &mut self.common.waits);
-            answered = self.poll(peer).map(Answer::of_command);
-        }
-        let answer = self.record(peer, handle, answered)?;
-        if mode == 0 {
-            return Ok(answer);
-        }
-        if let Answer::Poll(_) = answer {
-            self.common.waits.forget(peer);
-        }
-        Ok(Answer::Done)
-    }
-
-    /// Continues an execution, up to the timeout of its command.
-    fn resume_command(&mut self, peer: PeerId, handle: i32) -> Answered {
-        let now = self.common.now;
-        let is_overdue = self.command_mut(peer, handle)?.is_overdue(now);
-        if is_overdue && !matches!(self.common.waits.get(peer), Some(Wait::Over(_))) {
-            // the command itself continues
-            self.common.waits.forget(peer);
-            return Err(HResult::E_TIMEOUT);
-        }
-        let answered = self.poll(peer).map(Answer::of_command);
-        self.record(peer, handle, answered)
-    }
-
-    /// Records the progress of an execution, and returns its answer.
-    fn record(&mut self, peer: PeerId, handle: i32, answered: Answered) -> Answered {
-        let command = self.command_mut(peer, handle)?;
-        command.record(&answered);
-        let deadline = command.deadline();
-        Ok(match answered? {
-            Answer::Until(wait) => {
-                let at = self.poll_time(wait);
-                Answer::Poll(deadline.map_or(at, |deadline| deadline.min(at)))
-            }
-            answer => answer,
-        })
-    }
-
-    fn cancel_command(&mut self, peer: PeerId, handle: i32) -> Answered {
-        let Some(wait) = self.command_mut(peer, handle)?.running() else { return Ok(Answer::Code(HResult::S_FALSE)) };
-        self.arm.cancel(wait, self.common.now, &mut self.common.waits);
-        self.command_mut(peer, handle)?.end(Err(HResult::E_CANCEL));
-        Ok(Answer::Done)
-    }
-}
-
-/// Functions of variables.
-impl Controller {
-    /// Opens a variable of an object by its name.
-    fn open_variable(&mut self, peer: PeerId, owner: Owner, name: &str) -> Answered {
-        let target = match (find_variable(owner, name), parse_name(name), owner) {
-            (Some(n), _, _) => Target::System(owner, n),
-            (None, Some((family, Some(index))), Owner::Controller) => {
-                self.common.variables.check(family, index)?;
-                Target::User(family, index)
-            }
-            (None, Some((family, None)), Owner::Controller) => Target::Wildcard(family, None),
-            _ => return Err(HResult::E_CAO_OBJECT_NOTFOUND),
-        };
-        self.open(peer, Item::Variable(target), name.trim().to_owned())
-    }
-
-    fn call_variable(&mut self, peer: PeerId, target: Target, request: &Request<'_>) -> Answered {
-        let stamp = self.objects.get(peer, request.handle(), Object::Variable)?.stamp;
-        let config = &self.common.config;
-        match request.function {
-            FunctionId::VARIABLE_GET_VALUE => self.get(peer, target).map(Answer::Value),
-            FunctionId::VARIABLE_PUT_VALUE => self.put(peer, target, &request.value(1)),
-            FunctionId::VARIABLE_GET_DATE_TIME => Ok(Value::Date(config.date(stamp)?).into()),
-            FunctionId::VARIABLE_GET_MICROSECOND => Ok(Value::I4(config.microsecond(stamp)).into()),
-            _ => Err(HResult::E_NOTIMPL),
-        }
-    }
-
-    fn get(&mut self, peer: PeerId, target: Target) -> Result<Value, HResult> {
-        match target {
-            Target::User(family, n) | Target::Wildcard(family, Some(n)) => self.common.variables.get(family, n),
-            Target::Wildcard(_, None) => Err(HResult::DISP_E_BADINDEX),
-            Target::System(Owner::Controller, n) => property(system::VARIABLES, n)?.getter()?(self),
-            Target::System(Owner::Robot, n) => {
-                Ok(property(arm::variables::VARIABLES, n)?.getter()?(&self.arm, &self.common.context(peer)))
-            }
-            Target::System(Owner::Task(task), n) => Ok(property(tasks::VARIABLES, n)?.getter()?(self.tasks.get(task)?)),
-        }
-    }
-
-    fn put(&mut self, peer: PeerId, target: Target, value: &Variant<'_>) -> Answered {
-        let (owner, n) = match target {
-            Target::User(family, n) | Target::Wildcard(family, Some(n)) => {
-                return self.put_user(peer, family, n, value).map(|()| Answer::Done);
-            }
-            Target::Wildcard(_, None) => return Err(HResult::DISP_E_BADINDEX),
-            Target::System(owner, n) => (owner, n),
-        };
-        let mut ctx = self.common.context(peer);
-        ctx.may_write()?;
-        match owner {
-            Owner::Controller => property(system::VARIABLES, n)?.setter()?(self, peer, value),
-            Owner::Robot => property(arm::variables::VARIABLES, n)?.setter()?(&mut self.arm, &mut ctx, value),
-            Owner::Task(task) => property(tasks::VARIABLES, n)?.setter()?(self.tasks.get_mut(task)?, &mut ctx, value),
-        }
-    }
-
-    fn put_user(&mut self, peer: PeerId, family: Family, n: u32, value: &Variant<'_>) -> Result<(), HResult> {
-        let ctx = self.common.context(peer);
-        ctx.may_write()?;
-        ctx.variables.put(family, n, value)
+        accepted_value(self.objects.get(peer, request.handle(), Object::Variable).ok()?)
     }
 }
 
@@ -514,28 +351,6 @@ fn command(request: &Request<'_>) -> Option<(Option<&'static str>, bool)> {
             Command::find(arm::commands::COMMANDS, &name).map(|command| (command.accepts, command.in_slave_mode))
         }
         _ => None,
-    }
-}
-
-/// Returns the entry of a system variable in the table of its owner.
-fn property<G, P>(table: &'static [Property<G, P>], n: usize) -> Result<&'static Property<G, P>, HResult> {
-    table.get(n).ok_or(HResult::E_CAO_OBJECT_NOTFOUND)
-}
-
-/// Finds a system variable in the table of its owner.
-fn find_variable(owner: Owner, name: &str) -> Option<usize> {
-    match owner {
-        Owner::Controller => Property::position(system::VARIABLES, name),
-        Owner::Robot => Property::position(arm::variables::VARIABLES, name),
-        Owner::Task(_) => Property::position(tasks::VARIABLES, name),
-    }
-}
-
-fn variable_names(owner: Owner) -> Vec<&'static str> {
-    match owner {
-        Owner::Controller => system::VARIABLES.iter().map(|property| property.name).collect(),
-        Owner::Robot => arm::variables::VARIABLES.iter().map(|property| property.name).collect(),
-        Owner::Task(_) => tasks::VARIABLES.iter().map(|property| property.name).collect(),
     }
 }
 
