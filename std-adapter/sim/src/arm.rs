@@ -55,8 +55,8 @@
 //! | CurExtSpd, CurExtAcc, CurExtDec | -                           | R4: external                                     |
 //! | CurFig, CurTool, CurWork        | -                           | I4                                               |
 //! | J2P J2T P2J P2T T2J T2P         | a pose                      | R8 array                                         |
-//! | slvMove, slvChangeMode, ...     | see [`slave`](crate::slave) |                                                  |
-//! | MotionPreparation, ...          | see [`preparation`](crate::preparation), COBOTTA |                             |
+//! | slvMove, slvChangeMode, ...     | see [`slave`]               |                                                  |
+//! | MotionPreparation, ...          | see [`preparation`](crate::preparation) |                                      |
 //!
 //! A motion while another one runs is refused with `E_ROBOTISBUSY`, even after a motion with `NEXT`, as the
 //! specification of the code says. So there is no queue of motions, and a pass motion is not blended.

@@ -28,7 +28,7 @@ use crate::waits::Wait;
 
 /// The state of a command object.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(crate) struct Command {
+pub(crate) struct CommandObject {
     /// Encoded; empty for EMPTY.
     parameters: Vec<u8>,
     /// Zero for no limit.
@@ -50,7 +50,7 @@ enum Progress {
     Failed(HResult),
 }
 
-impl Command {
+impl CommandObject {
     /// Executes a function of the command object that only reads or sets its state.
     pub(crate) fn call(&mut self, request: &Request<'_>) -> Answered {
         Ok(match request.function {

@@ -26,7 +26,7 @@ use crate::messages::Messages;
 use crate::objects::Objects;
 use crate::scenario::{Delivery, Effect, Running, Scenario, Setup};
 use crate::slave::{self, Limits, SlaveCounters, SlaveCycle};
-use crate::tasks::{Task, TaskStatus, Tasks};
+use crate::tasks::{TaskStatus, Tasks};
 use crate::variables::{Family, Variables};
 use crate::waits::{Wait, Waits};
 
@@ -396,7 +396,7 @@ impl Controller {
     #[must_use]
     pub fn task(&self, name: &str) -> Option<(TaskStatus, u64)> {
         let task = self.tasks.get(self.tasks.position(name)?).ok()?;
-        Some((Task::status(task), task.cycles()))
+        Some((task.status(), task.cycles()))
     }
 
     /// Iterates over the present errors in reverse order.

@@ -44,7 +44,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 
 use crate::context::Context;
-use work::{Task, Work, contents};
+use work::{Operation, Work, contents};
 
 pub(crate) use work::Done;
 
@@ -55,7 +55,7 @@ const LOOK: Duration = Duration::from_millis(2);
 
 /// The progress of file work.
 #[derive(Debug)]
-pub(crate) enum Progress {
+pub(crate) enum WorkProgress {
     /// Not finished: the call is polled again at this time.
     Pending(Instant),
     Done(Done),
@@ -100,20 +100,25 @@ impl Drop for Promise {
 
 impl Files {
     /// Starts a function of files: of the controller (`base` is empty) or of the file or folder `base`.
-    pub(crate) fn call(&mut self, ctx: &Context<'_>, base: &str, request: &Request<'_>) -> Result<Progress, HResult> {
+    pub(crate) fn call(
+        &mut self,
+        ctx: &Context<'_>,
+        base: &str,
+        request: &Request<'_>,
+    ) -> Result<WorkProgress, HResult> {
         let text = |n: usize| request.text(n).to_string();
-        let task = match request.function {
+        let operation = match request.function {
             FunctionId::CONTROLLER_GET_FILE | FunctionId::FILE_GET_FILE => {
-                Task::Open { name: text(1), options: text(2) }
+                Operation::Open { name: text(1), options: text(2) }
             }
-            FunctionId::CONTROLLER_GET_FILE_NAMES | FunctionId::FILE_GET_FILE_NAMES => Task::List,
-            FunctionId::FILE_PUT_VALUE => Task::Write(contents(&request.value(1))),
-            FunctionId::FILE_COPY => Task::Copy(text(1)),
-            FunctionId::FILE_MOVE => Task::Move(text(1)),
-            function => Task::Other(function),
+            FunctionId::CONTROLLER_GET_FILE_NAMES | FunctionId::FILE_GET_FILE_NAMES => Operation::List,
+            FunctionId::FILE_PUT_VALUE => Operation::Write(contents(&request.value(1))),
+            FunctionId::FILE_COPY => Operation::Copy(text(1)),
+            FunctionId::FILE_MOVE => Operation::Move(text(1)),
+            function => Operation::Other(function),
         };
         let root = ctx.config.files.clone().ok_or(HResult::E_NOTIMPL)?;
-        let work = Work { root, base: base.to_owned(), task, writable: ctx.may_write() };
+        let work = Work { root, base: base.to_owned(), operation, writable: ctx.may_write() };
         let slot = Slot::default();
         let promise = Promise(Some(Arc::clone(&slot)));
         self.pending.insert(ctx.peer, slot);
@@ -122,12 +127,12 @@ impl Files {
     }
 
     /// Takes the result of the work that a client waits for.
-    pub(crate) fn resume(&mut self, peer: PeerId, now: Instant) -> Result<Progress, HResult> {
+    pub(crate) fn resume(&mut self, peer: PeerId, now: Instant) -> Result<WorkProgress, HResult> {
         let slot = self.pending.get(&peer).ok_or(HResult::E_ABORT)?;
         let Some(done) = slot.lock().unwrap_or_else(PoisonError::into_inner).take() else {
-            return Ok(Progress::Pending(now.saturating_add(LOOK)));
+            return Ok(WorkProgress::Pending(now.saturating_add(LOOK)));
         };
         self.forget(peer);
-        done.map(Progress::Done)
+        done.map(WorkProgress::Done)
     }
 }

@@ -1,7 +1,7 @@
 //! Messages: what the controller sends without a request, for a client to fetch.
 //!
 //! Each error of the controller is a message to every client that is connected then. Controller_GetMessage opens the
-//! oldest message that this client has not fetched, and answers `S_FALSE` without a handle if there is none. A client
+//! oldest message that this client has not fetched, and answers `S_FALSE` without a handle if it has fetched all. A client
 //! that has connected with `@EventDisable=true` gets no messages. The controller keeps the latest 64 for each client; a
 //! gap in the serial numbers shows that older ones are lost.
 //!

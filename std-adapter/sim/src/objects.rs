@@ -11,11 +11,10 @@ use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
-
 use bcap_core::variant::Variant;
 
 use crate::answer::{Answer, Answered};
-use crate::commands::Command;
+use crate::commands::CommandObject;
 use crate::messages::Message;
 use crate::value::{Value, keep, one_int};
 use crate::variables::{Family, Variables};
@@ -58,7 +57,7 @@ pub(crate) enum Item {
     /// The hand.
     Extension,
     /// A command; its name is the entry's name.
-    Command(Command),
+    Command(CommandObject),
     Message(Message),
 }
 
@@ -98,17 +97,17 @@ impl Entry {
 
     /// Executes a function that all objects have; `None` for another function.
     pub(crate) fn common(&mut self, request: &Request<'_>, variables: &Variables) -> Option<Answered> {
-        Some(match Common::of(request.function)? {
-            Common::GetName => Ok(Value::from(self.name.as_str()).into()),
-            Common::GetHelp => Ok(Value::Text(self.help()).into()),
-            Common::GetAttribute => Ok(Value::I4(0).into()),
-            Common::GetTag => Ok(self.tag.clone().map_or(Value::Empty, Value::Kept).into()),
-            Common::PutTag => keep(&request.value(1)).map(|tag| {
+        Some(match CommonFunction::of(request.function)? {
+            CommonFunction::GetName => Ok(Value::from(self.name.as_str()).into()),
+            CommonFunction::GetHelp => Ok(Value::Text(self.help()).into()),
+            CommonFunction::GetAttribute => Ok(Value::I4(0).into()),
+            CommonFunction::GetTag => Ok(self.tag.clone().map_or(Value::Empty, Value::Kept).into()),
+            CommonFunction::PutTag => keep(&request.value(1)).map(|tag| {
                 self.tag = Some(tag);
                 Answer::Done
             }),
-            Common::GetId => Ok(self.id().into()),
-            Common::PutId => self.put_id(&request.value(1), variables).map(|()| Answer::Done),
+            CommonFunction::GetId => Ok(self.id().into()),
+            CommonFunction::PutId => self.put_id(&request.value(1), variables).map(|()| Answer::Done),
         })
     }
 
@@ -151,7 +150,7 @@ impl Entry {
 
 /// A function that all kinds of objects have, except messages.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Common {
+enum CommonFunction {
     GetAttribute,
     GetHelp,
     GetName,
@@ -161,7 +160,7 @@ enum Common {
     PutId,
 }
 
-impl Common {
+impl CommonFunction {
     /// In the order of their numbers, which are consecutive for each kind of object.
     const ALL: [Self; 7] =
         [Self::GetAttribute, Self::GetHelp, Self::GetName, Self::GetTag, Self::PutTag, Self::GetId, Self::PutId];
@@ -280,7 +279,7 @@ mod tests {
         for function in FunctionId::all() {
             let name = function.name().unwrap_or_default();
             let object = function.signature().map_or("", |signature| signature.object.name());
-            let found = Common::of(function).map(|common| format!("{object}{common:?}").to_lowercase());
+            let found = CommonFunction::of(function).map(|common| format!("{object}{common:?}").to_lowercase());
             let suffix = name.strip_prefix(object).unwrap_or_default();
             let is_common = ["GetAttribute", "GetHelp", "GetName", "GetTag", "PutTag", "GetID", "PutID"]
                 .contains(&suffix)

@@ -1,6 +1,7 @@
 //! The system variables of the robot.
 
 use bcap_core::hresult::HResult;
+use bcap_core::variant::Variant;
 
 use super::Arm;
 use super::readings::{self, Reading};
@@ -9,7 +10,6 @@ use crate::context::Context;
 use crate::robot::{Percent, coordinates, percent};
 use crate::table::Property;
 use crate::value::{TRUTH, Value, number, one_int, truth};
-use bcap_core::variant::Variant;
 
 type Write = fn(&mut Arm, &mut Context<'_>, &Variant<'_>) -> Answered;
 

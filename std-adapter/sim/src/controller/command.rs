@@ -7,7 +7,7 @@ use bcap_core::hresult::HResult;
 
 use super::{Controller, execute};
 use crate::answer::{Answer, Answered};
-use crate::commands::Command as CommandObject;
+use crate::commands::CommandObject;
 use crate::objects::Item;
 use crate::table::Command;
 use crate::value::kept;

@@ -13,7 +13,7 @@ use super::{Controller, execute};
 use crate::answer::{Answer, Answered};
 use crate::arm;
 use crate::config::Profile;
-use crate::files::{Done, Progress};
+use crate::files::{Done, WorkProgress};
 use crate::function::{command_of, executes};
 use crate::hand;
 use crate::objects::{Entry, Item, Owner};
@@ -304,13 +304,13 @@ impl Controller {
         Ok(opened)
     }
 
-    fn file_progress(&mut self, peer: PeerId, request: &Request<'_>, progress: Progress) -> Answered {
+    fn file_progress(&mut self, peer: PeerId, request: &Request<'_>, progress: WorkProgress) -> Answered {
         Ok(match progress {
-            Progress::Pending(at) => Answer::Poll(at),
-            Progress::Done(Done::Nothing) => Answer::Done,
-            Progress::Done(Done::Value(value)) => value.into(),
-            Progress::Done(Done::Open(name)) => return self.open(peer, Item::File, name),
-            Progress::Done(Done::Moved(name)) => {
+            WorkProgress::Pending(at) => Answer::Poll(at),
+            WorkProgress::Done(Done::Nothing) => Answer::Done,
+            WorkProgress::Done(Done::Value(value)) => value.into(),
+            WorkProgress::Done(Done::Open(name)) => return self.open(peer, Item::File, name),
+            WorkProgress::Done(Done::Moved(name)) => {
                 self.objects.rename(peer, request.handle(), name)?;
                 Answer::Done
             }

@@ -42,13 +42,13 @@ pub(super) struct Work {
     pub(super) root: PathBuf,
     /// The name from the root of the file or folder of the call.
     pub(super) base: String,
-    pub(super) task: Task,
+    pub(super) operation: Operation,
     /// The communication permission.
     pub(super) writable: Result<(), HResult>,
 }
 
 /// A function of files with its arguments.
-pub(super) enum Task {
+pub(super) enum Operation {
     Open {
         name: String,
         options: String,
@@ -74,29 +74,29 @@ impl Work {
     pub(super) fn perform(self) -> Result<Done, HResult> {
         let place = self.place(&self.base, "")?;
         let path = place.path();
-        match &self.task {
-            Task::Open { name, options } => return self.open(name, options),
-            Task::List => return list(&path),
+        match &self.operation {
+            Operation::Open { name, options } => return self.open(name, options),
+            Operation::List => return list(&path),
             _ => {}
         }
         let metadata = known(fs::metadata(&path).map_err(failed)?)?;
-        match self.task {
-            Task::Write(ref contents) => {
+        match self.operation {
+            Operation::Write(ref contents) => {
                 self.writable?;
                 write(&path, contents.as_ref().map_err(|refused| *refused)?)?;
                 Ok(Done::Nothing)
             }
-            Task::Copy(ref target) => {
+            Operation::Copy(ref target) => {
                 copy(&path, &self.target(target)?.path())?;
                 Ok(Done::Nothing)
             }
-            Task::Move(ref target) => {
+            Operation::Move(ref target) => {
                 let target = self.target(target)?;
                 fs::rename(&path, target.path()).map_err(failed)?;
                 Ok(Done::Moved(target.name()))
             }
-            Task::Other(function) => self.other(function, &path, &metadata),
-            Task::Open { .. } | Task::List => Ok(Done::Nothing),
+            Operation::Other(function) => self.other(function, &path, &metadata),
+            Operation::Open { .. } | Operation::List => Ok(Done::Nothing),
         }
     }
 

@@ -15,7 +15,6 @@ use bcap_core::variant::{Array, VarType, Variant};
 
 use crate::config::SlaveFormats;
 use crate::kinematics::{Axes, position, six, trans};
-
 use crate::value::{Value, numbers, numbers_of_array, one_int, whole};
 use crate::variables::Variables;
 
