@@ -1,14 +1,14 @@
-# Recipes; CI runs the same parts through `.ci/run`.
+# Recipes. CI runs the same parts through `.ci/run`.
 
 # Lists the recipes.
 default:
     @just --list
 
-# Everything that a change must pass.
+# All checks that a change must pass.
 ci:
     bash .ci/run
 
-# A virtual controller, a session with it, and every frame beside its bytes.
+# A virtual controller, a session with it, and every frame decoded beside its bytes.
 demo:
     cargo run --release -p bcap-cli -- demo
 
@@ -24,11 +24,11 @@ format:
     cargo fmt --manifest-path embassy-adapter/firmware/Cargo.toml
     cargo fmt --manifest-path embassy-adapter/firmware/sizes/Cargo.toml
 
-# Format check and clippy over every feature set, warnings as errors.
+# Format check, and clippy over every feature set, with warnings as errors.
 lint:
     bash .ci/run format lint
 
-# Documentation, warnings as errors.
+# Documentation, with warnings as errors.
 doc:
     bash .ci/run doc
 
@@ -36,31 +36,35 @@ doc:
 no-panic:
     bash .ci/run no-panic
 
-# Instructions per operation, under callgrind, against their bars.
+# Instructions per operation under callgrind, against their bars.
 instructions:
     bash .ci/run instructions
 
-# Encoding and decoding of large arrays beside memcpy.
+# Encoding and decoding of large arrays, compared with memcpy.
 arrays:
     cargo bench -p bcap-tests --bench arrays
 
-# Opening an object of the virtual controller with 10 and with 90,000 objects open.
+# Time to open an object of the virtual controller with 10 and with 90,000 objects open.
 objects:
     cargo bench -p bcap-tests --bench objects
 
-# How long a small call waits beside a client of 16 MiB requests.
+# How long a small call waits while another client sends requests of 16 MiB.
 fairness:
     cargo bench -p bcap-tests --bench fairness
 
-# Round trips over loopback beside a bare ping-pong, and a server with 100 connections.
+# Round trips over loopback compared with a bare ping-pong, and a server with 100 connections.
 loopback:
     cargo bench -p bcap-tests --bench loopback
 
-# How well streams of Slave Mode keep 8 ms beside a busy core: every mode, blocking and tokio, 80 s each.
+# Processor time of a client and a gateway under a flood of S_EXECUTING, in 5 s each.
+flood:
+    cargo bench -p bcap-tests --bench flood
+
+# How well streams of Slave Mode keep the cycle of 8 ms beside a busy core: every mode, blocking and tokio, 80 s each.
 slave cycles="10000":
     cargo bench -p bcap-tests --bench slave -- {{cycles}}
 
-# Requests through the gateway board in QEMU beside a bare echo on it; `bash .ci/run firmware` installs what that takes.
+# Requests through the gateway board in QEMU, compared with a bare echo on it; `bash .ci/run firmware` installs the tools.
 board:
     cargo build --release -p bcap-cli
     BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo bench -p bcap-qemu --bench gateway
@@ -73,7 +77,7 @@ fuzz seconds="30":
 corpora action:
     cargo run --quiet --locked --manifest-path fuzz/Cargo.toml --no-default-features --example corpora -- {{action}}
 
-# A hundred thousand calls over UDP, of whose datagrams one in ten is lost and one in ten doubled.
+# A hundred thousand calls over UDP; one datagram in ten is lost, one in ten duplicated.
 lossy calls="100000":
     UDP_CALLS={{calls}} cargo test -p bcap-tests --test faults datagrams_are_lost -- --nocapture
 
@@ -81,32 +85,32 @@ lossy calls="100000":
 soak seconds="60":
     cargo bench -p bcap-tests --bench soak -- --seconds {{seconds}}
 
-# What the corpora of the fuzz targets reach, line by line: `just coverage text`. Needs nightly's llvm-tools.
+# Line coverage of the corpora of a fuzz target: `just coverage text`. Needs nightly's llvm-tools.
 coverage target:
     bash fuzz/measure-coverage {{target}}
 
-# Every length and count of the wire: all 2^32 of each, and the edges with 32-bit addresses (Debian's gcc-multilib).
+# All 2^32 values of every length and count, and the edges with 32-bit addresses (needs Debian's gcc-multilib).
 lengths:
     cargo test --release -p bcap-tests --test lengths -- --ignored
     rustup target add i686-unknown-linux-gnu
     cargo test -p bcap-core --lib --target i686-unknown-linux-gnu
     cargo test -p bcap-tests --test lengths --test vectors --target i686-unknown-linux-gnu
 
-# Every 1000th float there and back (`just floats 1` for all, half an hour), and the milliseconds of a few days.
+# Prints and parses every 1000th float (`just floats 1`: all of them, half an hour), and the milliseconds of some days.
 floats step="1000":
     BCAP_STEP={{step}} cargo test --release -p bcap-core --lib -- --ignored
 
-# Changes the core in small ways and sees whether its tests notice: `just mutants core/src/bcap/frame.rs`.
+# Mutation tests of a file of the core: `just mutants core/src/bcap/frame.rs`.
 mutants file shard="0/1":
     cargo install --locked cargo-mutants@27.1.0
     cargo mutants -p bcap-core --file {{file}} --sharding round-robin --shard {{shard}} --timeout 120 --jobs 1 -- --lib
 
-# The core's tests under Miri; hours, unless told which: `just miri bcap::frame`.
+# The core's tests under Miri. All take hours; a filter selects some: `just miri bcap::frame`.
 miri filter="":
     rustup component add --toolchain nightly miri rust-src
     cargo +nightly miri test -p bcap-core --lib -- {{filter}}
 
-# The tests of the std adapter under AddressSanitizer and ThreadSanitizer; that one needs an instrumented std.
+# The tests of the std adapter under AddressSanitizer, and under ThreadSanitizer with an instrumented std.
 sanitizers:
     rustup component add --toolchain nightly rust-src
     RUSTFLAGS=-Zsanitizer=address CARGO_TARGET_DIR=target/asan \
@@ -118,7 +122,7 @@ sanitizers:
 dependencies:
     bash .ci/run dependencies
 
-# The gateway board in QEMU for a minute behind a wire that drops, repeats and delays frames; a seed decides which.
+# The gateway board in QEMU for a minute on a link that drops, repeats and delays frames; a seed decides which.
 wire seed="1":
     cargo build --quiet --locked --release -p bcap-cli
     WIRE_SECONDS=60 WIRE_SEED={{seed}} BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo test -p bcap-qemu --test wire

@@ -1,31 +1,31 @@
-//! What can be wrong with bytes, and with a value that should become bytes.
+//! Errors of decoding, encoding and parsing.
 //!
 //! | error           | whose fault             | raised by                                         |
 //! |-----------------|-------------------------|---------------------------------------------------|
 //! | [`DecodeError`] | the peer's              | `Decoder::decode`, `Variant::decode`              |
 //! | [`EncodeError`] | the caller's            | `Encode`, `FrameWriter`                           |
-//! | [`TextError`]   | whoever wrote the text  | `VariantBuf::parse_text`, the RAC lines           |
+//! | [`TextError`]   | the author of the text  | `VariantBuf::parse_text`, the RAC lines           |
 //! |                 | the caller's            | `Variant::write_text`: the value has no text      |
 //!
-//! All are small, `Copy` and `Eq`; they name the place (`offset` counts from the first byte of what was decoded).
+//! All are small, `Copy` and `Eq`. They contain the position: `offset` counts from the first decoded byte.
 
 use core::fmt;
 
 use crate::hresult::HResult;
 
-/// The bytes are not what the specification says; where, and in which layer.
+/// Received bytes violate the specification, with the layer and the offset of the violation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct DecodeError {
     /// What is wrong.
     pub kind: DecodeErrorKind,
-    /// Which part of the frame it is in.
+    /// The part of the frame that is invalid.
     pub layer: Layer,
-    /// The byte at which it was found, from the start of the frame (of the value, for [`Layer::Value`]).
+    /// Offset of the invalid byte from the start of the frame (of the value, for [`Layer::Value`]).
     pub offset: usize,
 }
 
-/// The part of a frame that an error is in.
+/// A part of a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Layer {
@@ -44,53 +44,53 @@ pub enum Layer {
 pub enum DecodeErrorKind {
     /// The first byte is not SOH (0x01).
     Soh(u8),
-    /// The length field is below the least frame (16 bytes, 18 with a CRC).
+    /// The length field is below the shortest frame (16 bytes, 18 with a CRC).
     FrameTooShort(u32),
     /// The length field is over the limit.
     FrameTooLong {
-        /// What the length field says.
+        /// The length field.
         length: u32,
-        /// What is allowed.
+        /// The limit.
         limit: u32,
     },
     /// The last byte is not EOT (0x04).
     Eot(u8),
     /// The CRC of a serial frame does not match.
     Crc {
-        /// The CRC that the frame carries.
+        /// The CRC in the frame.
         found: u16,
-        /// The CRC of its bytes.
+        /// The CRC computed from its bytes.
         computed: u16,
     },
-    /// The input ends inside a frame that was to be whole (a datagram, a file).
+    /// The input ends inside a frame that must be complete (a datagram, a file).
     Incomplete {
-        /// How many bytes the frame has.
+        /// The length of the frame in bytes.
         needed: u32,
     },
     /// The frame has more arguments than the limit.
     TooManyArguments {
-        /// What the frame says.
+        /// The number in the header.
         count: u16,
-        /// What is allowed.
+        /// The limit.
         limit: u16,
     },
     /// An argument's length field disagrees with its value.
     ArgumentLength {
-        /// What the length field says.
+        /// The length field.
         declared: u32,
-        /// What the value takes.
+        /// The length of its value.
         used: u32,
     },
-    /// Bytes are left over behind the last argument or value.
+    /// Bytes are left after the last argument or value.
     Unused(u32),
-    /// The value ends before its data do.
+    /// The input ends inside a value.
     Truncated {
-        /// How many more bytes this field takes.
+        /// The length of the field in bytes.
         needed: u32,
-        /// How many are there.
+        /// The number of bytes left.
         left: u32,
     },
-    /// The VARTYPE is none that the wire can carry.
+    /// The VARTYPE is unknown.
     UnknownType(u16),
     /// A scalar's element count is not 1.
     ScalarCount(u32),
@@ -107,7 +107,7 @@ impl DecodeError {
         Self { kind, layer: Layer::Frame, offset }
     }
 
-    /// Returns the code with which a server answers bytes like these (S0:169-177).
+    /// Returns the code of a server's reply to such bytes (S0:169-177).
     #[must_use]
     pub const fn hresult(&self) -> HResult {
         match (self.kind, self.layer) {
@@ -131,7 +131,7 @@ impl fmt::Display for DecodeErrorKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match *self {
             Self::Soh(found) => write!(f, "a frame starts with 0x01, found 0x{found:02x}"),
-            Self::FrameTooShort(length) => write!(f, "frame length {length} is below the least frame"),
+            Self::FrameTooShort(length) => write!(f, "frame length {length} is below the shortest frame"),
             Self::FrameTooLong { length, limit } => write!(f, "frame length {length} is over the limit of {limit}"),
             Self::Eot(found) => write!(f, "a frame ends with 0x04, found 0x{found:02x}"),
             Self::Crc { found, computed } => write!(f, "CRC is 0x{found:04x}, the bytes give 0x{computed:04x}"),
@@ -145,7 +145,7 @@ impl fmt::Display for DecodeErrorKind {
             Self::Truncated { needed, left } => write!(f, "truncated: {needed} bytes needed, {left} left"),
             Self::UnknownType(vartype) => write!(f, "unknown VARTYPE 0x{vartype:04x}"),
             Self::ScalarCount(count) => write!(f, "a scalar has the count 1, found {count}"),
-            Self::ArrayCount(count) => write!(f, "array count {count} is more than can be there"),
+            Self::ArrayCount(count) => write!(f, "array count {count} is above what the remaining bytes can hold"),
             Self::OddBstr(length) => write!(f, "BSTR byte length {length} is odd"),
             Self::TooDeep(limit) => write!(f, "VARIANTs are nested deeper than {limit}"),
         }
@@ -154,12 +154,12 @@ impl fmt::Display for DecodeErrorKind {
 
 impl core::error::Error for DecodeError {}
 
-/// A value or a frame cannot be written.
+/// A value or a frame cannot be encoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum EncodeError {
-    /// It does not fit the buffer, or the link's largest frame; give more room or send less.
+    /// It does not fit the buffer or the link's largest frame.
     Full,
     /// VARIANTs are nested deeper than [`MAX_DEPTH`](crate::limits::MAX_DEPTH).
     TooDeep,
@@ -179,7 +179,7 @@ impl fmt::Display for EncodeError {
 
 impl core::error::Error for EncodeError {}
 
-/// Text is not what it should be, or a value has no text; what is wrong, and in which column.
+/// A text is invalid, with the column, or a value has no text.
 ///
 /// # Examples
 ///
@@ -196,44 +196,44 @@ impl core::error::Error for EncodeError {}
 pub struct TextError {
     /// What is wrong.
     pub kind: TextErrorKind,
-    /// The byte of the text at which it was found, counted from 1; 0 for a value that could not be written.
+    /// The first invalid byte, counted from 1; 0 for a value without text.
     pub column: u32,
 }
 
-/// What is wrong with a text, or with a value that should become text.
+/// The reason why a text is invalid, or why a value has no text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum TextErrorKind {
-    /// The VARTYPE in front of a value is no decimal number.
+    /// The VARTYPE of a value is not a decimal number.
     Type,
-    /// The VARTYPE is none that the wire can carry; a number over 16 bits shows as 65535.
+    /// The VARTYPE is unknown; a number above 16 bits is reported as 65535.
     UnknownType(u16),
-    /// There is no comma behind a VARTYPE.
+    /// There is no comma after a VARTYPE.
     Comma,
-    /// A number or date should stand here, and nothing does.
+    /// A number or date is missing.
     Missing,
-    /// A character in a number is none of its digits.
+    /// A character in a number is not a digit.
     Digit,
-    /// A blank stands behind a number.
+    /// There is a blank after a number.
     BlankBehind,
     /// The number does not fit its VARTYPE, or is so small that it would become 0.
     OutOfRange,
-    /// The number has more characters than any peer's buffer holds.
+    /// The number is longer than 500 characters.
     NumberTooLong,
-    /// A currency amount has a point; its text is the whole count of ten-thousandths.
+    /// A currency amount has a point; its text is a whole number of ten-thousandths.
     CurrencyPoint,
-    /// A date is not laid out as `YYYY/MM/DD hh:mm:ss`.
+    /// A date is not in the form `YYYY/MM/DD hh:mm:ss`.
     DateLayout,
-    /// The calendar has no such date or the day no such time, or the year is not 100 to 9999.
+    /// The date or time does not exist, or the year is not 100 to 9999.
     NoSuchDate,
-    /// Text stands behind EMPTY or NULL, which have none.
+    /// There is text after EMPTY or NULL, which have no data.
     NoData,
     /// A VARIANT does not begin with `(`.
     OpenParen,
-    /// Parentheses do not pair: `)` without `(`, or the text ends before `)`.
+    /// Parentheses are not paired: `)` without `(`, or the text ends before `)`.
     Unbalanced,
-    /// A comma stands inside of parentheses in a string of an array.
+    /// A string of an array has a comma inside parentheses.
     CommaInString,
     /// A string has a CR or an LF, which end lines.
     LineBreak,
@@ -241,17 +241,17 @@ pub enum TextErrorKind {
     Utf8,
     /// VARIANTs are nested deeper than [`MAX_DEPTH`](crate::limits::MAX_DEPTH).
     TooDeep,
-    /// Something stands behind the end of the value.
+    /// There is text after the end of the value.
     Unexpected,
-    /// The array has no elements, which text cannot say.
+    /// The array is empty, which text cannot express.
     EmptyArray,
     /// An array of EMPTY or NULL has no text.
     ArrayOfNothing,
     /// A string begins with a blank, which the reader would drop.
     LeadingBlank,
-    /// A string has a surrogate without its partner, which UTF-8 cannot say.
+    /// A string has an unpaired surrogate, which UTF-8 cannot express.
     LoneSurrogate,
-    /// A NaN carries more than its sign.
+    /// A NaN has a payload.
     NanPayload,
     /// The value's VARTYPE cannot be sent.
     Unsendable(u16),
@@ -261,13 +261,13 @@ pub enum TextErrorKind {
     Verb,
     /// The controller's name is not `RC8`.
     PartName,
-    /// The index is no decimal number of at most 32 bits.
+    /// The index is not a decimal number of at most 32 bits.
     Index,
-    /// The variable type is none of I F D S V P J T IO.
+    /// The variable type is not one of I F D S V P J T IO.
     VariableType,
-    /// There is no colon behind this part of a request.
+    /// There is no colon after this part of a request.
     Colon(RequestPart),
-    /// A GET has data behind its last colon.
+    /// A GET has data after its last colon.
     GetWithData,
     /// A PUT has no value.
     PutWithoutData,
@@ -346,12 +346,12 @@ impl fmt::Display for TextErrorKind {
         f.write_str(match self {
             Self::UnknownType(vartype) => return write!(f, "unknown VARTYPE {vartype}"),
             Self::Unsendable(vartype) => return write!(f, "a value of VARTYPE 0x{vartype:04x} cannot be sent"),
-            Self::Colon(part) => return write!(f, "a colon is missing behind the {part}"),
+            Self::Colon(part) => return write!(f, "a colon is missing after the {part}"),
             Self::Type => "a value begins with its VARTYPE, a decimal number",
-            Self::Comma => "a comma is missing behind the VARTYPE",
+            Self::Comma => "a comma is missing after the VARTYPE",
             Self::Missing => "a number is missing",
             Self::Digit => "not a digit of the number",
-            Self::BlankBehind => "a blank behind a number",
+            Self::BlankBehind => "a blank after a number",
             Self::OutOfRange => "the number is out of the range of its VARTYPE",
             Self::NumberTooLong => "the number has too many characters",
             Self::CurrencyPoint => "a currency amount has no point: write the count of ten-thousandths",
@@ -359,12 +359,12 @@ impl fmt::Display for TextErrorKind {
             Self::NoSuchDate => "there is no such date or time",
             Self::NoData => "EMPTY and NULL have no data",
             Self::OpenParen => "a VARIANT is written (type,data)",
-            Self::Unbalanced => "parentheses do not pair",
+            Self::Unbalanced => "parentheses are not paired",
             Self::CommaInString => "a comma in a string of an array",
             Self::LineBreak => "a string has a line break",
             Self::Utf8 => "not UTF-8",
             Self::TooDeep => "VARIANTs are nested too deep",
-            Self::Unexpected => "text behind the end of the value",
+            Self::Unexpected => "text after the end of the value",
             Self::EmptyArray => "an empty array has no text",
             Self::ArrayOfNothing => "an array of EMPTY or NULL has no text",
             Self::LeadingBlank => "a string that begins with a blank has no text",
@@ -375,8 +375,8 @@ impl fmt::Display for TextErrorKind {
             Self::PartName => "the part name is RC8",
             Self::Index => "the index is a decimal number of at most 32 bits",
             Self::VariableType => "the variable type is one of I F D S V P J T IO",
-            Self::GetWithData => "a GET ends with the colon behind its variable type",
-            Self::PutWithoutData => "a PUT has a value behind its last colon",
+            Self::GetWithData => "a GET ends with the colon after its variable type",
+            Self::PutWithoutData => "a PUT has a value after its last colon",
             Self::ResultCode => "a response begins with its result, a number of 32 bits",
             Self::LineTooLong => "the line is over 256 bytes",
         })

@@ -1,8 +1,9 @@
-//! What the servers of both protocols ask of an application: who calls, what, and what the answer is.
+//! The types that the handlers of both protocols share: the peer, the outcome of a request, and the value of the reply.
 //!
-//! A server checks bytes, types and time limits, then passes the request to a handler: the application's own code. A
-//! handler never blocks. It answers at once with [`Outcome::Done`], or says with [`Outcome::Wait`] when it wants to be
-//! asked again about the same request; in between the server serves others and keeps the caller patient.
+//! A handler is the application behind a server, [`bcap::server::Handler`](crate::bcap::server::Handler) or
+//! [`rac::server::Handler`](crate::rac::server::Handler). The server checks bytes, types and time limits, then calls the
+//! handler. A handler must not block. It returns [`Outcome::Done`] with the result, or [`Outcome::Wait`] with the time at
+//! which the server calls it again for the same request. Meanwhile the server serves other peers, and sends keep-alives.
 
 use crate::error::EncodeError;
 use crate::hresult::HResult;
@@ -10,21 +11,21 @@ use crate::storage::Storage;
 use crate::time::Instant;
 use crate::variant::{Encode, Variant, Writer};
 
-/// A client of a server, as long as its session lasts; whoever runs the server numbers them.
+/// The number of a client for the duration of its session, assigned by the code that runs the server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct PeerId(pub u32);
 
-/// What a handler says about a request.
+/// The outcome of a handler's call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
 pub enum Outcome {
-    /// The request has been carried out, or refused; the reply goes out with the value that was set.
+    /// The request was executed or refused. The reply carries this result and the value that was set.
     Done(HResult),
-    /// The request is still being carried out: ask again, with the same request, at this time or earlier.
+    /// The request is still being executed: call the handler again with the same request, at this time or earlier.
     ///
-    /// [`Instant::FAR_FUTURE`] waits for another request to change something.
+    /// [`Instant::FAR_FUTURE`] waits for an event, such as another request.
     Wait(Instant),
 }
 
@@ -34,7 +35,7 @@ impl From<HResult> for Outcome {
     }
 }
 
-/// Where a handler puts the value of its reply; at most one.
+/// The value of a reply, set by a handler.
 ///
 /// # Examples
 ///
@@ -50,11 +51,11 @@ impl From<HResult> for Outcome {
 /// ```
 pub struct ReplyValue<'b> {
     memory: Memory<'b>,
-    /// Where in the memory the value begins, how large it may get, and how many bytes must be left after it.
+    /// The position of the value in the memory, its maximum length, and the bytes needed after it.
     offset: usize,
     max: usize,
     tail: usize,
-    /// Bytes of the value; 0 without a value.
+    /// The length of the value in bytes; 0 without a value.
     len: usize,
     overflow: bool,
 }
@@ -95,26 +96,26 @@ impl Memory<'_> {
 }
 
 impl<'b> ReplyValue<'b> {
-    /// Makes a place for a value of at most the size of `buffer`.
+    /// Makes room for a value of at most the size of `buffer`.
     #[must_use]
     pub const fn new(buffer: &'b mut [u8]) -> Self {
         let max = buffer.len();
         Self { memory: Memory::Slice(buffer), offset: 0, max, tail: 0, len: 0, overflow: false }
     }
 
-    /// Makes a place for a value of at most `max` bytes, after `offset` bytes of memory that may grow and before `tail` bytes.
+    /// Makes room for a value of at most `max` bytes in memory that may grow, after `offset` bytes and before `tail` bytes.
     pub(crate) const fn within(storage: &'b mut dyn Storage, offset: usize, max: usize, tail: usize) -> Self {
         Self { memory: Memory::Storage(storage), offset, max, tail, len: 0, overflow: false }
     }
 
-    /// Sets the value, and replaces one that was set before.
+    /// Sets the value, and replaces an earlier one.
     ///
-    /// Memory grows to what the value needs. A value fits if there is that much memory, even if there is not more.
+    /// Memory grows to the size that the value needs, if that much memory is available.
     ///
     /// # Errors
     ///
-    /// An [`EncodeError`] when the value does not fit; there is no value then, and the server answers E_TOO_MUCH_DATA
-    /// whatever the outcome says.
+    /// An [`EncodeError`] when the value does not fit. The reply then has no value; its result is E_TOO_MUCH_DATA in b-CAP
+    /// regardless of the outcome, and E_INVALIDSNDPACKET in RAC unless the outcome is an error.
     pub fn set<T: Encode + ?Sized>(&mut self, value: &T) -> Result<(), EncodeError> {
         self.clear();
         let before = self.memory.bytes().len();
@@ -127,7 +128,7 @@ impl<'b> ReplyValue<'b> {
             }
         };
         let used = encoded.map_or(0, |len| self.offset.saturating_add(len).saturating_add(self.tail));
-        // memory of a server is shared by its sessions: what the value does not need is for the others
+        // the sessions of a server share its memory, so memory that the value does not need is released
         if self.memory.bytes().len() > used.max(before) {
             self.memory.shrink(used.max(before));
         }
@@ -136,14 +137,14 @@ impl<'b> ReplyValue<'b> {
         Ok(())
     }
 
-    /// Returns the memory that the value may take as it is.
+    /// Returns the memory that the value may use without growing.
     fn room(&mut self) -> &mut [u8] {
         let memory = self.memory.bytes_mut();
         let end = memory.len().saturating_sub(self.tail).min(self.offset.saturating_add(self.max));
         memory.get_mut(self.offset..end).unwrap_or_default()
     }
 
-    /// Doubles the memory, or grows it by less where there is less; `false` when it cannot grow.
+    /// Doubles the memory, or grows it by as much as is available; `false` when it cannot grow.
     fn grow(&mut self) -> bool {
         let len = self.memory.bytes().len();
         let most = self.offset.saturating_add(self.max).saturating_add(self.tail);
@@ -170,13 +171,13 @@ impl<'b> ReplyValue<'b> {
         (!bytes.is_empty()).then(|| Variant::from_checked(bytes))
     }
 
-    /// Returns the value's encoding, empty while there is none.
+    /// Returns the encoding of the value; empty without a value.
     #[must_use]
     pub fn as_bytes(&self) -> &[u8] {
         self.memory.bytes().get(self.offset..).and_then(|rest| rest.get(..self.len)).unwrap_or_default()
     }
 
-    /// Tells whether the last value that was to be set did not fit.
+    /// Tells whether the last call of [`set`](Self::set) failed.
     #[must_use]
     pub const fn is_overflow(&self) -> bool {
         self.overflow
@@ -235,7 +236,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn a_value_fits_if_there_is_as_much_memory_as_it_needs() {
+    fn a_value_fits_if_exactly_enough_memory_is_available() {
         const OFFSET: usize = 19;
         const TAIL: usize = 3;
         // type and count
@@ -250,7 +251,7 @@ pub(crate) mod tests {
                     assert_eq!((reply.set(&value[..]).is_ok(), reply.is_overflow()), (fits, !fits), "{what}");
                     assert_eq!(reply.get().is_some(), fits, "{what}");
                     let kept = if fits { needed.max(before) } else { before };
-                    assert_eq!(memory.bytes.len(), kept, "{what}: the memory that is not needed is released");
+                    assert_eq!(memory.bytes.len(), kept, "{what}: unneeded memory is released");
                 }
             }
         }

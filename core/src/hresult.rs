@@ -1,9 +1,9 @@
-//! HRESULT: the 32-bit code that every b-CAP and RAC reply carries, and that a VARIANT of type ERROR holds.
+//! HRESULT: the 32-bit result code of every b-CAP and RAC reply, and of a VARIANT of type ERROR.
 //!
 //! ```text
 //!   31    30  29  28  27    26 .. 16     15 .. 0
 //! +-----+----------------+------------+----------+
-//! |  S  |  R   C   N   X |  facility  |   code   |      S = 1: the call failed; nothing else decides that
+//! |  S  |  R   C   N   X |  facility  |   code   |      S = 1: the call failed; no other bit matters
 //! +-----+----------------+------------+----------+
 //!
 //!  0x00000000 .. 0x7FFFFFFF   success: S_OK, S_FALSE, S_EXECUTING, S_BUF_FULL 0x0F200501
@@ -18,20 +18,20 @@
 //!
 //! What is guaranteed:
 //!
-//! * An [`HResult`] holds any code and gives it back unchanged; an unknown one keeps its number in every output.
-//! * Success is bit 31 clear, also for unknown codes, and never "equal to `S_OK`": `S_BUF_FULL` means stored.
-//! * The constants are plain numbers. The names, the meanings and the hints are three tables apart, and an image that
-//!   never calls [`name`](HResult::name) (or `Debug`, `Display`), [`meaning`](HResult::meaning) or
+//! * An [`HResult`] holds any code unchanged; output shows the number of an unknown code.
+//! * Bit 31 alone decides success, for unknown codes too. Comparing with `S_OK` is wrong: `S_BUF_FULL` means stored.
+//! * The constants are plain numbers. Names, meanings and hints are three separate tables; an image that never calls
+//!   [`name`](HResult::name) (or `Debug`, `Display`), [`meaning`](HResult::meaning) or
 //!   [`hint`](HResult::hint) does not contain them.
 //!
 //! The sources `S0:n` and `S2:n` are lines of the two specifications: RAC for the RC8 and b-CAP for the RC9. Codes
-//! that neither of them names come from the vendor's open libraries or from public client programs, and say so; where
-//! such a source gives a name only, the meaning is read off the name.
+//! that neither of them names come from the vendor's open libraries or from public client programs, and say so. If such a
+//! source has only a name, the meaning is derived from the name.
 
 use core::fmt;
 use core::fmt::Write as _;
 
-/// A return code; any value is allowed, the known ones are constants.
+/// A result code. Any value is valid; known codes are constants.
 ///
 /// # Examples
 ///
@@ -86,21 +86,21 @@ impl HResult {
         self.look_up(NAMES)
     }
 
-    /// Returns the code with this name, whatever the case of its letters.
+    /// Returns the code with this name, ignoring case.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         CODES.iter().zip(NAMES).find(|(_, known)| known.eq_ignore_ascii_case(name)).map(|(code, _)| *code)
     }
 
-    /// Returns what the code, or the family it belongs to, means: one whole sentence.
+    /// Returns the meaning of the code or of its family, as one sentence.
     #[must_use]
     pub fn meaning(self) -> Option<&'static str> {
         self.look_up(MEANINGS).or_else(|| self.family().map(Family::meaning))
     }
 
-    /// Returns what a person at the machine can do about it: an instruction in lower case, without a full stop.
+    /// Returns an instruction for the operator, in lower case and without a full stop.
     ///
-    /// A failure outside of every known range has none.
+    /// It is `None` for a failure outside of every known range.
     #[must_use]
     pub fn hint(self) -> Option<&'static str> {
         self.look_up(HINTS).or_else(|| self.family().map(|family| family.hint(self.level())))
@@ -151,7 +151,7 @@ impl HResult {
 
     /// Finds the code's text in one of the three tables that run parallel to [`CODES`].
     ///
-    /// A scan, because nobody asks for a text in a hurry, and because zipped iterators index nothing.
+    /// It scans, because texts are not time-critical and zipped iterators need no indexing.
     fn look_up(self, texts: &'static [&'static str]) -> Option<&'static str> {
         CODES.iter().zip(texts).find(|(code, _)| **code == self).map(|(_, text)| *text)
     }
@@ -426,7 +426,7 @@ codes! {
 
     0x80020005 DISP_E_TYPEMISMATCH, "the vendor's libraries",
         "The value cannot be converted to this type.",
-        "write the value the way its type wants, without blanks behind numbers";
+        "write the value in the form of its type, without blanks after numbers";
     0x80020008 DISP_E_BADVARTYPE, "the vendor's libraries",
         "The VARTYPE cannot be converted.",
         "use one of the types of the RAC table, such as 3, 5, 8 or 8197";

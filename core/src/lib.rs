@@ -1,50 +1,51 @@
-//! The two protocols of DENSO robot controllers, b-CAP and RAC, for firmware and for everybody else.
+//! The two protocols of DENSO robot controllers, b-CAP and RAC, without I/O: for firmware and for operating systems.
 //!
 //! * **b-CAP** calls 137 functions on controllers, robots, tasks, variables and files, in binary frames over TCP, UDP
 //!   (port 5007) or a serial line.
 //! * **RAC** reads and writes the variables of a controller in lines of text (`GET:RC8:10:I:`) over TCP (port 5006).
 //!
-//! Both carry the values of ORiN2, VARIANTs. This crate is all of that and nothing else: it has no socket, no clock and
-//! no thread, allocates nothing, and contains no unsafe code. What moves its bytes is up to you, or to an adapter:
-//! `bcap-std` for operating systems, `bcap-embassy` for boards.
+//! Both carry values of ORiN2 (VARIANT). The crate contains no socket, clock, thread, allocation or unsafe code. The
+//! application moves the bytes, or an adapter: `bcap-std` for operating systems, `bcap-embassy` for boards.
 //!
-//! # Layers, and what each guarantees
+//! # Layers and their guarantees
 //!
-//! | module      | what it is                         | guarantee                                                         |
+//! | module      | contents                           | guarantee                                                         |
 //! |-------------|------------------------------------|-------------------------------------------------------------------|
-//! | [`variant`] | values, in binary and text         | a [`Variant`](variant::Variant) has been checked whole; no accessor fails |
-//! | [`bcap`]    | frames, functions, calls           | a [`Frame`](bcap::Frame) has been checked whole, against [`limits`] |
-//! | [`bcap::client`], [`bcap::server`] | sans-IO state machines | every wait ends; late replies are never answers; a call dropped at any byte leaves the session good |
-//! | [`rac`]     | lines, requests, responses, both sides | a line is at most 256 bytes; what cannot be said in text is an error, never another value |
-//! | [`gateway`] | RAC on one side, b-CAP on the other | an answer is that of its own request; while the robot is away the error comes at once |
-//! | [`io`]      | two short loops over the client    | all progress is in the client, so futures may be dropped          |
-//! | [`error`], [`hresult`] | what is wrong, and whose fault | small, `Copy`, say where and what to do                          |
+//! | [`variant`] | values, in binary and text         | a [`Variant`](variant::Variant) is validated; no accessor fails   |
+//! | [`bcap`]    | frames, functions, calls           | a [`Frame`](bcap::Frame) is validated, within [`limits`]          |
+//! | [`bcap::client`], [`bcap::server`] | sans-IO state machines | every wait has a deadline; a late reply never answers another call; the session survives a call dropped at any byte |
+//! | [`rac`]     | lines, requests, responses, client and server | a line has at most 256 bytes; a value without a text is an error |
+//! | [`gateway`] | RAC server, b-CAP client           | each reply belongs to its request; without a robot the error is immediate |
+//! | [`procedure`], [`slave`] | jobs of several calls, Slave Mode | a failed procedure undoes its calls; no pose outside the limits is sent |
+//! | [`io`]      | blocking and asynchronous loops over the clients | all progress is in the client, so futures may be dropped |
+//! | [`error`], [`hresult`] | errors and result codes | small and `Copy`; an error says what is wrong, where, and whose fault it is |
 //!
-//! Bytes from outside pass exactly one function that checks them, in one pass, with bounded depth. What comes out are
-//! views of the caller's memory. An owned value is its own wire encoding in a fixed buffer
-//! ([`VariantBuf`](variant::VariantBuf)); there is no second form.
+//! One function validates all received bytes, in one pass and with limited depth. Its results are views of the caller's
+//! memory. An owned value ([`VariantBuf`](variant::VariantBuf)) is the wire encoding in a fixed buffer; there is no second
+//! representation.
 //!
 //! # Features
 //!
-//! None is on by default, and each only adds.
+//! No feature is enabled by default, and all features are additive.
 //!
 //! | feature             | adds                                                            |
 //! |---------------------|-----------------------------------------------------------------|
-//! | `alloc`             | `Vec<u8>` as memory that grows with its frames                  |
+//! | `alloc`             | `Vec<u8>` as a buffer that grows                                |
 //! | `embedded-io`       | a blocking transport over any `embedded_io` device              |
 //! | `embedded-io-async` | an asynchronous transport over any `embedded_io_async` device   |
-//! | `defmt`             | `defmt::Format` for the public types, and a log of odd events   |
+//! | `defmt`             | `defmt::Format` for the public types, and a log of unusual events |
 //! | `log`               | the same log through the `log` crate                            |
 //!
 //! # Examples
 //!
-//! A client and a server, joined without any network; a board does the same with its socket or UART in between.
+//! A client and a server without a network; a board puts a socket or UART between them.
 //!
 //! ```
 //! use bcap_core::bcap::call::{self, VariableHandle};
 //! use bcap_core::bcap::server::{self, Handler, Request, Session};
 //! use bcap_core::bcap::client::{self, Client, Timing};
 //! use bcap_core::bcap::FunctionId;
+//! use bcap_core::endpoint::{Endpoint, Serve};
 //! use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 //! use bcap_core::hresult::HResult;
 //! use bcap_core::time::Instant;
@@ -71,7 +72,7 @@
 //! let mut client = Client::new(client::Config::TCP, [0; 512], [0; 512]);
 //! let mut server = Session::<_, _, 8>::new(server::Config::TCP, [0; 512], [0; 512]);
 //!
-//! // moves a request there and its reply back
+//! // moves a request to the server and its reply to the client
 //! let mut exchange = |client: &mut Client<[u8; 512]>| {
 //!     let request = client.transmit();
 //!     server.receive_buffer()[..request.len()].copy_from_slice(request);
@@ -104,16 +105,18 @@
 extern crate alloc;
 
 pub mod bcap;
+pub mod endpoint;
 pub mod error;
 pub mod gateway;
 pub mod handler;
+pub mod histogram;
 pub mod hresult;
 pub mod io;
 pub mod limits;
 mod num;
+mod outbox;
 pub mod procedure;
 pub mod rac;
-pub mod session;
 pub mod slave;
 pub mod storage;
 pub mod time;

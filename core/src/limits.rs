@@ -1,8 +1,8 @@
-//! The bounds that a decoder holds before anything is buffered, and how forgiving it is.
+//! Limits of decoders, which apply before data are buffered, and their strictness.
 
-/// What a decoder accepts at most.
+/// The limits of a decoder.
 ///
-/// A field is compared with what the peer *claims*, before a byte of the claimed data is stored or waited for.
+/// Lengths and counts that a peer announces are compared with them before any announced byte is stored or awaited.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Limits {
@@ -14,16 +14,16 @@ pub struct Limits {
     pub depth: u8,
 }
 
-/// The deepest nesting of VARIANTs that any [`Limits`] can allow; it bounds the stack of every walk over a value.
+/// The deepest nesting of VARIANTs that any [`Limits`] can allow; it limits the memory of every walk over a value.
 pub const MAX_DEPTH: u8 = 16;
 
-/// The largest datagram that is sent: the safe limit of the b-CAP Tester and the provider (S2:1487).
+/// The largest datagram to send: the safe limit of the b-CAP Tester and the provider (S2:1487).
 pub const UDP_SEND_MAX: usize = 488;
 
-/// The largest datagram that is accepted; 488 bytes of data plus framing, as the widest of the known peers sends.
+/// The largest datagram to accept: 488 bytes of data and the framing, the largest that a known peer sends.
 pub const UDP_RECEIVE_MAX: usize = 504;
 
-/// The largest frame on a serial line, CRC included.
+/// The largest frame on a serial line, with its CRC.
 pub const SERIAL_MAX: usize = 503;
 
 impl Limits {
@@ -41,16 +41,16 @@ impl Default for Limits {
     }
 }
 
-/// How much a decoder forgives.
+/// The strictness of a decoder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Strictness {
-    /// Every length and count must agree with every other.
+    /// All lengths and counts must agree.
     #[default]
     Strict,
-    /// Tolerates what peers in the field leave behind: unused bytes, a scalar's count other than 1, an argument length
+    /// Accepts known deviations of real peers: unused bytes, a scalar's count other than 1, an argument length
     /// that disagrees with its value, an odd BSTR length, a VARTYPE that only its argument length can skip.
     ///
-    /// Whatever [`Strict`](Self::Strict) accepts is accepted alike, with the same value.
+    /// It decodes everything that [`Strict`](Self::Strict) accepts to the same value.
     Lenient,
 }

@@ -1,4 +1,4 @@
-//! The buffers that state machines work in; they belong to whoever makes the machine.
+//! The buffers of state machines, provided by the caller.
 
 /// Memory for frames: `[u8; N]`, `&mut [u8]`, or, with the feature `alloc`, a `Vec<u8>` that grows as data arrive.
 ///
@@ -15,15 +15,15 @@ pub trait Storage {
     /// Views the memory.
     fn bytes(&self) -> &[u8];
 
-    /// Views the memory to change it.
+    /// Views the memory for changes.
     fn bytes_mut(&mut self) -> &mut [u8];
 
-    /// Makes the memory `len` bytes long if it can; what is in it stays.
+    /// Extends the memory to `len` bytes if it can, and keeps the contents.
     fn grow(&mut self, len: usize) -> bool {
         self.bytes().len() >= len
     }
 
-    /// Gives back what is over `len` bytes, if it can; what was in that part is gone.
+    /// Releases memory above `len` bytes if it can, with its contents.
     fn shrink(&mut self, len: usize) {
         let _ = len;
     }
@@ -72,7 +72,7 @@ impl Storage for alloc::vec::Vec<u8> {
     }
 }
 
-/// Moves the bytes behind `by` to the front of `buffer`.
+/// Moves the bytes from `by` on to the front of `buffer`.
 ///
 /// `copy_within` does the same, but its range check would leave a panic in the image.
 pub(crate) fn shift_down(buffer: &mut [u8], by: usize) {

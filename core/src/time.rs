@@ -1,7 +1,7 @@
-//! Time as the state machines see it: microseconds that somebody else counts.
+//! Time in microseconds, from a clock of the caller.
 //!
-//! The core has no clock. Whoever drives a client or a server passes the present [`Instant`] in and gets the next
-//! deadline back. Only differences matter, so any monotonic counter will do: `std::time::Instant` since the start of
+//! The core has no clock. The caller of a client or server passes the current [`Instant`] and gets the next deadline.
+//! Only differences matter, so any monotonic counter works: `std::time::Instant` since the start of
 //! the program, embassy's ticks, a timer of the board, the fake clock of a test.
 
 use core::fmt;
@@ -15,7 +15,7 @@ pub struct Instant(u64);
 impl Instant {
     /// The origin.
     pub const ZERO: Self = Self(0);
-    /// A point that never comes.
+    /// The latest instant, which is never reached.
     pub const FAR_FUTURE: Self = Self(u64::MAX);
 
     /// Makes the instant `micros` microseconds after the origin.
@@ -45,15 +45,23 @@ impl Instant {
     /// Returns `self + duration`; a sum that does not fit is [`FAR_FUTURE`](Self::FAR_FUTURE).
     #[must_use]
     pub const fn saturating_add(self, duration: Duration) -> Self {
-        // seconds and the rest apart, so that a 32-bit target needs no 128-bit division
-        let micros = duration.as_secs().saturating_mul(1_000_000).saturating_add(sub_micros(duration));
-        Self(self.0.saturating_add(micros))
+        Self(self.0.saturating_add(micros(duration)))
     }
 }
 
+/// Returns a duration in microseconds, saturating.
+///
+/// Unlike [`Duration::as_micros`] it needs no 128-bit arithmetic, which is slow on a small processor.
+#[must_use]
 #[expect(clippy::as_conversions, reason = "From is not const; u32 to u64 is lossless")]
-const fn sub_micros(duration: Duration) -> u64 {
-    duration.subsec_micros() as u64
+pub const fn micros(duration: Duration) -> u64 {
+    duration.as_secs().saturating_mul(1_000_000).saturating_add(duration.subsec_micros() as u64)
+}
+
+/// Returns a duration in microseconds, at most 71 minutes.
+#[must_use]
+pub(crate) fn micros_u32(duration: Duration) -> u32 {
+    u32::try_from(micros(duration)).unwrap_or(u32::MAX)
 }
 
 impl core::ops::Add<Duration> for Instant {
@@ -70,9 +78,9 @@ impl fmt::Display for Instant {
     }
 }
 
-/// A clock that only goes forward.
+/// A monotonic clock.
 ///
-/// Any function that returns the time is one.
+/// Any function that returns an [`Instant`] is one.
 pub trait Clock {
     /// Returns the time.
     fn now(&self) -> Instant;
@@ -96,5 +104,12 @@ mod tests {
         assert_eq!(Instant::from_millis(u64::MAX), Instant::FAR_FUTURE);
         assert_eq!(Instant::ZERO.saturating_since(a), Duration::ZERO);
         assert_eq!(a.saturating_since(Instant::ZERO), Duration::from_millis(2));
+    }
+
+    #[test]
+    fn microseconds_saturate() {
+        assert_eq!((micros(Duration::from_nanos(1_999)), micros_u32(Duration::from_nanos(1_999))), (1, 1));
+        assert_eq!(micros(Duration::new(7, 5_000)), 7_000_005);
+        assert_eq!((micros(Duration::MAX), micros_u32(Duration::from_secs(4295))), (u64::MAX, u32::MAX));
     }
 }

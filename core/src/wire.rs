@@ -1,11 +1,11 @@
-//! Reading and writing little-endian fields at the end of a slice that shrinks or a buffer that fills.
+//! Reads little-endian fields from a slice, and writes them to a buffer.
 //!
-//! Neither type can panic: a read past the end is `None`, a write past the end is [`EncodeError::Full`].
+//! Neither type panics: a read past the end is `None`, a write past the end is [`EncodeError::Full`].
 
 use crate::error::EncodeError;
 use crate::num::{to_u32, to_usize};
 
-/// The rest of the input.
+/// The unread rest of the input.
 #[derive(Clone, Copy)]
 pub(crate) struct Reader<'a>(&'a [u8]);
 
@@ -78,19 +78,19 @@ impl<'b> Writer<'b> {
         self.len
     }
 
-    /// Tells whether nothing has been written.
+    /// Returns whether no byte was written.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.len == 0
     }
 
-    /// Returns what has been written.
+    /// Returns the written bytes.
     #[must_use]
     pub fn as_bytes(&self) -> &[u8] {
         self.buffer.get(..self.len).unwrap_or_default()
     }
 
-    /// Returns what has been written, for as long as the buffer lives.
+    /// Returns the written bytes, with the lifetime of the buffer.
     #[must_use]
     pub fn into_bytes(self) -> &'b [u8] {
         self.buffer.get(..self.len).unwrap_or_default()
@@ -100,7 +100,7 @@ impl<'b> Writer<'b> {
     ///
     /// # Errors
     ///
-    /// [`EncodeError::Full`] when they do not fit; nothing is written then.
+    /// [`EncodeError::Full`] if they do not fit; nothing is written.
     #[inline]
     pub fn put<const N: usize>(&mut self, bytes: [u8; N]) -> Result<(), EncodeError> {
         let slot = self.buffer.get_mut(self.len..).and_then(<[u8]>::first_chunk_mut::<N>).ok_or(EncodeError::Full)?;
@@ -113,18 +113,18 @@ impl<'b> Writer<'b> {
     ///
     /// # Errors
     ///
-    /// [`EncodeError::Full`] when they do not fit; nothing is written then.
+    /// [`EncodeError::Full`] if they do not fit; nothing is written.
     #[cfg_attr(target_os = "none", inline(never))]
     pub fn put_slice(&mut self, bytes: &[u8]) -> Result<(), EncodeError> {
         self.reserve(bytes.len())?.copy_from_slice(bytes);
         Ok(())
     }
 
-    /// Appends `len` bytes and returns them to be filled.
+    /// Appends `len` bytes and returns them, to be filled.
     ///
     /// # Errors
     ///
-    /// [`EncodeError::Full`] when they do not fit; nothing is written then.
+    /// [`EncodeError::Full`] if they do not fit; nothing is written.
     #[inline]
     pub(crate) fn reserve(&mut self, len: usize) -> Result<&mut [u8], EncodeError> {
         let slot = self.buffer.get_mut(self.len..).and_then(|rest| rest.get_mut(..len)).ok_or(EncodeError::Full)?;
@@ -132,13 +132,13 @@ impl<'b> Writer<'b> {
         Ok(slot)
     }
 
-    /// Takes everything behind `len` bytes back.
+    /// Removes all bytes after the first `len`.
     pub(crate) fn truncate(&mut self, len: usize) {
         self.len = self.len.min(len);
     }
 
-    /// Runs `body`, and puts the number of bytes that it appended, as a u32, in front of them.
-    // on a board one copy of it is enough, elsewhere a call would cost more
+    /// Runs `body`, and writes the number of bytes that it appended before them, as a u32.
+    // a board has one copy of this function; elsewhere a call would be slower
     #[cfg_attr(not(target_os = "none"), inline(always))]
     pub(crate) fn length_prefixed(
         &mut self,
@@ -152,7 +152,7 @@ impl<'b> Writer<'b> {
         Ok(())
     }
 
-    /// Overwrites bytes that were written before; a place outside of them is left alone.
+    /// Overwrites written bytes; an offset outside of them has no effect.
     #[inline]
     pub(crate) fn patch<const N: usize>(&mut self, at: usize, bytes: [u8; N]) {
         let written = self.buffer.get_mut(..self.len);
@@ -162,7 +162,7 @@ impl<'b> Writer<'b> {
     }
 }
 
-/// Splits a length-prefixed byte string off.
+/// Reads a length-prefixed byte string.
 #[cfg_attr(target_os = "none", inline(never))]
 pub(crate) fn length_prefixed<'a>(r: &mut Reader<'a>) -> Option<&'a [u8]> {
     let len = r.u32()?;

@@ -57,7 +57,8 @@ use smoltcp::socket::tcp::{self, RecvError};
 use smoltcp::socket::udp;
 use smoltcp::wire::IpEndpoint;
 
-pub use bcap_core::session::Session;
+use bcap_core::endpoint::Endpoint;
+pub use bcap_core::endpoint::Serve;
 
 /// The silence after which a peer is asked whether it is still there.
 const KEEP_ALIVE: smoltcp::time::Duration = smoltcp::time::Duration::from_secs(5);
@@ -225,7 +226,7 @@ impl<S> TcpServer<S> {
     pub fn poll<H>(&mut self, socket: &mut tcp::Socket<'_>, make: impl FnOnce() -> S, handler: &mut H, now: Instant)
     where
         H: ?Sized,
-        S: Session<H>,
+        S: Serve<H>,
     {
         if !socket.is_open() && self.session.is_none() {
             set_up(socket);
@@ -249,9 +250,9 @@ impl<S> TcpServer<S> {
     #[must_use]
     pub fn poll_timeout<H: ?Sized>(&self) -> Option<Instant>
     where
-        S: Session<H>,
+        S: Serve<H>,
     {
-        self.session.as_ref().and_then(Session::poll_timeout)
+        self.session.as_ref().and_then(Endpoint::poll_timeout)
     }
 }
 
@@ -264,7 +265,7 @@ fn pump<S, H>(
     now: Instant,
 ) -> Result<(), LinkError>
 where
-    S: Session<H>,
+    S: Serve<H>,
     H: ?Sized,
 {
     loop {

@@ -1,5 +1,6 @@
 //! A client whose peer, link and user do anything at any time.
 
+use bcap_core::endpoint::Endpoint;
 use std::collections::VecDeque;
 use std::time::Duration;
 

@@ -1,5 +1,6 @@
 //! A client of RAC whose peer, link and user do anything at any time.
 
+use bcap_core::endpoint::Endpoint;
 use std::collections::VecDeque;
 use std::time::Duration;
 
@@ -60,6 +61,8 @@ struct Model {
     /// Everything that has come, and how many lines of it were reported.
     received: Vec<u8>,
     reported: usize,
+    /// Whether a line had begun to come when the last request had left.
+    early: bool,
     closed: bool,
 }
 
@@ -198,6 +201,7 @@ impl<V: Storage> Run<V> {
             assert!(Some(request.variable().index) == self.model.sent_last || self.model.closed);
             self.model.unanswered.push_back(request.variable().index);
             self.model.sent.clear();
+            self.model.early = self.has_begun();
             assert!(self.client.transmit().is_empty());
         }
     }
@@ -239,7 +243,7 @@ impl<V: Storage> Run<V> {
 
     /// Compares an event with the line that has come: it belongs to the oldest request without a reply.
     fn note(&mut self, event: Event, line: Option<&[u8]>) {
-        let Some(index) = self.model.unanswered.pop_front() else {
+        let Some(index) = self.model.unanswered.pop_front().filter(|_| !self.model.early) else {
             assert_eq!(event, Event::Failed(ClientError::Unsolicited));
             self.model.closed = true;
             self.model.in_flight = None;
@@ -293,6 +297,9 @@ impl<V: Storage> Run<V> {
         assert!(!self.client.is_busy());
         self.take(usize::MAX);
         if self.client.is_closed() {
+            return;
+        }
+        if self.model.early {
             return;
         }
         if !self.model.unanswered.is_empty() {

@@ -1,5 +1,6 @@
 //! Lines of RAC: cutting, requests, responses.
 
+use bcap_core::endpoint::{Endpoint, Serve};
 use std::collections::BTreeMap;
 
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};

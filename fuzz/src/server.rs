@@ -1,5 +1,6 @@
 //! A server's session whose peer, link and handler do anything at any time.
 
+use bcap_core::endpoint::{Endpoint, Serve, ServerEndpoint};
 use std::time::Duration;
 
 use arbitrary::{Arbitrary, Unstructured};

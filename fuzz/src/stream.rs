@@ -4,6 +4,7 @@ use arbitrary::{Arbitrary, Unstructured};
 use bcap_core::bcap::client::{self, Client};
 use bcap_core::bcap::server::{self, Handler, Request, Session};
 use bcap_core::bcap::{Link, OnMalformed};
+use bcap_core::endpoint::{Endpoint, Serve, ServerEndpoint};
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::limits::{Limits, Strictness};

@@ -84,12 +84,17 @@ pub(crate) async fn connect_stream<A: ToSocketAddrs + Debug>(
 ///
 /// A [`ConnectError`] when the name has no address or there is no socket to be had.
 pub async fn connect_udp<A: ToSocketAddrs + Debug>(peer: A, options: &Options) -> Result<UdpClient, ConnectError> {
-    let socket = connect::udp(&addresses(peer).await?[..])?;
-    socket.set_nonblocking(true).map_err(ConnectError::Setup)?;
-    let socket = UdpSocket::from_std(socket).map_err(ConnectError::Setup)?;
+    let socket = connect_datagrams(peer).await?;
     let mut client = Client::new(options.udp, vec![0; DATAGRAM_ROOM], vec![0; DATAGRAM_ROOM]);
     client.set_next_serial(connect::random_serial());
     Ok(Connection::new(UdpTransport::new(socket), client))
+}
+
+/// Makes a UDP socket that receives datagrams of one peer only.
+pub(crate) async fn connect_datagrams<A: ToSocketAddrs + Debug>(peer: A) -> Result<UdpSocket, ConnectError> {
+    let socket = connect::udp(&addresses(peer).await?[..])?;
+    socket.set_nonblocking(true).map_err(ConnectError::Setup)?;
+    UdpSocket::from_std(socket).map_err(ConnectError::Setup)
 }
 
 /// Looks a name up; it has at least one address.

@@ -1,4 +1,4 @@
-//! How a client reaches its peer: options, names and addresses, and what can go wrong on the way.
+//! How a client reaches its peer: options, names, addresses and errors.
 
 use std::collections::hash_map::RandomState;
 use std::fmt::Debug;
@@ -14,12 +14,12 @@ use socket2::{SockRef, TcpKeepalive};
 /// How to connect.
 ///
 /// The defaults are those of the core ([`Config::TCP`], [`Config::UDP`]), 3 s to connect, and keep-alive probes after
-/// 60 s of silence, by which a peer that vanished is noticed.
+/// 60 s of silence, which detect a peer that has disappeared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Options {
     /// How long connecting may take for each address of a name.
     pub connect_timeout: Duration,
-    /// The time limits of TCP calls and how forgiving the client is.
+    /// The time limits of TCP calls and the strictness of the client.
     pub tcp: Config,
     /// The time limits and attempts of UDP calls.
     pub udp: Config,
@@ -42,7 +42,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// Returns options in which connecting, and each attempt of a call, may take so long.
+    /// Returns options with this time limit for connecting and for each attempt of a call.
     #[must_use]
     pub const fn timeout(self, timeout: Duration) -> Self {
         Self {
@@ -59,20 +59,20 @@ impl Options {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ConnectError {
-    /// The name has no address, or could not be looked up.
+    /// The name has no address or could not be looked up.
     #[error("the address {name} cannot be found")]
     Resolve {
-        /// The name, as it was given.
+        /// The name.
         name: String,
-        /// What the look-up said.
+        /// The error of the look-up.
         source: io::Error,
     },
-    /// No address of the name took the connection; the last one's reason.
+    /// No address of the name accepted the connection; the error is that of the last one.
     #[error("cannot connect to {address}")]
     Connect {
-        /// The address that was tried last.
+        /// The last address.
         address: SocketAddr,
-        /// What the operating system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// An option of the socket could not be set.
@@ -85,6 +85,15 @@ impl ConnectError {
     #[must_use]
     pub fn is_timeout(&self) -> bool {
         matches!(self, Self::Connect { source, .. } if source.kind() == io::ErrorKind::TimedOut)
+    }
+}
+
+/// Keeps the kind of the error of the operating system, and writes both errors in one line.
+impl From<ConnectError> for io::Error {
+    fn from(error: ConnectError) -> Self {
+        let (ConnectError::Resolve { source, .. } | ConnectError::Connect { source, .. } | ConnectError::Setup(source)) =
+            &error;
+        Self::new(source.kind(), format!("{error}: {source}"))
     }
 }
 
@@ -116,7 +125,7 @@ pub(crate) fn tcp<A: ToSocketAddrs + Debug>(name: A, options: &Options) -> Resul
     Ok(stream)
 }
 
-/// Sets a TCP socket up for short messages: no delay, and probes of a silent peer.
+/// Sets up a TCP socket for short messages: no delay, and probes of a silent peer.
 pub(crate) fn set_up_tcp(socket: SockRef<'_>, keep_alive: Option<Duration>) -> io::Result<()> {
     socket.set_tcp_nodelay(true)?;
     match keep_alive {
@@ -128,7 +137,7 @@ pub(crate) fn set_up_tcp(socket: SockRef<'_>, keep_alive: Option<Duration>) -> i
     }
 }
 
-/// Makes a UDP socket that hears one peer only: datagrams from elsewhere are dropped by the operating system.
+/// Makes a UDP socket for one peer: the operating system drops datagrams of other addresses.
 pub(crate) fn udp<A: ToSocketAddrs + Debug>(name: A) -> Result<UdpSocket, ConnectError> {
     first_address(name, |address| {
         let any: SocketAddr = if address.is_ipv4() {
@@ -142,12 +151,12 @@ pub(crate) fn udp<A: ToSocketAddrs + Debug>(name: A) -> Result<UdpSocket, Connec
     })
 }
 
-/// Memory for one datagram: a byte more than is accepted, so that a longer one shows.
+/// Memory for one datagram: one byte above the limit, to detect longer datagrams.
 pub(crate) const DATAGRAM_ROOM: usize = UDP_RECEIVE_MAX + 1;
-/// Memory that a stream's client begins with; it grows with its frames.
+/// The first memory of a stream's client, which grows with its frames.
 pub(crate) const STREAM_ROOM: usize = 1024;
 
-/// Returns a serial for the first call over UDP that cannot be guessed.
+/// Returns an unpredictable serial for the first call over UDP.
 pub(crate) fn random_serial() -> u16 {
     // the keys of the standard library's hash maps are random
     let random = RandomState::new().build_hasher().finish();

@@ -6,6 +6,7 @@
 //! | `asynch`     | `tokio`  | the same clients for tokio                                              |
 //! | [`slave`]    |          | what Linux can do for a stream of Slave Mode                             |
 //! | `server`     | `server` | a server for any handler: b-CAP over TCP and UDP, RAC over TCP          |
+//! | `gateway`    | `gateway` | RAC for PLCs on one side, b-CAP to a robot on the other                |
 //!
 //! The protocol itself is in [`bcap_core`]: this crate moves its bytes and tells it the time. A call takes two system
 //! calls, one that sends and one that receives.
@@ -34,6 +35,8 @@ pub mod asynch;
 pub mod blocking;
 mod clock;
 mod connect;
+#[cfg(feature = "gateway")]
+pub mod gateway;
 #[cfg(feature = "server")]
 pub mod server;
 pub mod slave;

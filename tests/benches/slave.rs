@@ -18,8 +18,8 @@ use std::time::Instant;
 
 use bcap_core::procedure::{Provider, open_robot};
 use bcap_core::slave::{
-    AxisLimits, Config, Cycle, Engine, Format, Histogram, MOVE_FRAME, Mode, Next, Pose, PoseType, ReceiveFormat,
-    ReceivePose, SlaveMode, Stats,
+    AxisLimits, Config, Cycle, Engine, Format, MOVE_FRAME, Mode, Next, Pose, PoseType, ReceiveFormat, ReceivePose,
+    SlaveMode, Stats,
 };
 use bcap_sim::{Controller, Profile};
 use bcap_std::server::Limits;
@@ -76,8 +76,8 @@ fn run(cycles: u32, realtime: Realtime) -> Result<u64, Failure> {
         for driver in [Driver::Blocking, Driver::Tokio] {
             // a thread of its own, so that what is asked of the system ends with it
             let streamed = thread::spawn(move || stream(driver, mode, cycles, realtime)).join();
-            let (stats, counted) = streamed.map_err(|_| "the stream has panicked")??;
-            show(driver, mode, &stats, counted);
+            let (stats, times, counted) = streamed.map_err(|_| "the stream has panicked")??;
+            show(driver, mode, &stats, &times, counted);
             underflows += counted;
         }
     }
@@ -86,6 +86,9 @@ fn run(cycles: u32, realtime: Realtime) -> Result<u64, Failure> {
     Ok(underflows)
 }
 
+/// Times in microseconds, with three digits.
+type Times = hdrhistogram::Histogram<u32>;
+
 #[derive(Clone, Copy)]
 enum Driver {
     Blocking,
@@ -93,14 +96,16 @@ enum Driver {
 }
 
 /// Streams over one connection, and returns the figures with the underflows that the controller saw.
-fn stream(driver: Driver, mode: Mode, cycles: u32, realtime: Realtime) -> Result<(Stats, u64), Failure> {
+fn stream(driver: Driver, mode: Mode, cycles: u32, realtime: Realtime) -> Result<(Stats, [Times; 2], u64), Failure> {
     // first, so that the controller's thread inherits it: a real one does not share this machine
     realtime.apply()?;
     let sim = Served::of(Controller::new(bcap_sim::Config::new(Profile::Rc8)), Limits::default());
     let format = Format::new(SlaveMode { mode, pose: PoseType::J }, ReceiveFormat::pose(ReceivePose::J));
     // slow enough to pass the limits when a cycle of mode 1 finds no new pose
     let limits = AxisLimits::uniform(20.0, 400.0);
+    let mut times = [times()?, times()?];
     let mut trajectory = |cycle: &Cycle<'_>| {
+        follow(&mut times, cycle.stats);
         if cycle.number == cycles {
             return Next::Finish;
         }
@@ -128,11 +133,25 @@ fn stream(driver: Driver, mode: Mode, cycles: u32, realtime: Realtime) -> Result
     if began.elapsed() < bcap_sim::slave::CYCLE * cycles.saturating_sub(10) {
         return Err("the stream was faster than the controller".into());
     }
+    follow(&mut times, &stats);
     let counted = sim.application().slave_counters().underflows;
-    Ok((stats, counted))
+    Ok((stats, times, counted))
 }
 
-fn show(driver: Driver, mode: Mode, stats: &Stats, underflows: u64) {
+/// Records the round trip and the jitter of the last cycle; a cycle with a refused pose has several and keeps the last.
+fn follow(times: &mut [Times; 2], stats: &Stats) {
+    for (times, counted) in times.iter_mut().zip([&stats.rtt, &stats.jitter]) {
+        if u64::from(counted.count()) > times.len() {
+            times.saturating_record_n(counted.last().into(), counted.count() - times.len() as u32);
+        }
+    }
+}
+
+fn times() -> Result<Times, Failure> {
+    Ok(Times::new_with_bounds(1, 10_000_000, 3)?)
+}
+
+fn show(driver: Driver, mode: Mode, stats: &Stats, times: &[Times; 2], underflows: u64) {
     let driver = match driver {
         Driver::Blocking => "blocking",
         Driver::Tokio => "tokio",
@@ -142,18 +161,13 @@ fn show(driver: Driver, mode: Mode, stats: &Stats, underflows: u64) {
         Mode::Mode1 => 1,
         Mode::Mode2 => 2,
     };
-    let quantiles = |times: &Histogram| {
-        [times.quantile(500), times.quantile(990), times.quantile(999), times.max()]
-            .map(|time| time.to_string())
-            .join("/")
-    };
+    let [rtt, jitter] = times.each_ref().map(|times| {
+        let at = |share| times.value_at_quantile(share).to_string();
+        [at(0.5), at(0.99), at(0.999), at(1.0)].join("/")
+    });
     let margin = stats.least_margin.map_or("-".into(), |margin| format!("{:.1} ms", margin.as_secs_f64() * 1000.0));
     println!(
-        "{driver:<9} {mode:<5} {:>7} {:>5} {:>7} {underflows:>10}   {:<29} {:<29} {margin}",
-        stats.cycles,
-        stats.late,
-        stats.refused,
-        quantiles(&stats.rtt),
-        quantiles(&stats.jitter)
+        "{driver:<9} {mode:<5} {:>7} {:>5} {:>7} {underflows:>10}   {rtt:<29} {jitter:<29} {margin}",
+        stats.cycles, stats.late, stats.refused,
     );
 }

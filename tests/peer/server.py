@@ -96,7 +96,9 @@ class Session:
             return []
         see = self.judge.see
         see("requests_are_what_the_specification_describes", True)
-        see("serials_count_from_1_and_skip_0", request.serial == self.serial % 0xFFFF + 1, f"{request.serial} after {self.serial}")
+        # the specification fixes no first serial
+        follows = request.serial != 0 and self.serial in (0, (request.serial - 2) % 0xFFFF + 1)
+        see("serials_count_up_and_skip_0", follows, f"{request.serial} after {self.serial}")
         self.serial = request.serial
         if not self.repeats:
             see("reserved_is_0_over_tcp", request.reserved == 0, f"{request.reserved}")

@@ -5,16 +5,22 @@
 //! | [`served`]     | a server on real sockets with a small application                                   |
 //! | [`serial`]     | a server of serial framing, over TCP instead of a serial line                       |
 //! | [`slowed`]     | a virtual controller with a slow clock                                              |
+//! | [`stepped`]    | a virtual controller whose clock advances only when clients call or wait            |
+//! | [`drivers`]    | the call sequences of public drivers, from `tests/drivers`                          |
 //! | [`proxy`]      | a proxy between a client and a server on real sockets that injects faults            |
 //! | [`process`]    | memory, processor time and file descriptors of a process                            |
 //! | [`allocation`] | an allocator that counts the allocations of each thread                             |
+//! | [`async_functions`] | the async functions of a crate, read from its sources                          |
 
 pub mod allocation;
+pub mod async_functions;
+pub mod drivers;
 pub mod process;
 pub mod proxy;
 pub mod serial;
 pub mod served;
 pub mod slowed;
+pub mod stepped;
 
 /// The examples of the README are compiled.
 #[cfg(doctest)]

@@ -1,5 +1,6 @@
 //! A server of serial framing without a serial line: each TCP connection is the other end of one line.
 
+use bcap_core::endpoint::{Endpoint, Serve};
 use std::io::{self, ErrorKind, Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::sync::atomic::{AtomicBool, Ordering};

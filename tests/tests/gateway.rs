@@ -1,5 +1,6 @@
 //! The gateway of the core in front of the virtual controller, in one process and under one fake clock.
 
+use bcap_core::endpoint::{Endpoint, Serve};
 use std::time::Duration;
 
 use bcap_core::bcap::server::{self, Session};

@@ -5,6 +5,7 @@ use bcap_core::bcap::call::{self, Call, RawCall, VariableHandle};
 use bcap_core::bcap::client::{Client, Config};
 use bcap_core::bcap::server::{self, Session};
 use bcap_core::bcap::{FunctionId, Link};
+use bcap_core::endpoint::{Endpoint, Serve};
 use bcap_core::handler::PeerId;
 use bcap_core::io::{CallError, asynch, blocking};
 use bcap_core::time::Instant;

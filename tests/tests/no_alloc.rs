@@ -1,5 +1,6 @@
 //! The core never allocates: each operation runs under an allocator that counts, and must count 0.
 
+use bcap_core::endpoint::{Endpoint, Serve};
 use std::pin::pin;
 use std::task::{Context, Poll, Waker};
 use std::time::Duration;
@@ -262,7 +263,7 @@ macro_rules! transport {
                 while self.0.run(&mut Answer, PeerId(1), Instant::from_millis(1)).is_some() {}
                 let count = carry(self.0.transmit(), buffer);
                 self.0.transmitted(count);
-                Ok(Some(count))
+                Ok((count > 0).then_some(count))
             }
 
             fn sleep_until(&mut self, _: Instant) {}

@@ -5,6 +5,7 @@
 //! request is given to both; what they execute and send must be the same. Then faults are planted: each cell of the table is
 //! changed in every possible way, and the session is wrapped so that it behaves wrongly. Each must be noticed.
 
+use bcap_core::endpoint::{Endpoint, Serve, ServerEndpoint};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 

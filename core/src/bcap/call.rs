@@ -1,7 +1,7 @@
-//! Typed calls: one function of Rust for each of the 137 functions of b-CAP.
+//! Typed calls: one Rust function for each of the 137 functions of b-CAP.
 //!
-//! A call is a value that knows its function, its arguments and what its reply is. It does nothing by itself; a client
-//! sends it. All are made from the [function table](super::function), so names and types agree with the wire.
+//! A call is a value that contains its function and arguments, and knows the type of its reply. A client sends it. All are
+//! generated from the [function table](super::function), so names and types agree with the wire.
 //!
 //! # Examples
 //!
@@ -22,7 +22,7 @@ use crate::variant::{Bstr, Encode, VarType, Variant, Writer};
 
 /// A call: a function with its arguments.
 pub trait Call {
-    /// What its reply carries.
+    /// The value of its reply.
     type Reply: Reply;
 
     /// Returns the function.
@@ -35,8 +35,8 @@ pub trait Call {
     /// [`EncodeError::Full`] when they do not fit.
     fn arguments(&self, frame: &mut FrameWriter<'_>) -> Result<(), EncodeError>;
 
-    /// Returns the call's whole frame without CRC, if there is one: a client then sends that, with serial and reserved
-    /// field filled in, instead of asking for the arguments. On serial lines it asks for them all the same.
+    /// Returns the prepared frame of the call, without CRC, if it has one. A client copies that frame, sets serial and
+    /// reserved field, and does not encode the arguments. On serial lines it encodes them nevertheless.
     #[inline]
     fn prepared(&self) -> Option<&[u8]> {
         None
@@ -60,7 +60,7 @@ impl<C: Call + ?Sized> Call for &C {
     }
 }
 
-/// What the reply to a call carries; it is read from the arguments of the reply's frame.
+/// The type of the value in a reply, read from the arguments of the reply's frame.
 pub trait Reply {
     /// The value, which may borrow from the frame.
     type Value<'a>;
@@ -69,17 +69,17 @@ pub trait Reply {
     ///
     /// # Errors
     ///
-    /// A [`ReplyError`] when the reply carries something else.
+    /// A [`ReplyError`] when the reply carries a value of another type.
     fn read(args: Args<'_>) -> Result<Self::Value<'_>, ReplyError>;
 }
 
-/// A reply carries another value than its function gives.
+/// A reply carries a value of another type than its function returns.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ReplyError {
     /// What was expected, in words.
     pub expected: &'static str,
-    /// The type of what came; `None` when there was no value.
+    /// The type of the value; `None` without a value.
     pub found: Option<VarType>,
 }
 
@@ -87,7 +87,7 @@ impl fmt::Display for ReplyError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.found {
             Some(found) => write!(f, "the reply carries {found} instead of {}", self.expected),
-            None => write!(f, "the reply carries no value instead of {}", self.expected),
+            None => write!(f, "the reply carries no value; expected {}", self.expected),
         }
     }
 }
@@ -106,18 +106,18 @@ fn value<'a, T>(
 
 fn handle_from(args: Args<'_>, expected: &'static str) -> Result<i32, ReplyError> {
     value(args, expected, |v| match *v {
-        // some servers keep handles as unsigned numbers
+        // some servers send handles as unsigned numbers
         Variant::Ui4(n) => Some(n.cast_signed()),
         _ => v.as_i32(),
     })
 }
 
-/// Returns the handle that a reply carries, of an object of any kind.
+/// Returns the handle in a reply, of an object of any kind.
 pub(crate) fn handle_of(args: Args<'_>) -> Result<i32, ReplyError> {
     handle_from(args, "a handle")
 }
 
-/// A reply without a value; one that a peer sends all the same is ignored.
+/// A reply without a value; a value is ignored.
 #[derive(Clone, Copy, Debug)]
 pub struct Nothing;
 
@@ -153,7 +153,7 @@ impl Reply for Text {
     }
 }
 
-/// A reply with any value; one without stands for EMPTY.
+/// A reply with any value; EMPTY if it has none.
 #[derive(Clone, Copy, Debug)]
 pub struct Any;
 
@@ -165,7 +165,7 @@ impl Reply for Any {
     }
 }
 
-/// A reply in which peers disagree about whether it carries a value.
+/// A reply that carries a value from some controllers, and none from others.
 #[derive(Clone, Copy, Debug)]
 pub struct Maybe;
 
@@ -179,7 +179,7 @@ impl Reply for Maybe {
 
 macro_rules! handles {
     ($($name:ident $text:literal;)*) => {$(
-        #[doc = concat!("The handle of a ", $text, ", given by the server and good for the connection that got it.")]
+        #[doc = concat!("The handle of a ", $text, ", assigned by the server and valid on the connection that opened it.")]
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
         #[cfg_attr(feature = "defmt", derive(defmt::Format))]
         pub struct $name(pub i32);
@@ -213,7 +213,7 @@ handles! {
     MessageHandle "message";
 }
 
-/// The types of arguments by their kind in the table.
+/// Maps the kind of an argument in the table to its type.
 macro_rules! argument {
     (Int) => { i32 };
     (Float) => { f32 };
@@ -229,7 +229,7 @@ macro_rules! argument {
     (Message) => { MessageHandle };
 }
 
-/// The replies by their kind in the table.
+/// Maps the kind of a reply in the table to its type.
 macro_rules! reply {
     (Controller) => {
         ControllerHandle
@@ -321,7 +321,7 @@ impl<A: Arguments, R: Reply> Call for Typed<A, R> {
     }
 }
 
-/// A call by number, with arguments that are known only at run time; any number is sent as it is.
+/// A call whose function number and arguments are known at run time; any number is sent unchanged.
 ///
 /// # Examples
 ///
@@ -365,7 +365,7 @@ mod tests {
     use crate::bcap::Decoder;
     use crate::hresult::HResult;
 
-    /// Encodes a call and returns the arguments as the peer sees them.
+    /// Encodes a call, and passes the decoded function and arguments to `check`.
     fn sent(call: impl Call, check: impl FnOnce(FunctionId, Args<'_>)) {
         let mut buffer = [0; 256];
         let mut frame = FrameWriter::new(&mut buffer).unwrap();

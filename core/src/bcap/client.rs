@@ -6,21 +6,22 @@
 //!                └──────────── handle_timeout at poll_timeout ◄────────┘
 //! ```
 //!
-//! A [`Client`] holds no socket and no clock. Whoever runs it carries the bytes of [`transmit`](Client::transmit) to the
-//! link, puts what comes back into [`receive_buffer`](Client::receive_buffer), passes the time in, and reads events.
+//! A [`Client`] contains no socket and no clock. The caller sends the bytes of [`transmit`](Client::transmit), puts
+//! received bytes into [`receive_buffer`](Client::receive_buffer), passes the time in, and reads events.
 //!
-//! * **Serials** run from 1 to 65535; each attempt takes a new one, and none is used again while a reply to it may come.
-//! * **Retries** happen on lossy links only. The reserved field then carries the first attempt's serial, by which the
-//!   server knows a repetition. A reply to any attempt of a call ends the call.
-//! * **Time**: an *attempt* may be silent for so long; a *call* takes at most its deadline; S_EXECUTING restarts the
-//!   attempt's time, but may not keep a call alive beyond its own budget. The error says which of the three it was.
-//! * **Late replies** are matched by serial, reported as [`Event::Stale`] and dropped. Datagrams that are no frame are
-//!   reported and dropped too; neither costs an attempt.
-//! * **Early replies**, of which the first byte arrived before the first byte of the request left, are stale as well, and so is
-//!   success before the whole request has left. An error is accepted then: a server may refuse a long request at its header.
-//! * **Floods** end the session: a token bucket bounds the rate of S_EXECUTING, and on a stream that of stale replies.
-//! * **Cancelling** is [`abandon`](Client::abandon), at any byte: what was begun to be sent is finished, its reply
-//!   will be stale.
+//! * **Serials** run from 1 to 65535. Each attempt takes a new one; no serial is reused while a reply to it may arrive.
+//! * **Retransmission** happens on lossy links only. The reserved field then carries the first attempt's serial, by which
+//!   the server recognises a copy. A reply to any attempt of a call ends the call.
+//! * **Timeouts**: an *attempt* waits for its timeout; a *call* takes at most its deadline; S_EXECUTING restarts the
+//!   attempt's timeout, but only for the keep-alive time. The error says which of the three passed.
+//! * **Late replies** are recognised by their serial, reported as [`Event::Stale`] and dropped. Invalid datagrams are
+//!   reported and dropped. Neither costs an attempt.
+//! * **Early replies** are stale, too: a reply whose first byte arrived before the first byte of the request was sent, and
+//!   a success before the whole request was sent. An error is accepted earlier, because a server may refuse a long request
+//!   at its header.
+//! * **Floods** end the session: a token bucket limits the rate of S_EXECUTING, and on a stream that of stale replies.
+//! * **Cancelling** with [`abandon`](Client::abandon) is possible at any byte: the client finishes a partly sent request,
+//!   and its reply is stale.
 
 use core::fmt;
 use core::time::Duration;
@@ -28,32 +29,34 @@ use core::time::Duration;
 use crate::bcap::FunctionId;
 use crate::bcap::call::{Call, Reply, ReplyError};
 use crate::bcap::frame::{Frame, FrameWriter, MIN_FRAME, renumber};
-use crate::bcap::link::{Inbox, Link, OnMalformed, Received, Span};
+use crate::bcap::header::Header;
+use crate::bcap::link::{Inbox, Link, Located, OnMalformed, Received};
+use crate::endpoint::Endpoint;
 use crate::error::{DecodeError, EncodeError};
 use crate::hresult::HResult;
 use crate::limits::{Limits, Strictness};
+use crate::outbox::Outbox;
 use crate::storage::Storage;
 use crate::time::Instant;
 
-/// The time limits and the attempts of one call.
+/// The time limits and the number of attempts of one call.
 ///
-/// Each call has its own: they are an argument of [`Client::start`], so that dropping a call cannot leave them changed
-/// for the next one.
+/// They are an argument of [`Client::start`], so a dropped call cannot leave them changed for the next one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Timing {
     /// How long an attempt waits for a reply or a keep-alive.
     pub attempt_timeout: Duration,
-    /// How often the call is sent at most, on lossy links; a stream sends it once.
+    /// The maximum number of attempts on lossy links; on a stream a call is sent once.
     pub attempts: u8,
-    /// How long the call may take altogether.
+    /// How long the call may take in total.
     pub deadline: Duration,
-    /// How long S_EXECUTING may keep the call alive, from the first one on.
+    /// How long S_EXECUTING may keep the call alive, counted from the first S_EXECUTING.
     pub keep_alive: Duration,
 }
 
 impl Timing {
-    /// Defaults for TCP: 3 s for the reply or the next keep-alive, 180 s for a call, as long as a server runs one.
+    /// Defaults for TCP: 3 s for the reply or the next keep-alive, 180 s for a call, the default time limit of a server.
     pub const TCP: Self = Self {
         attempt_timeout: Duration::from_secs(3),
         attempts: 1,
@@ -66,19 +69,19 @@ impl Timing {
     pub const SERIAL: Self = Self::UDP;
 }
 
-/// How a client behaves; every field can be changed at run time, before the client is made.
+/// Configuration of a client.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Config {
     /// What carries the frames.
     pub link: Link,
-    /// What is accepted at most.
+    /// The limits on received frames.
     pub limits: Limits,
-    /// How forgiving the client is with replies.
+    /// Whether replies are decoded strictly or leniently.
     pub strictness: Strictness,
-    /// What to do when the bytes of a stream are not a valid frame; such datagrams are always dropped.
+    /// What to do when the bytes of a stream are not a valid frame; invalid datagrams are always dropped.
     pub on_malformed: OnMalformed,
-    /// The timing of calls that bring none of their own: those of [`Connection::call`](crate::io::blocking::Connection::call).
+    /// The timing of calls without their own: those of [`Connection::call`](crate::io::blocking::Connection::call).
     pub timing: Timing,
 }
 
@@ -103,28 +106,28 @@ impl Config {
     pub const SERIAL: Self = Self { link: Link::Serial, limits: Limits::SERIAL, timing: Timing::SERIAL, ..Self::UDP };
 }
 
-/// What has happened; nothing is borrowed, so an event can be kept while the client goes on.
+/// An event of a client. It borrows nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
 pub enum Event {
-    /// The call has its reply, with this result; [`Client::reply`] views it.
+    /// The reply arrived, with this result; [`Client::reply`] views it.
     Replied(HResult),
-    /// The call has ended without a reply.
+    /// The call ended without a reply.
     Failed(ClientError),
-    /// The server is still at work (S_EXECUTING); the attempt's time starts again.
+    /// The server still executes the call (S_EXECUTING); the attempt's timeout restarts.
     Executing,
-    /// The call is sent again.
+    /// The client sends the call again.
     Retried {
-        /// The number of the attempt that begins, the first being 1.
+        /// The number of the new attempt; the first attempt of a call is 1.
         attempt: u8,
     },
-    /// A reply came that belongs to no call in flight; it was dropped.
+    /// A reply that belongs to no call in flight was dropped.
     Stale {
         /// Its serial.
         serial: u16,
     },
-    /// Bytes came that are no frame; they were dropped.
+    /// Invalid bytes were dropped.
     Malformed(DecodeError),
 }
 
@@ -132,42 +135,42 @@ pub enum Event {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Timeout {
-    /// The last attempt was neither answered nor kept alive.
+    /// The last attempt got neither a reply nor S_EXECUTING.
     Attempt,
-    /// The call was kept alive, but took longer than it may altogether.
+    /// The call took longer than [`Timing::deadline`].
     Deadline,
-    /// The server sent S_EXECUTING for longer than it may.
+    /// The server sent S_EXECUTING for longer than [`Timing::keep_alive`].
     KeepAlive,
 }
 
-/// Why a call could not be made or has ended without a reply.
+/// Why a call could not be sent, or ended without a reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum ClientError {
     /// The call cannot be encoded; the caller's fault, nothing was sent.
     Encode(EncodeError),
-    /// The call is over the largest frame of the link or the buffer; the caller's fault, nothing was sent.
+    /// The call exceeds the largest frame of the link, or the buffer; the caller's fault, nothing was sent.
     TooLarge {
         /// The largest frame, in bytes.
         limit: usize,
     },
-    /// A call is in flight, or part of an abandoned one is still to be sent; the caller's fault, nothing was sent.
+    /// A call is in flight, or part of an abandoned one is unsent; the caller's fault, nothing was sent.
     Busy,
     /// A time limit has passed.
     Timeout(Timeout),
-    /// The peer sent bytes that are no frame; the session has ended.
+    /// The peer sent invalid bytes; the session has ended.
     Malformed(DecodeError),
     /// The peer sent far more keep-alives than a server does, or replies to no call; the session has ended.
     Flooded,
-    /// The reply is larger than the receive buffer; the session goes on.
+    /// The reply is larger than the receive buffer; the session continues.
     ReplyTooLarge {
         /// The reply's length, in bytes.
         length: u32,
     },
-    /// The reply carries another value than the function gives; the peer's fault.
+    /// The reply carries a value of another type than the function returns; the peer's fault.
     Reply(ReplyError),
-    /// The session had ended before.
+    /// The session has already ended.
     Closed,
 }
 
@@ -181,7 +184,7 @@ impl fmt::Display for ClientError {
             Self::Timeout(Timeout::Deadline) => f.write_str("the call took longer than its deadline"),
             Self::Timeout(Timeout::KeepAlive) => f.write_str("the server kept the call alive for too long"),
             Self::Malformed(e) => write!(f, "the peer sent no valid frame: {e}"),
-            Self::Flooded => f.write_str("the peer floods this client with keep-alives or replies to no call"),
+            Self::Flooded => f.write_str("the peer floods this client with keep-alives or unrequested replies"),
             Self::ReplyTooLarge { length } => write!(f, "the reply of {length} bytes does not fit the receive buffer"),
             Self::Reply(e) => e.fmt(f),
             Self::Closed => f.write_str("the session has ended"),
@@ -191,13 +194,14 @@ impl fmt::Display for ClientError {
 
 impl core::error::Error for ClientError {}
 
-/// A client with its two buffers: `tx` holds the request, `rx` what comes back.
+/// A client with two buffers: `tx` for the request, `rx` for received bytes.
 ///
 /// # Examples
 ///
 /// ```
 /// use bcap_core::bcap::call::{self, VariableHandle};
 /// use bcap_core::bcap::client::{Client, Config, Event, Timing};
+/// use bcap_core::endpoint::Endpoint;
 /// use bcap_core::time::Instant;
 /// use bcap_core::variant::Variant;
 ///
@@ -209,7 +213,7 @@ impl core::error::Error for ClientError {}
 /// # let sent = request.len();
 /// client.transmitted(sent);
 ///
-/// // ... and a reply comes: I4 7
+/// // ... the reply arrives: I4 7
 /// let reply = b"\x01\x1e\0\0\0\x01\0\0\0\0\0\0\0\x01\0\x0a\0\0\0\x03\0\x01\0\0\0\x07\0\0\0\x04";
 /// client.receive_buffer()[..reply.len()].copy_from_slice(reply);
 /// client.received(reply.len());
@@ -223,11 +227,11 @@ pub struct Client<T, R = T> {
     rx: R,
     inbox: Inbox,
     /// The reply to the last call, while it is still in `rx`.
-    reply: Option<Span>,
+    reply: Option<Located>,
     state: State,
 }
 
-/// Everything of a client that does not depend on its memory.
+/// The part of a client that does not depend on the types of its buffers.
 #[derive(Debug)]
 struct State {
     link: Link,
@@ -235,9 +239,8 @@ struct State {
     /// The serial of the next attempt.
     next_serial: u16,
     call: Option<InFlight>,
-    /// Bytes of the request in `tx`, and how many of them the link has taken.
-    tx_len: usize,
-    tx_sent: usize,
+    /// The unsent part of the request in `tx`.
+    outbox: Outbox,
     unanswered: Unanswered,
     flood: Flood,
     closed: bool,
@@ -250,9 +253,9 @@ struct InFlight {
     first: u16,
     last: u16,
     attempt: u8,
-    /// The serial of the last attempt of which bytes have left.
-    sent: Option<u16>,
-    /// What of its timing is still needed; times in microseconds.
+    /// The serial of the last attempt of which bytes were sent; 0 before any were.
+    sent: u16,
+    /// The parts of the timing that later events need; in microseconds.
     attempts: u8,
     attempt_timeout: u64,
     keep_alive: KeepAlive,
@@ -263,56 +266,57 @@ struct InFlight {
 /// How long S_EXECUTING may keep a call alive.
 #[derive(Clone, Copy, Debug)]
 enum KeepAlive {
-    /// For so many microseconds, from the first one on.
+    /// For this many microseconds from the first S_EXECUTING, which has not arrived.
     For(u64),
-    /// Until then: the first one has arrived.
+    /// Until this time: the first S_EXECUTING has arrived.
     Until(Instant),
 }
 
 impl<T: Storage, R: Storage> Client<T, R> {
-    /// Makes a client; a board does well with two buffers of 512 bytes.
+    /// Makes a client; two buffers of 512 bytes suit most boards.
     #[must_use]
     pub fn new(config: Config, tx: T, rx: R) -> Self {
         let inbox = Inbox::new(config.link, config.limits, config.strictness, config.on_malformed);
         Self { tx, rx, inbox, reply: None, state: State::new(config) }
     }
 
-    /// Returns what carries the frames.
+    /// Returns the kind of link.
     #[must_use]
     pub const fn link(&self) -> Link {
         self.state.link
     }
 
-    /// Sets the serial of the next call, which is 1 at first and must not be 0.
+    /// Sets the serial of the next call; it is 1 for a new client. 0 sets 1.
     ///
-    /// A client over UDP begins with a random one: replies to an earlier client on the same port are stale then, a forger
-    /// has to guess, and a server does not take its Service_Start for a copy of that client's.
+    /// A client over UDP should begin with a random serial: replies to an earlier client on the same port are then stale, a
+    /// forged reply has to guess the serial, and the server does not mistake the Service_Start for a copy of the earlier
+    /// client's.
     pub const fn set_next_serial(&mut self, serial: u16) {
         self.state.next_serial = if serial == 0 { 1 } else { serial };
     }
 
-    /// Returns [`Config::timing`], the timing of calls that bring none of their own.
+    /// Returns [`Config::timing`], the timing of calls without their own.
     #[must_use]
     pub const fn timing(&self) -> Timing {
         self.state.timing
     }
 
-    /// Sets [`Config::timing`], the timing of calls that bring none of their own.
+    /// Sets [`Config::timing`], the timing of calls without their own.
     pub const fn set_timing(&mut self, timing: Timing) {
         self.state.timing = timing;
     }
 
-    /// Begins a call with its timing; its frame is then to be sent.
+    /// Starts a call; [`transmit`](Endpoint::transmit) then returns its frame.
     ///
     /// # Errors
     ///
     /// [`ClientError::Busy`] while a call is in flight or part of an abandoned one is unsent, [`ClientError::Closed`]
-    /// after the session ended, [`ClientError::TooLarge`] before anything over the link's limit is sent.
+    /// after the session ended, [`ClientError::TooLarge`] for a frame above the limit of the link or the buffer.
     pub fn start<C: Call + ?Sized>(&mut self, call: &C, timing: Timing, now: Instant) -> Result<(), ClientError> {
         self.start_any(call.prepared(), call.function(), &|frame| call.arguments(frame), timing, now)
     }
 
-    /// Begins a call of any kind; there is one copy of this in an image, however many kinds of calls it makes.
+    /// Starts a call of any type. It is not generic over the call, so an image contains one copy of it.
     fn start_any(
         &mut self,
         prepared: Option<&[u8]>,
@@ -335,7 +339,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
             };
             match encoded {
                 Ok(len) => break len,
-                // memory that can grow does so, up to the link's limit
+                // grow memory that can grow, up to the link's limit
                 Err(EncodeError::Full) if room < max && self.tx.grow(room.saturating_mul(2).clamp(MIN_FRAME, max)) => {}
                 Err(EncodeError::Full) => return Err(ClientError::TooLarge { limit: room }),
                 Err(other) => return Err(ClientError::Encode(other)),
@@ -345,86 +349,42 @@ impl<T: Storage, R: Storage> Client<T, R> {
         Ok(())
     }
 
-    /// Returns the bytes that are to be sent: one datagram, or the rest of a frame for a stream.
-    #[must_use]
-    pub fn transmit(&self) -> &[u8] {
-        self.tx.bytes().get(self.state.tx_sent..self.state.tx_len).unwrap_or_default()
-    }
-
-    /// Records that the link has taken `count` bytes of [`transmit`](Self::transmit).
-    pub fn transmitted(&mut self, count: usize) {
-        let sent = self.state.tx_sent.saturating_add(count).min(self.state.tx_len);
-        if sent > self.state.tx_sent
-            && let Some(call) = &mut self.state.call
-        {
-            if call.sent.is_none() {
-                self.inbox.mark();
-            }
-            call.sent = Some(call.last);
-        }
-        self.state.tx_sent = sent;
-    }
-
-    /// Returns memory for bytes that arrive; with datagrams, for one of them. The last reply is gone then.
-    #[must_use]
-    pub fn receive_buffer(&mut self) -> &mut [u8] {
-        self.reply = None;
-        self.inbox.free(&mut self.rx)
-    }
-
-    /// Takes note that `count` bytes have been put into [`receive_buffer`](Self::receive_buffer).
-    ///
-    /// [`poll_event`](Self::poll_event) is to be called next, until it returns `None`.
-    pub fn received(&mut self, count: usize) {
-        self.inbox.received(self.rx.bytes(), count);
-    }
-
-    /// Returns what the received bytes mean; `None` when more are needed.
+    /// Returns the next event of the received bytes; `None` when more bytes are needed.
     pub fn poll_event(&mut self, now: Instant) -> Option<Event> {
         if self.state.closed {
             return None;
         }
         Some(match self.inbox.poll(&mut self.rx)? {
-            Received::Frame(span) => {
-                let frame = self.inbox.frame(self.rx.bytes(), span)?;
-                let is_early = self.inbox.is_early(span);
-                let event = self.state.handle_frame(frame.serial, frame.hresult(), is_early, now);
+            Received::Frame(frame) => {
+                let event = self.state.handle_frame(&frame.header, self.inbox.is_early(frame), now);
                 if matches!(event, Event::Replied(_)) {
-                    self.reply = Some(span);
+                    self.reply = Some(frame);
                 }
                 event
             }
-            Received::TooLarge { span, serial, length } => {
-                self.state.handle_too_large(serial, length, self.inbox.is_early(span))
-            }
+            Received::TooLarge(frame) => self.state.handle_too_large(&frame.header, self.inbox.is_early(frame)),
             Received::Malformed(error) => Event::Malformed(error),
             Received::Broken(error) => self.state.close(ClientError::Malformed(error)),
         })
     }
 
-    /// Returns the reply that [`Event::Replied`] has announced, until bytes are received or a call is started.
+    /// Returns the reply that [`Event::Replied`] reported, until the next `receive_buffer` or `start`.
     #[must_use]
     pub fn reply(&self) -> Option<Frame<'_>> {
         self.inbox.frame(self.rx.bytes(), self.reply?)
     }
 
-    /// Reads the value of the reply as that of a call.
+    /// Reads the value of the reply.
     ///
     /// # Errors
     ///
-    /// [`ClientError::Reply`] when it is of another type.
+    /// [`ClientError::Reply`] when it has another type.
     pub fn value<V: Reply>(&self) -> Result<V::Value<'_>, ClientError> {
         let args = self.reply().map_or(crate::bcap::Args::NONE, |frame| frame.args);
         V::read(args).map_err(ClientError::Reply)
     }
 
-    /// Returns when [`handle_timeout`](Self::handle_timeout) is to be called; `None` while no call is in flight.
-    #[must_use]
-    pub fn poll_timeout(&self) -> Option<Instant> {
-        self.state.call.map(|call| call.attempt_until.min(call.deadline).min(call.keep_alive_until()))
-    }
-
-    /// Acts on the time: sends a call again, or ends it. Nothing happens before the time is due.
+    /// Handles a timeout: sends the call again, or ends it. Does nothing before [`poll_timeout`](Endpoint::poll_timeout).
     pub fn handle_timeout(&mut self, now: Instant) -> Option<Event> {
         let call = self.state.call?;
         if now >= call.deadline {
@@ -437,24 +397,24 @@ impl<T: Storage, R: Storage> Client<T, R> {
             return None;
         }
         if self.state.link == Link::Serial {
-            if self.state.is_sending() {
-                // a slow line: the attempt has not really begun
+            if self.state.outbox.is_partial() {
+                // a slow line: the attempt's timeout starts when its frame is sent
                 self.state.call = Some(InFlight { attempt_until: call.attempt_end(now), ..call });
                 return None;
             }
-            // the line was silent for a whole attempt, so the rest of a frame will not come
+            // the line was silent for a whole attempt, so the rest of a frame will not arrive
             self.inbox.forget_partial();
         }
         if !self.state.link.is_lossy() || call.attempt >= call.attempts {
             return Some(self.state.fail(Timeout::Attempt));
         }
         let serial = self.state.retry(call, now);
-        let frame = self.tx.bytes_mut().get_mut(..self.state.tx_len).unwrap_or_default();
+        let frame = self.state.outbox.whole(self.tx.bytes_mut());
         renumber(frame, serial, call.first, self.state.link == Link::Serial);
         Some(Event::Retried { attempt: call.attempt.saturating_add(1) })
     }
 
-    /// Gives the call in flight up, if there is one. A reply that comes later will be stale.
+    /// Abandons the call in flight, if any. Its reply is then stale.
     pub fn abandon(&mut self) {
         self.state.end_call(None);
     }
@@ -465,26 +425,55 @@ impl<T: Storage, R: Storage> Client<T, R> {
         self.state.call.is_some()
     }
 
-    /// Tells whether the session has ended because the peer sent no valid frame.
+    /// Tells whether the session has ended, because the peer sent invalid bytes or a flood of replies.
     #[must_use]
     pub const fn is_closed(&self) -> bool {
         self.state.closed
     }
 
-    /// Begins a new session over a new connection: forgets the call in flight and everything received. Serials go on.
+    /// Prepares for a new connection: forgets the call in flight and all received bytes. Serials continue.
     pub fn reset(&mut self) {
         self.inbox.reset();
         self.reply = None;
         self.state.end_call(None);
         self.state.closed = false;
-        self.state.tx_len = 0;
-        self.state.tx_sent = 0;
+        self.state.outbox = Outbox::EMPTY;
         self.state.unanswered = Unanswered::default();
         self.state.flood = Flood::default();
     }
 }
 
-/// What appends the arguments of a call.
+impl<T: Storage, R: Storage> Endpoint for Client<T, R> {
+    fn transmit(&self) -> &[u8] {
+        self.state.outbox.unsent(self.tx.bytes())
+    }
+
+    fn transmitted(&mut self, count: usize) {
+        if self.state.outbox.transmitted(count)
+            && let Some(call) = &mut self.state.call
+        {
+            if call.sent == 0 {
+                self.inbox.mark();
+            }
+            call.sent = call.last;
+        }
+    }
+
+    fn receive_buffer(&mut self) -> &mut [u8] {
+        self.reply = None;
+        self.inbox.free(&mut self.rx)
+    }
+
+    fn received(&mut self, count: usize) {
+        self.inbox.received(self.rx.bytes(), count);
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        self.state.call.map(|call| call.attempt_until.min(call.deadline).min(call.keep_alive_until()))
+    }
+}
+
+/// Appends the arguments of a call.
 type Arguments<'a> = &'a dyn Fn(&mut FrameWriter<'_>) -> Result<(), EncodeError>;
 
 fn encode(
@@ -500,7 +489,7 @@ fn encode(
     frame.finish(serial, reserved, function.0).map(<[u8]>::len)
 }
 
-/// Copies a frame that was made before.
+/// Copies a prepared frame and sets its serial.
 fn encode_prepared(prepared: &[u8], memory: &mut [u8], serial: u16, reserved: u16) -> Result<usize, EncodeError> {
     let frame = memory.get_mut(..prepared.len()).ok_or(EncodeError::Full)?;
     frame.copy_from_slice(prepared);
@@ -515,8 +504,7 @@ impl State {
             timing: config.timing,
             next_serial: 1,
             call: None,
-            tx_len: 0,
-            tx_sent: 0,
+            outbox: Outbox::EMPTY,
             unanswered: Unanswered::default(),
             flood: Flood::default(),
             closed: false,
@@ -527,15 +515,15 @@ impl State {
         if self.closed {
             return Err(ClientError::Closed);
         }
-        if self.call.is_some() || self.tx_sent < self.tx_len {
+        if self.call.is_some() || self.outbox.is_sending() {
             return Err(ClientError::Busy);
         }
         Ok(())
     }
 
-    /// Returns the next serial that no reply is outstanding for.
+    /// Returns the next serial without an outstanding reply.
     fn take_serial(&mut self) -> u16 {
-        // the loop ends: fewer serials are remembered than there are
+        // the loop ends, because the remembered ranges cover fewer serials than exist
         loop {
             let serial = self.next_serial;
             self.next_serial = if serial == u16::MAX { 1 } else { serial.wrapping_add(1) };
@@ -547,13 +535,12 @@ impl State {
     }
 
     fn begin(&mut self, serial: u16, len: usize, timing: Timing, now: Instant) {
-        self.tx_len = len;
-        self.tx_sent = 0;
+        self.outbox = Outbox::new(len);
         self.call = Some(InFlight {
             first: serial,
             last: serial,
             attempt: 1,
-            sent: None,
+            sent: 0,
             attempts: timing.attempts,
             attempt_timeout: Instant::ZERO.saturating_add(timing.attempt_timeout).as_micros(),
             keep_alive: KeepAlive::For(Instant::ZERO.saturating_add(timing.keep_alive).as_micros()),
@@ -564,7 +551,7 @@ impl State {
 
     fn retry(&mut self, call: InFlight, now: Instant) -> u16 {
         let serial = self.take_serial();
-        self.tx_sent = 0;
+        self.outbox.rewind();
         self.call = Some(InFlight {
             last: serial,
             attempt: call.attempt.saturating_add(1),
@@ -574,9 +561,10 @@ impl State {
         serial
     }
 
-    fn handle_frame(&mut self, serial: u16, result: HResult, is_early: bool, now: Instant) -> Event {
+    fn handle_frame(&mut self, header: &Header, is_early: bool, now: Instant) -> Event {
+        let (serial, result) = (header.serial, HResult(header.code));
         let is_answer = !is_early && self.is_awaited(serial) && (result.is_err() || self.is_sent());
-        // over UDP anybody can send stale replies, so those end no session
+        // over UDP any host can send stale replies, so those do not end the session
         let is_useless = if is_answer { result == HResult::S_EXECUTING } else { self.link == Link::Stream };
         if is_useless && self.flood.is_over(now) {
             return self.close(ClientError::Flooded);
@@ -595,7 +583,7 @@ impl State {
         Event::Replied(result)
     }
 
-    /// Restarts the time of the attempt.
+    /// Restarts the attempt's timeout.
     fn keep_alive(&mut self, now: Instant) {
         if let Some(call) = &mut self.call {
             call.attempt_until = call.attempt_end(now);
@@ -605,7 +593,8 @@ impl State {
         }
     }
 
-    fn handle_too_large(&mut self, serial: u16, length: u32, is_early: bool) -> Event {
+    fn handle_too_large(&mut self, header: &Header, is_early: bool) -> Event {
+        let Header { serial, length, .. } = *header;
         if is_early || !self.is_awaited(serial) {
             return Event::Stale { serial };
         }
@@ -613,16 +602,16 @@ impl State {
         Event::Failed(ClientError::ReplyTooLarge { length })
     }
 
-    /// Tells whether an attempt of the call in flight has left with this serial.
+    /// Tells whether an attempt of the call in flight was sent with this serial, at least in part.
     fn is_awaited(&self, serial: u16) -> bool {
-        let sent = self.call.and_then(|call| call.sent.map(|sent| (call.first, sent)));
-        // an old serial may lie in the range of a call whose attempts had to step over it
+        let sent = self.call.map(|call| (call.first, call.sent)).filter(|(_, sent)| *sent != 0);
+        // the range of a call may include an older serial that its attempts skipped
         sent.is_some_and(|(first, sent)| within(serial, first, sent)) && !self.unanswered.contains(serial)
     }
 
-    /// Tells whether an attempt of the call in flight has left wholly.
+    /// Tells whether an attempt of the call in flight was sent completely.
     fn is_sent(&self) -> bool {
-        self.tx_sent >= self.tx_len || self.call.is_some_and(|call| call.attempt > 1)
+        !self.outbox.is_sending() || self.call.is_some_and(|call| call.attempt > 1)
     }
 
     fn fail(&mut self, timeout: Timeout) -> Event {
@@ -636,22 +625,16 @@ impl State {
         Event::Failed(error)
     }
 
-    /// Ends the call in flight, if there is one, and remembers its attempts that were sent but not answered.
+    /// Ends the call in flight, if any, and remembers its sent attempts without a reply.
     fn end_call(&mut self, answered: Option<u16>) {
         let Some(call) = self.call.take() else { return };
-        if call.sent.is_some() && (answered.is_none() || call.attempt > 1) {
+        if call.sent != 0 && (answered.is_none() || call.attempt > 1) {
             self.unanswered.push(call.first, call.last);
         }
-        if !self.is_sending() || self.link == Link::Datagram {
-            // nothing of the frame has left, or all of it has
-            self.tx_len = 0;
-            self.tx_sent = 0;
+        if !self.outbox.is_partial() || self.link == Link::Datagram {
+            // a partly sent frame must be finished on a stream
+            self.outbox = Outbox::EMPTY;
         }
-    }
-
-    /// Tells whether a frame has left in part: what follows it on the link must be its rest.
-    const fn is_sending(&self) -> bool {
-        0 < self.tx_sent && self.tx_sent < self.tx_len
     }
 }
 
@@ -663,7 +646,7 @@ impl InFlight {
         }
     }
 
-    /// Returns when an attempt that begins now, or that is kept alive now, times out.
+    /// Returns the timeout of an attempt that starts, or is kept alive, at `now`.
     const fn attempt_end(&self, now: Instant) -> Instant {
         later(now, self.attempt_timeout)
     }
@@ -673,15 +656,15 @@ const fn later(now: Instant, micros: u64) -> Instant {
     Instant::from_micros(now.as_micros().saturating_add(micros))
 }
 
-/// Tells whether `serial` lies in a range that may wrap.
+/// Tells whether `serial` lies in a range, which may wrap.
 const fn within(serial: u16, first: u16, last: u16) -> bool {
     serial != 0 && serial.wrapping_sub(first) <= last.wrapping_sub(first)
 }
 
-/// A token bucket for frames that bring a call no further.
+/// A token bucket for frames that do not end a call.
 ///
-/// A server sends S_EXECUTING at most every 80 ms, the least WDT (S2:225). Four times that rate is allowed, and bursts of
-/// 256 frames, as a network that stalls delivers them.
+/// A server sends S_EXECUTING at most every 80 ms, the minimum of WDT (S2:225). Four times that rate is allowed, and
+/// bursts of 256 frames, because a stalled network delivers its frames in a burst.
 #[derive(Clone, Copy, Debug, Default)]
 struct Flood {
     /// When the bucket is full again.
@@ -692,7 +675,7 @@ impl Flood {
     const INTERVAL: Duration = Duration::from_millis(20);
     const BURST: Duration = Duration::from_millis(20 * 256);
 
-    /// Takes a token; tells whether there was none.
+    /// Takes a token; returns `true` if the bucket is empty.
     fn is_over(&mut self, now: Instant) -> bool {
         let full_at = self.full_at.max(now).saturating_add(Self::INTERVAL);
         if full_at.saturating_since(now) > Self::BURST {
@@ -703,34 +686,28 @@ impl Flood {
     }
 }
 
-/// Serials whose replies may still come, as ranges; when there are more than this holds, the oldest are forgotten.
+/// Ranges of serials whose replies may still arrive; when it is full, the oldest range is forgotten.
 #[derive(Debug, Default)]
 struct Unanswered {
-    ranges: heapless::Deque<(u16, u16), 8>,
+    ranges: heapless::Vec<(u16, u16), 8>,
 }
 
 impl Unanswered {
     fn push(&mut self, first: u16, last: u16) {
         if self.ranges.is_full() {
-            self.ranges.pop_front();
+            self.ranges.remove(0);
         }
-        // there is room: one was just taken out
-        let _ = self.ranges.push_back((first, last));
+        // there is room: one was just removed
+        let _ = self.ranges.push((first, last));
     }
 
     fn contains(&self, serial: u16) -> bool {
         self.ranges.iter().any(|(first, last)| within(serial, *first, *last))
     }
 
-    /// Forgets a range of one serial that has been answered; of retried calls more replies may come.
+    /// Forgets a range of one serial whose reply arrived. A retried call may get further replies.
     fn answered(&mut self, serial: u16) {
-        for _ in 0..self.ranges.len() {
-            if let Some(range) = self.ranges.pop_front()
-                && range != (serial, serial)
-            {
-                let _ = self.ranges.push_back(range);
-            }
-        }
+        self.ranges.retain(|range| *range != (serial, serial));
     }
 }
 

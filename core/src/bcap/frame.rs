@@ -2,23 +2,19 @@
 //!
 //! ```text
 //!  offset  size  field
-//!       0     1  SOH 0x01
-//!       1     4  length of the whole frame, SOH to EOT
-//!       5     2  serial number; a reply repeats its request's
-//!       7     2  reserved; on UDP and serial lines the serial of a call's first attempt
-//!       9     4  request: function number; reply: HRESULT
-//!      13     2  number of arguments
+//!       0    15  header: SOH, length, serial, reserved, code, number of arguments (`header.rs`)
 //!      15     …  arguments: u32 length of the value | value (VARIANT)
 //!   end-3     2  CRC-16 over length..last argument; serial lines only
 //!   end-1     1  EOT 0x04
 //! ```
 //!
-//! All fields are little-endian (S2:200-384). [`Decoder::decode`] checks everything in one pass, values included: after
-//! that no accessor of [`Frame`] or [`Args`] fails or panics. [`FrameWriter`] writes a frame into a caller's buffer.
+//! All fields are little-endian (S2:200-384). [`Decoder::decode`] validates a frame and its values in one pass; after
+//! that no accessor of [`Frame`] or [`Args`] fails or panics. [`FrameWriter`] writes a frame into the caller's buffer.
 
 use core::fmt;
 
 use crate::bcap::FunctionId;
+use crate::bcap::header::{COUNT_AT, HEADER_LEN, Header, LENGTH_AT, SOH};
 use crate::error::{DecodeError, DecodeErrorKind, EncodeError, Layer};
 use crate::hresult::HResult;
 use crate::limits::{Limits, Strictness};
@@ -26,16 +22,12 @@ use crate::num::{to_u16, to_u32, to_usize};
 use crate::variant::{self, Encode, Variant};
 use crate::wire::{Reader, Writer};
 
-/// The first byte of every frame.
-pub const SOH: u8 = 0x01;
 /// The last byte of every frame.
 pub const EOT: u8 = 0x04;
-/// Bytes in front of the arguments.
-pub const HEADER_LEN: usize = 15;
-/// The least frame: a header and EOT.
-pub const MIN_FRAME: usize = 16;
+/// The length of the shortest frame: a header and EOT.
+pub const MIN_FRAME: usize = HEADER_LEN + 1;
 
-/// Decodes frames; its fields are run-time choices of the user.
+/// Decodes frames.
 ///
 /// # Examples
 ///
@@ -43,9 +35,9 @@ pub const MIN_FRAME: usize = 16;
 /// use bcap_core::bcap::{Decoder, FunctionId, Progress};
 /// use bcap_core::variant::Variant;
 ///
-/// // Variable_GetValue(3), with the next frame's first byte behind it
+/// // Variable_GetValue(3), then the first byte of the next frame
 /// let bytes = *b"\x01\x1e\0\0\0\x04\0\0\0\x65\0\0\0\x01\0\x0a\0\0\0\x03\0\x01\0\0\0\x03\0\0\0\x04\x01";
-/// let Progress::Complete(frame, used) = Decoder::TCP.decode(&bytes)? else { panic!("it is whole") };
+/// let Progress::Complete(frame, used) = Decoder::TCP.decode(&bytes)? else { panic!("the frame is complete") };
 /// assert_eq!(used, 30);
 /// assert_eq!((frame.serial, frame.function()), (4, FunctionId::VARIABLE_GET_VALUE));
 /// assert_eq!(frame.args.get(0), Some(Variant::I4(3)));
@@ -56,25 +48,31 @@ pub const MIN_FRAME: usize = 16;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Decoder {
-    /// What is accepted at most.
+    /// The limits on frames and values.
     pub limits: Limits,
-    /// What is forgiven.
+    /// Which deviations from the specification are accepted.
     pub strictness: Strictness,
     /// Whether frames carry a CRC, as on serial lines.
     pub crc: bool,
 }
 
-/// How far the bytes at hand go.
+/// The result of decoding the bytes received so far.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
 pub enum Progress<'a> {
-    /// A frame, and the number of bytes it took.
+    /// A frame, and its length in bytes.
     Complete(Frame<'a>, usize),
-    /// All is well so far, but a frame takes at least this many bytes, counted from the first.
+    /// The bytes are valid so far, and the frame needs at least this many in total.
     NeedMore(usize),
 }
 
-/// A checked frame, as a view of its bytes.
+/// Like [`Progress`], with the header of the frame.
+pub(crate) enum Decoded<'a> {
+    Complete(Header, Args<'a>),
+    NeedMore(usize),
+}
+
+/// A validated frame, as a view of its bytes.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Frame<'a> {
     /// The serial number.
@@ -103,68 +101,78 @@ impl Decoder {
 
     /// Decodes the frame at the front of `bytes`.
     ///
-    /// Errors are found as early as they can be: a wrong first byte with the first byte, a length over the limit with
-    /// the fifth, before anything else is waited for.
+    /// Errors are reported as early as possible: a wrong SOH at the first byte, a length above the limit at the fifth.
     ///
     /// # Errors
     ///
-    /// A [`DecodeError`]; a stream can go on behind the bytes that [`resync`](Self::resync) says.
+    /// A [`DecodeError`]; a stream can continue after the bytes that [`resync`](Self::resync) returns.
     #[inline]
     pub fn decode<'a>(&self, bytes: &'a [u8]) -> Result<Progress<'a>, DecodeError> {
-        let Some(length) = self.frame_length(bytes)? else { return Ok(Progress::NeedMore(MIN_FRAME)) };
+        Ok(match self.decode_with_header(bytes)? {
+            Decoded::Complete(header, args) => Progress::Complete(Frame::new(header, args), to_usize(header.length)),
+            Decoded::NeedMore(needed) => Progress::NeedMore(needed),
+        })
+    }
+
+    /// Decodes the frame at the front of `bytes`, and returns its header.
+    #[inline]
+    pub(crate) fn decode_with_header<'a>(&self, bytes: &'a [u8]) -> Result<Decoded<'a>, DecodeError> {
+        let Some(length) = self.frame_length(bytes)? else { return Ok(Decoded::NeedMore(MIN_FRAME)) };
         match bytes.get(..length) {
-            Some(frame) => self.check(frame).map(|frame| Progress::Complete(frame, length)),
-            None => Ok(Progress::NeedMore(length)),
+            Some(frame) => self.check(frame).map(|(header, args)| Decoded::Complete(header, args)),
+            None => Ok(Decoded::NeedMore(length)),
         }
     }
 
-    /// Decodes `bytes` as exactly one frame, as a datagram holds one.
+    /// Decodes `bytes` as exactly one frame, the content of a datagram.
     ///
     /// # Errors
     ///
-    /// As [`decode`](Self::decode), and for bytes that are missing, or too many (a lenient decoder leaves those out).
+    /// As [`decode`](Self::decode), and when bytes are missing or follow the frame; a lenient decoder ignores the latter.
     pub fn decode_datagram<'a>(&self, bytes: &'a [u8]) -> Result<Frame<'a>, DecodeError> {
-        match self.decode(bytes)? {
-            Progress::Complete(frame, used) if used == bytes.len() || self.strictness == Strictness::Lenient => {
-                Ok(frame)
+        self.decode_datagram_with_header(bytes).map(|(header, args)| Frame::new(header, args))
+    }
+
+    /// Decodes a datagram, and returns its header.
+    pub(crate) fn decode_datagram_with_header<'a>(&self, bytes: &'a [u8]) -> Result<(Header, Args<'a>), DecodeError> {
+        match self.decode_with_header(bytes)? {
+            Decoded::Complete(header, args) => {
+                let used = to_usize(header.length);
+                if used < bytes.len() && self.strictness == Strictness::Strict {
+                    let unused = to_u32(bytes.len().wrapping_sub(used));
+                    return Err(DecodeError::frame(DecodeErrorKind::Unused(unused), used));
+                }
+                Ok((header, args))
             }
-            Progress::Complete(_, used) => {
-                let unused = to_u32(bytes.len().saturating_sub(used));
-                Err(DecodeError::frame(DecodeErrorKind::Unused(unused), used))
-            }
-            Progress::NeedMore(needed) => {
+            Decoded::NeedMore(needed) => {
                 Err(DecodeError::frame(DecodeErrorKind::Incomplete { needed: to_u32(needed) }, bytes.len()))
             }
         }
     }
 
-    /// Returns the length of the frame at the front of `bytes`, checked; `None` while its field is not whole.
+    /// Returns the validated length of the frame at the front of `bytes`; `None` while its length field is incomplete.
     ///
     /// # Errors
     ///
     /// When the first byte or the length cannot begin a frame.
     #[inline]
     pub fn frame_length(&self, bytes: &[u8]) -> Result<Option<usize>, DecodeError> {
-        match bytes {
-            [] => Ok(None),
-            [SOH, l0, l1, l2, l3, ..] => {
-                let length = u32::from_le_bytes([*l0, *l1, *l2, *l3]);
-                if length < to_u32(self.min_frame()) {
-                    return Err(DecodeError::frame(DecodeErrorKind::FrameTooShort(length), 1));
-                }
-                if length > self.limits.frame {
-                    let limit = self.limits.frame;
-                    return Err(DecodeError::frame(DecodeErrorKind::FrameTooLong { length, limit }, 1));
-                }
-                Ok(Some(to_usize(length)))
-            }
-            [SOH, ..] => Ok(None),
-            [found, ..] => Err(DecodeError::frame(DecodeErrorKind::Soh(*found), 0)),
+        if let Some(found) = bytes.first().filter(|first| **first != SOH) {
+            return Err(DecodeError::frame(DecodeErrorKind::Soh(*found), 0));
         }
+        let Some(length) = Header::read_length(bytes) else { return Ok(None) };
+        if length < to_u32(self.min_frame()) {
+            return Err(DecodeError::frame(DecodeErrorKind::FrameTooShort(length), LENGTH_AT));
+        }
+        if length > self.limits.frame {
+            let limit = self.limits.frame;
+            return Err(DecodeError::frame(DecodeErrorKind::FrameTooLong { length, limit }, LENGTH_AT));
+        }
+        Ok(Some(to_usize(length)))
     }
 
-    /// Returns how many bytes to drop after an error, so that what follows may begin a frame: at least one, when there
-    /// are any, and everything when no byte qualifies.
+    /// Returns how many bytes to drop after an error, up to the next one that may begin a frame: at least one, unless
+    /// `bytes` is empty, and all of them if no byte may begin a frame.
     #[must_use]
     pub fn resync(&self, bytes: &[u8]) -> usize {
         let mut at = 1_usize;
@@ -181,44 +189,37 @@ impl Decoder {
         if self.crc { MIN_FRAME + 2 } else { MIN_FRAME }
     }
 
-    /// Checks a frame of the right length.
+    /// Validates a frame whose length is known to be right.
     #[inline]
-    fn check<'a>(&self, frame: &'a [u8]) -> Result<Frame<'a>, DecodeError> {
-        // `frame_length` has seen at least a header and EOT; the fallbacks keep this free of panics
-        let short = DecodeError::frame(DecodeErrorKind::FrameTooShort(to_u32(frame.len())), 1);
-        let Some((&[_, _, _, _, _, s0, s1, r0, r1, c0, c1, c2, c3, n0, n1], rest)) =
-            frame.split_first_chunk::<HEADER_LEN>()
+    fn check<'a>(&self, frame: &'a [u8]) -> Result<(Header, Args<'a>), DecodeError> {
+        // `frame_length` accepts no frame shorter than header and EOT; the fallback avoids a panic
+        let (Some(header), Some((&eot, mut body))) =
+            (Header::read(frame), frame.get(HEADER_LEN..).and_then(<[u8]>::split_last))
         else {
-            return Err(short);
+            return Err(DecodeError::frame(DecodeErrorKind::FrameTooShort(to_u32(frame.len())), LENGTH_AT));
         };
-        let Some((&eot, mut body)) = rest.split_last() else { return Err(short) };
         if eot != EOT {
             return Err(DecodeError::frame(DecodeErrorKind::Eot(eot), frame.len().wrapping_sub(1)));
         }
         if self.crc {
             body = check_crc(frame, body)?;
         }
-        let count = u16::from_le_bytes([n0, n1]);
+        let Header { count, .. } = header;
         if count > self.limits.arguments {
             let limit = self.limits.arguments;
-            return Err(DecodeError::frame(DecodeErrorKind::TooManyArguments { count, limit }, 13));
+            return Err(DecodeError::frame(DecodeErrorKind::TooManyArguments { count, limit }, COUNT_AT));
         }
         let data = self.check_args(count, body)?;
-        Ok(Frame {
-            serial: u16::from_le_bytes([s0, s1]),
-            reserved: u16::from_le_bytes([r0, r1]),
-            code: i32::from_le_bytes([c0, c1, c2, c3]),
-            args: Args { count, data, strictness: self.strictness },
-        })
+        Ok((header, Args { count, data, strictness: self.strictness }))
     }
 
-    /// Checks the arguments and returns their bytes.
+    /// Validates the arguments and returns their bytes.
     #[inline]
     fn check_args<'a>(&self, count: u16, body: &'a [u8]) -> Result<&'a [u8], DecodeError> {
         let mut reader = Reader::new(body);
         for number in 1..=count {
-            if let Err(fault) = check_argument(&mut reader, &self.limits, self.strictness) {
-                return Err(fault.at(HEADER_LEN.wrapping_add(body.len()), Layer::Argument(number)));
+            if let Err(error) = check_argument(&mut reader, &self.limits, self.strictness) {
+                return Err(error.at(HEADER_LEN.wrapping_add(body.len()), Layer::Argument(number)));
             }
         }
         let unused = reader.left();
@@ -230,9 +231,13 @@ impl Decoder {
     }
 }
 
-/// Splits one argument off and checks it.
+/// Splits one argument off and validates it.
 #[inline]
-fn check_argument<'a>(r: &mut Reader<'a>, limits: &Limits, strictness: Strictness) -> Result<&'a [u8], variant::Fault> {
+fn check_argument<'a>(
+    r: &mut Reader<'a>,
+    limits: &Limits,
+    strictness: Strictness,
+) -> Result<&'a [u8], variant::CheckError> {
     let at = *r;
     let Some(declared) = r.u32() else { return Err(truncated(at, 4, at)) };
     if strictness == Strictness::Lenient {
@@ -244,17 +249,17 @@ fn check_argument<'a>(r: &mut Reader<'a>, limits: &Limits, strictness: Strictnes
         Ok(()) if inner.left() == 0 => Ok(value),
         Ok(()) => {
             let used = to_u32(value.len().wrapping_sub(inner.left()));
-            Err(variant::Fault { kind: DecodeErrorKind::ArgumentLength { declared, used }, left: at.left() })
+            Err(variant::CheckError { kind: DecodeErrorKind::ArgumentLength { declared, used }, left: at.left() })
         }
-        // the fault counts from the end of the argument, and more may follow that
-        Err(fault) => Err(variant::Fault { left: fault.left.wrapping_add(r.left()), ..fault }),
+        // the error's position counts from the end of the argument; more bytes may follow that
+        Err(error) => Err(variant::CheckError { left: error.left.wrapping_add(r.left()), ..error }),
     }
 }
 
-/// Splits one argument off by its value, whatever its length field says; only an unknown type needs that.
+/// Splits one argument off by its value and ignores its length field, which only a value of unknown type needs.
 ///
-/// Peers that go wrong in the length field read on by the values themselves.
-fn check_lenient<'a>(declared: u32, r: &mut Reader<'a>, limits: &Limits) -> Result<&'a [u8], variant::Fault> {
+/// Some peers write wrong length fields, and read by the values themselves.
+fn check_lenient<'a>(declared: u32, r: &mut Reader<'a>, limits: &Limits) -> Result<&'a [u8], variant::CheckError> {
     let value = r.rest();
     if variant::is_opaque(value)
         && declared >= 6
@@ -266,34 +271,34 @@ fn check_lenient<'a>(declared: u32, r: &mut Reader<'a>, limits: &Limits) -> Resu
     Ok(value.get(..value.len().wrapping_sub(r.left())).unwrap_or_default())
 }
 
-/// Says that `needed` bytes are not in `r`; the fault is where the argument begins.
+/// Returns the error for `needed` missing bytes in `r`, at the start of the argument.
 #[cold]
-fn truncated(r: Reader<'_>, needed: u32, at: Reader<'_>) -> variant::Fault {
-    variant::Fault { kind: DecodeErrorKind::Truncated { needed, left: to_u32(r.left()) }, left: at.left() }
+fn truncated(r: Reader<'_>, needed: u32, at: Reader<'_>) -> variant::CheckError {
+    variant::CheckError { kind: DecodeErrorKind::Truncated { needed, left: to_u32(r.left()) }, left: at.left() }
 }
 
 /// Splits the CRC off the end of `body` and compares it.
 fn check_crc<'a>(frame: &[u8], body: &'a [u8]) -> Result<&'a [u8], DecodeError> {
     let end = frame.len().saturating_sub(3);
     let Some((args, found)) = body.split_last_chunk::<2>() else {
-        return Err(DecodeError::frame(DecodeErrorKind::FrameTooShort(to_u32(frame.len())), 1));
+        return Err(DecodeError::frame(DecodeErrorKind::FrameTooShort(to_u32(frame.len())), LENGTH_AT));
     };
     let computed = crc16(frame.get(1..end).unwrap_or_default());
     let found = u16::from_le_bytes(*found);
     if found == computed { Ok(args) } else { Err(DecodeError::frame(DecodeErrorKind::Crc { found, computed }, end)) }
 }
 
-/// Returns the CRC-16 of serial frames: polynomial 0x1021, start 0xffff, nothing reflected or inverted.
+/// Returns the CRC-16 of serial frames: polynomial 0x1021, initial value 0xffff, no reflection, no final XOR.
 #[must_use]
 pub fn crc16(bytes: &[u8]) -> u16 {
     bytes.iter().fold(0xffff, |crc, byte| {
-        // half a byte at a time: a table of 32 bytes is small enough for a board and fast enough for a serial line
+        // four bits at a time: the table of 32 bytes is small enough for a board, and fast enough for a serial line
         let crc = step(crc, byte >> 4);
         step(crc, byte & 0xf)
     })
 }
 
-/// Feeds half a byte, the high one of a byte first.
+/// Feeds four bits, the high ones of a byte first.
 fn step(crc: u16, nibble: u8) -> u16 {
     const TABLE: [u16; 16] = [
         0x0000, 0x1021, 0x2042, 0x3063, 0x4084, 0x50a5, 0x60c6, 0x70e7, 0x8108, 0x9129, 0xa14a, 0xb16b, 0xc18c, 0xd1ad,
@@ -304,11 +309,11 @@ fn step(crc: u16, nibble: u8) -> u16 {
     (crc << 4) ^ TABLE.get(index).copied().unwrap_or(0)
 }
 
-/// The arguments of a checked frame.
+/// The arguments of a validated frame.
 #[derive(Clone, Copy)]
 pub struct Args<'a> {
     count: u16,
-    /// `count` checked arguments; unused bytes may follow them when the decoder was lenient.
+    /// `count` validated arguments; unused bytes may follow them when the decoder was lenient.
     data: &'a [u8],
     strictness: Strictness,
 }
@@ -317,7 +322,7 @@ impl<'a> Args<'a> {
     /// No arguments.
     pub const NONE: Self = Self { count: 0, data: &[], strictness: Strictness::Strict };
 
-    /// Views arguments that a decoder of this strictness has checked.
+    /// Views arguments that a decoder of this strictness has validated.
     pub(crate) const fn from_checked(count: u16, data: &'a [u8], strictness: Strictness) -> Self {
         Self { count, data, strictness }
     }
@@ -334,7 +339,7 @@ impl<'a> Args<'a> {
         self.count == 0
     }
 
-    /// Returns the bytes of the arguments, which may be followed by unused ones.
+    /// Returns the bytes of the arguments, and unused bytes after them if the decoder was lenient.
     pub(crate) const fn as_bytes(self) -> &'a [u8] {
         self.data
     }
@@ -389,7 +394,7 @@ impl<'a> Iterator for ArgsIter<'a> {
     #[inline]
     fn next(&mut self) -> Option<Variant<'a>> {
         self.left = self.left.checked_sub(1)?;
-        // in a checked strict frame the lengths are right, so there is no need to walk the value again
+        // in a validated strict frame the lengths are right, so the value is not parsed again
         let value = match self.strictness {
             Strictness::Strict => crate::wire::length_prefixed(&mut self.reader)?,
             Strictness::Lenient => self.next_lenient()?,
@@ -421,19 +426,23 @@ impl fmt::Debug for ArgsIter<'_> {
 }
 
 impl<'a> Frame<'a> {
-    /// Returns the function that a request asks for.
+    pub(crate) const fn new(header: Header, args: Args<'a>) -> Self {
+        Self { serial: header.serial, reserved: header.reserved, code: header.code, args }
+    }
+
+    /// Returns the function of a request.
     #[must_use]
     pub const fn function(&self) -> FunctionId {
         FunctionId(self.code)
     }
 
-    /// Returns the result that a reply reports.
+    /// Returns the result of a reply.
     #[must_use]
     pub const fn hresult(&self) -> HResult {
         HResult(self.code)
     }
 
-    /// Returns the value that a reply carries.
+    /// Returns the value of a reply.
     #[must_use]
     pub fn value(&self) -> Option<Variant<'a>> {
         self.args.get(0)
@@ -451,7 +460,7 @@ impl fmt::Debug for Frame<'_> {
     }
 }
 
-/// Writes one frame into a caller's buffer; what it writes is canonical.
+/// Writes one frame into the caller's buffer, in canonical form.
 ///
 /// # Examples
 ///
@@ -477,11 +486,12 @@ impl<'b> FrameWriter<'b> {
     ///
     /// # Errors
     ///
-    /// [`EncodeError::Full`] when not even a header fits.
+    /// [`EncodeError::Full`] when the header does not fit.
     #[inline]
     pub fn new(buffer: &'b mut [u8]) -> Result<Self, EncodeError> {
         let mut out = Writer::new(buffer);
-        out.put([SOH, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0])?;
+        // `finish` writes the header, whose length and count are not known yet
+        out.put([0; HEADER_LEN])?;
         Ok(Self { out, arguments: 0, crc: false })
     }
 
@@ -501,27 +511,25 @@ impl<'b> FrameWriter<'b> {
         self.argument_of_any_type(&value)
     }
 
-    /// Appends an argument; there is one copy of this in an image, however many types it sends.
-    // elsewhere than on a board a call would cost more
+    /// Appends an argument. It is not generic, so an image contains one copy of it.
+    // inlined on a PC, where the call costs more than the copies
     #[cfg_attr(not(target_os = "none"), inline(always))]
     fn argument_of_any_type(&mut self, value: &dyn Encode) -> Result<(), EncodeError> {
         self.arguments = self.arguments.wrapping_add(1);
         self.out.length_prefixed(&|out| value.encode(out))
     }
 
-    /// Fills the header in, closes the frame and returns its bytes.
+    /// Writes the header, the CRC if chosen and EOT, and returns the bytes of the frame.
     ///
     /// # Errors
     ///
-    /// [`EncodeError::Full`] when the end does not fit.
+    /// [`EncodeError::Full`] when the CRC or EOT does not fit.
     #[inline]
     pub fn finish(mut self, serial: u16, reserved: u16, code: i32) -> Result<&'b [u8], EncodeError> {
         let tail = if self.crc { 3 } else { 1 };
         let length = to_u32(self.out.len().wrapping_add(tail));
-        let ([l0, l1, l2, l3], [s0, s1]) = (length.to_le_bytes(), serial.to_le_bytes());
-        let ([r0, r1], [c0, c1, c2, c3]) = (reserved.to_le_bytes(), code.to_le_bytes());
-        let [n0, n1] = to_u16(self.arguments).to_le_bytes();
-        self.out.patch(0, [SOH, l0, l1, l2, l3, s0, s1, r0, r1, c0, c1, c2, c3, n0, n1]);
+        let header = Header { length, serial, reserved, code, count: to_u16(self.arguments) };
+        self.out.patch(0, header.to_bytes());
         if self.crc {
             let crc = crc16(self.out.as_bytes().get(1..).unwrap_or_default());
             self.out.put(crc.to_le_bytes())?;
@@ -531,17 +539,20 @@ impl<'b> FrameWriter<'b> {
     }
 }
 
-/// Rewrites serial and reserved of a finished frame, and its CRC, so that it can be sent once more.
+/// Changes serial and reserved field of a finished frame, and its CRC, for another attempt.
 pub(crate) fn renumber(frame: &mut [u8], serial: u16, reserved: u16, crc: bool) {
-    if let Some(fields) = frame.get_mut(5..).and_then(<[u8]>::first_chunk_mut::<4>) {
-        let ([s0, s1], [r0, r1]) = (serial.to_le_bytes(), reserved.to_le_bytes());
-        *fields = [s0, s1, r0, r1];
+    Header::renumber(frame, serial, reserved);
+    if crc {
+        seal(frame);
     }
-    if crc && let Some(end) = frame.len().checked_sub(3) {
-        let sum = crc16(frame.get(1..end).unwrap_or_default());
-        if let Some(slot) = frame.get_mut(end..).and_then(<[u8]>::first_chunk_mut::<2>) {
-            *slot = sum.to_le_bytes();
-        }
+}
+
+/// Writes the CRC of a finished frame.
+pub(crate) fn seal(frame: &mut [u8]) {
+    let Some(end) = frame.len().checked_sub(3) else { return };
+    let sum = crc16(frame.get(LENGTH_AT..end).unwrap_or_default());
+    if let Some(slot) = frame.get_mut(end..).and_then(<[u8]>::first_chunk_mut::<2>) {
+        *slot = sum.to_le_bytes();
     }
 }
 

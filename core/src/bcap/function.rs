@@ -1,8 +1,8 @@
-//! The 137 functions of b-CAP: one table, and everything that is read from it.
+//! The table of the 137 functions of b-CAP.
 //!
-//! A row names a function by its number on the wire, the object whose handle comes first, the arguments behind it and
-//! what the reply carries (S2:1613-1806). The typed calls of [`call`](super::call), the argument check of the server
-//! and the bookkeeping of handles are all made from it.
+//! A row contains the number on the wire, the names, the object that the function belongs to, the arguments, and the value
+//! of the reply (S2:1613-1806). The typed calls of [`call`](super::call), the argument check of the server and its list of
+//! open handles are generated from this table.
 //!
 //! | group      | numbers | group    | numbers | group    | numbers |
 //! |------------|---------|----------|---------|----------|---------|
@@ -18,7 +18,7 @@ use crate::variant::Variant;
 /// `number CONSTANT method "Name" Object (argument: kind, ...) result;`.
 ///
 /// Kinds of arguments: an object (its handle), `Int` (I4), `Float` (R4), `Text` (BSTR), `Any` (VARIANT). Results:
-/// the same, `Nothing`, and `Maybe` where peers disagree whether there is one.
+/// the same, `Nothing`, and `Maybe` where only some controllers return one.
 macro_rules! for_each_function {
     ($receiver:ident) => {
         $receiver! {
@@ -169,7 +169,7 @@ pub(crate) use for_each_function;
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct FunctionId(pub i32);
 
-/// The kinds of objects behind handles; an object of each is opened and released by certain functions.
+/// The kinds of objects that handles refer to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Object {
@@ -194,7 +194,7 @@ pub enum Object {
 }
 
 impl Object {
-    /// Returns the function that opens an object of this kind by its name, from one of the kind `owner`.
+    /// Returns the function that opens an object of this kind by its name, called on an object of the kind `owner`.
     #[must_use]
     pub fn opened_from(self, owner: Self) -> Option<FunctionId> {
         let by_name = [Kind::Handle(owner), Kind::Text, Kind::Text];
@@ -219,7 +219,7 @@ impl Object {
         }
     }
 
-    /// Returns the name, as it begins the names of its functions.
+    /// Returns the name, the prefix of the names of its functions.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -236,7 +236,7 @@ impl Object {
     }
 }
 
-/// What an argument is, or what a reply carries.
+/// The kind of an argument, or of the value in a reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Kind {
@@ -250,14 +250,14 @@ pub enum Kind {
     Text,
     /// Any VARIANT.
     Any,
-    /// No value. Only of replies; whatever a peer sends all the same is ignored.
+    /// No value; for replies only. A value is ignored.
     Nothing,
-    /// Any VARIANT or none. Only of replies.
+    /// Any VARIANT or no value; for replies only.
     Maybe,
 }
 
 impl Kind {
-    /// Tells whether `value` can be taken for one of this kind.
+    /// Tells whether `value` is accepted as this kind.
     #[must_use]
     pub fn accepts(self, value: &Variant<'_>) -> bool {
         match self {
@@ -270,12 +270,12 @@ impl Kind {
     }
 }
 
-/// What a function takes and gives.
+/// The arguments and the result of a function.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Signature {
     /// The kinds of its arguments, in order.
     pub arguments: &'static [Kind],
-    /// What its reply carries.
+    /// The value of its reply.
     pub result: Kind,
     /// The object it is called on.
     pub object: Object,
@@ -320,7 +320,7 @@ macro_rules! tables {
             $(Signature { arguments: &[$(kind!($kind)),*], result: kind!($result), object: Object::$object },)*
         ];
 
-        // names apart from signatures: a server on a board checks arguments but prints nothing
+        // names are a separate table: a server on a board checks arguments but prints no names
         static NAMES: [&str; 137] = [$($name,)*];
         static ARGUMENT_NAMES: [&[&str]; 137] = [$(&[$(stringify!($argument)),*],)*];
     };
@@ -338,7 +338,7 @@ impl FunctionId {
         usize::try_from(self.0).ok()?.checked_sub(1)
     }
 
-    /// Returns what the function takes and gives; `None` when there is no function of this number.
+    /// Returns the arguments and the result; `None` for an unknown number.
     #[must_use]
     pub fn signature(self) -> Option<&'static Signature> {
         SIGNATURES.get(self.index()?)
@@ -371,7 +371,7 @@ impl FunctionId {
         })
     }
 
-    /// Returns the object that a successful call opens: its handle is in the reply (but for the Service).
+    /// Returns the kind of object that a successful call opens. Its handle is in the reply; the Service has none.
     #[must_use]
     pub fn opens(self) -> Option<Object> {
         match (self, self.signature()?.result) {
@@ -381,7 +381,7 @@ impl FunctionId {
         }
     }
 
-    /// Returns the object that a successful call releases: its handle is the first argument (but for the Service).
+    /// Returns the kind of object that a successful call releases. Its handle is the first argument; the Service has none.
     #[must_use]
     pub fn releases(self) -> Option<Object> {
         let object = self.signature()?.object;
@@ -435,7 +435,7 @@ mod tests {
             assert_eq!(signature.object, *object, "{function:?}");
             assert!(function.name().unwrap().starts_with(object.name()));
             assert_eq!(function.argument_names().len(), signature.arguments.len());
-            // all but the service and the connect are called on a handle of their own group
+            // all except the Service functions and Controller_Connect are called on a handle of their own group
             if function.0 > 3 {
                 assert_eq!(signature.arguments[0], Kind::Handle(*object), "{function:?}");
             }

@@ -1,32 +1,33 @@
-//! The three kinds of links, and the bytes that come in from them as frames.
+//! The three kinds of links, and the reassembly of received bytes into frames.
 //!
 //! ```text
-//!            frames are cut by      resend   CRC   a broken frame
-//!  Stream    their length (TCP)     no       no    ends the session, or is skipped by search
-//!  Datagram  the network (UDP)      yes      no    is dropped
-//!  Serial    their length           yes      yes   is skipped by search
+//!            framing                resend   CRC   an invalid frame
+//!  Stream    length field (TCP)     no       no    ends the session, or is skipped
+//!  Datagram  one per datagram (UDP) yes      no    is dropped
+//!  Serial    length field           yes      yes   is skipped
 //! ```
 
-use crate::bcap::frame::{Args, Decoder, Frame, HEADER_LEN, MIN_FRAME, Progress, SOH};
-use crate::error::{DecodeError, DecodeErrorKind, Layer};
+use crate::bcap::frame::{Args, Decoded, Decoder, Frame, MIN_FRAME};
+use crate::bcap::header::{HEADER_LEN, Header, LENGTH_AT, SOH};
+use crate::error::{DecodeError, DecodeErrorKind};
 use crate::limits::{Limits, SERIAL_MAX, Strictness, UDP_SEND_MAX};
 use crate::num::{to_u32, to_usize};
 use crate::storage::{Storage, shift_down};
 
-/// What carries the frames.
+/// The kind of link that carries the frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Link {
     /// A reliable stream: TCP.
     Stream,
-    /// Datagrams of one frame each, which may be lost or come twice: UDP.
+    /// Datagrams of one frame each, which may be lost or duplicated: UDP.
     Datagram,
-    /// A serial line: a stream that may lose and garble bytes; its frames have a CRC.
+    /// A serial line: a stream that may lose and corrupt bytes; its frames have a CRC.
     Serial,
 }
 
 impl Link {
-    /// Returns the decoder for this link, strict.
+    /// Returns the strict decoder for this link.
     #[must_use]
     pub const fn decoder(self) -> Decoder {
         match self {
@@ -36,7 +37,7 @@ impl Link {
         }
     }
 
-    /// Returns the largest frame that may be sent over it.
+    /// Returns the largest frame that may be sent, in bytes.
     #[must_use]
     pub fn send_max(self) -> usize {
         match self {
@@ -46,29 +47,29 @@ impl Link {
         }
     }
 
-    /// Tells whether frames can get lost, so that calls are repeated.
+    /// Tells whether frames can get lost, so that calls are sent again.
     #[must_use]
     pub const fn is_lossy(self) -> bool {
         !matches!(self, Self::Stream)
     }
 }
 
-/// What to do when a stream's bytes are no frame.
+/// What to do when the bytes of a stream are not a valid frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum OnMalformed {
-    /// End the session: what follows cannot be trusted.
+    /// End the session, because the position of the next frame is unknown.
     Close,
-    /// Report it, and search for the next byte that may begin a frame.
+    /// Report the error, and search for the next byte that may begin a frame.
     Resync,
 }
 
-/// The receiving side of a link: collects bytes until they are a frame.
+/// The receiving side of a link: collects bytes until a frame is complete.
 ///
 /// ```text
-///  buffer  [ frames read | not yet a whole frame | free ............ ]
+///  buffer  [ frames read | received, incomplete  | free ............ ]
 ///            0         `next`^              `len`^      buffer.len()^
-///            └ `frame`, the one found last, stays readable until room is asked for
+///            └ the last frame that was read stays valid until the next call of `free`
 /// ```
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Inbox {
@@ -79,32 +80,47 @@ pub(crate) struct Inbox {
     len: usize,
     /// Where the next frame begins; never above `len`.
     next: usize,
-    /// Bytes still to come of a frame that was too large for the buffer.
+    /// Remaining bytes of a frame that is too large for the buffer.
     skip: usize,
-    /// Where the bytes began that were found to be no frame last.
+    /// Start of the last invalid bytes.
     malformed: usize,
-    /// Bytes at the head of the buffer that arrived before `mark`.
+    /// Bytes at the start of the buffer that arrived before `mark`.
     early: usize,
 }
 
-/// What the inbox has found.
+/// A result of [`Inbox::poll`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Received {
     /// A frame; `Inbox::frame` views it.
-    Frame(Span),
-    /// A frame that the buffer cannot hold; the stream goes on after it.
-    TooLarge { span: Span, serial: u16, length: u32 },
-    /// Bytes that are no frame; they have been dropped.
+    Frame(Located),
+    /// A frame that is larger than the buffer; the stream continues after it.
+    TooLarge(Located),
+    /// Invalid bytes, which were dropped.
     Malformed(DecodeError),
-    /// Bytes that are no frame; nothing more will be read.
+    /// Invalid bytes; nothing more will be read.
     Broken(DecodeError),
 }
 
-/// Where a checked frame lies in the buffer.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct Span {
-    start: usize,
-    len: usize,
+/// A validated frame: its header and its position in the buffer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Located {
+    /// 32 bits suffice, because no buffer is larger than the longest frame, and save memory in each session.
+    start: u32,
+    pub(crate) header: Header,
+}
+
+impl Located {
+    fn new(start: usize, header: Header) -> Self {
+        Self { start: to_u32(start), header }
+    }
+
+    fn start(self) -> usize {
+        to_usize(self.start)
+    }
+
+    fn end(self) -> usize {
+        self.start().saturating_add(to_usize(self.header.length))
+    }
 }
 
 impl Inbox {
@@ -113,7 +129,7 @@ impl Inbox {
         Self { decoder, link, on_malformed, len: 0, next: 0, skip: 0, malformed: 0, early: 0 }
     }
 
-    /// Returns the free part of the buffer; frames found before are gone then.
+    /// Returns the free part of the buffer, and drops the frames that were read.
     pub(crate) fn free<'b>(&mut self, buffer: &'b mut impl Storage) -> &'b mut [u8] {
         if self.link == Link::Datagram {
             self.next = self.len;
@@ -130,39 +146,38 @@ impl Inbox {
         buffer.bytes_mut().get_mut(self.len..).unwrap_or_default()
     }
 
-    /// Returns the free part of the buffer; of the frames found before, the one of `span` stays.
-    pub(crate) fn free_behind<'b>(&mut self, buffer: &'b mut [u8], span: Span) -> &'b mut [u8] {
-        let end = span.start.saturating_add(span.len);
+    /// Returns the free part of the buffer, and drops the frames that were read, except this one.
+    pub(crate) fn free_after<'b>(&mut self, buffer: &'b mut [u8], frame: Located) -> &'b mut [u8] {
+        let end = frame.end();
         let read = self.next.saturating_sub(end);
         if read > 0
-            && let Some(behind) = buffer.get_mut(end..self.len)
+            && let Some(after) = buffer.get_mut(end..self.len)
         {
-            shift_down(behind, read);
+            shift_down(after, read);
             self.next = end;
             self.len = self.len.saturating_sub(read);
         }
         buffer.get_mut(self.len..).unwrap_or_default()
     }
 
-    /// Drops what lies before a frame, so that there is more room after it; returns where the frame is then.
-    pub(crate) fn move_to_front(&mut self, buffer: &mut [u8], span: Span) -> Span {
+    /// Drops the bytes before a frame to make room after it; returns the frame's new position.
+    pub(crate) fn move_to_front(&mut self, buffer: &mut [u8], frame: Located) -> Located {
         if let Some(received) = buffer.get_mut(..self.len) {
-            shift_down(received, span.start);
+            shift_down(received, frame.start());
         }
-        self.len = self.len.saturating_sub(span.start);
-        self.next = self.next.saturating_sub(span.start);
-        Span { start: 0, len: span.len }
+        self.len = self.len.saturating_sub(frame.start());
+        self.next = self.next.saturating_sub(frame.start());
+        Located { start: 0, ..frame }
     }
 
-    /// Returns the serial of the bytes that were found to be no frame last, if they are as long as a header.
-    pub(crate) fn malformed_header(&self, buffer: &[u8]) -> Option<u16> {
-        match buffer.get(self.malformed..self.len)? {
-            [SOH, _, _, _, _, s0, s1, rest @ ..] if rest.len() >= MIN_FRAME - 7 => Some(u16::from_le_bytes([*s0, *s1])),
-            _ => None,
-        }
+    /// Returns the header of the last invalid bytes, if they are at least as long as the shortest frame.
+    pub(crate) fn malformed_header(&self, buffer: &[u8]) -> Option<Header> {
+        let bytes = buffer.get(self.malformed..self.len)?;
+        let has_header = bytes.len() >= MIN_FRAME && bytes.first() == Some(&SOH);
+        has_header.then(|| Header::read(bytes)).flatten()
     }
 
-    /// Takes note of `count` bytes that were put into the free part.
+    /// Records `count` bytes that were put into the free part.
     pub(crate) fn received(&mut self, buffer: &[u8], count: usize) {
         self.len = self.len.saturating_add(count).min(buffer.len());
         let skipped = self.skip.min(self.len.saturating_sub(self.next));
@@ -170,7 +185,7 @@ impl Inbox {
         self.next = self.next.wrapping_add(skipped);
     }
 
-    /// Returns the length of the frame that `poll` finds next, by its header; 0 as long as it has not arrived.
+    /// Returns the length in bytes of the frame that `poll` reads next; 0 until all of it has arrived.
     pub(crate) fn next_frame(&self, buffer: &[u8]) -> usize {
         let bytes = buffer.get(self.next..self.len).unwrap_or_default();
         match self.decoder.frame_length(bytes) {
@@ -179,30 +194,30 @@ impl Inbox {
         }
     }
 
-    /// Takes the next frame out of what was received.
+    /// Reads the next frame of the received bytes.
     pub(crate) fn poll(&mut self, buffer: &mut impl Storage) -> Option<Received> {
         let bytes = buffer.bytes().get(self.next..self.len)?;
         if bytes.is_empty() {
             return None;
         }
         if self.link == Link::Datagram {
-            let span = Span { start: self.next, len: bytes.len() };
+            let start = self.next;
             self.malformed = self.next;
             self.next = self.len;
-            return Some(match self.decoder.decode_datagram(bytes) {
-                Ok(_) => Received::Frame(span),
+            return Some(match self.decoder.decode_datagram_with_header(bytes) {
+                Ok((header, _)) => Received::Frame(Located::new(start, header)),
                 Err(error) => Received::Malformed(error),
             });
         }
-        match self.decoder.decode(bytes) {
-            Ok(Progress::Complete(_, used)) => {
-                let span = Span { start: self.next, len: used };
-                self.next = self.next.saturating_add(used).min(self.len);
-                Some(Received::Frame(span))
+        match self.decoder.decode_with_header(bytes) {
+            Ok(Decoded::Complete(header, _)) => {
+                let frame = Located::new(self.next, header);
+                self.next = frame.end().min(self.len);
+                Some(Received::Frame(frame))
             }
-            Ok(Progress::NeedMore(needed)) => {
+            Ok(Decoded::NeedMore(needed)) => {
                 let room = buffer.bytes().len();
-                // a frame larger than the memory shows when it has filled it
+                // the frame is too large when it fills the buffer and is incomplete
                 let full = self.next == 0 && self.len >= room && needed > room;
                 if full && !buffer.grow(room.saturating_mul(2).clamp(MIN_FRAME, needed.max(MIN_FRAME))) {
                     return Some(self.too_large(buffer.bytes(), needed));
@@ -221,45 +236,34 @@ impl Inbox {
         }
     }
 
-    /// Starts to skip a frame that does not fit.
+    /// Starts to skip a frame that does not fit the buffer.
     fn too_large(&mut self, bytes: &[u8], length: usize) -> Received {
         self.skip = length.saturating_sub(self.len);
         self.next = self.len;
-        match bytes.first_chunk::<HEADER_LEN>() {
-            Some(&[_, _, _, _, _, s0, s1, ..]) => {
-                let span = Span { start: 0, len: length };
-                Received::TooLarge { span, serial: u16::from_le_bytes([s0, s1]), length: to_u32(length) }
-            }
-            // memory without room for a header will never see a serial
+        match Header::read(bytes) {
+            Some(header) => Received::TooLarge(Located::new(0, header)),
+            // the buffer is shorter than a header, so there is no serial to report
             None => {
-                let limit = to_u32(bytes.len());
-                let kind = DecodeErrorKind::FrameTooLong { length: to_u32(length), limit };
-                Received::Broken(DecodeError { kind, layer: Layer::Frame, offset: 1 })
+                let kind = DecodeErrorKind::FrameTooLong { length: to_u32(length), limit: to_u32(bytes.len()) };
+                Received::Broken(DecodeError::frame(kind, LENGTH_AT))
             }
         }
     }
 
-    /// Views a frame that `poll` has found, as long as `free` was not called.
-    pub(crate) fn frame<'b>(&self, buffer: &'b [u8], span: Span) -> Option<Frame<'b>> {
-        let bytes = buffer.get(span.start..)?.get(..span.len)?;
-        let (header, rest) = bytes.split_first_chunk::<HEADER_LEN>()?;
-        let &[_, _, _, _, _, s0, s1, r0, r1, c0, c1, c2, c3, n0, n1] = header;
+    /// Views a frame that `poll` returned, until the next call of `free`.
+    pub(crate) fn frame<'b>(&self, buffer: &'b [u8], frame: Located) -> Option<Frame<'b>> {
         let tail = if self.decoder.crc { 3 } else { 1 };
-        let body = rest.get(..rest.len().checked_sub(tail)?)?;
-        Some(Frame {
-            serial: u16::from_le_bytes([s0, s1]),
-            reserved: u16::from_le_bytes([r0, r1]),
-            code: i32::from_le_bytes([c0, c1, c2, c3]),
-            args: Args::from_checked(u16::from_le_bytes([n0, n1]), body, self.decoder.strictness),
-        })
+        let body = frame.start().saturating_add(HEADER_LEN)..frame.end().checked_sub(tail)?;
+        let args = Args::from_checked(frame.header.count, buffer.get(body)?, self.decoder.strictness);
+        Some(Frame::new(frame.header, args))
     }
 
-    /// Tells whether part of a frame waits for its rest.
+    /// Tells whether an incomplete frame was received.
     pub(crate) const fn is_partial(&self) -> bool {
         self.len > self.next || self.skip > 0
     }
 
-    /// Forgets a part of a frame whose rest will not come: the line has been silent for too long.
+    /// Drops an incomplete frame whose rest will not arrive.
     pub(crate) fn forget_partial(&mut self) {
         self.len = self.next;
         self.early = self.early.min(self.len);
@@ -271,12 +275,12 @@ impl Inbox {
         self.early = self.len;
     }
 
-    /// Tells whether a frame had begun to arrive before `mark`.
-    pub(crate) const fn is_early(&self, span: Span) -> bool {
-        span.start < self.early
+    /// Tells whether the first byte of a frame arrived before `mark`.
+    pub(crate) fn is_early(&self, frame: Located) -> bool {
+        frame.start() < self.early
     }
 
-    /// Forgets everything, for a new connection.
+    /// Drops all bytes, for a new connection.
     pub(crate) const fn reset(&mut self) {
         self.len = 0;
         self.next = 0;

@@ -4,14 +4,17 @@ pub mod call;
 pub mod client;
 mod frame;
 pub mod function;
+mod header;
 mod link;
 pub mod server;
 
 pub use self::call::Call;
 pub use self::client::Client;
-pub use self::frame::{Args, ArgsIter, Decoder, EOT, Frame, FrameWriter, HEADER_LEN, MIN_FRAME, Progress, SOH, crc16};
+pub use self::frame::{Args, ArgsIter, Decoder, EOT, Frame, FrameWriter, MIN_FRAME, Progress, crc16};
 pub use self::function::{FunctionId, Kind, Object, Signature};
+pub use self::header::{HEADER_LEN, SOH};
 pub use self::link::{Link, OnMalformed};
+pub use self::server::Session;
 
 /// The port of b-CAP, TCP and UDP.
 pub const PORT: u16 = 5007;

@@ -3,35 +3,38 @@
 //! ```text
 //!   the link ─► receive_buffer, received ──► run(handler) ──► transmit ─► the link
 //!                                             ▲    │
-//!                                poll_timeout └────┘ S_EXECUTING, time limits, a handler that waits
+//!                                poll_timeout └────┘ S_EXECUTING, time limits, a waiting handler
 //! ```
 //!
-//! A [`Session`] holds no socket and no clock; whoever runs it moves the bytes, and calls [`run`](Session::run) when
-//! bytes have come, when [`poll_timeout`](Session::poll_timeout) is due, and when something happened that a waiting
-//! handler may be waiting for. What it does for the handler:
+//! A [`Session`] contains no socket and no clock. The caller moves the bytes, and calls [`run`](Session::run) after bytes
+//! were received or sent, at [`poll_timeout`](Session::poll_timeout), and after any event that a waiting handler may wait
+//! for. The session does the following for the handler:
 //!
-//! * **Bytes** are checked. On a stream a bad frame is answered with E_INVALIDRCPACKET and the session ends (S0:169);
-//!   a bad datagram is answered if it has a header; noise on a serial line is passed over.
-//! * **Arguments** are checked against the [function table](super::function) before the handler sees them: their number
-//!   (E_INVALIDARG), their kinds (E_INVALIDARGTYPE), and that a handle was given to this peer (E_HANDLE).
-//! * **Time**: with `WDT=ms` in Service_Start, S_EXECUTING goes out at that interval while a call runs. A call that runs
-//!   longer than `InvokeTimeout=ms` (180 s) is answered with E_TIMEOUT and abandoned.
-//! * **Copies** of a call on lossy links are recognised by the retry marker and the function. The last reply is sent again;
-//!   a call that still runs is answered with S_EXECUTING; a late copy of an older call of the session is dropped. Without
-//!   a session every request is executed or answered (`docs/udp-sessions.md`).
-//! * **Objects**: every handle given to the peer is noted. What is left is released, newest first, at Service_Stop and
-//!   when the peer goes. When the list is full E_MAX_OBJECT refuses to open more.
+//! * **Frames** are validated. An invalid frame on a stream gets the reply E_INVALIDRCPACKET, and the session ends
+//!   (S0:169). An invalid datagram gets a reply if it has a header. Noise on a serial line is skipped.
+//! * **Arguments** are checked against the [function table](super::function): their number (E_INVALIDARG), their types
+//!   (E_INVALIDARGTYPE), and that a handle was given to this peer (E_HANDLE).
+//! * **Time**: with `WDT=ms` in Service_Start, the session sends S_EXECUTING at that interval while a call runs. A call that
+//!   runs longer than `InvokeTimeout=ms` (180 s) gets the reply E_TIMEOUT and is abandoned.
+//! * **Copies** of a call on lossy links are recognised by the reserved field and the function. For a copy of the last
+//!   call, the session sends its reply again; for a copy of the running call, S_EXECUTING; it drops a late copy of an older
+//!   call of the session. Without a session every request gets a reply (`docs/udp-sessions.md`).
+//! * **Objects**: the session lists the handles given to the peer. At Service_Stop, and when the peer disconnects, it
+//!   releases the remaining ones in reverse order. When the list is full, opening an object fails with E_MAX_OBJECT.
 
 use core::time::Duration;
 
-use crate::bcap::frame::{EOT, FrameWriter, HEADER_LEN, SOH, crc16, renumber};
-use crate::bcap::link::{Inbox, Link, OnMalformed, Received, Span};
+use crate::bcap::frame::{EOT, FrameWriter, crc16, renumber, seal};
+use crate::bcap::header::{HEADER_LEN, Header};
+use crate::bcap::link::{Inbox, Link, Located, OnMalformed, Received};
 use crate::bcap::{Args, FunctionId, Kind, Object};
+use crate::endpoint::{Endpoint, Serve, ServerEndpoint};
 use crate::error::DecodeError;
 use crate::handler::{Outcome, PeerId, ReplyValue};
 use crate::hresult::HResult;
 use crate::limits::{Limits, Strictness};
 use crate::num::to_u32;
+use crate::outbox::Outbox;
 use crate::storage::Storage;
 use crate::time::Instant;
 use crate::variant::{Bstr, Variant};
@@ -42,14 +45,14 @@ mod serials;
 pub use self::options::{OptionError, StartOptions};
 use self::serials::{Attempt, Serials, Verdict};
 
-/// A request whose arguments have been checked against the table: their number and their kinds are right.
+/// A request; the number and the types of its arguments agree with the function table.
 #[derive(Clone, Copy, Debug)]
 pub struct Request<'a> {
-    /// What is asked for.
+    /// The function.
     pub function: FunctionId,
     /// The arguments.
     pub args: Args<'a>,
-    /// Whether the handler has answered this very request with [`Outcome::Wait`] before.
+    /// Whether the handler returned [`Outcome::Wait`] for this request before.
     pub resumed: bool,
 }
 
@@ -81,48 +84,48 @@ impl<'a> Request<'a> {
         self.value(index).as_bstr().unwrap_or_default()
     }
 
-    /// Returns an argument of any type, counted from 0; EMPTY when it is not there.
+    /// Returns an argument of any type, counted from 0; EMPTY without one.
     #[must_use]
     pub fn value(&self, index: usize) -> Variant<'a> {
         self.args.get(index).unwrap_or(Variant::Empty)
     }
 }
 
-/// The application behind a server of b-CAP.
+/// The application that executes the requests of a server.
 pub trait Handler {
-    /// Carries a request out, or goes on with it.
+    /// Executes a request, or resumes it.
     ///
-    /// The value of the reply is set in `reply`; [`Outcome`] says how the call ended, or when to ask again. The server
-    /// has checked the arguments, and that a handle of them was given to this peer; it keeps the list of the peer's
-    /// objects, and calls the releasing functions for what is left of them when the peer goes.
+    /// It sets the value of the reply in `reply`. [`Outcome`] is the result of the request, or the time to resume it. The
+    /// server has checked the arguments, and that their handle was given to this peer. When the peer disconnects, the
+    /// server calls the releasing functions for its remaining objects.
     fn call(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome;
 
-    /// Learns that a request that was to be asked about again will not be: it ran out of time, or the peer went.
+    /// Is called when a waiting request is not resumed: it timed out, or the peer disconnected.
     fn abandoned(&mut self, peer: PeerId, now: Instant) {
         let _ = (peer, now);
     }
 
-    /// Learns that a peer has gone; its objects have been released.
+    /// Is called when a peer disconnected, after its objects were released.
     fn left(&mut self, peer: PeerId, now: Instant) {
         let _ = (peer, now);
     }
 }
 
-/// How a session behaves; every field is a run-time choice.
+/// Configuration of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Config {
-    /// What carries the frames.
+    /// The kind of link.
     pub link: Link,
-    /// What is accepted at most.
+    /// The limits on received frames.
     pub limits: Limits,
-    /// How forgiving the session is with requests.
+    /// Whether requests are decoded strictly or leniently.
     pub strictness: Strictness,
-    /// What to do when the bytes of a stream are no frame.
+    /// What to do when the bytes of a stream are not a valid frame.
     pub on_malformed: OnMalformed,
-    /// How long a call may run, unless Service_Start says otherwise.
+    /// How long a call may run, unless Service_Start sets another time.
     pub invoke_timeout: Duration,
-    /// How long it may run at most, whatever Service_Start says.
+    /// The maximum of that time, which also limits Service_Start.
     pub invoke_timeout_max: Duration,
 }
 
@@ -144,40 +147,41 @@ impl Config {
         Self { link: Link::Serial, limits: Limits::SERIAL, on_malformed: OnMalformed::Resync, ..Self::TCP };
 }
 
-/// What a session has done; for logs and counters.
+/// An event of a session, for logs and counters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Event {
-    /// A request was answered, by the handler or for it.
+    /// A request got its reply, from the handler or from the session.
     Served {
-        /// What was asked for.
+        /// The function.
         function: FunctionId,
-        /// What was answered.
+        /// The result in the reply.
         result: HResult,
     },
     /// S_EXECUTING was sent.
     KeptAlive,
-    /// A repetition was recognised; nothing was executed.
+    /// A copy of a call was recognised; nothing was executed.
     Repeated {
         /// The serial of the call's first attempt.
         first: u16,
     },
-    /// Bytes came that are no frame.
+    /// Invalid bytes arrived.
     Malformed(DecodeError),
 }
 
-/// The server's side of one peer, with its two buffers and room for `OBJECTS` handles.
+/// The server's side of one peer, with two buffers and memory for `OBJECTS` handles.
 ///
 /// # Examples
 ///
 /// ```
 /// use bcap_core::bcap::server::{Config, Event, Handler, Request, Session};
 /// use bcap_core::bcap::{FunctionId, HEADER_LEN};
+/// use bcap_core::endpoint::{Endpoint, Serve};
 /// use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 /// use bcap_core::hresult::HResult;
 /// use bcap_core::time::Instant;
 ///
-/// /// A controller without anything in it.
+/// /// A controller without objects.
 /// struct Empty;
 ///
 /// impl Handler for Empty {
@@ -206,7 +210,7 @@ pub struct Session<T, R = T, const OBJECTS: usize = 32> {
     objects: heapless::Vec<(Object, i32), OBJECTS>,
 }
 
-/// Everything of a session that does not depend on its memory.
+/// The part of a session that does not depend on the types of its buffers.
 #[derive(Debug)]
 struct State {
     config: Config,
@@ -214,23 +218,22 @@ struct State {
     /// The interval of S_EXECUTING.
     watchdog: Option<Duration>,
     running: Option<Running>,
-    /// Bytes of the last reply in `tx`, and how many of them the link has taken.
-    tx_len: usize,
-    tx_sent: usize,
-    /// What tells copies of a call from new calls, on a lossy link.
+    /// The unsent part of the last reply in `tx`.
+    outbox: Outbox,
+    /// Recognises copies of calls on a lossy link.
     serials: Serials,
-    /// Nothing more is read; when `tx` is sent the link is to be closed.
+    /// No more frames are read; after `tx` is sent, the link must be closed.
     closing: bool,
 }
 
 /// A request that the handler has not answered yet.
 #[derive(Clone, Copy, Debug)]
 struct Running {
-    span: Span,
+    frame: Located,
     function: FunctionId,
     /// The serial of the call's first attempt.
     marker: u16,
-    /// The serial of the attempt that was sent last; the reply goes to it.
+    /// The serial of the last attempt, which the reply carries.
     serial: u16,
     resumed: bool,
     wake: Instant,
@@ -238,70 +241,18 @@ struct Running {
     keep_alive_at: Instant,
 }
 
-/// How soon a handler that waits is asked again at the earliest, if nothing else happens.
+/// The shortest interval between two polls of a waiting handler without other events.
 const SOONEST: Duration = Duration::from_millis(1);
 
-/// The bytes in front of a reply's value: the header and the argument's length.
+/// The bytes before the value of a reply: the header and the argument's length.
 const VALUE_AT: usize = HEADER_LEN + 4;
 
 impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
-    /// Makes a session for a peer that has just come.
+    /// Makes a session for a new peer.
     #[must_use]
     pub fn new(config: Config, tx: T, rx: R) -> Self {
         let inbox = Inbox::new(config.link, config.limits, config.strictness, config.on_malformed);
         Self { tx, rx, inbox, state: State::new(config), objects: heapless::Vec::new() }
-    }
-
-    /// Returns memory for bytes that arrive; with datagrams, for one of them.
-    ///
-    /// It is empty while a request runs and there is no room behind it; then bytes must wait (or datagrams be dropped).
-    #[must_use]
-    pub fn receive_buffer(&mut self) -> &mut [u8] {
-        if let Some(running) = &self.state.running {
-            // the handler will look at its request again, so that stays where it is
-            return self.inbox.free_behind(self.rx.bytes_mut(), running.span);
-        }
-        self.inbox.free(&mut self.rx)
-    }
-
-    /// Takes note that `count` bytes have been put into [`receive_buffer`](Self::receive_buffer).
-    pub fn received(&mut self, count: usize) {
-        self.inbox.received(self.rx.bytes(), count);
-    }
-
-    /// Returns the bytes that are to be sent: one datagram, or the rest of a frame for a stream.
-    #[must_use]
-    pub fn transmit(&self) -> &[u8] {
-        self.tx.bytes().get(self.state.tx_sent..self.state.tx_len).unwrap_or_default()
-    }
-
-    /// Takes note that the link has taken `count` bytes of [`transmit`](Self::transmit).
-    pub fn transmitted(&mut self, count: usize) {
-        self.state.tx_sent = self.state.tx_sent.saturating_add(count).min(self.state.tx_len);
-    }
-
-    /// Returns when [`run`](Self::run) is to be called even if no bytes come; `None` while no request runs.
-    #[must_use]
-    pub fn poll_timeout(&self) -> Option<Instant> {
-        self.state.running.map(|running| running.wake.min(running.until).min(running.keep_alive_at))
-    }
-
-    /// Tells whether a request runs that its handler has not answered.
-    #[must_use]
-    pub const fn is_running(&self) -> bool {
-        self.state.running.is_some()
-    }
-
-    /// Tells whether part of a request has come and its rest has not.
-    #[must_use]
-    pub const fn is_receiving(&self) -> bool {
-        self.state.running.is_none() && self.inbox.is_partial()
-    }
-
-    /// Tells whether the session is over: what there was to send is sent, and the link is to be closed.
-    #[must_use]
-    pub const fn is_finished(&self) -> bool {
-        self.state.closing && self.state.tx_sent >= self.state.tx_len
     }
 
     /// Returns the number of handles that the peer has open.
@@ -310,91 +261,36 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         self.objects.len()
     }
 
-    /// Returns the length in bytes of the request that the next call of [`run`](Self::run) decodes; 0 without one.
-    ///
-    /// The time of that call grows with this length, so a server of many peers can give a large one to another thread.
-    #[must_use]
-    pub fn next_request(&self) -> usize {
-        if self.state.running.is_some() || self.state.is_sending() || self.state.closing {
-            return 0;
-        }
-        self.inbox.next_frame(self.rx.bytes())
-    }
-
-    /// Returns the bytes of memory that it has, both ways together.
-    #[must_use]
-    pub fn memory(&self) -> usize {
-        self.tx.bytes().len().saturating_add(self.rx.bytes().len())
-    }
-
-    /// Gives back memory over `room` bytes each way, unless something is in it: for servers whose sessions keep silent
-    /// after large frames. A repetition of the last call is not answered then, if its reply was larger than that.
-    pub fn shrink(&mut self, room: usize) {
-        if self.state.running.is_some() || self.state.is_sending() || self.inbox.is_partial() {
-            return;
-        }
-        if self.state.tx_len > room {
-            self.state.serials.forget_reply();
-            (self.state.tx_len, self.state.tx_sent) = (0, 0);
-        }
-        // nothing is in it, so what was read is forgotten with this
-        let _ = self.inbox.free(&mut self.rx);
-        self.tx.shrink(room);
-        self.rx.shrink(room);
-    }
-
-    /// Goes on as far as it can, and says what was done; `None` when bytes must come, leave, or time pass.
-    ///
-    /// It is to be called until it returns `None`.
-    pub fn run<H: Handler + ?Sized>(&mut self, handler: &mut H, peer: PeerId, now: Instant) -> Option<Event> {
-        if self.state.is_sending() {
-            return None;
-        }
-        if let Some(running) = self.state.running {
-            return self.resume(running, handler, peer, now);
-        }
-        if self.state.closing {
-            return None;
-        }
-        match self.next_frame()? {
-            Ok(span) => self.begin(span, handler, peer, now),
-            Err(event) => Some(event),
-        }
-    }
-
-    /// Ends the session: abandons what runs, releases the objects newest first, and tells the handler.
-    pub fn close<H: Handler + ?Sized>(&mut self, handler: &mut H, peer: PeerId, now: Instant) {
-        if self.state.running.take().is_some() {
-            handler.abandoned(peer, now);
-        }
-        self.release_objects(handler, peer, now);
-        handler.left(peer, now);
-        self.state.closing = true;
-        self.state.tx_sent = self.state.tx_len;
-    }
-
-    /// Takes the next frame out of what was received; what is none is answered where the link has a use for that.
-    fn next_frame(&mut self) -> Option<Result<Span, Event>> {
+    /// Reads the next received frame. Invalid bytes are an event, and get a reply as [`malformed`](Self::malformed) decides.
+    fn next_frame(&mut self) -> Option<Result<Located, Event>> {
         Some(match self.inbox.poll(&mut self.rx)? {
-            Received::Frame(span) => Ok(span),
-            Received::TooLarge { serial, .. } => Err(self.refuse(serial, FunctionId(0), HResult::E_PACKETSIZEOVER)),
+            Received::Frame(frame) => Ok(frame),
+            Received::TooLarge(frame) => {
+                Err(self.refuse(frame.header.serial, FunctionId(0), HResult::E_PACKETSIZEOVER))
+            }
             Received::Malformed(error) => Err(self.malformed(error, false)),
             Received::Broken(error) => Err(self.malformed(error, true)),
         })
     }
 
-    /// Begins to work on a frame.
-    fn begin<H: Handler + ?Sized>(&mut self, span: Span, handler: &mut H, peer: PeerId, now: Instant) -> Option<Event> {
-        let attempt = self.attempt(span)?;
+    /// Starts a received request, or handles it as a copy.
+    fn begin<H: Handler + ?Sized>(
+        &mut self,
+        frame: Located,
+        handler: &mut H,
+        peer: PeerId,
+        now: Instant,
+    ) -> Option<Event> {
+        let attempt = self.attempt(frame)?;
         match self.state.judge(&attempt, now) {
-            Verdict::New => self.execute(span, attempt, handler, peer, now),
+            Verdict::New => self.execute(frame, attempt, handler, peer, now),
             Verdict::Begin => {
-                if self.check(span).is_err() {
-                    return self.execute(span, attempt, handler, peer, now);
+                if self.check(frame).is_err() {
+                    return self.execute(frame, attempt, handler, peer, now);
                 }
                 self.end_service(handler, peer, now);
-                let span = self.inbox.move_to_front(self.rx.bytes_mut(), span);
-                self.execute(span, attempt, handler, peer, now)
+                let frame = self.inbox.move_to_front(self.rx.bytes_mut(), frame);
+                self.execute(frame, attempt, handler, peer, now)
             }
             Verdict::Repeat => Some(self.repeat(&attempt)),
             Verdict::Executing => Some(self.executing(&attempt)),
@@ -402,19 +298,23 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         }
     }
 
-    /// Reads what tells a request from copies of others.
-    fn attempt(&self, span: Span) -> Option<Attempt> {
-        let frame = self.inbox.frame(self.rx.bytes(), span)?;
-        let function = frame.function();
-        let marker = if frame.reserved == 0 { frame.serial } else { frame.reserved };
-        let arguments = if function == FunctionId::SERVICE_START { crc16(frame.args.as_bytes()) } else { 0 };
-        Some(Attempt { function, marker, serial: frame.serial, arguments })
+    /// Reads the parts of a request that identify copies.
+    fn attempt(&self, frame: Located) -> Option<Attempt> {
+        let Header { serial, reserved, code, .. } = frame.header;
+        let function = FunctionId(code);
+        let marker = if reserved == 0 { serial } else { reserved };
+        let arguments = if function == FunctionId::SERVICE_START {
+            crc16(self.inbox.frame(self.rx.bytes(), frame)?.args.as_bytes())
+        } else {
+            0
+        };
+        Some(Attempt { function, marker, serial, arguments })
     }
 
-    /// Checks a request and asks the handler.
+    /// Checks a request and calls the handler.
     fn execute<H: Handler + ?Sized>(
         &mut self,
-        span: Span,
+        frame: Located,
         attempt: Attempt,
         handler: &mut H,
         peer: PeerId,
@@ -422,7 +322,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
     ) -> Option<Event> {
         let function = attempt.function;
         let is_full = function.opens().is_some() && self.objects.is_full();
-        match self.check(span) {
+        match self.check(frame) {
             Ok(_) if is_full => return Some(self.refuse_attempt(&attempt, HResult::E_MAX_OBJECT)),
             Ok(Some(options)) => self.state.set_options(options),
             Ok(None) => {}
@@ -432,11 +332,11 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
             self.end_service(handler, peer, now);
         }
         self.state.serials.began(&attempt, now);
-        let running = self.state.begin(span, &attempt, now);
+        let running = self.state.begin(frame, &attempt, now);
         self.call(running, handler, peer, now)
     }
 
-    /// Ends what the peer has begun: abandons what runs, and releases its objects in reverse order.
+    /// Ends the peer's service: abandons the running call, and releases the objects in reverse order.
     fn end_service<H: Handler + ?Sized>(&mut self, handler: &mut H, peer: PeerId, now: Instant) {
         if self.state.running.take().is_some() {
             handler.abandoned(peer, now);
@@ -445,17 +345,13 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         self.state.serials.end_service();
     }
 
-    /// Goes on with a request that runs.
-    fn resume<H: Handler + ?Sized>(
-        &mut self,
-        running: Running,
-        handler: &mut H,
-        peer: PeerId,
-        now: Instant,
-    ) -> Option<Event> {
+    /// Resumes the running request.
+    fn resume<H: Handler + ?Sized>(&mut self, handler: &mut H, peer: PeerId, now: Instant) -> Option<Event> {
         if let Some(event) = self.called_while_running(handler, peer, now) {
             return Some(event);
         }
+        // a Service_Start may have ended the call
+        let running = self.state.running?;
         let Running { function, serial, marker, .. } = running;
         if now >= running.until {
             self.state.running = None;
@@ -473,7 +369,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         self.call(running, handler, peer, now)
     }
 
-    /// Handles a request that arrives while another one runs; a stream keeps it for later.
+    /// Handles a request that arrives while another one runs. On a stream it stays in the buffer.
     fn called_while_running<H: Handler + ?Sized>(
         &mut self,
         handler: &mut H,
@@ -483,25 +379,25 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         if !self.state.config.link.is_lossy() {
             return None;
         }
-        let span = match self.next_frame()? {
-            Ok(span) => span,
-            // or it would hide the frame after it
+        let frame = match self.next_frame()? {
+            Ok(frame) => frame,
+            // reported at once, so that the frame after it is read
             Err(event) => return Some(event),
         };
-        let attempt = self.attempt(span)?;
+        let attempt = self.attempt(frame)?;
         let refused = match self.state.judge(&attempt, now) {
             Verdict::New => Err(HResult::E_BUSY_PROC),
-            // a client that begins a session does not wait for the call of another
-            Verdict::Begin => self.check(span).map(drop),
+            // a client that begins a session does not wait for an earlier client's call
+            Verdict::Begin => self.check(frame).map(drop),
             Verdict::Executing | Verdict::Repeat | Verdict::Drop => Ok(()),
         };
         match refused {
             Err(result) => Some(self.refuse(attempt.serial, attempt.function, result)),
-            Ok(()) => self.begin(span, handler, peer, now),
+            Ok(()) => self.begin(frame, handler, peer, now),
         }
     }
 
-    /// Asks the handler.
+    /// Calls the handler.
     fn call<H: Handler + ?Sized>(
         &mut self,
         running: Running,
@@ -509,15 +405,15 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         peer: PeerId,
         now: Instant,
     ) -> Option<Event> {
-        let Running { span, function, marker, serial, resumed, .. } = running;
-        let args = self.inbox.frame(self.rx.bytes(), span)?.args;
+        let Running { frame, function, marker, serial, resumed, .. } = running;
+        let args = self.inbox.frame(self.rx.bytes(), frame)?.args;
         let tail = self.state.tail();
         let max = self.state.config.link.send_max().saturating_sub(VALUE_AT).saturating_sub(tail);
         let mut reply = ReplyValue::within(&mut self.tx, VALUE_AT, max, tail);
         let request = Request { function, args, resumed };
         let result = match handler.call(peer, &request, &mut reply, now) {
             Outcome::Wait(wake) => {
-                // a handler that asks for a time that has passed must not keep its server spinning
+                // a time in the past must not make the server loop
                 let wake = wake.max(now.saturating_add(SOONEST));
                 self.state.running = Some(Running { resumed: true, wake, ..running });
                 return None;
@@ -530,7 +426,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         self.state.running = None;
         if result.is_ok() {
             let released = args.get(0).and_then(|value| handle_of(&value)).unwrap_or(0);
-            self.keep_books(function, handle, released);
+            self.update_objects(function, handle, released);
         }
         let len = if result == HResult::E_TOO_MUCH_DATA { 0 } else { len };
         self.send_reply(serial, function, result, len);
@@ -538,14 +434,14 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         Some(Event::Served { function, result })
     }
 
-    /// Notes what a successful call has opened or released.
-    fn keep_books(&mut self, function: FunctionId, opened: Option<i32>, released: i32) {
+    /// Adds the object that a successful call opened to the list, or removes the one that it released.
+    fn update_objects(&mut self, function: FunctionId, opened: Option<i32>, released: i32) {
         if let Some(object) = function.opens() {
             let handle = if object == Object::Service { Some(0) } else { opened };
             if let Some(handle) = handle
                 && !self.objects.contains(&(object, handle))
             {
-                // `check` has made sure of a free place
+                // `execute` has refused the call if the list is full
                 let _ = self.objects.push((object, handle));
             }
         }
@@ -555,7 +451,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         }
     }
 
-    /// Releases all objects, newest first, through the handler.
+    /// Releases all objects in reverse order, through the handler.
     fn release_objects<H: Handler + ?Sized>(&mut self, handler: &mut H, peer: PeerId, now: Instant) {
         while let Some((object, handle)) = self.objects.pop() {
             let mut argument = [10, 0, 0, 0, 3, 0, 1, 0, 0, 0, 0, 0, 0, 0];
@@ -567,14 +463,14 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
                 _ => Args::from_checked(1, &argument, Strictness::Strict),
             };
             let request = Request { function: object.released_by(), args, resumed: false };
-            // there is nobody to tell whether it went well
+            // no client waits for the result
             let _ = handler.call(peer, &request, &mut ReplyValue::new(&mut []), now);
         }
     }
 
-    /// Checks a request against the function table and the peer's objects; returns the options of Service_Start.
-    fn check(&self, span: Span) -> Result<Option<StartOptions>, HResult> {
-        let frame = self.inbox.frame(self.rx.bytes(), span).ok_or(HResult::E_INVALIDRCPACKET)?;
+    /// Checks a request against the function table and the peer's objects; returns the options of a Service_Start.
+    fn check(&self, frame: Located) -> Result<Option<StartOptions>, HResult> {
+        let frame = self.inbox.frame(self.rx.bytes(), frame).ok_or(HResult::E_INVALIDRCPACKET)?;
         let function = frame.function();
         let Some(signature) = function.signature() else { return Err(HResult::E_INVALIDARG) };
         let (given, taken) = (frame.args.len(), signature.arguments.len());
@@ -597,32 +493,32 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         StartOptions::read(frame.args.get(0)).map(Some).map_err(|_| HResult::E_INVALIDARG)
     }
 
-    /// Answers without asking the handler.
+    /// Replies without calling the handler.
     fn refuse(&mut self, serial: u16, function: FunctionId, result: HResult) -> Event {
         self.send_reply(serial, function, result, 0);
         Event::Served { function, result }
     }
 
-    /// Answers without asking the handler, and keeps the reply for further attempts.
+    /// Replies without calling the handler, and keeps the reply for further attempts.
     fn refuse_attempt(&mut self, attempt: &Attempt, result: HResult) -> Event {
         let event = self.refuse(attempt.serial, attempt.function, result);
         self.state.serials.answered(attempt.marker, attempt.function, false);
         event
     }
 
-    /// Sends the last reply again, for another attempt of its call.
+    /// Sends the last reply again, with the serial of another attempt of its call.
     fn repeat(&mut self, attempt: &Attempt) -> Event {
-        let frame = self.tx.bytes_mut().get_mut(..self.state.tx_len).unwrap_or_default();
+        let frame = self.state.outbox.whole(self.tx.bytes_mut());
         renumber(frame, attempt.serial, 0, self.state.config.link == Link::Serial);
-        self.state.tx_sent = 0;
+        self.state.outbox.rewind();
         Event::Repeated { first: attempt.marker }
     }
 
-    /// Answers another attempt of the running call with S_EXECUTING.
+    /// Replies to another attempt of the running call with S_EXECUTING.
     fn executing(&mut self, attempt: &Attempt) -> Event {
         let mut serial = attempt.serial;
         if let Some(running) = &mut self.state.running {
-            // the network may have reordered the attempts: the reply goes to the one that was sent last
+            // the network may have reordered the attempts: the reply carries the serial of the last one
             if serial.wrapping_sub(running.serial) >= 0x8000 {
                 serial = running.serial;
             }
@@ -632,23 +528,23 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         Event::Repeated { first: attempt.marker }
     }
 
-    /// Reports bytes that are no frame, and answers them where the link has a use for that.
+    /// Reports invalid bytes, and sends a reply if the link and the bytes allow it.
     fn malformed(&mut self, error: DecodeError, close: bool) -> Event {
         let header = self.inbox.malformed_header(self.rx.bytes());
         let answer = match self.state.config.link {
             Link::Stream => close,
-            // not to answer short garbage keeps a forged sender address from being worth anything
+            // without a reply to short datagrams, a forged sender address gains no amplification
             Link::Datagram => header.is_some(),
             Link::Serial => false,
         };
         if answer {
-            self.send_code(header.unwrap_or(0), error.hresult(), false);
+            self.send_code(header.map_or(0, |header| header.serial), error.hresult(), false);
         }
         self.state.closing |= close;
         Event::Malformed(error)
     }
 
-    /// Puts a frame with a code, and EMPTY as its value if wanted, into `tx`; the reply that was there is gone.
+    /// Writes a frame with a code, and EMPTY as its value if `empty`, into `tx`. It replaces the last reply.
     fn send_code(&mut self, serial: u16, code: HResult, empty: bool) {
         self.state.serials.forget_reply();
         self.tx.grow(64);
@@ -660,36 +556,31 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
             }
             frame.finish(serial, 0, code.0)
         });
-        self.state.tx_len = frame.map_or(0, <[u8]>::len);
-        self.state.tx_sent = 0;
+        self.state.outbox = Outbox::new(frame.map_or(0, <[u8]>::len));
     }
 
-    /// Closes the frame around the value of `len` bytes that the handler has left in `tx`.
+    /// Writes the frame around the value of `len` bytes that the handler has set in `tx`.
     fn send_reply(&mut self, serial: u16, function: FunctionId, result: HResult, len: usize) {
         let kind = function.signature().map_or(Kind::Nothing, |signature| signature.result);
         if len == 0 || kind == Kind::Nothing {
-            // a function that gives a value gives EMPTY when it has none, as peers expect
+            // peers expect EMPTY from a function with a result, even after an error
             return self.send_code(serial, result, !matches!(kind, Kind::Nothing | Kind::Maybe));
         }
-        let crc = self.state.config.link == Link::Serial;
-        let end = VALUE_AT.saturating_add(len);
-        let total = end.saturating_add(self.state.tail());
+        let total = VALUE_AT.saturating_add(len).saturating_add(self.state.tail());
         self.tx.grow(total);
-        self.state.tx_sent = 0;
-        self.state.tx_len = total;
+        self.state.outbox = Outbox::new(total);
         let Some(frame) = self.tx.bytes_mut().get_mut(..total) else {
             return self.send_code(serial, HResult::E_TOO_MUCH_DATA, false);
         };
-        if let Some(head) = frame.first_chunk_mut::<VALUE_AT>() {
-            let ([l0, l1, l2, l3], [s0, s1]) = (to_u32(total).to_le_bytes(), serial.to_le_bytes());
-            let ([c0, c1, c2, c3], [a0, a1, a2, a3]) = (result.0.to_le_bytes(), to_u32(len).to_le_bytes());
-            *head = [SOH, l0, l1, l2, l3, s0, s1, 0, 0, c0, c1, c2, c3, 1, 0, a0, a1, a2, a3];
-        }
-        if crc {
-            let sum = crc16(frame.get(1..end).unwrap_or_default()).to_le_bytes();
-            if let Some(slot) = frame.get_mut(end..).and_then(<[u8]>::first_chunk_mut::<2>) {
-                *slot = sum;
+        let header = Header { length: to_u32(total), serial, reserved: 0, code: result.0, count: 1 };
+        if let Some((head, rest)) = frame.split_first_chunk_mut::<HEADER_LEN>() {
+            *head = header.to_bytes();
+            if let Some(length) = rest.first_chunk_mut::<4>() {
+                *length = to_u32(len).to_le_bytes();
             }
+        }
+        if self.state.config.link == Link::Serial {
+            seal(frame);
         }
         if let Some(last) = frame.last_mut() {
             *last = EOT;
@@ -697,7 +588,107 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
     }
 }
 
-/// Returns the handle in an argument or a reply.
+impl<T: Storage, R: Storage, const OBJECTS: usize> Endpoint for Session<T, R, OBJECTS> {
+    fn transmit(&self) -> &[u8] {
+        self.state.outbox.unsent(self.tx.bytes())
+    }
+
+    fn transmitted(&mut self, count: usize) {
+        self.state.outbox.transmitted(count);
+    }
+
+    fn receive_buffer(&mut self) -> &mut [u8] {
+        if let Some(running) = &self.state.running {
+            // the handler reads its request again, so it must not move
+            return self.inbox.free_after(self.rx.bytes_mut(), running.frame);
+        }
+        self.inbox.free(&mut self.rx)
+    }
+
+    fn received(&mut self, count: usize) {
+        self.inbox.received(self.rx.bytes(), count);
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        self.state.running.map(|running| running.wake.min(running.until).min(running.keep_alive_at))
+    }
+}
+
+impl<T: Storage, R: Storage, const OBJECTS: usize> ServerEndpoint for Session<T, R, OBJECTS> {
+    fn is_running(&self) -> bool {
+        self.state.running.is_some()
+    }
+
+    fn is_receiving(&self) -> bool {
+        self.state.running.is_none() && self.inbox.is_partial()
+    }
+
+    fn next_request(&self) -> usize {
+        if self.state.running.is_some() || self.state.outbox.is_sending() || self.state.closing {
+            return 0;
+        }
+        self.inbox.next_frame(self.rx.bytes())
+    }
+
+    fn is_finished(&self) -> bool {
+        self.state.closing && !self.state.outbox.is_sending()
+    }
+
+    fn memory(&self) -> usize {
+        self.tx.bytes().len().saturating_add(self.rx.bytes().len())
+    }
+
+    fn shrink(&mut self, room: usize) {
+        if self.state.running.is_some() || self.state.outbox.is_sending() || self.inbox.is_partial() {
+            return;
+        }
+        if self.state.outbox.len() > room {
+            self.state.serials.forget_reply();
+            self.state.outbox = Outbox::EMPTY;
+        }
+        // drops the frames that were read, so that the buffer is empty
+        let _ = self.inbox.free(&mut self.rx);
+        self.tx.shrink(room);
+        self.rx.shrink(room);
+    }
+}
+
+impl<H, T, R, const OBJECTS: usize> Serve<H> for Session<T, R, OBJECTS>
+where
+    H: Handler + ?Sized,
+    T: Storage,
+    R: Storage,
+{
+    type Event = Event;
+
+    fn run(&mut self, handler: &mut H, peer: PeerId, now: Instant) -> Option<Event> {
+        if self.state.outbox.is_sending() {
+            return None;
+        }
+        if self.state.running.is_some() {
+            return self.resume(handler, peer, now);
+        }
+        if self.state.closing {
+            return None;
+        }
+        match self.next_frame()? {
+            Ok(frame) => self.begin(frame, handler, peer, now),
+            Err(event) => Some(event),
+        }
+    }
+
+    fn close(&mut self, handler: &mut H, peer: PeerId, now: Instant) {
+        if self.state.running.take().is_some() {
+            handler.abandoned(peer, now);
+        }
+        self.release_objects(handler, peer, now);
+        handler.left(peer, now);
+        self.state.closing = true;
+        self.state.outbox.skip();
+    }
+}
+
+/// Reads a handle from an argument or a reply.
 fn handle_of(value: &Variant<'_>) -> Option<i32> {
     match *value {
         Variant::Ui4(n) => Some(n.cast_signed()),
@@ -712,18 +703,13 @@ impl State {
             invoke_timeout: config.invoke_timeout,
             watchdog: None,
             running: None,
-            tx_len: 0,
-            tx_sent: 0,
+            outbox: Outbox::EMPTY,
             serials: Serials::new(matches!(config.link, Link::Serial)),
             closing: false,
         }
     }
 
-    const fn is_sending(&self) -> bool {
-        self.tx_sent < self.tx_len
-    }
-
-    /// Returns the bytes of a frame behind its arguments.
+    /// Returns the number of bytes after the arguments: EOT, and the CRC on serial lines.
     const fn tail(&self) -> usize {
         if matches!(self.config.link, Link::Serial) { 3 } else { 1 }
     }
@@ -733,9 +719,9 @@ impl State {
         self.invoke_timeout = options.invoke_timeout.unwrap_or(self.config.invoke_timeout);
     }
 
-    fn begin(&self, span: Span, attempt: &Attempt, now: Instant) -> Running {
+    fn begin(&self, frame: Located, attempt: &Attempt, now: Instant) -> Running {
         Running {
-            span,
+            frame,
             function: attempt.function,
             marker: attempt.marker,
             serial: attempt.serial,
@@ -750,7 +736,7 @@ impl State {
         self.watchdog.map_or(Instant::FAR_FUTURE, |interval| now.saturating_add(interval))
     }
 
-    /// Decides about a request by its serials; a stream neither loses nor copies one.
+    /// Decides about a request by its serials. A stream neither loses nor duplicates requests.
     fn judge(&self, attempt: &Attempt, now: Instant) -> Verdict {
         if !self.config.link.is_lossy() {
             return Verdict::New;

@@ -1,11 +1,11 @@
-//! How a gateway reaches its robot, and how long things may take.
+//! The configuration of a gateway: its robot, timeouts and rules.
 
 use core::time::Duration;
 
 use super::rules::Rules;
 use crate::bcap::client;
 
-/// How a gateway behaves; every field is a run-time choice.
+/// The configuration of a gateway.
 ///
 /// # Examples
 ///
@@ -20,11 +20,11 @@ use crate::bcap::client;
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Config<'a> {
-    /// The link to the robot, and how long a call may take; a call that takes longer costs the connection.
+    /// The link to the robot and the time limits of a call. A call that exceeds them ends the connection.
     pub client: client::Config,
-    /// The option of Service_Start. With `WDT` the robot shows that it is alive while it works.
+    /// The option of Service_Start. With `WDT` the robot sends keep-alives while it works on a call.
     pub service: &'a str,
-    /// The controller's name for Controller_Connect; free text.
+    /// The controller's name for Controller_Connect; any text.
     pub name: &'a str,
     /// The provider: `CaoProv.DENSO.VRC` or `CaoProv.DENSO.VRC9`.
     pub provider: &'a str,
@@ -32,21 +32,21 @@ pub struct Config<'a> {
     pub machine: &'a str,
     /// The option of Controller_Connect.
     pub option: &'a str,
-    /// How long a request of a PLC may take, waiting for its turn included; then it is answered with E_TIMEOUT.
+    /// How long a request of a PLC may take, its waiting time included. Then it is answered with E_TIMEOUT.
     pub request_timeout: Duration,
-    /// The silence on the robot's side after which it is asked for its name, to notice that it has gone.
+    /// The silence after which the robot is asked for its name, to notice that it is disconnected.
     pub heartbeat: Duration,
-    /// The pause before the second attempt to connect; it doubles from attempt to attempt.
+    /// The pause before the second attempt to connect (exponential backoff: it doubles with each attempt).
     pub first_pause: Duration,
     /// The longest pause between two attempts to connect.
     pub longest_pause: Duration,
-    /// What PLCs may do.
+    /// The rules for PLCs.
     pub rules: Rules<'a>,
 }
 
 impl Config<'_> {
-    /// An RC8 behind TCP, to be read only: 3 s for a sign of life, 8 s for a call, 10 s for a request, pauses of 0.5 s
-    /// to 16 s, a heartbeat after 2 s of silence.
+    /// An RC8 over TCP, read-only: 3 s for a reply or keep-alive, 8 s for a call, 10 s for a request, pauses of 0.5 s to
+    /// 16 s, a heartbeat after an idle time of 2 s.
     pub const RC8: Self = Self {
         client: client::Config {
             timing: client::Timing {
@@ -68,6 +68,6 @@ impl Config<'_> {
         rules: Rules::READ_ONLY,
     };
 
-    /// An RC9 behind TCP, otherwise as [`RC8`](Self::RC8).
+    /// An RC9 over TCP, otherwise as [`RC8`](Self::RC8).
     pub const RC9: Self = Self { provider: "CaoProv.DENSO.VRC9", ..Self::RC8 };
 }

@@ -1,7 +1,7 @@
-//! Values between a PLC and a robot: from one numeric type to another where nothing is lost, and not otherwise.
+//! Conversion of values between a PLC and a robot: from one numeric type to another, if it is lossless.
 //!
 //! ```text
-//!  to     from, if the number comes out the same
+//!  to     from, if the number stays the same
 //!  I4     any integer, R4 and R8 without a fraction
 //!  R4 R8  any integer, R4, R8
 //!  BOOL   the integers 0, 1 and -1
@@ -9,14 +9,14 @@
 //!  R4[n]  n elements of any type that converts to R4, also VARIANTs
 //! ```
 //!
-//! The same means the same bits when it is converted back: 0.1 as R8 is no R4, and -0.0 no integer.
+//! The same means the same bits after the conversion back: 0.1 as R8 does not convert to R4, and -0.0 not to an integer.
 
 use crate::error::EncodeError;
 use crate::num::to_u32;
 use crate::rac::VariableKind;
 use crate::variant::{Element, Encode, VarType, Variant, Writer};
 
-/// Tells whether a value can be turned into what a variable of this kind holds, with nothing lost.
+/// Tells whether a value converts to the type of a variable of this kind without loss.
 pub(super) fn converts(kind: VariableKind, value: &Variant<'_>) -> bool {
     match (value.flatten(), kind.vartype()) {
         (Variant::Array(array), to) => {
@@ -28,20 +28,20 @@ pub(super) fn converts(kind: VariableKind, value: &Variant<'_>) -> bool {
     }
 }
 
-/// A value as what a variable of this kind holds; as it is, when it cannot be turned into that.
-pub(super) struct Held<'a> {
+/// A value in the type of a variable of this kind; unchanged if it does not convert.
+pub(super) struct Converted<'a> {
     pub(super) kind: VariableKind,
     pub(super) value: Variant<'a>,
 }
 
-impl Encode for Held<'_> {
+impl Encode for Converted<'_> {
     fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
         if self.kind.fits(&self.value) || !converts(self.kind, &self.value) {
             return self.value.encode(out);
         }
         match self.value.flatten() {
             Variant::Array(array) => {
-                // only V, P, J and T hold arrays
+                // only V, P, J and T contain arrays
                 out.put(VarType::R4.array_of().0.to_le_bytes())?;
                 out.put(to_u32(array.len()).to_le_bytes())?;
                 array.iter().try_for_each(|element| match scalar(VarType::R4, &element) {
@@ -54,7 +54,7 @@ impl Encode for Held<'_> {
     }
 }
 
-/// Converts a value that is no array; `None` when something would be lost.
+/// Converts a value that is not an array; `None` if it would lose something.
 fn scalar<'a>(to: VarType, value: &Variant<'a>) -> Option<Variant<'a>> {
     let value = value.flatten();
     match to {
@@ -71,25 +71,25 @@ fn scalar<'a>(to: VarType, value: &Variant<'a>) -> Option<Variant<'a>> {
     }
 }
 
-/// Returns the number as an R8, if it is one without loss.
+/// Returns the number as an R8, if that is lossless.
 #[expect(clippy::as_conversions, reason = "compared with the number it came from")]
 pub(super) fn float(value: &Variant<'_>) -> Option<f64> {
     value.as_f64().or_else(|| {
         let number = value.as_i64()?;
         let float = number as f64;
-        // 2^63 would come back as the largest number, one less
+        // 2^63 would convert back to the largest number, which is one less
         (float as i64 == number && number != i64::MAX).then_some(float)
     })
 }
 
-/// Returns the number as an R4, if it is one without loss.
+/// Returns the number as an R4, if that is lossless.
 #[expect(clippy::as_conversions, reason = "compared with the number it came from")]
 fn single(number: f64) -> Option<f32> {
     let single = number as f32;
     (f64::from(single).to_bits() == number.to_bits()).then_some(single)
 }
 
-/// Returns the number as an I4, if it is one without loss.
+/// Returns the number as an I4, if that is lossless.
 #[expect(clippy::as_conversions, reason = "compared with the number it came from")]
 fn whole(number: f64) -> Option<i32> {
     let whole = number as i32;
@@ -102,24 +102,24 @@ mod tests {
     use crate::variant::VariantBuf;
     use VariableKind as Kind;
 
-    /// Converts, and returns what would be sent; `None` when it stays what it was.
-    fn held(kind: Kind, value: &dyn Encode) -> Option<VariantBuf<128>> {
+    /// Returns the converted value; `None` if it does not convert.
+    fn converted(kind: Kind, value: &dyn Encode) -> Option<VariantBuf<128>> {
         let value = VariantBuf::<128>::new(value).unwrap();
-        let held = VariantBuf::new(&Held { kind, value: value.as_variant() }).unwrap();
-        let converted = converts(kind, &value.as_variant());
-        assert_eq!(kind.fits(&held.as_variant()), converted);
-        if !converted {
-            assert_eq!(held, value, "what does not convert goes as it is");
+        let encoded = VariantBuf::new(&Converted { kind, value: value.as_variant() }).unwrap();
+        let is_converted = converts(kind, &value.as_variant());
+        assert_eq!(kind.fits(&encoded.as_variant()), is_converted);
+        if !is_converted {
+            assert_eq!(encoded, value, "a value that does not convert is unchanged");
         }
-        converted.then_some(held)
+        is_converted.then_some(encoded)
     }
 
     fn becomes(kind: Kind, value: &dyn Encode, expected: &dyn Encode) {
-        assert_eq!(held(kind, value), Some(VariantBuf::new(expected).unwrap()));
+        assert_eq!(converted(kind, value), Some(VariantBuf::new(expected).unwrap()));
     }
 
     #[test]
-    fn numbers_that_are_the_same_convert() {
+    fn lossless_conversions() {
         becomes(Kind::I, &7_i32, &7_i32);
         becomes(Kind::I, &7_i16, &7_i32);
         becomes(Kind::I, &u64::from(u32::MAX >> 1), &i32::MAX);
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn what_would_change_does_not() {
+    fn lossy_conversions_are_refused() {
         let refused: [(Kind, &dyn Encode); 16] = [
             (Kind::I, &0.5_f64),
             (Kind::I, &-0.0_f64),
@@ -157,7 +157,7 @@ mod tests {
             (Kind::S, &()),
         ];
         for (kind, value) in refused {
-            assert_eq!(held(kind, value), None, "{kind}");
+            assert_eq!(converted(kind, value), None, "{kind}");
         }
     }
 
@@ -166,11 +166,11 @@ mod tests {
         becomes(Kind::V, &[1.0_f64, 2.5, -3.0], &[1.0_f32, 2.5, -3.0]);
         becomes(Kind::V, &(1_i32, 2.5_f64, 3_u8), &[1.0_f32, 2.5, 3.0]);
         becomes(Kind::P, &[1_i32, 2, 3, 4, 5, 6, -1], &[1.0_f32, 2.0, 3.0, 4.0, 5.0, 6.0, -1.0]);
-        assert_eq!(held(Kind::V, &[1.0_f32, 2.0]), None);
-        assert_eq!(held(Kind::J, &[1.0_f32; 6]), None);
-        assert_eq!(held(Kind::V, &[1.0_f64, 2.0, 0.1]), None);
-        assert_eq!(held(Kind::V, &1.0_f32), None);
-        assert_eq!(held(Kind::F, &[1.0_f32]), None);
-        assert_eq!(held(Kind::V, &["1", "2", "3"]), None);
+        assert_eq!(converted(Kind::V, &[1.0_f32, 2.0]), None);
+        assert_eq!(converted(Kind::J, &[1.0_f32; 6]), None);
+        assert_eq!(converted(Kind::V, &[1.0_f64, 2.0, 0.1]), None);
+        assert_eq!(converted(Kind::V, &1.0_f32), None);
+        assert_eq!(converted(Kind::F, &[1.0_f32]), None);
+        assert_eq!(converted(Kind::V, &["1", "2", "3"]), None);
     }
 }

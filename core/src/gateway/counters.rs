@@ -1,91 +1,63 @@
-//! What a gateway has done so far: numbers for a status line.
+//! The counters of a gateway, for a status line.
 
 use core::time::Duration;
 
-use crate::num::to_usize;
+use crate::histogram::Histogram;
+use crate::time::micros_u32;
 
-/// Counts since the gateway was made; they wrap at 2^32.
+/// Counts since the gateway was made; `refused` and `connected` wrap at 2^32, the others saturate.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Counters {
-    /// Requests that the robot carried out.
+    /// Requests that the robot executed.
     pub served: Tally,
-    /// Requests that the robot refused, or did not answer, or that came while it was away.
+    /// Requests that the robot refused or did not reply to, or that arrived while it was disconnected.
     pub failed: Tally,
-    /// Lines that the gateway refused by itself; they are answered in the step that sees them, in no time.
+    /// Lines that the gateway refused. They get their reply at once, so their times are not counted.
     pub refused: u32,
-    /// Sessions with the robot that have begun.
+    /// Sessions with the robot.
     pub connected: u32,
 }
 
-/// Requests of one outcome, and how long they took from the end of the line to the answer.
+/// Requests of one outcome, and their times from the end of the line to the reply.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Tally {
-    count: u32,
     total_micros: u64,
-    max_micros: u32,
-    /// How many took below 64 us, below 128 us, ..., below 1 s, and longer.
-    histogram: [u32; STEPS],
+    /// Up to two seconds.
+    times: Histogram<1, 22>,
 }
-
-/// 2^6 us is the first bound of the histogram, 2^20 us the last; what is longer has none.
-const STEPS: usize = 16;
-const FIRST: u32 = 6;
-const LAST: u32 = 21;
 
 impl Tally {
     pub(super) fn add(&mut self, time: Duration) {
-        // not `as_micros`: 128 bits are a lot for a small processor
-        let micros = time.as_secs().saturating_mul(1_000_000).saturating_add(time.subsec_micros().into());
-        let micros = u32::try_from(micros).unwrap_or(u32::MAX);
-        self.count = self.count.wrapping_add(1);
-        self.total_micros = self.total_micros.wrapping_add(micros.into());
-        self.max_micros = self.max_micros.max(micros);
-        let bits = u32::BITS.saturating_sub(micros.leading_zeros());
-        let step = to_usize(bits.saturating_sub(FIRST)).min(STEPS.saturating_sub(1));
-        if let Some(count) = self.histogram.get_mut(step) {
-            *count = count.wrapping_add(1);
-        }
+        let micros = micros_u32(time);
+        self.total_micros = self.total_micros.saturating_add(micros.into());
+        self.times.record(micros);
     }
 
-    /// Returns how many there were.
+    /// Returns the number of requests.
     #[must_use]
     pub const fn count(&self) -> u32 {
-        self.count
+        self.times.count()
     }
 
-    /// Returns how long they took on average; zero when there were none.
+    /// Returns the mean time; zero without requests.
     #[must_use]
     pub fn mean(&self) -> Duration {
-        Duration::from_micros(self.total_micros.checked_div(self.count.into()).unwrap_or(0))
+        Duration::from_micros(self.total_micros.checked_div(self.count().into()).unwrap_or(0))
     }
 
-    /// Returns how long the longest took.
+    /// Returns the longest time, at most 71 minutes; zero without requests.
     #[must_use]
-    pub const fn max(&self) -> Duration {
-        Duration::from_micros(widen(self.max_micros))
+    pub fn max(&self) -> Duration {
+        Duration::from_micros(self.times.max().into())
     }
 
-    /// Returns a time that so many percent of them did not exceed, to a power of two: at most twice the true one.
+    /// Returns a percentile of the times; it is at most twice the exact one.
     #[must_use]
     pub fn percentile(&self, percent: u8) -> Duration {
-        let rank = u64::from(self.count).wrapping_mul(percent.min(100).into()).div_ceil(100);
-        let mut seen = 0_u64;
-        for (step, count) in (FIRST..LAST).zip(self.histogram) {
-            seen = seen.wrapping_add(count.into());
-            if seen >= rank {
-                let bound = Duration::from_micros(1_u64.checked_shl(step).unwrap_or(u64::MAX));
-                return bound.min(self.max());
-            }
-        }
-        self.max()
+        Duration::from_micros(self.times.quantile(u32::from(percent).saturating_mul(10)).into())
     }
-}
-
-#[expect(clippy::as_conversions, reason = "From is not const; u32 to u64 is lossless")]
-const fn widen(value: u32) -> u64 {
-    value as u64
 }
 
 #[cfg(test)]
@@ -93,7 +65,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn times_are_summed_up() {
+    fn times_have_a_mean_a_maximum_and_percentiles() {
         let mut tally = Tally::default();
         assert_eq!((tally.mean(), tally.max(), tally.percentile(50)), Default::default());
         for micros in (1..=98).map(|_| 100).chain([5_000, 3_000_000]) {
@@ -102,20 +74,16 @@ mod tests {
         assert_eq!(tally.count(), 100);
         assert_eq!(tally.mean(), Duration::from_micros((98 * 100 + 5_000 + 3_000_000) / 100));
         assert_eq!(tally.max(), Duration::from_secs(3));
-        assert_eq!(tally.percentile(50), Duration::from_micros(128));
-        assert_eq!(tally.percentile(98), Duration::from_micros(128));
-        assert_eq!(tally.percentile(99), Duration::from_micros(8192));
-        assert_eq!(tally.percentile(100), Duration::from_secs(3), "what is longer than the last bound is the longest");
+        assert_eq!(tally.percentile(50), Duration::from_micros(127));
+        assert_eq!(tally.percentile(98), Duration::from_micros(127));
+        assert_eq!(tally.percentile(99), Duration::from_micros(8191));
+        assert_eq!(tally.percentile(100), Duration::from_secs(3), "a time above the last bound is the maximum");
     }
 
     #[test]
-    fn a_bound_belongs_to_the_step_above() {
+    fn a_time_above_71_minutes_is_clamped() {
         let mut tally = Tally::default();
-        tally.add(Duration::from_micros(63));
-        assert_eq!(tally.percentile(100), Duration::from_micros(63));
-        tally.add(Duration::from_micros(64));
-        assert_eq!(tally.histogram[..3], [1, 1, 0]);
         tally.add(Duration::from_secs(5000));
-        assert_eq!(tally.max(), Duration::from_micros(u32::MAX.into()), "over an hour and a quarter is not told apart");
+        assert_eq!(tally.max(), Duration::from_micros(u32::MAX.into()));
     }
 }

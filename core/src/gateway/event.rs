@@ -1,4 +1,4 @@
-//! What a gateway reports: for logs, and for whoever must be told.
+//! The events of a gateway, for logs and alarms.
 
 use core::fmt;
 use core::time::Duration;
@@ -9,11 +9,11 @@ use crate::handler::PeerId;
 use crate::hresult::HResult;
 use crate::rac::{Request, Variable, Verb};
 
-/// What a request asks for, without its value.
+/// The verb and the variable of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Asked {
-    /// To read, or to write.
+    /// Read or write.
     pub verb: Verb,
     /// The variable.
     pub variable: Variable,
@@ -32,47 +32,47 @@ impl fmt::Display for Asked {
     }
 }
 
-/// What has happened; [`Gateway::line`](super::Gateway::line) views the line of the first three until the next step.
+/// An event of a gateway; [`Gateway::line`](super::Gateway::line) views the line of the first three until the next step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
 pub enum Event {
-    /// The robot has carried a request out.
+    /// The robot executed a request.
     Served {
-        /// Who asked.
+        /// The client.
         peer: PeerId,
-        /// For what.
+        /// The request.
         request: Asked,
-        /// What was answered: a success.
+        /// The result in the reply: a success.
         result: HResult,
-        /// How long it took, from the end of the line to the answer.
+        /// The time from the end of the line to the reply.
         time: Duration,
     },
-    /// A request has failed: the robot refused it, did not answer, or was away.
+    /// A request failed: the robot refused it, did not reply, or was disconnected.
     Failed {
-        /// Who asked.
+        /// The client.
         peer: PeerId,
-        /// For what.
+        /// The request.
         request: Asked,
-        /// What was answered: an error.
+        /// The result in the reply: an error.
         result: HResult,
-        /// How long it took.
+        /// The time from the end of the line to the reply.
         time: Duration,
     },
-    /// A line was refused here, and answered with the refusal's code.
+    /// The gateway refused a line, and replied with the refusal's code.
     Refused {
-        /// Who sent it.
+        /// The client.
         peer: PeerId,
-        /// Why.
+        /// The reason.
         refusal: Refusal,
     },
     /// A session with the robot has begun.
     RobotUp,
-    /// There is no session with the robot any more, or none could be begun.
+    /// The session with the robot ended, or could not begin.
     RobotDown {
-        /// Why.
+        /// The reason.
         error: RobotError,
-        /// The pause until it is tried again.
+        /// The pause before the next attempt.
         pause: Duration,
     },
 }
@@ -85,7 +85,7 @@ impl Event {
         }
     }
 
-    /// Returns the client that it is about.
+    /// Returns the client that the event concerns.
     #[must_use]
     pub const fn peer(&self) -> Option<PeerId> {
         match self {

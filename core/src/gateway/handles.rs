@@ -1,4 +1,4 @@
-//! The handles of variables that the robot has given: a fixed table, in which the one used longest ago makes room.
+//! An LRU cache of variable handles, of fixed size.
 
 use crate::bcap::call::VariableHandle;
 use crate::rac::Variable;
@@ -12,18 +12,18 @@ pub(super) struct Entry {
     used: u32,
 }
 
-/// What to do about a variable.
+/// The result of a lookup.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Lookup {
-    /// Its handle is known.
+    /// The handle of the variable.
     Known(VariableHandle),
-    /// Its handle is to be got; there is room for it.
+    /// Its handle must be requested; there is room for it.
     Unknown,
-    /// The table is full: this handle is to be released first.
+    /// The table is full: this handle, used longest ago, must be released first.
     Full(VariableHandle),
 }
 
-/// A table of handles; it counts its own uses to know which came last.
+/// A table of handles, whose clock counts its uses.
 #[derive(Debug)]
 pub(super) struct Handles<'m> {
     entries: &'m mut [Option<Entry>],
@@ -36,7 +36,7 @@ impl<'m> Handles<'m> {
         Self { entries, clock: 0 }
     }
 
-    /// Looks a variable up, and takes note that it is used.
+    /// Looks a variable up, and marks it as used.
     pub(super) fn look_up(&mut self, variable: Variable) -> Lookup {
         self.clock = self.clock.wrapping_add(1);
         let clock = self.clock;
@@ -47,21 +47,21 @@ impl<'m> Handles<'m> {
         if self.entries.iter().any(Option::is_none) {
             return Lookup::Unknown;
         }
-        // differences, so that the clock may wrap
+        // compares differences, because the clock wraps
         match self.entries.iter().flatten().max_by_key(|entry| clock.wrapping_sub(entry.used)) {
             Some(oldest) => Lookup::Full(oldest.handle),
             None => Lookup::Unknown,
         }
     }
 
-    /// Keeps a handle where there is room.
+    /// Adds a handle, if there is room.
     pub(super) fn insert(&mut self, variable: Variable, handle: VariableHandle) {
         if let Some(free) = self.entries.iter_mut().find(|entry| entry.is_none()) {
             *free = Some(Entry { variable, handle, used: self.clock });
         }
     }
 
-    /// Forgets a handle.
+    /// Removes a handle.
     pub(super) fn remove(&mut self, handle: VariableHandle) {
         for entry in &mut *self.entries {
             if entry.is_some_and(|entry| entry.handle == handle) {
@@ -70,7 +70,7 @@ impl<'m> Handles<'m> {
         }
     }
 
-    /// Forgets all: they belonged to a connection that is gone.
+    /// Removes all handles, which are invalid after their connection.
     pub(super) fn clear(&mut self) {
         self.entries.fill(None);
     }
@@ -86,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn the_one_used_longest_ago_makes_room_even_when_the_clock_wraps() {
+    fn the_least_recently_used_handle_is_replaced_even_when_the_clock_wraps() {
         let mut memory = [None; 3];
         let mut handles = Handles::new(&mut memory);
         handles.clock = u32::MAX - 3;

@@ -1,4 +1,4 @@
-//! The link to the robot: whether it is wanted, how far its session has come, and when to try again.
+//! The state of the link to the robot, with an exponential backoff between attempts to connect.
 //!
 //! ```text
 //!             opened              Service_Start, Controller_Connect
@@ -10,8 +10,8 @@
 //!         closed
 //! ```
 //!
-//! Down lasts for a pause that doubles with each attempt and begins anew when a session has come up. In Closing the
-//! old connection is still open; a new one waits until whoever runs the gateway has closed it.
+//! Down lasts for a pause that doubles with each attempt; a session resets it. In Closing the old connection is still open:
+//! the gateway requests a new one after its caller has closed the old one.
 
 use core::fmt;
 use core::time::Duration;
@@ -22,7 +22,7 @@ use crate::bcap::client::{ClientError, Timeout};
 use crate::hresult::HResult;
 use crate::time::Instant;
 
-/// Where the link stands.
+/// The state of the link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum State {
     Down { until: Instant },
@@ -32,9 +32,9 @@ pub(super) enum State {
     Closing,
 }
 
-/// The link, as far as it does not depend on the client.
+/// The link to the robot, without its client.
 #[derive(Debug)]
-pub(super) struct Link {
+pub(super) struct RobotLink {
     pub(super) state: State,
     /// The pause after the next failure.
     pause: Duration,
@@ -42,23 +42,23 @@ pub(super) struct Link {
     longest_pause: Duration,
 }
 
-impl Link {
+impl RobotLink {
     pub(super) const fn new(first_pause: Duration, longest_pause: Duration) -> Self {
         Self { state: State::Opening, pause: first_pause, first_pause, longest_pause }
     }
 
-    /// Takes note that the session has begun.
+    /// Records that the session has begun.
     pub(super) const fn up(&mut self, controller: ControllerHandle) {
         self.state = State::Up(controller);
         self.pause = self.first_pause;
     }
 
-    /// Takes note of a failure while the connection is open; it is to be closed.
+    /// Records a failure while the connection is open; the caller must close it.
     pub(super) const fn fail(&mut self) {
         self.state = State::Closing;
     }
 
-    /// Takes note that there is no connection any more, or none was to be had.
+    /// Records that the connection is closed, or could not be opened.
     pub(super) fn closed(&mut self, now: Instant) {
         if !matches!(self.state, State::Down { .. }) {
             self.state = State::Down { until: now.saturating_add(self.pause()) };
@@ -93,21 +93,21 @@ impl Link {
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum RobotError {
-    /// There was no connection to be had, or it was closed.
+    /// The connection could not be opened, or was closed.
     Closed,
-    /// The robot has refused to begin a session.
+    /// The robot refused to begin a session.
     Refused {
-        /// What it was asked for.
+        /// The refused function.
         function: FunctionId,
-        /// What it answered.
+        /// The robot's result.
         result: HResult,
     },
-    /// A call has ended without a reply, or with one that makes no sense.
+    /// A call ended without a valid reply.
     Call(ClientError),
 }
 
 impl RobotError {
-    /// Returns the code with which the request is answered that was in the robot's hands.
+    /// Returns the result of the request in flight when the session failed.
     pub(super) const fn hresult(self) -> HResult {
         match self {
             Self::Call(ClientError::Timeout(Timeout::Attempt | Timeout::Deadline | Timeout::KeepAlive)) => {
@@ -135,9 +135,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pauses_grow_to_the_longest_and_begin_anew_after_a_session() {
+    fn pauses_double_up_to_the_longest_and_a_session_resets_them() {
         let ms = Duration::from_millis;
-        let mut link = Link::new(ms(500), ms(3000));
+        let mut link = RobotLink::new(ms(500), ms(3000));
         let mut now = Instant::from_millis(7);
         for pause in [500, 1000, 2000, 3000, 3000] {
             assert_eq!((link.state, link.pause()), (State::Opening, ms(pause)));
@@ -145,7 +145,7 @@ mod tests {
             let until = now + ms(pause);
             assert_eq!(link.state, State::Down { until });
             link.closed(now + ms(1));
-            assert_eq!(link.state, State::Down { until }, "told twice, it counts once");
+            assert_eq!(link.state, State::Down { until }, "a second report counts once");
             link.handle_timeout(until - 1);
             assert_eq!(link.state, State::Down { until });
             link.handle_timeout(until);

@@ -4,27 +4,26 @@
 //!  PLC ─ receive_buffer, received ─►┌─────────┐─ robot_transmit ───────────────────► robot
 //!  PLC ◄─ transmit, transmitted ────│ Gateway │◄─ robot_receive_buffer, robot_received ─
 //!  ...                              └─────────┘
-//!                            poll_event, at poll_timeout, and
-//!                            after whatever came, left, opened or closed
+//!                            poll_event, at poll_timeout, and after
+//!                            bytes moved or a connection opened or closed
 //! ```
 //!
-//! A GET becomes Variable_GetValue, a PUT Variable_PutValue, on a handle that Controller_GetVariable has given. A
-//! [`Gateway`] holds no socket and no clock. Whoever runs it moves the bytes, opens the connection to the robot while
-//! it [is wanted](Gateway::robot_wanted), and reads events. All memory is in a [`Memory`]; the gateway itself is not
-//! generic, so there is one copy of it in an image.
+//! A GET becomes Variable_GetValue, a PUT Variable_PutValue, with a handle from Controller_GetVariable. A [`Gateway`]
+//! contains no socket and no clock. The caller moves the bytes, opens and closes the connection to the robot as
+//! [`robot_wanted`](Gateway::robot_wanted) says, and reads events. All memory is in a [`Memory`]; the gateway itself is not
+//! generic, so an image contains one copy of it.
 //!
-//! * **Answers**: every line is answered once, in the order of a client's lines, with the answer to itself and to
-//!   nothing else. A request that is out of time is answered with E_TIMEOUT; what the robot says to it later is dropped.
-//! * **Order**: one call is with the robot at a time, and requests of all clients take their turn as they came.
-//! * **A robot that is away** costs no time: without a session every request is answered with E_NOT_CONNECTED at once.
-//!   The one that was in the robot's hands when the session ended is answered with E_NOT_CONNECTED, or with E_TIMEOUT
-//!   when the robot fell silent; a PUT may have been carried out then. The gateway never sends a PUT twice, except after
-//!   E_HANDLE, which says that it was not carried out.
-//! * **Handles** live as long as the connection that gave them. When the table is full the one used longest ago is
-//!   released. E_HANDLE throws a handle away and asks for a new one, once.
-//! * **Results** of the robot pass through unchanged. **Values** are turned into the type of the variable where nothing
-//!   is lost, and go as they are where something would be: a line says its type. A value without a text, or one that
-//!   does not fit the 256 bytes of a line, is answered with E_INVALIDSNDPACKET.
+//! * **Replies**: every line gets exactly one reply, its own, in the order of a client's lines. A request that times out
+//!   gets the reply E_TIMEOUT; a later reply of the robot is dropped.
+//! * **Order**: one call to the robot is in flight at a time. Requests of all clients are served in the order of arrival.
+//! * **Without a session** with the robot, every request gets the reply E_NOT_CONNECTED at once. The request in flight when
+//!   the session ends gets E_NOT_CONNECTED, or E_TIMEOUT if the robot stopped responding; a PUT may have been executed then.
+//!   The gateway never sends a PUT twice, except after E_HANDLE, which means that it was not executed.
+//! * **Handles** are valid on the connection that opened them, and kept in an LRU cache. When the cache is full, the least
+//!   recently used handle is released. After E_HANDLE the gateway gets a new handle, once per request.
+//! * **Results** of the robot are passed on unchanged. **Values** are converted to the type of the variable if that is
+//!   lossless, and passed on unchanged otherwise: a line contains the type. A value that has no text, or does not fit the
+//!   256 bytes of a line, becomes the reply E_INVALIDSNDPACKET.
 //! * **Rules** ([`Rules`]) are checked first; by default nothing can be written.
 //!
 //! # Examples
@@ -37,7 +36,7 @@
 //! let mut memory = Memory::<4, 32>::new();
 //! let mut gateway = Gateway::new(Config::RC8, &mut memory);
 //! let now = Instant::ZERO;
-//! assert!(gateway.robot_wanted(), "a connection to the robot is to be opened");
+//! assert!(gateway.robot_wanted(), "open a connection to the robot");
 //!
 //! let plc = gateway.open().ok_or("all seats are taken")?;
 //! let line = b"PUT:RC8:10:I:3,5\r";
@@ -56,20 +55,23 @@ mod counters;
 mod event;
 mod handles;
 mod link;
+mod rule_text;
 mod rules;
 mod seat;
 
+use crate::endpoint::{Endpoint, ServerEndpoint};
 use core::fmt;
 
-use self::convert::Held;
+use self::convert::Converted;
 use self::handles::{Entry, Handles, Lookup};
-use self::link::{Link, State};
+use self::link::{RobotLink, State};
 use self::seat::{Seat, Waiting};
 
 pub use self::config::Config;
 pub use self::counters::{Counters, Tally};
 pub use self::event::{Asked, Event};
 pub use self::link::RobotError;
+pub use self::rule_text::{AllowBuf, RuleError, RuleErrorKind};
 pub use self::rules::{Allow, Bounds, Rate, Refusal, Rules};
 
 use crate::bcap::FunctionId;
@@ -116,50 +118,50 @@ impl<const SESSIONS: usize, const HANDLES: usize> fmt::Debug for Memory<SESSIONS
     }
 }
 
-/// RAC on one side, b-CAP on the other.
+/// A gateway from RAC to b-CAP.
 #[derive(Debug)]
 pub struct Gateway<'m> {
     config: Config<'m>,
     client: Client<&'m mut [u8]>,
-    link: Link,
+    link: RobotLink,
     handles: Handles<'m>,
     seats: &'m mut [Seat],
-    /// What the call that is with the robot is for.
+    /// The purpose of the call that runs at the robot.
     call: Option<InFlight>,
-    /// The end of the last exchange with the robot.
-    heard: Instant,
+    /// The time of the robot's last reply.
+    last_seen: Instant,
     next_peer: u32,
     next_ticket: u32,
-    /// An event that came outside of `poll_event`.
-    news: Option<Event>,
+    /// An event from outside of `poll_event`.
+    pending: Option<Event>,
     counters: Counters,
 }
 
-/// What the call that is with the robot is for.
+/// The purpose of the call that runs at the robot.
 #[derive(Clone, Copy, Debug)]
 enum InFlight {
     ServiceStart,
     ControllerConnect,
     Heartbeat,
-    /// The handle of the variable is being released, to make room.
+    /// Releases the handle of a variable to make room.
     Release(VariableHandle),
     GetVariable(Job),
-    /// The handle is in the reader's hands.
+    /// Reads or writes the value by this handle.
     Value(Job, VariableHandle),
 }
 
-/// A request that is with the robot; its seat may have been answered, or left, by the time the robot answers.
+/// A request that runs at the robot. Its client may have been answered or may have gone before the robot replies.
 #[derive(Clone, Copy, Debug)]
 struct Job {
     seat: usize,
     ticket: u32,
     variable: Variable,
-    /// Whether the handle is the second one, after E_HANDLE.
+    /// Whether this is the second attempt, after E_HANDLE.
     again: bool,
 }
 
 impl<'m> Gateway<'m> {
-    /// Makes a gateway without clients, which wants a connection to its robot.
+    /// Makes a gateway without clients, which requests a connection to its robot.
     #[must_use]
     pub fn new<const S: usize, const H: usize>(config: Config<'m>, memory: &'m mut Memory<S, H>) -> Self {
         let client = Client::new(config.client, memory.tx.as_mut_slice(), memory.rx.as_mut_slice());
@@ -168,14 +170,14 @@ impl<'m> Gateway<'m> {
         Self {
             config,
             client,
-            link: Link::new(config.first_pause, config.longest_pause),
+            link: RobotLink::new(config.first_pause, config.longest_pause),
             handles: Handles::new(&mut memory.handles),
             seats,
             call: None,
-            heard: Instant::ZERO,
+            last_seen: Instant::ZERO,
             next_peer: 1,
             next_ticket: 0,
-            news: None,
+            pending: None,
             counters: Counters::default(),
         }
     }
@@ -186,10 +188,16 @@ impl<'m> Gateway<'m> {
         &self.config
     }
 
-    /// Returns what was done so far.
+    /// Returns the counters.
     #[must_use]
     pub const fn counters(&self) -> &Counters {
         &self.counters
+    }
+
+    /// Returns the number of clients that the gateway has memory for.
+    #[must_use]
+    pub const fn capacity(&self) -> usize {
+        self.seats.len()
     }
 
     /// Tells whether there is a session with the robot, so that requests are passed on.
@@ -199,9 +207,9 @@ impl<'m> Gateway<'m> {
     }
 }
 
-/// The side of the PLCs. A client that is not seated, or not any more, has nothing to send and no room to receive.
+/// The side of the PLCs. For a client without a seat, there are no bytes to send and no room to receive.
 impl Gateway<'_> {
-    /// Seats a client that has connected; `None` when all seats are taken.
+    /// Assigns a seat to a new client; `None` when all seats are taken.
     pub fn open(&mut self) -> Option<PeerId> {
         let seat = self.seats.iter_mut().find(|seat| seat.peer.is_none())?;
         let peer = PeerId(self.next_peer);
@@ -210,58 +218,58 @@ impl Gateway<'_> {
         Some(peer)
     }
 
-    /// Frees the seat of a client that has gone. A request of it that is with the robot is carried out all the same.
+    /// Frees the seat of a client that disconnected. Its request in flight is executed nevertheless.
     pub fn close(&mut self, peer: PeerId) {
         if let Some(seat) = self.seat_mut(peer) {
             seat.close();
         }
     }
 
-    /// Returns memory for bytes that arrive from a client; empty while a request of it runs, and bytes must wait.
+    /// Returns memory for bytes from a client. It is empty while a request of the client runs.
     #[must_use]
     pub fn receive_buffer(&mut self, peer: PeerId) -> &mut [u8] {
         match self.seat_mut(peer) {
-            // so its line stays readable until it has been answered, and reported
+            // a running request keeps its line, which its event refers to
             Some(seat) if !seat.session.is_running() => seat.session.receive_buffer(),
             _ => &mut [],
         }
     }
 
-    /// Takes note that `count` bytes have been put into [`receive_buffer`](Self::receive_buffer).
+    /// Records that `count` bytes were put into [`receive_buffer`](Self::receive_buffer).
     pub fn received(&mut self, peer: PeerId, count: usize) {
         if let Some(seat) = self.seat_mut(peer) {
             seat.session.received(count);
         }
     }
 
-    /// Returns the bytes that are to be sent to a client.
+    /// Returns the bytes to send to a client.
     #[must_use]
     pub fn transmit(&self, peer: PeerId) -> &[u8] {
         self.seat(peer).map_or(&[], |seat| seat.session.transmit())
     }
 
-    /// Takes note that the link to a client has taken `count` bytes of [`transmit`](Self::transmit).
+    /// Records that the link to a client has taken `count` bytes of [`transmit`](Self::transmit).
     pub fn transmitted(&mut self, peer: PeerId, count: usize) {
         if let Some(seat) = self.seat_mut(peer) {
             seat.session.transmitted(count);
         }
     }
 
-    /// Views the line that a client sent last, without its CR; of an over-long one the first 256 bytes.
+    /// Views the last line of a client, without its CR; of an over-long one the first 256 bytes.
     ///
-    /// When [`poll_event`](Self::poll_event) has just reported an event of this client it is the line it is about.
+    /// Directly after [`poll_event`](Self::poll_event) has reported an event of this client, it is the line of the event.
     #[must_use]
     pub fn line(&self, peer: PeerId) -> &[u8] {
         self.seat(peer).map_or(&[], |seat| seat.session.line())
     }
 
-    /// Tells whether a client has a request that is not answered.
+    /// Tells whether a client has a request without a reply.
     #[must_use]
     pub fn is_running(&self, peer: PeerId) -> bool {
         self.seat(peer).is_some_and(|seat| seat.session.is_running())
     }
 
-    /// Tells whether part of a client's line has come and its rest has not.
+    /// Tells whether part of a client's line has arrived and its rest has not.
     #[must_use]
     pub fn is_receiving(&self, peer: PeerId) -> bool {
         self.seat(peer).is_some_and(|seat| seat.session.is_receiving())
@@ -278,80 +286,85 @@ impl Gateway<'_> {
 
 /// The side of the robot.
 impl Gateway<'_> {
-    /// Tells whether a connection to the robot is wanted.
+    /// Tells whether the gateway requests a connection to the robot.
     ///
-    /// While it is, one is to be opened, and kept. Once it is not, it is to be closed. Each end is to be told with
-    /// [`robot_closed`](Self::robot_closed); no other connection is wanted before that.
+    /// While it does, the caller must open a connection and keep it open; otherwise, the caller must close it. The caller
+    /// reports each end with [`robot_closed`](Self::robot_closed); before that, the gateway requests no other connection.
     #[must_use]
     pub const fn robot_wanted(&self) -> bool {
         matches!(self.link.state, State::Opening | State::Starting | State::Up(_))
     }
 
-    /// Takes note that the connection is open.
+    /// Records that the connection is open.
     pub fn robot_opened(&mut self, now: Instant) {
         if self.link.state == State::Opening {
             self.link.state = State::Starting;
             self.client.reset();
-            self.heard = now;
+            self.last_seen = now;
             let service = self.config.service;
             self.call = Some(InFlight::ServiceStart);
             if let Err(error) = self.start(FunctionId::SERVICE_START, &[&service], now) {
-                self.news = Some(self.fail_link(RobotError::Call(error)));
+                self.pending = Some(self.fail_link(RobotError::Call(error)));
             }
         }
     }
 
-    /// Takes note that the connection is closed, by whomever, or that none could be opened.
+    /// Records that the connection was closed by either side or could not be opened.
     pub fn robot_closed(&mut self, now: Instant) {
         if self.robot_wanted() {
-            self.news = Some(self.fail_link(RobotError::Closed));
+            self.pending = Some(self.fail_link(RobotError::Closed));
         }
         self.link.closed(now);
     }
 
-    /// Returns memory for bytes that arrive from the robot; with datagrams, for one of them.
+    /// Sets the serial of the next call to the robot, such as a random one over UDP, where replies can be forged.
+    pub const fn set_next_serial(&mut self, serial: u16) {
+        self.client.set_next_serial(serial);
+    }
+
+    /// Returns memory for bytes from the robot; over datagrams, for one datagram.
     #[must_use]
     pub fn robot_receive_buffer(&mut self) -> &mut [u8] {
         self.client.receive_buffer()
     }
 
-    /// Takes note that `count` bytes have been put into [`robot_receive_buffer`](Self::robot_receive_buffer).
+    /// Records that `count` bytes were put into [`robot_receive_buffer`](Self::robot_receive_buffer).
     pub fn robot_received(&mut self, count: usize) {
         self.client.received(count);
     }
 
-    /// Returns the bytes that are to be sent to the robot: one datagram, or the rest of a frame for a stream.
+    /// Returns the bytes to send to the robot: one datagram, or the rest of a frame for a stream.
     #[must_use]
     pub fn robot_transmit(&self) -> &[u8] {
         self.client.transmit()
     }
 
-    /// Takes note that the connection has taken `count` bytes of [`robot_transmit`](Self::robot_transmit).
+    /// Records that the connection has taken `count` bytes of [`robot_transmit`](Self::robot_transmit).
     pub fn robot_transmitted(&mut self, count: usize) {
         self.client.transmitted(count);
     }
 }
 
-/// What goes on between the two.
+/// The state machine between both sides.
 impl Gateway<'_> {
-    /// Returns when [`poll_event`](Self::poll_event) is to be called even if nothing else happens.
+    /// Returns when [`poll_event`](Self::poll_event) must be called even if nothing else happens.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
         let link = match self.link.state {
             State::Down { until } => Some(until),
-            State::Up(_) if self.call.is_none() => Some(self.heard.saturating_add(self.config.heartbeat)),
+            State::Up(_) if self.call.is_none() => Some(self.last_seen.saturating_add(self.config.heartbeat)),
             _ => self.client.poll_timeout(),
         };
         let sessions = self.seats.iter().filter(|seat| seat.peer.is_some()).filter_map(|s| s.session.poll_timeout());
         link.into_iter().chain(sessions).min()
     }
 
-    /// Goes on as far as it can, and says what was done; `None` when something else must happen first.
+    /// Performs the next step and returns its event; `None` when there is nothing to do.
     ///
-    /// It is to be called until it returns `None`: after bytes have come or left, after a connection has opened or
-    /// closed, and when [`poll_timeout`](Self::poll_timeout) is due.
+    /// Call it until it returns `None`: after bytes were received or sent, after a connection was opened or closed, and
+    /// when [`poll_timeout`](Self::poll_timeout) is due.
     pub fn poll_event(&mut self, now: Instant) -> Option<Event> {
-        let event = self.news.take().or_else(|| self.poll_robot(now)).or_else(|| self.poll_sessions(now));
+        let event = self.pending.take().or_else(|| self.poll_robot(now)).or_else(|| self.poll_sessions(now));
         let event = event.or_else(|| self.begin(now));
         match event? {
             Event::Served { time, .. } => self.counters.served.add(time),
@@ -363,7 +376,7 @@ impl Gateway<'_> {
         event
     }
 
-    /// Looks what the robot says, and what the time says about it.
+    /// Handles received replies and timeouts of the robot.
     fn poll_robot(&mut self, now: Instant) -> Option<Event> {
         self.link.handle_timeout(now);
         loop {
@@ -381,9 +394,9 @@ impl Gateway<'_> {
         }
     }
 
-    /// Acts on the reply to the call that was with the robot.
+    /// Handles the reply to the running call.
     fn replied(&mut self, result: HResult, now: Instant) -> Option<Event> {
-        self.heard = now;
+        self.last_seen = now;
         match self.call.take()? {
             InFlight::ServiceStart if result.is_err() => Some(self.refused(FunctionId::SERVICE_START, result)),
             InFlight::ControllerConnect if result.is_err() => {
@@ -402,9 +415,9 @@ impl Gateway<'_> {
                 }
                 Err(error) => Some(self.fail_link(RobotError::Call(error))),
             },
-            // whatever it said, it is alive
+            // any reply shows that the robot is connected
             InFlight::Heartbeat => None,
-            // and a handle that could not be released is none of ours either
+            // a handle that could not be released is forgotten, too
             InFlight::Release(handle) => {
                 self.handles.remove(handle);
                 None
@@ -428,12 +441,12 @@ impl Gateway<'_> {
         }
     }
 
-    /// Acts on the end of a call without a reply.
+    /// Handles the end of a call without a reply.
     fn failed(&mut self, error: ClientError, now: Instant) -> Option<Event> {
         if let (ClientError::ReplyTooLarge { .. }, Some(InFlight::Value(job, _))) = (error, self.call) {
-            // the stream has skipped it and is in order; what does not fit here does not fit a line
+            // the client has skipped the reply; a value that does not fit this buffer does not fit a line
             self.call = None;
-            self.heard = now;
+            self.last_seen = now;
             return self.answer(job, HResult::E_INVALIDSNDPACKET, now);
         }
         Some(self.fail_link(RobotError::Call(error)))
@@ -443,10 +456,10 @@ impl Gateway<'_> {
         self.fail_link(RobotError::Refused { function, result })
     }
 
-    /// Ends the session with the robot. The requests that wait are answered by `poll_sessions`.
+    /// Ends the session with the robot. `poll_sessions` replies to the waiting requests.
     fn fail_link(&mut self, error: RobotError) -> Event {
         if let Some(InFlight::GetVariable(job) | InFlight::Value(job, _)) = self.call.take()
-            && let Some(waiting) = live(self.seats, job).and_then(|seat| seat.waiting.as_mut())
+            && let Some(waiting) = waiting_seat(self.seats, job).and_then(|seat| seat.waiting.as_mut())
         {
             waiting.if_down = error.hresult();
         }
@@ -456,7 +469,7 @@ impl Gateway<'_> {
         Event::RobotDown { error, pause: self.link.pause() }
     }
 
-    /// Looks what the clients ask, answers what needs no robot, and lets the rest wait.
+    /// Reads the clients' requests, replies to those that need no call to the robot, and queues the others.
     fn poll_sessions(&mut self, now: Instant) -> Option<Event> {
         let is_up = self.is_up();
         for seat in self.seats.iter_mut().filter(|seat| seat.peer.is_some()) {
@@ -475,7 +488,7 @@ impl Gateway<'_> {
                 Some(server::Event::Malformed(error)) => {
                     seat.peer.map(|peer| Event::Refused { peer, refusal: Refusal::Line(error) })
                 }
-                // the session has answered a request that was out of time
+                // the session has replied to a request that timed out
                 Some(server::Event::Served { result, .. }) => seat.answered(result, now),
                 None => None,
             };
@@ -490,7 +503,7 @@ impl Gateway<'_> {
         None
     }
 
-    /// Begins the next call, if none is with the robot.
+    /// Starts the next call, if no call is in flight.
     fn begin(&mut self, now: Instant) -> Option<Event> {
         let controller = self.link.controller()?;
         if self.call.is_some() {
@@ -498,12 +511,12 @@ impl Gateway<'_> {
         }
         let next_ticket = self.next_ticket;
         let waiting = self.seats.iter().enumerate().filter_map(|(at, seat)| Some((at, seat.waiting?)));
-        // differences, so that tickets may wrap
+        // compares differences, because tickets wrap
         if let Some((seat, first)) = waiting.max_by_key(|(_, waiting)| next_ticket.wrapping_sub(waiting.ticket)) {
             let job = Job { seat, ticket: first.ticket, variable: first.asked.variable, again: false };
             return self.begin_job(job, now);
         }
-        if now >= self.heard.saturating_add(self.config.heartbeat) {
+        if now >= self.last_seen.saturating_add(self.config.heartbeat) {
             self.call = Some(InFlight::Heartbeat);
             let started = self.start(FunctionId::CONTROLLER_GET_NAME, &[&controller], now);
             return started.err().map(|error| self.fail_link(RobotError::Call(error)));
@@ -511,14 +524,14 @@ impl Gateway<'_> {
         None
     }
 
-    /// Begins the call that a request needs first.
+    /// Starts the first call that a request needs.
     fn begin_job(&mut self, job: Job, now: Instant) -> Option<Event> {
         let controller = self.link.controller()?;
-        live(self.seats, job)?;
+        waiting_seat(self.seats, job)?;
         let started = match self.handles.look_up(job.variable) {
             Lookup::Known(handle) => return self.begin_value(job, handle, now),
             Lookup::Full(oldest) => {
-                // the request is still the first in turn when the handle is gone
+                // the request stays the first in the queue until the handle is released
                 self.call = Some(InFlight::Release(oldest));
                 self.start(FunctionId::VARIABLE_RELEASE, &[&oldest], now)
             }
@@ -535,9 +548,9 @@ impl Gateway<'_> {
         started.err().map(|error| self.fail_link(RobotError::Call(error)))
     }
 
-    /// Begins the call that reads or writes the value, unless nobody waits for it any more.
+    /// Starts the call that reads or writes the value, if the request still waits.
     fn begin_value(&mut self, job: Job, handle: VariableHandle, now: Instant) -> Option<Event> {
-        let seat = live(self.seats, job)?;
+        let seat = waiting_seat(self.seats, job)?;
         let started = match seat.session.request()? {
             Request::Get(_) => {
                 let arguments: [&dyn Encode; 1] = [&handle];
@@ -548,8 +561,8 @@ impl Gateway<'_> {
                 )
             }
             Request::Put(variable, value) => {
-                let held = Held { kind: variable.kind, value };
-                let arguments: [&dyn Encode; 2] = [&handle, &held];
+                let converted = Converted { kind: variable.kind, value };
+                let arguments: [&dyn Encode; 2] = [&handle, &converted];
                 self.client.start(
                     &RawCall { function: FunctionId::VARIABLE_PUT_VALUE, arguments: &arguments },
                     self.client.timing(),
@@ -567,21 +580,21 @@ impl Gateway<'_> {
         }
     }
 
-    /// Sends a call; whatever it is, by the same code.
+    /// Starts a call. It is not generic, so an image contains one copy of it.
     fn start(&mut self, function: FunctionId, arguments: &[&dyn Encode], now: Instant) -> Result<(), ClientError> {
         self.client.start(&RawCall { function, arguments }, self.client.timing(), now)
     }
 
-    /// Answers a request, if it still waits, with the value of the reply if that was to a GET.
+    /// Replies to a request, if it still waits, with the value of the robot's reply if it is a GET.
     fn answer(&mut self, job: Job, result: HResult, now: Instant) -> Option<Event> {
-        let seat = live(self.seats, job)?;
+        let seat = waiting_seat(self.seats, job)?;
         let value = self.client.value::<Any>().unwrap_or(Variant::Empty);
-        seat.answer(result, &Held { kind: job.variable.kind, value }, now)
+        seat.answer(result, &Converted { kind: job.variable.kind, value }, now)
     }
 }
 
 /// Returns the seat of a request, if it still waits there.
-fn live(seats: &mut [Seat], job: Job) -> Option<&mut Seat> {
+fn waiting_seat(seats: &mut [Seat], job: Job) -> Option<&mut Seat> {
     seats.get_mut(job.seat).filter(|seat| seat.waiting.is_some_and(|waiting| waiting.ticket == job.ticket))
 }
 

@@ -1,12 +1,12 @@
-//! What PLCs may do: which variables they may read and write, with which values, and how often.
+//! Access rules for PLCs: which variables they may read and write, with which values, and how often.
 //!
-//! Nothing may be written unless a rule allows it. A request is held against the rules before anything goes to the
-//! robot, in this order; the first that is broken answers it:
+//! Nothing may be written unless a rule allows it. The gateway checks a request before it sends anything to the robot, in
+//! this order; the first violation is the reply:
 //!
-//! | [`Refusal`]             | answer             | what is wrong                                            |
+//! | [`Refusal`]             | reply              | reason                                                   |
 //! |-------------------------|--------------------|----------------------------------------------------------|
-//! | `Line`                  | the error's own    | the line is no request                                   |
-//! | `Rate`                  | `E_BUSY_PROC`      | the client has asked too often                           |
+//! | `Line`                  | the error's code   | the line is not a valid request                          |
+//! | `Rate`                  | `E_BUSY_PROC`      | the client exceeds its rate                              |
 //! | `ReadOnly`              | `E_ACCESSDENIED`   | no variable may be written                               |
 //! | `Kind`, `Index`         | `E_ACCESSDENIED`   | no variable of this kind, or not this one                |
 //! | `Type`                  | `E_INVALIDARGTYPE` | the value is not of the variable's type                  |
@@ -22,22 +22,22 @@ use crate::rac::{Request, Variable, VariableKind};
 use crate::time::Instant;
 use crate::variant::Variant;
 
-/// What PLCs may do.
+/// Access rules for PLCs.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Rules<'a> {
-    /// What may be read; its bounds do not count.
+    /// The variables that may be read; bounds are ignored.
     pub get: &'a [Allow<'a>],
-    /// What may be written.
+    /// The variables that may be written.
     pub put: &'a [Allow<'a>],
-    /// Whether a value of another type is converted for a PUT, if nothing is lost; otherwise it is refused.
+    /// Whether a PUT of another type is converted if that is lossless; otherwise it is refused.
     pub convert: bool,
-    /// How often each client may ask.
+    /// The rate of each client.
     pub rate: Rate,
 }
 
 impl Rules<'_> {
-    /// Everything may be read, nothing written, as often as anyone likes.
+    /// Everything may be read and nothing written, at any rate.
     pub const READ_ONLY: Self = Self { get: &Allow::EVERYTHING, put: &[], convert: false, rate: Rate::UNLIMITED };
 }
 
@@ -47,7 +47,7 @@ impl Default for Rules<'_> {
     }
 }
 
-/// Variables of one kind that are allowed, and the values that they may be given.
+/// Variables of one kind that may be read or written, and the values that may be written to them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Allow<'a> {
@@ -57,12 +57,13 @@ pub struct Allow<'a> {
     pub first: u32,
     /// The last index.
     pub last: u32,
-    /// The range of each element of the value; the last one counts for all that follow. None allows any value.
+    /// The range of each element of the value; the last range applies to all further elements. An empty slice allows any
+    /// value.
     pub values: &'a [Bounds],
 }
 
 impl Allow<'_> {
-    /// All variables there are.
+    /// All variables, with any value.
     pub const EVERYTHING: [Self; 9] = [
         Self::all(VariableKind::I),
         Self::all(VariableKind::F),
@@ -103,18 +104,18 @@ impl Allow<'_> {
     }
 }
 
-/// A range of values, both ends included: of numbers; for BOOL of 0 and 1; for strings of their lengths in UTF-16 units.
+/// A range of values, both ends included. BOOL counts as 0 or 1, a string as its length in UTF-16 units.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Bounds {
-    /// The least.
+    /// The minimum.
     pub min: f64,
-    /// The greatest.
+    /// The maximum.
     pub max: f64,
 }
 
 impl Bounds {
-    /// Tells whether a value lies inside; NaN does not.
+    /// Tells whether a value is in the range. NaN is in no range.
     fn contain(&self, value: &Variant<'_>) -> bool {
         let number = match value.flatten() {
             Variant::Bool(b) => Some(f64::from(u8::from(b))),
@@ -125,15 +126,15 @@ impl Bounds {
     }
 }
 
-/// How often a client may ask: so many requests at once, and then so many a second.
+/// The rate of requests: a token bucket per seat of the gateway.
 ///
-/// What counts is the client's place in the gateway, so a client that connects again gains nothing.
+/// A client that connects again to the same seat gets no new tokens.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Rate {
-    /// Requests a second; 0 for no limit.
+    /// Requests per second; 0 is no limit.
     pub per_second: u32,
-    /// Requests that may come at once, at least 1.
+    /// Requests at once, at least 1.
     pub burst: u32,
 }
 
@@ -146,17 +147,17 @@ impl Rate {
     }
 }
 
-/// The pace of one client.
+/// The token bucket of one seat.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pace {
-    /// When everything that was let through is due at the rate that is allowed.
+    /// When all admitted requests would be finished at the allowed rate.
     due: Instant,
 }
 
 impl Pace {
     pub(super) const NEW: Self = Self { due: Instant::ZERO };
 
-    /// Tells whether one more request may come now, and takes note of it if so.
+    /// Takes a token for a request; `false` if the bucket is empty.
     fn admits(&mut self, rate: Rate, now: Instant) -> bool {
         let interval = rate.interval();
         let ahead = interval.saturating_mul(rate.burst.saturating_sub(1));
@@ -168,14 +169,14 @@ impl Pace {
     }
 }
 
-/// Why a request was not passed on to the robot.
+/// Why the gateway refused a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum Refusal {
-    /// The line is no request.
+    /// The line is not a valid request.
     Line(TextError),
-    /// The client has asked too often.
+    /// The client exceeds its rate.
     Rate,
     /// No variable may be written.
     ReadOnly,
@@ -220,7 +221,7 @@ impl fmt::Display for Refusal {
 impl core::error::Error for Refusal {}
 
 impl Rules<'_> {
-    /// Holds a request against the rules.
+    /// Checks a request against the rules.
     pub(super) fn check(&self, request: &Request<'_>, pace: &mut Pace, now: Instant) -> Result<(), Refusal> {
         if !pace.admits(self.rate, now) {
             return Err(Refusal::Rate);
@@ -289,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn kinds_indices_and_values_are_held_against_the_lists() {
+    fn kinds_indices_and_values_are_checked() {
         let values = [Bounds { min: -10.0, max: 10.0 }];
         let put_rules = [
             Allow { values: &values, ..Allow::range(Kind::I, 10, 20) },
@@ -300,10 +301,10 @@ mod tests {
         let rules = Rules { get: &get_rules, put: &put_rules, ..Rules::READ_ONLY };
         assert_eq!(get(&rules, Kind::P, 3), Ok(()));
         assert_eq!(get(&rules, Kind::P, 5), Err(Refusal::Index));
-        assert_eq!(get(&rules, Kind::I, 10), Err(Refusal::Kind), "what may be written need not be readable");
+        assert_eq!(get(&rules, Kind::I, 10), Err(Refusal::Kind), "a variable that may be written need not be readable");
         assert_eq!(put(&rules, Kind::I, 10, &-10_i32), Ok(()));
         assert_eq!(put(&rules, Kind::I, 10, &11_i32), Err(Refusal::Value));
-        assert_eq!(put(&rules, Kind::I, 20, &11_i32), Ok(()), "any rule that allows it will do");
+        assert_eq!(put(&rules, Kind::I, 20, &11_i32), Ok(()), "one rule that allows it is enough");
         assert_eq!(put(&rules, Kind::I, 9, &1_i32), Err(Refusal::Index));
         assert_eq!(put(&rules, Kind::I, 21, &1_i32), Err(Refusal::Index));
         assert_eq!(put(&rules, Kind::D, 10, &1.0_f64), Err(Refusal::Kind));
@@ -311,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn bounds_count_by_element_and_the_last_for_the_rest() {
+    fn ranges_count_by_element_and_the_last_for_the_rest() {
         let values = [Bounds { min: 0.0, max: 1.0 }, Bounds { min: -5.0, max: 5.0 }];
         let allow = [
             Allow { values: &values, ..Allow::all(Kind::V) },
@@ -328,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn another_type_is_refused_unless_conversion_is_allowed_and_loses_nothing() {
+    fn another_type_is_refused_unless_conversion_is_allowed_and_lossless() {
         let allow = [Allow::all(Kind::F), Allow::all(Kind::J)];
         let strict = Rules { put: &allow, ..Rules::READ_ONLY };
         let converting = Rules { convert: true, ..strict };
@@ -341,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn a_client_may_ask_in_a_burst_and_then_at_its_rate() {
+    fn a_client_has_a_burst_and_then_its_rate() {
         let rules = Rules { rate: Rate { per_second: 10, burst: 3 }, ..Rules::READ_ONLY };
         let request = Request::Get(Variable::new(Kind::I, 1));
         let mut pace = Pace::NEW;
@@ -351,8 +352,8 @@ mod tests {
         assert_eq!(ask(start), Err(Refusal::Rate));
         assert_eq!(ask(start + 99_999), Err(Refusal::Rate));
         assert_eq!(ask(start + 100_000), Ok(()));
-        assert_eq!(ask(start + 100_000), Err(Refusal::Rate), "what was refused was not counted, and no more is free");
+        assert_eq!(ask(start + 100_000), Err(Refusal::Rate), "a refused request takes no token");
         assert_eq!([ask(start + 900_000), ask(start + 900_000), ask(start + 900_000)], [Ok(()); 3]);
-        assert_eq!(ask(start + 900_000), Err(Refusal::Rate), "a rest is not saved beyond the burst");
+        assert_eq!(ask(start + 900_000), Err(Refusal::Rate), "no more tokens than the burst are saved");
     }
 }

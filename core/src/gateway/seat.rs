@@ -1,4 +1,4 @@
-//! A seat: the place of one PLC in the gateway, with its session and the request that waits.
+//! A seat: the memory for one PLC, with its session, its token bucket and its waiting request.
 
 use core::time::Duration;
 
@@ -10,16 +10,16 @@ use crate::rac::server::{self, Config, Session};
 use crate::time::Instant;
 use crate::variant::Encode;
 
-/// Bytes of a seat's memory for a value: enough for the longest string that fits a line, either way.
+/// Bytes of a seat's memory for a value: enough for the longest string that fits a line, in a request and a reply.
 const VALUE: usize = 512;
 
-/// The place of one PLC.
+/// The memory for one PLC.
 #[derive(Debug)]
 pub(super) struct Seat {
     pub(super) session: Session<[u8; VALUE]>,
-    /// Who sits here.
+    /// The client.
     pub(super) peer: Option<PeerId>,
-    /// Outlives its client, so that a new connection does not begin with a new allowance.
+    /// Outlives the client, so a new connection does not get a full bucket.
     pub(super) pace: Pace,
     pub(super) waiting: Option<Waiting>,
 }
@@ -27,10 +27,10 @@ pub(super) struct Seat {
 /// A request that has passed the rules and waits for the robot.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Waiting {
-    /// No two requests have the same; the lower came first.
+    /// Unique; the lower one was received first.
     pub(super) ticket: u32,
     pub(super) asked: Asked,
-    /// What is answered if the robot goes.
+    /// The answer if the session with the robot ends.
     pub(super) if_down: HResult,
     since: Instant,
 }
@@ -45,20 +45,20 @@ impl Seat {
     pub(super) const FREE: Self =
         Self { session: Session::new(Config::TCP, [0; VALUE]), peer: None, pace: Pace::NEW, waiting: None };
 
-    /// Seats a client.
+    /// Assigns the seat to a client.
     pub(super) fn open(&mut self, peer: PeerId, request_timeout: Duration) {
         self.session = Session::new(Config { invoke_timeout: request_timeout }, [0; VALUE]);
         self.peer = Some(peer);
         self.waiting = None;
     }
 
-    /// Frees the seat; what was asked is forgotten.
+    /// Frees the seat, and drops its waiting request.
     pub(super) fn close(&mut self) {
         self.peer = None;
         self.waiting = None;
     }
 
-    /// Answers the request that waits, and says what was answered.
+    /// Replies to the waiting request, and returns the event.
     pub(super) fn answer<T: Encode + ?Sized>(&mut self, result: HResult, value: &T, now: Instant) -> Option<Event> {
         match self.session.respond_with(result, value)? {
             server::Event::Served { result, .. } => self.answered(result, now),
@@ -66,13 +66,13 @@ impl Seat {
         }
     }
 
-    /// Takes note that the request that waits has been answered.
+    /// Removes the waiting request, which got its reply, and returns the event.
     pub(super) fn answered(&mut self, result: HResult, now: Instant) -> Option<Event> {
         let Waiting { asked, since, .. } = self.waiting.take()?;
         Some(Event::answered(self.peer?, asked, result, now.saturating_since(since)))
     }
 
-    /// Answers a request by a refusal.
+    /// Replies to a request with a refusal.
     pub(super) fn refuse(&mut self, refusal: Refusal) -> Option<Event> {
         let _ = self.session.respond(refusal.hresult())?;
         Some(Event::Refused { peer: self.peer?, refusal })

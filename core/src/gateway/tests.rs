@@ -1,4 +1,4 @@
-//! A gateway between PLCs and a scripted robot, under a fake clock.
+//! A gateway between PLCs and a scripted robot, under a simulated clock.
 #![expect(clippy::arithmetic_side_effects, reason = "an overflow here fails the test, as it should")]
 extern crate std;
 
@@ -20,10 +20,10 @@ fn at(millis: u64) -> Instant {
     Instant::from_millis(millis)
 }
 
-/// What the robot does with a call.
+/// The reaction of the robot to a call.
 enum Do {
     Reply(HResult, Option<Box<Owned>>),
-    /// Says that it is at work, and no more.
+    /// Replies S_EXECUTING only.
     Execute,
     Nothing,
 }
@@ -33,7 +33,7 @@ fn ok(value: &dyn Encode) -> Do {
     Do::Reply(HResult::S_OK, Some(Box::new(Owned::new(value).unwrap())))
 }
 
-/// A robot that keeps to the protocol, but for what a test scripts.
+/// A robot that follows the protocol, except for scripted reactions.
 #[derive(Default)]
 struct Robot {
     received: Vec<u8>,
@@ -43,9 +43,9 @@ struct Robot {
     handles: BTreeMap<i32, String>,
     next_handle: i32,
     values: BTreeMap<String, Owned>,
-    /// What it does next, in place of what it would do.
+    /// Scripted reactions to the next calls, instead of the normal ones.
     script: VecDeque<(FunctionId, Do)>,
-    /// The calls that it has not answered: their serials, and what it would have said.
+    /// The serials of calls without a reply, and the replies they would get.
     unanswered: Vec<(u16, Vec<u8>)>,
 }
 
@@ -62,16 +62,16 @@ impl Robot {
         self.script.push_back((function, what));
     }
 
-    /// Forgets the connection and what belonged to it.
+    /// Forgets the connection and its handles.
     fn reset(&mut self) {
         self.received.clear();
         self.handles.clear();
         self.unanswered.clear();
-        // handles of another connection are never good by chance
+        // a handle of another connection is never valid by chance
         self.next_handle += 1000;
     }
 
-    /// Takes bytes, and returns what it sends.
+    /// Receives bytes, and returns the bytes that it sends.
     fn receive(&mut self, bytes: &[u8]) -> Vec<u8> {
         self.received.extend_from_slice(bytes);
         let received = core::mem::take(&mut self.received);
@@ -99,7 +99,7 @@ impl Robot {
         }
     }
 
-    /// Carries a call out, and keeps the reply.
+    /// Executes a call, and keeps the reply.
     fn hold(&mut self, frame: &Frame<'_>) {
         let late = match self.usual(frame) {
             Do::Reply(code, value) => reply(frame.serial, code, value.as_deref()),
@@ -139,7 +139,7 @@ impl Robot {
         }
     }
 
-    /// Takes the calls that were seen.
+    /// Takes the recorded calls.
     fn calls(&mut self) -> Vec<String> {
         core::mem::take(&mut self.calls)
     }
@@ -185,7 +185,7 @@ impl<'m> Bench<'m> {
         core::iter::from_fn(|| self.gateway.poll_event(self.now)).collect()
     }
 
-    /// Lets bytes go to the robot and back until nothing moves.
+    /// Moves bytes to the robot and back until none are left.
     fn settle(&mut self) -> Vec<Event> {
         let mut events = self.events();
         while !self.gateway.robot_transmit().is_empty() {
@@ -197,7 +197,7 @@ impl<'m> Bench<'m> {
         events
     }
 
-    /// Lets the robot's bytes come.
+    /// Delivers bytes of the robot.
     fn deliver(&mut self, mut bytes: &[u8]) -> Vec<Event> {
         let mut events = Vec::new();
         while !bytes.is_empty() {
@@ -212,7 +212,7 @@ impl<'m> Bench<'m> {
         events
     }
 
-    /// Lets the robot say what it has held back.
+    /// Delivers the delayed replies of the robot.
     fn answer_late(&mut self) -> Vec<Event> {
         let (_, late) = self.robot.unanswered.remove(0);
         let mut events = self.deliver(&late);
@@ -220,7 +220,7 @@ impl<'m> Bench<'m> {
         events
     }
 
-    /// Lets the robot answer what it has left unanswered, with something else.
+    /// Delivers other replies to the calls that have none.
     fn answer(&mut self, code: HResult, value: Option<&dyn Encode>) -> Vec<Event> {
         let (serial, _) = self.robot.unanswered.remove(0);
         let value = value.map(|value| Owned::new(value).unwrap());
@@ -229,28 +229,28 @@ impl<'m> Bench<'m> {
         events
     }
 
-    /// Lets a PLC's bytes come; what does not fit waits for the line before.
+    /// Delivers bytes of a PLC; bytes that do not fit wait until the line before them is answered.
     fn send(&mut self, plc: PeerId, line: &str) {
         let room = self.gateway.receive_buffer(plc);
         room[..line.len()].copy_from_slice(line.as_bytes());
         self.gateway.received(plc, line.len());
     }
 
-    /// Takes what a PLC gets.
+    /// Takes the bytes for a PLC.
     fn take(&mut self, plc: PeerId) -> String {
         let text = String::from_utf8(self.gateway.transmit(plc).to_vec()).unwrap();
         self.gateway.transmitted(plc, text.len());
         text
     }
 
-    /// Sends a line and returns its answer.
+    /// Sends a line and returns its reply.
     fn ask(&mut self, plc: PeerId, line: &str) -> String {
         self.send(plc, line);
         self.settle();
         self.take(plc)
     }
 
-    /// Lets time pass, at once.
+    /// Advances the clock in one step.
     fn sleep(&mut self, millis: u64) -> Vec<Event> {
         self.now = self.now + Duration::from_millis(millis);
         self.settle()
@@ -273,7 +273,7 @@ const WRITABLE: Config<'static> =
     Config { rules: Rules { put: &Allow::EVERYTHING, ..Rules::READ_ONLY }, ..Config::RC8 };
 
 #[test]
-fn a_session_begins_as_configured_and_reads_through_one_handle() {
+fn a_session_begins_as_configured_and_reads_with_one_handle() {
     let mut memory = Memory::<2, 4>::new();
     let config = Config { name: "plc", machine: "10.0.0.1", option: "@IfNotMember", ..Config::RC9 };
     let mut bench = Bench::new(config, &mut memory);
@@ -321,7 +321,7 @@ fn all_kinds_are_read_and_written() {
 }
 
 #[test]
-fn values_are_converted_where_nothing_is_lost() {
+fn values_are_converted_if_that_is_lossless() {
     let mut memory = Memory::<1, 8>::new();
     let config = Config { rules: Rules { convert: true, ..WRITABLE.rules }, ..WRITABLE };
     let mut bench = Bench::up(config, &mut memory);
@@ -331,7 +331,7 @@ fn values_are_converted_where_nothing_is_lost() {
     assert_eq!(bench.ask(plc, "PUT:RC8:1:V:8197,1,2.5,3\r"), "0\r");
     assert!(VariableKind::V.fits(&bench.robot.value("V1")));
     assert_eq!(bench.ask(plc, "PUT:RC8:1:F:5,0.1\r"), line(HResult::E_INVALIDARGTYPE));
-    // from the robot: an R8 array as system variables have it
+    // from the robot: an array of R8, the type of system variables
     bench.robot.set("P1", &[1.0_f64, 2.0, 3.0, 4.0, 5.0, 6.0, -1.0]);
     assert_eq!(bench.ask(plc, "GET:RC8:1:P:\r"), "0,8196,1,2,3,4,5,6,-1\r");
     bench.robot.set("F1", &0.1_f64);
@@ -341,7 +341,7 @@ fn values_are_converted_where_nothing_is_lost() {
 }
 
 #[test]
-fn another_type_is_refused_by_default_and_the_robot_is_not_asked() {
+fn another_type_is_refused_by_default_without_a_call() {
     let mut memory = Memory::<1, 8>::new();
     let mut bench = Bench::up(WRITABLE, &mut memory);
     let plc = bench.gateway.open().unwrap();
@@ -350,7 +350,7 @@ fn another_type_is_refused_by_default_and_the_robot_is_not_asked() {
 }
 
 #[test]
-fn refusals_are_reported_with_their_line_and_the_session_goes_on() {
+fn refusals_are_reported_with_their_line_and_the_session_continues() {
     let mut memory = Memory::<1, 8>::new();
     let mut bench = Bench::up(Config::RC8, &mut memory);
     let plc = bench.gateway.open().unwrap();
@@ -385,7 +385,7 @@ fn refusals_are_reported_with_their_line_and_the_session_goes_on() {
 }
 
 #[test]
-fn results_of_the_robot_pass_through() {
+fn results_of_the_robot_are_passed_on() {
     let mut memory = Memory::<1, 8>::new();
     let mut bench = Bench::up(WRITABLE, &mut memory);
     let plc = bench.gateway.open().unwrap();
@@ -404,7 +404,7 @@ fn results_of_the_robot_pass_through() {
 }
 
 #[test]
-fn the_handle_used_longest_ago_makes_room() {
+fn the_least_recently_used_handle_is_released() {
     let mut memory = Memory::<1, 2>::new();
     let mut bench = Bench::up(Config::RC8, &mut memory);
     let plc = bench.gateway.open().unwrap();
@@ -417,13 +417,13 @@ fn the_handle_used_longest_ago_makes_room() {
     assert_eq!(bench.robot.handles.values().collect::<Vec<_>>(), ["I1", "I3"]);
     let released = "VariableRelease(I4(1002))".to_string();
     assert_eq!(bench.robot.calls().iter().filter(|call| call.contains("Release")).collect::<Vec<_>>(), [&released]);
-    // a handle that cannot be released is given up all the same
+    // a handle that cannot be released is removed nevertheless
     bench.robot.script(FunctionId::VARIABLE_RELEASE, Do::Reply(HResult::E_FAIL, None));
     assert_eq!(bench.ask(plc, "GET:RC8:2:I:\r"), "0,3,2\r");
 }
 
 #[test]
-fn a_dead_handle_is_replaced_once() {
+fn an_invalid_handle_is_replaced_once() {
     let mut memory = Memory::<1, 2>::new();
     let mut bench = Bench::up(WRITABLE, &mut memory);
     let plc = bench.gateway.open().unwrap();
@@ -440,13 +440,13 @@ fn a_dead_handle_is_replaced_once() {
 }
 
 #[test]
-fn without_a_robot_the_answer_comes_at_once() {
+fn without_a_robot_the_reply_is_immediate() {
     let mut memory = Memory::<2, 2>::new();
     let mut bench = Bench::new(WRITABLE, &mut memory);
     let plc = bench.gateway.open().unwrap();
     let not_connected = line(HResult::E_NOT_CONNECTED);
     assert_eq!(bench.ask(plc, "GET:RC8:1:I:\r"), not_connected);
-    // no connection was to be had
+    // the connection could not be opened
     bench.gateway.robot_closed(bench.now);
     let down = |pause| Event::RobotDown { error: RobotError::Closed, pause: Duration::from_millis(pause) };
     assert_eq!(bench.events(), [down(500)]);
@@ -456,7 +456,7 @@ fn without_a_robot_the_answer_comes_at_once() {
     bench.now = at(500);
     assert_eq!(bench.events(), []);
     assert!(bench.gateway.robot_wanted());
-    // while a session is being begun, too
+    // also while a session starts
     bench.robot.script(FunctionId::CONTROLLER_CONNECT, Do::Nothing);
     assert_eq!(bench.connect(), []);
     assert_eq!(bench.ask(plc, "GET:RC8:1:I:\r"), not_connected);
@@ -466,7 +466,7 @@ fn without_a_robot_the_answer_comes_at_once() {
 }
 
 #[test]
-fn pauses_grow_while_the_robot_refuses_and_begin_anew_after_a_session() {
+fn pauses_double_while_the_robot_refuses_and_a_session_resets_them() {
     let mut memory = Memory::<1, 2>::new();
     let mut bench = Bench::new(Config::RC8, &mut memory);
     let refused = |function, pause| {
@@ -496,7 +496,7 @@ fn pauses_grow_while_the_robot_refuses_and_begin_anew_after_a_session() {
 }
 
 #[test]
-fn when_the_robot_goes_every_request_is_answered_and_old_handles_are_forgotten() {
+fn when_the_robot_disconnects_every_request_is_answered_and_handles_are_removed() {
     let mut memory = Memory::<3, 4>::new();
     let mut bench = Bench::up(WRITABLE, &mut memory);
     let plcs = [(); 3].map(|()| bench.gateway.open().unwrap());
@@ -523,7 +523,7 @@ fn when_the_robot_goes_every_request_is_answered_and_old_handles_are_forgotten()
 }
 
 #[test]
-fn a_robot_that_falls_silent_costs_the_connection_and_the_request_in_its_hands() {
+fn a_robot_that_stops_responding_ends_the_connection_and_the_request_in_flight() {
     let mut memory = Memory::<2, 4>::new();
     let mut bench = Bench::up(WRITABLE, &mut memory);
     let [first, second] = [(); 2].map(|()| bench.gateway.open().unwrap());
@@ -539,13 +539,13 @@ fn a_robot_that_falls_silent_costs_the_connection_and_the_request_in_its_hands()
     assert_eq!(bench.take(second), line(HResult::E_NOT_CONNECTED));
     assert!(!bench.gateway.robot_wanted());
     assert_eq!(bench.ask(first, "GET:RC8:1:I:\r"), line(HResult::E_NOT_CONNECTED));
-    // what it says now is none of anybody's
+    // a late reply belongs to no request
     assert_eq!(bench.answer(HResult::S_OK, Some(&5_i32)), []);
     assert!(bench.gateway.transmit(first).is_empty());
 }
 
 #[test]
-fn bytes_that_are_no_frame_cost_the_connection() {
+fn invalid_bytes_end_the_connection() {
     let mut memory = Memory::<1, 4>::new();
     let mut bench = Bench::up(Config::RC8, &mut memory);
     let plc = bench.gateway.open().unwrap();
@@ -555,7 +555,7 @@ fn bytes_that_are_no_frame_cost_the_connection() {
     let events = bench.deliver(b"HTTP/1.1 400 Bad Request\r\n\r\n");
     assert!(matches!(events[0], Event::RobotDown { error: RobotError::Call(ClientError::Malformed(_)), .. }));
     assert_eq!(bench.take(plc), line(HResult::E_NOT_CONNECTED));
-    // and a handle that is none
+    // the same for a reply without a valid handle
     bench.gateway.robot_closed(bench.now);
     bench.sleep(500);
     assert_eq!(bench.connect(), [Event::RobotUp]);
@@ -566,7 +566,7 @@ fn bytes_that_are_no_frame_cost_the_connection() {
 }
 
 #[test]
-fn a_request_that_is_out_of_time_does_not_lend_its_answer_to_the_next() {
+fn the_reply_to_a_request_that_timed_out_does_not_answer_the_next() {
     let mut memory = Memory::<1, 4>::new();
     let config = Config { request_timeout: Duration::from_secs(1), ..WRITABLE };
     let mut bench = Bench::up(config, &mut memory);
@@ -588,7 +588,7 @@ fn a_request_that_is_out_of_time_does_not_lend_its_answer_to_the_next() {
     let events = bench.answer(HResult::S_OK, Some(&1_i32));
     assert!(matches!(events[..], [Event::Served { request, .. }] if request == get_i(2)), "{events:?}");
     assert_eq!(bench.take(plc), "0,3,2\r");
-    // a PUT that is out of time before its turn is not carried out
+    // a PUT that times out in the queue is not executed
     bench.robot.script(FunctionId::CONTROLLER_GET_VARIABLE, Do::Execute);
     bench.send(plc, "PUT:RC8:3:I:3,3\r");
     bench.settle();
@@ -602,7 +602,7 @@ fn a_request_that_is_out_of_time_does_not_lend_its_answer_to_the_next() {
 }
 
 #[test]
-fn who_takes_a_seat_does_not_get_the_answer_of_who_has_left() {
+fn a_new_client_does_not_get_the_reply_of_the_former_client_of_its_seat() {
     let mut memory = Memory::<1, 4>::new();
     let mut bench = Bench::up(Config::RC8, &mut memory);
     let gone = bench.gateway.open().unwrap();
@@ -619,7 +619,7 @@ fn who_takes_a_seat_does_not_get_the_answer_of_who_has_left() {
     let events = bench.answer(HResult::S_OK, Some(&1_i32));
     assert!(matches!(events[..], [Event::Served { peer, .. }] if peer == plc), "{events:?}");
     assert_eq!(bench.take(plc), "0,3,2\r");
-    // the one who left has no business here
+    // the former client has no bytes and no buffer
     assert!(bench.gateway.receive_buffer(gone).is_empty());
     bench.gateway.received(gone, 5);
     bench.gateway.transmitted(gone, 5);
@@ -629,7 +629,7 @@ fn who_takes_a_seat_does_not_get_the_answer_of_who_has_left() {
 }
 
 #[test]
-fn requests_take_their_turn_as_they_came() {
+fn requests_are_served_in_the_order_of_arrival() {
     let mut memory = Memory::<3, 8>::new();
     let mut bench = Bench::up(Config::RC8, &mut memory);
     let plcs = [(); 3].map(|()| bench.gateway.open().unwrap());
@@ -657,7 +657,7 @@ fn lines_without_a_pause_are_answered_in_order() {
 }
 
 #[test]
-fn a_value_that_does_not_fit_a_line_is_an_error_and_not_a_cut_line() {
+fn a_value_that_does_not_fit_a_line_is_an_error() {
     let mut memory = Memory::<1, 8>::new();
     let mut bench = Bench::up(WRITABLE, &mut memory);
     let plc = bench.gateway.open().unwrap();
@@ -677,14 +677,14 @@ fn a_value_that_does_not_fit_a_line_is_an_error_and_not_a_cut_line() {
     }
     bench.robot.set("S1", &"two\rlines");
     assert_eq!(bench.ask(plc, "GET:RC8:1:S:\r"), line(HResult::E_INVALIDSNDPACKET));
-    // and the longest string that a line can bring
+    // the longest string that fits a line
     let longest = "y".repeat(256 - "PUT:RC8:1:S:8,\r".len());
     assert_eq!(bench.ask(plc, &format!("PUT:RC8:1:S:8,{longest}\r")), "0\r");
     assert_eq!(bench.robot.value("S1").as_bstr().unwrap(), longest.as_str());
 }
 
 #[test]
-fn a_silent_line_is_tried_and_a_dead_robot_noticed_before_anybody_asks() {
+fn the_heartbeat_detects_a_robot_that_does_not_respond() {
     let mut memory = Memory::<1, 8>::new();
     let mut bench = Bench::up(Config::RC8, &mut memory);
     assert_eq!(bench.gateway.poll_timeout(), Some(at(2000)));
@@ -700,7 +700,7 @@ fn a_silent_line_is_tried_and_a_dead_robot_noticed_before_anybody_asks() {
 }
 
 #[test]
-fn the_rate_belongs_to_the_seat() {
+fn each_seat_has_a_token_bucket() {
     let mut memory = Memory::<1, 8>::new();
     let rate = Rate { per_second: 1, burst: 2 };
     let config = Config { rules: Rules { rate, ..Rules::READ_ONLY }, ..Config::RC8 };
@@ -718,7 +718,7 @@ fn the_rate_belongs_to_the_seat() {
 }
 
 #[test]
-fn times_are_counted_from_the_line_to_the_answer() {
+fn times_are_counted_from_the_line_to_the_reply() {
     let mut memory = Memory::<1, 8>::new();
     let mut bench = Bench::up(Config::RC8, &mut memory);
     let plc = bench.gateway.open().unwrap();
@@ -737,7 +737,7 @@ fn times_are_counted_from_the_line_to_the_answer() {
     );
 }
 
-/// A generator of numbers that are random enough, and the same in every run.
+/// A deterministic pseudo-random number generator.
 struct Dice(u64);
 
 impl Dice {
@@ -747,15 +747,15 @@ impl Dice {
     }
 }
 
-/// Clients that come and go, a robot that is slow, refuses, falls silent, dies and comes back: an answer with a value
-/// always carries the number of its own request, and every request ends in time.
+/// Clients connect and disconnect; the robot is slow, refuses, stops responding, and restarts. Every reply with a value
+/// carries the number of its own request, and every request ends before its timeout.
 #[test]
-fn no_answer_is_another_requests() {
+fn no_request_gets_the_reply_of_another() {
     for seed in 0..8 {
         let mut dice = Dice(seed);
         let mut memory = Memory::<4, 3>::new();
         let mut bench = Bench::new(Config { request_timeout: Duration::from_secs(4), ..WRITABLE }, &mut memory);
-        // a client, the answer that it waits for, and since when
+        // a client, the reply it expects, and the time of its request
         let mut clients: Vec<(PeerId, Option<(String, Instant)>)> = Vec::new();
         let (mut answered, mut number) = (0, 0);
         for _ in 0..2000 {
@@ -771,7 +771,7 @@ fn no_answer_is_another_requests() {
                 11..20 if !clients.is_empty() => bench.gateway.close(clients.remove(0).0),
                 20..60 => clients.extend(bench.gateway.open().map(|plc| (plc, None))),
                 60..80 if !bench.robot.unanswered.is_empty() => {
-                    // perhaps to a request that is over
+                    // possibly to a request that has ended
                     bench.answer_late();
                 }
                 _ => {}
@@ -785,7 +785,7 @@ fn no_answer_is_another_requests() {
             for (plc, request) in &mut clients {
                 if request.is_none() && dice.below(3) == 0 {
                     number += 1;
-                    // some variables are asked for again and again, others only once
+                    // some variables are requested repeatedly, others once
                     let index = if dice.below(2) == 0 { dice.below(4) } else { number + 100 };
                     bench.robot.set(&format!("I{index}"), &index);
                     let line = format!("GET:RC8:{index}:I:\r");
@@ -818,7 +818,7 @@ fn no_answer_is_another_requests() {
 }
 
 #[test]
-fn the_memory_of_a_board_is_enough() {
+fn the_memory_fits_a_board() {
     assert!(size_of::<Memory<4, 32>>() <= 7 * 1024, "{}", size_of::<Memory<4, 32>>());
     assert!(size_of::<Gateway<'_>>() <= 1024, "{}", size_of::<Gateway<'_>>());
     assert!(size_of::<Event>() <= 48, "{}", size_of::<Event>());

@@ -1,7 +1,7 @@
-//! Calls that are awaited, over any [`Transport`].
+//! Asynchronous calls over any [`Transport`].
 //!
-//! With the feature `embedded-io-async`, `Timed` makes a transport of anything that reads and writes and a timer.
-//! Nothing is allocated and no executor is assumed; all futures here may be dropped at any point.
+//! With the feature `embedded-io-async`, `Timed` is a transport over an `embedded_io_async` device and a timer. The loops
+//! do not allocate, need no particular executor, and their futures may be dropped at any point.
 
 use crate::bcap::Client;
 use crate::bcap::call::{Call, Reply};
@@ -14,33 +14,33 @@ use crate::storage::Storage;
 use crate::time::Instant;
 use crate::variant::Variant;
 
-/// What carries the bytes of a client, and knows the time.
+/// A connection that carries the bytes of a client, with a clock.
 pub trait Transport {
-    /// Why it fails.
+    /// The error of the connection.
     type Error;
 
-    /// Returns the time, for deadlines.
+    /// Returns the current time.
     fn now(&self) -> Instant;
 
-    /// Sends a datagram, or as much of a stream's bytes as can be taken; `None` when it is `until` before that.
+    /// Sends a datagram, or as many bytes of a stream as possible, and returns their count; `None` at `until`.
     ///
     /// # Errors
     ///
-    /// When the connection cannot be used any more.
+    /// When the connection failed.
     ///
     /// # Cancel safety
     ///
     /// A future that is dropped before it is ready has sent nothing.
     fn send(&mut self, bytes: &[u8], until: Instant) -> impl Future<Output = Result<Option<usize>, Self::Error>>;
 
-    /// Receives a datagram, or what is there of a stream; `None` when it is `until` before that. On a stream, 0 bytes
-    /// mean that the peer has closed it.
+    /// Receives a datagram, or available bytes of a stream, and returns their count; `None` at `until`. On a stream, 0
+    /// bytes mean that the peer has closed it.
     ///
-    /// When `until` has passed, it returns what has arrived without waiting: this is called once before each request.
+    /// If `until` has passed, it returns bytes that have arrived, without waiting: the loops call it so before each request.
     ///
     /// # Errors
     ///
-    /// When the connection cannot be used any more.
+    /// When the connection failed.
     ///
     /// # Cancel safety
     ///
@@ -51,11 +51,11 @@ pub trait Transport {
         until: Instant,
     ) -> impl Future<Output = Result<Option<usize>, Self::Error>>;
 
-    /// Waits until it is `at`; received bytes stay where they are.
+    /// Waits until `at`, and reads no bytes.
     fn sleep_until(&mut self, at: Instant) -> impl Future<Output = ()>;
 }
 
-/// A client of b-CAP with its transport.
+/// A b-CAP client with its transport.
 #[derive(Debug)]
 pub struct Connection<X, T, R = T> {
     transport: X,
@@ -63,13 +63,13 @@ pub struct Connection<X, T, R = T> {
 }
 
 impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
-    /// Joins the two.
+    /// Combines a transport and a client.
     #[must_use]
     pub const fn new(transport: X, client: Client<T, R>) -> Self {
         Self { transport, client }
     }
 
-    /// Returns the client, to look at its last reply or to change its time limits.
+    /// Returns the client, to read its last reply or to change its timing.
     pub const fn client(&mut self) -> &mut Client<T, R> {
         &mut self.client
     }
@@ -79,13 +79,13 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
         &mut self.transport
     }
 
-    /// Takes the two apart, to put something between them, such as a transport that writes down what passes.
+    /// Returns transport and client, to wrap the transport in another one, such as one that records the bytes.
     #[must_use]
     pub fn into_parts(self) -> (X, Client<T, R>) {
         (self.transport, self.client)
     }
 
-    /// Returns the code of the last reply; one of success can mean more than S_OK.
+    /// Returns the code of the last reply, such as a success other than S_OK.
     #[must_use]
     pub fn last_result(&self) -> Option<HResult> {
         self.client.reply().map(|frame| frame.hresult())
@@ -93,22 +93,26 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
 
     /// Makes a call, waits for its reply and returns the value, which borrows from the client's buffer.
     ///
-    /// Its timing is that of the client's configuration; [`call_with`](Self::call_with) takes another one.
+    /// It uses the timing of the client's configuration; [`call_with`](Self::call_with) takes another one.
     ///
     /// # Errors
     ///
-    /// A [`CallError`]; [`is_recoverable`](CallError::is_recoverable) tells whether the connection is still good.
+    /// A [`CallError`]; [`is_recoverable`](CallError::is_recoverable) tells whether the connection can still be used.
     ///
     /// # Cancel safety
     ///
-    /// When the future is dropped the call is given up: a partly sent request is finished before the next call, and the
-    /// reply, if it arrives, is dropped. Whether the controller has executed the call is then unknown.
+    /// Dropping the future abandons the call: the next call first sends the rest of a partly sent request, and a late reply
+    /// is dropped. The controller may or may not execute the abandoned call.
     pub async fn call<C: Call>(&mut self, call: C) -> Result<<C::Reply as Reply>::Value<'_>, CallError<X::Error>> {
+        // not through `call_with`, whose future would hold the call twice and its timing
+        clear(&mut self.transport, &mut self.client).await?;
         let timing = self.client.timing();
-        self.call_with(call, timing).await
+        self.client.start(&call, timing, self.transport.now())?;
+        wait(&mut self.transport, &mut self.client).await?;
+        Ok(self.client.value::<C::Reply>()?)
     }
 
-    /// Makes a call as [`call`](Self::call) does, with its own time limits and attempts.
+    /// Makes a call as [`call`](Self::call) does, with its own timing.
     ///
     /// # Errors
     ///
@@ -127,8 +131,7 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     }
 
     async fn exchange<C: Call>(&mut self, call: &C, timing: Timing) -> Result<(), CallError<X::Error>> {
-        flush(&mut self.transport, &mut self.client).await?;
-        drain(&mut self.transport, &mut self.client).await?;
+        clear(&mut self.transport, &mut self.client).await?;
         self.client.start(call, timing, self.transport.now())?;
         wait(&mut self.transport, &mut self.client).await
     }
@@ -141,8 +144,8 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     ///
     /// # Cancel safety
     ///
-    /// When the future is dropped, its call is given up as in [`call`](Self::call), and the procedure keeps its place. When
-    /// it is run again, it first learns that its call has no reply.
+    /// Dropping the future abandons the call in flight, as in [`call`](Self::call), and the procedure keeps its state. When
+    /// it is run again, it first handles the failure of that call.
     pub async fn run<P: Procedure>(&mut self, procedure: P) -> Result<P::Output, RunError<P::Error, X::Error>> {
         run(procedure, self, None::<&mut Self>).await
     }
@@ -170,7 +173,7 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
         run(procedure, self, Some(watch)).await
     }
 
-    /// Makes the call that a procedure wants, and hands its reply or failure in; returns why there is no reply.
+    /// Makes the call of a procedure, and passes in its reply or failure; returns the error of a call without a reply.
     async fn perform<P: Procedure>(&mut self, procedure: &mut P) -> Option<CallError<X::Error>> {
         let timing = procedure.timing(self.client.link(), self.client.timing());
         let ended = match procedure.request() {
@@ -198,7 +201,7 @@ where
 {
     let mut lost = None;
     if procedure.request().is_some() {
-        // a run that was dropped has left a call without a reply
+        // a dropped run ended with a call in flight
         procedure.handle_failure(Failure::Timeout, motion.transport.now());
     }
     loop {
@@ -215,22 +218,22 @@ where
     }
 }
 
-/// A client of RAC with its transport.
+/// A RAC client with its transport.
 #[derive(Debug)]
 pub struct RacConnection<X, V> {
     transport: X,
-    client: rac::client::Client<V>,
+    client: rac::Client<V>,
 }
 
 impl<X: Transport, V: Storage> RacConnection<X, V> {
-    /// Joins the two.
+    /// Combines a transport and a client.
     #[must_use]
-    pub const fn new(transport: X, client: rac::client::Client<V>) -> Self {
+    pub const fn new(transport: X, client: rac::Client<V>) -> Self {
         Self { transport, client }
     }
 
     /// Returns the client, to change its time limit.
-    pub const fn client(&mut self) -> &mut rac::client::Client<V> {
+    pub const fn client(&mut self) -> &mut rac::Client<V> {
         &mut self.client
     }
 
@@ -239,22 +242,22 @@ impl<X: Transport, V: Storage> RacConnection<X, V> {
         &mut self.transport
     }
 
-    /// Takes the two apart, to put something between them, such as a transport that writes down what passes.
+    /// Returns transport and client, to wrap the transport in another one, such as one that records the bytes.
     #[must_use]
-    pub fn into_parts(self) -> (X, rac::client::Client<V>) {
+    pub fn into_parts(self) -> (X, rac::Client<V>) {
         (self.transport, self.client)
     }
 
-    /// Reads a variable; a reply without a value stands for EMPTY.
+    /// Reads a variable; EMPTY if the reply has no value.
     ///
     /// # Errors
     ///
-    /// A [`RacError`]; [`is_recoverable`](RacError::is_recoverable) tells whether the connection is still good.
+    /// A [`RacError`]; [`is_recoverable`](RacError::is_recoverable) tells whether the connection can still be used.
     ///
     /// # Cancel safety
     ///
-    /// When the future is dropped the request is given up: a partly sent request is finished, and its reply is awaited and
-    /// dropped, before the next one. Whether the controller has carried it out is then unknown.
+    /// Dropping the future abandons the request: the next request first sends the rest of a partly sent one, and waits for
+    /// its reply, which is dropped. The controller may or may not execute the abandoned request.
     pub async fn get(&mut self, variable: Variable) -> Result<Variant<'_>, RacError<X::Error>> {
         self.request(&Request::Get(variable)).await?;
         Ok(self.client.reply().and_then(|reply| reply.value).unwrap_or(Variant::Empty))
@@ -268,15 +271,14 @@ impl<X: Transport, V: Storage> RacConnection<X, V> {
     ///
     /// # Cancel safety
     ///
-    /// When the future is dropped the request is given up: a partly sent request is finished, and its reply is awaited and
-    /// dropped, before the next one. Whether the controller has carried it out is then unknown.
+    /// Dropping the future abandons the request: the next request first sends the rest of a partly sent one, and waits for
+    /// its reply, which is dropped. The controller may or may not execute the abandoned request.
     pub async fn put(&mut self, variable: Variable, value: Variant<'_>) -> Result<(), RacError<X::Error>> {
         self.request(&Request::Put(variable, value)).await
     }
 
     async fn request(&mut self, request: &Request<'_>) -> Result<(), RacError<X::Error>> {
-        flush(&mut self.transport, &mut self.client).await?;
-        drain(&mut self.transport, &mut self.client).await?;
+        clear(&mut self.transport, &mut self.client).await?;
         self.client.start(request, self.transport.now())?;
         wait(&mut self.transport, &mut self.client).await
     }
@@ -284,23 +286,19 @@ impl<X: Transport, V: Storage> RacConnection<X, V> {
 
 type Ended<X, M> = Result<(), CallError<<X as Transport>::Error, <M as Machine>::Error>>;
 
-/// Sends the rest of a call that was given up.
-async fn flush<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
-    client.abandon();
-    if client.transmit().is_empty() {
-        return Ok(());
-    }
+/// Clears the link for a call: sends the rest of one that was given up, and drops what arrived before this one, so that it
+/// is not taken for the reply.
+async fn clear<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
+    client.give_up();
     let until = transport.now().saturating_add(client.flush_timeout());
     while !client.transmit().is_empty() {
         let sent = transport.send(client.transmit(), until).await.map_err(CallError::Io)?;
         client.transmitted(sent.ok_or(CallError::Client(M::BUSY))?);
     }
-    Ok(())
-}
-
-/// Receives what has arrived before a call, so that it is not taken for the reply.
-async fn drain<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
     for _ in 0..MAX_EARLY {
+        if client.is_over() {
+            return Err(CallError::Client(M::CLOSED));
+        }
         let now = transport.now();
         let count = transport.receive(client.receive_buffer(), now).await.map_err(CallError::Io)?;
         if count.is_none() {
@@ -313,7 +311,7 @@ async fn drain<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> E
     Ok(())
 }
 
-/// Moves bytes and time until the call has ended.
+/// Runs the client until the call has ended.
 async fn wait<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
     while let Some((direction, until)) = next(client) {
         let count = match direction {
@@ -331,13 +329,13 @@ async fn wait<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> En
 /// A timer for [`Timed`].
 #[cfg(feature = "embedded-io-async")]
 pub trait Timer: crate::time::Clock {
-    /// Waits until it is `at`.
+    /// Waits until `at`.
     fn sleep_until(&mut self, at: Instant) -> impl Future<Output = ()>;
 }
 
-/// A transport made of something that reads and writes, and a timer.
+/// A transport over a device that reads and writes, and a timer.
 ///
-/// Its `read` and `write` must lose nothing when their futures are dropped, as `embedded_io_async` asks for.
+/// `read` and `write` of the device must be cancel-safe, as `embedded_io_async` requires.
 #[cfg(feature = "embedded-io-async")]
 #[derive(Debug)]
 pub struct Timed<D, C> {
@@ -347,7 +345,7 @@ pub struct Timed<D, C> {
 
 #[cfg(feature = "embedded-io-async")]
 impl<D, C: Timer> Timed<D, C> {
-    /// Joins a device and a timer.
+    /// Combines a device and a timer.
     #[must_use]
     pub const fn new(device: D, timer: C) -> Self {
         Self { device, timer }
@@ -373,7 +371,7 @@ where
 
     async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, D::Error> {
         let Self { device, timer } = self;
-        // a device with a buffer of its own may hold the request back for ever otherwise
+        // a device with a buffer may otherwise never send the request
         let read = async {
             device.flush().await?;
             device.read(buffer).await
@@ -386,7 +384,7 @@ where
     }
 }
 
-/// Waits for `work`, or for `end`; `None` when `end` was first.
+/// Waits for `work` or `end`; `None` when `end` is ready first.
 #[cfg(feature = "embedded-io-async")]
 async fn first<T>(work: impl Future<Output = T>, end: impl Future<Output = ()>) -> Option<T> {
     use core::task::Poll;

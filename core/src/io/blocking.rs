@@ -1,7 +1,7 @@
-//! Calls that block, over any [`Transport`].
+//! Blocking calls over any [`Transport`].
 //!
-//! With the feature `embedded-io`, `Polled` makes a transport of anything that reads, writes and can say whether bytes
-//! are there (a UART), and a clock.
+//! With the feature `embedded-io`, `Polled` is a transport over an `embedded_io` device with `ReadReady`, such as a UART,
+//! and a clock.
 
 use crate::bcap::Client;
 use crate::bcap::call::{Call, Reply};
@@ -14,36 +14,36 @@ use crate::storage::Storage;
 use crate::time::Instant;
 use crate::variant::Variant;
 
-/// What carries the bytes of a client, and knows the time.
+/// A connection that carries the bytes of a client, with a clock.
 pub trait Transport {
-    /// Why it fails.
+    /// The error of the connection.
     type Error;
 
-    /// Returns the time, for deadlines.
+    /// Returns the current time.
     fn now(&self) -> Instant;
 
-    /// Sends a datagram, or as much of a stream's bytes as can be taken; `None` when it is `until` before that.
+    /// Sends a datagram, or as many bytes of a stream as possible, and returns their count; `None` at `until`.
     ///
     /// # Errors
     ///
-    /// When the connection cannot be used any more.
+    /// When the connection failed.
     fn send(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, Self::Error>;
 
-    /// Receives a datagram, or what is there of a stream; `None` when it is `until` before that. On a stream, 0 bytes
-    /// mean that the peer has closed it.
+    /// Receives a datagram, or available bytes of a stream, and returns their count; `None` at `until`. On a stream, 0
+    /// bytes mean that the peer has closed it.
     ///
-    /// When `until` has passed, it returns what has arrived without waiting: this is called once before each request.
+    /// If `until` has passed, it returns bytes that have arrived, without waiting: the loops call it so before each request.
     ///
     /// # Errors
     ///
-    /// When the connection cannot be used any more.
+    /// When the connection failed.
     fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, Self::Error>;
 
-    /// Waits until it is `at`; received bytes stay where they are.
+    /// Waits until `at`, and reads no bytes.
     fn sleep_until(&mut self, at: Instant);
 }
 
-/// A client of b-CAP with its transport.
+/// A b-CAP client with its transport.
 #[derive(Debug)]
 pub struct Connection<X, T, R = T> {
     transport: X,
@@ -51,13 +51,13 @@ pub struct Connection<X, T, R = T> {
 }
 
 impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
-    /// Joins the two.
+    /// Combines a transport and a client.
     #[must_use]
     pub const fn new(transport: X, client: Client<T, R>) -> Self {
         Self { transport, client }
     }
 
-    /// Returns the client, to look at its last reply or to change its time limits.
+    /// Returns the client, to read its last reply or to change its timing.
     pub const fn client(&mut self) -> &mut Client<T, R> {
         &mut self.client
     }
@@ -67,13 +67,13 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
         &mut self.transport
     }
 
-    /// Takes the two apart, to put something between them, such as a transport that writes down what passes.
+    /// Returns transport and client, to wrap the transport in another one, such as one that records the bytes.
     #[must_use]
     pub fn into_parts(self) -> (X, Client<T, R>) {
         (self.transport, self.client)
     }
 
-    /// Returns the code of the last reply; one of success can mean more than S_OK.
+    /// Returns the code of the last reply, such as a success other than S_OK.
     #[must_use]
     pub fn last_result(&self) -> Option<HResult> {
         self.client.reply().map(|frame| frame.hresult())
@@ -81,17 +81,17 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
 
     /// Makes a call, waits for its reply and returns the value, which borrows from the client's buffer.
     ///
-    /// Its timing is that of the client's configuration; [`call_with`](Self::call_with) takes another one.
+    /// It uses the timing of the client's configuration; [`call_with`](Self::call_with) takes another one.
     ///
     /// # Errors
     ///
-    /// A [`CallError`]; [`is_recoverable`](CallError::is_recoverable) tells whether the connection is still good.
+    /// A [`CallError`]; [`is_recoverable`](CallError::is_recoverable) tells whether the connection can still be used.
     pub fn call<C: Call>(&mut self, call: C) -> Result<<C::Reply as Reply>::Value<'_>, CallError<X::Error>> {
         let timing = self.client.timing();
         self.call_with(call, timing)
     }
 
-    /// Makes a call as [`call`](Self::call) does, with its own time limits and attempts.
+    /// Makes a call as [`call`](Self::call) does, with its own timing.
     ///
     /// # Errors
     ///
@@ -106,8 +106,7 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     }
 
     fn exchange<C: Call>(&mut self, call: &C, timing: Timing) -> Result<(), CallError<X::Error>> {
-        flush(&mut self.transport, &mut self.client)?;
-        drain(&mut self.transport, &mut self.client)?;
+        clear(&mut self.transport, &mut self.client)?;
         self.client.start(call, timing, self.transport.now())?;
         wait(&mut self.transport, &mut self.client)
     }
@@ -140,7 +139,7 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
         run(procedure, self, Some(watch))
     }
 
-    /// Makes the call that a procedure wants, and hands its reply or failure in; returns why there is no reply.
+    /// Makes the call of a procedure, and passes in its reply or failure; returns the error of a call without a reply.
     fn perform<P: Procedure>(&mut self, procedure: &mut P) -> Option<CallError<X::Error>> {
         let timing = procedure.timing(self.client.link(), self.client.timing());
         let ended = match procedure.request() {
@@ -168,7 +167,7 @@ where
 {
     let mut lost = None;
     if procedure.request().is_some() {
-        // an earlier run has left a call without a reply
+        // an earlier run ended with a call in flight
         procedure.handle_failure(Failure::Timeout, motion.transport.now());
     }
     loop {
@@ -185,22 +184,22 @@ where
     }
 }
 
-/// A client of RAC with its transport.
+/// A RAC client with its transport.
 #[derive(Debug)]
 pub struct RacConnection<X, V> {
     transport: X,
-    client: rac::client::Client<V>,
+    client: rac::Client<V>,
 }
 
 impl<X: Transport, V: Storage> RacConnection<X, V> {
-    /// Joins the two.
+    /// Combines a transport and a client.
     #[must_use]
-    pub const fn new(transport: X, client: rac::client::Client<V>) -> Self {
+    pub const fn new(transport: X, client: rac::Client<V>) -> Self {
         Self { transport, client }
     }
 
     /// Returns the client, to change its time limit.
-    pub const fn client(&mut self) -> &mut rac::client::Client<V> {
+    pub const fn client(&mut self) -> &mut rac::Client<V> {
         &mut self.client
     }
 
@@ -209,17 +208,17 @@ impl<X: Transport, V: Storage> RacConnection<X, V> {
         &mut self.transport
     }
 
-    /// Takes the two apart, to put something between them, such as a transport that writes down what passes.
+    /// Returns transport and client, to wrap the transport in another one, such as one that records the bytes.
     #[must_use]
-    pub fn into_parts(self) -> (X, rac::client::Client<V>) {
+    pub fn into_parts(self) -> (X, rac::Client<V>) {
         (self.transport, self.client)
     }
 
-    /// Reads a variable; a reply without a value stands for EMPTY.
+    /// Reads a variable; EMPTY if the reply has no value.
     ///
     /// # Errors
     ///
-    /// A [`RacError`]; [`is_recoverable`](RacError::is_recoverable) tells whether the connection is still good.
+    /// A [`RacError`]; [`is_recoverable`](RacError::is_recoverable) tells whether the connection can still be used.
     pub fn get(&mut self, variable: Variable) -> Result<Variant<'_>, RacError<X::Error>> {
         self.request(&Request::Get(variable))?;
         Ok(self.client.reply().and_then(|reply| reply.value).unwrap_or(Variant::Empty))
@@ -235,8 +234,7 @@ impl<X: Transport, V: Storage> RacConnection<X, V> {
     }
 
     fn request(&mut self, request: &Request<'_>) -> Result<(), RacError<X::Error>> {
-        flush(&mut self.transport, &mut self.client)?;
-        drain(&mut self.transport, &mut self.client)?;
+        clear(&mut self.transport, &mut self.client)?;
         self.client.start(request, self.transport.now())?;
         wait(&mut self.transport, &mut self.client)
     }
@@ -244,23 +242,19 @@ impl<X: Transport, V: Storage> RacConnection<X, V> {
 
 type Ended<X, M> = Result<(), CallError<<X as Transport>::Error, <M as Machine>::Error>>;
 
-/// Sends the rest of a call that was given up.
-fn flush<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
-    client.abandon();
-    if client.transmit().is_empty() {
-        return Ok(());
-    }
+/// Clears the link for a call: sends the rest of one that was given up, and drops what arrived before this one, so that it
+/// is not taken for the reply.
+fn clear<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
+    client.give_up();
     let until = transport.now().saturating_add(client.flush_timeout());
     while !client.transmit().is_empty() {
         let sent = transport.send(client.transmit(), until).map_err(CallError::Io)?;
         client.transmitted(sent.ok_or(CallError::Client(M::BUSY))?);
     }
-    Ok(())
-}
-
-/// Receives what has arrived before a call, so that it is not taken for the reply.
-fn drain<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
     for _ in 0..MAX_EARLY {
+        if client.is_over() {
+            return Err(CallError::Client(M::CLOSED));
+        }
         let now = transport.now();
         let count = transport.receive(client.receive_buffer(), now).map_err(CallError::Io)?;
         if count.is_none() {
@@ -273,7 +267,7 @@ fn drain<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X
     Ok(())
 }
 
-/// Moves bytes and time until the call has ended.
+/// Runs the client until the call has ended.
 fn wait<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
     while let Some((direction, until)) = next(client) {
         let count = match direction {
@@ -288,9 +282,9 @@ fn wait<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X,
     Err(CallError::Client(M::CLOSED))
 }
 
-/// A transport made of something that can be asked whether it has bytes, such as a UART, and a clock.
+/// A transport over a device that can be polled, such as a UART, and a clock.
 ///
-/// While it waits it asks again and again; where that is too much, implement [`Transport`] with a better wait.
+/// It waits in a busy loop; to sleep instead, implement [`Transport`].
 #[cfg(feature = "embedded-io")]
 #[derive(Debug)]
 pub struct Polled<D, C> {
@@ -300,7 +294,7 @@ pub struct Polled<D, C> {
 
 #[cfg(feature = "embedded-io")]
 impl<D, C: crate::time::Clock> Polled<D, C> {
-    /// Joins a device and a clock.
+    /// Combines a device and a clock.
     #[must_use]
     pub const fn new(device: D, clock: C) -> Self {
         Self { device, clock }
@@ -320,7 +314,7 @@ where
     }
 
     fn send(&mut self, bytes: &[u8], _until: Instant) -> Result<Option<usize>, D::Error> {
-        // a write waits for the device alone, never for the peer
+        // a write waits for the device, never for the peer
         let count = self.device.write(bytes)?;
         self.device.flush()?;
         Ok(Some(count))

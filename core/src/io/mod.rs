@@ -1,14 +1,13 @@
-//! Two short loops that run a client over a transport: [`blocking`] and [`asynch`].
+//! Loops that run a client over a transport: [`blocking`] and [`asynch`].
 //!
-//! Both do the same with the clients of [b-CAP](crate::bcap::Client) and [RAC](crate::rac::client::Client): send what
-//! there is to send, wait for bytes until the next deadline, and poll the client. What a step means is decided here, once
-//! for both. All progress lives in the client, never on the stack of a loop: dropping a future, or returning early with an
-//! error, loses nothing.
+//! Both run the clients of [b-CAP](crate::bcap::Client) and [RAC](crate::rac::Client) in the same way: they send the
+//! client's bytes, wait for bytes until the next deadline, and poll the client. This file contains the steps that both
+//! share. All progress is in the client, not on the stack of a loop: a dropped future or an early return loses nothing.
 //!
-//! `Connection::run` runs any [`Procedure`](crate::procedure::Procedure), over one connection or over two.
+//! `Connection::run` runs any [`Procedure`], over one connection or over two.
 
-/// Tells the log about an event that the caller of a loop will not see.
-macro_rules! note {
+/// Logs an event that a loop does not return to its caller.
+macro_rules! log_event {
     ($protocol:literal, $event:expr) => {
         #[cfg(feature = "defmt")]
         defmt::debug!("{=str}: {}", $protocol, $event);
@@ -23,13 +22,14 @@ pub mod blocking;
 use core::fmt;
 
 use crate::bcap;
+use crate::endpoint::Endpoint;
 use crate::hresult::HResult;
 use crate::procedure::{Failure, Procedure};
 use crate::rac;
 use crate::storage::Storage;
 use crate::time::Instant;
 
-/// Why a call has failed, by whose fault it is: `E` is the transport's error, `C` that of the client.
+/// Why a call failed, by whose fault it is; `E` is the error of the transport, `C` that of the client.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum CallError<E, C = bcap::client::ClientError> {
@@ -37,17 +37,17 @@ pub enum CallError<E, C = bcap::client::ClientError> {
     Io(E),
     /// The peer has closed the connection.
     Disconnected,
-    /// No reply came, or none that is one; or the call could not be sent.
+    /// No valid reply arrived, or the call could not be sent.
     Client(C),
-    /// The controller has refused the call.
+    /// The controller refused the call.
     Refused(HResult),
 }
 
-/// Why a request over RAC has failed.
+/// Why a request over RAC failed.
 pub type RacError<E> = CallError<E, rac::client::ClientError>;
 
 impl<E, C> CallError<E, C> {
-    /// Returns the controller's code, when it has refused.
+    /// Returns the controller's code, if it refused the call.
     #[must_use]
     pub const fn hresult(&self) -> Option<HResult> {
         match self {
@@ -69,8 +69,8 @@ impl<E> CallError<E> {
 impl<E> RacError<E> {
     /// Tells whether the same connection can be used for another request.
     ///
-    /// After a timeout it can: the client waits for the old reply first. If that never comes,
-    /// [`Outstanding`](rac::client::Timeout::Outstanding) says that only a new connection helps.
+    /// It can after a timeout: the client waits for the old reply first. If the old reply does not arrive, the next request
+    /// fails with [`Outstanding`](rac::client::Timeout::Outstanding), and a new connection is needed.
     #[must_use]
     pub const fn is_recoverable(&self) -> bool {
         use rac::client::ClientError::{Closed, Timeout, Unsolicited};
@@ -114,9 +114,9 @@ where
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct RunError<P, E> {
-    /// Why, as the procedure tells it.
+    /// The error of the procedure.
     pub error: P,
-    /// The first of its calls that has no reply, with the transport's error; `None` when all of them were answered.
+    /// The error of its first call without a reply; `None` when all of its calls got a reply.
     pub call: Option<CallError<E>>,
 }
 
@@ -141,17 +141,17 @@ where
     }
 }
 
-/// Says what a procedure must know of a call without a reply.
+/// Converts the error of a call without a reply to the failure that a procedure handles.
 fn failure<E>(error: &CallError<E>) -> Failure {
     match error {
         CallError::Client(error) => (*error).into(),
         CallError::Io(_) | CallError::Disconnected => Failure::Lost,
-        // the code is in the reply, which is handed in instead
+        // not used: a refused call has a reply, which the procedure handles
         CallError::Refused(_) => Failure::Timeout,
     }
 }
 
-/// Hands the end of a call to the procedure that wanted it, and returns why there is no reply.
+/// Passes the reply or failure of a call to its procedure; returns the error of a call without a reply.
 fn hand_in<P: Procedure, T: Storage, R: Storage, E>(
     procedure: &mut P,
     client: &bcap::Client<T, R>,
@@ -163,7 +163,7 @@ fn hand_in<P: Procedure, T: Storage, R: Storage, E>(
         (Ok(()), None) => procedure.handle_failure(Failure::Timeout, now),
         (Err(error), _) => {
             let failure = failure(&error);
-            note!("b-CAP, a call of a procedure has no reply", failure);
+            log_event!("b-CAP, a call of a procedure has no reply", failure);
             procedure.handle_failure(failure, now);
             return Some(error);
         }
@@ -171,45 +171,42 @@ fn hand_in<P: Procedure, T: Storage, R: Storage, E>(
     None
 }
 
-/// How often a loop reads at most what arrived before a call. A socket's buffer holds fewer datagrams, and a stream that sends
-/// more ends its session.
+/// The maximum number of reads before a call, which drop early bytes. The buffer of a socket contains fewer datagrams, and
+/// a stream with more replies ends its session.
 const MAX_EARLY: usize = 512;
 
-/// A sans-IO client, as the loops see it.
-trait Machine {
+/// The common interface of the clients for the loops.
+trait Machine: Endpoint {
     type Error;
 
-    /// What to say when part of an abandoned call cannot be sent, and when there is no call to wait for.
+    /// The errors for an abandoned call that cannot be sent completely, and for a session that has ended.
     const BUSY: Self::Error;
     const CLOSED: Self::Error;
 
-    /// Whether an empty read is a datagram and not the end.
+    /// Tells whether a read of 0 bytes is a datagram, not the end of a stream.
     fn has_datagrams(&self) -> bool;
-    /// How long the rest of an abandoned call may take to be sent.
+    /// Returns the time limit for sending the rest of an abandoned call.
     fn flush_timeout(&self) -> core::time::Duration;
-    fn transmit(&self) -> &[u8];
-    fn transmitted(&mut self, count: usize);
-    fn receive_buffer(&mut self) -> &mut [u8];
-    fn received(&mut self, count: usize);
-    fn poll_timeout(&self) -> Option<Instant>;
-    fn abandon(&mut self);
-    /// Looks at what was received.
+    fn is_over(&self) -> bool;
+    fn give_up(&mut self);
+    /// Handles received bytes.
     fn poll(&mut self, now: Instant) -> Option<Step<Self::Error>>;
-    fn handle_timeout(&mut self, now: Instant) -> Option<Step<Self::Error>>;
+    /// Handles a timeout.
+    fn time_out(&mut self, now: Instant) -> Option<Step<Self::Error>>;
 }
 
-/// What an event means for the call that a loop waits for.
+/// The effect of an event on the call in flight.
 enum Step<C> {
-    /// Nothing.
+    /// None.
     Going,
-    /// It has its reply.
+    /// The call got its reply.
     Replied(HResult),
-    /// It has ended without one.
+    /// The call ended without a reply.
     Failed(C),
 }
 
 impl<C> Step<C> {
-    /// Says whether the call has ended, and how.
+    /// Returns the result of the call, if it has ended.
     fn end<E>(self) -> Option<Result<(), CallError<E, C>>> {
         match self {
             Self::Going => None,
@@ -220,20 +217,20 @@ impl<C> Step<C> {
     }
 }
 
-/// What a loop does next to the link.
+/// The next operation of a loop on the link.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Direction {
     Send,
     Receive,
 }
 
-/// Returns what a loop does next for the call in flight, and until when; `None` when no call is in flight.
+/// Returns the next operation for the call in flight, and its deadline; `None` when no call is in flight.
 fn next<M: Machine>(client: &M) -> Option<(Direction, Instant)> {
     let direction = if client.transmit().is_empty() { Direction::Receive } else { Direction::Send };
     client.poll_timeout().map(|until| (direction, until))
 }
 
-/// Records bytes that were sent or received, `None` when the time was over first, and returns the end of the call.
+/// Records `count` sent or received bytes, or a timeout as `None`; returns the result of the call, if it has ended.
 fn moved<M: Machine, E>(
     client: &mut M,
     direction: Direction,
@@ -252,48 +249,11 @@ fn moved<M: Machine, E>(
             return Some(end);
         }
     }
-    // after the events, so that a reply that has just arrived counts
+    // after the events, so that a reply that arrived in time counts
     if count.is_some() && now < until {
         return None;
     }
-    client.handle_timeout(now).and_then(Step::end)
-}
-
-/// The methods that both clients have under the same names.
-macro_rules! machine {
-    ($client:path) => {
-        fn transmit(&self) -> &[u8] {
-            <$client>::transmit(self)
-        }
-
-        fn transmitted(&mut self, count: usize) {
-            <$client>::transmitted(self, count);
-        }
-
-        fn receive_buffer(&mut self) -> &mut [u8] {
-            <$client>::receive_buffer(self)
-        }
-
-        fn received(&mut self, count: usize) {
-            <$client>::received(self, count);
-        }
-
-        fn poll_timeout(&self) -> Option<Instant> {
-            <$client>::poll_timeout(self)
-        }
-
-        fn abandon(&mut self) {
-            <$client>::abandon(self);
-        }
-
-        fn poll(&mut self, now: Instant) -> Option<Step<Self::Error>> {
-            self.poll_event(now).map(Step::from)
-        }
-
-        fn handle_timeout(&mut self, now: Instant) -> Option<Step<Self::Error>> {
-            <$client>::handle_timeout(self, now).map(Step::from)
-        }
-    };
+    client.time_out(now).and_then(Step::end)
 }
 
 impl<T: Storage, R: Storage> Machine for bcap::Client<T, R> {
@@ -310,10 +270,24 @@ impl<T: Storage, R: Storage> Machine for bcap::Client<T, R> {
         self.timing().attempt_timeout
     }
 
-    machine!(bcap::Client<T, R>);
+    fn is_over(&self) -> bool {
+        self.is_closed()
+    }
+
+    fn give_up(&mut self) {
+        self.abandon();
+    }
+
+    fn poll(&mut self, now: Instant) -> Option<Step<Self::Error>> {
+        self.poll_event(now).map(Step::from)
+    }
+
+    fn time_out(&mut self, now: Instant) -> Option<Step<Self::Error>> {
+        self.handle_timeout(now).map(Step::from)
+    }
 }
 
-impl<V: Storage> Machine for rac::client::Client<V> {
+impl<V: Storage> Machine for rac::Client<V> {
     type Error = rac::client::ClientError;
 
     const BUSY: Self::Error = rac::client::ClientError::Busy;
@@ -327,7 +301,21 @@ impl<V: Storage> Machine for rac::client::Client<V> {
         self.config().timeout
     }
 
-    machine!(rac::client::Client<V>);
+    fn is_over(&self) -> bool {
+        self.is_closed()
+    }
+
+    fn give_up(&mut self) {
+        self.abandon();
+    }
+
+    fn poll(&mut self, now: Instant) -> Option<Step<Self::Error>> {
+        self.poll_event(now).map(Step::from)
+    }
+
+    fn time_out(&mut self, now: Instant) -> Option<Step<Self::Error>> {
+        self.handle_timeout(now).map(Step::from)
+    }
 }
 
 impl From<bcap::client::Event> for Step<bcap::client::ClientError> {
@@ -337,7 +325,7 @@ impl From<bcap::client::Event> for Step<bcap::client::ClientError> {
             Replied(code) => Self::Replied(code),
             Failed(error) => Self::Failed(error),
             Executing | Retried { .. } | Stale { .. } | Malformed(_) => {
-                note!("b-CAP", event);
+                log_event!("b-CAP", event);
                 Self::Going
             }
         }
@@ -351,7 +339,7 @@ impl From<rac::client::Event> for Step<rac::client::ClientError> {
             Replied(code) => Self::Replied(code),
             Failed(error) => Self::Failed(error),
             Stale => {
-                note!("RAC", event);
+                log_event!("RAC", event);
                 Self::Going
             }
         }

@@ -1,4 +1,4 @@
-//! What a procedure is, and what it wants.
+//! The interface of a procedure, and its actions.
 
 use super::failure::Failure;
 use crate::bcap::call::Call;
@@ -8,17 +8,17 @@ use crate::time::Instant;
 
 /// A sequence of calls.
 pub trait Procedure {
-    /// What it returns when it is done.
+    /// The result of a success.
     type Output;
-    /// Why it fails.
+    /// The error of a failure.
     type Error;
 
-    /// Returns what to do next. The time counts as that of sending when this is a call.
+    /// Returns the next action. If it is a call, `now` is the time of sending.
     ///
     /// [`Action::Done`] is returned once; a procedure that is polled after that may return anything.
     fn poll(&mut self, now: Instant) -> Action<Result<Self::Output, Self::Error>>;
 
-    /// Returns the call that [`poll`](Self::poll) has asked for, until its reply or failure is handed in.
+    /// Returns the call that [`poll`](Self::poll) has requested, until its reply or failure is passed in.
     fn request(&self) -> Option<impl Call>;
 
     /// Returns the timing of that call, given the usual timing of the connection.
@@ -27,7 +27,7 @@ pub trait Procedure {
         usual
     }
 
-    /// Takes the reply to the call, whatever its code.
+    /// Handles the reply to the call, also one with an error code.
     fn handle_reply(&mut self, reply: &Frame<'_>, now: Instant);
 
     /// Records that the call has no reply. Whether the controller has executed it is unknown, except after
@@ -60,12 +60,12 @@ impl<P: Procedure + ?Sized> Procedure for &mut P {
     }
 }
 
-/// What a procedure wants next.
+/// The next action of a procedure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
 pub enum Action<T> {
-    /// Make the call of [`Procedure::request`], and hand its reply or failure in. Until then this is repeated.
+    /// Make the call of [`Procedure::request`], and pass in its reply or failure. Until then, this action is repeated.
     Call(Channel),
     /// Poll again at this time.
     Wait(Instant),
@@ -73,12 +73,12 @@ pub enum Action<T> {
     Done(T),
 }
 
-/// Which connection a call goes over.
+/// The connection for a call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Channel {
-    /// The first one; most procedures use no other.
+    /// The first connection; most procedures use no other.
     Motion,
-    /// A second one, which watches while the first is busy. Without one, the call goes over the first.
+    /// A second connection, for queries while the first is busy. Without one, the call uses the first.
     Watch,
 }

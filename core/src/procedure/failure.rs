@@ -1,4 +1,4 @@
-//! Why a call of a procedure has failed.
+//! The errors of procedures.
 
 use core::fmt;
 
@@ -7,7 +7,7 @@ use crate::bcap::call::ReplyError;
 use crate::bcap::client::ClientError;
 use crate::hresult::HResult;
 
-/// Why a call has no reply.
+/// The reason why a call has no reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Failure {
@@ -56,7 +56,7 @@ pub struct StepError {
 pub enum StepCause {
     /// The controller refused it.
     Refused(HResult),
-    /// The reply carries another value than the function gives.
+    /// The reply carries a value of another type than the function returns.
     Reply(ReplyError),
     /// It has no reply.
     Failed(Failure),
@@ -65,15 +65,15 @@ pub enum StepCause {
 }
 
 impl StepCause {
-    /// Tells whether the controller may have executed the call all the same: only a refused call, and one that was never
-    /// sent, are certain to have had no effect.
+    /// Tells whether the controller may have executed the call. Only a refused call, and one that was not sent, certainly
+    /// had no effect.
     pub(super) const fn may_have_run(&self) -> bool {
         !matches!(self, Self::Refused(_) | Self::Failed(Failure::NotSent))
     }
 }
 
 impl StepError {
-    /// Returns the controller's code, when it has refused the call.
+    /// Returns the controller's code, if it refused the call.
     #[must_use]
     pub const fn hresult(&self) -> Option<HResult> {
         match self.cause {

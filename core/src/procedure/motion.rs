@@ -36,26 +36,26 @@ pub struct Move<'a> {
     pub option: &'a str,
 }
 
-/// How a motion is waited for.
+/// How [`move_and_wait`] waits for a motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct MotionConfig {
-    /// How long to wait for the end, from the start of the motion on; then the robot is halted.
+    /// The time limit, from the start of the motion; after it the robot is halted.
     pub limit: Duration,
     /// How long the robot may take to begin the motion. If it still rests after that, it is halted, so that it does not
     /// begin later.
     pub start: Duration,
-    /// The pause between two looks at the robot.
+    /// The pause between two polls of the robot.
     pub interval: Duration,
     /// How far each joint may be from the destination, in degrees or mm.
     pub tolerance: f64,
-    /// How many looks in a row must see the robot at rest before it counts as halted.
+    /// The number of polls in a row with the robot at rest after which it counts as halted.
     pub still: u8,
 }
 
 impl MotionConfig {
-    /// Waits for this long, looking every 20 ms; the motion begins within a second and ends within 0.05 degrees of its
-    /// destination, and a halt takes five looks at rest.
+    /// Returns a configuration with this time limit. It polls every 20 ms; the motion must begin within one second and end
+    /// within 0.05 degrees of its destination, and five polls at rest count as a halt.
     #[must_use]
     pub const fn within(limit: Duration) -> Self {
         Self { limit, start: Duration::from_secs(1), interval: Duration::from_millis(20), tolerance: 0.05, still: 5 }
@@ -85,8 +85,8 @@ pub enum Motion {
 ///
 /// # Cancel safety
 ///
-/// When a run is dropped, the robot goes on moving. Run the procedure again to halt it: it learns that a call has no reply
-/// and fails, or it goes on waiting if no call was in flight.
+/// When a run is dropped, the robot continues to move. Run the procedure again: if a call was in flight, the procedure
+/// fails and halts the robot, otherwise it continues to wait.
 pub fn move_and_wait<'a>(
     handles: Handles,
     motion: Move<'a>,
@@ -133,9 +133,9 @@ struct MoveSteps<'a> {
     reports_motion: bool,
     /// Where the robot was when it was first seen at rest.
     rest: Option<[f64; JOINTS]>,
-    /// Whether the robot has moved since the first look.
+    /// Whether the robot has moved since the first poll.
     moved: bool,
-    /// Looks in a row that saw the robot at rest.
+    /// Polls in a row with the robot at rest.
     still: u8,
     /// The index of the error to ask for.
     error: i32,
@@ -171,16 +171,16 @@ impl MoveSteps<'_> {
         self.step = Step::End;
     }
 
-    /// Compares where the robot is with its destination and with where it was.
-    fn look(&mut self, joints: [f64; JOINTS], now: Instant) {
-        // from where the rest began, not from the last look: a slow motion adds up
+    /// Compares the robot's position with its destination and with earlier positions.
+    fn update_position(&mut self, joints: [f64; JOINTS], now: Instant) {
+        // from where the rest began, not from the last poll, so that a slow motion adds up
         let rests = self.rest.map(|rest| within(&joints, &rest, AT_REST));
         match rests {
             Some(true) => self.still = self.still.saturating_add(1),
             _ => (self.still, self.rest) = (0, Some(joints)),
         }
         self.moved |= rests == Some(false);
-        // a motion may end where it began, so resting there is no arrival while it goes on
+        // a motion may end where it began, so rest there does not count as arrival while SysState reports a motion
         let at_end = within(&joints, &self.destination, self.config.tolerance) && (self.moved || !self.reports_motion);
         let stopped = self.still >= self.config.still.max(1) && !self.reports_motion;
         if self.still >= 1 && at_end {
@@ -251,7 +251,7 @@ impl Steps for MoveSteps<'_> {
                 self.reports_motion = bits & MOVING != 0;
                 self.step = if bits & (ERROR | EMERGENCY_STOP) == 0 { Step::Position } else { Step::ErrorCount };
             }
-            Step::Position => self.look(joints(reply)?, now),
+            Step::Position => self.update_position(joints(reply)?, now),
             Step::ErrorCount => {
                 // the last error of the list is the oldest, so the first cause
                 self.error = Int::read(reply.args).map_err(StepCause::Reply)?.saturating_sub(1);
@@ -282,8 +282,8 @@ impl Steps for MoveSteps<'_> {
     }
 }
 
-/// Reads a position in joints, of which there is at least one. NaN is refused: no comparison with it holds, so the robot
-/// would never be seen to arrive or to rest.
+/// Reads a position of at least one joint. Rejects NaN: every comparison with it is false, so the robot would never arrive
+/// or rest.
 fn joints(reply: &Frame<'_>) -> Result<[f64; JOINTS], StepCause> {
     let value = Any::read(reply.args).map_err(StepCause::Reply)?;
     let wrong = StepCause::Reply(ReplyError { expected: "an array of joints", found: Some(value.vartype()) });
@@ -295,7 +295,7 @@ fn joints(reply: &Frame<'_>) -> Result<[f64; JOINTS], StepCause> {
     Ok(joints)
 }
 
-/// Reads the code of an error, which controllers keep as I4, UI4, ERROR or I8.
+/// Reads the code of an error, which controllers send as I4, UI4, ERROR or I8.
 fn code(value: &Variant<'_>) -> Option<HResult> {
     match *value {
         Variant::I4(n) => Some(HResult(n)),

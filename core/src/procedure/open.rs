@@ -10,7 +10,7 @@ use crate::bcap::call::{ControllerHandle, RobotHandle};
 
 /// Starts the service and connects to the controller; returns its handle.
 ///
-/// [`release_controller`](super::release_controller) is the way back.
+/// [`release_controller`](super::release_controller) undoes it.
 pub fn open<'a>(provider: Provider<'a>) -> impl Procedure<Output = ControllerHandle, Error = StepError> + use<'a> {
     Sequence::new(PathSteps::session(provider, None), |opened: Opened| ControllerHandle(handle_at(&opened, 1)))
 }
@@ -18,7 +18,7 @@ pub fn open<'a>(provider: Provider<'a>) -> impl Procedure<Output = ControllerHan
 /// Starts the service, connects to the controller and gets a robot; returns both handles.
 ///
 /// Without a name it is the first robot that the controller lists, or `Arm0` when it refuses to list them.
-/// [`release_robot`](super::release_robot) is the way back.
+/// [`release_robot`](super::release_robot) undoes it.
 pub fn open_robot<'a>(
     provider: Provider<'a>,
     robot: Option<&'a str>,

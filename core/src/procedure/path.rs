@@ -1,4 +1,4 @@
-//! Opening an object by its path: the service and the controller where they are not open yet, then object after object.
+//! Opening an object by its path: the service and the controller if they are not open yet, then each object of the path.
 
 use core::convert::identity;
 use core::fmt;
@@ -13,11 +13,11 @@ use crate::bcap::call::{
 use crate::bcap::{Frame, FunctionId, Object};
 use crate::time::Instant;
 
-/// How many objects a path has at most: a sequence also keeps the service and the controller.
+/// The maximum number of objects in a path: a sequence also contains the service and the controller.
 pub const PATH_MAX: usize = UNDO_MAX - 2;
-/// How many bytes of UTF-8 the name of the first robot has at most.
+/// The maximum length of the first robot's name, in bytes of UTF-8.
 const NAME_MAX: usize = 64;
-/// The robot of a controller that refuses to list its robots: the name that the specification's samples use.
+/// The robot of a controller that refuses to list its robots: the name in the specification's samples.
 const DEFAULT_ROBOT: &str = "Arm0";
 
 /// An open object that others are opened from.
@@ -71,7 +71,7 @@ impl<'a> PathStep<'a> {
 pub enum PathError {
     /// It has more than [`PATH_MAX`] objects.
     TooLong,
-    /// Objects of this kind have none of that kind.
+    /// Objects of the kind `owner` do not contain objects of the kind `object`.
     NoSuchObject {
         /// The kind of the owner.
         owner: Object,
@@ -121,7 +121,7 @@ pub(super) struct PathSteps<'a> {
     owner: Owner,
     /// How many objects of the path are open.
     done: usize,
-    /// The name of the first robot, once the controller has told it.
+    /// The name of the first robot, after the controller's reply.
     first: Option<heapless::String<NAME_MAX>>,
 }
 
@@ -190,7 +190,7 @@ impl Steps for PathSteps<'_> {
         };
         match step.object.opened_from(self.owner.object) {
             Some(function) => Next::Call(StepCall::new(function).with(owner).with(name).with("")),
-            // checked when the steps were made
+            // `from` has checked the path
             None => Next::End,
         }
     }

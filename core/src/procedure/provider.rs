@@ -1,14 +1,14 @@
-//! What a session is opened with, and what it gives.
+//! The parameters of a session, and its handles.
 
 use crate::bcap::call::{ControllerHandle, RobotHandle};
 
-/// What Service_Start and Controller_Connect are given.
+/// The parameters of Service_Start and Controller_Connect.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Provider<'a> {
     /// The option of Service_Start: `WDT=400` asks for a keep-alive every 400 ms while a call runs.
     pub service: &'a str,
-    /// The name of the controller object; any name will do.
+    /// The name of the controller object; any text.
     pub name: &'a str,
     /// The provider: `CaoProv.DENSO.VRC` (RC8, COBOTTA), `CaoProv.DENSO.VRC9` (RC9, COBOTTA PRO).
     pub provider: &'a str,
@@ -26,7 +26,7 @@ impl Provider<'static> {
 }
 
 impl<'a> Provider<'a> {
-    /// A provider on the controller itself, with a keep-alive every 400 ms.
+    /// Returns a provider on the controller itself, with a keep-alive every 400 ms.
     #[must_use]
     pub const fn new(provider: &'a str) -> Self {
         Self { service: "WDT=400", name: "", provider, machine: "localhost", option: "" }

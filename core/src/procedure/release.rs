@@ -10,10 +10,10 @@ use crate::bcap::call::ControllerHandle;
 use crate::bcap::{Frame, Object};
 use crate::time::Instant;
 
-/// Releases objects in reverse order, of which it takes the first eight: a refusal is ignored, because an object that
-/// cannot be released is already gone.
+/// Releases up to eight objects in reverse order; of a longer list it uses the first eight. A refusal is ignored, because
+/// an object that cannot be released does not exist.
 ///
-/// When the connection is lost it ends at once: the controller releases what is left.
+/// When the connection is lost it ends at once, and the controller releases the remaining objects.
 #[must_use]
 pub fn release(opened: &[(Object, i32)]) -> impl Procedure<Output = (), Error = StepError> + use<> {
     let undo = opened.iter().map(|(object, handle)| Undo::Release(*object, *handle));
@@ -32,7 +32,7 @@ pub fn release_robot(handles: Handles) -> impl Procedure<Output = (), Error = St
     release(&[(Object::Service, 0), (Object::Controller, handles.controller.0), (Object::Robot, handles.robot.0)])
 }
 
-/// No steps forward: all of it is the way back.
+/// No steps forward: the sequence consists of its undo entries.
 struct Nothing;
 
 impl Steps for Nothing {

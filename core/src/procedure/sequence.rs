@@ -1,4 +1,4 @@
-//! What the procedures of this module have in common: one call after the other, and the way back after a failure.
+//! Sequences of calls, on which the procedures are based: calls in order, and their undo calls after a failure.
 //!
 //! ```text
 //!  Forward ── next() is End, handles are kept ──────────────────► Done(Ok)
@@ -6,8 +6,8 @@
 //!     └────── a call fails ─────────────────────────► Backward ──► Done(Err)
 //! ```
 //!
-//! Backward undoes what was done, in reverse order: it releases handles, gives the arm back, halts a motion. A failure on
-//! the way back is ignored, because the first failure is the one to report.
+//! Backward undoes the calls in reverse order: it releases handles, gives the arm back, halts a motion. Failures there are
+//! ignored, because the sequence reports the first failure.
 
 use super::action::{Action, Channel, Procedure};
 use super::failure::{Failure, StepCause, StepError};
@@ -20,7 +20,7 @@ use crate::variant::Encode;
 /// How many undo entries a sequence holds: a service, a controller, and the objects on the deepest path.
 pub(super) const UNDO_MAX: usize = 8;
 
-/// What undoes the effect of a call.
+/// A call that undoes the effect of another one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Undo {
     /// Releases this object; the handle of the service is not used.
@@ -44,7 +44,7 @@ impl Undo {
     }
 }
 
-/// What a sequence does next on its way forward.
+/// The next step of a sequence.
 pub(super) enum Next<'a> {
     Call(StepCall<'a>),
     Wait(Instant),
@@ -53,13 +53,13 @@ pub(super) enum Next<'a> {
 
 /// The calls of a sequence and what their replies mean.
 pub(super) trait Steps {
-    /// What the sequence returns at its end.
+    /// The result of the sequence.
     type Output;
 
     /// Whether the objects that were opened stay open after a success.
     const KEEPS_OBJECTS: bool;
 
-    /// Returns what comes next; it stays the same until [`succeeded`](Self::succeeded).
+    /// Returns the next step; it stays the same until [`succeeded`](Self::succeeded).
     fn next(&self) -> Next<'_>;
 
     /// Takes the reply to a call that succeeded, and moves to the next step.
@@ -68,14 +68,14 @@ pub(super) trait Steps {
     /// Moves to the step after [`Next::Wait`].
     fn waited(&mut self) {}
 
-    /// Returns what undoes the present call, in addition to releasing what it opened. `cause` says why it failed; `None`
-    /// after a success.
+    /// Returns the undo entry of the present call, in addition to the release of an object that it opened. `cause` is the
+    /// reason of its failure; `None` after a success.
     fn undo(&self, cause: Option<&StepCause>) -> Option<Undo> {
         let _ = cause;
         None
     }
 
-    /// Decides about a call that has failed: `true` when the steps go on without it.
+    /// Handles a failed call: `true` when the steps continue without it.
     fn recovered(&mut self, cause: &StepCause) -> bool {
         let _ = cause;
         false
@@ -154,7 +154,7 @@ impl Call for StepCall<'_> {
     }
 }
 
-/// A sequence that runs; `M` turns the result of the steps into that of the procedure.
+/// A running sequence; `M` converts the result of the steps to that of the procedure.
 pub(super) struct Sequence<S, M> {
     steps: S,
     map: M,

@@ -1,4 +1,4 @@
-//! The procedures against a scripted peer, under a clock that jumps: which calls they make, and what they report.
+//! The procedures against a scripted peer, under a simulated clock: the calls that they make, and their results.
 #![expect(clippy::arithmetic_side_effects, reason = "a test in which a sum overflows fails, as it should")]
 #![allow(clippy::as_conversions, reason = "small whole numbers")]
 
@@ -21,7 +21,7 @@ use crate::variant::{Encode, VarType, Variant, VariantBuf};
 
 mod motion;
 
-/// What the peer does about a call.
+/// The reaction of the peer to a call.
 #[derive(Clone, Debug)]
 enum Answer {
     Value(VariantBuf<192>),
@@ -112,7 +112,7 @@ fn argument(value: &Variant<'_>) -> String {
     }
 }
 
-/// What follows a call that did not succeed: its own undo entry where it has one, then those of the calls before it.
+/// The calls after a failed one: its own undo call if it has one, then those of the calls before it.
 #[derive(Clone, Copy)]
 struct Expected {
     /// The call.
@@ -137,7 +137,7 @@ fn function_of(call: &str) -> FunctionId {
     FunctionId::all().find(|function| function.to_string() == name).unwrap()
 }
 
-/// Lets each call of a procedure fail in every way, and checks what follows and what is reported.
+/// Makes each call of a procedure fail in every way, and checks the calls after it and the error.
 ///
 /// `normal` answers the calls of a run that succeeds; `expected` are those calls, without the way back at its end.
 fn fail_each<T, P: Procedure<Output = T, Error = StepError>>(
@@ -331,7 +331,7 @@ fn a_path_that_cannot_be_opened_is_refused_before_any_call() {
 }
 
 #[test]
-fn objects_are_released_in_reverse_order_whatever_the_controller_says() {
+fn objects_are_released_in_reverse_order_even_if_the_controller_refuses() {
     let handles = Handles { controller: ControllerHandle(7), robot: RobotHandle(9) };
     let all = ["Robot_Release(9)", "Controller_Disconnect(7)", "Service_Stop()"];
     assert_eq!(succeed(release_robot(handles)).1, all);
@@ -363,7 +363,7 @@ fn a_variable_is_read_and_its_handle_released() {
     let read = read_variable(RobotHandle(9), "@X", |value| value.is_empty()).unwrap();
     let done = run(read, |_, call, _| if call.contains("GetValue") { Answer::Empty } else { controller(call) });
     assert_eq!(done.result, Ok(true));
-    // what was read counts, also when the release fails
+    // the value is returned even if the release fails
     for answer in [Answer::Refused(HResult::E_HANDLE), Answer::Failed(Failure::Lost)] {
         let done = run(make(), |_, call, _| if call.contains("Release") { answer.clone() } else { controller(call) });
         assert_eq!(done.result, Ok(Some(42)), "{answer:?}");
@@ -402,7 +402,7 @@ fn a_robot_is_prepared_and_the_arm_given_back_after_a_failure() {
 
 #[test]
 fn a_run_that_was_dropped_undoes_what_it_did() {
-    // the loops hand Timeout in for the call that was in flight
+    // the loops pass in Timeout for the call that was in flight
     let mut procedure = open_robot(Provider::RC9, Some("Arm1"));
     let mut calls = Vec::new();
     for answer in [controller("Service_Start("), controller("Controller_Connect(")] {
@@ -418,7 +418,7 @@ fn a_run_that_was_dropped_undoes_what_it_did() {
     assert_eq!(calls, ["Controller_Disconnect(7)", "Service_Stop()"]);
     let cause = StepCause::Failed(Failure::Timeout);
     assert_eq!(done.result.err(), Some(StepError { function: FunctionId::CONTROLLER_GET_ROBOT, cause }));
-    // a reply that nobody waits for changes nothing
+    // an unexpected reply changes nothing
     hand_in(&mut procedure, &Answer::value(&1), Instant::ZERO);
     assert!(procedure.request().is_none());
 }

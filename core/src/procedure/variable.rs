@@ -12,8 +12,8 @@ use crate::variant::{Encode, Variant};
 
 /// Opens a variable, reads its value and releases it; returns what `read` makes of the value.
 ///
-/// The variable is one of a controller (`I1`), a robot (`@SERVO_ON`), a task, a file or an extension. A program that
-/// reads a variable often keeps its handle instead: this makes three calls for each value.
+/// The variable belongs to a controller (`I1`), a robot (`@SERVO_ON`), a task, a file or an extension. This makes three
+/// calls for each value; a program that reads a variable often should keep its handle.
 ///
 /// # Errors
 ///

@@ -6,21 +6,21 @@
 //!             handle_timeout at poll_timeout ◄─────────────────────────┘
 //! ```
 //!
-//! A [`Client`] holds no socket and no clock. Whoever runs it carries the bytes of [`transmit`](Client::transmit) to the
-//! link, puts what comes back into [`receive_buffer`](Client::receive_buffer), passes the time in, and reads events.
+//! A [`Client`] contains no socket and no clock. The caller sends the bytes of [`transmit`](Client::transmit), copies received
+//! bytes to [`receive_buffer`](Client::receive_buffer), passes the time, and reads events.
 //!
-//! RAC has no serials: a reply belongs to the oldest request that has none. So the client keeps count.
+//! RAC has no sequence numbers: a reply belongs to the oldest request without one. So the client counts replies.
 //!
-//! * After a timeout, or [`abandon`](Client::abandon), the server still owes a reply. It is awaited, reported as
-//!   [`Event::Stale`] and dropped; a request that is started meanwhile is held back until then, because a session
-//!   carries one request at a time (S0:189-193). A reply is never taken for that of another request.
-//! * If the old reply does not come, the request that was held back ends with [`Timeout::Outstanding`]: it was never
-//!   sent, and only a new connection helps.
-//! * What was begun to be sent is finished, so that the stream stays in step; a request of which nothing has left when
-//!   it is abandoned was never sent, and owes nothing.
-//! * A line that no request asked for ends the session, because the count cannot be trusted any more. A line of which the
-//!   first byte arrived before the last byte of its request had left is one of these.
-//! * A reply that cannot be read is the end of its request and of nothing else.
+//! * After a timeout or [`abandon`](Client::abandon) the old reply is still expected. When it arrives, it is dropped and
+//!   reported as [`Event::Stale`]. A request that is started before that is sent after it, because a session carries one
+//!   request at a time (S0:189-193). So a reply is never taken for that of another request.
+//! * If the old reply does not arrive, the pending request ends with [`Timeout::Outstanding`]. It was not sent, and the caller
+//!   must reconnect.
+//! * A partly sent request is always sent to its end, so that the stream stays in sync. An abandoned request of which no byte
+//!   was sent is dropped, and no reply is expected.
+//! * An unsolicited line ends the session, because the count of replies is no longer reliable. A line of which the first byte
+//!   arrived before the last byte of its request was sent is unsolicited.
+//! * An invalid reply ends its request, not the session.
 
 use core::fmt;
 use core::time::Duration;
@@ -29,23 +29,26 @@ use super::MAX_VALUE;
 use super::line::{Framed, LineFramer, MAX_LINE};
 use super::request::Request;
 use super::response::{self, Response};
+use crate::endpoint::Endpoint;
 use crate::error::{TextError, TextErrorKind};
 use crate::hresult::HResult;
 use crate::num::to_u32;
+use crate::outbox::Outbox;
 use crate::storage::Storage;
 use crate::time::Instant;
+use crate::variant::text::complete;
 use crate::variant::{Variant, Writer};
 
 /// How a client behaves; every field is a run-time choice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Config {
-    /// How long a request may take, from its start to its reply.
+    /// Time limit of a request, from its start to its reply.
     pub timeout: Duration,
 }
 
 impl Config {
-    /// 3 s for a reply, as the vendor's b-CAP clients wait.
+    /// 3 s for a reply, the timeout of the vendor's b-CAP clients.
     pub const TCP: Self = Self { timeout: Duration::from_secs(3) };
 }
 
@@ -55,30 +58,30 @@ impl Default for Config {
     }
 }
 
-/// What has happened; nothing is borrowed, so an event can be kept while the client goes on.
+/// An event of a client. It borrows nothing, so it can be kept while the client is used.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
 pub enum Event {
-    /// The request has its reply, with this result; [`Client::reply`] views it.
+    /// The reply arrived, with this result; [`Client::reply`] views it.
     Replied(HResult),
-    /// The request has ended without a reply that can be used.
+    /// The request ended without a valid reply.
     Failed(ClientError),
-    /// The reply to a request that had timed out or was abandoned has come; it was dropped.
+    /// The reply to a timed-out or abandoned request arrived and was dropped.
     Stale,
 }
 
-/// What did not come in time.
+/// The reply that did not arrive in time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Timeout {
-    /// The reply to the request; whether the server carried it out is not known.
+    /// The reply to the request; the server may or may not have executed it.
     Reply,
     /// The reply to an earlier request; this one was not sent.
     Outstanding,
 }
 
-/// Why a request could not be made or has ended without a reply.
+/// The reason why a request was not started or ended without a reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
@@ -87,18 +90,18 @@ pub enum ClientError {
     Request(TextError),
     /// A request is in flight, or part of an abandoned one is still to be sent; the caller's fault, nothing was sent.
     Busy,
-    /// A time limit has passed.
+    /// A reply did not arrive in time.
     Timeout(Timeout),
-    /// The peer's reply cannot be read; the session goes on.
+    /// The reply is invalid; the session continues.
     Reply(TextError),
-    /// The value of the reply does not fit the caller's memory; the session goes on.
+    /// The value of the reply does not fit the caller's memory; the session continues.
     ReplyTooLarge {
-        /// How much memory there is, in bytes.
+        /// The size of that memory in bytes.
         limit: u32,
     },
-    /// The peer sent a line that no request asked for; the session has ended.
+    /// The peer sent an unsolicited line; the session ended.
     Unsolicited,
-    /// The session had ended before.
+    /// The session ended earlier.
     Closed,
 }
 
@@ -113,7 +116,7 @@ impl fmt::Display for ClientError {
             }
             Self::Reply(e) => write!(f, "the peer's reply cannot be read: {e}"),
             Self::ReplyTooLarge { limit } => write!(f, "the value of the reply is over {limit} bytes"),
-            Self::Unsolicited => f.write_str("the peer sent a line that no request asked for"),
+            Self::Unsolicited => f.write_str("the peer sent an unsolicited line"),
             Self::Closed => f.write_str("the session has ended"),
         }
     }
@@ -121,13 +124,14 @@ impl fmt::Display for ClientError {
 
 impl core::error::Error for ClientError {}
 
-/// A client with its memory: two lines of 256 bytes, and what the caller gives for the value of a reply.
+/// A client with its memory: two lines of 256 bytes, and the caller's memory for the value of a reply.
 ///
-/// 64 bytes are enough for every kind of variable but strings, [`MAX_VALUE`] for anything a line can carry.
+/// 64 bytes are enough for every kind of variable but strings, [`MAX_VALUE`] for any value that fits a line.
 ///
 /// # Examples
 ///
 /// ```
+/// use bcap_core::endpoint::Endpoint;
 /// use bcap_core::rac::client::{Client, Config, Event};
 /// use bcap_core::rac::{Request, Variable, VariableKind};
 /// use bcap_core::time::Instant;
@@ -150,18 +154,17 @@ pub struct Client<V> {
     state: State,
 }
 
-/// Everything of a client that does not depend on the caller's memory.
+/// The part of a client that does not depend on the type of the caller's memory.
 #[derive(Debug)]
 struct State {
     config: Config,
     framer: LineFramer,
     tx: [u8; MAX_LINE],
-    /// Bytes of the request in `tx`, and how many of them the link has taken.
-    tx_len: usize,
-    tx_sent: usize,
+    /// What of the request in `tx` is to be sent.
+    outbox: Outbox,
     /// Until when the request in flight waits.
     until: Option<Instant>,
-    /// An earlier request has no reply yet; there is never more than one, because then nothing is sent.
+    /// The reply to an earlier request is still expected; at most one, because no request is sent meanwhile.
     owed: bool,
     /// The line that is arriving had begun before the request in flight had left.
     is_early: bool,
@@ -173,7 +176,7 @@ struct State {
 #[derive(Clone, Copy, Debug)]
 struct Reply {
     result: HResult,
-    /// Bytes of the value; 0 while there is none.
+    /// Bytes of the value; 0 without a value.
     len: usize,
 }
 
@@ -195,70 +198,36 @@ impl<V: Storage> Client<V> {
         self.state.config = config;
     }
 
-    /// Begins a request; its line is then to be sent.
+    /// Starts a request; the caller then sends its line.
     ///
     /// # Errors
     ///
     /// [`ClientError::Busy`] while a request is in flight or part of an abandoned one is unsent,
     /// [`ClientError::Closed`] after the session ended, [`ClientError::Request`] when the request has no line,
-    /// [`ClientError::Unsolicited`] when something has come that no request asked for, which ends the session.
+    /// [`ClientError::Unsolicited`] if an unsolicited line arrived, which ends the session.
     pub fn start(&mut self, request: &Request<'_>, now: Instant) -> Result<(), ClientError> {
         self.state.start(request, now)
     }
 
-    /// Returns the bytes that are to be sent.
-    #[must_use]
-    pub fn transmit(&self) -> &[u8] {
-        self.state.transmit()
-    }
-
-    /// Records that the link has taken `count` bytes of [`transmit`](Self::transmit).
-    pub fn transmitted(&mut self, count: usize) {
-        let most = self.state.transmit().len();
-        self.state.tx_sent = self.state.tx_sent.saturating_add(count.min(most));
-        if most > 0 && count >= most && self.state.until.is_some() {
-            self.state.is_early = self.state.framer.has_begun();
-        }
-    }
-
-    /// Returns memory for bytes that arrive.
-    #[must_use]
-    pub fn receive_buffer(&mut self) -> &mut [u8] {
-        self.state.framer.receive_buffer()
-    }
-
-    /// Takes note that `count` bytes have been put into [`receive_buffer`](Self::receive_buffer).
-    ///
-    /// [`poll_event`](Self::poll_event) is to be called next, until it returns `None`.
-    pub fn received(&mut self, count: usize) {
-        self.state.framer.received(count);
-    }
-
     /// Returns what the received bytes mean; `None` when more are needed. The reply before is gone when a line has come.
     pub fn poll_event(&mut self, now: Instant) -> Option<Event> {
-        // the time decides nothing here; a reply that came is a reply, even when its deadline is being missed
+        // the time is not used: a reply that arrived counts, even after its deadline
         let _ = now;
         if self.state.closed {
             return None;
         }
         let framed = self.state.framer.poll()?;
-        // memory that can grow does, once
+        // grow memory that can grow, once
         self.value.grow(MAX_VALUE);
         Some(self.state.handle_line(framed, self.value.bytes_mut()))
     }
 
-    /// Returns the reply that [`Event::Replied`] has announced, until another line comes or a request is started.
+    /// Returns the reply of [`Event::Replied`], until the next line arrives or a request is started.
     #[must_use]
     pub fn reply(&self) -> Option<Response<'_>> {
         let Reply { result, len } = self.state.reply?;
         let bytes = self.value.bytes().get(..len)?;
         Some(Response { result, value: (!bytes.is_empty()).then(|| Variant::from_checked(bytes)) })
-    }
-
-    /// Returns when [`handle_timeout`](Self::handle_timeout) is to be called; `None` while no request is in flight.
-    #[must_use]
-    pub const fn poll_timeout(&self) -> Option<Instant> {
-        self.state.until
     }
 
     /// Acts on the time: ends a request that has waited too long. Nothing happens before the time is due.
@@ -271,32 +240,58 @@ impl<V: Storage> Client<V> {
         Some(Event::Failed(ClientError::Timeout(timeout)))
     }
 
-    /// Gives the request in flight up, if there is one. A reply that comes later will be stale.
+    /// Abandons the request in flight, if there is one. Its reply will be stale.
     pub fn abandon(&mut self) {
         self.state.give_up();
     }
 
-    /// Tells whether a request is in flight.
+    /// Returns whether a request is in flight.
     #[must_use]
     pub const fn is_busy(&self) -> bool {
         self.state.until.is_some()
     }
 
-    /// Tells whether the reply to an earlier request is still to come, so that a new one would be held back.
+    /// Returns whether the reply to an earlier request is still expected, which delays a new one.
     #[must_use]
     pub const fn is_owed(&self) -> bool {
         self.state.owed
     }
 
-    /// Tells whether the session has ended because the peer sent a line that no request asked for.
+    /// Returns whether an unsolicited line ended the session.
     #[must_use]
     pub const fn is_closed(&self) -> bool {
         self.state.closed
     }
 
-    /// Begins a new session over a new connection: forgets the request in flight and everything received.
+    /// Starts a new session over a new connection: discards the request in flight and everything received.
     pub const fn reset(&mut self) {
         self.state = State::new(self.state.config);
+    }
+}
+
+impl<V: Storage> Endpoint for Client<V> {
+    fn transmit(&self) -> &[u8] {
+        self.state.transmit()
+    }
+
+    fn transmitted(&mut self, count: usize) {
+        // what is held back cannot have left
+        let count = count.min(self.state.transmit().len());
+        if self.state.outbox.transmitted(count) && !self.state.outbox.is_sending() {
+            self.state.is_early = self.state.framer.has_begun();
+        }
+    }
+
+    fn receive_buffer(&mut self) -> &mut [u8] {
+        self.state.framer.receive_buffer()
+    }
+
+    fn received(&mut self, count: usize) {
+        self.state.framer.received(count);
+    }
+
+    fn poll_timeout(&self) -> Option<Instant> {
+        self.state.until
     }
 }
 
@@ -306,8 +301,7 @@ impl State {
             config,
             framer: LineFramer::new(),
             tx: [0; MAX_LINE],
-            tx_len: 0,
-            tx_sent: 0,
+            outbox: Outbox::EMPTY,
             until: None,
             owed: false,
             is_early: false,
@@ -320,30 +314,29 @@ impl State {
         if self.closed {
             return Err(ClientError::Closed);
         }
-        if self.until.is_some() || self.tx_sent < self.tx_len {
+        if self.until.is_some() || self.outbox.is_sending() {
             return Err(ClientError::Busy);
         }
-        // what has come before the request cannot be its reply
+        // bytes that arrived before the request cannot be its reply
         if !self.owed && (self.framer.poll().is_some() || self.framer.has_begun()) {
             self.closed = true;
             return Err(ClientError::Unsolicited);
         }
         self.reply = None;
-        self.tx_len = 0;
-        self.tx_sent = 0;
+        self.outbox = Outbox::EMPTY;
         let mut out = Writer::new(&mut self.tx);
         request.write_line(&mut out).map_err(ClientError::Request)?;
-        self.tx_len = out.len();
+        self.outbox = Outbox::new(out.len());
         self.until = Some(now.saturating_add(self.config.timeout));
         Ok(())
     }
 
     fn transmit(&self) -> &[u8] {
         if self.owed && self.until.is_some() {
-            // held back; what is still to be sent of an abandoned request goes out with nothing in flight
+            // sent after the old reply; the rest of an abandoned request is sent with no request in flight
             return &[];
         }
-        self.tx.get(self.tx_sent..self.tx_len).unwrap_or_default()
+        self.outbox.unsent(&self.tx)
     }
 
     /// Ends the request in flight without its reply.
@@ -351,9 +344,9 @@ impl State {
         if self.until.take().is_none() {
             return;
         }
-        if self.tx_sent == 0 {
+        if self.outbox.is_unsent() {
             // nothing has left, so nothing will be answered
-            self.tx_len = 0;
+            self.outbox = Outbox::EMPTY;
         } else {
             self.owed = true;
         }
@@ -361,7 +354,7 @@ impl State {
 
     fn handle_line(&mut self, framed: Framed, memory: &mut [u8]) -> Event {
         self.reply = None;
-        let (in_flight, unsent) = (self.until.is_some(), self.tx_sent < self.tx_len);
+        let (in_flight, unsent) = (self.until.is_some(), self.outbox.is_sending());
         if self.owed && (in_flight || !unsent) && !self.is_early {
             self.owed = false;
             return Event::Stale;
@@ -381,7 +374,7 @@ impl State {
             }
         };
         let mut out = Writer::new(memory);
-        match response::read(line, &mut out).map_err(|fault| fault.at(line.len())) {
+        match complete(line, |line| response::read(line, &mut out)) {
             Ok(result) => {
                 self.reply = Some(Reply { result, len: out.len() });
                 Event::Replied(result)

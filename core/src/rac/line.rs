@@ -1,22 +1,28 @@
-//! Lines: cutting a stream of bytes at its CRs, 256 bytes at a time.
+//! Lines: splits a byte stream at each CR, in at most 256 bytes of memory.
 //!
 //! ```text
 //!  GET:RC8:10:I: CR PUT:RC8:10:I:3,1 CR LF GET:RC8: ...
 //!  └── line ───┘    └──── line ────┘    └─ begun ─
 //! ```
 //!
-//! * A line ends with CR (0x0D). An LF at the head of a line is dropped, so that senders of CRLF are understood.
-//! * A line has at most 256 bytes with its CR, blanks at its head included (S0:57). A longer one is reported once, as
-//!   soon as it is seen to be too long, and dropped up to its CR; what follows is read as ever.
-//! * However the bytes are cut into chunks, the lines are the same.
+//! ```text
+//!  stream = { line }
+//!  line   = { LF } { byte - CR } CR          at most 256 bytes from the first byte after LF to CR (S0:57)
+//! ```
+//!
+//! * LF at the start of a line is dropped, so CRLF works as a line end.
+//! * A longer line is reported once, as soon as it exceeds the limit, and dropped up to its CR. The next line is read
+//!   normally.
+//! * The chunks in which the bytes arrive do not change the lines. This framer keeps its position between chunks, so it is a
+//!   scanner and not a nom parser; the grammar of a line is applied to whole lines.
 
 /// The longest line in bytes, its CR included (S0:57).
 pub const MAX_LINE: usize = 256;
 
-/// What ends a line.
+/// The end of a line.
 pub(super) const CR: u8 = b'\r';
 
-/// What a [`LineFramer`] has found.
+/// A result of [`LineFramer::poll`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
@@ -27,7 +33,7 @@ pub enum Framed {
     TooLong,
 }
 
-/// Cuts bytes into lines of at most `N` bytes, CR included.
+/// Splits bytes into lines of at most `N` bytes with their CR.
 ///
 /// # Examples
 ///
@@ -47,17 +53,17 @@ pub struct LineFramer<const N: usize = MAX_LINE> {
     state: State,
 }
 
-/// Where things stand in the buffer: `line <= start <= scanned <= end`.
+/// Offsets in the buffer: `line <= start <= scanned <= end`.
 #[derive(Clone, Copy, Debug, Default)]
 struct State {
-    /// The line that was found last, without its CR; it is in front of `start`.
+    /// The last line without its CR; it ends before `start`.
     line: (usize, usize),
-    /// The first byte behind that line's CR.
+    /// The first byte after the CR of that line.
     start: usize,
-    /// Bytes in front of this are no CR.
+    /// There is no CR between `start` and here.
     scanned: usize,
     end: usize,
-    /// What comes up to the next CR belongs to a line that was too long.
+    /// The bytes up to the next CR belong to an over-long line.
     dropping: bool,
 }
 
@@ -68,40 +74,40 @@ impl<const N: usize> Default for LineFramer<N> {
 }
 
 impl<const N: usize> LineFramer<N> {
-    /// Starts at the head of a line.
+    /// Starts at the beginning of a line.
     #[must_use]
     pub const fn new() -> Self {
         let state = State { line: (0, 0), start: 0, scanned: 0, end: 0, dropping: false };
         Self { buffer: [0; N], state }
     }
 
-    /// Returns memory for bytes that arrive. The line that was found last is gone then.
+    /// Returns memory for received bytes. This invalidates the last line.
     ///
-    /// It is empty only while lines wait for [`poll`](Self::poll).
+    /// It is empty only if [`poll`](Self::poll) has lines to return.
     #[must_use]
     pub fn receive_buffer(&mut self) -> &mut [u8] {
         self.state.compact(&mut self.buffer);
         self.buffer.get_mut(self.state.end..).unwrap_or_default()
     }
 
-    /// Takes note that `count` bytes have been put into [`receive_buffer`](Self::receive_buffer).
+    /// Records that `count` bytes were received into [`receive_buffer`](Self::receive_buffer).
     pub fn received(&mut self, count: usize) {
         self.state.end = self.state.end.saturating_add(count).min(N);
     }
 
-    /// Looks for the next line; `None` when more bytes are needed.
+    /// Finds the next line; `None` if more bytes are needed.
     pub fn poll(&mut self) -> Option<Framed> {
         self.state.poll(&self.buffer)
     }
 
-    /// Returns the line that [`poll`](Self::poll) has found last, without its CR.
+    /// Returns the last line that [`poll`](Self::poll) found, without its CR.
     #[must_use]
     pub fn line(&self) -> &[u8] {
         let (from, to) = self.state.line;
         self.buffer.get(from..to).unwrap_or_default()
     }
 
-    /// Tells whether a line has begun and its end has not come.
+    /// Returns whether the buffer ends within a line.
     #[must_use]
     pub const fn is_partial(&self) -> bool {
         self.state.dropping || self.state.start < self.state.end
@@ -113,7 +119,7 @@ impl<const N: usize> LineFramer<N> {
         !self.state.dropping && begun.iter().any(|byte| *byte != b'\n')
     }
 
-    /// Forgets everything received, for a new connection.
+    /// Discards everything received, for a new connection.
     pub const fn reset(&mut self) {
         self.state = State { line: (0, 0), start: 0, scanned: 0, end: 0, dropping: false };
     }
@@ -141,7 +147,7 @@ impl State {
         }
     }
 
-    /// Goes on when there is no CR in the buffer.
+    /// Handles a buffer without CR.
     fn unfinished(&mut self, buffer: &[u8]) -> Option<Framed> {
         while self.start < self.end && buffer.get(self.start) == Some(&b'\n') {
             self.start = self.start.wrapping_add(1);
@@ -160,7 +166,7 @@ impl State {
         Some(Framed::TooLong)
     }
 
-    /// Moves what is not read yet to the front.
+    /// Moves unread bytes to the front.
     fn compact(&mut self, buffer: &mut [u8]) {
         if self.start == 0 {
             return;

@@ -1,4 +1,4 @@
-//! RAC: lines of text that read and write the variables of a controller, over TCP port 5006.
+//! RAC: reads and writes the variables of a controller in lines of text, over TCP port 5006.
 //!
 //! ```text
 //!  client                                   server
@@ -10,18 +10,19 @@
 //!
 //! | layer                                        | what it guarantees                                                |
 //! |----------------------------------------------|-------------------------------------------------------------------|
-//! | [`LineFramer`]                               | lines of at most 256 bytes; a broken line never costs the stream  |
-//! | [`Request`], [`Response`]                    | a line is read whole or refused with part and column; what is written reads back the same |
-//! | [`client::Client`], [`server::Session`]      | one request at a time, every wait ends, no reply is taken for another's |
+//! | [`LineFramer`]                               | lines of at most 256 bytes; the stream survives an invalid line   |
+//! | [`Request`], [`Response`]                    | an error names part and column; a written line reads back the same |
+//! | [`client::Client`], [`server::Session`]      | one request at a time; every wait has a deadline                  |
 //!
-//! The values of RAC are those of b-CAP, as [text](crate::variant::Variant::write_text). All memory is the caller's,
-//! or inside of the machines: 256 bytes for what comes, 256 for what goes, and what the caller gives for a value.
+//! RAC has the values of b-CAP, as [text](crate::variant::Variant::write_text). A client or session contains two lines of
+//! 256 bytes, one for each direction; the caller provides the memory for a value.
 //!
 //! # Examples
 //!
 //! A client reads a variable from a server:
 //!
 //! ```
+//! use bcap_core::endpoint::{Endpoint, Serve};
 //! use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 //! use bcap_core::hresult::HResult;
 //! use bcap_core::rac::client::{Client, Event};
@@ -54,7 +55,7 @@
 //! let now = Instant::ZERO;
 //!
 //! client.start(&Request::Get(Variable::new(VariableKind::I, 0)), now)?;
-//! // what a link would do
+//! // the work of a link
 //! let count = client.transmit().len();
 //! session.receive_buffer()[..count].copy_from_slice(client.transmit());
 //! session.received(count);
@@ -77,14 +78,16 @@ mod request;
 mod response;
 pub mod server;
 
+pub use self::client::Client;
 pub use self::line::{Framed, LineFramer, MAX_LINE};
 pub use self::request::{Request, Variable, VariableKind, Verb};
 pub use self::response::Response;
+pub use self::server::Session;
 
 /// The port of RAC.
 pub const PORT: u16 = 5006;
 
-/// Bytes that hold any value which a line can carry; an array of 250 empty strings is the largest.
+/// Bytes that hold any value that fits a line; the largest is an array of 250 empty strings.
 pub const MAX_VALUE: usize = 1024;
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Requests: the lines with which a client reads and writes variables.
+//! Requests: lines that read and write variables.
 //!
 //! ```text
 //!  GET:RC8:10:I:                     read integer variable 10
@@ -6,19 +6,22 @@
 //!
 //!  request = blanks verb ":" part ":" index ":" kind ":" [ blanks value ] CR
 //!  verb    = "GET" | "PUT"                         a GET has no value, a PUT has one
-//!  part    = "RC8"                                 the controller's name, which is fixed
+//!  part    = "RC8"                                 the fixed name of the controller
 //!  index   = digits                                at most 32 bits
 //!  kind    = "I" | "F" | "D" | "S" | "V" | "P" | "J" | "T" | "IO"
 //! ```
 //!
-//! Words are read in any case and written in capitals. The last colon of a GET is part of it (S0:218). What cannot be
-//! read is a [`TextError`] that names the part of the line and the column.
+//! Words are read in any case and written in capitals. A GET ends with a colon (S0:218). An invalid line is a [`TextError`]
+//! that names the part of the line and the column.
 
 use core::fmt;
 
+use nom::Parser;
+use nom::bytes::complete::take_till;
+
 use super::line::{CR, MAX_LINE};
 use crate::error::{RequestPart, TextError, TextErrorKind};
-use crate::variant::text::{Fault, blanks, put_integer, value};
+use crate::variant::text::{Parsed, blanks, complete, fault, put_integer, value};
 use crate::variant::{VarType, Variant, Writer};
 
 /// A type of user variables.
@@ -55,7 +58,7 @@ impl VariableKind {
     /// All of them, in the order of the specification.
     pub const ALL: [Self; 9] = [Self::I, Self::F, Self::D, Self::S, Self::V, Self::P, Self::J, Self::T, Self::Io];
 
-    /// Returns the word that stands for it on the line.
+    /// Returns its name in a line.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -94,7 +97,7 @@ impl VariableKind {
         }
     }
 
-    /// Returns the number of elements of the variable's value; 1 for what is no array.
+    /// Returns the number of elements of the variable's value; 1 for a scalar.
     #[must_use]
     pub const fn elements(self) -> usize {
         match self {
@@ -106,7 +109,7 @@ impl VariableKind {
         }
     }
 
-    /// Tells whether a value is exactly what such a variable holds, in type and number of elements.
+    /// Returns whether a value has exactly the type and number of elements of such a variable.
     #[must_use]
     pub fn fits(self, value: &Variant<'_>) -> bool {
         value.vartype() == self.vartype() && value.as_array().is_none_or(|array| array.len() == self.elements())
@@ -144,7 +147,7 @@ impl fmt::Display for Variable {
     }
 }
 
-/// What a client asks for.
+/// A request of a client.
 ///
 /// # Examples
 ///
@@ -172,7 +175,7 @@ pub enum Request<'a> {
 }
 
 impl<'a> Request<'a> {
-    /// Returns the variable that is asked for.
+    /// Returns the variable to read or write.
     #[must_use]
     pub const fn variable(&self) -> Variable {
         match self {
@@ -180,7 +183,7 @@ impl<'a> Request<'a> {
         }
     }
 
-    /// Returns its first word.
+    /// Returns the first word of the line.
     #[must_use]
     pub const fn verb(&self) -> Verb {
         match self {
@@ -189,7 +192,7 @@ impl<'a> Request<'a> {
         }
     }
 
-    /// Returns the value that is to be written.
+    /// Returns the value to write; `None` for a GET.
     #[must_use]
     pub const fn value(&self) -> Option<Variant<'a>> {
         match self {
@@ -198,27 +201,27 @@ impl<'a> Request<'a> {
         }
     }
 
-    /// Parses a line without its CR; the value of a PUT is put into `memory`.
+    /// Parses a line without its CR; the encoded value of a PUT is stored in `memory`.
     ///
-    /// 1024 bytes hold any value that a line can carry; 64 hold those of all types but long strings.
+    /// 1024 bytes hold any value that fits a line; 64 bytes hold any value but long strings.
     ///
     /// # Errors
     ///
     /// A [`TextError`] with the column in the line; [`TextErrorKind::Full`] when the value does not fit `memory`.
     pub fn parse(line: &[u8], memory: &'a mut [u8]) -> Result<Self, TextError> {
         let mut out = Writer::new(memory);
-        match read(line, &mut out).map_err(|fault| fault.at(line.len()))? {
+        match complete(line, |line| read(line, &mut out))? {
             (Verb::Get, variable) => Ok(Self::Get(variable)),
             (Verb::Put, variable) => Ok(Self::Put(variable, Variant::from_checked(out.into_bytes()))),
         }
     }
 
-    /// Appends the line, its CR included.
+    /// Appends the line with its CR.
     ///
     /// # Errors
     ///
-    /// A [`TextError`] without a column when the value has no text, or the line is over 256 bytes or the buffer; part
-    /// of it may have been written.
+    /// A [`TextError`] without a column if the value has no text, or if the line does not fit 256 bytes or the buffer; part
+    /// of the line may have been written.
     pub fn write_line(&self, out: &mut Writer<'_>) -> Result<(), TextError> {
         let start = out.len();
         let Variable { kind, index } = self.variable();
@@ -237,7 +240,7 @@ impl<'a> Request<'a> {
 /// Appends the CR of a line that began at `start`.
 pub(super) fn end_line(start: usize, out: &mut Writer<'_>) -> Result<(), TextError> {
     out.put_slice(&[CR])?;
-    if out.len().saturating_sub(start) > MAX_LINE { Err(TextError::printing(TextErrorKind::Full)) } else { Ok(()) }
+    if out.len().wrapping_sub(start) > MAX_LINE { Err(TextError::printing(TextErrorKind::Full)) } else { Ok(()) }
 }
 
 /// The first word of a request.
@@ -267,30 +270,39 @@ impl fmt::Display for Verb {
 }
 
 /// `request = blanks verb ":" part ":" index ":" kind ":" [ blanks value ]`
-pub(super) fn read(line: &[u8], out: &mut Writer<'_>) -> Result<(Verb, Variable), Fault> {
-    let (rest, ()) = blanks(line)?;
-    let (word, behind) = word(rest);
-    let verb = verb(word).ok_or(Fault::new(TextErrorKind::Verb, rest))?;
-    let rest = colon(behind, RequestPart::Verb)?;
-    let (word, behind) = self::word(rest);
-    if !is(word, PART) {
-        return Err(Fault::new(TextErrorKind::PartName, rest));
+pub(super) fn read<'a>(line: &'a [u8], out: &mut Writer<'_>) -> Parsed<'a, (Verb, Variable)> {
+    let rest = blanks(line);
+    let (rest, (verb, (), index, kind)) = (
+        field(TextErrorKind::Verb, RequestPart::Verb, verb),
+        field(TextErrorKind::PartName, RequestPart::PartName, part),
+        field(TextErrorKind::Index, RequestPart::Index, index),
+        field(TextErrorKind::VariableType, RequestPart::VariableType, VariableKind::from_word),
+    )
+        .parse_complete(rest)?;
+    let rest = blanks(rest);
+    let (rest, ()) = match (verb, rest) {
+        (Verb::Get, []) => (rest, ()),
+        (Verb::Get, _) => return fault(TextErrorKind::GetWithData, rest),
+        (Verb::Put, []) => return fault(TextErrorKind::PutWithoutData, rest),
+        (Verb::Put, _) => value(rest, out)?,
+    };
+    Ok((rest, (verb, Variable { kind, index })))
+}
+
+/// `word ":"`, `word = { byte - ":" }`; `read` interprets the word, and `kind` is the error if it is invalid
+fn field<'a, T>(
+    kind: TextErrorKind,
+    part: RequestPart,
+    read: impl Fn(&[u8]) -> Option<T>,
+) -> impl FnMut(&'a [u8]) -> Parsed<'a, T> {
+    move |text| {
+        let (rest, word) = word(text)?;
+        match (read(word), rest) {
+            (None, _) => fault(kind, text),
+            (Some(_), []) => fault(TextErrorKind::Colon(part), rest),
+            (Some(meaning), [_, rest @ ..]) => Ok((rest, meaning)),
+        }
     }
-    let rest = colon(behind, RequestPart::PartName)?;
-    let (word, behind) = self::word(rest);
-    let index = index(word).ok_or(Fault::new(TextErrorKind::Index, rest))?;
-    let rest = colon(behind, RequestPart::Index)?;
-    let (word, behind) = self::word(rest);
-    let kind = VariableKind::from_word(word).ok_or(Fault::new(TextErrorKind::VariableType, rest))?;
-    let rest = colon(behind, RequestPart::VariableType)?;
-    let (rest, ()) = blanks(rest)?;
-    match (verb, rest) {
-        (Verb::Get, []) => {}
-        (Verb::Get, _) => return Err(Fault::new(TextErrorKind::GetWithData, rest)),
-        (Verb::Put, []) => return Err(Fault::new(TextErrorKind::PutWithoutData, rest)),
-        (Verb::Put, text) => value(text, out)?,
-    }
-    Ok((verb, Variable { kind, index }))
 }
 
 /// `verb = "GET" | "PUT"`, in any case
@@ -299,9 +311,11 @@ fn verb(word: &[u8]) -> Option<Verb> {
 }
 
 /// `part = "RC8"`, in any case
-const PART: &str = "RC8";
+fn part(word: &[u8]) -> Option<()> {
+    is(word, "RC8").then_some(())
+}
 
-/// Compares a word without regard to the case of its letters.
+/// Compares a word, ignoring ASCII case.
 #[cfg_attr(target_os = "none", inline(never))]
 fn is(word: &[u8], name: &str) -> bool {
     word.eq_ignore_ascii_case(name.as_bytes())
@@ -314,17 +328,8 @@ fn index(word: &[u8]) -> Option<u32> {
     rest.iter().try_fold(digit(first)?, |n, b| n.checked_mul(10)?.checked_add(digit(b)?))
 }
 
-/// Splits off what stands in front of the next colon.
+/// The bytes up to the next colon.
 #[cfg_attr(target_os = "none", inline(never))]
-fn word(text: &[u8]) -> (&[u8], &[u8]) {
-    let len = text.iter().position(|b| *b == b':').unwrap_or(text.len());
-    text.split_at_checked(len).unwrap_or((text, &[]))
-}
-
-/// The colon behind a word.
-fn colon(text: &[u8], part: RequestPart) -> Result<&[u8], Fault> {
-    match text.split_first() {
-        Some((_, rest)) => Ok(rest),
-        None => Err(Fault::new(TextErrorKind::Colon(part), text)),
-    }
+fn word(text: &[u8]) -> Parsed<'_, &[u8]> {
+    take_till(|b| b == b':').parse_complete(text)
 }

@@ -1,4 +1,4 @@
-//! Responses: the lines with which a server answers.
+//! Responses: the replies of a server.
 //!
 //! ```text
 //!  0                   done
@@ -9,16 +9,18 @@
 //!  result   = integer                   an HRESULT: signed or unsigned decimal, or 0x and hex digits
 //! ```
 //!
-//! The samples of the specification show no result but `0`. What is read is every form that a 32-bit code may take,
-//! what is written is signed decimal, the "integral value of the HRESULT type" (S0:105).
+//! The samples of the specification show no result but `0`. Every form of a 32-bit code is read; signed decimal is written,
+//! the "integral value of the HRESULT type" (S0:105).
+
+use nom::combinator::map_opt;
 
 use super::request::end_line;
 use crate::error::{TextError, TextErrorKind};
 use crate::hresult::HResult;
-use crate::variant::text::{Fault, blanks, integer, put_integer, value};
+use crate::variant::text::{Integer, Parsed, blanks, complete, expect, fault, integer, put_integer, value};
 use crate::variant::{Variant, Writer};
 
-/// What a server answers.
+/// A reply of a server.
 ///
 /// # Examples
 ///
@@ -35,31 +37,31 @@ use crate::variant::{Variant, Writer};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Response<'a> {
-    /// How it went.
+    /// The result of the request.
     pub result: HResult,
-    /// The value of the variable that was read.
+    /// The value of a variable that was read.
     pub value: Option<Variant<'a>>,
 }
 
 impl<'a> Response<'a> {
-    /// Parses a line without its CR; its value is put into `memory`.
+    /// Parses a line without its CR; its encoded value is stored in `memory`.
     ///
     /// # Errors
     ///
     /// A [`TextError`] with the column in the line; [`TextErrorKind::Full`] when the value does not fit `memory`.
     pub fn parse(line: &[u8], memory: &'a mut [u8]) -> Result<Self, TextError> {
         let mut out = Writer::new(memory);
-        let result = read(line, &mut out).map_err(|fault| fault.at(line.len()))?;
+        let result = complete(line, |line| read(line, &mut out))?;
         let bytes = out.into_bytes();
         Ok(Self { result, value: (!bytes.is_empty()).then(|| Variant::from_checked(bytes)) })
     }
 
-    /// Appends the line, its CR included.
+    /// Appends the line with its CR.
     ///
     /// # Errors
     ///
-    /// A [`TextError`] without a column when the value has no text, or the line is over 256 bytes or the buffer; part
-    /// of it may have been written.
+    /// A [`TextError`] without a column if the value has no text, or if the line does not fit 256 bytes or the buffer; part
+    /// of the line may have been written.
     pub fn write_line(&self, out: &mut Writer<'_>) -> Result<(), TextError> {
         let start = out.len();
         put_integer(self.result.is_err(), u64::from(self.result.0.unsigned_abs()), out).map_err(TextError::printing)?;
@@ -72,15 +74,18 @@ impl<'a> Response<'a> {
 }
 
 /// `response = blanks result [ "," value ]`
-pub(super) fn read(line: &[u8], out: &mut Writer<'_>) -> Result<HResult, Fault> {
-    let (text, ()) = blanks(line)?;
-    let wrong = |at: &[u8]| Fault::new(TextErrorKind::ResultCode, at);
-    let (rest, number) = integer(text).map_err(|_| wrong(text))?;
-    let result = number.to_code(true).map(HResult).ok_or(wrong(text))?;
-    match rest {
-        [] => {}
+pub(super) fn read<'a>(line: &'a [u8], out: &mut Writer<'_>) -> Parsed<'a, HResult> {
+    let (rest, result) = result(blanks(line))?;
+    let (rest, ()) = match rest {
+        [] => (rest, ()),
         [b',', text @ ..] => value(text, out)?,
-        _ => return Err(wrong(rest)),
-    }
-    Ok(result)
+        _ => return fault(TextErrorKind::ResultCode, rest),
+    };
+    Ok((rest, result))
+}
+
+/// `result = integer`
+fn result(text: &[u8]) -> Parsed<'_, HResult> {
+    let code = |number: Integer| number.to_code(true).map(HResult);
+    expect(TextErrorKind::ResultCode, map_opt(integer, code))(text)
 }

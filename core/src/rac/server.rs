@@ -6,26 +6,24 @@
 //!                                poll_timeout └────┘ the time limit, a handler that waits
 //! ```
 //!
-//! A [`Session`] holds no socket and no clock; whoever runs it moves the bytes, and calls [`run`](Session::run) when
-//! bytes have come or left, when [`poll_timeout`](Session::poll_timeout) is due, and when something happened that a
-//! waiting handler may be waiting for.
+//! A [`Session`] contains no socket and no clock. The caller moves the bytes, and calls [`run`](Session::run) after bytes
+//! were received or sent, at [`poll_timeout`](Session::poll_timeout), and after any event that a waiting handler may wait
+//! for.
 //!
-//! An asynchronous gateway does without a handler: [`poll`](Session::poll) reports a request,
-//! [`request`](Session::request) views it for as long as the gateway is busy with it, and
-//! [`respond`](Session::respond) or [`respond_with`](Session::respond_with) answers it.
+//! An asynchronous gateway needs no handler: [`poll`](Session::poll) reports a request, [`request`](Session::request)
+//! views it until its reply, and [`respond`](Session::respond) or [`respond_with`](Session::respond_with) replies.
 //!
-//! The specification leaves open what a server does in most cases. Here:
+//! The specification does not define most of a server's behaviour. This one does the following:
 //!
-//! * **Every line gets one response**, in the order of the lines; a client may send several without waiting. Even a
-//!   line that cannot be read is answered, with the code of [`TextError::hresult`] and no value, and the session goes
-//!   on: E_INVALIDCOMMAND for an unknown verb, part or variable type, E_INVALIDARG for a bad index or shape,
-//!   E_INVALIDARGTYPE for a bad value, E_PACKETSIZEOVER for an over-long line, E_ARGSIZEOVER for a value over the
-//!   session's memory.
-//! * **Types**: the value of a PUT is well-formed, but not compared with the variable's type; the handler knows what it
-//!   can convert ([`VariableKind::fits`](super::VariableKind::fits) tells what needs no conversion).
-//! * **Replies** carry a value only when a GET succeeded. A value that has no text, or does not fit the 256 bytes of a
-//!   line, is answered with E_INVALIDSNDPACKET, never cut.
-//! * **Time**: a request that runs longer than [`Config::invoke_timeout`] is answered with E_TIMEOUT and abandoned.
+//! * **Every line gets one response**, in the order of the lines; a client may send several without waiting. An invalid
+//!   line gets the code of [`TextError::hresult`] and no value, and the session continues: E_INVALIDCOMMAND for an unknown
+//!   verb, part or variable type, E_INVALIDARG for an invalid index or form, E_INVALIDARGTYPE for an invalid value,
+//!   E_PACKETSIZEOVER for an over-long line, E_ARGSIZEOVER for a value that exceeds the session's memory.
+//! * **Types**: the value of a PUT is well-formed, but is not compared with the variable's type. The handler decides what it
+//!   converts; [`VariableKind::fits`](super::VariableKind::fits) tells which values need no conversion.
+//! * **Replies** have a value only if a GET succeeded. If the value has no text, or does not fit the 256 bytes of a line,
+//!   the reply is E_INVALIDSNDPACKET; values are never cut.
+//! * **Time**: a request that runs longer than [`Config::invoke_timeout`] gets the reply E_TIMEOUT and is abandoned.
 
 use core::time::Duration;
 
@@ -33,32 +31,35 @@ use super::MAX_VALUE;
 use super::line::{Framed, LineFramer, MAX_LINE};
 use super::request::{Request, Variable, Verb, read};
 use super::response::Response;
+use crate::endpoint::{Endpoint, Serve, ServerEndpoint};
 use crate::error::{TextError, TextErrorKind};
 use crate::handler::{Outcome, PeerId, ReplyValue};
 use crate::hresult::HResult;
 use crate::num::to_u32;
+use crate::outbox::Outbox;
 use crate::storage::Storage;
 use crate::time::Instant;
+use crate::variant::text::complete;
 use crate::variant::{Encode, Variant, Writer};
 
-/// The application behind a server of RAC.
+/// The application that executes the requests of a server.
 pub trait Handler {
-    /// Carries a request out.
+    /// Executes a request.
     ///
-    /// The value of a GET is set in `reply`; [`Outcome`] says how the request ended, or when to go on with it.
+    /// It sets the value of a GET in `reply`. [`Outcome`] is the result of the request, or the time to resume it.
     fn call(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome;
 
-    /// Goes on with a request that was answered with [`Outcome::Wait`]; unless told otherwise, the same as a new one.
+    /// Resumes a request that returned [`Outcome::Wait`]; the default is to call it again.
     fn resume(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
         self.call(peer, request, reply, now)
     }
 
-    /// Learns that a request that was to be asked about again will not be: it ran out of time, or the peer went.
+    /// Is called when a waiting request is not resumed: it timed out, or the peer disconnected.
     fn abandoned(&mut self, peer: PeerId, now: Instant) {
         let _ = (peer, now);
     }
 
-    /// Learns that a peer has gone.
+    /// Is called when a peer disconnected.
     fn left(&mut self, peer: PeerId, now: Instant) {
         let _ = (peer, now);
     }
@@ -68,7 +69,7 @@ pub trait Handler {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Config {
-    /// How long a request may run.
+    /// Time limit of a request.
     pub invoke_timeout: Duration,
 }
 
@@ -83,34 +84,35 @@ impl Default for Config {
     }
 }
 
-/// What a session has done; for logs and counters, and for gateways.
+/// An event of a session, for logs, counters and gateways.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
 pub enum Event {
-    /// A request has come that [`Session::request`] views; only [`Session::poll`] reports this.
+    /// A request arrived; [`Session::request`] views it. Only [`Session::poll`] reports this.
     Requested(Variable),
-    /// A request was answered, by the handler or for it.
+    /// A request got its reply, from the handler or by its time limit.
     Served {
-        /// The variable that was asked for.
+        /// The requested variable.
         variable: Variable,
-        /// What was answered.
+        /// The result in the reply.
         result: HResult,
     },
-    /// A line came that is no request; it was answered with the error's [code](TextError::hresult).
+    /// An invalid line; its reply is the error's [code](TextError::hresult).
     Malformed(TextError),
 }
 
-/// The server's side of one connection: two lines of 256 bytes, and the caller's memory for values.
+/// The server side of one connection: two lines of 256 bytes, and the caller's memory for values.
 ///
-/// That memory takes the value of a PUT, or of the reply to a GET. 64 bytes are enough for every kind of variable
-/// but strings, [`MAX_VALUE`] for anything a line can carry.
+/// That memory holds the value of a PUT, or of the reply to a GET. 64 bytes are enough for every kind of variable but
+/// strings, [`MAX_VALUE`] for any value that fits a line.
 ///
 /// # Examples
 ///
-/// A gateway answers when it has asked elsewhere:
+/// A gateway that replies later:
 ///
 /// ```
+/// use bcap_core::endpoint::Endpoint;
 /// use bcap_core::hresult::HResult;
 /// use bcap_core::rac::server::{Config, Event, Session};
 /// use bcap_core::rac::{Request, Variable, VariableKind};
@@ -133,19 +135,18 @@ pub struct Session<V> {
     state: State,
 }
 
-/// Everything of a session that does not depend on the caller's memory.
+/// The part of a session that does not depend on the type of the caller's memory.
 #[derive(Debug)]
 struct State {
     config: Config,
     framer: LineFramer,
     tx: [u8; MAX_LINE],
-    /// Bytes of the response in `tx`, and how many of them the link has taken.
-    tx_len: usize,
-    tx_sent: usize,
+    /// What of the response in `tx` is to be sent.
+    outbox: Outbox,
     running: Option<Running>,
 }
 
-/// A request that has no response yet; its value is in the caller's memory.
+/// A request without a response; its value is in the caller's memory.
 #[derive(Clone, Copy, Debug)]
 struct Running {
     verb: Verb,
@@ -157,79 +158,138 @@ struct Running {
     until: Instant,
 }
 
-/// How soon a handler that waits is asked again at the earliest, if nothing else happens.
+/// The shortest interval between two polls of a waiting handler without other events.
 const SOONEST: Duration = Duration::from_millis(1);
 
 impl<V: Storage> Session<V> {
-    /// Makes a session for a peer that has just come.
+    /// Makes a session for a new peer.
     #[must_use]
     pub const fn new(config: Config, value: V) -> Self {
         let state =
-            State { config, framer: LineFramer::new(), tx: [0; MAX_LINE], tx_len: 0, tx_sent: 0, running: None };
+            State { config, framer: LineFramer::new(), tx: [0; MAX_LINE], outbox: Outbox::EMPTY, running: None };
         Self { value, state }
     }
 
-    /// Returns memory for bytes that arrive.
+    /// Takes the next line if nothing is being answered, and says what it is; the gateway's side of [`run`](Self::run).
     ///
-    /// It is empty while a request runs, or a response has not left, and the buffer is full of what comes behind; then
-    /// bytes must wait.
+    /// Each request is reported once, as [`Event::Requested`]. After its time limit it gets the reply E_TIMEOUT and is
+    /// reported as [`Event::Served`].
+    pub fn poll(&mut self, now: Instant) -> Option<Event> {
+        match self.state.running {
+            Some(running) if now >= running.until => Some(self.state.expire(running)),
+            Some(_) => None,
+            None => {
+                let event = self.next_line(now)?;
+                if let Some(running) = &mut self.state.running {
+                    // without a handler only the time limit matters
+                    running.wake = running.until;
+                }
+                Some(event)
+            }
+        }
+    }
+
+    /// Views the running request.
     #[must_use]
-    pub fn receive_buffer(&mut self) -> &mut [u8] {
+    pub fn request(&self) -> Option<Request<'_>> {
+        let running = self.state.running?;
+        Some(running.request(self.value.bytes().get(..running.len)?))
+    }
+
+    /// Views the last line without its CR, until the next call of [`receive_buffer`](Self::receive_buffer); of an over-long
+    /// line the first 256 bytes.
+    #[must_use]
+    pub fn line(&self) -> &[u8] {
+        self.state.framer.line()
+    }
+
+    /// Replies without a value, and returns the event; `None` without a running request.
+    pub fn respond(&mut self, result: HResult) -> Option<Event> {
+        let running = self.state.running?;
+        Some(self.state.answer(running, result, None))
+    }
+
+    /// Replies with a value, which is sent if the request is a GET and `result` a success.
+    ///
+    /// [`Event::Served`] has the result that was sent: E_INVALIDSNDPACKET if the value has no text or does not fit.
+    pub fn respond_with<T: Encode + ?Sized>(&mut self, result: HResult, value: &T) -> Option<Event> {
+        let running = self.state.running?;
+        let mut reply = ReplyValue::new(self.value.bytes_mut());
+        let result = match reply.set(value) {
+            Err(_) if result.is_ok() => HResult::E_INVALIDSNDPACKET,
+            _ => result,
+        };
+        Some(self.state.answer(running, result, reply.get()))
+    }
+
+    /// Reads the next line, when the response before it has left.
+    fn next_line(&mut self, now: Instant) -> Option<Event> {
+        if self.state.outbox.is_sending() {
+            return None;
+        }
+        let framed = self.state.framer.poll()?;
+        // grow memory that can grow, once: for the value of a request and of its reply
+        self.value.grow(MAX_VALUE.saturating_mul(2));
+        Some(self.state.handle_line(framed, self.value.bytes_mut(), now))
+    }
+}
+
+impl<V: Storage> Endpoint for Session<V> {
+    fn transmit(&self) -> &[u8] {
+        self.state.outbox.unsent(&self.state.tx)
+    }
+
+    fn transmitted(&mut self, count: usize) {
+        self.state.outbox.transmitted(count);
+    }
+
+    fn receive_buffer(&mut self) -> &mut [u8] {
         self.state.framer.receive_buffer()
     }
 
-    /// Takes note that `count` bytes have been put into [`receive_buffer`](Self::receive_buffer).
-    pub fn received(&mut self, count: usize) {
+    fn received(&mut self, count: usize) {
         self.state.framer.received(count);
     }
 
-    /// Returns the bytes that are to be sent.
-    #[must_use]
-    pub fn transmit(&self) -> &[u8] {
-        self.state.tx.get(self.state.tx_sent..self.state.tx_len).unwrap_or_default()
-    }
-
-    /// Takes note that the link has taken `count` bytes of [`transmit`](Self::transmit).
-    pub fn transmitted(&mut self, count: usize) {
-        self.state.tx_sent = self.state.tx_sent.saturating_add(count).min(self.state.tx_len);
-    }
-
-    /// Returns when [`run`](Self::run), or [`poll`](Self::poll), is to be called even if no bytes come; `None` while no
-    /// request runs.
-    #[must_use]
-    pub fn poll_timeout(&self) -> Option<Instant> {
+    fn poll_timeout(&self) -> Option<Instant> {
         self.state.running.map(|running| running.wake.min(running.until))
     }
+}
 
-    /// Tells whether a request runs that has not been answered.
-    #[must_use]
-    pub const fn is_running(&self) -> bool {
+impl<V: Storage> ServerEndpoint for Session<V> {
+    fn is_running(&self) -> bool {
         self.state.running.is_some()
     }
 
-    /// Tells whether part of a request has come and its rest has not.
-    #[must_use]
-    pub const fn is_receiving(&self) -> bool {
+    fn is_receiving(&self) -> bool {
         self.state.running.is_none() && self.state.framer.is_partial()
     }
 
-    /// Returns the bytes of memory that it has for values.
-    #[must_use]
-    pub fn memory(&self) -> usize {
+    fn next_request(&self) -> usize {
+        // lines are short
+        0
+    }
+
+    fn is_finished(&self) -> bool {
+        // an invalid line is answered, and never ends the session
+        false
+    }
+
+    fn memory(&self) -> usize {
         self.value.bytes().len()
     }
 
-    /// Gives back memory over `room` bytes, unless a request's value is in it.
-    pub fn shrink(&mut self, room: usize) {
+    fn shrink(&mut self, room: usize) {
         if self.state.running.is_none() {
             self.value.shrink(room);
         }
     }
+}
 
-    /// Goes on as far as it can, and says what was done; `None` when bytes must come, leave, or time pass.
-    ///
-    /// It is to be called until it returns `None`.
-    pub fn run<H: Handler + ?Sized>(&mut self, handler: &mut H, peer: PeerId, now: Instant) -> Option<Event> {
+impl<H: Handler + ?Sized, V: Storage> Serve<H> for Session<V> {
+    type Event = Event;
+
+    fn run(&mut self, handler: &mut H, peer: PeerId, now: Instant) -> Option<Event> {
         if self.state.running.is_none() {
             match self.next_line(now)? {
                 Event::Requested(_) => {}
@@ -262,75 +322,11 @@ impl<V: Storage> Session<V> {
         Some(self.state.answer(running, result, reply.get()))
     }
 
-    /// Takes the next line if nothing is being answered, and says what it is; the gateway's side of [`run`](Self::run).
-    ///
-    /// A request is reported once, as [`Event::Requested`]. One that is not answered in time is answered with E_TIMEOUT
-    /// here, and reported as [`Event::Served`].
-    pub fn poll(&mut self, now: Instant) -> Option<Event> {
-        match self.state.running {
-            Some(running) if now >= running.until => Some(self.state.expire(running)),
-            Some(_) => None,
-            None => {
-                let event = self.next_line(now)?;
-                if let Some(running) = &mut self.state.running {
-                    // nobody is to be asked again, so only the time limit counts
-                    running.wake = running.until;
-                }
-                Some(event)
-            }
-        }
-    }
-
-    /// Views the request that is to be answered.
-    #[must_use]
-    pub fn request(&self) -> Option<Request<'_>> {
-        let running = self.state.running?;
-        Some(running.request(self.value.bytes().get(..running.len)?))
-    }
-
-    /// Views the line that was taken last, without its CR, until memory is asked for bytes that arrive; of an over-long
-    /// one the first 256 bytes.
-    #[must_use]
-    pub fn line(&self) -> &[u8] {
-        self.state.framer.line()
-    }
-
-    /// Answers the request without a value, and returns what was done; `None` when there is no request to answer.
-    pub fn respond(&mut self, result: HResult) -> Option<Event> {
-        let running = self.state.running?;
-        Some(self.state.answer(running, result, None))
-    }
-
-    /// Answers the request with a value, which goes out if the request is a GET and `result` a success.
-    ///
-    /// [`Event::Served`] tells what was answered: E_INVALIDSNDPACKET for a value that has no text or does not fit.
-    pub fn respond_with<T: Encode + ?Sized>(&mut self, result: HResult, value: &T) -> Option<Event> {
-        let running = self.state.running?;
-        let mut reply = ReplyValue::new(self.value.bytes_mut());
-        let result = match reply.set(value) {
-            Err(_) if result.is_ok() => HResult::E_INVALIDSNDPACKET,
-            _ => result,
-        };
-        Some(self.state.answer(running, result, reply.get()))
-    }
-
-    /// Ends the session: abandons what runs and tells the handler.
-    pub fn close<H: Handler + ?Sized>(&mut self, handler: &mut H, peer: PeerId, now: Instant) {
+    fn close(&mut self, handler: &mut H, peer: PeerId, now: Instant) {
         if self.state.running.take().is_some() {
             handler.abandoned(peer, now);
         }
         handler.left(peer, now);
-    }
-
-    /// Reads the next line, when the response before it has left.
-    fn next_line(&mut self, now: Instant) -> Option<Event> {
-        if self.state.tx_sent < self.state.tx_len {
-            return None;
-        }
-        let framed = self.state.framer.poll()?;
-        // memory that can grow does, once: for the value of a request and that of its reply
-        self.value.grow(MAX_VALUE.saturating_mul(2));
-        Some(self.state.handle_line(framed, self.value.bytes_mut(), now))
     }
 }
 
@@ -348,7 +344,7 @@ impl State {
         let mut out = Writer::new(memory);
         let line = self.framer.line();
         let read = match framed {
-            Framed::Line => read(line, &mut out).map_err(|fault| fault.at(line.len())),
+            Framed::Line => complete(line, |line| read(line, &mut out)),
             Framed::TooLong => Err(TextError { kind: TextErrorKind::LineTooLong, column: to_u32(MAX_LINE) }),
         };
         match read {
@@ -364,7 +360,7 @@ impl State {
         }
     }
 
-    /// Answers a request that ran out of time.
+    /// Replies to a request whose time limit has passed.
     fn expire(&mut self, running: Running) -> Event {
         self.answer(running, HResult::E_TIMEOUT, None)
     }
@@ -379,11 +375,10 @@ impl State {
     fn send(&mut self, result: HResult, value: Option<Variant<'_>>) -> HResult {
         let mut out = Writer::new(&mut self.tx);
         let sent = Response { result, value }.write_line(&mut out);
-        self.tx_len = out.len();
-        self.tx_sent = 0;
+        self.outbox = Outbox::new(out.len());
         match sent {
             Ok(()) => result,
-            // a result alone always fits, so this ends here
+            // a result alone always fits, so this recurses once
             Err(_) if value.is_some() => self.send(HResult::E_INVALIDSNDPACKET, None),
             Err(_) => result,
         }

@@ -3,6 +3,7 @@
 
 extern crate std;
 
+use crate::endpoint::{Endpoint, Serve, ServerEndpoint};
 use std::collections::BTreeMap;
 use std::format;
 use std::string::{String, ToString as _};
@@ -157,7 +158,7 @@ fn what_is_wrong_with_a_request_is_named_with_its_column() {
     let error = Request::parse(b"PUT:RC8:10:10:11, 0", &mut [0; 64]).unwrap_err();
     assert_eq!(error.to_string(), "the variable type is one of I F D S V P J T IO at column 12");
     let error = Request::parse(b"GET:RC8:10:I", &mut []).unwrap_err();
-    assert_eq!(error.to_string(), "a colon is missing behind the variable type at column 13");
+    assert_eq!(error.to_string(), "a colon is missing after the variable type at column 13");
     let error = Request::parse(b"PUT:RC8:10:I:3,1", &mut [0; 9]).unwrap_err();
     assert_eq!((error.kind, error.column), (K::Full, 16));
 }
@@ -582,7 +583,7 @@ fn a_client_says_how_it_stands() {
     assert_eq!((client.is_busy(), client.poll_timeout()), (true, Some(at(10))));
     sent(&mut client);
 
-    // the reply to what was given up is stale, even if nobody asks for anything else
+    // the reply to an abandoned request is stale, even without another request
     client.abandon();
     receive(&mut client, b"0,3,1\r");
     assert_eq!(client.poll_event(NOW), Some(client::Event::Stale));
@@ -662,7 +663,7 @@ fn replies_that_cannot_be_read_end_their_request_only() {
 }
 
 #[test]
-fn the_rest_of_an_over_long_reply_is_no_line_that_nobody_asked_for() {
+fn the_rest_of_an_over_long_reply_is_not_an_unsolicited_line() {
     let mut client = Client::new(client::Config::TCP, [0; 64]);
     client.start(&get(1), NOW).unwrap();
     sent(&mut client);
@@ -680,7 +681,7 @@ fn the_rest_of_an_over_long_reply_is_no_line_that_nobody_asked_for() {
 }
 
 #[test]
-fn a_line_that_nobody_asked_for_ends_the_session() {
+fn an_unsolicited_line_ends_the_session() {
     let unsolicited = Some(client::Event::Failed(ClientError::Unsolicited));
     // with nothing in flight
     let mut client = Client::new(client::Config::TCP, [0; 64]);
@@ -728,7 +729,7 @@ fn a_line_that_nobody_asked_for_ends_the_session() {
     assert_eq!(client.start(&get(1), NOW), Err(ClientError::Unsolicited));
     assert!(client.is_closed());
 
-    // the line feed of a peer that sends CRLF is none
+    // the line feed of a peer that sends CRLF is not an invalid line
     client.reset();
     receive(&mut client, b"\n");
     assert_eq!(client.start(&get(1), NOW), Ok(()));

@@ -1,4 +1,4 @@
-//! The five commands of Slave Mode, and slvMove as a frame that is made once and patched ever after.
+//! The five commands of Slave Mode, and slvMove as a frame that is written once and then patched.
 //!
 //! ```text
 //!  offset  slvMove of a pose alone            with anything else
@@ -10,7 +10,7 @@
 //!      73                                     numbers, then the elements of the send format
 //! ```
 //!
-//! Of one stream all these places are fixed; a cycle changes the numbers, the outputs and the serial.
+//! The offsets are fixed for a stream; a cycle changes the numbers, the outputs and the serial.
 
 use core::fmt;
 use core::marker::PhantomData;
@@ -23,33 +23,33 @@ use crate::bcap::{FrameWriter, FunctionId, HEADER_LEN};
 use crate::error::EncodeError;
 use crate::variant::{Encode, VarType, Writer};
 
-/// Makes the call that enters a mode, or leaves Slave Mode with `None`; leaving is answered when the buffer is empty.
+/// Makes the call that enters a mode, or leaves Slave Mode with `None`. The reply to leaving arrives when the buffer is empty.
 #[must_use]
 pub fn change_mode(robot: RobotHandle, mode: Option<SlaveMode>) -> impl Call<Reply = Nothing> {
     Command::new(robot, "slvChangeMode", mode.map_or(SlaveMode::OFF, SlaveMode::code))
 }
 
-/// Makes the call that asks for the mode; [`SlaveMode::from_code`] reads the answer.
+/// Makes the call that reads the mode; [`SlaveMode::from_code`] decodes the reply.
 #[must_use]
 pub fn get_mode(robot: RobotHandle) -> impl Call<Reply = Int> {
     Command::new(robot, "slvGetMode", ())
 }
 
-/// Makes the call that chooses what slvMove carries; before Slave Mode is entered.
+/// Makes the call that sets the layout of slvMove. It must be made before Slave Mode is entered.
 #[must_use]
 pub fn send_format(robot: RobotHandle, format: SendFormat) -> impl Call<Reply = Nothing> {
     Command::new(robot, "slvSendFormat", format.code())
 }
 
-/// Makes the call that chooses what slvMove answers; before Slave Mode is entered.
+/// Makes the call that sets the layout of the reply to slvMove. It must be made before Slave Mode is entered.
 #[must_use]
 pub fn receive_format(robot: RobotHandle, format: ReceiveFormat) -> impl Call<Reply = Nothing> {
     Command::new(robot, "slvRecvFormat", format)
 }
 
-/// Makes the call that moves the robot; [`ReceiveFormat::read`] reads the answer.
+/// Makes the call that moves the robot; [`ReceiveFormat::read`] decodes the reply.
 ///
-/// A stream does better with a [`PreparedMove`], which is not written anew for each pose.
+/// For a stream, [`PreparedMove`] is faster: it does not write the whole frame for each pose.
 ///
 /// # Errors
 ///
@@ -85,7 +85,7 @@ pub fn slv_move<'a>(
 
 const MOVE: &str = "slvMove";
 
-/// What slvMove sets beside the pose; what the format does not send is ignored.
+/// The outputs that slvMove sets in addition to the pose; those that the format does not send are ignored.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Outputs<'a> {
@@ -173,22 +173,23 @@ fn check_user_io(range: UserIo, bytes: &[u8]) -> Result<(), FormatError> {
 const ARGUMENT_HEAD: usize = 4 + HEAD;
 /// Bytes of VARTYPE and count.
 const HEAD: usize = 6;
-/// Where the parameter of slvMove begins: behind the header, the robot (I4), the name (BSTR of 7 characters) and the
+/// The offset of the parameter of slvMove: after the header, the robot (I4), the name (BSTR of 7 characters) and the
 /// parameter's length.
 const PARAMETER: usize = HEADER_LEN + (ARGUMENT_HEAD + 4) + (ARGUMENT_HEAD + 4 + 14) + 4;
-/// The least buffer of a [`PreparedMove`] that takes any format without user IO to send.
+/// The size of a buffer for a [`PreparedMove`] of any format without user IO to send, in bytes.
 pub const MOVE_FRAME: usize = 256;
 
 /// A slvMove whose frame is written once; each cycle patches numbers into it.
 ///
-/// As a [`Call`] it costs a copy: the client takes the frame as it is and fills the serial in. `N` is the room for the
-/// frame; 256 bytes take every format with up to 20 bytes of user IO to send.
+/// As a [`Call`] it costs one copy: the client copies the frame and sets the serial. `N` is the size of the buffer; 256
+/// bytes suffice for every format with up to 20 bytes of user IO to send.
 ///
 /// # Examples
 ///
 /// ```
 /// use bcap_core::bcap::call::RobotHandle;
 /// use bcap_core::bcap::client::{Client, Config, Timing};
+/// use bcap_core::endpoint::Endpoint;
 /// use bcap_core::slave::{Format, Mode, Pose, PoseType, PreparedMove, ReceiveFormat, ReceivePose, SlaveMode};
 /// use bcap_core::time::Instant;
 ///
@@ -204,12 +205,12 @@ pub const MOVE_FRAME: usize = 256;
 /// ```
 #[derive(Clone)]
 pub struct PreparedMove<const N: usize = MOVE_FRAME> {
-    /// A whole frame without CRC, its serial 0.
+    /// A complete frame without CRC, with serial 0.
     frame: [u8; N],
     len: usize,
     format: Format,
     robot: RobotHandle,
-    /// Where the numbers of the pose begin, and where they end.
+    /// The start and the end of the numbers of the pose.
     numbers: usize,
     end: usize,
 }
@@ -219,7 +220,7 @@ impl<const N: usize> PreparedMove<N> {
     ///
     /// # Errors
     ///
-    /// [`EncodeError::Full`] when `N` bytes do not hold it.
+    /// [`EncodeError::Full`] when the frame does not fit `N` bytes.
     pub fn new(robot: RobotHandle, format: &Format) -> Result<Self, EncodeError> {
         let shape = format.shape();
         let pose = Pose::zero(shape);
@@ -244,12 +245,12 @@ impl<const N: usize> PreparedMove<N> {
     ///
     /// # Errors
     ///
-    /// [`FormatError::Shape`] when it is not of the format's type and extended joints.
+    /// [`FormatError::Shape`] when its type or its extended joints differ from the format's.
     #[inline]
     pub fn set_pose(&mut self, pose: &Pose) -> Result<(), FormatError> {
         check_shape(&self.format, pose)?;
         let slots = self.frame.get_mut(self.numbers..self.end).unwrap_or_default().as_chunks_mut().0;
-        // the shapes are the same, so there are as many slots as numbers that count
+        // the shapes are equal, so the slots end where the numbers of the shape end
         for (slot, number) in slots.iter_mut().zip(pose.padded()) {
             *slot = number.to_le_bytes();
         }
@@ -273,12 +274,12 @@ impl<const N: usize> PreparedMove<N> {
     ///
     /// # Errors
     ///
-    /// [`FormatError::NoUserIo`] when the format does not send it, [`FormatError::UserIoLength`] when the bytes are not
-    /// exactly as many as it says.
+    /// [`FormatError::NoUserIo`] when the format does not send it, [`FormatError::UserIoLength`] when it sends another number
+    /// of bytes.
     pub fn set_user_io(&mut self, bytes: &[u8]) -> Result<(), FormatError> {
         let SendIo::User(range) = self.format.send.io else { return Err(FormatError::NoUserIo) };
         check_user_io(range, bytes)?;
-        // offset and size, two I4, stand in front
+        // after offset and size, two I4
         self.patch(self.end.wrapping_add(2 * (HEAD + 4) + HEAD), bytes);
         Ok(())
     }
@@ -292,14 +293,14 @@ impl<const N: usize> PreparedMove<N> {
         if !self.format.send.hand_io {
             return Err(FormatError::NoHandIo);
         }
-        // it is the last element, with EOT behind it
+        // it is the last element, before EOT
         self.patch(self.len.wrapping_sub(1 + 4), &bits.to_le_bytes());
         Ok(())
     }
 
     fn patch(&mut self, at: usize, bytes: &[u8]) {
-        let place = self.frame.get_mut(at..).unwrap_or_default();
-        for (slot, byte) in place.iter_mut().zip(bytes) {
+        let target = self.frame.get_mut(at..).unwrap_or_default();
+        for (slot, byte) in target.iter_mut().zip(bytes) {
             *slot = *byte;
         }
     }
@@ -310,13 +311,13 @@ impl<const N: usize> PreparedMove<N> {
         self.frame.get(..self.len).unwrap_or_default()
     }
 
-    /// Returns the format that it was made for.
+    /// Returns the format.
     #[must_use]
     pub const fn format(&self) -> &Format {
         &self.format
     }
 
-    /// Views it as a call that does not depend on `N`.
+    /// Views it as a call of a type without `N`.
     pub(super) fn view(&self) -> MoveCall<'_> {
         MoveCall { robot: self.robot, frame: self.as_bytes() }
     }
@@ -358,7 +359,7 @@ pub(super) struct MoveCall<'a> {
 }
 
 impl MoveCall<'_> {
-    /// Appends the arguments, for links whose frames the prepared one does not fit.
+    /// Appends the arguments, for serial lines, whose frames have a CRC.
     pub(super) fn arguments(&self, frame: &mut FrameWriter<'_>) -> Result<(), EncodeError> {
         frame.argument(&self.robot)?;
         frame.argument(MOVE)?;
@@ -367,7 +368,7 @@ impl MoveCall<'_> {
     }
 }
 
-/// A value that is encoded already.
+/// An encoded value.
 struct Encoded<'a>(&'a [u8]);
 
 impl Encode for Encoded<'_> {
@@ -376,4 +377,4 @@ impl Encode for Encoded<'_> {
     }
 }
 
-const _: () = assert!(PARAMETER == 61, "the picture above says where the parameter begins");
+const _: () = assert!(PARAMETER == 61, "the table at the top of this file contains this offset");

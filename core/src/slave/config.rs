@@ -1,4 +1,4 @@
-//! How an engine streams.
+//! The configuration of an engine.
 
 use core::fmt;
 use core::time::Duration;
@@ -6,47 +6,46 @@ use core::time::Duration;
 use super::format::{Format, FormatError};
 use super::limits::AxisLimits;
 use super::pose::Pose;
-use super::stats::micros;
 use crate::error::EncodeError;
 use crate::procedure::Handles;
+use crate::time::micros_u32;
 
-/// How an [`Engine`](super::Engine) streams; [`new`](Self::new) gives values that suit most robots.
+/// The configuration of an [`Engine`](super::Engine); [`new`](Self::new) returns values that suit most robots.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Config {
-    /// The mode, and what is sent and received.
+    /// The mode, and the layout of slvMove and its reply.
     pub format: Format,
     /// The handles of the connection that moves the robot.
     pub motion: Handles,
-    /// The handles of a second connection, over which the controller's errors are read; `None` reads them over the first.
+    /// The handles of a second connection, over which the engine reads the controller's errors; `None` uses the first.
     pub watch: Option<Handles>,
     /// The control cycle: 8 ms.
     pub cycle: Duration,
-    /// The arm group and the Keep of TakeArm; `None` when the client has the arm already, and keeps it.
+    /// The arm group and Keep of TakeArm; `None` when the client already owns the arm, and keeps it.
     pub arm: Option<[i32; 2]>,
     /// Whether to switch the motor on.
     pub motor: bool,
-    /// Where the robot has to stand before the stream begins; `None` accepts where it stands.
+    /// The required position of the robot at the start of the stream; `None` accepts any position.
     pub start: Option<Pose>,
-    /// By how much each number of `start` may be missed, in mm or degrees.
+    /// The tolerance of each value of `start`, in mm or degrees.
     pub tolerance: f64,
-    /// What is refused before it is sent.
+    /// The limits on speed and acceleration; poses that exceed them are not sent.
     pub limits: AxisLimits,
-    /// How long a stop slows down at least; longer when the limits want it.
+    /// How long a stop slows down at least; longer if the limits require it.
     pub ramp: Duration,
-    /// How many joints the robot has: what the controller answers for others is not looked at.
+    /// The number of joints of the robot; the engine ignores the values of others in replies.
     pub joints: u8,
-    /// How late after its time a pose counts as late.
+    /// How long after its deadline a pose counts as late.
     pub late_after: Duration,
-    /// For how long the controller may answer E_BUF_FULL before the stream is given up.
+    /// For how long the controller may reply E_BUF_FULL before the stream fails.
     pub stall: Duration,
 }
 
 impl Config {
     /// Takes the arm (group 0) and switches the motor on; no limits, no expected start, six joints, no second connection.
     ///
-    /// A stop slows down within 200 ms; poses are late after half a cycle, and the stream is given up after 1 s of
-    /// E_BUF_FULL.
+    /// A stop slows down within 200 ms; poses are late after half a cycle, and the stream fails after 1 s of E_BUF_FULL.
     #[must_use]
     pub const fn new(format: Format, motion: Handles) -> Self {
         Self {
@@ -66,14 +65,14 @@ impl Config {
         }
     }
 
-    /// Returns so many cycles.
+    /// Returns the duration of `count` cycles.
     ///
-    /// In microseconds: `Duration`'s own products leave a panic in the image.
+    /// It multiplies microseconds, because the multiplication of `Duration` can panic.
     pub(super) fn cycles(&self, count: u32) -> Duration {
-        Duration::from_micros(u64::from(micros(self.cycle)).wrapping_mul(u64::from(count)))
+        Duration::from_micros(u64::from(micros_u32(self.cycle)).wrapping_mul(u64::from(count)))
     }
 
-    /// Tells whether every number can be compared: what is not one is within any bound.
+    /// Tells whether no number is NaN, which would pass every comparison, and the start is finite.
     pub(super) fn has_numbers(&self) -> bool {
         let bounds = self.limits.speed.iter().chain(&self.limits.acceleration).chain([&self.tolerance]);
         self.start.is_none_or(|start| start.is_finite()) && !bounds.copied().any(f64::is_nan)
@@ -85,18 +84,18 @@ impl Config {
     }
 }
 
-/// An engine cannot be made.
+/// The configuration of an engine is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum ConfigError {
     /// The start does not have the layout of the format.
     Start(FormatError),
-    /// The frame of slvMove does not fit the engine's memory: give its `N` more bytes.
+    /// The frame of slvMove does not fit the engine's buffer: increase its `N`.
     Frame(EncodeError),
     /// The cycle is below one microsecond.
     Cycle,
-    /// The start has a number that is not finite, or the tolerance or a limit is NaN: every pose would be within it.
+    /// The start has a value that is not finite, or the tolerance or a limit is NaN, which every pose would pass.
     Number,
 }
 
@@ -105,8 +104,8 @@ impl fmt::Display for ConfigError {
         match self {
             Self::Start(error) => write!(f, "the start of the stream: {error}"),
             Self::Frame(error) => write!(f, "the frame of slvMove: {error}"),
-            Self::Cycle => f.write_str("the cycle is too short"),
-            Self::Number => f.write_str("the start, the tolerance or a limit is not a number"),
+            Self::Cycle => f.write_str("the cycle is below one microsecond"),
+            Self::Number => f.write_str("the start is not finite, or the tolerance or a limit is not a number"),
         }
     }
 }

@@ -1,4 +1,4 @@
-//! The engine: a whole stream as a state machine, without socket, clock or allocation.
+//! The engine: a stream of poses as a sans-IO state machine.
 //!
 //! ```text
 //!              poll ──► Call ──► make request() over its channel ──► handle_reply, or handle_failure ──┐
@@ -13,12 +13,11 @@
 //!  Diagnosing ─► Faulted ─► (recover()) ─► Recovering ─► Starting
 //! ```
 //!
-//! What is guaranteed:
+//! Guarantees:
 //!
-//! * A pose that is outside of the limits, of another layout, or not finite is never sent.
-//! * Nothing moves the robot after an error: from then on the engine asks, and leaves Slave Mode if it is on.
-//! * The error list is cleared and the motor switched on again only by [`Engine::recover`], and never after an
-//!   emergency stop.
+//! * The engine never sends a pose that exceeds the limits, has another layout, or is not finite.
+//! * After an error it sends no pose: it queries the controller, and leaves Slave Mode if it is on.
+//! * Only [`Engine::recover`] clears the error list and switches the motor on again, and never after an emergency stop.
 
 use core::time::Duration;
 
@@ -32,35 +31,35 @@ use super::pacer::Pacer;
 use super::pose::{Delta, ExtendedAxes, Pose, half_turn};
 use super::reply::MoveReply;
 use super::request::{Request, Step};
-use super::stats::{Stats, micros};
+use super::stats::Stats;
 use crate::bcap::client::Timing;
 use crate::bcap::{Frame, Link};
 use crate::hresult::HResult;
 use crate::procedure::{Channel, Failure};
-use crate::time::Instant;
+use crate::time::{Instant, micros_u32};
 use crate::variant::Variant;
 
-/// What the engine wants next.
+/// The next action of an engine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[must_use]
 pub enum Action {
-    /// Make the call of [`Engine::request`], and hand its reply or failure in. Until then this is repeated.
+    /// Make the call of [`Engine::request`], and pass in its reply or failure. Until then, this action is repeated.
     Call(Step, Channel),
     /// [`push`](Engine::push) a pose, or end with [`stop`](Engine::stop) or [`finish`](Engine::finish).
     Pose {
-        /// When it will be sent; a pose that comes later makes the cycle late.
+        /// When it will be sent; a pose that is pushed later makes the cycle late.
         due: Instant,
     },
     /// Poll again at this time.
     Wait(Instant),
-    /// The robot stands, Slave Mode is off, the arm is given back.
+    /// The robot is at rest, Slave Mode is off, and the arm is given back.
     Finished,
-    /// [`Engine::fault`] says why; Slave Mode was left if that was possible.
+    /// The stream failed; [`Engine::fault`] says why. Slave Mode was left if that was possible.
     Faulted,
 }
 
-/// What a run of calls is for.
+/// The phase of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
     Starting,
@@ -72,45 +71,46 @@ enum Phase {
     Faulted,
 }
 
-/// What is known of a connection; a reply makes it good again.
+/// The state of a connection; a reply makes it good again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Health {
     Good,
-    /// The last call had no reply.
+    /// The last call timed out.
     Silent,
     Lost,
 }
 
-/// An orderly stop that goes on.
+/// An orderly stop in progress.
 #[derive(Clone, Copy, Debug)]
 struct Stop {
-    /// The step of the cycle in which it was asked for.
+    /// The step of the cycle in which the stop began.
     delta: Delta,
-    /// How much of that is still made, and by how much less every cycle.
+    /// The current fraction of that step, and by how much it shrinks every cycle.
     speed: f64,
     part: f64,
-    /// How often the last pose was repeated, and how often the robot has not moved since.
+    /// How often the last pose was repeated, and the number of replies in a row without motion.
     repeats: u16,
     still: u8,
 }
 
-/// Repeats of the last pose: those that empty the buffer and two more, and so many that the robot is not waited for.
+/// The minimum number of repeats of the last pose: enough to empty the buffer, and two more.
 const REPEATS_MIN: u16 = 5;
+/// The number of repeats after which the stop no longer waits for the robot.
 const REPEATS_MAX: u16 = 250;
-/// Answers in a row in which the robot has not moved.
+/// The number of replies in a row without motion after which the robot counts as at rest.
 const STILL: u8 = 2;
-/// What counts as not moved, in mm or degrees a cycle.
+/// The largest motion that counts as rest, in mm or degrees per cycle.
 const STILL_WITHIN: f64 = 0.002;
-/// The bit of SysState that says that the emergency stop is pressed.
+/// The bit of SysState for the emergency stop.
 const EMERGENCY_STOP: i32 = 1 << 10;
-/// The most numbers that a received pose has: T+J.
+/// The maximum number of values of a received pose: T+J.
 const RECEIVED_MAX: usize = 18;
 
-/// A stream of Slave Mode; `N` is the room for the frame of slvMove.
+/// A stream of Slave Mode; `N` is the size of the buffer for the frame of slvMove, in bytes.
 ///
 /// # Examples
 ///
-/// A stream as a loop; `call` stands for making a call and `sleep_until` for waiting:
+/// A loop that runs a stream; `call` makes a call, and `sleep_until` waits:
 ///
 /// ```no_run
 /// # use bcap_core::bcap::Frame;
@@ -140,7 +140,7 @@ const RECEIVED_MAX: usize = 18;
 ///         }
 ///         Action::Pose { .. } if cycle == 500 => engine.stop(),
 ///         Action::Pose { .. } => {
-///             // one degree a second about the first joint, from where the robot stands
+///             // one degree per second about the first joint, from the current position
 ///             let mut joints = engine.start_pose().map_or([0.0; 8], |p| p.numbers().try_into().unwrap_or_default());
 ///             joints[0] += f64::from(cycle) * 0.008;
 ///             engine.push(&Pose::j(joints))?;
@@ -158,7 +158,7 @@ pub struct Engine<const N: usize = MOVE_FRAME> {
     config: Config,
     frame: PreparedMove<N>,
     phase: Phase,
-    /// The call that is in flight or is made next.
+    /// The call that is in flight, or the next call.
     step: Step,
     channel: Channel,
     in_flight: bool,
@@ -166,32 +166,32 @@ pub struct Engine<const N: usize = MOVE_FRAME> {
     motion: Health,
     watch: Health,
     has_arm: bool,
-    /// Whether this is a start after a fault, which begins wherever the robot stands.
+    /// Whether this is a start after a fault, which accepts any position of the robot.
     restarted: bool,
-    /// Asked for while starting or recovering.
+    /// Whether `stop` was called while starting or recovering.
     stop_wanted: bool,
     stop: Option<Stop>,
-    /// Where the stream began; its poses are the shape of the format.
+    /// The start of the stream, in the shape of the format.
     start: Option<Pose>,
-    /// The last pose in the frame, and how it was reached.
+    /// The last pose in the frame, and its step and speed.
     last: Pose,
     delta: Delta,
     velocity: Velocity,
     pacer: Pacer,
-    /// The pose that was answered last.
+    /// The pose in the last reply.
     received: Option<[f64; RECEIVED_MAX]>,
     fault: Option<Fault>,
-    /// The error to ask for next.
+    /// The index of the next error to read.
     error_index: i32,
     stats: Stats,
 }
 
 impl<const N: usize> Engine<N> {
-    /// Makes an engine that is about to start.
+    /// Makes an engine; the first [`poll`](Self::poll) starts Slave Mode.
     ///
     /// # Errors
     ///
-    /// When the configuration contradicts itself, or `N` bytes do not hold the frame.
+    /// When the configuration is inconsistent, or the frame does not fit `N` bytes.
     pub fn new(config: Config) -> Result<Self, ConfigError> {
         let (expected, frame) = (config.format.shape(), PreparedMove::new(config.motion.robot, &config.format));
         if let Some(found) = config.start.map(|pose| pose.shape()).filter(|found| *found != expected) {
@@ -229,7 +229,7 @@ impl<const N: usize> Engine<N> {
         })
     }
 
-    /// Says what to do next. The time counts as that of sending when this is a call.
+    /// Returns the next action. If it is a call, `now` is the time of sending.
     pub fn poll(&mut self, now: Instant) -> Action {
         if !self.in_flight {
             match self.phase {
@@ -249,7 +249,7 @@ impl<const N: usize> Engine<N> {
         Action::Call(self.step, self.channel)
     }
 
-    /// Returns the call that [`poll`](Self::poll) has asked for; `None` when there is none.
+    /// Returns the call in flight, which [`poll`](Self::poll) has requested; `None` when no call is in flight.
     #[must_use]
     #[inline]
     pub fn request(&self) -> Option<Request<'_>> {
@@ -266,7 +266,7 @@ impl<const N: usize> Engine<N> {
         })
     }
 
-    /// Takes the reply to the call, whatever its code; returns the view of a slvMove's that was carried out.
+    /// Handles the reply to the call, also one with an error code; returns the reply to a slvMove that succeeded.
     pub fn handle_reply<'a>(&mut self, reply: &Frame<'a>, now: Instant) -> Option<MoveReply<'a>> {
         if !core::mem::take(&mut self.in_flight) {
             return None;
@@ -284,9 +284,9 @@ impl<const N: usize> Engine<N> {
         None
     }
 
-    /// Takes note that the call has no reply.
+    /// Records that the call has no reply.
     ///
-    /// A call that was given up counts as one that timed out: whether the controller has executed it is not known.
+    /// An abandoned call counts as one that timed out: the controller may have executed it.
     pub fn handle_failure(&mut self, failure: Failure, _now: Instant) {
         if !core::mem::take(&mut self.in_flight) {
             return;
@@ -303,11 +303,11 @@ impl<const N: usize> Engine<N> {
         }
     }
 
-    /// Gives the next pose, when [`Action::Pose`] asks for it.
+    /// Sets the next pose, after [`Action::Pose`].
     ///
     /// # Errors
     ///
-    /// When the pose may not be sent; nothing has changed then, and another one can be given.
+    /// When the pose is invalid or exceeds the limits. The engine is unchanged, and another pose can be pushed.
     pub fn push(&mut self, pose: &Pose) -> Result<(), PoseError> {
         let asked = self.phase == Phase::Streaming && !self.pacer.loaded && !self.in_flight && self.stop.is_none();
         if !asked {
@@ -323,7 +323,7 @@ impl<const N: usize> Engine<N> {
         self.load(*pose)
     }
 
-    /// Sets the bits of MiniIO, from the next pose that is sent on.
+    /// Sets the bits of MiniIO for the next pose and those after it.
     ///
     /// # Errors
     ///
@@ -332,7 +332,7 @@ impl<const N: usize> Engine<N> {
         self.frame.set_mini_io(bits)
     }
 
-    /// Sets the bits of HandIO, from the next pose that is sent on.
+    /// Sets the bits of HandIO for the next pose and those after it.
     ///
     /// # Errors
     ///
@@ -341,27 +341,28 @@ impl<const N: usize> Engine<N> {
         self.frame.set_hand_io(bits)
     }
 
-    /// Sets the bytes of user IO, from the next pose that is sent on.
+    /// Sets the bytes of user IO for the next pose and those after it.
     ///
     /// # Errors
     ///
-    /// When the format does not send them, or another number of them.
+    /// When the format does not send user IO, or sends another number of bytes.
     pub fn set_user_io(&mut self, bytes: &[u8]) -> Result<(), FormatError> {
         self.frame.set_user_io(bytes)
     }
 
     /// Ends a stream in motion.
     ///
-    /// The robot goes on along its present direction while it slows down, as gently as the limits and
-    /// [`Config::ramp`] want; then the last pose is repeated until the robot stands, Slave Mode is left and the arm given
-    /// back. After a fault the arm is given back, and nothing else is done.
+    /// The robot slows down along its present direction, within the limits and for at least [`Config::ramp`]. Then the
+    /// engine repeats the last pose until the robot is at rest, leaves Slave Mode, and gives the arm back. After a fault it
+    /// only gives the arm back.
     pub fn stop(&mut self) {
         self.end(self.config.ramp);
     }
 
-    /// Ends a stream whose poses have come to rest: as [`stop`](Self::stop), but the last pose is where the robot ends.
+    /// Ends a stream at its last pose, for a trajectory that has come to rest.
     ///
-    /// Only when the limits do not allow to end there at once does it slow down first.
+    /// It differs from [`stop`](Self::stop) in that the robot slows down beyond the last pose only if the limits do not allow
+    /// it to stop there.
     pub fn finish(&mut self) {
         self.end(Duration::ZERO);
     }
@@ -375,10 +376,10 @@ impl<const N: usize> Engine<N> {
         }
     }
 
-    /// Starts anew after a fault: clears the controller's errors, switches the motor on and enters Slave Mode.
+    /// Restarts after a fault: clears the controller's errors, switches the motor on and enters Slave Mode.
     ///
-    /// The robot stands somewhere on its way, so the stream begins there and not at [`Config::start`]. Before anything
-    /// is cleared the controller is asked once more whether the emergency stop is pressed.
+    /// The stream begins at the current position, not at [`Config::start`]. Before the engine clears the errors, it asks the
+    /// controller again whether the emergency stop is pressed.
     ///
     /// # Errors
     ///
@@ -397,38 +398,38 @@ impl<const N: usize> Engine<N> {
         Ok(())
     }
 
-    /// Returns why the stream has ended; complete once [`Action::Faulted`] was returned.
+    /// Returns the fault that ended the stream; it is complete after [`Action::Faulted`].
     #[must_use]
     pub const fn fault(&self) -> Option<&Fault> {
         self.fault.as_ref()
     }
 
-    /// Returns where the stream began: the expected start, or else where the robot stood; `None` before that is known.
+    /// Returns the start of the stream: [`Config::start`], or else the position of the robot; `None` until it is known.
     #[must_use]
     pub const fn start_pose(&self) -> Option<&Pose> {
         self.start.as_ref()
     }
 
-    /// Returns the last pose that was given or made, which a stop repeats; before the first one, the start.
+    /// Returns the last pose, pushed or computed by a stop; before the first one, the start.
     #[must_use]
     pub const fn last_pose(&self) -> &Pose {
         &self.last
     }
 
-    /// Returns the figures of the stream so far; they go on over a recovery.
+    /// Returns the statistics of the stream, which continue after a recovery.
     #[must_use]
     pub const fn stats(&self) -> &Stats {
         &self.stats
     }
 
-    /// Returns how long the controller's buffer will last, by this side's reckoning; `None` in mode 1.
+    /// Returns an estimate of how long the controller's buffer will last; `None` in mode 1.
     #[must_use]
     pub fn margin(&self, now: Instant) -> Option<Duration> {
         self.pacer.margin(now)
     }
 
-    /// Returns the timing of the present call: on a link that loses frames, an attempt of a slvMove waits for two cycles in
-    /// mode 2, whose answer may be withheld, and for one in the other modes.
+    /// Returns the timing of the present call. On a lossy link, an attempt of a slvMove waits for two cycles in mode 2, where
+    /// the controller may delay its reply, and for one cycle in the other modes.
     #[must_use]
     pub fn timing(&self, link: Link, usual: Timing) -> Timing {
         if self.phase != Phase::Streaming || !link.is_lossy() {
@@ -451,12 +452,12 @@ impl<const N: usize> Engine<N> {
         }
     }
 
-    /// Returns the best connection for a call; `None` when there is none.
+    /// Returns the best connection for a call; `None` when all of them are lost.
     fn channel_for(&self, step: Step) -> Option<Channel> {
         let (motion, watch) = ((Channel::Motion, self.motion), (Channel::Watch, self.watch));
         let [first, second] = match step {
             Step::ErrorCount | Step::ErrorInfo | Step::SystemState => [watch, motion],
-            // the client that has the arm is the one of the first connection; the second may be all that is left
+            // the first connection owns the arm; the second is used if the first is lost
             Step::GetMode | Step::Leave => [motion, watch],
             _ => return (self.motion != Health::Lost).then_some(Channel::Motion),
         };
@@ -465,7 +466,7 @@ impl<const N: usize> Engine<N> {
             .find_map(|wanted| [first, second].iter().find(|(_, health)| health == wanted).map(|(channel, _)| *channel))
     }
 
-    /// Ends what is going on because of the present step, and begins to find out why.
+    /// Ends the phase because the present step failed, and starts the diagnosis.
     fn fail(&mut self, cause: Cause) {
         self.stop = None;
         self.pacer.loaded = false;
@@ -485,7 +486,7 @@ impl<const N: usize> Engine<N> {
     }
 }
 
-/// Starting, leaving, and starting again.
+/// Starting, leaving and recovering.
 impl<const N: usize> Engine<N> {
     fn handle_start(&mut self, code: HResult, value: Variant<'_>, now: Instant) {
         if code.is_err() {
@@ -530,31 +531,31 @@ impl<const N: usize> Engine<N> {
         }
     }
 
-    /// Reads where the robot stands.
+    /// Reads the position of the robot.
     fn take_position(&mut self, value: Variant<'_>) -> Result<(), Cause> {
         let pose = self.config.format.mode.pose;
         let mut numbers = [0.0; 10];
         let count = read_numbers(value, numbers.get_mut(..pose.len()).unwrap_or_default()).ok_or(Cause::NoValue)?;
         if pose == PoseType::J {
-            // whatever stands for joints that the robot has not
+            // controllers may send any value for joints that the robot does not have
             let absent = numbers.iter_mut().skip(usize::from(self.config.joints));
             absent.filter(|number| !number.is_finite()).for_each(|number| *number = 0.0);
         }
         let at = Pose::from_numbers(pose, numbers.get(..count).unwrap_or_default()).ok_or(Cause::NoValue)?;
         let [.., j7, j8] = at.axes();
-        self.stand_at(at.with_axes(self.config.format.extended, j7, j8))
+        self.set_position(at.with_axes(self.config.format.extended, j7, j8))
     }
 
-    /// Reads where the extended joints stand.
+    /// Reads the position of the extended joints.
     fn take_joints(&mut self, value: Variant<'_>) -> Result<(), Cause> {
         let mut numbers = [0.0; 8];
         read_numbers(value, &mut numbers).filter(|count| *count == numbers.len()).ok_or(Cause::NoValue)?;
         let [.., j7, j8] = numbers;
-        self.stand_at(self.last.with_axes(self.config.format.extended, j7, j8))
+        self.set_position(self.last.with_axes(self.config.format.extended, j7, j8))
     }
 
-    /// Takes note of where the robot stands. What is not a number is nowhere: every limit would hold for a step from there.
-    fn stand_at(&mut self, pose: Pose) -> Result<(), Cause> {
+    /// Records the position of the robot. Rejects NaN, which would pass every limit check.
+    fn set_position(&mut self, pose: Pose) -> Result<(), Cause> {
         if !pose.is_finite() {
             return Err(Cause::NoValue);
         }
@@ -562,7 +563,7 @@ impl<const N: usize> Engine<N> {
         Ok(())
     }
 
-    /// Compares where the robot stands with where the stream begins.
+    /// Compares the position of the robot with the start of the stream.
     fn check_start(&mut self) -> Result<(), Cause> {
         if let Some(start) = self.config.start.filter(|_| !self.restarted) {
             if let Some((number, actual, expected)) = self.off_start(&start) {
@@ -574,9 +575,9 @@ impl<const N: usize> Engine<N> {
         Ok(())
     }
 
-    /// Finds the first number of the start that the robot misses.
+    /// Finds the first number of the start that differs from the robot's by more than the tolerance.
     fn off_start(&self, start: &Pose) -> Option<(u8, f64, f64)> {
-        /// One degree as the length of an arc of radius 1: what a component of a direction may be off by.
+        /// One degree in radians, the tolerance of a component of a unit vector per degree.
         const PER_DEGREE: f64 = core::f64::consts::PI / 180.0;
         let (pose, tolerance) = (self.config.format.mode.pose, self.config.tolerance);
         let joints = usize::from(self.config.joints);
@@ -585,7 +586,7 @@ impl<const N: usize> Engine<N> {
                 let off = actual - expected;
                 let missed = match (pose, number) {
                     (PoseType::P, 4..=6) => half_turn(off).abs() > tolerance,
-                    // a negative Fig leaves the figure open
+                    // a negative Fig stands for any figure
                     (PoseType::P, 7) | (PoseType::T, 10) => off != 0.0 && *expected >= 0.0 && *actual >= 0.0,
                     (PoseType::T, 4..=9) => off.abs() > tolerance * PER_DEGREE,
                     (PoseType::J, _) if usize::from(number) > joints => false,
@@ -660,7 +661,7 @@ impl<const N: usize> Engine<N> {
 
 /// Streaming and stopping.
 impl<const N: usize> Engine<N> {
-    /// Says what keeps the next slvMove from being sent; `None` when the present step is to be made.
+    /// Returns the action that must come before the next slvMove; `None` when the present step can be made.
     fn pace(&mut self, now: Instant) -> Option<Action> {
         if !self.pacer.loaded {
             if self.stop.is_none() {
@@ -687,7 +688,7 @@ impl<const N: usize> Engine<N> {
     }
 
     fn handle_move<'a>(&mut self, code: HResult, value: Variant<'a>, now: Instant) -> Option<MoveReply<'a>> {
-        self.stats.rtt.record(micros(now.saturating_since(self.sent_at)));
+        self.stats.rtt.record(micros_u32(now.saturating_since(self.sent_at)));
         if code == HResult::E_BUF_FULL {
             self.stats.refused = self.stats.refused.saturating_add(1);
             if self.pacer.refused(&self.config, now) {
@@ -703,7 +704,7 @@ impl<const N: usize> Engine<N> {
         self.pacer.stored(&self.config, code == HResult::S_BUF_FULL, now);
         match self.config.format.receive.read(value) {
             Ok(reply) => {
-                self.note_position(&reply);
+                self.update_received(&reply);
                 Some(reply)
             }
             Err(error) => {
@@ -722,12 +723,12 @@ impl<const N: usize> Engine<N> {
         let speed = if moving { 1.0 } else { 0.0 };
         self.stop = Some(Stop { delta: self.delta, speed, part: by_limits.min(by_ramp), repeats: 0, still: 0 });
         if self.pacer.taken == 0 && !self.pacer.loaded {
-            // nothing was commanded, so there is nothing to stop
+            // no pose was commanded, so the robot does not move
             self.leave();
         }
     }
 
-    /// Puts the next pose of the stop into the frame; `false` when the robot stands.
+    /// Puts the next pose of the stop into the frame; `false` when the robot is at rest, or the stop has waited long enough.
     fn load_stop(&mut self) -> bool {
         let Some(stop) = &mut self.stop else { return false };
         let stands = stop.repeats >= REPEATS_MIN && stop.still >= STILL;
@@ -744,8 +745,8 @@ impl<const N: usize> Engine<N> {
         self.load(pose).is_ok()
     }
 
-    /// Compares where the robot is with where it was; joints that it has not are left out.
-    fn note_position(&mut self, reply: &MoveReply<'_>) {
+    /// Compares the position of the robot with the previous one, except joints that it does not have.
+    fn update_received(&mut self, reply: &MoveReply<'_>) {
         let mut numbers = [0.0; RECEIVED_MAX];
         for (slot, number) in numbers.iter_mut().zip(reply.pose().iter()) {
             *slot = number;
@@ -766,9 +767,9 @@ impl<const N: usize> Engine<N> {
     }
 }
 
-/// Finding out what has happened.
+/// Diagnosing a fault.
 impl<const N: usize> Engine<N> {
-    /// Goes to a question, or past it to one that can be asked.
+    /// Moves to a query, or to the next one that has a connection.
     fn diagnose(&mut self, step: Step) {
         let mut step = step;
         while self.channel_for(step).is_none() {
@@ -788,7 +789,7 @@ impl<const N: usize> Engine<N> {
         self.phase = Phase::Faulted;
     }
 
-    /// Goes on without an answer: by asking the other connection if this one is lost, or with the next question.
+    /// Continues without a reply: with the same query over the other connection, or with the next query.
     fn skip_diagnosis(&mut self, failure: Failure) {
         let other = self.channel_for(self.step).filter(|channel| *channel != self.channel);
         match (self.step, other) {
@@ -821,7 +822,7 @@ impl<const N: usize> Engine<N> {
                 self.diagnose(Step::ErrorCount);
             }
             Step::ErrorCount => {
-                // the last one is the oldest, the first cause
+                // the last error of the list is the oldest, so the first cause
                 self.error_index = int.unwrap_or(0).saturating_sub(1);
                 self.diagnose(if self.error_index >= 0 { Step::ErrorInfo } else { Step::SystemState });
             }
@@ -841,7 +842,7 @@ impl<const N: usize> Engine<N> {
     }
 }
 
-/// Reads an array of numbers into `target`, as far as both go, and returns how many that were.
+/// Reads an array of numbers into `target`, up to the shorter length, and returns their count.
 fn read_numbers(value: Variant<'_>, target: &mut [f64]) -> Option<usize> {
     let array = value.as_array()?;
     for (slot, element) in target.iter_mut().zip(array) {

@@ -1,4 +1,4 @@
-//! Why a stream has ended, and what is known of the controller since.
+//! The fault that ended a stream, and the state of the controller after it.
 
 use core::fmt;
 
@@ -8,12 +8,12 @@ use crate::hresult::HResult;
 use crate::procedure::Failure;
 use crate::variant::{Bstr, Variant};
 
-/// How many of the controller's errors a fault keeps, the earliest ones.
+/// The maximum number of controller errors in a fault; it contains the earliest ones.
 pub const ERRORS_MAX: usize = 4;
-/// How many bytes of an error's text are kept.
+/// The maximum length of an error's text, in bytes.
 const TEXT_MAX: usize = 80;
 
-/// A call of the engine has failed, and what the controller said about it.
+/// A failed call of the engine, with the errors that the controller reported.
 #[derive(Clone, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Fault {
@@ -21,9 +21,9 @@ pub struct Fault {
     pub step: Step,
     /// Why it failed.
     pub cause: Cause,
-    /// Whether Slave Mode is off, as slvGetMode told afterwards.
+    /// Whether Slave Mode is off, as slvGetMode reported after the failure.
     pub released: Released,
-    /// Whether the emergency stop is pressed; `None` when the controller did not say.
+    /// Whether the emergency stop is pressed; `None` without a reply to that query.
     pub emergency_stop: Option<bool>,
     errors: heapless::Vec<ControllerError, ERRORS_MAX>,
 }
@@ -35,24 +35,24 @@ pub struct Fault {
 pub enum Cause {
     /// The controller refused it.
     Refused(HResult),
-    /// It had no answer.
+    /// It has no reply.
     Failed(Failure),
-    /// The answer to slvMove is not what the formats say.
+    /// The reply to slvMove does not have the layout of the receive format.
     Reply(MoveReplyError),
-    /// The answer carries no position, mode or state of the system.
+    /// The reply carries no valid position, mode or system state.
     NoValue,
-    /// The robot does not stand where the stream begins.
+    /// The robot is not at the start of the stream.
     NotAtStart {
-        /// The number of the pose, counted from 1, that is off the most.
+        /// The first value of the pose that exceeds the tolerance, counted from 1.
         number: u8,
-        /// Where the robot stands.
+        /// The value of the robot's position.
         actual: f64,
-        /// Where the stream begins.
+        /// The value of the start.
         expected: f64,
     },
-    /// The buffer stayed full for [`Config::stall`](super::Config::stall): the robot takes no poses.
+    /// The buffer stayed full for [`Config::stall`](super::Config::stall): the robot does not execute poses.
     Stalled,
-    /// The emergency stop is pressed, so the recovery was not begun.
+    /// The emergency stop is pressed, so the recovery was not started.
     EmergencyStop,
 }
 
@@ -64,11 +64,11 @@ pub enum Released {
     Yes,
     /// It is on, and could not be left.
     No,
-    /// The controller could not be asked.
+    /// The controller did not reply to the query.
     Unknown,
 }
 
-/// An error that is present in the controller.
+/// An error in the controller's error list.
 #[derive(Clone, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ControllerError {
@@ -78,14 +78,14 @@ pub struct ControllerError {
 }
 
 impl ControllerError {
-    /// Reads what GetCurErrorInfo answers: the code, the text, and more that is not kept.
+    /// Reads the reply to GetCurErrorInfo: the code and the text; further elements are ignored.
     pub(super) fn read(value: Variant<'_>) -> Option<Self> {
         let mut elements = value.as_array()?.iter();
         let code = match elements.next()? {
             Variant::I4(n) => n,
             Variant::Ui4(n) => n.cast_signed(),
             Variant::Error(code) => code.0,
-            // some controllers keep codes in 64 bits
+            // some controllers send codes with 64 bits
             Variant::I8(n) => u32::try_from(n).map(u32::cast_signed).or_else(|_| i32::try_from(n)).ok()?,
             _ => return None,
         };
@@ -93,14 +93,14 @@ impl ControllerError {
         Some(Self { code: HResult(code), text: cut(text) })
     }
 
-    /// Returns the controller's text, cut after 80 bytes; empty when there was none.
+    /// Returns the controller's text, of which at most 80 bytes are kept; empty without a text.
     #[must_use]
     pub fn text(&self) -> &str {
         &self.text
     }
 }
 
-/// Copies as much of a text as fits.
+/// Copies the part of a text that fits.
 fn cut(text: Bstr<'_>) -> heapless::String<TEXT_MAX> {
     let mut out = heapless::String::new();
     for unit in text.chars() {
@@ -117,11 +117,11 @@ impl Fault {
     }
 
     pub(super) fn push(&mut self, error: ControllerError) {
-        // no more are asked for than fit
+        // the engine reads no more errors than fit
         let _ = self.errors.push(error);
     }
 
-    /// Returns the controller's errors, the first cause first.
+    /// Returns the controller's errors, oldest first.
     #[must_use]
     pub fn errors(&self) -> &[ControllerError] {
         &self.errors
@@ -129,7 +129,7 @@ impl Fault {
 
     /// Returns the code to report: the first error of the controller, or else the code with which it refused the call.
     ///
-    /// A slvMove after an error is refused with 0x83500121, which says no more than that Slave Mode is off.
+    /// The controller refuses a slvMove after an error with 0x83500121, which only says that Slave Mode is off.
     #[must_use]
     pub fn code(&self) -> Option<HResult> {
         let refused = match self.cause {
@@ -153,12 +153,12 @@ impl fmt::Display for Cause {
             Self::Refused(code) => write!(f, "refused with {code}"),
             Self::Failed(failure) => failure.fmt(f),
             Self::Reply(error) => error.fmt(f),
-            Self::NoValue => f.write_str("the reply has no such value"),
+            Self::NoValue => f.write_str("the reply has no valid value"),
             Self::NotAtStart { number, actual, expected } => write!(
                 f,
                 "the robot is not at the start: number {number} of its pose is {actual}, the stream begins at {expected}"
             ),
-            Self::Stalled => f.write_str("the controller takes no more poses"),
+            Self::Stalled => f.write_str("the controller accepts no more poses: its buffer stays full"),
             Self::EmergencyStop => f.write_str("the emergency stop is pressed"),
         }
     }
@@ -181,11 +181,11 @@ impl core::error::Error for Fault {}
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum RecoverError {
-    /// There is no fault, or it is still being looked into.
+    /// There is no fault, or the engine is still diagnosing it.
     NoFault,
-    /// The emergency stop was pressed: a person has to look at the robot, and a new engine be made.
+    /// The emergency stop was pressed: an operator must check the robot, and a new engine is needed.
     EmergencyStop,
-    /// The connection is lost: make a new one, and a new engine.
+    /// The connection is lost: a new connection and a new engine are needed.
     Lost,
 }
 
@@ -193,8 +193,8 @@ impl fmt::Display for RecoverError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::NoFault => "there is nothing to recover from",
-            Self::EmergencyStop => "no recovery after an emergency stop: look at the robot, then start anew",
-            Self::Lost => "the connection is lost: connect and start anew",
+            Self::EmergencyStop => "no recovery after an emergency stop: check the robot, then start a new stream",
+            Self::Lost => "the connection is lost: connect again and start a new stream",
         })
     }
 }

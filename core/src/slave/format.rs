@@ -1,7 +1,7 @@
-//! What slvMove carries beside the pose, and what it answers: slvSendFormat and slvRecvFormat.
+//! The layout of slvMove and of its reply: slvSendFormat and slvRecvFormat.
 //!
 //! ```text
-//!   slvMove takes                                       slvMove answers
+//!   slvMove carries                                     its reply carries
 //!     pose              ARRAY|R8                          0x0010  time stamp   I4
 //!     0x0100  MiniIO    I4                                 low 4  pose         ARRAY|R8
 //!     0x0200  user IO   I4 offset, I4 size, ARRAY|UI1     0x0100  MiniIO       I4
@@ -10,8 +10,8 @@
 //!                                                         0x0040  current      ARRAY|R8, 8 elements
 //! ```
 //!
-//! in this order (S2:1074-1181). A pose alone stands by itself, anything else makes it an array of VARIANT. MiniIO and user
-//! IO exclude each other when they are sent, and only one of them can be chosen here.
+//! in this order (S2:1074-1181). A pose alone is an ARRAY|R8; with other elements it becomes the first one of an array of
+//! VARIANT. slvMove carries either MiniIO or user IO, not both.
 
 use core::fmt;
 
@@ -20,9 +20,9 @@ use super::pose::{ExtendedAxes, Shape};
 use crate::error::EncodeError;
 use crate::variant::{Encode, Writer};
 
-/// A stretch of user IO, in whole bytes.
+/// A range of user IO, in whole bytes.
 ///
-/// The wire counts its ports: offset and size are in bits.
+/// On the wire, offset and size are numbers of ports (bits).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct UserIo {
@@ -35,7 +35,7 @@ impl UserIo {
     ///
     /// # Errors
     ///
-    /// When the offset is below 128 or no multiple of 8, or there are no bytes (the rules of the vendor's open drivers).
+    /// When the offset is below 128 or not a multiple of 8, or `bytes` is 0 (the rules of the vendor's open drivers).
     pub const fn new(offset: u16, bytes: u8) -> Result<Self, FormatError> {
         if offset < 128 || !offset.is_multiple_of(8) {
             return Err(FormatError::UserIoOffset(offset));
@@ -58,13 +58,13 @@ impl UserIo {
         self.bytes
     }
 
-    /// Returns offset and size as the wire has them, in ports.
+    /// Returns offset and size on the wire, in ports.
     pub(super) fn on_wire(self) -> [i32; 2] {
         [i32::from(self.offset), i32::from(self.bytes).wrapping_mul(8)]
     }
 }
 
-/// What slvMove may carry of MiniIO and user IO: one of them.
+/// MiniIO or user IO in slvMove.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum SendIo {
@@ -77,7 +77,7 @@ pub enum SendIo {
     User(UserIo),
 }
 
-/// What slvMove carries beside the pose: the parameter of slvSendFormat.
+/// The elements of slvMove in addition to the pose: the parameter of slvSendFormat.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct SendFormat {
@@ -103,7 +103,7 @@ impl SendFormat {
     }
 }
 
-/// The pose that slvMove answers.
+/// The pose in the reply to slvMove.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ReceivePose {
@@ -120,7 +120,7 @@ pub enum ReceivePose {
 }
 
 impl ReceivePose {
-    /// Returns how many numbers it has.
+    /// Returns the number of values.
     #[must_use]
     #[expect(clippy::len_without_is_empty, reason = "no pose is empty")]
     pub const fn len(self) -> usize {
@@ -133,7 +133,7 @@ impl ReceivePose {
         }
     }
 
-    /// Returns where the joints begin, when they are in it.
+    /// Returns the index of the first joint, if it contains joints.
     pub(super) const fn joints_at(self) -> Option<usize> {
         match self {
             Self::P | Self::T => None,
@@ -155,26 +155,26 @@ pub enum TimeUnit {
     Micros,
 }
 
-/// What slvMove answers: the parameter of slvRecvFormat.
+/// The elements of the reply to slvMove: the parameter of slvRecvFormat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct ReceiveFormat {
-    /// The pose; there is always one.
+    /// The pose, which every reply contains.
     pub pose: ReceivePose,
-    /// The controller's time, in this unit.
+    /// The controller's time stamp, in this unit.
     pub time: Option<TimeUnit>,
     /// The MiniIO inputs and outputs.
     pub mini_io: bool,
-    /// A stretch of user IO; which one is sent with every slvMove.
+    /// A range of user IO; every slvMove carries the range.
     pub user_io: Option<UserIo>,
     /// The HandIO inputs and outputs.
     pub hand_io: bool,
-    /// The motors' currents, of 8 axes.
+    /// The motor currents of 8 axes.
     pub current: bool,
 }
 
 impl ReceiveFormat {
-    /// Asks for a pose alone.
+    /// Returns the format of a pose alone.
     #[must_use]
     pub const fn pose(pose: ReceivePose) -> Self {
         Self { pose, time: None, mini_io: false, user_io: None, hand_io: false, current: false }
@@ -197,13 +197,13 @@ impl ReceiveFormat {
             | (if self.user_io.is_some() { USER } else { 0 })
     }
 
-    /// Tells whether the answer is the pose by itself, without an array of VARIANT around it.
+    /// Tells whether the reply is a pose alone, not an array of VARIANT.
     pub(super) const fn is_plain(self) -> bool {
         self.time.is_none() && !self.mini_io && self.user_io.is_none() && !self.hand_io && !self.current
     }
 }
 
-/// The parameter of slvRecvFormat: the number, or with the time in microseconds the pair of number and unit.
+/// The parameter of slvRecvFormat: the number, or the pair of number and unit for a time stamp in microseconds.
 impl Encode for ReceiveFormat {
     fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
         match self.time {
@@ -219,7 +219,7 @@ const CURRENT: i32 = 0x0040;
 const MINI: i32 = 0x0100;
 const USER: i32 = 0x0200;
 
-/// All that is agreed on before a stream begins; it decides the layout of every slvMove and its reply.
+/// The settings of a stream that determine the layout of every slvMove and its reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Format {
@@ -227,14 +227,14 @@ pub struct Format {
     pub mode: SlaveMode,
     /// The extended joints that the poses command.
     pub extended: ExtendedAxes,
-    /// What goes with each pose.
+    /// The elements of slvMove in addition to the pose.
     pub send: SendFormat,
-    /// What comes back.
+    /// The elements of the reply.
     pub receive: ReceiveFormat,
 }
 
 impl Format {
-    /// Makes the format that sends poses and nothing else, and receives `receive`.
+    /// Makes a format that sends poses alone, and receives `receive`.
     #[must_use]
     pub const fn new(mode: SlaveMode, receive: ReceiveFormat) -> Self {
         Self { mode, extended: ExtendedAxes::None, send: SendFormat::POSE, receive }
@@ -246,7 +246,7 @@ impl Format {
         Shape { pose: self.mode.pose, extended: self.extended }
     }
 
-    /// Returns how many elements the parameter of slvMove has.
+    /// Returns the number of elements of the parameter of slvMove.
     #[must_use]
     pub const fn items(&self) -> u32 {
         let io = match self.send.io {
@@ -260,27 +260,27 @@ impl Format {
     }
 }
 
-/// What is asked for does not fit the format; nothing was sent.
+/// Data that does not agree with the format, or an invalid format; nothing was sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum FormatError {
-    /// User IO begins at port 128 or above, at a multiple of 8.
+    /// The offset of user IO is below 128 or not a multiple of 8.
     UserIoOffset(u16),
-    /// User IO of no bytes.
+    /// User IO of 0 bytes.
     UserIoEmpty,
-    /// The bytes of user IO are not as many as the format says.
+    /// The number of bytes of user IO differs from the format's.
     UserIoLength {
-        /// What the format says.
+        /// The format's number of bytes.
         expected: u8,
-        /// What was given.
+        /// The number of bytes that were passed.
         found: usize,
     },
     /// The pose has another type or other extended joints than the format.
     Shape {
-        /// What the format says.
+        /// The format's shape.
         expected: Shape,
-        /// What was given.
+        /// The pose's shape.
         found: Shape,
     },
     /// The send format has no MiniIO.
@@ -295,13 +295,15 @@ impl fmt::Display for FormatError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::UserIoOffset(offset) => {
-                write!(f, "user IO begins at a multiple of 8 from 128 on, not at port {offset}")
+                write!(f, "user IO cannot begin at port {offset}: it must be a multiple of 8, and at least 128")
             }
-            Self::UserIoEmpty => f.write_str("user IO has at least one byte"),
+            Self::UserIoEmpty => f.write_str("user IO of 0 bytes: it must have at least one"),
             Self::UserIoLength { expected, found } => {
                 write!(f, "the format has {expected} bytes of user IO, {found} were given")
             }
-            Self::Shape { expected, found } => write!(f, "the format has poses of type {expected}, this is {found}"),
+            Self::Shape { expected, found } => {
+                write!(f, "the format has poses of type {expected}, this pose is {found}")
+            }
             Self::NoMiniIo => f.write_str("the send format has no MiniIO: set its `io` to `SendIo::Mini`"),
             Self::NoHandIo => f.write_str("the send format has no HandIO: set its `hand_io`"),
             Self::NoUserIo => f.write_str("the send format has no user IO: set its `io` to `SendIo::User`"),

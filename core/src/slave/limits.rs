@@ -1,11 +1,11 @@
 //! Limits on the commanded speed and acceleration of each axis, checked before a pose is sent.
 //!
-//! The controller refuses what is too fast with 0x8420405n and what changes speed too hard with 0x8420404n, and leaves
-//! Slave Mode (S2:1432-1436). The same is computed here from the poses of successive cycles:
+//! The controller refuses a pose that exceeds an axis' speed with 0x8420405n, one that exceeds its acceleration with
+//! 0x8420404n, and leaves Slave Mode (S2:1432-1436). The engine computes both from the poses of successive cycles:
 //!
 //! ```text
 //!   speed n        = (pose n - pose n-1) / cycle
-//!   acceleration n = (speed n - speed n-1) / cycle           the first pose starts from rest, where the robot stands
+//!   acceleration n = (speed n - speed n-1) / cycle           the stream starts at rest, at the robot's position
 //! ```
 
 use core::fmt;
@@ -13,11 +13,11 @@ use core::fmt;
 use super::pose::{Pose, half_turn};
 use super::{FormatError, PoseType};
 
-/// How fast each axis may be commanded to move and to change its speed.
+/// The maximum commanded speed and acceleration of each axis.
 ///
 /// For J poses the axes are the joints. For P poses 1 to 3 are X, Y, Z and 4 to 6 RX, RY, RZ, for T poses 1 to 3 are X, Y,
-/// Z and 4 to 6 are not checked; 7 and 8 are the extended joints. What the joints do in P and T poses is the
-/// controller's to compute, so staying within these limits does not promise that it accepts the pose.
+/// Z and 4 to 6 are not checked; 7 and 8 are the extended joints. For P and T poses only the controller can compute the
+/// motion of the joints, so it may refuse a pose within these limits.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct AxisLimits {
@@ -28,7 +28,7 @@ pub struct AxisLimits {
 }
 
 impl AxisLimits {
-    /// No limits: whatever is finite passes.
+    /// No limits: every finite pose passes.
     pub const NONE: Self = Self { speed: [f64::INFINITY; 8], acceleration: [f64::INFINITY; 8] };
 
     /// Sets the same limits for all axes.
@@ -44,21 +44,21 @@ impl Default for AxisLimits {
     }
 }
 
-/// A pose was refused before it was sent; the stream goes on with another one.
+/// A pose was refused before it was sent; the stream continues with another pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum PoseError {
-    /// No pose is asked for now: [`Engine::poll`](super::Engine::poll) says when.
+    /// No pose is needed now: [`Engine::poll`](super::Engine::poll) reports when.
     NotNow,
     /// It does not have the layout of the format.
     Format(FormatError),
     /// A number is infinite or not a number.
     NotFinite {
-        /// Which one, counted from 1.
+        /// Its position in the pose, counted from 1.
         number: u8,
     },
-    /// An axis would move too fast: the controller would answer 0x8420405n.
+    /// An axis would exceed its speed limit: the controller would reply 0x8420405n.
     Speed {
         /// The axis, counted from 1.
         axis: u8,
@@ -67,7 +67,7 @@ pub enum PoseError {
         /// Its limit.
         limit: f64,
     },
-    /// An axis would change its speed too hard: the controller would answer 0x8420404n.
+    /// An axis would exceed its acceleration limit: the controller would reply 0x8420404n.
     Acceleration {
         /// The axis, counted from 1.
         axis: u8,
@@ -81,7 +81,7 @@ pub enum PoseError {
 impl fmt::Display for PoseError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::NotNow => f.write_str("no pose is asked for now"),
+            Self::NotNow => f.write_str("no pose is needed now"),
             Self::Format(error) => error.fmt(f),
             Self::NotFinite { number } => write!(f, "number {number} of the pose is not finite"),
             Self::Speed { axis, speed, limit } => {
@@ -107,7 +107,7 @@ impl From<FormatError> for PoseError {
 /// The speed of each axis, in degrees or mm per cycle.
 pub(super) type Velocity = [f64; 8];
 
-/// Checks the step from `last`, reached at `before`, to `next`, and returns the speed of that step.
+/// Checks the step from `last`, reached at the speed `before`, to `next`, and returns the speed of that step.
 pub(super) fn check(
     limits: &AxisLimits,
     cycle: f64,
@@ -135,7 +135,7 @@ pub(super) fn check(
     Ok(velocity)
 }
 
-/// Returns by how much each axis moves, angles the short way round.
+/// Returns the motion of each axis; angles take the shorter direction.
 fn steps(last: &Pose, next: &Pose) -> Velocity {
     let (from, to) = (last.axes(), next.axes());
     let mut out = [0.0; 8];
@@ -148,9 +148,9 @@ fn steps(last: &Pose, next: &Pose) -> Velocity {
     out
 }
 
-/// Returns by how much of the present speed every cycle may slow down, so that no axis exceeds its limit: 1 is at once.
+/// Returns the fraction of the present speed by which each cycle may slow down within the limits: 1 stops at once.
 pub(super) fn slow_down(limits: &AxisLimits, cycle: f64, velocity: &Velocity) -> f64 {
-    /// What is left of a limit for rounding.
+    /// The usable fraction of a limit; the rest is a margin for rounding.
     const SHARE: f64 = 0.9;
     let mut part: f64 = 1.0;
     for (step, limit) in velocity.iter().zip(limits.acceleration) {
@@ -159,6 +159,6 @@ pub(super) fn slow_down(limits: &AxisLimits, cycle: f64, velocity: &Velocity) ->
             part = part.min(SHARE * limit * cycle * cycle / step);
         }
     }
-    // limits of 0 would never end
+    // with a limit of 0 the stop would never end
     part.max(1e-3)
 }

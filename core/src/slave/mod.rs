@@ -1,28 +1,27 @@
-//! Slave Mode: a pose every cycle, straight into the controller (S2:979-1456).
+//! Slave Mode: streams one pose per control cycle to the controller (S2:979-1456).
 //!
 //! ```text
 //!  formats ─► TakeArm ─► Motor ─► position ─► slvChangeMode m ─► slvMove, slvMove, ... ─► slvChangeMode 0 ─► GiveArm
-//!                                                                    │ any error: Slave Mode is off
+//!                                                                    │ any error: Slave Mode ends
 //!                                                                    ▼
 //!                                     slvGetMode ─► (slvChangeMode 0) ─► errors ─► emergency stop? ─► Fault
 //! ```
 //!
-//! Three layers, each of use without the next:
+//! Three layers; each can be used without the next:
 //!
-//! * **Types** for what can be sent and received: [`SlaveMode`], [`Pose`], [`SendFormat`], [`ReceiveFormat`],
-//!   [`MoveReply`]. What the specification does not allow cannot be written with them, or is a [`FormatError`] before
-//!   anything is sent.
+//! * **Types** of the data: [`SlaveMode`], [`Pose`], [`SendFormat`], [`ReceiveFormat`], [`MoveReply`]. Data that the
+//!   specification does not allow cannot be expressed, or is a [`FormatError`] before anything is sent.
 //! * **Calls**: [`change_mode`], [`get_mode`], [`send_format`], [`receive_format`], [`slv_move`], and [`PreparedMove`],
 //!   the slvMove of a stream, whose frame is written once and then patched.
-//! * The **[`Engine`]**, which runs a whole stream without socket or clock: it says which call to make next, when to wait,
-//!   and when it wants a pose. It keeps the pace of each mode, sends again what E_BUF_FULL refused, checks [`AxisLimits`]
-//!   before anything is sent, stops in an orderly way, and after an error finds out what the controller says came first.
+//! * The **[`Engine`]**, a sans-IO state machine that runs a stream. It reports which call to make next, when to wait, and
+//!   when it needs a pose. It follows the timing of each mode, sends a pose again after E_BUF_FULL, checks [`AxisLimits`]
+//!   before a pose is sent, stops in an orderly way, and after an error asks the controller for the first cause.
 //!
-//! [`Engine::stream`] joins an engine and a [`Trajectory`] to a [`Procedure`](crate::procedure::Procedure), which the loops of
-//! [`io`](crate::io) run, blocking and asynchronous.
+//! [`Engine::stream`] combines an engine and a [`Trajectory`] into a [`Procedure`](crate::procedure::Procedure), which the
+//! loops of [`io`](crate::io) run, blocking and asynchronous.
 //!
-//! Of Slave Mode the controller wants: its licence, Auto mode, the executable token, no error, and that the robot stands
-//! still at the start; two robots and the virtual fence are not supported (S2:1454).
+//! For Slave Mode the controller requires its licence, Auto mode, the executable token, no error, and a robot at rest at
+//! the start; two robots and the virtual fence are not supported (S2:1454).
 
 mod command;
 mod config;

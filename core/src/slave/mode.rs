@@ -1,22 +1,22 @@
 //! The mode numbers of Slave Mode.
 //!
 //! ```text
-//!   0x 0 m t      m = 0, 1, 2   when slvMove is answered, and what happens when the buffer is full or empty
-//!                 t = 1, 2, 3   what a pose is: P, J, T
+//!   0x 0 m t      m = 0, 1, 2   when the controller replies to slvMove, and what it does when its buffer is full or empty
+//!                 t = 1, 2, 3   the type of the poses: P, J, T
 //!   0x 0 0 0      Slave Mode is off
 //! ```
 
 use core::fmt;
 
-/// When the controller answers slvMove, and what it does with the pose (S2:1187-1296).
+/// When the controller replies to slvMove, and how it buffers the pose (S2:1187-1296).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Mode {
-    /// A buffer of 3; answers at once, S_BUF_FULL when the pose filled it and E_BUF_FULL when it was not stored.
+    /// A buffer of 3 poses; replies at once: S_BUF_FULL when the pose filled the buffer, E_BUF_FULL when it was not stored.
     Mode0,
-    /// A buffer of 1 that each pose overwrites; answers at once.
+    /// A buffer of 1 pose, which each pose overwrites; replies at once.
     Mode1,
-    /// A buffer of 3; the answer waits until the pose has a place.
+    /// A buffer of 3 poses; replies when the pose is stored.
     Mode2,
 }
 
@@ -31,7 +31,7 @@ impl Mode {
     }
 }
 
-/// What the numbers of a pose are; millimetres and degrees.
+/// The type of a pose, in millimetres and degrees.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum PoseType {
@@ -44,7 +44,7 @@ pub enum PoseType {
 }
 
 impl PoseType {
-    /// Returns how many numbers a pose has, without the extended-joint option.
+    /// Returns the number of values of a pose, without the extended-joint option.
     #[must_use]
     #[expect(clippy::len_without_is_empty, reason = "no pose is empty")]
     pub const fn len(self) -> usize {
@@ -64,14 +64,14 @@ impl PoseType {
     }
 }
 
-/// The numbers of a P pose.
+/// The number of values of a P pose.
 pub const P_LEN: usize = 7;
-/// The numbers of a J pose.
+/// The number of values of a J pose.
 pub const J_LEN: usize = 8;
-/// The numbers of a T pose.
+/// The number of values of a T pose.
 pub const T_LEN: usize = 10;
 
-/// A mode with a type of pose: what slvChangeMode switches on and slvGetMode tells.
+/// A mode and a type of pose: the parameter of slvChangeMode and the reply to slvGetMode.
 ///
 /// # Examples
 ///
@@ -107,7 +107,7 @@ impl SlaveMode {
         high | self.pose.code()
     }
 
-    /// Returns the mode with this number; `None` for [`OFF`](Self::OFF) and for numbers that mean nothing.
+    /// Returns the mode with this number; `None` for [`OFF`](Self::OFF) and for invalid numbers.
     #[must_use]
     pub const fn from_code(code: i32) -> Option<Self> {
         let mode = match code & !0xf {

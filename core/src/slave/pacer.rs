@@ -1,37 +1,37 @@
-//! When the next pose of a stream is sent, and how well that is kept.
+//! The send times of the poses of a stream, and their jitter.
 //!
 //! ```text
 //!  mode   the next pose is sent
-//!   0     after S_OK at once, which fills the buffer; after S_BUF_FULL one cycle after the last one's time;
-//!         after E_BUF_FULL the same pose again, a cycle later
-//!   1     one cycle after the last one's time; cycles that were missed are left out
-//!   2     at once: the answer is withheld until there is room
+//!   0     after S_OK at once, which fills the buffer; after S_BUF_FULL one cycle after the last deadline;
+//!         after E_BUF_FULL the same pose again, one cycle later
+//!   1     one cycle after the last deadline; missed cycles are skipped
+//!   2     at once: the controller delays its reply until there is room
 //! ```
 //!
-//! Times are absolute: a cycle that was late does not shift those after it.
+//! Deadlines are absolute: a late cycle does not shift later ones.
 
 use core::time::Duration;
 
 use super::config::Config;
 use super::mode::Mode;
-use super::stats::{Stats, micros};
-use crate::time::Instant;
+use super::stats::Stats;
+use crate::time::{Instant, micros_u32};
 
-/// When the next pose is sent.
+/// Computes the deadline of each pose.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pacer {
-    /// Whether a pose is in the frame that the controller has not taken.
+    /// Whether the frame contains a pose that the controller has not stored.
     pub(super) loaded: bool,
-    /// When it is to be sent.
+    /// The deadline of that pose.
     pub(super) due: Instant,
-    /// Whether `due` is a cycle after the one before, and not as soon as possible.
+    /// Whether `due` is one cycle after the previous deadline, instead of as soon as possible.
     steady: bool,
-    /// Poses that the controller has taken of this stream.
+    /// Poses of this stream that the controller has stored.
     pub(super) taken: u32,
     last_sent: Instant,
-    /// Since when the controller has answered E_BUF_FULL.
+    /// The first of the present replies E_BUF_FULL.
     refused_since: Option<Instant>,
-    /// When the controller's buffer will be empty.
+    /// The estimated time at which the controller's buffer is empty.
     empty_at: Option<Instant>,
 }
 
@@ -40,24 +40,24 @@ impl Pacer {
         Self { loaded: false, due: now, steady: false, taken: 0, last_sent: now, refused_since: None, empty_at: None }
     }
 
-    /// Takes note that the pose is sent now.
+    /// Records that the pose is sent now.
     pub(super) fn sending(&mut self, config: &Config, stats: &mut Stats, now: Instant) {
         if self.steady {
-            let (behind, cycle) = (micros(now.saturating_since(self.due)), micros(config.cycle));
-            let interval = micros(now.saturating_since(self.last_sent));
+            let (overrun, cycle) = (micros_u32(now.saturating_since(self.due)), micros_u32(config.cycle));
+            let interval = micros_u32(now.saturating_since(self.last_sent));
             let (late, off) = match config.format.mode.mode {
-                Mode::Mode0 | Mode::Mode1 => (behind, behind),
+                Mode::Mode0 | Mode::Mode1 => (overrun, overrun),
                 Mode::Mode2 => (interval.saturating_sub(cycle), interval.abs_diff(cycle)),
             };
             stats.jitter.record(off);
-            if late > micros(config.late_after) {
+            if late > micros_u32(config.late_after) {
                 stats.late = stats.late.saturating_add(1);
             }
             if let Some(margin) = self.margin(now) {
                 stats.least_margin = Some(stats.least_margin.map_or(margin, |least| least.min(margin)));
             }
-            // the grid stays where it is; cycles that have passed are left out
-            let missed = behind.checked_div(cycle).unwrap_or(0);
+            // the grid of deadlines does not move; missed cycles are skipped
+            let missed = overrun.checked_div(cycle).unwrap_or(0);
             self.due = self.due.saturating_add(config.cycles(missed));
         } else {
             self.due = now;
@@ -65,7 +65,7 @@ impl Pacer {
         self.last_sent = now;
     }
 
-    /// Takes note that the pose was not stored; `true` when that has gone on for too long.
+    /// Records that the pose was not stored; `true` when this has lasted for [`Config::stall`].
     pub(super) fn refused(&mut self, config: &Config, now: Instant) -> bool {
         let since = *self.refused_since.get_or_insert(now);
         self.due = now.saturating_add(config.cycle);
@@ -73,7 +73,7 @@ impl Pacer {
         now.saturating_since(since) >= config.stall
     }
 
-    /// Takes note that the pose was stored, and schedules the next one.
+    /// Records that the pose was stored, and schedules the next one.
     pub(super) fn stored(&mut self, config: &Config, full: bool, now: Instant) {
         self.loaded = false;
         self.refused_since = None;
@@ -94,8 +94,8 @@ impl Pacer {
             }
             Mode::Mode2 => {
                 self.due = now;
-                // the controller may take one while the buffer is filled, and the first that is withheld comes within a
-                // cycle of its own
+                // the controller may execute a pose while the buffer fills, and its first delayed reply arrives within one
+                // cycle
                 self.steady = self.taken > mode.buffer().saturating_add(2);
             }
         }
@@ -106,7 +106,7 @@ impl Pacer {
         }
     }
 
-    /// Returns how long the controller's buffer will last.
+    /// Returns an estimate of how long the controller's buffer will last.
     pub(super) fn margin(&self, now: Instant) -> Option<Duration> {
         self.empty_at.map(|at| at.saturating_since(now))
     }

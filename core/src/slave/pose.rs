@@ -1,4 +1,4 @@
-//! Poses, in the order in which slvMove carries them.
+//! Poses, in the order of the wire.
 //!
 //! ```text
 //!          numbers                                    with an extended joint (S2:1240-1265)
@@ -9,18 +9,18 @@
 //!   option = 0x00400000 | 0x40 (axis 7) | 0x80 (axis 8)
 //! ```
 //!
-//! A pose is made of an array of the right length, so one of a wrong length cannot be written.
+//! The constructors take arrays of the right length, so a pose of a wrong length is a compile error.
 
 use core::fmt;
 
 use super::mode::{J_LEN, P_LEN, PoseType, T_LEN};
 
-/// The most numbers that a pose can have.
+/// The maximum number of values of a pose.
 const MAX: usize = 13;
 /// The bit that marks the element of the extended-joint option.
 const OPTION: u32 = 0x0040_0000;
 
-/// Which extended joints slvMove commands.
+/// The extended joints that slvMove commands.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ExtendedAxes {
@@ -51,7 +51,7 @@ impl ExtendedAxes {
     }
 }
 
-/// Where extended joints are to go, in degrees or millimetres.
+/// The commanded positions of extended joints, in degrees or millimetres.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Extended {
@@ -63,7 +63,7 @@ pub enum Extended {
     Both(f64, f64),
 }
 
-/// What decides the layout of a pose: its type and its extended joints.
+/// The layout of a pose: its type and its extended joints.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Shape {
@@ -74,17 +74,17 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// Returns how many numbers slvMove carries.
+    /// Returns the number of values in slvMove.
     #[must_use]
     #[expect(clippy::len_without_is_empty, reason = "no pose is empty")]
     pub const fn len(self) -> usize {
-        let behind = match (self.extended, self.pose) {
+        let appended = match (self.extended, self.pose) {
             (ExtendedAxes::None, _) => 0,
             (_, PoseType::J) => 1,
             (ExtendedAxes::Both, _) => 3,
             (_, _) => 2,
         };
-        self.pose.len().wrapping_add(behind)
+        self.pose.len().wrapping_add(appended)
     }
 }
 
@@ -104,7 +104,7 @@ impl fmt::Display for Shape {
     }
 }
 
-/// Where the robot is to be: what one slvMove commands.
+/// A commanded position of the robot, for one slvMove.
 ///
 /// # Examples
 ///
@@ -116,7 +116,7 @@ impl fmt::Display for Shape {
 /// ```
 #[derive(Clone, Copy, PartialEq)]
 pub struct Pose {
-    /// As the wire has them; zeros behind `shape.len()`.
+    /// In the order of the wire; zeros from `shape.len()` on.
     numbers: [f64; MAX],
     shape: Shape,
 }
@@ -128,7 +128,8 @@ impl Pose {
         Self::new(PoseType::P, &numbers)
     }
 
-    /// Makes a J pose: eight joints in degrees (millimetres for linear ones); those that the robot has not are ignored.
+    /// Makes a J pose: eight joints in degrees (millimetres for linear ones). The controller ignores joints that the robot
+    /// does not have.
     #[must_use]
     pub fn j(numbers: [f64; J_LEN]) -> Self {
         Self::new(PoseType::J, &numbers)
@@ -140,9 +141,9 @@ impl Pose {
         Self::new(PoseType::T, &numbers)
     }
 
-    /// Makes a pose of numbers whose count is known only at run time, such as the columns of a file.
+    /// Makes a pose of numbers whose count is known at run time, such as the columns of a file.
     ///
-    /// `None` when there are not exactly as many as the type has; a J pose may have fewer, the missing joints are 0.
+    /// `None` when the count differs from that of the type. A J pose may have fewer; missing joints are 0.
     #[must_use]
     pub fn from_numbers(pose: PoseType, numbers: &[f64]) -> Option<Self> {
         let fits = match pose {
@@ -152,7 +153,7 @@ impl Pose {
         fits.then(|| Self::new(pose, numbers))
     }
 
-    /// Makes the pose of zeros of a layout, with its extended-joint option.
+    /// Makes the pose of zeros in a layout, with its extended-joint option.
     pub(super) fn zero(shape: Shape) -> Self {
         Self::new(shape.pose, &[]).with_axes(shape.extended, 0.0, 0.0)
     }
@@ -165,7 +166,7 @@ impl Pose {
         Self { numbers: out, shape: Shape { pose, extended: ExtendedAxes::None } }
     }
 
-    /// Returns the pose with extended joints; in a J pose they take the places of J7 and J8.
+    /// Returns the pose with extended joints; in a J pose they replace J7 and J8.
     #[must_use]
     pub fn with_extended(mut self, extended: Extended) -> Self {
         let (axes, seven, eight) = match extended {
@@ -188,7 +189,7 @@ impl Pose {
         self
     }
 
-    /// Returns the pose with the extended joints of a format.
+    /// Returns the pose with those of these extended joints that a format has.
     pub(super) fn with_axes(self, axes: ExtendedAxes, j7: f64, j8: f64) -> Self {
         match axes {
             ExtendedAxes::None => self,
@@ -218,7 +219,7 @@ impl Pose {
         self.numbers.get(..self.shape.len()).unwrap_or_default()
     }
 
-    /// Returns the numbers in the order of the wire, with zeros behind them.
+    /// Returns the numbers in the order of the wire, padded with zeros.
     #[inline]
     pub(super) const fn padded(&self) -> &[f64; MAX] {
         &self.numbers
@@ -235,7 +236,7 @@ impl Pose {
         self.numbers.get(..self.shape.pose.len()).unwrap_or_default()
     }
 
-    /// Returns the numbers that can move steadily, as limits and ramps see them; what is not there is 0.
+    /// Returns the continuous values, for limits and ramps; missing ones are 0.
     ///
     /// ```text
     ///   P   X Y Z RX RY RZ J7 J8       J   J1 .. J8       T   X Y Z  0  0  0 J7 J8
@@ -251,7 +252,7 @@ impl Pose {
         }
     }
 
-    /// Returns the values of axes 7 and 8 behind the option of a P or T pose.
+    /// Returns the values of axes 7 and 8, after the option of a P or T pose.
     fn extended_values(&self) -> (f64, f64) {
         let at = self.shape.pose.len();
         let value = |by: usize| self.numbers.get(at.wrapping_add(by)).copied().unwrap_or(0.0);
@@ -263,7 +264,7 @@ impl Pose {
         }
     }
 
-    /// Returns the pose that lies `by` further; angles stay within half a turn, vectors keep their length.
+    /// Returns the pose plus a difference; angles stay within ±180 degrees, vectors keep the length 1.
     pub(super) fn shifted(&self, by: &Delta) -> Self {
         let mut out = *self;
         for (slot, step) in out.numbers.iter_mut().zip(by.0) {
@@ -285,7 +286,7 @@ impl Pose {
         out
     }
 
-    /// Returns what leads from `earlier` to this pose; Fig and the option do not move.
+    /// Returns the difference from `earlier` to this pose; that of Fig and of the option is 0.
     pub(super) fn since(&self, earlier: &Self) -> Delta {
         let mut out = [0.0; MAX];
         for ((slot, to), from) in out.iter_mut().zip(self.numbers).zip(earlier.numbers) {
@@ -330,7 +331,7 @@ impl Delta {
     }
 }
 
-/// Brings an angle that is at most one turn off into -180 to 180 degrees.
+/// Brings an angle between -540 and 540 degrees into -180 to 180 degrees.
 pub(super) fn half_turn(angle: f64) -> f64 {
     if angle > 180.0 {
         angle - 360.0
@@ -341,10 +342,10 @@ pub(super) fn half_turn(angle: f64) -> f64 {
     }
 }
 
-/// Gives a vector that is almost of length 1 that length.
+/// Normalises a vector whose length is already close to 1.
 fn normalize(vector: [&mut f64; 3]) {
     let square: f64 = vector.iter().map(|n| **n * **n).sum();
-    // Newton's iteration for 1 / sqrt(square); the core has no square root
+    // Newton's iteration for 1 / sqrt(square), because `core` has no square root
     let mut inverse = 1.0;
     for _ in 0..4 {
         inverse *= 1.5 - 0.5 * square * inverse * inverse;

@@ -1,8 +1,8 @@
-//! What slvMove answers, as a typed view of the reply's bytes.
+//! The reply to slvMove, as a typed view of its bytes.
 //!
-//! Types and lengths are checked exactly against the [`ReceiveFormat`]; after that no accessor can fail. Joints that a
-//! robot has not hold whatever the controller leaves there, tiny numbers in the specification's own example, so nothing
-//! here compares them with 0.
+//! Types and lengths are checked against the [`ReceiveFormat`]; after that no accessor fails. For joints that a robot does
+//! not have, the controller may send any value, as the tiny numbers in the specification's example, so this module does not
+//! compare them with 0.
 
 use core::fmt;
 
@@ -10,10 +10,10 @@ use super::format::{ReceiveFormat, ReceivePose, TimeUnit};
 use super::mode::{J_LEN, P_LEN, T_LEN};
 use crate::variant::{Items, VarType, Variant};
 
-/// The axes whose currents are answered.
+/// The number of axes in the motor currents.
 pub const CURRENT_LEN: usize = 8;
 
-/// The answer to a slvMove.
+/// The reply to a slvMove.
 ///
 /// # Examples
 ///
@@ -40,18 +40,18 @@ pub struct MoveReply<'a> {
     current: Option<[f64; CURRENT_LEN]>,
 }
 
-/// A time of the controller's clock; only differences matter, and it wraps as its 32 bits do.
+/// A time of the controller's clock, a counter of 32 bits that wraps. Only differences have a meaning.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Timestamp {
-    /// The count.
+    /// The counter.
     pub ticks: i32,
-    /// What is counted.
+    /// The unit of a tick.
     pub unit: TimeUnit,
 }
 
 impl Timestamp {
-    /// Returns the microseconds since `earlier`, which must be less than the counter's range ago.
+    /// Returns the microseconds since `earlier`, which must lie less than one wrap of the counter in the past.
     #[must_use]
     pub fn micros_since(self, earlier: Self) -> u64 {
         let ticks = u64::from(self.ticks.wrapping_sub(earlier.ticks).cast_unsigned());
@@ -62,11 +62,11 @@ impl Timestamp {
     }
 }
 
-/// An element of the answer to slvMove.
+/// An element of the reply to slvMove.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum ReplyPart {
-    /// The whole.
+    /// The whole value.
     Whole,
     /// The time stamp.
     Time,
@@ -82,29 +82,29 @@ pub enum ReplyPart {
     Current,
 }
 
-/// The answer to slvMove is not what slvRecvFormat asked for; the peer's fault, or the formats disagree.
+/// The reply to slvMove does not have the layout that slvRecvFormat set: the peer's fault, or the formats differ.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct MoveReplyError {
-    /// Which element is wrong.
+    /// The invalid element.
     pub part: ReplyPart,
-    /// What is wrong with it.
+    /// Why it is invalid.
     pub kind: MoveReplyErrorKind,
 }
 
-/// What is wrong with an element.
+/// Why an element is invalid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum MoveReplyErrorKind {
-    /// It is not there.
+    /// It is missing.
     Missing,
-    /// It has another type; this one.
+    /// It has this type instead of the format's.
     Type(VarType),
     /// It has another number of elements.
     Length {
-        /// What the format says.
+        /// The format's number of elements.
         expected: usize,
-        /// What is there.
+        /// The number of elements in the reply.
         found: usize,
     },
 }
@@ -122,7 +122,7 @@ impl fmt::Display for MoveReplyError {
         })?;
         match self.kind {
             MoveReplyErrorKind::Missing => f.write_str(" is missing"),
-            MoveReplyErrorKind::Type(found) => write!(f, " is {found}, which the receive format does not give"),
+            MoveReplyErrorKind::Type(found) => write!(f, " is {found}, which does not match the receive format"),
             MoveReplyErrorKind::Length { expected, found } => write!(f, " has {found} elements instead of {expected}"),
         }
     }
@@ -135,7 +135,7 @@ impl ReceiveFormat {
     ///
     /// # Errors
     ///
-    /// A [`MoveReplyError`] when any element has another type or length than this format gives.
+    /// A [`MoveReplyError`] when the type or length of an element differs from this format.
     pub fn read<'a>(&self, value: Variant<'a>) -> Result<MoveReply<'a>, MoveReplyError> {
         if self.is_plain() {
             let pose = numbers(ReplyPart::Pose, Some(value), self.pose.len())?;
@@ -184,7 +184,7 @@ fn when<T>(selected: bool, read: impl FnOnce() -> Result<T, MoveReplyError>) -> 
 fn int(part: ReplyPart, value: Option<Variant<'_>>) -> Result<i32, MoveReplyError> {
     match value {
         Some(Variant::I4(n)) => Ok(n),
-        // outputs are bits, and some peers keep them unsigned
+        // these are bits, which some peers send as unsigned numbers
         Some(Variant::Ui4(n)) => Ok(n.cast_signed()),
         other => Err(wrong(part, other)),
     }
@@ -222,25 +222,25 @@ fn wrong_type(part: ReplyPart, value: Variant<'_>) -> MoveReplyError {
 }
 
 impl<'a> MoveReply<'a> {
-    /// Returns the pose as it came: as many numbers as the receive format's pose has.
+    /// Returns the pose as it was received, with the length of the receive format's pose.
     #[must_use]
     pub const fn pose(&self) -> Items<'a, f64> {
         self.pose
     }
 
-    /// Returns X, Y, Z, RX, RY, RZ and Fig, if P or P+J was asked for.
+    /// Returns X, Y, Z, RX, RY, RZ and Fig, if the receive format has P or P+J.
     #[must_use]
     pub fn position(&self) -> Option<[f64; P_LEN]> {
         matches!(self.format.pose, ReceivePose::P | ReceivePose::PJ).then(|| self.part(0))
     }
 
-    /// Returns X, Y, Z, both vectors and Fig, if T or T+J was asked for.
+    /// Returns X, Y, Z, both vectors and Fig, if the receive format has T or T+J.
     #[must_use]
     pub fn transform(&self) -> Option<[f64; T_LEN]> {
         matches!(self.format.pose, ReceivePose::T | ReceivePose::TJ).then(|| self.part(0))
     }
 
-    /// Returns the joints, if J, P+J or T+J was asked for; those that the robot has not are no zeros.
+    /// Returns the joints, if the receive format has J, P+J or T+J; those that the robot does not have may be other than 0.
     #[must_use]
     pub fn joints(&self) -> Option<[f64; J_LEN]> {
         self.format.pose.joints_at().map(|at| self.part(at))
@@ -254,31 +254,31 @@ impl<'a> MoveReply<'a> {
         out
     }
 
-    /// Returns the controller's time, if it was asked for.
+    /// Returns the controller's time, if the receive format has it.
     #[must_use]
     pub fn timestamp(&self) -> Option<Timestamp> {
         Some(Timestamp { ticks: self.time?, unit: self.format.time? })
     }
 
-    /// Returns the bits of MiniIO, if they were asked for.
+    /// Returns the bits of MiniIO, if the receive format has them.
     #[must_use]
     pub const fn mini_io(&self) -> Option<i32> {
         self.mini_io
     }
 
-    /// Returns the bytes of user IO, as many as were asked for.
+    /// Returns the bytes of user IO, if the receive format has them.
     #[must_use]
     pub const fn user_io(&self) -> Option<&'a [u8]> {
         self.user_io
     }
 
-    /// Returns the bits of HandIO, if they were asked for.
+    /// Returns the bits of HandIO, if the receive format has them.
     #[must_use]
     pub const fn hand_io(&self) -> Option<i32> {
         self.hand_io
     }
 
-    /// Returns the motors' currents, if they were asked for.
+    /// Returns the motors' currents, if the receive format has them.
     #[must_use]
     pub const fn current(&self) -> Option<[f64; CURRENT_LEN]> {
         self.current

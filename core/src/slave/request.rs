@@ -1,4 +1,4 @@
-//! The calls that an engine makes.
+//! The calls of an engine.
 
 use super::command::MoveCall;
 use super::config::Config;
@@ -9,7 +9,7 @@ use crate::error::EncodeError;
 use crate::procedure::{Channel, Handles};
 use crate::variant::Encode;
 
-/// A call of the engine, by what it is for.
+/// A step of the engine: the purpose of a call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
@@ -22,7 +22,7 @@ pub enum Step {
     TakeArm,
     /// Motor, on.
     Motor,
-    /// CurPos, CurJnt or CurTrn: where the robot stands.
+    /// CurPos, CurJnt or CurTrn: the position of the robot.
     Position,
     /// CurJnt, for the extended joints of a P or T pose.
     Joints,
@@ -47,7 +47,7 @@ pub enum Step {
 }
 
 impl Step {
-    /// Returns the command as the specification writes it; [`Position`](Self::Position) has three.
+    /// Returns the name of the command in the specification; for [`Position`](Self::Position), which has three, `CurPos`.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -68,13 +68,13 @@ impl Step {
         }
     }
 
-    /// Tells whether the controller executes it, and not the robot.
+    /// Tells whether it is a command of the controller, not of the robot.
     const fn is_of_controller(self) -> bool {
         matches!(self, Self::ErrorCount | Self::ErrorInfo | Self::SystemState | Self::ClearError)
     }
 }
 
-/// The call that the engine wants to be made: to be given to a client or a connection as it is.
+/// A call of the engine, for a client or a connection.
 #[derive(Clone, Copy, Debug)]
 pub struct Request<'a> {
     pub(super) step: Step,
@@ -94,13 +94,13 @@ impl defmt::Format for Request<'_> {
 }
 
 impl Request<'_> {
-    /// Returns what it is for.
+    /// Returns its purpose.
     #[must_use]
     pub const fn step(&self) -> Step {
         self.step
     }
 
-    /// Returns the connection that it goes over.
+    /// Returns the connection to use.
     #[must_use]
     pub const fn channel(&self) -> Channel {
         self.channel
@@ -120,7 +120,7 @@ impl Request<'_> {
             Step::SendFormat => put(&format.send.code()),
             Step::ReceiveFormat => put(&format.receive),
             Step::TakeArm => put(&self.config.arm.unwrap_or_default()),
-            // on, and answer when it is
+            // on; the reply arrives when the motor is on
             Step::Motor => put(&[1, 0]),
             Step::Enter => put(&format.mode.code()),
             Step::Leave => put(&SlaveMode::OFF),

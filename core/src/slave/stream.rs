@@ -1,4 +1,4 @@
-//! A stream of Slave Mode as a procedure: an engine and the trajectory that its poses come from.
+//! A stream of Slave Mode as a procedure: an engine with the trajectory that supplies its poses.
 
 use core::fmt;
 
@@ -15,40 +15,40 @@ use crate::hresult::HResult;
 use crate::procedure::{self, Failure, Procedure};
 use crate::time::Instant;
 
-/// One run of an [`Engine`]: it starts Slave Mode, streams a trajectory, and leaves, until the robot stands and the arm is
-/// given back.
+/// One run of an [`Engine`], made by [`Engine::stream`]: starts Slave Mode, streams a trajectory, leaves Slave Mode, and
+/// gives the arm back.
 ///
-/// Made by [`Engine::stream`]. It ends in one of four ways, and in all but the last the robot slows down before it stands:
+/// It ends in one of four ways. In all but the last the robot comes to rest within the limits:
 ///
-/// * the trajectory returns [`Next::Finish`]: the last pose is repeated until the robot stands, Slave Mode is left, the
-///   arm given back;
-/// * it returns [`Next::Stop`]: the same after a ramp along the present direction, within the limits;
-/// * it returns a pose that may not be sent: the same ramp, then [`StreamError::Pose`];
-/// * a call fails: Slave Mode is off, the controller was asked for its first error, and [`StreamError::Fault`] says which
-///   call failed; [`Engine::fault`] has the details. The arm is still taken: [`Engine::recover`] and run again, or
-///   [`give_up`](Engine::give_up).
+/// * The trajectory returns [`Next::Finish`]: the engine repeats the last pose until the robot is at rest, leaves Slave
+///   Mode, and gives the arm back.
+/// * The trajectory returns [`Next::Stop`]: the same after a ramp along the present direction.
+/// * The trajectory returns a pose that is invalid or exceeds the limits: the same ramp, then [`StreamError::Pose`].
+/// * A call fails: Slave Mode is off, and the engine has asked the controller for its first error. [`StreamError::Fault`]
+///   names the call; [`Engine::fault`] returns the details. The arm is still taken: call [`Engine::recover`] and run a new
+///   stream, or run [`give_up`](Engine::give_up).
 ///
 /// # Cancel safety
 ///
-/// Dropping the future that runs a stream ends its poses, and a robot in motion stops by an error of the controller. A
-/// stream that is run after that asks the controller what has happened and ends with a fault. To end early, let the
-/// trajectory return [`Next::Stop`].
+/// When the future that runs a stream is dropped, no more poses are sent, and an error of the controller stops a robot in
+/// motion. If the stream is run again, it diagnoses the controller and ends with a fault. To end a stream early, return
+/// [`Next::Stop`] from the trajectory.
 #[derive(Debug)]
 pub struct Stream<'e, T: ?Sized, const N: usize = MOVE_FRAME> {
     engine: &'e mut Engine<N>,
     /// Without one, the stream stops.
     trajectory: Option<&'e mut T>,
-    /// Poses that were given.
-    given: u32,
+    /// The number of poses that the trajectory has supplied.
+    supplied: u32,
     refused: Option<StreamError>,
 }
 
-/// Why a stream has not gone to its end.
+/// Why a stream failed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum StreamError {
-    /// A call has failed; [`Engine::fault`] has all that is known.
+    /// A call failed; [`Engine::fault`] returns the details.
     Fault {
         /// The call.
         step: Step,
@@ -57,11 +57,12 @@ pub enum StreamError {
         /// The controller's first error, or the code with which it refused the call.
         code: Option<HResult>,
     },
-    /// The trajectory gave a pose that may not be sent; the robot was stopped in an orderly way and the arm given back.
+    /// The trajectory returned an invalid pose, or one that exceeds the limits; the robot was stopped in an orderly way, and
+    /// the arm was given back.
     Pose {
-        /// Poses that were given before it.
+        /// The number of the pose, counted from 0.
         number: u32,
-        /// What is wrong with it.
+        /// Why it was refused.
         error: PoseError,
     },
 }
@@ -85,25 +86,25 @@ impl fmt::Display for StreamError {
 impl core::error::Error for StreamError {}
 
 impl<const N: usize> Engine<N> {
-    /// Makes a run of this engine with a trajectory: a [`Procedure`] for the loops of [`io`](crate::io).
+    /// Makes a [`Procedure`] that streams a trajectory, for the loops of [`io`](crate::io).
     pub const fn stream<'e, T: Trajectory + ?Sized>(&'e mut self, trajectory: &'e mut T) -> Stream<'e, T, N> {
-        Stream { engine: self, trajectory: Some(trajectory), given: 0, refused: None }
+        Stream { engine: self, trajectory: Some(trajectory), supplied: 0, refused: None }
     }
 
-    /// Makes a run that gives the arm back after a fault, and does nothing else.
+    /// Makes a [`Procedure`] that only gives the arm back, after a fault.
     pub fn give_up(&mut self) -> Stream<'_, fn(&Cycle<'_>) -> Next, N> {
         self.stop();
-        Stream { engine: self, trajectory: None, given: 0, refused: None }
+        Stream { engine: self, trajectory: None, supplied: 0, refused: None }
     }
 }
 
 impl<T: Trajectory + ?Sized, const N: usize> Stream<'_, T, N> {
-    /// Gives the engine the next pose of the trajectory.
+    /// Passes the next pose of the trajectory to the engine.
     fn supply(&mut self, due: Instant, now: Instant) {
         let Some(trajectory) = &mut self.trajectory else { return self.engine.stop() };
-        match self.engine.supply(*trajectory, self.given, due, now) {
-            Ok(()) => self.given = self.given.saturating_add(1),
-            Err(error) => self.refused = Some(StreamError::Pose { number: self.given, error }),
+        match self.engine.supply(*trajectory, self.supplied, due, now) {
+            Ok(()) => self.supplied = self.supplied.saturating_add(1),
+            Err(error) => self.refused = Some(StreamError::Pose { number: self.supplied, error }),
         }
     }
 }
@@ -133,8 +134,7 @@ impl<T: Trajectory + ?Sized, const N: usize> Procedure for Stream<'_, T, N> {
         self.engine.request()
     }
 
-    /// On links that lose frames, a slvMove is repeated soon: after two cycles in mode 2, whose answer may be withheld,
-    /// and after one in the other modes.
+    /// Returns short timeouts for slvMove on lossy links, as [`Engine::timing`] does.
     fn timing(&self, link: Link, usual: Timing) -> Timing {
         self.engine.timing(link, usual)
     }

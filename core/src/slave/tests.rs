@@ -1,9 +1,10 @@
-//! Bytes: what is sent, what is read, and what cannot be sent.
+//! The bytes of Slave Mode: encoding, decoding, and refused input.
 
 extern crate std;
 
 mod engine;
 
+use crate::endpoint::Endpoint;
 use std::string::ToString;
 use std::vec::Vec;
 
@@ -28,7 +29,7 @@ fn vector(name: &str) -> Vec<u8> {
     hex.as_bytes().chunks(2).map(|d| u8::from_str_radix(str::from_utf8(d).unwrap(), 16).unwrap()).collect()
 }
 
-/// Encodes a call as a client does that is at this serial.
+/// Encodes a call as a client with this next serial.
 fn request(call: impl Call, serial: u16) -> Vec<u8> {
     let mut client = Client::new(client::Config::TCP, [0; 512], [0; 512]);
     for _ in 1..serial {
@@ -43,7 +44,7 @@ fn format(mode: Mode, pose: PoseType) -> Format {
     Format::new(SlaveMode { mode, pose }, ReceiveFormat::pose(ReceivePose::J))
 }
 
-/// The pose of the specification's slvMove; RY is not quite 0 there.
+/// The pose of the specification's slvMove, whose RY is close to 0.
 fn spec_pose() -> Pose {
     Pose::p([364.16, 0.0, 278.5355, 180.0, f64::from_bits(0x3d0c_a5dc_4a86_8a80), 180.0, 5.0])
 }
@@ -76,7 +77,7 @@ fn the_reply_of_the_specification_is_read() {
     let reply = ReceiveFormat::pose(ReceivePose::J).read(frame.value().unwrap()).unwrap();
     let joints = reply.joints().unwrap();
     assert!((joints[1] - 45.0).abs() < 1e-4 && (joints[2] - 90.0).abs() < 1e-4);
-    // joints that the robot has not are no zeros
+    // joints that the robot does not have are not 0
     assert!(joints[6] != 0.0 && joints[7] != 0.0);
     assert_eq!((reply.pose().len(), reply.position(), reply.transform(), reply.timestamp()), (8, None, None, None));
 
@@ -89,7 +90,7 @@ fn the_reply_of_the_specification_is_read() {
 }
 
 #[test]
-fn every_mode_has_its_number() {
+fn every_mode_has_the_number_of_the_specification() {
     let mut codes = Vec::new();
     for mode in [Mode::Mode0, Mode::Mode1, Mode::Mode2] {
         for pose in [PoseType::P, PoseType::J, PoseType::T] {
@@ -116,7 +117,7 @@ fn send_formats() -> Vec<(SendFormat, i32)> {
     all
 }
 
-/// What slvMove must carry, element by element, written down once more.
+/// The expected elements of slvMove, written independently of the code.
 fn expected_elements(format: &Format, pose: &Pose) -> Vec<VariantBuf<128>> {
     let mut elements = std::vec![VariantBuf::new(&pose.as_slice()).unwrap()];
     let mut put = |value: &dyn Encode| elements.push(VariantBuf::new(value).unwrap());
@@ -180,7 +181,7 @@ fn check_elements(bytes: &[u8], expected: &[VariantBuf<128>]) {
     assert!(array.iter().eq(expected.iter().map(VariantBuf::as_variant)), "{array:?}");
 }
 
-/// The prepared frame is the same, whatever was in it before, and on every link.
+/// The prepared frame is the same for any earlier content, and on every link.
 fn check_prepared(format: &Format, pose: &Pose, outputs: Outputs<'_>, bytes: &[u8]) {
     let mut prepared = PreparedMove::<MOVE_FRAME>::new(ROBOT, format).unwrap();
     for (pose, outputs) in
@@ -205,7 +206,7 @@ fn check_prepared(format: &Format, pose: &Pose, outputs: Outputs<'_>, bytes: &[u
 }
 
 #[test]
-fn extended_joints_stand_where_the_specification_has_them() {
+fn extended_joints_have_the_positions_of_the_specification() {
     let p = Pose::p([0.0; 7]);
     assert_eq!(p.with_extended(Extended::Seven(1.5)).as_slice()[7..], [4_194_368.0, 1.5]);
     assert_eq!(p.with_extended(Extended::Both(1.5, 2.5)).as_slice()[7..], [4_194_496.0, 1.5, 2.5]);
@@ -218,16 +219,16 @@ fn extended_joints_stand_where_the_specification_has_them() {
     assert_eq!(lens(p).map(|pose| pose.as_slice().len()), [7, 9, 10]);
     assert_eq!(lens(j).map(|pose| pose.as_slice().len()), [9, 9, 9]);
     assert_eq!(lens(t).map(|pose| pose.as_slice().len()), [10, 12, 13]);
-    // from both axes back to one
+    // from both axes to one
     let one = p.with_extended(Extended::Both(1.0, 2.0)).with_extended(Extended::Seven(3.0));
     assert_eq!(one, p.with_extended(Extended::Seven(3.0)));
 }
 
 #[test]
-fn what_does_not_fit_the_format_is_refused() {
+fn data_that_differs_from_the_format_is_refused() {
     let format = format(Mode::Mode2, PoseType::J);
     let error = slv_move(ROBOT, &format, &spec_pose(), Outputs::default()).err().unwrap();
-    assert_eq!(error.to_string(), "the format has poses of type J, this is P");
+    assert_eq!(error.to_string(), "the format has poses of type J, this pose is P");
     let pose = Pose::j([0.0; 8]).with_extended(Extended::Seven(1.0));
     assert!(matches!(slv_move(ROBOT, &format, &pose, Outputs::default()).err(), Some(FormatError::Shape { .. })));
 
@@ -247,7 +248,7 @@ fn what_does_not_fit_the_format_is_refused() {
 }
 
 #[test]
-fn receive_formats_have_their_numbers() {
+fn receive_formats_have_the_numbers_of_the_specification() {
     for (pose, code) in
         [ReceivePose::P, ReceivePose::J, ReceivePose::T, ReceivePose::PJ, ReceivePose::TJ].into_iter().zip(1..)
     {
@@ -272,7 +273,7 @@ fn receive_formats_have_their_numbers() {
     assert_eq!(parameter(ReceiveFormat { time: Some(TimeUnit::Millis), ..all }), (Some(0x374), None));
 }
 
-/// Writes a reply as the specification's table has it.
+/// Writes a reply in the order of the specification's table.
 fn reply(format: &ReceiveFormat, numbers: &[f64]) -> VariantBuf<512> {
     let user_io: Vec<u8> = format.user_io.map_or(Vec::new(), |range| std::vec![0xc3; usize::from(range.bytes())]);
     let current = [0.25; 8];
@@ -331,7 +332,7 @@ fn every_receive_format_is_read_in_order() {
                 ReceivePose::TJ => Some(11.0),
             };
             assert_eq!(read.joints().map(|j| j[0]), first_joint);
-            // one number too few is refused, and any other selection of elements too
+            // a missing number is refused, and so is any other selection of elements
             assert!(format.read(reply(&format, &numbers[1..pose.len()]).as_variant()).is_err());
             let other = ReceiveFormat { current: !format.current, ..format };
             assert!(other.read(value.as_variant()).is_err());
@@ -366,7 +367,7 @@ fn timestamps_wrap_as_their_counter_does() {
 }
 
 #[test]
-fn quantiles_are_right_within_an_eighth() {
+fn quantiles_are_at_most_an_eighth_too_large() {
     let mut histogram = Histogram::new();
     assert_eq!((histogram.quantile(500), histogram.max()), (0, 0));
     for us in 0..100_000 {

@@ -1,4 +1,4 @@
-//! Where the poses of a stream come from.
+//! Trajectories, which supply the poses of a stream.
 
 use core::time::Duration;
 
@@ -9,45 +9,45 @@ use super::reply::MoveReply;
 use super::stats::Stats;
 use crate::time::Instant;
 
-/// What a trajectory wants next.
+/// The next element of a trajectory.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Next {
-    /// The robot shall be here one cycle after the last pose.
+    /// The position of the robot one cycle after the last pose.
     Pose(Pose),
-    /// The last pose is the end: the robot stands there, then the stream ends.
+    /// The end: the robot rests at the last pose, then the stream ends.
     Finish,
-    /// The robot slows down along its present direction and stands, then the stream ends.
+    /// An early end: the robot slows down along its present direction, then the stream ends.
     Stop,
 }
 
-/// The cycle for which a pose is wanted.
+/// The cycle for which the engine needs a pose.
 #[derive(Clone, Copy, Debug)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Cycle<'a> {
-    /// Poses that were given before, so 0 is the first.
+    /// The number of the pose, counted from 0.
     pub number: u32,
-    /// When it is sent; a pose that is found later makes the cycle late.
+    /// The deadline of the pose; a later pose makes the cycle late.
     pub due: Instant,
-    /// Where the stream began.
+    /// The start of the stream.
     pub start: &'a Pose,
-    /// The last pose that was given; before the first one the start.
+    /// The last pose; for the first cycle, the start.
     pub last: &'a Pose,
-    /// How long the controller's buffer lasts, by this side's reckoning; `None` in mode 1.
+    /// An estimate of how long the controller's buffer lasts; `None` in mode 1.
     pub margin: Option<Duration>,
-    /// The figures so far.
+    /// The statistics so far.
     pub stats: &'a Stats,
 }
 
-/// Where the poses of a stream come from.
+/// A source of poses for a stream.
 ///
-/// It is asked once a cycle and shall answer at once: no files, no locks that others hold for long. A closure that takes
-/// a [`Cycle`] and returns a [`Next`] is one.
+/// It is called once per cycle and must return quickly: no file access, no lock that other threads hold for long. Closures
+/// from [`Cycle`] to [`Next`] implement it.
 pub trait Trajectory {
-    /// Gives the next pose, or ends the stream.
+    /// Returns the next pose, or ends the stream.
     fn next(&mut self, cycle: &Cycle<'_>) -> Next;
 
-    /// Sees what the controller has answered to a pose.
+    /// Is called with the controller's reply to a pose.
     fn moved(&mut self, reply: &MoveReply<'_>, now: Instant) {
         let _ = (reply, now);
     }
@@ -60,12 +60,12 @@ impl<F: FnMut(&Cycle<'_>) -> Next> Trajectory for F {
 }
 
 impl<const N: usize> Engine<N> {
-    /// Answers [`Action::Pose`](super::Action::Pose) with what a trajectory wants: a pose, the end, or a stop. `number` counts
-    /// the poses that were given before.
+    /// Handles [`Action::Pose`](super::Action::Pose) with the next element of a trajectory: pushes a pose, or ends the
+    /// stream. `number` is the number of poses before it.
     ///
     /// # Errors
     ///
-    /// When the pose may not be sent; the stream then [stops](Self::stop).
+    /// When the pose is invalid or exceeds the limits; the stream then [stops](Self::stop).
     pub fn supply(
         &mut self,
         trajectory: &mut (impl Trajectory + ?Sized),

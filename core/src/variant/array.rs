@@ -1,7 +1,7 @@
 //! Arrays: elements of one type, read in place.
 //!
-//! An [`Array`] is a view of the wire's bytes. Numbers are turned into Rust's one at a time, when they are asked for;
-//! nothing is copied, and decoding an array of a million doubles costs what one of two does.
+//! An [`Array`] is a view of the received bytes. It copies nothing and converts each element on access, so an array of a
+//! million doubles is decoded as fast as an array of two.
 
 use core::fmt;
 use core::marker::PhantomData;
@@ -15,9 +15,9 @@ use crate::wire::{Reader, length_prefixed};
 #[derive(Clone, Copy)]
 pub struct Array<'a> {
     element: VarType,
-    // 32 bits as on the wire: with them a `Variant` is three words
+    // 32 bits, as on the wire, so that a `Variant` is three words
     count: u32,
-    /// Exactly `count` elements, checked.
+    /// Exactly `count` validated elements.
     data: &'a [u8],
 }
 
@@ -39,31 +39,31 @@ impl<'a> Array<'a> {
         to_usize(self.count)
     }
 
-    /// Tells whether there are no elements.
+    /// Returns whether there are no elements.
     #[must_use]
     pub const fn is_empty(self) -> bool {
         self.count == 0
     }
 
-    /// Returns the elements as the wire has them: packed little-endian numbers, or strings and values in a row.
+    /// Returns the elements in their encoding: packed little-endian numbers, or strings and values in a row.
     #[must_use]
     pub const fn as_bytes(self) -> &'a [u8] {
         self.data
     }
 
-    /// Views the elements as numbers of type `T`; `None` when they are of another type.
+    /// Views the elements as numbers of type `T`; `None` if they have another type.
     #[must_use]
     pub fn items<T: Scalar>(self) -> Option<Items<'a, T>> {
         (self.element == T::TYPE).then_some(Items { data: self.data, element: PhantomData })
     }
 
-    /// Iterates over the elements, whatever their type.
+    /// Iterates over the elements of any type.
     #[must_use]
     pub const fn iter(self) -> Elements<'a> {
         Elements { element: self.element, left: self.len(), reader: Reader::new(self.data) }
     }
 
-    /// Returns an element; for strings and VARIANTs it walks past those in front of it.
+    /// Returns an element; for strings and VARIANTs this reads all elements before it.
     #[must_use]
     pub fn get(self, index: usize) -> Option<Variant<'a>> {
         match self.element.layout() {
@@ -77,7 +77,7 @@ impl<'a> Array<'a> {
         }
     }
 
-    /// Iterates over the strings; `None` when the elements are none.
+    /// Iterates over the strings; `None` if the elements have another type.
     #[must_use]
     pub fn strings(self) -> Option<impl Iterator<Item = Bstr<'a>> + Clone + use<'a>> {
         let mut reader = Reader::new(self.data);
@@ -111,7 +111,7 @@ impl fmt::Debug for Array<'_> {
         for element in *self {
             match element {
                 other if self.element == VarType::VARIANT => list.entry(&other),
-                // the type stands in front of the list
+                // the type precedes the list
                 Variant::R4(n) => list.entry(&n),
                 Variant::R8(n) => list.entry(&n),
                 Variant::Bool(b) => list.entry(&b),
@@ -181,7 +181,7 @@ pub trait Scalar: Copy + sealed::Sealed {
     fn from_wire(bytes: Self::Wire) -> Self;
     #[doc(hidden)]
     fn to_wire(self) -> Self::Wire;
-    /// Views packed elements as their bytes; what does not fill an element at the end is left out.
+    /// Views packed elements as their bytes, without an incomplete last element.
     #[doc(hidden)]
     fn chunks(data: &[u8]) -> &[Self::Wire];
     #[doc(hidden)]
@@ -235,7 +235,7 @@ scalars! {
     u64, UI8, 8, u64::from_le_bytes, u64::to_le_bytes;
 }
 
-/// The elements of an array of numbers, as a view.
+/// A view of the elements of an array of numbers.
 ///
 /// # Examples
 ///
@@ -262,7 +262,7 @@ impl<'a, T: Scalar> Items<'a, T> {
         T::chunks(self.data).len()
     }
 
-    /// Tells whether there are no elements.
+    /// Returns whether there are no elements.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.len() == 0
@@ -279,7 +279,7 @@ impl<'a, T: Scalar> Items<'a, T> {
         T::chunks(self.data).iter().map(|wire| T::from_wire(*wire))
     }
 
-    /// Copies the elements to the front of `target` and returns their number; `None` when they do not fit.
+    /// Copies the elements to the front of `target` and returns their number; `None` if they do not fit.
     pub fn copy_to(&self, target: &mut [T]) -> Option<usize> {
         let slots = target.get_mut(..self.len())?;
         for (slot, value) in slots.iter_mut().zip(self.iter()) {
@@ -288,7 +288,7 @@ impl<'a, T: Scalar> Items<'a, T> {
         Some(self.len())
     }
 
-    /// Returns the elements as a Rust array; `None` when their number is another.
+    /// Returns the elements as a Rust array; `None` if it has another length.
     #[must_use]
     pub fn to_array<const N: usize>(&self) -> Option<[T; N]> {
         let wire: &[T::Wire; N] = T::chunks(self.data).try_into().ok()?;

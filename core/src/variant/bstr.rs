@@ -1,11 +1,11 @@
-//! BSTR: text as UTF-16LE bytes, kept as they are on the wire.
+//! BSTR: text in UTF-16LE, in its encoding on the wire.
 //!
 //! ```text
 //!  u32 length in bytes | length bytes of UTF-16LE, no terminator
 //! ```
 //!
-//! A [`Bstr`] never copies. It holds whatever the peer sent: NULs are characters, and a surrogate without its partner is
-//! kept, compared and sent again unchanged; only the conversions to `char` and `str` have to decide about it.
+//! A [`Bstr`] borrows the bytes that the peer sent. NULs are characters. An unpaired surrogate is kept, compared and sent
+//! unchanged; only the conversions to `char` and `str` treat it as an error.
 
 use core::fmt;
 
@@ -17,13 +17,13 @@ pub struct Bstr<'a> {
 }
 
 impl<'a> Bstr<'a> {
-    /// Takes UTF-16LE bytes; `None` when their number is odd.
+    /// Views UTF-16LE bytes; `None` if their number is odd.
     #[must_use]
     pub const fn from_utf16le(bytes: &'a [u8]) -> Option<Self> {
         if bytes.len().is_multiple_of(2) { Some(Self { bytes }) } else { None }
     }
 
-    /// Takes UTF-16LE bytes and leaves a last odd one out.
+    /// Views UTF-16LE bytes, without a last odd one.
     pub(crate) fn truncated(bytes: &'a [u8]) -> Self {
         Self { bytes: bytes.get(..bytes.len() & !1).unwrap_or_default() }
     }
@@ -40,7 +40,7 @@ impl<'a> Bstr<'a> {
         self.bytes.len() >> 1
     }
 
-    /// Tells whether there is no text.
+    /// Returns whether the text is empty.
     #[must_use]
     pub const fn is_empty(self) -> bool {
         self.bytes.is_empty()
@@ -51,12 +51,12 @@ impl<'a> Bstr<'a> {
         self.bytes.as_chunks::<2>().0.iter().map(|unit| u16::from_le_bytes(*unit))
     }
 
-    /// Iterates over the characters; a surrogate without its partner comes as `Err` with its unit.
+    /// Iterates over the characters; an unpaired surrogate is `Err` with its unit.
     pub fn chars(self) -> impl Iterator<Item = Result<char, u16>> + Clone + use<'a> {
         char::decode_utf16(self.units()).map(|c| c.map_err(|e| e.unpaired_surrogate()))
     }
 
-    /// Tells whether every surrogate has its partner, so that the text is valid Unicode.
+    /// Returns whether the text is valid Unicode: every surrogate is paired.
     #[must_use]
     pub fn is_unicode(self) -> bool {
         self.chars().all(|c| c.is_ok())
@@ -64,7 +64,7 @@ impl<'a> Bstr<'a> {
 
     /// Copies the text as UTF-8 to the front of `buffer` and returns it.
     ///
-    /// `None` when it does not fit or is not valid Unicode.
+    /// `None` if it does not fit or is not valid Unicode.
     #[must_use]
     pub fn to_str(self, buffer: &mut [u8]) -> Option<&str> {
         let mut len = 0_usize;
@@ -75,7 +75,7 @@ impl<'a> Bstr<'a> {
         core::str::from_utf8(buffer.get(..len)?).ok()
     }
 
-    /// Tells whether the text is `other`, without regard to the case of ASCII letters, as controllers compare names.
+    /// Compares with `other`, ignoring ASCII case, as controllers compare names.
     #[must_use]
     pub fn eq_ignore_ascii_case(self, other: &str) -> bool {
         let mut theirs = other.encode_utf16();
@@ -84,7 +84,7 @@ impl<'a> Bstr<'a> {
     }
 }
 
-/// Folds an ASCII letter to lower case.
+/// Converts an ASCII letter to lower case.
 fn fold(unit: u16) -> u16 {
     if (0x41..=0x5a).contains(&unit) { unit | 0x20 } else { unit }
 }
@@ -127,7 +127,7 @@ impl PartialEq<&str> for Bstr<'_> {
     }
 }
 
-/// Writes the text; a surrogate without its partner becomes U+FFFD.
+/// Writes the text; an unpaired surrogate becomes U+FFFD.
 impl fmt::Display for Bstr<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         use fmt::Write as _;

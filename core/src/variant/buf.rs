@@ -1,4 +1,4 @@
-//! Owned values: a value's own wire encoding, in a fixed buffer.
+//! Owned values: the encoding of a value in a fixed buffer.
 
 use core::fmt;
 
@@ -11,8 +11,8 @@ use crate::wire::{Reader, Writer};
 
 /// A value that owns its bytes, at most `N` of them.
 ///
-/// There is no second form of a value with heap and pointers: this keeps what the wire carries, canonical and checked,
-/// and [`as_variant`](Self::as_variant) views it. A pose of 8 doubles takes 70 bytes.
+/// It contains the canonical, validated encoding, and [`as_variant`](Self::as_variant) views it. A pose of 8 doubles takes
+/// 70 bytes.
 ///
 /// # Examples
 ///
@@ -43,7 +43,7 @@ impl<const N: usize> VariantBuf<N> {
         Self::build(|out| value.encode(out))
     }
 
-    /// Checks `bytes` as exactly one value and keeps a canonical copy.
+    /// Validates `bytes` as exactly one value and keeps a canonical copy.
     ///
     /// # Errors
     ///
@@ -57,13 +57,13 @@ impl<const N: usize> VariantBuf<N> {
     ///
     /// # Errors
     ///
-    /// [`EncodeError::Full`] when the encoding is over `N` bytes; the old value stays then.
+    /// [`EncodeError::Full`] if the encoding is over `N` bytes; the old value stays.
     pub fn set<T: Encode + ?Sized>(&mut self, value: &T) -> Result<(), EncodeError> {
         *self = Self::new(value)?;
         Ok(())
     }
 
-    /// Fills a buffer with what `write` appends, which must be one value.
+    /// Fills a buffer with the output of `write`, which must be one value.
     pub(crate) fn build<E: From<EncodeError>>(write: impl FnOnce(&mut Writer<'_>) -> Result<(), E>) -> Result<Self, E> {
         let mut bytes = Vec::new();
         bytes.resize_default(N).map_err(|_| EncodeError::Full)?;
@@ -71,7 +71,7 @@ impl<const N: usize> VariantBuf<N> {
         write(&mut out)?;
         let len = out.len();
         bytes.truncate(len);
-        // a tree that was built deeper than any decoder takes must not be held as a checked value
+        // a tree that is deeper than any decoder accepts is not a validated value
         let deepest = Limits { depth: MAX_DEPTH, ..Limits::STREAM };
         match check(&mut Reader::new(&bytes), &deepest, Strictness::Lenient) {
             Ok(_) => Ok(Self { bytes }),
@@ -125,11 +125,11 @@ impl<const N: usize> defmt::Format for VariantBuf<N> {
     }
 }
 
-/// Why bytes did not become a [`VariantBuf`].
+/// The reason why bytes did not become a [`VariantBuf`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum VariantBufError {
-    /// They are no value.
+    /// They are not a valid value.
     Decode(DecodeError),
     /// The value does not fit.
     Encode(EncodeError),

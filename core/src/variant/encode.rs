@@ -1,7 +1,6 @@
-//! From Rust's values to the wire's.
+//! Encoding of Rust values.
 //!
-//! Everything that can be sent implements [`Encode`]; what that writes is canonical (a scalar's count is 1, BOOL is -1
-//! or 0), whatever a value came from.
+//! Every value that can be sent implements [`Encode`]. Its output is canonical: a scalar's count is 1, and BOOL is -1 or 0.
 
 use super::{Array, Bstr, Currency, Nested, Null, OleDate, Scalar, VarType, Variant};
 use crate::error::EncodeError;
@@ -19,13 +18,13 @@ use crate::wire::Writer;
 /// | `&str`, [`Bstr`]                                | BSTR                 |
 /// | `[T; N]`, `[T]` of an [`Element`]               | ARRAY of its type    |
 /// | tuples of 1 to 8 values                         | ARRAY of VARIANT     |
-/// | [`Variant`], `VariantBuf`, references           | what they hold       |
+/// | [`Variant`], `VariantBuf`, references           | that of their value  |
 pub trait Encode {
     /// Appends the value.
     ///
     /// # Errors
     ///
-    /// [`EncodeError::Full`] when it does not fit; part of it may have been written.
+    /// [`EncodeError::Full`] if it does not fit; part of it may have been written.
     fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError>;
 }
 
@@ -123,7 +122,7 @@ impl Element for &str {
         let len = self.len().saturating_mul(2);
         let start = out.len();
         out.put(to_u32(len).to_le_bytes())?;
-        // names and commands are ASCII: a unit for a byte
+        // names and commands are ASCII: one unit for each byte
         if let Ok(slot) = out.reserve(len) {
             let mut seen = 0;
             for (unit, byte) in slot.as_chunks_mut().0.iter_mut().zip(self.bytes()) {
@@ -243,7 +242,7 @@ impl Encode for Variant<'_> {
 
 /// Appends the data of a value that is neither an array nor a VARIANT.
 fn put_scalar(value: &Variant<'_>, out: &mut Writer<'_>) -> Result<(), EncodeError> {
-    // all numbers by way of the same 64 bits: a copy of the code for each type would be 1 KiB
+    // all numbers as 64 bits: a copy of this code for each type would take 1 KiB
     let (bits, width) = match *value {
         Variant::I2(n) => (u64::from(n.cast_unsigned()), 2),
         Variant::I4(n) | Variant::Error(HResult(n)) => (u64::from(n.cast_unsigned()), 4),
@@ -264,6 +263,7 @@ fn put_scalar(value: &Variant<'_>, out: &mut Writer<'_>) -> Result<(), EncodeErr
 }
 
 /// Appends the lower bytes of `bits`, at most 8.
+#[cfg_attr(not(target_os = "none"), inline(always))]
 pub(super) fn put_bits(bits: u64, width: u8, out: &mut Writer<'_>) -> Result<(), EncodeError> {
     for (slot, byte) in out.reserve(usize::from(width))?.iter_mut().zip(bits.to_le_bytes()) {
         *slot = byte;
@@ -271,7 +271,7 @@ pub(super) fn put_bits(bits: u64, width: u8, out: &mut Writer<'_>) -> Result<(),
     Ok(())
 }
 
-/// Makes a scalar VARIANT of the value inside.
+/// Encodes a scalar VARIANT with the value inside.
 impl Encode for Nested<'_> {
     fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
         head(VarType::VARIANT, 1, out)?;
@@ -279,7 +279,7 @@ impl Encode for Nested<'_> {
     }
 }
 
-/// Numbers are copied; what a lenient decoder let pass (a BOOL of 1, an odd string) is written as it should have been.
+/// Copies numbers, and normalises values that a lenient decoder accepted (a BOOL of 1, a string of odd length).
 impl Encode for Array<'_> {
     fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
         head(self.element().array_of(), to_u32(self.len()), out)?;

@@ -5,25 +5,25 @@
 //!                                     N = digits, M = 5^-e         for e < 0
 //! ```
 //!
-//! Both ways need one thing: the first 64 bits of such a quotient, and whether anything follows them. A product is made
-//! whole; a division gives as many bits at a time as a 64-bit integer leaves room for.
+//! Both directions need the first 64 bits of such a quotient, and whether the quotient has further bits. A product is
+//! computed completely; a division yields as many bits per step as a 64-bit integer has room for.
 //!
 //! | numbers read                                       | by                                | instructions |
 //! |----------------------------------------------------|-----------------------------------|--------------|
-//! | whole, below 2^64: most of what robots hold        | a shift                           | 30           |
+//! | whole, below 2^64: most numbers of robots          | a shift                           | 30           |
 //! | up to 19 digits, at most 27 of them fraction       | a few divisions of 64-bit integers | 150          |
 //! | all others, as 1e300                               | integers of 2112 bits             | up to 40,000 |
 //!
 //! **Reading**: the quotient is rounded to 24 or 53 bits, right for any digits, ties included.
 //!
-//! **Writing**: what reads back as a float are the numbers up to halfway to its neighbours, the ends included if its last
-//! bit is 0. These ends and the float itself are scaled by a power of ten that makes them integers of 64 bits and a rest,
-//! and the coarsest power of ten with a multiple between the ends gives the fewest digits; of several multiples it is
-//! the one nearest to the float.
+//! **Writing**: a number reads back as a float if it is at most halfway to the float's neighbours; exactly halfway counts if
+//! the last bit of the float is 0. These two bounds and the float are scaled by a power of ten to 64-bit integers and a
+//! remainder. The largest power of ten with a multiple between the bounds gives the fewest digits; of several multiples
+//! the nearest to the float is written.
 //!
-//! It is written here because of its size. The libraries for reading take 8 to 18 KiB of flash, and leave panics in the
-//! image; one for writing takes 6.5 KiB for R4 and R8 together, and doubles in software another 3 KiB. This takes 3 KiB
-//! for both formats and both ways, uses integers only, and has no panics.
+//! Libraries are too large for a board: those for reading take 8 to 18 KiB of flash and leave panics in the image, one for
+//! writing takes 6.5 KiB for R4 and R8, and floating-point arithmetic in software takes another 3 KiB. This module takes
+//! 3 KiB for both formats and both directions, uses integers only, and does not panic.
 
 use crate::num::to_usize;
 
@@ -39,9 +39,9 @@ pub(super) enum Format {
 /// A number `digits * 10^exponent`.
 #[derive(Clone, Copy)]
 pub(super) struct Decimal<'a> {
-    /// ASCII digits, and at most one byte that is none; at most [`MAX_DIGITS`].
+    /// ASCII digits with at most one point; at most [`MAX_DIGITS`] bytes.
     pub(super) digits: &'a [u8],
-    /// How many digits there are behind zeros in front.
+    /// Number of digits without leading zeros.
     pub(super) count: u32,
     /// Their value, if they are at most 19.
     pub(super) number: u64,
@@ -49,10 +49,10 @@ pub(super) struct Decimal<'a> {
     pub(super) exponent: i32,
 }
 
-/// The most digits that [`Big`] has room for, whatever their exponent.
+/// The number of digits that [`Big`] has room for with any exponent.
 pub(super) const MAX_DIGITS: usize = 500;
 
-/// Where the first digit of a number can stand that is neither 0 nor infinite in any format, with room to spare.
+/// Decimal exponents of numbers that are neither 0 nor infinite in any format, with a margin.
 const POINTS: core::ops::RangeInclusive<i32> = -330..=310;
 
 impl Format {
@@ -96,12 +96,23 @@ impl Format {
         }
     }
 
-    /// Returns the bits of the float nearest to a number; `None` when it is none of 0 and becomes 0 or infinite.
+    /// Returns the bits of the float nearest to a number; `None` if the number is not 0 and the float 0 or infinite.
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     pub(super) fn of_decimal(self, decimal: &Decimal<'_>) -> Option<u64> {
-        let Decimal { digits, count, number, exponent } = *decimal;
+        let Decimal { count, number, exponent, .. } = *decimal;
         if count == 0 {
             return Some(0);
         }
+        // most numbers of robots; a board does without for its flash
+        if cfg!(not(target_os = "none")) && exponent == 0 && count <= 19 && number >> self.precision() == 0 {
+            return Some(self.of_whole(number));
+        }
+        self.nearest(decimal)
+    }
+
+    #[cfg_attr(not(target_os = "none"), cold)]
+    fn nearest(self, decimal: &Decimal<'_>) -> Option<u64> {
+        let Decimal { digits, count, number, exponent } = *decimal;
         if !POINTS.contains(&exponent.wrapping_add_unsigned(count)) {
             return None;
         }
@@ -118,18 +129,28 @@ impl Format {
         (bits != 0 && bits < self.infinity()).then_some(bits)
     }
 
+    /// Returns the bits of a whole number of at most [`precision`](Self::precision) bits, not 0.
+    #[inline]
+    fn of_whole(self, number: u64) -> u64 {
+        let fraction = self.precision().wrapping_sub(1);
+        let top = number.checked_ilog2().unwrap_or(0);
+        // one less than the exponent: the first bit of the number adds 1 to it
+        let exponent = self.least().unsigned_abs().wrapping_sub(fraction).wrapping_add(top);
+        (u64::from(exponent) << fraction).wrapping_add(number << fraction.wrapping_sub(top))
+    }
+
     /// Rounds `(number + a bit more if inexact) * 2^scale`, to even if it is a tie; the first bit of `number` is set.
     fn round(self, number: u64, scale: i32, inexact: bool) -> u64 {
         let unit = scale.wrapping_add(64).wrapping_sub_unsigned(self.precision()).max(self.least());
         let above = u64::from(unit.abs_diff(self.least()));
         // at least the bits that 64 are more than the precision
         let behind_half = unit.abs_diff(scale).wrapping_sub(1);
-        // a number whose every bit is behind the half of the last one is less than that half
+        // a number below half of the last bit rounds to 0
         let Some(halves) = number.checked_shr(behind_half) else { return 0 };
         let kept = halves >> 1;
         let more = inexact || number.trailing_zeros() < behind_half;
         let up = halves & 1 == 1 && (more || kept & 1 == 1);
-        // the hidden bit, and a carry out of the rounding, add 1 to the exponent, as they should
+        // the hidden bit and a carry of the rounding each add 1 to the exponent, as intended
         (above << self.precision().wrapping_sub(1)).wrapping_add(kept).wrapping_add(u64::from(up))
     }
 }
@@ -151,7 +172,7 @@ impl Format {
     pub(super) fn shortest(self, bits: u64) -> (u64, i32) {
         let (significand, exponent) = self.parts(bits);
         let length = 64_u32.wrapping_sub(significand.leading_zeros());
-        // so that there are more than ten integers between the ends, and all are below 2^64:
+        // more than ten integers between the bounds, all below 2^64:
         // 2^(precision + 6) <= scaled < 10 * 2^(precision + 7)
         let wanted = self.precision().wrapping_add(7).cast_signed();
         // log10(2) is 1233 / 4096
@@ -159,7 +180,7 @@ impl Format {
         let power = power.wrapping_add(1);
 
         let odd = significand & 1 == 1;
-        // the neighbour below a power of two is only half as far
+        // the neighbour below a power of two is at half the distance
         let near = significand == 1 << self.precision().wrapping_sub(1) && exponent != self.least();
         let quarters = significand << 2;
         let scaled = |quarters| scaled(quarters, power, exponent.wrapping_sub(2));
@@ -168,7 +189,7 @@ impl Format {
         let (mut most, cut) = scaled(quarters.wrapping_add(2));
         most = most.wrapping_sub(u64::from(!cut && odd));
 
-        // digits leave at the end as long as a number is left between the ends
+        // drops last digits as long as a number remains between the bounds
         let (mut middle, mut behind) = scaled(quarters);
         let (mut last, mut dropped) = (0, 0_i32);
         loop {
@@ -183,7 +204,7 @@ impl Format {
             (middle, last) = divide_by_10(middle);
         }
         let up = last > 5 || last == 5 && (behind || middle & 1 == 1);
-        // beside a power of two the nearest can be beyond the end that is near
+        // next to a power of two the nearest number can be below the lower bound
         let nearest = middle.wrapping_add(u64::from(up)).max(least);
         (nearest, dropped.wrapping_sub(power))
     }
@@ -272,7 +293,7 @@ fn divide(number: u64, divisor: u64) -> Quotient {
     let (mut rest, divisor) = (number << zeros, divisor << divisor_zeros);
     let mut scale = divisor_zeros.cast_signed().wrapping_sub_unsigned(zeros);
     let (mut quotient, mut carry) = (0_u64, false);
-    // bit by bit: a board has no division of 64 bits, and that in software would be larger than all of this
+    // bit by bit: a board has no 64-bit division, and one in software is larger than this module
     loop {
         if carry || rest >= divisor {
             rest = rest.wrapping_sub(divisor);
@@ -288,7 +309,7 @@ fn divide(number: u64, divisor: u64) -> Quotient {
     }
 }
 
-/// Returns a tenth of a number, and the last digit; of 32-bit divisions, which boards have.
+/// Returns a tenth of a number and the last digit, by 32-bit divisions, which boards have.
 #[cfg_attr(target_os = "none", inline(never))]
 pub(super) fn divide_by_10(number: u64) -> (u64, u32) {
     let (above, below) = (low(number >> 32), low(number));
@@ -423,7 +444,7 @@ mod tests {
     use std::format;
 
     fn both(text: &str) -> (Option<u64>, Option<u64>) {
-        let (rest, decimal) = super::super::text::decimal(text.as_bytes()).unwrap();
+        let (rest, decimal) = super::super::text::number::decimal(text.as_bytes()).unwrap();
         assert!(rest.is_empty());
         if decimal.count == 0 {
             return (None, None);
@@ -572,7 +593,7 @@ mod tests {
 
     #[test]
     fn of_two_that_are_as_near_the_even_digit_is_written() {
-        // quarters, of which the digits behind the first are not needed
+        // quarters, whose digits after the first are not needed
         for (bits, digits) in [
             ((4_503_599_627_370_497.0_f64 / 4.0).to_bits(), 11_258_999_068_426_242),
             ((4_503_599_627_370_499.0_f64 / 4.0).to_bits(), 11_258_999_068_426_248),

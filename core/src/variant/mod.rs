@@ -1,4 +1,4 @@
-//! VARIANT: the value that b-CAP carries in binary and RAC in text.
+//! VARIANT: the values of b-CAP (binary) and RAC (text).
 //!
 //! ```text
 //!  u16 VARTYPE | u32 element count | data          all little-endian; a scalar's count is 1
@@ -25,10 +25,9 @@
 //!                                                  tuples (of VARIANT)
 //! ```
 //!
-//! A received value is checked whole, nested ones included, by exactly one function ([`Variant::decode`], or the frame
-//! decoder); the [`Variant`] it returns is a `Copy` view of the bytes whose accessors cannot fail. To own a value, keep
-//! its encoding in a [`VariantBuf`]. The text that RAC carries is read by [`VariantBuf::parse_text`] and written by
-//! [`Variant::write_text`].
+//! [`Variant::decode`] or the frame decoder validates a received value with all nested values. The resulting [`Variant`] is a
+//! `Copy` view of the bytes, and its accessors cannot fail. A [`VariantBuf`] owns a value. [`VariantBuf::parse_text`] reads
+//! the text form of RAC, and [`Variant::write_text`] writes it.
 //!
 //! # Examples
 //!
@@ -68,10 +67,10 @@ use crate::limits::{Limits, MAX_DEPTH, Strictness};
 use crate::num::{to_u32, to_usize};
 use crate::wire::Reader;
 
-/// Elements without data cost the peer nothing to claim, so an array of EMPTY or NULL has at most this many.
+/// Limit for the elements of an array of EMPTY or NULL, which have no data, so that any count would be possible.
 pub const MAX_EMPTY_ELEMENTS: u32 = 256;
 
-/// The bytes of type and count in front of every value.
+/// Bytes of the type and count at the start of a value.
 const HEAD: usize = 6;
 
 /// [`MAX_DEPTH`] as the length of an array.
@@ -99,7 +98,7 @@ macro_rules! vartypes {
             }
         }
 
-        /// Layouts by element type: one load where a match would be a jump table.
+        /// Layouts by element type: one load instead of a jump table.
         const LAYOUTS: [Layout; 22] = {
             let mut table = [Layout::Unknown; 22];
             $(table[$value] = $layout;)*
@@ -145,7 +144,7 @@ vartypes! {
     UI8 = 21, "VT_UI8", Layout::Fixed(8);
 }
 
-/// How an element's data lie on the wire.
+/// The layout of an element's data on the wire.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Layout {
     /// This many bytes, at most 8.
@@ -159,7 +158,7 @@ impl VarType {
     /// The bit that makes an array of any other type.
     pub const ARRAY: Self = Self(0x2000);
 
-    /// Tells whether this is an array.
+    /// Returns whether this is an array.
     #[must_use]
     pub const fn is_array(self) -> bool {
         self.0 & Self::ARRAY.0 != 0
@@ -177,7 +176,7 @@ impl VarType {
         Self(self.0 | Self::ARRAY.0)
     }
 
-    /// Tells whether the wire can carry values of this type.
+    /// Returns whether values of this type can be sent.
     #[must_use]
     pub fn is_known(self) -> bool {
         self.layout() != Layout::Unknown
@@ -204,7 +203,7 @@ impl fmt::Display for VarType {
     }
 }
 
-/// A value, as a view of the bytes it was decoded from.
+/// A value, as a view of its encoding.
 ///
 /// Two values are equal when they would be sent as the same bytes: a NaN equals itself, and 0.0 is not -0.0.
 #[derive(Clone, Copy)]
@@ -254,7 +253,7 @@ pub enum Variant<'a> {
 /// The value inside a scalar VARIANT.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Nested<'a>(
-    /// One checked value.
+    /// One validated value.
     &'a [u8],
 );
 
@@ -285,33 +284,36 @@ impl defmt::Format for Nested<'_> {
 pub struct Opaque<'a> {
     /// Its type.
     pub vartype: VarType,
-    /// Its bytes behind the type: the count, and data of unknown layout.
+    /// Its bytes after the type: the count, and data of unknown layout.
     pub bytes: &'a [u8],
 }
 
 impl<'a> Variant<'a> {
-    /// Checks `bytes` as exactly one value.
+    /// Validates `bytes` as exactly one value.
     ///
     /// # Errors
     ///
     /// A [`DecodeError`] of [`Layer::Value`], with the offset from the start of `bytes`.
     pub fn decode(bytes: &'a [u8], limits: &Limits, strictness: Strictness) -> Result<Self, DecodeError> {
-        let fault = |fault: Fault| fault.at(bytes.len(), Layer::Value);
+        let located = |error: CheckError| error.at(bytes.len(), Layer::Value);
         let mut reader = Reader::new(bytes);
-        check(&mut reader, limits, strictness).map_err(fault)?;
+        check(&mut reader, limits, strictness).map_err(located)?;
         if reader.left() > 0 && strictness == Strictness::Strict {
-            return Err(fault(Fault { kind: DecodeErrorKind::Unused(to_u32(reader.left())), left: reader.left() }));
+            return Err(located(CheckError {
+                kind: DecodeErrorKind::Unused(to_u32(reader.left())),
+                left: reader.left(),
+            }));
         }
         let used = bytes.len().wrapping_sub(reader.left());
         Ok(Self::from_checked(bytes.get(..used).unwrap_or_default()))
     }
 
-    /// Views a value that [`check`] has passed.
+    /// Views a value that [`check`] accepted.
     pub(crate) fn from_checked(bytes: &'a [u8]) -> Self {
         let mut r = Reader::new(bytes);
         let Some((vartype, count)) = head(&mut r) else { return Self::Empty };
         match vartype.layout() {
-            // only an argument of a lenient frame can be this
+            // only possible for an argument of a lenient frame
             Layout::Unknown => Self::Opaque(Opaque { vartype, bytes: bytes.get(2..).unwrap_or_default() }),
             _ if vartype.is_array() => Self::Array(Array::from_checked(vartype.element(), count, r.rest())),
             Layout::Variant => Self::Nested(Nested(r.rest())),
@@ -319,7 +321,7 @@ impl<'a> Variant<'a> {
         }
     }
 
-    /// Splits a checked value off that others follow, and views it.
+    /// Splits the first of several validated values off, and views it.
     fn read(r: &mut Reader<'a>) -> Self {
         let start = *r;
         let Some((vartype, count)) = head(r) else { return Self::Empty };
@@ -334,20 +336,20 @@ impl<'a> Variant<'a> {
         Self::read_data(vartype, r)
     }
 
-    /// Splits the data of one element of an array off and views it.
+    /// Splits the data of an array's first element off, and views it.
     fn read_element(element: VarType, r: &mut Reader<'a>) -> Self {
         if element == VarType::VARIANT { Self::read(r) } else { Self::read_data(element, r) }
     }
 
-    /// Splits the data of a value off that is neither an array nor a VARIANT, and views it.
+    /// Splits the data of a value that is neither an array nor a VARIANT off, and views it.
     fn read_data(vartype: VarType, r: &mut Reader<'a>) -> Self {
-        // what most numbers are
+        // most numbers
         match vartype {
             VarType::I4 => return Self::I4(r.array().map_or(0, i32::from_le_bytes)),
             VarType::R4 => return Self::R4(r.array().map_or(0.0, f32::from_le_bytes)),
             _ => {}
         }
-        // all other numbers by way of the same 8 bytes: a copy of the code for each type would be large
+        // all other numbers as 8 bytes: a copy of this code for each type would be large
         let bytes = match vartype.layout() {
             Layout::Fixed(width) => next(width, r),
             _ => return Self::Bstr(Bstr::truncated(crate::wire::length_prefixed(r).unwrap_or_default())),
@@ -473,7 +475,7 @@ impl<'a> Variant<'a> {
         }
     }
 
-    /// Tells whether there is no value: EMPTY or NULL.
+    /// Returns whether there is no value: EMPTY or NULL.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         matches!(self, Self::Empty | Self::Null)
@@ -494,7 +496,7 @@ impl PartialEq for Variant<'_> {
             (Self::Array(a), Self::Array(b)) => a == b,
             (Self::Opaque(a), Self::Opaque(b)) => a == b,
             (Self::Ui8(a), Self::Ui8(b)) => a == b,
-            // what is left are integers, EMPTY and NULL
+            // integers, EMPTY and NULL
             (a, b) => a.vartype() == b.vartype() && a.as_i64() == b.as_i64(),
         }
     }
@@ -502,7 +504,7 @@ impl PartialEq for Variant<'_> {
 
 impl Eq for Variant<'_> {}
 
-/// Writes the value as Rust would, with its VARTYPE where that is not plain to see: `I4(7)`, `"text"`, `R8[1.0, 2.0]`.
+/// Writes the value in Rust's syntax, with its VARTYPE where that is not obvious: `I4(7)`, `"text"`, `R8[1.0, 2.0]`.
 impl fmt::Debug for Variant<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -532,7 +534,7 @@ impl fmt::Debug for Variant<'_> {
     }
 }
 
-/// Reads the next bytes of checked data, at most 8; they are there.
+/// Reads at most 8 bytes of validated data.
 #[inline]
 fn next(width: u8, r: &mut Reader<'_>) -> [u8; 8] {
     let mut bytes = [0; 8];
@@ -550,24 +552,24 @@ fn head(r: &mut Reader<'_>) -> Option<(VarType, u32)> {
     Some((VarType(u16::from_le_bytes([t0, t1])), u32::from_le_bytes([c0, c1, c2, c3])))
 }
 
-/// What is wrong, and how many bytes were left when it was found.
-pub(crate) struct Fault {
+/// An error and its position, as the number of bytes that were left.
+pub(crate) struct CheckError {
     pub(crate) kind: DecodeErrorKind,
     pub(crate) left: usize,
 }
 
-impl Fault {
-    /// Places the fault in an input of `total` bytes.
+impl CheckError {
+    /// Places the error in an input of `total` bytes.
     pub(crate) const fn at(&self, total: usize, layer: Layer) -> DecodeError {
         DecodeError { kind: self.kind, layer, offset: total.saturating_sub(self.left) }
     }
 }
 
-/// Steps over one value, and checks it with everything inside; this is the one way by which foreign bytes become values.
+/// Validates one value with all nested values, and steps over it; received bytes become values only by this function.
 ///
-/// It does not recurse: the counts of values still to come on each level are on a small stack of its own.
+/// It does not recurse: an array contains the number of remaining values of each level.
 #[inline(always)]
-pub(crate) fn check(r: &mut Reader<'_>, limits: &Limits, strictness: Strictness) -> Result<(), Fault> {
+pub(crate) fn check(r: &mut Reader<'_>, limits: &Limits, strictness: Strictness) -> Result<(), CheckError> {
     match check_one(r, strictness)? {
         0 => Ok(()),
         inner => check_inner(r, inner, limits, strictness),
@@ -575,12 +577,12 @@ pub(crate) fn check(r: &mut Reader<'_>, limits: &Limits, strictness: Strictness)
 }
 
 #[inline(never)]
-fn check_inner(r: &mut Reader<'_>, count: u32, limits: &Limits, strictness: Strictness) -> Result<(), Fault> {
+fn check_inner(r: &mut Reader<'_>, count: u32, limits: &Limits, strictness: Strictness) -> Result<(), CheckError> {
     let max = limits.depth.min(MAX_DEPTH);
     if max == 0 {
-        return Err(Fault { kind: DecodeErrorKind::TooDeep(max), left: r.left() });
+        return Err(CheckError { kind: DecodeErrorKind::TooDeep(max), left: r.left() });
     }
-    // values still to come on each outer level; `here` is the innermost
+    // remaining values of each outer level; `here` counts the innermost
     let mut outer = [0_u32; OUTER];
     let mut depth = 1_u8;
     let mut here = count;
@@ -598,7 +600,7 @@ fn check_inner(r: &mut Reader<'_>, count: u32, limits: &Limits, strictness: Stri
         let inner = check_one(r, strictness)?;
         if inner > 0 {
             if depth >= max {
-                return Err(Fault { kind: DecodeErrorKind::TooDeep(max), left: at });
+                return Err(CheckError { kind: DecodeErrorKind::TooDeep(max), left: at });
             }
             if let Some(slot) = outer.get_mut(usize::from(depth)) {
                 *slot = here;
@@ -609,23 +611,23 @@ fn check_inner(r: &mut Reader<'_>, count: u32, limits: &Limits, strictness: Stri
     }
 }
 
-/// Steps over one value, up to the values inside it; returns how many of these follow.
-// on a board one copy of it is enough, elsewhere a call would cost more
+/// Steps over one value up to its nested values, and returns their number.
+// a board has one copy of this function; elsewhere a call would be slower
 #[cfg_attr(target_os = "none", inline(never))]
 #[cfg_attr(not(target_os = "none"), inline)]
-fn check_one(r: &mut Reader<'_>, strictness: Strictness) -> Result<u32, Fault> {
+fn check_one(r: &mut Reader<'_>, strictness: Strictness) -> Result<u32, CheckError> {
     let Some((vartype, mut count)) = head(r) else { return Err(truncated(r, HEAD)) };
     let layout = vartype.layout();
     let scalar = !vartype.is_array();
     if scalar {
         if count != 1 && strictness == Strictness::Strict && layout != Layout::Unknown {
-            return Err(Fault { kind: DecodeErrorKind::ScalarCount(count), left: r.left().wrapping_add(4) });
+            return Err(CheckError { kind: DecodeErrorKind::ScalarCount(count), left: r.left().wrapping_add(4) });
         }
         count = 1;
     }
     match layout {
         Layout::Fixed(width) => {
-            // 8 times 4 G: it fits, and a sum over the address space is over the bytes that are left as well
+            // at most 8 times 4 G, which fits; a sum above `usize::MAX` is above the bytes that are left, too
             let needed = usize::try_from(u64::from(width).wrapping_mul(u64::from(count))).unwrap_or(usize::MAX);
             let data = r.slice(needed);
             if data.is_some() && (width > 0 || count <= MAX_EMPTY_ELEMENTS) {
@@ -634,7 +636,7 @@ fn check_one(r: &mut Reader<'_>, strictness: Strictness) -> Result<u32, Fault> {
             Err(if scalar { truncated(r, needed) } else { too_many(r, count) })
         }
         Layout::Bstr => {
-            // a string takes at least its length field
+            // a string has at least its length field
             if !scalar && to_usize(count) > r.left() >> 2 {
                 return Err(too_many(r, count));
             }
@@ -643,22 +645,22 @@ fn check_one(r: &mut Reader<'_>, strictness: Strictness) -> Result<u32, Fault> {
             }
             Ok(0)
         }
-        // a value takes at least its head
+        // a value has at least its head
         Layout::Variant if !scalar && u64::from(count).wrapping_mul(6) > u64::from(to_u32(r.left())) => {
             Err(too_many(r, count))
         }
         Layout::Variant => Ok(count),
         Layout::Unknown => {
-            Err(Fault { kind: DecodeErrorKind::UnknownType(vartype.0), left: r.left().wrapping_add(HEAD) })
+            Err(CheckError { kind: DecodeErrorKind::UnknownType(vartype.0), left: r.left().wrapping_add(HEAD) })
         }
     }
 }
 
 #[inline]
-fn check_bstr(r: &mut Reader<'_>, strictness: Strictness) -> Result<(), Fault> {
+fn check_bstr(r: &mut Reader<'_>, strictness: Strictness) -> Result<(), CheckError> {
     let Some(length) = r.u32() else { return Err(truncated(r, 4)) };
     if length & 1 != 0 && strictness == Strictness::Strict {
-        return Err(Fault { kind: DecodeErrorKind::OddBstr(length), left: r.left().wrapping_add(4) });
+        return Err(CheckError { kind: DecodeErrorKind::OddBstr(length), left: r.left().wrapping_add(4) });
     }
     match r.slice(to_usize(length)) {
         Some(_) => Ok(()),
@@ -666,27 +668,27 @@ fn check_bstr(r: &mut Reader<'_>, strictness: Strictness) -> Result<(), Fault> {
     }
 }
 
-/// Says that `needed` bytes are not there.
+/// Returns the error for `needed` missing bytes.
 #[cold]
-fn truncated(r: &Reader<'_>, needed: usize) -> Fault {
+fn truncated(r: &Reader<'_>, needed: usize) -> CheckError {
     let left = r.left();
-    Fault { kind: DecodeErrorKind::Truncated { needed: to_u32(needed), left: to_u32(left) }, left }
+    CheckError { kind: DecodeErrorKind::Truncated { needed: to_u32(needed), left: to_u32(left) }, left }
 }
 
-/// Says that an array claims too many elements; its count has just been read.
+/// Returns the error for an array with too many elements, directly after its count.
 #[cold]
-fn too_many(r: &Reader<'_>, count: u32) -> Fault {
-    Fault { kind: DecodeErrorKind::ArrayCount(count), left: r.left().wrapping_add(4) }
+fn too_many(r: &Reader<'_>, count: u32) -> CheckError {
+    CheckError { kind: DecodeErrorKind::ArrayCount(count), left: r.left().wrapping_add(4) }
 }
 
-/// Tells whether the value at the front of `bytes` has a VARTYPE that only an argument's length can skip.
+/// Returns whether the value at the start of `bytes` has an unknown VARTYPE, which only an argument's length can skip.
 pub(crate) fn is_opaque(bytes: &[u8]) -> bool {
     bytes.first_chunk::<2>().is_some_and(|t| !VarType(u16::from_le_bytes(*t)).is_known())
 }
 
-/// Steps over the data of checked elements, without checking anything again.
+/// Steps over the data of validated elements, without validating them again.
 ///
-/// To find their end it is enough to count the values still to come, on whatever level they are.
+/// It finds their end by counting the remaining values of all levels.
 #[inline]
 fn skip_elements(element: VarType, count: u32, r: &mut Reader<'_>) -> Option<()> {
     let mut values = skip_level(element, count, r)?;
@@ -699,7 +701,7 @@ fn skip_elements(element: VarType, count: u32, r: &mut Reader<'_>) -> Option<()>
     Some(())
 }
 
-/// Steps over the data of elements, up to the values inside them; returns how many of these follow.
+/// Steps over the data of elements up to their nested values, and returns the number of these.
 #[inline]
 fn skip_level(element: VarType, count: u32, r: &mut Reader<'_>) -> Option<u32> {
     match element.layout() {

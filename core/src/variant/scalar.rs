@@ -1,6 +1,6 @@
 //! Scalars that Rust has no type for: currency, OLE dates, and NULL.
 //!
-//! Both keep the wire's own number, so nothing is lost on the way through; the helpers convert exactly or say `None`.
+//! Both contain the number on the wire, so they are sent unchanged. Conversions are exact or return `None`.
 
 use core::fmt;
 
@@ -28,25 +28,25 @@ pub struct Null;
 pub struct Currency(i64);
 
 impl Currency {
-    /// How many of the wire's units make one.
+    /// Units of the wire in one.
     pub const SCALE: i64 = 10_000;
 
-    /// Takes the wire's number.
+    /// Makes it from the number on the wire.
     #[must_use]
     pub const fn from_raw(ten_thousandths: i64) -> Self {
         Self(ten_thousandths)
     }
 
-    /// Returns the wire's number.
+    /// Returns the number on the wire.
     #[must_use]
     pub const fn raw(self) -> i64 {
         self.0
     }
 
-    /// Makes an amount from its whole part and the ten-thousandths behind the point, both of the sign of `whole`.
+    /// Makes an amount from its whole part and the ten-thousandths after the point, both with the sign of `whole`.
     ///
-    /// `None` when `ten_thousandths` is 10000 or more, or the amount does not fit. Amounts between -1 and 0 have no
-    /// whole part to carry the sign: use [`from_raw`](Self::from_raw).
+    /// `None` if `ten_thousandths` is 10000 or more, or the amount does not fit. Use [`from_raw`](Self::from_raw) for amounts
+    /// between -1 and 0, whose whole part has no sign.
     #[must_use]
     pub const fn from_parts(whole: i64, ten_thousandths: u16) -> Option<Self> {
         if ten_thousandths >= 10_000 {
@@ -61,7 +61,7 @@ impl Currency {
         }
     }
 
-    /// Returns the whole part, towards zero, and the ten-thousandths behind the point.
+    /// Returns the whole part, rounded towards zero, and the ten-thousandths after the point.
     #[must_use]
     pub fn to_parts(self) -> (i64, u16) {
         let whole = self.0.wrapping_div(Self::SCALE);
@@ -85,8 +85,8 @@ impl fmt::Display for Currency {
 
 /// A point in time of VT_DATE: days since 1899-12-30 00:00, as on the wire.
 ///
-/// The fraction of a day counts forward in time for negative dates too: -1.25 is 1899-12-29 06:00. The wire has no
-/// time zone; what a controller means is its own wall clock.
+/// The fraction of a day counts forward in time for negative dates too: -1.25 is 1899-12-29 06:00. There is no time zone;
+/// a controller sends its local time.
 #[derive(Clone, Copy, Debug, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct OleDate(f64);
@@ -119,13 +119,13 @@ const FIRST_DAY: i32 = -657_434;
 const LAST_DAY: i32 = 2_958_465;
 
 impl OleDate {
-    /// Takes the wire's number.
+    /// Makes it from the number on the wire.
     #[must_use]
     pub const fn from_raw(days: f64) -> Self {
         Self(days)
     }
 
-    /// Returns the wire's number.
+    /// Returns the number on the wire.
     #[must_use]
     pub const fn raw(self) -> f64 {
         self.0
@@ -147,7 +147,7 @@ impl OleDate {
         days.checked_mul(i64::from(MILLIS_PER_DAY))?.checked_add(i64::from(millis))
     }
 
-    /// Returns the date for a calendar time; `None` when it is none (a 30th of February) or out of range.
+    /// Returns the date for a calendar time; `None` if it does not exist (30th of February) or is out of range.
     #[must_use]
     pub fn from_civil(time: CivilTime) -> Option<Self> {
         let clock = time.hour < 24 && time.minute < 60 && time.second < 60 && time.millisecond < 1000;
@@ -182,7 +182,7 @@ impl OleDate {
             return None;
         }
         let fraction = Format::Double.of_ratio(u64::from(millis), u64::from(MILLIS_PER_DAY));
-        // OLE counts the fraction away from zero
+        // OLE dates count the fraction away from zero
         let sum = Format::Double.plus_whole(fraction, day.unsigned_abs());
         Some(Self(f64::from_bits(if day < 0 { sum | Format::Double.sign() } else { sum })))
     }
@@ -221,7 +221,7 @@ impl PartialEq for OleDate {
 impl Eq for OleDate {}
 
 impl CivilTime {
-    /// Makes midnight of a date; whether that date exists is checked by [`OleDate::from_civil`].
+    /// Makes midnight of a date. [`OleDate::from_civil`] checks whether the date exists.
     #[must_use]
     pub const fn date(year: i16, month: u8, day: u8) -> Self {
         Self { year, month, day, hour: 0, minute: 0, second: 0, millisecond: 0 }
@@ -257,7 +257,7 @@ fn day_from_civil(year: i16, month: u8, day: u8) -> Option<i32> {
     let month_days = month.wrapping_mul(153).wrapping_add(2) / 5;
     let days = year.wrapping_mul(365).wrapping_add(leap_days).wrapping_add(month_days);
     let day = day.wrapping_sub(1).wrapping_add_unsigned(days).wrapping_add(ERA_ORIGIN);
-    // a day that does not exist has the number of one that does
+    // an invalid day has the number of a valid one
     (civil_from_day(day) == Some(date)).then_some(day)
 }
 

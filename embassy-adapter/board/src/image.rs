@@ -3,18 +3,23 @@
 use core::fmt;
 use core::ops::Range;
 
-use crate::{BLOCK, MAGIC, Settings};
+use crate::{BLOCK, MAGIC, SettingError, Settings};
 
 /// Why settings cannot be read from an image, or written into it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum ImageError<'a> {
     /// The image has no block.
     NoBlock,
     /// The letters of the block stand in the image more than once.
     ManyBlocks,
-    /// A line of the settings cannot be read.
-    Unreadable(&'a [u8]),
+    /// A line of the settings is invalid.
+    Invalid {
+        /// The line.
+        line: &'a [u8],
+        /// What is wrong with it.
+        error: SettingError,
+    },
     /// The settings are longer than the block.
     TooLong {
         /// Their bytes.
@@ -27,7 +32,7 @@ impl fmt::Display for ImageError<'_> {
         match self {
             Self::NoBlock => f.write_str("the image has no configuration block"),
             Self::ManyBlocks => f.write_str("the image has more than one configuration block"),
-            Self::Unreadable(line) => write!(f, "\"{}\" is no setting", line.escape_ascii()),
+            Self::Invalid { line, error } => write!(f, "invalid setting \"{}\": {error}", line.escape_ascii()),
             Self::TooLong { len } => write!(f, "the settings take {len} bytes of {}", BLOCK - MAGIC.len()),
         }
     }
@@ -64,12 +69,12 @@ pub fn text(image: &[u8]) -> Result<&[u8], ImageError<'static>> {
 /// # Ok::<(), image::ImageError<'_>>(())
 /// ```
 pub fn write<'a>(image: &mut [u8], settings: &'a [u8]) -> Result<(), ImageError<'a>> {
-    let mut wrong = None;
-    let _ = Settings::read(settings, |line| {
-        wrong.get_or_insert(line);
+    let mut invalid = None;
+    let _ = Settings::read(settings, |line, error| {
+        invalid.get_or_insert(ImageError::Invalid { line, error });
     });
-    if let Some(line) = wrong {
-        return Err(ImageError::Unreadable(line));
+    if let Some(error) = invalid {
+        return Err(error);
     }
     let place = find(image)?;
     match image.get_mut(place).unwrap_or_default().split_at_mut_checked(settings.len()) {
@@ -134,9 +139,11 @@ mod tests {
     #[test]
     fn wrong_settings_and_wrong_images_are_told_apart() {
         let mut image = image();
-        assert_eq!(write(&mut image, b"echo=7\nput=X\nrate=x\n"), Err(ImageError::Unreadable(b"put=X")));
+        let error = write(&mut image, b"echo=7\nput=X\nrate=x\n").unwrap_err();
+        let text =
+            "invalid setting \"put=X\": unknown kind of variable: expected one of I F D S V P J T IO, at column 1";
+        assert_eq!(error.to_string(), text);
         assert_eq!(image, self::image());
-        assert_eq!(ImageError::Unreadable(b"put=X").to_string(), "\"put=X\" is no setting");
         assert_eq!(write(&mut [0x55; 4096], b""), Err(ImageError::NoBlock));
         assert_eq!(write(&mut image[..3000], b""), Err(ImageError::NoBlock), "cut off");
         image[100..108].copy_from_slice(MAGIC);

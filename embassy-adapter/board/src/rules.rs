@@ -1,11 +1,12 @@
-//! What PLCs may do, as a block says it.
+//! The rules of a gateway as the block has them: `get` and `put` lines, in the grammar of [`AllowBuf`].
 
-use bcap_core::gateway::{Allow, Bounds, Rate, Rules};
+use bcap_core::gateway::{Allow, AllowBuf, Bounds, Rate, Rules};
 use bcap_core::rac::VariableKind;
-use bcap_core::variant::VariantBuf;
 use heapless::Vec;
 
-/// Lines of `get` and `put`, and ranges of values in them, that there is room for.
+use crate::SettingError;
+
+/// The most `get` and `put` lines, and the most ranges of values in all of them.
 const RULES: usize = 32;
 const BOUNDS: usize = 64;
 
@@ -23,12 +24,13 @@ impl RuleMemory<'_> {
     }
 }
 
-/// The lists of what may be read and written.
+/// The rules for reading and writing.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct List {
     rules: Vec<Rule, RULES>,
+    /// The ranges of all rules: most rules have none, so the rules share this memory.
     bounds: Vec<Bounds, BOUNDS>,
-    /// Whether a line could not be read.
+    /// Whether a line was invalid.
     distrusted: bool,
 }
 
@@ -38,47 +40,44 @@ struct Rule {
     kind: VariableKind,
     first: u32,
     last: u32,
-    /// Where its ranges of values lie among all, and how many there are.
+    /// Its part of [`List::bounds`]: the first range, and the number of ranges.
     bounds: (usize, usize),
 }
 
 impl List {
-    /// Takes note that a line could not be read: it may have been one that forbids something.
+    /// Records that a line was invalid; it may have been a line that forbids something.
     pub(crate) fn distrust(&mut self) {
         self.distrusted = true;
     }
 
-    /// Reads `KIND[/FIRST[-LAST]]`.
-    pub(crate) fn allow_get(&mut self, text: &str) -> Option<()> {
-        let (kind, first, last) = place(text)?;
-        self.rules.push(Rule { puts: false, kind, first, last, bounds: (0, 0) }).ok()
+    /// Adds a rule for reading, which has no values.
+    pub(crate) fn allow_get(&mut self, text: &str) -> Result<(), SettingError> {
+        let rule = AllowBuf::parse(text)?;
+        match rule.as_allow().values {
+            [] => self.push(false, &rule.as_allow()),
+            _ => Err(SettingError::GetWithValues),
+        }
     }
 
-    /// Reads `KIND[/FIRST[-LAST]][=MIN..MAX[,MIN..MAX]...]`.
-    pub(crate) fn allow_put(&mut self, text: &str) -> Option<()> {
-        let (text, values) = match text.split_once('=') {
-            Some((place, values)) => (place, Some(values)),
-            None => (text, None),
-        };
-        let (kind, first, last) = place(text)?;
-        let start = self.bounds.len();
-        for range in values.into_iter().flat_map(|values| values.split(',')) {
-            self.bounds.push(bounds(range)?).ok()?;
-        }
-        let count = self.bounds.len() - start;
-        if count > kind.elements() {
-            return None;
-        }
-        self.rules.push(Rule { puts: true, kind, first, last, bounds: (start, count) }).ok()
+    /// Adds a rule for writing.
+    pub(crate) fn allow_put(&mut self, text: &str) -> Result<(), SettingError> {
+        self.push(true, &AllowBuf::parse(text)?.as_allow())
     }
 
-    /// Returns the rules, the gets first.
+    fn push(&mut self, puts: bool, allow: &Allow<'_>) -> Result<(), SettingError> {
+        let Allow { kind, first, last, values } = *allow;
+        let rule = Rule { puts, kind, first, last, bounds: (self.bounds.len(), values.len()) };
+        self.bounds.extend_from_slice(values).map_err(|_| SettingError::TooManyRules)?;
+        self.rules.push(rule).map_err(|_| SettingError::TooManyRules)
+    }
+
+    /// Returns the rules, those for reading first.
     pub(crate) fn rules<'r, 's: 'r>(&'s self, memory: &'r mut RuleMemory<'s>, convert: bool, rate: Rate) -> Rules<'r> {
         memory.rules.clear();
         let gets = self.rules.iter().filter(|rule| !rule.puts);
         let puts = self.rules.iter().filter(|rule| rule.puts && !self.distrusted);
         let count = gets.clone().count();
-        // there is as much room here as where they come from
+        // `memory` has room for as many rules as a list
         memory.rules.extend(gets.chain(puts).map(|rule| self.allow(rule)));
         let (get, put) = memory.rules.split_at_checked(count).unwrap_or_default();
         Rules { get: if get.is_empty() { &Allow::EVERYTHING } else { get }, put, convert, rate }
@@ -90,39 +89,15 @@ impl List {
     }
 }
 
-fn place(text: &str) -> Option<(VariableKind, u32, u32)> {
-    let Some((kind, index)) = text.split_once('/') else {
-        return Some((VariableKind::from_name(text)?, 0, u32::MAX));
-    };
-    let (first, last) = index.split_once('-').unwrap_or((index, index));
-    let (first, last) = (first.parse().ok()?, last.parse().ok()?);
-    (first <= last).then_some((VariableKind::from_name(kind)?, first, last))
-}
-
-fn bounds(text: &str) -> Option<Bounds> {
-    // the library's search for a text would leave a panic in the image
-    let at = text.as_bytes().windows(2).position(|pair| pair == b"..")?;
-    let (min, max) = text.split_at_checked(at)?;
-    let (min, max) = (number(min)?, number(max.strip_prefix("..")?)?);
-    (min <= max).then_some(Bounds { min, max })
-}
-
-/// Reads a number with the core's code, which is in the image anyway.
-fn number(text: &str) -> Option<f64> {
-    let mut item = heapless::String::<40>::new();
-    item.push_str("5,").ok()?;
-    item.push_str(text).ok()?;
-    VariantBuf::<16>::parse_text(item.as_bytes()).ok()?.as_variant().as_f64()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::Settings;
-    use std::string::String;
+    use std::string::{String, ToString};
+    use std::vec::Vec;
 
     fn with_rules(text: &str, check: impl FnOnce(Rules<'_>)) {
-        let settings = Settings::read(text.as_bytes(), |line| panic!("{}", String::from_utf8_lossy(line)));
+        let settings = Settings::read(text.as_bytes(), |line, _| panic!("{}", String::from_utf8_lossy(line)));
         check(settings.rules(&mut RuleMemory::new()));
     }
 
@@ -160,38 +135,30 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_rule_is_none() {
-        for text in [
-            "get=X",
-            "get=",
-            "get=I/",
-            "get=I/x",
-            "get=I/3-1",
-            "get=I/1-2-3",
-            "get=I=1..2",
-            "put=I=1",
-            "put=I=2..1",
-            "put=I=a..b",
-            "put=I=..",
-            "put=I=nan..nan",
-            "put=I=0..1,0..1",
-            "put=P=0..1,",
-            "put=I/-1",
-            "put=I/4294967296",
+    fn an_invalid_rule_is_reported_and_forbids_every_put() {
+        for (text, error) in [
+            ("get=X", "unknown kind of variable: expected one of I F D S V P J T IO, at column 1"),
+            ("get=I=1..2", "a get has no ranges of values; only a put has"),
+            ("put=I/3-1", "invalid index range 3-1: the first index is above the last, at column 3"),
+            ("put=I=1", "invalid value range: expected MIN..MAX, such as -10..10, at column 3"),
+            ("put=I=2..1", "invalid value range 2..1: the minimum is above the maximum, at column 3"),
         ] {
-            let mut told = 0;
-            let settings = Settings::read(text.as_bytes(), |_| told += 1);
-            assert_eq!(told, 1, "{text}");
-            assert_eq!(settings.rules(&mut RuleMemory::new()), Rules::READ_ONLY);
+            let mut reported = Vec::new();
+            let text = [text, "\nput=I\n"].concat();
+            let settings = Settings::read(text.as_bytes(), |_, error| reported.push(error.to_string()));
+            assert_eq!(reported, [error]);
+            assert_eq!(settings.rules(&mut RuleMemory::new()).put, []);
         }
     }
 
     #[test]
-    fn more_rules_than_there_is_room_for_are_told() {
-        let text = "put=I\n".repeat(RULES + 2);
-        let mut told = 0;
-        let settings = Settings::read(text.as_bytes(), |_| told += 1);
-        assert_eq!(told, 2);
-        assert_eq!(settings.rules(&mut RuleMemory::new()), Rules::READ_ONLY);
+    fn rules_and_ranges_beyond_the_memory_are_reported() {
+        let ranges = ["put=T=", &"0..1,".repeat(9), "0..1\n"].concat().repeat(BOUNDS / 10 + 1);
+        for (text, count) in [("put=I\n".repeat(RULES + 2), 2), (ranges, 1)] {
+            let mut reported = Vec::new();
+            let settings = Settings::read(text.as_bytes(), |_, error| reported.push(error));
+            assert_eq!(reported, std::vec![SettingError::TooManyRules; count]);
+            assert_eq!(settings.rules(&mut RuleMemory::new()), Rules::READ_ONLY);
+        }
     }
 }

@@ -5,9 +5,10 @@ use core::str;
 
 use bcap_core::gateway::{Rate, Rules};
 
+use crate::SettingError;
 use crate::rules::{List, RuleMemory};
 
-/// What can be set. Texts are where they were read from.
+/// What can be set. Texts are borrowed from the block.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings<'a> {
     /// The robot controller.
@@ -22,22 +23,22 @@ pub struct Settings<'a> {
     pub service: &'a str,
     /// What the images `bare` and `node` read.
     pub variable: &'a str,
-    /// Whether the network is asked for an address.
+    /// Whether a DHCP server is asked for an address.
     pub dhcp: bool,
     /// The board's own address when no DHCP server answers, and the bits of its network.
     pub address: (Ipv4Addr, u8),
-    /// The way to other networks, with that address.
+    /// The router to other networks, used with that address.
     pub gateway: Ipv4Addr,
     /// The hardware address; the image's own if there is none.
     pub mac: Option<[u8; 6]>,
-    /// A port that sends back what comes.
+    /// A port that sends back the bytes that it receives.
     pub echo: Option<u16>,
     convert: bool,
     rate: Rate,
     lists: List,
 }
 
-/// Where the robot controller is.
+/// The address of the robot controller.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Robot {
     /// What carries b-CAP to it.
@@ -78,14 +79,14 @@ impl Default for Settings<'_> {
 }
 
 impl<'a> Settings<'a> {
-    /// Reads the text of a block, up to the first NUL; `unreadable` is told the lines that are skipped.
+    /// Reads the text of a block, up to the first NUL. Invalid lines are skipped and passed to `invalid`.
     ///
     /// # Examples
     ///
     /// ```
     /// use bcap_board::{RuleMemory, Settings};
     ///
-    /// let settings = Settings::read(b"robot=192.168.0.1:5007\nput=I/0-99=-10..10\n", |line| panic!("{line:?}"));
+    /// let settings = Settings::read(b"robot=192.168.0.1:5007\nput=I/0-99=-10..10\n", |line, _| panic!("{line:?}"));
     /// assert_eq!(settings.robot.address.port(), 5007);
     /// let mut memory = RuleMemory::new();
     /// let rules = settings.rules(&mut memory);
@@ -93,13 +94,13 @@ impl<'a> Settings<'a> {
     /// assert_eq!(rules.put[0].values[0].max, 10.0);
     /// ```
     #[must_use]
-    pub fn read(text: &'a [u8], mut unreadable: impl FnMut(&'a [u8])) -> Self {
+    pub fn read(text: &'a [u8], mut invalid: impl FnMut(&'a [u8], SettingError)) -> Self {
         let mut settings = Self::default();
         let text = text.split(|byte| *byte == 0).next().unwrap_or_default();
         for line in text.split(|byte| *byte == b'\n').filter(|line| !line.is_empty()) {
-            if settings.set(line).is_none() {
+            if let Err(error) = settings.set(line) {
                 settings.lists.distrust();
-                unreadable(line);
+                invalid(line, error);
             }
         }
         settings
@@ -111,31 +112,38 @@ impl<'a> Settings<'a> {
         self.lists.rules(memory, self.convert, self.rate)
     }
 
-    fn set(&mut self, line: &'a [u8]) -> Option<()> {
-        let (key, value) = str::from_utf8(line).ok()?.split_once('=')?;
+    fn set(&mut self, line: &'a [u8]) -> Result<(), SettingError> {
+        let line = str::from_utf8(line).ok().and_then(|line| line.split_once('='));
+        let (key, text) = line.ok_or(SettingError::Key)?;
         match key {
-            "robot" => self.robot = robot(value)?,
-            "provider" => self.provider = value,
-            "machine" => self.machine = value,
-            "option" => self.option = value,
-            "service" => self.service = value,
-            "variable" => self.variable = value,
-            "dhcp" => self.dhcp = yes(value)?,
-            "address" => {
-                let (address, prefix) = value.split_once('/')?;
-                self.address = (address.parse().ok()?, prefix.parse().ok().filter(|prefix| *prefix <= 32)?);
-            }
-            "gateway" => self.gateway = value.parse().ok()?,
-            "mac" => self.mac = Some(mac(value)?),
-            "get" => self.lists.allow_get(value)?,
-            "put" => self.lists.allow_put(value)?,
-            "convert" => self.convert = yes(value)?,
-            "rate" => self.rate = rate(value)?,
-            "echo" => self.echo = Some(value.parse().ok().filter(|port| *port > 0)?),
-            _ => return None,
+            "robot" => self.robot = valid(robot(text))?,
+            "provider" => self.provider = text,
+            "machine" => self.machine = text,
+            "option" => self.option = text,
+            "service" => self.service = text,
+            "variable" => self.variable = text,
+            "dhcp" => self.dhcp = valid(yes(text))?,
+            "address" => self.address = valid(network(text))?,
+            "gateway" => self.gateway = valid(text.parse().ok())?,
+            "mac" => self.mac = Some(valid(mac(text))?),
+            "get" => self.lists.allow_get(text)?,
+            "put" => self.lists.allow_put(text)?,
+            "convert" => self.convert = valid(yes(text))?,
+            "rate" => self.rate = valid(rate(text))?,
+            "echo" => self.echo = Some(valid(text.parse().ok().filter(|port| *port > 0))?),
+            _ => return Err(SettingError::Key),
         }
-        Some(())
+        Ok(())
     }
+}
+
+fn valid<T>(value: Option<T>) -> Result<T, SettingError> {
+    value.ok_or(SettingError::Value)
+}
+
+fn network(value: &str) -> Option<(Ipv4Addr, u8)> {
+    let (address, prefix) = value.split_once('/')?;
+    Some((address.parse().ok()?, prefix.parse().ok().filter(|prefix| *prefix <= 32)?))
 }
 
 fn robot(value: &str) -> Option<Robot> {
@@ -161,7 +169,7 @@ fn mac(value: &str) -> Option<[u8; 6]> {
     for byte in &mut mac {
         *byte = parts.next().filter(|part| part.len() == 2).and_then(|part| u8::from_str_radix(part, 16).ok())?;
     }
-    // an address of several boards, or of none, is no board's
+    // refuses a multicast address and the address of no board
     (parts.next().is_none() && mac[0] & 1 == 0 && mac != [0; 6]).then_some(mac)
 }
 
@@ -177,7 +185,7 @@ mod tests {
     use std::vec::Vec;
 
     fn read(text: &str) -> Settings<'_> {
-        Settings::read(text.as_bytes(), |line| panic!("{}", String::from_utf8_lossy(line)))
+        Settings::read(text.as_bytes(), |line, _| panic!("{}", String::from_utf8_lossy(line)))
     }
 
     use std::string::String;
@@ -187,8 +195,8 @@ mod tests {
         let settings = read("");
         assert_eq!(settings, Settings::default());
         assert_eq!(settings.rules(&mut RuleMemory::new()), Rules::READ_ONLY);
-        assert_eq!(Settings::read(&[0; 64], |_| panic!()), Settings::default());
-        assert_eq!(Settings::read(b"\0echo=7\n", |_| panic!()).echo, None, "what stands behind the end is not read");
+        assert_eq!(Settings::read(&[0; 64], |_, _| panic!()), Settings::default());
+        assert_eq!(Settings::read(b"\0echo=7\n", |_, _| panic!()).echo, None, "text after the end is not read");
     }
 
     #[test]
@@ -222,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_read_is_told_and_forbids_every_put() {
+    fn an_invalid_line_is_reported_and_forbids_every_put() {
         for line in [
             "robot=10.0.2.2",
             "robot=robot:5007",
@@ -247,17 +255,17 @@ mod tests {
         ] {
             let text = ["put=I\n", line, "\nput=F\necho=9"].concat();
             let mut told = Vec::new();
-            let settings = Settings::read(text.as_bytes(), |line| told.push(line));
+            let settings = Settings::read(text.as_bytes(), |line, _| told.push(line));
             if line.starts_with("provider") {
                 assert!(told.is_empty());
                 continue;
             }
             assert_eq!(told, [line.as_bytes()]);
             assert_eq!(settings.rules(&mut RuleMemory::new()), Rules::READ_ONLY, "{line}");
-            assert_eq!(settings.echo, Some(9), "the lines behind it are read");
+            assert_eq!(settings.echo, Some(9), "the lines after it are read");
         }
         let mut told = 0;
-        let _ = Settings::read(b"provider=\xff\xfe\n", |_| told += 1);
+        let _ = Settings::read(b"provider=\xff\xfe\n", |_, _| told += 1);
         assert_eq!(told, 1, "no UTF-8");
     }
 }

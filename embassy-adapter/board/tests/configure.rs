@@ -51,12 +51,12 @@ fn settings_are_written_and_shown() {
 }
 
 #[test]
-fn what_the_board_could_not_read_is_refused() {
+fn invalid_settings_are_refused() {
     let image = Temporary::image("refused");
     let before = fs::read(&image.0).unwrap();
     for (settings, complaint) in [
-        (["echo=7", "put=X"], "\"put=X\" is no setting"),
-        (["echo=7", "nonsense"], "\"nonsense\" is no setting"),
+        (["echo=7", "put=X"], "invalid setting \"put=X\": unknown kind of variable"),
+        (["echo=7", "nonsense"], "invalid setting \"nonsense\": expected KEY=VALUE"),
         (["echo=7", "@/no/such/file"], "/no/such/file"),
     ] {
         let (out, err, code) = configure(&image.0, &settings);

@@ -1,4 +1,4 @@
-//! The block of settings in the flash; what it can say stands in `bcap_board`.
+//! The block of settings in the flash; `bcap_board` describes it.
 
 use bcap_board::{BLOCK, MAGIC, Settings};
 use static_cell::StaticCell;
@@ -16,18 +16,19 @@ static SETTINGS: [u8; BLOCK] = {
     block
 };
 
-/// Reads the block; `unreadable` is told the lines that are no settings. To be called once.
+/// Reads the block, and passes invalid lines to `invalid`. To be called once.
 ///
 /// Not inlined: the settings are made on the stack on their way into their place.
 #[inline(never)]
 #[must_use]
-pub fn load(unreadable: fn(&[u8])) -> &'static Settings<'static> {
+pub fn load(invalid: fn(&[u8])) -> &'static Settings<'static> {
     static PLACE: StaticCell<Settings<'static>> = StaticCell::new();
     let text = mmio::patched(&SETTINGS).get(MAGIC.len()..).unwrap_or_default();
-    PLACE.init_with(|| Settings::read(text, unreadable))
+    // `configure` tells the reason; here it would cost flash
+    PLACE.init_with(|| Settings::read(text, |line, _| invalid(line)))
 }
 
-/// Logs a line that is no setting.
+/// Logs an invalid line.
 pub fn log(line: &[u8]) {
     defmt::error!("settings: cannot read \"{=[u8]:a}\", so nothing may be written", line);
 }

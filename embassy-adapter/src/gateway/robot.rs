@@ -90,36 +90,61 @@ impl Link for UdpTransport<'_> {
 /// Keeps the connection to the robot, and the gateway's time, for ever.
 ///
 /// `frame` is memory for the bytes on their way: at least a datagram of 505 bytes over UDP, any length over TCP.
+///
+/// # Cancel safety
+///
+/// When the future is dropped, the connection is closed and the gateway learns it. The next run opens another one.
 pub async fn run_robot<L: Link, M: RawMutex, const N: usize>(
     link: &mut L,
     frame: &mut [u8],
     shared: &Shared<'_, M, N>,
 ) -> ! {
-    let mut open = false;
+    let mut robot = Robot { link, shared, open: false };
     loop {
         shared.step();
         let wanted = shared.view(|gateway| gateway.robot_wanted()).unwrap_or_default();
-        let went_on = match (open, wanted) {
-            (false, true) => link.open().await.map(|()| {
-                open = true;
+        let went_on = match (robot.open, wanted) {
+            (false, true) => robot.link.open().await.map(|()| {
+                robot.open = true;
                 shared.with(|inner| inner.gateway.robot_opened(now()));
             }),
             (true, false) => {
-                open = false;
-                link.close();
-                shared.with(|inner| inner.gateway.robot_closed(now()));
+                robot.close();
                 Ok(())
             }
-            (true, true) => transfer(link, frame, shared).await,
+            (true, true) => transfer(robot.link, frame, shared).await,
             (false, false) => {
                 select(Timer::at(ticks(shared.due())), shared.wait_for_robot()).await;
                 Ok(())
             }
         };
         if let Err(cause) = went_on {
-            open = false;
-            link.close();
+            robot.open = false;
+            robot.link.close();
             shared.with(|inner| inner.robot_lost(cause));
+        }
+    }
+}
+
+/// The connection to the robot, which ends with the task that keeps it.
+struct Robot<'a, 'm, L: Link, M: RawMutex, const N: usize> {
+    link: &'a mut L,
+    shared: &'a Shared<'m, M, N>,
+    open: bool,
+}
+
+impl<L: Link, M: RawMutex, const N: usize> Robot<'_, '_, L, M, N> {
+    fn close(&mut self) {
+        self.open = false;
+        self.link.close();
+        self.shared.with(|inner| inner.gateway.robot_closed(now()));
+    }
+}
+
+impl<L: Link, M: RawMutex, const N: usize> Drop for Robot<'_, '_, L, M, N> {
+    fn drop(&mut self) {
+        if self.open {
+            self.close();
         }
     }
 }

@@ -36,6 +36,10 @@ impl Default for Options {
     }
 }
 
+/// How often, and at which interval, a socket is asked whether its reset has been sent.
+const RESET_TRIES: u32 = 100;
+const RESET_INTERVAL: Duration = Duration::from_millis(1);
+
 /// A TCP socket as a transport; it can be connected again and again.
 pub struct TcpTransport<'s> {
     stack: Stack<'s>,
@@ -67,7 +71,7 @@ impl<'s> TcpTransport<'s> {
         if is_down(self.stack) {
             return Err(NetError::Down);
         }
-        self.socket.abort();
+        self.reset().await;
         let connected = with_timeout(self.options.connect_timeout, self.socket.connect(peer.into())).await;
         let result = match connected {
             Ok(Ok(())) => Ok(()),
@@ -93,7 +97,7 @@ impl<'s> TcpTransport<'s> {
     /// When the future is dropped a peer that is just connecting is reset with the next use.
     #[cfg(feature = "server")]
     pub(crate) async fn accept(&mut self, port: u16) -> Result<(), NetError> {
-        self.socket.abort();
+        self.reset().await;
         self.socket.accept(port).await.map_err(|_| NetError::Reset)?;
         self.set_up();
         Ok(())
@@ -108,6 +112,19 @@ impl<'s> TcpTransport<'s> {
         self.socket.close();
         if with_timeout(self.options.connect_timeout, self.socket.flush()).await.is_err() {
             self.socket.abort();
+        }
+    }
+
+    /// Resets the connection, if there is one, and waits until the peer has been told.
+    ///
+    /// A socket that is used again at once would never send the reset, and the peer would keep its end until it probes.
+    async fn reset(&mut self) {
+        self.socket.abort();
+        // asked again, because smoltcp wakes no task after a reset; without a route to the peer it cannot be sent
+        for _ in 0..RESET_TRIES {
+            if with_timeout(RESET_INTERVAL, self.socket.flush()).await.is_ok() {
+                return;
+            }
         }
     }
 

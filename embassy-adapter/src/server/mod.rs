@@ -6,7 +6,7 @@
 //!   a serial line   ─► serve ─┘
 //! ```
 //!
-//! A [`Session`] for each peer is the core's. Each connection that is to be served at the same time needs a task, a
+//! The core has the session of each peer ([`Serve`]). Each connection that is to be served at the same time needs a task, a
 //! session and a socket's memory, which the caller places; a peer for whom there is none is refused by the network.
 //!
 //! # Examples
@@ -64,7 +64,7 @@ pub use self::tcp::Listener;
 #[cfg(feature = "embassy-net")]
 pub use self::udp::{UdpPeer, UdpServer};
 use crate::clock::ticks;
-pub use bcap_core::session::Session;
+pub use bcap_core::endpoint::Serve;
 
 /// Why a session has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -113,7 +113,7 @@ pub async fn serve<X, S, M, H, const N: usize>(
 ) -> Ended<X::Error>
 where
     X: Transport,
-    S: Session<H>,
+    S: Serve<H>,
     M: RawMutex,
 {
     let mut visit = Visit::new(session, shared, transport.now());
@@ -164,7 +164,7 @@ async fn send<X, H, S>(transport: &mut X, session: &mut S, limits: &Limits) -> O
 where
     X: Transport,
     H: ?Sized,
-    S: Session<H> + ?Sized,
+    S: Serve<H> + ?Sized,
 {
     let until = transport.now().saturating_add(limits.send);
     while !session.transmit().is_empty() {
@@ -187,7 +187,7 @@ async fn wait<X, S, M, H, const N: usize>(
 ) -> Result<Heard, X::Error>
 where
     X: Transport,
-    S: Session<H>,
+    S: Serve<H>,
     M: RawMutex,
 {
     let listening = session.is_running();

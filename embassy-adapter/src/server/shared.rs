@@ -11,7 +11,7 @@ use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_sync::waitqueue::MultiWakerRegistration;
 
-use super::Session;
+use super::Serve;
 use super::limits::{Due, Limits, TooLong};
 use crate::clock::now;
 
@@ -76,7 +76,7 @@ impl<M: RawMutex, H, const WAITERS: usize> Shared<M, H, WAITERS> {
     }
 
     /// Lets a session go on as far as it can; `false` when it had nothing to do.
-    pub(super) fn run<S: Session<H>>(&self, session: &mut S, peer: PeerId, now: Instant) -> bool {
+    pub(super) fn run<S: Serve<H>>(&self, session: &mut S, peer: PeerId, now: Instant) -> bool {
         let mut stepped = false;
         // one step for each lock, so that a chatty peer does not keep interrupts out for long
         while self.step(session, peer, now) {
@@ -86,11 +86,11 @@ impl<M: RawMutex, H, const WAITERS: usize> Shared<M, H, WAITERS> {
     }
 
     /// Lets a session go one step on; `false` when it has nothing to do.
-    pub(super) fn step<S: Session<H>>(&self, session: &mut S, peer: PeerId, now: Instant) -> bool {
+    pub(super) fn step<S: Serve<H>>(&self, session: &mut S, peer: PeerId, now: Instant) -> bool {
         self.with(|inner| inner.step(session, peer, now)).unwrap_or_default()
     }
 
-    pub(super) fn close<S: Session<H>>(&self, session: &mut S, peer: PeerId, now: Instant) {
+    pub(super) fn close<S: Serve<H>>(&self, session: &mut S, peer: PeerId, now: Instant) {
         self.update(|handler| session.close(handler, peer, now));
     }
 
@@ -110,7 +110,7 @@ impl<M: RawMutex, H, const WAITERS: usize> Shared<M, H, WAITERS> {
 }
 
 impl<H, const WAITERS: usize> Inner<H, WAITERS> {
-    fn step<S: Session<H>>(&mut self, session: &mut S, peer: PeerId, now: Instant) -> bool {
+    fn step<S: Serve<H>>(&mut self, session: &mut S, peer: PeerId, now: Instant) -> bool {
         let stepped = session.run(&mut self.handler, peer, now).is_some();
         if stepped {
             self.changed();
@@ -134,7 +134,7 @@ impl<M: RawMutex, H: fmt::Debug, const WAITERS: usize> fmt::Debug for Shared<M, 
 }
 
 /// A session while it lasts; the handler learns its end however it ends.
-pub(super) struct Visit<'a, S: Session<H>, M: RawMutex, H, const N: usize> {
+pub(super) struct Visit<'a, S: Serve<H>, M: RawMutex, H, const N: usize> {
     pub(super) session: &'a mut S,
     shared: &'a Shared<M, H, N>,
     peer: PeerId,
@@ -143,7 +143,7 @@ pub(super) struct Visit<'a, S: Session<H>, M: RawMutex, H, const N: usize> {
     partial_since: Option<Instant>,
 }
 
-impl<'a, S: Session<H>, M: RawMutex, H, const N: usize> Visit<'a, S, M, H, N> {
+impl<'a, S: Serve<H>, M: RawMutex, H, const N: usize> Visit<'a, S, M, H, N> {
     pub(super) fn new(session: &'a mut S, shared: &'a Shared<M, H, N>, now: Instant) -> Self {
         Self { session, shared, peer: shared.next_peer(), heard: now, partial_since: None }
     }
@@ -179,7 +179,7 @@ impl<'a, S: Session<H>, M: RawMutex, H, const N: usize> Visit<'a, S, M, H, N> {
     }
 }
 
-impl<S: Session<H>, M: RawMutex, H, const N: usize> Drop for Visit<'_, S, M, H, N> {
+impl<S: Serve<H>, M: RawMutex, H, const N: usize> Drop for Visit<'_, S, M, H, N> {
     fn drop(&mut self) {
         self.shared.close(self.session, self.peer, now());
     }

@@ -4,7 +4,7 @@ use embassy_net::Stack;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::Timer;
 
-use super::{Ended, Limits, Session, Shared, serve};
+use super::{Ended, Limits, Serve, Shared, serve};
 use crate::net::{NetError, Options, TcpTransport};
 
 /// A port that takes one connection at a time; for more at the same time there are more listeners on the same port.
@@ -33,7 +33,7 @@ impl<'s> Listener<'s> {
         limits: &Limits,
     ) -> !
     where
-        S: Session<H>,
+        S: Serve<H>,
         M: RawMutex,
     {
         loop {
@@ -64,7 +64,7 @@ impl<'s> Listener<'s> {
         limits: &Limits,
     ) -> Result<Ended<NetError>, NetError>
     where
-        S: Session<H>,
+        S: Serve<H>,
         M: RawMutex,
     {
         self.transport.accept(self.port).await?;

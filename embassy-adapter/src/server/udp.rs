@@ -1,5 +1,6 @@
 //! b-CAP over one UDP socket, for as many peers as the caller has places for.
 
+use bcap_core::endpoint::{Endpoint, ServerEndpoint};
 use core::fmt;
 
 use bcap_core::bcap::server::{self, Config, Handler};

@@ -16,7 +16,7 @@ pub(crate) use self::slave::{Cosine, Doctor, Halt, Play, Record, Slave, SlaveCom
 use crate::error::Failure;
 use crate::escape;
 use crate::frame::Role;
-use crate::gateway::AllowPut;
+use crate::rules::AllowPut;
 use crate::target::Target;
 
 /// Talks to DENSO robot controllers over b-CAP and RAC, and takes their traffic apart.
@@ -429,11 +429,11 @@ impl From<TokenHolder> for bcap_sim::Token {
 /// Lets PLCs that speak RAC read, and if rules allow it write, the variables of a robot that speaks b-CAP
 ///
 /// Prints one line, `ready rac=IP:PORT`, when it listens, then the audit log: one JSON object a line for every request and
-/// whenever the robot comes or goes. While the robot is away every request is answered with E_NOT_CONNECTED at once. SIGINT
-/// and SIGTERM end it with 0.
+/// for each change of the robot's session. While the robot is disconnected, every request is answered with E_NOT_CONNECTED
+/// at once. SIGINT and SIGTERM end it with 0, after running requests have been answered.
 #[derive(Debug, Args)]
 #[command(after_help = "\
-A file of rules; whatever is left out stays as it is by default: everything may be read, nothing written.
+A file of rules. By default everything may be read and nothing written.
   convert = true                            # a value of another type is converted where nothing is lost
   rate = { per_second = 50, burst = 10 }    # for each client
   [[get]]
@@ -444,7 +444,7 @@ A file of rules; whatever is left out stays as it is by default: everything may 
   values = [-10, 10]                        # or a list of ranges, one for each element
 Examples:
   bcap gateway --robot tcp:192.168.0.1
-  bcap gateway --robot tcp:192.168.0.1 --allow-put I/0-99,IO/128-143 --allow-put F/5=0..1
+  bcap gateway --robot udp:192.168.0.1 --allow-put I/0-99,IO/128-143 --allow-put F/5=0..1
   bcap gateway --rac [::]:5006 --robot tcp:192.168.0.1 --rules rules.toml --audit /var/log/gateway.jsonl")]
 pub(crate) struct Gateway {
     /// Where RAC listens
@@ -455,16 +455,19 @@ pub(crate) struct Gateway {
     #[arg(long, value_name = "FILE")]
     pub(crate) rules: Option<PathBuf>,
 
-    /// Allows variables to be written, in addition to the rules: KIND[/FIRST[-LAST]][=MIN..MAX]
-    #[arg(long, value_name = "VARIABLES", value_delimiter = ',', value_parser = AllowPut::parse)]
+    /// Allows variables to be written, in addition to the rules: KIND[/FIRST[-LAST]][=MIN..MAX[,MIN..MAX]...], several
+    /// separated by commas
+    ///
+    /// Each range is about one element of the value, the last range also about the elements after it.
+    #[arg(long, value_name = "RULES", value_parser = AllowPut::parse)]
     pub(crate) allow_put: Vec<AllowPut>,
 
     /// Connections of one IP address at the same time, of 64 in all
     #[arg(long, value_name = "COUNT", default_value_t = 16)]
     pub(crate) clients_per_address: usize,
 
-    /// The seconds of silence after which a connection may be closed when another needs its slot; the longest idle one is
-    /// closed first
+    /// The seconds of silence after which a connection may be closed when another needs its slot. The connection that has
+    /// been idle longest is closed first
     #[arg(long, value_name = "SECONDS", default_value_t = 10)]
     pub(crate) evict_after: u32,
 
@@ -472,16 +475,16 @@ pub(crate) struct Gateway {
     #[arg(long, value_name = "FILE", default_value = "-")]
     pub(crate) audit: PathBuf,
 
-    /// Lines a second that one IP address may cause in the audit log, ten times as many at once; more are counted, 0
-    /// writes all. Successful writes are always logged
+    /// The lines a second that one IP address may cause in the audit log, and ten times as many at once. Further lines are
+    /// counted only; 0 writes all. Successful writes are always logged
     #[arg(long, value_name = "LINES", default_value_t = 10)]
     pub(crate) audit_rate: u32,
 
-    /// The size in MiB at which a log file is renamed to FILE.1, and a new one begun; 0 for any size
+    /// The size in MiB at which a log file is renamed to FILE.1 and a new file begins; 0 for any size
     #[arg(long, value_name = "MIB", default_value_t = 16)]
     pub(crate) audit_size: u32,
 
-    /// The number of old log files that are kept: FILE.1 is the newest
+    /// The number of old log files to keep; FILE.1 is the newest
     #[arg(long, value_name = "COUNT", default_value_t = 4)]
     pub(crate) audit_keep: u32,
 }

@@ -7,8 +7,8 @@ use bcap_core::variant::{VarType, Variant};
 
 use crate::args::{Call, Exec, LinkArgs};
 use crate::error::Failure;
-use crate::item::{print_json, print_line};
 use crate::object::{Path, word};
+use crate::output::{print_json, print_line};
 use crate::plain;
 use crate::session::{Session, integer, text, with_session};
 use crate::value::Value;
@@ -52,15 +52,15 @@ fn print_reply(code: HResult, value: Option<&Value>, json: bool) -> Result<(), F
     if json {
         let name = serde_json::Value::from(code.name());
         let value = value.map_or("null".into(), Value::to_json);
-        return print_json(&format!("{{\"code\":{},\"name\":{name},\"value\":{value}}}", code.0));
+        return Ok(print_json(&format!("{{\"code\":{},\"name\":{name},\"value\":{value}}}", code.0))?);
     }
     if code != HResult::S_OK {
         print_line(&code.to_string())?;
     }
     match value.map(Value::as_variant) {
-        // most commands have nothing to say
+        // most commands return no value
         None | Some(Variant::Empty) => Ok(()),
-        Some(value) => print_line(&plain::to_plain(value)),
+        Some(value) => Ok(print_line(&plain::to_plain(value))?),
     }
 }
 

@@ -10,9 +10,10 @@ use bcap_core::variant::Variant;
 use crate::args::{Decode, Encode};
 use crate::dissect::dissect;
 use crate::error::Failure;
+use crate::error::ItemError;
 use crate::frame::{self, Role};
 use crate::hex;
-use crate::item::{ItemError, Items, Place};
+use crate::item::{Items, Place};
 use crate::json::{self, LIMITS, Part};
 
 /// Runs `bcap decode`.

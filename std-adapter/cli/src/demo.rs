@@ -14,7 +14,8 @@ use bcap_std::{CallError, ConnectError, Options};
 use tokio::sync::oneshot;
 
 use crate::error::Failure;
-use crate::item::print_block;
+use crate::listen::runtime;
+use crate::output::print_block;
 use crate::sim::{self, Listening};
 use crate::tap::{Protocol, Tap};
 use crate::value::Value;
@@ -39,7 +40,8 @@ pub(crate) fn demo() -> Result<(), Failure> {
          bcap names                what it has\n  \
          bcap watch I1 --changed   what happens to it\n  \
          bcap decode HEX           a frame of your own, field by field",
-    )
+    )?;
+    Ok(())
 }
 
 fn over_tcp(listening: &Listening) -> Result<(), Failure> {
@@ -122,7 +124,7 @@ fn over_rac(listening: &Listening) -> Result<(), Failure> {
 /// Prints what has passed a tap, and what it was for.
 fn show<X>(purpose: &str, tap: &mut Tap<X>) -> Result<(), Failure> {
     let purpose = if purpose.is_empty() { String::new() } else { format!("\n{purpose}\n") };
-    print_block(&format!("{purpose}{}", tap.take().trim_end()))
+    Ok(print_block(&format!("{purpose}{}", tap.take().trim_end()))?)
 }
 
 /// A client whose frames are printed.
@@ -169,7 +171,7 @@ impl<X: Transport<Error = io::Error>> Link<X> {
             Ok(_) => Err(disagreement(format!("{doing} should have been refused"))),
         };
         show(purpose, self.connection.transport())?;
-        print_block(&format!("     {}", explained(code?)))
+        Ok(print_block(&format!("     {}", explained(code?)))?)
     }
 }
 
@@ -214,7 +216,7 @@ impl Robot {
     fn start() -> Result<Self, Failure> {
         let free = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
         let wanted = Listening { bcap: free, udp: free, rac: free };
-        let runtime = sim::runtime()?;
+        let runtime = runtime()?;
         let (server, listening) = runtime.block_on(sim::listen(sim::controller(Profile::Rc8), &wanted))?;
         let (stop, stopped) = oneshot::channel();
         let thread = thread::Builder::new().name("controller".into()).spawn(move || {

@@ -1,4 +1,4 @@
-//! How a command fails: whose fault it was decides the exit code, and every failure says what to do about it.
+//! Failures of commands: the kind of failure decides the exit code, and the hint says what to do.
 //!
 //! | code | meaning                                                |
 //! |------|--------------------------------------------------------|
@@ -16,13 +16,13 @@ use std::io::{self, Write};
 use std::process::{self, ExitCode};
 
 use anstyle::{AnsiColor, Style};
-use bcap_core::error::EncodeError;
+use bcap_core::error::{DecodeError, EncodeError, TextError};
 use bcap_core::hresult::HResult;
 use serde::Serialize;
 use thiserror::Error;
 
 use crate::escape;
-use crate::item::{ItemError, print_json};
+use crate::output::print_json;
 
 const RED: Style = AnsiColor::Red.on_default().bold();
 const CYAN: Style = AnsiColor::Cyan.on_default();
@@ -30,7 +30,7 @@ const CYAN: Style = AnsiColor::Cyan.on_default();
 /// Why a command failed.
 #[derive(Debug, Error)]
 pub(crate) enum Failure {
-    /// What the user gave cannot be read, or does not make sense.
+    /// The user's input is invalid.
     #[error("{0}")]
     Input(String),
     /// The item on the command line cannot be converted.
@@ -42,54 +42,54 @@ pub(crate) enum Failure {
     /// The controller answered with an error.
     #[error("{doing}: the controller refused with {code}{}", meaning(*code))]
     Refused {
-        /// What it was asked to do.
+        /// The request.
         doing: String,
-        /// What it answered.
+        /// The answer.
         code: HResult,
     },
-    /// Some of several things were refused; each has been reported.
+    /// Some of several requests were refused; each has been reported.
     #[error("{refused} of {asked} were refused")]
     SomeRefused {
-        /// How many.
+        /// The number of refusals.
         refused: usize,
-        /// Of how many.
+        /// The number of requests.
         asked: usize,
     },
     /// Some lists of names were refused; each has been reported.
     #[error("{refused} of {asked} lists of names were refused; the output is not complete")]
     ListsRefused {
-        /// How many.
+        /// The number of refusals.
         refused: usize,
-        /// Of how many.
+        /// The number of requests.
         asked: usize,
     },
-    /// There is no connection, or it broke, or what came over it makes no sense.
+    /// There is no connection, it broke, or the peer sent invalid data.
     #[error("{message}")]
     Connection {
         /// What happened.
         message: String,
-        /// What a person can do.
+        /// What the user can do.
         hint: String,
     },
     /// No answer came in time.
     #[error("{message}")]
     Timeout {
-        /// What was waited for.
+        /// The missing answer.
         message: String,
-        /// What a person can do.
+        /// What the user can do.
         hint: String,
     },
-    /// The controller is not as it should be, or has ended a stream of Slave Mode.
+    /// The controller is not ready, or has ended a stream of Slave Mode.
     #[error("{message}")]
     Unfit {
-        /// What is the matter, the controller's first error included.
+        /// The problem, the controller's first error included.
         message: String,
-        /// The code of that.
+        /// The code of that error.
         code: Option<HResult>,
-        /// What a person can do.
+        /// What the user can do.
         hint: Option<String>,
     },
-    /// A signal has ended what was to go on.
+    /// A signal has ended the command.
     #[error("{0}")]
     Interrupted(String),
     /// The standard input or output broke.
@@ -97,7 +97,50 @@ pub(crate) enum Failure {
     Stdio(#[from] io::Error),
 }
 
-/// What a person types is too large.
+/// Why one item could not be converted.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub(crate) struct ItemError {
+    /// What is wrong, in words.
+    #[serde(rename = "error")]
+    pub(crate) message: String,
+    /// Where: a byte of the decoded bytes, or of the item's text when that is what is wrong; 0 is the whole item.
+    pub(crate) offset: usize,
+}
+
+impl ItemError {
+    pub(crate) fn new(message: impl Into<String>, offset: usize) -> Self {
+        Self { message: message.into(), offset }
+    }
+
+    /// Returns the line of the output in place of the item.
+    pub(crate) fn to_json(&self) -> String {
+        let short = Self::new(escape::cut(&self.message), self.offset);
+        // serializing a string and a number cannot fail
+        escape::json(&serde_json::to_string(&short).unwrap_or_default())
+    }
+}
+
+impl From<DecodeError> for ItemError {
+    fn from(error: DecodeError) -> Self {
+        Self::new(error.to_string(), error.offset)
+    }
+}
+
+impl From<EncodeError> for ItemError {
+    fn from(error: EncodeError) -> Self {
+        Self::new(error.to_string(), 0)
+    }
+}
+
+impl From<TextError> for ItemError {
+    fn from(error: TextError) -> Self {
+        // columns count from 1; 0 is an error of the value as a whole
+        let column = usize::try_from(error.column).unwrap_or(usize::MAX);
+        Self::new(error.to_string(), column.saturating_sub(1))
+    }
+}
+
+/// The input is too large to encode.
 impl From<EncodeError> for Failure {
     fn from(error: EncodeError) -> Self {
         Self::Input(error.to_string())
@@ -111,12 +154,12 @@ impl Failure {
             Self::Input(_) | Self::Item(_) | Self::BadLines(_) | Self::Stdio(_) => 2,
             Self::Connection { .. } => 3,
             Self::Timeout { .. } => 4,
-            // as shells count: 128 and the number of SIGINT
+            // the convention of shells: 128 plus the number of SIGINT
             Self::Interrupted(_) => 130,
         }
     }
 
-    /// Returns what a person can do about it.
+    /// Returns what the user can do.
     pub(crate) fn hint(&self) -> Option<&str> {
         match self {
             Self::Refused { code, .. } => code.hint(),
@@ -132,7 +175,7 @@ impl Failure {
         }
     }
 
-    /// Tells whether the session can go on: the controller has answered, or was not asked.
+    /// Tells whether the session can continue: the controller has answered, or got no request.
     pub(crate) fn leaves_the_session_alive(&self) -> bool {
         !matches!(self, Self::Connection { .. } | Self::Timeout { .. })
     }
@@ -142,7 +185,7 @@ impl Failure {
         if let Self::Stdio(error) = self
             && error.kind() == io::ErrorKind::BrokenPipe
         {
-            // whoever read the output, such as `head`, has seen enough
+            // the reader of the output, such as `head`, needs no more
             return ExitCode::SUCCESS;
         }
         self.print(json, None);
@@ -158,10 +201,10 @@ impl Failure {
     /// Prints what went wrong and what to do; with `json` also as a line of the output, about `name` if there is one.
     pub(crate) fn print(&self, json: bool, name: Option<&str>) {
         if matches!(self, Self::SomeRefused { asked: 1, .. }) {
-            // its refusal has said it all
+            // the refusal itself has been printed
             return;
         }
-        // nobody is left to be told when even this fails
+        // an error of this write cannot be reported
         if json && let Some(line) = self.to_json(name) {
             let _ = print_json(&line);
         }
@@ -172,7 +215,7 @@ impl Failure {
         }
     }
 
-    /// Returns the line of the output that tells of the failure; `None` when its parts have been told already.
+    /// Returns the failure as a line of the output; `None` when its parts have been printed already.
     fn to_json(&self, name: Option<&str>) -> Option<String> {
         let mut line =
             Line { name, error: escape::cut(self), offset: None, code: None, hresult: None, hint: self.hint() };

@@ -18,7 +18,7 @@ use bcap_core::variant::Variant;
 use serde::Deserialize;
 use serde_json::value::RawValue;
 
-use crate::item::ItemError;
+use crate::error::ItemError;
 use crate::json::{self, LIMITS, Part};
 
 /// What a frame's code means.

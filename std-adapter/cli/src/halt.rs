@@ -5,8 +5,8 @@ use bcap_core::hresult::HResult;
 
 use crate::args::LinkArgs;
 use crate::error::Failure;
-use crate::item::{print_json, print_line};
 use crate::object::Path;
+use crate::output::{print_json, print_line};
 use crate::session::{integer, text, with_session};
 
 /// Runs `bcap halt`.
@@ -14,10 +14,11 @@ pub(crate) fn halt(link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let code = halt_now(link)?;
     let moved = code != HResult::S_FALSE;
     match (json, moved) {
-        (true, _) => print_json(&format!("{{\"halted\":{moved}}}")),
-        (false, true) => print_line("halted"),
-        (false, false) => print_line("nothing was moving"),
+        (true, _) => print_json(&format!("{{\"halted\":{moved}}}"))?,
+        (false, true) => print_line("halted")?,
+        (false, false) => print_line("nothing was moving")?,
     }
+    Ok(())
 }
 
 /// Halts the robot, and returns the controller's code: S_FALSE when nothing was moving.

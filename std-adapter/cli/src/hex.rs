@@ -3,7 +3,7 @@
 //! Digits come in pairs, in either case. Between pairs there may be blanks, colons, commas and `0x` prefixes, so that what
 //! Wireshark, `xxd`, `candump` or a source file show can be pasted as it is.
 
-use crate::item::ItemError;
+use crate::error::ItemError;
 
 /// Reads bytes from their digits.
 pub(crate) fn parse(text: &[u8]) -> Result<Vec<u8>, ItemError> {

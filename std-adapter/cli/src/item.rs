@@ -1,63 +1,18 @@
-//! Items, one as an argument or many as lines: how each is converted, and what happens to those that are wrong.
+//! Items to convert: one as an argument, or many as lines.
 //!
 //! With `-` every line of the standard input gives exactly one line of output, in order. A line that cannot be converted
-//! gives `{"error":"...","offset":n}` in its place; the others are still done, and the exit code tells at the end.
+//! gives `{"error":"...","offset":n}` in its place. The other lines are still converted, and the exit code is an error.
 
 use std::io::{self, BufRead, Write};
 
-use bcap_core::error::{DecodeError, EncodeError, TextError};
-use serde::Serialize;
-
-use crate::error::Failure;
+use crate::error::{Failure, ItemError};
 use crate::escape;
+use crate::output::{print_block, print_json};
 
 /// The longest line that is read: 16 MiB of bytes as digits with something between each two, with room to spare.
 const MAX_LINE: usize = 128 * 1024 * 1024;
 
-/// Why one item could not be converted.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
-pub(crate) struct ItemError {
-    /// What is wrong, in words.
-    #[serde(rename = "error")]
-    pub(crate) message: String,
-    /// Where: a byte of the decoded bytes, or of the item's text when that is what is wrong; 0 is the whole item.
-    pub(crate) offset: usize,
-}
-
-impl ItemError {
-    pub(crate) fn new(message: impl Into<String>, offset: usize) -> Self {
-        Self { message: message.into(), offset }
-    }
-
-    /// Returns the line that stands in the output in place of the item.
-    pub(crate) fn to_json(&self) -> String {
-        let short = Self::new(escape::cut(&self.message), self.offset);
-        // a struct of a string and a number has no way to fail
-        escape::json(&serde_json::to_string(&short).unwrap_or_default())
-    }
-}
-
-impl From<DecodeError> for ItemError {
-    fn from(error: DecodeError) -> Self {
-        Self::new(error.to_string(), error.offset)
-    }
-}
-
-impl From<EncodeError> for ItemError {
-    fn from(error: EncodeError) -> Self {
-        Self::new(error.to_string(), 0)
-    }
-}
-
-impl From<TextError> for ItemError {
-    fn from(error: TextError) -> Self {
-        // columns count from 1; 0 is an error of the value as a whole
-        let column = usize::try_from(error.column).unwrap_or(usize::MAX);
-        Self::new(error.to_string(), column.saturating_sub(1))
-    }
-}
-
-/// The items that a command is to convert.
+/// The items of a command.
 pub(crate) enum Items {
     /// One, from the command line.
     One(String),
@@ -92,7 +47,7 @@ impl Items {
         match self {
             Self::One(text) => {
                 let print = if json { print_json } else { print_block };
-                print(&convert(text.as_bytes(), Place::Argument).map_err(Failure::Item)?)
+                Ok(print(&convert(text.as_bytes(), Place::Argument).map_err(Failure::Item)?)?)
             }
             Self::Lines => {
                 let escape = if json { escape::json } else { escape::line };
@@ -111,30 +66,6 @@ pub(crate) enum Place {
     Argument,
     /// It is one of many lines, and what comes of it takes one.
     Line,
-}
-
-/// Prints one line for people.
-pub(crate) fn print_line(line: &str) -> Result<(), Failure> {
-    print_raw(&escape::line(line))
-}
-
-/// Prints lines of the command's own layout.
-pub(crate) fn print_block(lines: &str) -> Result<(), Failure> {
-    print_raw(&escape::block(lines))
-}
-
-/// Prints one line of JSON, or several.
-pub(crate) fn print_json(lines: &str) -> Result<(), Failure> {
-    print_raw(&escape::json(lines))
-}
-
-/// Prints text as it is, with an end of line: nothing of it may come from outside.
-pub(crate) fn print_raw(text: &str) -> Result<(), Failure> {
-    let mut out = io::stdout().lock();
-    out.write_all(text.as_bytes())?;
-    out.write_all(b"\n")?;
-    out.flush()?;
-    Ok(())
 }
 
 /// Converts line by line, and returns how many lines were wrong.

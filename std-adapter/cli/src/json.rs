@@ -25,8 +25,8 @@ use bcap_core::variant::{Bstr, Currency, Element, Encode, Null, OleDate, VarType
 use serde::Deserialize;
 use serde_json::value::RawValue;
 
+use crate::error::ItemError;
 use crate::hex;
-use crate::item::ItemError;
 
 /// What this command reads and writes at most: the specification's 16 MiB, but as many arguments and as deep as can be.
 pub(crate) const LIMITS: Limits = Limits { arguments: u16::MAX, depth: MAX_DEPTH, ..Limits::STREAM };

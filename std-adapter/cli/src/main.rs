@@ -16,9 +16,12 @@ mod halt;
 mod hex;
 mod item;
 mod json;
+mod listen;
 mod object;
+mod output;
 mod plain;
 mod rac;
+mod rules;
 mod session;
 mod signal;
 mod sim;
@@ -26,6 +29,7 @@ mod slave;
 mod tap;
 mod target;
 mod text;
+mod times;
 mod value;
 mod variables;
 mod watch;
@@ -70,5 +74,5 @@ fn run(cli: &Cli) -> Result<(), Failure> {
 fn completions(args: &args::Completions) -> Result<(), Failure> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut Cli::command(), "bcap", &mut script);
-    item::print_raw(String::from_utf8_lossy(&script).trim_end())
+    Ok(output::print_raw(String::from_utf8_lossy(&script).trim_end())?)
 }

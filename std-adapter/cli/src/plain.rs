@@ -123,7 +123,7 @@ mod tests {
         assert_eq!(input("0", &7_i32), "3,0");
         assert_eq!(input("1", &7.5_f64), "5,1");
         assert_eq!(input("0,", &7_i32), "0,");
-        assert_eq!(input("1", &()), "a comma is missing behind the VARTYPE at column 2");
+        assert_eq!(input("1", &()), "a comma is missing after the VARTYPE at column 2");
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! `bcap sim`: a virtual controller behind real sockets.
+//! `bcap sim`: a virtual controller on real sockets.
 
 use std::fmt;
 use std::fs;
@@ -16,24 +16,24 @@ use bcap_sim::files::{Executor, Job};
 use bcap_sim::scenario::Delivery;
 use bcap_sim::{Config, Controller, Profile, Scenario};
 use bcap_std::server::Server;
-use tokio::runtime::{self, Runtime};
 
 use crate::args::Sim;
 use crate::error::Failure;
-use crate::item::print_line;
+use crate::listen::{runtime, taken};
+use crate::output::print_line;
 use crate::signal;
 
-/// Pieces of file work that wait for their turn at most.
+/// The most jobs for files in the queue.
 const FILE_JOBS: usize = 64;
 
-/// Explanations that wait to be printed at most.
+/// The most explanations in the queue.
 const EXPLANATIONS: usize = 64;
 
 /// Runs `bcap sim`, until a signal ends it.
 pub(crate) fn sim(args: &Sim) -> Result<(), Failure> {
     let runtime = runtime()?;
     runtime.block_on(async {
-        // the signals first: who reads the line may send one at once
+        // the signals first: a reader of the line may send one at once
         let ended = signal::wait()?;
         let wanted = Listening { bcap: args.bcap, udp: args.udp, rac: args.rac };
         // kept as long as the controller runs
@@ -80,14 +80,14 @@ fn explainer() -> io::Result<Observer> {
     Ok(Observer::new(move |code, text| drop(lines.try_send(format!("refused with {code}: {text}")))))
 }
 
-/// Where a virtual controller listens.
+/// The addresses of a virtual controller.
 pub(crate) struct Listening {
     pub(crate) bcap: SocketAddr,
     pub(crate) udp: SocketAddr,
     pub(crate) rac: SocketAddr,
 }
 
-/// Puts a controller behind sockets; port 0 takes a free one.
+/// Binds the sockets of a controller; port 0 takes a free one.
 pub(crate) async fn listen(
     controller: Controller,
     wanted: &Listening,
@@ -104,7 +104,7 @@ pub(crate) async fn listen(
     }
 }
 
-/// Does to the bytes of an answer what the scenario says.
+/// Applies the scenario to the bytes of an answer.
 fn deliver(controller: &mut Controller, peer: PeerId, bytes: &mut Vec<u8>) -> ControlFlow<()> {
     match controller.deliver(peer, bytes) {
         Delivery::Send => {}
@@ -117,15 +117,7 @@ fn deliver(controller: &mut Controller, peer: PeerId, bytes: &mut Vec<u8>) -> Co
 fn read_scenario(path: &Path) -> Result<Scenario, Failure> {
     let text = fs::read_to_string(path)
         .map_err(|error| Failure::Input(format!("cannot read the scenario {}: {error}", path.display())))?;
-    Scenario::parse(&text).map_err(|error| Failure::Input(format!("{} is no scenario: {error}", path.display())))
-}
-
-/// Tells why an address cannot be listened on.
-pub(crate) fn taken(option: &str, address: SocketAddr, error: &io::Error) -> Failure {
-    Failure::Connection {
-        message: format!("cannot listen on {address}: {error}"),
-        hint: format!("choose another address with {option}; port 0 takes a free one"),
-    }
+    Scenario::parse(&text).map_err(|error| Failure::Input(format!("invalid scenario {}: {error}", path.display())))
 }
 
 impl fmt::Display for Listening {
@@ -134,17 +126,12 @@ impl fmt::Display for Listening {
     }
 }
 
-/// Makes what runs a server: one thread is plenty for a controller.
-pub(crate) fn runtime() -> io::Result<Runtime> {
-    runtime::Builder::new_current_thread().enable_all().build()
-}
-
-/// Switches a controller on.
+/// Makes a controller.
 pub(crate) fn controller(model: Profile) -> Controller {
     Controller::new(config(model))
 }
 
-/// Sets a controller up with the time of this machine; it takes the providers of all models.
+/// Configures a controller with the time of this machine. It accepts the providers of all models.
 fn config(model: Profile) -> Config {
     let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let origin = since_1970.as_micros().saturating_sub(bcap_std::now().as_micros().into()) / 1000;

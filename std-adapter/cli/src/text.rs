@@ -7,9 +7,10 @@ use bcap_core::variant::Variant;
 
 use crate::args::{Text, TextCommand};
 use crate::error::Failure;
+use crate::error::ItemError;
 use crate::escape;
 use crate::hex;
-use crate::item::{ItemError, Items};
+use crate::item::Items;
 use crate::json::LIMITS;
 use crate::value::{self, Value};
 

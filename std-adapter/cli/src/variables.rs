@@ -6,8 +6,8 @@ use bcap_core::variant::Variant;
 
 use crate::args::{Get, LinkArgs, Put};
 use crate::error::Failure;
-use crate::item::{print_json, print_line};
 use crate::object::{Path, Step, word};
+use crate::output::{print_json, print_line};
 use crate::plain;
 use crate::session::{Session, integer, text, with_session};
 use crate::value::Value;
@@ -97,7 +97,7 @@ pub(crate) fn shown(name: &str, value: &Value, json: bool) -> String {
 
 /// Prints a line as people or, with `json`, programs read it.
 pub(crate) fn print(line: &str, json: bool) -> Result<(), Failure> {
-    if json { print_json(line) } else { print_line(line) }
+    Ok(if json { print_json(line) } else { print_line(line) }?)
 }
 
 /// The functions that list names, and the objects that the names are of.
@@ -206,8 +206,9 @@ fn all_strings(list: Variant<'_>) -> Option<Vec<String>> {
 fn print_name(path: &Path, json: bool) -> Result<(), Failure> {
     if json {
         let kind = word(path.object());
-        print_json(&serde_json::json!({ "kind": kind, "name": path.to_string() }).to_string())
+        print_json(&serde_json::json!({ "kind": kind, "name": path.to_string() }).to_string())?;
     } else {
-        print_line(&path.to_string())
+        print_line(&path.to_string())?;
     }
+    Ok(())
 }

@@ -1,4 +1,4 @@
-//! `bcap gateway` between `bcap rac` and `bcap sim`, as processes: what a PLC meets.
+//! `bcap gateway` between `bcap rac` and `bcap sim`, as processes.
 
 mod common;
 
@@ -14,7 +14,7 @@ use serde_json::Value;
 
 const NOT_CONNECTED: &str = "-2147481342\r";
 
-/// A command that runs until it is told to end; it is killed when the test is over.
+/// A command that is killed when the test ends.
 struct Server {
     child: Child,
     out: BufReader<ChildStdout>,
@@ -30,7 +30,7 @@ impl Server {
         Self { child, out, ready }
     }
 
-    /// Returns the address behind `key` in the line that it printed when it was ready.
+    /// Returns the address after `key` in the line `ready ...`.
     fn address(&self, key: &str) -> String {
         let mut words = self.ready.trim_end().split(' ');
         assert_eq!(words.next(), Some("ready"), "{}", self.ready);
@@ -62,7 +62,7 @@ impl Server {
         bcap(&[&["rac"], args, &["--robot", &self.address("rac")]].concat())
     }
 
-    /// Ends it, as a service manager does, and returns the rest of what it printed.
+    /// Ends it with a signal, as a service manager does, and returns the rest of its output.
     #[cfg(unix)]
     fn end(mut self, signal: &str) -> String {
         assert!(Command::new("kill").args([signal, &self.child.id().to_string()]).status().unwrap().success());
@@ -80,7 +80,7 @@ impl Drop for Server {
     }
 }
 
-/// A PLC: a connection on which lines are sent and answers read.
+/// A PLC: a connection that sends lines and reads answers.
 struct Plc {
     stream: BufReader<TcpStream>,
 }
@@ -100,7 +100,7 @@ impl Plc {
     }
 }
 
-/// A gateway whose robot is there.
+/// Starts a gateway, and waits until its robot is connected.
 fn up(robot: &str, more: &[&str]) -> Server {
     let mut gateway = Server::gateway(robot, more);
     gateway.log("robot_up");
@@ -178,8 +178,41 @@ fn a_file_of_rules_bounds_what_is_written() {
     std::fs::remove_file(&path).unwrap();
     let run = bcap(&["gateway", "--allow-put", "X"]);
     assert!(run.code == 2 && run.err.contains("I F D S V P J T IO"), "{run:?}");
-    let run = bcap(&["gateway", "--robot", "udp:127.0.0.1"]);
-    assert!(run.code == 2 && run.err.contains("over TCP"), "{run:?}");
+    let run = bcap(&["gateway", "--allow-put", "F,I/3-1"]);
+    let error = "\"I/3-1\": invalid index range 3-1: the first index is above the last, at column 3";
+    assert!(run.code == 2 && run.err.contains(error), "{run:?}");
+}
+
+#[test]
+fn the_robot_is_reached_over_udp_too() {
+    let sim = Server::sim("127.0.0.1:0");
+    let robot = format!("udp:{}", sim.address("udp"));
+    let mut gateway =
+        Server::start(&["gateway", "--rac", "127.0.0.1:0", "--robot", &robot, "--allow-put", "V/7=0..1,-5..5,I"]);
+    assert_eq!(gateway.log("robot_up")["robot"], robot);
+    let mut plc = Plc::connect(&gateway);
+    assert_eq!(plc.ask("PUT:RC8:7:V:8196,1,-5,5\r"), "0\r");
+    assert_eq!(plc.ask("PUT:RC8:7:V:8196,2,-5,5\r"), "-2147024809\r");
+    assert_eq!(plc.ask("PUT:RC8:1:I:3,5\r"), "0\r");
+    assert_eq!(bcap(&["get", "I1", "V7", "--robot", &robot]).out, "I1 = 5\nV7 = 1,-5,5\n");
+    drop(sim);
+    assert_eq!(gateway.log("robot_down")["robot"], robot);
+    assert_eq!(plc.ask("GET:RC8:1:I:\r"), NOT_CONNECTED);
+}
+
+/// A client chooses the text of its lines; a terminal that shows the log must not act on them.
+#[test]
+fn lines_in_the_log_are_escaped() {
+    let mut gateway = Server::gateway("127.0.0.1:9", &[]);
+    let line = "GET:\u{9b}31m\u{202e}";
+    Plc::connect(&gateway).ask(&format!("{line}\r"));
+    let mut raw = String::new();
+    while !raw.contains("\"refused\"") {
+        raw.clear();
+        gateway.out.read_line(&mut raw).unwrap();
+    }
+    assert!(raw.contains("\"line\":\"GET:\\u009b31m\\u202e\""), "{raw}");
+    assert_eq!(serde_json::from_str::<Value>(&raw).unwrap()["line"], line);
 }
 
 #[test]
@@ -207,8 +240,8 @@ fn wrong_lines_are_answered_and_the_session_lives() {
 }
 
 #[test]
-fn while_the_robot_is_away_the_error_comes_at_once_and_then_service_resumes() {
-    // a port that nobody listens on, and where the robot will be
+fn without_the_robot_requests_fail_at_once_and_then_service_resumes() {
+    // a free port, which the robot uses later
     let robot = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
     let mut gateway = Server::gateway(&robot, &["--allow-put", "I"]);
     let down = gateway.log("robot_down");
@@ -283,10 +316,10 @@ fn no_answer_is_another_clients() {
     }
 }
 
-/// Lines without a pause, and their answers read as fast, are no reason not to serve the others, or not to end.
+/// One client sends lines without a pause and reads the answers as fast. Others are served, and the command ends.
 #[test]
 #[cfg(unix)]
-fn a_flood_of_lines_keeps_nobody_from_being_served() {
+fn a_flood_of_lines_does_not_starve_other_clients() {
     let sim = Server::sim("127.0.0.1:0");
     let gateway = up(&sim.address("bcap"), &[]);
     let flood = TcpStream::connect(gateway.address("rac")).unwrap();
@@ -340,7 +373,7 @@ fn signals_end_it_with_0_and_the_log_with_the_totals() {
     }
 }
 
-/// Two bytes a line cost some 200 in the log: their number is limited, and what is left out is counted.
+/// A line of two bytes costs about 200 in the log, so the log limits and counts such lines.
 #[test]
 #[cfg(unix)]
 fn a_flood_of_wrong_lines_is_counted_in_the_log() {
@@ -372,7 +405,7 @@ fn a_flood_of_wrong_lines_is_counted_in_the_log() {
     assert_eq!(records.last().unwrap()["refused"], LINES, "the totals count all of them");
 }
 
-/// Writes change the robot: whatever else a client asks, each of them is in the log.
+/// Writes change the robot, so the rate of the log does not apply to them.
 #[test]
 #[cfg(unix)]
 fn every_successful_write_is_logged() {
@@ -398,7 +431,7 @@ fn one_address_gets_no_more_than_its_share_of_the_slots() {
         assert_eq!(plc.ask("GET:RC8:1:I:\r"), NOT_CONNECTED);
     }
     assert_eq!(Plc::connect(&gateway).ask("GET:RC8:1:I:\r"), "-2147481333\r", "E_MAX_CONNECT");
-    // another address has slots of its own
+    // another address has its own share
     #[cfg(target_os = "linux")]
     {
         let address = socket2::SockAddr::from("127.0.0.2:0".parse::<std::net::SocketAddr>().unwrap());
@@ -425,7 +458,7 @@ fn the_longest_idle_connection_makes_room_for_another() {
 }
 
 #[test]
-fn who_finds_no_seat_is_told_so() {
+fn a_client_without_a_slot_is_answered() {
     let gateway = Server::gateway("127.0.0.1:9", &["--clients-per-address", "64"]);
     let mut seated: Vec<Plc> = (0..64).map(|_| Plc::connect(&gateway)).collect();
     for plc in &mut seated {

@@ -54,12 +54,15 @@
 //! | CurJSpd, CurJAcc, CurJDec       | -                           | R4: internal, of joints                          |
 //! | CurExtSpd, CurExtAcc, CurExtDec | -                           | R4: external                                     |
 //! | CurFig, CurTool, CurWork        | -                           | I4                                               |
+//! | GetRobotTypeName                | -                           | BSTR: the robot's type                           |
+//! | RobInfo                         | I4: 1                       | BSTR: likewise; other numbers `E_NOTIMPL`        |
 //! | J2P J2T P2J P2T T2J T2P         | a pose                      | R8 array                                         |
 //! | slvMove, slvChangeMode, ...     | see [`slave`]               |                                                  |
 //! | MotionPreparation, ...          | see [`preparation`](crate::preparation) |                                      |
 //!
-//! A motion while another one runs is refused with `E_ROBOTISBUSY`, even after a motion with `NEXT`, as the
-//! specification of the code says. So there is no queue of motions, and a pass motion is not blended.
+//! A motion while another one runs is refused with `E_ROBOTISBUSY`, with one exception, because public sample programs
+//! rely on it: the next motion of the client that started the running one with `NEXT` begins at the end of that motion,
+//! and is answered at its own end. Halt and errors end both. There is no other queue, and a pass motion is not blended.
 //!
 //! TakeArm while an error is present answers `E_ERROR_PRESENT`. GiveArm while the robot moves answers `E_ROBOTISBUSY`.
 //! Commands of real controllers that this model lacks answer `E_NOTIMPL`, other names `E_INVALID_CMD_NAME`.
@@ -160,7 +163,7 @@ impl Arm {
     /// Returns when to poll a call that waits for this event; `None` if the time is unknown.
     pub(crate) fn end_of(&self, wait: Wait, now: Instant) -> Option<Instant> {
         match wait {
-            Wait::Motion(_) | Wait::Rest => self.robot.motion_end(),
+            Wait::Motion(_) | Wait::Turn | Wait::Rest => self.robot.motion_end(),
             Wait::Servo => match self.robot.servo() {
                 Servo::TurningOn(at) => Some(at),
                 _ => None,

@@ -242,6 +242,11 @@ impl Motion {
         }
     }
 
+    /// Tells whether it brakes to its end.
+    pub(crate) fn is_halting(&self) -> bool {
+        self.stage == Stage::Halting
+    }
+
     /// Brakes until [`unhold`](Self::unhold); `false` if it is braking already.
     pub(crate) fn hold(&mut self, now: Instant) -> bool {
         let running = self.stage == Stage::Running;

@@ -9,7 +9,9 @@
 //! | array of 7, 8 or 10 numbers        | P, J or T by their count                                     |
 //!
 //! Types are 0 P, 1 T, 2 J. The pass (`@P` -1, `@E` -2, `@0`, `@n`) is checked and has no effect: every motion of this
-//! model ends exactly at its pose. If a P has no Fig or a negative one, the arm takes the nearest posture.
+//! model ends exactly at its pose. As text the pass may also stand before the type, as in a public sample program:
+//! `[[...], "@E", "P"]`. If a P has no Fig or a negative one, the arm takes the nearest posture.
+//!
 //! Extended joints may follow the pose: `"P1 EX((7, 30.5))"`, or `[1, [7, 30.5]]` as the fourth element. With 1 or EX
 //! the values are relative to the position of the axis, with 2 or EXA to its zero.
 
@@ -105,11 +107,13 @@ impl Pose {
         Self::new(kind_of_letter(letter)?, &numbers_of_text(list)?)
     }
 
-    /// Reads `[numbers or index, type, pass]`; ignores a fourth element.
+    /// Reads `[numbers or index, type, pass]`, or the pass before the type; ignores a fourth element.
     fn parse_items(array: Array<'_>, vars: &Variables) -> Result<Self, HResult> {
         let item = |n| array.get(n).unwrap_or(Variant::Empty).flatten();
-        check_pass_item(&item(2))?;
-        let kind = match item(1) {
+        let has_pass = |item: &Variant<'_>| matches!(item, Variant::Bstr(text) if text.to_string().starts_with('@'));
+        let (kind, pass) = if has_pass(&item(1)) { (item(2), item(1)) } else { (item(1), item(2)) };
+        check_pass_item(&pass)?;
+        let kind = match kind {
             Variant::Empty | Variant::Null => None,
             Variant::Bstr(letter) => Some(kind_of_letter(&letter.to_string())?),
             number => match number.as_i32() {

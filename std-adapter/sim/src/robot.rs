@@ -116,7 +116,10 @@ impl Robot {
                 // exactly, without the rounding of the path
                 (self.rest, self.destination) = (destination, destination);
             }
-            waits.end(Wait::Motion(id), if ended == Ended::Arrived { HResult::S_OK } else { HResult::E_ABORT });
+            match ended {
+                Ended::Arrived => waits.end(Wait::Motion(id), HResult::S_OK),
+                Ended::Halted => end_motion(id, HResult::E_ABORT, waits),
+            }
         }
         if self.motor_is_on() {
             waits.end(Wait::Servo, HResult::S_OK);
@@ -186,6 +189,16 @@ impl Robot {
         self.motion.is_some() || self.stream.as_ref().is_some_and(Stream::is_moving)
     }
 
+    /// Tells whether a motion is running or held.
+    pub(crate) fn has_motion(&self) -> bool {
+        self.motion.is_some()
+    }
+
+    /// Tells whether the motion is this client's and continues to its target.
+    pub(crate) fn executes_motion_of(&self, peer: PeerId) -> bool {
+        self.motion.as_ref().is_some_and(|motion| motion.peer == peer && !motion.is_halting())
+    }
+
     /// Returns the client whose motion or Slave Mode moves the robot.
     pub(crate) fn mover(&self) -> Option<PeerId> {
         self.stream.as_ref().map(|stream| stream.peer).or_else(|| self.motion.as_ref().map(|motion| motion.peer))
@@ -247,7 +260,7 @@ impl Robot {
     pub(crate) fn stop(&mut self, code: HResult, now: Instant, waits: &mut Waits) {
         self.leave(code, now, waits);
         if let Some(id) = self.freeze(now) {
-            waits.end(Wait::Motion(id), code);
+            end_motion(id, code, waits);
         }
     }
 
@@ -313,6 +326,12 @@ impl Robot {
             _ => Ok(()),
         }
     }
+}
+
+/// Ends the calls that wait for a motion which does not arrive, and for the motion after it.
+fn end_motion(id: u64, code: HResult, waits: &mut Waits) {
+    waits.end(Wait::Motion(id), code);
+    waits.end(Wait::Turn, code);
 }
 
 /// Checks a speed or an acceleration in percent, 0.0001 to 100.

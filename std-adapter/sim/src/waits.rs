@@ -10,6 +10,8 @@ use bcap_core::hresult::HResult;
 pub(crate) enum Wait {
     /// The end of the motion with this number.
     Motion(u64),
+    /// The end of this client's own motion with `NEXT`; then its next motion begins.
+    Turn,
     /// The motor is on.
     Servo,
     /// The arm is at rest.

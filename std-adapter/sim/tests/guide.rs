@@ -1,6 +1,7 @@
 //! The frames of the RC8 guide, sent through the server of b-CAP: the virtual controller's answers are the guide's.
 
 use bcap_core::bcap::server::{Config as Server, Session};
+use bcap_core::endpoint::{Endpoint, Serve};
 use bcap_core::handler::PeerId;
 use bcap_core::time::Instant;
 use bcap_core::variant::VariantBuf;

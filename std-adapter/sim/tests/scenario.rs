@@ -5,6 +5,7 @@ mod common;
 use bcap_core::bcap::call;
 use bcap_core::bcap::server::{Config as Server, Session};
 use bcap_core::bcap::{Decoder, FrameWriter};
+use bcap_core::endpoint::{Endpoint, Serve};
 use bcap_core::handler::{Outcome, PeerId};
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;

@@ -36,6 +36,7 @@
 //! ```
 
 mod admission;
+mod limits;
 mod memory;
 mod rac;
 mod shared;
@@ -47,9 +48,8 @@ use std::io;
 use std::net::SocketAddr;
 use std::pin::Pin;
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
 
-use bcap_core::bcap::server::{Config, Handler};
+use bcap_core::bcap::server::Handler;
 use bcap_core::rac::server::Handler as RacHandler;
 use tokio::net::{TcpListener, ToSocketAddrs, UdpSocket};
 use tokio::sync::watch;
@@ -59,81 +59,14 @@ use memory::Pool;
 use shared::Shared;
 
 pub use admission::{Admission, SlotState, Slots};
+pub use limits::Limits;
+#[cfg(feature = "gateway")]
+pub(crate) use rac::refuse as refuse_rac;
 pub use shared::Tap;
+#[cfg(feature = "gateway")]
+pub(crate) use tcp::REFUSALS;
 
-/// What peers can use up.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Limits {
-    /// Connections at the same time, b-CAP and RAC each.
-    pub connections: usize,
-    /// Connections of one IP address at the same time, b-CAP and RAC each.
-    pub connections_per_address: usize,
-    /// The silence after which a connection without a request under way may be closed when another connection needs its
-    /// slot; the one that has been idle longest is closed first.
-    pub evict_after: Duration,
-    /// UDP peers at the same time; one that has stopped its service, or was silent for [`udp_idle`](Self::udp_idle),
-    /// makes room for another.
-    pub udp_peers: usize,
-    /// UDP peers of one IP address at the same time.
-    pub udp_peers_per_address: usize,
-    /// The silence after which a UDP peer may be forgotten when another needs its slot.
-    pub udp_idle: Duration,
-    /// The silence after which a UDP peer is forgotten in any case, and its objects are released.
-    pub udp_lost: Duration,
-    /// How long a request may take to arrive once its first byte has.
-    pub receive: Duration,
-    /// How long a peer may take nothing of a reply.
-    pub send: Duration,
-    /// How long a call of b-CAP may run at most, whatever its client asks for with `InvokeTimeout`. Clients that ask for
-    /// nothing have 180 s, those of RAC too.
-    pub call: Duration,
-    /// The silence after which a connection without a request under way is closed; `None` lets it stay.
-    pub idle: Option<Duration>,
-    /// Bytes of a request at most.
-    pub frame: u32,
-    /// Bytes that requests and replies of b-CAP over TCP may take, of all connections together, beside the 2 KiB that each has
-    /// from the beginning. Without enough of it a request is answered E_PACKETSIZEOVER, and in place of a reply there is
-    /// E_TOO_MUCH_DATA; small ones always pass. A connection gives back what it has when it ends, or keeps silent for
-    /// 5 s.
-    pub memory: usize,
-    /// The silence on TCP after which the operating system probes the peer.
-    pub keep_alive: Option<Duration>,
-}
-
-impl Limits {
-    /// Returns the slots for connections of one protocol.
-    const fn connection_slots(&self) -> Slots {
-        Slots { total: self.connections, per_address: self.connections_per_address, evict_after: self.evict_after }
-    }
-
-    /// Returns the slots for UDP peers.
-    const fn udp_slots(&self) -> Slots {
-        Slots { total: self.udp_peers, per_address: self.udp_peers_per_address, evict_after: self.udp_idle }
-    }
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        Self {
-            connections: 256,
-            connections_per_address: 128,
-            evict_after: Duration::from_secs(10),
-            udp_peers: 32,
-            udp_peers_per_address: 16,
-            udp_idle: Duration::from_secs(10),
-            udp_lost: Duration::from_secs(600),
-            receive: Duration::from_secs(30),
-            send: Duration::from_secs(10),
-            call: Config::TCP.invoke_timeout_max,
-            idle: None,
-            frame: bcap_core::limits::Limits::STREAM.frame,
-            memory: 256 << 20,
-            keep_alive: Some(Duration::from_secs(60)),
-        }
-    }
-}
-
-/// A server that listens, and serves when it is run.
+/// A server that listens, and serves while it runs.
 #[derive(Debug)]
 pub struct Server<H> {
     shared: Arc<Shared<H>>,
@@ -143,11 +76,11 @@ pub struct Server<H> {
     rac: Vec<(TcpListener, ListenRac<H>)>,
 }
 
-/// Accepts connections of RAC; known by its address, so that handlers of b-CAP alone can be served as well.
+/// Accepts connections of RAC. A function pointer, so that a handler needs to implement RAC only if it serves it.
 type ListenRac<H> = fn(TcpListener, Arc<Shared<H>>, Limits, watch::Receiver<()>) -> Listening;
 type Listening = Pin<Box<dyn Future<Output = io::Result<()>> + Send>>;
 
-/// Where a server listens.
+/// The addresses that a server listens on.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Addresses {
     /// b-CAP over TCP.
@@ -159,15 +92,15 @@ pub struct Addresses {
 }
 
 impl<H: Handler + Send + 'static> Server<H> {
-    /// Makes a server that listens nowhere yet.
+    /// Makes a server without listeners.
     #[must_use]
     pub fn new(handler: H) -> Self {
         Self::with_shared(Arc::new(Mutex::new(handler)))
     }
 
-    /// Makes a server of a handler that others look into as well, such as a display of its state.
+    /// Makes a server of a handler that other code reads, too, such as a display of its state.
     ///
-    /// The lock is held for the time of one call; whoever else takes it must be as short.
+    /// The server holds the lock for the time of one call; other code must be as short.
     #[must_use]
     pub fn with_shared(handler: Arc<Mutex<H>>) -> Self {
         let shared = Arc::new(Shared::new(handler));
@@ -180,11 +113,11 @@ impl<H: Handler + Send + 'static> Server<H> {
         Self { limits, ..self }
     }
 
-    /// Lets a function look at everything that is sent, and change it: to record it, or to try what clients do about a
-    /// bad link. The first one that is given stays.
+    /// Passes everything that is sent to a function, which may change it: to record it, or to test clients over a bad
+    /// link. Only the first tap of a server counts.
     ///
-    /// It is called with each frame of b-CAP and each line of RAC, with the handler locked; it must be short.
-    /// UDP has no connection to close, so `Break` sends nothing there.
+    /// It is called with each frame of b-CAP and each line of RAC, with the handler locked, so it must be short.
+    /// UDP has no connection to close, so `Break` only sends nothing there.
     #[must_use]
     pub fn tap(self, tap: Tap<H>) -> Self {
         self.shared.set_tap(tap);
@@ -195,7 +128,7 @@ impl<H: Handler + Send + 'static> Server<H> {
     ///
     /// # Errors
     ///
-    /// When the address cannot be had.
+    /// When the address cannot be listened on.
     pub async fn bcap_tcp<A: ToSocketAddrs>(mut self, address: A) -> io::Result<Self> {
         self.bcap.push(TcpListener::bind(address).await?);
         Ok(self)
@@ -205,7 +138,7 @@ impl<H: Handler + Send + 'static> Server<H> {
     ///
     /// # Errors
     ///
-    /// When the address cannot be had.
+    /// When the address cannot be listened on.
     pub async fn bcap_udp<A: ToSocketAddrs>(mut self, address: A) -> io::Result<Self> {
         self.udp.push(UdpSocket::bind(address).await?);
         Ok(self)
@@ -215,7 +148,7 @@ impl<H: Handler + Send + 'static> Server<H> {
     ///
     /// # Errors
     ///
-    /// When the address cannot be had.
+    /// When the address cannot be listened on.
     pub async fn rac_tcp<A: ToSocketAddrs>(mut self, address: A) -> io::Result<Self>
     where
         H: RacHandler,
@@ -227,7 +160,7 @@ impl<H: Handler + Send + 'static> Server<H> {
         Ok(self)
     }
 
-    /// Returns where the server listens.
+    /// Returns the addresses of the listeners.
     #[must_use]
     pub fn addresses(&self) -> Addresses {
         Addresses {
@@ -237,16 +170,16 @@ impl<H: Handler + Send + 'static> Server<H> {
         }
     }
 
-    /// Serves until `shutdown` is ready; then releases what peers have open and closes their connections. Nobody is waited
-    /// for: who does not take a reply at once loses it.
+    /// Serves until `shutdown` is ready, then releases the objects of all peers and closes their connections. Shutdown does
+    /// not wait for slow clients; unsent replies are lost.
     ///
     /// # Errors
     ///
-    /// When a socket that it listens on fails for good.
+    /// When a listening socket fails for good.
     ///
     /// # Cancel safety
     ///
-    /// When the future is dropped everything ends at once, and the handler does not learn that its peers have gone.
+    /// When the future is dropped all connections end at once, and the handler does not learn that its peers have gone.
     pub async fn run(self, shutdown: impl Future<Output = ()>) -> io::Result<()> {
         let (stop, stopped) = watch::channel(());
         let mut tasks = JoinSet::new();
@@ -265,7 +198,7 @@ impl<H: Handler + Send + 'static> Server<H> {
             () = shutdown => Ok(()),
             ended = tasks.join_next(), if !tasks.is_empty() => outcome(ended),
         };
-        // every task sees that the sender is gone
+        // every task sees that the sender is dropped
         drop((stop, stopped));
         while let Some(ended) = tasks.join_next().await {
             result = result.and(outcome(Some(ended)));
@@ -274,7 +207,7 @@ impl<H: Handler + Send + 'static> Server<H> {
     }
 }
 
-/// Returns how a listening task has ended.
+/// Returns the result of a listening task.
 fn outcome(ended: Option<Result<io::Result<()>, tokio::task::JoinError>>) -> io::Result<()> {
     match ended {
         Some(Ok(result)) => result,

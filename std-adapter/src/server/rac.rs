@@ -12,7 +12,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::watch;
 use tokio::time::timeout;
 
-use super::Limits;
+use super::limits::Limits;
 use super::shared::Shared;
 use super::stream;
 use super::tcp::{REFUSAL_TIME, accept};
@@ -32,7 +32,7 @@ pub(super) async fn listen<H: Handler + Send + 'static>(
 }
 
 /// Answers the first line of a connection over the limit with E_MAX_CONNECT.
-async fn refuse(mut stream: TcpStream) {
+pub(crate) async fn refuse(mut stream: TcpStream) {
     let answer = async {
         let mut framer: LineFramer = LineFramer::new();
         while framer.poll().is_none_or(|framed| matches!(framed, Framed::TooLong)) {

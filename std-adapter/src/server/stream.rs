@@ -4,24 +4,24 @@ use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
+use bcap_core::endpoint::Serve;
 use bcap_core::handler::PeerId;
-use bcap_core::session::Session;
 use bcap_core::time::Instant;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use tokio::sync::watch;
 use tokio::time::timeout;
 
-use super::Limits;
 use super::admission::Activity;
+use super::limits::Limits;
 use super::shared::{Changes, Locking, Shared, Tapped};
 use crate::clock::{now, until};
 use crate::connect::STREAM_ROOM;
 
 /// A session of either protocol, whose handler is shared.
-pub(super) trait Machine<H>: for<'h> Session<Locking<'h, H>> + Send {}
+pub(super) trait ServeLocked<H>: for<'h> Serve<Locking<'h, H>> + Send {}
 
-impl<H, S: for<'h> Session<Locking<'h, H>> + Send> Machine<H> for S {}
+impl<H, S: for<'h> Serve<Locking<'h, H>> + Send> ServeLocked<H> for S {}
 
 /// The bytes that a connection may receive and send before other tasks have a turn. A peer that sends and reads as fast as the
 /// server does would have the thread to itself.
@@ -36,7 +36,7 @@ const REQUEST: usize = TURN / 32;
 const MEMORY_KEPT: Duration = Duration::from_secs(5);
 
 /// Serves one connection until it ends or the server stops.
-pub(super) async fn serve<H: Send + 'static, M: Machine<H> + 'static>(
+pub(super) async fn serve<H: Send + 'static, M: ServeLocked<H> + 'static>(
     stream: TcpStream,
     session: M,
     peer: PeerId,
@@ -104,7 +104,11 @@ enum Pause {
 
 impl<H: Send + 'static> Connection<H> {
     /// Moves bytes until a large request has arrived, or there is a reason to end.
-    async fn run<M: Machine<H>>(&mut self, session: &mut M, stopped: &mut watch::Receiver<()>) -> io::Result<Pause> {
+    async fn run<M: ServeLocked<H>>(
+        &mut self,
+        session: &mut M,
+        stopped: &mut watch::Receiver<()>,
+    ) -> io::Result<Pause> {
         loop {
             self.end_turn().await;
             if session.next_request() >= TURN {
@@ -138,7 +142,7 @@ impl<H: Send + 'static> Connection<H> {
     }
 
     /// Waits until bytes arrive, a deadline passes or something changes; says why when the connection is to end.
-    async fn wait<M: Machine<H>>(
+    async fn wait<M: ServeLocked<H>>(
         &mut self,
         session: &mut M,
         stopped: &mut watch::Receiver<()>,
@@ -175,7 +179,7 @@ impl<H: Send + 'static> Connection<H> {
     }
 
     /// Does what a deadline asks for; says why when the connection is to end.
-    fn meet_deadline<M: Machine<H>>(&self, session: &mut M) -> Option<&'static str> {
+    fn meet_deadline<M: ServeLocked<H>>(&self, session: &mut M) -> Option<&'static str> {
         let is_over = |until: Option<Instant>| until.is_some_and(|until| until <= now());
         if is_over(self.partial_since.map(|since| since.saturating_add(self.limits.receive))) {
             return Some("a request took too long to arrive");
@@ -190,7 +194,7 @@ impl<H: Send + 'static> Connection<H> {
     }
 
     /// Runs the session as far as it goes.
-    fn run_session<M: Machine<H>>(&mut self, session: &mut M) {
+    fn run_session<M: ServeLocked<H>>(&mut self, session: &mut M) {
         // before the handler is asked, so that no change of another peer is missed
         self.changes.wait(session.is_running().into());
         while session.next_request() < TURN && self.step(session) {}
@@ -202,7 +206,7 @@ impl<H: Send + 'static> Connection<H> {
     }
 
     /// Performs one step of the session; `false` when there is nothing to do.
-    fn step<M: Machine<H>>(&mut self, session: &mut M) -> bool {
+    fn step<M: ServeLocked<H>>(&mut self, session: &mut M) -> bool {
         let Some(event) = session.run(&mut self.shared.handler(), self.peer, now()) else { return false };
         tracing::trace!(peer = self.peer.0, ?event);
         self.shared.has_changed();
@@ -214,7 +218,7 @@ impl<H: Send + 'static> Connection<H> {
 
     /// Performs one step of the session on another thread, so that a large request does not delay other connections;
     /// `None` when that thread did not run to its end.
-    async fn run_elsewhere<M: Machine<H> + 'static>(&mut self, mut session: Box<M>) -> Option<Box<M>> {
+    async fn run_elsewhere<M: ServeLocked<H> + 'static>(&mut self, mut session: Box<M>) -> Option<Box<M>> {
         self.activity.set(None);
         let (shared, peer) = (Arc::clone(&self.shared), self.peer);
         let step = tokio::task::spawn_blocking(move || {
@@ -228,7 +232,7 @@ impl<H: Send + 'static> Connection<H> {
     }
 
     /// Sends what it can; says why when the connection is to end.
-    async fn send<M: Machine<H>>(
+    async fn send<M: ServeLocked<H>>(
         &mut self,
         session: &mut M,
         stopped: &mut watch::Receiver<()>,
@@ -269,20 +273,20 @@ impl<H: Send + 'static> Connection<H> {
     }
 
     /// Returns the next deadline.
-    fn due<M: Machine<H>>(&self, session: &M) -> Option<Instant> {
+    fn due<M: ServeLocked<H>>(&self, session: &M) -> Option<Instant> {
         let partial = self.partial_since.map(|since| since.saturating_add(self.limits.receive));
         let memory = self.memory_kept_until(session);
         [session.poll_timeout(), partial, self.silent_until(session), memory].into_iter().flatten().min()
     }
 
     /// Returns when unused memory is to be released.
-    fn memory_kept_until<M: Machine<H>>(&self, session: &M) -> Option<Instant> {
+    fn memory_kept_until<M: ServeLocked<H>>(&self, session: &M) -> Option<Instant> {
         let idle = !session.is_running() && !session.is_receiving();
         (idle && session.memory() > 2 * STREAM_ROOM).then(|| self.last_active.saturating_add(MEMORY_KEPT))
     }
 
     /// Returns when the peer has been silent for too long; `None` while it waits for a reply.
-    fn silent_until<M: Machine<H>>(&self, session: &M) -> Option<Instant> {
+    fn silent_until<M: ServeLocked<H>>(&self, session: &M) -> Option<Instant> {
         let idle = self.limits.idle.filter(|_| !session.is_running())?;
         Some(self.last_active.saturating_add(idle))
     }
@@ -303,8 +307,8 @@ async fn within<T>(
     }
 }
 
-/// Waits until the peer has closed the connection, even if it has sent what there is no room for: whoever goes must not let
-/// the robot go on because of that.
+/// Waits until the peer has closed the connection, even if unread bytes are left before the end: the robot must not
+/// continue because a disconnected client had sent more.
 #[cfg(any(target_os = "linux", target_os = "android"))]
 async fn closed(stream: &TcpStream) -> io::Result<()> {
     use tokio::io::Interest;
@@ -312,7 +316,7 @@ async fn closed(stream: &TcpStream) -> io::Result<()> {
         if stream.ready(Interest::PRIORITY).await?.is_read_closed() {
             return Ok(());
         }
-        // urgent bytes, which nobody looks at
+        // urgent bytes, which are ignored
         let _ = stream.try_io(Interest::PRIORITY, || Err::<(), _>(io::ErrorKind::WouldBlock.into()));
     }
 }

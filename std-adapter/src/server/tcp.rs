@@ -16,19 +16,19 @@ use tokio::sync::watch;
 use tokio::task::{Id, JoinError, JoinSet};
 use tokio::time::timeout;
 
-use super::Limits;
 use super::admission::{Activity, Admission, Slots};
+use super::limits::Limits;
 use super::memory::{Buffer, Pool};
 use super::shared::Shared;
 use super::stream;
 use crate::clock::now;
 use crate::connect::set_up_tcp;
 
-/// Handles that one peer can have open.
+/// The most open handles of one peer.
 const OBJECTS: usize = 1000;
-/// Connections over the limit that are told so at the same time; more are closed without a word.
-const REFUSALS: usize = 32;
-/// How long a connection over the limit has for its first request.
+/// Connections over the limit that are answered at the same time; further ones are closed without an answer.
+pub(crate) const REFUSALS: usize = 32;
+/// The longest time for the first request of a connection over the limit.
 pub(super) const REFUSAL_TIME: Duration = Duration::from_secs(2);
 
 type StreamSession = Session<Buffer, Buffer, OBJECTS>;
@@ -71,13 +71,13 @@ where
             () = served.ended(), if !served.tasks.is_empty() => continue,
             _ = refused.join_next(), if !refused.is_empty() => continue,
         };
-        // those that have ended hold no slot, whichever of the two came first
+        // a connection that has ended holds no slot, even if its end is seen only now
         served.free_slots();
         while refused.try_join_next().is_some() {}
         match accepted {
             Ok((stream, address)) => {
                 if let Err(error) = set_up_tcp(SockRef::from(&stream), limits.keep_alive) {
-                    tracing::debug!(%address, %error, "the connection was gone at once");
+                    tracing::debug!(%address, %error, "the connection was closed at once");
                 } else if let Some(activity) = served.admit(address.ip()) {
                     served.spawn(address.ip(), &activity, serve(stream, Arc::clone(&activity)));
                 } else if refused.len() < REFUSALS {
@@ -85,7 +85,7 @@ where
                     refused.spawn(refuse(stream));
                 }
             }
-            // an error of one connection is not the listener's end; too many open files is over when some are closed
+            // the error of one connection is not the end of the listener; file descriptors become free again
             Err(error) => {
                 tracing::warn!(%error, "cannot accept a connection");
                 tokio::time::sleep(Duration::from_millis(50)).await;
@@ -97,16 +97,16 @@ where
     Ok(())
 }
 
-/// The connections that are served.
+/// The served connections.
 struct Served {
     slots: Slots,
     tasks: JoinSet<()>,
-    /// The holders of slots, by their tasks. A task that was told to end has lost its slot.
+    /// The holders of slots, by their tasks. An evicted task has lost its slot.
     holders: HashMap<Id, (IpAddr, Arc<Activity>)>,
 }
 
 impl Served {
-    /// Finds a slot for a connection, and tells the connection that loses it to end; `None` without a slot.
+    /// Finds a slot for a connection, if need be that of another connection, which is evicted; `None` without a slot.
     fn admit(&mut self, address: IpAddr) -> Option<Arc<Activity>> {
         let taken = self.holders.iter().map(|(id, (address, activity))| (*id, *address, activity.state()));
         match self.slots.admit(taken, address, now()) {

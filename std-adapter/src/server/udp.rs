@@ -1,8 +1,9 @@
 //! b-CAP over UDP: one socket, one task, a session for each peer.
 //!
-//! Handlers do not block, so all peers can be served by one task; each has its own session, and one whose call takes
-//! long holds nobody else up.
+//! Handlers do not block, so one task serves all peers. Each peer has its own session, so a long call of one peer does not
+//! delay the others.
 
+use bcap_core::endpoint::{Endpoint, Serve, ServerEndpoint};
 use std::collections::HashMap;
 use std::io;
 use std::net::SocketAddr;
@@ -17,20 +18,20 @@ use bcap_core::time::Instant;
 use tokio::net::UdpSocket;
 use tokio::sync::watch;
 
-use super::Limits;
 use super::admission::{Admission, SlotState};
+use super::limits::Limits;
 use super::shared::{Changes, Shared, Tapped};
 use crate::clock::{now, until};
 
-/// Handles that one peer can have open.
+/// The most open handles of one peer.
 const OBJECTS: usize = 1000;
-/// Room for a request that runs and one that comes meanwhile.
+/// Room for a running request and the next one.
 const ROOM: usize = 2 * UDP_RECEIVE_MAX;
 
 struct Peer {
     id: PeerId,
     session: Box<Session<[u8; UDP_SEND_MAX], [u8; ROOM], OBJECTS>>,
-    heard: Instant,
+    last_seen: Instant,
 }
 
 impl Peer {
@@ -38,10 +39,10 @@ impl Peer {
         if self.session.is_running() {
             SlotState::Busy
         } else if self.session.open_objects() == 0 {
-            // after Service_Stop; it is known only so that a repetition can be answered
+            // after Service_Stop; it is kept only to answer retransmissions
             SlotState::Over
         } else {
-            SlotState::Idle(self.heard)
+            SlotState::Idle(self.last_seen)
         }
     }
 }
@@ -61,7 +62,7 @@ pub(super) async fn serve<H: Handler + Send + 'static>(
         tokio::select! {
             received = peers.socket.recv_from(&mut buffer) => match received {
                 Ok((count, from)) => peers.datagram(&buffer[..count], from).await,
-                // the network tells that an earlier reply has found nobody; that is no failure of the socket
+                // an earlier reply could not be delivered; the socket is still valid
                 Err(error) => tracing::debug!(%error, "UDP receive"),
             },
             () = tokio::time::sleep(until(due.unwrap_or(Instant::ZERO))), if due.is_some() => peers.run_all().await,
@@ -88,7 +89,7 @@ impl<H: Handler + Send + 'static> Peers<H> {
             return;
         }
         let Some(peer) = self.known.get_mut(&from) else { return };
-        peer.heard = now();
+        peer.last_seen = now();
         let room = peer.session.receive_buffer();
         // a datagram that finds no room is lost, as datagrams are; its sender will repeat it
         let Some(room) = room.get_mut(..bytes.len()) else { return };
@@ -116,7 +117,7 @@ impl<H: Handler + Send + 'static> Peers<H> {
         }
         let config = Config { invoke_timeout_max: self.limits.call, ..Config::UDP };
         let session = Box::new(Session::new(config, [0; UDP_SEND_MAX], [0; ROOM]));
-        self.known.insert(from, Peer { id: self.shared.next_peer(), session, heard: now() });
+        self.known.insert(from, Peer { id: self.shared.next_peer(), session, last_seen: now() });
         true
     }
 
@@ -162,7 +163,8 @@ impl<H: Handler + Send + 'static> Peers<H> {
     /// Runs the sessions whose handler waits, and forgets peers that are lost.
     async fn run_all(&mut self) {
         let now = now();
-        let lost = |peer: &Peer| now.saturating_since(peer.heard) >= self.limits.udp_lost && !peer.session.is_running();
+        let lost =
+            |peer: &Peer| now.saturating_since(peer.last_seen) >= self.limits.udp_lost && !peer.session.is_running();
         let (gone, running): (Vec<_>, Vec<_>) = self
             .known
             .iter()
@@ -188,7 +190,7 @@ impl<H: Handler + Send + 'static> Peers<H> {
             .values()
             .map(|peer| match peer.session.poll_timeout() {
                 Some(due) => due,
-                None => peer.heard.saturating_add(self.limits.udp_lost),
+                None => peer.last_seen.saturating_add(self.limits.udp_lost),
             })
             .min()
     }

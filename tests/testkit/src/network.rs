@@ -3,6 +3,7 @@
 //! Nothing waits. Time jumps to whatever comes next, a packet or a deadline, so that hours of lost datagrams pass in a
 //! moment, and the same seed gives the same hours.
 
+use bcap_core::endpoint::{Endpoint, Serve};
 use std::cmp::Reverse;
 use std::collections::{BinaryHeap, HashMap};
 use std::time::Duration;

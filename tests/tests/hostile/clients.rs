@@ -50,6 +50,7 @@ pub(crate) const CASES: &[Case] = crate::cases! {
 };
 
 const SILENCE: Outcome = Outcome::Client(ClientError::Timeout(Timeout::Attempt));
+const FLOODED: Outcome = Outcome::Client(ClientError::Flooded);
 
 /// The serial of a client's first call.
 const FIRST: u16 = 1;
@@ -171,6 +172,14 @@ fn keep_alives_for_ever(_: &mut Target) {
     options.tcp.timing.deadline = Duration::from_millis(500);
     ends(&options, &[Outcome::Client(ClientError::Timeout(Timeout::Deadline))], |connection| {
         let serial = connection.request();
+        while connection.send(&reply_frame(serial, HResult::S_EXECUTING, vec![])) {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    });
+    // a flood ends the session at once
+    options.tcp.timing.deadline = Duration::from_secs(20);
+    ends(&options, &[FLOODED, Outcome::Client(ClientError::Closed)], |connection| {
+        let serial = connection.request();
         while connection.send(&reply_frame(serial, HResult::S_EXECUTING, vec![])) {}
     });
 }
@@ -186,7 +195,7 @@ fn keep_alives_and_then_silence(_: &mut Target) {
 }
 
 fn replies_with_wrong_serials_for_ever(_: &mut Target) {
-    ends(&brief(), &[SILENCE], |connection| {
+    ends(&brief(), &[FLOODED, Outcome::Client(ClientError::Closed)], |connection| {
         let serial = connection.request();
         let mut wrong = serial;
         loop {

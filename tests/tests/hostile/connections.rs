@@ -244,7 +244,7 @@ fn silent_connections_cost_no_processor_time(target: &mut Target) {
 fn connections_to_the_limit_and_past_it(target: &mut Target) {
     target.has_released_all();
     // one place is the bystander's, and one is left for those who come
-    let mut inside: Vec<Raw> = (0..LIMITS.connections - 2).map(|_| Raw::connect(target.tcp)).collect();
+    let mut inside: Vec<Raw> = (0..LIMITS.connections_per_address - 2).map(|_| Raw::connect(target.tcp)).collect();
     for raw in &mut inside {
         raw.begin();
     }

@@ -114,14 +114,20 @@ fn replies_repeated(_: &mut Target) {
 fn a_late_datagram_is_not_the_next_ones(_: &mut Target) {
     // the first call's three attempts are answered when the second call has come
     ends(&[SILENCE, RIGHT], |datagram, count| {
-        let late = (1..=3).map(|serial| reply_frame(serial, HResult::S_OK, vec![Value::text("late")]));
-        if count < 4 { vec![] } else { late.chain([right(serial_of(datagram))]).collect() }
+        let serial = serial_of(datagram);
+        let late = (1..=3).map(|ago| reply_frame(serial.wrapping_sub(ago), HResult::S_OK, vec![Value::text("late")]));
+        if count < 4 { vec![] } else { late.chain([right(serial)]).collect() }
     });
 }
 
 /// The server executes a call once, so the answer to any attempt is as good as that to the last.
 fn a_reply_to_an_earlier_attempt(_: &mut Target) {
-    ends(&[RIGHT], |_, count| if count < 3 { vec![] } else { vec![right(1)] });
+    ends(&[RIGHT], |datagram, count| if count < 3 { vec![] } else { vec![right(marker_of(datagram))] });
+}
+
+/// The serial of the first attempt.
+fn marker_of(datagram: &[u8]) -> u16 {
+    u16::from_le_bytes([datagram[7], datagram[8]])
 }
 
 fn wrong_serials_for_ever_over_udp(_: &mut Target) {
@@ -134,9 +140,10 @@ fn keep_alives_for_ever_over_udp(_: &mut Target) {
         let address = socket.local_addr().unwrap();
         std::thread::spawn(move || {
             let mut buffer = [0; 600];
-            let (_, from) = socket.recv_from(&mut buffer).unwrap();
+            let (length, from) = socket.recv_from(&mut buffer).unwrap();
+            let serial = serial_of(&buffer[..length]);
             // until the client's socket has gone, which the loopback tells
-            while socket.send_to(&reply_frame(1, HResult::S_EXECUTING, vec![]), from).is_ok() {
+            while socket.send_to(&reply_frame(serial, HResult::S_EXECUTING, vec![]), from).is_ok() {
                 std::thread::sleep(std::time::Duration::from_millis(10));
             }
         });

@@ -1,5 +1,6 @@
 //! A serial line with noise, lost bytes and wrong CRCs, client and server of the core end to end, without a device.
 
+use bcap_core::endpoint::{Endpoint, Serve};
 use std::time::Duration;
 
 use bcap_core::bcap::FunctionId;

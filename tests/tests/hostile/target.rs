@@ -21,14 +21,14 @@ pub(crate) const SERVE: &str = "--serve";
 
 /// What the attacked server allows: little enough for a case to go beyond it.
 pub(crate) const LIMITS: Limits = Limits {
-    connections: 64,
+    connections: 96,
     connections_per_address: 64,
     evict_after: Duration::from_secs(60),
     udp_peers: 16,
     udp_peers_per_address: 16,
     udp_idle: Duration::from_secs(60),
     udp_lost: Duration::from_secs(600),
-    receive: Duration::from_secs(2),
+    receive: Duration::from_secs(4),
     send: Duration::from_secs(1),
     call: Duration::from_secs(3600),
     idle: None,

@@ -31,7 +31,7 @@ fn ok(serial: u16, value: i32) -> Vec<u8> {
     reply(serial, HResult::S_OK, Some(&value), false)
 }
 
-/// Takes everything that is to be sent, as (serial, reserved).
+/// Sends everything, and returns the frames as (serial, reserved).
 fn sent<B: Storage>(client: &mut Client<B>) -> (u16, u16) {
     let decoder = client.link().decoder();
     let bytes = client.transmit().to_vec();
@@ -41,7 +41,7 @@ fn sent<B: Storage>(client: &mut Client<B>) -> (u16, u16) {
     (frame.serial, frame.reserved)
 }
 
-/// Delivers bytes as far as they fit, and returns what they mean.
+/// Delivers bytes in pieces that fit the buffer, and returns the events.
 fn deliver<T: Storage, R: Storage>(client: &mut Client<T, R>, mut bytes: &[u8], now: Instant) -> Vec<Event> {
     let mut events = Vec::new();
     while !bytes.is_empty() {
@@ -102,7 +102,7 @@ fn a_late_reply_is_stale_and_never_the_answer() {
 }
 
 #[test]
-fn a_serial_whose_reply_may_come_is_passed_over() {
+fn a_serial_with_an_outstanding_reply_is_skipped() {
     let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
     client.start(&get(), client.timing(), at(0)).unwrap();
     sent(&mut client);
@@ -112,16 +112,16 @@ fn a_serial_whose_reply_may_come_is_passed_over() {
     assert_eq!(sent(&mut client).0, 65_535);
     let _ = deliver(&mut client, &ok(65_535, 1), at(0));
     client.start(&get(), client.timing(), at(0)).unwrap();
-    assert_eq!(sent(&mut client).0, 2, "1 may still be answered");
+    assert_eq!(sent(&mut client).0, 2, "the reply to 1 may still arrive");
     assert_eq!(deliver(&mut client, &ok(1, 1), at(0)), [Event::Stale { serial: 1 }]);
     let _ = deliver(&mut client, &ok(2, 1), at(0));
     client.state.next_serial = 1;
     client.start(&get(), client.timing(), at(0)).unwrap();
-    assert_eq!(sent(&mut client).0, 1, "its reply has come");
+    assert_eq!(sent(&mut client).0, 1, "its reply has arrived");
 }
 
 #[test]
-fn udp_tries_again_with_the_marker_and_takes_a_reply_to_any_attempt() {
+fn udp_retransmits_with_the_marker_and_accepts_a_reply_to_any_attempt() {
     let mut client =
         Small::new(Config { timing: Timing { attempts: 3, ..Timing::UDP }, ..Config::UDP }, [0; 512], [0; 512]);
     client.start(&get(), client.timing(), at(0)).unwrap();
@@ -170,7 +170,7 @@ fn executing_restarts_the_attempt_but_not_the_deadline() {
 }
 
 #[test]
-fn a_server_cannot_keep_a_call_alive_for_ever() {
+fn a_server_cannot_keep_a_call_alive_forever() {
     let config = Config { timing: Timing { keep_alive: Duration::from_secs(4), ..Timing::TCP }, ..Config::TCP };
     let mut client = Small::new(config, [0; 512], [0; 512]);
     client.start(&get(), client.timing(), at(0)).unwrap();
@@ -199,7 +199,7 @@ fn a_call_can_be_abandoned_at_any_byte_of_its_request() {
         client.transmitted(client.transmit().len());
         client.start(&get(), client.timing(), at(1)).unwrap();
         wire.extend(client.transmit());
-        // whatever the peer has read, it is whole frames
+        // the peer has received complete frames only
         let mut rest = &wire[..];
         let mut serials = Vec::new();
         while !rest.is_empty() {
@@ -216,7 +216,7 @@ fn a_call_can_be_abandoned_at_any_byte_of_its_request() {
 }
 
 #[test]
-fn a_reply_over_the_buffer_fails_its_call_and_leaves_the_stream_in_step() {
+fn a_reply_larger_than_the_buffer_fails_its_call_and_the_stream_continues() {
     let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
     client.start(&get(), client.timing(), at(0)).unwrap();
     sent(&mut client);
@@ -240,7 +240,7 @@ fn a_reply_over_the_buffer_fails_its_call_and_leaves_the_stream_in_step() {
 
 #[cfg(feature = "alloc")]
 #[test]
-fn memory_that_can_grow_takes_large_calls_and_replies() {
+fn growing_memory_holds_large_calls_and_replies() {
     let mut client = Client::new(Config::TCP, Vec::new(), std::vec![0; 16]);
     let big = std::vec![1.5_f64; 1000];
     client.start(&call::variable_put_value(VariableHandle(1), &big[..]), client.timing(), at(0)).unwrap();
@@ -253,7 +253,7 @@ fn memory_that_can_grow_takes_large_calls_and_replies() {
 }
 
 #[test]
-fn what_is_over_the_links_limit_is_refused_before_anything_is_sent() {
+fn a_call_above_the_limit_of_the_link_is_refused_before_anything_is_sent() {
     let mut client = Client::new(Config::UDP, [0; 1024], [0; 512]);
     let put = |n: usize| call::variable_put_value(VariableHandle(1), &*std::vec![0_u8; n].leak());
     assert_eq!(client.start(&put(449), client.timing(), at(0)), Err(ClientError::TooLarge { limit: 488 }));
@@ -263,7 +263,7 @@ fn what_is_over_the_links_limit_is_refused_before_anything_is_sent() {
 }
 
 #[test]
-fn a_stream_that_is_no_bcap_closes_the_session() {
+fn invalid_bytes_on_a_stream_close_the_session() {
     let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
     client.start(&get(), client.timing(), at(0)).unwrap();
     sent(&mut client);
@@ -278,7 +278,7 @@ fn a_stream_that_is_no_bcap_closes_the_session() {
 }
 
 #[test]
-fn a_serial_line_finds_its_frames_in_noise() {
+fn a_serial_line_skips_noise_between_frames() {
     let mut client = Small::new(Config::SERIAL, [0; 512], [0; 512]);
     client.start(&get(), client.timing(), at(0)).unwrap();
     assert_eq!(sent(&mut client), (1, 1));
@@ -293,7 +293,7 @@ fn a_serial_line_finds_its_frames_in_noise() {
 }
 
 #[test]
-fn a_half_frame_on_a_silent_serial_line_is_forgotten_at_the_next_attempt() {
+fn a_partial_frame_on_a_silent_serial_line_is_dropped_at_the_next_attempt() {
     let mut client = Small::new(Config::SERIAL, [0; 512], [0; 512]);
     client.start(&get(), client.timing(), at(0)).unwrap();
     sent(&mut client);
@@ -304,17 +304,17 @@ fn a_half_frame_on_a_silent_serial_line_is_forgotten_at_the_next_attempt() {
     assert_eq!(deliver(&mut client, &good, at(501)), [Event::Replied(HResult::S_OK)]);
 }
 
-/// What a server that knows the next serial answers beforehand.
+/// The forged early reply of a server that knows the next serial.
 fn forged(serial: u16) -> Vec<u8> {
     ok(serial, 666)
 }
 
 #[test]
-fn a_reply_that_arrived_before_its_request_left_is_stale() {
+fn a_reply_that_arrived_before_its_request_was_sent_is_stale() {
     for config in [Config::TCP, Config::UDP] {
         let mut client = Small::new(config, [0; 512], [0; 512]);
         client.start(&get(), client.timing(), at(0)).unwrap();
-        // the call has begun, and nothing of it has left
+        // the call is started, and no byte of it is sent
         assert_eq!(deliver(&mut client, &forged(1), at(0)), [Event::Stale { serial: 1 }]);
         let executing = reply(1, HResult::S_EXECUTING, None, false);
         assert_eq!(deliver(&mut client, &executing, at(0)), [Event::Stale { serial: 1 }]);
@@ -325,7 +325,7 @@ fn a_reply_that_arrived_before_its_request_left_is_stale() {
 }
 
 #[test]
-fn a_reply_that_was_received_with_the_one_before_is_stale() {
+fn a_reply_received_together_with_the_previous_one_is_stale() {
     let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
     for serial in (1..40).step_by(2) {
         client.start(&get(), client.timing(), at(0)).unwrap();
@@ -334,7 +334,7 @@ fn a_reply_that_was_received_with_the_one_before_is_stale() {
         client.receive_buffer()[..both.len()].copy_from_slice(&both);
         client.received(both.len());
         assert_eq!(client.poll_event(at(0)), Some(Event::Replied(HResult::S_OK)));
-        // the loop has its reply and does not look further
+        // a loop stops reading at its reply
         client.start(&get(), client.timing(), at(0)).unwrap();
         sent(&mut client);
         assert_eq!(client.poll_event(at(0)), Some(Event::Stale { serial: serial + 1 }));
@@ -344,7 +344,7 @@ fn a_reply_that_was_received_with_the_one_before_is_stale() {
 }
 
 #[test]
-fn a_reply_that_began_to_arrive_before_its_request_left_is_stale() {
+fn a_reply_that_began_to_arrive_before_its_request_was_sent_is_stale() {
     for cut in 1..30 {
         let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
         assert_eq!(deliver(&mut client, &forged(1)[..cut], at(0)), []);
@@ -357,7 +357,7 @@ fn a_reply_that_began_to_arrive_before_its_request_left_is_stale() {
 }
 
 #[test]
-fn a_large_reply_that_began_to_arrive_before_its_request_left_fails_no_call() {
+fn a_large_reply_that_began_to_arrive_before_its_request_was_sent_fails_no_call() {
     let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
     let huge = reply(1, HResult::S_OK, Some(&[0_u8; 2000]), false);
     assert_eq!(deliver(&mut client, &huge[..100], at(0)), []);
@@ -368,7 +368,7 @@ fn a_large_reply_that_began_to_arrive_before_its_request_left_fails_no_call() {
 }
 
 #[test]
-fn a_partly_sent_request_is_refused_but_not_carried_out() {
+fn a_partly_sent_request_accepts_an_error_but_no_success() {
     for sent in 1..30 {
         let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
         client.start(&get(), client.timing(), at(0)).unwrap();
@@ -380,19 +380,19 @@ fn a_partly_sent_request_is_refused_but_not_carried_out() {
 }
 
 #[test]
-fn a_reply_to_an_attempt_that_has_not_left_is_stale() {
+fn a_reply_to_an_unsent_attempt_is_stale() {
     let mut client = Small::new(Config::UDP, [0; 512], [0; 512]);
     client.start(&get(), client.timing(), at(0)).unwrap();
     assert_eq!(sent(&mut client), (1, 1));
     assert_eq!(client.handle_timeout(at(500)), Some(Event::Retried { attempt: 2 }));
     assert_eq!(deliver(&mut client, &forged(2), at(500)), [Event::Stale { serial: 2 }]);
-    // the first attempt has left, so a reply to it counts
+    // the first attempt was sent, so a reply to it counts
     assert_eq!(deliver(&mut client, &ok(1, 7), at(500)), [Event::Replied(HResult::S_OK)]);
     assert!(replied(7, &client));
 }
 
 #[test]
-fn keep_alives_in_excess_end_the_session() {
+fn a_flood_of_keep_alives_ends_the_session() {
     for config in [Config::TCP, Config::UDP] {
         let mut client = Small::new(config, [0; 512], [0; 512]);
         client.start(&get(), client.timing(), at(0)).unwrap();
@@ -412,7 +412,7 @@ fn keep_alives_in_excess_end_the_session() {
 }
 
 #[test]
-fn keep_alives_at_the_least_interval_end_no_session() {
+fn keep_alives_at_the_minimum_interval_do_not_end_the_session() {
     let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
     let timing = Timing { keep_alive: Duration::MAX, deadline: Duration::MAX, ..Timing::TCP };
     client.start(&get(), timing, at(0)).unwrap();
@@ -423,7 +423,7 @@ fn keep_alives_at_the_least_interval_end_no_session() {
         now += 80;
         assert_eq!(deliver(&mut client, &executing, at(now)), [Event::Executing]);
         if round % 1000 == 0 {
-            // a stall: what was sent in 10 s arrives at once
+            // a stalled network: the frames of 10 s arrive at once
             now += 10_000;
             for _ in 0..125 {
                 assert_eq!(deliver(&mut client, &executing, at(now)), [Event::Executing]);
@@ -433,7 +433,7 @@ fn keep_alives_at_the_least_interval_end_no_session() {
 }
 
 #[test]
-fn replies_to_no_call_in_excess_end_a_stream_and_no_datagrams() {
+fn a_flood_of_stale_replies_ends_a_stream_but_not_a_datagram_session() {
     let mut client = Small::new(Config::TCP, [0; 512], [0; 512]);
     for _ in 0..256 {
         assert_eq!(deliver(&mut client, &ok(9, 1), at(0)), [Event::Stale { serial: 9 }]);

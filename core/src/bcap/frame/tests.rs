@@ -1,4 +1,4 @@
-//! Frames at their edges: lengths, CRC, arguments, and what is wrong where.
+//! Edge cases of frames: lengths, CRC, arguments, and the position of errors.
 
 extern crate std;
 
@@ -24,7 +24,7 @@ fn kind<T: core::fmt::Debug>(result: Result<T, DecodeError>) -> (K, usize) {
 }
 
 #[test]
-fn the_length_field_is_right_from_the_least_frame_to_the_limit() {
+fn the_length_field_is_accepted_from_the_minimum_to_the_limit() {
     for (decoder, least) in [(Decoder::TCP, 16), (Decoder::UDP, 16), (Decoder::SERIAL, 18)] {
         let limit = decoder.limits.frame;
         for (length, good) in [(0, false), (least - 1, false), (least, true), (least + 1, true), (limit, true)] {
@@ -40,8 +40,8 @@ fn the_length_field_is_right_from_the_least_frame_to_the_limit() {
 }
 
 #[test]
-fn the_crc_is_the_one_of_the_catalogues() {
-    // CRC-16/IBM-3740 of the digits
+fn the_crc_has_the_published_check_value() {
+    // CRC-16/IBM-3740 of "123456789"
     assert_eq!(crc16(b"123456789"), 0x29b1);
     assert_eq!(crc16(b""), 0xffff);
     let wire = frame(true, &[5]);
@@ -56,7 +56,7 @@ fn the_crc_is_the_one_of_the_catalogues() {
 #[test]
 fn arguments_are_counted_compared_and_shown() {
     let wire = frame(false, &[5, -6, 7]);
-    let Ok(Progress::Complete(frame_, used)) = Decoder::TCP.decode(&wire) else { panic!("it is whole") };
+    let Ok(Progress::Complete(frame_, used)) = Decoder::TCP.decode(&wire) else { panic!("the frame is complete") };
     let args = frame_.args;
     assert_eq!((used, args.len(), args.is_empty(), Args::NONE.is_empty()), (wire.len(), 3, false, true));
     let mut iter = args.iter();
@@ -74,17 +74,18 @@ fn arguments_are_counted_compared_and_shown() {
 }
 
 #[test]
-fn the_strict_and_the_lenient_reading_of_a_length_are_told_apart() {
+fn a_wrong_argument_length_is_an_error_for_strict_decoders_only() {
     let lenient = Decoder::TCP.strictness(Strictness::Lenient);
-    // one byte more than the value takes: strict says so where the argument begins
+    // one byte too few: the value is truncated
     let mut wire = frame(false, &[5]);
     wire[15] = 9;
-    assert_eq!(kind(Decoder::TCP.decode(&wire)).1, 15 + 4 + 6, "four bytes of data, of which three are there");
+    assert_eq!(kind(Decoder::TCP.decode(&wire)).1, 15 + 4 + 6, "four bytes of data, three of them present");
     assert!(lenient.decode(&wire).is_ok());
+    // more bytes than the frame contains
     wire[15] = 11;
     assert_eq!(kind(Decoder::TCP.decode(&wire)), (K::Truncated { needed: 11, left: 10 }, 15));
     assert!(lenient.decode(&wire).is_ok());
-    // more than the value takes, all of it there
+    // more bytes than the value uses, all of them present
     let mut wire = frame(false, &[5, 6]);
     (wire[13], wire[15]) = (1, 24);
     assert_eq!(kind(Decoder::TCP.decode(&wire)), (K::ArgumentLength { declared: 24, used: 10 }, 15));
@@ -99,13 +100,13 @@ fn the_strict_and_the_lenient_reading_of_a_length_are_told_apart() {
 }
 
 #[test]
-fn what_is_behind_the_arguments_counts_for_strict_decoders_only() {
+fn unused_bytes_are_an_error_for_strict_decoders_only() {
     let mut wire = frame(false, &[5, 6]);
     wire[13] = 1;
     assert_eq!(kind(Decoder::TCP.decode(&wire)), (K::Unused(14), 15 + 14));
     let lenient = Decoder::TCP.strictness(Strictness::Lenient);
     assert!(matches!(lenient.decode(&wire), Ok(Progress::Complete(frame, _)) if frame.args.len() == 1));
-    // and so it is behind a frame in a datagram
+    // the same for bytes after the frame in a datagram
     let mut wire = frame(false, &[5]);
     assert!(Decoder::UDP.decode_datagram(&wire).is_ok());
     wire.push(0);
@@ -117,7 +118,7 @@ fn what_is_behind_the_arguments_counts_for_strict_decoders_only() {
 }
 
 #[test]
-fn the_number_of_arguments_is_limited_and_the_end_is_looked_at() {
+fn the_number_of_arguments_is_limited_and_eot_is_checked() {
     let wire = frame(false, &[5, 6]);
     for (arguments, good) in [(1, false), (2, true), (3, true)] {
         let decoder = Decoder { limits: Limits { arguments, ..Limits::STREAM }, ..Decoder::TCP };
@@ -130,15 +131,15 @@ fn the_number_of_arguments_is_limited_and_the_end_is_looked_at() {
 }
 
 #[test]
-fn garbage_is_dropped_up_to_what_may_begin_a_frame() {
+fn resync_drops_bytes_up_to_a_possible_frame() {
     assert_eq!(Decoder::TCP.resync(&[]), 0);
     assert_eq!(Decoder::TCP.resync(&[SOH]), 1);
     assert_eq!(Decoder::TCP.resync(&[2, 3, SOH, 16, 0]), 2);
-    assert_eq!(Decoder::TCP.resync(&[SOH, SOH, 0, 0, 0, 0, 9]), 7, "a length of 0 begins no frame");
+    assert_eq!(Decoder::TCP.resync(&[SOH, SOH, 0, 0, 0, 0, 9]), 7, "no frame has the length 0");
 }
 
 #[test]
-fn a_frame_fits_to_the_byte_or_not_at_all() {
+fn a_frame_needs_exactly_its_length() {
     for crc in [false, true] {
         let wire = frame(crc, &[5]);
         for room in 0..wire.len() + 2 {
@@ -154,13 +155,13 @@ fn a_frame_fits_to_the_byte_or_not_at_all() {
         renumber(&mut again, 0x1234, 0x5678, crc);
         assert_eq!(again[5..9], [0x34, 0x12, 0x78, 0x56]);
         let decoder = if crc { Decoder::SERIAL } else { Decoder::TCP };
-        let Ok(Progress::Complete(found, _)) = decoder.decode(&again) else { panic!("it is still a frame") };
+        let Ok(Progress::Complete(found, _)) = decoder.decode(&again) else { panic!("the frame is still valid") };
         assert_eq!((found.serial, found.reserved, found.value()), (0x1234, 0x5678, Some(Variant::I4(5))));
     }
 }
 
 #[test]
-fn a_lenient_frame_is_read_as_deep_as_its_decoder_allows() {
+fn a_lenient_frame_is_read_to_the_depth_limit_of_its_decoder() {
     let mut value = [12, 0, 1, 0, 0, 0].repeat(10);
     value.extend([17, 0, 1, 0, 0, 0, 7]);
     let mut wire = frame(false, &[]);

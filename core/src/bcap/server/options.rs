@@ -2,24 +2,24 @@
 //!
 //! ```text
 //!  options = [ option { "," option } ]
-//!  option  = [ key "=" value ]           blanks around both are dropped; the first of a key counts
+//!  option  = [ key "=" value ]           blanks around both are dropped; the first option of a key counts
 //!  value   = text | "(" text ")" | "[" text "]" | "{" text "}" | "<" text ">"
 //! ```
 //!
-//! Keys are matched without regard to case, unknown ones and empty options are passed over (S2:225-233).
+//! Keys are case-insensitive; unknown keys and empty options are ignored (S2:225-233).
 
 use core::fmt;
 use core::time::Duration;
 
 use crate::variant::Variant;
 
-/// What a client wishes for its session.
+/// The options that a client sends in Service_Start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct StartOptions {
-    /// `WDT`: the interval of S_EXECUTING while a call runs; `None` sends none.
+    /// `WDT`: the interval of S_EXECUTING while a call runs; without it, the server sends no S_EXECUTING.
     pub watchdog: Option<Duration>,
-    /// `InvokeTimeout`: how long a call may run; `None` leaves it to the server.
+    /// `InvokeTimeout`: how long a call may run; without it, the server's default.
     pub invoke_timeout: Option<Duration>,
 }
 
@@ -27,31 +27,31 @@ pub struct StartOptions {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum OptionError {
-    /// It is no string, not ASCII, or over 128 characters.
+    /// It is not a string, not ASCII, or longer than 128 characters.
     NoText,
     /// The value of this key is not a number of milliseconds.
     NoNumber(&'static str),
-    /// The value of this key is below 80 ms, the least that is allowed.
+    /// The value of this key is below the minimum of 80 ms.
     TooShort(&'static str),
 }
 
 impl fmt::Display for OptionError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::NoText => f.write_str("the options are not a short string"),
+            Self::NoText => f.write_str("the options are not an ASCII string of at most 128 characters"),
             Self::NoNumber(key) => write!(f, "{key} is not a number of milliseconds"),
-            Self::TooShort(key) => write!(f, "{key} is below 80 ms"),
+            Self::TooShort(key) => write!(f, "{key} is below the minimum of 80 ms"),
         }
     }
 }
 
 impl core::error::Error for OptionError {}
 
-/// The least interval and time limit.
-const LEAST: Duration = Duration::from_millis(80);
+/// The minimum of both options.
+const MIN: Duration = Duration::from_millis(80);
 
 impl StartOptions {
-    /// Reads the argument of Service_Start; none at all is an empty string.
+    /// Reads the argument of Service_Start; without one the options are empty.
     ///
     /// # Errors
     ///
@@ -79,7 +79,7 @@ fn millis(text: &str, key: &'static str) -> Result<Option<Duration>, OptionError
     let Some(value) = value_of(text.as_bytes(), key.as_bytes()) else { return Ok(None) };
     let number = number(value).ok_or(OptionError::NoNumber(key))?;
     let duration = Duration::from_millis(u64::from(number));
-    if duration < LEAST { Err(OptionError::TooShort(key)) } else { Ok(Some(duration)) }
+    if duration < MIN { Err(OptionError::TooShort(key)) } else { Ok(Some(duration)) }
 }
 
 /// Finds the value of a key.
@@ -92,7 +92,7 @@ fn value_of<'a>(text: &'a [u8], key: &[u8]) -> Option<&'a [u8]> {
     })
 }
 
-/// Takes a pair of brackets off.
+/// Removes a pair of brackets.
 fn unwrap(value: &[u8]) -> &[u8] {
     match value {
         [b'(', inner @ .., b')'] | [b'[', inner @ .., b']'] | [b'{', inner @ .., b'}'] | [b'<', inner @ .., b'>'] => {
@@ -102,7 +102,7 @@ fn unwrap(value: &[u8]) -> &[u8] {
     }
 }
 
-/// Reads a decimal number, or a hexadecimal one behind `0x`.
+/// Reads a decimal number, or a hexadecimal one with the prefix `0x`.
 fn number(text: &[u8]) -> Option<u32> {
     let (digits, radix) = match text {
         [b'0', b'x' | b'X', digits @ ..] => (digits, 16),

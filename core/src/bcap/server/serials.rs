@@ -1,4 +1,4 @@
-//! What the serials of a lossy link tell about a request: whether it is new, a copy, or begins a session.
+//! Classifies a request on a lossy link by its serials: as new, as a copy, or as the start of a session.
 //!
 //! Every attempt of a call carries the serial of the first one, its *marker* (S2:1487). A copy of a call has the marker
 //! and the function of the original. `docs/udp-sessions.md` lists every case; `cells.rs` tests each of them.
@@ -8,10 +8,10 @@ use core::time::Duration;
 use crate::bcap::FunctionId;
 use crate::time::Instant;
 
-/// How far below the newest marker of a session a marker belongs to an older call of it.
+/// A marker up to this far below the newest one of a session belongs to an older call of the session.
 const OLD_MARKERS: u16 = 1024;
 
-/// For how long after the first call of a session the network may deliver copies of its Service_Start.
+/// How long after the first call of a session the network may deliver copies of its Service_Start.
 const RESTART_AFTER: Duration = Duration::from_secs(2);
 
 /// One attempt of a call.
@@ -26,7 +26,7 @@ pub(super) struct Attempt {
 }
 
 impl Attempt {
-    /// Tells whether both are attempts of one call, as far as marker and function say.
+    /// Tells whether it has the marker and the function of a call.
     fn is_of(&self, marker: u16, function: FunctionId) -> bool {
         (self.marker, self.function) == (marker, function)
     }
@@ -37,20 +37,20 @@ impl Attempt {
 pub(super) enum Verdict {
     /// Execute it, or refuse it while another call runs.
     New,
-    /// Execute it and end what was before: a Service_Start that begins a session.
+    /// End the previous session and execute it: a Service_Start that begins a session.
     Begin,
-    /// Answer that the call is still executing.
+    /// Reply S_EXECUTING.
     Executing,
     /// Send the last reply again.
     Repeat,
-    /// Drop it: the call has ended, and its client has gone on to another one.
+    /// Drop it: the call has ended, and its client has sent another one since.
     Drop,
 }
 
 /// What a session remembers of the requests of its peer.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Serials {
-    /// Whether the link keeps the order of the attempts.
+    /// Whether the link preserves the order of frames.
     is_ordered: bool,
     last: Option<Last>,
     /// The checksum of the arguments of the last Service_Start.
@@ -58,7 +58,7 @@ pub(super) struct Serials {
     service: Option<Service>,
 }
 
-/// The call that was answered last.
+/// The last call that got a reply.
 #[derive(Clone, Copy, Debug)]
 struct Last {
     marker: u16,
@@ -67,15 +67,16 @@ struct Last {
     is_kept: bool,
 }
 
-/// What is between a successful Service_Start and Service_Stop.
+/// A session, from a successful Service_Start to Service_Stop.
 #[derive(Clone, Copy, Debug)]
 struct Service {
     /// The marker of Service_Start.
     marker: u16,
-    /// The newest call that was executed. Refused calls do not count, or one forged request could make those of the client old.
+    /// The newest call that was executed. Refused calls do not count: otherwise one forged request could make the client's
+    /// calls look old.
     newest: (u16, FunctionId),
     /// The first call after Service_Start: when it arrived, and its marker.
-    went_on: Option<(Instant, u16)>,
+    first_call: Option<(Instant, u16)>,
 }
 
 impl Serials {
@@ -102,21 +103,21 @@ impl Serials {
         let is_lost = running.is_none() && self.is_last(attempt);
         match &self.service {
             Some(service) if is_lost || service.is_old(attempt) => Verdict::Drop,
-            // without a session there are no copies, so that no forged request can silence those of a client
+            // without a session nothing is a copy, so a forged request cannot suppress a client's requests
             _ => Verdict::New,
         }
     }
 
-    /// Decides about a Service_Start that is no attempt of the running call.
+    /// Decides about a Service_Start that is not an attempt of the running call.
     fn judge_start(&self, attempt: &Attempt, now: Instant) -> Verdict {
         let Some(service) = self.service else { return Verdict::Begin };
         if attempt.marker != service.marker || attempt.arguments != self.start_arguments {
             return Verdict::Begin;
         }
-        let Some((at, next)) = service.went_on else {
+        let Some((at, next)) = service.first_call else {
             return if self.is_last_and_kept(attempt) { Verdict::Repeat } else { Verdict::Begin };
         };
-        // each attempt takes the next serial, so those of Service_Start end where the next call begins
+        // each attempt takes the next serial, so those of Service_Start are below the marker of the first call
         let could_be_a_copy = attempt.serial.wrapping_sub(service.marker) < next.wrapping_sub(service.marker);
         if could_be_a_copy && !self.is_ordered && now.saturating_since(at) < RESTART_AFTER {
             Verdict::Drop
@@ -133,24 +134,24 @@ impl Serials {
         self.is_last(attempt) && self.last.is_some_and(|last| last.is_kept)
     }
 
-    /// Records that a request is handed to the handler.
+    /// Records that the handler is called for a request.
     pub(super) fn began(&mut self, attempt: &Attempt, now: Instant) {
         if attempt.function == FunctionId::SERVICE_START {
             self.start_arguments = attempt.arguments;
         } else if let Some(service) = &mut self.service {
             service.newest = (attempt.marker, attempt.function);
-            service.went_on.get_or_insert((now, attempt.marker));
+            service.first_call.get_or_insert((now, attempt.marker));
         }
     }
 
-    /// Records that a call is answered, and whether it was carried out.
+    /// Records that a call got its reply, and whether it succeeded.
     pub(super) fn answered(&mut self, marker: u16, function: FunctionId, is_done: bool) {
         if function == FunctionId::SERVICE_START {
             if !is_done {
-                // its reply is never sent again, and must not be taken for that of one with the same marker and other options
+                // not sent again: it could be mistaken for the reply to one with the same marker and other options
                 return self.forget_reply();
             }
-            self.service = Some(Service { marker, newest: (marker, function), went_on: None });
+            self.service = Some(Service { marker, newest: (marker, function), first_call: None });
         }
         self.last = Some(Last { marker, function, is_kept: true });
     }
@@ -169,7 +170,7 @@ impl Serials {
 }
 
 impl Service {
-    /// Tells whether an attempt is one of a call before the newest, or of the newest one.
+    /// Tells whether an attempt belongs to the newest call or to an older one.
     fn is_old(&self, attempt: &Attempt) -> bool {
         let (marker, function) = self.newest;
         attempt.is_of(marker, function) || (1..=OLD_MARKERS).contains(&marker.wrapping_sub(attempt.marker))

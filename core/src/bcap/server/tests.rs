@@ -13,7 +13,7 @@ use crate::variant::VariantBuf;
 
 mod cells;
 
-/// A handler that notes what it is asked, gives handles out, and waits where it is told to.
+/// A handler that records its calls, returns handles, and delays Robot_Halt until `wait_until`.
 #[derive(Default)]
 struct Recorder {
     calls: Vec<(i32, i32)>,
@@ -72,7 +72,7 @@ impl Bench {
         Self { session, handler: Recorder::default(), decoder: config.link.decoder(), events: Vec::new() }
     }
 
-    /// Delivers bytes, runs, and returns what is sent, as (serial, code, value).
+    /// Delivers bytes, runs the session, and returns the sent frames as (serial, code, value).
     fn bytes(&mut self, bytes: &[u8], now: Instant) -> Vec<(u16, HResult, Option<VariantBuf<512>>)> {
         let mut rest = bytes;
         let mut out = Vec::new();
@@ -117,7 +117,7 @@ impl Bench {
         self.bytes(&bytes, now).into_iter().map(|(serial, code, _)| (serial, code)).collect()
     }
 
-    /// Starts the service, with options, and connects: controller 1, robot 2.
+    /// Starts the service with options, and opens controller 1 and robot 2.
     fn connected(config: Config, options: &str) -> Self {
         let mut bench = Self::new(config);
         assert_eq!(bench.call(call::service_start(options), 1, at(0)), [(1, HResult::S_OK)]);
@@ -136,7 +136,7 @@ fn halt() -> impl Call {
 }
 
 #[test]
-fn requests_are_answered_in_order_however_they_are_cut() {
+fn requests_are_answered_in_order_for_any_chunk_size() {
     let requests: Vec<u8> = [
         frame(&call::service_start(""), 1, 0, false),
         frame(&call::controller_connect("a", "b", "c", ""), 2, 0, false),
@@ -150,7 +150,7 @@ fn requests_are_answered_in_order_however_they_are_cut() {
         let codes: Vec<_> = replies.iter().map(|(serial, code, _)| (*serial, code.0)).collect();
         assert_eq!(codes, [(1, 0), (2, 0), (3, 0), (4, 0)], "chunks of {chunk}");
         assert_eq!(replies[1].2.as_ref().unwrap().as_variant(), Variant::I4(1));
-        // a function that gives a value gives EMPTY when the handler sets none
+        // the value of a function with a result is EMPTY if the handler sets none
         assert_eq!(replies[2].2.as_ref().unwrap().as_variant(), Variant::Empty);
         assert!(replies[3].2.is_none());
         // Service_Stop has released the controller first
@@ -171,7 +171,7 @@ fn arguments_are_checked_before_the_handler() {
         (raw(70, &[&2_i32, &5_i32]), HResult::E_INVALIDARGTYPE),
         (raw(70, &[&"2", &""]), HResult::E_INVALIDARGTYPE),
         (raw(70, &[&9_i32, &""]), HResult::E_HANDLE),
-        // the controller's handle is no robot's
+        // the handle of the controller is not that of a robot
         (raw(70, &[&1_i32, &""]), HResult::E_HANDLE),
     ];
     for (serial, (call, expected)) in (4..).zip(cases) {
@@ -182,7 +182,7 @@ fn arguments_are_checked_before_the_handler() {
 }
 
 #[test]
-fn objects_are_released_newest_first_and_limited() {
+fn objects_are_released_in_reverse_order_and_limited() {
     let mut bench = Bench::connected(Config::TCP, "");
     let variable = || call::controller_get_variable(ControllerHandle(1), "I1", "");
     assert_eq!(bench.call(variable(), 4, at(0)), [(4, HResult::S_OK)]);
@@ -197,7 +197,7 @@ fn objects_are_released_newest_first_and_limited() {
 }
 
 #[test]
-fn a_bad_frame_is_answered_and_ends_a_stream() {
+fn an_invalid_frame_is_answered_and_ends_a_stream() {
     for (bytes, serial, code) in [
         (b"GET / HTTP/1.1\r\n\r\n".to_vec(), 0, HResult::E_INVALIDRCPACKET),
         (b"\x01\xff\xff\xff\xff\x07\0\0\0\0\0\0\0\0\0\0".to_vec(), 7, HResult::E_PACKETSIZEOVER),
@@ -212,7 +212,7 @@ fn a_bad_frame_is_answered_and_ends_a_stream() {
 }
 
 #[test]
-fn datagram_garbage_is_answered_only_with_a_header_and_ends_nothing() {
+fn an_invalid_datagram_is_answered_only_if_it_has_a_header() {
     let mut bench = Bench::connected(Config::UDP, "");
     for garbage in [&b""[..], b"\x01", b"hello, this is no frame"] {
         assert_eq!(bench.bytes(garbage, at(0)).len(), 0);
@@ -226,7 +226,7 @@ fn datagram_garbage_is_answered_only_with_a_header_and_ends_nothing() {
 }
 
 #[test]
-fn keep_alives_go_out_at_the_watchdogs_interval() {
+fn keep_alives_are_sent_at_the_watchdog_interval() {
     let mut bench = Bench::connected(Config::TCP, "WDT=100");
     bench.handler.wait_until = Some(at(350));
     assert_eq!(bench.call(halt(), 4, at(0)), []);
@@ -242,7 +242,7 @@ fn keep_alives_go_out_at_the_watchdogs_interval() {
 }
 
 #[test]
-fn a_call_out_of_time_is_answered_and_abandoned() {
+fn a_call_that_times_out_is_answered_and_abandoned() {
     let mut bench = Bench::connected(Config::TCP, "InvokeTimeout=200");
     bench.handler.wait_until = Some(Instant::FAR_FUTURE);
     assert_eq!(bench.call(halt(), 4, at(0)), []);
@@ -250,13 +250,13 @@ fn a_call_out_of_time_is_answered_and_abandoned() {
     assert_eq!(bench.run(at(199)).len(), 0);
     assert_eq!(bench.run(at(200))[0].1, HResult::E_TIMEOUT);
     assert_eq!(bench.handler.abandoned, 1);
-    // the session goes on
+    // the session continues
     bench.handler.wait_until = None;
     assert_eq!(bench.call(halt(), 5, at(201)), [(5, HResult::S_OK)]);
 }
 
 #[test]
-fn every_repetition_of_a_call_that_runs_is_told_so() {
+fn every_copy_of_a_running_call_gets_s_executing() {
     for config in [Config::UDP, Config::SERIAL] {
         let mut bench = Bench::connected(config, "");
         bench.handler.wait_until = Some(at(5000));
@@ -264,7 +264,7 @@ fn every_repetition_of_a_call_that_runs_is_told_so() {
         for serial in 5..200 {
             assert_eq!(bench.attempt(&halt(), serial, 4, at(1)), [(serial, HResult::S_EXECUTING)]);
         }
-        // what the handler is asked about again is still its request
+        // the handler resumes its own request
         assert_eq!(
             bench.run(at(5000)).iter().map(|reply| (reply.0, reply.1)).collect::<Vec<_>>(),
             [(199, HResult::S_OK)]
@@ -274,7 +274,7 @@ fn every_repetition_of_a_call_that_runs_is_told_so() {
 }
 
 #[test]
-fn no_client_lets_a_call_run_for_longer_than_the_server_allows() {
+fn no_client_option_exceeds_the_maximum_of_the_server() {
     for options in ["", "InvokeTimeout=4294967295", "InvokeTimeout=3000", "InvokeTimeout=80"] {
         let mut bench = Bench::connected(Config { invoke_timeout_max: Duration::from_secs(2), ..Config::TCP }, options);
         bench.handler.wait_until = Some(Instant::FAR_FUTURE);
@@ -286,7 +286,7 @@ fn no_client_lets_a_call_run_for_longer_than_the_server_allows() {
 }
 
 #[test]
-fn wrong_options_are_refused_with_a_reply() {
+fn invalid_options_are_refused_with_a_reply() {
     let mut bench = Bench::new(Config::TCP);
     for (serial, options) in (1..).zip(["WDT=79", "InvokeTimeout=abc", "WDT=(100"]) {
         assert_eq!(bench.call(call::service_start(options), serial, at(0)), [(serial, HResult::E_INVALIDARG)]);
@@ -304,7 +304,7 @@ fn a_repeated_call_is_answered_again_and_not_executed_again() {
         assert_eq!(bench.handler.calls, [(70, 2)]);
         assert_eq!(bench.attempt(&halt(), 6, 6, at(700)), [(6, HResult::S_OK)]);
         assert_eq!(bench.handler.calls.len(), 2);
-        // the network held an attempt of the first call back
+        // the network delivers an attempt of the first call late
         assert_eq!(bench.attempt(&halt(), 5, 4, at(800)), []);
         assert_eq!(bench.handler.calls.len(), 2);
     }
@@ -320,7 +320,7 @@ fn another_function_under_the_same_marker_is_another_call() {
 }
 
 #[test]
-fn serial_zero_is_no_repetition_of_nothing() {
+fn a_first_request_with_serial_zero_is_not_a_copy() {
     let mut bench = Bench::new(Config::UDP);
     let start = call::service_start("");
     assert_eq!(bench.attempt(&start, 0, 0, at(0)), [(0, HResult::S_OK)]);
@@ -328,12 +328,12 @@ fn serial_zero_is_no_repetition_of_nothing() {
 }
 
 #[test]
-fn a_repetition_while_the_call_runs_is_kept_patient_and_gets_the_reply() {
+fn a_copy_of_a_running_call_gets_s_executing_and_then_the_reply() {
     let mut bench = Bench::connected(Config::UDP, "");
     bench.handler.wait_until = Some(at(800));
     assert_eq!(bench.attempt(&halt(), 4, 4, at(0)), []);
     assert_eq!(bench.attempt(&halt(), 5, 4, at(500)), [(5, HResult::S_EXECUTING)]);
-    // a repetition that comes late does not take the reply back to an older attempt
+    // a late copy does not move the reply to an older attempt
     assert_eq!(bench.attempt(&halt(), 4, 4, at(510)), [(5, HResult::S_EXECUTING)]);
     assert_eq!(bench.call(call::controller_get_name(ControllerHandle(1)), 6, at(520)), [(6, HResult::E_BUSY_PROC)]);
     let replies = bench.run(at(800));
@@ -342,7 +342,7 @@ fn a_repetition_while_the_call_runs_is_kept_patient_and_gets_the_reply() {
 }
 
 #[test]
-fn noise_while_a_call_runs_does_not_hide_what_comes_behind_it() {
+fn noise_while_a_call_runs_does_not_hide_the_frame_after_it() {
     let mut bench = Bench::connected(Config::SERIAL, "");
     bench.handler.wait_until = Some(Instant::FAR_FUTURE);
     assert_eq!(bench.attempt(&halt(), 4, 4, at(0)), []);
@@ -353,11 +353,11 @@ fn noise_while_a_call_runs_does_not_hide_what_comes_behind_it() {
 }
 
 #[test]
-fn a_new_client_behind_a_known_address_starts_anew() {
+fn a_new_client_at_a_known_address_starts_a_new_session() {
     let mut bench = Bench::connected(Config::UDP, "");
-    // its first call has the serial that the old client's had
+    // its first call has the same serial as that of the old client
     let start = call::service_start("");
-    assert_eq!(bench.attempt(&start, 1, 1, at(1000)), [], "may be a late repetition");
+    assert_eq!(bench.attempt(&start, 1, 1, at(1000)), [], "may be a late copy");
     assert_eq!(bench.attempt(&start, 2, 1, at(2500)), [(2, HResult::S_OK)]);
     assert_eq!(bench.handler.calls, [(84, 2), (4, 1), (2, 0), (1, 0)]);
     assert_eq!(bench.session.open_objects(), 1);
@@ -366,7 +366,7 @@ fn a_new_client_behind_a_known_address_starts_anew() {
 #[test]
 fn a_late_attempt_of_service_start_does_not_end_the_session_that_it_began() {
     let mut bench = Bench::new(Config::UDP);
-    // the replies to its first attempts got lost, so the client goes on late
+    // the replies to the first attempts are lost, so the next call is late
     assert_eq!(bench.attempt(&call::service_start(""), 1, 1, at(0)), [(1, HResult::S_OK)]);
     assert_eq!(bench.attempt(&call::service_start(""), 4, 1, at(1500)), [(4, HResult::S_OK)]);
     assert_eq!(bench.call(call::controller_connect("", "", "", ""), 6, at(1600)), [(6, HResult::S_OK)]);
@@ -375,7 +375,7 @@ fn a_late_attempt_of_service_start_does_not_end_the_session_that_it_began() {
 }
 
 #[test]
-fn a_value_over_the_datagram_is_answered_with_a_code() {
+fn a_value_too_large_for_a_datagram_is_answered_with_a_code() {
     let mut bench = Bench::connected(Config::UDP, "");
     let get = || call::variable_get_value(VariableHandle(3));
     bench.call(call::controller_get_variable(ControllerHandle(1), "I1", ""), 4, at(0));
@@ -390,7 +390,7 @@ fn a_value_over_the_datagram_is_answered_with_a_code() {
 
 #[cfg(feature = "alloc")]
 #[test]
-fn memory_is_given_back_when_nothing_is_in_it() {
+fn unused_memory_is_released() {
     type Growing = Session<Vec<u8>, Vec<u8>, 4>;
 
     fn deliver(session: &mut Growing, handler: &mut Recorder, bytes: &[u8]) {
@@ -411,7 +411,7 @@ fn memory_is_given_back_when_nothing_is_in_it() {
         count
     }
 
-    // the kind of link that repeats and has no datagrams
+    // a lossy link without datagrams
     let config = Config { limits: Limits::STREAM, ..Config::SERIAL };
     let mut session = Growing::new(config, Vec::new(), std::vec![0; 64]);
     let mut handler = Recorder { value: std::vec![7; 400], ..Recorder::default() };
@@ -428,16 +428,16 @@ fn memory_is_given_back_when_nothing_is_in_it() {
     let put = frame(&call::variable_put_value(VariableHandle(2), &[7_u8; 1000][..]), 4, 0, true);
     deliver(&mut session, &mut handler, &put[..900]);
     session.shrink(64);
-    assert!(session.memory() >= 900, "half a request is in it");
+    assert!(session.memory() >= 900, "it contains half a request");
     deliver(&mut session, &mut handler, &put[900..]);
     assert_eq!(taken(&mut session), 18);
     deliver(&mut session, &mut handler, &frame(&call::variable_get_value(VariableHandle(2)), 5, 0, true));
     session.shrink(64);
-    assert!(session.memory() > 1400, "a reply is in it");
+    assert!(session.memory() > 1400, "it contains a reply");
     let reply = taken(&mut session);
     assert!(reply > 400, "{reply}");
 
-    // a repetition is answered as long as the reply is kept
+    // a copy is answered while the reply is kept
     let again = frame(&call::variable_get_value(VariableHandle(2)), 6, 5, true);
     deliver(&mut session, &mut handler, &again);
     assert_eq!(taken(&mut session), reply);
@@ -447,13 +447,13 @@ fn memory_is_given_back_when_nothing_is_in_it() {
     deliver(&mut session, &mut handler, &again);
     assert_eq!((taken(&mut session), handler.calls.len()), (0, calls));
 
-    // and the next call is as good as ever
+    // the next call works as before
     deliver(&mut session, &mut handler, &frame(&call::variable_get_value(VariableHandle(2)), 7, 0, true));
     assert_eq!((taken(&mut session), handler.calls.len()), (reply, calls + 1));
 }
 
 #[test]
-fn a_reply_that_just_fits_the_memory_is_sent() {
+fn a_reply_of_exactly_the_size_of_the_memory_is_sent() {
     for link in [Config::TCP, Config { limits: Limits::STREAM, ..Config::SERIAL }] {
         let crc = link.link == Link::Serial;
         for (missing, expected) in [(0, HResult::S_OK), (1, HResult::E_TOO_MUCH_DATA)] {
@@ -487,7 +487,7 @@ fn a_reply_that_just_fits_the_memory_is_sent() {
 }
 
 #[test]
-fn nothing_is_read_while_a_reply_waits_to_be_sent() {
+fn no_request_is_read_while_a_reply_is_unsent() {
     let mut bench = Bench::new(Config::TCP);
     let requests = [frame(&call::service_start(""), 1, 0, false), frame(&call::service_stop(), 2, 0, false)].concat();
     bench.session.receive_buffer()[..requests.len()].copy_from_slice(&requests);

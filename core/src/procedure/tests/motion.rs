@@ -60,7 +60,7 @@ fn a_motion_that_ends_at_its_destination_has_arrived() {
 }
 
 #[test]
-fn a_bit_that_stays_set_does_not_hide_an_arrival() {
+fn an_arrival_is_detected_while_the_motion_bit_stays_set() {
     assert_eq!(moved(within(1000), ramp, |_| MOVING).result, Ok(Motion::Arrived));
 }
 
@@ -71,7 +71,7 @@ fn a_motion_that_ends_where_it_began_has_arrived_when_the_controller_reports_no_
     let done = moved(within(1000), circle, |millis| if millis < 300 { MOVING } else { 0 });
     assert_eq!(done.result, Ok(Motion::Arrived));
     assert!(done.now.as_micros() / 1000 >= 300, "{:?}", done.now);
-    // without any way it has arrived at once
+    // at its destination from the start, it has arrived at once
     let done = moved(within(1000), |_| 10.0, |_| 0);
     assert_eq!(done.result, Ok(Motion::Arrived));
     assert!(done.now.as_micros() / 1000 < 50);
@@ -88,7 +88,7 @@ fn a_robot_at_rest_elsewhere_was_halted() {
 
 #[test]
 fn a_robot_that_has_not_begun_to_move_was_not_halted() {
-    // it rests for 500 ms, and SysState does not tell
+    // it rests for 500 ms, and SysState reports no motion
     let late = |millis: u64| ramp(millis.saturating_sub(500));
     let done = moved(within(10_000), late, |_| 0);
     assert_eq!(done.result, Ok(Motion::Arrived));
@@ -102,7 +102,7 @@ fn a_robot_that_has_not_begun_to_move_was_not_halted() {
 }
 
 #[test]
-fn a_slow_motion_is_not_taken_for_rest() {
+fn a_slow_motion_is_not_mistaken_for_rest() {
     // 0.05 degrees a second: a thousandth of a degree between two looks
     let creep = |millis: u64| ramp(50) + (millis.saturating_sub(50) as f64) * 0.00005;
     let position = |millis: u64| if millis < 50 { ramp(millis) } else { creep(millis) };
@@ -201,7 +201,7 @@ fn each_failure_halts_the_robot_once_it_may_move() {
 }
 
 #[test]
-fn a_position_that_is_none_is_an_error_and_halts_the_robot() {
+fn an_invalid_position_is_an_error_and_halts_the_robot() {
     let wrong: [&dyn Encode; 5] = [&"here", &5_i32, &[0.0_f64; 0], &["a"; 8], &[f64::NAN; 8]];
     for value in wrong {
         for call in [DESTINATION, POSITION] {

@@ -1,7 +1,8 @@
-//! The engine against a controller with a script, under a clock that jumps.
+//! The engine against a scripted controller, under a simulated clock.
 
 #![expect(clippy::arithmetic_side_effects, reason = "a test in which a sum overflows fails, as it should")]
 
+use crate::endpoint::Endpoint;
 use core::time::Duration;
 use std::collections::VecDeque;
 use std::string::{String, ToString};
@@ -17,7 +18,7 @@ use crate::time::Instant;
 const CYCLE: Duration = Duration::from_millis(8);
 const HANDLES: Handles = Handles { controller: ControllerHandle(1), robot: ROBOT };
 const WATCH: Handles = Handles { controller: ControllerHandle(11), robot: RobotHandle(13) };
-/// How long a call takes one way.
+/// The one-way delay of a call.
 const LATENCY: Duration = Duration::from_micros(150);
 
 type Answer = (HResult, VariantBuf<512>);
@@ -30,7 +31,7 @@ fn refused(code: HResult) -> Answer {
     (code, VariantBuf::new(&()).unwrap())
 }
 
-/// A controller that takes a pose out of its buffer every cycle; its joints follow at once.
+/// A controller that executes a pose of its buffer every cycle, without lag of the joints.
 struct Controller {
     now: Instant,
     next_cycle: Instant,
@@ -39,16 +40,16 @@ struct Controller {
     /// The position, and whether it changed in the last cycle.
     at: Vec<f64>,
     moving: bool,
-    /// Poses in the order in which they were carried out.
+    /// Poses in the order of their execution.
     done: Vec<Vec<f64>>,
     errors: Vec<(HResult, &'static str)>,
     system: i32,
     arm: bool,
-    /// What is answered instead of what would be, by command, once each.
+    /// Scripted replies by command; each replaces one normal reply.
     script: Vec<(&'static str, Answer)>,
-    /// Commands as they came, over which connection.
+    /// Received commands, and their connection.
     log: Vec<(Channel, String)>,
-    /// Cycles that take nothing from the buffer.
+    /// Cycles that execute no pose.
     asleep: u32,
 }
 
@@ -71,7 +72,7 @@ impl Controller {
         }
     }
 
-    /// Lets time pass.
+    /// Advances the clock.
     fn advance(&mut self, now: Instant) {
         while self.next_cycle <= now {
             self.now = self.next_cycle;
@@ -146,7 +147,7 @@ impl Controller {
                 self.errors.clear();
                 ok(&())
             }
-            other => panic!("{other} is none of the engine's commands"),
+            other => panic!("{other} is not a command of the engine"),
         }
     }
 
@@ -187,7 +188,7 @@ struct Rig {
     clients: [Client<[u8; 512]>; 2],
     controller: Controller,
     now: Instant,
-    /// The slvMoves that fail, by their number, and how.
+    /// The slvMoves that fail, by their number, and their failure.
     failures: Vec<(usize, Failure)>,
     moves: usize,
 }
@@ -205,7 +206,7 @@ impl Rig {
         }
     }
 
-    /// Makes the engine's call, all the way through a client's bytes.
+    /// Makes the engine's call through the bytes of a client.
     fn call(&mut self) {
         let request = self.engine.request().unwrap();
         if request.step() == Step::Move {
@@ -227,7 +228,7 @@ impl Rig {
         let mut frame = FrameWriter::new(&mut buffer).unwrap();
         frame.argument(&value).unwrap();
         let reply = frame.finish(request.serial, 0, code.0).unwrap();
-        // a reply that was withheld comes when it was given
+        // a delayed reply arrives when it was sent
         self.now = self.controller.now.max(self.now + LATENCY) + LATENCY;
         client.receive_buffer()[..reply.len()].copy_from_slice(reply);
         client.received(reply.len());
@@ -236,7 +237,7 @@ impl Rig {
         assert!(moved.is_none_or(|reply| reply.joints().is_some()));
     }
 
-    /// Runs until the engine ends, giving poses as `next` has them; `None` stops.
+    /// Runs until the engine ends, with the poses of `next`; `None` stops the stream.
     fn run(&mut self, mut next: impl FnMut(&mut Self) -> Option<Pose>) -> Action {
         for _ in 0..20_000 {
             match self.engine.poll(self.now) {
@@ -259,7 +260,7 @@ impl Rig {
         self.controller.log.iter().map(|(_, name)| name.as_str()).filter(|name| *name != "slvMove").collect()
     }
 
-    /// The first joint in each pose that was carried out.
+    /// The first joint of each executed pose.
     fn path(&self) -> Vec<f64> {
         self.controller.done.iter().map(|pose| pose[0]).collect()
     }
@@ -273,7 +274,7 @@ fn joints(first: f64) -> Pose {
     Pose::j([first, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 }
 
-/// A trajectory of so many poses that starts and ends at rest, and the same in numbers.
+/// A source of `count` poses, which starts and ends at rest.
 fn trajectory(count: u16) -> impl FnMut(&mut Rig) -> Option<Pose> {
     let mut sent = 0;
     move |_| {
@@ -282,7 +283,7 @@ fn trajectory(count: u16) -> impl FnMut(&mut Rig) -> Option<Pose> {
     }
 }
 
-/// Goes from 0 to 1 degree with the speed 0 at both ends.
+/// Moves from 0 to 1 degree, with speed 0 at both ends.
 fn smooth(at: u16, count: u16) -> f64 {
     let x = f64::from(at) / f64::from(count);
     x * x * (3.0 - 2.0 * x)
@@ -292,14 +293,14 @@ const START: [&str; 7] =
     ["slvSendFormat", "slvRecvFormat", "TakeArm", "Motor", "CurJnt", "slvChangeMode", "slvChangeMode"];
 
 #[test]
-fn every_mode_carries_out_every_pose_once_and_in_order() {
+fn every_mode_executes_every_pose_once_and_in_order() {
     for mode in [Mode::Mode0, Mode::Mode1, Mode::Mode2] {
         let mut rig = Rig::new(config(mode), &[0.0; 8]);
         assert_eq!(rig.run(trajectory(500)), Action::Finished, "{mode:?}: {:?}", rig.engine.fault());
         let path = rig.path();
         let expected: Vec<f64> = (1..=500).map(|n| smooth(n, 500)).collect();
         assert_eq!(path[..500], expected, "{mode:?}");
-        // the stop repeats the last pose until the robot stands, and no longer
+        // the stop repeats the last pose until the robot is at rest, and no longer
         assert!(
             path[500..].iter().all(|joint| *joint == 1.0) && (2..=8).contains(&(path.len() - 500)),
             "{}",
@@ -325,16 +326,16 @@ fn mode_0_fills_the_buffer_and_then_keeps_the_cycle() {
         dues.push(rig.now);
         next(rig)
     });
-    // the buffer is filled without waiting; from then on the poses come at the cycle's pace
+    // the buffer is filled without waiting; after that, one pose is sent per cycle
     let filling = dues.iter().take_while(|at| at.saturating_since(dues[0]) < Duration::from_millis(2)).count();
-    // (three in the buffer, one that is carried out meanwhile, and one that is asked for ahead)
+    // (three in the buffer, one in execution, and one requested ahead)
     assert!((4..=5).contains(&filling), "{dues:?}");
     assert!(rig.engine.stats().jitter.max() == 0);
     assert_eq!(rig.engine.stats().rtt.max(), 300);
 }
 
 #[test]
-fn what_e_buf_full_refused_is_sent_again() {
+fn a_pose_refused_with_e_buf_full_is_sent_again() {
     let mut rig = Rig::new(config(Mode::Mode0), &[0.0; 8]);
     let mut next = trajectory(100);
     let mut count = 0;
@@ -342,7 +343,7 @@ fn what_e_buf_full_refused_is_sent_again() {
         rig.run(|rig| {
             count += 1;
             if count % 20 == 0 {
-                // the controller falls behind by so many cycles
+                // the controller executes no pose for this many cycles
                 rig.controller.asleep = 3;
             }
             next(rig)
@@ -356,7 +357,7 @@ fn what_e_buf_full_refused_is_sent_again() {
 }
 
 #[test]
-fn a_controller_that_takes_nothing_ends_the_stream() {
+fn a_controller_whose_buffer_stays_full_ends_the_stream() {
     let mut rig = Rig::new(config(Mode::Mode0), &[0.0; 8]);
     let mut count = 0;
     let end = rig.run(|rig| {
@@ -367,7 +368,7 @@ fn a_controller_that_takes_nothing_ends_the_stream() {
     assert_eq!(end, Action::Faulted);
     let fault = rig.engine.fault().unwrap();
     assert_eq!((fault.cause, fault.released), (Cause::Stalled, Released::Yes));
-    // a second of cycles, and no more
+    // one second of cycles
     assert!((120..=130).contains(&rig.engine.stats().refused), "{}", rig.engine.stats().refused);
 }
 
@@ -387,7 +388,7 @@ fn mode_1_leaves_cycles_out_that_were_missed() {
     assert_eq!(end, Action::Finished);
     assert_eq!(rig.engine.stats().late, 1);
     assert!(rig.engine.stats().jitter.max() >= 22_000);
-    // nothing is sent in a burst to catch up
+    // no burst catches up
     let gaps: Vec<_> = sent[12..20].windows(2).map(|pair| pair[1].saturating_since(pair[0])).collect();
     assert!(gaps.iter().all(|gap| *gap == CYCLE), "{gaps:?}");
 }
@@ -422,14 +423,14 @@ fn an_underflow_is_reported_by_its_first_cause() {
         });
         assert_eq!(end, Action::Faulted);
         let fault = rig.engine.fault().unwrap();
-        // slvMove itself only says that Slave Mode is off
+        // the reply to slvMove only says that Slave Mode is off
         assert_eq!((fault.step, fault.cause), (Step::Move, Cause::Refused(HResult::E_SLVMODE_OFF)));
         assert_eq!(fault.code(), Some(HResult::E_COMMAND_BUFFER_EMPTY));
         assert_eq!(fault.errors()[0].text(), "Position command buffer is empty");
         assert_eq!((fault.released, fault.emergency_stop), (Released::Yes, Some(false)));
         assert!(fault.to_string().contains("0x84201482 (E_COMMAND_BUFFER_EMPTY) Position command"), "{fault}");
         assert_eq!((rig.engine.stats().underflows, rig.engine.stats().late), (1, 1));
-        // the errors were read over the second connection where there is one
+        // the errors are read over the second connection, if there is one
         let channel = if watch.is_some() { Channel::Watch } else { Channel::Motion };
         assert!(rig.controller.log.contains(&(channel, "GetCurErrorInfo".into())));
         assert!(rig.controller.log.contains(&(Channel::Motion, "slvGetMode".into())));
@@ -438,7 +439,7 @@ fn an_underflow_is_reported_by_its_first_cause() {
 }
 
 #[test]
-fn the_oldest_errors_come_first_and_are_bounded() {
+fn the_oldest_errors_are_read_first_up_to_the_maximum() {
     let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
     let mut count = 0;
     let end = rig.run(|rig| {
@@ -459,7 +460,7 @@ fn the_oldest_errors_come_first_and_are_bounded() {
 }
 
 #[test]
-fn recovery_happens_on_request_and_starts_where_the_robot_stands() {
+fn recovery_happens_on_request_and_starts_at_the_position_of_the_robot() {
     let start = joints(0.0);
     let mut rig = Rig::new(Config { start: Some(start), ..config(Mode::Mode0) }, &[0.0; 8]);
     assert_eq!(rig.engine.recover(), Err(RecoverError::NoFault));
@@ -485,14 +486,14 @@ fn recovery_happens_on_request_and_starts_where_the_robot_stands() {
 }
 
 #[test]
-fn a_robot_that_stands_nowhere_is_not_moved() {
+fn a_robot_without_a_finite_position_is_not_moved() {
     for number in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
         let limited = Config { limits: AxisLimits::uniform(10.0, 100.0), ..config(Mode::Mode0) };
         let mut rig = Rig::new(limited, &[0.0, number, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
         assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Faulted);
         let fault = rig.engine.fault().unwrap();
         assert_eq!((fault.step, fault.cause, rig.moves), (Step::Position, Cause::NoValue, 0));
-        // joints that it has not may stand anywhere
+        // joints that it does not have may have any value
         let mut rig = Rig::new(limited, &[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, number, number]);
         assert_eq!(rig.run(|_| None), Action::Finished);
         assert_eq!(*rig.engine.start_pose().unwrap(), joints(0.0));
@@ -500,7 +501,7 @@ fn a_robot_that_stands_nowhere_is_not_moved() {
 }
 
 #[test]
-fn bounds_that_are_no_numbers_are_refused() {
+fn nan_bounds_are_refused() {
     let nan = |axis: usize| {
         let mut limits = AxisLimits::uniform(10.0, 100.0);
         limits.speed[axis] = f64::NAN;
@@ -518,7 +519,7 @@ fn bounds_that_are_no_numbers_are_refused() {
     ] {
         assert_eq!(Engine::<256>::new(bad).unwrap_err(), ConfigError::Number);
     }
-    assert!(Engine::<256>::new(Config { limits: AxisLimits::NONE, ..good }).is_ok(), "infinite limits are none");
+    assert!(Engine::<256>::new(Config { limits: AxisLimits::NONE, ..good }).is_ok(), "infinite limits are valid");
 }
 
 #[test]
@@ -531,7 +532,7 @@ fn a_stop_during_a_recovery_is_not_forgotten() {
     rig.engine.stop();
     assert_eq!(rig.run(|_| panic!("no pose is wanted")), Action::Finished);
     assert_eq!((rig.names().last(), rig.moves), (Some(&"GiveArm"), 0));
-    // one that was asked for before the fault is over with it
+    // a stop requested before the fault ends with it
     let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
     rig.controller.script.push(("slvSendFormat", refused(HResult::from_u32(0x8350_106e))));
     rig.engine.stop();
@@ -546,7 +547,7 @@ fn a_stop_during_a_recovery_is_not_forgotten() {
 }
 
 #[test]
-fn nothing_recovers_after_an_emergency_stop() {
+fn recovery_is_refused_after_an_emergency_stop() {
     let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
     let mut count = 0;
     let end = rig.run(|rig| {
@@ -572,7 +573,7 @@ fn nothing_recovers_after_an_emergency_stop() {
 }
 
 #[test]
-fn an_emergency_stop_that_comes_later_keeps_a_recovery_from_beginning() {
+fn a_later_emergency_stop_prevents_a_recovery() {
     let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
     rig.controller.script.push(("Motor", refused(HResult::from_u32(0x8350_106e))));
     assert_eq!(rig.run(|_| None), Action::Faulted);
@@ -586,7 +587,7 @@ fn an_emergency_stop_that_comes_later_keeps_a_recovery_from_beginning() {
 }
 
 #[test]
-fn each_step_that_is_refused_ends_the_start_there() {
+fn each_refused_step_ends_the_start() {
     let code = HResult::E_ARM_NOT_TAKEN;
     for (command, step) in [
         ("slvSendFormat", Step::SendFormat),
@@ -607,7 +608,7 @@ fn each_step_that_is_refused_ends_the_start_there() {
 }
 
 #[test]
-fn a_lost_connection_is_looked_into_over_the_other_one() {
+fn a_lost_connection_is_diagnosed_over_the_other_one() {
     let mut rig = Rig::new(Config { watch: Some(WATCH), ..config(Mode::Mode0) }, &[0.0; 8]);
     rig.failures.push((20, Failure::Lost));
     let mut count = 0;
@@ -628,7 +629,7 @@ fn a_lost_connection_is_looked_into_over_the_other_one() {
 }
 
 #[test]
-fn without_any_connection_nothing_is_known() {
+fn without_a_connection_the_state_is_unknown() {
     let mut rig = Rig::new(config(Mode::Mode0), &[0.0; 8]);
     rig.failures.push((20, Failure::Lost));
     assert_eq!(rig.run(trajectory(100)), Action::Faulted);
@@ -638,7 +639,7 @@ fn without_any_connection_nothing_is_known() {
 }
 
 #[test]
-fn a_call_without_a_reply_leads_out_of_slave_mode() {
+fn a_call_without_a_reply_ends_slave_mode() {
     let mut rig = Rig::new(config(Mode::Mode1), &[0.0; 8]);
     rig.failures.push((20, Failure::Timeout));
     assert_eq!(rig.run(trajectory(100)), Action::Faulted);
@@ -668,7 +669,7 @@ fn a_robot_that_is_not_at_the_start_is_not_moved() {
     let fault = rig.engine.fault().unwrap();
     assert_eq!(fault.cause, Cause::NotAtStart { number: 3, actual: 30.5, expected: 30.0 });
     assert_eq!((rig.names().last(), rig.controller.mode), (Some(&"CurJnt"), 0));
-    // within the tolerance, and whatever the joints hold that the robot has not
+    // within the tolerance, with any value of joints that the robot does not have
     let at = [10.0, 20.04, 29.96, 0.0, 0.0, 0.0, 1e-307, 3e-313];
     let mut rig = Rig::new(Config { start: Some(start), ..config(Mode::Mode0) }, &at);
     assert_eq!(rig.run(|_| None), Action::Finished);
@@ -677,7 +678,7 @@ fn a_robot_that_is_not_at_the_start_is_not_moved() {
 }
 
 #[test]
-fn poses_beyond_the_limits_are_refused_with_axis_and_figures() {
+fn poses_beyond_the_limits_are_refused_with_axis_and_values() {
     let limits = AxisLimits { speed: [100.0; 8], acceleration: [5000.0; 8] };
     let mut rig = Rig::new(Config { limits, ..config(Mode::Mode2) }, &[0.0; 8]);
     let mut count = 0;
@@ -744,7 +745,7 @@ fn a_stop_before_the_first_pose_moves_nothing() {
     let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
     assert_eq!(rig.run(|_| None), Action::Finished);
     assert_eq!((rig.moves, rig.names()), (0, [&START[..], &["GiveArm"]].concat()));
-    // even before Slave Mode is entered
+    // also before Slave Mode is entered
     let mut rig = Rig::new(config(Mode::Mode2), &[0.0; 8]);
     let _ = rig.engine.poll(rig.now);
     rig.engine.stop();
@@ -759,7 +760,7 @@ fn the_stop_waits_for_a_robot_that_still_moves() {
     let end = rig.run(|rig| {
         count += 1;
         if count == 11 {
-            // what it answers lags behind for a while
+            // the replies lag for a while
             for n in (1..=20).rev() {
                 rig.controller.script.insert(0, ("slvMove", ok(&[f64::from(n), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])));
             }
@@ -768,7 +769,7 @@ fn the_stop_waits_for_a_robot_that_still_moves() {
     });
     assert_eq!(end, Action::Finished);
     assert!((10 + 20..10 + 25).contains(&rig.moves), "{}", rig.moves);
-    // joints that the robot has not may hold anything
+    // joints that the robot does not have may have any value
     let mut rig = Rig::new(config(Mode::Mode1), &[0.0; 8]);
     for n in 0..30 {
         rig.controller.script.push(("slvMove", ok(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, f64::from(n), f64::NAN])));
@@ -804,7 +805,7 @@ fn cartesian_streams_wrap_angles_and_command_extended_joints() {
     assert_eq!(rig.engine.start_pose(), Some(&Pose::p(at).with_extended(axes(40.0))));
     let (last, end) = (last.unwrap(), *rig.engine.last_pose());
     assert!((last.as_slice()[3] + 179.6).abs() < 1e-9);
-    // 40 ms of slowing down: 0.8 + 0.6 + 0.4 + 0.2 of the last step
+    // a ramp of 40 ms: 0.8 + 0.6 + 0.4 + 0.2 of the last step
     assert!((end.as_slice()[3] - last.as_slice()[3] - 0.2).abs() < 1e-9, "{end:?}");
     assert!((end.as_slice()[8] - last.as_slice()[8] - 0.4).abs() < 1e-9, "{end:?}");
     assert_eq!(end.as_slice()[6..8], [5.0, 4_194_432.0]);
@@ -824,11 +825,11 @@ fn transforms_keep_their_vectors_at_length_one() {
 }
 
 #[test]
-fn a_configuration_that_contradicts_itself_is_refused() {
+fn an_inconsistent_configuration_is_refused() {
     let wrong = Config { start: Some(spec_pose()), ..config(Mode::Mode0) };
     assert_eq!(
         Engine::<256>::new(wrong).unwrap_err().to_string(),
-        "the start of the stream: the format has poses of type J, this is P"
+        "the start of the stream: the format has poses of type J, this pose is P"
     );
     let wrong = Config { cycle: Duration::ZERO, ..config(Mode::Mode0) };
     assert_eq!(Engine::<256>::new(wrong).unwrap_err(), ConfigError::Cycle);
@@ -836,13 +837,13 @@ fn a_configuration_that_contradicts_itself_is_refused() {
 }
 
 #[test]
-fn what_is_not_asked_for_changes_nothing() {
+fn unrequested_input_changes_nothing() {
     let mut rig = Rig::new(config(Mode::Mode0), &[0.0; 8]);
     assert_eq!(rig.engine.push(&joints(0.0)), Err(PoseError::NotNow));
     assert!(rig.engine.request().is_none());
     rig.engine.handle_failure(Failure::Lost, rig.now);
     assert_eq!(rig.engine.poll(rig.now), Action::Call(Step::SendFormat, Channel::Motion));
-    // polled again, the same call is meant
+    // polling again returns the same call
     assert_eq!(rig.engine.poll(rig.now), Action::Call(Step::SendFormat, Channel::Motion));
     assert_eq!(rig.run(trajectory(5)), Action::Finished);
     assert_eq!(rig.engine.poll(rig.now), Action::Finished);

@@ -8,11 +8,13 @@ use std::string::{String, ToString as _};
 use std::vec;
 use std::vec::Vec;
 
+use super::string::character;
 use super::*;
 use crate::error::EncodeError;
 use crate::hresult::HResult;
 use crate::limits::{Limits, MAX_DEPTH, Strictness};
-use crate::variant::{Currency, Encode, Null};
+use crate::num::to_u32;
+use crate::variant::{Bstr, CivilTime, Currency, Encode, Null, OleDate, VarType};
 use TextErrorKind as K;
 
 type Buf = VariantBuf<512>;

@@ -13,10 +13,10 @@
 #![no_main]
 
 use bcap_board::{RuleMemory, Settings, Transport};
-use bcap_core::bcap::client;
+use bcap_core::bcap::client::{self, Timing};
 use bcap_core::gateway::{Config, Event, Gateway, Memory, Tally};
 use bcap_core::rac;
-use bcap_core::time::Instant;
+use bcap_core::time::{Instant, micros};
 use bcap_embassy::gateway::{Listener, Report, Shared, TcpRobot, run_robot};
 use bcap_embassy::net::{Options, UdpTransport};
 use bcap_embassy::server::Limits;
@@ -103,10 +103,13 @@ fn make(settings: &'static Settings<'static>) -> &'static Board {
     defmt::info!("{=usize} rules for GET, {=usize} for PUT", rules.get.len(), rules.put.len());
     let client = match settings.robot.transport {
         Transport::Tcp => Config::RC8.client,
-        // five attempts take 2.5 s; what is still at work then has shown so
+        // five attempts take 2.5 s; a call that runs longer has sent keep-alives
         Transport::Udp => client::Config {
-            deadline: Config::RC8.client.deadline,
-            keep_alive: Config::RC8.client.keep_alive,
+            timing: Timing {
+                deadline: Config::RC8.client.timing.deadline,
+                keep_alive: Config::RC8.client.timing.keep_alive,
+                ..Timing::UDP
+            },
             ..client::Config::UDP
         },
     };
@@ -200,11 +203,10 @@ struct Times<'a>(&'a Tally);
 
 impl defmt::Format for Times<'_> {
     fn format(&self, f: defmt::Formatter<'_>) {
-        let micros = |time: core::time::Duration| u32::try_from(time.as_micros()).unwrap_or(u32::MAX);
         let Self(tally) = self;
         defmt::write!(
             f,
-            "{=u32} (p50 {=u32} us, p99 {=u32} us, longest {=u32} us)",
+            "{=u32} (p50 {=u64} us, p99 {=u64} us, longest {=u64} us)",
             tally.count(),
             micros(tally.percentile(50)),
             micros(tally.percentile(99)),

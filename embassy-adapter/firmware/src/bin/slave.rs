@@ -16,10 +16,11 @@ use core::fmt::Write as _;
 use bcap_board::Settings;
 use bcap_core::bcap::Client;
 use bcap_core::bcap::client::Config as ClientConfig;
-use bcap_core::slave::{
-    AxisLimits, Config, Cycle, Engine, Format, MOVE_FRAME, Mode, Next, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode, Stats,
-};
 use bcap_core::procedure::{Provider, open_robot};
+use bcap_core::slave::{
+    AxisLimits, Config, Cycle, Engine, Format, MOVE_FRAME, Mode, Next, Pose, PoseType, ReceiveFormat, ReceivePose,
+    SlaveMode, Stats,
+};
 use bcap_embassy::net::{Connection, Options, TcpClient, TcpTransport};
 use bcap_firmware::net::{self, NetRunner};
 use bcap_firmware::uart::{self, Text};

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use crate::error::Failure;
 use crate::escape;
-use crate::item::print_json;
+use crate::output::print_json;
 
 const GREEN: Style = AnsiColor::Green.on_default();
 const RED: Style = AnsiColor::Red.on_default().bold();
@@ -92,7 +92,7 @@ impl Report {
 
     fn print(&self, line: &Line<'_>) -> Result<(), Failure> {
         if self.json {
-            return print_json(&serde_json::to_string(line).unwrap_or_default());
+            return Ok(print_json(&serde_json::to_string(line).unwrap_or_default())?);
         }
         let (style, word) = match line.result {
             "passed" => (GREEN, "ok"),

@@ -1,4 +1,4 @@
-//! The audit log: one JSON object a line for what clients ask, and for what becomes of the robot.
+//! The audit log: one JSON object a line for each request of a client, and for each change of the robot's session.
 //!
 //! | `event`                            | further fields                                             |
 //! |------------------------------------|------------------------------------------------------------|
@@ -7,41 +7,46 @@
 //! | `refused`                          | `client` `line` `result` `name` `reason`                   |
 //! | `robot_up`                         | `robot`                                                    |
 //! | `robot_down`                       | `robot` `reason` `retry_ms`                                |
-//! | `suppressed`                       | `client` `lines`: so many of this address were too many    |
-//! | `dropped`                          | `lines`: so many could not be written in time              |
+//! | `suppressed`                       | `client` `lines`: number of lines over the rate of this address |
+//! | `dropped`                          | `lines`: number of lines that could not be written in time |
 //! | `end`                              | `served` `failed` `refused` `sessions` and the times in us |
 //!
 //! Every object has `time`, in UTC. A successful PUT is always written. All other lines of one IP address are limited by a
-//! token bucket; `suppressed` says at most every 10 s, and at the end, how many lines of an address it has cost. Lines are
-//! written by a thread: a reader that does not read costs lines, which are counted, and never delays the gateway.
+//! token bucket; `suppressed` gives the number of lines that exceeded it, at most every 10 s and at the end. A thread
+//! writes the lines: a reader that does not read costs lines, which are counted, and never delays the gateway. Characters
+//! that act on a terminal are escaped, because clients choose the text of their lines.
 
 use std::io::{self, Write};
-use std::net::IpAddr;
+use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use bcap_core::gateway::{Counters, Tally};
+use bcap_core::gateway::{Counters, Event, RobotError, Tally};
 use bcap_core::hresult::HResult;
+use bcap_core::rac::Verb;
 use bcap_core::variant::OleDate;
+use bcap_std::gateway::Report;
 use bcap_std::now;
 use serde::Serialize;
 
 use super::rotate::Rotating;
 use super::throttle::{Suppressed, Throttle};
 use crate::error::Failure;
+use crate::escape;
+use crate::times::Times;
 
-/// Lines that wait for the writer at most.
+/// The most lines that wait for the writer.
 const BACKLOG: usize = 4096;
 
-/// How long the end waits for the writer.
-const PATIENCE: Duration = Duration::from_secs(2);
+/// The longest time that the end waits for the writer.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// What is written.
+/// What a line says.
 #[derive(Debug, Serialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
-pub(super) enum Record {
+enum Record {
     Connected { client: String },
     Disconnected { client: String },
     TurnedAway { client: String },
@@ -55,9 +60,9 @@ pub(super) enum Record {
     End(Totals),
 }
 
-/// A line of a client, and what was answered.
+/// A line of a client, and how it was answered.
 #[derive(Debug, Serialize)]
-pub(super) struct Answer {
+struct Answer {
     client: String,
     line: String,
     result: i32,
@@ -70,32 +75,32 @@ pub(super) struct Answer {
 }
 
 impl Answer {
-    /// Describes a line by its bytes, as they came.
-    pub(super) fn new(client: String, line: &[u8], result: HResult) -> Self {
+    /// Describes a line by its received bytes.
+    fn new(client: String, line: &[u8], result: HResult) -> Self {
         let line = String::from_utf8_lossy(line).into_owned();
         Self { client, line, result: result.0, name: result.name(), us: None, reason: None }
     }
 
-    pub(super) fn took(self, time: Duration) -> Self {
+    fn took(self, time: Duration) -> Self {
         Self { us: Some(micros(time)), ..self }
     }
 
-    pub(super) fn because(self, reason: String) -> Self {
+    fn because(self, reason: String) -> Self {
         Self { reason: Some(reason), ..self }
     }
 }
 
-/// What was done in all.
+/// The totals at the end.
 #[derive(Debug, Serialize)]
-pub(super) struct Totals {
-    served: Times,
-    failed: Times,
+struct Totals {
+    served: Total,
+    failed: Total,
     refused: u32,
     sessions: u32,
 }
 
 #[derive(Debug, Serialize)]
-struct Times {
+struct Total {
     count: u32,
     mean_us: u64,
     p50_us: u64,
@@ -103,25 +108,14 @@ struct Times {
     max_us: u64,
 }
 
-impl From<&Counters> for Totals {
-    fn from(counters: &Counters) -> Self {
-        Self {
-            served: Times::from(&counters.served),
-            failed: Times::from(&counters.failed),
-            refused: counters.refused,
-            sessions: counters.connected,
-        }
-    }
-}
-
-impl From<&Tally> for Times {
-    fn from(tally: &Tally) -> Self {
+impl Total {
+    fn new(tally: &Tally, times: &Times) -> Self {
         Self {
             count: tally.count(),
             mean_us: micros(tally.mean()),
-            p50_us: micros(tally.percentile(50)),
-            p99_us: micros(tally.percentile(99)),
-            max_us: micros(tally.max()),
+            p50_us: times.quantile(0.5),
+            p99_us: times.quantile(0.99),
+            max_us: times.max(),
         }
     }
 }
@@ -141,26 +135,31 @@ struct Line<'a> {
 /// What bounds an audit log.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Bounds {
-    /// Lines a second of one IP address; 0 for all.
+    /// Lines a second of one IP address; 0 writes all.
     pub(super) rate: u32,
-    /// Bytes of a file at most; 0 for any size.
+    /// The most bytes of a file; 0 for any size.
     pub(super) size: u64,
-    /// Old files that are kept.
+    /// The number of old files to keep.
     pub(super) keep: u32,
 }
 
 /// An audit log.
 #[derive(Debug)]
 pub(super) struct Audit {
+    /// The robot's address.
+    robot: String,
     lines: SyncSender<String>,
     dropped: u64,
+    /// The times of all answers, also of those that are not written.
+    served: Times,
+    failed: Times,
     throttle: Throttle,
     writer: JoinHandle<()>,
 }
 
 impl Audit {
     /// Opens the log: `-` is the standard output, a file is appended to.
-    pub(super) fn open(path: &Path, bounds: Bounds) -> Result<Self, Failure> {
+    pub(super) fn open(path: &Path, robot: String, bounds: Bounds) -> Result<Self, Failure> {
         let output: Box<dyn Write + Send> = if path == Path::new("-") {
             Box::new(io::stdout())
         } else {
@@ -169,16 +168,75 @@ impl Audit {
         };
         let (lines, waiting) = sync_channel(BACKLOG);
         let writer = thread::Builder::new().name("audit".into()).spawn(move || write(output, &waiting))?;
-        Ok(Self { lines, dropped: 0, throttle: Throttle::new(bounds.rate), writer })
+        Ok(Self::new(robot, lines, Throttle::new(bounds.rate), writer))
     }
 
-    /// Tells whether one more line about a client may be written; if not, it is counted.
-    pub(super) fn admits(&mut self, client: IpAddr) -> bool {
-        self.throttle.admits(client, now())
+    fn new(robot: String, lines: SyncSender<String>, throttle: Throttle, writer: JoinHandle<()>) -> Self {
+        Self { robot, lines, dropped: 0, served: Times::new(), failed: Times::new(), throttle, writer }
     }
 
-    /// Writes how many lines were suppressed, when that is due.
-    pub(super) fn report(&mut self) {
+    /// Writes a report of the gateway, unless its client has exceeded its rate.
+    pub(super) fn log(&mut self, report: &Report<'_>) {
+        match *report {
+            Report::Connected { client } => self.log_client(client, |client| Record::Connected { client }),
+            Report::TurnedAway { client } => self.log_client(client, |client| Record::TurnedAway { client }),
+            Report::Disconnected { client, .. } => self.log_client(client, |client| Record::Disconnected { client }),
+            Report::Answered { client, line, event } => self.log_answer(client, line, event),
+            Report::Robot { event, cause } => self.log_robot(event, cause),
+            _ => {}
+        }
+        self.report_suppressed();
+    }
+
+    fn log_client(&mut self, client: SocketAddr, record: impl FnOnce(String) -> Record) {
+        if self.throttle.admits(client.ip(), now()) {
+            self.write(&record(client.to_string()));
+        }
+    }
+
+    fn log_answer(&mut self, client: SocketAddr, line: &[u8], event: Event) {
+        match event {
+            Event::Served { time, .. } => self.served.record(micros(time)),
+            Event::Failed { time, .. } => self.failed.record(micros(time)),
+            _ => {}
+        }
+        let answer = |client, result| Answer::new(client, line, result);
+        match event {
+            // a write has changed the robot, so it is always logged
+            Event::Served { request, result, time, .. } if request.verb == Verb::Put => {
+                self.write(&Record::Served(answer(client.to_string(), result).took(time)));
+            }
+            Event::Served { result, time, .. } => {
+                self.log_client(client, |client| Record::Served(answer(client, result).took(time)));
+            }
+            Event::Failed { result, time, .. } => {
+                self.log_client(client, |client| Record::Failed(answer(client, result).took(time)));
+            }
+            Event::Refused { refusal, .. } => self.log_client(client, |client| {
+                Record::Refused(answer(client, refusal.hresult()).because(refusal.to_string()))
+            }),
+            Event::RobotUp | Event::RobotDown { .. } => {}
+        }
+    }
+
+    fn log_robot(&mut self, event: Event, cause: Option<&io::Error>) {
+        let robot = self.robot.clone();
+        match event {
+            Event::RobotUp => self.write(&Record::RobotUp { robot }),
+            Event::RobotDown { error, pause } => {
+                let reason = match (error, cause) {
+                    (RobotError::Closed, Some(cause)) => cause.to_string(),
+                    (error, _) => error.to_string(),
+                };
+                let retry_ms = u64::try_from(pause.as_millis()).unwrap_or(u64::MAX);
+                self.write(&Record::RobotDown { robot, reason, retry_ms });
+            }
+            Event::Served { .. } | Event::Failed { .. } | Event::Refused { .. } => {}
+        }
+    }
+
+    /// Writes the numbers of suppressed lines when they are due.
+    pub(super) fn report_suppressed(&mut self) {
         let due = self.throttle.due(now());
         self.write_suppressed(due);
     }
@@ -190,8 +248,7 @@ impl Audit {
         }
     }
 
-    /// Writes a record.
-    pub(super) fn write(&mut self, record: &Record) {
+    fn write(&mut self, record: &Record) {
         if self.dropped > 0 && self.send(&Record::Dropped { lines: self.dropped }) {
             self.dropped = 0;
         }
@@ -200,41 +257,47 @@ impl Audit {
         }
     }
 
-    /// Tells whether the record was taken; without a reader it is of no use to anybody, so it counts as taken.
+    /// Hands a record to the writer; `false` when the queue is full. After the writer has ended, no line counts as dropped.
     fn send(&self, record: &Record) -> bool {
         !matches!(self.lines.try_send(text(record)), Err(TrySendError::Full(_)))
     }
 
-    /// Writes the totals and what waits, as far as there is a reader.
-    pub(super) fn close(mut self, totals: Totals) {
+    /// Writes the totals and waits for the writer.
+    pub(super) fn close(mut self, counters: &Counters) {
         let suppressed = self.throttle.take();
         self.write_suppressed(suppressed);
+        let totals = Totals {
+            served: Total::new(&counters.served, &self.served),
+            failed: Total::new(&counters.failed, &self.failed),
+            refused: counters.refused,
+            sessions: counters.connected,
+        };
         self.write(&Record::End(totals));
         drop(self.lines);
-        let until = Instant::now() + PATIENCE;
+        let until = Instant::now() + CLOSE_TIMEOUT;
         while !self.writer.is_finished() && Instant::now() < until {
             thread::sleep(Duration::from_millis(1));
         }
     }
 }
 
-/// Writes lines until there are no more, or nobody reads them. What a full disk does not take is counted, and the count is
-/// written as soon as it takes something again.
+/// Writes lines until there are no more, or the pipe has no reader. Lines that a full disk refuses are counted, and the count
+/// is written as soon as the disk has room again.
 fn write(mut output: impl Write, lines: &Receiver<String>) {
     // in one piece, so that a rotation does not split it
     let mut put = |line: &str| output.write_all(format!("{line}\n").as_bytes()).and_then(|()| output.flush());
     let mut lost = 0;
     while let Ok(line) = lines.recv() {
-        let told = match lost {
+        let counted = match lost {
             0 => Ok(()),
             lines => put(&text(&Record::Dropped { lines })).inspect(|()| lost = 0),
         };
-        match told.and_then(|()| put(&line)) {
+        match counted.and_then(|()| put(&line)) {
             Ok(()) => {}
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => return,
             Err(error) => {
                 if lost == 0 {
-                    eprintln!("warning: the audit log cannot be written: {error}");
+                    eprintln!("warning: the audit log cannot be written: {}", escape::failure(&error));
                 }
                 lost += 1;
             }
@@ -244,7 +307,7 @@ fn write(mut output: impl Write, lines: &Receiver<String>) {
 
 fn text(record: &Record) -> String {
     // strings and numbers have no way to fail
-    serde_json::to_string(&Line { time: time(), record }).unwrap_or_default()
+    escape::json(&serde_json::to_string(&Line { time: time(), record }).unwrap_or_default())
 }
 
 /// Returns the time of day in UTC, as `2026-11-21T08:05:00.000Z`.
@@ -280,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_full_disk_does_not_take_is_counted() {
+    fn lines_that_a_full_disk_refuses_are_counted() {
         let mut disk = Disk { written: Vec::new(), full_for: 2 };
         let (sender, lines) = sync_channel(10);
         ["one", "two", "three"].iter().for_each(|line| sender.send((*line).to_owned()).unwrap());
@@ -293,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_says_when_who_what_and_how_it_ended() {
+    fn a_line_has_time_client_request_and_result() {
         let answer = Answer::new("10.0.0.2:40000".into(), b"GET:RC8:1:I:\xff", HResult::E_ACCESSDENIED);
         let record = Record::Refused(answer.because("not today".into()));
         let line = serde_json::to_string(&Line { time: time(), record: &record }).unwrap();
@@ -305,10 +368,21 @@ mod tests {
     }
 
     #[test]
-    fn a_reader_that_does_not_read_costs_lines_and_they_are_counted() {
+    fn characters_that_act_on_a_terminal_are_escaped() {
+        let line = "GET:\u{9b}31m\u{202e}\u{2028}\u{7f}Grün";
+        let answer = Answer::new("10.0.0.2:40000".into(), line.as_bytes(), HResult::E_INVALIDCOMMAND);
+        let logged = text(&Record::Refused(answer.because("\u{1b}[2J".into())));
+        assert!(!logged.chars().any(escape::acts), "{logged}");
+        assert!(logged.contains("GET:\\u009b31m\\u202e\\u2028\\u007fGrün"), "{logged}");
+        let object: serde_json::Value = serde_json::from_str(&logged).unwrap();
+        assert_eq!((&object["line"], &object["reason"]), (&line.into(), &"\u{1b}[2J".into()));
+    }
+
+    #[test]
+    fn lines_without_room_in_the_queue_are_counted() {
         let (lines, waiting) = sync_channel(2);
         let throttle = Throttle::new(10);
-        let mut audit = Audit { lines, dropped: 0, throttle, writer: thread::spawn(|| {}) };
+        let mut audit = Audit::new(String::new(), lines, throttle, thread::spawn(|| {}));
         let up = Record::RobotUp { robot: "tcp:10.0.0.1:5007".into() };
         for _ in 0..5 {
             audit.write(&up);
@@ -322,6 +396,6 @@ mod tests {
         drop(waiting);
         audit.write(&up);
         assert_eq!(audit.dropped, 0, "without a reader no line is missing");
-        audit.close(Totals::from(&Counters::default()));
+        audit.close(&Counters::default());
     }
 }

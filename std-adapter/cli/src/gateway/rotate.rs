@@ -5,6 +5,8 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use crate::escape;
+
 /// A file of bounded size, and its predecessors.
 #[derive(Debug)]
 pub(super) struct Rotating {
@@ -12,14 +14,14 @@ pub(super) struct Rotating {
     file: File,
     /// Bytes in the file.
     len: u64,
-    /// Bytes in the file at most; 0 does not rotate.
+    /// The most bytes of the file; 0 does not rotate.
     max: u64,
-    /// Old files that are kept.
+    /// The number of old files to keep.
     keep: u32,
 }
 
 impl Rotating {
-    /// Opens the file to append to it. What is not a regular file, such as a device or a FIFO, is not rotated.
+    /// Opens the file to append to it. A file that is not regular, such as a device or a FIFO, is not rotated.
     pub(super) fn open(path: &Path, max: u64, keep: u32) -> io::Result<Self> {
         let file = append(path)?;
         let metadata = file.metadata()?;
@@ -59,9 +61,9 @@ impl Write for Rotating {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let len = u64::try_from(bytes.len()).unwrap_or(u64::MAX);
         if self.max > 0 && self.len > 0 && self.len.saturating_add(len) > self.max {
-            // a folder that forbids it must not cost the log: the same file goes on, until it has grown as much again
+            // without the rights to rename, the log continues in the same file, and tries again after as many bytes
             if let Err(error) = self.rotate() {
-                eprintln!("warning: the audit log cannot be rotated: {error}");
+                eprintln!("warning: the audit log cannot be rotated: {}", escape::failure(&error));
             }
             self.len = 0;
         }
@@ -79,14 +81,14 @@ impl Write for Rotating {
 mod tests {
     use super::*;
 
-    /// Writes the lines 0 to 99, 10 bytes each, into files of 95 bytes; returns the files' texts, the newest first.
+    /// Writes the lines 0 to 99, 10 bytes each, into files of 95 bytes; returns the files' texts in reverse order.
     fn rotated(keep: u32) -> Vec<String> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("log");
         let mut log = Rotating::open(&path, 95, keep).unwrap();
         for n in 0..100 {
             if n == 50 {
-                // as after a restart
+                // a restart
                 log = Rotating::open(&path, 95, keep).unwrap();
             }
             log.write_all(format!("line {n:04}\n").as_bytes()).unwrap();
@@ -97,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn files_have_a_largest_size_and_so_many_are_kept() {
+    fn files_are_bounded_in_size_and_number() {
         for keep in [0, 1, 3] {
             let texts = rotated(keep);
             assert_eq!(texts.len(), keep as usize + 1);
@@ -106,7 +108,11 @@ mod tests {
             let lines: Vec<_> = all.lines().collect();
             let first = 100 - lines.len();
             assert!(lines.iter().zip(first..).all(|(line, n)| **line == format!("line {n:04}")), "{lines:?}");
-            assert_eq!(lines.len(), 9 * keep as usize + 1, "the last file has the line that had no room before");
+            assert_eq!(
+                lines.len(),
+                9 * keep as usize + 1,
+                "the last file has the line that did not fit the one before"
+            );
         }
     }
 

@@ -1,4 +1,4 @@
-//! The rate at which one client may make lines of the audit log: a token bucket for each IP address.
+//! The rate of one client's lines in the audit log: a token bucket for each IP address.
 
 use std::collections::HashMap;
 use std::net::IpAddr;
@@ -6,16 +6,16 @@ use std::time::Duration;
 
 use bcap_core::time::Instant;
 
-/// The seconds of a client's rate that it may use at once.
+/// The seconds whose tokens a client may use at once.
 const BURST: u32 = 10;
 
-/// How long the log waits before it says how many lines were suppressed.
+/// The time between the first suppressed line and the record of their number.
 const REPORT: Duration = Duration::from_secs(10);
 
 /// The number of addresses with a bucket of their own; further ones share a bucket.
 const BUCKETS: usize = 1024;
 
-/// The interval at which full buckets are forgotten.
+/// The interval at which full buckets are removed.
 const PURGE: Duration = Duration::from_secs(1);
 
 /// Decides which lines are written, and counts the others.
@@ -27,7 +27,7 @@ pub(super) struct Throttle {
     buckets: HashMap<Option<IpAddr>, Bucket>,
     /// When counts are to be written; `None` without any.
     report_at: Option<Instant>,
-    /// When full buckets may be forgotten next: looking for them costs more than a line.
+    /// When full buckets may be removed next: looking for them costs more than a line.
     purge_at: Instant,
 }
 
@@ -52,7 +52,7 @@ impl Throttle {
         Self { rate, buckets: HashMap::new(), report_at: None, purge_at: Instant::ZERO }
     }
 
-    /// Takes a token of a client; `false`, and one more suppressed line, without a token.
+    /// Takes a token of a client. Without a token it counts a suppressed line and returns `false`.
     pub(super) fn admits(&mut self, client: IpAddr, now: Instant) -> bool {
         let Some(interval) = Duration::from_secs(1).checked_div(self.rate) else { return true };
         let ahead = interval.saturating_mul(self.rate.saturating_mul(BURST).saturating_sub(1));
@@ -67,7 +67,7 @@ impl Throttle {
         true
     }
 
-    /// Returns the key of a client's bucket, and forgets full buckets when there are too many.
+    /// Returns the key of a client's bucket, and removes full buckets when there are too many.
     fn key(&mut self, client: IpAddr, now: Instant) -> Option<IpAddr> {
         let key = Some(client);
         if self.buckets.len() < BUCKETS || self.buckets.contains_key(&key) {
@@ -80,7 +80,7 @@ impl Throttle {
         key.filter(|_| self.buckets.len() < BUCKETS)
     }
 
-    /// Returns the counts that are to be written now.
+    /// Returns the counts that are due.
     pub(super) fn due(&mut self, now: Instant) -> Vec<Suppressed> {
         match self.report_at {
             Some(at) if at <= now => self.take(),
@@ -88,7 +88,7 @@ impl Throttle {
         }
     }
 
-    /// Returns all counts, which start again at 0.
+    /// Returns all counts and resets them.
     pub(super) fn take(&mut self) -> Vec<Suppressed> {
         self.report_at = None;
         let counted = self.buckets.iter_mut().filter(|(_, bucket)| bucket.suppressed > 0);
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn one_clients_flood_costs_no_line_of_another() {
+    fn a_flood_of_one_client_suppresses_no_line_of_another() {
         let mut throttle = Throttle::new(1);
         for _ in 0..1000 {
             throttle.admits(ip(1), at(0));

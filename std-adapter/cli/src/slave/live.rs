@@ -6,6 +6,7 @@ use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
+use bcap_core::time::micros;
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::args::LinkArgs;
@@ -44,7 +45,7 @@ impl Shared {
         self.given.store(given, Relaxed);
         self.late.store(late, Relaxed);
         self.refused.store(refused, Relaxed);
-        let margin = margin.map_or(NO_MARGIN, |margin| u32::try_from(margin.as_micros()).unwrap_or(NO_MARGIN - 1));
+        let margin = margin.map_or(NO_MARGIN, |margin| u32::try_from(micros(margin)).unwrap_or(NO_MARGIN - 1));
         self.margin.store(margin, Relaxed);
     }
 

@@ -5,6 +5,7 @@ mod plot;
 mod poses;
 mod record;
 mod report;
+mod sample;
 mod stream;
 
 use std::io::{self, BufRead, IsTerminal, Write};
@@ -15,7 +16,8 @@ use crate::args::{Cosine, LinkArgs, Play, Slave, SlaveCommand};
 use crate::error::Failure;
 use crate::escape;
 use poses::Poses;
-use stream::{CYCLE, Course, stream};
+use sample::CYCLE;
+use stream::{Course, stream};
 
 /// Runs `bcap slave`.
 pub(crate) fn slave(args: &Slave, link: &LinkArgs, json: bool) -> Result<(), Failure> {
@@ -67,7 +69,9 @@ fn confirm(what: &str, yes: bool) -> Result<(), Failure> {
     }
     let input = io::stdin();
     if !input.is_terminal() {
-        return Err(Failure::Input(format!("{what}: nobody can be asked whether the robot may move; give --yes")));
+        return Err(Failure::Input(format!(
+            "{what}: cannot ask whether the robot may move, because the input is not a terminal; give --yes"
+        )));
     }
     let mut err = anstream::stderr().lock();
     write!(err, "{}. The robot will move. Go on? [y/N] ", escape::line(what))?;

@@ -10,7 +10,7 @@ use plotters::coord::Shift;
 use plotters::prelude::*;
 
 use super::poses::columns;
-use super::stream::{CYCLE, Sample};
+use super::sample::{CYCLE, Sample};
 use crate::error::Failure;
 
 const SIZE: (u32, u32) = (1000, 1000);

@@ -13,8 +13,8 @@ use indicatif::ProgressBar;
 use super::poses::columns;
 use crate::args::{LinkArgs, Record};
 use crate::error::Failure;
-use crate::item::{print_json, print_line};
 use crate::object::Path as Object;
+use crate::output::{print_json, print_line};
 use crate::session::{Session, integer, text, with_session};
 use crate::signal;
 use crate::value::Value;
@@ -64,9 +64,9 @@ pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), F
     file.flush().map_err(|error| cannot_write(&args.file, &error.into()))?;
     let lines = lines?;
     if json {
-        return print_json(&format!("{{\"poses\":{lines}}}"));
+        return Ok(print_json(&format!("{{\"poses\":{lines}}}"))?);
     }
-    print_line(&format!("{lines} poses in {}", args.file.display()))
+    Ok(print_line(&format!("{lines} poses in {}", args.file.display()))?)
 }
 
 /// Asks where the robot is.

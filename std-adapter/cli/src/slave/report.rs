@@ -2,8 +2,29 @@
 
 use std::fmt::Write as _;
 
-use bcap_core::slave::{Histogram, Stats};
+use bcap_core::slave::Stats;
 use serde::Serialize;
+
+use crate::times::Times;
+
+/// The round trips and the jitter of a stream.
+#[derive(Clone, Debug)]
+pub(crate) struct StreamTimes {
+    rtt: Times,
+    jitter: Times,
+}
+
+impl StreamTimes {
+    pub(crate) fn new() -> Self {
+        Self { rtt: Times::new(), jitter: Times::new() }
+    }
+
+    /// Records the times of the last cycle.
+    pub(crate) fn follow(&mut self, stats: &Stats) {
+        self.rtt.follow(&stats.rtt);
+        self.jitter.follow(&stats.jitter);
+    }
+}
 
 /// The figures of a stream; times in microseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -18,27 +39,27 @@ pub(crate) struct Report {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 struct Quantiles {
-    p50: u32,
-    p99: u32,
-    p999: u32,
-    max: u32,
+    p50: u64,
+    p99: u64,
+    p999: u64,
+    max: u64,
 }
 
 impl Quantiles {
-    fn of(times: &Histogram) -> Self {
-        Self { p50: times.quantile(500), p99: times.quantile(990), p999: times.quantile(999), max: times.max() }
+    fn of(times: &Times) -> Self {
+        Self { p50: times.quantile(0.5), p99: times.quantile(0.99), p999: times.quantile(0.999), max: times.max() }
     }
 }
 
 impl Report {
-    pub(crate) fn of(stats: &Stats) -> Self {
+    pub(crate) fn of(stats: &Stats, times: &StreamTimes) -> Self {
         Self {
             cycles: stats.cycles,
             late: stats.late,
             underflows: stats.underflows,
             refused: stats.refused,
-            rtt_us: Quantiles::of(&stats.rtt),
-            jitter_us: Quantiles::of(&stats.jitter),
+            rtt_us: Quantiles::of(&times.rtt),
+            jitter_us: Quantiles::of(&times.jitter),
         }
     }
 
@@ -47,13 +68,13 @@ impl Report {
     }
 }
 
-/// Tells the figures to a person.
-pub(crate) fn text(stats: &Stats) -> String {
-    let report = Report::of(stats);
+/// Formats the figures for a person.
+pub(crate) fn text(stats: &Stats, times: &StreamTimes) -> String {
+    let report = Report::of(stats, times);
     let mut out = String::new();
     let seconds = f64::from(stats.cycles) * 0.008;
     let _ = writeln!(out, "cycles      {:>8}   {seconds:.1} s of 8 ms each", report.cycles);
-    let _ = writeln!(out, "late        {:>8}   sent more than 4 ms after their time", report.late);
+    let _ = writeln!(out, "late        {:>8}   sent more than 4 ms after their deadline", report.late);
     let _ = writeln!(out, "underflows  {:>8}   the controller's buffer was empty in motion", report.underflows);
     let _ = writeln!(out, "refused     {:>8}   the buffer was full, sent again", report.refused);
     if let Some(margin) = stats.least_margin {
@@ -63,7 +84,7 @@ pub(crate) fn text(stats: &Stats) -> String {
     for (name, Quantiles { p50, p99, p999, max }) in [("round trip", report.rtt_us), ("jitter", report.jitter_us)] {
         let _ = writeln!(out, "{name:<11} {p50:>8} {p99:>8} {p999:>8} {max:>8}");
     }
-    for (name, times) in [("round trip", &stats.rtt), ("jitter", &stats.jitter)] {
+    for (name, times) in [("round trip", &times.rtt), ("jitter", &times.jitter)] {
         let _ = writeln!(out, "{name}, us");
         bars(&mut out, times);
     }
@@ -71,13 +92,10 @@ pub(crate) fn text(stats: &Stats) -> String {
     out
 }
 
-/// Draws a histogram: a line for each power of two from the first to the last that has something in it.
-fn bars(out: &mut String, times: &Histogram) {
+/// Draws a histogram: a line for each power of two from the first to the last that is not empty.
+fn bars(out: &mut String, times: &Times) {
     const WIDTH: u64 = 50;
-    let mut powers = [0_u64; 33];
-    for (upper, count) in times.iter() {
-        powers[upper.checked_ilog2().map_or(0, |log| log as usize + 1)] += u64::from(count);
-    }
+    let powers: Vec<u64> = (0..=32).map(|power| times.count_between(1 << power >> 1, (1 << power) - 1)).collect();
     let (Some(first), Some(last)) = (powers.iter().position(|n| *n > 0), powers.iter().rposition(|n| *n > 0)) else {
         return;
     };
@@ -94,26 +112,29 @@ fn bars(out: &mut String, times: &Histogram) {
 mod tests {
     use super::*;
 
-    fn stats() -> Stats {
-        let mut stats = Stats { cycles: 1000, late: 2, refused: 3, underflows: 1, ..Stats::default() };
-        (0..1000).for_each(|n| stats.rtt.record(if n < 990 { 103 } else { 200 + n - 990 }));
-        stats.jitter.record(5);
-        stats.jitter.record(70);
-        stats
+    fn stream() -> (Stats, StreamTimes) {
+        let stats = Stats { cycles: 1000, late: 2, refused: 3, underflows: 1, ..Stats::default() };
+        let mut times = StreamTimes::new();
+        (0..1000).for_each(|n| times.rtt.record(if n < 990 { 100 + n / 200 } else { 200 + n - 990 }));
+        times.jitter.record(5);
+        times.jitter.record(70);
+        (stats, times)
     }
 
     #[test]
     fn json_has_exactly_these_keys() {
-        let json = Report::of(&stats()).to_json();
-        let expected = r#"{"cycles":1000,"late":2,"underflows":1,"refused":3,"rtt_us":{"p50":103,"p99":103,"p999":209,"max":209},"jitter_us":{"p50":5,"p99":70,"p999":70,"max":70}}"#;
+        let (stats, times) = stream();
+        let json = Report::of(&stats, &times).to_json();
+        let expected = r#"{"cycles":1000,"late":2,"underflows":1,"refused":3,"rtt_us":{"p50":102,"p99":104,"p999":208,"max":209},"jitter_us":{"p50":5,"p99":70,"p999":70,"max":70}}"#;
         assert_eq!(json, expected);
     }
 
     #[test]
     fn people_see_figures_and_bars() {
-        let text = text(&stats());
+        let (stats, times) = stream();
+        let text = text(&stats, &times);
         assert!(text.contains("late               2"), "{text}");
-        assert!(text.contains("round trip       103      103      209      209"), "{text}");
+        assert!(text.contains("round trip       102      104      208      209"), "{text}");
         let bars: Vec<&str> = text.lines().filter(|line| line.contains("up to")).collect();
         assert_eq!(bars.len(), 2 + 5, "{text}");
         assert!(bars[0].ends_with(&format!(" 127      990 {}", "█".repeat(50))), "{text}");

@@ -18,15 +18,14 @@ use bcap_std::slave::Realtime;
 use bcap_std::{CallError, ConnectError, Options, RunError};
 
 use super::live::{Live, Shared, signals};
-use super::report::{Report, text};
+use super::report::{Report, StreamTimes, text};
+use super::sample::Sample;
 use crate::args::{LinkArgs, StreamArgs};
 use crate::connection::{failed, not_connected};
 use crate::error::Failure;
-use crate::item::{print_block, print_json};
+use crate::output::{print_block, print_json};
 use crate::target::{Target, Transport};
 
-/// The cycle of a controller, in seconds.
-pub(crate) const CYCLE: f64 = 0.008;
 /// The elbow room of UDP: five attempts share the time limit.
 const UDP_ATTEMPTS: u8 = 5;
 
@@ -86,17 +85,6 @@ impl Course {
     }
 }
 
-/// What one cycle has brought.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Sample {
-    /// When the answer came, in seconds since the first one.
-    pub(crate) at: f64,
-    /// The pose that was commanded.
-    pub(crate) commanded: [f64; 10],
-    /// The pose that was answered.
-    pub(crate) actual: [f64; 10],
-}
-
 /// A course that is being run.
 struct Player {
     course: Course,
@@ -104,12 +92,14 @@ struct Player {
     kind: PoseType,
     commanded: [f64; 10],
     began: Option<Instant>,
+    times: StreamTimes,
     /// Of the cycles, for the plot; it does not grow beyond the room that it begins with.
     samples: Vec<Sample>,
 }
 
 impl Trajectory for Player {
     fn next(&mut self, cycle: &Cycle<'_>) -> Next {
+        self.times.follow(cycle.stats);
         self.shared.note(cycle.number, cycle.stats.late, cycle.stats.refused, cycle.margin);
         if self.shared.is_stopped() {
             return Next::Stop;
@@ -213,6 +203,7 @@ impl Job<'_> {
             kind,
             commanded: [0.0; 10],
             began: None,
+            times: StreamTimes::new(),
             samples: Vec::with_capacity(room),
         };
         let ended = motion.run_beside(&mut watch, engine.stream(&mut player)).map_err(|error| error.error);
@@ -224,10 +215,11 @@ impl Job<'_> {
         let shared = Arc::clone(&live.shared);
         live.end();
         let stats = engine.stats().clone();
+        player.times.follow(&stats);
         let _ = motion.run(release_robot(handles));
         let _ = watch.run(release_robot(watching));
         let job = Outcome { args: self.args, json: self.json, target: self.target };
-        let reported = job.report(&stats, kind, &player.samples);
+        let reported = job.report(&stats, kind, &player);
         job.end(ended, fault.as_ref(), &shared)?;
         reported
     }
@@ -302,19 +294,19 @@ struct Outcome<'a> {
 }
 
 impl Outcome<'_> {
-    fn report(&self, stats: &Stats, kind: PoseType, samples: &[Sample]) -> Result<(), Failure> {
-        let report = Report::of(stats).to_json();
+    fn report(&self, stats: &Stats, kind: PoseType, player: &Player) -> Result<(), Failure> {
+        let report = Report::of(stats, &player.times).to_json();
         if let Some(path) = &self.args.report {
             fs::write(path, format!("{report}\n"))
                 .map_err(|error| Failure::Input(format!("cannot write the report {}: {error}", path.display())))?;
         }
         if let Some(path) = self.args.plot.as_ref().filter(|_| stats.cycles > 1) {
-            super::plot::plot(path, kind, samples)?;
+            super::plot::plot(path, kind, &player.samples)?;
         }
         if self.json {
             print_json(&report)?;
         } else if stats.cycles > 0 {
-            print_block(&text(stats))?;
+            print_block(&text(stats, &player.times))?;
         }
         Ok(())
     }

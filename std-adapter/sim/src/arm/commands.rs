@@ -69,6 +69,8 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     read("CurFig", readings::figure_of),
     read("CurTool", readings::tool),
     read("CurWork", readings::work),
+    read("GetRobotTypeName", readings::robot_type),
+    command("RobInfo", robot_info).accepts("one number: 1"),
     command("J2P", |arm, ctx, param| convert(arm, ctx, Kind::J, Kind::P, param)).accepts(JOINTS),
     command("J2T", |arm, ctx, param| convert(arm, ctx, Kind::J, Kind::T, param)).accepts(JOINTS),
     command("P2J", |arm, ctx, param| convert(arm, ctx, Kind::P, Kind::J, param)).accepts(POSITION),
@@ -123,6 +125,7 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     Command::missing("SpeedMode"),
     Command::missing("MotionSkip"),
     Command::missing("MotionComplete"),
+    Command::missing("GetAreaDef"),
     Command::missing("GetAreaEnabled"),
     Command::missing("SetAreaEnabled"),
     Command::missing("CheckVirtualFence"),
@@ -205,6 +208,13 @@ pub(crate) fn motor(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -
         _ => return Err(HResult::E_INVALIDARG),
     };
     arm.switch_motor(ctx, state != 0, no_wait == 0)
+}
+
+fn robot_info(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    match one_int(param)? {
+        1 => Ok(readings::robot_type(arm, ctx).into()),
+        _ => Err(HResult::E_NOTIMPL),
+    }
 }
 
 fn external_speed(arm: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> Answered {

@@ -39,7 +39,9 @@ pub(super) fn move_to(robot: &mut Robot, ctx: &mut Context<'_>, request: &Reques
         return move_axes(robot, ctx, &option, target);
     }
     let options = MoveOptions::read(&option, robot.settings().line, ctx.variables)?;
-    robot.may_move(ctx)?;
+    if !may_start(robot, ctx)? {
+        return Ok(Answer::Until(Wait::Turn));
+    }
     let here = robot.axes(ctx.now);
     let path = line(here, &pose, &extended(&here))?.map_err(|error| ctx.raise(error.code()))?;
     start(robot, ctx, path, options)
@@ -72,10 +74,20 @@ pub(super) fn move_axes(
     target: impl FnOnce(&Axes) -> Result<Axes, OutOfReach>,
 ) -> Answered {
     let options = MoveOptions::read(option, robot.settings().joint, ctx.variables)?;
-    robot.may_move(ctx)?;
+    if !may_start(robot, ctx)? {
+        return Ok(Answer::Until(Wait::Turn));
+    }
     let here = robot.axes(ctx.now);
     let end = target(&here).and_then(in_range).map_err(|error| ctx.raise(error.code()))?;
     start(robot, ctx, Path::axes(here, end), options)
+}
+
+/// Checks what a motion needs; `false` if it must wait for the end of this client's own motion with NEXT.
+fn may_start(robot: &Robot, ctx: &mut Context<'_>) -> Result<bool, HResult> {
+    match robot.may_move(ctx) {
+        Err(HResult::E_ROBOTISBUSY) if robot.executes_motion_of(ctx.peer) => Ok(false),
+        checked => checked.map(|()| true),
+    }
 }
 
 /// Starts a motion. Without NEXT, the call is answered at its end.

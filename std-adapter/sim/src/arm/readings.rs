@@ -65,6 +65,10 @@ pub(super) fn work(arm: &Arm, _: &Context<'_>) -> Value {
     Value::I4(arm.robot.settings().work)
 }
 
+pub(super) fn robot_type(_: &Arm, ctx: &Context<'_>) -> Value {
+    Value::from(ctx.config.robot_type.as_str())
+}
+
 /// Defines the readings of speed, acceleration and deceleration.
 macro_rules! percents {
     ($($name:ident $kind:ident $part:ident;)*) => {

@@ -141,7 +141,7 @@ impl Controller {
             return Ok(Answer::Done);
         }
         self.check_slave_mode(peer, request)?;
-        let answer = match request.resumed {
+        let answer = match request.resumed && !self.takes_turn(peer) {
             true => self.resume(peer, request, object)?,
             false => match self.start(peer, request, object)? {
                 Answer::Until(wait) => self.wait_for(peer, request, wait)?,
@@ -170,6 +170,15 @@ impl Controller {
                 self.file_progress(peer, request, progress)
             }
         }
+    }
+
+    /// Tells whether a call has waited for the end of a motion and must now start its own; ends that wait.
+    fn takes_turn(&mut self, peer: PeerId) -> bool {
+        let takes = self.common.waits.get(peer) == Some(Wait::Turn) && !self.arm.robot().has_motion();
+        if takes {
+            self.common.waits.forget(peer);
+        }
+        takes
     }
 
     /// Continues a call that waits.

@@ -3,6 +3,7 @@
 use bcap_core::bcap::call::{self, Call, ControllerHandle, RobotHandle};
 use bcap_core::bcap::client::{self, ClientError, Event, Timing};
 use bcap_core::bcap::server::{self, Session};
+use bcap_core::endpoint::{Endpoint, Serve};
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::slave::Handles;

@@ -43,7 +43,8 @@ fn drive_ex_turns_by_values_and_drive_a_ex_to_them() {
     let next = call::robot_execute(client.robot, "DriveEx", ["(1,90)", "NEXT"]);
     assert_eq!(world.call(client.peer, next), ok(&()));
     assert!(world.sim.is_moving());
-    assert_eq!(world.robot(client, "DriveEx", "(1,1)"), code(HResult::E_ROBOTISBUSY));
+    assert_eq!(world.robot(client, "DriveEx", "(1,1)"), ok(&()));
+    assert_eq!(here(&world)[0], 91.0);
 }
 
 #[test]

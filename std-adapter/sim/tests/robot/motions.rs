@@ -1,6 +1,7 @@
 //! Motions: poses in every form, paths, times, and what is refused.
 
 use bcap_core::bcap::call;
+use bcap_core::handler::Outcome;
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Encode;
 use bcap_sim::kinematics::{RANGES, SPEEDS};
@@ -111,13 +112,53 @@ fn with_next_a_move_is_watched_while_it_runs() {
         world.pass(100);
     }
     assert_close(&doubles(&world.robot_get(watcher, "@DEST_ANGLE").1)[..1], &[90.0], 1e-9);
-    assert_eq!(world.call(client.peer, go()), code(HResult::E_ROBOTISBUSY));
     assert_eq!(world.robot(client, "GiveArm", ()), code(HResult::E_ROBOTISBUSY));
     world.pass(1000);
     assert_eq!(world.robot_get(watcher, "@BUSY_STATUS"), ok(&false));
     assert_eq!(state(&mut world) & moving, 0);
     assert_eq!(joints(&mut world, watcher)[0], 90.0);
     assert_eq!(world.robot(client, "GiveArm", ()), ok(&()));
+}
+
+#[test]
+fn after_next_the_next_motion_of_the_same_client_begins_at_the_end() {
+    let mut world = World::new();
+    let (client, other) = (world.mover(1), world.client(2));
+    let first = call::robot_move(client.robot, 1, "J(60,45,90,0,45,0)", "NEXT");
+    let second = call::robot_move(client.robot, 1, "J(60,20,90,0,45,0)", "");
+    assert_eq!(world.call(client.peer, &first), code(HResult::S_OK));
+    assert_eq!(world.call(other.peer, call::robot_move(other.robot, 1, "P1", "")), code(HResult::E_ARM_NOT_TAKEN));
+    world.begin(client.peer, &second);
+    world.pass(200);
+    let here = joints(&mut world, other);
+    assert!(here[0] > 0.0 && here[1] == 45.0, "{here:?}");
+    world.pass(5000);
+    assert!(matches!(world.again(client.peer, &second).0, Outcome::Wait(_)));
+    assert_eq!(joints(&mut world, other)[..2], [60.0, 45.0]);
+    world.pass(5000);
+    assert_eq!(world.again(client.peer, &second).0, Outcome::Done(HResult::S_OK));
+    assert_eq!(joints(&mut world, other)[..2], [60.0, 20.0]);
+}
+
+#[test]
+fn halt_and_errors_end_the_motion_that_waits_too() {
+    const ERROR: HResult = HResult::from_u32(0x8150_0001);
+    let halt: fn(&mut World, Client) = |world, other| {
+        assert_eq!(world.run(other.peer, call::robot_halt(other.robot, "")), code(HResult::S_OK));
+    };
+    let fail: fn(&mut World, Client) = |world, _| world.sim.inject_error(ERROR, world.now);
+    for (happens, end) in [(halt, HResult::E_ABORT), (fail, ERROR)] {
+        let mut world = World::new();
+        let (client, other) = (world.mover(1), world.client(2));
+        let first = call::robot_move(client.robot, 1, "J(60,45,90,0,45,0)", "NEXT");
+        let second = call::robot_move(client.robot, 1, "J(60,20,90,0,45,0)", "");
+        assert_eq!(world.call(client.peer, &first), code(HResult::S_OK));
+        world.begin(client.peer, &second);
+        world.pass(200);
+        happens(&mut world, other);
+        assert_eq!(world.again(client.peer, &second).0, Outcome::Done(end));
+        assert_eq!(joints(&mut world, other)[1], 45.0);
+    }
 }
 
 #[test]
@@ -143,6 +184,7 @@ fn every_form_of_a_pose_moves_to_the_same_place() {
         check(&mut world, client, pose, target);
     }
     check(&mut world, client, (pose.as_slice(), "P", "@E"), target);
+    check(&mut world, client, (pose.as_slice(), "@E", "P"), target);
     check(&mut world, client, (pose.as_slice(), 0, -2), target);
     check(&mut world, client, (target, 2, 0), target);
     check(&mut world, client, (target_joints, "J"), target);

@@ -1,5 +1,6 @@
 //! The gateway: lines from the input on one side, a robot that answers by the input on the other.
 
+use bcap_core::endpoint::{Endpoint, Serve};
 use core::time::Duration;
 
 use bcap_core::bcap::FunctionId;

@@ -3,17 +3,18 @@
 //! The loops that await cannot be searched like this: the compiler puts a panic into every `async fn`, for being polled
 //! again after it has ended. It is the only one that they have; `.await` never does that.
 
+use bcap_core::endpoint::{Endpoint, Serve};
 use core::time::Duration;
 
 use bcap_core::bcap::call::{self, ControllerHandle, RobotHandle};
 use bcap_core::bcap::client::{self, Client};
 use bcap_core::bcap::server;
-use bcap_core::slave::{self, Engine};
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::io::blocking::{Connection, RacConnection, Transport};
 use bcap_core::procedure::{self, Motion, MotionConfig, Move, Provider};
 use bcap_core::rac::{self, Variable, VariableKind};
+use bcap_core::slave::{self, Engine};
 use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
 
@@ -152,7 +153,7 @@ fn stream(connection: &mut Connection<Binary<'_>, [u8; 512]>) -> Option<u32> {
     let config = MotionConfig::within(Duration::from_secs(1));
     let arrived = connection.run(procedure::move_and_wait(handles, motion, config));
     moved = moved.wrapping_add(u32::from(put)).wrapping_add(u32::from(prepared));
-    moved = moved.wrapping_add(u32::from(arrived == Ok(Motion::Arrived)));
+    moved = moved.wrapping_add(u32::from(matches!(arrived, Ok(Motion::Arrived))));
     let mut engine = Engine::<256>::new(slave::Config::new(format, handles)).ok()?;
     for _ in 0..CALLS {
         let mut stop = |_: &slave::Cycle<'_>| slave::Next::Stop;

@@ -1,8 +1,9 @@
 //! Slave Mode: streams in every mode, answered by whatever frames are in the input.
 
 use bcap_core::bcap::client::{self, Client};
-use bcap_core::slave::{self, Action, Engine};
 use bcap_core::bcap::{Decoder, Progress, call};
+use bcap_core::endpoint::Endpoint;
+use bcap_core::slave::{self, Action, Engine};
 use bcap_core::time::Instant;
 
 /// Streams in Slave Mode in formats that come from the input, answered by the frames in it; returns how many poses were

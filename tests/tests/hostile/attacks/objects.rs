@@ -2,6 +2,7 @@
 
 use bcap_core::bcap::server::{Config, Session};
 use bcap_core::bcap::{Decoder, FunctionId};
+use bcap_core::endpoint::{Endpoint, Serve};
 use bcap_core::handler::PeerId;
 use bcap_core::time::Instant;
 use bcap_sim::{Controller, Profile};

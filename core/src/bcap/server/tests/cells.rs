@@ -2,12 +2,12 @@
 
 use super::*;
 
-/// What a session did with a request.
+/// The reaction of a session to a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Done {
     /// Executed; nothing was released.
     Executed,
-    /// Executed as the beginning of a session, after everything that the peer had was released.
+    /// Executed as the start of a session, after all objects of the peer were released.
     Began,
     /// Answered with the last reply.
     Repeated,
@@ -20,7 +20,7 @@ enum Done {
 }
 use self::Done::{Began, Busy, Dropped, Executed, Executing, Repeated};
 
-/// The marker of Service_Start; there is room below it for much older markers.
+/// The marker of Service_Start, high enough for much older markers below it.
 const START: u16 = 5000;
 /// The marker of the newest call, in states that have one.
 const NEWEST: u16 = START + 3;
@@ -52,7 +52,7 @@ impl Peer {
         self
     }
 
-    /// Makes the newest call; one that runs, or one that is answered.
+    /// Makes the newest call, which runs or is answered.
     fn newest(mut self, runs: bool) -> Self {
         self.bench.handler.wait_until = runs.then_some(Instant::FAR_FUTURE);
         assert_eq!(self.bench.call(halt(), NEWEST, at(0)).len(), usize::from(!runs));
@@ -85,7 +85,11 @@ impl Peer {
                     assert_eq!(released, []);
                     return Executed;
                 }
-                assert_eq!((released.len(), self.bench.session.open_objects()), (before, 1), "all is released");
+                assert_eq!(
+                    (released.len(), self.bench.session.open_objects()),
+                    (before, 1),
+                    "all objects are released"
+                );
                 assert!(!self.bench.session.is_running());
                 Began
             }
@@ -93,11 +97,11 @@ impl Peer {
         }
     }
 
-    /// Makes the session forget the last reply, as a garbled datagram does that must be answered.
+    /// Makes the session forget the last reply: its reply to an invalid datagram replaces it.
     fn lose_the_reply(mut self) -> Self {
         let mut bad = frame(&call::service_stop(), 9, 9, self.bench.decoder.crc);
         if self.bench.decoder.crc {
-            // a serial line does not answer garbled bytes; a handler that gives back memory forgets the reply as well
+            // a serial line does not reply to invalid bytes; releasing memory forgets the reply, too
             self.bench.session.state.serials.forget_reply();
             return self;
         }
@@ -147,7 +151,7 @@ fn start_copy_reply_lost(peer: Peer) -> Done {
     start_copy(peer.lose_the_reply())
 }
 
-/// The serial was that of the next call, so this is no copy.
+/// The serial is that of the next call, so this is not a copy.
 fn start_attempt_of_another_client(peer: Peer) -> Done {
     peer.send(&call::service_start("WDT=3000"), START, START + 1)
 }
@@ -179,7 +183,7 @@ fn call_copy_reply_lost(peer: Peer) -> Done {
 fn copy(mut peer: Peer, between: fn(Peer) -> Peer) -> Done {
     match peer.bench.session.open_objects() {
         0 => between(peer).send(&call::service_stop(), NEWEST, NEWEST + 1),
-        // only Service_Start has been executed, so the last call is one that was refused
+        // only Service_Start was executed, so the last call is a refused one
         1 => {
             let refused = call::robot_halt(RobotHandle(9), "");
             assert_eq!(peer.bench.call(&refused, NEWEST, peer.now), [(NEWEST, HResult::E_HANDLE)]);
@@ -206,7 +210,7 @@ fn call_much_older(peer: Peer) -> Done {
     peer.send(&call::controller_connect("", "", "", ""), MUCH_OLDER, MUCH_OLDER)
 }
 
-/// Makes a test of each cell: over datagrams, and over a serial line where the outcome is given for that as well.
+/// Makes a test of each cell: over datagrams, and over a serial line if its outcome is given.
 macro_rules! cells {
     ($($state:ident { $($request:ident => $datagram:ident $(, serial $serial:ident)?;)+ })+) => {$(
         mod $state {
@@ -253,7 +257,7 @@ cells! {
     begun {
         start_copy => Repeated;
         start_copy_reply_lost => Began;
-        // how many attempts there were is not known yet, so this may be one
+        // the number of attempts is not known yet, so this may be one of them
         start_attempt_of_another_client => Repeated;
         start_other_options => Began;
         start_newer => Began;
@@ -327,11 +331,11 @@ cells! {
 #[test]
 fn one_forged_call_does_not_lock_a_client_out() {
     let mut bench = Bench::new(Config::UDP);
-    // Controller_Connect's handle is guessed: nothing is executed, and no session begins
+    // the handle is guessed: nothing is executed, and no session begins
     let forged = b"\x01\x1e\0\0\0\x39\0\x39\0\x65\0\0\0\x01\0\x0a\0\0\0\x03\0\x01\0\0\0\x03\0\0\0\x04";
     assert_eq!(bench.bytes(forged, at(0))[0].1, HResult::E_HANDLE);
     assert_eq!(bench.call(call::service_start(""), 1, at(0)), [(1, HResult::S_OK)]);
-    // nor does it within the session
+    // the same within a session
     assert_eq!(bench.bytes(forged, at(0))[0].1, HResult::E_HANDLE);
     assert_eq!(bench.call(call::controller_connect("", "", "", ""), 2, at(0)), [(2, HResult::S_OK)]);
 }
@@ -348,7 +352,7 @@ fn a_client_that_restarts_while_the_old_one_is_starting_is_answered_from_its_sec
 }
 
 #[test]
-fn service_start_finds_room_behind_a_running_call_and_frees_it() {
+fn service_start_is_received_while_a_call_runs_and_ends_it() {
     let mut bench = Bench::connected(Config::UDP, "");
     bench.handler.wait_until = Some(Instant::FAR_FUTURE);
     assert_eq!(bench.call(halt(), 4, at(0)), []);
@@ -359,7 +363,7 @@ fn service_start_finds_room_behind_a_running_call_and_frees_it() {
 }
 
 #[test]
-fn a_refused_service_start_ends_nothing() {
+fn a_refused_service_start_ends_neither_call_nor_session() {
     for runs in [false, true] {
         let mut bench = Bench::connected(Config::UDP, "");
         bench.handler.wait_until = runs.then_some(at(50));
@@ -371,9 +375,38 @@ fn a_refused_service_start_ends_nothing() {
 }
 
 #[test]
-fn a_refused_service_start_is_not_answered_again_for_one_with_other_options() {
+fn the_reply_to_a_refused_service_start_is_not_sent_for_one_with_other_options() {
     let mut bench = Bench::new(Config::UDP);
     assert_eq!(bench.call(call::service_start("WDT=100"), 7, at(0)), [(7, HResult::S_OK)]);
     assert_eq!(bench.call(call::service_start("WDT=1"), 7, at(0)), [(7, HResult::E_INVALIDARG)]);
     assert_eq!(bench.attempt(&call::service_start("WDT=100"), 8, 7, at(0)), [(8, HResult::S_OK)]);
+}
+
+/// A handler that delays Service_Start; the other handlers here complete it at once.
+#[derive(Default)]
+struct SlowToStart(usize);
+
+impl Handler for SlowToStart {
+    fn call(&mut self, _: PeerId, request: &Request<'_>, _: &mut ReplyValue<'_>, _: Instant) -> Outcome {
+        assert!(request.args.len() < 2, "the arguments of this request");
+        self.0 += 1;
+        match request.function {
+            FunctionId::SERVICE_START => Outcome::Wait(Instant::FAR_FUTURE),
+            _ => HResult::S_OK.into(),
+        }
+    }
+}
+
+#[test]
+fn a_waiting_service_start_can_replace_another() {
+    let mut session = Session::<[u8; 512], [u8; 1024], 4>::new(Config::UDP, [0; 512], [0; 1024]);
+    let mut handler = SlowToStart::default();
+    for (calls, options) in (1..).zip(["WDT=100", "WDT=200, and more", ""]) {
+        let bytes = frame(&call::service_start(options), 7, 7, false);
+        session.receive_buffer()[..bytes.len()].copy_from_slice(&bytes);
+        session.received(bytes.len());
+        while session.run(&mut handler, PeerId(1), at(0)).is_some() {}
+        assert!(session.is_running() && handler.0 >= calls);
+        assert_eq!(session.receive_buffer().len(), 1024 - bytes.len(), "the request is at the front");
+    }
 }

@@ -9,6 +9,7 @@ use bcap_core::bcap::call::{self, Call, Reply};
 use bcap_core::bcap::client::{self, Client};
 use bcap_core::bcap::server::{self, Handler, Request, Session};
 use bcap_core::bcap::{Decoder, Frame, FrameWriter, FunctionId, Progress};
+use bcap_core::endpoint::{Endpoint, Serve, ServerEndpoint};
 use bcap_core::error::EncodeError;
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::limits::{Limits, Strictness};

@@ -2,6 +2,7 @@
 #![no_std]
 #![no_main]
 
+use bcap_core::endpoint::{Endpoint, Serve};
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::rac::client::{self, Client};

@@ -15,74 +15,64 @@
 //! [[put]]
 //! kind = "P"
 //! index = 7
-//! values = [[-400, 400], [-400, 400], [0, 600], [-180, 180]]    # by element; the last counts for the rest
+//! values = [[-400, 400], [-400, 400], [0, 600], [-180, 180]]    # by element; the last also for the elements after it
 //! ```
 
 use std::fs;
 use std::path::Path;
 
-use bcap_core::gateway::{Allow, Bounds, Rate, Rules};
+use bcap_core::gateway::{Allow, AllowBuf, Bounds, Rate, RuleErrorKind, Rules};
 use bcap_core::rac::VariableKind;
 use serde::Deserialize;
 
 use crate::error::Failure;
 
-/// Reads the rules; they live as long as the command.
-pub(super) fn read(file: Option<&Path>, allow_put: &[AllowPut]) -> Result<Rules<'static>, Failure> {
-    let file = match file {
+/// Reads the rules. They live as long as the command.
+pub(crate) fn read(file: Option<&Path>, allow_put: &[AllowPut]) -> Result<Rules<'static>, Failure> {
+    let rules = match file {
         Some(path) => {
             let text = fs::read_to_string(path)
                 .map_err(|error| Failure::Input(format!("cannot read the rules in {}: {error}", path.display())))?;
             parse(&text).map_err(|error| Failure::Input(format!("the rules in {}: {error}", path.display())))?
         }
-        None => File::default(),
+        None => Rules::READ_ONLY,
     };
-    let mut put: Vec<Allow<'static>> = file.put.into_iter().map(Entry::leak).collect();
-    put.extend(allow_put.iter().map(|allow| allow.0.clone().leak()));
-    let get: &[_] = match file.get {
-        Some(get) => Vec::leak(get.into_iter().map(Entry::leak).collect()),
-        None => &Allow::EVERYTHING,
-    };
-    Ok(Rules { get, put: Vec::leak(put), convert: file.convert, rate: file.rate.map_or(Rate::UNLIMITED, Rate::from) })
+    let more = allow_put.iter().flat_map(|rules| &rules.0).map(|rule| Box::leak(Box::new(rule.clone())).as_allow());
+    Ok(Rules { put: Vec::leak(rules.put.iter().copied().chain(more).collect()), ..rules })
 }
 
-fn parse(text: &str) -> Result<File, String> {
+/// Parses a file of rules.
+fn parse(text: &str) -> Result<Rules<'static>, String> {
     let file: File = toml::from_str(text).map_err(|error| error.to_string().trim_end().to_owned())?;
-    for entry in file.get.iter().flatten().chain(&file.put) {
-        entry.check()?;
-    }
-    Ok(file)
+    let rules = |table: &str, entries: &[Entry]| -> Result<&'static [Allow<'static>], String> {
+        let numbered = (1..).zip(entries);
+        let rules =
+            numbered.map(|(n, entry)| entry.to_allow().map_err(|error| format!("[[{table}]] number {n}, {error}")));
+        rules.collect::<Result<Vec<_>, _>>().map(|rules| &*Vec::leak(rules))
+    };
+    let get = file.get.as_deref().map_or(Ok(&Allow::EVERYTHING[..]), |get| rules("get", get))?;
+    let rate = file.rate.map_or(Rate::UNLIMITED, Rate::from);
+    Ok(Rules { get, put: rules("put", &file.put)?, convert: file.convert, rate })
 }
 
-/// An item of `--allow-put`: `KIND[/FIRST[-LAST]][=MIN..MAX]`.
+/// One use of `--allow-put`: rules in the grammar of [`AllowBuf`], separated by commas.
 #[derive(Clone, Debug)]
-pub(crate) struct AllowPut(Entry);
+pub(crate) struct AllowPut(Vec<AllowBuf>);
 
 impl AllowPut {
-    /// Parses an item, such as `F`, `I/0-99` or `IO/128=0..1`.
+    /// Parses rules, such as `I/0-99,IO/128=0..1` or `V/7=0..1,-5..5`.
+    ///
+    /// A comma also separates the ranges of one rule. A rule begins with a letter; a range does not, because its minimum
+    /// is a finite number.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
-        let (place, values) = match text.split_once('=') {
-            Some((place, values)) => (place, Some(values)),
-            None => (text, None),
-        };
-        let (kind, index) = match place.split_once('/') {
-            Some((kind, index)) => (kind, Some(index)),
-            None => (place, None),
-        };
-        let index = index.map(|index| {
-            let (first, last) = index.split_once('-').unwrap_or((index, index));
-            let number = |text: &str| text.parse().map_err(|_| format!("{text:?} is not the index of a variable"));
-            Ok::<_, String>(Index::Range([number(first)?, number(last)?]))
-        });
-        let values = values.map(|values| {
-            let (min, max) = values.split_once("..").ok_or("a range of values is written MIN..MAX")?;
-            let number = |text: &str| text.parse().map_err(|_| format!("{text:?} is not a number"));
-            Ok::<_, String>(Values::All([number(min)?, number(max)?]))
-        });
-        let entry =
-            Entry { kind: Kind::try_from(kind.to_owned())?, index: index.transpose()?, values: values.transpose()? };
-        entry.check()?;
-        Ok(Self(entry))
+        let begins_range = |first: char| first.is_ascii_digit() || "-+.".contains(first);
+        let commas = text.match_indices(',').map(|(comma, _)| comma);
+        let commas = commas.filter(|comma| !text[comma + 1..].starts_with(begins_range));
+        let ends: Vec<usize> = commas.chain([text.len()]).collect();
+        let starts = std::iter::once(0).chain(ends.iter().map(|end| end + 1));
+        let rules = starts.zip(&ends).map(|(start, end)| &text[start..*end]);
+        let parse = |rule| AllowBuf::parse(rule).map_err(|error| format!("{rule:?}: {error}"));
+        rules.map(parse).collect::<Result<_, _>>().map(Self)
     }
 }
 
@@ -127,7 +117,7 @@ impl TryFrom<String> for Kind {
 
     fn try_from(name: String) -> Result<Self, String> {
         let kind = VariableKind::from_name(&name).map(Self);
-        kind.ok_or_else(|| format!("{name:?} is not a kind of variable; write one of I F D S V P J T IO"))
+        kind.ok_or_else(|| format!("{name:?}: {}", RuleErrorKind::Kind))
     }
 }
 
@@ -146,43 +136,25 @@ enum Values {
 }
 
 impl Entry {
-    fn indices(&self) -> [u32; 2] {
-        match self.index {
+    /// Makes the rule that an entry describes. It lives as long as the command.
+    fn to_allow(&self) -> Result<Allow<'static>, String> {
+        let kind = self.kind.0;
+        let [first, last] = match self.index {
             Some(Index::One(index)) => [index, index],
             Some(Index::Range(range)) => range,
             None => [0, u32::MAX],
-        }
-    }
-
-    fn ranges(&self) -> &[[f64; 2]] {
-        match &self.values {
+        };
+        let ranges = match &self.values {
             Some(Values::All(range)) => std::slice::from_ref(range),
+            Some(Values::Each(ranges)) if ranges.is_empty() => {
+                return Err(format!("{kind}: an empty list of values; leave it out to allow every value"));
+            }
             Some(Values::Each(ranges)) => ranges,
             None => &[],
-        }
-    }
-
-    /// Checks what the types cannot say.
-    fn check(&self) -> Result<(), String> {
-        let kind = self.kind.0;
-        let [first, last] = self.indices();
-        if first > last {
-            return Err(format!("{kind}: the indices {first} to {last} are none; write the lower one first"));
-        }
-        let (ranges, elements) = (self.ranges(), kind.elements());
-        if self.values.is_some() && (ranges.is_empty() || ranges.len() > elements) {
-            return Err(format!("{kind}: {} ranges of values for {elements} elements", ranges.len()));
-        }
-        match ranges.iter().find(|[min, max]| min.is_nan() || max.is_nan() || min > max) {
-            Some([min, max]) => Err(format!("{kind}: the values {min} to {max} are none; write the lower one first")),
-            None => Ok(()),
-        }
-    }
-
-    fn leak(self) -> Allow<'static> {
-        let [first, last] = self.indices();
-        let values = self.ranges().iter().map(|[min, max]| Bounds { min: *min, max: *max }).collect();
-        Allow { kind: self.kind.0, first, last, values: Vec::leak(values) }
+        };
+        let values = Vec::leak(ranges.iter().map(|[min, max]| Bounds { min: *min, max: *max }).collect());
+        let allow = Allow { kind, first, last, values };
+        allow.check().map_err(|error| format!("{kind}: {error}")).map(|()| allow)
     }
 }
 
@@ -190,18 +162,9 @@ impl Entry {
 mod tests {
     use super::*;
 
-    fn rules(text: &str) -> Rules<'static> {
-        let file = parse(text).unwrap();
-        let leak = |entries: Vec<Entry>| -> &'static [Allow<'static>] {
-            Vec::leak(entries.into_iter().map(Entry::leak).collect())
-        };
-        let get = file.get.map_or(&Allow::EVERYTHING[..], leak);
-        Rules { get, put: leak(file.put), convert: file.convert, rate: file.rate.map_or(Rate::UNLIMITED, Rate::from) }
-    }
-
     #[test]
     fn an_empty_file_is_read_only() {
-        assert_eq!(rules(""), Rules::READ_ONLY);
+        assert_eq!(parse("").unwrap(), Rules::READ_ONLY);
         assert_eq!(read(None, &[]).unwrap(), Rules::READ_ONLY);
     }
 
@@ -214,7 +177,7 @@ mod tests {
             .take_while(|line| !line.contains("```"))
             .map(|line| format!("{}\n", line.trim_start_matches("//!")))
             .collect();
-        let rules = rules(&sample);
+        let rules = parse(&sample).unwrap();
         assert!(rules.convert);
         assert_eq!(rules.rate, Rate { per_second: 50, burst: 10 });
         assert_eq!(rules.get, [Allow::all(VariableKind::P)]);
@@ -231,30 +194,36 @@ mod tests {
 
     #[test]
     fn the_command_line_adds_to_the_file() {
-        let allow = ["F", "io/128-143", "I/5=-1..2.5"].map(|text| AllowPut::parse(text).unwrap());
+        let allow = ["F,io/128-143", "I/5=-1..2.5", "V/7=0..1,-5..5,I/9"].map(|text| AllowPut::parse(text).unwrap());
         let rules = read(None, &allow).unwrap();
-        let values = [Bounds { min: -1.0, max: 2.5 }];
+        let range = |min, max| Bounds { min, max };
         assert_eq!(
             rules.put,
             [
                 Allow::all(VariableKind::F),
                 Allow::range(VariableKind::Io, 128, 143),
-                Allow { values: &values, ..Allow::range(VariableKind::I, 5, 5) },
+                Allow { values: &[range(-1.0, 2.5)], ..Allow::range(VariableKind::I, 5, 5) },
+                Allow { values: &[range(0.0, 1.0), range(-5.0, 5.0)], ..Allow::range(VariableKind::V, 7, 7) },
+                Allow::range(VariableKind::I, 9, 9),
             ]
         );
     }
 
     #[test]
-    fn what_is_wrong_is_said() {
+    fn an_error_says_what_is_wrong_and_where() {
         for (text, word) in [
-            ("[[put]]\nkind = \"X\"", "I F D S V P J T IO"),
+            ("[[put]]\nkind = \"X\"", "\"X\": unknown kind of variable: expected one of I F D S V P J T IO"),
             ("[[put]]\nkind = \"I\"\nindexes = 3", "indexes"),
             ("[[put]]\nkind = \"I\"\nindex = \"3\"", "a number, or a range"),
-            ("[[put]]\nkind = \"I\"\nindex = [3, 1]", "lower one first"),
-            ("[[put]]\nkind = \"I\"\nvalues = [3, 1]", "lower one first"),
-            ("[[put]]\nkind = \"I\"\nvalues = [nan, nan]", "are none"),
-            ("[[put]]\nkind = \"I\"\nvalues = [[0, 1], [0, 1]]", "2 ranges of values for 1 elements"),
-            ("[[put]]\nkind = \"I\"\nvalues = []", "0 ranges"),
+            (
+                "[[put]]\nkind = \"F\"\n[[put]]\nkind = \"I\"\nindex = [3, 1]",
+                "[[put]] number 2, I: invalid index range 3-1: the first index is above the last",
+            ),
+            ("[[get]]\nkind = \"I\"\nindex = [3, 1]", "[[get]] number 1, I: invalid index range 3-1"),
+            ("[[put]]\nkind = \"I\"\nvalues = [3, 1]", "invalid value range 3..1: the minimum is above the maximum"),
+            ("[[put]]\nkind = \"I\"\nvalues = [nan, nan]", "invalid value range NaN..NaN: a bound cannot be NaN"),
+            ("[[put]]\nkind = \"I\"\nvalues = [[0, 1], [0, 1]]", "2, but a variable of kind I has 1 elements"),
+            ("[[put]]\nkind = \"I\"\nvalues = []", "I: an empty list of values"),
             ("[[put]]\nkind = \"I\"\nvalues = 5", "values are a range"),
             ("[[put]]\nindex = 5", "kind"),
             ("rate = 5", "PerClient"),
@@ -264,8 +233,13 @@ mod tests {
             let error = parse(text).unwrap_err();
             assert!(error.contains(word), "{text}: {error}");
         }
-        for text in ["", "X", "I/", "I/a", "I/3-1", "I/1-2-3", "I=1", "I=2..1", "I=a..b", "I/-1"] {
-            assert!(AllowPut::parse(text).is_err(), "{text}");
+        for (text, error) in [
+            ("", "\"\": unknown kind of variable: expected one of I F D S V P J T IO, at column 1"),
+            ("I,", "\"\": unknown kind of variable: expected one of I F D S V P J T IO, at column 1"),
+            ("I,F/3-1,V", "\"F/3-1\": invalid index range 3-1: the first index is above the last, at column 3"),
+            ("I=0..1,2", "\"I=0..1,2\": invalid value range: expected MIN..MAX, such as -10..10, at column 8"),
+        ] {
+            assert_eq!(AllowPut::parse(text).unwrap_err(), error);
         }
         let error = read(Some(Path::new("/no/such/file.toml")), &[]).unwrap_err();
         assert!(error.to_string().contains("/no/such/file.toml"), "{error}");

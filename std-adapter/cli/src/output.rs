@@ -1,0 +1,28 @@
+//! The standard output. Every line is escaped, because part of its text may come from outside.
+
+use std::io::{self, Write};
+
+use crate::escape;
+
+/// Prints one line for people.
+pub(crate) fn print_line(line: &str) -> io::Result<()> {
+    print_raw(&escape::line(line))
+}
+
+/// Prints lines of the command's own layout.
+pub(crate) fn print_block(lines: &str) -> io::Result<()> {
+    print_raw(&escape::block(lines))
+}
+
+/// Prints one line of JSON, or several.
+pub(crate) fn print_json(lines: &str) -> io::Result<()> {
+    print_raw(&escape::json(lines))
+}
+
+/// Prints text as it is, with an end of line: nothing of it may come from outside.
+pub(crate) fn print_raw(text: &str) -> io::Result<()> {
+    let mut out = io::stdout().lock();
+    out.write_all(text.as_bytes())?;
+    out.write_all(b"\n")?;
+    out.flush()
+}

@@ -1,0 +1,201 @@
+//! The PLCs' side of a gateway: a listener, and a task for each connection.
+
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+use bcap_core::handler::PeerId;
+use socket2::SockRef;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::{Notify, watch};
+use tokio::task::JoinSet;
+use tokio::task::coop::consume_budget;
+use tokio::time::{Instant, sleep, sleep_until, timeout};
+
+use super::limits::Limits;
+use super::report::Ended;
+use super::shared::{Shared, must_wait};
+use crate::connect::set_up_tcp;
+use crate::server::{REFUSALS, refuse_rac};
+
+/// The time to wait when a connection cannot be accepted, such as without a free file descriptor.
+const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
+
+/// Accepts connections until the gateway stops, then waits until running requests are answered.
+pub(super) async fn listen(
+    listener: TcpListener,
+    shared: Arc<Shared>,
+    limits: Limits,
+    mut stopped: watch::Receiver<()>,
+) {
+    let (slots, drain) = {
+        let gateway = &shared.lock().gateway;
+        (limits.slots(gateway.capacity()), gateway.config().request_timeout)
+    };
+    let (mut tasks, mut refused) = (JoinSet::new(), JoinSet::new());
+    loop {
+        let accepted = tokio::select! {
+            accepted = listener.accept() => accepted,
+            Some(_) = tasks.join_next() => continue,
+            Some(_) = refused.join_next() => continue,
+            _ = stopped.changed() => break,
+        };
+        let Ok((stream, address)) = accepted else {
+            // the error of one connection is not the end of the listener
+            sleep(ACCEPT_PAUSE).await;
+            continue;
+        };
+        let seated = shared.lock().open(&slots, address);
+        if let Some((peer, wake)) = seated {
+            let seat = Seat { peer, shared: Arc::clone(&shared), ended: None };
+            tasks.spawn(serve(stream, seat, wake, limits, stopped.clone()));
+        } else if refused.len() < REFUSALS {
+            refused.spawn(refuse_rac(stream));
+        }
+    }
+    drop(listener);
+    refused.shutdown().await;
+    let drained = timeout(drain, async { while tasks.join_next().await.is_some() {} });
+    if drained.await.is_err() {
+        tasks.shutdown().await;
+    }
+}
+
+/// The slot of a client, which is freed however its task ends.
+struct Seat {
+    peer: PeerId,
+    shared: Arc<Shared>,
+    ended: Option<Ended>,
+}
+
+impl Drop for Seat {
+    fn drop(&mut self) {
+        self.shared.lock().close(self.peer, self.ended);
+    }
+}
+
+/// Serves a client until its connection ends or the gateway stops.
+async fn serve(stream: TcpStream, mut seat: Seat, wake: Arc<Notify>, limits: Limits, stopped: watch::Receiver<()>) {
+    // a socket that cannot be set up is closed already, and its first read tells so
+    let _ = set_up_tcp(SockRef::from(&stream), limits.keep_alive);
+    let ended = converse(&stream, &seat, &wake, limits, stopped).await;
+    seat.ended = Some(ended.unwrap_or_else(|error| Ended::Failed(error.kind())));
+}
+
+/// What a client's task can do next.
+struct State {
+    sends: bool,
+    receives: bool,
+    is_running: bool,
+    /// Whether part of a line has arrived.
+    is_receiving: bool,
+}
+
+impl State {
+    /// Returns the state of a client; `None` when it has lost its slot.
+    fn of(seat: &Seat) -> Option<Self> {
+        let inner = &mut *seat.shared.lock();
+        if !inner.is_open(seat.peer) {
+            return None;
+        }
+        let gateway = &mut inner.gateway;
+        Some(Self {
+            sends: !gateway.transmit(seat.peer).is_empty(),
+            receives: !gateway.receive_buffer(seat.peer).is_empty(),
+            is_running: gateway.is_running(seat.peer),
+            is_receiving: gateway.is_receiving(seat.peer),
+        })
+    }
+
+    /// Returns what is limited in this state: the reason to end, and the time until then.
+    fn limit(&self, limits: &Limits) -> Option<(Ended, Duration)> {
+        if self.sends {
+            Some((Ended::ReplyNotRead, limits.send))
+        } else if self.is_running {
+            None
+        } else if self.is_receiving {
+            Some((Ended::RequestTooSlow, limits.receive))
+        } else {
+            limits.idle.map(|idle| (Ended::Idle, idle))
+        }
+    }
+}
+
+/// Moves lines and answers until the connection ends.
+async fn converse(
+    stream: &TcpStream,
+    seat: &Seat,
+    wake: &Notify,
+    limits: Limits,
+    mut stopped: watch::Receiver<()>,
+) -> io::Result<Ended> {
+    let mut stopping = false;
+    // what is limited now, and since when
+    let mut limited: Option<(Ended, Instant)> = None;
+    loop {
+        // a ready socket does not wait, so a client that sends without a pause would keep the thread
+        consume_budget().await;
+        seat.shared.step();
+        // there may be bytes for the robot, or another deadline
+        seat.shared.robot.notify_one();
+        let Some(state) = State::of(seat) else { return Ok(Ended::Evicted) };
+        if stopping && !state.sends && !state.is_running {
+            return Ok(Ended::Stopped);
+        }
+        let limit = state.limit(&limits);
+        limited = limit.map(|(reason, _)| match limited {
+            Some((before, since)) if before == reason => (reason, since),
+            _ => (reason, Instant::now()),
+        });
+        let late = limited.zip(limit).map(|((reason, since), (_, limit))| (reason, since + limit));
+        tokio::select! {
+            ready = stream.writable(), if state.sends => {
+                ready?;
+                if send(stream, seat)? {
+                    limited = None;
+                }
+            }
+            ready = stream.readable(), if state.receives && !stopping => {
+                ready?;
+                if receive(stream, seat)? {
+                    return Ok(Ended::Closed);
+                }
+            }
+            () = wake.notified() => {}
+            _ = stopped.changed(), if !stopping => stopping = true,
+            () = sleep_until(late.map_or_else(Instant::now, |(_, at)| at)), if late.is_some() => {
+                return Ok(late.map_or(Ended::Idle, |(reason, _)| reason));
+            }
+        }
+    }
+}
+
+/// Sends a part of an answer; `false` when the socket takes nothing.
+fn send(stream: &TcpStream, seat: &Seat) -> io::Result<bool> {
+    let mut inner = seat.shared.lock();
+    let sent = stream.try_write(inner.gateway.transmit(seat.peer));
+    if must_wait(&sent) {
+        return Ok(false);
+    }
+    inner.gateway.transmitted(seat.peer, sent?);
+    inner.moved(seat.peer);
+    Ok(true)
+}
+
+/// Receives what has arrived; `true` when the client has closed the connection.
+fn receive(stream: &TcpStream, seat: &Seat) -> io::Result<bool> {
+    let mut inner = seat.shared.lock();
+    let room = inner.gateway.receive_buffer(seat.peer);
+    if room.is_empty() {
+        // the step of another task has started a request of this client
+        return Ok(false);
+    }
+    let received = stream.try_read(room);
+    if must_wait(&received) {
+        return Ok(false);
+    }
+    let count = received?;
+    inner.gateway.received(seat.peer, count);
+    inner.moved(seat.peer);
+    Ok(count == 0)
+}

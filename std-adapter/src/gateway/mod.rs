@@ -1,0 +1,124 @@
+//! The gateway of the core over tokio: PLCs that speak RAC on one side, a robot that speaks b-CAP on the other.
+//!
+//! ```text
+//!  PLC ─► TCP listener ─► a task ─┐
+//!  PLC ─► TCP listener ─► a task ─┼─► the gateway ◄─► a task ◄─► the robot, over TCP or UDP
+//!                                 │
+//!                                 └─► Report: every answer; robot and PLCs connect and disconnect
+//! ```
+//!
+//! A [`Driver`] moves the bytes of any [`Gateway`] and keeps its time. [`Config`](bcap_core::gateway::Config) says how the
+//! robot is reached, what PLCs may do, and how long a request may take. [`Limits`] bounds what PLCs can cost: a new
+//! connection gets the slot of the connection that has been idle longest when slots are short. A PLC that sends without a
+//! pause does not delay the others: tasks yield after each read and write, and the gateway serves requests in turn.
+//!
+//! The driver of boards in `bcap-embassy` has the same [`Report`]s.
+//!
+//! # Examples
+//!
+//! ```no_run
+//! use bcap_core::gateway::{Allow, Config, Gateway, Memory, Rules};
+//! use bcap_core::rac::{self, VariableKind};
+//! use bcap_std::gateway::{Driver, Report};
+//! use tokio::net::TcpListener;
+//!
+//! # async fn example(ctrl_c: impl Future<Output = ()>) -> std::io::Result<()> {
+//! let put = Box::leak(Box::new([Allow::range(VariableKind::I, 0, 99)]));
+//! let config = Config { rules: Rules { put, ..Rules::READ_ONLY }, ..Config::RC8 };
+//! // 64 PLCs; the memory lives as long as the process
+//! let gateway = Gateway::new(config, Box::leak(Box::new(Memory::<64, 256>::new())));
+//!
+//! let log = |report: &Report<'_>| println!("{report:?}");
+//! let listener = TcpListener::bind(("0.0.0.0", rac::PORT)).await?;
+//! let counters = Driver::new(gateway, ("192.168.0.1", 5007), log).run(listener, ctrl_c).await;
+//! println!("{} requests served", counters.served.count());
+//! # Ok(())
+//! # }
+//! ```
+
+mod clients;
+mod limits;
+mod report;
+mod robot;
+mod shared;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use bcap_core::bcap::Link;
+use bcap_core::gateway::{Counters, Gateway};
+use tokio::net::TcpListener;
+use tokio::sync::watch;
+
+use self::robot::Address;
+use self::shared::Shared;
+use crate::connect::{Options, random_serial};
+
+pub use self::limits::Limits;
+pub use self::report::{Ended, Report};
+
+/// Drives a gateway over the sockets of this machine.
+#[derive(Debug)]
+pub struct Driver {
+    shared: Arc<Shared>,
+    robot: Address,
+    options: Options,
+    limits: Limits,
+}
+
+impl Driver {
+    /// Makes a driver for a robot at a host and a port. The link of the gateway's configuration says whether it is reached
+    /// over TCP or UDP; a host name is looked up for each connection.
+    ///
+    /// `log` gets every report. It is called while the gateway is locked, so it must be short.
+    #[must_use]
+    pub fn new(
+        mut gateway: Gateway<'static>,
+        (host, port): (impl Into<String>, u16),
+        log: impl FnMut(&Report<'_>) + Send + 'static,
+    ) -> Self {
+        if gateway.config().client.link == Link::Datagram {
+            gateway.set_next_serial(random_serial());
+        }
+        let shared = Arc::new(Shared::new(gateway, Box::new(log)));
+        Self { shared, robot: (host.into(), port), options: Options::default(), limits: Limits::default() }
+    }
+
+    /// Changes the limits for PLCs.
+    #[must_use]
+    pub fn limits(self, limits: Limits) -> Self {
+        Self { limits, ..self }
+    }
+
+    /// Changes how long connecting to the robot over TCP may take for each address of its name; 3 s by default.
+    #[must_use]
+    pub fn connect_timeout(mut self, timeout: Duration) -> Self {
+        self.options.connect_timeout = timeout;
+        self
+    }
+
+    /// Serves the PLCs that connect to `listener` until `shutdown` is ready, and returns what was done.
+    ///
+    /// Then it accepts no more connections and lines. A running request still gets its answer within the gateway's
+    /// `request_timeout`, and the connection to the robot is closed last.
+    ///
+    /// # Cancel safety
+    ///
+    /// When the future is dropped all connections are closed at once; a running request may have been carried out.
+    pub async fn run(self, listener: TcpListener, shutdown: impl Future<Output = ()>) -> Counters {
+        let (stop, stopped) = watch::channel(());
+        let clients = clients::listen(listener, Arc::clone(&self.shared), self.limits, stopped);
+        let clients = async {
+            tokio::join!(clients, async {
+                shutdown.await;
+                // every task sees that the sender is dropped
+                drop(stop);
+            })
+        };
+        tokio::select! {
+            ((), ()) = clients => {}
+            never = robot::run(Arc::clone(&self.shared), self.robot, self.options) => match never {},
+        }
+        self.shared.counters()
+    }
+}

@@ -1,0 +1,144 @@
+//! What all tasks of a gateway share: the gateway itself, its clients, and what wakes the tasks.
+
+use std::collections::HashMap;
+use std::fmt;
+use std::io;
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use bcap_core::gateway::{Counters, Event, Gateway};
+use bcap_core::handler::PeerId;
+use bcap_core::time::Instant;
+use tokio::sync::Notify;
+
+use super::report::{Ended, Report};
+use crate::clock::now;
+use crate::server::{Admission, SlotState, Slots};
+
+/// Receives every report.
+type Log = Box<dyn FnMut(&Report<'_>) + Send>;
+
+/// A gateway that many tasks use.
+pub(super) struct Shared {
+    inner: Mutex<Inner>,
+    /// Wakes the robot's task.
+    pub(super) robot: Notify,
+}
+
+pub(super) struct Inner {
+    pub(super) gateway: Gateway<'static>,
+    clients: HashMap<PeerId, Client>,
+    /// Why the last connection to the robot ended or could not be opened.
+    cause: Option<io::Error>,
+    log: Log,
+}
+
+/// A client with a slot.
+struct Client {
+    address: SocketAddr,
+    /// The time of the last received or sent bytes.
+    last_active: Instant,
+    /// Wakes its task.
+    wake: Arc<Notify>,
+}
+
+impl Shared {
+    pub(super) fn new(gateway: Gateway<'static>, log: Log) -> Self {
+        let inner = Inner { gateway, clients: HashMap::new(), cause: None, log };
+        Self { inner: Mutex::new(inner), robot: Notify::new() }
+    }
+
+    /// Locks the gateway; nothing may be awaited under the lock.
+    pub(super) fn lock(&self) -> MutexGuard<'_, Inner> {
+        // a log that panicked has left the gateway in order
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Polls the gateway, reports its events, and wakes the tasks that they concern.
+    pub(super) fn step(&self) {
+        let inner = &mut *self.lock();
+        while let Some(event) = inner.gateway.poll_event(now()) {
+            if let Some(peer) = event.peer() {
+                let Some(client) = inner.clients.get(&peer) else { continue };
+                client.wake.notify_one();
+                let (client, line) = (client.address, inner.gateway.line(peer));
+                (inner.log)(&Report::Answered { client, line, event });
+            } else {
+                let cause = inner.cause.take().filter(|_| matches!(event, Event::RobotDown { .. }));
+                (inner.log)(&Report::Robot { event, cause: cause.as_ref() });
+                // the step of a client may have found the event
+                self.robot.notify_one();
+            }
+        }
+    }
+
+    /// Returns what the gateway has done so far.
+    pub(super) fn counters(&self) -> Counters {
+        *self.lock().gateway.counters()
+    }
+}
+
+impl Inner {
+    /// Gives a client a slot, if need be that of another client; `None` when it gets no slot.
+    pub(super) fn open(&mut self, slots: &Slots, address: SocketAddr) -> Option<(PeerId, Arc<Notify>)> {
+        let taken = self.clients.iter().map(|(peer, client)| (*peer, client.address.ip(), self.state(*peer, client)));
+        let admission = slots.admit(taken, address.ip(), now());
+        if let Admission::Instead(peer) = admission {
+            self.close(peer, Some(Ended::Evicted));
+        }
+        let peer = if matches!(admission, Admission::Refused) { None } else { self.gateway.open() };
+        let Some(peer) = peer else {
+            (self.log)(&Report::TurnedAway { client: address });
+            return None;
+        };
+        let wake = Arc::new(Notify::new());
+        self.clients.insert(peer, Client { address, last_active: now(), wake: Arc::clone(&wake) });
+        (self.log)(&Report::Connected { client: address });
+        Some((peer, wake))
+    }
+
+    fn state(&self, peer: PeerId, client: &Client) -> SlotState {
+        match self.gateway.is_running(peer) || !self.gateway.transmit(peer).is_empty() {
+            true => SlotState::Busy,
+            false => SlotState::Idle(client.last_active),
+        }
+    }
+
+    /// Tells whether a client still has its slot.
+    pub(super) fn is_open(&self, peer: PeerId) -> bool {
+        self.clients.contains_key(&peer)
+    }
+
+    /// Frees the slot of a client, and ends its task if that still runs.
+    pub(super) fn close(&mut self, peer: PeerId, ended: Option<Ended>) {
+        self.gateway.close(peer);
+        if let Some(client) = self.clients.remove(&peer) {
+            client.wake.notify_one();
+            (self.log)(&Report::Disconnected { client: client.address, ended });
+        }
+    }
+
+    /// Records that bytes of a client were received or sent.
+    pub(super) fn moved(&mut self, peer: PeerId) {
+        if let Some(client) = self.clients.get_mut(&peer) {
+            client.last_active = now();
+        }
+    }
+
+    /// Records that the connection to the robot ended or could not be opened, and why.
+    pub(super) fn robot_lost(&mut self, cause: io::Error) {
+        self.cause = Some(cause);
+        self.gateway.robot_closed(now());
+    }
+}
+
+impl fmt::Debug for Shared {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Shared").finish_non_exhaustive()
+    }
+}
+
+/// Tells whether a call on a socket has to wait; any other error is the end of the connection.
+pub(super) fn must_wait<T>(result: &io::Result<T>) -> bool {
+    matches!(result, Err(error) if error.kind() == io::ErrorKind::WouldBlock)
+}

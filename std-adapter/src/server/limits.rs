@@ -1,0 +1,78 @@
+//! What peers can cost a server.
+
+use std::time::Duration;
+
+use bcap_core::bcap::server::Config;
+
+use super::admission::Slots;
+
+/// What peers can cost a server.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Connections at the same time, b-CAP and RAC each.
+    pub connections: usize,
+    /// Connections of one IP address at the same time, b-CAP and RAC each.
+    pub connections_per_address: usize,
+    /// The silence after which a connection without a running request may be closed when another connection needs its
+    /// slot. The connection that has been idle longest is closed first.
+    pub evict_after: Duration,
+    /// UDP peers at the same time. A peer that has stopped its service, or was silent for [`udp_idle`](Self::udp_idle),
+    /// makes room for another.
+    pub udp_peers: usize,
+    /// UDP peers of one IP address at the same time.
+    pub udp_peers_per_address: usize,
+    /// The silence after which a UDP peer may be forgotten when another needs its slot.
+    pub udp_idle: Duration,
+    /// The silence after which a UDP peer is forgotten in any case, and its objects are released.
+    pub udp_lost: Duration,
+    /// How long a request may take to arrive once its first byte has.
+    pub receive: Duration,
+    /// How long a peer may accept no bytes of a reply.
+    pub send: Duration,
+    /// The longest time of a b-CAP call, whatever its client asks for with `InvokeTimeout`. The default for b-CAP clients
+    /// and the limit for RAC clients is 180 s.
+    pub call: Duration,
+    /// The silence after which a connection without a running request is closed; `None` is without a limit.
+    pub idle: Option<Duration>,
+    /// The most bytes of a request.
+    pub frame: u32,
+    /// Bytes for requests and replies of b-CAP over TCP, of all connections together, beyond the 2 KiB that each connection
+    /// has from the beginning. Without enough memory a request is answered with E_PACKETSIZEOVER, and a reply is replaced
+    /// by E_TOO_MUCH_DATA; small ones always pass. A connection releases its memory when it ends or is silent for 5 s.
+    pub memory: usize,
+    /// The silence on TCP after which the operating system probes the peer.
+    pub keep_alive: Option<Duration>,
+}
+
+impl Limits {
+    /// Returns the slots for connections of one protocol.
+    pub(super) const fn connection_slots(&self) -> Slots {
+        Slots { total: self.connections, per_address: self.connections_per_address, evict_after: self.evict_after }
+    }
+
+    /// Returns the slots for UDP peers.
+    pub(super) const fn udp_slots(&self) -> Slots {
+        Slots { total: self.udp_peers, per_address: self.udp_peers_per_address, evict_after: self.udp_idle }
+    }
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            connections: 256,
+            connections_per_address: 128,
+            evict_after: Duration::from_secs(10),
+            udp_peers: 32,
+            udp_peers_per_address: 16,
+            udp_idle: Duration::from_secs(10),
+            udp_lost: Duration::from_secs(600),
+            receive: Duration::from_secs(30),
+            send: Duration::from_secs(10),
+            call: Config::TCP.invoke_timeout_max,
+            idle: None,
+            frame: bcap_core::limits::Limits::STREAM.frame,
+            memory: 256 << 20,
+            keep_alive: Some(Duration::from_secs(60)),
+        }
+    }
+}
