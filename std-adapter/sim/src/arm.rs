@@ -1,39 +1,39 @@
-//! The functions of the robot: Robot_Execute, and what moves it.
+//! The functions of the robot: Robot_Execute and the motions.
 //!
 //! | function                     | what it does here                                                                |
 //! |------------------------------|----------------------------------------------------------------------------------|
 //! | Robot_Move                   | interpolation 1 (joints) and 2 (line); 3, 4 (arc, free curve) answer `E_NOTIMPL` |
 //! | Robot_Drive                  | turns one axis by degrees or mm                                                  |
 //! | Robot_GoHome                 | moves the joints to [`Config::home`](crate::Config::home)                        |
-//! | Robot_Halt                   | brakes, and answers when the arm is at rest; any client may; see below           |
-//! | Robot_Hold                   | brakes until Unhold; any client may; `S_FALSE` when nothing runs                 |
-//! | Robot_Unhold                 | goes on; any client with the token may, in Auto mode and without an error        |
+//! | Robot_Halt                   | brakes, and answers when the arm is at rest; of any client; see below            |
+//! | Robot_Hold                   | brakes until Unhold; of any client; `S_FALSE` when nothing runs                  |
+//! | Robot_Unhold                 | continues; needs Auto mode, the token and no error                               |
 //! | Robot_Speed                  | axis -1 sets the internal speed of lines and joints, 0 that of joints only       |
 //! | Robot_Accelerate             | likewise the internal acceleration and deceleration                              |
 //! | Robot_Change                 | `ToolN` and `WorkN` select a number; the definitions are all zero                |
-//! | Robot_Chuck, Unchuck         | closes and opens the [`hand`]                                                    |
+//! | Robot_Chuck, Unchuck         | closes and opens the [`hand`](crate::hand)                                       |
 //! | Robot_Rotate                 | `E_NOTIMPL`                                                                      |
 //!
-//! Speeds and accelerations are percent, 0.0001 to 100, and count from the next motion on. Internal speeds, tool and
-//! work coordinates are the arm's: while one client has it, Speed, Accelerate, Change and the variables of these answer
-//! another one `E_ARM_NOT_TAKEN`. The external speed is anybody's.
+//! Speeds and accelerations are percent, 0.0001 to 100, and apply from the next motion on. Internal speeds, tool and
+//! work coordinates belong to the arm: while one client owns it, Speed, Accelerate, Change and the variables of these
+//! answer another client `E_ARM_NOT_TAKEN`. Any client may set the external speed.
 //!
 //! # Motions
 //!
-//! A command that cannot be understood is refused first. Then, what moves the robot needs, in this order: Auto mode
-//! (`E_ACCESSDENIED`; no code of the controller's own is publicly known), the executable token
-//! (`E_TOKEN_NOT_ETHERNET`, `E_TOKEN_ADDRESS`), no error (`E_ERROR_PRESENT`), the arm authority of this client
-//! (`E_ARM_NOT_TAKEN`), the motor on (`E_MOTOR_OFF`), and the robot not moving (`E_ROBOTISBUSY`). Refusals with a code
-//! of the controller are in the error log, but are no errors that must be cleared.
+//! A command that cannot be parsed is refused first. Then a motion needs, in this order: Auto mode (`E_ACCESSDENIED`;
+//! no code of the controller's own is publicly known), the executable token (`E_TOKEN_NOT_ETHERNET`,
+//! `E_TOKEN_ADDRESS`), no error (`E_ERROR_PRESENT`), the arm authority of this client (`E_ARM_NOT_TAKEN`), the motor on
+//! (`E_MOTOR_OFF`), and the robot at rest (`E_ROBOTISBUSY`). Refusals with a code of the controller go into the error
+//! log, but are no errors that must be cleared.
 //!
 //! The call answers when the motion has ended: with `S_OK`, with `E_ABORT` after Halt or the end of Auto mode, with
 //! the error's code after an error. With the option `NEXT` it answers at once. Further options are `SPEED=` (or `S=`),
 //! `ACCEL=` and `DECEL=`, in percent of the internal values, each a number or a variable (`SPEED=F2`); another option
-//! is refused with `E_INVALIDARG`. A pose that axis n would have to leave its range for is the controller's error
-//! 0x8320407n, as is a line through a singularity.
+//! is refused with `E_INVALIDARG`. A pose for which axis n would leave its range is the controller's error 0x8320407n,
+//! as is a line through a singularity.
 //!
-//! Halt answers when the arm is at rest, so a motion that follows is not refused; at rest already, it answers
-//! `S_FALSE`. The halted call ends with `E_ABORT`.
+//! Halt answers when the arm is at rest, so that it does not refuse a motion that follows. If the arm is at rest
+//! already, Halt answers `S_FALSE`. The halted call ends with `E_ABORT`.
 //!
 //! # Commands of Robot_Execute
 //!
@@ -46,423 +46,226 @@
 //! | ExtSpeed                        | \[speed, accel, decel\]     | EMPTY; accel, decel default to speed² / 100      |
 //! | DriveEx, DriveAEx               | \[pairs, option\] or pairs  | EMPTY; turns axes by, or to, a value             |
 //! | CurPos, DestPos, HighCurPos     | -                           | R8\[7\]: X Y Z RX RY RZ Fig                      |
-//! | CurJnt, DestJnt, HighCurJnt     | -                           | R8\[8\]: J1 to J8; an axis it has not is 0       |
+//! | CurJnt, DestJnt, HighCurJnt     | -                           | R8\[8\]: J1 to J8; 0 for an axis that it lacks   |
 //! | CurTrn, DestTrn, HighCurTrn     | -                           | R8\[10\]: position, orient, approach, Fig        |
-//! | CurPosEx, HighCurPosEx, ...     | -                           | the same behind the time in ms                   |
+//! | CurPosEx, CurJntEx, CurTrnEx    | -                           | the same after the time in ms                    |
+//! | HighCurPosEx, HighCurJntEx, HighCurTrnEx | -                  | likewise                                         |
 //! | CurSpd, CurAcc, CurDec          | -                           | R4: internal, of lines                           |
 //! | CurJSpd, CurJAcc, CurJDec       | -                           | R4: internal, of joints                          |
 //! | CurExtSpd, CurExtAcc, CurExtDec | -                           | R4: external                                     |
 //! | CurFig, CurTool, CurWork        | -                           | I4                                               |
-//! | GetRobotTypeName, RobInfo       | -; I4: 1                    | BSTR: the robot's type; other numbers `E_NOTIMPL` |
+//! | GetRobotTypeName                | -                           | BSTR: the robot's type                           |
+//! | RobInfo                         | I4: 1                       | BSTR: likewise; other numbers `E_NOTIMPL`        |
 //! | J2P J2T P2J P2T T2J T2P         | a pose                      | R8 array                                         |
-//! | slvMove, slvChangeMode, ...     | see [`slave`](crate::slave) |                                                  |
-//! | MotionPreparation, ...          | see [`preparation`](crate::preparation), COBOTTA |                             |
+//! | slvMove, slvChangeMode, ...     | see [`slave`]               |                                                  |
+//! | MotionPreparation, ...          | see [`preparation`](crate::preparation) |                                      |
 //!
-//! A motion while another one runs is refused with `E_ROBOTISBUSY`. The client that started the running motion with
-//! `NEXT` is not refused: its next motion begins, and its reply comes, after that motion; Halt and errors end both. Public
-//! sample programs send motions like that. There is no other queue, and nothing for a pass motion to blend with.
+//! A motion while another one runs is refused with `E_ROBOTISBUSY`, with one exception, because public sample programs
+//! rely on it: the next motion of the client that started the running one with `NEXT` begins at the end of that motion,
+//! and is answered at its own end. Halt and errors end both. There is no other queue, and a pass motion is not blended.
 //!
 //! TakeArm while an error is present answers `E_ERROR_PRESENT`. GiveArm while the robot moves answers `E_ROBOTISBUSY`.
-//! Commands that real controllers have and this one has not answer `E_NOTIMPL`, other names `E_INVALID_CMD_NAME`.
+//! Commands of real controllers that this model lacks answer `E_NOTIMPL`, other names `E_INVALID_CMD_NAME`.
 
+mod call;
+pub(crate) mod commands;
 mod moves;
+mod readings;
+pub(crate) mod variables;
 
-use bcap_core::bcap::FunctionId;
-use bcap_core::bcap::server::Request;
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
-use bcap_core::rac::VariableKind as Kind;
-use bcap_core::variant::Variant;
+use bcap_core::time::Instant;
 
-use crate::controller::{Controller, Wait};
-use crate::dispatch::{Answer, Answered, names, system_names, with_value};
-use crate::hand;
-use crate::kinematics::{figure, six, with_joints};
-use crate::pose::Pose;
-use crate::robot::{Percent, Servo, angle, percent, pose_numbers, position, trans};
-use crate::system::{Owner, coordinates};
-use crate::value::{Value, numbers, one_int, whole};
-use moves::out_of_reach;
+use crate::answer::{Answer, Answered};
+use crate::config::Config;
+use crate::context::Context;
+use crate::hand::Hand;
+use crate::preparation::Preparation;
+use crate::robot::{Robot, Servo};
+use crate::slave::{self, Limits, Slave};
+use crate::waits::{Wait, Waits};
 
-/// Commands of real controllers that this one has not.
-const NOT_HERE: &[&str] = &[
-    "GetSrvData",
-    "OutRange",
-    "Dev",
-    "DevH",
-    "Approach",
-    "Depart",
-    "ConvertPosWork",
-    "GetToolDef",
-    "SetToolDef",
-    "GetWorkDef",
-    "SetWorkDef",
-    "PayLoad",
-    "SpeedMode",
-    "MotionSkip",
-    "MotionComplete",
-    "GetAreaDef",
-    "GetAreaEnabled",
-    "SetAreaEnabled",
-    "CheckVirtualFence",
-    "ForceSensor",
-    "ForceValue",
-    "ForceCtrl",
-    "ForceParam",
-    "StartLog",
-    "StopLog",
-    "ClearLog",
-    "GetLogCount",
-    "GetLogRecord",
-    "SyncTimeStart",
-    "SyncTimeEnd",
-    "SyncMoveStart",
-    "SyncMoveEnd",
-    "RotateH",
-];
+/// The arm: the robot with its hand, its preparation and its Slave Mode.
+#[derive(Clone, Debug)]
+pub(crate) struct Arm {
+    robot: Robot,
+    hand: Hand,
+    preparation: Preparation,
+    slave: Slave,
+}
 
-impl Controller {
-    pub(crate) fn robot_call(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
-        let turn = request.resumed && self.waits.get(&peer) == Some(&Wait::Turn);
-        if turn && self.robot.motion().is_some() {
-            return self.resume(peer);
-        }
-        let answered = if turn {
-            self.waits.remove(&peer);
-            self.robot_function(peer, &Request { resumed: false, ..*request })
-        } else {
-            self.robot_function(peer, request)
-        };
-        match answered {
-            Err(HResult::E_ROBOTISBUSY) if is_motion(request) && self.moves_next(peer) => {
-                self.waits.insert(peer, Wait::Turn);
-                self.resume(peer)
-            }
-            answered => answered,
+impl Arm {
+    pub(crate) fn new(config: &Config) -> Self {
+        Self {
+            robot: Robot::new(config),
+            hand: Hand::new(),
+            preparation: Preparation::new(config.profile),
+            slave: Slave::default(),
         }
     }
 
-    /// Tells whether a motion runs whose end its client, this one, did not wait for.
-    fn moves_next(&self, peer: PeerId) -> bool {
-        self.robot.motion().is_some_and(|motion| motion.peer == peer && !motion.is_halting())
+    pub(crate) fn robot(&self) -> &Robot {
+        &self.robot
     }
 
-    /// Calls a function of the robot; a motion of a client whose own motion still runs is `E_ROBOTISBUSY`.
-    fn robot_function(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
-        match request.function {
-            FunctionId::ROBOT_EXECUTE
-                if request.resumed && request.text(1).to_string().trim().eq_ignore_ascii_case("slvMove") =>
-            {
-                self.resume_slave_move(peer, &request.value(2))
-            }
-            FunctionId::ROBOT_EXECUTE if request.resumed => self.resume_execute(peer),
-            _ if request.resumed => self.resume(peer),
-            FunctionId::ROBOT_GET_VARIABLE => self.open_variable(peer, Owner::Robot, &request.text(1).to_string()),
-            FunctionId::ROBOT_GET_VARIABLE_NAMES => Ok(names(system_names(Owner::Robot))),
-            FunctionId::ROBOT_EXECUTE => {
-                self.robot_execute(peer, request.text(1).to_string().trim(), &request.value(2))
-            }
-            FunctionId::ROBOT_MOVE => self.robot_move(peer, request),
-            FunctionId::ROBOT_DRIVE => self.robot_drive(peer, request),
-            FunctionId::ROBOT_GO_HOME => {
-                let home = self.config().home;
-                self.move_axes(peer, "", |here| Ok(with_joints(&home, here)))
-            }
-            FunctionId::ROBOT_HALT => self.robot_halt(peer),
-            FunctionId::ROBOT_HOLD => {
-                let now = self.now;
-                Ok(done_if(self.robot.motion_mut().is_some_and(|m| m.hold(now))))
-            }
-            FunctionId::ROBOT_UNHOLD => {
-                self.may_execute(peer)?;
-                let now = self.now;
-                Ok(done_if(self.robot.motion_mut().is_some_and(|m| m.unhold(now))))
-            }
-            FunctionId::ROBOT_SPEED => self.set_speed(peer, request.int(1), request.float(2)),
-            FunctionId::ROBOT_ACCELERATE => {
-                self.set_acceleration(peer, request.int(1), request.float(2), request.float(3))
-            }
-            FunctionId::ROBOT_CHUCK | FunctionId::ROBOT_UNCHUCK if !request.text(1).to_string().trim().is_empty() => {
-                Err(HResult::E_INVALIDARG)
-            }
-            FunctionId::ROBOT_CHUCK => self.move_hand(peer, 0.0, 100.0).map(without_value),
-            FunctionId::ROBOT_UNCHUCK => self.move_hand(peer, hand::STROKE, 100.0).map(without_value),
-            FunctionId::ROBOT_CHANGE => self.change(peer, &request.text(1).to_string()),
-            _ => Err(HResult::E_NOTIMPL),
-        }
+    pub(crate) fn hand(&self) -> &Hand {
+        &self.hand
     }
 
-    /// Brakes, and answers when the arm is at rest: a motion that follows at once is not refused.
-    fn robot_halt(&mut self, peer: PeerId) -> Answered {
-        if !self.halt() {
-            return Ok(Answer::Code(HResult::S_FALSE));
-        }
-        self.waits.insert(peer, Wait::Rest);
-        self.advance(self.now);
-        self.resume(peer)
+    pub(crate) fn hand_mut(&mut self) -> &mut Hand {
+        &mut self.hand
     }
 
-    fn robot_execute(&mut self, peer: PeerId, command: &str, param: &Variant<'_>) -> Answered {
-        if let Some(value) = self.read_out(command) {
-            return Ok(value.into());
-        }
-        if let Some((from, to)) = conversion(command) {
-            return Ok(Value::R8s(self.convert(from, to, param)?).into());
-        }
-        if let Some(answered) = self.preparation_command(peer, command) {
-            return answered;
-        }
-        match command.to_ascii_lowercase().as_str() {
-            "robinfo" => match one_int(param)? {
-                1 => Ok(Value::from(self.config().robot_type.as_str()).into()),
-                _ => Err(HResult::E_NOTIMPL),
+    pub(crate) fn preparation(&self) -> Preparation {
+        self.preparation
+    }
+
+    pub(crate) fn preparation_mut(&mut self) -> &mut Preparation {
+        &mut self.preparation
+    }
+
+    pub(crate) const fn slave(&self) -> &Slave {
+        &self.slave
+    }
+
+    /// Returns the limits of Slave Mode, if it is entered now.
+    pub(crate) fn slave_limits(&self, config: &Config) -> Limits {
+        slave::limits(&self.robot, config)
+    }
+
+    /// Advances motor, motion and hand to `now`, and ends the calls that wait for them. Cycles of Slave Mode are
+    /// executed by [`cycle`](Self::cycle).
+    pub(crate) fn advance(&mut self, now: Instant, waits: &mut Waits) {
+        self.robot.advance(now, waits);
+        self.hand.advance(now, waits);
+    }
+
+    /// Returns the number of the present cycle of Slave Mode.
+    pub(crate) fn present_cycle(&self) -> Option<u64> {
+        self.robot.stream().map(|stream| stream.cycle)
+    }
+
+    /// Skips idle cycles, at most `most`. Returns the number and the time of the next cycle, if it begins by `until`.
+    pub(crate) fn next_cycle(&mut self, until: Instant, most: u64) -> Option<(u64, Instant)> {
+        self.slave.next_cycle(&mut self.robot, until, most)
+    }
+
+    /// Executes a cycle of Slave Mode.
+    ///
+    /// # Errors
+    ///
+    /// The error that ends Slave Mode.
+    pub(crate) fn cycle(&mut self, config: &Config, now: Instant, waits: &mut Waits) -> Result<(), HResult> {
+        self.slave.cycle(&mut self.robot, config, now, waits)
+    }
+
+    /// Returns when to poll a call that waits for this event; `None` if the time is unknown.
+    pub(crate) fn end_of(&self, wait: Wait, now: Instant) -> Option<Instant> {
+        match wait {
+            Wait::Motion(_) | Wait::Turn | Wait::Rest => self.robot.motion_end(),
+            Wait::Servo => match self.robot.servo() {
+                Servo::TurningOn(at) => Some(at),
+                _ => None,
             },
-            "takearm" => self.take_arm(peer, param),
-            "givearm" => self.give_arm(peer),
-            "takearmstate" => {
-                let wanted = if param.is_empty() { -1 } else { one_int(param)? };
-                let held = self.robot.arm.filter(|(owner, group)| *owner == peer && [-1, *group].contains(&wanted));
-                Ok(Value::I4(held.map_or(-1, |(_, group)| group)).into())
-            }
-            "motor" => self.motor_command(peer, param),
-            "driveex" => self.drive_command(peer, false, param),
-            "driveaex" => self.drive_command(peer, true, param),
-            "extspeed" => self.set_external_speed(param),
-            "slvchangemode" => self.slave_change_mode(peer, param),
-            "slvgetmode" => Ok(Value::I4(self.slave_mode()).into()),
-            "slvmove" => self.slave_move(peer, param),
-            "slvsendformat" => self.slave_send_format(peer, param),
-            "slvrecvformat" => self.slave_receive_format(peer, param),
-            _ if NOT_HERE.iter().any(|name| name.eq_ignore_ascii_case(command)) => Err(HResult::E_NOTIMPL),
-            _ => Err(HResult::E_INVALID_CMD_NAME),
+            Wait::Hand => self.hand.end(now),
+            Wait::Stored | Wait::Left => self.robot.stream().map(|stream| stream.next_cycle()),
+            Wait::Over(_) => Some(now),
         }
     }
 
-    /// Answers the commands that only tell something.
-    fn read_out(&self, command: &str) -> Option<Value> {
-        let robot = &self.robot;
-        let command = command.to_ascii_lowercase();
-        let (here, there) = (self.joints(), robot.destination());
-        let timed = |rest: Vec<f64>| {
-            let millis = self.now.as_micros() as f64 / 1000.0;
-            Value::R8s([vec![millis], rest].concat())
-        };
-        Some(match command.as_str() {
-            "curpos" | "highcurpos" => Value::R8s(position(&here)),
-            "curjnt" | "highcurjnt" => Value::R8s(self.axes().to_vec()),
-            "curtrn" | "highcurtrn" => Value::R8s(trans(&here)),
-            "curposex" | "highcurposex" => timed(position(&here)),
-            "curjntex" | "highcurjntex" => timed(self.axes().to_vec()),
-            "curtrnex" | "highcurtrnex" => timed(trans(&here)),
-            "destpos" => Value::R8s(position(&six(&there))),
-            "destjnt" => Value::R8s(there.to_vec()),
-            "desttrn" => Value::R8s(trans(&six(&there))),
-            "curspd" => Value::R4(robot.hand.speed),
-            "curacc" => Value::R4(robot.hand.accel),
-            "curdec" => Value::R4(robot.hand.decel),
-            "curjspd" => Value::R4(robot.joint.speed),
-            "curjacc" => Value::R4(robot.joint.accel),
-            "curjdec" => Value::R4(robot.joint.decel),
-            "curextspd" => Value::R4(robot.external.speed),
-            "curextacc" => Value::R4(robot.external.accel),
-            "curextdec" => Value::R4(robot.external.decel),
-            "curfig" => Value::I4(figure(&here).into()),
-            "getrobottypename" => Value::from(self.config().robot_type.as_str()),
-            "curtool" => Value::I4(robot.tool),
-            "curwork" => Value::I4(robot.work),
-            _ => return None,
-        })
+    /// Returns how the event has ended that a command without a waiting call has started; `None` if it has not.
+    pub(crate) fn outcome(&self, wait: Wait, now: Instant) -> Option<Result<(), HResult>> {
+        match (wait, self.robot.servo()) {
+            (Wait::Servo, Servo::On) => Some(Ok(())),
+            (Wait::Servo, Servo::Off) => Some(Err(HResult::E_MOTOR_OFF)),
+            (Wait::Hand, _) if self.hand.end(now).is_none() => Some(Ok(())),
+            _ => None,
+        }
     }
 
-    /// Converts a pose from one kind to another, near to where the robot is.
-    fn convert(&self, from: Kind, to: Kind, param: &Variant<'_>) -> Result<Vec<f64>, HResult> {
-        let near = self.joints();
-        let pose = Pose::parse_as(from, param, &self.variables)?;
-        let joints = pose.joints(&near).map_err(out_of_reach)?;
-        Ok(match (to, pose) {
-            (Kind::P, Pose::Frame(frame, _)) => pose_numbers(&frame, figure(&joints)),
-            (Kind::P, Pose::Joints(_)) => position(&joints),
-            (Kind::T, _) => trans(&joints),
-            _ => angle(&joints),
-        })
+    /// Stops what a command has started.
+    pub(crate) fn cancel(&mut self, wait: Wait, now: Instant, waits: &mut Waits) {
+        match wait {
+            Wait::Servo => self.robot.turn_off(HResult::E_CANCEL, now, waits),
+            _ => drop(self.hand.stop(HResult::E_CANCEL, now, waits)),
+        }
     }
 
-    fn take_arm(&mut self, peer: PeerId, param: &Variant<'_>) -> Answered {
-        let (group, keep) = match numbers(param)?.as_slice() {
-            [] => (0, 0),
-            [group] => (whole(*group)?, 0),
-            [group, keep] => (whole(*group)?, whole(*keep)?),
-            _ => return Err(HResult::E_INVALIDARG),
-        };
-        // there is one arm, and group 0 is the arm; -1 is TRUE
-        if group != 0 || ![-1, 0, 1].contains(&keep) {
-            return Err(HResult::E_INVALIDARG);
+    /// Stops everything without braking because of an error, which from level 3 on also switches the motor off.
+    pub(crate) fn fail(&mut self, code: HResult, now: Instant, waits: &mut Waits) {
+        self.robot.stop(code, now, waits);
+        self.hand.stop(code, now, waits);
+        if code.level().is_some_and(|level| level >= 3) {
+            self.robot.turn_off(code, now, waits);
         }
-        self.may_execute(peer)?;
-        if self.arm_owner().is_some_and(|owner| owner != peer) {
-            return Err(self.refuse(HResult::E_ARM_NOT_TAKEN));
-        }
-        self.robot.arm = Some((peer, group));
-        if keep == 0 {
-            self.robot.hand = Percent::FULL;
-            self.robot.joint = Percent::FULL;
-            self.robot.tool = 0;
-            self.robot.work = 0;
-        }
-        Ok(Value::Empty.into())
     }
 
-    fn give_arm(&mut self, peer: PeerId) -> Answered {
-        if self.arm_owner() != Some(peer) {
-            return Ok(Answer::Code(HResult::S_FALSE));
-        }
-        if self.is_moving() {
-            return Err(HResult::E_ROBOTISBUSY);
-        }
-        self.robot.arm = None;
-        Ok(Value::Empty.into())
+    /// Brakes the motion or Slave Mode; returns whether there was one.
+    pub(crate) fn halt(&mut self, config: &Config, now: Instant, waits: &mut Waits) -> bool {
+        slave::halt(&mut self.robot, config, now, waits) || self.robot.halt_motion(now, waits)
     }
 
-    pub(crate) fn motor_command(&mut self, peer: PeerId, param: &Variant<'_>) -> Answered {
-        let (state, no_wait) = match numbers(param)?.as_slice() {
-            [state] => (whole(*state)?, 0),
-            [state, no_wait] => (whole(*state)?, whole(*no_wait)?),
-            _ => return Err(HResult::E_INVALIDARG),
-        };
-        self.switch_motor(peer, state != 0, no_wait == 0).map(with_value)
+    /// Drops the pose that a client waited to store. Its motion continues.
+    pub(crate) fn abandon(&mut self, peer: PeerId) {
+        slave::abandon(&mut self.robot, peer);
     }
 
-    /// Switches the motor. With `wait`, the answer comes when it is on.
-    pub(crate) fn switch_motor(&mut self, peer: PeerId, on: bool, wait: bool) -> Answered {
-        self.motor(peer, on)?;
-        if !on || !wait || self.motor_is_on() {
+    /// Halts a client's motion and frees the arm.
+    pub(crate) fn forget(&mut self, peer: PeerId, config: &Config, now: Instant, waits: &mut Waits) {
+        self.slave.forget(peer);
+        self.hand.forget(peer, now, waits);
+        if self.robot.mover() == Some(peer) {
+            self.halt(config, now, waits);
+        }
+        if self.robot.owner() == Some(peer) {
+            self.robot.set_owner(None);
+        }
+    }
+
+    /// Gives the arm to a client, or frees it. A motion stops.
+    pub(crate) fn give_to(&mut self, owner: Option<PeerId>, now: Instant, waits: &mut Waits) {
+        self.robot.stop(HResult::E_ABORT, now, waits);
+        self.robot.set_owner(owner.map(|peer| (peer, 0)));
+    }
+
+    /// Switches the motor on at once, prepared or not.
+    pub(crate) fn force_on(&mut self) {
+        self.preparation.complete();
+        self.robot.force_on();
+    }
+
+    /// Starts to switch the motor on, if its preparation is complete.
+    pub(crate) fn turn_on(&mut self, at: Instant) {
+        if self.preparation.is_motion_ready() && !self.preparation.is_torque_off() {
+            self.robot.turn_on(at);
+        }
+    }
+
+    /// Switches the motor off. Calls that wait for it or for a motion end with `code`.
+    pub(crate) fn turn_off(&mut self, code: HResult, now: Instant, waits: &mut Waits) {
+        self.robot.turn_off(code, now, waits);
+    }
+
+    /// Switches the motor for a client. With `wait`, the call is answered when it is on.
+    pub(crate) fn switch_motor(&mut self, ctx: &mut Context<'_>, on: bool, wait: bool) -> Answered {
+        ctx.may_command()?;
+        if !on {
+            self.robot.turn_off(HResult::E_MOTOR_OFF, ctx.now, ctx.waits);
             return Ok(Answer::Done);
         }
-        self.waits.insert(peer, Wait::Servo);
-        self.resume(peer)
-    }
-
-    /// Begins to switch the motor; on, it is on some time later.
-    fn motor(&mut self, peer: PeerId, on: bool) -> Result<(), HResult> {
-        self.may_command(peer)?;
-        if !on {
-            self.motor_off(HResult::E_MOTOR_OFF);
-            return Ok(());
-        }
-        self.may_execute(peer)?;
-        if self.emergency_stopped() {
+        ctx.may_execute()?;
+        if ctx.panel.emergency_stop {
             return Err(HResult::E_ACCESSDENIED);
         }
-        if !self.preparation.motion {
-            return Err(self.refuse(HResult::E_MOTION_UNPREPARED));
+        if !self.preparation.is_motion_ready() {
+            return Err(ctx.refuse(HResult::E_MOTION_UNPREPARED));
         }
-        if self.torque_off {
+        if self.preparation.is_torque_off() {
             return Err(HResult::E_ACCESSDENIED);
         }
-        self.turn_motor_on();
-        self.advance(self.now);
-        Ok(())
+        self.turn_on(ctx.now.saturating_add(ctx.config.motor_on_delay));
+        self.robot.advance(ctx.now, ctx.waits);
+        Ok(if wait && !self.robot.motor_is_on() { Answer::Until(Wait::Servo) } else { Answer::Done })
     }
-
-    /// Begins to switch the motor on, unless the emergency stop or the lack of torque keeps it off.
-    pub(crate) fn turn_motor_on(&mut self) {
-        let ready = self.preparation.motion && !self.torque_off;
-        let prevented = self.emergency_stopped() || !ready || self.errors.code().is_err();
-        if self.robot.servo == Servo::Off && !prevented {
-            self.robot.servo = Servo::TurningOn(self.now.saturating_add(self.config().motor_on_delay));
-        }
-    }
-
-    fn set_external_speed(&mut self, param: &Variant<'_>) -> Answered {
-        let given = numbers(param)?;
-        let [speed, rest @ ..] = given.as_slice() else { return Err(HResult::E_INVALIDARG) };
-        let mut external = Percent::of_speed(percent(*speed)?);
-        match rest {
-            [] => {}
-            [accel] => external.accel = percent(*accel)?,
-            [accel, decel] => (external.accel, external.decel) = (percent(*accel)?, percent(*decel)?),
-            _ => return Err(HResult::E_INVALIDARG),
-        }
-        self.robot.external = external;
-        Ok(Value::Empty.into())
-    }
-
-    fn set_speed(&mut self, peer: PeerId, axis: i32, speed: f64) -> Answered {
-        let speed = percent(speed)?;
-        self.may_set_arm(peer)?;
-        match axis {
-            -1 => self.robot.hand.speed = speed,
-            0 => {}
-            _ => return Err(HResult::E_INVALIDARG),
-        }
-        self.robot.joint.speed = speed;
-        Ok(Answer::Done)
-    }
-
-    fn set_acceleration(&mut self, peer: PeerId, axis: i32, accel: f64, decel: f64) -> Answered {
-        let (accel, decel) = (percent(accel)?, percent(decel)?);
-        self.may_set_arm(peer)?;
-        let set = |of: &mut Percent| (of.accel, of.decel) = (accel, decel);
-        match axis {
-            -1 => set(&mut self.robot.hand),
-            0 => {}
-            _ => return Err(HResult::E_INVALIDARG),
-        }
-        set(&mut self.robot.joint);
-        Ok(Answer::Done)
-    }
-
-    fn change(&mut self, peer: PeerId, name: &str) -> Answered {
-        self.may_set_arm(peer)?;
-        let upper = name.trim().to_ascii_uppercase();
-        let number = |digits: &str| digits.parse().map_err(|_| HResult::E_INVALIDARG).and_then(coordinates);
-        if let Some(digits) = upper.strip_prefix("TOOL") {
-            self.robot.tool = number(digits)?;
-        } else if let Some(digits) = upper.strip_prefix("WORK") {
-            self.robot.work = number(digits)?;
-        } else {
-            return Err(HResult::E_INVALIDARG);
-        }
-        Ok(Answer::Done)
-    }
-
-    /// Checks that no other client has the arm, whose speeds, tool and work coordinates these are.
-    pub(crate) fn may_set_arm(&mut self, peer: PeerId) -> Result<(), HResult> {
-        match self.arm_owner() {
-            Some(owner) if owner != peer => Err(self.refuse(HResult::E_ARM_NOT_TAKEN)),
-            _ => Ok(()),
-        }
-    }
-}
-
-/// Tells whether a call moves the arm along a path.
-fn is_motion(request: &Request<'_>) -> bool {
-    match request.function {
-        FunctionId::ROBOT_MOVE | FunctionId::ROBOT_DRIVE | FunctionId::ROBOT_GO_HOME => true,
-        FunctionId::ROBOT_EXECUTE => {
-            let command = request.text(1).to_string();
-            ["DriveEx", "DriveAEx"].iter().any(|name| name.eq_ignore_ascii_case(command.trim()))
-        }
-        _ => false,
-    }
-}
-
-/// Finds what a command such as `J2P` converts.
-fn conversion(command: &str) -> Option<(Kind, Kind)> {
-    let kind = |letter: &str| [Kind::P, Kind::J, Kind::T].into_iter().find(|k| k.name().eq_ignore_ascii_case(letter));
-    let (from, to) = command.split_once('2')?;
-    let (from, to) = (kind(from)?, kind(to)?);
-    (from != to).then_some((from, to))
-}
-
-/// Drops the empty value that commands answer and functions do not.
-fn without_value(answer: Answer) -> Answer {
-    match answer {
-        Answer::Value(_) => Answer::Done,
-        answer => answer,
-    }
-}
-
-fn done_if(done: bool) -> Answer {
-    if done { Answer::Done } else { Answer::Code(HResult::S_FALSE) }
 }

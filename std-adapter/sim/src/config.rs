@@ -1,14 +1,16 @@
-//! What a virtual controller is like when it is switched on.
+//! The settings of a virtual controller.
 
 use std::path::PathBuf;
 use std::time::Duration;
 
 use bcap_core::handler::PeerId;
+use bcap_core::hresult::HResult;
+use bcap_core::time::Instant;
+use bcap_core::variant::OleDate;
 
 use crate::executor::Executor;
 use crate::explain::Observer;
 use crate::kinematics::Joints;
-use crate::slave::{SlaveConfig, SlaveFormats};
 use crate::variables::Sizes;
 
 /// A model of controller.
@@ -20,13 +22,13 @@ pub enum Profile {
     Rc8,
     /// RC9: provider `CaoProv.DENSO.VRC9`; it has StoState and ManualReset.
     Rc9,
-    /// COBOTTA: provider `CaoProv.DENSO.VRC`; it has StoState and ManualReset, has to be prepared before it moves (see
-    /// [`preparation`](crate::preparation)), and slave mode has no HandIO.
+    /// COBOTTA: provider `CaoProv.DENSO.VRC`; it has StoState and ManualReset, needs a preparation before it moves (see
+    /// [`preparation`](crate::preparation)), and its Slave Mode has no HandIO.
     Cobotta,
 }
 
 impl Profile {
-    /// Returns the name of the provider that Controller_Connect wants.
+    /// Returns the name of the provider that Controller_Connect accepts.
     #[must_use]
     pub const fn provider(self) -> &'static str {
         match self {
@@ -45,10 +47,10 @@ impl Profile {
         }
     }
 
-    /// Returns a type of robot that such a controller has, `@TYPE_NAME`.
+    /// Returns the default type of the robot, `@TYPE_NAME`.
     ///
-    /// COBOTTA: the one that the public ROS 2 driver asks for. RC8, RC9: the arm whose lengths
-    /// [`kinematics`](crate::kinematics) has, spelled as public launch files spell its sister, `VS060A3`.
+    /// COBOTTA: the type that the public ROS 2 driver expects. RC8, RC9: the arm whose lengths
+    /// [`kinematics`](crate::kinematics) uses, spelled like `VS060A3` in public launch files.
     #[must_use]
     pub const fn robot_type(self) -> &'static str {
         match self {
@@ -57,9 +59,9 @@ impl Profile {
         }
     }
 
-    /// Returns a version of its software that public sources name, `@VERSION`.
+    /// Returns the default version of its software, `@VERSION`.
     ///
-    /// The public ROS 2 driver clears errors of a COBOTTA from 2.8.0 on, and calls ManualReset of an RC9 from 1.4.0 on.
+    /// The public ROS 2 driver clears the errors of a COBOTTA from 2.8.0 on, and calls ManualReset of an RC9 from 1.4.0 on.
     #[must_use]
     pub const fn version(self) -> &'static str {
         match self {
@@ -68,18 +70,18 @@ impl Profile {
         }
     }
 
-    /// Tells whether it has to be prepared before its motor is switched on.
-    pub(crate) const fn wants_preparation(self) -> bool {
+    /// Tells whether it needs a preparation before its motor is switched on.
+    pub(crate) const fn needs_preparation(self) -> bool {
         matches!(self, Self::Cobotta)
     }
 
-    /// Tells whether the emergency stop takes the torque away until ManualReset.
+    /// Tells whether the emergency stop removes the torque until ManualReset.
     pub(crate) const fn has_safe_torque_off(self) -> bool {
         matches!(self, Self::Rc9 | Self::Cobotta)
     }
 }
 
-/// The operation mode; the numbers are those of `@MODE`.
+/// The operation mode, with the numbers of `@MODE`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Mode {
     /// Manual mode.
@@ -91,29 +93,94 @@ pub enum Mode {
     Auto = 3,
 }
 
-/// A client that is not here: no server gives this number to one of its own.
+/// A client that is not connected: no server gives this number to a client.
 pub(crate) const ABSENT: PeerId = PeerId(u32::MAX);
 
-/// Who has the executable token.
+/// The holder of the executable token.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Token {
-    /// Anybody.
+    /// Every client.
     #[default]
     Any,
-    /// The teach pendant; every client is refused with `E_TOKEN_NOT_ETHERNET`.
+    /// The teach pendant: the controller refuses every client with `E_TOKEN_NOT_ETHERNET`.
     TeachPendant,
-    /// One client; the others are refused with `E_TOKEN_ADDRESS`.
+    /// One client: the controller refuses the others with `E_TOKEN_ADDRESS`.
     Client(PeerId),
 }
 
 /// The communication permission.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Permission {
-    /// Variables can be read and written.
+    /// Clients may read and write variables.
     #[default]
     ReadWrite,
-    /// Writing a variable is refused with `E_CAO_NOT_WRITABLE`.
+    /// Writing a variable answers `E_CAO_NOT_WRITABLE`.
     ReadOnly,
+}
+
+/// What limits speed and acceleration in Slave Mode: the controller's parameter 153, "Speed setting for b-CAP Slave".
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SpeedSetting {
+    /// The limits of the drives: 1.2 times the command limit of speed, and 4 times that of acceleration.
+    #[default]
+    Servo = 0,
+    /// The same, multiplied by the external speed and the external acceleration.
+    ServoByExtSpeed = 1,
+    /// The limits of a motion command: [`SPEEDS`](crate::kinematics::SPEEDS), reached within
+    /// [`ACCELERATION_TIME`](crate::motion::ACCELERATION_TIME).
+    Command = 2,
+    /// The same, multiplied by the external speed and the external acceleration.
+    CommandByExtSpeed = 3,
+}
+
+/// The settings of Slave Mode.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SlaveConfig {
+    /// Whether the controller has the licence.
+    pub licensed: bool,
+    /// Parameter 153.
+    pub speed_setting: SpeedSetting,
+    /// Limits of speed for J1 to J8 in degrees or mm per second. `None` uses the limit that `speed_setting` gives the axis.
+    /// The external speed scales both, where `speed_setting` says so.
+    pub speed_limits: [Option<f64>; 8],
+    /// The same for acceleration, in degrees or mm per second squared.
+    pub acceleration_limits: [Option<f64>; 8],
+    /// The formats that the controller has.
+    pub formats: SlaveFormats,
+    /// The number of cycles that [`Controller::slave_record`](crate::Controller::slave_record) keeps.
+    pub record: usize,
+}
+
+impl Default for SlaveConfig {
+    /// Licensed, with the drives' limits, all formats, and a record of two minutes.
+    fn default() -> Self {
+        Self {
+            licensed: true,
+            speed_setting: SpeedSetting::default(),
+            speed_limits: [None; 8],
+            acceleration_limits: [None; 8],
+            formats: SlaveFormats::ALL,
+            record: 15_000,
+        }
+    }
+}
+
+/// The parts of the formats of Slave Mode that a controller has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SlaveFormats {
+    /// MiniIO, 0x0100.
+    pub mini_io: bool,
+    /// HandIO, 0x0020.
+    pub hand_io: bool,
+    /// User IO, 0x0200.
+    pub user_io: bool,
+    /// The currents of the axes, 0x0040.
+    pub current: bool,
+}
+
+impl SlaveFormats {
+    /// All parts.
+    pub const ALL: Self = Self { mini_io: true, hand_io: true, user_io: true, current: true };
 }
 
 /// A virtual controller's settings.
@@ -130,59 +197,59 @@ pub enum Permission {
 pub struct Config {
     /// The model.
     pub profile: Profile,
-    /// Takes the provider of any profile in Controller_Connect.
+    /// Whether Controller_Connect accepts the provider of every profile.
     pub any_provider: bool,
     /// The numbers of user variables.
     pub sizes: Sizes,
-    /// The mode at the start.
+    /// The initial mode.
     pub mode: Mode,
-    /// The executable token at the start.
+    /// The initial holder of the executable token.
     pub token: Token,
     /// The communication permission.
     pub permission: Permission,
     /// The wall clock at [`Instant::ZERO`](bcap_core::time::Instant::ZERO): milliseconds since 1970-01-01 00:00.
     pub wall_clock_origin_ms: i64,
-    /// Where the robot stands at the start, and where GoHome brings it: J1 to J6 in degrees.
+    /// The initial position, which is also the target of GoHome: J1 to J6 in degrees.
     pub home: Joints,
-    /// The time from switching the motor on until it is on.
+    /// The time that the motor takes to come on.
     pub motor_on_delay: Duration,
-    /// Whether writing true to `@SERVO_ON` answers when the motor is on. False answers at once, and the motor is on
+    /// Whether writing true to `@SERVO_ON` answers when the motor is on. Otherwise it answers at once, and the motor is on
     /// `motor_on_delay` later.
     pub servo_on_waits: bool,
-    /// The internal speed at the start, in percent.
+    /// The initial internal speed, in percent.
     pub speed: f32,
-    /// The external speed at the start, in percent.
+    /// The initial external speed, in percent.
     pub ext_speed: f32,
-    /// Slave mode: licence, limits, formats.
+    /// Slave Mode: licence, limits, formats.
     pub slave: SlaveConfig,
-    /// Axes beyond the sixth, 0 to 2: J7 and J8.
+    /// The number of extended axes, 0 to 2: J7 and J8.
     pub extended_axes: u8,
-    /// The folder whose files the controller has; without one it has none, and says so.
+    /// The folder with the controller's files. Without one, the functions of files answer `E_NOTIMPL`.
     pub files: Option<PathBuf>,
-    /// Where the work with these files is done.
+    /// Runs the work with these files.
     pub file_work: Executor,
-    /// Is told why arguments were refused.
+    /// Receives the reason of each refused argument.
     pub observer: Observer,
     /// The names of the tasks.
     pub tasks: Vec<String>,
     /// The time of one cycle of a task.
     pub task_cycle: Duration,
-    /// The lines of a task, which take equal parts of its cycle.
+    /// The number of lines of a task. Each takes the same part of its cycle.
     pub task_lines: u32,
-    /// The most objects that one client may hold; one more is refused with `E_MAX_OBJECT`.
+    /// The largest number of objects that one client may open; opening another answers `E_MAX_OBJECT`.
     pub max_objects: usize,
     /// `@SERIAL_NO`, and SysInfo 0.
     pub serial_number: String,
     /// `@VERSION`.
     pub version: String,
-    /// `@TYPE_NAME` of the robot. It does not change the arm's lengths, ranges and speeds.
+    /// `@TYPE_NAME` of the robot. It does not affect the lengths, ranges and speeds of the arm.
     pub robot_type: String,
     /// The robot's name, as Controller_GetRobotNames answers it.
     pub arm_name: String,
 }
 
 impl Config {
-    /// Makes the settings of a controller in Auto mode that anybody may use, with its motor off.
+    /// Makes the settings of a controller in Auto mode with its motor off, which every client may use.
     #[must_use]
     pub fn new(profile: Profile) -> Self {
         Self {
@@ -215,6 +282,23 @@ impl Config {
             robot_type: profile.robot_type().to_owned(),
             arm_name: "Arm0".to_owned(),
         }
+    }
+
+    /// Returns the wall clock at a time of the model.
+    ///
+    /// # Errors
+    ///
+    /// `DISP_E_OVERFLOW` for a time that a DATE cannot express.
+    pub(crate) fn date(&self, at: Instant) -> Result<OleDate, HResult> {
+        let millis = i64::try_from(at.as_micros() / 1000).unwrap_or(i64::MAX);
+        let millis = self.wall_clock_origin_ms.saturating_add(millis);
+        OleDate::from_unix_millis(millis).ok_or(HResult::DISP_E_OVERFLOW)
+    }
+
+    /// Returns the microseconds of a time within its second of the wall clock.
+    pub(crate) fn microsecond(&self, at: Instant) -> i32 {
+        let origin = i128::from(self.wall_clock_origin_ms) * 1000;
+        i32::try_from((origin + i128::from(at.as_micros())).rem_euclid(1_000_000)).unwrap_or(0)
     }
 }
 

@@ -1,177 +1,217 @@
-//! The controller: its state, what happens to it as time passes, and what a test can do to it.
+//! The controller: it composes its parts, advances their time, and offers to a test what happens around a robot.
 
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
+mod command;
+mod dispatch;
+pub mod execute;
+pub mod system;
+mod variable;
+
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind as Kind;
 use bcap_core::time::Instant;
-use bcap_core::variant::{Encode, Variant, VariantBuf};
+use bcap_core::variant::{Variant, VariantBuf};
 
-use crate::config::{Config, Mode, Permission, Token};
+use crate::arm::Arm;
+use crate::config::{ABSENT, Config, Mode, Permission, Token};
+use crate::context::{Context, Panel};
 use crate::errors::{ErrorEntry, Errors};
 use crate::explain::Refusals;
 use crate::files::Files;
-use crate::hand::Hand;
 use crate::kinematics::Joints;
 use crate::messages::Messages;
-use crate::motion::Ended;
 use crate::objects::Objects;
-use crate::preparation::Preparation;
-use crate::robot::{Robot, Servo};
-use crate::scenario::{Effect, Fate, Running};
-use crate::slave::{Formats, SlaveCounters, SlaveCycle, Stream};
-use crate::tasks::{Task, TaskStatus};
-use crate::value::Value;
+use crate::scenario::{Delivery, Effect, Running, Scenario, Setup};
+use crate::slave::{self, Limits, SlaveCounters, SlaveCycle};
+use crate::tasks::{TaskStatus, Tasks};
 use crate::variables::{Family, Variables};
+use crate::waits::{Wait, Waits};
 
-/// What the emergency stop enters into the list of errors.
+/// The error that the emergency stop raises.
 ///
-/// No public source tells the code of the button itself; this one is what clients see when it has stopped the robot.
+/// No public source names the code of the button itself. This is the code that clients see when it has stopped the robot.
 pub const EMERGENCY_STOP: HResult = HResult::E_COMMAND_POSITION_GEN_STOPPED;
 
-/// A client that waits for a motion or for the motor is asked again at least this often, so that what happens from
-/// outside (the emergency stop, an injected error) ends its wait soon.
-const LOOK_AGAIN: Duration = Duration::from_millis(50);
-
-/// What a client's call waits for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Wait {
-    /// The end of the motion with this number.
-    Motion(u64),
-    /// The end of this client's own motion with NEXT; then its next motion begins.
-    Turn,
-    /// The motor being on.
-    Servo,
-    /// The arm being at rest.
-    Rest,
-    /// The fingers of the hand being where they shall.
-    Hand,
-    /// Room for a pose of slave mode.
-    Stored,
-    /// The end of slave mode.
-    Left,
-    /// Nothing any more: this is the result.
-    Over(HResult),
-}
+/// The longest interval at which a waiting call is polled, so that an event from outside (the emergency stop, an
+/// injected error) ends its wait soon.
+const POLL_INTERVAL: Duration = Duration::from_millis(50);
 
 /// A virtual controller.
 ///
 /// It has no clock and no socket: every call and every event brings the time with it, and the same calls at the same
-/// times give the same answers. A time that lies before one already seen counts as that one.
+/// times give the same answers. A time before one already seen counts as that one.
 #[derive(Clone, Debug)]
 pub struct Controller {
-    config: Config,
-    mode: Mode,
-    token: Token,
-    emergency_stop: bool,
-    /// RC9, COBOTTA: torque is off since an emergency stop, until ManualReset.
-    pub(crate) torque_off: bool,
-    pub(crate) preparation: Preparation,
+    common: Common,
     /// `@LOCK`.
-    pub(crate) locked: bool,
-    pub(crate) now: Instant,
-    pub(crate) objects: Objects,
-    /// Who has called Service_Start.
-    pub(crate) sessions: BTreeSet<PeerId>,
-    pub(crate) variables: Variables,
-    pub(crate) robot: Robot,
-    pub(crate) hand: Hand,
-    pub(crate) files: Files,
-    pub(crate) tasks: Vec<Task>,
-    pub(crate) errors: Errors,
-    pub(crate) refusals: Refusals,
-    pub(crate) messages: Messages,
-    pub(crate) waits: BTreeMap<PeerId, Wait>,
-    pub(crate) slave_formats: BTreeMap<PeerId, Formats>,
-    pub(crate) slave_counters: SlaveCounters,
-    pub(crate) slave_record: VecDeque<SlaveCycle>,
-    pub(crate) scenario: Running,
-    /// What the scenario has in store for the call that each client waits for.
-    pub(crate) fates: BTreeMap<PeerId, Fate>,
+    locked: bool,
+    /// The clients that have called Service_Start.
+    sessions: BTreeSet<PeerId>,
+    objects: Objects,
+    arm: Arm,
+    tasks: Tasks,
+    files: Files,
+    messages: Messages,
+    refusals: Refusals,
+    scenario: Running,
+}
+
+/// The state that the [`Context`] of a call shows to the parts.
+#[derive(Clone, Debug)]
+struct Common {
+    config: Config,
+    panel: Panel,
+    now: Instant,
+    variables: Variables,
+    waits: Waits,
+    errors: Errors,
+    /// The error that the present call has caused.
+    raised: Option<HResult>,
+}
+
+impl Common {
+    fn context(&mut self, peer: PeerId) -> Context<'_> {
+        Context {
+            peer,
+            now: self.now,
+            config: &self.config,
+            panel: self.panel,
+            variables: &mut self.variables,
+            waits: &mut self.waits,
+            errors: &mut self.errors,
+            raised: &mut self.raised,
+        }
+    }
 }
 
 impl Controller {
     /// Switches a controller on.
     #[must_use]
     pub fn new(config: Config) -> Self {
-        let task = |name: &String| Task::new(name.clone(), config.task_cycle, config.task_lines);
         Self {
-            mode: config.mode,
-            token: config.token,
-            emergency_stop: false,
-            torque_off: false,
-            preparation: Preparation::new(config.profile),
             locked: false,
-            now: Instant::ZERO,
-            objects: Objects::default(),
             sessions: BTreeSet::new(),
-            variables: Variables::new(&config.sizes),
-            robot: Robot::new(&config),
-            hand: Hand::new(),
+            objects: Objects::default(),
+            arm: Arm::new(&config),
+            tasks: Tasks::new(&config),
             files: Files::default(),
-            tasks: config.tasks.iter().map(task).collect(),
-            errors: Errors::default(),
-            refusals: Refusals::default(),
             messages: Messages::default(),
-            waits: BTreeMap::new(),
-            slave_formats: BTreeMap::new(),
-            slave_counters: SlaveCounters::default(),
-            slave_record: VecDeque::new(),
+            refusals: Refusals::default(),
             scenario: Running::default(),
-            fates: BTreeMap::new(),
-            config,
+            common: Common {
+                panel: Panel { mode: config.mode, token: config.token, emergency_stop: false },
+                now: Instant::ZERO,
+                variables: Variables::new(&config.sizes),
+                waits: Waits::default(),
+                errors: Errors::default(),
+                raised: None,
+                config,
+            },
         }
     }
 
-    /// Lets time pass: motions, slave mode and tasks go on, the motor comes on.
+    /// Advances the controller to `now`: motions, Slave Mode and tasks continue, the motor comes on.
     pub fn advance(&mut self, now: Instant) {
-        let now = self.now.max(now);
+        let now = self.common.now.max(now);
         while let Some((at, effect)) = self.scenario.due(now) {
-            self.pass(self.now.max(at));
-            self.happen(effect);
+            self.pass(self.common.now.max(at));
+            self.apply(effect);
         }
         self.pass(now);
     }
 
-    /// Lets time pass in which the scenario does nothing of its own, but at cycles of slave mode.
+    /// Advances the controller to a time before which the scenario has no fault, except at cycles of Slave Mode.
     fn pass(&mut self, now: Instant) {
         self.pass_slave_cycles(now);
-        self.now = now;
-        for task in &mut self.tasks {
-            task.advance(self.now);
-        }
-        if let Some((id, ended)) = self.robot.advance(self.now) {
-            let result = if ended == Ended::Arrived { HResult::S_OK } else { HResult::E_ABORT };
-            self.end_waits(|wait| wait == Wait::Motion(id), result);
-            if ended == Ended::Halted {
-                self.end_waits(|wait| wait == Wait::Turn, result);
+        self.common.now = now;
+        self.tasks.advance(now);
+        self.arm.advance(now, &mut self.common.waits);
+    }
+
+    /// Executes the cycles of Slave Mode that begin by `until`.
+    fn pass_slave_cycles(&mut self, until: Instant) {
+        while let Some(present) = self.arm.present_cycle() {
+            let quiet = self.scenario.quiet_cycles(present);
+            let Some((cycle, at)) = self.arm.next_cycle(until, quiet) else { break };
+            self.common.now = self.common.now.max(at);
+            for effect in self.scenario.at_cycle(cycle) {
+                self.apply(effect);
             }
-        }
-        if self.robot.motor_is_on() {
-            self.end_waits(|wait| wait == Wait::Servo, HResult::S_OK);
-        }
-        if !self.is_moving() {
-            self.end_waits(|wait| wait == Wait::Rest, HResult::S_OK);
-        }
-        if self.hand.end(self.now).is_none() {
-            self.end_waits(|wait| wait == Wait::Hand, HResult::S_OK);
+            let Common { config, now, waits, .. } = &mut self.common;
+            if let Err(code) = self.arm.cycle(config, *now, waits) {
+                self.raise(code);
+            }
         }
     }
 
-    /// Makes happen what a scenario says that concerns no call.
-    pub(crate) fn happen(&mut self, effect: Effect) {
+    /// Applies an effect of the scenario that concerns no call.
+    fn apply(&mut self, effect: Effect) {
         match effect {
             Effect::Error(code) => self.raise(code),
             Effect::EmergencyStop(pressed) => self.press_emergency_stop(pressed),
-            Effect::LinkLoss(time) => self.scenario.lose_link(time, self.now),
+            Effect::LinkLoss(time) => self.scenario.lose_link(time, self.common.now),
             Effect::Mode(mode) => self.turn_mode_switch(mode),
             Effect::Token(token) => self.set_token(token),
             Effect::Motor(true) => self.turn_motor_on(),
-            Effect::Motor(false) => self.motor_off(HResult::E_MOTOR_OFF),
+            Effect::Motor(false) => self.arm.turn_off(HResult::E_MOTOR_OFF, self.common.now, &mut self.common.waits),
             Effect::Refuse(_) | Effect::Delay(_) | Effect::Wire(_) => {}
         }
+    }
+
+    /// Plays a scenario from its beginning, in place of the previous one: the controller takes the state of its section
+    /// `[controller]`, and the faults happen as time passes.
+    pub fn play(&mut self, scenario: Scenario) {
+        self.set_up(&scenario.controller);
+        self.scenario.play(scenario);
+    }
+
+    /// Sets the state that a scenario begins with.
+    fn set_up(&mut self, setup: &Setup) {
+        if let Some(pressed) = setup.emergency_stop {
+            self.press_emergency_stop(pressed);
+        }
+        setup.errors.iter().for_each(|code| self.raise(*code));
+        let Common { now, waits, .. } = &mut self.common;
+        match setup.motor {
+            Some(true) => self.arm.force_on(),
+            Some(false) => self.arm.turn_off(HResult::E_MOTOR_OFF, *now, waits),
+            None => {}
+        }
+        if let Some(taken) = setup.arm_taken {
+            self.arm.give_to(taken.then_some(ABSENT), *now, waits);
+        }
+        if let Some(mode) = setup.mode {
+            self.turn_mode_switch(mode);
+        }
+        if let Some(token) = setup.token {
+            self.set_token(token);
+        }
+        if let Some(permission) = setup.permission {
+            self.set_permission(permission);
+        }
+        setup.apply(&mut self.common.config);
+    }
+
+    /// Applies the scenario's fault to the bytes of a reply, and says whether to send them.
+    ///
+    /// The caller asks once about each frame: the reply of a call, or `S_EXECUTING`.
+    ///
+    /// # Examples
+    ///
+    /// ```
+    /// use bcap_core::handler::PeerId;
+    /// use bcap_sim::scenario::Delivery;
+    /// use bcap_sim::{Config, Controller};
+    ///
+    /// let mut controller = Controller::new(Config::default());
+    /// let mut frame = *b"\x01\x10\0\0\0\x05\0\0\0\0\0\0\0\0\0\x04";
+    /// assert_eq!(controller.deliver(PeerId(1), &mut frame), Delivery::Send);
+    /// ```
+    pub fn deliver(&mut self, peer: PeerId, frame: &mut [u8]) -> Delivery {
+        self.scenario.deliver(peer, frame, self.common.now)
     }
 
     /// Presses or releases the emergency stop.
@@ -183,13 +223,12 @@ impl Controller {
         self.press_emergency_stop(pressed);
     }
 
-    pub(crate) fn press_emergency_stop(&mut self, pressed: bool) {
-        if pressed && !self.emergency_stop {
-            self.torque_off = self.config.profile.has_safe_torque_off();
-            self.unprepare();
+    fn press_emergency_stop(&mut self, pressed: bool) {
+        if pressed && !self.common.panel.emergency_stop {
+            self.arm.preparation_mut().emergency_stop(self.common.config.profile);
             self.raise(EMERGENCY_STOP);
         }
-        self.emergency_stop = pressed;
+        self.common.panel.emergency_stop = pressed;
     }
 
     /// Turns the mode switch; leaving Auto mode halts the robot and suspends the tasks.
@@ -198,38 +237,72 @@ impl Controller {
         self.turn_mode_switch(mode);
     }
 
-    pub(crate) fn turn_mode_switch(&mut self, mode: Mode) {
-        self.mode = mode;
+    fn turn_mode_switch(&mut self, mode: Mode) {
+        self.common.panel.mode = mode;
         if mode != Mode::Auto {
-            self.halt();
-            self.tasks.iter_mut().for_each(Task::suspend);
+            let Common { config, now, waits, .. } = &mut self.common;
+            self.arm.halt(config, *now, waits);
+            self.tasks.suspend();
         }
     }
 
-    /// Gives the executable token to somebody.
+    /// Sets the holder of the executable token.
     pub fn set_token(&mut self, token: Token) {
-        self.token = token;
+        self.common.panel.token = token;
     }
 
     /// Sets the communication permission.
     pub fn set_permission(&mut self, permission: Permission) {
-        self.config.permission = permission;
+        self.common.config.permission = permission;
     }
 
-    /// Makes an error happen; it stops the motion and suspends the tasks, and from level 3 on it also switches the
-    /// motor off and resets the tasks.
+    /// Starts to switch the motor on, unless the emergency stop, an error or a missing preparation prevents it.
+    fn turn_motor_on(&mut self) {
+        if !self.common.panel.emergency_stop && self.common.errors.code().is_ok() {
+            self.arm.turn_on(self.common.now.saturating_add(self.common.config.motor_on_delay));
+        }
+    }
+
+    /// Raises an error. It stops the motion and suspends the tasks; from level 3 on it also switches the motor off and
+    /// resets the tasks.
     pub fn inject_error(&mut self, code: HResult, now: Instant) {
         self.advance(now);
         self.raise(code);
+    }
+
+    fn raise(&mut self, code: HResult) {
+        let Common { now, waits, errors, .. } = &mut self.common;
+        errors.raise(code, *now);
+        self.messages.post(code, *now);
+        self.arm.fail(code, *now, waits);
+        self.tasks.fail(code);
+    }
+
+    /// Drops a client's part of the state: its objects are released, its motion halts, its arm authority is free.
+    fn forget(&mut self, peer: PeerId) {
+        let Common { config, now, waits, .. } = &mut self.common;
+        self.objects.release_all(peer);
+        self.sessions.remove(&peer);
+        waits.forget(peer);
+        self.scenario.forget(peer);
+        self.messages.forget(peer);
+        self.files.forget(peer);
+        self.arm.forget(peer, config, *now, waits);
+    }
+
+    /// Returns when to poll a call that waits for an event.
+    fn poll_time(&self, wait: Wait) -> Instant {
+        let soon = self.common.now.saturating_add(POLL_INTERVAL);
+        self.arm.end_of(wait, self.common.now).map_or(soon, |end| end.min(soon))
     }
 
     /// Reads a user variable into an encoding of at most `N` bytes.
     ///
     /// # Errors
     ///
-    /// `DISP_E_BADINDEX` when there is no such variable, `E_TOO_MUCH_DATA` when it does not fit.
+    /// `DISP_E_BADINDEX` for a variable that does not exist, `E_TOO_MUCH_DATA` for a value that does not fit.
     pub fn variable<const N: usize>(&self, kind: Kind, index: u32) -> Result<VariantBuf<N>, HResult> {
-        let value = self.variables.get(Family::Plain(kind), index)?;
+        let value = self.common.variables.get(Family::Plain(kind), index)?;
         VariantBuf::new(&value).map_err(|_| HResult::E_TOO_MUCH_DATA)
     }
 
@@ -237,215 +310,108 @@ impl Controller {
     ///
     /// # Errors
     ///
-    /// What Variable_PutValue answers.
+    /// The errors of Variable_PutValue.
     pub fn set_variable(&mut self, kind: Kind, index: u32, value: &Variant<'_>) -> Result<(), HResult> {
-        self.variables.put(Family::Plain(kind), index, value)
+        self.common.variables.put(Family::Plain(kind), index, value)
     }
 
     /// Returns the settings.
     #[must_use]
     pub const fn config(&self) -> &Config {
-        &self.config
-    }
-
-    pub(crate) const fn config_mut(&mut self) -> &mut Config {
-        &mut self.config
+        &self.common.config
     }
 
     /// Returns the mode.
     #[must_use]
     pub const fn mode(&self) -> Mode {
-        self.mode
+        self.common.panel.mode
     }
 
     /// Tells whether the emergency stop is pressed.
     #[must_use]
     pub const fn emergency_stopped(&self) -> bool {
-        self.emergency_stop
+        self.common.panel.emergency_stop
     }
 
-    /// Returns where the robot was when time was last heard of.
+    /// Returns the position of the robot at the present time: J1 to J6.
     #[must_use]
     pub fn joints(&self) -> Joints {
-        self.robot.joints(self.now)
+        self.arm.robot().joints(self.common.now)
     }
 
-    /// Returns where the robot was when time was last heard of, with the extended axes: J1 to J8.
+    /// Returns the position of the robot at the present time with the extended axes: J1 to J8.
     #[must_use]
     pub fn axes(&self) -> [f64; 8] {
-        self.robot.axes(self.now)
+        self.arm.robot().axes(self.common.now)
     }
 
-    /// Tells whether a motion is under way; one that is held is. In slave mode, whether an axis moves.
+    /// Tells whether a motion is running or held, or an axis moves in Slave Mode.
     #[must_use]
     pub fn is_moving(&self) -> bool {
-        self.robot.motion().is_some() || self.robot.slave.as_ref().is_some_and(Stream::is_moving)
+        self.arm.robot().is_moving()
     }
 
     /// Tells whether the motor is on.
     #[must_use]
     pub fn motor_is_on(&self) -> bool {
-        self.robot.motor_is_on()
+        self.arm.robot().motor_is_on()
     }
 
-    /// Returns who has the arm authority.
+    /// Returns the client that owns the arm.
     #[must_use]
     pub fn arm_owner(&self) -> Option<PeerId> {
-        self.robot.arm.map(|(peer, _)| peer)
+        self.arm.robot().owner()
     }
 
-    /// Returns what a task is doing, and how many cycles it has completed.
+    /// Returns the distance between the fingers of the hand at the present time, in mm.
+    #[must_use]
+    pub fn hand_position(&self) -> f64 {
+        self.arm.hand().position(self.common.now)
+    }
+
+    /// Returns the number of slvGetMode; 0 while Slave Mode is off.
+    #[must_use]
+    pub fn slave_mode(&self) -> i32 {
+        slave::mode(self.arm.robot())
+    }
+
+    /// Returns the limits of Slave Mode, if it is entered now.
+    #[must_use]
+    pub fn slave_limits(&self) -> Limits {
+        self.arm.slave_limits(&self.common.config)
+    }
+
+    /// Returns what Slave Mode has done.
+    #[must_use]
+    pub const fn slave_counters(&self) -> SlaveCounters {
+        self.arm.slave().counters()
+    }
+
+    /// Iterates over the recorded cycles of Slave Mode that took a pose or moved, the oldest first.
+    pub fn slave_record(&self) -> impl Iterator<Item = SlaveCycle> {
+        self.arm.slave().record()
+    }
+
+    /// Returns the state of a task, and the number of cycles that it has completed.
     #[must_use]
     pub fn task(&self, name: &str) -> Option<(TaskStatus, u64)> {
-        let task = self.tasks.iter().find(|t| t.name().eq_ignore_ascii_case(name))?;
+        let task = self.tasks.get(self.tasks.position(name)?).ok()?;
         Some((task.status(), task.cycles()))
     }
 
-    /// Iterates over the errors present, the newest first.
+    /// Iterates over the present errors in reverse order.
     pub fn errors(&self) -> impl Iterator<Item = ErrorEntry> {
-        self.errors.present().iter().copied()
+        self.common.errors.present().iter().copied()
     }
 
-    /// Iterates over the log of errors and refused calls, the newest first.
+    /// Iterates over the log of errors and refused calls in reverse order.
     pub fn error_log(&self) -> impl Iterator<Item = ErrorEntry> {
-        self.errors.log().iter().copied()
+        self.common.errors.log().iter().copied()
     }
 
-    /// Returns the number of objects that clients hold.
+    /// Returns the number of open objects.
     #[must_use]
     pub fn open_objects(&self) -> usize {
         self.objects.len()
-    }
-
-    /// Drops a client's part of the state: what it held is released, its motion halts, its arm authority is free.
-    pub(crate) fn forget(&mut self, peer: PeerId) {
-        self.objects.release_all(peer);
-        self.sessions.remove(&peer);
-        self.waits.remove(&peer);
-        self.slave_formats.remove(&peer);
-        self.fates.remove(&peer);
-        self.messages.forget(peer);
-        self.files.forget(peer);
-        self.forget_hand(peer);
-        let streams = self.robot.slave.as_ref().is_some_and(|stream| stream.peer == peer);
-        if streams || self.robot.motion().is_some_and(|m| m.peer == peer) {
-            self.halt();
-        }
-        if self.arm_owner() == Some(peer) {
-            self.robot.arm = None;
-        }
-    }
-
-    /// Enters an error and does what its level says.
-    pub(crate) fn raise(&mut self, code: HResult) {
-        self.errors.raise(code, self.now);
-        self.messages.post(code, self.now);
-        self.abort_motion(code);
-        self.stop_hand(code);
-        if code.level().is_some_and(|level| level >= 3) {
-            self.motor_off(code);
-            self.tasks.iter_mut().for_each(Task::reset);
-        } else {
-            self.tasks.iter_mut().for_each(Task::suspend);
-        }
-    }
-
-    /// Removes the errors; one whose cause persists cannot be removed, and is the answer.
-    pub(crate) fn clear_error(&mut self) -> Result<(), HResult> {
-        if self.emergency_stop {
-            return Err(EMERGENCY_STOP);
-        }
-        self.use_manual_reset()?;
-        self.errors.clear();
-        Ok(())
-    }
-
-    /// Checks what every command that makes something run needs: Auto mode, the executable token, no error.
-    pub(crate) fn may_execute(&mut self, peer: PeerId) -> Result<(), HResult> {
-        self.may_command(peer)?;
-        if self.errors.code().is_err() { Err(self.refuse(HResult::E_ERROR_PRESENT)) } else { Ok(()) }
-    }
-
-    /// Checks Auto mode and the executable token.
-    pub(crate) fn may_command(&mut self, peer: PeerId) -> Result<(), HResult> {
-        if !self.is_auto() {
-            return Err(self.refuse(HResult::E_ACCESSDENIED));
-        }
-        match self.token {
-            Token::TeachPendant => Err(self.refuse(HResult::E_TOKEN_NOT_ETHERNET)),
-            Token::Client(owner) if owner != peer => Err(self.refuse(HResult::E_TOKEN_ADDRESS)),
-            _ => Ok(()),
-        }
-    }
-
-    /// Notes in the log that a call is refused with a code of the controller.
-    pub(crate) fn refuse(&mut self, code: HResult) -> HResult {
-        if code.level().is_some() {
-            self.errors.note(code, self.now);
-        }
-        code
-    }
-
-    /// Tells whether the executable token is not with the teach pendant.
-    pub(crate) fn token_is_outside(&self) -> bool {
-        self.token != Token::TeachPendant
-    }
-
-    /// Halts the motion, or slave mode, if there is one.
-    pub(crate) fn halt(&mut self) -> bool {
-        if self.halt_slave_mode() {
-            return true;
-        }
-        let now = self.now;
-        match self.robot.motion_mut() {
-            Some(motion) => motion.halt(now),
-            None => return false,
-        }
-        // one that stood already ends now
-        self.advance(now);
-        true
-    }
-
-    /// Stops the motion where it is, and slave mode; who waits for it gets `code`.
-    pub(crate) fn abort_motion(&mut self, code: HResult) {
-        self.end_slave_mode(code);
-        if let Some(id) = self.robot.freeze(self.now) {
-            self.end_waits(|wait| wait == Wait::Motion(id) || wait == Wait::Turn, code);
-        }
-    }
-
-    /// Switches the motor off; who waits for it, or for a motion, gets `code`.
-    pub(crate) fn motor_off(&mut self, code: HResult) {
-        self.robot.servo = Servo::Off;
-        self.abort_motion(code);
-        self.end_waits(|wait| wait == Wait::Servo, code);
-    }
-
-    /// Returns when to ask again about what a client waits for.
-    pub(crate) fn look_again(&self, wait: Wait) -> Instant {
-        let soon = self.now.saturating_add(LOOK_AGAIN);
-        let end = match wait {
-            Wait::Motion(_) | Wait::Turn | Wait::Rest => self.robot.motion().and_then(|m| m.end()),
-            Wait::Servo => match self.robot.servo {
-                Servo::TurningOn(at) => Some(at),
-                _ => None,
-            },
-            Wait::Hand => self.hand.end(self.now),
-            Wait::Stored | Wait::Left => self.robot.slave.as_ref().map(Stream::next_cycle),
-            Wait::Over(_) => Some(self.now),
-        };
-        end.map_or(soon, |end| end.min(soon))
-    }
-
-    pub(crate) fn end_waits(&mut self, which: impl Fn(Wait) -> bool, result: HResult) {
-        self.waits.values_mut().filter(|wait| which(**wait)).for_each(|wait| *wait = Wait::Over(result));
-    }
-
-    /// Encodes a value into `reply`, or says why it cannot be sent.
-    pub(crate) fn set_reply(reply: &mut bcap_core::handler::ReplyValue<'_>, value: &Value) -> HResult {
-        match reply.set(value as &dyn Encode) {
-            Ok(()) => HResult::S_OK,
-            Err(_) => HResult::E_TOO_MUCH_DATA,
-        }
     }
 }

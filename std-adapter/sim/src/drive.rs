@@ -7,8 +7,8 @@
 //! | Robot_Move, BSTR: after the pose        | `"@P P1 EX((7, 30.5))"`, `"P1 EXA((7, 10), (8, 5))"`      |
 //! | Robot_Move, VARIANT array: 4th element  | `[2, [7, 10]]`                                            |
 //!
-//! EX (1) and DriveEx count from where the axis is, EXA (2) and DriveAEx from its zero. The values of a pair are in
-//! degrees or mm. In the array, each pair is an array of two numbers, alone or with the type (-1) and the pass that the
+//! EX (1) and DriveEx are relative to the position of the axis, EXA (2) and DriveAEx to its zero. The values of a pair
+//! are in degrees or mm. In the array, each pair is an array of two numbers, alone or with the type (-1) and the pass that the
 //! public ROS 2 driver sends. Robot_Move turns only the extended joints, 7 and 8, this way.
 
 use bcap_core::hresult::HResult;
@@ -18,21 +18,21 @@ use crate::kinematics::Axes;
 use crate::options::{check_pass_item, split_pass};
 use crate::value::{numbers_of_array, numbers_of_text, whole};
 
-/// The last axis that an arm can have, and the first extended one.
+/// The largest number of axes of an arm, and the first extended axis.
 const AXES: usize = 8;
 const FIRST_EXTENDED: usize = 7;
 
 /// Turns of single axes.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Drive {
-    /// The values count from the zero of the axis; otherwise from where it is.
+    /// The values are relative to the zero of the axis; otherwise to its position.
     absolute: bool,
     /// The axis, 1 to 8, and its value; each axis once.
     turns: Vec<(usize, f64)>,
 }
 
 impl Drive {
-    /// Makes the turn of one axis from where it is.
+    /// Makes the turn of one axis relative to its position.
     pub(crate) fn relative(axis: i32, value: f64) -> Result<Self, HResult> {
         Self::new(false, vec![(f64::from(axis), value)])
     }
@@ -99,7 +99,7 @@ impl Drive {
         }
     }
 
-    /// Checks that the arm has these axes: six, and so many extended ones.
+    /// Checks that an arm with this number of extended axes has all axes of the turns.
     pub(crate) fn check(&self, extended: u8) -> Result<(), HResult> {
         let axes = FIRST_EXTENDED - 1 + usize::from(extended);
         match self.turns.iter().all(|(axis, _)| *axis <= axes) {
@@ -108,7 +108,7 @@ impl Drive {
         }
     }
 
-    /// Returns where the axes are after the turns.
+    /// Returns the position of the axes after the turns.
     pub(crate) fn apply(&self, here: &Axes) -> Axes {
         let mut axes = *here;
         for (axis, value) in &self.turns {
@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_pair_is_refused() {
+    fn invalid_pairs_are_refused() {
         for text in
             ["", "1,5", "(1,5", "(1,5)(2,5)", "(1,5),", "(1)", "(9,1)", "(0,1)", "(1,5),(1,6)", "@X (1,5)", "(1,inf)"]
         {

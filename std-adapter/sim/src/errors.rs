@@ -1,11 +1,11 @@
-//! The controller's errors: those present, newest first, and the log of all that have been.
+//! The errors of the controller: the list of present errors, and the log of past errors and refused calls.
 
 use std::collections::VecDeque;
 
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 
-/// How many entries either list holds; the oldest give way.
+/// The capacity of each list; a full list drops its oldest entry.
 const CAPACITY: usize = 256;
 
 /// An error of the controller.
@@ -17,10 +17,10 @@ pub struct ErrorEntry {
     pub at: Instant,
 }
 
-/// The lists of errors.
+/// The lists of errors, both in reverse order.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Errors {
-    /// The newest first: index 0 of GetCurErrorInfo is the last error, the greatest index the first cause.
+    /// Index 0 of GetCurErrorInfo is the latest error, the greatest index the first cause.
     present: VecDeque<ErrorEntry>,
     log: VecDeque<ErrorEntry>,
 }
@@ -29,12 +29,15 @@ impl Errors {
     /// Enters an error into both lists.
     pub(crate) fn raise(&mut self, code: HResult, at: Instant) {
         push(&mut self.present, ErrorEntry { code, at });
-        self.note(code, at);
+        push(&mut self.log, ErrorEntry { code, at });
     }
 
-    /// Enters a refused call into the log only.
-    pub(crate) fn note(&mut self, code: HResult, at: Instant) {
-        push(&mut self.log, ErrorEntry { code, at });
+    /// Enters a refused call into the log only, if its code is one of the controller.
+    pub(crate) fn refuse(&mut self, code: HResult, at: Instant) -> HResult {
+        if code.level().is_some() {
+            push(&mut self.log, ErrorEntry { code, at });
+        }
+        code
     }
 
     pub(crate) fn clear(&mut self) {
@@ -49,7 +52,7 @@ impl Errors {
         &self.log
     }
 
-    /// Returns the newest error's code, `S_OK` when there is none.
+    /// Returns the code of the latest error; `S_OK` without an error.
     pub(crate) fn code(&self) -> HResult {
         self.present.front().map_or(HResult::S_OK, |entry| entry.code)
     }
@@ -60,7 +63,7 @@ fn push(list: &mut VecDeque<ErrorEntry>, entry: ErrorEntry) {
     list.push_front(entry);
 }
 
-/// Returns a sentence about a code, as GetErrorDescription gives it.
+/// Returns the description of a code that GetErrorDescription answers.
 pub(crate) fn description(code: HResult) -> String {
     let meaning = code.meaning().unwrap_or("An error without a published description.");
     match (code.name(), code.axis()) {
@@ -75,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_newest_comes_first_and_the_lists_are_bounded() {
+    fn the_lists_are_in_reverse_order_and_bounded() {
         let mut errors = Errors::default();
         for n in 0..300 {
             errors.raise(HResult::from_u32(0x8320_0000 + n), Instant::from_millis(n.into()));

@@ -1,12 +1,12 @@
-//! Where the model has work done that may block.
+//! The executor of work that may block.
 
 use std::fmt;
 use std::sync::Arc;
 
-/// A piece of file work, to be run once.
+/// A piece of file work.
 pub type Job = Box<dyn FnOnce() + Send>;
 
-/// Runs file work, in the call or elsewhere.
+/// Runs file work, within the call or on another thread.
 ///
 /// # Examples
 ///
@@ -26,7 +26,7 @@ pub type Job = Box<dyn FnOnce() + Send>;
 pub struct Executor(Arc<dyn Fn(Job) + Send + Sync>);
 
 impl Executor {
-    /// Makes an executor of a function that runs a job, queues it, or drops it when there is too much to do.
+    /// Makes an executor of a function that runs a job, queues it, or drops it when its queue is full.
     #[must_use]
     pub fn new(run: impl Fn(Job) + Send + Sync + 'static) -> Self {
         Self(Arc::new(run))
@@ -38,7 +38,7 @@ impl Executor {
 }
 
 impl Default for Executor {
-    /// Runs each job at once, inside of the call.
+    /// Runs each job at once, within the call.
     fn default() -> Self {
         Self::new(|job| job())
     }

@@ -1,10 +1,10 @@
-//! Why a call was refused: what it was given, and what its arguments may be.
+//! The reason of a refused call: the arguments it had, and those that it accepts.
 //!
-//! The wire has no text beside a code. So the text is kept, and GetErrorDescription of that code ends with it; an
-//! [`Observer`] gets it too. There is one text for each code, of the last call of any client: drivers ask for
-//! descriptions over another session than the one that was refused.
+//! The protocol carries no text with a code. So GetErrorDescription of that code ends with the reason, and an
+//! [`Observer`] receives it too. The model keeps one reason for each code, that of the last call of any client, because
+//! drivers ask for descriptions over another session than the refused one.
 //!
-//! A call that the server refuses before it reaches the model has no text.
+//! A call that the server refuses before it reaches the model has no reason.
 
 use std::collections::BTreeMap;
 use std::fmt::{self, Write as _};
@@ -15,7 +15,9 @@ use bcap_core::bcap::server::Request;
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
 
-/// The codes that say that an argument is refused.
+use crate::function::executes;
+
+/// The codes of refused arguments.
 const CODES: [HResult; 6] = [
     HResult::E_INVALIDARG,
     HResult::E_INVALIDARGTYPE,
@@ -25,47 +27,12 @@ const CODES: [HResult; 6] = [
     HResult::DISP_E_BADINDEX,
 ];
 
-/// Elements of an array, characters of a string and characters in all that are shown of what was given.
+/// The largest number of shown elements of an array, characters of a string, and characters in total.
 const ELEMENTS_MAX: usize = 16;
 const TEXT_MAX: usize = 40;
 const SHOWN_MAX: usize = 300;
 
-/// Commands of robot, controller and hand, and what their parameter may be.
-const COMMANDS: &[(&str, &str)] = &[
-    ("TakeArm", "nothing, the group, or [group, keep]: group 0, keep 0 or 1"),
-    ("TakeArmState", "nothing, or one number: the group 0, or -1"),
-    ("Motor", "one number or BOOL: 0 off, otherwise on; or [state, no wait]"),
-    ("ExtSpeed", "a speed, [speed, accel] or [speed, accel, decel], in percent, 0.0001 to 100"),
-    ("RobInfo", "one number: 1"),
-    ("DriveEx", DRIVE),
-    ("DriveAEx", DRIVE),
-    ("J2P", "6 to 8 numbers in degrees, \"J(...)\", \"J1\" or [numbers, \"J\"]"),
-    ("J2T", "6 to 8 numbers in degrees, \"J(...)\", \"J1\" or [numbers, \"J\"]"),
-    ("P2J", "6 or 7 numbers (X Y Z RX RY RZ Fig), \"P(...)\", \"P1\" or [numbers, \"P\"]"),
-    ("P2T", "6 or 7 numbers (X Y Z RX RY RZ Fig), \"P(...)\", \"P1\" or [numbers, \"P\"]"),
-    ("T2J", "9 or 10 numbers (position, orient, approach, Fig), \"T(...)\", \"T1\" or [numbers, \"T\"]"),
-    ("T2P", "9 or 10 numbers (position, orient, approach, Fig), \"T(...)\", \"T1\" or [numbers, \"T\"]"),
-    ("slvChangeMode", "one number: 0, 0x001 to 0x003, 0x101 to 0x103, 0x201 to 0x203"),
-    ("slvSendFormat", "one number: 0, 0x20, 0x100, 0x120, 0x200 or 0x220, of the parts that the controller has"),
-    ("slvRecvFormat", "format or [format, unit]: the pose 1 to 5, plus 0x10, 0x20, 0x40, 0x100, 0x200; unit 0 or 1"),
-    (
-        "slvMove",
-        "an array of 7 (P), 8 (J) or 10 (T) numbers by the mode, with an option element and J7, J8 where the arm has \
-         them; with IO: [pose, MiniIO, user IO offset, size, bytes, offset, size, HandIO] by the formats",
-    ),
-    ("GetErrorDescription", "one code: I4, UI4, ERROR or another integer"),
-    ("GetCurErrorInfo", "one number: the index, from 0 to below GetCurErrorCount"),
-    ("GetErrorLog", "one number: the index, from 0 to below GetErrorLogCount"),
-    ("SysInfo", "one number: 0, the serial number"),
-    ("HandMoveA", "[place, speed]: 0 to 30 mm, 1 to 100 percent"),
-    ("HandMoveR", "[way, speed]: in mm and within 0 to 30 mm, 1 to 100 percent"),
-    ("HandMoveH", "[force, close]: 6 to 20 N, BOOL or a number"),
-];
-
-const DRIVE: &str = "pairs or [pairs, option]: pairs are \"@E (axis, value), ...\" or [[axis, value], ...], with axes \
-                     1 to 6, and 7 and 8 where the arm has them; option as for Robot_Move";
-
-/// What the other functions take, without their handle.
+/// The arguments that functions accept, without their handle; those of commands are in the tables of commands.
 const FUNCTIONS: &[(FunctionId, &str)] = &[
     (
         FunctionId::ROBOT_MOVE,
@@ -104,7 +71,7 @@ const FILE_NAME: &str =
 
 type Tell = dyn Fn(HResult, &str) + Send + Sync;
 
-/// Is told the code and the text of each refusal of an argument.
+/// Receives the code and the reason of each refused argument.
 #[derive(Clone, Default)]
 pub struct Observer(Option<Arc<Tell>>);
 
@@ -122,16 +89,16 @@ impl fmt::Debug for Observer {
     }
 }
 
-/// The texts of the last refusals, by their codes.
+/// The reasons of the last refusals, by their codes.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Refusals {
     last: BTreeMap<u32, String>,
 }
 
 impl Refusals {
-    /// Notes that a request was refused, if it was for its arguments. `accepted` says what it takes, where that depends
-    /// on more than its function and its command.
-    pub(crate) fn note(
+    /// Records the reason of a refusal, if the code is one of refused arguments. `accepted` names the accepted arguments
+    /// where they depend on more than the function.
+    pub(crate) fn record(
         &mut self,
         request: &Request<'_>,
         accepted: Option<&'static str>,
@@ -148,17 +115,17 @@ impl Refusals {
         self.last.insert(code.to_u32(), text);
     }
 
-    /// Returns the text of the last refusal with this code.
+    /// Returns the reason of the last refusal with this code.
     pub(crate) fn last(&self, code: HResult) -> Option<&str> {
         self.last.get(&code.to_u32()).map(String::as_str)
     }
 }
 
-/// Says what a call was given, and what it takes.
+/// Describes the arguments that a call had, and those that it accepts.
 fn explain(request: &Request<'_>, accepted: Option<&'static str>) -> String {
     let mut text = request.function.to_string();
-    let command = match (request.function.name(), request.value(1)) {
-        (Some(name), Variant::Bstr(command)) if name.ends_with("Execute") => Some(beginning(command.chars())),
+    let command = match (executes(request.function), request.value(1)) {
+        (true, Variant::Bstr(command)) => Some(beginning(command.chars())),
         _ => None,
     };
     if let Some(command) = &command {
@@ -172,19 +139,13 @@ fn explain(request: &Request<'_>, accepted: Option<&'static str>) -> String {
         text.push_str(if n > first { "; " } else { "" });
         show(&mut text, &request.value(n), 0);
     }
-    let accepted = accepted.or_else(|| match &command {
-        Some(command) => find(COMMANDS, |name| name.eq_ignore_ascii_case(command.trim())),
-        None => find(FUNCTIONS, |function| *function == request.function),
-    });
+    let of_function = || FUNCTIONS.iter().find(|(function, _)| *function == request.function).map(|(_, text)| *text);
+    let accepted = if command.is_some() { accepted } else { accepted.or_else(of_function) };
     if let Some(accepted) = accepted {
         text.push_str("; accepted ");
         text.push_str(accepted);
     }
     text
-}
-
-fn find<K>(table: &'static [(K, &'static str)], is_it: impl Fn(&K) -> bool) -> Option<&'static str> {
-    table.iter().find(|(key, _)| is_it(key)).map(|(_, text)| *text)
 }
 
 /// Returns the beginning of a string.
@@ -197,7 +158,7 @@ fn beginning(mut characters: impl Iterator<Item = Result<char, u16>>) -> String 
     text
 }
 
-/// Shows a value, of which long parts are cut.
+/// Shows a value; cuts long parts.
 fn show(text: &mut String, value: &Variant<'_>, depth: usize) {
     match value.flatten() {
         Variant::Bstr(string) => {

@@ -1,22 +1,22 @@
-//! The hand: an electric gripper whose fingers take their time.
+//! The hand: an electric gripper whose fingers move with a limited speed.
 //!
-//! | Extension_Execute of `Hand0` | Controller_Execute, COBOTTA  | what it does                                      |
-//! |------------------------------|------------------------------|---------------------------------------------------|
-//! | Chuck                        | HandMoveH \[force, true\]    | closes; answers when the fingers stand            |
-//! | UnChuck                      | HandMoveH \[force, false\]   | opens; likewise                                   |
-//! | -                            | HandMoveA \[place, speed\]   | goes to a place, 0 to 30 mm                       |
-//! | -                            | HandMoveR \[way, speed\]     | goes so many mm on, with a negative way to close  |
-//! | -                            | HandStop                     | stops; who waits gets `E_ABORT`; `S_FALSE` at rest |
-//! | CurPos                       | HandCurPos                   | R8, mm between the fingers                        |
-//! | -                            | HandCurLoad                  | R8, percent: always 0, they have nothing to grip  |
+//! | Extension_Execute of `Hand0` | Controller_Execute, COBOTTA  | what it does                                       |
+//! |------------------------------|------------------------------|----------------------------------------------------|
+//! | Chuck                        | HandMoveH \[force, true\]    | closes; answers when the fingers are at rest       |
+//! | UnChuck                      | HandMoveH \[force, false\]   | opens; likewise                                    |
+//! | -                            | HandMoveA \[place, speed\]   | moves to a place, 0 to 30 mm                       |
+//! | -                            | HandMoveR \[way, speed\]     | moves by so many mm; a negative way closes         |
+//! | -                            | HandStop                     | stops; waiting calls get `E_ABORT`; `S_FALSE` at rest |
+//! | CurPos                       | HandCurPos                   | R8, mm between the fingers                         |
+//! | -                            | HandCurLoad                  | R8, percent: always 0, there is nothing to grip    |
 //!
-//! Robot_Chuck and Robot_Unchuck close and open as well; they know no options. Speeds are 1 to 100 percent of
-//! [`SPEED`], a force is 6 to 20 N and closes and opens at a quarter of that speed. The parameter of Chuck and UnChuck,
-//! the number of a way to grip, is not looked at.
+//! Robot_Chuck and Robot_Unchuck close and open as well; they have no options. Speeds are 1 to 100 percent of
+//! [`SPEED`]. A force is 6 to 20 N; HandMoveH moves at a quarter of [`SPEED`]. The parameter of Chuck and UnChuck, the
+//! number of a way to grip, is ignored.
 //!
-//! To move the hand needs Auto mode, the executable token and no error; while it moves, another motion of it is refused
-//! with `E_ROBOTISBUSY`. An error stops it where it is, as does its client when it goes. Numbers out of range are
-//! `E_INVALIDARG`. It has no part in slave mode, in which its commands are refused as others are.
+//! To move the hand needs Auto mode, the executable token and no error. While it moves, another motion of it is refused
+//! with `E_ROBOTISBUSY`. An error stops it at once, as does the end of the client that moves it. Numbers out of range
+//! are `E_INVALIDARG`. In Slave Mode its commands are refused like others.
 
 use std::time::Duration;
 
@@ -25,25 +25,32 @@ use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
 
-use crate::config::Profile;
-use crate::controller::{Controller, Wait};
-use crate::dispatch::{Answer, Answered};
+use crate::answer::{Answer, Answered};
+use crate::context::Context;
+use crate::table::Command;
 use crate::value::{Value, numbers};
+use crate::waits::{Wait, Waits};
 
 /// The name of the extension.
 pub(crate) const NAME: &str = "Hand0";
 
-/// How far the fingers open, in mm.
+/// The largest distance between the fingers, in mm.
 pub const STROKE: f64 = 30.0;
 
 /// The full speed of the fingers, in mm per second.
 pub const SPEED: f64 = 80.0;
 
-/// The forces that HandMoveH takes, in N.
+/// The forces that HandMoveH accepts, in N.
 const FORCES: std::ops::RangeInclusive<f64> = 6.0..=20.0;
 
-/// The commands of the controller that only a COBOTTA has.
-pub(crate) const COMMANDS: [&str; 6] = ["HandMoveA", "HandMoveR", "HandMoveH", "HandStop", "HandCurPos", "HandCurLoad"];
+type Run = fn(&mut Hand, &mut Context<'_>) -> Answered;
+
+/// The commands of Extension_Execute.
+pub(crate) const COMMANDS: &[Command<Run>] = &[
+    Command::new("Chuck", Hand::close),
+    Command::new("UnChuck", Hand::open),
+    Command::new("CurPos", |hand, ctx| Ok(Value::R8(hand.position(ctx.now)).into())),
+];
 
 /// The fingers.
 #[derive(Clone, Copy, Debug)]
@@ -51,117 +58,103 @@ pub(crate) struct Hand {
     from: f64,
     to: f64,
     began: Instant,
-    /// When they arrive.
+    /// When the fingers arrive.
     end: Instant,
-    /// Who has moved them last.
+    /// The client that moved the fingers last.
     peer: PeerId,
 }
 
 impl Hand {
-    /// Closed, at rest.
+    /// Makes a closed hand at rest.
     pub(crate) const fn new() -> Self {
         Self { from: 0.0, to: 0.0, began: Instant::ZERO, end: Instant::ZERO, peer: PeerId(0) }
     }
 
+    /// Returns the distance between the fingers, in mm.
     pub(crate) fn position(&self, now: Instant) -> f64 {
         let time = self.end.saturating_since(self.began).as_secs_f64();
         let passed = now.saturating_since(self.began).as_secs_f64();
         if passed < time { self.from + (self.to - self.from) * passed / time } else { self.to }
     }
 
-    /// Returns when it will stand; `None` when it does.
+    /// Returns when the fingers arrive; `None` at rest.
     pub(crate) fn end(&self, now: Instant) -> Option<Instant> {
         (now < self.end).then_some(self.end)
     }
 
-    fn start(&mut self, peer: PeerId, to: f64, percent: f64, now: Instant) {
-        let from = self.position(now);
-        let micros = (to - from).abs() / (SPEED * percent / 100.0) * 1e6;
-        let end = now.saturating_add(Duration::from_micros(micros.ceil() as u64));
-        *self = Self { from, to, began: now, end, peer };
-    }
-
-    /// Stands at once; `false` when it stood already.
-    fn stop(&mut self, now: Instant) -> bool {
-        let moving = now < self.end;
-        let here = self.position(now);
-        (self.from, self.to, self.end) = (here, here, now);
-        moving
-    }
-}
-
-impl Controller {
-    /// Returns how far the fingers of the hand were open when time was last heard of, in mm.
-    #[must_use]
-    pub fn hand_position(&self) -> f64 {
-        self.hand.position(self.now)
-    }
-
-    /// Executes a command of the extension.
-    pub(crate) fn hand_execute(&mut self, peer: PeerId, command: &str) -> Answered {
-        match command.trim().to_ascii_lowercase().as_str() {
-            "chuck" => self.move_hand(peer, 0.0, 100.0),
-            "unchuck" => self.move_hand(peer, STROKE, 100.0),
-            "curpos" => Ok(Value::R8(self.hand_position()).into()),
-            _ => Err(HResult::E_INVALID_CMD_NAME),
+    /// Ends the calls that wait for a hand at rest.
+    pub(crate) fn advance(&self, now: Instant, waits: &mut Waits) {
+        if self.end(now).is_none() {
+            waits.end(Wait::Hand, HResult::S_OK);
         }
     }
 
-    /// Executes a command that a COBOTTA's controller has for its hand; `None` for another one.
-    pub(crate) fn hand_command(&mut self, peer: PeerId, command: &str, param: &Variant<'_>) -> Option<Answered> {
-        let command = COMMANDS.iter().find(|name| name.eq_ignore_ascii_case(command))?;
-        if self.config().profile != Profile::Cobotta {
-            return None;
-        }
-        let pair = || match numbers(param)?[..] {
-            [first, second] => Ok((first, second)),
-            _ => Err(HResult::E_INVALIDARG),
-        };
-        Some(match *command {
-            "HandMoveA" => pair().and_then(|(place, percent)| self.move_hand(peer, place, percent)),
-            "HandMoveR" => pair().and_then(|(way, percent)| self.move_hand(peer, self.hand_position() + way, percent)),
-            "HandMoveH" => pair().and_then(|(force, closes)| match FORCES.contains(&force) {
-                true => self.move_hand(peer, if closes != 0.0 { 0.0 } else { STROKE }, 25.0),
-                false => Err(HResult::E_INVALIDARG),
-            }),
-            "HandStop" => Ok(match self.stop_hand(HResult::E_ABORT) {
-                true => Value::Empty.into(),
-                false => Answer::Code(HResult::S_FALSE),
-            }),
-            "HandCurPos" => Ok(Value::R8(self.hand_position()).into()),
-            _ => Ok(Value::R8(0.0).into()),
-        })
+    pub(crate) fn close(&mut self, ctx: &mut Context<'_>) -> Answered {
+        self.move_to(ctx, 0.0, 100.0)
     }
 
-    /// Moves the fingers, and waits until they stand.
-    pub(crate) fn move_hand(&mut self, peer: PeerId, to: f64, percent: f64) -> Answered {
+    pub(crate) fn open(&mut self, ctx: &mut Context<'_>) -> Answered {
+        self.move_to(ctx, STROKE, 100.0)
+    }
+
+    /// Executes HandMoveA, `[place, speed]`.
+    pub(crate) fn move_absolute(&mut self, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+        let (place, percent) = pair(param)?;
+        self.move_to(ctx, place, percent)
+    }
+
+    /// Executes HandMoveR, `[way, speed]`.
+    pub(crate) fn move_relative(&mut self, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+        let (way, percent) = pair(param)?;
+        self.move_to(ctx, self.position(ctx.now) + way, percent)
+    }
+
+    /// Executes HandMoveH, `[force, close]`.
+    pub(crate) fn grip(&mut self, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+        let (force, closes) = pair(param)?;
+        if !FORCES.contains(&force) {
+            return Err(HResult::E_INVALIDARG);
+        }
+        self.move_to(ctx, if closes != 0.0 { 0.0 } else { STROKE }, 25.0)
+    }
+
+    fn move_to(&mut self, ctx: &mut Context<'_>, to: f64, percent: f64) -> Answered {
         if !(0.0..=STROKE).contains(&to) || !(1.0..=100.0).contains(&percent) {
             return Err(HResult::E_INVALIDARG);
         }
-        self.may_execute(peer)?;
-        if self.hand.end(self.now).is_some() {
+        ctx.may_execute()?;
+        if self.end(ctx.now).is_some() {
             return Err(HResult::E_ROBOTISBUSY);
         }
-        self.hand.start(peer, to, percent, self.now);
-        self.waits.insert(peer, Wait::Hand);
-        // where they are already they arrive at once
-        self.advance(self.now);
-        self.resume_execute(peer)
+        let from = self.position(ctx.now);
+        let micros = (to - from).abs() / (SPEED * percent / 100.0) * 1e6;
+        let end = ctx.now.saturating_add(Duration::from_micros(micros.ceil() as u64));
+        *self = Self { from, to, began: ctx.now, end, peer: ctx.peer };
+        Ok(Answer::Until(Wait::Hand))
     }
 
-    /// Stops the fingers; who waits for them gets `code`.
-    pub(crate) fn stop_hand(&mut self, code: HResult) -> bool {
-        let stopped = self.hand.stop(self.now);
-        if stopped {
-            self.end_waits(|wait| wait == Wait::Hand, code);
+    /// Stops the fingers; returns whether they were moving. Calls that wait for them end with `code`.
+    pub(crate) fn stop(&mut self, code: HResult, now: Instant, waits: &mut Waits) -> bool {
+        let moving = now < self.end;
+        let here = self.position(now);
+        (self.from, self.to, self.end) = (here, here, now);
+        if moving {
+            waits.end(Wait::Hand, code);
         }
-        stopped
+        moving
     }
 
     /// Stops the fingers if this client moves them.
-    pub(crate) fn forget_hand(&mut self, peer: PeerId) {
-        if self.hand.peer == peer {
-            self.stop_hand(HResult::E_ABORT);
+    pub(crate) fn forget(&mut self, peer: PeerId, now: Instant, waits: &mut Waits) {
+        if self.peer == peer {
+            self.stop(HResult::E_ABORT, now, waits);
         }
+    }
+}
+
+fn pair(param: &Variant<'_>) -> Result<(f64, f64), HResult> {
+    match numbers(param)?[..] {
+        [first, second] => Ok((first, second)),
+        _ => Err(HResult::E_INVALIDARG),
     }
 }

@@ -1,4 +1,4 @@
-//! The arm: where its flange is for given joints, and which joints bring it there.
+//! The kinematics of the arm: the frame of the flange for given joints, and the joints for a given frame.
 //!
 //! A vertical arm of six axes with a spherical wrist. All dimensions are in mm; all joints 0 stretches it straight up.
 //!
@@ -15,20 +15,22 @@
 //!   flange = Rz(J1) Ry(J2 + J3) Rz(J4) Ry(J5) Rz(J6),   position through the same chain
 //! ```
 //!
-//! The lengths are those of a small arm of this maker's size, chosen so that the pair of pose and joints in the
-//! guide's slvMove example comes out: joints (0, 45, 90, 0, 45, 0) are the pose (364.16, 0, 278.5355, 180, 0, 180,
+//! The lengths are those of a small arm of this maker, chosen to match the pair of pose and joints in the guide's
+//! slvMove example: joints (0, 45, 90, 0, 45, 0) are the pose (364.16, 0, 278.5355, 180, 0, 180,
 //! Fig 5). That example fixes a2 + d4 - a3 and d1 - d6 + (a2 - d4 - a3) / √2, not each length. Ranges and speeds of
-//! the joints are this model's own. Tools and work coordinates are not modelled: poses are of the flange, seen from
-//! the base.
+//! the joints are decisions of this model. Tools and work coordinates are not modelled: poses are of the flange,
+//! relative to the base.
 //!
 //! Fig is a sum of: 1 the shoulder reaches forward (LEFTY), 2 the elbow is below (BELOW), 4 the wrist is not flipped
 //! (NONFLIP: J5 >= 0), 8 J4 is beyond ±180 (DOUBLE4), 16 J6 is beyond ±180 (DOUBLE6). That NONFLIP, ABOVE and LEFTY
-//! make 5 is seen in the guide; the bits 8 and 16 are as the maker's manuals name them, in the order read off there.
+//! make 5 is shown in the guide; the bits 8 and 16 have the names and the order of the maker's manuals.
+
+use bcap_core::hresult::HResult;
 
 /// J1 to J6, in degrees.
 pub type Joints = [f64; 6];
 
-/// J1 to J8; an axis that the arm does not have is 0.
+/// J1 to J8; an axis that the arm lacks is 0.
 pub(crate) type Axes = [f64; 8];
 
 /// Base to shoulder.
@@ -49,7 +51,7 @@ pub const RANGES: [(f64, f64); 6] =
 /// The largest speeds of J1 to J6, in degrees per second.
 pub const SPEEDS: Joints = [375.0, 330.0, 405.0, 450.0, 450.0, 720.0];
 
-/// The range of an extended axis (J7, J8), in degrees or mm to either side.
+/// The range of an extended axis (J7, J8) to either side, in degrees or mm.
 pub const EXTENDED_RANGE: f64 = 1000.0;
 
 /// The largest speed of an extended axis (J7, J8), in degrees or mm per second.
@@ -67,7 +69,7 @@ pub(crate) const AXIS_SPEEDS: Axes = {
     [j1, j2, j3, j4, j5, j6, EXTENDED_SPEED, EXTENDED_SPEED]
 };
 
-/// Below this a sine counts as zero: two wrist axes in line, or the wrist centre over J1.
+/// A sine below this counts as zero: two wrist axes are in line, or the wrist centre is over J1.
 const SINGULAR: f64 = 1e-9;
 
 const LEFTY: u8 = 1;
@@ -79,7 +81,7 @@ const DOUBLE6: u8 = 16;
 /// A 3x3 rotation, by rows.
 type Matrix = [[f64; 3]; 3];
 
-/// Where the flange is and how it is turned.
+/// The position and orientation of the flange.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Frame {
     /// In mm.
@@ -87,9 +89,16 @@ pub(crate) struct Frame {
     rotation: Matrix,
 }
 
-/// Why no joints reach a pose: the axis, 1 to 8, that would have to leave its range.
+/// A pose out of reach: the axis, 1 to 8, that would leave its range.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct OutOfReach(pub(crate) u8);
+
+impl OutOfReach {
+    /// Returns the error of the controller.
+    pub(crate) fn code(self) -> HResult {
+        HResult::from_u32(0x8320_4070 + u32::from(self.0))
+    }
+}
 
 impl Frame {
     /// Makes a frame from X Y Z in mm and RX RY RZ in degrees: turned about the fixed axes x, then y, then z.
@@ -103,7 +112,7 @@ impl Frame {
         let r = &self.rotation;
         let cos_y = r[0][0].hypot(r[1][0]);
         let ry = (-r[2][0]).atan2(cos_y);
-        // with ry at ±90 only the sum of the other two is defined; RZ takes none of it
+        // with RY at ±90 only the sum of the other two is defined; RZ is 0
         let (rx, rz) = if cos_y < SINGULAR {
             ((-r[1][2]).atan2(r[1][1]), 0.0)
         } else {
@@ -115,7 +124,7 @@ impl Frame {
 
     /// Makes a frame from a T: position, orient vector (y of the flange), approach vector (z of the flange).
     ///
-    /// `None` when the vectors do not span a plane.
+    /// `None` if the vectors do not span a plane.
     pub(crate) fn from_trans(t: [f64; 9]) -> Option<Self> {
         let [x, y, z, ox, oy, oz, ax, ay, az] = t;
         let approach = unit([ax, ay, az])?;
@@ -137,7 +146,7 @@ impl Frame {
         (dot(delta, delta).sqrt(), axis_angle(&multiply(&transpose(&self.rotation), &other.rotation)).1.to_degrees())
     }
 
-    /// Returns the frame a part of the way, 0 to 1, to another: on a straight line, turning about one axis.
+    /// Interpolates to another frame on a straight line, turning about one axis; `part` is 0 to 1.
     pub(crate) fn towards(&self, other: &Self, part: f64) -> Self {
         let (axis, angle) = axis_angle(&multiply(&transpose(&self.rotation), &other.rotation));
         Self {
@@ -147,7 +156,7 @@ impl Frame {
     }
 }
 
-/// Returns where the joints bring the flange.
+/// Returns the frame of the flange for these joints.
 pub(crate) fn forward(joints: &Joints) -> Frame {
     let [j1, j2, j3, j4, j5, j6] = *joints;
     let forearm = multiply(&rz_matrix(j1), &ry_matrix(j2 + j3));
@@ -165,7 +174,7 @@ pub(crate) fn forward(joints: &Joints) -> Frame {
 pub(crate) fn figure(joints: &Joints) -> u8 {
     let [_, j2, j3, j4, j5, j6] = *joints;
     let bend = elbow_bend(j3);
-    // the wrist centre's distance from the axis of J1, negative behind it
+    // the distance of the wrist centre from the axis of J1, negative behind it
     let reach = A2 * j2.to_radians().sin() + forearm_length() * (j2.to_radians() + bend).sin();
     let lefty = reach >= -SINGULAR;
     let below = if lefty { bend < 0.0 } else { bend > 0.0 };
@@ -177,9 +186,9 @@ pub(crate) fn figure(joints: &Joints) -> u8 {
         | bit(j6.abs() > 180.0, DOUBLE6)
 }
 
-/// Returns the joints that bring the flange to a frame in the posture `fig`.
+/// Returns the joints for a frame of the flange in the posture `fig`.
 ///
-/// Where the wrist or the wrist centre's place leaves a joint undefined, it stays as in `near`.
+/// At a singularity, an undefined joint keeps its value of `near`.
 pub(crate) fn inverse(frame: &Frame, fig: u8, near: &Joints) -> Result<Joints, OutOfReach> {
     let r = &frame.rotation;
     let centre = [0, 1, 2].map(|i| frame.position[i] - D6 * r[i][2]);
@@ -208,7 +217,7 @@ pub(crate) fn inverse(frame: &Frame, fig: u8, near: &Joints) -> Result<Joints, O
     }
 }
 
-/// Returns the joints that reach a frame with the least turning from `near`, whatever the posture.
+/// Returns the joints for a frame of the flange with the least turning from `near`, in any posture.
 pub(crate) fn inverse_nearest(frame: &Frame, near: &Joints) -> Result<Joints, OutOfReach> {
     let mut best: Result<(f64, Joints), OutOfReach> = Err(OutOfReach(3));
     for fig in 0..32 {
@@ -226,21 +235,21 @@ pub(crate) fn inverse_nearest(frame: &Frame, near: &Joints) -> Result<Joints, Ou
     best.map(|(_, joints)| joints)
 }
 
-/// Returns the first axis whose place is NaN or outside its range; joints alone are the first six.
+/// Returns the first axis whose value is NaN or outside its range. The slice has J1 to J6, or all axes.
 pub(crate) fn out_of_range(axes: &[f64]) -> Option<u8> {
-    // a pose that was computed on the very end of a range may lie beyond it by rounding
+    // a pose computed at the end of a range may be beyond it through rounding
     const SLACK: f64 = 1e-6;
     let outside = |(place, (low, high)): (&f64, &(f64, f64))| !(*low - SLACK..=*high + SLACK).contains(place);
     axes.iter().zip(&AXIS_RANGES).position(outside).and_then(|n| u8::try_from(n + 1).ok())
 }
 
-/// Returns J1 to J6 of all axes.
+/// Returns J1 to J6.
 pub(crate) fn six(axes: &Axes) -> Joints {
     let [j1, j2, j3, j4, j5, j6, ..] = *axes;
     [j1, j2, j3, j4, j5, j6]
 }
 
-/// Returns the axes whose first six are these joints; J7 and J8 are those of `rest`.
+/// Returns these joints with J7 and J8 of `rest`.
 pub(crate) fn with_joints(joints: &Joints, rest: &Axes) -> Axes {
     let ([j1, j2, j3, j4, j5, j6], [.., j7, j8]) = (*joints, *rest);
     [j1, j2, j3, j4, j5, j6, j7, j8]
@@ -257,7 +266,7 @@ fn base_angle(centre: [f64; 3], lefty: bool, near: f64) -> f64 {
 fn arm_angles(reach: f64, height: f64, bend_positive: bool) -> Result<(f64, f64), OutOfReach> {
     let length = forearm_length();
     let cosine = (reach * reach + height * height - A2 * A2 - length * length) / (2.0 * A2 * length);
-    // the elbow can stretch or fold no further
+    // the elbow cannot stretch or fold further
     if !(-1.0 - SINGULAR..=1.0 + SINGULAR).contains(&cosine) {
         return Err(OutOfReach(3));
     }
@@ -271,7 +280,7 @@ fn arm_angles(reach: f64, height: f64, bend_positive: bool) -> Result<(f64, f64)
 fn wrist_angles(r: &Matrix, nonflip: bool, near_j4: f64) -> [f64; 3] {
     let sine = r[0][2].hypot(r[1][2]);
     if sine < SINGULAR {
-        // J4 and J6 turn about one line: J4 stays, J6 takes the rest
+        // J4 and J6 turn about one line: J4 stays, J6 turns by the rest
         let (j5, sum) = if r[2][2] > 0.0 {
             (0.0, r[1][0].atan2(r[0][0]))
         } else {
@@ -364,6 +373,32 @@ fn about(axis: [f64; 3], angle: f64) -> Matrix {
         [t * x * y + s * z, t * y * y + c, t * y * z - s * x],
         [t * x * z - s * y, t * y * z + s * x, t * z * z + c],
     ]
+}
+
+/// Returns X Y Z RX RY RZ Fig of joints.
+pub(crate) fn position(joints: &Joints) -> Vec<f64> {
+    pose_numbers(&forward(joints), figure(joints))
+}
+
+/// Returns X Y Z RX RY RZ Fig.
+pub(crate) fn pose_numbers(frame: &Frame, fig: u8) -> Vec<f64> {
+    let mut numbers = frame.to_xyz_rpy().to_vec();
+    numbers.push(f64::from(fig));
+    numbers
+}
+
+/// Returns position, orient vector, approach vector and Fig of joints.
+pub(crate) fn trans(joints: &Joints) -> Vec<f64> {
+    let mut numbers = forward(joints).to_trans().to_vec();
+    numbers.push(f64::from(figure(joints)));
+    numbers
+}
+
+/// Returns J1 to J8 of six joints; axes 7 and 8 are 0.
+pub(crate) fn angle(joints: &Joints) -> Vec<f64> {
+    let mut numbers = joints.to_vec();
+    numbers.resize(8, 0.0);
+    numbers
 }
 
 #[cfg(test)]

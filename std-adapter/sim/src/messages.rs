@@ -1,9 +1,9 @@
-//! Messages: what the controller tells without being asked, for a client to fetch.
+//! Messages: what the controller sends without a request, for a client to fetch.
 //!
 //! Each error of the controller is a message to every client that is connected then. Controller_GetMessage opens the
-//! oldest one that this client has not fetched, and answers `S_FALSE` without a handle when there is none. A client
-//! that has connected with `@EventDisable=true` gets none. The latest 64 are kept for each; older ones are lost, which
-//! the serial numbers show.
+//! oldest message that this client has not fetched, and answers `S_FALSE` without a handle if it has fetched all. A client
+//! that has connected with `@EventDisable=true` gets no messages. The controller keeps the latest 64 for each client; a
+//! gap in the serial numbers shows that older ones are lost.
 //!
 //! | function                      | answer                                                      |
 //! |-------------------------------|-------------------------------------------------------------|
@@ -13,25 +13,23 @@
 //! | Message_GetDateTime           | DATE, when it occurred                                      |
 //! | Message_GetSerialNumber       | I4, from 1, for each client                                 |
 //! | Message_GetSource, -Destination | BSTR, `@TYPE` of the controller; empty                    |
-//! | Message_Reply, Message_Clear  | `S_FALSE`: no message asks for a reply; `S_OK`, it is done with |
+//! | Message_Reply, Message_Clear  | `S_FALSE`: no message asks for a reply; `S_OK`              |
 //!
-//! What a real controller sends is in no public source; that errors are among it is what the maker's own tools show.
+//! No public source says which messages a real controller sends. The maker's own tools show that errors are among them.
 
 use std::collections::{BTreeMap, VecDeque};
 
-use bcap_core::bcap::server::Request;
-use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::bcap::FunctionId;
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 
-use crate::controller::Controller;
-use crate::dispatch::{Answer, Answered};
+use crate::answer::{Answer, Answered};
+use crate::config::Config;
 use crate::errors::description;
-use crate::objects::{Contents, Item};
 use crate::value::Value;
 
-/// How many messages wait for one client.
+/// The largest number of messages that the controller keeps for a client.
 const WAITING: usize = 64;
 
 /// A message.
@@ -42,19 +40,31 @@ pub(crate) struct Message {
     serial: i32,
 }
 
-/// The messages that clients have not fetched.
+/// The messages that the clients have not fetched.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Messages {
     waiting: BTreeMap<PeerId, VecDeque<Message>>,
-    /// The serial of each client's last message.
+    /// The serial number of each client's last message.
     serials: BTreeMap<PeerId, i32>,
 }
 
 impl Messages {
-    /// Begins to keep messages for a client that wants them, unless it does already.
+    /// Starts to keep messages for a client that wants them.
     pub(crate) fn connect(&mut self, peer: PeerId, wanted: bool) {
         if wanted {
             self.waiting.entry(peer).or_default();
+        }
+    }
+
+    /// Returns the oldest message that a client has not fetched.
+    pub(crate) fn oldest(&self, peer: PeerId) -> Option<Message> {
+        self.waiting.get(&peer)?.front().copied()
+    }
+
+    /// Drops the oldest message of a client, which has fetched it.
+    pub(crate) fn fetched(&mut self, peer: PeerId) {
+        if let Some(waiting) = self.waiting.get_mut(&peer) {
+            waiting.pop_front();
         }
     }
 
@@ -75,28 +85,15 @@ impl Messages {
     }
 }
 
-impl Controller {
-    /// Opens the oldest message that a client has not fetched.
-    pub(crate) fn open_message(&mut self, peer: PeerId) -> Answered {
-        let Some(message) = self.messages.waiting.get(&peer).and_then(|waiting| waiting.front().copied()) else {
-            return Ok(Answer::Code(HResult::S_FALSE));
-        };
-        let opened = self.open_with(peer, Item::Message, String::new(), Contents::Message(message))?;
-        if let Some(waiting) = self.messages.waiting.get_mut(&peer) {
-            waiting.pop_front();
-        }
-        Ok(opened)
-    }
-
-    pub(crate) fn message_call(&self, peer: PeerId, request: &Request<'_>) -> Answered {
-        let entry = self.objects.get(peer, request.handle(), Object::Message)?;
-        let Contents::Message(message) = &entry.contents else { return Err(HResult::E_HANDLE) };
-        Ok(match request.function {
-            FunctionId::MESSAGE_GET_NUMBER | FunctionId::MESSAGE_GET_VALUE => Value::I4(message.code.0).into(),
-            FunctionId::MESSAGE_GET_DESCRIPTION => Value::Text(description(message.code)).into(),
-            FunctionId::MESSAGE_GET_DATE_TIME => Value::Date(self.date(message.at)?).into(),
-            FunctionId::MESSAGE_GET_SERIAL_NUMBER => Value::I4(message.serial).into(),
-            FunctionId::MESSAGE_GET_SOURCE => Value::from(self.config().profile.type_name()).into(),
+impl Message {
+    /// Executes a function of the message object.
+    pub(crate) fn call(&self, config: &Config, function: FunctionId) -> Answered {
+        Ok(match function {
+            FunctionId::MESSAGE_GET_NUMBER | FunctionId::MESSAGE_GET_VALUE => Value::I4(self.code.0).into(),
+            FunctionId::MESSAGE_GET_DESCRIPTION => Value::Text(description(self.code)).into(),
+            FunctionId::MESSAGE_GET_DATE_TIME => Value::Date(config.date(self.at)?).into(),
+            FunctionId::MESSAGE_GET_SERIAL_NUMBER => Value::I4(self.serial).into(),
+            FunctionId::MESSAGE_GET_SOURCE => Value::from(config.profile.type_name()).into(),
             FunctionId::MESSAGE_GET_DESTINATION => Value::from("").into(),
             FunctionId::MESSAGE_REPLY => Answer::Code(HResult::S_FALSE),
             FunctionId::MESSAGE_CLEAR => Answer::Done,

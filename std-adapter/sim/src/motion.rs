@@ -1,9 +1,9 @@
-//! A motion: a path of the axes, and how far along it the robot is at a time.
+//! A motion: a path of the axes, and the position on it at a time.
 //!
 //! ```text
 //!  speed along      ____________            a path runs from 0 to 1, through knots of axes;
-//!  the path        /            \           speed and acceleration are those at which the slowest
-//!                 /              \          axis (on a line: or the flange) keeps its limit
+//!  the path        /            \           speed and acceleration are the highest at which each axis
+//!                 /              \          (on a line, also the flange) keeps its limit
 //!              __/                \__> t
 //! ```
 //!
@@ -25,28 +25,28 @@ pub const TURN_SPEED: f64 = 360.0;
 /// The time in which a motion at full acceleration reaches its full speed, in seconds.
 pub const ACCELERATION_TIME: f64 = 0.2;
 
-/// Parts that a line is planned in.
+/// The number of parts in which a line is planned.
 const LINE_PARTS: usize = 100;
 
-/// A joint that turns more than this, in degrees, in one part of a line has met a singularity.
+/// The largest turn of a joint in one part of a line, in degrees; a larger one means a singularity.
 const LARGEST_STEP: f64 = 30.0;
 
-/// Places of the axes to pass through at an even pace.
+/// Positions of the axes, which a motion passes evenly.
 #[derive(Clone, Debug)]
 pub(crate) struct Path {
     /// At least two.
     knots: Vec<Axes>,
-    /// The speed that no limit allows to be higher, in paths per second.
+    /// The highest speed within all limits, in paths per second.
     full_speed: f64,
 }
 
 impl Path {
-    /// Plans a motion in which every axis moves at its own even pace.
+    /// Plans a motion in which every axis moves evenly.
     pub(crate) fn axes(from: Axes, to: Axes) -> Self {
         Self { full_speed: axis_limit(&from, &to, 1.0), knots: vec![from, to] }
     }
 
-    /// Plans a motion of the flange on a straight line, on which J7 and J8 move evenly to those of `end`.
+    /// Plans a motion of the flange on a straight line, while J7 and J8 move evenly to those of `end`.
     pub(crate) fn line(start: Axes, from: &Frame, to: &Frame, end: &Axes) -> Result<Self, OutOfReach> {
         let (distance, angle) = from.distance(to);
         let mut full_speed = (LINE_SPEED / distance).min(TURN_SPEED / angle);
@@ -66,20 +66,20 @@ impl Path {
         Ok(Self { knots, full_speed })
     }
 
-    /// Plans the way on which axes at these speeds come to rest, all together, none beyond its acceleration.
+    /// Plans the path on which axes at these speeds come to rest together, within their limits of acceleration.
     ///
-    /// `None` when they stand. An axis that would leave its range on the way stops at its end, so it brakes harder.
+    /// `None` for axes at rest. An axis that would leave its range stops at the end of the range, so it brakes harder.
     pub(crate) fn braking(from: Axes, speeds: &Axes, limits: &Axes) -> Option<Self> {
         let seconds = speeds.iter().zip(limits).map(|(speed, limit)| speed.abs() / limit).fold(0.0, f64::max);
         let to = [0, 1, 2, 3, 4, 5, 6, 7].map(|i| {
             let (low, high) = AXIS_RANGES[i];
-            // an axis may stand a rounding beyond its range
+            // through rounding, an axis may be slightly beyond its range
             (from[i] + speeds[i] * seconds / 2.0).clamp(low.min(from[i]), high.max(from[i]))
         });
         (seconds > 1e-6).then(|| Self { knots: vec![from, to], full_speed: 2.0 / seconds })
     }
 
-    /// Returns where the axes are at its end.
+    /// Returns the position of the axes at its end.
     pub(crate) fn end(&self) -> Axes {
         self.knots.last().copied().unwrap_or_default()
     }
@@ -92,7 +92,7 @@ impl Path {
     }
 }
 
-/// Returns the axes a part of the way, 0 to 1, from one place to another.
+/// Interpolates between two positions of the axes; `part` is 0 to 1.
 fn between(a: &Axes, b: &Axes, part: f64) -> Axes {
     [0, 1, 2, 3, 4, 5, 6, 7].map(|i| a[i] + (b[i] - a[i]) * part)
 }
@@ -122,10 +122,10 @@ struct Ramp {
 }
 
 impl Ramp {
-    /// Plans from a place and a speed to rest at 1.
+    /// Plans a motion from a place and a speed to rest at 1.
     fn run(begin: Instant, place: f64, speed: f64, top: f64, accel: f64, decel: f64) -> Self {
         let distance = (1.0 - place).max(0.0);
-        // the speed at which accelerating has to turn into braking, were there no top
+        // the speed at which acceleration ends and braking begins, without regard to `top`
         let peak = ((2.0 * accel * decel * distance + decel * speed * speed) / (accel + decel)).sqrt();
         let cruise = peak.min(top).max(speed);
         let speeding = (cruise - speed) / accel;
@@ -142,7 +142,7 @@ impl Ramp {
 
     fn end(&self) -> Instant {
         let seconds: f64 = self.spans.iter().map(|(seconds, _)| seconds).sum();
-        // rounded up, so that at the end nothing is left
+        // rounded up, so that the motion is complete at its end
         self.begin.saturating_add(Duration::from_micros((seconds * 1e6).ceil() as u64))
     }
 
@@ -160,22 +160,22 @@ impl Ramp {
     }
 }
 
-/// What a motion is doing.
+/// The stage of a motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Stage {
     Running,
-    /// Braking for Hold, or standing until Unhold.
+    /// Braking for Hold, or at rest until Unhold.
     Holding,
     /// Braking for Halt.
     Halting,
 }
 
-/// A motion under way.
+/// A motion.
 #[derive(Clone, Debug)]
 pub(crate) struct Motion {
-    /// Its number, never given twice.
+    /// Its number, which no other motion has.
     pub(crate) id: u64,
-    /// Who commanded it.
+    /// The client that commanded it.
     pub(crate) peer: PeerId,
     path: Path,
     rates: Rates,
@@ -183,7 +183,7 @@ pub(crate) struct Motion {
     stage: Stage,
 }
 
-/// How a motion has ended by itself.
+/// How a motion has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Ended {
     Arrived,
@@ -192,7 +192,7 @@ pub(crate) enum Ended {
 
 impl Motion {
     pub(crate) fn start(id: u64, peer: PeerId, path: Path, rates: Rates, now: Instant) -> Self {
-        // a path without length is at its end
+        // the end of a path without length
         let place = if path.full_speed.is_finite() { 0.0 } else { 1.0 };
         let mut motion = Self {
             id,
@@ -206,10 +206,10 @@ impl Motion {
         motion
     }
 
-    /// Begins at the full speed of a [braking](Path::braking) path, and comes to rest at its end.
+    /// Starts at the full speed of a [braking](Path::braking) path, and comes to rest at its end.
     pub(crate) fn braking(id: u64, peer: PeerId, path: Path, now: Instant) -> Self {
         let speed = path.full_speed;
-        // the way is 1, so that speed² = 2 decel
+        // the path has length 1, so speed² = 2 decel
         let ramp = Ramp::brake(now, 0.0, speed, speed * speed / 2.0);
         let rates = Rates { speed: 1.0, accel: 1.0, decel: 1.0 };
         Self { id, peer, path, rates, ramp, stage: Stage::Halting }
@@ -223,7 +223,7 @@ impl Motion {
         self.path.end()
     }
 
-    /// Returns when it will stand; `None` while it is held.
+    /// Returns when it will end; `None` while it is held.
     pub(crate) fn end(&self) -> Option<Instant> {
         (self.stage != Stage::Holding).then(|| self.ramp.end())
     }
@@ -242,12 +242,12 @@ impl Motion {
         }
     }
 
-    /// Tells whether it brakes for good.
+    /// Tells whether it brakes to its end.
     pub(crate) fn is_halting(&self) -> bool {
         self.stage == Stage::Halting
     }
 
-    /// Brakes until [`unhold`](Self::unhold); `false` when it is braking already.
+    /// Brakes until [`unhold`](Self::unhold); `false` if it is braking already.
     pub(crate) fn hold(&mut self, now: Instant) -> bool {
         let running = self.stage == Stage::Running;
         if running {
@@ -256,7 +256,7 @@ impl Motion {
         running
     }
 
-    /// Goes on; `false` when it is not held.
+    /// Continues; `false` if it is not held.
     pub(crate) fn unhold(&mut self, now: Instant) -> bool {
         let held = self.stage == Stage::Holding;
         if held {
@@ -278,7 +278,7 @@ impl Motion {
 
     fn brake(&mut self, now: Instant, stage: Stage) {
         let (place, speed) = self.ramp.at(now);
-        // as hard as it can, whatever deceleration the motion was to have
+        // at full deceleration, whatever the deceleration of the motion
         let decel = self.path.full_speed / ACCELERATION_TIME;
         self.stage = stage;
         if decel.is_finite() {
@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn the_way_grows_and_never_faster_than_the_limit() {
+    fn the_axis_moves_forward_and_within_its_limit() {
         let motion = turn_of_j1(150.0, FULL);
         let places: Vec<f64> = (0..600).map(|n| motion.axes(Instant::from_millis(n))[0]).collect();
         for pair in places.windows(2) {
@@ -333,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn halt_brakes_and_hold_goes_on() {
+    fn halt_brakes_and_unhold_continues() {
         let mut motion = turn_of_j1(150.0, FULL);
         let at = Instant::from_millis(300);
         let before = motion.axes(at)[0];
@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn no_way_takes_no_time() {
+    fn a_path_without_length_takes_no_time() {
         let mut motion = turn_of_j1(0.0, FULL);
         assert_eq!(motion.ended(Instant::ZERO), Some(Ended::Arrived));
         motion.hold(Instant::ZERO);

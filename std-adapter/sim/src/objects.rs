@@ -1,61 +1,68 @@
-//! The objects behind the handles.
+//! The objects that clients have opened, and the functions that all objects have.
 //!
-//! A handle is a positive I4 that belongs to the client that got it; with another client's handle, or one that has been
-//! released, a call is refused with `E_HANDLE`. Numbers count up from 2, as in the guide's frames, and start over when
-//! nothing is open; none is given twice at the same time.
+//! A handle is a positive I4 that belongs to the client that opened the object. A call with the handle of another client
+//! or of a released object is refused with `E_HANDLE`. Handles count up from 2, as in the guide's frames, and start over
+//! when no object is open. Two open objects never have the same handle.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use bcap_core::bcap::Object;
+use bcap_core::bcap::server::Request;
+use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
+use bcap_core::variant::Variant;
 
-use crate::commands::Command;
+use crate::answer::{Answer, Answered};
+use crate::commands::CommandObject;
 use crate::messages::Message;
-use crate::system::Owner;
-use crate::variables::Family;
+use crate::value::{Value, keep, one_int};
+use crate::variables::{Family, Variables};
+
+/// The longest name of an object, in bytes.
+const NAME_MAX: usize = 1024;
 
 const FIRST: i32 = 2;
 
-/// What a variable's handle stands for.
+/// The object that a system variable belongs to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Owner {
+    Controller,
+    Robot,
+    /// The task at this place of the list.
+    Task(usize),
+}
+
+/// The variable of a handle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Target {
     /// A user variable.
     User(Family, u32),
     /// All user variables of a family; PutID chooses one.
     Wildcard(Family, Option<u32>),
-    /// A system variable, by its name.
-    System(Owner, &'static str),
+    /// A system variable, by its place in the table of its owner.
+    System(Owner, usize),
 }
 
-/// What a handle stands for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// The object of a handle.
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Item {
     Controller,
     Robot,
-    /// The task's place in the list.
+    /// The task at this place of the list.
     Task(usize),
     Variable(Target),
     /// A file or a folder; its name from the root is the entry's name.
     File,
     /// The hand.
     Extension,
-    /// A command, whose name is the entry's.
-    Command,
-    Message,
-}
-
-/// What an object keeps of its own.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Contents {
-    Nothing,
-    Command(Command),
+    /// A command; its name is the entry's name.
+    Command(CommandObject),
     Message(Message),
 }
 
 impl Item {
-    const fn object(self) -> Object {
+    const fn object(&self) -> Object {
         match self {
             Self::Controller => Object::Controller,
             Self::Robot => Object::Robot,
@@ -63,8 +70,8 @@ impl Item {
             Self::Variable(_) => Object::Variable,
             Self::File => Object::File,
             Self::Extension => Object::Extension,
-            Self::Command => Object::Command,
-            Self::Message => Object::Message,
+            Self::Command(_) => Object::Command,
+            Self::Message(_) => Object::Message,
         }
     }
 }
@@ -75,19 +82,111 @@ pub(crate) struct Entry {
     pub(crate) peer: PeerId,
     pub(crate) item: Item,
     pub(crate) name: String,
-    pub(crate) contents: Contents,
-    /// What PutTag has set, encoded.
-    pub(crate) tag: Option<Vec<u8>>,
-    /// What PutID has set, encoded; the index of a variable is in its [`Target`].
-    pub(crate) id: Option<Vec<u8>>,
-    /// When a variable was last read or written through this handle; before that, when it was opened.
+    /// The value of PutTag, encoded.
+    tag: Option<Vec<u8>>,
+    /// The value of PutID, encoded; the index of a variable is in its [`Target`].
+    id: Option<Vec<u8>>,
+    /// When a variable was opened, or last read or written through this handle.
     pub(crate) stamp: Instant,
+}
+
+impl Entry {
+    pub(crate) const fn new(peer: PeerId, item: Item, name: String, now: Instant) -> Self {
+        Self { peer, item, name, tag: None, id: None, stamp: now }
+    }
+
+    /// Executes a function that all objects have; `None` for another function.
+    pub(crate) fn common(&mut self, request: &Request<'_>, variables: &Variables) -> Option<Answered> {
+        Some(match CommonFunction::of(request.function)? {
+            CommonFunction::GetName => Ok(Value::from(self.name.as_str()).into()),
+            CommonFunction::GetHelp => Ok(Value::Text(self.help()).into()),
+            CommonFunction::GetAttribute => Ok(Value::I4(0).into()),
+            CommonFunction::GetTag => Ok(self.tag.clone().map_or(Value::Empty, Value::Kept).into()),
+            CommonFunction::PutTag => keep(&request.value(1)).map(|tag| {
+                self.tag = Some(tag);
+                Answer::Done
+            }),
+            CommonFunction::GetId => Ok(self.id().into()),
+            CommonFunction::PutId => self.put_id(&request.value(1), variables).map(|()| Answer::Done),
+        })
+    }
+
+    fn id(&self) -> Value {
+        match self.item {
+            Item::Variable(Target::User(_, n) | Target::Wildcard(_, Some(n))) => Value::I4(n.cast_signed()),
+            _ => self.id.clone().map_or(Value::Empty, Value::Kept),
+        }
+    }
+
+    /// Chooses the variable of a wildcard; other objects keep the ID.
+    fn put_id(&mut self, id: &Variant<'_>, variables: &Variables) -> Result<(), HResult> {
+        match self.item {
+            Item::Variable(Target::Wildcard(family, _)) => {
+                let index = u32::try_from(one_int(id)?).map_err(|_| HResult::DISP_E_BADINDEX)?;
+                variables.check(family, index)?;
+                self.item = Item::Variable(Target::Wildcard(family, Some(index)));
+            }
+            // the index is part of the name
+            Item::Variable(Target::User(..)) => return Err(HResult::E_CAO_NOT_WRITABLE),
+            _ => self.id = Some(keep(id)?),
+        }
+        Ok(())
+    }
+
+    fn help(&self) -> String {
+        match self.item {
+            Item::Controller => "A virtual robot controller.".to_owned(),
+            Item::Robot => "A virtual arm of six axes.".to_owned(),
+            Item::Task(_) => "A virtual task: a loop of fixed time.".to_owned(),
+            Item::Variable(Target::System(..)) => format!("The system variable {}.", self.name),
+            Item::Variable(_) => format!("The user variable {}.", self.name),
+            Item::File => format!("The file {}.", self.name),
+            Item::Extension => "A virtual electric hand.".to_owned(),
+            Item::Command(_) => format!("The command {} of the controller.", self.name),
+            Item::Message(_) => "An error of the controller.".to_owned(),
+        }
+    }
+}
+
+/// A function that all kinds of objects have, except messages.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum CommonFunction {
+    GetAttribute,
+    GetHelp,
+    GetName,
+    GetTag,
+    PutTag,
+    GetId,
+    PutId,
+}
+
+impl CommonFunction {
+    /// In the order of their numbers, which are consecutive for each kind of object.
+    const ALL: [Self; 7] =
+        [Self::GetAttribute, Self::GetHelp, Self::GetName, Self::GetTag, Self::PutTag, Self::GetId, Self::PutId];
+
+    const FIRST: [FunctionId; 7] = [
+        FunctionId::CONTROLLER_GET_ATTRIBUTE,
+        FunctionId::EXTENSION_GET_ATTRIBUTE,
+        FunctionId::FILE_GET_ATTRIBUTE,
+        FunctionId::ROBOT_GET_ATTRIBUTE,
+        FunctionId::TASK_GET_ATTRIBUTE,
+        FunctionId::VARIABLE_GET_ATTRIBUTE,
+        FunctionId::COMMAND_GET_ATTRIBUTE,
+    ];
+
+    fn of(function: FunctionId) -> Option<Self> {
+        let place = |first: &FunctionId| usize::try_from(function.0.checked_sub(first.0)?).ok();
+        let found = Self::FIRST.iter().find_map(|first| Self::ALL.get(place(first)?).copied());
+        // the attributes of a file are those of the file system
+        found.filter(|_| function != FunctionId::FILE_GET_ATTRIBUTE)
+    }
 }
 
 /// All open objects.
 ///
-/// Every operation takes logarithmic time in the number of open objects, so that one client's objects do not slow the
-/// calls of the others.
+/// Every operation takes logarithmic time in the number of open objects, so that the objects of one client do not slow
+/// the calls of the others.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Objects {
     open: BTreeMap<i32, Entry>,
@@ -101,8 +200,11 @@ impl Objects {
     ///
     /// # Errors
     ///
-    /// `E_MAX_OBJECT` when the client has `limit` objects already.
+    /// `E_ARGSIZEOVER` for a name that is too long, `E_MAX_OBJECT` if the client has `limit` objects already.
     pub(crate) fn open(&mut self, entry: Entry, limit: usize) -> Result<i32, HResult> {
+        if entry.name.len() > NAME_MAX {
+            return Err(HResult::E_ARGSIZEOVER);
+        }
         if self.by_peer.get(&entry.peer).map_or(0, BTreeSet::len) >= limit {
             return Err(HResult::E_MAX_OBJECT);
         }
@@ -135,7 +237,7 @@ impl Objects {
         Ok(())
     }
 
-    /// Gives a file that was moved its new name.
+    /// Renames a file that was moved.
     pub(crate) fn rename(&mut self, peer: PeerId, handle: i32, name: String) -> Result<(), HResult> {
         self.get_mut(peer, handle, Object::File)?.name = name;
         Ok(())
@@ -157,8 +259,8 @@ impl Objects {
             return FIRST;
         }
         let mut handle = self.last;
-        // ends, because far fewer than 2^31 can be open; constant on average, because an open object is passed over once
-        // in a round of 2^31 handles
+        // ends, because far fewer than 2^31 objects can be open; constant on average, because each open object is skipped
+        // once in 2^31 handles
         loop {
             handle = handle.checked_add(1).unwrap_or(FIRST);
             if !self.open.contains_key(&handle) {
@@ -172,21 +274,26 @@ impl Objects {
 mod tests {
     use super::*;
 
-    fn entry(peer: u32) -> Entry {
-        let name = String::new();
-        Entry {
-            peer: PeerId(peer),
-            item: Item::Robot,
-            name,
-            contents: Contents::Nothing,
-            tag: None,
-            id: None,
-            stamp: Instant::ZERO,
+    #[test]
+    fn the_common_functions_of_all_objects_are_found() {
+        for function in FunctionId::all() {
+            let name = function.name().unwrap_or_default();
+            let object = function.signature().map_or("", |signature| signature.object.name());
+            let found = CommonFunction::of(function).map(|common| format!("{object}{common:?}").to_lowercase());
+            let suffix = name.strip_prefix(object).unwrap_or_default();
+            let is_common = ["GetAttribute", "GetHelp", "GetName", "GetTag", "PutTag", "GetID", "PutID"]
+                .contains(&suffix)
+                && function != FunctionId::FILE_GET_ATTRIBUTE;
+            assert_eq!(found, is_common.then(|| name.to_lowercase()), "{name}");
         }
     }
 
+    fn entry(peer: u32) -> Entry {
+        Entry::new(PeerId(peer), Item::Robot, String::new(), Instant::ZERO)
+    }
+
     #[test]
-    fn handles_are_never_given_twice_at_the_same_time() {
+    fn open_objects_never_share_a_handle() {
         let mut objects = Objects::default();
         assert_eq!(objects.open(entry(1), 9), Ok(2));
         assert_eq!(objects.open(entry(1), 9), Ok(3));

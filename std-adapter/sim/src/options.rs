@@ -1,9 +1,9 @@
-//! Option strings: `KEY=VALUE, KEY` between commas, whatever the case of the keys; and the pass of a motion.
+//! Option strings, `KEY=VALUE, KEY`, whose keys ignore case; and the pass of a motion.
 
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
 
-/// Iterates over the options, as key and value; commas inside brackets belong to the value.
+/// Iterates over the keys and values; a comma inside brackets belongs to the value.
 pub(crate) fn options(text: &str) -> impl Iterator<Item = (&str, Option<&str>)> {
     let mut depth = 0_i32;
     let parts = text.split(move |c| {
@@ -20,12 +20,12 @@ pub(crate) fn options(text: &str) -> impl Iterator<Item = (&str, Option<&str>)> 
     })
 }
 
-/// Returns the value of an option; the first one wins.
+/// Returns the value of an option; of several, that of the first.
 pub(crate) fn option<'t>(text: &'t str, key: &str) -> Option<&'t str> {
     options(text).find(|(k, _)| k.eq_ignore_ascii_case(key)).and_then(|(_, value)| value)
 }
 
-/// Takes the pass from the beginning of a text, if there is one, and returns the rest.
+/// Checks and removes the pass at the beginning of a text, if it has one.
 pub(crate) fn split_pass(text: &str) -> Result<&str, HResult> {
     let text = text.trim();
     if !text.starts_with('@') {

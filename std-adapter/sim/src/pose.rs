@@ -1,4 +1,4 @@
-//! Poses as motion commands carry them.
+//! Poses in the forms that motion commands accept.
 //!
 //! | form                               | example                                                      |
 //! |------------------------------------|--------------------------------------------------------------|
@@ -9,11 +9,11 @@
 //! | array of 7, 8 or 10 numbers        | P, J or T by their count                                     |
 //!
 //! Types are 0 P, 1 T, 2 J. The pass (`@P` -1, `@E` -2, `@0`, `@n`) is checked and has no effect: every motion of this
-//! model ends exactly at its pose. As text it may stand before the type, where a public sample program has it.
+//! model ends exactly at its pose. As text the pass may also stand before the type, as in a public sample program:
+//! `[[...], "@E", "P"]`. If a P has no Fig or a negative one, the arm takes the nearest posture.
 //!
-//! A P may be without its Fig, or have a negative one: the nearest posture is taken. Extended joints may follow the pose:
-//! `"P1 EX((7, 30.5))"`, or `[1, [7, 30.5]]` as the fourth element. With 1 or EX the values count from where the axis is,
-//! with 2 or EXA from its zero.
+//! Extended joints may follow the pose: `"P1 EX((7, 30.5))"`, or `[1, [7, 30.5]]` as the fourth element. With 1 or EX
+//! the values are relative to the position of the axis, with 2 or EXA to its zero.
 
 use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind as Kind;
@@ -25,11 +25,11 @@ use crate::options::{check_pass_item, split_pass};
 use crate::value::{number, numbers, numbers_of_text, whole};
 use crate::variables::{Family, Variables, parse_name};
 
-/// Where to move.
+/// The target of a motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Pose {
     Joints(Joints),
-    /// A frame of the flange, and the Fig; without one the nearest posture.
+    /// A frame of the flange, and the Fig; `None` for the nearest posture.
     Frame(Frame, Option<u8>),
 }
 
@@ -44,7 +44,7 @@ impl Pose {
                 Ok(Self::Frame(Frame::from_xyz_rpy([*x, *y, *z, *rx, *ry, *rz]), figure(fig)?))
             }
             (Kind::J, [j1, j2, j3, j4, j5, j6, more @ ..]) if more.len() <= 2 => {
-                // there are no axes 7 and 8 to move
+                // J7 and J8 move by EX and EXA only
                 if more.iter().any(|n| *n != 0.0) {
                     return Err(HResult::E_INVALIDARG);
                 }
@@ -107,7 +107,7 @@ impl Pose {
         Self::new(kind_of_letter(letter)?, &numbers_of_text(list)?)
     }
 
-    /// Reads `[numbers or index, type, pass]`; a fourth element is not looked at.
+    /// Reads `[numbers or index, type, pass]`, or the pass before the type; ignores a fourth element.
     fn parse_items(array: Array<'_>, vars: &Variables) -> Result<Self, HResult> {
         let item = |n| array.get(n).unwrap_or(Variant::Empty).flatten();
         let has_pass = |item: &Variant<'_>| matches!(item, Variant::Bstr(text) if text.to_string().starts_with('@'));
@@ -146,7 +146,7 @@ impl Pose {
         }
     }
 
-    /// Returns the joints that bring the arm there.
+    /// Returns the joints of the pose, for a frame those nearest to `near`.
     pub(crate) fn joints(&self, near: &Joints) -> Result<Joints, OutOfReach> {
         match self {
             Self::Joints(joints) => match out_of_range(joints) {
@@ -159,7 +159,7 @@ impl Pose {
     }
 }
 
-/// Reads what stands behind the coordinates: nothing, or a Fig of 0 to 31, or a negative one for any.
+/// Reads the rest after the coordinates: nothing, a Fig of 0 to 31, or a negative number for any.
 fn figure(rest: &[f64]) -> Result<Option<u8>, HResult> {
     match rest {
         [] => Ok(None),
@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_pose_is_refused() {
+    fn invalid_poses_are_refused() {
         for text in ["", "X1", "J", "@E", "@X J1", "I1", "J(1,2)", "J(0,45,90,0,45,0,1)", "P(1,2,3,4,5,6,32)", "V1"] {
             assert_eq!(parse(&text), Err(HResult::E_INVALIDARG), "{text}");
         }

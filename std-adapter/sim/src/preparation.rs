@@ -1,92 +1,114 @@
-//! What a COBOTTA needs before it moves; other models are always ready.
+//! The preparation that a COBOTTA needs before it moves, and the torque that the emergency stop of an RC9 or a COBOTTA
+//! removes.
 //!
 //! ```text
-//!   ManualResetPreparation ──► ClearError, ManualReset or MotionPreparation      one of them, then it is used up
-//!                              MotionPreparation ──► Motor, on                   until the next emergency stop
+//!   ManualResetPreparation --> one of ClearError, ManualReset, MotionPreparation    each needs a new one
+//!                              MotionPreparation --> Motor, on                      until the next emergency stop
 //! ```
 //!
 //! | command of the robot      | parameter | answer                                                            |
 //! |---------------------------|-----------|-------------------------------------------------------------------|
-//! | ManualResetPreparation    | -         | EMPTY; the controller has it as well                              |
+//! | ManualResetPreparation    | -         | EMPTY; also a command of the controller                           |
 //! | MotionPreparation         | -         | EMPTY; torque is back; `E_ACCESSDENIED` in emergency stop         |
 //! | GetMotionPreparationState | -         | BOOL                                                              |
-//! | AutoCal                   | -         | EMPTY; the bit of SysState is set, which is clear before          |
+//! | AutoCal                   | -         | EMPTY; sets the bit "calibrated" of SysState                      |
 //!
-//! Without the first, the three commands behind it answer `E_MANUAL_RESET_UNPREPARED`; without the second, the motor is
-//! refused with `E_MOTION_UNPREPARED`. MotionPreparation and AutoCal need what every motion needs, but for the arm and
-//! the motor. That order and those two codes are seen in public clients; how long a preparation lasts is this model's
-//! own. AutoCal takes no time and moves nothing: this arm always knows where it is.
+//! Without ManualResetPreparation, the three commands after it answer `E_MANUAL_RESET_UNPREPARED`. Without
+//! MotionPreparation, Motor answers `E_MOTION_UNPREPARED`. MotionPreparation and AutoCal need Auto mode, the executable
+//! token and no error. Public clients show this order and the two codes; how long a preparation lasts is a decision of
+//! this model. AutoCal takes no time and moves nothing.
+//!
+//! Other profiles do not know these commands and need no preparation.
 
-use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 
+use crate::answer::{Answer, Answered};
 use crate::config::Profile;
-use crate::controller::Controller;
-use crate::dispatch::Answered;
-use crate::value::Value;
+use crate::context::Context;
 
-/// How far the preparation has come.
+/// The steps of the preparation that are done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Preparation {
-    /// The next command that concerns safety may come.
+    /// The next command that concerns safety may be executed.
     manual_reset: bool,
     /// The motor may be switched on.
-    pub(crate) motion: bool,
-    pub(crate) calibrated: bool,
+    motion: bool,
+    calibrated: bool,
+    /// RC9, COBOTTA: torque is off since an emergency stop.
+    torque_off: bool,
 }
 
 impl Preparation {
     pub(crate) const fn new(profile: Profile) -> Self {
-        let ready = !profile.wants_preparation();
-        Self { manual_reset: ready, motion: ready, calibrated: ready }
-    }
-}
-
-impl Controller {
-    /// Executes a command of the preparation; `None` for another one, or when this model has none.
-    pub(crate) fn preparation_command(&mut self, peer: PeerId, command: &str) -> Option<Answered> {
-        if !self.config().profile.wants_preparation() {
-            return None;
-        }
-        Some(match command.to_ascii_lowercase().as_str() {
-            "manualresetpreparation" => {
-                self.preparation.manual_reset = true;
-                Ok(Value::Empty.into())
-            }
-            "motionpreparation" => self.prepare_motion(peer),
-            "getmotionpreparationstate" => Ok(Value::Bool(self.preparation.motion).into()),
-            "autocal" => self.may_execute(peer).map(|()| {
-                self.preparation.calibrated = true;
-                Value::Empty.into()
-            }),
-            _ => return None,
-        })
+        let ready = !profile.needs_preparation();
+        Self { manual_reset: ready, motion: ready, calibrated: ready, torque_off: false }
     }
 
-    fn prepare_motion(&mut self, peer: PeerId) -> Answered {
-        self.may_execute(peer)?;
-        if self.emergency_stopped() {
+    pub(crate) const fn is_calibrated(self) -> bool {
+        self.calibrated
+    }
+
+    /// Tells whether MotionPreparation is done.
+    pub(crate) const fn is_motion_ready(self) -> bool {
+        self.motion
+    }
+
+    pub(crate) const fn is_torque_off(self) -> bool {
+        self.torque_off
+    }
+
+    /// Records that the emergency stop was pressed.
+    pub(crate) const fn emergency_stop(&mut self, profile: Profile) {
+        self.torque_off = profile.has_safe_torque_off();
+        self.motion = !profile.needs_preparation();
+    }
+
+    /// Makes the motor ready to be switched on.
+    pub(crate) const fn complete(&mut self) {
+        (self.motion, self.torque_off) = (true, false);
+    }
+
+    /// Executes ManualResetPreparation.
+    pub(crate) const fn prepare_reset(&mut self) {
+        self.manual_reset = true;
+    }
+
+    /// Executes MotionPreparation.
+    pub(crate) fn prepare_motion(&mut self, ctx: &mut Context<'_>) -> Answered {
+        ctx.may_execute()?;
+        if ctx.panel.emergency_stop {
             return Err(HResult::E_ACCESSDENIED);
         }
-        self.use_manual_reset()?;
-        self.preparation.motion = true;
-        self.torque_off = false;
-        Ok(Value::Empty.into())
+        self.use_manual_reset(ctx)?;
+        self.complete();
+        Ok(Answer::Done)
     }
 
-    /// Checks that a command may come that concerns safety, and uses the preparation for it up.
-    pub(crate) fn use_manual_reset(&mut self) -> Result<(), HResult> {
-        if !self.config().profile.wants_preparation() {
+    /// Executes AutoCal.
+    pub(crate) fn calibrate(&mut self, ctx: &mut Context<'_>) -> Answered {
+        ctx.may_execute()?;
+        self.calibrated = true;
+        Ok(Answer::Done)
+    }
+
+    /// Executes ManualReset.
+    pub(crate) fn manual_reset(&mut self, ctx: &mut Context<'_>) -> Answered {
+        if ctx.panel.emergency_stop {
+            return Err(HResult::E_ACCESSDENIED);
+        }
+        self.use_manual_reset(ctx)?;
+        self.torque_off = false;
+        Ok(Answer::Done)
+    }
+
+    /// Checks that a command that concerns safety may be executed, and consumes its preparation.
+    pub(crate) fn use_manual_reset(&mut self, ctx: &mut Context<'_>) -> Result<(), HResult> {
+        if !ctx.config.profile.needs_preparation() {
             return Ok(());
         }
-        match std::mem::take(&mut self.preparation.manual_reset) {
+        match std::mem::take(&mut self.manual_reset) {
             true => Ok(()),
-            false => Err(self.refuse(HResult::E_MANUAL_RESET_UNPREPARED)),
+            false => Err(ctx.refuse(HResult::E_MANUAL_RESET_UNPREPARED)),
         }
-    }
-
-    /// Forgets that the motion was prepared.
-    pub(crate) fn unprepare(&mut self) {
-        self.preparation.motion = !self.config().profile.wants_preparation();
     }
 }

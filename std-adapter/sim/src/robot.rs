@@ -1,13 +1,18 @@
-//! The robot: its motor, its arm authority, its speeds, and where it is.
+//! The state of the robot: its motor, the arm authority, its speeds, and the motion or the Slave Mode that moves it.
 
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 
 use crate::config::Config;
-use crate::kinematics::{Axes, Frame, Joints, figure, forward, six, with_joints};
+use crate::context::Context;
+use crate::kinematics::{Axes, Joints, six, with_joints};
 use crate::motion::{Ended, Motion, Path, Rates};
-use crate::slave::Stream;
+use crate::stream::Stream;
+use crate::waits::{Wait, Waits};
+
+/// The highest number of a tool or of work coordinates.
+const LAST_COORDINATES: i32 = 63;
 
 /// The motor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,9 +32,9 @@ pub(crate) struct Percent {
 }
 
 impl Percent {
-    pub(crate) const FULL: Self = Self { speed: 100.0, accel: 100.0, decel: 100.0 };
+    const FULL: Self = Self { speed: 100.0, accel: 100.0, decel: 100.0 };
 
-    /// Sets a speed, with the accelerations that belong to it: its square.
+    /// Sets a speed, and accelerations that are its square.
     pub(crate) fn of_speed(speed: f32) -> Self {
         let accel = speed * speed / 100.0;
         Self { speed, accel, decel: accel }
@@ -45,22 +50,11 @@ impl Percent {
     }
 }
 
-/// The robot's state.
-#[derive(Clone, Debug)]
-pub(crate) struct Robot {
-    /// Where it stands while it does not move.
-    rest: Axes,
-    motion: Option<Motion>,
-    /// Slave mode; there is no motion while it is on.
-    pub(crate) slave: Option<Stream>,
-    last_motion: u64,
-    /// Where the last motion was to end.
-    destination: Axes,
-    pub(crate) servo: Servo,
-    /// Who has the arm authority, and of which arm group.
-    pub(crate) arm: Option<(PeerId, i32)>,
+/// What a client sets for the motions of the arm.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Settings {
     /// Internal speed of motions along lines.
-    pub(crate) hand: Percent,
+    pub(crate) line: Percent,
     /// Internal speed of motions of joints.
     pub(crate) joint: Percent,
     /// External speed.
@@ -69,52 +63,150 @@ pub(crate) struct Robot {
     pub(crate) work: i32,
 }
 
+/// The robot's state.
+#[derive(Clone, Debug)]
+pub(crate) struct Robot {
+    /// The position while the robot does not move.
+    rest: Axes,
+    motion: Option<Motion>,
+    /// Slave Mode. While it is on, `motion` is `None`.
+    stream: Option<Stream>,
+    last_motion: u64,
+    /// The end of the last motion.
+    destination: Axes,
+    servo: Servo,
+    /// The client that owns the arm, and the arm group.
+    owner: Option<(PeerId, i32)>,
+    settings: Settings,
+}
+
 impl Robot {
     pub(crate) fn new(config: &Config) -> Self {
         let home = with_joints(&config.home, &[0.0; 8]);
+        let internal = Percent { speed: config.speed, ..Percent::FULL };
         Self {
             rest: home,
             motion: None,
-            slave: None,
+            stream: None,
             last_motion: 0,
             destination: home,
             servo: Servo::Off,
-            arm: None,
-            hand: Percent { speed: config.speed, ..Percent::FULL },
-            joint: Percent { speed: config.speed, ..Percent::FULL },
-            external: Percent::of_speed(config.ext_speed),
-            tool: 0,
-            work: 0,
+            owner: None,
+            settings: Settings {
+                line: internal,
+                joint: internal,
+                external: Percent::of_speed(config.ext_speed),
+                tool: 0,
+                work: 0,
+            },
         }
     }
 
-    /// Lets it go on until `now`; returns the motion that has ended, and how.
-    pub(crate) fn advance(&mut self, now: Instant) -> Option<(u64, Ended)> {
+    /// Advances the motor and the motion to `now`, and ends the calls that wait for them.
+    pub(crate) fn advance(&mut self, now: Instant, waits: &mut Waits) {
         if let Servo::TurningOn(at) = self.servo
             && at <= now
         {
             self.servo = Servo::On;
         }
-        let (id, ended) = self.motion.as_ref().and_then(|m| Some((m.id, m.ended(now)?)))?;
-        let destination = self.destination;
-        self.freeze(now);
-        if ended == Ended::Arrived {
-            // exactly, without the rounding of the way
-            (self.rest, self.destination) = (destination, destination);
+        if let Some((id, ended)) = self.motion.as_ref().and_then(|motion| Some((motion.id, motion.ended(now)?))) {
+            let destination = self.destination;
+            self.freeze(now);
+            if ended == Ended::Arrived {
+                // exactly, without the rounding of the path
+                (self.rest, self.destination) = (destination, destination);
+            }
+            match ended {
+                Ended::Arrived => waits.end(Wait::Motion(id), HResult::S_OK),
+                Ended::Halted => end_motion(id, HResult::E_ABORT, waits),
+            }
         }
-        Some((id, ended))
+        if self.motor_is_on() {
+            waits.end(Wait::Servo, HResult::S_OK);
+        }
+        if !self.is_moving() {
+            waits.end(Wait::Rest, HResult::S_OK);
+        }
+    }
+
+    pub(crate) fn servo(&self) -> Servo {
+        self.servo
     }
 
     pub(crate) fn motor_is_on(&self) -> bool {
         self.servo == Servo::On
     }
 
-    pub(crate) fn motion(&self) -> Option<&Motion> {
-        self.motion.as_ref()
+    /// Starts to switch the motor on, if it is off.
+    pub(crate) fn turn_on(&mut self, at: Instant) {
+        if self.servo == Servo::Off {
+            self.servo = Servo::TurningOn(at);
+        }
     }
 
-    pub(crate) fn motion_mut(&mut self) -> Option<&mut Motion> {
-        self.motion.as_mut()
+    /// Switches the motor on at once.
+    pub(crate) fn force_on(&mut self) {
+        self.servo = Servo::On;
+    }
+
+    /// Switches the motor off. Calls that wait for it or for a motion end with `code`.
+    pub(crate) fn turn_off(&mut self, code: HResult, now: Instant, waits: &mut Waits) {
+        self.servo = Servo::Off;
+        self.stop(code, now, waits);
+        waits.end(Wait::Servo, code);
+    }
+
+    /// Returns the client that owns the arm.
+    pub(crate) fn owner(&self) -> Option<PeerId> {
+        self.owner.map(|(peer, _)| peer)
+    }
+
+    /// Returns the arm group that a client owns.
+    pub(crate) fn group_of(&self, peer: PeerId) -> Option<i32> {
+        self.owner.filter(|(owner, _)| *owner == peer).map(|(_, group)| group)
+    }
+
+    pub(crate) fn set_owner(&mut self, owner: Option<(PeerId, i32)>) {
+        self.owner = owner;
+    }
+
+    pub(crate) fn settings(&self) -> &Settings {
+        &self.settings
+    }
+
+    pub(crate) fn settings_mut(&mut self) -> &mut Settings {
+        &mut self.settings
+    }
+
+    /// Sets internal speeds, tool and work coordinates back, as TakeArm does.
+    pub(crate) fn reset_settings(&mut self) {
+        let external = self.settings.external;
+        self.settings = Settings { line: Percent::FULL, joint: Percent::FULL, external, tool: 0, work: 0 };
+    }
+
+    /// Tells whether a motion is running or held, or an axis moves in Slave Mode.
+    pub(crate) fn is_moving(&self) -> bool {
+        self.motion.is_some() || self.stream.as_ref().is_some_and(Stream::is_moving)
+    }
+
+    /// Tells whether a motion is running or held.
+    pub(crate) fn has_motion(&self) -> bool {
+        self.motion.is_some()
+    }
+
+    /// Tells whether the motion is this client's and continues to its target.
+    pub(crate) fn executes_motion_of(&self, peer: PeerId) -> bool {
+        self.motion.as_ref().is_some_and(|motion| motion.peer == peer && !motion.is_halting())
+    }
+
+    /// Returns the client whose motion or Slave Mode moves the robot.
+    pub(crate) fn mover(&self) -> Option<PeerId> {
+        self.stream.as_ref().map(|stream| stream.peer).or_else(|| self.motion.as_ref().map(|motion| motion.peer))
+    }
+
+    /// Returns when the motion will end; `None` without a motion, or while it is held.
+    pub(crate) fn motion_end(&self) -> Option<Instant> {
+        self.motion.as_ref().and_then(Motion::end)
     }
 
     pub(crate) fn joints(&self, now: Instant) -> Joints {
@@ -123,44 +215,87 @@ impl Robot {
 
     /// Returns J1 to J8.
     pub(crate) fn axes(&self, now: Instant) -> Axes {
-        match (&self.slave, &self.motion) {
-            (Some(slave), _) => slave.axes(now),
+        match (&self.stream, &self.motion) {
+            (Some(stream), _) => stream.axes(now),
             (None, Some(motion)) => motion.axes(now),
             (None, None) => self.rest,
         }
     }
 
-    /// Returns where the axes are commanded to.
+    /// Returns the commanded position of the axes.
     pub(crate) fn destination(&self) -> Axes {
-        self.slave.as_ref().map_or(self.destination, Stream::commanded)
+        self.stream.as_ref().map_or(self.destination, Stream::commanded)
     }
 
     /// Starts a motion and returns its number.
     pub(crate) fn start(&mut self, peer: PeerId, path: Path, internal: Percent, now: Instant) -> u64 {
         self.last_motion += 1;
-        let motion = Motion::start(self.last_motion, peer, path, internal.times(self.external), now);
+        let rates = internal.times(self.settings.external);
+        let motion = Motion::start(self.last_motion, peer, path, rates, now);
         self.destination = motion.destination();
         self.motion = Some(motion);
         self.last_motion
     }
 
-    /// Stands still at once, wherever it is; returns the number of the motion that this has ended.
-    pub(crate) fn freeze(&mut self, now: Instant) -> Option<u64> {
+    /// Brakes the motion to its end; returns whether there was one.
+    pub(crate) fn halt_motion(&mut self, now: Instant, waits: &mut Waits) -> bool {
+        let Some(motion) = &mut self.motion else { return false };
+        motion.halt(now);
+        // a held motion that is at rest ends now
+        self.advance(now, waits);
+        true
+    }
+
+    /// Brakes the motion until [`unhold`](Self::unhold); returns whether it was running.
+    pub(crate) fn hold(&mut self, now: Instant) -> bool {
+        self.motion.as_mut().is_some_and(|motion| motion.hold(now))
+    }
+
+    /// Continues a held motion; returns whether there was one.
+    pub(crate) fn unhold(&mut self, now: Instant) -> bool {
+        self.motion.as_mut().is_some_and(|motion| motion.unhold(now))
+    }
+
+    /// Stops motion and Slave Mode without braking. Calls that wait for them end with `code`.
+    pub(crate) fn stop(&mut self, code: HResult, now: Instant, waits: &mut Waits) {
+        self.leave(code, now, waits);
+        if let Some(id) = self.freeze(now) {
+            end_motion(id, code, waits);
+        }
+    }
+
+    /// Stops the motion without braking, and returns its number.
+    fn freeze(&mut self, now: Instant) -> Option<u64> {
         let motion = self.motion.take()?;
         self.rest = motion.axes(now);
         self.destination = self.rest;
         Some(motion.id)
     }
 
-    /// Ends slave mode at once, wherever the axes are.
-    pub(crate) fn stop_slave(&mut self, now: Instant) -> Option<Stream> {
-        let slave = self.slave.take()?;
-        self.rest = slave.axes(now);
-        self.destination = self.rest;
-        Some(slave)
+    pub(crate) fn stream(&self) -> Option<&Stream> {
+        self.stream.as_ref()
     }
 
-    /// Brakes from these speeds to rest, all axes together, as fast as these limits of acceleration allow.
+    pub(crate) fn stream_mut(&mut self) -> Option<&mut Stream> {
+        self.stream.as_mut()
+    }
+
+    /// Enters Slave Mode.
+    pub(crate) fn enter(&mut self, stream: Stream) {
+        self.stream = Some(stream);
+    }
+
+    /// Ends Slave Mode without braking. Calls that wait for it end with `code`.
+    pub(crate) fn leave(&mut self, code: HResult, now: Instant, waits: &mut Waits) -> Option<Stream> {
+        let stream = self.stream.take()?;
+        self.rest = stream.axes(now);
+        self.destination = self.rest;
+        waits.end(Wait::Stored, code);
+        waits.end(Wait::Left, code);
+        Some(stream)
+    }
+
+    /// Brakes all axes together from these speeds to rest, as hard as these limits of acceleration allow.
     pub(crate) fn brake(&mut self, peer: PeerId, speeds: &Axes, limits: &Axes, now: Instant) {
         let Some(path) = Path::braking(self.rest, speeds, limits) else { return };
         self.last_motion += 1;
@@ -168,36 +303,44 @@ impl Robot {
         self.destination = motion.destination();
         self.motion = Some(motion);
     }
+
+    /// Checks everything that a motion needs, in the order that the documentation of [`arm`](crate::arm) gives.
+    pub(crate) fn may_move(&self, ctx: &mut Context<'_>) -> Result<(), HResult> {
+        ctx.may_execute()?;
+        if self.owner() != Some(ctx.peer) {
+            return Err(ctx.refuse(HResult::E_ARM_NOT_TAKEN));
+        }
+        if !self.motor_is_on() {
+            return Err(ctx.refuse(HResult::E_MOTOR_OFF));
+        }
+        if self.is_moving() || self.stream.is_some() {
+            return Err(HResult::E_ROBOTISBUSY);
+        }
+        Ok(())
+    }
+
+    /// Checks that no other client owns the arm, and with it the internal speeds, the tool and the work coordinates.
+    pub(crate) fn may_set(&self, ctx: &mut Context<'_>) -> Result<(), HResult> {
+        match self.owner() {
+            Some(owner) if owner != ctx.peer => Err(ctx.refuse(HResult::E_ARM_NOT_TAKEN)),
+            _ => Ok(()),
+        }
+    }
 }
 
-/// Returns X Y Z RX RY RZ Fig of joints.
-pub(crate) fn position(joints: &Joints) -> Vec<f64> {
-    pose_numbers(&forward(joints), figure(joints))
-}
-
-/// Returns X Y Z RX RY RZ Fig.
-pub(crate) fn pose_numbers(frame: &Frame, fig: u8) -> Vec<f64> {
-    let mut numbers = frame.to_xyz_rpy().to_vec();
-    numbers.push(f64::from(fig));
-    numbers
-}
-
-/// Returns position, orient vector, approach vector and Fig of joints.
-pub(crate) fn trans(joints: &Joints) -> Vec<f64> {
-    let mut numbers = forward(joints).to_trans().to_vec();
-    numbers.push(f64::from(figure(joints)));
-    numbers
-}
-
-/// Returns J1 to J8 of joints alone: axes 7 and 8 are 0.
-pub(crate) fn angle(joints: &Joints) -> Vec<f64> {
-    let mut numbers = joints.to_vec();
-    numbers.resize(8, 0.0);
-    numbers
+/// Ends the calls that wait for a motion which does not arrive, and for the motion after it.
+fn end_motion(id: u64, code: HResult, waits: &mut Waits) {
+    waits.end(Wait::Motion(id), code);
+    waits.end(Wait::Turn, code);
 }
 
 /// Checks a speed or an acceleration in percent, 0.0001 to 100.
 pub(crate) fn percent(value: f64) -> Result<f32, HResult> {
-    // the lower bound keeps squares and products of these far from 0, which no motion could be planned with
+    // the lower bound keeps squares and products of these far from 0, with which no motion could be planned
     if (0.0001..=100.0).contains(&value) { Ok(value as f32) } else { Err(HResult::E_INVALIDARG) }
+}
+
+/// Checks the number of a tool or of work coordinates.
+pub(crate) fn coordinates(number: i32) -> Result<i32, HResult> {
+    if (0..=LAST_COORDINATES).contains(&number) { Ok(number) } else { Err(HResult::E_INVALIDARG) }
 }

@@ -1,7 +1,7 @@
-//! Scenarios: faults that happen by themselves, each time at the same places.
+//! Scenarios: faults that happen at given calls, cycles or times, the same in each run.
 //!
 //! ```toml
-//! seed = 7                                        # of everything that is left to chance; 0 unless given
+//! seed = 7                                        # of the random numbers; default 0
 //!
 //! [[fault]]
 //! when = { call = 3, of = "slvMove" }             # the third slvMove
@@ -12,75 +12,76 @@
 //! then = "drop"
 //!
 //! [[fault]]
-//! when = { cycle = 250 }                          # two seconds after slave mode was entered
+//! when = { cycle = 250 }                          # two seconds after Slave Mode was entered
 //! then = { error = "0x84204043" }
 //! ```
 //!
-//! | `when`            | it happens                                                                             |
+//! | `when`            | when the fault happens                                                                 |
 //! |-------------------|----------------------------------------------------------------------------------------|
 //! | `call = n`        | at the n-th call, from 1; with `to = m` at each up to the m-th                         |
 //! | `every = n`       | at every n-th call                                                                     |
 //! | `chance = p`      | at a call with the probability p, 0 to 1                                               |
-//! | `cycle = n`       | when the n-th cycle of slave mode begins, counted from entering it; once               |
+//! | `cycle = n`       | when the n-th cycle of Slave Mode begins, counted from entering it; once               |
 //! | `at_ms = t`       | at the time t of the controller's clock, in milliseconds; once                         |
 //!
-//! Calls are counted of all clients, each repetition that the link asks for as the one call it is. `of` counts those of
-//! one function (`"Robot_Move"`) or one command (`"slvMove"`) only.
+//! The calls of all clients count; a call that is sent again counts once. `of` counts only those of one function
+//! (`"Robot_Move"`) or one command (`"slvMove"`).
 //!
 //! | `then`                  | what happens                                                                     |
 //! |-------------------------|----------------------------------------------------------------------------------|
-//! | `{ refuse = code }`     | the call is not carried out, and answered with this code; only calls             |
-//! | `{ delay_ms = t }`      | the call is carried out, and answered that much later; only calls                |
+//! | `{ refuse = code }`     | the call is not executed, and answered with this code; only calls                |
+//! | `{ delay_ms = t }`      | the call is executed, and answered that much later; only calls                   |
 //! | `"drop"`                | the answer is lost on the wire; only calls                                       |
 //! | `"wrong_serial"`        | the answer has another serial; only calls                                        |
-//! | `"corrupt"`             | one bit of the answer is wrong, by chance any; only calls                        |
+//! | `"corrupt"`             | one random bit of the answer is wrong; only calls                                |
 //! | `"disconnect"`          | the connection is closed instead of the answer; only calls                       |
-//! | `{ error = code }`      | an error of the controller occurs; at a call, before it is carried out           |
+//! | `{ error = code }`      | an error of the controller occurs; at a call, before it is executed              |
 //! | `{ emergency_stop = b }`| the emergency stop is pressed (true) or released (false)                         |
-//! | `{ link_loss_ms = t }`  | for this time nothing arrives and nothing is answered; 0 is for good             |
+//! | `{ link_loss_ms = t }`  | for this time no call arrives and no answer is sent; 0 is without end            |
 //! | `{ mode = m }`          | the mode switch is turned: `"auto"`, `"manual"`, `"teach_check"`                 |
 //! | `{ token = t }`         | the executable token goes to `"any"`, the `"pendant"` or an `"other"` client     |
 //! | `{ motor = b }`         | the motor is switched on or off from outside                                     |
 //!
 //! A code is a name or a number: `"E_BUF_FULL"`, `"0x83201483"`. `bcap sim --scenario FILE` plays a file.
 //!
-//! # How the controller begins
+//! # Initial state
 //!
-//! The section `[controller]` says what the controller is like when the scenario begins; what it does not name stays as
-//! it is. So each thing that a motion needs can be missing:
+//! The section `[controller]` sets the state of the controller when the scenario begins; keys that it lacks change
+//! nothing. So each requirement of a motion can be missing:
 //!
 //! ```toml
 //! [controller]
 //! mode = "manual"             # auto, manual, teach_check
-//! token = "pendant"           # any; pendant: with the teach pendant; other: with a client that is not here
+//! token = "pendant"           # any; pendant: the teach pendant; other: a client that is not connected
 //! permission = "read_only"    # read_write
 //! emergency_stop = true       # pressed, which is an error that cannot be cleared
 //! errors = ["0x84201482"]     # present errors, the first cause first
-//! arm = "taken"               # free; taken: by a client that is not here, and never gives it back
-//! motor = false               # off; it cannot begin on with the emergency stop pressed or an error present
-//! licence = false             # of slave mode
-//! formats = ["mini_io"]       # of slave mode there are only these: mini_io, hand_io, user_io, current
+//! arm = "taken"               # free; taken: by a client that is not connected, for good
+//! motor = false               # off; true is refused with emergency_stop or errors
+//! licence = false             # of Slave Mode
+//! formats = ["mini_io"]       # of Slave Mode: any of mini_io, hand_io, user_io, current
 //! version = "1.2.0"           # @VERSION
 //! robot_type = "CVR038A1"     # @TYPE_NAME
 //! arm_name = "Arm0"           # the robot's name
 //! axes = 8                    # 6, 7 or 8: with J7 and J8
 //! servo_on_waits = false      # writing @SERVO_ON answers at once, and the motor comes on later
-//! slave_speed = { j1 = 500.0 }            # limits of slave mode for single axes, in degrees or mm per second,
+//! slave_speed = { j1 = 500.0 }            # limits of Slave Mode for single axes, in degrees or mm per second,
 //! slave_acceleration = { j2 = 10000.0 }   # and per second squared
 //! ```
 //!
-//! A service that refuses everybody is a fault of every call: `when = { every = 1, of = "Service_Start" }` with
+//! To refuse all clients, refuse each Service_Start: `when = { every = 1, of = "Service_Start" }` with
 //! `then = { refuse = "E_MAX_CONNECT" }`.
 //!
 //! # On the wire
 //!
-//! The controller has no wire. Whoever moves its replies asks
-//! [`Controller::deliver`](crate::Controller::deliver) about each one, with its bytes: it says whether they go out, and
-//! changes them where the scenario wants that. Without being asked, `"drop"`, `"wrong_serial"`, `"corrupt"` and
-//! `"disconnect"` have no effect; during a link loss calls are not carried out and not answered in any case.
+//! The controller has no wire. The server that sends its replies passes the bytes of each one to
+//! [`Controller::deliver`](crate::Controller::deliver), which applies the fault and says whether to send them. A server
+//! that does not do so never sees `"drop"`, `"wrong_serial"`, `"corrupt"` and `"disconnect"`. During a link loss, calls
+//! are neither executed nor answered in any case.
 
 mod file;
 mod run;
+mod section;
 mod setup;
 
 use std::time::Duration;
@@ -91,7 +92,7 @@ use serde::Deserialize;
 
 use crate::config::{Mode, Token};
 
-pub(crate) use run::{Fate, Running};
+pub(crate) use run::{Running, Step};
 pub use setup::Setup;
 
 /// A list of faults.
@@ -119,15 +120,15 @@ pub use setup::Setup;
 /// ```
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Scenario {
-    /// The seed of what is left to chance.
+    /// The seed of the random numbers.
     pub seed: u64,
-    /// What the controller is like at the beginning.
+    /// The initial state of the controller.
     pub controller: Setup,
-    /// The faults; of several that one call has met, all happen, in this order.
+    /// The faults. If a call meets several, all happen, in this order.
     pub faults: Vec<Fault>,
 }
 
-/// A fault: when it happens, and what does.
+/// A fault: its trigger and its effect.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fault {
     /// When.
@@ -141,93 +142,93 @@ pub struct Fault {
 pub enum Trigger {
     /// At calls.
     Call {
-        /// Which of those that are counted.
+        /// Which of the counted calls.
         which: Which,
-        /// The function or the command that is counted; `None` counts all.
+        /// The function or the command that counts; `None` counts all calls.
         of: Option<String>,
     },
-    /// When this cycle of slave mode begins, from 1.
+    /// When this cycle of Slave Mode begins, from 1.
     Cycle(u64),
     /// At this time.
     At(Instant),
 }
 
-/// At which calls a fault happens, counted from 1.
+/// The calls at which a fault happens, counted from 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Which {
-    /// From the first to the last of these.
+    /// From the first to the last.
     Range(u64, u64),
     /// Every n-th.
     Every(u64),
-    /// Any, with this probability.
+    /// Each, with this probability.
     Chance(f64),
 }
 
-/// What happens.
+/// The effect of a fault.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Effect {
-    /// The call is not carried out, and answered with this code.
+    /// The call is not executed, and answered with this code.
     Refuse(HResult),
-    /// The answer comes so much later.
+    /// The answer comes that much later.
     Delay(Duration),
-    /// The answer suffers on the wire.
+    /// The answer is damaged or lost on the wire.
     Wire(WireFault),
     /// An error of the controller.
     Error(HResult),
     /// The emergency stop is pressed or released.
     EmergencyStop(bool),
-    /// The link is lost for a time, or for good.
+    /// The link is lost for a time, or without end.
     LinkLoss(Option<Duration>),
     /// The mode switch is turned.
     Mode(Mode),
-    /// The executable token goes to somebody.
+    /// The executable token gets another holder.
     Token(Token),
     /// The motor is switched on or off.
     Motor(bool),
 }
 
-/// What happens to an answer on its way.
+/// What happens to an answer on the wire.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum WireFault {
     /// It is lost.
     Drop,
-    /// Its serial is another.
+    /// It has another serial.
     WrongSerial,
     /// One of its bits is wrong.
     Corrupt,
-    /// The connection is closed in its place.
+    /// The connection is closed instead.
     Disconnect,
 }
 
-/// What is to be done with the bytes of a reply.
+/// What to do with the bytes of a reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[must_use]
 pub enum Delivery {
-    /// They are to be sent.
+    /// Send them.
     Send,
-    /// They are not.
+    /// Do not send them.
     Drop,
-    /// They are not, and the connection is to be closed.
+    /// Do not send them, and close the connection.
     Disconnect,
 }
 
-/// Why a text is no scenario.
+/// The error of an invalid scenario.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ScenarioError {
-    /// It is not the TOML that is expected; the message says where.
+    /// Invalid TOML, or an unknown key; the message says where.
     #[error("{0}")]
     Toml(#[from] toml::de::Error),
-    /// The section of the controller does not make sense.
+    /// The section `[controller]` is invalid.
     #[error("controller: {0}")]
     Controller(&'static str),
-    /// A fault does not make sense.
+    /// A fault is invalid.
     #[error("fault {number}: {problem}")]
     Fault {
         /// Its number in the file, from 1.
         number: usize,
-        /// What is wrong, and what would be right.
+        /// What is wrong, and what is accepted.
         problem: &'static str,
     },
 }

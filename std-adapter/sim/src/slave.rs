@@ -1,12 +1,12 @@
-//! Slave mode: a pose each 8 ms, straight into the controller.
+//! Slave Mode: a pose each 8 ms, straight into the controller.
 //!
 //! ```text
-//!   off ── slvChangeMode n ──► on: a cycle each 8 ms takes a pose from the buffer, the axes move to it evenly and are
-//!    ▲                         │   there when the next cycle begins
-//!    ├── slvChangeMode 0 ──────┤   the buffer is emptied, the axes stand, then the answer
-//!    └── any error, Halt, the ─┘   at once; what is in the buffer is dropped
-//!        client goes, motor off,
-//!        not Auto any more
+//!   off -- slvChangeMode n --> on: a cycle each 8 ms takes a pose from the buffer; the axes move to it evenly and
+//!    ^                         |   arrive when the next cycle begins
+//!    +-- slvChangeMode 0 ------+   the buffer is emptied, the axes come to rest, then the call is answered
+//!    +-- any error, Halt, -----+   at once; buffered poses are dropped
+//!        the client disconnects,
+//!        motor off, mode not Auto
 //! ```
 //!
 //! | command       | parameter                           | answer          |
@@ -23,411 +23,301 @@
 //! | 1    | 1, newest | `S_OK`                                                            | holds the position  |
 //! | 2    | 3         | `S_OK`, as soon as it is stored                                   | 0x84201482          |
 //!
-//! An axis stands below 0.01 degrees per second; while all do, an empty buffer is no error in any mode. A pose that
-//! needs an axis n to exceed its limit is the error 0x8420405n (speed) or 0x8420404n (acceleration) of the cycle that
-//! takes it, speeds first; that includes the first pose, seen from where the robot stands, and a sudden stop: holding
-//! in mode 1, or leaving before the poses have slowed down. A pose out of reach is the error 0x8320407n at once.
+//! An axis is at rest below 0.01 degrees per second; while all axes are, an empty buffer is no error in any mode. A pose
+//! for which axis n would exceed its limit is the error 0x8420405n (speed) or 0x8420404n (acceleration) of the cycle that
+//! takes it; speeds are checked first. The check includes the first pose, relative to the robot's position, and a sudden
+//! stop: holding in mode 1, or leaving before the poses have slowed down. A pose out of reach is the error 0x8320407n at
+//! once.
 //!
-//! # Who may
+//! # Required state
 //!
-//! Entering needs, in this order: a mode of the table (`E_INVALIDARG`), the licence (`E_NO_LICENSE`), no slave mode
-//! (`E_SLVMODE_ON`), and what every motion needs (see [`arm`](crate::arm)). slvMove while slave mode is off answers
-//! `E_SLVMODE_OFF`, from another client `E_ARM_NOT_TAKEN`; it needs Auto mode and the executable token each time.
+//! Entering needs, in this order: a mode of the table (`E_INVALIDARG`), the licence (`E_NO_LICENSE`), Slave Mode off
+//! (`E_SLVMODE_ON`), and the requirements of every motion (see [`arm`](crate::arm)). While Slave Mode is off, slvMove
+//! answers `E_SLVMODE_OFF`; from another client it answers `E_ARM_NOT_TAKEN`. Each slvMove needs Auto mode and the
+//! executable token.
 //!
-//! The client in slave mode may call slvMove, slvGetMode, slvChangeMode 0, StoState, ManualReset, CurJnt, Robot_Halt
-//! and what opens, names and releases objects; everything else answers it `E_SLVMODE_ON`, also the values of variables.
-//! Other clients go on as ever; for what moves the robot they have not the arm.
+//! The client in Slave Mode may call slvMove, slvGetMode, slvChangeMode 0, StoState, ManualReset, CurJnt, Robot_Halt
+//! and the functions that open, name and release objects. All other functions answer it `E_SLVMODE_ON`, including those
+//! that read the values of variables. Other clients are not affected, except that they do not own the arm.
 //!
-//! # Decisions, where the manuals are silent
+//! # Decisions of this model, where the manuals are silent
 //!
-//! * Formats are kept for each client until it goes. Before they are set: no IO, and the answer in joints, as in the
-//!   guide's example. A format that the controller has not (see [`SlaveFormats`]) is refused with `E_INVALIDARG`.
-//! * Cycles count from entering slave mode; the answer's pose is where the axes are when the answer is made.
-//! * IO are written when the pose is stored. MiniIO's bit n is IO n (written: 16 to 31), HandIO's bit n is IO 48 + n
+//! * Formats belong to a client until it disconnects. The default is no IO, and the answer in joints, as in the guide's
+//!   example. A format that the controller lacks (see [`SlaveFormats`]) is refused with `E_INVALIDARG`.
+//! * Cycles count from entering Slave Mode. The answer's pose is the position of the axes when the answer is made.
+//! * IO are written when the pose is stored. Bit n of MiniIO is IO n (written: 16 to 31). Bit n of HandIO is IO 48 + n
 //!   (written: 64 to 71, read: these and 48 to 55).
 //! * A parameter that does not fit the formats is refused (`E_INVALIDARGTYPE`, `E_INVALIDARG`, `DISP_E_BADINDEX`) and
-//!   changes nothing: refused calls are no errors of the controller, and release nothing.
-//! * Poses are 7, 8 or 10 numbers, with an option element behind them that is 0 or `0x00400000 |` bits of joints; the
-//!   bits of axes 7 and 8 (0x40, 0x80) make them move, in P and T to the numbers behind the option. Without its bit an
-//!   axis stays. An axis that the arm has not ([`Config::extended_axes`](crate::Config::extended_axes)) is refused.
-//! * While the last poses are worked off on leaving, an empty buffer is no underflow: the axes stop at the last pose.
-//! * Halt brakes all axes together, at their limit of acceleration; errors stop them at once, as they stop any motion.
-//! * Currents are percent: what an axis accelerates of its limit, and a tenth of what it moves of its limit.
+//!   changes nothing: a refused call is not an error of the controller and does not end Slave Mode.
+//! * Poses are 7, 8 or 10 numbers, followed by an option element that is 0 or `0x00400000 |` bits of joints. The bits
+//!   of axes 7 and 8 (0x40, 0x80) make them move; in P and T, their values follow the option. Without its bit an
+//!   axis keeps its position. An axis that the arm lacks ([`Config::extended_axes`](crate::Config::extended_axes)) is
+//!   refused.
+//! * While the client leaves and the last poses are executed, an empty buffer is no underflow: the axes stop at the last
+//!   pose.
+//! * Halt brakes all axes together, at their limit of acceleration; errors stop them at once, like any motion.
+//! * Currents are percent: the acceleration of an axis relative to its limit, plus a tenth of its speed relative to its
+//!   limit.
 
 mod format;
-mod stream;
 
-use std::time::Duration;
+use std::collections::{BTreeMap, VecDeque};
 
-use bcap_core::bcap::FunctionId;
-use bcap_core::bcap::server::Request;
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind as Kind;
 use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
 
-use crate::controller::{Controller, Wait};
-use crate::dispatch::{Answer, Answered};
+use crate::answer::{Answer, Answered};
+use crate::config::Config;
+use crate::context::Context;
 use crate::kinematics::{AXIS_SPEEDS, Axes, OutOfReach, out_of_range, six};
 use crate::motion::ACCELERATION_TIME;
 use crate::pose::Pose;
-use crate::robot::Percent;
+use crate::robot::{Percent, Robot};
+use crate::stream::{Offered, SlaveMode, Stream};
 use crate::value::{Value, one_int};
-use format::{Order, State};
-use stream::Offered;
+use crate::waits::{Wait, Waits};
+use format::{Formats, Order, State};
 
-pub(crate) use format::Formats;
-pub use format::SlaveFormats;
-pub(crate) use stream::{SlaveMode, Stream};
-
-/// The time of a control cycle.
-pub const CYCLE: Duration = Duration::from_millis(8);
+pub use crate::config::{SlaveConfig, SlaveFormats, SpeedSetting};
+pub use crate::stream::{CYCLE, Limits, SlaveCounters, SlaveCycle};
 
 /// The option element of a pose, without the bits of its joints.
 const OPTION: i64 = 0x0040_0000;
 
-/// What limits speed and acceleration in slave mode: the controller's parameter 153, "Speed setting for b-CAP Slave".
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum SpeedSetting {
-    /// What the drives can do: 1.2 times the command limit of speed, and 4 times that of acceleration.
-    #[default]
-    Servo = 0,
-    /// The same by the external speed, and the external acceleration.
-    ServoByExtSpeed = 1,
-    /// What a motion command may do: [`SPEEDS`](crate::kinematics::SPEEDS), reached in [`ACCELERATION_TIME`].
-    Command = 2,
-    /// The same by the external speed, and the external acceleration.
-    CommandByExtSpeed = 3,
+/// The formats of the clients, and a record of past cycles. The stream itself belongs to the [`Robot`], which it moves.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Slave {
+    formats: BTreeMap<PeerId, Formats>,
+    counters: SlaveCounters,
+    record: VecDeque<SlaveCycle>,
 }
 
-/// How slave mode is set up.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SlaveConfig {
-    /// Whether the controller has the licence.
-    pub licensed: bool,
-    /// Parameter 153.
-    pub speed_setting: SpeedSetting,
-    /// Limits of speed for J1 to J8 in degrees or mm per second, instead of those that `speed_setting` gives an axis.
-    /// The external speed scales them too, where the setting says so.
-    pub speed_limits: [Option<f64>; 8],
-    /// Likewise of acceleration, in degrees or mm per second squared.
-    pub acceleration_limits: [Option<f64>; 8],
-    /// The formats that there are.
-    pub formats: SlaveFormats,
-    /// How many cycles [`Controller::slave_record`] keeps.
-    pub record: usize,
-}
-
-impl Default for SlaveConfig {
-    /// Licensed, with the drives' limits, all formats, and a record of two minutes.
-    fn default() -> Self {
-        Self {
-            licensed: true,
-            speed_setting: SpeedSetting::default(),
-            speed_limits: [None; 8],
-            acceleration_limits: [None; 8],
-            formats: SlaveFormats::ALL,
-            record: 15_000,
-        }
-    }
-}
-
-/// The limits of slave mode for J1 to J8.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Limits {
-    /// In degrees per second.
-    pub speed: [f64; 8],
-    /// In degrees per second squared.
-    pub acceleration: [f64; 8],
-}
-
-/// What slave mode has done since the controller was switched on.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct SlaveCounters {
-    /// Cycles.
-    pub cycles: u64,
-    /// Cycles that took a pose.
-    pub taken: u64,
-    /// Cycles without one, in which the axes held their position.
-    pub held: u64,
-    /// Underflows while the axes were moving.
-    pub underflows: u64,
-    /// Poses of mode 0 that were not stored: `E_BUF_FULL`.
-    pub refused: u64,
-    /// Poses of mode 1 that a newer one has replaced.
-    pub overwritten: u64,
-    /// Poses of mode 2 whose answer was withheld.
-    pub withheld: u64,
-}
-
-/// A cycle of slave mode that took a pose, or in which the axes moved.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct SlaveCycle {
-    /// Its number, from 1, since slave mode was entered.
-    pub cycle: u64,
-    /// When it began.
-    pub at: Instant,
-    /// Where the axes J1 to J8 are at its end.
-    pub axes: [f64; 8],
-    /// Whether it took a pose; otherwise the axes hold theirs.
-    pub took: bool,
-}
-
-impl Controller {
-    /// Returns slvGetMode's number; 0 while slave mode is off.
-    #[must_use]
-    pub fn slave_mode(&self) -> i32 {
-        self.robot.slave.as_ref().map_or(0, |stream| stream.mode.number())
+impl Slave {
+    pub(crate) const fn counters(&self) -> SlaveCounters {
+        self.counters
     }
 
-    /// Returns the limits that slave mode has, or would have if it were entered now.
-    #[must_use]
-    pub fn slave_limits(&self) -> Limits {
-        let slave = &self.config().slave;
-        let (mut speed, mut acceleration) = match slave.speed_setting {
-            SpeedSetting::Servo | SpeedSetting::ServoByExtSpeed => {
-                (AXIS_SPEEDS.map(|limit| limit * 1.2), AXIS_SPEEDS.map(|limit| limit / ACCELERATION_TIME * 4.0))
-            }
-            SpeedSetting::Command | SpeedSetting::CommandByExtSpeed => {
-                (AXIS_SPEEDS, AXIS_SPEEDS.map(|limit| limit / ACCELERATION_TIME))
-            }
-        };
-        for (limits, own) in [(&mut speed, slave.speed_limits), (&mut acceleration, slave.acceleration_limits)] {
-            limits.iter_mut().zip(own).for_each(|(limit, own)| *limit = own.unwrap_or(*limit));
-        }
-        if matches!(slave.speed_setting, SpeedSetting::ServoByExtSpeed | SpeedSetting::CommandByExtSpeed) {
-            let Percent { speed: by_speed, accel, .. } = self.robot.external;
-            speed = speed.map(|limit| limit * f64::from(by_speed) / 100.0);
-            acceleration = acceleration.map(|limit| limit * f64::from(accel) / 100.0);
-        }
-        Limits { speed, acceleration }
+    /// Iterates over the recorded cycles, the oldest first.
+    pub(crate) fn record(&self) -> impl Iterator<Item = SlaveCycle> {
+        self.record.iter().copied()
     }
 
-    /// Returns what slave mode has done.
-    #[must_use]
-    pub const fn slave_counters(&self) -> SlaveCounters {
-        self.slave_counters
+    /// Drops the formats of a client.
+    pub(crate) fn forget(&mut self, peer: PeerId) {
+        self.formats.remove(&peer);
     }
 
-    /// Iterates over the cycles in which something happened, oldest first, as far back as the record goes.
-    pub fn slave_record(&self) -> impl Iterator<Item = SlaveCycle> {
-        self.slave_record.iter().copied()
+    pub(crate) fn send_format(&mut self, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+        self.formats.entry(ctx.peer).or_default().set_send(param, ctx.config.slave.formats)?;
+        Ok(Answer::Done)
     }
 
-    pub(crate) fn slave_send_format(&mut self, peer: PeerId, param: &Variant<'_>) -> Answered {
-        let there = self.config().slave.formats;
-        self.slave_formats.entry(peer).or_default().set_send(param, there)?;
-        Ok(Value::Empty.into())
+    pub(crate) fn receive_format(&mut self, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+        self.formats.entry(ctx.peer).or_default().set_receive(param, ctx.config.slave.formats)?;
+        Ok(Answer::Done)
     }
 
-    pub(crate) fn slave_receive_format(&mut self, peer: PeerId, param: &Variant<'_>) -> Answered {
-        let there = self.config().slave.formats;
-        self.slave_formats.entry(peer).or_default().set_receive(param, there)?;
-        Ok(Value::Empty.into())
-    }
-
-    pub(crate) fn slave_change_mode(&mut self, peer: PeerId, param: &Variant<'_>) -> Answered {
-        let number = one_int(param)?;
-        if number == 0 {
-            return self.leave_slave_mode(peer);
-        }
-        let mode = SlaveMode::from_number(number).ok_or(HResult::E_INVALIDARG)?;
-        if !self.config().slave.licensed {
-            return Err(HResult::E_NO_LICENSE);
-        }
-        if self.robot.slave.is_some() {
-            return Err(self.refuse(HResult::E_SLVMODE_ON));
-        }
-        self.may_move(peer)?;
-        self.robot.slave = Some(Stream::new(peer, mode, self.slave_limits(), self.axes(), self.now));
-        Ok(Value::Empty.into())
-    }
-
-    /// Leaves slave mode when what is buffered has been done.
-    fn leave_slave_mode(&mut self, peer: PeerId) -> Answered {
-        let Some(stream) = &mut self.robot.slave else { return Ok(Value::Empty.into()) };
-        if stream.peer != peer {
-            return Err(self.refuse(HResult::E_ARM_NOT_TAKEN));
-        }
-        stream.leaving = true;
-        self.waits.insert(peer, Wait::Left);
-        if stream.has_left() {
-            self.end_slave_mode(HResult::S_OK);
-        }
-        self.resume_execute(peer)
-    }
-
-    pub(crate) fn slave_move(&mut self, peer: PeerId, param: &Variant<'_>) -> Answered {
-        let (owner, refuses) = match &self.robot.slave {
+    pub(crate) fn do_move(&mut self, robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+        let (owner, refuses) = match robot.stream() {
             Some(stream) if !stream.leaving => (stream.peer, stream.refuses()),
-            _ => return Err(self.refuse(HResult::E_SLVMODE_OFF)),
+            _ => return Err(ctx.refuse(HResult::E_SLVMODE_OFF)),
         };
-        if owner != peer {
-            return Err(self.refuse(HResult::E_ARM_NOT_TAKEN));
+        if owner != ctx.peer {
+            return Err(ctx.refuse(HResult::E_ARM_NOT_TAKEN));
         }
-        self.may_command(peer)?;
-        let order = self.order(peer, param)?;
+        ctx.may_command()?;
+        let order = self.order(ctx, param)?;
         if refuses {
-            // the ordinary course of mode 0, so it is not noted in the log
-            self.slave_counters.refused += 1;
+            // normal in mode 0, so it does not go into the error log
+            self.counters.refused += 1;
             return Err(HResult::E_BUF_FULL);
         }
-        let axes = self.slave_target(&order.pose)?.map_err(|error| self.fail_reach(error))?;
-        let Some(stream) = &mut self.robot.slave else { return Err(HResult::E_SLVMODE_OFF) };
-        match stream.offer(axes, &mut self.slave_counters) {
-            Offered::Withheld => {
-                self.waits.insert(peer, Wait::Stored);
-                self.resume(peer)
-            }
+        let Some(stream) = robot.stream_mut() else { return Err(HResult::E_SLVMODE_OFF) };
+        let axes = target(stream, ctx.config, &order.pose)?.map_err(|error| ctx.raise(error.code()))?;
+        match stream.offer(axes, &mut self.counters) {
+            Offered::Withheld => Ok(Answer::Until(Wait::Stored)),
             stored => {
-                order.write(&mut self.variables);
-                let value = self.slave_answer(peer, &order);
+                order.write(ctx.variables);
+                let value = self.answer(robot, ctx, &order);
                 let code = if stored == Offered::Full { HResult::S_BUF_FULL } else { HResult::S_OK };
                 Ok(Answer::Coded(code, value))
             }
         }
     }
 
-    /// Goes on with a slvMove whose answer was withheld.
-    pub(crate) fn resume_slave_move(&mut self, peer: PeerId, param: &Variant<'_>) -> Answered {
-        match self.resume(peer)? {
-            Answer::Done => {
-                let order = self.order(peer, param)?;
-                order.write(&mut self.variables);
-                Ok(self.slave_answer(peer, &order).into())
-            }
-            answer => Ok(answer),
-        }
+    /// Answers a slvMove whose pose was withheld and is now stored.
+    pub(crate) fn stored(&self, robot: &Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+        let order = self.order(ctx, param)?;
+        order.write(ctx.variables);
+        Ok(self.answer(robot, ctx, &order).into())
     }
 
-    fn order(&self, peer: PeerId, param: &Variant<'_>) -> Result<Order, HResult> {
-        let order = self.formats(peer).read(&param.flatten())?;
-        order.check(&self.variables)?;
+    fn order(&self, ctx: &Context<'_>, param: &Variant<'_>) -> Result<Order, HResult> {
+        let order = self.formats(ctx.peer).read(&param.flatten())?;
+        order.check(ctx.variables)?;
         Ok(order)
     }
 
     fn formats(&self, peer: PeerId) -> Formats {
-        self.slave_formats.get(&peer).copied().unwrap_or_default()
+        self.formats.get(&peer).copied().unwrap_or_default()
     }
 
-    fn slave_answer(&self, peer: PeerId, order: &Order) -> Value {
-        let current = self.robot.slave.as_ref().map_or([0.0; 8], Stream::current);
-        let state = State { micros: self.now.as_micros(), axes: self.axes(), current };
-        self.formats(peer).answer(&state, order, &self.variables)
+    fn answer(&self, robot: &Robot, ctx: &Context<'_>, order: &Order) -> Value {
+        let current = robot.stream().map_or([0.0; 8], Stream::current);
+        let state = State { micros: ctx.now.as_micros(), axes: robot.axes(ctx.now), current };
+        self.formats(ctx.peer).answer(&state, order, ctx.variables)
     }
 
-    /// Finds the axes of a pose of slvMove.
-    fn slave_target(&self, numbers: &[f64]) -> Result<Result<Axes, OutOfReach>, HResult> {
-        let Some(stream) = &self.robot.slave else { return Err(HResult::E_SLVMODE_OFF) };
-        let kind = stream.mode.kind;
-        let (numbers, option) = numbers.split_at_checked(count(kind)).ok_or(HResult::E_INVALIDARG)?;
-        let bits = joints_of_option(option.first().copied())?;
-        let near = stream.destination();
-        let mut axes = near;
-        // in a J the values have their places, behind other poses they follow the option
-        let mut values = if kind == Kind::J { &[] } else { option.get(1..).unwrap_or_default() }.iter();
-        if kind == Kind::J && option.len() > 1 {
-            return Err(HResult::E_INVALIDARG);
-        }
-        for axis in [6, 7] {
-            if bits & 1 << axis != 0 {
-                let value = if kind == Kind::J { numbers.get(axis) } else { values.next() };
-                axes[axis] = value.copied().filter(|v| v.is_finite()).ok_or(HResult::E_INVALIDARG)?;
-                if axis - 6 >= usize::from(self.config().extended_axes) {
-                    return Err(HResult::E_INVALIDARG);
-                }
-            }
-        }
-        if values.next().is_some() {
-            return Err(HResult::E_INVALIDARG);
-        }
-        let numbers = if kind == Kind::J { &numbers[..6] } else { numbers };
-        let pose = Pose::new(kind, numbers)?;
-        Ok(pose.joints(&six(&near)).and_then(|joints| {
-            axes[..6].copy_from_slice(&joints);
-            out_of_range(&axes).map_or(Ok(axes), |axis| Err(OutOfReach(axis)))
-        }))
+    /// Skips idle cycles, at most `most`. Returns the number and the time of the next cycle, if it begins by `until`.
+    pub(crate) fn next_cycle(&mut self, robot: &mut Robot, until: Instant, most: u64) -> Option<(u64, Instant)> {
+        let stream = robot.stream_mut()?;
+        stream.skip_idle(until, most, &mut self.counters);
+        stream.is_due(until).then(|| (stream.cycle + 1, stream.next_cycle()))
     }
 
-    /// Lets the cycles of slave mode pass that begin by `until`.
-    pub(crate) fn pass_slave_cycles(&mut self, until: Instant) {
-        while let Some(stream) = &mut self.robot.slave {
-            let most = self.scenario.quiet_cycles(stream.cycle);
-            stream.skip_idle(until, most, &mut self.slave_counters);
-            if !stream.is_due(until) {
-                break;
-            }
-            self.now = self.now.max(stream.next_cycle());
-            self.slave_cycle();
-        }
-    }
-
-    fn slave_cycle(&mut self) {
-        let Some(stream) = &mut self.robot.slave else { return };
-        for effect in self.scenario.at_cycle(stream.cycle + 1) {
-            self.happen(effect);
-        }
-        let Some(stream) = &mut self.robot.slave else { return };
-        let ticked = match stream.tick(&mut self.slave_counters) {
-            Ok(ticked) => ticked,
-            Err(code) => return self.raise(code),
-        };
+    /// Executes a cycle.
+    ///
+    /// # Errors
+    ///
+    /// The error that ends Slave Mode.
+    pub(crate) fn cycle(
+        &mut self,
+        robot: &mut Robot,
+        config: &Config,
+        now: Instant,
+        waits: &mut Waits,
+    ) -> Result<(), HResult> {
+        let Some(stream) = robot.stream_mut() else { return Ok(()) };
+        let ticked = stream.tick(&mut self.counters)?;
         if ticked.took || stream.is_moving() {
-            let cycle = SlaveCycle { cycle: stream.cycle, at: self.now, axes: stream.commanded(), took: ticked.took };
-            self.slave_record.push_back(cycle);
-            while self.slave_record.len() > self.config().slave.record {
-                self.slave_record.pop_front();
-            }
+            self.record.push_back(SlaveCycle {
+                cycle: stream.cycle,
+                at: now,
+                axes: stream.commanded(),
+                took: ticked.took,
+            });
+            let excess = self.record.len().saturating_sub(config.slave.record);
+            self.record.drain(..excess);
         }
-        let has_left = self.robot.slave.as_ref().is_some_and(Stream::has_left);
         if ticked.stored {
-            self.end_waits(|wait| wait == Wait::Stored, HResult::S_OK);
+            waits.end(Wait::Stored, HResult::S_OK);
         }
-        if has_left {
-            self.end_slave_mode(HResult::S_OK);
+        if stream.has_left() {
+            robot.leave(HResult::S_OK, now, waits);
         }
-    }
-
-    /// Ends slave mode where the axes are; who waits for it gets `code`.
-    pub(crate) fn end_slave_mode(&mut self, code: HResult) -> Option<Stream> {
-        let stream = self.robot.stop_slave(self.now)?;
-        self.end_waits(|wait| matches!(wait, Wait::Stored | Wait::Left), code);
-        Some(stream)
-    }
-
-    /// Ends slave mode, and brakes.
-    pub(crate) fn halt_slave_mode(&mut self) -> bool {
-        let Some(stream) = self.end_slave_mode(HResult::E_ABORT) else { return false };
-        self.robot.brake(stream.peer, &stream.speed(), &self.slave_limits().acceleration, self.now);
-        true
-    }
-
-    /// Forgets the pose whose answer nobody waits for any more.
-    pub(crate) fn abandon_slave_move(&mut self, peer: PeerId) {
-        if let Some(stream) = self.robot.slave.as_mut().filter(|stream| stream.peer == peer) {
-            stream.forget_withheld();
-        }
-    }
-
-    /// Checks what the client in slave mode may call.
-    pub(crate) fn slave_mode_allows(&mut self, peer: PeerId, request: &Request<'_>) -> Result<(), HResult> {
-        if self.robot.slave.as_ref().is_none_or(|stream| stream.peer != peer) || request.resumed {
-            return Ok(());
-        }
-        let command = request.text(1).to_string();
-        let one_of = |names: &[&str]| names.iter().any(|name| name.eq_ignore_ascii_case(command.trim()));
-        let allowed = match request.function {
-            FunctionId::ROBOT_EXECUTE => one_of(&["slvMove", "slvGetMode", "slvChangeMode", "CurJnt"]),
-            FunctionId::CONTROLLER_EXECUTE => one_of(&["StoState", "ManualReset"]),
-            FunctionId::ROBOT_HALT => true,
-            function => function.opens().is_some(),
-        };
-        if allowed { Ok(()) } else { Err(self.refuse(HResult::E_SLVMODE_ON)) }
+        Ok(())
     }
 }
 
-/// Returns how many numbers a pose has.
+/// Returns the number of slvGetMode; 0 while Slave Mode is off.
+pub(crate) fn mode(robot: &Robot) -> i32 {
+    robot.stream().map_or(0, |stream| stream.mode.number())
+}
+
+/// Returns the limits of Slave Mode, if it is entered now.
+pub(crate) fn limits(robot: &Robot, config: &Config) -> Limits {
+    let slave = &config.slave;
+    let (mut speed, mut acceleration) = match slave.speed_setting {
+        SpeedSetting::Servo | SpeedSetting::ServoByExtSpeed => {
+            (AXIS_SPEEDS.map(|limit| limit * 1.2), AXIS_SPEEDS.map(|limit| limit / ACCELERATION_TIME * 4.0))
+        }
+        SpeedSetting::Command | SpeedSetting::CommandByExtSpeed => {
+            (AXIS_SPEEDS, AXIS_SPEEDS.map(|limit| limit / ACCELERATION_TIME))
+        }
+    };
+    for (limits, own) in [(&mut speed, slave.speed_limits), (&mut acceleration, slave.acceleration_limits)] {
+        limits.iter_mut().zip(own).for_each(|(limit, own)| *limit = own.unwrap_or(*limit));
+    }
+    if matches!(slave.speed_setting, SpeedSetting::ServoByExtSpeed | SpeedSetting::CommandByExtSpeed) {
+        let Percent { speed: by_speed, accel, .. } = robot.settings().external;
+        speed = speed.map(|limit| limit * f64::from(by_speed) / 100.0);
+        acceleration = acceleration.map(|limit| limit * f64::from(accel) / 100.0);
+    }
+    Limits { speed, acceleration }
+}
+
+pub(crate) fn change_mode(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let number = one_int(param)?;
+    if number == 0 {
+        return leave(robot, ctx);
+    }
+    let mode = SlaveMode::from_number(number).ok_or(HResult::E_INVALIDARG)?;
+    if !ctx.config.slave.licensed {
+        return Err(HResult::E_NO_LICENSE);
+    }
+    if robot.stream().is_some() {
+        return Err(ctx.refuse(HResult::E_SLVMODE_ON));
+    }
+    robot.may_move(ctx)?;
+    let limits = limits(robot, ctx.config);
+    robot.enter(Stream::new(ctx.peer, mode, limits, robot.axes(ctx.now), ctx.now));
+    Ok(Answer::Done)
+}
+
+/// Leaves Slave Mode when the buffered poses are done.
+fn leave(robot: &mut Robot, ctx: &mut Context<'_>) -> Answered {
+    let Some(stream) = robot.stream_mut() else { return Ok(Answer::Done) };
+    if stream.peer != ctx.peer {
+        return Err(ctx.refuse(HResult::E_ARM_NOT_TAKEN));
+    }
+    stream.leaving = true;
+    if stream.has_left() {
+        robot.leave(HResult::S_OK, ctx.now, ctx.waits);
+        return Ok(Answer::Done);
+    }
+    Ok(Answer::Until(Wait::Left))
+}
+
+/// Ends Slave Mode and brakes; returns whether it was on.
+pub(crate) fn halt(robot: &mut Robot, config: &Config, now: Instant, waits: &mut Waits) -> bool {
+    let Some(stream) = robot.leave(HResult::E_ABORT, now, waits) else { return false };
+    robot.brake(stream.peer, &stream.speed(), &limits(robot, config).acceleration, now);
+    true
+}
+
+/// Drops the withheld pose of a client that gave up its call.
+pub(crate) fn abandon(robot: &mut Robot, peer: PeerId) {
+    if let Some(stream) = robot.stream_mut().filter(|stream| stream.peer == peer) {
+        stream.forget_withheld();
+    }
+}
+
+/// Finds the axes of a pose of slvMove.
+fn target(stream: &Stream, config: &Config, numbers: &[f64]) -> Result<Result<Axes, OutOfReach>, HResult> {
+    let kind = stream.mode.kind;
+    let (numbers, option) = numbers.split_at_checked(count(kind)).ok_or(HResult::E_INVALIDARG)?;
+    let bits = joints_of_option(option.first().copied())?;
+    let near = stream.destination();
+    let mut axes = near;
+    // in a J the values of J7 and J8 have their own places; in other poses they follow the option
+    let mut values = if kind == Kind::J { &[] } else { option.get(1..).unwrap_or_default() }.iter();
+    if kind == Kind::J && option.len() > 1 {
+        return Err(HResult::E_INVALIDARG);
+    }
+    for axis in [6, 7] {
+        if bits & 1 << axis != 0 {
+            let value = if kind == Kind::J { numbers.get(axis) } else { values.next() };
+            axes[axis] = value.copied().filter(|v| v.is_finite()).ok_or(HResult::E_INVALIDARG)?;
+            if axis - 6 >= usize::from(config.extended_axes) {
+                return Err(HResult::E_INVALIDARG);
+            }
+        }
+    }
+    if values.next().is_some() {
+        return Err(HResult::E_INVALIDARG);
+    }
+    let numbers = if kind == Kind::J { &numbers[..6] } else { numbers };
+    let pose = Pose::new(kind, numbers)?;
+    Ok(pose.joints(&six(&near)).and_then(|joints| {
+        axes[..6].copy_from_slice(&joints);
+        out_of_range(&axes).map_or(Ok(axes), |axis| Err(OutOfReach(axis)))
+    }))
+}
+
+/// Returns the number of elements of a pose.
 fn count(kind: Kind) -> usize {
     match kind {
         Kind::P => 7,
@@ -436,7 +326,7 @@ fn count(kind: Kind) -> usize {
     }
 }
 
-/// Reads the option element of a pose: the bits of its joints.
+/// Reads the bits of the joints from the option element of a pose.
 fn joints_of_option(option: Option<f64>) -> Result<i64, HResult> {
     let Some(option) = option.filter(|option| *option != 0.0) else { return Ok(0) };
     let bits = option as i64 ^ OPTION;

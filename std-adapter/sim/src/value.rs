@@ -1,4 +1,4 @@
-//! Owned values: what the controller holds and what it answers, before they are put on the wire.
+//! Owned values, as the controller keeps and answers them; and the readers of parameters.
 
 use bcap_core::error::EncodeError;
 use bcap_core::handler::ReplyValue;
@@ -18,7 +18,7 @@ pub(crate) enum Value {
     Bool(bool),
     Date(OleDate),
     Text(String),
-    /// A client's string, kept as its UTF-16LE bytes so that nothing of it is lost.
+    /// A client's string, as its UTF-16LE bytes, so that invalid UTF-16 is not lost.
     Bstr(Vec<u8>),
     Ui1s(Vec<u8>),
     I4s(Vec<i32>),
@@ -56,7 +56,7 @@ impl Encode for Value {
 }
 
 impl Value {
-    /// Returns its encoding; nothing when it cannot be sent.
+    /// Returns its encoding; empty when it cannot be sent.
     pub(crate) fn encoded(&self) -> Vec<u8> {
         let mut size = 256;
         while size <= 16 << 20 {
@@ -77,10 +77,10 @@ impl From<&str> for Value {
     }
 }
 
-/// Bytes of a tag, an ID or the parameters of a command at most; every object of every client may have them.
+/// The largest encoding of a tag, an ID or the parameters of a command, in bytes. Every object may have them.
 const KEPT_MAX: usize = 4096;
 
-/// Keeps a client's value of any type as its encoding.
+/// Encodes a client's value of any type.
 pub(crate) fn keep(value: &Variant<'_>) -> Result<Vec<u8>, HResult> {
     let mut buffer = [0; KEPT_MAX];
     let mut copy = ReplyValue::new(&mut buffer);
@@ -97,7 +97,7 @@ pub(crate) fn kept(bytes: &[u8]) -> Variant<'_> {
     Variant::decode(bytes, &limits, Strictness::Strict).unwrap_or(Variant::Empty)
 }
 
-/// Elements of an array, and bytes of a text, beyond which no command takes numbers: they would be read while all wait.
+/// The largest array and the largest text that a command accepts as numbers: reading them delays all other calls.
 const NUMBERS_MAX: usize = 256;
 const TEXT_MAX: usize = 4096;
 
@@ -158,6 +158,13 @@ pub(crate) fn whole(number: f64) -> Result<i32, HResult> {
         return Err(HResult::DISP_E_OVERFLOW);
     }
     Ok(number as i32)
+}
+
+/// What [`truth`] accepts.
+pub(crate) const TRUTH: &str = "BOOL, or an integer: 0 is off";
+
+pub(crate) fn truth(value: &Variant<'_>) -> Result<bool, HResult> {
+    value.flatten().as_bool().ok_or(HResult::E_INVALIDARGTYPE)
 }
 
 /// Reads a parameter that is exactly one whole number.

@@ -1,4 +1,4 @@
-//! The user variables: I F D V P J T S, and the IO bits with their byte, word, dword and float views.
+//! The user variables: I F D V P J T S, and the IO bits with their views as byte, word, dword and float.
 //!
 //! | name                 | VARTYPE read | written with                                                     |
 //! |----------------------|--------------|------------------------------------------------------------------|
@@ -14,11 +14,11 @@
 //! | `IOB`n `IOW`n `IOD`n | UI1, I2, I4  | integers that fit the 8, 16 or 32 bits, signed or unsigned       |
 //! | `IOF`n               | R4           | as `F`                                                           |
 //!
-//! A view starts at IO n and takes the lowest bit from there. Everything else is refused: another type with
+//! The lowest bit of a view is IO n. Other values are refused: another type with
 //! `E_INVALIDARGTYPE`, a fraction for an integer with `DISP_E_TYPEMISMATCH`, a number that does not fit with
 //! `DISP_E_OVERFLOW`, another count of elements with `E_INVALIDARG`, an index out of range with `DISP_E_BADINDEX`.
 //!
-//! Names are `I1` or `I[1]`, whatever the case, counted from 0; `I*` names all of a kind, and PutID chooses one.
+//! Names are `I1` or `I[1]`, ignoring case, with indices from 0. `I*` names all variables of a kind; PutID chooses one.
 
 use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind as Kind;
@@ -26,7 +26,7 @@ use bcap_core::variant::Variant;
 
 use crate::value::{Value, number, whole};
 
-/// How many variables of each kind there are.
+/// The number of variables of each kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sizes {
     /// `@VAR_I_LEN`.
@@ -50,7 +50,7 @@ pub struct Sizes {
 }
 
 impl Default for Sizes {
-    /// 100 of each, and 512 IO.
+    /// 100 of each kind, and 512 IO.
     fn default() -> Self {
         Self { i: 100, f: 100, d: 100, v: 100, p: 100, j: 100, t: 100, s: 100, io: 512 }
     }
@@ -130,7 +130,7 @@ impl Family {
     }
 }
 
-/// Finds what a name stands for: a family and an index, or all of it (`I*`).
+/// Reads a name: a family and an index, or a whole family (`I*`).
 pub(crate) fn parse_name(name: &str) -> Option<(Family, Option<u32>)> {
     let upper = name.trim().to_ascii_uppercase();
     let (family, rest) = Family::BY_NAME.iter().find_map(|f| Some((*f, upper.strip_prefix(f.name())?)))?;
@@ -139,17 +139,17 @@ pub(crate) fn parse_name(name: &str) -> Option<(Family, Option<u32>)> {
     }
     let digits = rest.strip_prefix('[').and_then(|r| r.strip_suffix(']')).unwrap_or(rest);
     let plain = !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_digit());
-    // more digits than fit are an index out of range, and still a variable's name
+    // more digits than fit are an index out of range, but a valid name
     plain.then(|| (family, Some(digits.parse().unwrap_or(u32::MAX))))
 }
 
-/// Returns the wildcard names of all families, as the list of names has them.
+/// Returns the wildcard names of all families, in the order of Controller_GetVariableNames.
 pub(crate) fn wildcard_names() -> impl Iterator<Item = String> {
     let views = [Family::Byte, Family::Word, Family::Dword, Family::Float];
     Kind::ALL.into_iter().map(Family::Plain).chain(views).map(|f| format!("{}*", f.name()))
 }
 
-/// Says what may be written to a variable of a family.
+/// Describes the values that a variable of a family accepts.
 pub(crate) const fn accepted(family: Family) -> &'static str {
     match family {
         Family::Plain(Kind::I) => "one integer of 32 bits; R4 or R8 without a fraction",
@@ -196,7 +196,7 @@ impl Variables {
         }
     }
 
-    /// Checks that there is such a variable.
+    /// Checks that a variable exists, and returns its index.
     pub(crate) fn check(&self, family: Family, index: u32) -> Result<usize, HResult> {
         let index = usize::try_from(index).map_err(|_| HResult::DISP_E_BADINDEX)?;
         let len = match family {
@@ -268,7 +268,7 @@ impl Variables {
         }
     }
 
-    /// Reads a number in text: the number itself, or the name of an I, F or D variable that holds it.
+    /// Reads a number in text, or the I, F or D variable that the text names.
     pub(crate) fn number_of_text(&self, text: &str) -> Result<f64, HResult> {
         if let Ok(number) = text.trim().parse() {
             return Ok(number);
@@ -287,12 +287,12 @@ impl Variables {
         self.io.len()
     }
 
-    /// Reads an IO; one that there is not is off.
+    /// Reads an IO; an IO that does not exist is off.
     pub(crate) fn io(&self, n: usize) -> bool {
         self.io.get(n).copied().unwrap_or(false)
     }
 
-    /// Sets an IO, if there is such a one.
+    /// Sets an IO, if it exists.
     pub(crate) fn set_io(&mut self, n: usize, on: bool) {
         if let Some(io) = self.io.get_mut(n) {
             *io = on;
@@ -314,7 +314,7 @@ fn integer(value: &Variant<'_>) -> Result<i32, HResult> {
     match (value.as_i64(), value) {
         (Some(n), _) => i32::try_from(n).map_err(|_| HResult::DISP_E_OVERFLOW),
         (None, Variant::R4(_) | Variant::R8(_)) => whole(value.as_f64().unwrap_or(f64::NAN)),
-        // the only integers that as_i64 does not take
+        // the only integers that as_i64 refuses
         (None, Variant::Ui8(_)) => Err(HResult::DISP_E_OVERFLOW),
         _ => Err(HResult::E_INVALIDARGTYPE),
     }
@@ -324,7 +324,7 @@ fn float(value: &Variant<'_>) -> Result<f32, HResult> {
     narrow(number(value).ok_or(HResult::E_INVALIDARGTYPE)?)
 }
 
-/// Rounds to R4; infinity and NaN pass, a finite number must stay finite.
+/// Rounds to R4. Infinity and NaN are accepted; a finite number must stay finite.
 fn narrow(wide: f64) -> Result<f32, HResult> {
     let narrow = wide as f32;
     if wide.is_finite() && !narrow.is_finite() { Err(HResult::DISP_E_OVERFLOW) } else { Ok(narrow) }
@@ -342,7 +342,7 @@ fn floats<const N: usize>(value: &Variant<'_>) -> Result<[f32; N], HResult> {
     Ok(out)
 }
 
-/// Takes an integer, signed or unsigned, that fits `bits`.
+/// Reads an integer, signed or unsigned, that fits `bits`.
 fn pattern(value: &Variant<'_>, bits: u32) -> Result<u32, HResult> {
     let n = match value {
         Variant::Ui8(_) if value.as_i64().is_none() => return Err(HResult::DISP_E_OVERFLOW),

@@ -1,4 +1,4 @@
-//! What is done in the file system; nothing of the controller.
+//! The work in the file system, which needs nothing of the controller.
 
 use std::fs::{self, File, Metadata, OpenOptions};
 use std::io::{self, Read, Write};
@@ -9,36 +9,46 @@ use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
 use bcap_core::variant::{OleDate, Variant};
 
-use super::Done;
 use crate::options::option;
 use crate::value::Value;
 
-/// The most bytes of a file that are read, written or copied: what a frame can carry.
+/// The largest file that is read, written or copied, in bytes: the largest that a frame can carry.
 const LARGEST: u64 = 16 << 20;
 
-/// The most names of a folder.
+/// The largest number of names of a folder.
 const NAMES_MAX: usize = 1 << 16;
 
-/// Folders and names of a path at most.
+/// The largest number of parts of a path.
 const PARTS_MAX: usize = 32;
 
 /// The bits of File_GetAttribute, as Windows numbers them.
 const READ_ONLY: i32 = 1;
 const FOLDER: i32 = 16;
 
-/// A piece of file work, with all that it needs.
+/// The result of file work.
+#[derive(Debug)]
+pub(crate) enum Done {
+    Nothing,
+    Value(Value),
+    /// The call opens the file with this name from the root.
+    Open(String),
+    /// The file was moved, and has this name from the root.
+    Moved(String),
+}
+
+/// A piece of file work with its inputs.
 pub(super) struct Work {
-    /// The folder that has the controller's files.
+    /// The folder with the controller's files.
     pub(super) root: PathBuf,
-    /// The name from the root of the file or folder that is asked.
+    /// The name from the root of the file or folder of the call.
     pub(super) base: String,
-    pub(super) task: Task,
+    pub(super) operation: Operation,
     /// The communication permission.
     pub(super) writable: Result<(), HResult>,
 }
 
-/// What is to be done.
-pub(super) enum Task {
+/// A function of files with its arguments.
+pub(super) enum Operation {
     Open {
         name: String,
         options: String,
@@ -51,7 +61,7 @@ pub(super) enum Task {
     Other(FunctionId),
 }
 
-/// Returns the bytes of a value that is written to a file.
+/// Returns the bytes to be written to a file.
 pub(super) fn contents(value: &Variant<'_>) -> Result<Vec<u8>, HResult> {
     match value.flatten() {
         Variant::Bstr(text) => Ok(text.to_string().into_bytes()),
@@ -64,29 +74,29 @@ impl Work {
     pub(super) fn perform(self) -> Result<Done, HResult> {
         let place = self.place(&self.base, "")?;
         let path = place.path();
-        match &self.task {
-            Task::Open { name, options } => return self.open(name, options),
-            Task::List => return list(&path),
+        match &self.operation {
+            Operation::Open { name, options } => return self.open(name, options),
+            Operation::List => return list(&path),
             _ => {}
         }
         let metadata = known(fs::metadata(&path).map_err(failed)?)?;
-        match self.task {
-            Task::Write(ref contents) => {
+        match self.operation {
+            Operation::Write(ref contents) => {
                 self.writable?;
                 write(&path, contents.as_ref().map_err(|refused| *refused)?)?;
                 Ok(Done::Nothing)
             }
-            Task::Copy(ref target) => {
+            Operation::Copy(ref target) => {
                 copy(&path, &self.target(target)?.path())?;
                 Ok(Done::Nothing)
             }
-            Task::Move(ref target) => {
+            Operation::Move(ref target) => {
                 let target = self.target(target)?;
                 fs::rename(&path, target.path()).map_err(failed)?;
                 Ok(Done::Moved(target.name()))
             }
-            Task::Other(function) => self.other(function, &path, &metadata),
-            Task::Open { .. } | Task::List => Ok(Done::Nothing),
+            Operation::Other(function) => self.other(function, &path, &metadata),
+            Operation::Open { .. } | Operation::List => Ok(Done::Nothing),
         }
     }
 
@@ -147,7 +157,7 @@ impl Work {
         }))
     }
 
-    /// Finds where a copy goes, which must not exist yet.
+    /// Finds the target of a copy or a move, which must not exist yet.
     fn target(&self, target: &str) -> Result<Place, HResult> {
         self.writable?;
         let own = if is_folder_name(target) { self.base.rsplit('\\').next().unwrap_or(&self.base) } else { "" };
@@ -174,7 +184,7 @@ struct Place {
 }
 
 impl Place {
-    /// Reads a name, seen from a folder below the root.
+    /// Reads a name relative to a folder below the root.
     fn new(root: &Path, base: &str, name: &str) -> Result<Self, HResult> {
         let mut parts = Vec::new();
         for part in [base, name].into_iter().flat_map(|name| name.split(['\\', '/'])) {
@@ -184,7 +194,7 @@ impl Place {
                 part if part.contains(|c: char| c.is_control() || "<>:\"|?*".contains(c)) => {
                     return Err(HResult::E_INVALIDARG);
                 }
-                // each part costs a look into the file system
+                // each part costs an access to the file system
                 _ if parts.len() == PARTS_MAX => return Err(HResult::E_INVALIDARG),
                 part => parts.push(part.to_owned()),
             }
@@ -194,7 +204,7 @@ impl Place {
         Ok(place)
     }
 
-    /// Checks that no part of the path leads out of the root.
+    /// Checks that no symbolic link leads out of the root.
     fn check_links(&self) -> Result<(), HResult> {
         let mut path = self.root.clone();
         for part in &self.parts {
@@ -202,7 +212,7 @@ impl Place {
             match path.canonicalize() {
                 Ok(real) if real.starts_with(&self.root) => {}
                 Ok(_) => return Err(HResult::E_ACCESSDENIED),
-                // creating a file there would follow a link to nowhere
+                // creating a file here would follow a dangling link
                 Err(_) if path.is_symlink() => return Err(HResult::E_ACCESSDENIED),
                 Err(_) => break,
             }
@@ -224,7 +234,7 @@ fn is_folder_name(name: &str) -> bool {
     name.trim_end().ends_with(['\\', '/'])
 }
 
-/// Refuses what is neither a regular file nor a folder.
+/// Refuses everything but regular files and folders.
 fn known(metadata: Metadata) -> Result<Metadata, HResult> {
     if metadata.is_file() || metadata.is_dir() { Ok(metadata) } else { Err(HResult::E_ACCESSDENIED) }
 }
@@ -233,7 +243,7 @@ fn list(folder: &Path) -> Result<Done, HResult> {
     let mut names = Vec::new();
     for entry in fs::read_dir(folder).map_err(failed)? {
         let entry = entry.map_err(failed)?;
-        // a link to nowhere, a FIFO, a device
+        // a dangling link, a FIFO, a device
         let Some(metadata) = fs::metadata(entry.path()).ok().and_then(|metadata| known(metadata).ok()) else {
             continue;
         };
@@ -247,7 +257,7 @@ fn list(folder: &Path) -> Result<Done, HResult> {
     Ok(Done::Value(Value::Texts(names)))
 }
 
-/// Opens a regular file, without waiting for the other end of a FIFO that took its place meanwhile.
+/// Opens a regular file. If a FIFO has replaced it meanwhile, does not wait for its other end.
 fn open_regular(path: &Path, options: &mut OpenOptions) -> Result<File, HResult> {
     #[cfg(unix)]
     {
@@ -263,7 +273,7 @@ fn open_regular(path: &Path, options: &mut OpenOptions) -> Result<File, HResult>
     }
 }
 
-/// Makes a file that does not exist, and follows no link.
+/// Creates a file that does not exist; does not follow a link.
 fn create(path: &Path) -> io::Result<File> {
     OpenOptions::new().write(true).create_new(true).open(path)
 }
@@ -271,7 +281,7 @@ fn create(path: &Path) -> io::Result<File> {
 fn read_bytes(path: &Path) -> Result<Vec<u8>, HResult> {
     let file = open_regular(path, OpenOptions::new().read(true))?;
     let mut bytes = Vec::new();
-    // it may grow while it is read
+    // the file may grow meanwhile
     file.take(LARGEST + 1).read_to_end(&mut bytes).map_err(failed)?;
     if bytes.len() as u64 > LARGEST { Err(HResult::E_TOO_MUCH_DATA) } else { Ok(bytes) }
 }
@@ -299,7 +309,7 @@ fn date(time: io::Result<SystemTime>) -> Result<Value, HResult> {
     OleDate::from_unix_millis(millis).map(Value::Date).ok_or(HResult::DISP_E_OVERFLOW)
 }
 
-/// Returns the code for what the file system refuses.
+/// Returns the code for an error of the file system.
 #[expect(clippy::needless_pass_by_value, reason = "for map_err")]
 fn failed(error: io::Error) -> HResult {
     match error.kind() {

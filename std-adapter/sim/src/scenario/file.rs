@@ -1,12 +1,11 @@
-//! A scenario as TOML: what the text may say, and what is refused.
+//! Reads a scenario from TOML, and refuses invalid ones.
 
 use std::time::Duration;
 
-use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use serde::Deserialize;
 
-use super::setup::{ModeName, SetupEntry, TokenName};
+use super::section::{ModeName, SetupEntry, TokenName, read_code};
 use super::{Effect, Fault, Scenario, ScenarioError, Trigger, Which, WireFault};
 
 #[derive(Deserialize)]
@@ -131,13 +130,4 @@ impl ThenEntry {
             Self::LinkLossMs(millis) => Effect::LinkLoss(Some(Duration::from_millis(millis))),
         })
     }
-}
-
-pub(super) fn read_code(text: &str) -> Result<HResult, &'static str> {
-    let number = |digits: &str| u32::from_str_radix(digits, 16).ok().map(HResult::from_u32);
-    let code = match text.strip_prefix("0x").or_else(|| text.strip_prefix("0X")) {
-        Some(digits) => number(digits),
-        None => HResult::from_name(text),
-    };
-    code.ok_or("a code is a known name or eight hexadecimal digits, as in \"E_BUF_FULL\" or \"0x83201483\"")
 }

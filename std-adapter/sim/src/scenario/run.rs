@@ -1,5 +1,6 @@
-//! A scenario that is being played: what is due, and what becomes of each call and its answer.
+//! A scenario being played: the faults that are due, and the fault that each pending call meets.
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use bcap_core::bcap::FunctionId;
@@ -9,40 +10,41 @@ use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 
 use super::{Delivery, Effect, Fault, Scenario, Trigger, Which, WireFault};
-use crate::controller::Controller;
-use crate::value::kept;
+use crate::function::command_of;
 
-/// A scenario that is being played.
+/// A scenario being played.
 #[derive(Clone, Debug)]
 pub(crate) struct Running {
     faults: Vec<Armed>,
     chance: fastrand::Rng,
-    /// Until when the link is lost.
+    /// When the link works again.
     lost_until: Instant,
+    /// The fault of the pending call of each client.
+    calls: BTreeMap<PeerId, CallFault>,
 }
 
-/// A fault, and how far it has come.
+/// A fault and its progress.
 #[derive(Clone, Debug)]
 struct Armed {
     fault: Fault,
-    /// Calls that were counted.
+    /// The number of calls that it has counted.
     calls: u64,
-    /// It will not happen any more.
+    /// It will not happen again.
     over: bool,
 }
 
-/// What a scenario has in store for a call.
+/// What happens to a call and its answer.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Fate {
+struct CallFault {
     refused: Option<HResult>,
     wire: Option<WireFault>,
-    /// Not answered before this time.
+    /// The earliest time of the answer.
     until: Instant,
-    /// The link was lost when it came: it is not carried out, and never answered.
+    /// The link was lost when the call came: it is neither executed nor answered.
     lost: bool,
-    /// Its answer, which is held back.
+    /// The delayed answer.
     answer: Option<(HResult, Vec<u8>)>,
-    /// The answer was made, and is on its way.
+    /// The answer was made; [`deliver`](Running::deliver) applies the fault.
     answered: bool,
 }
 
@@ -53,16 +55,23 @@ impl Default for Running {
 }
 
 impl Running {
-    pub(crate) fn new(scenario: Scenario) -> Self {
+    fn new(scenario: Scenario) -> Self {
         let armed = |fault| Armed { fault, calls: 0, over: false };
         Self {
             faults: scenario.faults.into_iter().map(armed).collect(),
             chance: fastrand::Rng::with_seed(scenario.seed),
             lost_until: Instant::ZERO,
+            calls: BTreeMap::new(),
         }
     }
 
-    /// Takes the next fault that is due by this time, the earliest first.
+    /// Starts another scenario. Pending calls keep their faults.
+    pub(crate) fn play(&mut self, scenario: Scenario) {
+        let calls = std::mem::take(&mut self.calls);
+        *self = Self { calls, ..Self::new(scenario) };
+    }
+
+    /// Takes the earliest fault that is due by this time.
     pub(crate) fn due(&mut self, now: Instant) -> Option<(Instant, Effect)> {
         let waiting = self.faults.iter_mut().filter(|armed| !armed.over);
         let timed = waiting.filter_map(|armed| match armed.fault.when {
@@ -84,7 +93,7 @@ impl Running {
         self.faults.iter_mut().filter(due).map(take).collect()
     }
 
-    /// Returns how many cycles after this one have no fault.
+    /// Returns the number of cycles after this one that have no fault.
     pub(crate) fn quiet_cycles(&self, cycle: u64) -> u64 {
         let waiting = self.faults.iter().filter(|armed| !armed.over);
         let next = waiting.filter_map(|armed| match armed.fault.when {
@@ -98,7 +107,7 @@ impl Running {
         self.lost_until = time.map_or(Instant::FAR_FUTURE, |time| now.saturating_add(time));
     }
 
-    /// Counts a call, and collects what happens at it.
+    /// Counts a call, and returns the effects of the faults that it meets.
     fn at_call(&mut self, request: &Request<'_>) -> Vec<Effect> {
         let mut effects = Vec::new();
         for armed in &mut self.faults {
@@ -118,123 +127,136 @@ impl Running {
         }
         effects
     }
-}
 
-/// Tells whether a request is of a function, or executes a command.
-fn is_of(request: &Request<'_>, of: &str) -> bool {
-    let executes = request.function.name().is_some_and(|name| name.ends_with("Execute"));
-    let command = || request.text(1).to_string().trim().eq_ignore_ascii_case(of);
-    FunctionId::parse(of) == Some(request.function) || (executes && command())
-}
-
-impl Controller {
-    /// Plays a scenario from its beginning, instead of the one that was played: the controller is as its section
-    /// `[controller]` says, and the faults happen as time passes.
-    pub fn play(&mut self, scenario: Scenario) {
-        self.set_up(&scenario.controller);
-        self.scenario = Running::new(scenario);
+    /// Starts a call. Returns the effects on the controller itself, to be applied before the call is executed.
+    pub(crate) fn begin_call(&mut self, peer: PeerId, request: &Request<'_>, now: Instant) -> Vec<Effect> {
+        let mut fault = CallFault::default();
+        let mut others = Vec::new();
+        for effect in self.at_call(request) {
+            match effect {
+                Effect::Refuse(code) => fault.refused = Some(code),
+                Effect::Delay(time) => fault.until = now.saturating_add(time),
+                Effect::Wire(wire) => fault.wire = Some(wire),
+                Effect::LinkLoss(time) => self.lose_link(time, now),
+                effect => others.push(effect),
+            }
+        }
+        fault.lost = self.is_link_lost(now);
+        self.calls.insert(peer, fault);
+        others
     }
 
-    /// Says what becomes of a reply's bytes on their way to a client, and changes them as the scenario wants it.
-    ///
-    /// It is to be asked about each frame once: the reply of a call, or `S_EXECUTING`.
-    ///
-    /// # Examples
-    ///
-    /// ```
-    /// use bcap_core::handler::PeerId;
-    /// use bcap_sim::scenario::Delivery;
-    /// use bcap_sim::{Config, Controller};
-    ///
-    /// let mut controller = Controller::new(Config::default());
-    /// let mut frame = *b"\x01\x10\0\0\0\x05\0\0\0\0\0\0\0\0\0\x04";
-    /// assert_eq!(controller.deliver(PeerId(1), &mut frame), Delivery::Send);
-    /// ```
-    pub fn deliver(&mut self, peer: PeerId, frame: &mut [u8]) -> Delivery {
-        if self.is_link_lost() {
+    /// Returns what to do with a call that is new or waits.
+    pub(crate) fn step(&mut self, peer: PeerId, now: Instant) -> Step {
+        let Some(fault) = self.calls.get(&peer) else { return Step::Execute };
+        if fault.lost {
+            return match self.is_link_lost(now) {
+                true => Step::Wait(self.lost_until),
+                false => self.answer(peer, HResult::E_TIMEOUT, Vec::new()),
+            };
+        }
+        match (&fault.answer, fault.refused) {
+            (Some(_), _) if now < fault.until => Step::Wait(fault.until),
+            (Some((code, value)), _) => {
+                let (code, value) = (*code, value.clone());
+                self.answer(peer, code, value)
+            }
+            (None, Some(code)) => Step::Refuse(code),
+            (None, None) => Step::Execute,
+        }
+    }
+
+    /// Returns the earliest time of the answer of a call.
+    pub(crate) fn answer_time(&self, peer: PeerId) -> Instant {
+        self.calls.get(&peer).map_or(Instant::ZERO, |fault| fault.until)
+    }
+
+    fn answer(&mut self, peer: PeerId, code: HResult, value: Vec<u8>) -> Step {
+        self.answered(peer);
+        Step::Answer(code, value)
+    }
+
+    /// Ends a call that was executed or refused. An answer before `time` is delayed.
+    pub(crate) fn end_call(
+        &mut self,
+        peer: PeerId,
+        outcome: Outcome,
+        time: Instant,
+        reply: &mut ReplyValue<'_>,
+        now: Instant,
+    ) -> Outcome {
+        let Outcome::Done(code) = outcome else { return outcome };
+        if now >= time {
+            self.answered(peer);
+            return outcome;
+        }
+        // Service_Stop has dropped the fault: it is executed again at that time, which changes nothing
+        if let Some(fault) = self.calls.get_mut(&peer) {
+            fault.answer = Some((code, reply.as_bytes().to_vec()));
+        }
+        reply.clear();
+        Outcome::Wait(time)
+    }
+
+    /// Records that the answer of a call was made.
+    fn answered(&mut self, peer: PeerId) {
+        match self.calls.get_mut(&peer) {
+            Some(fault) if fault.lost || fault.wire.is_some() => fault.answered = true,
+            // nothing more happens to it
+            _ => self.forget(peer),
+        }
+    }
+
+    /// Drops the fault of a call that was given up.
+    pub(crate) fn forget(&mut self, peer: PeerId) {
+        self.calls.remove(&peer);
+    }
+
+    /// Applies the fault of a call to the bytes of its answer.
+    pub(crate) fn deliver(&mut self, peer: PeerId, frame: &mut [u8], now: Instant) -> Delivery {
+        if self.is_link_lost(now) {
             return Delivery::Drop;
         }
-        let Some(fate) = self.fates.get(&peer).filter(|fate| fate.answered) else { return Delivery::Send };
-        let (wire, lost) = (fate.wire, fate.lost);
-        self.fates.remove(&peer);
+        let Some(fault) = self.calls.get(&peer).filter(|fault| fault.answered) else { return Delivery::Send };
+        let (wire, lost) = (fault.wire, fault.lost);
+        self.forget(peer);
         match wire {
             _ if lost => Delivery::Drop,
             None => Delivery::Send,
             Some(WireFault::Drop) => Delivery::Drop,
             Some(WireFault::Disconnect) => Delivery::Disconnect,
             Some(WireFault::WrongSerial) => {
-                // far from those that a client uses at the same time
+                // far from the serials that a client uses at the same time
                 frame.get_mut(6).into_iter().for_each(|high| *high ^= 0x40);
                 Delivery::Send
             }
             Some(WireFault::Corrupt) => {
-                let bit = self.scenario.chance.usize(..(frame.len() * 8).max(1));
+                let bit = self.chance.usize(..(frame.len() * 8).max(1));
                 frame.get_mut(bit / 8).into_iter().for_each(|byte| *byte ^= 1 << (bit % 8));
                 Delivery::Send
             }
         }
     }
 
-    /// Tells whether nothing arrives now.
-    pub(crate) fn is_link_lost(&self) -> bool {
-        self.now < self.scenario.lost_until
+    pub(crate) fn is_link_lost(&self, now: Instant) -> bool {
+        now < self.lost_until
     }
+}
 
-    /// Finds out what the scenario has in store for a new call.
-    pub(crate) fn begin_fate(&mut self, peer: PeerId, request: &Request<'_>) {
-        let mut fate = Fate::default();
-        for effect in self.scenario.at_call(request) {
-            match effect {
-                Effect::Refuse(code) => fate.refused = Some(code),
-                Effect::Delay(time) => fate.until = self.now.saturating_add(time),
-                Effect::Wire(fault) => fate.wire = Some(fault),
-                effect => self.happen(effect),
-            }
-        }
-        fate.lost = self.is_link_lost();
-        self.fates.insert(peer, fate);
-    }
+/// What to do with a call.
+#[derive(Debug)]
+pub(crate) enum Step {
+    /// Poll it again at this time.
+    Wait(Instant),
+    /// Answer it with this code and this encoded value.
+    Answer(HResult, Vec<u8>),
+    /// Refuse it with this code.
+    Refuse(HResult),
+    Execute,
+}
 
-    /// Carries a call out, or goes on with it, as far as its fate lets it.
-    pub(crate) fn meet_fate(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>) -> Outcome {
-        let fate = self.fates.get(&peer).cloned().unwrap_or_default();
-        if fate.lost {
-            return match self.is_link_lost() {
-                true => Outcome::Wait(self.scenario.lost_until),
-                false => self.answered(peer, HResult::E_TIMEOUT),
-            };
-        }
-        if let Some((code, value)) = fate.answer {
-            if self.now < fate.until {
-                return Outcome::Wait(fate.until);
-            }
-            let fits = value.is_empty() || reply.set(&kept(&value)).is_ok();
-            return self.answered(peer, if fits { code } else { HResult::E_TOO_MUCH_DATA });
-        }
-        let outcome = match fate.refused {
-            Some(code) => Outcome::Done(self.refuse(code)),
-            None => self.carry_out(peer, request, reply),
-        };
-        match outcome {
-            Outcome::Done(code) if self.now < fate.until => {
-                let value = reply.as_bytes().to_vec();
-                reply.clear();
-                if let Some(fate) = self.fates.get_mut(&peer) {
-                    fate.answer = Some((code, value));
-                }
-                Outcome::Wait(fate.until)
-            }
-            Outcome::Done(code) => self.answered(peer, code),
-            wait => wait,
-        }
-    }
-
-    fn answered(&mut self, peer: PeerId, code: HResult) -> Outcome {
-        match self.fates.get_mut(&peer) {
-            Some(fate) if fate.lost || fate.wire.is_some() => fate.answered = true,
-            // nothing happens to it any more
-            _ => drop(self.fates.remove(&peer)),
-        }
-        Outcome::Done(code)
-    }
+/// Tells whether a request is for a function, or executes a command.
+fn is_of(request: &Request<'_>, of: &str) -> bool {
+    FunctionId::parse(of) == Some(request.function)
+        || command_of(request).is_some_and(|command| command.eq_ignore_ascii_case(of))
 }

@@ -1,4 +1,4 @@
-//! What slvMove carries and answers, in the order that the formats say.
+//! The parameter and the answer of slvMove, as slvSendFormat and slvRecvFormat select their parts.
 //!
 //! ```text
 //!   slvMove     pose R8 array, [MiniIO I4], [user IO: offset I4, size I4, data UI1 array],
@@ -7,14 +7,14 @@
 //!               [currents R8 array of 8]                                    alone: the R8 array itself
 //! ```
 //!
-//! An array of numbers may also be one of VARIANT, and a number may have any type that converts without loss.
-//! Offsets are IO numbers from 128 on and, as sizes, multiples of 8: a size counts bits.
+//! An array of numbers may also be an array of VARIANT. A number may have any type that converts without loss.
+//! An offset is an IO number from 128 on, a size is a number of bits; both are multiples of 8.
 
 use bcap_core::hresult::HResult;
 use bcap_core::variant::{Array, VarType, Variant};
 
-use crate::kinematics::{Axes, six};
-use crate::robot::{position, trans};
+use crate::config::SlaveFormats;
+use crate::kinematics::{Axes, position, six, trans};
 use crate::value::{Value, numbers, numbers_of_array, one_int, whole};
 use crate::variables::Variables;
 
@@ -24,43 +24,26 @@ const CURRENT: i32 = 0x0040;
 const MINI: i32 = 0x0100;
 const USER: i32 = 0x0200;
 
-/// The formats of sending: MiniIO and user IO exclude each other.
+/// The formats of slvSendFormat: MiniIO and user IO exclude each other.
 const SEND: [i32; 6] = [0, HAND, MINI, MINI | HAND, USER, USER | HAND];
 
-/// The IO that MiniIO's bits 0 to 31 are, and those of them that can be written.
+/// The IO of bit 0 of MiniIO, and the IO that slvMove can write.
 const MINI_IO: (usize, std::ops::Range<usize>) = (0, 16..32);
-/// The IO that HandIO's bits 0 to 31 are, those that can be written, and those that can only be read.
+/// The IO of bit 0 of HandIO, the IO that slvMove can write, and those that it can only read.
 const HAND_IO: (usize, std::ops::Range<usize>) = (48, 64..72);
 const HAND_IN: std::ops::Range<usize> = 48..56;
-/// The first IO of the user.
+/// The first user IO.
 const USER_IO: i32 = 128;
 
-/// The parts of slave mode's formats that a controller has.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SlaveFormats {
-    /// MiniIO, 0x0100.
-    pub mini_io: bool,
-    /// HandIO, 0x0020.
-    pub hand_io: bool,
-    /// User IO, 0x0200.
-    pub user_io: bool,
-    /// The currents of the axes, 0x0040.
-    pub current: bool,
+/// Tells whether a controller has all parts of a format.
+fn has(parts: SlaveFormats, format: i32) -> bool {
+    let parts = [(MINI, parts.mini_io), (HAND, parts.hand_io), (USER, parts.user_io), (CURRENT, parts.current)];
+    parts.iter().all(|(part, exists)| *exists || format & part == 0)
 }
 
-impl SlaveFormats {
-    /// Everything.
-    pub const ALL: Self = Self { mini_io: true, hand_io: true, user_io: true, current: true };
-
-    fn has(self, format: i32) -> bool {
-        let parts = [(MINI, self.mini_io), (HAND, self.hand_io), (USER, self.user_io), (CURRENT, self.current)];
-        parts.iter().all(|(part, there)| *there || format & part == 0)
-    }
-}
-
-/// What slvSendFormat and slvRecvFormat have selected.
+/// The formats that slvSendFormat and slvRecvFormat have selected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Formats {
+pub(super) struct Formats {
     send: i32,
     receive: i32,
     /// The time stamp is in µs, not ms.
@@ -75,31 +58,32 @@ impl Default for Formats {
 }
 
 impl Formats {
-    pub(super) fn set_send(&mut self, param: &Variant<'_>, there: SlaveFormats) -> Result<(), HResult> {
+    pub(super) fn set_send(&mut self, param: &Variant<'_>, parts: SlaveFormats) -> Result<(), HResult> {
         let [format] = numbers(param)?[..] else { return Err(HResult::E_INVALIDARG) };
         let format = whole(format)?;
-        if !SEND.contains(&format) || !there.has(format) {
+        if !SEND.contains(&format) || !has(parts, format) {
             return Err(HResult::E_INVALIDARG);
         }
         self.send = format;
         Ok(())
     }
 
-    pub(super) fn set_receive(&mut self, param: &Variant<'_>, there: SlaveFormats) -> Result<(), HResult> {
+    pub(super) fn set_receive(&mut self, param: &Variant<'_>, parts: SlaveFormats) -> Result<(), HResult> {
         let (format, unit) = match numbers(param)?[..] {
             [format] => (whole(format)?, 0),
             [format, unit] => (whole(format)?, whole(unit)?),
             _ => return Err(HResult::E_INVALIDARG),
         };
         let known = 0xF | TIME | HAND | CURRENT | MINI | USER;
-        if format & !known != 0 || !(1..=5).contains(&(format & 0xF)) || !there.has(format) || ![0, 1].contains(&unit) {
+        if format & !known != 0 || !(1..=5).contains(&(format & 0xF)) || !has(parts, format) || ![0, 1].contains(&unit)
+        {
             return Err(HResult::E_INVALIDARG);
         }
         (self.receive, self.micros) = (format, unit == 1);
         Ok(())
     }
 
-    /// Takes the parameter of slvMove apart.
+    /// Reads the parameter of slvMove.
     pub(super) fn read(self, param: &Variant<'_>) -> Result<Order, HResult> {
         let mut order = Order::default();
         let (sends, receives) = (self.send, self.receive & USER != 0);
@@ -136,7 +120,7 @@ impl Formats {
         Ok(order)
     }
 
-    /// Puts the answer of slvMove together.
+    /// Makes the answer of slvMove.
     pub(super) fn answer(self, state: &State, order: &Order, io: &Variables) -> Value {
         let has = |part: i32| self.receive & part != 0;
         let mut items = Vec::new();
@@ -173,7 +157,7 @@ impl Formats {
     }
 }
 
-/// What the robot tells in the answer of slvMove.
+/// The state of the robot in the answer of slvMove.
 pub(super) struct State {
     pub(super) micros: u64,
     pub(super) axes: Axes,
@@ -185,7 +169,7 @@ pub(super) struct State {
 pub(super) struct Order {
     pub(super) pose: Vec<f64>,
     mini: Option<i32>,
-    /// The first IO, and eight IO a byte.
+    /// The first IO, and eight IO in each byte.
     user: Option<(usize, Vec<u8>)>,
     /// The first IO, and the number of bytes.
     read_user: Option<(usize, usize)>,
@@ -193,7 +177,7 @@ pub(super) struct Order {
 }
 
 impl Order {
-    /// Checks that there are the user IO that it names.
+    /// Checks that its user IO exist.
     pub(super) fn check(&self, io: &Variables) -> Result<(), HResult> {
         let written = self.user.as_ref().map(|(offset, data)| (*offset, data.len()));
         let mut ends = written.into_iter().chain(self.read_user).map(|(offset, size)| offset + size * 8);
@@ -214,7 +198,7 @@ impl Order {
     }
 }
 
-/// The items of an array, one after the other.
+/// Reads the items of an array in order.
 struct Items<'a> {
     array: Array<'a>,
     next: usize,
@@ -231,7 +215,7 @@ impl<'a> Items<'a> {
         one_int(&self.next()?)
     }
 
-    /// Reads where user IO begins, and its size in bytes.
+    /// Reads the first user IO, and the number of bytes.
     fn user_io(&mut self) -> Result<(usize, usize), HResult> {
         let (offset, size) = (self.int()?, self.int()?);
         if offset < USER_IO || offset % 8 != 0 || size < 0 || size % 8 != 0 {
@@ -242,7 +226,7 @@ impl<'a> Items<'a> {
     }
 }
 
-/// Reads bytes: an array of UI1, or of whole numbers from 0 to 255.
+/// Reads an array of UI1, or of whole numbers from 0 to 255.
 fn bytes(value: &Variant<'_>) -> Result<Vec<u8>, HResult> {
     if let Variant::Array(array) = value
         && let Some(bytes) = array.items::<u8>()
@@ -253,7 +237,7 @@ fn bytes(value: &Variant<'_>) -> Result<Vec<u8>, HResult> {
     numbers_of_array(value)?.into_iter().map(byte).collect()
 }
 
-/// Reads 32 IO from `first` on; those that are not readable are 0.
+/// Reads 32 IO from `first` on; IO that are not readable are 0.
 fn read_bits(io: &Variables, first: usize, readable: impl Fn(usize) -> bool) -> i32 {
     (0..32).filter(|bit| readable(first + bit) && io.io(first + bit)).fold(0_i32, |bits, bit| bits | 1 << bit)
 }

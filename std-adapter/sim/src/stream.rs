@@ -1,7 +1,7 @@
-//! The buffer of slave mode and the cycle that empties it; no commands, no formats.
+//! The buffer of Slave Mode and the cycle that empties it, without commands and formats.
 //!
 //! ```text
-//!   slvMove ──► waiting ──► buffer: 3, or the newest 1 ──► a cycle each 8 ms ──► the axes move evenly
+//!   slvMove --> waiting --> buffer: 3, or the newest 1 --> a cycle each 8 ms --> the axes move evenly
 //!               (mode 2)                                   speed, acceleration    for one cycle
 //! ```
 
@@ -13,30 +13,73 @@ use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind as Kind;
 use bcap_core::time::Instant;
 
-use super::{CYCLE, Limits, SlaveCounters};
 use crate::kinematics::Axes;
+
+/// The time of a control cycle.
+pub const CYCLE: Duration = Duration::from_millis(8);
 
 /// Positions that modes 0 and 2 buffer.
 const BUFFER: usize = 3;
 
-/// An axis below this speed, in degrees per second, stands: less than what a pose loses on its way through R4.
+/// An axis below this speed, in degrees per second, is at rest. It is less than the rounding of a pose to R4.
 const REST: f64 = 0.01;
 
-/// By how much a speed or an acceleration may exceed its limit, as a part of it: rounding is no excess.
+/// The part of its limit by which a speed or an acceleration may exceed it through rounding.
 const SLACK: f64 = 1e-6;
 
-/// What is done with positions: the mode's hundreds.
+/// The limits of Slave Mode for J1 to J8.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Limits {
+    /// In degrees or mm per second.
+    pub speed: [f64; 8],
+    /// In degrees or mm per second squared.
+    pub acceleration: [f64; 8],
+}
+
+/// What Slave Mode has done since the controller was switched on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct SlaveCounters {
+    /// Cycles.
+    pub cycles: u64,
+    /// Cycles that took a pose.
+    pub taken: u64,
+    /// Cycles without a pose, in which the axes held their position.
+    pub held: u64,
+    /// Underflows while the axes were moving.
+    pub underflows: u64,
+    /// Poses of mode 0 that were not stored: `E_BUF_FULL`.
+    pub refused: u64,
+    /// Poses of mode 1 that a newer one has replaced.
+    pub overwritten: u64,
+    /// Poses of mode 2 whose answer was withheld.
+    pub withheld: u64,
+}
+
+/// A cycle of Slave Mode that took a pose, or in which the axes moved.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SlaveCycle {
+    /// Its number, from 1, since Slave Mode was entered.
+    pub cycle: u64,
+    /// When it began.
+    pub at: Instant,
+    /// The position of the axes J1 to J8 at its end.
+    pub axes: [f64; 8],
+    /// Whether it took a pose; otherwise the axes hold their position.
+    pub took: bool,
+}
+
+/// How positions are buffered: the hundreds of the mode.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Buffering {
-    /// Mode 0: buffered, refused when the buffer is full.
+    /// Mode 0: a full buffer refuses the position.
     Refuse,
-    /// Mode 1: the newest replaces one that was not taken.
+    /// Mode 1: a new position replaces one that no cycle has taken.
     Overwrite,
-    /// Mode 2: buffered, not answered before there is room.
+    /// Mode 2: the call waits until the buffer has room.
     Wait,
 }
 
-/// A mode: what slvChangeMode selects.
+/// The mode that slvChangeMode selects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct SlaveMode {
     pub(crate) buffering: Buffering,
@@ -45,7 +88,7 @@ pub(crate) struct SlaveMode {
 }
 
 impl SlaveMode {
-    /// Reads the number of a mode that is not 0.
+    /// Reads the number of a mode other than 0.
     pub(crate) fn from_number(number: i32) -> Option<Self> {
         let buffering = match number & !0xF {
             0x000 => Buffering::Refuse,
@@ -76,49 +119,49 @@ impl SlaveMode {
     }
 }
 
-/// What became of a position that was offered.
+/// What [`Stream::offer`] did with a position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Offered {
+pub(crate) enum Offered {
     Stored,
-    /// Stored, and mode 0 has no room for another.
+    /// Stored; mode 0 has no room for another.
     Full,
-    /// Kept until there is room.
+    /// Kept until the buffer has room.
     Withheld,
 }
 
-/// What a cycle has done.
+/// What a cycle did.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Ticked {
-    /// It took a position; otherwise the axes hold theirs.
-    pub(super) took: bool,
-    /// The position that was withheld is in the buffer now.
-    pub(super) stored: bool,
+pub(crate) struct Ticked {
+    /// It took a position; otherwise the axes hold their position.
+    pub(crate) took: bool,
+    /// It moved the withheld position into the buffer.
+    pub(crate) stored: bool,
 }
 
-/// Slave mode while it is on.
+/// Slave Mode while it is on.
 #[derive(Clone, Debug)]
 pub(crate) struct Stream {
-    /// Whose slave mode it is.
+    /// The client in Slave Mode.
     pub(crate) peer: PeerId,
     pub(crate) mode: SlaveMode,
     limits: Limits,
     buffer: VecDeque<Axes>,
     withheld: Option<Axes>,
-    /// The client wants to leave; when the buffer is empty and the axes stand, slave mode is over.
+    /// The client is leaving: Slave Mode ends when the buffer is empty and the axes are at rest.
     pub(crate) leaving: bool,
-    /// Cycles since slave mode was entered.
+    /// The number of cycles since Slave Mode was entered.
     pub(crate) cycle: u64,
-    /// When the present cycle began, and where the axes are at its beginning and at its end.
+    /// When the present cycle began, and the position of the axes at its beginning and at its end.
     began: Instant,
     from: Axes,
     to: Axes,
-    /// In the present cycle, in degrees per second, and its change since the cycle before, per second.
+    /// The speed in the present cycle, in degrees per second, and its change since the previous cycle, per second.
     speed: Axes,
     acceleration: Axes,
 }
 
 impl Stream {
-    pub(super) fn new(peer: PeerId, mode: SlaveMode, limits: Limits, here: Axes, now: Instant) -> Self {
+    pub(crate) fn new(peer: PeerId, mode: SlaveMode, limits: Limits, here: Axes, now: Instant) -> Self {
         Self {
             peer,
             mode,
@@ -135,30 +178,31 @@ impl Stream {
         }
     }
 
-    /// Returns where the axes are.
+    /// Returns the position of the axes.
     pub(crate) fn axes(&self, now: Instant) -> Axes {
         let passed = now.saturating_since(self.began).as_secs_f64() / CYCLE.as_secs_f64();
         let part = passed.min(1.0);
         each(|n| self.from[n] + (self.to[n] - self.from[n]) * part)
     }
 
-    /// Returns where the axes are at the end of the present cycle.
+    /// Returns the position of the axes at the end of the present cycle.
     pub(crate) fn commanded(&self) -> Axes {
         self.to
     }
 
-    /// Returns where the axes will be when all that has come was done.
-    pub(super) fn destination(&self) -> Axes {
+    /// Returns the position of the axes after all buffered positions.
+    pub(crate) fn destination(&self) -> Axes {
         self.withheld.or_else(|| self.buffer.back().copied()).unwrap_or(self.to)
     }
 
     /// Returns the speeds of the axes in this cycle, in degrees per second.
-    pub(super) fn speed(&self) -> Axes {
+    pub(crate) fn speed(&self) -> Axes {
         self.speed
     }
 
-    /// Returns what the drives need, in percent: as much as they accelerate, and a tenth of their speed for friction.
-    pub(super) fn current(&self) -> Axes {
+    /// Returns the currents in percent: the part of the limit at which an axis accelerates, and for friction a tenth of
+    /// the part at which it moves.
+    pub(crate) fn current(&self) -> Axes {
         let part = |value: f64, limit: f64| if limit > 0.0 { value / limit * 100.0 } else { 0.0 };
         each(|n| {
             part(self.acceleration[n], self.limits.acceleration[n]) + part(self.speed[n], self.limits.speed[n]) / 10.0
@@ -169,8 +213,8 @@ impl Stream {
         self.speed.iter().any(|speed| speed.abs() > REST)
     }
 
-    /// Tells whether everything was done and leaving is complete.
-    pub(super) fn has_left(&self) -> bool {
+    /// Tells whether the client has left: all poses are done and the axes are at rest.
+    pub(crate) fn has_left(&self) -> bool {
         self.leaving && self.buffer.is_empty() && !self.is_moving()
     }
 
@@ -180,12 +224,12 @@ impl Stream {
     }
 
     /// Tells whether a cycle begins by this time.
-    pub(super) fn is_due(&self, now: Instant) -> bool {
+    pub(crate) fn is_due(&self, now: Instant) -> bool {
         now.saturating_since(self.began) >= CYCLE
     }
 
-    /// Tells whether a position is to be refused now.
-    pub(super) fn refuses(&self) -> bool {
+    /// Tells whether [`offer`](Self::offer) would have no room for a position.
+    pub(crate) fn refuses(&self) -> bool {
         self.mode.buffering == Buffering::Refuse && self.is_full()
     }
 
@@ -193,8 +237,8 @@ impl Stream {
         self.buffer.len() >= BUFFER
     }
 
-    /// Takes a position that is not to be [refused](Self::refuses).
-    pub(super) fn offer(&mut self, axes: Axes, counters: &mut SlaveCounters) -> Offered {
+    /// Takes a position, unless the stream [refuses](Self::refuses) it.
+    pub(crate) fn offer(&mut self, axes: Axes, counters: &mut SlaveCounters) -> Offered {
         match self.mode.buffering {
             Buffering::Overwrite => {
                 counters.overwritten += self.buffer.len() as u64;
@@ -211,13 +255,13 @@ impl Stream {
         if self.mode.buffering == Buffering::Refuse && self.is_full() { Offered::Full } else { Offered::Stored }
     }
 
-    /// Forgets the position that is withheld: nobody waits for it any more.
-    pub(super) fn forget_withheld(&mut self) {
+    /// Drops the withheld position, because its client gave up the call.
+    pub(crate) fn forget_withheld(&mut self) {
         self.withheld = None;
     }
 
-    /// Begins the next cycle; the error is what releases slave mode, and the axes are where the last cycle ended.
-    pub(super) fn tick(&mut self, counters: &mut SlaveCounters) -> Result<Ticked, HResult> {
+    /// Begins the next cycle. An error ends Slave Mode; the axes stay where the last cycle ended.
+    pub(crate) fn tick(&mut self, counters: &mut SlaveCounters) -> Result<Ticked, HResult> {
         self.cycle += 1;
         counters.cycles += 1;
         let taken = self.buffer.pop_front();
@@ -243,8 +287,8 @@ impl Stream {
         Ok(Ticked { took: taken.is_some(), stored: withheld.is_some() })
     }
 
-    /// Lets the cycles pass in which nothing can happen: those that begin by `until`, and no more than `most`.
-    pub(super) fn skip_idle(&mut self, until: Instant, most: u64, counters: &mut SlaveCounters) {
+    /// Skips cycles in which nothing can happen: those that begin by `until`, at most `most` of them.
+    pub(crate) fn skip_idle(&mut self, until: Instant, most: u64, counters: &mut SlaveCounters) {
         if !self.buffer.is_empty() || self.is_moving() || self.leaving {
             return;
         }
@@ -253,7 +297,7 @@ impl Stream {
         if cycles > 0 {
             self.from = self.to;
             (self.speed, self.acceleration) = ([0.0; 8], [0.0; 8]);
-            // the product is not above `until`
+            // the result is not after `until`
             self.began = self.began.saturating_add(Duration::from_micros(cycles * micros(CYCLE)));
             self.cycle += cycles;
             counters.cycles += cycles;

@@ -1,0 +1,53 @@
+//! The result of a function or command that is not refused.
+
+use bcap_core::hresult::HResult;
+use bcap_core::time::Instant;
+
+use crate::value::Value;
+use crate::waits::Wait;
+
+/// The result of a call.
+#[derive(Debug, PartialEq)]
+pub(crate) enum Answer {
+    /// `S_OK` without a value.
+    Done,
+    /// `S_OK` with a value.
+    Value(Value),
+    /// Another success code than `S_OK`.
+    Code(HResult),
+    /// A success code with a value.
+    Coded(HResult, Value),
+    /// The call has started something that takes time, and is answered when that ends.
+    Until(Wait),
+    /// The call is polled again at this time.
+    Poll(Instant),
+}
+
+/// The result of a call, or the code with which it is refused.
+pub(crate) type Answered = Result<Answer, HResult>;
+
+impl From<Value> for Answer {
+    fn from(value: Value) -> Self {
+        Self::Value(value)
+    }
+}
+
+impl Answer {
+    /// Makes an array of names.
+    pub(crate) fn names<T: Into<String>>(list: impl IntoIterator<Item = T>) -> Self {
+        Value::Texts(list.into_iter().map(Into::into).collect()).into()
+    }
+
+    /// Makes `S_OK`, or `S_FALSE` for a call that had nothing to do.
+    pub(crate) fn done_if(done: bool) -> Self {
+        if done { Self::Done } else { Self::Code(HResult::S_FALSE) }
+    }
+
+    /// Adds the EMPTY value that commands answer and other functions do not.
+    pub(crate) fn of_command(self) -> Self {
+        match self {
+            Self::Done => Value::Empty.into(),
+            answer => answer,
+        }
+    }
+}

@@ -1,0 +1,118 @@
+//! The functions of the robot object.
+
+use bcap_core::bcap::FunctionId;
+use bcap_core::bcap::server::Request;
+use bcap_core::hresult::HResult;
+
+use super::commands::{COMMANDS, Handler};
+use super::{Arm, moves};
+use crate::answer::{Answer, Answered};
+use crate::context::Context;
+use crate::drive::Drive;
+use crate::function::command_of;
+use crate::kinematics::with_joints;
+use crate::robot::{Percent, coordinates, percent};
+use crate::table::Command;
+use crate::waits::Wait;
+
+impl Arm {
+    /// Executes a function of the robot that concerns the arm.
+    pub(crate) fn call(&mut self, ctx: &mut Context<'_>, request: &Request<'_>) -> Answered {
+        match request.function {
+            FunctionId::ROBOT_EXECUTE => {
+                let name = command_of(request).unwrap_or_default();
+                let handler = Command::handler(COMMANDS, &name, ctx.config.profile)?;
+                self.run(handler, ctx, request)
+            }
+            FunctionId::ROBOT_MOVE => moves::move_to(&mut self.robot, ctx, request),
+            FunctionId::ROBOT_DRIVE => {
+                let drive = Drive::relative(request.int(1), request.float(2))?;
+                moves::drive(&mut self.robot, ctx, &drive, &request.text(3).to_string())
+            }
+            FunctionId::ROBOT_GO_HOME => {
+                let home = ctx.config.home;
+                moves::move_axes(&mut self.robot, ctx, "", |here| Ok(with_joints(&home, here)))
+            }
+            FunctionId::ROBOT_HALT => Ok(match self.halt(ctx.config, ctx.now, ctx.waits) {
+                // answered at rest, so that a motion that follows is not refused
+                true => Answer::Until(Wait::Rest),
+                false => Answer::Code(HResult::S_FALSE),
+            }),
+            FunctionId::ROBOT_HOLD => Ok(Answer::done_if(self.robot.hold(ctx.now))),
+            FunctionId::ROBOT_UNHOLD => {
+                ctx.may_execute()?;
+                Ok(Answer::done_if(self.robot.unhold(ctx.now)))
+            }
+            FunctionId::ROBOT_SPEED => self.set_speed(ctx, request.int(1), request.float(2)),
+            FunctionId::ROBOT_ACCELERATE => {
+                self.set_acceleration(ctx, request.int(1), request.float(2), request.float(3))
+            }
+            FunctionId::ROBOT_CHUCK | FunctionId::ROBOT_UNCHUCK if !request.text(1).to_string().trim().is_empty() => {
+                Err(HResult::E_INVALIDARG)
+            }
+            FunctionId::ROBOT_CHUCK => self.hand.close(ctx),
+            FunctionId::ROBOT_UNCHUCK => self.hand.open(ctx),
+            FunctionId::ROBOT_CHANGE => self.change(ctx, &request.text(1).to_string()),
+            _ => Err(HResult::E_NOTIMPL),
+        }
+    }
+
+    /// Makes the answer of a call that has waited successfully.
+    pub(crate) fn resumed(&mut self, ctx: &mut Context<'_>, request: &Request<'_>) -> Answered {
+        let name = command_of(request).unwrap_or_default();
+        match Command::find(COMMANDS, &name).and_then(Command::resumed) {
+            Some(handler) => self.run(handler, ctx, request),
+            None => Ok(Answer::Done),
+        }
+    }
+
+    fn run(&mut self, handler: Handler, ctx: &mut Context<'_>, request: &Request<'_>) -> Answered {
+        match handler {
+            Handler::Read(reading) => Ok(reading(self, ctx).into()),
+            Handler::Execute(execute) => execute(self, ctx, &request.value(2)),
+        }
+    }
+
+    fn set_speed(&mut self, ctx: &mut Context<'_>, axis: i32, speed: f64) -> Answered {
+        let speed = percent(speed)?;
+        self.robot.may_set(ctx)?;
+        let settings = self.robot.settings_mut();
+        match axis {
+            -1 => settings.line.speed = speed,
+            0 => {}
+            _ => return Err(HResult::E_INVALIDARG),
+        }
+        settings.joint.speed = speed;
+        Ok(Answer::Done)
+    }
+
+    fn set_acceleration(&mut self, ctx: &mut Context<'_>, axis: i32, accel: f64, decel: f64) -> Answered {
+        let (accel, decel) = (percent(accel)?, percent(decel)?);
+        self.robot.may_set(ctx)?;
+        let settings = self.robot.settings_mut();
+        let set = |of: &mut Percent| (of.accel, of.decel) = (accel, decel);
+        match axis {
+            -1 => set(&mut settings.line),
+            0 => {}
+            _ => return Err(HResult::E_INVALIDARG),
+        }
+        set(&mut settings.joint);
+        Ok(Answer::Done)
+    }
+
+    /// Executes Robot_Change, which selects a tool or work coordinates.
+    fn change(&mut self, ctx: &mut Context<'_>, name: &str) -> Answered {
+        self.robot.may_set(ctx)?;
+        let upper = name.trim().to_ascii_uppercase();
+        let number = |digits: &str| digits.parse().map_err(|_| HResult::E_INVALIDARG).and_then(coordinates);
+        let settings = self.robot.settings_mut();
+        if let Some(digits) = upper.strip_prefix("TOOL") {
+            settings.tool = number(digits)?;
+        } else if let Some(digits) = upper.strip_prefix("WORK") {
+            settings.work = number(digits)?;
+        } else {
+            return Err(HResult::E_INVALIDARG);
+        }
+        Ok(Answer::Done)
+    }
+}

@@ -1,0 +1,244 @@
+//! The commands of Robot_Execute: one table of names, parameters and handlers.
+
+use bcap_core::hresult::HResult;
+use bcap_core::rac::VariableKind as Kind;
+use bcap_core::variant::Variant;
+
+use super::readings::{self, Reading};
+use super::{Arm, moves};
+use crate::answer::{Answer, Answered};
+use crate::config::Profile;
+use crate::context::Context;
+use crate::kinematics::{angle, figure, pose_numbers, position, trans};
+use crate::pose::Pose;
+use crate::robot::{Percent, percent};
+use crate::slave;
+use crate::table::Command;
+use crate::value::{Value, numbers, one_int, whole};
+
+/// Executes a command.
+type Execute = fn(&mut Arm, &mut Context<'_>, &Variant<'_>) -> Answered;
+
+/// The handler of a command.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Handler {
+    Read(Reading),
+    Execute(Execute),
+}
+
+const fn read(name: &'static str, reading: Reading) -> Command<Handler> {
+    Command::new(name, Handler::Read(reading))
+}
+
+const fn command(name: &'static str, execute: Execute) -> Command<Handler> {
+    Command::new(name, Handler::Execute(execute))
+}
+
+const DRIVE: &str = "pairs or [pairs, option]: pairs are \"@E (axis, value), ...\" or [[axis, value], ...], with axes \
+                     1 to 6, and 7 and 8 where the arm has them; option as for Robot_Move";
+const JOINTS: &str = "6 to 8 numbers in degrees, \"J(...)\", \"J1\" or [numbers, \"J\"]";
+const POSITION: &str = "6 or 7 numbers (X Y Z RX RY RZ Fig), \"P(...)\", \"P1\" or [numbers, \"P\"]";
+const TRANS: &str = "9 or 10 numbers (position, orient, approach, Fig), \"T(...)\", \"T1\" or [numbers, \"T\"]";
+
+/// The commands.
+pub(crate) const COMMANDS: &[Command<Handler>] = &[
+    read("CurPos", readings::current_position),
+    read("HighCurPos", readings::current_position),
+    read("CurJnt", readings::current_angle).in_slave_mode(),
+    read("HighCurJnt", readings::current_angle),
+    read("CurTrn", readings::current_trans),
+    read("HighCurTrn", readings::current_trans),
+    read("CurPosEx", readings::timed_position),
+    read("HighCurPosEx", readings::timed_position),
+    read("CurJntEx", readings::timed_angle),
+    read("HighCurJntEx", readings::timed_angle),
+    read("CurTrnEx", readings::timed_trans),
+    read("HighCurTrnEx", readings::timed_trans),
+    read("DestPos", readings::target_position),
+    read("DestJnt", readings::target_angle),
+    read("DestTrn", readings::target_trans),
+    read("CurSpd", readings::speed),
+    read("CurAcc", readings::accel),
+    read("CurDec", readings::decel),
+    read("CurJSpd", readings::joint_speed),
+    read("CurJAcc", readings::joint_accel),
+    read("CurJDec", readings::joint_decel),
+    read("CurExtSpd", readings::external_speed),
+    read("CurExtAcc", readings::external_accel),
+    read("CurExtDec", readings::external_decel),
+    read("CurFig", readings::figure_of),
+    read("CurTool", readings::tool),
+    read("CurWork", readings::work),
+    read("GetRobotTypeName", readings::robot_type),
+    command("RobInfo", robot_info).accepts("one number: 1"),
+    command("J2P", |arm, ctx, param| convert(arm, ctx, Kind::J, Kind::P, param)).accepts(JOINTS),
+    command("J2T", |arm, ctx, param| convert(arm, ctx, Kind::J, Kind::T, param)).accepts(JOINTS),
+    command("P2J", |arm, ctx, param| convert(arm, ctx, Kind::P, Kind::J, param)).accepts(POSITION),
+    command("P2T", |arm, ctx, param| convert(arm, ctx, Kind::P, Kind::T, param)).accepts(POSITION),
+    command("T2J", |arm, ctx, param| convert(arm, ctx, Kind::T, Kind::J, param)).accepts(TRANS),
+    command("T2P", |arm, ctx, param| convert(arm, ctx, Kind::T, Kind::P, param)).accepts(TRANS),
+    command("TakeArm", take_arm).accepts("nothing, the group, or [group, keep]: group 0, keep 0 or 1"),
+    command("GiveArm", give_arm),
+    command("TakeArmState", arm_state).accepts("nothing, or one number: the group 0, or -1"),
+    command("Motor", motor).accepts(MOTOR),
+    command("ExtSpeed", external_speed)
+        .accepts("a speed, [speed, accel] or [speed, accel, decel], in percent, 0.0001 to 100"),
+    command("DriveEx", |arm, ctx, param| moves::drive_command(&mut arm.robot, ctx, false, param)).accepts(DRIVE),
+    command("DriveAEx", |arm, ctx, param| moves::drive_command(&mut arm.robot, ctx, true, param)).accepts(DRIVE),
+    command("slvChangeMode", |arm, ctx, param| slave::change_mode(&mut arm.robot, ctx, param))
+        .accepts("one number: 0, 0x001 to 0x003, 0x101 to 0x103, 0x201 to 0x203")
+        .in_slave_mode(),
+    read("slvGetMode", |arm, _| Value::I4(slave::mode(&arm.robot))).in_slave_mode(),
+    command("slvMove", |arm, ctx, param| arm.slave.do_move(&mut arm.robot, ctx, param))
+        .resumes(Handler::Execute(|arm, ctx, param| arm.slave.stored(&arm.robot, ctx, param)))
+        .accepts(
+            "an array of 7 (P), 8 (J) or 10 (T) numbers by the mode, with an option element and J7, J8 where the arm has \
+             them; with IO: [pose, MiniIO, user IO offset, size, bytes, offset, size, HandIO] by the formats",
+        )
+        .in_slave_mode(),
+    command("slvSendFormat", |arm, ctx, param| arm.slave.send_format(ctx, param))
+        .accepts("one number: 0, 0x20, 0x100, 0x120, 0x200 or 0x220, of the parts that the controller has"),
+    command("slvRecvFormat", |arm, ctx, param| arm.slave.receive_format(ctx, param)).accepts(
+        "format or [format, unit]: the pose 1 to 5, plus 0x10, 0x20, 0x40, 0x100, 0x200; unit 0 or 1",
+    ),
+    command("ManualResetPreparation", |arm, _, _| {
+        arm.preparation.prepare_reset();
+        Ok(Answer::Done)
+    })
+    .of(Profile::needs_preparation),
+    command("MotionPreparation", |arm, ctx, _| arm.preparation.prepare_motion(ctx)).of(Profile::needs_preparation),
+    read("GetMotionPreparationState", |arm, _| Value::Bool(arm.preparation.is_motion_ready()))
+        .of(Profile::needs_preparation),
+    command("AutoCal", |arm, ctx, _| arm.preparation.calibrate(ctx)).of(Profile::needs_preparation),
+    Command::missing("GetSrvData"),
+    Command::missing("OutRange"),
+    Command::missing("Dev"),
+    Command::missing("DevH"),
+    Command::missing("Approach"),
+    Command::missing("Depart"),
+    Command::missing("ConvertPosWork"),
+    Command::missing("GetToolDef"),
+    Command::missing("SetToolDef"),
+    Command::missing("GetWorkDef"),
+    Command::missing("SetWorkDef"),
+    Command::missing("PayLoad"),
+    Command::missing("SpeedMode"),
+    Command::missing("MotionSkip"),
+    Command::missing("MotionComplete"),
+    Command::missing("GetAreaDef"),
+    Command::missing("GetAreaEnabled"),
+    Command::missing("SetAreaEnabled"),
+    Command::missing("CheckVirtualFence"),
+    Command::missing("ForceSensor"),
+    Command::missing("ForceValue"),
+    Command::missing("ForceCtrl"),
+    Command::missing("ForceParam"),
+    Command::missing("StartLog"),
+    Command::missing("StopLog"),
+    Command::missing("ClearLog"),
+    Command::missing("GetLogCount"),
+    Command::missing("GetLogRecord"),
+    Command::missing("SyncTimeStart"),
+    Command::missing("SyncTimeEnd"),
+    Command::missing("SyncMoveStart"),
+    Command::missing("SyncMoveEnd"),
+    Command::missing("RotateH"),
+];
+
+/// The parameter of Motor.
+pub(crate) const MOTOR: &str = "one number or BOOL: 0 off, otherwise on; or [state, no wait]";
+
+/// Converts a pose to another kind; of several postures, takes the nearest to the robot's.
+fn convert(arm: &Arm, ctx: &Context<'_>, from: Kind, to: Kind, param: &Variant<'_>) -> Answered {
+    let near = arm.robot.joints(ctx.now);
+    let pose = Pose::parse_as(from, param, ctx.variables)?;
+    // an argument out of reach is no error of the controller
+    let joints = pose.joints(&near).map_err(|error| error.code())?;
+    Ok(Value::R8s(match (to, pose) {
+        (Kind::P, Pose::Frame(frame, _)) => pose_numbers(&frame, figure(&joints)),
+        (Kind::P, Pose::Joints(_)) => position(&joints),
+        (Kind::T, _) => trans(&joints),
+        _ => angle(&joints),
+    })
+    .into())
+}
+
+fn take_arm(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let (group, keep) = match numbers(param)?.as_slice() {
+        [] => (0, 0),
+        [group] => (whole(*group)?, 0),
+        [group, keep] => (whole(*group)?, whole(*keep)?),
+        _ => return Err(HResult::E_INVALIDARG),
+    };
+    // there is one arm, and group 0 is the arm; -1 is TRUE
+    if group != 0 || ![-1, 0, 1].contains(&keep) {
+        return Err(HResult::E_INVALIDARG);
+    }
+    ctx.may_execute()?;
+    arm.robot.may_set(ctx)?;
+    arm.robot.set_owner(Some((ctx.peer, group)));
+    if keep == 0 {
+        arm.robot.reset_settings();
+    }
+    Ok(Answer::Done)
+}
+
+fn give_arm(arm: &mut Arm, ctx: &mut Context<'_>, _: &Variant<'_>) -> Answered {
+    if arm.robot.owner() != Some(ctx.peer) {
+        return Ok(Answer::Code(HResult::S_FALSE));
+    }
+    if arm.robot.is_moving() {
+        return Err(HResult::E_ROBOTISBUSY);
+    }
+    arm.robot.set_owner(None);
+    Ok(Answer::Done)
+}
+
+fn arm_state(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let wanted = if param.is_empty() { -1 } else { one_int(param)? };
+    let group = arm.robot.group_of(ctx.peer).filter(|group| [-1, *group].contains(&wanted));
+    Ok(Value::I4(group.unwrap_or(-1)).into())
+}
+
+/// Executes Motor, also for the controller.
+pub(crate) fn motor(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let (state, no_wait) = match numbers(param)?.as_slice() {
+        [state] => (whole(*state)?, 0),
+        [state, no_wait] => (whole(*state)?, whole(*no_wait)?),
+        _ => return Err(HResult::E_INVALIDARG),
+    };
+    arm.switch_motor(ctx, state != 0, no_wait == 0)
+}
+
+fn robot_info(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    match one_int(param)? {
+        1 => Ok(readings::robot_type(arm, ctx).into()),
+        _ => Err(HResult::E_NOTIMPL),
+    }
+}
+
+fn external_speed(arm: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let given = numbers(param)?;
+    let [speed, rest @ ..] = given.as_slice() else { return Err(HResult::E_INVALIDARG) };
+    let mut external = Percent::of_speed(percent(*speed)?);
+    match rest {
+        [] => {}
+        [accel] => external.accel = percent(*accel)?,
+        [accel, decel] => (external.accel, external.decel) = (percent(*accel)?, percent(*decel)?),
+        _ => return Err(HResult::E_INVALIDARG),
+    }
+    arm.robot.settings_mut().external = external;
+    Ok(Answer::Done)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::table::assert_documented;
+
+    #[test]
+    fn every_command_is_documented() {
+        let sources = [include_str!("../arm.rs"), include_str!("../slave.rs"), include_str!("../preparation.rs")];
+        assert_documented(COMMANDS, &sources);
+    }
+}

@@ -1,0 +1,72 @@
+//! The system variables of the robot.
+
+use bcap_core::hresult::HResult;
+use bcap_core::variant::Variant;
+
+use super::Arm;
+use super::readings::{self, Reading};
+use crate::answer::{Answer, Answered};
+use crate::context::Context;
+use crate::robot::{Percent, coordinates, percent};
+use crate::table::Property;
+use crate::value::{TRUTH, Value, number, one_int, truth};
+
+type Write = fn(&mut Arm, &mut Context<'_>, &Variant<'_>) -> Answered;
+
+const fn read(name: &'static str, get: Reading) -> Property<Reading, Write> {
+    Property::read(name, get)
+}
+
+const COORDINATES: &str = "one number, 0 to 63";
+
+/// The variables, in the order of Robot_GetVariableNames.
+pub(crate) const VARIABLES: &[Property<Reading, Write>] = &[
+    read("@CURRENT_POSITION", readings::current_position),
+    read("@CURRENT_ANGLE", readings::current_angle),
+    read("@CURRENT_TRANS", readings::current_trans),
+    read("@HIGH_CURRENT_POSITION", readings::current_position),
+    read("@HIGH_CURRENT_ANGLE", readings::current_angle),
+    read("@HIGH_CURRENT_TRANS", readings::current_trans),
+    read("@DEST_POSITION", readings::target_position),
+    read("@DEST_ANGLE", readings::target_angle),
+    read("@DEST_TRANS", readings::target_trans),
+    read("@SERVO_ON", |arm, _| Value::Bool(arm.robot.motor_is_on())).and_write(put_servo_on, TRUTH),
+    read("@BUSY_STATUS", |arm, _| Value::Bool(arm.robot.is_moving())),
+    read("@TYPE_NAME", |_, ctx| Value::from(ctx.config.robot_type.as_str())),
+    read("@TYPE", |_, _| Value::I4(0)),
+    read("@CURRENT_TOOL", readings::tool).and_write(put_tool, COORDINATES),
+    read("@CURRENT_WORK", readings::work).and_write(put_work, COORDINATES),
+    read("@SPEED", readings::speed),
+    read("@ACCEL", readings::accel),
+    read("@DECEL", readings::decel),
+    read("@JSPEED", readings::joint_speed),
+    read("@JACCEL", readings::joint_accel),
+    read("@JDECEL", readings::joint_decel),
+    read("@EXTSPEED", readings::external_speed).and_write(put_external_speed, "one number: percent, 0.0001 to 100"),
+    read("@EXTACCEL", readings::external_accel),
+    read("@EXTDECEL", readings::external_decel),
+];
+
+/// Writing true answers when the motor is on, as `Motor` does without its NoWait.
+fn put_servo_on(arm: &mut Arm, ctx: &mut Context<'_>, value: &Variant<'_>) -> Answered {
+    let wait = ctx.config.servo_on_waits;
+    arm.switch_motor(ctx, truth(value)?, wait)
+}
+
+fn put_tool(arm: &mut Arm, ctx: &mut Context<'_>, value: &Variant<'_>) -> Answered {
+    arm.robot.may_set(ctx)?;
+    arm.robot.settings_mut().tool = coordinates(one_int(value)?)?;
+    Ok(Answer::Done)
+}
+
+fn put_work(arm: &mut Arm, ctx: &mut Context<'_>, value: &Variant<'_>) -> Answered {
+    arm.robot.may_set(ctx)?;
+    arm.robot.settings_mut().work = coordinates(one_int(value)?)?;
+    Ok(Answer::Done)
+}
+
+fn put_external_speed(arm: &mut Arm, _: &mut Context<'_>, value: &Variant<'_>) -> Answered {
+    let speed = percent(number(&value.flatten()).ok_or(HResult::E_INVALIDARGTYPE)?)?;
+    arm.robot.settings_mut().external = Percent::of_speed(speed);
+    Ok(Answer::Done)
+}

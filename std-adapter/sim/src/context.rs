@@ -1,0 +1,78 @@
+//! What a part of the controller sees of the rest of it during one call.
+
+use bcap_core::handler::PeerId;
+use bcap_core::hresult::HResult;
+use bcap_core::time::Instant;
+
+use crate::config::{Config, Mode, Permission, Token};
+use crate::errors::Errors;
+use crate::variables::Variables;
+use crate::waits::Waits;
+
+/// The switches that a person sets: they decide which calls are refused.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Panel {
+    pub(crate) mode: Mode,
+    pub(crate) token: Token,
+    pub(crate) emergency_stop: bool,
+}
+
+impl Panel {
+    pub(crate) fn is_auto(self) -> bool {
+        self.mode == Mode::Auto
+    }
+}
+
+/// A client's call, and the state that it may need besides that of the part that executes it.
+#[derive(Debug)]
+pub(crate) struct Context<'a> {
+    /// The client.
+    pub(crate) peer: PeerId,
+    pub(crate) now: Instant,
+    pub(crate) config: &'a Config,
+    pub(crate) panel: Panel,
+    pub(crate) variables: &'a mut Variables,
+    pub(crate) waits: &'a mut Waits,
+    pub(crate) errors: &'a mut Errors,
+    /// The error that the call has caused. The controller raises it when the call returns.
+    pub(crate) raised: &'a mut Option<HResult>,
+}
+
+impl Context<'_> {
+    /// Checks what every command that starts something needs: Auto mode, the executable token, no error.
+    pub(crate) fn may_execute(&mut self) -> Result<(), HResult> {
+        self.may_command()?;
+        if self.errors.code().is_err() { Err(self.refuse(HResult::E_ERROR_PRESENT)) } else { Ok(()) }
+    }
+
+    /// Checks Auto mode and the executable token.
+    pub(crate) fn may_command(&mut self) -> Result<(), HResult> {
+        if !self.panel.is_auto() {
+            return Err(self.refuse(HResult::E_ACCESSDENIED));
+        }
+        match self.panel.token {
+            Token::TeachPendant => Err(self.refuse(HResult::E_TOKEN_NOT_ETHERNET)),
+            Token::Client(owner) if owner != self.peer => Err(self.refuse(HResult::E_TOKEN_ADDRESS)),
+            _ => Ok(()),
+        }
+    }
+
+    /// Checks the communication permission.
+    pub(crate) fn may_write(&self) -> Result<(), HResult> {
+        match self.config.permission {
+            Permission::ReadWrite => Ok(()),
+            Permission::ReadOnly => Err(HResult::E_CAO_NOT_WRITABLE),
+        }
+    }
+
+    /// Enters a refused call into the error log.
+    pub(crate) fn refuse(&mut self, code: HResult) -> HResult {
+        self.errors.refuse(code, self.now)
+    }
+
+    /// Makes the controller raise an error when this call returns; the call ends with its code.
+    pub(crate) fn raise(&mut self, code: HResult) -> HResult {
+        *self.raised = Some(code);
+        code
+    }
+}

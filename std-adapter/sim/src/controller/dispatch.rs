@@ -1,0 +1,372 @@
+//! From a request to the part of the controller that executes it: all of RAC, and all functions of b-CAP.
+
+use bcap_core::bcap::server::{Handler, Request};
+use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::handler::{Outcome, PeerId, ReplyValue};
+use bcap_core::hresult::HResult;
+use bcap_core::rac;
+use bcap_core::time::Instant;
+use bcap_core::variant::{Encode, Variant};
+
+use super::variable::{accepted_value, names_of};
+use super::{Controller, execute};
+use crate::answer::{Answer, Answered};
+use crate::arm;
+use crate::config::Profile;
+use crate::files::{Done, WorkProgress};
+use crate::function::{command_of, executes};
+use crate::hand;
+use crate::objects::{Entry, Item, Owner};
+use crate::options::option;
+use crate::scenario::Step;
+use crate::table::Command;
+use crate::tasks;
+use crate::value::{Value, kept};
+use crate::variables::{Family, wildcard_names};
+use crate::waits::Wait;
+
+impl Handler for Controller {
+    fn call(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        self.advance(now);
+        reply.clear();
+        if !request.resumed {
+            for effect in self.scenario.begin_call(peer, request, self.common.now) {
+                self.apply(effect);
+            }
+        }
+        match self.scenario.step(peer, self.common.now) {
+            Step::Wait(at) => Outcome::Wait(at),
+            Step::Answer(code, value) => {
+                let fits = value.is_empty() || reply.set(&kept(&value)).is_ok();
+                Outcome::Done(if fits { code } else { HResult::E_TOO_MUCH_DATA })
+            }
+            step => {
+                // before the call, because Service_Stop drops its fault
+                let time = self.scenario.answer_time(peer);
+                let outcome = match step {
+                    Step::Refuse(code) => Outcome::Done(self.common.errors.refuse(code, self.common.now)),
+                    _ => self.execute(peer, request, reply),
+                };
+                self.scenario.end_call(peer, outcome, time, reply, self.common.now)
+            }
+        }
+    }
+
+    /// A motion that a call waited for continues; only its end is not reported.
+    fn abandoned(&mut self, peer: PeerId, now: Instant) {
+        self.advance(now);
+        self.common.waits.forget(peer);
+        self.scenario.forget(peer);
+        self.files.forget(peer);
+        self.arm.abandon(peer);
+    }
+
+    fn left(&mut self, peer: PeerId, now: Instant) {
+        self.advance(now);
+        self.forget(peer);
+    }
+}
+
+/// Clients of RAC have no session and no objects: they read and write the same user variables.
+impl rac::server::Handler for Controller {
+    fn call(&mut self, peer: PeerId, request: &rac::Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        self.advance(now);
+        reply.clear();
+        if self.scenario.is_link_lost(self.common.now) {
+            // nor is the answer delivered
+            return Outcome::Done(HResult::E_TIMEOUT);
+        }
+        let rac::Variable { kind, index } = request.variable();
+        let result = match request.value() {
+            None => self.common.variables.get(Family::Plain(kind), index).map(|value| set_reply(reply, &value)),
+            Some(value) => self.put_user(peer, Family::Plain(kind), index, &value).map(|()| HResult::S_OK),
+        };
+        Outcome::Done(result.unwrap_or_else(|refused| refused))
+    }
+}
+
+impl Controller {
+    /// Executes a request, or continues one that waits, whatever the scenario says.
+    fn execute(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>) -> Outcome {
+        let answered = self.dispatch(peer, request);
+        if let Some(code) = self.common.raised.take() {
+            self.raise(code);
+        }
+        match answered {
+            Ok(Answer::Done) => Outcome::Done(HResult::S_OK),
+            Ok(Answer::Value(value)) => Outcome::Done(set_reply(reply, &value)),
+            Ok(Answer::Code(code)) => Outcome::Done(code),
+            Ok(Answer::Coded(code, value)) => match set_reply(reply, &value) {
+                HResult::S_OK => Outcome::Done(code),
+                failed => Outcome::Done(failed),
+            },
+            Ok(Answer::Until(wait)) => Outcome::Wait(self.poll_time(wait)),
+            Ok(Answer::Poll(at)) => Outcome::Wait(at),
+            Err(code) => {
+                let accepted = self.accepted(peer, request);
+                self.refusals.record(request, accepted, code, &self.common.config.observer);
+                Outcome::Done(code)
+            }
+        }
+    }
+
+    fn dispatch(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
+        let Some(signature) = request.function.signature() else { return Err(HResult::E_INVALIDARG) };
+        match request.function {
+            FunctionId::SERVICE_START => {
+                self.sessions.insert(peer);
+                return Ok(Answer::Done);
+            }
+            // also without a session: a server releases one as an object, before it passes the client's own call on
+            FunctionId::SERVICE_STOP => {
+                self.forget(peer);
+                return Ok(Answer::Done);
+            }
+            _ if !self.sessions.contains(&peer) => return Err(HResult::E_NOT_CONNECTED),
+            FunctionId::CONTROLLER_CONNECT => return self.connect(peer, request),
+            _ => {}
+        }
+        self.call_object(peer, request, signature.object)
+    }
+
+    /// Executes a function of an object, or continues one that waits.
+    fn call_object(&mut self, peer: PeerId, request: &Request<'_>, object: Object) -> Answered {
+        let handle = request.handle();
+        let entry = self.objects.get_mut(peer, handle, object)?;
+        if let Some(answered) = entry.common(request, &self.common.variables) {
+            return answered;
+        }
+        if request.function.releases().is_some() {
+            self.objects.release(peer, handle, object)?;
+            return Ok(Answer::Done);
+        }
+        self.check_slave_mode(peer, request)?;
+        let answer = match request.resumed && !self.takes_turn(peer) {
+            true => self.resume(peer, request, object)?,
+            false => match self.start(peer, request, object)? {
+                Answer::Until(wait) => self.wait_for(peer, request, wait)?,
+                answer => answer,
+            },
+        };
+        if let FunctionId::VARIABLE_GET_VALUE | FunctionId::VARIABLE_PUT_VALUE = request.function {
+            self.objects.get_mut(peer, handle, object)?.stamp = self.common.now;
+        }
+        Ok(if executes(request.function) { answer.of_command() } else { answer })
+    }
+
+    /// Starts a function of an object.
+    fn start(&mut self, peer: PeerId, request: &Request<'_>, object: Object) -> Answered {
+        let entry = self.objects.get(peer, request.handle(), object)?;
+        match entry.item {
+            Item::Controller => self.call_controller(peer, request),
+            Item::Robot => self.call_robot(peer, request),
+            Item::Task(n) => self.call_task(peer, n, request),
+            Item::Variable(target) => self.call_variable(peer, target, request),
+            Item::Extension => self.call_extension(peer, request),
+            Item::Command(_) => self.call_command(peer, request),
+            Item::Message(message) => message.call(&self.common.config, request.function),
+            Item::File => {
+                let progress = self.files.call(&self.common.context(peer), &entry.name, request)?;
+                self.file_progress(peer, request, progress)
+            }
+        }
+    }
+
+    /// Tells whether a call has waited for the end of a motion and must now start its own; ends that wait.
+    fn takes_turn(&mut self, peer: PeerId) -> bool {
+        let takes = self.common.waits.get(peer) == Some(Wait::Turn) && !self.arm.robot().has_motion();
+        if takes {
+            self.common.waits.forget(peer);
+        }
+        takes
+    }
+
+    /// Continues a call that waits.
+    fn resume(&mut self, peer: PeerId, request: &Request<'_>, object: Object) -> Answered {
+        match (object, request.function) {
+            (Object::File, _) | (_, FunctionId::CONTROLLER_GET_FILE | FunctionId::CONTROLLER_GET_FILE_NAMES) => {
+                let progress = self.files.resume(peer, self.common.now)?;
+                self.file_progress(peer, request, progress)
+            }
+            (Object::Command, _) => self.resume_command(peer, request.handle()),
+            _ => match self.poll(peer)? {
+                Answer::Done if object == Object::Robot => self.arm.resumed(&mut self.common.context(peer), request),
+                answer => Ok(answer),
+            },
+        }
+    }
+
+    /// Waits for an event, which may have occurred already.
+    fn wait_for(&mut self, peer: PeerId, request: &Request<'_>, wait: Wait) -> Answered {
+        self.common.waits.begin(peer, wait);
+        self.arm.advance(self.common.now, &mut self.common.waits);
+        let object = request.function.signature().map_or(Object::Service, |signature| signature.object);
+        self.resume(peer, request, object)
+    }
+
+    /// Returns the result of the event that a client waits for.
+    pub(super) fn poll(&mut self, peer: PeerId) -> Answered {
+        match self.common.waits.get(peer) {
+            Some(Wait::Over(result)) => {
+                self.common.waits.forget(peer);
+                if result == HResult::S_OK { Ok(Answer::Done) } else { Err(result) }
+            }
+            Some(wait) => Ok(Answer::Until(wait)),
+            None => Err(HResult::E_ABORT),
+        }
+    }
+
+    fn connect(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
+        let provider = request.text(1);
+        let config = &self.common.config;
+        let profiles = if config.any_provider { &[Profile::Rc8, Profile::Rc9][..] } else { &[config.profile] };
+        if !profiles.iter().any(|profile| provider.eq_ignore_ascii_case(profile.provider())) {
+            return Err(HResult::E_CAO_PROV_INVALID);
+        }
+        let silent =
+            option(&request.text(3).to_string(), "@EventDisable").is_some_and(|v| v.eq_ignore_ascii_case("true"));
+        self.messages.connect(peer, !silent);
+        self.open(peer, Item::Controller, request.text(0).to_string())
+    }
+
+    /// Opens an object and answers its handle.
+    pub(super) fn open(&mut self, peer: PeerId, item: Item, name: String) -> Answered {
+        let entry = Entry::new(peer, item, name, self.common.now);
+        Ok(Value::I4(self.objects.open(entry, self.common.config.max_objects)?).into())
+    }
+
+    fn call_controller(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
+        let name = || request.text(1).to_string();
+        match request.function {
+            FunctionId::CONTROLLER_EXECUTE => self.run(peer, &name(), &request.value(2)),
+            FunctionId::CONTROLLER_GET_VARIABLE => self.open_variable(peer, Owner::Controller, &name()),
+            FunctionId::CONTROLLER_GET_VARIABLE_NAMES => {
+                Ok(Answer::names(names_of(Owner::Controller).into_iter().map(str::to_owned).chain(wildcard_names())))
+            }
+            FunctionId::CONTROLLER_GET_ROBOT => match option(&request.text(2).to_string(), "ID") {
+                // there is one arm, and it may have any name
+                None | Some("0") => self.open(peer, Item::Robot, name()),
+                Some(_) => Err(HResult::E_CAO_OBJECT_NOTFOUND),
+            },
+            FunctionId::CONTROLLER_GET_ROBOT_NAMES => Ok(Answer::names([self.common.config.arm_name.as_str()])),
+            FunctionId::CONTROLLER_GET_TASK => {
+                let n = self.tasks.position(name().trim()).ok_or(HResult::E_CAO_OBJECT_NOTFOUND)?;
+                let name = self.tasks.get(n)?.name().to_owned();
+                self.open(peer, Item::Task(n), name)
+            }
+            FunctionId::CONTROLLER_GET_TASK_NAMES => Ok(Answer::names(self.tasks.iter().map(tasks::Task::name))),
+            FunctionId::CONTROLLER_GET_FILE | FunctionId::CONTROLLER_GET_FILE_NAMES => {
+                let progress = self.files.call(&self.common.context(peer), "", request)?;
+                self.file_progress(peer, request, progress)
+            }
+            FunctionId::CONTROLLER_GET_EXTENSION => match name().trim().eq_ignore_ascii_case(hand::NAME) {
+                true => self.open(peer, Item::Extension, hand::NAME.to_owned()),
+                false => Err(HResult::E_CAO_OBJECT_NOTFOUND),
+            },
+            FunctionId::CONTROLLER_GET_EXTENSION_NAMES => Ok(Answer::names([hand::NAME])),
+            FunctionId::CONTROLLER_GET_COMMAND => self.open_command(peer, &name()),
+            FunctionId::CONTROLLER_GET_COMMAND_NAMES => Ok(Answer::names(execute::names(self.common.config.profile))),
+            FunctionId::CONTROLLER_GET_MESSAGE => self.open_message(peer),
+            _ => Err(HResult::E_NOTIMPL),
+        }
+    }
+
+    /// Executes a command of Controller_Execute.
+    pub(super) fn run(&mut self, peer: PeerId, name: &str, param: &Variant<'_>) -> Answered {
+        let run = Command::handler(execute::COMMANDS, name, self.common.config.profile)?;
+        run(self, peer, param).map(Answer::of_command)
+    }
+
+    fn call_robot(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
+        match request.function {
+            FunctionId::ROBOT_GET_VARIABLE => self.open_variable(peer, Owner::Robot, &request.text(1).to_string()),
+            FunctionId::ROBOT_GET_VARIABLE_NAMES => Ok(Answer::names(names_of(Owner::Robot))),
+            _ => self.arm.call(&mut self.common.context(peer), request),
+        }
+    }
+
+    fn call_extension(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
+        match request.function {
+            FunctionId::EXTENSION_EXECUTE => {
+                let name = request.text(1).to_string();
+                let run = Command::handler(hand::COMMANDS, &name, self.common.config.profile)?;
+                run(self.arm.hand_mut(), &mut self.common.context(peer))
+            }
+            FunctionId::EXTENSION_GET_VARIABLE_NAMES => Ok(Answer::names::<String>([])),
+            FunctionId::EXTENSION_GET_VARIABLE => Err(HResult::E_CAO_OBJECT_NOTFOUND),
+            _ => Err(HResult::E_NOTIMPL),
+        }
+    }
+
+    fn call_task(&mut self, peer: PeerId, n: usize, request: &Request<'_>) -> Answered {
+        match request.function {
+            FunctionId::TASK_GET_VARIABLE => self.open_variable(peer, Owner::Task(n), &request.text(1).to_string()),
+            FunctionId::TASK_GET_VARIABLE_NAMES => Ok(Answer::names(names_of(Owner::Task(n)))),
+            _ => self.tasks.get_mut(n)?.call(&mut self.common.context(peer), request),
+        }
+    }
+
+    fn open_message(&mut self, peer: PeerId) -> Answered {
+        let Some(message) = self.messages.oldest(peer) else { return Ok(Answer::Code(HResult::S_FALSE)) };
+        let opened = self.open(peer, Item::Message(message), String::new())?;
+        self.messages.fetched(peer);
+        Ok(opened)
+    }
+
+    fn file_progress(&mut self, peer: PeerId, request: &Request<'_>, progress: WorkProgress) -> Answered {
+        Ok(match progress {
+            WorkProgress::Pending(at) => Answer::Poll(at),
+            WorkProgress::Done(Done::Nothing) => Answer::Done,
+            WorkProgress::Done(Done::Value(value)) => value.into(),
+            WorkProgress::Done(Done::Open(name)) => return self.open(peer, Item::File, name),
+            WorkProgress::Done(Done::Moved(name)) => {
+                self.objects.rename(peer, request.handle(), name)?;
+                Answer::Done
+            }
+        })
+    }
+
+    /// Checks that the client in Slave Mode may call a function.
+    fn check_slave_mode(&mut self, peer: PeerId, request: &Request<'_>) -> Result<(), HResult> {
+        let streams = self.arm.robot().stream().is_some_and(|stream| stream.peer == peer);
+        if !streams || request.resumed {
+            return Ok(());
+        }
+        let allowed = match request.function {
+            FunctionId::ROBOT_HALT => true,
+            function if executes(function) => command(request).is_some_and(|(_, in_slave_mode)| in_slave_mode),
+            function => function.opens().is_some(),
+        };
+        if allowed { Ok(()) } else { Err(self.common.errors.refuse(HResult::E_SLVMODE_ON, self.common.now)) }
+    }
+
+    /// Returns the arguments that a call accepts, where they depend on more than its function.
+    fn accepted(&self, peer: PeerId, request: &Request<'_>) -> Option<&'static str> {
+        if request.function != FunctionId::VARIABLE_PUT_VALUE {
+            return command(request)?.0;
+        }
+        accepted_value(self.objects.get(peer, request.handle(), Object::Variable).ok()?)
+    }
+}
+
+/// Returns what the tables say about the command of a request: its parameter, and whether Slave Mode allows it.
+fn command(request: &Request<'_>) -> Option<(Option<&'static str>, bool)> {
+    let name = command_of(request)?;
+    match request.function {
+        FunctionId::CONTROLLER_EXECUTE => {
+            Command::find(execute::COMMANDS, &name).map(|command| (command.accepts, command.in_slave_mode))
+        }
+        FunctionId::ROBOT_EXECUTE => {
+            Command::find(arm::commands::COMMANDS, &name).map(|command| (command.accepts, command.in_slave_mode))
+        }
+        _ => None,
+    }
+}
+
+/// Encodes a value into `reply`.
+fn set_reply(reply: &mut ReplyValue<'_>, value: &Value) -> HResult {
+    match reply.set(value as &dyn Encode) {
+        Ok(()) => HResult::S_OK,
+        Err(_) => HResult::E_TOO_MUCH_DATA,
+    }
+}

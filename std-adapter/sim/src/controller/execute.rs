@@ -1,0 +1,249 @@
+//! The commands of Controller_Execute.
+//!
+//! | command                            | parameter           | answer                                           |
+//! |------------------------------------|---------------------|--------------------------------------------------|
+//! | ClearError                         | -                   | EMPTY; the error's code while its cause persists |
+//! | GetErrorDescription                | I4, UI4, ERROR code | BSTR; see [`explain`](crate::explain)            |
+//! | GetCurErrorCount, GetErrorLogCount | -                   | I4                                               |
+//! | GetCurErrorInfo                    | I4 index            | an array of VARIANT, see below                   |
+//! | GetErrorLog                        | I4 index            | an array of VARIANT, see below                   |
+//! | SysState                           | -                   | I4 of bits, see [`Bit`]                          |
+//! | SysInfo                            | I4: 0               | BSTR, the serial number                          |
+//! | Motor                              | as Robot_Execute's  | as Robot_Execute's                               |
+//! | StoState                           | -                   | BOOL; RC9, COBOTTA                               |
+//! | ManualReset, ResetStoState         | -                   | EMPTY; likewise; `E_ACCESSDENIED` in emergency stop |
+//! | ManualResetPreparation             | -                   | see [`preparation`](crate::preparation); COBOTTA |
+//! | HandMoveA, HandMoveH, ...          | see [`hand`](crate::hand) | likewise                                   |
+//!
+//! ```text
+//! GetCurErrorInfo  code I4, message BSTR, subcode I4, file and line I4, program BSTR, line I4, file I4
+//! GetErrorLog      code, year, month, day, hour, minute, second, millisecond, subcode, file, line I4,
+//!                  program, message BSTR
+//! ```
+//!
+//! Index 0 is the latest error, the greatest index the oldest one, which is the first cause: clients that print the list
+//! from its end show it in order. An index out of range answers `DISP_E_BADINDEX`. Of GetErrorLog's array, public
+//! clients show only the place of the message (12); the other places are a decision of this model.
+//!
+//! A command of real controllers that this model lacks answers `E_NOTIMPL`, another name `E_INVALID_CMD_NAME`.
+
+use bcap_core::handler::PeerId;
+use bcap_core::hresult::HResult;
+use bcap_core::variant::Variant;
+
+use super::{Controller, EMERGENCY_STOP};
+use crate::answer::{Answer, Answered};
+use crate::arm::commands::{MOTOR, motor};
+use crate::config::{Config, Profile, Token};
+use crate::errors::{ErrorEntry, description};
+use crate::table::Command;
+use crate::tasks::Task;
+use crate::value::{Value, one_int};
+
+type Run = fn(&mut Controller, PeerId, &Variant<'_>) -> Answered;
+
+const fn command(name: &'static str, run: Run) -> Command<Run> {
+    Command::new(name, run)
+}
+
+const fn is_cobotta(profile: Profile) -> bool {
+    matches!(profile, Profile::Cobotta)
+}
+
+/// The commands, in the order of Controller_GetCommandNames.
+pub(super) const COMMANDS: &[Command<Run>] = &[
+    command("ClearError", |controller, peer, _| controller.clear_error(peer)),
+    command("GetErrorDescription", |controller, _, param| Ok(Value::Text(controller.describe(code_of(param)?)).into()))
+        .accepts("one code: I4, UI4, ERROR or another integer"),
+    command("GetCurErrorCount", |controller, _, _| Ok(count(controller.common.errors.present().len()).into())),
+    command("GetCurErrorInfo", |controller, _, param| {
+        Ok(error_info(controller.common.errors.present().get(index(param)?).ok_or(HResult::DISP_E_BADINDEX)?).into())
+    })
+    .accepts("one number: the index, from 0 to below GetCurErrorCount"),
+    command("GetErrorLogCount", |controller, _, _| Ok(count(controller.common.errors.log().len()).into())),
+    command("GetErrorLog", |controller, _, param| {
+        let entry = controller.common.errors.log().get(index(param)?).ok_or(HResult::DISP_E_BADINDEX)?;
+        Ok(log_entry(&controller.common.config, entry)?.into())
+    })
+    .accepts("one number: the index, from 0 to below GetErrorLogCount"),
+    command("SysState", |controller, _, _| Ok(Value::I4(controller.system_state()).into())),
+    command("SysInfo", |controller, _, param| match one_int(param)? {
+        0 => Ok(Value::from(controller.common.config.serial_number.as_str()).into()),
+        _ => Err(HResult::E_NOTIMPL),
+    })
+    .accepts("one number: 0, the serial number"),
+    command("Motor", |controller, peer, param| motor(&mut controller.arm, &mut controller.common.context(peer), param))
+        .accepts(MOTOR),
+    command("StoState", |controller, _, _| Ok(Value::Bool(controller.arm.preparation().is_torque_off()).into()))
+        .of(Profile::has_safe_torque_off)
+        .in_slave_mode(),
+    command("ManualReset", manual_reset).of(Profile::has_safe_torque_off).in_slave_mode(),
+    command("ResetStoState", manual_reset).of(Profile::has_safe_torque_off),
+    command("ManualResetPreparation", |controller, _, _| {
+        controller.arm.preparation_mut().prepare_reset();
+        Ok(Answer::Done)
+    })
+    .of(Profile::needs_preparation),
+    command("HandMoveA", |controller, peer, param| {
+        controller.arm.hand_mut().move_absolute(&mut controller.common.context(peer), param)
+    })
+    .of(is_cobotta)
+    .accepts("[place, speed]: 0 to 30 mm, 1 to 100 percent"),
+    command("HandMoveR", |controller, peer, param| {
+        controller.arm.hand_mut().move_relative(&mut controller.common.context(peer), param)
+    })
+    .of(is_cobotta)
+    .accepts("[way, speed]: in mm and within 0 to 30 mm, 1 to 100 percent"),
+    command("HandMoveH", |controller, peer, param| {
+        controller.arm.hand_mut().grip(&mut controller.common.context(peer), param)
+    })
+    .of(is_cobotta)
+    .accepts("[force, close]: 6 to 20 N, BOOL or a number"),
+    command("HandStop", |controller, _, _| {
+        let now = controller.common.now;
+        let stopped = controller.arm.hand_mut().stop(HResult::E_ABORT, now, &mut controller.common.waits);
+        Ok(Answer::done_if(stopped))
+    })
+    .of(is_cobotta),
+    command("HandCurPos", |controller, _, _| Ok(Value::R8(controller.hand_position()).into())).of(is_cobotta),
+    command("HandCurLoad", |_, _, _| Ok(Value::R8(0.0).into())).of(is_cobotta),
+    Command::missing("GetOprLogCount"),
+    Command::missing("GetOprLog"),
+    Command::missing("HandMoveAH"),
+    Command::missing("HandMoveVH"),
+    Command::missing("SetAutoMode"),
+];
+
+/// Iterates over the names of the commands that a profile has.
+pub(super) fn names(profile: Profile) -> impl Iterator<Item = &'static str> {
+    COMMANDS.iter().filter(move |command| command.exists(profile)).map(|command| command.name)
+}
+
+/// The bits of SysState, by their numbers. Other bits are never set.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Bit {
+    /// A task is running.
+    Running = 0,
+    /// An error is present.
+    Error = 1,
+    /// The motor is on.
+    ServoOn = 2,
+    /// The controller has started; always.
+    Initialized = 3,
+    /// Auto mode.
+    Auto = 4,
+    /// The executable token is not with the teach pendant.
+    TokenOutside = 5,
+    /// A task runs until it is stopped.
+    Continuous = 8,
+    /// The emergency stop is pressed.
+    EmergencyStop = 10,
+    /// Auto mode is enabled; always.
+    AutoEnable = 11,
+    /// The arm is calibrated; always, except for a COBOTTA before AutoCal.
+    Calibrated = 17,
+    /// Manual or teach check mode.
+    Manual = 18,
+    /// A task runs to the end of its cycle or line.
+    OneCycle = 19,
+    /// The robot moves; bit 21 says the same.
+    Moving = 20,
+}
+
+impl Controller {
+    /// Removes the errors. An error whose cause persists cannot be removed, and is the answer.
+    pub(super) fn clear_error(&mut self, peer: PeerId) -> Answered {
+        if self.common.panel.emergency_stop {
+            return Err(EMERGENCY_STOP);
+        }
+        self.arm.preparation_mut().use_manual_reset(&mut self.common.context(peer))?;
+        self.common.errors.clear();
+        Ok(Answer::Done)
+    }
+
+    /// Describes a code, with the last call that it refused.
+    fn describe(&self, code: HResult) -> String {
+        match self.refusals.last(code) {
+            Some(refusal) => format!("{} Last refused: {refusal}", description(code)),
+            None => description(code),
+        }
+    }
+
+    /// Returns the bits of SysState.
+    fn system_state(&self) -> i32 {
+        let panel = self.common.panel;
+        let running = self.tasks.iter().any(Task::is_running);
+        let bits = [
+            (Bit::Running as u32, running),
+            (Bit::Error as u32, self.common.errors.code().is_err()),
+            (Bit::ServoOn as u32, self.motor_is_on()),
+            (Bit::Initialized as u32, true),
+            (Bit::Auto as u32, panel.is_auto()),
+            (Bit::TokenOutside as u32, panel.token != Token::TeachPendant),
+            (Bit::Continuous as u32, self.tasks.iter().any(Task::is_continuous)),
+            (Bit::EmergencyStop as u32, panel.emergency_stop),
+            (Bit::AutoEnable as u32, true),
+            (Bit::Calibrated as u32, self.arm.preparation().is_calibrated()),
+            (Bit::Manual as u32, !panel.is_auto()),
+            (Bit::OneCycle as u32, self.tasks.iter().any(|t| t.is_running() && !t.is_continuous())),
+            (Bit::Moving as u32, self.is_moving()),
+            (Bit::Moving as u32 + 1, self.is_moving()),
+        ];
+        bits.iter().filter(|(_, on)| *on).fold(0, |state, (bit, _)| state | 1 << bit)
+    }
+}
+
+fn manual_reset(controller: &mut Controller, peer: PeerId, _: &Variant<'_>) -> Answered {
+    controller.arm.preparation_mut().manual_reset(&mut controller.common.context(peer))
+}
+
+fn count(n: usize) -> Value {
+    Value::I4(i32::try_from(n).unwrap_or(i32::MAX))
+}
+
+fn log_entry(config: &Config, entry: &ErrorEntry) -> Result<Value, HResult> {
+    let time = config.date(entry.at)?.to_civil().ok_or(HResult::DISP_E_OVERFLOW)?;
+    let mut items = vec![Value::I4(entry.code.0), Value::I4(time.year.into())];
+    items.extend([time.month, time.day, time.hour, time.minute, time.second].map(|n| Value::I4(n.into())));
+    items.push(Value::I4(time.millisecond.into()));
+    items.extend([Value::I4(0), Value::I4(0), Value::I4(0), Value::from("")]);
+    items.push(Value::Text(description(entry.code)));
+    Ok(Value::List(items))
+}
+
+/// Reads the code of GetErrorDescription: I4, UI4, ERROR, or another integer.
+fn code_of(param: &Variant<'_>) -> Result<HResult, HResult> {
+    match param.flatten() {
+        Variant::Error(code) => Ok(code),
+        Variant::Bstr(_) | Variant::Array(_) => one_int(param).map(HResult),
+        value => match value.as_i64() {
+            Some(n) => i32::try_from(n)
+                .or_else(|_| u32::try_from(n).map(u32::cast_signed))
+                .map(HResult)
+                .map_err(|_| HResult::DISP_E_OVERFLOW),
+            None => Err(HResult::E_INVALIDARGTYPE),
+        },
+    }
+}
+
+fn index(param: &Variant<'_>) -> Result<usize, HResult> {
+    usize::try_from(one_int(param)?).map_err(|_| HResult::DISP_E_BADINDEX)
+}
+
+fn error_info(entry: &ErrorEntry) -> Value {
+    let (zero, program) = (|| Value::I4(0), Value::from(""));
+    let message = Value::Text(description(entry.code));
+    Value::List(vec![Value::I4(entry.code.0), message, zero(), zero(), program, zero(), zero()])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::table::assert_documented;
+
+    #[test]
+    fn every_command_is_documented() {
+        let sources = [include_str!("execute.rs"), include_str!("../hand.rs")];
+        assert_documented(COMMANDS, &sources);
+    }
+}

@@ -1,0 +1,87 @@
+//! The system variables of the controller; those of the robot and of tasks are in [`arm`](crate::arm) and
+//! [`tasks`](crate::tasks).
+//!
+//! Reading a variable that can only be written answers `E_ACCESSDENIED`, writing one that can only be read
+//! `E_CAO_NOT_WRITABLE`. Variables without a function in this model have the value of an idle controller:
+//! `@DEADMAN_SW`, `@PROTECTIVE_STOP` and `@TSR_BUSY_STATUS` are false, `@AUTO_ENABLE` is true, `@IO_ALLOC_MODE` and a
+//! task's `@STATUS_DETAILS` are 0. `@LOCK`, the machine lock, is stored but has no effect.
+
+use bcap_core::handler::PeerId;
+use bcap_core::hresult::HResult;
+use bcap_core::rac::VariableKind as Kind;
+use bcap_core::variant::Variant;
+
+use super::Controller;
+use crate::answer::{Answer, Answered};
+use crate::errors::description;
+use crate::table::Property;
+use crate::tasks::Task;
+use crate::value::{TRUTH, Value, one_int, truth};
+
+type Read = fn(&Controller) -> Result<Value, HResult>;
+type Write = fn(&mut Controller, PeerId, &Variant<'_>) -> Answered;
+
+const fn read(name: &'static str, get: Read) -> Property<Read, Write> {
+    Property::read(name, get)
+}
+
+/// The variables, in the order of Controller_GetVariableNames.
+pub(super) const VARIABLES: &[Property<Read, Write>] = &[
+    read("@MODE", |controller| Ok(Value::I4(controller.mode() as i32))),
+    read("@LOCK", |controller| Ok(Value::Bool(controller.locked))).and_write(put_lock, TRUTH),
+    // the count of milliseconds wraps as a 32-bit counter does
+    read("@TIME", |controller| Ok(Value::I4((controller.common.now.as_micros() / 1000) as i32))),
+    read("@CURRENT_TIME", |controller| Ok(Value::Date(controller.config().date(controller.common.now)?))),
+    read("@BUSY_STATUS", |controller| {
+        Ok(Value::Bool(controller.is_moving() || controller.tasks.iter().any(Task::is_running)))
+    }),
+    read("@TSR_BUSY_STATUS", |_| Ok(Value::Bool(false))),
+    read("@NORMAL_STATUS", |controller| Ok(Value::Bool(code(controller).is_ok()))),
+    read("@ERROR_CODE", |controller| Ok(Value::I4(code(controller).0)))
+        .and_write(put_error_code, "0, which clears the errors"),
+    read("@ERROR_CODE_HEX", |controller| Ok(Value::Text(format!("{:08X}", code(controller).to_u32())))),
+    read("@ERROR_DESCRIPTION", |controller| {
+        let code = code(controller);
+        Ok(if code.is_ok() { Value::from("") } else { Value::Text(description(code)) })
+    }),
+    read("@EMERGENCY_STOP", |controller| Ok(Value::Bool(controller.emergency_stopped()))),
+    read("@DEADMAN_SW", |_| Ok(Value::Bool(false))),
+    read("@AUTO_ENABLE", |_| Ok(Value::Bool(true))),
+    read("@PROTECTIVE_STOP", |_| Ok(Value::Bool(false))),
+    read("@MAKER_NAME", |_| Ok(Value::from("bcap-sim"))),
+    read("@TYPE", |controller| Ok(Value::from(controller.config().profile.type_name()))),
+    read("@VERSION", |controller| Ok(Value::from(controller.config().version.as_str()))),
+    read("@FIRMWARE", |controller| Ok(Value::from(controller.config().version.as_str()))),
+    read("@SERIAL_NO", |controller| Ok(Value::from(controller.config().serial_number.as_str()))),
+    read("@IO_ALLOC_MODE", |_| Ok(Value::I4(0))),
+    read("@VAR_I_LEN", |controller| Ok(size(controller, Kind::I))),
+    read("@VAR_F_LEN", |controller| Ok(size(controller, Kind::F))),
+    read("@VAR_D_LEN", |controller| Ok(size(controller, Kind::D))),
+    read("@VAR_V_LEN", |controller| Ok(size(controller, Kind::V))),
+    read("@VAR_P_LEN", |controller| Ok(size(controller, Kind::P))),
+    read("@VAR_J_LEN", |controller| Ok(size(controller, Kind::J))),
+    read("@VAR_T_LEN", |controller| Ok(size(controller, Kind::T))),
+    read("@VAR_S_LEN", |controller| Ok(size(controller, Kind::S))),
+    read("@VAR_IO_LEN", |controller| Ok(size(controller, Kind::Io))),
+];
+
+fn size(controller: &Controller, kind: Kind) -> Value {
+    Value::I4(controller.config().sizes.of(kind).into())
+}
+
+/// Returns the code of the latest error.
+fn code(controller: &Controller) -> HResult {
+    controller.common.errors.code()
+}
+
+fn put_lock(controller: &mut Controller, _: PeerId, value: &Variant<'_>) -> Answered {
+    controller.locked = truth(value)?;
+    Ok(Answer::Done)
+}
+
+fn put_error_code(controller: &mut Controller, peer: PeerId, value: &Variant<'_>) -> Answered {
+    match one_int(value)? {
+        0 => controller.clear_error(peer),
+        _ => Err(HResult::E_INVALIDARG),
+    }
+}

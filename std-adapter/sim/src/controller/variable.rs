@@ -1,0 +1,124 @@
+//! Opens, reads and writes variables: user variables, and the system variables of controller, robot and tasks.
+
+use bcap_core::bcap::server::Request;
+use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::handler::PeerId;
+use bcap_core::hresult::HResult;
+use bcap_core::variant::Variant;
+
+use super::{Controller, system};
+use crate::answer::{Answer, Answered};
+use crate::arm;
+use crate::objects::{Entry, Item, Owner, Target};
+use crate::table::Property;
+use crate::tasks;
+use crate::value::Value;
+use crate::variables::{self, Family, parse_name};
+
+impl Controller {
+    /// Opens a variable of an object by its name.
+    pub(super) fn open_variable(&mut self, peer: PeerId, owner: Owner, name: &str) -> Answered {
+        let target = match (find_variable(owner, name), parse_name(name), owner) {
+            (Some(n), _, _) => Target::System(owner, n),
+            (None, Some((family, Some(index))), Owner::Controller) => {
+                self.common.variables.check(family, index)?;
+                Target::User(family, index)
+            }
+            (None, Some((family, None)), Owner::Controller) => Target::Wildcard(family, None),
+            _ => return Err(HResult::E_CAO_OBJECT_NOTFOUND),
+        };
+        self.open(peer, Item::Variable(target), name.trim().to_owned())
+    }
+
+    pub(super) fn call_variable(&mut self, peer: PeerId, target: Target, request: &Request<'_>) -> Answered {
+        let stamp = self.objects.get(peer, request.handle(), Object::Variable)?.stamp;
+        let config = &self.common.config;
+        match request.function {
+            FunctionId::VARIABLE_GET_VALUE => self.get(peer, target).map(Answer::Value),
+            FunctionId::VARIABLE_PUT_VALUE => self.put(peer, target, &request.value(1)),
+            FunctionId::VARIABLE_GET_DATE_TIME => Ok(Value::Date(config.date(stamp)?).into()),
+            FunctionId::VARIABLE_GET_MICROSECOND => Ok(Value::I4(config.microsecond(stamp)).into()),
+            _ => Err(HResult::E_NOTIMPL),
+        }
+    }
+
+    fn get(&mut self, peer: PeerId, target: Target) -> Result<Value, HResult> {
+        match target {
+            Target::User(family, n) | Target::Wildcard(family, Some(n)) => self.common.variables.get(family, n),
+            Target::Wildcard(_, None) => Err(HResult::DISP_E_BADINDEX),
+            Target::System(Owner::Controller, n) => property(system::VARIABLES, n)?.getter()?(self),
+            Target::System(Owner::Robot, n) => {
+                Ok(property(arm::variables::VARIABLES, n)?.getter()?(&self.arm, &self.common.context(peer)))
+            }
+            Target::System(Owner::Task(task), n) => Ok(property(tasks::VARIABLES, n)?.getter()?(self.tasks.get(task)?)),
+        }
+    }
+
+    fn put(&mut self, peer: PeerId, target: Target, value: &Variant<'_>) -> Answered {
+        let (owner, n) = match target {
+            Target::User(family, n) | Target::Wildcard(family, Some(n)) => {
+                return self.put_user(peer, family, n, value).map(|()| Answer::Done);
+            }
+            Target::Wildcard(_, None) => return Err(HResult::DISP_E_BADINDEX),
+            Target::System(owner, n) => (owner, n),
+        };
+        let mut ctx = self.common.context(peer);
+        ctx.may_write()?;
+        match owner {
+            Owner::Controller => property(system::VARIABLES, n)?.setter()?(self, peer, value),
+            Owner::Robot => property(arm::variables::VARIABLES, n)?.setter()?(&mut self.arm, &mut ctx, value),
+            Owner::Task(task) => property(tasks::VARIABLES, n)?.setter()?(self.tasks.get_mut(task)?, &mut ctx, value),
+        }
+    }
+
+    pub(super) fn put_user(
+        &mut self,
+        peer: PeerId,
+        family: Family,
+        n: u32,
+        value: &Variant<'_>,
+    ) -> Result<(), HResult> {
+        let ctx = self.common.context(peer);
+        ctx.may_write()?;
+        ctx.variables.put(family, n, value)
+    }
+}
+
+/// Describes the values that Variable_PutValue accepts.
+pub(super) fn accepted_value(entry: &Entry) -> Option<&'static str> {
+    match entry.item {
+        Item::Variable(Target::User(family, _) | Target::Wildcard(family, Some(_))) => {
+            Some(variables::accepted(family))
+        }
+        Item::Variable(Target::Wildcard(_, None)) => Some("a value after Variable_PutID has chosen one variable"),
+        Item::Variable(Target::System(owner, n)) => match owner {
+            Owner::Controller => system::VARIABLES.get(n)?.accepts,
+            Owner::Robot => arm::variables::VARIABLES.get(n)?.accepts,
+            Owner::Task(_) => tasks::VARIABLES.get(n)?.accepts,
+        },
+        _ => None,
+    }
+}
+
+/// Returns the entry of a system variable in the table of its owner.
+fn property<G, P>(table: &'static [Property<G, P>], n: usize) -> Result<&'static Property<G, P>, HResult> {
+    table.get(n).ok_or(HResult::E_CAO_OBJECT_NOTFOUND)
+}
+
+/// Finds a system variable in the table of its owner.
+fn find_variable(owner: Owner, name: &str) -> Option<usize> {
+    match owner {
+        Owner::Controller => Property::position(system::VARIABLES, name),
+        Owner::Robot => Property::position(arm::variables::VARIABLES, name),
+        Owner::Task(_) => Property::position(tasks::VARIABLES, name),
+    }
+}
+
+/// Returns the names of the system variables of an owner.
+pub(super) fn names_of(owner: Owner) -> Vec<&'static str> {
+    match owner {
+        Owner::Controller => system::VARIABLES.iter().map(|property| property.name).collect(),
+        Owner::Robot => arm::variables::VARIABLES.iter().map(|property| property.name).collect(),
+        Owner::Task(_) => tasks::VARIABLES.iter().map(|property| property.name).collect(),
+    }
+}

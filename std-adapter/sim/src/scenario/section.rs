@@ -1,0 +1,173 @@
+//! Reads the section `[controller]` of a scenario from TOML, and refuses invalid ones.
+
+use bcap_core::hresult::HResult;
+use serde::Deserialize;
+
+use super::setup::Setup;
+use crate::config::{ABSENT, Mode, Permission, SlaveFormats, Token};
+
+#[derive(Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub(super) struct SetupEntry {
+    mode: Option<ModeName>,
+    token: Option<TokenName>,
+    permission: Option<PermissionName>,
+    emergency_stop: Option<bool>,
+    errors: Vec<String>,
+    arm: Option<ArmName>,
+    motor: Option<bool>,
+    licence: Option<bool>,
+    formats: Option<Vec<FormatName>>,
+    version: Option<String>,
+    robot_type: Option<String>,
+    arm_name: Option<String>,
+    axes: Option<u8>,
+    servo_on_waits: Option<bool>,
+    slave_speed: AxesEntry,
+    slave_acceleration: AxesEntry,
+}
+
+/// A value for some of the axes.
+#[derive(Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct AxesEntry {
+    j1: Option<f64>,
+    j2: Option<f64>,
+    j3: Option<f64>,
+    j4: Option<f64>,
+    j5: Option<f64>,
+    j6: Option<f64>,
+    j7: Option<f64>,
+    j8: Option<f64>,
+}
+
+impl AxesEntry {
+    fn read(&self) -> Result<[Option<f64>; 8], &'static str> {
+        let Self { j1, j2, j3, j4, j5, j6, j7, j8 } = *self;
+        let limits = [j1, j2, j3, j4, j5, j6, j7, j8];
+        match limits.iter().flatten().all(|limit| *limit > 0.0 && limit.is_finite()) {
+            true => Ok(limits),
+            false => Err("a limit of slave_speed or slave_acceleration is a finite number above 0"),
+        }
+    }
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum ModeName {
+    Auto,
+    Manual,
+    TeachCheck,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum TokenName {
+    Any,
+    Pendant,
+    Other,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum PermissionName {
+    ReadWrite,
+    ReadOnly,
+}
+
+#[derive(Clone, Copy, PartialEq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum ArmName {
+    Free,
+    Taken,
+}
+
+#[derive(Clone, Copy, PartialEq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum FormatName {
+    MiniIo,
+    HandIo,
+    UserIo,
+    Current,
+}
+
+impl From<ModeName> for Mode {
+    fn from(name: ModeName) -> Self {
+        match name {
+            ModeName::Auto => Self::Auto,
+            ModeName::Manual => Self::Manual,
+            ModeName::TeachCheck => Self::TeachCheck,
+        }
+    }
+}
+
+impl From<TokenName> for Token {
+    fn from(name: TokenName) -> Self {
+        match name {
+            TokenName::Any => Self::Any,
+            TokenName::Pendant => Self::TeachPendant,
+            TokenName::Other => Self::Client(ABSENT),
+        }
+    }
+}
+
+impl From<PermissionName> for Permission {
+    fn from(name: PermissionName) -> Self {
+        match name {
+            PermissionName::ReadWrite => Self::ReadWrite,
+            PermissionName::ReadOnly => Self::ReadOnly,
+        }
+    }
+}
+
+impl SetupEntry {
+    pub(super) fn read(self) -> Result<Setup, &'static str> {
+        let errors = self.errors.iter().map(|code| read_code(code)).collect::<Result<Vec<_>, _>>()?;
+        if errors.iter().any(|code| code.is_ok()) {
+            return Err("an error is a code that begins with 8, as in \"0x84201482\"");
+        }
+        if self.motor == Some(true) && (self.emergency_stop == Some(true) || !errors.is_empty()) {
+            return Err("the motor is off while the emergency stop is pressed or an error is present");
+        }
+        let extended_axes = match self.axes {
+            Some(axes @ 6..=8) => Some(axes - 6),
+            None => None,
+            Some(_) => return Err("`axes` is 6, 7 or 8"),
+        };
+        let (slave_speed, slave_acceleration) = (self.slave_speed.read()?, self.slave_acceleration.read()?);
+        let formats = self.formats.map(|list| SlaveFormats {
+            mini_io: list.contains(&FormatName::MiniIo),
+            hand_io: list.contains(&FormatName::HandIo),
+            user_io: list.contains(&FormatName::UserIo),
+            current: list.contains(&FormatName::Current),
+        });
+        Ok(Setup {
+            mode: self.mode.map(Mode::from),
+            token: self.token.map(Token::from),
+            permission: self.permission.map(Permission::from),
+            emergency_stop: self.emergency_stop,
+            errors,
+            arm_taken: self.arm.map(|arm| arm == ArmName::Taken),
+            motor: self.motor,
+            licence: self.licence,
+            formats,
+            version: self.version,
+            robot_type: self.robot_type,
+            arm_name: self.arm_name,
+            extended_axes,
+            servo_on_waits: self.servo_on_waits,
+            slave_speed,
+            slave_acceleration,
+        })
+    }
+}
+
+/// Reads the name or the number of a code.
+pub(super) fn read_code(text: &str) -> Result<HResult, &'static str> {
+    let number = |digits: &str| u32::from_str_radix(digits, 16).ok().map(HResult::from_u32);
+    let code = match text.strip_prefix("0x").or_else(|| text.strip_prefix("0X")) {
+        Some(digits) => number(digits),
+        None => HResult::from_name(text),
+    };
+    code.ok_or("a code is a known name or eight hexadecimal digits, as in \"E_BUF_FULL\" or \"0x83201483\"")
+}

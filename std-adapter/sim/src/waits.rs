@@ -1,0 +1,52 @@
+//! The event that each client's waiting call waits for.
+
+use std::collections::BTreeMap;
+
+use bcap_core::handler::PeerId;
+use bcap_core::hresult::HResult;
+
+/// The event that a call waits for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Wait {
+    /// The end of the motion with this number.
+    Motion(u64),
+    /// The end of this client's own motion with `NEXT`; then its next motion begins.
+    Turn,
+    /// The motor is on.
+    Servo,
+    /// The arm is at rest.
+    Rest,
+    /// The hand is at rest.
+    Hand,
+    /// The buffer of Slave Mode has room for the pose.
+    Stored,
+    /// Slave Mode has ended.
+    Left,
+    /// The event has occurred; this is the call's result.
+    Over(HResult),
+}
+
+/// The waiting calls, at most one for each client.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Waits {
+    by_peer: BTreeMap<PeerId, Wait>,
+}
+
+impl Waits {
+    pub(crate) fn begin(&mut self, peer: PeerId, wait: Wait) {
+        self.by_peer.insert(peer, wait);
+    }
+
+    pub(crate) fn get(&self, peer: PeerId) -> Option<Wait> {
+        self.by_peer.get(&peer).copied()
+    }
+
+    pub(crate) fn forget(&mut self, peer: PeerId) {
+        self.by_peer.remove(&peer);
+    }
+
+    /// Ends all calls that wait for this event; `result` is their code.
+    pub(crate) fn end(&mut self, event: Wait, result: HResult) {
+        self.by_peer.values_mut().filter(|wait| **wait == event).for_each(|wait| *wait = Wait::Over(result));
+    }
+}
