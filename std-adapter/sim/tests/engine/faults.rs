@@ -128,7 +128,7 @@ fn a_link_that_is_lost_for_good_ends_the_stream_and_the_robot_stands() {
         let (mut rig, end) = play(link, mode, text);
         assert_eq!((end, fault(&rig).step), (Action::Faulted, Step::Move), "{link:?}, {mode:?}");
         assert_eq!(fault(&rig).cause, Cause::Failed(Failure::Timeout));
-        // nobody could be asked
+        // the controller could not be asked
         assert_eq!((fault(&rig).released, fault(&rig).emergency_stop), (Released::Unknown, None));
         assert_eq!(fault(&rig).errors(), []);
         assert!(sent_after(&rig, Step::Move).iter().all(|step| DIAGNOSIS.contains(step)), "{:?}", rig.sent);

@@ -72,7 +72,7 @@ fn mode_2_answers_when_the_pose_is_stored() {
 }
 
 #[test]
-fn a_withheld_pose_is_dropped_when_nobody_waits_for_it() {
+fn a_withheld_pose_is_dropped_when_no_call_waits_for_it() {
     let mut rig = Rig::enter(0x202);
     for angle in [0.1, 0.2, 0.2] {
         assert_eq!(rig.j1(angle), HResult::S_OK);
