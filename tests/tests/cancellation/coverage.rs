@@ -80,6 +80,6 @@ pub(crate) const STD: &[(&str, Coverage)] = &[
     ("server/udp.rs: Peers::datagram", OF_A_TASK),
     ("server/udp.rs: Peers::run", OF_A_TASK),
     ("server/udp.rs: Peers::run_all", OF_A_TASK),
-    ("server/udp.rs: Peers::welcome", OF_A_TASK),
+    ("server/udp.rs: Peers::accept", OF_A_TASK),
     ("server/udp.rs: serve", OF_A_TASK),
 ];
