@@ -13,7 +13,7 @@
 //! * **The caller owns the memory.** Socket buffers, sessions and tables of peers are borrowed, so a board can place
 //!   them in static memory, and futures stay small.
 //! * **Every wait ends.** A connection fails with an error when its peer disappears or its cable is pulled. A call ends at
-//!   its timeouts, a server's session at its [`Limits`](server::Limits).
+//!   its timeouts, a server's session at its `server::Limits`.
 //! * **Futures are cancel-safe.** They may be dropped at any point; each function documents the state after that.
 #![no_std]
 
