@@ -193,11 +193,10 @@ impl Decoder {
     #[inline]
     fn check<'a>(&self, frame: &'a [u8]) -> Result<(Header, Args<'a>), DecodeError> {
         // `frame_length` accepts no frame shorter than header and EOT; the fallback avoids a panic
-        let (Some(header), Some((&eot, mut body))) =
-            (Header::read(frame), frame.get(HEADER_LEN..).and_then(<[u8]>::split_last))
-        else {
-            return Err(DecodeError::frame(DecodeErrorKind::FrameTooShort(to_u32(frame.len())), LENGTH_AT));
-        };
+        let short = DecodeError::frame(DecodeErrorKind::FrameTooShort(to_u32(frame.len())), LENGTH_AT);
+        let Some((header, rest)) = frame.split_first_chunk::<HEADER_LEN>() else { return Err(short) };
+        let Some((&eot, mut body)) = rest.split_last() else { return Err(short) };
+        let header = Header::from_bytes(header);
         if eot != EOT {
             return Err(DecodeError::frame(DecodeErrorKind::Eot(eot), frame.len().wrapping_sub(1)));
         }

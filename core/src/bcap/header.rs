@@ -53,14 +53,18 @@ impl Header {
     /// Reads the header at the front of `bytes`; `None` while it is incomplete. SOH is not checked.
     #[inline]
     pub(crate) fn read(bytes: &[u8]) -> Option<Self> {
-        let header = bytes.first_chunk::<HEADER_LEN>()?;
-        Some(Self {
+        bytes.first_chunk().map(Self::from_bytes)
+    }
+
+    #[inline]
+    pub(crate) fn from_bytes(header: &[u8; HEADER_LEN]) -> Self {
+        Self {
             length: u32::from_le_bytes(get(header, field::LENGTH)),
             serial: u16::from_le_bytes(get(header, field::SERIAL)),
             reserved: u16::from_le_bytes(get(header, field::RESERVED)),
             code: i32::from_le_bytes(get(header, field::CODE)),
             count: u16::from_le_bytes(get(header, field::COUNT)),
-        })
+        }
     }
 
     /// Reads the length alone, which arrives before the rest of the header.

@@ -342,6 +342,8 @@ impl<'a> Variant<'a> {
     }
 
     /// Splits the data of a value that is neither an array nor a VARIANT off, and views it.
+    // a board has one copy of this function; elsewhere a call would be slower
+    #[cfg_attr(not(target_os = "none"), inline(always))]
     fn read_data(vartype: VarType, r: &mut Reader<'a>) -> Self {
         // most numbers
         match vartype {
