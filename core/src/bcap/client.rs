@@ -672,13 +672,15 @@ struct Flood {
 }
 
 impl Flood {
-    const INTERVAL: Duration = Duration::from_millis(20);
-    const BURST: Duration = Duration::from_millis(20 * 256);
+    /// Microseconds per token.
+    const INTERVAL: u64 = 20_000;
+    const BURST: u64 = 256 * Self::INTERVAL;
 
     /// Takes a token; returns `true` if the bucket is empty.
     fn is_over(&mut self, now: Instant) -> bool {
-        let full_at = self.full_at.max(now).saturating_add(Self::INTERVAL);
-        if full_at.saturating_since(now) > Self::BURST {
+        let full_at = later(self.full_at.max(now), Self::INTERVAL);
+        // in microseconds: a `Duration` would cost a board a division of 64 bits
+        if full_at.as_micros().saturating_sub(now.as_micros()) > Self::BURST {
             return true;
         }
         self.full_at = full_at;
@@ -686,19 +688,22 @@ impl Flood {
     }
 }
 
-/// Ranges of serials whose replies may still arrive; when it is full, the oldest range is forgotten.
+/// Ranges of serials whose replies may still arrive; each new range replaces the oldest.
+// a `heapless::Vec` would shift its items, for which a board needs `memmove`
 #[derive(Debug, Default)]
 struct Unanswered {
-    ranges: heapless::Vec<(u16, u16), 8>,
+    /// No call has serial 0, so `(0, 0)` contains none.
+    ranges: [(u16, u16); 8],
+    /// The index of the oldest range.
+    oldest: u8,
 }
 
 impl Unanswered {
     fn push(&mut self, first: u16, last: u16) {
-        if self.ranges.is_full() {
-            self.ranges.remove(0);
+        if let Some(range) = self.ranges.get_mut(usize::from(self.oldest)) {
+            *range = (first, last);
         }
-        // there is room: one was just removed
-        let _ = self.ranges.push((first, last));
+        self.oldest = self.oldest.wrapping_add(1) & 7;
     }
 
     fn contains(&self, serial: u16) -> bool {
@@ -707,7 +712,9 @@ impl Unanswered {
 
     /// Forgets a range of one serial whose reply arrived. A retried call may get further replies.
     fn answered(&mut self, serial: u16) {
-        self.ranges.retain(|range| *range != (serial, serial));
+        for range in self.ranges.iter_mut().filter(|range| **range == (serial, serial)) {
+            *range = (0, 0);
+        }
     }
 }
 
