@@ -117,7 +117,8 @@ impl Handler for Application {
             self.waiting = None;
             return HResult::S_OK.into();
         }
-        if !request.resumed && self.current.is_some() {
+        assert!(self.waiting.is_none());
+        if self.current.is_some() {
             assert!(
                 self.begun != self.current || function == FunctionId::SERVICE_START,
                 "a retransmission was executed"
@@ -125,6 +126,13 @@ impl Handler for Application {
             self.begun = self.current;
         }
         self.carry_out(function, reply, now)
+    }
+
+    fn resume(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        assert_eq!(peer, PEER);
+        self.check(request);
+        assert_eq!(self.waiting, Some(request.function));
+        self.carry_out(request.function, reply, now)
     }
 
     fn abandoned(&mut self, _: PeerId, _: Instant) {
@@ -148,8 +156,6 @@ impl Application {
         if let Some(Kind::Handle(object)) = signature.arguments.first() {
             assert!(self.open.contains(&(*object, request.handle())), "handle {} was not issued", request.handle());
         }
-        assert_eq!(request.resumed, self.waiting.is_some());
-        assert!(self.waiting.is_none_or(|function| function == request.function));
     }
 
     fn carry_out(&mut self, function: FunctionId, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {

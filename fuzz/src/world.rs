@@ -105,10 +105,13 @@ impl World {
         if kinds.len() != frame.args.len() || !frame.args.iter().zip(kinds).all(|(value, kind)| kind.accepts(&value)) {
             return;
         }
-        let request = Request { function, args: frame.args, resumed };
+        let request = Request { function, args: frame.args };
         let mut buffer = vec![0; BUFFER];
         let mut reply = ReplyValue::new(&mut buffer);
-        let outcome = self.sim.call(PeerId(peer), &request, &mut reply, self.now);
+        let outcome = match resumed {
+            false => self.sim.call(PeerId(peer), &request, &mut reply, self.now),
+            true => self.sim.resume(PeerId(peer), &request, &mut reply, self.now),
+        };
         if let Some(value) = reply.get() {
             assert_eq!(Variant::decode(reply.as_bytes(), &DECODER.limits, Strictness::Strict), Ok(value));
         }

@@ -61,17 +61,25 @@ impl Handler for Panicking {
         match command.as_deref() {
             Some("works") => return HResult::S_OK.into(),
             Some("waits") => {
-                self.waiting += usize::from(!request.resumed);
+                self.waiting += 1;
                 return Outcome::Wait(Instant::FAR_FUTURE);
             }
-            Some("resumed") if !request.resumed => return Outcome::Wait(Instant::ZERO),
-            Some("resumed") => self.resumed += 1,
+            Some("resumed") => return Outcome::Wait(Instant::ZERO),
             Some("payload") => std::panic::panic_any(Bomb),
             _ => self.calls += 1,
         }
         // a value that was set before must not be sent
         let _ = reply.set("a value");
         panic!("in a call");
+    }
+
+    fn resume(&mut self, _: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, _: Instant) -> Outcome {
+        if request.text(1) == "waits" {
+            return Outcome::Wait(Instant::FAR_FUTURE);
+        }
+        self.resumed += 1;
+        let _ = reply.set("a value");
+        panic!("on resuming a call");
     }
 
     fn abandoned(&mut self, _: PeerId, _: Instant) {

@@ -39,6 +39,10 @@ impl Handler for Slowed {
         outer(Handler::call(&mut self.0, peer, request, reply, inner(now)))
     }
 
+    fn resume(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        outer(Handler::resume(&mut self.0, peer, request, reply, inner(now)))
+    }
+
     fn abandoned(&mut self, peer: PeerId, now: Instant) {
         Handler::abandoned(&mut self.0, peer, inner(now));
     }

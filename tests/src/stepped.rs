@@ -76,23 +76,37 @@ impl Stepped {
         }
         matches!(self.hold, Some(Hold::Of(held)) if held == peer)
     }
-}
 
-impl Handler for Stepped {
-    fn call(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
-        if !request.resumed {
-            self.now = self.now + CALL;
-        }
-        let mut outcome = Handler::call(&mut self.controller, peer, request, reply, self.now);
+    /// Moves the clock until a call ends, unless it is held.
+    fn finish(
+        &mut self,
+        mut outcome: Outcome,
+        peer: PeerId,
+        request: &Request<'_>,
+        reply: &mut ReplyValue<'_>,
+        now: Instant,
+    ) -> Outcome {
         while let Outcome::Wait(at) = outcome {
             if self.holds(peer) || at == Instant::FAR_FUTURE {
                 return Outcome::Wait(now + LOOK);
             }
             self.now = at.max(self.now + Duration::from_micros(1));
-            let again = Request { resumed: true, ..*request };
-            outcome = Handler::call(&mut self.controller, peer, &again, reply, self.now);
+            outcome = Handler::resume(&mut self.controller, peer, request, reply, self.now);
         }
         outcome
+    }
+}
+
+impl Handler for Stepped {
+    fn call(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        self.now = self.now + CALL;
+        let outcome = Handler::call(&mut self.controller, peer, request, reply, self.now);
+        self.finish(outcome, peer, request, reply, now)
+    }
+
+    fn resume(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        let outcome = Handler::resume(&mut self.controller, peer, request, reply, self.now);
+        self.finish(outcome, peer, request, reply, now)
     }
 
     fn abandoned(&mut self, peer: PeerId, _: Instant) {

@@ -128,10 +128,20 @@ fn typed_calls_and_their_replies() {
 struct Answer;
 
 impl server::Handler for Answer {
-    fn call(&mut self, _: PeerId, request: &server::Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
-        if request.function == FunctionId::ROBOT_HALT && !request.resumed {
-            return Outcome::Wait(now);
+    fn call(
+        &mut self,
+        peer: PeerId,
+        request: &server::Request<'_>,
+        reply: &mut ReplyValue<'_>,
+        now: Instant,
+    ) -> Outcome {
+        match request.function {
+            FunctionId::ROBOT_HALT => Outcome::Wait(now),
+            _ => self.resume(peer, request, reply, now),
         }
+    }
+
+    fn resume(&mut self, _: PeerId, request: &server::Request<'_>, reply: &mut ReplyValue<'_>, _: Instant) -> Outcome {
         let set = match request.function.opens() {
             Some(_) => reply.set(&7_i32),
             None => reply.set(&([1.5_f64; 8], "text")),

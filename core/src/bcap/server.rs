@@ -52,8 +52,6 @@ pub struct Request<'a> {
     pub function: FunctionId,
     /// The arguments.
     pub args: Args<'a>,
-    /// Whether the handler returned [`Outcome::Wait`] for this request before.
-    pub resumed: bool,
 }
 
 impl<'a> Request<'a> {
@@ -93,12 +91,17 @@ impl<'a> Request<'a> {
 
 /// The application that executes the requests of a server.
 pub trait Handler {
-    /// Executes a request, or resumes it.
+    /// Executes a request.
     ///
     /// It sets the value of the reply in `reply`. [`Outcome`] is the result of the request, or the time to resume it. The
     /// server has checked the arguments, and that their handle was given to this peer. When the peer disconnects, the
     /// server calls the releasing functions for its remaining objects.
     fn call(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome;
+
+    /// Resumes a request that returned [`Outcome::Wait`]; the default is to call it again.
+    fn resume(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        self.call(peer, request, reply, now)
+    }
 
     /// Is called when a waiting request is not resumed: it timed out, or the peer disconnected.
     fn abandoned(&mut self, peer: PeerId, now: Instant) {
@@ -410,8 +413,12 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         let tail = self.state.tail();
         let max = self.state.config.link.send_max().saturating_sub(VALUE_AT).saturating_sub(tail);
         let mut reply = ReplyValue::within(&mut self.tx, VALUE_AT, max, tail);
-        let request = Request { function, args, resumed };
-        let result = match handler.call(peer, &request, &mut reply, now) {
+        let request = Request { function, args };
+        let outcome = match resumed {
+            false => handler.call(peer, &request, &mut reply, now),
+            true => handler.resume(peer, &request, &mut reply, now),
+        };
+        let result = match outcome {
             Outcome::Wait(wake) => {
                 // a time in the past must not make the server loop
                 let wake = wake.max(now.saturating_add(SOONEST));
@@ -462,7 +469,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
                 Object::Service => Args::NONE,
                 _ => Args::from_checked(1, &argument, Strictness::Strict),
             };
-            let request = Request { function: object.released_by(), args, resumed: false };
+            let request = Request { function: object.released_by(), args };
             // no client waits for the result
             let _ = handler.call(peer, &request, &mut ReplyValue::new(&mut []), now);
         }

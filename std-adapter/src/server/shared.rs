@@ -164,6 +164,16 @@ impl<H: bcap::Handler> bcap::Handler for Locking<'_, H> {
         self.answer(peer, reply, |handler, reply| handler.call(peer, request, reply, now))
     }
 
+    fn resume(
+        &mut self,
+        peer: PeerId,
+        request: &bcap::Request<'_>,
+        reply: &mut ReplyValue<'_>,
+        now: Instant,
+    ) -> Outcome {
+        self.answer(peer, reply, |handler, reply| handler.resume(peer, request, reply, now))
+    }
+
     fn abandoned(&mut self, peer: PeerId, now: Instant) {
         self.with_handler(peer, |handler| handler.abandoned(peer, now));
     }

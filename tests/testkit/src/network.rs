@@ -93,7 +93,7 @@ impl Counter {
 }
 
 impl Handler for Counter {
-    fn call(&mut self, _: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+    fn call(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
         let function = request.function;
         if let Some(object) = function.opens() {
             self.next_handle += 1;
@@ -108,10 +108,14 @@ impl Handler for Counter {
             return HResult::S_OK.into();
         }
         assert_eq!(function, FunctionId::CONTROLLER_EXECUTE, "the simulated clients call nothing else");
-        if !request.resumed && !self.work.is_zero() {
+        if !self.work.is_zero() {
             let work = self.random.below(self.work.as_micros() as u64 + 1);
             self.until = now + Duration::from_micros(work);
         }
+        self.resume(peer, request, reply, now)
+    }
+
+    fn resume(&mut self, _: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
         if now < self.until {
             return Outcome::Wait(self.until);
         }

@@ -41,10 +41,8 @@ struct Logged<'a>(&'a mut World);
 
 impl Handler for Logged<'_> {
     fn call(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
-        if !request.resumed {
-            let arguments: Vec<String> = request.args.iter().map(|value| format!("{value:?}")).collect();
-            self.0.log.push(format!("{}({})", request.function, arguments.join(", ")));
-        }
+        let arguments: Vec<String> = request.args.iter().map(|value| format!("{value:?}")).collect();
+        self.0.log.push(format!("{}({})", request.function, arguments.join(", ")));
         let name = request.text(0).to_string();
         match name.strip_prefix("token ").and_then(|token| token.parse().ok()) {
             Some(token) if request.function == FunctionId::CONTROLLER_CONNECT => {
@@ -53,6 +51,10 @@ impl Handler for Logged<'_> {
             }
             _ => Handler::call(&mut self.0.controller, peer, request, reply, now),
         }
+    }
+
+    fn resume(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        Handler::resume(&mut self.0.controller, peer, request, reply, now)
     }
 
     fn abandoned(&mut self, peer: PeerId, now: Instant) {

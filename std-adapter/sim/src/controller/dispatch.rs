@@ -28,28 +28,15 @@ use crate::waits::Wait;
 impl Handler for Controller {
     fn call(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
         self.advance(now);
-        reply.clear();
-        if !request.resumed {
-            for effect in self.scenario.begin_call(peer, request, self.common.now) {
-                self.apply(effect);
-            }
+        for effect in self.scenario.begin_call(peer, request, self.common.now) {
+            self.apply(effect);
         }
-        match self.scenario.step(peer, self.common.now) {
-            Step::Wait(at) => Outcome::Wait(at),
-            Step::Answer(code, value) => {
-                let fits = value.is_empty() || reply.set(&kept(&value)).is_ok();
-                Outcome::Done(if fits { code } else { HResult::E_TOO_MUCH_DATA })
-            }
-            step => {
-                // before the call, because Service_Stop drops its fault
-                let time = self.scenario.answer_time(peer);
-                let outcome = match step {
-                    Step::Refuse(code) => Outcome::Done(self.common.errors.refuse(code, self.common.now)),
-                    _ => self.execute(peer, request, reply),
-                };
-                self.scenario.end_call(peer, outcome, time, reply, self.common.now)
-            }
-        }
+        self.serve(peer, request, Turn::First, reply)
+    }
+
+    fn resume(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        self.advance(now);
+        self.serve(peer, request, Turn::Later, reply)
     }
 
     /// A motion that a call waited for continues; only its end is not reported.
@@ -85,10 +72,38 @@ impl rac::server::Handler for Controller {
     }
 }
 
+/// Whether the server calls the handler for the first time for a request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Turn {
+    First,
+    Later,
+}
+
 impl Controller {
+    /// Executes a request, or continues one that waits, as the scenario says.
+    fn serve(&mut self, peer: PeerId, request: &Request<'_>, turn: Turn, reply: &mut ReplyValue<'_>) -> Outcome {
+        reply.clear();
+        match self.scenario.step(peer, self.common.now) {
+            Step::Wait(at) => Outcome::Wait(at),
+            Step::Answer(code, value) => {
+                let fits = value.is_empty() || reply.set(&kept(&value)).is_ok();
+                Outcome::Done(if fits { code } else { HResult::E_TOO_MUCH_DATA })
+            }
+            step => {
+                // before the call, because Service_Stop drops its fault
+                let time = self.scenario.answer_time(peer);
+                let outcome = match step {
+                    Step::Refuse(code) => Outcome::Done(self.common.errors.refuse(code, self.common.now)),
+                    _ => self.execute(peer, request, turn, reply),
+                };
+                self.scenario.end_call(peer, outcome, time, reply, self.common.now)
+            }
+        }
+    }
+
     /// Executes a request, or continues one that waits, whatever the scenario says.
-    fn execute(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>) -> Outcome {
-        let answered = self.dispatch(peer, request);
+    fn execute(&mut self, peer: PeerId, request: &Request<'_>, turn: Turn, reply: &mut ReplyValue<'_>) -> Outcome {
+        let answered = self.dispatch(peer, request, turn);
         if let Some(code) = self.common.raised.take() {
             self.raise(code);
         }
@@ -110,7 +125,7 @@ impl Controller {
         }
     }
 
-    fn dispatch(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
+    fn dispatch(&mut self, peer: PeerId, request: &Request<'_>, turn: Turn) -> Answered {
         let Some(signature) = request.function.signature() else { return Err(HResult::E_INVALIDARG) };
         match request.function {
             FunctionId::SERVICE_START => {
@@ -126,11 +141,11 @@ impl Controller {
             FunctionId::CONTROLLER_CONNECT => return self.connect(peer, request),
             _ => {}
         }
-        self.call_object(peer, request, signature.object)
+        self.call_object(peer, request, turn, signature.object)
     }
 
     /// Executes a function of an object, or continues one that waits.
-    fn call_object(&mut self, peer: PeerId, request: &Request<'_>, object: Object) -> Answered {
+    fn call_object(&mut self, peer: PeerId, request: &Request<'_>, turn: Turn, object: Object) -> Answered {
         let handle = request.handle();
         let entry = self.objects.get_mut(peer, handle, object)?;
         if let Some(answered) = entry.common(request, &self.common.variables) {
@@ -140,9 +155,11 @@ impl Controller {
             self.objects.release(peer, handle, object)?;
             return Ok(Answer::Done);
         }
-        self.check_slave_mode(peer, request)?;
-        let answer = match request.resumed && !self.takes_turn(peer) {
-            true => self.resume(peer, request, object)?,
+        if turn == Turn::First {
+            self.check_slave_mode(peer, request)?;
+        }
+        let answer = match turn == Turn::Later && !self.takes_turn(peer) {
+            true => self.continue_call(peer, request, object)?,
             false => match self.start(peer, request, object)? {
                 Answer::Until(wait) => self.wait_for(peer, request, wait)?,
                 answer => answer,
@@ -182,7 +199,7 @@ impl Controller {
     }
 
     /// Continues a call that waits.
-    fn resume(&mut self, peer: PeerId, request: &Request<'_>, object: Object) -> Answered {
+    fn continue_call(&mut self, peer: PeerId, request: &Request<'_>, object: Object) -> Answered {
         match (object, request.function) {
             (Object::File, _) | (_, FunctionId::CONTROLLER_GET_FILE | FunctionId::CONTROLLER_GET_FILE_NAMES) => {
                 let progress = self.files.resume(peer, self.common.now)?;
@@ -201,7 +218,7 @@ impl Controller {
         self.common.waits.begin(peer, wait);
         self.arm.advance(self.common.now, &mut self.common.waits);
         let object = request.function.signature().map_or(Object::Service, |signature| signature.object);
-        self.resume(peer, request, object)
+        self.continue_call(peer, request, object)
     }
 
     /// Returns the result of the event that a client waits for.
@@ -329,7 +346,7 @@ impl Controller {
     /// Checks that the client in Slave Mode may call a function.
     fn check_slave_mode(&mut self, peer: PeerId, request: &Request<'_>) -> Result<(), HResult> {
         let streams = self.arm.robot().stream().is_some_and(|stream| stream.peer == peer);
-        if !streams || request.resumed {
+        if !streams {
             return Ok(());
         }
         let allowed = match request.function {

@@ -62,10 +62,13 @@ impl World {
         call.arguments(&mut writer).unwrap();
         let bytes = writer.finish(1, 0, call.function().0).unwrap();
         let frame = Decoder::TCP.decode_datagram(bytes).unwrap();
-        let request = Request { function: frame.function(), args: frame.args, resumed };
+        let request = Request { function: frame.function(), args: frame.args };
         let mut buffer = vec![0; 1 << 18];
         let mut reply = ReplyValue::new(&mut buffer);
-        let outcome = self.sim.call(peer, &request, &mut reply, self.now);
+        let outcome = match resumed {
+            false => self.sim.call(peer, &request, &mut reply, self.now),
+            true => self.sim.resume(peer, &request, &mut reply, self.now),
+        };
         let value = match reply.as_bytes() {
             [] => Value::EMPTY,
             bytes => Value::decode(bytes, &Limits::STREAM, Strictness::Strict).unwrap(),

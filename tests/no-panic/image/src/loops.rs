@@ -72,10 +72,11 @@ struct Text<'a> {
 struct Answers;
 
 impl server::Handler for Answers {
-    fn call(&mut self, _: PeerId, request: &server::Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
-        if request.args.len() == 3 && !request.resumed {
-            return Outcome::Wait(now);
-        }
+    fn call(&mut self, peer: PeerId, request: &server::Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        if request.args.len() == 3 { Outcome::Wait(now) } else { self.resume(peer, request, reply, now) }
+    }
+
+    fn resume(&mut self, _: PeerId, _: &server::Request<'_>, reply: &mut ReplyValue<'_>, _: Instant) -> Outcome {
         reply.set(&7).map_or(HResult::E_FAIL, |()| HResult::S_OK).into()
     }
 }

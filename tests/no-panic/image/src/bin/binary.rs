@@ -154,10 +154,11 @@ fn send<C: Call>(call: &C) -> Option<u32> {
 struct Echo;
 
 impl Handler for Echo {
-    fn call(&mut self, _: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
-        if request.int(1) == 1 && !request.resumed {
-            return Outcome::Wait(now);
-        }
+    fn call(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        if request.int(1) == 1 { Outcome::Wait(now) } else { self.resume(peer, request, reply, now) }
+    }
+
+    fn resume(&mut self, _: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, _: Instant) -> Outcome {
         let numbers = request.float(2) > 1.0 || request.text(1).is_unicode();
         let set = if request.function.opens().is_some() || numbers {
             reply.set(&request.handle())
