@@ -165,6 +165,8 @@ pub enum EncodeError {
     TooDeep,
     /// The value's VARTYPE cannot be sent.
     Unsendable(u16),
+    /// The number or date is out of the range of its VARTYPE.
+    OutOfRange(u16),
 }
 
 impl fmt::Display for EncodeError {
@@ -173,6 +175,7 @@ impl fmt::Display for EncodeError {
             Self::Full => f.write_str("the value does not fit the buffer"),
             Self::TooDeep => f.write_str("VARIANTs are nested too deep"),
             Self::Unsendable(vartype) => write!(f, "a value of VARTYPE 0x{vartype:04x} cannot be sent"),
+            Self::OutOfRange(vartype) => write!(f, "a value is out of the range of VARTYPE 0x{vartype:04x}"),
         }
     }
 }
@@ -328,6 +331,7 @@ impl From<EncodeError> for TextError {
             EncodeError::Full => TextErrorKind::Full,
             EncodeError::TooDeep => TextErrorKind::TooDeep,
             EncodeError::Unsendable(vartype) => TextErrorKind::Unsendable(vartype),
+            EncodeError::OutOfRange(_) => TextErrorKind::OutOfRange,
         })
     }
 }

@@ -2,7 +2,7 @@
 //!
 //! Every value that can be sent implements [`Encode`]. Its output is canonical: a scalar's count is 1, and BOOL is -1 or 0.
 
-use super::{Array, Bstr, Currency, Nested, Null, OleDate, Scalar, VarType, Variant};
+use super::{Array, Bstr, CivilTime, Currency, Nested, Null, OleDate, Scalar, VarType, Variant};
 use crate::error::EncodeError;
 use crate::hresult::HResult;
 use crate::num::to_u32;
@@ -15,16 +15,19 @@ use crate::wire::Writer;
 /// | `()`, [`Null`]                                  | EMPTY, NULL          |
 /// | `i16 i32 i64 u8 u16 u32 u64 f32 f64 bool`       | I2 I4 I8 UI1 UI2 UI4 UI8 R4 R8 BOOL |
 /// | [`Currency`], [`OleDate`], [`HResult`]          | CY, DATE, ERROR      |
-/// | `&str`, [`Bstr`]                                | BSTR                 |
-/// | `[T; N]`, `[T]` of an [`Element`]               | ARRAY of its type    |
+/// | [`CivilTime`]                                   | DATE                 |
+/// | `&str`, [`Bstr`], `String`                      | BSTR                 |
+/// | `[T; N]`, `[T]`, `Vec<T>` of an [`Element`]     | ARRAY of its type    |
 /// | tuples of 1 to 8 values                         | ARRAY of VARIANT     |
+/// | `Option<T>`                                     | that of T; EMPTY     |
 /// | [`Variant`], `VariantBuf`, references           | that of their value  |
 pub trait Encode {
     /// Appends the value.
     ///
     /// # Errors
     ///
-    /// [`EncodeError::Full`] if it does not fit; part of it may have been written.
+    /// [`EncodeError::Full`] if it does not fit; part of it may have been written. [`EncodeError::OutOfRange`] if the
+    /// VARTYPE cannot represent it, such as a [`CivilTime`] that does not exist.
     fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError>;
 }
 
@@ -178,6 +181,52 @@ impl<T: Encode + ?Sized> Encode for &T {
     #[inline]
     fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
         (**self).encode(out)
+    }
+}
+
+impl<T: Encode> Encode for Option<T> {
+    fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
+        match self {
+            Some(value) => value.encode(out),
+            None => ().encode(out),
+        }
+    }
+}
+
+impl Element for CivilTime {
+    const TYPE: VarType = VarType::DATE;
+
+    fn put(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
+        OleDate::from_civil(*self).ok_or(EncodeError::OutOfRange(VarType::DATE.0))?.put(out)
+    }
+}
+
+impl Encode for CivilTime {
+    fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
+        scalar(self, out)
+    }
+}
+
+#[cfg(feature = "alloc")]
+impl Element for alloc::string::String {
+    const TYPE: VarType = VarType::BSTR;
+
+    fn put(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
+        self.as_str().put(out)
+    }
+}
+
+#[cfg(feature = "alloc")]
+impl Encode for alloc::string::String {
+    fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
+        self.as_str().encode(out)
+    }
+}
+
+#[cfg(feature = "alloc")]
+impl<T: Element> Encode for alloc::vec::Vec<T> {
+    fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
+        self.as_slice().encode(out)
     }
 }
 

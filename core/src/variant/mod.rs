@@ -26,7 +26,8 @@
 //! ```
 //!
 //! [`Variant::decode`] or the frame decoder validates a received value with all nested values. The resulting [`Variant`] is a
-//! `Copy` view of the bytes, and its accessors cannot fail. A [`VariantBuf`] owns a value. [`VariantBuf::parse_text`] reads
+//! `Copy` view of the bytes, and its accessors cannot fail. [`Variant::convert`] makes Rust types of it, with widening
+//! ([`FromVariant`]). A [`VariantBuf`] owns a value; so does an `OwnedVariant`, of any size, with the feature `alloc`. [`VariantBuf::parse_text`] reads
 //! the text form of RAC, and [`Variant::write_text`] writes it.
 //!
 //! # Examples
@@ -47,15 +48,21 @@
 mod array;
 mod bstr;
 mod buf;
+mod convert;
 mod encode;
 mod float;
+#[cfg(feature = "alloc")]
+mod owned;
 mod scalar;
 pub(crate) mod text;
 
 pub use self::array::{Array, Elements, Items, Scalar};
 pub use self::bstr::Bstr;
 pub use self::buf::{VariantBuf, VariantBufError};
+pub use self::convert::{ConvertError, ConvertErrorKind, FromVariant, Number};
 pub use self::encode::{Element, Encode};
+#[cfg(feature = "alloc")]
+pub use self::owned::OwnedVariant;
 pub use self::scalar::{CivilTime, Currency, Null, OleDate};
 pub use crate::wire::Writer;
 
