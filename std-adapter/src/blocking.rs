@@ -1,8 +1,22 @@
 //! Blocking clients.
 //!
-//! [`connect_tcp`], [`connect_udp`] and [`connect_rac`] take a host name or an address, IPv4 or IPv6. The first two return
+//! [`Controller`] is a session with a controller, and the way to read variables and to move a robot:
+//!
+//! ```text
+//!  Controller::connect ─┬─► read, write, execute
+//!                       ├─► robot ─► Robot ─► take_arm ─► Arm: motor_on, move_to
+//!                       └─► stopper ─► Stopper: halt, from any thread
+//! ```
+//!
+//! Below it are the functions of the protocol. [`connect_tcp`], [`connect_udp`] and [`connect_rac`] take a host name or an address, IPv4 or IPv6. The first two return
 //! a [`Connection`] of the core, whose `call` makes a typed call and waits for the reply. `connect_rac` returns a
 //! [`RacConnection`], whose `get` and `put` read and write variables.
+
+mod controller;
+mod robot;
+mod session;
+mod socket;
+mod stopper;
 
 use std::fmt::Debug;
 use std::io;
@@ -16,6 +30,9 @@ use bcap_core::rac;
 use bcap_core::time::Instant;
 use socket2::{SockRef, Socket};
 
+pub use self::controller::Controller;
+pub use self::robot::{Arm, Robot};
+pub use self::stopper::{Halted, Stopper};
 use crate::clock::{now, until};
 use crate::connect::{self, ConnectError, DATAGRAM_ROOM, Options, STREAM_ROOM};
 

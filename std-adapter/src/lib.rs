@@ -29,20 +29,29 @@
 //! ```
 
 pub use bcap_core as core;
+pub use bcap_core::procedure::Motion;
 
+mod address;
 #[cfg(feature = "tokio")]
 pub mod asynch;
 pub mod blocking;
 mod clock;
 mod connect;
+mod error;
 #[cfg(feature = "gateway")]
 pub mod gateway;
+mod moves;
 #[cfg(feature = "server")]
 pub mod server;
+mod settings;
 pub mod slave;
 
+pub use address::{Address, AddressError};
 pub use clock::now;
 pub use connect::{ConnectError, Options};
+pub use error::Error;
+pub use moves::Move;
+pub use settings::{Model, ServiceOptions, Settings};
 
 /// A failed call.
 pub type CallError = bcap_core::io::CallError<std::io::Error>;

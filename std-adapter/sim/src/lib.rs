@@ -19,6 +19,7 @@
 //! * Tasks that run on the injected clock.
 //! * The emergency stop, the mode switch, the executable token and errors, set by a test.
 //! * Faults of the controller and of the wire, set by a scenario.
+//! * [`memory`]: connections without sockets, on a clock that waits for nothing, for tests of drivers.
 //!
 //! # What answers `E_NOTIMPL`
 //!
@@ -73,6 +74,7 @@ pub mod files;
 mod function;
 pub mod hand;
 pub mod kinematics;
+pub mod memory;
 pub mod messages;
 pub mod motion;
 mod objects;

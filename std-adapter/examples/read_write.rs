@@ -1,0 +1,24 @@
+//! Reads and writes variables of a controller.
+//!
+//! ```text
+//! bcap sim
+//! cargo run -p bcap-std --example read_write -- tcp:127.0.0.1
+//! ```
+
+use bcap_std::blocking::Controller;
+use bcap_std::{Error, Settings};
+
+fn main() -> Result<(), Error> {
+    run(&std::env::args().nth(1).unwrap_or_else(|| "tcp:127.0.0.1".into()))
+}
+
+/// Runs the example with the controller at `address`.
+pub(crate) fn run(address: &str) -> Result<(), Error> {
+    let mut cell = Controller::connect(address, &Settings::rc8())?;
+    let count: i32 = cell.read("I1")?;
+    cell.write("I1", count + 1)?;
+    cell.write("P1", [400.0, 0.0, 300.0, 180.0, 0.0, 180.0, 5.0_f32])?;
+    let [x, y, z, ..]: [f64; 7] = cell.read("P1")?;
+    println!("I1 was {count}; P1 is at {x} mm, {y} mm, {z} mm");
+    cell.close()
+}

@@ -1,0 +1,185 @@
+//! A controller as an object.
+
+use std::io;
+
+use bcap_core::bcap::Object;
+use bcap_core::bcap::call::{self, Call, ControllerHandle, Reply};
+use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
+
+use super::robot::Robot;
+use super::session::Session;
+use super::socket::{self, Socket};
+use super::stopper::Stopper;
+use super::{Connection, Transport};
+use crate::address::Address;
+use crate::error::Error;
+use crate::settings::Settings;
+
+/// A session with a controller.
+///
+/// It opens objects when they are first used and keeps their handles. When it is dropped it releases all objects in
+/// reverse order and stops the service, which takes at most two seconds; after a lost connection it sends nothing.
+///
+/// # Examples
+///
+/// ```no_run
+/// use std::time::Duration;
+///
+/// use bcap_core::procedure::Motion;
+/// use bcap_std::blocking::Controller;
+/// use bcap_std::{Move, Settings};
+///
+/// let mut cell = Controller::connect("tcp:192.168.0.1", &Settings::rc9())?;
+/// let count: i32 = cell.read("I1")?;
+/// cell.write("I1", count + 1)?;
+///
+/// let mut arm = cell.robot()?.take_arm()?;
+/// arm.motor_on()?;
+/// match arm.move_to(&Move::line("P1").speed_percent(10.0), Duration::from_secs(30))? {
+///     Motion::Arrived => println!("at P1"),
+///     other => println!("not at P1: {other:?}"),
+/// }
+/// # Ok::<(), bcap_std::Error>(())
+/// ```
+#[derive(Debug)]
+pub struct Controller {
+    session: Session,
+    /// `None` over a stream of the caller.
+    address: Option<Address>,
+    settings: Settings,
+}
+
+impl Controller {
+    /// Connects to the controller at `tcp:HOST[:PORT]` or `udp:HOST[:PORT]`, and starts a session with a watchdog.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`] for a wrong address, a failed connection, or a refused call. Nothing stays open then.
+    pub fn connect(address: &str, settings: &Settings) -> Result<Self, Error> {
+        let address: Address = address.parse()?;
+        let connection = socket::connect(&address, settings)?;
+        Self::open_session(connection, Some(address), settings)
+    }
+
+    /// Starts a session over a stream of the caller, such as a `Wire` to the virtual controller in memory.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`] for a refused call, or one without a reply.
+    pub fn over(
+        stream: impl Transport<Error = io::Error> + Send + 'static,
+        settings: &Settings,
+    ) -> Result<Self, Error> {
+        Self::open_session(socket::over(stream, settings), None, settings)
+    }
+
+    fn open_session(
+        connection: Connection<Socket, Vec<u8>>,
+        address: Option<Address>,
+        settings: &Settings,
+    ) -> Result<Self, Error> {
+        Ok(Self { session: Session::start(connection, settings)?, address, settings: settings.clone() })
+    }
+
+    /// Reads a variable of the controller, such as `I1`, `P5`, `IO128` or `@CURRENT_TIME`.
+    ///
+    /// The value is converted without loss: `i64` and `f64` take any number, `[f64; 7]` a position of R4 numbers.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; [`Error::Value`] if the value has another type.
+    pub fn read<T: for<'a> FromVariant<'a>>(&mut self, name: &str) -> Result<T, Error> {
+        self.session.read_of(Object::Controller, self.session.handle.0, name)
+    }
+
+    /// Reads several variables of any type; each is opened once and stays open for the next time.
+    ///
+    /// ```no_run
+    /// # use bcap_std::{Settings, blocking::Controller};
+    /// # let mut cell = Controller::connect("tcp:192.168.0.1", &Settings::rc9())?;
+    /// let [count, position, door] = cell.read_all(["I1", "P1", "IO128"])?;
+    /// println!("{count:?} {position:?} {door:?}");
+    /// # Ok::<(), bcap_std::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`] for the first variable that cannot be read.
+    pub fn read_all<const N: usize>(&mut self, names: [&str; N]) -> Result<[OwnedVariant; N], Error> {
+        let mut values = std::array::from_fn(|_| OwnedVariant::default());
+        for (value, name) in values.iter_mut().zip(names) {
+            *value = self.read(name)?;
+        }
+        Ok(values)
+    }
+
+    /// Writes a variable of the controller.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]. After [`Error::NoReply`] the value may have been written.
+    pub fn write(&mut self, name: &str, value: impl Encode) -> Result<(), Error> {
+        self.session.write_of(Object::Controller, self.session.handle.0, name, value)
+    }
+
+    /// Returns the robot of the settings; without a name it is the first one that the controller lists.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`] if the controller has no such robot.
+    pub fn robot(&mut self) -> Result<Robot<'_>, Error> {
+        let handle = self.session.robot(self.settings.robot.as_deref())?;
+        Ok(Robot::new(&mut self.session, handle))
+    }
+
+    /// Opens a second connection, over which another thread can halt the robot at any time.
+    ///
+    /// # Errors
+    ///
+    /// As [`connect`](Self::connect), and [`Error::NoAddress`] for a controller over a stream of the caller, which needs
+    /// [`Stopper::over`].
+    pub fn stopper(&self) -> Result<Stopper, Error> {
+        Stopper::connect(self.address.as_ref().ok_or(Error::NoAddress)?, &self.settings)
+    }
+
+    /// Executes a command of the controller with a parameter, such as `ClearError` with `()`.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; [`Error::Value`] if the value of the reply has another type.
+    pub fn execute<T: for<'a> FromVariant<'a>>(&mut self, command: &str, parameter: impl Encode) -> Result<T, Error> {
+        self.session.value(command, call::controller_execute(self.session.handle, command, parameter))
+    }
+
+    /// Returns the handle of the controller, for [`call`](Self::call).
+    #[must_use]
+    pub const fn handle(&self) -> ControllerHandle {
+        self.session.handle
+    }
+
+    /// Makes any call; `object` is named in errors. Objects that the call opens are released by the caller.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`].
+    pub fn call<C: Call>(&mut self, object: &str, call: C) -> Result<<C::Reply as Reply>::Value<'_>, Error> {
+        self.session.call(object, call)
+    }
+
+    /// Releases all objects and stops the service, as a drop does, and reports whether that succeeded.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`] if the connection was lost.
+    pub fn close(mut self) -> Result<(), Error> {
+        self.session.release()
+    }
+}
+
+impl Drop for Controller {
+    fn drop(&mut self) {
+        if let Err(error) = self.session.release() {
+            tracing::warn!(address = ?self.address, %error, "the session was not closed");
+        }
+    }
+}

@@ -1,0 +1,107 @@
+//! The errors of [`Controller`](crate::blocking::Controller) and its objects.
+
+use bcap_core::bcap::FunctionId;
+use bcap_core::hresult::HResult;
+use bcap_core::procedure::{StepCause, StepError};
+use bcap_core::variant::ConvertError;
+
+use crate::address::AddressError;
+use crate::connect::ConnectError;
+use crate::{CallError, RunError};
+
+/// Why an operation on a controller failed.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The address of the controller cannot be read.
+    #[error(transparent)]
+    Address(#[from] AddressError),
+    /// A controller over a stream of the caller has no address to connect to again.
+    #[error("a controller over the caller's own stream has no address; make the stopper with Stopper::over")]
+    NoAddress,
+    /// The controller did not accept the connection.
+    #[error(transparent)]
+    Connect(#[from] ConnectError),
+    /// The controller refused a call, which had no effect.
+    #[error("{function} of {object}: the controller refused: {}", explained(*code))]
+    Refused {
+        /// The called function.
+        function: FunctionId,
+        /// What it was called on.
+        object: String,
+        /// The controller's code.
+        code: HResult,
+    },
+    /// A call has no reply. Unless it was not sent, the controller may have executed it.
+    #[error("{function} of {object}: {source}")]
+    NoReply {
+        /// The called function.
+        function: FunctionId,
+        /// What it was called on.
+        object: String,
+        /// What happened instead.
+        source: CallError,
+    },
+    /// The reply to a call is not what the function returns.
+    #[error("{function} of {object}: {reason}")]
+    Reply {
+        /// The called function.
+        function: FunctionId,
+        /// What it was called on.
+        object: String,
+        /// What is wrong with the reply.
+        reason: String,
+    },
+    /// A value does not have the type that the caller asked for.
+    #[error("the value of {object}: {source}")]
+    Value {
+        /// The variable or the command.
+        object: String,
+        /// Which type was found, and which was wanted.
+        source: ConvertError,
+    },
+}
+
+/// Writes code, meaning and hint.
+fn explained(code: HResult) -> String {
+    let meaning = code.meaning().map(|meaning| format!(": {meaning}")).unwrap_or_default();
+    let hint = code.hint().map(|hint| format!(" Hint: {hint}")).unwrap_or_default();
+    format!("{code}{meaning}{hint}")
+}
+
+impl Error {
+    /// Returns the controller's code, if it refused a call.
+    #[must_use]
+    pub const fn code(&self) -> Option<HResult> {
+        match self {
+            Self::Refused { code, .. } => Some(*code),
+            _ => None,
+        }
+    }
+
+    /// Returns whether the connection is lost, so that a new [`Controller`](crate::blocking::Controller) is needed.
+    #[must_use]
+    pub const fn is_lost(&self) -> bool {
+        match self {
+            Self::NoReply { source, .. } => !source.is_recoverable(),
+            _ => false,
+        }
+    }
+
+    pub(crate) fn call(function: FunctionId, object: &str, error: CallError) -> Self {
+        let object = object.to_owned();
+        match error {
+            CallError::Refused(code) => Self::Refused { function, object, code },
+            source => Self::NoReply { function, object, source },
+        }
+    }
+
+    pub(crate) fn run(object: &str, error: RunError) -> Self {
+        let RunError { error: StepError { function, cause }, call } = error;
+        match (cause, call) {
+            (StepCause::Refused(code), _) => Self::call(function, object, CallError::Refused(code)),
+            (_, Some(call)) => Self::call(function, object, call),
+            (cause, None) => Self::Reply { function, object: object.to_owned(), reason: cause.to_string() },
+        }
+    }
+}

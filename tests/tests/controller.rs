@@ -1,0 +1,284 @@
+//! `Controller` and its objects against the virtual controller, over real sockets: what they return, and what state they
+//! leave the controller in.
+
+use std::net::TcpListener;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use bcap_core::hresult::HResult;
+use bcap_core::procedure::Motion;
+use bcap_sim::memory::Network;
+use bcap_sim::{Config, Controller as Simulated, EMERGENCY_STOP, Profile};
+use bcap_std::blocking::{Controller, Halted, Stopper};
+use bcap_std::server::Limits;
+use bcap_std::{Error, Move, Settings};
+use bcap_testkit::network::Random;
+use bcap_tests::served::Served;
+
+#[path = "../../std-adapter/examples/move_and_stop.rs"]
+#[expect(dead_code, reason = "an example has a main function")]
+mod move_and_stop;
+#[path = "../../std-adapter/examples/read_write.rs"]
+#[expect(dead_code, reason = "an example has a main function")]
+mod read_write;
+#[path = "../../std-adapter/examples/test_without_robot.rs"]
+#[expect(dead_code, reason = "an example has a main function")]
+mod test_without_robot;
+
+const LIMIT: Duration = Duration::from_secs(30);
+
+fn simulated() -> Served<Simulated> {
+    let config = Config { motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) };
+    Served::of(Simulated::new(config), Limits::default())
+}
+
+fn tcp(sim: &Served<Simulated>) -> String {
+    format!("tcp:{}", sim.tcp)
+}
+
+fn connect(sim: &Served<Simulated>) -> Controller {
+    Controller::connect(&tcp(sim), &Settings::rc8()).unwrap()
+}
+
+/// Turns the first joint.
+fn to(degrees: f64) -> Move {
+    Move::joint(format!("J({degrees}, 45, 90, 0, 45, 0)"))
+}
+
+/// Asserts that no client has the arm, a session or an object, and that the motor is off.
+fn assert_left(sim: &Served<Simulated>) {
+    let sim = sim.application();
+    assert_eq!((sim.arm_owner(), sim.motor_is_on(), sim.is_moving(), sim.open_objects()), (None, false, false, 0));
+}
+
+#[test]
+fn variables_are_read_and_written_over_both_transports() {
+    let sim = simulated();
+    for address in [tcp(&sim), format!("udp:{}", sim.udp)] {
+        let mut cell = Controller::connect(&address, &Settings::rc8().robot("Arm0")).unwrap();
+        cell.write("I1", 41).unwrap();
+        assert_eq!(cell.read::<i32>("I1").unwrap(), 41);
+        cell.write("P1", [400.0, 0.0, 300.0, 180.0, 0.0, 180.0, 5.0_f32]).unwrap();
+        assert_eq!(cell.read::<[f64; 7]>("P1").unwrap(), [400.0, 0.0, 300.0, 180.0, 0.0, 180.0, 5.0]);
+        let [count, position] = cell.read_all(["I1", "P1"]).unwrap();
+        assert_eq!((count.convert(), position.convert::<Vec<f32>>().unwrap().len()), (Ok(41), 7));
+        assert!(!cell.robot().unwrap().read::<bool>("@SERVO_ON").unwrap());
+        // I1, P1, the robot and its variable, each opened once
+        assert_eq!(sim.application().open_objects(), 5, "with the controller");
+        cell.close().unwrap();
+        assert_left(&sim);
+    }
+}
+
+#[test]
+fn an_error_names_function_object_and_reason() {
+    let sim = simulated();
+    let mut cell = connect(&sim);
+    let refused = cell.read::<i32>("NoSuchVariable").unwrap_err();
+    assert_eq!(
+        refused.to_string(),
+        "Controller_GetVariable of NoSuchVariable: the controller refused: 0x80000204 (E_CAO_OBJECT_NOTFOUND): There is no \
+         such object. Hint: check the name against what the matching Get...Names function lists"
+    );
+    assert!(refused.code().is_some() && !refused.is_lost());
+    assert!(cell.read::<i32>("P1").unwrap_err().to_string().starts_with("the value of P1: "));
+    let mut other = connect(&sim);
+    let arm = cell.robot().unwrap().take_arm().unwrap();
+    let taken = other.robot().unwrap().take_arm().unwrap_err();
+    assert_eq!(taken.code(), Some(HResult::E_ARM_NOT_TAKEN));
+    drop(arm);
+    let wrong = Controller::connect("robot", &Settings::rc8()).unwrap_err();
+    assert!(matches!(wrong, Error::Address(_)), "{wrong}");
+    let free = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    let refused = Controller::connect(&format!("tcp:{free}"), &Settings::rc8()).unwrap_err();
+    assert!(matches!(refused, Error::Connect(_)), "{refused}");
+}
+
+#[test]
+fn a_motion_arrives_and_the_drop_leaves_nothing() {
+    let sim = simulated();
+    let mut cell = connect(&sim);
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    arm.set_speed(100.0).unwrap();
+    assert_eq!(arm.move_to(&to(3.0), LIMIT).unwrap(), Motion::Arrived);
+    assert!((arm.robot().joints().unwrap()[0] - 3.0).abs() < 0.05);
+    assert!(sim.application().motor_is_on() && sim.application().arm_owner().is_some());
+    drop(arm);
+    assert!(!sim.application().motor_is_on() && sim.application().arm_owner().is_none());
+    drop(cell);
+    assert_left(&sim);
+}
+
+#[test]
+fn a_panic_of_the_user_leaves_nothing() {
+    let sim = simulated();
+    let panicked = catch_unwind(AssertUnwindSafe(|| {
+        let mut cell = connect(&sim);
+        let mut arm = cell.robot().unwrap().take_arm().unwrap();
+        arm.motor_on().unwrap();
+        panic!("in user code");
+    }));
+    assert!(panicked.is_err());
+    assert_left(&sim);
+}
+
+#[test]
+fn a_motor_that_was_on_before_stays_on() {
+    let sim = simulated();
+    let mut cell = connect(&sim);
+    let mut first = cell.robot().unwrap().take_arm().unwrap();
+    first.motor_on().unwrap();
+    first.robot().execute::<()>("GiveArm", ()).unwrap();
+    std::mem::forget(first);
+    cell.robot().unwrap().take_arm().unwrap().give().unwrap();
+    assert!(sim.application().motor_is_on() && sim.application().arm_owner().is_none());
+}
+
+#[test]
+fn an_error_of_the_controller_is_the_end_of_a_motion() {
+    let sim = simulated();
+    let mut cell = connect(&sim);
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            when_moving(&sim);
+            sim.application().emergency_stop(true, bcap_std::now());
+        });
+        assert_eq!(arm.move_to(&to(150.0), LIMIT).unwrap(), Motion::Failed(EMERGENCY_STOP));
+    });
+}
+
+/// Waits until the robot moves.
+fn when_moving(sim: &Served<Simulated>) {
+    let never = AtomicBool::new(false);
+    when_moving_or(sim, &never);
+}
+
+#[test]
+fn a_stopper_halts_a_motion_that_another_thread_waits_for() {
+    let sim = simulated();
+    let mut cell = connect(&sim);
+    let stopper = cell.stopper().unwrap();
+    assert_eq!(stopper.halt().unwrap(), Halted::NothingMoved);
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    std::thread::scope(|scope| {
+        let button = stopper.clone();
+        let pressed = scope.spawn(|| {
+            let button = button;
+            when_moving(&sim);
+            button.halt().unwrap()
+        });
+        assert_eq!(arm.move_to(&to(150.0), LIMIT).unwrap(), Motion::Halted);
+        assert_eq!(pressed.join().unwrap(), Halted::Halted);
+    });
+    assert!(arm.robot().joints().unwrap()[0] < 150.0);
+    drop(arm);
+    drop((cell, stopper));
+    assert_left(&sim);
+}
+
+#[test]
+fn a_motion_is_halted_at_its_time_limit() {
+    let sim = simulated();
+    let mut cell = connect(&sim);
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    let slow = to(150.0).speed_percent(1.0);
+    assert_eq!(arm.move_to(&slow, Duration::from_millis(100)).unwrap(), Motion::TimedOut);
+    assert!(!sim.application().is_moving());
+}
+
+/// A halt at a random time: what the waiting code is told agrees with where the robot is.
+#[test]
+fn no_halted_motion_is_reported_as_arrived() {
+    let trials = std::env::var("TRIALS").ok().and_then(|n| n.parse().ok()).unwrap_or(30_u32);
+    let sim = simulated();
+    let mut cell = connect(&sim);
+    let stopper = cell.stopper().unwrap();
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    let (mut random, mut outcomes) = (Random(7), [0, 0]);
+    for trial in 0..trials {
+        let degrees = if trial % 2 == 0 { 10.0 } else { 0.0 };
+        let delay = Duration::from_micros(random.below(200_000));
+        let ended = AtomicBool::new(false);
+        let motion = std::thread::scope(|scope| {
+            scope.spawn(|| {
+                when_moving_or(&sim, &ended);
+                std::thread::sleep(delay);
+                stopper.halt().unwrap()
+            });
+            let motion = arm.move_to(&to(degrees), LIMIT).unwrap();
+            ended.store(true, Ordering::Relaxed);
+            motion
+        });
+        let off = (sim.application().joints()[0] - degrees).abs();
+        match motion {
+            Motion::Arrived => assert!(off <= 0.05, "{off} degrees from the end"),
+            Motion::Halted => assert!(off > 0.05, "it is there"),
+            other => panic!("{other:?}"),
+        }
+        outcomes[usize::from(motion == Motion::Halted)] += 1;
+    }
+    println!("{trials} trials: {} arrived, {} halted", outcomes[0], outcomes[1]);
+    assert!(outcomes[1] > 0, "no halt came in time");
+}
+
+/// Waits until the robot moves, or until the motion has ended.
+fn when_moving_or(sim: &Served<Simulated>, ended: &AtomicBool) {
+    loop {
+        let mut controller = sim.application();
+        controller.advance(bcap_std::now());
+        if controller.is_moving() || ended.load(Ordering::Relaxed) {
+            return;
+        }
+        drop(controller);
+        std::thread::yield_now();
+    }
+}
+
+#[test]
+fn a_lost_connection_is_told_and_the_drop_does_not_wait() {
+    let sim = simulated();
+    let mut cell = connect(&sim);
+    cell.write("I1", 1).unwrap();
+    drop(sim);
+    let lost = cell.read::<i32>("I1").unwrap_err();
+    assert!(lost.is_lost(), "{lost}");
+    assert!(lost.to_string().starts_with("Variable_GetValue of I1: "), "{lost}");
+    cell.close().unwrap();
+}
+
+#[test]
+fn the_examples_run() {
+    let sim = simulated();
+    read_write::run(&tcp(&sim)).unwrap();
+    move_and_stop::run(&tcp(&sim)).unwrap();
+    test_without_robot::run().unwrap();
+    assert!((sim.application().joints()[0] - 20.0).abs() < 0.05);
+    assert_left(&sim);
+}
+
+#[test]
+fn in_memory_a_motion_of_many_seconds_takes_no_time_and_can_be_halted() {
+    let network = Network::new(Config::new(Profile::Rc8));
+    let mut cell = Controller::over(network.connect(), &Settings::rc8()).unwrap();
+    assert!(matches!(cell.stopper(), Err(Error::NoAddress)));
+    let stopper = Stopper::over(network.connect(), &Settings::rc8()).unwrap();
+    assert_eq!(stopper.halt().unwrap(), Halted::NothingMoved);
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    let begun = network.now();
+    assert_eq!(arm.move_to(&to(80.0).speed_percent(1.0), LIMIT * 10).unwrap(), Motion::Arrived);
+    let seconds = network.now().saturating_since(begun).as_secs();
+    assert!(seconds > 20, "{seconds} s");
+    assert!((network.controller().joints()[0] - 80.0).abs() < 0.05);
+    drop(arm);
+    drop((cell, stopper));
+    let controller = network.controller();
+    assert_eq!((controller.arm_owner(), controller.motor_is_on(), controller.open_objects()), (None, false, 0));
+}
