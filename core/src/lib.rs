@@ -16,6 +16,7 @@
 //! | [`bcap::client`], [`bcap::server`] | sans-IO state machines | every wait has a deadline; a late reply never answers another call; the session survives a call dropped at any byte |
 //! | [`rac`]     | lines, requests, responses, client and server | a line has at most 256 bytes; a value without a text is an error |
 //! | [`gateway`] | RAC server, b-CAP client           | each reply belongs to its request; without a robot the error is immediate |
+//! | [`device`]  | a table of variables as a server     | a client sees only what the table lists                           |
 //! | [`procedure`], [`slave`] | jobs of several calls, Slave Mode | a failed procedure undoes its calls; no pose outside the limits is sent |
 //! | [`io`]      | blocking and asynchronous loops over the clients | all progress is in the client, so futures may be dropped |
 //! | [`error`], [`hresult`] | errors and result codes | small and `Copy`; an error says what is wrong, where, and whose fault it is |
@@ -105,6 +106,7 @@
 extern crate alloc;
 
 pub mod bcap;
+pub mod device;
 pub mod endpoint;
 pub mod error;
 pub mod gateway;

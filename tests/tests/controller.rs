@@ -8,6 +8,8 @@ use std::time::Duration;
 
 use bcap_core::hresult::HResult;
 use bcap_core::procedure::Motion;
+use bcap_core::rac::{Variable, VariableKind};
+use bcap_core::variant::Variant;
 use bcap_sim::memory::Network;
 use bcap_sim::{Config, Controller as Simulated, EMERGENCY_STOP, Profile};
 use bcap_std::blocking::{Controller, Halted, Stopper};
@@ -16,6 +18,9 @@ use bcap_std::{Error, Move, Settings};
 use bcap_testkit::network::Random;
 use bcap_tests::served::Served;
 
+#[path = "../../std-adapter/examples/device_server.rs"]
+#[expect(dead_code, reason = "an example has a main function")]
+mod device_server;
 #[path = "../../std-adapter/examples/move_and_stop.rs"]
 #[expect(dead_code, reason = "an example has a main function")]
 mod move_and_stop;
@@ -281,4 +286,17 @@ fn in_memory_a_motion_of_many_seconds_takes_no_time_and_can_be_halted() {
     drop((cell, stopper));
     let controller = network.controller();
     assert_eq!((controller.arm_owner(), controller.motor_is_on(), controller.open_objects()), (None, false, 0));
+}
+
+#[test]
+fn a_device_of_a_table_is_a_controller() {
+    let served = Served::of(device_server::device(), Limits::default());
+    let mut cell = Controller::connect(&format!("tcp:{}", served.tcp), &Settings::rc9()).unwrap();
+    assert_eq!(cell.read::<i32>("I1").unwrap(), 0);
+    cell.write("F1", 0.5_f32).unwrap();
+    let refused = cell.write("I1", 1).unwrap_err();
+    assert_eq!(refused.code(), Some(HResult::E_ACCESSDENIED));
+    let mut rac = bcap_std::blocking::connect_rac(served.rac, &Default::default()).unwrap();
+    assert_eq!(rac.get(Variable::new(VariableKind::F, 1)).unwrap(), Variant::R4(0.5));
+    cell.close().unwrap();
 }
