@@ -39,7 +39,7 @@ macro_rules! for_each_function {
             /// * `provider`: `CaoProv.DENSO.VRC` for RC8 and COBOTTA, `CaoProv.DENSO.VRC9` for RC9 and COBOTTA PRO.
             /// * `machine`: `localhost`, or the IP address of the controller.
             /// * `option`: connection options; may be empty. Public programs send `@IfNotMember`.
-            /// * Returns the handle of the controller (I4).
+            /// * Returns the handle of the controller (I4), to be released with Controller_Disconnect.
             /// * Controllers: all (S2:1617, S2:253-275).
             3 CONTROLLER_CONNECT controller_connect "ControllerConnect" Controller (name: Text, provider: Text, machine: Text, option: Text) Controller;
             /// Disconnects from the controller and releases its handle.
