@@ -340,7 +340,7 @@ mod tests {
             assert!(line.chars().count() <= 104, "{function}: {line}");
             match (line.strip_prefix("* "), items.last_mut()) {
                 (Some(start), _) => items.push(start.into()),
-                (None, Some(item)) => *item += line.strip_prefix(' ').unwrap(),
+                (None, Some(item)) => item.push_str(line.strip_prefix(' ').unwrap()),
                 (None, None) => panic!("{function}: {line}"),
             }
         }

@@ -17,12 +17,13 @@ macro_rules! for_each_function {
         $receiver! {
             /// Starts the service of the controller for this client; the first call of a session.
             ///
-            /// * `option`: `KEY=VALUE` pairs with commas between them; may be empty. `WDT=` is the interval of the
-            ///   keep-alives (S_EXECUTING) that the server sends during a long call, in ms: at least 80, and less
-            ///   than the client's timeout. Without it there are no keep-alives, and a call that takes longer than
-            ///   the timeout fails at the client while the controller continues it. `InvokeTimeout=` is the time
-            ///   limit of one call, in ms: at least 80, 180000 by default; it is not in the specification, but in
-            ///   the vendor's library and drivers. A value below 80 is refused with E_INVALIDARG.
+            /// * `option`: `KEY=VALUE` pairs with commas between them; may be empty. A value below 80 is refused with
+            ///   E_INVALIDARG.
+            ///   * `WDT=`: the interval of the keep-alives (S_EXECUTING) that the server sends during a long call, in
+            ///     ms: at least 80, and less than the client's timeout. Without it there are no keep-alives, and a call
+            ///     that takes longer than the timeout fails at the client while the controller continues it.
+            ///   * `InvokeTimeout=`: the time limit of one call, in ms: at least 80, 180000 by default. It is not in
+            ///     the specification, but in the vendor's library and drivers.
             /// * Returns no value.
             /// * Controllers: all (S2:1615, S2:200-252).
             1 SERVICE_START service_start "ServiceStart" Service (option: Text) Nothing;
@@ -493,10 +494,11 @@ macro_rules! for_each_function {
             /// * `command`: the name of the command, in any case: TakeArm and GiveArm (arm authority), Motor,
             ///   ExtSpeed, CurPos, CurJnt, CurTrn (present pose), slvChangeMode, slvGetMode, slvMove, slvSendFormat
             ///   and slvRecvFormat (Slave Mode), and others.
-            /// * `param`: the parameter of the command, EMPTY without one. TakeArm: I4 array of arm group and keep,
-            ///   `[0, 0]`; keep 0 resets speed, tool and work. Motor: I4 array of state (1 on, 0 off) and no-wait,
-            ///   `[1, 0]`. ExtSpeed: percent, or an array of speed, acceleration and deceleration in percent.
-            ///   slvChangeMode: I4, 0 to leave Slave Mode.
+            /// * `param`: the parameter of the command, EMPTY without one.
+            ///   * TakeArm: arm group and keep (I4 array), such as `[0, 0]`; keep 0 resets speed, tool and work.
+            ///   * Motor: state (1 on, 0 off) and no-wait (I4 array), such as `[1, 0]`.
+            ///   * ExtSpeed: speed, or an array of speed, acceleration and deceleration, in percent.
+            ///   * slvChangeMode: the mode (I4), 0 to leave Slave Mode.
             /// * Returns the result of the command (VARIANT): EMPTY for TakeArm, GiveArm and Motor; an R8 array for
             ///   CurPos (X Y Z in mm, RX RY RZ in degrees, figure), CurJnt (8 joints in degrees or mm) and CurTrn.
             /// * Motor on and motions need Auto mode and the executable token (S2:174-184). In Slave Mode the
@@ -578,14 +580,16 @@ macro_rules! for_each_function {
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
             /// * `interpolation`: the path: 1 point to point (P), 2 line (L), 3 circle (C), 4 free curve (S) (I4).
-            /// * `pose`: BSTR: a variable or a value, after an optional pass: `P1`, `@E P1`, `@P J2`,
-            ///   `P(400, 0, 300, 180, 0, 180, 5)`. The pass `@E` reaches the pose completely (S2:1305), `@P` passes
-            ///   it; `@0` and `@n` with a number are not described. Or an array of VARIANT: the numbers (R4 or R8
-            ///   array) or the index of the variable, the type (0 P, 1 T, 2 J, 3 V as I4, or `"P"`, `"J"`, ...),
-            ///   the pass (-1 `@P`, -2 `@E`, 0 `@0` as I4, or its text) (S2:1600-1608). P is X Y Z in mm, RX RY RZ
-            ///   in degrees and the figure; J is joints in degrees or mm.
-            /// * `option`: motion options with commas between them; may be empty: `NEXT` answers at once instead of
-            ///   at the end of the motion; `SPEED=` (`S=`), `ACCEL=`, `DECEL=` in percent of the internal values.
+            /// * `pose`: the target, as text or as an array. P is X Y Z in mm, RX RY RZ in degrees and the figure; J is
+            ///   joints in degrees or mm. The pass `@E` reaches the pose completely (S2:1305), `@P` passes it; `@0`
+            ///   and `@n` with a number are not described.
+            ///   * BSTR: an optional pass, then a variable or a value: `P1`, `@E P1`, `@P J2`,
+            ///     `P(400, 0, 300, 180, 0, 180, 5)`.
+            ///   * Array of VARIANT (S2:1600-1608): the numbers (R4 or R8 array) or the index of the variable; the type
+            ///     (I4: 0 P, 1 T, 2 J, 3 V; or its text); the pass (I4: -1 `@P`, -2 `@E`, 0 `@0`; or its text).
+            /// * `option`: motion options with commas between them; may be empty.
+            ///   * `NEXT`: the call answers at once instead of at the end of the motion.
+            ///   * `SPEED=` or `S=`, `ACCEL=`, `DECEL=`: speed, acceleration, deceleration, in percent.
             /// * Returns no value.
             /// * Needs Auto mode, the executable token for this client, no error, the arm authority (TakeArm) and
             ///   the motor on (S2:174-188, S2:686-772).
