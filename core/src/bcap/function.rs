@@ -340,8 +340,11 @@ mod tests {
             assert!(line.chars().count() <= 104, "{function}: {line}");
             match (line.strip_prefix("* "), items.last_mut()) {
                 (Some(start), _) => items.push(start.into()),
-                (None, Some(item)) => item.push_str(line.strip_prefix(' ').unwrap()),
-                (None, None) => panic!("{function}: {line}"),
+                (None, Some(item)) if line.starts_with("  ") => {
+                    item.push(' ');
+                    item.push_str(line.trim_start());
+                }
+                _ => panic!("{function}: {line}"),
             }
         }
         (summary, items)
