@@ -269,7 +269,8 @@ macro_rules! calls {
        $number:literal $constant:ident $method:ident $name:literal $object:ident
        ($($argument:ident: $kind:ident),*) $result:ident;)*) => {$(
         $(#[doc = $help])*
-        #[doc = concat!("\n Function ", stringify!($number), ", `", $name, "`.")]
+        #[doc = ""]
+        #[doc = concat!(" Function ", stringify!($number), ", `", $name, "`.")]
         #[must_use]
         #[inline]
         pub fn $method($($argument: argument!($kind)),*) -> impl Call<Reply = reply!($result)> {

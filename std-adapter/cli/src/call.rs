@@ -17,7 +17,8 @@ use crate::value::Value;
 /// Runs `bcap call`.
 pub(crate) fn call(args: &Call, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let Some(name) = &args.function else {
-        return Ok(if args.help { reference::command() } else { reference::list(json) }?);
+        let printed = if args.help { reference::command() } else { reference::list(json) };
+        return Ok(printed?);
     };
     let function = FunctionId::parse(name).ok_or_else(|| unknown(name))?;
     if args.help {

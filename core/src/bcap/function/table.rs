@@ -3,7 +3,8 @@
 //! The help of a row is Markdown: one sentence on one line, then a list of the arguments, the value of the reply, and the
 //! controllers. It becomes the documentation of the typed call and [`FunctionId::help`](super::FunctionId::help).
 //! The types in it are those of the wire. "All" controllers are RC8, RC9 and COBOTTA; "listed for all" means that
-//! the table of the specification has the function, but neither its examples nor public programs call it (S2:1613-1806).
+//! the table of the specification has the function, but neither its examples nor known public programs call it
+//! (S2:1613-1806).
 //! Where the specification does not define a number, a unit or a text, the help says so, and names what the virtual
 //! controller (`bcap-sim`) takes.
 
@@ -71,8 +72,8 @@ macro_rules! for_each_function {
             ///
             /// * `controller`: its handle, from Controller_Connect.
             /// * `name`: the name of the robot; `Arm` in the specification, or one of Controller_GetRobotNames.
-            /// * `option`: an option string; may be empty. `ID=0`, `ID=1` choose one of several arms in public
-            ///   programs.
+            /// * `option`: an option string; may be empty. Public programs send `ID=0` or `ID=1` to choose one of
+            ///   several arms, and `@IfNotMember`.
             /// * Returns the handle of the robot (I4), to be released with Robot_Release.
             /// * Controllers: all (S2:1623, S2:664-684).
             7 CONTROLLER_GET_ROBOT controller_get_robot "ControllerGetRobot" Controller (controller: Controller, name: Text, option: Text) Robot;
@@ -108,7 +109,7 @@ macro_rules! for_each_function {
             /// * `option`: an option string; the specification lists no options.
             /// * Returns the list of names for Controller_GetExtension (VARIANT; an array of BSTR in the virtual
             ///   controller).
-            /// * Controllers: all (S2:1631).
+            /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1631).
             11 CONTROLLER_GET_EXTENSION_NAMES controller_get_extension_names "ControllerGetExtensionNames" Controller (controller: Controller, option: Text) Any;
             /// Lists the names of the files of the controller.
             ///
@@ -140,7 +141,7 @@ macro_rules! for_each_function {
             /// * `option`: an option string; the specification lists no options.
             /// * Returns the list of names for Controller_GetVariable (VARIANT; an array of BSTR in the virtual
             ///   controller).
-            /// * Controllers: all (S2:1640).
+            /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1640).
             15 CONTROLLER_GET_VARIABLE_NAMES controller_get_variable_names "ControllerGetVariableNames" Controller (controller: Controller, option: Text) Any;
             /// Lists the names of the commands of the controller.
             ///
@@ -383,20 +384,20 @@ macro_rules! for_each_function {
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
             /// * Returns the date (VARIANT; in the virtual controller a DATE: days since 1899-12-30 of the
             ///   controller's wall clock, without a time zone).
-            /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1706).
+            /// * Controllers: all (S2:1706).
             48 FILE_GET_DATE_LAST_MODIFIED file_get_date_last_modified "FileGetDateLastModified" File (file: File) Any;
             /// Reads the path of the file.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
             /// * Returns the path (BSTR): in the virtual controller the folder that contains the file, from the
             ///   root.
-            /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1708).
+            /// * Controllers: all (S2:1708).
             49 FILE_GET_PATH file_get_path "FileGetPath" File (file: File) Text;
             /// Reads the size of the file.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
             /// * Returns the size (I4), in bytes in the virtual controller.
-            /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1709).
+            /// * Controllers: all (S2:1709).
             50 FILE_GET_SIZE file_get_size "FileGetSize" File (file: File) Int;
             /// Reads the type of the file.
             ///
@@ -424,7 +425,7 @@ macro_rules! for_each_function {
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
             /// * Returns the attribute (I4); the specification does not define its values. The virtual controller
             ///   adds 1 for read-only and 16 for a folder.
-            /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1713).
+            /// * Controllers: all (S2:1713).
             54 FILE_GET_ATTRIBUTE file_get_attribute "FileGetAttribute" File (file: File) Int;
             /// Reads the help text of the file.
             ///
@@ -436,7 +437,7 @@ macro_rules! for_each_function {
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
             /// * Returns the name (BSTR).
-            /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1718).
+            /// * Controllers: all (S2:1718).
             56 FILE_GET_NAME file_get_name "FileGetName" File (file: File) Text;
             /// Reads the tag of the file, information that a client attaches to it.
             ///
@@ -486,7 +487,7 @@ macro_rules! for_each_function {
             /// * `option`: an option string; the specification lists no options.
             /// * Returns the list of names for Robot_GetVariable (VARIANT; an array of BSTR in the virtual
             ///   controller).
-            /// * Controllers: all (S2:1725).
+            /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1725).
             63 ROBOT_GET_VARIABLE_NAMES robot_get_variable_names "RobotGetVariableNames" Robot (robot: Robot, option: Text) Any;
             /// Executes a command of the robot's provider.
             ///
@@ -511,8 +512,8 @@ macro_rules! for_each_function {
             /// Sets the internal acceleration and deceleration of the robot: the statement ACCEL.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
-            /// * `axis`: -1 for the statement ACCEL (lines and joints), 0 for joints only (JACCEL), as the virtual
-            ///   controller reads it; the specification does not define the numbers.
+            /// * `axis`: the number is not specified. The virtual controller takes -1 as ACCEL, for lines and joints,
+            ///   and 0 as JACCEL, for joints only.
             /// * `accel`: the acceleration, in percent: 0.0001 to 100 in the virtual controller; the specification
             ///   gives no unit.
             /// * `decel`: the deceleration, as `accel`.
@@ -522,8 +523,8 @@ macro_rules! for_each_function {
             /// Selects a tool or a work coordinate system: the statement CHANGE.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
-            /// * `name`: the tool or the coordinate system: in the virtual controller `Tool` or `Work` with a
-            ///   number from 0 to 63, such as `Tool1`; the specification does not define the names.
+            /// * `name`: `Tool` or `Work` with a number, such as `Tool1` or `Work0` in public drivers; 0 to 63 in the
+            ///   virtual controller.
             /// * Returns no value.
             /// * Controllers: all (S2:1728).
             66 ROBOT_CHANGE robot_change "RobotChange" Robot (robot: Robot, name: Text) Nothing;
@@ -538,15 +539,15 @@ macro_rules! for_each_function {
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
             /// * `number`: the number of the axis, from 1.
-            /// * `distance`: the relative distance, in degrees for a rotating axis and in mm for a linear one, as
-            ///   the virtual controller reads it; the specification gives no unit.
+            /// * `distance`: the relative distance; in the virtual controller in degrees for a rotating axis and in mm
+            ///   for a linear one.
             /// * `option`: motion options, as for Robot_Move.
             /// * Returns no value.
             /// * Needs Auto mode, the executable token for this client, no error, the arm authority (TakeArm) and
             ///   the motor on (S2:174-188, S2:686-772).
             /// * A client that stops waiting for the reply does not stop the motion. Robot_Halt does, over a second
             ///   connection while this one waits.
-            /// * Controllers: all (S2:1730).
+            /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1730).
             68 ROBOT_DRIVE robot_drive "RobotDrive" Robot (robot: Robot, number: Int, distance: Float, option: Text) Nothing;
             /// Moves the robot to its home position: the statement GOHOME.
             ///
@@ -584,12 +585,13 @@ macro_rules! for_each_function {
             ///   joints in degrees or mm. The pass `@E` reaches the pose completely (S2:1305), `@P` passes it; `@0`
             ///   and `@n` with a number are not described.
             ///   * BSTR: an optional pass, then a variable or a value: `P1`, `@E P1`, `@P J2`,
-            ///     `P(400, 0, 300, 180, 0, 180, 5)`.
+            ///     `@E P(400, 0, 300, 180, 0, 180, 5)`, `J(0, 45, 90, 0, 45, 0)`.
             ///   * Array of VARIANT (S2:1600-1608): the numbers (R4 or R8 array) or the index of the variable; the type
             ///     (I4: 0 P, 1 T, 2 J, 3 V; or its text); the pass (I4: -1 `@P`, -2 `@E`, 0 `@0`; or its text).
             /// * `option`: motion options with commas between them; may be empty.
             ///   * `NEXT`: the call answers at once instead of at the end of the motion.
-            ///   * `SPEED=` or `S=`, `ACCEL=`, `DECEL=`: speed, acceleration, deceleration, in percent.
+            ///   * `SPEED=` or `S=`, `ACCEL=`, `DECEL=`: speed, acceleration, deceleration, in percent, as a number or
+            ///     a variable: `SPEED=10`, `SPEED=F2`.
             /// * Returns no value.
             /// * Needs Auto mode, the executable token for this client, no error, the arm authority (TakeArm) and
             ///   the motor on (S2:174-188, S2:686-772).
@@ -617,8 +619,8 @@ macro_rules! for_each_function {
             /// Sets the internal speed of the robot: the statement SPEED or JSPEED.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
-            /// * `axis`: -1 for the statement SPEED (lines and joints), 0 for JSPEED (joints only), as the virtual
-            ///   controller reads it; the specification does not define the numbers.
+            /// * `axis`: the number is not specified. Public drivers send -1, which the virtual controller takes as
+            ///   SPEED, for lines and joints; it takes 0 as JSPEED, for joints only.
             /// * `speed`: the speed, in percent: 0.0001 to 100 in the virtual controller; the specification gives
             ///   no unit.
             /// * Returns no value.
@@ -705,7 +707,7 @@ macro_rules! for_each_function {
             /// * `option`: an option string; the specification lists no options.
             /// * Returns the list of names for Task_GetVariable (VARIANT; an array of BSTR in the virtual
             ///   controller).
-            /// * Controllers: all (S2:1749).
+            /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1749).
             86 TASK_GET_VARIABLE_NAMES task_get_variable_names "TaskGetVariableNames" Task (task: Task, option: Text) Any;
             /// Executes a command of the task.
             ///
@@ -861,7 +863,7 @@ macro_rules! for_each_function {
             ///
             /// * `variable`: its handle, from a GetVariable function, such as Controller_GetVariable.
             /// * Returns the ID (VARIANT): for a variable that was opened with a wildcard (`I*`) its index.
-            /// * Controllers: all (S2:1772).
+            /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1772).
             108 VARIABLE_GET_ID variable_get_id "VariableGetID" Variable (variable: Variable) Any;
             /// Sets the ID of the variable.
             ///
