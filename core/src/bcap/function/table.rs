@@ -28,6 +28,7 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: all (S2:1615, S2:200-252).
             1 SERVICE_START service_start "ServiceStart" Service (option: Text) Nothing;
+
             /// Stops the service of the controller for this client; the last call of a session.
             ///
             /// * Returns no value.
@@ -35,6 +36,7 @@ macro_rules! for_each_function {
             ///   there (S2:482).
             /// * Controllers: all (S2:1616, S2:370-389).
             2 SERVICE_STOP service_stop "ServiceStop" Service () Nothing;
+
             /// Connects to the controller through one of its providers.
             ///
             /// * `name`: any name for the controller object, such as `b-CAP`; may be empty.
@@ -44,6 +46,7 @@ macro_rules! for_each_function {
             /// * Returns the handle of the controller (I4), to be released with Controller_Disconnect.
             /// * Controllers: all (S2:1617, S2:253-275).
             3 CONTROLLER_CONNECT controller_connect "ControllerConnect" Controller (name: Text, provider: Text, machine: Text, option: Text) Controller;
+
             /// Disconnects from the controller and releases its handle.
             ///
             /// * `controller`: its handle, from Controller_Connect.
@@ -51,6 +54,7 @@ macro_rules! for_each_function {
             /// * Release the objects of the controller first, in reverse order of opening.
             /// * Controllers: all (S2:1618, S2:352-368).
             4 CONTROLLER_DISCONNECT controller_disconnect "ControllerDisconnect" Controller (controller: Controller) Nothing;
+
             /// Opens an extension of the controller, such as an electric hand.
             ///
             /// * `controller`: its handle, from Controller_Connect.
@@ -60,6 +64,7 @@ macro_rules! for_each_function {
             /// * Returns the handle of the extension (I4), to be released with Extension_Release.
             /// * Controllers: all (S2:1620).
             5 CONTROLLER_GET_EXTENSION controller_get_extension "ControllerGetExtension" Controller (controller: Controller, name: Text, option: Text) Extension;
+
             /// Opens a file or a folder of the controller.
             ///
             /// * `controller`: its handle, from Controller_Connect.
@@ -68,6 +73,7 @@ macro_rules! for_each_function {
             /// * Returns the handle of the file (I4), to be released with File_Release.
             /// * Controllers: all (S2:1621).
             6 CONTROLLER_GET_FILE controller_get_file "ControllerGetFile" Controller (controller: Controller, name: Text, option: Text) File;
+
             /// Opens the robot, the object for motions and for the state of the arm.
             ///
             /// * `controller`: its handle, from Controller_Connect.
@@ -77,6 +83,7 @@ macro_rules! for_each_function {
             /// * Returns the handle of the robot (I4), to be released with Robot_Release.
             /// * Controllers: all (S2:1623, S2:664-684).
             7 CONTROLLER_GET_ROBOT controller_get_robot "ControllerGetRobot" Controller (controller: Controller, name: Text, option: Text) Robot;
+
             /// Opens a task, a program of the controller.
             ///
             /// * `controller`: its handle, from Controller_Connect.
@@ -85,6 +92,7 @@ macro_rules! for_each_function {
             /// * Returns the handle of the task (I4), to be released with Task_Release.
             /// * Controllers: all (S2:1625, S2:502-524).
             8 CONTROLLER_GET_TASK controller_get_task "ControllerGetTask" Controller (controller: Controller, name: Text, option: Text) Task;
+
             /// Opens a user variable or a system variable of the controller.
             ///
             /// * `controller`: its handle, from Controller_Connect.
@@ -95,6 +103,7 @@ macro_rules! for_each_function {
             /// * Returns the handle of the variable (I4), to be released with Variable_Release.
             /// * Controllers: all (S2:1627, S2:276-296, S2:391-432).
             9 CONTROLLER_GET_VARIABLE controller_get_variable "ControllerGetVariable" Controller (controller: Controller, name: Text, option: Text) Variable;
+
             /// Opens a command object, which keeps a command with its parameters and its result.
             ///
             /// * `controller`: its handle, from Controller_Connect.
@@ -103,6 +112,7 @@ macro_rules! for_each_function {
             /// * Returns the handle of the command (I4), to be released with Command_Release.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1629).
             10 CONTROLLER_GET_COMMAND controller_get_command "ControllerGetCommand" Controller (controller: Controller, name: Text, option: Text) Command;
+
             /// Lists the names of the extensions of the controller.
             ///
             /// * `controller`: its handle, from Controller_Connect.
@@ -111,6 +121,7 @@ macro_rules! for_each_function {
             ///   controller).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1631).
             11 CONTROLLER_GET_EXTENSION_NAMES controller_get_extension_names "ControllerGetExtensionNames" Controller (controller: Controller, option: Text) Any;
+
             /// Lists the names of the files of the controller.
             ///
             /// * `controller`: its handle, from Controller_Connect.
@@ -119,6 +130,7 @@ macro_rules! for_each_function {
             ///   controller).
             /// * Controllers: all (S2:1634).
             12 CONTROLLER_GET_FILE_NAMES controller_get_file_names "ControllerGetFileNames" Controller (controller: Controller, option: Text) Any;
+
             /// Lists the names of the robots of the controller.
             ///
             /// * `controller`: its handle, from Controller_Connect.
@@ -127,6 +139,7 @@ macro_rules! for_each_function {
             ///   controller).
             /// * Controllers: all (S2:1636).
             13 CONTROLLER_GET_ROBOT_NAMES controller_get_robot_names "ControllerGetRobotNames" Controller (controller: Controller, option: Text) Any;
+
             /// Lists the names of the tasks of the controller.
             ///
             /// * `controller`: its handle, from Controller_Connect.
@@ -135,6 +148,7 @@ macro_rules! for_each_function {
             ///   controller).
             /// * Controllers: all (S2:1638).
             14 CONTROLLER_GET_TASK_NAMES controller_get_task_names "ControllerGetTaskNames" Controller (controller: Controller, option: Text) Any;
+
             /// Lists the names of the variables of the controller.
             ///
             /// * `controller`: its handle, from Controller_Connect.
@@ -143,6 +157,7 @@ macro_rules! for_each_function {
             ///   controller).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1640).
             15 CONTROLLER_GET_VARIABLE_NAMES controller_get_variable_names "ControllerGetVariableNames" Controller (controller: Controller, option: Text) Any;
+
             /// Lists the names of the commands of the controller.
             ///
             /// * `controller`: its handle, from Controller_Connect.
@@ -151,6 +166,7 @@ macro_rules! for_each_function {
             ///   controller).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1642).
             16 CONTROLLER_GET_COMMAND_NAMES controller_get_command_names "ControllerGetCommandNames" Controller (controller: Controller, option: Text) Any;
+
             /// Executes a command of the controller's provider.
             ///
             /// * `controller`: its handle, from Controller_Connect.
@@ -166,6 +182,7 @@ macro_rules! for_each_function {
             /// * Controllers: all; StoState and ManualReset on RC9 and COBOTTA, ManualResetPreparation and the
             ///   HandMove commands on COBOTTA (S2:1645, S2:834-864, S2:1401-1428).
             17 CONTROLLER_EXECUTE controller_execute "ControllerExecute" Controller (controller: Controller, command: Text, param: Any) Any;
+
             /// Fetches the next message (event) of the controller.
             ///
             /// * `controller`: its handle, from Controller_Connect.
@@ -174,30 +191,35 @@ macro_rules! for_each_function {
             /// * The server does not send messages by itself; clients poll for them (S2:94).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1647).
             18 CONTROLLER_GET_MESSAGE controller_get_message "ControllerGetMessage" Controller (controller: Controller) Message;
+
             /// Reads the attribute value of the controller.
             ///
             /// * `controller`: its handle, from Controller_Connect.
             /// * Returns the attribute (I4); the specification does not define its values.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1649).
             19 CONTROLLER_GET_ATTRIBUTE controller_get_attribute "ControllerGetAttribute" Controller (controller: Controller) Int;
+
             /// Reads the help text of the controller.
             ///
             /// * `controller`: its handle, from Controller_Connect.
             /// * Returns the text (BSTR).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1651).
             20 CONTROLLER_GET_HELP controller_get_help "ControllerGetHelp" Controller (controller: Controller) Text;
+
             /// Reads the name of the controller.
             ///
             /// * `controller`: its handle, from Controller_Connect.
             /// * Returns the name (BSTR).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1653).
             21 CONTROLLER_GET_NAME controller_get_name "ControllerGetName" Controller (controller: Controller) Text;
+
             /// Reads the tag of the controller, information that a client attaches to it.
             ///
             /// * `controller`: its handle, from Controller_Connect.
             /// * Returns the tag (VARIANT), the value of Controller_PutTag.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1655).
             22 CONTROLLER_GET_TAG controller_get_tag "ControllerGetTag" Controller (controller: Controller) Any;
+
             /// Sets the tag of the controller, information that a client attaches to it.
             ///
             /// * `controller`: its handle, from Controller_Connect.
@@ -205,12 +227,14 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1657).
             23 CONTROLLER_PUT_TAG controller_put_tag "ControllerPutTag" Controller (controller: Controller, value: Any) Nothing;
+
             /// Reads the ID of the controller.
             ///
             /// * `controller`: its handle, from Controller_Connect.
             /// * Returns the ID (VARIANT), the value of Controller_PutID.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1659).
             24 CONTROLLER_GET_ID controller_get_id "ControllerGetID" Controller (controller: Controller) Any;
+
             /// Sets the ID of the controller.
             ///
             /// * `controller`: its handle, from Controller_Connect.
@@ -218,6 +242,7 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1661).
             25 CONTROLLER_PUT_ID controller_put_id "ControllerPutID" Controller (controller: Controller, value: Any) Nothing;
+
             /// Opens a variable of the extension.
             ///
             /// * `extension`: its handle, from Controller_GetExtension.
@@ -226,6 +251,7 @@ macro_rules! for_each_function {
             /// * Returns the handle of the variable (I4), to be released with Variable_Release.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1662).
             26 EXTENSION_GET_VARIABLE extension_get_variable "ExtensionGetVariable" Extension (extension: Extension, name: Text, option: Text) Variable;
+
             /// Lists the names of the variables of the extension.
             ///
             /// * `extension`: its handle, from Controller_GetExtension.
@@ -234,6 +260,7 @@ macro_rules! for_each_function {
             ///   controller).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1665).
             27 EXTENSION_GET_VARIABLE_NAMES extension_get_variable_names "ExtensionGetVariableNames" Extension (extension: Extension, option: Text) Any;
+
             /// Executes a command of the extension.
             ///
             /// * `extension`: its handle, from Controller_GetExtension.
@@ -244,30 +271,35 @@ macro_rules! for_each_function {
             ///   virtual controller.
             /// * Controllers: all; the commands depend on the extension (S2:1668).
             28 EXTENSION_EXECUTE extension_execute "ExtensionExecute" Extension (extension: Extension, command: Text, param: Any) Any;
+
             /// Reads the attribute value of the extension.
             ///
             /// * `extension`: its handle, from Controller_GetExtension.
             /// * Returns the attribute (I4); the specification does not define its values.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1671).
             29 EXTENSION_GET_ATTRIBUTE extension_get_attribute "ExtensionGetAttribute" Extension (extension: Extension) Int;
+
             /// Reads the help text of the extension.
             ///
             /// * `extension`: its handle, from Controller_GetExtension.
             /// * Returns the text (BSTR).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1674).
             30 EXTENSION_GET_HELP extension_get_help "ExtensionGetHelp" Extension (extension: Extension) Text;
+
             /// Reads the name of the extension.
             ///
             /// * `extension`: its handle, from Controller_GetExtension.
             /// * Returns the name (BSTR).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1676).
             31 EXTENSION_GET_NAME extension_get_name "ExtensionGetName" Extension (extension: Extension) Text;
+
             /// Reads the tag of the extension, information that a client attaches to it.
             ///
             /// * `extension`: its handle, from Controller_GetExtension.
             /// * Returns the tag (VARIANT), the value of Extension_PutTag.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1678).
             32 EXTENSION_GET_TAG extension_get_tag "ExtensionGetTag" Extension (extension: Extension) Any;
+
             /// Sets the tag of the extension, information that a client attaches to it.
             ///
             /// * `extension`: its handle, from Controller_GetExtension.
@@ -275,12 +307,14 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1680).
             33 EXTENSION_PUT_TAG extension_put_tag "ExtensionPutTag" Extension (extension: Extension, value: Any) Nothing;
+
             /// Reads the ID of the extension.
             ///
             /// * `extension`: its handle, from Controller_GetExtension.
             /// * Returns the ID (VARIANT), the value of Extension_PutID.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1684).
             34 EXTENSION_GET_ID extension_get_id "ExtensionGetID" Extension (extension: Extension) Any;
+
             /// Sets the ID of the extension.
             ///
             /// * `extension`: its handle, from Controller_GetExtension.
@@ -288,12 +322,14 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1686).
             35 EXTENSION_PUT_ID extension_put_id "ExtensionPutID" Extension (extension: Extension, value: Any) Nothing;
+
             /// Releases the extension; its handle is then invalid.
             ///
             /// * `extension`: its handle, from Controller_GetExtension.
             /// * Returns no value.
             /// * Controllers: all (S2:1687).
             36 EXTENSION_RELEASE extension_release "ExtensionRelease" Extension (extension: Extension) Nothing;
+
             /// Opens another file, whose path is relative to the file or folder.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
@@ -302,6 +338,7 @@ macro_rules! for_each_function {
             /// * Returns the handle of the other file (I4), to be released with File_Release.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1689).
             37 FILE_GET_FILE file_get_file "FileGetFile" File (file: File, name: Text, option: Text) File;
+
             /// Opens a variable of the file.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
@@ -310,6 +347,7 @@ macro_rules! for_each_function {
             /// * Returns the handle of the variable (I4), to be released with Variable_Release.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1691).
             38 FILE_GET_VARIABLE file_get_variable "FileGetVariable" File (file: File, name: Text, option: Text) Variable;
+
             /// Lists the names of the files in the folder.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
@@ -317,6 +355,7 @@ macro_rules! for_each_function {
             /// * Returns the list of names for File_GetFile (VARIANT; an array of BSTR in the virtual controller).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1693).
             39 FILE_GET_FILE_NAMES file_get_file_names "FileGetFileNames" File (file: File, option: Text) Any;
+
             /// Lists the names of the variables of the file.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
@@ -325,6 +364,7 @@ macro_rules! for_each_function {
             ///   controller).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1695).
             40 FILE_GET_VARIABLE_NAMES file_get_variable_names "FileGetVariableNames" File (file: File, option: Text) Any;
+
             /// Executes a command of the file.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
@@ -333,6 +373,7 @@ macro_rules! for_each_function {
             /// * Returns the result of the command (VARIANT).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1697).
             41 FILE_EXECUTE file_execute "FileExecute" File (file: File, command: Text, param: Any) Any;
+
             /// Copies the file.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
@@ -342,6 +383,7 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1699).
             42 FILE_COPY file_copy "FileCopy" File (file: File, name: Text, option: Text) Nothing;
+
             /// Deletes the file.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
@@ -350,6 +392,7 @@ macro_rules! for_each_function {
             /// * The virtual controller deletes a folder only if it is empty.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1700).
             43 FILE_DELETE file_delete "FileDelete" File (file: File, option: Text) Nothing;
+
             /// Moves the file.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
@@ -358,6 +401,7 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1701).
             44 FILE_MOVE file_move "FileMove" File (file: File, name: Text, option: Text) Nothing;
+
             /// Executes the file.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
@@ -365,6 +409,7 @@ macro_rules! for_each_function {
             /// * Returns a string (BSTR); the specification does not say which.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1702).
             45 FILE_RUN file_run "FileRun" File (file: File, option: Text) Text;
+
             /// Reads the date and time at which the file was created.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
@@ -372,6 +417,7 @@ macro_rules! for_each_function {
             ///   controller's wall clock, without a time zone).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1703).
             46 FILE_GET_DATE_CREATED file_get_date_created "FileGetDateCreated" File (file: File) Any;
+
             /// Reads the date and time of the last access to the file.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
@@ -379,6 +425,7 @@ macro_rules! for_each_function {
             ///   controller's wall clock, without a time zone).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1704).
             47 FILE_GET_DATE_LAST_ACCESSED file_get_date_last_accessed "FileGetDateLastAccessed" File (file: File) Any;
+
             /// Reads the date and time of the last change of the file.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
@@ -386,6 +433,7 @@ macro_rules! for_each_function {
             ///   controller's wall clock, without a time zone).
             /// * Controllers: all (S2:1706).
             48 FILE_GET_DATE_LAST_MODIFIED file_get_date_last_modified "FileGetDateLastModified" File (file: File) Any;
+
             /// Reads the path of the file.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
@@ -393,18 +441,21 @@ macro_rules! for_each_function {
             ///   root.
             /// * Controllers: all (S2:1708).
             49 FILE_GET_PATH file_get_path "FileGetPath" File (file: File) Text;
+
             /// Reads the size of the file.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
             /// * Returns the size (I4), in bytes in the virtual controller.
             /// * Controllers: all (S2:1709).
             50 FILE_GET_SIZE file_get_size "FileGetSize" File (file: File) Int;
+
             /// Reads the type of the file.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
             /// * Returns the type (BSTR): in the virtual controller the extension of the name, or `Folder`.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1710).
             51 FILE_GET_TYPE file_get_type "FileGetType" File (file: File) Text;
+
             /// Reads the content of the file.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
@@ -412,6 +463,7 @@ macro_rules! for_each_function {
             ///   bytes that are not UTF-8.
             /// * Controllers: all (S2:1711).
             52 FILE_GET_VALUE file_get_value "FileGetValue" File (file: File) Any;
+
             /// Replaces the content of the file.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
@@ -420,6 +472,7 @@ macro_rules! for_each_function {
             /// * The controller must permit writing (communication permission, S2:176).
             /// * Controllers: all (S2:1712).
             53 FILE_PUT_VALUE file_put_value "FilePutValue" File (file: File, value: Any) Nothing;
+
             /// Reads the attribute value of the file.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
@@ -427,24 +480,28 @@ macro_rules! for_each_function {
             ///   adds 1 for read-only and 16 for a folder.
             /// * Controllers: all (S2:1713).
             54 FILE_GET_ATTRIBUTE file_get_attribute "FileGetAttribute" File (file: File) Int;
+
             /// Reads the help text of the file.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
             /// * Returns the text (BSTR).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1715).
             55 FILE_GET_HELP file_get_help "FileGetHelp" File (file: File) Text;
+
             /// Reads the name of the file.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
             /// * Returns the name (BSTR).
             /// * Controllers: all (S2:1718).
             56 FILE_GET_NAME file_get_name "FileGetName" File (file: File) Text;
+
             /// Reads the tag of the file, information that a client attaches to it.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
             /// * Returns the tag (VARIANT), the value of File_PutTag.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1719).
             57 FILE_GET_TAG file_get_tag "FileGetTag" File (file: File) Any;
+
             /// Sets the tag of the file, information that a client attaches to it.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
@@ -452,12 +509,14 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1720).
             58 FILE_PUT_TAG file_put_tag "FilePutTag" File (file: File, value: Any) Nothing;
+
             /// Reads the ID of the file.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
             /// * Returns the ID (VARIANT), the value of File_PutID.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1721).
             59 FILE_GET_ID file_get_id "FileGetID" File (file: File) Any;
+
             /// Sets the ID of the file.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
@@ -465,12 +524,14 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1722).
             60 FILE_PUT_ID file_put_id "FilePutID" File (file: File, value: Any) Nothing;
+
             /// Releases the file; its handle is then invalid.
             ///
             /// * `file`: its handle, from Controller_GetFile or File_GetFile.
             /// * Returns no value.
             /// * Controllers: all (S2:1723).
             61 FILE_RELEASE file_release "FileRelease" File (file: File) Nothing;
+
             /// Opens a system variable of the robot.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
@@ -481,6 +542,7 @@ macro_rules! for_each_function {
             /// * Returns the handle of the variable (I4), to be released with Variable_Release.
             /// * Controllers: all (S2:1724).
             62 ROBOT_GET_VARIABLE robot_get_variable "RobotGetVariable" Robot (robot: Robot, name: Text, option: Text) Variable;
+
             /// Lists the names of the variables of the robot.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
@@ -489,6 +551,7 @@ macro_rules! for_each_function {
             ///   controller).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1725).
             63 ROBOT_GET_VARIABLE_NAMES robot_get_variable_names "RobotGetVariableNames" Robot (robot: Robot, option: Text) Any;
+
             /// Executes a command of the robot's provider.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
@@ -509,6 +572,7 @@ macro_rules! for_each_function {
             /// * Controllers: all; Slave Mode is a licensed option (S2:149-163); MotionPreparation, AutoCal and
             ///   ManualResetPreparation on COBOTTA (S2:1726, S2:686-772, S2:996-1060).
             64 ROBOT_EXECUTE robot_execute "RobotExecute" Robot (robot: Robot, command: Text, param: Any) Any;
+
             /// Sets the internal acceleration and deceleration of the robot: the statement ACCEL.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
@@ -520,6 +584,7 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1727).
             65 ROBOT_ACCELERATE robot_accelerate "RobotAccelerate" Robot (robot: Robot, axis: Int, accel: Float, decel: Float) Nothing;
+
             /// Selects a tool or a work coordinate system: the statement CHANGE.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
@@ -528,6 +593,7 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: all (S2:1728).
             66 ROBOT_CHANGE robot_change "RobotChange" Robot (robot: Robot, name: Text) Nothing;
+
             /// Closes the hand: the statement GRASP.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
@@ -535,6 +601,7 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1729).
             67 ROBOT_CHUCK robot_chuck "RobotChuck" Robot (robot: Robot, option: Text) Nothing;
+
             /// Moves one axis by a distance: the statement DRIVE.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
@@ -549,6 +616,7 @@ macro_rules! for_each_function {
             ///   connection while this one waits.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1730).
             68 ROBOT_DRIVE robot_drive "RobotDrive" Robot (robot: Robot, number: Int, distance: Float, option: Text) Nothing;
+
             /// Moves the robot to its home position: the statement GOHOME.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
@@ -559,6 +627,7 @@ macro_rules! for_each_function {
             ///   connection while this one waits.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1731).
             69 ROBOT_GO_HOME robot_go_home "RobotGoHome" Robot (robot: Robot) Nothing;
+
             /// Halts the motion of the robot: the statement HALT.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
@@ -570,13 +639,15 @@ macro_rules! for_each_function {
             ///   E_ABORT.
             /// * Controllers: all (S2:1732, S2:798-812).
             70 ROBOT_HALT robot_halt "RobotHalt" Robot (robot: Robot, option: Text) Nothing;
-            /// Holds the motion of the robot until Robot_Unhold: the statement HOLD.
+
+            /// Pauses the motion of the robot until Robot_Unhold: the statement HOLD.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
             /// * `option`: an option string; the specification lists no options.
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1733).
             71 ROBOT_HOLD robot_hold "RobotHold" Robot (robot: Robot, option: Text) Nothing;
+
             /// Moves the robot to a pose: the statement MOVE.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
@@ -601,6 +672,7 @@ macro_rules! for_each_function {
             ///   connection while this one waits.
             /// * Controllers: all (S2:1734, S2:774-797, S2:1305-1330).
             72 ROBOT_MOVE robot_move "RobotMove" Robot (robot: Robot, interpolation: Int, pose: Any, option: Text) Nothing;
+
             /// Rotates the robot in a plane about a pivot: the statement ROTATE.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
@@ -616,6 +688,7 @@ macro_rules! for_each_function {
             /// * The virtual controller answers E_NOTIMPL.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1735).
             73 ROBOT_ROTATE robot_rotate "RobotRotate" Robot (robot: Robot, surface: Any, degrees: Float, pivot: Any, option: Text) Nothing;
+
             /// Sets the internal speed of the robot: the statement SPEED or JSPEED.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
@@ -627,6 +700,7 @@ macro_rules! for_each_function {
             /// * The external speed is another setting: the command ExtSpeed of Robot_Execute.
             /// * Controllers: all (S2:1736).
             74 ROBOT_SPEED robot_speed "RobotSpeed" Robot (robot: Robot, axis: Int, speed: Float) Nothing;
+
             /// Opens the hand: the statement RELEASE.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
@@ -634,7 +708,8 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1738).
             75 ROBOT_UNCHUCK robot_unchuck "RobotUnchuck" Robot (robot: Robot, option: Text) Nothing;
-            /// Continues the motion that Robot_Hold has held.
+
+            /// Continues the motion that Robot_Hold has paused.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
             /// * `option`: an option string; the specification lists no options.
@@ -642,30 +717,35 @@ macro_rules! for_each_function {
             /// * The robot may start to move at once.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1739).
             76 ROBOT_UNHOLD robot_unhold "RobotUnhold" Robot (robot: Robot, option: Text) Nothing;
+
             /// Reads the attribute value of the robot.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
             /// * Returns the attribute (I4); the specification does not define its values.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1740).
             77 ROBOT_GET_ATTRIBUTE robot_get_attribute "RobotGetAttribute" Robot (robot: Robot) Int;
+
             /// Reads the help text of the robot.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
             /// * Returns the text (BSTR).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1741).
             78 ROBOT_GET_HELP robot_get_help "RobotGetHelp" Robot (robot: Robot) Text;
+
             /// Reads the name of the robot.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
             /// * Returns the name (BSTR), such as `Arm`.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1742).
             79 ROBOT_GET_NAME robot_get_name "RobotGetName" Robot (robot: Robot) Text;
+
             /// Reads the tag of the robot, information that a client attaches to it.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
             /// * Returns the tag (VARIANT), the value of Robot_PutTag.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1743).
             80 ROBOT_GET_TAG robot_get_tag "RobotGetTag" Robot (robot: Robot) Any;
+
             /// Sets the tag of the robot, information that a client attaches to it.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
@@ -673,12 +753,14 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1744).
             81 ROBOT_PUT_TAG robot_put_tag "RobotPutTag" Robot (robot: Robot, value: Any) Nothing;
+
             /// Reads the ID of the robot.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
             /// * Returns the ID (VARIANT), the value of Robot_PutID.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1745).
             82 ROBOT_GET_ID robot_get_id "RobotGetID" Robot (robot: Robot) Any;
+
             /// Sets the ID of the robot.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
@@ -686,12 +768,14 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1746).
             83 ROBOT_PUT_ID robot_put_id "RobotPutID" Robot (robot: Robot, value: Any) Nothing;
+
             /// Releases the robot; its handle is then invalid.
             ///
             /// * `robot`: its handle, from Controller_GetRobot.
             /// * Returns no value.
             /// * Controllers: all (S2:1747, S2:814-832).
             84 ROBOT_RELEASE robot_release "RobotRelease" Robot (robot: Robot) Nothing;
+
             /// Opens a system variable of the task.
             ///
             /// * `task`: its handle, from Controller_GetTask.
@@ -701,6 +785,7 @@ macro_rules! for_each_function {
             /// * Returns the handle of the variable (I4), to be released with Variable_Release.
             /// * Controllers: all (S2:1748).
             85 TASK_GET_VARIABLE task_get_variable "TaskGetVariable" Task (task: Task, name: Text, option: Text) Variable;
+
             /// Lists the names of the variables of the task.
             ///
             /// * `task`: its handle, from Controller_GetTask.
@@ -709,6 +794,7 @@ macro_rules! for_each_function {
             ///   controller).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1749).
             86 TASK_GET_VARIABLE_NAMES task_get_variable_names "TaskGetVariableNames" Task (task: Task, option: Text) Any;
+
             /// Executes a command of the task.
             ///
             /// * `task`: its handle, from Controller_GetTask.
@@ -718,6 +804,7 @@ macro_rules! for_each_function {
             ///   running, 4 step stop.
             /// * Controllers: all (S2:1750).
             87 TASK_EXECUTE task_execute "TaskExecute" Task (task: Task, command: Text, param: Any) Any;
+
             /// Starts the task.
             ///
             /// * `task`: its handle, from Controller_GetTask.
@@ -728,6 +815,7 @@ macro_rules! for_each_function {
             /// * Needs Auto mode and the executable token for this client (S2:174-184).
             /// * Controllers: all (S2:1751, S2:526-544).
             88 TASK_START task_start "TaskStart" Task (task: Task, mode: Int, option: Text) Nothing;
+
             /// Stops the task.
             ///
             /// * `task`: its handle, from Controller_GetTask.
@@ -737,6 +825,7 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: all (S2:1752, S2:546-563).
             89 TASK_STOP task_stop "TaskStop" Task (task: Task, mode: Int, option: Text) Nothing;
+
             /// Deletes the task.
             ///
             /// * `task`: its handle, from Controller_GetTask.
@@ -745,36 +834,42 @@ macro_rules! for_each_function {
             /// * The virtual controller answers E_NOTIMPL.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1753).
             90 TASK_DELETE task_delete "TaskDelete" Task (task: Task, option: Text) Nothing;
+
             /// Reads the name of the file that the task comes from.
             ///
             /// * `task`: its handle, from Controller_GetTask.
             /// * Returns the name of the file (BSTR).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1754).
             91 TASK_GET_FILE_NAME task_get_file_name "TaskGetFileName" Task (task: Task) Text;
+
             /// Reads the attribute value of the task.
             ///
             /// * `task`: its handle, from Controller_GetTask.
             /// * Returns the attribute (I4); the specification does not define its values.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1755).
             92 TASK_GET_ATTRIBUTE task_get_attribute "TaskGetAttribute" Task (task: Task) Int;
+
             /// Reads the help text of the task.
             ///
             /// * `task`: its handle, from Controller_GetTask.
             /// * Returns the text (BSTR).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1756).
             93 TASK_GET_HELP task_get_help "TaskGetHelp" Task (task: Task) Text;
+
             /// Reads the name of the task.
             ///
             /// * `task`: its handle, from Controller_GetTask.
             /// * Returns the name (BSTR), such as `Pro1`.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1757).
             94 TASK_GET_NAME task_get_name "TaskGetName" Task (task: Task) Text;
+
             /// Reads the tag of the task, information that a client attaches to it.
             ///
             /// * `task`: its handle, from Controller_GetTask.
             /// * Returns the tag (VARIANT), the value of Task_PutTag.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1758).
             95 TASK_GET_TAG task_get_tag "TaskGetTag" Task (task: Task) Any;
+
             /// Sets the tag of the task, information that a client attaches to it.
             ///
             /// * `task`: its handle, from Controller_GetTask.
@@ -782,12 +877,14 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1760).
             96 TASK_PUT_TAG task_put_tag "TaskPutTag" Task (task: Task, value: Any) Nothing;
+
             /// Reads the ID of the task.
             ///
             /// * `task`: its handle, from Controller_GetTask.
             /// * Returns the ID (VARIANT), the value of Task_PutID.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1761).
             97 TASK_GET_ID task_get_id "TaskGetID" Task (task: Task) Any;
+
             /// Sets the ID of the task.
             ///
             /// * `task`: its handle, from Controller_GetTask.
@@ -795,12 +892,14 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1762).
             98 TASK_PUT_ID task_put_id "TaskPutID" Task (task: Task, value: Any) Nothing;
+
             /// Releases the task; its handle is then invalid.
             ///
             /// * `task`: its handle, from Controller_GetTask.
             /// * Returns no value.
             /// * Controllers: all (S2:1763, S2:565-583).
             99 TASK_RELEASE task_release "TaskRelease" Task (task: Task) Nothing;
+
             /// Reads the time stamp of the variable.
             ///
             /// * `variable`: its handle, from a GetVariable function, such as Controller_GetVariable.
@@ -809,6 +908,7 @@ macro_rules! for_each_function {
             ///   this handle.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1764).
             100 VARIABLE_GET_DATE_TIME variable_get_date_time "VariableGetDateTime" Variable (variable: Variable) Any;
+
             /// Reads the value of the variable.
             ///
             /// * `variable`: its handle, from a GetVariable function, such as Controller_GetVariable.
@@ -818,6 +918,7 @@ macro_rules! for_each_function {
             ///   such as `@CURRENT_POSITION` are R8 arrays.
             /// * Controllers: all (S2:1765, S2:299-313).
             101 VARIABLE_GET_VALUE variable_get_value "VariableGetValue" Variable (variable: Variable) Any;
+
             /// Writes the value of the variable.
             ///
             /// * `variable`: its handle, from a GetVariable function, such as Controller_GetVariable.
@@ -828,30 +929,35 @@ macro_rules! for_each_function {
             /// * The controller must permit writing (communication permission, S2:176).
             /// * Controllers: all (S2:1766, S2:315-329).
             102 VARIABLE_PUT_VALUE variable_put_value "VariablePutValue" Variable (variable: Variable, value: Any) Nothing;
+
             /// Reads the attribute value of the variable.
             ///
             /// * `variable`: its handle, from a GetVariable function, such as Controller_GetVariable.
             /// * Returns the attribute (I4); the specification does not define its values.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1767).
             103 VARIABLE_GET_ATTRIBUTE variable_get_attribute "VariableGetAttribute" Variable (variable: Variable) Int;
+
             /// Reads the help text of the variable.
             ///
             /// * `variable`: its handle, from a GetVariable function, such as Controller_GetVariable.
             /// * Returns the text (BSTR).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1768).
             104 VARIABLE_GET_HELP variable_get_help "VariableGetHelp" Variable (variable: Variable) Text;
+
             /// Reads the name of the variable.
             ///
             /// * `variable`: its handle, from a GetVariable function, such as Controller_GetVariable.
             /// * Returns the name (BSTR), such as `I1`.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1769).
             105 VARIABLE_GET_NAME variable_get_name "VariableGetName" Variable (variable: Variable) Text;
+
             /// Reads the tag of the variable, information that a client attaches to it.
             ///
             /// * `variable`: its handle, from a GetVariable function, such as Controller_GetVariable.
             /// * Returns the tag (VARIANT), the value of Variable_PutTag.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1770).
             106 VARIABLE_GET_TAG variable_get_tag "VariableGetTag" Variable (variable: Variable) Any;
+
             /// Sets the tag of the variable, information that a client attaches to it.
             ///
             /// * `variable`: its handle, from a GetVariable function, such as Controller_GetVariable.
@@ -859,12 +965,14 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1771).
             107 VARIABLE_PUT_TAG variable_put_tag "VariablePutTag" Variable (variable: Variable, value: Any) Nothing;
+
             /// Reads the ID of the variable.
             ///
             /// * `variable`: its handle, from a GetVariable function, such as Controller_GetVariable.
             /// * Returns the ID (VARIANT): for a variable that was opened with a wildcard (`I*`) its index.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1772).
             108 VARIABLE_GET_ID variable_get_id "VariableGetID" Variable (variable: Variable) Any;
+
             /// Sets the ID of the variable.
             ///
             /// * `variable`: its handle, from a GetVariable function, such as Controller_GetVariable.
@@ -873,18 +981,21 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: all (S2:1773).
             109 VARIABLE_PUT_ID variable_put_id "VariablePutID" Variable (variable: Variable, value: Any) Nothing;
+
             /// Reads the fraction of the time stamp of the variable.
             ///
             /// * `variable`: its handle, from a GetVariable function, such as Controller_GetVariable.
             /// * Returns microseconds (I4) by its name; the specification says milliseconds (S2:1774).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1774).
             110 VARIABLE_GET_MICROSECOND variable_get_microsecond "VariableGetMicrosecond" Variable (variable: Variable) Int;
+
             /// Releases the variable; its handle is then invalid.
             ///
             /// * `variable`: its handle, from a GetVariable function, such as Controller_GetVariable.
             /// * Returns no value.
             /// * Controllers: all (S2:1775, S2:332-350).
             111 VARIABLE_RELEASE variable_release "VariableRelease" Variable (variable: Variable) Nothing;
+
             /// Executes the command with its parameters.
             ///
             /// * `command`: its handle, from Controller_GetCommand.
@@ -894,18 +1005,21 @@ macro_rules! for_each_function {
             ///   one, its server sends none.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1776).
             112 COMMAND_EXECUTE command_execute "CommandExecute" Command (command: Command, mode: Int) Maybe;
+
             /// Cancels the command that Command_Execute has started.
             ///
             /// * `command`: its handle, from Controller_GetCommand.
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1777).
             113 COMMAND_CANCEL command_cancel "CommandCancel" Command (command: Command) Nothing;
+
             /// Reads the time limit of the command.
             ///
             /// * `command`: its handle, from Controller_GetCommand.
             /// * Returns the time (I4), in ms in the virtual controller; the specification gives no unit.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1778).
             114 COMMAND_GET_TIMEOUT command_get_timeout "CommandGetTimeout" Command (command: Command) Int;
+
             /// Sets the time limit of the command.
             ///
             /// * `command`: its handle, from Controller_GetCommand.
@@ -914,6 +1028,7 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1779).
             115 COMMAND_PUT_TIMEOUT command_put_timeout "CommandPutTimeout" Command (command: Command, value: Int) Nothing;
+
             /// Reads the state of the command.
             ///
             /// * `command`: its handle, from Controller_GetCommand.
@@ -921,12 +1036,14 @@ macro_rules! for_each_function {
             ///   cancelled; the specification defines no numbers.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1780).
             116 COMMAND_GET_STATE command_get_state "CommandGetState" Command (command: Command) Int;
+
             /// Reads the parameters of the command.
             ///
             /// * `command`: its handle, from Controller_GetCommand.
             /// * Returns the parameters (VARIANT), the value of Command_PutParameters.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1782).
             117 COMMAND_GET_PARAMETERS command_get_parameters "CommandGetParameters" Command (command: Command) Any;
+
             /// Sets the parameters of the command for the next Command_Execute.
             ///
             /// * `command`: its handle, from Controller_GetCommand.
@@ -934,36 +1051,42 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1783).
             118 COMMAND_PUT_PARAMETERS command_put_parameters "CommandPutParameters" Command (command: Command, value: Any) Nothing;
+
             /// Reads the result of the last execution of the command.
             ///
             /// * `command`: its handle, from Controller_GetCommand.
             /// * Returns the result (VARIANT).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1784).
             119 COMMAND_GET_RESULT command_get_result "CommandGetResult" Command (command: Command) Any;
+
             /// Reads the attribute value of the command.
             ///
             /// * `command`: its handle, from Controller_GetCommand.
             /// * Returns the attribute (I4); the specification does not define its values.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1785).
             120 COMMAND_GET_ATTRIBUTE command_get_attribute "CommandGetAttribute" Command (command: Command) Int;
+
             /// Reads the help text of the command.
             ///
             /// * `command`: its handle, from Controller_GetCommand.
             /// * Returns the text (BSTR).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1786).
             121 COMMAND_GET_HELP command_get_help "CommandGetHelp" Command (command: Command) Text;
+
             /// Reads the name of the command.
             ///
             /// * `command`: its handle, from Controller_GetCommand.
             /// * Returns the name (BSTR).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1787).
             122 COMMAND_GET_NAME command_get_name "CommandGetName" Command (command: Command) Text;
+
             /// Reads the tag of the command, information that a client attaches to it.
             ///
             /// * `command`: its handle, from Controller_GetCommand.
             /// * Returns the tag (VARIANT), the value of Command_PutTag.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1788).
             123 COMMAND_GET_TAG command_get_tag "CommandGetTag" Command (command: Command) Any;
+
             /// Sets the tag of the command, information that a client attaches to it.
             ///
             /// * `command`: its handle, from Controller_GetCommand.
@@ -972,12 +1095,14 @@ macro_rules! for_each_function {
             /// * The reply carries a value in the vendor's server and none in its client; both are accepted.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1789).
             124 COMMAND_PUT_TAG command_put_tag "CommandPutTag" Command (command: Command, value: Any) Nothing;
+
             /// Reads the ID of the command.
             ///
             /// * `command`: its handle, from Controller_GetCommand.
             /// * Returns the ID (VARIANT), the value of Command_PutID.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1790).
             125 COMMAND_GET_ID command_get_id "CommandGetID" Command (command: Command) Any;
+
             /// Sets the ID of the command.
             ///
             /// * `command`: its handle, from Controller_GetCommand.
@@ -985,12 +1110,14 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1791).
             126 COMMAND_PUT_ID command_put_id "CommandPutID" Command (command: Command, value: Any) Nothing;
+
             /// Releases the command; its handle is then invalid.
             ///
             /// * `command`: its handle, from Controller_GetCommand.
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1792).
             127 COMMAND_RELEASE command_release "CommandRelease" Command (command: Command) Nothing;
+
             /// Replies to the message.
             ///
             /// * `message`: its handle, from Controller_GetMessage.
@@ -998,12 +1125,14 @@ macro_rules! for_each_function {
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1793).
             128 MESSAGE_REPLY message_reply "MessageReply" Message (message: Message, data: Any) Nothing;
+
             /// Clears the message.
             ///
             /// * `message`: its handle, from Controller_GetMessage.
             /// * Returns no value.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1794).
             129 MESSAGE_CLEAR message_clear "MessageClear" Message (message: Message) Nothing;
+
             /// Reads the time stamp of the message.
             ///
             /// * `message`: its handle, from Controller_GetMessage.
@@ -1011,42 +1140,49 @@ macro_rules! for_each_function {
             ///   controller's wall clock, without a time zone).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1795).
             130 MESSAGE_GET_DATE_TIME message_get_date_time "MessageGetDateTime" Message (message: Message) Any;
+
             /// Reads the description of the message.
             ///
             /// * `message`: its handle, from Controller_GetMessage.
             /// * Returns the text (BSTR).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1796).
             131 MESSAGE_GET_DESCRIPTION message_get_description "MessageGetDescription" Message (message: Message) Text;
+
             /// Reads the destination of the message.
             ///
             /// * `message`: its handle, from Controller_GetMessage.
             /// * Returns the destination (BSTR).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1797).
             132 MESSAGE_GET_DESTINATION message_get_destination "MessageGetDestination" Message (message: Message) Text;
+
             /// Reads the number of the message.
             ///
             /// * `message`: its handle, from Controller_GetMessage.
             /// * Returns the number (I4): the code of the error in the virtual controller.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1798).
             133 MESSAGE_GET_NUMBER message_get_number "MessageGetNumber" Message (message: Message) Int;
+
             /// Reads the serial number of the message.
             ///
             /// * `message`: its handle, from Controller_GetMessage.
             /// * Returns the serial number (I4): it counts up from 1 for each client in the virtual controller.
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1799).
             134 MESSAGE_GET_SERIAL_NUMBER message_get_serial_number "MessageGetSerialNumber" Message (message: Message) Int;
+
             /// Reads the source of the message.
             ///
             /// * `message`: its handle, from Controller_GetMessage.
             /// * Returns the source (BSTR).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1800).
             135 MESSAGE_GET_SOURCE message_get_source "MessageGetSource" Message (message: Message) Text;
+
             /// Reads the value of the message.
             ///
             /// * `message`: its handle, from Controller_GetMessage.
             /// * Returns the value (VARIANT).
             /// * Controllers: listed for all; a controller without it answers E_NOTIMPL (S2:1803).
             136 MESSAGE_GET_VALUE message_get_value "MessageGetValue" Message (message: Message) Any;
+
             /// Releases the message; its handle is then invalid.
             ///
             /// * `message`: its handle, from Controller_GetMessage.
