@@ -1,7 +1,11 @@
 //! Typed calls: one Rust function for each of the 137 functions of b-CAP.
 //!
-//! A call is a value that contains its function and arguments, and knows the type of its reply. A client sends it. All are
-//! generated from the [function table](super::function), so names and types agree with the wire.
+//! A call is a value that contains its function and arguments, and knows the type of its reply. It does nothing until a
+//! client sends it. All are generated from the [function table](super::function), so names and types agree with the wire.
+//!
+//! The documentation of a call says what the function does, its arguments with their units, what it returns, and which
+//! controllers have it; "all" are RC8, RC9 and COBOTTA. `S2:n` and `S0:n` are lines of the specifications, b-CAP for the
+//! RC9 and RAC for the RC8. The virtual controller is the crate `bcap-sim`.
 //!
 //! # Examples
 //!
@@ -261,9 +265,12 @@ macro_rules! reply {
 }
 
 macro_rules! calls {
-    ($($number:literal $constant:ident $method:ident $name:literal $object:ident
+    ($($(#[doc = $help:literal])*
+       $number:literal $constant:ident $method:ident $name:literal $object:ident
        ($($argument:ident: $kind:ident),*) $result:ident;)*) => {$(
-        #[doc = concat!("Makes the call `", $name, "`, function ", stringify!($number), ".")]
+        $(#[doc = $help])*
+        #[doc = ""]
+        #[doc = concat!(" Function ", stringify!($number), ", `", $name, "`.")]
         #[must_use]
         #[inline]
         pub fn $method($($argument: argument!($kind)),*) -> impl Call<Reply = reply!($result)> {

@@ -242,21 +242,36 @@ pub(crate) struct Names {}
 /// it may be the name of an object, which is opened first and released at the end: controller, robot, robot:Arm0,
 /// task:Pro1, file:NAME, extension:NAME, variable:I1, robot/variable:@SERVO_ON. For an integer, a float or a string it may
 /// be plain data. The command starts the service and connects to the controller as needed.
+///
+/// `bcap call FUNCTION --help` prints what FUNCTION does, its arguments with units, what it returns, and which controllers
+/// have it.
 #[derive(Debug, Args)]
+#[command(disable_help_flag = true)]
 #[command(after_help = "\
 Examples:
   bcap call ControllerGetName controller
   bcap call VariablePutValue variable:I1 3,42
   bcap call Robot_Move robot 3,2 '8,@E P1' 8,SPEED=10
   bcap call 17 controller SysState 0,
-  bcap call ServiceStart 8,WDT=400")]
+  bcap call ServiceStart 8,WDT=400
+  bcap call Robot_Move --help
+  bcap call --list")]
 pub(crate) struct Call {
     /// The function
-    pub(crate) function: String,
+    #[arg(required_unless_present_any = ["help", "list"])]
+    pub(crate) function: Option<String>,
 
     /// Its arguments
     #[arg(value_name = "ARG", allow_negative_numbers = true)]
     pub(crate) arguments: Vec<String>,
+
+    /// Lists all functions
+    #[arg(long, conflicts_with = "function")]
+    pub(crate) list: bool,
+
+    /// Prints help; after FUNCTION, the help of that function
+    #[arg(short, long)]
+    pub(crate) help: bool,
 }
 
 /// Executes a command of the controller or a robot

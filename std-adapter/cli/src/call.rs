@@ -10,12 +10,20 @@ use crate::error::Failure;
 use crate::object::{Path, word};
 use crate::output::{print_json, print_line};
 use crate::plain;
+use crate::reference;
 use crate::session::{ControllerSession, integer, text, with_session};
 use crate::value::Value;
 
 /// Runs `bcap call`.
 pub(crate) fn call(args: &Call, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let function = FunctionId::parse(&args.function).ok_or_else(|| unknown(&args.function))?;
+    let Some(name) = &args.function else {
+        let printed = if args.help { reference::command() } else { reference::list(json) };
+        return Ok(printed?);
+    };
+    let function = FunctionId::parse(name).ok_or_else(|| unknown(name))?;
+    if args.help {
+        return Ok(reference::function(function)?);
+    }
     let kinds = function.signature().map(|signature| signature.arguments).unwrap_or_default();
     let arguments: Vec<Argument> = args
         .arguments
@@ -104,19 +112,23 @@ impl Argument {
         };
         value.map(Self::Value).map_err(|error| {
             let usage = usage(function);
-            Failure::Input(format!("{argument}: {error}; an argument is TYPE,DATA, such as 3,100, in {usage}"))
+            Failure::Input(format!(
+                "{argument}: {error}; an argument is TYPE,DATA, such as 3,100, in {usage}; `bcap call {function} --help` \
+                 describes each"
+            ))
         })
     }
 }
 
 fn unknown(function: &str) -> Failure {
     Failure::Input(format!(
-        "there is no function {function}; write a name such as VariableGetValue or Variable_GetValue, or a number from 1 to 137"
+        "there is no function {function}; write a name such as VariableGetValue or Variable_GetValue, or a number from 1 to 137; \
+         `bcap call --list` prints all"
     ))
 }
 
 /// Returns the signature of a function: `Robot_Speed(robot, axis, speed)`.
-fn usage(function: FunctionId) -> String {
+pub(crate) fn usage(function: FunctionId) -> String {
     format!("{function}({})", function.argument_names().join(", "))
 }
 

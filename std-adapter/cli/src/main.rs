@@ -21,6 +21,7 @@ mod object;
 mod output;
 mod plain;
 mod rac;
+mod reference;
 mod rules;
 mod session;
 mod signal;

@@ -1,0 +1,40 @@
+//! The reference of the functions: `bcap call FUNCTION --help` and `bcap call --list`.
+
+use std::io;
+
+use bcap_core::bcap::FunctionId;
+use clap::CommandFactory as _;
+
+use crate::args::Cli;
+use crate::call::usage;
+use crate::output::{print_block, print_json, print_line};
+
+/// Prints the help of `bcap call` itself.
+pub(crate) fn command() -> io::Result<()> {
+    let mut cli = Cli::command();
+    // propagates the global options
+    cli.build();
+    cli.find_subcommand_mut("call").map_or(Ok(()), clap::Command::print_long_help)
+}
+
+/// Prints the help of a function.
+pub(crate) fn function(function: FunctionId) -> io::Result<()> {
+    let help = function.help().collect::<Vec<_>>().join("\n");
+    let end = "`bcap call --help` describes how the arguments are written.";
+    print_block(&format!("{}: function {}\n\n{help}\n\n{end}", usage(function), function.0))
+}
+
+/// Lists all functions, one a line: number, usage and first sentence of the help.
+pub(crate) fn list(json: bool) -> io::Result<()> {
+    FunctionId::all().try_for_each(|function| {
+        let summary = function.help().next().unwrap_or_default();
+        if json {
+            let (name, arguments) = (function.to_string(), function.argument_names());
+            let line = serde_json::json!({
+                "number": function.0, "name": name, "arguments": arguments, "summary": summary
+            });
+            return print_json(&line.to_string());
+        }
+        print_line(&format!("{:>3} {}: {summary}", function.0, usage(function)))
+    })
+}

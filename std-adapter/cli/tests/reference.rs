@@ -1,0 +1,78 @@
+//! `bcap call FUNCTION --help` and `bcap call --list`.
+
+mod common;
+
+use common::bcap;
+use serde_json::Value;
+
+#[test]
+fn the_help_of_a_function_has_its_arguments_and_controllers() {
+    let run = bcap(&["call", "TaskStop", "--help"]);
+    let expected = "\
+Task_Stop(task, mode, option): function 89
+
+Stops the task.
+
+* `task`: its handle, from Controller_GetTask.
+* `mode`: 0 default, 1 at once, 2 after the step, 3 after the cycle, 4 stop and initialise (I4). The
+  specification shows 3 only.
+* `option`: an option string; the specification lists no options, its packets send an empty string.
+* Returns no value.
+* Controllers: all (S2:1752, S2:546-563).
+
+`bcap call --help` describes how the arguments are written.
+";
+    assert_eq!((run.out.as_str(), run.err.as_str(), run.code), (expected, "", 0));
+    for same in [["call", "89", "-h"], ["call", "--help", "task_stop"], ["call", "bCap_TaskStop", "--help"]] {
+        assert_eq!(bcap(&same).out, expected, "{same:?}");
+    }
+    // arguments do not matter, and no robot is called
+    let run = bcap(&["call", "Task_Stop", "task:Pro1", "-1", "--help", "--robot", "tcp:127.0.0.1:1"]);
+    assert_eq!((run.out.as_str(), run.code), (expected, 0));
+    let run = bcap(&["call", "Task_Stopp", "--help"]);
+    assert!(run.code == 2 && run.err.contains("no function Task_Stopp") && run.err.contains("call --list"), "{run:?}");
+}
+
+#[test]
+fn without_a_function_the_help_is_that_of_the_command() {
+    for help in ["--help", "-h"] {
+        let run = bcap(&["call", help]);
+        assert!(run.code == 0 && run.err.is_empty(), "{run:?}");
+        for part in [
+            "Usage: bcap call ",
+            "Examples:\n  bcap call ",
+            "--list",
+            "--robot <ADDRESS>",
+            "bcap call Robot_Move --help",
+        ] {
+            assert!(run.out.contains(part), "{part}: {}", run.out);
+        }
+    }
+    let run = bcap(&["call"]);
+    assert!(run.code == 2 && run.err.contains("FUNCTION"), "{run:?}");
+}
+
+#[test]
+fn the_list_has_all_functions() {
+    let run = bcap(&["call", "--list"]);
+    assert_eq!((run.out.lines().count(), run.code), (137, 0));
+    assert_eq!(
+        run.out.lines().next(),
+        Some(
+            "  1 Service_Start(option): Starts the service of the controller for this client; the first call of a session."
+        )
+    );
+    assert!(
+        run.out.ends_with("137 Message_Release(message): Releases the message; its handle is then invalid.\n"),
+        "{}",
+        run.out
+    );
+    let run = bcap(&["call", "--list", "--json"]);
+    let halt: Value = serde_json::from_str(run.out.lines().nth(69).unwrap()).unwrap();
+    let summary = "Halts the motion of the robot: the statement HALT.";
+    let expected = serde_json::json!({
+        "number": 70, "name": "Robot_Halt", "arguments": ["robot", "option"], "summary": summary
+    });
+    assert_eq!(halt, expected);
+    assert_eq!(bcap(&["call", "--list", "Robot_Halt"]).code, 2);
+}
