@@ -63,7 +63,7 @@ impl FromStr for Address {
         let (scheme, rest) = text.split_once(':').ok_or_else(|| error("it does not name the transport"))?;
         let (host, port) = split_port(rest).map_err(error)?;
         let host = host.to_owned();
-        match scheme {
+        match scheme.to_ascii_lowercase().as_str() {
             "tcp" => Ok(Self::Tcp { host, port }),
             "udp" => Ok(Self::Udp { host, port }),
             _ => Err(error("the transport is neither tcp nor udp")),
@@ -111,7 +111,7 @@ mod tests {
     #[test]
     fn an_address_is_read_and_written() {
         for (text, written) in [
-            ("tcp:robot", "tcp:robot:5007"),
+            ("TCP:robot", "tcp:robot:5007"),
             ("tcp:10.0.0.1:80", "tcp:10.0.0.1:80"),
             ("udp:[::1]", "udp:[::1]:5007"),
             ("udp:[::1]:9", "udp:[::1]:9"),
