@@ -13,15 +13,14 @@ use std::fmt::Write as _;
 /// use bcap_std::Move;
 ///
 /// let approach = Move::joint("P1").speed_percent(20.0);
-/// let exact = Move::line("P(400, 0, 300, 180, 0, 180, 5)").stop_exactly().speed_percent(5.0).acceleration_percent(10.0);
-/// # let _ = (approach, exact);
+/// let slow = Move::line("P(400, 0, 300, 180, 0, 180, 5)").speed_percent(5.0).acceleration_percent(10.0);
+/// # let _ = (approach, slow);
 /// ```
 #[derive(Clone, Debug, PartialEq)]
 #[must_use = "a motion begins when it is passed to an arm"]
 pub struct Move {
     interpolation: i32,
     destination: String,
-    pass: &'static str,
     options: String,
 }
 
@@ -37,12 +36,7 @@ impl Move {
     }
 
     fn new(interpolation: i32, destination: String) -> Self {
-        Self { interpolation, destination, pass: "@0", options: "NEXT".into() }
-    }
-
-    /// Ends when the encoders report the destination, `@E`. The default, `@0`, ends when the commanded position is there.
-    pub fn stop_exactly(self) -> Self {
-        Self { pass: "@E", ..self }
+        Self { interpolation, destination, options: "NEXT".into() }
     }
 
     /// Sets the speed in percent of the speed that the arm is set to.
@@ -71,9 +65,9 @@ impl Move {
         self.interpolation
     }
 
-    /// Returns the pose of Robot_Move.
+    /// Returns the pose of Robot_Move: `@E` ends the motion exactly at the destination (S2:1305).
     pub(crate) fn pose(&self) -> String {
-        format!("{} {}", self.pass, self.destination)
+        format!("@E {}", self.destination)
     }
 
     /// Returns the options of Robot_Move.
@@ -88,10 +82,9 @@ mod tests {
 
     #[test]
     fn a_motion_is_written_as_robot_move_takes_it() {
-        let motion =
-            Move::line("P1").stop_exactly().speed_percent(12.5).acceleration_percent(5.0).deceleration_percent(1.0);
+        let motion = Move::line("P1").speed_percent(12.5).acceleration_percent(5.0).deceleration_percent(1.0);
         assert_eq!((motion.interpolation(), motion.pose()), (2, "@E P1".into()));
         assert_eq!(motion.options(), "NEXT,SPEED=12.5,ACCEL=5,DECEL=1");
-        assert_eq!(Move::joint("J1").pose(), "@0 J1");
+        assert_eq!(Move::joint("J1").interpolation(), 1);
     }
 }
