@@ -325,14 +325,14 @@ impl<'a, T: FromVariant<'a>> FromVariant<'a> for Option<T> {
 }
 
 /// Returns the array in a value.
-pub(crate) fn array(value: Variant<'_>) -> Result<Array<'_>, ConvertError> {
+pub(crate) fn array_in(value: Variant<'_>) -> Result<Array<'_>, ConvertError> {
     let value = value.flatten();
     value.as_array().ok_or_else(|| ConvertError::new(ConvertErrorKind::Type, "an array", &value))
 }
 
 /// Returns the elements of an array, of which there must be `count`.
 fn elements(value: Variant<'_>, count: usize) -> Result<Enumerate<Elements<'_>>, ConvertError> {
-    let array = array(value)?;
+    let array = array_in(value)?;
     if array.len() == count {
         return Ok(array.iter().enumerate());
     }
@@ -388,7 +388,7 @@ impl<'a> FromVariant<'a> for alloc::string::String {
 #[cfg(feature = "alloc")]
 impl<'a, T: FromVariant<'a>> FromVariant<'a> for alloc::vec::Vec<T> {
     fn from_variant(value: Variant<'a>) -> Result<Self, ConvertError> {
-        array(value)?.iter().enumerate().map(element).collect()
+        array_in(value)?.iter().enumerate().map(element).collect()
     }
 }
 
