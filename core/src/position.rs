@@ -287,7 +287,6 @@ impl Encode for Transform {
 mod tests {
     extern crate std;
     use super::*;
-    use crate::slave;
     use crate::variant::VariantBuf;
     use std::format;
     use std::string::{String, ToString};
@@ -376,12 +375,5 @@ mod tests {
         let turned = Transform::new([0.0; 3], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]);
         assert_eq!(turned.normal(), [0.0, 1.0, 0.0]);
         assert_eq!(Transform::new([0.0; 3], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]).normal(), [1.0, 0.0, 0.0]);
-    }
-
-    #[test]
-    fn they_become_poses_of_slave_mode() {
-        assert_eq!(slave::Pose::from(P), slave::Pose::p(P.to_array()));
-        assert_eq!(slave::Pose::from(T), slave::Pose::t(T.to_array()));
-        assert_eq!(slave::Pose::from(Joints::new([1.0])), slave::Pose::j([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]));
     }
 }
