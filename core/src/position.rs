@@ -19,8 +19,8 @@
 
 use crate::error::EncodeError;
 use crate::num::to_f32;
-use crate::variant::convert::{array_in, element};
-use crate::variant::{ConvertError, ConvertErrorKind, Encode, FromVariant, VarType, Variant, Writer};
+use crate::variant::convert::{element, elements};
+use crate::variant::{ConvertError, Encode, FromVariant, VarType, Variant, Writer};
 
 /// The Fig that leaves the choice of the posture to the controller.
 pub const ANY_FIGURE: i32 = -1;
@@ -131,10 +131,7 @@ impl Joints {
     #[must_use]
     pub fn new<const N: usize>(degrees: [f64; N]) -> Self {
         const { assert!(N <= 8, "a robot has at most eight axes") }
-        Self::padded(degrees.into_iter())
-    }
-
-    fn padded(mut degrees: impl Iterator<Item = f64>) -> Self {
+        let mut degrees = degrees.into_iter();
         Self { degrees: core::array::from_fn(|_| degrees.next().unwrap_or(0.0)) }
     }
 
@@ -213,9 +210,8 @@ impl Transform {
 
 /// Reads an array of `N` numbers, the last of which is the Fig.
 fn with_figure<const N: usize>(value: Variant<'_>) -> Result<([f64; N], i32), ConvertError> {
-    let numbers = value.convert()?;
-    let figure = array_in(value)?.iter().enumerate().last();
-    Ok((numbers, element(figure.unwrap_or((0, Variant::Empty)))?))
+    let figure = elements(value, N, N)?.last().unwrap_or((0, Variant::Empty));
+    Ok((value.convert()?, element(figure)?))
 }
 
 /// An array of seven numbers: X, Y, Z, RX, RY, RZ, Fig.
@@ -237,16 +233,8 @@ impl<'a> FromVariant<'a> for Transform {
 /// An array of one to eight numbers; missing axes are 0.
 impl<'a> FromVariant<'a> for Joints {
     fn from_variant(value: Variant<'a>) -> Result<Self, ConvertError> {
-        let array = array_in(value)?;
-        if !(1..=8).contains(&array.len()) {
-            return Err(ConvertError::new(
-                ConvertErrorKind::Type,
-                "an array of 1 to 8 elements",
-                &Variant::Array(array),
-            ));
-        }
         let mut degrees = [0.0; 8];
-        for (slot, item) in degrees.iter_mut().zip(array.iter().enumerate()) {
+        for (slot, item) in degrees.iter_mut().zip(elements(value, 1, 8)?) {
             *slot = element(item)?;
         }
         Ok(Self { degrees })
