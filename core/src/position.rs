@@ -8,21 +8,22 @@
 //! ```
 //!
 //! Each type converts from an array of any numbers ([`FromVariant`]) and is sent as an array of R4, which is what a variable
-//! takes ([`Encode`]). R4 has 24 bits: 1000 mm are rounded to 0.00006 mm. [`target`](Position::target) makes the destination
-//! of Robot_Move, in R8. The poses of Slave Mode ([`slave::Pose`](crate::slave::Pose)) are made of each type with `From`.
+//! takes ([`Encode`]). R4 has 24 bits: a number near 1000 is rounded by at most 0.00003. [`target`](Position::target) makes
+//! the destination of Robot_Move, in R8. Neither sends a NaN or an infinite number. The poses of Slave Mode ([`slave::Pose`](crate::slave::Pose)) are made of each type with `From`.
 //!
 //! # Orientation
 //!
-//! The orient vector of a transform is the y axis of the flange, and the approach vector its z axis. The documents at hand do
-//! not define the order of the rotations RX, RY and RZ. Hence there is no conversion between [`Position`] and
-//! [`Transform`] here. The controller gives the current position in both forms (CurPos and CurTrn).
+//! The orient vector of a transform is the y axis of the flange, and the approach vector its z axis, as a public driver uses
+//! them (rosilo_denso_communication). The documents at hand do not define the order of the rotations RX, RY and RZ. Hence
+//! there is no conversion between [`Position`] and [`Transform`] here. The controller gives the current position in both
+//! forms (CurPos and CurTrn).
 
 use crate::error::EncodeError;
 use crate::num::to_f32;
 use crate::variant::convert::{element, elements};
 use crate::variant::{ConvertError, Encode, FromVariant, VarType, Variant, Writer};
 
-/// The Fig that leaves the choice of the posture to the controller.
+/// The Fig that leaves the choice of the posture to the controller, as public drivers send it.
 pub const ANY_FIGURE: i32 = -1;
 
 /// A position and orientation: the value of a P variable and of CurPos.
@@ -82,7 +83,8 @@ impl Position {
 
     /// Returns the destination of Robot_Move: the numbers as R8, the type and the pass (S2:1602-1606).
     ///
-    /// `pass` is -1 for `@P`, -2 for `@E`, 0 for `@0`, and n for `@n`, in mm.
+    /// `pass` is -1 for `@P`, -2 for `@E`, 0 for `@0`, and n for `@n`. The specification shows only -2; public drivers use the
+    /// others.
     ///
     /// # Examples
     ///
@@ -97,7 +99,7 @@ impl Position {
     /// # Ok::<(), bcap_core::error::EncodeError>(())
     /// ```
     pub fn target(self, pass: i32) -> impl Encode + Copy + use<> {
-        (self.to_array(), 0, pass)
+        Target { numbers: self.to_array(), kind: 0, pass }
     }
 }
 
@@ -137,7 +139,7 @@ impl Joints {
 
     /// Returns the destination of Robot_Move: the numbers as R8, the type and the pass, see [`Position::target`].
     pub fn target(self, pass: i32) -> impl Encode + Copy + use<> {
-        (self.degrees, 2, pass)
+        Target { numbers: self.degrees, kind: 2, pass }
     }
 }
 
@@ -204,7 +206,7 @@ impl Transform {
 
     /// Returns the destination of Robot_Move: the numbers as R8, the type and the pass, see [`Position::target`].
     pub fn target(self, pass: i32) -> impl Encode + Copy + use<> {
-        (self.to_array(), 1, pass)
+        Target { numbers: self.to_array(), kind: 1, pass }
     }
 }
 
@@ -238,6 +240,24 @@ impl<'a> FromVariant<'a> for Joints {
             *slot = element(item)?;
         }
         Ok(Self { degrees })
+    }
+}
+
+/// The destination of Robot_Move.
+#[derive(Clone, Copy)]
+struct Target<const N: usize> {
+    numbers: [f64; N],
+    /// The number of the type: 0 P, 1 T, 2 J.
+    kind: i32,
+    pass: i32,
+}
+
+impl<const N: usize> Encode for Target<N> {
+    fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
+        if self.numbers.iter().all(|number| number.is_finite()) {
+            return (self.numbers, self.kind, self.pass).encode(out);
+        }
+        Err(EncodeError::OutOfRange(VarType::R8.0))
     }
 }
 
@@ -341,10 +361,14 @@ mod tests {
     }
 
     #[test]
-    fn numbers_that_r4_cannot_hold_are_not_sent() {
+    fn numbers_that_are_not_finite_are_not_sent() {
         for bad in [f64::NAN, f64::INFINITY, 1e39] {
             let error = VariantBuf::<64>::new(&Joints::new([0.0, bad])).unwrap_err();
             assert_eq!(error, EncodeError::OutOfRange(4), "{bad}");
+        }
+        for bad in [f64::NAN, f64::NEG_INFINITY] {
+            let target = Position { rotation_degrees: [0.0, bad, 0.0], ..P }.target(0);
+            assert_eq!(VariantBuf::<128>::new(&target).unwrap_err(), EncodeError::OutOfRange(5), "{bad}");
         }
     }
 
