@@ -50,6 +50,7 @@ use core::fmt::Write as _;
 /// ```
 #[derive(Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(transparent))]
 pub struct HResult(
     /// The code as the wire carries it; negative is a failure.
     pub i32,

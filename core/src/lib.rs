@@ -12,6 +12,7 @@
 //! | module      | contents                           | guarantee                                                         |
 //! |-------------|------------------------------------|-------------------------------------------------------------------|
 //! | [`variant`] | values, in binary and text         | a [`Variant`](variant::Variant) is validated; no accessor fails   |
+//! | [`position`] | values of P, J and T variables    | units are in the names; no NaN is sent                            |
 //! | [`bcap`]    | frames, functions, calls           | a [`Frame`](bcap::Frame) is validated, within [`limits`]          |
 //! | [`bcap::client`], [`bcap::server`] | sans-IO state machines | every wait has a deadline; a late reply never answers another call; the session survives a call dropped at any byte |
 //! | [`rac`]     | lines, requests, responses, client and server | a line has at most 256 bytes; a value without a text is an error |
@@ -31,7 +32,8 @@
 //!
 //! | feature             | adds                                                            |
 //! |---------------------|-----------------------------------------------------------------|
-//! | `alloc`             | `Vec<u8>` as a buffer that grows                                |
+//! | `alloc`             | `OwnedVariant`, `String` and `Vec` as values; `Vec<u8>` as a buffer that grows |
+//! | `serde`             | serialisation of positions, joints and transforms; of `OwnedVariant` with `alloc` |
 //! | `embedded-io`       | a blocking transport over any `embedded_io` device              |
 //! | `embedded-io-async` | an asynchronous transport over any `embedded_io_async` device   |
 //! | `defmt`             | `defmt::Format` for the public types, and a log of unusual events |
@@ -117,6 +119,7 @@ pub mod io;
 pub mod limits;
 mod num;
 mod outbox;
+pub mod position;
 pub mod procedure;
 pub mod rac;
 pub mod slave;

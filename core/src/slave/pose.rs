@@ -14,6 +14,7 @@
 use core::fmt;
 
 use super::mode::{J_LEN, P_LEN, PoseType, T_LEN};
+use crate::position::{Joints, Position, Transform};
 
 /// The maximum number of values of a pose.
 const MAX: usize = 13;
@@ -302,6 +303,24 @@ impl Pose {
         };
         out.iter_mut().take(fixed.end).skip(fixed.start).for_each(|number| *number = 0.0);
         Delta(out)
+    }
+}
+
+impl From<Position> for Pose {
+    fn from(position: Position) -> Self {
+        Self::p(position.to_array())
+    }
+}
+
+impl From<Joints> for Pose {
+    fn from(joints: Joints) -> Self {
+        Self::j(joints.degrees)
+    }
+}
+
+impl From<Transform> for Pose {
+    fn from(transform: Transform) -> Self {
+        Self::t(transform.to_array())
     }
 }
 

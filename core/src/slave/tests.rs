@@ -12,6 +12,7 @@ use super::*;
 use crate::bcap::Decoder;
 use crate::bcap::call::{Call, RobotHandle};
 use crate::bcap::client::{self, Client};
+use crate::position::{Joints, Position, Transform};
 use crate::time::Instant;
 use crate::variant::{Encode, VarType, Variant, VariantBuf};
 
@@ -222,6 +223,15 @@ fn extended_joints_have_the_positions_of_the_specification() {
     // from both axes to one
     let one = p.with_extended(Extended::Both(1.0, 2.0)).with_extended(Extended::Seven(3.0));
     assert_eq!(one, p.with_extended(Extended::Seven(3.0)));
+}
+
+#[test]
+fn values_of_variables_become_poses() {
+    let p = Position::new([1.0, 2.0, 3.0], [4.0, 5.0, 6.0]).figure(7);
+    assert_eq!(Pose::from(p), Pose::p([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0]));
+    let t = Transform::new([1.0, 2.0, 3.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]);
+    assert_eq!(Pose::from(t), Pose::t([1.0, 2.0, 3.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, -1.0]));
+    assert_eq!(Pose::from(Joints::new([1.0])), Pose::j([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]));
 }
 
 #[test]

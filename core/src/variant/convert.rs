@@ -73,7 +73,16 @@ impl<'a> Variant<'a> {
     }
 }
 
-/// A number of any VARTYPE.
+/// A number of any VARTYPE, as errors show it.
+///
+/// # Examples
+///
+/// ```
+/// use bcap_core::variant::{ConvertErrorKind, Number, Variant};
+///
+/// let error = Variant::R8(2.5).convert::<i32>().unwrap_err();
+/// assert_eq!(error.kind, ConvertErrorKind::Inexact(Number::Float(2.5)));
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Number {
@@ -179,14 +188,30 @@ pub struct ConvertError {
 }
 
 /// The reason why a value does not convert.
+///
+/// # Examples
+///
+/// ```
+/// use bcap_core::variant::{ConvertErrorKind, VariantBuf};
+///
+/// let three = VariantBuf::<32>::new(&[1, 2, 3])?;
+/// let error = three.as_variant().convert::<[i32; 2]>().unwrap_err();
+/// assert_eq!(error.kind, ConvertErrorKind::Count { least: 2, most: 2 });
+/// # Ok::<(), bcap_core::error::EncodeError>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 #[non_exhaustive]
 pub enum ConvertErrorKind {
     /// The value has another type.
     Type,
-    /// The array has another number of elements than this.
-    Count(u32),
+    /// The array has too few or too many elements.
+    Count {
+        /// The least number of elements.
+        least: u32,
+        /// The greatest number of elements.
+        most: u32,
+    },
     /// The number is too large or too small for the type.
     OutOfRange(Number),
     /// The type can hold only a rounded number.
@@ -214,15 +239,17 @@ impl fmt::Display for ConvertError {
             write!(f, "element {index}: ")?;
         }
         write!(f, "expected {}", self.wanted)?;
-        if let ConvertErrorKind::Count(count) = self.kind {
-            write!(f, " of {}", Counted(count))?;
+        match self.kind {
+            ConvertErrorKind::Count { least, most } if least == most => write!(f, " of {}", Counted(most))?,
+            ConvertErrorKind::Count { least, most } => write!(f, " of {least} to {}", Counted(most))?,
+            _ => {}
         }
         write!(f, ", found {}", self.found)?;
         if self.found.is_array() {
             write!(f, " of {}", Counted(self.count))?;
         }
         match self.kind {
-            ConvertErrorKind::Type | ConvertErrorKind::Count(_) => Ok(()),
+            ConvertErrorKind::Type | ConvertErrorKind::Count { .. } => Ok(()),
             ConvertErrorKind::OutOfRange(n) => write!(f, " with the value {n}, which is out of range"),
             ConvertErrorKind::Inexact(n) => write!(f, " with the value {n}, which is not exact in this type"),
             ConvertErrorKind::Surrogate => f.write_str(" with an unpaired surrogate"),
@@ -325,18 +352,19 @@ impl<'a, T: FromVariant<'a>> FromVariant<'a> for Option<T> {
 }
 
 /// Returns the array in a value.
-pub(crate) fn array(value: Variant<'_>) -> Result<Array<'_>, ConvertError> {
+fn array_in(value: Variant<'_>) -> Result<Array<'_>, ConvertError> {
     let value = value.flatten();
     value.as_array().ok_or_else(|| ConvertError::new(ConvertErrorKind::Type, "an array", &value))
 }
 
-/// Returns the elements of an array, of which there must be `count`.
-fn elements(value: Variant<'_>, count: usize) -> Result<Enumerate<Elements<'_>>, ConvertError> {
-    let array = array(value)?;
-    if array.len() == count {
+/// Returns the elements of an array, of which there must be `least` to `most`.
+pub(crate) fn elements(value: Variant<'_>, least: usize, most: usize) -> Result<Enumerate<Elements<'_>>, ConvertError> {
+    let array = array_in(value)?;
+    if (least..=most).contains(&array.len()) {
         return Ok(array.iter().enumerate());
     }
-    Err(ConvertError::new(ConvertErrorKind::Count(to_u32(count)), "an array", &Variant::Array(array)))
+    let kind = ConvertErrorKind::Count { least: to_u32(least), most: to_u32(most) };
+    Err(ConvertError::new(kind, "an array", &Variant::Array(array)))
 }
 
 /// Converts an element of an array.
@@ -346,7 +374,7 @@ pub(crate) fn element<'a, T: FromVariant<'a>>((index, value): (usize, Variant<'a
 
 impl<'a, T: FromVariant<'a>, const N: usize> FromVariant<'a> for [T; N] {
     fn from_variant(value: Variant<'a>) -> Result<Self, ConvertError> {
-        let items = elements(value, N)?.map(element).collect::<Result<heapless::Vec<T, N>, _>>()?;
+        let items = elements(value, N, N)?.map(element).collect::<Result<heapless::Vec<T, N>, _>>()?;
         // the number of elements was checked
         items.into_array().map_err(|_| ConvertError::new(ConvertErrorKind::Type, "an array", &value))
     }
@@ -357,7 +385,7 @@ macro_rules! from_tuples {
         #[doc = "An array of VARIANT or of any other type with this number of elements."]
         impl<'a, $($name: FromVariant<'a>),+> FromVariant<'a> for ($($name,)+) {
             fn from_variant(value: Variant<'a>) -> Result<Self, ConvertError> {
-                let mut items = elements(value, $count)?;
+                let mut items = elements(value, $count, $count)?;
                 // the number of elements was checked
                 Ok(($(element::<$name>(items.next().unwrap_or((0, Variant::Empty)))?,)+))
             }
@@ -388,7 +416,7 @@ impl<'a> FromVariant<'a> for alloc::string::String {
 #[cfg(feature = "alloc")]
 impl<'a, T: FromVariant<'a>> FromVariant<'a> for alloc::vec::Vec<T> {
     fn from_variant(value: Variant<'a>) -> Result<Self, ConvertError> {
-        array(value)?.iter().enumerate().map(element).collect()
+        array_in(value)?.iter().enumerate().map(element).collect()
     }
 }
 

@@ -48,12 +48,14 @@
 mod array;
 mod bstr;
 mod buf;
-mod convert;
+pub(crate) mod convert;
 mod encode;
 mod float;
 #[cfg(feature = "alloc")]
 mod owned;
 mod scalar;
+#[cfg(all(feature = "alloc", feature = "serde"))]
+mod serial;
 pub(crate) mod text;
 
 pub use self::array::{Array, Elements, Items, Scalar};

@@ -11,17 +11,18 @@ use crate::error::{EncodeError, TextError, TextErrorKind};
 use crate::limits::{Limits, MAX_DEPTH, Strictness};
 use crate::wire::{Reader, Writer};
 
-/// The largest encoding, in bytes. Frames of 16 MiB are the largest that peers accept.
+/// The size up to which a buffer grows, in bytes. Frames of 16 MiB are the largest that peers accept.
 const MAX: usize = 32 * 1024 * 1024;
 
-/// A value that owns its bytes, up to 32 MiB. Needs the feature `alloc`.
+/// A value of any size that owns its bytes. Needs the feature `alloc`.
 ///
 /// It contains the canonical, validated encoding, and [`as_variant`](Self::as_variant) views it. A value made of a
 /// [`Variant`] takes one allocation; EMPTY takes none.
 ///
-/// With the feature `serde` it is serialised with its VARTYPE, so that it comes back as the same value: `{"I4":7}`,
-/// `{"BSTR":"P1"}`, `{"ARRAY":{"R4":[1.5,2.0]}}`, `"EMPTY"`. CY is the count of ten-thousandths, DATE the days since
-/// 1899-12-30, and ERROR the signed number. A string with an unpaired surrogate cannot be serialised.
+/// With the feature `serde` it is serialised together with its VARTYPE: `{"I4":7}`, `{"BSTR":"P1"}`,
+/// `{"ARRAY":{"R4":[1.5,2.0]}}`, `"EMPTY"`. Hence it comes back as the same value. CY is the count of ten-thousandths, DATE
+/// the days since 1899-12-30, and ERROR the signed number. A value of unknown VARTYPE and a string with an unpaired
+/// surrogate cannot be serialised. JSON has no NaN and no infinity: `serde_json` writes them as `null`, which is then refused.
 ///
 /// # Examples
 ///
@@ -111,10 +112,10 @@ impl OwnedVariant {
     ) -> Result<Self, E> {
         let mut size = size;
         loop {
-            let mut bytes = vec![0; size.min(MAX)];
+            let mut bytes = vec![0; size];
             let mut out = Writer::new(&mut bytes);
             match write(&mut out) {
-                Err(error) if is_full(&error) && size < MAX => size = size.saturating_mul(4),
+                Err(error) if is_full(&error) && size < MAX => size = size.saturating_mul(4).min(MAX),
                 Err(error) => return Err(error),
                 Ok(()) => {
                     let len = out.len();
@@ -161,8 +162,7 @@ impl OwnedVariant {
 /// Copies the value, also one of unknown VARTYPE.
 impl From<Variant<'_>> for OwnedVariant {
     fn from(value: Variant<'_>) -> Self {
-        // the value is validated and its canonical form is not longer, so that only a value over 32 MiB fails; received
-        // values are at most 16 MiB
+        // a validated value always encodes, and the buffer of `copy` is large enough
         Self::copy(&value).unwrap_or_default()
     }
 }

@@ -171,7 +171,7 @@ fn the_element_that_does_not_convert_is_named() {
     let error = sent((0, [1, 300])).as_variant().convert::<(u8, [u8; 2])>().unwrap_err();
     assert_eq!((error.element, error.found, error.count), (Some(1), VarType::I4, 1));
     let error = sent((0, [1, 2])).as_variant().convert::<(u8, [u8; 3])>().unwrap_err();
-    assert_eq!((error.element, error.count, error.kind), (Some(1), 2, ConvertErrorKind::Count(3)));
+    assert_eq!((error.element, error.count, error.kind), (Some(1), 2, ConvertErrorKind::Count { least: 3, most: 3 }));
 }
 
 #[test]
