@@ -9,7 +9,7 @@ use std::thread;
 use std::time::Duration;
 
 use bcap_std::blocking::Controller;
-use bcap_std::{Error, Motion, Move, Settings};
+use bcap_std::{Error, Joints, Motion, Move, Settings};
 
 fn main() -> Result<(), Error> {
     run(&std::env::args().nth(1).unwrap_or_else(|| "tcp:127.0.0.1".into()))
@@ -28,7 +28,7 @@ pub(crate) fn run(address: &str) -> Result<(), Error> {
     });
     let mut arm = cell.robot()?.take_arm()?;
     arm.motor_on()?;
-    let motion = Move::joint("J(20, 45, 90, 0, 45, 0)").speed_percent(50.0);
+    let motion = Move::joint(Joints::new([20.0, 45.0, 90.0, 0.0, 45.0, 0.0])).speed_percent(50.0);
     match arm.move_to(&motion, Duration::from_secs(30))? {
         Motion::Arrived => println!("arrived"),
         other => println!("stopped: {other:?}"),

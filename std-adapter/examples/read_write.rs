@@ -6,7 +6,7 @@
 //! ```
 
 use bcap_std::blocking::Controller;
-use bcap_std::{Error, Settings};
+use bcap_std::{Error, Position, Settings};
 
 fn main() -> Result<(), Error> {
     run(&std::env::args().nth(1).unwrap_or_else(|| "tcp:127.0.0.1".into()))
@@ -17,8 +17,8 @@ pub(crate) fn run(address: &str) -> Result<(), Error> {
     let mut cell = Controller::connect(address, &Settings::rc8())?;
     let count: i32 = cell.read("I1")?;
     cell.write("I1", count + 1)?;
-    cell.write("P1", [400.0, 0.0, 300.0, 180.0, 0.0, 180.0, 5.0_f32])?;
-    let [x, y, z, ..]: [f64; 7] = cell.read("P1")?;
-    println!("I1 was {count}; P1 is at {x} mm, {y} mm, {z} mm");
+    cell.write("P1", Position::new([400.0, 0.0, 300.0], [180.0, 0.0, 180.0]).figure(5))?;
+    let position: Position = cell.read("P1")?;
+    println!("I1 was {count}; P1 is at {:?} mm", position.xyz_mm);
     cell.close()
 }

@@ -29,6 +29,7 @@
 //! ```
 
 pub use bcap_core as core;
+pub use bcap_core::position::{Joints, Position, Transform};
 pub use bcap_core::procedure::Motion;
 
 mod address;
@@ -50,7 +51,7 @@ pub use address::{Address, AddressError};
 pub use clock::now;
 pub use connect::{ConnectError, Options};
 pub use error::Error;
-pub use moves::Move;
+pub use moves::{Destination, Move};
 pub use settings::{Model, ServiceOptions, Settings};
 
 /// A failed call.

@@ -14,7 +14,7 @@ use bcap_sim::memory::Network;
 use bcap_sim::{Config, Controller as Simulated, EMERGENCY_STOP, Profile};
 use bcap_std::blocking::{Controller, Halted, Stopper};
 use bcap_std::server::Limits;
-use bcap_std::{Error, Move, Settings};
+use bcap_std::{Error, Joints, Move, Position, Settings};
 use bcap_testkit::network::Random;
 use bcap_tests::served::Served;
 
@@ -48,7 +48,7 @@ fn connect(sim: &Served<Simulated>) -> Controller {
 
 /// Turns the first joint.
 fn to(degrees: f64) -> Move {
-    Move::joint(format!("J({degrees}, 45, 90, 0, 45, 0)"))
+    Move::joint(Joints::new([degrees, 45.0, 90.0, 0.0, 45.0, 0.0]))
 }
 
 /// Asserts that no client has the arm, a session or an object, and that the motor is off.
@@ -64,8 +64,9 @@ fn variables_are_read_and_written_over_both_transports() {
         let mut cell = Controller::connect(&address, &Settings::rc8().robot("Arm0")).unwrap();
         cell.write("I1", 41).unwrap();
         assert_eq!(cell.read::<i32>("I1").unwrap(), 41);
-        cell.write("P1", [400.0, 0.0, 300.0, 180.0, 0.0, 180.0, 5.0_f32]).unwrap();
-        assert_eq!(cell.read::<[f64; 7]>("P1").unwrap(), [400.0, 0.0, 300.0, 180.0, 0.0, 180.0, 5.0]);
+        let position = Position::new([400.0, 0.0, 300.0], [180.0, 0.0, 180.0]).figure(5);
+        cell.write("P1", position).unwrap();
+        assert_eq!(cell.read::<Position>("P1").unwrap(), position);
         let [count, position] = cell.read_all(["I1", "P1"]).unwrap();
         assert_eq!((count.convert(), position.convert::<Vec<f32>>().unwrap().len()), (Ok(41), 7));
         assert!(!cell.robot().unwrap().read::<bool>("@SERVO_ON").unwrap());
@@ -108,7 +109,13 @@ fn a_motion_arrives_and_the_drop_leaves_nothing() {
     arm.motor_on().unwrap();
     arm.set_speed(100.0).unwrap();
     assert_eq!(arm.move_to(&to(3.0), LIMIT).unwrap(), Motion::Arrived);
-    assert!((arm.robot().joints().unwrap()[0] - 3.0).abs() < 0.05);
+    assert!((arm.robot().joints().unwrap().degrees[0] - 3.0).abs() < 0.05);
+    let line = arm.robot().position().unwrap();
+    let [x, y, z] = line.xyz_mm;
+    let lower = Position { xyz_mm: [x, y, z - 20.0], ..line };
+    assert_eq!(arm.move_to(&Move::line(lower), LIMIT).unwrap(), Motion::Arrived);
+    assert!((arm.robot().position().unwrap().xyz_mm[2] - (z - 20.0)).abs() < 0.1);
+    arm.move_to(&Move::joint("J(3, 45, 90, 0, 45, 0)"), LIMIT).map(drop).unwrap();
     assert!(sim.application().motor_is_on() && sim.application().arm_owner().is_some());
     drop(arm);
     assert!(!sim.application().motor_is_on() && sim.application().arm_owner().is_none());
@@ -180,7 +187,7 @@ fn a_stopper_halts_a_motion_that_another_thread_waits_for() {
         assert_eq!(arm.move_to(&to(150.0), LIMIT).unwrap(), Motion::Halted);
         assert_eq!(pressed.join().unwrap(), Halted::Halted);
     });
-    assert!(arm.robot().joints().unwrap()[0] < 150.0);
+    assert!(arm.robot().joints().unwrap().degrees[0] < 150.0);
     drop(arm);
     drop((cell, stopper));
     assert_left(&sim);

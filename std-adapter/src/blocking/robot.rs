@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use bcap_core::bcap::Object;
 use bcap_core::bcap::call::{self, RobotHandle};
+use bcap_core::position::{Joints, Position};
 use bcap_core::procedure::{self, Handles, Motion, MotionConfig};
 use bcap_core::variant::{Encode, FromVariant};
 
@@ -51,21 +52,21 @@ impl<'a> Robot<'a> {
         Ok(Arm { robot: self, motor: false, moving: false, given: false })
     }
 
-    /// Reads the joints: degrees, and mm for linear axes.
+    /// Reads the joints.
     ///
     /// # Errors
     ///
     /// An [`Error`].
-    pub fn joints(&mut self) -> Result<[f64; 8], Error> {
+    pub fn joints(&mut self) -> Result<Joints, Error> {
         self.execute("CurJnt", ())
     }
 
-    /// Reads the position of the tool: X, Y, Z in mm, RX, RY, RZ in degrees, and the figure.
+    /// Reads the position of the tool.
     ///
     /// # Errors
     ///
     /// An [`Error`].
-    pub fn position(&mut self) -> Result<[f64; 7], Error> {
+    pub fn position(&mut self) -> Result<Position, Error> {
         self.execute("CurPos", ())
     }
 
@@ -134,12 +135,14 @@ impl<'a> Arm<'a> {
     ///
     /// An [`Error`]. If the motion may have begun, the robot was halted, unless the connection is lost.
     pub fn move_to(&mut self, motion: &Move, limit: Duration) -> Result<Motion, Error> {
-        let pose = motion.pose();
-        let parameters =
-            procedure::Move { interpolation: motion.interpolation(), pose: &pose.as_str(), option: motion.options() };
+        let parameters = procedure::Move {
+            interpolation: motion.interpolation(),
+            pose: motion.destination(),
+            option: motion.options(),
+        };
         self.moving = true;
         let steps = procedure::move_and_wait(self.robot.handles(), parameters, MotionConfig::within(limit));
-        let ended = self.robot.session.run(&pose, steps)?;
+        let ended = self.robot.session.run("the robot", steps)?;
         self.moving = false;
         Ok(ended)
     }
