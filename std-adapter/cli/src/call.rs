@@ -10,7 +10,7 @@ use crate::error::Failure;
 use crate::object::{Path, word};
 use crate::output::{print_json, print_line};
 use crate::plain;
-use crate::reference;
+use crate::reference::{self, usage};
 use crate::session::{ControllerSession, integer, text, with_session};
 use crate::value::Value;
 
@@ -125,11 +125,6 @@ fn unknown(function: &str) -> Failure {
         "there is no function {function}; write a name such as VariableGetValue or Variable_GetValue, or a number from 1 to 137; \
          `bcap call --list` prints all"
     ))
-}
-
-/// Returns the signature of a function: `Robot_Speed(robot, axis, speed)`.
-pub(crate) fn usage(function: FunctionId) -> String {
-    format!("{function}({})", function.argument_names().join(", "))
 }
 
 /// Runs `bcap exec`.

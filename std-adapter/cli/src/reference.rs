@@ -6,7 +6,6 @@ use bcap_core::bcap::FunctionId;
 use clap::CommandFactory as _;
 
 use crate::args::Cli;
-use crate::call::usage;
 use crate::output::{print_block, print_json, print_line};
 
 /// Prints the help of `bcap call` itself.
@@ -37,4 +36,9 @@ pub(crate) fn list(json: bool) -> io::Result<()> {
         }
         print_line(&format!("{:>3} {}: {summary}", function.0, usage(function)))
     })
+}
+
+/// Returns the signature of a function: `Robot_Speed(robot, axis, speed)`.
+pub(crate) fn usage(function: FunctionId) -> String {
+    format!("{function}({})", function.argument_names().join(", "))
 }
