@@ -12,7 +12,7 @@ use crate::output::{print_json, print_line};
 use crate::plain;
 use crate::reference::{self, usage};
 use crate::session::{ControllerSession, integer, text, with_session};
-use crate::value::Value;
+use crate::value::{Value, to_json};
 
 /// Runs `bcap call`.
 pub(crate) fn call(args: &Call, link: &LinkArgs, json: bool) -> Result<(), Failure> {
@@ -64,7 +64,7 @@ fn call_in(
 fn print_reply(code: HResult, value: Option<&Value>, json: bool) -> Result<(), Failure> {
     if json {
         let name = serde_json::Value::from(code.name());
-        let value = value.map_or("null".into(), Value::to_json);
+        let value = value.map_or("null".into(), to_json);
         return Ok(print_json(&format!("{{\"code\":{},\"name\":{name},\"value\":{value}}}", code.0))?);
     }
     if code != HResult::S_OK {

@@ -7,7 +7,7 @@ use crate::value::{self, Value};
 
 /// Parses `TYPE,DATA`. The comma is required: `0` and `1` alone are numbers, not EMPTY and NULL.
 pub(crate) fn from_typed(text: &str) -> Result<Value, TextError> {
-    let value = Value::from_text(text)?;
+    let value = Value::parse_text(text.as_bytes())?;
     if text.contains(',') {
         Ok(value)
     } else {
@@ -18,9 +18,9 @@ pub(crate) fn from_typed(text: &str) -> Result<Value, TextError> {
 /// Parses `text` as data of a type. A BOOL may also be `true`, `false`, `on` or `off`.
 pub(crate) fn from_data(vartype: VarType, text: &str) -> Result<Value, TextError> {
     match (vartype, text.trim().to_ascii_lowercase().as_str()) {
-        (VarType::BOOL, "true" | "on") => Value::from_text("11,-1"),
-        (VarType::BOOL, "false" | "off") => Value::from_text("11,0"),
-        _ => Value::from_text(&format!("{},{text}", vartype.0)),
+        (VarType::BOOL, "true" | "on") => Value::parse_text(b"11,-1"),
+        (VarType::BOOL, "false" | "off") => Value::parse_text(b"11,0"),
+        _ => Value::parse_text(format!("{},{text}", vartype.0).as_bytes()),
     }
 }
 

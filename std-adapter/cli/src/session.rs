@@ -15,7 +15,7 @@ use crate::budget::Budget;
 use crate::connection::Connection;
 use crate::error::Failure;
 use crate::object::{Path, opened_by, word};
-use crate::value::Value;
+use crate::value::{Value, described};
 
 /// A session, from Service_Start to Service_Stop.
 pub(crate) struct ControllerSession {
@@ -148,7 +148,7 @@ impl ControllerSession {
             value => value.as_i32(),
         });
         let Some(handle) = handle else {
-            let found = reply.as_ref().map_or("no value".into(), Value::described);
+            let found = described(reply.as_ref());
             let message = format!("{function}: the reply carries {found} instead of a handle");
             let hint = "check that the other end is a b-CAP server".into();
             return Err(Failure::Connection { message, hint });

@@ -12,15 +12,15 @@ use crate::escape;
 use crate::hex;
 use crate::item::Items;
 use crate::json::LIMITS;
-use crate::value::{self, Value};
+use crate::value::{self, Value, to_json};
 
 /// Runs `bcap text parse` or `bcap text print`; with `json` the text is `{"text":"3,100"}`.
 pub(crate) fn text(args: &Text, json: bool) -> Result<(), Failure> {
     match &args.command {
         TextCommand::Parse { text } => Items::from_word(text.as_deref()).convert(json, |text, _| {
             let text = str::from_utf8(text).map_err(|e| ItemError::new("the text is not UTF-8", e.valid_up_to()))?;
-            let value = Value::from_text(text)?;
-            Ok(if json { value.to_json() } else { hex::compact(value.as_bytes()) })
+            let value = Value::parse_text(text.as_bytes())?;
+            Ok(if json { to_json(&value) } else { hex::compact(value.as_bytes()) })
         }),
         TextCommand::Print { hex } => Items::from_words(hex).convert(json, |text, _| {
             let bytes = hex::parse(text)?;

@@ -10,7 +10,7 @@ use crate::object::{Path, Step, word};
 use crate::output::{print_json, print_line};
 use crate::plain;
 use crate::session::{ControllerSession, integer, text, with_session};
-use crate::value::Value;
+use crate::value::{Value, described, to_json};
 
 /// Runs `bcap get`.
 pub(crate) fn get(args: &Get, link: &LinkArgs, json: bool) -> Result<(), Failure> {
@@ -89,7 +89,7 @@ pub(crate) fn read(session: &mut ControllerSession, path: &Path, variable: i32) 
 pub(crate) fn shown(name: &str, value: &Value, json: bool) -> String {
     if json {
         let name = serde_json::Value::from(name);
-        format!("{{\"name\":{name},{}", &value.to_json()[1..])
+        format!("{{\"name\":{name},{}", &to_json(value)[1..])
     } else {
         format!("{name} = {}", plain::to_plain(value.as_variant()))
     }
@@ -190,7 +190,7 @@ fn list(session: &mut ControllerSession, owner: &Path, function: FunctionId) -> 
     match names {
         None => Ok(Vec::new()),
         Some(value) => all_strings(value.as_variant()).ok_or_else(|| Failure::Connection {
-            message: format!("{function}: the reply carries {} instead of a list of names", value.described()),
+            message: format!("{function}: the reply carries {} instead of a list of names", described(Some(&value))),
             hint: "use `bcap call` to see the reply: it prints any value".into(),
         }),
     }

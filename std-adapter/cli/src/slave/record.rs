@@ -17,7 +17,7 @@ use crate::object::Path as Object;
 use crate::output::{print_json, print_line};
 use crate::session::{ControllerSession, integer, text, with_session};
 use crate::signal;
-use crate::value::Value;
+use crate::value::{Value, described};
 
 /// Runs `bcap slave record`.
 pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), Failure> {
@@ -86,7 +86,7 @@ fn position(session: &mut ControllerSession, robot: i32, kind: PoseType) -> Resu
     numbers.filter(|numbers| numbers.len() == kind.len()).ok_or_else(|| Failure::Connection {
         message: format!(
             "{command}: the reply carries {} instead of {} numbers",
-            value.as_ref().map_or("no value".into(), Value::described),
+            described(value.as_ref()),
             kind.len()
         ),
         hint: "check that the other end is a robot controller".into(),
