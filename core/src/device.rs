@@ -2,7 +2,7 @@
 //!
 //! A [`Device`] serves the variables of its table over b-CAP and RAC. It answers Service_Start, Controller_Connect, the
 //! functions that open, list, read, write and release variables, and no others. A custom
-//! [`Handler`](crate::bcap::server::Handler) can offer more.
+//! [`Handler`] can offer more.
 
 use crate::bcap::server::{Handler, Request};
 use crate::bcap::{FunctionId, Object};

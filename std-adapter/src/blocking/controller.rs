@@ -18,16 +18,16 @@ use crate::settings::Settings;
 /// A session with a controller.
 ///
 /// It opens objects when they are first used and keeps their handles. When it is dropped it releases all objects in
-/// reverse order and stops the service, which takes at most two seconds; after a lost connection it sends nothing.
+/// reverse order and stops the service. It ends that after one second without a reply, and sends nothing over a lost
+/// connection.
 ///
 /// # Examples
 ///
 /// ```no_run
 /// use std::time::Duration;
 ///
-/// use bcap_core::procedure::Motion;
 /// use bcap_std::blocking::Controller;
-/// use bcap_std::{Move, Settings};
+/// use bcap_std::{Motion, Move, Settings};
 ///
 /// let mut cell = Controller::connect("tcp:192.168.0.1", &Settings::rc9())?;
 /// let count: i32 = cell.read("I1")?;

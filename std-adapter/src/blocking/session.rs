@@ -6,7 +6,7 @@ use std::time::Duration;
 use bcap_core::bcap::call::{self, Any, Call, ControllerHandle, Reply, RobotHandle, VariableHandle};
 use bcap_core::bcap::client::Timing;
 use bcap_core::bcap::{FunctionId, Object};
-use bcap_core::procedure::{self, Handles, PathStep, Procedure, Provider, StepError};
+use bcap_core::procedure::{self, Handles, Owner, PathError, PathStep, Procedure, Provider, StepError};
 use bcap_core::variant::{Encode, FromVariant};
 
 use super::Connection;
@@ -105,34 +105,36 @@ impl Session {
     /// Opens an object.
     fn open(&mut self, object: Object, owner: i32, step: PathStep<'_>) -> Result<i32, Error> {
         let name = step.name.unwrap_or("the first robot");
-        let path = match object {
-            Object::Robot => procedure::open_path(RobotHandle(owner), &[step]).map(Either::Robot),
-            _ => procedure::open_path(ControllerHandle(owner), &[step]).map(Either::Controller),
+        let owner: Owner = match object {
+            Object::Robot => RobotHandle(owner).into(),
+            _ => ControllerHandle(owner).into(),
         };
-        let opened = match path {
-            Ok(Either::Robot(path)) => self.run(name, path)?,
-            Ok(Either::Controller(path)) => self.run(name, path)?,
-            // a variable of a controller or a robot, or a controller's robot, can always be opened
-            Err(_) => return Err(Error::call(FunctionId::CONTROLLER_GET_VARIABLE, name, CallError::Disconnected)),
-        };
+        let function = step.object.opened_from(object).unwrap_or(FunctionId::CONTROLLER_GET_VARIABLE);
+        let wrong = |error: PathError| Error::Reply { function, object: name.to_owned(), reason: error.to_string() };
+        let opened = self.run(name, procedure::open_path(owner, &[step]).map_err(wrong)?)?;
         let handle = opened.last().map_or(0, |(_, handle)| *handle);
         self.opened.extend(opened);
         Ok(handle)
     }
 
-    /// Releases all objects in reverse order, once.
+    /// Releases all objects in reverse order and stops the service, once. It ends at the first call without a reply.
     pub(super) fn release(&mut self) -> Result<(), Error> {
         if std::mem::replace(&mut self.lost, true) {
             return Ok(());
         }
         let timing = self.connection.client().timing();
-        let short = Timing { attempt_timeout: timing.attempt_timeout.min(CLOSE), deadline: CLOSE, ..timing };
-        self.connection.client().set_timing(short);
-        for opened in self.opened.rchunks(8) {
-            self.connection.run(procedure::release(opened)).map_err(|error| Error::run(SESSION, error))?;
+        let timing = Timing { attempt_timeout: timing.attempt_timeout.min(CLOSE), deadline: CLOSE, ..timing };
+        let session = [(Object::Service, 0), (Object::Controller, self.handle.0)];
+        for (object, handle) in session.iter().chain(&self.opened).rev() {
+            let arguments: &[&dyn Encode] = if *object == Object::Service { &[] } else { &[handle] };
+            let function = object.released_by();
+            match self.connection.call_with(call::RawCall { function, arguments }, timing) {
+                // an object that cannot be released does not exist
+                Ok(_) | Err(CallError::Refused(_)) => {}
+                Err(error) => return Err(Error::call(function, SESSION, error)),
+            }
         }
-        let end = procedure::release_controller(self.handle);
-        self.connection.run(end).map_err(|error| Error::run(SESSION, error))
+        Ok(())
     }
 
     /// Writes a variable of the controller or of a robot.
@@ -142,16 +144,10 @@ impl Session {
     }
 }
 
-/// The object of errors at the begin and at the end of a session.
+/// The object that errors name when a session starts or ends.
 const SESSION: &str = "the session";
 /// How long a call at the end of a session may take.
 const CLOSE: Duration = Duration::from_secs(1);
-
-/// A procedure that opens an object, by the type of its owner.
-enum Either<R, C> {
-    Robot(R),
-    Controller(C),
-}
 
 /// Returns the parameters of a session.
 fn provider<'a>(settings: &'a Settings, service: &'a str) -> Provider<'a> {

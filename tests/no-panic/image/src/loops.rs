@@ -72,7 +72,13 @@ struct Text<'a> {
 struct Answers;
 
 impl server::Handler for Answers {
-    fn call(&mut self, peer: PeerId, request: &server::Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+    fn call(
+        &mut self,
+        peer: PeerId,
+        request: &server::Request<'_>,
+        reply: &mut ReplyValue<'_>,
+        now: Instant,
+    ) -> Outcome {
         if request.args.len() == 3 { Outcome::Wait(now) } else { self.resume(peer, request, reply, now) }
     }
 
