@@ -433,7 +433,7 @@ fn reply_to(serial: u16, function: FunctionId, code: HResult, value: Option<i32>
 
 /// A planted fault of the session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Fault {
+enum PlantedFault {
     /// The marker is not read, so that every attempt is a call of its own.
     NoMarkers,
     /// The arguments of Service_Start are not compared.
@@ -464,35 +464,35 @@ enum Fault {
     OldIsAnswered,
 }
 
-const FAULTS: [Fault; 14] = [
-    Fault::NoMarkers,
-    Fault::OptionsIgnored,
-    Fault::SerialsIgnored,
-    Fault::ClockStands,
-    Fault::ClockRuns,
-    Fault::OldSerialAgain,
-    Fault::NoExecuting,
-    Fault::FirstSerialReplied,
-    Fault::NotAbandoned,
-    Fault::ReleasedForwards,
-    Fault::NothingReleased,
-    Fault::WindowWithoutSession,
-    Fault::StartIsBusy,
-    Fault::OldIsAnswered,
+const FAULTS: [PlantedFault; 14] = [
+    PlantedFault::NoMarkers,
+    PlantedFault::OptionsIgnored,
+    PlantedFault::SerialsIgnored,
+    PlantedFault::ClockStands,
+    PlantedFault::ClockRuns,
+    PlantedFault::OldSerialAgain,
+    PlantedFault::NoExecuting,
+    PlantedFault::FirstSerialReplied,
+    PlantedFault::NotAbandoned,
+    PlantedFault::ReleasedForwards,
+    PlantedFault::NothingReleased,
+    PlantedFault::WindowWithoutSession,
+    PlantedFault::StartIsBusy,
+    PlantedFault::OldIsAnswered,
 ];
 
 /// The session, with a fault if one is planted.
 struct Server {
     session: Session<[u8; 512], [u8; 1024], 64>,
     application: Application,
-    fault: Option<Fault>,
+    fault: Option<PlantedFault>,
     /// The newest marker, and the first attempt of a running call, for the faults that need them.
     newest: u16,
     running: Option<Attempt>,
 }
 
 impl Server {
-    fn new(fault: Option<Fault>) -> Self {
+    fn new(fault: Option<PlantedFault>) -> Self {
         let session = Session::new(Config::UDP, [0; 512], [0; 1024]);
         Self { session, application: Application::default(), fault, newest: 0, running: None }
     }
@@ -501,21 +501,21 @@ impl Server {
         let (was_running, mut given, is_start) =
             (self.session.is_running(), attempt, attempt.ask.function() == FunctionId::SERVICE_START);
         match self.fault {
-            Some(Fault::NoMarkers) => given.marker = given.serial,
-            Some(Fault::SerialsIgnored) if is_start => given.serial = given.marker,
-            Some(Fault::OptionsIgnored) => {
+            Some(PlantedFault::NoMarkers) => given.marker = given.serial,
+            Some(PlantedFault::SerialsIgnored) if is_start => given.serial = given.marker,
+            Some(PlantedFault::OptionsIgnored) => {
                 if let Ask::Start { options } = &mut given.ask {
                     *options = 0;
                 }
             }
-            Some(Fault::WindowWithoutSession)
+            Some(PlantedFault::WindowWithoutSession)
                 if is_start
                     && self.session.open_objects() == 0
                     && (1..=1024).contains(&self.newest.wrapping_sub(attempt.marker)) =>
             {
                 return Vec::new();
             }
-            Some(Fault::StartIsBusy) if is_start && was_running => {
+            Some(PlantedFault::StartIsBusy) if is_start && was_running => {
                 return vec![reply_to(attempt.serial, attempt.ask.function(), HResult::E_BUSY_PROC, None)];
             }
             _ => {}
@@ -526,17 +526,17 @@ impl Server {
             self.running = Some(attempt);
         }
         match self.fault {
-            Some(Fault::OldSerialAgain) if seen.len() == 1 => {
+            Some(PlantedFault::OldSerialAgain) if seen.len() == 1 => {
                 for seen in &mut seen {
                     if let Seen::Sent { serial, .. } = seen {
                         *serial = attempt.marker;
                     }
                 }
             }
-            Some(Fault::NoExecuting) => {
+            Some(PlantedFault::NoExecuting) => {
                 seen.retain(|seen| !matches!(seen, Seen::Sent { code: HResult::S_EXECUTING, .. }));
             }
-            Some(Fault::OldIsAnswered) if seen.is_empty() && !self.session.is_running() => {
+            Some(PlantedFault::OldIsAnswered) if seen.is_empty() && !self.session.is_running() => {
                 seen.push(reply_to(attempt.serial, attempt.ask.function(), HResult::E_INVALIDRCPACKET, None));
             }
             _ => self.garble(&mut seen),
@@ -547,11 +547,11 @@ impl Server {
     /// Falsifies what the application is told.
     fn garble(&self, seen: &mut Vec<Seen>) {
         match self.fault {
-            Some(Fault::NotAbandoned) => seen.retain(|seen| *seen != Seen::Abandoned),
-            Some(Fault::NothingReleased) => {
+            Some(PlantedFault::NotAbandoned) => seen.retain(|seen| *seen != Seen::Abandoned),
+            Some(PlantedFault::NothingReleased) => {
                 seen.retain(|seen| !matches!(seen, Seen::Called(FunctionId::CONTROLLER_DISCONNECT, _)));
             }
-            Some(Fault::ReleasedForwards) => {
+            Some(PlantedFault::ReleasedForwards) => {
                 let released = |seen: &&Seen| matches!(seen, Seen::Called(FunctionId::CONTROLLER_DISCONNECT, handle) if *handle > 0);
                 let mut handles: Vec<Seen> = seen.iter().filter(released).cloned().collect();
                 for seen in seen.iter_mut().filter(|seen| released(&&**seen)) {
@@ -566,7 +566,7 @@ impl Server {
         self.application.ends = true;
         let mut seen = self.run(now);
         self.application.ends = false;
-        if let (Some(Fault::FirstSerialReplied), Some(first)) = (self.fault, self.running) {
+        if let (Some(PlantedFault::FirstSerialReplied), Some(first)) = (self.fault, self.running) {
             for seen in &mut seen {
                 if let Seen::Sent { serial, .. } = seen {
                     *serial = first.serial;
@@ -585,8 +585,8 @@ impl Server {
 
     fn run(&mut self, now: Instant) -> Vec<Seen> {
         let now = match self.fault {
-            Some(Fault::ClockStands) => Instant::ZERO,
-            Some(Fault::ClockRuns) => Instant::from_micros(now.as_micros() * 1000),
+            Some(PlantedFault::ClockStands) => Instant::ZERO,
+            Some(PlantedFault::ClockRuns) => Instant::from_micros(now.as_micros() * 1000),
             _ => now,
         };
         loop {
@@ -648,7 +648,7 @@ struct Tally {
 }
 
 impl Sequence {
-    fn new(seed: u64, table: BTreeMap<Cell, Word>, fault: Option<Fault>) -> Self {
+    fn new(seed: u64, table: BTreeMap<Cell, Word>, fault: Option<PlantedFault>) -> Self {
         Self {
             random: Random(seed),
             server: Server::new(fault),
@@ -816,7 +816,7 @@ impl Sequence {
 }
 
 /// Runs sequences until one differs; returns the first difference, with its seed.
-fn first_difference(table: &BTreeMap<Cell, Word>, fault: Option<Fault>) -> Option<(u64, Difference)> {
+fn first_difference(table: &BTreeMap<Cell, Word>, fault: Option<PlantedFault>) -> Option<(u64, Difference)> {
     (0..SEQUENCES)
         .find_map(|seed| Sequence::new(seed, table.clone(), fault).run().err().map(|difference| (seed, difference)))
 }

@@ -27,7 +27,7 @@ use crate::variant::{Encode, Variant};
 
 /// A motion of Robot_Move.
 #[derive(Clone, Copy)]
-pub struct Move<'a> {
+pub struct MoveParameters<'a> {
     /// The interpolation: 1 point to point, 2 line, 3 circle, 4 free curve.
     pub interpolation: i32,
     /// The destination: `"@E P1"`, or an array of numbers, type and pass.
@@ -89,7 +89,7 @@ pub enum Motion {
 /// fails and halts the robot, otherwise it continues to wait.
 pub fn move_and_wait<'a>(
     handles: Handles,
-    motion: Move<'a>,
+    motion: MoveParameters<'a>,
     config: MotionConfig,
 ) -> impl Procedure<Output = Motion, Error = StepError> + use<'a> {
     let steps = MoveSteps {
@@ -121,7 +121,7 @@ const MOVING: i32 = 0b11 << 20;
 
 struct MoveSteps<'a> {
     handles: Handles,
-    motion: Move<'a>,
+    motion: MoveParameters<'a>,
     config: MotionConfig,
     step: Step,
     /// When the time limit passes.

@@ -125,12 +125,12 @@ pub struct Scenario {
     /// The initial state of the controller.
     pub controller: Setup,
     /// The faults. If a call meets several, all happen, in this order.
-    pub faults: Vec<Fault>,
+    pub faults: Vec<ScenarioFault>,
 }
 
 /// A fault: its trigger and its effect.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Fault {
+pub struct ScenarioFault {
     /// When.
     pub when: Trigger,
     /// What.

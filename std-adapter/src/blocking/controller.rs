@@ -7,7 +7,7 @@ use bcap_core::bcap::call::{self, Call, ControllerHandle, Reply};
 use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
 
 use super::robot::Robot;
-use super::session::Session;
+use super::session::ControllerSession;
 use super::socket::{self, Socket};
 use super::stopper::Stopper;
 use super::{Connection, Transport};
@@ -43,7 +43,7 @@ use crate::settings::Settings;
 /// ```
 #[derive(Debug)]
 pub struct Controller {
-    session: Session,
+    session: ControllerSession,
     /// `None` over a stream of the caller.
     address: Option<Address>,
     settings: Settings,
@@ -78,7 +78,7 @@ impl Controller {
         address: Option<Address>,
         settings: &Settings,
     ) -> Result<Self, Error> {
-        Ok(Self { session: Session::start(connection, settings)?, address, settings: settings.clone() })
+        Ok(Self { session: ControllerSession::start(connection, settings)?, address, settings: settings.clone() })
     }
 
     /// Reads a variable of the controller, such as `I1`, `P5`, `IO128` or `@CURRENT_TIME`.

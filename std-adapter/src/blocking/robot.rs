@@ -8,7 +8,7 @@ use bcap_core::position::{Joints, Position};
 use bcap_core::procedure::{self, Handles, Motion, MotionConfig};
 use bcap_core::variant::{Encode, FromVariant};
 
-use super::session::Session;
+use super::session::ControllerSession;
 use crate::error::Error;
 use crate::moves::Move;
 
@@ -17,7 +17,7 @@ use crate::moves::Move;
 /// It cannot move; [`take_arm`](Self::take_arm) returns what can.
 #[derive(Debug)]
 pub struct Robot<'a> {
-    session: &'a mut Session,
+    session: &'a mut ControllerSession,
     handle: RobotHandle,
 }
 
@@ -37,7 +37,7 @@ pub struct Arm<'a> {
 }
 
 impl<'a> Robot<'a> {
-    pub(super) const fn new(session: &'a mut Session, handle: RobotHandle) -> Self {
+    pub(super) const fn new(session: &'a mut ControllerSession, handle: RobotHandle) -> Self {
         Self { session, handle }
     }
 
@@ -135,7 +135,7 @@ impl<'a> Arm<'a> {
     ///
     /// An [`Error`]. If the motion may have begun, the robot was halted, unless the connection is lost.
     pub fn move_to(&mut self, motion: &Move, limit: Duration) -> Result<Motion, Error> {
-        let parameters = procedure::Move {
+        let parameters = procedure::MoveParameters {
             interpolation: motion.interpolation(),
             pose: motion.destination(),
             option: motion.options(),

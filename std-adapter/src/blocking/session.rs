@@ -17,7 +17,7 @@ use crate::{CallError, RunError};
 
 /// A started session.
 #[derive(Debug)]
-pub(super) struct Session {
+pub(super) struct ControllerSession {
     connection: Connection<Socket, Vec<u8>>,
     pub(super) handle: ControllerHandle,
     robot: Option<RobotHandle>,
@@ -28,7 +28,7 @@ pub(super) struct Session {
     lost: bool,
 }
 
-impl Session {
+impl ControllerSession {
     /// Starts the service and connects to the controller.
     pub(super) fn start(mut connection: Connection<Socket, Vec<u8>>, settings: &Settings) -> Result<Self, Error> {
         let service = settings.service.to_text();

@@ -14,7 +14,7 @@ use tokio::time::{Instant, sleep, sleep_until, timeout};
 
 use super::limits::Limits;
 use super::report::Ended;
-use super::shared::{Shared, must_wait};
+use super::shared::{GatewayState, must_wait};
 use crate::connect::set_up_tcp;
 use crate::server::{REFUSALS, refuse_rac};
 
@@ -24,7 +24,7 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 /// Accepts connections until the gateway stops, then waits until running requests are answered.
 pub(super) async fn listen(
     listener: TcpListener,
-    shared: Arc<Shared>,
+    shared: Arc<GatewayState>,
     limits: Limits,
     mut stopped: watch::Receiver<()>,
 ) {
@@ -64,7 +64,7 @@ pub(super) async fn listen(
 /// The slot of a client, which is freed however its task ends.
 struct Seat {
     peer: PeerId,
-    shared: Arc<Shared>,
+    shared: Arc<GatewayState>,
     ended: Option<Ended>,
 }
 

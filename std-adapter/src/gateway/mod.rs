@@ -50,8 +50,8 @@ use bcap_core::gateway::{Counters, Gateway};
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
-use self::robot::Address;
-use self::shared::Shared;
+use self::robot::HostPort;
+use self::shared::GatewayState;
 use crate::connect::{Options, random_serial};
 
 pub use self::limits::Limits;
@@ -60,8 +60,8 @@ pub use self::report::{Ended, Report};
 /// Drives a gateway over the sockets of this machine.
 #[derive(Debug)]
 pub struct Driver {
-    shared: Arc<Shared>,
-    robot: Address,
+    shared: Arc<GatewayState>,
+    robot: HostPort,
     options: Options,
     limits: Limits,
 }
@@ -80,7 +80,7 @@ impl Driver {
         if gateway.config().client.link == Link::Datagram {
             gateway.set_next_serial(random_serial());
         }
-        let shared = Arc::new(Shared::new(gateway, Box::new(log)));
+        let shared = Arc::new(GatewayState::new(gateway, Box::new(log)));
         Self { shared, robot: (host.into(), port), options: Options::default(), limits: Limits::default() }
     }
 

@@ -10,16 +10,16 @@ use tokio::net::{TcpStream, UdpSocket};
 use tokio::task::coop::consume_budget;
 use tokio::time::sleep;
 
-use super::shared::{Shared, must_wait};
+use super::shared::{GatewayState, must_wait};
 use crate::asynch::{connect_datagrams, connect_stream};
 use crate::clock::{now, until};
 use crate::connect::{ConnectError, Options};
 
 /// The host and the port of a robot.
-pub(super) type Address = (String, u16);
+pub(super) type HostPort = (String, u16);
 
 /// Keeps the connection to the robot and the gateway's time.
-pub(super) async fn run(shared: Arc<Shared>, robot: Address, options: Options) -> Infallible {
+pub(super) async fn run(shared: Arc<GatewayState>, robot: HostPort, options: Options) -> Infallible {
     let mut link = None;
     loop {
         // a robot that sends without a pause must not keep the thread
@@ -40,13 +40,13 @@ pub(super) async fn run(shared: Arc<Shared>, robot: Address, options: Options) -
 
 /// A connection to a robot.
 #[derive(Debug)]
-enum Link {
+enum RobotSocket {
     Stream(TcpStream),
     Datagrams(UdpSocket),
 }
 
-impl Link {
-    async fn open(kind: bcap::Link, (host, port): &Address, options: &Options) -> Result<Self, ConnectError> {
+impl RobotSocket {
+    async fn open(kind: bcap::Link, (host, port): &HostPort, options: &Options) -> Result<Self, ConnectError> {
         match kind {
             bcap::Link::Datagram => connect_datagrams((host.as_str(), *port)).await.map(Self::Datagrams),
             _ => connect_stream((host.as_str(), *port), options).await.map(Self::Stream),
@@ -87,9 +87,9 @@ impl Link {
 }
 
 /// Opens the connection, and tells the gateway the outcome.
-async fn open(shared: &Shared, robot: &Address, options: &Options) -> Option<Link> {
+async fn open(shared: &GatewayState, robot: &HostPort, options: &Options) -> Option<RobotSocket> {
     let kind = shared.lock().gateway.config().client.link;
-    let opened = Link::open(kind, robot, options).await;
+    let opened = RobotSocket::open(kind, robot, options).await;
     let inner = &mut *shared.lock();
     match opened {
         Ok(link) => {
@@ -104,7 +104,7 @@ async fn open(shared: &Shared, robot: &Address, options: &Options) -> Option<Lin
 }
 
 /// Waits until something can be done, and moves the bytes that can be moved.
-async fn wait(shared: &Shared, link: Option<Link>) -> Option<Link> {
+async fn wait(shared: &GatewayState, link: Option<RobotSocket>) -> Option<RobotSocket> {
     let (due, sends) = {
         let gateway = &shared.lock().gateway;
         (gateway.poll_timeout(), !gateway.robot_transmit().is_empty())
@@ -124,7 +124,7 @@ async fn wait(shared: &Shared, link: Option<Link>) -> Option<Link> {
 }
 
 /// Moves bytes as soon as some can be moved; an error is the end of the connection. Waits for ever without a connection.
-async fn transfer(shared: &Shared, link: Option<&Link>, sends: bool) -> io::Result<()> {
+async fn transfer(shared: &GatewayState, link: Option<&RobotSocket>, sends: bool) -> io::Result<()> {
     let Some(link) = link else { return std::future::pending().await };
     loop {
         tokio::select! {

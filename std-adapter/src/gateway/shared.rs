@@ -19,7 +19,7 @@ use crate::server::{Admission, SlotState, Slots};
 type Log = Box<dyn FnMut(&Report<'_>) + Send>;
 
 /// A gateway that many tasks use.
-pub(super) struct Shared {
+pub(super) struct GatewayState {
     inner: Mutex<Inner>,
     /// Wakes the robot's task.
     pub(super) robot: Notify,
@@ -42,7 +42,7 @@ struct Client {
     wake: Arc<Notify>,
 }
 
-impl Shared {
+impl GatewayState {
     pub(super) fn new(gateway: Gateway<'static>, log: Log) -> Self {
         let inner = Inner { gateway, clients: HashMap::new(), cause: None, log };
         Self { inner: Mutex::new(inner), robot: Notify::new() }
@@ -132,9 +132,9 @@ impl Inner {
     }
 }
 
-impl fmt::Debug for Shared {
+impl fmt::Debug for GatewayState {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Shared").finish_non_exhaustive()
+        f.debug_struct("GatewayState").finish_non_exhaustive()
     }
 }
 

@@ -56,7 +56,7 @@ use tokio::sync::watch;
 use tokio::task::JoinSet;
 
 use memory::Pool;
-use shared::Shared;
+use shared::ServerState;
 
 pub use admission::{Admission, SlotState, Slots};
 pub use limits::Limits;
@@ -69,7 +69,7 @@ pub(crate) use tcp::REFUSALS;
 /// A server that listens, and serves while it runs.
 #[derive(Debug)]
 pub struct Server<H> {
-    shared: Arc<Shared<H>>,
+    shared: Arc<ServerState<H>>,
     limits: Limits,
     bcap: Vec<TcpListener>,
     udp: Vec<UdpSocket>,
@@ -77,7 +77,7 @@ pub struct Server<H> {
 }
 
 /// Accepts connections of RAC. A function pointer, so that a handler needs to implement RAC only if it serves it.
-type ListenRac<H> = fn(TcpListener, Arc<Shared<H>>, Limits, watch::Receiver<()>) -> Listening;
+type ListenRac<H> = fn(TcpListener, Arc<ServerState<H>>, Limits, watch::Receiver<()>) -> Listening;
 type Listening = Pin<Box<dyn Future<Output = io::Result<()>> + Send>>;
 
 /// The addresses that a server listens on.
@@ -103,7 +103,7 @@ impl<H: Handler + Send + 'static> Server<H> {
     /// The server holds the lock for the time of one call; other code must be as short.
     #[must_use]
     pub fn with_shared(handler: Arc<Mutex<H>>) -> Self {
-        let shared = Arc::new(Shared::new(handler));
+        let shared = Arc::new(ServerState::new(handler));
         Self { shared, limits: Limits::default(), bcap: Vec::new(), udp: Vec::new(), rac: Vec::new() }
     }
 

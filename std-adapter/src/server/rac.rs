@@ -13,14 +13,14 @@ use tokio::sync::watch;
 use tokio::time::timeout;
 
 use super::limits::Limits;
-use super::shared::Shared;
+use super::shared::ServerState;
 use super::stream;
 use super::tcp::{REFUSAL_TIME, accept};
 
 /// Accepts connections until the server stops.
 pub(super) async fn listen<H: Handler + Send + 'static>(
     listener: TcpListener,
-    shared: Arc<Shared<H>>,
+    shared: Arc<ServerState<H>>,
     limits: Limits,
     stopped: watch::Receiver<()>,
 ) -> io::Result<()> {

@@ -1,6 +1,6 @@
 //! State that all tasks of a server share: the handler, the peer numbers, and change notifications.
 //!
-//! A call that waits is resumed when another request has changed something. [`Shared::notify_change`] signals such a change,
+//! A call that waits is resumed when another request has changed something. [`ServerState::notify_change`] signals such a change,
 //! and a task receives it through its [`Changes`].
 
 use std::any::Any;
@@ -22,7 +22,7 @@ use crate::clock::{now, until};
 
 /// The handler, which many tasks call one at a time, and the state around it.
 #[derive(Debug)]
-pub(super) struct Shared<H> {
+pub(super) struct ServerState<H> {
     handler: Arc<Mutex<H>>,
     next_peer: AtomicU32,
     /// The number of requests whose handler waits.
@@ -39,7 +39,7 @@ pub(super) struct Shared<H> {
 /// no bytes, nothing is sent; if it returns `Break`, the connection is closed.
 pub type Tap<H> = fn(&mut H, PeerId, &mut Vec<u8>) -> ControlFlow<()>;
 
-impl<H> Shared<H> {
+impl<H> ServerState<H> {
     pub(super) fn new(handler: Arc<Mutex<H>>) -> Self {
         Self {
             handler,
@@ -213,7 +213,7 @@ pub(super) enum Tapped {
 /// A task's subscription to changes.
 #[derive(Debug)]
 pub(super) struct Changes<H> {
-    shared: Arc<Shared<H>>,
+    shared: Arc<ServerState<H>>,
     /// The number of changes when the handler was called last.
     seen: usize,
     /// The number of requests of this task whose handler waits.
@@ -280,8 +280,8 @@ impl<H> Drop for Changes<H> {
 mod tests {
     use super::*;
 
-    fn shared() -> Arc<Shared<()>> {
-        Arc::new(Shared::new(Arc::default()))
+    fn shared() -> Arc<ServerState<()>> {
+        Arc::new(ServerState::new(Arc::default()))
     }
 
     /// Returns whether a change is received within 100 ms.

@@ -14,7 +14,7 @@ use tokio::time::timeout;
 
 use super::admission::Activity;
 use super::limits::Limits;
-use super::shared::{Changes, Locking, Shared, Tapped};
+use super::shared::{Changes, Locking, ServerState, Tapped};
 use crate::clock::{now, until};
 use crate::connect::STREAM_ROOM;
 
@@ -40,7 +40,7 @@ pub(super) async fn serve<H: Send + 'static, M: ServeLocked<H> + 'static>(
     stream: TcpStream,
     session: M,
     peer: PeerId,
-    shared: Arc<Shared<H>>,
+    shared: Arc<ServerState<H>>,
     limits: Limits,
     activity: Arc<Activity>,
     mut stopped: watch::Receiver<()>,
@@ -82,7 +82,7 @@ pub(super) async fn serve<H: Send + 'static, M: ServeLocked<H> + 'static>(
 struct Connection<H> {
     stream: TcpStream,
     peer: PeerId,
-    shared: Arc<Shared<H>>,
+    shared: Arc<ServerState<H>>,
     changes: Changes<H>,
     limits: Limits,
     activity: Arc<Activity>,

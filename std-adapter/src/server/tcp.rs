@@ -19,7 +19,7 @@ use tokio::time::timeout;
 use super::admission::{Activity, Admission, Slots};
 use super::limits::Limits;
 use super::memory::{Buffer, Pool};
-use super::shared::Shared;
+use super::shared::ServerState;
 use super::stream;
 use crate::clock::now;
 use crate::connect::set_up_tcp;
@@ -37,7 +37,7 @@ type StreamSession = Session<Buffer, Buffer, OBJECTS>;
 /// Accepts connections until the server stops.
 pub(super) async fn listen<H: Handler + Send + 'static>(
     listener: TcpListener,
-    shared: Arc<Shared<H>>,
+    shared: Arc<ServerState<H>>,
     pool: Pool,
     limits: Limits,
     stopped: watch::Receiver<()>,

@@ -20,7 +20,7 @@ use tokio::sync::watch;
 
 use super::admission::{Admission, SlotState};
 use super::limits::Limits;
-use super::shared::{Changes, Shared, Tapped};
+use super::shared::{Changes, ServerState, Tapped};
 use crate::clock::{now, until};
 
 /// The maximum number of open handles of one peer.
@@ -50,7 +50,7 @@ impl Peer {
 /// Serves a socket until the server stops.
 pub(super) async fn serve<H: Handler + Send + 'static>(
     socket: UdpSocket,
-    shared: Arc<Shared<H>>,
+    shared: Arc<ServerState<H>>,
     limits: Limits,
     mut stopped: watch::Receiver<()>,
 ) -> io::Result<()> {
@@ -78,7 +78,7 @@ pub(super) async fn serve<H: Handler + Send + 'static>(
 
 struct Peers<H> {
     socket: UdpSocket,
-    shared: Arc<Shared<H>>,
+    shared: Arc<ServerState<H>>,
     changes: Changes<H>,
     limits: Limits,
     known: HashMap<SocketAddr, Peer>,

@@ -10,7 +10,7 @@
 mod tcp;
 mod udp;
 
-pub use self::tcp::{Fault, Script, Step, TcpProxy};
+pub use self::tcp::{Script, Step, StreamFault, TcpProxy};
 pub use self::udp::{Counts, UdpProxy};
 
 use std::net::SocketAddr;

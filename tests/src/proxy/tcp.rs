@@ -16,7 +16,7 @@ use bcap_testkit::network::Random;
 
 /// A fault in one direction of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Fault {
+pub enum StreamFault {
     /// From here on, delivers bytes one at a time.
     Split,
     /// From here on, merges bytes that arrive within this time.
@@ -41,7 +41,7 @@ pub struct Step {
     /// The number of bytes of this direction before it.
     pub at: u64,
     /// The fault at this position.
-    pub fault: Fault,
+    pub fault: StreamFault,
 }
 
 /// The faults of a connection, in the order of the bytes.
@@ -56,13 +56,13 @@ pub struct Script {
 impl Script {
     /// Returns a script with one fault, from the first byte on, both ways.
     #[must_use]
-    pub fn always(fault: Fault) -> Self {
+    pub fn always(fault: StreamFault) -> Self {
         let steps = vec![Step { at: 0, fault }];
         Self { to_server: steps.clone(), to_client: steps }
     }
 
-    /// Returns a script of up to six faults each way within the first `bytes`; without [`Corrupt`](Fault::Corrupt) and
-    /// [`Repeat`](Fault::Repeat) unless `lies`, so that every delivered byte is correct.
+    /// Returns a script of up to six faults each way within the first `bytes`; without [`Corrupt`](StreamFault::Corrupt) and
+    /// [`Repeat`](StreamFault::Repeat) unless `lies`, so that every delivered byte is correct.
     #[must_use]
     pub fn random(random: &mut Random, bytes: u64, lies: bool) -> Self {
         Self { to_server: random_steps(random, bytes, lies), to_client: random_steps(random, bytes, lies) }
@@ -74,14 +74,14 @@ fn random_steps(random: &mut Random, bytes: u64, lies: bool) -> Vec<Step> {
         .map(|_| {
             let time = Duration::from_millis(random.below(30));
             let fault = match random.below(if lies { 10 } else { 8 }) {
-                0 | 1 => Fault::Split,
-                2 => Fault::Merge(time),
-                3 => Fault::Plain,
-                4 | 5 => Fault::Stall(time),
-                6 => Fault::Cut,
-                7 => Fault::Reset,
-                8 => Fault::Repeat(1 + random.below(40) as usize),
-                _ => Fault::Corrupt(1 << random.below(8)),
+                0 | 1 => StreamFault::Split,
+                2 => StreamFault::Merge(time),
+                3 => StreamFault::Plain,
+                4 | 5 => StreamFault::Stall(time),
+                6 => StreamFault::Cut,
+                7 => StreamFault::Reset,
+                8 => StreamFault::Repeat(1 + random.below(40) as usize),
+                _ => StreamFault::Corrupt(1 << random.below(8)),
             };
             Step { at: random.below(bytes), fault }
         })
@@ -159,7 +159,7 @@ struct Pump<'a> {
     to: WriteHalf<'a>,
     steps: VecDeque<Step>,
     passed: u64,
-    pieces: Fault,
+    pieces: StreamFault,
     turned: u8,
     /// The last bytes that were sent.
     last: Vec<u8>,
@@ -167,7 +167,7 @@ struct Pump<'a> {
 
 impl<'a> Pump<'a> {
     fn new(from: ReadHalf<'a>, to: WriteHalf<'a>, steps: Vec<Step>) -> Self {
-        Self { from, to, steps: steps.into(), passed: 0, pieces: Fault::Plain, turned: 0, last: Vec::new() }
+        Self { from, to, steps: steps.into(), passed: 0, pieces: StreamFault::Plain, turned: 0, last: Vec::new() }
     }
 
     async fn run(mut self) -> End {
@@ -207,15 +207,15 @@ impl<'a> Pump<'a> {
         while let Some(step) = self.steps.front().copied().filter(|step| step.at <= self.passed) {
             self.steps.pop_front();
             match step.fault {
-                Fault::Split | Fault::Merge(_) | Fault::Plain => self.pieces = step.fault,
-                Fault::Stall(time) => sleep(time).await,
-                Fault::Repeat(count) => {
+                StreamFault::Split | StreamFault::Merge(_) | StreamFault::Plain => self.pieces = step.fault,
+                StreamFault::Stall(time) => sleep(time).await,
+                StreamFault::Repeat(count) => {
                     let from = self.last.len().saturating_sub(count);
                     self.to.write_all(&self.last[from..]).await?;
                 }
-                Fault::Corrupt(bits) => self.turned ^= bits,
-                Fault::Cut => return Ok(Some(End::Cut)),
-                Fault::Reset => return Ok(Some(End::Reset)),
+                StreamFault::Corrupt(bits) => self.turned ^= bits,
+                StreamFault::Cut => return Ok(Some(End::Cut)),
+                StreamFault::Reset => return Ok(Some(End::Reset)),
             }
         }
         Ok(None)
@@ -224,7 +224,7 @@ impl<'a> Pump<'a> {
     async fn read(&mut self) -> io::Result<Vec<u8>> {
         let mut buffer = vec![0; 4096];
         let mut len = self.from.read(&mut buffer).await?;
-        if let Fault::Merge(time) = self.pieces {
+        if let StreamFault::Merge(time) = self.pieces {
             let until = Instant::now() + time;
             while 0 < len && len < buffer.len() {
                 match timeout_at(until, self.from.read(&mut buffer[len..])).await {
@@ -243,7 +243,7 @@ impl<'a> Pump<'a> {
         if let Some(first) = bytes.first_mut() {
             *first ^= std::mem::take(&mut self.turned);
         }
-        if self.pieces == Fault::Split {
+        if self.pieces == StreamFault::Split {
             for byte in &bytes {
                 self.to.write_all(&[*byte]).await?;
                 tokio::task::yield_now().await;

@@ -8,7 +8,7 @@ use bcap_core::bcap::Object;
 use bcap_core::bcap::call;
 use bcap_core::bcap::client::Timing;
 use bcap_core::procedure::{
-    Motion, MotionConfig, Move, PathStep, Provider, give_arm, move_and_wait, open, open_path, open_robot,
+    Motion, MotionConfig, MoveParameters, PathStep, Provider, give_arm, move_and_wait, open, open_path, open_robot,
     prepare_robot, read_variable, release, release_controller, release_robot, write_variable,
 };
 use bcap_core::slave::{
@@ -24,7 +24,7 @@ fn short() -> Timing {
     Timing { attempt_timeout: Duration::from_millis(16), attempts: 3, ..usual(Link::Datagram) }
 }
 
-const MOVE: Move<'_> = Move { interpolation: 1, pose: &"J(0.5,45,90,0,45,0)", option: "NEXT" };
+const MOVE: MoveParameters<'_> = MoveParameters { interpolation: 1, pose: &"J(0.5,45,90,0,45,0)", option: "NEXT" };
 
 fn config() -> MotionConfig {
     MotionConfig::within(Duration::from_secs(10))

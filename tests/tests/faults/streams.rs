@@ -9,7 +9,7 @@ use bcap_core::io::CallError;
 use bcap_std::server::Limits;
 use bcap_std::{Options, asynch, blocking};
 use bcap_testkit::network::{Random, answer_to};
-use bcap_tests::proxy::{Fault, Script, Step, TcpProxy};
+use bcap_tests::proxy::{Script, Step, StreamFault, TcpProxy};
 use bcap_tests::served::Served;
 
 /// How a call has ended.
@@ -80,7 +80,8 @@ fn sessions(proxy: &TcpProxy, options: &Options, tokens: i32) -> Result<i32, Out
 fn a_stream_in_any_pieces_carries_every_call() {
     let server = Served::start(Limits::default());
     let millis = Duration::from_millis;
-    for fault in [Fault::Plain, Fault::Split, Fault::Merge(millis(3)), Fault::Stall(millis(50))] {
+    for fault in [StreamFault::Plain, StreamFault::Split, StreamFault::Merge(millis(3)), StreamFault::Stall(millis(50))]
+    {
         let proxy = TcpProxy::start(server.tcp, move |_| Script::always(fault));
         assert_eq!(sessions(&proxy, &options(PATIENT), 30), Ok(30), "{fault:?}");
     }
@@ -93,7 +94,7 @@ const BYTES: u64 = 220;
 #[test]
 fn a_connection_that_ends_at_every_third_byte_ends_its_call_and_leaves_nothing() {
     let server = Served::start(Limits::default());
-    for fault in [Fault::Cut, Fault::Reset] {
+    for fault in [StreamFault::Cut, StreamFault::Reset] {
         for at in (0..BYTES).step_by(3) {
             let step = vec![Step { at, fault }];
             let to_server = Script { to_server: step.clone(), ..Script::default() };
@@ -111,7 +112,7 @@ fn a_connection_that_ends_at_every_third_byte_ends_its_call_and_leaves_nothing()
 #[test]
 fn a_stall_beyond_the_timeout_costs_its_call_and_not_the_next() {
     let server = Served::start(Limits::default());
-    let stall = |at| vec![Step { at, fault: Fault::Stall(Duration::from_secs(2)) }];
+    let stall = |at| vec![Step { at, fault: StreamFault::Stall(Duration::from_secs(2)) }];
     // in the middle of the third request, and of the fourth reply
     for script in
         [Script { to_server: stall(190), ..Script::default() }, Script { to_client: stall(90), ..Script::default() }]
@@ -157,8 +158,11 @@ fn bytes_that_are_changed_or_doubled_end_the_call_or_the_connection_and_nothing_
     let mut seen = [0; 3];
     for seed in 1000..1100 {
         let at = Random(seed).below(700);
-        let fault =
-            if seed % 2 == 0 { Fault::Corrupt(1 << (seed / 2 % 8)) } else { Fault::Repeat(1 + seed as usize % 40) };
+        let fault = if seed % 2 == 0 {
+            StreamFault::Corrupt(1 << (seed / 2 % 8))
+        } else {
+            StreamFault::Repeat(1 + seed as usize % 40)
+        };
         let step = vec![Step { at, fault }];
         let script = match seed % 4 < 2 {
             true => Script { to_server: step, ..Script::default() },

@@ -6,7 +6,7 @@ use bcap_core::time::Instant;
 use serde::Deserialize;
 
 use super::section::{ModeName, SetupEntry, TokenName, read_code};
-use super::{Effect, Fault, Scenario, ScenarioError, Trigger, Which, WireFault};
+use super::{Effect, Scenario, ScenarioError, ScenarioFault, Trigger, Which, WireFault};
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -74,13 +74,13 @@ impl Scenario {
 }
 
 impl FaultEntry {
-    fn read(self) -> Result<Fault, &'static str> {
+    fn read(self) -> Result<ScenarioFault, &'static str> {
         let (when, then) = (self.when.read()?, self.then.read()?);
         let of_calls = matches!(then, Effect::Refuse(_) | Effect::Delay(_) | Effect::Wire(_));
         if of_calls && !matches!(when, Trigger::Call { .. }) {
             return Err("what concerns the answer of a call needs `when` to be call, every or chance");
         }
-        Ok(Fault { when, then })
+        Ok(ScenarioFault { when, then })
     }
 }
 

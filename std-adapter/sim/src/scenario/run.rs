@@ -9,7 +9,7 @@ use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 
-use super::{Delivery, Effect, Fault, Scenario, Trigger, Which, WireFault};
+use super::{Delivery, Effect, Scenario, ScenarioFault, Trigger, Which, WireFault};
 use crate::function::command_of;
 
 /// A scenario being played.
@@ -26,7 +26,7 @@ pub(crate) struct Running {
 /// A fault and its progress.
 #[derive(Clone, Debug)]
 struct Armed {
-    fault: Fault,
+    fault: ScenarioFault,
     /// The number of calls that it has counted.
     calls: u64,
     /// It will not happen again.
