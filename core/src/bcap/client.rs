@@ -672,15 +672,13 @@ struct Flood {
 }
 
 impl Flood {
-    /// Microseconds per token.
-    const INTERVAL: u64 = 20_000;
-    const BURST: u64 = 256 * Self::INTERVAL;
+    const INTERVAL: Duration = Duration::from_millis(20);
+    const BURST: Duration = Duration::from_millis(20 * 256);
 
     /// Takes a token; returns `true` if the bucket is empty.
     fn is_over(&mut self, now: Instant) -> bool {
-        let full_at = later(self.full_at.max(now), Self::INTERVAL);
-        // in microseconds: a `Duration` would cost a board a division of 64 bits
-        if full_at.as_micros().saturating_sub(now.as_micros()) > Self::BURST {
+        let full_at = self.full_at.max(now).saturating_add(Self::INTERVAL);
+        if full_at.saturating_since(now) > Self::BURST {
             return true;
         }
         self.full_at = full_at;
