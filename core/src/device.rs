@@ -101,22 +101,20 @@ impl<S, const N: usize> Device<S, N> {
     }
 
     /// Returns the variable of a handle.
-    fn of_handle(&self, handle: i32) -> Option<DeviceVariable<S>> {
+    fn of_handle(&self, handle: i32) -> Option<&DeviceVariable<S>> {
         let slot = handle.cast_unsigned().checked_rem(Self::slots())?.checked_sub(1)?;
-        let variable = self.variables.get(usize::try_from(slot).ok()?)?;
-        Some(DeviceVariable { ..*variable })
+        self.variables.get(usize::try_from(slot).ok()?)
     }
 
-    fn get(&self, variable: Option<DeviceVariable<S>>, reply: &mut ReplyValue<'_>) -> HResult {
+    fn get(&self, variable: Option<&DeviceVariable<S>>, reply: &mut ReplyValue<'_>) -> HResult {
         let Some(variable) = variable else { return HResult::E_CAO_OBJECT_NOTFOUND };
         (variable.get)(&self.state, reply).map_or(HResult::E_TOO_MUCH_DATA, |()| HResult::S_OK)
     }
+}
 
-    fn put(&mut self, variable: Option<DeviceVariable<S>>, value: Variant<'_>) -> HResult {
-        let Some(variable) = variable else { return HResult::E_CAO_OBJECT_NOTFOUND };
-        let Some(put) = variable.put else { return HResult::E_ACCESSDENIED };
-        put(&mut self.state, value).err().unwrap_or(HResult::S_OK)
-    }
+/// Returns the function that writes a variable, or the code of the refusal.
+fn put_of<S>(variable: Option<&DeviceVariable<S>>) -> Result<Put<S>, HResult> {
+    variable.ok_or(HResult::E_CAO_OBJECT_NOTFOUND)?.put.ok_or(HResult::E_ACCESSDENIED)
 }
 
 impl<S, const N: usize> Handler for Device<S, N> {
@@ -139,7 +137,12 @@ impl<S, const N: usize> Handler for Device<S, N> {
             }
             FunctionId::VARIABLE_GET_VALUE => return self.get(self.of_handle(request.handle()), reply).into(),
             FunctionId::VARIABLE_PUT_VALUE => {
-                return self.put(self.of_handle(request.handle()), request.value(1)).into();
+                let put = put_of(self.of_handle(request.handle()));
+                return put
+                    .and_then(|put| put(&mut self.state, request.value(1)))
+                    .err()
+                    .unwrap_or(HResult::S_OK)
+                    .into();
             }
             // the server has checked the handle, and forgets it
             function if matches!(function.releases(), Some(Object::Controller | Object::Variable)) => Ok(()),
@@ -153,9 +156,8 @@ impl<S, const N: usize> rac::server::Handler for Device<S, N> {
     fn call(&mut self, _: PeerId, request: &rac::Request<'_>, reply: &mut ReplyValue<'_>, _: Instant) -> Outcome {
         let wanted = request.variable();
         let variable = self.variables.iter().find(|variable| variable.is(wanted));
-        let variable = variable.map(|variable| DeviceVariable { ..*variable });
         match request.value() {
-            Some(value) => self.put(variable, value),
+            Some(value) => put_of(variable).and_then(|put| put(&mut self.state, value)).err().unwrap_or(HResult::S_OK),
             None => self.get(variable, reply),
         }
         .into()

@@ -9,7 +9,8 @@
 //!
 //! Each type converts from an array of any numbers ([`FromVariant`]) and is sent as an array of R4, which is what a variable
 //! takes ([`Encode`]). R4 has 24 bits: a number near 1000 is rounded by at most 0.00003. [`target`](Position::target) makes
-//! the destination of Robot_Move, in R8. Neither sends a NaN or an infinite number. The poses of Slave Mode ([`slave::Pose`](crate::slave::Pose)) are made of each type with `From`.
+//! the destination of Robot_Move, in R8. Neither sends a NaN or an infinite number. `From` makes a pose of Slave Mode
+//! ([`slave::Pose`](crate::slave::Pose)) from each type.
 //!
 //! # Orientation
 //!

@@ -5,53 +5,54 @@ use std::str::FromStr;
 
 use bcap_core::bcap;
 
-/// The address of a controller's b-CAP server.
+/// The transport protocol of an [`Address`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Protocol {
+    /// TCP.
+    Tcp,
+    /// UDP.
+    Udp,
+}
+
+/// The address of a controller's server.
 ///
-/// A host is a name, an IPv4 address, or an IPv6 address in brackets. Without a port it is 5007.
+/// A host is a name, an IPv4 address, or an IPv6 address in brackets. Without a port it is 5007, the port of b-CAP.
 ///
 /// # Examples
 ///
 /// ```
-/// use bcap_std::Address;
+/// use bcap_std::{Address, Protocol};
 ///
 /// let address: Address = "udp:192.168.0.1".parse()?;
-/// assert_eq!(address, Address::Udp { host: "192.168.0.1".into(), port: 5007 });
+/// assert_eq!((address.protocol, address.host.as_str(), address.port), (Protocol::Udp, "192.168.0.1", 5007));
 /// assert_eq!("tcp:[fe80::1]:5008".parse::<Address>()?.to_string(), "tcp:[fe80::1]:5008");
 /// # Ok::<(), bcap_std::AddressError>(())
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-#[non_exhaustive]
-pub enum Address {
-    /// b-CAP over TCP.
-    Tcp {
-        /// A name, or an IP address without brackets.
-        host: String,
-        /// The port.
-        port: u16,
-    },
-    /// b-CAP over UDP.
-    Udp {
-        /// A name, or an IP address without brackets.
-        host: String,
-        /// The port.
-        port: u16,
-    },
+pub struct Address {
+    /// The protocol.
+    pub protocol: Protocol,
+    /// A name, or an IP address without brackets.
+    pub host: String,
+    /// The port.
+    pub port: u16,
 }
 
-/// A text is not an [`Address`].
+/// A text is not an [`Address`]. Its message contains the text, what is wrong, and what to write.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{text:?} is no address: {reason}; write tcp:HOST[:PORT] or udp:HOST[:PORT], such as tcp:192.168.0.1")]
-pub struct AddressError {
-    text: String,
-    reason: &'static str,
-}
+#[error("{0}")]
+pub struct AddressError(String);
 
 impl Address {
-    /// Returns host and port.
-    pub(crate) fn host(&self) -> (&str, u16) {
-        match self {
-            Self::Tcp { host, port } | Self::Udp { host, port } => (host, *port),
-        }
+    /// Parses `[tcp:|udp:]HOST[:PORT]`, with TCP and `port` for missing parts.
+    ///
+    /// # Errors
+    ///
+    /// An [`AddressError`].
+    pub fn parse_or_tcp(text: &str, port: u16) -> Result<Self, AddressError> {
+        let (protocol, rest) = split_protocol(text);
+        let (host, found) = split_port(text, rest).map_err(AddressError)?;
+        Ok(Self { protocol: protocol.unwrap_or(Protocol::Tcp), host, port: found.unwrap_or(port) })
     }
 }
 
@@ -59,48 +60,62 @@ impl FromStr for Address {
     type Err = AddressError;
 
     fn from_str(text: &str) -> Result<Self, AddressError> {
-        let error = |reason| AddressError { text: text.to_owned(), reason };
-        let (scheme, rest) = text.split_once(':').ok_or_else(|| error("it does not name the transport"))?;
-        let (host, port) = split_port(rest).map_err(error)?;
-        let host = host.to_owned();
-        match scheme.to_ascii_lowercase().as_str() {
-            "tcp" => Ok(Self::Tcp { host, port }),
-            "udp" => Ok(Self::Udp { host, port }),
-            _ => Err(error("the transport is neither tcp nor udp")),
+        if split_protocol(text).0.is_none() {
+            let error = format!("{text}: write tcp:HOST[:PORT] or udp:HOST[:PORT], such as tcp:192.168.0.1");
+            return Err(AddressError(error));
         }
+        Self::parse_or_tcp(text, bcap::PORT)
     }
 }
 
-/// Splits `HOST[:PORT]`, and removes the brackets of an IPv6 address.
-fn split_port(text: &str) -> Result<(&str, u16), &'static str> {
-    let (host, port) = match text.strip_prefix('[').map(|rest| rest.split_once(']').ok_or("a bracket is not closed")) {
+/// Splits off `tcp:` or `udp:`.
+fn split_protocol(text: &str) -> (Option<Protocol>, &str) {
+    match text.split_once(':') {
+        Some((protocol, rest)) if protocol.eq_ignore_ascii_case("tcp") => (Some(Protocol::Tcp), rest),
+        Some((protocol, rest)) if protocol.eq_ignore_ascii_case("udp") => (Some(Protocol::Udp), rest),
+        _ => (None, text),
+    }
+}
+
+/// Splits `HOST[:PORT]`; `text` is the whole address, for messages.
+fn split_port(text: &str, rest: &str) -> Result<(String, Option<u16>), String> {
+    let (host, port) = match rest.strip_prefix('[') {
         Some(bracketed) => {
-            let (host, port) = bracketed?;
-            (host, if port.is_empty() { None } else { Some(port.strip_prefix(':').ok_or("the port needs a colon")?) })
+            let missing = || format!("{text}: the ] is missing; write an IPv6 address as tcp:[fe80::1]:5007");
+            let (host, after) = bracketed.split_once(']').ok_or_else(missing)?;
+            match (after, after.strip_prefix(':')) {
+                ("", _) => (host, None),
+                (_, Some(port)) => (host, Some(port)),
+                _ => return Err(format!("{text}: only :PORT may follow the ]")),
+            }
         }
-        None => match text.rsplit_once(':') {
-            Some((host, _)) if host.contains(':') => return Err("an IPv6 address stands in brackets"),
+        None if rest.matches(':').count() > 1 => {
+            return Err(format!("{text}: write an IPv6 address in brackets, such as tcp:[fe80::1]:5007"));
+        }
+        None => match rest.split_once(':') {
             Some((host, port)) => (host, Some(port)),
-            None => (text, None),
+            None => (rest, None),
         },
     };
     if host.is_empty() {
-        return Err("the host is missing");
+        return Err(format!("{text}: the host is missing; write a name or an IP address"));
     }
-    match port.map(str::parse) {
-        None => Ok((host, bcap::PORT)),
-        Some(Ok(port)) if port > 0 => Ok((host, port)),
-        Some(_) => Err("the port is not a number from 1 to 65535"),
-    }
+    let port = port.map(|port| match port.parse::<u16>() {
+        Ok(number) if number > 0 => Ok(number),
+        _ => Err(format!("{text}: {port:?} is not a port; write a number from 1 to 65535")),
+    });
+    Ok((host.to_owned(), port.transpose()?))
 }
 
+/// Writes the address as it is parsed.
 impl fmt::Display for Address {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (scheme, (host, port)) = match self {
-            Self::Tcp { .. } => ("tcp", self.host()),
-            Self::Udp { .. } => ("udp", self.host()),
+        let Self { host, port, .. } = self;
+        let protocol = match self.protocol {
+            Protocol::Tcp => "tcp",
+            Protocol::Udp => "udp",
         };
-        if host.contains(':') { write!(f, "{scheme}:[{host}]:{port}") } else { write!(f, "{scheme}:{host}:{port}") }
+        if host.contains(':') { write!(f, "{protocol}:[{host}]:{port}") } else { write!(f, "{protocol}:{host}:{port}") }
     }
 }
 
@@ -109,31 +124,39 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_address_is_read_and_written() {
-        for (text, written) in [
-            ("TCP:robot", "tcp:robot:5007"),
-            ("tcp:10.0.0.1:80", "tcp:10.0.0.1:80"),
-            ("udp:[::1]", "udp:[::1]:5007"),
-            ("udp:[::1]:9", "udp:[::1]:9"),
+    fn addresses_are_read() {
+        for (text, shown) in [
+            ("tcp:192.168.0.1", "tcp:192.168.0.1:5007"),
+            ("udp:robot.local:6000", "udp:robot.local:6000"),
+            ("TCP:[::1]", "tcp:[::1]:5007"),
+            ("udp:[fe80::1]:7", "udp:[fe80::1]:7"),
         ] {
-            assert_eq!(text.parse::<Address>().unwrap().to_string(), written);
+            let address: Address = text.parse().unwrap();
+            assert_eq!(address.to_string(), shown);
+            assert_eq!(shown.parse(), Ok(address));
         }
+        let short = |text| Address::parse_or_tcp(text, 5006).unwrap().to_string();
+        assert_eq!(short("192.168.0.1"), "tcp:192.168.0.1:5006");
+        assert_eq!(short("robot:7000"), "tcp:robot:7000");
+        assert_eq!(short("tcp:[::1]:7000"), "tcp:[::1]:7000");
     }
 
     #[test]
-    fn a_wrong_address_says_what_is_wrong() {
-        for (text, reason) in [
-            ("192.168.0.1", "it does not name the transport"),
-            ("http:robot", "the transport is neither tcp nor udp"),
-            ("tcp:", "the host is missing"),
-            ("tcp:::1", "an IPv6 address stands in brackets"),
-            ("tcp:[::1", "a bracket is not closed"),
-            ("tcp:[::1]5", "the port needs a colon"),
-            ("tcp:robot:0", "the port is not a number from 1 to 65535"),
-            ("tcp:robot:x", "the port is not a number from 1 to 65535"),
+    fn errors_name_the_wrong_part_of_an_address() {
+        for (text, word) in [
+            ("192.168.0.1", "tcp:HOST"),
+            ("com:1", "tcp:HOST"),
+            ("tcp:", "host is missing"),
+            ("tcp::5007", "host is missing"),
+            ("tcp:a:b", "\"b\" is not a port"),
+            ("tcp:a:0", "not a port"),
+            ("tcp:a:65536", "not a port"),
+            ("tcp:fe80::1", "brackets"),
+            ("tcp:[::1", "]"),
+            ("tcp:[::1]5007", "only :PORT may follow the ]"),
         ] {
-            let error = text.parse::<Address>().unwrap_err();
-            assert_eq!(error.to_string().split("; ").next().unwrap(), format!("{text:?} is no address: {reason}"));
+            let error = text.parse::<Address>().unwrap_err().to_string();
+            assert!(error.contains(word) && error.starts_with(text), "{error}");
         }
     }
 }

@@ -47,7 +47,7 @@ pub mod server;
 mod settings;
 pub mod slave;
 
-pub use address::{Address, AddressError};
+pub use address::{Address, AddressError, Protocol};
 pub use clock::now;
 pub use connect::{ConnectError, Options};
 pub use error::Error;

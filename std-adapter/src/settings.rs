@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use bcap_core::bcap::client::Timing;
+use bcap_core::bcap::server::StartOptions;
 use bcap_core::procedure::Provider;
 
 use crate::connect::Options;
@@ -48,7 +49,7 @@ impl Default for ServiceOptions {
 }
 
 /// The minimum of both options.
-const MIN: Duration = Duration::from_millis(80);
+const MIN: Duration = StartOptions::MIN;
 
 impl ServiceOptions {
     /// Sets the interval of keep-alives; less than 80 ms becomes 80 ms.

@@ -10,7 +10,7 @@
 //!  Currency, OleDate, CivilTime   CY, DATE, DATE within the years 100 to 9999
 //!  HResult                        ERROR; I4, as GetCurErrorInfo sends codes
 //!  ()                             EMPTY, NULL
-//!  Option<T>                      EMPTY and NULL are None, others as T
+//!  Option<T>                      EMPTY and NULL give None, other values convert to T
 //!  [T; N], tuples of 1 to 8       an array of any VARTYPE with exactly this number of elements
 //!  Vec<T>                         an array of any VARTYPE; needs `alloc`
 //!  Variant, OwnedVariant          any value; OwnedVariant needs `alloc`

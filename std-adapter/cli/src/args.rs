@@ -17,7 +17,8 @@ use crate::error::Failure;
 use crate::escape;
 use crate::frame::Role;
 use crate::rules::AllowPut;
-use crate::target::Target;
+use crate::target;
+use bcap_std::Address;
 
 /// Talks to DENSO robot controllers over b-CAP and RAC, and decodes their traffic.
 #[derive(Debug, Parser)]
@@ -103,13 +104,13 @@ pub(crate) struct LinkArgs {
 
 impl LinkArgs {
     /// Returns the controller's address for b-CAP.
-    pub(crate) fn target(&self) -> Result<Target, Failure> {
-        Target::bcap(self.robot.as_deref())
+    pub(crate) fn target(&self) -> Result<Address, Failure> {
+        target::bcap(self.robot.as_deref())
     }
 
     /// Returns the controller's address for RAC.
-    pub(crate) fn rac_target(&self) -> Result<Target, Failure> {
-        Target::rac(self.robot.as_deref())
+    pub(crate) fn rac_target(&self) -> Result<Address, Failure> {
+        target::rac(self.robot.as_deref())
     }
 
     /// Returns the time limit for connecting, and for each answer or keep-alive.

@@ -16,8 +16,8 @@ use bcap_std::{CallError, ConnectError, Options};
 
 use crate::budget::Budget;
 use crate::error::Failure;
-use crate::target::{Target, Transport};
 use crate::value::Value;
+use bcap_std::{Address, Protocol};
 
 /// The attempts of a call over UDP (S2:1493).
 const UDP_ATTEMPTS: u8 = 5;
@@ -25,7 +25,7 @@ const UDP_ATTEMPTS: u8 = 5;
 /// A connection that calls functions by their number.
 pub(crate) struct Connection {
     client: Client,
-    target: Target,
+    target: Address,
     /// The time limits of further calls.
     pub(crate) budget: Budget,
 }
@@ -55,13 +55,13 @@ impl Call for AnyCall<'_> {
 
 impl Connection {
     /// Connects. Over UDP nothing is sent before the first call.
-    pub(crate) fn open(target: &Target, budget: Budget) -> Result<Self, Failure> {
+    pub(crate) fn open(target: &Address, budget: Budget) -> Result<Self, Failure> {
         let addresses = addresses(target, &budget)?;
-        let client = match target.transport {
-            Transport::Tcp => first(&addresses, target, &budget, |address, options| {
+        let client = match target.protocol {
+            Protocol::Tcp => first(&addresses, target, &budget, |address, options| {
                 blocking::connect_tcp(address, options).map(Client::Tcp)
             }),
-            Transport::Udp => first(&addresses, target, &budget, |address, options| {
+            Protocol::Udp => first(&addresses, target, &budget, |address, options| {
                 blocking::connect_udp(address, options).map(Client::Udp)
             }),
         }?;
@@ -96,19 +96,19 @@ impl Connection {
 }
 
 /// Returns the failure of a call that exceeded the time limit of the whole command.
-pub(crate) fn exhausted(target: &Target, budget: &Budget, call: &str) -> Failure {
+pub(crate) fn exhausted(target: &Address, budget: &Budget, call: &str) -> Failure {
     let limit = budget.total().unwrap_or_default().as_millis();
     Failure::Timeout {
         message: format!("{target} did not answer {call} within the command's time limit of {limit} ms (--timeout)"),
-        hint: format!("allow more time with --timeout, or {}", check(target.transport)),
+        hint: format!("allow more time with --timeout, or {}", check(target.protocol)),
     }
 }
 
 /// Returns what to check if no answer arrives.
-const fn check(transport: Transport) -> &'static str {
-    match transport {
-        Transport::Tcp => "check that the controller's b-CAP server listens on this port",
-        Transport::Udp => {
+const fn check(protocol: Protocol) -> &'static str {
+    match protocol {
+        Protocol::Tcp => "check that the controller's b-CAP server listens on this port",
+        Protocol::Udp => {
             "check the address and the firewalls, that the controller accepts b-CAP over UDP, and that the reply fits a \
              datagram"
         }
@@ -116,7 +116,7 @@ const fn check(transport: Transport) -> &'static str {
 }
 
 /// Converts the error of a call to `function`.
-pub(crate) fn failed(error: &CallError, target: &Target, timeout: Duration, function: &str) -> Failure {
+pub(crate) fn failed(error: &CallError, target: &Address, timeout: Duration, function: &str) -> Failure {
     match error {
         CallError::Io(error) => broken(error, target),
         CallError::Disconnected => Failure::Connection {
@@ -130,13 +130,13 @@ pub(crate) fn failed(error: &CallError, target: &Target, timeout: Duration, func
                 Timeout::Attempt => format!("{target} did not answer {function} within {} ms", timeout.as_millis()),
                 Timeout::Deadline | Timeout::KeepAlive => format!("{function} took too long: {error}"),
             };
-            let hint = format!("{}, or allow more time with --timeout", check(target.transport));
+            let hint = format!("{}, or allow more time with --timeout", check(target.protocol));
             Failure::Timeout { message, hint }
         }
         CallError::Client(ClientError::Encode(_) | ClientError::TooLarge { .. }) => {
-            let hint = match target.transport {
-                Transport::Tcp => "",
-                Transport::Udp => "; use TCP for larger values",
+            let hint = match target.protocol {
+                Protocol::Tcp => "",
+                Protocol::Udp => "; use TCP for larger values",
             };
             Failure::Input(format!("{function}: {error}{hint}"))
         }
@@ -151,7 +151,7 @@ pub(crate) fn failed(error: &CallError, target: &Target, timeout: Duration, func
 ///
 /// IPv4 addresses come first: controllers use IPv4, `localhost` has addresses of both kinds, and over UDP connecting does
 /// not show which address is in use.
-pub(crate) fn addresses(target: &Target, budget: &Budget) -> Result<Vec<SocketAddr>, Failure> {
+pub(crate) fn addresses(target: &Address, budget: &Budget) -> Result<Vec<SocketAddr>, Failure> {
     let (sender, receiver) = mpsc::channel();
     let (host, port) = (target.host.clone(), target.port);
     // the system's resolver has no time limit, so it runs in its own thread
@@ -174,7 +174,7 @@ pub(crate) fn addresses(target: &Target, budget: &Budget) -> Result<Vec<SocketAd
 /// Connects to the first address that accepts; each attempt gets an equal share of the remaining time.
 pub(crate) fn first<T>(
     addresses: &[SocketAddr],
-    target: &Target,
+    target: &Address,
     budget: &Budget,
     mut connect: impl FnMut(SocketAddr, &Options) -> Result<T, ConnectError>,
 ) -> Result<T, Failure> {
@@ -211,7 +211,7 @@ fn call_over<X: Wire<Error = io::Error>>(
 }
 
 /// Converts the error of connecting.
-pub(crate) fn not_connected(error: &ConnectError, target: &Target) -> Failure {
+pub(crate) fn not_connected(error: &ConnectError, target: &Address) -> Failure {
     match error {
         ConnectError::Resolve { source, .. } => not_found(&target.host, source),
         ConnectError::Connect { address, source } => Failure::Connection {
@@ -233,7 +233,7 @@ fn not_found(host: &str, error: &io::Error) -> Failure {
 }
 
 /// Converts the error of a broken connection.
-pub(crate) fn broken(error: &io::Error, target: &Target) -> Failure {
+pub(crate) fn broken(error: &io::Error, target: &Address) -> Failure {
     Failure::Connection {
         message: format!("the connection to {target} failed: {error}"),
         hint: connect_hint(error.kind()).into(),

@@ -26,8 +26,8 @@ use crate::budget::Budget;
 use crate::error::Failure;
 use crate::object::Path;
 use crate::session::{ControllerSession, integer, text};
-use crate::target::Transport;
 use crate::value::Value;
+use bcap_std::Protocol;
 
 const PROVIDERS: [&str; 2] = ["CaoProv.DENSO.VRC", "CaoProv.DENSO.VRC9"];
 /// The time limit of Service_Start over UDP, where a port without a server does not answer.
@@ -46,8 +46,8 @@ const CHECKS: [&str; 10] =
 /// Runs `bcap doctor`.
 pub(crate) fn doctor(args: &Doctor, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let mut report = Report::new(json);
-    let tcp = reach(&mut report, Transport::Tcp, args, link)?;
-    let udp = reach(&mut report, Transport::Udp, args, link)?;
+    let tcp = reach(&mut report, Protocol::Tcp, args, link)?;
+    let udp = reach(&mut report, Protocol::Udp, args, link)?;
     let (session, other) = if tcp.is_some() { (tcp, udp) } else { (udp, None) };
     if let Some(other) = other {
         other.close();
@@ -65,29 +65,29 @@ pub(crate) fn doctor(args: &Doctor, link: &LinkArgs, json: bool) -> Result<(), F
     report.end()
 }
 
-/// Returns the arguments of a connection over a transport.
-fn over(transport: Transport, args: &Doctor, link: &LinkArgs) -> Result<LinkArgs, Failure> {
+/// Returns the arguments of a connection over a protocol.
+fn over(protocol: Protocol, args: &Doctor, link: &LinkArgs) -> Result<LinkArgs, Failure> {
     let mut target = link.target()?;
-    target.transport = transport;
-    let port = match transport {
-        Transport::Tcp => args.tcp_port,
-        Transport::Udp => args.udp_port,
+    target.protocol = protocol;
+    let port = match protocol {
+        Protocol::Tcp => args.tcp_port,
+        Protocol::Udp => args.udp_port,
     };
     target.port = port.unwrap_or(target.port);
     Ok(LinkArgs { robot: Some(target.to_string()), ..link.clone() })
 }
 
-/// Starts a session over a transport; `None` if that fails.
+/// Starts a session over a protocol; `None` if that fails.
 fn reach(
     report: &mut Report,
-    transport: Transport,
+    protocol: Protocol,
     args: &Doctor,
     link: &LinkArgs,
 ) -> Result<Option<ControllerSession>, Failure> {
-    let (link, began) = (&over(transport, args, link)?, Instant::now());
-    let (check, budget) = match transport {
-        Transport::Tcp => ("tcp", Budget::start(link)),
-        Transport::Udp => ("udp", Budget::start(link).answer_within(UDP_TIMEOUT)),
+    let (link, began) = (&over(protocol, args, link)?, Instant::now());
+    let (check, budget) = match protocol {
+        Protocol::Tcp => ("tcp", Budget::start(link)),
+        Protocol::Udp => ("udp", Budget::start(link).answer_within(UDP_TIMEOUT)),
     };
     let reached = ControllerSession::open(link).and_then(|mut session| {
         session.set_budget(budget);

@@ -10,9 +10,9 @@ use crate::budget::Budget;
 use crate::connection::{addresses, broken, exhausted, first};
 use crate::error::Failure;
 use crate::plain;
-use crate::target::Target;
 use crate::value::Value;
 use crate::variables::{expected, print, print_each, shown};
+use bcap_std::Address;
 
 /// Runs `bcap rac get` or `bcap rac put`.
 pub(crate) fn rac(args: &Rac, link: &LinkArgs, json: bool) -> Result<(), Failure> {
@@ -69,7 +69,7 @@ fn model(kind: VariableKind) -> Result<Value, Failure> {
 /// A RAC connection that reports errors as a [`Failure`].
 struct RacLink {
     client: RacClient,
-    target: Target,
+    target: Address,
     budget: Budget,
 }
 
@@ -108,7 +108,7 @@ impl RacLink {
 }
 
 /// Converts the error of a request.
-fn failed(error: RacError, what: &str, target: &Target, budget: &Budget) -> Failure {
+fn failed(error: RacError, what: &str, target: &Address, budget: &Budget) -> Failure {
     match error {
         RacError::Refused(code) => Failure::Refused { doing: what.to_owned(), code },
         RacError::Io(error) => broken(&error, target),

@@ -7,7 +7,7 @@ use bcap_core::bcap::client::Config;
 use bcap_core::time::Instant;
 
 use super::{Connection, TcpTransport, Transport, UdpTransport, connect_tcp, connect_udp};
-use crate::address::Address;
+use crate::address::{Address, Protocol};
 use crate::connect::{ConnectError, STREAM_ROOM};
 use crate::settings::Settings;
 
@@ -33,9 +33,10 @@ pub(super) fn connect(address: &Address, settings: &Settings) -> Result<Connecti
     let mut options = settings.options;
     options.tcp.timing = settings.service.timing(options.tcp.timing);
     options.udp.timing = settings.service.timing(options.udp.timing);
-    match address {
-        Address::Tcp { .. } => Ok(wrap(connect_tcp(address.host(), &options)?, Socket::Tcp)),
-        Address::Udp { .. } => Ok(wrap(connect_udp(address.host(), &options)?, Socket::Udp)),
+    let peer = (address.host.as_str(), address.port);
+    match address.protocol {
+        Protocol::Tcp => Ok(wrap(connect_tcp(peer, &options)?, Socket::Tcp)),
+        Protocol::Udp => Ok(wrap(connect_udp(peer, &options)?, Socket::Udp)),
     }
 }
 

@@ -47,10 +47,10 @@ impl fmt::Display for OptionError {
 
 impl core::error::Error for OptionError {}
 
-/// The minimum of both options.
-const MIN: Duration = Duration::from_millis(80);
-
 impl StartOptions {
+    /// The minimum of both options (S2:225).
+    pub const MIN: Duration = Duration::from_millis(80);
+
     /// Reads the argument of Service_Start; without one the options are empty.
     ///
     /// # Errors
@@ -79,7 +79,7 @@ fn millis(text: &str, key: &'static str) -> Result<Option<Duration>, OptionError
     let Some(value) = value_of(text.as_bytes(), key.as_bytes()) else { return Ok(None) };
     let number = number(value).ok_or(OptionError::NoNumber(key))?;
     let duration = Duration::from_millis(u64::from(number));
-    if duration < MIN { Err(OptionError::TooShort(key)) } else { Ok(Some(duration)) }
+    if duration < StartOptions::MIN { Err(OptionError::TooShort(key)) } else { Ok(Some(duration)) }
 }
 
 /// Finds the value of a key.

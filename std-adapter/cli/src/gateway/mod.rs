@@ -23,7 +23,7 @@ use crate::listen::{runtime, taken};
 use crate::output::print_line;
 use crate::rules;
 use crate::signal;
-use crate::target::Transport;
+use bcap_std::Protocol;
 
 /// The most clients at the same time.
 const CLIENTS: usize = 64;
@@ -40,7 +40,7 @@ const SUPPRESSED: Duration = Duration::from_secs(1);
 /// Runs `bcap gateway` until a signal ends it.
 pub(crate) fn gateway(args: &args::Gateway, link: &LinkArgs) -> Result<(), Failure> {
     let target = link.target()?;
-    let config = config(args, link, target.transport)?;
+    let config = config(args, link, target.protocol)?;
     let limits = Limits {
         connections_per_address: args.clients_per_address,
         evict_after: Duration::from_secs(args.evict_after.into()),
@@ -87,10 +87,10 @@ async fn report_suppressed(audit: &Mutex<Audit>) -> Infallible {
     }
 }
 
-fn config(args: &args::Gateway, link: &LinkArgs, transport: Transport) -> Result<Config<'static>, Failure> {
-    let client = match transport {
-        Transport::Tcp => client::Config::TCP,
-        Transport::Udp => client::Config::UDP,
+fn config(args: &args::Gateway, link: &LinkArgs, protocol: Protocol) -> Result<Config<'static>, Failure> {
+    let client = match protocol {
+        Protocol::Tcp => client::Config::TCP,
+        Protocol::Udp => client::Config::UDP,
     };
     let call = CALL.max(link.timeout());
     let timing = client::Timing {

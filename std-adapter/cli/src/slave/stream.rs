@@ -24,7 +24,7 @@ use crate::args::{LinkArgs, StreamArgs};
 use crate::connection::{failed, not_connected};
 use crate::error::Failure;
 use crate::output::{print_block, print_json};
-use crate::target::{Target, Transport};
+use bcap_std::{Address, Protocol};
 
 /// The attempts of a call over UDP, which share the time limit.
 const UDP_ATTEMPTS: u8 = 5;
@@ -149,12 +149,12 @@ pub(crate) fn stream(
     options.udp.timing.attempts = UDP_ATTEMPTS;
     options.udp.timing.attempt_timeout = (link.timeout() / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
     let peer = (target.host.as_str(), target.port);
-    match target.transport {
-        Transport::Tcp => {
+    match target.protocol {
+        Protocol::Tcp => {
             let connect = || blocking::connect_tcp(peer, &options);
             Job { course, kind, args, link, json, realtime, target: &target }.run(connect)
         }
-        Transport::Udp => {
+        Protocol::Udp => {
             let connect = || blocking::connect_udp(peer, &options);
             Job { course, kind, args, link, json, realtime, target: &target }.run(connect)
         }
@@ -169,7 +169,7 @@ struct Job<'a> {
     link: &'a LinkArgs,
     json: bool,
     realtime: Realtime,
-    target: &'a Target,
+    target: &'a Address,
 }
 
 impl Job<'_> {
@@ -290,7 +290,7 @@ impl Job<'_> {
 struct Outcome<'a> {
     args: &'a StreamArgs,
     json: bool,
-    target: &'a Target,
+    target: &'a Address,
 }
 
 impl Outcome<'_> {
