@@ -8,7 +8,7 @@ use std::io;
 use std::net::SocketAddr;
 
 use bcap_core::bcap::Client;
-pub use bcap_core::io::asynch::{Connection, RacConnection, Transport};
+pub use bcap_core::io::asynch::{Connection, RacConnection, SendTransport, Transport};
 use bcap_core::rac;
 use bcap_core::time::Instant;
 use socket2::{SockRef, Socket};
@@ -176,7 +176,7 @@ fn receive_now(mut socket: &Socket, buffer: &mut [u8]) -> io::Result<Option<usiz
     }
 }
 
-impl Transport for TcpTransport {
+impl SendTransport for TcpTransport {
     type Error = io::Error;
 
     fn now(&self) -> Instant {
@@ -204,7 +204,7 @@ impl Transport for TcpTransport {
     }
 }
 
-impl Transport for UdpTransport {
+impl SendTransport for UdpTransport {
     type Error = io::Error;
 
     fn now(&self) -> Instant {

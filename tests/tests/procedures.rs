@@ -22,7 +22,7 @@ fn controller(change: impl FnOnce(&mut Config)) -> Served<Controller> {
 }
 
 /// Turns the first joint.
-fn to(degrees: f64) -> MoveParameters<'static> {
+fn to(degrees: f64) -> MoveParameters<&'static dyn Encode, &'static str> {
     let pose: &dyn Encode = match degrees {
         0.2 => &"J(0.2,45,90,0,45,0)",
         5.0 => &"J(5,45,90,0,45,0)",

@@ -3,6 +3,8 @@
 //! With the feature `embedded-io-async`, `Timed` is a transport over an `embedded_io_async` device and a timer. The loops
 //! do not allocate, need no particular executor, and their futures may be dropped at any point.
 
+use core::ops::ControlFlow;
+
 use crate::bcap::Client;
 use crate::bcap::call::{Call, Reply};
 use crate::bcap::client::Timing;
@@ -53,6 +55,78 @@ pub trait Transport {
 
     /// Waits until `at`, and reads no bytes.
     fn sleep_until(&mut self, at: Instant) -> impl Future<Output = ()>;
+}
+
+/// A [`Transport`] whose futures are `Send`, so that code over any transport can be spawned on several threads.
+///
+/// Implement this trait for a type of the standard library's world; it is a [`Transport`] then.
+///
+/// # Examples
+///
+/// ```
+/// use bcap_core::bcap::call::{VariableHandle, variable_get_value};
+/// use bcap_core::io::asynch::{Connection, SendTransport};
+///
+/// fn is_send<T: Send>(future: T) -> T {
+///     future
+/// }
+///
+/// fn driver<X: SendTransport + Send>(mut robot: Connection<X, Vec<u8>>) -> impl Future<Output = bool> + Send {
+///     is_send(async move { robot.call(variable_get_value(VariableHandle(1))).await.is_ok() })
+/// }
+/// ```
+pub trait SendTransport {
+    /// As [`Transport::Error`].
+    type Error: Send;
+
+    /// As [`Transport::now`].
+    fn now(&self) -> Instant;
+
+    /// As [`Transport::send`].
+    ///
+    /// # Errors
+    ///
+    /// When the connection failed.
+    fn send(&mut self, bytes: &[u8], until: Instant)
+    -> impl Future<Output = Result<Option<usize>, Self::Error>> + Send;
+
+    /// As [`Transport::receive`].
+    ///
+    /// # Errors
+    ///
+    /// When the connection failed.
+    fn receive(
+        &mut self,
+        buffer: &mut [u8],
+        until: Instant,
+    ) -> impl Future<Output = Result<Option<usize>, Self::Error>> + Send;
+
+    /// As [`Transport::sleep_until`].
+    fn sleep_until(&mut self, at: Instant) -> impl Future<Output = ()> + Send;
+}
+
+impl<X: SendTransport> Transport for X {
+    type Error = X::Error;
+
+    fn now(&self) -> Instant {
+        SendTransport::now(self)
+    }
+
+    fn send(&mut self, bytes: &[u8], until: Instant) -> impl Future<Output = Result<Option<usize>, Self::Error>> {
+        SendTransport::send(self, bytes, until)
+    }
+
+    fn receive(
+        &mut self,
+        buffer: &mut [u8],
+        until: Instant,
+    ) -> impl Future<Output = Result<Option<usize>, Self::Error>> {
+        SendTransport::receive(self, buffer, until)
+    }
+
+    fn sleep_until(&mut self, at: Instant) -> impl Future<Output = ()> {
+        SendTransport::sleep_until(self, at)
+    }
 }
 
 /// A b-CAP client with its transport.
@@ -173,6 +247,20 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
         run(procedure, self, Some(watch)).await
     }
 
+    /// Makes the calls of a procedure until it waits or ends, so that other calls can be made while it waits.
+    ///
+    /// Returns the time of the next call, or the result.
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`run`](Self::run).
+    pub async fn advance<P: Procedure>(
+        &mut self,
+        running: &mut Running<P, X::Error>,
+    ) -> ControlFlow<Result<P::Output, RunError<P::Error, X::Error>>, Instant> {
+        advance(running, self, None::<&mut Self>).await
+    }
+
     /// Makes the call of a procedure, and passes in its reply or failure; returns the error of a call without a reply.
     async fn perform<P: Procedure>(&mut self, procedure: &mut P) -> Option<CallError<X::Error>> {
         let timing = procedure.timing(self.client.link(), self.client.timing());
@@ -184,9 +272,25 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     }
 }
 
+/// A procedure for [`Connection::advance`].
+#[derive(Debug)]
+pub struct Running<P, E> {
+    procedure: P,
+    /// The error of its first call without a reply.
+    lost: Option<CallError<E>>,
+}
+
+impl<P, E> Running<P, E> {
+    /// Begins a procedure.
+    #[must_use]
+    pub const fn new(procedure: P) -> Self {
+        Self { procedure, lost: None }
+    }
+}
+
 /// Runs a procedure over one connection or two.
 async fn run<P, X, T, R, Y, U, S>(
-    mut procedure: P,
+    procedure: P,
     motion: &mut Connection<X, T, R>,
     mut watch: Option<&mut Connection<Y, U, S>>,
 ) -> Result<P::Output, RunError<P::Error, X::Error>>
@@ -199,22 +303,45 @@ where
     U: Storage,
     S: Storage,
 {
-    let mut lost = None;
+    let mut running = Running::new(procedure);
+    loop {
+        match advance(&mut running, motion, watch.as_deref_mut()).await {
+            ControlFlow::Continue(at) => motion.transport.sleep_until(at).await,
+            ControlFlow::Break(result) => return result,
+        }
+    }
+}
+
+/// Makes the calls of a procedure until it waits or ends.
+async fn advance<P, X, T, R, Y, U, S>(
+    running: &mut Running<P, X::Error>,
+    motion: &mut Connection<X, T, R>,
+    mut watch: Option<&mut Connection<Y, U, S>>,
+) -> ControlFlow<Result<P::Output, RunError<P::Error, X::Error>>, Instant>
+where
+    P: Procedure,
+    X: Transport,
+    Y: Transport<Error = X::Error>,
+    T: Storage,
+    R: Storage,
+    U: Storage,
+    S: Storage,
+{
+    let Running { procedure, lost } = running;
     if procedure.request().is_some() {
         // a dropped run ended with a call in flight
         procedure.handle_failure(Failure::Timeout, motion.transport.now());
     }
     loop {
         let error = match (procedure.poll(motion.transport.now()), &mut watch) {
-            (Action::Call(Channel::Watch), Some(watch)) => watch.perform(&mut procedure).await,
-            (Action::Call(_), _) => motion.perform(&mut procedure).await,
-            (Action::Wait(at), _) => {
-                motion.transport.sleep_until(at).await;
-                None
+            (Action::Call(Channel::Watch), Some(watch)) => watch.perform(procedure).await,
+            (Action::Call(_), _) => motion.perform(procedure).await,
+            (Action::Wait(at), _) => return ControlFlow::Continue(at),
+            (Action::Done(result), _) => {
+                return ControlFlow::Break(result.map_err(|error| RunError { error, call: lost.take() }));
             }
-            (Action::Done(result), _) => return result.map_err(|error| RunError { error, call: lost }),
         };
-        lost = lost.or(error);
+        *lost = lost.take().or(error);
     }
 }
 

@@ -26,14 +26,14 @@ use crate::time::Instant;
 use crate::variant::{Encode, Variant};
 
 /// A motion of Robot_Move.
-#[derive(Clone, Copy)]
-pub struct MoveParameters<'a> {
+#[derive(Clone, Copy, Debug)]
+pub struct MoveParameters<D, O> {
     /// The interpolation: 1 point to point, 2 line, 3 circle, 4 free curve.
     pub interpolation: i32,
     /// The destination: `"@E P1"`, or an array of numbers, type and pass.
-    pub pose: &'a dyn Encode,
+    pub pose: D,
     /// The options, which must contain `NEXT`: otherwise the reply comes when the motion has ended.
-    pub option: &'a str,
+    pub option: O,
 }
 
 /// How [`move_and_wait`] waits for a motion.
@@ -87,11 +87,11 @@ pub enum Motion {
 ///
 /// When a run is dropped, the robot continues to move. Run the procedure again: if a call was in flight, the procedure
 /// fails and halts the robot, otherwise it continues to wait.
-pub fn move_and_wait<'a>(
+pub fn move_and_wait<D: Encode, O: AsRef<str>>(
     handles: Handles,
-    motion: MoveParameters<'a>,
+    motion: MoveParameters<D, O>,
     config: MotionConfig,
-) -> impl Procedure<Output = Motion, Error = StepError> + use<'a> {
+) -> impl Procedure<Output = Motion, Error = StepError> {
     let steps = MoveSteps {
         handles,
         motion,
@@ -119,9 +119,9 @@ const ERROR: i32 = 1 << 1;
 const EMERGENCY_STOP: i32 = 1 << 10;
 const MOVING: i32 = 0b11 << 20;
 
-struct MoveSteps<'a> {
+struct MoveSteps<D, O> {
     handles: Handles,
-    motion: MoveParameters<'a>,
+    motion: MoveParameters<D, O>,
     config: MotionConfig,
     step: Step,
     /// When the time limit passes.
@@ -155,7 +155,7 @@ enum Step {
     End,
 }
 
-impl MoveSteps<'_> {
+impl<D, O> MoveSteps<D, O> {
     fn of_robot(&self, command: &'static str) -> Next<'_> {
         let execute = StepCall::new(FunctionId::ROBOT_EXECUTE).with(self.handles.robot.0);
         Next::Call(execute.with(command).with(Argument::Empty))
@@ -207,18 +207,19 @@ fn within(joints: &[f64; JOINTS], other: &[f64; JOINTS], distance: f64) -> bool 
     joints.iter().zip(other).all(|(joint, other)| (joint - other).abs() <= distance)
 }
 
-impl Steps for MoveSteps<'_> {
+impl<D: Encode, O: AsRef<str>> Steps for MoveSteps<D, O> {
     type Output = Motion;
     const KEEPS_OBJECTS: bool = true;
 
     fn next(&self) -> Next<'_> {
+        let pose: &dyn Encode = &self.motion.pose;
         match self.step {
             Step::Move => Next::Call(
                 StepCall::new(FunctionId::ROBOT_MOVE)
                     .with(self.handles.robot.0)
                     .with(self.motion.interpolation)
-                    .with(self.motion.pose)
-                    .with(self.motion.option),
+                    .with(pose)
+                    .with(self.motion.option.as_ref()),
             ),
             Step::Destination => self.of_robot("DestJnt"),
             Step::Pause(until) => Next::Wait(until),

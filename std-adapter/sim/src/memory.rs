@@ -212,7 +212,7 @@ impl blocking::Transport for Wire {
     }
 }
 
-impl asynch::Transport for Wire {
+impl asynch::SendTransport for Wire {
     type Error = io::Error;
 
     fn now(&self) -> Instant {

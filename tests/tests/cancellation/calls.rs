@@ -1,12 +1,14 @@
 //! The calls and procedures of the core's connections, over all three kinds of links.
 
 use std::collections::BTreeMap;
+use std::ops::ControlFlow;
 use std::time::Duration;
 
 use bcap_core::bcap::Link;
 use bcap_core::bcap::Object;
 use bcap_core::bcap::call;
 use bcap_core::bcap::client::Timing;
+use bcap_core::io::asynch::{Running, Transport as _};
 use bcap_core::procedure::{
     Motion, MotionConfig, MoveParameters, PathStep, Provider, give_arm, move_and_wait, open, open_path, open_robot,
     prepare_robot, read_variable, release, release_controller, release_robot, write_variable,
@@ -24,7 +26,8 @@ fn short() -> Timing {
     Timing { attempt_timeout: Duration::from_millis(16), attempts: 3, ..usual(Link::Datagram) }
 }
 
-const MOVE: MoveParameters<'_> = MoveParameters { interpolation: 1, pose: &"J(0.5,45,90,0,45,0)", option: "NEXT" };
+const MOVE: MoveParameters<&str, &str> =
+    MoveParameters { interpolation: 1, pose: "J(0.5,45,90,0,45,0)", option: "NEXT" };
 
 fn config() -> MotionConfig {
     MotionConfig::within(Duration::from_secs(10))
@@ -78,9 +81,21 @@ pub(crate) fn all() -> BTreeMap<&'static str, usize> {
                 Box::pin(async { rig.motion.run(motion).await.is_ok_and(|motion| motion == Motion::Arrived) })
             }),
         );
+        add("advance", long("advance", ready).run(|rig| Box::pin(advance(rig))));
         again(long("move_and_wait", ready).run_again(|rig| move_and_wait(rig.handles, MOVE, config())));
     }
     points
+}
+
+/// Runs a motion by steps, as one that makes other calls meanwhile does.
+async fn advance(rig: &mut Rig) -> bool {
+    let mut running = Running::new(move_and_wait(rig.handles, MOVE, config()));
+    loop {
+        match rig.motion.advance(&mut running).await {
+            ControlFlow::Continue(at) => rig.motion.transport().sleep_until(at).await,
+            ControlFlow::Break(ended) => return ended.is_ok_and(|motion| motion == Motion::Arrived),
+        }
+    }
 }
 
 async fn get(rig: &mut Rig) -> bool {

@@ -8,6 +8,7 @@ const OF_A_GATEWAY: Coverage = Through("gateway/mod.rs: Driver::run");
 
 /// The functions of bcap-core.
 pub(crate) const CORE: &[(&str, Coverage)] = &[
+    ("io/asynch.rs: Connection::advance", Swept("advance")),
     ("io/asynch.rs: Connection::call", Swept("call")),
     ("io/asynch.rs: Connection::call_with", Swept("call_with")),
     ("io/asynch.rs: Connection::exchange", Through("io/asynch.rs: Connection::call_with")),
@@ -17,6 +18,9 @@ pub(crate) const CORE: &[(&str, Coverage)] = &[
     ("io/asynch.rs: RacConnection::get", Swept("get")),
     ("io/asynch.rs: RacConnection::put", Swept("put")),
     ("io/asynch.rs: RacConnection::request", Through("io/asynch.rs: RacConnection::get")),
+    ("io/asynch.rs: SendTransport::receive", DECLARED),
+    ("io/asynch.rs: SendTransport::send", DECLARED),
+    ("io/asynch.rs: SendTransport::sleep_until", DECLARED),
     ("io/asynch.rs: Timed::receive", Swept("Timed::receive")),
     ("io/asynch.rs: Timed::send", Swept("Timed::send")),
     ("io/asynch.rs: Timed::sleep_until", Swept("Timed::sleep_until")),
@@ -24,6 +28,10 @@ pub(crate) const CORE: &[(&str, Coverage)] = &[
     ("io/asynch.rs: Transport::receive", DECLARED),
     ("io/asynch.rs: Transport::send", DECLARED),
     ("io/asynch.rs: Transport::sleep_until", DECLARED),
+    ("io/asynch.rs: X::receive", DECLARED),
+    ("io/asynch.rs: X::send", DECLARED),
+    ("io/asynch.rs: X::sleep_until", DECLARED),
+    ("io/asynch.rs: advance", Through("io/asynch.rs: Connection::advance")),
     ("io/asynch.rs: clear", Through("io/asynch.rs: Connection::call")),
     ("io/asynch.rs: first", Through("io/asynch.rs: Timed::receive")),
     ("io/asynch.rs: run", Through("io/asynch.rs: Connection::run")),

@@ -155,7 +155,7 @@ fn stream(connection: &mut Connection<Binary<'_>, [u8; 512]>) -> Option<u32> {
     let mut moved = connection.run(number).ok().flatten().map_or(0, i32::unsigned_abs);
     let put = procedure::write_variable(handles.controller, "I1", &moved).ok()?;
     let put = connection.run(put).is_ok();
-    let motion = MoveParameters { interpolation: 1, pose: &"@E P1", option: "NEXT" };
+    let motion = MoveParameters { interpolation: 1, pose: "@E P1", option: "NEXT" };
     let prepared = connection.run(procedure::prepare_robot(handles.robot, [0, 1], true)).is_ok();
     let config = MotionConfig::within(Duration::from_secs(1));
     let arrived = connection.run(procedure::move_and_wait(handles, motion, config));
