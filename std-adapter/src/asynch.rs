@@ -3,6 +3,13 @@
 //! The async counterpart of [`blocking`](crate::blocking): a [`Connection`] of the core over tokio's sockets. Calls are
 //! cancel safe: the future of a call may be dropped at any point, and the connection stays usable.
 
+mod controller;
+mod robot;
+mod socket;
+mod state;
+mod subscription;
+mod task;
+
 use std::fmt::Debug;
 use std::io;
 use std::net::SocketAddr;
@@ -15,8 +22,13 @@ use socket2::{SockRef, Socket};
 use tokio::net::{TcpStream, ToSocketAddrs, UdpSocket, lookup_host};
 use tokio::time::timeout;
 
+pub use self::controller::Controller;
+pub use self::robot::{Arm, Robot, Stopper};
+pub use self::state::{State, States, Statistics};
+pub use self::subscription::{Reading, Subscription};
 use crate::clock::{now, until};
 use crate::connect::{self, ConnectError, DATAGRAM_ROOM, Options, STREAM_ROOM};
+pub use crate::session::Halted;
 
 /// A client over TCP.
 pub type TcpClient = Connection<TcpTransport, Vec<u8>>;

@@ -14,7 +14,6 @@
 
 mod controller;
 mod robot;
-mod session;
 mod socket;
 mod stopper;
 
@@ -32,9 +31,10 @@ use socket2::{SockRef, Socket};
 
 pub use self::controller::Controller;
 pub use self::robot::{Arm, Robot};
-pub use self::stopper::{Halted, Stopper};
+pub use self::stopper::Stopper;
 use crate::clock::{now, until};
 use crate::connect::{self, ConnectError, DATAGRAM_ROOM, Options, STREAM_ROOM};
+pub use crate::session::Halted;
 
 /// A client over TCP.
 pub type TcpClient = Connection<TcpTransport, Vec<u8>>;

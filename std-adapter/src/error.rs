@@ -1,6 +1,7 @@
 //! The errors of [`Controller`](crate::blocking::Controller) and its objects.
 
 use bcap_core::bcap::FunctionId;
+use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
 use bcap_core::procedure::{StepCause, StepError};
 use bcap_core::variant::ConvertError;
@@ -19,6 +20,24 @@ pub enum Error {
     /// A controller over a stream of the caller has no address to connect to again.
     #[error("a controller over the caller's own stream has no address; make the stopper with Stopper::over")]
     NoAddress,
+    /// The arm was taken before over the same session.
+    #[error("the arm is taken already over this session; give it back before it is taken again")]
+    ArmTaken,
+    /// The session in which the arm was taken was lost, and with it the arm.
+    #[error("the arm was lost with the connection; look where the robot is, and take the arm again")]
+    ArmLost,
+    /// There is no session with the controller. The call was not sent.
+    #[error("not connected: {reason}")]
+    NotConnected {
+        /// Why.
+        reason: String,
+    },
+    /// A value has no VARIANT. The call was not sent.
+    #[error("the value cannot be sent: {0}")]
+    Argument(EncodeError),
+    /// The controller was closed. The call was not sent.
+    #[error("the controller was closed")]
+    Closed,
     /// The controller did not accept the connection.
     #[error(transparent)]
     Connect(#[from] ConnectError),

@@ -44,6 +44,7 @@ pub mod gateway;
 mod moves;
 #[cfg(feature = "server")]
 pub mod server;
+mod session;
 mod settings;
 pub mod slave;
 
@@ -52,7 +53,7 @@ pub use clock::now;
 pub use connect::{ConnectError, Options};
 pub use error::Error;
 pub use moves::{Destination, Move};
-pub use settings::{Model, ServiceOptions, Settings};
+pub use settings::{Backoff, Model, ServiceOptions, Settings};
 
 /// A failed call.
 pub type CallError = bcap_core::io::CallError<std::io::Error>;

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 
 use bcap_core::error::EncodeError;
 use bcap_core::position::{Joints, Position, Transform};
+use bcap_core::procedure::MoveParameters;
 use bcap_core::variant::{Encode, Writer};
 
 /// Where a motion ends.
@@ -109,19 +110,17 @@ impl Move {
         self
     }
 
-    /// Returns the interpolation of Robot_Move.
-    pub(crate) const fn interpolation(&self) -> i32 {
-        self.interpolation
+    /// Returns the parameters of Robot_Move.
+    pub(crate) fn parameters(&self) -> MoveParameters<&Destination, &str> {
+        let Self { interpolation, destination, options } = self;
+        MoveParameters { interpolation: *interpolation, pose: destination, option: options }
     }
 
-    /// Returns the pose of Robot_Move.
-    pub(crate) const fn destination(&self) -> &Destination {
-        &self.destination
-    }
-
-    /// Returns the options of Robot_Move.
-    pub(crate) fn options(&self) -> &str {
-        &self.options
+    /// Returns the parameters of Robot_Move.
+    #[cfg(feature = "tokio")]
+    pub(crate) fn into_parameters(self) -> MoveParameters<Destination, String> {
+        let Self { interpolation, destination, options } = self;
+        MoveParameters { interpolation, pose: destination, option: options }
     }
 }
 
@@ -134,8 +133,9 @@ mod tests {
     #[test]
     fn a_motion_is_written_as_robot_move_takes_it() {
         let motion = Move::line("P1").speed_percent(12.5).acceleration_percent(5.0).deceleration_percent(1.0);
-        assert_eq!((motion.interpolation(), motion.options()), (2, "NEXT,SPEED=12.5,ACCEL=5,DECEL=1"));
-        let written = |motion: Move| format!("{:?}", OwnedVariant::new(motion.destination()).unwrap());
+        let parameters = motion.parameters();
+        assert_eq!((parameters.interpolation, parameters.option), (2, "NEXT,SPEED=12.5,ACCEL=5,DECEL=1"));
+        let written = |motion: Move| format!("{:?}", OwnedVariant::new(motion.parameters().pose).unwrap());
         assert_eq!(written(motion), "\"@E P1\"");
         let joints = "VARIANT[R8[1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], I4(2), I4(-2)]";
         assert_eq!(written(Move::joint(Joints::new([1.0, 2.0]))), joints);

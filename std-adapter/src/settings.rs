@@ -86,6 +86,23 @@ impl ServiceOptions {
     }
 }
 
+/// How a controller for tokio connects again after a lost connection: the delay between two attempts doubles from `min` to
+/// `max`, less a random part of up to one half.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Backoff {
+    /// The first delay.
+    pub min: Duration,
+    /// The longest delay.
+    pub max: Duration,
+}
+
+impl Default for Backoff {
+    /// From 100 ms to 10 s.
+    fn default() -> Self {
+        Self { min: Duration::from_millis(100), max: Duration::from_secs(10) }
+    }
+}
+
 /// Which controller is connected, and how.
 ///
 /// # Examples
@@ -112,14 +129,16 @@ pub struct Settings {
     pub service: ServiceOptions,
     /// How the socket connects.
     pub options: Options,
+    /// How a controller for tokio connects again. Blocking ones do not.
+    pub reconnect: Backoff,
 }
 
 impl Settings {
     /// Returns the defaults for a model.
     #[must_use]
     pub fn new(model: Model) -> Self {
-        let (service, options) = (ServiceOptions::default(), Options::default());
-        Self { model, robot: None, connect_option: String::new(), service, options }
+        let (service, options, reconnect) = Default::default();
+        Self { model, robot: None, connect_option: String::new(), service, options, reconnect }
     }
 
     /// Returns the defaults for an RC8.
@@ -138,6 +157,20 @@ impl Settings {
     #[must_use]
     pub fn cobotta() -> Self {
         Self::new(Model::Cobotta)
+    }
+
+    /// Sets how a controller for tokio connects again.
+    #[must_use]
+    pub fn reconnect(self, reconnect: Backoff) -> Self {
+        Self { reconnect, ..self }
+    }
+
+    /// Returns how the socket connects, with the time limits that go with the options of Service_Start.
+    pub(crate) fn socket_options(&self) -> Options {
+        let mut options = self.options;
+        options.tcp.timing = self.service.timing(options.tcp.timing);
+        options.udp.timing = self.service.timing(options.udp.timing);
+        options
     }
 
     /// Sets the name of the robot.

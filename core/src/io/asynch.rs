@@ -200,14 +200,10 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
         call: C,
         timing: Timing,
     ) -> Result<<C::Reply as Reply>::Value<'_>, CallError<X::Error>> {
-        self.exchange(&call, timing).await?;
-        Ok(self.client.value::<C::Reply>()?)
-    }
-
-    async fn exchange<C: Call>(&mut self, call: &C, timing: Timing) -> Result<(), CallError<X::Error>> {
         clear(&mut self.transport, &mut self.client).await?;
-        self.client.start(call, timing, self.transport.now())?;
-        wait(&mut self.transport, &mut self.client).await
+        self.client.start(&call, timing, self.transport.now())?;
+        wait(&mut self.transport, &mut self.client).await?;
+        Ok(self.client.value::<C::Reply>()?)
     }
 
     /// Runs a procedure over this connection until it is done.
@@ -263,12 +259,19 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
 
     /// Makes the call of a procedure, and passes in its reply or failure; returns the error of a call without a reply.
     async fn perform<P: Procedure>(&mut self, procedure: &mut P) -> Option<CallError<X::Error>> {
-        let timing = procedure.timing(self.client.link(), self.client.timing());
-        let ended = match procedure.request() {
-            Some(request) => self.exchange(&request, timing).await,
-            None => return None,
-        };
+        let ended = self.carry(procedure).await;
         hand_in(procedure, &self.client, ended, self.transport.now())
+    }
+
+    /// Makes the call of a procedure. The call does not exist across an await, so the future is `Send` when the procedure
+    /// is.
+    async fn carry<P: Procedure>(&mut self, procedure: &mut P) -> Result<(), CallError<X::Error>> {
+        clear(&mut self.transport, &mut self.client).await?;
+        let timing = procedure.timing(self.client.link(), self.client.timing());
+        if let Some(request) = procedure.request() {
+            self.client.start(&request, timing, self.transport.now())?;
+        }
+        wait(&mut self.transport, &mut self.client).await
     }
 }
 

@@ -3,16 +3,16 @@
 use std::io;
 
 use bcap_core::bcap::Object;
-use bcap_core::bcap::call::{self, Call, ControllerHandle, Reply};
+use bcap_core::bcap::call::{Call, ControllerHandle, Reply};
 use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
 
+use super::Transport;
 use super::robot::Robot;
-use super::session::ControllerSession;
-use super::socket::{self, Socket};
+use super::socket::{self, Blocking, ready};
 use super::stopper::Stopper;
-use super::{Connection, Transport};
 use crate::address::Address;
 use crate::error::Error;
+use crate::session::Session;
 use crate::settings::Settings;
 
 /// A session with a controller.
@@ -43,7 +43,7 @@ use crate::settings::Settings;
 /// ```
 #[derive(Debug)]
 pub struct Controller {
-    session: ControllerSession,
+    session: Session<Blocking>,
     /// `None` over a stream of the caller.
     address: Option<Address>,
     settings: Settings,
@@ -58,7 +58,8 @@ impl Controller {
     pub fn connect(address: &str, settings: &Settings) -> Result<Self, Error> {
         let address: Address = address.parse()?;
         let connection = socket::connect(&address, settings)?;
-        Self::open_session(connection, Some(address), settings)
+        let session = ready(Session::start(connection, settings))?;
+        Ok(Self { session, address: Some(address), settings: settings.clone() })
     }
 
     /// Starts a session over a stream of the caller, such as a `Wire` to the virtual controller in memory.
@@ -70,15 +71,8 @@ impl Controller {
         stream: impl Transport<Error = io::Error> + Send + 'static,
         settings: &Settings,
     ) -> Result<Self, Error> {
-        Self::open_session(socket::over(stream, settings), None, settings)
-    }
-
-    fn open_session(
-        connection: Connection<Socket, Vec<u8>>,
-        address: Option<Address>,
-        settings: &Settings,
-    ) -> Result<Self, Error> {
-        Ok(Self { session: ControllerSession::start(connection, settings)?, address, settings: settings.clone() })
+        let session = ready(Session::start(socket::over(stream, settings), settings))?;
+        Ok(Self { session, address: None, settings: settings.clone() })
     }
 
     /// Reads a variable of the controller, such as `I1`, `P5`, `IO128` or `@CURRENT_TIME`.
@@ -89,7 +83,7 @@ impl Controller {
     ///
     /// An [`Error`]; [`Error::Value`] if the value has another type.
     pub fn read<T: for<'a> FromVariant<'a>>(&mut self, name: &str) -> Result<T, Error> {
-        self.session.read_of(Object::Controller, self.session.handle.0, name)
+        ready(self.session.read(Object::Controller, name))
     }
 
     /// Reads several variables of any type; each is opened once and stays open for the next time.
@@ -119,7 +113,7 @@ impl Controller {
     ///
     /// An [`Error`]. After [`Error::NoReply`] the value may have been written.
     pub fn write(&mut self, name: &str, value: impl Encode) -> Result<(), Error> {
-        self.session.write_of(Object::Controller, self.session.handle.0, name, value)
+        ready(self.session.write(Object::Controller, name, value))
     }
 
     /// Returns the robot of the settings; without a name it is the first one that the controller lists.
@@ -128,8 +122,8 @@ impl Controller {
     ///
     /// An [`Error`] if the controller has no such robot.
     pub fn robot(&mut self) -> Result<Robot<'_>, Error> {
-        let handle = self.session.robot(self.settings.robot.as_deref())?;
-        Ok(Robot::new(&mut self.session, handle))
+        ready(self.session.robot())?;
+        Ok(Robot::new(&mut self.session))
     }
 
     /// Opens a second connection, over which another thread can halt the robot at any time.
@@ -148,7 +142,7 @@ impl Controller {
     ///
     /// An [`Error`]; [`Error::Value`] if the value of the reply has another type.
     pub fn execute<T: for<'a> FromVariant<'a>>(&mut self, command: &str, parameter: impl Encode) -> Result<T, Error> {
-        self.session.value(command, call::controller_execute(self.session.handle, command, parameter))
+        ready(self.session.execute(command, parameter))
     }
 
     /// Returns the handle of the controller, for [`call`](Self::call).
@@ -163,7 +157,7 @@ impl Controller {
     ///
     /// An [`Error`].
     pub fn call<C: Call>(&mut self, object: &str, call: C) -> Result<<C::Reply as Reply>::Value<'_>, Error> {
-        self.session.call(object, call)
+        ready(self.session.call(object, call))
     }
 
     /// Releases all objects and stops the service, as a drop does, and reports whether that succeeded.
@@ -172,13 +166,13 @@ impl Controller {
     ///
     /// An [`Error`] if the connection was lost.
     pub fn close(mut self) -> Result<(), Error> {
-        self.session.release()
+        ready(self.session.release())
     }
 }
 
 impl Drop for Controller {
     fn drop(&mut self) {
-        if let Err(error) = self.session.release() {
+        if let Err(error) = ready(self.session.release()) {
             tracing::warn!(address = ?self.address, %error, "the session was not closed");
         }
     }

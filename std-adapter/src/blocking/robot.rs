@@ -3,22 +3,21 @@
 use std::time::Duration;
 
 use bcap_core::bcap::Object;
-use bcap_core::bcap::call::{self, RobotHandle};
 use bcap_core::position::{Joints, Position};
-use bcap_core::procedure::{self, Handles, Motion, MotionConfig};
+use bcap_core::procedure::Motion;
 use bcap_core::variant::{Encode, FromVariant};
 
-use super::session::ControllerSession;
+use super::socket::{Blocking, ready};
 use crate::error::Error;
 use crate::moves::Move;
+use crate::session::Session;
 
 /// A robot of a controller.
 ///
 /// It cannot move; [`take_arm`](Self::take_arm) returns what can.
 #[derive(Debug)]
 pub struct Robot<'a> {
-    session: &'a mut ControllerSession,
-    handle: RobotHandle,
+    session: &'a mut Session<Blocking>,
 }
 
 /// A robot whose arm this client has taken, so that it can move it.
@@ -29,16 +28,11 @@ pub struct Robot<'a> {
 #[derive(Debug)]
 pub struct Arm<'a> {
     robot: Robot<'a>,
-    /// Whether the motor may have been switched on here.
-    motor: bool,
-    /// Whether a motion may be under way.
-    moving: bool,
-    given: bool,
 }
 
 impl<'a> Robot<'a> {
-    pub(super) const fn new(session: &'a mut ControllerSession, handle: RobotHandle) -> Self {
-        Self { session, handle }
+    pub(super) const fn new(session: &'a mut Session<Blocking>) -> Self {
+        Self { session }
     }
 
     /// Takes the arm, which keeps its speed, tool and work.
@@ -47,9 +41,8 @@ impl<'a> Robot<'a> {
     ///
     /// An [`Error`]; the arm is not taken then.
     pub fn take_arm(self) -> Result<Arm<'a>, Error> {
-        let prepare = procedure::prepare_robot(self.handle, [0, 1], false);
-        self.session.run("the robot", prepare)?;
-        Ok(Arm { robot: self, motor: false, moving: false, given: false })
+        ready(self.session.take_arm())?;
+        Ok(Arm { robot: self })
     }
 
     /// Reads the joints.
@@ -76,7 +69,7 @@ impl<'a> Robot<'a> {
     ///
     /// As [`Controller::read`](super::Controller::read).
     pub fn read<T: for<'v> FromVariant<'v>>(&mut self, name: &str) -> Result<T, Error> {
-        self.session.read_of(Object::Robot, self.handle.0, name)
+        ready(self.session.read(Object::Robot, name))
     }
 
     /// Executes a command of the robot with a parameter, and returns its value.
@@ -87,11 +80,7 @@ impl<'a> Robot<'a> {
     ///
     /// An [`Error`]; [`Error::Value`] if the value of the reply has another type.
     pub fn execute<T: for<'v> FromVariant<'v>>(&mut self, command: &str, parameter: impl Encode) -> Result<T, Error> {
-        self.session.value(command, call::robot_execute(self.handle, command, parameter))
-    }
-
-    const fn handles(&self) -> Handles {
-        Handles { controller: self.session.handle, robot: self.handle }
+        ready(self.session.execute_robot(command, parameter))
     }
 }
 
@@ -102,8 +91,7 @@ impl<'a> Arm<'a> {
     ///
     /// An [`Error`].
     pub fn motor_on(&mut self) -> Result<(), Error> {
-        self.motor = true;
-        self.robot.execute("Motor", [1, 0])
+        ready(self.robot.session.motor(true))
     }
 
     /// Switches the motor off, and waits until it is.
@@ -112,9 +100,7 @@ impl<'a> Arm<'a> {
     ///
     /// An [`Error`].
     pub fn motor_off(&mut self) -> Result<(), Error> {
-        self.robot.execute::<()>("Motor", [0, 0])?;
-        self.motor = false;
-        Ok(())
+        ready(self.robot.session.motor(false))
     }
 
     /// Sets the external speed, in percent of the maximum.
@@ -135,16 +121,7 @@ impl<'a> Arm<'a> {
     ///
     /// An [`Error`]. If the motion may have begun, the robot was halted, unless the connection is lost.
     pub fn move_to(&mut self, motion: &Move, limit: Duration) -> Result<Motion, Error> {
-        let parameters = procedure::MoveParameters {
-            interpolation: motion.interpolation(),
-            pose: motion.destination(),
-            option: motion.options(),
-        };
-        self.moving = true;
-        let steps = procedure::move_and_wait(self.robot.handles(), parameters, MotionConfig::within(limit));
-        let ended = self.robot.session.run("the robot", steps)?;
-        self.moving = false;
-        Ok(ended)
+        ready(self.robot.session.move_to(motion, limit))
     }
 
     /// Returns the robot, to read its position.
@@ -157,28 +134,14 @@ impl<'a> Arm<'a> {
     /// # Errors
     ///
     /// The first [`Error`].
-    pub fn give(mut self) -> Result<(), Error> {
-        self.end()
-    }
-
-    fn end(&mut self) -> Result<(), Error> {
-        if std::mem::replace(&mut self.given, true) {
-            return Ok(());
-        }
-        let handle = self.robot.handle;
-        let halted = match self.moving {
-            true => self.robot.session.call("the robot", call::robot_halt(handle, "")).map(drop),
-            false => Ok(()),
-        };
-        let off = if self.motor { self.motor_off() } else { Ok(()) };
-        let given = self.robot.session.run("the robot", procedure::give_arm(handle));
-        halted.and(off).and(given)
+    pub fn give(self) -> Result<(), Error> {
+        ready(self.robot.session.give_arm())
     }
 }
 
 impl Drop for Arm<'_> {
     fn drop(&mut self) {
-        if let Err(error) = self.end() {
+        if let Err(error) = ready(self.robot.session.give_arm()) {
             tracing::warn!(%error, "the arm was not given back");
         }
     }

@@ -1,9 +1,11 @@
 //! One transport over any kind of socket.
 
+use std::pin::pin;
+use std::task::{Context, Poll, Waker};
 use std::{fmt, io};
 
 use bcap_core::bcap::Client;
-use bcap_core::bcap::client::Config;
+use bcap_core::io::asynch;
 use bcap_core::time::Instant;
 
 use super::{Connection, TcpTransport, Transport, UdpTransport, connect_tcp, connect_udp};
@@ -28,11 +30,26 @@ impl fmt::Debug for Socket {
     }
 }
 
+/// A [`Socket`] as a transport of the session's asynchronous functions: its futures do not wait, their polls do.
+#[derive(Debug)]
+pub(super) struct Blocking(Socket);
+
+/// A client over a [`Blocking`] socket.
+pub(super) type BlockingConnection = asynch::Connection<Blocking, Vec<u8>>;
+
+/// Runs a function of a session over a [`Blocking`] socket: its first poll does all the work.
+pub(super) fn ready<F: Future>(work: F) -> F::Output {
+    let mut work = pin!(work);
+    loop {
+        if let Poll::Ready(output) = work.as_mut().poll(&mut Context::from_waker(Waker::noop())) {
+            return output;
+        }
+    }
+}
+
 /// Connects with the time limits of the settings.
-pub(super) fn connect(address: &Address, settings: &Settings) -> Result<Connection<Socket, Vec<u8>>, ConnectError> {
-    let mut options = settings.options;
-    options.tcp.timing = settings.service.timing(options.tcp.timing);
-    options.udp.timing = settings.service.timing(options.udp.timing);
+pub(super) fn connect(address: &Address, settings: &Settings) -> Result<BlockingConnection, ConnectError> {
+    let options = settings.socket_options();
     let peer = (address.host.as_str(), address.port);
     match address.protocol {
         Protocol::Tcp => Ok(wrap(connect_tcp(peer, &options)?, Socket::Tcp)),
@@ -44,16 +61,34 @@ pub(super) fn connect(address: &Address, settings: &Settings) -> Result<Connecti
 pub(super) fn over(
     stream: impl Transport<Error = io::Error> + Send + 'static,
     settings: &Settings,
-) -> Connection<Socket, Vec<u8>> {
-    let tcp = settings.options.tcp;
-    let config = Config { timing: settings.service.timing(tcp.timing), ..tcp };
-    let client = Client::new(config, vec![0; STREAM_ROOM], vec![0; STREAM_ROOM]);
-    Connection::new(Socket::Other(Box::new(stream)), client)
+) -> BlockingConnection {
+    let client = Client::new(settings.socket_options().tcp, vec![0; STREAM_ROOM], vec![0; STREAM_ROOM]);
+    asynch::Connection::new(Blocking(Socket::Other(Box::new(stream))), client)
 }
 
-fn wrap<X: Transport>(connection: Connection<X, Vec<u8>>, socket: fn(X) -> Socket) -> Connection<Socket, Vec<u8>> {
+fn wrap<X: Transport>(connection: Connection<X, Vec<u8>>, socket: fn(X) -> Socket) -> BlockingConnection {
     let (transport, client): (X, Client<Vec<u8>>) = connection.into_parts();
-    Connection::new(socket(transport), client)
+    asynch::Connection::new(Blocking(socket(transport)), client)
+}
+
+impl asynch::SendTransport for Blocking {
+    type Error = io::Error;
+
+    fn now(&self) -> Instant {
+        self.0.now()
+    }
+
+    async fn send(&mut self, bytes: &[u8], until: Instant) -> io::Result<Option<usize>> {
+        self.0.send(bytes, until)
+    }
+
+    async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
+        self.0.receive(buffer, until)
+    }
+
+    async fn sleep_until(&mut self, at: Instant) {
+        self.0.sleep_until(at);
+    }
 }
 
 impl Transport for Socket {

@@ -3,16 +3,11 @@
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use bcap_core::bcap::FunctionId;
-use bcap_core::bcap::call;
-use bcap_core::hresult::HResult;
-use bcap_core::procedure::{self, Handles};
-
-use super::session::open_robot;
-use super::socket::{self, Socket};
-use super::{Connection, Transport};
+use super::Transport;
+use super::socket::{self, Blocking, BlockingConnection, ready};
 use crate::address::Address;
 use crate::error::Error;
+use crate::session::{Halted, Session};
 use crate::settings::Settings;
 
 /// Halts the robot from any thread, also while another call of the [`Controller`](super::Controller) waits.
@@ -24,23 +19,12 @@ pub struct Stopper {
     session: Arc<Mutex<StopperSession>>,
 }
 
-/// The effect of [`Stopper::halt`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[must_use]
-pub enum Halted {
-    /// The robot was moving, and has been halted.
-    Halted,
-    /// The robot was not moving.
-    NothingMoved,
-}
-
 #[derive(Debug)]
 struct StopperSession {
     /// `None` over a stream of the caller.
     address: Option<Address>,
     settings: Settings,
-    connection: Connection<Socket, Vec<u8>>,
-    handles: Handles,
+    session: Session<Blocking>,
 }
 
 impl Stopper {
@@ -72,10 +56,10 @@ impl Stopper {
     pub fn halt(&self) -> Result<Halted, Error> {
         // a panic cannot leave the session in a state that prevents a halt
         let mut session = self.session.lock().unwrap_or_else(PoisonError::into_inner);
-        match (session.halt(), session.address.clone()) {
+        match (ready(session.session.halt()), session.address.clone()) {
             (Err(error), Some(address)) if error.is_lost() => {
                 *session = StopperSession::connect(&address, &session.settings)?;
-                session.halt()
+                ready(session.session.halt())
             }
             (ended, _) => ended,
         }
@@ -87,28 +71,18 @@ impl StopperSession {
         Self::open(socket::connect(address, settings)?, Some(address.clone()), settings)
     }
 
-    fn open(
-        mut connection: Connection<Socket, Vec<u8>>,
-        address: Option<Address>,
-        settings: &Settings,
-    ) -> Result<Self, Error> {
-        let handles = open_robot(&mut connection, settings)?;
-        Ok(Self { address, settings: settings.clone(), connection, handles })
-    }
-
-    fn halt(&mut self) -> Result<Halted, Error> {
-        let halted = self.connection.call(call::robot_halt(self.handles.robot, "")).map(drop);
-        halted.map_err(|error| Error::call(FunctionId::ROBOT_HALT, "the robot", error))?;
-        Ok(match self.connection.last_result() {
-            Some(HResult::S_FALSE) => Halted::NothingMoved,
-            _ => Halted::Halted,
-        })
+    fn open(connection: BlockingConnection, address: Option<Address>, settings: &Settings) -> Result<Self, Error> {
+        let mut session = ready(Session::start(connection, settings))?;
+        // the handle must exist before it is needed
+        let opened = ready(session.robot());
+        let stopper = Self { address, settings: settings.clone(), session };
+        opened.map(|_| stopper)
     }
 }
 
 impl Drop for StopperSession {
     fn drop(&mut self) {
-        // a server releases the objects of a client that does not say goodbye
-        let _ = self.connection.run(procedure::release_robot(self.handles));
+        // a server releases the objects of a client that ends without a word
+        let _ = ready(self.session.release());
     }
 }

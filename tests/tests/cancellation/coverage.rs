@@ -11,7 +11,7 @@ pub(crate) const CORE: &[(&str, Coverage)] = &[
     ("io/asynch.rs: Connection::advance", Swept("advance")),
     ("io/asynch.rs: Connection::call", Swept("call")),
     ("io/asynch.rs: Connection::call_with", Swept("call_with")),
-    ("io/asynch.rs: Connection::exchange", Through("io/asynch.rs: Connection::call_with")),
+    ("io/asynch.rs: Connection::carry", Through("io/asynch.rs: Connection::run")),
     ("io/asynch.rs: Connection::perform", Through("io/asynch.rs: Connection::run")),
     ("io/asynch.rs: Connection::run", Swept("run")),
     ("io/asynch.rs: Connection::run_beside", Swept("run_beside")),

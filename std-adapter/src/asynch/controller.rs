@@ -1,0 +1,390 @@
+//! A controller as an object for tokio.
+
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+use bcap_core::bcap::call::{Call, Maybe};
+use bcap_core::bcap::{FrameWriter, FunctionId, Object};
+use bcap_core::error::EncodeError;
+use bcap_core::variant::{Encode, FromVariant, OwnedVariant, Variant};
+use tokio::sync::{mpsc, oneshot, watch};
+
+use super::SendTransport;
+use super::robot::{Robot, Stopper};
+use super::socket::{self, BoxFuture, Socket};
+use super::state::{Counters, State, States, Statistics};
+use super::subscription::{Scan, Subscription};
+use super::task::{self, Request, Task, Work};
+use crate::address::{Address, AddressError};
+use crate::error::Error;
+use crate::session::Session;
+use crate::settings::Settings;
+
+/// A session with a controller, which a task of its own keeps open.
+///
+/// The handle can be cloned and sent to other tasks. Their calls are carried out one after another. When the connection is
+/// lost, calls fail with [`Error::NotConnected`], and the task connects again until it succeeds. No call is made twice.
+/// When the last handle is dropped, the task gives the arm back, releases all objects and stops the service.
+///
+/// # Cancel safety
+///
+/// A call whose future is dropped is not made if its turn has not come; otherwise it is completed, and its result is
+/// dropped. A motion is different: see [`Arm::move_to`](super::Arm::move_to).
+///
+/// # Examples
+///
+/// ```no_run
+/// # async fn example() -> Result<(), bcap_std::Error> {
+/// use std::time::Duration;
+///
+/// use bcap_std::asynch::Controller;
+/// use bcap_std::{Motion, Move, Settings};
+///
+/// let cell = Controller::connect("tcp:192.168.0.1", &Settings::rc9()).await?;
+/// let count: i32 = cell.read("I1").await?;
+/// cell.write("I1", count + 1).await?;
+///
+/// let mut arm = cell.robot().await?.take_arm().await?;
+/// arm.motor_on().await?;
+/// match arm.move_to(Move::line("P1").speed_percent(10.0), Duration::from_secs(30)).await? {
+///     Motion::Arrived => println!("at P1"),
+///     other => println!("not at P1: {other:?}"),
+/// }
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Clone, Debug)]
+pub struct Controller {
+    requests: mpsc::UnboundedSender<Request>,
+    state: watch::Receiver<State>,
+    counters: Arc<Counters>,
+    /// `None` over a stream of the caller.
+    address: Option<Address>,
+    settings: Settings,
+}
+
+impl Controller {
+    /// Connects to the controller at `tcp:HOST[:PORT]` or `udp:HOST[:PORT]`, and starts a session with a watchdog.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`] for a wrong address, a failed connection, or a refused call. Nothing stays open then.
+    ///
+    /// # Cancel safety
+    ///
+    /// Dropping the future closes the connection.
+    pub async fn connect(address: &str, settings: &Settings) -> Result<Self, Error> {
+        Self::connect_with(address.parse()?, settings, false).await
+    }
+
+    pub(super) async fn connect_with(address: Address, settings: &Settings, opens_robot: bool) -> Result<Self, Error> {
+        let session = task::connect(&address, settings, opens_robot).await?;
+        Ok(Self::start(Some(address), settings, opens_robot, Some(session)))
+    }
+
+    /// Begins to connect in the background, and again until it succeeds. It must be called in a runtime of tokio.
+    ///
+    /// # Errors
+    ///
+    /// An [`AddressError`].
+    pub fn spawn(address: &str, settings: &Settings) -> Result<Self, AddressError> {
+        Ok(Self::start(Some(address.parse()?), settings, false, None))
+    }
+
+    /// Starts a session over a stream of the caller, such as a `Wire` to the virtual controller in memory. The session is
+    /// not opened again.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`] for a refused call, or one without a reply.
+    ///
+    /// # Cancel safety
+    ///
+    /// Dropping the future drops the stream.
+    pub async fn over(
+        stream: impl SendTransport<Error = io::Error> + Send + Sync + 'static,
+        settings: &Settings,
+    ) -> Result<Self, Error> {
+        Self::over_with(stream, settings, false).await
+    }
+
+    pub(super) async fn over_with(
+        stream: impl SendTransport<Error = io::Error> + Send + Sync + 'static,
+        settings: &Settings,
+        opens_robot: bool,
+    ) -> Result<Self, Error> {
+        let session = task::open(socket::over(stream, settings), settings, opens_robot).await?;
+        Ok(Self::start(None, settings, opens_robot, Some(session)))
+    }
+
+    fn start(
+        address: Option<Address>,
+        settings: &Settings,
+        opens_robot: bool,
+        session: Option<Session<Socket>>,
+    ) -> Self {
+        let (requests, receiver) = mpsc::unbounded_channel();
+        let begun = if session.is_some() { State::Connected } else { State::Connecting };
+        let (sender, state) = watch::channel(begun);
+        let counters = Arc::<Counters>::default();
+        let task = Task {
+            requests: receiver,
+            state: sender,
+            counters: Arc::clone(&counters),
+            address: address.clone(),
+            settings: settings.clone(),
+            opens_robot,
+            scan: Scan::default(),
+        };
+        tokio::spawn(task.run(session));
+        Self { requests, state, counters, address, settings: settings.clone() }
+    }
+
+    /// Reads a variable of the controller, such as `I1`, `P5`, `IO128` or `@CURRENT_TIME`.
+    ///
+    /// The value is converted without loss: `i64` and `f64` take any number, `[f64; 7]` a position of R4 numbers.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; [`Error::Value`] if the value has another type.
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`Controller`].
+    pub async fn read<T: for<'a> FromVariant<'a> + Send + 'static>(&self, name: &str) -> Result<T, Error> {
+        let name = name.to_owned();
+        self.run(move |session| Box::pin(async move { session.read(Object::Controller, &name).await })).await
+    }
+
+    /// Reads several variables of any type; each is opened once and stays open for the next time.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`] for the first variable that cannot be read.
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`Controller`].
+    pub async fn read_all<const N: usize>(&self, names: [&str; N]) -> Result<[OwnedVariant; N], Error> {
+        let names = names.map(str::to_owned);
+        self.run(move |session| {
+            Box::pin(async move {
+                let mut values = std::array::from_fn(|_| OwnedVariant::default());
+                for (value, name) in values.iter_mut().zip(&names) {
+                    *value = session.read(Object::Controller, name).await?;
+                }
+                Ok(values)
+            })
+        })
+        .await
+    }
+
+    /// Writes a variable of the controller.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]. After [`Error::NoReply`] the value may have been written.
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`Controller`].
+    pub async fn write(&self, name: &str, value: impl Encode) -> Result<(), Error> {
+        let (name, value) = (name.to_owned(), owned(&value)?);
+        self.run(move |session| Box::pin(async move { session.write(Object::Controller, &name, value).await })).await
+    }
+
+    /// Reads a variable every `interval`, and reports its changes. All subscriptions share one scan of the controller; they
+    /// outlast a lost connection.
+    ///
+    /// # Examples
+    ///
+    /// ```no_run
+    /// # async fn example(cell: bcap_std::asynch::Controller) {
+    /// let mut counts = cell.subscribe("I1", std::time::Duration::from_millis(50));
+    /// while let Some(reading) = counts.next().await {
+    ///     match reading {
+    ///         Ok(value) => println!("I1 = {value:?}"),
+    ///         Err(error) => println!("I1 is unknown: {error}"),
+    ///     }
+    /// }
+    /// # }
+    /// ```
+    pub fn subscribe(&self, name: &str, interval: Duration) -> Subscription {
+        let (subscription, sender) = Subscription::new();
+        // when the task has ended, so does the subscription
+        let _ = self.requests.send(Request::Subscribe(name.to_owned(), interval, sender));
+        subscription
+    }
+
+    /// Returns the robot of the settings; without a name it is the first one that the controller lists.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`] if the controller has no such robot.
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`Controller`].
+    pub async fn robot(&self) -> Result<Robot, Error> {
+        self.run(|session| Box::pin(async { session.robot().await.map(drop) })).await?;
+        Ok(Robot::new(self.clone()))
+    }
+
+    /// Opens a second connection, over which the robot can be halted at any time.
+    ///
+    /// # Errors
+    ///
+    /// As [`connect`](Self::connect), and [`Error::NoAddress`] for a controller over a stream of the caller, which needs
+    /// [`Stopper::over`].
+    ///
+    /// # Cancel safety
+    ///
+    /// Dropping the future closes the second connection.
+    pub async fn stopper(&self) -> Result<Stopper, Error> {
+        let address = self.address.clone().ok_or(Error::NoAddress)?;
+        Ok(Stopper::new(Self::connect_with(address, &self.settings, true).await?))
+    }
+
+    /// Executes a command of the controller with a parameter, such as `ClearError` with `()`.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; [`Error::Value`] if the value of the reply has another type.
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`Controller`].
+    pub async fn execute<T: for<'a> FromVariant<'a> + Send + 'static>(
+        &self,
+        command: &str,
+        parameter: impl Encode,
+    ) -> Result<T, Error> {
+        let (command, parameter) = (command.to_owned(), owned(&parameter)?);
+        self.run(move |session| Box::pin(async move { session.execute(&command, parameter).await })).await
+    }
+
+    /// Calls any function. The first argument of most is the handle of an object, which another call returned in the same
+    /// session. Objects that the call opens are released by the caller, or end with the session.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`].
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`Controller`].
+    pub async fn call(&self, function: FunctionId, arguments: Vec<OwnedVariant>) -> Result<OwnedVariant, Error> {
+        self.run(move |session| {
+            Box::pin(async move {
+                let value = session.call("the controller", OwnedCall { function, arguments }).await?;
+                owned(&value.unwrap_or(Variant::Empty))
+            })
+        })
+        .await
+    }
+
+    /// Returns the states of the connection, beginning with the present one.
+    pub fn states(&self) -> States {
+        States::new(self.state.clone())
+    }
+
+    /// Returns the present state of the connection.
+    #[must_use]
+    pub fn state(&self) -> State {
+        self.state.borrow().clone()
+    }
+
+    /// Waits until there is a session.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Closed`] when the task has ended.
+    ///
+    /// # Cancel safety
+    ///
+    /// Dropping the future has no effect.
+    pub async fn connected(&self) -> Result<(), Error> {
+        let mut state = self.state.clone();
+        match state.wait_for(|state| matches!(state, State::Connected | State::Closed)).await {
+            Ok(state) if *state == State::Connected => Ok(()),
+            _ => Err(Error::Closed),
+        }
+    }
+
+    /// Returns the counters, such as for an exporter of metrics.
+    #[must_use]
+    pub fn statistics(&self) -> Statistics {
+        self.counters.read()
+    }
+
+    /// Releases all objects, stops the service and ends the task, also for all other handles.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`] if the connection was lost meanwhile; [`Error::Closed`] when the task has ended before.
+    ///
+    /// # Cancel safety
+    ///
+    /// The controller is closed even if the future is dropped.
+    pub async fn close(self) -> Result<(), Error> {
+        let (reply, closed) = oneshot::channel();
+        self.send(Request::Close(reply))?;
+        closed.await.map_err(|_| Error::Closed)?
+    }
+
+    pub(super) fn send(&self, request: Request) -> Result<(), Error> {
+        self.requests.send(request).map_err(|_| Error::Closed)
+    }
+
+    /// Runs a function of the session in the task, unless the caller has gone before its turn.
+    pub(super) async fn run<T, F>(&self, work: F) -> Result<T, Error>
+    where
+        F: for<'a> FnOnce(&'a mut Session<Socket>) -> BoxFuture<'a, Result<T, Error>> + Send + 'static,
+        T: Send + 'static,
+    {
+        self.carry_out(work, false).await
+    }
+
+    /// Runs a function of the session in the task, also when the caller has gone.
+    pub(super) async fn run_always<T, F>(&self, work: F) -> Result<T, Error>
+    where
+        F: for<'a> FnOnce(&'a mut Session<Socket>) -> BoxFuture<'a, Result<T, Error>> + Send + 'static,
+        T: Send + 'static,
+    {
+        self.carry_out(work, true).await
+    }
+
+    async fn carry_out<T, F>(&self, work: F, always: bool) -> Result<T, Error>
+    where
+        F: for<'a> FnOnce(&'a mut Session<Socket>) -> BoxFuture<'a, Result<T, Error>> + Send + 'static,
+        T: Send + 'static,
+    {
+        let (reply, result) = oneshot::channel();
+        self.send(Request::Run(Box::new(Work { work, reply, always })))?;
+        result.await.map_err(|_| Error::Closed)?
+    }
+}
+
+/// Copies an argument, which outlives its caller in the task.
+pub(super) fn owned(value: &impl Encode) -> Result<OwnedVariant, Error> {
+    OwnedVariant::new(value).map_err(Error::Argument)
+}
+
+/// A call that owns its arguments.
+struct OwnedCall {
+    function: FunctionId,
+    arguments: Vec<OwnedVariant>,
+}
+
+impl Call for OwnedCall {
+    type Reply = Maybe;
+
+    fn function(&self) -> FunctionId {
+        self.function
+    }
+
+    fn arguments(&self, frame: &mut FrameWriter<'_>) -> Result<(), EncodeError> {
+        self.arguments.iter().try_for_each(|argument| frame.argument(argument))
+    }
+}

@@ -1,0 +1,279 @@
+//! A robot, its arm and its stopper as objects for tokio.
+
+use std::io;
+use std::time::Duration;
+
+use bcap_core::bcap::Object;
+use bcap_core::position::{Joints, Position};
+use bcap_core::procedure::Motion;
+use bcap_core::variant::{Encode, FromVariant};
+use tokio::sync::oneshot;
+
+use super::SendTransport;
+use super::controller::{Controller, owned};
+use super::socket::{BoxFuture, Socket};
+use super::task::{MoveRequest, Request};
+use crate::error::Error;
+use crate::moves::Move;
+use crate::session::{Halted, Session};
+use crate::settings::Settings;
+
+/// A robot of a controller.
+///
+/// It cannot move; [`take_arm`](Self::take_arm) returns what can.
+#[derive(Clone, Debug)]
+pub struct Robot {
+    controller: Controller,
+}
+
+/// A robot whose arm this client has taken, so that it can move it.
+///
+/// When it is dropped, the task halts the robot if a motion may be under way, switches the motor off if it was switched on
+/// here, and gives the arm back. After a lost connection none of this is possible; only the controller itself stops the
+/// robot then. The arm is lost with the connection: its functions fail with [`Error::ArmLost`].
+#[derive(Debug)]
+pub struct Arm {
+    robot: Robot,
+    /// The session in which the arm was taken.
+    session: u64,
+}
+
+/// Halts the robot from any task, also while another call of the [`Controller`] waits.
+///
+/// It has a connection and a session of its own, which are open before they are needed, and are opened again when they are
+/// lost. It is not an emergency stop: it needs the network, this computer and the controller.
+#[derive(Clone, Debug)]
+pub struct Stopper {
+    controller: Controller,
+}
+
+impl Robot {
+    pub(super) const fn new(controller: Controller) -> Self {
+        Self { controller }
+    }
+
+    /// Takes the arm, which keeps its speed, tool and work.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; the arm is not taken then. [`Error::ArmTaken`] if another [`Arm`] of this controller exists.
+    ///
+    /// # Cancel safety
+    ///
+    /// If the future is dropped, the arm is given back.
+    pub async fn take_arm(self) -> Result<Arm, Error> {
+        let controller = self.controller.clone();
+        controller
+            .run(move |session| {
+                Box::pin(async move {
+                    session.take_arm().await?;
+                    // from here on a drop gives it back, also when the caller has gone
+                    Ok(Arm { robot: self, session: session.id })
+                })
+            })
+            .await
+    }
+
+    /// Reads the joints.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`].
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`Controller`].
+    pub async fn joints(&self) -> Result<Joints, Error> {
+        self.execute("CurJnt", ()).await
+    }
+
+    /// Reads the position of the tool.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`].
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`Controller`].
+    pub async fn position(&self) -> Result<Position, Error> {
+        self.execute("CurPos", ()).await
+    }
+
+    /// Reads a variable of the robot, such as `@SERVO_ON`.
+    ///
+    /// # Errors
+    ///
+    /// As [`Controller::read`].
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`Controller`].
+    pub async fn read<T: for<'v> FromVariant<'v> + Send + 'static>(&self, name: &str) -> Result<T, Error> {
+        let name = name.to_owned();
+        self.controller.run(move |session| Box::pin(async move { session.read(Object::Robot, &name).await })).await
+    }
+
+    /// Executes a command of the robot with a parameter, and returns its value.
+    ///
+    /// Some commands move the robot, such as `DriveEx`; they fail without the arm. Other calls of the controller wait until
+    /// the command has ended, and dropping the future does not stop it: only a [`Stopper`] does.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; [`Error::Value`] if the value of the reply has another type.
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`Controller`].
+    pub async fn execute<T: for<'v> FromVariant<'v> + Send + 'static>(
+        &self,
+        command: &str,
+        parameter: impl Encode,
+    ) -> Result<T, Error> {
+        let (command, parameter) = (command.to_owned(), owned(&parameter)?);
+        self.controller
+            .run(move |session| Box::pin(async move { session.execute_robot(&command, parameter).await }))
+            .await
+    }
+}
+
+impl Arm {
+    /// Switches the motor on, and waits until it is.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`].
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`Controller`]; the drop of the arm switches the motor off.
+    pub async fn motor_on(&mut self) -> Result<(), Error> {
+        self.run(|session| Box::pin(session.motor(true))).await
+    }
+
+    /// Switches the motor off, and waits until it is.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`].
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`Controller`].
+    pub async fn motor_off(&mut self) -> Result<(), Error> {
+        self.run(|session| Box::pin(session.motor(false))).await
+    }
+
+    /// Sets the external speed, in percent of the maximum.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`].
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`Controller`].
+    pub async fn set_speed(&mut self, percent: f64) -> Result<(), Error> {
+        self.run(move |session| Box::pin(session.execute_robot("ExtSpeed", percent))).await
+    }
+
+    /// Moves, and waits until the motion ends, at most for `limit`; the robot is halted then.
+    ///
+    /// [`Motion::Arrived`] means that the joints rest at the destination, not only that the robot does not move. Other
+    /// calls of the controller are made meanwhile.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]. If the motion may have begun, the robot was halted, unless the connection is lost.
+    ///
+    /// # Cancel safety
+    ///
+    /// **Dropping the future halts the robot**: the task gives up what it waits for and sends the halt. To let the
+    /// robot move on, keep the future. The halt uses the same connection, so it is executed after a call that the
+    /// controller still executes; a [`Stopper`] has its own.
+    pub async fn move_to(&mut self, motion: Move, limit: Duration) -> Result<Motion, Error> {
+        let (reply, ended) = oneshot::channel();
+        let request = MoveRequest { session: self.session, motion, limit, reply };
+        self.robot.controller.send(Request::Move(request))?;
+        ended.await.map_err(|_| Error::Closed)?
+    }
+
+    /// Returns the robot, to read its position.
+    #[must_use]
+    pub const fn robot(&self) -> &Robot {
+        &self.robot
+    }
+
+    /// Gives the arm back, as a drop does, and reports whether that succeeded.
+    ///
+    /// # Errors
+    ///
+    /// The first [`Error`].
+    ///
+    /// # Cancel safety
+    ///
+    /// The arm is given back even if the future is dropped.
+    pub async fn give(self) -> Result<(), Error> {
+        self.run(|session| Box::pin(session.give_arm())).await
+    }
+
+    /// Runs a function in the session in which the arm was taken.
+    async fn run<T, F>(&self, work: F) -> Result<T, Error>
+    where
+        F: for<'a> FnOnce(&'a mut Session<Socket>) -> BoxFuture<'a, Result<T, Error>> + Send + 'static,
+        T: Send + 'static,
+    {
+        let taken = self.session;
+        self.robot
+            .controller
+            .run(
+                move |session| {
+                    if session.id == taken { work(session) } else { Box::pin(async { Err(Error::ArmLost) }) }
+                },
+            )
+            .await
+    }
+}
+
+impl Drop for Arm {
+    fn drop(&mut self) {
+        // when the task has ended, it has given the arm back
+        let _ = self.robot.controller.send(Request::GiveArm(self.session));
+    }
+}
+
+impl Stopper {
+    pub(super) const fn new(controller: Controller) -> Self {
+        Self { controller }
+    }
+
+    /// Starts the session of a stopper over a stream of the caller. It does not connect again.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`] for a refused call, or one without a reply.
+    ///
+    /// # Cancel safety
+    ///
+    /// Dropping the future drops the stream.
+    pub async fn over(
+        stream: impl SendTransport<Error = io::Error> + Send + Sync + 'static,
+        settings: &Settings,
+    ) -> Result<Self, Error> {
+        Ok(Self::new(Controller::over_with(stream, settings, true).await?))
+    }
+
+    /// Halts the robot, and waits until it rests.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; the robot may still move.
+    ///
+    /// # Cancel safety
+    ///
+    /// The robot is halted even if the future is dropped after its first poll.
+    pub async fn halt(&self) -> Result<Halted, Error> {
+        self.controller.run_always(|session| Box::pin(session.halt())).await
+    }
+}

@@ -1,0 +1,151 @@
+//! One transport over any kind of socket.
+
+use std::pin::Pin;
+use std::{fmt, io};
+
+use bcap_core::bcap::Client;
+use bcap_core::time::Instant;
+use tokio::net::TcpStream;
+
+use super::{Connection, SendTransport, TcpTransport, Transport, UdpTransport, connect_tcp, connect_udp};
+use crate::address::{Address, Protocol};
+use crate::connect::{ConnectError, STREAM_ROOM};
+use crate::settings::Settings;
+
+/// A TCP or UDP socket, or a transport of the user.
+pub(super) enum Socket {
+    Tcp(TcpTransport),
+    Udp(UdpTransport),
+    Other(Box<dyn Boxed>),
+}
+
+/// A client over a [`Socket`].
+pub(super) type SocketConnection = Connection<Socket, Vec<u8>>;
+
+/// A future of a [`Boxed`] transport, and of a function of a session.
+pub(super) type BoxFuture<'a, T> = Pin<Box<dyn Future<Output = T> + Send + 'a>>;
+
+/// A [`SendTransport`] as a trait object.
+pub(super) trait Boxed: Send + Sync {
+    fn now(&self) -> Instant;
+    fn send<'a>(&'a mut self, bytes: &'a [u8], until: Instant) -> BoxFuture<'a, io::Result<Option<usize>>>;
+    fn receive<'a>(&'a mut self, buffer: &'a mut [u8], until: Instant) -> BoxFuture<'a, io::Result<Option<usize>>>;
+    fn sleep_until(&mut self, at: Instant) -> BoxFuture<'_, ()>;
+}
+
+impl<X: SendTransport<Error = io::Error> + Send + Sync> Boxed for X {
+    fn now(&self) -> Instant {
+        SendTransport::now(self)
+    }
+
+    fn send<'a>(&'a mut self, bytes: &'a [u8], until: Instant) -> BoxFuture<'a, io::Result<Option<usize>>> {
+        Box::pin(SendTransport::send(self, bytes, until))
+    }
+
+    fn receive<'a>(&'a mut self, buffer: &'a mut [u8], until: Instant) -> BoxFuture<'a, io::Result<Option<usize>>> {
+        Box::pin(SendTransport::receive(self, buffer, until))
+    }
+
+    fn sleep_until(&mut self, at: Instant) -> BoxFuture<'_, ()> {
+        Box::pin(SendTransport::sleep_until(self, at))
+    }
+}
+
+impl fmt::Debug for Socket {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Tcp(tcp) => tcp.fmt(f),
+            Self::Udp(udp) => udp.fmt(f),
+            Self::Other(_) => f.write_str("Other"),
+        }
+    }
+}
+
+/// Connects with the time limits of the settings.
+pub(super) async fn connect(address: &Address, settings: &Settings) -> Result<SocketConnection, ConnectError> {
+    let options = settings.socket_options();
+    let peer = (address.host.as_str(), address.port);
+    match address.protocol {
+        Protocol::Tcp => Ok(wrap(connect_tcp(peer, &options).await?, Socket::Tcp)),
+        Protocol::Udp => Ok(wrap(connect_udp(peer, &options).await?, Socket::Udp)),
+    }
+}
+
+/// Combines a stream of the user with a client.
+pub(super) fn over(
+    stream: impl SendTransport<Error = io::Error> + Send + Sync + 'static,
+    settings: &Settings,
+) -> SocketConnection {
+    let client = Client::new(settings.socket_options().tcp, vec![0; STREAM_ROOM], vec![0; STREAM_ROOM]);
+    Connection::new(Socket::Other(Box::new(stream)), client)
+}
+
+fn wrap<X: Transport>(connection: Connection<X, Vec<u8>>, socket: fn(X) -> Socket) -> SocketConnection {
+    let (transport, client): (X, Client<Vec<u8>>) = connection.into_parts();
+    Connection::new(socket(transport), client)
+}
+
+impl Socket {
+    /// Waits until `at`, or for ever; returns whether the peer has closed the connection meanwhile.
+    pub(super) async fn idle_until(&mut self, at: Option<Instant>) -> bool {
+        let waited = async |socket: Option<&mut Self>| match (at, socket) {
+            (Some(at), Some(socket)) => SendTransport::sleep_until(socket, at).await,
+            (Some(at), None) => tokio::time::sleep(crate::clock::until(at)).await,
+            (None, _) => std::future::pending().await,
+        };
+        let Self::Tcp(tcp) = self else {
+            waited(Some(self)).await;
+            return false;
+        };
+        tokio::select! {
+            () = closed(tcp.stream()) => true,
+            () = waited(None) => false,
+        }
+    }
+}
+
+/// Waits until the peer closes the stream, which it can do between two calls.
+async fn closed(stream: &TcpStream) {
+    loop {
+        match stream.peek(&mut [0]).await {
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Ok(0) | Err(_) => return,
+            // bytes without a request, which the next call drops
+            Ok(_) => std::future::pending().await,
+        }
+    }
+}
+
+impl SendTransport for Socket {
+    type Error = io::Error;
+
+    fn now(&self) -> Instant {
+        match self {
+            Self::Other(other) => other.now(),
+            Self::Tcp(_) | Self::Udp(_) => crate::now(),
+        }
+    }
+
+    async fn send(&mut self, bytes: &[u8], until: Instant) -> io::Result<Option<usize>> {
+        match self {
+            Self::Tcp(tcp) => SendTransport::send(tcp, bytes, until).await,
+            Self::Udp(udp) => SendTransport::send(udp, bytes, until).await,
+            Self::Other(other) => other.send(bytes, until).await,
+        }
+    }
+
+    async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
+        match self {
+            Self::Tcp(tcp) => SendTransport::receive(tcp, buffer, until).await,
+            Self::Udp(udp) => SendTransport::receive(udp, buffer, until).await,
+            Self::Other(other) => other.receive(buffer, until).await,
+        }
+    }
+
+    async fn sleep_until(&mut self, at: Instant) {
+        match self {
+            Self::Other(other) => other.sleep_until(at).await,
+            Self::Tcp(_) | Self::Udp(_) => tokio::time::sleep(crate::clock::until(at)).await,
+        }
+    }
+}

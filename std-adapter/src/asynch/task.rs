@@ -1,0 +1,449 @@
+//! The task that owns the connection of a controller.
+//!
+//! ```text
+//!  handles ── requests ──► task ──► session ──► socket
+//!                           │  └──► subscriptions, motion
+//!                           └─ lost ─► report, wait, connect again
+//! ```
+//!
+//! It carries out one request after another. While a motion is under way it polls the robot between them. A request whose
+//! caller has gone is dropped if it has not begun; one that has begun is completed, because the controller cannot be asked
+//! to forget it. No request is carried out twice.
+
+use std::collections::hash_map::RandomState;
+use std::hash::{BuildHasher, Hasher};
+use std::io;
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::time::Duration;
+
+use bcap_core::io::asynch::Running;
+use bcap_core::procedure::{Motion, Procedure, StepError};
+use bcap_core::time::Instant;
+use tokio::sync::{mpsc, oneshot, watch};
+
+use super::socket::{self, BoxFuture, Socket, SocketConnection};
+use super::state::{Counters, State};
+use super::subscription::{Reading, Scan};
+use crate::address::Address;
+use crate::error::Error;
+use crate::moves::Move;
+use crate::session::Session;
+use crate::settings::{Backoff, Settings};
+
+/// What a handle asks of the task.
+pub(super) enum Request {
+    /// Runs a function of the session.
+    Run(Box<dyn Job>),
+    Move(MoveRequest),
+    /// Gives back the arm that was taken in this session, if it still is.
+    GiveArm(u64),
+    Subscribe(String, Duration, watch::Sender<Option<Reading>>),
+    Close(oneshot::Sender<Result<(), Error>>),
+}
+
+/// A motion, and who waits for its end.
+pub(super) struct MoveRequest {
+    /// The session in which the arm was taken.
+    pub(super) session: u64,
+    pub(super) motion: Move,
+    pub(super) limit: Duration,
+    pub(super) reply: oneshot::Sender<Result<Motion, Error>>,
+}
+
+/// A function of a session, and who waits for its result.
+pub(super) trait Job: Send {
+    fn run<'a>(self: Box<Self>, session: &'a mut Session<Socket>) -> BoxFuture<'a, Outcome>;
+    fn fail(self: Box<Self>, error: Error);
+    /// Whether the caller has gone, so that it need not run.
+    fn is_abandoned(&self) -> bool;
+}
+
+/// Whether a request succeeded, for the counters.
+type Outcome = bool;
+
+/// A [`Job`] made of a closure.
+pub(super) struct Work<F, T> {
+    pub(super) work: F,
+    pub(super) reply: oneshot::Sender<Result<T, Error>>,
+    /// Whether it runs although the caller has gone.
+    pub(super) always: bool,
+}
+
+impl<F, T> Job for Work<F, T>
+where
+    F: for<'a> FnOnce(&'a mut Session<Socket>) -> BoxFuture<'a, Result<T, Error>> + Send + 'static,
+    T: Send + 'static,
+{
+    fn run<'a>(self: Box<Self>, session: &'a mut Session<Socket>) -> BoxFuture<'a, Outcome> {
+        let Self { work, reply, .. } = *self;
+        Box::pin(async move {
+            let result = work(session).await;
+            let succeeded = result.is_ok();
+            // a caller that has gone does not need the result
+            let _ = reply.send(result);
+            succeeded
+        })
+    }
+
+    fn fail(self: Box<Self>, error: Error) {
+        let _ = self.reply.send(Err(error));
+    }
+
+    fn is_abandoned(&self) -> bool {
+        !self.always && self.reply.is_closed()
+    }
+}
+
+/// The task of a controller.
+pub(super) struct Task {
+    pub(super) requests: mpsc::UnboundedReceiver<Request>,
+    pub(super) state: watch::Sender<State>,
+    pub(super) counters: Arc<Counters>,
+    /// `None` over a stream of the caller, which cannot be connected again.
+    pub(super) address: Option<Address>,
+    pub(super) settings: Settings,
+    /// Whether each session opens the robot at once, so that a halt takes one call.
+    pub(super) opens_robot: bool,
+    pub(super) scan: Scan,
+}
+
+/// How the service of one session ended.
+enum Ended {
+    /// The connection was lost.
+    Lost(Error),
+    /// A handle closed the controller, and waits for the result.
+    Closed(oneshot::Sender<Result<(), Error>>),
+    /// All handles were dropped.
+    Dropped,
+}
+
+/// Connects, and opens a session.
+pub(super) async fn open(
+    connection: SocketConnection,
+    settings: &Settings,
+    opens_robot: bool,
+) -> Result<Session<Socket>, Error> {
+    let mut session = Session::start(connection, settings).await?;
+    if opens_robot && let Err(error) = session.robot().await {
+        let _ = session.release().await;
+        return Err(error);
+    }
+    Ok(session)
+}
+
+/// Connects to an address, and opens a session.
+pub(super) async fn connect(
+    address: &Address,
+    settings: &Settings,
+    opens_robot: bool,
+) -> Result<Session<Socket>, Error> {
+    open(socket::connect(address, settings).await?, settings, opens_robot).await
+}
+
+impl Task {
+    /// Runs until all handles are dropped or one of them closes the controller.
+    pub(super) async fn run(mut self, mut session: Option<Session<Socket>>) {
+        let mut delays = Delays::new(self.settings.reconnect);
+        loop {
+            let error = match session.take() {
+                Some(mut open) => {
+                    delays = Delays::new(self.settings.reconnect);
+                    self.counters.connections.add();
+                    self.scan.restart();
+                    self.state.send_replace(State::Connected);
+                    match self.serve(&mut open).await {
+                        Ended::Lost(error) => {
+                            self.counters.losses.add();
+                            error
+                        }
+                        ended => return self.end(ended, Some(open)).await,
+                    }
+                }
+                None => match self.connect().await {
+                    ControlFlow::Continue(Ok(open)) => {
+                        session = Some(open);
+                        continue;
+                    }
+                    ControlFlow::Continue(Err(error)) => error,
+                    ControlFlow::Break(ended) => return self.end(ended, None).await,
+                },
+            };
+            tracing::info!(address = ?self.address, %error, "there is no session with the controller");
+            if let Some(ended) = self.wait(error, delays.next()).await {
+                return self.end(ended, None).await;
+            }
+        }
+    }
+
+    /// Ends the session and the task.
+    async fn end(self, ended: Ended, session: Option<Session<Socket>>) {
+        let released = match session {
+            Some(mut session) => session.release().await,
+            None => Ok(()),
+        };
+        self.state.send_replace(State::Closed);
+        match (ended, released) {
+            (Ended::Closed(reply), released) => drop(reply.send(released)),
+            (_, Err(error)) => tracing::warn!(address = ?self.address, %error, "the session was not closed"),
+            (_, Ok(())) => {}
+        }
+    }
+
+    /// Opens a session. Requests fail meanwhile.
+    async fn connect(&mut self) -> ControlFlow<Ended, Result<Session<Socket>, Error>> {
+        let Some(address) = self.address.clone() else { return ControlFlow::Break(Ended::Dropped) };
+        self.state.send_replace(State::Connecting);
+        let settings = self.settings.clone();
+        let opening = connect(&address, &settings, self.opens_robot);
+        self.meanwhile("the controller is being connected", opening).await
+    }
+
+    /// Waits before the next attempt. Requests fail meanwhile.
+    async fn wait(&mut self, error: Error, delay: Duration) -> Option<Ended> {
+        let reason = error.to_string();
+        self.scan.fail(&Arc::new(error));
+        if self.address.is_none() {
+            self.state.send_replace(State::Closed);
+            return self.meanwhile(&reason, std::future::pending::<()>()).await.break_value();
+        }
+        self.state.send_replace(State::Disconnected { reason: reason.clone(), retry_in: delay });
+        self.meanwhile(&reason, tokio::time::sleep(delay)).await.break_value()
+    }
+
+    /// Waits for `event`, and fails all requests meanwhile.
+    async fn meanwhile<T>(&mut self, reason: &str, event: impl Future<Output = T>) -> ControlFlow<Ended, T> {
+        let mut event = std::pin::pin!(event);
+        loop {
+            tokio::select! {
+                biased;
+                request = self.requests.recv() => {
+                    if let Some(ended) = self.refuse(request, reason) {
+                        return ControlFlow::Break(ended);
+                    }
+                }
+                value = &mut event => return ControlFlow::Continue(value),
+            }
+        }
+    }
+
+    /// Fails a request, because there is no session.
+    fn refuse(&mut self, request: Option<Request>, reason: &str) -> Option<Ended> {
+        let error = || not_connected(reason);
+        match request {
+            None => return Some(Ended::Dropped),
+            Some(Request::Close(reply)) => return Some(Ended::Closed(reply)),
+            Some(Request::Run(job)) => job.fail(error()),
+            Some(Request::Move(request)) => drop(request.reply.send(Err(error()))),
+            Some(Request::Subscribe(name, interval, sender)) => {
+                self.scan.add(name, interval, sender);
+                self.scan.fail(&Arc::new(error()));
+                return None;
+            }
+            Some(Request::GiveArm(_)) => return None,
+        }
+        self.counters.failures.add();
+        None
+    }
+
+    /// Carries out requests until the session ends. Each round does at most one step that is due and one request, so neither
+    /// keeps the other from its turn.
+    async fn serve(&mut self, session: &mut Session<Socket>) -> Ended {
+        let mut motion = None;
+        loop {
+            let now = session.now();
+            motion = match motion {
+                Some(motion) => step(session, motion, now).await,
+                None => None,
+            };
+            if self.scan.due().is_some_and(|due| due <= now) && self.scan.read(session).await {
+                self.counters.scanned.add();
+            }
+            if let Some(error) = session.lost() {
+                return lost(motion, error);
+            }
+            let due = motion.as_ref().map(|motion| motion.due).into_iter().chain(self.scan.due()).min();
+            tokio::select! {
+                biased;
+                request = self.requests.recv() => match request {
+                    None => return Ended::Dropped,
+                    Some(Request::Close(reply)) => return Ended::Closed(reply),
+                    Some(Request::Move(request)) => motion = self.start(session, request, motion).await,
+                    Some(Request::GiveArm(id)) if id == session.id => {
+                        motion = None;
+                        self.give_arm(session).await;
+                    }
+                    Some(Request::GiveArm(_)) => {}
+                    Some(Request::Subscribe(name, interval, sender)) => self.scan.add(name, interval, sender),
+                    Some(Request::Run(job)) => {
+                        if !job.is_abandoned() {
+                            self.count(job.run(session).await);
+                        }
+                    }
+                },
+                () = gone(&mut motion) => {}
+                closed = session.transport().idle_until(due) => if closed {
+                    return lost(motion, not_connected("the controller has closed the connection"));
+                },
+            }
+            // a clock that does not wait must not keep other tasks from running
+            tokio::task::yield_now().await;
+        }
+    }
+
+    fn count(&self, succeeded: Outcome) {
+        self.counters.operations.add();
+        if !succeeded {
+            self.counters.failures.add();
+        }
+    }
+
+    async fn give_arm(&self, session: &mut Session<Socket>) {
+        let given = session.give_arm().await;
+        self.count(given.is_ok());
+        if let Err(error) = given {
+            tracing::warn!(address = ?self.address, %error, "the arm was not given back");
+        }
+    }
+
+    /// Starts a motion. One that is under way has been given up by its caller, so the robot is halted first.
+    async fn start(
+        &self,
+        session: &mut Session<Socket>,
+        request: MoveRequest,
+        earlier: Option<Moving>,
+    ) -> Option<Moving> {
+        let MoveRequest { session: id, motion, limit, reply } = request;
+        let halted = match earlier {
+            Some(_) => session.halt().await.map(drop),
+            None => Ok(()),
+        };
+        if reply.is_closed() {
+            return None;
+        }
+        let begun = match halted {
+            Ok(()) if id != session.id => Err(Error::ArmLost),
+            Ok(()) => session.motion(motion, limit).await,
+            Err(error) => Err(error),
+        };
+        self.count(begun.is_ok());
+        match begun {
+            Ok(running) => Some(Moving { steps: Box::new(running), due: Instant::ZERO, reply }),
+            Err(error) => {
+                let _ = reply.send(Err(error));
+                None
+            }
+        }
+    }
+}
+
+/// A motion under way, and who waits for its end.
+struct Moving {
+    steps: Box<dyn MotionSteps>,
+    /// When the robot is polled.
+    due: Instant,
+    reply: oneshot::Sender<Result<Motion, Error>>,
+}
+
+/// A running motion as a trait object.
+trait MotionSteps: Send {
+    fn advance<'a>(
+        &'a mut self,
+        session: &'a mut Session<Socket>,
+    ) -> BoxFuture<'a, ControlFlow<Result<Motion, Error>, Instant>>;
+}
+
+impl<P: Procedure<Output = Motion, Error = StepError> + Send> MotionSteps for Running<P, io::Error> {
+    fn advance<'a>(
+        &'a mut self,
+        session: &'a mut Session<Socket>,
+    ) -> BoxFuture<'a, ControlFlow<Result<Motion, Error>, Instant>> {
+        Box::pin(session.advance(self))
+    }
+}
+
+/// Polls a motion if it is due; halts the robot if the caller has gone. Returns the motion while it is under way.
+async fn step(session: &mut Session<Socket>, mut motion: Moving, now: Instant) -> Option<Moving> {
+    let Moving { steps, due, reply } = &mut motion;
+    if now < *due && !reply.is_closed() {
+        return Some(motion);
+    }
+    let step = tokio::select! {
+        biased;
+        () = reply.closed() => None,
+        step = steps.advance(session) => Some(step),
+    };
+    match step {
+        Some(ControlFlow::Continue(at)) => {
+            *due = at;
+            return Some(motion);
+        }
+        Some(ControlFlow::Break(ended)) => drop(motion.reply.send(ended)),
+        None => {
+            if let Err(error) = session.halt().await {
+                tracing::warn!(%error, "a motion was given up, and the robot was not halted");
+            }
+        }
+    }
+    None
+}
+
+/// Waits until the caller of a motion has gone.
+async fn gone(motion: &mut Option<Moving>) {
+    match motion {
+        Some(motion) => motion.reply.closed().await,
+        None => std::future::pending().await,
+    }
+}
+
+/// Ends the service of a lost session.
+fn lost(motion: Option<Moving>, error: Error) -> Ended {
+    if let Some(motion) = motion {
+        let _ = motion.reply.send(Err(not_connected(&error.to_string())));
+    }
+    Ended::Lost(error)
+}
+
+fn not_connected(reason: &str) -> Error {
+    Error::NotConnected { reason: reason.to_owned() }
+}
+
+/// The delays between attempts to connect: each is twice the one before, less a random part.
+struct Delays {
+    backoff: Backoff,
+    next: Duration,
+}
+
+impl Delays {
+    const fn new(backoff: Backoff) -> Self {
+        Self { backoff, next: backoff.min }
+    }
+
+    /// Returns the next delay, between half of it and all of it, so that many clients do not connect at the same time.
+    fn next(&mut self) -> Duration {
+        let delay = self.next.min(self.backoff.max);
+        self.next = delay.saturating_mul(2);
+        // the standard library seeds its hash maps with random keys
+        let random = RandomState::new().build_hasher().finish() % 1000;
+        let part = u32::try_from(random).unwrap_or(0);
+        delay / 2 + delay / 2000 * part
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn delays_double_up_to_the_maximum_and_differ() {
+        let (min, max) = (Duration::from_millis(100), Duration::from_secs(1));
+        let mut delays = Delays::new(Backoff { min, max });
+        for bound in [100, 200, 400, 800, 1000, 1000] {
+            let delay = delays.next();
+            let bound = Duration::from_millis(bound);
+            assert!(bound / 2 <= delay && delay <= bound, "{delay:?} for {bound:?}");
+        }
+        let once: Vec<_> = (0..50).map(|_| Delays::new(Backoff { min: max, max }).next()).collect();
+        assert!(once.iter().any(|delay| *delay != once[0]));
+    }
+}

@@ -1,0 +1,318 @@
+//! The session of a controller: its connection, the objects that are open, and the arm.
+//!
+//! It is written once, as asynchronous functions. The objects of [`blocking`](crate::blocking) run them over a transport
+//! whose futures are always ready; those of `asynch` run them in a task.
+
+#[cfg(feature = "tokio")]
+mod steps;
+
+use std::collections::HashMap;
+use std::io;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use bcap_core::bcap::call::{self, Any, Call, ControllerHandle, Reply, RobotHandle, VariableHandle};
+use bcap_core::bcap::client::Timing;
+use bcap_core::bcap::{FrameWriter, FunctionId, Object};
+use bcap_core::error::EncodeError;
+use bcap_core::hresult::HResult;
+use bcap_core::io::asynch::{Connection, Transport};
+use bcap_core::procedure::{
+    self, Handles, Motion, MotionConfig, Owner, PathError, PathStep, Procedure, Provider, StepError,
+};
+use bcap_core::variant::{Encode, FromVariant};
+
+use crate::error::Error;
+use crate::moves::Move;
+use crate::settings::Settings;
+use crate::{CallError, RunError};
+
+/// A started session.
+#[derive(Debug)]
+pub(crate) struct Session<X> {
+    connection: Connection<X, Vec<u8>>,
+    /// The number of this session, of which there is no second one in this process.
+    pub(crate) id: u64,
+    pub(crate) handle: ControllerHandle,
+    robot: Option<RobotHandle>,
+    robot_name: Option<String>,
+    /// The handles of variables, by their owner and by name.
+    variables: HashMap<(Object, i32), HashMap<String, VariableHandle>>,
+    /// All open objects, in the order in which they were opened, without service and controller.
+    opened: Vec<(Object, i32)>,
+    arm: Option<ArmState>,
+    /// Why the connection can no longer be used.
+    lost: Option<String>,
+}
+
+/// What this session has done to the arm that it has taken.
+#[derive(Clone, Copy, Debug, Default)]
+struct ArmState {
+    /// Whether the motor may have been switched on here.
+    motor: bool,
+    /// Whether a motion may be under way.
+    moving: bool,
+}
+
+/// The effect of a halt.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[must_use]
+pub enum Halted {
+    /// The robot was moving, and has been halted.
+    Halted,
+    /// The robot was not moving.
+    NothingMoved,
+}
+
+/// The object that errors name when a session starts or ends.
+const SESSION: &str = "the session";
+/// The object that errors name for a robot.
+pub(crate) const ROBOT: &str = "the robot";
+/// How long a call at the end of a session may take.
+const CLOSE: Duration = Duration::from_secs(1);
+
+impl<X: Transport<Error = io::Error>> Session<X> {
+    /// Starts the service and connects to the controller.
+    pub(crate) async fn start(mut connection: Connection<X, Vec<u8>>, settings: &Settings) -> Result<Self, Error> {
+        static NEXT: AtomicU64 = AtomicU64::new(1);
+        let service = settings.service.to_text();
+        let option = &settings.connect_option;
+        let provider = Provider { service: &service, option, ..Provider::new(settings.model.provider()) };
+        let opened = connection.run(procedure::open(provider)).await;
+        let handle = opened.map_err(|error| Error::run(SESSION, error))?;
+        Ok(Self {
+            connection,
+            id: NEXT.fetch_add(1, Ordering::Relaxed),
+            handle,
+            robot: None,
+            robot_name: settings.robot.clone(),
+            variables: HashMap::new(),
+            opened: Vec::new(),
+            arm: None,
+            lost: None,
+        })
+    }
+
+    /// Returns the handle of the robot, and opens it when it is first used.
+    pub(crate) async fn robot(&mut self) -> Result<RobotHandle, Error> {
+        if let Some(handle) = self.robot {
+            return Ok(handle);
+        }
+        let name = self.robot_name.take();
+        let step = PathStep { object: Object::Robot, name: name.as_deref() };
+        let opened = self.open(Object::Controller, self.handle.0, step).await;
+        self.robot_name = name;
+        let handle = RobotHandle(opened?);
+        self.robot = Some(handle);
+        Ok(handle)
+    }
+
+    async fn handles(&mut self) -> Result<Handles, Error> {
+        Ok(Handles { robot: self.robot().await?, controller: self.handle })
+    }
+
+    /// Makes a call; `object` is named in errors.
+    pub(crate) async fn call<C: Call>(
+        &mut self,
+        object: &str,
+        call: C,
+    ) -> Result<<C::Reply as Reply>::Value<'_>, Error> {
+        let function = call.function();
+        let Self { connection, lost, .. } = self;
+        connection.call(call).await.map_err(|error| {
+            if !error.is_recoverable() {
+                *lost = Some(error.to_string());
+            }
+            Error::call(function, object, error)
+        })
+    }
+
+    /// Makes a call and converts its value.
+    pub(crate) async fn value<T, C>(&mut self, object: &str, call: C) -> Result<T, Error>
+    where
+        T: for<'a> FromVariant<'a>,
+        C: Call<Reply = Any>,
+    {
+        let value = self.call(object, call).await?;
+        T::from_variant(value).map_err(|source| Error::Value { object: object.to_owned(), source })
+    }
+
+    /// Executes a command of the controller.
+    pub(crate) async fn execute<T: for<'a> FromVariant<'a>>(
+        &mut self,
+        command: &str,
+        parameter: impl Encode,
+    ) -> Result<T, Error> {
+        self.value(command, call::controller_execute(self.handle, command, parameter)).await
+    }
+
+    /// Executes a command of the robot.
+    pub(crate) async fn execute_robot<T: for<'a> FromVariant<'a>>(
+        &mut self,
+        command: &str,
+        parameter: impl Encode,
+    ) -> Result<T, Error> {
+        let robot = self.robot().await?;
+        self.value(command, call::robot_execute(robot, command, parameter)).await
+    }
+
+    /// Runs a procedure; `object` is named in errors.
+    async fn run<P: Procedure<Error = StepError>>(&mut self, object: &str, procedure: P) -> Result<P::Output, Error> {
+        let ended = self.connection.run(procedure).await;
+        self.ended(object, ended)
+    }
+
+    fn ended<T>(&mut self, object: &str, ended: Result<T, RunError>) -> Result<T, Error> {
+        ended.map_err(|error| {
+            if let Some(call) = error.call.as_ref().filter(|call| !call.is_recoverable()) {
+                self.lost = Some(call.to_string());
+            }
+            Error::run(object, error)
+        })
+    }
+
+    /// Reads a variable of the controller or of the robot.
+    pub(crate) async fn read<T: for<'a> FromVariant<'a>>(&mut self, owner: Object, name: &str) -> Result<T, Error> {
+        let variable = self.variable(owner, name).await?;
+        self.value(name, call::variable_get_value(variable)).await
+    }
+
+    /// Writes a variable of the controller or of the robot.
+    pub(crate) async fn write(&mut self, owner: Object, name: &str, value: impl Encode) -> Result<(), Error> {
+        let variable = self.variable(owner, name).await?;
+        self.call(name, call::variable_put_value(variable, value)).await
+    }
+
+    /// Returns the handle of a variable, and opens it when it is first used.
+    pub(crate) async fn variable(&mut self, owner: Object, name: &str) -> Result<VariableHandle, Error> {
+        let handle = match owner {
+            Object::Robot => self.robot().await?.0,
+            _ => self.handle.0,
+        };
+        if let Some(known) = self.variables.get(&(owner, handle)).and_then(|names| names.get(name)) {
+            return Ok(*known);
+        }
+        let variable = VariableHandle(self.open(owner, handle, PathStep::variable(name)).await?);
+        self.variables.entry((owner, handle)).or_default().insert(name.to_owned(), variable);
+        Ok(variable)
+    }
+
+    /// Opens an object.
+    async fn open(&mut self, object: Object, owner: i32, step: PathStep<'_>) -> Result<i32, Error> {
+        let name = step.name.unwrap_or("the first robot");
+        let owner: Owner = match object {
+            Object::Robot => RobotHandle(owner).into(),
+            _ => ControllerHandle(owner).into(),
+        };
+        let function = step.object.opened_from(object).unwrap_or(FunctionId::CONTROLLER_GET_VARIABLE);
+        let wrong = |error: PathError| Error::Reply { function, object: name.to_owned(), reason: error.to_string() };
+        let opened = self.run(name, procedure::open_path(owner, &[step]).map_err(wrong)?).await?;
+        let handle = opened.last().map_or(0, |(_, handle)| *handle);
+        self.opened.extend(opened);
+        Ok(handle)
+    }
+
+    /// Takes the arm, which keeps its speed, tool and work.
+    pub(crate) async fn take_arm(&mut self) -> Result<(), Error> {
+        if self.arm.is_some() {
+            return Err(Error::ArmTaken);
+        }
+        let robot = self.robot().await?;
+        self.run(ROBOT, procedure::prepare_robot(robot, [0, 1], false)).await?;
+        self.arm = Some(ArmState::default());
+        Ok(())
+    }
+
+    /// Switches the motor on or off, and waits until it is.
+    pub(crate) async fn motor(&mut self, on: bool) -> Result<(), Error> {
+        if let Some(arm) = self.arm.as_mut().filter(|_| on) {
+            arm.motor = true;
+        }
+        self.execute_robot::<()>("Motor", [i32::from(on), 0]).await?;
+        if let Some(arm) = self.arm.as_mut() {
+            arm.motor = on;
+        }
+        Ok(())
+    }
+
+    /// Moves and waits for the end.
+    pub(crate) async fn move_to(&mut self, motion: &Move, limit: Duration) -> Result<Motion, Error> {
+        let handles = self.handles().await?;
+        let steps = procedure::move_and_wait(handles, motion.parameters(), MotionConfig::within(limit));
+        self.set_moving(true);
+        let ended = self.run(ROBOT, steps).await?;
+        self.set_moving(false);
+        Ok(ended)
+    }
+
+    fn set_moving(&mut self, moving: bool) {
+        if let Some(arm) = &mut self.arm {
+            arm.moving = moving;
+        }
+    }
+
+    /// Halts the robot and waits until it rests.
+    pub(crate) async fn halt(&mut self) -> Result<Halted, Error> {
+        let robot = self.robot().await?;
+        self.call(ROBOT, call::robot_halt(robot, "")).await?;
+        self.set_moving(false);
+        Ok(match self.connection.last_result() {
+            Some(HResult::S_FALSE) => Halted::NothingMoved,
+            _ => Halted::Halted,
+        })
+    }
+
+    /// Halts the robot if it may move, switches the motor off if it was switched on here, and gives the arm back.
+    pub(crate) async fn give_arm(&mut self) -> Result<(), Error> {
+        let Some(ArmState { motor, moving }) = self.arm else { return Ok(()) };
+        let robot = self.robot().await?;
+        let halted = if moving { self.halt().await.map(drop) } else { Ok(()) };
+        let off = if motor { self.motor(false).await } else { Ok(()) };
+        self.arm = None;
+        let given = self.run(ROBOT, procedure::give_arm(robot)).await;
+        halted.and(off).and(given)
+    }
+
+    /// Gives the arm back, releases all objects in reverse order and stops the service, once. It ends at the first call
+    /// without a reply.
+    pub(crate) async fn release(&mut self) -> Result<(), Error> {
+        if self.lost.is_none()
+            && let Err(error) = self.give_arm().await
+        {
+            tracing::warn!(%error, "the arm was not given back");
+        }
+        if self.lost.is_some() {
+            return Ok(());
+        }
+        self.lost = Some("it was closed".to_owned());
+        let timing = self.connection.client().timing();
+        let timing = Timing { attempt_timeout: timing.attempt_timeout.min(CLOSE), deadline: CLOSE, ..timing };
+        let session = [(Object::Service, 0), (Object::Controller, self.handle.0)];
+        for (object, handle) in session.iter().chain(&self.opened).rev() {
+            match self.connection.call_with(Release { object: *object, handle: *handle }, timing).await {
+                // an object that cannot be released does not exist
+                Ok(()) | Err(CallError::Refused(_)) => {}
+                Err(error) => return Err(Error::call(object.released_by(), SESSION, error)),
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The call that releases an object.
+struct Release {
+    object: Object,
+    handle: i32,
+}
+
+impl Call for Release {
+    type Reply = call::Nothing;
+
+    fn function(&self) -> FunctionId {
+        self.object.released_by()
+    }
+
+    fn arguments(&self, frame: &mut FrameWriter<'_>) -> Result<(), EncodeError> {
+        if self.object == Object::Service { Ok(()) } else { frame.argument(&self.handle) }
+    }
+}

@@ -1,0 +1,57 @@
+//! What a task needs of a session: a motion by steps, so that it makes other calls meanwhile.
+
+use std::io;
+use std::ops::ControlFlow;
+use std::time::Duration;
+
+use bcap_core::io::asynch::{Running, Transport};
+use bcap_core::procedure::{self, Motion, MotionConfig, Procedure, StepError};
+use bcap_core::time::Instant;
+
+use super::{ROBOT, Session};
+use crate::error::Error;
+use crate::moves::Move;
+
+impl<X: Transport<Error = io::Error>> Session<X> {
+    /// Returns why the connection can no longer be used, if so.
+    pub(crate) fn lost(&self) -> Option<Error> {
+        self.lost.clone().map(|reason| Error::NotConnected { reason })
+    }
+
+    /// Returns the transport.
+    pub(crate) const fn transport(&mut self) -> &mut X {
+        self.connection.transport()
+    }
+
+    /// Returns the time on the connection's clock.
+    pub(crate) fn now(&mut self) -> Instant {
+        self.connection.transport().now()
+    }
+
+    /// Returns a motion that [`advance`](Self::advance) starts and waits for. It owns its destination.
+    pub(crate) async fn motion(
+        &mut self,
+        motion: Move,
+        limit: Duration,
+    ) -> Result<Running<impl Procedure<Output = Motion, Error = StepError> + Send + use<X>, io::Error>, Error> {
+        let handles = self.handles().await?;
+        self.set_moving(true);
+        Ok(Running::new(procedure::move_and_wait(handles, motion.into_parameters(), MotionConfig::within(limit))))
+    }
+
+    /// Makes the calls of a motion until it waits or ends.
+    pub(crate) async fn advance<P: Procedure<Output = Motion, Error = StepError>>(
+        &mut self,
+        running: &mut Running<P, io::Error>,
+    ) -> ControlFlow<Result<Motion, Error>, Instant> {
+        match self.connection.advance(running).await {
+            ControlFlow::Continue(at) => ControlFlow::Continue(at),
+            ControlFlow::Break(ended) => {
+                let ended = self.ended(ROBOT, ended);
+                // after an error it is unknown whether the halt of the procedure succeeded
+                self.set_moving(ended.is_err());
+                ControlFlow::Break(ended)
+            }
+        }
+    }
+}
