@@ -1,0 +1,348 @@
+//! `Controller` for tokio and its objects against the virtual controller, over real sockets and in memory.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use bcap_core::bcap::FunctionId;
+use bcap_core::hresult::HResult;
+use bcap_core::variant::OwnedVariant;
+use bcap_sim::memory::Network;
+use bcap_sim::{Config, Controller as Simulated, Profile};
+use bcap_std::asynch::{Controller, Halted, State, Stopper};
+use bcap_std::server::Limits;
+use bcap_std::{Backoff, Error, Joints, Motion, Move, Position, Settings};
+use bcap_testkit::network::Random;
+use bcap_tests::served::Served;
+
+const LIMIT: Duration = Duration::from_secs(30);
+
+fn simulated() -> Served<Simulated> {
+    let config = Config { motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) };
+    Served::of(Simulated::new(config), Limits::default())
+}
+
+fn settings() -> Settings {
+    Settings::rc8().reconnect(Backoff { min: Duration::from_millis(1), max: Duration::from_millis(20) })
+}
+
+async fn connect(sim: &Served<Simulated>) -> Controller {
+    Controller::connect(&format!("tcp:{}", sim.tcp), &settings()).await.unwrap()
+}
+
+/// Turns the first joint.
+fn to(degrees: f64) -> Move {
+    Move::joint(Joints::new([degrees, 45.0, 90.0, 0.0, 45.0, 0.0]))
+}
+
+/// Asserts that no client has the arm, a session or an object, and that the motor is off.
+fn assert_left(sim: &Served<Simulated>) {
+    let sim = sim.application();
+    assert_eq!((sim.arm_owner(), sim.motor_is_on(), sim.is_moving(), sim.open_objects()), (None, false, false, 0));
+}
+
+/// Waits until the simulated controller is in a state.
+async fn until(sim: &Served<Simulated>, reached: impl Fn(&Simulated) -> bool) {
+    for _ in 0..30_000 {
+        {
+            let mut controller = sim.application();
+            controller.advance(bcap_std::now());
+            if reached(&controller) {
+                return;
+            }
+        }
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+    panic!("the controller did not get there: {:?}", sim.application().joints());
+}
+
+#[tokio::test]
+async fn variables_are_read_and_written_by_many_tasks() {
+    let sim = simulated();
+    for address in [format!("tcp:{}", sim.tcp), format!("udp:{}", sim.udp)] {
+        let cell = Controller::connect(&address, &settings()).await.unwrap();
+        let tasks: Vec<_> = (1..=8)
+            .map(|index| {
+                let cell = cell.clone();
+                tokio::spawn(async move {
+                    let name = format!("I{index}");
+                    cell.write(&name, index * 10).await.unwrap();
+                    cell.read::<i32>(&name).await.unwrap()
+                })
+            })
+            .collect();
+        for (task, index) in tasks.into_iter().zip(1..) {
+            assert_eq!(task.await.unwrap(), index * 10);
+        }
+        let position = Position::new([400.0, 0.0, 300.0], [180.0, 0.0, 180.0]).figure(5);
+        cell.write("P1", position).await.unwrap();
+        let [count, there] = cell.read_all(["I3", "P1"]).await.unwrap();
+        assert_eq!((count.convert(), there.convert()), (Ok(30), Ok(position)));
+        let name = cell.call(FunctionId::CONTROLLER_GET_ROBOT_NAMES, vec![OwnedVariant::new(&1_i32).unwrap()]).await;
+        assert!(name.is_err() || name.unwrap().convert::<Vec<String>>().is_ok());
+        assert!(!cell.robot().await.unwrap().read::<bool>("@SERVO_ON").await.unwrap());
+        let statistics = cell.statistics();
+        assert!(statistics.operations >= 19 && statistics.connections == 1, "{statistics:?}");
+        cell.close().await.unwrap();
+        assert_left(&sim);
+    }
+}
+
+#[tokio::test]
+async fn a_handle_of_a_closed_controller_says_so() {
+    let sim = simulated();
+    let cell = connect(&sim).await;
+    let other = cell.clone();
+    cell.close().await.unwrap();
+    assert!(matches!(other.read::<i32>("I1").await, Err(Error::Closed)));
+    assert_eq!(other.state(), State::Closed);
+    assert!(other.subscribe("I1", LIMIT).next().await.is_none());
+    assert!(matches!(other.connected().await, Err(Error::Closed)));
+}
+
+#[tokio::test]
+async fn other_calls_are_made_while_the_robot_moves() {
+    let sim = simulated();
+    let cell = connect(&sim).await;
+    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+    arm.motor_on().await.unwrap();
+    arm.set_speed(100.0).await.unwrap();
+    let reads = async {
+        until(&sim, Simulated::is_moving).await;
+        let mut reads = 0;
+        while sim.application().is_moving() {
+            cell.read::<i32>("I1").await.unwrap();
+            reads += 1;
+        }
+        reads
+    };
+    let (motion, reads) = tokio::join!(arm.move_to(to(20.0), LIMIT), reads);
+    assert_eq!(motion.unwrap(), Motion::Arrived);
+    assert!((arm.robot().joints().await.unwrap().degrees[0] - 20.0).abs() < 0.05);
+    assert!(reads > 1, "{reads} reads during the motion");
+    arm.give().await.unwrap();
+    cell.close().await.unwrap();
+    assert_left(&sim);
+}
+
+#[tokio::test]
+async fn a_motion_that_is_dropped_halts_the_robot() {
+    let sim = simulated();
+    let cell = connect(&sim).await;
+    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+    arm.motor_on().await.unwrap();
+    tokio::select! {
+        ended = arm.move_to(to(150.0), LIMIT) => panic!("{ended:?}"),
+        () = until(&sim, Simulated::is_moving) => {}
+    }
+    until(&sim, |sim| !sim.is_moving()).await;
+    let there = arm.robot().joints().await.unwrap().degrees[0];
+    assert!(there < 149.0, "it went on to {there}");
+    // the arm still has its robot
+    assert_eq!(arm.move_to(to(there + 1.0), LIMIT).await.unwrap(), Motion::Arrived);
+    drop(arm);
+    until(&sim, |sim| sim.arm_owner().is_none() && !sim.motor_is_on()).await;
+}
+
+#[tokio::test]
+async fn a_stopper_halts_a_motion_and_its_caller_is_told() {
+    let sim = simulated();
+    let cell = connect(&sim).await;
+    let stopper = cell.stopper().await.unwrap();
+    assert_eq!(stopper.halt().await.unwrap(), Halted::NothingMoved);
+    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+    arm.motor_on().await.unwrap();
+    let halt = async {
+        until(&sim, Simulated::is_moving).await;
+        stopper.halt().await.unwrap()
+    };
+    let (motion, halted) = tokio::join!(arm.move_to(to(150.0), LIMIT), halt);
+    assert_eq!((motion.unwrap(), halted), (Motion::Halted, Halted::Halted));
+}
+
+/// What the caller of a motion is told agrees with where the robot is, however and whenever it is stopped.
+#[tokio::test]
+async fn no_stopped_motion_is_reported_as_arrived() {
+    let trials = std::env::var("TRIALS").ok().and_then(|n| n.parse().ok()).unwrap_or(30_u32);
+    let sim = simulated();
+    let cell = connect(&sim).await;
+    let stopper = cell.stopper().await.unwrap();
+    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+    arm.motor_on().await.unwrap();
+    let (mut random, mut arrived, mut halted, mut dropped) = (Random(11), 0, 0, 0);
+    for trial in 0..trials {
+        let degrees = if trial % 2 == 0 { 10.0 } else { 0.0 };
+        let delay = Duration::from_micros(random.below(200_000));
+        let ended = if trial % 3 == 0 {
+            // the stop button of a `select!`
+            tokio::select! {
+                ended = arm.move_to(to(degrees), LIMIT) => Some(ended),
+                () = tokio::time::sleep(delay) => None,
+            }
+        } else {
+            let halt = async {
+                tokio::time::sleep(delay).await;
+                stopper.halt().await.unwrap()
+            };
+            Some(tokio::join!(arm.move_to(to(degrees), LIMIT), halt).0)
+        };
+        until(&sim, |sim| !sim.is_moving()).await;
+        let off = (sim.application().joints()[0] - degrees).abs();
+        match ended {
+            Some(Ok(Motion::Arrived)) => {
+                assert!(off <= 0.05, "trial {trial}: {off} degrees from the end");
+                arrived += 1;
+            }
+            Some(Ok(Motion::Halted)) => {
+                assert!(off > 0.05, "trial {trial}: it is there");
+                halted += 1;
+            }
+            None => {
+                // the robot rests; it does not begin to move later
+                let rest = sim.application().joints()[0];
+                let asked = arm.robot().joints().await.unwrap().degrees[0];
+                assert!((asked - rest).abs() < 0.001, "trial {trial}: it moved on from {rest} to {asked}");
+                dropped += 1;
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+    println!("{trials} trials: {arrived} arrived, {halted} halted, {dropped} dropped");
+    assert!(halted + dropped > 0, "no stop came in time");
+}
+
+#[tokio::test]
+async fn a_panic_of_the_user_leaves_nothing() {
+    let sim = simulated();
+    let cell = connect(&sim).await;
+    let task = tokio::spawn(async move {
+        let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+        arm.motor_on().await.unwrap();
+        panic!("in user code");
+    });
+    assert!(task.await.unwrap_err().is_panic());
+    until(&sim, |sim| sim.open_objects() == 0).await;
+    assert_left(&sim);
+}
+
+#[tokio::test]
+async fn one_arm_at_a_time() {
+    let sim = simulated();
+    let cell = connect(&sim).await;
+    let robot = cell.robot().await.unwrap();
+    let arm = robot.clone().take_arm().await.unwrap();
+    assert!(matches!(robot.clone().take_arm().await, Err(Error::ArmTaken)));
+    let other = connect(&sim).await;
+    let taken = other.robot().await.unwrap().take_arm().await.unwrap_err();
+    assert_eq!(taken.code(), Some(HResult::E_ARM_NOT_TAKEN));
+    drop(arm);
+    drop(robot.take_arm().await.unwrap());
+    // a future that is dropped before it ends leaves no arm either
+    let robot = cell.robot().await.unwrap();
+    tokio::select! {
+        biased;
+        arm = robot.take_arm() => drop(arm),
+        () = tokio::task::yield_now() => {}
+    }
+    cell.read::<i32>("I1").await.unwrap();
+    until(&sim, |sim| sim.arm_owner().is_none()).await;
+}
+
+#[tokio::test]
+async fn subscriptions_share_one_scan_and_report_changes() {
+    let sim = simulated();
+    let cell = connect(&sim).await;
+    cell.write("I1", 5).await.unwrap();
+    let interval = Duration::from_millis(2);
+    let mut first = cell.subscribe("I1", interval);
+    let mut second = cell.subscribe("I1", Duration::from_secs(3600));
+    let mut wrong = cell.subscribe("NoSuchVariable", interval);
+    let value = |reading: Option<Result<OwnedVariant, Arc<Error>>>| reading.unwrap().unwrap().convert::<i32>().unwrap();
+    assert_eq!((value(first.next().await), value(second.next().await)), (5, 5));
+    let error = wrong.next().await.unwrap().unwrap_err();
+    assert!(error.to_string().contains("NoSuchVariable"), "{error}");
+    let other = connect(&sim).await;
+    other.write("I1", 6).await.unwrap();
+    assert_eq!((value(first.next().await), value(second.next().await)), (6, 6));
+    // one I1 for each of the two sessions
+    assert_eq!(sim.application().open_objects(), 4);
+    drop((first, second, wrong));
+    cell.close().await.unwrap();
+}
+
+#[tokio::test]
+async fn in_memory_a_long_motion_takes_no_time() {
+    let network = Network::new(Config::new(Profile::Rc8));
+    let cell = Controller::over(network.connect(), &settings()).await.unwrap();
+    assert!(matches!(cell.stopper().await, Err(Error::NoAddress)));
+    let stopper = Stopper::over(network.connect(), &settings()).await.unwrap();
+    assert_eq!(stopper.halt().await.unwrap(), Halted::NothingMoved);
+    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+    arm.motor_on().await.unwrap();
+    let begun = network.now();
+    assert_eq!(arm.move_to(to(80.0).speed_percent(1.0), LIMIT * 10).await.unwrap(), Motion::Arrived);
+    let seconds = network.now().saturating_since(begun).as_secs();
+    assert!(seconds > 20, "{seconds} s");
+    let mut counts = cell.subscribe("I1", Duration::from_secs(1));
+    assert_eq!(counts.next().await.unwrap().unwrap().convert::<i32>().unwrap(), 0);
+    arm.give().await.unwrap();
+    cell.close().await.unwrap();
+    assert_eq!(network.controller().arm_owner(), None);
+}
+
+#[tokio::test]
+async fn a_lost_session_ends_the_arm_and_a_new_one_begins() {
+    let sim = simulated();
+    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    // a relay, because a server cannot be told to close one connection
+    let relay = tokio::spawn(relay(free, sim.tcp));
+    let cell = Controller::spawn(&format!("tcp:{free}"), &settings()).unwrap();
+    cell.connected().await.unwrap();
+    let mut states = cell.states();
+    assert_eq!(states.next().await, Some(State::Connected));
+    let mut counts = cell.subscribe("I1", Duration::from_millis(1));
+    assert_eq!(counts.next().await.unwrap().unwrap().convert::<i32>(), Ok(0));
+    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+    arm.motor_on().await.unwrap();
+    let lost = async {
+        until(&sim, Simulated::is_moving).await;
+        relay.abort();
+    };
+    let (motion, ()) = tokio::join!(arm.move_to(to(150.0), LIMIT), lost);
+    assert!(matches!(motion, Err(Error::NoReply { .. } | Error::NotConnected { .. })), "{motion:?}");
+    let error = counts.next().await.unwrap().unwrap_err();
+    assert!(matches!(*error, Error::NotConnected { .. } | Error::NoReply { .. }), "{error}");
+    let Some(State::Disconnected { reason, retry_in }) = states.next().await else { panic!("{:?}", cell.state()) };
+    assert!(!reason.is_empty() && retry_in <= Duration::from_millis(20), "{reason} {retry_in:?}");
+    assert!(matches!(cell.read::<i32>("I1").await, Err(Error::NotConnected { .. })));
+    let relay = tokio::spawn(self::relay(free, sim.tcp));
+    cell.connected().await.unwrap();
+    assert!(matches!(arm.motor_on().await, Err(Error::ArmLost)));
+    assert!(matches!(arm.move_to(to(1.0), LIMIT).await, Err(Error::ArmLost)));
+    assert_eq!(cell.read::<i32>("I1").await.unwrap(), 0);
+    loop {
+        // the value is reported again, because it was unknown in between
+        if let Ok(value) = counts.next().await.unwrap() {
+            assert_eq!(value.convert::<i32>(), Ok(0));
+            break;
+        }
+    }
+    let statistics = cell.statistics();
+    assert_eq!((statistics.connections, statistics.losses), (2, 1));
+    drop(arm);
+    cell.close().await.unwrap();
+    relay.abort();
+    until(&sim, |sim| sim.open_objects() == 0).await;
+}
+
+/// Carries bytes between clients and a server until it is aborted, which closes all connections.
+async fn relay(from: std::net::SocketAddr, to: std::net::SocketAddr) {
+    let listener = tokio::net::TcpListener::bind(from).await.unwrap();
+    let mut connections = tokio::task::JoinSet::new();
+    loop {
+        let (mut client, _) = listener.accept().await.unwrap();
+        connections.spawn(async move {
+            let mut server = tokio::net::TcpStream::connect(to).await.unwrap();
+            let _ = tokio::io::copy_bidirectional(&mut client, &mut server).await;
+        });
+    }
+}
