@@ -4,6 +4,7 @@
 //! cancel safe: the future of a call may be dropped at any point, and the connection stays usable.
 
 mod controller;
+mod handle;
 mod robot;
 mod socket;
 mod state;

@@ -77,8 +77,10 @@ async fn variables_are_read_and_written_by_many_tasks() {
         cell.write("P1", position).await.unwrap();
         let [count, there] = cell.read_all(["I3", "P1"]).await.unwrap();
         assert_eq!((count.convert(), there.convert()), (Ok(30), Ok(position)));
-        let name = cell.call(FunctionId::CONTROLLER_GET_ROBOT_NAMES, vec![OwnedVariant::new(&1_i32).unwrap()]).await;
-        assert!(name.is_err() || name.unwrap().convert::<Vec<String>>().is_ok());
+        let controller = cell.handle().await.unwrap().0;
+        let arguments = vec![OwnedVariant::new(&controller).unwrap(), OwnedVariant::new("").unwrap()];
+        let names = cell.call(FunctionId::CONTROLLER_GET_ROBOT_NAMES, arguments).await.unwrap();
+        assert_eq!(names.convert::<Vec<String>>().unwrap(), ["Arm0"]);
         assert!(!cell.robot().await.unwrap().read::<bool>("@SERVO_ON").await.unwrap());
         let statistics = cell.statistics();
         assert!(statistics.operations >= 19 && statistics.connections == 1, "{statistics:?}");

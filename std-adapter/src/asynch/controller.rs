@@ -1,24 +1,22 @@
 //! A controller as an object for tokio.
 
 use std::io;
-use std::sync::Arc;
 use std::time::Duration;
 
-use bcap_core::bcap::call::{Call, Maybe};
+use bcap_core::bcap::call::{Call, ControllerHandle, Maybe};
 use bcap_core::bcap::{FrameWriter, FunctionId, Object};
 use bcap_core::error::EncodeError;
 use bcap_core::variant::{Encode, FromVariant, OwnedVariant, Variant};
-use tokio::sync::{mpsc, oneshot, watch};
+use tokio::sync::oneshot;
 
 use super::SendTransport;
+use super::handle::{Handle, owned};
 use super::robot::{Robot, Stopper};
-use super::socket::{self, BoxFuture, Socket};
-use super::state::{Counters, State, States, Statistics};
-use super::subscription::{Scan, Subscription};
-use super::task::{self, Request, Task, Work};
-use crate::address::{Address, AddressError};
+use super::state::{State, States, Statistics};
+use super::subscription::Subscription;
+use super::task::Request;
+use crate::address::AddressError;
 use crate::error::Error;
-use crate::session::Session;
 use crate::settings::Settings;
 
 /// A session with a controller, which a task of its own keeps open.
@@ -56,12 +54,7 @@ use crate::settings::Settings;
 /// ```
 #[derive(Clone, Debug)]
 pub struct Controller {
-    requests: mpsc::UnboundedSender<Request>,
-    state: watch::Receiver<State>,
-    counters: Arc<Counters>,
-    /// `None` over a stream of the caller.
-    address: Option<Address>,
-    settings: Settings,
+    handle: Handle,
 }
 
 impl Controller {
@@ -75,12 +68,7 @@ impl Controller {
     ///
     /// Dropping the future closes the connection.
     pub async fn connect(address: &str, settings: &Settings) -> Result<Self, Error> {
-        Self::connect_with(address.parse()?, settings, false).await
-    }
-
-    pub(super) async fn connect_with(address: Address, settings: &Settings, opens_robot: bool) -> Result<Self, Error> {
-        let session = task::connect(&address, settings, opens_robot).await?;
-        Ok(Self::start(Some(address), settings, opens_robot, Some(session)))
+        Ok(Self { handle: Handle::connect(address.parse()?, settings, false).await? })
     }
 
     /// Begins to connect in the background, and again until it succeeds. It must be called in a runtime of tokio.
@@ -89,7 +77,7 @@ impl Controller {
     ///
     /// An [`AddressError`].
     pub fn spawn(address: &str, settings: &Settings) -> Result<Self, AddressError> {
-        Ok(Self::start(Some(address.parse()?), settings, false, None))
+        Ok(Self { handle: Handle::start(Some(address.parse()?), settings, false, None) })
     }
 
     /// Starts a session over a stream of the caller, such as a `Wire` to the virtual controller in memory. The session is
@@ -106,39 +94,7 @@ impl Controller {
         stream: impl SendTransport<Error = io::Error> + Send + Sync + 'static,
         settings: &Settings,
     ) -> Result<Self, Error> {
-        Self::over_with(stream, settings, false).await
-    }
-
-    pub(super) async fn over_with(
-        stream: impl SendTransport<Error = io::Error> + Send + Sync + 'static,
-        settings: &Settings,
-        opens_robot: bool,
-    ) -> Result<Self, Error> {
-        let session = task::open(socket::over(stream, settings), settings, opens_robot).await?;
-        Ok(Self::start(None, settings, opens_robot, Some(session)))
-    }
-
-    fn start(
-        address: Option<Address>,
-        settings: &Settings,
-        opens_robot: bool,
-        session: Option<Session<Socket>>,
-    ) -> Self {
-        let (requests, receiver) = mpsc::unbounded_channel();
-        let begun = if session.is_some() { State::Connected } else { State::Connecting };
-        let (sender, state) = watch::channel(begun);
-        let counters = Arc::<Counters>::default();
-        let task = Task {
-            requests: receiver,
-            state: sender,
-            counters: Arc::clone(&counters),
-            address: address.clone(),
-            settings: settings.clone(),
-            opens_robot,
-            scan: Scan::default(),
-        };
-        tokio::spawn(task.run(session));
-        Self { requests, state, counters, address, settings: settings.clone() }
+        Ok(Self { handle: Handle::over(stream, settings, false).await? })
     }
 
     /// Reads a variable of the controller, such as `I1`, `P5`, `IO128` or `@CURRENT_TIME`.
@@ -154,7 +110,7 @@ impl Controller {
     /// As [`Controller`].
     pub async fn read<T: for<'a> FromVariant<'a> + Send + 'static>(&self, name: &str) -> Result<T, Error> {
         let name = name.to_owned();
-        self.run(move |session| Box::pin(async move { session.read(Object::Controller, &name).await })).await
+        self.handle.run(move |session| Box::pin(async move { session.read(Object::Controller, &name).await })).await
     }
 
     /// Reads several variables of any type; each is opened once and stays open for the next time.
@@ -168,16 +124,17 @@ impl Controller {
     /// As [`Controller`].
     pub async fn read_all<const N: usize>(&self, names: [&str; N]) -> Result<[OwnedVariant; N], Error> {
         let names = names.map(str::to_owned);
-        self.run(move |session| {
-            Box::pin(async move {
-                let mut values = std::array::from_fn(|_| OwnedVariant::default());
-                for (value, name) in values.iter_mut().zip(&names) {
-                    *value = session.read(Object::Controller, name).await?;
-                }
-                Ok(values)
+        self.handle
+            .run(move |session| {
+                Box::pin(async move {
+                    let mut values = std::array::from_fn(|_| OwnedVariant::default());
+                    for (value, name) in values.iter_mut().zip(&names) {
+                        *value = session.read(Object::Controller, name).await?;
+                    }
+                    Ok(values)
+                })
             })
-        })
-        .await
+            .await
     }
 
     /// Writes a variable of the controller.
@@ -191,7 +148,9 @@ impl Controller {
     /// As [`Controller`].
     pub async fn write(&self, name: &str, value: impl Encode) -> Result<(), Error> {
         let (name, value) = (name.to_owned(), owned(&value)?);
-        self.run(move |session| Box::pin(async move { session.write(Object::Controller, &name, value).await })).await
+        self.handle
+            .run(move |session| Box::pin(async move { session.write(Object::Controller, &name, value).await }))
+            .await
     }
 
     /// Reads a variable every `interval`, and reports its changes. All subscriptions share one scan of the controller; they
@@ -213,7 +172,7 @@ impl Controller {
     pub fn subscribe(&self, name: &str, interval: Duration) -> Subscription {
         let (subscription, sender) = Subscription::new();
         // when the task has ended, so does the subscription
-        let _ = self.requests.send(Request::Subscribe(name.to_owned(), interval, sender));
+        let _ = self.handle.send(Request::Subscribe(name.to_owned(), interval, sender));
         subscription
     }
 
@@ -227,8 +186,8 @@ impl Controller {
     ///
     /// As [`Controller`].
     pub async fn robot(&self) -> Result<Robot, Error> {
-        self.run(|session| Box::pin(async { session.robot().await.map(drop) })).await?;
-        Ok(Robot::new(self.clone()))
+        self.handle.run(|session| Box::pin(async { session.robot().await.map(drop) })).await?;
+        Ok(Robot::new(self.handle.clone()))
     }
 
     /// Opens a second connection, over which the robot can be halted at any time.
@@ -242,8 +201,9 @@ impl Controller {
     ///
     /// Dropping the future closes the second connection.
     pub async fn stopper(&self) -> Result<Stopper, Error> {
-        let address = self.address.clone().ok_or(Error::NoAddress)?;
-        Ok(Stopper::new(Self::connect_with(address, &self.settings, true).await?))
+        let Handle { address, settings, .. } = &self.handle;
+        let address = address.clone().ok_or(Error::NoAddress)?;
+        Ok(Stopper::new(Handle::connect(address, settings, true).await?))
     }
 
     /// Executes a command of the controller with a parameter, such as `ClearError` with `()`.
@@ -261,11 +221,24 @@ impl Controller {
         parameter: impl Encode,
     ) -> Result<T, Error> {
         let (command, parameter) = (command.to_owned(), owned(&parameter)?);
-        self.run(move |session| Box::pin(async move { session.execute(&command, parameter).await })).await
+        self.handle.run(move |session| Box::pin(async move { session.execute(&command, parameter).await })).await
     }
 
-    /// Calls any function. The first argument of most is the handle of an object, which another call returned in the same
-    /// session. Objects that the call opens are released by the caller, or end with the session.
+    /// Returns the handle of the controller in the present session, for [`call`](Self::call).
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`] if there is no session.
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`Controller`].
+    pub async fn handle(&self) -> Result<ControllerHandle, Error> {
+        self.handle.run(|session| Box::pin(async { Ok(session.handle) })).await
+    }
+
+    /// Calls any function. The first argument of most is the handle of an object, which is valid in the session that opened
+    /// it. Objects that the call opens are released by the caller, or end with the session.
     ///
     /// # Errors
     ///
@@ -275,24 +248,25 @@ impl Controller {
     ///
     /// As [`Controller`].
     pub async fn call(&self, function: FunctionId, arguments: Vec<OwnedVariant>) -> Result<OwnedVariant, Error> {
-        self.run(move |session| {
-            Box::pin(async move {
-                let value = session.call("the controller", OwnedCall { function, arguments }).await?;
-                owned(&value.unwrap_or(Variant::Empty))
+        self.handle
+            .run(move |session| {
+                Box::pin(async move {
+                    let value = session.call("the controller", OwnedCall { function, arguments }).await?;
+                    owned(&value.unwrap_or(Variant::Empty))
+                })
             })
-        })
-        .await
+            .await
     }
 
     /// Returns the states of the connection, beginning with the present one.
     pub fn states(&self) -> States {
-        States::new(self.state.clone())
+        States::new(self.handle.state.clone())
     }
 
     /// Returns the present state of the connection.
     #[must_use]
     pub fn state(&self) -> State {
-        self.state.borrow().clone()
+        self.handle.state.borrow().clone()
     }
 
     /// Waits until there is a session.
@@ -305,7 +279,7 @@ impl Controller {
     ///
     /// Dropping the future has no effect.
     pub async fn connected(&self) -> Result<(), Error> {
-        let mut state = self.state.clone();
+        let mut state = self.handle.state.clone();
         match state.wait_for(|state| matches!(state, State::Connected | State::Closed)).await {
             Ok(state) if *state == State::Connected => Ok(()),
             _ => Err(Error::Closed),
@@ -315,7 +289,7 @@ impl Controller {
     /// Returns the counters, such as for an exporter of metrics.
     #[must_use]
     pub fn statistics(&self) -> Statistics {
-        self.counters.read()
+        self.handle.counters.read()
     }
 
     /// Releases all objects, stops the service and ends the task, also for all other handles.
@@ -329,46 +303,9 @@ impl Controller {
     /// The controller is closed even if the future is dropped.
     pub async fn close(self) -> Result<(), Error> {
         let (reply, closed) = oneshot::channel();
-        self.send(Request::Close(reply))?;
+        self.handle.send(Request::Close(reply))?;
         closed.await.map_err(|_| Error::Closed)?
     }
-
-    pub(super) fn send(&self, request: Request) -> Result<(), Error> {
-        self.requests.send(request).map_err(|_| Error::Closed)
-    }
-
-    /// Runs a function of the session in the task, unless the caller has gone before its turn.
-    pub(super) async fn run<T, F>(&self, work: F) -> Result<T, Error>
-    where
-        F: for<'a> FnOnce(&'a mut Session<Socket>) -> BoxFuture<'a, Result<T, Error>> + Send + 'static,
-        T: Send + 'static,
-    {
-        self.carry_out(work, false).await
-    }
-
-    /// Runs a function of the session in the task, also when the caller has gone.
-    pub(super) async fn run_always<T, F>(&self, work: F) -> Result<T, Error>
-    where
-        F: for<'a> FnOnce(&'a mut Session<Socket>) -> BoxFuture<'a, Result<T, Error>> + Send + 'static,
-        T: Send + 'static,
-    {
-        self.carry_out(work, true).await
-    }
-
-    async fn carry_out<T, F>(&self, work: F, always: bool) -> Result<T, Error>
-    where
-        F: for<'a> FnOnce(&'a mut Session<Socket>) -> BoxFuture<'a, Result<T, Error>> + Send + 'static,
-        T: Send + 'static,
-    {
-        let (reply, result) = oneshot::channel();
-        self.send(Request::Run(Box::new(Work { work, reply, always })))?;
-        result.await.map_err(|_| Error::Closed)?
-    }
-}
-
-/// Copies an argument, which outlives its caller in the task.
-pub(super) fn owned(value: &impl Encode) -> Result<OwnedVariant, Error> {
-    OwnedVariant::new(value).map_err(Error::Argument)
 }
 
 /// A call that owns its arguments.

@@ -10,7 +10,7 @@ use bcap_core::variant::{Encode, FromVariant};
 use tokio::sync::oneshot;
 
 use super::SendTransport;
-use super::controller::{Controller, owned};
+use super::handle::{Handle, owned};
 use super::socket::{BoxFuture, Socket};
 use super::task::{MoveRequest, Request};
 use crate::error::Error;
@@ -23,7 +23,7 @@ use crate::settings::Settings;
 /// It cannot move; [`take_arm`](Self::take_arm) returns what can.
 #[derive(Clone, Debug)]
 pub struct Robot {
-    controller: Controller,
+    handle: Handle,
 }
 
 /// A robot whose arm this client has taken, so that it can move it.
@@ -38,18 +38,18 @@ pub struct Arm {
     session: u64,
 }
 
-/// Halts the robot from any task, also while another call of the [`Controller`] waits.
+/// Halts the robot from any task, also while another call of the [`Controller`](super::Controller) waits.
 ///
 /// It has a connection and a session of its own, which are open before they are needed, and are opened again when they are
 /// lost. It is not an emergency stop: it needs the network, this computer and the controller.
 #[derive(Clone, Debug)]
 pub struct Stopper {
-    controller: Controller,
+    handle: Handle,
 }
 
 impl Robot {
-    pub(super) const fn new(controller: Controller) -> Self {
-        Self { controller }
+    pub(super) const fn new(handle: Handle) -> Self {
+        Self { handle }
     }
 
     /// Takes the arm, which keeps its speed, tool and work.
@@ -62,8 +62,8 @@ impl Robot {
     ///
     /// If the future is dropped, the arm is given back.
     pub async fn take_arm(self) -> Result<Arm, Error> {
-        let controller = self.controller.clone();
-        controller
+        let handle = self.handle.clone();
+        handle
             .run(move |session| {
                 Box::pin(async move {
                     session.take_arm().await?;
@@ -82,7 +82,7 @@ impl Robot {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`].
+    /// As [`Controller`](super::Controller).
     pub async fn joints(&self) -> Result<Joints, Error> {
         self.execute("CurJnt", ()).await
     }
@@ -95,7 +95,7 @@ impl Robot {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`].
+    /// As [`Controller`](super::Controller).
     pub async fn position(&self) -> Result<Position, Error> {
         self.execute("CurPos", ()).await
     }
@@ -104,14 +104,14 @@ impl Robot {
     ///
     /// # Errors
     ///
-    /// As [`Controller::read`].
+    /// As [`Controller::read`](super::Controller::read).
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`].
+    /// As [`Controller`](super::Controller).
     pub async fn read<T: for<'v> FromVariant<'v> + Send + 'static>(&self, name: &str) -> Result<T, Error> {
         let name = name.to_owned();
-        self.controller.run(move |session| Box::pin(async move { session.read(Object::Robot, &name).await })).await
+        self.handle.run(move |session| Box::pin(async move { session.read(Object::Robot, &name).await })).await
     }
 
     /// Executes a command of the robot with a parameter, and returns its value.
@@ -125,16 +125,14 @@ impl Robot {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`].
+    /// As [`Controller`](super::Controller).
     pub async fn execute<T: for<'v> FromVariant<'v> + Send + 'static>(
         &self,
         command: &str,
         parameter: impl Encode,
     ) -> Result<T, Error> {
         let (command, parameter) = (command.to_owned(), owned(&parameter)?);
-        self.controller
-            .run(move |session| Box::pin(async move { session.execute_robot(&command, parameter).await }))
-            .await
+        self.handle.run(move |session| Box::pin(async move { session.execute_robot(&command, parameter).await })).await
     }
 }
 
@@ -147,7 +145,7 @@ impl Arm {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`]; the drop of the arm switches the motor off.
+    /// As [`Controller`](super::Controller); the drop of the arm switches the motor off.
     pub async fn motor_on(&mut self) -> Result<(), Error> {
         self.run(|session| Box::pin(session.motor(true))).await
     }
@@ -160,7 +158,7 @@ impl Arm {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`].
+    /// As [`Controller`](super::Controller).
     pub async fn motor_off(&mut self) -> Result<(), Error> {
         self.run(|session| Box::pin(session.motor(false))).await
     }
@@ -173,7 +171,7 @@ impl Arm {
     ///
     /// # Cancel safety
     ///
-    /// As [`Controller`].
+    /// As [`Controller`](super::Controller).
     pub async fn set_speed(&mut self, percent: f64) -> Result<(), Error> {
         self.run(move |session| Box::pin(session.execute_robot("ExtSpeed", percent))).await
     }
@@ -195,7 +193,7 @@ impl Arm {
     pub async fn move_to(&mut self, motion: Move, limit: Duration) -> Result<Motion, Error> {
         let (reply, ended) = oneshot::channel();
         let request = MoveRequest { session: self.session, motion, limit, reply };
-        self.robot.controller.send(Request::Move(request))?;
+        self.robot.handle.send(Request::Move(request))?;
         ended.await.map_err(|_| Error::Closed)?
     }
 
@@ -226,7 +224,7 @@ impl Arm {
     {
         let taken = self.session;
         self.robot
-            .controller
+            .handle
             .run(
                 move |session| {
                     if session.id == taken { work(session) } else { Box::pin(async { Err(Error::ArmLost) }) }
@@ -239,13 +237,13 @@ impl Arm {
 impl Drop for Arm {
     fn drop(&mut self) {
         // when the task has ended, it has given the arm back
-        let _ = self.robot.controller.send(Request::GiveArm(self.session));
+        let _ = self.robot.handle.send(Request::GiveArm(self.session));
     }
 }
 
 impl Stopper {
-    pub(super) const fn new(controller: Controller) -> Self {
-        Self { controller }
+    pub(super) const fn new(handle: Handle) -> Self {
+        Self { handle }
     }
 
     /// Starts the session of a stopper over a stream of the caller. It does not connect again.
@@ -261,7 +259,7 @@ impl Stopper {
         stream: impl SendTransport<Error = io::Error> + Send + Sync + 'static,
         settings: &Settings,
     ) -> Result<Self, Error> {
-        Ok(Self::new(Controller::over_with(stream, settings, true).await?))
+        Ok(Self::new(Handle::over(stream, settings, true).await?))
     }
 
     /// Halts the robot, and waits until it rests.
@@ -274,6 +272,6 @@ impl Stopper {
     ///
     /// The robot is halted even if the future is dropped after its first poll.
     pub async fn halt(&self) -> Result<Halted, Error> {
-        self.controller.run_always(|session| Box::pin(session.halt())).await
+        self.handle.run_always(|session| Box::pin(session.halt())).await
     }
 }

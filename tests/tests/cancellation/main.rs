@@ -6,6 +6,7 @@
 //! bcap-embassy.
 
 mod calls;
+mod controller;
 mod coverage;
 mod gateway;
 mod link;
@@ -51,5 +52,6 @@ fn the_core_survives_a_drop_at_every_await_point() {
 fn bcap_std_survives_a_drop_at_every_await_point() {
     let mut points = sockets::all();
     points.extend(gateway::all());
+    points.extend(controller::all());
     report("bcap-std", "../std-adapter/src", coverage::STD, &points);
 }

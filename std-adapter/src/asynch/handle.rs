@@ -1,0 +1,107 @@
+//! What all handles of a controller's task share.
+
+use std::io;
+use std::sync::Arc;
+
+use bcap_core::variant::{Encode, OwnedVariant};
+use tokio::sync::{mpsc, oneshot, watch};
+
+use super::SendTransport;
+use super::socket::{self, BoxFuture, Socket};
+use super::state::{Counters, State};
+use super::subscription::Scan;
+use super::task::{self, Request, Task, Work};
+use crate::address::Address;
+use crate::error::Error;
+use crate::session::Session;
+use crate::settings::Settings;
+
+/// A handle of a controller's task, which ends with the last one.
+#[derive(Clone, Debug)]
+pub(super) struct Handle {
+    requests: mpsc::UnboundedSender<Request>,
+    pub(super) state: watch::Receiver<State>,
+    pub(super) counters: Arc<Counters>,
+    /// `None` over a stream of the caller.
+    pub(super) address: Option<Address>,
+    pub(super) settings: Settings,
+}
+
+impl Handle {
+    /// Connects and opens a session, with the robot if `opens_robot`, and starts the task.
+    pub(super) async fn connect(address: Address, settings: &Settings, opens_robot: bool) -> Result<Self, Error> {
+        let session = task::connect(&address, settings, opens_robot).await?;
+        Ok(Self::start(Some(address), settings, opens_robot, Some(session)))
+    }
+
+    /// Opens a session over a stream of the caller, and starts the task.
+    pub(super) async fn over(
+        stream: impl SendTransport<Error = io::Error> + Send + Sync + 'static,
+        settings: &Settings,
+        opens_robot: bool,
+    ) -> Result<Self, Error> {
+        let session = task::open(socket::over(stream, settings), settings, opens_robot).await?;
+        Ok(Self::start(None, settings, opens_robot, Some(session)))
+    }
+
+    /// Starts the task.
+    pub(super) fn start(
+        address: Option<Address>,
+        settings: &Settings,
+        opens_robot: bool,
+        session: Option<Session<Socket>>,
+    ) -> Self {
+        let (requests, receiver) = mpsc::unbounded_channel();
+        let begun = if session.is_some() { State::Connected } else { State::Connecting };
+        let (sender, state) = watch::channel(begun);
+        let counters = Arc::<Counters>::default();
+        let task = Task {
+            requests: receiver,
+            state: sender,
+            counters: Arc::clone(&counters),
+            address: address.clone(),
+            settings: settings.clone(),
+            opens_robot,
+            scan: Scan::default(),
+        };
+        tokio::spawn(task.run(session));
+        Self { requests, state, counters, address, settings: settings.clone() }
+    }
+
+    pub(super) fn send(&self, request: Request) -> Result<(), Error> {
+        self.requests.send(request).map_err(|_| Error::Closed)
+    }
+
+    /// Runs a function of the session in the task, unless the caller has gone before its turn.
+    pub(super) async fn run<T, F>(&self, work: F) -> Result<T, Error>
+    where
+        F: for<'a> FnOnce(&'a mut Session<Socket>) -> BoxFuture<'a, Result<T, Error>> + Send + 'static,
+        T: Send + 'static,
+    {
+        self.carry_out(work, false).await
+    }
+
+    /// Runs a function of the session in the task, also when the caller has gone.
+    pub(super) async fn run_always<T, F>(&self, work: F) -> Result<T, Error>
+    where
+        F: for<'a> FnOnce(&'a mut Session<Socket>) -> BoxFuture<'a, Result<T, Error>> + Send + 'static,
+        T: Send + 'static,
+    {
+        self.carry_out(work, true).await
+    }
+
+    async fn carry_out<T, F>(&self, work: F, always: bool) -> Result<T, Error>
+    where
+        F: for<'a> FnOnce(&'a mut Session<Socket>) -> BoxFuture<'a, Result<T, Error>> + Send + 'static,
+        T: Send + 'static,
+    {
+        let (reply, result) = oneshot::channel();
+        self.send(Request::Run(Box::new(Work { work, reply, always })))?;
+        result.await.map_err(|_| Error::Closed)?
+    }
+}
+
+/// Copies an argument, which outlives its caller in the task.
+pub(super) fn owned(value: &impl Encode) -> Result<OwnedVariant, Error> {
+    OwnedVariant::new(value).map_err(Error::Argument)
+}

@@ -1,0 +1,176 @@
+//! The objects of a controller for tokio: each function is dropped after so many turns of the runtime, so that the task is
+//! dropped by its caller before, during and after each of its calls. Then the same controller must serve an ordinary
+//! call, and nothing may be taken, moving or open that the caller does not know of.
+
+use std::collections::BTreeMap;
+use std::pin::pin;
+use std::task::{Context, Poll, Waker};
+use std::time::Duration;
+
+use bcap_core::bcap::FunctionId;
+use bcap_core::variant::OwnedVariant;
+use bcap_sim::{Config, Controller as Simulated, Profile};
+use bcap_std::asynch::{Arm, Controller, Stopper};
+use bcap_std::server::Limits;
+use bcap_std::{Joints, Motion, Move, Settings};
+use bcap_tests::served::Served;
+use tokio::task::yield_now;
+
+/// The numbers of turns after which a future is dropped.
+const TURNS: [usize; 14] = [1, 2, 3, 4, 6, 8, 12, 16, 24, 40, 80, 160, 320, 640];
+const LIMIT: Duration = Duration::from_secs(30);
+
+/// Drops a future after so many turns of the runtime; returns its output if it ended before.
+async fn dropped_after<T>(turns: usize, future: impl Future<Output = T>) -> Option<T> {
+    let mut future = pin!(future);
+    for _ in 0..turns {
+        if let Poll::Ready(output) = future.as_mut().poll(&mut Context::from_waker(Waker::noop())) {
+            return Some(output);
+        }
+        yield_now().await;
+    }
+    None
+}
+
+/// The virtual controller, a session with it, and where the counts go.
+struct Rig {
+    sim: Served<Simulated>,
+    cell: Controller,
+    address: String,
+    points: BTreeMap<&'static str, usize>,
+}
+
+impl Rig {
+    async fn new() -> Self {
+        let config = Config { motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) };
+        let sim = Served::of(Simulated::new(config), Limits::default());
+        let address = format!("tcp:{}", sim.tcp);
+        let cell = Controller::connect(&address, &Settings::rc8()).await.unwrap();
+        Self { sim, cell, address, points: BTreeMap::new() }
+    }
+
+    /// Drops the futures of `make` and checks the controller after each.
+    async fn sweep<T>(&mut self, name: &'static str, make: impl AsyncFn(Controller) -> T) {
+        for turns in TURNS {
+            let ended = dropped_after(turns, make(self.cell.clone())).await.is_some();
+            self.check(name, turns).await;
+            if ended {
+                break;
+            }
+            *self.points.entry(name).or_default() += 1;
+        }
+    }
+
+    /// Makes an ordinary call, and waits until the robot rests without an owner.
+    async fn check(&self, name: &str, turns: usize) {
+        let number = i32::try_from(turns).unwrap();
+        self.cell.write("I9", number).await.unwrap_or_else(|error| panic!("{name} after {turns} turns: {error}"));
+        assert_eq!(self.cell.read::<i32>("I9").await.unwrap(), number, "{name} after {turns} turns");
+        for _ in 0..10_000 {
+            {
+                let mut sim = self.sim.application();
+                sim.advance(bcap_std::now());
+                if sim.arm_owner().is_none() && !sim.is_moving() && !sim.motor_is_on() {
+                    return;
+                }
+            }
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        panic!("{name} after {turns} turns: the robot is not at rest, or somebody has its arm");
+    }
+}
+
+async fn arm(cell: &Controller) -> Arm {
+    cell.robot().await.unwrap().take_arm().await.unwrap()
+}
+
+/// Drops all functions; returns at how many points each was dropped.
+pub(crate) fn all() -> BTreeMap<&'static str, usize> {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    runtime.block_on(async {
+        let mut rig = Rig::new().await;
+        calls(&mut rig).await;
+        arms(&mut rig).await;
+        sessions(&mut rig).await;
+        std::mem::take(&mut rig.points)
+    })
+}
+
+async fn calls(rig: &mut Rig) {
+    rig.sweep("Controller::read", async |cell| cell.read::<i32>("I1").await.unwrap()).await;
+    rig.sweep("Controller::read_all", async |cell| cell.read_all(["I2", "P1"]).await.unwrap()).await;
+    rig.sweep("Controller::write", async |cell| cell.write("I3", 1).await.unwrap()).await;
+    rig.sweep("Controller::execute", async |cell| cell.execute::<i32>("SysState", ()).await.unwrap()).await;
+    rig.sweep("Controller::call", async |cell| {
+        let controller = OwnedVariant::new(&cell.handle().await.unwrap().0).unwrap();
+        cell.call(FunctionId::CONTROLLER_GET_NAME, vec![controller]).await.unwrap();
+    })
+    .await;
+    rig.sweep("Controller::handle", async |cell| cell.handle().await.unwrap()).await;
+    rig.sweep("Controller::robot", async |cell| drop(cell.robot().await.unwrap())).await;
+    rig.sweep("Robot::read", async |cell| {
+        cell.robot().await.unwrap().read::<bool>("@SERVO_ON").await.unwrap();
+    })
+    .await;
+    rig.sweep("Robot::joints", async |cell| cell.robot().await.unwrap().joints().await.unwrap()).await;
+    rig.sweep("Robot::position", async |cell| cell.robot().await.unwrap().position().await.unwrap()).await;
+    rig.sweep("Robot::execute", async |cell| {
+        drop(cell.robot().await.unwrap().execute::<OwnedVariant>("CurJnt", ()).await.unwrap());
+    })
+    .await;
+    let interval = Duration::from_millis(1);
+    rig.sweep("Subscription::next", async |cell| cell.subscribe("I1", interval).next().await.unwrap().unwrap()).await;
+    rig.sweep("States::next", async |cell| {
+        let mut states = cell.states();
+        states.next().await.unwrap();
+        // there is no second state
+        states.next().await
+    })
+    .await;
+}
+
+async fn arms(rig: &mut Rig) {
+    rig.sweep("Robot::take_arm", async |cell| drop(arm(&cell).await)).await;
+    rig.sweep("Arm::motor_on", async |cell| arm(&cell).await.motor_on().await.unwrap()).await;
+    rig.sweep("Arm::motor_off", async |cell| {
+        let mut arm = arm(&cell).await;
+        arm.motor_on().await.unwrap();
+        arm.motor_off().await.unwrap();
+    })
+    .await;
+    rig.sweep("Arm::set_speed", async |cell| arm(&cell).await.set_speed(50.0).await.unwrap()).await;
+    rig.sweep("Arm::give", async |cell| arm(&cell).await.give().await.unwrap()).await;
+    rig.sweep("Arm::move_to", async |cell| {
+        let mut arm = arm(&cell).await;
+        arm.motor_on().await.unwrap();
+        let there = arm.robot().joints().await.unwrap().degrees[0];
+        let motion = Move::joint(Joints::new([there + 5.0, 45.0, 90.0, 0.0, 45.0, 0.0]));
+        assert_eq!(arm.move_to(motion, LIMIT).await.unwrap(), Motion::Arrived);
+    })
+    .await;
+}
+
+async fn sessions(rig: &mut Rig) {
+    let address = rig.address.clone();
+    rig.sweep("Controller::connect", async |_| {
+        Controller::connect(&address, &Settings::rc8()).await.unwrap().close().await.unwrap();
+    })
+    .await;
+    rig.sweep("Controller::over", async |_| {
+        let network = bcap_sim::memory::Network::new(Config::new(Profile::Rc8));
+        drop(Stopper::over(network.connect(), &Settings::rc8()).await.unwrap());
+        let cell = Controller::over(network.connect(), &Settings::rc8()).await.unwrap();
+        cell.read::<i32>("I1").await.unwrap();
+    })
+    .await;
+    rig.sweep("Controller::connected", async |_| {
+        Controller::spawn(&address, &Settings::rc8()).unwrap().connected().await.unwrap();
+    })
+    .await;
+    rig.sweep("Stopper::halt", async |cell| cell.stopper().await.unwrap().halt().await.unwrap()).await;
+    rig.sweep("Controller::close", async |_| {
+        let other = Controller::connect(&address, &Settings::rc8()).await.unwrap();
+        other.close().await.unwrap();
+    })
+    .await;
+}
