@@ -5,6 +5,7 @@
 
 mod controller;
 mod handle;
+mod objects;
 mod robot;
 mod socket;
 mod state;
@@ -24,6 +25,7 @@ use tokio::net::{TcpStream, ToSocketAddrs, UdpSocket, lookup_host};
 use tokio::time::timeout;
 
 pub use self::controller::Controller;
+pub use self::objects::{File, Task};
 pub use self::robot::{Arm, Robot, Stopper};
 pub use self::state::{State, States, Statistics};
 pub use self::subscription::{Reading, Subscription};

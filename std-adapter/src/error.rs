@@ -4,6 +4,7 @@ use bcap_core::bcap::FunctionId;
 use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
 use bcap_core::procedure::{StepCause, StepError};
+use bcap_core::slave::{ConfigError, StreamError};
 use bcap_core::variant::ConvertError;
 
 use crate::address::AddressError;
@@ -26,12 +27,21 @@ pub enum Error {
     /// The session in which the arm was taken was lost, and with it the arm.
     #[error("the arm was lost with the connection; look where the robot is, and take the arm again")]
     ArmLost,
+    /// A scan was used with another controller than its own. The call was not sent.
+    #[error("this scan belongs to another session; open it with Controller::scan of this one")]
+    OtherSession,
     /// There is no session with the controller. The call was not sent.
     #[error("not connected: {reason}")]
     NotConnected {
         /// Why.
         reason: String,
     },
+    /// A stream of Slave Mode cannot be configured so. No call was made.
+    #[error(transparent)]
+    StreamConfig(ConfigError),
+    /// A stream of Slave Mode failed.
+    #[error("Slave Mode: {0}")]
+    Stream(StreamError),
     /// A value has no VARIANT. The call was not sent.
     #[error("the value cannot be sent: {0}")]
     Argument(EncodeError),

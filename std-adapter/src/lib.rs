@@ -47,13 +47,15 @@ pub mod server;
 mod session;
 mod settings;
 pub mod slave;
+mod task;
 
 pub use address::{Address, AddressError, Protocol};
 pub use clock::now;
 pub use connect::{ConnectError, Options};
 pub use error::Error;
-pub use moves::{Destination, Move};
+pub use moves::{Destination, Interpolation, Move, Pass, Plane};
 pub use settings::{Backoff, Model, ServiceOptions, Settings};
+pub use task::{TaskStart, TaskStatus, TaskStop};
 
 /// A failed call.
 pub type CallError = bcap_core::io::CallError<std::io::Error>;

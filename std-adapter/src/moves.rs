@@ -1,10 +1,10 @@
 //! Motions as a robot is told them.
 
-use std::fmt::Write as _;
+use std::fmt::{self, Write as _};
 
 use bcap_core::error::EncodeError;
 use bcap_core::position::{Joints, Position, Transform};
-use bcap_core::procedure::MoveParameters;
+use bcap_core::procedure::MotionStart;
 use bcap_core::variant::{Encode, Writer};
 
 /// Where a motion ends.
@@ -39,54 +39,178 @@ destinations! {
     Transform Transform;
 }
 
-/// The pass `@E`: the motion ends exactly at the destination (S2:1305).
-const EXACT: i32 = -2;
-
-impl Encode for Destination {
-    fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
+/// Writes the destination in the controller's language.
+impl fmt::Display for Destination {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Text(text) => format!("@E {text}").as_str().encode(out),
-            Self::Position(position) => position.target(EXACT).encode(out),
-            Self::Joints(joints) => joints.target(EXACT).encode(out),
-            Self::Transform(transform) => transform.target(EXACT).encode(out),
+            Self::Text(text) => f.write_str(text),
+            Self::Position(position) => list(f, 'P', &position.to_array()),
+            Self::Joints(joints) => list(f, 'J', &joints.degrees),
+            Self::Transform(transform) => list(f, 'T', &transform.to_array()),
         }
     }
 }
 
-/// A motion to a destination, for [`Arm::move_to`](crate::blocking::Arm::move_to).
+fn list(f: &mut fmt::Formatter<'_>, letter: char, numbers: &[f64]) -> fmt::Result {
+    write!(f, "{letter}(")?;
+    for (index, number) in numbers.iter().enumerate() {
+        write!(f, "{}{number}", if index == 0 { "" } else { ", " })?;
+    }
+    f.write_char(')')
+}
+
+/// How exactly a motion ends (S2:1305).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Pass {
+    /// `@E`: the measured position has reached the destination.
+    #[default]
+    Exact,
+    /// `@0`: the commanded position has reached the destination.
+    Commanded,
+    /// `@P`: near the destination, as the controller decides.
+    Near,
+    /// `@n`: this many mm from the destination.
+    Within(u16),
+}
+
+impl Pass {
+    /// Returns the number of an array's element.
+    fn number(self) -> i32 {
+        match self {
+            Self::Exact => -2,
+            Self::Near => -1,
+            Self::Commanded => 0,
+            Self::Within(mm) => mm.into(),
+        }
+    }
+}
+
+/// Writes the pass before a pose.
+impl fmt::Display for Pass {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Exact => f.write_str("@E"),
+            Self::Near => f.write_str("@P"),
+            Self::Commanded => f.write_str("@0"),
+            Self::Within(mm) => write!(f, "@{mm}"),
+        }
+    }
+}
+
+/// The way between two positions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Interpolation {
+    /// All joints move at the same time; the path of the tool is not a line.
+    Joint,
+    /// The tool moves along a line.
+    Line,
+}
+
+impl Interpolation {
+    const fn number(self) -> i32 {
+        match self {
+            Self::Joint => 1,
+            Self::Line => 2,
+        }
+    }
+}
+
+/// The plane of a rotation, in the base coordinates of the robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Plane {
+    /// About the z axis.
+    Xy,
+    /// About the x axis.
+    Yz,
+    /// About the y axis.
+    Zx,
+}
+
+/// A motion, for `Arm::move_to`.
+///
+/// The controller's command is written beside each. `NEXT` is always among the options: the library itself waits for the
+/// end, so that it can halt the robot at any time. Not offered: free curves (interpolation 4) and `TIME=`, because no
+/// source says what the controller expects.
 ///
 /// # Examples
 ///
 /// ```
-/// use bcap_std::{Joints, Move, Position};
+/// use bcap_std::{Interpolation, Joints, Move, Pass, Position};
 ///
 /// let by_name = Move::joint("P1").speed_percent(20.0);
 /// let home = Move::joint(Joints::new([0.0, 45.0, 90.0, 0.0, 45.0, 0.0]));
 /// let position = Position::new([400.0, 0.0, 300.0], [180.0, 0.0, 180.0]).figure(5);
-/// let down = Move::line(position).speed_percent(5.0).acceleration_percent(10.0);
-/// # let _ = (by_name, home, down);
+/// let down = Move::line(position).pass(Pass::Within(5)).speed_percent(5.0).acceleration_percent(10.0);
+/// let above = Move::approach(Interpolation::Line, "P1", 50.0);
+/// # let _ = (by_name, home, down, above);
 /// ```
 #[derive(Clone, Debug, PartialEq)]
 #[must_use = "a motion begins when it is passed to an arm"]
 pub struct Move {
-    interpolation: i32,
-    destination: Destination,
+    way: Way,
+    pass: Pass,
     options: String,
 }
 
+#[derive(Clone, Debug, PartialEq)]
+enum Way {
+    To(Interpolation, Destination),
+    Circle { via: Destination, end: Destination },
+    Drive { command: &'static str, axes: Vec<(u8, f64)> },
+    Approach(Interpolation, Destination, f64),
+    Depart(Interpolation, f64),
+    Rotate { plane: Plane, degrees: f32, centre_mm: [f64; 3] },
+}
+
 impl Move {
-    /// Moves all joints at the same time, point to point; the path of the tool is not a line.
+    /// Moves all joints at the same time, point to point; the path of the tool is not a line. Robot_Move, interpolation 1.
     pub fn joint(destination: impl Into<Destination>) -> Self {
-        Self::new(1, destination.into())
+        Self::new(Way::To(Interpolation::Joint, destination.into()))
     }
 
-    /// Moves the tool along a line.
+    /// Moves the tool along a line. Robot_Move, interpolation 2.
     pub fn line(destination: impl Into<Destination>) -> Self {
-        Self::new(2, destination.into())
+        Self::new(Way::To(Interpolation::Line, destination.into()))
     }
 
-    fn new(interpolation: i32, destination: Destination) -> Self {
-        Self { interpolation, destination, options: "NEXT".into() }
+    /// Moves the tool along an arc through `via` to `end`. Robot_Move, interpolation 3.
+    pub fn circle(via: impl Into<Destination>, end: impl Into<Destination>) -> Self {
+        Self::new(Way::Circle { via: via.into(), end: end.into() })
+    }
+
+    /// Turns axes, 1 to 8, by degrees or mm from where they are. `DriveEx`.
+    pub fn drive_by(axes: impl IntoIterator<Item = (u8, f64)>) -> Self {
+        Self::new(Way::Drive { command: "DriveEx", axes: axes.into_iter().collect() })
+    }
+
+    /// Turns axes, 1 to 8, to a value in degrees or mm. `DriveAEx`.
+    pub fn drive_to(axes: impl IntoIterator<Item = (u8, f64)>) -> Self {
+        Self::new(Way::Drive { command: "DriveAEx", axes: axes.into_iter().collect() })
+    }
+
+    /// Moves to the position that is `mm` before a destination, against the direction of the tool. `Approach`.
+    pub fn approach(interpolation: Interpolation, destination: impl Into<Destination>, mm: f64) -> Self {
+        Self::new(Way::Approach(interpolation, destination.into(), mm))
+    }
+
+    /// Moves back by `mm`, against the direction of the tool. `Depart`.
+    pub fn depart(interpolation: Interpolation, mm: f64) -> Self {
+        Self::new(Way::Depart(interpolation, mm))
+    }
+
+    /// Moves the tool along a circle about a point in base coordinates; the tool turns with it. Robot_Rotate.
+    pub fn rotate(plane: Plane, degrees: f32, centre_mm: [f64; 3]) -> Self {
+        Self::new(Way::Rotate { plane, degrees, centre_mm })
+    }
+
+    fn new(way: Way) -> Self {
+        Self { way, pass: Pass::default(), options: "NEXT".into() }
+    }
+
+    /// Sets how exactly the motion ends; without it, exactly.
+    pub fn pass(self, pass: Pass) -> Self {
+        Self { pass, ..self }
     }
 
     /// Sets the speed in percent of the speed that the arm is set to.
@@ -110,17 +234,55 @@ impl Move {
         self
     }
 
-    /// Returns the parameters of Robot_Move.
-    pub(crate) fn parameters(&self) -> MoveParameters<&Destination, &str> {
-        let Self { interpolation, destination, options } = self;
-        MoveParameters { interpolation: *interpolation, pose: destination, option: options }
+    /// Returns the call that starts the motion.
+    pub(crate) fn start(self) -> MotionStart<Self, String> {
+        let option = self.options.clone();
+        match &self.way {
+            Way::To(interpolation, _) => {
+                MotionStart::Move { interpolation: interpolation.number(), pose: self, option }
+            }
+            Way::Circle { .. } => MotionStart::Move { interpolation: 3, pose: self, option },
+            Way::Drive { command, .. } => MotionStart::Execute { command, parameter: self },
+            Way::Approach(..) => MotionStart::Execute { command: "Approach", parameter: self },
+            Way::Depart(..) => MotionStart::Execute { command: "Depart", parameter: self },
+            Way::Rotate { plane, degrees, centre_mm: [x, y, z] } => {
+                let plane = match plane {
+                    Plane::Xy => "XY",
+                    Plane::Yz => "YZ",
+                    Plane::Zx => "ZX",
+                };
+                let option = format!("{},{option}", self.pass);
+                MotionStart::Rotate { plane, degrees: *degrees, centre: format!("V({x}, {y}, {z})"), option }
+            }
+        }
     }
+}
 
-    /// Returns the parameters of Robot_Move.
-    #[cfg(feature = "tokio")]
-    pub(crate) fn into_parameters(self) -> MoveParameters<Destination, String> {
-        let Self { interpolation, destination, options } = self;
-        MoveParameters { interpolation, pose: destination, option: options }
+/// The pose of Robot_Move, or the parameter of a command.
+impl Encode for Move {
+    fn encode(&self, out: &mut Writer<'_>) -> Result<(), EncodeError> {
+        let Self { way, pass, options } = self;
+        let options = options.as_str();
+        match way {
+            Way::To(_, Destination::Position(position)) => position.target(pass.number()).encode(out),
+            Way::To(_, Destination::Joints(joints)) => joints.target(pass.number()).encode(out),
+            Way::To(_, Destination::Transform(transform)) => transform.target(pass.number()).encode(out),
+            Way::To(_, Destination::Text(text)) => format!("{pass} {text}").as_str().encode(out),
+            Way::Circle { via, end } => format!("{via}, {pass} {end}").as_str().encode(out),
+            Way::Drive { axes, .. } => {
+                let pairs: Vec<_> = axes.iter().map(|(axis, value)| format!("({axis}, {value})")).collect();
+                (format!("{pass} {}", pairs.join(", ")).as_str(), options).encode(out)
+            }
+            Way::Approach(interpolation, destination, mm) => {
+                let (destination, length) = (destination.to_string(), format!("{pass} {mm}"));
+                (interpolation.number(), destination.as_str(), length.as_str(), options).encode(out)
+            }
+            Way::Depart(interpolation, mm) => {
+                (interpolation.number(), format!("{pass} {mm}").as_str(), options).encode(out)
+            }
+            // its arguments are in the call
+            Way::Rotate { .. } => ().encode(out),
+        }
     }
 }
 
@@ -130,14 +292,43 @@ mod tests {
 
     use super::*;
 
+    fn written(motion: &Move) -> String {
+        format!("{:?}", OwnedVariant::new(motion).unwrap())
+    }
+
     #[test]
     fn a_motion_is_written_as_robot_move_takes_it() {
         let motion = Move::line("P1").speed_percent(12.5).acceleration_percent(5.0).deceleration_percent(1.0);
-        let parameters = motion.parameters();
-        assert_eq!((parameters.interpolation, parameters.option), (2, "NEXT,SPEED=12.5,ACCEL=5,DECEL=1"));
-        let written = |motion: Move| format!("{:?}", OwnedVariant::new(motion.parameters().pose).unwrap());
-        assert_eq!(written(motion), "\"@E P1\"");
+        assert_eq!(written(&motion), "\"@E P1\"");
+        let MotionStart::Move { interpolation: 2, option, .. } = motion.start() else { panic!() };
+        assert_eq!(option, "NEXT,SPEED=12.5,ACCEL=5,DECEL=1");
         let joints = "VARIANT[R8[1.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], I4(2), I4(-2)]";
-        assert_eq!(written(Move::joint(Joints::new([1.0, 2.0]))), joints);
+        assert_eq!(written(&Move::joint(Joints::new([1.0, 2.0]))), joints);
+        for (pass, text) in [(Pass::Commanded, "@0"), (Pass::Near, "@P"), (Pass::Within(30), "@30")] {
+            assert_eq!(written(&Move::joint("P1").pass(pass)), format!("\"{text} P1\""));
+        }
+        let near = Move::joint(Joints::new([1.0])).pass(Pass::Near);
+        assert!(written(&near).ends_with("I4(2), I4(-1)]"), "{}", written(&near));
+    }
+
+    #[test]
+    fn other_motions_are_written_as_their_commands_take_them() {
+        let arc = Move::circle("P1", Position::new([1.0, 2.0, 3.5], [0.0; 3]).figure(5));
+        assert_eq!(written(&arc), "\"P1, @E P(1, 2, 3.5, 0, 0, 0, 5)\"");
+        assert!(matches!(arc.start(), MotionStart::Move { interpolation: 3, .. }));
+        let drive = Move::drive_by([(1, 5.0), (7, -2.5)]).speed_percent(5.0);
+        assert_eq!(written(&drive), r#"VARIANT["@E (1, 5), (7, -2.5)", "NEXT,SPEED=5"]"#);
+        assert!(matches!(drive.start(), MotionStart::Execute { command: "DriveEx", .. }));
+        assert!(matches!(Move::drive_to([(1, 5.0)]).start(), MotionStart::Execute { command: "DriveAEx", .. }));
+        let approach = Move::approach(Interpolation::Line, "P1", 50.0).pass(Pass::Near);
+        assert_eq!(written(&approach), r#"VARIANT[I4(2), "P1", "@P 50", "NEXT"]"#);
+        let depart = Move::depart(Interpolation::Joint, 12.5);
+        assert_eq!(written(&depart), r#"VARIANT[I4(1), "@E 12.5", "NEXT"]"#);
+        let MotionStart::Rotate { plane, degrees, centre, option } =
+            Move::rotate(Plane::Zx, 90.0, [400.0, 0.0, 1.5]).start()
+        else {
+            panic!()
+        };
+        assert_eq!((plane, degrees, centre.as_str(), option.as_str()), ("ZX", 90.0, "V(400, 0, 1.5)", "@E,NEXT"));
     }
 }

@@ -11,7 +11,9 @@ use std::io;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use bcap_core::bcap::call::{self, Any, Call, ControllerHandle, Reply, RobotHandle, VariableHandle};
+use bcap_core::bcap::call::{
+    self, Any, Call, ControllerHandle, FileHandle, Reply, RobotHandle, TaskHandle, VariableHandle,
+};
 use bcap_core::bcap::client::Timing;
 use bcap_core::bcap::{FrameWriter, FunctionId, Object};
 use bcap_core::error::EncodeError;
@@ -20,11 +22,13 @@ use bcap_core::io::asynch::{Connection, Transport};
 use bcap_core::procedure::{
     self, Handles, Motion, MotionConfig, Owner, PathError, PathStep, Procedure, Provider, StepError,
 };
-use bcap_core::variant::{Encode, FromVariant};
+use bcap_core::slave::{AxisLimits, Config, Engine, Format, MOVE_FRAME, Stats, StreamError, Trajectory};
+use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
 
 use crate::error::Error;
 use crate::moves::Move;
 use crate::settings::Settings;
+use crate::task::{TaskStart, TaskStatus, TaskStop};
 use crate::{CallError, RunError};
 
 /// A started session.
@@ -38,6 +42,8 @@ pub(crate) struct Session<X> {
     robot_name: Option<String>,
     /// The handles of variables, by their owner and by name.
     variables: HashMap<(Object, i32), HashMap<String, VariableHandle>>,
+    /// The handles of tasks and files, by name.
+    objects: HashMap<(Object, String), i32>,
     /// All open objects, in the order in which they were opened, without service and controller.
     opened: Vec<(Object, i32)>,
     arm: Option<ArmState>,
@@ -87,6 +93,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             robot: None,
             robot_name: settings.robot.clone(),
             variables: HashMap::new(),
+            objects: HashMap::new(),
             opened: Vec::new(),
             arm: None,
             lost: None,
@@ -119,7 +126,14 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     ) -> Result<<C::Reply as Reply>::Value<'_>, Error> {
         let function = call.function();
         let Self { connection, lost, .. } = self;
-        connection.call(call).await.map_err(|error| {
+        let began = tracing::enabled!(tracing::Level::DEBUG).then(|| (connection.client().next_serial(), crate::now()));
+        let result = connection.call(call).await;
+        if let Some((serial, began)) = began {
+            let duration = crate::now().saturating_since(began);
+            let error = result.as_ref().err().map(tracing::field::display);
+            tracing::debug!(%function, object, serial, ?duration, error, "call");
+        }
+        result.map_err(|error| {
             if !error.is_recoverable() {
                 *lost = Some(error.to_string());
             }
@@ -197,6 +211,52 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         Ok(variable)
     }
 
+    /// Returns the handle of a task or a file, and opens it when it is first used.
+    async fn object(&mut self, object: Object, name: &str) -> Result<i32, Error> {
+        let key = (object, name.to_owned());
+        if let Some(known) = self.objects.get(&key) {
+            return Ok(*known);
+        }
+        let handle = self.open(Object::Controller, self.handle.0, PathStep { object, name: Some(name) }).await?;
+        self.objects.insert(key, handle);
+        Ok(handle)
+    }
+
+    /// Returns the handle of a task.
+    pub(crate) async fn task(&mut self, name: &str) -> Result<TaskHandle, Error> {
+        self.object(Object::Task, name).await.map(TaskHandle)
+    }
+
+    /// Starts a task.
+    pub(crate) async fn start_task(&mut self, name: &str, mode: TaskStart) -> Result<(), Error> {
+        let task = self.task(name).await?;
+        self.call(name, call::task_start(task, mode.number(), "")).await
+    }
+
+    /// Stops a task.
+    pub(crate) async fn stop_task(&mut self, name: &str, mode: TaskStop) -> Result<(), Error> {
+        let task = self.task(name).await?;
+        self.call(name, call::task_stop(task, mode.number(), "")).await
+    }
+
+    /// Reads the status of a task.
+    pub(crate) async fn task_status(&mut self, name: &str) -> Result<TaskStatus, Error> {
+        let task = self.task(name).await?;
+        self.value(name, call::task_execute(task, "GetStatus", ())).await.map(TaskStatus::of)
+    }
+
+    /// Reads the content of a file.
+    pub(crate) async fn read_file(&mut self, name: &str) -> Result<OwnedVariant, Error> {
+        let file = FileHandle(self.object(Object::File, name).await?);
+        self.value(name, call::file_get_value(file)).await
+    }
+
+    /// Replaces the content of a file.
+    pub(crate) async fn write_file(&mut self, name: &str, content: impl Encode) -> Result<(), Error> {
+        let file = FileHandle(self.object(Object::File, name).await?);
+        self.call(name, call::file_put_value(file, content)).await
+    }
+
     /// Opens an object.
     async fn open(&mut self, object: Object, owner: i32, step: PathStep<'_>) -> Result<i32, Error> {
         let name = step.name.unwrap_or("the first robot");
@@ -238,11 +298,33 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     /// Moves and waits for the end.
     pub(crate) async fn move_to(&mut self, motion: &Move, limit: Duration) -> Result<Motion, Error> {
         let handles = self.handles().await?;
-        let steps = procedure::move_and_wait(handles, motion.parameters(), MotionConfig::within(limit));
+        let steps = procedure::move_and_wait(handles, motion.clone().start(), MotionConfig::within(limit));
         self.set_moving(true);
         let ended = self.run(ROBOT, steps).await?;
         self.set_moving(false);
         Ok(ended)
+    }
+
+    /// Streams poses in Slave Mode with the arm that is taken.
+    pub(crate) async fn stream<T: Trajectory + ?Sized>(
+        &mut self,
+        format: Format,
+        limits: AxisLimits,
+        trajectory: &mut T,
+    ) -> Result<Stats, Error> {
+        let handles = self.handles().await?;
+        let config = Config { arm: None, motor: false, limits, ..Config::new(format, handles) };
+        let mut engine = Engine::<MOVE_FRAME>::new(config).map_err(Error::StreamConfig)?;
+        self.set_moving(true);
+        let ended = self.connection.run(engine.stream(trajectory)).await;
+        if let Err(RunError::<StreamError> { call: Some(call), .. }) = &ended
+            && !call.is_recoverable()
+        {
+            self.lost = Some(call.to_string());
+        }
+        ended.map_err(|error| Error::Stream(error.error))?;
+        self.set_moving(false);
+        Ok(engine.stats().clone())
     }
 
     fn set_moving(&mut self, moving: bool) {

@@ -14,23 +14,13 @@ use bcap_sim::memory::Network;
 use bcap_sim::{Config, Controller as Simulated, EMERGENCY_STOP, Profile};
 use bcap_std::blocking::{Controller, Halted, Stopper};
 use bcap_std::server::Limits;
-use bcap_std::{Error, Joints, Move, Position, Settings};
+use bcap_std::{Error, Joints, Move, Pass, Position, Settings, TaskStart, TaskStatus, TaskStop};
 use bcap_testkit::network::Random;
 use bcap_tests::served::Served;
 
 #[path = "../../std-adapter/examples/device_server.rs"]
 #[expect(dead_code, reason = "an example has a main function")]
 mod device_server;
-#[path = "../../std-adapter/examples/move_and_stop.rs"]
-#[expect(dead_code, reason = "an example has a main function")]
-mod move_and_stop;
-#[path = "../../std-adapter/examples/read_write.rs"]
-#[expect(dead_code, reason = "an example has a main function")]
-mod read_write;
-#[path = "../../std-adapter/examples/test_without_robot.rs"]
-#[expect(dead_code, reason = "an example has a main function")]
-mod test_without_robot;
-
 const LIMIT: Duration = Duration::from_secs(30);
 
 fn simulated() -> Served<Simulated> {
@@ -121,6 +111,62 @@ fn a_motion_arrives_and_the_drop_leaves_nothing() {
     assert!(!sim.application().motor_is_on() && sim.application().arm_owner().is_none());
     drop(cell);
     assert_left(&sim);
+}
+
+#[test]
+fn a_scan_works_with_its_own_controller_only() {
+    let sim = simulated();
+    let (mut cell, mut other) = (connect(&sim), connect(&sim));
+    cell.write("I1", 4).unwrap();
+    let scan = cell.scan(["I1", "P1", "IO128"]).unwrap();
+    let open = sim.application().open_objects();
+    for count in 5..8 {
+        cell.write("I1", count).unwrap();
+        let [number, position, door] = scan.read(&mut cell).unwrap();
+        assert_eq!((number.convert(), door.convert()), (Ok(count), Ok(false)));
+        assert_eq!(position.convert::<Vec<f32>>().unwrap().len(), 7);
+    }
+    assert_eq!(sim.application().open_objects(), open, "a scan opens nothing");
+    assert!(matches!(scan.read(&mut other), Err(Error::OtherSession)));
+    assert!(cell.scan(["I1", "NoSuchVariable"]).unwrap_err().to_string().contains("NoSuchVariable"));
+}
+
+#[test]
+fn tasks_and_files_are_objects() {
+    let sim = simulated();
+    let mut cell = connect(&sim);
+    let mut task = cell.task("Pro1").unwrap();
+    assert_eq!(task.status().unwrap(), TaskStatus::Ready);
+    task.start(TaskStart::Continuous).unwrap();
+    assert_eq!(task.status().unwrap(), TaskStatus::Running);
+    task.stop(TaskStop::Now).unwrap();
+    assert_ne!(task.status().unwrap(), TaskStatus::Running);
+    assert!(cell.task("NoSuchTask").unwrap_err().to_string().contains("NoSuchTask"));
+    let missing = cell.file("missing.txt").read::<String>().unwrap_err();
+    assert!(missing.to_string().contains("missing.txt"), "{missing}");
+    cell.close().unwrap();
+    assert_eq!(sim.application().open_objects(), 0);
+}
+
+#[test]
+fn axes_are_driven_and_the_pass_is_sent() {
+    let sim = simulated();
+    let mut cell = connect(&sim);
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    assert_eq!(
+        arm.move_to(&Move::drive_to([(1, 4.0), (2, 44.0)]).speed_percent(50.0), LIMIT).unwrap(),
+        Motion::Arrived
+    );
+    assert_eq!(arm.move_to(&Move::drive_by([(1, -3.0)]), LIMIT).unwrap(), Motion::Arrived);
+    let degrees = arm.robot().joints().unwrap().degrees;
+    assert!((degrees[0] - 1.0).abs() < 0.05 && (degrees[1] - 44.0).abs() < 0.05, "{degrees:?}");
+    for pass in [Pass::Exact, Pass::Commanded, Pass::Near, Pass::Within(10)] {
+        assert_eq!(arm.move_to(&to(2.0).pass(pass), LIMIT).unwrap(), Motion::Arrived);
+        assert_eq!(arm.move_to(&Move::joint("J(0, 45, 90, 0, 45, 0)").pass(pass), LIMIT).unwrap(), Motion::Arrived);
+    }
+    let refused = arm.move_to(&Move::drive_by([(9, 1.0)]), LIMIT).unwrap_err();
+    assert_eq!(refused.code(), Some(HResult::E_INVALIDARG));
 }
 
 #[test]
@@ -264,16 +310,6 @@ fn a_lost_connection_is_told_and_the_drop_does_not_wait() {
     assert!(lost.is_lost(), "{lost}");
     assert!(lost.to_string().starts_with("Variable_GetValue of I1: "), "{lost}");
     cell.close().unwrap();
-}
-
-#[test]
-fn the_examples_run() {
-    let sim = simulated();
-    read_write::run(&tcp(&sim)).unwrap();
-    move_and_stop::run(&tcp(&sim)).unwrap();
-    test_without_robot::run().unwrap();
-    assert!((sim.application().joints()[0] - 20.0).abs() < 0.05);
-    assert_left(&sim);
 }
 
 #[test]

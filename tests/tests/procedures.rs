@@ -6,7 +6,7 @@ use std::time::Duration;
 use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
 use bcap_core::procedure::{
-    Handles, Motion, MotionConfig, MoveParameters, Provider, StepCause, give_arm, move_and_wait, open_robot,
+    Handles, Motion, MotionConfig, MotionStart, Provider, StepCause, give_arm, move_and_wait, open_robot,
     prepare_robot, read_variable, release_robot, write_variable,
 };
 use bcap_core::variant::Encode;
@@ -22,13 +22,13 @@ fn controller(change: impl FnOnce(&mut Config)) -> Served<Controller> {
 }
 
 /// Turns the first joint.
-fn to(degrees: f64) -> MoveParameters<&'static dyn Encode, &'static str> {
+fn to(degrees: f64) -> MotionStart<&'static dyn Encode, &'static str> {
     let pose: &dyn Encode = match degrees {
         0.2 => &"J(0.2,45,90,0,45,0)",
         5.0 => &"J(5,45,90,0,45,0)",
         _ => &"J(150,45,90,0,45,0)",
     };
-    MoveParameters { interpolation: 1, pose, option: "NEXT" }
+    MotionStart::Move { interpolation: 1, pose, option: "NEXT" }
 }
 
 fn config() -> MotionConfig {

@@ -295,6 +295,12 @@ impl<T: Storage, R: Storage> Client<T, R> {
         self.state.next_serial = if serial == 0 { 1 } else { serial };
     }
 
+    /// Returns the serial of the next call.
+    #[must_use]
+    pub const fn next_serial(&self) -> u16 {
+        self.state.next_serial
+    }
+
     /// Returns [`Config::timing`], the timing of calls without their own.
     #[must_use]
     pub const fn timing(&self) -> Timing {

@@ -39,7 +39,7 @@ mod variable;
 
 pub use self::action::{Action, Channel, Procedure};
 pub use self::failure::{Failure, StepCause, StepError};
-pub use self::motion::{Motion, MotionConfig, MoveParameters, move_and_wait};
+pub use self::motion::{Motion, MotionConfig, MotionStart, move_and_wait};
 pub use self::open::{open, open_robot};
 pub use self::path::{Opened, Owner, PATH_MAX, PathError, PathStep, open_path};
 pub use self::provider::{Handles, Provider};

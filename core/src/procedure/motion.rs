@@ -25,15 +25,36 @@ use crate::hresult::HResult;
 use crate::time::Instant;
 use crate::variant::{Encode, Variant};
 
-/// A motion of Robot_Move.
+/// The call that starts a motion. Its options contain `NEXT`: otherwise the reply comes when the motion has ended.
 #[derive(Clone, Copy, Debug)]
-pub struct MoveParameters<D, O> {
-    /// The interpolation: 1 point to point, 2 line, 3 circle, 4 free curve.
-    pub interpolation: i32,
-    /// The destination: `"@E P1"`, or an array of numbers, type and pass.
-    pub pose: D,
-    /// The options, which must contain `NEXT`: otherwise the reply comes when the motion has ended.
-    pub option: O,
+pub enum MotionStart<D, O> {
+    /// Robot_Move.
+    Move {
+        /// 1 point to point, 2 line, 3 circle, 4 free curve.
+        interpolation: i32,
+        /// The destination: `"@E P1"`, or an array of numbers, type and pass.
+        pose: D,
+        /// The options.
+        option: O,
+    },
+    /// A command of Robot_Execute, such as `DriveEx`.
+    Execute {
+        /// The command.
+        command: &'static str,
+        /// Its parameter, with the options as an element.
+        parameter: D,
+    },
+    /// Robot_Rotate.
+    Rotate {
+        /// `XY`, `YZ` or `ZX`.
+        plane: &'static str,
+        /// The angle.
+        degrees: f32,
+        /// The centre, such as `V(400, 0, 300)` in mm.
+        centre: O,
+        /// The options.
+        option: O,
+    },
 }
 
 /// How [`move_and_wait`] waits for a motion.
@@ -89,7 +110,7 @@ pub enum Motion {
 /// fails and halts the robot, otherwise it continues to wait.
 pub fn move_and_wait<D: Encode, O: AsRef<str>>(
     handles: Handles,
-    motion: MoveParameters<D, O>,
+    motion: MotionStart<D, O>,
     config: MotionConfig,
 ) -> impl Procedure<Output = Motion, Error = StepError> {
     let steps = MoveSteps {
@@ -121,7 +142,7 @@ const MOVING: i32 = 0b11 << 20;
 
 struct MoveSteps<D, O> {
     handles: Handles,
-    motion: MoveParameters<D, O>,
+    motion: MotionStart<D, O>,
     config: MotionConfig,
     step: Step,
     /// When the time limit passes.
@@ -207,20 +228,36 @@ fn within(joints: &[f64; JOINTS], other: &[f64; JOINTS], distance: f64) -> bool 
     joints.iter().zip(other).all(|(joint, other)| (joint - other).abs() <= distance)
 }
 
+impl<D: Encode, O: AsRef<str>> MoveSteps<D, O> {
+    /// Returns the call that starts the motion.
+    fn start(&self) -> StepCall<'_> {
+        let robot = self.handles.robot.0;
+        match &self.motion {
+            MotionStart::Move { interpolation, pose, option } => {
+                let pose: &dyn Encode = pose;
+                let call = StepCall::new(FunctionId::ROBOT_MOVE).with(robot).with(*interpolation);
+                call.with(pose).with(option.as_ref())
+            }
+            MotionStart::Execute { command, parameter } => {
+                let parameter: &dyn Encode = parameter;
+                StepCall::new(FunctionId::ROBOT_EXECUTE).with(robot).with(*command).with(parameter)
+            }
+            MotionStart::Rotate { plane, degrees, centre, option } => {
+                let degrees: &dyn Encode = degrees;
+                let call = StepCall::new(FunctionId::ROBOT_ROTATE).with(robot).with(*plane).with(degrees);
+                call.with(centre.as_ref()).with(option.as_ref())
+            }
+        }
+    }
+}
+
 impl<D: Encode, O: AsRef<str>> Steps for MoveSteps<D, O> {
     type Output = Motion;
     const KEEPS_OBJECTS: bool = true;
 
     fn next(&self) -> Next<'_> {
-        let pose: &dyn Encode = &self.motion.pose;
         match self.step {
-            Step::Move => Next::Call(
-                StepCall::new(FunctionId::ROBOT_MOVE)
-                    .with(self.handles.robot.0)
-                    .with(self.motion.interpolation)
-                    .with(pose)
-                    .with(self.motion.option.as_ref()),
-            ),
+            Step::Move => Next::Call(self.start()),
             Step::Destination => self.of_robot("DestJnt"),
             Step::Pause(until) => Next::Wait(until),
             Step::State => self.of_controller("SysState", Argument::Empty),

@@ -89,7 +89,7 @@ pub(super) trait Steps {
 #[derive(Clone, Copy)]
 pub(super) struct StepCall<'a> {
     function: FunctionId,
-    arguments: [Argument<'a>; 4],
+    arguments: [Argument<'a>; 5],
 }
 
 /// An argument of a step.
@@ -124,10 +124,10 @@ impl<'a> From<&'a dyn Encode> for Argument<'a> {
 impl<'a> StepCall<'a> {
     /// Makes a call without arguments.
     pub(super) const fn new(function: FunctionId) -> Self {
-        Self { function, arguments: [Argument::End; 4] }
+        Self { function, arguments: [Argument::End; 5] }
     }
 
-    /// Appends an argument, of which a call has at most four.
+    /// Appends an argument, of which a call has at most five.
     pub(super) fn with(mut self, argument: impl Into<Argument<'a>>) -> Self {
         if let Some(free) = self.arguments.iter_mut().find(|slot| matches!(slot, Argument::End)) {
             *free = argument.into();

@@ -11,6 +11,7 @@ use tokio::sync::oneshot;
 
 use super::SendTransport;
 use super::handle::{Handle, owned};
+use super::objects::{File, Task};
 use super::robot::{Robot, Stopper};
 use super::state::{State, States, Statistics};
 use super::subscription::Subscription;
@@ -188,6 +189,28 @@ impl Controller {
     pub async fn robot(&self) -> Result<Robot, Error> {
         self.handle.run(|session| Box::pin(async { session.robot().await.map(drop) })).await?;
         Ok(Robot::new(self.handle.clone()))
+    }
+
+    /// Returns a task, such as `Pro1`.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`] if the controller has no such task.
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`Controller`].
+    pub async fn task(&self, name: &str) -> Result<Task, Error> {
+        let name = name.to_owned();
+        let task = Task::new(self.handle.clone(), name.clone());
+        self.handle.run(move |session| Box::pin(async move { session.task(&name).await.map(drop) })).await?;
+        Ok(task)
+    }
+
+    /// Returns a file, which must exist when it is read or written. A path has `\\` between its parts.
+    #[must_use]
+    pub fn file(&self, name: &str) -> File {
+        File::new(self.handle.clone(), name.to_owned())
     }
 
     /// Opens a second connection, over which the robot can be halted at any time.

@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use bcap_core::variant::{Encode, OwnedVariant};
 use tokio::sync::{mpsc, oneshot, watch};
+use tracing::Instrument as _;
 
 use super::SendTransport;
 use super::socket::{self, BoxFuture, Socket};
@@ -64,7 +65,8 @@ impl Handle {
             opens_robot,
             scan: Scan::default(),
         };
-        tokio::spawn(task.run(session));
+        let span = tracing::info_span!("controller", address = address.as_ref().map(tracing::field::display));
+        tokio::spawn(task.run(session).instrument(span));
         Self { requests, state, counters, address, settings: settings.clone() }
     }
 

@@ -7,6 +7,7 @@ use bcap_core::bcap::call::{Call, ControllerHandle, Reply};
 use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
 
 use super::Transport;
+use super::objects::{File, Scan, Task};
 use super::robot::Robot;
 use super::socket::{self, Blocking, ready};
 use super::stopper::Stopper;
@@ -107,6 +108,24 @@ impl Controller {
         Ok(values)
     }
 
+    /// Opens variables, to read them often with [`Scan::read`].
+    ///
+    /// ```no_run
+    /// # use bcap_std::{Settings, blocking::Controller};
+    /// # let mut cell = Controller::connect("tcp:192.168.0.1", &Settings::rc9())?;
+    /// let scan = cell.scan(["I1", "P1", "IO128"])?;
+    /// let [count, position, door] = scan.read(&mut cell)?;
+    /// println!("{count:?} {position:?} {door:?}");
+    /// # Ok::<(), bcap_std::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`] for the first variable that does not exist.
+    pub fn scan<const N: usize>(&mut self, names: [&str; N]) -> Result<Scan<N>, Error> {
+        Scan::open(&mut self.session, names)
+    }
+
     /// Writes a variable of the controller.
     ///
     /// # Errors
@@ -124,6 +143,21 @@ impl Controller {
     pub fn robot(&mut self) -> Result<Robot<'_>, Error> {
         ready(self.session.robot())?;
         Ok(Robot::new(&mut self.session))
+    }
+
+    /// Returns a task, such as `Pro1`.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`] if the controller has no such task.
+    pub fn task(&mut self, name: &str) -> Result<Task<'_>, Error> {
+        ready(self.session.task(name))?;
+        Ok(Task::new(&mut self.session, name))
+    }
+
+    /// Returns a file, which must exist when it is read or written. A path has `\\` between its parts.
+    pub fn file(&mut self, name: &str) -> File<'_> {
+        File::new(&mut self.session, name)
     }
 
     /// Opens a second connection, over which another thread can halt the robot at any time.
@@ -167,6 +201,18 @@ impl Controller {
     /// An [`Error`] if the connection was lost.
     pub fn close(mut self) -> Result<(), Error> {
         ready(self.session.release())
+    }
+}
+
+impl<const N: usize> Scan<N> {
+    /// Reads the variables in their order.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`] for the first variable that cannot be read; [`Error::OtherSession`] for another controller than that
+    /// of the scan.
+    pub fn read(&self, cell: &mut Controller) -> Result<[OwnedVariant; N], Error> {
+        self.read_in(&mut cell.session)
     }
 }
 

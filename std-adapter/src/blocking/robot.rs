@@ -5,6 +5,7 @@ use std::time::Duration;
 use bcap_core::bcap::Object;
 use bcap_core::position::{Joints, Position};
 use bcap_core::procedure::Motion;
+use bcap_core::slave::{AxisLimits, Format, Stats, Trajectory};
 use bcap_core::variant::{Encode, FromVariant};
 
 use super::socket::{Blocking, ready};
@@ -122,6 +123,25 @@ impl<'a> Arm<'a> {
     /// An [`Error`]. If the motion may have begun, the robot was halted, unless the connection is lost.
     pub fn move_to(&mut self, motion: &Move, limit: Duration) -> Result<Motion, Error> {
         ready(self.robot.session.move_to(motion, limit))
+    }
+
+    /// Streams poses in Slave Mode, one each 8 ms, until the trajectory ends, and waits until the robot rests.
+    ///
+    /// The motor must be on. A pose beyond `limits` is not sent: the robot stops in an orderly way. To stop early, the
+    /// trajectory returns [`Next::Stop`](bcap_core::slave::Next::Stop). Slave Mode needs its licence (S2:1454). Streams with
+    /// IO, or with a second connection for the controller's errors, are made by the
+    /// [`Engine`](bcap_core::slave::Engine), see [`slave`](crate::slave).
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; after [`Error::Stream`] of a failed call Slave Mode is off, and the controller has stopped the robot.
+    pub fn stream<T: Trajectory + ?Sized>(
+        &mut self,
+        format: Format,
+        limits: AxisLimits,
+        trajectory: &mut T,
+    ) -> Result<Stats, Error> {
+        ready(self.robot.session.stream(format, limits, trajectory))
     }
 
     /// Returns the robot, to read its position.

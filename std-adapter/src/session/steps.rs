@@ -36,7 +36,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     ) -> Result<Running<impl Procedure<Output = Motion, Error = StepError> + Send + use<X>, io::Error>, Error> {
         let handles = self.handles().await?;
         self.set_moving(true);
-        Ok(Running::new(procedure::move_and_wait(handles, motion.into_parameters(), MotionConfig::within(limit))))
+        Ok(Running::new(procedure::move_and_wait(handles, motion.start(), MotionConfig::within(limit))))
     }
 
     /// Makes the calls of a motion until it waits or ends.

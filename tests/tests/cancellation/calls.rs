@@ -10,7 +10,7 @@ use bcap_core::bcap::call;
 use bcap_core::bcap::client::Timing;
 use bcap_core::io::asynch::{Running, Transport as _};
 use bcap_core::procedure::{
-    Motion, MotionConfig, MoveParameters, PathStep, Provider, give_arm, move_and_wait, open, open_path, open_robot,
+    Motion, MotionConfig, MotionStart, PathStep, Provider, give_arm, move_and_wait, open, open_path, open_robot,
     prepare_robot, read_variable, release, release_controller, release_robot, write_variable,
 };
 use bcap_core::slave::{
@@ -26,8 +26,8 @@ fn short() -> Timing {
     Timing { attempt_timeout: Duration::from_millis(16), attempts: 3, ..usual(Link::Datagram) }
 }
 
-const MOVE: MoveParameters<&str, &str> =
-    MoveParameters { interpolation: 1, pose: "J(0.5,45,90,0,45,0)", option: "NEXT" };
+const MOVE: MotionStart<&str, &str> =
+    MotionStart::Move { interpolation: 1, pose: "J(0.5,45,90,0,45,0)", option: "NEXT" };
 
 fn config() -> MotionConfig {
     MotionConfig::within(Duration::from_secs(10))

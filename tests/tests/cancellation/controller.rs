@@ -12,7 +12,7 @@ use bcap_core::variant::OwnedVariant;
 use bcap_sim::{Config, Controller as Simulated, Profile};
 use bcap_std::asynch::{Arm, Controller, Stopper};
 use bcap_std::server::Limits;
-use bcap_std::{Joints, Motion, Move, Settings};
+use bcap_std::{Joints, Motion, Move, Settings, TaskStart, TaskStop};
 use bcap_tests::served::Served;
 use tokio::task::yield_now;
 
@@ -118,6 +118,19 @@ async fn calls(rig: &mut Rig) {
         drop(cell.robot().await.unwrap().execute::<OwnedVariant>("CurJnt", ()).await.unwrap());
     })
     .await;
+    rig.sweep("Controller::task", async |cell| drop(cell.task("Pro1").await.unwrap())).await;
+    rig.sweep("Task::start", async |cell| {
+        let task = cell.task("Pro1").await.unwrap();
+        // a dropped start may have been executed
+        task.stop(TaskStop::Now).await.unwrap();
+        task.start(TaskStart::OneCycle).await.unwrap();
+    })
+    .await;
+    rig.sweep("Task::stop", async |cell| cell.task("Pro1").await.unwrap().stop(TaskStop::Now).await.unwrap()).await;
+    rig.sweep("Task::status", async |cell| cell.task("Pro1").await.unwrap().status().await.unwrap()).await;
+    // there is no such file
+    rig.sweep("File::read", async |cell| cell.file("none.txt").read::<String>().await.unwrap_err()).await;
+    rig.sweep("File::write", async |cell| cell.file("none.txt").write("text").await.unwrap_err()).await;
     let interval = Duration::from_millis(1);
     rig.sweep("Subscription::next", async |cell| cell.subscribe("I1", interval).next().await.unwrap().unwrap()).await;
     rig.sweep("States::next", async |cell| {

@@ -16,7 +16,7 @@ const HALT: &str = "Robot_Halt(9, \"\")";
 const MOVING: i32 = 0b11 << 20;
 
 fn motion(config: MotionConfig) -> impl Procedure<Output = Motion, Error = StepError> {
-    move_and_wait(HANDLES, MoveParameters { interpolation: 1, pose: "@E P1", option: "NEXT" }, config)
+    move_and_wait(HANDLES, MotionStart::Move { interpolation: 1, pose: "@E P1", option: "NEXT" }, config)
 }
 
 fn within(millis: u64) -> MotionConfig {

@@ -12,7 +12,7 @@ use bcap_core::bcap::server;
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::io::blocking::{Connection, RacConnection, Transport};
-use bcap_core::procedure::{self, Motion, MotionConfig, MoveParameters, Provider};
+use bcap_core::procedure::{self, Motion, MotionConfig, MotionStart, Provider};
 use bcap_core::rac::{self, Variable, VariableKind};
 use bcap_core::slave::{self, Engine};
 use bcap_core::time::Instant;
@@ -155,7 +155,7 @@ fn stream(connection: &mut Connection<Binary<'_>, [u8; 512]>) -> Option<u32> {
     let mut moved = connection.run(number).ok().flatten().map_or(0, i32::unsigned_abs);
     let put = procedure::write_variable(handles.controller, "I1", &moved).ok()?;
     let put = connection.run(put).is_ok();
-    let motion = MoveParameters { interpolation: 1, pose: "@E P1", option: "NEXT" };
+    let motion = MotionStart::Move { interpolation: 1, pose: "@E P1", option: "NEXT" };
     let prepared = connection.run(procedure::prepare_robot(handles.robot, [0, 1], true)).is_ok();
     let config = MotionConfig::within(Duration::from_secs(1));
     let arrived = connection.run(procedure::move_and_wait(handles, motion, config));

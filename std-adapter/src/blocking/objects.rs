@@ -1,0 +1,114 @@
+//! Tasks, files and scans of a controller as objects.
+
+use bcap_core::bcap::Object;
+use bcap_core::bcap::call::{self, VariableHandle};
+use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
+
+use super::socket::{Blocking, ready};
+use crate::error::Error;
+use crate::session::Session;
+use crate::task::{TaskStart, TaskStatus, TaskStop};
+
+/// A task of a controller, from [`Controller::task`](super::Controller::task).
+#[derive(Debug)]
+pub struct Task<'a> {
+    session: &'a mut Session<Blocking>,
+    name: String,
+}
+
+impl<'a> Task<'a> {
+    pub(super) fn new(session: &'a mut Session<Blocking>, name: &str) -> Self {
+        Self { session, name: name.to_owned() }
+    }
+
+    /// Starts the task. Its program may move the robot, and goes on when this object is dropped.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]. The controller must be in Auto mode and give this client the executable token (S2:174-184).
+    pub fn start(&mut self, mode: TaskStart) -> Result<(), Error> {
+        ready(self.session.start_task(&self.name, mode))
+    }
+
+    /// Stops the task.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`].
+    pub fn stop(&mut self, mode: TaskStop) -> Result<(), Error> {
+        ready(self.session.stop_task(&self.name, mode))
+    }
+
+    /// Reads what the task does.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`].
+    pub fn status(&mut self) -> Result<TaskStatus, Error> {
+        ready(self.session.task_status(&self.name))
+    }
+}
+
+/// A file of a controller, from [`Controller::file`](super::Controller::file).
+#[derive(Debug)]
+pub struct File<'a> {
+    session: &'a mut Session<Blocking>,
+    name: String,
+}
+
+impl<'a> File<'a> {
+    pub(super) fn new(session: &'a mut Session<Blocking>, name: &str) -> Self {
+        Self { session, name: name.to_owned() }
+    }
+
+    /// Reads the content: a `String` for text, `Vec<u8>` for a controller that sends bytes.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; [`Error::Value`] if the content has another type.
+    pub fn read<T: for<'v> FromVariant<'v>>(&mut self) -> Result<T, Error> {
+        let content = ready(self.session.read_file(&self.name))?;
+        content.convert().map_err(|source| Error::Value { object: self.name.clone(), source })
+    }
+
+    /// Replaces the content.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]. After [`Error::NoReply`] the content may have been replaced.
+    pub fn write(&mut self, content: impl Encode) -> Result<(), Error> {
+        ready(self.session.write_file(&self.name, content))
+    }
+}
+
+/// Variables that are opened once and read often, from [`Controller::scan`](super::Controller::scan).
+///
+/// It knows its session. Handles are numbers which another session gives to other objects, so a scan that is used with
+/// another controller is an error and not a wrong value.
+#[derive(Clone, Debug)]
+pub struct Scan<const N: usize> {
+    session: u64,
+    variables: [(String, VariableHandle); N],
+}
+
+impl<const N: usize> Scan<N> {
+    pub(super) fn open(session: &mut Session<Blocking>, names: [&str; N]) -> Result<Self, Error> {
+        let mut variables = names.map(|name| (name.to_owned(), VariableHandle(0)));
+        for (name, handle) in &mut variables {
+            *handle = ready(session.variable(Object::Controller, name))?;
+        }
+        Ok(Self { session: session.id, variables })
+    }
+
+    /// Reads the variables in their order, if this is their session.
+    pub(super) fn read_in(&self, session: &mut Session<Blocking>) -> Result<[OwnedVariant; N], Error> {
+        if session.id != self.session {
+            return Err(Error::OtherSession);
+        }
+        let mut values = std::array::from_fn(|_| OwnedVariant::default());
+        for (value, (name, handle)) in values.iter_mut().zip(&self.variables) {
+            *value = ready(session.value(name, call::variable_get_value(*handle)))?;
+        }
+        Ok(values)
+    }
+}

@@ -1,0 +1,116 @@
+//! The examples of bcap-std against the virtual controller. The example of a device is in `controller.rs`.
+
+use std::net::Ipv4Addr;
+use std::time::Duration;
+
+use bcap_core::rac::{Variable, VariableKind};
+use bcap_core::variant::Variant;
+use bcap_sim::{Config, Controller as Simulated, Profile};
+use bcap_std::server::Limits;
+use bcap_tests::served::Served;
+use tokio::net::TcpListener;
+use tokio::sync::oneshot;
+
+macro_rules! examples {
+    ($($name:ident $path:literal;)*) => {$(
+        #[path = $path]
+        #[expect(dead_code, reason = "an example has a main function")]
+        mod $name;
+    )*};
+}
+
+examples! {
+    gateway "../../std-adapter/examples/gateway.rs";
+    move_and_stop "../../std-adapter/examples/move_and_stop.rs";
+    read_write "../../std-adapter/examples/read_write.rs";
+    reconnecting_fleet "../../std-adapter/examples/reconnecting_fleet.rs";
+    scan "../../std-adapter/examples/scan.rs";
+    slave_cosine "../../std-adapter/examples/slave_cosine.rs";
+    test_without_robot "../../std-adapter/examples/test_without_robot.rs";
+}
+
+fn simulated() -> Served<Simulated> {
+    let config = Config { motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) };
+    Served::of(Simulated::new(config), Limits::default())
+}
+
+fn tcp(sim: &Served<Simulated>) -> String {
+    format!("tcp:{}", sim.tcp)
+}
+
+/// Asserts that no client has the arm, a session or an object, and that the motor is off.
+fn assert_left(sim: &Served<Simulated>) {
+    let sim = sim.application();
+    assert_eq!((sim.arm_owner(), sim.motor_is_on(), sim.is_moving(), sim.open_objects()), (None, false, false, 0));
+}
+
+#[test]
+fn read_write_runs() {
+    let sim = simulated();
+    read_write::run(&tcp(&sim)).unwrap();
+    assert_left(&sim);
+}
+
+#[test]
+fn move_and_stop_runs() {
+    let sim = simulated();
+    move_and_stop::run(&tcp(&sim)).unwrap();
+    assert!((sim.application().joints()[0] - 20.0).abs() < 0.05);
+    assert_left(&sim);
+}
+
+#[test]
+fn slave_cosine_runs() {
+    let sim = simulated();
+    let before = sim.application().joints()[0];
+    slave_cosine::run(&format!("udp:{}", sim.udp), 250).unwrap();
+    assert!((sim.application().joints()[0] - before).abs() < 0.01, "it ends where it began");
+    assert_left(&sim);
+}
+
+#[test]
+fn test_without_robot_runs() {
+    test_without_robot::run().unwrap();
+}
+
+#[tokio::test]
+async fn scan_runs() {
+    let sim = simulated();
+    scan::run(&tcp(&sim), 2).await.unwrap();
+    assert_left(&sim);
+}
+
+#[tokio::test]
+async fn reconnecting_fleet_runs() {
+    let (first, second) = (simulated(), simulated());
+    let counted = async {
+        for sim in [&first, &second] {
+            let mut rac = bcap_std::asynch::connect_rac(sim.rac, &Default::default()).await.unwrap();
+            while rac.get(Variable::new(VariableKind::I, 1)).await.unwrap() != Variant::I4(1) {
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+        }
+    };
+    reconnecting_fleet::run(&[tcp(&first), tcp(&second)], counted).await.unwrap();
+    assert!(reconnecting_fleet::run(&["robot".into()], async {}).await.is_err());
+}
+
+#[tokio::test]
+async fn gateway_runs() {
+    let sim = simulated();
+    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
+    let plc = listener.local_addr().unwrap();
+    let (end, ended) = oneshot::channel::<()>();
+    let robot = (sim.tcp.ip().to_string(), sim.tcp.port());
+    let gateway = tokio::spawn(gateway::run(listener, robot, async { drop(ended.await) }));
+    let mut rac = bcap_std::asynch::connect_rac(plc, &Default::default()).await.unwrap();
+    let count = Variable::new(VariableKind::I, 1);
+    // until the gateway has its robot, it refuses
+    while rac.put(count, Variant::I4(7)).await.is_err() {
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    assert_eq!(rac.get(count).await.unwrap(), Variant::I4(7));
+    assert!(rac.put(Variable::new(VariableKind::I, 100), Variant::I4(7)).await.is_err(), "no rule permits it");
+    drop(end);
+    gateway.await.unwrap().unwrap();
+}
