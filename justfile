@@ -56,6 +56,10 @@ fairness:
 loopback:
     cargo bench -p bcap-tests --bench loopback
 
+# The time from a halt to the request and to rest, and what the waiting code is told, in 1,000 random trials.
+halt:
+    cargo bench -p bcap-tests --bench halt -- 1000
+
 # Processor time of a client and a gateway under a flood of S_EXECUTING, in 5 s each.
 flood:
     cargo bench -p bcap-tests --bench flood

@@ -265,6 +265,8 @@ impl Task {
             let due = motion.as_ref().map(|motion| motion.due).into_iter().chain(self.scan.due()).min();
             tokio::select! {
                 biased;
+                // first, because the next round halts the robot
+                () = gone(&mut motion) => {}
                 request = self.requests.recv() => match request {
                     None => return Ended::Dropped,
                     Some(Request::Close(reply)) => return Ended::Closed(reply),
@@ -281,7 +283,6 @@ impl Task {
                         }
                     }
                 },
-                () = gone(&mut motion) => {}
                 closed = session.transport().idle_until(due) => if closed {
                     return lost(motion, not_connected("the controller has closed the connection"));
                 },
