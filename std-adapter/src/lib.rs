@@ -1,32 +1,49 @@
-//! b-CAP and RAC over the sockets of an operating system.
+//! DENSO robot controllers from Rust, over the sockets of an operating system.
 //!
-//! | module       | feature  | what it is                                                              |
-//! |--------------|----------|-------------------------------------------------------------------------|
-//! | [`blocking`] |          | blocking clients: b-CAP over TCP and UDP, RAC over TCP                  |
-//! | `asynch`     | `tokio`  | the same clients for tokio                                              |
-//! | [`slave`]    |          | real-time settings of Linux for streams of Slave Mode                   |
-//! | `server`     | `server` | a server for any handler: b-CAP over TCP and UDP, RAC over TCP          |
-//! | `gateway`    | `gateway` | RAC for PLCs on one side, b-CAP to a robot on the other                |
-//!
-//! The protocol is in [`bcap_core`], which does no I/O. This crate connects it to sockets and a clock. A call takes two
-//! system calls: one send and one receive.
-//!
-//! # Examples
+//! A [`Controller`](blocking::Controller) is a session with a controller. It reads and writes variables, and its
+//! [`Arm`](blocking::Arm) moves the robot:
 //!
 //! ```no_run
-//! use bcap_core::bcap::call;
-//! use bcap_std::blocking;
+//! use std::time::Duration;
 //!
-//! let mut robot = blocking::connect_tcp("192.168.0.1:5007", &Default::default())?;
-//! robot.call(call::service_start("WDT=400"))?;
-//! let controller = robot.call(call::controller_connect("", "CaoProv.DENSO.VRC9", "localhost", ""))?;
-//! let variable = robot.call(call::controller_get_variable(controller, "I1", ""))?;
-//! println!("I1 = {:?}", robot.call(call::variable_get_value(variable))?);
-//! robot.call(call::variable_release(variable))?;
-//! robot.call(call::controller_disconnect(controller))?;
-//! robot.call(call::service_stop())?;
-//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! use bcap_std::blocking::Controller;
+//! use bcap_std::{Motion, Move, Settings};
+//!
+//! let mut cell = Controller::connect("tcp:192.168.0.1", &Settings::rc9())?;
+//! let count: i32 = cell.read("I1")?;
+//! cell.write("I1", count + 1)?;
+//!
+//! let mut arm = cell.robot()?.take_arm()?; // given back on drop, with the motor off
+//! arm.motor_on()?;
+//! match arm.move_to(&Move::line("P1").speed_percent(10.0), Duration::from_secs(30))? {
+//!     Motion::Arrived => println!("the robot rests at P1"),
+//!     other => println!("it does not: {other:?}"),
+//! }
+//! # Ok::<(), bcap_std::Error>(())
 //! ```
+//!
+//! | to                          | read                                                                                    |
+//! |-----------------------------|-----------------------------------------------------------------------------------------|
+//! | move a robot                | [`blocking::Arm::move_to`], [`Move`], [`Motion`]                                        |
+//! | stop it                     | [`blocking::Stopper`]; what a drop does: [`blocking::Arm`]                              |
+//! | read and write              | [`blocking::Controller::read`], [`write`](blocking::Controller::write), [`scan`](blocking::Controller::scan) |
+//! | use tokio                   | `asynch::Controller`: many tasks, reconnection, subscriptions                           |
+//! | stream poses                | [`blocking::Arm::stream`], [`slave`]                                                    |
+//! | test without a robot        | `Controller::over` with a `Wire` of the crate `bcap-sim`                                |
+//! | call any of 137 functions   | [`blocking::Controller::call`] with a call of [`core::bcap::call`]                      |
+//! | be a controller             | `server::Server`, with [`core::device::Device`] or a handler of your own                |
+//! | understand an error         | [`Error`], [`core::hresult::HResult`]                                                   |
+//!
+//! | module       | feature   | what it is                                                              |
+//! |--------------|-----------|-------------------------------------------------------------------------|
+//! | [`blocking`] |           | objects and clients that block: b-CAP over TCP and UDP, RAC over TCP    |
+//! | `asynch`     | `tokio`   | the same for tokio                                                      |
+//! | [`slave`]    |           | Slave Mode; its real-time settings of Linux need the feature `realtime` |
+//! | `server`     | `server`  | a server for any handler: b-CAP over TCP and UDP, RAC over TCP          |
+//! | `gateway`    | `gateway` | RAC for PLCs on one side, b-CAP to a robot on the other                 |
+//!
+//! The protocol is in [`bcap_core`], which does no I/O. This crate connects it to sockets and a clock. The feature `serde`
+//! serialises values.
 
 pub use bcap_core as core;
 pub use bcap_core::position::{Joints, Position, Transform};

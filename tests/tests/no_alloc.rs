@@ -445,3 +445,22 @@ fn streaming_in_slave_mode() {
     .expect("the stream runs until the error");
     assert_eq!((moved, underflows), (200, 1));
 }
+
+/// A typed read of a variable that is open, over a socket: the session of the blocking objects.
+#[test]
+fn a_typed_read_of_a_controller_does_not_allocate() {
+    let config = bcap_sim::Config::new(bcap_sim::Profile::Rc8);
+    let sim = bcap_tests::served::Served::of(bcap_sim::Controller::new(config), bcap_std::server::Limits::default());
+    for address in [format!("tcp:{}", sim.tcp), format!("udp:{}", sim.udp)] {
+        let mut cell = bcap_std::blocking::Controller::connect(&address, &bcap_std::Settings::rc8()).unwrap();
+        cell.write("I1", 7).unwrap();
+        cell.write("P1", [1.0_f32, 2.0, 3.0, 0.0, 0.0, 0.0, 5.0]).unwrap();
+        // opened by the first use
+        cell.read::<[f32; 7]>("P1").unwrap();
+        for _ in 0..10 {
+            assert_eq!(without(|| cell.read::<i32>("I1").unwrap()), 7);
+            assert_eq!(without(|| cell.read::<[f32; 7]>("P1").unwrap())[1], 2.0);
+            without(|| cell.write("I1", 7).unwrap());
+        }
+    }
+}
