@@ -134,3 +134,67 @@ impl Error {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::io;
+
+    use bcap_core::bcap::client::{ClientError, Timeout};
+    use bcap_core::slave::PoseError;
+    use bcap_core::variant::Variant;
+
+    use super::*;
+    use crate::Address;
+
+    fn call(error: CallError) -> Error {
+        Error::call(FunctionId::VARIABLE_GET_VALUE, "I1", error)
+    }
+
+    /// The text of every variant.
+    #[test]
+    fn each_error_says_what_is_wrong_where_and_what_to_do() {
+        let address = "robot".parse::<Address>().unwrap_err();
+        let source = Variant::Bool(true).convert::<i32>().unwrap_err();
+        let refused = HResult::E_CAO_OBJECT_NOTFOUND;
+        let function = FunctionId::ROBOT_MOVE;
+        let reset = io::Error::from(io::ErrorKind::ConnectionReset);
+        for (error, text) in [
+            (Error::from(address), "robot: write tcp:HOST[:PORT] or udp:HOST[:PORT], such as tcp:192.168.0.1"),
+            (
+                Error::NoAddress,
+                "a controller over the caller's own stream has no address; make the stopper with Stopper::over",
+            ),
+            (Error::ArmTaken, "the arm is taken already over this session; give it back before it is taken again"),
+            (Error::ArmLost, "the arm was lost with the connection; look where the robot is, and take the arm again"),
+            (Error::OtherSession, "this scan belongs to another session; open it with Controller::scan of this one"),
+            (Error::NotConnected { reason: "no route".into() }, "not connected: no route"),
+            (Error::Closed, "the controller was closed"),
+            (
+                call(CallError::Refused(refused)),
+                "Variable_GetValue of I1: the controller refused: 0x80000204 (E_CAO_OBJECT_NOTFOUND): There is no such \
+                 object. Hint: check the name against what the matching Get...Names function lists",
+            ),
+            (
+                call(CallError::Client(ClientError::Timeout(Timeout::Attempt))),
+                "Variable_GetValue of I1: no reply and no keep-alive within the timeout",
+            ),
+            (call(CallError::Disconnected), "Variable_GetValue of I1: the peer has closed the connection"),
+            (call(CallError::Io(reset)), "Variable_GetValue of I1: the connection failed: connection reset"),
+            (
+                Error::Reply { function, object: "the robot".into(), reason: "it has no value".into() },
+                "Robot_Move of the robot: it has no value",
+            ),
+            (Error::Value { object: "I1".into(), source }, "the value of I1: "),
+            (Error::StreamConfig(ConfigError::Cycle), "the cycle"),
+            (ConnectError::Setup(io::Error::from(io::ErrorKind::PermissionDenied)).into(), "cannot "),
+            (Error::Argument(EncodeError::Full), "the value cannot be sent: "),
+            (
+                Error::Stream(StreamError::Pose { number: 3, error: PoseError::NotFinite { number: 1 } }),
+                "Slave Mode: pose 3: ",
+            ),
+        ] {
+            let shown = error.to_string();
+            assert!(shown.starts_with(text), "{shown}");
+        }
+    }
+}

@@ -180,7 +180,10 @@ impl fmt::Display for ClientError {
             Self::Encode(e) => write!(f, "the call cannot be sent: {e}"),
             Self::TooLarge { limit } => write!(f, "the call does not fit a frame of {limit} bytes"),
             Self::Busy => f.write_str("another call is in flight"),
-            Self::Timeout(Timeout::Attempt) => f.write_str("no reply within the timeout"),
+            Self::Timeout(Timeout::Attempt) => f.write_str(
+                "no reply and no keep-alive within the timeout; if the call takes long: was the service started with a \
+                 watchdog (WDT=400)?",
+            ),
             Self::Timeout(Timeout::Deadline) => f.write_str("the call took longer than its deadline"),
             Self::Timeout(Timeout::KeepAlive) => f.write_str("the server kept the call alive for too long"),
             Self::Malformed(e) => write!(f, "the peer sent no valid frame: {e}"),
