@@ -61,6 +61,7 @@ pub(super) async fn serve<H: Send + 'static, M: ServeLocked<H> + 'static>(
         activity,
         partial_since: None,
         last_active: now(),
+        time: now(),
         moved: 0,
     };
     loop {
@@ -95,6 +96,8 @@ struct Connection<H> {
     partial_since: Option<Instant>,
     /// When the last bytes arrived or the last reply was sent.
     last_active: Instant,
+    /// The time after the last wait, send or request.
+    time: Instant,
     /// The used part of the turn, in bytes.
     moved: usize,
 }
@@ -126,7 +129,8 @@ impl<H: Send + 'static> Connection<H> {
                 if let Some(reason) = self.send(session, stopped.as_mut()).await? {
                     return Ok(Pause::Ended(reason));
                 }
-                self.last_active = now();
+                self.time = now();
+                self.last_active = self.time;
                 continue;
             }
             if session.is_finished() {
@@ -144,6 +148,7 @@ impl<H: Send + 'static> Connection<H> {
         if self.moved >= TURN {
             self.moved = 0;
             tokio::task::yield_now().await;
+            self.time = now();
         }
     }
 
@@ -165,19 +170,21 @@ impl<H: Send + 'static> Connection<H> {
             count = reader.read(room), if !is_full => match count? {
                 0 => return Ok(Some("the peer closed it")),
                 count => {
-                    self.last_active = now();
+                    self.time = now();
+                    self.last_active = self.time;
                     self.moved += count;
                     session.received(count);
                 }
             },
             () = sleep_until(deadline) => {
+                self.time = now();
                 return Ok(self.meet_deadline(session));
             }
             closed = closed(writer.as_ref()), if is_full => {
                 closed?;
                 return Ok(Some("the peer closed it before all of its bytes were read"));
             }
-            () = self.changes.next() => {}
+            () = self.changes.next() => self.time = now(),
             // a connection whose call has just begun is not evicted: that would stop a motion
             _ = evicted, if is_idle => return Ok(Some("another connection needs its slot")),
             _ = stopped => return Ok(Some("the server stops")),
@@ -187,7 +194,7 @@ impl<H: Send + 'static> Connection<H> {
 
     /// Handles a deadline that has passed; returns the reason if the connection must end.
     fn meet_deadline<M: ServeLocked<H>>(&self, session: &mut M) -> Option<&'static str> {
-        let is_over = |until: Option<Instant>| until.is_some_and(|until| until <= now());
+        let is_over = |until: Option<Instant>| until.is_some_and(|until| until <= self.time);
         if is_over(self.partial_since.map(|since| since.saturating_add(self.limits.receive))) {
             return Some("a request took too long to arrive");
         }
@@ -214,7 +221,8 @@ impl<H: Send + 'static> Connection<H> {
 
     /// Performs one step of the session; `false` if there is nothing to do.
     fn step<M: ServeLocked<H>>(&mut self, session: &mut M) -> bool {
-        let Some(event) = session.run(&mut self.shared.handler(), self.peer, now()) else { return false };
+        let Some(event) = session.run(&mut self.shared.handler(), self.peer, self.time) else { return false };
+        self.time = now();
         tracing::trace!(peer = self.peer.0, ?event);
         self.shared.notify_change();
         self.moved += REQUEST;
@@ -235,7 +243,9 @@ impl<H: Send + 'static> Connection<H> {
             session
         });
         self.partial_since = None;
-        step.await.ok()
+        let session = step.await.ok();
+        self.time = now();
+        session
     }
 
     /// Sends pending bytes; returns the reason if the connection must end.
