@@ -16,7 +16,7 @@ pub fn now() -> Instant {
     Instant::ZERO.saturating_add(origin().elapsed())
 }
 
-/// Returns the duration until `at`; zero if `at` has passed.
+/// Returns the duration until `at`; zero if `at` has passed. It does not read the clock for [`Instant::ZERO`].
 pub(crate) fn until(at: Instant) -> Duration {
-    at.saturating_since(now())
+    if at == Instant::ZERO { Duration::ZERO } else { at.saturating_since(now()) }
 }

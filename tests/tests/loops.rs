@@ -100,7 +100,7 @@ impl Direct {
             match self.session.poll_timeout().filter(|due| *due < until) {
                 Some(due) => self.now = due,
                 None => {
-                    self.now = until;
+                    self.now = self.now.max(until);
                     return None;
                 }
             }

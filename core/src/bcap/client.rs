@@ -28,7 +28,7 @@ use core::time::Duration;
 
 use crate::bcap::FunctionId;
 use crate::bcap::call::{Call, Reply, ReplyError};
-use crate::bcap::frame::{Frame, FrameWriter, MIN_FRAME, renumber};
+use crate::bcap::frame::{Args, Frame, FrameWriter, MIN_FRAME, renumber};
 use crate::bcap::header::Header;
 use crate::bcap::link::{Inbox, Link, Located, OnMalformed, Received};
 use crate::endpoint::Endpoint;
@@ -37,7 +37,7 @@ use crate::hresult::HResult;
 use crate::limits::{Limits, Strictness};
 use crate::outbox::Outbox;
 use crate::storage::Storage;
-use crate::time::Instant;
+use crate::time::{Instant, micros};
 
 /// The time limits and the number of attempts of one call.
 ///
@@ -322,7 +322,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
     /// [`ClientError::Busy`] while a call is in flight or part of an abandoned one is unsent, [`ClientError::Closed`]
     /// after the session ended, [`ClientError::TooLarge`] for a frame above the limit of the link or the buffer.
     pub fn start<C: Call + ?Sized>(&mut self, call: &C, timing: Timing, now: Instant) -> Result<(), ClientError> {
-        self.start_any(call.prepared(), call.function(), &|frame| call.arguments(frame), timing, now)
+        self.start_any(call.prepared(), call.function(), &|frame| call.arguments(frame), &timing, now)
     }
 
     /// Starts a call of any type. It is not generic over the call, so an image contains one copy of it.
@@ -331,7 +331,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
         prepared: Option<&[u8]>,
         function: FunctionId,
         arguments: Arguments<'_>,
-        timing: Timing,
+        timing: &Timing,
         now: Instant,
     ) -> Result<(), ClientError> {
         self.state.check_idle()?;
@@ -389,8 +389,13 @@ impl<T: Storage, R: Storage> Client<T, R> {
     ///
     /// [`ClientError::Reply`] when it has another type.
     pub fn value<V: Reply>(&self) -> Result<V::Value<'_>, ClientError> {
-        let args = self.reply().map_or(crate::bcap::Args::NONE, |frame| frame.args);
-        V::read(args).map_err(ClientError::Reply)
+        V::read(self.args()).map_err(ClientError::Reply)
+    }
+
+    /// Returns the arguments of the reply, or no arguments. It is not generic over the value, so an image contains one copy.
+    #[cfg_attr(target_os = "none", inline(never))]
+    fn args(&self) -> Args<'_> {
+        self.reply().map_or(Args::NONE, |frame| frame.args)
     }
 
     /// Handles a timeout: sends the call again, or ends it. Does nothing before [`poll_timeout`](Endpoint::poll_timeout).
@@ -543,7 +548,8 @@ impl State {
         }
     }
 
-    fn begin(&mut self, serial: u16, len: usize, timing: Timing, now: Instant) {
+    fn begin(&mut self, serial: u16, len: usize, timing: &Timing, now: Instant) {
+        let attempt_timeout = limit(timing.attempt_timeout);
         self.outbox = Outbox::new(len);
         self.call = Some(InFlight {
             first: serial,
@@ -551,10 +557,10 @@ impl State {
             attempt: 1,
             sent: 0,
             attempts: timing.attempts,
-            attempt_timeout: Instant::ZERO.saturating_add(timing.attempt_timeout).as_micros(),
-            keep_alive: KeepAlive::For(Instant::ZERO.saturating_add(timing.keep_alive).as_micros()),
-            attempt_until: now.saturating_add(timing.attempt_timeout),
-            deadline: now.saturating_add(timing.deadline),
+            attempt_timeout,
+            keep_alive: KeepAlive::For(limit(timing.keep_alive)),
+            attempt_until: later(now, attempt_timeout),
+            deadline: later(now, limit(timing.deadline)),
         });
     }
 
@@ -661,6 +667,13 @@ impl InFlight {
     }
 }
 
+/// Converts a time limit to microseconds.
+// on a processor of 32 bits each inlined copy takes 80 bytes
+#[cfg_attr(target_os = "none", inline(never))]
+const fn limit(duration: Duration) -> u64 {
+    micros(duration)
+}
+
 const fn later(now: Instant, micros: u64) -> Instant {
     Instant::from_micros(now.as_micros().saturating_add(micros))
 }
@@ -681,13 +694,14 @@ struct Flood {
 }
 
 impl Flood {
-    const INTERVAL: Duration = Duration::from_millis(20);
-    const BURST: Duration = Duration::from_millis(20 * 256);
+    /// In microseconds, so that a board needs no division.
+    const INTERVAL: u64 = 20_000;
+    const BURST: u64 = 256 * Self::INTERVAL;
 
     /// Takes a token; returns `true` if the bucket is empty.
     fn is_over(&mut self, now: Instant) -> bool {
-        let full_at = self.full_at.max(now).saturating_add(Self::INTERVAL);
-        if full_at.saturating_since(now) > Self::BURST {
+        let full_at = later(self.full_at.max(now), Self::INTERVAL);
+        if full_at > later(now, Self::BURST) {
             return true;
         }
         self.full_at = full_at;

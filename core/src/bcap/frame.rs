@@ -130,22 +130,27 @@ impl Decoder {
     ///
     /// As [`decode`](Self::decode), and when bytes are missing or follow the frame; a lenient decoder ignores the latter.
     pub fn decode_datagram<'a>(&self, bytes: &'a [u8]) -> Result<Frame<'a>, DecodeError> {
-        self.decode_datagram_with_header(bytes).map(|(header, args)| Frame::new(header, args))
+        let decoded = self.decode_with_header(bytes)?;
+        self.check_datagram(decoded, bytes.len()).map(|(header, args)| Frame::new(header, args))
     }
 
-    /// Decodes a datagram, and returns its header.
-    pub(crate) fn decode_datagram_with_header<'a>(&self, bytes: &'a [u8]) -> Result<(Header, Args<'a>), DecodeError> {
-        match self.decode_with_header(bytes)? {
+    /// Checks that the frame at the front of a datagram of `len` bytes is its only content.
+    pub(crate) fn check_datagram<'a>(
+        &self,
+        decoded: Decoded<'a>,
+        len: usize,
+    ) -> Result<(Header, Args<'a>), DecodeError> {
+        match decoded {
             Decoded::Complete(header, args) => {
                 let used = to_usize(header.length);
-                if used < bytes.len() && self.strictness == Strictness::Strict {
-                    let unused = to_u32(bytes.len().wrapping_sub(used));
+                if used < len && self.strictness == Strictness::Strict {
+                    let unused = to_u32(len.wrapping_sub(used));
                     return Err(DecodeError::frame(DecodeErrorKind::Unused(unused), used));
                 }
                 Ok((header, args))
             }
             Decoded::NeedMore(needed) => {
-                Err(DecodeError::frame(DecodeErrorKind::Incomplete { needed: to_u32(needed) }, bytes.len()))
+                Err(DecodeError::frame(DecodeErrorKind::Incomplete { needed: to_u32(needed) }, len))
             }
         }
     }

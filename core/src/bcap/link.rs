@@ -200,16 +200,17 @@ impl Inbox {
         if bytes.is_empty() {
             return None;
         }
+        let decoded = self.decoder.decode_with_header(bytes);
         if self.link == Link::Datagram {
             let start = self.next;
             self.malformed = self.next;
             self.next = self.len;
-            return Some(match self.decoder.decode_datagram_with_header(bytes) {
+            return Some(match decoded.and_then(|decoded| self.decoder.check_datagram(decoded, bytes.len())) {
                 Ok((header, _)) => Received::Frame(Located::new(start, header)),
                 Err(error) => Received::Malformed(error),
             });
         }
-        match self.decoder.decode_with_header(bytes) {
+        match decoded {
             Ok(Decoded::Complete(header, _)) => {
                 let frame = Located::new(self.next, header);
                 self.next = frame.end().min(self.len);

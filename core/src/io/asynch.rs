@@ -9,7 +9,7 @@ use crate::bcap::Client;
 use crate::bcap::call::{Call, Reply};
 use crate::bcap::client::Timing;
 use crate::hresult::HResult;
-use crate::io::{CallError, Direction, MAX_EARLY, Machine, RacError, RunError, hand_in, moved, next};
+use crate::io::{CallError, Direction, MAX_EARLY, Machine, RacError, RunError, hand_in, moved, next, sent};
 use crate::procedure::{Action, Channel, Failure, Procedure};
 use crate::rac::{self, Request, Variable};
 use crate::storage::Storage;
@@ -38,7 +38,8 @@ pub trait Transport {
     /// Receives a datagram, or available bytes of a stream, and returns their count; `None` at `until`. On a stream, 0
     /// bytes mean that the peer has closed it.
     ///
-    /// If `until` has passed, it returns bytes that have arrived, without waiting: the loops call it so before each request.
+    /// If `until` has passed, it returns bytes that have arrived, without waiting. Before each request the loops call it with
+    /// [`Instant::ZERO`], for which it need not read the clock.
     ///
     /// # Errors
     ///
@@ -420,21 +421,22 @@ type Ended<X, M> = Result<(), CallError<<X as Transport>::Error, <M as Machine>:
 /// is not taken for the reply.
 async fn clear<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> Ended<X, M> {
     client.give_up();
-    let until = transport.now().saturating_add(client.flush_timeout());
-    while !client.transmit().is_empty() {
-        let sent = transport.send(client.transmit(), until).await.map_err(CallError::Io)?;
-        client.transmitted(sent.ok_or(CallError::Client(M::BUSY))?);
+    if !client.transmit().is_empty() {
+        let until = transport.now().saturating_add(client.flush_timeout());
+        while !client.transmit().is_empty() {
+            let sent = transport.send(client.transmit(), until).await.map_err(CallError::Io)?;
+            client.transmitted(sent.ok_or(CallError::Client(M::BUSY))?);
+        }
     }
     for _ in 0..MAX_EARLY {
         if client.is_over() {
             return Err(CallError::Client(M::CLOSED));
         }
-        let now = transport.now();
-        let count = transport.receive(client.receive_buffer(), now).await.map_err(CallError::Io)?;
+        let count = transport.receive(client.receive_buffer(), Instant::ZERO).await.map_err(CallError::Io)?;
         if count.is_none() {
             break;
         }
-        if let Some(end @ Err(_)) = moved(client, Direction::Receive, count, Instant::FAR_FUTURE, now) {
+        if let Some(end @ Err(_)) = moved(client, Direction::Receive, count, Instant::FAR_FUTURE, transport.now()) {
             return end;
         }
     }
@@ -449,6 +451,9 @@ async fn wait<X: Transport, M: Machine>(transport: &mut X, client: &mut M) -> En
             Direction::Receive => transport.receive(client.receive_buffer(), until).await,
         };
         let count = count.map_err(CallError::Io)?;
+        if direction == Direction::Send && sent(client, count) {
+            continue;
+        }
         if let Some(end) = moved(client, direction, count, until, transport.now()) {
             return end;
         }

@@ -1,6 +1,7 @@
 //! One TCP connection: moves bytes between its socket and a session of the core, for either protocol.
 
 use std::io;
+use std::pin::{Pin, pin};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -45,6 +46,10 @@ pub(super) async fn serve<H: Send + 'static, M: ServeLocked<H> + 'static>(
     activity: Arc<Activity>,
     mut stopped: watch::Receiver<()>,
 ) {
+    // these wait for the whole connection: a wait of their own for each request would register and remove a waker
+    let mut stopped = pin!(stopped.changed());
+    let idle = Arc::clone(&activity);
+    let mut evicted = pin!(idle.evicted());
     let changes = shared.changes();
     let mut session = Box::new(session);
     let mut connection = Connection {
@@ -56,10 +61,11 @@ pub(super) async fn serve<H: Send + 'static, M: ServeLocked<H> + 'static>(
         activity,
         partial_since: None,
         last_active: now(),
+        time: now(),
         moved: 0,
     };
     loop {
-        match connection.run(&mut *session, &mut stopped).await {
+        match connection.run(&mut *session, stopped.as_mut(), evicted.as_mut()).await {
             Ok(Pause::LargeRequest) => match connection.run_elsewhere(session).await {
                 Some(back) => session = back,
                 // the runtime is shutting down
@@ -90,6 +96,8 @@ struct Connection<H> {
     partial_since: Option<Instant>,
     /// When the last bytes arrived or the last reply was sent.
     last_active: Instant,
+    /// The time after the last wait, send or request.
+    time: Instant,
     /// The used part of the turn, in bytes.
     moved: usize,
 }
@@ -107,7 +115,8 @@ impl<H: Send + 'static> Connection<H> {
     async fn run<M: ServeLocked<H>>(
         &mut self,
         session: &mut M,
-        stopped: &mut watch::Receiver<()>,
+        mut stopped: Pin<&mut impl Future>,
+        mut evicted: Pin<&mut impl Future>,
     ) -> io::Result<Pause> {
         loop {
             self.end_turn().await;
@@ -117,17 +126,18 @@ impl<H: Send + 'static> Connection<H> {
             self.run_session(session);
             if !session.transmit().is_empty() {
                 self.activity.set(None);
-                if let Some(reason) = self.send(session, stopped).await? {
+                if let Some(reason) = self.send(session, stopped.as_mut()).await? {
                     return Ok(Pause::Ended(reason));
                 }
-                self.last_active = now();
+                self.time = now();
+                self.last_active = self.time;
                 continue;
             }
             if session.is_finished() {
                 let _ = self.stream.shutdown().await;
                 return Ok(Pause::Ended("the peer sent no valid frame"));
             }
-            if let Some(reason) = self.wait(session, stopped).await? {
+            if let Some(reason) = self.wait(session, stopped.as_mut(), evicted.as_mut()).await? {
                 return Ok(Pause::Ended(reason));
             }
         }
@@ -138,6 +148,7 @@ impl<H: Send + 'static> Connection<H> {
         if self.moved >= TURN {
             self.moved = 0;
             tokio::task::yield_now().await;
+            self.time = now();
         }
     }
 
@@ -145,7 +156,8 @@ impl<H: Send + 'static> Connection<H> {
     async fn wait<M: ServeLocked<H>>(
         &mut self,
         session: &mut M,
-        stopped: &mut watch::Receiver<()>,
+        stopped: Pin<&mut impl Future>,
+        evicted: Pin<&mut impl Future>,
     ) -> io::Result<Option<&'static str>> {
         self.partial_since = session.is_receiving().then(|| self.partial_since.unwrap_or_else(now));
         let (deadline, is_idle) = (self.next_deadline(session), !session.is_running());
@@ -158,29 +170,31 @@ impl<H: Send + 'static> Connection<H> {
             count = reader.read(room), if !is_full => match count? {
                 0 => return Ok(Some("the peer closed it")),
                 count => {
-                    self.last_active = now();
+                    self.time = now();
+                    self.last_active = self.time;
                     self.moved += count;
                     session.received(count);
                 }
             },
-            () = tokio::time::sleep(until(deadline.unwrap_or(Instant::ZERO))), if deadline.is_some() => {
+            () = sleep_until(deadline) => {
+                self.time = now();
                 return Ok(self.meet_deadline(session));
             }
             closed = closed(writer.as_ref()), if is_full => {
                 closed?;
                 return Ok(Some("the peer closed it before all of its bytes were read"));
             }
-            () = self.changes.next() => {}
+            () = self.changes.next() => self.time = now(),
             // a connection whose call has just begun is not evicted: that would stop a motion
-            () = self.activity.evicted(), if is_idle => return Ok(Some("another connection needs its slot")),
-            _ = stopped.changed() => return Ok(Some("the server stops")),
+            _ = evicted, if is_idle => return Ok(Some("another connection needs its slot")),
+            _ = stopped => return Ok(Some("the server stops")),
         }
         Ok(None)
     }
 
     /// Handles a deadline that has passed; returns the reason if the connection must end.
     fn meet_deadline<M: ServeLocked<H>>(&self, session: &mut M) -> Option<&'static str> {
-        let is_over = |until: Option<Instant>| until.is_some_and(|until| until <= now());
+        let is_over = |until: Option<Instant>| until.is_some_and(|until| until <= self.time);
         if is_over(self.partial_since.map(|since| since.saturating_add(self.limits.receive))) {
             return Some("a request took too long to arrive");
         }
@@ -207,7 +221,8 @@ impl<H: Send + 'static> Connection<H> {
 
     /// Performs one step of the session; `false` if there is nothing to do.
     fn step<M: ServeLocked<H>>(&mut self, session: &mut M) -> bool {
-        let Some(event) = session.run(&mut self.shared.handler(), self.peer, now()) else { return false };
+        let Some(event) = session.run(&mut self.shared.handler(), self.peer, self.time) else { return false };
+        self.time = now();
         tracing::trace!(peer = self.peer.0, ?event);
         self.shared.notify_change();
         self.moved += REQUEST;
@@ -228,14 +243,16 @@ impl<H: Send + 'static> Connection<H> {
             session
         });
         self.partial_since = None;
-        step.await.ok()
+        let session = step.await.ok();
+        self.time = now();
+        session
     }
 
     /// Sends pending bytes; returns the reason if the connection must end.
     async fn send<M: ServeLocked<H>>(
         &mut self,
         session: &mut M,
-        stopped: &mut watch::Receiver<()>,
+        mut stopped: Pin<&mut impl Future>,
     ) -> io::Result<Option<&'static str>> {
         let bytes = session.transmit();
         match self.shared.tapped(self.peer, bytes) {
@@ -246,7 +263,7 @@ impl<H: Send + 'static> Connection<H> {
                 let mut rest = &replacement[..];
                 while !rest.is_empty() {
                     let part = &rest[..rest.len().min(TURN)];
-                    match within(self.limits.send, self.stream.write(part), stopped).await? {
+                    match within(self.limits.send, self.stream.write(part), stopped.as_mut()).await? {
                         Ok(written) => rest = rest.get(written..).unwrap_or_default(),
                         Err(reason) => return Ok(Some(reason)),
                     }
@@ -292,18 +309,26 @@ impl<H: Send + 'static> Connection<H> {
     }
 }
 
+/// Waits for a deadline, if there is one. A timer is created only when it is polled.
+async fn sleep_until(deadline: Option<Instant>) {
+    match deadline {
+        Some(at) => tokio::time::sleep(until(at)).await,
+        None => std::future::pending().await,
+    }
+}
+
 /// Waits for a write; returns the reason if it does not end within `limit`.
 async fn within<T>(
     limit: Duration,
     written: impl Future<Output = io::Result<T>>,
-    stopped: &mut watch::Receiver<()>,
+    stopped: Pin<&mut impl Future>,
 ) -> io::Result<Result<T, &'static str>> {
     tokio::select! {
         written = timeout(limit, written) => match written {
             Ok(written) => written.map(Ok),
             Err(_) => Ok(Err("the peer does not read")),
         },
-        _ = stopped.changed() => Ok(Err("the server stops")),
+        _ = stopped => Ok(Err("the server stops")),
     }
 }
 

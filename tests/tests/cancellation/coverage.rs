@@ -142,6 +142,7 @@ pub(crate) const STD: &[(&str, Coverage)] = &[
     ("server/stream.rs: Connection::wait", OF_A_TASK),
     ("server/stream.rs: closed", OF_A_TASK),
     ("server/stream.rs: serve", OF_A_TASK),
+    ("server/stream.rs: sleep_until", OF_A_TASK),
     ("server/stream.rs: within", OF_A_TASK),
     ("server/tcp.rs: Served::ended", OF_A_TASK),
     ("server/tcp.rs: accept", OF_A_TASK),

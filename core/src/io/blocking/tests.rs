@@ -82,7 +82,7 @@ impl Transport for Scripted {
             return Ok(Some(0));
         }
         if self.pending.is_empty() {
-            self.now = until;
+            self.now = self.now.max(until);
             return Ok(None);
         }
         let count = buffer.len().min(self.chunk).min(self.pending.len());
