@@ -156,6 +156,7 @@ pub(crate) enum Command {
     Decode(Decode),
     Encode(Encode),
     Text(Text),
+    Wireshark(Wireshark),
     Completions(Completions),
 }
 
@@ -611,6 +612,16 @@ pub(crate) enum TextCommand {
         hex: Vec<String>,
     },
 }
+
+/// Prints a dissector for Wireshark, one Lua file
+///
+/// It decodes b-CAP over TCP and UDP, and RAC. docs/wireshark.md describes its fields and filters.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap wireshark >~/.local/lib/wireshark/plugins/bcap.lua
+  bcap wireshark >bcap.lua && tshark -X lua_script:bcap.lua -r capture.pcapng")]
+pub(crate) struct Wireshark {}
 
 /// Prints a completion script for a shell
 #[derive(Debug, Args)]

@@ -34,6 +34,7 @@ mod times;
 mod value;
 mod variables;
 mod watch;
+mod wireshark;
 
 use std::process::ExitCode;
 
@@ -68,6 +69,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Decode(args) => decode::decode(args, cli.json),
         Command::Encode(args) => decode::encode(args),
         Command::Text(args) => text::text(args, cli.json),
+        Command::Wireshark(_) => wireshark::wireshark(),
         Command::Completions(args) => completions(args),
     }
 }
