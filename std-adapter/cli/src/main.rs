@@ -3,6 +3,7 @@
 mod args;
 mod budget;
 mod call;
+mod capture;
 mod connection;
 mod decode;
 mod demo;

@@ -219,7 +219,8 @@ mod tests {
 
     #[test]
     fn every_number_of_a_pose_has_a_label() {
-        for (kind, pose) in [(VariableKind::P, PoseType::P), (VariableKind::J, PoseType::J), (VariableKind::T, PoseType::T)]
+        for (kind, pose) in
+            [(VariableKind::P, PoseType::P), (VariableKind::J, PoseType::J), (VariableKind::T, PoseType::T)]
         {
             assert_eq!(columns(pose).len(), kind.elements());
         }

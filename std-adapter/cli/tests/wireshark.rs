@@ -2,9 +2,9 @@
 //!
 //! The tests of the dissector need `tshark`; without it they print one line and pass. `BLESS=1` writes the golden files again.
 
-mod common;
 #[path = "common/capture.rs"]
 mod capture;
+mod common;
 
 use std::fmt::Write as _;
 use std::fs;
@@ -107,9 +107,20 @@ fn own_trees(tree: &str) -> String {
 
 /// Whether a line is of the tree that every packet has.
 fn is_of_frame(line: &str) -> bool {
-    ["Encapsulation", "Arrival", "[Time", "Epoch", "Frame ", "Capture Length", "[Frame", "[Protocols", "[Coloring", "[Time "]
-        .iter()
-        .any(|start| line.trim_start().starts_with(start) && !line.contains("since the"))
+    [
+        "Encapsulation",
+        "Arrival",
+        "[Time",
+        "Epoch",
+        "Frame ",
+        "Capture Length",
+        "[Frame",
+        "[Protocols",
+        "[Coloring",
+        "[Time ",
+    ]
+    .iter()
+    .any(|start| line.trim_start().starts_with(start) && !line.contains("since the"))
 }
 
 #[test]
@@ -191,8 +202,12 @@ fn no_input_of_a_corpus_gives_a_lua_error() {
         let tree = tshark(&saved(&capture, &folder), &["-V"]);
         let errors = tree.matches("Lua Error").count();
         let trees = tree.lines().filter(|line| line.starts_with("DENSO ")).count();
-        println!("{target}: {} inputs, {} packets, {trees} trees, {errors} Lua errors, {:.1} s", inputs.len(),
-            capture.packets, began.elapsed().as_secs_f32());
+        println!(
+            "{target}: {} inputs, {} packets, {trees} trees, {errors} Lua errors, {:.1} s",
+            inputs.len(),
+            capture.packets,
+            began.elapsed().as_secs_f32()
+        );
         let example = tree.find("Lua Error").and_then(|at| tree.get(at.saturating_sub(2000)..at + 300));
         assert_eq!(errors, 0, "{}", example.unwrap_or_default());
         assert!(trees > 4 * inputs.len());

@@ -15,8 +15,8 @@ use bcap_core::slave::PoseType;
 use crate::args::{Cosine, LinkArgs, Play, Slave, SlaveCommand};
 use crate::error::Failure;
 use crate::escape;
-pub(crate) use poses::columns;
 use poses::Poses;
+pub(crate) use poses::columns;
 use sample::CYCLE;
 use stream::{Course, stream};
 
