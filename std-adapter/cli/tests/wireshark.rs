@@ -12,11 +12,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use bcap_fuzz::{TARGETS, corpus};
-use capture::{Capture, Flow, From};
+use capture::{BCAP, Capture, Flow, From, RAC, unhex, wrapped};
 use common::{bcap, frames, vectors};
-
-const BCAP: u16 = 5007;
-const RAC: u16 = 5006;
 
 fn script() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/wireshark/bcap.lua")
@@ -129,9 +126,6 @@ fn the_frames_and_lines_of_the_specifications_have_golden_trees() {
         return;
     }
     let mut capture = Capture::new();
-    let unhex = |text: &str| -> Vec<u8> {
-        (0..text.len() / 2).map(|i| u8::from_str_radix(&text[2 * i..2 * i + 2], 16).unwrap()).collect()
-    };
     let mut flow = Flow::new(1, BCAP);
     for frame in frames() {
         let from = if frame["kind"] == "request" { From::Client } else { From::Server };
@@ -147,45 +141,6 @@ fn the_frames_and_lines_of_the_specifications_have_golden_trees() {
     }
     let folder = tempfile::tempdir().unwrap();
     assert_golden("vectors.txt", &trees(&saved(&capture, &folder)));
-}
-
-/// Packets around the inputs of a corpus: as bytes of a stream, of a datagram and of a line, and inside valid frames.
-fn wrapped(inputs: &corpus::Inputs) -> Capture {
-    let mut capture = Capture::new();
-    for (number, bytes) in (0_u32..).zip(inputs.values()) {
-        let mut stream = Flow::new(2 * number, BCAP);
-        let halves = bytes.split_at(bytes.len() / 2);
-        for from in [From::Client, From::Server] {
-            capture.tcp(&mut stream, from, halves.0);
-            capture.tcp(&mut stream, from, halves.1);
-        }
-        // a new connection, because the bytes above may have announced a long frame
-        let mut stream = Flow::new(2 * number + 1, BCAP);
-        let lines = [b"0,", &bytes[..], b"\r"].concat();
-        for (from, code) in [(From::Client, 102), (From::Client, 64), (From::Server, 0), (From::Server, 0x900)] {
-            for frame in [frame(code, &argument(bytes)), frame(code, bytes)] {
-                capture.tcp(&mut stream, from, &frame);
-                capture.udp(&stream, from, &frame);
-            }
-            capture.udp(&stream, from, bytes);
-            let mut text = Flow::new(4 * number + u32::from(code == 0), RAC);
-            capture.tcp(&mut text, from, bytes);
-            capture.tcp(&mut text, from, &lines);
-        }
-    }
-    capture
-}
-
-/// A frame with these bytes between header and EOT.
-fn frame(code: u32, body: &[u8]) -> Vec<u8> {
-    let length = u32::try_from(body.len() + 16).unwrap();
-    let head = [&[1][..], &length.to_le_bytes(), &[7, 0, 0, 0], &code.to_le_bytes(), &[1, 0]].concat();
-    [&head, body, &[4]].concat()
-}
-
-/// An argument with these bytes as its value.
-fn argument(value: &[u8]) -> Vec<u8> {
-    [&u32::try_from(value.len()).unwrap().to_le_bytes(), value].concat()
 }
 
 #[test]

@@ -153,14 +153,15 @@ impl Talk {
     }
 
     fn tcp(&mut self, from: usize, tcp: &Tcp, segment: &Segment<'_>, events: &mut Vec<Event>) {
-        let mut pieces = Vec::new();
-        self.halves[from].segment(tcp, segment.payload, &mut pieces);
-        self.pieces(from, pieces, segment.at, events);
+        // a reply shows that its request arrived, so the bytes that it acknowledges come first
         if let Some(acknowledged) = tcp.acknowledged {
             let mut pieces = Vec::new();
             self.halves[1 - from].acknowledged(acknowledged, &mut pieces);
             self.pieces(1 - from, pieces, segment.at, events);
         }
+        let mut pieces = Vec::new();
+        self.halves[from].segment(tcp, segment.payload, &mut pieces);
+        self.pieces(from, pieces, segment.at, events);
         self.is_ended |= tcp.end;
     }
 

@@ -3,7 +3,13 @@
 
 use std::path::Path;
 
+use bcap_fuzz::corpus::Inputs;
 use etherparse::PacketBuilder;
+
+/// The port of b-CAP.
+pub(crate) const BCAP: u16 = 5007;
+/// The port of RAC.
+pub(crate) const RAC: u16 = 5006;
 
 /// The largest payload of a TCP segment.
 const SEGMENT: usize = 1400;
@@ -32,6 +38,11 @@ impl Flow {
         let [_, b, c, d] = number.to_be_bytes();
         Self { client: [10, b, c, d], port, next: [1000, 5000] }
     }
+
+    /// Skips bytes of one side, as if a segment were lost in the capture.
+    pub(crate) fn skip(&mut self, from: From, bytes: usize) {
+        self.next[usize::from(from == From::Server)] += u32::try_from(bytes).unwrap();
+    }
 }
 
 /// A capture in memory; one millisecond passes between two packets.
@@ -47,9 +58,14 @@ const SERVER: [u8; 4] = [192, 168, 0, 1];
 
 impl Capture {
     pub(crate) fn new() -> Self {
+        Self::of_link(RAW_IP)
+    }
+
+    /// A capture of another link type; [`packet`](Self::packet) gets its headers too.
+    pub(crate) fn of_link(link: u32) -> Self {
         let mut bytes = Vec::new();
         // the magic of microseconds, version 2.4, two unused fields, the snap length, the link type
-        for field in [0xa1b2_c3d4, 0x0004_0002, 0, 0, 0x0004_0000, RAW_IP] {
+        for field in [0xa1b2_c3d4, 0x0004_0002, 0, 0, 0x0004_0000, link] {
             bytes.extend(field.to_le_bytes());
         }
         Self { bytes, micros: 0, packets: 0 }
@@ -70,7 +86,7 @@ impl Capture {
     pub(crate) fn tcp(&mut self, flow: &mut Flow, from: From, payload: &[u8]) {
         for part in payload.chunks(SEGMENT) {
             let packet = segment(flow, from, part);
-            flow.next[usize::from(from == From::Server)] += u32::try_from(part.len()).unwrap();
+            flow.skip(from, part.len());
             self.packet(&packet);
         }
     }
@@ -105,4 +121,48 @@ pub(crate) fn segment(flow: &Flow, from: From, payload: &[u8]) -> Vec<u8> {
     let mut packet = Vec::new();
     builder.write(&mut packet, payload).unwrap();
     packet
+}
+
+/// Bytes from hexadecimal digits.
+pub(crate) fn unhex(text: &str) -> Vec<u8> {
+    (0..text.len() / 2).map(|i| u8::from_str_radix(&text[2 * i..2 * i + 2], 16).unwrap()).collect()
+}
+
+/// Packets around the inputs of a corpus: as bytes of a stream, of a datagram and of a line, and inside valid frames.
+pub(crate) fn wrapped(inputs: &Inputs) -> Capture {
+    let mut capture = Capture::new();
+    for (number, bytes) in (0_u32..).zip(inputs.values()) {
+        let mut stream = Flow::new(2 * number, BCAP);
+        let halves = bytes.split_at(bytes.len() / 2);
+        for from in [From::Client, From::Server] {
+            capture.tcp(&mut stream, from, halves.0);
+            capture.tcp(&mut stream, from, halves.1);
+        }
+        // a new connection, because the bytes above may have announced a long frame
+        let mut stream = Flow::new(2 * number + 1, BCAP);
+        let lines = [b"0,", &bytes[..], b"\r"].concat();
+        for (from, code) in [(From::Client, 102), (From::Client, 64), (From::Server, 0), (From::Server, 0x900)] {
+            for frame in [frame(code, &argument(bytes)), frame(code, bytes)] {
+                capture.tcp(&mut stream, from, &frame);
+                capture.udp(&stream, from, &frame);
+            }
+            capture.udp(&stream, from, bytes);
+            let mut text = Flow::new(4 * number + u32::from(code == 0), RAC);
+            capture.tcp(&mut text, from, bytes);
+            capture.tcp(&mut text, from, &lines);
+        }
+    }
+    capture
+}
+
+/// A frame with these bytes between header and EOT.
+pub(crate) fn frame(code: u32, body: &[u8]) -> Vec<u8> {
+    let length = u32::try_from(body.len() + 16).unwrap();
+    let head = [&[1][..], &length.to_le_bytes(), &[7, 0, 0, 0], &code.to_le_bytes(), &[1, 0]].concat();
+    [&head, body, &[4]].concat()
+}
+
+/// An argument with these bytes as its value.
+pub(crate) fn argument(value: &[u8]) -> Vec<u8> {
+    [&u32::try_from(value.len()).unwrap().to_le_bytes(), value].concat()
 }
