@@ -525,7 +525,7 @@ local function escaped(text)
             return string.format("\\x%02x", byte:byte())
         end))
     end
-    return (text:gsub("[%z\1-\31\127\"\\]", hex):gsub("\194[\128-\159]", hex):gsub("\226[\128\129][\128-\191]", hex))
+    return (text:gsub("[\0-\31\127\"\\]", hex):gsub("\194[\128-\159]", hex):gsub("\226[\128\129][\128-\191]", hex))
 end
 
 local function is_utf8(text)
@@ -1532,8 +1532,7 @@ function rac.dissector(tvb, pinfo, tree)
     local raw, at, packet = tvb:raw(0, tvb:len()), 0, { lines = 0 }
     while at < #raw do
         -- LF at the start of a line belongs to the end of the line before
-        if raw:byte(at + 1) == 10 then
-            tree:add(rac, tvb(at, 1), "DENSO RAC, LF")
+        while raw:byte(at + 1) == 10 do
             at = at + 1
         end
         if at == #raw then

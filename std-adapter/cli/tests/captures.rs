@@ -10,26 +10,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use bcap_fuzz::{TARGETS, corpus};
-use capture::{BCAP, Capture, Flow, From, RAC, argument, segment, unhex, wrapped};
+use capture::{BCAP, Capture, Flow, From, RAC, bstr, i4, numbered, segment, unhex, wrapped};
 use common::{Run, bcap, bcap_with};
 use serde_json::Value;
-
-/// A frame with a serial number, its first attempt's, a code and arguments.
-fn numbered(serial: u8, first: u8, code: u32, arguments: &[Vec<u8>]) -> Vec<u8> {
-    let body: Vec<u8> = arguments.iter().flat_map(|value| argument(value)).collect();
-    let mut frame = capture::frame(code, &body);
-    (frame[5], frame[7], frame[13]) = (serial, first, u8::try_from(arguments.len()).unwrap());
-    frame
-}
-
-fn i4(number: u8) -> Vec<u8> {
-    vec![3, 0, 1, 0, 0, 0, number, 0, 0, 0]
-}
-
-fn bstr(text: &str) -> Vec<u8> {
-    let data: Vec<u8> = text.encode_utf16().flat_map(u16::to_le_bytes).collect();
-    [&[8, 0, 1, 0, 0, 0], &u32::try_from(data.len()).unwrap().to_le_bytes()[..], &data].concat()
-}
 
 const GET_VARIABLE: u32 = 9;
 const GET_VALUE: u32 = 101;

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use bcap_fuzz::{TARGETS, corpus};
-use capture::{BCAP, Capture, Flow, From, RAC, unhex, wrapped};
+use capture::{BCAP, Capture, Flow, From, RAC, bstr, i4, list, numbered, r8, unhex, wrapped};
 use common::{bcap, frames, vectors};
 
 fn script() -> PathBuf {
@@ -141,6 +141,109 @@ fn the_frames_and_lines_of_the_specifications_have_golden_trees() {
     }
     let folder = tempfile::tempdir().unwrap();
     assert_golden("vectors.txt", &trees(&saved(&capture, &folder)));
+}
+
+/// The packets that a display filter selects.
+fn selected(capture: &Path, filter: &str) -> usize {
+    tshark(capture, &["-Y", filter, "-T", "fields", "-e", "frame.number"]).lines().count()
+}
+
+const SESSION: &str = "golden/session.pcap";
+
+#[test]
+fn a_recorded_session_is_linked_and_named() {
+    if !has_tshark("the recorded session") {
+        return;
+    }
+    let capture = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests").join(SESSION);
+    let fields = ["-T", "fields", "-e", "frame.number", "-e", "_ws.col.Protocol", "-e", "_ws.col.Info"];
+    assert_golden("session.txt", &tshark(&capture, &[&["-Y", "bcap || rac"], &fields[..]].concat()));
+    for (filter, count) in [
+        ("bcap.malformed || rac.malformed || bcap.cut", 0),
+        ("bcap.unlinked || rac.unlinked || bcap.again", 0),
+        ("bcap.request && !bcap.response_in", 0),
+        ("rac.request && !rac.response_in", 0),
+        ("bcap.refused", 2),
+        ("bcap.hresult == 0x83501024", 1),
+        ("bcap.function == 64 && bcap.command == \"slvMove\" && bcap.slave.mode == 0x202", 19),
+        ("bcap.object == \"robot:Arm0/@CURRENT_ANGLE\" && bcap.value.float == 45", 1),
+        ("rac.variable == \"S9\" && rac.hresult == 0", 1),
+    ] {
+        assert_eq!(selected(&capture, filter), count, "{filter}");
+    }
+}
+
+/// A call of Robot_Execute on handle 5.
+fn execute(serial: u8, command: &str, parameter: Vec<u8>) -> Vec<u8> {
+    numbered(serial, 0, 64, &[i4(5), bstr(command), parameter])
+}
+
+/// A conversation with every feature that the dissector marks.
+fn features() -> Capture {
+    use From::{Client, Server};
+    let mut capture = Capture::new();
+    let mut flow = Flow::new(1, BCAP);
+    let joints = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 0.0, 0.0];
+    let bits = |number: u16| [&[3, 0, 1, 0, 0, 0][..], &u32::from(number).to_le_bytes()].concat();
+    for (from, frame) in [
+        (Client, numbered(1, 0, 7, &[i4(2), bstr("Arm0"), bstr("")])),
+        (Server, numbered(1, 0, 0, &[i4(5)])),
+        (Client, numbered(2, 0, 72, &[i4(5), i4(1), list(&[r8(&joints), i4(2), bits(0)]), bstr("")])),
+        // still running, then done
+        (Server, numbered(2, 0, 0x900, &[])),
+        (Server, numbered(2, 0, 0, &[])),
+        // MiniIO and HandIO are sent; a time stamp, position and joints, and the current are received
+        (Client, execute(3, "slvSendFormat", bits(0x120))),
+        (Server, numbered(3, 0, 0, &[])),
+        (Client, execute(4, "slvRecvFormat", [&[3, 0x20, 2, 0, 0, 0, 0x54, 0, 0, 0, 1, 0, 0, 0][..]].concat())),
+        (Server, numbered(4, 0, 0, &[])),
+        (Client, execute(5, "slvChangeMode", bits(0x102))),
+        (Server, numbered(5, 0, 0, &[])),
+        (Client, execute(6, "slvMove", list(&[r8(&joints), i4(15), i4(3)]))),
+        (Server, numbered(6, 0, 0x0f20_0501, &[list(&[i4(99), r8(&[0.5; 15]), r8(&joints)])])),
+        (Server, numbered(6, 0, 0x8420_4043, &[])),
+        (Client, numbered(7, 0, 200, &[])),
+        (Server, numbered(9, 0, 0x8007_0057, &[])),
+    ] {
+        capture.tcp(&mut flow, from, &frame);
+    }
+    // two frames and a half in one segment, then the other half
+    let frames = [numbered(10, 0, 1, &[]), numbered(11, 0, 2, &[]), numbered(12, 0, 21, &[i4(2)])].concat();
+    let (most, rest) = frames.split_at(40);
+    capture.tcp(&mut flow, Client, most);
+    capture.tcp(&mut flow, Client, rest);
+    // bytes between frames, a bad EOT, an unknown type
+    let mut broken = numbered(13, 0, 21, &[i4(2)]);
+    *broken.last_mut().unwrap() = 5;
+    capture.tcp(&mut flow, Client, &[&b"noise"[..], &broken].concat());
+    capture.tcp(&mut flow, Client, &numbered(14, 0, 21, &[vec![99, 0, 1, 0, 0, 0]]));
+
+    let flow = Flow::new(2, BCAP);
+    for serial in [20, 21, 22] {
+        capture.udp(&flow, Client, &numbered(serial, 20, 101, &[i4(3)]));
+    }
+    capture.udp(&flow, Server, &numbered(22, 0, 0, &[i4(1)]));
+    capture.udp(&flow, Server, &numbered(21, 0, 0, &[i4(1)]));
+    capture.udp(&flow, Client, b"\x01\xff");
+    let mut flow = Flow::new(3, RAC);
+    capture.tcp(&mut flow, Client, b"GET:RC8:1:I:\r\nBYE\r");
+    capture.tcp(&mut flow, Server, b"-2147024809\r\nwhat\r");
+    capture
+}
+
+#[test]
+fn retries_errors_formats_and_malformed_frames_have_golden_trees() {
+    if !has_tshark("the features of the dissector") {
+        return;
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let path = saved(&features(), &folder);
+    assert_golden("features.txt", &trees(&path));
+    for (filter, count) in
+        [("bcap.retry", 2), ("bcap.executing", 1), ("bcap.again", 2), ("bcap.unlinked", 1), ("rac.malformed", 2)]
+    {
+        assert_eq!(selected(&path, filter), count, "{filter}");
+    }
 }
 
 #[test]

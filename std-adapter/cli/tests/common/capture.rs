@@ -166,3 +166,34 @@ pub(crate) fn frame(code: u32, body: &[u8]) -> Vec<u8> {
 pub(crate) fn argument(value: &[u8]) -> Vec<u8> {
     [&u32::try_from(value.len()).unwrap().to_le_bytes(), value].concat()
 }
+
+/// A frame with a serial number, its first attempt's, a code and arguments.
+pub(crate) fn numbered(serial: u8, first: u8, code: u32, arguments: &[Vec<u8>]) -> Vec<u8> {
+    let body: Vec<u8> = arguments.iter().flat_map(|value| argument(value)).collect();
+    let mut frame = frame(code, &body);
+    (frame[5], frame[7], frame[13]) = (serial, first, u8::try_from(arguments.len()).unwrap());
+    frame
+}
+
+/// An I4.
+pub(crate) fn i4(number: u8) -> Vec<u8> {
+    vec![3, 0, 1, 0, 0, 0, number, 0, 0, 0]
+}
+
+/// A BSTR.
+pub(crate) fn bstr(text: &str) -> Vec<u8> {
+    let data: Vec<u8> = text.encode_utf16().flat_map(u16::to_le_bytes).collect();
+    [&[8, 0, 1, 0, 0, 0], &u32::try_from(data.len()).unwrap().to_le_bytes()[..], &data].concat()
+}
+
+/// An array of R8.
+pub(crate) fn r8(numbers: &[f64]) -> Vec<u8> {
+    let count = u32::try_from(numbers.len()).unwrap().to_le_bytes();
+    let data: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+    [&[5, 0x20][..], &count, &data].concat()
+}
+
+/// An array of VARIANT.
+pub(crate) fn list(values: &[Vec<u8>]) -> Vec<u8> {
+    [&[12, 0x20][..], &u32::try_from(values.len()).unwrap().to_le_bytes(), &values.concat()].concat()
+}
