@@ -143,19 +143,49 @@ fn the_frames_and_lines_of_the_specifications_have_golden_trees() {
     assert_golden("vectors.txt", &trees(&saved(&capture, &folder)));
 }
 
+fn page() -> String {
+    fs::read_to_string(script().with_file_name("../wireshark.md")).unwrap()
+}
+
+#[test]
+fn the_page_has_all_fields() {
+    let (page, script) = (page(), fs::read_to_string(script()).unwrap());
+    let fields = script.lines().filter(|line| line.contains(" = ProtoField."));
+    let names = fields.map(|line| line.split('"').nth(1).unwrap());
+    let missing: Vec<_> = names.filter(|name| !page.contains(&format!("`{name}`"))).collect();
+    assert!(missing.is_empty(), "{missing:?}");
+}
+
+#[test]
+fn the_filters_and_colour_rules_of_the_page_are_valid() {
+    if !has_tshark("the filters of docs/wireshark.md") {
+        return;
+    }
+    let page = page();
+    let rules = page.lines().filter(|line| line.starts_with("@b-CAP")).map(|line| line.split('@').nth(2).unwrap());
+    let section = page.split("## ").find(|section| section.starts_with("Display filters")).unwrap();
+    let rows = section.lines().filter(|line| line.starts_with("| `")).map(|line| line.split('`').nth(1).unwrap());
+    let filters: Vec<_> = rules.chain(rows).map(|filter| format!("({filter})")).collect();
+    assert!(filters.len() > 15, "{filters:?}");
+    assert!(selected(&session(), &filters.join(" or ")) > 0);
+}
+
 /// The packets that a display filter selects.
 fn selected(capture: &Path, filter: &str) -> usize {
     tshark(capture, &["-Y", filter, "-T", "fields", "-e", "frame.number"]).lines().count()
 }
 
-const SESSION: &str = "golden/session.pcap";
+/// A session of variables, motion, Slave Mode, errors and RAC; the test of captures with tcpdump writes it.
+fn session() -> PathBuf {
+    golden("session.pcap")
+}
 
 #[test]
 fn a_recorded_session_is_linked_and_named() {
     if !has_tshark("the recorded session") {
         return;
     }
-    let capture = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests").join(SESSION);
+    let capture = session();
     let fields = ["-T", "fields", "-e", "frame.number", "-e", "_ws.col.Protocol", "-e", "_ws.col.Info"];
     assert_golden("session.txt", &tshark(&capture, &[&["-Y", "bcap || rac"], &fields[..]].concat()));
     for (filter, count) in [
