@@ -181,21 +181,28 @@ fn block(kind: u32, body: &[u8]) -> Vec<u8> {
     [&kind.to_le_bytes()[..], &length, body, &vec![0; padded - body.len()], &length].concat()
 }
 
-#[test]
-fn captures_in_pcapng_are_read() {
-    let [client, server] = reading();
+/// A capture in pcapng: raw IP, 1.5 ms between request and reply.
+fn pcapng() -> Vec<u8> {
     let section = block(0x0a0d_0d0a, &[&0x1a2b_3c4d_u32.to_le_bytes()[..], &[1, 0, 0, 0], &[0xff; 8]].concat());
-    // raw IP, any snap length, times in nanoseconds
+    // link type, snap length, the option for times in nanoseconds, the end of options
     let interface = block(1, &[&[101, 0, 0, 0, 0, 0, 0, 0][..], &[9, 0, 1, 0, 9, 0, 0, 0], &[0; 4]].concat());
     let mut file = [section, interface].concat();
     let mut flow = Flow::new(1, BCAP);
-    for (n, from, bytes) in [(1_u32, From::Client, &client), (2, From::Server, &server)] {
-        let packet = segment(&flow, from, bytes);
+    for (n, from, bytes) in
+        (1_u32..).zip([From::Client, From::Server]).zip(reading()).map(|((n, from), b)| (n, from, b))
+    {
+        let packet = segment(&flow, from, &bytes);
         flow.skip(from, bytes.len());
         let length = u32::try_from(packet.len()).unwrap();
         let fields = [0, 0, n * 1_500_000, length, length].map(u32::to_le_bytes).concat();
         file.extend(block(6, &[fields, packet].concat()));
     }
+    file
+}
+
+#[test]
+fn captures_in_pcapng_are_read() {
+    let file = pcapng();
     let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("capture.pcapng");
     fs::write(&path, &file).unwrap();
     let run = bcap(&["decode", path.to_str().unwrap()]);
@@ -207,6 +214,31 @@ fn captures_in_pcapng_are_read() {
     let run = bcap(&["decode", path.to_str().unwrap()]);
     assert_eq!((run.code, run.out.contains("-> no reply")), (2, true), "{run:?}");
     assert!(run.err.ends_with("capture.pcapng: the file ends inside a packet\n"), "{run:?}");
+}
+
+#[test]
+fn damaged_files_are_errors_or_have_fewer_calls() {
+    let session = fs::read(recorded::committed()).unwrap();
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("damaged.pcap");
+    let mut seed = 1_u32;
+    // the numbers of a linear congruential generator, of which the high bits are good
+    let mut below = |limit: usize| {
+        seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        usize::try_from(seed >> 8).unwrap() % limit
+    };
+    for mut file in std::iter::repeat_n([pcapng(), session[..4000].to_vec()], 100).flatten() {
+        for _ in 0..=below(4) {
+            let at = below(file.len());
+            file[at] = [0, 1, 0x7f, 0x80, 0xff][below(5)];
+        }
+        if below(3) == 0 {
+            file.truncate(below(file.len()));
+        }
+        fs::write(&path, &file).unwrap();
+        let run = bcap(&["decode", path.to_str().unwrap()]);
+        assert!([0, 2].contains(&run.code) && !run.err.contains("panicked"), "{run:?}");
+        assert_eq!(run.code == 2, run.err.starts_with("error: "), "{run:?}");
+    }
 }
 
 #[test]

@@ -102,8 +102,10 @@ impl rac::server::Handler for Recording {
 fn tcpdump(test: &str, file: &Path, ports: [u16; 3]) -> Option<Child> {
     let [tcp, udp, rac] = ports;
     let filter = format!("port {tcp} or port {udp} or port {rac}");
+    // in immediate mode the kernel reserves the snap length for each packet: with the defaults it has room for 8
     let child = Command::new("tcpdump")
-        .args(["-i", "lo", "-U", "--immediate-mode", "-Z", "root", "-w"])
+        .args(["-i", "lo", "-U", "--immediate-mode", "--snapshot-length", "4096", "--buffer-size", "32768"])
+        .args(["-Z", "root", "-w"])
         .arg(file)
         .arg(filter)
         .stderr(Stdio::piped())
