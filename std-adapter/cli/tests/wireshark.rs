@@ -276,6 +276,49 @@ fn retries_errors_formats_and_malformed_frames_have_golden_trees() {
     }
 }
 
+/// A value of an array with this count and these data.
+fn array(kind: u8, count: usize, data: &[u8]) -> Vec<u8> {
+    [&[kind, 0x20][..], &u32::try_from(count).unwrap().to_le_bytes(), data].concat()
+}
+
+/// Streams that are large, or that make a careless dissector search, recurse or count for ever.
+fn costly() -> Vec<Vec<u8>> {
+    let nested = (0..2000).fold(i4(1), |inner, _| array(12, 1, &inner));
+    let values = [
+        array(17, 1 << 20, &vec![7; 1 << 20]),
+        array(8, 100_000, &vec![0; 400_000]),
+        array(12, 50_000, &i4(1).repeat(50_000)),
+        array(0, 0xffff_ffff, &[]),
+        array(8, 0xffff_ffff, &[0; 64]),
+        nested,
+    ];
+    let frames = values.iter().map(|value| numbered(1, 0, 102, &[i4(3), value.clone()]));
+    let small: Vec<u8> = (0..4000).flat_map(|_| numbered(1, 0, 2, &[])).collect();
+    // every byte may begin a frame, of a length that is too short, too long, or not there
+    frames
+        .chain([small, vec![1; 100_000], [1, 0, 0, 0, 0].repeat(20_000), [1, 0xff, 0xff, 0, 0].repeat(20_000)])
+        .collect()
+}
+
+#[test]
+fn costly_streams_end() {
+    if !has_tshark("costly streams") {
+        return;
+    }
+    let mut capture = Capture::new();
+    for (number, bytes) in (0..).zip(costly()) {
+        let mut flow = Flow::new(number, BCAP);
+        capture.tcp(&mut flow, From::Client, &bytes);
+        capture.tcp(&mut flow, From::Server, &bytes);
+        capture.tcp(&mut Flow::new(number, RAC), From::Client, &bytes);
+    }
+    let folder = tempfile::tempdir().unwrap();
+    let tree = trees(&saved(&capture, &folder));
+    assert!(tree.contains("VARIANTs are nested too deeply"), "nesting");
+    assert!(tree.contains("1048576 elements in all"), "a large array");
+    assert!(tree.contains("an array of 4294967295 EMPTY does not fit"), "a count without data");
+}
+
 #[test]
 fn no_input_of_a_corpus_gives_a_lua_error() {
     if !has_tshark("the corpora") {
