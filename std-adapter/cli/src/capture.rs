@@ -3,6 +3,7 @@
 //! ```text
 //!  file    blocks of pcap or pcapng          -> packets with their time
 //!  packet  link layer, IP, TCP or UDP        -> segments
+//!  conversation                              -> the protocol; which end is the client
 //!  stream  segments of one direction         -> bytes in order; what is missing is said
 //!  session frames of both directions         -> calls with their replies; handles become names
 //!  line    lines of RAC in both directions   -> the same
@@ -10,6 +11,7 @@
 //! ```
 
 mod call;
+mod conversation;
 mod file;
 mod line;
 mod packet;
@@ -17,7 +19,6 @@ mod print;
 mod session;
 mod stats;
 mod stream;
-mod talk;
 
 use std::path::Path;
 
@@ -27,24 +28,25 @@ use crate::args::CaptureArgs;
 use crate::error::Failure;
 use crate::output::{print_json, print_line};
 use call::Event;
+use conversation::Conversations;
 use print::Printer;
 use stats::Stats;
-use talk::Talks;
 
-/// Returns whether the words of `bcap decode` are the name of a capture instead of hexadecimal digits.
-pub(crate) fn names_file(words: &[String]) -> bool {
-    let [word] = words else { return false };
-    let extension = Path::new(word).extension().and_then(|extension| extension.to_str()).unwrap_or_default();
-    ["pcap", "pcapng", "cap"].iter().any(|known| extension.eq_ignore_ascii_case(known))
+/// Returns the file that the words of `bcap decode` name; `None` if they are hexadecimal digits.
+pub(crate) fn file(words: &[String]) -> Option<&Path> {
+    let [word] = words else { return None };
+    let path = Path::new(word);
+    let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
+    ["pcap", "pcapng", "cap"].iter().any(|known| extension.eq_ignore_ascii_case(known)).then_some(path)
 }
 
 /// Runs `bcap decode FILE`.
 pub(crate) fn decode(path: &Path, args: &CaptureArgs, strictness: Strictness, json: bool) -> Result<(), Failure> {
     let filter = print::Filter::new(args)?;
-    let mut talks = Talks::new(strictness);
-    let read = file::read(path, |packet| talks.packet(packet));
-    talks.end();
-    let mut events = talks.into_events();
+    let mut conversations = Conversations::new(strictness);
+    let read = file::read(path, |packet| conversations.packet(packet));
+    conversations.end();
+    let mut events = conversations.into_events();
     // calls are shown at the time of their requests, but known only with their replies
     events.sort_by_key(Event::at);
 

@@ -1,6 +1,5 @@
 //! `bcap decode` and `bcap encode`: convert frames and values between their bytes and JSON.
 
-use std::path::Path;
 use std::str;
 
 use bcap_core::bcap::{Decoder, Progress};
@@ -21,8 +20,11 @@ use crate::json::{self, LIMITS, Part};
 /// Runs `bcap decode`.
 pub(crate) fn decode(args: &Decode, json: bool) -> Result<(), Failure> {
     let strictness = if args.lenient { Strictness::Lenient } else { Strictness::Strict };
-    if let ([file], true) = (args.hex.as_slice(), capture::names_file(&args.hex)) {
-        return capture::decode(Path::new(file), &args.capture, strictness, json);
+    if let Some(file) = capture::file(&args.hex) {
+        if args.form.variant || args.form.com {
+            return Err(Failure::Input("--variant and --com do not apply to a capture".into()));
+        }
+        return capture::decode(file, &args.capture, strictness, json);
     }
     if args.capture.is_used() {
         let options = "--function, --object, --error and --stats";

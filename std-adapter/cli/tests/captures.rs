@@ -71,6 +71,25 @@ fn frames_may_share_segments_and_span_them() {
 }
 
 #[test]
+fn ports_that_are_used_again_begin_a_new_connection() {
+    let [client, server] = reading();
+    let mut capture = Capture::new();
+    for first in [5, 5_000_000] {
+        let mut flow = Flow::new(1, 7777);
+        flow.skip(From::Client, first);
+        // a SYN that is sent twice
+        capture.packet(&flow.syn());
+        capture.packet(&flow.syn());
+        flow.skip(From::Client, 1);
+        capture.tcp(&mut flow, From::Client, &client);
+        capture.tcp(&mut flow, From::Server, &server);
+    }
+    let lines = decoded("reused.pcap", &capture);
+    let starts: Vec<_> = lines.iter().map(|line| line.split([':', ' ']).next().unwrap()).collect();
+    assert_eq!(starts, ["tcp1", "tcp1", "tcp1", "tcp2", "tcp2", "tcp2"], "{lines:?}");
+}
+
+#[test]
 fn segments_that_come_twice_or_out_of_order_are_said() {
     let [client, server] = reading();
     let (mut capture, mut flow) = (Capture::new(), Flow::new(1, BCAP));
@@ -171,7 +190,7 @@ fn captures_of_every_link_type_are_read() {
     let mut capture = Capture::of_link(9999);
     capture.packet(&[0; 60]);
     let lines = decoded("link.pcap", &capture);
-    assert_eq!(lines, ["capture: note: 1 packets have the link type 9999, which is not supported"]);
+    assert_eq!(lines, ["capture: note: skipped packets of link type 9999, which is not supported: 1"]);
 }
 
 /// A block of pcapng.
@@ -290,6 +309,7 @@ fn wrong_files_and_options_are_errors() {
     assert!(error(&["no/such/file.pcapng"]).contains("cannot read no/such/file.pcapng: "));
     assert!(error(&["--stats", "0110"]).contains("need a capture: FILE.pcap, FILE.pcapng or FILE.cap"));
     let capture = save("none.pcap", &Capture::new());
+    assert!(error(&[&capture, "--com"]).contains("--variant and --com do not apply to a capture"));
     assert!(error(&[&capture, "--function", "Jump"]).contains("no function is named \"Jump\""));
     assert!(error(&[&capture, "--error", "E_JUMP"]).contains("no result code is named \"E_JUMP\""));
 }

@@ -26,7 +26,13 @@ pub(crate) struct Tcp {
     /// The acknowledged number, if the segment acknowledges.
     pub(crate) acknowledged: Option<u32>,
     pub(crate) syn: bool,
-    pub(crate) end: bool,
+}
+
+impl Tcp {
+    /// Returns the first sequence number of the client, if the segment opens a connection.
+    pub(crate) fn opens(&self) -> Option<u32> {
+        (self.syn && self.acknowledged.is_none()).then_some(self.sequence)
+    }
 }
 
 /// Why a packet has no segment.
@@ -61,7 +67,6 @@ pub(crate) fn segment<'a>(packet: &Packet<'a>) -> Result<Segment<'a>, Skipped> {
                 sequence: tcp.sequence_number(),
                 acknowledged: tcp.ack().then(|| tcp.acknowledgment_number()),
                 syn: tcp.syn(),
-                end: tcp.fin() || tcp.rst(),
             };
             ((tcp.source_port(), tcp.destination_port()), Some(fields), tcp.payload())
         }

@@ -126,10 +126,10 @@ mod tests {
     /// Adds segments of `abcdefgh`, given by first byte and length, and returns what they add.
     fn run(first: u32, parts: &[(u32, usize)]) -> (Half, Vec<Piece>) {
         let (mut half, mut out) = (Half::default(), Vec::new());
-        let syn = Tcp { sequence: first.wrapping_sub(1), acknowledged: None, syn: true, end: false };
+        let syn = Tcp { sequence: first.wrapping_sub(1), acknowledged: None, syn: true };
         half.segment(&syn, &[], &mut out);
         for (start, count) in parts {
-            let tcp = Tcp { sequence: first.wrapping_add(*start), acknowledged: None, syn: false, end: false };
+            let tcp = Tcp { sequence: first.wrapping_add(*start), acknowledged: None, syn: false };
             let from = usize::try_from(*start).unwrap();
             half.segment(&tcp, &b"abcdefgh"[from..from + count], &mut out);
         }

@@ -39,6 +39,14 @@ impl Flow {
         Self { client: [10, b, c, d], port, next: [1000, 5000] }
     }
 
+    /// The packet that opens the connection.
+    pub(crate) fn syn(&self) -> Vec<u8> {
+        let mut packet = Vec::new();
+        let builder = PacketBuilder::ipv4(self.client, SERVER, 64).tcp(CLIENT_PORT, self.port, self.next[0], 64_000);
+        builder.syn().write(&mut packet, &[]).unwrap();
+        packet
+    }
+
     /// Skips bytes of one side, as if a segment were lost in the capture.
     pub(crate) fn skip(&mut self, from: From, bytes: usize) {
         self.next[usize::from(from == From::Server)] += u32::try_from(bytes).unwrap();

@@ -1,6 +1,6 @@
 //! The conversations of a capture: which packets belong together, which protocol they speak, who is the client.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::net::SocketAddr;
 
 use bcap_core::bcap::{self, Decoder, FunctionId};
@@ -25,7 +25,7 @@ enum Protocol {
 }
 
 /// A TCP connection, or the packets between two UDP ports.
-struct Talk {
+struct Conversation {
     strictness: Strictness,
     began: u64,
     name: String,
@@ -37,29 +37,30 @@ struct Talk {
     halves: [Half; 2],
     protocol: Protocol,
     last: u64,
-    is_ended: bool,
+    /// The first sequence number of the connection, if its start is captured.
+    first: Option<u32>,
 }
 
 /// All conversations.
-pub(crate) struct Talks {
+pub(crate) struct Conversations {
     strictness: Strictness,
     by_ends: HashMap<(bool, SocketAddr, SocketAddr), usize>,
-    talks: Vec<Talk>,
+    list: Vec<Conversation>,
     events: Vec<Event>,
     /// Packets that were skipped, with the time of the first one.
     fragments: Option<(u64, u64)>,
-    links: HashMap<i32, (u64, u64)>,
+    links: BTreeMap<i32, (u64, u64)>,
 }
 
-impl Talks {
+impl Conversations {
     pub(crate) fn new(strictness: Strictness) -> Self {
         Self {
             strictness,
             by_ends: HashMap::new(),
-            talks: Vec::new(),
+            list: Vec::new(),
             events: Vec::new(),
             fragments: None,
-            links: HashMap::new(),
+            links: BTreeMap::new(),
         }
     }
 
@@ -76,34 +77,33 @@ impl Talks {
     fn segment(&mut self, segment: &Segment<'_>) {
         let (low, high) = (segment.from.min(segment.to), segment.from.max(segment.to));
         let key = (segment.tcp.is_some(), low, high);
-        let is_new = segment.tcp.is_some_and(|tcp| tcp.syn && tcp.acknowledged.is_none());
         let index = match self.by_ends.get(&key) {
             // the ports of an ended connection are used again
-            Some(index) if !(is_new && self.talks.get(*index).is_some_and(|talk| talk.is_ended)) => *index,
+            Some(index) if self.list.get(*index).is_some_and(|found| found.has(segment)) => *index,
             _ => {
-                let index = self.talks.len();
-                self.talks.push(Talk::new(index + 1, segment, self.strictness));
+                let index = self.list.len();
+                self.list.push(Conversation::new(index + 1, segment, self.strictness));
                 self.by_ends.insert(key, index);
                 index
             }
         };
-        if let Some(talk) = self.talks.get_mut(index) {
-            talk.segment(segment, &mut self.events);
+        if let Some(conversation) = self.list.get_mut(index) {
+            conversation.segment(segment, &mut self.events);
         }
     }
 
     /// Ends all conversations.
     pub(crate) fn end(&mut self) {
-        let links = self.talks.iter_mut().filter_map(|talk| talk.end(&mut self.events));
+        let links = self.list.iter_mut().filter_map(|found| found.end(&mut self.events));
         let links: Vec<_> = links.map(Event::Link).collect();
         // sorting by time keeps a connection in front of its first call
         self.events.splice(..0, links);
         let mut note = |at, text| self.events.push(Event::Note(Note { at, link: "capture".into(), text }));
         if let Some((at, count)) = self.fragments {
-            note(at, format!("{count} packets are fragments of IP packets, which are not reassembled"));
+            note(at, format!("skipped fragments of IP packets, which are not reassembled: {count}"));
         }
         for (link, (at, count)) in &self.links {
-            note(*at, format!("{count} packets have the link type {link}, which is not supported"));
+            note(*at, format!("skipped packets of link type {link}, which is not supported: {count}"));
         }
     }
 
@@ -112,7 +112,7 @@ impl Talks {
     }
 }
 
-impl Talk {
+impl Conversation {
     fn new(number: usize, segment: &Segment<'_>, strictness: Strictness) -> Self {
         let is_tcp = segment.tcp.is_some();
         let name = format!("{}{number}", if is_tcp { "tcp" } else { "udp" });
@@ -138,8 +138,13 @@ impl Talk {
             halves: Default::default(),
             protocol,
             last: segment.at,
-            is_ended: false,
+            first: segment.tcp.and_then(|tcp| tcp.opens()),
         }
+    }
+
+    /// Returns whether a segment belongs to this conversation, and not to a later one between the same ports.
+    fn has(&self, segment: &Segment<'_>) -> bool {
+        segment.tcp.and_then(|tcp| tcp.opens()).is_none_or(|first| self.first == Some(first))
     }
 
     fn segment(&mut self, segment: &Segment<'_>, events: &mut Vec<Event>) {
@@ -162,7 +167,6 @@ impl Talk {
         let mut pieces = Vec::new();
         self.halves[from].segment(tcp, segment.payload, &mut pieces);
         self.pieces(from, pieces, segment.at, events);
-        self.is_ended |= tcp.end;
     }
 
     fn pieces(&mut self, from: usize, pieces: Vec<Piece>, at: u64, events: &mut Vec<Event>) {
