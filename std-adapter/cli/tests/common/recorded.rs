@@ -98,8 +98,19 @@ impl rac::server::Handler for Recording {
     }
 }
 
+/// A running tcpdump, which ends with the test, also if the test fails.
+struct Dump(Child);
+
+impl Drop for Dump {
+    fn drop(&mut self) {
+        // it may have ended already
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
 /// Starts tcpdump and waits until it captures; prints one line and returns `None` if it cannot.
-fn tcpdump(test: &str, file: &Path, ports: [u16; 3]) -> Option<Child> {
+fn tcpdump(test: &str, file: &Path, ports: [u16; 3]) -> Option<Dump> {
     let [tcp, udp, rac] = ports;
     let filter = format!("port {tcp} or port {udp} or port {rac}");
     // in immediate mode the kernel reserves the snap length for each packet: with the defaults it has room for 8
@@ -108,6 +119,7 @@ fn tcpdump(test: &str, file: &Path, ports: [u16; 3]) -> Option<Child> {
         .args(["-Z", "root", "-w"])
         .arg(file)
         .arg(filter)
+        .stdout(Stdio::null())
         .stderr(Stdio::piped())
         .spawn();
     let Ok(mut child) = child else {
@@ -120,7 +132,7 @@ fn tcpdump(test: &str, file: &Path, ports: [u16; 3]) -> Option<Child> {
         if said.contains("listening on") {
             // tcpdump must be able to write its last words
             std::thread::spawn(move || std::io::copy(&mut lines, &mut std::io::sink()));
-            return Some(child);
+            return Some(Dump(child));
         }
     }
     child.wait().unwrap();
@@ -135,7 +147,7 @@ pub(crate) fn session(test: &str) -> Option<Recorded> {
     let served = Served::of(Recording { controller, seen: Vec::new() }, Limits::default());
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("session.pcap");
-    let mut child = tcpdump(test, &file, [served.tcp.port(), served.udp.port(), served.rac.port()])?;
+    let dump = tcpdump(test, &file, [served.tcp.port(), served.udp.port(), served.rac.port()])?;
     run(&format!("tcp:{}", served.tcp), &format!("udp:{}", served.udp), &served.rac.to_string());
     let until = Instant::now() + Duration::from_secs(30);
     // the last request of the session
@@ -143,28 +155,28 @@ pub(crate) fn session(test: &str) -> Option<Recorded> {
         assert!(Instant::now() < until, "tcpdump has not written the end of the session");
         std::thread::sleep(Duration::from_millis(10));
     }
-    child.kill().unwrap();
-    child.wait().unwrap();
+    drop(dump);
     let seen = served.application().seen.clone();
     Some(Recorded { file, seen, _folder: folder })
 }
 
 fn run(tcp: &str, udp: &str, rac: &str) {
     let pose = "400,0,300,180,0,180,5";
-    for (robot, args, code) in [
-        (tcp, &["get", "I1", "P1", "robot/@CURRENT_POSITION"][..], 0),
-        (tcp, &["put", "P1", pose], 0),
-        (tcp, &["exec", "robot", "CurJnt"], 0),
-        (tcp, &["exec", "robot", "Nonsense"], 1),
-        (tcp, &["call", "Robot_Move", "robot", "3,2", "8,@E P1", "8,"], 1),
-        (tcp, &["slave", "cosine", "--seconds", "0.1", "--amplitude", "-1", "--yes"], 0),
-        (udp, &["put", "I1", "7"], 0),
-        (udp, &["get", "I1", "robot/@CURRENT_ANGLE"], 0),
-        (rac, &["rac", "get", "P1"], 0),
-        (rac, &["rac", "put", "I1", "text"], 2),
-        (rac, &["rac", "put", "S9", "the end"], 0),
+    for (robot, args, codes) in [
+        (tcp, &["get", "I1", "P1", "robot/@CURRENT_POSITION"][..], &[0][..]),
+        (tcp, &["put", "P1", pose], &[0]),
+        (tcp, &["exec", "robot", "CurJnt"], &[0]),
+        (tcp, &["exec", "robot", "Nonsense"], &[1]),
+        (tcp, &["call", "Robot_Move", "robot", "3,2", "8,@E P1", "8,"], &[1]),
+        // a busy machine may let the controller's buffer run empty; the calls are then others, and compared as well
+        (tcp, &["slave", "cosine", "--seconds", "0.1", "--amplitude", "-1", "--yes"], &[0, 1]),
+        (udp, &["put", "I1", "7"], &[0]),
+        (udp, &["get", "I1", "robot/@CURRENT_ANGLE"], &[0]),
+        (rac, &["rac", "get", "P1"], &[0]),
+        (rac, &["rac", "put", "I1", "text"], &[2]),
+        (rac, &["rac", "put", "S9", "the end"], &[0]),
     ] {
         let run = bcap(&[args, &["--robot", robot]].concat());
-        assert_eq!(run.code, code, "{args:?}: {run:?}");
+        assert!(codes.contains(&run.code), "{args:?}: {run:?}");
     }
 }
