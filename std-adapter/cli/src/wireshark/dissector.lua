@@ -979,7 +979,7 @@ local function show_cut(tvb, pinfo, tree, packet)
     add_info(pinfo, packet, "[a part of a frame]")
 end
 
--- The position of the next byte that can begin a frame; the end if there is none.
+-- The position of the next byte that can begin a frame, or the end of the bytes.
 local function next_start(raw, at)
     local start = raw:find(string.char(SOH), at + 1, true)
     while start and not length_of(raw, start - 1) do
