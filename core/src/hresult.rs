@@ -157,18 +157,28 @@ impl HResult {
         CODES.iter().zip(texts).find(|(code, _)| **code == self).map(|(_, text)| *text)
     }
 
+    /// Iterates over the codes that have a name, ascending as unsigned numbers.
+    pub fn known() -> impl ExactSizeIterator<Item = Self> + Clone {
+        CODES.iter().copied()
+    }
+
+    /// Iterates over the ranges of codes that share a meaning: the first code, the last code, the meaning.
+    ///
+    /// If ranges overlap, the first one applies. A code with a [`name`](Self::name) has its own meaning.
+    pub fn ranges() -> impl Iterator<Item = (Self, Self, &'static str)> + Clone {
+        FAMILIES.iter().map(|(first, last, family)| (Self::from_u32(*first), Self::from_u32(*last), family.meaning()))
+    }
+
     const fn family(self) -> Option<Family> {
-        Some(match self.to_u32() {
-            0x80040200..=0x8004FFFF => Family::UserDefined,
-            0x80070000..=0x8007FFFF => Family::Windows,
-            0x80000000..=0x800101FF => Family::Reserved,
-            0x80910000..=0x8091FFFF => Family::OperatingSystem,
-            0x84204041..=0x84204048 | 0x84404541..=0x84404548 => Family::Acceleration,
-            0x84204051..=0x84204058 | 0x84404531..=0x84404538 => Family::Speed,
-            0x83204071..=0x83204078 => Family::Position,
-            0x81000000..=0x85FFFFFF => Family::Controller,
-            _ => return None,
-        })
+        let code = self.to_u32();
+        let mut rows = FAMILIES;
+        while let [(first, last, family), rest @ ..] = rows {
+            if *first <= code && code <= *last {
+                return Some(*family);
+            }
+            rows = rest;
+        }
+        None
     }
 }
 
@@ -222,6 +232,20 @@ enum Family {
     Position,
     Controller,
 }
+
+/// The ranges of the families; of several that contain a code the first one applies.
+const FAMILIES: &[(u32, u32, Family)] = &[
+    (0x80040200, 0x8004FFFF, Family::UserDefined),
+    (0x80070000, 0x8007FFFF, Family::Windows),
+    (0x80000000, 0x800101FF, Family::Reserved),
+    (0x80910000, 0x8091FFFF, Family::OperatingSystem),
+    (0x84204041, 0x84204048, Family::Acceleration),
+    (0x84404541, 0x84404548, Family::Acceleration),
+    (0x84204051, 0x84204058, Family::Speed),
+    (0x84404531, 0x84404538, Family::Speed),
+    (0x83204071, 0x83204078, Family::Position),
+    (0x81000000, 0x85FFFFFF, Family::Controller),
+];
 
 impl Family {
     const fn meaning(self) -> &'static str {
@@ -565,6 +589,17 @@ mod tests {
             let name = code.name().unwrap();
             assert_eq!(name.starts_with("S_"), code.is_ok(), "{name}");
             assert_eq!(name.starts_with("E_") || name.starts_with("DISP_E_"), code.is_err(), "{name}");
+        }
+    }
+
+    #[test]
+    fn ranges_and_known_codes_have_the_meanings_of_their_codes() {
+        assert!(HResult::known().all(|code| code.name().is_some()));
+        assert_eq!(HResult::known().len(), CODES.len());
+        for (first, last, meaning) in HResult::ranges() {
+            for code in [first, last].into_iter().filter(|code| code.name().is_none()) {
+                assert_eq!(code.meaning(), Some(meaning), "{code}");
+            }
         }
     }
 

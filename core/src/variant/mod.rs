@@ -191,6 +191,20 @@ impl VarType {
         self.layout() != Layout::Unknown
     }
 
+    /// Returns the bytes of one element; `None` if the length varies (BSTR, VARIANT) or the wire cannot carry the type.
+    #[must_use]
+    pub fn element_bytes(self) -> Option<u8> {
+        match self.layout() {
+            Layout::Fixed(bytes) => Some(bytes),
+            Layout::Bstr | Layout::Variant | Layout::Unknown => None,
+        }
+    }
+
+    /// Iterates over the types of scalars, ascending.
+    pub fn scalars() -> impl Iterator<Item = Self> + Clone {
+        (0_u16..).take(LAYOUTS.len()).map(Self).filter(|vartype| vartype.is_known())
+    }
+
     fn layout(self) -> Layout {
         LAYOUTS.get(usize::from(self.element().0)).copied().unwrap_or(Layout::Unknown)
     }

@@ -395,3 +395,14 @@ fn an_array_knows_how_much_of_it_is_left() {
     let none = bytes(&[0_i32; 0]);
     assert!(strict(&none).unwrap().as_array().unwrap().is_empty());
 }
+
+#[test]
+fn the_scalars_are_the_types_with_a_name_and_their_elements_have_the_length_on_the_wire() {
+    let scalars: std::vec::Vec<u16> = VarType::scalars().map(|vartype| vartype.0).collect();
+    assert_eq!(scalars, [0, 1, 2, 3, 4, 5, 6, 7, 8, 10, 11, 12, 17, 18, 19, 20, 21]);
+    assert!(VarType::scalars().all(|vartype| vartype.name().is_some() && !vartype.is_array()));
+    let bytes = |vartype: VarType| vartype.element_bytes();
+    assert_eq!([bytes(VarType::EMPTY), bytes(VarType::UI1), bytes(VarType::R8)], [Some(0), Some(1), Some(8)]);
+    assert_eq!(bytes(VarType::R4.array_of()), Some(4));
+    assert_eq!([bytes(VarType::BSTR), bytes(VarType::VARIANT), bytes(VarType(9))], [None; 3]);
+}

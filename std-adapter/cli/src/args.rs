@@ -156,6 +156,7 @@ pub(crate) enum Command {
     Decode(Decode),
     Encode(Encode),
     Text(Text),
+    Wireshark(Wireshark),
     Completions(Completions),
 }
 
@@ -513,7 +514,11 @@ Examples:
   bcap demo | less")]
 pub(crate) struct Demo {}
 
-/// Decodes frames or values
+/// Decodes frames, values, or a capture of Wireshark or tcpdump
+///
+/// Of a capture (FILE.pcap, FILE.pcapng, FILE.cap) it prints the calls with their replies and times: b-CAP over TCP and UDP
+/// port 5007, RAC on port 5006, and both on any other port whose first packet shows the protocol. Handles are shown by the
+/// names that opened them; missing, repeated and malformed bytes are reported.
 ///
 /// Prints HEX field by field with offsets; HEX may hold several frames in sequence. With `-` each line of the standard input
 /// is one item and gives one line of output. An invalid line gives {"error":...,"offset":...}, and the exit code is then 2.
@@ -524,7 +529,10 @@ Examples:
   bcap decode 011e000000040000006500000001000a0000000300010000000300000004
   bcap decode --as response --json 01 1c 00 00 00 04 00 00 00 00 00 00 00 01 00 08 00 00 00 0b 00 01 00 00 00 00 00 04
   bcap decode --variant --json 030001000000ffffffff
-  bcap decode --json - <frames.hex >frames.jsonl")]
+  bcap decode --json - <frames.hex >frames.jsonl
+  bcap decode capture.pcapng
+  bcap decode capture.pcapng --error any --object robot
+  bcap decode capture.pcapng --stats --function Robot_Execute")]
 pub(crate) struct Decode {
     #[command(flatten)]
     pub(crate) form: Form,
@@ -533,9 +541,40 @@ pub(crate) struct Decode {
     #[arg(long)]
     pub(crate) lenient: bool,
 
-    /// The bytes; without it, or with `-`, the lines of the standard input
-    #[arg(value_name = "HEX")]
+    #[command(flatten)]
+    pub(crate) capture: CaptureArgs,
+
+    /// The bytes, or the file of a capture; without it, or with `-`, the lines of the standard input
+    #[arg(value_name = "HEX|FILE")]
     pub(crate) hex: Vec<String>,
+}
+
+/// What to show of a capture.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Captures")]
+pub(crate) struct CaptureArgs {
+    /// Only calls of this function: a name or a number of `bcap call --list`, or GET or PUT of RAC
+    #[arg(long, value_name = "FUNCTION")]
+    pub(crate) function: Option<String>,
+
+    /// Only calls that use or open this object, such as I1, robot or task:Pro1
+    #[arg(long, value_name = "NAME")]
+    pub(crate) object: Option<String>,
+
+    /// Only calls with this result code, a name or a number; any: calls that failed or have no reply
+    #[arg(long, value_name = "CODE", allow_negative_numbers = true)]
+    pub(crate) error: Option<String>,
+
+    /// Prints for each function the number of calls and errors, and p50, p99 and maximum of the response time
+    #[arg(long)]
+    pub(crate) stats: bool,
+}
+
+impl CaptureArgs {
+    /// Returns whether any option was given.
+    pub(crate) const fn is_used(&self) -> bool {
+        self.function.is_some() || self.object.is_some() || self.error.is_some() || self.stats
+    }
 }
 
 /// Encodes frames or values from the JSON that `bcap decode --json` prints
@@ -611,6 +650,16 @@ pub(crate) enum TextCommand {
         hex: Vec<String>,
     },
 }
+
+/// Prints a dissector for Wireshark, one Lua file
+///
+/// It decodes b-CAP over TCP and UDP, and RAC. docs/wireshark.md describes its fields and filters.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap wireshark >~/.local/lib/wireshark/plugins/bcap.lua
+  bcap wireshark >bcap.lua && tshark -X lua_script:bcap.lua -r capture.pcapng")]
+pub(crate) struct Wireshark {}
 
 /// Prints a completion script for a shell
 #[derive(Debug, Args)]

@@ -8,6 +8,7 @@ use bcap_core::limits::Strictness;
 use bcap_core::variant::Variant;
 
 use crate::args::{Decode, Encode};
+use crate::capture;
 use crate::dissect::dissect;
 use crate::error::Failure;
 use crate::error::ItemError;
@@ -19,6 +20,16 @@ use crate::json::{self, LIMITS, Part};
 /// Runs `bcap decode`.
 pub(crate) fn decode(args: &Decode, json: bool) -> Result<(), Failure> {
     let strictness = if args.lenient { Strictness::Lenient } else { Strictness::Strict };
+    if let Some(file) = capture::file(&args.hex) {
+        if args.form.variant || args.form.com {
+            return Err(Failure::Input("--variant and --com do not apply to a capture".into()));
+        }
+        return capture::decode(file, &args.capture, strictness, json);
+    }
+    if args.capture.is_used() {
+        let options = "--function, --object, --error and --stats";
+        return Err(Failure::Input(format!("{options} need a capture: FILE.pcap, FILE.pcapng or FILE.cap")));
+    }
     let decoder = Decoder { limits: LIMITS, strictness, crc: args.form.com };
     Items::from_words(&args.hex).convert(json, |text, place| {
         let bytes = hex::parse(text)?;

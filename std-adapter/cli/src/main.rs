@@ -3,6 +3,7 @@
 mod args;
 mod budget;
 mod call;
+mod capture;
 mod connection;
 mod decode;
 mod demo;
@@ -34,6 +35,7 @@ mod times;
 mod value;
 mod variables;
 mod watch;
+mod wireshark;
 
 use std::process::ExitCode;
 
@@ -68,6 +70,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Decode(args) => decode::decode(args, cli.json),
         Command::Encode(args) => decode::encode(args),
         Command::Text(args) => text::text(args, cli.json),
+        Command::Wireshark(_) => wireshark::wireshark(),
         Command::Completions(args) => completions(args),
     }
 }

@@ -16,6 +16,7 @@ use crate::args::{Cosine, LinkArgs, Play, Slave, SlaveCommand};
 use crate::error::Failure;
 use crate::escape;
 use poses::Poses;
+pub(crate) use poses::columns;
 use sample::CYCLE;
 use stream::{Course, stream};
 

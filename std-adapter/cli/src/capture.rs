@@ -1,0 +1,69 @@
+//! `bcap decode FILE`: the calls in a capture of Wireshark or tcpdump.
+//!
+//! ```text
+//!  file    blocks of pcap or pcapng          -> packets with their time
+//!  packet  link layer, IP, TCP or UDP        -> segments
+//!  conversation                              -> the protocol; which end is the client
+//!  stream  segments of one direction         -> bytes in order; what is missing is said
+//!  session frames of both directions         -> calls with their replies; handles become names
+//!  line    lines of RAC in both directions   -> the same
+//!  print, stats                              -> lines of text or of JSON
+//! ```
+
+mod call;
+mod conversation;
+mod file;
+mod line;
+mod packet;
+mod print;
+mod session;
+mod stats;
+mod stream;
+
+use std::path::Path;
+
+use bcap_core::limits::Strictness;
+
+use crate::args::CaptureArgs;
+use crate::error::Failure;
+use crate::output::{print_json, print_line};
+use call::Event;
+use conversation::Conversations;
+use print::Printer;
+use stats::Stats;
+
+/// Returns the file that the words of `bcap decode` name; `None` if they are hexadecimal digits.
+pub(crate) fn file(words: &[String]) -> Option<&Path> {
+    let [word] = words else { return None };
+    let path = Path::new(word);
+    let extension = path.extension().and_then(|extension| extension.to_str()).unwrap_or_default();
+    ["pcap", "pcapng", "cap"].iter().any(|known| extension.eq_ignore_ascii_case(known)).then_some(path)
+}
+
+/// Runs `bcap decode FILE`.
+pub(crate) fn decode(path: &Path, args: &CaptureArgs, strictness: Strictness, json: bool) -> Result<(), Failure> {
+    let filter = print::Filter::new(args)?;
+    let mut conversations = Conversations::new(strictness);
+    let read = file::read(path, |packet| conversations.packet(packet));
+    conversations.end();
+    let mut events = conversations.into_events();
+    // calls are shown at the time of their requests, but known only with their replies
+    events.sort_by_key(Event::at);
+
+    let print = if json { print_json } else { print_line };
+    let printer = Printer::new(json, &events);
+    let accepted = events.iter().filter(|event| filter.accepts(event));
+    if args.stats {
+        let mut stats = Stats::default();
+        for event in accepted {
+            if let Event::Call(call) = event {
+                stats.add(call);
+            }
+        }
+        stats.lines(json).iter().try_for_each(|line| print(line))?;
+    } else {
+        accepted.map(|event| printer.line(event)).try_for_each(|line| print(&line))?;
+    }
+    // a file that ends inside a packet still has the calls before it
+    read
+}

@@ -1,0 +1,284 @@
+//! The conversations of a capture: which packets belong together, which protocol they speak, who is the client.
+
+use std::collections::{BTreeMap, HashMap};
+use std::net::SocketAddr;
+
+use bcap_core::bcap::{self, Decoder, FunctionId};
+use bcap_core::limits::Strictness;
+use bcap_core::rac;
+
+use super::call::{Event, Link, Note};
+use super::file::Packet;
+use super::line::Lines;
+use super::packet::{Segment, Skipped, Tcp, segment};
+use super::session::{Found, Session};
+use super::stream::{Half, Piece};
+use crate::frame::Role;
+
+/// The protocol of a conversation.
+enum Protocol {
+    /// No packet with data so far, and no known port.
+    Unknown,
+    Bcap(Session),
+    Rac(Lines),
+    Other,
+}
+
+/// A TCP connection, or the packets between two UDP ports.
+struct Conversation {
+    strictness: Strictness,
+    began: u64,
+    name: String,
+    /// The two ends; the first is the one whose packet came first.
+    ends: [SocketAddr; 2],
+    /// Which end is the client.
+    client: Option<usize>,
+    is_tcp: bool,
+    halves: [Half; 2],
+    protocol: Protocol,
+    last: u64,
+    /// The first sequence number of the connection, if its start is captured.
+    first: Option<u32>,
+}
+
+/// All conversations.
+pub(crate) struct Conversations {
+    strictness: Strictness,
+    by_ends: HashMap<(bool, SocketAddr, SocketAddr), usize>,
+    list: Vec<Conversation>,
+    events: Vec<Event>,
+    /// Packets that were skipped, with the time of the first one.
+    fragments: Option<(u64, u64)>,
+    links: BTreeMap<i32, (u64, u64)>,
+}
+
+impl Conversations {
+    pub(crate) fn new(strictness: Strictness) -> Self {
+        Self {
+            strictness,
+            by_ends: HashMap::new(),
+            list: Vec::new(),
+            events: Vec::new(),
+            fragments: None,
+            links: BTreeMap::new(),
+        }
+    }
+
+    /// Adds a packet.
+    pub(crate) fn packet(&mut self, packet: Packet<'_>) {
+        match segment(&packet) {
+            Ok(segment) => self.segment(&segment),
+            Err(Skipped::Fragment) => self.fragments.get_or_insert((packet.at, 0)).1 += 1,
+            Err(Skipped::Link(link)) => self.links.entry(link).or_insert((packet.at, 0)).1 += 1,
+            Err(Skipped::Other) => {}
+        }
+    }
+
+    fn segment(&mut self, segment: &Segment<'_>) {
+        let (low, high) = (segment.from.min(segment.to), segment.from.max(segment.to));
+        let key = (segment.tcp.is_some(), low, high);
+        let index = match self.by_ends.get(&key) {
+            // the ports of an ended connection are used again
+            Some(index) if self.list.get(*index).is_some_and(|found| found.has(segment)) => *index,
+            _ => {
+                let index = self.list.len();
+                self.list.push(Conversation::new(index + 1, segment, self.strictness));
+                self.by_ends.insert(key, index);
+                index
+            }
+        };
+        if let Some(conversation) = self.list.get_mut(index) {
+            conversation.segment(segment, &mut self.events);
+        }
+    }
+
+    /// Ends all conversations.
+    pub(crate) fn end(&mut self) {
+        let links = self.list.iter_mut().filter_map(|found| found.end(&mut self.events));
+        let links: Vec<_> = links.map(Event::Link).collect();
+        // sorting by time keeps a connection in front of its first call
+        self.events.splice(..0, links);
+        let mut note = |at, text| self.events.push(Event::Note(Note { at, link: "capture".into(), text }));
+        if let Some((at, count)) = self.fragments {
+            note(at, format!("skipped fragments of IP packets, which are not reassembled: {count}"));
+        }
+        for (link, (at, count)) in &self.links {
+            note(*at, format!("skipped packets of link type {link}, which is not supported: {count}"));
+        }
+    }
+
+    pub(crate) fn into_events(self) -> Vec<Event> {
+        self.events
+    }
+}
+
+impl Conversation {
+    fn new(number: usize, segment: &Segment<'_>, strictness: Strictness) -> Self {
+        let is_tcp = segment.tcp.is_some();
+        let name = format!("{}{number}", if is_tcp { "tcp" } else { "udp" });
+        let ends = [segment.from, segment.to];
+        let server_at = |port| match ends.map(|end| end.port() == port) {
+            [true, false] => Some(0),
+            [false, true] => Some(1),
+            _ => None,
+        };
+        let (protocol, server) = match (server_at(bcap::PORT), server_at(rac::PORT)) {
+            (Some(server), _) => (Protocol::Bcap(Session::new(name.clone(), strictness)), Some(server)),
+            (None, Some(server)) if is_tcp => (Protocol::Rac(Lines::new(name.clone())), Some(server)),
+            _ => (Protocol::Unknown, None),
+        };
+        let opener = segment.tcp.filter(|tcp| tcp.syn).map(|tcp| usize::from(tcp.acknowledged.is_some()));
+        Self {
+            strictness,
+            began: segment.at,
+            name,
+            ends,
+            client: server.map(|server| 1 - server).or(opener),
+            is_tcp,
+            halves: Default::default(),
+            protocol,
+            last: segment.at,
+            first: segment.tcp.and_then(|tcp| tcp.opens()),
+        }
+    }
+
+    /// Returns whether a segment belongs to this conversation, and not to a later one between the same ports.
+    fn has(&self, segment: &Segment<'_>) -> bool {
+        segment.tcp.and_then(|tcp| tcp.opens()).is_none_or(|first| self.first == Some(first))
+    }
+
+    fn segment(&mut self, segment: &Segment<'_>, events: &mut Vec<Event>) {
+        self.last = segment.at;
+        let from = usize::from(segment.from != self.ends[0]);
+        if let Some(tcp) = &segment.tcp {
+            self.tcp(from, tcp, segment, events);
+        } else if !segment.payload.is_empty() {
+            self.bytes(from, segment.payload, segment.at, events);
+        }
+    }
+
+    fn tcp(&mut self, from: usize, tcp: &Tcp, segment: &Segment<'_>, events: &mut Vec<Event>) {
+        // a reply shows that its request arrived, so the bytes that it acknowledges come first
+        if let Some(acknowledged) = tcp.acknowledged {
+            let mut pieces = Vec::new();
+            self.halves[1 - from].acknowledged(acknowledged, &mut pieces);
+            self.pieces(1 - from, pieces, segment.at, events);
+        }
+        let mut pieces = Vec::new();
+        self.halves[from].segment(tcp, segment.payload, &mut pieces);
+        self.pieces(from, pieces, segment.at, events);
+    }
+
+    fn pieces(&mut self, from: usize, pieces: Vec<Piece>, at: u64, events: &mut Vec<Event>) {
+        for piece in pieces {
+            match piece {
+                // bytes that waited for others count from when these arrived
+                Piece::Bytes(bytes) => self.bytes(from, &bytes, at, events),
+                Piece::Missing(count) => {
+                    let role = self.role(from);
+                    let mut found = Vec::new();
+                    match &mut self.protocol {
+                        Protocol::Bcap(session) => session.missing(role, count, at, &mut found),
+                        Protocol::Rac(lines) => lines.missing(role, count, at, &mut found),
+                        Protocol::Unknown | Protocol::Other => {}
+                    }
+                    self.add(found, events);
+                }
+                Piece::Retransmission => self.remark(at, "a segment was sent again (retransmission)", events),
+                Piece::Reordered => self.remark(at, "a segment arrived before its predecessor", events),
+            }
+        }
+    }
+
+    fn remark(&mut self, at: u64, text: &str, events: &mut Vec<Event>) {
+        if matches!(self.protocol, Protocol::Bcap(_) | Protocol::Rac(_)) {
+            self.add(vec![Found::Note(at, text.into())], events);
+        }
+    }
+
+    fn role(&self, from: usize) -> Role {
+        if self.client == Some(from) { Role::Request } else { Role::Response }
+    }
+
+    /// Adds the next bytes of a stream, or a datagram.
+    fn bytes(&mut self, from: usize, bytes: &[u8], at: u64, events: &mut Vec<Event>) {
+        if matches!(self.protocol, Protocol::Unknown) {
+            self.guess(from, bytes);
+        }
+        let role = self.role(from);
+        let mut found = Vec::new();
+        match &mut self.protocol {
+            Protocol::Bcap(session) if self.is_tcp => session.bytes(role, bytes, at, &mut found),
+            Protocol::Bcap(session) => session.datagram(role, bytes, at, &mut found),
+            Protocol::Rac(lines) => lines.bytes(role, bytes, at, &mut found),
+            Protocol::Unknown | Protocol::Other => {}
+        }
+        self.add(found, events);
+    }
+
+    /// Finds the protocol on another port from the first bytes, and the client if the connection's start is not captured.
+    fn guess(&mut self, from: usize, bytes: &[u8]) {
+        let start = bytes.get(..8).unwrap_or(bytes).to_ascii_uppercase();
+        let frame = if self.is_tcp {
+            bcap_frame(bytes)
+        } else {
+            Decoder::UDP.decode_datagram(bytes).ok().map(|frame| frame.function())
+        };
+        let is_request;
+        (self.protocol, is_request) = match frame {
+            Some(code) => (Protocol::Bcap(Session::new(self.name.clone(), self.strictness)), code.name().is_some()),
+            None if self.is_tcp && (start == *b"GET:RC8:" || start == *b"PUT:RC8:") => {
+                (Protocol::Rac(Lines::new(self.name.clone())), true)
+            }
+            None => (Protocol::Other, false),
+        };
+        self.client.get_or_insert(if is_request { from } else { 1 - from });
+    }
+
+    fn add(&self, found: Vec<Found>, events: &mut Vec<Event>) {
+        for found in found {
+            events.push(match found {
+                Found::Call(call) => Event::Call(*call),
+                Found::Note(at, text) => Event::Note(Note { at, link: self.name.clone(), text }),
+            });
+        }
+    }
+
+    /// Ends the conversation, and describes it if it speaks one of the protocols.
+    fn end(&mut self, events: &mut Vec<Event>) -> Option<Link> {
+        for from in [0, 1] {
+            let mut pieces = Vec::new();
+            self.halves[from].end(&mut pieces);
+            self.pieces(from, pieces, self.last, events);
+        }
+        let mut found = Vec::new();
+        let protocol = match &mut self.protocol {
+            Protocol::Bcap(session) => {
+                session.end(self.last, &mut found);
+                "b-CAP"
+            }
+            Protocol::Rac(lines) => {
+                lines.end(&mut found);
+                "RAC"
+            }
+            Protocol::Unknown | Protocol::Other => return None,
+        };
+        self.add(found, events);
+        let client = self.client.unwrap_or(0);
+        Some(Link {
+            at: self.began,
+            name: self.name.clone(),
+            protocol,
+            client: self.ends[client].to_string(),
+            server: self.ends[1 - client].to_string(),
+        })
+    }
+}
+
+/// Returns the code of a frame at the start of a stream, if the bytes can be one.
+fn bcap_frame(bytes: &[u8]) -> Option<FunctionId> {
+    let length = Decoder::TCP.frame_length(bytes).ok()??;
+    let code = bytes.get(9..13)?.first_chunk().map(|code| FunctionId(i32::from_le_bytes(*code)))?;
+    let is_whole = bytes.len() >= length;
+    (!is_whole || Decoder::TCP.decode(bytes).is_ok()).then_some(code)
+}

@@ -1,0 +1,262 @@
+//! The events of a capture as lines of text or of JSON, and their filters.
+
+use std::fmt::Write as _;
+
+use bcap_core::bcap::FunctionId;
+use bcap_core::hresult::HResult;
+use serde::Serialize;
+use serde_json::value::RawValue;
+
+use super::call::{Argument, Call, Event};
+use crate::args::CaptureArgs;
+use crate::error::Failure;
+use crate::value::{self, Value};
+
+/// Selects events. Connections and remarks are shown only without a filter.
+pub(crate) struct Filter<'a> {
+    function: Option<String>,
+    object: Option<&'a str>,
+    error: Option<Wanted>,
+}
+
+/// The codes that a filter accepts.
+enum Wanted {
+    AnyError,
+    Code(HResult),
+}
+
+impl<'a> Filter<'a> {
+    /// Reads the options of the command line.
+    pub(crate) fn new(args: &'a CaptureArgs) -> Result<Self, Failure> {
+        let function = args.function.as_deref().map(function).transpose()?;
+        let error = args.error.as_deref().map(wanted).transpose()?;
+        Ok(Self { function, object: args.object.as_deref(), error })
+    }
+
+    pub(crate) fn accepts(&self, event: &Event) -> bool {
+        match event {
+            Event::Call(call) => self.accepts_call(call),
+            Event::Link(_) | Event::Note(_) => self.function.is_none() && self.object.is_none() && self.error.is_none(),
+        }
+    }
+
+    fn accepts_call(&self, call: &Call) -> bool {
+        let has = |wanted: &str| call.objects().any(|name| is_object(name, wanted));
+        self.function.as_ref().is_none_or(|name| *name == call.function)
+            && self.object.is_none_or(has)
+            && match &self.error {
+                None => true,
+                Some(Wanted::AnyError) => call.reply.is_none() || call.error().is_some(),
+                Some(Wanted::Code(code)) => call.reply.as_ref().is_some_and(|reply| reply.code == *code),
+            }
+    }
+}
+
+/// Returns whether an object is the wanted one, or belongs to it.
+fn is_object(name: &str, wanted: &str) -> bool {
+    name.eq_ignore_ascii_case(wanted)
+        || name.split('/').any(|part| part.eq_ignore_ascii_case(wanted))
+        || name.split(['/', ':']).any(|part| part.eq_ignore_ascii_case(wanted))
+}
+
+fn function(name: &str) -> Result<String, Failure> {
+    if ["GET", "PUT"].iter().any(|verb| name.eq_ignore_ascii_case(verb)) {
+        return Ok(name.to_ascii_uppercase());
+    }
+    let known = FunctionId::parse(name).map(|function| function.to_string());
+    known.ok_or_else(|| {
+        Failure::Input(format!("no function is named {name:?}; write a name of `bcap call --list`, GET or PUT"))
+    })
+}
+
+fn wanted(code: &str) -> Result<Wanted, Failure> {
+    if code.eq_ignore_ascii_case("any") {
+        return Ok(Wanted::AnyError);
+    }
+    let digits = code.strip_prefix("0x").or_else(|| code.strip_prefix("0X"));
+    let number = match digits {
+        Some(digits) => u32::from_str_radix(digits, 16).ok().map(HResult::from_u32),
+        None => code.parse().ok().map(HResult).or_else(|| HResult::from_name(code)),
+    };
+    number.map(Wanted::Code).ok_or_else(|| {
+        Failure::Input(format!("no result code is named {code:?}; write a name, a number such as 0x80070057, or any"))
+    })
+}
+
+/// Writes events as lines.
+pub(crate) struct Printer {
+    json: bool,
+    /// The time of the first event, from which text counts.
+    began: u64,
+}
+
+impl Printer {
+    pub(crate) fn new(json: bool, events: &[Event]) -> Self {
+        Self { json, began: events.first().map_or(0, Event::at) }
+    }
+
+    pub(crate) fn line(&self, event: &Event) -> String {
+        if self.json {
+            return to_json(event);
+        }
+        let at = seconds(event.at().saturating_sub(self.began));
+        match event {
+            Event::Link(link) => {
+                format!("{at} {}: {}, client {}, server {}", link.name, link.protocol, link.client, link.server)
+            }
+            Event::Note(note) => format!("{at} {}: note: {}", note.link, note.text),
+            Event::Call(call) => format!("{at} {} {}", call.link, call_text(call)),
+        }
+    }
+}
+
+/// Formats nanoseconds as seconds, to the microsecond.
+fn seconds(nanos: u64) -> String {
+    format!("{:4}.{:06}", nanos / 1_000_000_000, nanos / 1000 % 1_000_000)
+}
+
+/// Formats nanoseconds as milliseconds, to the microsecond.
+fn millis(nanos: u64) -> String {
+    format!("{}.{:03} ms", nanos / 1_000_000, nanos / 1000 % 1000)
+}
+
+fn call_text(call: &Call) -> String {
+    let mut out = String::new();
+    if let Some(serial) = call.serial {
+        // writing to a string cannot fail, here and below
+        let _ = write!(out, "#{serial} ");
+    }
+    let arguments: Vec<String> = call.arguments.iter().map(argument_text).collect();
+    let _ = write!(out, "{}({})", call.function, arguments.join(", "));
+    match &call.reply {
+        Some(reply) => {
+            let _ = write!(out, " -> {}", code_text(reply.code));
+            if let Some(value) = &reply.value {
+                let _ = write!(out, " {}", short(value));
+            }
+            if let Some(opened) = &reply.opened {
+                let _ = write!(out, " = {opened}");
+            }
+            let _ = write!(out, " [{}]", millis(reply.after));
+        }
+        None => out.push_str(" -> no reply"),
+    }
+    if call.attempts > 1 {
+        let _ = write!(out, " [{} attempts]", call.attempts);
+    }
+    if call.executing > 0 {
+        let _ = write!(out, " [{} x S_EXECUTING]", call.executing);
+    }
+    out
+}
+
+/// The name of a code; of an error also its number and its meaning.
+fn code_text(code: HResult) -> String {
+    match (code.name(), code.meaning()) {
+        (Some(name), _) if code.is_ok() => name.into(),
+        (_, Some(meaning)) => format!("{code}: {}", meaning.trim_end_matches('.')),
+        (_, None) => code.to_string(),
+    }
+}
+
+fn argument_text(argument: &Argument) -> String {
+    let value = match (&argument.object, &argument.value) {
+        (Some(object), _) => object.clone(),
+        (None, Some(value)) => short(value),
+        (None, None) => "?".into(),
+    };
+    argument.name.map(|name| format!("{name}: {value}")).unwrap_or(value)
+}
+
+/// A value as text; a long one as its type and size.
+fn short(value: &Value) -> String {
+    const LONGEST: usize = 512;
+    if value.as_bytes().len() <= LONGEST { format!("{:?}", value.as_variant()) } else { value::described(Some(value)) }
+}
+
+/// An event as a line of JSON.
+#[derive(Serialize)]
+struct Line<'a> {
+    /// Seconds since 1970; a string, because a float has too few digits for nanoseconds.
+    time: String,
+    link: &'a str,
+    #[serde(flatten)]
+    event: Fields<'a>,
+}
+
+#[derive(Serialize)]
+#[serde(untagged)]
+enum Fields<'a> {
+    Link { protocol: &'a str, client: &'a str, server: &'a str },
+    Note { note: &'a str },
+    Call(CallFields<'a>),
+}
+
+#[derive(Serialize)]
+struct CallFields<'a> {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    serial: Option<u16>,
+    function: &'a str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    command: Option<&'a str>,
+    args: Vec<ArgumentFields<'a>>,
+    attempts: u32,
+    executing: u32,
+    /// `null` without a reply.
+    code: Option<i32>,
+    hresult: Option<&'static str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    meaning: Option<&'static str>,
+    /// Microseconds from the first attempt to the reply.
+    us: Option<u64>,
+    value: Option<Box<RawValue>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    opened: Option<&'a str>,
+}
+
+#[derive(Serialize)]
+struct ArgumentFields<'a> {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    object: Option<&'a str>,
+    /// `{"vt":3,"v":100}`, as `bcap encode` takes it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    value: Option<Box<RawValue>>,
+}
+
+fn to_json(event: &Event) -> String {
+    let at = event.at();
+    let time = format!("{}.{:09}", at / 1_000_000_000, at % 1_000_000_000);
+    let (link, event) = match event {
+        Event::Link(link) => {
+            (&link.name, Fields::Link { protocol: link.protocol, client: &link.client, server: &link.server })
+        }
+        Event::Note(note) => (&note.link, Fields::Note { note: &note.text }),
+        Event::Call(call) => (&call.link, Fields::Call(call_fields(call))),
+    };
+    // serializing strings, numbers and values cannot fail
+    serde_json::to_string(&Line { time, link, event }).unwrap_or_default()
+}
+
+fn call_fields(call: &Call) -> CallFields<'_> {
+    let raw = |value: &Value| RawValue::from_string(value::to_json(value)).ok();
+    let argument = |argument: &'_ Argument| argument.value.as_ref().and_then(raw);
+    let reply = call.reply.as_ref();
+    CallFields {
+        serial: call.serial,
+        function: &call.function,
+        command: call.command.as_deref(),
+        args: call
+            .arguments
+            .iter()
+            .map(|found| ArgumentFields { object: found.object.as_deref(), value: argument(found) })
+            .collect(),
+        attempts: call.attempts,
+        executing: call.executing,
+        code: reply.map(|reply| reply.code.0),
+        hresult: reply.and_then(|reply| reply.code.name()),
+        meaning: call.error().and_then(HResult::meaning),
+        us: reply.map(|reply| reply.after / 1000),
+        value: reply.and_then(|reply| reply.value.as_ref().and_then(raw)),
+        opened: reply.and_then(|reply| reply.opened.as_deref()),
+    }
+}

@@ -1,0 +1,369 @@
+//! `bcap decode FILE`: captures with every fault of a network, of every link type, and one of a real session.
+
+#[path = "common/capture.rs"]
+mod capture;
+mod common;
+#[path = "common/recorded.rs"]
+mod recorded;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use bcap_fuzz::{TARGETS, corpus};
+use capture::{BCAP, Capture, Flow, From, RAC, bstr, i4, numbered, segment, unhex, wrapped};
+use common::{Run, bcap, bcap_with};
+use serde_json::Value;
+
+const GET_VARIABLE: u32 = 9;
+const GET_VALUE: u32 = 101;
+const EXECUTING: u32 = 0x900;
+
+/// Opens the variable I1 as handle 3 and reads it: the bytes of the client and of the server.
+fn reading() -> [Vec<u8>; 2] {
+    let client = [numbered(1, 0, GET_VARIABLE, &[i4(2), bstr("I1"), bstr("")]), numbered(2, 0, GET_VALUE, &[i4(3)])];
+    let server = [numbered(1, 0, 0, &[i4(3)]), numbered(2, 0, 0, &[i4(77)])];
+    [client.concat(), server.concat()]
+}
+
+const OPENED: &str = "Controller_GetVariable(controller: I4(2), name: \"I1\", option: \"\") -> S_OK I4(3) = I1";
+/// Sent before the handle was known.
+const READ: &str = "Variable_GetValue(variable: I4(3)) -> S_OK I4(77)";
+
+fn save(name: &str, capture: &Capture) -> String {
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    capture.save(&path);
+    path.to_str().unwrap().to_owned()
+}
+
+/// Decodes a capture, and returns the lines without times and without the response time at the end.
+#[track_caller]
+fn decoded(name: &str, capture: &Capture) -> Vec<String> {
+    let run = bcap(&["decode", &save(name, capture)]);
+    assert_eq!((run.code, run.err.as_str()), (0, ""), "{run:?}");
+    run.out.lines().map(plain).collect()
+}
+
+fn plain(line: &str) -> String {
+    let text = line.trim_start().split_once(' ').unwrap().1;
+    text.split(" [").filter(|part| !part.ends_with(" ms]")).collect::<Vec<_>>().join(" [")
+}
+
+/// The lines about calls, without serial numbers, and the notes.
+fn calls(lines: &[String]) -> Vec<&str> {
+    lines[1..]
+        .iter()
+        .map(|line| line.split_once("tcp1 #1 ").or(line.split_once("tcp1 #2 ")).map_or(line.as_str(), |l| l.1))
+        .collect()
+}
+
+#[test]
+fn frames_may_share_segments_and_span_them() {
+    let [client, server] = reading();
+    for size in [1, 7, 16, 31, 1000] {
+        let (mut capture, mut flow) = (Capture::new(), Flow::new(1, BCAP));
+        for (from, bytes) in [(From::Client, &client), (From::Server, &server)] {
+            bytes.chunks(size).for_each(|part| capture.tcp(&mut flow, from, part));
+        }
+        let lines = decoded("segments.pcap", &capture);
+        assert_eq!(lines[0], "tcp1: b-CAP, client 10.0.0.1:40000, server 192.168.0.1:5007");
+        assert_eq!(calls(&lines), [OPENED, READ]);
+    }
+}
+
+#[test]
+fn ports_that_are_used_again_begin_a_new_connection() {
+    let [client, server] = reading();
+    let mut capture = Capture::new();
+    for first in [5, 5_000_000] {
+        let mut flow = Flow::new(1, 7777);
+        flow.skip(From::Client, first);
+        // a SYN that is sent twice
+        capture.packet(&flow.syn());
+        capture.packet(&flow.syn());
+        flow.skip(From::Client, 1);
+        capture.tcp(&mut flow, From::Client, &client);
+        capture.tcp(&mut flow, From::Server, &server);
+    }
+    let lines = decoded("reused.pcap", &capture);
+    let starts: Vec<_> = lines.iter().map(|line| line.split([':', ' ']).next().unwrap()).collect();
+    assert_eq!(starts, ["tcp1", "tcp1", "tcp1", "tcp2", "tcp2", "tcp2"], "{lines:?}");
+}
+
+#[test]
+fn segments_that_come_twice_or_out_of_order_are_said() {
+    let [client, server] = reading();
+    let (mut capture, mut flow) = (Capture::new(), Flow::new(1, BCAP));
+    let first = segment(&flow, From::Client, &client[..20]);
+    capture.tcp(&mut flow, From::Client, &client[..20]);
+    capture.packet(&first);
+    let mut ahead = flow.clone();
+    let skipped = segment(&ahead, From::Client, &client[20..50]);
+    ahead.skip(From::Client, 30);
+    capture.packet(&segment(&ahead, From::Client, &client[50..]));
+    capture.packet(&skipped);
+    ahead.skip(From::Client, client.len() - 50);
+    capture.tcp(&mut ahead, From::Server, &server);
+    let lines = decoded("order.pcap", &capture);
+    let notes = [
+        "tcp1: note: a segment was sent again (retransmission)",
+        "tcp1: note: a segment arrived before its predecessor",
+    ];
+    assert_eq!(calls(&lines), [notes[0], notes[1], OPENED, READ]);
+}
+
+#[test]
+fn missing_segments_are_said_and_the_next_frames_are_found() {
+    let [client, server] = reading();
+    let (mut capture, mut flow) = (Capture::new(), Flow::new(1, BCAP));
+    capture.tcp(&mut flow, From::Client, &client[..20]);
+    flow.skip(From::Client, 10);
+    capture.tcp(&mut flow, From::Client, &client[30..]);
+    capture.tcp(&mut flow, From::Server, &server);
+    let lines = decoded("missing.pcap", &capture);
+    assert_eq!(lines[1], "tcp1: note: a segment arrived before its predecessor");
+    assert_eq!(lines[2], "tcp1: note: client: the capture lacks 10 bytes, inside a frame of which 20 bytes are there");
+    assert!(lines[3].starts_with("tcp1: note: client: ") && lines[3].contains("are not a frame"), "{lines:?}");
+    assert!(lines.iter().any(|line| line.ends_with("Variable_GetValue(variable: I4(3)) -> S_OK I4(77)")), "{lines:?}");
+    assert!(lines.iter().any(|line| line.contains("a reply without a request: #1")), "{lines:?}");
+}
+
+#[test]
+fn attempts_over_udp_and_keep_alives_belong_to_one_call() {
+    let (mut capture, flow) = (Capture::new(), Flow::new(1, BCAP));
+    for (serial, from, code) in [(5, From::Client, GET_VALUE), (6, From::Client, GET_VALUE)] {
+        capture.udp(&flow, from, &numbered(serial, 5, code, &[i4(3)]));
+    }
+    capture.udp(&flow, From::Server, &numbered(6, 0, EXECUTING, &[]));
+    capture.udp(&flow, From::Server, &numbered(6, 0, 0x8007_0006, &[]));
+    capture.udp(&flow, From::Server, &numbered(5, 0, 0, &[i4(1)]));
+    capture.udp(&flow, From::Client, &numbered(7, 7, GET_VALUE, &[i4(4)]));
+    capture.udp(&flow, From::Client, b"\x01 not a frame");
+    let lines = decoded("udp.pcap", &capture);
+    let refused = "udp1 #5 Variable_GetValue(variable: I4(3)) -> 0x80070006 (E_HANDLE): ";
+    assert!(lines[1].starts_with(refused), "{lines:?}");
+    assert!(lines[1].ends_with(" [2 attempts] [1 x S_EXECUTING]"), "{lines:?}");
+    assert_eq!(lines[2], "udp1: note: server: another reply: #5 0x00000000 (S_OK)");
+    assert_eq!(lines[3], "udp1 #7 Variable_GetValue(variable: I4(4)) -> no reply");
+    assert!(lines[4].starts_with("udp1: note: client: 13 bytes are not a frame: "), "{lines:?}");
+
+    let path = save("udp.pcap", &capture);
+    let run = bcap(&["decode", &path, "--json", "--error", "E_HANDLE"]);
+    let call: Value = serde_json::from_str(&run.out).unwrap();
+    assert_eq!((&call["attempts"], &call["executing"], &call["us"]), (&2.into(), &1.into(), &3000.into()));
+    assert_eq!((&call["code"], &call["hresult"]), (&(-2_147_024_890_i64).into(), &"E_HANDLE".into()));
+    assert_eq!(bcap(&["decode", &path, "--error", "any"]).out.lines().count(), 2);
+    assert_eq!(bcap(&["decode", &path, "--error", "0x80070057"]).out, "");
+}
+
+/// Headers of a link layer in front of IP: the link type and the bytes.
+fn links() -> Vec<(u32, Vec<u8>)> {
+    let ethernet = [&[0; 12][..], &[8, 0]].concat();
+    let tagged = [&[0; 12][..], &[0x81, 0, 0, 5, 8, 0]].concat();
+    let cooked = [&[0; 14][..], &[8, 0]].concat();
+    let cooked2 = [&[8, 0][..], &[0; 18]].concat();
+    let families = [vec![2, 0, 0, 0], vec![0, 0, 0, 2]];
+    let [null, looped] = families;
+    vec![
+        (1, ethernet),
+        (1, tagged),
+        (113, cooked),
+        (276, cooked2),
+        (0, null),
+        (108, looped),
+        (12, vec![]),
+        (101, vec![]),
+        (228, vec![]),
+    ]
+}
+
+#[test]
+fn captures_of_every_link_type_are_read() {
+    let [client, server] = reading();
+    for (link, head) in links() {
+        let (mut capture, mut flow) = (Capture::of_link(link), Flow::new(1, BCAP));
+        for (from, bytes) in [(From::Client, &client), (From::Server, &server)] {
+            capture.packet(&[&head, &segment(&flow, from, bytes)[..]].concat());
+            flow.skip(from, bytes.len());
+        }
+        assert_eq!(calls(&decoded("link.pcap", &capture)), [OPENED, READ], "link type {link}");
+    }
+    let mut capture = Capture::of_link(9999);
+    capture.packet(&[0; 60]);
+    let lines = decoded("link.pcap", &capture);
+    assert_eq!(lines, ["capture: note: skipped packets of link type 9999, which is not supported: 1"]);
+}
+
+/// A block of pcapng.
+fn block(kind: u32, body: &[u8]) -> Vec<u8> {
+    let padded = body.len().next_multiple_of(4);
+    let length = u32::try_from(padded + 12).unwrap().to_le_bytes();
+    [&kind.to_le_bytes()[..], &length, body, &vec![0; padded - body.len()], &length].concat()
+}
+
+/// A capture in pcapng: raw IP, 1.5 ms between request and reply.
+fn pcapng() -> Vec<u8> {
+    let section = block(0x0a0d_0d0a, &[&0x1a2b_3c4d_u32.to_le_bytes()[..], &[1, 0, 0, 0], &[0xff; 8]].concat());
+    // link type, snap length, the option for times in nanoseconds, the end of options
+    let interface = block(1, &[&[101, 0, 0, 0, 0, 0, 0, 0][..], &[9, 0, 1, 0, 9, 0, 0, 0], &[0; 4]].concat());
+    let mut file = [section, interface].concat();
+    let mut flow = Flow::new(1, BCAP);
+    for (n, from, bytes) in
+        (1_u32..).zip([From::Client, From::Server]).zip(reading()).map(|((n, from), b)| (n, from, b))
+    {
+        let packet = segment(&flow, from, &bytes);
+        flow.skip(from, bytes.len());
+        let length = u32::try_from(packet.len()).unwrap();
+        let fields = [0, 0, n * 1_500_000, length, length].map(u32::to_le_bytes).concat();
+        file.extend(block(6, &[fields, packet].concat()));
+    }
+    file
+}
+
+#[test]
+fn captures_in_pcapng_are_read() {
+    let file = pcapng();
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("capture.pcapng");
+    fs::write(&path, &file).unwrap();
+    let run = bcap(&["decode", path.to_str().unwrap()]);
+    let lines: Vec<_> = run.out.lines().map(plain).collect();
+    assert_eq!((calls(&lines), run.code), (vec![OPENED, READ], 0));
+    assert!(run.out.contains("[1.500 ms]"), "{}", run.out);
+
+    fs::write(&path, &file[..file.len() - 10]).unwrap();
+    let run = bcap(&["decode", path.to_str().unwrap()]);
+    assert_eq!((run.code, run.out.contains("-> no reply")), (2, true), "{run:?}");
+    assert!(run.err.ends_with("capture.pcapng: the file ends inside a packet\n"), "{run:?}");
+}
+
+#[test]
+fn damaged_files_are_errors_or_have_fewer_calls() {
+    let session = fs::read(recorded::committed()).unwrap();
+    let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join("damaged.pcap");
+    let mut seed = 1_u32;
+    // the numbers of a linear congruential generator, of which the high bits are good
+    let mut below = |limit: usize| {
+        seed = seed.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        usize::try_from(seed >> 8).unwrap() % limit
+    };
+    for mut file in std::iter::repeat_n([pcapng(), session[..4000].to_vec()], 100).flatten() {
+        for _ in 0..=below(4) {
+            let at = below(file.len());
+            file[at] = [0, 1, 0x7f, 0x80, 0xff][below(5)];
+        }
+        if below(3) == 0 {
+            file.truncate(below(file.len()));
+        }
+        fs::write(&path, &file).unwrap();
+        let run = bcap(&["decode", path.to_str().unwrap()]);
+        assert!([0, 2].contains(&run.code) && !run.err.contains("panicked"), "{run:?}");
+        assert_eq!(run.code == 2, run.err.starts_with("error: "), "{run:?}");
+    }
+}
+
+#[test]
+fn other_ports_are_recognised_by_their_first_bytes() {
+    let [client, server] = reading();
+    let (mut capture, mut flow) = (Capture::new(), Flow::new(1, 7777));
+    capture.tcp(&mut flow, From::Client, &client);
+    capture.tcp(&mut flow, From::Server, &server);
+    let mut flow = Flow::new(2, 7778);
+    capture.tcp(&mut flow, From::Client, b"GET:RC8:1:I:\r");
+    capture.tcp(&mut flow, From::Server, b"0,3,5\r");
+    let mut flow = Flow::new(3, 80);
+    capture.tcp(&mut flow, From::Client, b"GET / HTTP/1.1\r\n\r\n");
+    let lines = decoded("ports.pcap", &capture);
+    assert_eq!(lines[0], "tcp1: b-CAP, client 10.0.0.1:40000, server 192.168.0.1:7777");
+    assert_eq!(lines[3..], ["tcp2: RAC, client 10.0.0.2:40000, server 192.168.0.1:7778", "tcp2 GET(I1) -> S_OK I4(5)"]);
+}
+
+#[test]
+fn lines_of_rac_are_calls() {
+    let (mut capture, mut flow) = (Capture::new(), Flow::new(1, RAC));
+    capture.tcp(&mut flow, From::Client, b"PUT:RC8:1:V:8196,1,2,3\r\nGET:RC8:1:");
+    capture.tcp(&mut flow, From::Client, b"S:\r\nHELLO\r");
+    capture.tcp(&mut flow, From::Server, b"0\r0,8,\x1b[31m\r-2147024809\r7\r");
+    let lines = decoded("rac.pcap", &capture);
+    assert_eq!(lines[1], "tcp1 PUT(V1, value: R4[1.0, 2.0, 3.0]) -> S_OK");
+    assert!(lines[2].starts_with("tcp1: note: client: invalid line \"HELLO\": "), "{lines:?}");
+    assert_eq!(lines[3], "tcp1 GET(S1) -> S_OK \"\\u{1b}[31m\"");
+    assert!(lines[4].starts_with("tcp1 \"HELLO\"() -> 0x80070057 (E_INVALIDARG): "), "{lines:?}");
+    assert_eq!(lines[5], "tcp1: note: server: a response without a request: 0x00000007");
+}
+
+#[test]
+fn wrong_files_and_options_are_errors() {
+    let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR"));
+    let error = |args: &[&str]| -> String {
+        let Run { err, code, .. } = bcap(&[&["decode"], args].concat());
+        assert_eq!(code, 2, "{err}");
+        err
+    };
+    for (name, bytes, words) in [
+        ("empty.pcap", &b""[..], "the file is empty"),
+        ("text.pcap", b"this is not a capture, but long enough", "the file is neither pcap nor pcapng"),
+    ] {
+        fs::write(folder.join(name), bytes).unwrap();
+        let err = error(&[folder.join(name).to_str().unwrap()]);
+        assert!(err.contains(&format!("{name}: {words}\n")), "{err}");
+    }
+    assert!(error(&["no/such/file.pcapng"]).contains("cannot read no/such/file.pcapng: "));
+    assert!(error(&["--stats", "0110"]).contains("need a capture: FILE.pcap, FILE.pcapng or FILE.cap"));
+    let capture = save("none.pcap", &Capture::new());
+    assert!(error(&[&capture, "--com"]).contains("--variant and --com do not apply to a capture"));
+    assert!(error(&[&capture, "--function", "Jump"]).contains("no function is named \"Jump\""));
+    assert!(error(&[&capture, "--error", "E_JUMP"]).contains("no result code is named \"E_JUMP\""));
+}
+
+#[test]
+fn no_input_of_a_corpus_makes_decode_fail() {
+    for (target, _) in TARGETS {
+        let capture = wrapped(&corpus::read(target).unwrap());
+        let path = save("corpus.pcap", &capture);
+        for args in [&["decode", &path, "--json"][..], &["decode", &path, "--lenient"]] {
+            let run = bcap(args);
+            assert_eq!((run.code, run.err.as_str()), (0, ""), "{target}");
+            assert!(run.out.lines().count() > 4);
+        }
+    }
+}
+
+/// The values of calls as bytes, in hexadecimal digits.
+fn encoded(values: &[String]) -> Vec<String> {
+    let run = bcap_with(&["encode", "--variant", "-"], values.join("\n").as_bytes());
+    assert_eq!(run.code, 0, "{run:?}");
+    run.out.lines().map(str::to_owned).collect()
+}
+
+#[test]
+fn a_capture_of_tcpdump_has_the_calls_that_the_server_saw() {
+    let Some(recorded) = recorded::session("the capture of tcpdump") else { return };
+    let run = bcap(&["decode", recorded.file.to_str().unwrap(), "--json"]);
+    assert_eq!(run.code, 0, "{run:?}");
+    let lines: Vec<Value> = run.out.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let notes: Vec<_> = lines.iter().filter(|line| line.get("note").is_some()).collect();
+    assert!(notes.is_empty(), "{notes:?}");
+    let calls: Vec<_> = lines.iter().filter(|line| line.get("function").is_some()).collect();
+    let values = calls.iter().flat_map(|call| call["args"].as_array().unwrap());
+    let values: Vec<_> = values.filter_map(|argument| Some(argument.get("value")?.to_string())).collect();
+    let mut values = encoded(&values).into_iter();
+    let unanswered: Vec<_> = calls.iter().filter(|call| call["code"].is_null()).collect();
+    assert!(unanswered.is_empty(), "{unanswered:?}");
+    let call = |call: &&Value| -> recorded::Seen {
+        let arguments = call["args"].as_array().unwrap().iter().filter(|argument| argument.get("value").is_some());
+        let arguments = arguments.map(|_| unhex(&values.next().unwrap())).collect();
+        (call["function"].as_str().unwrap().to_owned(), arguments, call["code"].as_i64().unwrap())
+    };
+    let (mut found, mut seen): (Vec<_>, _) = (calls.iter().map(call).collect(), recorded.seen);
+    // the two connections of `bcap slave` have no common order
+    found.sort();
+    seen.sort();
+    assert!(seen.len() > 60, "{}", seen.len());
+    for (found, seen) in found.iter().zip(&seen) {
+        assert_eq!(found, seen);
+    }
+    assert_eq!(found.len(), seen.len());
+    println!("{} calls, all as the server saw them", found.len());
+    if std::env::var_os("BLESS").is_some() {
+        fs::copy(&recorded.file, recorded::committed()).unwrap();
+    }
+}

@@ -1,0 +1,182 @@
+//! A session of variables, motion, Slave Mode, errors and RAC with a virtual controller, captured by tcpdump.
+#![allow(dead_code, reason = "every test file uses its own part of this")]
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use bcap_core::bcap::server::{Handler, Request};
+use bcap_core::handler::{Outcome, PeerId, ReplyValue};
+use bcap_core::rac;
+use bcap_core::time;
+use bcap_core::variant::{OwnedVariant, Variant};
+use bcap_sim::{Controller, Profile};
+use bcap_std::server::Limits;
+use bcap_tests::served::Served;
+use bcap_tests::slowed::Slowed;
+
+use crate::common::bcap;
+
+/// A call that a server saw: the function, the encoded arguments and the result.
+pub(crate) type Seen = (String, Vec<Vec<u8>>, i64);
+
+/// A captured session.
+pub(crate) struct Recorded {
+    pub(crate) file: PathBuf,
+    pub(crate) seen: Vec<Seen>,
+    // removes the file
+    _folder: tempfile::TempDir,
+}
+
+/// The path of a session that was captured once, for golden files.
+pub(crate) fn committed() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/session.pcap")
+}
+
+/// A virtual controller that records the calls it has completed.
+struct Recording {
+    controller: Slowed,
+    seen: Vec<Seen>,
+}
+
+impl Recording {
+    fn record(&mut self, function: &str, arguments: &[Variant<'_>], outcome: Outcome) -> Outcome {
+        // before Service_Stop the session itself releases the service, with the same call
+        let is_again = function == "Service_Stop" && self.seen.last().is_some_and(|last| last.0 == function);
+        if let Outcome::Done(code) = outcome
+            && !is_again
+        {
+            let arguments = arguments.iter().map(|value| OwnedVariant::new(value).unwrap().as_bytes().to_vec());
+            self.seen.push((function.to_owned(), arguments.collect(), code.0.into()));
+        }
+        outcome
+    }
+}
+
+impl Handler for Recording {
+    fn call(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: time::Instant) -> Outcome {
+        let outcome = Handler::call(&mut self.controller, peer, request, reply, now);
+        let arguments: Vec<_> = request.args.iter().collect();
+        self.record(&request.function.to_string(), &arguments, outcome)
+    }
+
+    fn resume(
+        &mut self,
+        peer: PeerId,
+        request: &Request<'_>,
+        reply: &mut ReplyValue<'_>,
+        now: time::Instant,
+    ) -> Outcome {
+        let outcome = Handler::resume(&mut self.controller, peer, request, reply, now);
+        let arguments: Vec<_> = request.args.iter().collect();
+        self.record(&request.function.to_string(), &arguments, outcome)
+    }
+
+    fn abandoned(&mut self, peer: PeerId, now: time::Instant) {
+        Handler::abandoned(&mut self.controller, peer, now);
+    }
+
+    fn left(&mut self, peer: PeerId, now: time::Instant) {
+        Handler::left(&mut self.controller, peer, now);
+    }
+}
+
+impl rac::server::Handler for Recording {
+    fn call(
+        &mut self,
+        peer: PeerId,
+        request: &rac::Request<'_>,
+        reply: &mut ReplyValue<'_>,
+        now: time::Instant,
+    ) -> Outcome {
+        let outcome = rac::server::Handler::call(&mut self.controller, peer, request, reply, now);
+        match request.value() {
+            Some(value) => self.record("PUT", &[value], outcome),
+            None => self.record("GET", &[], outcome),
+        }
+    }
+}
+
+/// A running tcpdump, which ends with the test, also if the test fails.
+struct Dump(Child);
+
+impl Drop for Dump {
+    fn drop(&mut self) {
+        // it may have ended already
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Starts tcpdump and waits until it captures; prints one line and returns `None` if it cannot.
+fn tcpdump(test: &str, file: &Path, ports: [u16; 3]) -> Option<Dump> {
+    let [tcp, udp, rac] = ports;
+    let filter = format!("port {tcp} or port {udp} or port {rac}");
+    // in immediate mode the kernel reserves the snap length for each packet: with the defaults it has room for 8
+    let child = Command::new("tcpdump")
+        .args(["-i", "lo", "-U", "--immediate-mode", "--snapshot-length", "4096", "--buffer-size", "32768"])
+        .args(["-Z", "root", "-w"])
+        .arg(file)
+        .arg(filter)
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn();
+    let Ok(mut child) = child else {
+        println!("skipped {test}: there is no tcpdump; install the Debian package tcpdump");
+        return None;
+    };
+    let mut said = String::new();
+    let mut lines = BufReader::new(child.stderr.take().unwrap());
+    while lines.read_line(&mut said).is_ok_and(|count| count > 0) {
+        if said.contains("listening on") {
+            // tcpdump must be able to write its last words
+            std::thread::spawn(move || std::io::copy(&mut lines, &mut std::io::sink()));
+            return Some(Dump(child));
+        }
+    }
+    child.wait().unwrap();
+    println!("skipped {test}: tcpdump cannot capture: {}", said.trim_end().replace('\n', "; "));
+    None
+}
+
+/// Runs a session under tcpdump; `None` if tcpdump cannot capture.
+pub(crate) fn session(test: &str) -> Option<Recorded> {
+    let config = bcap_sim::Config { motor_on_delay: Duration::from_millis(1), ..bcap_sim::Config::new(Profile::Rc8) };
+    let controller = Slowed(Controller::new(config));
+    let served = Served::of(Recording { controller, seen: Vec::new() }, Limits::default());
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("session.pcap");
+    let dump = tcpdump(test, &file, [served.tcp.port(), served.udp.port(), served.rac.port()])?;
+    run(&format!("tcp:{}", served.tcp), &format!("udp:{}", served.udp), &served.rac.to_string());
+    let until = Instant::now() + Duration::from_secs(30);
+    // the last request of the session
+    while !bcap(&["decode", file.to_str().unwrap(), "--object", "S9"]).out.contains("S_OK") {
+        assert!(Instant::now() < until, "tcpdump has not written the end of the session");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    drop(dump);
+    let seen = served.application().seen.clone();
+    Some(Recorded { file, seen, _folder: folder })
+}
+
+fn run(tcp: &str, udp: &str, rac: &str) {
+    let pose = "400,0,300,180,0,180,5";
+    for (robot, args, codes) in [
+        (tcp, &["get", "I1", "P1", "robot/@CURRENT_POSITION"][..], &[0][..]),
+        (tcp, &["put", "P1", pose], &[0]),
+        (tcp, &["exec", "robot", "CurJnt"], &[0]),
+        (tcp, &["exec", "robot", "Nonsense"], &[1]),
+        (tcp, &["call", "Robot_Move", "robot", "3,2", "8,@E P1", "8,"], &[1]),
+        // a busy machine may let the controller's buffer run empty; the calls are then others, and compared as well
+        (tcp, &["slave", "cosine", "--seconds", "0.1", "--amplitude", "-1", "--yes"], &[0, 1]),
+        (udp, &["put", "I1", "7"], &[0]),
+        (udp, &["get", "I1", "robot/@CURRENT_ANGLE"], &[0]),
+        (rac, &["rac", "get", "P1"], &[0]),
+        (rac, &["rac", "put", "I1", "text"], &[2]),
+        (rac, &["rac", "put", "S9", "the end"], &[0]),
+    ] {
+        let run = bcap(&[args, &["--robot", robot]].concat());
+        assert!(codes.contains(&run.code), "{args:?}: {run:?}");
+    }
+}
