@@ -1,7 +1,17 @@
-//! Clients for tokio.
+//! Objects and clients for tokio.
 //!
-//! The async counterpart of [`blocking`](crate::blocking): a [`Connection`] of the core over tokio's sockets. Calls are
-//! cancel safe: the future of a call may be dropped at any point, and the connection stays usable.
+//! [`Controller`] is a handle of a task that owns a session with a controller:
+//!
+//! ```text
+//!  Controller::connect ─┬─► read, write, execute ─┐
+//!                       ├─► subscribe             ├─► the task ─► the session, opened again when it is lost
+//!                       ├─► robot ─► Robot ─► Arm ┘
+//!                       └─► stopper ─► Stopper ─────► a task and a session of its own
+//! ```
+//!
+//! Below it are the functions of the protocol, as in [`blocking`](crate::blocking): [`connect_tcp`], [`connect_udp`] and
+//! [`connect_rac`] return a [`Connection`] of the core over tokio's sockets. Its calls are cancel safe: the future of a call
+//! may be dropped at any point, and the connection stays usable.
 
 mod controller;
 mod handle;
