@@ -25,32 +25,51 @@ pub(crate) fn option<'t>(text: &'t str, key: &str) -> Option<&'t str> {
     options(text).find(|(k, _)| k.eq_ignore_ascii_case(key)).and_then(|(_, value)| value)
 }
 
-/// Checks and removes the pass at the beginning of a text, if it has one.
-pub(crate) fn split_pass(text: &str) -> Result<&str, HResult> {
+/// How a motion passes to the next one.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) enum Pass {
+    /// `@0`, `@E`: it comes to rest first.
+    #[default]
+    Stop,
+    /// `@P`, `@n`: the next motion begins while it brakes; with a number, within this distance of its end in mm.
+    Near(Option<f64>),
+}
+
+/// Reads and removes the pass at the beginning of a text; without one, it is [`Pass::Stop`].
+pub(crate) fn split_pass(text: &str) -> Result<(Pass, &str), HResult> {
     let text = text.trim();
     if !text.starts_with('@') {
-        return Ok(text);
+        return Ok((Pass::Stop, text));
     }
     let (pass, rest) = text.split_once(char::is_whitespace).ok_or(HResult::E_INVALIDARG)?;
-    check_pass(pass)?;
-    Ok(rest.trim_start())
+    Ok((pass_of_text(pass)?, rest.trim_start()))
 }
 
-/// Checks a pass in an array: EMPTY, its text, or its number (`@P` -1, `@E` -2, `@0`, `@n`).
-pub(crate) fn check_pass_item(item: &Variant<'_>) -> Result<(), HResult> {
+/// Reads a pass in an array: EMPTY, its text, or its number (`@P` -1, `@E` -2, `@0`, `@n`).
+pub(crate) fn pass_item(item: &Variant<'_>) -> Result<Pass, HResult> {
     match item.flatten() {
-        Variant::Empty | Variant::Null => Ok(()),
-        Variant::Bstr(pass) => check_pass(&pass.to_string()),
-        pass if pass.as_i32().is_some_and(|n| n >= -2) => Ok(()),
-        _ => Err(HResult::E_INVALIDARG),
+        Variant::Empty | Variant::Null => Ok(Pass::Stop),
+        Variant::Bstr(pass) => pass_of_text(&pass.to_string()),
+        pass => match pass.as_i32() {
+            Some(-1) => Ok(Pass::Near(None)),
+            Some(-2 | 0) => Ok(Pass::Stop),
+            Some(n) if n > 0 => Ok(Pass::Near(Some(n.into()))),
+            _ => Err(HResult::E_INVALIDARG),
+        },
     }
 }
 
-fn check_pass(pass: &str) -> Result<(), HResult> {
+/// Reads the text of a pass, with or without its `@`.
+pub(crate) fn pass_of_text(pass: &str) -> Result<Pass, HResult> {
     let rest = pass.trim().strip_prefix('@').unwrap_or(pass.trim());
     match rest {
-        "P" | "p" | "E" | "e" => Ok(()),
-        digits if !digits.is_empty() && digits.bytes().all(|b| b.is_ascii_digit()) => Ok(()),
+        "P" | "p" => Ok(Pass::Near(None)),
+        "E" | "e" => Ok(Pass::Stop),
+        _ if !rest.is_empty() && rest.bytes().all(|b| b.is_ascii_digit()) => match rest.parse::<f64>() {
+            Ok(distance) if distance > 0.0 => Ok(Pass::Near(Some(distance))),
+            Ok(_) => Ok(Pass::Stop),
+            Err(_) => Err(HResult::E_INVALIDARG),
+        },
         _ => Err(HResult::E_INVALIDARG),
     }
 }
@@ -65,5 +84,20 @@ mod tests {
         assert_eq!(parsed, [("Speed", Some("10")), ("NEXT", None), ("x", Some("(1,2)"))]);
         assert_eq!(option("id=1,ID=2", "ID"), Some("1"));
         assert_eq!(option("@IfNotMember", "ID"), None);
+    }
+
+    #[test]
+    fn a_pass_stops_or_has_a_distance() {
+        assert_eq!(split_pass("@P  P1"), Ok((Pass::Near(None), "P1")));
+        assert_eq!(split_pass("@50 P1"), Ok((Pass::Near(Some(50.0)), "P1")));
+        assert_eq!(split_pass("@0 P1"), Ok((Pass::Stop, "P1")));
+        assert_eq!(split_pass("@e P1"), Ok((Pass::Stop, "P1")));
+        assert_eq!(split_pass("P1"), Ok((Pass::Stop, "P1")));
+        for text in ["@", "@X P1", "@-1 P1", "@1.5 P1"] {
+            assert_eq!(split_pass(text), Err(HResult::E_INVALIDARG), "{text}");
+        }
+        assert_eq!(pass_item(&Variant::I4(-1)), Ok(Pass::Near(None)));
+        assert_eq!(pass_item(&Variant::I4(20)), Ok(Pass::Near(Some(20.0))));
+        assert_eq!(pass_item(&Variant::I4(-3)), Err(HResult::E_INVALIDARG));
     }
 }

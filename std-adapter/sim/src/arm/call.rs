@@ -10,7 +10,6 @@ use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::drive::Drive;
 use crate::function::command_of;
-use crate::kinematics::with_joints;
 use crate::robot::{Percent, coordinates, percent};
 use crate::table::Command;
 use crate::waits::Wait;
@@ -27,12 +26,9 @@ impl Arm {
             FunctionId::ROBOT_MOVE => moves::move_to(&mut self.robot, ctx, request),
             FunctionId::ROBOT_DRIVE => {
                 let drive = Drive::relative(request.int(1), request.float(2))?;
-                moves::drive(&mut self.robot, ctx, &drive, &request.text(3).to_string())
+                moves::drive(&mut self.robot, ctx, drive, &request.text(3).to_string())
             }
-            FunctionId::ROBOT_GO_HOME => {
-                let home = ctx.config.home;
-                moves::move_axes(&mut self.robot, ctx, "", |here| Ok(with_joints(&home, here)))
-            }
+            FunctionId::ROBOT_GO_HOME => moves::go_home(&mut self.robot, ctx),
             FunctionId::ROBOT_HALT => Ok(match self.halt(ctx.config, ctx.now, ctx.waits) {
                 // answered at rest, so that a motion that follows is not refused
                 true => Answer::Until(Wait::Rest),

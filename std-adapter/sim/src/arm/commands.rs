@@ -15,6 +15,7 @@ use crate::robot::{Percent, percent};
 use crate::slave;
 use crate::table::Command;
 use crate::value::{Value, numbers, one_int, whole};
+use crate::waits::Wait;
 
 /// Executes a command.
 type Execute = fn(&mut Arm, &mut Context<'_>, &Variant<'_>) -> Answered;
@@ -78,13 +79,16 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     command("T2J", |arm, ctx, param| convert(arm, ctx, Kind::T, Kind::J, param)).accepts(TRANS),
     command("T2P", |arm, ctx, param| convert(arm, ctx, Kind::T, Kind::P, param)).accepts(TRANS),
     command("TakeArm", take_arm).accepts("nothing, the group, or [group, keep]: group 0, keep 0 or 1"),
-    command("GiveArm", give_arm),
+    command("GiveArm", give_arm).resumes(Handler::Execute(give_arm)),
     command("TakeArmState", arm_state).accepts("nothing, or one number: the group 0, or -1"),
     command("Motor", motor).accepts(MOTOR),
     command("ExtSpeed", external_speed)
         .accepts("a speed, [speed, accel] or [speed, accel, decel], in percent, 0.0001 to 100"),
     command("DriveEx", |arm, ctx, param| moves::drive_command(&mut arm.robot, ctx, false, param)).accepts(DRIVE),
     command("DriveAEx", |arm, ctx, param| moves::drive_command(&mut arm.robot, ctx, true, param)).accepts(DRIVE),
+    command("MotionSkip", motion_skip).accepts("nothing, the group, or [group, mode]: group 0 or -1, mode 0 to 3"),
+    command("MotionComplete", motion_complete)
+        .accepts("nothing, the group, or [group, mode]: group 0 or -1, mode 0 (commands) or 1 (motion)"),
     command("slvChangeMode", |arm, ctx, param| slave::change_mode(&mut arm.robot, ctx, param))
         .accepts("one number: 0, 0x001 to 0x003, 0x101 to 0x103, 0x201 to 0x203")
         .in_slave_mode(),
@@ -123,8 +127,6 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     Command::missing("SetWorkDef"),
     Command::missing("PayLoad"),
     Command::missing("SpeedMode"),
-    Command::missing("MotionSkip"),
-    Command::missing("MotionComplete"),
     Command::missing("GetAreaDef"),
     Command::missing("GetAreaEnabled"),
     Command::missing("SetAreaEnabled"),
@@ -188,7 +190,9 @@ fn give_arm(arm: &mut Arm, ctx: &mut Context<'_>, _: &Variant<'_>) -> Answered {
         return Ok(Answer::Code(HResult::S_FALSE));
     }
     if arm.robot.is_moving() {
-        return Err(HResult::E_ROBOTISBUSY);
+        // the maker's own driver sends it at once after the answer of a pass motion
+        let passes = arm.robot.commands_are_complete(ctx.now);
+        return if passes { Ok(Answer::Until(Wait::Rest)) } else { Err(HResult::E_ROBOTISBUSY) };
     }
     arm.robot.set_owner(None);
     Ok(Answer::Done)
@@ -198,6 +202,32 @@ fn arm_state(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answe
     let wanted = if param.is_empty() { -1 } else { one_int(param)? };
     let group = arm.robot.group_of(ctx.peer).filter(|group| [-1, *group].contains(&wanted));
     Ok(Value::I4(group.unwrap_or(-1)).into())
+}
+
+/// Reads `[group, mode]`, of which both or the mode may be absent.
+fn group_and_mode(param: &Variant<'_>, most: i32) -> Result<i32, HResult> {
+    let (group, mode) = match numbers(param)?.as_slice() {
+        [] => (-1, 0),
+        [group] => (whole(*group)?, 0),
+        [group, mode] => (whole(*group)?, whole(*mode)?),
+        _ => return Err(HResult::E_INVALIDARG),
+    };
+    if [-1, 0].contains(&group) && (0..=most).contains(&mode) { Ok(mode) } else { Err(HResult::E_INVALIDARG) }
+}
+
+fn motion_skip(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    group_and_mode(param, 3)?;
+    arm.robot.may_set(ctx)?;
+    let skipped = arm.robot.skip_motion(ctx.now, ctx.waits);
+    Ok(Answer::done_if(skipped.map_err(|blocked| moves::refuse(ctx, blocked))?))
+}
+
+fn motion_complete(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    Ok(Value::Bool(match group_and_mode(param, 1)? {
+        0 => arm.robot.commands_are_complete(ctx.now),
+        _ => !arm.robot.is_moving(),
+    })
+    .into())
 }
 
 /// Executes Motor, also for the controller.

@@ -1,4 +1,4 @@
-//! The motions of the arm: their targets, paths and options. The tables are in [`arm`](super).
+//! The motions of the arm: their routes and options. The tables are in [`arm`](super).
 
 use bcap_core::bcap::server::Request;
 use bcap_core::hresult::HResult;
@@ -7,13 +7,19 @@ use bcap_core::variant::Variant;
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::drive::Drive;
-use crate::kinematics::{Axes, OutOfReach, figure, forward, out_of_range, six, with_joints};
-use crate::motion::Path;
-use crate::options::options;
-use crate::pose::Pose;
+use crate::options::{Pass, options};
+use crate::pose::Target;
 use crate::robot::{Percent, Robot, percent};
+use crate::route::{Blocked, Route};
 use crate::variables::Variables;
 use crate::waits::Wait;
+
+/// Whose internal speed a motion has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Speed {
+    Line,
+    Joints,
+}
 
 /// The options of a motion.
 struct MoveOptions {
@@ -29,22 +35,14 @@ pub(super) fn move_to(robot: &mut Robot, ctx: &mut Context<'_>, request: &Reques
     if ![1, 2].contains(&interpolation) {
         return Err(if [3, 4].contains(&interpolation) { HResult::E_NOTIMPL } else { HResult::E_INVALIDARG });
     }
-    let (pose, drive) = Pose::parse_target(&request.value(2), ctx.variables)?;
-    if let Some(drive) = &drive {
+    let Target { pose, extended, pass } = Target::parse(&request.value(2), ctx.variables)?;
+    if let Some(drive) = &extended {
         drive.check(ctx.config.extended_axes)?;
     }
-    let extended = |here: &Axes| drive.as_ref().map_or(*here, |drive| drive.apply(here));
-    if interpolation == 1 {
-        let target = |here: &Axes| Ok(with_joints(&pose.joints(&six(here))?, &extended(here)));
-        return move_axes(robot, ctx, &option, target);
+    match interpolation {
+        1 => start(robot, ctx, (Route::Joints(pose, extended), pass), Speed::Joints, &option),
+        _ => start(robot, ctx, (Route::Line(pose, extended), pass), Speed::Line, &option),
     }
-    let options = MoveOptions::read(&option, robot.settings().line, ctx.variables)?;
-    if !may_start(robot, ctx)? {
-        return Ok(Answer::Until(Wait::Turn));
-    }
-    let here = robot.axes(ctx.now);
-    let path = line(here, &pose, &extended(&here))?.map_err(|error| ctx.raise(error.code()))?;
-    start(robot, ctx, path, options)
 }
 
 /// Executes DriveEx or DriveAEx, whose parameter is `[pairs, option]` or the pairs as text.
@@ -57,48 +55,46 @@ pub(super) fn drive_command(robot: &mut Robot, ctx: &mut Context<'_>, absolute: 
         },
         _ => (param, String::new()),
     };
-    drive(robot, ctx, &Drive::parse(absolute, &pairs)?, &option)
+    drive(robot, ctx, Drive::parse(absolute, &pairs)?, &option)
 }
 
 /// Turns single axes.
-pub(super) fn drive(robot: &mut Robot, ctx: &mut Context<'_>, drive: &Drive, option: &str) -> Answered {
+pub(super) fn drive(robot: &mut Robot, ctx: &mut Context<'_>, drive: Drive, option: &str) -> Answered {
     drive.check(ctx.config.extended_axes)?;
-    move_axes(robot, ctx, option, |here| Ok(drive.apply(here)))
+    let pass = drive.pass;
+    start(robot, ctx, (Route::Turn(drive), pass), Speed::Joints, option)
 }
 
-/// Moves the axes to `target`, a function of their present position.
-pub(super) fn move_axes(
-    robot: &mut Robot,
-    ctx: &mut Context<'_>,
-    option: &str,
-    target: impl FnOnce(&Axes) -> Result<Axes, OutOfReach>,
-) -> Answered {
-    let options = MoveOptions::read(option, robot.settings().joint, ctx.variables)?;
-    if !may_start(robot, ctx)? {
-        return Ok(Answer::Until(Wait::Turn));
-    }
-    let here = robot.axes(ctx.now);
-    let end = target(&here).and_then(in_range).map_err(|error| ctx.raise(error.code()))?;
-    start(robot, ctx, Path::axes(here, end), options)
+/// Executes Robot_GoHome.
+pub(super) fn go_home(robot: &mut Robot, ctx: &mut Context<'_>) -> Answered {
+    let home = ctx.config.home;
+    start(robot, ctx, (Route::Home(home), Pass::Stop), Speed::Joints, "")
 }
 
-/// Checks what a motion needs; `false` if it must wait for the end of this client's own motion with NEXT.
-fn may_start(robot: &Robot, ctx: &mut Context<'_>) -> Result<bool, HResult> {
+/// Starts a motion, or adds it to those under way. Without NEXT, the call is answered at its end.
+fn start(robot: &mut Robot, ctx: &mut Context<'_>, way: (Route, Pass), speed: Speed, option: &str) -> Answered {
+    let internal = if speed == Speed::Line { robot.settings().line } else { robot.settings().joint };
+    let options = MoveOptions::read(option, internal, ctx.variables)?;
     match robot.may_move(ctx) {
-        Err(HResult::E_ROBOTISBUSY) if robot.executes_motion_of(ctx.peer) => Ok(false),
-        checked => checked.map(|()| true),
+        Err(HResult::E_ROBOTISBUSY) if robot.may_follow(ctx.peer) => {}
+        checked => checked?,
     }
-}
-
-/// Starts a motion. Without NEXT, the call is answered at its end.
-fn start(robot: &mut Robot, ctx: &mut Context<'_>, path: Path, options: MoveOptions) -> Answered {
-    let id = robot.start(ctx.peer, path, options.internal, ctx.now);
+    let started = robot.start(ctx.peer, way, options.internal, ctx.now);
+    let id = started.map_err(|blocked| refuse(ctx, blocked))?;
     if !options.next {
         return Ok(Answer::Until(Wait::Motion(id)));
     }
     // a motion without length ends at once
     robot.advance(ctx.now, ctx.waits);
     Ok(Answer::Done)
+}
+
+/// Returns the code of a motion that cannot be planned; a pose out of reach is an error of the controller.
+pub(super) fn refuse(ctx: &mut Context<'_>, blocked: Blocked) -> HResult {
+    match blocked {
+        Blocked::OutOfReach(reason) => ctx.raise(reason.code()),
+        Blocked::Invalid => blocked.code(),
+    }
 }
 
 impl MoveOptions {
@@ -118,25 +114,5 @@ impl MoveOptions {
             }
         }
         Ok(read)
-    }
-}
-
-fn in_range(axes: Axes) -> Result<Axes, OutOfReach> {
-    out_of_range(&axes).map_or(Ok(axes), |axis| Err(OutOfReach(axis)))
-}
-
-/// Plans a line, on which the posture cannot change; J7 and J8 move to those of `extended`.
-fn line(here: Axes, pose: &Pose, extended: &Axes) -> Result<Result<Path, OutOfReach>, HResult> {
-    let (frame, fig) = match pose {
-        Pose::Joints(joints) => (forward(joints), None),
-        Pose::Frame(frame, fig) => (*frame, *fig),
-    };
-    let end = with_joints(&six(&here), extended);
-    let path = in_range(end).and_then(|end| Path::line(here, &forward(&six(&here)), &frame, &end));
-    // shoulder, elbow and wrist; the turns of J4 and J6 result from the line
-    const POSTURE: u8 = 7;
-    match (&path, fig) {
-        (Ok(path), Some(fig)) if (figure(&six(&path.end())) ^ fig) & POSTURE != 0 => Err(HResult::E_INVALIDARG),
-        _ => Ok(path),
     }
 }

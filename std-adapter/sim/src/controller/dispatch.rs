@@ -158,9 +158,9 @@ impl Controller {
         if turn == Turn::First {
             self.check_slave_mode(peer, request)?;
         }
-        let answer = match turn == Turn::Later && !self.takes_turn(peer) {
-            true => self.continue_call(peer, request, object)?,
-            false => match self.start(peer, request, object)? {
+        let answer = match turn {
+            Turn::Later => self.continue_call(peer, request, object)?,
+            Turn::First => match self.start(peer, request, object)? {
                 Answer::Until(wait) => self.wait_for(peer, request, wait)?,
                 answer => answer,
             },
@@ -187,15 +187,6 @@ impl Controller {
                 self.file_progress(peer, request, progress)
             }
         }
-    }
-
-    /// Tells whether a call has waited for the end of a motion and must now start its own; ends that wait.
-    fn takes_turn(&mut self, peer: PeerId) -> bool {
-        let takes = self.common.waits.get(peer) == Some(Wait::Turn) && !self.arm.robot().has_motion();
-        if takes {
-            self.common.waits.forget(peer);
-        }
-        takes
     }
 
     /// Continues a call that waits.

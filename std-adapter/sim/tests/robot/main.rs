@@ -5,6 +5,8 @@ mod authority;
 mod common;
 mod drives;
 mod motions;
+mod queue;
+mod random;
 mod stops;
 
 use bcap_core::hresult::HResult;

@@ -1,0 +1,92 @@
+//! The routes of motions: what a motion command asks for, from which its path is planned.
+
+use bcap_core::hresult::HResult;
+
+use crate::drive::Drive;
+use crate::kinematics::{Axes, Frame, Joints, OutOfReach, figure, forward, out_of_range, six, with_joints};
+use crate::motion::Path;
+use crate::pose::Pose;
+
+/// What a motion command asks for.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Route {
+    /// To the joints of a pose; the extended joints turn with them.
+    Joints(Pose, Option<Drive>),
+    /// To a pose on a straight line.
+    Line(Pose, Option<Drive>),
+    /// Turns of axes.
+    Turn(Drive),
+    /// To these joints; the extended joints stay.
+    Home(Joints),
+}
+
+/// Why a route cannot be followed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Blocked {
+    /// An axis would leave its range, or turn too far at a singularity: an error of the controller.
+    OutOfReach(OutOfReach),
+    /// The command asks for something that no path has.
+    Invalid,
+}
+
+impl Blocked {
+    pub(crate) fn code(self) -> HResult {
+        match self {
+            Self::OutOfReach(reason) => reason.code(),
+            Self::Invalid => HResult::E_INVALIDARG,
+        }
+    }
+}
+
+impl From<OutOfReach> for Blocked {
+    fn from(reason: OutOfReach) -> Self {
+        Self::OutOfReach(reason)
+    }
+}
+
+impl Route {
+    /// Plans the path from a position of the axes.
+    pub(crate) fn path(&self, here: &Axes) -> Result<Path, Blocked> {
+        let axes = |end: Axes| Ok(Path::axes(*here, in_range(end)?));
+        match self {
+            Self::Joints(pose, extended) => axes(with_joints(&pose.joints(&six(here))?, &turned(extended, here))),
+            Self::Line(pose, extended) => line(here, pose, &turned(extended, here)),
+            Self::Turn(drive) => axes(drive.apply(here)),
+            Self::Home(joints) => axes(with_joints(joints, here)),
+        }
+    }
+}
+
+fn turned(extended: &Option<Drive>, here: &Axes) -> Axes {
+    extended.as_ref().map_or(*here, |drive| drive.apply(here))
+}
+
+fn in_range(axes: Axes) -> Result<Axes, OutOfReach> {
+    out_of_range(&axes).map_or(Ok(axes), |axis| Err(OutOfReach(axis)))
+}
+
+/// Plans a line, on which the posture cannot change; J7 and J8 move to those of `extended`.
+fn line(here: &Axes, pose: &Pose, extended: &Axes) -> Result<Path, Blocked> {
+    let (from, (to, fig)) = (forward(&six(here)), frame_of(pose));
+    let end = in_range(with_joints(&six(here), extended))?;
+    let path = Path::along(*here, &end, from.distance(&to), |part| from.towards(&to, part))?;
+    keeps_posture(path, fig)
+}
+
+/// Returns the frame of a pose, and its Fig if it has one.
+fn frame_of(pose: &Pose) -> (Frame, Option<u8>) {
+    match pose {
+        Pose::Joints(joints) => (forward(joints), None),
+        Pose::Frame(frame, fig) => (*frame, *fig),
+    }
+}
+
+/// Checks that a path ends in the posture that its command asks for.
+fn keeps_posture(path: Path, fig: Option<u8>) -> Result<Path, Blocked> {
+    // shoulder, elbow and wrist; the turns of J4 and J6 result from the path
+    const POSTURE: u8 = 7;
+    match fig {
+        Some(fig) if (figure(&six(&path.end())) ^ fig) & POSTURE != 0 => Err(Blocked::Invalid),
+        _ => Ok(path),
+    }
+}
