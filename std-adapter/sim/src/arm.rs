@@ -2,7 +2,7 @@
 //!
 //! | function                     | what it does here                                                                |
 //! |------------------------------|----------------------------------------------------------------------------------|
-//! | Robot_Move                   | interpolation 1 (joints) and 2 (line); 3, 4 (arc, free curve) answer `E_NOTIMPL` |
+//! | Robot_Move                   | interpolation 1 (joints), 2 (line), 3 (arc); 4 (free curve) answers `E_NOTIMPL`  |
 //! | Robot_Drive                  | turns one axis by degrees or mm                                                  |
 //! | Robot_GoHome                 | moves the joints to [`Config::home`](crate::Config::home)                        |
 //! | Robot_Halt                   | brakes, and answers when the arm is at rest; of any client; see below            |
@@ -12,7 +12,7 @@
 //! | Robot_Accelerate             | likewise the internal acceleration and deceleration                              |
 //! | Robot_Change                 | `ToolN` and `WorkN` select a number; the definitions are all zero                |
 //! | Robot_Chuck, Unchuck         | closes and opens the [`hand`](crate::hand)                                       |
-//! | Robot_Rotate                 | `E_NOTIMPL`                                                                      |
+//! | Robot_Rotate                 | moves on a circle in a plane (XY, YZ, ZX) about a point                          |
 //!
 //! Speeds and accelerations are percent, 0.0001 to 100, and apply from the next motion on. Internal speeds, tool and
 //! work coordinates belong to the arm: while one client owns it, Speed, Accelerate, Change and the variables of these
@@ -33,6 +33,12 @@
 //! is refused with `E_INVALIDARG`. A pose for which axis n would leave its range is the controller's error 0x8320407n,
 //! as is a line through a singularity.
 //!
+//! Approach ends before its pose, and Depart before the present pose, by the length in mm against the approach vector,
+//! the z of the flange. In an arc the flange turns evenly from the orientation of the start to that of the end; the
+//! orientation of the point on the circle has no effect. Three points on one line are `E_INVALIDARG`. Robot_Rotate turns
+//! right-handed about an axis of the base; with `Pose=1`, the default, the flange turns with it, with `Pose=2` it keeps its
+//! orientation.
+//!
 //! Halt answers when the arm is at rest, so that it does not refuse a motion that follows. If the arm is at rest
 //! already, Halt answers `S_FALSE`. The halted call ends with `E_ABORT`.
 //!
@@ -46,6 +52,8 @@
 //! | Motor                           | \[state, no wait\] or state | EMPTY when the motor is on; at once with no wait |
 //! | ExtSpeed                        | \[speed, accel, decel\]     | EMPTY; accel, decel default to speed² / 100      |
 //! | DriveEx, DriveAEx               | \[pairs, option\] or pairs  | EMPTY; turns axes by, or to, a value             |
+//! | Approach                        | \[1 or 2, pose, length\]     | EMPTY; to a pose before this one                 |
+//! | Depart                          | \[1 or 2, length\]           | EMPTY; away from the present pose                |
 //! | MotionSkip                      | \[group, mode\] or nothing  | EMPTY at once; `S_FALSE` without a motion        |
 //! | MotionComplete                  | \[group, mode\] or nothing  | BOOL: 0 commands complete, 1 robot at rest       |
 //! | CurPos, DestPos, HighCurPos     | -                           | R8\[7\]: X Y Z RX RY RZ Fig                      |

@@ -36,13 +36,18 @@ const SHOWN_MAX: usize = 300;
 const FUNCTIONS: &[(FunctionId, &str)] = &[
     (
         FunctionId::ROBOT_MOVE,
-        "interpolation I4: 1 joints, 2 line; pose BSTR (\"@E P1\", \"J(0,45,90,0,45,0) EXA((7,10))\"), an array of \
-         7 (P), 8 (J) or 10 (T) numbers, or [numbers or index, type, pass, extended joints]; option BSTR: NEXT, \
+        "interpolation I4: 1 joints, 2 line, 3 arc (BSTR \"P1, @E P2\": a point of the circle, and the end); \
+         pose BSTR (\"@E P1\", \"J(0,45,90,0,45,0) EXA((7,10))\"), an array of 7 (P), 8 (J) or 10 (T) numbers, or [numbers or index, type, pass, extended joints]; option BSTR: NEXT, \
          SPEED= (S=), ACCEL=, DECEL= with a number or a variable I, F or D in percent, 0.0001 to 100",
     ),
     (
         FunctionId::ROBOT_DRIVE,
         "axis I4: 1 to 6, and 7 and 8 where the arm has them; value: degrees or mm; option BSTR as for Robot_Move",
+    ),
+    (
+        FunctionId::ROBOT_ROTATE,
+        "plane BSTR: XY, YZ or ZX; degrees; centre BSTR: V(x,y,z) or a variable V; option BSTR: @0, @P, @n, Pose=1 \
+         (the flange turns) or Pose=2 (it does not), and the options of Robot_Move",
     ),
     (FunctionId::ROBOT_SPEED, "axis I4: -1 or 0; speed: percent, 0.0001 to 100"),
     (FunctionId::ROBOT_ACCELERATE, "axis I4: -1 or 0; acceleration and deceleration: percent, 0.0001 to 100"),

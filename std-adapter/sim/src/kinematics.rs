@@ -156,6 +156,33 @@ impl Frame {
     }
 }
 
+impl Frame {
+    /// Returns this frame moved to another position.
+    pub(crate) fn moved_to(&self, position: [f64; 3]) -> Self {
+        Self { position, rotation: self.rotation }
+    }
+
+    /// Returns this frame moved against its approach vector (its z) by a distance in mm.
+    pub(crate) fn withdrawn(&self, distance: f64) -> Self {
+        let position = [0, 1, 2].map(|i| self.position[i] - self.rotation[i][2] * distance);
+        Self { position, rotation: self.rotation }
+    }
+
+    /// Returns this frame turned about an axis (a unit vector) through a point, right-handed.
+    pub(crate) fn turned(&self, centre: [f64; 3], axis: [f64; 3], degrees: f64) -> Self {
+        let turn = about(axis, degrees.to_radians());
+        let arm = [0, 1, 2].map(|i| self.position[i] - centre[i]);
+        let position = [0, 1, 2].map(|i| centre[i] + dot(turn[i], arm));
+        Self { position, rotation: multiply(&turn, &self.rotation) }
+    }
+
+    /// Returns the frame that `offset` is in the coordinates of this one.
+    pub(crate) fn times(&self, offset: &Self) -> Self {
+        let position = [0, 1, 2].map(|i| self.position[i] + dot(self.rotation[i], offset.position));
+        Self { position, rotation: multiply(&self.rotation, &offset.rotation) }
+    }
+}
+
 /// Returns the frame of the flange for these joints.
 pub(crate) fn forward(joints: &Joints) -> Frame {
     let [j1, j2, j3, j4, j5, j6] = *joints;
@@ -333,15 +360,16 @@ fn transpose(a: &Matrix) -> Matrix {
     [0, 1, 2].map(|i| [0, 1, 2].map(|j| a[j][i]))
 }
 
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+pub(crate) fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+pub(crate) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-fn unit(a: [f64; 3]) -> Option<[f64; 3]> {
+/// Returns the vector of length 1 in this direction; `None` for a vector of length 0.
+pub(crate) fn unit(a: [f64; 3]) -> Option<[f64; 3]> {
     let length = dot(a, a).sqrt();
     (length > 1e-6).then(|| a.map(|x| x / length))
 }

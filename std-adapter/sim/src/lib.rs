@@ -23,7 +23,7 @@
 //!
 //! # What answers `E_NOTIMPL`
 //!
-//! Arcs and free curves, Rotate, File_Run, Task_Delete, definitions of tools and work coordinates, logs of positions
+//! Free curves, RotateH, File_Run, Task_Delete, definitions of tools and work coordinates, logs of positions
 //! and of operations, force control. A command that no controller is known to have answers `E_INVALID_CMD_NAME`.
 //! A call that answers `S_OK` has done what it was asked for.
 //!
@@ -66,6 +66,7 @@ pub mod commands;
 mod config;
 mod context;
 mod controller;
+mod curve;
 mod drive;
 mod errors;
 mod executor;

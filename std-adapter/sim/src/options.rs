@@ -5,18 +5,22 @@ use bcap_core::variant::Variant;
 
 /// Iterates over the keys and values; a comma inside brackets belongs to the value.
 pub(crate) fn options(text: &str) -> impl Iterator<Item = (&str, Option<&str>)> {
+    split_outside_brackets(text).map(str::trim).filter(|part| !part.is_empty()).map(|part| match part.split_once('=') {
+        Some((key, value)) => (key.trim(), Some(value.trim())),
+        None => (part, None),
+    })
+}
+
+/// Splits a text at its commas, except those inside brackets.
+pub(crate) fn split_outside_brackets(text: &str) -> impl Iterator<Item = &str> {
     let mut depth = 0_i32;
-    let parts = text.split(move |c| {
+    text.split(move |c| {
         match c {
             '(' | '[' | '{' | '<' => depth += 1,
             ')' | ']' | '}' | '>' => depth -= 1,
             _ => {}
         }
         c == ',' && depth <= 0
-    });
-    parts.map(str::trim).filter(|part| !part.is_empty()).map(|part| match part.split_once('=') {
-        Some((key, value)) => (key.trim(), Some(value.trim())),
-        None => (part, None),
     })
 }
 

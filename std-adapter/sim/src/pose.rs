@@ -11,6 +11,8 @@
 //! Types are 0 P, 1 T, 2 J. The pass is `@P` (-1), `@E` (-2), `@0` or `@n`; [`arm`](crate::arm) says what it does. As
 //! text it may also stand before the type, as in a public sample program: `[[...], "@E", "P"]`. If a P has no Fig or a negative one, the arm takes the nearest posture.
 //!
+//! An arc has two poses in one text, `"P1, @E P2"`: the point on the circle, and the end.
+//!
 //! Extended joints may follow the pose: `"P1 EX((7, 30.5))"`, or `[1, [7, 30.5]]` as the fourth element. With 1 or EX
 //! the values are relative to the position of the axis, with 2 or EXA to its zero.
 
@@ -20,7 +22,7 @@ use bcap_core::variant::{Array, Variant};
 
 use crate::drive::Drive;
 use crate::kinematics::{Frame, Joints, OutOfReach, inverse, inverse_nearest, out_of_range};
-use crate::options::{Pass, pass_item, split_pass};
+use crate::options::{Pass, pass_item, split_outside_brackets, split_pass};
 use crate::value::{number, numbers, numbers_of_text, whole};
 use crate::variables::{Family, Variables, parse_name};
 
@@ -57,6 +59,20 @@ impl Target {
                 Ok(Self { pose, extended: None, pass: Pass::Stop })
             }
             _ => Err(HResult::E_INVALIDARGTYPE),
+        }
+    }
+
+    /// Reads two poses in text, of which the second has the pass: `P1, @E P2`.
+    pub(crate) fn parse_two(value: &Variant<'_>, vars: &Variables) -> Result<(Pose, Self), HResult> {
+        let Variant::Bstr(text) = value.flatten() else { return Err(HResult::E_INVALIDARGTYPE) };
+        let text = text.to_string();
+        let mut poses = split_outside_brackets(&text);
+        let (Some(via), Some(end), None) = (poses.next(), poses.next(), poses.next()) else {
+            return Err(HResult::E_INVALIDARG);
+        };
+        match (Self::parse_text(via, vars)?, Self::parse_text(end, vars)?) {
+            (Self { pose, extended: None, pass: Pass::Stop }, end @ Self { extended: None, .. }) => Ok((pose, end)),
+            _ => Err(HResult::E_INVALIDARG),
         }
     }
 

@@ -2,6 +2,7 @@
 
 use bcap_core::hresult::HResult;
 
+use crate::curve::{Arc, Point};
 use crate::drive::Drive;
 use crate::kinematics::{Axes, Frame, Joints, OutOfReach, figure, forward, out_of_range, six, with_joints};
 use crate::motion::Path;
@@ -18,6 +19,12 @@ pub(crate) enum Route {
     Turn(Drive),
     /// To these joints; the extended joints stay.
     Home(Joints),
+    /// To a pose on a circle through a point. The flange turns evenly to the orientation of the pose.
+    Arc(Point, Pose),
+    /// Against the approach vector by a distance in mm, on a line or by the joints.
+    Depart { distance: f64, line: bool },
+    /// On a circle about an axis, with the flange turning like the circle or not at all.
+    Rotate { arc: Arc, turns: bool },
 }
 
 /// Why a route cannot be followed.
@@ -53,6 +60,19 @@ impl Route {
             Self::Line(pose, extended) => line(here, pose, &turned(extended, here)),
             Self::Turn(drive) => axes(drive.apply(here)),
             Self::Home(joints) => axes(with_joints(joints, here)),
+            Self::Arc(via, pose) => arc(here, *via, pose),
+            Self::Depart { distance, line: straight } => {
+                let pose = Pose::Frame(forward(&six(here)).withdrawn(*distance), None);
+                if *straight { line(here, &pose, here) } else { Self::Joints(pose, None).path(here) }
+            }
+            Self::Rotate { arc, turns } => {
+                let from = forward(&six(here));
+                let size = (arc.length(from.position), if *turns { arc.degrees.abs() } else { 0.0 });
+                Ok(Path::along(*here, here, size, |part| {
+                    let turned = from.turned(arc.centre, arc.axis, arc.degrees * part);
+                    if *turns { turned } else { from.moved_to(turned.position) }
+                })?)
+            }
         }
     }
 }
@@ -73,8 +93,20 @@ fn line(here: &Axes, pose: &Pose, extended: &Axes) -> Result<Path, Blocked> {
     keeps_posture(path, fig)
 }
 
+/// Plans an arc, on which the posture cannot change.
+fn arc(here: &Axes, via: Point, pose: &Pose) -> Result<Path, Blocked> {
+    let (from, (to, fig)) = (forward(&six(here)), frame_of(pose));
+    let arc = Arc::through(from.position, via, to.position).ok_or(Blocked::Invalid)?;
+    let size = (arc.length(from.position), from.distance(&to).1);
+    let path = Path::along(*here, here, size, |part| {
+        let position = from.turned(arc.centre, arc.axis, arc.degrees * part).position;
+        from.towards(&to, part).moved_to(position)
+    })?;
+    keeps_posture(path, fig)
+}
+
 /// Returns the frame of a pose, and its Fig if it has one.
-fn frame_of(pose: &Pose) -> (Frame, Option<u8>) {
+pub(crate) fn frame_of(pose: &Pose) -> (Frame, Option<u8>) {
     match pose {
         Pose::Joints(joints) => (forward(joints), None),
         Pose::Frame(frame, fig) => (*frame, *fig),

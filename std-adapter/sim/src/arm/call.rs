@@ -28,6 +28,7 @@ impl Arm {
                 let drive = Drive::relative(request.int(1), request.float(2))?;
                 moves::drive(&mut self.robot, ctx, drive, &request.text(3).to_string())
             }
+            FunctionId::ROBOT_ROTATE => moves::rotate(&mut self.robot, ctx, request),
             FunctionId::ROBOT_GO_HOME => moves::go_home(&mut self.robot, ctx),
             FunctionId::ROBOT_HALT => Ok(match self.halt(ctx.config, ctx.now, ctx.waits) {
                 // answered at rest, so that a motion that follows is not refused

@@ -86,6 +86,10 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
         .accepts("a speed, [speed, accel] or [speed, accel, decel], in percent, 0.0001 to 100"),
     command("DriveEx", |arm, ctx, param| moves::drive_command(&mut arm.robot, ctx, false, param)).accepts(DRIVE),
     command("DriveAEx", |arm, ctx, param| moves::drive_command(&mut arm.robot, ctx, true, param)).accepts(DRIVE),
+    command("Approach", |arm, ctx, param| moves::approach(&mut arm.robot, ctx, param))
+        .accepts("[interpolation, pose, length] or [..., option]: interpolation 1 or 2; length in mm: a number, \"@P 30\", or [30, \"\", \"@P\"]"),
+    command("Depart", |arm, ctx, param| moves::depart(&mut arm.robot, ctx, param))
+        .accepts("[interpolation, length] or [..., option]: interpolation 1 or 2; length in mm: a number, \"@P 30\", or [30, \"\", \"@P\"]"),
     command("MotionSkip", motion_skip).accepts("nothing, the group, or [group, mode]: group 0 or -1, mode 0 to 3"),
     command("MotionComplete", motion_complete)
         .accepts("nothing, the group, or [group, mode]: group 0 or -1, mode 0 (commands) or 1 (motion)"),
@@ -118,8 +122,6 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     Command::missing("OutRange"),
     Command::missing("Dev"),
     Command::missing("DevH"),
-    Command::missing("Approach"),
-    Command::missing("Depart"),
     Command::missing("ConvertPosWork"),
     Command::missing("GetToolDef"),
     Command::missing("SetToolDef"),

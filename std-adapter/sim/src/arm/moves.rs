@@ -2,16 +2,19 @@
 
 use bcap_core::bcap::server::Request;
 use bcap_core::hresult::HResult;
+use bcap_core::rac::VariableKind;
 use bcap_core::variant::Variant;
 
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
+use crate::curve::{Arc, Point};
 use crate::drive::Drive;
-use crate::options::{Pass, options};
-use crate::pose::Target;
+use crate::options::{Pass, options, pass_item, pass_of_text, split_outside_brackets, split_pass};
+use crate::pose::{Pose, Target};
 use crate::robot::{Percent, Robot, percent};
-use crate::route::{Blocked, Route};
-use crate::variables::Variables;
+use crate::route::{Blocked, Route, frame_of};
+use crate::value::{number, numbers_of_text};
+use crate::variables::{Family, Variables, parse_name};
 use crate::waits::Wait;
 
 /// Whose internal speed a motion has.
@@ -19,6 +22,12 @@ use crate::waits::Wait;
 pub(super) enum Speed {
     Line,
     Joints,
+}
+
+impl Speed {
+    const fn of(line: bool) -> Self {
+        if line { Self::Line } else { Self::Joints }
+    }
 }
 
 /// The options of a motion.
@@ -31,17 +40,130 @@ struct MoveOptions {
 /// Executes Robot_Move.
 pub(super) fn move_to(robot: &mut Robot, ctx: &mut Context<'_>, request: &Request<'_>) -> Answered {
     let option = request.text(3).to_string();
-    let interpolation = request.int(1);
-    if ![1, 2].contains(&interpolation) {
-        return Err(if [3, 4].contains(&interpolation) { HResult::E_NOTIMPL } else { HResult::E_INVALIDARG });
+    let pose = request.value(2);
+    match request.int(1) {
+        interpolation @ (1 | 2) => {
+            let Target { pose, extended, pass } = Target::parse(&pose, ctx.variables)?;
+            if let Some(drive) = &extended {
+                drive.check(ctx.config.extended_axes)?;
+            }
+            match interpolation {
+                1 => start(robot, ctx, (Route::Joints(pose, extended), pass), Speed::Joints, &option),
+                _ => start(robot, ctx, (Route::Line(pose, extended), pass), Speed::Line, &option),
+            }
+        }
+        3 => {
+            let (via, Target { pose, pass, .. }) = Target::parse_two(&pose, ctx.variables)?;
+            start(robot, ctx, (Route::Arc(frame_of(&via).0.position, pose), pass), Speed::Line, &option)
+        }
+        4 => Err(HResult::E_NOTIMPL),
+        _ => Err(HResult::E_INVALIDARG),
     }
-    let Target { pose, extended, pass } = Target::parse(&request.value(2), ctx.variables)?;
-    if let Some(drive) = &extended {
-        drive.check(ctx.config.extended_axes)?;
+}
+
+/// Executes Approach: `[interpolation, pose, length]`, perhaps with a motion option after them.
+pub(super) fn approach(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let (line, [pose, length, option]) = straight_or_not(param)?;
+    let (distance, pass) = length_and_pass(&length)?;
+    let (frame, fig) = frame_of(&Pose::parse(&pose, ctx.variables)?);
+    let pose = Pose::Frame(frame.withdrawn(distance), fig);
+    let route = if line { Route::Line(pose, None) } else { Route::Joints(pose, None) };
+    start(robot, ctx, (route, pass), Speed::of(line), &text_or_nothing(&option)?)
+}
+
+/// Executes Depart: `[interpolation, length]`, perhaps with a motion option after them.
+pub(super) fn depart(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let (line, [length, option]) = straight_or_not(param)?;
+    let (distance, pass) = length_and_pass(&length)?;
+    start(robot, ctx, (Route::Depart { distance, line }, pass), Speed::of(line), &text_or_nothing(&option)?)
+}
+
+/// Executes Robot_Rotate.
+pub(super) fn rotate(robot: &mut Robot, ctx: &mut Context<'_>, request: &Request<'_>) -> Answered {
+    let axis = match request.text(1).to_string().trim().to_ascii_uppercase().as_str() {
+        "XY" => [0.0, 0.0, 1.0],
+        "YZ" => [1.0, 0.0, 0.0],
+        "ZX" => [0.0, 1.0, 0.0],
+        _ => return Err(HResult::E_INVALIDARG),
+    };
+    let degrees = request.float(2);
+    if !degrees.is_finite() {
+        return Err(HResult::E_INVALIDARG);
     }
-    match interpolation {
-        1 => start(robot, ctx, (Route::Joints(pose, extended), pass), Speed::Joints, &option),
-        _ => start(robot, ctx, (Route::Line(pose, extended), pass), Speed::Line, &option),
+    let centre = point(&request.text(3).to_string(), ctx.variables)?;
+    let (mut turns, mut pass) = (true, Pass::Stop);
+    let option = request.text(4).to_string();
+    let mut others = Vec::new();
+    for part in split_outside_brackets(&option) {
+        let (key, value) = part.split_once('=').map_or((part, None), |(key, value)| (key, Some(value.trim())));
+        match (key.trim().to_ascii_uppercase().as_str(), value) {
+            ("POSE", Some("1")) => turns = true,
+            ("POSE", Some("2")) => turns = false,
+            (text, None) if text.starts_with('@') => pass = pass_of_text(text)?,
+            _ => others.push(part),
+        }
+    }
+    let route = Route::Rotate { arc: Arc { centre, axis, degrees }, turns };
+    start(robot, ctx, (route, pass), Speed::Line, &others.join(","))
+}
+
+/// Reads the interpolation and the other elements of a parameter; elements at its end may be absent.
+fn straight_or_not<'v, const N: usize>(param: &Variant<'v>) -> Result<(bool, [Variant<'v>; N]), HResult> {
+    let Variant::Array(array) = param.flatten() else { return Err(HResult::E_INVALIDARGTYPE) };
+    if array.len() > N + 1 {
+        return Err(HResult::E_INVALIDARG);
+    }
+    let item = |n: usize| array.get(n).unwrap_or(Variant::Empty).flatten();
+    let line = match item(0).as_i32() {
+        Some(1) => false,
+        Some(2) => true,
+        _ => return Err(HResult::E_INVALIDARG),
+    };
+    let mut others = [Variant::Empty; N];
+    others.iter_mut().enumerate().for_each(|(n, other)| *other = item(n + 1));
+    Ok((line, others))
+}
+
+/// Reads a length in mm and its pass: a number, `"@P 30"`, or `[30, "", "@P"]`.
+fn length_and_pass(value: &Variant<'_>) -> Result<(f64, Pass), HResult> {
+    let (length, pass) = match value.flatten() {
+        Variant::Bstr(text) => {
+            let text = text.to_string();
+            let (pass, length) = split_pass(&text)?;
+            (length.parse().map_err(|_| HResult::E_INVALIDARG)?, pass)
+        }
+        Variant::Array(array) if array.len() <= 3 => {
+            let item = |n: usize| array.get(n).unwrap_or(Variant::Empty);
+            if !text_or_nothing(&item(1))?.trim().is_empty() {
+                return Err(HResult::E_INVALIDARG);
+            }
+            (number(&item(0).flatten()).ok_or(HResult::E_INVALIDARGTYPE)?, pass_item(&item(2))?)
+        }
+        other => (number(&other).ok_or(HResult::E_INVALIDARGTYPE)?, Pass::Stop),
+    };
+    if length.is_finite() { Ok((length, pass)) } else { Err(HResult::E_INVALIDARG) }
+}
+
+/// Reads a point: `V(1, 2, 3)`, or a variable V.
+fn point(text: &str, variables: &Variables) -> Result<Point, HResult> {
+    let text = text.trim();
+    let numbers = match parse_name(text) {
+        Some((Family::Plain(VariableKind::V), Some(index))) => variables.pose(VariableKind::V, index)?,
+        Some(_) => return Err(HResult::E_INVALIDARG),
+        None => {
+            let list = text.strip_prefix(['V', 'v']).map(str::trim).and_then(|rest| rest.strip_prefix('('));
+            numbers_of_text(list.and_then(|rest| rest.strip_suffix(')')).ok_or(HResult::E_INVALIDARG)?)?
+        }
+    };
+    let point: Point = numbers.try_into().map_err(|_| HResult::E_INVALIDARG)?;
+    if point.iter().all(|n| n.is_finite()) { Ok(point) } else { Err(HResult::E_INVALIDARG) }
+}
+
+fn text_or_nothing(value: &Variant<'_>) -> Result<String, HResult> {
+    match value.flatten() {
+        Variant::Bstr(text) => Ok(text.to_string()),
+        Variant::Empty | Variant::Null => Ok(String::new()),
+        _ => Err(HResult::E_INVALIDARGTYPE),
     }
 }
 

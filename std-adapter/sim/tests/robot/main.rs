@@ -3,6 +3,7 @@
 mod authority;
 #[path = "../common/mod.rs"]
 mod common;
+mod curves;
 mod drives;
 mod motions;
 mod queue;

@@ -35,7 +35,7 @@ fn command(world: &mut World, client: Client, random: &mut fastrand::Rng) -> HRe
         }
     };
     let pass = pass(random);
-    match random.u32(0..8) {
+    match random.u32(0..11) {
         0..4 => {
             let joints: Vec<_> = (0..6).map(|axis| joint(random, axis).to_string()).collect();
             let extended =
@@ -47,6 +47,19 @@ fn command(world: &mut World, client: Client, random: &mut fastrand::Rng) -> HRe
             let [x, y, z] = [(250.0, 400.0), (-200.0, 200.0), (250.0, 400.0)].map(|(a, b)| a + (b - a) * random.f64());
             let pose = format!("{pass}P({x},{y},{z},180,0,180,-1)");
             world.call(client.peer, call::robot_move(client.robot, random.i32(1..=2), pose.as_str(), &option)).0
+        }
+        6 => {
+            let length = format!("{pass}{}", random.i32(-50..=100));
+            let depart = (random.i32(1..=2), length.as_str(), option.as_str());
+            world.call(client.peer, call::robot_execute(client.robot, "Depart", depart)).0
+        }
+        7 => {
+            let poses = format!("P(350,{},300,180,0,180,-1), {pass}P(300,0,400,180,0,180,-1)", random.i32(-90..=90));
+            world.call(client.peer, call::robot_move(client.robot, 3, poses.as_str(), &option)).0
+        }
+        8 => {
+            let turn = call::robot_rotate(client.robot, "XY", random.f32() * 90.0 - 45.0, "V(0,0,0)", &option);
+            world.call(client.peer, turn).0
         }
         _ => {
             let axis = random.usize(0..6);
