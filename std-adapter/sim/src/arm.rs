@@ -50,7 +50,7 @@
 //! | GiveArm                         | -                           | EMPTY; `S_FALSE` without it                      |
 //! | TakeArmState                    | group or -1                 | I4: the group this client holds, -1 for none     |
 //! | Motor                           | \[state, no wait\] or state | EMPTY when the motor is on; at once with no wait |
-//! | ExtSpeed                        | \[speed, accel, decel\]     | EMPTY; accel, decel default to speed² / 100      |
+//! | ExtSpeed                        | \[speed, accel, decel\]     | EMPTY; accel, decel: -1 keeps, -2 speed² / 100   |
 //! | DriveEx, DriveAEx               | \[pairs, option\] or pairs  | EMPTY; turns axes by, or to, a value             |
 //! | Approach                        | \[1 or 2, pose, length\]     | EMPTY; to a pose before this one                 |
 //! | Depart                          | \[1 or 2, length\]           | EMPTY; away from the present pose                |
@@ -68,6 +68,8 @@
 //! | GetRobotTypeName                | -                           | BSTR: the robot's type                           |
 //! | RobInfo                         | I4: 1                       | BSTR: likewise; other numbers `E_NOTIMPL`        |
 //! | J2P J2T P2J P2T T2J T2P         | a pose                      | R8 array                                         |
+//! | Dev, DevH                       | \[pose, offset\]            | R8\[7\]: offset in the base, in the flange       |
+//! | OutRange                        | pose or \[pose, -1, -1\]    | I4: 0, or bit n-1 of axis n                      |
 //! | slvMove, slvChangeMode, ...     | see [`slave`]               |                                                  |
 //! | MotionPreparation, ...          | see [`preparation`](crate::preparation) |                                      |
 //!
@@ -91,6 +93,7 @@
 mod call;
 pub(crate) mod commands;
 mod moves;
+mod poses;
 mod readings;
 pub(crate) mod variables;
 

@@ -176,6 +176,12 @@ impl Frame {
         Self { position, rotation: multiply(&turn, &self.rotation) }
     }
 
+    /// Returns this frame moved and turned by `offset` in the coordinates in which both are given.
+    pub(crate) fn displaced(&self, offset: &Self) -> Self {
+        let position = [0, 1, 2].map(|i| self.position[i] + offset.position[i]);
+        Self { position, rotation: multiply(&offset.rotation, &self.rotation) }
+    }
+
     /// Returns the frame that `offset` is in the coordinates of this one.
     pub(crate) fn times(&self, offset: &Self) -> Self {
         let position = [0, 1, 2].map(|i| self.position[i] + dot(self.rotation[i], offset.position));
@@ -403,6 +409,12 @@ fn about(axis: [f64; 3], angle: f64) -> Matrix {
     ]
 }
 
+/// Rounds numbers to what a controller can measure: 1e-6 mm or degrees.
+pub(crate) fn measured<const N: usize>(numbers: [f64; N]) -> Vec<f64> {
+    // + 0.0 makes 0 of -0
+    numbers.iter().map(|n| (n * 1e6).round() / 1e6 + 0.0).collect()
+}
+
 /// Returns X Y Z RX RY RZ Fig of joints.
 pub(crate) fn position(joints: &Joints) -> Vec<f64> {
     pose_numbers(&forward(joints), figure(joints))
@@ -410,23 +422,23 @@ pub(crate) fn position(joints: &Joints) -> Vec<f64> {
 
 /// Returns X Y Z RX RY RZ Fig.
 pub(crate) fn pose_numbers(frame: &Frame, fig: u8) -> Vec<f64> {
-    let mut numbers = frame.to_xyz_rpy().to_vec();
-    numbers.push(f64::from(fig));
-    numbers
+    let [x, y, z, rx, ry, rz] = frame.to_xyz_rpy();
+    measured([x, y, z, rx, ry, rz, f64::from(fig)])
 }
 
 /// Returns position, orient vector, approach vector and Fig of joints.
 pub(crate) fn trans(joints: &Joints) -> Vec<f64> {
-    let mut numbers = forward(joints).to_trans().to_vec();
+    let [x, y, z, vectors @ ..] = forward(joints).to_trans();
+    let mut numbers = measured([x, y, z]);
+    // the components of a unit vector, 1e-9 of which are less than 1e-6 degrees
+    numbers.extend(vectors.map(|n| (n * 1e9).round() / 1e9 + 0.0));
     numbers.push(f64::from(figure(joints)));
     numbers
 }
 
 /// Returns J1 to J8 of six joints; axes 7 and 8 are 0.
 pub(crate) fn angle(joints: &Joints) -> Vec<f64> {
-    let mut numbers = joints.to_vec();
-    numbers.resize(8, 0.0);
-    numbers
+    measured(with_joints(joints, &[0.0; 8]))
 }
 
 #[cfg(test)]

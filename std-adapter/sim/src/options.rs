@@ -1,7 +1,25 @@
 //! Option strings, `KEY=VALUE, KEY`, whose keys ignore case; and the pass of a motion.
+//!
+//! | function                         | options that public programs send                         |
+//! |----------------------------------|-----------------------------------------------------------|
+//! | Service_Start                    | `WDT=`, `InvokeTimeout=`                                  |
+//! | Controller_Connect               | `@IfNotMember`, `@EventDisable=`, `WPJ=`, `Interval=`, `Server=` |
+//! | Controller_GetRobot              | `ID=`, `@IfNotMember`                                     |
+//! | Controller_GetFile, File_GetFile | `@Create=`, `@IfNotMember`                                |
+//! | the other functions that open an object | `@IfNotMember`                                     |
+//! | Task_Start, Task_Stop            | none                                                      |
+//! | motions                          | see [`arm`](crate::arm)                                   |
+//!
+//! Another option is refused with `E_INVALIDARG`, so that a misspelt one does not pass unnoticed; no source has a code.
+//! A [lenient](crate::Config::lenient) controller ignores it and tells the [observer](crate::explain::Observer). An
+//! unknown option of Service_Start is always ignored, because the vendor's server library ignores it.
 
+use bcap_core::bcap::FunctionId;
+use bcap_core::bcap::server::Request;
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
+
+use crate::config::Config;
 
 /// Iterates over the keys and values; a comma inside brackets belongs to the value.
 pub(crate) fn options(text: &str) -> impl Iterator<Item = (&str, Option<&str>)> {
@@ -9,6 +27,45 @@ pub(crate) fn options(text: &str) -> impl Iterator<Item = (&str, Option<&str>)> 
         Some((key, value)) => (key.trim(), Some(value.trim())),
         None => (part, None),
     })
+}
+
+/// The functions whose options are checked: the place of the option among the arguments, and the known keys.
+const KNOWN: &[(FunctionId, usize, &[&str])] = &[
+    (FunctionId::SERVICE_START, 0, &["WDT", "InvokeTimeout"]),
+    (FunctionId::CONTROLLER_CONNECT, 3, &["@IfNotMember", "@EventDisable", "WPJ", "Interval", "Server"]),
+    (FunctionId::CONTROLLER_GET_ROBOT, 2, &["ID", "@IfNotMember"]),
+    (FunctionId::CONTROLLER_GET_FILE, 2, &["@Create", "@IfNotMember"]),
+    (FunctionId::FILE_GET_FILE, 2, &["@Create", "@IfNotMember"]),
+    (FunctionId::CONTROLLER_GET_VARIABLE, 2, IF_NOT_MEMBER),
+    (FunctionId::ROBOT_GET_VARIABLE, 2, IF_NOT_MEMBER),
+    (FunctionId::TASK_GET_VARIABLE, 2, IF_NOT_MEMBER),
+    (FunctionId::CONTROLLER_GET_TASK, 2, IF_NOT_MEMBER),
+    (FunctionId::CONTROLLER_GET_EXTENSION, 2, IF_NOT_MEMBER),
+    (FunctionId::CONTROLLER_GET_COMMAND, 2, IF_NOT_MEMBER),
+    (FunctionId::TASK_START, 2, &[]),
+    (FunctionId::TASK_STOP, 2, &[]),
+];
+
+const IF_NOT_MEMBER: &[&str] = &["@IfNotMember"];
+
+/// Checks the options of a request that are not those of a motion.
+///
+/// # Errors
+///
+/// `E_INVALIDARG` for an unknown option, unless the controller is lenient.
+pub(crate) fn check(config: &Config, request: &Request<'_>) -> Result<(), HResult> {
+    let Some((function, place, known)) = KNOWN.iter().find(|(function, ..)| *function == request.function) else {
+        return Ok(());
+    };
+    let text = request.text(*place).to_string();
+    for (key, _) in options(&text).filter(|(key, _)| !known.iter().any(|known| known.eq_ignore_ascii_case(key))) {
+        if *function == FunctionId::SERVICE_START {
+            config.observer.tolerated(&format!("{function}: unknown option {key:?} is ignored"));
+        } else {
+            config.unknown_option(&function.to_string(), key)?;
+        }
+    }
+    Ok(())
 }
 
 /// Splits a text at its commas, except those inside brackets.

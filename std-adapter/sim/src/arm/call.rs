@@ -84,10 +84,12 @@ impl Arm {
     }
 
     fn set_acceleration(&mut self, ctx: &mut Context<'_>, axis: i32, accel: f64, decel: f64) -> Answered {
-        let (accel, decel) = (percent(accel)?, percent(decel)?);
+        // -1 keeps the value
+        let chosen = |value: f64| if value == -1.0 { Ok(None) } else { percent(value).map(Some) };
+        let (accel, decel) = (chosen(accel)?, chosen(decel)?);
         self.robot.may_set(ctx)?;
         let settings = self.robot.settings_mut();
-        let set = |of: &mut Percent| (of.accel, of.decel) = (accel, decel);
+        let set = |of: &mut Percent| (of.accel, of.decel) = (accel.unwrap_or(of.accel), decel.unwrap_or(of.decel));
         match axis {
             -1 => set(&mut settings.line),
             0 => {}

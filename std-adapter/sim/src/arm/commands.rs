@@ -5,12 +5,10 @@ use bcap_core::rac::VariableKind as Kind;
 use bcap_core::variant::Variant;
 
 use super::readings::{self, Reading};
-use super::{Arm, moves};
+use super::{Arm, moves, poses};
 use crate::answer::{Answer, Answered};
 use crate::config::Profile;
 use crate::context::Context;
-use crate::kinematics::{angle, figure, pose_numbers, position, trans};
-use crate::pose::Pose;
 use crate::robot::{Percent, percent};
 use crate::slave;
 use crate::table::Command;
@@ -37,6 +35,7 @@ const fn command(name: &'static str, execute: Execute) -> Command<Handler> {
 
 const DRIVE: &str = "pairs or [pairs, option]: pairs are \"@E (axis, value), ...\" or [[axis, value], ...], with axes \
                      1 to 6, and 7 and 8 where the arm has them; option as for Robot_Move";
+const DEVIATION: &str = "[pose, offset]: two poses in any form, the offset a P or a T";
 const JOINTS: &str = "6 to 8 numbers in degrees, \"J(...)\", \"J1\" or [numbers, \"J\"]";
 const POSITION: &str = "6 or 7 numbers (X Y Z RX RY RZ Fig), \"P(...)\", \"P1\" or [numbers, \"P\"]";
 const TRANS: &str = "9 or 10 numbers (position, orient, approach, Fig), \"T(...)\", \"T1\" or [numbers, \"T\"]";
@@ -72,18 +71,21 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     read("CurWork", readings::work),
     read("GetRobotTypeName", readings::robot_type),
     command("RobInfo", robot_info).accepts("one number: 1"),
-    command("J2P", |arm, ctx, param| convert(arm, ctx, Kind::J, Kind::P, param)).accepts(JOINTS),
-    command("J2T", |arm, ctx, param| convert(arm, ctx, Kind::J, Kind::T, param)).accepts(JOINTS),
-    command("P2J", |arm, ctx, param| convert(arm, ctx, Kind::P, Kind::J, param)).accepts(POSITION),
-    command("P2T", |arm, ctx, param| convert(arm, ctx, Kind::P, Kind::T, param)).accepts(POSITION),
-    command("T2J", |arm, ctx, param| convert(arm, ctx, Kind::T, Kind::J, param)).accepts(TRANS),
-    command("T2P", |arm, ctx, param| convert(arm, ctx, Kind::T, Kind::P, param)).accepts(TRANS),
+    command("J2P", |arm, ctx, param| poses::convert(arm, ctx, Kind::J, Kind::P, param)).accepts(JOINTS),
+    command("J2T", |arm, ctx, param| poses::convert(arm, ctx, Kind::J, Kind::T, param)).accepts(JOINTS),
+    command("P2J", |arm, ctx, param| poses::convert(arm, ctx, Kind::P, Kind::J, param)).accepts(POSITION),
+    command("P2T", |arm, ctx, param| poses::convert(arm, ctx, Kind::P, Kind::T, param)).accepts(POSITION),
+    command("T2J", |arm, ctx, param| poses::convert(arm, ctx, Kind::T, Kind::J, param)).accepts(TRANS),
+    command("T2P", |arm, ctx, param| poses::convert(arm, ctx, Kind::T, Kind::P, param)).accepts(TRANS),
+    command("Dev", |arm, ctx, param| poses::deviation(arm, ctx, param, false)).accepts(DEVIATION),
+    command("DevH", |arm, ctx, param| poses::deviation(arm, ctx, param, true)).accepts(DEVIATION),
+    command("OutRange", poses::out_range).accepts("a pose, or [pose, tool, work]: tool and work -1, as text, or as an array with its type"),
     command("TakeArm", take_arm).accepts("nothing, the group, or [group, keep]: group 0, keep 0 or 1"),
     command("GiveArm", give_arm).resumes(Handler::Execute(give_arm)),
     command("TakeArmState", arm_state).accepts("nothing, or one number: the group 0, or -1"),
     command("Motor", motor).accepts(MOTOR),
     command("ExtSpeed", external_speed)
-        .accepts("a speed, [speed, accel] or [speed, accel, decel], in percent, 0.0001 to 100"),
+        .accepts("a speed, [speed, accel] or [speed, accel, decel], in percent, 0.0001 to 100; accel, decel -1 or -2"),
     command("DriveEx", |arm, ctx, param| moves::drive_command(&mut arm.robot, ctx, false, param)).accepts(DRIVE),
     command("DriveAEx", |arm, ctx, param| moves::drive_command(&mut arm.robot, ctx, true, param)).accepts(DRIVE),
     command("Approach", |arm, ctx, param| moves::approach(&mut arm.robot, ctx, param))
@@ -119,9 +121,6 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
         .of(Profile::needs_preparation),
     command("AutoCal", |arm, ctx, _| arm.preparation.calibrate(ctx)).of(Profile::needs_preparation),
     Command::missing("GetSrvData"),
-    Command::missing("OutRange"),
-    Command::missing("Dev"),
-    Command::missing("DevH"),
     Command::missing("ConvertPosWork"),
     Command::missing("GetToolDef"),
     Command::missing("SetToolDef"),
@@ -151,21 +150,6 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
 
 /// The parameter of Motor.
 pub(crate) const MOTOR: &str = "one number or BOOL: 0 off, otherwise on; or [state, no wait]";
-
-/// Converts a pose to another kind; of several postures, takes the nearest to the robot's.
-fn convert(arm: &Arm, ctx: &Context<'_>, from: Kind, to: Kind, param: &Variant<'_>) -> Answered {
-    let near = arm.robot.joints(ctx.now);
-    let pose = Pose::parse_as(from, param, ctx.variables)?;
-    // an argument out of reach is no error of the controller
-    let joints = pose.joints(&near).map_err(|error| error.code())?;
-    Ok(Value::R8s(match (to, pose) {
-        (Kind::P, Pose::Frame(frame, _)) => pose_numbers(&frame, figure(&joints)),
-        (Kind::P, Pose::Joints(_)) => position(&joints),
-        (Kind::T, _) => trans(&joints),
-        _ => angle(&joints),
-    })
-    .into())
-}
 
 fn take_arm(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let (group, keep) = match numbers(param)?.as_slice() {
@@ -252,11 +236,21 @@ fn robot_info(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answ
 fn external_speed(arm: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let given = numbers(param)?;
     let [speed, rest @ ..] = given.as_slice() else { return Err(HResult::E_INVALIDARG) };
-    let mut external = Percent::of_speed(percent(*speed)?);
+    let square = Percent::of_speed(percent(*speed)?);
+    let present = arm.robot.settings().external;
+    // -1 keeps the value, -2 derives it from the speed
+    let chosen = |given: f64, present: f32, derived: f32| match given {
+        -1.0 => Ok(present),
+        -2.0 => Ok(derived),
+        value => percent(value),
+    };
+    let mut external = square;
+    if let [accel, ..] = rest {
+        external.accel = chosen(*accel, present.accel, square.accel)?;
+    }
     match rest {
-        [] => {}
-        [accel] => external.accel = percent(*accel)?,
-        [accel, decel] => (external.accel, external.decel) = (percent(*accel)?, percent(*decel)?),
+        [] | [_] => {}
+        [_, decel] => external.decel = chosen(*decel, present.decel, square.decel)?,
         _ => return Err(HResult::E_INVALIDARG),
     }
     arm.robot.settings_mut().external = external;

@@ -196,7 +196,7 @@ pub(super) fn go_home(robot: &mut Robot, ctx: &mut Context<'_>) -> Answered {
 /// Starts a motion, or adds it to those under way. Without NEXT, the call is answered at its end.
 fn start(robot: &mut Robot, ctx: &mut Context<'_>, way: (Route, Pass), speed: Speed, option: &str) -> Answered {
     let internal = if speed == Speed::Line { robot.settings().line } else { robot.settings().joint };
-    let options = MoveOptions::read(option, internal, ctx.variables)?;
+    let options = MoveOptions::read(option, internal, ctx)?;
     match robot.may_move(ctx) {
         Err(HResult::E_ROBOTISBUSY) if robot.may_follow(ctx.peer) => {}
         checked => checked?,
@@ -220,11 +220,11 @@ pub(super) fn refuse(ctx: &mut Context<'_>, blocked: Blocked) -> HResult {
 }
 
 impl MoveOptions {
-    fn read(text: &str, internal: Percent, variables: &Variables) -> Result<Self, HResult> {
+    fn read(text: &str, internal: Percent, ctx: &Context<'_>) -> Result<Self, HResult> {
         let mut read = Self { internal, next: false };
         for (key, value) in options(text) {
             let scaled = |base: f32| -> Result<f32, HResult> {
-                let value = variables.number_of_text(value.ok_or(HResult::E_INVALIDARG)?)?;
+                let value = ctx.variables.number_of_text(value.ok_or(HResult::E_INVALIDARG)?)?;
                 Ok(base * percent(value)? / 100.0)
             };
             match key.to_ascii_uppercase().as_str() {
@@ -232,7 +232,7 @@ impl MoveOptions {
                 "SPEED" | "S" => read.internal.speed = scaled(internal.speed)?,
                 "ACCEL" => read.internal.accel = scaled(internal.accel)?,
                 "DECEL" => read.internal.decel = scaled(internal.decel)?,
-                _ => return Err(HResult::E_INVALIDARG),
+                _ => ctx.config.unknown_option("a motion", key)?,
             }
         }
         Ok(read)

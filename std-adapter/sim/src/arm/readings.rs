@@ -2,7 +2,7 @@
 
 use super::Arm;
 use crate::context::Context;
-use crate::kinematics::{figure, position, six, trans};
+use crate::kinematics::{figure, measured, position, six, trans};
 use crate::value::Value;
 
 /// Reads a value of the arm.
@@ -13,7 +13,7 @@ pub(super) fn current_position(arm: &Arm, ctx: &Context<'_>) -> Value {
 }
 
 pub(super) fn current_angle(arm: &Arm, ctx: &Context<'_>) -> Value {
-    Value::R8s(arm.robot.axes(ctx.now).to_vec())
+    Value::R8s(measured(arm.robot.axes(ctx.now)))
 }
 
 pub(super) fn current_trans(arm: &Arm, ctx: &Context<'_>) -> Value {
@@ -46,7 +46,7 @@ pub(super) fn target_position(arm: &Arm, _: &Context<'_>) -> Value {
 }
 
 pub(super) fn target_angle(arm: &Arm, _: &Context<'_>) -> Value {
-    Value::R8s(arm.robot.destination().to_vec())
+    Value::R8s(measured(arm.robot.destination()))
 }
 
 pub(super) fn target_trans(arm: &Arm, _: &Context<'_>) -> Value {

@@ -14,7 +14,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::variant::{Array, VarType, Variant};
 
 use crate::config::SlaveFormats;
-use crate::kinematics::{Axes, position, six, trans};
+use crate::kinematics::{Axes, measured, position, six, trans};
 use crate::value::{Value, numbers, numbers_of_array, one_int, whole};
 use crate::variables::Variables;
 
@@ -150,9 +150,9 @@ impl Formats {
         match self.receive & 0xF {
             1 => position(&joints),
             3 => trans(&joints),
-            4 => [position(&joints), axes.to_vec()].concat(),
-            5 => [trans(&joints), axes.to_vec()].concat(),
-            _ => axes.to_vec(),
+            4 => [position(&joints), measured(*axes)].concat(),
+            5 => [trans(&joints), measured(*axes)].concat(),
+            _ => measured(*axes),
         }
     }
 }

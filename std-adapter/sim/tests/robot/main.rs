@@ -6,6 +6,7 @@ mod common;
 mod curves;
 mod drives;
 mod motions;
+mod poses;
 mod queue;
 mod random;
 mod stops;

@@ -64,7 +64,7 @@ fn the_slowest_motion_is_still_one() {
     let go = call::robot_move(client.robot, 1, "J(10,45,90,0,45,0)", "SPEED=0.0001,ACCEL=0.0001,NEXT");
     assert_eq!(world.call(client.peer, go), code(HResult::S_OK));
     world.pass(1_000_000);
-    let here = joints(&mut world, client)[0];
+    let here = world.sim.joints()[0];
     assert!(here > 0.0 && here < 0.1, "{here}");
     assert!(world.sim.is_moving());
     assert_eq!(world.run(client.peer, call::robot_halt(client.robot, "")), code(HResult::S_OK));
