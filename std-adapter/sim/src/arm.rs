@@ -70,6 +70,7 @@
 //! | J2P J2T P2J P2T T2J T2P         | a pose                      | R8 array                                         |
 //! | Dev, DevH                       | \[pose, offset\]            | R8\[7\]: offset in the base, in the flange       |
 //! | OutRange                        | pose or \[pose, -1, -1\]    | I4: 0, or bit n-1 of axis n                      |
+//! | GetToolDef, GetWorkDef          | I4, 0 to 63                 | R8\[6\]: zeros; no definition can be set         |
 //! | slvMove, slvChangeMode, ...     | see [`slave`]               |                                                  |
 //! | MotionPreparation, ...          | see [`preparation`](crate::preparation) |                                      |
 //!

@@ -9,7 +9,7 @@ use super::{Arm, moves, poses};
 use crate::answer::{Answer, Answered};
 use crate::config::Profile;
 use crate::context::Context;
-use crate::robot::{Percent, percent};
+use crate::robot::{Percent, coordinates, percent};
 use crate::slave;
 use crate::table::Command;
 use crate::value::{Value, numbers, one_int, whole};
@@ -36,6 +36,7 @@ const fn command(name: &'static str, execute: Execute) -> Command<Handler> {
 const DRIVE: &str = "pairs or [pairs, option]: pairs are \"@E (axis, value), ...\" or [[axis, value], ...], with axes \
                      1 to 6, and 7 and 8 where the arm has them; option as for Robot_Move";
 const DEVIATION: &str = "[pose, offset]: two poses in any form, the offset a P or a T";
+const DEFINITION: &str = "one number, 0 to 63";
 const JOINTS: &str = "6 to 8 numbers in degrees, \"J(...)\", \"J1\" or [numbers, \"J\"]";
 const POSITION: &str = "6 or 7 numbers (X Y Z RX RY RZ Fig), \"P(...)\", \"P1\" or [numbers, \"P\"]";
 const TRANS: &str = "9 or 10 numbers (position, orient, approach, Fig), \"T(...)\", \"T1\" or [numbers, \"T\"]";
@@ -80,6 +81,8 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     command("Dev", |arm, ctx, param| poses::deviation(arm, ctx, param, false)).accepts(DEVIATION),
     command("DevH", |arm, ctx, param| poses::deviation(arm, ctx, param, true)).accepts(DEVIATION),
     command("OutRange", poses::out_range).accepts("a pose, or [pose, tool, work]: tool and work -1, as text, or as an array with its type"),
+    command("GetToolDef", definition).accepts(DEFINITION),
+    command("GetWorkDef", definition).accepts(DEFINITION),
     command("TakeArm", take_arm).accepts("nothing, the group, or [group, keep]: group 0, keep 0 or 1"),
     command("GiveArm", give_arm).resumes(Handler::Execute(give_arm)),
     command("TakeArmState", arm_state).accepts("nothing, or one number: the group 0, or -1"),
@@ -122,9 +125,7 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     command("AutoCal", |arm, ctx, _| arm.preparation.calibrate(ctx)).of(Profile::needs_preparation),
     Command::missing("GetSrvData"),
     Command::missing("ConvertPosWork"),
-    Command::missing("GetToolDef"),
     Command::missing("SetToolDef"),
-    Command::missing("GetWorkDef"),
     Command::missing("SetWorkDef"),
     Command::missing("PayLoad"),
     Command::missing("SpeedMode"),
@@ -146,6 +147,13 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     Command::missing("SyncMoveStart"),
     Command::missing("SyncMoveEnd"),
     Command::missing("RotateH"),
+    Command::missing("AddPathPoint"),
+    Command::missing("ClrPathPoint"),
+    Command::missing("LoadPathPoint"),
+    Command::missing("CurScene"),
+    Command::missing("CurSubScene"),
+    Command::missing("SceneInfo"),
+    Command::missing("MPS"),
 ];
 
 /// The parameter of Motor.
@@ -188,6 +196,12 @@ fn arm_state(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answe
     let wanted = if param.is_empty() { -1 } else { one_int(param)? };
     let group = arm.robot.group_of(ctx.peer).filter(|group| [-1, *group].contains(&wanted));
     Ok(Value::I4(group.unwrap_or(-1)).into())
+}
+
+/// Executes GetToolDef or GetWorkDef: all definitions are zero, because they cannot be set.
+fn definition(_: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    coordinates(one_int(param)?)?;
+    Ok(Value::R8s(vec![0.0; 6]).into())
 }
 
 /// Reads `[group, mode]`, of which both or the mode may be absent.

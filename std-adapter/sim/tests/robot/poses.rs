@@ -41,6 +41,17 @@ fn out_range_tells_whether_a_pose_can_be_reached() {
 }
 
 #[test]
+fn definitions_of_tools_and_works_are_zero() {
+    let mut world = World::new();
+    let client = world.client(1);
+    for command in ["GetToolDef", "GetWorkDef"] {
+        assert_eq!(world.robot(client, command, 1), ok(&[0.0; 6]));
+        assert_eq!(world.robot(client, command, 64), code(HResult::E_INVALIDARG));
+    }
+    assert_eq!(world.robot(client, "SetToolDef", (1, "P(0,0,50,0,0,0)")), code(HResult::E_NOTIMPL));
+}
+
+#[test]
 fn positions_have_the_digits_of_a_measurement() {
     let mut world = World::new();
     let client = world.mover(1);
