@@ -35,6 +35,10 @@ const fn command(name: &'static str, execute: Execute) -> Command<Handler> {
 
 const DRIVE: &str = "pairs or [pairs, option]: pairs are \"@E (axis, value), ...\" or [[axis, value], ...], with axes \
                      1 to 6, and 7 and 8 where the arm has them; option as for Robot_Move";
+const APPROACH: &str = "[interpolation, pose, length] or [..., option]: interpolation 1 or 2; length in mm: a number, \
+                        \"@P 30\", or [30, \"\", \"@P\"]";
+const DEPART: &str = "[interpolation, length] or [..., option]: interpolation 1 or 2; length in mm: a number, \"@P 30\", or \
+                      [30, \"\", \"@P\"]";
 const DEVIATION: &str = "[pose, offset]: two poses in any form, the offset a P or a T";
 const DEFINITION: &str = "one number, 0 to 63";
 const JOINTS: &str = "6 to 8 numbers in degrees, \"J(...)\", \"J1\" or [numbers, \"J\"]";
@@ -80,7 +84,8 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     command("T2P", |arm, ctx, param| poses::convert(arm, ctx, Kind::T, Kind::P, param)).accepts(TRANS),
     command("Dev", |arm, ctx, param| poses::deviation(arm, ctx, param, false)).accepts(DEVIATION),
     command("DevH", |arm, ctx, param| poses::deviation(arm, ctx, param, true)).accepts(DEVIATION),
-    command("OutRange", poses::out_range).accepts("a pose, or [pose, tool, work]: tool and work -1, as text, or as an array with its type"),
+    command("OutRange", poses::out_range)
+        .accepts("a pose, or [pose, tool, work]: the pose as text or with its type, tool and work -1"),
     command("GetToolDef", definition).accepts(DEFINITION),
     command("GetWorkDef", definition).accepts(DEFINITION),
     command("TakeArm", take_arm).accepts("nothing, the group, or [group, keep]: group 0, keep 0 or 1"),
@@ -92,9 +97,9 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     command("DriveEx", |arm, ctx, param| moves::drive_command(&mut arm.robot, ctx, false, param)).accepts(DRIVE),
     command("DriveAEx", |arm, ctx, param| moves::drive_command(&mut arm.robot, ctx, true, param)).accepts(DRIVE),
     command("Approach", |arm, ctx, param| moves::approach(&mut arm.robot, ctx, param))
-        .accepts("[interpolation, pose, length] or [..., option]: interpolation 1 or 2; length in mm: a number, \"@P 30\", or [30, \"\", \"@P\"]"),
+        .accepts(APPROACH),
     command("Depart", |arm, ctx, param| moves::depart(&mut arm.robot, ctx, param))
-        .accepts("[interpolation, length] or [..., option]: interpolation 1 or 2; length in mm: a number, \"@P 30\", or [30, \"\", \"@P\"]"),
+        .accepts(DEPART),
     command("MotionSkip", motion_skip).accepts("nothing, the group, or [group, mode]: group 0 or -1, mode 0 to 3"),
     command("MotionComplete", motion_complete)
         .accepts("nothing, the group, or [group, mode]: group 0 or -1, mode 0 (commands) or 1 (motion)"),
