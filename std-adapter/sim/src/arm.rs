@@ -10,7 +10,7 @@
 //! | Robot_Unhold                 | continues; needs Auto mode, the token and no error                               |
 //! | Robot_Speed                  | axis -1 sets the internal speed of lines and joints, 0 that of joints only       |
 //! | Robot_Accelerate             | likewise the internal acceleration and deceleration                              |
-//! | Robot_Change                 | `ToolN` and `WorkN` select a number; the definitions are all zero                |
+//! | Robot_Change                 | `ToolN` and `WorkN` select a definition; all are zero until they are set         |
 //! | Robot_Chuck, Unchuck         | closes and opens the [`hand`](crate::hand)                                       |
 //! | Robot_Rotate                 | moves on a circle in a plane (XY, YZ, ZX) about a point                          |
 //!
@@ -70,7 +70,8 @@
 //! | J2P J2T P2J P2T T2J T2P         | a pose                      | R8 array                                         |
 //! | Dev, DevH                       | \[pose, offset\]            | R8\[7\]: offset in the base, in the flange       |
 //! | OutRange                        | pose or \[pose, -1, -1\]    | I4: 0, or bit n-1 of axis n                      |
-//! | GetToolDef, GetWorkDef          | I4, 0 to 63                 | R8\[6\]: zeros; no definition can be set         |
+//! | GetToolDef, GetWorkDef          | I4, 0 to 63                 | R8\[6\]: X Y Z RX RY RZ                          |
+//! | SetToolDef, SetWorkDef          | \[1 to 63, pose\]           | EMPTY; needs the arm authority                   |
 //! | slvMove, slvChangeMode, ...     | see [`slave`]               |                                                  |
 //! | MotionPreparation, ...          | see [`preparation`](crate::preparation) |                                      |
 //!

@@ -18,14 +18,16 @@
 //! The lengths are those of a small arm of this maker, chosen to match the pair of pose and joints in the guide's
 //! slvMove example: joints (0, 45, 90, 0, 45, 0) are the pose (364.16, 0, 278.5355, 180, 0, 180,
 //! Fig 5). That example fixes a2 + d4 - a3 and d1 - d6 + (a2 - d4 - a3) / √2, not each length. Ranges and speeds of
-//! the joints are decisions of this model. Tools and work coordinates are not modelled: poses are of the flange,
-//! relative to the base.
+//! the joints are decisions of this model. Poses are of the tool centre point in work coordinates, which without
+//! definitions are the flange and the base.
 //!
 //! Fig is a sum of: 1 the shoulder reaches forward (LEFTY), 2 the elbow is below (BELOW), 4 the wrist is not flipped
 //! (NONFLIP: J5 >= 0), 8 J4 is beyond ±180 (DOUBLE4), 16 J6 is beyond ±180 (DOUBLE6). That NONFLIP, ABOVE and LEFTY
 //! make 5 is shown in the guide; the bits 8 and 16 have the names and the order of the maker's manuals.
 
 use bcap_core::hresult::HResult;
+
+use crate::coordinates::Coordinates;
 
 /// J1 to J6, in degrees.
 pub type Joints = [f64; 6];
@@ -157,6 +159,21 @@ impl Frame {
 }
 
 impl Frame {
+    /// The frame of the coordinates themselves.
+    pub(crate) const IDENTITY: Self =
+        Self { position: [0.0; 3], rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] };
+
+    /// Returns the frame of these coordinates, relative to this frame.
+    pub(crate) fn inverse(&self) -> Self {
+        let rotation = transpose(&self.rotation);
+        Self { position: rotation.map(|row| -dot(row, self.position)), rotation }
+    }
+
+    /// Returns a direction of the coordinates of this frame in those in which the frame is given.
+    pub(crate) fn direction(&self, vector: [f64; 3]) -> [f64; 3] {
+        self.rotation.map(|row| dot(row, vector))
+    }
+
     /// Returns this frame moved to another position.
     pub(crate) fn moved_to(&self, position: [f64; 3]) -> Self {
         Self { position, rotation: self.rotation }
@@ -415,9 +432,9 @@ pub(crate) fn measured<const N: usize>(numbers: [f64; N]) -> Vec<f64> {
     numbers.iter().map(|n| (n * 1e6).round() / 1e6 + 0.0).collect()
 }
 
-/// Returns X Y Z RX RY RZ Fig of joints.
-pub(crate) fn position(joints: &Joints) -> Vec<f64> {
-    pose_numbers(&forward(joints), figure(joints))
+/// Returns X Y Z RX RY RZ Fig of the tool centre point.
+pub(crate) fn position(joints: &Joints, coordinates: &Coordinates) -> Vec<f64> {
+    pose_numbers(&coordinates.pose(&forward(joints)), figure(joints))
 }
 
 /// Returns X Y Z RX RY RZ Fig.
@@ -426,9 +443,9 @@ pub(crate) fn pose_numbers(frame: &Frame, fig: u8) -> Vec<f64> {
     measured([x, y, z, rx, ry, rz, f64::from(fig)])
 }
 
-/// Returns position, orient vector, approach vector and Fig of joints.
-pub(crate) fn trans(joints: &Joints) -> Vec<f64> {
-    let [x, y, z, vectors @ ..] = forward(joints).to_trans();
+/// Returns position, orient vector, approach vector and Fig of the tool centre point.
+pub(crate) fn trans(joints: &Joints, coordinates: &Coordinates) -> Vec<f64> {
+    let [x, y, z, vectors @ ..] = coordinates.pose(&forward(joints)).to_trans();
     let mut numbers = measured([x, y, z]);
     // the components of a unit vector, 1e-9 of which are less than 1e-6 degrees
     numbers.extend(vectors.map(|n| (n * 1e9).round() / 1e9 + 0.0));

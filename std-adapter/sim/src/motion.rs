@@ -207,8 +207,8 @@ pub(crate) struct Motion {
     pub(crate) id: u64,
     /// The client that commanded it.
     pub(crate) peer: PeerId,
-    /// The command, from which the path can be planned again; `None` for a motion that only brakes.
-    pub(crate) route: Option<Route>,
+    /// The command and its tool, from which the path can be planned again; `None` for a motion that only brakes.
+    pub(crate) route: Option<(Route, Frame)>,
     pub(crate) pass: Pass,
     /// See [`pass_time`](Self::pass_time).
     pass_time: Instant,

@@ -258,7 +258,7 @@ impl Queue {
         self.slow_down(Stage::Skipping, now);
         let mut here = self.axes(self.at_rest());
         for n in self.begun..self.motions.len() {
-            match self.motions[n].route.as_ref().map(|route| route.path(&here)) {
+            match self.motions[n].route.as_ref().map(|(route, tool)| route.path(&here, tool)) {
                 Some(Ok(path)) => {
                     here = path.end();
                     self.motions[n].replace(path, now);

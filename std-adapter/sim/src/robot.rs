@@ -6,6 +6,7 @@ use bcap_core::time::Instant;
 
 use crate::config::Config;
 use crate::context::Context;
+use crate::coordinates::{Coordinates, Definitions};
 use crate::kinematics::{Axes, Joints, six, with_joints};
 use crate::motion::{Motion, Path, Rates};
 use crate::options::Pass;
@@ -77,6 +78,8 @@ pub(crate) struct Robot {
     /// The client that owns the arm, and the arm group.
     owner: Option<(PeerId, i32)>,
     settings: Settings,
+    pub(crate) tools: Definitions,
+    pub(crate) works: Definitions,
 }
 
 impl Robot {
@@ -89,6 +92,8 @@ impl Robot {
             last_motion: 0,
             servo: Servo::Off,
             owner: None,
+            tools: Definitions::new(),
+            works: Definitions::new(),
             settings: Settings {
                 line: internal,
                 joint: internal,
@@ -164,6 +169,11 @@ impl Robot {
         &mut self.settings
     }
 
+    /// Returns the present tool and work coordinates.
+    pub(crate) fn coordinates(&self) -> Coordinates {
+        Coordinates { tool: self.tools.get(self.settings.tool), work: self.works.get(self.settings.work) }
+    }
+
     /// Sets internal speeds, tool and work coordinates back, as TakeArm does.
     pub(crate) fn reset_settings(&mut self) {
         let external = self.settings.external;
@@ -221,11 +231,12 @@ impl Robot {
         internal: Percent,
         now: Instant,
     ) -> Result<u64, Blocked> {
-        let path = route.path(&self.queue.last_destination())?;
+        let tool = self.coordinates().tool;
+        let path = route.path(&self.queue.last_destination(), &tool)?;
         self.last_motion += 1;
         let rates = internal.times(self.settings.external);
         let mut motion = Motion::new(self.last_motion, peer, path, rates, now);
-        (motion.route, motion.pass) = (Some(route), pass);
+        (motion.route, motion.pass) = (Some((route, tool)), pass);
         self.queue.push(motion, now);
         Ok(self.last_motion)
     }

@@ -1,4 +1,6 @@
 //! The routes of motions: what a motion command asks for, from which its path is planned.
+//!
+//! The poses of a route are of the flange, relative to the base; the lines and circles are those of the tool.
 
 use bcap_core::hresult::HResult;
 
@@ -19,7 +21,7 @@ pub(crate) enum Route {
     Turn(Drive),
     /// To these joints; the extended joints stay.
     Home(Joints),
-    /// To a pose on a circle through a point. The flange turns evenly to the orientation of the pose.
+    /// To a pose on a circle through a point, relative to the base. The tool turns evenly to the orientation of the pose.
     Arc(Point, Pose),
     /// Against the approach vector by a distance in mm, on a line or by the joints.
     Depart { distance: f64, line: bool },
@@ -52,25 +54,26 @@ impl From<OutOfReach> for Blocked {
 }
 
 impl Route {
-    /// Plans the path from a position of the axes.
-    pub(crate) fn path(&self, here: &Axes) -> Result<Path, Blocked> {
+    /// Plans the path of a tool from a position of the axes.
+    pub(crate) fn path(&self, here: &Axes, tool: &Frame) -> Result<Path, Blocked> {
         let axes = |end: Axes| Ok(Path::axes(*here, in_range(end)?));
         match self {
             Self::Joints(pose, extended) => axes(with_joints(&pose.joints(&six(here))?, &turned(extended, here))),
-            Self::Line(pose, extended) => line(here, pose, &turned(extended, here)),
+            Self::Line(pose, extended) => line(here, tool, pose, &turned(extended, here)),
             Self::Turn(drive) => axes(drive.apply(here)),
             Self::Home(joints) => axes(with_joints(joints, here)),
-            Self::Arc(via, pose) => arc(here, *via, pose),
+            Self::Arc(via, pose) => arc(here, tool, *via, pose),
             Self::Depart { distance, line: straight } => {
-                let pose = Pose::Frame(forward(&six(here)).withdrawn(*distance), None);
-                if *straight { line(here, &pose, here) } else { Self::Joints(pose, None).path(here) }
+                let frame = forward(&six(here)).times(tool).withdrawn(*distance).times(&tool.inverse());
+                let pose = Pose::Frame(frame, None);
+                if *straight { line(here, tool, &pose, here) } else { Self::Joints(pose, None).path(here, tool) }
             }
             Self::Rotate { arc, turns } => {
-                let from = forward(&six(here));
+                let (from, flange) = (forward(&six(here)).times(tool), tool.inverse());
                 let size = (arc.length(from.position), if *turns { arc.degrees.abs() } else { 0.0 });
                 Ok(Path::along(*here, here, size, |part| {
                     let turned = from.turned(arc.centre, arc.axis, arc.degrees * part);
-                    if *turns { turned } else { from.moved_to(turned.position) }
+                    if *turns { turned } else { from.moved_to(turned.position) }.times(&flange)
                 })?)
             }
         }
@@ -86,30 +89,30 @@ fn in_range(axes: Axes) -> Result<Axes, OutOfReach> {
 }
 
 /// Plans a line, on which the posture cannot change; J7 and J8 move to those of `extended`.
-fn line(here: &Axes, pose: &Pose, extended: &Axes) -> Result<Path, Blocked> {
-    let (from, (to, fig)) = (forward(&six(here)), frame_of(pose));
+fn line(here: &Axes, tool: &Frame, pose: &Pose, extended: &Axes) -> Result<Path, Blocked> {
+    let (from, (to, fig), flange) = (forward(&six(here)).times(tool), tip(pose, tool), tool.inverse());
     let end = in_range(with_joints(&six(here), extended))?;
-    let path = Path::along(*here, &end, from.distance(&to), |part| from.towards(&to, part))?;
+    let path = Path::along(*here, &end, from.distance(&to), |part| from.towards(&to, part).times(&flange))?;
     keeps_posture(path, fig)
 }
 
 /// Plans an arc, on which the posture cannot change.
-fn arc(here: &Axes, via: Point, pose: &Pose) -> Result<Path, Blocked> {
-    let (from, (to, fig)) = (forward(&six(here)), frame_of(pose));
+fn arc(here: &Axes, tool: &Frame, via: Point, pose: &Pose) -> Result<Path, Blocked> {
+    let (from, (to, fig), flange) = (forward(&six(here)).times(tool), tip(pose, tool), tool.inverse());
     let arc = Arc::through(from.position, via, to.position).ok_or(Blocked::Invalid)?;
     let size = (arc.length(from.position), from.distance(&to).1);
     let path = Path::along(*here, here, size, |part| {
         let position = from.turned(arc.centre, arc.axis, arc.degrees * part).position;
-        from.towards(&to, part).moved_to(position)
+        from.towards(&to, part).moved_to(position).times(&flange)
     })?;
     keeps_posture(path, fig)
 }
 
-/// Returns the frame of a pose, and its Fig if it has one.
-pub(crate) fn frame_of(pose: &Pose) -> (Frame, Option<u8>) {
+/// Returns the frame of the tool for a pose of the flange, and the Fig if the pose has one.
+fn tip(pose: &Pose, tool: &Frame) -> (Frame, Option<u8>) {
     match pose {
-        Pose::Joints(joints) => (forward(joints), None),
-        Pose::Frame(frame, fig) => (*frame, *fig),
+        Pose::Joints(joints) => (forward(joints).times(tool), None),
+        Pose::Frame(frame, fig) => (frame.times(tool), *fig),
     }
 }
 

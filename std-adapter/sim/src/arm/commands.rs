@@ -4,12 +4,13 @@ use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind as Kind;
 use bcap_core::variant::Variant;
 
+use super::poses::Definition;
 use super::readings::{self, Reading};
 use super::{Arm, moves, poses};
 use crate::answer::{Answer, Answered};
 use crate::config::Profile;
 use crate::context::Context;
-use crate::robot::{Percent, coordinates, percent};
+use crate::robot::{Percent, percent};
 use crate::slave;
 use crate::table::Command;
 use crate::value::{Value, numbers, one_int, whole};
@@ -41,6 +42,7 @@ const DEPART: &str = "[interpolation, length] or [..., option]: interpolation 1 
                       [30, \"\", \"@P\"]";
 const DEVIATION: &str = "[pose, offset]: two poses in any form, the offset a P or a T";
 const DEFINITION: &str = "one number, 0 to 63";
+const DEFINE: &str = "[number, pose]: 1 to 63; a P in any form, or its 6 numbers";
 const JOINTS: &str = "6 to 8 numbers in degrees, \"J(...)\", \"J1\" or [numbers, \"J\"]";
 const POSITION: &str = "6 or 7 numbers (X Y Z RX RY RZ Fig), \"P(...)\", \"P1\" or [numbers, \"P\"]";
 const TRANS: &str = "9 or 10 numbers (position, orient, approach, Fig), \"T(...)\", \"T1\" or [numbers, \"T\"]";
@@ -85,9 +87,11 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     command("Dev", |arm, ctx, param| poses::deviation(arm, ctx, param, false)).accepts(DEVIATION),
     command("DevH", |arm, ctx, param| poses::deviation(arm, ctx, param, true)).accepts(DEVIATION),
     command("OutRange", poses::out_range)
-        .accepts("a pose, or [pose, tool, work]: the pose as text or with its type, tool and work -1"),
-    command("GetToolDef", definition).accepts(DEFINITION),
-    command("GetWorkDef", definition).accepts(DEFINITION),
+        .accepts("a pose, or [pose, tool, work]: the pose as text or with its type, tool and work -1 to 63"),
+    command("GetToolDef", |arm, _, param| poses::definition(arm, Definition::Tool, param)).accepts(DEFINITION),
+    command("GetWorkDef", |arm, _, param| poses::definition(arm, Definition::Work, param)).accepts(DEFINITION),
+    command("SetToolDef", |arm, ctx, param| poses::define(arm, ctx, Definition::Tool, param)).accepts(DEFINE),
+    command("SetWorkDef", |arm, ctx, param| poses::define(arm, ctx, Definition::Work, param)).accepts(DEFINE),
     command("TakeArm", take_arm).accepts("nothing, the group, or [group, keep]: group 0, keep 0 or 1"),
     command("GiveArm", give_arm).resumes(Handler::Execute(give_arm)),
     command("TakeArmState", arm_state).accepts("nothing, or one number: the group 0, or -1"),
@@ -130,8 +134,6 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     command("AutoCal", |arm, ctx, _| arm.preparation.calibrate(ctx)).of(Profile::needs_preparation),
     Command::missing("GetSrvData"),
     Command::missing("ConvertPosWork"),
-    Command::missing("SetToolDef"),
-    Command::missing("SetWorkDef"),
     Command::missing("PayLoad"),
     Command::missing("SpeedMode"),
     Command::missing("GetAreaDef"),
@@ -201,12 +203,6 @@ fn arm_state(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answe
     let wanted = if param.is_empty() { -1 } else { one_int(param)? };
     let group = arm.robot.group_of(ctx.peer).filter(|group| [-1, *group].contains(&wanted));
     Ok(Value::I4(group.unwrap_or(-1)).into())
-}
-
-/// Executes GetToolDef or GetWorkDef: all definitions are zero, because they cannot be set.
-fn definition(_: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> Answered {
-    coordinates(one_int(param)?)?;
-    Ok(Value::R8s(vec![0.0; 6]).into())
 }
 
 /// Reads `[group, mode]`, of which both or the mode may be absent.

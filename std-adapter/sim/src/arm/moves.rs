@@ -9,10 +9,11 @@ use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::curve::{Arc, Point};
 use crate::drive::Drive;
+use crate::kinematics::Frame;
 use crate::options::{Pass, options, pass_item, pass_of_text, split_outside_brackets, split_pass};
 use crate::pose::{Pose, Target};
 use crate::robot::{Percent, Robot, percent};
-use crate::route::{Blocked, Route, frame_of};
+use crate::route::{Blocked, Route};
 use crate::value::{number, numbers_of_text};
 use crate::variables::{Family, Variables, parse_name};
 use crate::waits::Wait;
@@ -44,6 +45,7 @@ pub(super) fn move_to(robot: &mut Robot, ctx: &mut Context<'_>, request: &Reques
     match request.int(1) {
         interpolation @ (1 | 2) => {
             let Target { pose, extended, pass } = Target::parse(&pose, ctx.variables)?;
+            let pose = robot.coordinates().flange(pose);
             if let Some(drive) = &extended {
                 drive.check(ctx.config.extended_axes)?;
             }
@@ -54,7 +56,9 @@ pub(super) fn move_to(robot: &mut Robot, ctx: &mut Context<'_>, request: &Reques
         }
         3 => {
             let (via, Target { pose, pass, .. }) = Target::parse_two(&pose, ctx.variables)?;
-            start(robot, ctx, (Route::Arc(frame_of(&via).0.position, pose), pass), Speed::Line, &option)
+            let coordinates = robot.coordinates();
+            let via = coordinates.work.times(&coordinates.pose_of(&via).0).position;
+            start(robot, ctx, (Route::Arc(via, coordinates.flange(pose)), pass), Speed::Line, &option)
         }
         4 => Err(HResult::E_NOTIMPL),
         _ => Err(HResult::E_INVALIDARG),
@@ -65,8 +69,9 @@ pub(super) fn move_to(robot: &mut Robot, ctx: &mut Context<'_>, request: &Reques
 pub(super) fn approach(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let (line, [pose, length, option]) = straight_or_not(param)?;
     let (distance, pass) = length_and_pass(&length)?;
-    let (frame, fig) = frame_of(&Pose::parse(&pose, ctx.variables)?);
-    let pose = Pose::Frame(frame.withdrawn(distance), fig);
+    let coordinates = robot.coordinates();
+    let (frame, fig) = coordinates.pose_of(&Pose::parse(&pose, ctx.variables)?);
+    let pose = coordinates.flange(Pose::Frame(frame.withdrawn(distance), fig));
     let route = if line { Route::Line(pose, None) } else { Route::Joints(pose, None) };
     start(robot, ctx, (route, pass), Speed::of(line), &text_or_nothing(&option)?)
 }
@@ -103,7 +108,9 @@ pub(super) fn rotate(robot: &mut Robot, ctx: &mut Context<'_>, request: &Request
             _ => others.push(part),
         }
     }
-    let route = Route::Rotate { arc: Arc { centre, axis, degrees }, turns };
+    let work = robot.coordinates().work;
+    let centre = work.times(&Frame::IDENTITY.moved_to(centre)).position;
+    let route = Route::Rotate { arc: Arc { centre, axis: work.direction(axis), degrees }, turns };
     start(robot, ctx, (route, pass), Speed::Line, &others.join(","))
 }
 

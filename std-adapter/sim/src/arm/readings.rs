@@ -9,7 +9,7 @@ use crate::value::Value;
 pub(crate) type Reading = fn(&Arm, &Context<'_>) -> Value;
 
 pub(super) fn current_position(arm: &Arm, ctx: &Context<'_>) -> Value {
-    Value::R8s(position(&arm.robot.joints(ctx.now)))
+    Value::R8s(position(&arm.robot.joints(ctx.now), &arm.robot.coordinates()))
 }
 
 pub(super) fn current_angle(arm: &Arm, ctx: &Context<'_>) -> Value {
@@ -17,7 +17,7 @@ pub(super) fn current_angle(arm: &Arm, ctx: &Context<'_>) -> Value {
 }
 
 pub(super) fn current_trans(arm: &Arm, ctx: &Context<'_>) -> Value {
-    Value::R8s(trans(&arm.robot.joints(ctx.now)))
+    Value::R8s(trans(&arm.robot.joints(ctx.now), &arm.robot.coordinates()))
 }
 
 pub(super) fn timed_position(arm: &Arm, ctx: &Context<'_>) -> Value {
@@ -42,7 +42,7 @@ fn timed(ctx: &Context<'_>, reading: Value) -> Value {
 }
 
 pub(super) fn target_position(arm: &Arm, _: &Context<'_>) -> Value {
-    Value::R8s(position(&six(&arm.robot.destination())))
+    Value::R8s(position(&six(&arm.robot.destination()), &arm.robot.coordinates()))
 }
 
 pub(super) fn target_angle(arm: &Arm, _: &Context<'_>) -> Value {
@@ -50,7 +50,7 @@ pub(super) fn target_angle(arm: &Arm, _: &Context<'_>) -> Value {
 }
 
 pub(super) fn target_trans(arm: &Arm, _: &Context<'_>) -> Value {
-    Value::R8s(trans(&six(&arm.robot.destination())))
+    Value::R8s(trans(&six(&arm.robot.destination()), &arm.robot.coordinates()))
 }
 
 pub(super) fn figure_of(arm: &Arm, ctx: &Context<'_>) -> Value {
