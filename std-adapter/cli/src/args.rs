@@ -382,7 +382,7 @@ pub(crate) struct Sim {
     #[arg(long)]
     pub(crate) explain: bool,
 
-    /// Accept the provider of another model and unknown options, and print each of them on standard error
+    /// Accepts the provider of another model and unknown options, and prints each of them on stderr
     ///
     /// Without it, Controller_Connect answers E_CAO_PROV_INVALID, and other functions E_INVALIDARG.
     #[arg(long)]
