@@ -14,7 +14,7 @@ use bcap_sim::memory::Network;
 use bcap_sim::{Config, Controller as Simulated, EMERGENCY_STOP, Profile};
 use bcap_std::blocking::{Controller, Halted, Stopper};
 use bcap_std::server::Limits;
-use bcap_std::{Error, Joints, Move, Pass, Position, Settings, TaskStart, TaskStatus, TaskStop};
+use bcap_std::{Error, Interpolation, Joints, Move, Pass, Plane, Position, Settings, TaskStart, TaskStatus, TaskStop};
 use bcap_testkit::network::Random;
 use bcap_tests::served::Served;
 
@@ -167,6 +167,38 @@ fn axes_are_driven_and_the_pass_is_sent() {
     }
     let refused = arm.move_to(&Move::drive_by([(9, 1.0)]), LIMIT).unwrap_err();
     assert_eq!(refused.code(), Some(HResult::E_INVALIDARG));
+}
+
+#[test]
+fn arcs_rotations_approach_and_depart_end_where_they_should() {
+    let sim = simulated();
+    let mut cell = connect(&sim);
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    let from = arm.robot().position().unwrap();
+    let [x, y, z] = from.xyz_mm;
+    let at = |dx: f64, dy: f64, dz: f64| Position { xyz_mm: [x + dx, y + dy, z + dz], ..from };
+    let mut ends_at = |motion: &Move, [wx, wy, wz]: [f64; 3]| {
+        assert_eq!(arm.move_to(motion, LIMIT).unwrap(), Motion::Arrived, "{motion:?}");
+        let there = arm.robot().position().unwrap().xyz_mm;
+        let off = [there[0] - wx, there[1] - wy, there[2] - wz].map(f64::abs).into_iter().fold(0.0, f64::max);
+        assert!(off < 0.2, "{motion:?} ended at {there:?}");
+    };
+    ends_at(&Move::circle(at(-20.0, 20.0, 0.0), at(-40.0, 0.0, 0.0)), [x - 40.0, y, z]);
+    // half a circle about the middle leads back
+    ends_at(&Move::rotate(Plane::Xy, 180.0, [x - 20.0, y, z]), [x, y, z]);
+    cell_free_motions(&mut ends_at, &at, [x, y, z]);
+}
+
+/// The tool points down: it approaches from above, and departs upwards.
+fn cell_free_motions(
+    ends_at: &mut impl FnMut(&Move, [f64; 3]),
+    at: &impl Fn(f64, f64, f64) -> Position,
+    [x, y, z]: [f64; 3],
+) {
+    ends_at(&Move::joint(at(0.0, 0.0, -30.0)), [x, y, z - 30.0]);
+    ends_at(&Move::depart(Interpolation::Line, 10.0), [x, y, z - 20.0]);
+    ends_at(&Move::approach(Interpolation::Joint, at(0.0, 0.0, -30.0), 20.0), [x, y, z - 10.0]);
 }
 
 #[test]

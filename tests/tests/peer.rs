@@ -134,7 +134,7 @@ fn values() -> Vec<Value> {
 }
 
 fn controller() -> Controller {
-    Controller::new(Config { any_provider: true, ..Config::new(Profile::Rc8) })
+    Controller::new(Config::new(Profile::Rc8))
 }
 
 fn served() -> Served<Controller> {

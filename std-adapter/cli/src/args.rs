@@ -382,6 +382,12 @@ pub(crate) struct Sim {
     /// GetErrorDescription of the code returns the same text.
     #[arg(long)]
     pub(crate) explain: bool,
+
+    /// Accepts the provider of another model and unknown options, and prints each of them on stderr
+    ///
+    /// Without it, Controller_Connect answers E_CAO_PROV_INVALID, and other functions E_INVALIDARG.
+    #[arg(long)]
+    pub(crate) lenient: bool,
 }
 
 /// A model of controller.

@@ -11,6 +11,7 @@ use std::thread;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use bcap_core::handler::PeerId;
+use bcap_core::hresult::HResult;
 use bcap_sim::explain::Observer;
 use bcap_sim::files::{Executor, Job};
 use bcap_sim::scenario::Delivery;
@@ -45,8 +46,9 @@ pub(crate) fn sim(args: &Sim) -> Result<(), Failure> {
         let mut config =
             Config { files: Some(files.to_owned()), file_work: file_worker()?, ..config(args.model.into()) };
         (config.mode, config.token) = (args.mode.into(), args.token.into());
-        if args.explain {
-            config.observer = explainer()?;
+        config.lenient = args.lenient;
+        if args.explain || args.lenient {
+            config.observer = explainer(args.explain)?;
         }
         if let Some(robot_type) = &args.robot_type {
             config.robot_type.clone_from(robot_type);
@@ -72,12 +74,20 @@ fn file_worker() -> io::Result<Executor> {
     Ok(Executor::new(move |job| drop(jobs.try_send(job))))
 }
 
-/// Starts a thread that prints why arguments are refused. It drops lines when its queue is full.
-fn explainer() -> io::Result<Observer> {
+/// Starts a thread that prints what is tolerated and, with `refusals`, why arguments are refused. It drops lines when its
+/// queue is full.
+fn explainer(refusals: bool) -> io::Result<Observer> {
     let (lines, queue) = mpsc::sync_channel::<String>(EXPLANATIONS);
     let print = move || queue.into_iter().try_for_each(|line| writeln!(io::stderr(), "{line}"));
     thread::Builder::new().name("explain".into()).spawn(print)?;
-    Ok(Observer::new(move |code, text| drop(lines.try_send(format!("refused with {code}: {text}")))))
+    Ok(Observer::new(move |code, text| {
+        let line = match code {
+            HResult::S_OK => format!("tolerated: {text}"),
+            _ if refusals => format!("refused with {code}: {text}"),
+            _ => return,
+        };
+        drop(lines.try_send(line));
+    }))
 }
 
 /// The addresses of a virtual controller.
@@ -132,10 +142,10 @@ pub(crate) fn controller(model: Profile) -> Controller {
     Controller::new(config(model))
 }
 
-/// Returns the configuration of a controller with the clock of this machine, which accepts the providers of all models.
+/// Returns the configuration of a controller with the clock of this machine.
 fn config(model: Profile) -> Config {
     let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let origin = since_1970.as_micros().saturating_sub(bcap_std::now().as_micros().into()) / 1000;
     let wall_clock_origin_ms = i64::try_from(origin).unwrap_or(0);
-    Config { any_provider: true, wall_clock_origin_ms, ..Config::new(model) }
+    Config { wall_clock_origin_ms, ..Config::new(model) }
 }

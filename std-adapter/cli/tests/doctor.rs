@@ -18,6 +18,7 @@ struct Sim {
     child: Child,
     tcp: String,
     udp: String,
+    provider: &'static str,
 }
 
 impl Sim {
@@ -31,7 +32,8 @@ impl Sim {
             let address = line.split_whitespace().find_map(|word| word.strip_prefix(key)).unwrap();
             address.rsplit_once(':').unwrap().1.to_owned()
         };
-        Self { tcp: port("bcap="), udp: port("udp="), child }
+        let provider = if more.contains(&"rc9") { "CaoProv.DENSO.VRC9" } else { "CaoProv.DENSO.VRC" };
+        Self { tcp: port("bcap="), udp: port("udp="), provider, child }
     }
 
     /// Starts a controller and prepares it, with the motor on.
@@ -41,7 +43,7 @@ impl Sim {
         let prepare = [&["ManualResetPreparation"][..], &["MotionPreparation"]];
         let commands = if more.contains(&"cobotta") { &prepare[..] } else { &[] };
         for command in commands.iter().chain(&[&["Motor", "1"][..]]) {
-            let run = bcap(&[&["exec", "robot"], *command, &["--robot", &sim.robot()]].concat());
+            let run = sim.bcap(&[&["exec", "robot"], *command].concat());
             assert_eq!(run.code, 0, "{run:?}");
         }
         sim
@@ -51,8 +53,13 @@ impl Sim {
         format!("tcp:127.0.0.1:{}", self.tcp)
     }
 
+    /// Runs a command with the address and the provider of the controller.
+    fn bcap(&self, command: &[&str]) -> Run {
+        bcap(&[command, &["--robot", &self.robot(), "--provider", self.provider]].concat())
+    }
+
     fn doctor(&self, more: &[&str]) -> Run {
-        bcap(&[&["doctor", "--robot", &self.robot(), "--udp-port", &self.udp], more].concat())
+        self.bcap(&[&["doctor", "--udp-port", &self.udp], more].concat())
     }
 }
 
@@ -118,9 +125,9 @@ fn a_ready_controller_passes_and_its_state_is_unchanged() {
         assert!(run.out.contains(family), "{}", run.out);
         assert_eq!(run.out.contains("all but sending HandIO, receiving HandIO"), model == "cobotta", "{}", run.out);
         // the controller has no error and the arm is free
-        let state = bcap(&["exec", "controller", "SysState", "--robot", &sim.robot()]);
+        let state = sim.bcap(&["exec", "controller", "SysState"]);
         assert_eq!(state.out.trim().parse::<i32>().unwrap() & 0b10, 0, "no error");
-        assert_eq!(bcap(&["exec", "robot", "TakeArm", "8195,0,1", "--robot", &sim.robot()]).code, 0);
+        assert_eq!(sim.bcap(&["exec", "robot", "TakeArm", "8195,0,1"]).code, 0);
     }
 }
 
@@ -155,7 +162,7 @@ fn an_unreachable_link_is_reported() {
 fn a_wrong_provider_is_reported_with_the_accepted_one() {
     let refuse = ("call = 2, of = 'Controller_Connect'", "{ refuse = 'E_CAO_PROVIDER_NOTFOUND' }");
     let only_once = scenario("doctor-provider.toml", &[(refuse.0, "{ refuse = 'E_FAIL' }")]);
-    let sim = Sim::ready(&["--scenario", &only_once]);
+    let sim = Sim::ready(&["--lenient", "--scenario", &only_once]);
     names(&sim, "provider", "CaoProv.DENSO.VRC9 (RC9) is accepted", 1);
     let all =
         scenario("doctor-providers.toml", &[("call = 2, to = 3, of = 'Controller_Connect'", "{ refuse = 'E_FAIL' }")]);
@@ -202,7 +209,7 @@ fn the_emergency_stop_is_reported() {
     // on an RC9 the torque stays off after the release
     let released = [pressed[0], ("at_ms = 1", "{ emergency_stop = false }")];
     let sim = Sim::start(&["--model", "rc9", "--scenario", &scenario("doctor-sto.toml", &released)]);
-    bcap(&["exec", "controller", "ClearError", "--robot", &sim.robot()]);
+    sim.bcap(&["exec", "controller", "ClearError"]);
     names(&sim, "emergency stop", "torque is still off", 1);
 }
 

@@ -150,6 +150,19 @@ fn a_refused_argument_is_explained_on_stderr_and_by_its_description() {
 }
 
 #[test]
+fn a_lenient_controller_names_what_it_tolerates() {
+    let strict = Sim::start(&["--model", "rc9"]);
+    let run = strict.tcp(&["get", "I1"]);
+    assert!(run.code == 1 && run.err.contains("E_CAO_PROV_INVALID"), "{run:?}");
+    let mut sim = Sim::start_with(&["--model", "rc9", "--lenient"], Stdio::piped());
+    assert_eq!(sim.tcp(&["get", "I1"]).code, 0);
+    let mut line = String::new();
+    BufReader::new(sim.child.stderr.take().unwrap()).read_line(&mut line).unwrap();
+    let tolerated = "tolerated: Controller_Connect: provider \"CaoProv.DENSO.VRC\" is not that of RC9";
+    assert!(line.starts_with(tolerated), "{line}");
+}
+
+#[test]
 fn the_rc9_has_commands_that_the_rc8_does_not_have() {
     let rc9 = Sim::start(&["--model", "rc9"]);
     let run = rc9.tcp(&["exec", "controller", "StoState", "--provider", "CaoProv.DENSO.VRC9"]);

@@ -2,7 +2,7 @@
 //!
 //! | function                     | what it does here                                                                |
 //! |------------------------------|----------------------------------------------------------------------------------|
-//! | Robot_Move                   | interpolation 1 (joints) and 2 (line); 3, 4 (arc, free curve) answer `E_NOTIMPL` |
+//! | Robot_Move                   | interpolation 1 (joints), 2 (line), 3 (arc); 4 (free curve) answers `E_NOTIMPL`  |
 //! | Robot_Drive                  | turns one axis by degrees or mm                                                  |
 //! | Robot_GoHome                 | moves the joints to [`Config::home`](crate::Config::home)                        |
 //! | Robot_Halt                   | brakes, and answers when the arm is at rest; of any client; see below            |
@@ -10,9 +10,9 @@
 //! | Robot_Unhold                 | continues; needs Auto mode, the token and no error                               |
 //! | Robot_Speed                  | axis -1 sets the internal speed of lines and joints, 0 that of joints only       |
 //! | Robot_Accelerate             | likewise the internal acceleration and deceleration                              |
-//! | Robot_Change                 | `ToolN` and `WorkN` select a number; the definitions are all zero                |
+//! | Robot_Change                 | `ToolN` and `WorkN` select a definition; all are zero until they are set         |
 //! | Robot_Chuck, Unchuck         | closes and opens the [`hand`](crate::hand)                                       |
-//! | Robot_Rotate                 | `E_NOTIMPL`                                                                      |
+//! | Robot_Rotate                 | moves on a circle in a plane (XY, YZ, ZX) about a point                          |
 //!
 //! Speeds and accelerations are percent, 0.0001 to 100, and apply from the next motion on. Internal speeds, tool and
 //! work coordinates belong to the arm: while one client owns it, Speed, Accelerate, Change and the variables of these
@@ -23,14 +23,21 @@
 //! A command that cannot be parsed is refused first. Then a motion needs, in this order: Auto mode (`E_ACCESSDENIED`;
 //! no code of the controller's own is publicly known), the executable token (`E_TOKEN_NOT_ETHERNET`,
 //! `E_TOKEN_ADDRESS`), no error (`E_ERROR_PRESENT`), the arm authority of this client (`E_ARM_NOT_TAKEN`), the motor on
-//! (`E_MOTOR_OFF`), and the robot at rest (`E_ROBOTISBUSY`). Refusals with a code of the controller go into the error
-//! log, but are no errors that must be cleared.
+//! (`E_MOTOR_OFF`), and no motion of another client, no full queue and no Slave Mode (`E_ROBOTISBUSY`). Refusals with a
+//! code of the controller go into the error log, but are no errors that must be cleared.
 //!
 //! The call answers when the motion has ended: with `S_OK`, with `E_ABORT` after Halt or the end of Auto mode, with
-//! the error's code after an error. With the option `NEXT` it answers at once. Further options are `SPEED=` (or `S=`),
+//! the error's code after an error. After a pass it answers when the motion begins to brake. With the option `NEXT` it
+//! answers at once. Further options are `SPEED=` (or `S=`),
 //! `ACCEL=` and `DECEL=`, in percent of the internal values, each a number or a variable (`SPEED=F2`); another option
 //! is refused with `E_INVALIDARG`. A pose for which axis n would leave its range is the controller's error 0x8320407n,
 //! as is a line through a singularity.
+//!
+//! Approach ends before its pose, and Depart before the present pose, by the length in mm against the approach vector,
+//! the z of the flange. In an arc the flange turns evenly from the orientation of the start to that of the end; the
+//! orientation of the point on the circle has no effect. Three points on one line are `E_INVALIDARG`. Robot_Rotate turns
+//! right-handed about an axis of the base; with `Pose=1`, the default, the flange turns with it, with `Pose=2` it keeps its
+//! orientation.
 //!
 //! Halt answers when the arm is at rest, so that it does not refuse a motion that follows. If the arm is at rest
 //! already, Halt answers `S_FALSE`. The halted call ends with `E_ABORT`.
@@ -43,8 +50,12 @@
 //! | GiveArm                         | -                           | EMPTY; `S_FALSE` without it                      |
 //! | TakeArmState                    | group or -1                 | I4: the group this client holds, -1 for none     |
 //! | Motor                           | \[state, no wait\] or state | EMPTY when the motor is on; at once with no wait |
-//! | ExtSpeed                        | \[speed, accel, decel\]     | EMPTY; accel, decel default to speed² / 100      |
+//! | ExtSpeed                        | \[speed, accel, decel\]     | EMPTY; accel, decel: -1 keeps, -2 speed² / 100   |
 //! | DriveEx, DriveAEx               | \[pairs, option\] or pairs  | EMPTY; turns axes by, or to, a value             |
+//! | Approach                        | \[1 or 2, pose, length\]     | EMPTY; to a pose before this one                 |
+//! | Depart                          | \[1 or 2, length\]           | EMPTY; away from the present pose                |
+//! | MotionSkip                      | \[group, mode\] or nothing  | EMPTY at once; `S_FALSE` without a motion        |
+//! | MotionComplete                  | \[group, mode\] or nothing  | BOOL: 0 commands complete, 1 robot at rest       |
 //! | CurPos, DestPos, HighCurPos     | -                           | R8\[7\]: X Y Z RX RY RZ Fig                      |
 //! | CurJnt, DestJnt, HighCurJnt     | -                           | R8\[8\]: J1 to J8; 0 for an axis that it lacks   |
 //! | CurTrn, DestTrn, HighCurTrn     | -                           | R8\[10\]: position, orient, approach, Fig        |
@@ -57,19 +68,34 @@
 //! | GetRobotTypeName                | -                           | BSTR: the robot's type                           |
 //! | RobInfo                         | I4: 1                       | BSTR: likewise; other numbers `E_NOTIMPL`        |
 //! | J2P J2T P2J P2T T2J T2P         | a pose                      | R8 array                                         |
+//! | Dev, DevH                       | \[pose, offset\]            | R8\[7\]: offset in the base, in the flange       |
+//! | OutRange                        | pose or \[pose, -1, -1\]    | I4: 0, or bit n-1 of axis n                      |
+//! | GetToolDef, GetWorkDef          | I4, 0 to 63                 | R8\[6\]: X Y Z RX RY RZ                          |
+//! | SetToolDef, SetWorkDef          | \[1 to 63, pose\]           | EMPTY; needs the arm authority                   |
 //! | slvMove, slvChangeMode, ...     | see [`slave`]               |                                                  |
 //! | MotionPreparation, ...          | see [`preparation`](crate::preparation) |                                      |
 //!
-//! A motion while another one runs is refused with `E_ROBOTISBUSY`, with one exception, because public sample programs
-//! rely on it: the next motion of the client that started the running one with `NEXT` begins at the end of that motion,
-//! and is answered at its own end. Halt and errors end both. There is no other queue, and a pass motion is not blended.
+//! # Queue and pass
 //!
-//! TakeArm while an error is present answers `E_ERROR_PRESENT`. GiveArm while the robot moves answers `E_ROBOTISBUSY`.
+//! A motion of the client whose motion is under way joins a queue of at most 16 motions, the one under way included. It
+//! is planned from the end of the queue, and refused at once if that is impossible. A motion of another client, one beyond
+//! the 16 and one while Halt brakes are refused with `E_ROBOTISBUSY`.
+//!
+//! `@0` and `@E` come to rest at the pose. With `@P` the next motion begins while this one brakes, and the path passes
+//! the pose at a distance; with `@n` it begins at n mm from the pose, but not before the motion brakes. Without a next
+//! motion, a pass motion also ends at its pose. While two motions move, no axis exceeds its speed or leaves its range.
+//!
+//! Halt, errors and the end of Auto mode empty the queue. Hold and Unhold keep it. MotionSkip brakes the motion under
+//! way, whose call answers `S_OK`; the queue continues from the place where the arm comes to rest.
+//!
+//! TakeArm while an error is present answers `E_ERROR_PRESENT`. GiveArm while a motion is under way answers
+//! `E_ROBOTISBUSY`; after the answer of a pass motion it waits for its end.
 //! Commands of real controllers that this model lacks answer `E_NOTIMPL`, other names `E_INVALID_CMD_NAME`.
 
 mod call;
 pub(crate) mod commands;
 mod moves;
+mod poses;
 mod readings;
 pub(crate) mod variables;
 
@@ -163,7 +189,7 @@ impl Arm {
     /// Returns when to poll a call that waits for this event; `None` if the time is unknown.
     pub(crate) fn end_of(&self, wait: Wait, now: Instant) -> Option<Instant> {
         match wait {
-            Wait::Motion(_) | Wait::Turn | Wait::Rest => self.robot.motion_end(),
+            Wait::Motion(_) | Wait::Rest => self.robot.motion_end(now),
             Wait::Servo => match self.robot.servo() {
                 Servo::TurningOn(at) => Some(at),
                 _ => None,

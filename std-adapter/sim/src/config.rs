@@ -197,8 +197,9 @@ impl SlaveFormats {
 pub struct Config {
     /// The model.
     pub profile: Profile,
-    /// Whether Controller_Connect accepts the provider of every profile.
-    pub any_provider: bool,
+    /// Whether it tolerates what a real controller may refuse: the provider of another model, and unknown options. It tells
+    /// `observer` each text that it tolerates.
+    pub lenient: bool,
     /// The numbers of user variables.
     pub sizes: Sizes,
     /// The initial mode.
@@ -228,7 +229,7 @@ pub struct Config {
     pub files: Option<PathBuf>,
     /// Runs the work with these files.
     pub file_work: Executor,
-    /// Receives the reason of each refused argument.
+    /// Receives the reason of each refused argument, and each tolerated text.
     pub observer: Observer,
     /// The names of the tasks.
     pub tasks: Vec<String>,
@@ -254,7 +255,7 @@ impl Config {
     pub fn new(profile: Profile) -> Self {
         Self {
             profile,
-            any_provider: false,
+            lenient: false,
             sizes: Sizes::default(),
             mode: Mode::Auto,
             token: Token::Any,
@@ -282,6 +283,30 @@ impl Config {
             robot_type: profile.robot_type().to_owned(),
             arm_name: "Arm0".to_owned(),
         }
+    }
+
+    /// Refuses an unknown option, or ignores it and tells the observer.
+    pub(crate) fn unknown_option(&self, function: &str, key: &str) -> Result<(), HResult> {
+        if !self.lenient {
+            return Err(HResult::E_INVALIDARG);
+        }
+        self.observer.tolerated(&format!("{function}: unknown option {key:?} is ignored"));
+        Ok(())
+    }
+
+    /// Checks the provider that a client names.
+    pub(crate) fn check_provider(&self, name: &str) -> Result<(), HResult> {
+        let own = self.profile.provider();
+        if own.eq_ignore_ascii_case(name) {
+            return Ok(());
+        }
+        let others = [Profile::Rc8, Profile::Rc9, Profile::Cobotta];
+        if !self.lenient || !others.iter().any(|profile| profile.provider().eq_ignore_ascii_case(name)) {
+            return Err(HResult::E_CAO_PROV_INVALID);
+        }
+        let model = self.profile.type_name();
+        self.observer.tolerated(&format!("Controller_Connect: provider {name:?} is not that of {model}, {own:?}"));
+        Ok(())
     }
 
     /// Returns the wall clock at a time of the model.

@@ -15,7 +15,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::variant::{Array, Variant};
 
 use crate::kinematics::Axes;
-use crate::options::{check_pass_item, split_pass};
+use crate::options::{Pass, pass_item, split_pass};
 use crate::value::{numbers_of_array, numbers_of_text, whole};
 
 /// The largest number of axes of an arm, and the first extended axis.
@@ -29,6 +29,8 @@ pub(crate) struct Drive {
     absolute: bool,
     /// The axis, 1 to 8, and its value; each axis once.
     turns: Vec<(usize, f64)>,
+    /// The pass of the text, or of the last pair of an array.
+    pub(crate) pass: Pass,
 }
 
 impl Drive {
@@ -47,7 +49,7 @@ impl Drive {
             }
             turns.push((axis, value));
         }
-        if turns.is_empty() { Err(HResult::E_INVALIDARG) } else { Ok(Self { absolute, turns }) }
+        if turns.is_empty() { Err(HResult::E_INVALIDARG) } else { Ok(Self { absolute, turns, pass: Pass::Stop }) }
     }
 
     /// Reads the pairs of DriveEx or DriveAEx.
@@ -55,14 +57,16 @@ impl Drive {
         match value.flatten() {
             Variant::Bstr(text) => {
                 let text = text.to_string();
-                Self::new(absolute, pairs_of_text(split_pass(&text)?)?)
+                let (pass, pairs) = split_pass(&text)?;
+                Ok(Self { pass, ..Self::new(absolute, pairs_of_text(pairs)?)? })
             }
             // one pair alone
             Variant::Array(array) if is_pair(array) => Self::new(absolute, vec![pair(&value.flatten())?]),
             Variant::Array(array) if array.len() > AXES => Err(HResult::E_INVALIDARG),
             Variant::Array(array) => {
-                let pairs = array.iter().map(|item| pair_item(&item)).collect::<Result<_, _>>()?;
-                Self::new(absolute, pairs)
+                let pairs: Vec<_> = array.iter().map(|item| pair_item(&item)).collect::<Result<_, _>>()?;
+                let pass = pairs.last().map(|(_, pass)| *pass).unwrap_or_default();
+                Ok(Self { pass, ..Self::new(absolute, pairs.into_iter().map(|(pair, _)| pair).collect())? })
             }
             _ => Err(HResult::E_INVALIDARGTYPE),
         }
@@ -120,14 +124,14 @@ impl Drive {
 }
 
 /// Reads one element of the list of DriveEx: a pair alone, or with its type and its pass.
-fn pair_item(item: &Variant<'_>) -> Result<(f64, f64), HResult> {
+fn pair_item(item: &Variant<'_>) -> Result<((f64, f64), Pass), HResult> {
     let item = item.flatten();
     let Variant::Array(array) = item else { return Err(HResult::E_INVALIDARGTYPE) };
     if is_pair(array) {
-        return pair(&item);
+        return Ok((pair(&item)?, Pass::Stop));
     }
-    check_pass_item(&array.get(2).unwrap_or(Variant::Empty))?;
-    pair(&array.get(0).ok_or(HResult::E_INVALIDARG)?)
+    let pass = pass_item(&array.get(2).unwrap_or(Variant::Empty))?;
+    Ok((pair(&array.get(0).ok_or(HResult::E_INVALIDARG)?)?, pass))
 }
 
 /// Tells whether an array is a pair itself, not a list of them.

@@ -36,21 +36,36 @@ const SHOWN_MAX: usize = 300;
 const FUNCTIONS: &[(FunctionId, &str)] = &[
     (
         FunctionId::ROBOT_MOVE,
-        "interpolation I4: 1 joints, 2 line; pose BSTR (\"@E P1\", \"J(0,45,90,0,45,0) EXA((7,10))\"), an array of \
-         7 (P), 8 (J) or 10 (T) numbers, or [numbers or index, type, pass, extended joints]; option BSTR: NEXT, \
+        "interpolation I4: 1 joints, 2 line, 3 arc (BSTR \"P1, @E P2\": a point of the circle, and the end); \
+         pose BSTR (\"@E P1\", \"J(0,45,90,0,45,0) EXA((7,10))\"), an array of 7 (P), 8 (J) or 10 (T) numbers, or [numbers or index, type, pass, extended joints]; option BSTR: NEXT, \
          SPEED= (S=), ACCEL=, DECEL= with a number or a variable I, F or D in percent, 0.0001 to 100",
     ),
+    (
+        FunctionId::CONTROLLER_CONNECT,
+        "name, provider, machine BSTR; option BSTR: @IfNotMember, @EventDisable=, WPJ=, Interval=, Server=",
+    ),
+    (FunctionId::CONTROLLER_GET_ROBOT, "name BSTR; option BSTR: ID=, @IfNotMember"),
+    (FunctionId::ROBOT_GET_VARIABLE, OBJECT),
+    (FunctionId::TASK_GET_VARIABLE, OBJECT),
+    (FunctionId::CONTROLLER_GET_TASK, OBJECT),
+    (FunctionId::CONTROLLER_GET_EXTENSION, OBJECT),
+    (FunctionId::CONTROLLER_GET_COMMAND, OBJECT),
     (
         FunctionId::ROBOT_DRIVE,
         "axis I4: 1 to 6, and 7 and 8 where the arm has them; value: degrees or mm; option BSTR as for Robot_Move",
     ),
+    (
+        FunctionId::ROBOT_ROTATE,
+        "plane BSTR: XY, YZ or ZX; degrees; centre BSTR: V(x,y,z) or a variable V; option BSTR: @0, @P, @n, Pose=1 \
+         (the flange turns) or Pose=2 (it does not), and the options of Robot_Move",
+    ),
     (FunctionId::ROBOT_SPEED, "axis I4: -1 or 0; speed: percent, 0.0001 to 100"),
-    (FunctionId::ROBOT_ACCELERATE, "axis I4: -1 or 0; acceleration and deceleration: percent, 0.0001 to 100"),
+    (FunctionId::ROBOT_ACCELERATE, "axis I4: -1 or 0; acceleration and deceleration: percent, 0.0001 to 100, or -1"),
     (FunctionId::ROBOT_CHANGE, "name BSTR: Tool or Work with a number, 0 to 63"),
     (FunctionId::ROBOT_CHUCK, "option BSTR: empty"),
     (FunctionId::ROBOT_UNCHUCK, "option BSTR: empty"),
-    (FunctionId::TASK_START, "mode I4: 1 one cycle, 2 continuous, 3 one line; option BSTR"),
-    (FunctionId::TASK_STOP, "mode I4: 0 to 4; option BSTR"),
+    (FunctionId::TASK_START, "mode I4: 1 one cycle, 2 continuous, 3 one line; option BSTR: empty"),
+    (FunctionId::TASK_STOP, "mode I4: 0 to 4; option BSTR: empty"),
     (FunctionId::COMMAND_EXECUTE, "mode I4: 0 waits for the result, 1 does not"),
     (FunctionId::COMMAND_PUT_TIMEOUT, "time I4: milliseconds, 0 or more"),
     (FunctionId::FILE_PUT_VALUE, "value: BSTR, or an array of UI1; a folder has no value"),
@@ -62,16 +77,19 @@ const FUNCTIONS: &[(FunctionId, &str)] = &[
     (FunctionId::VARIABLE_GET_VALUE, "a variable, or a wildcard (I*) of which Variable_PutID has chosen one"),
     (
         FunctionId::CONTROLLER_GET_VARIABLE,
-        "name BSTR: @NAME, or a user variable whose index is below @VAR_..._LEN; option BSTR",
+        "name BSTR: @NAME, or a user variable whose index is below @VAR_..._LEN; option BSTR: @IfNotMember",
     ),
 ];
 
-const FILE_NAME: &str =
-    "name BSTR: a path of at most 32 parts without control characters and < > : \" | ? *; option BSTR";
+const OBJECT: &str = "name BSTR; option BSTR: @IfNotMember";
+
+const FILE_NAME: &str = "name BSTR: a path of at most 32 parts without control characters and < > : \" | ? *; option \
+                         BSTR: @Create=, @IfNotMember";
 
 type Tell = dyn Fn(HResult, &str) + Send + Sync;
 
-/// Receives the code and the reason of each refused argument.
+/// Receives the code and the reason of each refused argument; and under `S_OK` what the controller has tolerated, as a
+/// [lenient](crate::Config::lenient) one does with unknown options.
 #[derive(Clone, Default)]
 pub struct Observer(Option<Arc<Tell>>);
 
@@ -80,6 +98,13 @@ impl Observer {
     #[must_use]
     pub fn new(tell: impl Fn(HResult, &str) + Send + Sync + 'static) -> Self {
         Self(Some(Arc::new(tell)))
+    }
+
+    /// Tells what the controller has tolerated, under the code `S_OK`.
+    pub(crate) fn tolerated(&self, text: &str) {
+        if let Some(tell) = &self.0 {
+            tell(HResult::S_OK, text);
+        }
     }
 }
 

@@ -18,14 +18,16 @@
 //! The lengths are those of a small arm of this maker, chosen to match the pair of pose and joints in the guide's
 //! slvMove example: joints (0, 45, 90, 0, 45, 0) are the pose (364.16, 0, 278.5355, 180, 0, 180,
 //! Fig 5). That example fixes a2 + d4 - a3 and d1 - d6 + (a2 - d4 - a3) / √2, not each length. Ranges and speeds of
-//! the joints are decisions of this model. Tools and work coordinates are not modelled: poses are of the flange,
-//! relative to the base.
+//! the joints are decisions of this model. Poses are of the tool centre point in work coordinates, which without
+//! definitions are the flange and the base.
 //!
 //! Fig is a sum of: 1 the shoulder reaches forward (LEFTY), 2 the elbow is below (BELOW), 4 the wrist is not flipped
 //! (NONFLIP: J5 >= 0), 8 J4 is beyond ±180 (DOUBLE4), 16 J6 is beyond ±180 (DOUBLE6). That NONFLIP, ABOVE and LEFTY
 //! make 5 is shown in the guide; the bits 8 and 16 have the names and the order of the maker's manuals.
 
 use bcap_core::hresult::HResult;
+
+use crate::coordinates::Coordinates;
 
 /// J1 to J6, in degrees.
 pub type Joints = [f64; 6];
@@ -153,6 +155,54 @@ impl Frame {
             position: [0, 1, 2].map(|i| self.position[i] + (other.position[i] - self.position[i]) * part),
             rotation: multiply(&self.rotation, &about(axis, angle * part)),
         }
+    }
+}
+
+impl Frame {
+    /// The frame of the coordinates themselves.
+    pub(crate) const IDENTITY: Self =
+        Self { position: [0.0; 3], rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] };
+
+    /// Returns the frame of these coordinates, relative to this frame.
+    pub(crate) fn inverse(&self) -> Self {
+        let rotation = transpose(&self.rotation);
+        Self { position: rotation.map(|row| -dot(row, self.position)), rotation }
+    }
+
+    /// Returns a direction of the coordinates of this frame in those in which the frame is given.
+    pub(crate) fn direction(&self, vector: [f64; 3]) -> [f64; 3] {
+        self.rotation.map(|row| dot(row, vector))
+    }
+
+    /// Returns this frame moved to another position.
+    pub(crate) fn moved_to(&self, position: [f64; 3]) -> Self {
+        Self { position, rotation: self.rotation }
+    }
+
+    /// Returns this frame moved against its approach vector (its z) by a distance in mm.
+    pub(crate) fn withdrawn(&self, distance: f64) -> Self {
+        let position = [0, 1, 2].map(|i| self.position[i] - self.rotation[i][2] * distance);
+        Self { position, rotation: self.rotation }
+    }
+
+    /// Returns this frame turned about an axis (a unit vector) through a point, right-handed.
+    pub(crate) fn turned(&self, centre: [f64; 3], axis: [f64; 3], degrees: f64) -> Self {
+        let turn = about(axis, degrees.to_radians());
+        let arm = [0, 1, 2].map(|i| self.position[i] - centre[i]);
+        let position = [0, 1, 2].map(|i| centre[i] + dot(turn[i], arm));
+        Self { position, rotation: multiply(&turn, &self.rotation) }
+    }
+
+    /// Returns this frame moved and turned by `offset` in the coordinates in which both are given.
+    pub(crate) fn displaced(&self, offset: &Self) -> Self {
+        let position = [0, 1, 2].map(|i| self.position[i] + offset.position[i]);
+        Self { position, rotation: multiply(&offset.rotation, &self.rotation) }
+    }
+
+    /// Returns the frame that `offset` is in the coordinates of this one.
+    pub(crate) fn times(&self, offset: &Self) -> Self {
+        let position = [0, 1, 2].map(|i| self.position[i] + dot(self.rotation[i], offset.position));
+        Self { position, rotation: multiply(&self.rotation, &offset.rotation) }
     }
 }
 
@@ -333,15 +383,16 @@ fn transpose(a: &Matrix) -> Matrix {
     [0, 1, 2].map(|i| [0, 1, 2].map(|j| a[j][i]))
 }
 
-fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+pub(crate) fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+pub(crate) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-fn unit(a: [f64; 3]) -> Option<[f64; 3]> {
+/// Returns the vector of length 1 in this direction; `None` for a vector of length 0.
+pub(crate) fn unit(a: [f64; 3]) -> Option<[f64; 3]> {
     let length = dot(a, a).sqrt();
     (length > 1e-6).then(|| a.map(|x| x / length))
 }
@@ -375,30 +426,36 @@ fn about(axis: [f64; 3], angle: f64) -> Matrix {
     ]
 }
 
-/// Returns X Y Z RX RY RZ Fig of joints.
-pub(crate) fn position(joints: &Joints) -> Vec<f64> {
-    pose_numbers(&forward(joints), figure(joints))
+/// Rounds numbers to what a controller can measure: 1e-6 mm or degrees.
+pub(crate) fn measured<const N: usize>(numbers: [f64; N]) -> Vec<f64> {
+    // + 0.0 makes 0 of -0
+    numbers.iter().map(|n| (n * 1e6).round() / 1e6 + 0.0).collect()
+}
+
+/// Returns X Y Z RX RY RZ Fig of the tool centre point.
+pub(crate) fn position(joints: &Joints, coordinates: &Coordinates) -> Vec<f64> {
+    pose_numbers(&coordinates.pose(&forward(joints)), figure(joints))
 }
 
 /// Returns X Y Z RX RY RZ Fig.
 pub(crate) fn pose_numbers(frame: &Frame, fig: u8) -> Vec<f64> {
-    let mut numbers = frame.to_xyz_rpy().to_vec();
-    numbers.push(f64::from(fig));
-    numbers
+    let [x, y, z, rx, ry, rz] = frame.to_xyz_rpy();
+    measured([x, y, z, rx, ry, rz, f64::from(fig)])
 }
 
-/// Returns position, orient vector, approach vector and Fig of joints.
-pub(crate) fn trans(joints: &Joints) -> Vec<f64> {
-    let mut numbers = forward(joints).to_trans().to_vec();
+/// Returns position, orient vector, approach vector and Fig of the tool centre point.
+pub(crate) fn trans(joints: &Joints, coordinates: &Coordinates) -> Vec<f64> {
+    let [x, y, z, vectors @ ..] = coordinates.pose(&forward(joints)).to_trans();
+    let mut numbers = measured([x, y, z]);
+    // the components of a unit vector, 1e-9 of which are less than 1e-6 degrees
+    numbers.extend(vectors.map(|n| (n * 1e9).round() / 1e9 + 0.0));
     numbers.push(f64::from(figure(joints)));
     numbers
 }
 
 /// Returns J1 to J8 of six joints; axes 7 and 8 are 0.
 pub(crate) fn angle(joints: &Joints) -> Vec<f64> {
-    let mut numbers = joints.to_vec();
-    numbers.resize(8, 0.0);
-    numbers
+    measured(with_joints(joints, &[0.0; 8]))
 }
 
 #[cfg(test)]

@@ -23,8 +23,8 @@
 //!
 //! # What answers `E_NOTIMPL`
 //!
-//! Arcs and free curves, Rotate, File_Run, Task_Delete, definitions of tools and work coordinates, logs of positions
-//! and of operations, force control. A command that no controller is known to have answers `E_INVALID_CMD_NAME`.
+//! Free curves, RotateH, File_Run, Task_Delete, logs of positions and of operations, force control;
+//! `docs/virtual-controller.md` has the whole table. A command that no controller is known to have answers `E_INVALID_CMD_NAME`.
 //! A call that answers `S_OK` has done what it was asked for.
 //!
 //! # Decisions of this model, where the manuals are silent
@@ -66,6 +66,8 @@ pub mod commands;
 mod config;
 mod context;
 mod controller;
+mod coordinates;
+mod curve;
 mod drive;
 mod errors;
 mod executor;
@@ -81,7 +83,9 @@ mod objects;
 mod options;
 pub mod pose;
 pub mod preparation;
+mod queue;
 mod robot;
+mod route;
 pub mod scenario;
 pub mod slave;
 mod stream;

@@ -7,14 +7,19 @@
 //!              __/                \__> t
 //! ```
 //!
-//! The axes move together and arrive together. Halt and Hold brake along the path, at full deceleration.
+//! The axes move together and arrive together. Halt and Hold brake along the path, at full deceleration. How one motion
+//! follows another is in [`queue`](crate::queue).
 
 use std::time::Duration;
 
 use bcap_core::handler::PeerId;
 use bcap_core::time::Instant;
 
-use crate::kinematics::{AXIS_RANGES, AXIS_SPEEDS, Axes, Frame, OutOfReach, inverse_nearest, six, with_joints};
+use crate::kinematics::{
+    AXIS_RANGES, AXIS_SPEEDS, Axes, Frame, OutOfReach, forward, inverse_nearest, six, with_joints,
+};
+use crate::options::Pass;
+use crate::route::Route;
 
 /// The largest speed of the flange on a line, in mm per second.
 pub const LINE_SPEED: f64 = 2000.0;
@@ -31,6 +36,9 @@ const LINE_PARTS: usize = 100;
 /// The largest turn of a joint in one part of a line, in degrees; a larger one means a singularity.
 const LARGEST_STEP: f64 = 30.0;
 
+/// The rounding of a sum of positions, in degrees or mm.
+const ROUNDING: f64 = 1e-9;
+
 /// Positions of the axes, which a motion passes evenly.
 #[derive(Clone, Debug)]
 pub(crate) struct Path {
@@ -46,15 +54,20 @@ impl Path {
         Self { full_speed: axis_limit(&from, &to, 1.0), knots: vec![from, to] }
     }
 
-    /// Plans a motion of the flange on a straight line, while J7 and J8 move evenly to those of `end`.
-    pub(crate) fn line(start: Axes, from: &Frame, to: &Frame, end: &Axes) -> Result<Self, OutOfReach> {
-        let (distance, angle) = from.distance(to);
-        let mut full_speed = (LINE_SPEED / distance).min(TURN_SPEED / angle);
+    /// Plans a motion of the flange through the frames of `frame`, a function of the part of the path, 0 to 1, while J7 and
+    /// J8 move evenly to those of `end`. The flange moves `size.0` mm and turns `size.1` degrees.
+    pub(crate) fn along(
+        start: Axes,
+        end: &Axes,
+        size: (f64, f64),
+        frame: impl Fn(f64) -> Frame,
+    ) -> Result<Self, OutOfReach> {
+        let mut full_speed = (LINE_SPEED / size.0).min(TURN_SPEED / size.1);
         let mut knots = vec![start];
         let mut here = start;
         for n in 1..=LINE_PARTS {
             let part = n as f64 / LINE_PARTS as f64;
-            let joints = inverse_nearest(&from.towards(to, part), &six(&here))?;
+            let joints = inverse_nearest(&frame(part), &six(&here))?;
             let next = with_joints(&joints, &between(&start, end, part));
             if let Some(axis) = here.iter().zip(&next).take(6).position(|(a, b)| (a - b).abs() > LARGEST_STEP) {
                 return Err(OutOfReach(u8::try_from(axis + 1).unwrap_or(0)));
@@ -82,6 +95,21 @@ impl Path {
     /// Returns the position of the axes at its end.
     pub(crate) fn end(&self) -> Axes {
         self.knots.last().copied().unwrap_or_default()
+    }
+
+    /// Returns the position of the axes at its beginning.
+    fn start(&self) -> Axes {
+        self.knots.first().copied().unwrap_or_default()
+    }
+
+    /// Returns the least and the greatest position of each axis between two places on the path.
+    fn bounds(&self, from: f64, to: f64) -> [(f64, f64); 8] {
+        let parts = (self.knots.len() - 1) as f64;
+        let inner = |n: &usize| (from..=to).contains(&(*n as f64 / parts));
+        let knots = (0..self.knots.len()).filter(inner).map(|n| self.knots[n]);
+        knots.chain([self.at(to)]).fold(self.at(from).map(|place| (place, place)), |bounds, axes| {
+            [0, 1, 2, 3, 4, 5, 6, 7].map(|i| (bounds[i].0.min(axes[i]), bounds[i].1.max(axes[i])))
+        })
     }
 
     fn at(&self, part: f64) -> Axes {
@@ -140,6 +168,18 @@ impl Ramp {
         Self { begin, place, speed, spans: [(speed / decel, -decel), (0.0, 0.0), (0.0, 0.0)] }
     }
 
+    /// Stands at the beginning of a path; a path without length has only its end.
+    fn still(begin: Instant, path: &Path) -> Self {
+        let place = if path.full_speed.is_finite() { 0.0 } else { 1.0 };
+        Self { begin, place, speed: 0.0, spans: [(0.0, 0.0); 3] }
+    }
+
+    /// Returns when the last span begins.
+    fn braking(&self) -> Instant {
+        let [(up, _), (even, _), _] = self.spans;
+        self.begin.saturating_add(Duration::from_micros(((up + even) * 1e6).ceil() as u64))
+    }
+
     fn end(&self) -> Instant {
         let seconds: f64 = self.spans.iter().map(|(seconds, _)| seconds).sum();
         // rounded up, so that the motion is complete at its end
@@ -160,16 +200,6 @@ impl Ramp {
     }
 }
 
-/// The stage of a motion.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Stage {
-    Running,
-    /// Braking for Hold, or at rest until Unhold.
-    Holding,
-    /// Braking for Halt.
-    Halting,
-}
-
 /// A motion.
 #[derive(Clone, Debug)]
 pub(crate) struct Motion {
@@ -177,96 +207,58 @@ pub(crate) struct Motion {
     pub(crate) id: u64,
     /// The client that commanded it.
     pub(crate) peer: PeerId,
+    /// The command and its tool, from which the path can be planned again; `None` for a motion that only brakes.
+    pub(crate) route: Option<(Route, Frame)>,
+    pub(crate) pass: Pass,
+    /// See [`pass_time`](Self::pass_time).
+    pass_time: Instant,
     path: Path,
     rates: Rates,
     ramp: Ramp,
-    stage: Stage,
-}
-
-/// How a motion has ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Ended {
-    Arrived,
-    Halted,
 }
 
 impl Motion {
-    pub(crate) fn start(id: u64, peer: PeerId, path: Path, rates: Rates, now: Instant) -> Self {
-        // the end of a path without length
-        let place = if path.full_speed.is_finite() { 0.0 } else { 1.0 };
-        let mut motion = Self {
-            id,
-            peer,
-            path,
-            rates,
-            ramp: Ramp { begin: now, place, speed: 0.0, spans: [(0.0, 0.0); 3] },
-            stage: Stage::Running,
-        };
-        motion.run(now);
-        motion
+    /// Makes a motion that stands at the beginning of its path.
+    pub(crate) fn new(id: u64, peer: PeerId, path: Path, rates: Rates, now: Instant) -> Self {
+        let ramp = Ramp::still(now, &path);
+        Self { id, peer, route: None, pass: Pass::Stop, pass_time: now, path, rates, ramp }
     }
 
     /// Starts at the full speed of a [braking](Path::braking) path, and comes to rest at its end.
     pub(crate) fn braking(id: u64, peer: PeerId, path: Path, now: Instant) -> Self {
         let speed = path.full_speed;
-        // the path has length 1, so speed² = 2 decel
-        let ramp = Ramp::brake(now, 0.0, speed, speed * speed / 2.0);
         let rates = Rates { speed: 1.0, accel: 1.0, decel: 1.0 };
-        Self { id, peer, path, rates, ramp, stage: Stage::Halting }
+        // the path has length 1, so speed² = 2 decel
+        Self { ramp: Ramp::brake(now, 0.0, speed, speed * speed / 2.0), ..Self::new(id, peer, path, rates, now) }
+    }
+
+    /// Replaces the path by one from another position, and stands at its beginning.
+    pub(crate) fn replace(&mut self, path: Path, now: Instant) {
+        self.ramp = Ramp::still(now, &path);
+        self.path = path;
     }
 
     pub(crate) fn axes(&self, now: Instant) -> Axes {
         self.path.at(self.ramp.at(now).0)
     }
 
+    /// Returns the distance of each axis from the beginning of the path.
+    pub(crate) fn progress(&self, now: Instant) -> Axes {
+        let (here, start) = (self.axes(now), self.path.start());
+        [0, 1, 2, 3, 4, 5, 6, 7].map(|i| here[i] - start[i])
+    }
+
     pub(crate) fn destination(&self) -> Axes {
         self.path.end()
     }
 
-    /// Returns when it will end; `None` while it is held.
-    pub(crate) fn end(&self) -> Option<Instant> {
-        (self.stage != Stage::Holding).then(|| self.ramp.end())
+    /// Returns when it comes to rest.
+    pub(crate) fn end(&self) -> Instant {
+        self.ramp.end()
     }
 
-    /// Tells whether it has ended, and how.
-    pub(crate) fn ended(&self, now: Instant) -> Option<Ended> {
-        if now < self.end()? {
-            return None;
-        }
-        Some(if self.stage == Stage::Halting { Ended::Halted } else { Ended::Arrived })
-    }
-
-    pub(crate) fn halt(&mut self, now: Instant) {
-        if self.stage != Stage::Halting {
-            self.brake(now, Stage::Halting);
-        }
-    }
-
-    /// Tells whether it brakes to its end.
-    pub(crate) fn is_halting(&self) -> bool {
-        self.stage == Stage::Halting
-    }
-
-    /// Brakes until [`unhold`](Self::unhold); `false` if it is braking already.
-    pub(crate) fn hold(&mut self, now: Instant) -> bool {
-        let running = self.stage == Stage::Running;
-        if running {
-            self.brake(now, Stage::Holding);
-        }
-        running
-    }
-
-    /// Continues; `false` if it is not held.
-    pub(crate) fn unhold(&mut self, now: Instant) -> bool {
-        let held = self.stage == Stage::Holding;
-        if held {
-            self.stage = Stage::Running;
-            self.run(now);
-        }
-        held
-    }
-
-    fn run(&mut self, now: Instant) {
+    /// Moves to the end of the path, from rest or from the present speed.
+    pub(crate) fn run(&mut self, now: Instant) {
         let (place, speed) = self.ramp.at(now);
         let full = self.path.full_speed;
         if full.is_finite() {
@@ -274,16 +266,75 @@ impl Motion {
             let Rates { speed: top, accel: up, decel: down } = self.rates;
             self.ramp = Ramp::run(now, place, speed, full * top, accel * up, accel * down);
         }
+        self.pass_time = self.plan_pass();
     }
 
-    fn brake(&mut self, now: Instant, stage: Stage) {
+    /// Brakes to rest.
+    pub(crate) fn brake(&mut self, now: Instant) {
         let (place, speed) = self.ramp.at(now);
         // at full deceleration, whatever the deceleration of the motion
         let decel = self.path.full_speed / ACCELERATION_TIME;
-        self.stage = stage;
         if decel.is_finite() {
             self.ramp = Ramp::brake(now, place, speed, decel);
         }
+    }
+
+    /// Returns when a pass motion is near enough to its end for the next motion to begin; otherwise its end.
+    pub(crate) fn pass_time(&self) -> Instant {
+        self.pass_time
+    }
+
+    fn plan_pass(&self) -> Instant {
+        let braking = self.ramp.braking();
+        match self.pass {
+            Pass::Stop => self.end(),
+            Pass::Near(None) => braking,
+            Pass::Near(Some(distance)) => {
+                let end = forward(&six(&self.destination()));
+                let far = |at: u64| forward(&six(&self.axes(Instant::from_micros(at)))).distance(&end).0 > distance;
+                // bisection, because the flange comes nearer while the motion brakes
+                let (mut before, mut after) = (braking.as_micros(), self.end().as_micros());
+                while far(before) && before + 1 < after {
+                    let middle = before.midpoint(after);
+                    if far(middle) { before = middle } else { after = middle }
+                }
+                Instant::from_micros(if far(before) { after } else { before })
+            }
+        }
+    }
+
+    /// Returns when the next motion, which stands, begins to move: at the end, or earlier after a pass.
+    ///
+    /// While both move, no axis exceeds its speed: each motion's speed is a part of its path's full speed, at which each axis
+    /// keeps its limit, and the sum of both parts stays within the greater of both rates. No axis leaves its range either.
+    pub(crate) fn handover(&self, next: &Self, now: Instant) -> Instant {
+        let end = self.end();
+        let pass = self.pass_time().max(now);
+        let top = self.rates.speed.max(next.rates.speed);
+        let rise = ACCELERATION_TIME * top / next.rates.accel;
+        let mut overlap = end.saturating_since(pass).as_secs_f64().min(rise);
+        for _ in 0..8 {
+            let begin = Instant::from_micros(end.as_micros().saturating_sub((overlap * 1e6) as u64));
+            if self.fits(next, begin) {
+                return begin.max(now);
+            }
+            overlap /= 2.0;
+        }
+        end
+    }
+
+    /// Tells whether all axes stay in their ranges if the next motion begins at this time.
+    fn fits(&self, next: &Self, begin: Instant) -> bool {
+        let time = self.end().saturating_since(begin).as_secs_f64();
+        let (from, _) = next.ramp.at(begin);
+        let rise = next.path.full_speed / ACCELERATION_TIME * next.rates.accel * time * time / 2.0;
+        let to = if rise.is_finite() { (from + rise).min(1.0) } else { 1.0 };
+        let (here, there) = (self.path.bounds(self.ramp.at(begin).0, 1.0), next.path.bounds(from, to));
+        let start = next.path.start();
+        (0..8).all(|i| {
+            let ((low, high), offset) = (AXIS_RANGES[i], start[i]);
+            here[i].0 + there[i].0 - offset >= low - ROUNDING && here[i].1 + there[i].1 - offset <= high + ROUNDING
+        })
     }
 }
 
@@ -296,11 +347,13 @@ mod tests {
 
     fn turn_of_j1(degrees: f64, rates: Rates) -> Motion {
         let path = Path::axes([0.0; 8], [degrees, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
-        Motion::start(1, PeerId(1), path, rates, Instant::ZERO)
+        let mut motion = Motion::new(1, PeerId(1), path, rates, Instant::ZERO);
+        motion.run(Instant::ZERO);
+        motion
     }
 
     fn seconds(motion: &Motion) -> f64 {
-        motion.end().unwrap().as_micros() as f64 / 1e6
+        motion.end().as_micros() as f64 / 1e6
     }
 
     #[test]
@@ -309,8 +362,7 @@ mod tests {
         assert!((seconds(&motion) - (150.0 / SPEEDS[0] + ACCELERATION_TIME)).abs() < 1e-5);
         let half = turn_of_j1(150.0, Rates { speed: 0.5, ..FULL });
         assert!((seconds(&half) - (150.0 / SPEEDS[0] * 2.0 + ACCELERATION_TIME / 2.0)).abs() < 1e-5);
-        assert_eq!(motion.axes(motion.end().unwrap())[0], 150.0);
-        assert_eq!(motion.ended(motion.end().unwrap()), Some(Ended::Arrived));
+        assert_eq!(motion.axes(motion.end())[0], 150.0);
     }
 
     #[test]
@@ -333,44 +385,36 @@ mod tests {
     }
 
     #[test]
-    fn halt_brakes_and_unhold_continues() {
+    fn it_brakes_and_continues() {
         let mut motion = turn_of_j1(150.0, FULL);
         let at = Instant::from_millis(300);
         let before = motion.axes(at)[0];
-        assert!(motion.hold(at) && !motion.hold(at));
-        assert_eq!(motion.end(), None);
+        motion.brake(at);
         let held = motion.axes(Instant::from_millis(10_000))[0];
         // braking from full speed takes half of speed times the ramp's time
         assert!((held - before - SPEEDS[0] * ACCELERATION_TIME / 2.0).abs() < 1e-6, "{before} {held}");
-        assert!(motion.unhold(Instant::from_millis(10_000)) && !motion.unhold(at));
-        assert_eq!(motion.axes(motion.end().unwrap())[0], 150.0);
-        motion.halt(Instant::from_millis(10_001));
-        let end = motion.end().unwrap();
-        assert_eq!(motion.ended(end), Some(Ended::Halted));
-        assert!(motion.axes(end)[0] < held + 1.0);
+        motion.run(Instant::from_millis(10_000));
+        assert_eq!(motion.axes(motion.end())[0], 150.0);
     }
 
     #[test]
-    fn a_slow_motion_halts_as_soon_as_a_fast_one() {
-        let slow = Rates { speed: 0.5, accel: 0.5, decel: 0.001 };
-        let mut motion = turn_of_j1(150.0, slow);
+    fn a_slow_motion_brakes_as_soon_as_a_fast_one() {
+        let mut motion = turn_of_j1(150.0, Rates { speed: 0.5, accel: 0.5, decel: 0.001 });
         let at = Instant::from_millis(500);
-        motion.halt(at);
-        let braking = motion.end().unwrap().saturating_since(at);
+        motion.brake(at);
+        let braking = motion.end().saturating_since(at);
         assert!(braking.as_secs_f64() <= ACCELERATION_TIME / 2.0 + 1e-6, "{braking:?}");
-        // held and let go in the middle of braking, it still arrives
-        let mut motion = turn_of_j1(150.0, slow);
-        motion.hold(at);
-        motion.unhold(Instant::from_millis(505));
-        assert_eq!(motion.axes(motion.end().unwrap())[0], 150.0);
+        // run again in the middle of braking, it still arrives
+        motion.run(Instant::from_millis(505));
+        assert_eq!(motion.axes(motion.end())[0], 150.0);
     }
 
     #[test]
     fn a_path_without_length_takes_no_time() {
         let mut motion = turn_of_j1(0.0, FULL);
-        assert_eq!(motion.ended(Instant::ZERO), Some(Ended::Arrived));
-        motion.hold(Instant::ZERO);
-        motion.unhold(Instant::ZERO);
-        assert_eq!(motion.ended(Instant::ZERO), Some(Ended::Arrived));
+        assert_eq!(motion.end(), Instant::ZERO);
+        motion.brake(Instant::ZERO);
+        motion.run(Instant::ZERO);
+        assert_eq!(motion.end(), Instant::ZERO);
     }
 }

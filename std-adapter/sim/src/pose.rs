@@ -8,9 +8,10 @@
 //! | VARIANT array: index, type, pass   | `[1, "P", "@E"]`                                             |
 //! | array of 7, 8 or 10 numbers        | P, J or T by their count                                     |
 //!
-//! Types are 0 P, 1 T, 2 J. The pass (`@P` -1, `@E` -2, `@0`, `@n`) is checked and has no effect: every motion of this
-//! model ends exactly at its pose. As text the pass may also stand before the type, as in a public sample program:
-//! `[[...], "@E", "P"]`. If a P has no Fig or a negative one, the arm takes the nearest posture.
+//! Types are 0 P, 1 T, 2 J. The pass is `@P` (-1), `@E` (-2), `@0` or `@n`; [`arm`](crate::arm) says what it does. As
+//! text it may also stand before the type, as in a public sample program: `[[...], "@E", "P"]`. If a P has no Fig or a negative one, the arm takes the nearest posture.
+//!
+//! An arc has two poses in one text, `"P1, @E P2"`: the point on the circle, and the end.
 //!
 //! Extended joints may follow the pose: `"P1 EX((7, 30.5))"`, or `[1, [7, 30.5]]` as the fourth element. With 1 or EX
 //! the values are relative to the position of the axis, with 2 or EXA to its zero.
@@ -21,16 +22,68 @@ use bcap_core::variant::{Array, Variant};
 
 use crate::drive::Drive;
 use crate::kinematics::{Frame, Joints, OutOfReach, inverse, inverse_nearest, out_of_range};
-use crate::options::{check_pass_item, split_pass};
+use crate::options::{Pass, pass_item, split_outside_brackets, split_pass};
 use crate::value::{number, numbers, numbers_of_text, whole};
 use crate::variables::{Family, Variables, parse_name};
 
-/// The target of a motion.
+/// The target of a motion command.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Target {
+    pub(crate) pose: Pose,
+    /// The turns of extended joints.
+    pub(crate) extended: Option<Drive>,
+    pub(crate) pass: Pass,
+}
+
+/// A pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Pose {
     Joints(Joints),
     /// A frame of the flange, and the Fig; `None` for the nearest posture.
     Frame(Frame, Option<u8>),
+}
+
+impl Target {
+    /// Reads a motion command's pose, its pass, and the turns of extended joints that follow it.
+    pub(crate) fn parse(value: &Variant<'_>, vars: &Variables) -> Result<Self, HResult> {
+        match value.flatten() {
+            Variant::Bstr(text) => Self::parse_text(&text.to_string(), vars),
+            Variant::Array(array) if (1..=4).contains(&array.len()) => {
+                let (pose, pass) = Pose::parse_items(array, vars)?;
+                let more = array.get(3).unwrap_or(Variant::Empty).flatten();
+                let extended = if more.is_empty() { None } else { Some(Drive::parse_extended(&more)?) };
+                Ok(Self { pose, extended, pass })
+            }
+            Variant::Array(array) => {
+                let pose = Pose::new(kind_of(array.len())?, &numbers(value)?)?;
+                Ok(Self { pose, extended: None, pass: Pass::Stop })
+            }
+            _ => Err(HResult::E_INVALIDARGTYPE),
+        }
+    }
+
+    /// Reads two poses in text, of which the second has the pass: `P1, @E P2`.
+    pub(crate) fn parse_two(value: &Variant<'_>, vars: &Variables) -> Result<(Pose, Self), HResult> {
+        let Variant::Bstr(text) = value.flatten() else { return Err(HResult::E_INVALIDARGTYPE) };
+        let text = text.to_string();
+        let mut poses = split_outside_brackets(&text);
+        let (Some(via), Some(end), None) = (poses.next(), poses.next(), poses.next()) else {
+            return Err(HResult::E_INVALIDARG);
+        };
+        match (Self::parse_text(via, vars)?, Self::parse_text(end, vars)?) {
+            (Self { pose, extended: None, pass: Pass::Stop }, end @ Self { extended: None, .. }) => Ok((pose, end)),
+            _ => Err(HResult::E_INVALIDARG),
+        }
+    }
+
+    fn parse_text(text: &str, vars: &Variables) -> Result<Self, HResult> {
+        let (pass, text) = split_pass(text)?;
+        let (text, extended) = match text.to_ascii_uppercase().find("EX") {
+            Some(n) => (&text[..n], Some(Drive::parse_extended_text(&text[n..])?)),
+            None => (text, None),
+        };
+        Ok(Self { pose: Pose::parse_text(text.trim(), vars)?, extended, pass })
+    }
 }
 
 impl Pose {
@@ -61,30 +114,10 @@ impl Pose {
         Ok(Self::Frame(Frame::from_trans(t).ok_or(HResult::E_INVALIDARG)?, fig))
     }
 
-    /// Reads a motion command's pose, and the turns of extended joints that follow it.
-    pub(crate) fn parse_target(value: &Variant<'_>, vars: &Variables) -> Result<(Self, Option<Drive>), HResult> {
-        match value.flatten() {
-            Variant::Bstr(text) => {
-                let text = text.to_string();
-                match text.to_ascii_uppercase().find("EX") {
-                    Some(n) => Ok((Self::parse_text(&text[..n], vars)?, Some(Drive::parse_extended_text(&text[n..])?))),
-                    None => Ok((Self::parse_text(&text, vars)?, None)),
-                }
-            }
-            Variant::Array(array) if (1..=4).contains(&array.len()) => {
-                let pose = Self::parse_items(array, vars)?;
-                let more = array.get(3).unwrap_or(Variant::Empty).flatten();
-                Ok((pose, if more.is_empty() { None } else { Some(Drive::parse_extended(&more)?) }))
-            }
-            Variant::Array(array) => Ok((Self::new(kind_of(array.len())?, &numbers(value)?)?, None)),
-            _ => Err(HResult::E_INVALIDARGTYPE),
-        }
-    }
-
     /// Reads a pose alone.
     pub(crate) fn parse(value: &Variant<'_>, vars: &Variables) -> Result<Self, HResult> {
-        match Self::parse_target(value, vars)? {
-            (pose, None) => Ok(pose),
+        match Target::parse(value, vars)? {
+            Target { pose, extended: None, .. } => Ok(pose),
             _ => Err(HResult::E_INVALIDARG),
         }
     }
@@ -98,7 +131,6 @@ impl Pose {
     }
 
     fn parse_text(text: &str, vars: &Variables) -> Result<Self, HResult> {
-        let text = split_pass(text)?;
         if let Some((family, Some(index))) = parse_name(text) {
             return Self::of_variable(family, index, vars);
         }
@@ -108,11 +140,11 @@ impl Pose {
     }
 
     /// Reads `[numbers or index, type, pass]`, or the pass before the type; ignores a fourth element.
-    fn parse_items(array: Array<'_>, vars: &Variables) -> Result<Self, HResult> {
+    fn parse_items(array: Array<'_>, vars: &Variables) -> Result<(Self, Pass), HResult> {
         let item = |n| array.get(n).unwrap_or(Variant::Empty).flatten();
         let has_pass = |item: &Variant<'_>| matches!(item, Variant::Bstr(text) if text.to_string().starts_with('@'));
         let (kind, pass) = if has_pass(&item(1)) { (item(2), item(1)) } else { (item(1), item(2)) };
-        check_pass_item(&pass)?;
+        let pass = pass_item(&pass)?;
         let kind = match kind {
             Variant::Empty | Variant::Null => None,
             Variant::Bstr(letter) => Some(kind_of_letter(&letter.to_string())?),
@@ -127,13 +159,17 @@ impl Pose {
         match (item(0), kind) {
             (Variant::Array(list), kind) => {
                 let list = numbers(&Variant::Array(list))?;
-                Self::new(kind.map_or_else(|| kind_of(list.len()), Ok)?, &list)
+                Ok((Self::new(kind.map_or_else(|| kind_of(list.len()), Ok)?, &list)?, pass))
             }
-            (Variant::Bstr(text), None) => Self::parse_text(&text.to_string(), vars),
+            (Variant::Bstr(text), None) => {
+                let text = text.to_string();
+                let (own, text) = split_pass(&text)?;
+                Ok((Self::parse_text(text, vars)?, if own == Pass::Stop { pass } else { own }))
+            }
             (index, Some(kind)) => {
                 let index = whole(number(&index).ok_or(HResult::E_INVALIDARGTYPE)?)?;
                 let index = u32::try_from(index).map_err(|_| HResult::DISP_E_BADINDEX)?;
-                Self::of_variable(Family::Plain(kind), index, vars)
+                Ok((Self::of_variable(Family::Plain(kind), index, vars)?, pass))
             }
             _ => Err(HResult::E_INVALIDARG),
         }

@@ -6,8 +6,12 @@ use bcap_core::time::Instant;
 
 use crate::config::Config;
 use crate::context::Context;
+use crate::coordinates::{Coordinates, Definitions};
 use crate::kinematics::{Axes, Joints, six, with_joints};
-use crate::motion::{Ended, Motion, Path, Rates};
+use crate::motion::{Motion, Path, Rates};
+use crate::options::Pass;
+use crate::queue::Queue;
+use crate::route::{Blocked, Route};
 use crate::stream::Stream;
 use crate::waits::{Wait, Waits};
 
@@ -66,18 +70,16 @@ pub(crate) struct Settings {
 /// The robot's state.
 #[derive(Clone, Debug)]
 pub(crate) struct Robot {
-    /// The position while the robot does not move.
-    rest: Axes,
-    motion: Option<Motion>,
-    /// Slave Mode. While it is on, `motion` is `None`.
+    queue: Queue,
+    /// Slave Mode. While it is on, the queue is empty.
     stream: Option<Stream>,
     last_motion: u64,
-    /// The end of the last motion.
-    destination: Axes,
     servo: Servo,
     /// The client that owns the arm, and the arm group.
     owner: Option<(PeerId, i32)>,
     settings: Settings,
+    pub(crate) tools: Definitions,
+    pub(crate) works: Definitions,
 }
 
 impl Robot {
@@ -85,13 +87,13 @@ impl Robot {
         let home = with_joints(&config.home, &[0.0; 8]);
         let internal = Percent { speed: config.speed, ..Percent::FULL };
         Self {
-            rest: home,
-            motion: None,
+            queue: Queue::new(home),
             stream: None,
             last_motion: 0,
-            destination: home,
             servo: Servo::Off,
             owner: None,
+            tools: Definitions::new(),
+            works: Definitions::new(),
             settings: Settings {
                 line: internal,
                 joint: internal,
@@ -109,18 +111,7 @@ impl Robot {
         {
             self.servo = Servo::On;
         }
-        if let Some((id, ended)) = self.motion.as_ref().and_then(|motion| Some((motion.id, motion.ended(now)?))) {
-            let destination = self.destination;
-            self.freeze(now);
-            if ended == Ended::Arrived {
-                // exactly, without the rounding of the path
-                (self.rest, self.destination) = (destination, destination);
-            }
-            match ended {
-                Ended::Arrived => waits.end(Wait::Motion(id), HResult::S_OK),
-                Ended::Halted => end_motion(id, HResult::E_ABORT, waits),
-            }
-        }
+        self.queue.advance(now, waits);
         if self.motor_is_on() {
             waits.end(Wait::Servo, HResult::S_OK);
         }
@@ -178,6 +169,11 @@ impl Robot {
         &mut self.settings
     }
 
+    /// Returns the present tool and work coordinates.
+    pub(crate) fn coordinates(&self) -> Coordinates {
+        Coordinates { tool: self.tools.get(self.settings.tool), work: self.works.get(self.settings.work) }
+    }
+
     /// Sets internal speeds, tool and work coordinates back, as TakeArm does.
     pub(crate) fn reset_settings(&mut self) {
         let external = self.settings.external;
@@ -186,27 +182,27 @@ impl Robot {
 
     /// Tells whether a motion is running or held, or an axis moves in Slave Mode.
     pub(crate) fn is_moving(&self) -> bool {
-        self.motion.is_some() || self.stream.as_ref().is_some_and(Stream::is_moving)
+        !self.queue.is_empty() || self.stream.as_ref().is_some_and(Stream::is_moving)
     }
 
-    /// Tells whether a motion is running or held.
-    pub(crate) fn has_motion(&self) -> bool {
-        self.motion.is_some()
+    /// Tells whether the queue has motions of this client that continue to their end, and room for one more.
+    pub(crate) fn may_follow(&self, peer: PeerId) -> bool {
+        self.queue.accepts() == Some(peer) && !self.queue.is_full()
     }
 
-    /// Tells whether the motion is this client's and continues to its target.
-    pub(crate) fn executes_motion_of(&self, peer: PeerId) -> bool {
-        self.motion.as_ref().is_some_and(|motion| motion.peer == peer && !motion.is_halting())
+    /// Tells whether all motion commands are complete; after a pass the robot may still move.
+    pub(crate) fn commands_are_complete(&self, now: Instant) -> bool {
+        self.queue.commands_are_complete(now)
     }
 
     /// Returns the client whose motion or Slave Mode moves the robot.
     pub(crate) fn mover(&self) -> Option<PeerId> {
-        self.stream.as_ref().map(|stream| stream.peer).or_else(|| self.motion.as_ref().map(|motion| motion.peer))
+        self.stream.as_ref().map(|stream| stream.peer).or_else(|| self.queue.mover())
     }
 
-    /// Returns when the motion will end; `None` without a motion, or while it is held.
-    pub(crate) fn motion_end(&self) -> Option<Instant> {
-        self.motion.as_ref().and_then(Motion::end)
+    /// Returns when to look again for the end of the motion; `None` without a motion, or while it is held.
+    pub(crate) fn motion_end(&self, now: Instant) -> Option<Instant> {
+        self.queue.end(now)
     }
 
     pub(crate) fn joints(&self, now: Instant) -> Joints {
@@ -215,61 +211,69 @@ impl Robot {
 
     /// Returns J1 to J8.
     pub(crate) fn axes(&self, now: Instant) -> Axes {
-        match (&self.stream, &self.motion) {
-            (Some(stream), _) => stream.axes(now),
-            (None, Some(motion)) => motion.axes(now),
-            (None, None) => self.rest,
-        }
+        self.stream.as_ref().map_or_else(|| self.queue.axes(now), |stream| stream.axes(now))
     }
 
     /// Returns the commanded position of the axes.
     pub(crate) fn destination(&self) -> Axes {
-        self.stream.as_ref().map_or(self.destination, Stream::commanded)
+        self.stream.as_ref().map_or_else(|| self.queue.destination(), Stream::commanded)
     }
 
-    /// Starts a motion and returns its number.
-    pub(crate) fn start(&mut self, peer: PeerId, path: Path, internal: Percent, now: Instant) -> u64 {
+    /// Adds a motion to the queue and returns its number.
+    ///
+    /// # Errors
+    ///
+    /// The reason why the route cannot be followed from the end of the queue.
+    pub(crate) fn start(
+        &mut self,
+        peer: PeerId,
+        (route, pass): (Route, Pass),
+        internal: Percent,
+        now: Instant,
+    ) -> Result<u64, Blocked> {
+        let tool = self.coordinates().tool;
+        let path = route.path(&self.queue.last_destination(), &tool)?;
         self.last_motion += 1;
         let rates = internal.times(self.settings.external);
-        let motion = Motion::start(self.last_motion, peer, path, rates, now);
-        self.destination = motion.destination();
-        self.motion = Some(motion);
-        self.last_motion
+        let mut motion = Motion::new(self.last_motion, peer, path, rates, now);
+        (motion.route, motion.pass) = (Some((route, tool)), pass);
+        self.queue.push(motion, now);
+        Ok(self.last_motion)
     }
 
-    /// Brakes the motion to its end; returns whether there was one.
+    /// Brakes the motions to their end; returns whether there was one.
     pub(crate) fn halt_motion(&mut self, now: Instant, waits: &mut Waits) -> bool {
-        let Some(motion) = &mut self.motion else { return false };
-        motion.halt(now);
+        let halted = self.queue.halt(now);
         // a held motion that is at rest ends now
         self.advance(now, waits);
-        true
+        halted
     }
 
     /// Brakes the motion until [`unhold`](Self::unhold); returns whether it was running.
     pub(crate) fn hold(&mut self, now: Instant) -> bool {
-        self.motion.as_mut().is_some_and(|motion| motion.hold(now))
+        self.queue.hold(now)
     }
 
     /// Continues a held motion; returns whether there was one.
     pub(crate) fn unhold(&mut self, now: Instant) -> bool {
-        self.motion.as_mut().is_some_and(|motion| motion.unhold(now))
+        self.queue.unhold(now)
+    }
+
+    /// Ends the motion under way early; the next one begins when the arm is at rest. Returns whether there was one.
+    ///
+    /// # Errors
+    ///
+    /// The reason why the next motion cannot begin there.
+    pub(crate) fn skip_motion(&mut self, now: Instant, waits: &mut Waits) -> Result<bool, Blocked> {
+        let skipped = self.queue.skip(now, waits)?;
+        self.advance(now, waits);
+        Ok(skipped)
     }
 
     /// Stops motion and Slave Mode without braking. Calls that wait for them end with `code`.
     pub(crate) fn stop(&mut self, code: HResult, now: Instant, waits: &mut Waits) {
         self.leave(code, now, waits);
-        if let Some(id) = self.freeze(now) {
-            end_motion(id, code, waits);
-        }
-    }
-
-    /// Stops the motion without braking, and returns its number.
-    fn freeze(&mut self, now: Instant) -> Option<u64> {
-        let motion = self.motion.take()?;
-        self.rest = motion.axes(now);
-        self.destination = self.rest;
-        Some(motion.id)
+        self.queue.stop(code, now, waits);
     }
 
     pub(crate) fn stream(&self) -> Option<&Stream> {
@@ -288,8 +292,7 @@ impl Robot {
     /// Ends Slave Mode without braking. Calls that wait for it end with `code`.
     pub(crate) fn leave(&mut self, code: HResult, now: Instant, waits: &mut Waits) -> Option<Stream> {
         let stream = self.stream.take()?;
-        self.rest = stream.axes(now);
-        self.destination = self.rest;
+        self.queue.set_rest(stream.axes(now));
         waits.end(Wait::Stored, code);
         waits.end(Wait::Left, code);
         Some(stream)
@@ -297,11 +300,9 @@ impl Robot {
 
     /// Brakes all axes together from these speeds to rest, as hard as these limits of acceleration allow.
     pub(crate) fn brake(&mut self, peer: PeerId, speeds: &Axes, limits: &Axes, now: Instant) {
-        let Some(path) = Path::braking(self.rest, speeds, limits) else { return };
+        let Some(path) = Path::braking(self.queue.axes(now), speeds, limits) else { return };
         self.last_motion += 1;
-        let motion = Motion::braking(self.last_motion, peer, path, now);
-        self.destination = motion.destination();
-        self.motion = Some(motion);
+        self.queue.brake(Motion::braking(self.last_motion, peer, path, now), now);
     }
 
     /// Checks everything that a motion needs, in the order that the documentation of [`arm`](crate::arm) gives.
@@ -326,12 +327,6 @@ impl Robot {
             _ => Ok(()),
         }
     }
-}
-
-/// Ends the calls that wait for a motion which does not arrive, and for the motion after it.
-fn end_motion(id: u64, code: HResult, waits: &mut Waits) {
-    waits.end(Wait::Motion(id), code);
-    waits.end(Wait::Turn, code);
 }
 
 /// Checks a speed or an acceleration in percent, 0.0001 to 100.

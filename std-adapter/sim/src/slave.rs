@@ -72,6 +72,7 @@ use bcap_core::variant::Variant;
 use crate::answer::{Answer, Answered};
 use crate::config::Config;
 use crate::context::Context;
+use crate::coordinates::Coordinates;
 use crate::kinematics::{AXIS_SPEEDS, Axes, OutOfReach, out_of_range, six};
 use crate::motion::ACCELERATION_TIME;
 use crate::pose::Pose;
@@ -135,8 +136,9 @@ impl Slave {
             self.counters.refused += 1;
             return Err(HResult::E_BUF_FULL);
         }
+        let coordinates = robot.coordinates();
         let Some(stream) = robot.stream_mut() else { return Err(HResult::E_SLVMODE_OFF) };
-        let axes = target(stream, ctx.config, &order.pose)?.map_err(|error| ctx.raise(error.code()))?;
+        let axes = target(stream, &coordinates, ctx.config, &order.pose)?.map_err(|error| ctx.raise(error.code()))?;
         match stream.offer(axes, &mut self.counters) {
             Offered::Withheld => Ok(Answer::Until(Wait::Stored)),
             stored => {
@@ -167,7 +169,8 @@ impl Slave {
 
     fn answer(&self, robot: &Robot, ctx: &Context<'_>, order: &Order) -> Value {
         let current = robot.stream().map_or([0.0; 8], Stream::current);
-        let state = State { micros: ctx.now.as_micros(), axes: robot.axes(ctx.now), current };
+        let state =
+            State { micros: ctx.now.as_micros(), axes: robot.axes(ctx.now), coordinates: robot.coordinates(), current };
         self.formats(ctx.peer).answer(&state, order, ctx.variables)
     }
 
@@ -286,7 +289,12 @@ pub(crate) fn abandon(robot: &mut Robot, peer: PeerId) {
 }
 
 /// Finds the axes of a pose of slvMove.
-fn target(stream: &Stream, config: &Config, numbers: &[f64]) -> Result<Result<Axes, OutOfReach>, HResult> {
+fn target(
+    stream: &Stream,
+    coordinates: &Coordinates,
+    config: &Config,
+    numbers: &[f64],
+) -> Result<Result<Axes, OutOfReach>, HResult> {
     let kind = stream.mode.kind;
     let (numbers, option) = numbers.split_at_checked(count(kind)).ok_or(HResult::E_INVALIDARG)?;
     let bits = joints_of_option(option.first().copied())?;
@@ -310,7 +318,7 @@ fn target(stream: &Stream, config: &Config, numbers: &[f64]) -> Result<Result<Ax
         return Err(HResult::E_INVALIDARG);
     }
     let numbers = if kind == Kind::J { &numbers[..6] } else { numbers };
-    let pose = Pose::new(kind, numbers)?;
+    let pose = coordinates.flange(Pose::new(kind, numbers)?);
     Ok(pose.joints(&six(&near)).and_then(|joints| {
         axes[..6].copy_from_slice(&joints);
         out_of_range(&axes).map_or(Ok(axes), |axis| Err(OutOfReach(axis)))

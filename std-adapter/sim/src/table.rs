@@ -125,9 +125,15 @@ impl<G: Copy, P: Copy> Property<G, P> {
     }
 }
 
-/// Asserts that the module headers of these sources name every command of a table that a profile executes.
+/// Asserts that the module headers of these sources name every command of a table that a profile executes, and that
+/// `docs/virtual-controller.md` has a row for every command.
 #[cfg(test)]
 pub(crate) fn assert_documented<R: Copy>(table: &[Command<R>], sources: &[&str]) {
+    let rows = include_str!("../../../docs/virtual-controller.md").lines().filter_map(|line| line.split('|').nth(2));
+    let names: Vec<_> = rows.map(str::trim).collect();
+    for command in table {
+        assert!(names.contains(&command.name), "{} has no row in docs/virtual-controller.md", command.name);
+    }
     let lines = sources.iter().flat_map(|source| source.lines()).filter(|line| line.starts_with("//!"));
     let words: Vec<_> = lines.flat_map(|line| line.split(|c: char| !c.is_ascii_alphanumeric())).collect();
     for command in table.iter().filter(|command| command.run.is_some()) {

@@ -8,10 +8,8 @@ use bcap_core::hresult::HResult;
 /// The event that a call waits for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Wait {
-    /// The end of the motion with this number.
+    /// The end of the motion with this number, or the begin of its pass.
     Motion(u64),
-    /// The end of this client's own motion with `NEXT`; then its next motion begins.
-    Turn,
     /// The motor is on.
     Servo,
     /// The arm is at rest.

@@ -10,7 +10,6 @@ use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::drive::Drive;
 use crate::function::command_of;
-use crate::kinematics::with_joints;
 use crate::robot::{Percent, coordinates, percent};
 use crate::table::Command;
 use crate::waits::Wait;
@@ -27,12 +26,10 @@ impl Arm {
             FunctionId::ROBOT_MOVE => moves::move_to(&mut self.robot, ctx, request),
             FunctionId::ROBOT_DRIVE => {
                 let drive = Drive::relative(request.int(1), request.float(2))?;
-                moves::drive(&mut self.robot, ctx, &drive, &request.text(3).to_string())
+                moves::drive(&mut self.robot, ctx, drive, &request.text(3).to_string())
             }
-            FunctionId::ROBOT_GO_HOME => {
-                let home = ctx.config.home;
-                moves::move_axes(&mut self.robot, ctx, "", |here| Ok(with_joints(&home, here)))
-            }
+            FunctionId::ROBOT_ROTATE => moves::rotate(&mut self.robot, ctx, request),
+            FunctionId::ROBOT_GO_HOME => moves::go_home(&mut self.robot, ctx),
             FunctionId::ROBOT_HALT => Ok(match self.halt(ctx.config, ctx.now, ctx.waits) {
                 // answered at rest, so that a motion that follows is not refused
                 true => Answer::Until(Wait::Rest),
@@ -87,10 +84,12 @@ impl Arm {
     }
 
     fn set_acceleration(&mut self, ctx: &mut Context<'_>, axis: i32, accel: f64, decel: f64) -> Answered {
-        let (accel, decel) = (percent(accel)?, percent(decel)?);
+        // -1 keeps the value
+        let chosen = |value: f64| if value == -1.0 { Ok(None) } else { percent(value).map(Some) };
+        let (accel, decel) = (chosen(accel)?, chosen(decel)?);
         self.robot.may_set(ctx)?;
         let settings = self.robot.settings_mut();
-        let set = |of: &mut Percent| (of.accel, of.decel) = (accel, decel);
+        let set = |of: &mut Percent| (of.accel, of.decel) = (accel.unwrap_or(of.accel), decel.unwrap_or(of.decel));
         match axis {
             -1 => set(&mut settings.line),
             0 => {}

@@ -4,17 +4,17 @@ use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind as Kind;
 use bcap_core::variant::Variant;
 
+use super::poses::Definition;
 use super::readings::{self, Reading};
-use super::{Arm, moves};
+use super::{Arm, moves, poses};
 use crate::answer::{Answer, Answered};
 use crate::config::Profile;
 use crate::context::Context;
-use crate::kinematics::{angle, figure, pose_numbers, position, trans};
-use crate::pose::Pose;
 use crate::robot::{Percent, percent};
 use crate::slave;
 use crate::table::Command;
 use crate::value::{Value, numbers, one_int, whole};
+use crate::waits::Wait;
 
 /// Executes a command.
 type Execute = fn(&mut Arm, &mut Context<'_>, &Variant<'_>) -> Answered;
@@ -36,6 +36,13 @@ const fn command(name: &'static str, execute: Execute) -> Command<Handler> {
 
 const DRIVE: &str = "pairs or [pairs, option]: pairs are \"@E (axis, value), ...\" or [[axis, value], ...], with axes \
                      1 to 6, and 7 and 8 where the arm has them; option as for Robot_Move";
+const APPROACH: &str = "[interpolation, pose, length] or [..., option]: interpolation 1 or 2; length in mm: a number, \
+                        \"@P 30\", or [30, \"\", \"@P\"]";
+const DEPART: &str = "[interpolation, length] or [..., option]: interpolation 1 or 2; length in mm: a number, \"@P 30\", or \
+                      [30, \"\", \"@P\"]";
+const DEVIATION: &str = "[pose, offset]: two poses in any form, the offset a P or a T";
+const DEFINITION: &str = "one number, 0 to 63";
+const DEFINE: &str = "[number, pose]: 1 to 63; a P in any form, or its 6 numbers";
 const JOINTS: &str = "6 to 8 numbers in degrees, \"J(...)\", \"J1\" or [numbers, \"J\"]";
 const POSITION: &str = "6 or 7 numbers (X Y Z RX RY RZ Fig), \"P(...)\", \"P1\" or [numbers, \"P\"]";
 const TRANS: &str = "9 or 10 numbers (position, orient, approach, Fig), \"T(...)\", \"T1\" or [numbers, \"T\"]";
@@ -71,20 +78,35 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     read("CurWork", readings::work),
     read("GetRobotTypeName", readings::robot_type),
     command("RobInfo", robot_info).accepts("one number: 1"),
-    command("J2P", |arm, ctx, param| convert(arm, ctx, Kind::J, Kind::P, param)).accepts(JOINTS),
-    command("J2T", |arm, ctx, param| convert(arm, ctx, Kind::J, Kind::T, param)).accepts(JOINTS),
-    command("P2J", |arm, ctx, param| convert(arm, ctx, Kind::P, Kind::J, param)).accepts(POSITION),
-    command("P2T", |arm, ctx, param| convert(arm, ctx, Kind::P, Kind::T, param)).accepts(POSITION),
-    command("T2J", |arm, ctx, param| convert(arm, ctx, Kind::T, Kind::J, param)).accepts(TRANS),
-    command("T2P", |arm, ctx, param| convert(arm, ctx, Kind::T, Kind::P, param)).accepts(TRANS),
+    command("J2P", |arm, ctx, param| poses::convert(arm, ctx, Kind::J, Kind::P, param)).accepts(JOINTS),
+    command("J2T", |arm, ctx, param| poses::convert(arm, ctx, Kind::J, Kind::T, param)).accepts(JOINTS),
+    command("P2J", |arm, ctx, param| poses::convert(arm, ctx, Kind::P, Kind::J, param)).accepts(POSITION),
+    command("P2T", |arm, ctx, param| poses::convert(arm, ctx, Kind::P, Kind::T, param)).accepts(POSITION),
+    command("T2J", |arm, ctx, param| poses::convert(arm, ctx, Kind::T, Kind::J, param)).accepts(TRANS),
+    command("T2P", |arm, ctx, param| poses::convert(arm, ctx, Kind::T, Kind::P, param)).accepts(TRANS),
+    command("Dev", |arm, ctx, param| poses::deviation(arm, ctx, param, false)).accepts(DEVIATION),
+    command("DevH", |arm, ctx, param| poses::deviation(arm, ctx, param, true)).accepts(DEVIATION),
+    command("OutRange", poses::out_range)
+        .accepts("a pose, or [pose, tool, work]: the pose as text or with its type, tool and work -1 to 63"),
+    command("GetToolDef", |arm, _, param| poses::definition(arm, Definition::Tool, param)).accepts(DEFINITION),
+    command("GetWorkDef", |arm, _, param| poses::definition(arm, Definition::Work, param)).accepts(DEFINITION),
+    command("SetToolDef", |arm, ctx, param| poses::define(arm, ctx, Definition::Tool, param)).accepts(DEFINE),
+    command("SetWorkDef", |arm, ctx, param| poses::define(arm, ctx, Definition::Work, param)).accepts(DEFINE),
     command("TakeArm", take_arm).accepts("nothing, the group, or [group, keep]: group 0, keep 0 or 1"),
-    command("GiveArm", give_arm),
+    command("GiveArm", give_arm).resumes(Handler::Execute(give_arm)),
     command("TakeArmState", arm_state).accepts("nothing, or one number: the group 0, or -1"),
     command("Motor", motor).accepts(MOTOR),
     command("ExtSpeed", external_speed)
-        .accepts("a speed, [speed, accel] or [speed, accel, decel], in percent, 0.0001 to 100"),
+        .accepts("a speed, [speed, accel] or [speed, accel, decel], in percent, 0.0001 to 100; accel, decel -1 or -2"),
     command("DriveEx", |arm, ctx, param| moves::drive_command(&mut arm.robot, ctx, false, param)).accepts(DRIVE),
     command("DriveAEx", |arm, ctx, param| moves::drive_command(&mut arm.robot, ctx, true, param)).accepts(DRIVE),
+    command("Approach", |arm, ctx, param| moves::approach(&mut arm.robot, ctx, param))
+        .accepts(APPROACH),
+    command("Depart", |arm, ctx, param| moves::depart(&mut arm.robot, ctx, param))
+        .accepts(DEPART),
+    command("MotionSkip", motion_skip).accepts("nothing, the group, or [group, mode]: group 0 or -1, mode 0 to 3"),
+    command("MotionComplete", motion_complete)
+        .accepts("nothing, the group, or [group, mode]: group 0 or -1, mode 0 (commands) or 1 (motion)"),
     command("slvChangeMode", |arm, ctx, param| slave::change_mode(&mut arm.robot, ctx, param))
         .accepts("one number: 0, 0x001 to 0x003, 0x101 to 0x103, 0x201 to 0x203")
         .in_slave_mode(),
@@ -111,20 +133,9 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
         .of(Profile::needs_preparation),
     command("AutoCal", |arm, ctx, _| arm.preparation.calibrate(ctx)).of(Profile::needs_preparation),
     Command::missing("GetSrvData"),
-    Command::missing("OutRange"),
-    Command::missing("Dev"),
-    Command::missing("DevH"),
-    Command::missing("Approach"),
-    Command::missing("Depart"),
     Command::missing("ConvertPosWork"),
-    Command::missing("GetToolDef"),
-    Command::missing("SetToolDef"),
-    Command::missing("GetWorkDef"),
-    Command::missing("SetWorkDef"),
     Command::missing("PayLoad"),
     Command::missing("SpeedMode"),
-    Command::missing("MotionSkip"),
-    Command::missing("MotionComplete"),
     Command::missing("GetAreaDef"),
     Command::missing("GetAreaEnabled"),
     Command::missing("SetAreaEnabled"),
@@ -143,25 +154,17 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     Command::missing("SyncMoveStart"),
     Command::missing("SyncMoveEnd"),
     Command::missing("RotateH"),
+    Command::missing("AddPathPoint"),
+    Command::missing("ClrPathPoint"),
+    Command::missing("LoadPathPoint"),
+    Command::missing("CurScene"),
+    Command::missing("CurSubScene"),
+    Command::missing("SceneInfo"),
+    Command::missing("MPS"),
 ];
 
 /// The parameter of Motor.
 pub(crate) const MOTOR: &str = "one number or BOOL: 0 off, otherwise on; or [state, no wait]";
-
-/// Converts a pose to another kind; of several postures, takes the nearest to the robot's.
-fn convert(arm: &Arm, ctx: &Context<'_>, from: Kind, to: Kind, param: &Variant<'_>) -> Answered {
-    let near = arm.robot.joints(ctx.now);
-    let pose = Pose::parse_as(from, param, ctx.variables)?;
-    // an argument out of reach is no error of the controller
-    let joints = pose.joints(&near).map_err(|error| error.code())?;
-    Ok(Value::R8s(match (to, pose) {
-        (Kind::P, Pose::Frame(frame, _)) => pose_numbers(&frame, figure(&joints)),
-        (Kind::P, Pose::Joints(_)) => position(&joints),
-        (Kind::T, _) => trans(&joints),
-        _ => angle(&joints),
-    })
-    .into())
-}
 
 fn take_arm(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let (group, keep) = match numbers(param)?.as_slice() {
@@ -188,7 +191,9 @@ fn give_arm(arm: &mut Arm, ctx: &mut Context<'_>, _: &Variant<'_>) -> Answered {
         return Ok(Answer::Code(HResult::S_FALSE));
     }
     if arm.robot.is_moving() {
-        return Err(HResult::E_ROBOTISBUSY);
+        // the maker's own driver sends it at once after the answer of a pass motion
+        let passes = arm.robot.commands_are_complete(ctx.now);
+        return if passes { Ok(Answer::Until(Wait::Rest)) } else { Err(HResult::E_ROBOTISBUSY) };
     }
     arm.robot.set_owner(None);
     Ok(Answer::Done)
@@ -198,6 +203,32 @@ fn arm_state(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answe
     let wanted = if param.is_empty() { -1 } else { one_int(param)? };
     let group = arm.robot.group_of(ctx.peer).filter(|group| [-1, *group].contains(&wanted));
     Ok(Value::I4(group.unwrap_or(-1)).into())
+}
+
+/// Reads `[group, mode]`, of which both or the mode may be absent.
+fn group_and_mode(param: &Variant<'_>, most: i32) -> Result<i32, HResult> {
+    let (group, mode) = match numbers(param)?.as_slice() {
+        [] => (-1, 0),
+        [group] => (whole(*group)?, 0),
+        [group, mode] => (whole(*group)?, whole(*mode)?),
+        _ => return Err(HResult::E_INVALIDARG),
+    };
+    if [-1, 0].contains(&group) && (0..=most).contains(&mode) { Ok(mode) } else { Err(HResult::E_INVALIDARG) }
+}
+
+fn motion_skip(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    group_and_mode(param, 3)?;
+    arm.robot.may_set(ctx)?;
+    let skipped = arm.robot.skip_motion(ctx.now, ctx.waits);
+    Ok(Answer::done_if(skipped.map_err(|blocked| moves::refuse(ctx, blocked))?))
+}
+
+fn motion_complete(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    Ok(Value::Bool(match group_and_mode(param, 1)? {
+        0 => arm.robot.commands_are_complete(ctx.now),
+        _ => !arm.robot.is_moving(),
+    })
+    .into())
 }
 
 /// Executes Motor, also for the controller.
@@ -220,11 +251,21 @@ fn robot_info(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answ
 fn external_speed(arm: &mut Arm, _: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     let given = numbers(param)?;
     let [speed, rest @ ..] = given.as_slice() else { return Err(HResult::E_INVALIDARG) };
-    let mut external = Percent::of_speed(percent(*speed)?);
+    let square = Percent::of_speed(percent(*speed)?);
+    let present = arm.robot.settings().external;
+    // -1 keeps the value, -2 derives it from the speed
+    let chosen = |given: f64, present: f32, derived: f32| match given {
+        -1.0 => Ok(present),
+        -2.0 => Ok(derived),
+        value => percent(value),
+    };
+    let mut external = square;
+    if let [accel, ..] = rest {
+        external.accel = chosen(*accel, present.accel, square.accel)?;
+    }
     match rest {
-        [] => {}
-        [accel] => external.accel = percent(*accel)?,
-        [accel, decel] => (external.accel, external.decel) = (percent(*accel)?, percent(*decel)?),
+        [] | [_] => {}
+        [_, decel] => external.decel = chosen(*decel, present.decel, square.decel)?,
         _ => return Err(HResult::E_INVALIDARG),
     }
     arm.robot.settings_mut().external = external;

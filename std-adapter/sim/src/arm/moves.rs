@@ -1,19 +1,35 @@
-//! The motions of the arm: their targets, paths and options. The tables are in [`arm`](super).
+//! The motions of the arm: their routes and options. The tables are in [`arm`](super).
 
 use bcap_core::bcap::server::Request;
 use bcap_core::hresult::HResult;
+use bcap_core::rac::VariableKind;
 use bcap_core::variant::Variant;
 
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
+use crate::curve::{Arc, Point};
 use crate::drive::Drive;
-use crate::kinematics::{Axes, OutOfReach, figure, forward, out_of_range, six, with_joints};
-use crate::motion::Path;
-use crate::options::options;
-use crate::pose::Pose;
+use crate::kinematics::Frame;
+use crate::options::{Pass, options, pass_item, pass_of_text, split_outside_brackets, split_pass};
+use crate::pose::{Pose, Target};
 use crate::robot::{Percent, Robot, percent};
-use crate::variables::Variables;
+use crate::route::{Blocked, Route};
+use crate::value::{number, numbers_of_text};
+use crate::variables::{Family, Variables, parse_name};
 use crate::waits::Wait;
+
+/// Whose internal speed a motion has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Speed {
+    Line,
+    Joints,
+}
+
+impl Speed {
+    const fn of(line: bool) -> Self {
+        if line { Self::Line } else { Self::Joints }
+    }
+}
 
 /// The options of a motion.
 struct MoveOptions {
@@ -25,26 +41,137 @@ struct MoveOptions {
 /// Executes Robot_Move.
 pub(super) fn move_to(robot: &mut Robot, ctx: &mut Context<'_>, request: &Request<'_>) -> Answered {
     let option = request.text(3).to_string();
-    let interpolation = request.int(1);
-    if ![1, 2].contains(&interpolation) {
-        return Err(if [3, 4].contains(&interpolation) { HResult::E_NOTIMPL } else { HResult::E_INVALIDARG });
+    let pose = request.value(2);
+    match request.int(1) {
+        interpolation @ (1 | 2) => {
+            let Target { pose, extended, pass } = Target::parse(&pose, ctx.variables)?;
+            let pose = robot.coordinates().flange(pose);
+            if let Some(drive) = &extended {
+                drive.check(ctx.config.extended_axes)?;
+            }
+            match interpolation {
+                1 => start(robot, ctx, (Route::Joints(pose, extended), pass), Speed::Joints, &option),
+                _ => start(robot, ctx, (Route::Line(pose, extended), pass), Speed::Line, &option),
+            }
+        }
+        3 => {
+            let (via, Target { pose, pass, .. }) = Target::parse_two(&pose, ctx.variables)?;
+            let coordinates = robot.coordinates();
+            let via = coordinates.work.times(&coordinates.pose_of(&via).0).position;
+            start(robot, ctx, (Route::Arc(via, coordinates.flange(pose)), pass), Speed::Line, &option)
+        }
+        4 => Err(HResult::E_NOTIMPL),
+        _ => Err(HResult::E_INVALIDARG),
     }
-    let (pose, drive) = Pose::parse_target(&request.value(2), ctx.variables)?;
-    if let Some(drive) = &drive {
-        drive.check(ctx.config.extended_axes)?;
+}
+
+/// Executes Approach: `[interpolation, pose, length]`, perhaps with a motion option after them.
+pub(super) fn approach(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let (line, [pose, length, option]) = straight_or_not(param)?;
+    let (distance, pass) = length_and_pass(&length)?;
+    let coordinates = robot.coordinates();
+    let (frame, fig) = coordinates.pose_of(&Pose::parse(&pose, ctx.variables)?);
+    let pose = coordinates.flange(Pose::Frame(frame.withdrawn(distance), fig));
+    let route = if line { Route::Line(pose, None) } else { Route::Joints(pose, None) };
+    start(robot, ctx, (route, pass), Speed::of(line), &text_or_nothing(&option)?)
+}
+
+/// Executes Depart: `[interpolation, length]`, perhaps with a motion option after them.
+pub(super) fn depart(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let (line, [length, option]) = straight_or_not(param)?;
+    let (distance, pass) = length_and_pass(&length)?;
+    start(robot, ctx, (Route::Depart { distance, line }, pass), Speed::of(line), &text_or_nothing(&option)?)
+}
+
+/// Executes Robot_Rotate.
+pub(super) fn rotate(robot: &mut Robot, ctx: &mut Context<'_>, request: &Request<'_>) -> Answered {
+    let axis = match request.text(1).to_string().trim().to_ascii_uppercase().as_str() {
+        "XY" => [0.0, 0.0, 1.0],
+        "YZ" => [1.0, 0.0, 0.0],
+        "ZX" => [0.0, 1.0, 0.0],
+        _ => return Err(HResult::E_INVALIDARG),
+    };
+    let degrees = request.float(2);
+    if !degrees.is_finite() {
+        return Err(HResult::E_INVALIDARG);
     }
-    let extended = |here: &Axes| drive.as_ref().map_or(*here, |drive| drive.apply(here));
-    if interpolation == 1 {
-        let target = |here: &Axes| Ok(with_joints(&pose.joints(&six(here))?, &extended(here)));
-        return move_axes(robot, ctx, &option, target);
+    let centre = point(&request.text(3).to_string(), ctx.variables)?;
+    let (mut turns, mut pass) = (true, Pass::Stop);
+    let option = request.text(4).to_string();
+    let mut others = Vec::new();
+    for part in split_outside_brackets(&option) {
+        let (key, value) = part.split_once('=').map_or((part, None), |(key, value)| (key, Some(value.trim())));
+        match (key.trim().to_ascii_uppercase().as_str(), value) {
+            ("POSE", Some("1")) => turns = true,
+            ("POSE", Some("2")) => turns = false,
+            (text, None) if text.starts_with('@') => pass = pass_of_text(text)?,
+            _ => others.push(part),
+        }
     }
-    let options = MoveOptions::read(&option, robot.settings().line, ctx.variables)?;
-    if !may_start(robot, ctx)? {
-        return Ok(Answer::Until(Wait::Turn));
+    let work = robot.coordinates().work;
+    let centre = work.times(&Frame::IDENTITY.moved_to(centre)).position;
+    let route = Route::Rotate { arc: Arc { centre, axis: work.direction(axis), degrees }, turns };
+    start(robot, ctx, (route, pass), Speed::Line, &others.join(","))
+}
+
+/// Reads the interpolation and the other elements of a parameter; elements at its end may be absent.
+fn straight_or_not<'v, const N: usize>(param: &Variant<'v>) -> Result<(bool, [Variant<'v>; N]), HResult> {
+    let Variant::Array(array) = param.flatten() else { return Err(HResult::E_INVALIDARGTYPE) };
+    if array.len() > N + 1 {
+        return Err(HResult::E_INVALIDARG);
     }
-    let here = robot.axes(ctx.now);
-    let path = line(here, &pose, &extended(&here))?.map_err(|error| ctx.raise(error.code()))?;
-    start(robot, ctx, path, options)
+    let item = |n: usize| array.get(n).unwrap_or(Variant::Empty).flatten();
+    let line = match item(0).as_i32() {
+        Some(1) => false,
+        Some(2) => true,
+        _ => return Err(HResult::E_INVALIDARG),
+    };
+    let mut others = [Variant::Empty; N];
+    others.iter_mut().enumerate().for_each(|(n, other)| *other = item(n + 1));
+    Ok((line, others))
+}
+
+/// Reads a length in mm and its pass: a number, `"@P 30"`, or `[30, "", "@P"]`.
+fn length_and_pass(value: &Variant<'_>) -> Result<(f64, Pass), HResult> {
+    let (length, pass) = match value.flatten() {
+        Variant::Bstr(text) => {
+            let text = text.to_string();
+            let (pass, length) = split_pass(&text)?;
+            (length.parse().map_err(|_| HResult::E_INVALIDARG)?, pass)
+        }
+        Variant::Array(array) if array.len() <= 3 => {
+            let item = |n: usize| array.get(n).unwrap_or(Variant::Empty);
+            if !text_or_nothing(&item(1))?.trim().is_empty() {
+                return Err(HResult::E_INVALIDARG);
+            }
+            (number(&item(0).flatten()).ok_or(HResult::E_INVALIDARGTYPE)?, pass_item(&item(2))?)
+        }
+        other => (number(&other).ok_or(HResult::E_INVALIDARGTYPE)?, Pass::Stop),
+    };
+    if length.is_finite() { Ok((length, pass)) } else { Err(HResult::E_INVALIDARG) }
+}
+
+/// Reads a point: `V(1, 2, 3)`, or a variable V.
+fn point(text: &str, variables: &Variables) -> Result<Point, HResult> {
+    let text = text.trim();
+    let numbers = match parse_name(text) {
+        Some((Family::Plain(VariableKind::V), Some(index))) => variables.pose(VariableKind::V, index)?,
+        Some(_) => return Err(HResult::E_INVALIDARG),
+        None => {
+            let list = text.strip_prefix(['V', 'v']).map(str::trim).and_then(|rest| rest.strip_prefix('('));
+            numbers_of_text(list.and_then(|rest| rest.strip_suffix(')')).ok_or(HResult::E_INVALIDARG)?)?
+        }
+    };
+    let point: Point = numbers.try_into().map_err(|_| HResult::E_INVALIDARG)?;
+    if point.iter().all(|n| n.is_finite()) { Ok(point) } else { Err(HResult::E_INVALIDARG) }
+}
+
+fn text_or_nothing(value: &Variant<'_>) -> Result<String, HResult> {
+    match value.flatten() {
+        Variant::Bstr(text) => Ok(text.to_string()),
+        Variant::Empty | Variant::Null => Ok(String::new()),
+        _ => Err(HResult::E_INVALIDARGTYPE),
+    }
 }
 
 /// Executes DriveEx or DriveAEx, whose parameter is `[pairs, option]` or the pairs as text.
@@ -57,42 +184,32 @@ pub(super) fn drive_command(robot: &mut Robot, ctx: &mut Context<'_>, absolute: 
         },
         _ => (param, String::new()),
     };
-    drive(robot, ctx, &Drive::parse(absolute, &pairs)?, &option)
+    drive(robot, ctx, Drive::parse(absolute, &pairs)?, &option)
 }
 
 /// Turns single axes.
-pub(super) fn drive(robot: &mut Robot, ctx: &mut Context<'_>, drive: &Drive, option: &str) -> Answered {
+pub(super) fn drive(robot: &mut Robot, ctx: &mut Context<'_>, drive: Drive, option: &str) -> Answered {
     drive.check(ctx.config.extended_axes)?;
-    move_axes(robot, ctx, option, |here| Ok(drive.apply(here)))
+    let pass = drive.pass;
+    start(robot, ctx, (Route::Turn(drive), pass), Speed::Joints, option)
 }
 
-/// Moves the axes to `target`, a function of their present position.
-pub(super) fn move_axes(
-    robot: &mut Robot,
-    ctx: &mut Context<'_>,
-    option: &str,
-    target: impl FnOnce(&Axes) -> Result<Axes, OutOfReach>,
-) -> Answered {
-    let options = MoveOptions::read(option, robot.settings().joint, ctx.variables)?;
-    if !may_start(robot, ctx)? {
-        return Ok(Answer::Until(Wait::Turn));
-    }
-    let here = robot.axes(ctx.now);
-    let end = target(&here).and_then(in_range).map_err(|error| ctx.raise(error.code()))?;
-    start(robot, ctx, Path::axes(here, end), options)
+/// Executes Robot_GoHome.
+pub(super) fn go_home(robot: &mut Robot, ctx: &mut Context<'_>) -> Answered {
+    let home = ctx.config.home;
+    start(robot, ctx, (Route::Home(home), Pass::Stop), Speed::Joints, "")
 }
 
-/// Checks what a motion needs; `false` if it must wait for the end of this client's own motion with NEXT.
-fn may_start(robot: &Robot, ctx: &mut Context<'_>) -> Result<bool, HResult> {
+/// Starts a motion, or adds it to those under way. Without NEXT, the call is answered at its end.
+fn start(robot: &mut Robot, ctx: &mut Context<'_>, way: (Route, Pass), speed: Speed, option: &str) -> Answered {
+    let internal = if speed == Speed::Line { robot.settings().line } else { robot.settings().joint };
+    let options = MoveOptions::read(option, internal, ctx)?;
     match robot.may_move(ctx) {
-        Err(HResult::E_ROBOTISBUSY) if robot.executes_motion_of(ctx.peer) => Ok(false),
-        checked => checked.map(|()| true),
+        Err(HResult::E_ROBOTISBUSY) if robot.may_follow(ctx.peer) => {}
+        checked => checked?,
     }
-}
-
-/// Starts a motion. Without NEXT, the call is answered at its end.
-fn start(robot: &mut Robot, ctx: &mut Context<'_>, path: Path, options: MoveOptions) -> Answered {
-    let id = robot.start(ctx.peer, path, options.internal, ctx.now);
+    let started = robot.start(ctx.peer, way, options.internal, ctx.now);
+    let id = started.map_err(|blocked| refuse(ctx, blocked))?;
     if !options.next {
         return Ok(Answer::Until(Wait::Motion(id)));
     }
@@ -101,12 +218,20 @@ fn start(robot: &mut Robot, ctx: &mut Context<'_>, path: Path, options: MoveOpti
     Ok(Answer::Done)
 }
 
+/// Returns the code of a motion that cannot be planned; a pose out of reach is an error of the controller.
+pub(super) fn refuse(ctx: &mut Context<'_>, blocked: Blocked) -> HResult {
+    match blocked {
+        Blocked::OutOfReach(reason) => ctx.raise(reason.code()),
+        Blocked::Invalid => blocked.code(),
+    }
+}
+
 impl MoveOptions {
-    fn read(text: &str, internal: Percent, variables: &Variables) -> Result<Self, HResult> {
+    fn read(text: &str, internal: Percent, ctx: &Context<'_>) -> Result<Self, HResult> {
         let mut read = Self { internal, next: false };
         for (key, value) in options(text) {
             let scaled = |base: f32| -> Result<f32, HResult> {
-                let value = variables.number_of_text(value.ok_or(HResult::E_INVALIDARG)?)?;
+                let value = ctx.variables.number_of_text(value.ok_or(HResult::E_INVALIDARG)?)?;
                 Ok(base * percent(value)? / 100.0)
             };
             match key.to_ascii_uppercase().as_str() {
@@ -114,29 +239,9 @@ impl MoveOptions {
                 "SPEED" | "S" => read.internal.speed = scaled(internal.speed)?,
                 "ACCEL" => read.internal.accel = scaled(internal.accel)?,
                 "DECEL" => read.internal.decel = scaled(internal.decel)?,
-                _ => return Err(HResult::E_INVALIDARG),
+                _ => ctx.config.unknown_option("a motion", key)?,
             }
         }
         Ok(read)
-    }
-}
-
-fn in_range(axes: Axes) -> Result<Axes, OutOfReach> {
-    out_of_range(&axes).map_or(Ok(axes), |axis| Err(OutOfReach(axis)))
-}
-
-/// Plans a line, on which the posture cannot change; J7 and J8 move to those of `extended`.
-fn line(here: Axes, pose: &Pose, extended: &Axes) -> Result<Result<Path, OutOfReach>, HResult> {
-    let (frame, fig) = match pose {
-        Pose::Joints(joints) => (forward(joints), None),
-        Pose::Frame(frame, fig) => (*frame, *fig),
-    };
-    let end = with_joints(&six(&here), extended);
-    let path = in_range(end).and_then(|end| Path::line(here, &forward(&six(&here)), &frame, &end));
-    // shoulder, elbow and wrist; the turns of J4 and J6 result from the line
-    const POSTURE: u8 = 7;
-    match (&path, fig) {
-        (Ok(path), Some(fig)) if (figure(&six(&path.end())) ^ fig) & POSTURE != 0 => Err(HResult::E_INVALIDARG),
-        _ => Ok(path),
     }
 }

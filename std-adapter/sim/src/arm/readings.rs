@@ -2,22 +2,22 @@
 
 use super::Arm;
 use crate::context::Context;
-use crate::kinematics::{figure, position, six, trans};
+use crate::kinematics::{figure, measured, position, six, trans};
 use crate::value::Value;
 
 /// Reads a value of the arm.
 pub(crate) type Reading = fn(&Arm, &Context<'_>) -> Value;
 
 pub(super) fn current_position(arm: &Arm, ctx: &Context<'_>) -> Value {
-    Value::R8s(position(&arm.robot.joints(ctx.now)))
+    Value::R8s(position(&arm.robot.joints(ctx.now), &arm.robot.coordinates()))
 }
 
 pub(super) fn current_angle(arm: &Arm, ctx: &Context<'_>) -> Value {
-    Value::R8s(arm.robot.axes(ctx.now).to_vec())
+    Value::R8s(measured(arm.robot.axes(ctx.now)))
 }
 
 pub(super) fn current_trans(arm: &Arm, ctx: &Context<'_>) -> Value {
-    Value::R8s(trans(&arm.robot.joints(ctx.now)))
+    Value::R8s(trans(&arm.robot.joints(ctx.now), &arm.robot.coordinates()))
 }
 
 pub(super) fn timed_position(arm: &Arm, ctx: &Context<'_>) -> Value {
@@ -42,15 +42,15 @@ fn timed(ctx: &Context<'_>, reading: Value) -> Value {
 }
 
 pub(super) fn target_position(arm: &Arm, _: &Context<'_>) -> Value {
-    Value::R8s(position(&six(&arm.robot.destination())))
+    Value::R8s(position(&six(&arm.robot.destination()), &arm.robot.coordinates()))
 }
 
 pub(super) fn target_angle(arm: &Arm, _: &Context<'_>) -> Value {
-    Value::R8s(arm.robot.destination().to_vec())
+    Value::R8s(measured(arm.robot.destination()))
 }
 
 pub(super) fn target_trans(arm: &Arm, _: &Context<'_>) -> Value {
-    Value::R8s(trans(&six(&arm.robot.destination())))
+    Value::R8s(trans(&six(&arm.robot.destination()), &arm.robot.coordinates()))
 }
 
 pub(super) fn figure_of(arm: &Arm, ctx: &Context<'_>) -> Value {

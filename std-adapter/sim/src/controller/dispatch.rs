@@ -12,12 +12,11 @@ use super::variable::{accepted_value, names_of};
 use super::{Controller, execute};
 use crate::answer::{Answer, Answered};
 use crate::arm;
-use crate::config::Profile;
 use crate::files::{Done, WorkProgress};
 use crate::function::{command_of, executes};
 use crate::hand;
 use crate::objects::{Entry, Item, Owner};
-use crate::options::option;
+use crate::options::{check as check_options, option};
 use crate::scenario::Step;
 use crate::table::Command;
 use crate::tasks;
@@ -129,6 +128,7 @@ impl Controller {
         let Some(signature) = request.function.signature() else { return Err(HResult::E_INVALIDARG) };
         match request.function {
             FunctionId::SERVICE_START => {
+                check_options(&self.common.config, request)?;
                 self.sessions.insert(peer);
                 return Ok(Answer::Done);
             }
@@ -157,10 +157,11 @@ impl Controller {
         }
         if turn == Turn::First {
             self.check_slave_mode(peer, request)?;
+            check_options(&self.common.config, request)?;
         }
-        let answer = match turn == Turn::Later && !self.takes_turn(peer) {
-            true => self.continue_call(peer, request, object)?,
-            false => match self.start(peer, request, object)? {
+        let answer = match turn {
+            Turn::Later => self.continue_call(peer, request, object)?,
+            Turn::First => match self.start(peer, request, object)? {
                 Answer::Until(wait) => self.wait_for(peer, request, wait)?,
                 answer => answer,
             },
@@ -187,15 +188,6 @@ impl Controller {
                 self.file_progress(peer, request, progress)
             }
         }
-    }
-
-    /// Tells whether a call has waited for the end of a motion and must now start its own; ends that wait.
-    fn takes_turn(&mut self, peer: PeerId) -> bool {
-        let takes = self.common.waits.get(peer) == Some(Wait::Turn) && !self.arm.robot().has_motion();
-        if takes {
-            self.common.waits.forget(peer);
-        }
-        takes
     }
 
     /// Continues a call that waits.
@@ -234,12 +226,8 @@ impl Controller {
     }
 
     fn connect(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
-        let provider = request.text(1);
-        let config = &self.common.config;
-        let profiles = if config.any_provider { &[Profile::Rc8, Profile::Rc9][..] } else { &[config.profile] };
-        if !profiles.iter().any(|profile| provider.eq_ignore_ascii_case(profile.provider())) {
-            return Err(HResult::E_CAO_PROV_INVALID);
-        }
+        check_options(&self.common.config, request)?;
+        self.common.config.check_provider(&request.text(1).to_string())?;
         let silent =
             option(&request.text(3).to_string(), "@EventDisable").is_some_and(|v| v.eq_ignore_ascii_case("true"));
         self.messages.connect(peer, !silent);

@@ -14,7 +14,8 @@ use bcap_core::hresult::HResult;
 use bcap_core::variant::{Array, VarType, Variant};
 
 use crate::config::SlaveFormats;
-use crate::kinematics::{Axes, position, six, trans};
+use crate::coordinates::Coordinates;
+use crate::kinematics::{Axes, measured, position, six, trans};
 use crate::value::{Value, numbers, numbers_of_array, one_int, whole};
 use crate::variables::Variables;
 
@@ -129,7 +130,7 @@ impl Formats {
             // it wraps as a 32-bit counter does
             items.push(Value::I4(if self.micros { micros as i32 } else { (micros / 1000) as i32 }));
         }
-        items.push(Value::R8s(self.pose(&state.axes)));
+        items.push(Value::R8s(self.pose(&state.axes, &state.coordinates)));
         if has(MINI) {
             items.push(Value::I4(read_bits(io, MINI_IO.0, |_| true)));
         }
@@ -145,14 +146,14 @@ impl Formats {
         if items.len() == 1 { items.remove(0) } else { Value::List(items) }
     }
 
-    fn pose(self, axes: &Axes) -> Vec<f64> {
+    fn pose(self, axes: &Axes, coordinates: &Coordinates) -> Vec<f64> {
         let joints = six(axes);
         match self.receive & 0xF {
-            1 => position(&joints),
-            3 => trans(&joints),
-            4 => [position(&joints), axes.to_vec()].concat(),
-            5 => [trans(&joints), axes.to_vec()].concat(),
-            _ => axes.to_vec(),
+            1 => position(&joints, coordinates),
+            3 => trans(&joints, coordinates),
+            4 => [position(&joints, coordinates), measured(*axes)].concat(),
+            5 => [trans(&joints, coordinates), measured(*axes)].concat(),
+            _ => measured(*axes),
         }
     }
 }
@@ -161,6 +162,7 @@ impl Formats {
 pub(super) struct State {
     pub(super) micros: u64,
     pub(super) axes: Axes,
+    pub(super) coordinates: Coordinates,
     pub(super) current: Axes,
 }
 

@@ -242,7 +242,7 @@ fn after_an_error_the_stream_goes_on_only_when_it_is_told_to() {
         assert!(stood > 1.0 && !rig.world.sim.motor_is_on() && rig.sent(Step::ClearError) == 0);
         rig.engine.recover().unwrap();
         assert_eq!((trajectory(&mut rig), rig.errors()), (Action::Finished, vec![]), "{link:?}, {mode:?}");
-        assert!((rig.world.sim.axes()[0] - stood - 20.0).abs() < 1e-9, "from where it stood");
+        assert!((rig.world.sim.axes()[0] - stood - 20.0).abs() < 1e-6, "from where it stood");
         assert_eq!(rig.sent(Step::ClearError), 1);
     }
 }

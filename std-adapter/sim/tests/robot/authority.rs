@@ -126,6 +126,12 @@ fn external_speed_sets_its_accelerations_unless_told() {
     assert_eq!(world.call(client.peer, call::variable_put_value(handle, 20.0_f32)), code(HResult::S_OK));
     assert_eq!(world.robot(client, "CurExtSpd", ()), ok(&20.0_f32));
     assert_eq!(world.robot(client, "CurExtAcc", ()), ok(&4.0_f32));
+    // as a public client for COBOTTA PRO sets them: -1 keeps a value, -2 derives it from the speed
+    assert_eq!(world.robot(client, "ExtSpeed", [40.0, -2.0, -1.0]), ok(&()));
+    assert_eq!(read(&mut world), (value(&40.0_f32), value(&16.0_f32), value(&4.0_f32)));
+    assert_eq!(world.call(client.peer, call::robot_accelerate(client.robot, -1, -1.0, 30.0)), code(HResult::S_OK));
+    assert_eq!(world.robot(client, "CurAcc", ()), ok(&100.0_f32));
+    assert_eq!(world.robot(client, "CurDec", ()), ok(&30.0_f32));
     assert_eq!(world.robot(client, "ExtSpeed", 0), code(HResult::E_INVALIDARG));
     assert_eq!(world.robot(client, "ExtSpeed", ()), code(HResult::E_INVALIDARG));
     assert_eq!(world.robot(client, "ExtSpeed", (1, "x")), code(HResult::E_INVALIDARGTYPE));

@@ -70,7 +70,7 @@ fn extended_joints_move_with_the_pose() {
     let start = world.now;
     // as the ROS 2 driver sends it: EXA, J7 to 100
     let joints: &dyn Encode = &HOME;
-    let pose = (joints, 2, -1, (2, (7, 100.0_f32)));
+    let pose = (joints, 2, -2, (2, (7, 100.0_f32)));
     assert_eq!(world.move_to(client, 1, pose, ""), HResult::S_OK);
     assert_eq!(here(&world), [0.0, 45.0, 90.0, 0.0, 45.0, 0.0, 100.0, 0.0]);
     let seconds = world.now.saturating_since(start).as_secs_f64();
@@ -79,7 +79,7 @@ fn extended_joints_move_with_the_pose() {
     assert_eq!(world.robot(client, "DestJnt", ()), ok(&here(&world)));
     // EX: from where it is; with a pose of the flange, on a line, as text
     let flange = [364.16, 0.0, 270.0, 180.0, 0.0, 180.0, 5.0];
-    assert_eq!(world.move_to(client, 2, (flange, 0, -1, (1, [7, 10], [8, -20])), ""), HResult::S_OK);
+    assert_eq!(world.move_to(client, 2, (flange, 0, -2, (1, [7, 10], [8, -20])), ""), HResult::S_OK);
     assert_eq!(here(&world)[6..], [110.0, -20.0]);
     assert!(close(&doubles(&world.robot(client, "CurPos", ()).1)[..3], &flange[..3], 1e-6));
     assert_eq!(world.move_to(client, 1, "@E J(0,45,90,0,45,0) EXA((7,1),(8,2))", ""), HResult::S_OK);

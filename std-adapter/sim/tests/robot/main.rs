@@ -3,8 +3,12 @@
 mod authority;
 #[path = "../common/mod.rs"]
 mod common;
+mod curves;
 mod drives;
 mod motions;
+mod poses;
+mod queue;
+mod random;
 mod stops;
 
 use bcap_core::hresult::HResult;

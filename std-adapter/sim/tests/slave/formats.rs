@@ -127,7 +127,8 @@ fn poses_of_all_kinds_go_the_same_way() {
         assert_eq!(rig.errors(), []);
     }
     for end in ends {
-        assert_close(&end, &way[4], 1e-9);
+        // the answers of J2P and J2T are rounded
+        assert_close(&end, &way[4], 1e-5);
     }
 }
 

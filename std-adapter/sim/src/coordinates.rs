@@ -1,0 +1,64 @@
+//! Tools and work coordinates: what a pose is relative to.
+//!
+//! ```text
+//!  base ── work ──> work coordinates ── pose ──> tool centre point <── tool ── flange
+//! ```
+
+use crate::kinematics::{Frame, forward};
+use crate::pose::Pose;
+
+/// The number of definitions of each kind; number 0 is the base or the flange itself.
+const COUNT: usize = 64;
+
+/// The tool and the work coordinates of a pose.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Coordinates {
+    /// The tool centre point, relative to the flange.
+    pub(crate) tool: Frame,
+    /// Relative to the base.
+    pub(crate) work: Frame,
+}
+
+impl Coordinates {
+    /// Returns the pose of the tool centre point in work coordinates.
+    pub(crate) fn pose(&self, flange: &Frame) -> Frame {
+        self.work.inverse().times(flange).times(&self.tool)
+    }
+
+    /// Returns the tool centre point of a pose, and its Fig if it has one.
+    pub(crate) fn pose_of(&self, pose: &Pose) -> (Frame, Option<u8>) {
+        match pose {
+            Pose::Joints(joints) => (self.pose(&forward(joints)), None),
+            Pose::Frame(frame, fig) => (*frame, *fig),
+        }
+    }
+
+    /// Returns the pose of the flange, relative to the base.
+    pub(crate) fn flange(&self, pose: Pose) -> Pose {
+        match pose {
+            Pose::Frame(frame, fig) => Pose::Frame(self.work.times(&frame).times(&self.tool.inverse()), fig),
+            joints @ Pose::Joints(_) => joints,
+        }
+    }
+}
+
+/// The definitions of tools, or of work coordinates.
+#[derive(Clone, Debug)]
+pub(crate) struct Definitions(Vec<Frame>);
+
+impl Definitions {
+    pub(crate) fn new() -> Self {
+        Self(vec![Frame::IDENTITY; COUNT])
+    }
+
+    /// Returns a definition; an invalid number has that of 0.
+    pub(crate) fn get(&self, number: i32) -> Frame {
+        usize::try_from(number).ok().and_then(|n| self.0.get(n)).copied().unwrap_or(Frame::IDENTITY)
+    }
+
+    /// Sets a definition, except that of 0; returns whether the number is valid.
+    pub(crate) fn set(&mut self, number: i32, frame: Frame) -> bool {
+        let place = usize::try_from(number).ok().filter(|n| *n > 0).and_then(|n| self.0.get_mut(n));
+        place.map(|place| *place = frame).is_some()
+    }
+}

@@ -1,0 +1,127 @@
+//! The routes of motions: what a motion command asks for, from which its path is planned.
+//!
+//! The poses of a route are of the flange, relative to the base; the lines and circles are those of the tool.
+
+use bcap_core::hresult::HResult;
+
+use crate::curve::{Arc, Point};
+use crate::drive::Drive;
+use crate::kinematics::{Axes, Frame, Joints, OutOfReach, figure, forward, out_of_range, six, with_joints};
+use crate::motion::Path;
+use crate::pose::Pose;
+
+/// What a motion command asks for.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Route {
+    /// To the joints of a pose; the extended joints turn with them.
+    Joints(Pose, Option<Drive>),
+    /// To a pose on a straight line.
+    Line(Pose, Option<Drive>),
+    /// Turns of axes.
+    Turn(Drive),
+    /// To these joints; the extended joints stay.
+    Home(Joints),
+    /// To a pose on a circle through a point, relative to the base. The tool turns evenly to the orientation of the pose.
+    Arc(Point, Pose),
+    /// Against the approach vector by a distance in mm, on a line or by the joints.
+    Depart { distance: f64, line: bool },
+    /// On a circle about an axis, with the flange turning like the circle or not at all.
+    Rotate { arc: Arc, turns: bool },
+}
+
+/// Why a route cannot be followed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Blocked {
+    /// An axis would leave its range, or turn too far at a singularity: an error of the controller.
+    OutOfReach(OutOfReach),
+    /// The command asks for something that no path has.
+    Invalid,
+}
+
+impl Blocked {
+    pub(crate) fn code(self) -> HResult {
+        match self {
+            Self::OutOfReach(reason) => reason.code(),
+            Self::Invalid => HResult::E_INVALIDARG,
+        }
+    }
+}
+
+impl From<OutOfReach> for Blocked {
+    fn from(reason: OutOfReach) -> Self {
+        Self::OutOfReach(reason)
+    }
+}
+
+impl Route {
+    /// Plans the path of a tool from a position of the axes.
+    pub(crate) fn path(&self, here: &Axes, tool: &Frame) -> Result<Path, Blocked> {
+        let axes = |end: Axes| Ok(Path::axes(*here, in_range(end)?));
+        match self {
+            Self::Joints(pose, extended) => axes(with_joints(&pose.joints(&six(here))?, &turned(extended, here))),
+            Self::Line(pose, extended) => line(here, tool, pose, &turned(extended, here)),
+            Self::Turn(drive) => axes(drive.apply(here)),
+            Self::Home(joints) => axes(with_joints(joints, here)),
+            Self::Arc(via, pose) => arc(here, tool, *via, pose),
+            Self::Depart { distance, line: straight } => {
+                let frame = forward(&six(here)).times(tool).withdrawn(*distance).times(&tool.inverse());
+                let pose = Pose::Frame(frame, None);
+                if *straight { line(here, tool, &pose, here) } else { Self::Joints(pose, None).path(here, tool) }
+            }
+            Self::Rotate { arc, turns } => {
+                let (from, flange) = (forward(&six(here)).times(tool), tool.inverse());
+                let size = (arc.length(from.position), if *turns { arc.degrees.abs() } else { 0.0 });
+                Ok(Path::along(*here, here, size, |part| {
+                    let turned = from.turned(arc.centre, arc.axis, arc.degrees * part);
+                    if *turns { turned } else { from.moved_to(turned.position) }.times(&flange)
+                })?)
+            }
+        }
+    }
+}
+
+fn turned(extended: &Option<Drive>, here: &Axes) -> Axes {
+    extended.as_ref().map_or(*here, |drive| drive.apply(here))
+}
+
+fn in_range(axes: Axes) -> Result<Axes, OutOfReach> {
+    out_of_range(&axes).map_or(Ok(axes), |axis| Err(OutOfReach(axis)))
+}
+
+/// Plans a line, on which the posture cannot change; J7 and J8 move to those of `extended`.
+fn line(here: &Axes, tool: &Frame, pose: &Pose, extended: &Axes) -> Result<Path, Blocked> {
+    let (from, (to, fig), flange) = (forward(&six(here)).times(tool), tip(pose, tool), tool.inverse());
+    let end = in_range(with_joints(&six(here), extended))?;
+    let path = Path::along(*here, &end, from.distance(&to), |part| from.towards(&to, part).times(&flange))?;
+    keeps_posture(path, fig)
+}
+
+/// Plans an arc, on which the posture cannot change.
+fn arc(here: &Axes, tool: &Frame, via: Point, pose: &Pose) -> Result<Path, Blocked> {
+    let (from, (to, fig), flange) = (forward(&six(here)).times(tool), tip(pose, tool), tool.inverse());
+    let arc = Arc::through(from.position, via, to.position).ok_or(Blocked::Invalid)?;
+    let size = (arc.length(from.position), from.distance(&to).1);
+    let path = Path::along(*here, here, size, |part| {
+        let position = from.turned(arc.centre, arc.axis, arc.degrees * part).position;
+        from.towards(&to, part).moved_to(position).times(&flange)
+    })?;
+    keeps_posture(path, fig)
+}
+
+/// Returns the frame of the tool for a pose of the flange, and the Fig if the pose has one.
+fn tip(pose: &Pose, tool: &Frame) -> (Frame, Option<u8>) {
+    match pose {
+        Pose::Joints(joints) => (forward(joints).times(tool), None),
+        Pose::Frame(frame, fig) => (frame.times(tool), *fig),
+    }
+}
+
+/// Checks that a path ends in the posture that its command asks for.
+fn keeps_posture(path: Path, fig: Option<u8>) -> Result<Path, Blocked> {
+    // shoulder, elbow and wrist; the turns of J4 and J6 result from the path
+    const POSTURE: u8 = 7;
+    match fig {
+        Some(fig) if (figure(&six(&path.end())) ^ fig) & POSTURE != 0 => Err(Blocked::Invalid),
+        _ => Ok(path),
+    }
+}

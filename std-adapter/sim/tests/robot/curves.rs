@@ -1,0 +1,134 @@
+//! Arcs, rotations, Approach and Depart.
+
+use bcap_core::bcap::call;
+use bcap_core::hresult::HResult;
+
+use crate::assert_close;
+use crate::common::{Client, World, code, doubles, ok};
+
+const START: &str = "P(300, 0, 300, 180, 0, 180, 5)";
+
+fn pose(world: &mut World, client: Client) -> Vec<f64> {
+    doubles(&world.robot(client, "CurPos", ()).1)
+}
+
+/// Moves with NEXT, and returns the poses of each 5 ms.
+fn trace(world: &mut World, client: Client, call: impl bcap_core::bcap::Call) -> Vec<Vec<f64>> {
+    assert_eq!(world.call(client.peer, call), code(HResult::S_OK));
+    let mut poses = Vec::new();
+    while world.sim.is_moving() {
+        world.pass(5);
+        poses.push(pose(world, client));
+    }
+    poses
+}
+
+fn at_start() -> (World, Client) {
+    let mut world = World::new();
+    let client = world.mover(1);
+    assert_eq!(world.move_to(client, 1, START, ""), HResult::S_OK);
+    (world, client)
+}
+
+#[test]
+fn an_arc_is_a_circle_through_its_point() {
+    let (mut world, client) = at_start();
+    assert_eq!(world.put(client, "P1", [350.0_f32, 50.0, 300.0, 180.0, 0.0, 180.0, 5.0]), HResult::S_OK);
+    // a half circle about (350, 0, 300), whose middle is P1; the flange turns by 30 degrees
+    let go = call::robot_move(client.robot, 3, "P1, @E P(400, 0, 300, 180, 0, 150, 5)", "SPEED=10, NEXT");
+    let poses = trace(&mut world, client, go);
+    assert!(poses.len() > 20, "{}", poses.len());
+    let mut nearest = f64::MAX;
+    for pose in &poses {
+        assert!(((pose[0] - 350.0).hypot(pose[1]) - 50.0).abs() < 0.1 && (pose[2] - 300.0).abs() < 0.1, "{pose:?}");
+        nearest = nearest.min((pose[0] - 350.0).hypot(pose[1] - 50.0));
+    }
+    assert!(nearest < 2.0, "{nearest}");
+    assert_close(&pose(&mut world, client)[..3], &[400.0, 0.0, 300.0], 1e-6);
+    assert_close(&pose(&mut world, client)[5..6], &[150.0], 1e-6);
+}
+
+#[test]
+fn an_arc_without_a_circle_is_refused() {
+    let (mut world, client) = at_start();
+    let end = "P(400, 0, 300, 180, 0, 180, 5)";
+    for poses in [
+        "P(350, 0, 300, 180, 0, 180, 5), P(400, 0, 300, 180, 0, 180, 5)",
+        end,
+        "@P P(350, 50, 300, 180, 0, 180, 5), P(400, 0, 300, 180, 0, 180, 5)",
+        "P1, P2, P3",
+        "",
+    ] {
+        assert_eq!(world.move_to(client, 3, poses, ""), HResult::E_INVALIDARG, "{poses}");
+    }
+    assert_eq!(world.move_to(client, 3, 1, ""), HResult::E_INVALIDARGTYPE);
+    let far = "P(800, 300, 300, 180, 0, 180, 5), P(400, 0, 300, 180, 0, 180, 5)";
+    assert_eq!(world.move_to(client, 3, far, ""), HResult::from_u32(0x8320_4072));
+}
+
+#[test]
+fn approach_and_depart_keep_their_distance() {
+    let (mut world, client) = at_start();
+    // the flange points down, so 40 mm against its approach vector are 40 mm up
+    let target = [320.0, 60.0, 280.0, 180.0, 0.0, 180.0, 5.0];
+    let text = "P(320, 60, 280, 180, 0, 180, 5)";
+    assert_eq!(world.robot(client, "Approach", (1, text, "@0 40")), ok(&()));
+    assert_close(&pose(&mut world, client)[..3], &[320.0, 60.0, 320.0], 1e-6);
+    assert_eq!(world.move_to(client, 2, text, ""), HResult::S_OK);
+    assert_eq!(world.robot(client, "Depart", (2, "@0 30")), ok(&()));
+    assert_close(&pose(&mut world, client)[..3], &[320.0, 60.0, 310.0], 1e-6);
+    // as the public sample sends them
+    assert_eq!(world.robot(client, "Approach", (1, (target, "P"), (20.0, "", "@E"))), ok(&()));
+    assert_close(&pose(&mut world, client)[..3], &[320.0, 60.0, 300.0], 1e-6);
+    assert_eq!(world.robot(client, "Depart", (1, (20.0, "", "@E"))), ok(&()));
+    assert_close(&pose(&mut world, client)[..3], &[320.0, 60.0, 320.0], 1e-6);
+    let next = call::robot_execute(client.robot, "Depart", (2, "@P -10", "SPEED=20, NEXT"));
+    assert_eq!(world.call(client.peer, next), ok(&()));
+    assert!(world.sim.is_moving());
+    assert_eq!(world.robot(client, "Depart", (2, 5)), ok(&()));
+    assert_close(&pose(&mut world, client)[..3], &[320.0, 60.0, 315.0], 1e-6);
+
+    assert_eq!(world.robot(client, "Approach", (1, text, "@X 40")), code(HResult::E_INVALIDARG));
+    assert_eq!(world.robot(client, "Approach", (3, text, "@0 40")), code(HResult::E_INVALIDARG));
+    assert_eq!(world.robot(client, "Approach", (1, text)), code(HResult::E_INVALIDARGTYPE));
+    assert_eq!(world.robot(client, "Depart", (1, (20.0, "x", "@E"))), code(HResult::E_INVALIDARG));
+    assert_eq!(world.robot(client, "Depart", ()), code(HResult::E_INVALIDARGTYPE));
+    assert_eq!(world.robot(client, "Depart", (1, "900")), code(HResult::from_u32(0x8320_4073)));
+    assert_eq!(world.execute(client, "ClearError", ()), ok(&()));
+    assert_eq!(world.robot(client, "Depart", (1, "1")), code(HResult::E_MOTOR_OFF));
+    assert_eq!(world.robot(client, "GiveArm", ()), ok(&()));
+    assert_eq!(world.robot(client, "Approach", (1, text, "1")), code(HResult::E_ARM_NOT_TAKEN));
+}
+
+#[test]
+fn rotate_turns_the_flange_with_the_circle_or_not() {
+    for (option, turned) in [("@0, Pose = 1, NEXT", 200.0_f64 - 360.0), ("@0,Pose=2,NEXT", 180.0), ("NEXT", -160.0)] {
+        let (mut world, client) = at_start();
+        let go = call::robot_rotate(client.robot, "XY", 20.0, "V(0,0,0)", option);
+        let poses = trace(&mut world, client, go);
+        assert!(poses.iter().all(|pose| (pose[0].hypot(pose[1]) - 300.0).abs() < 0.1), "{option}");
+        let here = pose(&mut world, client);
+        let (sine, cosine) = 20.0_f64.to_radians().sin_cos();
+        assert_close(&here[..3], &[300.0 * cosine, 300.0 * sine, 300.0], 1e-6);
+        assert!((here[5].to_radians().cos() - turned.to_radians().cos()).abs() < 1e-9, "{option}: {here:?}");
+    }
+    // about the flange's own place: it only turns
+    let (mut world, client) = at_start();
+    let go = call::robot_rotate(client.robot, "yz", 15.0, "V(300.00,0.00,300.00)", "");
+    assert_eq!(world.run(client.peer, go), code(HResult::S_OK));
+    let here = pose(&mut world, client);
+    assert_close(&here[..3], &[300.0, 0.0, 300.0], 1e-6);
+    // RZ is 180, so the x of the flange is against that of the base
+    assert!((here[3] - 165.0).abs() < 1e-6, "{here:?}");
+    for (plane, centre, option) in [
+        ("XZ", "V(0,0,0)", ""),
+        ("XY", "P(0,0,0)", ""),
+        ("XY", "V(0,0)", ""),
+        ("XY", "V(0,0,0)", "Pose=3"),
+        ("XY", "V(0,0,0)", "@X"),
+        ("XY", "V(0,0,0)", "FAST"),
+    ] {
+        let go = call::robot_rotate(client.robot, plane, 1.0, centre, option);
+        assert_eq!(world.run(client.peer, go), code(HResult::E_INVALIDARG), "{plane} {centre} {option}");
+    }
+}
