@@ -187,15 +187,7 @@ fn arcs_rotations_approach_and_depart_end_where_they_should() {
     ends_at(&Move::circle(at(-20.0, 20.0, 0.0), at(-40.0, 0.0, 0.0)), [x - 40.0, y, z]);
     // half a circle about the middle leads back
     ends_at(&Move::rotate(Plane::Xy, 180.0, [x - 20.0, y, z]), [x, y, z]);
-    cell_free_motions(&mut ends_at, &at, [x, y, z]);
-}
-
-/// The tool points down: it approaches from above, and departs upwards.
-fn cell_free_motions(
-    ends_at: &mut impl FnMut(&Move, [f64; 3]),
-    at: &impl Fn(f64, f64, f64) -> Position,
-    [x, y, z]: [f64; 3],
-) {
+    // the tool points down: it approaches from above, and departs upwards
     ends_at(&Move::joint(at(0.0, 0.0, -30.0)), [x, y, z - 30.0]);
     ends_at(&Move::depart(Interpolation::Line, 10.0), [x, y, z - 20.0]);
     ends_at(&Move::approach(Interpolation::Joint, at(0.0, 0.0, -30.0), 20.0), [x, y, z - 10.0]);
