@@ -13,6 +13,7 @@
 //! [`RacConnection`], whose `get` and `put` read and write variables.
 
 mod controller;
+mod resolve;
 mod robot;
 mod socket;
 mod stopper;
@@ -30,6 +31,7 @@ use bcap_core::time::Instant;
 use socket2::{SockRef, Socket};
 
 pub use self::controller::Controller;
+pub use self::resolve::resolve;
 pub use self::robot::{Arm, Robot};
 pub use self::stopper::Stopper;
 use crate::clock::{now, until};

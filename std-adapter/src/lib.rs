@@ -42,6 +42,7 @@ mod error;
 #[cfg(feature = "gateway")]
 pub mod gateway;
 mod moves;
+mod path;
 #[cfg(feature = "server")]
 pub mod server;
 mod session;
@@ -53,6 +54,7 @@ pub use clock::now;
 pub use connect::{ConnectError, Options};
 pub use error::Error;
 pub use moves::{Destination, Move};
+pub use path::{ObjectPath, ObjectPathError};
 pub use settings::{Backoff, Model, ServiceOptions, Settings};
 
 /// A failed call.

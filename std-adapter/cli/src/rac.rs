@@ -7,7 +7,7 @@ use bcap_std::blocking::{self, RacClient};
 
 use crate::args::{Get, LinkArgs, Put, Rac, RacCommand};
 use crate::budget::Budget;
-use crate::connection::{addresses, broken, exhausted, first};
+use crate::connection::{broken, connect, exhausted};
 use crate::error::Failure;
 use crate::plain;
 use crate::value::Value;
@@ -76,15 +76,14 @@ struct RacLink {
 impl RacLink {
     fn open(link: &LinkArgs) -> Result<Self, Failure> {
         let (target, budget) = (link.rac_target()?, Budget::start(link));
-        let addresses = addresses(&target, &budget)?;
-        let client = first(&addresses, &target, &budget, blocking::connect_rac)?;
+        let client = connect(&target, &budget, |peer, options| blocking::connect_rac(peer, options))?;
         Ok(Self { client, target, budget })
     }
 
     /// Sets the timeout of the next request from the remaining time.
     fn prepare(&mut self, request: &str) -> Result<(), Failure> {
         let timeout = self.budget.share(1);
-        if self.budget.left().is_some_and(|left| left.is_zero()) {
+        if self.budget.is_exhausted() {
             return Err(exhausted(&self.target, &self.budget, request));
         }
         self.client.client().set_config(Config { timeout });
