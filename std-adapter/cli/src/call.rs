@@ -25,12 +25,13 @@ pub(crate) fn call(args: &Call, link: &LinkArgs, json: bool) -> Result<(), Failu
         return Ok(reference::function(function)?);
     }
     let kinds = function.signature().map(|signature| signature.arguments).unwrap_or_default();
-    let arguments: Vec<Argument> = args
+    let mut arguments: Vec<Argument> = args
         .arguments
         .iter()
         .enumerate()
         .map(|(i, argument)| Argument::parse(argument, kinds.get(i).copied(), function))
         .collect::<Result<_, _>>()?;
+    arguments.extend(defaults(function, arguments.len()).unwrap_or_default().into_iter().map(Argument::Value));
     if function == FunctionId::SERVICE_START {
         // this call starts the session itself
         return call_in(&mut Session::open(link)?, function, &arguments, json);
@@ -112,6 +113,19 @@ impl Argument {
             ))
         })
     }
+}
+
+/// Returns values for the missing arguments after the first `given` ones; `None` if one of them has no default.
+fn defaults(function: FunctionId, given: usize) -> Option<Vec<Value>> {
+    let kinds = function.signature()?.arguments;
+    let missing = function.argument_names().iter().zip(kinds).skip(given);
+    missing
+        .map(|argument| match argument {
+            (&"option", Kind::Text) => Value::new("").ok(),
+            (&"param", Kind::Any) => Some(Value::default()),
+            _ => None,
+        })
+        .collect()
 }
 
 fn unknown(function: &str) -> Failure {

@@ -11,7 +11,7 @@ use crate::connection::{broken, connect, exhausted};
 use crate::error::Failure;
 use crate::plain;
 use crate::value::Value;
-use crate::variables::{expected, print, print_each, shown};
+use crate::variables::{print, print_each, shown};
 use bcap_std::Address;
 
 /// Runs `bcap rac get` or `bcap rac put`.
@@ -30,9 +30,12 @@ fn get(args: &Get, link: &LinkArgs, json: bool) -> Result<(), Failure> {
 
 fn put(args: &Put, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let variable = variable(&args.name)?;
-    let model = model(variable.kind)?;
-    let value = plain::from_input(&args.value, model.as_variant())
-        .map_err(|error| Failure::Input(format!("{}: {error}{}", args.value, expected(model.as_variant()))))?;
+    let value = if args.typed {
+        plain::from_typed_input(&args.value)
+    } else {
+        plain::from_input(&args.value, model(variable.kind)?.as_variant())
+    };
+    let value = value.map_err(Failure::Input)?;
     RacLink::open(link)?.put(variable, &value)?;
     print(&shown(&args.name, &value, json), json)
 }

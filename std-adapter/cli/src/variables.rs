@@ -44,26 +44,15 @@ pub(crate) fn put(args: &Put, link: &LinkArgs, json: bool) -> Result<(), Failure
     let path = ObjectPath::variable(&args.name)?;
     with_session(link, |session| {
         let variable = session.object(&path)?;
-        let current = match session.call(&args.name, FunctionId::VARIABLE_GET_VALUE, &[integer(variable)?]) {
-            // the type of a write-only variable is unknown, so the user must give it
-            Err(Failure::Refused { .. }) if plain::from_typed(&args.value).is_ok() => None,
-            current => current?.1,
+        let value = if args.typed {
+            plain::from_typed_input(&args.value)
+        } else {
+            plain::from_input(&args.value, read(session, &path, variable)?.as_variant())
         };
-        let current = current.as_ref().map_or(Variant::Empty, Value::as_variant);
-        let value = plain::from_input(&args.value, current)
-            .map_err(|error| Failure::Input(format!("{}: {error}{}", args.value, expected(current))))?;
+        let value = value.map_err(Failure::Input)?;
         session.call(&args.name, FunctionId::VARIABLE_PUT_VALUE, &[integer(variable)?, value.clone()])?;
         print(&shown(&args.name, &value, json), json)
     })
-}
-
-/// Describes the data that a variable takes, for an error.
-pub(crate) fn expected(current: Variant<'_>) -> String {
-    match current {
-        Variant::Empty | Variant::Null => "; the variable's type is unknown, write TYPE,DATA".into(),
-        Variant::Array(array) => format!("; the variable holds {} of {}", array.len(), array.element()),
-        scalar => format!("; the variable holds {}", scalar.vartype()),
-    }
 }
 
 pub(crate) fn paths(names: &[String]) -> Result<Vec<ObjectPath>, Failure> {

@@ -118,7 +118,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     }
 }
 
-/// Returns a handle: I4 or UI4 (S2:1613).
+/// Returns a handle: an I4, or a UI4 of the same bits.
 fn handle(value: &OwnedVariant) -> Option<i32> {
     match value.as_variant() {
         Variant::Ui4(handle) => Some(handle.cast_signed()),
