@@ -14,6 +14,7 @@
 
 mod controller;
 mod objects;
+mod resolve;
 mod robot;
 mod socket;
 mod stopper;
@@ -32,6 +33,7 @@ use socket2::{SockRef, Socket};
 
 pub use self::controller::Controller;
 pub use self::objects::{File, Scan, Task};
+pub use self::resolve::resolve;
 pub use self::robot::{Arm, Robot};
 pub use self::stopper::Stopper;
 use crate::clock::{now, until};

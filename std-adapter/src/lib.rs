@@ -59,6 +59,7 @@ mod error;
 #[cfg(feature = "gateway")]
 pub mod gateway;
 mod moves;
+mod path;
 #[cfg(feature = "server")]
 pub mod server;
 mod session;
@@ -71,6 +72,7 @@ pub use clock::now;
 pub use connect::{ConnectError, Options};
 pub use error::Error;
 pub use moves::{Destination, Interpolation, Move, Pass, Plane};
+pub use path::{ObjectPath, ObjectPathError};
 pub use settings::{Backoff, Model, ServiceOptions, Settings};
 pub use task::{TaskStart, TaskStatus, TaskStop};
 

@@ -3,6 +3,7 @@
 //! It is written once, as asynchronous functions. The objects of [`blocking`](crate::blocking) run them over a transport
 //! whose futures are always ready; those of `asynch` run them in a task.
 
+mod any;
 #[cfg(feature = "tokio")]
 mod steps;
 
@@ -44,7 +45,7 @@ pub(crate) struct Session<X> {
     variables: HashMap<(Object, i32), HashMap<String, VariableHandle>>,
     /// The handles of tasks and files, by name.
     objects: HashMap<(Object, String), i32>,
-    /// All open objects, in the order in which they were opened, without service and controller.
+    /// All open objects, in the order in which they were opened, from the service on.
     opened: Vec<(Object, i32)>,
     arm: Option<ArmState>,
     /// Why the connection can no longer be used.
@@ -80,24 +81,30 @@ const CLOSE: Duration = Duration::from_secs(1);
 impl<X: Transport<Error = io::Error>> Session<X> {
     /// Starts the service and connects to the controller.
     pub(crate) async fn start(mut connection: Connection<X, Vec<u8>>, settings: &Settings) -> Result<Self, Error> {
-        static NEXT: AtomicU64 = AtomicU64::new(1);
         let service = settings.service.to_text();
         let option = &settings.connect_option;
         let provider = Provider { service: &service, option, ..Provider::new(settings.model.provider()) };
         let opened = connection.run(procedure::open(provider)).await;
         let handle = opened.map_err(|error| Error::run(SESSION, error))?;
-        Ok(Self {
+        let opened = vec![(Object::Service, 0), (Object::Controller, handle.0)];
+        Ok(Self { handle, robot_name: settings.robot.clone(), opened, ..Self::unopened(connection) })
+    }
+
+    /// Wraps a connection over which nothing is open.
+    pub(crate) fn unopened(connection: Connection<X, Vec<u8>>) -> Self {
+        static NEXT: AtomicU64 = AtomicU64::new(1);
+        Self {
             connection,
             id: NEXT.fetch_add(1, Ordering::Relaxed),
-            handle,
+            handle: ControllerHandle(0),
             robot: None,
-            robot_name: settings.robot.clone(),
+            robot_name: None,
             variables: HashMap::new(),
             objects: HashMap::new(),
             opened: Vec::new(),
             arm: None,
             lost: None,
-        })
+        }
     }
 
     /// Returns the handle of the robot, and opens it when it is first used.
@@ -369,9 +376,8 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         self.lost = Some("it was closed".to_owned());
         let timing = self.connection.client().timing();
         let timing = Timing { attempt_timeout: timing.attempt_timeout.min(CLOSE), deadline: CLOSE, ..timing };
-        let session = [(Object::Service, 0), (Object::Controller, self.handle.0)];
-        for (object, handle) in session.iter().chain(&self.opened).rev() {
-            match self.connection.call_with(Release { object: *object, handle: *handle }, timing).await {
+        for (object, handle) in std::mem::take(&mut self.opened).into_iter().rev() {
+            match self.connection.call_with(Release { object, handle }, timing).await {
                 // an object that cannot be released does not exist
                 Ok(()) | Err(CallError::Refused(_)) => {}
                 Err(error) => return Err(Error::call(object.released_by(), SESSION, error)),

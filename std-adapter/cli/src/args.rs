@@ -82,9 +82,9 @@ fn duration(text: &str) -> Result<Duration, String> {
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Connection")]
 pub(crate) struct LinkArgs {
-    /// The controller: tcp:HOST[:PORT] or udp:HOST[:PORT]; for rac HOST[:PORT] [env: BCAP_ROBOT=] [default: tcp:127.0.0.1]
+    /// The controller: [tcp:|udp:]HOST[:PORT]; for rac HOST[:PORT] [env: BCAP_ROBOT=] [default: tcp:127.0.0.1]
     ///
-    /// Write IPv6 addresses in brackets: tcp:[fe80::1]:5007.
+    /// Without a protocol it is TCP; tcp://HOST is accepted too. Write IPv6 addresses in brackets: tcp:[fe80::1]:5007.
     #[arg(long, global = true, value_name = "ADDRESS")]
     pub(crate) robot: Option<String>,
 
@@ -164,7 +164,7 @@ pub(crate) enum Command {
 ///
 /// NAME is a variable of the controller, such as I1, P10 or @MODE, or of an object: robot/@SERVO_ON,
 /// robot:Arm0/@CURRENT_POSITION, task:Pro1/@STATUS. With --json a line is {"name":"I1","vt":3,"v":5}; `bcap encode --help`
-/// describes `vt` and `v`.
+/// describes `vt` and `v`. Without --json the numbers of an R8 array, such as a pose, have at most 15 digits.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -179,16 +179,18 @@ pub(crate) struct Get {
 
 /// Writes a variable
 ///
-/// VALUE is plain data, which take the variable's present type, or TYPE,DATA with a VARTYPE number. If both readings are
-/// possible, TYPE,DATA with the variable's own type and length has priority, then plain data: `3,5` is the I4 5 for I1, but
-/// the string "3,5" for S1.
+/// VALUE is plain data, which take the variable's present type. A number has a decimal point; a BOOL is true, false, on, off,
+/// or a number; an array has commas between its elements, as many as the variable has. With --typed VALUE is TYPE,DATA,
+/// where TYPE is a VARTYPE number, and the variable is not read first: 3,5 is the I4 5. A VALUE that could be both is
+/// refused, such as 3,5 without --typed. Without --typed, TYPE,DATA is accepted only for an array, with the variable's own
+/// type and length.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   bcap put I1 5
   bcap put S1 'hello, world'
   bcap put P1 400,0,300,180,0,180,5
-  bcap put P1 8196,400,0,300,180,0,180,5
+  bcap put --typed F1 4,2.5
   bcap put IO128 true")]
 pub(crate) struct Put {
     /// The variable, as for `bcap get`
@@ -197,6 +199,10 @@ pub(crate) struct Put {
     /// The value
     #[arg(allow_hyphen_values = true)]
     pub(crate) value: String,
+
+    /// Reads VALUE as TYPE,DATA, also of another type than the variable's
+    #[arg(long)]
+    pub(crate) typed: bool,
 }
 
 /// Reads variables periodically
@@ -243,7 +249,8 @@ pub(crate) struct Names {}
 /// FUNCTION is a name (VariableGetValue, Variable_GetValue, variable_get_value) or a number. ARG is TYPE,DATA. For a handle
 /// it may be the name of an object, which is opened first and released at the end: controller, robot, robot:Arm0,
 /// task:Pro1, file:NAME, extension:NAME, variable:I1, robot/variable:@SERVO_ON. For an integer, a float or a string it may
-/// be plain data. The command starts the service and connects to the controller as needed.
+/// be plain data. A missing last `option` is an empty string, a missing last `param` is EMPTY. The command starts the
+/// service and connects to the controller as needed.
 ///
 /// `bcap call FUNCTION --help` prints what FUNCTION does, its arguments with units, what it returns, and which controllers
 /// have it.
@@ -254,7 +261,8 @@ Examples:
   bcap call ControllerGetName controller
   bcap call VariablePutValue variable:I1 3,42
   bcap call Robot_Move robot 3,2 '8,@E P1' 8,SPEED=10
-  bcap call 17 controller SysState 0,
+  bcap call 17 controller SysState
+  bcap call TaskStart task:Pro1 1
   bcap call ServiceStart 8,WDT=400
   bcap call Robot_Move --help
   bcap call --list")]
@@ -302,7 +310,7 @@ pub(crate) struct Exec {
 /// Reads and writes variables over RAC, the text protocol
 ///
 /// NAME is one of I F D V P J T S IO with a number: I1, P10, IO128. --robot is HOST[:PORT] here, with the default port 5006.
-/// Only the host of the environment variable BCAP_ROBOT is used.
+/// If the environment variable BCAP_ROBOT names a protocol, such as tcp:HOST:PORT, only its host is used.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

@@ -2,7 +2,13 @@
 
 use std::time::{Duration, Instant};
 
+use bcap_core::bcap::client::Timing;
+use bcap_std::Protocol;
+
 use crate::args::LinkArgs;
+
+/// The attempts of a call over UDP (S2:1493).
+const UDP_ATTEMPTS: u8 = 5;
 
 /// The time limit of each answer, and of the whole command if the user gave one.
 #[derive(Clone, Copy, Debug)]
@@ -45,10 +51,31 @@ impl Budget {
         self.total.map(|total| total.saturating_sub(self.began.elapsed()))
     }
 
+    /// Returns whether the time of the whole command is over.
+    pub(crate) fn is_exhausted(&self) -> bool {
+        self.left().is_some_and(|left| left.is_zero())
+    }
+
+    /// Returns the end of the whole command.
+    pub(crate) fn deadline(&self) -> Option<bcap_core::time::Instant> {
+        self.left().map(|left| bcap_std::now().saturating_add(left))
+    }
+
     /// Returns the time limit for one of `count` attempts made in turn.
     pub(crate) fn share(&self, count: usize) -> Duration {
         let count = u32::try_from(count).unwrap_or(u32::MAX).max(1);
         // a socket's timeout cannot be zero
         self.left().map_or(self.answer, |left| left / count).max(Duration::from_millis(1))
+    }
+
+    /// Returns `timing` with the time limit of an answer, which the attempts over UDP share.
+    pub(crate) fn timing(&self, timing: Timing, protocol: Protocol) -> Timing {
+        match protocol {
+            Protocol::Tcp => Timing { attempt_timeout: self.answer, ..timing },
+            Protocol::Udp => {
+                let attempt_timeout = (self.answer / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
+                Timing { attempts: UDP_ATTEMPTS, attempt_timeout, ..timing }
+            }
+        }
     }
 }

@@ -4,15 +4,15 @@ use bcap_core::bcap::{FunctionId, Kind, Object};
 use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
 use bcap_core::variant::{VarType, Variant};
+use bcap_std::ObjectPath;
 
 use crate::args::{Call, Exec, LinkArgs};
 use crate::error::Failure;
-use crate::object::{Path, word};
 use crate::output::{print_json, print_line};
 use crate::plain;
 use crate::reference::{self, usage};
-use crate::session::{ControllerSession, integer, text, with_session};
-use crate::value::{Value, to_json};
+use crate::session::{Session, with_session};
+use crate::value::{Value, integer, text, to_json};
 
 /// Runs `bcap call`.
 pub(crate) fn call(args: &Call, link: &LinkArgs, json: bool) -> Result<(), Failure> {
@@ -25,26 +25,21 @@ pub(crate) fn call(args: &Call, link: &LinkArgs, json: bool) -> Result<(), Failu
         return Ok(reference::function(function)?);
     }
     let kinds = function.signature().map(|signature| signature.arguments).unwrap_or_default();
-    let arguments: Vec<Argument> = args
+    let mut arguments: Vec<Argument> = args
         .arguments
         .iter()
         .enumerate()
         .map(|(i, argument)| Argument::parse(argument, kinds.get(i).copied(), function))
         .collect::<Result<_, _>>()?;
+    arguments.extend(defaults(function, arguments.len()).unwrap_or_default().into_iter().map(Argument::Value));
     if function == FunctionId::SERVICE_START {
         // this call starts the session itself
-        let mut session = ControllerSession::open(link)?;
-        return call_in(&mut session, function, &arguments, json).inspect(|()| session.close());
+        return call_in(&mut Session::open(link)?, function, &arguments, json);
     }
     with_session(link, |session| call_in(session, function, &arguments, json))
 }
 
-fn call_in(
-    session: &mut ControllerSession,
-    function: FunctionId,
-    arguments: &[Argument],
-    json: bool,
-) -> Result<(), Failure> {
+fn call_in(session: &mut Session, function: FunctionId, arguments: &[Argument], json: bool) -> Result<(), Failure> {
     let values = arguments
         .iter()
         .map(|argument| match argument {
@@ -56,7 +51,6 @@ fn call_in(
     if code.is_err() {
         return Err(Failure::Refused { doing: usage(function), code });
     }
-    session.record(function, &values, value.as_ref());
     print_reply(code, value.as_ref(), json)
 }
 
@@ -81,7 +75,7 @@ fn print_reply(code: HResult, value: Option<&Value>, json: bool) -> Result<(), F
 enum Argument {
     Value(Value),
     /// The handle of this object, which is opened first.
-    Object(Path),
+    Object(ObjectPath),
 }
 
 impl Argument {
@@ -89,11 +83,12 @@ impl Argument {
     /// the function takes.
     fn parse(argument: &str, kind: Option<Kind>, function: FunctionId) -> Result<Self, Failure> {
         if let Some(Kind::Handle(object)) = kind
-            && let Some(path) = Path::parse(argument)
+            && ObjectPath::is_path(argument)
         {
-            let path = path.map_err(Failure::Input)?;
+            let path: ObjectPath = argument.parse()?;
             if path.object() != object {
-                let message = format!("{argument} is not a {}, which {function} takes here", word(object));
+                let kind = object.name().to_ascii_lowercase();
+                let message = format!("{argument} is not a {kind}, which {function} takes here");
                 return Err(Failure::Input(message));
             }
             return Ok(Self::Object(path));
@@ -120,6 +115,19 @@ impl Argument {
     }
 }
 
+/// Returns values for the missing arguments after the first `given` ones; `None` if one of them has no default.
+fn defaults(function: FunctionId, given: usize) -> Option<Vec<Value>> {
+    let kinds = function.signature()?.arguments;
+    let missing = function.argument_names().iter().zip(kinds).skip(given);
+    missing
+        .map(|argument| match argument {
+            (&"option", Kind::Text) => Value::new("").ok(),
+            (&"param", Kind::Any) => Some(Value::default()),
+            _ => None,
+        })
+        .collect()
+}
+
 fn unknown(function: &str) -> Failure {
     Failure::Input(format!(
         "there is no function {function}; write a name such as VariableGetValue or Variable_GetValue, or a number from 1 to 137; \
@@ -129,20 +137,17 @@ fn unknown(function: &str) -> Failure {
 
 /// Runs `bcap exec`.
 pub(crate) fn exec(args: &Exec, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let path = Path::parse(&args.object).unwrap_or_else(|| {
-        Err(format!(
-            "{:?} is not an object; write controller, robot, robot:NAME, task:NAME, file:NAME or extension:NAME",
-            args.object
-        ))
-    });
-    let path = path.map_err(Failure::Input)?;
+    let path: ObjectPath = args.object.parse()?;
     let function = match path.object() {
         Object::Controller => FunctionId::CONTROLLER_EXECUTE,
         Object::Robot => FunctionId::ROBOT_EXECUTE,
         Object::Task => FunctionId::TASK_EXECUTE,
         Object::File => FunctionId::FILE_EXECUTE,
         Object::Extension => FunctionId::EXTENSION_EXECUTE,
-        other => return Err(Failure::Input(format!("{}: a {} has no commands", args.object, word(other)))),
+        other => {
+            let kind = other.name().to_ascii_lowercase();
+            return Err(Failure::Input(format!("{}: a {kind} has no commands", args.object)));
+        }
     };
     let parameter = match &args.argument {
         Some(argument) => guess(argument)?,

@@ -1,96 +1,51 @@
-//! A b-CAP client over TCP or UDP that reports errors as a [`Failure`] with a message and a hint.
+//! Connects to a controller, and converts errors to a [`Failure`] with a message and a hint.
 
 use std::io;
-use std::net::{SocketAddr, ToSocketAddrs};
-use std::sync::mpsc;
-use std::thread;
+use std::net::SocketAddr;
 use std::time::Duration;
 
-use bcap_core::bcap::call::{Call, Maybe};
 use bcap_core::bcap::client::{ClientError, Timeout};
-use bcap_core::bcap::{FrameWriter, FunctionId, Link};
-use bcap_core::error::EncodeError;
-use bcap_core::hresult::HResult;
-use bcap_std::blocking::{self, TcpClient, Transport as Wire, UdpClient};
-use bcap_std::{CallError, ConnectError, Options};
+use bcap_std::blocking::{self, Controller};
+use bcap_std::{Address, CallError, ConnectError, Error, Options, Protocol};
 
 use crate::budget::Budget;
 use crate::error::Failure;
-use crate::value::Value;
-use bcap_std::{Address, Protocol};
 
-/// The attempts of a call over UDP (S2:1493).
-const UDP_ATTEMPTS: u8 = 5;
-
-/// A connection that calls functions by their number.
-pub(crate) struct Connection {
-    client: Client,
-    target: Address,
-    /// The time limits of further calls.
-    pub(crate) budget: Budget,
+/// Connects within the time limits, without starting the service. Over UDP nothing is sent.
+pub(crate) fn open(target: &Address, budget: &Budget) -> Result<Controller, Failure> {
+    connect(target, budget, |peer, options| match target.protocol {
+        Protocol::Tcp => blocking::connect_tcp(peer, options).map(Controller::unopened),
+        Protocol::Udp => blocking::connect_udp(peer, options).map(Controller::unopened),
+    })
 }
 
-enum Client {
-    Tcp(TcpClient),
-    Udp(UdpClient),
+/// Resolves the host, and connects to the first address that accepts. The attempts share the remaining time.
+pub(crate) fn connect<T>(
+    target: &Address,
+    budget: &Budget,
+    connect: impl FnOnce(&[SocketAddr], &Options) -> Result<T, ConnectError>,
+) -> Result<T, Failure> {
+    let connected = blocking::resolve(target, budget.left())
+        .and_then(|addresses| connect(&addresses, &Options::default().timeout(budget.share(addresses.len()))));
+    connected.map_err(|error| not_connected(&error, target))
 }
 
-/// A call whose function and arguments are known only at run time.
-struct AnyCall<'a> {
-    function: FunctionId,
-    arguments: &'a [Value],
-}
-
-impl Call for AnyCall<'_> {
-    type Reply = Maybe;
-
-    fn function(&self) -> FunctionId {
-        self.function
-    }
-
-    fn arguments(&self, frame: &mut FrameWriter<'_>) -> Result<(), EncodeError> {
-        self.arguments.iter().try_for_each(|argument| frame.argument(argument))
-    }
-}
-
-impl Connection {
-    /// Connects. Over UDP nothing is sent before the first call.
-    pub(crate) fn open(target: &Address, budget: Budget) -> Result<Self, Failure> {
-        let addresses = addresses(target, &budget)?;
-        let client = match target.protocol {
-            Protocol::Tcp => first(&addresses, target, &budget, |address, options| {
-                blocking::connect_tcp(address, options).map(Client::Tcp)
-            }),
-            Protocol::Udp => first(&addresses, target, &budget, |address, options| {
-                blocking::connect_udp(address, options).map(Client::Udp)
-            }),
-        }?;
-        Ok(Self { client, target: target.clone(), budget })
-    }
-
-    /// Calls a function; returns the controller's code, and the value if the call succeeded.
-    pub(crate) fn call(
-        &mut self,
-        function: FunctionId,
-        arguments: &[Value],
-    ) -> Result<(HResult, Option<Value>), Failure> {
-        let (call, budget) = (AnyCall { function, arguments }, &self.budget);
-        if budget.left().is_some_and(|left| left.is_zero()) {
-            return Err(exhausted(&self.target, budget, &function.to_string()));
+/// Converts an error of the library.
+pub(crate) fn failure(error: Error, target: &Address, budget: &Budget) -> Failure {
+    match error {
+        Error::Refused { function, object, code } => {
+            let of = if object.is_empty() { String::new() } else { format!("{object}: ") };
+            Failure::Refused { doing: format!("{of}{function}"), code }
         }
-        let replied = match &mut self.client {
-            Client::Tcp(client) => call_over(client, call, budget),
-            Client::Udp(client) => call_over(client, call, budget),
-        };
-        match replied {
-            Ok(reply) => Ok(reply),
-            Err(CallError::Refused(code)) => Ok((code, None)),
-            Err(CallError::Client(ClientError::Timeout(Timeout::Deadline | Timeout::KeepAlive)))
-                if budget.total().is_some() =>
-            {
-                Err(exhausted(&self.target, budget, &function.to_string()))
-            }
-            Err(error) => Err(failed(&error, &self.target, budget.answer(), &function.to_string())),
+        Error::NoReply { function, .. } if budget.is_exhausted() => exhausted(target, budget, &function.to_string()),
+        Error::NoReply { function, source, .. } => failed(&source, target, budget.answer(), &function.to_string()),
+        Error::Reply { function, reason, .. } => Failure::Connection {
+            message: format!("{function}: {reason}"),
+            hint: "check that the other end is a b-CAP server".into(),
+        },
+        Error::Argument(error) => error.into(),
+        error => {
+            Failure::Connection { message: error.to_string(), hint: format!("check that {target} is a controller") }
         }
     }
 }
@@ -145,69 +100,6 @@ pub(crate) fn failed(error: &CallError, target: &Address, timeout: Duration, fun
             hint: format!("check that {target} is a b-CAP server"),
         },
     }
-}
-
-/// Resolves a host name within the time limit of the command.
-///
-/// IPv4 addresses come first: controllers use IPv4, `localhost` has addresses of both kinds, and over UDP connecting does
-/// not show which address is in use.
-pub(crate) fn addresses(target: &Address, budget: &Budget) -> Result<Vec<SocketAddr>, Failure> {
-    let (sender, receiver) = mpsc::channel();
-    let (host, port) = (target.host.clone(), target.port);
-    // the system's resolver has no time limit, so it runs in its own thread
-    thread::Builder::new().name("resolver".into()).spawn(move || {
-        let found = (host.as_str(), port).to_socket_addrs().map(Iterator::collect::<Vec<_>>);
-        // the receiver is dropped at the time limit
-        let _ = sender.send(found);
-    })?;
-    let found = match budget.left() {
-        Some(left) => receiver.recv_timeout(left).ok(),
-        None => receiver.recv().ok(),
-    };
-    let found = found.unwrap_or_else(|| Err(io::ErrorKind::TimedOut.into()));
-    let found = found.map_err(|error| not_found(&target.host, &error))?;
-    let (mut addresses, others): (Vec<_>, Vec<_>) = found.into_iter().partition(SocketAddr::is_ipv4);
-    addresses.extend(others);
-    Ok(addresses)
-}
-
-/// Connects to the first address that accepts; each attempt gets an equal share of the remaining time.
-pub(crate) fn first<T>(
-    addresses: &[SocketAddr],
-    target: &Address,
-    budget: &Budget,
-    mut connect: impl FnMut(SocketAddr, &Options) -> Result<T, ConnectError>,
-) -> Result<T, Failure> {
-    let mut failure = not_found(&target.host, &io::ErrorKind::NotFound.into());
-    for (i, address) in addresses.iter().enumerate() {
-        let options = Options::default().timeout(budget.share(addresses.len() - i));
-        match connect(*address, &options) {
-            Ok(connected) => return Ok(connected),
-            Err(error) => failure = not_connected(&error, target),
-        }
-    }
-    Err(failure)
-}
-
-/// Makes a call within the remaining time, and copies the value of the reply.
-fn call_over<X: Wire<Error = io::Error>>(
-    client: &mut blocking::Connection<X, Vec<u8>>,
-    call: AnyCall<'_>,
-    budget: &Budget,
-) -> Result<(HResult, Option<Value>), CallError> {
-    let (link, mut timing) = (client.client().link(), client.client().timing());
-    if link == Link::Datagram {
-        timing.attempts = UDP_ATTEMPTS;
-        timing.attempt_timeout = (budget.answer() / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
-    } else {
-        timing.attempt_timeout = budget.answer();
-    }
-    if let Some(left) = budget.left() {
-        (timing.deadline, timing.keep_alive) = (left, left);
-    }
-    let value = client.call_with(call, timing)?;
-    let value = value.map(|value| Value::new(&value)).transpose().map_err(ClientError::Encode)?;
-    Ok((client.last_result().unwrap_or_default(), value))
 }
 
 /// Converts the error of connecting.

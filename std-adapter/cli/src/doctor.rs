@@ -24,10 +24,10 @@ use self::report::{Finding, Report};
 use crate::args::{Doctor, LinkArgs};
 use crate::budget::Budget;
 use crate::error::Failure;
-use crate::object::Path;
-use crate::session::{ControllerSession, integer, text};
-use crate::value::Value;
-use bcap_std::Protocol;
+use crate::session::Session;
+use crate::value::{Value, integer, text};
+use crate::variables::get_one;
+use bcap_std::{ObjectPath, Protocol};
 
 const PROVIDERS: [&str; 2] = ["CaoProv.DENSO.VRC", "CaoProv.DENSO.VRC9"];
 /// The time limit of Service_Start over UDP, where a port without a server does not answer.
@@ -49,19 +49,14 @@ pub(crate) fn doctor(args: &Doctor, link: &LinkArgs, json: bool) -> Result<(), F
     let tcp = reach(&mut report, Protocol::Tcp, args, link)?;
     let udp = reach(&mut report, Protocol::Udp, args, link)?;
     let (session, other) = if tcp.is_some() { (tcp, udp) } else { (udp, None) };
-    if let Some(other) = other {
-        other.close();
-    }
+    drop(other);
     let Some(mut session) = session else {
         CHECKS.into_iter().try_for_each(|check| report.note(check, Finding::Skipped("there is no connection")))?;
         return report.end();
     };
     session.set_budget(Budget::start(link));
-    let examined = examine(&mut session, link, &mut report);
-    if examined.as_ref().err().is_none_or(Failure::leaves_the_session_alive) {
-        session.close();
-    }
-    examined?;
+    examine(&mut session, link, &mut report)?;
+    drop(session);
     report.end()
 }
 
@@ -78,18 +73,13 @@ fn over(protocol: Protocol, args: &Doctor, link: &LinkArgs) -> Result<LinkArgs, 
 }
 
 /// Starts a session over a protocol; `None` if that fails.
-fn reach(
-    report: &mut Report,
-    protocol: Protocol,
-    args: &Doctor,
-    link: &LinkArgs,
-) -> Result<Option<ControllerSession>, Failure> {
+fn reach(report: &mut Report, protocol: Protocol, args: &Doctor, link: &LinkArgs) -> Result<Option<Session>, Failure> {
     let (link, began) = (&over(protocol, args, link)?, Instant::now());
     let (check, budget) = match protocol {
         Protocol::Tcp => ("tcp", Budget::start(link)),
         Protocol::Udp => ("udp", Budget::start(link).answer_within(UDP_TIMEOUT)),
     };
-    let reached = ControllerSession::open(link).and_then(|mut session| {
+    let reached = Session::open(link).and_then(|mut session| {
         session.set_budget(budget);
         session.start(link).map(|()| session)
     });
@@ -108,7 +98,7 @@ fn reach(
 }
 
 /// Runs the checks of the controller.
-fn examine(session: &mut ControllerSession, link: &LinkArgs, report: &mut Report) -> Result<(), Failure> {
+fn examine(session: &mut Session, link: &LinkArgs, report: &mut Report) -> Result<(), Failure> {
     let Some(controller) = provider(session, link, report)? else {
         let rest = CHECKS.into_iter().skip(1);
         return rest.into_iter().try_for_each(|check| report.note(check, Finding::Skipped("it needs the provider")));
@@ -116,7 +106,7 @@ fn examine(session: &mut ControllerSession, link: &LinkArgs, report: &mut Report
     let version = version(session)?;
     report.note("version", version)?;
     let mut examined = Examined { session, controller, robot: 0 };
-    examined.robot = match examined.session.object(&robot()?) {
+    examined.robot = match examined.session.object(&"robot".parse()?) {
         Ok(robot) => robot,
         Err(failure) if failure.leaves_the_session_alive() => {
             let hint = "check with `bcap names` that the controller has a robot";
@@ -127,16 +117,12 @@ fn examine(session: &mut ControllerSession, link: &LinkArgs, report: &mut Report
     examined.state(report)
 }
 
-fn robot() -> Result<Path, Failure> {
-    Path::variable("robot/@SERVO_ON").map(|path| Path { steps: path.steps[..1].to_vec() }).map_err(Failure::Input)
-}
-
 /// Connects to the provider of the command line, or otherwise to the known ones.
-fn provider(session: &mut ControllerSession, link: &LinkArgs, report: &mut Report) -> Result<Option<i32>, Failure> {
+fn provider(session: &mut Session, link: &LinkArgs, report: &mut Report) -> Result<Option<i32>, Failure> {
     let requested = link.provider.as_str();
     let mut refusals = Vec::new();
     for provider in [requested].into_iter().chain(PROVIDERS.into_iter().filter(|other| *other != requested)) {
-        session.set_provider(provider);
+        provider.clone_into(&mut session.provider);
         match session.controller() {
             Ok(controller) => {
                 let kind = variable(session, "@TYPE")?.map(|kind| plain(&kind)).unwrap_or_default();
@@ -165,7 +151,7 @@ fn provider(session: &mut ControllerSession, link: &LinkArgs, report: &mut Repor
     Ok(None)
 }
 
-fn version(session: &mut ControllerSession) -> Result<Finding, Failure> {
+fn version(session: &mut Session) -> Result<Finding, Failure> {
     let (version, serial) = (variable(session, "@VERSION")?, variable(session, "@SERIAL_NO")?);
     Ok(match version {
         Some(version) => {
@@ -180,15 +166,10 @@ fn version(session: &mut ControllerSession) -> Result<Finding, Failure> {
 }
 
 /// Reads a variable of the controller; `None` if it is refused.
-fn variable(session: &mut ControllerSession, name: &str) -> Result<Option<Value>, Failure> {
-    let path = Path::variable(name).map_err(Failure::Input)?;
-    let read = session.object(&path).and_then(|handle| {
-        let value = session.call(FunctionId::VARIABLE_GET_VALUE, &[integer(handle)?]);
-        session.release(handle).and(value)
-    });
-    match read {
+fn variable(session: &mut Session, name: &str) -> Result<Option<Value>, Failure> {
+    match get_one(session, &ObjectPath::variable(name)?) {
         Err(failure) if !failure.leaves_the_session_alive() => Err(failure),
-        read => Ok(read.ok().flatten()),
+        read => Ok(read.ok().filter(|value| !value.as_variant().is_empty())),
     }
 }
 
@@ -198,7 +179,7 @@ fn plain(value: &Value) -> String {
 
 /// The controller and the robot that are examined.
 struct Examined<'a> {
-    session: &'a mut ControllerSession,
+    session: &'a mut Session,
     controller: i32,
     robot: i32,
 }

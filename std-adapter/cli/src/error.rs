@@ -18,6 +18,7 @@ use std::process::{self, ExitCode};
 use anstyle::{AnsiColor, Style};
 use bcap_core::error::{DecodeError, EncodeError, TextError};
 use bcap_core::hresult::HResult;
+use bcap_std::ObjectPathError;
 use serde::Serialize;
 use thiserror::Error;
 
@@ -137,6 +138,12 @@ impl From<TextError> for ItemError {
         // columns count from 1; 0 is an error of the value as a whole
         let column = usize::try_from(error.column).unwrap_or(usize::MAX);
         Self::new(error.to_string(), column.saturating_sub(1))
+    }
+}
+
+impl From<ObjectPathError> for Failure {
+    fn from(error: ObjectPathError) -> Self {
+        Self::Input(error.to_string())
     }
 }
 

@@ -1,18 +1,15 @@
 //! `bcap halt`: halts the robot over a connection of its own.
 
-use bcap_core::bcap::FunctionId;
-use bcap_core::hresult::HResult;
+use bcap_std::blocking::Halted;
 
 use crate::args::LinkArgs;
 use crate::error::Failure;
-use crate::object::Path;
 use crate::output::{print_json, print_line};
-use crate::session::{integer, text, with_session};
+use crate::session::with_session;
 
 /// Runs `bcap halt`.
 pub(crate) fn halt(link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let code = halt_now(link)?;
-    let moved = code != HResult::S_FALSE;
+    let moved = halt_now(link)? == Halted::Halted;
     match (json, moved) {
         (true, _) => print_json(&format!("{{\"halted\":{moved}}}"))?,
         (false, true) => print_line("halted")?,
@@ -21,17 +18,12 @@ pub(crate) fn halt(link: &LinkArgs, json: bool) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Halts the robot, and returns the controller's code: S_FALSE if nothing was moving.
+/// Halts the robot.
 ///
 /// The whole operation has one short time limit, so that a failure is reported while the user still has time to act.
-pub(crate) fn halt_now(link: &LinkArgs) -> Result<HResult, Failure> {
+pub(crate) fn halt_now(link: &LinkArgs) -> Result<Halted, Failure> {
     with_session(&link.limited(), |session| {
-        let robot = Path::parse("robot").transpose().map_err(Failure::Input)?;
-        let robot = session.object(&robot.unwrap_or(Path { steps: Vec::new() }))?;
-        let (code, _) = session.call_for_code(FunctionId::ROBOT_HALT, &[integer(robot)?, text("")?])?;
-        if code.is_err() {
-            return Err(Failure::Refused { doing: FunctionId::ROBOT_HALT.to_string(), code });
-        }
-        Ok(code)
+        let halted = session.connected()?.robot().and_then(|mut robot| robot.halt());
+        halted.map_err(|error| session.ended(error))
     })
 }

@@ -18,7 +18,6 @@ mod hex;
 mod item;
 mod json;
 mod listen;
-mod object;
 mod output;
 mod plain;
 mod rac;

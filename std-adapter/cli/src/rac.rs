@@ -7,11 +7,11 @@ use bcap_std::blocking::{self, RacClient};
 
 use crate::args::{Get, LinkArgs, Put, Rac, RacCommand};
 use crate::budget::Budget;
-use crate::connection::{addresses, broken, exhausted, first};
+use crate::connection::{broken, connect, exhausted};
 use crate::error::Failure;
 use crate::plain;
 use crate::value::Value;
-use crate::variables::{expected, print, print_each, shown};
+use crate::variables::{print, print_each, shown};
 use bcap_std::Address;
 
 /// Runs `bcap rac get` or `bcap rac put`.
@@ -30,9 +30,12 @@ fn get(args: &Get, link: &LinkArgs, json: bool) -> Result<(), Failure> {
 
 fn put(args: &Put, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let variable = variable(&args.name)?;
-    let model = model(variable.kind)?;
-    let value = plain::from_input(&args.value, model.as_variant())
-        .map_err(|error| Failure::Input(format!("{}: {error}{}", args.value, expected(model.as_variant()))))?;
+    let value = if args.typed {
+        plain::from_typed_input(&args.value)
+    } else {
+        plain::from_input(&args.value, model(variable.kind)?.as_variant())
+    };
+    let value = value.map_err(Failure::Input)?;
     RacLink::open(link)?.put(variable, &value)?;
     print(&shown(&args.name, &value, json), json)
 }
@@ -76,15 +79,14 @@ struct RacLink {
 impl RacLink {
     fn open(link: &LinkArgs) -> Result<Self, Failure> {
         let (target, budget) = (link.rac_target()?, Budget::start(link));
-        let addresses = addresses(&target, &budget)?;
-        let client = first(&addresses, &target, &budget, blocking::connect_rac)?;
+        let client = connect(&target, &budget, |peer, options| blocking::connect_rac(peer, options))?;
         Ok(Self { client, target, budget })
     }
 
     /// Sets the timeout of the next request from the remaining time.
     fn prepare(&mut self, request: &str) -> Result<(), Failure> {
         let timeout = self.budget.share(1);
-        if self.budget.left().is_some_and(|left| left.is_zero()) {
+        if self.budget.is_exhausted() {
             return Err(exhausted(&self.target, &self.budget, request));
         }
         self.client.client().set_config(Config { timeout });

@@ -14,14 +14,30 @@ const RAC_PORT: u16 = 5006;
 /// Returns the controller's address for b-CAP.
 pub(crate) fn bcap(option: Option<&str>) -> Result<Address, Failure> {
     let text = option.map(str::to_owned).or_else(from_environment).unwrap_or_else(|| "tcp:127.0.0.1".into());
-    text.parse().map_err(wrong)
+    if text.split_once("://").is_some_and(|(scheme, _)| !is_protocol(scheme)) {
+        // the library's message names the text and both forms
+        return text.parse().map_err(wrong);
+    }
+    Address::parse_or_tcp(&without_slashes(&text), bcap_core::bcap::PORT).map_err(wrong)
 }
 
-/// Returns the controller's address for RAC. The port in the environment variable is the port of b-CAP, so only its host
-/// is used.
+fn is_protocol(scheme: &str) -> bool {
+    ["tcp", "udp"].iter().any(|protocol| scheme.eq_ignore_ascii_case(protocol))
+}
+
+/// Writes `tcp://HOST/` as `tcp:HOST`.
+fn without_slashes(text: &str) -> String {
+    match text.split_once("://") {
+        Some((scheme, rest)) if is_protocol(scheme) => format!("{scheme}:{}", rest.strip_suffix('/').unwrap_or(rest)),
+        _ => text.to_owned(),
+    }
+}
+
+/// Returns the controller's address for RAC. The port after a protocol in the environment variable is the port of b-CAP, so
+/// only the host is used then.
 pub(crate) fn rac(option: Option<&str>) -> Result<Address, Failure> {
     if let Some(text) = option {
-        let address = Address::parse_or_tcp(text, RAC_PORT).map_err(wrong)?;
+        let address = Address::parse_or_tcp(&without_slashes(text), RAC_PORT).map_err(wrong)?;
         return match address.protocol {
             Protocol::Tcp => Ok(address),
             Protocol::Udp => Err(Failure::Input(format!("{text}: RAC runs over TCP; write HOST[:PORT]"))),
@@ -29,6 +45,7 @@ pub(crate) fn rac(option: Option<&str>) -> Result<Address, Failure> {
     }
     match from_environment() {
         Some(text) => {
+            let text = without_slashes(&text);
             let names_protocol = text.parse::<Address>().is_ok();
             let address = Address::parse_or_tcp(&text, RAC_PORT).map_err(wrong)?;
             let port = if names_protocol { RAC_PORT } else { address.port };
@@ -53,6 +70,23 @@ mod tests {
     #[test]
     fn rac_runs_over_tcp() {
         assert_eq!(rac(Some("robot")).unwrap().to_string(), "tcp:robot:5006");
+        assert_eq!(rac(Some("tcp://robot")).unwrap().to_string(), "tcp:robot:5006");
         assert!(rac(Some("udp:robot")).is_err());
+    }
+
+    #[test]
+    fn the_protocol_is_tcp_unless_it_is_given() {
+        for (text, address) in [
+            ("192.168.0.1", "tcp:192.168.0.1:5007"),
+            ("robot:7", "tcp:robot:7"),
+            ("[fe80::1]:7", "tcp:[fe80::1]:7"),
+            ("tcp://robot", "tcp:robot:5007"),
+            ("UDP://robot:7/", "udp:robot:7"),
+        ] {
+            assert_eq!(bcap(Some(text)).unwrap().to_string(), address);
+        }
+        for text in ["http://robot", "tcp://", "tcp:///", "serial:/dev/ttyS0"] {
+            assert!(bcap(Some(text)).is_err(), "{text}");
+        }
     }
 }

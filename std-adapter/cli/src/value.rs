@@ -4,7 +4,18 @@ use bcap_core::error::TextError;
 pub(crate) use bcap_core::variant::OwnedVariant as Value;
 use bcap_core::variant::Variant;
 
+use crate::error::Failure;
 use crate::json;
+
+/// Encodes a string argument.
+pub(crate) fn text(text: &str) -> Result<Value, Failure> {
+    Ok(Value::new(text)?)
+}
+
+/// Encodes an I4 argument, such as a handle.
+pub(crate) fn integer(number: i32) -> Result<Value, Failure> {
+    Ok(Value::new(&number)?)
+}
 
 /// Describes a value for an error: the value itself if it is short, otherwise its type and size.
 pub(crate) fn described(value: Option<&Value>) -> String {

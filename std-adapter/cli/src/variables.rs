@@ -3,18 +3,18 @@
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
+use bcap_std::ObjectPath;
 
 use crate::args::{Get, LinkArgs, Put};
 use crate::error::Failure;
-use crate::object::{Path, Step, word};
 use crate::output::{print_json, print_line};
 use crate::plain;
-use crate::session::{ControllerSession, integer, text, with_session};
-use crate::value::{Value, described, to_json};
+use crate::session::{Session, with_session};
+use crate::value::{Value, described, integer, text, to_json};
 
 /// Runs `bcap get`.
 pub(crate) fn get(args: &Get, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let paths = parse_all(&args.names)?;
+    let paths = paths(&args.names)?;
     with_session(link, |session| print_each(&args.names, &paths, json, |path| get_one(session, path)))
 }
 
@@ -41,48 +41,38 @@ pub(crate) fn print_each<V>(
 
 /// Runs `bcap put`.
 pub(crate) fn put(args: &Put, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let path = Path::variable(&args.name).map_err(Failure::Input)?;
+    let path = ObjectPath::variable(&args.name)?;
     with_session(link, |session| {
         let variable = session.object(&path)?;
-        let current = match session.call_on(&path, FunctionId::VARIABLE_GET_VALUE, &[integer(variable)?]) {
-            // the type of a write-only variable is unknown, so the user must give it
-            Err(Failure::Refused { .. }) if plain::from_typed(&args.value).is_ok() => None,
-            current => current?,
+        let value = if args.typed {
+            plain::from_typed_input(&args.value)
+        } else {
+            plain::from_input(&args.value, read(session, &path, variable)?.as_variant())
         };
-        let current = current.as_ref().map_or(Variant::Empty, Value::as_variant);
-        let value = plain::from_input(&args.value, current)
-            .map_err(|error| Failure::Input(format!("{}: {error}{}", args.value, expected(current))))?;
-        session.call_on(&path, FunctionId::VARIABLE_PUT_VALUE, &[integer(variable)?, value.clone()])?;
+        let value = value.map_err(Failure::Input)?;
+        session.call(&args.name, FunctionId::VARIABLE_PUT_VALUE, &[integer(variable)?, value.clone()])?;
         print(&shown(&args.name, &value, json), json)
     })
 }
 
-/// Describes the data that a variable takes, for an error.
-pub(crate) fn expected(current: Variant<'_>) -> String {
-    match current {
-        Variant::Empty | Variant::Null => "; the variable's type is unknown, write TYPE,DATA".into(),
-        Variant::Array(array) => format!("; the variable holds {} of {}", array.len(), array.element()),
-        scalar => format!("; the variable holds {}", scalar.vartype()),
-    }
+pub(crate) fn paths(names: &[String]) -> Result<Vec<ObjectPath>, Failure> {
+    names.iter().map(|name| Ok(ObjectPath::variable(name)?)).collect()
 }
 
-pub(crate) fn parse_all(names: &[String]) -> Result<Vec<Path>, Failure> {
-    names.iter().map(|name| Path::variable(name).map_err(Failure::Input)).collect()
-}
-
-fn get_one(session: &mut ControllerSession, path: &Path) -> Result<Value, Failure> {
+/// Reads a variable and releases it.
+pub(crate) fn get_one(session: &mut Session, path: &ObjectPath) -> Result<Value, Failure> {
     let variable = session.object(path)?;
     let value = read(session, path, variable);
-    let released = session.release(variable);
+    let released = session.release(Object::Variable, variable);
     // an error of the read is more useful than an error of the release
     let value = value?;
     released.map(|()| value)
 }
 
 /// Reads an opened variable.
-pub(crate) fn read(session: &mut ControllerSession, path: &Path, variable: i32) -> Result<Value, Failure> {
-    let value = session.call_on(path, FunctionId::VARIABLE_GET_VALUE, &[integer(variable)?])?;
-    Ok(value.map_or_else(|| Value::new(&()), Ok)?)
+pub(crate) fn read(session: &mut Session, path: &ObjectPath, variable: i32) -> Result<Value, Failure> {
+    let (_, value) = session.call(&path.to_string(), FunctionId::VARIABLE_GET_VALUE, &[integer(variable)?])?;
+    Ok(value.unwrap_or_default())
 }
 
 /// Formats a value with its name: `I1 = 5`, or `{"name":"I1","vt":3,"v":5}`.
@@ -114,7 +104,7 @@ const LISTS: [(Object, FunctionId); 6] = [
 pub(crate) fn names(link: &LinkArgs, json: bool) -> Result<(), Failure> {
     with_session(link, |session| {
         let mut lists = Lists { session, json, total: 0, missing: 0, refused: 0 };
-        let controller = Path { steps: Vec::new() };
+        let controller = ObjectPath::controller();
         for (object, function) in LISTS {
             for path in lists.print(&controller, object, function)? {
                 let inner = match object {
@@ -132,7 +122,7 @@ pub(crate) fn names(link: &LinkArgs, json: bool) -> Result<(), Failure> {
 /// Prints the lists of `bcap names`: each completely, or not at all. A refused list is reported, except one that the
 /// controller does not implement.
 struct Lists<'a> {
-    session: &'a mut ControllerSession,
+    session: &'a mut Session,
     json: bool,
     total: usize,
     /// The number of lists that the controller does not implement.
@@ -142,7 +132,7 @@ struct Lists<'a> {
 
 impl Lists<'_> {
     /// Prints a list of the names of `owner`'s objects, and returns the paths to them.
-    fn print(&mut self, owner: &Path, object: Object, function: FunctionId) -> Result<Vec<Path>, Failure> {
+    fn print(&mut self, owner: &ObjectPath, object: Object, function: FunctionId) -> Result<Vec<ObjectPath>, Failure> {
         self.total += 1;
         let names = match list(self.session, owner, function) {
             Err(Failure::Refused { code: HResult::E_NOTIMPL, .. }) => {
@@ -157,12 +147,7 @@ impl Lists<'_> {
             }
             names => names?,
         };
-        let path = |name: String| {
-            let mut path = owner.clone();
-            path.steps.push(Step { object, name: Some(name) });
-            path
-        };
-        let paths: Vec<Path> = names.into_iter().map(path).collect();
+        let paths: Vec<ObjectPath> = names.into_iter().map(|name| owner.clone().join(object, name)).collect();
         paths.iter().try_for_each(|path| print_name(path, self.json))?;
         Ok(paths)
     }
@@ -180,12 +165,15 @@ impl Lists<'_> {
 }
 
 /// Reads a list of names. A reply that is not a list of strings is an error, so no list is printed in part.
-fn list(session: &mut ControllerSession, owner: &Path, function: FunctionId) -> Result<Vec<String>, Failure> {
+fn list(session: &mut Session, owner: &ObjectPath, function: FunctionId) -> Result<Vec<String>, Failure> {
     let handle = session.object(owner)?;
-    let names = session.call_on(owner, function, &[integer(handle)?, text("")?]);
-    let released = if owner.steps.is_empty() { Ok(()) } else { session.release(handle) };
+    let names = session.call(&owner.to_string(), function, &[integer(handle)?, text("")?]);
+    let released = match owner.object() {
+        Object::Controller => Ok(()),
+        object => session.release(object, handle),
+    };
     // an error of the list is more useful than an error of the release
-    let names = names?;
+    let (_, names) = names?;
     released?;
     match names {
         None => Ok(Vec::new()),
@@ -204,9 +192,9 @@ fn all_strings(list: Variant<'_>) -> Option<Vec<String>> {
     }
 }
 
-fn print_name(path: &Path, json: bool) -> Result<(), Failure> {
+fn print_name(path: &ObjectPath, json: bool) -> Result<(), Failure> {
     if json {
-        let kind = word(path.object());
+        let kind = path.object().name().to_ascii_lowercase();
         print_json(&serde_json::json!({ "kind": kind, "name": path.to_string() }).to_string())?;
     } else {
         print_line(&path.to_string())?;

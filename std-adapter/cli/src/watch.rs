@@ -8,12 +8,12 @@ use crate::error::Failure;
 use crate::session::with_session;
 use crate::signal;
 use crate::value::Value;
-use crate::variables::{parse_all, print, read, shown};
+use crate::variables::{paths, print, read, shown};
 
 /// Runs `bcap watch` until it is interrupted or has done `--count` rounds.
 pub(crate) fn watch(args: &Watch, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let ended = signal::ended()?;
-    let paths = parse_all(&args.names)?;
+    let paths = paths(&args.names)?;
     with_session(link, |session| {
         let variables = paths.iter().map(|path| session.object(path)).collect::<Result<Vec<_>, _>>()?;
         let mut last: Vec<Option<Value>> = vec![None; paths.len()];

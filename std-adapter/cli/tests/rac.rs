@@ -45,7 +45,7 @@ fn values_are_printed_as_by_get() {
 fn values_are_written_with_the_type_of_their_variable() {
     let (address, seen) = server(|_| "0\r");
     for (name, value) in
-        [("I1", "-5"), ("F1", "1.5"), ("D1", "5,2.5"), ("S1", "a,b"), ("V1", "-1,2,3"), ("IO128", "true")]
+        [("I1", "-5"), ("F1", "1.5"), ("D1", "2.5"), ("S1", "a,b"), ("V1", "-1,2,3"), ("IO128", "true")]
     {
         let run = bcap(&["rac", "put", name, value, "--robot", &address]);
         assert_eq!(run.code, 0, "{run:?}");

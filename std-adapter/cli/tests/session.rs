@@ -67,9 +67,13 @@ fn a_write_only_variable_needs_a_type() {
         FunctionId::VARIABLE_GET_VALUE => HResult::E_ACCESSDENIED.into(),
         _ => usual(request),
     });
-    assert_eq!(bcap(&["put", "@START", "3,1", "--robot", &fake.address]).code, 0);
+    assert_eq!(bcap(&["put", "@START", "--typed", "3,1", "--robot", &fake.address]).code, 0);
     assert!(fake.seen().contains(&"VariablePutValue(I4(2), I4(1))".to_owned()), "{:?}", fake.seen());
-    assert_eq!(bcap(&["put", "@START", "1", "--robot", &fake.address]).code, 1);
+    // without its type, 3,1 could be a decimal comma
+    for value in ["1", "3,1"] {
+        assert_eq!(bcap(&["put", "@START", value, "--robot", &fake.address]).code, 1);
+    }
+    assert_eq!(fake.seen().iter().filter(|call| call.starts_with("VariablePutValue")).count(), 1);
 }
 
 #[test]
@@ -285,7 +289,7 @@ fn the_environment_names_the_robot() {
     let fake = Fake::tcp(usual);
     let output = common::command(&["call", "ServiceStop"]).env("BCAP_ROBOT", &fake.address).output().unwrap();
     assert_eq!((output.status.code(), fake.seen().len()), (Some(0), 2));
-    for address in ["192.168.0.1", "tcp:", "tcp:fe80::1", "tcp:a:0"] {
+    for address in ["http://192.168.0.1", "tcp:", "tcp:fe80::1", "tcp:a:0"] {
         assert_eq!(bcap(&["get", "I1", "--robot", address]).code, 2);
     }
 }

@@ -68,7 +68,7 @@ const KINDS: [(&str, [&str; 3], u16); 9] = [
     ("P6", ["1,2,3,4,5,6,-1", "400,0,300.5,180,0,180,5", "0,0,0,0,0,0,0"], 8196),
     ("J7", ["1,2,3,4,5,6,7,8", "0,45,90,0,45,0,0,0", "-1,0,0,0,0,0,0,0"], 8196),
     ("T8", ["1,2,3,4,5,6,7,8,9,5", "0,0,0,1,0,0,0,1,0,5", "9,8,7,6,5,4,3,2,1,-1"], 8196),
-    ("IO128", ["-1", "0", "-1"], 11),
+    ("IO128", ["true", "false", "true"], 11),
 ];
 
 #[test]
@@ -105,9 +105,9 @@ fn a_session_of_commands_works() {
 
     // each command is a session of its own, and the arm authority belongs to one session
     assert_eq!(sim.tcp(&["exec", "robot", "TakeArm", "8195,0,0"]).code, 0);
-    assert_eq!(sim.tcp(&["get", "robot/@SERVO_ON"]).out, "robot/@SERVO_ON = 0\n");
+    assert_eq!(sim.tcp(&["get", "robot/@SERVO_ON"]).out, "robot/@SERVO_ON = false\n");
     assert_eq!(sim.udp(&["exec", "robot", "Motor", "1"]).code, 0);
-    assert_eq!(sim.tcp(&["get", "robot/@SERVO_ON"]).out, "robot/@SERVO_ON = -1\n");
+    assert_eq!(sim.tcp(&["get", "robot/@SERVO_ON"]).out, "robot/@SERVO_ON = true\n");
     let joints = sim.tcp(&["exec", "robot", "CurJnt", "--json"]);
     let reply: Value = serde_json::from_str(&joints.out).unwrap();
     assert_eq!((&reply["name"], &reply["value"]["vt"]), (&"S_OK".into(), &8197.into()));
@@ -125,7 +125,8 @@ fn a_session_of_commands_works() {
 #[test]
 fn refusals_are_explained_over_all_links() {
     let sim = Sim::start(&[]);
-    for run in [sim.tcp(&["put", "I1", "8,x"]), sim.udp(&["put", "I1", "8,x"]), sim.rac(&["put", "I1", "8,x"])] {
+    let put = ["put", "I1", "--typed", "8,x"];
+    for run in [sim.tcp(&put), sim.udp(&put), sim.rac(&put)] {
         assert_eq!((run.out.as_str(), run.code), ("", 1));
         assert!(run.err.contains("0x80010003 (E_INVALIDARGTYPE)") && run.err.contains("hint: "), "{}", run.err);
     }

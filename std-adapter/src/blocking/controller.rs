@@ -1,5 +1,7 @@
 //! A controller as an object.
 
+mod any;
+
 use std::io;
 
 use bcap_core::bcap::Object;

@@ -11,7 +11,7 @@ use bcap_core::variant::{Encode, FromVariant};
 use super::socket::{Blocking, ready};
 use crate::error::Error;
 use crate::moves::Move;
-use crate::session::Session;
+use crate::session::{Halted, Session};
 
 /// A robot of a controller.
 ///
@@ -82,6 +82,17 @@ impl<'a> Robot<'a> {
     /// An [`Error`]; [`Error::Value`] if the value of the reply has another type.
     pub fn execute<T: for<'v> FromVariant<'v>>(&mut self, command: &str, parameter: impl Encode) -> Result<T, Error> {
         ready(self.session.execute_robot(command, parameter))
+    }
+
+    /// Halts the robot, also without the arm, and waits until it rests.
+    ///
+    /// A [`Stopper`](super::Stopper) does so while another call of this controller waits.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; the robot may still move.
+    pub fn halt(&mut self) -> Result<Halted, Error> {
+        ready(self.session.halt())
     }
 }
 

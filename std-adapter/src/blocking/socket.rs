@@ -32,7 +32,29 @@ impl fmt::Debug for Socket {
 
 /// A [`Socket`] as a transport of the session's asynchronous functions: its futures do not wait, their polls do.
 #[derive(Debug)]
-pub(super) struct Blocking(Socket);
+pub(super) struct Blocking {
+    socket: Socket,
+    /// When the socket fails.
+    deadline: Option<Instant>,
+}
+
+impl Blocking {
+    const fn new(socket: Socket) -> Self {
+        Self { socket, deadline: None }
+    }
+
+    pub(super) const fn set_deadline(&mut self, deadline: Option<Instant>) {
+        self.deadline = deadline;
+    }
+
+    /// Returns the earlier of `until` and the deadline; fails after the deadline.
+    fn limited(&self, until: Instant) -> io::Result<Instant> {
+        match self.deadline {
+            Some(deadline) if deadline <= self.socket.now() => Err(io::ErrorKind::TimedOut.into()),
+            deadline => Ok(deadline.map_or(until, |deadline| deadline.min(until))),
+        }
+    }
+}
 
 /// A client over a [`Blocking`] socket.
 pub(super) type BlockingConnection = asynch::Connection<Blocking, Vec<u8>>;
@@ -63,31 +85,41 @@ pub(super) fn over(
     settings: &Settings,
 ) -> BlockingConnection {
     let client = Client::new(settings.socket_options().tcp, vec![0; STREAM_ROOM], vec![0; STREAM_ROOM]);
-    asynch::Connection::new(Blocking(Socket::Other(Box::new(stream))), client)
+    asynch::Connection::new(Blocking::new(Socket::Other(Box::new(stream))), client)
+}
+
+/// Wraps a connection over any transport.
+pub(super) fn wrap_any<X>(connection: Connection<X, Vec<u8>>) -> BlockingConnection
+where
+    X: Transport<Error = io::Error> + Send + 'static,
+{
+    wrap(connection, |transport| Socket::Other(Box::new(transport)))
 }
 
 fn wrap<X: Transport>(connection: Connection<X, Vec<u8>>, socket: fn(X) -> Socket) -> BlockingConnection {
     let (transport, client): (X, Client<Vec<u8>>) = connection.into_parts();
-    asynch::Connection::new(Blocking(socket(transport)), client)
+    asynch::Connection::new(Blocking::new(socket(transport)), client)
 }
 
 impl asynch::SendTransport for Blocking {
     type Error = io::Error;
 
     fn now(&self) -> Instant {
-        self.0.now()
+        self.socket.now()
     }
 
     async fn send(&mut self, bytes: &[u8], until: Instant) -> io::Result<Option<usize>> {
-        self.0.send(bytes, until)
+        let until = self.limited(until)?;
+        self.socket.send(bytes, until)
     }
 
     async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> io::Result<Option<usize>> {
-        self.0.receive(buffer, until)
+        let until = self.limited(until)?;
+        self.socket.receive(buffer, until)
     }
 
     async fn sleep_until(&mut self, at: Instant) {
-        self.0.sleep_until(at);
+        self.socket.sleep_until(at);
     }
 }
 

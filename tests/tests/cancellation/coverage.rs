@@ -179,6 +179,9 @@ pub(crate) const STD: &[(&str, Coverage)] = &[
     ("session.rs: Session::variable", OF_A_CONTROLLER),
     ("session.rs: Session::write", OF_A_CONTROLLER),
     ("session.rs: Session::write_file", OF_A_CONTROLLER),
+    ("session/any.rs: Session::call_any", NEVER_PENDING),
+    ("session/any.rs: Session::open_object", NEVER_PENDING),
+    ("session/any.rs: Session::release_object", NEVER_PENDING),
     ("session/steps.rs: Session::advance", Through("asynch/robot.rs: Arm::move_to")),
     ("session/steps.rs: Session::motion", OF_A_CONTROLLER),
 ];

@@ -8,16 +8,16 @@ use std::time::{Duration, Instant};
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::slave::PoseType;
+use bcap_std::ObjectPath;
 use indicatif::ProgressBar;
 
 use super::poses::columns;
 use crate::args::{LinkArgs, Record};
 use crate::error::Failure;
-use crate::object::Path as Object;
 use crate::output::{print_json, print_line};
-use crate::session::{ControllerSession, integer, text, with_session};
+use crate::session::{Session, with_session};
 use crate::signal;
-use crate::value::{Value, described};
+use crate::value::{Value, described, integer, text};
 
 /// Runs `bcap slave record`.
 pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), Failure> {
@@ -28,8 +28,7 @@ pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), F
     let header: Vec<&str> = ["t"].iter().chain(columns(kind)).copied().collect();
     file.write_record(&header).map_err(refused)?;
     let lines = with_session(link, |session| {
-        let robot = Object::parse("robot").transpose().map_err(Failure::Input)?;
-        let robot = session.object(&robot.unwrap_or(Object { steps: Vec::new() }))?;
+        let robot = session.object(&"robot".parse::<ObjectPath>()?)?;
         let start = Instant::now();
         let bar = ProgressBar::new_spinner();
         let mut lines = 0_u32;
@@ -70,7 +69,7 @@ pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), F
 }
 
 /// Reads the current pose of the robot.
-fn position(session: &mut ControllerSession, robot: i32, kind: PoseType) -> Result<Vec<f64>, Failure> {
+fn position(session: &mut Session, robot: i32, kind: PoseType) -> Result<Vec<f64>, Failure> {
     let command = match kind {
         PoseType::J => "CurJnt",
         PoseType::P => "CurPos",

@@ -1,0 +1,112 @@
+//! What tools need of a controller: calls and objects that are known only at run time, and time limits.
+
+use std::io;
+
+use bcap_core::bcap::client::Timing;
+use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::hresult::HResult;
+use bcap_core::time::Instant;
+use bcap_core::variant::OwnedVariant;
+
+use super::Controller;
+use crate::blocking::socket::{ready, wrap_any};
+use crate::blocking::{Connection, Transport};
+use crate::error::Error;
+use crate::path::ObjectPath;
+use crate::session::Session;
+use crate::settings::{Model, Settings};
+
+impl Controller {
+    /// Wraps a connection over which nothing is started: [`call_any`](Self::call_any) makes the calls of the session.
+    ///
+    /// It is for tools that choose these calls themselves, or that see all bytes on a transport of their own. After
+    /// Service_Start and Controller_Connect it is like any other controller, and releases what is open when it is dropped.
+    ///
+    /// # Examples
+    ///
+    /// ```no_run
+    /// use bcap_std::blocking::{self, Controller};
+    /// use bcap_std::core::bcap::FunctionId;
+    /// use bcap_std::core::variant::OwnedVariant;
+    ///
+    /// let connection = blocking::connect_tcp("192.168.0.1:5007", &Default::default())?;
+    /// let mut tool = Controller::unopened(connection);
+    /// tool.call_any("the session", FunctionId::SERVICE_START, &[OwnedVariant::new("WDT=400")?])?;
+    /// let connect = ["", "CaoProv.DENSO.VRC9", "localhost", ""].map(|text| OwnedVariant::new(text).unwrap_or_default());
+    /// tool.call_any("the session", FunctionId::CONTROLLER_CONNECT, &connect)?;
+    /// let task = tool.open(&"task:Pro1".parse()?)?;
+    /// println!("the handle of Pro1 is {task}");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    #[must_use]
+    pub fn unopened<X>(connection: Connection<X, Vec<u8>>) -> Self
+    where
+        X: Transport<Error = io::Error> + Send + 'static,
+    {
+        Self { session: Session::unopened(wrap_any(connection)), address: None, settings: Settings::new(Model::Rc8) }
+    }
+
+    /// Returns whether Controller_Connect has succeeded, so that [`handle`](Self::handle) is a handle.
+    #[must_use]
+    pub fn is_connected(&self) -> bool {
+        self.session.is_connected()
+    }
+
+    /// Makes any call with arguments that are known only at run time, and returns its code and its value; `object` is named
+    /// in errors.
+    ///
+    /// Objects that the call opens are released with the session, unless another call releases them. A reply that is not the
+    /// handle of the object is returned as it is.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; [`Error::Refused`] has the code of a refusal.
+    pub fn call_any(
+        &mut self,
+        object: &str,
+        function: FunctionId,
+        arguments: &[OwnedVariant],
+    ) -> Result<(HResult, Option<OwnedVariant>), Error> {
+        ready(self.session.call_any(object, function, arguments))
+    }
+
+    /// Opens an object and the objects on the way to it, and returns its handle. Each call opens them anew.
+    ///
+    /// They are released with the session; [`release`](Self::release) releases one earlier.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; the objects that were opened on the way are released then.
+    pub fn open(&mut self, path: &ObjectPath) -> Result<i32, Error> {
+        ready(self.session.open_object(path))
+    }
+
+    /// Releases an object of this session before the session ends. A handle that the session does not have is ignored.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`].
+    pub fn release(&mut self, object: Object, handle: i32) -> Result<(), Error> {
+        ready(self.session.release_object(object, handle))
+    }
+
+    /// Returns the time limits of each call.
+    #[must_use]
+    pub fn timing(&mut self) -> Timing {
+        self.session.connection().client().timing()
+    }
+
+    /// Sets the time limits of each further call.
+    pub fn set_timing(&mut self, timing: Timing) {
+        self.session.connection().client().set_timing(timing);
+    }
+
+    /// Sets the moment after which nothing is sent or received, on the transport's clock; for sockets this is
+    /// [`now`](crate::now). `None` is no limit.
+    ///
+    /// A call that has not ended then fails with the I/O error `TimedOut`, and the connection is lost: neither a halt nor
+    /// the end of the session is sent. Set no deadline while a robot may move.
+    pub fn set_deadline(&mut self, deadline: Option<Instant>) {
+        self.session.connection().transport().set_deadline(deadline);
+    }
+}

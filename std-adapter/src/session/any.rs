@@ -1,0 +1,127 @@
+//! What a tool needs of a session: calls and objects that are known only at run time.
+
+use std::io;
+
+use bcap_core::bcap::call::{Call, ControllerHandle, Maybe};
+use bcap_core::bcap::{FrameWriter, FunctionId, Object};
+use bcap_core::error::EncodeError;
+use bcap_core::hresult::HResult;
+use bcap_core::io::asynch::{Connection, Transport};
+use bcap_core::procedure;
+use bcap_core::variant::{OwnedVariant, Variant};
+
+use super::{Release, Session};
+use crate::error::Error;
+use crate::path::ObjectPath;
+
+/// A call whose function and arguments are known only at run time.
+struct AnyCall<'a> {
+    function: FunctionId,
+    arguments: &'a [OwnedVariant],
+}
+
+impl Call for AnyCall<'_> {
+    type Reply = Maybe;
+
+    fn function(&self) -> FunctionId {
+        self.function
+    }
+
+    fn arguments(&self, frame: &mut FrameWriter<'_>) -> Result<(), EncodeError> {
+        self.arguments.iter().try_for_each(|argument| frame.argument(argument))
+    }
+}
+
+impl<X: Transport<Error = io::Error>> Session<X> {
+    /// Returns the connection, for its timing and its transport.
+    pub(crate) const fn connection(&mut self) -> &mut Connection<X, Vec<u8>> {
+        &mut self.connection
+    }
+
+    /// Returns whether Controller_Connect has succeeded.
+    pub(crate) fn is_connected(&self) -> bool {
+        self.opened.iter().any(|(object, _)| *object == Object::Controller)
+    }
+
+    /// Makes a call, and returns its code and a copy of its value. Objects that it opens or releases are recorded.
+    pub(crate) async fn call_any(
+        &mut self,
+        object: &str,
+        function: FunctionId,
+        arguments: &[OwnedVariant],
+    ) -> Result<(HResult, Option<OwnedVariant>), Error> {
+        let value = self.call(object, AnyCall { function, arguments }).await?.map(OwnedVariant::from);
+        match (function.opens(), function.releases()) {
+            (Some(Object::Service), _) => self.opened.push((Object::Service, 0)),
+            (_, Some(Object::Service)) => {
+                self.opened.clear();
+                self.forget_handles();
+            }
+            (Some(opened), _) => value.as_ref().and_then(handle).into_iter().for_each(|new| self.record(opened, new)),
+            (_, Some(object)) => {
+                arguments.first().and_then(handle).into_iter().for_each(|old| self.forget(object, old))
+            }
+            (None, None) => {}
+        }
+        Ok((self.connection.last_result().unwrap_or_default(), value))
+    }
+
+    /// Records an object that a call has opened. Calls refer to the controller that was connected last.
+    fn record(&mut self, object: Object, handle: i32) {
+        if object == Object::Controller {
+            self.forget_handles();
+            self.handle = ControllerHandle(handle);
+        }
+        self.opened.push((object, handle));
+    }
+
+    /// Opens all objects of a path, and returns the handle of the last one.
+    pub(crate) async fn open_object(&mut self, path: &ObjectPath) -> Result<i32, Error> {
+        let (name, steps) = (path.to_string(), path.steps());
+        let wrong = |error: procedure::PathError| Error::Reply {
+            function: FunctionId::CONTROLLER_CONNECT,
+            object: name.clone(),
+            reason: error.to_string(),
+        };
+        let opening = procedure::open_path(self.handle, &steps).map_err(wrong)?;
+        let opened = self.run(&name, opening).await?;
+        let handle = opened.last().map_or(self.handle.0, |(_, handle)| *handle);
+        self.opened.extend(opened);
+        Ok(handle)
+    }
+
+    /// Releases an object of this session; another handle is ignored.
+    pub(crate) async fn release_object(&mut self, object: Object, handle: i32) -> Result<(), Error> {
+        if !self.opened.contains(&(object, handle)) {
+            return Ok(());
+        }
+        self.forget(object, handle);
+        self.call(object.name(), Release { object, handle }).await
+    }
+
+    /// Removes an object that the controller has released.
+    fn forget(&mut self, object: Object, handle: i32) {
+        self.opened.retain(|opened| *opened != (object, handle));
+        match object {
+            Object::Variable => {
+                self.variables.values_mut().for_each(|names| names.retain(|_, variable| variable.0 != handle));
+            }
+            Object::Robot | Object::Controller => self.forget_handles(),
+            _ => {}
+        }
+    }
+
+    /// Removes the handles that are kept for the next use. Their objects stay open until the end of the session.
+    fn forget_handles(&mut self) {
+        self.robot = None;
+        self.variables.clear();
+    }
+}
+
+/// Returns a handle: an I4, or a UI4 of the same bits.
+fn handle(value: &OwnedVariant) -> Option<i32> {
+    match value.as_variant() {
+        Variant::Ui4(handle) => Some(handle.cast_signed()),
+        value => value.as_i32(),
+    }
+}

@@ -1,0 +1,83 @@
+//! The functions of `Controller` for tools: calls and objects that are known only at run time, and the deadline.
+
+use std::io;
+
+use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::hresult::HResult;
+use bcap_core::variant::OwnedVariant;
+use bcap_sim::{Config, Controller as Simulated, Profile};
+use bcap_std::blocking::{Controller, connect_tcp};
+use bcap_std::server::Limits;
+use bcap_std::{CallError, Error, Options};
+use bcap_tests::served::Served;
+
+fn simulated() -> Served<Simulated> {
+    Served::of(Simulated::new(Config::new(Profile::Rc8)), Limits::default())
+}
+
+fn tool(sim: &Served<Simulated>) -> Controller {
+    Controller::unopened(connect_tcp(sim.tcp, &Options::default()).unwrap())
+}
+
+fn texts(texts: &[&str]) -> Vec<OwnedVariant> {
+    texts.iter().map(|text| OwnedVariant::new(*text).unwrap()).collect()
+}
+
+fn connect(tool: &mut Controller) {
+    tool.call_any("", FunctionId::SERVICE_START, &texts(&["WDT=400"])).unwrap();
+    assert!(!tool.is_connected());
+    let arguments = texts(&["", "CaoProv.DENSO.VRC", "localhost", ""]);
+    tool.call_any("", FunctionId::CONTROLLER_CONNECT, &arguments).unwrap();
+    assert!(tool.is_connected());
+}
+
+#[test]
+fn what_calls_open_is_recorded_and_released() {
+    let sim = simulated();
+    let mut tool = tool(&sim);
+    connect(&mut tool);
+    assert_eq!(tool.read::<i32>("I1").unwrap(), 0);
+    let controller = OwnedVariant::new(&tool.handle().0).unwrap();
+    let arguments = [vec![controller], texts(&["I2", ""])].concat();
+    let (code, variable) = tool.call_any("I2", FunctionId::CONTROLLER_GET_VARIABLE, &arguments).unwrap();
+    assert_eq!((code, sim.application().open_objects()), (HResult::S_OK, 3));
+    tool.call_any("I2", FunctionId::VARIABLE_RELEASE, &[variable.unwrap()]).unwrap();
+    assert_eq!(sim.application().open_objects(), 2);
+    tool.close().unwrap();
+    assert_eq!(sim.application().open_objects(), 0);
+}
+
+#[test]
+fn objects_are_opened_by_their_path() {
+    let sim = simulated();
+    let mut tool = tool(&sim);
+    connect(&mut tool);
+    let status = tool.open(&"robot/variable:@SERVO_ON".parse().unwrap()).unwrap();
+    assert_eq!(sim.application().open_objects(), 3, "controller, robot and variable");
+    tool.release(Object::Variable, status).unwrap();
+    tool.release(Object::Variable, status).unwrap();
+    assert_eq!(sim.application().open_objects(), 2);
+    let refused = tool.open(&"task:NoSuchTask".parse().unwrap()).unwrap_err();
+    assert!(
+        refused.to_string().starts_with("Controller_GetTask of task:NoSuchTask: the controller refused"),
+        "{refused}"
+    );
+    tool.close().unwrap();
+    assert_eq!(sim.application().open_objects(), 0);
+}
+
+#[test]
+fn nothing_is_sent_after_the_deadline() {
+    let sim = simulated();
+    let mut tool = tool(&sim);
+    connect(&mut tool);
+    tool.set_deadline(Some(bcap_std::now()));
+    let error = tool.read::<i32>("I1").unwrap_err();
+    assert!(
+        matches!(&error, Error::NoReply { source: CallError::Io(error), .. } if error.kind() == io::ErrorKind::TimedOut),
+        "{error}"
+    );
+    tool.set_deadline(None);
+    tool.close().unwrap();
+    assert_eq!(sim.application().open_objects(), 1, "a lost connection is left to the controller");
+}
