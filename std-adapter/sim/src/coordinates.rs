@@ -4,7 +4,7 @@
 //!  base ── work ──> work coordinates ── pose ──> tool centre point <── tool ── flange
 //! ```
 
-use crate::kinematics::{Frame, forward};
+use crate::kinematics::{Frame, Joints, figure, forward, measured, pose_numbers};
 use crate::pose::Pose;
 
 /// The number of definitions of each kind; number 0 is the base or the flange itself.
@@ -23,6 +23,21 @@ impl Coordinates {
     /// Returns the pose of the tool centre point in work coordinates.
     pub(crate) fn pose(&self, flange: &Frame) -> Frame {
         self.work.inverse().times(flange).times(&self.tool)
+    }
+
+    /// Returns X Y Z RX RY RZ Fig of the tool centre point.
+    pub(crate) fn position(&self, joints: &Joints) -> Vec<f64> {
+        pose_numbers(&self.pose(&forward(joints)), figure(joints))
+    }
+
+    /// Returns position, orient vector, approach vector and Fig of the tool centre point.
+    pub(crate) fn trans(&self, joints: &Joints) -> Vec<f64> {
+        let [x, y, z, vectors @ ..] = self.pose(&forward(joints)).to_trans();
+        let mut numbers = measured([x, y, z]);
+        // the components of a unit vector, 1e-9 of which are less than 1e-6 degrees
+        numbers.extend(vectors.map(|n| (n * 1e9).round() / 1e9 + 0.0));
+        numbers.push(f64::from(figure(joints)));
+        numbers
     }
 
     /// Returns the tool centre point of a pose, and its Fig if it has one.

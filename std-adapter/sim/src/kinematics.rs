@@ -27,8 +27,6 @@
 
 use bcap_core::hresult::HResult;
 
-use crate::coordinates::Coordinates;
-
 /// J1 to J6, in degrees.
 pub type Joints = [f64; 6];
 
@@ -432,25 +430,10 @@ pub(crate) fn measured<const N: usize>(numbers: [f64; N]) -> Vec<f64> {
     numbers.iter().map(|n| (n * 1e6).round() / 1e6 + 0.0).collect()
 }
 
-/// Returns X Y Z RX RY RZ Fig of the tool centre point.
-pub(crate) fn position(joints: &Joints, coordinates: &Coordinates) -> Vec<f64> {
-    pose_numbers(&coordinates.pose(&forward(joints)), figure(joints))
-}
-
 /// Returns X Y Z RX RY RZ Fig.
 pub(crate) fn pose_numbers(frame: &Frame, fig: u8) -> Vec<f64> {
     let [x, y, z, rx, ry, rz] = frame.to_xyz_rpy();
     measured([x, y, z, rx, ry, rz, f64::from(fig)])
-}
-
-/// Returns position, orient vector, approach vector and Fig of the tool centre point.
-pub(crate) fn trans(joints: &Joints, coordinates: &Coordinates) -> Vec<f64> {
-    let [x, y, z, vectors @ ..] = coordinates.pose(&forward(joints)).to_trans();
-    let mut numbers = measured([x, y, z]);
-    // the components of a unit vector, 1e-9 of which are less than 1e-6 degrees
-    numbers.extend(vectors.map(|n| (n * 1e9).round() / 1e9 + 0.0));
-    numbers.push(f64::from(figure(joints)));
-    numbers
 }
 
 /// Returns J1 to J8 of six joints; axes 7 and 8 are 0.

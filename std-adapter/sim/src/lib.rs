@@ -81,6 +81,7 @@ pub mod messages;
 pub mod motion;
 mod objects;
 mod options;
+mod path;
 pub mod pose;
 pub mod preparation;
 mod queue;

@@ -15,121 +15,17 @@ use std::time::Duration;
 use bcap_core::handler::PeerId;
 use bcap_core::time::Instant;
 
-use crate::kinematics::{
-    AXIS_RANGES, AXIS_SPEEDS, Axes, Frame, OutOfReach, forward, inverse_nearest, six, with_joints,
-};
+use crate::kinematics::{AXIS_RANGES, Axes, Frame, forward, six};
 use crate::options::Pass;
+use crate::path::Path;
+pub use crate::path::{LINE_SPEED, TURN_SPEED};
 use crate::route::Route;
-
-/// The largest speed of the flange on a line, in mm per second.
-pub const LINE_SPEED: f64 = 2000.0;
-
-/// The largest turning speed of the flange on a line, in degrees per second.
-pub const TURN_SPEED: f64 = 360.0;
 
 /// The time in which a motion at full acceleration reaches its full speed, in seconds.
 pub const ACCELERATION_TIME: f64 = 0.2;
 
-/// The number of parts in which a line is planned.
-const LINE_PARTS: usize = 100;
-
-/// The largest turn of a joint in one part of a line, in degrees; a larger one means a singularity.
-const LARGEST_STEP: f64 = 30.0;
-
 /// The rounding of a sum of positions, in degrees or mm.
 const ROUNDING: f64 = 1e-9;
-
-/// Positions of the axes, which a motion passes evenly.
-#[derive(Clone, Debug)]
-pub(crate) struct Path {
-    /// At least two.
-    knots: Vec<Axes>,
-    /// The highest speed within all limits, in paths per second.
-    full_speed: f64,
-}
-
-impl Path {
-    /// Plans a motion in which every axis moves evenly.
-    pub(crate) fn axes(from: Axes, to: Axes) -> Self {
-        Self { full_speed: axis_limit(&from, &to, 1.0), knots: vec![from, to] }
-    }
-
-    /// Plans a motion of the flange through the frames of `frame`, a function of the part of the path, 0 to 1, while J7 and
-    /// J8 move evenly to those of `end`. The flange moves `size.0` mm and turns `size.1` degrees.
-    pub(crate) fn along(
-        start: Axes,
-        end: &Axes,
-        size: (f64, f64),
-        frame: impl Fn(f64) -> Frame,
-    ) -> Result<Self, OutOfReach> {
-        let mut full_speed = (LINE_SPEED / size.0).min(TURN_SPEED / size.1);
-        let mut knots = vec![start];
-        let mut here = start;
-        for n in 1..=LINE_PARTS {
-            let part = n as f64 / LINE_PARTS as f64;
-            let joints = inverse_nearest(&frame(part), &six(&here))?;
-            let next = with_joints(&joints, &between(&start, end, part));
-            if let Some(axis) = here.iter().zip(&next).take(6).position(|(a, b)| (a - b).abs() > LARGEST_STEP) {
-                return Err(OutOfReach(u8::try_from(axis + 1).unwrap_or(0)));
-            }
-            full_speed = full_speed.min(axis_limit(&here, &next, LINE_PARTS as f64));
-            knots.push(next);
-            here = next;
-        }
-        Ok(Self { knots, full_speed })
-    }
-
-    /// Plans the path on which axes at these speeds come to rest together, within their limits of acceleration.
-    ///
-    /// `None` for axes at rest. An axis that would leave its range stops at the end of the range, so it brakes harder.
-    pub(crate) fn braking(from: Axes, speeds: &Axes, limits: &Axes) -> Option<Self> {
-        let seconds = speeds.iter().zip(limits).map(|(speed, limit)| speed.abs() / limit).fold(0.0, f64::max);
-        let to = [0, 1, 2, 3, 4, 5, 6, 7].map(|i| {
-            let (low, high) = AXIS_RANGES[i];
-            // through rounding, an axis may be slightly beyond its range
-            (from[i] + speeds[i] * seconds / 2.0).clamp(low.min(from[i]), high.max(from[i]))
-        });
-        (seconds > 1e-6).then(|| Self { knots: vec![from, to], full_speed: 2.0 / seconds })
-    }
-
-    /// Returns the position of the axes at its end.
-    pub(crate) fn end(&self) -> Axes {
-        self.knots.last().copied().unwrap_or_default()
-    }
-
-    /// Returns the position of the axes at its beginning.
-    fn start(&self) -> Axes {
-        self.knots.first().copied().unwrap_or_default()
-    }
-
-    /// Returns the least and the greatest position of each axis between two places on the path.
-    fn bounds(&self, from: f64, to: f64) -> [(f64, f64); 8] {
-        let parts = (self.knots.len() - 1) as f64;
-        let inner = |n: &usize| (from..=to).contains(&(*n as f64 / parts));
-        let knots = (0..self.knots.len()).filter(inner).map(|n| self.knots[n]);
-        knots.chain([self.at(to)]).fold(self.at(from).map(|place| (place, place)), |bounds, axes| {
-            [0, 1, 2, 3, 4, 5, 6, 7].map(|i| (bounds[i].0.min(axes[i]), bounds[i].1.max(axes[i])))
-        })
-    }
-
-    fn at(&self, part: f64) -> Axes {
-        let place = part.clamp(0.0, 1.0) * (self.knots.len() - 1) as f64;
-        let before = (place as usize).min(self.knots.len() - 2);
-        let (a, b, rest) = (&self.knots[before], &self.knots[before + 1], place - before as f64);
-        if rest >= 1.0 { *b } else { between(a, b, rest) }
-    }
-}
-
-/// Interpolates between two positions of the axes; `part` is 0 to 1.
-fn between(a: &Axes, b: &Axes, part: f64) -> Axes {
-    [0, 1, 2, 3, 4, 5, 6, 7].map(|i| a[i] + (b[i] - a[i]) * part)
-}
-
-/// Returns the speed at which the first axis reaches its limit, in paths per second.
-fn axis_limit(from: &Axes, to: &Axes, parts: f64) -> f64 {
-    let limits = from.iter().zip(to).zip(&AXIS_SPEEDS).map(|((a, b), speed)| speed / ((a - b).abs() * parts));
-    limits.fold(f64::INFINITY, f64::min)
-}
 
 /// Speed, acceleration and deceleration, each as a part of its full value, 0 to 1.
 #[derive(Clone, Copy, Debug, PartialEq)]

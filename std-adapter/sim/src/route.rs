@@ -7,7 +7,7 @@ use bcap_core::hresult::HResult;
 use crate::curve::{Arc, Point};
 use crate::drive::Drive;
 use crate::kinematics::{Axes, Frame, Joints, OutOfReach, figure, forward, out_of_range, six, with_joints};
-use crate::motion::Path;
+use crate::path::Path;
 use crate::pose::Pose;
 
 /// What a motion command asks for.

@@ -3,10 +3,9 @@
 use std::io;
 use std::time::Duration;
 
-use bcap_core::bcap::call::{Call, ControllerHandle, Maybe};
-use bcap_core::bcap::{FrameWriter, FunctionId, Object};
-use bcap_core::error::EncodeError;
-use bcap_core::variant::{Encode, FromVariant, OwnedVariant, Variant};
+use bcap_core::bcap::call::ControllerHandle;
+use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
 use tokio::sync::oneshot;
 
 use super::SendTransport;
@@ -261,7 +260,7 @@ impl Controller {
     }
 
     /// Calls any function. The first argument of most is the handle of an object, which is valid in the session that opened
-    /// it. Objects that the call opens are released by the caller, or end with the session.
+    /// it. Objects that the call opens are released with the session, if the caller does not.
     ///
     /// # Errors
     ///
@@ -274,8 +273,8 @@ impl Controller {
         self.handle
             .run(move |session| {
                 Box::pin(async move {
-                    let value = session.call("the controller", OwnedCall { function, arguments }).await?;
-                    owned(&value.unwrap_or(Variant::Empty))
+                    let (_, value) = session.call_any("the controller", function, &arguments).await?;
+                    Ok(value.unwrap_or_default())
                 })
             })
             .await
@@ -328,23 +327,5 @@ impl Controller {
         let (reply, closed) = oneshot::channel();
         self.handle.send(Request::Close(reply))?;
         closed.await.map_err(|_| Error::Closed)?
-    }
-}
-
-/// A call that owns its arguments.
-struct OwnedCall {
-    function: FunctionId,
-    arguments: Vec<OwnedVariant>,
-}
-
-impl Call for OwnedCall {
-    type Reply = Maybe;
-
-    fn function(&self) -> FunctionId {
-        self.function
-    }
-
-    fn arguments(&self, frame: &mut FrameWriter<'_>) -> Result<(), EncodeError> {
-        self.arguments.iter().try_for_each(|argument| frame.argument(argument))
     }
 }

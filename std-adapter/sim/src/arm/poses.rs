@@ -9,7 +9,7 @@ use super::Arm;
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::coordinates::Coordinates;
-use crate::kinematics::{angle, figure, measured, pose_numbers, position, trans};
+use crate::kinematics::{angle, figure, measured, pose_numbers};
 use crate::pose::Pose;
 use crate::robot::coordinates;
 use crate::value::{Value, one_int};
@@ -23,8 +23,8 @@ pub(super) fn convert(arm: &Arm, ctx: &Context<'_>, from: Kind, to: Kind, param:
     let joints = coordinates.flange(pose).joints(&near).map_err(|error| error.code())?;
     Ok(Value::R8s(match (to, pose) {
         (Kind::P, Pose::Frame(frame, _)) => pose_numbers(&frame, figure(&joints)),
-        (Kind::P, Pose::Joints(_)) => position(&joints, &coordinates),
-        (Kind::T, _) => trans(&joints, &coordinates),
+        (Kind::P, Pose::Joints(_)) => coordinates.position(&joints),
+        (Kind::T, _) => coordinates.trans(&joints),
         _ => angle(&joints),
     })
     .into())

@@ -2,14 +2,14 @@
 
 use super::Arm;
 use crate::context::Context;
-use crate::kinematics::{figure, measured, position, six, trans};
+use crate::kinematics::{figure, measured, six};
 use crate::value::Value;
 
 /// Reads a value of the arm.
 pub(crate) type Reading = fn(&Arm, &Context<'_>) -> Value;
 
 pub(super) fn current_position(arm: &Arm, ctx: &Context<'_>) -> Value {
-    Value::R8s(position(&arm.robot.joints(ctx.now), &arm.robot.coordinates()))
+    Value::R8s(arm.robot.coordinates().position(&arm.robot.joints(ctx.now)))
 }
 
 pub(super) fn current_angle(arm: &Arm, ctx: &Context<'_>) -> Value {
@@ -17,7 +17,7 @@ pub(super) fn current_angle(arm: &Arm, ctx: &Context<'_>) -> Value {
 }
 
 pub(super) fn current_trans(arm: &Arm, ctx: &Context<'_>) -> Value {
-    Value::R8s(trans(&arm.robot.joints(ctx.now), &arm.robot.coordinates()))
+    Value::R8s(arm.robot.coordinates().trans(&arm.robot.joints(ctx.now)))
 }
 
 pub(super) fn timed_position(arm: &Arm, ctx: &Context<'_>) -> Value {
@@ -42,7 +42,7 @@ fn timed(ctx: &Context<'_>, reading: Value) -> Value {
 }
 
 pub(super) fn target_position(arm: &Arm, _: &Context<'_>) -> Value {
-    Value::R8s(position(&six(&arm.robot.destination()), &arm.robot.coordinates()))
+    Value::R8s(arm.robot.coordinates().position(&six(&arm.robot.destination())))
 }
 
 pub(super) fn target_angle(arm: &Arm, _: &Context<'_>) -> Value {
@@ -50,7 +50,7 @@ pub(super) fn target_angle(arm: &Arm, _: &Context<'_>) -> Value {
 }
 
 pub(super) fn target_trans(arm: &Arm, _: &Context<'_>) -> Value {
-    Value::R8s(trans(&six(&arm.robot.destination()), &arm.robot.coordinates()))
+    Value::R8s(arm.robot.coordinates().trans(&six(&arm.robot.destination())))
 }
 
 pub(super) fn figure_of(arm: &Arm, ctx: &Context<'_>) -> Value {

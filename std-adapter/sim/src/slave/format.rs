@@ -15,7 +15,7 @@ use bcap_core::variant::{Array, VarType, Variant};
 
 use crate::config::SlaveFormats;
 use crate::coordinates::Coordinates;
-use crate::kinematics::{Axes, measured, position, six, trans};
+use crate::kinematics::{Axes, measured, six};
 use crate::value::{Value, numbers, numbers_of_array, one_int, whole};
 use crate::variables::Variables;
 
@@ -149,10 +149,10 @@ impl Formats {
     fn pose(self, axes: &Axes, coordinates: &Coordinates) -> Vec<f64> {
         let joints = six(axes);
         match self.receive & 0xF {
-            1 => position(&joints, coordinates),
-            3 => trans(&joints, coordinates),
-            4 => [position(&joints, coordinates), measured(*axes)].concat(),
-            5 => [trans(&joints, coordinates), measured(*axes)].concat(),
+            1 => coordinates.position(&joints),
+            3 => coordinates.trans(&joints),
+            4 => [coordinates.position(&joints), measured(*axes)].concat(),
+            5 => [coordinates.trans(&joints), measured(*axes)].concat(),
             _ => measured(*axes),
         }
     }
