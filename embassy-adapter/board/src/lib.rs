@@ -34,6 +34,8 @@ extern crate std;
 
 mod error;
 pub mod image;
+pub mod limiter;
+pub mod ring;
 mod rules;
 mod settings;
 

@@ -1,4 +1,4 @@
-//! The exception handlers: the Ethernet interrupt, the watchdog's NMI and faults.
+//! The exception handlers: the interrupts of the Ethernet controller and the serial port, the watchdog's NMI and faults.
 //!
 //! The linker finds the handlers by name, so no other file refers to this one. SysTick is in [`clock`](crate::clock).
 #![expect(unsafe_code, reason = "handlers of exceptions are unsafe functions")]
@@ -7,8 +7,8 @@ use cortex_m::interrupt::InterruptNumber as _;
 use cortex_m::peripheral::NVIC;
 use cortex_m_rt::{ExceptionFrame, exception};
 
-use crate::board::ETHERNET_IRQ;
-use crate::{fault, lan9118};
+use crate::board::{ETHERNET_IRQ, UART_TX_IRQ};
+use crate::{fault, lan9118, uart};
 
 #[exception]
 unsafe fn DefaultHandler(number: i16) {
@@ -16,6 +16,8 @@ unsafe fn DefaultHandler(number: i16) {
         // the line stays active until the driver has read the frame; the driver then unmasks the interrupt
         NVIC::mask(ETHERNET_IRQ);
         lan9118::wake();
+    } else if number == UART_TX_IRQ.number().cast_signed() {
+        uart::transmit();
     } else {
         fault::unexpected(number);
     }

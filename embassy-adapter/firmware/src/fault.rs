@@ -7,7 +7,7 @@ use core::panic::PanicInfo;
 
 use cortex_m_rt::ExceptionFrame;
 
-use crate::uart::Text;
+use crate::uart::{self, Text};
 
 /// Reports a panic over defmt; for the panic handler of an image with a log.
 pub fn panic_logged(info: &PanicInfo<'_>) -> ! {
@@ -46,6 +46,7 @@ pub(crate) fn unexpected(number: i16) -> ! {
 
 /// Ends the program with success: the emulator exits with 0, a board resets.
 pub fn succeed() -> ! {
+    uart::flush();
     #[cfg(feature = "semihosting")]
     cortex_m_semihosting::debug::exit(cortex_m_semihosting::debug::EXIT_SUCCESS);
     cortex_m::peripheral::SCB::sys_reset()
@@ -53,6 +54,7 @@ pub fn succeed() -> ! {
 
 /// Ends the program after a failure: the emulator exits with an error, a board resets.
 pub fn end() -> ! {
+    uart::flush();
     #[cfg(feature = "semihosting")]
     cortex_m_semihosting::debug::exit(cortex_m_semihosting::debug::EXIT_FAILURE);
     cortex_m::peripheral::SCB::sys_reset()

@@ -4,9 +4,10 @@
 //! |--------------|-----------------------------------------------------------------------------------|
 //! | [`board`]    | the addresses of the chosen board's peripherals                                   |
 //! | [`lan9118`]  | the driver of the Ethernet controller for embassy-net and smoltcp                 |
-//! | [`clock`]    | SysTick as a clock, and embassy's time driver on it                               |
+//! | [`clock`]    | a hardware counter as a clock, and embassy's time driver on it                    |
 //! | [`executor`] | an executor that sleeps with WFI                                                  |
-//! | [`uart`]     | the serial port, as text or as defmt frames                                       |
+//! | [`uart`]     | the serial port and the buffer of what it sends                                   |
+//! | [`log`]      | defmt's logger on the serial port                                                 |
 //! | [`config`]   | the settings block in the flash, which a host tool patches                        |
 //! | [`net`]      | embassy-net on the board: its task and its address                                |
 //! | [`stack`]    | the high-water mark of the stack                                                  |
@@ -27,6 +28,7 @@ mod exceptions;
 pub mod executor;
 pub mod fault;
 pub mod lan9118;
+pub mod log;
 mod mmio;
 pub mod net;
 pub mod node;

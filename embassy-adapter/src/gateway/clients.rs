@@ -6,6 +6,7 @@ use bcap_core::handler::PeerId;
 use bcap_core::io::asynch::Transport;
 use bcap_core::time::Instant;
 use embassy_futures::select::{Either, select};
+use embassy_futures::yield_now;
 use embassy_net::{IpEndpoint, Stack};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::Timer;
@@ -114,6 +115,8 @@ async fn run_session<X: Transport, M: RawMutex, const N: usize>(
                     Some(sent) => shared.with(|inner| inner.gateway.transmitted(peer, sent)),
                     None => return Ok(Ended::ReplyNotRead),
                 };
+                // one line a turn, so a client that sends many lines at once does not slow the others
+                yield_now().await;
             }
             Next::Receive(room) => {
                 unread = None;

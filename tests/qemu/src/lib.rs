@@ -253,7 +253,12 @@ impl Plc {
         }
     }
 
-    fn try_ask(&mut self, line: &str) -> io::Result<String> {
+    /// Sends a line and returns its answer; both end with a CR.
+    ///
+    /// # Errors
+    ///
+    /// The connection ended, or the answer does not arrive.
+    pub fn try_ask(&mut self, line: &str) -> io::Result<String> {
         self.stream.get_mut().write_all(line.as_bytes())?;
         self.answer()
     }

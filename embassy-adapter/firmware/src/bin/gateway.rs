@@ -8,13 +8,17 @@
 //! ```
 //!
 //! The settings define the rules for PLCs and the robot's address. By default PLCs may read every variable and write
-//! none. Each refusal is logged with its client and its line.
+//! none. A refusal is logged with its client and its line, at most once a second for each client and reason.
 #![no_std]
 #![no_main]
 
+use core::cell::RefCell;
+use core::net::Ipv4Addr;
+
+use bcap_board::limiter::Limiter;
 use bcap_board::{RuleMemory, Settings, Transport};
 use bcap_core::bcap::client::{self, Timing};
-use bcap_core::gateway::{Config, Event, Gateway, Memory, Tally};
+use bcap_core::gateway::{Config, Event, Gateway, Memory, Refusal, Tally};
 use bcap_core::rac;
 use bcap_core::time::{Instant, micros};
 use bcap_embassy::gateway::{Listener, Report, SharedGateway, TcpRobot, run_robot};
@@ -22,11 +26,12 @@ use bcap_embassy::net::{Options, UdpTransport};
 use bcap_embassy::server::Limits;
 use bcap_firmware::net::{self, NetRunner};
 use bcap_firmware::watchdog::{self, Task, watched};
-use bcap_firmware::{clock, config, echo, executor, fault, lan9118, stack, uart};
+use bcap_firmware::{clock, config, echo, executor, fault, lan9118, log, stack, uart};
 use embassy_executor::{SpawnError, Spawner};
 use embassy_net::udp::{PacketMetadata, UdpSocket};
-use embassy_net::{IpEndpoint, Stack, StackResources};
-use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+use embassy_net::{IpAddress, IpEndpoint, Stack, StackResources};
+use embassy_sync::blocking_mutex::Mutex;
+use embassy_sync::blocking_mutex::raw::{CriticalSectionRawMutex, NoopRawMutex};
 use embassy_time::Timer;
 use static_cell::{ConstStaticCell, StaticCell};
 
@@ -47,6 +52,9 @@ const MAX_OVERRUN: core::time::Duration = core::time::Duration::from_secs(2);
 
 type Board = SharedGateway<'static, NoopRawMutex, SESSIONS>;
 
+/// Limits the lines of the log about clients.
+static LIMITER: Mutex<CriticalSectionRawMutex, RefCell<Limiter<16>>> = Mutex::new(RefCell::new(Limiter::new()));
+
 #[panic_handler]
 fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
     fault::panic_logged(info)
@@ -54,6 +62,7 @@ fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
+    watchdog::arm();
     executor::run(|spawner| {
         if start(spawner).is_err() {
             defmt::error!("cannot start a task: its pool is full");
@@ -115,7 +124,7 @@ fn make(settings: &'static Settings<'static>) -> &'static Board {
     };
     let Settings { provider, machine, option, service, .. } = *settings;
     let config = Config { client, service, provider, machine, option, rules, ..Config::RC8 };
-    BOARD.init(SharedGateway::new(Gateway::new(config, MEMORY.take()), log))
+    BOARD.init(SharedGateway::new(Gateway::new(config, MEMORY.take()), log_report))
 }
 
 #[embassy_executor::task]
@@ -177,6 +186,11 @@ async fn report(board: &'static Board) -> ! {
         loop {
             Timer::after_secs(10).await;
             board.view(status);
+            with_limiter(|limiter| {
+                limiter.drain(|client, reason, count| {
+                    defmt::info!("{}: {=u32} more of: {=str}", Address(client), count, reason)
+                })
+            });
         }
     };
     watched(STATUS, report).await
@@ -185,7 +199,8 @@ async fn report(board: &'static Board) -> ! {
 fn status(gateway: &Gateway<'_>) {
     let counters = gateway.counters();
     defmt::info!(
-        "up {=u64} s, robot {=str} ({=u32}), served {}, failed {}, refused {=u32}, {}, stack {=usize} of {=usize}",
+        "up {=u64} s, robot {=str} ({=u32}), served {}, failed {}, refused {=u32}, {}, stack {=usize} of {=usize}, \
+         log dropped {=u32}",
         now().as_micros() / 1_000_000,
         if gateway.is_up() { "up" } else { "down" },
         counters.connected,
@@ -195,6 +210,7 @@ fn status(gateway: &Gateway<'_>) {
         lan9118::counters(),
         stack::high_water(),
         stack::size(),
+        log::dropped(),
     );
 }
 
@@ -215,13 +231,19 @@ impl defmt::Format for Times<'_> {
     }
 }
 
-/// Logs every refusal, every failure, and the connections of clients and of the robot.
-fn log(report: &Report<'_>) {
+/// Logs refusals, failures, and the connections of clients and of the robot.
+fn log_report(report: &Report<'_>) {
     match *report {
-        Report::Connected { client } => defmt::info!("{}: connected", Client(client)),
-        Report::Disconnected { client, ended } => defmt::info!("{}: disconnected: {}", Client(client), ended),
+        Report::Connected { client } => limited(client, "connected", |left_out| {
+            defmt::info!("{}: connected{}", Client(client), left_out);
+        }),
+        Report::Disconnected { client, ended } => limited(client, "disconnected", |left_out| {
+            defmt::info!("{}: disconnected: {}{}", Client(client), ended, left_out);
+        }),
         Report::Answered { client, line, event: Event::Refused { refusal, .. } } => {
-            defmt::warn!("{}: refused {=[u8]:a}: {}", Client(client), line, refusal)
+            limited(client, name(&refusal), |left_out| {
+                defmt::warn!("{}: refused {=[u8]:a}: {}{}", Client(client), line, refusal, left_out);
+            })
         }
         Report::Answered { client, line, event: Event::Failed { result, .. } } => {
             defmt::debug!("{}: failed {=[u8]:a}: {}", Client(client), line, result)
@@ -235,6 +257,43 @@ fn log(report: &Report<'_>) {
     }
 }
 
+/// Returns the name of a refusal's reason, for the limits of the log.
+fn name(refusal: &Refusal) -> &'static str {
+    match refusal {
+        Refusal::Line(_) => "refused: invalid line",
+        Refusal::Rate => "refused: rate",
+        Refusal::ReadOnly => "refused: read-only",
+        Refusal::Kind => "refused: kind",
+        Refusal::Index => "refused: index",
+        Refusal::Type => "refused: type",
+        Refusal::Value => "refused: value",
+        _ => "refused",
+    }
+}
+
+/// Writes a line about a client, at most one a second for each client and reason.
+fn limited(client: Option<IpEndpoint>, reason: &'static str, write: impl FnOnce(LeftOut)) {
+    let address = client.map(|IpEndpoint { addr: IpAddress::Ipv4(address), .. }| address);
+    if let Some(left_out) = with_limiter(|limiter| limiter.admit(address, reason, now())).flatten() {
+        write(LeftOut(left_out));
+    }
+}
+
+fn with_limiter<T>(work: impl FnOnce(&mut Limiter<16>) -> T) -> Option<T> {
+    LIMITER.lock(|limiter| limiter.try_borrow_mut().ok().map(|mut limiter| work(&mut limiter)))
+}
+
+/// Formats the number of lines that the log leaves out.
+struct LeftOut(u32);
+
+impl defmt::Format for LeftOut {
+    fn format(&self, f: defmt::Formatter<'_>) {
+        if self.0 > 0 {
+            defmt::write!(f, " ({=u32} more since the last line)", self.0);
+        }
+    }
+}
+
 /// Formats a client.
 struct Client(Option<IpEndpoint>);
 
@@ -243,6 +302,21 @@ impl defmt::Format for Client {
         match self.0 {
             Some(endpoint) => defmt::write!(f, "{}", endpoint),
             None => defmt::write!(f, "a client"),
+        }
+    }
+}
+
+/// Formats the address of a client.
+struct Address(Option<Ipv4Addr>);
+
+impl defmt::Format for Address {
+    fn format(&self, f: defmt::Formatter<'_>) {
+        match self.0 {
+            Some(address) => {
+                let [a, b, c, d] = address.octets();
+                defmt::write!(f, "{=u8}.{=u8}.{=u8}.{=u8}", a, b, c, d);
+            }
+            None => defmt::write!(f, "other clients"),
         }
     }
 }
