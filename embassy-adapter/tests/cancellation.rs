@@ -630,6 +630,8 @@ const DECLARED: Coverage = Exempt("a declaration; its implementations are covere
 const FUNCTIONS: &[(&str, Coverage)] = &[
     ("clock.rs: EmbassyClock::sleep_until", Swept("EmbassyClock::sleep_until")),
     ("gateway/clients.rs: Listener::run", Swept("gateway::Listener::run")),
+    ("gateway/clients.rs: answer_full", Through("gateway/clients.rs: Listener::run")),
+    ("gateway/clients.rs: open", Through("gateway/clients.rs: Listener::run")),
     ("gateway/clients.rs: run_session", Through("gateway/clients.rs: Listener::run")),
     ("gateway/clients.rs: wait_for_bytes", Through("gateway/clients.rs: Listener::run")),
     ("gateway/clients.rs: serve", Through("gateway/clients.rs: Listener::run")),

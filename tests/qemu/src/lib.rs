@@ -219,7 +219,8 @@ impl Plc {
         let since = Instant::now();
         loop {
             let mut plc = Self::connect(address);
-            if plc.try_ask("GET:RC8:1:I:\r").is_ok() {
+            // a board without a free slot answers that
+            if plc.try_ask("GET:RC8:1:I:\r").is_ok_and(|answer| answer != error(HResult::E_MAX_CONNECT)) {
                 return plc;
             }
             assert!(since.elapsed() < TIMEOUT, "{address} has no free slot");

@@ -1,7 +1,7 @@
 //! The gateway board: connects PLCs that speak RAC to a robot controller that speaks b-CAP.
 //!
 //! ```text
-//!  PLCs ─► port 5006, 4 sessions ─┐
+//!  PLCs ─► port 5006, 4 slots ────┐
 //!                                 ├─► Gateway: rules, handles, counters ─► robot, over TCP or UDP
 //!  settings in the flash ─────────┘        │
 //!                                          └─► log on the serial port, a status line every 10 s
@@ -21,7 +21,7 @@ use bcap_core::bcap::client::{self, Timing};
 use bcap_core::gateway::{Config, Event, Gateway, Memory, Refusal, Tally};
 use bcap_core::rac;
 use bcap_core::time::{Instant, micros};
-use bcap_embassy::gateway::{Listener, Report, SharedGateway, TcpRobot, run_robot};
+use bcap_embassy::gateway::{Denial, Listener, Report, SharedGateway, TcpRobot, run_robot};
 use bcap_embassy::net::{Options, UdpTransport};
 use bcap_embassy::server::Limits;
 use bcap_firmware::net::{self, NetRunner};
@@ -32,15 +32,16 @@ use embassy_net::udp::{PacketMetadata, UdpSocket};
 use embassy_net::{IpAddress, IpEndpoint, Stack, StackResources};
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::{CriticalSectionRawMutex, NoopRawMutex};
-use embassy_time::Timer;
+use embassy_time::{Duration, Timer};
 use static_cell::{ConstStaticCell, StaticCell};
 
 const ADDRESS: [u8; 6] = [0x02, 0, 0, 0xbc, 0xa9, 0x03];
-/// Concurrent PLCs, and the capacity of the LRU cache of handles.
+/// Concurrent PLCs, listeners, of which one answers PLCs without a slot, and the capacity of the LRU cache of handles.
 const SESSIONS: usize = 4;
+const LISTENERS: usize = SESSIONS + 1;
 const HANDLES: usize = 64;
-/// Sockets: the PLCs, the echo, the robot, DHCP.
-const SOCKETS: usize = SESSIONS + echo::ECHOES + 2;
+/// Sockets: the listeners, the echo, the robot, DHCP.
+const SOCKETS: usize = LISTENERS + echo::ECHOES + 2;
 
 /// The tasks that the watchdog watches; the PLCs' tasks have the numbers from `PLC` on.
 const NETWORK: Task = Task::new(0);
@@ -77,7 +78,8 @@ fn main() -> ! {
 #[inline(never)]
 fn start(spawner: Spawner) -> Result<(), SpawnError> {
     static RESOURCES: ConstStaticCell<StackResources<SOCKETS>> = ConstStaticCell::new(StackResources::new());
-    static SOCKET_MEMORY: ConstStaticCell<[[[u8; 512]; 2]; SESSIONS]> = ConstStaticCell::new([[[0; 512]; 2]; SESSIONS]);
+    static SOCKET_MEMORY: ConstStaticCell<[[[u8; 512]; 2]; LISTENERS]> =
+        ConstStaticCell::new([[[0; 512]; 2]; LISTENERS]);
 
     uart::init();
     if let Some(peripherals) = cortex_m::Peripherals::take() {
@@ -91,7 +93,7 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     spawner.spawn(run_stack(runner)?);
     spawner.spawn(run_robot_link(stack, settings, board)?);
     for (number, memory) in (PLC..).zip(SOCKET_MEMORY.take()) {
-        spawner.spawn(serve(stack, memory, board, Task::new(number))?);
+        spawner.spawn(serve(stack, memory, settings, board, Task::new(number))?);
     }
     if let Some(port) = settings.echo {
         echo::start(spawner, stack, port)?;
@@ -133,11 +135,25 @@ async fn run_stack(mut runner: NetRunner) -> ! {
 }
 
 /// Serves PLCs, one after another.
-#[embassy_executor::task(pool_size = SESSIONS)]
-async fn serve(stack: Stack<'static>, memory: &'static mut [[u8; 512]; 2], board: &'static Board, task: Task) -> ! {
+#[embassy_executor::task(pool_size = LISTENERS)]
+async fn serve(
+    stack: Stack<'static>,
+    memory: &'static mut [[u8; 512]; 2],
+    settings: &'static Settings<'static>,
+    board: &'static Board,
+    task: Task,
+) -> ! {
     let [rx, tx] = memory;
-    let mut listener = Listener::new(stack, rac::PORT, rx, tx);
-    watched(task, listener.run(board, &Limits::default())).await
+    let mut listener = Listener::with_options(stack, rac::PORT, rx, tx, options(settings));
+    let limits = Limits { idle: settings.idle, evict_after: Some(settings.evict), ..Limits::default() };
+    watched(task, listener.run(board, &limits)).await
+}
+
+/// Returns the timeouts of a PLC's connection; one that confirms no keep-alive is reset.
+fn options(settings: &Settings<'_>) -> Options {
+    let keep_alive = Duration::from_secs(settings.keep_alive.as_secs());
+    let lost = Options::default().lost.max(keep_alive * 3);
+    Options { keep_alive, lost, ..Options::default() }
 }
 
 /// Waits for an address, then runs the connection to the robot.
@@ -240,6 +256,12 @@ fn log_report(report: &Report<'_>) {
         Report::Disconnected { client, ended } => limited(client, "disconnected", |left_out| {
             defmt::info!("{}: disconnected: {}{}", Client(client), ended, left_out);
         }),
+        Report::Denied { client, reason } => {
+            let name = if reason == Denial::Full { "not served: full" } else { "not served: address" };
+            limited(client, name, |left_out| {
+                defmt::warn!("{}: not served: {}{}", Client(client), reason, left_out);
+            })
+        }
         Report::Answered { client, line, event: Event::Refused { refusal, .. } } => {
             limited(client, name(&refusal), |left_out| {
                 defmt::warn!("{}: refused {=[u8]:a}: {}{}", Client(client), line, refusal, left_out);
