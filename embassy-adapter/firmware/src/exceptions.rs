@@ -5,7 +5,7 @@
 
 use cortex_m::interrupt::InterruptNumber as _;
 use cortex_m::peripheral::NVIC;
-use cortex_m_rt::{ExceptionFrame, exception};
+use cortex_m_rt::exception;
 
 use crate::board::{ETHERNET_IRQ, UART_TX_IRQ};
 use crate::{fault, lan9118, uart};
@@ -29,7 +29,8 @@ unsafe fn NonMaskableInt() -> ! {
     fault::hung()
 }
 
-#[exception]
-unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
-    fault::hard_fault(frame)
+// without the trampoline, which passes a reference to a frame that does not exist after a stack overflow
+#[exception(trampoline = false)]
+unsafe fn HardFault() -> ! {
+    fault::hard_fault()
 }

@@ -10,11 +10,12 @@
 //! | [`log`]      | defmt's logger on the serial port                                                 |
 //! | [`config`]   | the settings block in the flash, which a host tool patches                        |
 //! | [`net`]      | embassy-net on the board: its task and its address                                |
-//! | [`stack`]    | the high-water mark of the stack                                                  |
+//! | [`stack`]    | the program's stack and its high-water mark                                       |
 //! | [`echo`]     | an echo server                                                                    |
 //! | [`node`]     | the board as a controller: uptime, counters and some memory                       |
 //! | [`watchdog`] | a reset when a task makes no progress                                             |
 //! | [`fault`]    | reports and resets after a panic or a fault                                       |
+//! | [`record`]   | the cause of the last reset, kept over the reset                                  |
 //!
 //! The exception handlers (`exceptions`) use all of them. Unsafe code is limited to what the hardware requires: access to
 //! registers (`mmio`), the symbols that the linker looks for, and the exception handlers.
@@ -32,6 +33,9 @@ pub mod log;
 mod mmio;
 pub mod net;
 pub mod node;
+#[cfg(feature = "faults")]
+pub mod provoke;
+pub mod record;
 pub mod stack;
 pub mod uart;
 pub mod watchdog;

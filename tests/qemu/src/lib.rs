@@ -109,8 +109,8 @@ impl Drop for Sim {
 /// A board in QEMU that runs the gateway until this value is dropped.
 pub struct Board {
     child: Child,
-    /// The board reads nothing from it, but would end if it were closed.
-    _input: ChildStdin,
+    /// The board's serial port; the emulator would end if it were closed.
+    input: ChildStdin,
     log: PathBuf,
     /// The address of its RAC server.
     pub rac: String,
@@ -143,7 +143,7 @@ impl Board {
         let input = child.stdin.take().unwrap();
         let log_is_text = Command::new("defmt-print").arg("--version").output().is_ok();
         let (rac, echo) = (format!("127.0.0.1:{rac}"), format!("127.0.0.1:{echo}"));
-        Self { child, _input: input, log, rac, echo, log_is_text }
+        Self { child, input, log, rac, echo, log_is_text }
     }
 
     /// Waits until the board answers, and then until its robot is there.
@@ -163,6 +163,11 @@ impl Board {
         plc.try_ask("GET:RC8:1:I:\r").ok()
     }
 
+    /// Sends a byte to the board's serial port.
+    pub fn key(&mut self, letter: u8) {
+        self.input.write_all(&[letter]).unwrap();
+    }
+
     /// Tells whether it runs; a reset would have ended it.
     pub fn is_running(&mut self) -> bool {
         self.child.try_wait().unwrap().is_none()
@@ -175,13 +180,20 @@ impl Board {
 
     /// Waits for a line of the log with all of these words, and returns it; the log must be text.
     pub fn log_line(&self, words: &[&str]) -> String {
+        self.log_lines(words, 1).remove(0)
+    }
+
+    /// Waits for this number of lines of the log with all of these words, and returns them; the log must be text.
+    pub fn log_lines(&self, words: &[&str], count: usize) -> Vec<String> {
         let since = Instant::now();
         loop {
             let log = self.log();
-            if let Some(line) = log.lines().find(|line| words.iter().all(|word| line.contains(word))) {
-                return line.to_owned();
+            let found = log.lines().filter(|line| words.iter().all(|word| line.contains(word)));
+            let found: Vec<String> = found.map(str::to_owned).collect();
+            if found.len() >= count {
+                return found;
             }
-            assert!(since.elapsed() < TIMEOUT, "no line with {words:?} in the log: {log}");
+            assert!(since.elapsed() < TIMEOUT, "{} of {count} lines with {words:?} in the log: {log}", found.len());
             sleep(Duration::from_millis(50));
         }
     }

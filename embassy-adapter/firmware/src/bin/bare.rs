@@ -18,7 +18,7 @@ use bcap_core::time::Instant;
 use bcap_embassy::bare::{self, LinkError};
 use bcap_firmware::lan9118::{Frames, Lan9118};
 use bcap_firmware::uart::{self, Text};
-use bcap_firmware::{clock, config, fault};
+use bcap_firmware::{clock, config, fault, stack};
 use smoltcp::iface::{self, Interface, SocketHandle, SocketSet};
 use smoltcp::socket::tcp;
 use smoltcp::wire::{EthernetAddress, IpCidr};
@@ -33,6 +33,10 @@ fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
+    stack::run(program)
+}
+
+extern "C" fn program() -> ! {
     static FRAMES: ConstStaticCell<Frames> = ConstStaticCell::new(Frames::new());
     static MEMORY: ConstStaticCell<[[u8; 1024]; 2]> = ConstStaticCell::new([[0; 1024]; 2]);
 

@@ -64,6 +64,10 @@ fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
 #[cortex_m_rt::entry]
 fn main() -> ! {
     watchdog::arm();
+    stack::run(program)
+}
+
+extern "C" fn program() -> ! {
     executor::run(|spawner| {
         if start(spawner).is_err() {
             defmt::error!("cannot start a task: its pool is full");
@@ -85,6 +89,7 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     if let Some(peripherals) = cortex_m::Peripherals::take() {
         clock::init(peripherals.SYST);
     }
+    defmt::info!("last reset: {}", defmt::Display2Format(&fault::last_reset()));
     let settings = config::load(config::log);
     let robot = settings.robot;
     defmt::info!("gateway to {}, provider {=str}", defmt::Debug2Format(&robot), settings.provider);
@@ -100,6 +105,8 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     }
     spawner.spawn(report(board)?);
     spawner.spawn(watch(board)?);
+    #[cfg(feature = "faults")]
+    spawner.spawn(provoke()?);
     Ok(())
 }
 
@@ -185,12 +192,24 @@ async fn run_robot_link(stack: Stack<'static>, settings: &'static Settings<'stat
     watched(ROBOT, work).await
 }
 
-/// Feeds the watchdog while the tasks run and the gateway meets its deadlines.
+/// Provokes the fault that a letter on the serial port asks for.
+#[cfg(feature = "faults")]
+#[embassy_executor::task]
+async fn provoke() -> ! {
+    loop {
+        Timer::after_millis(20).await;
+        if let Some(letter) = uart::read() {
+            bcap_firmware::provoke::provoke(letter);
+        }
+    }
+}
+
+/// Feeds the watchdog while the tasks run, the gateway meets its deadlines and the network works.
 #[embassy_executor::task]
 async fn watch(board: &'static Board) -> ! {
     let is_healthy = || {
         let due = board.view(Gateway::poll_timeout).flatten();
-        due.is_none_or(|due| now() <= due.saturating_add(MAX_OVERRUN))
+        !lan9118::is_dead() && due.is_none_or(|due| now() <= due.saturating_add(MAX_OVERRUN))
     };
     watchdog::run(is_healthy).await
 }
