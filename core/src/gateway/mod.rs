@@ -379,8 +379,8 @@ impl Gateway<'_> {
         match event? {
             Event::Served { time, .. } => self.counters.served.add(time),
             Event::Failed { time, .. } => self.counters.failed.add(time),
-            Event::Refused { .. } => self.counters.refused = self.counters.refused.wrapping_add(1),
-            Event::RobotUp => self.counters.connected = self.counters.connected.wrapping_add(1),
+            Event::Refused { .. } => self.counters.refused = self.counters.refused.saturating_add(1),
+            Event::RobotUp => self.counters.connected = self.counters.connected.saturating_add(1),
             Event::RobotDown { .. } => {}
         }
         event

@@ -29,7 +29,7 @@
 //! | `keepalive` | `SECONDS`: the idle time after which a TCP keep-alive is sent to a PLC; one without an answer for 15 s, or three times this, is gone | 5 |
 //! | `convert`  | `yes`, `no`: convert a PUT of another type where the conversion is lossless | `no` |
 //! | `rate`     | `PER_SECOND[/BURST]`: token bucket per PLC, in requests | no limit |
-//! | `echo`     | the port of an echo server, to compare round trips | no echo server |
+//! | `echo`     | the port of an echo server, to compare round trips; for images with the feature `echo` | no echo server |
 //!
 //! An invalid line is skipped and reported. The board then refuses every PUT, whatever the other lines allow.
 #![no_std]

@@ -28,20 +28,24 @@ const INTERVAL: u64 = 1_000_000;
 /// ```
 #[derive(Clone, Copy, Debug)]
 pub struct Limiter<const N: usize> {
-    entries: [Option<Entry>; N],
+    entries: [Entry; N],
     /// Lines of pairs without an entry.
     others: u32,
 }
 
+/// A client and a reason; without a reason the entry is free.
 #[derive(Clone, Copy, Debug)]
 struct Entry {
     client: Option<Ipv4Addr>,
-    reason: &'static str,
+    reason: Option<&'static str>,
     logged: Instant,
     left_out: u32,
 }
 
 impl Entry {
+    /// All zero, so that a static limiter needs no memory in the flash.
+    const FREE: Self = Self { client: None, reason: None, logged: Instant::ZERO, left_out: 0 };
+
     fn is_due(&self, now: Instant) -> bool {
         now >= Instant::from_micros(self.logged.as_micros().saturating_add(INTERVAL))
     }
@@ -51,14 +55,15 @@ impl<const N: usize> Limiter<N> {
     /// Makes a limiter that has admitted no line yet.
     #[must_use]
     pub const fn new() -> Self {
-        Self { entries: [None; N], others: 0 }
+        Self { entries: [Entry::FREE; N], others: 0 }
     }
 
     /// Returns the number of lines left out since the last one of this client and reason; `None` to leave out this one.
     ///
     /// The client is `None` on a serial line.
     pub fn admit(&mut self, client: Option<Ipv4Addr>, reason: &'static str, now: Instant) -> Option<u32> {
-        let known = self.entries.iter_mut().flatten().find(|entry| entry.client == client && entry.reason == reason);
+        let reason = Some(reason);
+        let known = self.entries.iter_mut().find(|entry| entry.client == client && entry.reason == reason);
         if let Some(entry) = known {
             if !entry.is_due(now) {
                 entry.left_out = entry.left_out.saturating_add(1);
@@ -68,10 +73,11 @@ impl<const N: usize> Limiter<N> {
             return Some(core::mem::take(&mut entry.left_out));
         }
         // an entry with lines left out is kept until `drain` reports them
-        let place = self.entries.iter_mut().find(|entry| entry.is_none_or(|e| e.left_out == 0 && e.is_due(now)));
+        let is_free = |entry: &&mut Entry| entry.reason.is_none() || entry.left_out == 0 && entry.is_due(now);
+        let place = self.entries.iter_mut().find(is_free);
         match place {
             Some(place) => {
-                *place = Some(Entry { client, reason, logged: now, left_out: 0 });
+                *place = Entry { client, reason, logged: now, left_out: 0 };
                 Some(0)
             }
             None => {
@@ -83,8 +89,8 @@ impl<const N: usize> Limiter<N> {
 
     /// Reports each client and reason with lines left out, and resets their counts. Call it periodically.
     pub fn drain(&mut self, mut report: impl FnMut(Option<Ipv4Addr>, &'static str, u32)) {
-        for entry in self.entries.iter_mut().flatten().filter(|entry| entry.left_out > 0) {
-            report(entry.client, entry.reason, core::mem::take(&mut entry.left_out));
+        for entry in self.entries.iter_mut().filter(|entry| entry.left_out > 0) {
+            report(entry.client, entry.reason.unwrap_or_default(), core::mem::take(&mut entry.left_out));
         }
         if self.others > 0 {
             report(None, "other lines", core::mem::take(&mut self.others));

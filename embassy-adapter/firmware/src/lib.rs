@@ -11,7 +11,7 @@
 //! | [`config`]   | the settings block in the flash, which a host tool patches                        |
 //! | [`net`]      | embassy-net on the board: its task and its address                                |
 //! | [`stack`]    | the program's stack and its high-water mark                                       |
-//! | [`echo`]     | an echo server                                                                    |
+//! | `echo`       | an echo server, with the feature `echo`                                           |
 //! | [`node`]     | the board as a controller: uptime, counters and some memory                       |
 //! | [`watchdog`] | a reset when a task makes no progress                                             |
 //! | [`fault`]    | reports and resets after a panic or a fault                                       |
@@ -24,6 +24,7 @@
 pub mod board;
 pub mod clock;
 pub mod config;
+#[cfg(feature = "echo")]
 pub mod echo;
 mod exceptions;
 pub mod executor;

@@ -114,8 +114,6 @@ pub struct Board {
     log: PathBuf,
     /// The address of its RAC server.
     pub rac: String,
-    /// The address of its echo.
-    pub echo: String,
     /// Whether the log is text: there is `defmt-print`.
     pub log_is_text: bool,
 }
@@ -126,9 +124,9 @@ impl Board {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
         let log = std::env::temp_dir().join(format!("bcap-qemu-{}-{number}.log", std::process::id()));
-        let (rac, echo) = (free_port(), free_port());
+        let rac = free_port();
         let mut command = Command::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../embassy-adapter/firmware/run"));
-        command.args(["--robot", robot, "--rac", &rac.to_string(), "--echo", &echo.to_string(), "--time", "600"]);
+        command.args(["--robot", robot, "--rac", &rac.to_string(), "--time", "600"]);
         if let Ok(board) = std::env::var("BOARD") {
             command.args(["--board", &board]);
         }
@@ -142,8 +140,7 @@ impl Board {
         let mut child = command.stdin(Stdio::piped()).stdout(out).stderr(err).spawn().unwrap();
         let input = child.stdin.take().unwrap();
         let log_is_text = Command::new("defmt-print").arg("--version").output().is_ok();
-        let (rac, echo) = (format!("127.0.0.1:{rac}"), format!("127.0.0.1:{echo}"));
-        Self { child, input, log, rac, echo, log_is_text }
+        Self { child, input, log, rac: format!("127.0.0.1:{rac}"), log_is_text }
     }
 
     /// Waits until the board answers, and then until its robot is there.
@@ -211,7 +208,7 @@ impl Drop for Board {
 }
 
 /// Returns a port that is free at the moment.
-fn free_port() -> u16 {
+pub fn free_port() -> u16 {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 

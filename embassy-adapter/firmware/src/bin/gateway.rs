@@ -26,7 +26,9 @@ use bcap_embassy::net::{Options, UdpTransport};
 use bcap_embassy::server::Limits;
 use bcap_firmware::net::{self, NetRunner};
 use bcap_firmware::watchdog::{self, Task, watched};
-use bcap_firmware::{clock, config, echo, executor, fault, lan9118, log, stack, uart};
+#[cfg(feature = "echo")]
+use bcap_firmware::echo;
+use bcap_firmware::{clock, config, executor, fault, lan9118, log, stack, uart};
 use embassy_executor::{SpawnError, Spawner};
 use embassy_net::udp::{PacketMetadata, UdpSocket};
 use embassy_net::{IpAddress, IpEndpoint, Stack, StackResources};
@@ -41,7 +43,11 @@ const SESSIONS: usize = 4;
 const LISTENERS: usize = SESSIONS + 1;
 const HANDLES: usize = 64;
 /// Sockets: the listeners, the echo, the robot, DHCP.
-const SOCKETS: usize = LISTENERS + echo::ECHOES + 2;
+const SOCKETS: usize = LISTENERS + ECHOES + 2;
+#[cfg(feature = "echo")]
+const ECHOES: usize = echo::ECHOES;
+#[cfg(not(feature = "echo"))]
+const ECHOES: usize = 0;
 
 /// The tasks that the watchdog watches; the PLCs' tasks have the numbers from `PLC` on.
 const NETWORK: Task = Task::new(0);
@@ -100,6 +106,7 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     for (number, memory) in (PLC..).zip(SOCKET_MEMORY.take()) {
         spawner.spawn(serve(stack, memory, settings, board, Task::new(number))?);
     }
+    #[cfg(feature = "echo")]
     if let Some(port) = settings.echo {
         echo::start(spawner, stack, port)?;
     }
