@@ -10,15 +10,15 @@
 //!
 //! | key        | value                                | default                  |
 //! |------------|--------------------------------------|--------------------------|
-//! | `robot`    | `[tcp:\|udp:]ADDRESS:PORT`           | `tcp:10.0.2.2:5007`      |
+//! | `robot`    | `[tcp:\|udp:]ADDRESS:PORT`           | `tcp:192.168.0.1:5007`   |
 //! | `provider` | the provider to connect to           | `CaoProv.DENSO.VRC9`     |
 //! | `machine`  | the machine that the provider runs on | `localhost`             |
 //! | `option`   | the option of Controller_Connect     | empty                    |
 //! | `service`  | the option of Service_Start          | `WDT=400`                |
 //! | `variable` | the variable that the images `bare` and `node` read | `I1`      |
-//! | `dhcp`     | `yes`, `no`: request an address by DHCP | `yes`                 |
-//! | `address`  | `ADDRESS/PREFIX`: the board's address without DHCP | `10.0.2.15/24` |
-//! | `gateway`  | the default gateway, used with `address` | `10.0.2.2`           |
+//! | `dhcp`     | `yes`, `no`: request an address by DHCP; always without an `address` | `yes` |
+//! | `address`  | `ADDRESS/PREFIX`: the board's address without DHCP, or when no server answers for 5 s | none |
+//! | `gateway`  | the default gateway, used with `address` | none                 |
 //! | `mac`      | `02:00:00:bc:a9:03`: the MAC address | that of the image        |
 //! | `get`      | `KIND[/FIRST[-LAST]]`: what PLCs may read; can be repeated | everything |
 //! | `put`      | `KIND[/FIRST[-LAST]][=MIN..MAX[,MIN..MAX]...]`: what PLCs may write, and the accepted values; can be repeated | nothing |

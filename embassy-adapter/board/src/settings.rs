@@ -26,10 +26,10 @@ pub struct Settings<'a> {
     pub variable: &'a str,
     /// Whether the board requests an address by DHCP.
     pub dhcp: bool,
-    /// The board's address when no DHCP server answers, and the length of its network prefix in bits.
-    pub address: (Ipv4Addr, u8),
+    /// The board's address when no DHCP server answers, and the length of its network prefix in bits; `None` means none.
+    pub address: Option<(Ipv4Addr, u8)>,
     /// The default gateway, used with `address`.
-    pub gateway: Ipv4Addr,
+    pub gateway: Option<Ipv4Addr>,
     /// The MAC address; `None` means that of the image.
     pub mac: Option<[u8; 6]>,
     /// The port of the echo server, if there is one.
@@ -65,7 +65,8 @@ pub enum Transport {
 
 impl Default for Settings<'_> {
     fn default() -> Self {
-        let robot = Ipv4Addr::new(10, 0, 2, 2);
+        // the factory setting of a controller
+        let robot = Ipv4Addr::new(192, 168, 0, 1);
         Self {
             robot: Robot { transport: Transport::Tcp, address: SocketAddrV4::new(robot, 5007) },
             provider: "CaoProv.DENSO.VRC9",
@@ -74,8 +75,8 @@ impl Default for Settings<'_> {
             service: "WDT=400",
             variable: "I1",
             dhcp: true,
-            address: (Ipv4Addr::new(10, 0, 2, 15), 24),
-            gateway: robot,
+            address: None,
+            gateway: None,
             mac: None,
             echo: None,
             idle: None,
@@ -133,8 +134,8 @@ impl<'a> Settings<'a> {
             "service" => self.service = text,
             "variable" => self.variable = text,
             "dhcp" => self.dhcp = valid(yes(text))?,
-            "address" => self.address = valid(network(text))?,
-            "gateway" => self.gateway = valid(text.parse().ok())?,
+            "address" => self.address = Some(valid(network(text))?),
+            "gateway" => self.gateway = Some(valid(text.parse().ok())?),
             "mac" => self.mac = Some(valid(mac(text))?),
             "get" => self.lists.allow_get(text)?,
             "put" => self.lists.allow_put(Network::ANY, text)?,
@@ -236,8 +237,8 @@ mod tests {
             service: "",
             variable: "P7",
             dhcp: false,
-            address: (Ipv4Addr::new(192, 168, 0, 9), 16),
-            gateway: Ipv4Addr::new(192, 168, 0, 254),
+            address: Some((Ipv4Addr::new(192, 168, 0, 9), 16)),
+            gateway: Some(Ipv4Addr::new(192, 168, 0, 254)),
             mac: Some([2, 0, 0, 0xbc, 0xa9, 0x7f]),
             echo: Some(7),
             idle: Some(Duration::from_secs(60)),

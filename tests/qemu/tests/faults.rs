@@ -3,7 +3,7 @@
 
 use std::io::{self, Write};
 
-use bcap_qemu::{Board, Plc, Sim, bcap};
+use bcap_qemu::{Board, Plc, Sim, bcap, free_port};
 
 const PROVIDER: &str = "provider=CaoProv.DENSO.VRC";
 
@@ -29,6 +29,19 @@ fn a_board_tells_after_its_restart_why_it_was_reset() {
         // it serves again
         board = board.up();
         let _ = writeln!(io::stderr(), "restarted after {:?}: {}", char::from(letter), lines[lines.len() - 1]);
+    }
+}
+
+#[test]
+fn a_board_without_a_dhcp_server_asks_again_beside_its_own_address() {
+    let Some(_) = bcap() else { return };
+    // an Ethernet link to a port where nothing listens
+    let port = free_port();
+    let netdev = format!("socket,id=n0,udp=127.0.0.1:{port},localaddr=127.0.0.1:{}", free_port());
+    let board = Board::start("10.0.2.2:5007", &["--faults", "--netdev", &netdev], &[PROVIDER]);
+    if board.log_is_text {
+        let _ = board.log_lines(&["no DHCP server answers"], 3);
+        assert_eq!(board.log_lines(&["last reset:"], 1).len(), 1, "{}", board.log());
     }
 }
 

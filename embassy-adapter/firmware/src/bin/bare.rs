@@ -84,12 +84,15 @@ extern "C" fn program() -> ! {
 fn interface(device: &mut Lan9118<'_>, settings: &Settings<'_>) -> Interface {
     let address = EthernetAddress(ADDRESS);
     let mut interface = Interface::new(iface::Config::new(address.into()), device, bare::to_smoltcp(now()));
-    let (own, prefix) = settings.address;
+    // without DHCP it needs a configured address
+    let Some((own, prefix)) = settings.address else { return interface };
     // a new interface has room for an address and a route
     interface.update_ip_addrs(|addresses| {
         let _ = addresses.push(IpCidr::new(own.into(), prefix));
     });
-    let _ = interface.routes_mut().add_default_ipv4_route(settings.gateway);
+    if let Some(gateway) = settings.gateway {
+        let _ = interface.routes_mut().add_default_ipv4_route(gateway);
+    }
     interface
 }
 

@@ -24,12 +24,13 @@ use bcap_core::time::{Instant, micros};
 use bcap_embassy::gateway::{Denial, Listener, Report, SharedGateway, TcpRobot, run_robot};
 use bcap_embassy::net::{Options, UdpTransport};
 use bcap_embassy::server::Limits;
-use bcap_firmware::net::{self, NetRunner};
-use bcap_firmware::watchdog::{self, Task, watched};
 #[cfg(feature = "echo")]
 use bcap_firmware::echo;
+use bcap_firmware::net::{self, NetRunner};
+use bcap_firmware::watchdog::{self, Task, watched};
 use bcap_firmware::{clock, config, executor, fault, lan9118, log, stack, uart};
 use embassy_executor::{SpawnError, Spawner};
+use embassy_futures::select::select;
 use embassy_net::udp::{PacketMetadata, UdpSocket};
 use embassy_net::{IpAddress, IpEndpoint, Stack, StackResources};
 use embassy_sync::blocking_mutex::Mutex;
@@ -177,8 +178,7 @@ async fn run_robot_link(stack: Stack<'static>, settings: &'static Settings<'stat
     static META: ConstStaticCell<[[PacketMetadata; 2]; 2]> = ConstStaticCell::new([[PacketMetadata::EMPTY; 2]; 2]);
     let ([rx, tx, frame], [rx_meta, tx_meta]) = (MEMORY.take(), META.take());
     let address = settings.robot.address;
-    let work = async {
-        net::find_address(stack, settings).await;
+    let run = async {
         match settings.robot.transport {
             Transport::Tcp => {
                 let mut robot = TcpRobot::new(stack, rx, tx, Options::default(), address);
@@ -195,6 +195,11 @@ async fn run_robot_link(stack: Stack<'static>, settings: &'static Settings<'stat
                 }
             }
         }
+    };
+    let work = async {
+        net::find_address(stack, settings).await;
+        let has_robot = || board.view(Gateway::is_up).unwrap_or_default();
+        select(run, net::improve_address(stack, settings, has_robot)).await;
     };
     watched(ROBOT, work).await
 }
