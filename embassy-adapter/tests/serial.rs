@@ -1,6 +1,6 @@
 //! Tests a client on a serial line whose device reports errors of the line.
 #![cfg(all(feature = "serial", feature = "server"))]
-#![allow(clippy::unwrap_used, reason = "a test fails by panicking")]
+#![allow(clippy::indexing_slicing, clippy::large_futures, clippy::unwrap_used, reason = "a test fails by panicking")]
 
 use std::collections::VecDeque;
 use std::future::{pending, ready};
