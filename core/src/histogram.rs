@@ -13,7 +13,8 @@ use crate::num::{to_u32, to_usize};
 
 /// A histogram of times with `SUB` buckets for each power of two, and `N` buckets in total; `SUB` is a power of two.
 ///
-/// The last bucket also counts times above it; the maximum is exact. Counts saturate.
+/// The last bucket also counts times above it; the maximum is exact. The count saturates. When a bucket is full, all buckets
+/// are halved, so quantiles follow later times.
 ///
 /// # Examples
 ///
@@ -47,7 +48,11 @@ impl<const SUB: usize, const N: usize> Histogram<SUB, N> {
 
     /// Counts a time, in microseconds.
     pub fn record(&mut self, micros: u32) {
-        if let Some(bucket) = self.buckets.get_mut(Self::bucket(micros).min(N.saturating_sub(1))) {
+        let index = Self::bucket(micros).min(N.saturating_sub(1));
+        if self.buckets.get(index) == Some(&u32::MAX) {
+            self.buckets.iter_mut().for_each(|bucket| *bucket = bucket.wrapping_shr(1));
+        }
+        if let Some(bucket) = self.buckets.get_mut(index) {
             *bucket = bucket.saturating_add(1);
         }
         self.count = self.count.saturating_add(1);
@@ -76,7 +81,9 @@ impl<const SUB: usize, const N: usize> Histogram<SUB, N> {
     /// Returns a quantile in microseconds, in per mille: 500 is the median, 999 the 99.9th percentile.
     #[must_use]
     pub fn quantile(&self, permille: u32) -> u32 {
-        let needed = u64::from(self.count).wrapping_mul(u64::from(permille.min(1000))).div_ceil(1000);
+        // not `count`, which does not decrease when the buckets are halved
+        let counted: u64 = self.buckets.iter().copied().map(u64::from).fold(0, u64::wrapping_add);
+        let needed = counted.wrapping_mul(u64::from(permille.min(1000))).div_ceil(1000);
         let mut seen = 0_u64;
         for (upper, count) in self.iter() {
             seen = seen.wrapping_add(u64::from(count));
@@ -158,6 +165,24 @@ mod tests {
         bounds::<1, 22>();
         bounds::<2, 44>();
         bounds::<8, 152>();
+    }
+
+    #[test]
+    fn quantiles_follow_later_times_after_two_to_the_32() {
+        let mut times = Histogram::<1, 22>::new();
+        let old = Histogram::<1, 22>::bucket(64);
+        times.buckets[old] = u32::MAX;
+        times.count = u32::MAX;
+        times.record(64);
+        assert_eq!((times.buckets[old], times.count()), (1 << 31, u32::MAX));
+        // as many again, and some more, at 900 us
+        let new = Histogram::<1, 22>::bucket(900);
+        times.buckets[new] = u32::MAX - 1;
+        times.record(900);
+        times.record(900);
+        times.max = 2000;
+        assert_eq!(times.buckets[new], 1 << 31);
+        assert_eq!(times.quantile(500), 1023);
     }
 
     #[test]

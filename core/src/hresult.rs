@@ -435,7 +435,7 @@ codes! {
         "record the call with its arguments, and check their types and sizes";
     0x80010003 E_INVALIDARGTYPE, "S0:173",
         "An argument has the wrong type.",
-        "check the VARTYPE of each argument against the function's signature";
+        "check the VARTYPE of each argument against the function's signature; through a gateway, the type of the variable";
     0x80010004 E_ROBOTISBUSY, "S0:174",
         "A motion command came while the robot was moving.",
         "wait until @BUSY_STATUS is false, or halt the motion, then call again";
@@ -464,7 +464,8 @@ codes! {
 
     0x80070005 E_ACCESSDENIED, "S0:178",
         "Access is denied.",
-        "set Auto mode, and give this client's address the executable token and the Read/Write permission";
+        "through a gateway, a rule refuses this client or variable: see the gateway's log; at a robot, set Auto mode, and give \
+         this client's address the executable token and the Read/Write permission";
     0x80070006 E_HANDLE, "S0:179",
         "The handle is invalid.",
         "get the object again: a handle dies with its release and belongs to the connection that got it";
@@ -473,13 +474,14 @@ codes! {
         "release handles, send less at once, then restart the controller";
     0x80070057 E_INVALIDARG, "S0:181",
         "An argument is invalid.",
-        "check the number, order, types and ranges of the arguments, and the option string";
+        "check the number, order, types and ranges of the arguments, and the option string; through a gateway, the range that its \
+         rule allows";
     0x8007FFFF E_WINDOWS_MASK, "the vendor's libraries",
         "The mask that Windows errors are combined with, not an error by itself.",
         "look in the log of the program that answered for the error it has lost";
     0x809100AA E_BUSY_PROC, "the vendor's libraries",
         "The previous call of this connection is still running.",
-        "wait until the previous call has ended, or use a second connection";
+        "wait until the previous call has ended, or use a second connection; through a gateway, send fewer requests than its rate";
     0x8091FFFF E_WINSOCK_MASK, "the vendor's libraries",
         "The mask that errors of the operating system are combined with, not an error by itself.",
         "look in the log of the program that answered for the error it has lost";

@@ -21,7 +21,7 @@ pub struct Memory {
 /// A [`CallError`] when the line fails, or the robot does not answer or refuses a call.
 pub async fn read<U: Read + Write>(uart: U, memory: &mut Memory) -> Result<Option<i32>, CallError<U::Error>> {
     let Memory { request, reply } = memory;
-    let mut robot = serial::client(uart, Config::SERIAL, &mut request[..], &mut reply[..]);
+    let mut robot = serial::client(uart, Config::serial(38_400), &mut request[..], &mut reply[..]);
     robot.call(call::service_start("")).await?;
     let controller = robot.call(call::controller_connect("", "CaoProv.DENSO.VRC", "localhost", "")).await?;
     let variable = robot.call(call::controller_get_variable(controller, "I1", "")).await?;

@@ -8,25 +8,32 @@ use std::path::PathBuf;
 /// The memory sizes of a small board; the emulator offers more.
 const FLASH: u32 = 256 * 1024;
 const RAM: u32 = 96 * 1024;
-/// The part of the memory that the stack uses.
+/// The parts of the memory that the stacks of the program and of the exception handlers use.
 const STACK: u32 = 12 * 1024;
+const HANDLER_STACK: u32 = 2 * 1024;
 
 fn main() -> Result<(), Box<dyn Error>> {
     let (flash, ram) = match env::var_os("CARGO_FEATURE_MPS2_AN505") {
         Some(_) => (0x1000_0000, 0x3800_0000_u32),
         None => (0, 0x2000_0000),
     };
-    let (data, data_len) = (ram + STACK, RAM - STACK);
-    // the stack is at the lowest addresses and grows away from the data, so an overflow faults
+    let handlers = ram + STACK;
+    let data = handlers + HANDLER_STACK;
+    let data_len = RAM - STACK - HANDLER_STACK;
+    // the program's stack is at the lowest addresses and grows away from the data, so an overflow faults; the handler of
+    // that fault has a stack of its own
     let layout = format!(
         "MEMORY
 {{
   FLASH : ORIGIN = {flash:#010x}, LENGTH = {FLASH}
   STACK : ORIGIN = {ram:#010x}, LENGTH = {STACK}
+  HANDLERS : ORIGIN = {handlers:#010x}, LENGTH = {HANDLER_STACK}
   RAM : ORIGIN = {data:#010x}, LENGTH = {data_len}
 }}
-_stack_start = ORIGIN(STACK) + LENGTH(STACK);
-_stack_end = ORIGIN(STACK);
+_stack_start = ORIGIN(HANDLERS) + LENGTH(HANDLERS);
+_stack_end = ORIGIN(HANDLERS);
+_program_stack_start = ORIGIN(STACK) + LENGTH(STACK);
+_program_stack_end = ORIGIN(STACK);
 "
     );
     let out = PathBuf::from(env::var("OUT_DIR")?);

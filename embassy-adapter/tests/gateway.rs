@@ -7,14 +7,14 @@ mod common;
 use std::cell::RefCell;
 
 use bcap_core::bcap::{client, server};
-use bcap_core::gateway::{Allow, Config, Event, Gateway, Memory, Refusal, Rules};
+use bcap_core::gateway::{Allow, Config, Event, Gateway, Memory, Network, Refusal, Rules};
 use bcap_core::hresult::HResult;
 use bcap_core::rac::{self, VariableKind};
 use bcap_embassy::gateway::{self, Report, TcpRobot, run_robot};
 use bcap_embassy::net::{NetError, Options, UdpTransport};
 use bcap_embassy::server::{Ended, Limits, Listener, SharedHandler, UdpPeer, UdpServer};
 use common::{Number, address, between};
-use embassy_futures::join::join3;
+use embassy_futures::join::{join, join3};
 use embassy_futures::select::{select, select3};
 use embassy_net::tcp::TcpSocket;
 use embassy_net::udp::{PacketMetadata, UdpSocket};
@@ -48,6 +48,7 @@ fn log(report: &Report<'_>) {
             assert!(matches!(refusal, Refusal::Line(_) | Refusal::Kind));
             format!("refused {} {}", client.unwrap().addr, String::from_utf8_lossy(line))
         }
+        Report::Denied { client, reason } => format!("denied {} {reason:?}", client.unwrap().addr),
         Report::Answered { event: Event::Failed { result, .. }, .. } => format!("failed {result}"),
         Report::Answered { .. } => return,
         Report::Robot { event: Event::RobotDown { .. }, cause } => format!("robot down {cause:?}"),
@@ -60,14 +61,16 @@ fn logged(text: &str) -> bool {
     LOG.with_borrow(|log| log.iter().any(|line| line == text))
 }
 
-/// Serves two PLCs and runs the connection to the robot, forever.
+/// Serves two PLCs, answers a third, and runs the connection to the robot, forever.
 async fn run<L: gateway::RobotLink>(stack: Stack<'_>, mut link: L, plant: &Plant<'_>, limits: Limits) {
-    let mut memory = [[[0; 512]; 2]; 2];
-    let [[rx0, tx0], [rx1, tx1]] = &mut memory;
+    let mut memory = [[[0; 512]; 2]; 3];
+    let [[rx0, tx0], [rx1, tx1], [rx2, tx2]] = &mut memory;
     let mut first = gateway::Listener::new(stack, rac::PORT, rx0, tx0);
     let mut second = gateway::Listener::new(stack, rac::PORT, rx1, tx1);
+    let mut third = gateway::Listener::new(stack, rac::PORT, rx2, tx2);
     let mut frame = [0; 512];
-    join3(run_robot(&mut link, &mut frame, plant), first.run(plant, &limits), second.run(plant, &limits)).await;
+    let plcs = join3(first.run(plant, &limits), second.run(plant, &limits), third.run(plant, &limits));
+    join(run_robot(&mut link, &mut frame, plant), plcs).await;
 }
 
 fn robot() -> IpEndpoint {
@@ -155,13 +158,79 @@ fn plcs_are_served_and_refusals_logged() {
             let served = plant.view(|gateway| gateway.counters().served.count()).unwrap();
             assert!(served >= 6, "{served}");
             // the slot of a PLC is free after it disconnects
-            drop(a);
+            a.abort();
+            while !logged(&format!("gone {from} {:?}", Some(Ended::Failed::<()>(())))) {
+                Timer::after_millis(1).await;
+            }
             let mut c = [[0; 512]; 2];
             let mut c = plc(plcs, &mut c).await;
             assert_eq!(ask(&mut c, "GET:RC8:1:I:\r").await, "0,3,8\r");
-            assert!(logged(&format!("gone {from} {:?}", Some(Ended::Failed::<()>(())))));
         });
         select3(run(board, link, &plant, Limits::default()), serve_robot(plcs, &number), test).await;
+    });
+}
+
+#[test]
+fn a_full_gateway_answers_so_and_an_idle_client_makes_room() {
+    between(|_, plcs, board| async move {
+        let mut memory = Memory::<2, 4>::new();
+        let plant = Plant::new(Gateway::new(CONFIG, &mut memory), log);
+        let mut buffers = [[0; 1024]; 2];
+        let [rx, tx] = &mut buffers;
+        let link = TcpRobot::new(board, rx, tx, Options::default(), robot());
+        let limits = Limits { evict_after: Some(core::time::Duration::from_millis(300)), ..Limits::default() };
+        let test = ends(async {
+            let mut memory = [[[0; 512]; 2]; 4];
+            let [a, b, c, d] = &mut memory;
+            let answer = error(HResult::E_NOT_CONNECTED);
+            let mut silent = plc(plcs, a).await;
+            assert_eq!(ask(&mut silent, "GET:RC8:1:I:\r").await, answer);
+            let mut busy = plc(plcs, b).await;
+            assert_eq!(ask(&mut busy, "GET:RC8:1:I:\r").await, answer);
+            // no client is idle yet
+            let mut refused = plc(plcs, c).await;
+            assert_eq!(ask(&mut refused, "GET:RC8:1:I:\r").await, error(HResult::E_MAX_CONNECT));
+            assert_eq!(refused.read(&mut [0]).await, Ok(0));
+            assert!(logged(&format!("denied {} Full", address(0))));
+            for _ in 0..40 {
+                assert_eq!(ask(&mut busy, "GET:RC8:1:I:\r").await, answer);
+                Timer::after_millis(10).await;
+            }
+            // now one of the two is
+            let mut late = plc(plcs, d).await;
+            assert_eq!(ask(&mut late, "GET:RC8:1:I:\r").await, answer);
+            assert!(silent.read(&mut [0]).await.is_err(), "it is reset");
+            assert_eq!(ask(&mut busy, "GET:RC8:1:I:\r").await, answer);
+            assert!(logged(&format!("gone {} {:?}", address(0), Some(Ended::Evicted::<()>))));
+        });
+        select(run(board, link, &plant, limits), test).await;
+    });
+}
+
+#[test]
+fn a_client_of_another_network_is_not_served() {
+    between(|_, plcs, board| async move {
+        let own = [Network::new(address(0), 32).unwrap()];
+        let other = [Network::parse("10.0.0.0/8").unwrap()];
+        for (clients, is_served) in [(&own, true), (&other, false)] {
+            let mut memory = Memory::<2, 4>::new();
+            let config = Config { rules: Rules { clients, ..CONFIG.rules }, ..CONFIG };
+            let plant = Plant::new(Gateway::new(config, &mut memory), log);
+            let mut buffers = [[0; 1024]; 2];
+            let [rx, tx] = &mut buffers;
+            let link = TcpRobot::new(board, rx, tx, Options::default(), robot());
+            let test = ends(async {
+                let mut a = [[0; 512]; 2];
+                let mut a = plc(plcs, &mut a).await;
+                if is_served {
+                    assert_eq!(ask(&mut a, "GET:RC8:1:I:\r").await, error(HResult::E_NOT_CONNECTED));
+                } else {
+                    assert!(a.read(&mut [0]).await.is_err(), "it is reset");
+                }
+            });
+            select(run(board, link, &plant, Limits::default()), test).await;
+        }
+        assert!(logged(&format!("denied {} Address", address(0))));
     });
 }
 

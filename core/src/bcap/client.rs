@@ -14,6 +14,7 @@
 //!   the server recognises a copy. A reply to any attempt of a call ends the call.
 //! * **Timeouts**: an *attempt* waits for its timeout; a *call* takes at most its deadline; S_EXECUTING restarts the
 //!   attempt's timeout, but only for the keep-alive time. The error says which of the three passed.
+//! * **On serial lines** no attempt ends while a frame arrives; a silence inside a frame ends the frame.
 //! * **Late replies** are recognised by their serial, reported as [`Event::Stale`] and dropped. Invalid datagrams are
 //!   reported and dropped. Neither costs an attempt.
 //! * **Early replies** are stale, too: a reply whose first byte arrived before the first byte of the request was sent, and
@@ -65,8 +66,26 @@ impl Timing {
     };
     /// Defaults for UDP and serial lines: five attempts of 500 ms (S2:1493).
     pub const UDP: Self = Self { attempt_timeout: Duration::from_millis(500), attempts: 5, ..Self::TCP };
-    /// Defaults for serial lines, as for UDP.
+    /// Defaults for serial lines, as for UDP; [`serial`](Self::serial) derives them from the rate of the line.
     pub const SERIAL: Self = Self::UDP;
+
+    /// Timing for a serial line with this rate, in bits per second: an attempt waits 500 ms and the time of the two longest
+    /// frames. At 9600 baud a reply of 500 bytes takes 520 ms.
+    #[must_use]
+    pub const fn serial(baud: u32) -> Self {
+        /// A request and a reply of `SERIAL_MAX` bytes.
+        const FRAMES: u32 = 2 * 503;
+        let attempt_timeout = Self::SERIAL.attempt_timeout.saturating_add(line_time(FRAMES, baud));
+        Self { attempt_timeout, ..Self::SERIAL }
+    }
+}
+
+/// Returns how long a serial line takes for some characters; a character has at most eleven bits.
+const fn line_time(characters: u32, baud: u32) -> Duration {
+    match Duration::from_secs(11).checked_div(baud) {
+        Some(character) => character.saturating_mul(characters),
+        None => Duration::MAX,
+    }
 }
 
 /// Configuration of a client.
@@ -83,6 +102,8 @@ pub struct Config {
     pub on_malformed: OnMalformed,
     /// The timing of calls without their own: those of [`Connection::call`](crate::io::blocking::Connection::call).
     pub timing: Timing,
+    /// On serial lines, the silence inside a frame after which its rest is lost. While a frame arrives, no attempt ends.
+    pub character_timeout: Duration,
 }
 
 impl Config {
@@ -93,6 +114,7 @@ impl Config {
         strictness: Strictness::Strict,
         on_malformed: OnMalformed::Close,
         timing: Timing::TCP,
+        character_timeout: Duration::from_millis(100),
     };
     /// Defaults for UDP.
     pub const UDP: Self = Self {
@@ -102,8 +124,16 @@ impl Config {
         timing: Timing::UDP,
         ..Self::TCP
     };
-    /// Defaults for serial lines.
+    /// Defaults for serial lines of at least 19200 baud.
     pub const SERIAL: Self = Self { link: Link::Serial, limits: Limits::SERIAL, timing: Timing::SERIAL, ..Self::UDP };
+
+    /// Configuration for a serial line with this rate, in bits per second: the timing of [`Timing::serial`], and 50 ms and
+    /// ten characters of silence inside a frame.
+    #[must_use]
+    pub const fn serial(baud: u32) -> Self {
+        let character_timeout = Duration::from_millis(50).saturating_add(line_time(10, baud));
+        Self { timing: Timing::serial(baud), character_timeout, ..Self::SERIAL }
+    }
 }
 
 /// An event of a client. It borrows nothing.
@@ -247,6 +277,11 @@ struct State {
     unanswered: Unanswered,
     flood: Flood,
     closed: bool,
+    /// On a serial line: [`Config::character_timeout`] in microseconds, and when the rest of a partly received frame is lost.
+    character_timeout: u64,
+    partial_until: Option<Instant>,
+    /// Whether bytes were received since `partial_until` was set.
+    has_received: bool,
 }
 
 /// A call that waits for its reply.
@@ -363,7 +398,11 @@ impl<T: Storage, R: Storage> Client<T, R> {
         if self.state.closed {
             return None;
         }
-        Some(match self.inbox.poll(&mut self.rx)? {
+        let polled = self.inbox.poll(&mut self.rx);
+        if polled.is_none() {
+            self.state.watch_frame(self.inbox.is_partial(), now);
+        }
+        Some(match polled? {
             Received::Frame(frame) => {
                 let event = self.state.handle_frame(&frame.header, self.inbox.is_early(frame), now);
                 if matches!(event, Event::Replied(_)) {
@@ -406,6 +445,14 @@ impl<T: Storage, R: Storage> Client<T, R> {
         }
         if now >= call.keep_alive_until() {
             return Some(self.state.fail(Timeout::KeepAlive));
+        }
+        if let Some(until) = self.state.partial_until {
+            if now < until {
+                return None;
+            }
+            // the line was silent inside a frame, so the rest of the frame will not arrive
+            self.inbox.forget_partial();
+            self.state.partial_until = None;
         }
         if now < call.attempt_until {
             return None;
@@ -454,6 +501,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
         self.state.outbox = Outbox::EMPTY;
         self.state.unanswered = Unanswered::default();
         self.state.flood = Flood::default();
+        self.state.partial_until = None;
     }
 }
 
@@ -480,10 +528,12 @@ impl<T: Storage, R: Storage> Endpoint for Client<T, R> {
 
     fn received(&mut self, count: usize) {
         self.inbox.received(self.rx.bytes(), count);
+        self.state.has_received |= count > 0;
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        self.state.call.map(|call| call.attempt_until.min(call.deadline).min(call.keep_alive_until()))
+        let end = |call: InFlight| self.state.partial_until.unwrap_or(call.attempt_until);
+        self.state.call.map(|call| end(call).min(call.deadline).min(call.keep_alive_until()))
     }
 }
 
@@ -522,6 +572,16 @@ impl State {
             unanswered: Unanswered::default(),
             flood: Flood::default(),
             closed: false,
+            character_timeout: micros(config.character_timeout),
+            partial_until: None,
+            has_received: false,
+        }
+    }
+
+    /// Sets when the rest of a partly received frame is lost; on a serial line only.
+    fn watch_frame(&mut self, is_partial: bool, now: Instant) {
+        if self.link == Link::Serial && core::mem::take(&mut self.has_received) {
+            self.partial_until = is_partial.then(|| later(now, self.character_timeout));
         }
     }
 

@@ -5,7 +5,7 @@ use core::time::Duration;
 use crate::histogram::Histogram;
 use crate::time::micros_u32;
 
-/// Counts since the gateway was made; `refused` and `connected` wrap at 2^32, the others saturate.
+/// Counts since the gateway was made; they saturate at 2^32 - 1.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Counters {

@@ -55,12 +55,14 @@ mod counters;
 mod event;
 mod handles;
 mod link;
+mod network;
 mod rule_text;
 mod rules;
 mod seat;
 
 use crate::endpoint::{Endpoint, ServerEndpoint};
 use core::fmt;
+use core::net::Ipv4Addr;
 
 use self::convert::Converted;
 use self::handles::{Entry, Handles, Lookup};
@@ -71,6 +73,7 @@ pub use self::config::Config;
 pub use self::counters::{Counters, Tally};
 pub use self::event::{Asked, Event};
 pub use self::link::RobotError;
+pub use self::network::Network;
 pub use self::rule_text::{AllowBuf, RuleError, RuleErrorKind};
 pub use self::rules::{Allow, Bounds, Rate, Refusal, Rules};
 
@@ -209,12 +212,19 @@ impl<'m> Gateway<'m> {
 
 /// The side of the PLCs. For a client without a seat, there are no bytes to send and no room to receive.
 impl Gateway<'_> {
-    /// Assigns a seat to a new client; `None` when all seats are taken.
+    /// Assigns a seat to a new client without an address, such as one on a serial line; `None` when all seats are taken.
     pub fn open(&mut self) -> Option<PeerId> {
+        self.open_from(None)
+    }
+
+    /// Assigns a seat to a new client; `None` when all seats are taken.
+    ///
+    /// The address decides which rules apply to the client. The caller checks [`Rules::admits`] before.
+    pub fn open_from(&mut self, address: Option<Ipv4Addr>) -> Option<PeerId> {
         let seat = self.seats.iter_mut().find(|seat| seat.peer.is_none())?;
         let peer = PeerId(self.next_peer);
         self.next_peer = self.next_peer.wrapping_add(1);
-        seat.open(peer, self.config.request_timeout);
+        seat.open(peer, address, self.config.request_timeout);
         Some(peer)
     }
 
@@ -369,8 +379,8 @@ impl Gateway<'_> {
         match event? {
             Event::Served { time, .. } => self.counters.served.add(time),
             Event::Failed { time, .. } => self.counters.failed.add(time),
-            Event::Refused { .. } => self.counters.refused = self.counters.refused.wrapping_add(1),
-            Event::RobotUp => self.counters.connected = self.counters.connected.wrapping_add(1),
+            Event::Refused { .. } => self.counters.refused = self.counters.refused.saturating_add(1),
+            Event::RobotUp => self.counters.connected = self.counters.connected.saturating_add(1),
             Event::RobotDown { .. } => {}
         }
         event
@@ -476,7 +486,7 @@ impl Gateway<'_> {
             let event = match seat.session.poll(now) {
                 Some(server::Event::Requested(_)) => {
                     let request = seat.session.request()?;
-                    match self.config.rules.check(&request, &mut seat.pace, now) {
+                    match self.config.rules.check(&request, seat.address, &mut seat.pace, now) {
                         Err(refusal) => seat.refuse(refusal),
                         Ok(()) => {
                             self.next_ticket = self.next_ticket.wrapping_add(1);

@@ -15,6 +15,7 @@ use core::fmt;
 
 use heapless::Vec;
 
+use super::network::Network;
 use super::rules::{Allow, Bounds};
 use crate::error::TextErrorKind;
 use crate::num::to_u32;
@@ -88,7 +89,7 @@ impl AllowBuf {
     /// Views the rule as [`Rules`](super::Rules) take it.
     #[must_use]
     pub fn as_allow(&self) -> Allow<'_> {
-        Allow { kind: self.kind, first: self.first, last: self.last, values: &self.values }
+        Allow { kind: self.kind, first: self.first, last: self.last, values: &self.values, clients: Network::ANY }
     }
 }
 

@@ -7,15 +7,17 @@
 //! |-------------------------|--------------------|----------------------------------------------------------|
 //! | `Line`                  | the error's code   | the line is not a valid request                          |
 //! | `Rate`                  | `E_BUSY_PROC`      | the client exceeds its rate                              |
-//! | `ReadOnly`              | `E_ACCESSDENIED`   | no variable may be written                               |
+//! | `ReadOnly`              | `E_ACCESSDENIED`   | this client may write no variable                        |
 //! | `Kind`, `Index`         | `E_ACCESSDENIED`   | no variable of this kind, or not this one                |
 //! | `Type`                  | `E_INVALIDARGTYPE` | the value is not of the variable's type                  |
 //! | `Value`                 | `E_INVALIDARG`     | the value is out of range                                |
 
 use core::fmt;
+use core::net::Ipv4Addr;
 use core::time::Duration;
 
 use super::convert::{converts, float};
+use super::network::Network;
 use crate::error::TextError;
 use crate::hresult::HResult;
 use crate::rac::{Request, Variable, VariableKind};
@@ -26,6 +28,8 @@ use crate::variant::Variant;
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub struct Rules<'a> {
+    /// The networks whose clients may connect; without any, all clients may.
+    pub clients: &'a [Network],
     /// The variables that may be read; bounds are ignored.
     pub get: &'a [Allow<'a>],
     /// The variables that may be written.
@@ -38,7 +42,14 @@ pub struct Rules<'a> {
 
 impl Rules<'_> {
     /// Everything may be read and nothing written, at any rate.
-    pub const READ_ONLY: Self = Self { get: &Allow::EVERYTHING, put: &[], convert: false, rate: Rate::UNLIMITED };
+    pub const READ_ONLY: Self =
+        Self { clients: &[], get: &Allow::EVERYTHING, put: &[], convert: false, rate: Rate::UNLIMITED };
+
+    /// Tells whether a client may connect.
+    #[must_use]
+    pub fn admits(&self, address: Option<Ipv4Addr>) -> bool {
+        self.clients.is_empty() || self.clients.iter().any(|network| network.contains(address))
+    }
 }
 
 impl Default for Rules<'_> {
@@ -60,6 +71,8 @@ pub struct Allow<'a> {
     /// The range of each element of the value; the last range applies to all further elements. An empty slice allows any
     /// value.
     pub values: &'a [Bounds],
+    /// The clients that the rule applies to.
+    pub clients: Network,
 }
 
 impl Allow<'_> {
@@ -85,7 +98,7 @@ impl Allow<'_> {
     /// Allows the variables from `first` to `last`, with any value.
     #[must_use]
     pub const fn range(kind: VariableKind, first: u32, last: u32) -> Self {
-        Self { kind, first, last, values: &[] }
+        Self { kind, first, last, values: &[], clients: Network::ANY }
     }
 
     const fn has_index(&self, index: u32) -> bool {
@@ -178,7 +191,7 @@ pub enum Refusal {
     Line(TextError),
     /// The client exceeds its rate.
     Rate,
-    /// No variable may be written.
+    /// This client may write no variable.
     ReadOnly,
     /// No variable of this kind may be read, or written.
     Kind,
@@ -222,22 +235,28 @@ impl core::error::Error for Refusal {}
 
 impl Rules<'_> {
     /// Checks a request against the rules.
-    pub(super) fn check(&self, request: &Request<'_>, pace: &mut Pace, now: Instant) -> Result<(), Refusal> {
+    pub(super) fn check(
+        &self,
+        request: &Request<'_>,
+        client: Option<Ipv4Addr>,
+        pace: &mut Pace,
+        now: Instant,
+    ) -> Result<(), Refusal> {
         if !pace.admits(self.rate, now) {
             return Err(Refusal::Rate);
         }
         match request {
             Request::Get(variable) => {
-                find(self.get, *variable)?;
+                find(self.get, client, *variable)?;
             }
-            Request::Put(..) if self.put.is_empty() => return Err(Refusal::ReadOnly),
+            Request::Put(..) if applying(self.put, client).next().is_none() => return Err(Refusal::ReadOnly),
             Request::Put(variable, value) => {
-                find(self.put, *variable)?;
+                find(self.put, client, *variable)?;
                 let fits = variable.kind.fits(value) || self.convert && converts(variable.kind, value);
                 if !fits {
                     return Err(Refusal::Type);
                 }
-                if !matching(self.put, *variable).any(|allow| allow.has_value(value)) {
+                if !matching(self.put, client, *variable).any(|allow| allow.has_value(value)) {
                     return Err(Refusal::Value);
                 }
             }
@@ -246,16 +265,25 @@ impl Rules<'_> {
     }
 }
 
-/// Returns the rules that name a variable.
-fn matching<'a>(rules: &'a [Allow<'a>], variable: Variable) -> impl Iterator<Item = &'a Allow<'a>> {
-    rules.iter().filter(move |allow| allow.kind == variable.kind && allow.has_index(variable.index))
+/// Returns the rules that apply to a client.
+fn applying<'a>(rules: &'a [Allow<'a>], client: Option<Ipv4Addr>) -> impl Iterator<Item = &'a Allow<'a>> {
+    rules.iter().filter(move |allow| allow.clients.contains(client))
 }
 
-/// Checks that a rule names a variable.
-fn find(rules: &[Allow<'_>], variable: Variable) -> Result<(), Refusal> {
-    match matching(rules, variable).next() {
+/// Returns the rules of a client that name a variable.
+fn matching<'a>(
+    rules: &'a [Allow<'a>],
+    client: Option<Ipv4Addr>,
+    variable: Variable,
+) -> impl Iterator<Item = &'a Allow<'a>> {
+    applying(rules, client).filter(move |allow| allow.kind == variable.kind && allow.has_index(variable.index))
+}
+
+/// Checks that a rule of a client names a variable.
+fn find(rules: &[Allow<'_>], client: Option<Ipv4Addr>, variable: Variable) -> Result<(), Refusal> {
+    match matching(rules, client, variable).next() {
         Some(_) => Ok(()),
-        None if rules.iter().any(|allow| allow.kind == variable.kind) => Err(Refusal::Index),
+        None if applying(rules, client).any(|allow| allow.kind == variable.kind) => Err(Refusal::Index),
         None => Err(Refusal::Kind),
     }
 }
@@ -272,13 +300,13 @@ mod tests {
 
     fn get(rules: &Rules<'_>, kind: Kind, index: u32) -> Result<(), Refusal> {
         let mut pace = Pace::NEW;
-        rules.check(&Request::Get(Variable::new(kind, index)), &mut pace, at(0))
+        rules.check(&Request::Get(Variable::new(kind, index)), None, &mut pace, at(0))
     }
 
     fn put(rules: &Rules<'_>, kind: Kind, index: u32, value: &dyn Encode) -> Result<(), Refusal> {
         let value = VariantBuf::<128>::new(value).unwrap();
         let mut pace = Pace::NEW;
-        rules.check(&Request::Put(Variable::new(kind, index), value.as_variant()), &mut pace, at(0))
+        rules.check(&Request::Put(Variable::new(kind, index), value.as_variant()), None, &mut pace, at(0))
     }
 
     #[test]
@@ -346,7 +374,7 @@ mod tests {
         let rules = Rules { rate: Rate { per_second: 10, burst: 3 }, ..Rules::READ_ONLY };
         let request = Request::Get(Variable::new(Kind::I, 1));
         let mut pace = Pace::NEW;
-        let mut ask = |micros| rules.check(&request, &mut pace, at(micros));
+        let mut ask = |micros| rules.check(&request, None, &mut pace, at(micros));
         let start = 5_000_000;
         assert_eq!([ask(start), ask(start), ask(start)], [Ok(()); 3]);
         assert_eq!(ask(start), Err(Refusal::Rate));
@@ -355,5 +383,36 @@ mod tests {
         assert_eq!(ask(start + 100_000), Err(Refusal::Rate), "a refused request takes no token");
         assert_eq!([ask(start + 900_000), ask(start + 900_000), ask(start + 900_000)], [Ok(()); 3]);
         assert_eq!(ask(start + 900_000), Err(Refusal::Rate), "no more tokens than the burst are saved");
+    }
+
+    #[test]
+    fn a_rule_for_a_network_applies_to_its_clients_only() {
+        let network = |text| Network::parse(text).unwrap();
+        let put = [
+            Allow::range(Kind::I, 0, 9),
+            Allow { clients: network("10.0.0.0/24"), ..Allow::range(Kind::I, 10, 19) },
+            Allow { clients: network("10.0.0.7"), ..Allow::all(Kind::F) },
+        ];
+        let clients = [network("10.0.0.0/16")];
+        let rules = Rules { clients: &clients, put: &put, ..Rules::READ_ONLY };
+        let client = |a, b, c, d| Some(Ipv4Addr::new(a, b, c, d));
+        let put = |rules: &Rules<'_>, client, kind, index| {
+            let value = if kind == Kind::I { Variant::I4(1) } else { Variant::R4(1.0) };
+            rules.check(&Request::Put(Variable::new(kind, index), value), client, &mut Pace { due: at(0) }, at(0))
+        };
+        for (from, in_network, float) in [
+            (client(10, 0, 0, 7), Ok(()), Ok(())),
+            (client(10, 0, 0, 8), Ok(()), Err(Refusal::Kind)),
+            (client(10, 0, 1, 7), Err(Refusal::Index), Err(Refusal::Kind)),
+            (None, Err(Refusal::Index), Err(Refusal::Kind)),
+        ] {
+            assert_eq!(put(&rules, from, Kind::I, 5), Ok(()), "{from:?}");
+            assert_eq!(put(&rules, from, Kind::I, 15), in_network, "{from:?}");
+            assert_eq!(put(&rules, from, Kind::F, 1), float, "{from:?}");
+        }
+        let own = Rules { put: &rules.put[1..], ..rules };
+        assert_eq!(put(&own, client(10, 0, 1, 7), Kind::I, 15), Err(Refusal::ReadOnly));
+        assert!(rules.admits(client(10, 0, 200, 1)) && !rules.admits(client(10, 1, 0, 1)) && !rules.admits(None));
+        assert!(Rules::READ_ONLY.admits(None) && Rules::READ_ONLY.admits(client(1, 1, 1, 1)));
     }
 }

@@ -1,5 +1,6 @@
 //! A seat: the memory for one PLC, with its session, its token bucket and its waiting request.
 
+use core::net::Ipv4Addr;
 use core::time::Duration;
 
 use super::event::{Asked, Event};
@@ -19,6 +20,8 @@ pub(super) struct Seat {
     pub(super) session: Session<[u8; VALUE]>,
     /// The client.
     pub(super) peer: Option<PeerId>,
+    /// The client's address, if it has one.
+    pub(super) address: Option<Ipv4Addr>,
     /// Outlives the client, so a new connection does not get a full bucket.
     pub(super) pace: Pace,
     pub(super) waiting: Option<Waiting>,
@@ -42,13 +45,20 @@ impl Waiting {
 }
 
 impl Seat {
-    pub(super) const FREE: Self =
-        Self { session: Session::new(Config::TCP, [0; VALUE]), peer: None, pace: Pace::NEW, waiting: None };
+    /// All zero, so that a static of seats needs no memory in the flash; `open` sets the time limit.
+    pub(super) const FREE: Self = Self {
+        session: Session::new(Config { invoke_timeout: Duration::ZERO }, [0; VALUE]),
+        peer: None,
+        address: None,
+        pace: Pace::NEW,
+        waiting: None,
+    };
 
     /// Assigns the seat to a client.
-    pub(super) fn open(&mut self, peer: PeerId, request_timeout: Duration) {
+    pub(super) fn open(&mut self, peer: PeerId, address: Option<Ipv4Addr>, request_timeout: Duration) {
         self.session = Session::new(Config { invoke_timeout: request_timeout }, [0; VALUE]);
         self.peer = Some(peer);
+        self.address = address;
         self.waiting = None;
     }
 

@@ -34,8 +34,9 @@ use crate::variant::{VarType, Variant, Writer};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum VariableKind {
+    // from 1, so that `None` is 0 and a table of `None` needs no memory in the flash
     /// Integer.
-    I,
+    I = 1,
     /// Single-precision number.
     F,
     /// Double-precision number.
@@ -247,8 +248,9 @@ pub(super) fn end_line(start: usize, out: &mut Writer<'_>) -> Result<(), TextErr
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Verb {
+    // from 1 as well
     /// Read.
-    Get,
+    Get = 1,
     /// Write.
     Put,
 }

@@ -153,9 +153,17 @@ struct Running {
     variable: Variable,
     /// Bytes of the value.
     len: usize,
-    resumed: bool,
+    turn: Turn,
     wake: Instant,
     until: Instant,
+}
+
+/// Whether the handler has been called for a request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Turn {
+    // from 1, as in `Verb`
+    First = 1,
+    Later,
 }
 
 /// The shortest interval between two polls of a waiting handler without other events.
@@ -305,15 +313,15 @@ impl<H: Handler + ?Sized, V: Storage> Serve<H> for Session<V> {
         let (value, room) = memory.split_at_mut_checked(running.len)?;
         let request = running.request(value);
         let mut reply = ReplyValue::new(room);
-        let outcome = match running.resumed {
-            false => handler.call(peer, &request, &mut reply, now),
-            true => handler.resume(peer, &request, &mut reply, now),
+        let outcome = match running.turn {
+            Turn::First => handler.call(peer, &request, &mut reply, now),
+            Turn::Later => handler.resume(peer, &request, &mut reply, now),
         };
         let result = match outcome {
             Outcome::Wait(wake) => {
                 // a handler that asks for a time that has passed must not keep its server spinning
                 let wake = wake.max(now.saturating_add(SOONEST));
-                self.state.running = Some(Running { resumed: true, wake, ..running });
+                self.state.running = Some(Running { turn: Turn::Later, wake, ..running });
                 return None;
             }
             Outcome::Done(result) if result.is_ok() && reply.is_overflow() => HResult::E_INVALIDSNDPACKET,
@@ -350,7 +358,7 @@ impl State {
         match read {
             Ok((verb, variable)) => {
                 let until = now.saturating_add(self.config.invoke_timeout);
-                self.running = Some(Running { verb, variable, len: out.len(), resumed: false, wake: now, until });
+                self.running = Some(Running { verb, variable, len: out.len(), turn: Turn::First, wake: now, until });
                 Event::Requested(variable)
             }
             Err(error) => {

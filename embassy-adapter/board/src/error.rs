@@ -16,6 +16,8 @@ pub enum SettingError {
     Rule(RuleError),
     /// A `get` has ranges of values, which only a `put` has.
     GetWithValues,
+    /// There are more `allow` lines than the board has memory for.
+    TooManyNetworks,
     /// There are more rules, or ranges of values in them, than the board has memory for.
     TooManyRules,
 }
@@ -33,6 +35,7 @@ impl fmt::Display for SettingError {
             Self::Key => "expected KEY=VALUE with a known key",
             Self::Value => "invalid value for this key",
             Self::GetWithValues => "a get has no ranges of values; only a put has",
+            Self::TooManyNetworks => "too many networks: a board has memory for 16 allow lines",
             Self::TooManyRules => "too many rules: a board has memory for 32 rules with 64 ranges of values",
         })
     }

@@ -10,21 +10,26 @@
 //!
 //! | key        | value                                | default                  |
 //! |------------|--------------------------------------|--------------------------|
-//! | `robot`    | `[tcp:\|udp:]ADDRESS:PORT`           | `tcp:10.0.2.2:5007`      |
+//! | `robot`    | `[tcp:\|udp:]ADDRESS:PORT`           | `tcp:192.168.0.1:5007`   |
 //! | `provider` | the provider to connect to           | `CaoProv.DENSO.VRC9`     |
 //! | `machine`  | the machine that the provider runs on | `localhost`             |
 //! | `option`   | the option of Controller_Connect     | empty                    |
 //! | `service`  | the option of Service_Start          | `WDT=400`                |
 //! | `variable` | the variable that the images `bare` and `node` read | `I1`      |
-//! | `dhcp`     | `yes`, `no`: request an address by DHCP | `yes`                 |
-//! | `address`  | `ADDRESS/PREFIX`: the board's address without DHCP | `10.0.2.15/24` |
-//! | `gateway`  | the default gateway, used with `address` | `10.0.2.2`           |
+//! | `dhcp`     | `yes`, `no`: request an address by DHCP; always without an `address` | `yes` |
+//! | `address`  | `ADDRESS/PREFIX`: the board's address without DHCP, or when no server answers for 5 s | none |
+//! | `gateway`  | the default gateway, used with `address` | none                 |
 //! | `mac`      | `02:00:00:bc:a9:03`: the MAC address | that of the image        |
 //! | `get`      | `KIND[/FIRST[-LAST]]`: what PLCs may read; can be repeated | everything |
 //! | `put`      | `KIND[/FIRST[-LAST]][=MIN..MAX[,MIN..MAX]...]`: what PLCs may write, and the accepted values; can be repeated | nothing |
+//! | `put@CLIENT` | as `put`, for the clients of a network only: `put@192.168.0.7=I/0-99`, `put@192.168.0.0/24=F` | |
+//! | `allow`    | `ADDRESS[/PREFIX]`: a network whose clients may connect; can be repeated | every client |
+//! | `idle`     | `SECONDS`: closes a PLC's connection after that idle time | never |
+//! | `evict`    | `SECONDS`: the idle time after which a PLC's connection may be closed to make room for another PLC | 10 |
+//! | `keepalive` | `SECONDS`: the idle time after which a TCP keep-alive is sent to a PLC; one without an answer for 15 s, or three times this, is gone | 5 |
 //! | `convert`  | `yes`, `no`: convert a PUT of another type where the conversion is lossless | `no` |
 //! | `rate`     | `PER_SECOND[/BURST]`: token bucket per PLC, in requests | no limit |
-//! | `echo`     | the port of an echo server, to compare round trips | no echo server |
+//! | `echo`     | the port of an echo server, to compare round trips; for images with the feature `echo` | no echo server |
 //!
 //! An invalid line is skipped and reported. The board then refuses every PUT, whatever the other lines allow.
 #![no_std]
@@ -34,6 +39,8 @@ extern crate std;
 
 mod error;
 pub mod image;
+pub mod limiter;
+pub mod ring;
 mod rules;
 mod settings;
 

@@ -1,6 +1,6 @@
 //! The rules of a gateway as the block has them: `get` and `put` lines, in the grammar of [`AllowBuf`].
 
-use bcap_core::gateway::{Allow, AllowBuf, Bounds, Rate, Rules};
+use bcap_core::gateway::{Allow, AllowBuf, Bounds, Network, Rate, Rules};
 use bcap_core::rac::VariableKind;
 use heapless::Vec;
 
@@ -9,6 +9,8 @@ use crate::SettingError;
 /// The most `get` and `put` lines, and the most ranges of values in all of them.
 const RULES: usize = 32;
 const BOUNDS: usize = 64;
+/// The most `allow` lines.
+const NETWORKS: usize = 16;
 
 /// Memory for rules as the gateway takes them.
 #[derive(Debug, Default)]
@@ -30,6 +32,8 @@ pub(crate) struct List {
     rules: Vec<Rule, RULES>,
     /// The ranges of all rules: most rules have none, so the rules share this memory.
     bounds: Vec<Bounds, BOUNDS>,
+    /// The networks whose clients may connect.
+    networks: Vec<Network, NETWORKS>,
     /// Whether a line was invalid.
     distrusted: bool,
 }
@@ -42,6 +46,7 @@ struct Rule {
     last: u32,
     /// Its part of [`List::bounds`]: the first range, and the number of ranges.
     bounds: (usize, usize),
+    clients: Network,
 }
 
 impl List {
@@ -59,14 +64,19 @@ impl List {
         }
     }
 
-    /// Adds a rule for writing.
-    pub(crate) fn allow_put(&mut self, text: &str) -> Result<(), SettingError> {
-        self.push(true, &AllowBuf::parse(text)?.as_allow())
+    /// Adds a rule for writing by the clients of a network.
+    pub(crate) fn allow_put(&mut self, clients: Network, text: &str) -> Result<(), SettingError> {
+        self.push(true, &Allow { clients, ..AllowBuf::parse(text)?.as_allow() })
+    }
+
+    /// Adds a network whose clients may connect.
+    pub(crate) fn allow_clients(&mut self, network: Network) -> Result<(), SettingError> {
+        self.networks.push(network).map_err(|_| SettingError::TooManyNetworks)
     }
 
     fn push(&mut self, puts: bool, allow: &Allow<'_>) -> Result<(), SettingError> {
-        let Allow { kind, first, last, values } = *allow;
-        let rule = Rule { puts, kind, first, last, bounds: (self.bounds.len(), values.len()) };
+        let Allow { kind, first, last, values, clients } = *allow;
+        let rule = Rule { puts, kind, first, last, bounds: (self.bounds.len(), values.len()), clients };
         self.bounds.extend_from_slice(values).map_err(|_| SettingError::TooManyRules)?;
         self.rules.push(rule).map_err(|_| SettingError::TooManyRules)
     }
@@ -80,12 +90,14 @@ impl List {
         // `memory` has room for as many rules as a list
         memory.rules.extend(gets.chain(puts).map(|rule| self.allow(rule)));
         let (get, put) = memory.rules.split_at_checked(count).unwrap_or_default();
-        Rules { get: if get.is_empty() { &Allow::EVERYTHING } else { get }, put, convert, rate }
+        let get = if get.is_empty() { &Allow::EVERYTHING } else { get };
+        Rules { clients: &self.networks, get, put, convert, rate }
     }
 
     fn allow(&self, rule: &Rule) -> Allow<'_> {
-        let Rule { kind, first, last, bounds: (start, count), .. } = *rule;
-        Allow { kind, first, last, values: self.bounds.get(start..start + count).unwrap_or_default() }
+        let Rule { kind, first, last, bounds: (start, count), clients, .. } = *rule;
+        let values = self.bounds.get(start..start + count).unwrap_or_default();
+        Allow { kind, first, last, values, clients }
     }
 }
 
@@ -121,6 +133,16 @@ mod tests {
                 ]
             );
             assert!(!rules.convert);
+        });
+    }
+
+    #[test]
+    fn clients_are_networks_and_a_put_can_name_one() {
+        with_rules("allow=10.0.0.0/8\nput=I\nput@10.0.0.7=F/1-2=0..1\nallow=192.168.0.1\nput@10.1.0.0/16=D", |rules| {
+            let network = |text| Network::parse(text).unwrap();
+            assert_eq!(rules.clients, [network("10.0.0.0/8"), network("192.168.0.1/32")]);
+            let clients = ["0.0.0.0/0", "10.0.0.7/32", "10.1.0.0/16"].map(network);
+            assert!(rules.put.iter().map(|allow| allow.clients).eq(clients));
         });
     }
 

@@ -2,8 +2,9 @@
 
 use core::net::{Ipv4Addr, SocketAddrV4};
 use core::str;
+use core::time::Duration;
 
-use bcap_core::gateway::{Rate, Rules};
+use bcap_core::gateway::{Network, Rate, Rules};
 
 use crate::SettingError;
 use crate::rules::{List, RuleMemory};
@@ -25,14 +26,20 @@ pub struct Settings<'a> {
     pub variable: &'a str,
     /// Whether the board requests an address by DHCP.
     pub dhcp: bool,
-    /// The board's address when no DHCP server answers, and the length of its network prefix in bits.
-    pub address: (Ipv4Addr, u8),
+    /// The board's address when no DHCP server answers, and the length of its network prefix in bits; `None` means none.
+    pub address: Option<(Ipv4Addr, u8)>,
     /// The default gateway, used with `address`.
-    pub gateway: Ipv4Addr,
+    pub gateway: Option<Ipv4Addr>,
     /// The MAC address; `None` means that of the image.
     pub mac: Option<[u8; 6]>,
     /// The port of the echo server, if there is one.
     pub echo: Option<u16>,
+    /// The idle time after which a PLC's connection is closed; `None` means never.
+    pub idle: Option<Duration>,
+    /// The idle time after which a PLC's connection may be closed to make room for another one.
+    pub evict: Duration,
+    /// The idle time after which a TCP keep-alive is sent to a PLC.
+    pub keep_alive: Duration,
     convert: bool,
     rate: Rate,
     lists: List,
@@ -58,7 +65,8 @@ pub enum Transport {
 
 impl Default for Settings<'_> {
     fn default() -> Self {
-        let robot = Ipv4Addr::new(10, 0, 2, 2);
+        // the factory setting of a controller
+        let robot = Ipv4Addr::new(192, 168, 0, 1);
         Self {
             robot: Robot { transport: Transport::Tcp, address: SocketAddrV4::new(robot, 5007) },
             provider: "CaoProv.DENSO.VRC9",
@@ -67,10 +75,13 @@ impl Default for Settings<'_> {
             service: "WDT=400",
             variable: "I1",
             dhcp: true,
-            address: (Ipv4Addr::new(10, 0, 2, 15), 24),
-            gateway: robot,
+            address: None,
+            gateway: None,
             mac: None,
             echo: None,
+            idle: None,
+            evict: Duration::from_secs(10),
+            keep_alive: Duration::from_secs(5),
             convert: false,
             rate: Rate::UNLIMITED,
             lists: List::default(),
@@ -123,15 +134,22 @@ impl<'a> Settings<'a> {
             "service" => self.service = text,
             "variable" => self.variable = text,
             "dhcp" => self.dhcp = valid(yes(text))?,
-            "address" => self.address = valid(network(text))?,
-            "gateway" => self.gateway = valid(text.parse().ok())?,
+            "address" => self.address = Some(valid(network(text))?),
+            "gateway" => self.gateway = Some(valid(text.parse().ok())?),
             "mac" => self.mac = Some(valid(mac(text))?),
             "get" => self.lists.allow_get(text)?,
-            "put" => self.lists.allow_put(text)?,
+            "put" => self.lists.allow_put(Network::ANY, text)?,
+            "allow" => self.lists.allow_clients(valid(Network::parse(text))?)?,
+            "idle" => self.idle = Some(valid(seconds(text))?),
+            "evict" => self.evict = valid(seconds(text))?,
+            "keepalive" => self.keep_alive = valid(seconds(text))?,
             "convert" => self.convert = valid(yes(text))?,
             "rate" => self.rate = valid(rate(text))?,
             "echo" => self.echo = Some(valid(text.parse().ok().filter(|port| *port > 0))?),
-            _ => return Err(SettingError::Key),
+            _ => match key.strip_prefix("put@") {
+                Some(clients) => self.lists.allow_put(valid(Network::parse(clients))?, text)?,
+                None => return Err(SettingError::Key),
+            },
         }
         Ok(())
     }
@@ -139,6 +157,11 @@ impl<'a> Settings<'a> {
 
 fn valid<T>(value: Option<T>) -> Result<T, SettingError> {
     value.ok_or(SettingError::Value)
+}
+
+/// Parses a time of 1 s to an hour.
+fn seconds(value: &str) -> Option<Duration> {
+    value.parse().ok().filter(|seconds| (1..=3600).contains(seconds)).map(Duration::from_secs)
 }
 
 fn network(value: &str) -> Option<(Ipv4Addr, u8)> {
@@ -204,7 +227,7 @@ mod tests {
         let settings = read(
             "robot=udp:192.168.0.1:5008\nprovider=P\nmachine=m\noption=Server=10.6.235.60\nservice=\nvariable=P7\n\
              dhcp=no\naddress=192.168.0.9/16\ngateway=192.168.0.254\nmac=02:00:00:BC:a9:7f\necho=7\nconvert=yes\n\
-             rate=50/10\n",
+             rate=50/10\nidle=60\nevict=3600\nkeepalive=1\n",
         );
         let expected = Settings {
             robot: Robot { transport: Transport::Udp, address: SocketAddrV4::new(Ipv4Addr::new(192, 168, 0, 1), 5008) },
@@ -214,10 +237,13 @@ mod tests {
             service: "",
             variable: "P7",
             dhcp: false,
-            address: (Ipv4Addr::new(192, 168, 0, 9), 16),
-            gateway: Ipv4Addr::new(192, 168, 0, 254),
+            address: Some((Ipv4Addr::new(192, 168, 0, 9), 16)),
+            gateway: Some(Ipv4Addr::new(192, 168, 0, 254)),
             mac: Some([2, 0, 0, 0xbc, 0xa9, 0x7f]),
             echo: Some(7),
+            idle: Some(Duration::from_secs(60)),
+            evict: Duration::from_secs(3600),
+            keep_alive: Duration::from_secs(1),
             convert: true,
             rate: Rate { per_second: 50, burst: 10 },
             lists: List::default(),
@@ -248,6 +274,13 @@ mod tests {
             "rate=x",
             "rate=5/0",
             "echo=0",
+            "idle=0",
+            "evict=3601",
+            "keepalive=x",
+            "allow=10.0.2",
+            "allow=10.0.2.0/33",
+            "put@10.0.2=I",
+            "put@=I",
             "echo=65536",
             "colour=red",
             "nonsense",

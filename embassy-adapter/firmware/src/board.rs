@@ -1,10 +1,10 @@
 //! The addresses and interrupts of the chosen board's peripherals.
 //!
 //! ```text
-//!               CPU   Ethernet     IRQ  UART 0       watchdog     clock     flash        memory
-//!  mps2-an385   M3    0x4020_0000  13   0x4000_4000  0x4000_8000  25 MHz    0            0x2000_0000
-//!  mps2-an386   M4F   0x4020_0000  13   0x4000_4000  0x4000_8000  25 MHz    0            0x2000_0000
-//!  mps2-an505   M33   0x5200_0000  48   0x5020_0000  0x5008_1000  20 MHz    0x1000_0000  0x3800_0000
+//!               CPU   Ethernet     IRQ  UART 0       IRQ  FPGA I/O     watchdog     clock     flash        memory
+//!  mps2-an385   M3    0x4020_0000  13   0x4000_4000  1    0x4002_8000  0x4000_8000  25 MHz    0            0x2000_0000
+//!  mps2-an386   M4F   0x4020_0000  13   0x4000_4000  1    0x4002_8000  0x4000_8000  25 MHz    0            0x2000_0000
+//!  mps2-an505   M33   0x5200_0000  48   0x5020_0000  33   0x5030_2000  0x5008_1000  20 MHz    0x1000_0000  0x3800_0000
 //! ```
 #![expect(unsafe_code, reason = "this is where addresses become peripherals")]
 
@@ -20,6 +20,8 @@ mod chosen {
     pub(super) const ETHERNET: usize = 0x4020_0000;
     pub(super) const ETHERNET_IRQ: u16 = 13;
     pub(super) const UART: usize = 0x4000_4000;
+    pub(super) const UART_TX_IRQ: u16 = 1;
+    pub(super) const FPGA_IO: usize = 0x4002_8000;
     pub(super) const WATCHDOG: usize = 0x4000_8000;
     pub(super) const CLOCK_HZ: u32 = 25_000_000;
 }
@@ -29,6 +31,8 @@ mod chosen {
     pub(super) const ETHERNET: usize = 0x5200_0000;
     pub(super) const ETHERNET_IRQ: u16 = 48;
     pub(super) const UART: usize = 0x5020_0000;
+    pub(super) const UART_TX_IRQ: u16 = 33;
+    pub(super) const FPGA_IO: usize = 0x5030_2000;
     pub(super) const WATCHDOG: usize = 0x5008_1000;
     pub(super) const CLOCK_HZ: u32 = 20_000_000;
 }
@@ -37,11 +41,17 @@ mod chosen {
 pub(crate) const ETHERNET: Block = unsafe { Block::new(chosen::ETHERNET) };
 // SAFETY: a serial port without DMA
 pub(crate) const UART: Block = unsafe { Block::new(chosen::UART) };
+// SAFETY: counters, LEDs and switches
+pub(crate) const FPGA_IO: Block = unsafe { Block::new(chosen::FPGA_IO) };
+// SAFETY: the processor's system control block
+pub(crate) const SYSTEM_CONTROL: Block = unsafe { Block::new(0xe000_ed00) };
 // SAFETY: a counter
 pub(crate) const WATCHDOG: Block = unsafe { Block::new(chosen::WATCHDOG) };
 
 /// The interrupt of the Ethernet controller.
 pub(crate) const ETHERNET_IRQ: Irq = Irq(chosen::ETHERNET_IRQ);
+/// The interrupt of the serial port's transmitter.
+pub(crate) const UART_TX_IRQ: Irq = Irq(chosen::UART_TX_IRQ);
 /// The clock of the core, and of SysTick.
 pub const CLOCK_HZ: u32 = chosen::CLOCK_HZ;
 
@@ -60,4 +70,9 @@ unsafe impl cortex_m::interrupt::InterruptNumber for Irq {
 pub(crate) fn unmask(irq: Irq) {
     // SAFETY: no critical section is made with this mask
     unsafe { cortex_m::peripheral::NVIC::unmask(irq) };
+}
+
+/// Makes an interrupt pending, so its handler runs.
+pub(crate) fn pend(irq: Irq) {
+    cortex_m::peripheral::NVIC::pend(irq);
 }

@@ -1,14 +1,14 @@
-//! The exception handlers: the Ethernet interrupt, the watchdog's NMI and faults.
+//! The exception handlers: the interrupts of the Ethernet controller and the serial port, the watchdog's NMI and faults.
 //!
 //! The linker finds the handlers by name, so no other file refers to this one. SysTick is in [`clock`](crate::clock).
 #![expect(unsafe_code, reason = "handlers of exceptions are unsafe functions")]
 
 use cortex_m::interrupt::InterruptNumber as _;
 use cortex_m::peripheral::NVIC;
-use cortex_m_rt::{ExceptionFrame, exception};
+use cortex_m_rt::exception;
 
-use crate::board::ETHERNET_IRQ;
-use crate::{fault, lan9118};
+use crate::board::{ETHERNET_IRQ, UART_TX_IRQ};
+use crate::{fault, lan9118, uart};
 
 #[exception]
 unsafe fn DefaultHandler(number: i16) {
@@ -16,6 +16,8 @@ unsafe fn DefaultHandler(number: i16) {
         // the line stays active until the driver has read the frame; the driver then unmasks the interrupt
         NVIC::mask(ETHERNET_IRQ);
         lan9118::wake();
+    } else if number == UART_TX_IRQ.number().cast_signed() {
+        uart::transmit();
     } else {
         fault::unexpected(number);
     }
@@ -27,7 +29,8 @@ unsafe fn NonMaskableInt() -> ! {
     fault::hung()
 }
 
-#[exception]
-unsafe fn HardFault(frame: &ExceptionFrame) -> ! {
-    fault::hard_fault(frame)
+// without the trampoline, which passes a reference to a frame that does not exist after a stack overflow
+#[exception(trampoline = false)]
+unsafe fn HardFault() -> ! {
+    fault::hard_fault()
 }

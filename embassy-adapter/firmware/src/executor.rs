@@ -8,6 +8,8 @@ use core::sync::atomic::{AtomicBool, Ordering};
 use embassy_executor::{Spawner, raw};
 use static_cell::StaticCell;
 
+use crate::stack;
+
 static EXECUTOR: StaticCell<raw::Executor> = StaticCell::new();
 /// Whether a task was woken since the executor's last poll.
 static WOKEN: AtomicBool = AtomicBool::new(false);
@@ -21,6 +23,7 @@ fn pender(_context: *mut ()) {
 pub fn run(start: impl FnOnce(Spawner)) -> ! {
     let executor = EXECUTOR.init_with(|| raw::Executor::new(core::ptr::null_mut()));
     start(executor.spawner());
+    stack::repaint();
     loop {
         WOKEN.store(false, Ordering::Release);
         // SAFETY: `poll` is called here only, and this function never returns

@@ -9,6 +9,8 @@
 //! * A received frame is copied out of the controller before its token is created. A frame to send is copied into the
 //!   controller when its token is consumed. The two tokens of a pair borrow different fields, so they share no bytes.
 //! * A `TxToken` is created only when the controller has room for the largest frame, so sending never waits.
+//! * A controller that receives nothing for 30 s while its link is up is initialised again. After five minutes it counts as
+//!   [dead](is_dead), if it has received frames before: a network without any traffic is no reason for a reset.
 //! * The interrupt handler masks the interrupt and wakes the driver. The driver unmasks it when it has no more work. A
 //!   frame that arrives in between keeps the interrupt pending and is not missed.
 
@@ -90,10 +92,18 @@ const READY_POLLS: usize = 100_000;
 /// The interval at which the driver reads the link state from the PHY.
 const LINK_INTERVAL: Duration = Duration::from_millis(250);
 
+/// The time without a received frame after which the controller is initialised again, and how often that is tried before it
+/// counts as dead. A test has less time.
+const SILENCE: Duration = Duration::from_secs(if cfg!(feature = "faults") { 3 } else { 30 });
+const MAX_RESTARTS: u32 = if cfg!(feature = "faults") { 3 } else { 10 };
+
 static WAKER: AtomicWaker = AtomicWaker::new();
 static RECEIVED: AtomicU32 = AtomicU32::new(0);
 static SENT: AtomicU32 = AtomicU32::new(0);
 static DROPPED: AtomicU32 = AtomicU32::new(0);
+/// How often the controller was initialised again, in total and since it last received a frame.
+static RESTARTS: AtomicU32 = AtomicU32::new(0);
+static FAILED_RESTARTS: AtomicU32 = AtomicU32::new(0);
 
 /// Wakes the driver; the interrupt handler calls it.
 pub(crate) fn wake() {
@@ -118,6 +128,8 @@ pub struct Counters {
     pub sent: u32,
     /// Frames dropped: damaged, too long, or overrun in the controller.
     pub dropped: u32,
+    /// How often the controller was initialised again, because it received nothing.
+    pub restarts: u32,
 }
 
 /// Returns the counters since the start.
@@ -127,8 +139,26 @@ pub fn counters() -> Counters {
         received: RECEIVED.load(Ordering::Relaxed),
         sent: SENT.load(Ordering::Relaxed),
         dropped: DROPPED.load(Ordering::Relaxed),
+        restarts: RESTARTS.load(Ordering::Relaxed),
     }
 }
+
+/// Tells whether the controller stays silent although it was initialised again and again.
+#[must_use]
+pub fn is_dead() -> bool {
+    FAILED_RESTARTS.load(Ordering::Relaxed) >= MAX_RESTARTS
+}
+
+/// Switches the controller off; `for_good` also when it is initialised again.
+#[cfg(feature = "faults")]
+pub(crate) fn switch_off(for_good: bool) {
+    STAYS_OFF.store(for_good, Ordering::Relaxed);
+    // a controller that does not respond is off as well
+    let _ = write_mac(mac::CR, 0);
+}
+
+#[cfg(feature = "faults")]
+static STAYS_OFF: core::sync::atomic::AtomicBool = core::sync::atomic::AtomicBool::new(false);
 
 /// Buffers for the last received frame and for the frame to send.
 #[derive(Debug)]
@@ -159,11 +189,13 @@ pub struct Lan9118<'m> {
     link: PhyLink,
 }
 
-/// The link state that the PHY last reported.
+/// The link state that the PHY last reported, and since when nothing has been received over it.
 #[derive(Debug)]
 struct PhyLink {
     up: bool,
     checked_at: Option<Instant>,
+    received: u32,
+    silent_since: Instant,
 }
 
 impl<'m> Lan9118<'m> {
@@ -173,6 +205,14 @@ impl<'m> Lan9118<'m> {
     ///
     /// An [`InitError`] when the controller is missing or does not respond.
     pub fn new(address: [u8; 6], frames: &'m mut Frames) -> Result<Self, InitError> {
+        let link = PhyLink { up: false, checked_at: None, received: 0, silent_since: Instant::MIN };
+        let controller = Self { address, frames, link };
+        controller.init()?;
+        Ok(controller)
+    }
+
+    /// Resets the controller, sets its MAC address and enables it.
+    fn init(&self) -> Result<(), InitError> {
         let found = ETHERNET.read::<{ register::BYTE_TEST }>();
         if found != BYTE_TEST {
             return Err(InitError::NotFound(found));
@@ -181,7 +221,7 @@ impl<'m> Lan9118<'m> {
         wait_until(|| ETHERNET.read::<{ register::HW_CFG }>() & SOFT_RESET == 0)?;
         ETHERNET.write::<{ register::HW_CFG }>(HW_CFG);
 
-        let [a, b, c, d, e, f] = address;
+        let [a, b, c, d, e, f] = self.address;
         write_mac(mac::ADDR_LOW, u32::from_le_bytes([a, b, c, d]))?;
         write_mac(mac::ADDR_HIGH, u32::from_le_bytes([e, f, 0, 0]))?;
         write_phy(phy_register::BASIC_CONTROL, PHY_NEGOTIATE)?;
@@ -192,8 +232,34 @@ impl<'m> Lan9118<'m> {
         ETHERNET.write::<{ register::INT_STS }>(u32::MAX);
         ETHERNET.write::<{ register::IRQ_CFG }>(IRQ_CFG);
         ETHERNET.write::<{ register::INT_EN }>(RX_STATUS_LEVEL);
-        let link = PhyLink { up: false, checked_at: None };
-        Ok(Self { address, frames, link })
+        #[cfg(feature = "faults")]
+        if STAYS_OFF.load(Ordering::Relaxed) {
+            write_mac(mac::CR, 0)?;
+        }
+        Ok(())
+    }
+
+    /// Initialises the controller again if it has received nothing for too long while its link is up.
+    fn check_silence(&mut self, now: Instant) {
+        let received = RECEIVED.load(Ordering::Relaxed);
+        if received != self.link.received {
+            FAILED_RESTARTS.store(0, Ordering::Relaxed);
+        }
+        if received != self.link.received || !self.link.up {
+            self.link.received = received;
+            self.link.silent_since = now;
+        }
+        if now < self.link.silent_since + SILENCE {
+            return;
+        }
+        self.link.silent_since = now;
+        RESTARTS.store(RESTARTS.load(Ordering::Relaxed).saturating_add(1), Ordering::Relaxed);
+        if received > 0 {
+            FAILED_RESTARTS.store(FAILED_RESTARTS.load(Ordering::Relaxed).saturating_add(1), Ordering::Relaxed);
+        }
+        // a controller that does not respond stays silent, which is counted
+        let _ = self.init();
+        board::unmask(board::ETHERNET_IRQ);
     }
 
     /// Returns the MAC address.
@@ -347,6 +413,7 @@ impl Driver for Lan9118<'_> {
         if self.link.checked_at.is_none_or(|checked_at| now >= checked_at + LINK_INTERVAL) {
             self.link.checked_at = Some(now);
             self.link.up = is_link_up();
+            self.check_silence(now);
         }
         // the controller signals no change of the link, so the driver wakes itself to poll it
         embassy_time_driver::schedule_wake((now + LINK_INTERVAL).as_ticks(), cx.waker());

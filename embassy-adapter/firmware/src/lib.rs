@@ -4,16 +4,18 @@
 //! |--------------|-----------------------------------------------------------------------------------|
 //! | [`board`]    | the addresses of the chosen board's peripherals                                   |
 //! | [`lan9118`]  | the driver of the Ethernet controller for embassy-net and smoltcp                 |
-//! | [`clock`]    | SysTick as a clock, and embassy's time driver on it                               |
+//! | [`clock`]    | a hardware counter as a clock, and embassy's time driver on it                    |
 //! | [`executor`] | an executor that sleeps with WFI                                                  |
-//! | [`uart`]     | the serial port, as text or as defmt frames                                       |
+//! | [`uart`]     | the serial port and the buffer of what it sends                                   |
+//! | [`log`]      | defmt's logger on the serial port                                                 |
 //! | [`config`]   | the settings block in the flash, which a host tool patches                        |
 //! | [`net`]      | embassy-net on the board: its task and its address                                |
-//! | [`stack`]    | the high-water mark of the stack                                                  |
-//! | [`echo`]     | an echo server                                                                    |
+//! | [`stack`]    | the program's stack and its high-water mark                                       |
+//! | `echo`       | an echo server, with the feature `echo`                                           |
 //! | [`node`]     | the board as a controller: uptime, counters and some memory                       |
 //! | [`watchdog`] | a reset when a task makes no progress                                             |
 //! | [`fault`]    | reports and resets after a panic or a fault                                       |
+//! | [`record`]   | the cause of the last reset, kept over the reset                                  |
 //!
 //! The exception handlers (`exceptions`) use all of them. Unsafe code is limited to what the hardware requires: access to
 //! registers (`mmio`), the symbols that the linker looks for, and the exception handlers.
@@ -22,14 +24,19 @@
 pub mod board;
 pub mod clock;
 pub mod config;
+#[cfg(feature = "echo")]
 pub mod echo;
 mod exceptions;
 pub mod executor;
 pub mod fault;
 pub mod lan9118;
+pub mod log;
 mod mmio;
 pub mod net;
 pub mod node;
+#[cfg(feature = "faults")]
+pub mod provoke;
+pub mod record;
 pub mod stack;
 pub mod uart;
 pub mod watchdog;

@@ -2,14 +2,16 @@
 
 use bcap_board::Settings;
 use embassy_net::{Config, ConfigV4, DhcpConfig, Ipv4Cidr, Runner, Stack, StackResources, StaticConfigV4};
-use embassy_time::{Duration, Instant, with_timeout};
+use embassy_time::{Duration, Instant, Timer, with_timeout};
 use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::fault;
 use crate::lan9118::{Frames, Lan9118};
 
-/// How long to wait for DHCP before using the configured address.
+/// How long to wait for DHCP, from the link on, before using the configured address.
 const DHCP_TIME: Duration = Duration::from_secs(5);
+/// The pause before asking again. A test has less time.
+const DHCP_AGAIN: Duration = Duration::from_secs(if cfg!(feature = "faults") { 3 } else { 60 });
 
 /// The runner that moves frames; one task must run it.
 pub type NetRunner = Runner<'static, &'static mut Lan9118<'static>>;
@@ -26,26 +28,30 @@ pub fn start<const SOCKETS: usize>(
     static FRAMES: ConstStaticCell<Frames> = ConstStaticCell::new(Frames::new());
     static DEVICE: StaticCell<Lan9118<'static>> = StaticCell::new();
 
-    let device = match Lan9118::new(settings.mac.unwrap_or(mac), FRAMES.take()) {
+    let mac = settings.mac.unwrap_or(mac);
+    let device = match Lan9118::new(mac, FRAMES.take()) {
         Ok(device) => DEVICE.init(device),
         Err(error) => {
             defmt::error!("no Ethernet controller: {}", error);
             fault::end()
         }
     };
-    let config = match settings.dhcp {
-        true => Config::dhcpv4(DhcpConfig::default()),
-        false => Config::ipv4_static(own(settings)),
+    let config = match own(settings).filter(|_| !settings.dhcp) {
+        Some(own) => Config::ipv4_static(own),
+        None => Config::dhcpv4(DhcpConfig::default()),
     };
-    embassy_net::new(device, config, resources, Instant::now().as_ticks())
+    embassy_net::new(device, config, resources, seed(mac))
 }
 
-/// Waits for an address from DHCP; after a timeout uses the configured address.
+/// Waits for an address: from DHCP, or the configured one if no server answers within 5 s of a link.
+///
+/// Without a configured address it waits for DHCP for ever.
 pub async fn find_address(stack: Stack<'_>, settings: &Settings<'_>) {
+    stack.wait_link_up().await;
     if with_timeout(DHCP_TIME, stack.wait_config_up()).await.is_err() {
-        if settings.dhcp {
+        if let (true, Some(own)) = (settings.dhcp, own(settings)) {
             defmt::warn!("no DHCP server answers, using the configured address");
-            stack.set_config_v4(ConfigV4::Static(own(settings)));
+            stack.set_config_v4(ConfigV4::Static(own));
         }
         stack.wait_config_up().await;
     }
@@ -54,12 +60,29 @@ pub async fn find_address(stack: Stack<'_>, settings: &Settings<'_>) {
     }
 }
 
-/// Returns the configured address.
-fn own(settings: &Settings<'_>) -> StaticConfigV4 {
-    let (address, prefix) = settings.address;
-    StaticConfigV4 {
-        address: Ipv4Cidr::new(address, prefix),
-        gateway: Some(settings.gateway),
-        dns_servers: Default::default(),
+/// Asks for an address by DHCP again while the board has only the configured one and does not reach what it needs.
+///
+/// A switch and a DHCP server may start later than the board. `is_useful` tells whether the address works.
+pub async fn improve_address(stack: Stack<'_>, settings: &Settings<'_>, is_useful: impl Fn() -> bool) -> ! {
+    loop {
+        Timer::after(DHCP_AGAIN).await;
+        let has_own = stack.config_v4().is_some_and(|found| Some(&found) == own(settings).as_ref());
+        if settings.dhcp && has_own && !is_useful() {
+            stack.set_config_v4(ConfigV4::Dhcp(DhcpConfig::default()));
+            find_address(stack, settings).await;
+        }
     }
+}
+
+/// Returns the configured address.
+fn own(settings: &Settings<'_>) -> Option<StaticConfigV4> {
+    let (address, prefix) = settings.address?;
+    let address = Ipv4Cidr::new(address, prefix);
+    Some(StaticConfigV4 { address, gateway: settings.gateway, dns_servers: Default::default() })
+}
+
+/// Returns a seed for port numbers and the like. This board has no source of random numbers, so the seed is the MAC address
+/// and the time, which differ between boards and a little between starts.
+fn seed([a, b, c, d, e, f]: [u8; 6]) -> u64 {
+    u64::from_le_bytes([a, b, c, d, e, f, 0, 0]).rotate_left(20) ^ Instant::now().as_ticks()
 }

@@ -1,35 +1,147 @@
-//! The high-water mark of the stack.
+//! The stacks, and the high-water mark of the program's.
 //!
-//! The stack's memory is filled with a pattern before the program starts; words that differ from it have been in use.
+//! ```text
+//!  lowest address ─► guard │ program's stack │ stack of the exception handlers │ data
+//! ```
+//!
+//! An overflow of the program's stack faults: at the guard, which the MPU forbids to access, or at the processor's limit of
+//! the stack pointer (Cortex-M33). A frame that jumps over the guard leaves the memory, which faults as well. The fault's
+//! handler runs on the other stack, so it can report the overflow. The program's stack is filled with a pattern; words that differ from it have been in use.
 #![expect(unsafe_code, reason = "the stack is memory that Rust has no name for")]
 
-use core::ptr::addr_of;
+use core::arch::asm;
+use core::ops::Range;
+use core::ptr::addr_of_mut;
 
-use cortex_m_rt::STACK_PAINT_VALUE;
+use cortex_m::register::psp;
+
+#[cfg(not(feature = "mps2-an505"))]
+use crate::board::SYSTEM_CONTROL;
+
+const PATTERN: u32 = 0xcccc_cccc;
+/// Words below the stack pointer that are not painted: the painting function's own frame.
+const MARGIN: usize = 64;
+/// Bytes of the guard: a power of two, at which the stack's lowest address is aligned.
+const GUARD: usize = 256;
+
+/// Registers of the MPU.
+#[cfg(not(feature = "mps2-an505"))]
+mod register {
+    pub(super) const CONTROL: usize = 0x94;
+    pub(super) const REGION_BASE: usize = 0x9c;
+    pub(super) const REGION_ATTRIBUTES: usize = 0xa0;
+}
 
 unsafe extern "C" {
-    static _stack_start: u32;
-    static _stack_end: u32;
+    static mut _program_stack_start: u32;
+    static mut _program_stack_end: u32;
+}
+
+/// Runs a program on its own stack; the exception handlers keep the stack that the processor started with. Call it first in
+/// `main`.
+pub fn run(program: extern "C" fn() -> !) -> ! {
+    let Range { start, end } = bounds();
+    paint(start, end);
+    #[cfg(not(feature = "mps2-an505"))]
+    guard();
+    #[cfg(feature = "mps2-an505")]
+    // SAFETY: the limit is the end of the program's stack
+    unsafe {
+        asm!("msr psplim, {}", in(reg) start, options(nomem, nostack));
+    }
+    // SAFETY: `end` is the top of memory that only this stack uses, and no code runs on the old stack in thread mode again
+    unsafe {
+        asm!(
+            "msr psp, {top}",
+            "msr control, {program_stack}",
+            "isb",
+            "bx {program}",
+            top = in(reg) end,
+            program_stack = in(reg) 2,
+            program = in(reg) program,
+            options(noreturn)
+        )
+    }
+}
+
+/// Forbids every access to the guard, except to the handlers of a hard fault and of the NMI.
+#[cfg(not(feature = "mps2-an505"))]
+fn guard() {
+    const ENABLE: u32 = 1;
+    const DEFAULT_ELSEWHERE: u32 = 1 << 2;
+    const NUMBER_IS_VALID: u32 = 1 << 4;
+    const NEVER_EXECUTE: u32 = 1 << 28;
+    const SIZE: u32 = (GUARD.ilog2() - 1) << 1;
+    let base = u32::try_from(addr_of_mut!(_program_stack_end).addr()).unwrap_or_default();
+    SYSTEM_CONTROL.write::<{ register::REGION_BASE }>(base | NUMBER_IS_VALID);
+    SYSTEM_CONTROL.write::<{ register::REGION_ATTRIBUTES }>(NEVER_EXECUTE | SIZE | ENABLE);
+    SYSTEM_CONTROL.write::<{ register::CONTROL }>(DEFAULT_ELSEWHERE | ENABLE);
+    cortex_m::asm::dsb();
+    cortex_m::asm::isb();
+}
+
+/// Paints the unused part of the stack again, so that [`high_water`] no longer includes the start of the program.
+#[inline(never)]
+pub fn repaint() {
+    let start = bounds().start;
+    let words = (to_usize(psp::read()) - start.addr()) / size_of::<u32>();
+    paint(start, start.wrapping_add(words.saturating_sub(MARGIN)));
 }
 
 /// Returns the size of the stack, in bytes.
 #[must_use]
 pub fn size() -> usize {
-    bounds().1.addr() - bounds().0.addr()
+    bounds().end.addr() - bounds().start.addr()
 }
 
 /// Returns the high-water mark of the stack, in bytes.
 #[must_use]
 pub fn high_water() -> usize {
-    let (lowest, top) = bounds();
-    let mut word = lowest;
+    let Range { start, end } = bounds();
+    let mut word = start;
     // SAFETY: the words are in the stack's memory, and no other code writes below the present end of the stack
-    while word < top && unsafe { word.read_volatile() } == STACK_PAINT_VALUE {
+    while word < end && unsafe { word.read_volatile() } == PATTERN {
         word = word.wrapping_add(1);
     }
-    top.addr() - word.addr()
+    end.addr() - word.addr()
 }
 
-fn bounds() -> (*const u32, *const u32) {
-    (addr_of!(_stack_end), addr_of!(_stack_start))
+/// The program's place and its caller, as an exception saved them on the program's stack.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Saved {
+    pub(crate) pc: u32,
+    pub(crate) lr: u32,
+}
+
+/// Returns what an exception saved; `None` if the stack has overflowed, because nothing was saved then.
+pub(crate) fn saved() -> Option<Saved> {
+    /// The words of a frame, and the places in it.
+    const FRAME: usize = 8;
+    const LR: usize = 5;
+    const PC: usize = 6;
+    let Range { start, end } = bounds();
+    let frame = core::ptr::with_exposed_provenance::<u32>(to_usize(psp::read()));
+    let is_inside = frame >= start.cast_const() && frame.wrapping_add(FRAME) <= end.cast_const();
+    // SAFETY: the words are in the stack's memory
+    let word = |at: usize| unsafe { frame.wrapping_add(at).read_volatile() };
+    is_inside.then(|| Saved { pc: word(PC), lr: word(LR) })
+}
+
+fn paint(start: *mut u32, end: *mut u32) {
+    let mut word = start;
+    while word < end {
+        // SAFETY: the words are in the stack's memory, and the callers pass an unused part of it
+        unsafe { word.write_volatile(PATTERN) };
+        word = word.wrapping_add(1);
+    }
+}
+
+/// Returns the lowest word of the stack above the guard, and the end above it.
+fn bounds() -> Range<*mut u32> {
+    addr_of_mut!(_program_stack_end).wrapping_byte_add(GUARD)..addr_of_mut!(_program_stack_start)
+}
+
+/// Converts an address without loss, because `usize` has 32 bits on the board.
+const fn to_usize(n: u32) -> usize {
+    n as usize
 }

@@ -1,41 +1,86 @@
-//! The serial port, for plain text or for defmt frames.
+//! The serial port: received bytes, and a buffer for bytes to send.
 //!
-//! Sending blocks until each byte is sent. That is acceptable for the log of a demonstration; a production image would
-//! use a buffer and an interrupt.
-#![expect(unsafe_code, reason = "defmt's logger is an unsafe trait")]
+//! ```text
+//!  log, text ─► RING, 4 KiB ─► interrupt of the transmitter ─► port
+//! ```
+//!
+//! Writing copies into the buffer and never waits. Bytes that do not fit are dropped together with the rest of their frame,
+//! and counted. After a fault, with interrupts disabled, [`flush`] sends the buffer by polling.
 
-use core::cell::RefCell;
 use core::fmt;
 
-use critical_section::{Mutex, RestoreState};
+use bcap_board::ring::Ring;
 
-use crate::board::UART;
+use crate::board::{self, UART, UART_TX_IRQ};
 
 /// Registers of the CMSDK serial port.
 mod register {
     pub(super) const DATA: usize = 0x00;
     pub(super) const STATE: usize = 0x04;
     pub(super) const CONTROL: usize = 0x08;
+    pub(super) const INT_CLEAR: usize = 0x0c;
     pub(super) const BAUD_DIVISOR: usize = 0x10;
 }
 
 const TX_FULL: u32 = 1 << 0;
 const RX_FULL: u32 = 1 << 1;
-const ENABLE_TX_RX: u32 = 0b11;
+const ENABLE_TX_RX_TX_INTERRUPT: u32 = 0b111;
+const TX_INTERRUPT: u32 = 1 << 0;
 const BAUD: u32 = 115_200;
+/// The most bytes sent in one interrupt: the port has room for one or two, an emulated port has room for all.
+const BURST: usize = 16;
+/// How often a port that takes no byte is polled before [`flush`] gives up: more than the time of a character.
+const FULL_POLLS: u32 = 100_000;
+
+/// The bytes to send.
+static RING: Ring<4096> = Ring::new();
 
 /// Enables the port: 115200 baud, 8 data bits, no parity.
 pub fn init() {
     UART.write::<{ register::BAUD_DIVISOR }>(crate::board::CLOCK_HZ / BAUD);
-    UART.write::<{ register::CONTROL }>(ENABLE_TX_RX);
+    UART.write::<{ register::CONTROL }>(ENABLE_TX_RX_TX_INTERRUPT);
+    board::unmask(UART_TX_IRQ);
 }
 
-/// Sends bytes, blocking.
-pub fn write(bytes: &[u8]) {
-    for byte in bytes {
-        while UART.read::<{ register::STATE }>() & TX_FULL != 0 {}
-        UART.write::<{ register::DATA }>(u32::from(*byte));
+/// Returns the bytes to send; the writer of the log starts its frames on it.
+pub(crate) const fn ring() -> &'static Ring<4096> {
+    &RING
+}
+
+/// Starts sending the buffered bytes.
+pub(crate) fn start() {
+    board::pend(UART_TX_IRQ);
+}
+
+/// Handles the interrupt of the transmitter: sends some of the buffered bytes.
+pub(crate) fn transmit() {
+    UART.write::<{ register::INT_CLEAR }>(TX_INTERRUPT);
+    for _ in 0..BURST {
+        if UART.read::<{ register::STATE }>() & TX_FULL != 0 {
+            return;
+        }
+        let Some(byte) = RING.pop() else { return };
+        UART.write::<{ register::DATA }>(u32::from(byte));
     }
+    // no interrupt comes if the port took the last byte before its interrupt was cleared
+    if !RING.is_empty() {
+        start();
+    }
+}
+
+/// Sends the buffered bytes by polling, for the end of a program; gives up when the port takes no byte.
+pub fn flush() {
+    critical_section::with(|_| {
+        while !RING.is_empty() {
+            let is_free = || UART.read::<{ register::STATE }>() & TX_FULL == 0;
+            if !(0..FULL_POLLS).any(|_| is_free()) {
+                return;
+            }
+            if let Some(byte) = RING.pop() {
+                UART.write::<{ register::DATA }>(u32::from(byte));
+            }
+        }
+    });
 }
 
 /// Returns the received byte, if there is one.
@@ -51,56 +96,8 @@ pub struct Text;
 
 impl fmt::Write for Text {
     fn write_str(&mut self, text: &str) -> fmt::Result {
-        write(text.as_bytes());
+        critical_section::with(|_| RING.frame(|frame| frame.extend(text.as_bytes())));
+        start();
         Ok(())
     }
 }
-
-/// defmt's logger on the port; the state is `None` while no frame is being written.
-static FRAMES: Mutex<RefCell<Frames>> =
-    Mutex::new(RefCell::new(Frames { encoder: defmt::Encoder::new(), restore: None }));
-
-struct Frames {
-    encoder: defmt::Encoder,
-    /// The critical section around a frame.
-    restore: Option<RestoreState>,
-}
-
-#[defmt::global_logger]
-struct Logger;
-
-// SAFETY: each frame is written inside one critical section, so frames do not interleave
-unsafe impl defmt::Logger for Logger {
-    fn acquire() {
-        // SAFETY: `release` ends the section
-        let restore = unsafe { critical_section::acquire() };
-        with(|frames| {
-            frames.restore = Some(restore);
-            frames.encoder.start_frame(write);
-        });
-    }
-
-    unsafe fn flush() {}
-
-    unsafe fn release() {
-        let restore = with(|frames| {
-            frames.encoder.end_frame(write);
-            frames.restore.take()
-        });
-        if let Some(Some(restore)) = restore {
-            // SAFETY: this is the state that `acquire` returned
-            unsafe { critical_section::release(restore) };
-        }
-    }
-
-    unsafe fn write(bytes: &[u8]) {
-        with(|frames| frames.encoder.write(bytes, write));
-    }
-}
-
-/// Returns the encoder; `None` when a log statement is nested in another, whose bytes are then lost.
-fn with<T>(work: impl FnOnce(&mut Frames) -> T) -> Option<T> {
-    critical_section::with(|cs| FRAMES.borrow(cs).try_borrow_mut().ok().map(|mut frames| work(&mut frames)))
-}
-
-defmt::timestamp!("{=u64:us}", embassy_time::Instant::now().as_micros());

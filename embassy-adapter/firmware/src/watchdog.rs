@@ -1,7 +1,7 @@
 //! The watchdog of the board (CMSDK): a reset when a task makes no progress.
 //!
 //! ```text
-//!  fed ── 4 s without feeding ──► NMI: reported, reset ── 4 s more ──► reset by the watchdog itself
+//!  arm, first in `main` ─► fed ── 4 s without feeding ──► NMI: reported, reset ── 4 s more ──► reset by the watchdog itself
 //! ```
 //!
 //! It is fed when every registered task has run since the last feeding. [`watched`] wakes its task each second, so the
@@ -59,11 +59,15 @@ pub async fn watched<F: Future>(task: Task, work: F) -> F::Output {
     }
 }
 
-/// Starts the watchdog, and feeds it while all registered tasks run and `is_healthy` returns true.
-pub async fn run(is_healthy: impl Fn() -> bool) -> ! {
+/// Starts the watchdog; call it first in `main`, so that a start that hangs is reset, too.
+pub fn arm() {
     WATCHDOG.write::<{ register::LOCK }>(UNLOCK);
     WATCHDOG.write::<{ register::LOAD }>(CLOCK_HZ * TIMEOUT_SECONDS);
     WATCHDOG.write::<{ register::CONTROL }>(INTERRUPT_AND_RESET);
+}
+
+/// Feeds the watchdog while all registered tasks run and `is_healthy` returns true.
+pub async fn run(is_healthy: impl Fn() -> bool) -> ! {
     loop {
         Timer::after(PULSE).await;
         if stalled() == 0 && is_healthy() {

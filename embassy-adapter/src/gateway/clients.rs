@@ -1,26 +1,39 @@
 //! The PLC side of a gateway: listeners and sessions.
 
 use core::cell::Cell;
+use core::time::Duration;
 
 use bcap_core::handler::PeerId;
 use bcap_core::io::asynch::Transport;
 use bcap_core::time::Instant;
 use embassy_futures::select::{Either, select};
+use embassy_futures::yield_now;
 use embassy_net::{IpEndpoint, Stack};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::Timer;
 
-use super::SharedGateway;
+use super::{Denial, SharedGateway};
 use crate::net::{Options, TcpTransport};
 use crate::server::{Ended, Limits};
 
 /// The size of the buffer through which bytes move; most lines are shorter.
 const CHUNK: usize = 64;
 
-/// The pause before listening again, after listening failed or no slot was free.
+/// The pause before listening again after listening failed.
 const PAUSE_MS: u64 = 100;
 
+/// How long a client waits for the slot of an evicted one: this many pauses of this length.
+const SLOT_TRIES: u32 = 100;
+const SLOT_PAUSE_MS: u64 = 10;
+
+/// The answer to the first line of a client without a slot, E_MAX_CONNECT, and how long to wait for that line.
+const FULL: &[u8] = b"-2147481333\r";
+const FULL_WAIT: Duration = Duration::from_millis(500);
+
 /// A TCP listener that serves one PLC at a time; use several on the same port to serve several PLCs concurrently.
+///
+/// With one listener more than the gateway has slots, a PLC without a slot gets the answer E_MAX_CONNECT to its first line.
+/// The network resets connections that no listener accepts.
 #[derive(Debug)]
 pub struct Listener<'s> {
     transport: TcpTransport<'s>,
@@ -31,7 +44,13 @@ impl<'s> Listener<'s> {
     /// Creates a listener; `rx` and `tx` are its socket's buffers.
     #[must_use]
     pub fn new(stack: Stack<'s>, port: u16, rx: &'s mut [u8], tx: &'s mut [u8]) -> Self {
-        Self { transport: TcpTransport::new(stack, rx, tx, Options::default()), port }
+        Self::with_options(stack, port, rx, tx, Options::default())
+    }
+
+    /// Creates a listener with other timeouts of its connections.
+    #[must_use]
+    pub fn with_options(stack: Stack<'s>, port: u16, rx: &'s mut [u8], tx: &'s mut [u8], options: Options) -> Self {
+        Self { transport: TcpTransport::new(stack, rx, tx, options), port }
     }
 
     /// Serves PLCs forever, one after another.
@@ -42,15 +61,39 @@ impl<'s> Listener<'s> {
                 continue;
             }
             let client = self.transport.socket().remote_endpoint();
-            if serve(&mut self.transport, client, shared, limits).await.is_none() {
-                Timer::after_millis(PAUSE_MS).await;
+            if !shared.admits(client) {
+                self.transport.reset().await;
+                continue;
             }
-            self.transport.close().await;
+            match serve(&mut self.transport, client, shared, limits).await {
+                // it was idle, so it would not confirm the end of the connection if it were gone
+                Some(Ended::Evicted) => self.transport.reset().await,
+                Some(_) => self.transport.close().await,
+                None => {
+                    shared.deny(client, Denial::Full);
+                    answer_full(&mut self.transport).await;
+                    self.transport.close().await;
+                }
+            }
         }
     }
 }
 
+/// Answers the first line of a client without a slot.
+async fn answer_full<X: Transport>(transport: &mut X) {
+    let mut chunk = [0; CHUNK];
+    let until = transport.now().saturating_add(FULL_WAIT);
+    // not before its line arrives, because a line that arrives after the close would reset the connection
+    if let Ok(Some(1..)) = transport.receive(&mut chunk, until).await {
+        // a client that does not read it has no slot either
+        let _ = transport.send(FULL, until).await;
+    }
+}
+
 /// Serves one PLC until its session ends, and returns the reason; `None` when all slots are in use.
+///
+/// When all slots are in use, it first ends the session of the client that has been idle for the longest time, at least
+/// [`Limits::evict_after`], preferably one with the same address.
 ///
 /// `client` is the PLC's address, for the log.
 ///
@@ -63,10 +106,32 @@ pub async fn serve<X: Transport, M: RawMutex, const N: usize>(
     shared: &SharedGateway<'_, M, N>,
     limits: &Limits,
 ) -> Option<Ended<X::Error>> {
-    let slot = ClientSlot { peer: shared.open(client)?, shared, ended: Cell::new(None) };
+    let slot = ClientSlot { peer: open(client, shared, limits).await?, shared, ended: Cell::new(None) };
     let ended = run_session(transport, &slot, limits).await.unwrap_or_else(Ended::Failed);
     slot.ended.set(Some(ended.reason()));
     Some(ended)
+}
+
+/// Opens a session, if need be in the slot of an idle client.
+async fn open<M: RawMutex, const N: usize>(
+    client: Option<IpEndpoint>,
+    shared: &SharedGateway<'_, M, N>,
+    limits: &Limits,
+) -> Option<PeerId> {
+    if let Some(peer) = shared.open(client) {
+        return Some(peer);
+    }
+    if !shared.evict(client, limits.evict_after?) {
+        return None;
+    }
+    // the task of the evicted client frees its slot
+    for _ in 0..SLOT_TRIES {
+        Timer::after_millis(SLOT_PAUSE_MS).await;
+        if let Some(peer) = shared.open(client) {
+            return Some(peer);
+        }
+    }
+    None
 }
 
 /// A client's slot in the gateway; dropping it frees the slot.
@@ -103,6 +168,9 @@ async fn run_session<X: Transport, M: RawMutex, const N: usize>(
     let (mut partial, mut unread) = (None, None);
     loop {
         shared.poll_for_client();
+        if shared.is_evicted(peer) {
+            return Ok(Ended::Evicted);
+        }
         let now = transport.now();
         match next(slot, &mut chunk) {
             Next::Send(count) => {
@@ -114,6 +182,8 @@ async fn run_session<X: Transport, M: RawMutex, const N: usize>(
                     Some(sent) => shared.with(|inner| inner.gateway.transmitted(peer, sent)),
                     None => return Ok(Ended::ReplyNotRead),
                 };
+                // one line a turn, so a client that sends many lines at once does not slow the others
+                yield_now().await;
             }
             Next::Receive(room) => {
                 unread = None;
@@ -178,10 +248,16 @@ async fn wait_for_bytes<X: Transport, M: RawMutex, const N: usize>(
 ///
 /// They fit, because only this task adds bytes to the client's slot and answers only remove some.
 fn received<M: RawMutex, const N: usize>(slot: &ClientSlot<'_, '_, M, N>, bytes: &[u8]) {
-    slot.shared.with(|inner| {
-        if let Some(room) = inner.gateway.receive_buffer(slot.peer).get_mut(..bytes.len()) {
-            room.copy_from_slice(bytes);
-            inner.gateway.received(slot.peer, bytes.len());
-        }
-    });
+    slot.shared.with(|inner| inner.received(slot.peer, bytes));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use bcap_core::hresult::HResult;
+
+    #[test]
+    fn a_full_gateway_answers_e_max_connect() {
+        assert_eq!(std::format!("{}\r", HResult::E_MAX_CONNECT.0).as_bytes(), FULL);
+    }
 }

@@ -60,6 +60,17 @@ use crate::server::Ended;
 /// It runs while the gateway is borrowed, so it must not call the [`SharedGateway`].
 pub type Log = fn(&Report<'_>);
 
+/// Why a client was not served.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[non_exhaustive]
+pub enum Denial {
+    /// The rules do not allow its address to connect.
+    Address,
+    /// All slots are in use, by clients that are not idle.
+    Full,
+}
+
 /// An event of the gateway, for a log.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -75,6 +86,13 @@ pub enum Report<'a> {
         client: Option<IpEndpoint>,
         /// Why the session ended; `None` when its future was dropped.
         ended: Option<Ended<()>>,
+    },
+    /// A client was not served.
+    Denied {
+        /// The client's address; `None` on a serial line.
+        client: Option<IpEndpoint>,
+        /// The reason.
+        reason: Denial,
     },
     /// A line was answered: served, failed or refused.
     Answered {

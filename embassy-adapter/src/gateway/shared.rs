@@ -3,17 +3,19 @@
 use core::cell::RefCell;
 use core::fmt;
 use core::future::poll_fn;
+use core::net::Ipv4Addr;
 use core::task::{Context, Poll};
+use core::time::Duration;
 
 use bcap_core::gateway::{Event, Gateway};
 use bcap_core::handler::PeerId;
 use bcap_core::time::Instant;
-use embassy_net::IpEndpoint;
+use embassy_net::{IpAddress, IpEndpoint};
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_sync::waitqueue::WakerRegistration;
 
-use super::{Log, Report};
+use super::{Denial, Log, Report};
 use crate::clock::now;
 use crate::net::NetError;
 use crate::server::Ended;
@@ -38,11 +40,21 @@ pub(super) struct Inner<'m, const SESSIONS: usize> {
 struct Client {
     peer: Option<PeerId>,
     endpoint: Option<IpEndpoint>,
+    /// The time of its connection, or of the last bytes from it.
+    last_received: Instant,
+    /// Whether its session must end to make room for another client.
+    evicted: bool,
     notify: Notify,
 }
 
 impl Client {
-    const FREE: Self = Self { peer: None, endpoint: None, notify: Notify::new() };
+    const FREE: Self =
+        Self { peer: None, endpoint: None, last_received: Instant::ZERO, evicted: false, notify: Notify::new() };
+}
+
+/// Returns the IPv4 address of a client.
+fn address(client: Option<IpEndpoint>) -> Option<Ipv4Addr> {
+    client.map(|IpEndpoint { addr: IpAddress::Ipv4(address), .. }| address)
 }
 
 /// Wakes one task; a notification without a waiting task stays pending.
@@ -119,11 +131,52 @@ impl<'m, M: RawMutex, const SESSIONS: usize> SharedGateway<'m, M, SESSIONS> {
     pub(super) fn open(&self, endpoint: Option<IpEndpoint>) -> Option<PeerId> {
         self.with(|inner| {
             let client = inner.clients.iter_mut().find(|client| client.peer.is_none())?;
-            let peer = inner.gateway.open()?;
-            *client = Client { peer: Some(peer), endpoint, ..Client::FREE };
+            let peer = inner.gateway.open_from(address(endpoint))?;
+            *client = Client { peer: Some(peer), endpoint, last_received: now(), ..Client::FREE };
             (inner.log)(&Report::Connected { client: endpoint });
             Some(peer)
         })?
+    }
+
+    /// Tells whether the rules allow a client to connect; logs it if they do not.
+    pub(super) fn admits(&self, endpoint: Option<IpEndpoint>) -> bool {
+        let admits = |inner: &mut Inner<'m, SESSIONS>| inner.gateway.config().rules.admits(address(endpoint));
+        let admitted = self.with(admits).unwrap_or_default();
+        if !admitted {
+            self.deny(endpoint, Denial::Address);
+        }
+        admitted
+    }
+
+    /// Logs that a client is not served.
+    pub(super) fn deny(&self, client: Option<IpEndpoint>, reason: Denial) {
+        self.with(|inner| (inner.log)(&Report::Denied { client, reason }));
+    }
+
+    /// Ends the session of the client that has been idle for the longest time, preferably one with the address of the new
+    /// client; `false` when no client has been idle for `after`.
+    pub(super) fn evict(&self, endpoint: Option<IpEndpoint>, after: Duration) -> bool {
+        let now = now();
+        let evicted = self.with(|inner| {
+            let Inner { clients, gateway, .. } = inner;
+            let is_idle = |client: &&mut Client| {
+                let is_running = client.peer.is_some_and(|peer| gateway.is_running(peer));
+                !client.evicted && !is_running && now.saturating_since(client.last_received) >= after
+            };
+            let rank = |client: &&mut Client| {
+                (address(client.endpoint) == address(endpoint), now.saturating_since(client.last_received))
+            };
+            let idle = clients.iter_mut().filter(|client| client.peer.is_some()).filter(is_idle).max_by_key(rank)?;
+            idle.evicted = true;
+            idle.notify.notify();
+            Some(())
+        });
+        evicted.flatten().is_some()
+    }
+
+    /// Tells whether a client's session must end to make room for another client.
+    pub(super) fn is_evicted(&self, peer: PeerId) -> bool {
+        self.with(|inner| inner.client(peer).is_some_and(|client| client.evicted)).unwrap_or_default()
     }
 
     /// Closes a client's session and frees its slot.
@@ -178,6 +231,17 @@ impl<const SESSIONS: usize> Inner<'_, SESSIONS> {
 
     fn client(&mut self, peer: PeerId) -> Option<&mut Client> {
         self.clients.iter_mut().find(|client| client.peer == Some(peer))
+    }
+
+    /// Passes bytes from a client to the gateway.
+    pub(super) fn received(&mut self, peer: PeerId, bytes: &[u8]) {
+        if let Some(room) = self.gateway.receive_buffer(peer).get_mut(..bytes.len()) {
+            room.copy_from_slice(bytes);
+            self.gateway.received(peer, bytes.len());
+        }
+        if let Some(client) = self.client(peer) {
+            client.last_received = now();
+        }
     }
 
     /// Records that the connection to the robot failed.

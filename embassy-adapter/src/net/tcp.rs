@@ -118,7 +118,7 @@ impl<'s> TcpTransport<'s> {
     /// Resets the connection, if there is one, and waits until the peer has been told.
     ///
     /// A socket that is used again at once would never send the reset, and the peer would keep its end until it probes.
-    async fn reset(&mut self) {
+    pub(crate) async fn reset(&mut self) {
         self.socket.abort();
         // asked again, because smoltcp wakes no task after a reset; without a route to the peer it cannot be sent
         for _ in 0..RESET_TRIES {

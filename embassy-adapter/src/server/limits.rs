@@ -14,17 +14,22 @@ pub struct Limits {
     pub send: Duration,
     /// How long a connection may be idle before it is closed; `None` means forever.
     pub idle: Option<Duration>,
+    /// How long a client of a gateway must be idle before it may be disconnected to make room for another one; `None` means
+    /// never. Servers without a gateway ignore it.
+    pub evict_after: Option<Duration>,
     /// How long a UDP peer must be idle before another peer may take its slot.
     pub udp_idle: Duration,
 }
 
 impl Default for Limits {
-    /// 30 s for a request, 10 s for a reply, no idle limit on a connection, 10 s on UDP.
+    /// 30 s for a request, 10 s for a reply, no idle limit on a connection, 10 s before another client may take its slot or
+    /// its UDP peer's.
     fn default() -> Self {
         Self {
             receive: Duration::from_secs(30),
             send: Duration::from_secs(10),
             idle: None,
+            evict_after: Some(Duration::from_secs(10)),
             udp_idle: Duration::from_secs(10),
         }
     }

@@ -79,6 +79,8 @@ pub enum Ended<E> {
     RequestTooSlow,
     /// The peer was idle for longer than [`Limits::idle`].
     Idle,
+    /// The peer was idle for longer than [`Limits::evict_after`], and another client got its slot.
+    Evicted,
     /// The peer did not accept a reply within [`Limits::send`].
     ReplyNotRead,
     /// The transport failed, because the peer stopped responding or the network is down.
@@ -94,6 +96,7 @@ impl<E> Ended<E> {
             Self::Malformed => Ended::Malformed,
             Self::RequestTooSlow => Ended::RequestTooSlow,
             Self::Idle => Ended::Idle,
+            Self::Evicted => Ended::Evicted,
             Self::ReplyNotRead => Ended::ReplyNotRead,
             Self::Failed(_) => Ended::Failed(()),
         }

@@ -52,7 +52,7 @@ fn parse(text: &str) -> Result<Rules<'static>, String> {
     };
     let get = file.get.as_deref().map_or(Ok(&Allow::EVERYTHING[..]), |get| rules("get", get))?;
     let rate = file.rate.map_or(Rate::UNLIMITED, Rate::from);
-    Ok(Rules { get, put: rules("put", &file.put)?, convert: file.convert, rate })
+    Ok(Rules { get, put: rules("put", &file.put)?, convert: file.convert, rate, ..Rules::READ_ONLY })
 }
 
 /// One use of `--allow-put`: rules in the grammar of [`AllowBuf`], separated by commas.
@@ -153,7 +153,7 @@ impl Entry {
             None => &[],
         };
         let values = Vec::leak(ranges.iter().map(|[min, max]| Bounds { min: *min, max: *max }).collect());
-        let allow = Allow { kind, first, last, values };
+        let allow = Allow { values, ..Allow::range(kind, first, last) };
         allow.check().map_err(|error| format!("{kind}: {error}")).map(|()| allow)
     }
 }

@@ -12,7 +12,7 @@
 use std::thread;
 use std::time::{Duration, Instant};
 
-use bcap_qemu::{Board, Plc, Sim, bcap, run};
+use bcap_qemu::{Board, Plc, Sim, bcap, free_port, run};
 
 /// How long each of the rounds lasts, and how many there are.
 const ROUND: Duration = Duration::from_secs(2);
@@ -25,11 +25,13 @@ fn main() {
     let Some(bcap) = bcap() else { return };
     let sim = Sim::start(&bcap, "127.0.0.1:0");
     assert!(run(&bcap, &["put", "I1", "123456", "--robot", &format!("tcp:{}", sim.bcap)]).ok);
-    let board = Board::start(&sim.bcap, &[], &[]).up();
+    let echo_port = free_port().to_string();
+    let board = Board::start(&sim.bcap, &["--echo", &echo_port], &[]).up();
+    let echo_address = format!("127.0.0.1:{echo_port}");
     println!("{:<28} {:>10} {:>10} {:>10} {:>10}", "", "requests/s", "p50 us", "p99 us", "max us");
     for plcs in [1, 4] {
         let mut gateway: Vec<Plc> = (0..plcs).map(|_| Plc::seated(&board.rac)).collect();
-        let mut echo: Vec<Plc> = (0..plcs).map(|_| Plc::connect(&board.echo)).collect();
+        let mut echo: Vec<Plc> = (0..plcs).map(|_| Plc::connect(&echo_address)).collect();
         let (mut through, mut back) = (Vec::new(), Vec::new());
         for _ in 0..ROUNDS {
             through.extend(measure(&mut gateway, |plc| assert_eq!(plc.ask(REQUEST), ANSWER)));

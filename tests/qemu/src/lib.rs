@@ -109,13 +109,11 @@ impl Drop for Sim {
 /// A board in QEMU that runs the gateway until this value is dropped.
 pub struct Board {
     child: Child,
-    /// The board reads nothing from it, but would end if it were closed.
-    _input: ChildStdin,
+    /// The board's serial port; the emulator would end if it were closed.
+    input: ChildStdin,
     log: PathBuf,
     /// The address of its RAC server.
     pub rac: String,
-    /// The address of its echo.
-    pub echo: String,
     /// Whether the log is text: there is `defmt-print`.
     pub log_is_text: bool,
 }
@@ -126,9 +124,9 @@ impl Board {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
         let log = std::env::temp_dir().join(format!("bcap-qemu-{}-{number}.log", std::process::id()));
-        let (rac, echo) = (free_port(), free_port());
+        let rac = free_port();
         let mut command = Command::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../embassy-adapter/firmware/run"));
-        command.args(["--robot", robot, "--rac", &rac.to_string(), "--echo", &echo.to_string(), "--time", "600"]);
+        command.args(["--robot", robot, "--rac", &rac.to_string(), "--time", "600"]);
         if let Ok(board) = std::env::var("BOARD") {
             command.args(["--board", &board]);
         }
@@ -142,8 +140,7 @@ impl Board {
         let mut child = command.stdin(Stdio::piped()).stdout(out).stderr(err).spawn().unwrap();
         let input = child.stdin.take().unwrap();
         let log_is_text = Command::new("defmt-print").arg("--version").output().is_ok();
-        let (rac, echo) = (format!("127.0.0.1:{rac}"), format!("127.0.0.1:{echo}"));
-        Self { child, _input: input, log, rac, echo, log_is_text }
+        Self { child, input, log, rac: format!("127.0.0.1:{rac}"), log_is_text }
     }
 
     /// Waits until the board answers, and then until its robot is there.
@@ -163,6 +160,11 @@ impl Board {
         plc.try_ask("GET:RC8:1:I:\r").ok()
     }
 
+    /// Sends a byte to the board's serial port.
+    pub fn key(&mut self, letter: u8) {
+        self.input.write_all(&[letter]).unwrap();
+    }
+
     /// Tells whether it runs; a reset would have ended it.
     pub fn is_running(&mut self) -> bool {
         self.child.try_wait().unwrap().is_none()
@@ -175,13 +177,20 @@ impl Board {
 
     /// Waits for a line of the log with all of these words, and returns it; the log must be text.
     pub fn log_line(&self, words: &[&str]) -> String {
+        self.log_lines(words, 1).remove(0)
+    }
+
+    /// Waits for this number of lines of the log with all of these words, and returns them; the log must be text.
+    pub fn log_lines(&self, words: &[&str], count: usize) -> Vec<String> {
         let since = Instant::now();
         loop {
             let log = self.log();
-            if let Some(line) = log.lines().find(|line| words.iter().all(|word| line.contains(word))) {
-                return line.to_owned();
+            let found = log.lines().filter(|line| words.iter().all(|word| line.contains(word)));
+            let found: Vec<String> = found.map(str::to_owned).collect();
+            if found.len() >= count {
+                return found;
             }
-            assert!(since.elapsed() < TIMEOUT, "no line with {words:?} in the log: {log}");
+            assert!(since.elapsed() < TIMEOUT, "{} of {count} lines with {words:?} in the log: {log}", found.len());
             sleep(Duration::from_millis(50));
         }
     }
@@ -199,7 +208,7 @@ impl Drop for Board {
 }
 
 /// Returns a port that is free at the moment.
-fn free_port() -> u16 {
+pub fn free_port() -> u16 {
     TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
@@ -219,7 +228,8 @@ impl Plc {
         let since = Instant::now();
         loop {
             let mut plc = Self::connect(address);
-            if plc.try_ask("GET:RC8:1:I:\r").is_ok() {
+            // a board without a free slot answers that
+            if plc.try_ask("GET:RC8:1:I:\r").is_ok_and(|answer| answer != error(HResult::E_MAX_CONNECT)) {
                 return plc;
             }
             assert!(since.elapsed() < TIMEOUT, "{address} has no free slot");
@@ -253,7 +263,12 @@ impl Plc {
         }
     }
 
-    fn try_ask(&mut self, line: &str) -> io::Result<String> {
+    /// Sends a line and returns its answer; both end with a CR.
+    ///
+    /// # Errors
+    ///
+    /// The connection ended, or the answer does not arrive.
+    pub fn try_ask(&mut self, line: &str) -> io::Result<String> {
         self.stream.get_mut().write_all(line.as_bytes())?;
         self.answer()
     }

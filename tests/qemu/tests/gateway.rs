@@ -141,14 +141,18 @@ fn show(text: &str) {
 }
 
 #[test]
-fn four_plcs_are_served_at_once_and_a_fifth_finds_no_place() {
+fn four_plcs_are_served_at_once_and_a_fifth_replaces_an_idle_one() {
     let Some(bcap) = bcap() else { return };
     let sim = Sim::start(&bcap, "127.0.0.1:0");
-    let board = Board::start(&sim.bcap, &[], &["put=I", "rate=1/2"]).up();
+    let board = Board::start(&sim.bcap, &[], &["put=I", "rate=1/2", "evict=5"]).up();
     let mut seated = [(); 4].map(|()| Plc::seated(&board.rac));
+    // the four may wait for tokens, but none is idle
+    for plc in &mut seated {
+        let _ = plc.ask("GET:RC8:1:I:\r");
+    }
     let mut late = Plc::connect(&board.rac);
-    late.send(b"GET:RC8:1:I:\r");
-    assert!(late.answer().is_err(), "the board has four places");
+    assert_eq!(late.ask("GET:RC8:1:I:\r"), error(HResult::E_MAX_CONNECT));
+    assert!(late.answer().is_err(), "the connection is closed");
     // each asks for more than its rate allows, and only that is refused
     for plc in &mut seated {
         plc.send(b"GET:RC8:1:I:\rGET:RC8:1:I:\rGET:RC8:1:I:\rGET:RC8:1:I:\r");
@@ -157,8 +161,32 @@ fn four_plcs_are_served_at_once_and_a_fifth_finds_no_place() {
         assert!(answers.iter().all(|answer| answer == "0,3,0\r" || *answer == busy), "{answers:?}");
         assert!(answers.contains(&busy), "{answers:?}");
     }
+    // four clients that send nothing any more keep no other client out
+    let mut next = Plc::seated(&board.rac);
+    assert_ne!(next.ask("GET:RC8:1:I:\r"), error(HResult::E_MAX_CONNECT));
+    assert!(seated.iter_mut().any(|plc| plc.answer().is_err()), "one of them was disconnected");
     drop(seated);
     let _ = board.up();
+}
+
+#[test]
+fn clients_of_other_networks_have_no_access_or_other_rules() {
+    let Some(bcap) = bcap() else { return };
+    let sim = Sim::start(&bcap, "127.0.0.1:0");
+    // all connections come from 10.0.2.2
+    let rules = [PROVIDER, "allow=10.0.2.0/24", "put=I/1", "put@10.0.2.2=I/2", "put@10.0.2.3=I/3", "idle=2"];
+    let board = Board::start(&sim.bcap, &[], &rules).up();
+    let mut plc = Plc::seated(&board.rac);
+    assert_eq!(plc.ask("PUT:RC8:1:I:3,5\r"), "0\r");
+    assert_eq!(plc.ask("PUT:RC8:2:I:3,5\r"), "0\r");
+    assert_eq!(plc.ask("PUT:RC8:3:I:3,5\r"), error(HResult::E_ACCESSDENIED));
+    assert!(plc.answer().is_err(), "idle connections are closed");
+    let board = Board::start(&sim.bcap, &[], &[PROVIDER, "allow=10.0.3.0/24", "allow=10.0.2.3"]);
+    if board.log_is_text {
+        let _ = board.log_line(&["robot up"]);
+        assert!(Plc::connect(&board.rac).try_ask("GET:RC8:1:I:\r").is_err());
+        let _ = board.log_line(&["not served", "Address"]);
+    }
 }
 
 #[test]

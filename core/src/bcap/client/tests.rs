@@ -457,3 +457,41 @@ fn the_first_serial_can_be_chosen_and_is_never_zero() {
         assert_eq!(sent(&mut client), (used, used));
     }
 }
+
+#[test]
+fn a_slow_serial_line_delivers_a_long_reply() {
+    // a reply of 500 bytes at 9600 baud, eleven bits a character, one byte at a time
+    let character = Duration::from_micros(11_000_000 / 9600);
+    for (config, cut) in [(Config::SERIAL, None), (Config::serial(9600), None), (Config::serial(9600), Some(300))] {
+        let mut now = Instant::ZERO;
+        let mut client = Client::new(config, [0; 512], [0; 512]);
+        client.start(&call::variable_get_value(VariableHandle(1)), client.timing(), now).unwrap();
+        client.transmitted(usize::MAX);
+        let mut attempts = 1;
+        let mut replied = false;
+        while !replied {
+            let reply = reply(attempts, HResult::S_OK, Some(&[7_u8; 470].as_slice()), true);
+            for byte in &reply[..cut.filter(|_| attempts == 1).unwrap_or(reply.len())] {
+                now = now + character;
+                client.receive_buffer()[0] = *byte;
+                client.received(1);
+                replied |= matches!(client.poll_event(now), Some(Event::Replied(_)));
+                assert_eq!(client.handle_timeout(now), None, "attempt {attempts} at {now:?}");
+            }
+            if !replied {
+                // the rest is lost: the frame ends after the silence, the attempt after its time
+                let silence = client.poll_timeout().unwrap();
+                assert_eq!(silence, now + config.character_timeout);
+                assert_eq!(client.handle_timeout(silence), None);
+                now = client.poll_timeout().unwrap();
+                assert_eq!(now, Instant::ZERO + config.timing.attempt_timeout);
+                assert_eq!(client.handle_timeout(now), Some(Event::Retried { attempt: 2 }));
+                client.transmitted(usize::MAX);
+                attempts += 1;
+            }
+        }
+        assert_eq!(attempts, if cut.is_some() { 2 } else { 1 });
+    }
+    assert_eq!(Config::serial(9600).timing.attempt_timeout.as_millis(), 500 + 1152);
+    assert_eq!(Config::serial(0).timing.attempt_timeout, Duration::MAX);
+}

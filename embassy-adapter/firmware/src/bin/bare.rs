@@ -18,7 +18,7 @@ use bcap_core::time::Instant;
 use bcap_embassy::bare::{self, LinkError};
 use bcap_firmware::lan9118::{Frames, Lan9118};
 use bcap_firmware::uart::{self, Text};
-use bcap_firmware::{clock, config, fault};
+use bcap_firmware::{clock, config, fault, stack};
 use smoltcp::iface::{self, Interface, SocketHandle, SocketSet};
 use smoltcp::socket::tcp;
 use smoltcp::wire::{EthernetAddress, IpCidr};
@@ -33,6 +33,10 @@ fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
+    stack::run(program)
+}
+
+extern "C" fn program() -> ! {
     static FRAMES: ConstStaticCell<Frames> = ConstStaticCell::new(Frames::new());
     static MEMORY: ConstStaticCell<[[u8; 1024]; 2]> = ConstStaticCell::new([[0; 1024]; 2]);
 
@@ -80,12 +84,15 @@ fn main() -> ! {
 fn interface(device: &mut Lan9118<'_>, settings: &Settings<'_>) -> Interface {
     let address = EthernetAddress(ADDRESS);
     let mut interface = Interface::new(iface::Config::new(address.into()), device, bare::to_smoltcp(now()));
-    let (own, prefix) = settings.address;
+    // without DHCP it needs a configured address
+    let Some((own, prefix)) = settings.address else { return interface };
     // a new interface has room for an address and a route
     interface.update_ip_addrs(|addresses| {
         let _ = addresses.push(IpCidr::new(own.into(), prefix));
     });
-    let _ = interface.routes_mut().add_default_ipv4_route(settings.gateway);
+    if let Some(gateway) = settings.gateway {
+        let _ = interface.routes_mut().add_default_ipv4_route(gateway);
+    }
     interface
 }
 

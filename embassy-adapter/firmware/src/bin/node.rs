@@ -43,6 +43,10 @@ fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
+    stack::run(program)
+}
+
+extern "C" fn program() -> ! {
     executor::run(|spawner| {
         if start(spawner).is_err() {
             defmt::error!("cannot start a task: its pool is full");

@@ -24,7 +24,7 @@ use bcap_core::slave::{
 use bcap_embassy::net::{Connection, Options, TcpClient, TcpTransport};
 use bcap_firmware::net::{self, NetRunner};
 use bcap_firmware::uart::{self, Text};
-use bcap_firmware::{clock, config, executor, fault};
+use bcap_firmware::{clock, config, executor, fault, stack};
 use embassy_executor::{SpawnError, Spawner};
 use embassy_net::{Stack, StackResources};
 use embassy_time::Timer;
@@ -48,6 +48,10 @@ fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
 
 #[cortex_m_rt::entry]
 fn main() -> ! {
+    stack::run(program)
+}
+
+extern "C" fn program() -> ! {
     executor::run(|spawner| {
         if start(spawner).is_err() {
             let _ = writeln!(Text, "there is no room for a task");

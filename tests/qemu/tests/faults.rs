@@ -1,0 +1,63 @@
+//! Faults of the gateway board in QEMU: it restarts, serves again, and says why it was reset.
+#![cfg(unix)]
+
+use std::io::{self, Write};
+
+use bcap_qemu::{Board, Plc, Sim, bcap, free_port};
+
+const PROVIDER: &str = "provider=CaoProv.DENSO.VRC";
+
+#[test]
+fn a_board_tells_after_its_restart_why_it_was_reset() {
+    let Some(bcap) = bcap() else { return };
+    let sim = Sim::start(&bcap, "127.0.0.1:0");
+    let mut board = Board::start(&sim.bcap, &["--faults"], &[PROVIDER]).up();
+    let mut starts = vec!["power-on"];
+    for (letter, cause) in [
+        (b's', "stack overflow: CFSR 0x"),
+        (b'b', "address 0xf0000000"),
+        (b'p', "panic at .."),
+        (b'h', "watchdog: "),
+        (b'E', "the Ethernet controller does not respond"),
+    ] {
+        board.key(letter);
+        starts.push(cause);
+        let Some(lines) = board.log_is_text.then(|| board.log_lines(&["last reset:"], starts.len())) else {
+            return;
+        };
+        assert!(lines.iter().zip(&starts).all(|(line, cause)| line.contains(cause)), "{lines:?}");
+        // it serves again
+        board = board.up();
+        let _ = writeln!(io::stderr(), "restarted after {:?}: {}", char::from(letter), lines[lines.len() - 1]);
+    }
+}
+
+#[test]
+fn a_board_without_a_dhcp_server_asks_again_beside_its_own_address() {
+    let Some(_) = bcap() else { return };
+    // an Ethernet link to a port where nothing listens
+    let port = free_port();
+    let netdev = format!("socket,id=n0,udp=127.0.0.1:{port},localaddr=127.0.0.1:{}", free_port());
+    let board = Board::start("10.0.2.2:5007", &["--faults", "--netdev", &netdev], &[PROVIDER]);
+    if board.log_is_text {
+        let _ = board.log_lines(&["no DHCP server answers"], 3);
+        assert_eq!(board.log_lines(&["last reset:"], 1).len(), 1, "{}", board.log());
+    }
+}
+
+#[test]
+fn a_silent_ethernet_controller_is_initialised_again() {
+    let Some(bcap) = bcap() else { return };
+    let sim = Sim::start(&bcap, "127.0.0.1:0");
+    let mut board = Board::start(&sim.bcap, &["--faults"], &[PROVIDER]).up();
+    let mut plc = Plc::seated(&board.rac);
+    board.key(b'e');
+    // the connection outlives that, because no reset happened
+    for _ in 0..2 {
+        assert!(plc.ask("GET:RC8:1:I:\r").starts_with("0,"));
+    }
+    if board.log_is_text {
+        let _ = board.log_line(&["up ", "restarts: 1"]);
+        assert_eq!(board.log_lines(&["last reset:"], 1).len(), 1);
+    }
+}

@@ -1,0 +1,127 @@
+//! A client that sends refused PUTs as fast as it can, and a PLC that works beside it.
+//!
+//! ```text
+//!  PLC ── a GET every 10 ms ────────────┐
+//!                                       ├─ gateway image ─ log ─ serial line of 115,200 baud
+//!  attacker ── PUTs that no rule allows ┘
+//! ```
+//!
+//! Each refused line is a line of the log, so the log has more bytes than the serial line can carry. The board must not be
+//! reset, and every answer must be right. The PLC's times are printed with and without the attack, not asserted.
+//!
+//! `FLOOD_SECONDS` is the length of the attack, 60 s.
+#![cfg(unix)]
+
+use std::io::{self, Read, Write};
+use std::net::TcpStream;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread::{self, JoinHandle, sleep};
+use std::time::{Duration, Instant};
+
+use bcap_core::hresult::HResult;
+use bcap_qemu::{Board, Plc, Sim, bcap, error};
+
+const BAUD: &str = "115200";
+const PACE: Duration = Duration::from_millis(10);
+/// Lines that the attacker sends at once.
+const BATCH: usize = 32;
+
+#[test]
+fn a_flood_of_refused_requests_resets_nothing() {
+    let Some(bcap) = bcap() else { return };
+    let seconds = std::env::var("FLOOD_SECONDS").map_or(60, |text| text.parse().unwrap());
+    let length = Duration::from_secs(seconds);
+    let sim = Sim::start(&bcap, "127.0.0.1:0");
+    let limit = (seconds * 2 + 120).to_string();
+    let mut board = Board::start(&sim.bcap, &["--baud", BAUD, "--time", &limit], &["put=I/10-19"]).up();
+    let mut plc = Plc::seated(&board.rac);
+    let quiet = work(&mut plc, &mut board, length.min(Duration::from_secs(30)));
+
+    let attack = Attack::start(&board.rac);
+    let attacked = work(&mut plc, &mut board, length);
+    let refused = attack.end();
+    assert!(refused > seconds * 100, "{refused} refused PUTs are no flood");
+    show(&format!("flood: {refused} refused PUTs in {seconds} s; a PLC without them {quiet}; beside them {attacked}"));
+    if board.log_is_text {
+        show(&format!("flood: the log has {} lines of refusals", board.log().matches("refused b\"PUT").count()));
+        // the log continues after the attack
+        let _ = board.log_line(&["up ", "refused"]);
+    }
+    assert!(board.is_running(), "the board was reset");
+}
+
+/// Shows something of a test that passes, too.
+fn show(text: &str) {
+    let _ = io::stderr().write_all(format!("{text}\n").as_bytes());
+}
+
+/// Times of requests.
+struct Times(Vec<Duration>);
+
+impl std::fmt::Display for Times {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let mut times = self.0.clone();
+        times.sort_unstable();
+        let micros = |percent: usize| times[(times.len() - 1) * percent / 100].as_micros();
+        write!(f, "p50 {} p99 {} max {} us of {}", micros(50), micros(99), micros(100), times.len())
+    }
+}
+
+/// Asks at a steady pace for some time, and checks each answer.
+fn work(plc: &mut Plc, board: &mut Board, length: Duration) -> Times {
+    let (mut times, begin) = (Vec::new(), Instant::now());
+    while begin.elapsed() < length {
+        let number = i32::try_from(times.len()).unwrap();
+        let since = Instant::now();
+        assert_eq!(plc.try_ask(&format!("PUT:RC8:10:I:3,{number}\r")).ok().as_deref(), Some("0\r"), "{}", board.log());
+        assert_eq!(plc.ask("GET:RC8:10:I:\r"), format!("0,3,{number}\r"));
+        times.push(since.elapsed() / 2);
+        assert!(board.is_running(), "the board was reset after {:?}: {}", begin.elapsed(), board.log());
+        sleep(PACE);
+    }
+    Times(times)
+}
+
+/// A client that sends refused PUTs until it is told to end.
+struct Attack {
+    stop: Arc<AtomicBool>,
+    refused: Arc<AtomicU64>,
+    threads: [JoinHandle<()>; 2],
+}
+
+impl Attack {
+    fn start(address: &str) -> Self {
+        let stop = Arc::new(AtomicBool::new(false));
+        let refused = Arc::new(AtomicU64::new(0));
+        let mut sender = TcpStream::connect(address).unwrap();
+        let mut receiver = sender.try_clone().unwrap();
+        let answer = error(HResult::E_ACCESSDENIED);
+        let (stopping, counting) = (Arc::clone(&stop), Arc::clone(&refused));
+        let send = move || {
+            while !stopping.load(Ordering::Relaxed) {
+                if sender.write_all("PUT:RC8:20:I:3,1\r".repeat(BATCH).as_bytes()).is_err() {
+                    break;
+                }
+            }
+            let _ = sender.shutdown(std::net::Shutdown::Write);
+        };
+        let receive = move || {
+            let (mut bytes, mut total) = ([0; 4096], 0);
+            while let Ok(count @ 1..) = receiver.read(&mut bytes) {
+                total += count;
+                counting.store(u64::try_from(total / answer.len()).unwrap(), Ordering::Relaxed);
+            }
+        };
+        Self { stop, refused, threads: [thread::spawn(send), thread::spawn(receive)] }
+    }
+
+    /// Ends the attack, and returns how many of its lines were refused.
+    fn end(self) -> u64 {
+        self.stop.store(true, Ordering::Relaxed);
+        for thread in self.threads {
+            thread.join().unwrap();
+        }
+        self.refused.load(Ordering::Relaxed)
+    }
+}
