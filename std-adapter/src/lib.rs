@@ -41,6 +41,7 @@ mod connect;
 mod error;
 #[cfg(feature = "gateway")]
 pub mod gateway;
+mod line;
 mod moves;
 #[cfg(feature = "server")]
 pub mod server;
@@ -49,10 +50,11 @@ mod settings;
 pub mod slave;
 mod task;
 
-pub use address::{Address, AddressError, Protocol};
+pub use address::{Address, AddressError, NetworkAddress, Protocol};
 pub use clock::now;
 pub use connect::{ConnectError, Options};
 pub use error::Error;
+pub use line::{Parity, SerialLine, StopBits};
 pub use moves::{Destination, Interpolation, Move, Pass, Plane};
 pub use settings::{Backoff, Model, ServiceOptions, Settings};
 pub use task::{TaskStart, TaskStatus, TaskStop};

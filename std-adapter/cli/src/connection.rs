@@ -1,4 +1,4 @@
-//! A b-CAP client over TCP or UDP that reports errors as a [`Failure`] with a message and a hint.
+//! A b-CAP client over TCP, UDP or a serial line that reports errors as a [`Failure`] with a message and a hint.
 
 use std::io;
 use std::net::{SocketAddr, ToSocketAddrs};
@@ -11,13 +11,13 @@ use bcap_core::bcap::client::{ClientError, Timeout};
 use bcap_core::bcap::{FrameWriter, FunctionId, Link};
 use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
-use bcap_std::blocking::{self, TcpClient, Transport as Wire, UdpClient};
+use bcap_std::blocking::{self, SerialClient, TcpClient, Transport as Wire, UdpClient};
 use bcap_std::{CallError, ConnectError, Options};
 
 use crate::budget::Budget;
 use crate::error::Failure;
 use crate::value::Value;
-use bcap_std::{Address, Protocol};
+use bcap_std::{Address, NetworkAddress, Protocol};
 
 /// The attempts of a call over UDP (S2:1493).
 const UDP_ATTEMPTS: u8 = 5;
@@ -33,6 +33,7 @@ pub(crate) struct Connection {
 enum Client {
     Tcp(TcpClient),
     Udp(UdpClient),
+    Serial(SerialClient),
 }
 
 /// A call whose function and arguments are known only at run time.
@@ -54,16 +55,19 @@ impl Call for AnyCall<'_> {
 }
 
 impl Connection {
-    /// Connects. Over UDP nothing is sent before the first call.
+    /// Connects. Over UDP and serial lines nothing is sent before the first call.
     pub(crate) fn open(target: &Address, budget: Budget) -> Result<Self, Failure> {
-        let addresses = addresses(target, &budget)?;
-        let client = match target.protocol {
-            Protocol::Tcp => first(&addresses, target, &budget, |address, options| {
-                blocking::connect_tcp(address, options).map(Client::Tcp)
-            }),
-            Protocol::Udp => first(&addresses, target, &budget, |address, options| {
-                blocking::connect_udp(address, options).map(Client::Udp)
-            }),
+        let client = match target {
+            Address::Network(server) => {
+                first(&addresses(server, &budget)?, target, &budget, |address, options| match server.protocol {
+                    Protocol::Tcp => blocking::connect_tcp(address, options).map(Client::Tcp),
+                    Protocol::Udp => blocking::connect_udp(address, options).map(Client::Udp),
+                })
+            }
+            Address::Serial(line) => blocking::connect_serial(line, &Options::default())
+                .map(Client::Serial)
+                .map_err(|error| not_connected(&error, target)),
+            other => Err(Failure::Input(format!("{other}: this kind of address is not supported"))),
         }?;
         Ok(Self { client, target: target.clone(), budget })
     }
@@ -81,6 +85,7 @@ impl Connection {
         let replied = match &mut self.client {
             Client::Tcp(client) => call_over(client, call, budget),
             Client::Udp(client) => call_over(client, call, budget),
+            Client::Serial(client) => call_over(client, call, budget),
         };
         match replied {
             Ok(reply) => Ok(reply),
@@ -100,15 +105,18 @@ pub(crate) fn exhausted(target: &Address, budget: &Budget, call: &str) -> Failur
     let limit = budget.total().unwrap_or_default().as_millis();
     Failure::Timeout {
         message: format!("{target} did not answer {call} within the command's time limit of {limit} ms (--timeout)"),
-        hint: format!("allow more time with --timeout, or {}", check(target.protocol)),
+        hint: format!("allow more time with --timeout, or {}", check(target)),
     }
 }
 
 /// Returns what to check if no answer arrives.
-const fn check(protocol: Protocol) -> &'static str {
-    match protocol {
-        Protocol::Tcp => "check that the controller's b-CAP server listens on this port",
-        Protocol::Udp => {
+const fn check(target: &Address) -> &'static str {
+    match target {
+        Address::Network(NetworkAddress { protocol: Protocol::Tcp, .. }) => {
+            "check that the controller's b-CAP server listens on this port"
+        }
+        Address::Serial(_) => "check the cable, the device, and that baud rate, parity and stop bits are the controller's",
+        _ => {
             "check the address and the firewalls, that the controller accepts b-CAP over UDP, and that the reply fits a \
              datagram"
         }
@@ -130,14 +138,12 @@ pub(crate) fn failed(error: &CallError, target: &Address, timeout: Duration, fun
                 Timeout::Attempt => format!("{target} did not answer {function} within {} ms", timeout.as_millis()),
                 Timeout::Deadline | Timeout::KeepAlive => format!("{function} took too long: {error}"),
             };
-            let hint = format!("{}, or allow more time with --timeout", check(target.protocol));
+            let hint = format!("{}, or allow more time with --timeout", check(target));
             Failure::Timeout { message, hint }
         }
         CallError::Client(ClientError::Encode(_) | ClientError::TooLarge { .. }) => {
-            let hint = match target.protocol {
-                Protocol::Tcp => "",
-                Protocol::Udp => "; use TCP for larger values",
-            };
+            let is_tcp = matches!(target, Address::Network(NetworkAddress { protocol: Protocol::Tcp, .. }));
+            let hint = if is_tcp { "" } else { "; use TCP for larger values" };
             Failure::Input(format!("{function}: {error}{hint}"))
         }
         error => Failure::Connection {
@@ -151,7 +157,7 @@ pub(crate) fn failed(error: &CallError, target: &Address, timeout: Duration, fun
 ///
 /// IPv4 addresses come first: controllers use IPv4, `localhost` has addresses of both kinds, and over UDP connecting does
 /// not show which address is in use.
-pub(crate) fn addresses(target: &Address, budget: &Budget) -> Result<Vec<SocketAddr>, Failure> {
+pub(crate) fn addresses(target: &NetworkAddress, budget: &Budget) -> Result<Vec<SocketAddr>, Failure> {
     let (sender, receiver) = mpsc::channel();
     let (host, port) = (target.host.clone(), target.port);
     // the system's resolver has no time limit, so it runs in its own thread
@@ -178,7 +184,7 @@ pub(crate) fn first<T>(
     budget: &Budget,
     mut connect: impl FnMut(SocketAddr, &Options) -> Result<T, ConnectError>,
 ) -> Result<T, Failure> {
-    let mut failure = not_found(&target.host, &io::ErrorKind::NotFound.into());
+    let mut failure = not_found(&target.to_string(), &io::ErrorKind::NotFound.into());
     for (i, address) in addresses.iter().enumerate() {
         let options = Options::default().timeout(budget.share(addresses.len() - i));
         match connect(*address, &options) {
@@ -196,11 +202,12 @@ fn call_over<X: Wire<Error = io::Error>>(
     budget: &Budget,
 ) -> Result<(HResult, Option<Value>), CallError> {
     let (link, mut timing) = (client.client().link(), client.client().timing());
-    if link == Link::Datagram {
-        timing.attempts = UDP_ATTEMPTS;
-        timing.attempt_timeout = (budget.answer() / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
-    } else {
-        timing.attempt_timeout = budget.answer();
+    let share = (budget.answer() / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
+    match link {
+        Link::Stream => timing.attempt_timeout = budget.answer(),
+        Link::Datagram => (timing.attempts, timing.attempt_timeout) = (UDP_ATTEMPTS, share),
+        // not below the time that the line needs at its baud rate
+        Link::Serial => timing.attempt_timeout = timing.attempt_timeout.max(share),
     }
     if let Some(left) = budget.left() {
         (timing.deadline, timing.keep_alive) = (left, left);
@@ -213,10 +220,14 @@ fn call_over<X: Wire<Error = io::Error>>(
 /// Converts the error of connecting.
 pub(crate) fn not_connected(error: &ConnectError, target: &Address) -> Failure {
     match error {
-        ConnectError::Resolve { source, .. } => not_found(&target.host, source),
+        ConnectError::Resolve { source, .. } => not_found(&target.to_string(), source),
         ConnectError::Connect { address, source } => Failure::Connection {
             message: format!("cannot connect to {target} ({address}): {source}"),
             hint: connect_hint(source.kind()).into(),
+        },
+        ConnectError::Serial { source, .. } => Failure::Connection {
+            message: format!("cannot open {target}: {source}"),
+            hint: "check the name and the permissions of the device, and that no other program uses it".into(),
         },
         other => Failure::Connection {
             message: format!("{target}: {other}"),

@@ -75,8 +75,9 @@ struct RacLink {
 
 impl RacLink {
     fn open(link: &LinkArgs) -> Result<Self, Failure> {
-        let (target, budget) = (link.rac_target()?, Budget::start(link));
-        let addresses = addresses(&target, &budget)?;
+        let (server, budget) = (link.rac_target()?, Budget::start(link));
+        let addresses = addresses(&server, &budget)?;
+        let target = Address::Network(server);
         let client = first(&addresses, &target, &budget, blocking::connect_rac)?;
         Ok(Self { client, target, budget })
     }

@@ -4,7 +4,7 @@
 
 use std::env;
 
-use bcap_std::{Address, Protocol};
+use bcap_std::{Address, NetworkAddress, Protocol};
 
 use crate::error::Failure;
 
@@ -17,11 +17,21 @@ pub(crate) fn bcap(option: Option<&str>) -> Result<Address, Failure> {
     text.parse().map_err(wrong)
 }
 
+/// Returns the controller's address for b-CAP, for a command that cannot use a serial line.
+pub(crate) fn network(option: Option<&str>) -> Result<NetworkAddress, Failure> {
+    match bcap(option)? {
+        Address::Network(address) => Ok(address),
+        other => Err(Failure::Input(format!(
+            "{other}: serial lines are not supported by this command; write tcp:HOST[:PORT] or udp:HOST[:PORT]"
+        ))),
+    }
+}
+
 /// Returns the controller's address for RAC. The port in the environment variable is the port of b-CAP, so only its host
 /// is used.
-pub(crate) fn rac(option: Option<&str>) -> Result<Address, Failure> {
+pub(crate) fn rac(option: Option<&str>) -> Result<NetworkAddress, Failure> {
     if let Some(text) = option {
-        let address = Address::parse_or_tcp(text, RAC_PORT).map_err(wrong)?;
+        let address = NetworkAddress::parse_or_tcp(text, RAC_PORT).map_err(wrong)?;
         return match address.protocol {
             Protocol::Tcp => Ok(address),
             Protocol::Udp => Err(Failure::Input(format!("{text}: RAC runs over TCP; write HOST[:PORT]"))),
@@ -30,11 +40,11 @@ pub(crate) fn rac(option: Option<&str>) -> Result<Address, Failure> {
     match from_environment() {
         Some(text) => {
             let names_protocol = text.parse::<Address>().is_ok();
-            let address = Address::parse_or_tcp(&text, RAC_PORT).map_err(wrong)?;
+            let address = NetworkAddress::parse_or_tcp(&text, RAC_PORT).map_err(wrong)?;
             let port = if names_protocol { RAC_PORT } else { address.port };
-            Ok(Address { protocol: Protocol::Tcp, port, ..address })
+            Ok(NetworkAddress { protocol: Protocol::Tcp, port, ..address })
         }
-        None => Address::parse_or_tcp("127.0.0.1", RAC_PORT).map_err(wrong),
+        None => NetworkAddress::parse_or_tcp("127.0.0.1", RAC_PORT).map_err(wrong),
     }
 }
 
@@ -54,5 +64,12 @@ mod tests {
     fn rac_runs_over_tcp() {
         assert_eq!(rac(Some("robot")).unwrap().to_string(), "tcp:robot:5006");
         assert!(rac(Some("udp:robot")).is_err());
+        assert!(rac(Some("serial:/dev/ttyS0")).is_err());
+    }
+
+    #[test]
+    fn a_command_without_serial_lines_says_so() {
+        let Err(Failure::Input(message)) = network(Some("serial:/dev/ttyS0")) else { panic!("accepted") };
+        assert!(message.starts_with("serial:/dev/ttyS0?baud=115200: serial lines are not supported"), "{message}");
     }
 }
