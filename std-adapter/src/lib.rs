@@ -1,12 +1,14 @@
-//! b-CAP and RAC over the sockets of an operating system.
+//! b-CAP and RAC over the sockets and serial ports of an operating system.
 //!
 //! | module       | feature  | what it is                                                              |
 //! |--------------|----------|-------------------------------------------------------------------------|
-//! | [`blocking`] |          | blocking clients: b-CAP over TCP and UDP, RAC over TCP                  |
+//! | [`blocking`] |          | blocking clients: b-CAP over TCP, UDP and serial lines, RAC over TCP    |
 //! | `asynch`     | `tokio`  | the same clients for tokio                                              |
 //! | [`slave`]    |          | real-time settings of Linux for streams of Slave Mode                   |
 //! | `server`     | `server` | a server for any handler: b-CAP over TCP and UDP, RAC over TCP          |
 //! | `gateway`    | `gateway` | RAC for PLCs on one side, b-CAP to a robot on the other                |
+//!
+//! Serial lines need the feature `serial`.
 //!
 //! The protocol is in [`bcap_core`], which does no I/O. This crate connects it to sockets and a clock. A call takes two
 //! system calls: one send and one receive.

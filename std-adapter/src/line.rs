@@ -124,7 +124,9 @@ impl SerialLine {
             ("stop", "1") => self.stop_bits = StopBits::One,
             ("stop", "2") => self.stop_bits = StopBits::Two,
             ("stop", other) => return Err(format!("{other:?} is not a number of stop bits; write 1 or 2")),
-            (other, _) => return Err(format!("{other:?} is not an option of a serial line; write baud, parity or stop")),
+            (other, _) => {
+                return Err(format!("{other:?} is not an option of a serial line; write baud, parity or stop"));
+            }
         }
         Ok(())
     }

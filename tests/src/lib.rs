@@ -3,7 +3,7 @@
 //! | module         | contents                                                                            |
 //! |----------------|-------------------------------------------------------------------------------------|
 //! | [`served`]     | a server on real sockets with a small application                                   |
-//! | [`serial`]     | a server of serial framing, over TCP instead of a serial line                       |
+//! | [`serial`]     | a server of serial framing, over TCP or a serial line                               |
 //! | [`slowed`]     | a virtual controller with a slow clock                                              |
 //! | [`stepped`]    | a virtual controller whose clock advances only when clients call or wait            |
 //! | [`drivers`]    | the call sequences of public drivers, from `tests/drivers`                          |

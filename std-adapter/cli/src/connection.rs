@@ -115,7 +115,9 @@ const fn check(target: &Address) -> &'static str {
         Address::Network(NetworkAddress { protocol: Protocol::Tcp, .. }) => {
             "check that the controller's b-CAP server listens on this port"
         }
-        Address::Serial(_) => "check the cable, the device, and that baud rate, parity and stop bits are the controller's",
+        Address::Serial(_) => {
+            "check the cable, the device, and that baud rate, parity and stop bits are the controller's"
+        }
         _ => {
             "check the address and the firewalls, that the controller accepts b-CAP over UDP, and that the reply fits a \
              datagram"
