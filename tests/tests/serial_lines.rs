@@ -1,118 +1,15 @@
 //! `Controller` over serial lines: pairs of pseudo-terminals, with the virtual controller at the other end and noise between.
 #![cfg(unix)]
 
-use std::io::{self, Read, Write};
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::sync::{Arc, Mutex};
+use std::io::Read;
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use bcap_core::handler::PeerId;
 use bcap_core::variant::OwnedVariant;
 use bcap_sim::{Config, Controller as Simulated, Profile};
 use bcap_std::{Backoff, Error, Joints, Position, ServiceOptions, Settings, Transform, asynch, blocking};
-use bcap_testkit::network::Random;
-use bcap_tests::serial::{Wire, serve};
+use bcap_tests::pty::{Line, address, pair};
 use serialport::{SerialPort, TTYPort};
-
-/// How often the controller's end looks whether it was unplugged.
-const LOOK: Duration = Duration::from_millis(5);
-
-/// A line to a virtual controller. Dropping it unplugs the line.
-struct Line {
-    /// The client's end, kept open so that the line exists before and after the client.
-    client: TTYPort,
-    unplugged: Arc<AtomicBool>,
-    corrupted: Arc<AtomicU32>,
-    server: Option<JoinHandle<()>>,
-}
-
-/// The controller's end, which corrupts some of the bytes in both directions.
-struct Noisy {
-    port: TTYPort,
-    random: Random,
-    per_mille: u64,
-    unplugged: Arc<AtomicBool>,
-    corrupted: Arc<AtomicU32>,
-}
-
-/// Makes the two ends of a line, the controller's first; says so if this machine has no pseudo-terminals.
-fn pair() -> Option<(TTYPort, TTYPort)> {
-    TTYPort::pair().map_err(|error| eprintln!("skipped: this machine has no pseudo-terminals ({error})")).ok()
-}
-
-fn address(client: &TTYPort) -> String {
-    format!("serial:{}?baud=115200", client.name().unwrap())
-}
-
-impl Line {
-    /// Connects a line to a controller; `None` if this machine has no pseudo-terminals.
-    fn to(controller: Simulated, seed: u64, per_mille: u64) -> Option<Self> {
-        let (port, client) = pair()?;
-        let (unplugged, corrupted) = <(Arc<AtomicBool>, Arc<AtomicU32>)>::default();
-        let random = Random(seed);
-        let wire =
-            Noisy { port, random, per_mille, unplugged: Arc::clone(&unplugged), corrupted: Arc::clone(&corrupted) };
-        let controller = Mutex::new(controller);
-        // an error is the end of the line
-        let server = thread::spawn(move || drop(serve(wire, &controller, PeerId(1))));
-        Some(Self { client, unplugged, corrupted, server: Some(server) })
-    }
-
-    fn unplug(&mut self) {
-        self.unplugged.store(true, Ordering::Release);
-        if let Some(server) = self.server.take() {
-            server.join().unwrap();
-        }
-    }
-}
-
-impl Drop for Line {
-    fn drop(&mut self) {
-        self.unplug();
-    }
-}
-
-impl Noisy {
-    fn corrupt(&mut self, bytes: &mut [u8]) {
-        for byte in bytes {
-            if self.random.happens(self.per_mille) {
-                *byte ^= 1 << self.random.below(8);
-                self.corrupted.fetch_add(1, Ordering::Relaxed);
-            }
-        }
-    }
-}
-
-impl Read for Noisy {
-    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let count = self.port.read(buffer)?;
-        self.corrupt(&mut buffer[..count]);
-        Ok(count)
-    }
-}
-
-impl Write for Noisy {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let mut bytes = bytes.to_vec();
-        self.corrupt(&mut bytes);
-        self.port.write_all(&bytes)?;
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        self.port.flush()
-    }
-}
-
-impl Wire for Noisy {
-    fn set_wait(&mut self, wait: Option<Duration>) -> io::Result<()> {
-        if self.unplugged.load(Ordering::Acquire) {
-            return Err(io::ErrorKind::BrokenPipe.into());
-        }
-        Ok(self.port.set_timeout(wait.unwrap_or(LOOK).min(LOOK))?)
-    }
-}
 
 fn simulated() -> Simulated {
     Simulated::new(Config::new(Profile::Rc8))
@@ -151,7 +48,7 @@ const ROUNDS: i16 = 12;
 #[test]
 fn every_kind_of_variable_survives_noise_on_the_line() {
     let Some(line) = Line::to(simulated(), 1, 1) else { return };
-    let mut cell = blocking::Controller::connect(&address(&line.client), &settings()).unwrap();
+    let mut cell = blocking::Controller::connect(&line.address(), &settings()).unwrap();
     for round in 1..=ROUNDS {
         for (name, value) in values(round) {
             cell.write(name, &value).unwrap();
@@ -161,7 +58,7 @@ fn every_kind_of_variable_survives_noise_on_the_line() {
         }
     }
     cell.close().unwrap();
-    let corrupted = line.corrupted.load(Ordering::Relaxed);
+    let corrupted = line.corrupted();
     println!("{corrupted} bytes corrupted");
     assert!(corrupted > 5, "{corrupted}");
 }
@@ -169,7 +66,7 @@ fn every_kind_of_variable_survives_noise_on_the_line() {
 #[tokio::test]
 async fn every_kind_of_variable_survives_noise_on_the_line_under_tokio() {
     let Some(line) = Line::to(simulated(), 2, 1) else { return };
-    let cell = asynch::Controller::connect(&address(&line.client), &settings()).await.unwrap();
+    let cell = asynch::Controller::connect(&line.address(), &settings()).await.unwrap();
     for round in 1..=ROUNDS {
         for (name, value) in values(round) {
             cell.write(name, &value).await.unwrap();
@@ -179,7 +76,7 @@ async fn every_kind_of_variable_survives_noise_on_the_line_under_tokio() {
         }
     }
     cell.close().await.unwrap();
-    let corrupted = line.corrupted.load(Ordering::Relaxed);
+    let corrupted = line.corrupted();
     println!("{corrupted} bytes corrupted");
     assert!(corrupted > 5, "{corrupted}");
 }
@@ -187,7 +84,7 @@ async fn every_kind_of_variable_survives_noise_on_the_line_under_tokio() {
 #[test]
 fn an_unplugged_line_is_a_lost_connection() {
     let Some(mut line) = Line::to(simulated(), 3, 0) else { return };
-    let mut cell = blocking::Controller::connect(&address(&line.client), &settings()).unwrap();
+    let mut cell = blocking::Controller::connect(&line.address(), &settings()).unwrap();
     cell.write("I1", 1).unwrap();
     line.unplug();
     let error = cell.read::<i32>("I1").unwrap_err();
@@ -197,7 +94,7 @@ fn an_unplugged_line_is_a_lost_connection() {
 #[tokio::test]
 async fn an_unplugged_line_is_a_lost_connection_under_tokio() {
     let Some(mut line) = Line::to(simulated(), 4, 0) else { return };
-    let cell = asynch::Controller::connect(&address(&line.client), &settings()).await.unwrap();
+    let cell = asynch::Controller::connect(&line.address(), &settings()).await.unwrap();
     cell.write("I1", 1).await.unwrap();
     let mut states = cell.states();
     assert_eq!(states.next().await, Some(asynch::State::Connected));
@@ -235,18 +132,18 @@ async fn a_call_ends_when_the_line_is_unplugged() {
 #[tokio::test]
 async fn a_line_carries_one_session() {
     let Some(line) = Line::to(simulated(), 5, 0) else { return };
-    let mut cell = blocking::Controller::connect(&address(&line.client), &settings()).unwrap();
+    let mut cell = blocking::Controller::connect(&line.address(), &settings()).unwrap();
     assert!(matches!(cell.stopper(), Err(Error::NoSecondSession)));
     for error in [
-        blocking::Controller::connect(&address(&line.client), &settings()).unwrap_err(),
-        asynch::Controller::connect(&address(&line.client), &settings()).await.unwrap_err(),
+        blocking::Controller::connect(&line.address(), &settings()).unwrap_err(),
+        asynch::Controller::connect(&line.address(), &settings()).await.unwrap_err(),
     ] {
         assert!(error.to_string().starts_with("cannot open the serial line /dev/pts/"), "{error}");
     }
     cell.write("I1", 7).unwrap();
     cell.close().unwrap();
     // the next client gets its own session
-    let cell = asynch::Controller::connect(&address(&line.client), &settings()).await.unwrap();
+    let cell = asynch::Controller::connect(&line.address(), &settings()).await.unwrap();
     assert!(matches!(cell.stopper().await, Err(Error::NoSecondSession)));
     assert_eq!(cell.read::<i32>("I1").await.unwrap(), 7);
     cell.close().await.unwrap();
