@@ -3,7 +3,9 @@
 use std::fmt;
 use std::time::Duration;
 
+#[cfg(feature = "serial")]
 use bcap_core::bcap::client::{Config, Timing};
+#[cfg(feature = "serial")]
 use bcap_core::limits::SERIAL_MAX;
 
 /// The baud rates that an address may name.
@@ -83,13 +85,6 @@ impl SerialLine {
         Duration::from_micros((bits * 1_000_000).div_ceil(u64::from(self.baud.max(1))))
     }
 
-    /// Returns a client's configuration for this line: an attempt also waits for the largest request and reply to pass.
-    pub(crate) fn config(&self, config: Config) -> Config {
-        let largest = u32::try_from(SERIAL_MAX).unwrap_or(u32::MAX);
-        let attempt_timeout = config.timing.attempt_timeout.saturating_add(self.transfer_time(largest) * 2);
-        Config { timing: Timing { attempt_timeout, ..config.timing }, ..config }
-    }
-
     /// Parses `PATH[?OPTIONS]`; `text` is the whole address, for messages.
     pub(crate) fn parse(text: &str, rest: &str) -> Result<Self, String> {
         let (path, options) = rest.split_once('?').unwrap_or((rest, ""));
@@ -150,6 +145,13 @@ impl fmt::Display for SerialLine {
 
 #[cfg(feature = "serial")]
 impl SerialLine {
+    /// Returns a client's configuration for this line: an attempt also waits for the largest request and reply to pass.
+    pub(crate) fn config(&self, config: Config) -> Config {
+        let largest = u32::try_from(SERIAL_MAX).unwrap_or(u32::MAX);
+        let attempt_timeout = config.timing.attempt_timeout.saturating_add(self.transfer_time(largest) * 2);
+        Config { timing: Timing { attempt_timeout, ..config.timing }, ..config }
+    }
+
     /// Returns the settings as the operating system's port takes them.
     pub(crate) fn builder(&self) -> serialport::SerialPortBuilder {
         serialport::new(self.path.as_str(), self.baud)
@@ -175,6 +177,7 @@ mod tests {
         assert_eq!(line.transfer_time(1152), Duration::from_millis(100));
         let slow = line.clone().baud(9600).parity(Parity::Even).stop_bits(StopBits::Two);
         assert_eq!(slow.transfer_time(800), Duration::from_secs(1));
+        #[cfg(feature = "serial")]
         // 503 bytes of ten bits in both directions: 87 ms at 115200 baud
         for (line, micros) in [(line, 587_328), (slow, 1_757_500)] {
             assert_eq!(line.config(Config::SERIAL).timing.attempt_timeout, Duration::from_micros(micros), "{line}");

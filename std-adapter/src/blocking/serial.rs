@@ -31,7 +31,8 @@ pub fn connect_serial(line: &SerialLine, options: &Options) -> Result<SerialClie
 
 /// A serial line as a transport; created by [`connect_serial`], or from any open port.
 ///
-/// Its client needs [`Config::SERIAL`](bcap_core::bcap::client::Config::SERIAL).
+/// Its client needs [`Config::SERIAL`](bcap_core::bcap::client::Config::SERIAL). A device that stops taking bytes can delay a
+/// send beyond its time limit.
 pub struct SerialTransport {
     port: Box<dyn SerialPort>,
 }
