@@ -1,11 +1,13 @@
-//! The address of a controller as text: `tcp:HOST[:PORT]` or `udp:HOST[:PORT]`.
+//! The address of a controller as text: `tcp:HOST[:PORT]`, `udp:HOST[:PORT]` or `serial:PATH[?OPTIONS]`.
 
 use std::fmt;
 use std::str::FromStr;
 
 use bcap_core::bcap;
 
-/// The transport protocol of an [`Address`].
+use crate::line::SerialLine;
+
+/// The transport protocol of a [`NetworkAddress`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Protocol {
     /// TCP.
@@ -14,22 +16,35 @@ pub enum Protocol {
     Udp,
 }
 
-/// The address of a controller's server.
+/// The address of a controller: `tcp:HOST[:PORT]`, `udp:HOST[:PORT]` or `serial:PATH[?OPTIONS]`.
 ///
 /// A host is a name, an IPv4 address, or an IPv6 address in brackets. Without a port it is 5007, the port of b-CAP.
+/// The options of a serial line are `baud=N`, `parity=none`, `even` or `odd`, and `stop=1` or `2`, with `&` between them;
+/// [`SerialLine`] has the defaults.
 ///
 /// # Examples
 ///
 /// ```
-/// use bcap_std::{Address, Protocol};
+/// use bcap_std::{Address, Parity, SerialLine};
 ///
-/// let address: Address = "udp:192.168.0.1".parse()?;
-/// assert_eq!((address.protocol, address.host.as_str(), address.port), (Protocol::Udp, "192.168.0.1", 5007));
+/// assert_eq!("udp:192.168.0.1".parse::<Address>()?.to_string(), "udp:192.168.0.1:5007");
 /// assert_eq!("tcp:[fe80::1]:5008".parse::<Address>()?.to_string(), "tcp:[fe80::1]:5008");
+/// let line = SerialLine::new("/dev/ttyUSB0").baud(38400).parity(Parity::Even);
+/// assert_eq!("serial:/dev/ttyUSB0?baud=38400&parity=even".parse(), Ok(Address::Serial(line)));
 /// # Ok::<(), bcap_std::AddressError>(())
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
-pub struct Address {
+#[non_exhaustive]
+pub enum Address {
+    /// A server in an IP network.
+    Network(NetworkAddress),
+    /// A serial line; connecting needs the feature `serial`.
+    Serial(SerialLine),
+}
+
+/// The address of a server in an IP network.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct NetworkAddress {
     /// The protocol.
     pub protocol: Protocol,
     /// A name, or an IP address without brackets.
@@ -43,7 +58,7 @@ pub struct Address {
 #[error("{0}")]
 pub struct AddressError(String);
 
-impl Address {
+impl NetworkAddress {
     /// Parses `[tcp:|udp:]HOST[:PORT]`, with TCP and `port` for missing parts.
     ///
     /// # Errors
@@ -60,11 +75,27 @@ impl FromStr for Address {
     type Err = AddressError;
 
     fn from_str(text: &str) -> Result<Self, AddressError> {
-        if split_protocol(text).0.is_none() {
-            let error = format!("{text}: write tcp:HOST[:PORT] or udp:HOST[:PORT], such as tcp:192.168.0.1");
-            return Err(AddressError(error));
+        if let Some((scheme, rest)) = text.split_once(':')
+            && scheme.eq_ignore_ascii_case("serial")
+        {
+            return SerialLine::parse(text, rest).map(Self::Serial).map_err(AddressError);
         }
-        Self::parse_or_tcp(text, bcap::PORT)
+        if split_protocol(text).0.is_none() {
+            return Err(AddressError(format!(
+                "{text}: write tcp:HOST[:PORT], udp:HOST[:PORT] or serial:PATH, such as tcp:192.168.0.1"
+            )));
+        }
+        NetworkAddress::parse_or_tcp(text, bcap::PORT).map(Self::Network)
+    }
+}
+
+/// Writes the address as it is parsed.
+impl fmt::Display for Address {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Network(address) => address.fmt(f),
+            Self::Serial(line) => write!(f, "serial:{line}"),
+        }
     }
 }
 
@@ -108,7 +139,7 @@ fn split_port(text: &str, rest: &str) -> Result<(String, Option<u16>), String> {
 }
 
 /// Writes the address as it is parsed.
-impl fmt::Display for Address {
+impl fmt::Display for NetworkAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { host, port, .. } = self;
         let protocol = match self.protocol {
@@ -130,12 +161,16 @@ mod tests {
             ("udp:robot.local:6000", "udp:robot.local:6000"),
             ("TCP:[::1]", "tcp:[::1]:5007"),
             ("udp:[fe80::1]:7", "udp:[fe80::1]:7"),
+            ("serial:/dev/ttyUSB0", "serial:/dev/ttyUSB0?baud=115200"),
+            ("SERIAL:COM3?stop=2&baud=9600&parity=odd", "serial:COM3?baud=9600&parity=odd&stop=2"),
+            ("serial:/dev/ttyS0?parity=none&stop=1", "serial:/dev/ttyS0?baud=115200"),
+            ("serial:/dev/ttyS0?parity=even", "serial:/dev/ttyS0?baud=115200&parity=even"),
         ] {
             let address: Address = text.parse().unwrap();
             assert_eq!(address.to_string(), shown);
             assert_eq!(shown.parse(), Ok(address));
         }
-        let short = |text| Address::parse_or_tcp(text, 5006).unwrap().to_string();
+        let short = |text| NetworkAddress::parse_or_tcp(text, 5006).unwrap().to_string();
         assert_eq!(short("192.168.0.1"), "tcp:192.168.0.1:5006");
         assert_eq!(short("robot:7000"), "tcp:robot:7000");
         assert_eq!(short("tcp:[::1]:7000"), "tcp:[::1]:7000");
@@ -145,7 +180,16 @@ mod tests {
     fn errors_name_the_wrong_part_of_an_address() {
         for (text, word) in [
             ("192.168.0.1", "tcp:HOST"),
-            ("com:1", "tcp:HOST"),
+            ("com:1", "serial:PATH"),
+            ("serial:", "device is missing"),
+            ("serial:?baud=9600", "device is missing"),
+            ("serial:/dev/ttyS0?baud=fast", "\"fast\" is not a baud rate; write a number from 300 to 4000000"),
+            ("serial:/dev/ttyS0?baud", "\"\" is not a baud rate"),
+            ("serial:/dev/ttyS0?baud=0", "not a baud rate"),
+            ("serial:/dev/ttyS0?parity=mark", "\"mark\" is not a parity; write none, even or odd"),
+            ("serial:/dev/ttyS0?stop=3", "\"3\" is not a number of stop bits; write 1 or 2"),
+            ("serial:/dev/ttyS0?speed=1", "\"speed\" is not an option of a serial line; write baud, parity or stop"),
+            ("serial:/dev/ttyS0?stop=1&stop=2", "the option stop is given twice"),
             ("tcp:", "host is missing"),
             ("tcp::5007", "host is missing"),
             ("tcp:a:b", "\"b\" is not a port"),

@@ -17,6 +17,8 @@ mod controller;
 mod handle;
 mod objects;
 mod robot;
+#[cfg(feature = "serial")]
+mod serial;
 mod socket;
 mod state;
 mod subscription;
@@ -37,6 +39,8 @@ use tokio::time::timeout;
 pub use self::controller::Controller;
 pub use self::objects::{File, Task};
 pub use self::robot::{Arm, Robot, Stopper};
+#[cfg(feature = "serial")]
+pub use self::serial::{SerialClient, SerialTransport, connect_serial};
 pub use self::state::{State, States, Statistics};
 pub use self::subscription::{Reading, Subscription};
 use crate::clock::{now, until};

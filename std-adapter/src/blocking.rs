@@ -8,14 +8,17 @@
 //!                       └─► stopper ─► Stopper: halt, from any thread
 //! ```
 //!
-//! Below it are the functions of the protocol. [`connect_tcp`], [`connect_udp`] and [`connect_rac`] take a host name or an address, IPv4 or IPv6. The first two return
-//! a [`Connection`] of the core, whose `call` makes a typed call and waits for the reply. `connect_rac` returns a
-//! [`RacConnection`], whose `get` and `put` read and write variables.
+//! Below it are the functions of the protocol. [`connect_tcp`], [`connect_udp`] and [`connect_rac`] take a host name or an
+//! address, IPv4 or IPv6; with the feature `serial`, `connect_serial` takes a [`SerialLine`](crate::SerialLine). All but
+//! `connect_rac` return a [`Connection`] of the core, whose `call` makes a typed call and waits for the reply. `connect_rac`
+//! returns a [`RacConnection`], whose `get` and `put` read and write variables.
 
 mod controller;
 mod objects;
 mod resolve;
 mod robot;
+#[cfg(feature = "serial")]
+mod serial;
 mod socket;
 mod stopper;
 
@@ -35,6 +38,8 @@ pub use self::controller::Controller;
 pub use self::objects::{File, Scan, Task};
 pub use self::resolve::resolve;
 pub use self::robot::{Arm, Robot};
+#[cfg(feature = "serial")]
+pub use self::serial::{SerialClient, SerialTransport, connect_serial};
 pub use self::stopper::Stopper;
 use crate::clock::{now, until};
 use crate::connect::{self, ConnectError, DATAGRAM_ROOM, Options, STREAM_ROOM};

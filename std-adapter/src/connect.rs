@@ -13,7 +13,7 @@ use socket2::{SockRef, TcpKeepalive};
 
 /// The options of a connection.
 ///
-/// The defaults are those of the core ([`Config::TCP`], [`Config::UDP`]), 3 s to connect, and TCP keep-alive probes after
+/// The defaults are those of the core ([`Config::TCP`], [`Config::UDP`], [`Config::SERIAL`]), 3 s to connect, and TCP keep-alive probes after
 /// 60 s of silence. The probes detect a peer that has vanished.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Options {
@@ -23,6 +23,9 @@ pub struct Options {
     pub tcp: Config,
     /// The time limits and attempts of UDP calls.
     pub udp: Config,
+    /// The time limits and attempts of calls over a serial line, without the time that the line takes for a request and its
+    /// reply.
+    pub serial: Config,
     /// The time limit of RAC requests.
     pub rac: bcap_core::rac::client::Config,
     /// The silence on TCP after which the operating system probes the peer; `None` disables probes.
@@ -35,6 +38,7 @@ impl Default for Options {
             connect_timeout: Duration::from_secs(3),
             tcp: Config::TCP,
             udp: Config::UDP,
+            serial: Config::SERIAL,
             rac: bcap_core::rac::client::Config::TCP,
             keep_alive: Some(Duration::from_secs(60)),
         }
@@ -49,6 +53,7 @@ impl Options {
             connect_timeout: timeout,
             tcp: Config { timing: Timing { attempt_timeout: timeout, ..self.tcp.timing }, ..self.tcp },
             udp: Config { timing: Timing { attempt_timeout: timeout, ..self.udp.timing }, ..self.udp },
+            serial: Config { timing: Timing { attempt_timeout: timeout, ..self.serial.timing }, ..self.serial },
             rac: bcap_core::rac::client::Config { timeout },
             ..self
         }
@@ -78,6 +83,20 @@ pub enum ConnectError {
     /// An option of the socket could not be set.
     #[error("cannot set up the socket")]
     Setup(#[source] io::Error),
+    /// The device of a serial line could not be opened or set up.
+    #[error("cannot open the serial line {path}")]
+    Serial {
+        /// The device.
+        path: String,
+        /// The operating system's error.
+        source: io::Error,
+    },
+    /// This build has no serial lines.
+    #[error("cannot open the serial line {path}: enable the feature `serial` of bcap-std")]
+    NoSerial {
+        /// The device.
+        path: String,
+    },
 }
 
 impl ConnectError {
@@ -91,9 +110,13 @@ impl ConnectError {
 /// Keeps the kind of the error of the operating system, and writes both errors in one line.
 impl From<ConnectError> for io::Error {
     fn from(error: ConnectError) -> Self {
-        let (ConnectError::Resolve { source, .. } | ConnectError::Connect { source, .. } | ConnectError::Setup(source)) =
-            &error;
-        Self::new(source.kind(), format!("{error}: {source}"))
+        match &error {
+            ConnectError::Resolve { source, .. }
+            | ConnectError::Connect { source, .. }
+            | ConnectError::Setup(source)
+            | ConnectError::Serial { source, .. } => Self::new(source.kind(), format!("{error}: {source}")),
+            ConnectError::NoSerial { .. } => Self::new(io::ErrorKind::Unsupported, error),
+        }
     }
 }
 
@@ -161,4 +184,17 @@ pub(crate) fn random_serial() -> u16 {
     // the standard library seeds its hash maps with random keys
     let random = RandomState::new().build_hasher().finish();
     u16::try_from(random % u64::from(u16::MAX)).unwrap_or(0) + 1
+}
+
+#[cfg(all(test, not(feature = "serial")))]
+mod tests {
+    use crate::Settings;
+    use crate::blocking::Controller;
+
+    #[test]
+    fn a_build_without_serial_lines_names_the_feature() {
+        let error = Controller::connect("serial:/dev/ttyUSB0", &Settings::rc8()).unwrap_err();
+        let text = "cannot open the serial line /dev/ttyUSB0: enable the feature `serial` of bcap-std";
+        assert_eq!(error.to_string(), text);
+    }
 }

@@ -21,6 +21,9 @@ pub enum Error {
     /// A controller over a stream of the caller has no address to connect to again.
     #[error("a controller over the caller's own stream has no address; make the stopper with Stopper::over")]
     NoAddress,
+    /// A stopper needs a second connection, which a serial line does not have.
+    #[error("a serial line carries one session, so it has no stopper; halt over TCP or UDP")]
+    NoSecondSession,
     /// The arm was taken before over the same session.
     #[error("the arm is taken already over this session; give it back before it is taken again")]
     ArmTaken,

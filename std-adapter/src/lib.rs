@@ -36,14 +36,14 @@
 //!
 //! | module       | feature   | what it is                                                              |
 //! |--------------|-----------|-------------------------------------------------------------------------|
-//! | [`blocking`] |           | objects and clients that block: b-CAP over TCP and UDP, RAC over TCP    |
+//! | [`blocking`] |           | objects and clients that block: b-CAP over TCP, UDP and serial lines, RAC over TCP |
 //! | `asynch`     | `tokio`   | the same for tokio                                                      |
 //! | [`slave`]    |           | Slave Mode; its real-time settings of Linux need the feature `realtime` |
 //! | `server`     | `server`  | a server for any handler: b-CAP over TCP and UDP, RAC over TCP          |
 //! | `gateway`    | `gateway` | RAC for PLCs on one side, b-CAP to a robot on the other                 |
 //!
-//! The protocol is in [`bcap_core`], which does no I/O. This crate connects it to sockets and a clock. The feature `serde`
-//! serialises values.
+//! The protocol is in [`bcap_core`], which does no I/O. This crate connects it to sockets and a clock. The feature `serial`
+//! adds serial lines, `serde` serialises values.
 
 pub use bcap_core as core;
 pub use bcap_core::position::{Joints, Position, Transform};
@@ -58,6 +58,7 @@ mod connect;
 mod error;
 #[cfg(feature = "gateway")]
 pub mod gateway;
+mod line;
 mod moves;
 mod path;
 #[cfg(feature = "server")]
@@ -67,10 +68,11 @@ mod settings;
 pub mod slave;
 mod task;
 
-pub use address::{Address, AddressError, Protocol};
+pub use address::{Address, AddressError, NetworkAddress, Protocol};
 pub use clock::now;
 pub use connect::{ConnectError, Options};
 pub use error::Error;
+pub use line::{Parity, SerialLine, StopBits};
 pub use moves::{Destination, Interpolation, Move, Pass, Plane};
 pub use path::{ObjectPath, ObjectPathError};
 pub use settings::{Backoff, Model, ServiceOptions, Settings};

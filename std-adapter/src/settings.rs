@@ -170,6 +170,7 @@ impl Settings {
         let mut options = self.options;
         options.tcp.timing = self.service.timing(options.tcp.timing);
         options.udp.timing = self.service.timing(options.udp.timing);
+        options.serial.timing = self.service.timing(options.serial.timing);
         options
     }
 

@@ -137,7 +137,7 @@ fn to(degrees: f64) -> Move {
 
 /// The target of a trial: there and back.
 fn target(trial: u32) -> f64 {
-    if trial % 2 == 0 { 10.0 } else { 0.0 }
+    if trial.is_multiple_of(2) { 10.0 } else { 0.0 }
 }
 
 fn blocking_move(trials: u32) {

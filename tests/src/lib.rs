@@ -3,7 +3,8 @@
 //! | module         | contents                                                                            |
 //! |----------------|-------------------------------------------------------------------------------------|
 //! | [`served`]     | a server on real sockets with a small application                                   |
-//! | [`serial`]     | a server of serial framing, over TCP instead of a serial line                       |
+//! | [`serial`]     | a server of serial framing, over TCP or a serial line                               |
+//! | `pty`          | the same over a pair of pseudo-terminals, with noise                                |
 //! | [`slowed`]     | a virtual controller with a slow clock                                              |
 //! | [`stepped`]    | a virtual controller whose clock advances only when clients call or wait            |
 //! | [`drivers`]    | the call sequences of public drivers, from `tests/drivers`                          |
@@ -17,6 +18,8 @@ pub mod async_functions;
 pub mod drivers;
 pub mod process;
 pub mod proxy;
+#[cfg(unix)]
+pub mod pty;
 pub mod serial;
 pub mod served;
 pub mod slowed;

@@ -1,4 +1,4 @@
-//! A server of serial framing without a serial line: each TCP connection is the other end of one line.
+//! Servers of serial framing: over TCP, where each connection is the other end of one line, and over any other [`Wire`].
 
 use bcap_core::endpoint::{Endpoint, Serve};
 use std::io::{self, ErrorKind, Read, Write};
@@ -39,7 +39,7 @@ impl SerialServer {
                     return;
                 }
                 // an error is the end of this line: the client has gone
-                _ = line.and_then(|line| serve(line, &handler, peer));
+                _ = line.and_then(|line| line.set_nodelay(true).and_then(|()| serve(line, &handler, peer)));
             }
         });
         Self { address, stopped, thread: Some(thread) }
@@ -60,9 +60,30 @@ impl Drop for SerialServer {
     }
 }
 
+/// One end of a line.
+pub trait Wire: Read + Write {
+    /// Sets how long a read waits; `None` is for ever.
+    ///
+    /// # Errors
+    ///
+    /// When the line has ended.
+    fn set_wait(&mut self, wait: Option<Duration>) -> io::Result<()>;
+}
+
+impl Wire for TcpStream {
+    fn set_wait(&mut self, wait: Option<Duration>) -> io::Result<()> {
+        self.set_read_timeout(wait)
+    }
+}
+
 type Line = Session<[u8; 512], [u8; 512], 64>;
 
-fn serve<H: Handler>(mut stream: TcpStream, handler: &Mutex<H>, peer: PeerId) -> io::Result<()> {
+/// Serves one client until its line ends.
+///
+/// # Errors
+///
+/// Why the line ended, unless the client closed it.
+pub fn serve<H: Handler>(mut stream: impl Wire, handler: &Mutex<H>, peer: PeerId) -> io::Result<()> {
     let mut line = Line::new(Config::SERIAL, [0; 512], [0; 512]);
     let end = exchange(&mut stream, &mut line, handler, peer);
     line.close(&mut *handler.lock().unwrap_or_else(PoisonError::into_inner), peer, now());
@@ -70,8 +91,7 @@ fn serve<H: Handler>(mut stream: TcpStream, handler: &Mutex<H>, peer: PeerId) ->
 }
 
 /// Moves bytes until the client closes the stream.
-fn exchange<H: Handler>(stream: &mut TcpStream, line: &mut Line, handler: &Mutex<H>, peer: PeerId) -> io::Result<()> {
-    stream.set_nodelay(true)?;
+fn exchange<H: Handler>(stream: &mut impl Wire, line: &mut Line, handler: &Mutex<H>, peer: PeerId) -> io::Result<()> {
     loop {
         while line.run(&mut *handler.lock().unwrap_or_else(PoisonError::into_inner), peer, now()).is_some() {
             stream.write_all(line.transmit())?;
@@ -84,7 +104,7 @@ fn exchange<H: Handler>(stream: &mut TcpStream, line: &mut Line, handler: &Mutex
             thread::sleep(wait.unwrap_or_default());
             continue;
         }
-        stream.set_read_timeout(wait)?;
+        stream.set_wait(wait)?;
         match stream.read(room) {
             Ok(0) => return Ok(()),
             Ok(count) => line.received(count),

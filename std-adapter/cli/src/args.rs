@@ -18,7 +18,7 @@ use crate::escape;
 use crate::frame::Role;
 use crate::rules::AllowPut;
 use crate::target;
-use bcap_std::Address;
+use bcap_std::{Address, NetworkAddress};
 
 /// Talks to DENSO robot controllers over b-CAP and RAC, and decodes their traffic.
 #[derive(Debug, Parser)]
@@ -82,9 +82,12 @@ fn duration(text: &str) -> Result<Duration, String> {
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Connection")]
 pub(crate) struct LinkArgs {
-    /// The controller: [tcp:|udp:]HOST[:PORT]; for rac HOST[:PORT] [env: BCAP_ROBOT=] [default: tcp:127.0.0.1]
+    /// The controller: [tcp:|udp:]HOST[:PORT] or serial:PATH; for rac HOST[:PORT] [env: BCAP_ROBOT=]
+    /// [default: tcp:127.0.0.1]
     ///
-    /// Without a protocol it is TCP; tcp://HOST is accepted too. Write IPv6 addresses in brackets: tcp:[fe80::1]:5007.
+    /// Without a protocol it is TCP; tcp://HOST is accepted too. Write IPv6 addresses in brackets: tcp:[fe80::1]:5007. A serial
+    /// line may have settings, here with the defaults: 'serial:/dev/ttyUSB0?baud=115200&parity=none&stop=1'. `rac`,
+    /// `doctor`, `gateway` and `slave` need a network.
     #[arg(long, global = true, value_name = "ADDRESS")]
     pub(crate) robot: Option<String>,
 
@@ -108,8 +111,13 @@ impl LinkArgs {
         target::bcap(self.robot.as_deref())
     }
 
+    /// Returns the controller's address for b-CAP, for a command that cannot use a serial line.
+    pub(crate) fn network_target(&self) -> Result<NetworkAddress, Failure> {
+        target::network(self.robot.as_deref())
+    }
+
     /// Returns the controller's address for RAC.
-    pub(crate) fn rac_target(&self) -> Result<Address, Failure> {
+    pub(crate) fn rac_target(&self) -> Result<NetworkAddress, Failure> {
         target::rac(self.robot.as_deref())
     }
 

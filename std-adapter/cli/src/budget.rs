@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use bcap_core::bcap::client::Timing;
-use bcap_std::Protocol;
+use bcap_std::{Address, NetworkAddress, Protocol};
 
 use crate::args::LinkArgs;
 
@@ -68,14 +68,16 @@ impl Budget {
         self.left().map_or(self.answer, |left| left / count).max(Duration::from_millis(1))
     }
 
-    /// Returns `timing` with the time limit of an answer, which the attempts over UDP share.
-    pub(crate) fn timing(&self, timing: Timing, protocol: Protocol) -> Timing {
-        match protocol {
-            Protocol::Tcp => Timing { attempt_timeout: self.answer, ..timing },
-            Protocol::Udp => {
-                let attempt_timeout = (self.answer / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
-                Timing { attempts: UDP_ATTEMPTS, attempt_timeout, ..timing }
+    /// Returns `timing` with the time limit of an answer, which the attempts over UDP share. Over a serial line it is not
+    /// below the time that the line needs at its baud rate.
+    pub(crate) fn timing(&self, timing: Timing, target: &Address) -> Timing {
+        let share = (self.answer / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
+        match target {
+            Address::Network(NetworkAddress { protocol: Protocol::Udp, .. }) => {
+                Timing { attempts: UDP_ATTEMPTS, attempt_timeout: share, ..timing }
             }
+            Address::Serial(_) => Timing { attempt_timeout: timing.attempt_timeout.max(share), ..timing },
+            _ => Timing { attempt_timeout: self.answer, ..timing },
         }
     }
 }

@@ -6,28 +6,34 @@ use std::time::Duration;
 
 use bcap_core::bcap::client::{ClientError, Timeout};
 use bcap_std::blocking::{self, Controller};
-use bcap_std::{Address, CallError, ConnectError, Error, Options, Protocol};
+use bcap_std::{Address, CallError, ConnectError, Error, NetworkAddress, Options, Protocol};
 
 use crate::budget::Budget;
 use crate::error::Failure;
 
 /// Connects within the time limits, without starting the service. Over UDP nothing is sent.
 pub(crate) fn open(target: &Address, budget: &Budget) -> Result<Controller, Failure> {
-    connect(target, budget, |peer, options| match target.protocol {
-        Protocol::Tcp => blocking::connect_tcp(peer, options).map(Controller::unopened),
-        Protocol::Udp => blocking::connect_udp(peer, options).map(Controller::unopened),
-    })
+    match target {
+        Address::Network(server) => connect(server, budget, |peer, options| match server.protocol {
+            Protocol::Tcp => blocking::connect_tcp(peer, options).map(Controller::unopened),
+            Protocol::Udp => blocking::connect_udp(peer, options).map(Controller::unopened),
+        }),
+        Address::Serial(line) => blocking::connect_serial(line, &Options::default())
+            .map(Controller::unopened)
+            .map_err(|error| not_connected(&error, target)),
+        other => Err(Failure::Input(format!("{other}: this kind of address is not supported"))),
+    }
 }
 
 /// Resolves the host, and connects to the first address that accepts. The attempts share the remaining time.
 pub(crate) fn connect<T>(
-    target: &Address,
+    server: &NetworkAddress,
     budget: &Budget,
     connect: impl FnOnce(&[SocketAddr], &Options) -> Result<T, ConnectError>,
 ) -> Result<T, Failure> {
-    let connected = blocking::resolve(target, budget.left())
+    let connected = blocking::resolve(server, budget.left())
         .and_then(|addresses| connect(&addresses, &Options::default().timeout(budget.share(addresses.len()))));
-    connected.map_err(|error| not_connected(&error, target))
+    connected.map_err(|error| not_connected(&error, &Address::Network(server.clone())))
 }
 
 /// Converts an error of the library.
@@ -55,15 +61,20 @@ pub(crate) fn exhausted(target: &Address, budget: &Budget, call: &str) -> Failur
     let limit = budget.total().unwrap_or_default().as_millis();
     Failure::Timeout {
         message: format!("{target} did not answer {call} within the command's time limit of {limit} ms (--timeout)"),
-        hint: format!("allow more time with --timeout, or {}", check(target.protocol)),
+        hint: format!("allow more time with --timeout, or {}", check(target)),
     }
 }
 
 /// Returns what to check if no answer arrives.
-const fn check(protocol: Protocol) -> &'static str {
-    match protocol {
-        Protocol::Tcp => "check that the controller's b-CAP server listens on this port",
-        Protocol::Udp => {
+const fn check(target: &Address) -> &'static str {
+    match target {
+        Address::Network(NetworkAddress { protocol: Protocol::Tcp, .. }) => {
+            "check that the controller's b-CAP server listens on this port"
+        }
+        Address::Serial(_) => {
+            "check the cable, the device, and that baud rate, parity and stop bits are the controller's"
+        }
+        _ => {
             "check the address and the firewalls, that the controller accepts b-CAP over UDP, and that the reply fits a \
              datagram"
         }
@@ -85,14 +96,12 @@ pub(crate) fn failed(error: &CallError, target: &Address, timeout: Duration, fun
                 Timeout::Attempt => format!("{target} did not answer {function} within {} ms", timeout.as_millis()),
                 Timeout::Deadline | Timeout::KeepAlive => format!("{function} took too long: {error}"),
             };
-            let hint = format!("{}, or allow more time with --timeout", check(target.protocol));
+            let hint = format!("{}, or allow more time with --timeout", check(target));
             Failure::Timeout { message, hint }
         }
         CallError::Client(ClientError::Encode(_) | ClientError::TooLarge { .. }) => {
-            let hint = match target.protocol {
-                Protocol::Tcp => "",
-                Protocol::Udp => "; use TCP for larger values",
-            };
+            let is_tcp = matches!(target, Address::Network(NetworkAddress { protocol: Protocol::Tcp, .. }));
+            let hint = if is_tcp { "" } else { "; use TCP for larger values" };
             Failure::Input(format!("{function}: {error}{hint}"))
         }
         error => Failure::Connection {
@@ -105,10 +114,14 @@ pub(crate) fn failed(error: &CallError, target: &Address, timeout: Duration, fun
 /// Converts the error of connecting.
 pub(crate) fn not_connected(error: &ConnectError, target: &Address) -> Failure {
     match error {
-        ConnectError::Resolve { source, .. } => not_found(&target.host, source),
+        ConnectError::Resolve { source, .. } => not_found(target, source),
         ConnectError::Connect { address, source } => Failure::Connection {
             message: format!("cannot connect to {target} ({address}): {source}"),
             hint: connect_hint(source.kind()).into(),
+        },
+        ConnectError::Serial { source, .. } => Failure::Connection {
+            message: format!("cannot open {target}: {source}"),
+            hint: "check the name and the permissions of the device, and that no other program uses it".into(),
         },
         other => Failure::Connection {
             message: format!("{target}: {other}"),
@@ -117,7 +130,9 @@ pub(crate) fn not_connected(error: &ConnectError, target: &Address) -> Failure {
     }
 }
 
-fn not_found(host: &str, error: &io::Error) -> Failure {
+fn not_found(target: &Address, error: &io::Error) -> Failure {
+    let text = target.to_string();
+    let host = if let Address::Network(server) = target { &server.host } else { &text };
     Failure::Connection {
         message: format!("cannot resolve the host {host}: {error}"),
         hint: "check the spelling, or use an IP address".into(),

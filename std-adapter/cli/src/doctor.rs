@@ -62,7 +62,7 @@ pub(crate) fn doctor(args: &Doctor, link: &LinkArgs, json: bool) -> Result<(), F
 
 /// Returns the arguments of a connection over a protocol.
 fn over(protocol: Protocol, args: &Doctor, link: &LinkArgs) -> Result<LinkArgs, Failure> {
-    let mut target = link.target()?;
+    let mut target = link.network_target()?;
     target.protocol = protocol;
     let port = match protocol {
         Protocol::Tcp => args.tcp_port,

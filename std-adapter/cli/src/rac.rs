@@ -80,6 +80,7 @@ impl RacLink {
     fn open(link: &LinkArgs) -> Result<Self, Failure> {
         let (target, budget) = (link.rac_target()?, Budget::start(link));
         let client = connect(&target, &budget, |peer, options| blocking::connect_rac(peer, options))?;
+        let target = Address::Network(target);
         Ok(Self { client, target, budget })
     }
 

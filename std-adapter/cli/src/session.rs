@@ -57,7 +57,7 @@ impl Session {
     /// Replaces the time limits.
     pub(crate) fn set_budget(&mut self, budget: Budget) {
         self.budget = budget;
-        let timing = budget.timing(self.controller.timing(), self.target.protocol);
+        let timing = budget.timing(self.controller.timing(), &self.target);
         self.controller.set_timing(timing);
         self.controller.set_deadline(budget.deadline());
     }

@@ -4,7 +4,7 @@
 
 use std::env;
 
-use bcap_std::{Address, Protocol};
+use bcap_std::{Address, NetworkAddress, Protocol};
 
 use crate::error::Failure;
 
@@ -18,7 +18,20 @@ pub(crate) fn bcap(option: Option<&str>) -> Result<Address, Failure> {
         // the library's message names the text and both forms
         return text.parse().map_err(wrong);
     }
-    Address::parse_or_tcp(&without_slashes(&text), bcap_core::bcap::PORT).map_err(wrong)
+    if text.split_once(':').is_some_and(|(scheme, _)| scheme.eq_ignore_ascii_case("serial")) {
+        return text.parse().map_err(wrong);
+    }
+    NetworkAddress::parse_or_tcp(&without_slashes(&text), bcap_core::bcap::PORT).map(Address::Network).map_err(wrong)
+}
+
+/// Returns the controller's address for b-CAP, for a command that cannot use a serial line.
+pub(crate) fn network(option: Option<&str>) -> Result<NetworkAddress, Failure> {
+    match bcap(option)? {
+        Address::Network(address) => Ok(address),
+        other => Err(Failure::Input(format!(
+            "{other}: serial lines are not supported by this command; write tcp:HOST[:PORT] or udp:HOST[:PORT]"
+        ))),
+    }
 }
 
 fn is_protocol(scheme: &str) -> bool {
@@ -35,9 +48,9 @@ fn without_slashes(text: &str) -> String {
 
 /// Returns the controller's address for RAC. The port after a protocol in the environment variable is the port of b-CAP, so
 /// only the host is used then.
-pub(crate) fn rac(option: Option<&str>) -> Result<Address, Failure> {
+pub(crate) fn rac(option: Option<&str>) -> Result<NetworkAddress, Failure> {
     if let Some(text) = option {
-        let address = Address::parse_or_tcp(&without_slashes(text), RAC_PORT).map_err(wrong)?;
+        let address = NetworkAddress::parse_or_tcp(&without_slashes(text), RAC_PORT).map_err(wrong)?;
         return match address.protocol {
             Protocol::Tcp => Ok(address),
             Protocol::Udp => Err(Failure::Input(format!("{text}: RAC runs over TCP; write HOST[:PORT]"))),
@@ -47,11 +60,11 @@ pub(crate) fn rac(option: Option<&str>) -> Result<Address, Failure> {
         Some(text) => {
             let text = without_slashes(&text);
             let names_protocol = text.parse::<Address>().is_ok();
-            let address = Address::parse_or_tcp(&text, RAC_PORT).map_err(wrong)?;
+            let address = NetworkAddress::parse_or_tcp(&text, RAC_PORT).map_err(wrong)?;
             let port = if names_protocol { RAC_PORT } else { address.port };
-            Ok(Address { protocol: Protocol::Tcp, port, ..address })
+            Ok(NetworkAddress { protocol: Protocol::Tcp, port, ..address })
         }
-        None => Address::parse_or_tcp("127.0.0.1", RAC_PORT).map_err(wrong),
+        None => NetworkAddress::parse_or_tcp("127.0.0.1", RAC_PORT).map_err(wrong),
     }
 }
 
@@ -72,6 +85,13 @@ mod tests {
         assert_eq!(rac(Some("robot")).unwrap().to_string(), "tcp:robot:5006");
         assert_eq!(rac(Some("tcp://robot")).unwrap().to_string(), "tcp:robot:5006");
         assert!(rac(Some("udp:robot")).is_err());
+        assert!(rac(Some("serial:/dev/ttyS0")).is_err());
+    }
+
+    #[test]
+    fn a_command_without_serial_lines_says_so() {
+        let Err(Failure::Input(message)) = network(Some("serial:/dev/ttyS0")) else { panic!("accepted") };
+        assert!(message.starts_with("serial:/dev/ttyS0?baud=115200: serial lines are not supported"), "{message}");
     }
 
     #[test]
@@ -85,7 +105,7 @@ mod tests {
         ] {
             assert_eq!(bcap(Some(text)).unwrap().to_string(), address);
         }
-        for text in ["http://robot", "tcp://", "tcp:///", "serial:/dev/ttyS0"] {
+        for text in ["http://robot", "tcp://", "tcp:///", "serial:"] {
             assert!(bcap(Some(text)).is_err(), "{text}");
         }
     }

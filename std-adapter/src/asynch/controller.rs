@@ -15,7 +15,7 @@ use super::robot::{Robot, Stopper};
 use super::state::{State, States, Statistics};
 use super::subscription::Subscription;
 use super::task::Request;
-use crate::address::AddressError;
+use crate::address::{Address, AddressError};
 use crate::error::Error;
 use crate::settings::Settings;
 
@@ -58,7 +58,8 @@ pub struct Controller {
 }
 
 impl Controller {
-    /// Connects to the controller at `tcp:HOST[:PORT]` or `udp:HOST[:PORT]`, and starts a session with a watchdog.
+    /// Connects to the controller at `tcp:HOST[:PORT]`, `udp:HOST[:PORT]` or `serial:PATH[?baud=N&parity=P&stop=S]`
+    /// ([`Address`]), and starts a session with a watchdog. Serial lines need the feature `serial`.
     ///
     /// # Errors
     ///
@@ -217,15 +218,17 @@ impl Controller {
     /// # Errors
     ///
     /// As [`connect`](Self::connect), and [`Error::NoAddress`] for a controller over a stream of the caller, which needs
-    /// [`Stopper::over`].
+    /// [`Stopper::over`], and [`Error::NoSecondSession`] for one over a serial line, which carries one session.
     ///
     /// # Cancel safety
     ///
     /// Dropping the future closes the second connection.
     pub async fn stopper(&self) -> Result<Stopper, Error> {
         let Handle { address, settings, .. } = &self.handle;
-        let address = address.clone().ok_or(Error::NoAddress)?;
-        Ok(Stopper::new(Handle::connect(address, settings, true).await?))
+        match address.clone().ok_or(Error::NoAddress)? {
+            Address::Serial(_) => Err(Error::NoSecondSession),
+            address => Ok(Stopper::new(Handle::connect(address, settings, true).await?)),
+        }
     }
 
     /// Executes a command of the controller with a parameter, such as `ClearError` with `()`.

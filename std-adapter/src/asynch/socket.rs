@@ -7,15 +7,19 @@ use bcap_core::bcap::Client;
 use bcap_core::time::Instant;
 use tokio::net::TcpStream;
 
+#[cfg(feature = "serial")]
+use super::SerialTransport;
 use super::{Connection, SendTransport, TcpTransport, Transport, UdpTransport, connect_tcp, connect_udp};
-use crate::address::{Address, Protocol};
+use crate::address::{Address, NetworkAddress, Protocol};
 use crate::connect::{ConnectError, STREAM_ROOM};
 use crate::settings::Settings;
 
-/// A TCP or UDP socket, or a transport of the user.
+/// A TCP or UDP socket, a serial line, or a transport of the user.
 pub(super) enum Socket {
     Tcp(TcpTransport),
     Udp(UdpTransport),
+    #[cfg(feature = "serial")]
+    Serial(SerialTransport),
     Other(Box<dyn Boxed>),
 }
 
@@ -56,6 +60,8 @@ impl fmt::Debug for Socket {
         match self {
             Self::Tcp(tcp) => tcp.fmt(f),
             Self::Udp(udp) => udp.fmt(f),
+            #[cfg(feature = "serial")]
+            Self::Serial(line) => line.fmt(f),
             Self::Other(_) => f.write_str("Other"),
         }
     }
@@ -64,10 +70,18 @@ impl fmt::Debug for Socket {
 /// Connects with the time limits of the settings.
 pub(super) async fn connect(address: &Address, settings: &Settings) -> Result<SocketConnection, ConnectError> {
     let options = settings.socket_options();
-    let peer = (address.host.as_str(), address.port);
-    match address.protocol {
-        Protocol::Tcp => Ok(wrap(connect_tcp(peer, &options).await?, Socket::Tcp)),
-        Protocol::Udp => Ok(wrap(connect_udp(peer, &options).await?, Socket::Udp)),
+    match address {
+        Address::Network(NetworkAddress { protocol, host, port }) => {
+            let peer = (host.as_str(), *port);
+            match protocol {
+                Protocol::Tcp => Ok(wrap(connect_tcp(peer, &options).await?, Socket::Tcp)),
+                Protocol::Udp => Ok(wrap(connect_udp(peer, &options).await?, Socket::Udp)),
+            }
+        }
+        #[cfg(feature = "serial")]
+        Address::Serial(line) => Ok(wrap(super::connect_serial(line, &options)?, Socket::Serial)),
+        #[cfg(not(feature = "serial"))]
+        Address::Serial(line) => Err(ConnectError::NoSerial { path: line.path.clone() }),
     }
 }
 
@@ -93,13 +107,20 @@ impl Socket {
             (Some(at), None) => tokio::time::sleep(crate::clock::until(at)).await,
             (None, _) => std::future::pending().await,
         };
-        let Self::Tcp(tcp) = self else {
-            waited(Some(self)).await;
-            return false;
-        };
-        tokio::select! {
-            () = closed(tcp.stream()) => true,
-            () = waited(None) => false,
+        match self {
+            Self::Tcp(tcp) => tokio::select! {
+                () = closed(tcp.stream()) => true,
+                () = waited(None) => false,
+            },
+            #[cfg(feature = "serial")]
+            Self::Serial(line) => tokio::select! {
+                () = line.unplugged() => true,
+                () = waited(None) => false,
+            },
+            Self::Udp(_) | Self::Other(_) => {
+                waited(Some(self)).await;
+                false
+            }
         }
     }
 }
@@ -122,7 +143,7 @@ impl SendTransport for Socket {
     fn now(&self) -> Instant {
         match self {
             Self::Other(other) => other.now(),
-            Self::Tcp(_) | Self::Udp(_) => crate::now(),
+            _ => crate::now(),
         }
     }
 
@@ -130,6 +151,8 @@ impl SendTransport for Socket {
         match self {
             Self::Tcp(tcp) => SendTransport::send(tcp, bytes, until).await,
             Self::Udp(udp) => SendTransport::send(udp, bytes, until).await,
+            #[cfg(feature = "serial")]
+            Self::Serial(line) => SendTransport::send(line, bytes, until).await,
             Self::Other(other) => other.send(bytes, until).await,
         }
     }
@@ -138,6 +161,8 @@ impl SendTransport for Socket {
         match self {
             Self::Tcp(tcp) => SendTransport::receive(tcp, buffer, until).await,
             Self::Udp(udp) => SendTransport::receive(udp, buffer, until).await,
+            #[cfg(feature = "serial")]
+            Self::Serial(line) => SendTransport::receive(line, buffer, until).await,
             Self::Other(other) => other.receive(buffer, until).await,
         }
     }
@@ -145,7 +170,7 @@ impl SendTransport for Socket {
     async fn sleep_until(&mut self, at: Instant) {
         match self {
             Self::Other(other) => other.sleep_until(at).await,
-            Self::Tcp(_) | Self::Udp(_) => tokio::time::sleep(crate::clock::until(at)).await,
+            _ => tokio::time::sleep(crate::clock::until(at)).await,
         }
     }
 }

@@ -53,7 +53,8 @@ pub struct Controller {
 }
 
 impl Controller {
-    /// Connects to the controller at `tcp:HOST[:PORT]` or `udp:HOST[:PORT]`, and starts a session with a watchdog.
+    /// Connects to the controller at `tcp:HOST[:PORT]`, `udp:HOST[:PORT]` or `serial:PATH[?baud=N&parity=P&stop=S]`
+    /// ([`Address`](crate::Address)), and starts a session with a watchdog. Serial lines need the feature `serial`.
     ///
     /// # Errors
     ///
@@ -167,9 +168,12 @@ impl Controller {
     /// # Errors
     ///
     /// As [`connect`](Self::connect), and [`Error::NoAddress`] for a controller over a stream of the caller, which needs
-    /// [`Stopper::over`].
+    /// [`Stopper::over`], and [`Error::NoSecondSession`] for one over a serial line, which carries one session.
     pub fn stopper(&self) -> Result<Stopper, Error> {
-        Stopper::connect(self.address.as_ref().ok_or(Error::NoAddress)?, &self.settings)
+        match self.address.as_ref().ok_or(Error::NoAddress)? {
+            Address::Serial(_) => Err(Error::NoSecondSession),
+            address => Stopper::connect(address, &self.settings),
+        }
     }
 
     /// Executes a command of the controller with a parameter, such as `ClearError` with `()`.

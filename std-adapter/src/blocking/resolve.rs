@@ -6,7 +6,7 @@ use std::sync::mpsc::{self, RecvTimeoutError};
 use std::thread;
 use std::time::Duration;
 
-use crate::address::Address;
+use crate::address::NetworkAddress;
 use crate::connect::ConnectError;
 
 /// Resolves the host of an address, at most for `limit`; [`connect_tcp`](super::connect_tcp) and its siblings take the list.
@@ -17,7 +17,7 @@ use crate::connect::ConnectError;
 /// # Errors
 ///
 /// [`ConnectError::Resolve`], also at the time limit.
-pub fn resolve(address: &Address, limit: Option<Duration>) -> Result<Vec<SocketAddr>, ConnectError> {
+pub fn resolve(address: &NetworkAddress, limit: Option<Duration>) -> Result<Vec<SocketAddr>, ConnectError> {
     let (sender, receiver) = mpsc::channel();
     let (host, port) = (address.host.clone(), address.port);
     // the system's resolver has no time limit, so it runs in its own thread
@@ -45,9 +45,9 @@ mod tests {
 
     #[test]
     fn addresses_of_ipv4_come_first() {
-        let found = resolve(&"tcp:localhost:7".parse().unwrap(), None).unwrap();
+        let found = resolve(&NetworkAddress::parse_or_tcp("localhost", 7).unwrap(), None).unwrap();
         assert_eq!(found.first(), Some(&"127.0.0.1:7".parse().unwrap()));
-        let error = resolve(&"tcp:no-such-host.invalid".parse().unwrap(), None).unwrap_err();
+        let error = resolve(&NetworkAddress::parse_or_tcp("no-such-host.invalid", 7).unwrap(), None).unwrap_err();
         assert!(matches!(error, ConnectError::Resolve { name, .. } if name == "no-such-host.invalid"));
     }
 }

@@ -8,15 +8,19 @@ use bcap_core::bcap::Client;
 use bcap_core::io::asynch;
 use bcap_core::time::Instant;
 
+#[cfg(feature = "serial")]
+use super::SerialTransport;
 use super::{Connection, TcpTransport, Transport, UdpTransport, connect_tcp, connect_udp};
-use crate::address::{Address, Protocol};
+use crate::address::{Address, NetworkAddress, Protocol};
 use crate::connect::{ConnectError, STREAM_ROOM};
 use crate::settings::Settings;
 
-/// A TCP or UDP socket, or a transport of the user.
+/// A TCP or UDP socket, a serial line, or a transport of the user.
 pub(super) enum Socket {
     Tcp(TcpTransport),
     Udp(UdpTransport),
+    #[cfg(feature = "serial")]
+    Serial(SerialTransport),
     Other(Box<dyn Transport<Error = io::Error> + Send>),
 }
 
@@ -25,6 +29,8 @@ impl fmt::Debug for Socket {
         match self {
             Self::Tcp(tcp) => tcp.fmt(f),
             Self::Udp(udp) => udp.fmt(f),
+            #[cfg(feature = "serial")]
+            Self::Serial(line) => line.fmt(f),
             Self::Other(_) => f.write_str("Other"),
         }
     }
@@ -72,10 +78,18 @@ pub(super) fn ready<F: Future>(work: F) -> F::Output {
 /// Connects with the time limits of the settings.
 pub(super) fn connect(address: &Address, settings: &Settings) -> Result<BlockingConnection, ConnectError> {
     let options = settings.socket_options();
-    let peer = (address.host.as_str(), address.port);
-    match address.protocol {
-        Protocol::Tcp => Ok(wrap(connect_tcp(peer, &options)?, Socket::Tcp)),
-        Protocol::Udp => Ok(wrap(connect_udp(peer, &options)?, Socket::Udp)),
+    match address {
+        Address::Network(NetworkAddress { protocol, host, port }) => {
+            let peer = (host.as_str(), *port);
+            match protocol {
+                Protocol::Tcp => Ok(wrap(connect_tcp(peer, &options)?, Socket::Tcp)),
+                Protocol::Udp => Ok(wrap(connect_udp(peer, &options)?, Socket::Udp)),
+            }
+        }
+        #[cfg(feature = "serial")]
+        Address::Serial(line) => Ok(wrap(super::connect_serial(line, &options)?, Socket::Serial)),
+        #[cfg(not(feature = "serial"))]
+        Address::Serial(line) => Err(ConnectError::NoSerial { path: line.path.clone() }),
     }
 }
 
@@ -129,7 +143,7 @@ impl Transport for Socket {
     fn now(&self) -> Instant {
         match self {
             Self::Other(other) => other.now(),
-            Self::Tcp(_) | Self::Udp(_) => crate::now(),
+            _ => crate::now(),
         }
     }
 
@@ -137,6 +151,8 @@ impl Transport for Socket {
         match self {
             Self::Tcp(tcp) => tcp.send(bytes, until),
             Self::Udp(udp) => udp.send(bytes, until),
+            #[cfg(feature = "serial")]
+            Self::Serial(line) => line.send(bytes, until),
             Self::Other(other) => other.send(bytes, until),
         }
     }
@@ -145,6 +161,8 @@ impl Transport for Socket {
         match self {
             Self::Tcp(tcp) => tcp.receive(buffer, until),
             Self::Udp(udp) => udp.receive(buffer, until),
+            #[cfg(feature = "serial")]
+            Self::Serial(line) => line.receive(buffer, until),
             Self::Other(other) => other.receive(buffer, until),
         }
     }
@@ -152,7 +170,7 @@ impl Transport for Socket {
     fn sleep_until(&mut self, at: Instant) {
         match self {
             Self::Other(other) => other.sleep_until(at),
-            Self::Tcp(_) | Self::Udp(_) => super::sleep_until(at),
+            _ => super::sleep_until(at),
         }
     }
 }

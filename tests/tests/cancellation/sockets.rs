@@ -17,13 +17,16 @@ use bcap_core::rac::{Variable, VariableKind};
 use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
 use bcap_std::Options;
-use bcap_std::asynch::{Connection, TcpTransport, Transport, UdpTransport, connect_rac, connect_tcp, connect_udp};
+use bcap_std::asynch::{
+    Connection, SerialTransport, TcpTransport, Transport, UdpTransport, connect_rac, connect_tcp, connect_udp,
+};
 use bcap_std::server::Server;
 use bcap_testkit::network::answer_to;
 use bcap_tests::served::Application;
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::net::{TcpListener, TcpStream, UdpSocket};
 use tokio::task::{JoinHandle, spawn_blocking, spawn_local, yield_now};
+use tokio_serial::SerialStream;
 
 const ANY: (Ipv4Addr, u16) = (Ipv4Addr::LOCALHOST, 0);
 const LATER: Duration = Duration::from_secs(60);
@@ -315,41 +318,54 @@ fn byte_at(n: usize) -> u8 {
     u8::try_from(n % 251).unwrap()
 }
 
-/// Drops `send` on a connection that takes nothing; returns how often it was polled.
-async fn tcp_send() -> usize {
-    const TOTAL: usize = 8 << 20;
+/// Returns the two ends of a TCP connection.
+async fn connection() -> (TcpTransport, TcpStream) {
+    let listener = TcpListener::bind(ANY).await.unwrap();
+    let transport = TcpTransport::new(TcpStream::connect(listener.local_addr().unwrap()).await.unwrap());
+    (transport, listener.accept().await.unwrap().0)
+}
+
+/// Returns the two ends of a serial line.
+async fn line() -> (SerialTransport, SerialStream) {
+    let (peer, port) = SerialStream::pair().expect("a pair of pseudo-terminals");
+    (SerialTransport::new(port), peer)
+}
+
+/// Drops `send` of `total` bytes on a stream that takes nothing; returns how often it was polled.
+async fn stream_send<X: Transport<Error = io::Error>, P: AsyncRead + Unpin + 'static>(
+    ends: impl AsyncFn() -> (X, P),
+    total: usize,
+) -> usize {
     let mut points = 0;
     for polls in 1..=4 {
-        let listener = TcpListener::bind(ANY).await.unwrap();
-        let mut transport = TcpTransport::new(TcpStream::connect(listener.local_addr().unwrap()).await.unwrap());
-        let (mut peer, _) = listener.accept().await.unwrap();
-        let bytes: Vec<u8> = (0..TOTAL).map(byte_at).collect();
+        let (mut transport, mut peer) = ends().await;
+        let bytes: Vec<u8> = (0..total).map(byte_at).collect();
         let until = transport.now().saturating_add(LATER);
         let mut sent = 0;
         let mut context = Context::from_waker(Waker::noop());
         // until the buffers of both ends are full
         loop {
-            let mut work = pin!(transport.send(&bytes[sent..], until));
-            match work.as_mut().poll(&mut context) {
-                Poll::Ready(count) => sent += count.unwrap().unwrap(),
-                Poll::Pending => {
-                    for _ in 1..polls {
-                        yield_now().await;
-                        assert!(work.as_mut().poll(&mut context).is_pending(), "nothing is read");
-                    }
-                    points += polls;
+            let (mut work, mut pending) = (pin!(transport.send(&bytes[sent..], until)), 0);
+            while pending < polls {
+                if let Poll::Ready(count) = work.as_mut().poll(&mut context) {
+                    sent += count.unwrap().unwrap();
                     break;
                 }
+                pending += 1;
+                yield_now().await;
             }
-            yield_now().await;
+            if pending == polls {
+                points += polls;
+                break;
+            }
         }
-        assert!(sent < TOTAL, "the buffers are smaller");
+        assert!(sent < total, "the buffers are smaller");
         let reader = spawn_local(async move {
-            let mut received = vec![0; TOTAL];
+            let mut received = vec![0; total];
             peer.read_exact(&mut received).await.unwrap();
             received
         });
-        while sent < TOTAL {
+        while sent < total {
             sent += transport.send(&bytes[sent..], until).await.unwrap().unwrap();
         }
         assert!(reader.await.unwrap() == bytes, "bytes were lost or sent twice, after {polls} polls");
@@ -358,14 +374,17 @@ async fn tcp_send() -> usize {
 }
 
 /// Drops `receive` between bytes that come one at a time; returns the number of await points.
-async fn tcp_receive() -> usize {
+async fn stream_receive<X: Transport<Error = io::Error>, P: AsyncWrite + Unpin + 'static>(
+    (mut transport, mut peer): (X, P),
+) -> usize {
     let mut points = 0;
-    let listener = TcpListener::bind(ANY).await.unwrap();
-    let mut transport = TcpTransport::new(TcpStream::connect(listener.local_addr().unwrap()).await.unwrap());
-    let (peer, _) = listener.accept().await.unwrap();
     let bytes: Vec<u8> = (0..2000).map(byte_at).collect();
     let sent = bytes.clone();
-    spawn_local(async move { drip(&sent[..], peer).await });
+    let dripping = spawn_local(async move {
+        drip(&sent[..], &mut peer).await;
+        // a serial line that is closed drops what was not read
+        std::future::pending::<()>().await;
+    });
     let until = transport.now().saturating_add(LATER);
     let (mut received, mut buffer) = (Vec::<u8>::new(), [0; 16]);
     while received.len() < bytes.len() {
@@ -376,6 +395,7 @@ async fn tcp_receive() -> usize {
         yield_now().await;
     }
     assert_eq!(received, bytes);
+    dripping.abort();
     points
 }
 
@@ -483,8 +503,11 @@ pub(crate) fn all() -> BTreeMap<&'static str, usize> {
         let stream = TcpStream::connect(listener.local_addr().unwrap()).await.unwrap();
         let socket = UdpSocket::bind(ANY).await.unwrap();
         BTreeMap::from([
-            ("TcpTransport::send", tcp_send().await),
-            ("TcpTransport::receive", tcp_receive().await + tcp),
+            ("SerialTransport::send", stream_send(line, 1 << 20).await),
+            ("SerialTransport::receive", stream_receive(line().await).await),
+            ("SerialTransport::sleep_until", sleeping(line().await.0).await),
+            ("TcpTransport::send", stream_send(connection, 8 << 20).await),
+            ("TcpTransport::receive", stream_receive(connection().await).await + tcp),
             ("TcpTransport::sleep_until", sleeping(TcpTransport::new(stream)).await),
             ("UdpTransport::send", sent_datagrams + udp),
             ("UdpTransport::receive", datagrams + udp),

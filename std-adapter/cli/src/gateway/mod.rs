@@ -39,7 +39,7 @@ const SUPPRESSED: Duration = Duration::from_secs(1);
 
 /// Runs `bcap gateway` until a signal ends it.
 pub(crate) fn gateway(args: &args::Gateway, link: &LinkArgs) -> Result<(), Failure> {
-    let target = link.target()?;
+    let target = link.network_target()?;
     let config = config(args, link, target.protocol)?;
     let limits = Limits {
         connections_per_address: args.clients_per_address,

@@ -37,7 +37,7 @@ fn play(args: &Play, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let first = poses.first().map(|pose| format!("{pose:?}")).unwrap_or_default();
     let what = format!(
         "{} plays {} in {mode:?}: {} poses in {:.1} s, from {first}{}",
-        link.target()?,
+        link.network_target()?,
         args.file.display(),
         course.cycles(),
         f64::from(course.cycles()) * CYCLE,
@@ -57,7 +57,7 @@ fn cosine(args: &Cosine, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let course = Course::Cosine { cycles: (cycles as u32).max(1), amplitude: args.amplitude };
     let kind = args.stream.pose.map_or(PoseType::J, PoseType::from);
     let (along, unit) = if kind == PoseType::J { ("joint 1", "degrees") } else { ("Z", "mm") };
-    let (target, mode) = (link.target()?, args.stream.mode);
+    let (target, mode) = (link.network_target()?, args.stream.mode);
     let what =
         format!("{target} moves {along} by {} {unit} and back within {} s, in {mode:?}", args.amplitude, args.seconds);
     confirm(&what, args.stream.yes)?;

@@ -144,12 +144,12 @@ pub(crate) fn stream(
     json: bool,
 ) -> Result<(), Failure> {
     let realtime = Realtime { fifo: args.fifo, lock_memory: args.lock_memory, core: args.core };
-    let target = link.target()?;
+    let server = link.network_target()?;
     let mut options = Options::default().timeout(link.timeout());
     options.udp.timing.attempts = UDP_ATTEMPTS;
     options.udp.timing.attempt_timeout = (link.timeout() / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
-    let peer = (target.host.as_str(), target.port);
-    match target.protocol {
+    let (peer, target) = ((server.host.as_str(), server.port), Address::Network(server.clone()));
+    match server.protocol {
         Protocol::Tcp => {
             let connect = || blocking::connect_tcp(peer, &options);
             Job { course, kind, args, link, json, realtime, target: &target }.run(connect)
