@@ -92,9 +92,13 @@ impl Rig {
         }
         let second = start.saturating_add(usual.attempt_timeout);
         let wire = self.motion.transport();
-        let (sent, limits): (Vec<_>, Vec<_>) =
-            (wire.sent.iter().copied().collect(), wire.limits.iter().copied().collect());
         let third = second.saturating_add(usual.attempt_timeout);
+        // in a frame on a serial line the next byte has an earlier limit; that it ends no attempt is seen from `sent`
+        let in_frame = |limit: &&Instant| self.kind == Link::Serial && **limit < third && **limit != second;
+        let (sent, limits): (Vec<_>, Vec<_>) = (
+            wire.sent.iter().copied().collect(),
+            wire.limits.iter().filter(|limit| !in_frame(limit)).copied().collect(),
+        );
         let expected = if lost { (vec![start, second], vec![second, third]) } else { (vec![start], vec![second]) };
         if (&sent, &limits) != (&expected.0, &expected.1) {
             return Err(format!("the timing: sent at {sent:?} with the time limits {limits:?}, not {expected:?}"));
