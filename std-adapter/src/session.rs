@@ -302,6 +302,13 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         Ok(())
     }
 
+    /// Selects a tool or a work coordinate system.
+    pub(crate) async fn change(&mut self, kind: &str, number: u8) -> Result<(), Error> {
+        let robot = self.robot().await?;
+        let name = format!("{kind}{number}");
+        self.call(&name, call::robot_change(robot, &name)).await
+    }
+
     /// Moves and waits for the end.
     pub(crate) async fn move_to(&mut self, motion: &Move, limit: Duration) -> Result<Motion, Error> {
         let handles = self.handles().await?;

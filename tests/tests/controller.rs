@@ -149,6 +149,19 @@ fn tasks_and_files_are_objects() {
 }
 
 #[test]
+fn tool_and_work_are_selected() {
+    let sim = simulated();
+    let mut cell = connect(&sim);
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.select_tool(3).unwrap();
+    arm.select_work(2).unwrap();
+    let robot = arm.robot();
+    assert_eq!(robot.read::<i32>("@CURRENT_TOOL").unwrap(), 3);
+    assert_eq!(robot.read::<i32>("@CURRENT_WORK").unwrap(), 2);
+    assert!(arm.select_tool(200).unwrap_err().to_string().contains("Tool200"));
+}
+
+#[test]
 fn axes_are_driven_and_the_pass_is_sent() {
     let sim = simulated();
     let mut cell = connect(&sim);

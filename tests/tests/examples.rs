@@ -26,6 +26,7 @@ examples! {
     reconnecting_fleet "../../std-adapter/examples/reconnecting_fleet.rs";
     scan "../../std-adapter/examples/scan.rs";
     slave_cosine "../../std-adapter/examples/slave_cosine.rs";
+    tasks "../../std-adapter/examples/tasks.rs";
     test_without_robot "../../std-adapter/examples/test_without_robot.rs";
 }
 
@@ -65,6 +66,13 @@ fn slave_cosine_runs() {
     let before = sim.application().joints()[0];
     slave_cosine::run(&format!("udp:{}", sim.udp), 250).unwrap();
     assert!((sim.application().joints()[0] - before).abs() < 0.01, "it ends where it began");
+    assert_left(&sim);
+}
+
+#[test]
+fn tasks_runs() {
+    let sim = simulated();
+    tasks::run(&tcp(&sim)).unwrap();
     assert_left(&sim);
 }
 

@@ -7,6 +7,9 @@
 //! controllers have it; "all" are RC8, RC9 and COBOTTA. `S2:n` and `S0:n` are lines of the specifications, b-CAP for the
 //! RC9 and RAC for the RC8. The virtual controller is the crate `bcap-sim`.
 //!
+//! The usual calls of an object are also methods of its handle: `controller.variable("I1")`, `variable.get()`,
+//! `robot.take_arm(0, 1)`, see [`ControllerHandle`].
+//!
 //! # Examples
 //!
 //! ```
@@ -16,6 +19,8 @@
 //! let get = call::variable_get_value(VariableHandle(3));
 //! assert_eq!(get.function(), FunctionId::VARIABLE_GET_VALUE);
 //! ```
+
+mod objects;
 
 use core::fmt;
 

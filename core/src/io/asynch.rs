@@ -177,7 +177,8 @@ impl<X: Transport, T: Storage, R: Storage> Connection<X, T, R> {
     /// # Cancel safety
     ///
     /// Dropping the future abandons the call: the next call first sends the rest of a partly sent request, and a late reply
-    /// is dropped. The controller may or may not execute the abandoned call.
+    /// is dropped. The controller may or may not execute the abandoned call; a robot that it moves goes on, and a halt on
+    /// this connection waits for its end. Use [`move_and_wait`](crate::procedure::move_and_wait) for motions.
     pub async fn call<C: Call>(&mut self, call: C) -> Result<<C::Reply as Reply>::Value<'_>, CallError<X::Error>> {
         // not through `call_with`, whose future would hold the call twice and its timing
         clear(&mut self.transport, &mut self.client).await?;

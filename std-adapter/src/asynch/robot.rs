@@ -176,6 +176,32 @@ impl Arm {
         self.run(move |session| Box::pin(session.execute_robot("ExtSpeed", percent))).await
     }
 
+    /// Selects a tool, which is the point that later positions are about; 0 is the flange.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`].
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`Controller`](super::Controller).
+    pub async fn select_tool(&mut self, number: u8) -> Result<(), Error> {
+        self.run(move |session| Box::pin(session.change("Tool", number))).await
+    }
+
+    /// Selects work coordinates, in which later positions are; 0 is the base of the robot.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`].
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`Controller`](super::Controller).
+    pub async fn select_work(&mut self, number: u8) -> Result<(), Error> {
+        self.run(move |session| Box::pin(session.change("Work", number))).await
+    }
+
     /// Moves, and waits until the motion ends, at most for `limit`; the robot is halted then.
     ///
     /// [`Motion::Arrived`] means that the joints rest at the destination, not only that the robot does not move. Other

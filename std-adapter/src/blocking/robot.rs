@@ -124,6 +124,24 @@ impl<'a> Arm<'a> {
         self.robot.execute("ExtSpeed", percent)
     }
 
+    /// Selects a tool, which is the point that later positions are about; 0 is the flange.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`].
+    pub fn select_tool(&mut self, number: u8) -> Result<(), Error> {
+        ready(self.robot.session.change("Tool", number))
+    }
+
+    /// Selects work coordinates, in which later positions are; 0 is the base of the robot.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`].
+    pub fn select_work(&mut self, number: u8) -> Result<(), Error> {
+        ready(self.robot.session.change("Work", number))
+    }
+
     /// Moves, and waits until the motion ends, at most for `limit`; the robot is halted then.
     ///
     /// [`Motion::Arrived`] means that the joints rest at the destination, not only that the robot does not move. On

@@ -152,6 +152,8 @@ async fn arms(rig: &mut Rig) {
     })
     .await;
     rig.sweep("Arm::set_speed", async |cell| arm(&cell).await.set_speed(50.0).await.unwrap()).await;
+    rig.sweep("Arm::select_tool", async |cell| arm(&cell).await.select_tool(1).await.unwrap()).await;
+    rig.sweep("Arm::select_work", async |cell| arm(&cell).await.select_work(0).await.unwrap()).await;
     rig.sweep("Arm::give", async |cell| arm(&cell).await.give().await.unwrap()).await;
     rig.sweep("Arm::move_to", async |cell| {
         let mut arm = arm(&cell).await;
