@@ -29,7 +29,8 @@ struct Recording {
 impl Handler for Recording {
     fn call(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, at: Instant) -> Outcome {
         if request.function == FunctionId::ROBOT_HALT {
-            self.halted.store(now().as_micros(), Ordering::SeqCst);
+            // the first one: the code that waits for a motion may send another
+            let _ = self.halted.compare_exchange(0, now().as_micros(), Ordering::SeqCst, Ordering::SeqCst);
         }
         Handler::call(&mut self.inner, peer, request, reply, at)
     }
@@ -84,6 +85,11 @@ impl Rig {
 
     fn joint(&self) -> f64 {
         self.sim.application().inner.joints()[0]
+    }
+
+    /// Begins a trial.
+    fn begin(&self) {
+        self.halted.store(0, Ordering::SeqCst);
     }
 
     /// Waits until the robot rests after a halt that was asked for at `asked`, and records both delays.
@@ -148,6 +154,7 @@ fn blocking_move(trials: u32) {
     arm.motor_on().unwrap();
     let mut random = Random(1);
     for trial in 0..trials {
+        rig.begin();
         let delay = Duration::from_micros(random.below(250_000));
         let (ended, asked) = std::thread::scope(|scope| {
             let stopper = &stopper;
@@ -173,6 +180,7 @@ async fn dropped_move(trials: u32) {
     arm.motor_on().await.unwrap();
     let mut random = Random(2);
     for trial in 0..trials {
+        rig.begin();
         let delay = Duration::from_micros(random.below(250_000));
         let ended = tokio::select! {
             ended = arm.move_to(to(target(trial)), LIMIT) => Some(ended),
@@ -198,6 +206,7 @@ fn slave_mode(trials: u32) {
         let mut arm = cell.robot().unwrap().take_arm().unwrap();
         arm.motor_on().unwrap();
         let begun = rig.joint();
+        rig.begin();
         let delay = Duration::from_micros(100_000 + random.below(300_000));
         let mode = SlaveMode { mode: Mode::Mode0, pose: PoseType::J };
         let format = Format::new(mode, ReceiveFormat::pose(ReceivePose::J));

@@ -207,7 +207,7 @@ impl Controller {
         Ok(task)
     }
 
-    /// Returns a file, which must exist when it is read or written. A path has `\\` between its parts.
+    /// Returns a file, which must exist when it is read or written. A path has `\` between its parts.
     #[must_use]
     pub fn file(&self, name: &str) -> File {
         File::new(self.handle.clone(), name.to_owned())

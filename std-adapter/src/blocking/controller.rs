@@ -158,7 +158,7 @@ impl Controller {
         Ok(Task::new(&mut self.session, name))
     }
 
-    /// Returns a file, which must exist when it is read or written. A path has `\\` between its parts.
+    /// Returns a file, which must exist when it is read or written. A path has `\` between its parts.
     pub fn file(&mut self, name: &str) -> File<'_> {
         File::new(&mut self.session, name)
     }
