@@ -162,7 +162,10 @@ mod tests {
         let function = FunctionId::ROBOT_MOVE;
         let reset = io::Error::from(io::ErrorKind::ConnectionReset);
         for (error, text) in [
-            (Error::from(address), "robot: write tcp:HOST[:PORT] or udp:HOST[:PORT], such as tcp:192.168.0.1"),
+            (
+                Error::from(address),
+                "robot: write tcp:HOST[:PORT], udp:HOST[:PORT] or serial:PATH, such as tcp:192.168.0.1",
+            ),
             (
                 Error::NoAddress,
                 "a controller over the caller's own stream has no address; make the stopper with Stopper::over",
