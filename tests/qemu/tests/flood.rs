@@ -34,7 +34,9 @@ fn a_flood_of_refused_requests_resets_nothing() {
     let length = Duration::from_secs(seconds);
     let sim = Sim::start(&bcap, "127.0.0.1:0");
     let limit = (seconds * 2 + 120).to_string();
-    let mut board = Board::start(&sim.bcap, &["--baud", BAUD, "--time", &limit], &["put=I/10-19"]).up();
+    let mut board =
+        Board::start(&sim.bcap, &["--baud", BAUD, "--time", &limit], &["provider=CaoProv.DENSO.VRC", "put=I/10-19"])
+            .up();
     let mut plc = Plc::seated(&board.rac);
     let quiet = work(&mut plc, &mut board, length.min(Duration::from_secs(30)));
 

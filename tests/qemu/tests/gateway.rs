@@ -144,7 +144,7 @@ fn show(text: &str) {
 fn four_plcs_are_served_at_once_and_a_fifth_replaces_an_idle_one() {
     let Some(bcap) = bcap() else { return };
     let sim = Sim::start(&bcap, "127.0.0.1:0");
-    let board = Board::start(&sim.bcap, &[], &["put=I", "rate=1/2", "evict=5"]).up();
+    let board = Board::start(&sim.bcap, &[], &[PROVIDER, "put=I", "rate=1/2", "evict=5"]).up();
     let mut seated = [(); 4].map(|()| Plc::seated(&board.rac));
     // the four may wait for tokens, but none is idle
     for plc in &mut seated {
@@ -269,7 +269,7 @@ fn a_robot_that_stops_under_load_costs_errors_and_nothing_else() {
     let Some(bcap) = bcap() else { return };
     let mut sim = Sim::start(&bcap, "127.0.0.1:0");
     let robot = sim.bcap.clone();
-    let mut board = Board::start(&robot, &[], &["put=I/0-99"]).up();
+    let mut board = Board::start(&robot, &[], &[PROVIDER, "put=I/0-99"]).up();
     let seen = [(); 4].map(|()| Arc::new(Seen::default()));
     let plcs: Vec<_> = (0..).zip(&seen).map(|(plc, seen)| load(&board.rac, plc, seen)).collect();
     for ends in ["-TERM", "-KILL"] {
