@@ -8,7 +8,7 @@
 //! ```
 //!
 //! The axes move together and arrive together. Halt and Hold brake along the path, at full deceleration. How one motion
-//! follows another is in [`queue`](crate::queue).
+//! follows another is in `queue`.
 
 use std::time::Duration;
 
