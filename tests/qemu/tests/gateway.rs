@@ -90,7 +90,7 @@ fn other(name: &str) -> (&'static str, &'static str) {
 fn wrong_lines_are_answered_and_the_session_lives() {
     let Some(bcap) = bcap() else { return };
     let sim = Sim::start(&bcap, "127.0.0.1:0");
-    let rules = ["put=I/10-19=-10..10", "put=F", "get=I", "get=F", "convert=yes"];
+    let rules = [PROVIDER, "put=I/10-19=-10..10", "put=F", "get=I", "get=F", "convert=yes"];
     let board = Board::start(&sim.bcap, &[], &rules).up();
     let mut plc = Plc::connect(&board.rac);
     let long = format!("GET:RC8:1:I:{}\r", " ".repeat(287));
