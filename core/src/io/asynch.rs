@@ -72,7 +72,7 @@ pub trait Transport {
 ///     future
 /// }
 ///
-/// fn driver<X: SendTransport + Send>(mut robot: Connection<X, Vec<u8>>) -> impl Future<Output = bool> + Send {
+/// fn driver<X: SendTransport + Send>(mut robot: Connection<X, [u8; 512]>) -> impl Future<Output = bool> + Send {
 ///     is_send(async move { robot.call(variable_get_value(VariableHandle(1))).await.is_ok() })
 /// }
 /// ```
