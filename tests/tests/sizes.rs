@@ -5,8 +5,8 @@ use bcap_core::rac;
 use bcap_core::slave;
 
 #[test]
-fn a_client_is_its_two_buffers_and_at_most_272_bytes() {
-    assert!(size_of::<Client<[u8; 512]>>() <= 2 * 512 + 272, "{}", size_of::<Client<[u8; 512]>>());
+fn a_client_is_its_two_buffers_and_at_most_256_bytes() {
+    assert!(size_of::<Client<[u8; 512]>>() <= 2 * 512 + 256, "{}", size_of::<Client<[u8; 512]>>());
 }
 
 #[test]

@@ -102,7 +102,8 @@ pub struct Config {
     pub on_malformed: OnMalformed,
     /// The timing of calls without their own: those of [`Connection::call`](crate::io::blocking::Connection::call).
     pub timing: Timing,
-    /// On serial lines, the silence inside a frame after which its rest is lost. While a frame arrives, no attempt ends.
+    /// On serial lines, the silence inside a frame after which its rest is lost: rounded up to milliseconds, at most 65 s.
+    /// While a frame arrives, no attempt ends.
     pub character_timeout: Duration,
 }
 
@@ -277,11 +278,10 @@ struct State {
     unanswered: Unanswered,
     flood: Flood,
     closed: bool,
-    /// On a serial line: [`Config::character_timeout`] in microseconds, and when the rest of a partly received frame is lost.
-    character_timeout: u64,
-    partial_until: Option<Instant>,
-    /// Whether bytes were received since `partial_until` was set.
-    has_received: bool,
+    /// [`Config::character_timeout`] in milliseconds.
+    character_timeout: u16,
+    /// On a serial line, when the rest of a partly received frame is lost; [`Instant::FAR_FUTURE`] while there is no such frame.
+    partial_until: Instant,
 }
 
 /// A call that waits for its reply.
@@ -399,7 +399,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
             return None;
         }
         let polled = self.inbox.poll(&mut self.rx);
-        if polled.is_none() {
+        if polled.is_none() && self.state.link == Link::Serial && self.inbox.take_received() {
             self.state.watch_frame(self.inbox.is_partial(), now);
         }
         Some(match polled? {
@@ -446,13 +446,13 @@ impl<T: Storage, R: Storage> Client<T, R> {
         if now >= call.keep_alive_until() {
             return Some(self.state.fail(Timeout::KeepAlive));
         }
-        if let Some(until) = self.state.partial_until {
-            if now < until {
+        if self.state.is_receiving() {
+            if now < self.state.partial_until {
                 return None;
             }
             // the line was silent inside a frame, so the rest of the frame will not arrive
             self.inbox.forget_partial();
-            self.state.partial_until = None;
+            self.state.partial_until = Instant::FAR_FUTURE;
         }
         if now < call.attempt_until {
             return None;
@@ -501,7 +501,7 @@ impl<T: Storage, R: Storage> Client<T, R> {
         self.state.outbox = Outbox::EMPTY;
         self.state.unanswered = Unanswered::default();
         self.state.flood = Flood::default();
-        self.state.partial_until = None;
+        self.state.partial_until = Instant::FAR_FUTURE;
     }
 }
 
@@ -528,13 +528,19 @@ impl<T: Storage, R: Storage> Endpoint for Client<T, R> {
 
     fn received(&mut self, count: usize) {
         self.inbox.received(self.rx.bytes(), count);
-        self.state.has_received |= count > 0;
     }
 
     fn poll_timeout(&self) -> Option<Instant> {
-        let end = |call: InFlight| self.state.partial_until.unwrap_or(call.attempt_until);
+        let end =
+            |call: InFlight| if self.state.is_receiving() { self.state.partial_until } else { call.attempt_until };
         self.state.call.map(|call| end(call).min(call.deadline).min(call.keep_alive_until()))
     }
+}
+
+/// Returns a duration in milliseconds, rounded up, at most 65 s.
+fn millis(duration: Duration) -> u16 {
+    let millis = micros(duration).saturating_add(999).checked_div(1000);
+    millis.and_then(|millis| u16::try_from(millis).ok()).unwrap_or(u16::MAX)
 }
 
 /// Appends the arguments of a call.
@@ -572,17 +578,20 @@ impl State {
             unanswered: Unanswered::default(),
             flood: Flood::default(),
             closed: false,
-            character_timeout: micros(config.character_timeout),
-            partial_until: None,
-            has_received: false,
+            character_timeout: millis(config.character_timeout),
+            partial_until: Instant::FAR_FUTURE,
         }
     }
 
-    /// Sets when the rest of a partly received frame is lost; on a serial line only.
+    /// Sets when the rest of a frame is lost, after bytes were received from a serial line.
     fn watch_frame(&mut self, is_partial: bool, now: Instant) {
-        if self.link == Link::Serial && core::mem::take(&mut self.has_received) {
-            self.partial_until = is_partial.then(|| later(now, self.character_timeout));
-        }
+        let until = later(now, u64::from(self.character_timeout).saturating_mul(1000));
+        self.partial_until = if is_partial { until } else { Instant::FAR_FUTURE };
+    }
+
+    /// Tells whether a frame on a serial line was received in part.
+    fn is_receiving(&self) -> bool {
+        self.partial_until != Instant::FAR_FUTURE
     }
 
     fn check_idle(&self) -> Result<(), ClientError> {

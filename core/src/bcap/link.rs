@@ -86,6 +86,8 @@ pub(crate) struct Inbox {
     malformed: usize,
     /// Bytes at the start of the buffer that arrived before `mark`.
     early: usize,
+    /// Whether bytes were received since the last `take_received`.
+    has_received: bool,
 }
 
 /// A result of [`Inbox::poll`].
@@ -126,7 +128,7 @@ impl Located {
 impl Inbox {
     pub(crate) const fn new(link: Link, limits: Limits, strictness: Strictness, on_malformed: OnMalformed) -> Self {
         let decoder = Decoder { limits, strictness, ..link.decoder() };
-        Self { decoder, link, on_malformed, len: 0, next: 0, skip: 0, malformed: 0, early: 0 }
+        Self { decoder, link, on_malformed, len: 0, next: 0, skip: 0, malformed: 0, early: 0, has_received: false }
     }
 
     /// Returns the free part of the buffer, and drops the frames that were read.
@@ -179,10 +181,16 @@ impl Inbox {
 
     /// Records `count` bytes that were put into the free part.
     pub(crate) fn received(&mut self, buffer: &[u8], count: usize) {
+        self.has_received |= count > 0;
         self.len = self.len.saturating_add(count).min(buffer.len());
         let skipped = self.skip.min(self.len.saturating_sub(self.next));
         self.skip = self.skip.wrapping_sub(skipped);
         self.next = self.next.wrapping_add(skipped);
+    }
+
+    /// Tells whether bytes were received since the last call.
+    pub(crate) const fn take_received(&mut self) -> bool {
+        core::mem::replace(&mut self.has_received, false)
     }
 
     /// Returns the length in bytes of the frame that `poll` reads next; 0 until all of it has arrived.

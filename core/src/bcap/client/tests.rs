@@ -462,7 +462,9 @@ fn the_first_serial_can_be_chosen_and_is_never_zero() {
 fn a_slow_serial_line_delivers_a_long_reply() {
     // a reply of 500 bytes at 9600 baud, eleven bits a character, one byte at a time
     let character = Duration::from_micros(11_000_000 / 9600);
-    for (config, cut) in [(Config::SERIAL, None), (Config::serial(9600), None), (Config::serial(9600), Some(300))] {
+    for (config, silence, cut) in
+        [(Config::SERIAL, 100, None), (Config::serial(9600), 62, None), (Config::serial(9600), 62, Some(300))]
+    {
         let mut now = Instant::ZERO;
         let mut client = Client::new(config, [0; 512], [0; 512]);
         client.start(&call::variable_get_value(VariableHandle(1)), client.timing(), now).unwrap();
@@ -480,9 +482,9 @@ fn a_slow_serial_line_delivers_a_long_reply() {
             }
             if !replied {
                 // the rest is lost: the frame ends after the silence, the attempt after its time
-                let silence = client.poll_timeout().unwrap();
-                assert_eq!(silence, now + config.character_timeout);
-                assert_eq!(client.handle_timeout(silence), None);
+                let lost = client.poll_timeout().unwrap();
+                assert_eq!(lost, now + Duration::from_millis(silence));
+                assert_eq!(client.handle_timeout(lost), None);
                 now = client.poll_timeout().unwrap();
                 assert_eq!(now, Instant::ZERO + config.timing.attempt_timeout);
                 assert_eq!(client.handle_timeout(now), Some(Event::Retried { attempt: 2 }));
