@@ -820,6 +820,6 @@ fn no_request_gets_the_reply_of_another() {
 #[test]
 fn the_memory_fits_a_board() {
     assert!(size_of::<Memory<4, 32>>() <= 7 * 1024, "{}", size_of::<Memory<4, 32>>());
-    assert!(size_of::<Gateway<'_>>() <= 1040, "{}", size_of::<Gateway<'_>>());
+    assert!(size_of::<Gateway<'_>>() <= 1024, "{}", size_of::<Gateway<'_>>());
     assert!(size_of::<Event>() <= 48, "{}", size_of::<Event>());
 }
