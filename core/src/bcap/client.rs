@@ -38,7 +38,7 @@ use crate::hresult::HResult;
 use crate::limits::{Limits, Strictness};
 use crate::outbox::Outbox;
 use crate::storage::Storage;
-use crate::time::{Instant, micros};
+use crate::time::{Instant, micros, micros_u32};
 
 /// The time limits and the number of attempts of one call.
 ///
@@ -539,8 +539,8 @@ impl<T: Storage, R: Storage> Endpoint for Client<T, R> {
 
 /// Returns a duration in milliseconds, rounded up, at most 65 s.
 fn millis(duration: Duration) -> u16 {
-    let millis = micros(duration).saturating_add(999).checked_div(1000);
-    millis.and_then(|millis| u16::try_from(millis).ok()).unwrap_or(u16::MAX)
+    // 32 bits, so that a board needs no division of 64 bits
+    u16::try_from(micros_u32(duration).div_ceil(1000)).unwrap_or(u16::MAX)
 }
 
 /// Appends the arguments of a call.
