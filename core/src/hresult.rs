@@ -20,9 +20,8 @@
 //!
 //! * An [`HResult`] holds any code unchanged; output shows the number of an unknown code.
 //! * Bit 31 alone decides success, for unknown codes too. Comparing with `S_OK` is wrong: `S_BUF_FULL` means stored.
-//! * The constants are plain numbers. Names, meanings and hints are three separate tables; an image that never calls
-//!   [`name`](HResult::name) (or `Debug`, `Display`), [`meaning`](HResult::meaning) or
-//!   [`hint`](HResult::hint) does not contain them.
+//! * The constants are plain numbers. Names, meanings, functions, causes, sources and hints are separate tables; an image
+//!   contains the table of a method such as [`name`](HResult::name) (or `Debug`, `Display`) only if it calls it.
 //!
 //! The sources `S0:n` and `S2:n` are lines of the two specifications: RAC for the RC8 and b-CAP for the RC9. Codes
 //! that neither of them names come from the vendor's open libraries or from public client programs, and say so. If such a
@@ -99,6 +98,24 @@ impl HResult {
         self.look_up(MEANINGS).or_else(|| self.family().map(Family::meaning))
     }
 
+    /// Returns the functions that usually return the code, as text.
+    #[must_use]
+    pub fn functions(self) -> Option<&'static str> {
+        self.look_up(FUNCTIONS)
+    }
+
+    /// Returns the usual cause of the code, as one sentence.
+    #[must_use]
+    pub fn cause(self) -> Option<&'static str> {
+        self.look_up(CAUSES)
+    }
+
+    /// Returns where the code is published: lines of the two specifications, or another source in words.
+    #[must_use]
+    pub fn source(self) -> Option<&'static str> {
+        self.look_up(SOURCES)
+    }
+
     /// Returns an instruction for the operator, in lower case and without a full stop.
     ///
     /// It is `None` for a failure outside of every known range.
@@ -150,7 +167,7 @@ impl HResult {
         }
     }
 
-    /// Finds the code's text in one of the three tables that run parallel to [`CODES`].
+    /// Finds the code's text in one of the tables that run parallel to [`CODES`].
     ///
     /// It scans, because texts are not time-critical and zipped iterators need no indexing.
     fn look_up(self, texts: &'static [&'static str]) -> Option<&'static str> {
@@ -295,7 +312,7 @@ impl Family {
 
 /// Makes the constants and the parallel tables from one list of rows.
 macro_rules! codes {
-    ($($value:literal $name:ident, $source:literal, $meaning:literal, $hint:literal;)*) => {
+    ($($value:literal $name:ident, $source:literal, $meaning:literal, $functions:literal, $cause:literal, $hint:literal;)*) => {
         impl HResult {$(
             #[doc = $meaning]
             #[doc = ""]
@@ -307,223 +324,362 @@ macro_rules! codes {
         static CODES: &[HResult] = &[$(HResult::$name),*];
         static NAMES: &[&str] = &[$(stringify!($name)),*];
         static MEANINGS: &[&str] = &[$($meaning),*];
+        static FUNCTIONS: &[&str] = &[$($functions),*];
+        static CAUSES: &[&str] = &[$($cause),*];
+        static SOURCES: &[&str] = &[$($source),*];
         static HINTS: &[&str] = &[$($hint),*];
     };
 }
 
-// value, name, source, meaning (also the constant's doc), what to do
+// value, name, source, meaning (also the constant's doc), functions that return it, usual cause, what to do
 codes! {
     0x00000000 S_OK, "S0:164, S2:1202",
         "The call succeeded.",
+        "every function",
+        "The controller did what was asked.",
         "go on";
     0x00000001 S_FALSE, "the vendor's libraries",
         "The call succeeded, and its answer is no, or there was nothing to do.",
+        "Robot_Halt, Controller_Execute and functions with a yes-or-no result",
+        "There was no motion to halt, or nothing to change.",
         "go on, after checking that the result is the one you want";
     0x00000900 S_EXECUTING, "the vendor's libraries; the packet is described at S2:229-231",
         "The call is still running; its answer follows under the same serial.",
+        "every function, when Service_Start has set WDT",
+        "A call takes longer than the watchdog interval, as a motion without NEXT does.",
         "wait for the answer, up to an overall deadline of your own";
     0x0F200501 S_BUF_FULL, "S2:1203",
         "The pose was stored, and the slave-mode buffer is full now.",
+        "Robot_Execute slvMove",
+        "Poses arrive faster than one in each control cycle of 8 ms.",
         "wait one control cycle (8 ms) before the next slvMove";
 
     0x80000200 E_CAO_SEM_CREATE, "the vendor's libraries (name only)",
         "The CAO engine could not create a semaphore.",
+        "Service_Start, Controller_Connect",
+        "The answering computer has no resources left.",
         "close sessions that are no longer used, then restart the controller";
     0x80000201 E_CAO_PROV_INVALID, "the vendor's libraries (name only)",
         "The provider's name is not known here.",
+        "Controller_Connect",
+        "The provider of another model, such as CaoProv.DENSO.VRC on an RC9, or a typing error.",
         "pass CaoProv.DENSO.VRC to an RC8 or COBOTTA, CaoProv.DENSO.VRC9 to an RC9";
     0x80000202 E_CAO_COMPUTER_NAME, "the vendor's libraries (name only)",
         "The computer's name is invalid.",
+        "Controller_Connect",
+        "The machine argument is not localhost and names no computer.",
         "pass localhost as the machine in Controller_Connect";
     0x80000203 E_CAO_VARIANT_TYPE_NOSUPPORT, "the vendor's libraries (name only)",
         "The VARTYPE is not supported.",
+        "Variable_PutValue, and the Execute functions",
+        "A value of an unsigned or 64-bit type, which few variables accept.",
         "send the type that the variable or command is documented with";
     0x80000204 E_CAO_OBJECT_NOTFOUND, "the vendor's libraries (name only)",
         "There is no such object.",
+        "Controller_GetVariable and the other Get functions",
+        "A typing error in the name, or an object of another model.",
         "check the name against what the matching Get...Names function lists";
     0x80000205 E_CAO_COLLECTION_REGISTERED, "the vendor's libraries (name only)",
         "An object of this name is registered already.",
+        "Controller_Connect, and the Get functions",
+        "An earlier connection with the same name has not been released.",
         "release the older object or choose another name, wait a few seconds, then try again";
     0x80000207 E_CAO_THREAD_CREATE, "the vendor's libraries (name only)",
         "The CAO engine could not create a thread.",
+        "Controller_Connect",
+        "The answering computer has no resources left.",
         "close sessions that are no longer used, then restart the controller";
     0x80000208 E_CAO_REMOTE_ENGINE, "the vendor's libraries (name only)",
         "The CAO engine of another computer could not be reached.",
+        "Controller_Connect",
+        "The machine argument names a computer that is off or not reachable.",
         "pass localhost as the machine, or check that the other computer is on and runs the CAO engine";
     0x80000209 E_CAO_REMOTE_PROVIDER, "the vendor's libraries (name only)",
         "A provider on another computer could not be started.",
+        "Controller_Connect",
+        "The other computer does not have the provider installed.",
         "pass localhost as the machine, or check that the provider is installed on the other computer";
     0x8000020A E_CAO_NOT_WRITABLE, "the vendor's libraries (name only)",
         "The object cannot be written.",
+        "Variable_PutValue",
+        "A read-only variable such as @CURRENT_POSITION.",
         "check that the variable is not read-only, and that the communication permission is Read/Write";
     0x8000020B E_CAO_CMD_EXECUTE, "the vendor's libraries (name only)",
         "The command is being executed already.",
+        "Command_Execute",
+        "The command was started a second time before it ended.",
         "wait until the command has ended, or cancel it";
     0x8000020C E_CAO_PROV_NO_LICENSE, "the vendor's libraries (name only)",
         "The provider has no licence.",
+        "Controller_Connect",
+        "The licence key of the provider is not registered.",
         "enter the provider's licence key on the answering computer or controller";
     0x8000020D E_CAO_PRELOAD, "the vendor's libraries (name only)",
         "A provider could not be loaded in advance.",
+        "Service_Start",
+        "A provider in the list of preloaded providers is not installed.",
         "check the list of preloaded providers, then restart the CAO engine";
     0x80000400 E_CRDIMPL, "the vendor's libraries (name only)",
         "A provider failed in the part that its CRD file defines.",
+        "functions of an object that a CRD file describes",
+        "The CRD file has an error.",
         "check the CRD file of the provider";
     0x80000401 E_CAOP_SYSTEMNAME_INVALID, "the vendor's libraries (name only)",
         "The name of the system variable is invalid.",
+        "the GetVariable functions",
+        "A system variable of another object: @SPEED of a controller, for example.",
         "check the spelling after the @, and whether the object is a controller, a robot or a task";
     0x80000402 E_CAOP_SYSTEMTYPE_INVALID, "the vendor's libraries (name only)",
         "The type of the system variable is invalid.",
+        "Variable_PutValue",
+        "A system variable was written with a value of another type.",
         "send the type that the system variable is documented with";
     0x80000403 E_CANCEL, "the vendor's libraries (name only)",
         "The call was cancelled.",
+        "every function that takes long",
+        "Another client or an operator cancelled the call.",
         "call again if the cancellation was not yours";
     0x80000404 E_CAOP_NOT_WRITABLE, "the vendor's libraries (name only)",
         "The provider's variable cannot be written.",
+        "Variable_PutValue",
+        "A read-only system variable.",
         "write another variable; this one is read-only";
     0x80000900 E_TIMEOUT, "the vendor's libraries",
         "The answer did not come in time.",
+        "every function; clients report it as well",
+        "The cable, the address or the port is wrong, or a call takes longer than the timeout.",
         "check cable, address and port, then raise the timeout, or set WDT in Service_Start for slow commands";
     0x80000901 E_NO_LICENSE, "the vendor's libraries (name only)",
         "The function has no licence.",
+        "Robot_Execute slvChangeMode, and optional functions",
+        "The licence of the option, such as b-CAP Slave, is not entered.",
         "enter the licence key on the teach pendant; slave mode needs the one for b-CAP Slave";
     0x80000902 E_NOT_CONNECTED, "the vendor's libraries",
         "There is no connection.",
+        "every function",
+        "The controller has ended the session: after 10 s of silence over UDP, or at a restart.",
         "check that the controller is on and reachable, then connect again";
     0x80000903 E_NOT_USE, "the vendor's libraries (name only)",
         "The function is not available.",
+        "functions that depend on a setting",
+        "The function is switched off, or another model has it.",
         "check that this controller, provider and setting offer the function";
     0x80000904 E_INVALID_CMD_NAME, "the vendor's libraries (name only)",
         "The command's name is invalid.",
+        "Controller_Execute, Robot_Execute",
+        "A typing error, or a command of the robot that was sent to the controller.",
         "check the spelling of the command, and whether the controller or the robot takes it";
     0x80000905 E_MAX_OBJECT, "the vendor's libraries",
         "The table of objects or connections is full.",
+        "the Get functions, Service_Start",
+        "Handles are opened in a loop and not released, or too many clients are connected.",
         "release handles and close connections that are no longer used";
     0x80000906 E_ALREADY_REGISTER, "the vendor's libraries (name only), which never return it",
         "It is registered already.",
+        "no known function",
+        "Something is registered twice.",
         "remove the older registration first";
     0x80000909 E_TOO_MUCH_DATA, "the vendor's libraries",
         "The packet is larger than the link carries.",
+        "Variable_PutValue, File_PutValue over UDP",
+        "An array or a file was sent in one datagram.",
         "send less in one call (at most 488 bytes over UDP), or use TCP";
     0x8000090B E_MAX_CONNECT, "the vendor's libraries",
         "The server already knows as many UDP clients as it can.",
+        "Service_Start over UDP",
+        "Clients end without Service_Stop, so the server remembers them for 10 s.",
         "end unused clients with Service_Stop, or wait 10 s until idle ones are forgotten";
 
     0x80004001 E_NOTIMPL, "S0:165",
         "The function is not implemented.",
+        "every function that a model lacks",
+        "The function belongs to another model or to a later software version.",
         "check that this controller and its software version have the function";
     0x80004003 E_POINTER, "the vendor's libraries",
         "A pointer is invalid, as when an argument is missing.",
+        "every function with arguments",
+        "An argument was left out.",
         "pass every argument that the function takes";
     0x80004004 E_ABORT, "S0:166",
         "The function was aborted.",
+        "functions that move, Task_Start",
+        "A halt, an emergency stop or a change of mode ended the function.",
         "look on the teach pendant for what stopped it, then call again";
     0x80004005 E_FAIL, "S0:167",
         "The function failed.",
+        "every function",
+        "The controller has no better code; its error list has the cause.",
         "read the cause with GetCurErrorInfo or on the teach pendant";
     0x8000FFFF E_UNEXPECTED, "S0:168",
         "A fatal error occurred.",
+        "every function",
+        "An internal error of the controller.",
         "read the error log, then connect again, and restart the controller if it comes back";
 
     0x80010000 E_INVALIDPACKET, "the vendor's libraries",
         "A packet could not be decoded.",
+        "every function",
+        "Another protocol was spoken on the port: RAC on 5007, or b-CAP on 5006.",
         "check that both ends speak b-CAP on this port, then connect again";
     0x80010001 E_INVALIDRCPACKET, "S0:169",
         "The controller received an invalid packet and cuts the connection.",
+        "every function",
+        "A wrong length or byte in the request, or two threads that write to one connection.",
         "record the traffic, correct the packet that was sent last, then connect again";
     0x80010002 E_INVALIDSNDPACKET, "S0:172",
         "The packet to be sent is invalid.",
+        "every function",
+        "A value that cannot be encoded, such as an array that is too long.",
         "record the call with its arguments, and check their types and sizes";
     0x80010003 E_INVALIDARGTYPE, "S0:173",
         "An argument has the wrong type.",
+        "every function with arguments",
+        "An I4 where an R4 is expected, or a number where the function takes text.",
         "check the VARTYPE of each argument against the function's signature; through a gateway, the type of the variable";
     0x80010004 E_ROBOTISBUSY, "S0:174",
         "A motion command came while the robot was moving.",
+        "Robot_Move, Robot_Drive and the other functions that move",
+        "A motion was started with NEXT, and the following one was sent before the first ended.",
         "wait until @BUSY_STATUS is false, or halt the motion, then call again";
     0x80010005 E_INVALIDCOMMAND, "S0:175",
         "The command string is invalid.",
+        "Controller_Execute, Robot_Execute",
+        "A typing error in the command or in its parameters.",
         "check the spelling of the command and of its parameters";
     0x80010011 E_PACKETSIZEOVER, "S0:176",
         "The received packet is over 16 MiB.",
+        "File_PutValue, Variable_PutValue",
+        "A file that was sent in one call.",
         "split the data over several calls";
     0x80010012 E_ARGSIZEOVER, "S0:177",
         "An argument of the received packet is over 16 MiB.",
+        "File_PutValue, Variable_PutValue",
+        "A file that was sent as one argument.",
         "split the argument over several calls";
 
     0x80020005 DISP_E_TYPEMISMATCH, "the vendor's libraries",
         "The value cannot be converted to this type.",
+        "RAC's PUT, and functions with text that is converted",
+        "Text that is not a number where a number is expected, or a decimal comma.",
         "write the value in the form of its type, without blanks after numbers";
     0x80020008 DISP_E_BADVARTYPE, "the vendor's libraries",
         "The VARTYPE cannot be converted.",
+        "RAC's PUT, Variable_PutValue",
+        "A type in front of the value that RAC does not have.",
         "use one of the types of the RAC table, such as 3, 5, 8 or 8197";
     0x8002000A DISP_E_OVERFLOW, "the vendor's libraries",
         "The value is out of the range of its type.",
+        "RAC's PUT, Variable_PutValue",
+        "70000 written to an I2, for example.",
         "send a smaller value, or a wider type";
     0x8002000B DISP_E_BADINDEX, "the vendor's libraries",
         "The index is outside of the array.",
+        "functions with arrays",
+        "An array with too few elements, such as a pose of three numbers.",
         "check the length of the array";
 
     0x80070005 E_ACCESSDENIED, "S0:178",
         "Access is denied.",
+        "Variable_PutValue, functions that move, Robot_Execute slvChangeMode",
+        "Manual mode, no executable token, or read-only communication permission.",
         "through a gateway, a rule refuses this client or variable: see the gateway's log; at a robot, set Auto mode, and give \
          this client's address the executable token and the Read/Write permission";
     0x80070006 E_HANDLE, "S0:179",
         "The handle is invalid.",
+        "every function with a handle",
+        "The object was released, or the handle was got on an earlier or another connection.",
         "get the object again: a handle dies with its release and belongs to the connection that got it";
     0x8007000E E_OUTOFMEMORY, "S0:180",
         "The memory does not suffice.",
+        "every function",
+        "Handles are not released, or a value is too large.",
         "release handles, send less at once, then restart the controller";
     0x80070057 E_INVALIDARG, "S0:181",
         "An argument is invalid.",
+        "every function with arguments",
+        "A value out of its range, an argument too many, or an option that the function does not know.",
         "check the number, order, types and ranges of the arguments, and the option string; through a gateway, the range that its \
          rule allows";
     0x8007FFFF E_WINDOWS_MASK, "the vendor's libraries",
         "The mask that Windows errors are combined with, not an error by itself.",
+        "no known function",
+        "The answering program has lost the number of the error.",
         "look in the log of the program that answered for the error it has lost";
     0x809100AA E_BUSY_PROC, "the vendor's libraries",
         "The previous call of this connection is still running.",
+        "every function",
+        "A second call on the same connection before the reply to the first.",
         "wait until the previous call has ended, or use a second connection; through a gateway, send fewer requests than its rate";
     0x8091FFFF E_WINSOCK_MASK, "the vendor's libraries",
         "The mask that errors of the operating system are combined with, not an error by itself.",
+        "no known function",
+        "The answering program has lost the number of the error.",
         "look in the log of the program that answered for the error it has lost";
 
     0x81501003 E_MOTOR_OFF, "public clients; the name is this project's",
         "The command needs the motor on.",
+        "Robot_Move and the other functions that move",
+        "The motor was never turned on, or an error or a stop turned it off.",
         "turn the motor on, wait until @SERVO_ON is true, then call again";
     0x81501025 E_ERROR_PRESENT, "public clients; the name is this project's",
         "The command is refused while the controller has an error.",
+        "functions that move, Robot_Execute Motor, Task_Start",
+        "An earlier error was not cleared.",
         "read the errors with GetCurErrorInfo, remove their causes, then send ClearError";
     0x81501069 E_MOTION_UNPREPARED, "a public client; the name is this project's",
         "A COBOTTA has not made its motion preparation.",
+        "Robot_Execute Motor on a COBOTTA",
+        "The controller was started, and nothing has prepared its motion yet.",
         "send ManualResetPreparation and MotionPreparation, then turn the motor on";
     0x83201483 E_BUF_FULL, "S2:1204",
         "The slave-mode buffer is full, and the pose was not stored.",
+        "Robot_Execute slvMove",
+        "The client sends faster than the control cycle, or repeats a pose that was stored.",
         "wait one control cycle (8 ms) and send the same pose again";
     0x83500121 E_SLVMODE_OFF, "named by an older client of the vendor",
         "slvMove was sent while slave mode was not selected.",
+        "Robot_Execute slvMove",
+        "Slave Mode was never selected, or an error such as an empty buffer ended it.",
         "read with GetCurErrorInfo what ended slave mode, send ClearError, turn the motor on, then slvChangeMode";
     0x83500372 E_MANUAL_RESET_UNPREPARED, "the vendor's ROS driver; the name is this project's",
         "A COBOTTA wants ManualResetPreparation before a command that concerns safety.",
+        "Controller_Execute MotionPreparation on a COBOTTA",
+        "ManualResetPreparation was not sent since the last start or stop.",
         "send ManualResetPreparation, then the same command again";
     0x83501024 E_ARM_NOT_TAKEN, "public clients; the name is this project's",
-        "The arm authority (arm semaphore) could not be had.",
+        "The client does not have the arm, or cannot take it.",
+        "Robot_Execute TakeArm, Robot_Move and the other functions that move",
+        "Another task or client has the arm, or TakeArm was not sent on this connection.",
         "send TakeArm, after ending the task or client that holds the arm";
     0x83501028 E_TOKEN_NOT_ETHERNET, "public reports; the name is this project's",
         "The executable token is not with Ethernet.",
+        "functions that move, Robot_Execute Motor, Task_Start",
+        "The executable token is with the teach pendant, I/O or another interface.",
         "set the executable token to Ethernet, or to Any, on the teach pendant";
     0x83501029 E_TOKEN_ADDRESS, "public clients; the name is this project's",
         "The executable token is not with this client's address.",
+        "functions that move, Robot_Execute Motor, Task_Start",
+        "The executable token is with the address of another computer.",
         "enter this client's IP address for the executable token on the teach pendant";
     0x83501032 E_SLVMODE_ON, "the vendor's ROS issues; the name is this project's",
         "The command is refused in slave mode.",
+        "functions that move, and IO variables",
+        "A command that Slave Mode excludes was sent between two poses.",
         "send slvChangeMode 0 first, or do it before slave mode; IO travels inside slvMove";
     0x8350106E E_MOTOR_TURNING_OFF, "a public client; the name is this project's",
         "The motor was to be turned on while it was being turned off.",
+        "Robot_Execute Motor",
+        "The motor was turned off and on again within a second.",
         "send ClearError, wait a moment, then turn the motor on again";
     0x84201482 E_COMMAND_BUFFER_EMPTY, "S2:1275; named by an older client of the vendor",
         "The slave-mode buffer ran empty while the robot was moving, and slave mode was released.",
+        "Robot_Execute slvMove",
+        "A pose came late: the client was not scheduled in time, or the network was delayed.",
         "fill the buffer before pacing, send a pose each 8 ms or use mode 2, and end with the same pose twice";
     0x84201486 E_COMMAND_POSITION_GEN_STOPPED, "named by an older client of the vendor",
         "The controller has stopped generating command positions.",
+        "Robot_Execute slvMove",
+        "An emergency stop or a change of mode during Slave Mode.",
         "release the emergency stop, return to Auto mode, send ClearError, then start slave mode again";
 }
 
@@ -541,7 +697,14 @@ mod tests {
     fn the_table_ascends_and_its_columns_are_parallel() {
         let codes: Vec<u32> = CODES.iter().map(|code| code.to_u32()).collect();
         assert!(codes.is_sorted_by(|a, b| a < b), "{codes:x?}");
-        assert_eq!([NAMES.len(), MEANINGS.len(), HINTS.len()], [codes.len(); 3]);
+        let columns = [NAMES, MEANINGS, FUNCTIONS, CAUSES, SOURCES, HINTS];
+        assert_eq!(columns.map(<[_]>::len), [codes.len(); 6]);
+        for text in MEANINGS.iter().chain(CAUSES) {
+            assert!(
+                text.ends_with('.') && text.starts_with(|first: char| first.is_uppercase() || first.is_ascii_digit()),
+                "{text}"
+            );
+        }
     }
 
     #[test]

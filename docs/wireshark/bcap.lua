@@ -271,7 +271,7 @@ local RESULTS = {
         hint = "read with GetCurErrorInfo what ended slave mode, send ClearError, turn the motor on, then slvChangeMode" },
     [0x83500372] = { name = "E_MANUAL_RESET_UNPREPARED", meaning = "A COBOTTA wants ManualResetPreparation before a command that concerns safety.",
         hint = "send ManualResetPreparation, then the same command again" },
-    [0x83501024] = { name = "E_ARM_NOT_TAKEN", meaning = "The arm authority (arm semaphore) could not be had.",
+    [0x83501024] = { name = "E_ARM_NOT_TAKEN", meaning = "The client does not have the arm, or cannot take it.",
         hint = "send TakeArm, after ending the task or client that holds the arm" },
     [0x83501028] = { name = "E_TOKEN_NOT_ETHERNET", meaning = "The executable token is not with Ethernet.",
         hint = "set the executable token to Ethernet, or to Any, on the teach pendant" },

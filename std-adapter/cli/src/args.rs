@@ -164,6 +164,7 @@ pub(crate) enum Command {
     Decode(Decode),
     Encode(Encode),
     Text(Text),
+    Explain(Explain),
     Wireshark(Wireshark),
     Completions(Completions),
 }
@@ -671,6 +672,26 @@ pub(crate) enum TextCommand {
         #[arg(value_name = "HEX")]
         hex: Vec<String>,
     },
+}
+
+/// Explains result codes: meaning, usual cause, what to do
+///
+/// CODE is a name, or a number as the manuals write it (0x83500121 or 83500121) or as a program prints it (-2092957407). Needs
+/// no connection.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap explain 0x83500121
+  bcap explain E_ACCESSDENIED 84204043
+  bcap explain --json -2091908831
+  bcap explain --index >errors.md")]
+pub(crate) struct Explain {
+    /// The codes
+    #[arg(value_name = "CODE", required_unless_present = "index", allow_negative_numbers = true)]
+    pub(crate) codes: Vec<String>,
+    /// Print all known codes as Markdown
+    #[arg(long, conflicts_with = "codes")]
+    pub(crate) index: bool,
 }
 
 /// Prints a dissector for Wireshark, one Lua file

@@ -166,6 +166,15 @@ impl Failure {
         }
     }
 
+    /// Returns the code of the controller.
+    const fn result_code(&self) -> Option<HResult> {
+        match self {
+            Self::Refused { code, .. } => Some(*code),
+            Self::Unfit { code, .. } => *code,
+            _ => None,
+        }
+    }
+
     /// Returns what the user can do.
     pub(crate) fn hint(&self) -> Option<&str> {
         match self {
@@ -219,6 +228,9 @@ impl Failure {
         let _ = writeln!(err, "{RED}error:{RED:#} {}", escape::failure(self));
         if let Some(hint) = self.hint() {
             let _ = writeln!(err, " {CYAN}hint:{CYAN:#} {}", escape::failure(&hint));
+        }
+        if let Some(name) = self.result_code().and_then(HResult::name) {
+            let _ = writeln!(err, " {CYAN}more:{CYAN:#} bcap explain {name}");
         }
     }
 

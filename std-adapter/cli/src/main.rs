@@ -11,6 +11,7 @@ mod dissect;
 mod doctor;
 mod error;
 mod escape;
+mod explain;
 mod frame;
 mod gateway;
 mod halt;
@@ -69,6 +70,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Decode(args) => decode::decode(args, cli.json),
         Command::Encode(args) => decode::encode(args),
         Command::Text(args) => text::text(args, cli.json),
+        Command::Explain(args) => explain::explain(args, cli.json),
         Command::Wireshark(_) => wireshark::wireshark(),
         Command::Completions(args) => completions(args),
     }

@@ -1,0 +1,65 @@
+//! `bcap explain`: codes by name and by number, and docs/errors.md, which it prints.
+
+mod common;
+
+use std::fs;
+use std::path::Path;
+
+use bcap_core::hresult::HResult;
+use common::bcap;
+use serde_json::Value;
+
+#[test]
+fn a_code_is_explained_by_its_name_and_by_each_way_to_write_its_number() {
+    let expected = "\
+0x83500121 (E_SLVMODE_OFF), decimal -2091908831, a failure
+  meaning      slvMove was sent while slave mode was not selected.
+  level        3, of 1 to 5 of the controller's errors
+  cause        Slave Mode was never selected, or an error such as an empty buffer ended it.
+  what to do   read with GetCurErrorInfo what ended slave mode, send ClearError, turn the motor on, then slvChangeMode
+  returned by  Robot_Execute slvMove
+  source       named by an older client of the vendor
+";
+    for code in ["E_SLVMODE_OFF", "e_slvmode_off", "0x83500121", "83500121", "-2091908831", "2203058465"] {
+        let run = bcap(&["explain", code]);
+        assert_eq!((run.out.as_str(), run.err.as_str(), run.code), (expected, "", 0), "{code}");
+    }
+}
+
+#[test]
+fn codes_without_a_name_have_the_facts_of_their_range() {
+    let run = bcap(&["explain", "84204043", "80910068", "0x800B0000"]);
+    assert!(run.out.contains("acceleration of an axis is over its limit.\n  axis         3\n"), "{}", run.out);
+    assert!(run.out.contains("\n  system       error 104 of the operating system"), "{}", run.out);
+    assert!(run.out.contains("0x800b0000, decimal -2146762752, a failure\n  no source gives its meaning"), "{}", run.out);
+    let run = bcap(&["explain", "--json", "84204043"]);
+    let line: Value = serde_json::from_str(&run.out).unwrap();
+    assert_eq!((&line["hex"], &line["axis"], &line["level"]), (&"0x84204043".into(), &3.into(), &4.into()));
+    assert_eq!((&line["name"], &line["cause"]), (&Value::Null, &Value::Null));
+}
+
+#[test]
+fn what_is_no_code_is_refused_with_similar_names() {
+    let run = bcap(&["explain", "token"]);
+    assert_eq!((run.out.as_str(), run.code), ("", 2));
+    assert!(run.err.contains("names with this text: E_TOKEN_NOT_ETHERNET, E_TOKEN_ADDRESS"), "{}", run.err);
+    assert_eq!(bcap(&["explain"]).code, 2);
+    assert_eq!(bcap(&["explain", "0x123456789"]).code, 2);
+}
+
+#[test]
+fn the_page_of_the_documentation_is_current_and_has_every_code() {
+    let page = bcap(&["explain", "--index"]).out;
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/errors.md");
+    let committed = fs::read_to_string(path).unwrap_or_default();
+    assert_eq!(committed, page, "bcap explain --index >docs/errors.md");
+    for code in HResult::known() {
+        let name = code.name().unwrap();
+        let section = page.split(&format!("\n## {name}\n")).nth(1).unwrap_or_default();
+        let section = section.split("\n## ").next().unwrap_or_default();
+        for part in ["**meaning**: ", "**cause**: ", "**what to do**: ", "**returned by**: ", "**source**: "] {
+            assert!(section.contains(part), "{name}: {part}");
+        }
+        assert!(page.contains(&format!("| [`0x{:08X}`](#{}) | {name} |", code.to_u32(), name.to_lowercase())), "{name}");
+    }
+}
