@@ -103,6 +103,7 @@
 //! # Ok::<(), bcap_core::bcap::client::ClientError>(())
 //! ```
 #![no_std]
+#![cfg_attr(docsrs, feature(doc_cfg))]
 
 #[cfg(feature = "alloc")]
 extern crate alloc;
@@ -127,3 +128,8 @@ pub mod storage;
 pub mod time;
 pub mod variant;
 mod wire;
+
+/// The examples of the crate's page.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct Readme;

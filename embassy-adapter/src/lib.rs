@@ -16,6 +16,7 @@
 //!   its timeouts, a server's session at its `server::Limits`.
 //! * **Futures are cancel-safe.** They may be dropped at any point; each function documents the state after that.
 #![no_std]
+#![cfg_attr(docsrs, feature(doc_cfg))]
 
 #[cfg(test)]
 extern crate std;
@@ -34,3 +35,8 @@ pub mod net;
 pub mod serial;
 #[cfg(feature = "server")]
 pub mod server;
+
+/// The examples of the crate's page.
+#[cfg(all(doctest, feature = "embassy-net"))]
+#[doc = include_str!("../README.md")]
+pub struct Readme;

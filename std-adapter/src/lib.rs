@@ -44,6 +44,7 @@
 //!
 //! The protocol is in [`bcap_core`], which does no I/O. This crate connects it to sockets and a clock. The feature `serial`
 //! adds serial lines, `serde` serialises values.
+#![cfg_attr(docsrs, feature(doc_cfg))]
 
 pub use bcap_core as core;
 pub use bcap_core::position::{Joints, Position, Transform};
@@ -86,3 +87,8 @@ pub type RunError<P = bcap_core::procedure::StepError> = bcap_core::io::RunError
 
 /// A failed RAC request.
 pub type RacError = bcap_core::io::RacError<std::io::Error>;
+
+/// The examples of the crate's page.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct Readme;

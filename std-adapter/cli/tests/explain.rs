@@ -31,7 +31,11 @@ fn codes_without_a_name_have_the_facts_of_their_range() {
     let run = bcap(&["explain", "84204043", "80910068", "0x800B0000"]);
     assert!(run.out.contains("acceleration of an axis is over its limit.\n  axis         3\n"), "{}", run.out);
     assert!(run.out.contains("\n  system       error 104 of the operating system"), "{}", run.out);
-    assert!(run.out.contains("0x800b0000, decimal -2146762752, a failure\n  no source gives its meaning"), "{}", run.out);
+    assert!(
+        run.out.contains("0x800b0000, decimal -2146762752, a failure\n  no source gives its meaning"),
+        "{}",
+        run.out
+    );
     let run = bcap(&["explain", "--json", "84204043"]);
     let line: Value = serde_json::from_str(&run.out).unwrap();
     assert_eq!((&line["hex"], &line["axis"], &line["level"]), (&"0x84204043".into(), &3.into(), &4.into()));
@@ -60,6 +64,9 @@ fn the_page_of_the_documentation_is_current_and_has_every_code() {
         for part in ["**meaning**: ", "**cause**: ", "**what to do**: ", "**returned by**: ", "**source**: "] {
             assert!(section.contains(part), "{name}: {part}");
         }
-        assert!(page.contains(&format!("| [`0x{:08X}`](#{}) | {name} |", code.to_u32(), name.to_lowercase())), "{name}");
+        assert!(
+            page.contains(&format!("| [`0x{:08X}`](#{}) | {name} |", code.to_u32(), name.to_lowercase())),
+            "{name}"
+        );
     }
 }

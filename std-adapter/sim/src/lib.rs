@@ -59,6 +59,7 @@
 //! assert_eq!(controller.errors().map(|e| e.code).collect::<Vec<_>>(), [EMERGENCY_STOP]);
 //! # Ok::<(), bcap_core::hresult::HResult>(())
 //! ```
+#![cfg_attr(docsrs, feature(doc_cfg))]
 
 mod answer;
 pub mod arm;
@@ -106,3 +107,8 @@ pub use tasks::TaskStatus;
 pub use variables::Sizes;
 // the kinds of user variables, as both protocols name them
 pub use bcap_core::rac::VariableKind;
+
+/// The examples of the crate's page.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct Readme;
