@@ -130,3 +130,28 @@ dependencies:
 wire seed="1":
     cargo build --quiet --locked --release -p bcap-cli
     WIRE_SECONDS=60 WIRE_SEED={{seed}} BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo test -p bcap-qemu --test wire
+
+# Checks a release, as RELEASING.md describes; with `--execute` tags and publishes it: `just release 0.2.0 --execute`.
+release version execute="":
+    #!/usr/bin/env bash
+    set -euo pipefail
+    fail() { echo "release: $*" >&2; exit 1; }
+    [ -z "$(git status --porcelain)" ] || fail "the tree has changes that are not committed"
+    grep -qx 'version = "{{version}}"' Cargo.toml || fail "[workspace.package] of Cargo.toml does not have the version {{version}}"
+    grep -q '^## \[{{version}}\] - 20' CHANGELOG.md || fail "CHANGELOG.md has no section [{{version}}] with a date"
+    grep -q '^repository = ' Cargo.toml || fail "Cargo.toml has no repository; see RELEASING.md"
+    ! git rev-parse --quiet --verify 'refs/tags/v{{version}}' >/dev/null || fail "the tag v{{version}} exists"
+    last=$(git describe --tags --abbrev=0 --match 'v*' 2>/dev/null || true)
+    if [ -n "$last" ]; then
+        cargo semver-checks --version >/dev/null 2>&1 || cargo install --locked cargo-semver-checks@0.49.0
+        cargo semver-checks --baseline-rev "$last" -p bcap-core -p bcap-sim -p bcap-std -p bcap-embassy
+    fi
+    bash .ci/run packages
+    packages=(-p bcap-core -p bcap-sim -p bcap-std -p bcap-embassy -p bcap-cli)
+    case "{{execute}}" in
+        --execute)
+            git tag --annotate --message 'release {{version}}' 'v{{version}}'
+            cargo publish --locked --no-verify "${packages[@]}" ;;
+        "") cargo publish --locked --no-verify --dry-run "${packages[@]}" ;;
+        *) fail "unknown argument {{execute}}" ;;
+    esac
