@@ -167,6 +167,7 @@ pub(crate) enum Command {
     Explain(Explain),
     Wireshark(Wireshark),
     Completions(Completions),
+    Man(Man),
 }
 
 /// Reads variables
@@ -714,4 +715,16 @@ Examples:
 pub(crate) struct Completions {
     /// The shell
     pub(crate) shell: Shell,
+}
+
+/// Writes the manual pages, one for each command
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap man man1 && man ./man1/bcap.1
+  bcap man /usr/local/share/man/man1")]
+pub(crate) struct Man {
+    /// The directory; it is made if it does not exist
+    #[arg(value_name = "DIR")]
+    pub(crate) directory: PathBuf,
 }

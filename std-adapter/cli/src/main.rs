@@ -73,6 +73,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Explain(args) => explain::explain(args, cli.json),
         Command::Wireshark(_) => wireshark::wireshark(),
         Command::Completions(args) => completions(args),
+        Command::Man(args) => man(args),
     }
 }
 
@@ -80,4 +81,15 @@ fn completions(args: &args::Completions) -> Result<(), Failure> {
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut Cli::command(), "bcap", &mut script);
     Ok(output::print_raw(String::from_utf8_lossy(&script).trim_end())?)
+}
+
+/// Writes `bcap.1` and a page for each command, such as `bcap-get.1`.
+fn man(args: &args::Man) -> Result<(), Failure> {
+    let failed = |error| Failure::Input(format!("cannot write manual pages to {}: {error}", args.directory.display()));
+    std::fs::create_dir_all(&args.directory).map_err(failed)?;
+    // `bcap help` needs no pages
+    let mut command = Cli::command().disable_help_subcommand(true);
+    // propagates the global options
+    command.build();
+    clap_mangen::generate_to(command, &args.directory).map_err(failed)
 }
