@@ -155,3 +155,7 @@ release version execute="":
         "") cargo publish --locked --no-verify --dry-run "${packages[@]}" ;;
         *) fail "unknown argument {{execute}}" ;;
     esac
+
+# A Debian package with a static binary, manual pages, completions and a unit for the gateway.
+debian:
+    std-adapter/cli/packaging/debian

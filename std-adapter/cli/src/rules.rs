@@ -163,6 +163,16 @@ mod tests {
     use super::*;
 
     #[test]
+    fn the_rules_of_the_package_allow_no_write_until_a_line_is_uncommented() {
+        let file = include_str!("../packaging/gateway.toml");
+        let rules = parse(file).unwrap();
+        assert_eq!((rules.put.len(), rules.get.len()), (0, Allow::EVERYTHING.len()));
+        let rules =
+            parse(&file.replace("# [[put]]", "[[put]]").replace("# kind", "kind").replace("# index", "index")).unwrap();
+        assert_eq!(rules.put.len(), 1);
+    }
+
+    #[test]
     fn an_empty_file_is_read_only() {
         assert_eq!(parse("").unwrap(), Rules::READ_ONLY);
         assert_eq!(read(None, &[]).unwrap(), Rules::READ_ONLY);
