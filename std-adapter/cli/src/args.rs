@@ -10,9 +10,12 @@ use bcap_sim::Profile;
 use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
 
+mod proxy;
 mod slave;
 
+pub(crate) use self::proxy::Proxy;
 pub(crate) use self::slave::{Cosine, Doctor, Halt, Play, Record, Slave, SlaveCommand, StreamArgs};
+use crate::duration::duration;
 use crate::error::Failure;
 use crate::escape;
 use crate::frame::Role;
@@ -62,22 +65,6 @@ impl Cli {
     }
 }
 
-/// Parses a time: a number of milliseconds, or a number with `ms`, `s` or `min`, from 1 ms to a day.
-fn duration(text: &str) -> Result<Duration, String> {
-    const DAY: u64 = 86_400_000;
-    let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
-    let (number, unit) = text.split_at(digits);
-    let factor = match unit {
-        "" | "ms" => Some(1),
-        "s" => Some(1000),
-        "min" => Some(60_000),
-        _ => None,
-    };
-    let time = number.parse::<u64>().ok().zip(factor).and_then(|(number, factor)| number.checked_mul(factor));
-    let time = time.filter(|ms| (1..=DAY).contains(ms)).map(Duration::from_millis);
-    time.ok_or_else(|| "write a time from 1 ms to a day, such as 500, 500ms, 2s or 1min".into())
-}
-
 /// The connection to the controller.
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Connection")]
@@ -99,6 +86,12 @@ pub(crate) struct LinkArgs {
     /// for 180 s. Over UDP five attempts share the time.
     #[arg(long, global = true, value_name = "MS", value_parser = duration)]
     pub(crate) timeout: Option<Duration>,
+
+    /// Records what the command sends and receives as packets in this file, for `bcap decode` and Wireshark
+    ///
+    /// The file is pcapng. A serial line has no packets. `sim` and `proxy` record their clients; `gateway` records the robot.
+    #[arg(long, global = true, value_name = "FILE.pcapng")]
+    pub(crate) write: Option<PathBuf>,
 
     /// The provider to connect to; an RC9 or a COBOTTA PRO has CaoProv.DENSO.VRC9
     #[arg(long, global = true, value_name = "NAME", default_value = "CaoProv.DENSO.VRC")]
@@ -160,6 +153,7 @@ pub(crate) enum Command {
     Halt(Halt),
     Doctor(Doctor),
     Gateway(Gateway),
+    Proxy(Proxy),
     Demo(Demo),
     Decode(Decode),
     Encode(Encode),

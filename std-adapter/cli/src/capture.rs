@@ -14,6 +14,7 @@ mod call;
 mod conversation;
 mod file;
 mod line;
+mod live;
 mod packet;
 mod print;
 mod session;
@@ -29,6 +30,7 @@ use crate::error::Failure;
 use crate::output::{print_json, print_line};
 use call::Event;
 use conversation::Conversations;
+pub(crate) use live::Live;
 use print::Printer;
 use stats::Stats;
 
@@ -43,15 +45,9 @@ pub(crate) fn file(words: &[String]) -> Option<&Path> {
 /// Runs `bcap decode FILE`.
 pub(crate) fn decode(path: &Path, args: &CaptureArgs, strictness: Strictness, json: bool) -> Result<(), Failure> {
     let filter = print::Filter::new(args)?;
-    let mut conversations = Conversations::new(strictness);
-    let read = file::read(path, |packet| conversations.packet(packet));
-    conversations.end();
-    let mut events = conversations.into_events();
-    // calls are shown at the time of their requests, but known only with their replies
-    events.sort_by_key(Event::at);
-
+    let (events, read) = events(path, strictness);
     let print = if json { print_json } else { print_line };
-    let printer = Printer::new(json, &events);
+    let printer = Printer::new(json, events.first().map_or(0, Event::at));
     let accepted = events.iter().filter(|event| filter.accepts(event));
     if args.stats {
         let mut stats = Stats::default();
@@ -64,6 +60,18 @@ pub(crate) fn decode(path: &Path, args: &CaptureArgs, strictness: Strictness, js
     } else {
         accepted.map(|event| printer.line(event)).try_for_each(|line| print(&line))?;
     }
-    // a file that ends inside a packet still has the calls before it
     read
+}
+
+/// Reads a file, and returns its connections and calls by the time of their first packet.
+///
+/// A file that ends inside a packet still has the calls before it, so the error is beside them.
+pub(crate) fn events(path: &Path, strictness: Strictness) -> (Vec<Event>, Result<(), Failure>) {
+    let mut conversations = Conversations::new(strictness);
+    let read = file::read(path, |packet| conversations.packet(packet));
+    conversations.end();
+    let mut events = conversations.take_events();
+    // calls are shown at the time of their requests, but known only with their replies
+    events.sort_by_key(Event::at);
+    (events, read)
 }

@@ -9,8 +9,10 @@ mod decode;
 mod demo;
 mod dissect;
 mod doctor;
+mod duration;
 mod error;
 mod escape;
+mod faults;
 mod frame;
 mod gateway;
 mod halt;
@@ -20,7 +22,9 @@ mod json;
 mod listen;
 mod output;
 mod plain;
+mod proxy;
 mod rac;
+mod record;
 mod reference;
 mod rules;
 mod session;
@@ -65,6 +69,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Halt(_) => halt::halt(&cli.link, cli.json),
         Command::Doctor(args) => doctor::doctor(args, &cli.link, cli.json),
         Command::Gateway(args) => gateway::gateway(args, &cli.link),
+        Command::Proxy(args) => proxy::proxy(args, &cli.link, cli.json),
         Command::Demo(_) => demo::demo(),
         Command::Decode(args) => decode::decode(args, cli.json),
         Command::Encode(args) => decode::encode(args),

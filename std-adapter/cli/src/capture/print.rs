@@ -91,8 +91,8 @@ pub(crate) struct Printer {
 }
 
 impl Printer {
-    pub(crate) fn new(json: bool, events: &[Event]) -> Self {
-        Self { json, began: events.first().map_or(0, Event::at) }
+    pub(crate) const fn new(json: bool, began: u64) -> Self {
+        Self { json, began }
     }
 
     pub(crate) fn line(&self, event: &Event) -> String {

@@ -1,0 +1,210 @@
+//! `bcap proxy`: forwards b-CAP and RAC to a robot, prints and records what passes, and injects faults.
+//!
+//! ```text
+//!  tcp   a task for each direction of each connection ─┐
+//!  udp   a socket to the robot for each client ────────┼─► record: the file, and the lines
+//!  RAC   as TCP                                        ┘
+//! ```
+//!
+//! Bytes are forwarded before they are recorded, so that recording does not delay them. The thread of the recording makes the
+//! lines, and another thread prints them: a terminal that does not read delays neither the robot nor the file.
+
+mod tcp;
+mod udp;
+
+use std::io;
+use std::net::{IpAddr, SocketAddr};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::thread::{self, JoinHandle};
+use std::time::Duration;
+
+use bcap_std::{Address, NetworkAddress, blocking};
+use tokio::net::{TcpListener, UdpSocket};
+use tokio::time::sleep;
+
+use crate::args::{LinkArgs, Proxy};
+use crate::capture::Live;
+use crate::connection::not_connected;
+use crate::error::Failure;
+use crate::faults::{Faults, Plan};
+use crate::listen::{runtime, taken};
+use crate::output::{print_json, print_line};
+use crate::record::{Recorder, Recording};
+use crate::{signal, target};
+
+/// The most lines that wait for the terminal.
+const LINES: usize = 4096;
+
+/// The time between two looks whether the file can still be written.
+const CHECK: Duration = Duration::from_millis(200);
+
+/// Where the robot listens.
+#[derive(Clone, Debug)]
+pub(crate) struct Robot {
+    /// The addresses of a host, which are tried in turn.
+    pub(crate) tcp: Vec<SocketAddr>,
+    pub(crate) udp: SocketAddr,
+    pub(crate) rac: Vec<SocketAddr>,
+}
+
+/// What all tasks share.
+#[derive(Clone)]
+struct Shared {
+    recorder: Recorder,
+    connect_timeout: Duration,
+    plan: Arc<Plan>,
+    seed: u64,
+    /// The number of connections so far.
+    count: Arc<AtomicU64>,
+}
+
+impl Shared {
+    /// Returns the faults of a new connection; `None` if every frame passes unchanged.
+    fn faults(&self, is_rac: bool) -> Option<Faults> {
+        let number = self.count.fetch_add(1, Ordering::Relaxed);
+        (!self.plan.is_empty()).then(|| Faults::new((*self.plan).clone(), self.seed.wrapping_add(number), is_rac))
+    }
+}
+
+/// The bound sockets.
+pub(crate) struct Listeners {
+    bcap: TcpListener,
+    udp: UdpSocket,
+    rac: TcpListener,
+}
+
+/// Runs `bcap proxy` until a signal ends it.
+pub(crate) fn proxy(args: &Proxy, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    let robot = robot(args, link)?;
+    let plan = Plan { drop: args.drop.clone(), delay: args.delay.clone(), corrupt: args.corrupt.clone() };
+    let seed = args.seed.unwrap_or_else(|| fastrand::u64(..));
+    let runtime = runtime()?;
+    runtime.block_on(async {
+        // the signals first: a reader of the line may send one at once
+        let ended = signal::wait()?;
+        let listeners = Listeners::bind(args).await?;
+        print_line(&listeners.ready()?)?;
+        let lines = (!args.quiet).then(|| Lines::start(json)).transpose()?;
+        let recording = record(link.write.as_deref(), lines.as_ref().map(|lines| lines.queue.clone()), json)?;
+        let shared = Shared {
+            recorder: recording.recorder().clone(),
+            connect_timeout: link.timeout(),
+            plan: Arc::new(plan),
+            seed,
+            count: Arc::default(),
+        };
+        tokio::select! {
+            () = ended => {}
+            () = listeners.serve(&robot, &shared) => {}
+            () = failed(&recording) => {}
+        }
+        recording.finish()?;
+        if let Some(lines) = lines {
+            lines.finish();
+        }
+        Ok(())
+    })
+}
+
+/// Returns when the recording has failed.
+async fn failed(recording: &Recording) {
+    while !recording.has_failed() {
+        sleep(CHECK).await;
+    }
+}
+
+/// Starts the recording, with lines of the calls if there is a queue for them.
+fn record(file: Option<&Path>, lines: Option<SyncSender<String>>, json: bool) -> Result<Recording, Failure> {
+    let mut live = Live::new(json);
+    Recording::start(file, move |recorded| {
+        let Some(queue) = &lines else { return };
+        for line in live.lines(&recorded) {
+            // lines are dropped if the terminal does not read; the file is complete
+            let _ = queue.try_send(line);
+        }
+    })
+}
+
+/// A thread that prints lines.
+struct Lines {
+    queue: SyncSender<String>,
+    thread: JoinHandle<()>,
+}
+
+impl Lines {
+    fn start(json: bool) -> io::Result<Self> {
+        let (queue, lines) = sync_channel::<String>(LINES);
+        let print = if json { print_json } else { print_line };
+        // a closed output does not end the proxy
+        let work = move || lines.iter().for_each(|line| drop(print(&line)));
+        Ok(Self { queue, thread: thread::Builder::new().name("lines".into()).spawn(work)? })
+    }
+
+    /// Prints the rest.
+    fn finish(self) {
+        drop(self.queue);
+        // nothing is left to do if it panicked
+        let _ = self.thread.join();
+    }
+}
+
+/// Resolves the robot's addresses.
+fn robot(args: &Proxy, link: &LinkArgs) -> Result<Robot, Failure> {
+    let tcp = link.network_target()?;
+    let udp = match &args.robot_udp {
+        Some(text) => target::network(Some(text))?,
+        None => tcp.clone(),
+    };
+    let rac = target::rac(Some(args.robot_rac.as_deref().unwrap_or(&host(&tcp))))?;
+    let resolve = |address: &NetworkAddress| {
+        blocking::resolve(address, Some(link.timeout()))
+            .map_err(|error| not_connected(&error, &Address::Network(address.clone())))
+    };
+    let udp = resolve(&udp)?.first().copied().ok_or_else(|| Failure::Input(format!("{udp} has no address")))?;
+    Ok(Robot { tcp: resolve(&tcp)?, udp, rac: resolve(&rac)? })
+}
+
+/// A host in the form of `--robot`: an IPv6 address has brackets.
+fn host(address: &NetworkAddress) -> String {
+    match address.host.parse() {
+        Ok(IpAddr::V6(host)) => format!("[{host}]"),
+        _ => address.host.clone(),
+    }
+}
+
+impl Listeners {
+    /// Binds the sockets that the arguments name. With port 0 b-CAP has the same port over TCP and UDP if it is free.
+    async fn bind(args: &Proxy) -> Result<Self, Failure> {
+        let wanted = args.listen;
+        let bcap = TcpListener::bind(wanted).await.map_err(|error| taken("--listen", wanted, &error))?;
+        let bound = bcap.local_addr()?;
+        let udp = match UdpSocket::bind(bound).await {
+            Err(_) if wanted.port() == 0 => UdpSocket::bind(wanted).await,
+            udp => udp,
+        };
+        let udp = udp.map_err(|error| taken("--listen", bound, &error))?;
+        let below = SocketAddr::new(wanted.ip(), wanted.port().saturating_sub(1));
+        let wanted = args.listen_rac.unwrap_or(below);
+        let rac = TcpListener::bind(wanted).await.map_err(|error| taken("--listen-rac", wanted, &error))?;
+        Ok(Self { bcap, udp, rac })
+    }
+
+    fn ready(&self) -> io::Result<String> {
+        let [bcap, udp, rac] = [self.bcap.local_addr()?, self.udp.local_addr()?, self.rac.local_addr()?];
+        Ok(format!("ready bcap={bcap} udp={udp} rac={rac}"))
+    }
+
+    /// Forwards until it is dropped, which closes all connections.
+    async fn serve(self, robot: &Robot, shared: &Shared) {
+        let (tcp, rac): (Arc<[SocketAddr]>, Arc<[SocketAddr]>) =
+            (robot.tcp.as_slice().into(), robot.rac.as_slice().into());
+        tokio::join!(
+            tcp::listen(self.bcap, tcp, false, shared.clone()),
+            udp::serve(self.udp, robot.udp, shared.clone()),
+            tcp::listen(self.rac, rac, true, shared.clone()),
+        );
+    }
+}
