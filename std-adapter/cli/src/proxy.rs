@@ -25,7 +25,7 @@ use bcap_std::{Address, NetworkAddress, blocking};
 use tokio::net::{TcpListener, UdpSocket};
 use tokio::time::sleep;
 
-use crate::args::{LinkArgs, Proxy};
+use crate::args::{LinkArgs, Proxy, Sim};
 use crate::capture::Live;
 use crate::connection::not_connected;
 use crate::error::Failure;
@@ -40,6 +40,9 @@ const LINES: usize = 4096;
 
 /// The time between two looks whether the file can still be written.
 const CHECK: Duration = Duration::from_millis(200);
+
+/// The time limit for connecting to a controller in this process.
+const DEFAULT_CONNECT: Duration = Duration::from_secs(3);
 
 /// Where the robot listens.
 #[derive(Clone, Debug)]
@@ -59,9 +62,22 @@ struct Shared {
     seed: u64,
     /// The number of connections so far.
     count: Arc<AtomicU64>,
+    /// Whether the server of a recorded connection is the address that the client used, and not the robot's.
+    shows_listener: bool,
 }
 
 impl Shared {
+    fn new(recording: &Recording, connect_timeout: Duration) -> Self {
+        Self {
+            recorder: recording.recorder().clone(),
+            connect_timeout,
+            plan: Arc::default(),
+            seed: 0,
+            count: Arc::default(),
+            shows_listener: false,
+        }
+    }
+
     /// Returns the faults of a new connection; `None` if every frame passes unchanged.
     fn faults(&self, is_rac: bool) -> Option<Faults> {
         let number = self.count.fetch_add(1, Ordering::Relaxed);
@@ -70,7 +86,7 @@ impl Shared {
 }
 
 /// The bound sockets.
-pub(crate) struct Listeners {
+struct Listeners {
     bcap: TcpListener,
     udp: UdpSocket,
     rac: TcpListener,
@@ -85,22 +101,12 @@ pub(crate) fn proxy(args: &Proxy, link: &LinkArgs, json: bool) -> Result<(), Fai
     runtime.block_on(async {
         // the signals first: a reader of the line may send one at once
         let ended = signal::wait()?;
-        let listeners = Listeners::bind(args).await?;
+        let listeners = Listeners::of_proxy(args).await?;
         print_line(&listeners.ready()?)?;
         let lines = (!args.quiet).then(|| Lines::start(json)).transpose()?;
         let recording = record(link.write.as_deref(), lines.as_ref().map(|lines| lines.queue.clone()), json)?;
-        let shared = Shared {
-            recorder: recording.recorder().clone(),
-            connect_timeout: link.timeout(),
-            plan: Arc::new(plan),
-            seed,
-            count: Arc::default(),
-        };
-        tokio::select! {
-            () = ended => {}
-            () = listeners.serve(&robot, &shared) => {}
-            () = failed(&recording) => {}
-        }
+        let shared = Shared { plan: Arc::new(plan), seed, ..Shared::new(&recording, link.timeout()) };
+        listeners.run(&robot, &shared, &recording, ended).await;
         recording.finish()?;
         if let Some(lines) = lines {
             lines.finish();
@@ -151,6 +157,31 @@ impl Lines {
     }
 }
 
+/// A recorded front of a virtual controller in this process, which listens on addresses of its own.
+pub(crate) struct Front {
+    listeners: Listeners,
+    recording: Recording,
+}
+
+impl Front {
+    /// Binds the addresses of the controller, and starts the recording.
+    pub(crate) async fn bind(args: &Sim, file: &Path) -> Result<Self, Failure> {
+        Ok(Self { listeners: Listeners::of_sim(args).await?, recording: Recording::start(Some(file), |_| {})? })
+    }
+
+    /// Returns the line that names the addresses.
+    pub(crate) fn ready(&self) -> io::Result<String> {
+        self.listeners.ready()
+    }
+
+    /// Forwards to the controller until `ended`, then closes the file.
+    pub(crate) async fn serve(self, robot: &Robot, ended: impl Future<Output = ()>) -> Result<(), Failure> {
+        let shared = Shared { shows_listener: true, ..Shared::new(&self.recording, DEFAULT_CONNECT) };
+        self.listeners.run(robot, &shared, &self.recording, ended).await;
+        self.recording.finish()
+    }
+}
+
 /// Resolves the robot's addresses.
 fn robot(args: &Proxy, link: &LinkArgs) -> Result<Robot, Failure> {
     let tcp = link.network_target()?;
@@ -177,7 +208,7 @@ fn host(address: &NetworkAddress) -> String {
 
 impl Listeners {
     /// Binds the sockets that the arguments name. With port 0 b-CAP has the same port over TCP and UDP if it is free.
-    async fn bind(args: &Proxy) -> Result<Self, Failure> {
+    async fn of_proxy(args: &Proxy) -> Result<Self, Failure> {
         let wanted = args.listen;
         let bcap = TcpListener::bind(wanted).await.map_err(|error| taken("--listen", wanted, &error))?;
         let bound = bcap.local_addr()?;
@@ -192,9 +223,27 @@ impl Listeners {
         Ok(Self { bcap, udp, rac })
     }
 
+    /// Binds the sockets of a virtual controller that is recorded.
+    async fn of_sim(args: &Sim) -> Result<Self, Failure> {
+        let tcp =
+            async |option, address| TcpListener::bind(address).await.map_err(|error| taken(option, address, &error));
+        let (bcap, rac) = (tcp("--bcap", args.bcap).await?, tcp("--rac", args.rac).await?);
+        let udp = UdpSocket::bind(args.udp).await.map_err(|error| taken("--udp", args.udp, &error))?;
+        Ok(Self { bcap, udp, rac })
+    }
+
     fn ready(&self) -> io::Result<String> {
         let [bcap, udp, rac] = [self.bcap.local_addr()?, self.udp.local_addr()?, self.rac.local_addr()?];
         Ok(format!("ready bcap={bcap} udp={udp} rac={rac}"))
+    }
+
+    /// Forwards until `ended` or until the file cannot be written, then closes all connections.
+    async fn run(self, robot: &Robot, shared: &Shared, recording: &Recording, ended: impl Future<Output = ()>) {
+        tokio::select! {
+            () = ended => {}
+            () = self.serve(robot, shared) => {}
+            () = failed(recording) => {}
+        }
     }
 
     /// Forwards until it is dropped, which closes all connections.

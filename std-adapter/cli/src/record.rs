@@ -11,6 +11,7 @@
 mod packets;
 mod pcapng;
 mod tape;
+mod transport;
 
 use std::io;
 use std::net::SocketAddr;
@@ -22,6 +23,7 @@ use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 use self::pcapng::Writer;
 use self::tape::Tape;
+pub(crate) use self::transport::{TapedRac, taped, taped_rac};
 use crate::error::Failure;
 use crate::frame::Role;
 

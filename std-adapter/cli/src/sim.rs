@@ -17,11 +17,13 @@ use bcap_sim::files::{Executor, Job};
 use bcap_sim::scenario::Delivery;
 use bcap_sim::{Config, Controller, Profile, Scenario};
 use bcap_std::server::Server;
+use tokio::sync::oneshot;
 
 use crate::args::Sim;
 use crate::error::Failure;
 use crate::listen::{runtime, taken};
 use crate::output::print_line;
+use crate::proxy::{Front, Robot};
 use crate::signal;
 
 /// The maximum number of queued file jobs.
@@ -30,8 +32,8 @@ const FILE_JOBS: usize = 64;
 /// The maximum number of queued explanations.
 const EXPLANATIONS: usize = 64;
 
-/// Runs `bcap sim`, until a signal ends it.
-pub(crate) fn sim(args: &Sim) -> Result<(), Failure> {
+/// Runs `bcap sim`, until a signal ends it; its clients are recorded to `file`.
+pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
     let runtime = runtime()?;
     runtime.block_on(async {
         // install the signal handlers before the `ready` line: a reader of that line may send a signal at once
@@ -58,10 +60,34 @@ pub(crate) fn sim(args: &Sim) -> Result<(), Failure> {
         if let Some(path) = &args.scenario {
             controller.play(read_scenario(path)?);
         }
-        let (server, listening) = listen(controller, &wanted).await?;
-        print_line(&listening.to_string())?;
-        Ok(server.run(ended).await?)
+        match file {
+            None => {
+                let (server, listening) = listen(controller, &wanted).await?;
+                print_line(&listening.to_string())?;
+                Ok(server.run(ended).await?)
+            }
+            Some(file) => recorded(controller, Front::bind(args, file).await?, ended).await,
+        }
     })
+}
+
+/// Serves a controller through a front that records, until `ended`.
+async fn recorded(controller: Controller, front: Front, ended: impl Future<Output = ()>) -> Result<(), Failure> {
+    let any = SocketAddr::from(([127, 0, 0, 1], 0));
+    let (server, Listening { bcap, udp, rac }) =
+        listen(controller, &Listening { bcap: any, udp: any, rac: any }).await?;
+    print_line(&front.ready()?)?;
+    let (stop, stopped) = oneshot::channel::<()>();
+    let robot = Robot { tcp: vec![bcap], udp, rac: vec![rac] };
+    let front = async {
+        let written = front.serve(&robot, ended).await;
+        drop(stop);
+        written
+    };
+    // the controller stops when the sender is dropped
+    let (written, served) = tokio::join!(front, server.run(async { drop(stopped.await) }));
+    served?;
+    written
 }
 
 /// Starts a thread for file jobs, so that a blocking file system does not delay other calls.

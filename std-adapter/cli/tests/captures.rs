@@ -5,13 +5,15 @@ mod capture;
 mod common;
 #[path = "common/recorded.rs"]
 mod recorded;
+#[path = "common/running.rs"]
+mod running;
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use bcap_fuzz::{TARGETS, corpus};
-use capture::{BCAP, Capture, Flow, From, RAC, bstr, i4, numbered, segment, unhex, wrapped};
-use common::{Run, bcap, bcap_with};
+use capture::{BCAP, Capture, Flow, From, RAC, bstr, i4, numbered, segment, wrapped};
+use common::{Run, bcap};
 use serde_json::Value;
 
 const GET_VARIABLE: u32 = 9;
@@ -327,42 +329,10 @@ fn no_input_of_a_corpus_makes_decode_fail() {
     }
 }
 
-/// The values of calls as bytes, in hexadecimal digits.
-fn encoded(values: &[String]) -> Vec<String> {
-    let run = bcap_with(&["encode", "--variant", "-"], values.join("\n").as_bytes());
-    assert_eq!(run.code, 0, "{run:?}");
-    run.out.lines().map(str::to_owned).collect()
-}
-
 #[test]
 fn a_capture_of_tcpdump_has_the_calls_that_the_server_saw() {
     let Some(recorded) = recorded::session("the capture of tcpdump") else { return };
-    let run = bcap(&["decode", recorded.file.to_str().unwrap(), "--json"]);
-    assert_eq!(run.code, 0, "{run:?}");
-    let lines: Vec<Value> = run.out.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
-    let notes: Vec<_> = lines.iter().filter(|line| line.get("note").is_some()).collect();
-    assert!(notes.is_empty(), "{notes:?}");
-    let calls: Vec<_> = lines.iter().filter(|line| line.get("function").is_some()).collect();
-    let values = calls.iter().flat_map(|call| call["args"].as_array().unwrap());
-    let values: Vec<_> = values.filter_map(|argument| Some(argument.get("value")?.to_string())).collect();
-    let mut values = encoded(&values).into_iter();
-    let unanswered: Vec<_> = calls.iter().filter(|call| call["code"].is_null()).collect();
-    assert!(unanswered.is_empty(), "{unanswered:?}");
-    let call = |call: &&Value| -> recorded::Seen {
-        let arguments = call["args"].as_array().unwrap().iter().filter(|argument| argument.get("value").is_some());
-        let arguments = arguments.map(|_| unhex(&values.next().unwrap())).collect();
-        (call["function"].as_str().unwrap().to_owned(), arguments, call["code"].as_i64().unwrap())
-    };
-    let (mut found, mut seen): (Vec<_>, _) = (calls.iter().map(call).collect(), recorded.seen);
-    // the two connections of `bcap slave` have no common order
-    found.sort();
-    seen.sort();
-    assert!(seen.len() > 60, "{}", seen.len());
-    for (found, seen) in found.iter().zip(&seen) {
-        assert_eq!(found, seen);
-    }
-    assert_eq!(found.len(), seen.len());
-    println!("{} calls, all as the server saw them", found.len());
+    recorded::assert_as_seen(&recorded);
     if std::env::var_os("BLESS").is_some() {
         fs::copy(&recorded.file, recorded::committed()).unwrap();
     }

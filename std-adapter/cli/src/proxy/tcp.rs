@@ -48,7 +48,8 @@ async fn connection(stream: TcpStream, client: SocketAddr, robot: Arc<[SocketAdd
         Ok(Err(error)) => return refused(recorder, client, first, &error),
         Err(_) => return refused(recorder, client, first, &io::ErrorKind::TimedOut.into()),
     };
-    let ends = Ends { is_tcp: true, client, server: server.peer_addr().unwrap_or(first) };
+    let shown = if shared.shows_listener { stream.local_addr() } else { server.peer_addr() };
+    let ends = Ends { is_tcp: true, client, server: shown.unwrap_or(first) };
     recorder.opened(ends);
     // an error shows in the first read
     let _ = (stream.set_nodelay(true), server.set_nodelay(true));

@@ -76,8 +76,9 @@ async fn open(here: &Arc<UdpSocket>, from: SocketAddr, robot: SocketAddr, shared
     let any = if robot.is_ipv4() { Ipv4Addr::UNSPECIFIED.into() } else { Ipv6Addr::UNSPECIFIED.into() };
     let socket = UdpSocket::bind(SocketAddr::new(any, 0)).await?;
     socket.connect(robot).await?;
+    let shown = if shared.shows_listener { here.local_addr()? } else { robot };
     Ok(Client {
-        ends: Ends { is_tcp: false, client: from, server: robot },
+        ends: Ends { is_tcp: false, client: from, server: shown },
         here: Arc::clone(here),
         robot: Arc::new(socket),
         recorder: shared.recorder.clone(),
