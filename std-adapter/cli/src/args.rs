@@ -11,9 +11,11 @@ use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
 
 mod proxy;
+mod replay;
 mod slave;
 
-pub(crate) use self::proxy::Proxy;
+pub(crate) use self::proxy::{Proxy, RobotPorts};
+pub(crate) use self::replay::Replay;
 pub(crate) use self::slave::{Cosine, Doctor, Halt, Play, Record, Slave, SlaveCommand, StreamArgs};
 use crate::duration::duration;
 use crate::error::Failure;
@@ -154,6 +156,7 @@ pub(crate) enum Command {
     Doctor(Doctor),
     Gateway(Gateway),
     Proxy(Proxy),
+    Replay(Replay),
     Demo(Demo),
     Decode(Decode),
     Encode(Encode),

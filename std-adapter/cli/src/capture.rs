@@ -28,10 +28,11 @@ use bcap_core::limits::Strictness;
 use crate::args::CaptureArgs;
 use crate::error::Failure;
 use crate::output::{print_json, print_line};
-use call::Event;
+pub(crate) use call::{Argument, Call, Event, Reply};
 use conversation::Conversations;
 pub(crate) use live::Live;
 use print::Printer;
+pub(crate) use print::{is_object, reply_text, request_text};
 use stats::Stats;
 
 /// Returns the file that the words of `bcap decode` name; `None` if they are hexadecimal digits.

@@ -8,41 +8,13 @@ use bcap_core::bcap::{Decoder, FunctionId, Progress};
 
 use crate::duration::duration;
 use crate::frame::Role;
-
-/// A function, and the command that it executes: `Robot_Execute/slvMove`, `Variable_GetValue`, `GET`.
-#[derive(Clone, Debug, PartialEq, Eq)]
-struct Of {
-    function: String,
-    command: Option<String>,
-}
-
-impl FromStr for Of {
-    type Err = String;
-
-    fn from_str(text: &str) -> Result<Self, String> {
-        let (name, command) = match text.split_once('/') {
-            Some((name, command)) => (name, Some(command.to_owned())),
-            None => (text, None),
-        };
-        let verb = ["GET", "PUT"].into_iter().find(|verb| name.eq_ignore_ascii_case(verb)).map(str::to_owned);
-        let function = verb.or_else(|| FunctionId::parse(name).map(|function| function.to_string()));
-        let function = function
-            .ok_or_else(|| format!("no function is named {name:?}; write a name of `bcap call --list`, GET or PUT"))?;
-        Ok(Self { function, command })
-    }
-}
-
-impl Of {
-    fn has(&self, title: &Self) -> bool {
-        self.function == title.function && (self.command.is_none() || self.command == title.command)
-    }
-}
+use crate::title::Title;
 
 /// A share of the frames, `0.1` or `0.1:Robot_Move`.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Share {
     share: f64,
-    of: Option<Of>,
+    of: Option<Title>,
 }
 
 impl FromStr for Share {
@@ -112,8 +84,8 @@ pub(crate) struct Faults {
     plan: Plan,
     random: fastrand::Rng,
     is_rac: bool,
-    calls: HashMap<u16, Of>,
-    lines: VecDeque<Of>,
+    calls: HashMap<u16, Title>,
+    lines: VecDeque<Title>,
 }
 
 impl Faults {
@@ -157,7 +129,7 @@ impl Faults {
     }
 
     /// Returns the call that a frame is a part of.
-    fn frame(&mut self, sender: Role, frame: &[u8]) -> Option<Of> {
+    fn frame(&mut self, sender: Role, frame: &[u8]) -> Option<Title> {
         let serial = u16::from_le_bytes(*frame.get(5..7)?.first_chunk()?);
         if sender == Role::Response {
             return self.calls.get(&serial).cloned();
@@ -170,18 +142,18 @@ impl Faults {
             Progress::Complete(frame, _) => frame.args.get(1)?.as_bstr().map(|text| text.to_string()),
             Progress::NeedMore(_) => None,
         });
-        let title = Of { function: function.to_string(), command };
+        let title = Title { function: function.to_string(), command };
         self.calls.insert(serial, title.clone());
         Some(title)
     }
 
-    fn line(&mut self, sender: Role, line: &[u8]) -> Option<Of> {
+    fn line(&mut self, sender: Role, line: &[u8]) -> Option<Title> {
         if sender == Role::Response {
             return self.lines.pop_front();
         }
         let start = line.iter().take_while(|byte| byte.is_ascii_whitespace()).count();
         let verb = line.get(start..start + 3).unwrap_or_default().to_ascii_uppercase();
-        let title = Of { function: String::from_utf8_lossy(&verb).into_owned(), command: None };
+        let title = Title { function: String::from_utf8_lossy(&verb).into_owned(), command: None };
         self.lines.push_back(title.clone());
         Some(title)
     }
@@ -199,7 +171,7 @@ impl Verdict {
         forwarded
     }
 
-    fn describe(&self, sender: Role, title: Option<&Of>) -> String {
+    fn describe(&self, sender: Role, title: Option<&Title>) -> String {
         let what = match (self.is_dropped, self.flipped) {
             (true, _) => "dropped".into(),
             (false, Some((byte, bit))) => format!("flipped bit {bit} of byte {byte} of"),
@@ -207,11 +179,7 @@ impl Verdict {
             (false, None) => format!("delayed by {} ms", self.delay.as_millis()),
         };
         let part = if sender == Role::Request { "request" } else { "reply" };
-        let title = match title {
-            Some(Of { function, command: Some(command) }) => format!(" of {function} {command}"),
-            Some(Of { function, command: None }) => format!(" of {function}"),
-            None => String::new(),
-        };
+        let title = title.map(|title| format!(" of {title}")).unwrap_or_default();
         format!("fault: {what} the {part}{title}")
     }
 }

@@ -26,6 +26,8 @@ mod proxy;
 mod rac;
 mod record;
 mod reference;
+mod replay;
+mod robot;
 mod rules;
 mod session;
 mod signal;
@@ -35,6 +37,7 @@ mod tap;
 mod target;
 mod text;
 mod times;
+mod title;
 mod value;
 mod variables;
 mod watch;
@@ -80,6 +83,7 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Doctor(args) => doctor::doctor(args, &cli.link, cli.json),
         Command::Gateway(args) => gateway::gateway(args, &cli.link),
         Command::Proxy(args) => proxy::proxy(args, &cli.link, cli.json),
+        Command::Replay(args) => replay::replay(args, &cli.link, cli.json),
         Command::Demo(_) => demo::demo(),
         Command::Decode(args) => decode::decode(args, cli.json),
         Command::Encode(args) => decode::encode(args),

@@ -13,7 +13,7 @@ mod tcp;
 mod udp;
 
 use std::io;
-use std::net::{IpAddr, SocketAddr};
+use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -21,19 +21,18 @@ use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use bcap_std::{Address, NetworkAddress, blocking};
 use tokio::net::{TcpListener, UdpSocket};
 use tokio::time::sleep;
 
 use crate::args::{LinkArgs, Proxy, Sim};
 use crate::capture::Live;
-use crate::connection::not_connected;
 use crate::error::Failure;
 use crate::faults::{Faults, Plan};
 use crate::listen::{runtime, taken};
 use crate::output::{print_json, print_line};
 use crate::record::{Recorder, Recording};
-use crate::{signal, target};
+use crate::robot::Robot;
+use crate::signal;
 
 /// The most lines that wait for the terminal.
 const LINES: usize = 4096;
@@ -43,15 +42,6 @@ const CHECK: Duration = Duration::from_millis(200);
 
 /// The time limit for connecting to a controller in this process.
 const DEFAULT_CONNECT: Duration = Duration::from_secs(3);
-
-/// Where the robot listens.
-#[derive(Clone, Debug)]
-pub(crate) struct Robot {
-    /// The addresses of a host, which are tried in turn.
-    pub(crate) tcp: Vec<SocketAddr>,
-    pub(crate) udp: SocketAddr,
-    pub(crate) rac: Vec<SocketAddr>,
-}
 
 /// What all tasks share.
 #[derive(Clone)]
@@ -94,7 +84,7 @@ struct Listeners {
 
 /// Runs `bcap proxy` until a signal ends it.
 pub(crate) fn proxy(args: &Proxy, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let robot = robot(args, link)?;
+    let robot = Robot::resolve(&args.robot, link)?;
     let plan = Plan { drop: args.drop.clone(), delay: args.delay.clone(), corrupt: args.corrupt.clone() };
     let seed = args.seed.unwrap_or_else(|| fastrand::u64(..));
     let runtime = runtime()?;
@@ -179,30 +169,6 @@ impl Front {
         let shared = Shared { shows_listener: true, ..Shared::new(&self.recording, DEFAULT_CONNECT) };
         self.listeners.run(robot, &shared, &self.recording, ended).await;
         self.recording.finish()
-    }
-}
-
-/// Resolves the robot's addresses.
-fn robot(args: &Proxy, link: &LinkArgs) -> Result<Robot, Failure> {
-    let tcp = link.network_target()?;
-    let udp = match &args.robot_udp {
-        Some(text) => target::network(Some(text))?,
-        None => tcp.clone(),
-    };
-    let rac = target::rac(Some(args.robot_rac.as_deref().unwrap_or(&host(&tcp))))?;
-    let resolve = |address: &NetworkAddress| {
-        blocking::resolve(address, Some(link.timeout()))
-            .map_err(|error| not_connected(&error, &Address::Network(address.clone())))
-    };
-    let udp = resolve(&udp)?.first().copied().ok_or_else(|| Failure::Input(format!("{udp} has no address")))?;
-    Ok(Robot { tcp: resolve(&tcp)?, udp, rac: resolve(&rac)? })
-}
-
-/// A host in the form of `--robot`: an IPv6 address has brackets.
-fn host(address: &NetworkAddress) -> String {
-    match address.host.parse() {
-        Ok(IpAddr::V6(host)) => format!("[{host}]"),
-        _ => address.host.clone(),
     }
 }
 

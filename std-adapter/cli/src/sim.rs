@@ -23,7 +23,8 @@ use crate::args::Sim;
 use crate::error::Failure;
 use crate::listen::{runtime, taken};
 use crate::output::print_line;
-use crate::proxy::{Front, Robot};
+use crate::proxy::Front;
+use crate::robot::Robot;
 use crate::signal;
 
 /// The maximum number of queued file jobs.

@@ -6,6 +6,18 @@ use clap::Args;
 
 use crate::faults::{Delay, Share};
 
+/// The addresses of a robot that is used over all protocols.
+#[derive(Debug, Args)]
+pub(crate) struct RobotPorts {
+    /// The robot's address for b-CAP over UDP [default: that of --robot]
+    #[arg(long, value_name = "HOST[:PORT]")]
+    pub(crate) robot_udp: Option<String>,
+
+    /// The robot's address for RAC [default: the host of --robot and port 5006]
+    #[arg(long, value_name = "HOST[:PORT]")]
+    pub(crate) robot_rac: Option<String>,
+}
+
 /// Forwards b-CAP and RAC to a robot, prints the calls, and records every byte
 ///
 /// Prints one line, `ready bcap=IP:PORT udp=IP:PORT rac=IP:PORT`, when it listens, then each call when its reply has arrived, as
@@ -28,13 +40,8 @@ pub(crate) struct Proxy {
     #[arg(long, value_name = "ADDR")]
     pub(crate) listen_rac: Option<SocketAddr>,
 
-    /// The robot's address for b-CAP over UDP [default: that of --robot]
-    #[arg(long, value_name = "HOST[:PORT]")]
-    pub(crate) robot_udp: Option<String>,
-
-    /// The robot's address for RAC [default: the host of --robot and port 5006]
-    #[arg(long, value_name = "HOST[:PORT]")]
-    pub(crate) robot_rac: Option<String>,
+    #[command(flatten)]
+    pub(crate) robot: RobotPorts,
 
     /// Prints no calls
     #[arg(long)]

@@ -53,7 +53,7 @@ impl<'a> Filter<'a> {
 }
 
 /// Returns whether an object is the wanted one, or belongs to it.
-fn is_object(name: &str, wanted: &str) -> bool {
+pub(crate) fn is_object(name: &str, wanted: &str) -> bool {
     name.eq_ignore_ascii_case(wanted)
         || name.split('/').any(|part| part.eq_ignore_ascii_case(wanted))
         || name.split(['/', ':']).any(|part| part.eq_ignore_ascii_case(wanted))
@@ -121,19 +121,11 @@ fn millis(nanos: u64) -> String {
 }
 
 fn call_text(call: &Call) -> String {
-    let mut out = String::new();
-    if let Some(serial) = call.serial {
-        // writing to a string cannot fail, here and below
-        let _ = write!(out, "#{serial} ");
-    }
-    let arguments: Vec<String> = call.arguments.iter().map(argument_text).collect();
-    let _ = write!(out, "{}({})", call.function, arguments.join(", "));
+    let mut out = request_text(call);
     match &call.reply {
         Some(reply) => {
-            let _ = write!(out, " -> {}", code_text(reply.code));
-            if let Some(value) = &reply.value {
-                let _ = write!(out, " {}", short(value));
-            }
+            // writing to a string cannot fail, here and below
+            let _ = write!(out, " -> {}", reply_text(reply.code, reply.value.as_ref()));
             if let Some(opened) = &reply.opened {
                 let _ = write!(out, " = {opened}");
             }
@@ -148,6 +140,19 @@ fn call_text(call: &Call) -> String {
         let _ = write!(out, " [{} x S_EXECUTING]", call.executing);
     }
     out
+}
+
+/// A call without its reply: `#5 Variable_GetValue(variable: I1)`.
+pub(crate) fn request_text(call: &Call) -> String {
+    let serial = call.serial.map(|serial| format!("#{serial} ")).unwrap_or_default();
+    let arguments: Vec<String> = call.arguments.iter().map(argument_text).collect();
+    format!("{serial}{}({})", call.function, arguments.join(", "))
+}
+
+/// A reply: `S_OK I4(5)`.
+pub(crate) fn reply_text(code: HResult, value: Option<&Value>) -> String {
+    let value = value.map(|value| format!(" {}", short(value))).unwrap_or_default();
+    format!("{}{value}", code_text(code))
 }
 
 /// The name of a code; of an error also its number and its meaning.

@@ -39,7 +39,7 @@ pub(crate) fn committed() -> PathBuf {
 }
 
 /// A virtual controller that records the calls it has completed.
-struct Recording {
+pub(crate) struct Recording {
     controller: Slowed,
     seen: Vec<Seen>,
 }
@@ -182,7 +182,7 @@ pub(crate) fn assert_as_seen(recorded: &Recorded) {
 }
 
 /// Serves a virtual controller that records its calls.
-fn serve() -> Served<Recording> {
+pub(crate) fn serve() -> Served<Recording> {
     let config = bcap_sim::Config { motor_on_delay: Duration::from_millis(1), ..bcap_sim::Config::new(Profile::Rc8) };
     let controller = Slowed(Controller::new(config));
     Served::of(Recording { controller, seen: Vec::new() }, Limits::default())
