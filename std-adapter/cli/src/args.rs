@@ -551,7 +551,8 @@ Examples:
   bcap decode --json - <frames.hex >frames.jsonl
   bcap decode capture.pcapng
   bcap decode capture.pcapng --error any --object robot
-  bcap decode capture.pcapng --stats --function Robot_Execute")]
+  bcap decode capture.pcapng --stats --function Robot_Execute
+  bcap decode capture.pcapng --csv --from 2 --until 3.5")]
 pub(crate) struct Decode {
     #[command(flatten)]
     pub(crate) form: Form,
@@ -584,7 +585,20 @@ pub(crate) struct CaptureArgs {
     #[arg(long, value_name = "CODE", allow_negative_numbers = true)]
     pub(crate) error: Option<String>,
 
-    /// Prints for each function the number of calls and errors, and p50, p99 and maximum of the response time
+    /// Only what began at this time or later, in seconds since the start of the capture, as the output without --json has them
+    #[arg(long, value_name = "SECONDS")]
+    pub(crate) from: Option<f64>,
+
+    /// Only what began before this time
+    #[arg(long, value_name = "SECONDS")]
+    pub(crate) until: Option<f64>,
+
+    /// Prints the calls as CSV with a heading: time, link, serial, function, command, arguments, attempts, hresult, ms, value
+    #[arg(long, conflicts_with_all = ["json", "stats"])]
+    pub(crate) csv: bool,
+
+    /// Prints for each function the number of calls and errors, and p50, p99 and maximum of the response time; for Slave Mode
+    /// also the times between two slvMove requests, and how many are longer than 12 ms
     #[arg(long)]
     pub(crate) stats: bool,
 }
@@ -592,7 +606,13 @@ pub(crate) struct CaptureArgs {
 impl CaptureArgs {
     /// Returns whether any option was given.
     pub(crate) const fn is_used(&self) -> bool {
-        self.function.is_some() || self.object.is_some() || self.error.is_some() || self.stats
+        self.function.is_some()
+            || self.object.is_some()
+            || self.error.is_some()
+            || self.from.is_some()
+            || self.until.is_some()
+            || self.csv
+            || self.stats
     }
 }
 

@@ -12,6 +12,7 @@
 
 mod call;
 mod conversation;
+mod csv;
 mod file;
 mod line;
 mod live;
@@ -45,10 +46,11 @@ pub(crate) fn file(words: &[String]) -> Option<&Path> {
 
 /// Runs `bcap decode FILE`.
 pub(crate) fn decode(path: &Path, args: &CaptureArgs, strictness: Strictness, json: bool) -> Result<(), Failure> {
-    let filter = print::Filter::new(args)?;
     let (events, read) = events(path, strictness);
+    let began = events.first().map_or(0, Event::at);
+    let filter = print::Filter::new(args, began)?;
     let print = if json { print_json } else { print_line };
-    let printer = Printer::new(json, events.first().map_or(0, Event::at));
+    let printer = Printer::new(json, began);
     let accepted = events.iter().filter(|event| filter.accepts(event));
     if args.stats {
         let mut stats = Stats::default();
@@ -58,6 +60,10 @@ pub(crate) fn decode(path: &Path, args: &CaptureArgs, strictness: Strictness, js
             }
         }
         stats.lines(json).iter().try_for_each(|line| print(line))?;
+    } else if args.csv {
+        print_line(&csv::heading())?;
+        let calls = accepted.filter_map(|event| if let Event::Call(call) = event { Some(call) } else { None });
+        calls.map(|call| csv::line(call, began)).try_for_each(|line| print_line(&line))?;
     } else {
         accepted.map(|event| printer.line(event)).try_for_each(|line| print(&line))?;
     }

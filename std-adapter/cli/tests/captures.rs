@@ -12,7 +12,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use bcap_fuzz::{TARGETS, corpus};
-use capture::{BCAP, Capture, Flow, From, RAC, bstr, i4, numbered, segment, wrapped};
+use capture::{BCAP, Capture, Flow, From, RAC, bstr, i4, list, numbered, segment, wrapped};
 use common::{Run, bcap};
 use serde_json::Value;
 
@@ -290,6 +290,56 @@ fn lines_of_rac_are_calls() {
     assert_eq!(lines[3], "tcp1 GET(S1) -> S_OK \"\\u{1b}[31m\"");
     assert!(lines[4].starts_with("tcp1 \"HELLO\"() -> 0x80070057 (E_INVALIDARG): "), "{lines:?}");
     assert_eq!(lines[5], "tcp1: note: server: a response without a request: 0x00000007");
+}
+
+#[test]
+fn calls_are_selected_by_time_and_printed_as_csv() {
+    let [client, server] = reading();
+    let (mut capture, mut flow) = (Capture::new(), Flow::new(1, BCAP));
+    let opening = client.len() - numbered(2, 0, GET_VALUE, &[i4(3)]).len();
+    // a packet each millisecond; the reply to both is the third
+    for (from, bytes) in
+        [(From::Client, &client[..opening]), (From::Client, &client[opening..]), (From::Server, &server[..])]
+    {
+        capture.tcp(&mut flow, from, bytes);
+    }
+    let path = save("times.pcap", &capture);
+    let run = bcap(&["decode", &path, "--csv"]);
+    let rows = [
+        "time,link,serial,function,command,arguments,attempts,hresult,ms,value",
+        "0.000000,tcp1,1,Controller_GetVariable,,\"controller: I4(2), name: \"\"I1\"\", option: \"\"\"\"\",1,S_OK,2.000,I4(3)",
+        "0.001000,tcp1,2,Variable_GetValue,,variable: I4(3),1,S_OK,1.000,I4(77)",
+    ];
+    assert_eq!((run.code, run.out.lines().collect::<Vec<_>>()), (0, rows.to_vec()));
+    for (options, kept) in [
+        (&["--from", "0.001"][..], &rows[2..]),
+        (&["--until", "0.001"], &rows[1..2]),
+        (&["--from", "0.0005", "--until", "0.001"], &[]),
+    ] {
+        let run = bcap(&[&["decode", &path, "--csv"], options].concat());
+        assert_eq!(run.out.lines().skip(1).collect::<Vec<_>>(), kept, "{options:?}");
+    }
+    let run = bcap(&["decode", &path, "--from", "-1"]);
+    assert_eq!(run.code, 2, "{run:?}");
+}
+
+#[test]
+fn the_figures_have_the_gaps_of_slave_mode() {
+    let (mut capture, mut flow) = (Capture::new(), Flow::new(1, BCAP));
+    let slave_move = |serial| numbered(serial, 0, 64, &[i4(5), bstr("slvMove"), list(&[])]);
+    // a packet takes 1 ms; others on another connection pass the time
+    let mut other = Flow::new(2, BCAP);
+    for (serial, pause) in [(1, 7), (2, 7), (3, 14), (4, 7), (5, 0)] {
+        capture.tcp(&mut flow, From::Client, &slave_move(serial));
+        (0..pause).for_each(|_| capture.tcp(&mut other, From::Client, b"x"));
+    }
+    let path = save("gaps.pcap", &capture);
+    let run = bcap(&["decode", &path, "--stats"]);
+    let line = "tcp1: 4 intervals between slvMove: p50 8.003 ms, p99 15.000 ms, max 15.000 ms; 1 longer than 12 ms";
+    assert!(run.out.lines().any(|found| found == line), "{}", run.out);
+    let run = bcap(&["decode", &path, "--stats", "--json"]);
+    let line: Value = serde_json::from_str(run.out.lines().last().unwrap()).unwrap();
+    assert_eq!((&line["slave_mode"], &line["gaps"], &line["intervals"]), (&"tcp1".into(), &1.into(), &4.into()));
 }
 
 #[test]

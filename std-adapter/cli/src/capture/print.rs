@@ -1,6 +1,8 @@
 //! The events of a capture as lines of text or of JSON, and their filters.
 
 use std::fmt::Write as _;
+use std::ops::Range;
+use std::time::Duration;
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
@@ -17,6 +19,8 @@ pub(crate) struct Filter<'a> {
     function: Option<String>,
     object: Option<&'a str>,
     error: Option<Wanted>,
+    /// Nanoseconds since 1970.
+    times: Range<u64>,
 }
 
 /// The codes that a filter accepts.
@@ -26,14 +30,19 @@ enum Wanted {
 }
 
 impl<'a> Filter<'a> {
-    /// Reads the options of the command line.
-    pub(crate) fn new(args: &'a CaptureArgs) -> Result<Self, Failure> {
+    /// Reads the options of the command line, for a capture that began at nanoseconds since 1970.
+    pub(crate) fn new(args: &'a CaptureArgs, began: u64) -> Result<Self, Failure> {
         let function = args.function.as_deref().map(function).transpose()?;
         let error = args.error.as_deref().map(wanted).transpose()?;
-        Ok(Self { function, object: args.object.as_deref(), error })
+        let time = |option: Option<f64>, default| option.map_or(Ok(default), |seconds| after(began, seconds));
+        let times = time(args.from, 0)?..time(args.until, u64::MAX)?;
+        Ok(Self { function, object: args.object.as_deref(), error, times })
     }
 
     pub(crate) fn accepts(&self, event: &Event) -> bool {
+        if !self.times.contains(&event.at()) {
+            return false;
+        }
         match event {
             Event::Call(call) => self.accepts_call(call),
             Event::Link(_) | Event::Note(_) => self.function.is_none() && self.object.is_none() && self.error.is_none(),
@@ -50,6 +59,13 @@ impl<'a> Filter<'a> {
                 Some(Wanted::Code(code)) => call.reply.as_ref().is_some_and(|reply| reply.code == *code),
             }
     }
+}
+
+/// Returns the nanoseconds since 1970 of a time since the start.
+fn after(began: u64, seconds: f64) -> Result<u64, Failure> {
+    let time = Duration::try_from_secs_f64(seconds).ok().and_then(|time| u64::try_from(time.as_nanos()).ok());
+    let time = time.and_then(|time| began.checked_add(time));
+    time.ok_or_else(|| Failure::Input(format!("{seconds} is not a time in seconds since the start of the capture")))
 }
 
 /// Returns whether an object is the wanted one, or belongs to it.
@@ -111,7 +127,7 @@ impl Printer {
 }
 
 /// Formats nanoseconds as seconds, to the microsecond.
-fn seconds(nanos: u64) -> String {
+pub(super) fn seconds(nanos: u64) -> String {
     format!("{:4}.{:06}", nanos / 1_000_000_000, nanos / 1000 % 1_000_000)
 }
 
@@ -164,7 +180,7 @@ fn code_text(code: HResult) -> String {
     }
 }
 
-fn argument_text(argument: &Argument) -> String {
+pub(super) fn argument_text(argument: &Argument) -> String {
     let value = match (&argument.object, &argument.value) {
         (Some(object), _) => object.clone(),
         (None, Some(value)) => short(value),
@@ -174,7 +190,7 @@ fn argument_text(argument: &Argument) -> String {
 }
 
 /// A value as text; a long one as its type and size.
-fn short(value: &Value) -> String {
+pub(super) fn short(value: &Value) -> String {
     const LONGEST: usize = 512;
     if value.as_bytes().len() <= LONGEST { format!("{:?}", value.as_variant()) } else { value::described(Some(value)) }
 }
