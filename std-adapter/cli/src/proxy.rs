@@ -9,6 +9,7 @@
 //! Bytes are forwarded before they are recorded, so that recording does not delay them. The thread of the recording makes the
 //! lines, and another thread prints them: a terminal that does not read delays neither the robot nor the file.
 
+mod shared;
 mod tcp;
 mod udp;
 
@@ -16,7 +17,6 @@ use std::io;
 use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
@@ -24,13 +24,14 @@ use std::time::Duration;
 use tokio::net::{TcpListener, UdpSocket};
 use tokio::time::sleep;
 
+use self::shared::Shared;
 use crate::args::{LinkArgs, Proxy, Sim};
 use crate::capture::Live;
 use crate::error::Failure;
-use crate::faults::{Faults, Plan};
+use crate::faults::Plan;
 use crate::listen::{runtime, taken};
 use crate::output::{print_json, print_line};
-use crate::record::{Recorder, Recording};
+use crate::record::Recording;
 use crate::robot::Robot;
 use crate::signal;
 
@@ -42,38 +43,6 @@ const CHECK: Duration = Duration::from_millis(200);
 
 /// The time limit for connecting to a controller in this process.
 const DEFAULT_CONNECT: Duration = Duration::from_secs(3);
-
-/// What all tasks share.
-#[derive(Clone)]
-struct Shared {
-    recorder: Recorder,
-    connect_timeout: Duration,
-    plan: Arc<Plan>,
-    seed: u64,
-    /// The number of connections so far.
-    count: Arc<AtomicU64>,
-    /// Whether the server of a recorded connection is the address that the client used, and not the robot's.
-    shows_listener: bool,
-}
-
-impl Shared {
-    fn new(recording: &Recording, connect_timeout: Duration) -> Self {
-        Self {
-            recorder: recording.recorder().clone(),
-            connect_timeout,
-            plan: Arc::default(),
-            seed: 0,
-            count: Arc::default(),
-            shows_listener: false,
-        }
-    }
-
-    /// Returns the faults of a new connection; `None` if every frame passes unchanged.
-    fn faults(&self, is_rac: bool) -> Option<Faults> {
-        let number = self.count.fetch_add(1, Ordering::Relaxed);
-        (!self.plan.is_empty()).then(|| Faults::new((*self.plan).clone(), self.seed.wrapping_add(number), is_rac))
-    }
-}
 
 /// The bound sockets.
 struct Listeners {
@@ -95,7 +64,7 @@ pub(crate) fn proxy(args: &Proxy, link: &LinkArgs, json: bool) -> Result<(), Fai
         print_line(&listeners.ready()?)?;
         let lines = (!args.quiet).then(|| Lines::start(json)).transpose()?;
         let recording = record(link.write.as_deref(), lines.as_ref().map(|lines| lines.queue.clone()), json)?;
-        let shared = Shared { plan: Arc::new(plan), seed, ..Shared::new(&recording, link.timeout()) };
+        let shared = Shared::new(&recording, link.timeout()).with_faults(plan, seed);
         listeners.run(&robot, &shared, &recording, ended).await;
         recording.finish()?;
         if let Some(lines) = lines {
@@ -166,7 +135,8 @@ impl Front {
 
     /// Forwards to the controller until `ended`, then closes the file.
     pub(crate) async fn serve(self, robot: &Robot, ended: impl Future<Output = ()>) -> Result<(), Failure> {
-        let shared = Shared { shows_listener: true, ..Shared::new(&self.recording, DEFAULT_CONNECT) };
+        let mut shared = Shared::new(&self.recording, DEFAULT_CONNECT);
+        shared.shows_listener = true;
         self.listeners.run(robot, &shared, &self.recording, ended).await;
         self.recording.finish()
     }

@@ -8,19 +8,20 @@
 //! The headers of IP, TCP and UDP are made up: the operating system does not show those of its own connections. Addresses,
 //! ports, times and the order of bytes are true.
 
+mod ends;
 mod packets;
 mod pcapng;
 mod tape;
 mod transport;
 
 use std::io;
-use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
+pub(crate) use self::ends::{Ends, Recorded};
 use self::pcapng::Writer;
 use self::tape::Tape;
 pub(crate) use self::transport::{TapedRac, taped, taped_rac};
@@ -29,25 +30,6 @@ use crate::frame::Role;
 
 /// The most entries that wait for the file. Then [`Recorder::bytes`] waits, because a recording must not lack bytes.
 const QUEUE: usize = 1 << 14;
-
-/// The ends of a TCP connection, or of the datagrams between two ports.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) struct Ends {
-    pub(crate) is_tcp: bool,
-    pub(crate) client: SocketAddr,
-    pub(crate) server: SocketAddr,
-}
-
-/// What the thread hands to the command.
-#[derive(Debug)]
-pub(crate) enum Recorded<'a> {
-    /// A packet that begins with its IP header, at nanoseconds since 1970.
-    Packet { at: u64, bytes: &'a [u8] },
-    /// The end of a connection.
-    Closed(Ends),
-    /// A remark on a connection.
-    Note { at: u64, ends: Ends, text: &'a str },
-}
 
 /// An entry of the queue.
 enum Entry {

@@ -10,7 +10,7 @@ use tokio::net::UdpSocket;
 use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
 
-use super::Shared;
+use super::shared::Shared;
 use crate::faults::Faults;
 use crate::frame::Role;
 use crate::record::{Ends, Recorder};

@@ -4,7 +4,7 @@ use std::net::{IpAddr, Ipv6Addr};
 
 use etherparse::{IpHeaders, PacketBuilder, PacketBuilderStep, TcpHeader, TcpOptionElement};
 
-use super::Ends;
+use super::ends::Ends;
 use crate::frame::Role;
 
 /// The most bytes of a TCP segment. With its headers it must be shorter than 64 KiB.

@@ -3,9 +3,9 @@
 use std::collections::HashMap;
 use std::io;
 
+use super::ends::{Ends, Recorded};
 use super::packets::Flow;
 use super::pcapng::Writer;
-use super::{Ends, Recorded};
 use crate::frame::Role;
 
 /// Makes packets, and passes them to the file and to the command.

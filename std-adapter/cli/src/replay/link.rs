@@ -87,14 +87,15 @@ impl<'a> Link<'a> {
         options.udp.timing.attempts = UDP_ATTEMPTS;
         options.udp.timing.attempt_timeout = (self.timeout / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
         let robot = self.robot;
+        let bcap = |controller| Socket::Bcap(Box::new(controller));
         let socket = match self.planned.protocol {
             Protocol::Tcp => {
-                blocking::connect_tcp(&robot.tcp[..], &options).map(taped).map(Controller::unopened).map(Socket::Bcap)
+                blocking::connect_tcp(&robot.tcp[..], &options).map(taped).map(Controller::unopened).map(bcap)
             }
-            Protocol::Udp => {
-                blocking::connect_udp(robot.udp, &options).map(taped).map(Controller::unopened).map(Socket::Bcap)
+            Protocol::Udp => blocking::connect_udp(robot.udp, &options).map(taped).map(Controller::unopened).map(bcap),
+            Protocol::Rac => {
+                blocking::connect_rac(&robot.rac[..], &options).map(|client| Socket::Rac(Box::new(taped_rac(client))))
             }
-            Protocol::Rac => blocking::connect_rac(&robot.rac[..], &options).map(taped_rac).map(Socket::Rac),
         };
         let socket = socket.map_err(|error| with_causes(&error))?;
         Ok(Client { socket, handles: HashMap::new(), is_lost: false })
@@ -131,8 +132,8 @@ struct Client {
 }
 
 enum Socket {
-    Bcap(Controller),
-    Rac(TapedRac),
+    Bcap(Box<Controller>),
+    Rac(Box<TapedRac>),
 }
 
 impl Client {
