@@ -91,7 +91,7 @@ pub(crate) struct LinkArgs {
 
     /// Records what the command sends and receives as packets in this file, for `bcap decode` and Wireshark
     ///
-    /// The file is pcapng. A serial line has no packets. `sim` and `proxy` record their clients; `gateway` records the robot.
+    /// The file is pcapng. A serial line has no packets. `sim` and `proxy` record their clients, `gateway` its PLCs and the robot.
     #[arg(long, global = true, value_name = "FILE.pcapng")]
     pub(crate) write: Option<PathBuf>,
 

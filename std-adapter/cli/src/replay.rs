@@ -83,9 +83,11 @@ impl Totals {
             // serializing numbers cannot fail
             return Ok(print_json(&serde_json::to_string(self).unwrap_or_default())?);
         }
-        Ok(print_line(&format!(
-            "{calls} calls of {connections} connections, {compared} replies compared, {differences} differences"
-        ))?)
+        let counted = |count: usize, noun: &str| format!("{count} {noun}{}", if count == 1 { "" } else { "s" });
+        let [calls, connections, differences] =
+            [(*calls, "call"), (*connections, "connection"), (*differences, "difference")]
+                .map(|(n, noun)| counted(n, noun));
+        Ok(print_line(&format!("{calls} of {connections}, {compared} replies compared, {differences}"))?)
     }
 }
 

@@ -85,9 +85,36 @@ fn client_commands_and_the_virtual_controller_record_the_same_calls() {
     assert_eq!(sim.interrupt().code, 0);
     let mut seen = json_calls(&server);
     // the connections of Slave Mode have no common order
-    (calls.sort(), seen.sort());
+    calls.sort();
+    seen.sort();
     assert!(calls.len() > 60, "{}", calls.len());
     assert_eq!(calls, seen);
+}
+
+#[test]
+fn a_gateway_records_its_plcs_and_the_robot() {
+    let (sim, file) = (Running::sim(&[]), path("gateway.pcapng"));
+    let rac = ["--rac", "127.0.0.1:0", "--allow-put", "I", "--audit", path("gateway.jsonl").to_str().unwrap()]
+        .map(str::to_owned);
+    for robot in [format!("tcp:{}", sim.bcap), format!("udp:{}", sim.udp)] {
+        let more = ["gateway", "--robot", &robot, "--write", file.to_str().unwrap()];
+        let gateway = Running::start(&[&more[..], &rac.each_ref().map(String::as_str)].concat());
+        for args in [&["rac", "put", "I3", "7"][..], &["rac", "get", "I3"]] {
+            let run = bcap(&[args, &["--robot", &gateway.rac]].concat());
+            assert_eq!((run.code, run.out.as_str()), (0, "I3 = 7\n"), "{run:?}");
+        }
+        assert_eq!(gateway.interrupt().code, 0);
+        let lines = decoded(&file, &["--object", "I3"]);
+        for call in ["PUT(I3, value: I4(7)) -> S_OK", "GET(I3) -> S_OK I4(7)"] {
+            assert!(lines.contains(call), "{call}: {lines}");
+        }
+        for call in
+            ["Variable_PutValue(variable: I3, value: I4(7)) -> S_OK", "Variable_GetValue(variable: I3) -> S_OK I4(7)"]
+        {
+            assert!(lines.contains(call), "{call}: {lines}");
+        }
+        assert_eq!(decoded(&file, &["--error", "any"]), "");
+    }
 }
 
 /// The calls of a file without times and names of connections.

@@ -125,7 +125,7 @@ fn a_lost_connection_and_other_handles_are_differences_only_where_they_matter() 
     capture.save(&file);
     let sim = Running::sim(&[]);
     let run = replay(&file, &sim, &["--fast"]);
-    let totals = "5 calls of 1 connections, 4 replies compared, 0 differences\n";
+    let totals = "5 calls of 1 connection, 4 replies compared, 0 differences\n";
     assert_eq!((run.code, run.out.as_str()), (0, totals), "{run:?}");
 
     assert_eq!(sim.interrupt().code, 0);

@@ -10,7 +10,7 @@ use crate::common::{Run, command};
 pub(crate) struct Running {
     child: Child,
     out: BufReader<ChildStdout>,
-    /// The addresses, without a protocol.
+    /// The addresses, without a protocol; empty if the command does not serve one.
     pub(crate) bcap: String,
     pub(crate) udp: String,
     pub(crate) rac: String,
@@ -24,8 +24,9 @@ impl Running {
         out.read_line(&mut line).unwrap();
         let address = |key: &str| -> String {
             let word = line.split_whitespace().find_map(|word| word.strip_prefix(key));
-            word.unwrap_or_else(|| panic!("no {key} in {line:?}")).to_owned()
+            word.unwrap_or_default().to_owned()
         };
+        assert!(line.starts_with("ready "), "{line:?}");
         let [bcap, udp, rac] = ["bcap=", "udp=", "rac="].map(address);
         Self { child, out, bcap, udp, rac }
     }
