@@ -5,6 +5,7 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use bcap_core::bcap::{Decoder, FunctionId, Progress};
+use bcap_core::rac::MAX_LINE;
 
 use crate::duration::duration;
 use crate::frame::Role;
@@ -99,7 +100,8 @@ impl Faults {
     /// Bytes that are not a frame are taken together, so that they pass too.
     pub(crate) fn first(&self, bytes: &[u8]) -> Option<usize> {
         if self.is_rac {
-            return bytes.iter().position(|byte| *byte == b'\r').map(|at| at + 1);
+            let line = bytes.iter().position(|byte| *byte == b'\r').map(|at| at + 1);
+            return line.or((bytes.len() > MAX_LINE).then_some(bytes.len()));
         }
         match Decoder::TCP.frame_length(bytes) {
             Ok(length) => length.filter(|length| *length <= bytes.len()),
@@ -123,6 +125,10 @@ impl Faults {
         let delay = plan.delay.iter().filter(|delay| hit(&delay.share)).map(|delay| delay.time).sum();
         let is_corrupt = plan.corrupt.iter().any(&mut hit);
         let flipped = (is_corrupt && !frame.is_empty()).then(|| (random.usize(..frame.len()), random.u8(..8)));
+        if self.is_rac && is_dropped && sender == Role::Request {
+            // its reply will not come
+            self.lines.pop_back();
+        }
         let mut verdict = Verdict { is_dropped, delay, flipped, note: String::new() };
         verdict.note = verdict.describe(sender, title.as_ref());
         verdict
@@ -214,8 +220,14 @@ mod tests {
         assert!(!faults.judge(Role::Request, b"GET:RC8:1:I:\r").is_dropped);
         assert!(faults.judge(Role::Request, b"\nput:RC8:1:I:3,5\r").is_dropped);
         assert!(!faults.judge(Role::Response, b"0,3,5\r").is_dropped);
-        let verdict = faults.judge(Role::Response, b"0\r");
-        assert_eq!((verdict.is_dropped, verdict.note.as_str()), (true, "fault: dropped the reply of PUT"));
+        // the dropped request has no reply
+        assert!(!faults.judge(Role::Request, b"GET:RC8:1:I:\r").is_dropped);
+        assert!(!faults.judge(Role::Response, b"0,3,5\r").is_dropped);
+
+        let plan = Plan { delay: vec!["5:PUT".parse().unwrap()], ..Plan::default() };
+        let mut faults = Faults::new(plan, 1, true);
+        assert_eq!(faults.judge(Role::Request, b"PUT:RC8:1:I:3,5\r").note, "fault: delayed by 5 ms the request of PUT");
+        assert_eq!(faults.judge(Role::Response, b"0\r").note, "fault: delayed by 5 ms the reply of PUT");
     }
 
     #[test]

@@ -61,9 +61,9 @@ pub(crate) fn proxy(args: &Proxy, link: &LinkArgs, json: bool) -> Result<(), Fai
         // the signals first: a reader of the line may send one at once
         let ended = signal::wait()?;
         let listeners = Listeners::of_proxy(args).await?;
-        print_line(&listeners.ready()?)?;
         let lines = (!args.quiet).then(|| Lines::start(json)).transpose()?;
         let recording = record(link.write.as_deref(), lines.as_ref().map(|lines| lines.queue.clone()), json)?;
+        print_line(&listeners.ready()?)?;
         let shared = Shared::new(&recording, link.timeout()).with_faults(plan, seed);
         listeners.run(&robot, &shared, &recording, ended).await;
         recording.finish()?;

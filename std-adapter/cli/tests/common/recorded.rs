@@ -188,18 +188,44 @@ pub(crate) fn serve() -> Served<Recording> {
     Served::of(Recording { controller, seen: Vec::new() }, Limits::default())
 }
 
+fn start_proxy(served: &Served<Recording>, file: &Path, options: &[&str]) -> Running {
+    let [tcp, udp, rac] = [&served.tcp, &served.udp, &served.rac].map(ToString::to_string);
+    let robot = ["--robot", &tcp, "--robot-udp", &udp, "--robot-rac", &rac, "--write", file.to_str().unwrap()];
+    Running::start(&[&["proxy", "--listen", "127.0.0.1:0"], &robot[..], options].concat())
+}
+
 /// Runs a session through `bcap proxy`, which records it.
 pub(crate) fn proxied(options: &[&str]) -> (Recorded, Run) {
     let served = serve();
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("session.pcapng");
-    let (tcp, udp, rac) = (served.tcp.to_string(), served.udp.to_string(), served.rac.to_string());
-    let robot = ["--robot", &tcp, "--robot-udp", &udp, "--robot-rac", &rac, "--write", file.to_str().unwrap()];
-    let proxy = Running::start(&[&["proxy", "--listen", "127.0.0.1:0"], &robot[..], options].concat());
+    let proxy = start_proxy(&served, &file, options);
     run(&format!("tcp:{}", proxy.bcap), &format!("udp:{}", proxy.udp), &proxy.rac);
     let printed = proxy.interrupt();
     let seen = served.application().seen.clone();
     (Recorded { file, seen, _folder: folder }, printed)
+}
+
+/// Waits until tcpdump has written the last request of the session.
+fn wait_for_the_end(file: &Path) {
+    let until = Instant::now() + Duration::from_secs(30);
+    while !bcap(&["decode", file.to_str().unwrap(), "--object", "S9"]).out.contains("S_OK") {
+        assert!(Instant::now() < until, "tcpdump has not written the end of the session");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+/// Runs a session through `bcap proxy` while tcpdump captures between the proxy and the server; returns the files of both.
+pub(crate) fn proxied_under_tcpdump(test: &str, folder: &Path) -> Option<[PathBuf; 2]> {
+    let served = serve();
+    let [proxied, dumped] = ["proxy.pcapng", "tcpdump.pcap"].map(|name| folder.join(name));
+    let dump = tcpdump(test, &dumped, [served.tcp.port(), served.udp.port(), served.rac.port()])?;
+    let proxy = start_proxy(&served, &proxied, &["--quiet"]);
+    run(&format!("tcp:{}", proxy.bcap), &format!("udp:{}", proxy.udp), &proxy.rac);
+    assert_eq!(proxy.interrupt().code, 0);
+    wait_for_the_end(&dumped);
+    drop(dump);
+    Some([proxied, dumped])
 }
 
 /// Runs a session under tcpdump; `None` if tcpdump cannot capture.
@@ -209,12 +235,7 @@ pub(crate) fn session(test: &str) -> Option<Recorded> {
     let file = folder.path().join("session.pcap");
     let dump = tcpdump(test, &file, [served.tcp.port(), served.udp.port(), served.rac.port()])?;
     run(&format!("tcp:{}", served.tcp), &format!("udp:{}", served.udp), &served.rac.to_string());
-    let until = Instant::now() + Duration::from_secs(30);
-    // the last request of the session
-    while !bcap(&["decode", file.to_str().unwrap(), "--object", "S9"]).out.contains("S_OK") {
-        assert!(Instant::now() < until, "tcpdump has not written the end of the session");
-        std::thread::sleep(Duration::from_millis(10));
-    }
+    wait_for_the_end(&file);
     drop(dump);
     let seen = served.application().seen.clone();
     Some(Recorded { file, seen, _folder: folder })
