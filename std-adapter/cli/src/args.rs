@@ -76,22 +76,23 @@ pub(crate) struct LinkArgs {
     ///
     /// Without a protocol it is TCP; tcp://HOST is accepted too. Write IPv6 addresses in brackets: tcp:[fe80::1]:5007. A serial
     /// line may have settings, here with the defaults: 'serial:/dev/ttyUSB0?baud=115200&parity=none&stop=1'. `rac`,
-    /// `doctor`, `gateway` and `slave` need a network.
+    /// `doctor`, `gateway`, `proxy`, `replay` and `slave` need a network.
     #[arg(long, global = true, value_name = "ADDRESS")]
     pub(crate) robot: Option<String>,
 
     /// The time limit of the whole command, in ms or with a unit (2s) [default: 3 s for each answer or keep-alive]
     ///
     /// It covers connecting, all calls with their keep-alives, and the end of the session. `watch` and `slave record` apply
-    /// it to each round; `doctor` to each link, and then to all other checks together; `slave play`, `slave cosine` and
-    /// `gateway` to each answer. Without this option `halt` ends within 3 s, and a controller can keep any other call alive
+    /// it to each round; `doctor` to each link, and then to all other checks together; `slave play`, `slave cosine`,
+    /// `gateway` and `replay` to each answer; `proxy` to connecting. Without this option `halt` ends within 3 s, and a controller can keep any other call alive
     /// for 180 s. Over UDP five attempts share the time.
     #[arg(long, global = true, value_name = "MS", value_parser = duration)]
     pub(crate) timeout: Option<Duration>,
 
     /// Records what the command sends and receives as packets in this file, for `bcap decode` and Wireshark
     ///
-    /// The file is pcapng. A serial line has no packets. `sim` and `proxy` record their clients, `gateway` its PLCs and the robot.
+    /// The file is pcapng. A serial line has no packets. `sim` and `proxy` record their clients, `gateway` its PLCs and the
+    /// robot.
     #[arg(long, global = true, value_name = "FILE.pcapng")]
     pub(crate) write: Option<PathBuf>,
 

@@ -22,8 +22,8 @@ pub(crate) struct RobotPorts {
 ///
 /// Prints one line, `ready bcap=IP:PORT udp=IP:PORT rac=IP:PORT`, when it listens, then each call when its reply has arrived, as
 /// `bcap decode` prints it. --write FILE.pcapng records every byte: packets between the client and the robot, as the client
-/// sent and received them. Faults are injected by share: 0.1 is every tenth frame, in both directions. A fault is printed, and
-/// in the file it is the comment of its packet. On SIGINT and SIGTERM it ends with 0.
+/// sent and received them. Faults are injected by share: 0.1 is a tenth of the frames, chosen at random, in both directions. A
+/// fault is printed, and in the file it is the comment of its packet. On SIGINT and SIGTERM it ends with 0.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
