@@ -345,6 +345,7 @@ Examples:
   bcap sim
   bcap sim --bcap 127.0.0.1:0 --udp 127.0.0.1:0 --rac 127.0.0.1:0
   bcap sim --scenario faults.toml
+  bcap sim --replay session.pcapng
   bcap sim --model cobotta --robot-type CVR038A1-NV6
   bcap sim --bcap [::]:5007 --udp [::]:5007 --rac [::]:5006")]
 pub(crate) struct Sim {
@@ -386,6 +387,13 @@ pub(crate) struct Sim {
     /// refused calls, errors, the emergency stop, a bad link
     #[arg(long, value_name = "FILE")]
     pub(crate) scenario: Option<PathBuf>,
+
+    /// Answers as the server of a capture did, instead of as a virtual controller
+    ///
+    /// The connections of clients are those of the capture in their order. A request gets the reply of the next call with the same
+    /// function and arguments, at once. A request that the capture does not have is refused with E_FAIL and printed on stderr.
+    #[arg(long, value_name = "FILE.pcapng", conflicts_with_all = ["scenario", "files", "explain", "lenient"])]
+    pub(crate) replay: Option<PathBuf>,
 
     /// The folder of the controller's files; clients see its regular files and folders [default: an empty temporary folder]
     #[arg(long, value_name = "DIR")]

@@ -22,6 +22,7 @@ mod json;
 mod listen;
 mod output;
 mod plain;
+mod playback;
 mod proxy;
 mod rac;
 mod record;

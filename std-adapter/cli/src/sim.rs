@@ -12,6 +12,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
+use bcap_core::{bcap, rac};
 use bcap_sim::explain::Observer;
 use bcap_sim::files::{Executor, Job};
 use bcap_sim::scenario::Delivery;
@@ -23,6 +24,7 @@ use crate::args::Sim;
 use crate::error::Failure;
 use crate::listen::{runtime, taken};
 use crate::output::print_line;
+use crate::playback::Playback;
 use crate::proxy::Front;
 use crate::robot::Robot;
 use crate::signal;
@@ -39,7 +41,9 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
     runtime.block_on(async {
         // install the signal handlers before the `ready` line: a reader of that line may send a signal at once
         let ended = signal::wait()?;
-        let wanted = Listening { bcap: args.bcap, udp: args.udp, rac: args.rac };
+        if let Some(capture) = &args.replay {
+            return serve(Server::new(Playback::read(capture)?), args, file, ended).await;
+        }
         // dropped, and thereby deleted, after the controller has ended
         let temporary = tempfile::tempdir()?;
         let files = args.files.as_deref().unwrap_or(temporary.path());
@@ -61,22 +65,35 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         if let Some(path) = &args.scenario {
             controller.play(read_scenario(path)?);
         }
-        match file {
-            None => {
-                let (server, listening) = listen(controller, &wanted).await?;
-                print_line(&listening.to_string())?;
-                Ok(server.run(ended).await?)
-            }
-            Some(file) => recorded(controller, Front::bind(args, file).await?, ended).await,
-        }
+        serve(Server::new(controller).tap(deliver), args, file, ended).await
     })
 }
 
-/// Serves a controller through a front that records, until `ended`.
-async fn recorded(controller: Controller, front: Front, ended: impl Future<Output = ()>) -> Result<(), Failure> {
+/// Serves at the addresses of the command line until `ended`; the clients are recorded to `file`.
+async fn serve<H: Serves>(
+    server: Server<H>,
+    args: &Sim,
+    file: Option<&Path>,
+    ended: impl Future<Output = ()>,
+) -> Result<(), Failure> {
+    if let Some(file) = file {
+        return recorded(server, Front::bind(args, file).await?, ended).await;
+    }
+    let wanted = Listening { bcap: args.bcap, udp: args.udp, rac: args.rac };
+    let (server, listening) = bind(server, &wanted).await?;
+    print_line(&listening.to_string())?;
+    Ok(server.run(ended).await?)
+}
+
+/// A handler of both protocols.
+trait Serves: bcap::server::Handler + rac::server::Handler + Send + 'static {}
+
+impl<H: bcap::server::Handler + rac::server::Handler + Send + 'static> Serves for H {}
+
+/// Serves through a front that records, until `ended`.
+async fn recorded<H: Serves>(server: Server<H>, front: Front, ended: impl Future<Output = ()>) -> Result<(), Failure> {
     let any = SocketAddr::from(([127, 0, 0, 1], 0));
-    let (server, Listening { bcap, udp, rac }) =
-        listen(controller, &Listening { bcap: any, udp: any, rac: any }).await?;
+    let (server, Listening { bcap, udp, rac }) = bind(server, &Listening { bcap: any, udp: any, rac: any }).await?;
     print_line(&front.ready()?)?;
     let (stop, stopped) = oneshot::channel::<()>();
     let robot = Robot { tcp: vec![bcap], udp, rac: vec![rac] };
@@ -129,7 +146,10 @@ pub(crate) async fn listen(
     controller: Controller,
     wanted: &Listening,
 ) -> Result<(Server<Controller>, Listening), Failure> {
-    let server = Server::new(controller).tap(deliver);
+    bind(Server::new(controller).tap(deliver), wanted).await
+}
+
+async fn bind<H: Serves>(server: Server<H>, wanted: &Listening) -> Result<(Server<H>, Listening), Failure> {
     let server = server.bcap_tcp(wanted.bcap).await.map_err(|error| taken("--bcap", wanted.bcap, &error))?;
     let server = server.bcap_udp(wanted.udp).await.map_err(|error| taken("--udp", wanted.udp, &error))?;
     let server = server.rac_tcp(wanted.rac).await.map_err(|error| taken("--rac", wanted.rac, &error))?;

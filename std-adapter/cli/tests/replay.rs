@@ -137,3 +137,29 @@ fn a_lost_connection_and_other_handles_are_differences_only_where_they_matter() 
     let run = bcap(&["replay", "no/such/file.pcapng"]);
     assert!(run.code == 2 && run.err.contains("cannot read no/such/file.pcapng: "), "{run:?}");
 }
+
+#[test]
+fn a_server_that_plays_a_session_back_gives_the_recorded_replies() {
+    let (recorded, _) = recorded::proxied(&["--quiet"]);
+    let file = recorded.file.to_str().unwrap();
+    let again = path("again.pcapng");
+    let server = Running::sim(&["--replay", file, "--write", again.to_str().unwrap()]);
+    let allowed = ["Variable_PutValue", "Robot_Execute", "Robot_Move", "PUT"].map(|name| ["--allow", name]).concat();
+    // positions of Slave Mode are compared too: they are the recorded ones
+    let run = replay(&recorded.file, &server, &[&["--fast"][..], &allowed].concat());
+    assert_eq!((run.code, run.err.as_str()), (0, ""), "{run:?}");
+    assert!(run.out.ends_with(" replies compared, 0 differences\n"), "{run:?}");
+
+    // what the capture does not have
+    let run = bcap(&["get", "D77", "--robot", &server.bcap]);
+    assert_eq!(run.code, 1, "{run:?}");
+    assert!(run.err.contains("E_FAIL"), "{run:?}");
+    let printed = server.interrupt();
+    assert_eq!(printed.code, 0, "{printed:?}");
+    let lines: Vec<_> = printed.err.lines().collect();
+    assert_eq!(lines.len(), 1, "{printed:?}");
+    assert!(lines[0].starts_with("not in the capture: Controller_GetVariable(I4("), "{lines:?}");
+
+    let run = bcap(&["sim", "--replay", "no/such/file.pcapng"]);
+    assert!(run.code == 2 && run.err.contains("cannot read no/such/file.pcapng: "), "{run:?}");
+}
