@@ -52,6 +52,10 @@ objects:
 fairness:
     cargo bench -p bcap-tests --bench fairness
 
+# What `bcap proxy` adds to a round trip.
+proxy:
+    cargo bench -p bcap-cli --bench proxy
+
 # Round trips over loopback compared with a bare ping-pong, and a server with 100 connections.
 loopback:
     cargo bench -p bcap-tests --bench loopback

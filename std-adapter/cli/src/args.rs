@@ -10,9 +10,14 @@ use bcap_sim::Profile;
 use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
 
+mod proxy;
+mod replay;
 mod slave;
 
+pub(crate) use self::proxy::{Proxy, RobotPorts};
+pub(crate) use self::replay::Replay;
 pub(crate) use self::slave::{Cosine, Doctor, Halt, Play, Record, Slave, SlaveCommand, StreamArgs};
+use crate::duration::duration;
 use crate::error::Failure;
 use crate::escape;
 use crate::frame::Role;
@@ -62,22 +67,6 @@ impl Cli {
     }
 }
 
-/// Parses a time: a number of milliseconds, or a number with `ms`, `s` or `min`, from 1 ms to a day.
-fn duration(text: &str) -> Result<Duration, String> {
-    const DAY: u64 = 86_400_000;
-    let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
-    let (number, unit) = text.split_at(digits);
-    let factor = match unit {
-        "" | "ms" => Some(1),
-        "s" => Some(1000),
-        "min" => Some(60_000),
-        _ => None,
-    };
-    let time = number.parse::<u64>().ok().zip(factor).and_then(|(number, factor)| number.checked_mul(factor));
-    let time = time.filter(|ms| (1..=DAY).contains(ms)).map(Duration::from_millis);
-    time.ok_or_else(|| "write a time from 1 ms to a day, such as 500, 500ms, 2s or 1min".into())
-}
-
 /// The connection to the controller.
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Connection")]
@@ -87,18 +76,25 @@ pub(crate) struct LinkArgs {
     ///
     /// Without a protocol it is TCP; tcp://HOST is accepted too. Write IPv6 addresses in brackets: tcp:[fe80::1]:5007. A serial
     /// line may have settings, here with the defaults: 'serial:/dev/ttyUSB0?baud=115200&parity=none&stop=1'. `rac`,
-    /// `doctor`, `gateway` and `slave` need a network.
+    /// `doctor`, `gateway`, `proxy`, `replay` and `slave` need a network.
     #[arg(long, global = true, value_name = "ADDRESS")]
     pub(crate) robot: Option<String>,
 
     /// The time limit of the whole command, in ms or with a unit (2s) [default: 3 s for each answer or keep-alive]
     ///
     /// It covers connecting, all calls with their keep-alives, and the end of the session. `watch` and `slave record` apply
-    /// it to each round; `doctor` to each link, and then to all other checks together; `slave play`, `slave cosine` and
-    /// `gateway` to each answer. Without this option `halt` ends within 3 s, and a controller can keep any other call alive
+    /// it to each round; `doctor` to each link, and then to all other checks together; `slave play`, `slave cosine`,
+    /// `gateway` and `replay` to each answer; `proxy` to connecting. Without this option `halt` ends within 3 s, and a controller can keep any other call alive
     /// for 180 s. Over UDP five attempts share the time.
     #[arg(long, global = true, value_name = "MS", value_parser = duration)]
     pub(crate) timeout: Option<Duration>,
+
+    /// Records what the command sends and receives as packets in this file, for `bcap decode` and Wireshark
+    ///
+    /// The file is pcapng. A serial line has no packets. `sim` and `proxy` record their clients, `gateway` its PLCs and the
+    /// robot.
+    #[arg(long, global = true, value_name = "FILE.pcapng")]
+    pub(crate) write: Option<PathBuf>,
 
     /// The provider to connect to; an RC9 or a COBOTTA PRO has CaoProv.DENSO.VRC9
     #[arg(long, global = true, value_name = "NAME", default_value = "CaoProv.DENSO.VRC")]
@@ -160,6 +156,8 @@ pub(crate) enum Command {
     Halt(Halt),
     Doctor(Doctor),
     Gateway(Gateway),
+    Proxy(Proxy),
+    Replay(Replay),
     Demo(Demo),
     Decode(Decode),
     Encode(Encode),
@@ -349,6 +347,7 @@ Examples:
   bcap sim
   bcap sim --bcap 127.0.0.1:0 --udp 127.0.0.1:0 --rac 127.0.0.1:0
   bcap sim --scenario faults.toml
+  bcap sim --replay session.pcapng
   bcap sim --model cobotta --robot-type CVR038A1-NV6
   bcap sim --bcap [::]:5007 --udp [::]:5007 --rac [::]:5006")]
 pub(crate) struct Sim {
@@ -390,6 +389,13 @@ pub(crate) struct Sim {
     /// refused calls, errors, the emergency stop, a bad link
     #[arg(long, value_name = "FILE")]
     pub(crate) scenario: Option<PathBuf>,
+
+    /// Answers as the server of a capture did, instead of as a virtual controller
+    ///
+    /// The connections of clients are those of the capture in their order. A request gets the reply of the next call with the same
+    /// function and arguments, at once. A request that the capture does not have is refused with E_FAIL and printed on stderr.
+    #[arg(long, value_name = "FILE.pcapng", conflicts_with_all = ["scenario", "files", "explain", "lenient"])]
+    pub(crate) replay: Option<PathBuf>,
 
     /// The folder of the controller's files; clients see its regular files and folders [default: an empty temporary folder]
     #[arg(long, value_name = "DIR")]
@@ -556,7 +562,8 @@ Examples:
   bcap decode --json - <frames.hex >frames.jsonl
   bcap decode capture.pcapng
   bcap decode capture.pcapng --error any --object robot
-  bcap decode capture.pcapng --stats --function Robot_Execute")]
+  bcap decode capture.pcapng --stats --function Robot_Execute
+  bcap decode capture.pcapng --csv --from 2 --until 3.5")]
 pub(crate) struct Decode {
     #[command(flatten)]
     pub(crate) form: Form,
@@ -589,7 +596,20 @@ pub(crate) struct CaptureArgs {
     #[arg(long, value_name = "CODE", allow_negative_numbers = true)]
     pub(crate) error: Option<String>,
 
-    /// Prints for each function the number of calls and errors, and p50, p99 and maximum of the response time
+    /// Only what began at this time or later, in seconds since the start of the capture, as the output without --json has them
+    #[arg(long, value_name = "SECONDS")]
+    pub(crate) from: Option<f64>,
+
+    /// Only what began before this time
+    #[arg(long, value_name = "SECONDS")]
+    pub(crate) until: Option<f64>,
+
+    /// Prints the calls as CSV with a heading: time, link, serial, function, command, arguments, attempts, hresult, ms, value
+    #[arg(long, conflicts_with_all = ["json", "stats"])]
+    pub(crate) csv: bool,
+
+    /// Prints for each function the number of calls and errors, and p50, p99 and maximum of the response time; for Slave Mode
+    /// also the times between two slvMove requests, and how many are longer than 12 ms
     #[arg(long)]
     pub(crate) stats: bool,
 }
@@ -597,7 +617,13 @@ pub(crate) struct CaptureArgs {
 impl CaptureArgs {
     /// Returns whether any option was given.
     pub(crate) const fn is_used(&self) -> bool {
-        self.function.is_some() || self.object.is_some() || self.error.is_some() || self.stats
+        self.function.is_some()
+            || self.object.is_some()
+            || self.error.is_some()
+            || self.from.is_some()
+            || self.until.is_some()
+            || self.csv
+            || self.stats
     }
 }
 

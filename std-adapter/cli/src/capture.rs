@@ -12,8 +12,10 @@
 
 mod call;
 mod conversation;
+mod csv;
 mod file;
 mod line;
+mod live;
 mod packet;
 mod print;
 mod session;
@@ -27,9 +29,11 @@ use bcap_core::limits::Strictness;
 use crate::args::CaptureArgs;
 use crate::error::Failure;
 use crate::output::{print_json, print_line};
-use call::Event;
+pub(crate) use call::{Argument, Call, Event, Reply};
 use conversation::Conversations;
+pub(crate) use live::Live;
 use print::Printer;
+pub(crate) use print::{is_object, reply_text, request_text};
 use stats::Stats;
 
 /// Returns the file that the words of `bcap decode` name; `None` if they are hexadecimal digits.
@@ -42,16 +46,11 @@ pub(crate) fn file(words: &[String]) -> Option<&Path> {
 
 /// Runs `bcap decode FILE`.
 pub(crate) fn decode(path: &Path, args: &CaptureArgs, strictness: Strictness, json: bool) -> Result<(), Failure> {
-    let filter = print::Filter::new(args)?;
-    let mut conversations = Conversations::new(strictness);
-    let read = file::read(path, |packet| conversations.packet(packet));
-    conversations.end();
-    let mut events = conversations.into_events();
-    // calls are shown at the time of their requests, but known only with their replies
-    events.sort_by_key(Event::at);
-
+    let (events, read) = events(path, strictness);
+    let began = events.first().map_or(0, Event::at);
+    let filter = print::Filter::new(args, began)?;
     let print = if json { print_json } else { print_line };
-    let printer = Printer::new(json, &events);
+    let printer = Printer::new(json, began);
     let accepted = events.iter().filter(|event| filter.accepts(event));
     if args.stats {
         let mut stats = Stats::default();
@@ -61,9 +60,25 @@ pub(crate) fn decode(path: &Path, args: &CaptureArgs, strictness: Strictness, js
             }
         }
         stats.lines(json).iter().try_for_each(|line| print(line))?;
+    } else if args.csv {
+        print_line(&csv::heading())?;
+        let calls = accepted.filter_map(|event| if let Event::Call(call) = event { Some(call) } else { None });
+        calls.map(|call| csv::line(call, began)).try_for_each(|line| print_line(&line))?;
     } else {
         accepted.map(|event| printer.line(event)).try_for_each(|line| print(&line))?;
     }
-    // a file that ends inside a packet still has the calls before it
     read
+}
+
+/// Reads a file, and returns its connections and calls by the time of their first packet.
+///
+/// A file that ends inside a packet still has the calls before it, so the error is beside them.
+pub(crate) fn events(path: &Path, strictness: Strictness) -> (Vec<Event>, Result<(), Failure>) {
+    let mut conversations = Conversations::new(strictness);
+    let read = file::read(path, |packet| conversations.packet(packet));
+    conversations.end();
+    let mut events = conversations.take_events();
+    // calls are shown at the time of their requests, but known only with their replies
+    events.sort_by_key(Event::at);
+    (events, read)
 }

@@ -10,14 +10,18 @@ use bcap_std::{Address, CallError, ConnectError, Error, NetworkAddress, Options,
 
 use crate::budget::Budget;
 use crate::error::Failure;
+use crate::record::{current, taped};
 
 /// Connects within the time limits, without starting the service. Over UDP nothing is sent.
 pub(crate) fn open(target: &Address, budget: &Budget) -> Result<Controller, Failure> {
     match target {
         Address::Network(server) => connect(server, budget, |peer, options| match server.protocol {
-            Protocol::Tcp => blocking::connect_tcp(peer, options).map(Controller::unopened),
-            Protocol::Udp => blocking::connect_udp(peer, options).map(Controller::unopened),
+            Protocol::Tcp => blocking::connect_tcp(peer, options).map(taped).map(Controller::unopened),
+            Protocol::Udp => blocking::connect_udp(peer, options).map(taped).map(Controller::unopened),
         }),
+        Address::Serial(_) if current().is_some() => Err(Failure::Input(format!(
+            "{target}: a serial line has no packets to record; --write needs tcp:HOST[:PORT] or udp:HOST[:PORT]"
+        ))),
         Address::Serial(line) => blocking::connect_serial(line, &Options::default())
             .map(Controller::unopened)
             .map_err(|error| not_connected(&error, target)),

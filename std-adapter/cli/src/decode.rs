@@ -27,7 +27,7 @@ pub(crate) fn decode(args: &Decode, json: bool) -> Result<(), Failure> {
         return capture::decode(file, &args.capture, strictness, json);
     }
     if args.capture.is_used() {
-        let options = "--function, --object, --error and --stats";
+        let options = "--function, --object, --error, --from, --until, --csv and --stats";
         return Err(Failure::Input(format!("{options} need a capture: FILE.pcap, FILE.pcapng or FILE.cap")));
     }
     let decoder = Decoder { limits: LIMITS, strictness, crc: args.form.com };

@@ -56,6 +56,14 @@ pub(crate) enum Failure {
         /// The number of all variables.
         total: usize,
     },
+    /// Some replies differ from the recorded ones; each has been reported.
+    #[error("{different} of {total} replies differ from the recorded ones")]
+    Different {
+        /// The number of replies that differ.
+        different: usize,
+        /// The number of compared replies.
+        total: usize,
+    },
     /// Some lists of names were refused; each has been reported.
     #[error("{refused} of {total} lists of names were refused; the output is not complete")]
     ListsRefused {
@@ -157,7 +165,11 @@ impl From<EncodeError> for Failure {
 impl Failure {
     fn code(&self) -> u8 {
         match self {
-            Self::Refused { .. } | Self::SomeRefused { .. } | Self::ListsRefused { .. } | Self::Unfit { .. } => 1,
+            Self::Refused { .. }
+            | Self::SomeRefused { .. }
+            | Self::Different { .. }
+            | Self::ListsRefused { .. }
+            | Self::Unfit { .. } => 1,
             Self::Input(_) | Self::Item(_) | Self::BadLines(_) | Self::Stdio(_) => 2,
             Self::Connection { .. } => 3,
             Self::Timeout { .. } => 4,
@@ -185,6 +197,7 @@ impl Failure {
             | Self::Item(_)
             | Self::BadLines(_)
             | Self::SomeRefused { .. }
+            | Self::Different { .. }
             | Self::ListsRefused { .. }
             | Self::Interrupted(_)
             | Self::Stdio(_) => None,
@@ -239,7 +252,9 @@ impl Failure {
         let mut line =
             Line { name, error: escape::cut(self), offset: None, code: None, hresult: None, hint: self.hint() };
         match self {
-            Self::BadLines(_) | Self::SomeRefused { .. } | Self::ListsRefused { .. } => return None,
+            Self::BadLines(_) | Self::SomeRefused { .. } | Self::Different { .. } | Self::ListsRefused { .. } => {
+                return None;
+            }
             Self::Item(item) => line.offset = Some(item.offset),
             Self::Refused { code, .. } | Self::Unfit { code: Some(code), .. } => {
                 (line.code, line.hresult) = (Some(code.0), code.name());

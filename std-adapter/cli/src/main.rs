@@ -9,9 +9,11 @@ mod decode;
 mod demo;
 mod dissect;
 mod doctor;
+mod duration;
 mod error;
 mod escape;
 mod explain;
+mod faults;
 mod frame;
 mod gateway;
 mod halt;
@@ -21,8 +23,13 @@ mod json;
 mod listen;
 mod output;
 mod plain;
+mod playback;
+mod proxy;
 mod rac;
+mod record;
 mod reference;
+mod replay;
+mod robot;
 mod rules;
 mod session;
 mod signal;
@@ -32,6 +39,7 @@ mod tap;
 mod target;
 mod text;
 mod times;
+mod title;
 mod value;
 mod variables;
 mod watch;
@@ -46,10 +54,20 @@ use crate::error::Failure;
 
 fn main() -> ExitCode {
     let cli = Cli::parse_or_exit();
-    match run(&cli) {
+    match recorded(&cli) {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => failure.report(cli.json),
     }
+}
+
+/// Runs the command, and records it if the user wants that.
+fn recorded(cli: &Cli) -> Result<(), Failure> {
+    // these record their clients or their robot
+    let is_served = matches!(cli.command, Command::Proxy(_) | Command::Sim(_) | Command::Gateway(_));
+    let Some(file) = cli.link.write.as_deref().filter(|_| !is_served) else { return run(cli) };
+    let recording = record::Recording::of_command(file)?;
+    let result = run(cli);
+    result.and(recording.finish())
 }
 
 fn run(cli: &Cli) -> Result<(), Failure> {
@@ -61,11 +79,13 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Call(args) => call::call(args, &cli.link, cli.json),
         Command::Exec(args) => call::exec(args, &cli.link, cli.json),
         Command::Rac(args) => rac::rac(args, &cli.link, cli.json),
-        Command::Sim(args) => sim::sim(args),
+        Command::Sim(args) => sim::sim(args, cli.link.write.as_deref()),
         Command::Slave(args) => slave::slave(args, &cli.link, cli.json),
         Command::Halt(_) => halt::halt(&cli.link, cli.json),
         Command::Doctor(args) => doctor::doctor(args, &cli.link, cli.json),
         Command::Gateway(args) => gateway::gateway(args, &cli.link),
+        Command::Proxy(args) => proxy::proxy(args, &cli.link, cli.json),
+        Command::Replay(args) => replay::replay(args, &cli.link, cli.json),
         Command::Demo(_) => demo::demo(),
         Command::Decode(args) => decode::decode(args, cli.json),
         Command::Encode(args) => decode::encode(args),

@@ -1,15 +1,18 @@
 //! `bcap rac`: variables over RAC, the text protocol.
 
+use std::net::SocketAddr;
+
 use bcap_core::rac::client::{ClientError, Config};
 use bcap_core::rac::{Variable, VariableKind};
-use bcap_std::RacError;
-use bcap_std::blocking::{self, RacClient};
+use bcap_std::blocking;
+use bcap_std::{Options, RacError};
 
 use crate::args::{Get, LinkArgs, Put, Rac, RacCommand};
 use crate::budget::Budget;
 use crate::connection::{broken, connect, exhausted};
 use crate::error::Failure;
 use crate::plain;
+use crate::record::{TapedRac, taped_rac};
 use crate::value::Value;
 use crate::variables::{print, print_each, shown};
 use bcap_std::Address;
@@ -71,7 +74,7 @@ fn model(kind: VariableKind) -> Result<Value, Failure> {
 
 /// A RAC connection that reports errors as a [`Failure`].
 struct RacLink {
-    client: RacClient,
+    client: TapedRac,
     target: Address,
     budget: Budget,
 }
@@ -79,7 +82,8 @@ struct RacLink {
 impl RacLink {
     fn open(link: &LinkArgs) -> Result<Self, Failure> {
         let (target, budget) = (link.rac_target()?, Budget::start(link));
-        let client = connect(&target, &budget, |peer, options| blocking::connect_rac(peer, options))?;
+        let connect_rac = |peer: &[SocketAddr], options: &Options| blocking::connect_rac(peer, options).map(taped_rac);
+        let client = connect(&target, &budget, connect_rac)?;
         let target = Address::Network(target);
         Ok(Self { client, target, budget })
     }

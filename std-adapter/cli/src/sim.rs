@@ -12,16 +12,21 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
+use bcap_core::{bcap, rac};
 use bcap_sim::explain::Observer;
 use bcap_sim::files::{Executor, Job};
 use bcap_sim::scenario::Delivery;
 use bcap_sim::{Config, Controller, Profile, Scenario};
 use bcap_std::server::Server;
+use tokio::sync::oneshot;
 
 use crate::args::Sim;
 use crate::error::Failure;
 use crate::listen::{runtime, taken};
 use crate::output::print_line;
+use crate::playback::Playback;
+use crate::proxy::Front;
+use crate::robot::Robot;
 use crate::signal;
 
 /// The maximum number of queued file jobs.
@@ -30,13 +35,15 @@ const FILE_JOBS: usize = 64;
 /// The maximum number of queued explanations.
 const EXPLANATIONS: usize = 64;
 
-/// Runs `bcap sim`, until a signal ends it.
-pub(crate) fn sim(args: &Sim) -> Result<(), Failure> {
+/// Runs `bcap sim`, until a signal ends it; its clients are recorded to `file`.
+pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
     let runtime = runtime()?;
     runtime.block_on(async {
         // install the signal handlers before the `ready` line: a reader of that line may send a signal at once
         let ended = signal::wait()?;
-        let wanted = Listening { bcap: args.bcap, udp: args.udp, rac: args.rac };
+        if let Some(capture) = &args.replay {
+            return serve(Server::new(Playback::read(capture)?), args, file, ended).await;
+        }
         // dropped, and thereby deleted, after the controller has ended
         let temporary = tempfile::tempdir()?;
         let files = args.files.as_deref().unwrap_or(temporary.path());
@@ -58,10 +65,47 @@ pub(crate) fn sim(args: &Sim) -> Result<(), Failure> {
         if let Some(path) = &args.scenario {
             controller.play(read_scenario(path)?);
         }
-        let (server, listening) = listen(controller, &wanted).await?;
-        print_line(&listening.to_string())?;
-        Ok(server.run(ended).await?)
+        serve(Server::new(controller).tap(deliver), args, file, ended).await
     })
+}
+
+/// Serves at the addresses of the command line until `ended`; the clients are recorded to `file`.
+async fn serve<H: Serves>(
+    server: Server<H>,
+    args: &Sim,
+    file: Option<&Path>,
+    ended: impl Future<Output = ()>,
+) -> Result<(), Failure> {
+    if let Some(file) = file {
+        return recorded(server, Front::bind(args, file).await?, ended).await;
+    }
+    let wanted = Listening { bcap: args.bcap, udp: args.udp, rac: args.rac };
+    let (server, listening) = bind(server, &wanted).await?;
+    print_line(&listening.to_string())?;
+    Ok(server.run(ended).await?)
+}
+
+/// A handler of both protocols.
+trait Serves: bcap::server::Handler + rac::server::Handler + Send + 'static {}
+
+impl<H: bcap::server::Handler + rac::server::Handler + Send + 'static> Serves for H {}
+
+/// Serves through a front that records, until `ended`.
+async fn recorded<H: Serves>(server: Server<H>, front: Front, ended: impl Future<Output = ()>) -> Result<(), Failure> {
+    let any = SocketAddr::from(([127, 0, 0, 1], 0));
+    let (server, Listening { bcap, udp, rac }) = bind(server, &Listening { bcap: any, udp: any, rac: any }).await?;
+    print_line(&front.ready()?)?;
+    let (stop, stopped) = oneshot::channel::<()>();
+    let robot = Robot { tcp: vec![bcap], udp, rac: vec![rac] };
+    let front = async {
+        let written = front.serve(&robot, ended).await;
+        drop(stop);
+        written
+    };
+    // the controller stops when the sender is dropped
+    let (written, served) = tokio::join!(front, server.run(async { drop(stopped.await) }));
+    served?;
+    written
 }
 
 /// Starts a thread for file jobs, so that a blocking file system does not delay other calls.
@@ -102,7 +146,10 @@ pub(crate) async fn listen(
     controller: Controller,
     wanted: &Listening,
 ) -> Result<(Server<Controller>, Listening), Failure> {
-    let server = Server::new(controller).tap(deliver);
+    bind(Server::new(controller).tap(deliver), wanted).await
+}
+
+async fn bind<H: Serves>(server: Server<H>, wanted: &Listening) -> Result<(Server<H>, Listening), Failure> {
     let server = server.bcap_tcp(wanted.bcap).await.map_err(|error| taken("--bcap", wanted.bcap, &error))?;
     let server = server.bcap_udp(wanted.udp).await.map_err(|error| taken("--udp", wanted.udp, &error))?;
     let server = server.rac_tcp(wanted.rac).await.map_err(|error| taken("--rac", wanted.rac, &error))?;

@@ -195,7 +195,7 @@ fn completions_have_the_commands() {
 fn help_shows_examples_and_exit_codes() {
     let run = bcap(&["--help"]);
     assert!(run.code == 0 && run.out.contains("Exit codes"), "{run:?}");
-    for command in ["decode", "encode", "text", "completions"] {
+    for command in ["decode", "encode", "text", "completions", "proxy", "replay"] {
         let run = bcap(&[command, "--help"]);
         assert!(run.code == 0 && run.out.contains("Examples:\n  bcap "), "{run:?}");
     }

@@ -5,19 +5,17 @@
 #[path = "common/capture.rs"]
 mod capture;
 mod common;
+#[path = "common/tshark.rs"]
+mod tshark;
 
 use std::fmt::Write as _;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 
 use bcap_fuzz::{TARGETS, corpus};
 use capture::{BCAP, Capture, Flow, From, RAC, bstr, i4, list, numbered, r8, unhex, wrapped};
 use common::{bcap, frames, vectors};
-
-fn script() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/wireshark/bcap.lua")
-}
+use tshark::{has_tshark, script, selected, tshark};
 
 fn golden(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden").join(name)
@@ -35,32 +33,6 @@ fn assert_golden(name: &str, text: &str) {
         assert_eq!(found, expected, "line {} of {}", number + 1, path.display());
     }
     assert_eq!(text.lines().count(), expected.lines().count(), "{}", path.display());
-}
-
-fn has_tshark(test: &str) -> bool {
-    let found = Command::new("tshark").arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status().is_ok();
-    if !found {
-        println!("skipped {test}: there is no tshark; install the Debian package tshark");
-    }
-    found
-}
-
-/// Runs tshark with the dissector alone, without the user's settings, and returns its output.
-fn tshark(capture: &Path, args: &[&str]) -> String {
-    let home = tempfile::tempdir().unwrap();
-    let output = Command::new("tshark")
-        .args(["-n", "-2", "-r"])
-        .arg(capture)
-        .arg(format!("-Xlua_script:{}", script().display()))
-        .args(args)
-        .env("HOME", home.path())
-        .env("XDG_CONFIG_HOME", home.path())
-        .env("TZ", "UTC")
-        .output()
-        .unwrap();
-    let err = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success() && !err.contains("Lua"), "{err}");
-    String::from_utf8(output.stdout).map_err(|error| error.utf8_error()).expect("text of tshark in UTF-8")
 }
 
 fn saved(capture: &Capture, folder: &tempfile::TempDir) -> PathBuf {
@@ -168,11 +140,6 @@ fn the_filters_and_colour_rules_of_the_page_are_valid() {
     let filters: Vec<_> = rules.chain(rows).map(|filter| format!("({filter})")).collect();
     assert!(filters.len() > 15, "{filters:?}");
     assert!(selected(&session(), &filters.join(" or ")) > 0);
-}
-
-/// The packets that a display filter selects.
-fn selected(capture: &Path, filter: &str) -> usize {
-    tshark(capture, &["-Y", filter, "-T", "fields", "-e", "frame.number"]).lines().count()
 }
 
 /// A session of variables, motion, Slave Mode, errors and RAC; the test of captures with tcpdump writes it.

@@ -15,6 +15,7 @@ use tokio::time::{Instant, sleep, sleep_until, timeout};
 use super::limits::Limits;
 use super::report::Ended;
 use super::shared::{GatewayState, must_wait};
+use super::traffic::{Ends, Moved};
 use crate::connect::set_up_tcp;
 use crate::server::{REFUSALS, refuse_rac};
 
@@ -79,7 +80,13 @@ async fn serve(stream: TcpStream, mut seat: Seat, wake: Arc<Notify>, limits: Lim
     // a socket that cannot be set up is closed already, and its first read tells so
     let _ = set_up_tcp(SockRef::from(&stream), limits.keep_alive);
     let ended = converse(&stream, &seat, &wake, limits, stopped).await;
+    seat.shared.lock().tap.show(|| ends(&stream), Moved::Closed);
     seat.ended = Some(ended.unwrap_or_else(|error| Ended::Failed(error.kind())));
+}
+
+/// Returns the ends of a client's connection.
+fn ends(stream: &TcpStream) -> io::Result<Ends> {
+    Ok((true, stream.peer_addr()?, stream.local_addr()?))
 }
 
 /// What a client's task can do next.
@@ -172,19 +179,22 @@ async fn converse(
 
 /// Sends a part of an answer; `false` when the socket takes nothing.
 fn send(stream: &TcpStream, seat: &Seat) -> io::Result<bool> {
-    let mut inner = seat.shared.lock();
-    let sent = stream.try_write(inner.gateway.transmit(seat.peer));
+    let inner = &mut *seat.shared.lock();
+    let bytes = inner.gateway.transmit(seat.peer);
+    let sent = stream.try_write(bytes);
     if must_wait(&sent) {
         return Ok(false);
     }
-    inner.gateway.transmitted(seat.peer, sent?);
+    let count = sent?;
+    inner.tap.show(|| ends(stream), Moved::Reply(bytes.get(..count).unwrap_or(bytes)));
+    inner.gateway.transmitted(seat.peer, count);
     inner.moved(seat.peer);
     Ok(true)
 }
 
 /// Receives what has arrived; `true` when the client has closed the connection.
 fn receive(stream: &TcpStream, seat: &Seat) -> io::Result<bool> {
-    let mut inner = seat.shared.lock();
+    let inner = &mut *seat.shared.lock();
     let room = inner.gateway.receive_buffer(seat.peer);
     if room.is_empty() {
         // the step of another task has started a request of this client
@@ -195,6 +205,9 @@ fn receive(stream: &TcpStream, seat: &Seat) -> io::Result<bool> {
         return Ok(false);
     }
     let count = received?;
+    if let Some(bytes @ [_, ..]) = room.get(..count) {
+        inner.tap.show(|| ends(stream), Moved::Request(bytes));
+    }
     inner.gateway.received(seat.peer, count);
     inner.moved(seat.peer);
     Ok(count == 0)

@@ -41,6 +41,7 @@ mod limits;
 mod report;
 mod robot;
 mod shared;
+mod traffic;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -56,6 +57,7 @@ use crate::connect::{Options, random_serial};
 
 pub use self::limits::Limits;
 pub use self::report::{Ended, Report};
+pub use self::traffic::{Moved, Traffic};
 
 /// Drives a gateway over the sockets of this machine.
 #[derive(Debug)]
@@ -88,6 +90,14 @@ impl Driver {
     #[must_use]
     pub fn limits(self, limits: Limits) -> Self {
         Self { limits, ..self }
+    }
+
+    /// Shows all bytes of PLCs and of the robot to a function, such as a recording. It is called while the gateway is locked, so
+    /// it must be short.
+    #[must_use]
+    pub fn tap(self, tap: impl FnMut(&Traffic<'_>) + Send + 'static) -> Self {
+        self.shared.lock().tap.0 = Some(Box::new(tap));
+        self
     }
 
     /// Changes how long connecting to the robot over TCP may take for each address of its name; 3 s by default.

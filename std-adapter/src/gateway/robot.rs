@@ -11,6 +11,7 @@ use tokio::task::coop::consume_budget;
 use tokio::time::sleep;
 
 use super::shared::{GatewayState, must_wait};
+use super::traffic::{Ends, Moved};
 use crate::asynch::{connect_datagrams, connect_stream};
 use crate::clock::{now, until};
 use crate::connect::{ConnectError, Options};
@@ -28,9 +29,11 @@ pub(super) async fn run(shared: Arc<GatewayState>, robot: HostPort, options: Opt
         let wanted = shared.lock().gateway.robot_wanted();
         link = match link.take() {
             None if wanted => open(&shared, &robot, &options).await,
-            Some(_) if !wanted => {
+            Some(link) if !wanted => {
+                let inner = &mut *shared.lock();
+                inner.tap.show(|| link.ends(), Moved::Closed);
                 // dropping the link closes it
-                shared.lock().gateway.robot_closed(now());
+                inner.gateway.robot_closed(now());
                 None
             }
             link => wait(&shared, link).await,
@@ -50,6 +53,13 @@ impl RobotSocket {
         match kind {
             bcap::Link::Datagram => connect_datagrams((host.as_str(), *port)).await.map(Self::Datagrams),
             _ => connect_stream((host.as_str(), *port), options).await.map(Self::Stream),
+        }
+    }
+
+    fn ends(&self) -> io::Result<Ends> {
+        match self {
+            Self::Stream(stream) => Ok((true, stream.local_addr()?, stream.peer_addr()?)),
+            Self::Datagrams(socket) => Ok((false, socket.local_addr()?, socket.peer_addr()?)),
         }
     }
 
@@ -117,7 +127,11 @@ async fn wait(shared: &GatewayState, link: Option<RobotSocket>) -> Option<RobotS
     match moved {
         Ok(()) => link,
         Err(cause) => {
-            shared.lock().robot_lost(cause);
+            let inner = &mut *shared.lock();
+            if let Some(link) = &link {
+                inner.tap.show(|| link.ends(), Moved::Closed);
+            }
+            inner.robot_lost(cause);
             None
         }
     }
@@ -130,19 +144,25 @@ async fn transfer(shared: &GatewayState, link: Option<&RobotSocket>, sends: bool
         tokio::select! {
             ready = link.writable(), if sends => {
                 ready?;
-                let gateway = &mut shared.lock().gateway;
-                let sent = link.try_send(gateway.robot_transmit());
+                let inner = &mut *shared.lock();
+                let bytes = inner.gateway.robot_transmit();
+                let sent = link.try_send(bytes);
                 if !must_wait(&sent) {
-                    gateway.robot_transmitted(sent?);
+                    let count = sent?;
+                    inner.tap.show(|| link.ends(), Moved::Request(bytes.get(..count).unwrap_or(bytes)));
+                    inner.gateway.robot_transmitted(count);
                     return Ok(());
                 }
             }
             ready = link.readable() => {
                 ready?;
-                let gateway = &mut shared.lock().gateway;
-                let received = link.try_receive(gateway.robot_receive_buffer());
+                let inner = &mut *shared.lock();
+                let room = inner.gateway.robot_receive_buffer();
+                let received = link.try_receive(room);
                 if !must_wait(&received) {
-                    gateway.robot_received(received?);
+                    let count = received?;
+                    inner.tap.show(|| link.ends(), Moved::Reply(room.get(..count).unwrap_or_default()));
+                    inner.gateway.robot_received(count);
                     return Ok(());
                 }
             }

@@ -12,6 +12,7 @@ use bcap_core::time::Instant;
 use tokio::sync::Notify;
 
 use super::report::{Ended, Report};
+use super::traffic::Tap;
 use crate::clock::now;
 use crate::server::{Admission, SlotState, Slots};
 
@@ -31,6 +32,7 @@ pub(super) struct Inner {
     /// Why the last connection to the robot ended or could not be opened.
     cause: Option<io::Error>,
     log: Log,
+    pub(super) tap: Tap,
 }
 
 /// A client with a slot.
@@ -44,7 +46,7 @@ struct Client {
 
 impl GatewayState {
     pub(super) fn new(gateway: Gateway<'static>, log: Log) -> Self {
-        let inner = Inner { gateway, clients: HashMap::new(), cause: None, log };
+        let inner = Inner { gateway, clients: HashMap::new(), cause: None, log, tap: Tap::default() };
         Self { inner: Mutex::new(inner), robot: Notify::new() }
     }
 

@@ -43,7 +43,7 @@ pub(crate) struct Note {
 }
 
 /// A call of b-CAP, or a request of RAC.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Call {
     /// The time of the first attempt.
     pub(crate) at: u64,
@@ -62,7 +62,7 @@ pub(crate) struct Call {
 }
 
 /// An argument of a call.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Argument {
     pub(crate) name: Option<&'static str>,
     /// `None` for the variable of a RAC request, which has no value on the wire.
@@ -72,7 +72,7 @@ pub(crate) struct Argument {
 }
 
 /// The reply to a call.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Reply {
     /// Nanoseconds since the first attempt.
     pub(crate) after: u64,

@@ -27,8 +27,11 @@ enum Protocol {
 /// A TCP connection, or the packets between two UDP ports.
 struct Conversation {
     strictness: Strictness,
+    number: usize,
     began: u64,
     name: String,
+    /// Whether its protocol and its ends have been reported.
+    is_reported: bool,
     /// The two ends; the first is the one whose packet came first.
     ends: [SocketAddr; 2],
     /// Which end is the client.
@@ -41,11 +44,20 @@ struct Conversation {
     first: Option<u32>,
 }
 
+/// Whether it is TCP, and the two ends in ascending order.
+type Key = (bool, SocketAddr, SocketAddr);
+
+/// Returns the key of the conversation between two ends.
+fn key(is_tcp: bool, one: SocketAddr, other: SocketAddr) -> Key {
+    (is_tcp, one.min(other), one.max(other))
+}
+
 /// All conversations.
 pub(crate) struct Conversations {
     strictness: Strictness,
-    by_ends: HashMap<(bool, SocketAddr, SocketAddr), usize>,
-    list: Vec<Conversation>,
+    by_ends: HashMap<Key, Conversation>,
+    /// The number of conversations so far.
+    count: usize,
     events: Vec<Event>,
     /// Packets that were skipped, with the time of the first one.
     fragments: Option<(u64, u64)>,
@@ -57,7 +69,7 @@ impl Conversations {
         Self {
             strictness,
             by_ends: HashMap::new(),
-            list: Vec::new(),
+            count: 0,
             events: Vec::new(),
             fragments: None,
             links: BTreeMap::new(),
@@ -75,29 +87,36 @@ impl Conversations {
     }
 
     fn segment(&mut self, segment: &Segment<'_>) {
-        let (low, high) = (segment.from.min(segment.to), segment.from.max(segment.to));
-        let key = (segment.tcp.is_some(), low, high);
-        let index = match self.by_ends.get(&key) {
+        let key = key(segment.tcp.is_some(), segment.from, segment.to);
+        if self.by_ends.get(&key).is_some_and(|found| !found.has(segment)) {
             // the ports of an ended connection are used again
-            Some(index) if self.list.get(*index).is_some_and(|found| found.has(segment)) => *index,
-            _ => {
-                let index = self.list.len();
-                self.list.push(Conversation::new(index + 1, segment, self.strictness));
-                self.by_ends.insert(key, index);
-                index
-            }
-        };
-        if let Some(conversation) = self.list.get_mut(index) {
-            conversation.segment(segment, &mut self.events);
+            self.close(segment.tcp.is_some(), segment.from, segment.to);
         }
+        let (count, strictness) = (&mut self.count, self.strictness);
+        let conversation = self.by_ends.entry(key).or_insert_with(|| {
+            *count += 1;
+            Conversation::new(*count, segment, strictness)
+        });
+        conversation.segment(segment, &mut self.events);
+    }
+
+    /// Ends the conversation between two ends: no more packets of it come.
+    pub(crate) fn close(&mut self, is_tcp: bool, one: SocketAddr, other: SocketAddr) {
+        if let Some(mut ended) = self.by_ends.remove(&key(is_tcp, one, other)) {
+            ended.end(&mut self.events);
+        }
+    }
+
+    /// Takes what the packets so far have shown: connections, and calls with their replies.
+    pub(crate) fn take_events(&mut self) -> Vec<Event> {
+        std::mem::take(&mut self.events)
     }
 
     /// Ends all conversations.
     pub(crate) fn end(&mut self) {
-        let links = self.list.iter_mut().filter_map(|found| found.end(&mut self.events));
-        let links: Vec<_> = links.map(Event::Link).collect();
-        // sorting by time keeps a connection in front of its first call
-        self.events.splice(..0, links);
+        let mut open: Vec<_> = self.by_ends.drain().map(|(_, conversation)| conversation).collect();
+        open.sort_by_key(|conversation| conversation.number);
+        open.iter_mut().for_each(|conversation| conversation.end(&mut self.events));
         let mut note = |at, text| self.events.push(Event::Note(Note { at, link: "capture".into(), text }));
         if let Some((at, count)) = self.fragments {
             note(at, format!("skipped fragments of IP packets, which are not reassembled: {count}"));
@@ -105,10 +124,6 @@ impl Conversations {
         for (link, (at, count)) in &self.links {
             note(*at, format!("skipped packets of link type {link}, which is not supported: {count}"));
         }
-    }
-
-    pub(crate) fn into_events(self) -> Vec<Event> {
-        self.events
     }
 }
 
@@ -130,8 +145,10 @@ impl Conversation {
         let opener = segment.tcp.filter(|tcp| tcp.syn).map(|tcp| usize::from(tcp.acknowledged.is_some()));
         Self {
             strictness,
+            number,
             began: segment.at,
             name,
+            is_reported: false,
             ends,
             client: server.map(|server| 1 - server).or(opener),
             is_tcp,
@@ -205,6 +222,7 @@ impl Conversation {
         if matches!(self.protocol, Protocol::Unknown) {
             self.guess(from, bytes);
         }
+        self.report(events);
         let role = self.role(from);
         let mut found = Vec::new();
         match &mut self.protocol {
@@ -244,34 +262,41 @@ impl Conversation {
         }
     }
 
-    /// Ends the conversation, and describes it if it speaks one of the protocols.
-    fn end(&mut self, events: &mut Vec<Event>) -> Option<Link> {
+    /// Reports the protocol and the ends once, when the protocol is known.
+    fn report(&mut self, events: &mut Vec<Event>) {
+        let protocol = match &self.protocol {
+            Protocol::Bcap(_) => "b-CAP",
+            Protocol::Rac(_) => "RAC",
+            Protocol::Unknown | Protocol::Other => return,
+        };
+        if std::mem::replace(&mut self.is_reported, true) {
+            return;
+        }
+        let client = self.client.unwrap_or(0);
+        events.push(Event::Link(Link {
+            at: self.began,
+            name: self.name.clone(),
+            protocol,
+            client: self.ends[client].to_string(),
+            server: self.ends[1 - client].to_string(),
+        }));
+    }
+
+    /// Ends the conversation: calls without a reply are reported as such.
+    fn end(&mut self, events: &mut Vec<Event>) {
+        self.report(events);
         for from in [0, 1] {
             let mut pieces = Vec::new();
             self.halves[from].end(&mut pieces);
             self.pieces(from, pieces, self.last, events);
         }
         let mut found = Vec::new();
-        let protocol = match &mut self.protocol {
-            Protocol::Bcap(session) => {
-                session.end(self.last, &mut found);
-                "b-CAP"
-            }
-            Protocol::Rac(lines) => {
-                lines.end(&mut found);
-                "RAC"
-            }
-            Protocol::Unknown | Protocol::Other => return None,
-        };
+        match &mut self.protocol {
+            Protocol::Bcap(session) => session.end(self.last, &mut found),
+            Protocol::Rac(lines) => lines.end(&mut found),
+            Protocol::Unknown | Protocol::Other => {}
+        }
         self.add(found, events);
-        let client = self.client.unwrap_or(0);
-        Some(Link {
-            at: self.began,
-            name: self.name.clone(),
-            protocol,
-            client: self.ends[client].to_string(),
-            server: self.ends[1 - client].to_string(),
-        })
     }
 }
 

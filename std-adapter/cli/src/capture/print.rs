@@ -1,6 +1,8 @@
 //! The events of a capture as lines of text or of JSON, and their filters.
 
 use std::fmt::Write as _;
+use std::ops::Range;
+use std::time::Duration;
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
@@ -17,6 +19,8 @@ pub(crate) struct Filter<'a> {
     function: Option<String>,
     object: Option<&'a str>,
     error: Option<Wanted>,
+    /// Nanoseconds since 1970.
+    times: Range<u64>,
 }
 
 /// The codes that a filter accepts.
@@ -26,14 +30,19 @@ enum Wanted {
 }
 
 impl<'a> Filter<'a> {
-    /// Reads the options of the command line.
-    pub(crate) fn new(args: &'a CaptureArgs) -> Result<Self, Failure> {
+    /// Reads the options of the command line, for a capture that began at nanoseconds since 1970.
+    pub(crate) fn new(args: &'a CaptureArgs, began: u64) -> Result<Self, Failure> {
         let function = args.function.as_deref().map(function).transpose()?;
         let error = args.error.as_deref().map(wanted).transpose()?;
-        Ok(Self { function, object: args.object.as_deref(), error })
+        let time = |option: Option<f64>, default| option.map_or(Ok(default), |seconds| after(began, seconds));
+        let times = time(args.from, 0)?..time(args.until, u64::MAX)?;
+        Ok(Self { function, object: args.object.as_deref(), error, times })
     }
 
     pub(crate) fn accepts(&self, event: &Event) -> bool {
+        if !self.times.contains(&event.at()) {
+            return false;
+        }
         match event {
             Event::Call(call) => self.accepts_call(call),
             Event::Link(_) | Event::Note(_) => self.function.is_none() && self.object.is_none() && self.error.is_none(),
@@ -52,8 +61,15 @@ impl<'a> Filter<'a> {
     }
 }
 
+/// Returns the nanoseconds since 1970 of a time since the start.
+fn after(began: u64, seconds: f64) -> Result<u64, Failure> {
+    let time = Duration::try_from_secs_f64(seconds).ok().and_then(|time| u64::try_from(time.as_nanos()).ok());
+    let time = time.and_then(|time| began.checked_add(time));
+    time.ok_or_else(|| Failure::Input(format!("{seconds} is not a time in seconds since the start of the capture")))
+}
+
 /// Returns whether an object is the wanted one, or belongs to it.
-fn is_object(name: &str, wanted: &str) -> bool {
+pub(crate) fn is_object(name: &str, wanted: &str) -> bool {
     name.eq_ignore_ascii_case(wanted)
         || name.split('/').any(|part| part.eq_ignore_ascii_case(wanted))
         || name.split(['/', ':']).any(|part| part.eq_ignore_ascii_case(wanted))
@@ -91,8 +107,8 @@ pub(crate) struct Printer {
 }
 
 impl Printer {
-    pub(crate) fn new(json: bool, events: &[Event]) -> Self {
-        Self { json, began: events.first().map_or(0, Event::at) }
+    pub(crate) const fn new(json: bool, began: u64) -> Self {
+        Self { json, began }
     }
 
     pub(crate) fn line(&self, event: &Event) -> String {
@@ -111,7 +127,7 @@ impl Printer {
 }
 
 /// Formats nanoseconds as seconds, to the microsecond.
-fn seconds(nanos: u64) -> String {
+pub(super) fn seconds(nanos: u64) -> String {
     format!("{:4}.{:06}", nanos / 1_000_000_000, nanos / 1000 % 1_000_000)
 }
 
@@ -121,19 +137,11 @@ fn millis(nanos: u64) -> String {
 }
 
 fn call_text(call: &Call) -> String {
-    let mut out = String::new();
-    if let Some(serial) = call.serial {
-        // writing to a string cannot fail, here and below
-        let _ = write!(out, "#{serial} ");
-    }
-    let arguments: Vec<String> = call.arguments.iter().map(argument_text).collect();
-    let _ = write!(out, "{}({})", call.function, arguments.join(", "));
+    let mut out = request_text(call);
     match &call.reply {
         Some(reply) => {
-            let _ = write!(out, " -> {}", code_text(reply.code));
-            if let Some(value) = &reply.value {
-                let _ = write!(out, " {}", short(value));
-            }
+            // writing to a string cannot fail, here and below
+            let _ = write!(out, " -> {}", reply_text(reply.code, reply.value.as_ref()));
             if let Some(opened) = &reply.opened {
                 let _ = write!(out, " = {opened}");
             }
@@ -150,6 +158,19 @@ fn call_text(call: &Call) -> String {
     out
 }
 
+/// A call without its reply: `#5 Variable_GetValue(variable: I1)`.
+pub(crate) fn request_text(call: &Call) -> String {
+    let serial = call.serial.map(|serial| format!("#{serial} ")).unwrap_or_default();
+    let arguments: Vec<String> = call.arguments.iter().map(argument_text).collect();
+    format!("{serial}{}({})", call.function, arguments.join(", "))
+}
+
+/// A reply: `S_OK I4(5)`.
+pub(crate) fn reply_text(code: HResult, value: Option<&Value>) -> String {
+    let value = value.map(|value| format!(" {}", short(value))).unwrap_or_default();
+    format!("{}{value}", code_text(code))
+}
+
 /// The name of a code; of an error also its number and its meaning.
 fn code_text(code: HResult) -> String {
     match (code.name(), code.meaning()) {
@@ -159,7 +180,7 @@ fn code_text(code: HResult) -> String {
     }
 }
 
-fn argument_text(argument: &Argument) -> String {
+pub(super) fn argument_text(argument: &Argument) -> String {
     let value = match (&argument.object, &argument.value) {
         (Some(object), _) => object.clone(),
         (None, Some(value)) => short(value),
@@ -169,7 +190,7 @@ fn argument_text(argument: &Argument) -> String {
 }
 
 /// A value as text; a long one as its type and size.
-fn short(value: &Value) -> String {
+pub(super) fn short(value: &Value) -> String {
     const LONGEST: usize = 512;
     if value.as_bytes().len() <= LONGEST { format!("{:?}", value.as_variant()) } else { value::described(Some(value)) }
 }

@@ -116,12 +116,12 @@ impl Session {
 
     fn frame(&mut self, role: Role, frame: &Frame<'_>, at: u64, is_lossy: bool, out: &mut Vec<Found>) {
         match role {
-            Role::Request => self.request(frame, at, is_lossy),
+            Role::Request => self.request(frame, at, is_lossy, out),
             Role::Response => self.reply(frame, at, out),
         }
     }
 
-    fn request(&mut self, frame: &Frame<'_>, at: u64, is_lossy: bool) {
+    fn request(&mut self, frame: &Frame<'_>, at: u64, is_lossy: bool, out: &mut Vec<Found>) {
         let first = if frame.reserved == 0 { frame.serial } else { frame.reserved };
         let function = frame.function();
         if is_lossy
@@ -139,7 +139,10 @@ impl Session {
         let pending = self.pending(frame, at);
         self.count += 1;
         self.pending.insert(self.count, pending);
-        self.serials.insert(frame.serial, self.count);
+        let earlier = self.serials.insert(frame.serial, self.count);
+        // a reply with this serial number can no longer belong to an earlier call
+        let unanswered = earlier.and_then(|number| self.pending.remove(&number));
+        out.extend(unanswered.map(|pending| Found::Call(Box::new(pending.call))));
         self.firsts.insert(first, (self.count, function));
     }
 

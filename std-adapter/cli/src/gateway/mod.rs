@@ -12,15 +12,17 @@ use std::time::Duration;
 
 use bcap_core::bcap::client;
 use bcap_core::gateway::{Config, Gateway, Memory};
-use bcap_std::gateway::{Driver, Limits, Report};
+use bcap_std::gateway::{Driver, Limits, Moved, Report, Traffic};
 use tokio::net::TcpListener;
 use tokio::time::sleep;
 
 use self::audit::{Audit, Bounds};
 use crate::args::{self, LinkArgs};
 use crate::error::Failure;
+use crate::frame::Role;
 use crate::listen::{runtime, taken};
 use crate::output::print_line;
+use crate::record::{Ends, Recorder, Recording};
 use crate::rules;
 use crate::signal;
 use bcap_std::Protocol;
@@ -52,6 +54,8 @@ pub(crate) fn gateway(args: &args::Gateway, link: &LinkArgs) -> Result<(), Failu
         keep: args.audit_keep,
     };
     let audit = Arc::new(Mutex::new(Audit::open(&args.audit, target.to_string(), bounds)?));
+    let recording = link.write.as_deref().map(|file| Recording::start(Some(file), |_| {})).transpose()?;
+    let recorder = recording.as_ref().map(|recording| recording.recorder().clone());
     let counters = runtime()?.block_on(async {
         // the signals first: a reader of the line may send one at once
         let ended = signal::wait()?;
@@ -63,6 +67,10 @@ pub(crate) fn gateway(args: &args::Gateway, link: &LinkArgs) -> Result<(), Failu
         let log = move |report: &Report<'_>| lock(&logged).log(report);
         let driver = Driver::new(gateway, (target.host, target.port), log);
         let driver = driver.limits(limits).connect_timeout(link.timeout());
+        let driver = match recorder {
+            Some(recorder) => driver.tap(move |traffic| record(&recorder, traffic)),
+            None => driver,
+        };
         tokio::select! {
             counters = driver.run(listener, ended) => Ok::<_, Failure>(counters),
             never = report_suppressed(&audit) => match never {},
@@ -72,7 +80,18 @@ pub(crate) fn gateway(args: &args::Gateway, link: &LinkArgs) -> Result<(), Failu
     if let Some(audit) = Arc::into_inner(audit) {
         audit.into_inner().unwrap_or_else(PoisonError::into_inner).close(&counters);
     }
-    Ok(())
+    recording.map_or(Ok(()), Recording::finish)
+}
+
+/// Records what a connection of the gateway has moved.
+fn record(recorder: &Recorder, traffic: &Traffic<'_>) {
+    let ends = Ends { is_tcp: traffic.is_tcp, client: traffic.client, server: traffic.server };
+    match traffic.moved {
+        Moved::Request(bytes) => recorder.bytes(recorder.now(), ends, Role::Request, bytes),
+        Moved::Reply(bytes) => recorder.bytes(recorder.now(), ends, Role::Response, bytes),
+        Moved::Closed => recorder.closed(ends),
+        _ => {}
+    }
 }
 
 fn lock(audit: &Mutex<Audit>) -> std::sync::MutexGuard<'_, Audit> {

@@ -24,6 +24,7 @@ use crate::args::{LinkArgs, StreamArgs};
 use crate::connection::{failed, not_connected};
 use crate::error::Failure;
 use crate::output::{print_block, print_json};
+use crate::record::taped;
 use bcap_std::{Address, Protocol};
 
 /// The attempts of a call over UDP, which share the time limit.
@@ -151,11 +152,11 @@ pub(crate) fn stream(
     let (peer, target) = ((server.host.as_str(), server.port), Address::Network(server.clone()));
     match server.protocol {
         Protocol::Tcp => {
-            let connect = || blocking::connect_tcp(peer, &options);
+            let connect = || blocking::connect_tcp(peer, &options).map(taped);
             Job { course, kind, args, link, json, realtime, target: &target }.run(connect)
         }
         Protocol::Udp => {
-            let connect = || blocking::connect_udp(peer, &options);
+            let connect = || blocking::connect_udp(peer, &options).map(taped);
             Job { course, kind, args, link, json, realtime, target: &target }.run(connect)
         }
     }

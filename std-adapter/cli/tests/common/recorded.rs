@@ -16,7 +16,11 @@ use bcap_std::server::Limits;
 use bcap_tests::served::Served;
 use bcap_tests::slowed::Slowed;
 
-use crate::common::bcap;
+use serde_json::Value;
+
+use crate::capture::unhex;
+use crate::common::{Run, bcap, bcap_with};
+use crate::running::Running;
 
 /// A call that a server saw: the function, the encoded arguments and the result.
 pub(crate) type Seen = (String, Vec<Vec<u8>>, i64);
@@ -35,7 +39,7 @@ pub(crate) fn committed() -> PathBuf {
 }
 
 /// A virtual controller that records the calls it has completed.
-struct Recording {
+pub(crate) struct Recording {
     controller: Slowed,
     seen: Vec<Seen>,
 }
@@ -140,21 +144,98 @@ fn tcpdump(test: &str, file: &Path, ports: [u16; 3]) -> Option<Dump> {
     None
 }
 
-/// Runs a session under tcpdump; `None` if tcpdump cannot capture.
-pub(crate) fn session(test: &str) -> Option<Recorded> {
+/// The values of calls as bytes, in hexadecimal digits.
+fn encoded(values: &[String]) -> Vec<String> {
+    let run = bcap_with(&["encode", "--variant", "-"], values.join("\n").as_bytes());
+    assert_eq!(run.code, 0, "{run:?}");
+    run.out.lines().map(str::to_owned).collect()
+}
+
+/// Asserts that `bcap decode` finds the calls that the server saw, and nothing else.
+pub(crate) fn assert_as_seen(recorded: &Recorded) {
+    let run = bcap(&["decode", recorded.file.to_str().unwrap(), "--json"]);
+    assert_eq!(run.code, 0, "{run:?}");
+    let lines: Vec<Value> = run.out.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let notes: Vec<_> = lines.iter().filter(|line| line.get("note").is_some()).collect();
+    assert!(notes.is_empty(), "{notes:?}");
+    let calls: Vec<_> = lines.iter().filter(|line| line.get("function").is_some()).collect();
+    let values = calls.iter().flat_map(|call| call["args"].as_array().unwrap());
+    let values: Vec<_> = values.filter_map(|argument| Some(argument.get("value")?.to_string())).collect();
+    let mut values = encoded(&values).into_iter();
+    let unanswered: Vec<_> = calls.iter().filter(|call| call["code"].is_null()).collect();
+    assert!(unanswered.is_empty(), "{unanswered:?}");
+    let call = |call: &&Value| -> Seen {
+        let arguments = call["args"].as_array().unwrap().iter().filter(|argument| argument.get("value").is_some());
+        let arguments = arguments.map(|_| unhex(&values.next().unwrap())).collect();
+        (call["function"].as_str().unwrap().to_owned(), arguments, call["code"].as_i64().unwrap())
+    };
+    let (mut found, mut seen): (Vec<_>, _) = (calls.iter().map(call).collect(), recorded.seen.clone());
+    // the two connections of `bcap slave` have no common order
+    found.sort();
+    seen.sort();
+    assert!(seen.len() > 60, "{}", seen.len());
+    for (found, seen) in found.iter().zip(&seen) {
+        assert_eq!(found, seen);
+    }
+    assert_eq!(found.len(), seen.len());
+    println!("{} calls, all as the server saw them", found.len());
+}
+
+/// Serves a virtual controller that records its calls.
+pub(crate) fn serve() -> Served<Recording> {
     let config = bcap_sim::Config { motor_on_delay: Duration::from_millis(1), ..bcap_sim::Config::new(Profile::Rc8) };
     let controller = Slowed(Controller::new(config));
-    let served = Served::of(Recording { controller, seen: Vec::new() }, Limits::default());
+    Served::of(Recording { controller, seen: Vec::new() }, Limits::default())
+}
+
+fn start_proxy(served: &Served<Recording>, file: &Path, options: &[&str]) -> Running {
+    let [tcp, udp, rac] = [&served.tcp, &served.udp, &served.rac].map(ToString::to_string);
+    let robot = ["--robot", &tcp, "--robot-udp", &udp, "--robot-rac", &rac, "--write", file.to_str().unwrap()];
+    Running::start(&[&["proxy", "--listen", "127.0.0.1:0"], &robot[..], options].concat())
+}
+
+/// Runs a session through `bcap proxy`, which records it.
+pub(crate) fn proxied(options: &[&str]) -> (Recorded, Run) {
+    let served = serve();
     let folder = tempfile::tempdir().unwrap();
-    let file = folder.path().join("session.pcap");
-    let dump = tcpdump(test, &file, [served.tcp.port(), served.udp.port(), served.rac.port()])?;
-    run(&format!("tcp:{}", served.tcp), &format!("udp:{}", served.udp), &served.rac.to_string());
+    let file = folder.path().join("session.pcapng");
+    let proxy = start_proxy(&served, &file, options);
+    run(&format!("tcp:{}", proxy.bcap), &format!("udp:{}", proxy.udp), &proxy.rac);
+    let printed = proxy.interrupt();
+    let seen = served.application().seen.clone();
+    (Recorded { file, seen, _folder: folder }, printed)
+}
+
+/// Waits until tcpdump has written the last request of the session.
+fn wait_for_the_end(file: &Path) {
     let until = Instant::now() + Duration::from_secs(30);
-    // the last request of the session
     while !bcap(&["decode", file.to_str().unwrap(), "--object", "S9"]).out.contains("S_OK") {
         assert!(Instant::now() < until, "tcpdump has not written the end of the session");
         std::thread::sleep(Duration::from_millis(10));
     }
+}
+
+/// Runs a session through `bcap proxy` while tcpdump captures between the proxy and the server; returns the files of both.
+pub(crate) fn proxied_under_tcpdump(test: &str, folder: &Path) -> Option<[PathBuf; 2]> {
+    let served = serve();
+    let [proxied, dumped] = ["proxy.pcapng", "tcpdump.pcap"].map(|name| folder.join(name));
+    let dump = tcpdump(test, &dumped, [served.tcp.port(), served.udp.port(), served.rac.port()])?;
+    let proxy = start_proxy(&served, &proxied, &["--quiet"]);
+    run(&format!("tcp:{}", proxy.bcap), &format!("udp:{}", proxy.udp), &proxy.rac);
+    assert_eq!(proxy.interrupt().code, 0);
+    wait_for_the_end(&dumped);
+    drop(dump);
+    Some([proxied, dumped])
+}
+
+/// Runs a session under tcpdump; `None` if tcpdump cannot capture.
+pub(crate) fn session(test: &str) -> Option<Recorded> {
+    let served = serve();
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("session.pcap");
+    let dump = tcpdump(test, &file, [served.tcp.port(), served.udp.port(), served.rac.port()])?;
+    run(&format!("tcp:{}", served.tcp), &format!("udp:{}", served.udp), &served.rac.to_string());
+    wait_for_the_end(&file);
     drop(dump);
     let seen = served.application().seen.clone();
     Some(Recorded { file, seen, _folder: folder })

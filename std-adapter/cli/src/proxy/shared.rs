@@ -1,0 +1,46 @@
+//! What all tasks of a proxy share.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+use crate::faults::{Faults, Plan};
+use crate::record::{Recorder, Recording};
+
+/// What all tasks share.
+#[derive(Clone)]
+pub(super) struct Shared {
+    pub(super) recorder: Recorder,
+    pub(super) connect_timeout: Duration,
+    plan: Arc<Plan>,
+    seed: u64,
+    /// The number of connections so far.
+    count: Arc<AtomicU64>,
+    /// Whether the server of a recorded connection is the address that the client used, and not the robot's.
+    pub(super) shows_listener: bool,
+}
+
+impl Shared {
+    /// The state of a proxy without faults.
+    pub(super) fn new(recording: &Recording, connect_timeout: Duration) -> Self {
+        Self {
+            recorder: recording.recorder().clone(),
+            connect_timeout,
+            plan: Arc::default(),
+            seed: 0,
+            count: Arc::default(),
+            shows_listener: false,
+        }
+    }
+
+    /// Injects faults.
+    pub(super) fn with_faults(self, plan: Plan, seed: u64) -> Self {
+        Self { plan: Arc::new(plan), seed, ..self }
+    }
+
+    /// Returns the faults of a new connection; `None` if every frame passes unchanged.
+    pub(super) fn faults(&self, is_rac: bool) -> Option<Faults> {
+        let number = self.count.fetch_add(1, Ordering::Relaxed);
+        (!self.plan.is_empty()).then(|| Faults::new((*self.plan).clone(), self.seed.wrapping_add(number), is_rac))
+    }
+}

@@ -1,0 +1,220 @@
+//! The replay of one connection.
+
+use std::collections::HashMap;
+use std::error;
+use std::sync::mpsc::Sender;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use bcap_core::bcap::{FunctionId, Kind};
+use bcap_core::hresult::HResult;
+use bcap_core::rac::{Variable, VariableKind};
+use bcap_std::blocking::{self, Controller};
+use bcap_std::{Error, Options, RacError};
+
+use super::order::Order;
+use super::plan::{PlannedCall, PlannedLink, Protocol};
+use crate::capture::{Argument, Call, Reply, is_object};
+use crate::record::{TapedRac, taped, taped_rac};
+use crate::robot::Robot;
+use crate::value::Value;
+
+/// The attempts of a call over UDP, which share the time limit.
+const UDP_ATTEMPTS: u8 = 5;
+
+/// What came instead of the recorded reply.
+#[derive(Debug)]
+pub(super) enum Came {
+    Reply(HResult, Option<Value>),
+    /// Why no reply came.
+    Nothing(String),
+}
+
+/// A call that was made again, or that could not be made.
+#[derive(Debug)]
+pub(super) struct Outcome<'a> {
+    pub(super) call: &'a Call,
+    pub(super) came: Came,
+    pub(super) is_different: bool,
+}
+
+/// A connection to replay.
+pub(super) struct Link<'a> {
+    pub(super) planned: &'a PlannedLink,
+    pub(super) robot: &'a Robot,
+    pub(super) order: &'a Order,
+    /// When the replay began; `None` to make calls as soon as possible.
+    pub(super) began: Option<Instant>,
+    pub(super) timeout: Duration,
+    pub(super) volatile: &'a [String],
+}
+
+impl<'a> Link<'a> {
+    /// Makes the calls in turn, and sends the outcome of each.
+    pub(super) fn run(&self, outcomes: &Sender<Outcome<'a>>) {
+        let mut opened = None;
+        for planned in &self.planned.calls {
+            if let Some(began) = self.began {
+                thread::sleep(planned.offset.saturating_sub(began.elapsed()));
+            }
+            self.order.wait(planned.after);
+            let client = opened.get_or_insert_with(|| self.open());
+            let came = match client {
+                Ok(client) => client.make(&planned.call),
+                Err(why) => Came::Nothing(why.clone()),
+            };
+            if matches!(client, Ok(client) if client.is_lost) {
+                // the other calls of this connection cannot be made
+                *client = Err("not sent: the connection was lost".into());
+            }
+            self.end(planned, came, outcomes);
+        }
+    }
+
+    fn end(&self, planned: &'a PlannedCall, came: Came, outcomes: &Sender<Outcome<'a>>) {
+        if let Some(rank) = planned.rank {
+            self.order.end(rank);
+        }
+        let is_volatile = self.volatile.iter().any(|name| is_named(&planned.call, name));
+        let is_different = planned.call.reply.as_ref().is_some_and(|reply| differs(reply, &came, is_volatile));
+        // the receiver ends early only if the output is closed
+        let _ = outcomes.send(Outcome { call: &planned.call, came, is_different });
+    }
+
+    /// Opens the connection; an error is for people.
+    fn open(&self) -> Result<Client, String> {
+        let mut options = Options::default().timeout(self.timeout);
+        options.udp.timing.attempts = UDP_ATTEMPTS;
+        options.udp.timing.attempt_timeout = (self.timeout / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
+        let robot = self.robot;
+        let bcap = |controller| Socket::Bcap(Box::new(controller));
+        let socket = match self.planned.protocol {
+            Protocol::Tcp => {
+                blocking::connect_tcp(&robot.tcp[..], &options).map(taped).map(Controller::unopened).map(bcap)
+            }
+            Protocol::Udp => blocking::connect_udp(robot.udp, &options).map(taped).map(Controller::unopened).map(bcap),
+            Protocol::Rac => {
+                blocking::connect_rac(&robot.rac[..], &options).map(|client| Socket::Rac(Box::new(taped_rac(client))))
+            }
+        };
+        let socket = socket.map_err(|error| with_causes(&error))?;
+        Ok(Client { socket, handles: HashMap::new(), is_lost: false })
+    }
+}
+
+/// Returns whether a call has this function, or function and command, or uses this object.
+fn is_named(call: &Call, name: &str) -> bool {
+    let title = call.command.as_ref().map(|command| format!("{}/{command}", call.function));
+    name.eq_ignore_ascii_case(&call.function)
+        || title.is_some_and(|title| name.eq_ignore_ascii_case(&title))
+        || call.objects().any(|object| is_object(object, name))
+}
+
+/// Returns whether what came differs from the recorded reply. New handles never differ.
+fn differs(recorded: &Reply, came: &Came, is_volatile: bool) -> bool {
+    let Came::Reply(code, value) = came else { return true };
+    if is_volatile {
+        return recorded.code.is_ok() != code.is_ok();
+    }
+    if recorded.code != *code {
+        return true;
+    }
+    let bytes = |value: Option<&Value>| value.map(|value| value.as_bytes().to_vec());
+    recorded.opened.is_none() && code.is_ok() && bytes(recorded.value.as_ref()) != bytes(value.as_ref())
+}
+
+/// An open connection.
+struct Client {
+    socket: Socket,
+    /// The present handles by the recorded ones.
+    handles: HashMap<i32, i32>,
+    is_lost: bool,
+}
+
+enum Socket {
+    Bcap(Box<Controller>),
+    Rac(Box<TapedRac>),
+}
+
+impl Client {
+    /// Makes a call.
+    fn make(&mut self, call: &Call) -> Came {
+        let (came, is_lost) = match &mut self.socket {
+            Socket::Bcap(controller) => bcap(controller, call, &self.handles),
+            Socket::Rac(client) => rac(client, call),
+        };
+        self.is_lost |= is_lost;
+        if let Came::Reply(_, Some(value)) = &came {
+            self.remember(call, value);
+        }
+        came
+    }
+
+    /// Remembers the handle of an object that the call opened.
+    fn remember(&mut self, call: &Call, value: &Value) {
+        let opened = call.reply.as_ref().filter(|reply| reply.opened.is_some());
+        let recorded = opened.and_then(|reply| reply.value.as_ref()?.as_variant().as_i32());
+        if let Some((recorded, present)) = recorded.zip(value.as_variant().as_i32()) {
+            self.handles.insert(recorded, present);
+        }
+    }
+}
+
+/// Makes a call of b-CAP; the flag is whether the connection was lost.
+fn bcap(controller: &mut Controller, call: &Call, handles: &HashMap<i32, i32>) -> (Came, bool) {
+    let unknown = || call.function.strip_prefix("function ").and_then(|number| number.parse().ok()).map(FunctionId);
+    let function = FunctionId::parse(&call.function).or_else(unknown);
+    let Some((function, arguments)) = function.and_then(|found| Some((found, arguments(call, found, handles)?))) else {
+        return (Came::Nothing("not sent: an argument cannot be decoded".into()), false);
+    };
+    match controller.call_any("", function, &arguments) {
+        Ok((code, value)) => (Came::Reply(code, value), false),
+        Err(Error::Refused { code, .. }) => (Came::Reply(code, None), false),
+        Err(error) => (Came::Nothing(with_causes(&error)), true),
+    }
+}
+
+/// Returns the arguments of a call with the present handles; `None` if one could not be decoded.
+fn arguments(call: &Call, function: FunctionId, handles: &HashMap<i32, i32>) -> Option<Vec<Value>> {
+    let kinds = function.signature().map_or(&[][..], |signature| signature.arguments);
+    let argument = |(i, argument): (usize, &Argument)| {
+        let value = argument.value.as_ref()?;
+        let handle = matches!(kinds.get(i), Some(Kind::Handle(_))).then(|| value.as_variant().as_i32()).flatten();
+        match handle.and_then(|handle| handles.get(&handle)) {
+            Some(present) => Value::new(present).ok(),
+            None => Some(value.clone()),
+        }
+    };
+    call.arguments.iter().enumerate().map(argument).collect()
+}
+
+/// Makes a request of RAC; the flag is whether the connection was lost.
+fn rac(client: &mut TapedRac, call: &Call) -> (Came, bool) {
+    match request(client, call) {
+        None => (Came::Nothing("not sent: not a request of RAC".into()), false),
+        Some(Ok(value)) => (Came::Reply(HResult::S_OK, value), false),
+        Some(Err(RacError::Refused(code))) => (Came::Reply(code, None), false),
+        Some(Err(error)) => (Came::Nothing(with_causes(&error)), true),
+    }
+}
+
+/// Sends a request of RAC; `None` if the recorded line is not one.
+fn request(client: &mut TapedRac, call: &Call) -> Option<Result<Option<Value>, RacError>> {
+    let name = call.arguments.first()?.object.as_deref()?;
+    let (kind, index) = name.split_at(name.find(|c: char| c.is_ascii_digit())?);
+    let variable = Variable { kind: VariableKind::from_name(kind)?, index: index.parse().ok()? };
+    match call.function.as_str() {
+        "GET" => Some(client.get(variable).map(|value| Value::new(&value).ok())),
+        "PUT" => {
+            let value = call.arguments.get(1)?.value.as_ref()?;
+            Some(client.put(variable, value.as_variant()).map(|()| None))
+        }
+        _ => None,
+    }
+}
+
+/// An error with its causes, in one line.
+fn with_causes(error: &dyn error::Error) -> String {
+    let causes = std::iter::successors(Some(error), |error| error.source());
+    causes.map(ToString::to_string).collect::<Vec<_>>().join(": ")
+}

@@ -1,0 +1,55 @@
+//! A process of the command that runs until a signal.
+#![allow(dead_code, reason = "every test file uses its own part of this")]
+
+use std::io::{BufRead, BufReader, Read};
+use std::process::{Child, ChildStdout, Command, Stdio};
+
+use crate::common::{Run, command};
+
+/// A process that has printed `ready bcap=.. udp=.. rac=..`; dropping it kills it.
+pub(crate) struct Running {
+    child: Child,
+    out: BufReader<ChildStdout>,
+    /// The addresses, without a protocol; empty if the command does not serve one.
+    pub(crate) bcap: String,
+    pub(crate) udp: String,
+    pub(crate) rac: String,
+}
+
+impl Running {
+    pub(crate) fn start(args: &[&str]) -> Self {
+        let mut child = command(args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut out = BufReader::new(child.stdout.take().unwrap());
+        let mut line = String::new();
+        out.read_line(&mut line).unwrap();
+        let address = |key: &str| -> String {
+            let word = line.split_whitespace().find_map(|word| word.strip_prefix(key));
+            word.unwrap_or_default().to_owned()
+        };
+        assert!(line.starts_with("ready "), "{line:?}");
+        let [bcap, udp, rac] = ["bcap=", "udp=", "rac="].map(address);
+        Self { child, out, bcap, udp, rac }
+    }
+
+    /// Starts a virtual controller on free ports.
+    pub(crate) fn sim(more: &[&str]) -> Self {
+        let free = ["--bcap", "127.0.0.1:0", "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"];
+        Self::start(&[&["sim"], &free[..], more].concat())
+    }
+
+    /// Ends the process by SIGINT, and returns what it printed after the first line.
+    pub(crate) fn interrupt(mut self) -> Run {
+        assert!(Command::new("kill").args(["-INT", &self.child.id().to_string()]).status().unwrap().success());
+        let (mut out, mut err) = (String::new(), String::new());
+        self.out.read_to_string(&mut out).unwrap();
+        self.child.stderr.take().unwrap().read_to_string(&mut err).unwrap();
+        Run { out, err, code: self.child.wait().unwrap().code().unwrap() }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}

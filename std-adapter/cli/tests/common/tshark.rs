@@ -1,0 +1,40 @@
+//! tshark with the committed dissector. Tests that need it print one line and pass without it.
+#![allow(dead_code, reason = "every test file uses its own part of this")]
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+pub(crate) fn script() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/wireshark/bcap.lua")
+}
+
+pub(crate) fn has_tshark(test: &str) -> bool {
+    let found = Command::new("tshark").arg("--version").stdout(Stdio::null()).stderr(Stdio::null()).status().is_ok();
+    if !found {
+        println!("skipped {test}: there is no tshark; install the Debian package tshark");
+    }
+    found
+}
+
+/// Runs tshark with the dissector alone, without the user's settings, and returns its output.
+pub(crate) fn tshark(capture: &Path, args: &[&str]) -> String {
+    let home = tempfile::tempdir().unwrap();
+    let output = Command::new("tshark")
+        .args(["-n", "-2", "-r"])
+        .arg(capture)
+        .arg(format!("-Xlua_script:{}", script().display()))
+        .args(args)
+        .env("HOME", home.path())
+        .env("XDG_CONFIG_HOME", home.path())
+        .env("TZ", "UTC")
+        .output()
+        .unwrap();
+    let err = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && !err.contains("Lua"), "{err}");
+    String::from_utf8(output.stdout).map_err(|error| error.utf8_error()).expect("text of tshark in UTF-8")
+}
+
+/// The packets that a display filter selects.
+pub(crate) fn selected(capture: &Path, filter: &str) -> usize {
+    tshark(capture, &["-Y", filter, "-T", "fields", "-e", "frame.number"]).lines().count()
+}

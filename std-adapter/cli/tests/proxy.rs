@@ -1,0 +1,246 @@
+//! `bcap proxy` and `--write`: what they record, what they print, and the faults.
+
+#[path = "common/capture.rs"]
+mod capture;
+mod common;
+#[path = "common/recorded.rs"]
+mod recorded;
+#[path = "common/running.rs"]
+mod running;
+#[path = "common/tshark.rs"]
+mod tshark;
+
+use std::path::{Path, PathBuf};
+
+use common::{Run, bare, bcap};
+use running::Running;
+use tshark::{has_tshark, selected, tshark};
+
+fn path(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_TARGET_TMPDIR")).join(name)
+}
+
+/// Runs `bcap decode` on a file.
+fn decoded(file: &Path, options: &[&str]) -> String {
+    let run = bcap(&[&["decode", file.to_str().unwrap()], options].concat());
+    assert_eq!((run.code, run.err.as_str()), (0, ""), "{run:?}");
+    run.out
+}
+
+/// The lines without times, sorted: the proxy prints a call when its reply arrives.
+fn sorted(lines: &str) -> Vec<String> {
+    let plain = |line: &str| line.trim_start().split_once(' ').unwrap().1.to_owned();
+    let mut lines: Vec<_> = lines.lines().map(plain).collect();
+    lines.sort();
+    lines
+}
+
+#[test]
+fn the_file_of_a_proxy_has_the_calls_that_the_server_saw() {
+    let (recorded, printed) = recorded::proxied(&[]);
+    assert_eq!((printed.code, printed.err.as_str()), (0, ""));
+    recorded::assert_as_seen(&recorded);
+    assert_eq!(sorted(&printed.out), sorted(&decoded(&recorded.file, &[])), "what is printed is what is recorded");
+}
+
+#[test]
+fn tcpdump_captures_the_same_calls_as_the_proxy() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(files) = recorded::proxied_under_tcpdump("the proxy beside tcpdump", folder.path()) else { return };
+    let [mut proxied, mut dumped] = files.each_ref().map(|file| json_calls(file));
+    proxied.sort();
+    dumped.sort();
+    assert!(proxied.len() > 60, "{}", proxied.len());
+    assert_eq!(proxied, dumped);
+    println!("{} calls in both files", proxied.len());
+}
+
+#[test]
+fn tshark_links_all_requests_of_the_file_of_a_proxy() {
+    if !has_tshark("the file of a proxy") {
+        return;
+    }
+    let (recorded, _) = recorded::proxied(&["--quiet"]);
+    let requests = selected(&recorded.file, "bcap.request || rac.request");
+    assert!(requests >= recorded.seen.len(), "{requests} requests, {} calls", recorded.seen.len());
+    for filter in [
+        "bcap.malformed || rac.malformed || bcap.cut",
+        "bcap.unlinked || rac.unlinked || bcap.again",
+        "bcap.request && !bcap.response_in",
+        "rac.request && !rac.response_in",
+        // the sequence numbers are right: nothing is lost, repeated, or acknowledged before it is sent
+        "tcp.analysis.flags",
+        "ip.checksum.status == 0 || tcp.checksum.status == 0 || udp.checksum.status == 0",
+    ] {
+        let check = ["-o", "ip.check_checksum:TRUE", "-o", "tcp.check_checksum:TRUE", "-o", "udp.check_checksum:TRUE"];
+        let found = tshark(&recorded.file, &[&["-Y", filter][..], &check].concat());
+        assert_eq!(found, "", "{filter}");
+    }
+    println!("{requests} requests, all linked, none malformed");
+}
+
+#[test]
+fn client_commands_and_the_virtual_controller_record_the_same_calls() {
+    let (server, client) = (path("server.pcapng"), path("client.pcapng"));
+    let sim = Running::sim(&["--write", server.to_str().unwrap()]);
+    let mut calls = Vec::new();
+    for (robot, args) in [
+        (format!("tcp:{}", sim.bcap), &["get", "I1", "P1"][..]),
+        (format!("udp:{}", sim.udp), &["put", "I1", "5"]),
+        (sim.rac.clone(), &["rac", "get", "I1"]),
+        (format!("tcp:{}", sim.bcap), &["slave", "cosine", "--seconds", "0.1", "--amplitude", "-1", "--yes"]),
+        (format!("tcp:{}", sim.bcap), &["exec", "robot", "Nonsense"]),
+    ] {
+        bcap(&[args, &["--robot", &robot, "--write", client.to_str().unwrap()]].concat());
+        calls.extend(json_calls(&client));
+    }
+    assert_eq!(sim.interrupt().code, 0);
+    let mut seen = json_calls(&server);
+    // the connections of Slave Mode have no common order
+    calls.sort();
+    seen.sort();
+    assert!(calls.len() > 60, "{}", calls.len());
+    assert_eq!(calls, seen);
+}
+
+#[test]
+fn a_gateway_records_its_plcs_and_the_robot() {
+    let (sim, file) = (Running::sim(&[]), path("gateway.pcapng"));
+    let rac = ["--rac", "127.0.0.1:0", "--allow-put", "I", "--audit", path("gateway.jsonl").to_str().unwrap()]
+        .map(str::to_owned);
+    for robot in [format!("tcp:{}", sim.bcap), format!("udp:{}", sim.udp)] {
+        let more = ["gateway", "--robot", &robot, "--write", file.to_str().unwrap()];
+        let gateway = Running::start(&[&more[..], &rac.each_ref().map(String::as_str)].concat());
+        for args in [&["rac", "put", "I3", "7"][..], &["rac", "get", "I3"]] {
+            let run = bcap(&[args, &["--robot", &gateway.rac]].concat());
+            assert_eq!((run.code, run.out.as_str()), (0, "I3 = 7\n"), "{run:?}");
+        }
+        assert_eq!(gateway.interrupt().code, 0);
+        let lines = decoded(&file, &["--object", "I3"]);
+        for call in ["PUT(I3, value: I4(7)) -> S_OK", "GET(I3) -> S_OK I4(7)"] {
+            assert!(lines.contains(call), "{call}: {lines}");
+        }
+        for call in
+            ["Variable_PutValue(variable: I3, value: I4(7)) -> S_OK", "Variable_GetValue(variable: I3) -> S_OK I4(7)"]
+        {
+            assert!(lines.contains(call), "{call}: {lines}");
+        }
+        assert_eq!(decoded(&file, &["--error", "any"]), "");
+    }
+}
+
+/// The calls of a file without times and names of connections.
+fn json_calls(file: &Path) -> Vec<String> {
+    let lines = decoded(file, &["--json"]);
+    let calls = lines.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
+    calls
+        .filter(|line| line.get("function").is_some())
+        .map(|mut call| {
+            for field in ["time", "link", "us"] {
+                call.as_object_mut().unwrap().remove(field);
+            }
+            call.to_string()
+        })
+        .collect()
+}
+
+/// A virtual controller behind a proxy with faults; returns both and the file.
+fn faulty(name: &str, faults: &[&str]) -> (Running, Running, PathBuf) {
+    let (sim, file) = (Running::sim(&[]), path(name));
+    let robot = ["--robot", &sim.bcap, "--robot-udp", &sim.udp, "--robot-rac", &sim.rac];
+    let more = ["--listen", "127.0.0.1:0", "--seed", "7", "--write", file.to_str().unwrap()];
+    let proxy = Running::start(&[&["proxy"], &robot[..], &more, faults].concat());
+    (sim, proxy, file)
+}
+
+fn get(robot: &str, args: &[&str]) -> Run {
+    bcap(&[args, &["--robot", robot, "--timeout", "2000"]].concat())
+}
+
+#[test]
+fn dropped_requests_of_one_function_time_out_over_tcp_and_are_sent_again_over_udp() {
+    let (_sim, proxy, file) = faulty("dropped.pcapng", &["--drop", "1:Variable_GetValue"]);
+    let run = get(&format!("tcp:{}", proxy.bcap), &["get", "I1"]);
+    assert_eq!(run.code, 4, "{run:?}");
+    let printed = proxy.interrupt();
+    assert!(printed.out.contains("note: fault: dropped the request of Variable_GetValue"), "{}", printed.out);
+    let unanswered = decoded(&file, &["--error", "any"]);
+    assert!(unanswered.contains("Variable_GetValue(variable: I1) -> no reply"), "{unanswered}");
+    assert_eq!(unanswered.lines().count(), 1, "{unanswered}");
+
+    let (_sim, proxy, file) = faulty("lost.pcapng", &["--drop", "0.2"]);
+    // without --timeout a call has the time for all of its attempts
+    let run: Run = bare(&["get", "I1", "--robot", &format!("udp:{}", proxy.udp)]).output().unwrap().into();
+    assert_eq!((run.code, run.out.as_str()), (0, "I1 = 0\n"), "{run:?}");
+    let printed = proxy.interrupt();
+    assert!(printed.out.contains("note: fault: dropped"), "{}", printed.out);
+    assert!(decoded(&file, &[]).contains(" attempts]"));
+}
+
+#[test]
+fn corrupted_replies_are_recorded_as_the_client_received_them() {
+    let (_sim, proxy, file) = faulty("corrupt.pcapng", &["--corrupt", "1:GET"]);
+    let run = get(&proxy.rac, &["rac", "get", "I1"]);
+    assert_ne!(run.out, "I1 = 0\n", "{run:?}");
+    let printed = proxy.interrupt();
+    assert!(printed.out.contains("note: fault: flipped bit "), "{}", printed.out);
+    if has_tshark("comments of faults") {
+        let comments = tshark(&file, &["-T", "fields", "-e", "frame.comment", "-Y", "frame.comment"]);
+        assert!(comments.starts_with("fault: flipped bit "), "{comments}");
+    }
+}
+
+#[test]
+fn delayed_calls_are_answered_later() {
+    let (_sim, proxy, file) = faulty("delayed.pcapng", &["--delay", "30ms:Variable_GetValue"]);
+    for robot in [format!("tcp:{}", proxy.bcap), format!("udp:{}", proxy.udp)] {
+        let run = bcap(&["get", "I1", "--robot", &robot]);
+        assert_eq!((run.code, run.out.as_str()), (0, "I1 = 0\n"), "{run:?}");
+    }
+    assert_eq!(proxy.interrupt().code, 0);
+    for line in json_lines(&file, "Variable_GetValue") {
+        // the request and the reply
+        assert!(line["us"].as_u64().unwrap() >= 60_000, "{line}");
+    }
+}
+
+fn json_lines(file: &Path, function: &str) -> Vec<serde_json::Value> {
+    let lines = decoded(file, &["--json", "--function", function]);
+    lines.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+}
+
+#[test]
+fn many_clients_share_a_proxy() {
+    let (_sim, proxy, file) = faulty("many.pcapng", &["--quiet"]);
+    let [tcp, udp] = [format!("tcp:{}", proxy.bcap), format!("udp:{}", proxy.udp)];
+    std::thread::scope(|scope| {
+        for robot in [&tcp, &udp].into_iter().cycle().take(10) {
+            scope.spawn(move || {
+                let run = bcap(&["get", "I1", "P1", "--robot", robot]);
+                assert_eq!(run.code, 0, "{run:?}");
+            });
+        }
+    });
+    let printed = proxy.interrupt();
+    assert_eq!((printed.code, printed.out.as_str()), (0, ""), "--quiet");
+    assert_eq!(json_lines(&file, "Service_Stop").len(), 10);
+    assert_eq!(decoded(&file, &["--error", "any"]), "");
+}
+
+#[test]
+fn a_robot_that_refuses_and_a_file_that_cannot_be_written_are_said() {
+    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
+    let proxy = Running::start(&["proxy", "--listen", "127.0.0.1:0", "--robot", &free]);
+    let run = bcap(&["get", "I1", "--robot", &format!("tcp:{}", proxy.bcap)]);
+    assert_eq!(run.code, 3, "{run:?}");
+    let printed = proxy.interrupt();
+    assert!(printed.out.contains("note: cannot connect to the robot at "), "{}", printed.out);
+
+    let run = bcap(&["proxy", "--listen", "127.0.0.1:0", "--robot", &free, "--write", "no/such/folder/x.pcapng"]);
+    assert_eq!(run.code, 2, "{run:?}");
+    assert!(run.err.contains("cannot write no/such/folder/x.pcapng: "), "{run:?}");
+    let run = bcap(&["get", "I1", "--robot", "serial:/dev/null", "--write", path("x.pcapng").to_str().unwrap()]);
+    assert!(run.code == 2 && run.err.contains("a serial line has no packets to record"), "{run:?}");
+    let run = bcap(&["proxy", "--drop", "2"]);
+    assert!(run.code == 2 && run.err.contains("write a share from 0 to 1"), "{run:?}");
+}

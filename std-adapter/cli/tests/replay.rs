@@ -1,0 +1,165 @@
+//! `bcap replay`: the same calls again, differences, and what must be allowed.
+
+#[path = "common/capture.rs"]
+mod capture;
+mod common;
+#[path = "common/recorded.rs"]
+mod recorded;
+#[path = "common/running.rs"]
+mod running;
+
+use std::path::{Path, PathBuf};
+
+use capture::{BCAP, Capture, Flow, From, bstr, i4, numbered};
+use common::{Run, bcap};
+use running::Running;
+use serde_json::Value;
+
+fn path(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_TARGET_TMPDIR")).join(name)
+}
+
+/// Replays a file against a virtual controller.
+fn replay(file: &Path, sim: &Running, options: &[&str]) -> Run {
+    let robot = ["--robot", &sim.bcap, "--robot-udp", &sim.udp, "--robot-rac", &sim.rac];
+    bcap(&[&["replay", file.to_str().unwrap()], &robot[..], options].concat())
+}
+
+/// Records a session that reads over all protocols, with a new controller; returns the file.
+fn read_session(name: &str) -> PathBuf {
+    let file = path(name);
+    let sim = Running::sim(&["--write", file.to_str().unwrap()]);
+    let (tcp, udp) = (format!("tcp:{}", sim.bcap), format!("udp:{}", sim.udp));
+    for args in [
+        &["get", "I1", "F1", "robot/@CURRENT_ANGLE", "--robot", &tcp][..],
+        &["get", "S1", "--robot", &udp],
+        &["rac", "get", "P1", "--robot", &sim.rac],
+    ] {
+        assert_eq!(bcap(args).code, 0, "{args:?}");
+    }
+    assert_eq!(sim.interrupt().code, 0);
+    file
+}
+
+#[test]
+fn a_replay_finds_exactly_the_value_that_changed() {
+    let (file, sim) = (read_session("reads.pcapng"), Running::sim(&[]));
+    for options in [&[][..], &["--fast"]] {
+        let run = replay(&file, &sim, options);
+        let totals = "24 calls of 3 connections, 24 replies compared, 0 differences\n";
+        assert_eq!((run.code, run.out.as_str(), run.err.as_str()), (0, totals, ""), "{run:?}");
+    }
+    assert_eq!(bcap(&["put", "F1", "2.5", "--robot", &sim.bcap]).code, 0);
+    let run = replay(&file, &sim, &["--fast"]);
+    assert_eq!((run.code, run.err.as_str()), (1, "error: 1 of 24 replies differ from the recorded ones\n"), "{run:?}");
+    let lines: Vec<_> = run.out.lines().collect();
+    assert!(lines[0].ends_with(" Variable_GetValue(variable: F1)"), "{lines:?}");
+    assert_eq!(lines[1..3], ["  recorded: S_OK R4(0.0)", "  replayed: S_OK R4(2.5)"]);
+    assert_eq!(lines.len(), 4, "{lines:?}");
+
+    let run = replay(&file, &sim, &["--fast", "--json"]);
+    let difference: Value = serde_json::from_str(run.out.lines().next().unwrap()).unwrap();
+    let values = ["recorded", "replayed"].map(|side| &difference[side]["value"]["v"]);
+    assert_eq!(values, [&Value::from(0.0), &Value::from(2.5)], "{difference}");
+
+    for name in ["F1", "Variable_GetValue"] {
+        let run = replay(&file, &sim, &["--fast", "--volatile", name]);
+        assert_eq!(run.code, 0, "{name}: {run:?}");
+    }
+}
+
+#[test]
+fn calls_that_move_or_write_are_made_only_if_they_are_allowed_by_name() {
+    let (recorded, _) = recorded::proxied(&["--quiet"]);
+    let seen = path("seen.pcapng");
+    let sim = Running::sim(&["--write", seen.to_str().unwrap()]);
+    let run = replay(&recorded.file, &sim, &["--allow", "Variable_PutValue", "--allow", "Robot_Execute/CurJnt"]);
+    assert_eq!(run.code, 2, "{run:?}");
+    for refused in ["PUT (1)", "Robot_Execute/TakeArm (1)", "Robot_Execute/Nonsense (1)", "Robot_Move (1)"] {
+        assert!(run.err.contains(refused), "{refused}: {run:?}");
+    }
+    assert!(!run.err.contains("CurJnt") && !run.err.contains("PutValue"), "{run:?}");
+    assert_eq!(sim.interrupt().code, 0);
+    let run = bcap(&["decode", seen.to_str().unwrap()]);
+    assert_eq!((run.code, run.out.as_str()), (0, ""), "nothing was sent");
+}
+
+#[test]
+fn a_whole_session_has_the_same_replies_on_a_new_controller() {
+    let (recorded, _) = recorded::proxied(&["--quiet"]);
+    let served = recorded::serve();
+    let [tcp, udp, rac] = [&served.tcp, &served.udp, &served.rac].map(ToString::to_string);
+    let allowed = ["Variable_PutValue", "Robot_Execute", "Robot_Move", "PUT"].map(|name| ["--allow", name]).concat();
+    // the position depends on the moment
+    let more = ["--volatile", "Robot_Execute/slvMove", "--fast"];
+    let file = recorded.file.to_str().unwrap();
+    let robot = ["--robot", &tcp, "--robot-udp", &udp, "--robot-rac", &rac];
+    let run = bcap(&[&["replay", file], &robot[..], &allowed, &more].concat());
+    assert_eq!(run.code, 0, "{run:?}");
+    let count = recorded.seen.len();
+    let connections = run.out.split(' ').nth(3).unwrap();
+    let totals = format!("{count} calls of {connections} connections, {count} replies compared, 0 differences\n");
+    assert_eq!(run.out, totals);
+    println!("{}", run.out.trim_end());
+}
+
+#[test]
+fn a_lost_connection_and_other_handles_are_differences_only_where_they_matter() {
+    // handle 99 instead of the controller's own, and a call without a reply
+    let (mut capture, mut flow) = (Capture::new(), Flow::new(1, BCAP));
+    let connect = [bstr(""), bstr("CaoProv.DENSO.VRC"), bstr("localhost"), bstr("")];
+    for (from, frame) in [
+        (From::Client, numbered(1, 0, 1, &[bstr("")])),
+        (From::Server, numbered(1, 0, 0, &[])),
+        (From::Client, numbered(2, 0, 3, &connect)),
+        (From::Server, numbered(2, 0, 0, &[i4(99)])),
+        (From::Client, numbered(3, 0, 9, &[i4(99), bstr("I1"), bstr("")])),
+        (From::Server, numbered(3, 0, 0, &[i4(98)])),
+        (From::Client, numbered(4, 0, 101, &[i4(98)])),
+        (From::Server, numbered(4, 0, 0, &[i4(0)])),
+        (From::Client, numbered(5, 0, 2, &[])),
+    ] {
+        capture.tcp(&mut flow, from, &frame);
+    }
+    let file = path("handles.pcap");
+    capture.save(&file);
+    let sim = Running::sim(&[]);
+    let run = replay(&file, &sim, &["--fast"]);
+    let totals = "5 calls of 1 connection, 4 replies compared, 0 differences\n";
+    assert_eq!((run.code, run.out.as_str()), (0, totals), "{run:?}");
+
+    assert_eq!(sim.interrupt().code, 0);
+    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
+    let run = bcap(&["replay", file.to_str().unwrap(), "--robot", &free]);
+    assert_eq!(run.code, 1, "{run:?}");
+    assert!(run.out.contains("replayed: no reply: cannot connect to "), "{run:?}");
+    assert!(run.out.ends_with("4 replies compared, 4 differences\n"), "{run:?}");
+    let run = bcap(&["replay", "no/such/file.pcapng"]);
+    assert!(run.code == 2 && run.err.contains("cannot read no/such/file.pcapng: "), "{run:?}");
+}
+
+#[test]
+fn a_server_that_plays_a_session_back_gives_the_recorded_replies() {
+    let (recorded, _) = recorded::proxied(&["--quiet"]);
+    let file = recorded.file.to_str().unwrap();
+    let again = path("again.pcapng");
+    let server = Running::sim(&["--replay", file, "--write", again.to_str().unwrap()]);
+    let allowed = ["Variable_PutValue", "Robot_Execute", "Robot_Move", "PUT"].map(|name| ["--allow", name]).concat();
+    // positions of Slave Mode are compared too: they are the recorded ones
+    let run = replay(&recorded.file, &server, &[&["--fast"][..], &allowed].concat());
+    assert_eq!((run.code, run.err.as_str()), (0, ""), "{run:?}");
+    assert!(run.out.ends_with(" replies compared, 0 differences\n"), "{run:?}");
+
+    // what the capture does not have
+    let run = bcap(&["get", "D77", "--robot", &server.bcap]);
+    assert_eq!(run.code, 1, "{run:?}");
+    assert!(run.err.contains("E_FAIL"), "{run:?}");
+    let printed = server.interrupt();
+    assert_eq!(printed.code, 0, "{printed:?}");
+    let lines: Vec<_> = printed.err.lines().collect();
+    assert_eq!(lines.len(), 1, "{printed:?}");
+    assert!(lines[0].starts_with("not in the capture: Controller_GetVariable(I4("), "{lines:?}");
+
+    let run = bcap(&["sim", "--replay", "no/such/file.pcapng"]);
+    assert!(run.code == 2 && run.err.contains("cannot read no/such/file.pcapng: "), "{run:?}");
+}
