@@ -171,13 +171,14 @@ pub(crate) enum Command {
 /// Reads variables
 ///
 /// NAME is a variable of the controller, such as I1, P10 or @MODE, or of an object: robot/@SERVO_ON,
-/// robot:Arm0/@CURRENT_POSITION, task:Pro1/@STATUS. With --json a line is {"name":"I1","vt":3,"v":5}; `bcap encode --help`
+/// robot:Arm0/@CURRENT_POSITION, task:Pro1/@STATUS. I1-I50 is a range, and 'I*' are all variables of a kind (quote it). With --json a line is {"name":"I1","vt":3,"v":5}; `bcap encode --help`
 /// describes `vt` and `v`. Without --json the numbers of an R8 array, such as a pose, have at most 15 digits.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   bcap get I1
   bcap get --robot tcp:192.168.0.1 --json P1 P2 robot/@CURRENT_POSITION
+  bcap get I1-I50 IO128-IO135 'S*'
   BCAP_ROBOT=udp:192.168.0.1 bcap get task:Pro1/@STATUS")]
 pub(crate) struct Get {
     /// The variables
@@ -185,7 +186,10 @@ pub(crate) struct Get {
     pub(crate) names: Vec<String>,
 }
 
-/// Writes a variable
+/// Writes variables
+///
+/// Several variables are written as NAME=VALUE, in order. All values are checked before the first is written. After a
+/// refusal nothing more is written; each written variable has been printed.
 ///
 /// VALUE is plain data, which take the variable's present type. A number has a decimal point; a BOOL is true, false, on, off,
 /// or a number; an array has commas between its elements, as many as the variable has. With --typed VALUE is TYPE,DATA,
@@ -199,18 +203,30 @@ Examples:
   bcap put S1 'hello, world'
   bcap put P1 400,0,300,180,0,180,5
   bcap put --typed F1 4,2.5
-  bcap put IO128 true")]
+  bcap put IO128 true
+  bcap put I1=5 I2=7 V1=-1,2,3
+  bcap get --json I1-I50 >values.jsonl
+  bcap put --from values.jsonl")]
 pub(crate) struct Put {
-    /// The variable, as for `bcap get`
-    pub(crate) name: String,
+    /// The variable, as for `bcap get`, or NAME=VALUE
+    #[arg(required_unless_present = "from")]
+    pub(crate) name: Option<String>,
 
-    /// The value
+    /// The value, or the next NAME=VALUE
     #[arg(allow_hyphen_values = true)]
-    pub(crate) value: String,
+    pub(crate) value: Option<String>,
 
-    /// Reads VALUE as TYPE,DATA, also of another type than the variable's
+    /// More variables
+    #[arg(value_name = "NAME=VALUE")]
+    pub(crate) more: Vec<String>,
+
+    /// Reads each VALUE as TYPE,DATA, also of another type than the variable's
     #[arg(long)]
     pub(crate) typed: bool,
+
+    /// Writes the values of a file of lines as `bcap get --json` prints them, with their types; - is the standard input
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["name", "typed"])]
+    pub(crate) from: Option<PathBuf>,
 }
 
 /// Reads variables periodically
@@ -334,7 +350,21 @@ pub(crate) enum RacCommand {
     /// Reads variables
     Get(Get),
     /// Writes a variable
-    Put(Put),
+    Put(RacPut),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct RacPut {
+    /// The variable
+    pub(crate) name: String,
+
+    /// The value
+    #[arg(allow_hyphen_values = true)]
+    pub(crate) value: String,
+
+    /// Reads VALUE as TYPE,DATA, also of another type than the variable's
+    #[arg(long)]
+    pub(crate) typed: bool,
 }
 
 /// Runs a virtual controller on real sockets

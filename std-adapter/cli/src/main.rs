@@ -13,16 +13,20 @@ mod error;
 mod escape;
 mod frame;
 mod gateway;
+mod get;
 mod halt;
 mod hex;
 mod item;
 mod json;
 mod listen;
+mod named;
 mod output;
 mod plain;
+mod put;
 mod rac;
 mod reference;
 mod rules;
+mod selection;
 mod session;
 mod signal;
 mod sim;
@@ -53,8 +57,8 @@ fn main() -> ExitCode {
 
 fn run(cli: &Cli) -> Result<(), Failure> {
     match &cli.command {
-        Command::Get(args) => variables::get(args, &cli.link, cli.json),
-        Command::Put(args) => variables::put(args, &cli.link, cli.json),
+        Command::Get(args) => get::get(args, &cli.link, cli.json),
+        Command::Put(args) => put::put(args, &cli.link, cli.json),
         Command::Watch(args) => watch::watch(args, &cli.link, cli.json),
         Command::Names(_) => variables::names(&cli.link, cli.json),
         Command::Call(args) => call::call(args, &cli.link, cli.json),

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use crate::args::{LinkArgs, Watch};
 use crate::error::Failure;
+use crate::selection::{Selection, expand};
 use crate::session::with_session;
 use crate::signal;
 use crate::value::Value;
@@ -13,8 +14,10 @@ use crate::variables::{paths, print, read, shown};
 /// Runs `bcap watch` until it is interrupted or has done `--count` rounds.
 pub(crate) fn watch(args: &Watch, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let ended = signal::ended()?;
-    let paths = paths(&args.names)?;
+    let selections = Selection::parse_each(&args.names)?;
     with_session(link, |session| {
+        let names = expand(session, &selections)?;
+        let paths = paths(&names)?;
         let variables = paths.iter().map(|path| session.object(path)).collect::<Result<Vec<_>, _>>()?;
         let mut last: Vec<Option<Value>> = vec![None; paths.len()];
         let start = Instant::now();
@@ -22,7 +25,7 @@ pub(crate) fn watch(args: &Watch, link: &LinkArgs, json: bool) -> Result<(), Fai
         let mut rounds = 0;
         loop {
             session.restart_budget();
-            for (((name, path), variable), last) in args.names.iter().zip(&paths).zip(&variables).zip(&mut last) {
+            for (((name, path), variable), last) in names.iter().zip(&paths).zip(&variables).zip(&mut last) {
                 let value = read(session, path, *variable)?;
                 if !args.changed || last.as_ref() != Some(&value) {
                     print(&stamped(start.elapsed(), &shown(name, &value, json), json), json)?;
