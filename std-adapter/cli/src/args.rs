@@ -10,8 +10,12 @@ use bcap_sim::Profile;
 use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
 
+mod backup;
+mod files;
 mod slave;
 
+pub(crate) use self::backup::{Diff, Dump, Restore};
+pub(crate) use self::files::{Cp, Ls};
 pub(crate) use self::slave::{Cosine, Doctor, Halt, Play, Record, Slave, SlaveCommand, StreamArgs};
 use crate::error::Failure;
 use crate::escape;
@@ -106,6 +110,11 @@ pub(crate) struct LinkArgs {
 }
 
 impl LinkArgs {
+    /// Returns the same options for the controller at another address.
+    pub(crate) fn at(&self, address: &str) -> Self {
+        Self { robot: Some(address.to_owned()), ..self.clone() }
+    }
+
     /// Returns the controller's address for b-CAP.
     pub(crate) fn target(&self) -> Result<Address, Failure> {
         target::bcap(self.robot.as_deref())
@@ -152,6 +161,11 @@ pub(crate) enum Command {
     Put(Put),
     Watch(Watch),
     Names(Names),
+    Ls(Ls),
+    Cp(Cp),
+    Dump(Dump),
+    Diff(Diff),
+    Restore(Restore),
     Call(Call),
     Exec(Exec),
     Rac(Rac),

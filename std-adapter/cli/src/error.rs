@@ -3,7 +3,7 @@
 //! | code | meaning                                                |
 //! |------|--------------------------------------------------------|
 //! | 0    | done                                                   |
-//! | 1    | the controller refused                                 |
+//! | 1    | the controller refused, or `bcap diff` found differences |
 //! | 2    | wrong usage, or input that cannot be read              |
 //! | 3    | no connection, or a connection that broke              |
 //! | 4    | the controller did not answer in time                  |
@@ -90,6 +90,9 @@ pub(crate) enum Failure {
         /// What to do.
         hint: Option<String>,
     },
+    /// Two backups differ; the output has the differences.
+    #[error("there are differences")]
+    Different,
     /// A signal ended the command.
     #[error("{0}")]
     Interrupted(String),
@@ -157,7 +160,11 @@ impl From<EncodeError> for Failure {
 impl Failure {
     fn code(&self) -> u8 {
         match self {
-            Self::Refused { .. } | Self::SomeRefused { .. } | Self::ListsRefused { .. } | Self::Unfit { .. } => 1,
+            Self::Refused { .. }
+            | Self::SomeRefused { .. }
+            | Self::ListsRefused { .. }
+            | Self::Unfit { .. }
+            | Self::Different => 1,
             Self::Input(_) | Self::Item(_) | Self::BadLines(_) | Self::Stdio(_) => 2,
             Self::Connection { .. } => 3,
             Self::Timeout { .. } => 4,
@@ -177,6 +184,7 @@ impl Failure {
             | Self::BadLines(_)
             | Self::SomeRefused { .. }
             | Self::ListsRefused { .. }
+            | Self::Different
             | Self::Interrupted(_)
             | Self::Stdio(_) => None,
         }
@@ -207,8 +215,8 @@ impl Failure {
 
     /// Prints the message and the hint on stderr; with `json` also as a line of the output, with `name` if given.
     pub(crate) fn print(&self, json: bool, name: Option<&str>) {
-        if matches!(self, Self::SomeRefused { total: 1, .. }) {
-            // the refusal itself has been printed
+        if matches!(self, Self::SomeRefused { total: 1, .. } | Self::Different) {
+            // the refusal itself, or the differences, have been printed
             return;
         }
         // an error of printing cannot be reported
@@ -236,6 +244,7 @@ impl Failure {
             | Self::Connection { .. }
             | Self::Timeout { .. }
             | Self::Unfit { .. }
+            | Self::Different
             | Self::Interrupted(_)
             | Self::Stdio(_) => {}
         }

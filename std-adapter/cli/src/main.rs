@@ -1,16 +1,20 @@
 //! `bcap`: DENSO robot controllers from the command line.
 
 mod args;
+mod backup;
 mod budget;
 mod call;
 mod capture;
+mod confirm;
 mod connection;
 mod decode;
 mod demo;
+mod disk;
 mod dissect;
 mod doctor;
 mod error;
 mod escape;
+mod files;
 mod frame;
 mod gateway;
 mod get;
@@ -21,10 +25,12 @@ mod json;
 mod listen;
 mod named;
 mod output;
+mod place;
 mod plain;
 mod put;
 mod rac;
 mod reference;
+mod remote;
 mod rules;
 mod selection;
 mod session;
@@ -61,6 +67,11 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Put(args) => put::put(args, &cli.link, cli.json),
         Command::Watch(args) => watch::watch(args, &cli.link, cli.json),
         Command::Names(_) => variables::names(&cli.link, cli.json),
+        Command::Ls(args) => files::ls(args, &cli.link, cli.json),
+        Command::Cp(args) => files::cp(args, &cli.link),
+        Command::Dump(args) => backup::dump(args, &cli.link),
+        Command::Diff(args) => backup::diff(args, &cli.link, cli.json),
+        Command::Restore(args) => backup::restore(args, &cli.link),
         Command::Call(args) => call::call(args, &cli.link, cli.json),
         Command::Exec(args) => call::exec(args, &cli.link, cli.json),
         Command::Rac(args) => rac::rac(args, &cli.link, cli.json),

@@ -81,6 +81,11 @@ pub(crate) fn count(session: &mut Session, kind: VariableKind) -> Result<u32, Fa
     })
 }
 
+/// Returns whether a name is a user variable or a wildcard, such as `I1`, `I*` and `IOB*`.
+pub(crate) fn is_user_variable(name: &str) -> bool {
+    name.ends_with('*') || indexed(name).is_some()
+}
+
 /// Parses a kind and an index: `IO128`.
 fn indexed(text: &str) -> Option<(VariableKind, u32)> {
     let digits = text.find(|c: char| c.is_ascii_digit())?;

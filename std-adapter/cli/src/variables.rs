@@ -143,7 +143,7 @@ impl Lists<'_> {
 }
 
 /// Reads a list of names. A reply that is not a list of strings is an error, so no list is printed in part.
-fn list(session: &mut Session, owner: &ObjectPath, function: FunctionId) -> Result<Vec<String>, Failure> {
+pub(crate) fn list(session: &mut Session, owner: &ObjectPath, function: FunctionId) -> Result<Vec<String>, Failure> {
     let handle = session.object(owner)?;
     let names = session.call(&owner.to_string(), function, &[integer(handle)?, text("")?]);
     let released = match owner.object() {
