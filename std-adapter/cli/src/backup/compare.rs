@@ -27,11 +27,7 @@ pub(super) fn differences<'a, N: Ord, T: PartialEq>(
 }
 
 /// Returns the differences of the variables; with `system` also those of the system variables except the clocks.
-pub(super) fn variables<'a>(
-    a: &'a Contents,
-    b: &'a Contents,
-    system: bool,
-) -> Vec<Difference<String, &'a Entry>> {
+pub(super) fn variables<'a>(a: &'a Contents, b: &'a Contents, system: bool) -> Vec<Difference<String, &'a Entry>> {
     let user = differences(&a.variables, &b.variables);
     let user = user.into_iter().map(|Difference { name, a, b }| Difference { name: name.name(), a, b });
     let system = if system { differences(&a.system, &b.system) } else { Vec::new() };

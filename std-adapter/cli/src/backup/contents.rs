@@ -70,8 +70,8 @@ pub(crate) struct Contents {
 }
 
 impl Contents {
-    /// Counts the variables that could not be read.
+    /// Counts the user variables that could not be read. System variables that can only be written do not count.
     pub(crate) fn refused(&self) -> usize {
-        self.variables.values().chain(self.system.values()).filter(|entry| matches!(entry, Entry::Refused(_))).count()
+        self.variables.values().filter(|entry| matches!(entry, Entry::Refused(_))).count()
     }
 }

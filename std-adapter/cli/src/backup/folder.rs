@@ -45,7 +45,7 @@ struct Manifest {
     variables: BTreeMap<String, usize>,
     system: usize,
     files: usize,
-    /// The variables that could not be read.
+    /// The number of user variables that could not be read.
     refused: usize,
     /// What else could not be read.
     omitted: Vec<String>,
@@ -99,9 +99,8 @@ impl Folder {
 
     /// Writes the system variables.
     pub(super) fn write_system(&self, system: &BTreeMap<String, Entry>) -> Result<(), Failure> {
-        let line = |(name, entry): (&String, &Entry)| {
-            Named { name: name.clone(), entry: entry.clone() }.to_json() + "\n"
-        };
+        let line =
+            |(name, entry): (&String, &Entry)| Named { name: name.clone(), entry: entry.clone() }.to_json() + "\n";
         let lines: String = system.iter().map(line).collect();
         disk::write(&self.path.join("system.jsonl"), lines.as_bytes(), true)
     }

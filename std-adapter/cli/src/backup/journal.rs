@@ -1,7 +1,7 @@
 //! The journal of `bcap restore`: what was going to be written, and what was written.
 //!
 //! ```text
-//!  {"begin":{"robot":"tcp:192.168.0.1:5007","unix_time":1700000000,"planned":["I5","file:Pro1.pcs"]}}
+//!  {"begin":{"planned":["I5","file:Pro1.pcs"],"robot":"tcp:192.168.0.1:5007","unix_time":1700000000}}
 //!  {"writing":"I5","was":{"vt":3,"v":3},"value":{"vt":3,"v":7}}
 //!  {"written":"I5"}
 //!  {"end":"complete"}
@@ -169,7 +169,11 @@ impl Past {
         };
         let uncertain = self.uncertain.as_ref().map(|name| format!(", {name} may be written")).unwrap_or_default();
         let rest = if self.rest.is_empty() { String::new() } else { format!(", {} are not written", self.rest.len()) };
-        format!("the last restore, to {}, {end}; {} of {total} are written{uncertain}{rest}", self.robot, self.written.len())
+        format!(
+            "the last restore, to {}, {end}; {} of {total} are written{uncertain}{rest}",
+            self.robot,
+            self.written.len()
+        )
     }
 }
 

@@ -21,7 +21,7 @@ use crate::value::{Value, integer};
 use crate::variables::{get_one, list, read};
 
 /// The usual system variables, for a controller that does not list its own, or not over UDP.
-const CONTROLLER: [&str; 20] = [
+const CONTROLLER: [&str; 29] = [
     "@MODE",
     "@LOCK",
     "@TIME",
@@ -42,8 +42,17 @@ const CONTROLLER: [&str; 20] = [
     "@FIRMWARE",
     "@SERIAL_NO",
     "@IO_ALLOC_MODE",
+    "@VAR_I_LEN",
+    "@VAR_F_LEN",
+    "@VAR_D_LEN",
+    "@VAR_V_LEN",
+    "@VAR_P_LEN",
+    "@VAR_J_LEN",
+    "@VAR_T_LEN",
+    "@VAR_S_LEN",
+    "@VAR_IO_LEN",
 ];
-const ROBOT: [&str; 19] = [
+const ROBOT: [&str; 24] = [
     "@CURRENT_POSITION",
     "@CURRENT_ANGLE",
     "@CURRENT_TRANS",
@@ -60,6 +69,11 @@ const ROBOT: [&str; 19] = [
     "@ACCEL",
     "@DECEL",
     "@JSPEED",
+    "@JACCEL",
+    "@JDECEL",
+    "@HIGH_CURRENT_POSITION",
+    "@HIGH_CURRENT_ANGLE",
+    "@HIGH_CURRENT_TRANS",
     "@EXTSPEED",
     "@EXTACCEL",
     "@EXTDECEL",
@@ -211,11 +225,7 @@ pub(super) fn files(session: &mut Session, omitted: &mut Vec<String>) -> Result<
 }
 
 /// Reads a file; `None` after a refusal.
-pub(super) fn file(
-    session: &mut Session,
-    path: &str,
-    omitted: &mut Vec<String>,
-) -> Result<Option<Vec<u8>>, Failure> {
+pub(super) fn file(session: &mut Session, path: &str, omitted: &mut Vec<String>) -> Result<Option<Vec<u8>>, Failure> {
     unless_refused(remote::read(session, path), omitted)
 }
 

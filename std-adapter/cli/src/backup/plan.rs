@@ -67,11 +67,9 @@ impl Plan {
     fn add_files(&mut self, backup: &Contents, controller: &Contents) {
         for Difference { name, a, b } in differences(&backup.files, &controller.files) {
             match a {
-                Some(bytes) => self.files.push(FileChange {
-                    path: name.clone(),
-                    replaced: b.map(Vec::len),
-                    bytes: bytes.clone(),
-                }),
+                Some(bytes) => {
+                    self.files.push(FileChange { path: name.clone(), replaced: b.map(Vec::len), bytes: bytes.clone() })
+                }
                 None => self.notes.push(format!("file:{name} is not in the backup and stays")),
             }
         }
@@ -83,7 +81,10 @@ impl Plan {
             (outputs, "IO differ; they switch outputs and are written only with --io"),
             (unread, "variables could not be read when the backup was made and stay"),
             (extra, "variables are not in the backup and stay"),
-            (system, "system variables differ; they are the state of the controller, or read-only, and are not written"),
+            (
+                system,
+                "system variables differ; they are the state of the controller, or read-only, and are not written",
+            ),
         ] {
             if count > 0 {
                 self.notes.push(format!("{count} {what}"));
@@ -105,8 +106,10 @@ impl Plan {
     /// Returns a line for each write.
     pub(super) fn lines(&self) -> Vec<String> {
         let text = |value: &Value| entry_text(Some(&Entry::Value(value.clone())));
-        let variables =
-            self.variables.iter().map(|change| format!("{}: {} -> {}", change.name, text(&change.was), text(&change.value)));
+        let variables = self
+            .variables
+            .iter()
+            .map(|change| format!("{}: {} -> {}", change.name, text(&change.was), text(&change.value)));
         let files = self.files.iter().map(|file| match file.replaced {
             Some(size) => format!("file:{}: replaced, {size} bytes -> {} bytes", file.path, file.bytes.len()),
             None => format!("file:{}: new, {} bytes", file.path, file.bytes.len()),
@@ -116,7 +119,8 @@ impl Plan {
 }
 
 fn same_type(a: &Value, b: &Value) -> bool {
-    let [a, b] = [a, b].map(|value| (value.as_variant().vartype(), value.as_variant().as_array().map(|array| array.len())));
+    let [a, b] =
+        [a, b].map(|value| (value.as_variant().vartype(), value.as_variant().as_array().map(|array| array.len())));
     a == b
 }
 

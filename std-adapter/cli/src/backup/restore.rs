@@ -55,8 +55,12 @@ pub(crate) fn restore(args: &Restore, link: &LinkArgs) -> Result<(), Failure> {
         return Ok(());
     }
     let target = link.target()?.to_string();
-    let what = format!("{} variables and {} files are going to be written to {target}", plan.variables.len(), plan.files.len());
-    confirm(&what, "", "nothing was written", args.yes)?;
+    let what = format!(
+        "{} variables and {} files are going to be written to {target}",
+        plan.variables.len(),
+        plan.files.len()
+    );
+    confirm(&what, "Tasks and robot must stay at rest meanwhile.", "nothing was written", args.yes)?;
     let mut journal = Journal::begin(&args.dir, &target, &plan.names())?;
     let ended = signal::ended()?;
     let written = with_session(link, |session| Writing { session, journal: &mut journal, ended: &ended }.run(&plan));
