@@ -2,6 +2,7 @@
 
 mod common;
 #[path = "common/fake.rs"]
+#[allow(dead_code, reason = "this test needs no datagrams from it")]
 mod fake;
 #[path = "common/robot.rs"]
 mod robot;
