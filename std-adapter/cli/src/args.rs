@@ -6,20 +6,24 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use bcap_sim::Profile;
+use bcap_sim::Profile as ModelProfile;
 use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
 
 mod backup;
 mod files;
+mod profile;
 mod slave;
 
 pub(crate) use self::backup::{Diff, Dump, Restore};
 pub(crate) use self::files::{Cp, Ls};
+pub(crate) use self::profile::{Profile, ProfileCommand};
 pub(crate) use self::slave::{Cosine, Doctor, Halt, Play, Record, Slave, SlaveCommand, StreamArgs};
+use crate::duration;
 use crate::error::Failure;
 use crate::escape;
 use crate::frame::Role;
+use crate::profile::Profiles;
 use crate::rules::AllowPut;
 use crate::target;
 use bcap_std::{Address, NetworkAddress};
@@ -66,22 +70,6 @@ impl Cli {
     }
 }
 
-/// Parses a time: a number of milliseconds, or a number with `ms`, `s` or `min`, from 1 ms to a day.
-fn duration(text: &str) -> Result<Duration, String> {
-    const DAY: u64 = 86_400_000;
-    let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
-    let (number, unit) = text.split_at(digits);
-    let factor = match unit {
-        "" | "ms" => Some(1),
-        "s" => Some(1000),
-        "min" => Some(60_000),
-        _ => None,
-    };
-    let time = number.parse::<u64>().ok().zip(factor).and_then(|(number, factor)| number.checked_mul(factor));
-    let time = time.filter(|ms| (1..=DAY).contains(ms)).map(Duration::from_millis);
-    time.ok_or_else(|| "write a time from 1 ms to a day, such as 500, 500ms, 2s or 1min".into())
-}
-
 /// The connection to the controller.
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Connection")]
@@ -93,7 +81,7 @@ pub(crate) struct LinkArgs {
     /// line may have settings, here with the defaults: 'serial:/dev/ttyUSB0?baud=115200&parity=none&stop=1'. `rac`,
     /// `doctor`, `gateway` and `slave` need a network.
     #[arg(long, global = true, value_name = "ADDRESS")]
-    pub(crate) robot: Option<String>,
+    robot: Option<String>,
 
     /// The time limit of the whole command, in ms or with a unit (2s) [default: 3 s for each answer or keep-alive]
     ///
@@ -101,15 +89,57 @@ pub(crate) struct LinkArgs {
     /// it to each round; `doctor` to each link, and then to all other checks together; `slave play`, `slave cosine` and
     /// `gateway` to each answer. Without this option `halt` ends within 3 s, and a controller can keep any other call alive
     /// for 180 s. Over UDP five attempts share the time.
-    #[arg(long, global = true, value_name = "MS", value_parser = duration)]
-    pub(crate) timeout: Option<Duration>,
+    #[arg(long, global = true, value_name = "MS", env = "BCAP_TIMEOUT", value_parser = duration::parse)]
+    timeout: Option<Duration>,
 
-    /// The provider to connect to; an RC9 or a COBOTTA PRO has CaoProv.DENSO.VRC9
-    #[arg(long, global = true, value_name = "NAME", default_value = "CaoProv.DENSO.VRC")]
-    pub(crate) provider: String,
+    /// The provider to connect to; an RC9 or a COBOTTA PRO has CaoProv.DENSO.VRC9 [default: CaoProv.DENSO.VRC]
+    #[arg(long, global = true, value_name = "NAME", env = "BCAP_PROVIDER")]
+    provider: Option<String>,
+
+    /// The option of Controller_Connect, such as @EventDisable=false [default: empty]
+    #[arg(long, global = true, value_name = "OPTION", env = "BCAP_CONNECT_OPTION")]
+    connect_option: Option<String>,
+
+    /// The port of RAC, for an address without a port for RAC [default: 5006]
+    #[arg(long, global = true, value_name = "PORT", env = "BCAP_RAC_PORT")]
+    rac_port: Option<u16>,
+
+    /// A profile of ~/.config/bcap/config.toml, whose values apply where neither an option nor an environment variable is
+    /// given
+    #[arg(long, global = true, value_name = "NAME", env = "BCAP_PROFILE")]
+    profile: Option<String>,
+
+    /// The address of the profile.
+    #[arg(skip)]
+    profile_address: Option<String>,
 }
 
 impl LinkArgs {
+    /// Adds the values of the profile, where neither an option nor an environment variable is given.
+    pub(crate) fn with_profile(&self) -> Result<Self, Failure> {
+        let Some(name) = self.profile.as_deref().filter(|name| !name.is_empty()) else { return Ok(self.clone()) };
+        let profiles = Profiles::read()?;
+        let (profile, link) = (profiles.find(name)?, self.clone());
+        Ok(Self {
+            timeout: link.timeout.or(profile.timeout()),
+            provider: link.provider.or_else(|| profile.provider().map(str::to_owned)),
+            connect_option: link.connect_option.or_else(|| profile.connect_option.clone()),
+            rac_port: link.rac_port.or(profile.rac_port),
+            profile_address: profile.address().map(str::to_owned),
+            ..link
+        })
+    }
+
+    /// Returns the provider to connect to.
+    pub(crate) fn provider(&self) -> &str {
+        self.provider.as_deref().filter(|name| !name.is_empty()).unwrap_or("CaoProv.DENSO.VRC")
+    }
+
+    /// Returns the option of Controller_Connect.
+    pub(crate) fn connect_option(&self) -> &str {
+        self.connect_option.as_deref().unwrap_or_default()
+    }
+
     /// Returns the same options for the controller at another address.
     pub(crate) fn at(&self, address: &str) -> Self {
         Self { robot: Some(address.to_owned()), ..self.clone() }
@@ -117,17 +147,17 @@ impl LinkArgs {
 
     /// Returns the controller's address for b-CAP.
     pub(crate) fn target(&self) -> Result<Address, Failure> {
-        target::bcap(self.robot.as_deref())
+        target::bcap(self.robot.as_deref(), self.profile_address.as_deref())
     }
 
     /// Returns the controller's address for b-CAP, for a command that cannot use a serial line.
     pub(crate) fn network_target(&self) -> Result<NetworkAddress, Failure> {
-        target::network(self.robot.as_deref())
+        target::network(self.robot.as_deref(), self.profile_address.as_deref())
     }
 
     /// Returns the controller's address for RAC.
     pub(crate) fn rac_target(&self) -> Result<NetworkAddress, Failure> {
-        target::rac(self.robot.as_deref())
+        target::rac(self.robot.as_deref(), self.profile_address.as_deref(), self.rac_port)
     }
 
     /// Returns the time limit for connecting, and for each answer or keep-alive.
@@ -166,6 +196,7 @@ pub(crate) enum Command {
     Dump(Dump),
     Diff(Diff),
     Restore(Restore),
+    Profile(Profile),
     Call(Call),
     Exec(Exec),
     Rac(Rac),
@@ -180,6 +211,23 @@ pub(crate) enum Command {
     Text(Text),
     Wireshark(Wireshark),
     Completions(Completions),
+}
+
+impl Command {
+    /// Returns whether the command connects to a controller. The others work with a wrong profile.
+    pub(crate) const fn connects(&self) -> bool {
+        !matches!(
+            self,
+            Self::Profile(_)
+                | Self::Sim(_)
+                | Self::Demo(_)
+                | Self::Decode(_)
+                | Self::Encode(_)
+                | Self::Text(_)
+                | Self::Wireshark(_)
+                | Self::Completions(_)
+        )
+    }
 }
 
 /// Reads variables
@@ -461,7 +509,7 @@ pub(crate) enum Model {
     Cobotta,
 }
 
-impl From<Model> for Profile {
+impl From<Model> for ModelProfile {
     fn from(model: Model) -> Self {
         match model {
             Model::Rc8 => Self::Rc8,

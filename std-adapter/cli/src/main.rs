@@ -12,6 +12,7 @@ mod demo;
 mod disk;
 mod dissect;
 mod doctor;
+mod duration;
 mod error;
 mod escape;
 mod files;
@@ -27,6 +28,8 @@ mod named;
 mod output;
 mod place;
 mod plain;
+mod profile;
+mod profiles;
 mod put;
 mod rac;
 mod reference;
@@ -62,24 +65,26 @@ fn main() -> ExitCode {
 }
 
 fn run(cli: &Cli) -> Result<(), Failure> {
+    let link = &if cli.command.connects() { cli.link.with_profile()? } else { cli.link.clone() };
     match &cli.command {
-        Command::Get(args) => get::get(args, &cli.link, cli.json),
-        Command::Put(args) => put::put(args, &cli.link, cli.json),
-        Command::Watch(args) => watch::watch(args, &cli.link, cli.json),
-        Command::Names(_) => variables::names(&cli.link, cli.json),
-        Command::Ls(args) => files::ls(args, &cli.link, cli.json),
-        Command::Cp(args) => files::cp(args, &cli.link),
-        Command::Dump(args) => backup::dump(args, &cli.link),
-        Command::Diff(args) => backup::diff(args, &cli.link, cli.json),
-        Command::Restore(args) => backup::restore(args, &cli.link),
-        Command::Call(args) => call::call(args, &cli.link, cli.json),
-        Command::Exec(args) => call::exec(args, &cli.link, cli.json),
-        Command::Rac(args) => rac::rac(args, &cli.link, cli.json),
+        Command::Get(args) => get::get(args, link, cli.json),
+        Command::Put(args) => put::put(args, link, cli.json),
+        Command::Watch(args) => watch::watch(args, link, cli.json),
+        Command::Names(_) => variables::names(link, cli.json),
+        Command::Ls(args) => files::ls(args, link, cli.json),
+        Command::Cp(args) => files::cp(args, link),
+        Command::Dump(args) => backup::dump(args, link),
+        Command::Diff(args) => backup::diff(args, link, cli.json),
+        Command::Restore(args) => backup::restore(args, link),
+        Command::Profile(args) => profiles::profile(args, cli.json),
+        Command::Call(args) => call::call(args, link, cli.json),
+        Command::Exec(args) => call::exec(args, link, cli.json),
+        Command::Rac(args) => rac::rac(args, link, cli.json),
         Command::Sim(args) => sim::sim(args),
-        Command::Slave(args) => slave::slave(args, &cli.link, cli.json),
-        Command::Halt(_) => halt::halt(&cli.link, cli.json),
-        Command::Doctor(args) => doctor::doctor(args, &cli.link, cli.json),
-        Command::Gateway(args) => gateway::gateway(args, &cli.link),
+        Command::Slave(args) => slave::slave(args, link, cli.json),
+        Command::Halt(_) => halt::halt(link, cli.json),
+        Command::Doctor(args) => doctor::doctor(args, link, cli.json),
+        Command::Gateway(args) => gateway::gateway(args, link),
         Command::Demo(_) => demo::demo(),
         Command::Decode(args) => decode::decode(args, cli.json),
         Command::Encode(args) => decode::encode(args),

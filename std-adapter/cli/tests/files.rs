@@ -65,12 +65,12 @@ fn ls_lists_folders_files_and_wildcards() {
     assert_eq!(cell.done(&["ls", "*/P*"]), "/Sub/Pro1.pcs\n");
     assert_eq!(cell.done(&["ls", "S*"]), "/Sub/\n");
     assert_eq!(cell.done(&["ls", "--long", "/Pro?.pcs"]), "         3  /Pro1.pcs\n         3  /Pro2.PCS\n");
-    assert_eq!(
-        cell.done(&["ls", "--recursive"]),
-        "/Pro1.pcs\n/Pro2.PCS\n/Sub/Deep/bytes.dat\n/Sub/Pro1.pcs\n/a.txt\n"
-    );
+    assert_eq!(cell.done(&["ls", "--recursive"]), "/Pro1.pcs\n/Pro2.PCS\n/Sub/Deep/bytes.dat\n/Sub/Pro1.pcs\n/a.txt\n");
     let json = cell.done(&["ls", "--long", "--json", "Sub"]);
-    assert_eq!(json, "{\"folder\":true,\"path\":\"/Sub/Deep\"}\n{\"folder\":false,\"path\":\"/Sub/Pro1.pcs\",\"size\":5}\n");
+    assert_eq!(
+        json,
+        "{\"folder\":true,\"path\":\"/Sub/Deep\"}\n{\"folder\":false,\"path\":\"/Sub/Pro1.pcs\",\"size\":5}\n"
+    );
     cell.refused(&["ls", "none"], "robot:/none: the controller has no such file or folder");
 }
 
