@@ -48,6 +48,10 @@ impl Handler for Stalling {
     }
 
     fn resume(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
+        if request.function == self.function && self.left == Some(0) {
+            // a keep-alive asks again
+            return Outcome::Wait(now + Duration::from_secs(3600));
+        }
         Handler::resume(&mut self.controller, peer, request, reply, now)
     }
 
