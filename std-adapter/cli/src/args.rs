@@ -299,19 +299,27 @@ pub(crate) struct Put {
 #[command(after_help = "\
 Examples:
   bcap watch robot/@CURRENT_POSITION --interval 20
-  bcap watch I1 I2 IO128 --changed --json")]
+  bcap watch I1 I2 IO128 --changed --json
+  bcap watch I1-I4 P1 --interval 10ms --count 100 --csv table.csv")]
 pub(crate) struct Watch {
     /// The variables, as for `bcap get`
     #[arg(value_name = "NAME", required = true)]
     pub(crate) names: Vec<String>,
 
-    /// The time from one round to the next, in ms
-    #[arg(long, value_name = "MS", default_value_t = 100)]
-    pub(crate) interval: u64,
+    /// The time from one round to the next, in ms or with a unit (10ms, 2s)
+    #[arg(long, value_name = "MS", default_value = "100", value_parser = duration::parse)]
+    pub(crate) interval: Duration,
 
-    /// Prints a variable only when its value has changed
-    #[arg(long)]
+    /// Prints a variable only when its value has changed; with --csv a row only when any value has changed
+    #[arg(long, visible_alias = "changes")]
     pub(crate) changed: bool,
+
+    /// Writes a table to a file instead: a row for each round, the seconds since the start in its first column `t`; - is the
+    /// standard output
+    ///
+    /// An array has a column for each element, P1.1 to P1.7. An existing file is replaced.
+    #[arg(long, value_name = "FILE", conflicts_with = "json")]
+    pub(crate) csv: Option<PathBuf>,
 
     /// Ends after this number of rounds
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]

@@ -40,6 +40,7 @@ mod session;
 mod signal;
 mod sim;
 mod slave;
+mod table;
 mod tap;
 mod target;
 mod text;

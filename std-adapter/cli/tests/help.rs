@@ -46,7 +46,8 @@ fn the_examples_run() {
 
 fn shell(line: &str, folder: &Path, address: &str) -> std::process::Output {
     let own = Path::new(env!("CARGO_BIN_EXE_bcap")).parent().unwrap();
-    let path = env::join_paths([own.to_owned()].into_iter().chain(env::split_paths(&env::var("PATH").unwrap()))).unwrap();
+    let path =
+        env::join_paths([own.to_owned()].into_iter().chain(env::split_paths(&env::var("PATH").unwrap()))).unwrap();
     let mut shell = Command::new("sh");
     shell.args(["-c", line]).current_dir(folder).env("PATH", path).env("BCAP_ROBOT", address);
     shell.env("XDG_CONFIG_HOME", folder.join("settings")).env_remove("BCAP_PROFILE").output().unwrap()

@@ -101,3 +101,26 @@ fn what_get_prints_as_json_can_be_written_back() {
     let run = other.run(&["put", "--from", path, "I1"]);
     assert_eq!(run.code, 2, "{run:?}");
 }
+
+#[test]
+fn watch_writes_a_table() {
+    let robot = Robot::start();
+    robot.run(&["put", "I1=5", "V1=1.5,-2,3", "S1=a, b"]);
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("table.csv");
+    let path = file.to_str().unwrap();
+    let run = robot.run(&["watch", "I1-I2", "V1", "S1", "--interval", "1ms", "--count", "3", "--csv", path]);
+    assert_eq!((run.out.as_str(), run.code), ("", 0), "{run:?}");
+    let text = std::fs::read_to_string(&file).unwrap();
+    let rows: Vec<(&str, &str)> = text.lines().map(|row| row.split_once(',').unwrap()).collect();
+    assert_eq!(rows[0], ("t", "I1,I2,V1.1,V1.2,V1.3,S1"));
+    assert_eq!(rows.len(), 4);
+    assert!(rows[1..].iter().all(|(_, row)| *row == "5,0,1.5,-2,3,\"a, b\""), "{text}");
+    let times: Vec<f64> = rows[1..].iter().map(|(time, _)| time.parse().unwrap()).collect();
+    assert!(times.is_sorted(), "{text}");
+    // only the first round has a changed value
+    let run = robot.run(&["watch", "I1", "--changes", "--interval", "1", "--count", "3", "--csv", "-"]);
+    assert_eq!(run.out.lines().count(), 2, "{run:?}");
+    let run = robot.run(&["watch", "I1", "--interval", "soon"]);
+    assert!(run.code == 2 && run.err.contains("500ms"), "{run:?}");
+}
