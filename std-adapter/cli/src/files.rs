@@ -62,10 +62,11 @@ fn print_item(item: &Item, size: Option<i64>, long: bool, json: bool) -> Result<
 }
 
 /// Runs `bcap cp`.
-pub(crate) fn cp(args: &Cp, link: &LinkArgs) -> Result<(), Failure> {
+pub(crate) fn cp(args: &Cp, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let Some((last, sources)) = args.paths.split_last() else {
         return Err(Failure::Input("write SOURCE and DEST".into()));
     };
+    let copying = Copying { args, link, json };
     let sources: Vec<Place> = sources.iter().map(|source| Place::parse(source)).collect();
     let into_folder = last.ends_with(['/', '\\']) || sources.len() > 1;
     match Place::parse(last) {
@@ -74,14 +75,14 @@ pub(crate) fn cp(args: &Cp, link: &LinkArgs) -> Result<(), Failure> {
                 Place::Remote(pattern) => Ok(pattern),
                 Place::Local(_) => Err(one_side()),
             });
-            download(&patterns.collect::<Result<Vec<_>, _>>()?, &to, into_folder, args, link)
+            copying.download(&patterns.collect::<Result<Vec<_>, _>>()?, &to, into_folder)
         }
         Place::Remote(to) => {
             let files = sources.into_iter().map(|source| match source {
                 Place::Local(file) => Ok(file),
                 Place::Remote(_) => Err(one_side()),
             });
-            upload(&files.collect::<Result<Vec<_>, _>>()?, &to, into_folder || to.is_empty(), args, link)
+            copying.upload(&files.collect::<Result<Vec<_>, _>>()?, &to, into_folder || to.is_empty())
         }
     }
 }
@@ -94,91 +95,112 @@ fn not_found(path: &str) -> Failure {
     Failure::Input(format!("robot:/{path}: the controller has no such file or folder; `bcap ls` lists them"))
 }
 
-fn download(patterns: &[String], to: &Path, into: bool, args: &Cp, link: &LinkArgs) -> Result<(), Failure> {
-    with_session(link, |session| {
-        let mut found = Vec::new();
-        for pattern in patterns {
-            let items = remote::find(session, pattern)?;
-            if items.is_empty() {
-                return Err(not_found(pattern));
-            }
-            found.extend(items);
-        }
-        let into = into || to.is_dir() || found.len() > 1;
-        let mut copies: Vec<(String, PathBuf)> = Vec::new();
-        for item in &found {
-            let base = if into && !item.path.is_empty() { to.join(remote::last(&item.path)) } else { to.to_owned() };
-            if !item.is_folder {
-                copies.push((item.path.clone(), base));
-                continue;
-            }
-            needs_recursive(args, &format!("robot:/{}", item.path))?;
-            for path in remote::walk(session, &item.path)? {
-                let below = path.strip_prefix(&item.path).unwrap_or(&path).trim_start_matches('/');
-                copies.push((path.clone(), base.join(below)));
-            }
-        }
-        check(copies.iter().map(|(_, to)| to.display().to_string()), args, |to| Ok(Path::new(to).exists()))?;
-        for (from, to) in copies {
-            let bytes = remote::read(session, &from)?;
-            disk::write(&to, &bytes, args.force)?;
-            print_line(&format!("robot:/{from} -> {}", to.display()))?;
-        }
-        Ok(())
-    })
+/// A run of `bcap cp`.
+struct Copying<'a> {
+    args: &'a Cp,
+    link: &'a LinkArgs,
+    json: bool,
 }
 
-fn upload(files: &[PathBuf], to: &str, into: bool, args: &Cp, link: &LinkArgs) -> Result<(), Failure> {
-    with_session(link, |session| {
-        // only a listing tells a folder from a file
-        let into = into || remote::find(session, to)?.iter().any(|item| item.is_folder);
-        let mut copies: Vec<(PathBuf, String)> = Vec::new();
-        for file in files {
-            let base = match file.file_name() {
-                Some(name) if into => remote::normal(&format!("{to}/{}", name.to_string_lossy())),
-                _ => to.to_owned(),
-            };
-            if !fs::metadata(file).map_err(disk::failed(file))?.is_dir() {
-                copies.push((file.clone(), base));
-                continue;
+impl Copying<'_> {
+    fn download(&self, patterns: &[String], to: &Path, into: bool) -> Result<(), Failure> {
+        with_session(self.link, |session| {
+            let mut found = Vec::new();
+            for pattern in patterns {
+                let items = remote::find(session, pattern)?;
+                if items.is_empty() {
+                    return Err(not_found(pattern));
+                }
+                found.extend(items);
             }
-            needs_recursive(args, &file.display().to_string())?;
-            for below in local_files(file)? {
-                let name = below.strip_prefix(file).unwrap_or(&below).to_string_lossy().into_owned();
-                copies.push((below, remote::normal(&format!("{base}/{name}"))));
+            let into = into || to.is_dir() || found.len() > 1;
+            let mut copies: Vec<(String, PathBuf)> = Vec::new();
+            for item in &found {
+                let base =
+                    if into && !item.path.is_empty() { to.join(remote::last(&item.path)) } else { to.to_owned() };
+                if !item.is_folder {
+                    copies.push((item.path.clone(), base));
+                    continue;
+                }
+                self.needs_recursive(&format!("robot:/{}", item.path))?;
+                for path in remote::walk(session, &item.path)? {
+                    let below = path.strip_prefix(&item.path).unwrap_or(&path).trim_start_matches('/');
+                    copies.push((path.clone(), base.join(below)));
+                }
             }
-        }
-        check(copies.iter().map(|(_, to)| to.clone()), args, |to| remote::exists(session, to))?;
-        for (from, to) in copies {
-            let bytes = fs::read(&from).map_err(disk::failed(&from))?;
-            remote::make_folders(session, &to)?;
-            remote::write(session, &to, &bytes)?;
-            print_line(&format!("{} -> robot:/{to}", from.display()))?;
-        }
-        Ok(())
-    })
-}
+            self.check(copies.iter().map(|(_, to)| to.display().to_string()), |to| Ok(Path::new(to).exists()))?;
+            for (from, to) in copies {
+                let bytes = remote::read(session, &from)?;
+                disk::write(&to, &bytes, self.args.force)?;
+                self.print(&format!("robot:/{from}"), &to.display().to_string())?;
+            }
+            Ok(())
+        })
+    }
 
-fn needs_recursive(args: &Cp, folder: &str) -> Result<(), Failure> {
-    if args.recursive { Ok(()) } else { Err(Failure::Input(format!("{folder} is a folder; give --recursive"))) }
-}
+    fn upload(&self, files: &[PathBuf], to: &str, into: bool) -> Result<(), Failure> {
+        with_session(self.link, |session| {
+            // only a listing tells a folder from a file
+            let into = into || remote::find(session, to)?.iter().any(|item| item.is_folder);
+            let mut copies: Vec<(PathBuf, String)> = Vec::new();
+            for file in files {
+                let base = match file.file_name() {
+                    Some(name) if into => remote::normal(&format!("{to}/{}", name.to_string_lossy())),
+                    _ => to.to_owned(),
+                };
+                if !fs::metadata(file).map_err(disk::failed(file))?.is_dir() {
+                    copies.push((file.clone(), base));
+                    continue;
+                }
+                self.needs_recursive(&file.display().to_string())?;
+                for below in local_files(file)? {
+                    let name = below.strip_prefix(file).unwrap_or(&below).to_string_lossy().into_owned();
+                    copies.push((below, remote::normal(&format!("{base}/{name}"))));
+                }
+            }
+            self.check(copies.iter().map(|(_, to)| to.clone()), |to| remote::exists(session, to))?;
+            for (from, to) in copies {
+                let bytes = fs::read(&from).map_err(disk::failed(&from))?;
+                remote::make_folders(session, &to)?;
+                remote::write(session, &to, &bytes)?;
+                self.print(&from.display().to_string(), &format!("robot:/{to}"))?;
+            }
+            Ok(())
+        })
+    }
 
-/// Checks all destinations before the first file is copied.
-fn check(
-    all: impl Iterator<Item = String>,
-    args: &Cp,
-    mut exists: impl FnMut(&str) -> Result<bool, Failure>,
-) -> Result<(), Failure> {
-    let mut seen = BTreeSet::new();
-    for to in all {
-        if !args.force && exists(&to)? {
-            return Err(Failure::Input(format!("{to} exists; give --force to replace it. No file was copied")));
-        }
-        if let Some(twice) = seen.replace(to) {
-            return Err(Failure::Input(format!("{twice}: two files would have this name. No file was copied")));
+    fn needs_recursive(&self, folder: &str) -> Result<(), Failure> {
+        if self.args.recursive {
+            Ok(())
+        } else {
+            Err(Failure::Input(format!("{folder} is a folder; give --recursive")))
         }
     }
-    Ok(())
+
+    /// Checks all destinations before the first file is copied.
+    fn check(
+        &self,
+        all: impl Iterator<Item = String>,
+        mut exists: impl FnMut(&str) -> Result<bool, Failure>,
+    ) -> Result<(), Failure> {
+        let mut seen = BTreeSet::new();
+        for to in all {
+            if !self.args.force && exists(&to)? {
+                return Err(Failure::Input(format!("{to} exists; give --force to replace it. No file was copied")));
+            }
+            if let Some(twice) = seen.replace(to) {
+                return Err(Failure::Input(format!("{twice}: two files would have this name. No file was copied")));
+            }
+        }
+        Ok(())
+    }
+
+    fn print(&self, from: &str, to: &str) -> Result<(), Failure> {
+        if self.json {
+            return Ok(print_json(&serde_json::json!({ "from": from, "to": to }).to_string())?);
+        }
+        Ok(print_line(&format!("{from} -> {to}"))?)
+    }
 }
 
 /// Lists the regular files of a folder of this machine and of the folders below it.

@@ -21,6 +21,7 @@ mod gateway;
 mod get;
 mod halt;
 mod hex;
+mod interrupt;
 mod item;
 mod json;
 mod listen;
@@ -73,10 +74,10 @@ fn run(cli: &Cli) -> Result<(), Failure> {
         Command::Watch(args) => watch::watch(args, link, cli.json),
         Command::Names(_) => variables::names(link, cli.json),
         Command::Ls(args) => files::ls(args, link, cli.json),
-        Command::Cp(args) => files::cp(args, link),
-        Command::Dump(args) => backup::dump(args, link),
+        Command::Cp(args) => files::cp(args, link, cli.json),
+        Command::Dump(args) => backup::dump(args, link, cli.json),
         Command::Diff(args) => backup::diff(args, link, cli.json),
-        Command::Restore(args) => backup::restore(args, link),
+        Command::Restore(args) => backup::restore(args, link, cli.json),
         Command::Profile(args) => profiles::profile(args, cli.json),
         Command::Call(args) => call::call(args, link, cli.json),
         Command::Exec(args) => call::exec(args, link, cli.json),

@@ -64,11 +64,21 @@ pub(crate) fn walk(session: &mut Session, folder: &str) -> Result<Vec<String>, F
 
 /// Returns the items that a path with the wildcards `*` and `?` names, in the order of their names.
 pub(crate) fn find(session: &mut Session, pattern: &str) -> Result<Vec<Item>, Failure> {
+    let parts: Vec<&str> = pattern.split('/').filter(|part| !part.is_empty()).collect();
     let mut found = vec![Item { path: String::new(), is_folder: true }];
-    for part in pattern.split('/').filter(|part| !part.is_empty()) {
+    for (n, part) in parts.iter().enumerate() {
         let mut next = Vec::new();
         for folder in found.iter().filter(|item| item.is_folder) {
-            next.extend(list(session, &folder.path)?.into_iter().filter(|item| matches(part, last(&item.path))));
+            match list(session, &folder.path) {
+                Err(Failure::Refused { .. }) if !part.contains(['*', '?']) => {
+                    // for example a list that does not fit a datagram
+                    let path = normal(&format!("{}/{part}", folder.path));
+                    if exists(session, &path)? {
+                        next.push(Item { path, is_folder: n + 1 < parts.len() });
+                    }
+                }
+                items => next.extend(items?.into_iter().filter(|item| matches(part, last(&item.path)))),
+            }
         }
         found = next;
     }

@@ -10,6 +10,8 @@ mod robot;
 mod stalling;
 
 use std::fs;
+#[cfg(unix)]
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::sync::mpsc::Receiver;
@@ -317,6 +319,88 @@ fn a_killed_dump_goes_on_where_it_was() {
     let text = fs::read_to_string(Path::new(&dir).join("variables/I.jsonl")).unwrap();
     let expected: String = (0..1000).map(|n| format!("{{\"name\":\"I{n}\",\"vt\":3,\"v\":{}}}\n", n * 7)).collect();
     assert!(text == expected);
+}
+
+#[test]
+fn a_write_without_a_reply_may_have_been_made() {
+    // so few variables that the plan takes no time
+    let sizes = Sizes { i: 10, f: 1, d: 1, v: 1, p: 1, j: 1, t: 1, s: 1, io: 32 };
+    let config = || Config { sizes, ..Config::new(Profile::Rc8) };
+    let cell = Cell::with(config());
+    let dir = cell.dump("a");
+    let mut controller = Controller::new(config());
+    for index in 0..3 {
+        controller.set_variable(Kind::I, index, &Variant::I4(7)).unwrap();
+    }
+    let (stalling, _stalled) = Stalling::after(controller, FunctionId::VARIABLE_PUT_VALUE, 1);
+    let served = Served::of(stalling, Limits::default());
+    let address = format!("tcp:{}", served.tcp);
+    // the backup has files and this controller has none, so they are a part of the plan
+    let run = bcap(&["restore", "--yes", &dir, "--timeout", "4000", "--robot", &address]);
+    assert_eq!(run.code, 4, "{run:?}");
+    assert!(run.out.contains("1 of 6 are written, I1 may be written, 4 are not written"), "{run:?}");
+}
+
+#[test]
+#[cfg(unix)]
+fn a_signal_ends_a_dump_after_the_call_and_a_second_one_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path().join("a").to_str().unwrap().to_owned();
+    let controller = Controller::new(Config::new(Profile::Rc8));
+    let (stalling, stalled) = Stalling::after(controller, FunctionId::VARIABLE_PUT_ID, 50);
+    let served = Served::of(stalling, Limits::default());
+    let address = format!("tcp:{}", served.tcp);
+    let start = || {
+        let child = command(&["dump", &dir, "--robot", &address]).stderr(Stdio::piped()).spawn().unwrap();
+        stalled.recv_timeout(Duration::from_secs(60)).unwrap();
+        child
+    };
+    let mut child = start();
+    interrupt(child.id());
+    // the message says that the first signal was handled
+    let mut first = [0; 20];
+    child.stderr.as_mut().unwrap().read_exact(&mut first).unwrap();
+    assert_eq!(&first, b"ends after this call");
+    interrupt(child.id());
+    assert_eq!(child.wait().unwrap().code(), Some(130));
+
+    let mut child = start();
+    interrupt(child.id());
+    child.stderr.as_mut().unwrap().read_exact(&mut first).unwrap();
+    served.application().go_on();
+    let run = Run::from(child.wait_with_output().unwrap());
+    assert!(run.code == 130 && run.err.contains("interrupted; run `bcap dump"), "{run:?}");
+    assert_eq!(bcap(&["dump", &dir, "--robot", &address]).code, 0);
+}
+
+#[cfg(unix)]
+fn interrupt(process: u32) {
+    assert!(std::process::Command::new("kill").args(["-INT", &process.to_string()]).status().unwrap().success());
+}
+
+#[test]
+fn all_output_can_be_json() {
+    let cell = Cell::start();
+    let dir = cell.path("a");
+    let parsed = |run: Run| -> Vec<serde_json::Value> {
+        run.out
+            .lines()
+            .map(|line| serde_json::from_str(line).unwrap_or_else(|error| panic!("{line}: {error}")))
+            .collect()
+    };
+    let dump = parsed(cell.robot.run(&["dump", "--json", &dir]));
+    assert_eq!((&dump[0]["variables"], &dump[0]["controller"]["type"]), (&1312.into(), &"RC8".into()));
+    cell.robot.run(&["put", "I5=7"]);
+    fs::remove_file(cell.files.join("Pro1.pcs")).unwrap();
+    let plan = parsed(cell.robot.run(&["restore", "--dry-run", "--json", &dir]));
+    assert_eq!(plan[0].to_string(), r#"{"name":"I5","value":{"v":0,"vt":3},"was":{"v":7,"vt":3}}"#);
+    assert_eq!((&plan[1]["name"], &plan[1]["was"]), (&"file:Pro1.pcs".into(), &serde_json::Value::Null));
+    let restore = parsed(cell.robot.run(&["restore", "--yes", "--json", &dir]));
+    assert_eq!((&restore[2]["end"], &restore[2]["written"]), (&"complete".into(), &2.into()));
+    let status = parsed(bcap(&["restore", "--status", "--json", &dir]));
+    assert_eq!(status[0].to_string(), r#"{"name":"I5","state":"written"}"#);
+    let same = parsed(cell.robot.run(&["restore", "--yes", "--json", &dir]));
+    assert!(same[0]["note"].as_str().unwrap().starts_with("there is nothing to write"), "{same:?}");
 }
 
 #[test]

@@ -130,3 +130,26 @@ fn nothing_is_overwritten_without_force() {
     }
     assert_eq!(cell.run(&["cp", "robot:/a"]).code, 2);
 }
+
+#[test]
+fn a_file_is_copied_over_udp_although_the_list_of_names_does_not_fit() {
+    let cell = Cell::start();
+    for number in 0..40 {
+        fs::write(cell.files.join(format!("a program with a long name {number}.pcs")), "x").unwrap();
+    }
+    let run = |args: &[&str]| -> Run {
+        let args = [args, &["--robot", &cell.robot.udp]].concat();
+        command(&args).current_dir(cell.folder.path()).output().unwrap().into()
+    };
+    let copied = run(&["cp", "--json", "robot:/Pro1.pcs", "over-udp.pcs"]);
+    assert_eq!(
+        (copied.out.as_str(), copied.code),
+        ("{\"from\":\"robot:/Pro1.pcs\",\"to\":\"over-udp.pcs\"}\n", 0),
+        "{copied:?}"
+    );
+    assert_eq!(cell.read("over-udp.pcs"), b"one");
+    let copied = run(&["cp", "over-udp.pcs", "robot:/Sub/other.pcs"]);
+    assert_eq!((copied.err.as_str(), copied.code), ("", 0));
+    let listed = run(&["ls"]);
+    assert!(listed.code == 1 && listed.err.contains("E_TOO_MUCH_DATA"), "{listed:?}");
+}

@@ -1,27 +1,27 @@
 //! `bcap dump`: saves a controller in a folder.
 
 use std::collections::BTreeMap;
-use std::sync::mpsc::Receiver;
 
 use bcap_core::rac::VariableKind;
 use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
 
 use super::contents::{Contents, UserVariable};
 use super::folder::Folder;
 use super::live;
 use crate::args::{Dump, LinkArgs};
 use crate::error::Failure;
-use crate::output::print_line;
+use crate::interrupt::Interrupt;
+use crate::output::{print_json, print_line};
 use crate::session::{Session, with_session};
-use crate::signal;
 
 /// Runs `bcap dump`.
-pub(crate) fn dump(args: &Dump, link: &LinkArgs) -> Result<(), Failure> {
-    let ended = signal::ended()?;
+pub(crate) fn dump(args: &Dump, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    let interrupt = Interrupt::install()?;
     let shown = args.dir.display().to_string();
     let contents = with_session(link, |session| {
         let folder = Folder::begin(&args.dir, live::about(session)?)?;
-        if folder.is_resumed {
+        if folder.is_resumed && !json {
             print_line(&format!("{shown}: the interrupted dump goes on"))?;
         }
         let bar = ProgressBar::new(0);
@@ -29,17 +29,11 @@ pub(crate) fn dump(args: &Dump, link: &LinkArgs) -> Result<(), Failure> {
         if let Ok(style) = ProgressStyle::with_template("{msg:4} {bar:30} {pos}/{len} {elapsed}") {
             bar.set_style(style);
         }
-        let contents = Dumping { session, folder: &folder, ended: &ended, shown: &shown, bar: &bar }.run();
+        let contents = Dumping { session, folder: &folder, interrupt: &interrupt, shown: &shown, bar: &bar }.run();
         bar.finish_and_clear();
         contents
     })?;
-    print_line(&format!(
-        "{shown}: {} variables, {} system variables and {} files of {}",
-        contents.variables.len(),
-        contents.system.len(),
-        contents.files.len(),
-        contents.about.describe()
-    ))?;
+    print_summary(&shown, &contents, json)?;
     match contents.refused() + contents.omitted.len() {
         0 => Ok(()),
         missing => Err(Failure::Unfit {
@@ -50,6 +44,27 @@ pub(crate) fn dump(args: &Dump, link: &LinkArgs) -> Result<(), Failure> {
     }
 }
 
+fn print_summary(shown: &str, contents: &Contents, json: bool) -> Result<(), Failure> {
+    let Contents { about, variables, system, files, .. } = contents;
+    let [variables, system, files] = [variables.len(), system.len(), files.len()];
+    if json {
+        let line = json!({
+            "dir": shown,
+            "variables": variables,
+            "system": system,
+            "files": files,
+            "refused": contents.refused(),
+            "omitted": contents.omitted,
+            "controller": about,
+        });
+        return Ok(print_json(&line.to_string())?);
+    }
+    Ok(print_line(&format!(
+        "{shown}: {variables} variables, {system} system variables and {files} files of {}",
+        about.describe()
+    ))?)
+}
+
 fn missing_parts(contents: &Contents) -> String {
     let first = contents.omitted.first().map(|first| format!("the first of them is {first}; ")).unwrap_or_default();
     format!("{first}lines with \"refused\" and \"omitted\" in backup.json have their codes; over UDP, use TCP instead")
@@ -58,7 +73,7 @@ fn missing_parts(contents: &Contents) -> String {
 struct Dumping<'a> {
     session: &'a mut Session,
     folder: &'a Folder,
-    ended: &'a Receiver<()>,
+    interrupt: &'a Interrupt,
     shown: &'a str,
     bar: &'a ProgressBar,
 }
@@ -80,9 +95,9 @@ impl Dumping<'_> {
         let Some((mut part, done)) = self.folder.part(kind)? else { return Ok(()) };
         self.begin(kind.name(), count.into());
         self.bar.set_position(done.into());
-        let Self { session, ended, shown, bar, .. } = self;
+        let Self { session, interrupt, shown, bar, .. } = self;
         live::variables(session, kind, done..count, |index, entry| {
-            check_signal(ended, shown)?;
+            check_signal(interrupt, shown)?;
             bar.inc(1);
             part.push(UserVariable::new(kind, index).name(), entry)
         })?;
@@ -94,7 +109,7 @@ impl Dumping<'_> {
         self.begin("@", names.len() as u64);
         let mut system = BTreeMap::new();
         for name in names {
-            check_signal(self.ended, self.shown)?;
+            check_signal(self.interrupt, self.shown)?;
             self.bar.inc(1);
             if let Some(entry) = live::system(self.session, &name)? {
                 system.insert(name, entry);
@@ -107,7 +122,7 @@ impl Dumping<'_> {
         let paths = live::files(self.session, omitted)?;
         self.begin("file", paths.len() as u64);
         for path in paths {
-            check_signal(self.ended, self.shown)?;
+            check_signal(self.interrupt, self.shown)?;
             self.bar.inc(1);
             if self.folder.has_file(&path) {
                 continue;
@@ -127,9 +142,9 @@ impl Dumping<'_> {
 }
 
 /// Ends the dump after a signal.
-fn check_signal(ended: &Receiver<()>, shown: &str) -> Result<(), Failure> {
-    match ended.try_recv() {
-        Ok(()) => Err(Failure::Interrupted(format!("interrupted; run `bcap dump {shown}` again to go on"))),
-        Err(_) => Ok(()),
+fn check_signal(interrupt: &Interrupt, shown: &str) -> Result<(), Failure> {
+    if interrupt.has_come() {
+        return Err(Failure::Interrupted(format!("interrupted; run `bcap dump {shown}` again to go on")));
     }
+    Ok(())
 }

@@ -1,13 +1,14 @@
 //! What a restore is going to write: the differences of a backup and a controller, if all of them can be written.
 
 use bcap_core::rac::VariableKind;
+use serde_json::json;
 
 use super::compare::{Difference, differences, variables};
 use super::contents::Contents;
 use super::diff::entry_text;
 use crate::error::Failure;
 use crate::named::Entry;
-use crate::value::Value;
+use crate::value::{Value, to_json};
 
 /// A variable that is written.
 pub(super) struct Change {
@@ -22,6 +23,18 @@ pub(super) struct FileChange {
     /// The size of the file that is replaced.
     pub(super) replaced: Option<usize>,
     pub(super) bytes: Vec<u8>,
+}
+
+impl FileChange {
+    /// Returns the replaced file as JSON.
+    pub(super) fn was_json(&self) -> String {
+        self.replaced.map_or("null".into(), |size| json!({ "size": size }).to_string())
+    }
+
+    /// Returns the new file as JSON.
+    pub(super) fn value_json(&self) -> String {
+        json!({ "size": self.bytes.len() }).to_string()
+    }
 }
 
 /// All writes of a restore.
@@ -101,6 +114,18 @@ impl Plan {
     pub(super) fn names(&self) -> Vec<String> {
         let files = self.files.iter().map(|file| format!("file:{}", file.path));
         self.variables.iter().map(|change| change.name.clone()).chain(files).collect()
+    }
+
+    /// Returns a line of JSON for each write.
+    pub(super) fn json_lines(&self) -> Vec<String> {
+        let line = |name: String, was: String, value: String| {
+            format!("{{\"name\":{},\"was\":{was},\"value\":{value}}}", serde_json::Value::from(name))
+        };
+        let variables =
+            self.variables.iter().map(|change| line(change.name.clone(), to_json(&change.was), to_json(&change.value)));
+        let files =
+            self.files.iter().map(|file| line(format!("file:{}", file.path), file.was_json(), file.value_json()));
+        variables.chain(files).collect()
     }
 
     /// Returns a line for each write.

@@ -8,10 +8,10 @@
 //! The user may think about the plan for hours, so no session stays open meanwhile, and each value is checked again.
 
 use std::path::Path;
-use std::sync::mpsc::Receiver;
 
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_std::ObjectPath;
+use serde_json::json;
 
 use super::contents::About;
 use super::diff::entry_text;
@@ -21,11 +21,11 @@ use super::{folder, live};
 use crate::args::{LinkArgs, Restore};
 use crate::confirm::confirm;
 use crate::error::Failure;
+use crate::interrupt::Interrupt;
 use crate::named::Entry;
-use crate::output::print_line;
+use crate::output::{print_json, print_line};
 use crate::remote;
 use crate::session::{Session, with_session};
-use crate::signal;
 use crate::value::{Value, integer, to_json};
 use crate::variables::{get_one, read};
 
@@ -33,13 +33,13 @@ use crate::variables::{get_one, read};
 const SHOWN: usize = 20;
 
 /// Runs `bcap restore`.
-pub(crate) fn restore(args: &Restore, link: &LinkArgs) -> Result<(), Failure> {
+pub(crate) fn restore(args: &Restore, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     if args.status {
-        return status(&args.dir);
+        return status(&args.dir, json);
     }
     let backup = folder::load(&args.dir)?;
     if let Some(past) = Past::read(&args.dir)?.filter(|past| !past.is_complete()) {
-        print_line(&past.summary())?;
+        summary(&past, json)?;
     }
     let plan = with_session(link, |session| {
         check_state(session)?;
@@ -47,9 +47,9 @@ pub(crate) fn restore(args: &Restore, link: &LinkArgs) -> Result<(), Failure> {
         check_controller(args, &backup.about, &controller.about)?;
         Plan::new(&backup, &controller, args.io)
     })?;
-    show(&plan, if args.dry_run { usize::MAX } else { SHOWN })?;
+    show(&plan, if args.dry_run || json { usize::MAX } else { SHOWN }, json)?;
     if plan.is_empty() {
-        return Ok(print_line("there is nothing to write: the controller has the values of the backup")?);
+        return note("there is nothing to write: the controller has the values of the backup", json);
     }
     if args.dry_run {
         return Ok(());
@@ -62,28 +62,55 @@ pub(crate) fn restore(args: &Restore, link: &LinkArgs) -> Result<(), Failure> {
     );
     confirm(&what, "Tasks and robot must stay at rest meanwhile.", "nothing was written", args.yes)?;
     let mut journal = Journal::begin(&args.dir, &target, &plan.names())?;
-    let ended = signal::ended()?;
-    let written = with_session(link, |session| Writing { session, journal: &mut journal, ended: &ended }.run(&plan));
-    conclude(&args.dir, &mut journal, written)
+    let interrupt = Interrupt::install()?;
+    let written =
+        with_session(link, |session| Writing { session, journal: &mut journal, interrupt: &interrupt }.run(&plan));
+    conclude(&args.dir, &mut journal, written, json)
 }
 
 /// Prints what the last restore has written.
-fn status(dir: &Path) -> Result<(), Failure> {
+fn status(dir: &Path, json: bool) -> Result<(), Failure> {
     let Some(past) = Past::read(dir)? else {
-        return Ok(print_line(&format!("nothing was restored from {}", dir.display()))?);
+        return note(&format!("nothing was restored from {}", dir.display()), json);
     };
-    let written = past.written.iter().map(|name| format!("{name}: written"));
-    let uncertain = past.uncertain.iter().map(|name| format!("{name}: may be written"));
-    let rest = past.rest.iter().map(|name| format!("{name}: not written"));
-    written.chain(uncertain).chain(rest).try_for_each(|line| print_line(&line))?;
+    let written = past.written.iter().map(|name| (name, "written"));
+    let uncertain = past.uncertain.iter().map(|name| (name, "may be written"));
+    let rest = past.rest.iter().map(|name| (name, "not written"));
+    for (name, state) in written.chain(uncertain).chain(rest) {
+        if json {
+            print_json(&json!({ "name": name, "state": state }).to_string())?;
+        } else {
+            print_line(&format!("{name}: {state}"))?;
+        }
+    }
     if past.is_complete() {
-        return Ok(print_line(&past.summary())?);
+        return summary(&past, json);
     }
     Err(Failure::Unfit {
         message: past.summary(),
         code: None,
         hint: Some(format!("`bcap restore {}` compares again and writes the rest", dir.display())),
     })
+}
+
+/// Prints how many writes of a restore are made.
+fn summary(past: &Past, json: bool) -> Result<(), Failure> {
+    if !json {
+        return Ok(print_line(&past.summary())?);
+    }
+    let line = json!({
+        "robot": past.robot,
+        "end": past.end,
+        "written": past.written.len(),
+        "uncertain": past.uncertain,
+        "not_written": past.rest.len(),
+    });
+    Ok(print_json(&line.to_string())?)
+}
+
+/// Prints a remark.
+fn note(text: &str, json: bool) -> Result<(), Failure> {
+    Ok(if json { print_json(&json!({ "note": text }).to_string()) } else { print_line(text) }?)
 }
 
 /// Checks that nothing else changes the controller now, as far as it tells.
@@ -116,21 +143,25 @@ fn check_controller(args: &Restore, backup: &About, controller: &About) -> Resul
     )))
 }
 
-fn show(plan: &Plan, most: usize) -> Result<(), Failure> {
+/// Prints the plan.
+fn show(plan: &Plan, most: usize, json: bool) -> Result<(), Failure> {
+    if json {
+        plan.json_lines().iter().try_for_each(|line| print_json(line))?;
+        return plan.notes.iter().try_for_each(|text| note(text, true));
+    }
     let lines = plan.lines();
     lines.iter().take(most).try_for_each(|line| print_line(line))?;
     if lines.len() > most {
         print_line(&format!("... and {} more, which --dry-run shows", lines.len() - most))?;
     }
-    plan.notes.iter().try_for_each(|note| print_line(&format!("note: {note}")))?;
-    Ok(())
+    plan.notes.iter().try_for_each(|text| note(&format!("note: {text}"), false))
 }
 
 /// Records and reports how the restore ended.
-fn conclude(dir: &Path, journal: &mut Journal, written: Result<(), Failure>) -> Result<(), Failure> {
+fn conclude(dir: &Path, journal: &mut Journal, written: Result<(), Failure>, json: bool) -> Result<(), Failure> {
     journal.end(&written.as_ref().err().map_or("complete".into(), ToString::to_string))?;
     if let Some(past) = Past::read(dir)? {
-        print_line(&past.summary())?;
+        summary(&past, json)?;
     }
     written
 }
@@ -139,7 +170,7 @@ fn conclude(dir: &Path, journal: &mut Journal, written: Result<(), Failure>) -> 
 struct Writing<'a> {
     session: &'a mut Session,
     journal: &'a mut Journal,
-    ended: &'a Receiver<()>,
+    interrupt: &'a Interrupt,
 }
 
 impl Writing<'_> {
@@ -184,8 +215,7 @@ impl Writing<'_> {
     fn file(&mut self, file: &FileChange) -> Result<(), Failure> {
         self.check_signal()?;
         let name = format!("file:{}", file.path);
-        let size = |size: Option<usize>| size.map_or("null".into(), |size| format!("{{\"size\":{size}}}"));
-        self.journal.writing(&name, &size(file.replaced), &size(Some(file.bytes.len())))?;
+        self.journal.writing(&name, &file.was_json(), &file.value_json())?;
         remote::make_folders(self.session, &file.path)?;
         remote::write(self.session, &file.path, &file.bytes)?;
         self.journal.written(&name)
@@ -193,10 +223,10 @@ impl Writing<'_> {
 
     /// Ends the restore between two writes after a signal.
     fn check_signal(&self) -> Result<(), Failure> {
-        match self.ended.try_recv() {
-            Ok(()) => Err(Failure::Interrupted("interrupted between two writes".into())),
-            Err(_) => Ok(()),
+        if self.interrupt.has_come() {
+            return Err(Failure::Interrupted("interrupted between two writes".into()));
         }
+        Ok(())
     }
 }
 

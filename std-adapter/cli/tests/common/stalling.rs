@@ -52,6 +52,9 @@ impl Handler for Stalling {
             // a keep-alive asks again
             return Outcome::Wait(now + Duration::from_secs(3600));
         }
+        if request.function == self.function {
+            return Handler::call(&mut self.controller, peer, request, reply, now);
+        }
         Handler::resume(&mut self.controller, peer, request, reply, now)
     }
 
