@@ -130,6 +130,19 @@ impl LinkArgs {
         })
     }
 
+    /// Adds the values of the profile, as far as they do not hinder a halt: its time limit is ignored, and a profile that
+    /// cannot be read is reported and ignored if --robot names the controller.
+    pub(crate) fn with_profile_for_halt(&self) -> Result<Self, Failure> {
+        match self.with_profile() {
+            Ok(link) => Ok(Self { timeout: self.timeout, ..link }),
+            Err(failure) if self.robot.is_some() => {
+                failure.print(false, None);
+                Ok(self.clone())
+            }
+            Err(failure) => Err(failure),
+        }
+    }
+
     /// Returns the provider to connect to.
     pub(crate) fn provider(&self) -> &str {
         self.provider.as_deref().filter(|name| !name.is_empty()).unwrap_or("CaoProv.DENSO.VRC")
@@ -233,8 +246,9 @@ impl Command {
 /// Reads variables
 ///
 /// NAME is a variable of the controller, such as I1, P10 or @MODE, or of an object: robot/@SERVO_ON,
-/// robot:Arm0/@CURRENT_POSITION, task:Pro1/@STATUS. I1-I50 is a range, and 'I*' are all variables of a kind (quote it). With --json a line is {"name":"I1","vt":3,"v":5}; `bcap encode --help`
-/// describes `vt` and `v`. Without --json the numbers of an R8 array, such as a pose, have at most 15 digits.
+/// robot:Arm0/@CURRENT_POSITION, task:Pro1/@STATUS. I1-I50 is a range, and 'I*' are all variables of a kind (quote it).
+/// With --json a line is {"name":"I1","vt":3,"v":5}; `bcap encode --help` describes `vt` and `v`. Without --json the numbers
+/// of an R8 array, such as a pose, have at most 15 digits.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

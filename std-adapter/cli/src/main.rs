@@ -67,7 +67,11 @@ fn main() -> ExitCode {
 }
 
 fn run(cli: &Cli) -> Result<(), Failure> {
-    let link = &if cli.command.connects() { cli.link.with_profile()? } else { cli.link.clone() };
+    let link = &match &cli.command {
+        Command::Halt(_) => cli.link.with_profile_for_halt()?,
+        command if command.connects() => cli.link.with_profile()?,
+        _ => cli.link.clone(),
+    };
     match &cli.command {
         Command::Get(args) => get::get(args, link, cli.json),
         Command::Put(args) => put::put(args, link, cli.json),

@@ -11,6 +11,9 @@ use crate::value::{Value, described, integer, text};
 /// The deepest folder that is read.
 const DEPTH: usize = 32;
 
+/// The most folders that are read, so that a controller cannot list new ones for ever.
+const FOLDERS: usize = 10_000;
+
 /// A file or folder.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Item {
@@ -50,9 +53,12 @@ pub(crate) fn list(session: &mut Session, folder: &str) -> Result<Vec<Item>, Fai
 pub(crate) fn walk(session: &mut Session, folder: &str) -> Result<Vec<String>, Failure> {
     let mut files = Vec::new();
     let mut folders = vec![folder.to_owned()];
+    let mut read = 0;
     while let Some(folder) = folders.pop() {
-        if folder.split('/').count() > DEPTH {
-            return Err(Failure::Input(format!("/{folder}: the folders are deeper than {DEPTH}")));
+        read += 1;
+        if folder.split('/').count() > DEPTH || read > FOLDERS {
+            let message = format!("/{folder}: there are more than {DEPTH} folders in one another, or {FOLDERS} in all");
+            return Err(Failure::Connection { message, hint: "copy single folders with `bcap cp`".into() });
         }
         for item in list(session, &folder)? {
             if item.is_folder { folders.push(item.path) } else { files.push(item.path) }

@@ -5,7 +5,11 @@ use bcap_std::ObjectPath;
 
 use crate::error::Failure;
 use crate::session::Session;
+use crate::value::described;
 use crate::variables::get_one;
+
+/// The most variables of a kind: an index has 16 bits.
+const LONGEST: u32 = 1 << 16;
 
 /// One word of the command line.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -75,8 +79,8 @@ fn each(
 pub(crate) fn count(session: &mut Session, kind: VariableKind) -> Result<u32, Failure> {
     let name = format!("@VAR_{}_LEN", kind.name());
     let value = get_one(session, &ObjectPath::variable(&name)?)?;
-    value.convert().map_err(|error| Failure::Connection {
-        message: format!("{name}: {error}"),
+    value.convert().ok().filter(|count| *count <= LONGEST).ok_or_else(|| Failure::Connection {
+        message: format!("{name} is {}, which is not a number from 0 to {LONGEST}", described(Some(&value))),
         hint: "use a range, such as I1-I50".into(),
     })
 }
@@ -93,9 +97,6 @@ fn indexed(text: &str) -> Option<(VariableKind, u32)> {
     let is_number = index.bytes().all(|byte| byte.is_ascii_digit());
     Some((VariableKind::from_name(kind)?, index.parse().ok().filter(|_| is_number)?))
 }
-
-/// The most variables of a range: no controller has more of a kind.
-const LONGEST: u32 = 1 << 16;
 
 fn range(word: &str, kind: VariableKind, first: u32, last: &str) -> Result<Selection, Failure> {
     let name = kind.name();

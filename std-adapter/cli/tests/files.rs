@@ -1,14 +1,19 @@
 //! `bcap ls` and `bcap cp`.
 
 mod common;
+#[path = "common/fake.rs"]
+#[allow(dead_code, reason = "this test needs no datagrams from it")]
+mod fake;
 #[path = "common/robot.rs"]
 mod robot;
 
 use std::fs;
 use std::path::PathBuf;
 
+use bcap_core::bcap::FunctionId;
 use bcap_sim::{Config, Profile};
-use common::{Run, command};
+use common::{Run, bcap, command};
+use fake::{Fake, usual, value};
 use robot::Robot;
 
 /// A robot with files, and a folder of this machine in which the command runs.
@@ -152,4 +157,32 @@ fn a_file_is_copied_over_udp_although_the_list_of_names_does_not_fit() {
     assert_eq!((copied.err.as_str(), copied.code), ("", 0));
     let listed = run(&["ls"]);
     assert!(listed.code == 1 && listed.err.contains("E_TOO_MUCH_DATA"), "{listed:?}");
+}
+
+#[test]
+fn a_name_that_leaves_the_folder_is_refused() {
+    for name in ["..\\x.pcs", "../x.pcs", "..", "/x.pcs", "C:x.pcs", ""] {
+        let fake = Fake::tcp(move |request| match request.function() {
+            FunctionId::CONTROLLER_GET_FILE_NAMES => value(vec![name.to_owned()]),
+            FunctionId::CONTROLLER_GET_FILE => value(5),
+            FunctionId::FILE_GET_VALUE => value("x".to_owned()),
+            _ => usual(request),
+        });
+        let folder = tempfile::tempdir().unwrap();
+        let inner = folder.path().join("a").join("b");
+        let run = bcap(&["cp", "--recursive", "robot:/", inner.to_str().unwrap(), "--robot", &fake.address]);
+        assert!(run.code == 3 && run.err.contains("unsafe name"), "{name}: {run:?}");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0, "{name}");
+    }
+}
+
+#[test]
+fn folders_without_end_are_an_error() {
+    let fake = Fake::tcp(|request| match request.function() {
+        FunctionId::CONTROLLER_GET_FILE_NAMES | FunctionId::FILE_GET_FILE_NAMES => value(vec!["again\\".to_owned()]),
+        FunctionId::CONTROLLER_GET_FILE => value(5),
+        _ => usual(request),
+    });
+    let run = bcap(&["ls", "--recursive", "--robot", &fake.address]);
+    assert!(run.code == 3 && run.err.contains("more than 32 folders in one another"), "{run:?}");
 }

@@ -125,6 +125,22 @@ fn a_wrong_profile_is_named_with_file_and_line() {
 }
 
 #[test]
+fn a_wrong_profile_does_not_prevent_a_halt() {
+    let robot = Robot::start();
+    let home = Home::with("[profile.cell");
+    let run = home.run(&["halt", "--robot", &robot.tcp], &[("BCAP_PROFILE", "cell")]);
+    assert_eq!((run.out.as_str(), run.code), ("nothing was moving\n", 0), "{run:?}");
+    assert!(run.err.contains("config.toml, line 1: "), "{run:?}");
+    assert_eq!(home.run(&["halt"], &[("BCAP_PROFILE", "cell")]).code, 2);
+    // the time limit of a halt stays 3 s
+    let silent = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = silent.local_addr().unwrap();
+    let home = Home::with(&format!("[profile.cell]\naddress = \"{address}\"\ntimeout = \"1min\"\n"));
+    let run = home.run(&["halt", "--profile", "cell"], &[]);
+    assert!(run.code == 4 && run.err.contains("time limit of 3000 ms"), "{run:?}");
+}
+
+#[test]
 fn profiles_are_listed_and_shown() {
     let home = Home::with(
         "[profile.cell]\naddress = \"192.168.0.1\"\nmodel = \"cobotta\"\nrac_port = 5016\ntimeout = \"2s\"\n[profile.a]\n",

@@ -1,12 +1,17 @@
 //! Ranges of variables, and several writes in one command.
 
 mod common;
+#[path = "common/fake.rs"]
+#[allow(dead_code, reason = "this test needs no datagrams from it")]
+mod fake;
 #[path = "common/robot.rs"]
 mod robot;
 
+use bcap_core::bcap::FunctionId;
 use bcap_core::rac::VariableKind;
 use bcap_core::variant::Variant;
 use common::bcap;
+use fake::{Fake, usual, value};
 use robot::Robot;
 
 #[test]
@@ -123,4 +128,16 @@ fn watch_writes_a_table() {
     assert_eq!(run.out.lines().count(), 2, "{run:?}");
     let run = robot.run(&["watch", "I1", "--interval", "soon"]);
     assert!(run.code == 2 && run.err.contains("500ms"), "{run:?}");
+}
+
+#[test]
+fn a_controller_cannot_claim_endless_variables() {
+    for count in [i32::MAX, -1, 65_537] {
+        let fake = Fake::tcp(move |request| match request.function() {
+            FunctionId::VARIABLE_GET_VALUE => value(count),
+            _ => usual(request),
+        });
+        let run = bcap(&["get", "I*", "--robot", &fake.address]);
+        assert!(run.code == 3 && run.err.contains("not a number from 0 to 65536"), "{run:?}");
+    }
 }

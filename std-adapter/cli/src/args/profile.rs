@@ -6,6 +6,7 @@ use clap::{Args, Subcommand};
 ///
 /// The profiles are in ~/.config/bcap/config.toml, or in bcap/config.toml below XDG_CONFIG_HOME. --profile NAME or
 /// BCAP_PROFILE chooses one. An option of the command line overrides its environment variable, which overrides the profile.
+/// `halt` ignores the timeout of a profile, and with --robot also a profile that cannot be read.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 The file:
