@@ -77,6 +77,9 @@ pub(crate) fn cp(args: &Cp, link: &LinkArgs, json: bool) -> Result<(), Failure> 
             });
             copying.download(&patterns.collect::<Result<Vec<_>, _>>()?, &to, into_folder)
         }
+        Place::Remote(to) if to.contains(['*', '?']) => {
+            Err(Failure::Input(format!("robot:/{to}: DEST has no wildcards; write the name of a file or folder")))
+        }
         Place::Remote(to) => {
             let files = sources.into_iter().map(|source| match source {
                 Place::Local(file) => Ok(file),

@@ -111,6 +111,7 @@ fn cp_uploads_and_reads_back() {
     assert_eq!(fs::read(cell.files.join("copied/below/b.dat")).unwrap(), [0x80, 0]);
     cell.refused(&["cp", "tree", "robot:/"], "tree is a folder; give --recursive");
     cell.refused(&["cp", "absent.pcs", "robot:/"], "absent.pcs: No such file");
+    cell.refused(&["cp", "new.pcs", "robot:/S*"], "DEST has no wildcards");
 }
 
 #[test]

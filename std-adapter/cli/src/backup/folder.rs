@@ -12,7 +12,7 @@
 //! dump goes on.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, DirEntry, File, OpenOptions};
 use std::io::{BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -73,11 +73,10 @@ impl Folder {
                 ));
             }
             Some(_) => true,
-            None if path.exists() && fs::read_dir(path).map_err(disk::failed(path))?.next().is_some() => {
-                return wrong("the folder is not empty and has no backup");
-            }
+            None if !is_empty(path)? => return wrong("the folder is not empty and has no backup"),
             None => false,
         };
+        remove_temporary(path)?;
         let folder = Self { path: path.to_owned(), about, is_resumed };
         folder.write_manifest(false, &Contents::default())?;
         Ok(folder)
@@ -91,7 +90,7 @@ impl Folder {
         }
         let path = complete.with_extension("jsonl.part");
         let done = whole_lines(&path, kind)?;
-        disk::write(&path, done.join("").as_bytes(), true)?;
+        self.write(&path, done.join("").as_bytes())?;
         let file = OpenOptions::new().append(true).open(&path).map_err(disk::failed(&path))?;
         let count = u32::try_from(done.len()).unwrap_or(u32::MAX);
         Ok(Some((Part { path, complete, file: BufWriter::new(file), unwritten: 0 }, count)))
@@ -102,7 +101,7 @@ impl Folder {
         let line =
             |(name, entry): (&String, &Entry)| Named { name: name.clone(), entry: entry.clone() }.to_json() + "\n";
         let lines: String = system.iter().map(line).collect();
-        disk::write(&self.path.join("system.jsonl"), lines.as_bytes(), true)
+        self.write(&self.path.join("system.jsonl"), lines.as_bytes())
     }
 
     /// Returns whether an earlier dump has saved a file.
@@ -111,7 +110,7 @@ impl Folder {
     }
 
     pub(super) fn write_file(&self, path: &str, bytes: &[u8]) -> Result<(), Failure> {
-        disk::write(&self.path.join("files").join(path), bytes, true)
+        self.write(&self.path.join("files").join(path), bytes)
     }
 
     /// Reads everything back, and marks the backup as complete.
@@ -119,6 +118,11 @@ impl Folder {
         let contents = Contents { about: self.about.clone(), omitted, ..read_all(&self.path)? };
         self.write_manifest(true, &contents)?;
         Ok(contents)
+    }
+
+    /// Writes a file in one step. The temporary file is not below `files`, where it would become a part of the backup.
+    fn write(&self, path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+        disk::write_by(&self.path, path, bytes, true)
     }
 
     fn write_manifest(&self, complete: bool, contents: &Contents) -> Result<(), Failure> {
@@ -136,8 +140,32 @@ impl Folder {
         };
         // texts and numbers always serialize
         let text = serde_json::to_string_pretty(&manifest).unwrap_or_default() + "\n";
-        disk::write(&self.path.join("backup.json"), text.as_bytes(), true)
+        self.write(&self.path.join("backup.json"), text.as_bytes())
     }
+}
+
+/// Returns whether a folder does not exist, or has nothing but what a killed dump leaves before it begins.
+fn is_empty(path: &Path) -> Result<bool, Failure> {
+    if !path.exists() {
+        return Ok(true);
+    }
+    let mut entries = fs::read_dir(path).map_err(disk::failed(path))?;
+    Ok(entries.all(|entry| entry.is_ok_and(|entry| is_temporary(&entry))))
+}
+
+/// Removes the temporary files of a killed dump.
+fn remove_temporary(path: &Path) -> Result<(), Failure> {
+    if !path.exists() {
+        return Ok(());
+    }
+    for entry in fs::read_dir(path).map_err(disk::failed(path))?.filter_map(Result::ok).filter(is_temporary) {
+        fs::remove_file(entry.path()).map_err(disk::failed(&entry.path()))?;
+    }
+    Ok(())
+}
+
+fn is_temporary(entry: &DirEntry) -> bool {
+    entry.file_name().to_string_lossy().starts_with(disk::TEMPORARY)
 }
 
 /// The lines of a kind while they are read.
