@@ -21,7 +21,7 @@ pub(crate) fn write(path: &Path, bytes: &[u8], replace: bool) -> Result<(), Fail
     write_by(folder_of(path), path, bytes, replace)
 }
 
-/// As [`write`], with the temporary file in another folder of the same file system.
+/// As [`write()`], with the temporary file in another folder of the same file system.
 pub(crate) fn write_by(temporary: &Path, path: &Path, bytes: &[u8], replace: bool) -> Result<(), Failure> {
     for folder in [temporary, folder_of(path)] {
         fs::create_dir_all(folder).map_err(failed(folder))?;
