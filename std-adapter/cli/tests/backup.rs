@@ -468,6 +468,24 @@ fn a_controller_without_put_id_is_read_by_name() {
 }
 
 #[test]
+fn a_file_that_cannot_be_read_is_named() {
+    let fake = Fake::tcp(|request| match request.function() {
+        FunctionId::CONTROLLER_GET_FILE_NAMES => value(vec!["Pro1.pcs".to_owned()]),
+        FunctionId::CONTROLLER_GET_FILE => value(5),
+        FunctionId::FILE_GET_VALUE => HResult::E_NOTIMPL.into(),
+        FunctionId::VARIABLE_GET_VALUE => value(0),
+        FunctionId::CONTROLLER_GET_VARIABLE_NAMES => HResult::E_NOTIMPL.into(),
+        _ => usual(request),
+    });
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path().join("a").to_str().unwrap().to_owned();
+    let run = bcap(&["dump", &dir, "--robot", &fake.address]);
+    assert!(run.code == 1 && run.err.contains("/Pro1.pcs: File_GetValue: 0x80004001"), "{run:?}");
+    let manifest = fs::read_to_string(Path::new(&dir).join("backup.json")).unwrap();
+    assert!(manifest.contains("/Pro1.pcs: File_GetValue: 0x80004001 (E_NOTIMPL)"), "{manifest}");
+}
+
+#[test]
 fn a_damaged_backup_is_refused() {
     let cell = Cell::start();
     let dir = cell.dump("a");

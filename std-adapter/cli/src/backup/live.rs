@@ -202,7 +202,7 @@ pub(super) fn system_names(session: &mut Session, omitted: &mut Vec<String>) -> 
         (Object::Task, F::CONTROLLER_GET_TASK_NAMES, F::TASK_GET_VARIABLE_NAMES, &["@STATUS", "@PRIORITY"]),
     ];
     for (object, list_owners, list_variables, usual) in owners {
-        for name in unless_refused(list(session, &controller, list_owners), omitted)?.unwrap_or_default() {
+        for name in unless_absent(list(session, &controller, list_owners), omitted)? {
             let owner = controller.clone().join(object, name);
             let listed = self::listed(session, &owner, list_variables)?;
             add(&owner, listed, usual);
@@ -221,7 +221,7 @@ fn listed(session: &mut Session, owner: &ObjectPath, function: FunctionId) -> Re
 
 /// Returns the paths of all files.
 pub(super) fn files(session: &mut Session, omitted: &mut Vec<String>) -> Result<Vec<String>, Failure> {
-    Ok(unless_refused(remote::walk(session, ""), omitted)?.unwrap_or_default())
+    unless_absent(remote::walk(session, ""), omitted)
 }
 
 /// Reads a file; `None` after a refusal.
@@ -229,14 +229,22 @@ pub(super) fn file(session: &mut Session, path: &str, omitted: &mut Vec<String>)
     unless_refused(remote::read(session, path), omitted)
 }
 
-/// Turns a refusal into an entry of the list of what is omitted. What the controller does not have at all is no omission.
+/// Turns a refusal into an entry of the list of what is omitted.
 fn unless_refused<T>(result: Result<T, Failure>, omitted: &mut Vec<String>) -> Result<Option<T>, Failure> {
     match result {
-        Err(Failure::Refused { code: HResult::E_NOTIMPL, .. }) => Ok(None),
         Err(Failure::Refused { doing, code }) => {
             omitted.push(format!("{doing}: {code}"));
             Ok(None)
         }
         result => result.map(Some),
+    }
+}
+
+/// As [`unless_refused`], for a list. A controller that does not implement the list has no such objects, so nothing is
+/// omitted then.
+fn unless_absent<T: Default>(list: Result<T, Failure>, omitted: &mut Vec<String>) -> Result<T, Failure> {
+    match list {
+        Err(Failure::Refused { code: HResult::E_NOTIMPL, .. }) => Ok(T::default()),
+        list => Ok(unless_refused(list, omitted)?.unwrap_or_default()),
     }
 }
