@@ -77,7 +77,7 @@ fn option_environment_profile_default_in_this_order() {
     let run = home.run(&["get", "I1", "--robot", &one.address], &[]);
     assert_eq!(run.code, 0);
     assert!(one.seen()[7..].contains(&connect("CaoProv.DENSO.VRC", "").unwrap()), "{:?}", one.seen());
-    // an empty variable is none
+    // an empty variable chooses no profile
     assert_eq!(home.run(&["get", "I1", "--robot", &one.address], &[("BCAP_PROFILE", "")]).code, 0);
 }
 
