@@ -6,21 +6,28 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use bcap_sim::Profile;
+use bcap_sim::Profile as ModelProfile;
 use clap::{Args, Parser, Subcommand};
 use clap_complete::Shell;
 
+mod backup;
+mod files;
+mod profile;
 mod proxy;
 mod replay;
 mod slave;
 
+pub(crate) use self::backup::{Diff, Dump, Restore};
+pub(crate) use self::files::{Cp, Ls};
+pub(crate) use self::profile::{Profile, ProfileCommand};
 pub(crate) use self::proxy::{Proxy, RobotPorts};
 pub(crate) use self::replay::Replay;
 pub(crate) use self::slave::{Cosine, Doctor, Halt, Play, Record, Slave, SlaveCommand, StreamArgs};
-use crate::duration::duration;
+use crate::duration;
 use crate::error::Failure;
 use crate::escape;
 use crate::frame::Role;
+use crate::profile::Profiles;
 use crate::rules::AllowPut;
 use crate::target;
 use bcap_std::{Address, NetworkAddress};
@@ -41,8 +48,8 @@ pub(crate) struct Cli {
 }
 
 const EXIT_CODES: &str = "\
-Exit codes: 0 done, 1 the controller refused, 2 wrong usage or malformed input, 3 no connection, 4 timeout,
-130 interrupted by a signal.
+Exit codes: 0 done, 1 the controller refused or diff found differences, 2 wrong usage or malformed input,
+3 no connection, 4 timeout, 130 interrupted by a signal.
 There are no colours if NO_COLOR is set or the output is not a terminal.";
 
 /// The default time limit for an answer.
@@ -78,7 +85,7 @@ pub(crate) struct LinkArgs {
     /// line may have settings, here with the defaults: 'serial:/dev/ttyUSB0?baud=115200&parity=none&stop=1'. `rac`,
     /// `doctor`, `gateway`, `proxy`, `replay` and `slave` need a network.
     #[arg(long, global = true, value_name = "ADDRESS")]
-    pub(crate) robot: Option<String>,
+    robot: Option<String>,
 
     /// The time limit of the whole command, in ms or with a unit (2s) [default: 3 s for each answer or keep-alive]
     ///
@@ -86,8 +93,8 @@ pub(crate) struct LinkArgs {
     /// it to each round; `doctor` to each link, and then to all other checks together; `slave play`, `slave cosine`,
     /// `gateway` and `replay` to each answer; `proxy` to connecting. Without this option `halt` ends within 3 s, and a controller can keep any other call alive
     /// for 180 s. Over UDP five attempts share the time.
-    #[arg(long, global = true, value_name = "MS", value_parser = duration)]
-    pub(crate) timeout: Option<Duration>,
+    #[arg(long, global = true, value_name = "MS", env = "BCAP_TIMEOUT", value_parser = duration::parse)]
+    timeout: Option<Duration>,
 
     /// Records what the command sends and receives as packets in this file, for `bcap decode` and Wireshark
     ///
@@ -96,25 +103,90 @@ pub(crate) struct LinkArgs {
     #[arg(long, global = true, value_name = "FILE.pcapng")]
     pub(crate) write: Option<PathBuf>,
 
-    /// The provider to connect to; an RC9 or a COBOTTA PRO has CaoProv.DENSO.VRC9
-    #[arg(long, global = true, value_name = "NAME", default_value = "CaoProv.DENSO.VRC")]
-    pub(crate) provider: String,
+    /// The provider to connect to; an RC9 or a COBOTTA PRO has CaoProv.DENSO.VRC9 [default: CaoProv.DENSO.VRC]
+    #[arg(long, global = true, value_name = "NAME", env = "BCAP_PROVIDER")]
+    provider: Option<String>,
+
+    /// The option of Controller_Connect, such as @EventDisable=false [default: empty]
+    #[arg(long, global = true, value_name = "OPTION", env = "BCAP_CONNECT_OPTION")]
+    connect_option: Option<String>,
+
+    /// The port of RAC, for an address without a port for RAC [default: 5006]
+    #[arg(long, global = true, value_name = "PORT", env = "BCAP_RAC_PORT")]
+    rac_port: Option<u16>,
+
+    /// A profile of ~/.config/bcap/config.toml, whose values apply where neither an option nor an environment variable is
+    /// given
+    #[arg(long, global = true, value_name = "NAME", env = "BCAP_PROFILE")]
+    profile: Option<String>,
+
+    /// The address of the profile.
+    #[arg(skip)]
+    profile_address: Option<String>,
 }
 
 impl LinkArgs {
+    /// Adds the values of the profile, where neither an option nor an environment variable is given.
+    pub(crate) fn with_profile(&self) -> Result<Self, Failure> {
+        let Some(name) = self.profile.as_deref().filter(|name| !name.is_empty()) else { return Ok(self.clone()) };
+        let profiles = Profiles::read()?;
+        let (profile, link) = (profiles.find(name)?, self.clone());
+        Ok(Self {
+            timeout: link.timeout.or(profile.timeout()),
+            provider: link.provider.or_else(|| profile.provider().map(str::to_owned)),
+            connect_option: link.connect_option.or_else(|| profile.connect_option.clone()),
+            rac_port: link.rac_port.or(profile.rac_port),
+            profile_address: profile.address().map(str::to_owned),
+            ..link
+        })
+    }
+
+    /// Adds the values of the profile, as far as they do not hinder a halt: its time limit is ignored, and a profile that
+    /// cannot be read is reported and ignored if --robot names the controller.
+    pub(crate) fn with_profile_for_halt(&self) -> Result<Self, Failure> {
+        match self.with_profile() {
+            Ok(link) => Ok(Self { timeout: self.timeout, ..link }),
+            Err(failure) if self.robot.is_some() => {
+                failure.print(false, None);
+                Ok(self.clone())
+            }
+            Err(failure) => Err(failure),
+        }
+    }
+
+    /// Returns the provider to connect to.
+    pub(crate) fn provider(&self) -> &str {
+        self.provider.as_deref().filter(|name| !name.is_empty()).unwrap_or("CaoProv.DENSO.VRC")
+    }
+
+    /// Returns the option of Controller_Connect.
+    pub(crate) fn connect_option(&self) -> &str {
+        self.connect_option.as_deref().unwrap_or_default()
+    }
+
+    /// Returns the same options for the controller at another address.
+    pub(crate) fn at(&self, address: &str) -> Self {
+        Self { robot: Some(address.to_owned()), ..self.clone() }
+    }
+
     /// Returns the controller's address for b-CAP.
     pub(crate) fn target(&self) -> Result<Address, Failure> {
-        target::bcap(self.robot.as_deref())
+        target::bcap(self.robot.as_deref(), self.profile_address.as_deref())
     }
 
     /// Returns the controller's address for b-CAP, for a command that cannot use a serial line.
     pub(crate) fn network_target(&self) -> Result<NetworkAddress, Failure> {
-        target::network(self.robot.as_deref())
+        target::network(self.robot.as_deref(), self.profile_address.as_deref())
+    }
+
+    /// Returns the port of RAC that was given, if one was.
+    pub(crate) const fn rac_port(&self) -> Option<u16> {
+        self.rac_port
     }
 
     /// Returns the controller's address for RAC.
     pub(crate) fn rac_target(&self) -> Result<NetworkAddress, Failure> {
-        target::rac(self.robot.as_deref())
+        target::rac(self.robot.as_deref(), self.profile_address.as_deref(), self.rac_port)
     }
 
     /// Returns the time limit for connecting, and for each answer or keep-alive.
@@ -148,6 +220,12 @@ pub(crate) enum Command {
     Put(Put),
     Watch(Watch),
     Names(Names),
+    Ls(Ls),
+    Cp(Cp),
+    Dump(Dump),
+    Diff(Diff),
+    Restore(Restore),
+    Profile(Profile),
     Call(Call),
     Exec(Exec),
     Rac(Rac),
@@ -168,16 +246,37 @@ pub(crate) enum Command {
     Man(Man),
 }
 
+impl Command {
+    /// Returns whether the command connects to a controller. The others work with a wrong profile.
+    pub(crate) const fn connects(&self) -> bool {
+        !matches!(
+            self,
+            Self::Profile(_)
+                | Self::Sim(_)
+                | Self::Demo(_)
+                | Self::Decode(_)
+                | Self::Encode(_)
+                | Self::Text(_)
+                | Self::Explain(_)
+                | Self::Wireshark(_)
+                | Self::Completions(_)
+                | Self::Man(_)
+        )
+    }
+}
+
 /// Reads variables
 ///
 /// NAME is a variable of the controller, such as I1, P10 or @MODE, or of an object: robot/@SERVO_ON,
-/// robot:Arm0/@CURRENT_POSITION, task:Pro1/@STATUS. With --json a line is {"name":"I1","vt":3,"v":5}; `bcap encode --help`
-/// describes `vt` and `v`. Without --json the numbers of an R8 array, such as a pose, have at most 15 digits.
+/// robot:Arm0/@CURRENT_POSITION, task:Pro1/@STATUS. I1-I50 is a range, and 'I*' are all variables of a kind (quote it).
+/// With --json a line is {"name":"I1","vt":3,"v":5}; `bcap encode --help` describes `vt` and `v`. Without --json the numbers
+/// of an R8 array, such as a pose, have at most 15 digits.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   bcap get I1
   bcap get --robot tcp:192.168.0.1 --json P1 P2 robot/@CURRENT_POSITION
+  bcap get I1-I50 IO128-IO135 'S*'
   BCAP_ROBOT=udp:192.168.0.1 bcap get task:Pro1/@STATUS")]
 pub(crate) struct Get {
     /// The variables
@@ -185,7 +284,10 @@ pub(crate) struct Get {
     pub(crate) names: Vec<String>,
 }
 
-/// Writes a variable
+/// Writes variables
+///
+/// Several variables are written as NAME=VALUE, in order. All values are checked before the first is written. After a
+/// refusal nothing more is written; each written variable has been printed.
 ///
 /// VALUE is plain data, which take the variable's present type. A number has a decimal point; a BOOL is true, false, on, off,
 /// or a number; an array has commas between its elements, as many as the variable has. With --typed VALUE is TYPE,DATA,
@@ -199,18 +301,30 @@ Examples:
   bcap put S1 'hello, world'
   bcap put P1 400,0,300,180,0,180,5
   bcap put --typed F1 4,2.5
-  bcap put IO128 true")]
+  bcap put IO128 true
+  bcap put I1=5 I2=7 V1=-1,2,3
+  bcap get --json I1-I50 >values.jsonl
+  bcap put --from values.jsonl")]
 pub(crate) struct Put {
-    /// The variable, as for `bcap get`
-    pub(crate) name: String,
+    /// The variable, as for `bcap get`, or NAME=VALUE
+    #[arg(required_unless_present = "from")]
+    pub(crate) name: Option<String>,
 
-    /// The value
+    /// The value, or the next NAME=VALUE
     #[arg(allow_hyphen_values = true)]
-    pub(crate) value: String,
+    pub(crate) value: Option<String>,
 
-    /// Reads VALUE as TYPE,DATA, also of another type than the variable's
+    /// More variables
+    #[arg(value_name = "NAME=VALUE")]
+    pub(crate) more: Vec<String>,
+
+    /// Reads each VALUE as TYPE,DATA, also of another type than the variable's
     #[arg(long)]
     pub(crate) typed: bool,
+
+    /// Writes the values of a file of lines as `bcap get --json` prints them, with their types; - is the standard input
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["name", "typed"])]
+    pub(crate) from: Option<PathBuf>,
 }
 
 /// Reads variables periodically
@@ -221,19 +335,27 @@ pub(crate) struct Put {
 #[command(after_help = "\
 Examples:
   bcap watch robot/@CURRENT_POSITION --interval 20
-  bcap watch I1 I2 IO128 --changed --json")]
+  bcap watch I1 I2 IO128 --changed --json
+  bcap watch I1-I4 P1 --interval 10ms --count 100 --csv table.csv")]
 pub(crate) struct Watch {
     /// The variables, as for `bcap get`
     #[arg(value_name = "NAME", required = true)]
     pub(crate) names: Vec<String>,
 
-    /// The time from one round to the next, in ms
-    #[arg(long, value_name = "MS", default_value_t = 100)]
-    pub(crate) interval: u64,
+    /// The time from one round to the next, in ms or with a unit (10ms, 2s)
+    #[arg(long, value_name = "MS", default_value = "100", value_parser = duration::parse)]
+    pub(crate) interval: Duration,
 
-    /// Prints a variable only when its value has changed
-    #[arg(long)]
+    /// Prints a variable only when its value has changed; with --csv a row only when any value has changed
+    #[arg(long, visible_alias = "changes")]
     pub(crate) changed: bool,
+
+    /// Writes a table to a file instead: a row for each round, the seconds since the start in its first column `t`; - is the
+    /// standard output
+    ///
+    /// An array has a column for each element, P1.1 to P1.7. An existing file is replaced.
+    #[arg(long, value_name = "FILE", conflicts_with = "json")]
+    pub(crate) csv: Option<PathBuf>,
 
     /// Ends after this number of rounds
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
@@ -334,7 +456,21 @@ pub(crate) enum RacCommand {
     /// Reads variables
     Get(Get),
     /// Writes a variable
-    Put(Put),
+    Put(RacPut),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct RacPut {
+    /// The variable
+    pub(crate) name: String,
+
+    /// The value
+    #[arg(allow_hyphen_values = true)]
+    pub(crate) value: String,
+
+    /// Reads VALUE as TYPE,DATA, also of another type than the variable's
+    #[arg(long)]
+    pub(crate) typed: bool,
 }
 
 /// Runs a virtual controller on real sockets
@@ -425,7 +561,7 @@ pub(crate) enum Model {
     Cobotta,
 }
 
-impl From<Model> for Profile {
+impl From<Model> for ModelProfile {
     fn from(model: Model) -> Self {
         match model {
             Model::Rc8 => Self::Rc8,

@@ -69,7 +69,7 @@ fn over(protocol: Protocol, args: &Doctor, link: &LinkArgs) -> Result<LinkArgs, 
         Protocol::Udp => args.udp_port,
     };
     target.port = port.unwrap_or(target.port);
-    Ok(LinkArgs { robot: Some(target.to_string()), ..link.clone() })
+    Ok(link.at(&target.to_string()))
 }
 
 /// Starts a session over a protocol; `None` if that fails.
@@ -119,7 +119,7 @@ fn examine(session: &mut Session, link: &LinkArgs, report: &mut Report) -> Resul
 
 /// Connects to the provider of the command line, or otherwise to the known ones.
 fn provider(session: &mut Session, link: &LinkArgs, report: &mut Report) -> Result<Option<i32>, Failure> {
-    let requested = link.provider.as_str();
+    let requested = link.provider();
     let mut refusals = Vec::new();
     for provider in [requested].into_iter().chain(PROVIDERS.into_iter().filter(|other| *other != requested)) {
         provider.clone_into(&mut session.provider);

@@ -1,9 +1,9 @@
-//! Times on the command line.
+//! Times on the command line and in files.
 
 use std::time::Duration;
 
 /// Parses a time: a number of milliseconds, or a number with `ms`, `s` or `min`, from 1 ms to a day.
-pub(crate) fn duration(text: &str) -> Result<Duration, String> {
+pub(crate) fn parse(text: &str) -> Result<Duration, String> {
     const DAY: u64 = 86_400_000;
     let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
     let (number, unit) = text.split_at(digits);

@@ -3,7 +3,7 @@
 //! | code | meaning                                                |
 //! |------|--------------------------------------------------------|
 //! | 0    | done                                                   |
-//! | 1    | the controller refused                                 |
+//! | 1    | the controller refused, or `bcap diff` found differences |
 //! | 2    | wrong usage, or input that cannot be read              |
 //! | 3    | no connection, or a connection that broke              |
 //! | 4    | the controller did not answer in time                  |
@@ -58,7 +58,7 @@ pub(crate) enum Failure {
     },
     /// Some replies differ from the recorded ones; each has been reported.
     #[error("{different} of {total} replies differ from the recorded ones")]
-    Different {
+    RepliesDiffer {
         /// The number of replies that differ.
         different: usize,
         /// The number of compared replies.
@@ -98,6 +98,9 @@ pub(crate) enum Failure {
         /// What to do.
         hint: Option<String>,
     },
+    /// Two backups differ; the output has the differences.
+    #[error("there are differences")]
+    Different,
     /// A signal ended the command.
     #[error("{0}")]
     Interrupted(String),
@@ -167,9 +170,10 @@ impl Failure {
         match self {
             Self::Refused { .. }
             | Self::SomeRefused { .. }
-            | Self::Different { .. }
+            | Self::RepliesDiffer { .. }
             | Self::ListsRefused { .. }
-            | Self::Unfit { .. } => 1,
+            | Self::Unfit { .. }
+            | Self::Different => 1,
             Self::Input(_) | Self::Item(_) | Self::BadLines(_) | Self::Stdio(_) => 2,
             Self::Connection { .. } => 3,
             Self::Timeout { .. } => 4,
@@ -197,8 +201,9 @@ impl Failure {
             | Self::Item(_)
             | Self::BadLines(_)
             | Self::SomeRefused { .. }
-            | Self::Different { .. }
+            | Self::RepliesDiffer { .. }
             | Self::ListsRefused { .. }
+            | Self::Different
             | Self::Interrupted(_)
             | Self::Stdio(_) => None,
         }
@@ -229,8 +234,8 @@ impl Failure {
 
     /// Prints the message and the hint on stderr; with `json` also as a line of the output, with `name` if given.
     pub(crate) fn print(&self, json: bool, name: Option<&str>) {
-        if matches!(self, Self::SomeRefused { total: 1, .. }) {
-            // the refusal itself has been printed
+        if matches!(self, Self::SomeRefused { total: 1, .. } | Self::Different) {
+            // the refusal itself, or the differences, have been printed
             return;
         }
         // an error of printing cannot be reported
@@ -252,7 +257,7 @@ impl Failure {
         let mut line =
             Line { name, error: escape::cut(self), offset: None, code: None, hresult: None, hint: self.hint() };
         match self {
-            Self::BadLines(_) | Self::SomeRefused { .. } | Self::Different { .. } | Self::ListsRefused { .. } => {
+            Self::BadLines(_) | Self::SomeRefused { .. } | Self::RepliesDiffer { .. } | Self::ListsRefused { .. } => {
                 return None;
             }
             Self::Item(item) => line.offset = Some(item.offset),
@@ -263,6 +268,7 @@ impl Failure {
             | Self::Connection { .. }
             | Self::Timeout { .. }
             | Self::Unfit { .. }
+            | Self::Different
             | Self::Interrupted(_)
             | Self::Stdio(_) => {}
         }

@@ -7,7 +7,7 @@ use std::time::Duration;
 use bcap_core::bcap::{Decoder, FunctionId, Progress};
 use bcap_core::rac::MAX_LINE;
 
-use crate::duration::duration;
+use crate::duration;
 use crate::frame::Role;
 use crate::title::Title;
 
@@ -50,7 +50,7 @@ impl FromStr for Delay {
             Some((time, share)) => (time, share.parse::<Share>()?.share),
             None => (time, 1.0),
         };
-        Ok(Self { time: duration(time)?, share: Share { share, of } })
+        Ok(Self { time: duration::parse(time)?, share: Share { share, of } })
     }
 }
 

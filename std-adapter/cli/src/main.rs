@@ -1,12 +1,15 @@
 //! `bcap`: DENSO robot controllers from the command line.
 
 mod args;
+mod backup;
 mod budget;
 mod call;
 mod capture;
+mod confirm;
 mod connection;
 mod decode;
 mod demo;
+mod disk;
 mod dissect;
 mod doctor;
 mod duration;
@@ -14,27 +17,38 @@ mod error;
 mod escape;
 mod explain;
 mod faults;
+mod files;
 mod frame;
 mod gateway;
+mod get;
 mod halt;
 mod hex;
+mod interrupt;
 mod item;
 mod json;
 mod listen;
+mod named;
 mod output;
+mod place;
 mod plain;
 mod playback;
+mod profile;
+mod profiles;
 mod proxy;
+mod put;
 mod rac;
 mod record;
 mod reference;
+mod remote;
 mod replay;
 mod robot;
 mod rules;
+mod selection;
 mod session;
 mod signal;
 mod sim;
 mod slave;
+mod table;
 mod tap;
 mod target;
 mod text;
@@ -71,21 +85,32 @@ fn recorded(cli: &Cli) -> Result<(), Failure> {
 }
 
 fn run(cli: &Cli) -> Result<(), Failure> {
+    let link = &match &cli.command {
+        Command::Halt(_) => cli.link.with_profile_for_halt()?,
+        command if command.connects() => cli.link.with_profile()?,
+        _ => cli.link.clone(),
+    };
     match &cli.command {
-        Command::Get(args) => variables::get(args, &cli.link, cli.json),
-        Command::Put(args) => variables::put(args, &cli.link, cli.json),
-        Command::Watch(args) => watch::watch(args, &cli.link, cli.json),
-        Command::Names(_) => variables::names(&cli.link, cli.json),
-        Command::Call(args) => call::call(args, &cli.link, cli.json),
-        Command::Exec(args) => call::exec(args, &cli.link, cli.json),
-        Command::Rac(args) => rac::rac(args, &cli.link, cli.json),
-        Command::Sim(args) => sim::sim(args, cli.link.write.as_deref()),
-        Command::Slave(args) => slave::slave(args, &cli.link, cli.json),
-        Command::Halt(_) => halt::halt(&cli.link, cli.json),
-        Command::Doctor(args) => doctor::doctor(args, &cli.link, cli.json),
-        Command::Gateway(args) => gateway::gateway(args, &cli.link),
-        Command::Proxy(args) => proxy::proxy(args, &cli.link, cli.json),
-        Command::Replay(args) => replay::replay(args, &cli.link, cli.json),
+        Command::Get(args) => get::get(args, link, cli.json),
+        Command::Put(args) => put::put(args, link, cli.json),
+        Command::Watch(args) => watch::watch(args, link, cli.json),
+        Command::Names(_) => variables::names(link, cli.json),
+        Command::Ls(args) => files::ls(args, link, cli.json),
+        Command::Cp(args) => files::cp(args, link, cli.json),
+        Command::Dump(args) => backup::dump(args, link, cli.json),
+        Command::Diff(args) => backup::diff(args, link, cli.json),
+        Command::Restore(args) => backup::restore(args, link, cli.json),
+        Command::Profile(args) => profiles::profile(args, cli.json),
+        Command::Call(args) => call::call(args, link, cli.json),
+        Command::Exec(args) => call::exec(args, link, cli.json),
+        Command::Rac(args) => rac::rac(args, link, cli.json),
+        Command::Sim(args) => sim::sim(args, link.write.as_deref()),
+        Command::Slave(args) => slave::slave(args, link, cli.json),
+        Command::Halt(_) => halt::halt(link, cli.json),
+        Command::Doctor(args) => doctor::doctor(args, link, cli.json),
+        Command::Gateway(args) => gateway::gateway(args, link),
+        Command::Proxy(args) => proxy::proxy(args, link, cli.json),
+        Command::Replay(args) => replay::replay(args, link, cli.json),
         Command::Demo(_) => demo::demo(),
         Command::Decode(args) => decode::decode(args, cli.json),
         Command::Encode(args) => decode::encode(args),

@@ -7,12 +7,13 @@ use bcap_core::rac::{Variable, VariableKind};
 use bcap_std::blocking;
 use bcap_std::{Options, RacError};
 
-use crate::args::{Get, LinkArgs, Put, Rac, RacCommand};
+use crate::args::{Get, LinkArgs, Rac, RacCommand, RacPut};
 use crate::budget::Budget;
 use crate::connection::{broken, connect, exhausted};
 use crate::error::Failure;
 use crate::plain;
 use crate::record::{TapedRac, taped_rac};
+use crate::selection::{Selection, expand_offline};
 use crate::value::Value;
 use crate::variables::{print, print_each, shown};
 use bcap_std::Address;
@@ -26,12 +27,13 @@ pub(crate) fn rac(args: &Rac, link: &LinkArgs, json: bool) -> Result<(), Failure
 }
 
 fn get(args: &Get, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let variables = args.names.iter().map(|name| variable(name)).collect::<Result<Vec<_>, _>>()?;
+    let names = expand_offline(&Selection::parse_each(&args.names)?)?;
+    let variables = names.iter().map(|name| variable(name)).collect::<Result<Vec<_>, _>>()?;
     let mut robot = RacLink::open(link)?;
-    print_each(&args.names, &variables, json, |variable| robot.get(*variable))
+    print_each(&names, &variables, json, |variable| robot.get(*variable))
 }
 
-fn put(args: &Put, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+fn put(args: &RacPut, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let variable = variable(&args.name)?;
     let value = if args.typed {
         plain::from_typed_input(&args.value)

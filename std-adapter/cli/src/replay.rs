@@ -52,7 +52,7 @@ pub(crate) fn replay(args: &Replay, link: &LinkArgs, json: bool) -> Result<(), F
     totals.print(json)?;
     match totals.differences {
         0 => Ok(()),
-        different => Err(Failure::Different { different, total: totals.compared }),
+        different => Err(Failure::RepliesDiffer { different, total: totals.compared }),
     }
 }
 

@@ -23,10 +23,10 @@ impl Robot {
     pub(crate) fn resolve(args: &RobotPorts, link: &LinkArgs) -> Result<Self, Failure> {
         let tcp = link.network_target()?;
         let udp = match &args.robot_udp {
-            Some(text) => target::network(Some(text))?,
+            Some(text) => target::network(Some(text), None)?,
             None => tcp.clone(),
         };
-        let rac = target::rac(Some(args.robot_rac.as_deref().unwrap_or(&host(&tcp))))?;
+        let rac = target::rac(Some(args.robot_rac.as_deref().unwrap_or(&host(&tcp))), None, link.rac_port())?;
         let resolve = |address: &NetworkAddress| {
             blocking::resolve(address, Some(link.timeout()))
                 .map_err(|error| not_connected(&error, &Address::Network(address.clone())))

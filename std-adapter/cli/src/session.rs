@@ -21,6 +21,8 @@ pub(crate) struct Session {
     budget: Budget,
     /// The provider for the next Controller_Connect.
     pub(crate) provider: String,
+    /// The option of Controller_Connect.
+    option: String,
 }
 
 /// Runs `body` with a started session, then releases its objects and stops the service.
@@ -38,7 +40,13 @@ impl Session {
     pub(crate) fn open(link: &LinkArgs) -> Result<Self, Failure> {
         let (target, budget) = (link.target()?, Budget::start(link));
         let controller = open(&target, &budget)?;
-        let mut session = Self { controller, target, budget, provider: link.provider.clone() };
+        let mut session = Self {
+            controller,
+            target,
+            budget,
+            provider: link.provider().to_owned(),
+            option: link.connect_option().to_owned(),
+        };
         session.set_budget(budget);
         Ok(session)
     }
@@ -94,7 +102,8 @@ impl Session {
     pub(crate) fn controller(&mut self) -> Result<i32, Failure> {
         if !self.controller.is_connected() {
             let (function, provider) = (FunctionId::CONTROLLER_CONNECT, text(&self.provider)?);
-            let (_, reply) = self.call("", function, &[text("")?, provider, text("localhost")?, text("")?])?;
+            let (_, reply) =
+                self.call("", function, &[text("")?, provider, text("localhost")?, text(&self.option)?])?;
             if !self.controller.is_connected() {
                 let reason = format!("the reply carries {} instead of a handle", described(reply.as_ref()));
                 return Err(self.ended(Error::Reply { function, object: String::new(), reason }));

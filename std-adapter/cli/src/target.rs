@@ -1,6 +1,5 @@
-//! The address of the controller, from the option `--robot` or the environment variable `BCAP_ROBOT`.
-//!
-//! The option has priority; the default is a controller on this machine.
+//! The address of the controller: the option `--robot`, the environment variable `BCAP_ROBOT`, the profile, or a controller
+//! on this machine, in this order.
 
 use std::env;
 
@@ -12,8 +11,8 @@ use crate::error::Failure;
 const RAC_PORT: u16 = 5006;
 
 /// Returns the controller's address for b-CAP.
-pub(crate) fn bcap(option: Option<&str>) -> Result<Address, Failure> {
-    let text = option.map(str::to_owned).or_else(from_environment).unwrap_or_else(|| "tcp:127.0.0.1".into());
+pub(crate) fn bcap(option: Option<&str>, profile: Option<&str>) -> Result<Address, Failure> {
+    let text = option.map(str::to_owned).or_else(|| indirect(profile)).unwrap_or_else(|| "tcp:127.0.0.1".into());
     if text.split_once("://").is_some_and(|(scheme, _)| !is_protocol(scheme)) {
         // the library's message names the text and both forms
         return text.parse().map_err(wrong);
@@ -25,8 +24,8 @@ pub(crate) fn bcap(option: Option<&str>) -> Result<Address, Failure> {
 }
 
 /// Returns the controller's address for b-CAP, for a command that cannot use a serial line.
-pub(crate) fn network(option: Option<&str>) -> Result<NetworkAddress, Failure> {
-    match bcap(option)? {
+pub(crate) fn network(option: Option<&str>, profile: Option<&str>) -> Result<NetworkAddress, Failure> {
+    match bcap(option, profile)? {
         Address::Network(address) => Ok(address),
         other => Err(Failure::Input(format!(
             "{other}: serial lines are not supported by this command; write tcp:HOST[:PORT] or udp:HOST[:PORT]"
@@ -46,25 +45,26 @@ fn without_slashes(text: &str) -> String {
     }
 }
 
-/// Returns the controller's address for RAC. The port after a protocol in the environment variable is the port of b-CAP, so
-/// only the host is used then.
-pub(crate) fn rac(option: Option<&str>) -> Result<NetworkAddress, Failure> {
+/// Returns the controller's address for RAC. The port after a protocol in the environment variable or the profile is the
+/// port of b-CAP, so only the host is used then.
+pub(crate) fn rac(option: Option<&str>, profile: Option<&str>, port: Option<u16>) -> Result<NetworkAddress, Failure> {
+    let rac_port = port.unwrap_or(RAC_PORT);
     if let Some(text) = option {
-        let address = NetworkAddress::parse_or_tcp(&without_slashes(text), RAC_PORT).map_err(wrong)?;
+        let address = NetworkAddress::parse_or_tcp(&without_slashes(text), rac_port).map_err(wrong)?;
         return match address.protocol {
             Protocol::Tcp => Ok(address),
             Protocol::Udp => Err(Failure::Input(format!("{text}: RAC runs over TCP; write HOST[:PORT]"))),
         };
     }
-    match from_environment() {
+    match indirect(profile) {
         Some(text) => {
             let text = without_slashes(&text);
             let names_protocol = text.parse::<Address>().is_ok();
-            let address = NetworkAddress::parse_or_tcp(&text, RAC_PORT).map_err(wrong)?;
-            let port = if names_protocol { RAC_PORT } else { address.port };
+            let address = NetworkAddress::parse_or_tcp(&text, rac_port).map_err(wrong)?;
+            let port = if names_protocol { rac_port } else { address.port };
             Ok(NetworkAddress { protocol: Protocol::Tcp, port, ..address })
         }
-        None => NetworkAddress::parse_or_tcp("127.0.0.1", RAC_PORT).map_err(wrong),
+        None => NetworkAddress::parse_or_tcp("127.0.0.1", rac_port).map_err(wrong),
     }
 }
 
@@ -72,8 +72,9 @@ fn wrong(error: bcap_std::AddressError) -> Failure {
     Failure::Input(error.to_string())
 }
 
-fn from_environment() -> Option<String> {
-    env::var("BCAP_ROBOT").ok().filter(|text| !text.is_empty())
+/// Returns the address of the environment variable, or of the profile.
+fn indirect(profile: Option<&str>) -> Option<String> {
+    env::var("BCAP_ROBOT").ok().filter(|text| !text.is_empty()).or_else(|| profile.map(str::to_owned))
 }
 
 #[cfg(test)]
@@ -82,15 +83,15 @@ mod tests {
 
     #[test]
     fn rac_runs_over_tcp() {
-        assert_eq!(rac(Some("robot")).unwrap().to_string(), "tcp:robot:5006");
-        assert_eq!(rac(Some("tcp://robot")).unwrap().to_string(), "tcp:robot:5006");
-        assert!(rac(Some("udp:robot")).is_err());
-        assert!(rac(Some("serial:/dev/ttyS0")).is_err());
+        assert_eq!(rac(Some("robot"), None, None).unwrap().to_string(), "tcp:robot:5006");
+        assert_eq!(rac(Some("tcp://robot"), None, None).unwrap().to_string(), "tcp:robot:5006");
+        assert!(rac(Some("udp:robot"), None, None).is_err());
+        assert!(rac(Some("serial:/dev/ttyS0"), None, None).is_err());
     }
 
     #[test]
     fn a_command_without_serial_lines_says_so() {
-        let Err(Failure::Input(message)) = network(Some("serial:/dev/ttyS0")) else { panic!("accepted") };
+        let Err(Failure::Input(message)) = network(Some("serial:/dev/ttyS0"), None) else { panic!("accepted") };
         assert!(message.starts_with("serial:/dev/ttyS0?baud=115200: serial lines are not supported"), "{message}");
     }
 
@@ -103,10 +104,10 @@ mod tests {
             ("tcp://robot", "tcp:robot:5007"),
             ("UDP://robot:7/", "udp:robot:7"),
         ] {
-            assert_eq!(bcap(Some(text)).unwrap().to_string(), address);
+            assert_eq!(bcap(Some(text), None).unwrap().to_string(), address);
         }
         for text in ["http://robot", "tcp://", "tcp:///", "serial:"] {
-            assert!(bcap(Some(text)).is_err(), "{text}");
+            assert!(bcap(Some(text), None).is_err(), "{text}");
         }
     }
 }

@@ -1,22 +1,16 @@
-//! `bcap get`, `bcap put` and `bcap names`.
+//! `bcap get` and `bcap names`.
 
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
 use bcap_std::ObjectPath;
 
-use crate::args::{Get, LinkArgs, Put};
+use crate::args::LinkArgs;
 use crate::error::Failure;
 use crate::output::{print_json, print_line};
 use crate::plain;
 use crate::session::{Session, with_session};
 use crate::value::{Value, described, integer, text, to_json};
-
-/// Runs `bcap get`.
-pub(crate) fn get(args: &Get, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let paths = paths(&args.names)?;
-    with_session(link, |session| print_each(&args.names, &paths, json, |path| get_one(session, path)))
-}
 
 /// Reads variables in order and prints their values; continues after a refusal.
 pub(crate) fn print_each<V>(
@@ -37,22 +31,6 @@ pub(crate) fn print_each<V>(
         }
     }
     if refused > 0 { Err(Failure::SomeRefused { refused, total: names.len() }) } else { Ok(()) }
-}
-
-/// Runs `bcap put`.
-pub(crate) fn put(args: &Put, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let path = ObjectPath::variable(&args.name)?;
-    with_session(link, |session| {
-        let variable = session.object(&path)?;
-        let value = if args.typed {
-            plain::from_typed_input(&args.value)
-        } else {
-            plain::from_input(&args.value, read(session, &path, variable)?.as_variant())
-        };
-        let value = value.map_err(Failure::Input)?;
-        session.call(&args.name, FunctionId::VARIABLE_PUT_VALUE, &[integer(variable)?, value.clone()])?;
-        print(&shown(&args.name, &value, json), json)
-    })
 }
 
 pub(crate) fn paths(names: &[String]) -> Result<Vec<ObjectPath>, Failure> {
@@ -165,7 +143,7 @@ impl Lists<'_> {
 }
 
 /// Reads a list of names. A reply that is not a list of strings is an error, so no list is printed in part.
-fn list(session: &mut Session, owner: &ObjectPath, function: FunctionId) -> Result<Vec<String>, Failure> {
+pub(crate) fn list(session: &mut Session, owner: &ObjectPath, function: FunctionId) -> Result<Vec<String>, Failure> {
     let handle = session.object(owner)?;
     let names = session.call(&owner.to_string(), function, &[integer(handle)?, text("")?]);
     let released = match owner.object() {

@@ -5,30 +5,35 @@ use std::time::{Duration, Instant};
 
 use crate::args::{LinkArgs, Watch};
 use crate::error::Failure;
+use crate::selection::{Selection, expand};
 use crate::session::with_session;
 use crate::signal;
+use crate::table::Table;
 use crate::value::Value;
 use crate::variables::{paths, print, read, shown};
 
 /// Runs `bcap watch` until it is interrupted or has done `--count` rounds.
 pub(crate) fn watch(args: &Watch, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let ended = signal::ended()?;
-    let paths = paths(&args.names)?;
+    let selections = Selection::parse_each(&args.names)?;
     with_session(link, |session| {
+        let names = expand(session, &selections)?;
+        let paths = paths(&names)?;
         let variables = paths.iter().map(|path| session.object(path)).collect::<Result<Vec<_>, _>>()?;
-        let mut last: Vec<Option<Value>> = vec![None; paths.len()];
+        let table = args.csv.as_deref().map(Table::create).transpose()?;
         let start = Instant::now();
-        let mut pace = Pace { interval: Duration::from_millis(args.interval), next: start };
+        let mut output =
+            Output { start, changed: args.changed, json, table, last: vec![None; paths.len()], is_new: false };
+        let mut pace = Pace { interval: args.interval, next: start };
         let mut rounds = 0;
         loop {
             session.restart_budget();
-            for (((name, path), variable), last) in args.names.iter().zip(&paths).zip(&variables).zip(&mut last) {
+            let began = start.elapsed();
+            for (n, (path, variable)) in paths.iter().zip(&variables).enumerate() {
                 let value = read(session, path, *variable)?;
-                if !args.changed || last.as_ref() != Some(&value) {
-                    print(&stamped(start.elapsed(), &shown(name, &value, json), json), json)?;
-                }
-                *last = Some(value);
+                output.value(n, &names[n], value)?;
             }
+            output.end_round(began, &names)?;
             rounds += 1;
             if args.count.is_some_and(|count| rounds >= count) {
                 return Ok(());
@@ -43,6 +48,40 @@ pub(crate) fn watch(args: &Watch, link: &LinkArgs, json: bool) -> Result<(), Fai
             }
         }
     })
+}
+
+/// Where the values go.
+struct Output {
+    start: Instant,
+    /// Whether unchanged values are omitted.
+    changed: bool,
+    json: bool,
+    /// Instead of lines.
+    table: Option<Table>,
+    /// The last value of each variable.
+    last: Vec<Option<Value>>,
+    /// Whether this round has a value to show.
+    is_new: bool,
+}
+
+impl Output {
+    fn value(&mut self, n: usize, name: &str, value: Value) -> Result<(), Failure> {
+        let is_new = !self.changed || self.last[n].as_ref() != Some(&value);
+        if is_new && self.table.is_none() {
+            print(&stamped(self.start.elapsed(), &shown(name, &value, self.json), self.json), self.json)?;
+        }
+        self.is_new |= is_new;
+        self.last[n] = Some(value);
+        Ok(())
+    }
+
+    fn end_round(&mut self, began: Duration, names: &[String]) -> Result<(), Failure> {
+        let is_new = std::mem::take(&mut self.is_new);
+        match &mut self.table {
+            Some(table) if is_new => table.push(began, names, self.last.iter().flatten()),
+            _ => Ok(()),
+        }
+    }
 }
 
 /// Adds the time since the start to the beginning of a line.

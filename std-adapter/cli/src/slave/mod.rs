@@ -8,13 +8,11 @@ mod report;
 mod sample;
 mod stream;
 
-use std::io::{self, BufRead, IsTerminal, Write};
-
 use bcap_core::slave::PoseType;
 
 use crate::args::{Cosine, LinkArgs, Play, Slave, SlaveCommand};
+use crate::confirm;
 use crate::error::Failure;
-use crate::escape;
 use poses::Poses;
 pub(crate) use poses::columns;
 use sample::CYCLE;
@@ -66,22 +64,5 @@ fn cosine(args: &Cosine, link: &LinkArgs, json: bool) -> Result<(), Failure> {
 
 /// Asks for confirmation before the robot moves.
 fn confirm(what: &str, yes: bool) -> Result<(), Failure> {
-    if yes {
-        return Ok(());
-    }
-    let input = io::stdin();
-    if !input.is_terminal() {
-        return Err(Failure::Input(format!(
-            "{what}: cannot ask for confirmation, as stdin is not a terminal; give --yes"
-        )));
-    }
-    let mut err = anstream::stderr().lock();
-    write!(err, "{}. The robot will move. Continue? [y/N] ", escape::line(what))?;
-    err.flush()?;
-    let mut line = String::new();
-    input.lock().read_line(&mut line)?;
-    match line.trim().to_ascii_lowercase().as_str() {
-        "y" | "yes" => Ok(()),
-        _ => Err(Failure::Input("not confirmed: the robot was not moved".into())),
-    }
+    confirm::confirm(what, "The robot will move.", "the robot was not moved", yes)
 }

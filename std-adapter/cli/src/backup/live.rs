@@ -1,0 +1,250 @@
+//! Reads a controller.
+//!
+//! The variables of a kind are read through one handle of `I*`, whose PutID chooses the variable: two calls for each instead
+//! of three. If the last variable has another value under its own name, the controller does not support PutID as expected,
+//! and every variable is opened by name.
+
+use std::collections::BTreeSet;
+
+use bcap_core::bcap::{FunctionId, Object};
+use bcap_core::hresult::HResult;
+use bcap_core::rac::VariableKind;
+use bcap_std::ObjectPath;
+
+use super::contents::{About, Contents, UserVariable};
+use crate::error::Failure;
+use crate::named::Entry;
+use crate::remote;
+use crate::selection::{self, is_user_variable};
+use crate::session::Session;
+use crate::value::{Value, integer};
+use crate::variables::{get_one, list, read};
+
+/// The usual system variables, for a controller that does not list its own, or not over UDP.
+const CONTROLLER: [&str; 29] = [
+    "@MODE",
+    "@LOCK",
+    "@TIME",
+    "@CURRENT_TIME",
+    "@BUSY_STATUS",
+    "@TSR_BUSY_STATUS",
+    "@NORMAL_STATUS",
+    "@ERROR_CODE",
+    "@ERROR_CODE_HEX",
+    "@ERROR_DESCRIPTION",
+    "@EMERGENCY_STOP",
+    "@DEADMAN_SW",
+    "@AUTO_ENABLE",
+    "@PROTECTIVE_STOP",
+    "@MAKER_NAME",
+    "@TYPE",
+    "@VERSION",
+    "@FIRMWARE",
+    "@SERIAL_NO",
+    "@IO_ALLOC_MODE",
+    "@VAR_I_LEN",
+    "@VAR_F_LEN",
+    "@VAR_D_LEN",
+    "@VAR_V_LEN",
+    "@VAR_P_LEN",
+    "@VAR_J_LEN",
+    "@VAR_T_LEN",
+    "@VAR_S_LEN",
+    "@VAR_IO_LEN",
+];
+const ROBOT: [&str; 24] = [
+    "@CURRENT_POSITION",
+    "@CURRENT_ANGLE",
+    "@CURRENT_TRANS",
+    "@DEST_POSITION",
+    "@DEST_ANGLE",
+    "@DEST_TRANS",
+    "@SERVO_ON",
+    "@BUSY_STATUS",
+    "@TYPE_NAME",
+    "@TYPE",
+    "@CURRENT_TOOL",
+    "@CURRENT_WORK",
+    "@SPEED",
+    "@ACCEL",
+    "@DECEL",
+    "@JSPEED",
+    "@JACCEL",
+    "@JDECEL",
+    "@HIGH_CURRENT_POSITION",
+    "@HIGH_CURRENT_ANGLE",
+    "@HIGH_CURRENT_TRANS",
+    "@EXTSPEED",
+    "@EXTACCEL",
+    "@EXTDECEL",
+];
+
+/// Reads type, version and serial number.
+pub(super) fn about(session: &mut Session) -> Result<About, Failure> {
+    let mut text = |name: &str| match entry(get_one(session, &ObjectPath::variable(name)?))? {
+        Entry::Value(value) => Ok(value.convert::<String>().unwrap_or_default()),
+        Entry::Refused(_) => Ok::<_, Failure>(String::new()),
+    };
+    Ok(About { kind: text("@TYPE")?, version: text("@VERSION")?, serial: text("@SERIAL_NO")? })
+}
+
+/// Reads everything.
+pub(super) fn contents(session: &mut Session) -> Result<Contents, Failure> {
+    let mut contents = Contents { about: about(session)?, ..Contents::default() };
+    for kind in VariableKind::ALL {
+        let Some(count) = count(session, kind, &mut contents.omitted)? else { continue };
+        variables(session, kind, 0..count, |index, entry| {
+            contents.variables.insert(UserVariable::new(kind, index), entry);
+            Ok(())
+        })?;
+    }
+    for name in system_names(session, &mut contents.omitted)? {
+        if let Some(entry) = system(session, &name)? {
+            contents.system.insert(name, entry);
+        }
+    }
+    for path in files(session, &mut contents.omitted)? {
+        if let Some(bytes) = file(session, &path, &mut contents.omitted)? {
+            contents.files.insert(path, bytes);
+        }
+    }
+    Ok(contents)
+}
+
+/// Reads the number of variables of a kind; `None` after a refusal.
+pub(super) fn count(
+    session: &mut Session,
+    kind: VariableKind,
+    omitted: &mut Vec<String>,
+) -> Result<Option<u32>, Failure> {
+    unless_refused(selection::count(session, kind), omitted)
+}
+
+/// Reads variables of a kind, in order.
+pub(super) fn variables(
+    session: &mut Session,
+    kind: VariableKind,
+    indices: std::ops::Range<u32>,
+    mut each: impl FnMut(u32, Entry) -> Result<(), Failure>,
+) -> Result<(), Failure> {
+    let Some(last) = indices.clone().last() else { return Ok(()) };
+    let wildcard = open_wildcard(session, kind, last)?;
+    for index in indices {
+        let value = match wildcard {
+            Some(handle) => entry(by_id(session, kind, handle, index))?,
+            None => by_name(session, kind, index)?,
+        };
+        each(index, value)?;
+    }
+    wildcard.map_or(Ok(()), |handle| session.release(Object::Variable, handle))
+}
+
+/// Opens `I*`, if the controller has it and reads the last variable through it as by its name.
+fn open_wildcard(session: &mut Session, kind: VariableKind, last: u32) -> Result<Option<i32>, Failure> {
+    let handle = match session.object(&ObjectPath::variable(&format!("{}*", kind.name()))?) {
+        Err(Failure::Refused { .. }) => return Ok(None),
+        opened => opened?,
+    };
+    if entry(by_id(session, kind, handle, last))? == by_name(session, kind, last)? {
+        return Ok(Some(handle));
+    }
+    session.release(Object::Variable, handle)?;
+    Ok(None)
+}
+
+fn by_id(session: &mut Session, kind: VariableKind, handle: i32, index: u32) -> Result<Value, Failure> {
+    // an index is at most 16 bits wide
+    let id = integer(i32::try_from(index).unwrap_or(i32::MAX))?;
+    session.call(kind.name(), FunctionId::VARIABLE_PUT_ID, &[integer(handle)?, id])?;
+    let (_, value) = session.call(kind.name(), FunctionId::VARIABLE_GET_VALUE, &[integer(handle)?])?;
+    Ok(value.unwrap_or_default())
+}
+
+fn by_name(session: &mut Session, kind: VariableKind, index: u32) -> Result<Entry, Failure> {
+    entry(get_one(session, &ObjectPath::variable(&UserVariable::new(kind, index).name())?))
+}
+
+/// Turns a refusal into an entry.
+fn entry(value: Result<Value, Failure>) -> Result<Entry, Failure> {
+    match value {
+        Ok(value) => Ok(Entry::Value(value)),
+        Err(Failure::Refused { code, .. }) => Ok(Entry::Refused(code)),
+        Err(failure) => Err(failure),
+    }
+}
+
+/// Reads a system variable; `None` if it does not exist.
+pub(super) fn system(session: &mut Session, name: &str) -> Result<Option<Entry>, Failure> {
+    let path = ObjectPath::variable(name)?;
+    let variable = match session.object(&path) {
+        Err(Failure::Refused { .. }) => return Ok(None),
+        opened => opened?,
+    };
+    let value = entry(read(session, &path, variable))?;
+    session.release(Object::Variable, variable)?;
+    Ok(Some(value))
+}
+
+/// Returns the names of all system variables: those of the controller, of its robots and of its tasks.
+pub(super) fn system_names(session: &mut Session, omitted: &mut Vec<String>) -> Result<BTreeSet<String>, Failure> {
+    use FunctionId as F;
+    let controller = ObjectPath::controller();
+    let mut names = BTreeSet::new();
+    let mut add = |owner: &ObjectPath, listed: Option<Vec<String>>, usual: &[&str]| {
+        let usual = || usual.iter().map(|name| (*name).to_owned()).collect();
+        let own = listed.unwrap_or_else(usual).into_iter().filter(|name| !is_user_variable(name));
+        names.extend(own.map(|name| owner.clone().join(Object::Variable, name).to_string()));
+    };
+    let listed = listed(session, &controller, F::CONTROLLER_GET_VARIABLE_NAMES)?;
+    add(&controller, listed, &CONTROLLER);
+    let owners = [
+        (Object::Robot, F::CONTROLLER_GET_ROBOT_NAMES, F::ROBOT_GET_VARIABLE_NAMES, &ROBOT[..]),
+        (Object::Task, F::CONTROLLER_GET_TASK_NAMES, F::TASK_GET_VARIABLE_NAMES, &["@STATUS", "@PRIORITY"]),
+    ];
+    for (object, list_owners, list_variables, usual) in owners {
+        for name in unless_absent(list(session, &controller, list_owners), omitted)? {
+            let owner = controller.clone().join(object, name);
+            let listed = self::listed(session, &owner, list_variables)?;
+            add(&owner, listed, usual);
+        }
+    }
+    Ok(names)
+}
+
+/// Lists the variables of an object; `None` after a refusal, also because the list does not fit a datagram.
+fn listed(session: &mut Session, owner: &ObjectPath, function: FunctionId) -> Result<Option<Vec<String>>, Failure> {
+    match list(session, owner, function) {
+        Err(Failure::Refused { .. }) => Ok(None),
+        names => names.map(Some),
+    }
+}
+
+/// Returns the paths of all files.
+pub(super) fn files(session: &mut Session, omitted: &mut Vec<String>) -> Result<Vec<String>, Failure> {
+    unless_absent(remote::walk(session, ""), omitted)
+}
+
+/// Reads a file; `None` after a refusal.
+pub(super) fn file(session: &mut Session, path: &str, omitted: &mut Vec<String>) -> Result<Option<Vec<u8>>, Failure> {
+    unless_refused(remote::read(session, path), omitted)
+}
+
+/// Turns a refusal into an entry of the list of what is omitted.
+fn unless_refused<T>(result: Result<T, Failure>, omitted: &mut Vec<String>) -> Result<Option<T>, Failure> {
+    match result {
+        Err(Failure::Refused { doing, code }) => {
+            omitted.push(format!("{doing}: {code}"));
+            Ok(None)
+        }
+        result => result.map(Some),
+    }
+}
+
+/// As [`unless_refused`], for a list. A controller that does not implement the list has no such objects, so nothing is
+/// omitted then.
+fn unless_absent<T: Default>(list: Result<T, Failure>, omitted: &mut Vec<String>) -> Result<T, Failure> {
+    match list {
+        Err(Failure::Refused { code: HResult::E_NOTIMPL, .. }) => Ok(T::default()),
+        list => Ok(unless_refused(list, omitted)?.unwrap_or_default()),
+    }
+}

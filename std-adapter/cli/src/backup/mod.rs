@@ -1,0 +1,17 @@
+//! `bcap dump`, `bcap diff` and `bcap restore`: backups of a controller in folders.
+//!
+//! `docs/backup.md` describes the format of a folder and what is guaranteed.
+
+mod compare;
+mod contents;
+mod diff;
+mod dump;
+mod folder;
+mod journal;
+mod live;
+mod plan;
+mod restore;
+
+pub(crate) use diff::diff;
+pub(crate) use dump::dump;
+pub(crate) use restore::restore;

@@ -1,0 +1,59 @@
+//! `bcap profile`: lists and shows profiles.
+
+use serde_json::json;
+
+use crate::args::{Profile as Args, ProfileCommand};
+use crate::error::Failure;
+use crate::output::{print_json, print_line};
+use crate::profile::{Profile, Profiles};
+
+/// Runs `bcap profile`.
+pub(crate) fn profile(args: &Args, json: bool) -> Result<(), Failure> {
+    let profiles = Profiles::read()?;
+    match &args.command {
+        ProfileCommand::List if profiles.by_name.is_empty() && !json => {
+            Ok(print_line(&format!("{} has no profiles", profiles.path.display()))?)
+        }
+        ProfileCommand::List => profiles.by_name.iter().try_for_each(|(name, profile)| list(name, profile, json)),
+        ProfileCommand::Show { name } => show(name, profiles.find(name)?, json),
+    }
+}
+
+fn list(name: &str, profile: &Profile, json: bool) -> Result<(), Failure> {
+    if json {
+        return Ok(print_json(&line(name, profile))?);
+    }
+    Ok(print_line(&format!("{name}: {}", profile.address().unwrap_or("no address")))?)
+}
+
+fn show(name: &str, profile: &Profile, json: bool) -> Result<(), Failure> {
+    if json {
+        return Ok(print_json(&line(name, profile))?);
+    }
+    print_line(&format!("[profile.{name}]"))?;
+    for (key, value) in [
+        ("address", profile.address().map(|address| format!("{address:?}"))),
+        ("provider", profile.provider().map(|provider| format!("{provider:?}"))),
+        ("connect_option", profile.connect_option.as_ref().map(|option| format!("{option:?}"))),
+        ("rac_port", profile.rac_port.map(|port| port.to_string())),
+        ("timeout", profile.timeout().map(|timeout| format!("\"{}ms\"", timeout.as_millis()))),
+    ] {
+        if let Some(value) = value {
+            print_line(&format!("{key} = {value}"))?;
+        }
+    }
+    Ok(())
+}
+
+fn line(name: &str, profile: &Profile) -> String {
+    let millis = profile.timeout().map(|timeout| u64::try_from(timeout.as_millis()).unwrap_or(u64::MAX));
+    json!({
+        "name": name,
+        "address": profile.address(),
+        "provider": profile.provider(),
+        "connect_option": profile.connect_option,
+        "rac_port": profile.rac_port,
+        "timeout_ms": millis,
+    })
+    .to_string()
+}

@@ -1,0 +1,120 @@
+//! `bcap put`: writes one variable or several, from the command line or from lines of JSON.
+//!
+//! All values are checked before the first is written.
+
+use std::fs::File;
+use std::io::{self, BufReader};
+use std::path::Path;
+
+use bcap_core::bcap::FunctionId;
+use bcap_std::ObjectPath;
+
+use crate::args::{LinkArgs, Put};
+use crate::error::Failure;
+use crate::named::{self, Entry, Named};
+use crate::plain;
+use crate::session::{Session, with_session};
+use crate::value::{Value, integer};
+use crate::variables::{print, read, shown};
+
+/// A variable and what to write to it.
+struct Write {
+    name: String,
+    path: ObjectPath,
+    data: Data,
+}
+
+enum Data {
+    /// Text of the user, which gets the type of the variable.
+    Plain(String),
+    Value(Value),
+}
+
+/// Runs `bcap put`.
+pub(crate) fn put(args: &Put, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    let writes = match &args.from {
+        Some(path) => from_lines(path)?,
+        None => from_words(args)?,
+    };
+    with_session(link, |session| {
+        let prepared = writes.iter().map(|write| prepare(session, write)).collect::<Result<Vec<_>, _>>()?;
+        for (done, (write, (variable, value))) in writes.iter().zip(&prepared).enumerate() {
+            let arguments = [integer(*variable)?, value.clone()];
+            let written = session.call(&write.name, FunctionId::VARIABLE_PUT_VALUE, &arguments);
+            written.map_err(|failure| after(failure, done, writes.len()))?;
+            print(&shown(&write.name, value, json), json)?;
+        }
+        Ok(())
+    })
+}
+
+/// Opens a variable and returns its handle with the value to write.
+fn prepare(session: &mut Session, write: &Write) -> Result<(i32, Value), Failure> {
+    let variable = session.object(&write.path)?;
+    let value = match &write.data {
+        Data::Value(value) => value.clone(),
+        Data::Plain(text) => {
+            let current = read(session, &write.path, variable)?;
+            plain::from_input(text, current.as_variant())
+                .map_err(|error| Failure::Input(format!("{}: {error}", write.name)))?
+        }
+    };
+    Ok((variable, value))
+}
+
+/// Adds to a refusal how many of several variables have been written.
+fn after(failure: Failure, done: usize, total: usize) -> Failure {
+    match failure {
+        Failure::Refused { doing, code } if total > 1 => {
+            Failure::Refused { doing: format!("{doing} ({done} of {total} are written)"), code }
+        }
+        failure => failure,
+    }
+}
+
+fn from_words(args: &Put) -> Result<Vec<Write>, Failure> {
+    let words: Vec<&String> = args.name.iter().chain(&args.value).chain(&args.more).collect();
+    let pairs: Vec<(&str, &str)> = match words.as_slice() {
+        [name, value] if !name.contains('=') => vec![(name, value)],
+        words => words
+            .iter()
+            .map(|word| word.split_once('=').ok_or_else(|| no_pair(word, words)))
+            .collect::<Result<_, _>>()?,
+    };
+    let write = |(name, text): &(&str, &str)| {
+        let data = if args.typed {
+            Data::Value(plain::from_typed_input(text).map_err(Failure::Input)?)
+        } else {
+            Data::Plain((*text).to_owned())
+        };
+        Ok(Write { name: (*name).to_owned(), path: ObjectPath::variable(name)?, data })
+    };
+    pairs.iter().map(write).collect()
+}
+
+fn no_pair(word: &str, words: &[&String]) -> Failure {
+    match words {
+        [name] => Failure::Input(format!("{name}: the value is missing; write {name} VALUE")),
+        _ => Failure::Input(format!("{word}: write several variables as NAME=VALUE, such as I1=5 I2=7")),
+    }
+}
+
+/// Reads a file of lines of JSON, or the standard input for `-`.
+fn from_lines(path: &Path) -> Result<Vec<Write>, Failure> {
+    let lines = if path == Path::new("-") {
+        named::read_lines(io::stdin().lock(), "the standard input")?
+    } else {
+        let shown = path.display().to_string();
+        let file = File::open(path).map_err(|error| Failure::Input(format!("cannot read {shown}: {error}")))?;
+        named::read_lines(BufReader::new(file), &shown)?
+    };
+    let write = |line: Named| match line.entry {
+        Entry::Value(value) => {
+            Ok(Write { path: ObjectPath::variable(&line.name)?, name: line.name, data: Data::Value(value) })
+        }
+        Entry::Refused(code) => {
+            Err(Failure::Input(format!("{}: the line has no value, the controller refused it with {code}", line.name)))
+        }
+    };
+    lines.into_iter().map(write).collect()
+}

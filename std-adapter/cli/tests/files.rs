@@ -1,0 +1,189 @@
+//! `bcap ls` and `bcap cp`.
+
+mod common;
+#[path = "common/fake.rs"]
+#[allow(dead_code, reason = "this test needs no datagrams from it")]
+mod fake;
+#[path = "common/robot.rs"]
+mod robot;
+
+use std::fs;
+use std::path::PathBuf;
+
+use bcap_core::bcap::FunctionId;
+use bcap_sim::{Config, Profile};
+use common::{Run, bcap, command};
+use fake::{Fake, usual, value};
+use robot::Robot;
+
+/// A robot with files, and a folder of this machine in which the command runs.
+struct Cell {
+    robot: Robot,
+    folder: tempfile::TempDir,
+    /// The robot's files.
+    files: PathBuf,
+}
+
+impl Cell {
+    fn start() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let files = folder.path().join("robot");
+        fs::create_dir_all(files.join("Sub").join("Deep")).unwrap();
+        for (name, text) in [("Pro1.pcs", "one"), ("Pro2.PCS", "two"), ("a.txt", "text"), ("Sub/Pro1.pcs", "below")] {
+            fs::write(files.join(name), text).unwrap();
+        }
+        fs::write(files.join("Sub/Deep/bytes.dat"), [0xff, 0, 0xfe]).unwrap();
+        let robot = Robot::with(Config { files: Some(files.clone()), ..Config::new(Profile::Rc8) });
+        Self { robot, folder, files }
+    }
+
+    fn run(&self, args: &[&str]) -> Run {
+        let args = [args, &["--robot", &self.robot.tcp]].concat();
+        command(&args).current_dir(self.folder.path()).output().unwrap().into()
+    }
+
+    #[track_caller]
+    fn done(&self, args: &[&str]) -> String {
+        let run = self.run(args);
+        assert_eq!((run.err.as_str(), run.code), ("", 0), "{args:?}");
+        run.out
+    }
+
+    #[track_caller]
+    fn refused(&self, args: &[&str], part: &str) {
+        let run = self.run(args);
+        assert!(run.code == 2 && run.err.contains(part) && run.out.is_empty(), "{args:?}: {run:?}");
+    }
+
+    fn read(&self, name: &str) -> Vec<u8> {
+        fs::read(self.folder.path().join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
+    }
+}
+
+#[test]
+fn ls_lists_folders_files_and_wildcards() {
+    let cell = Cell::start();
+    assert_eq!(cell.done(&["ls"]), "/Pro1.pcs\n/Pro2.PCS\n/Sub/\n/a.txt\n");
+    assert_eq!(cell.done(&["ls", "Sub"]), "/Sub/Deep/\n/Sub/Pro1.pcs\n");
+    assert_eq!(cell.done(&["ls", "robot:/Sub/Deep/"]), "/Sub/Deep/bytes.dat\n");
+    assert_eq!(cell.done(&["ls", "/*.pcs"]), "/Pro1.pcs\n/Pro2.PCS\n");
+    assert_eq!(cell.done(&["ls", "*/P*"]), "/Sub/Pro1.pcs\n");
+    assert_eq!(cell.done(&["ls", "S*"]), "/Sub/\n");
+    assert_eq!(cell.done(&["ls", "--long", "/Pro?.pcs"]), "         3  /Pro1.pcs\n         3  /Pro2.PCS\n");
+    assert_eq!(cell.done(&["ls", "--recursive"]), "/Pro1.pcs\n/Pro2.PCS\n/Sub/Deep/bytes.dat\n/Sub/Pro1.pcs\n/a.txt\n");
+    let json = cell.done(&["ls", "--long", "--json", "Sub"]);
+    assert_eq!(
+        json,
+        "{\"folder\":true,\"path\":\"/Sub/Deep\"}\n{\"folder\":false,\"path\":\"/Sub/Pro1.pcs\",\"size\":5}\n"
+    );
+    cell.refused(&["ls", "none"], "robot:/none: the controller has no such file or folder");
+}
+
+#[test]
+fn cp_downloads_files_wildcards_and_folders() {
+    let cell = Cell::start();
+    assert_eq!(cell.done(&["cp", "robot:/Pro1.pcs", "copy.pcs"]), "robot:/Pro1.pcs -> copy.pcs\n");
+    assert_eq!(cell.read("copy.pcs"), b"one");
+    cell.done(&["cp", "robot:/*.pcs", "programs/"]);
+    assert_eq!([cell.read("programs/Pro1.pcs"), cell.read("programs/Pro2.PCS")], [b"one", b"two"]);
+    cell.done(&["cp", "--recursive", "robot:/", "all"]);
+    assert_eq!(cell.read("all/Sub/Deep/bytes.dat"), [0xff, 0, 0xfe]);
+    assert_eq!(cell.read("all/a.txt"), b"text");
+    cell.done(&["cp", "--recursive", "robot:/Sub", "robot:/a.txt", "some/"]);
+    assert_eq!([cell.read("some/Sub/Pro1.pcs"), cell.read("some/a.txt")], [&b"below"[..], b"text"]);
+    cell.refused(&["cp", "robot:/Sub", "x"], "robot:/Sub is a folder; give --recursive");
+    cell.refused(&["cp", "robot:/*.none", "x"], "the controller has no such file");
+}
+
+#[test]
+fn cp_uploads_and_reads_back() {
+    let cell = Cell::start();
+    fs::write(cell.folder.path().join("new.pcs"), "Sub Main ' äöü\r\n").unwrap();
+    fs::create_dir_all(cell.folder.path().join("tree/below")).unwrap();
+    fs::write(cell.folder.path().join("tree/below/b.dat"), [0x80, 0]).unwrap();
+    assert_eq!(cell.done(&["cp", "new.pcs", "robot:/"]), "new.pcs -> robot:/new.pcs\n");
+    assert_eq!(fs::read(cell.files.join("new.pcs")).unwrap(), "Sub Main ' äöü\r\n".as_bytes());
+    cell.done(&["cp", "new.pcs", "robot:/Sub"]);
+    assert!(cell.files.join("Sub/new.pcs").is_file());
+    cell.done(&["cp", "new.pcs", "robot:/Made/Below/other.pcs"]);
+    assert!(cell.files.join("Made/Below/other.pcs").is_file());
+    cell.done(&["cp", "--recursive", "tree", "robot:/copied"]);
+    assert_eq!(fs::read(cell.files.join("copied/below/b.dat")).unwrap(), [0x80, 0]);
+    cell.refused(&["cp", "tree", "robot:/"], "tree is a folder; give --recursive");
+    cell.refused(&["cp", "absent.pcs", "robot:/"], "absent.pcs: No such file");
+    cell.refused(&["cp", "new.pcs", "robot:/S*"], "DEST has no wildcards");
+}
+
+#[test]
+fn nothing_is_overwritten_without_force() {
+    let cell = Cell::start();
+    let kept = |name: &str| fs::write(cell.folder.path().join(name), "kept").unwrap();
+    fs::create_dir(cell.folder.path().join("to")).unwrap();
+    kept("to/Pro2.PCS");
+    kept("Pro1.pcs");
+    cell.refused(&["cp", "robot:/*.pcs", "to"], "exists; give --force to replace it. No file was copied");
+    // all destinations are checked before the first copy
+    assert!(!cell.folder.path().join("to/Pro1.pcs").exists());
+    cell.refused(&["cp", "Pro1.pcs", "robot:/"], "Pro1.pcs exists; give --force");
+    assert_eq!(fs::read(cell.files.join("Pro1.pcs")).unwrap(), b"one");
+    cell.done(&["cp", "--force", "Pro1.pcs", "robot:/"]);
+    assert_eq!(fs::read(cell.files.join("Pro1.pcs")).unwrap(), b"kept");
+    cell.done(&["cp", "--force", "robot:/Pro2.PCS", "to"]);
+    assert_eq!(cell.read("to/Pro2.PCS"), b"two");
+    cell.refused(&["cp", "--force", "robot:/Pro1.pcs", "robot:/Sub/Pro1.pcs", "to"], "two files would have this name");
+    for sides in [["a", "b"], ["robot:/a", "robot:/b"]] {
+        cell.refused(&[&["cp"], &sides[..]].concat(), "write robot:/NAME");
+    }
+    assert_eq!(cell.run(&["cp", "robot:/a"]).code, 2);
+}
+
+#[test]
+fn a_file_is_copied_over_udp_although_the_list_of_names_does_not_fit() {
+    let cell = Cell::start();
+    for number in 0..40 {
+        fs::write(cell.files.join(format!("a program with a long name {number}.pcs")), "x").unwrap();
+    }
+    let run = |args: &[&str]| -> Run {
+        let args = [args, &["--robot", &cell.robot.udp]].concat();
+        command(&args).current_dir(cell.folder.path()).output().unwrap().into()
+    };
+    let copied = run(&["cp", "--json", "robot:/Pro1.pcs", "over-udp.pcs"]);
+    assert_eq!(
+        (copied.out.as_str(), copied.code),
+        ("{\"from\":\"robot:/Pro1.pcs\",\"to\":\"over-udp.pcs\"}\n", 0),
+        "{copied:?}"
+    );
+    assert_eq!(cell.read("over-udp.pcs"), b"one");
+    let copied = run(&["cp", "over-udp.pcs", "robot:/Sub/other.pcs"]);
+    assert_eq!((copied.err.as_str(), copied.code), ("", 0));
+    let listed = run(&["ls"]);
+    assert!(listed.code == 1 && listed.err.contains("E_TOO_MUCH_DATA"), "{listed:?}");
+}
+
+#[test]
+fn a_name_that_leaves_the_folder_is_refused() {
+    for name in ["..\\x.pcs", "../x.pcs", "..", "/x.pcs", "C:x.pcs", ""] {
+        let fake = Fake::tcp(move |request| match request.function() {
+            FunctionId::CONTROLLER_GET_FILE_NAMES => value(vec![name.to_owned()]),
+            FunctionId::CONTROLLER_GET_FILE => value(5),
+            FunctionId::FILE_GET_VALUE => value("x".to_owned()),
+            _ => usual(request),
+        });
+        let folder = tempfile::tempdir().unwrap();
+        let inner = folder.path().join("a").join("b");
+        let run = bcap(&["cp", "--recursive", "robot:/", inner.to_str().unwrap(), "--robot", &fake.address]);
+        assert!(run.code == 3 && run.err.contains("unsafe name"), "{name}: {run:?}");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0, "{name}");
+    }
+}
+
+#[test]
+fn folders_without_end_are_an_error() {
+    let fake = Fake::tcp(|request| match request.function() {
+        FunctionId::CONTROLLER_GET_FILE_NAMES | FunctionId::FILE_GET_FILE_NAMES => value(vec!["again\\".to_owned()]),
+        FunctionId::CONTROLLER_GET_FILE => value(5),
+        _ => usual(request),
+    });
+    let run = bcap(&["ls", "--recursive", "--robot", &fake.address]);
+    assert!(run.code == 3 && run.err.contains("more than 32 folders in one another"), "{run:?}");
+}
