@@ -8,17 +8,19 @@ use std::time::Duration;
 
 use bcap_sim::Profile;
 use clap::{Args, Parser, Subcommand};
-use clap_complete::Shell;
 
+mod session;
 mod slave;
 
+pub(crate) use self::session::{Clear, Errors, Messages, MoveArgs, Run, Shell, Task, TaskCommand};
 pub(crate) use self::slave::{Cosine, Doctor, Halt, Play, Record, Slave, SlaveCommand, StreamArgs};
 use crate::error::Failure;
 use crate::escape;
 use crate::frame::Role;
 use crate::rules::AllowPut;
 use crate::target;
-use bcap_std::{Address, NetworkAddress};
+use crate::trace::Level;
+use bcap_std::{Address, NetworkAddress, Protocol};
 
 /// Talks to DENSO robot controllers over b-CAP and RAC, and decodes their traffic.
 #[derive(Debug, Parser)]
@@ -63,7 +65,7 @@ impl Cli {
 }
 
 /// Parses a time: a number of milliseconds, or a number with `ms`, `s` or `min`, from 1 ms to a day.
-fn duration(text: &str) -> Result<Duration, String> {
+pub(crate) fn duration(text: &str) -> Result<Duration, String> {
     const DAY: u64 = 86_400_000;
     let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
     let (number, unit) = text.split_at(digits);
@@ -103,6 +105,25 @@ pub(crate) struct LinkArgs {
     /// The provider to connect to; an RC9 or a COBOTTA PRO has CaoProv.DENSO.VRC9
     #[arg(long, global = true, value_name = "NAME", default_value = "CaoProv.DENSO.VRC")]
     pub(crate) provider: String,
+
+    /// The machine name of Controller_Connect; for an RC9 the specification asks for the address of the controller
+    #[arg(long, global = true, value_name = "NAME", default_value = "localhost")]
+    pub(crate) machine: String,
+
+    /// The option of Controller_Connect
+    #[arg(long, global = true, value_name = "TEXT", default_value = "")]
+    pub(crate) option: String,
+
+    /// The attempts of a call over UDP, 1 to 7; other numbers become the nearest. They share the time limit of an answer,
+    /// at least 100 ms each, so that the controller's keep-alives arrive before an attempt ends
+    #[arg(long, global = true, value_name = "N", default_value_t = 5)]
+    pub(crate) attempts: u32,
+
+    /// Prints each packet that is sent (->) and received (<-) on the standard error: headers, values, or bytes beside the
+    /// values
+    #[arg(long, global = true, value_name = "LEVEL", num_args = 0..=1, require_equals = true,
+          default_missing_value = "bytes")]
+    pub(crate) trace: Option<Level>,
 }
 
 impl LinkArgs {
@@ -136,15 +157,33 @@ impl LinkArgs {
         Self { timeout: Some(self.timeout()), ..self.clone() }
     }
 
-    /// Returns the option of Service_Start: a third of the timeout as keep-alive interval, at most 400 ms.
+    /// Returns the attempts of a call over UDP (S2:1493).
+    pub(crate) fn attempts(&self) -> u8 {
+        let most = u8::try_from(self.attempts.clamp(1, 7)).unwrap_or(7);
+        let room = self.timeout().as_millis() / SHORTEST_ATTEMPT.as_millis();
+        most.min(u8::try_from(room).unwrap_or(u8::MAX)).max(1)
+    }
+
+    /// Returns whether the controller is at a serial line.
+    pub(crate) fn is_serial(&self) -> bool {
+        matches!(self.target(), Ok(Address::Serial(_)))
+    }
+
+    /// Returns the option of Service_Start: a third of an attempt as keep-alive interval, from 80 ms to 400 ms. A keep-alive
+    /// that came after the attempt would make a long call fail or be repeated.
     pub(crate) fn start_option(&self) -> String {
-        match self.timeout().as_millis() / 3 {
-            // a server refuses intervals below 80 ms (S2:225)
-            0..80 => String::new(),
-            interval => format!("WDT={}", interval.min(400)),
+        let is_udp = matches!(self.network_target(), Ok(NetworkAddress { protocol: Protocol::Udp, .. }));
+        let attempt = self.timeout().as_millis() / if is_udp { u128::from(self.attempts()) } else { 1 };
+        // a server refuses intervals below 80 ms (S2:225)
+        match (attempt / 3).clamp(80, 400) {
+            interval if interval < attempt => format!("WDT={interval}"),
+            _ => String::new(),
         }
     }
 }
+
+/// The shortest attempt of a call over UDP: longer than the shortest interval of keep-alives.
+const SHORTEST_ATTEMPT: Duration = Duration::from_millis(100);
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
@@ -154,6 +193,13 @@ pub(crate) enum Command {
     Names(Names),
     Call(Call),
     Exec(Exec),
+    Move(MoveArgs),
+    Task(Task),
+    Errors(Errors),
+    Clear(Clear),
+    Messages(Messages),
+    Shell(Shell),
+    Run(Run),
     Rac(Rac),
     Sim(Sim),
     Slave(Slave),
@@ -260,6 +306,9 @@ pub(crate) struct Names {}
 /// be plain data. A missing last `option` is an empty string, a missing last `param` is EMPTY. The command starts the
 /// service and connects to the controller as needed.
 ///
+/// What a call does for its session only, such as to take the arm, ends with the command; `bcap move` does a whole motion,
+/// `bcap shell` and `bcap run` keep a session.
+///
 /// `bcap call FUNCTION --help` prints what FUNCTION does, its arguments with units, what it returns, and which controllers
 /// have it.
 #[derive(Debug, Args)]
@@ -268,7 +317,7 @@ pub(crate) struct Names {}
 Examples:
   bcap call ControllerGetName controller
   bcap call VariablePutValue variable:I1 3,42
-  bcap call Robot_Move robot 3,2 '8,@E P1' 8,SPEED=10
+  bcap call Robot_GetVariableNames robot
   bcap call 17 controller SysState
   bcap call TaskStart task:Pro1 1
   bcap call ServiceStart 8,WDT=400
@@ -295,13 +344,15 @@ pub(crate) struct Call {
 /// Executes a command of the controller or a robot
 ///
 /// OBJECT is controller, robot, robot:NAME, task:NAME, file:NAME or extension:NAME. ARG is TYPE,DATA; otherwise an integer
-/// is sent as I4, another number as R8, any other text as a string. Without ARG the parameter is EMPTY.
+/// is sent as I4, another number as R8, any other text as a string. Without ARG the parameter is EMPTY. Several ARG are an
+/// array: of I4, else of R8, else of VARIANT. What a command takes for this session only, such as the arm, is given back
+/// when `bcap exec` ends; `bcap shell` and `bcap run` keep it.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   bcap exec controller SysState
   bcap exec controller GetErrorDescription -2147481344
-  bcap exec robot TakeArm 8195,0,0
+  bcap exec robot TakeArm 0 1
   bcap exec robot CurPos --json")]
 pub(crate) struct Exec {
     /// The object
@@ -310,9 +361,9 @@ pub(crate) struct Exec {
     /// The command; case does not matter
     pub(crate) command: String,
 
-    /// Its parameter
+    /// Its parameter, or the elements of its parameter
     #[arg(value_name = "ARG", allow_negative_numbers = true)]
-    pub(crate) argument: Option<String>,
+    pub(crate) arguments: Vec<String>,
 }
 
 /// Reads and writes variables over RAC, the text protocol
@@ -692,5 +743,5 @@ Examples:
   bcap completions fish >~/.config/fish/completions/bcap.fish")]
 pub(crate) struct Completions {
     /// The shell
-    pub(crate) shell: Shell,
+    pub(crate) shell: clap_complete::Shell,
 }

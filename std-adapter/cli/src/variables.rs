@@ -5,17 +5,30 @@ use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
 use bcap_std::ObjectPath;
 
-use crate::args::{Get, LinkArgs, Put};
+use crate::args::{Get, Put};
 use crate::error::Failure;
+use crate::hex;
 use crate::output::{print_json, print_line};
 use crate::plain;
-use crate::session::{Session, with_session};
+use crate::session::Session;
 use crate::value::{Value, described, integer, text, to_json};
+use crate::words::LAST_PACKETS;
 
 /// Runs `bcap get`.
-pub(crate) fn get(args: &Get, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+pub(crate) fn get(args: &Get, session: &mut Session, json: bool) -> Result<(), Failure> {
     let paths = paths(&args.names)?;
-    with_session(link, |session| print_each(&args.names, &paths, json, |path| get_one(session, path)))
+    print_each(&args.names, &paths, json, |path| match last_packet(session, &path.to_string()) {
+        Some(bytes) => text(&hex::spaced(&bytes)),
+        None => get_one(session, path),
+    })
+}
+
+/// Returns the packet of a variable of the b-CAP Tester's debug mode (S2:1500); `None` for another name.
+fn last_packet(session: &Session, name: &str) -> Option<Vec<u8>> {
+    match LAST_PACKETS.iter().position(|known| name.strip_prefix("variable:").unwrap_or(name) == *known)? {
+        0 => Some(session.packets.last_sent()),
+        _ => Some(session.packets.last_received()),
+    }
 }
 
 /// Reads variables in order and prints their values; continues after a refusal.
@@ -40,19 +53,41 @@ pub(crate) fn print_each<V>(
 }
 
 /// Runs `bcap put`.
-pub(crate) fn put(args: &Put, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let path = ObjectPath::variable(&args.name)?;
-    with_session(link, |session| {
-        let variable = session.object(&path)?;
-        let value = if args.typed {
-            plain::from_typed_input(&args.value)
+pub(crate) fn put(args: &Put, session: &mut Session, json: bool) -> Result<(), Failure> {
+    let value = put_one(session, &args.name, &args.value, args.typed)?;
+    print(&shown(&args.name, &value, json), json)
+}
+
+/// Writes a variable and releases it. Returns the value.
+pub(crate) fn put_one(session: &mut Session, name: &str, input: &str, typed: bool) -> Result<Value, Failure> {
+    let path = ObjectPath::variable(name)?;
+    released(session, &path, |session, variable| {
+        let value = if typed {
+            plain::from_typed_input(input)
         } else {
-            plain::from_input(&args.value, read(session, &path, variable)?.as_variant())
+            plain::from_input(input, read(session, &path, variable)?.as_variant())
         };
         let value = value.map_err(Failure::Input)?;
-        session.call(&args.name, FunctionId::VARIABLE_PUT_VALUE, &[integer(variable)?, value.clone()])?;
-        print(&shown(&args.name, &value, json), json)
+        session.call(name, FunctionId::VARIABLE_PUT_VALUE, &[integer(variable)?, value.clone()])?;
+        Ok(value)
     })
+}
+
+/// Opens a variable for `body`, then releases it.
+fn released<T>(
+    session: &mut Session,
+    path: &ObjectPath,
+    body: impl FnOnce(&mut Session, i32) -> Result<T, Failure>,
+) -> Result<T, Failure> {
+    let variable = session.object(path)?;
+    let done = body(session, variable);
+    if done.as_ref().is_err_and(|failure| !failure.leaves_the_session_alive()) {
+        return done;
+    }
+    let released = session.release(Object::Variable, variable);
+    // an error of the body is more useful than an error of the release
+    let done = done?;
+    released.map(|()| done)
 }
 
 pub(crate) fn paths(names: &[String]) -> Result<Vec<ObjectPath>, Failure> {
@@ -61,12 +96,7 @@ pub(crate) fn paths(names: &[String]) -> Result<Vec<ObjectPath>, Failure> {
 
 /// Reads a variable and releases it.
 pub(crate) fn get_one(session: &mut Session, path: &ObjectPath) -> Result<Value, Failure> {
-    let variable = session.object(path)?;
-    let value = read(session, path, variable);
-    let released = session.release(Object::Variable, variable);
-    // an error of the read is more useful than an error of the release
-    let value = value?;
-    released.map(|()| value)
+    released(session, path, |session, variable| read(session, path, variable))
 }
 
 /// Reads an opened variable.
@@ -101,22 +131,37 @@ const LISTS: [(Object, FunctionId); 6] = [
 ];
 
 /// Runs `bcap names`.
-pub(crate) fn names(link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    with_session(link, |session| {
-        let mut lists = Lists { session, json, total: 0, missing: 0, refused: 0 };
-        let controller = ObjectPath::controller();
-        for (object, function) in LISTS {
-            for path in lists.print(&controller, object, function)? {
-                let inner = match object {
-                    Object::Robot => FunctionId::ROBOT_GET_VARIABLE_NAMES,
-                    Object::Task => FunctionId::TASK_GET_VARIABLE_NAMES,
-                    _ => continue,
-                };
-                lists.print(&path, Object::Variable, inner)?;
-            }
+pub(crate) fn names(session: &mut Session, json: bool) -> Result<(), Failure> {
+    let mut lists = Lists { session, json, total: 0, missing: 0, refused: 0 };
+    let controller = ObjectPath::controller();
+    for (object, function) in LISTS {
+        for path in lists.print(&controller, object, function)? {
+            let inner = match object {
+                Object::Robot => FunctionId::ROBOT_GET_VARIABLE_NAMES,
+                Object::Task => FunctionId::TASK_GET_VARIABLE_NAMES,
+                _ => continue,
+            };
+            lists.print(&path, Object::Variable, inner)?;
         }
-        lists.end()
-    })
+    }
+    lists.end()
+}
+
+/// Returns the names of all lists that the controller has, for completion.
+pub(crate) fn all_names(session: &mut Session) -> Vec<String> {
+    let mut all = Vec::new();
+    let controller = ObjectPath::controller();
+    for (object, function) in LISTS {
+        for name in list(session, &controller, function).unwrap_or_default() {
+            let path = controller.clone().join(object, name);
+            if object == Object::Robot {
+                let inner = list(session, &path, FunctionId::ROBOT_GET_VARIABLE_NAMES).unwrap_or_default();
+                all.extend(inner.into_iter().map(|name| format!("robot/{name}")));
+            }
+            all.push(path.to_string());
+        }
+    }
+    all
 }
 
 /// Prints the lists of `bcap names`: each completely, or not at all. A refused list is reported, except one that the
@@ -169,7 +214,8 @@ fn list(session: &mut Session, owner: &ObjectPath, function: FunctionId) -> Resu
     let handle = session.object(owner)?;
     let names = session.call(&owner.to_string(), function, &[integer(handle)?, text("")?]);
     let released = match owner.object() {
-        Object::Controller => Ok(()),
+        // the robot stays open, because it may have the arm
+        Object::Controller | Object::Robot => Ok(()),
         object => session.release(object, handle),
     };
     // an error of the list is more useful than an error of the release

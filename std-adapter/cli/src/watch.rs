@@ -3,46 +3,44 @@
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 
-use crate::args::{LinkArgs, Watch};
+use crate::args::Watch;
 use crate::error::Failure;
-use crate::session::with_session;
+use crate::session::Session;
 use crate::signal;
 use crate::value::Value;
 use crate::variables::{paths, print, read, shown};
 
 /// Runs `bcap watch` until it is interrupted or has done `--count` rounds.
-pub(crate) fn watch(args: &Watch, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+pub(crate) fn watch(args: &Watch, session: &mut Session, json: bool) -> Result<(), Failure> {
     let ended = signal::ended()?;
     let paths = paths(&args.names)?;
-    with_session(link, |session| {
-        let variables = paths.iter().map(|path| session.object(path)).collect::<Result<Vec<_>, _>>()?;
-        let mut last: Vec<Option<Value>> = vec![None; paths.len()];
-        let start = Instant::now();
-        let mut pace = Pace { interval: Duration::from_millis(args.interval), next: start };
-        let mut rounds = 0;
-        loop {
-            session.restart_budget();
-            for (((name, path), variable), last) in args.names.iter().zip(&paths).zip(&variables).zip(&mut last) {
-                let value = read(session, path, *variable)?;
-                if !args.changed || last.as_ref() != Some(&value) {
-                    print(&stamped(start.elapsed(), &shown(name, &value, json), json), json)?;
-                }
-                *last = Some(value);
+    let variables = paths.iter().map(|path| session.object(path)).collect::<Result<Vec<_>, _>>()?;
+    let mut last: Vec<Option<Value>> = vec![None; paths.len()];
+    let start = Instant::now();
+    let mut pace = Pace { interval: Duration::from_millis(args.interval), next: start };
+    let mut rounds = 0;
+    loop {
+        session.restart_budget();
+        for (((name, path), variable), last) in args.names.iter().zip(&paths).zip(&variables).zip(&mut last) {
+            let value = read(session, path, *variable)?;
+            if !args.changed || last.as_ref() != Some(&value) {
+                print(&stamped(start.elapsed(), &shown(name, &value, json), json), json)?;
             }
-            rounds += 1;
-            if args.count.is_some_and(|count| rounds >= count) {
+            *last = Some(value);
+        }
+        rounds += 1;
+        if args.count.is_some_and(|count| rounds >= count) {
+            return Ok(());
+        }
+        match ended.recv_timeout(pace.until_next(Instant::now())) {
+            Err(RecvTimeoutError::Timeout) => {}
+            Ok(()) | Err(RecvTimeoutError::Disconnected) => {
+                // the time limit covers the end of the session, not the wait before it
+                session.restart_budget();
                 return Ok(());
             }
-            match ended.recv_timeout(pace.until_next(Instant::now())) {
-                Err(RecvTimeoutError::Timeout) => {}
-                Ok(()) | Err(RecvTimeoutError::Disconnected) => {
-                    // the time limit covers the end of the session, not the wait before it
-                    session.restart_budget();
-                    return Ok(());
-                }
-            }
         }
-    })
+    }
 }
 
 /// Adds the time since the start to the beginning of a line.

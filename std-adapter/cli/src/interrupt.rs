@@ -1,0 +1,211 @@
+//! Signals while a command may move the robot: SIGINT (Ctrl-C) halts it, SIGTERM and SIGHUP also end the command.
+//!
+//! The session of the command waits for a reply then, so the halt has a session of its own, which is opened before the motion
+//! begins. The command gives the arm back when its call has ended.
+
+use std::io;
+use std::process;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, channel};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use crate::args::LinkArgs;
+use crate::error::Failure;
+use crate::session::Session;
+
+/// How long a motion that begins beside a halt may run until the next halt.
+const AGAIN: Duration = Duration::from_millis(50);
+
+/// What signals do.
+#[derive(Clone)]
+pub(crate) struct Interrupt(Arc<Shared>);
+
+struct Shared {
+    /// Whether a signal arrived since the beginning of the line.
+    interrupted: Mutex<bool>,
+    changed: Condvar,
+    /// Whether the command must end.
+    ended: AtomicBool,
+    /// Whether this command may move the robot now.
+    moving: AtomicBool,
+    /// The session that halts.
+    stopper: Mutex<Option<Session>>,
+}
+
+/// A signal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Signal {
+    /// SIGINT.
+    Interrupt,
+    /// SIGTERM or SIGHUP.
+    End,
+}
+
+impl Interrupt {
+    /// Handles signals from now on. `end` is called on SIGTERM and SIGHUP while no line runs.
+    pub(crate) fn install(end: impl Fn() + Send + 'static) -> io::Result<Self> {
+        let interrupt = Self(Arc::new(Shared {
+            interrupted: Mutex::new(false),
+            changed: Condvar::new(),
+            ended: AtomicBool::new(false),
+            moving: AtomicBool::new(false),
+            stopper: Mutex::new(None),
+        }));
+        let (signals, handler) = (signals()?, interrupt.clone());
+        thread::Builder::new().name("interrupt".into()).spawn(move || {
+            while let Ok(signal) = signals.recv() {
+                handler.signalled(signal, &signals);
+                if signal == Signal::End {
+                    end();
+                }
+            }
+        })?;
+        Ok(interrupt)
+    }
+
+    fn signalled(&self, signal: Signal, more: &Receiver<Signal>) {
+        let Self(shared) = self;
+        if signal == Signal::End {
+            shared.ended.store(true, Ordering::SeqCst);
+        }
+        *shared.interrupted.lock().unwrap_or_else(PoisonError::into_inner) = true;
+        shared.changed.notify_all();
+        let mut reported = false;
+        // a motion may begin just after a halt, so halt until the command has ended its call
+        while shared.moving.load(Ordering::SeqCst) {
+            if let Err(failure) = self.halt()
+                && !reported
+            {
+                failure.print(false, None);
+                reported = true;
+            }
+            if more.recv_timeout(AGAIN).is_ok() {
+                Failure::Interrupted(
+                    "interrupted again; the controller gives the arm back when it notices the end of the connection"
+                        .into(),
+                )
+                .print(false, None);
+                process::exit(130);
+            }
+        }
+    }
+
+    /// Halts the robot over the session that [`prepare`](Self::prepare) opened.
+    pub(crate) fn halt(&self) -> Result<(), Failure> {
+        let mut stopper = self.0.stopper.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(session) = stopper.as_mut() else { return Ok(()) };
+        if session.is_lost() {
+            session.reconnect()?;
+        }
+        session.restart_budget();
+        session.with(|controller| controller.robot()?.halt().map(drop))
+    }
+
+    /// Opens the session that halts, unless it is open. A serial line carries one session, so nothing can halt there.
+    pub(crate) fn prepare(&self, link: &LinkArgs) -> Result<(), Failure> {
+        let mut stopper = self.0.stopper.lock().unwrap_or_else(PoisonError::into_inner);
+        if stopper.is_none() && !link.is_serial() {
+            let mut session = Session::new(&LinkArgs { trace: None, ..link.limited() });
+            // the handle must exist before it is needed
+            session.with(|controller| controller.robot().map(drop))?;
+            *stopper = Some(session);
+        }
+        Ok(())
+    }
+
+    /// Begins a line: forgets earlier interruptions.
+    pub(crate) fn begin(&self) {
+        *self.0.interrupted.lock().unwrap_or_else(PoisonError::into_inner) = false;
+    }
+
+    /// Sets whether the command may move the robot from now on.
+    pub(crate) fn set_moving(&self, moving: bool) {
+        self.0.moving.store(moving, Ordering::SeqCst);
+    }
+
+    /// Returns whether a signal arrived since the beginning of the line.
+    pub(crate) fn is_interrupted(&self) -> bool {
+        *self.0.interrupted.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Returns whether the command must end.
+    pub(crate) fn is_ended(&self) -> bool {
+        self.0.ended.load(Ordering::SeqCst)
+    }
+
+    /// Waits; an interruption ends that with an error.
+    pub(crate) fn sleep(&self, time: Duration) -> Result<(), Failure> {
+        let until = Instant::now() + time;
+        let mut interrupted = self.0.interrupted.lock().unwrap_or_else(PoisonError::into_inner);
+        loop {
+            let left = until.saturating_duration_since(Instant::now());
+            if *interrupted {
+                return Err(Failure::Interrupted("interrupted".into()));
+            }
+            if left.is_zero() {
+                return Ok(());
+            }
+            let waited = self.0.changed.wait_timeout(interrupted, left);
+            interrupted = waited.unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+}
+
+/// Returns a receiver of all further signals.
+fn signals() -> io::Result<Receiver<Signal>> {
+    let (sender, receiver) = channel();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
+    let mut sources = {
+        let _inside = runtime.enter();
+        Sources::new()?
+    };
+    thread::Builder::new().name("signals".into()).spawn(move || {
+        runtime.block_on(async { while sender.send(sources.next().await).is_ok() {} });
+    })?;
+    Ok(receiver)
+}
+
+#[cfg(unix)]
+struct Sources {
+    interrupt: tokio::signal::unix::Signal,
+    terminate: tokio::signal::unix::Signal,
+    hangup: tokio::signal::unix::Signal,
+}
+
+#[cfg(unix)]
+impl Sources {
+    fn new() -> io::Result<Self> {
+        use tokio::signal::unix::{SignalKind, signal};
+        let [interrupt, terminate, hangup] =
+            [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()].map(signal);
+        Ok(Self { interrupt: interrupt?, terminate: terminate?, hangup: hangup? })
+    }
+
+    async fn next(&mut self) -> Signal {
+        tokio::select! {
+            _ = self.interrupt.recv() => Signal::Interrupt,
+            _ = self.terminate.recv() => Signal::End,
+            _ = self.hangup.recv() => Signal::End,
+        }
+    }
+}
+
+#[cfg(not(unix))]
+struct Sources;
+
+#[cfg(not(unix))]
+impl Sources {
+    fn new() -> io::Result<Self> {
+        Ok(Self)
+    }
+
+    async fn next(&mut self) -> Signal {
+        // without a handler there is no signal
+        if tokio::signal::ctrl_c().await.is_err() {
+            std::future::pending::<()>().await;
+        }
+        Signal::Interrupt
+    }
+}
