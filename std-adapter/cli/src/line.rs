@@ -158,13 +158,14 @@ impl Runner {
         if !self.interrupt.is_interrupted() {
             return done;
         }
-        let what = if had_arm || session.has_arm() {
+        if had_arm || session.has_arm() {
             session.give_arm()?;
-            "interrupted: the robot was halted, and the arm was given back"
-        } else {
-            "interrupted"
-        };
-        Err(Failure::Interrupted(what.into()))
+            return Err(interrupted());
+        }
+        match done {
+            Err(Failure::Interrupted(_)) => done,
+            _ => Err(Failure::Interrupted("interrupted".into())),
+        }
     }
 
     fn command(&mut self, line: &Line, session: &mut Session) -> Result<Flow, Failure> {
@@ -260,6 +261,11 @@ fn expect(condition: &Condition, session: &mut Session) -> Result<(), Failure> {
             Err(Failure::Unfit { message, code: None, hint: None })
         }
     }
+}
+
+/// The failure of a command that a signal interrupted while this session had the arm.
+pub(crate) fn interrupted() -> Failure {
+    Failure::Interrupted("interrupted: the robot was halted, and the arm was given back".into())
 }
 
 /// Returns whether a command may take the arm or move the robot.

@@ -7,6 +7,7 @@ use bcap_std::{Move, ObjectPath};
 use crate::args::MoveArgs;
 use crate::error::Failure;
 use crate::interrupt::Interrupt;
+use crate::line::interrupted;
 use crate::output::{print_json, print_line};
 use crate::session::Session;
 use crate::value::{integer, text};
@@ -27,7 +28,6 @@ pub(crate) fn motion(args: &MoveArgs, session: &mut Session, json: bool) -> Resu
             args.speed.unwrap_or(0.0)
         )));
     }
-    let is_line = session.interrupt.is_some();
     let interrupt = match &session.interrupt {
         Some(interrupt) => interrupt.clone(),
         None => session.interrupt.insert(Interrupt::install(|| {})?).clone(),
@@ -40,10 +40,8 @@ pub(crate) fn motion(args: &MoveArgs, session: &mut Session, json: bool) -> Resu
         // the arm is given back also after an error
         let given = session.give_arm();
         interrupt.set_moving(false);
-        if !is_line && interrupt.is_interrupted() {
-            given?;
-            let what = "interrupted: the robot was halted, and the arm was given back";
-            return Err(Failure::Interrupted(what.into()));
+        if interrupt.is_interrupted() {
+            return given.and(Err(interrupted()));
         }
         given.and(ended).and_then(|ended| concluded(args, ended, json))
     } else {
@@ -111,7 +109,7 @@ fn concluded(args: &MoveArgs, ended: Option<Motion>, json: bool) -> Result<(), F
     let to = &args.to;
     let unfit = |message: String, code| Err(Failure::Unfit { message, code, hint: None });
     match ended {
-        // the line of the shell or the script reports the interruption
+        // interrupted, which the line of the shell or the script reports
         None => Ok(()),
         Some(Motion::Arrived) => {
             let state = if args.no_wait { "started" } else { "arrived" };
