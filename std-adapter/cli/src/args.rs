@@ -9,9 +9,11 @@ use std::time::Duration;
 use bcap_sim::Profile;
 use clap::{Args, Parser, Subcommand};
 
+mod raw;
 mod session;
 mod slave;
 
+pub(crate) use self::raw::Raw;
 pub(crate) use self::session::{Clear, Errors, Messages, MoveArgs, Run, Shell, Task, TaskCommand};
 pub(crate) use self::slave::{Cosine, Doctor, Halt, Play, Record, Slave, SlaveCommand, StreamArgs};
 use crate::error::Failure;
@@ -200,6 +202,7 @@ pub(crate) enum Command {
     Messages(Messages),
     Shell(Shell),
     Run(Run),
+    Raw(Raw),
     Rac(Rac),
     Sim(Sim),
     Slave(Slave),

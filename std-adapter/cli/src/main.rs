@@ -24,6 +24,7 @@ mod motion;
 mod output;
 mod plain;
 mod rac;
+mod raw;
 mod reference;
 mod rules;
 mod script;
@@ -90,6 +91,7 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Messages(args) => trouble::messages(args, session, json),
         Command::Shell(_) => shell::shell(session, json),
         Command::Run(args) => script::run(args, session, json),
+        Command::Raw(args) => raw::raw(args, link, json),
         Command::Rac(args) => rac::rac(args, link, json),
         Command::Sim(args) => sim::sim(args),
         Command::Slave(args) => slave::slave(args, link, json),

@@ -97,13 +97,10 @@ impl Packets {
         slot.extend_from_slice(bytes);
         drop(last);
         if let Some(level) = self.level {
-            let mut arrow = if role == Role::Request { "->" } else { "<-" };
-            let mut err = io::stderr().lock();
-            for line in shown(role, wire, bytes, level).lines() {
-                // an error of the standard error cannot be reported
-                let _ = writeln!(err, "{arrow} {}", escape::line(line));
-                arrow = "  ";
-            }
+            let arrow = if role == Role::Request { "->" } else { "<-" };
+            let text = with_arrow(arrow, &shown(role, wire, bytes, level));
+            // an error of the standard error cannot be reported
+            let _ = writeln!(io::stderr().lock(), "{}", escape::block(&text));
         }
     }
 }
@@ -134,8 +131,13 @@ impl<X> Traced<X> {
     }
 }
 
+/// Puts an arrow before the first line, and blanks before the others.
+pub(crate) fn with_arrow(arrow: &str, lines: &str) -> String {
+    format!("{arrow} {}", lines.replace('\n', "\n   "))
+}
+
 /// Returns the length of the first packet, if it is complete. Bytes that cannot be a frame are a packet.
-fn packet_length(bytes: &[u8], wire: Wire) -> Option<usize> {
+pub(crate) fn packet_length(bytes: &[u8], wire: Wire) -> Option<usize> {
     match wire {
         _ if bytes.is_empty() => None,
         Wire::Datagrams => Some(bytes.len()),

@@ -154,11 +154,14 @@ fn a_shell_that_is_ended_gives_the_arm_back() {
     for name in ["-TERM", "-HUP"] {
         let mut child = robot.spawn(&["shell"]);
         let lines = "exec robot TakeArm 0 1\nexec robot Motor 1 0\nmove J(90,45,90,0,45,0) --speed 1 --no-wait\n";
-        child.stdin.as_mut().unwrap().write_all(lines.as_bytes()).unwrap();
+        // stays open, because the end of the input would end the shell too
+        let mut stdin = child.stdin.take().unwrap();
+        stdin.write_all(lines.as_bytes()).unwrap();
         robot.wait_for_motion();
         signal(name, &child);
         let run: Run = child.wait_with_output().unwrap().into();
         assert_eq!(run.code, 130, "{name}: {run:?}");
+        drop(stdin);
         robot.assert_at_rest_with_free_arm();
     }
 }
