@@ -59,7 +59,7 @@ pub(crate) fn shell(session: &mut Session, json: bool) -> Result<(), Failure> {
 /// Connects; a failure is printed, and `connect` tries again.
 fn connect(shared: &Shared, json: bool) -> Result<(), Failure> {
     match locked(shared).reconnect() {
-        Ok(()) => print_line("`help` lists the commands, `exit` ends; Ctrl-C halts the robot and gives the arm back")?,
+        Ok(()) => print_line("`help` lists the commands, `exit` ends, Ctrl-C halts the robot")?,
         Err(failure) => {
             failure.print(json, None);
             note("`connect` tries again");
