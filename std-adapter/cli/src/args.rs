@@ -122,7 +122,7 @@ pub(crate) struct LinkArgs {
     pub(crate) attempts: u32,
 
     /// Prints each packet that is sent (->) and received (<-) on the standard error: headers, values, or bytes beside the
-    /// values
+    /// values. `gateway`, `slave play` and `slave cosine` do not have it
     #[arg(long, global = true, value_name = "LEVEL", num_args = 0..=1, require_equals = true,
           default_missing_value = "bytes")]
     pub(crate) trace: Option<Level>,
@@ -164,6 +164,16 @@ impl LinkArgs {
         let most = u8::try_from(self.attempts.clamp(1, 7)).unwrap_or(7);
         let room = self.timeout().as_millis() / SHORTEST_ATTEMPT.as_millis();
         most.min(u8::try_from(room).unwrap_or(u8::MAX)).max(1)
+    }
+
+    /// Refuses `--trace` for a command whose connections it cannot see.
+    pub(crate) fn untraced(&self) -> Result<&Self, Failure> {
+        match self.trace {
+            None => Ok(self),
+            Some(_) => Err(Failure::Input(
+                "this command has no --trace; record its packets with tcpdump and use `bcap decode FILE.pcap`".into(),
+            )),
+        }
     }
 
     /// Returns whether the controller is at a serial line.

@@ -97,7 +97,7 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Slave(args) => slave::slave(args, link, json),
         Command::Halt(_) => halt::halt(session, json),
         Command::Doctor(args) => doctor::doctor(args, link, json),
-        Command::Gateway(args) => gateway::gateway(args, link),
+        Command::Gateway(args) => gateway::gateway(args, link.untraced()?),
         Command::Demo(_) => demo::demo(),
         Command::Decode(args) => decode::decode(args, json),
         Command::Encode(args) => decode::encode(args),

@@ -1,15 +1,16 @@
 //! `bcap rac`: variables over RAC, the text protocol.
 
 use bcap_core::rac::client::{ClientError, Config};
-use bcap_core::rac::{Variable, VariableKind};
+use bcap_core::rac::{MAX_VALUE, Variable, VariableKind};
 use bcap_std::RacError;
-use bcap_std::blocking::{self, RacClient};
+use bcap_std::blocking::{self, RacConnection, TcpTransport};
 
 use crate::args::{Get, LinkArgs, Put, Rac, RacCommand};
 use crate::budget::Budget;
 use crate::connection::{broken, connect, exhausted};
 use crate::error::Failure;
 use crate::plain;
+use crate::trace::{Packets, Traced, Wire};
 use crate::value::Value;
 use crate::variables::{print, print_each, shown};
 use bcap_std::Address;
@@ -71,7 +72,7 @@ fn model(kind: VariableKind) -> Result<Value, Failure> {
 
 /// A RAC connection that reports errors as a [`Failure`].
 struct RacLink {
-    client: RacClient,
+    client: RacConnection<Traced<TcpTransport>, [u8; MAX_VALUE]>,
     target: Address,
     budget: Budget,
 }
@@ -79,7 +80,9 @@ struct RacLink {
 impl RacLink {
     fn open(link: &LinkArgs) -> Result<Self, Failure> {
         let (target, budget) = (link.rac_target()?, Budget::start(link));
-        let client = connect(&target, &budget, |peer, options| blocking::connect_rac(peer, options))?;
+        let connected = connect(&target, &budget, |peer, options| blocking::connect_rac(peer, options))?;
+        let (transport, client) = connected.into_parts();
+        let client = RacConnection::new(Packets::new(link.trace).tap(transport, Wire::Lines), client);
         let target = Address::Network(target);
         Ok(Self { client, target, budget })
     }

@@ -1,4 +1,5 @@
 //! A `bcap sim` process with clients.
+#![allow(dead_code, reason = "every test file uses its own part of this")]
 
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
@@ -10,6 +11,7 @@ pub(crate) struct Virtual {
     child: Child,
     pub(crate) tcp: String,
     pub(crate) udp: String,
+    pub(crate) rac: String,
 }
 
 impl Virtual {
@@ -19,7 +21,8 @@ impl Virtual {
         let mut line = String::new();
         BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
         let address = |key: &str| line.split_whitespace().find_map(|word| word.strip_prefix(key)).unwrap().to_owned();
-        Self { tcp: format!("tcp:{}", address("bcap=")), udp: format!("udp:{}", address("udp=")), child }
+        let (tcp, udp) = (format!("tcp:{}", address("bcap=")), format!("udp:{}", address("udp=")));
+        Self { tcp, udp, rac: address("rac="), child }
     }
 
     pub(crate) fn run(&self, args: &[&str]) -> Run {
