@@ -12,10 +12,12 @@ use clap::{Args, Parser, Subcommand};
 mod raw;
 mod session;
 mod slave;
+mod time;
 
 pub(crate) use self::raw::Raw;
 pub(crate) use self::session::{Clear, Errors, Messages, MoveArgs, Run, Shell, Task, TaskCommand};
 pub(crate) use self::slave::{Cosine, Doctor, Halt, Play, Record, Slave, SlaveCommand, StreamArgs};
+pub(crate) use self::time::duration;
 use crate::error::Failure;
 use crate::escape;
 use crate::frame::Role;
@@ -64,22 +66,6 @@ impl Cli {
             }
         })
     }
-}
-
-/// Parses a time: a number of milliseconds, or a number with `ms`, `s` or `min`, from 1 ms to a day.
-pub(crate) fn duration(text: &str) -> Result<Duration, String> {
-    const DAY: u64 = 86_400_000;
-    let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
-    let (number, unit) = text.split_at(digits);
-    let factor = match unit {
-        "" | "ms" => Some(1),
-        "s" => Some(1000),
-        "min" => Some(60_000),
-        _ => None,
-    };
-    let time = number.parse::<u64>().ok().zip(factor).and_then(|(number, factor)| number.checked_mul(factor));
-    let time = time.filter(|ms| (1..=DAY).contains(ms)).map(Duration::from_millis);
-    time.ok_or_else(|| "write a time from 1 ms to a day, such as 500, 500ms, 2s or 1min".into())
 }
 
 /// The connection to the controller.

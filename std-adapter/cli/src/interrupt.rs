@@ -11,12 +11,13 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use crate::args::LinkArgs;
 use crate::error::Failure;
-use crate::session::Session;
 
 /// How long a motion that begins beside a halt may run until the next halt.
 const AGAIN: Duration = Duration::from_millis(50);
+
+/// Halts the robot over a session of its own.
+pub(crate) type Halt = Box<dyn FnMut() -> Result<(), Failure> + Send>;
 
 /// What signals do.
 #[derive(Clone)]
@@ -30,8 +31,8 @@ struct Shared {
     ended: AtomicBool,
     /// Whether this command may move the robot now.
     moving: AtomicBool,
-    /// The session that halts.
-    stopper: Mutex<Option<Session>>,
+    /// How the robot is halted.
+    stopper: Mutex<Option<Halt>>,
 }
 
 /// A signal.
@@ -92,25 +93,17 @@ impl Interrupt {
         }
     }
 
-    /// Halts the robot over the session that [`prepare`](Self::prepare) opened.
+    /// Halts the robot, if [`prepare`](Self::prepare) has given a way to do so.
     pub(crate) fn halt(&self) -> Result<(), Failure> {
         let mut stopper = self.0.stopper.lock().unwrap_or_else(PoisonError::into_inner);
-        let Some(session) = stopper.as_mut() else { return Ok(()) };
-        if session.is_lost() {
-            session.reconnect()?;
-        }
-        session.restart_budget();
-        session.with(|controller| controller.robot()?.halt().map(drop))
+        stopper.as_mut().map_or(Ok(()), |halt| halt())
     }
 
-    /// Opens the session that halts, unless it is open. A serial line carries one session, so nothing can halt there.
-    pub(crate) fn prepare(&self, link: &LinkArgs) -> Result<(), Failure> {
+    /// Sets how the robot is halted, unless that is known; `open` may connect.
+    pub(crate) fn prepare(&self, open: impl FnOnce() -> Result<Option<Halt>, Failure>) -> Result<(), Failure> {
         let mut stopper = self.0.stopper.lock().unwrap_or_else(PoisonError::into_inner);
-        if stopper.is_none() && !link.is_serial() {
-            let mut session = Session::new(&LinkArgs { trace: None, ..link.limited() });
-            // the handle must exist before it is needed
-            session.with(|controller| controller.robot().map(drop))?;
-            *stopper = Some(session);
+        if stopper.is_none() {
+            *stopper = open()?;
         }
         Ok(())
     }
@@ -208,4 +201,9 @@ impl Sources {
         }
         Signal::Interrupt
     }
+}
+
+/// The failure of a command that a signal interrupted while its session had the arm.
+pub(crate) fn interrupted() -> Failure {
+    Failure::Interrupted("interrupted: the robot was halted, and the arm was given back".into())
 }

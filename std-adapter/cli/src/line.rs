@@ -12,7 +12,7 @@ use clap::{CommandFactory as _, Parser, Subcommand};
 use crate::args::{Call, Command, Exec, duration};
 use crate::error::Failure;
 use crate::escape;
-use crate::interrupt::Interrupt;
+use crate::interrupt::{Interrupt, interrupted};
 use crate::output::{note, print_line, print_raw};
 use crate::plain;
 use crate::reference;
@@ -100,16 +100,20 @@ pub(crate) enum Flow {
     Exit,
 }
 
+/// Runs a command of `bcap`.
+pub(crate) type Verb = fn(&Command, &mut Session, bool) -> Result<(), Failure>;
+
 /// Runs lines, one after the other, over one session.
 pub(crate) struct Runner {
     variables: HashMap<String, String>,
     interrupt: Interrupt,
+    verb: Verb,
     json: bool,
 }
 
 impl Runner {
-    pub(crate) fn new(interrupt: Interrupt, json: bool) -> Self {
-        Self { variables: HashMap::new(), interrupt, json }
+    pub(crate) fn new(interrupt: Interrupt, verb: Verb, json: bool) -> Self {
+        Self { variables: HashMap::new(), interrupt, verb, json }
     }
 
     /// Forgets the signals before the next line.
@@ -137,7 +141,7 @@ impl Runner {
         if let LineCommand::Verb(command) = &line.command
             && may_take_arm(command)
         {
-            self.interrupt.prepare(session.link())?;
+            session.prepare_halt(&self.interrupt)?;
         }
         let had_arm = session.has_arm();
         self.interrupt.set_moving(had_arm);
@@ -172,7 +176,7 @@ impl Runner {
         let json = self.json || line.json;
         match &line.command {
             LineCommand::Verb(Command::Shell(_)) => return Err(Failure::Input("this is the shell already".into())),
-            LineCommand::Verb(command) => crate::verb(command, session, json)?,
+            LineCommand::Verb(command) => (self.verb)(command, session, json)?,
             LineCommand::Set { name, value } => self.set(name, value)?,
             LineCommand::Sleep { time } => self.interrupt.sleep(*time)?,
             LineCommand::Wait { condition, timeout } => self.wait(condition, *timeout, session)?,
@@ -261,11 +265,6 @@ fn expect(condition: &Condition, session: &mut Session) -> Result<(), Failure> {
             Err(Failure::Unfit { message, code: None, hint: None })
         }
     }
-}
-
-/// The failure of a command that a signal interrupted while this session had the arm.
-pub(crate) fn interrupted() -> Failure {
-    Failure::Interrupted("interrupted: the robot was halted, and the arm was given back".into())
 }
 
 /// Returns whether a command may take the arm or move the robot.

@@ -6,9 +6,8 @@ use bcap_std::{Move, ObjectPath};
 
 use crate::args::MoveArgs;
 use crate::error::Failure;
-use crate::interrupt::Interrupt;
-use crate::line::interrupted;
-use crate::output::{print_json, print_line};
+use crate::interrupt::interrupted;
+use crate::output::{note, print_json, print_line};
 use crate::session::Session;
 use crate::value::{integer, text};
 
@@ -28,25 +27,29 @@ pub(crate) fn motion(args: &MoveArgs, session: &mut Session, json: bool) -> Resu
             args.speed.unwrap_or(0.0)
         )));
     }
-    let interrupt = match &session.interrupt {
-        Some(interrupt) => interrupt.clone(),
-        None => session.interrupt.insert(Interrupt::install(|| {})?).clone(),
-    };
-    interrupt.prepare(session.link())?;
+    let interrupt = session.handle_signals()?;
+    session.prepare_halt(&interrupt)?;
     interrupt.set_moving(true);
     let ended = prepared(args, session, had_arm)
         .and_then(|()| if interrupt.is_interrupted() { Ok(None) } else { moved(args, session).map(Some) });
-    if !had_arm {
-        // the arm is given back also after an error
-        let given = session.give_arm();
-        interrupt.set_moving(false);
-        if interrupt.is_interrupted() {
-            return given.and(Err(interrupted()));
-        }
-        given.and(ended).and_then(|ended| concluded(args, ended, json))
-    } else {
-        ended.and_then(|ended| concluded(args, ended, json))
+    if had_arm {
+        return ended.and_then(|ended| concluded(args, ended, json));
     }
+    if session.is_lost() {
+        // the controller gives the arm back when it notices the end of the connection; the robot must not move until then
+        if interrupt.halt().is_ok() {
+            note("the robot was halted over another connection");
+        }
+        session.abandon();
+    }
+    let given = session.give_arm();
+    interrupt.set_moving(false);
+    if interrupt.is_interrupted() && ended.as_ref().is_ok_and(|_| given.is_ok()) {
+        return Err(interrupted());
+    }
+    // an error of the motion is more useful than an error of giving the arm back
+    let ended = ended?;
+    given.and_then(|()| concluded(args, ended, json))
 }
 
 /// Takes the arm and switches the motor on.
@@ -112,14 +115,9 @@ fn concluded(args: &MoveArgs, ended: Option<Motion>, json: bool) -> Result<(), F
         // interrupted, which the line of the shell or the script reports
         None => Ok(()),
         Some(Motion::Arrived) => {
-            let state = if args.no_wait { "started" } else { "arrived" };
-            Ok(if json {
-                print_json(&format!("{{\"{state}\":{}}}", serde_json::Value::from(to.as_str())))?;
-            } else if args.no_wait {
-                print_line(&format!("on the way to {to}"))?;
-            } else {
-                print_line(&format!("at {to}"))?;
-            })
+            let (key, text) = if args.no_wait { ("started", "on the way to") } else { ("arrived", "at") };
+            let name = serde_json::Value::from(to.as_str());
+            Ok(if json { print_json(&format!("{{\"{key}\":{name}}}")) } else { print_line(&format!("{text} {to}")) }?)
         }
         Some(Motion::Failed(code)) => unfit(format!("not at {to}: the controller has the error {code}"), Some(code)),
         Some(Motion::TimedOut) => {

@@ -11,7 +11,7 @@ use bcap_std::{Address, Protocol, blocking};
 use crate::args::{LinkArgs, Raw};
 use crate::budget::Budget;
 use crate::connection::{broken, not_connected};
-use crate::error::Failure;
+use crate::error::{Failure, ItemError};
 use crate::frame::{self, Role};
 use crate::hex;
 use crate::interrupt::Interrupt;
@@ -78,7 +78,7 @@ fn packets(words: &[String], role: Role) -> Result<Vec<Vec<u8>>, Failure> {
 
 /// The other end.
 enum Peer {
-    Tcp(TcpStream, SocketAddr),
+    Tcp(TcpStream),
     Udp(UdpSocket),
     /// A socket that listens; the client is known from its first datagram on.
     UdpServer(UdpSocket, Option<SocketAddr>),
@@ -94,7 +94,7 @@ impl Peer {
         for address in addresses {
             let peer = match server.protocol {
                 Protocol::Tcp => TcpStream::connect_timeout(&address, link.timeout())
-                    .and_then(|stream| stream.set_nodelay(true).map(|()| Self::Tcp(stream, address))),
+                    .and_then(|stream| stream.set_nodelay(true).map(|()| Self::Tcp(stream))),
                 Protocol::Udp => {
                     let any = if address.is_ipv4() { "0.0.0.0:0" } else { "[::]:0" };
                     UdpSocket::bind(any).and_then(|socket| socket.connect(address).map(|()| Self::Udp(socket)))
@@ -124,9 +124,9 @@ impl Peer {
                 listener.set_nonblocking(true).map_err(failed)?;
                 loop {
                     match listener.accept() {
-                        Ok((stream, client)) => {
+                        Ok((stream, _)) => {
                             stream.set_nonblocking(false).map_err(failed)?;
-                            return Self::Tcp(stream, client).with_steps().map_err(failed);
+                            return Self::Tcp(stream).with_steps().map_err(failed);
                         }
                         Err(error) if error.kind() == io::ErrorKind::WouldBlock => interrupt.sleep(STEP)?,
                         Err(error) => return Err(failed(error)),
@@ -139,7 +139,7 @@ impl Peer {
     /// Limits each wait, so that signals are noticed.
     fn with_steps(self) -> io::Result<Self> {
         match &self {
-            Self::Tcp(stream, _) => stream.set_read_timeout(Some(STEP)),
+            Self::Tcp(stream) => stream.set_read_timeout(Some(STEP)),
             Self::Udp(socket) | Self::UdpServer(socket, _) => socket.set_read_timeout(Some(STEP)),
         }?;
         Ok(self)
@@ -147,14 +147,14 @@ impl Peer {
 
     const fn wire(&self) -> Wire {
         match self {
-            Self::Tcp(..) => Wire::Stream,
+            Self::Tcp(_) => Wire::Stream,
             Self::Udp(_) | Self::UdpServer(..) => Wire::Datagrams,
         }
     }
 
     fn send(&mut self, packet: &[u8]) -> io::Result<()> {
         match self {
-            Self::Tcp(stream, _) => stream.write_all(packet),
+            Self::Tcp(stream) => stream.write_all(packet),
             Self::Udp(socket) => socket.send(packet).map(drop),
             Self::UdpServer(socket, Some(client)) => socket.send_to(packet, *client).map(drop),
             Self::UdpServer(_, None) => Ok(()),
@@ -164,7 +164,7 @@ impl Peer {
     /// Receives bytes; 0 at the end of a TCP connection.
     fn receive(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         match self {
-            Self::Tcp(stream, _) => stream.read(buffer),
+            Self::Tcp(stream) => stream.read(buffer),
             Self::Udp(socket) => socket.recv(buffer),
             Self::UdpServer(socket, client) => {
                 let (length, from) = socket.recv_from(buffer)?;
@@ -256,16 +256,17 @@ impl Talk {
         if self.interrupt.is_interrupted() { Err(Failure::Interrupted("interrupted".into())) } else { Ok(()) }
     }
 
-    /// Prints a packet: with its bytes, or with JSON only received ones as `bcap decode --json` does.
+    /// Prints a packet: with its bytes, or as `bcap decode --json` does.
     fn show(&self, role: Role, packet: &[u8], shows: bool) -> Result<(), Failure> {
         if !shows {
             return Ok(());
         }
         if self.json {
-            return Ok(match Decoder::TCP.decode_datagram(packet) {
-                Ok(frame) => print_json(&frame::to_json(&frame, role))?,
-                Err(error) => print_json(&crate::error::ItemError::from(error).to_json())?,
-            });
+            let line = match Decoder::TCP.decode_datagram(packet) {
+                Ok(frame) => frame::to_json(&frame, role),
+                Err(error) => ItemError::from(error).to_json(),
+            };
+            return Ok(print_json(&line)?);
         }
         let arrow = if role == Role::Request { "->" } else { "<-" };
         let text = trace::shown(role, self.peer.wire(), packet, Level::Bytes);

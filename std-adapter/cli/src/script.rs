@@ -5,18 +5,13 @@ use std::io::{self, BufRead, BufReader};
 
 use crate::args::Run;
 use crate::error::Failure;
-use crate::interrupt::Interrupt;
-use crate::line::{Flow, Runner};
+use crate::line::{Flow, Runner, Verb};
 use crate::session::Session;
 
 /// Runs `bcap run`.
-pub(crate) fn run(args: &Run, session: &mut Session, json: bool) -> Result<(), Failure> {
-    let interrupt = match &session.interrupt {
-        // a script of the shell or of another script
-        Some(interrupt) => interrupt.clone(),
-        None => session.interrupt.insert(Interrupt::install(|| {})?).clone(),
-    };
-    let mut runner = Runner::new(interrupt.clone(), json);
+pub(crate) fn run(args: &Run, session: &mut Session, verb: Verb, json: bool) -> Result<(), Failure> {
+    let interrupt = session.handle_signals()?;
+    let mut runner = Runner::new(interrupt.clone(), verb, json);
     let (name, lines) = open(args)?;
     for (number, line) in lines.lines().enumerate() {
         let place = format!("{name}:{}", number + 1);

@@ -253,6 +253,40 @@ impl Session {
         })
     }
 
+    /// Handles signals from now on, unless that is so already.
+    pub(crate) fn handle_signals(&mut self) -> Result<Interrupt, Failure> {
+        let interrupt = match self.interrupt.take() {
+            Some(interrupt) => interrupt,
+            None => Interrupt::install(|| {})?,
+        };
+        self.interrupt = Some(interrupt.clone());
+        Ok(interrupt)
+    }
+
+    /// Opens the session that halts the robot while this one waits for a reply. Call it before the arm is taken.
+    pub(crate) fn prepare_halt(&self, interrupt: &Interrupt) -> Result<(), Failure> {
+        let link = LinkArgs { trace: None, ..self.link.limited() };
+        interrupt.prepare(|| {
+            // a serial line carries one session, so nothing can halt there
+            if link.is_serial() {
+                return Ok(None);
+            }
+            let mut stopper = Self::new(&link);
+            // the handle must exist before it is needed
+            stopper.with(|controller| controller.robot().map(drop))?;
+            Ok(Some(Box::new(move || stopper.halt())))
+        })
+    }
+
+    /// Halts the robot, and connects again first if the connection was lost.
+    fn halt(&mut self) -> Result<(), Failure> {
+        if self.lost {
+            self.reconnect()?;
+        }
+        self.restart_budget();
+        self.with(|controller| controller.robot()?.halt().map(drop))
+    }
+
     /// Gives the arm back if this session has it.
     pub(crate) fn give_arm(&mut self) -> Result<(), Failure> {
         if !self.has_arm() {

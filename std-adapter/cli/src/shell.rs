@@ -15,7 +15,7 @@ use rustyline::{Config, Context, Editor};
 
 use crate::error::Failure;
 use crate::interrupt::Interrupt;
-use crate::line::{self, Flow, Runner};
+use crate::line::{self, Flow, Runner, Verb};
 use crate::output::{note, print_line};
 use crate::session::Session;
 use crate::variables::{all_names, get_one};
@@ -27,7 +27,7 @@ type Shared = Arc<Mutex<Session>>;
 const HISTORY: usize = 1000;
 
 /// Runs `bcap shell` until `exit` or the end of the input.
-pub(crate) fn shell(session: &mut Session, json: bool) -> Result<(), Failure> {
+pub(crate) fn shell(session: &mut Session, verb: Verb, json: bool) -> Result<(), Failure> {
     let link = session.link().clone();
     let shared: Shared = Arc::new(Mutex::new(Session::new(&link)));
     let ending = Arc::clone(&shared);
@@ -46,7 +46,7 @@ pub(crate) fn shell(session: &mut Session, json: bool) -> Result<(), Failure> {
         note("a serial line carries one session, so Ctrl-C cannot halt the robot here");
     }
     connect(&shared, json)?;
-    let ended = read_lines(&mut editor, &shared, &mut Runner::new(interrupt, json), json);
+    let ended = read_lines(&mut editor, &shared, &mut Runner::new(interrupt, verb, json), json);
     if let Some(file) = &history {
         // a shell without a place for its history works as well
         let _ = file.parent().map(std::fs::create_dir_all);

@@ -38,11 +38,12 @@ pub(crate) fn task(args: &Task, session: &mut Session, json: bool) -> Result<(),
                 TaskStatus::StoppedAtStep => "stopped at a step".into(),
                 other => format!("{other:?}"),
             };
+            let line = &format!("{name} {status}");
             Ok(if json {
-                print_json(&serde_json::json!({ "name": name, "status": status }).to_string())?;
+                print_json(&serde_json::json!({ "name": name, "status": status }).to_string())
             } else {
-                print_line(&format!("{name} {status}"))?;
-            })
+                print_line(line)
+            }?)
         }
     }
 }

@@ -8,7 +8,6 @@ use bcap_core::variant::Variant;
 
 use crate::args::Messages;
 use crate::error::Failure;
-use crate::interrupt::Interrupt;
 use crate::output::{print_json, print_line};
 use crate::plain;
 use crate::session::Session;
@@ -65,10 +64,7 @@ fn controller(
 pub(crate) fn messages(args: &Messages, session: &mut Session, json: bool) -> Result<(), Failure> {
     const INTERVAL: Duration = Duration::from_millis(50);
     let Some(time) = args.time else { return fetch(session, json) };
-    let interrupt = match &session.interrupt {
-        Some(interrupt) => interrupt.clone(),
-        None => session.interrupt.insert(Interrupt::install(|| {})?).clone(),
-    };
+    let interrupt = session.handle_signals()?;
     let until = Instant::now() + time;
     loop {
         session.restart_budget();

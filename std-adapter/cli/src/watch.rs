@@ -1,18 +1,16 @@
 //! `bcap watch`: reads variables periodically.
 
-use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 
 use crate::args::Watch;
 use crate::error::Failure;
 use crate::session::Session;
-use crate::signal;
 use crate::value::Value;
 use crate::variables::{paths, print, read, shown};
 
 /// Runs `bcap watch` until it is interrupted or has done `--count` rounds.
 pub(crate) fn watch(args: &Watch, session: &mut Session, json: bool) -> Result<(), Failure> {
-    let ended = signal::ended()?;
+    let interrupt = session.handle_signals()?;
     let paths = paths(&args.names)?;
     let variables = paths.iter().map(|path| session.object(path)).collect::<Result<Vec<_>, _>>()?;
     let mut last: Vec<Option<Value>> = vec![None; paths.len()];
@@ -32,13 +30,10 @@ pub(crate) fn watch(args: &Watch, session: &mut Session, json: bool) -> Result<(
         if args.count.is_some_and(|count| rounds >= count) {
             return Ok(());
         }
-        match ended.recv_timeout(pace.until_next(Instant::now())) {
-            Err(RecvTimeoutError::Timeout) => {}
-            Ok(()) | Err(RecvTimeoutError::Disconnected) => {
-                // the time limit covers the end of the session, not the wait before it
-                session.restart_budget();
-                return Ok(());
-            }
+        if interrupt.sleep(pace.until_next(Instant::now())).is_err() {
+            // the time limit covers the end of the session, not the wait before it
+            session.restart_budget();
+            return Ok(());
         }
     }
 }

@@ -115,7 +115,7 @@ fn the_trace_covers_retries_and_rac() {
 fn several_arguments_are_an_array() {
     let fake = Fake::tcp(usual);
     let exec = |arguments: &[&str]| {
-        let run = bcap(&[&["exec", "robot", "X", "--robot", &fake.address], arguments].concat());
+        let run = bcap(&[&["exec", "robot:Arm0", "X", "--robot", &fake.address], arguments].concat());
         assert_eq!(run.code, 0, "{run:?}");
         fake.seen().into_iter().rfind(|call| call.starts_with("RobotExecute")).unwrap()
     };
@@ -157,7 +157,7 @@ fn messages_are_fetched_while_the_command_waits() {
 fn a_pose_is_an_array_of_variants() {
     let fake = Fake::tcp(usual);
     let pose = "8204,(8197,0,0,0,0,0,0,5),(3,0),(3,-2)";
-    let run = bcap(&["call", "Robot_Move", "robot", "1", pose, "8,NEXT", "--robot", &fake.address]);
+    let run = bcap(&["call", "Robot_Move", "robot:Arm0", "1", pose, "8,NEXT", "--robot", &fake.address]);
     assert_eq!(run.code, 0, "{run:?}");
     let moved = "RobotMove(I4(3), I4(1), VARIANT[R8[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 5.0], I4(0), I4(-2)], \"NEXT\")";
     assert!(fake.seen().contains(&moved.to_owned()), "{:?}", fake.seen());
