@@ -218,11 +218,13 @@ pub(crate) enum Command {
 /// NAME is a variable of the controller, such as I1, P10 or @MODE, or of an object: robot/@SERVO_ON,
 /// robot:Arm0/@CURRENT_POSITION, task:Pro1/@STATUS. With --json a line is {"name":"I1","vt":3,"v":5}; `bcap encode --help`
 /// describes `vt` and `v`. Without --json the numbers of an R8 array, such as a pose, have at most 15 digits.
+/// $LAST_SEND_PACKET$ and $LAST_RECEIVE_PACKET$ are the bytes of the last packets before them.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   bcap get I1
   bcap get --robot tcp:192.168.0.1 --json P1 P2 robot/@CURRENT_POSITION
+  bcap get I1 '$LAST_SEND_PACKET$' '$LAST_RECEIVE_PACKET$'
   BCAP_ROBOT=udp:192.168.0.1 bcap get task:Pro1/@STATUS")]
 pub(crate) struct Get {
     /// The variables

@@ -175,7 +175,9 @@ impl Runner {
     fn command(&mut self, line: &Line, session: &mut Session) -> Result<Flow, Failure> {
         let json = self.json || line.json;
         match &line.command {
-            LineCommand::Verb(Command::Shell(_)) => return Err(Failure::Input("this is the shell already".into())),
+            LineCommand::Verb(Command::Shell(_)) => {
+                return Err(Failure::Input("a shell does not run inside a shell or a script".into()));
+            }
             LineCommand::Verb(command) => (self.verb)(command, session, json)?,
             LineCommand::Set { name, value } => self.set(name, value)?,
             LineCommand::Sleep { time } => self.interrupt.sleep(*time)?,

@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
 use bcap_std::ObjectPath;
-use rustyline::completion::Completer;
+use rustyline::completion::{Completer, FilenameCompleter};
 use rustyline::error::ReadlineError;
 use rustyline::history::FileHistory;
 use rustyline::{Config, Context, Editor};
@@ -218,7 +218,11 @@ impl Names {
 impl Completer for Names {
     type Candidate = String;
 
-    fn complete(&self, line: &str, at: usize, _: &Context<'_>) -> rustyline::Result<(usize, Vec<String>)> {
+    fn complete(&self, line: &str, at: usize, context: &Context<'_>) -> rustyline::Result<(usize, Vec<String>)> {
+        if line.trim_start().starts_with("run ") {
+            let (start, files) = FilenameCompleter::new().complete(line, at, context)?;
+            return Ok((start, files.into_iter().map(|file| file.replacement).collect()));
+        }
         let before = line.get(..at).unwrap_or(line);
         let start = before.rfind(char::is_whitespace).map_or(0, |blank| blank + 1);
         let (word, earlier) = (before.get(start..).unwrap_or_default(), before.get(..start).unwrap_or_default());

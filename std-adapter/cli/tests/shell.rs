@@ -6,11 +6,12 @@ mod common;
 mod virtual_robot;
 
 use std::io::Write;
+use std::process::Stdio;
 
 use common::{Run, bcap, bcap_with};
 use virtual_robot::{Virtual, signal};
 
-/// A motion that takes more than a minute.
+/// A motion that takes more than ten seconds.
 const SLOW: [&str; 4] = ["move", "J(90, 45, 90, 0, 45, 0)", "--speed", "1"];
 const INTERRUPTED: &str = "interrupted: the robot was halted, and the arm was given back";
 
@@ -145,6 +146,42 @@ fn ctrl_c_halts_a_motion_and_gives_the_arm_back() {
         assert_eq!(run.code, if args == ["shell"] { 0 } else { 130 }, "{lines}: {run:?}");
         assert_eq!(run.out.contains("I1 = 0"), args == ["shell"], "{run:?}");
         robot.assert_at_rest_with_free_arm();
+    }
+}
+
+#[test]
+fn ctrl_c_halts_a_motion_over_udp() {
+    let robot = Virtual::start(&[]);
+    let mut command = common::bare(&[&SLOW[..], &["--robot", &robot.udp]].concat());
+    let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    robot.wait_for_motion();
+    signal("-INT", &child);
+    let run: Run = child.wait_with_output().unwrap().into();
+    assert!(run.err.contains(INTERRUPTED) && run.code == 130, "{run:?}");
+    robot.assert_at_rest_with_free_arm();
+}
+
+#[test]
+fn a_connection_that_is_lost_during_a_motion_is_replaced_to_halt() {
+    let scenario = tempfile::NamedTempFile::new().unwrap();
+    // `move` reads the state of the controller while it waits
+    let fault =
+        |call: u8, of: &str| format!("[[fault]]\nwhen = {{ call = {call}, of = {of:?} }}\nthen = \"disconnect\"\n");
+    std::fs::write(scenario.path(), fault(5, "Variable_GetValue") + &fault(3, "SysState")).unwrap();
+    let arm = "exec robot TakeArm 0 1\nexec robot Motor 1 0\n";
+    let slow = "'8,@E J(90, 45, 90, 0, 45, 0)' 8,NEXT,SPEED=1";
+    let reads = "get I1\n".repeat(5);
+    for lines in [
+        format!("{arm}call Robot_Move robot 1 {slow}\n{reads}"),
+        "move 'J(90, 45, 90, 0, 45, 0)' --speed 1\n".to_owned(),
+    ] {
+        let robot = Virtual::start(&["--scenario", scenario.path().to_str().unwrap()]);
+        let run = robot.script(&lines);
+        assert_eq!(run.code, 3, "{lines}: {run:?}");
+        assert!(run.err.contains("the robot was halted over another connection"), "{lines}: {run:?}");
+        let state = robot.run(&["get", "@BUSY_STATUS"]);
+        assert_eq!(state.out, "@BUSY_STATUS = false\n");
+        assert_eq!(robot.run(&["exec", "robot", "TakeArm", "0", "1"]).code, 0);
     }
 }
 
