@@ -16,6 +16,9 @@ use crate::error::Failure;
 /// How long a motion that begins beside a halt may run until the next halt.
 const AGAIN: Duration = Duration::from_millis(50);
 
+/// The further SIGINT that end a command whose call does not end.
+const IMPATIENT: u32 = 5;
+
 /// Halts the robot over a session of its own.
 pub(crate) type Halt = Box<dyn FnMut() -> Result<(), Failure> + Send>;
 
@@ -73,7 +76,7 @@ impl Interrupt {
         }
         *shared.interrupted.lock().unwrap_or_else(PoisonError::into_inner) = true;
         shared.changed.notify_all();
-        let mut reported = false;
+        let (mut reported, mut again) = (false, 0);
         // a motion may begin just after a halt, so halt until the command has ended its call
         while shared.moving.load(Ordering::SeqCst) {
             if let Err(failure) = self.halt()
@@ -82,15 +85,23 @@ impl Interrupt {
                 failure.print(false, None);
                 reported = true;
             }
-            if more.recv_timeout(AGAIN).is_ok() {
-                Failure::Interrupted(
-                    "interrupted again; the controller gives the arm back when it notices the end of the connection"
-                        .into(),
-                )
-                .print(false, None);
+            match more.recv_timeout(AGAIN) {
+                Ok(Signal::End) => shared.ended.store(true, Ordering::SeqCst),
+                Ok(Signal::Interrupt) => again += 1,
+                Err(_) => {}
+            }
+            if again == IMPATIENT {
+                let what = "interrupted again and again, so the command ends; the controller gives the arm back when it \
+                            notices the end of the connection";
+                Failure::Interrupted(what.into()).print(false, None);
                 process::exit(130);
             }
         }
+    }
+
+    /// Closes the session that halts.
+    pub(crate) fn dismiss(&self) {
+        *self.0.stopper.lock().unwrap_or_else(PoisonError::into_inner) = None;
     }
 
     /// Halts the robot, if [`prepare`](Self::prepare) has given a way to do so.

@@ -42,6 +42,26 @@ struct Open {
     budget: Budget,
 }
 
+impl Drop for Session {
+    /// Ends this session, and then the one that halts the robot.
+    fn drop(&mut self) {
+        self.open = None;
+        if let Some(interrupt) = &self.interrupt {
+            interrupt.dismiss();
+        }
+    }
+}
+
+/// The session that halts the robot while another one waits for a reply.
+struct Stopper(Session);
+
+impl Drop for Stopper {
+    /// Allows time for the end of the session, however long it was idle.
+    fn drop(&mut self) {
+        self.0.close();
+    }
+}
+
 /// Runs `body` with a started session, then releases its objects and stops the service.
 pub(crate) fn with_session<T>(
     link: &LinkArgs,
@@ -78,7 +98,7 @@ impl Session {
         &self.link
     }
 
-    /// Connects and starts the service, unless that has been done; after a lost connection it fails.
+    /// Connects and starts the service, unless that has been done.
     pub(crate) fn connect(&mut self) -> Result<(), Failure> {
         if self.open.is_none() {
             self.open_connection()?;
@@ -97,9 +117,15 @@ impl Session {
 
     /// Ends the session: gives the arm back, releases all objects and stops the service.
     pub(crate) fn close(&mut self) {
+        if !self.lost {
+            self.restart_budget();
+        }
         self.open = None;
         self.lost = false;
         self.objects.clear();
+        if let Some(interrupt) = &self.interrupt {
+            interrupt.dismiss();
+        }
     }
 
     /// Opens the connection, over which nothing is started yet.
@@ -274,7 +300,8 @@ impl Session {
             let mut stopper = Self::new(&link);
             // the handle must exist before it is needed
             stopper.with(|controller| controller.robot().map(drop))?;
-            Ok(Some(Box::new(move || stopper.halt())))
+            let mut stopper = Stopper(stopper);
+            Ok(Some(Box::new(move || stopper.0.halt())))
         })
     }
 

@@ -162,6 +162,16 @@ fn ctrl_c_halts_a_motion_over_udp() {
 }
 
 #[test]
+fn both_sessions_of_a_motion_end() {
+    let robot = Virtual::start(&[]);
+    // a controller has 16 slots for clients over UDP
+    for _ in 0..20 {
+        let run = bcap(&["move", "J(0, 45, 90, 0, 45, 0)", "--robot", &robot.udp]);
+        assert_eq!(run.code, 0, "{run:?}");
+    }
+}
+
+#[test]
 fn a_connection_that_is_lost_during_a_motion_is_replaced_to_halt() {
     let scenario = tempfile::NamedTempFile::new().unwrap();
     // `move` reads the state of the controller while it waits
