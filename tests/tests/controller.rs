@@ -126,7 +126,7 @@ fn an_arm_that_is_kept_or_taken_by_a_call_is_given_back_with_the_session() {
     assert!(!cell.has_arm() && sim.application().arm_owner().is_none() && !sim.application().motor_is_on());
 
     let robot = cell.open(&"robot".parse().unwrap()).unwrap();
-    let mut execute = |cell: &mut Controller, command: &str, parameter: &[i32]| {
+    let execute = |cell: &mut Controller, command: &str, parameter: &[i32]| {
         let arguments = [OwnedVariant::new(&robot), OwnedVariant::new(command), OwnedVariant::new(parameter)];
         cell.call_any(command, FunctionId::ROBOT_EXECUTE, &arguments.map(Result::unwrap)).map(drop)
     };

@@ -86,7 +86,8 @@ pub(crate) struct LinkArgs {
     /// It covers connecting, all calls with their keep-alives, and the end of the session. `watch` and `slave record` apply
     /// it to each round; `doctor` to each link, and then to all other checks together; `slave play`, `slave cosine` and
     /// `gateway` to each answer. Without this option `halt` ends within 3 s, and a controller can keep any other call alive
-    /// for 180 s. Over UDP five attempts share the time.
+    /// for 180 s. `shell` and `run` apply it to each line; a motion of `move` has --within instead. Over UDP the attempts
+    /// (--attempts) share the time.
     #[arg(long, global = true, value_name = "MS", value_parser = duration)]
     pub(crate) timeout: Option<Duration>,
 

@@ -51,7 +51,7 @@ enum LineCommand {
         #[arg(value_parser = duration)]
         time: Duration,
     },
-    /// Waits until a variable of the controller has a value: wait I1 = 5 [TIMEOUT]
+    /// Waits until a variable of the controller has a value: wait I1 = 5 2s; without a time a minute
     Wait {
         #[command(flatten)]
         condition: Condition,
