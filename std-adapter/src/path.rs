@@ -91,6 +91,13 @@ impl ObjectPath {
         self.steps.last().map_or(Object::Controller, |(object, _)| *object)
     }
 
+    /// Returns the path to the owner of the object, and the name of the object there; `None` for the controller.
+    #[must_use]
+    pub fn split_last(&self) -> Option<(Self, Option<&str>)> {
+        let ((_, name), owner) = self.steps.split_last()?;
+        Some((Self { steps: owner.to_vec() }, name.as_deref()))
+    }
+
     /// Returns the steps from the controller to the object.
     pub(crate) fn steps(&self) -> Vec<PathStep<'_>> {
         self.steps.iter().map(|(object, name)| PathStep { object: *object, name: name.as_deref() }).collect()

@@ -6,10 +6,11 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
 use bcap_core::procedure::Motion;
 use bcap_core::rac::{Variable, VariableKind};
-use bcap_core::variant::Variant;
+use bcap_core::variant::{OwnedVariant, Variant};
 use bcap_sim::memory::Network;
 use bcap_sim::{Config, Controller as Simulated, EMERGENCY_STOP, Profile};
 use bcap_std::blocking::{Controller, Halted, Stopper};
@@ -111,6 +112,34 @@ fn a_motion_arrives_and_the_drop_leaves_nothing() {
     assert!(!sim.application().motor_is_on() && sim.application().arm_owner().is_none());
     drop(cell);
     assert_left(&sim);
+}
+
+#[test]
+fn an_arm_that_is_kept_or_taken_by_a_call_is_given_back_with_the_session() {
+    let sim = simulated();
+    let mut cell = connect(&sim);
+    let mut arm = cell.arm().unwrap();
+    arm.motor_on().unwrap();
+    arm.keep();
+    assert!(cell.has_arm() && sim.application().arm_owner().is_some() && sim.application().motor_is_on());
+    cell.arm().unwrap().give().unwrap();
+    assert!(!cell.has_arm() && sim.application().arm_owner().is_none() && !sim.application().motor_is_on());
+
+    let robot = cell.open(&"robot".parse().unwrap()).unwrap();
+    let execute = |cell: &mut Controller, command: &str, parameter: &[i32]| {
+        let arguments = [OwnedVariant::new(&robot), OwnedVariant::new(command), OwnedVariant::new(parameter)];
+        cell.call_any(command, FunctionId::ROBOT_EXECUTE, &arguments.map(Result::unwrap)).map(drop)
+    };
+    execute(&mut cell, "TakeArm", &[0, 1]).unwrap();
+    execute(&mut cell, "Motor", &[1, 0]).unwrap();
+    assert!(cell.has_arm());
+    let motion = Move::joint("J(-90, 45, 90, 0, 45, 0)").speed_percent(1.0);
+    let mut arm = cell.arm().unwrap();
+    assert_eq!(arm.move_to(&motion, Duration::from_millis(1)).unwrap(), Motion::TimedOut);
+    arm.keep();
+    drop(cell);
+    assert_left(&sim);
+    assert!(sim.application().arm_owner().is_none() && !sim.application().motor_is_on());
 }
 
 #[test]

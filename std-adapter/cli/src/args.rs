@@ -8,20 +8,23 @@ use std::time::Duration;
 
 use bcap_sim::Profile as ModelProfile;
 use clap::{Args, Parser, Subcommand};
-use clap_complete::Shell;
 
 mod backup;
 mod files;
 mod profile;
 mod proxy;
+mod raw;
 mod replay;
+mod session;
 mod slave;
 
 pub(crate) use self::backup::{Diff, Dump, Restore};
 pub(crate) use self::files::{Cp, Ls};
 pub(crate) use self::profile::{Profile, ProfileCommand};
 pub(crate) use self::proxy::{Proxy, RobotPorts};
+pub(crate) use self::raw::Raw;
 pub(crate) use self::replay::Replay;
+pub(crate) use self::session::{Clear, Errors, Messages, MoveArgs, Run, Shell, Task, TaskCommand};
 pub(crate) use self::slave::{Cosine, Doctor, Halt, Play, Record, Slave, SlaveCommand, StreamArgs};
 use crate::duration;
 use crate::error::Failure;
@@ -30,7 +33,8 @@ use crate::frame::Role;
 use crate::profile::Profiles;
 use crate::rules::AllowPut;
 use crate::target;
-use bcap_std::{Address, NetworkAddress};
+use crate::trace::Level;
+use bcap_std::{Address, NetworkAddress, Protocol};
 
 /// Talks to DENSO robot controllers over b-CAP and RAC, and decodes their traffic.
 #[derive(Debug, Parser)]
@@ -91,25 +95,29 @@ pub(crate) struct LinkArgs {
     ///
     /// It covers connecting, all calls with their keep-alives, and the end of the session. `watch` and `slave record` apply
     /// it to each round; `doctor` to each link, and then to all other checks together; `slave play`, `slave cosine`,
-    /// `gateway` and `replay` to each answer; `proxy` to connecting. Without this option `halt` ends within 3 s, and a controller can keep any other call alive
-    /// for 180 s. Over UDP five attempts share the time.
+    /// `gateway` and `replay` to each answer; `proxy` to connecting; `shell` and `run` to each line. A motion of `move` has
+    /// --within instead. Without this option `halt` ends within 3 s, and a controller can keep any other call alive for
+    /// 180 s. Over UDP the attempts (--attempts) share the time.
     #[arg(long, global = true, value_name = "MS", env = "BCAP_TIMEOUT", value_parser = duration::parse)]
     timeout: Option<Duration>,
-
-    /// Records what the command sends and receives as packets in this file, for `bcap decode` and Wireshark
-    ///
-    /// The file is pcapng. A serial line has no packets. `sim` and `proxy` record their clients, `gateway` its PLCs and the
-    /// robot.
-    #[arg(long, global = true, value_name = "FILE.pcapng")]
-    pub(crate) write: Option<PathBuf>,
 
     /// The provider to connect to; an RC9 or a COBOTTA PRO has CaoProv.DENSO.VRC9 [default: CaoProv.DENSO.VRC]
     #[arg(long, global = true, value_name = "NAME", env = "BCAP_PROVIDER")]
     provider: Option<String>,
 
+    /// The machine name of Controller_Connect; for an RC9 the specification asks for the address of the controller
+    /// [default: localhost]
+    #[arg(long, global = true, value_name = "NAME", env = "BCAP_MACHINE")]
+    machine: Option<String>,
+
     /// The option of Controller_Connect, such as @EventDisable=false [default: empty]
-    #[arg(long, global = true, value_name = "OPTION", env = "BCAP_CONNECT_OPTION")]
-    connect_option: Option<String>,
+    #[arg(long, global = true, value_name = "TEXT", env = "BCAP_OPTION")]
+    option: Option<String>,
+
+    /// The attempts of a call over UDP, 1 to 7; other numbers become the nearest. They share the time limit of an answer,
+    /// at least 100 ms each, so that the controller's keep-alives arrive before an attempt ends
+    #[arg(long, global = true, value_name = "N", env = "BCAP_ATTEMPTS", default_value_t = 5)]
+    pub(crate) attempts: u32,
 
     /// The port of RAC, for an address without a port for RAC [default: 5006]
     #[arg(long, global = true, value_name = "PORT", env = "BCAP_RAC_PORT")]
@@ -123,6 +131,19 @@ pub(crate) struct LinkArgs {
     /// The address of the profile.
     #[arg(skip)]
     profile_address: Option<String>,
+
+    /// Records what the command sends and receives as packets in this file, for `bcap decode` and Wireshark
+    ///
+    /// The file is pcapng. A serial line has no packets. `sim` and `proxy` record their clients, `gateway` its PLCs and the
+    /// robot.
+    #[arg(long, global = true, value_name = "FILE.pcapng")]
+    pub(crate) write: Option<PathBuf>,
+
+    /// Prints each packet that is sent (->) and received (<-) on the standard error: headers, values, or bytes beside the
+    /// values. `gateway`, `proxy`, `replay`, `slave play` and `slave cosine` do not have it
+    #[arg(long, global = true, value_name = "LEVEL", num_args = 0..=1, require_equals = true,
+          default_missing_value = "bytes")]
+    pub(crate) trace: Option<Level>,
 }
 
 impl LinkArgs {
@@ -134,7 +155,8 @@ impl LinkArgs {
         Ok(Self {
             timeout: link.timeout.or(profile.timeout()),
             provider: link.provider.or_else(|| profile.provider().map(str::to_owned)),
-            connect_option: link.connect_option.or_else(|| profile.connect_option.clone()),
+            machine: link.machine.or_else(|| profile.machine.clone()),
+            option: link.option.or_else(|| profile.option.clone()),
             rac_port: link.rac_port.or(profile.rac_port),
             profile_address: profile.address().map(str::to_owned),
             ..link
@@ -159,9 +181,14 @@ impl LinkArgs {
         self.provider.as_deref().filter(|name| !name.is_empty()).unwrap_or("CaoProv.DENSO.VRC")
     }
 
+    /// Returns the machine name of Controller_Connect.
+    pub(crate) fn machine(&self) -> &str {
+        self.machine.as_deref().filter(|name| !name.is_empty()).unwrap_or("localhost")
+    }
+
     /// Returns the option of Controller_Connect.
-    pub(crate) fn connect_option(&self) -> &str {
-        self.connect_option.as_deref().unwrap_or_default()
+    pub(crate) fn option(&self) -> &str {
+        self.option.as_deref().unwrap_or_default()
     }
 
     /// Returns the same options for the controller at another address.
@@ -204,15 +231,43 @@ impl LinkArgs {
         Self { timeout: Some(self.timeout()), ..self.clone() }
     }
 
-    /// Returns the option of Service_Start: a third of the timeout as keep-alive interval, at most 400 ms.
+    /// Returns the attempts of a call over UDP (S2:1493).
+    pub(crate) fn attempts(&self) -> u8 {
+        let most = u8::try_from(self.attempts.clamp(1, 7)).unwrap_or(7);
+        let room = self.timeout().as_millis() / SHORTEST_ATTEMPT.as_millis();
+        most.min(u8::try_from(room).unwrap_or(u8::MAX)).max(1)
+    }
+
+    /// Refuses `--trace` for a command whose connections it cannot see.
+    pub(crate) fn untraced(&self) -> Result<&Self, Failure> {
+        match self.trace {
+            None => Ok(self),
+            Some(_) => Err(Failure::Input(
+                "this command has no --trace; record its packets with tcpdump and use `bcap decode FILE.pcap`".into(),
+            )),
+        }
+    }
+
+    /// Returns whether the controller is at a serial line.
+    pub(crate) fn is_serial(&self) -> bool {
+        matches!(self.target(), Ok(Address::Serial(_)))
+    }
+
+    /// Returns the option of Service_Start: a third of an attempt as keep-alive interval, from 80 ms to 400 ms. A keep-alive
+    /// that came after the attempt would make a long call fail or be repeated.
     pub(crate) fn start_option(&self) -> String {
-        match self.timeout().as_millis() / 3 {
-            // a server refuses intervals below 80 ms (S2:225)
-            0..80 => String::new(),
-            interval => format!("WDT={}", interval.min(400)),
+        let is_udp = matches!(self.network_target(), Ok(NetworkAddress { protocol: Protocol::Udp, .. }));
+        let attempt = self.timeout().as_millis() / if is_udp { u128::from(self.attempts()) } else { 1 };
+        // a server refuses intervals below 80 ms (S2:225)
+        match (attempt / 3).clamp(80, 400) {
+            interval if interval < attempt => format!("WDT={interval}"),
+            _ => String::new(),
         }
     }
 }
+
+/// The shortest attempt of a call over UDP: longer than the shortest interval of keep-alives.
+const SHORTEST_ATTEMPT: Duration = Duration::from_millis(100);
 
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
@@ -228,6 +283,14 @@ pub(crate) enum Command {
     Profile(Profile),
     Call(Call),
     Exec(Exec),
+    Move(MoveArgs),
+    Task(Task),
+    Errors(Errors),
+    Clear(Clear),
+    Messages(Messages),
+    Shell(Shell),
+    Run(Run),
+    Raw(Raw),
     Rac(Rac),
     Sim(Sim),
     Slave(Slave),
@@ -270,13 +333,15 @@ impl Command {
 /// NAME is a variable of the controller, such as I1, P10 or @MODE, or of an object: robot/@SERVO_ON,
 /// robot:Arm0/@CURRENT_POSITION, task:Pro1/@STATUS. I1-I50 is a range, and 'I*' are all variables of a kind (quote it).
 /// With --json a line is {"name":"I1","vt":3,"v":5}; `bcap encode --help` describes `vt` and `v`. Without --json the numbers
-/// of an R8 array, such as a pose, have at most 15 digits.
+/// of an R8 array, such as a pose, have at most 15 digits. $LAST_SEND_PACKET$ and $LAST_RECEIVE_PACKET$ are the bytes of the
+/// last packets before them.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   bcap get I1
   bcap get --robot tcp:192.168.0.1 --json P1 P2 robot/@CURRENT_POSITION
   bcap get I1-I50 IO128-IO135 'S*'
+  bcap get I1 '$LAST_SEND_PACKET$' '$LAST_RECEIVE_PACKET$'
   BCAP_ROBOT=udp:192.168.0.1 bcap get task:Pro1/@STATUS")]
 pub(crate) struct Get {
     /// The variables
@@ -382,6 +447,9 @@ pub(crate) struct Names {}
 /// be plain data. A missing last `option` is an empty string, a missing last `param` is EMPTY. The command starts the
 /// service and connects to the controller as needed.
 ///
+/// What a call does for its session only, such as to take the arm, ends with the command; `bcap move` does a whole motion,
+/// `bcap shell` and `bcap run` keep a session.
+///
 /// `bcap call FUNCTION --help` prints what FUNCTION does, its arguments with units, what it returns, and which controllers
 /// have it.
 #[derive(Debug, Args)]
@@ -390,7 +458,7 @@ pub(crate) struct Names {}
 Examples:
   bcap call ControllerGetName controller
   bcap call VariablePutValue variable:I1 3,42
-  bcap call Robot_Move robot 3,2 '8,@E P1' 8,SPEED=10
+  bcap call Robot_GetVariableNames robot
   bcap call 17 controller SysState
   bcap call TaskStart task:Pro1 1
   bcap call ServiceStart 8,WDT=400
@@ -417,13 +485,15 @@ pub(crate) struct Call {
 /// Executes a command of the controller or a robot
 ///
 /// OBJECT is controller, robot, robot:NAME, task:NAME, file:NAME or extension:NAME. ARG is TYPE,DATA; otherwise an integer
-/// is sent as I4, another number as R8, any other text as a string. Without ARG the parameter is EMPTY.
+/// is sent as I4, another number as R8, any other text as a string. Without ARG the parameter is EMPTY. Several ARG are an
+/// array: of I4, else of R8, else of VARIANT. What a command takes for this session only, such as the arm, is given back
+/// when `bcap exec` ends; `bcap shell` and `bcap run` keep it.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   bcap exec controller SysState
   bcap exec controller GetErrorDescription -2147481344
-  bcap exec robot TakeArm 8195,0,0
+  bcap exec robot TakeArm 0 1
   bcap exec robot CurPos --json")]
 pub(crate) struct Exec {
     /// The object
@@ -432,9 +502,9 @@ pub(crate) struct Exec {
     /// The command; case does not matter
     pub(crate) command: String,
 
-    /// Its parameter
+    /// Its parameter, or the elements of its parameter
     #[arg(value_name = "ARG", allow_negative_numbers = true)]
-    pub(crate) argument: Option<String>,
+    pub(crate) arguments: Vec<String>,
 }
 
 /// Reads and writes variables over RAC, the text protocol
@@ -876,7 +946,7 @@ Examples:
   bcap completions fish >~/.config/fish/completions/bcap.fish")]
 pub(crate) struct Completions {
     /// The shell
-    pub(crate) shell: Shell,
+    pub(crate) shell: clap_complete::Shell,
 }
 
 /// Writes the manual pages, one for each command

@@ -7,9 +7,6 @@ use bcap_std::{Address, NetworkAddress, Protocol};
 
 use crate::args::LinkArgs;
 
-/// The attempts of a call over UDP (S2:1493).
-const UDP_ATTEMPTS: u8 = 5;
-
 /// The time limit of each answer, and of the whole command if the user gave one.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Budget {
@@ -17,13 +14,15 @@ pub(crate) struct Budget {
     answer: Duration,
     /// The time limit of the whole command.
     total: Option<Duration>,
+    /// The attempts of a call over UDP.
+    attempts: u8,
     began: Instant,
 }
 
 impl Budget {
     /// Starts the time limits of the command line; `--timeout` limits the whole command.
     pub(crate) fn start(link: &LinkArgs) -> Self {
-        Self { answer: link.timeout(), total: link.limit(), began: Instant::now() }
+        Self { answer: link.timeout(), total: link.limit(), attempts: link.attempts(), began: Instant::now() }
     }
 
     /// Reduces the time limit of an answer to at most `most`.
@@ -71,10 +70,10 @@ impl Budget {
     /// Returns `timing` with the time limit of an answer, which the attempts over UDP share. Over a serial line it is not
     /// below the time that the line needs at its baud rate.
     pub(crate) fn timing(&self, timing: Timing, target: &Address) -> Timing {
-        let share = (self.answer / u32::from(UDP_ATTEMPTS)).max(Duration::from_millis(1));
+        let share = (self.answer / u32::from(self.attempts)).max(Duration::from_millis(1));
         match target {
             Address::Network(NetworkAddress { protocol: Protocol::Udp, .. }) => {
-                Timing { attempts: UDP_ATTEMPTS, attempt_timeout: share, ..timing }
+                Timing { attempts: self.attempts, attempt_timeout: share, ..timing }
             }
             Address::Serial(_) => Timing { attempt_timeout: timing.attempt_timeout.max(share), ..timing },
             _ => Timing { attempt_timeout: self.answer, ..timing },

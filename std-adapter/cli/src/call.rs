@@ -6,16 +6,16 @@ use bcap_core::hresult::HResult;
 use bcap_core::variant::{VarType, Variant};
 use bcap_std::ObjectPath;
 
-use crate::args::{Call, Exec, LinkArgs};
+use crate::args::{Call, Exec};
 use crate::error::Failure;
 use crate::output::{print_json, print_line};
 use crate::plain;
 use crate::reference::{self, usage};
-use crate::session::{Session, with_session};
+use crate::session::Session;
 use crate::value::{Value, integer, text, to_json};
 
 /// Runs `bcap call`.
-pub(crate) fn call(args: &Call, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+pub(crate) fn call(args: &Call, session: &mut Session, json: bool) -> Result<(), Failure> {
     let Some(name) = &args.function else {
         let printed = if args.help { reference::command() } else { reference::list(json) };
         return Ok(printed?);
@@ -32,11 +32,11 @@ pub(crate) fn call(args: &Call, link: &LinkArgs, json: bool) -> Result<(), Failu
         .map(|(i, argument)| Argument::parse(argument, kinds.get(i).copied(), function))
         .collect::<Result<_, _>>()?;
     arguments.extend(defaults(function, arguments.len()).unwrap_or_default().into_iter().map(Argument::Value));
-    if function == FunctionId::SERVICE_START {
+    if function == FunctionId::SERVICE_START && !session.is_open() {
         // this call starts the session itself
-        return call_in(&mut Session::open(link)?, function, &arguments, json);
+        session.open_connection()?;
     }
-    with_session(link, |session| call_in(session, function, &arguments, json))
+    call_in(session, function, &arguments, json)
 }
 
 fn call_in(session: &mut Session, function: FunctionId, arguments: &[Argument], json: bool) -> Result<(), Failure> {
@@ -49,7 +49,7 @@ fn call_in(session: &mut Session, function: FunctionId, arguments: &[Argument], 
         .collect::<Result<Vec<_>, _>>()?;
     let (code, value) = session.call_for_code(function, &values)?;
     if code.is_err() {
-        return Err(Failure::Refused { doing: usage(function), code });
+        return Err(refused(session, function, code));
     }
     print_reply(code, value.as_ref(), json)
 }
@@ -135,8 +135,25 @@ fn unknown(function: &str) -> Failure {
     ))
 }
 
+/// Returns the failure of a refused call: a motion without the arm has a hint of its own.
+fn refused(session: &Session, function: FunctionId, code: HResult) -> Failure {
+    let moves = [FunctionId::ROBOT_MOVE, FunctionId::ROBOT_DRIVE, FunctionId::ROBOT_ROTATE, FunctionId::ROBOT_GO_HOME];
+    if !moves.contains(&function) || session.has_arm() {
+        return Failure::Refused { doing: usage(function), code };
+    }
+    Failure::Unfit {
+        message: Failure::Refused { doing: usage(function), code }.to_string(),
+        code: Some(code),
+        hint: Some(
+            "this session has not taken the arm, which a motion needs: `bcap move P1` takes it, moves and gives it back; in \
+             `bcap shell` and `bcap run` it stays taken after `exec robot TakeArm 0 1`"
+                .into(),
+        ),
+    }
+}
+
 /// Runs `bcap exec`.
-pub(crate) fn exec(args: &Exec, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+pub(crate) fn exec(args: &Exec, session: &mut Session, json: bool) -> Result<(), Failure> {
     let path: ObjectPath = args.object.parse()?;
     let function = match path.object() {
         Object::Controller => FunctionId::CONTROLLER_EXECUTE,
@@ -149,22 +166,36 @@ pub(crate) fn exec(args: &Exec, link: &LinkArgs, json: bool) -> Result<(), Failu
             return Err(Failure::Input(format!("{}: a {kind} has no commands", args.object)));
         }
     };
-    let parameter = match &args.argument {
-        Some(argument) => guess(argument)?,
-        None => Value::new(&())?,
-    };
-    with_session(link, |session| {
-        let handle = session.object(&path)?;
-        let arguments = [integer(handle)?, text(&args.command)?, parameter];
-        let (code, value) = session.call_for_code(function, &arguments)?;
-        if code.is_err() {
-            return Err(Failure::Refused { doing: format!("{path}: {}", args.command), code });
-        }
-        print_reply(code, value.as_ref(), json)
-    })
+    let parameter = parameter(&args.arguments)?;
+    let handle = session.object(&path)?;
+    let arguments = [integer(handle)?, text(&args.command)?, parameter];
+    let (code, value) = session.call_for_code(function, &arguments)?;
+    if code.is_err() {
+        return Err(Failure::Refused { doing: format!("{path}: {}", args.command), code });
+    }
+    print_reply(code, value.as_ref(), json)
 }
 
-/// Parses the parameter of a command: `TYPE,DATA`, an integer as I4, another number as R8, any other text as a string.
+/// Encodes the parameter of a command: EMPTY, one value, or an array of several.
+fn parameter(arguments: &[String]) -> Result<Value, EncodeError> {
+    let values = arguments.iter().map(|argument| guess(argument)).collect::<Result<Vec<_>, _>>()?;
+    if let [] | [_] = values.as_slice() {
+        return Ok(values.into_iter().next().unwrap_or_default());
+    }
+    let all = |vartype: &[VarType]| values.iter().all(|value| vartype.contains(&value.as_variant().vartype()));
+    if all(&[VarType::I4]) {
+        let numbers: Vec<i32> = values.iter().filter_map(|value| value.as_variant().as_i32()).collect();
+        return Value::new(numbers.as_slice());
+    }
+    if all(&[VarType::I4, VarType::R8]) {
+        let numbers: Vec<f64> = values.iter().filter_map(|value| value.as_variant().as_f64()).collect();
+        return Value::new(numbers.as_slice());
+    }
+    let variants: Vec<Variant<'_>> = values.iter().map(Value::as_variant).collect();
+    Value::new(variants.as_slice())
+}
+
+/// Parses one argument of a command: `TYPE,DATA`, an integer as I4, another number as R8, any other text as a string.
 fn guess(argument: &str) -> Result<Value, EncodeError> {
     if let Ok(value) = plain::from_typed(argument) {
         return Ok(value);

@@ -5,28 +5,42 @@ use std::net::SocketAddr;
 use std::time::Duration;
 
 use bcap_core::bcap::client::{ClientError, Timeout};
-use bcap_std::blocking::{self, Controller};
+use bcap_std::blocking::{self, Controller, Transport};
 use bcap_std::{Address, CallError, ConnectError, Error, NetworkAddress, Options, Protocol};
 
 use crate::budget::Budget;
 use crate::error::Failure;
 use crate::record::{current, taped};
+use crate::trace::{Packets, Wire};
 
-/// Connects within the time limits, without starting the service. Over UDP nothing is sent.
-pub(crate) fn open(target: &Address, budget: &Budget) -> Result<Controller, Failure> {
+/// Connects within the time limits, without starting the service. Over UDP nothing is sent. `packets` sees all bytes.
+pub(crate) fn open(target: &Address, budget: &Budget, packets: &Packets) -> Result<Controller, Failure> {
     match target {
         Address::Network(server) => connect(server, budget, |peer, options| match server.protocol {
-            Protocol::Tcp => blocking::connect_tcp(peer, options).map(taped).map(Controller::unopened),
-            Protocol::Udp => blocking::connect_udp(peer, options).map(taped).map(Controller::unopened),
+            Protocol::Tcp => {
+                blocking::connect_tcp(peer, options).map(taped).map(|open| tapped(open, packets, Wire::Stream))
+            }
+            Protocol::Udp => {
+                blocking::connect_udp(peer, options).map(taped).map(|open| tapped(open, packets, Wire::Datagrams))
+            }
         }),
         Address::Serial(_) if current().is_some() => Err(Failure::Input(format!(
             "{target}: a serial line has no packets to record; --write needs tcp:HOST[:PORT] or udp:HOST[:PORT]"
         ))),
         Address::Serial(line) => blocking::connect_serial(line, &Options::default())
-            .map(Controller::unopened)
+            .map(|open| tapped(open, packets, Wire::Serial))
             .map_err(|error| not_connected(&error, target)),
         other => Err(Failure::Input(format!("{other}: this kind of address is not supported"))),
     }
+}
+
+/// Wraps a connection, so that `packets` sees its bytes.
+fn tapped<X>(connection: blocking::Connection<X, Vec<u8>>, packets: &Packets, wire: Wire) -> Controller
+where
+    X: Transport<Error = io::Error> + Send + 'static,
+{
+    let (transport, client) = connection.into_parts();
+    Controller::unopened(blocking::Connection::new(packets.tap(transport, wire), client))
 }
 
 /// Resolves the host, and connects to the first address that accepts. The attempts share the remaining time.

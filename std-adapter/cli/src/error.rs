@@ -101,6 +101,14 @@ pub(crate) enum Failure {
     /// Two backups differ; the output has the differences.
     #[error("there are differences")]
     Different,
+    /// A line of a script failed.
+    #[error("{place}: {failure}")]
+    Script {
+        /// The file and the line.
+        place: String,
+        /// Why.
+        failure: Box<Failure>,
+    },
     /// A signal ended the command.
     #[error("{0}")]
     Interrupted(String),
@@ -179,6 +187,7 @@ impl Failure {
             Self::Timeout { .. } => 4,
             // the convention of shells: 128 plus the number of SIGINT
             Self::Interrupted(_) => 130,
+            Self::Script { failure, .. } => failure.code(),
         }
     }
 
@@ -197,6 +206,7 @@ impl Failure {
             Self::Refused { code, .. } => code.hint(),
             Self::Connection { hint, .. } | Self::Timeout { hint, .. } => Some(hint),
             Self::Unfit { code, hint, .. } => hint.as_deref().or_else(|| code.and_then(HResult::hint)),
+            Self::Script { failure, .. } => failure.hint(),
             Self::Input(_)
             | Self::Item(_)
             | Self::BadLines(_)
@@ -211,7 +221,11 @@ impl Failure {
 
     /// Returns whether the session can continue: the controller answered, or no call was made.
     pub(crate) fn leaves_the_session_alive(&self) -> bool {
-        !matches!(self, Self::Connection { .. } | Self::Timeout { .. })
+        match self {
+            Self::Connection { .. } | Self::Timeout { .. } => false,
+            Self::Script { failure, .. } => failure.leaves_the_session_alive(),
+            _ => true,
+        }
     }
 
     /// Prints the message and the hint, and returns the exit code.
@@ -263,6 +277,11 @@ impl Failure {
             Self::Item(item) => line.offset = Some(item.offset),
             Self::Refused { code, .. } | Self::Unfit { code: Some(code), .. } => {
                 (line.code, line.hresult) = (Some(code.0), code.name());
+            }
+            Self::Script { failure, .. } => {
+                if let Self::Refused { code, .. } | Self::Unfit { code: Some(code), .. } = failure.as_ref() {
+                    (line.code, line.hresult) = (Some(code.0), code.name());
+                }
             }
             Self::Input(_)
             | Self::Connection { .. }

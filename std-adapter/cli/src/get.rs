@@ -1,16 +1,18 @@
 //! `bcap get`.
 
-use crate::args::{Get, LinkArgs};
+use crate::args::Get;
 use crate::error::Failure;
+use crate::hex;
 use crate::selection::{Selection, expand};
-use crate::session::with_session;
-use crate::variables::{get_one, paths, print_each};
+use crate::session::Session;
+use crate::value::text;
+use crate::variables::{get_one, last_packet, paths, print_each};
 
 /// Runs `bcap get`.
-pub(crate) fn get(args: &Get, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let selections = Selection::parse_each(&args.names)?;
-    with_session(link, |session| {
-        let names = expand(session, &selections)?;
-        print_each(&names, &paths(&names)?, json, |path| get_one(session, path))
+pub(crate) fn get(args: &Get, session: &mut Session, json: bool) -> Result<(), Failure> {
+    let names = expand(session, &Selection::parse_each(&args.names)?)?;
+    print_each(&names, &paths(&names)?, json, |path| match last_packet(session, &path.to_string()) {
+        Some(bytes) => text(&hex::spaced(&bytes)),
+        None => get_one(session, path),
     })
 }

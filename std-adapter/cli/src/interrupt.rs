@@ -1,38 +1,220 @@
-//! Ctrl-C for commands that can end between two calls: the first signal ends them there, the second at once.
+//! Signals while a command may move the robot: SIGINT (Ctrl-C) halts it, SIGTERM and SIGHUP also end the command.
+//!
+//! The session of the command waits for a reply then, so the halt has a session of its own, which is opened before the motion
+//! begins. The command gives the arm back when its call has ended.
 
-use std::io::{self, Write};
+use std::io;
 use std::process;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, channel};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread;
+use std::time::{Duration, Instant};
 
-use crate::signal;
+use crate::error::Failure;
 
-/// Whether a signal has arrived.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct Interrupt(Arc<AtomicBool>);
+/// How long a motion that begins beside a halt may run until the next halt.
+const AGAIN: Duration = Duration::from_millis(50);
+
+/// The further SIGINT that end a command whose call does not end.
+const IMPATIENT: u32 = 5;
+
+/// Halts the robot over a session of its own.
+pub(crate) type Halt = Box<dyn FnMut() -> Result<(), Failure> + Send>;
+
+/// What signals do.
+#[derive(Clone)]
+pub(crate) struct Interrupt(Arc<Shared>);
+
+struct Shared {
+    /// Whether a signal arrived since the beginning of the line.
+    interrupted: Mutex<bool>,
+    changed: Condvar,
+    /// Whether the command must end.
+    ended: AtomicBool,
+    /// Whether this command may move the robot now.
+    moving: AtomicBool,
+    /// How the robot is halted.
+    stopper: Mutex<Option<Halt>>,
+}
+
+/// A signal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Signal {
+    /// SIGINT.
+    Interrupt,
+    /// SIGTERM or SIGHUP.
+    End,
+}
 
 impl Interrupt {
-    /// Installs the handlers of SIGINT and SIGTERM.
-    pub(crate) fn install() -> io::Result<Self> {
-        let signals = signal::each()?;
-        let interrupt = Self::default();
-        let own = interrupt.clone();
+    /// Handles signals from now on. `end` is called on SIGTERM and SIGHUP while no line runs.
+    pub(crate) fn install(end: impl Fn() + Send + 'static) -> io::Result<Self> {
+        let interrupt = Self(Arc::new(Shared {
+            interrupted: Mutex::new(false),
+            changed: Condvar::new(),
+            ended: AtomicBool::new(false),
+            moving: AtomicBool::new(false),
+            stopper: Mutex::new(None),
+        }));
+        let (signals, handler) = (signals()?, interrupt.clone());
         thread::Builder::new().name("interrupt".into()).spawn(move || {
-            if signals.recv().is_err() {
-                return;
-            }
-            own.0.store(true, Ordering::Release);
-            // an error of printing cannot be reported
-            let _ = writeln!(io::stderr(), "ends after this call; press Ctrl-C again to end at once");
-            if signals.recv().is_ok() {
-                process::exit(130);
+            while let Ok(signal) = signals.recv() {
+                handler.signalled(signal, &signals);
+                if signal == Signal::End {
+                    end();
+                }
             }
         })?;
         Ok(interrupt)
     }
 
-    pub(crate) fn has_come(&self) -> bool {
-        self.0.load(Ordering::Acquire)
+    fn signalled(&self, signal: Signal, more: &Receiver<Signal>) {
+        let Self(shared) = self;
+        if signal == Signal::End {
+            shared.ended.store(true, Ordering::SeqCst);
+        }
+        *shared.interrupted.lock().unwrap_or_else(PoisonError::into_inner) = true;
+        shared.changed.notify_all();
+        let (mut reported, mut again) = (false, 0);
+        // a motion may begin just after a halt, so halt until the command has ended its call
+        while shared.moving.load(Ordering::SeqCst) {
+            if let Err(failure) = self.halt()
+                && !reported
+            {
+                failure.print(false, None);
+                reported = true;
+            }
+            match more.recv_timeout(AGAIN) {
+                Ok(Signal::End) => shared.ended.store(true, Ordering::SeqCst),
+                Ok(Signal::Interrupt) => again += 1,
+                Err(_) => {}
+            }
+            if again == IMPATIENT {
+                let what = "interrupted again and again, so the command ends; the controller gives the arm back when it \
+                            notices the end of the connection";
+                Failure::Interrupted(what.into()).print(false, None);
+                process::exit(130);
+            }
+        }
     }
+
+    /// Closes the session that halts.
+    pub(crate) fn dismiss(&self) {
+        *self.0.stopper.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    }
+
+    /// Halts the robot, if [`prepare`](Self::prepare) has given a way to do so.
+    pub(crate) fn halt(&self) -> Result<(), Failure> {
+        let mut stopper = self.0.stopper.lock().unwrap_or_else(PoisonError::into_inner);
+        stopper.as_mut().map_or(Ok(()), |halt| halt())
+    }
+
+    /// Sets how the robot is halted, unless that is known; `open` may connect.
+    pub(crate) fn prepare(&self, open: impl FnOnce() -> Result<Option<Halt>, Failure>) -> Result<(), Failure> {
+        let mut stopper = self.0.stopper.lock().unwrap_or_else(PoisonError::into_inner);
+        if stopper.is_none() {
+            *stopper = open()?;
+        }
+        Ok(())
+    }
+
+    /// Begins a line: forgets earlier interruptions.
+    pub(crate) fn begin(&self) {
+        *self.0.interrupted.lock().unwrap_or_else(PoisonError::into_inner) = false;
+    }
+
+    /// Sets whether the command may move the robot from now on.
+    pub(crate) fn set_moving(&self, moving: bool) {
+        self.0.moving.store(moving, Ordering::SeqCst);
+    }
+
+    /// Returns whether a signal arrived since the beginning of the line.
+    pub(crate) fn is_interrupted(&self) -> bool {
+        *self.0.interrupted.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Returns whether the command must end.
+    pub(crate) fn is_ended(&self) -> bool {
+        self.0.ended.load(Ordering::SeqCst)
+    }
+
+    /// Waits; an interruption ends that with an error.
+    pub(crate) fn sleep(&self, time: Duration) -> Result<(), Failure> {
+        let until = Instant::now() + time;
+        let mut interrupted = self.0.interrupted.lock().unwrap_or_else(PoisonError::into_inner);
+        loop {
+            let left = until.saturating_duration_since(Instant::now());
+            if *interrupted {
+                return Err(Failure::Interrupted("interrupted".into()));
+            }
+            if left.is_zero() {
+                return Ok(());
+            }
+            let waited = self.0.changed.wait_timeout(interrupted, left);
+            interrupted = waited.unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+}
+
+/// Returns a receiver of all further signals.
+fn signals() -> io::Result<Receiver<Signal>> {
+    let (sender, receiver) = channel();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build()?;
+    let mut sources = {
+        let _inside = runtime.enter();
+        Sources::new()?
+    };
+    thread::Builder::new().name("signals".into()).spawn(move || {
+        runtime.block_on(async { while sender.send(sources.next().await).is_ok() {} });
+    })?;
+    Ok(receiver)
+}
+
+#[cfg(unix)]
+struct Sources {
+    interrupt: tokio::signal::unix::Signal,
+    terminate: tokio::signal::unix::Signal,
+    hangup: tokio::signal::unix::Signal,
+}
+
+#[cfg(unix)]
+impl Sources {
+    fn new() -> io::Result<Self> {
+        use tokio::signal::unix::{SignalKind, signal};
+        let [interrupt, terminate, hangup] =
+            [SignalKind::interrupt(), SignalKind::terminate(), SignalKind::hangup()].map(signal);
+        Ok(Self { interrupt: interrupt?, terminate: terminate?, hangup: hangup? })
+    }
+
+    async fn next(&mut self) -> Signal {
+        tokio::select! {
+            _ = self.interrupt.recv() => Signal::Interrupt,
+            _ = self.terminate.recv() => Signal::End,
+            _ = self.hangup.recv() => Signal::End,
+        }
+    }
+}
+
+#[cfg(not(unix))]
+struct Sources;
+
+#[cfg(not(unix))]
+impl Sources {
+    fn new() -> io::Result<Self> {
+        Ok(Self)
+    }
+
+    async fn next(&mut self) -> Signal {
+        // without a handler there is no signal
+        if tokio::signal::ctrl_c().await.is_err() {
+            std::future::pending::<()>().await;
+        }
+        Signal::Interrupt
+    }
+}
+
+/// The failure of a command that a signal interrupted while its session had the arm.
+pub(crate) fn interrupted() -> Failure {
+    Failure::Interrupted("interrupted: the robot was halted, and the arm was given back".into())
 }

@@ -13,6 +13,7 @@ mod disk;
 mod dissect;
 mod doctor;
 mod duration;
+mod ending;
 mod error;
 mod escape;
 mod explain;
@@ -26,7 +27,9 @@ mod hex;
 mod interrupt;
 mod item;
 mod json;
+mod line;
 mod listen;
+mod motion;
 mod named;
 mod output;
 mod place;
@@ -37,27 +40,34 @@ mod profiles;
 mod proxy;
 mod put;
 mod rac;
+mod raw;
 mod record;
 mod reference;
 mod remote;
 mod replay;
 mod robot;
 mod rules;
+mod script;
 mod selection;
 mod session;
+mod shell;
 mod signal;
 mod sim;
 mod slave;
 mod table;
 mod tap;
 mod target;
+mod task;
 mod text;
 mod times;
 mod title;
+mod trace;
+mod trouble;
 mod value;
 mod variables;
 mod watch;
 mod wireshark;
+mod words;
 
 use std::process::ExitCode;
 
@@ -65,6 +75,7 @@ use clap::CommandFactory as _;
 
 use crate::args::{Cli, Command};
 use crate::error::Failure;
+use crate::session::Session;
 
 fn main() -> ExitCode {
     let cli = Cli::parse_or_exit();
@@ -85,37 +96,59 @@ fn recorded(cli: &Cli) -> Result<(), Failure> {
 }
 
 fn run(cli: &Cli) -> Result<(), Failure> {
-    let link = &match &cli.command {
+    let link = match &cli.command {
         Command::Halt(_) => cli.link.with_profile_for_halt()?,
         command if command.connects() => cli.link.with_profile()?,
         _ => cli.link.clone(),
     };
-    match &cli.command {
-        Command::Get(args) => get::get(args, link, cli.json),
-        Command::Put(args) => put::put(args, link, cli.json),
-        Command::Watch(args) => watch::watch(args, link, cli.json),
-        Command::Names(_) => variables::names(link, cli.json),
-        Command::Ls(args) => files::ls(args, link, cli.json),
-        Command::Cp(args) => files::cp(args, link, cli.json),
-        Command::Dump(args) => backup::dump(args, link, cli.json),
-        Command::Diff(args) => backup::diff(args, link, cli.json),
-        Command::Restore(args) => backup::restore(args, link, cli.json),
-        Command::Profile(args) => profiles::profile(args, cli.json),
-        Command::Call(args) => call::call(args, link, cli.json),
-        Command::Exec(args) => call::exec(args, link, cli.json),
-        Command::Rac(args) => rac::rac(args, link, cli.json),
+    let mut session = Session::new(&link);
+    let done = verb(&cli.command, &mut session, cli.json);
+    if session.has_arm() && matches!(cli.command, Command::Exec(_) | Command::Call(_)) {
+        output::note(
+            "the arm was taken, and is given back now, because one command is one session; `bcap shell` and `bcap run` keep \
+             it, `bcap move` does a whole motion",
+        );
+    }
+    done
+}
+
+/// Runs a command: one of the command line, of the shell or of a script.
+pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Result<(), Failure> {
+    let link = &session.link().clone();
+    match command {
+        Command::Get(args) => get::get(args, session, json),
+        Command::Put(args) => put::put(args, session, json),
+        Command::Watch(args) => watch::watch(args, session, json),
+        Command::Names(_) => variables::names(session, json),
+        Command::Ls(args) => files::ls(args, link, json),
+        Command::Cp(args) => files::cp(args, link, json),
+        Command::Dump(args) => backup::dump(args, link, json),
+        Command::Diff(args) => backup::diff(args, link, json),
+        Command::Restore(args) => backup::restore(args, link, json),
+        Command::Profile(args) => profiles::profile(args, json),
+        Command::Call(args) => call::call(args, session, json),
+        Command::Exec(args) => call::exec(args, session, json),
+        Command::Move(args) => motion::motion(args, session, json),
+        Command::Task(args) => task::task(args, session, json),
+        Command::Errors(_) => trouble::errors(session, json),
+        Command::Clear(_) => trouble::clear(session),
+        Command::Messages(args) => trouble::messages(args, session, json),
+        Command::Shell(_) => shell::shell(session, verb, json),
+        Command::Run(args) => script::run(args, session, verb, json),
+        Command::Raw(args) => raw::raw(args, link, json),
+        Command::Rac(args) => rac::rac(args, link, json),
         Command::Sim(args) => sim::sim(args, link.write.as_deref()),
-        Command::Slave(args) => slave::slave(args, link, cli.json),
-        Command::Halt(_) => halt::halt(link, cli.json),
-        Command::Doctor(args) => doctor::doctor(args, link, cli.json),
-        Command::Gateway(args) => gateway::gateway(args, link),
-        Command::Proxy(args) => proxy::proxy(args, link, cli.json),
-        Command::Replay(args) => replay::replay(args, link, cli.json),
+        Command::Slave(args) => slave::slave(args, link, json),
+        Command::Halt(_) => halt::halt(session, json),
+        Command::Doctor(args) => doctor::doctor(args, link, json),
+        Command::Gateway(args) => gateway::gateway(args, link.untraced()?),
+        Command::Proxy(args) => proxy::proxy(args, link.untraced()?, json),
+        Command::Replay(args) => replay::replay(args, link.untraced()?, json),
         Command::Demo(_) => demo::demo(),
-        Command::Decode(args) => decode::decode(args, cli.json),
+        Command::Decode(args) => decode::decode(args, json),
         Command::Encode(args) => decode::encode(args),
-        Command::Text(args) => text::text(args, cli.json),
-        Command::Explain(args) => explain::explain(args, cli.json),
+        Command::Text(args) => text::text(args, json),
+        Command::Explain(args) => explain::explain(args, json),
         Command::Wireshark(_) => wireshark::wireshark(),
         Command::Completions(args) => completions(args),
         Command::Man(args) => man(args),

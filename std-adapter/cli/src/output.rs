@@ -26,3 +26,9 @@ pub(crate) fn print_raw(text: &str) -> io::Result<()> {
     out.write_all(b"\n")?;
     out.flush()
 }
+
+/// Prints a note on the standard error.
+pub(crate) fn note(text: &str) {
+    // an error of the standard error cannot be reported
+    let _ = writeln!(io::stderr().lock(), " note: {}", escape::line(text));
+}

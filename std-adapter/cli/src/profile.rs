@@ -4,7 +4,8 @@
 //! [profile.cell1]
 //! address = "tcp:192.168.0.1"
 //! model = "rc9"                # rc8, rc9 or cobotta; or provider = "CaoProv.DENSO.VRC9"
-//! connect_option = ""          # the option of Controller_Connect
+//! machine = "localhost"         # the machine and the option of Controller_Connect
+//! option = ""
 //! rac_port = 5006
 //! timeout = "3s"
 //! ```
@@ -30,7 +31,8 @@ pub(crate) struct Profile {
     address: Option<Address>,
     provider: Option<Provider>,
     model: Option<ModelName>,
-    pub(crate) connect_option: Option<String>,
+    pub(crate) machine: Option<String>,
+    pub(crate) option: Option<String>,
     pub(crate) rac_port: Option<u16>,
     timeout: Option<Timeout>,
 }

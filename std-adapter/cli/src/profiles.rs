@@ -34,7 +34,8 @@ fn show(name: &str, profile: &Profile, json: bool) -> Result<(), Failure> {
     for (key, value) in [
         ("address", profile.address().map(|address| format!("{address:?}"))),
         ("provider", profile.provider().map(|provider| format!("{provider:?}"))),
-        ("connect_option", profile.connect_option.as_ref().map(|option| format!("{option:?}"))),
+        ("machine", profile.machine.as_ref().map(|machine| format!("{machine:?}"))),
+        ("option", profile.option.as_ref().map(|option| format!("{option:?}"))),
         ("rac_port", profile.rac_port.map(|port| port.to_string())),
         ("timeout", profile.timeout().map(|timeout| format!("\"{}ms\"", timeout.as_millis()))),
     ] {
@@ -51,7 +52,8 @@ fn line(name: &str, profile: &Profile) -> String {
         "name": name,
         "address": profile.address(),
         "provider": profile.provider(),
-        "connect_option": profile.connect_option,
+        "machine": profile.machine,
+        "option": profile.option,
         "rac_port": profile.rac_port,
         "timeout_ms": millis,
     })

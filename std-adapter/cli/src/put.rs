@@ -6,14 +6,14 @@ use std::fs::File;
 use std::io::{self, BufReader};
 use std::path::Path;
 
-use bcap_core::bcap::FunctionId;
+use bcap_core::bcap::{FunctionId, Object};
 use bcap_std::ObjectPath;
 
-use crate::args::{LinkArgs, Put};
+use crate::args::Put;
 use crate::error::Failure;
 use crate::named::{self, Entry, Named};
 use crate::plain;
-use crate::session::{Session, with_session};
+use crate::session::Session;
 use crate::value::{Value, integer};
 use crate::variables::{print, read, shown};
 
@@ -31,21 +31,38 @@ enum Data {
 }
 
 /// Runs `bcap put`.
-pub(crate) fn put(args: &Put, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+pub(crate) fn put(args: &Put, session: &mut Session, json: bool) -> Result<(), Failure> {
     let writes = match &args.from {
         Some(path) => from_lines(path)?,
         None => from_words(args)?,
     };
-    with_session(link, |session| {
-        let prepared = writes.iter().map(|write| prepare(session, write)).collect::<Result<Vec<_>, _>>()?;
-        for (done, (write, (variable, value))) in writes.iter().zip(&prepared).enumerate() {
-            let arguments = [integer(*variable)?, value.clone()];
-            let written = session.call(&write.name, FunctionId::VARIABLE_PUT_VALUE, &arguments);
-            written.map_err(|failure| after(failure, done, writes.len()))?;
-            print(&shown(&write.name, value, json), json)?;
-        }
-        Ok(())
-    })
+    let mut prepared = Vec::with_capacity(writes.len());
+    let done = write_all(&writes, &mut prepared, session, json);
+    if done.as_ref().is_err_and(|failure| !failure.leaves_the_session_alive()) {
+        return done;
+    }
+    // an error of the writes is more useful than an error of a release
+    let released = prepared.iter().map(|(variable, _)| session.release(Object::Variable, *variable));
+    done.and(released.collect())
+}
+
+/// Prepares all writes, then makes them. `prepared` gets the open variables with their values, also when an error ends this.
+fn write_all(
+    writes: &[Write],
+    prepared: &mut Vec<(i32, Value)>,
+    session: &mut Session,
+    json: bool,
+) -> Result<(), Failure> {
+    for write in writes {
+        prepared.push(prepare(session, write)?);
+    }
+    for (done, (write, (variable, value))) in writes.iter().zip(prepared).enumerate() {
+        let arguments = [integer(*variable)?, value.clone()];
+        let written = session.call(&write.name, FunctionId::VARIABLE_PUT_VALUE, &arguments);
+        written.map_err(|failure| after(failure, done, writes.len()))?;
+        print(&shown(&write.name, value, json), json)?;
+    }
+    Ok(())
 }
 
 /// Opens a variable and returns its handle with the value to write.

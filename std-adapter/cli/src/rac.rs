@@ -3,8 +3,8 @@
 use std::net::SocketAddr;
 
 use bcap_core::rac::client::{ClientError, Config};
-use bcap_core::rac::{Variable, VariableKind};
-use bcap_std::blocking;
+use bcap_core::rac::{MAX_VALUE, Variable, VariableKind};
+use bcap_std::blocking::{self, RacConnection};
 use bcap_std::{Options, RacError};
 
 use crate::args::{Get, LinkArgs, Rac, RacCommand, RacPut};
@@ -12,8 +12,9 @@ use crate::budget::Budget;
 use crate::connection::{broken, connect, exhausted};
 use crate::error::Failure;
 use crate::plain;
-use crate::record::{TapedRac, taped_rac};
+use crate::record::{TapedTcp, taped_rac};
 use crate::selection::{Selection, expand_offline};
+use crate::trace::{Packets, Traced, Wire};
 use crate::value::Value;
 use crate::variables::{print, print_each, shown};
 use bcap_std::Address;
@@ -76,7 +77,7 @@ fn model(kind: VariableKind) -> Result<Value, Failure> {
 
 /// A RAC connection that reports errors as a [`Failure`].
 struct RacLink {
-    client: TapedRac,
+    client: RacConnection<Traced<TapedTcp>, [u8; MAX_VALUE]>,
     target: Address,
     budget: Budget,
 }
@@ -85,7 +86,8 @@ impl RacLink {
     fn open(link: &LinkArgs) -> Result<Self, Failure> {
         let (target, budget) = (link.rac_target()?, Budget::start(link));
         let connect_rac = |peer: &[SocketAddr], options: &Options| blocking::connect_rac(peer, options).map(taped_rac);
-        let client = connect(&target, &budget, connect_rac)?;
+        let (transport, client) = connect(&target, &budget, connect_rac)?.into_parts();
+        let client = RacConnection::new(Packets::new(link.trace).tap(transport, Wire::Lines), client);
         let target = Address::Network(target);
         Ok(Self { client, target, budget })
     }

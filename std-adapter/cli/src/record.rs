@@ -24,7 +24,7 @@ use std::time::{Instant, SystemTime, UNIX_EPOCH};
 pub(crate) use self::ends::{Ends, Recorded};
 use self::pcapng::Writer;
 use self::tape::Tape;
-pub(crate) use self::transport::{TapedRac, taped, taped_rac};
+pub(crate) use self::transport::{TapedRac, TapedTcp, taped, taped_rac};
 use crate::error::Failure;
 use crate::frame::Role;
 

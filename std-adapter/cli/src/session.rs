@@ -3,6 +3,8 @@
 //! Controller_Connect is called when a command first needs the controller. At the end of the session, also after a refusal,
 //! all objects are released in reverse order. After a call without a reply nothing is sent.
 
+use std::collections::HashMap;
+
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
 use bcap_std::blocking::Controller;
@@ -12,17 +14,52 @@ use crate::args::LinkArgs;
 use crate::budget::Budget;
 use crate::connection::{failure, open};
 use crate::error::Failure;
-use crate::value::{Value, described, text};
+use crate::interrupt::Interrupt;
+use crate::trace::Packets;
+use crate::value::{Value, described, integer, text};
 
-/// A session, from Service_Start to Service_Stop.
+/// A session, from Service_Start to Service_Stop. It connects when it is first used.
 pub(crate) struct Session {
+    link: LinkArgs,
+    /// The connection, which exists from the first use on.
+    open: Option<Open>,
+    /// Whether the connection was lost.
+    lost: bool,
+    /// The provider for the next Controller_Connect.
+    pub(crate) provider: String,
+    /// The objects that stay open for the next use, by path.
+    objects: HashMap<String, i32>,
+    /// What a signal does while this session may move the robot.
+    pub(crate) interrupt: Option<Interrupt>,
+    /// The bytes of the last packets.
+    pub(crate) packets: Packets,
+}
+
+/// An open connection.
+struct Open {
     controller: Controller,
     target: Address,
     budget: Budget,
-    /// The provider for the next Controller_Connect.
-    pub(crate) provider: String,
-    /// The option of Controller_Connect.
-    option: String,
+}
+
+impl Drop for Session {
+    /// Ends this session, and then the one that halts the robot.
+    fn drop(&mut self) {
+        self.open = None;
+        if let Some(interrupt) = &self.interrupt {
+            interrupt.dismiss();
+        }
+    }
+}
+
+/// The session that halts the robot while another one waits for a reply.
+struct Stopper(Session);
+
+impl Drop for Stopper {
+    /// Allows time for the end of the session, however long it was idle.
+    fn drop(&mut self) {
+        self.0.close();
+    }
 }
 
 /// Runs `body` with a started session, then releases its objects and stops the service.
@@ -30,25 +67,104 @@ pub(crate) fn with_session<T>(
     link: &LinkArgs,
     body: impl FnOnce(&mut Session) -> Result<T, Failure>,
 ) -> Result<T, Failure> {
-    let mut session = Session::open(link)?;
-    session.start(link)?;
+    let mut session = Session::new(link);
+    session.connect()?;
     body(&mut session)
 }
 
 impl Session {
+    /// Returns a session that connects when it is first used.
+    pub(crate) fn new(link: &LinkArgs) -> Self {
+        Self {
+            link: link.clone(),
+            open: None,
+            lost: false,
+            provider: link.provider().to_owned(),
+            objects: HashMap::new(),
+            interrupt: None,
+            packets: Packets::new(link.trace),
+        }
+    }
+
     /// Connects without starting the service.
     pub(crate) fn open(link: &LinkArgs) -> Result<Self, Failure> {
-        let (target, budget) = (link.target()?, Budget::start(link));
-        let controller = open(&target, &budget)?;
-        let mut session = Self {
-            controller,
-            target,
-            budget,
-            provider: link.provider().to_owned(),
-            option: link.connect_option().to_owned(),
-        };
-        session.set_budget(budget);
+        let mut session = Self::new(link);
+        session.open_connection()?;
         Ok(session)
+    }
+
+    /// Returns how the session connects.
+    pub(crate) const fn link(&self) -> &LinkArgs {
+        &self.link
+    }
+
+    /// Connects and starts the service, unless that has been done.
+    pub(crate) fn connect(&mut self) -> Result<(), Failure> {
+        if self.open.is_none() {
+            self.open_connection()?;
+            let link = self.link.clone();
+            self.start(&link)?;
+        }
+        Ok(())
+    }
+
+    /// Ends the connection, and connects again.
+    pub(crate) fn reconnect(&mut self) -> Result<(), Failure> {
+        self.close();
+        let connected = self.connect().and_then(|()| self.controller());
+        connected.map(drop)
+    }
+
+    /// Ends the session: gives the arm back, releases all objects and stops the service.
+    pub(crate) fn close(&mut self) {
+        if !self.lost {
+            self.restart_budget();
+        }
+        self.open = None;
+        self.lost = false;
+        self.objects.clear();
+        if let Some(interrupt) = &self.interrupt {
+            interrupt.dismiss();
+        }
+    }
+
+    /// Opens the connection, over which nothing is started yet.
+    pub(crate) fn open_connection(&mut self) -> Result<(), Failure> {
+        let (target, budget) = (self.link.target()?, Budget::start(&self.link));
+        let controller = open(&target, &budget, &self.packets)?;
+        self.open = Some(Open { controller, target, budget });
+        self.set_budget(budget);
+        Ok(())
+    }
+
+    /// Returns the open connection; connects first if necessary.
+    fn opened(&mut self) -> Result<&mut Open, Failure> {
+        if self.lost {
+            return Err(Failure::Connection {
+                message: "the connection is lost".into(),
+                hint: "`connect` connects again; look where the robot is before it moves".into(),
+            });
+        }
+        self.connect()?;
+        self.open.as_mut().ok_or_else(|| Failure::Connection {
+            message: "there is no connection".into(),
+            hint: "`connect` connects again".into(),
+        })
+    }
+
+    /// Returns whether the connection was lost.
+    pub(crate) const fn is_lost(&self) -> bool {
+        self.lost
+    }
+
+    /// Returns whether there is a connection.
+    pub(crate) const fn is_open(&self) -> bool {
+        self.open.is_some() && !self.lost
+    }
+
+    /// Returns whether this session has taken the arm.
+    pub(crate) fn has_arm(&self) -> bool {
+        self.is_open() && self.open.as_ref().is_some_and(|open| open.controller.has_arm())
     }
 
     /// Starts the service, with keep-alives for long calls.
@@ -58,21 +174,38 @@ impl Session {
 
     /// Restarts the time limit of the command.
     pub(crate) fn restart_budget(&mut self) {
-        self.budget.restart();
-        self.controller.set_deadline(self.budget.deadline());
+        if let Some(Open { controller, budget, .. }) = &mut self.open {
+            budget.restart();
+            controller.set_deadline(budget.deadline());
+        }
+    }
+
+    /// Removes the time limit of the command, for a motion, which has its own: without a connection nothing could halt it.
+    pub(crate) fn suspend_budget(&mut self) {
+        if let Some(Open { controller, .. }) = &mut self.open {
+            controller.set_deadline(None);
+        }
     }
 
     /// Replaces the time limits.
     pub(crate) fn set_budget(&mut self, budget: Budget) {
-        self.budget = budget;
-        let timing = budget.timing(self.controller.timing(), &self.target);
-        self.controller.set_timing(timing);
-        self.controller.set_deadline(budget.deadline());
+        if let Some(open) = &mut self.open {
+            open.budget = budget;
+            let timing = budget.timing(open.controller.timing(), &open.target);
+            open.controller.set_timing(timing);
+            open.controller.set_deadline(budget.deadline());
+        }
     }
 
     /// Returns the library's controller after Controller_Connect.
     pub(crate) fn connected(&mut self) -> Result<&mut Controller, Failure> {
-        self.controller().map(|_| &mut self.controller)
+        self.controller()?;
+        Ok(&mut self.opened()?.controller)
+    }
+
+    /// Uses the library's objects after Controller_Connect, and converts their error.
+    pub(crate) fn with<T>(&mut self, body: impl FnOnce(&mut Controller) -> Result<T, Error>) -> Result<T, Failure> {
+        body(self.connected()?).map_err(|error| self.ended(error))
     }
 
     /// Calls a function; `subject` names what it is called on when the call is refused.
@@ -82,7 +215,10 @@ impl Session {
         function: FunctionId,
         arguments: &[Value],
     ) -> Result<(HResult, Option<Value>), Failure> {
-        let called = self.controller.call_any(subject, function, arguments);
+        let called = self.opened()?.controller.call_any(subject, function, arguments);
+        if function.releases().is_some() {
+            self.objects.clear();
+        }
         called.map_err(|error| self.ended(error))
     }
 
@@ -100,33 +236,116 @@ impl Session {
 
     /// Returns the handle of the controller; calls Controller_Connect first if necessary.
     pub(crate) fn controller(&mut self) -> Result<i32, Failure> {
-        if !self.controller.is_connected() {
-            let (function, provider) = (FunctionId::CONTROLLER_CONNECT, text(&self.provider)?);
-            let (_, reply) =
-                self.call("", function, &[text("")?, provider, text("localhost")?, text(&self.option)?])?;
-            if !self.controller.is_connected() {
+        if !self.opened()?.controller.is_connected() {
+            let (function, link) = (FunctionId::CONTROLLER_CONNECT, self.link.clone());
+            let arguments = [text("")?, text(&self.provider)?, text(link.machine())?, text(link.option())?];
+            let (_, reply) = self.call("", function, &arguments)?;
+            if !self.opened()?.controller.is_connected() {
                 let reason = format!("the reply carries {} instead of a handle", described(reply.as_ref()));
                 return Err(self.ended(Error::Reply { function, object: String::new(), reason }));
             }
         }
-        Ok(self.controller.handle().0)
+        Ok(self.opened()?.controller.handle().0)
     }
 
-    /// Opens all objects of a path, and returns the handle of the last one.
+    /// Opens all objects of a path, and returns the handle of the last one. Each path is opened once.
     pub(crate) fn object(&mut self, path: &ObjectPath) -> Result<i32, Failure> {
-        self.connected()?.open(path).map_err(|error| self.ended(error))
+        let name = path.to_string();
+        if let Some(handle) = self.objects.get(&name) {
+            return Ok(*handle);
+        }
+        let owner = path.split_last().filter(|(owner, _)| owner.object() != Object::Controller);
+        let handle = match owner {
+            // the owner stays open for its next variable
+            Some((owner, Some(variable))) => self.member(&owner, path, variable)?,
+            _ => self.with(|controller| controller.open(path))?,
+        };
+        if path.object() != Object::Controller {
+            self.objects.insert(name, handle);
+        }
+        Ok(handle)
+    }
+
+    /// Opens an object of another object, and returns its handle.
+    fn member(&mut self, owner: &ObjectPath, path: &ObjectPath, name: &str) -> Result<i32, Failure> {
+        let function = path.object().opened_from(owner.object()).unwrap_or(FunctionId::CONTROLLER_GET_VARIABLE);
+        let arguments = [integer(self.object(owner)?)?, text(name)?, text("")?];
+        let (_, reply) = self.call(&path.to_string(), function, &arguments)?;
+        let handle = reply.as_ref().and_then(|value| value.as_variant().as_i32());
+        handle.ok_or_else(|| {
+            let reason = format!("the reply carries {} instead of a handle", described(reply.as_ref()));
+            self.ended(Error::Reply { function, object: path.to_string(), reason })
+        })
+    }
+
+    /// Handles signals from now on, unless that is so already.
+    pub(crate) fn handle_signals(&mut self) -> Result<Interrupt, Failure> {
+        let interrupt = match self.interrupt.take() {
+            Some(interrupt) => interrupt,
+            None => Interrupt::install(|| {})?,
+        };
+        self.interrupt = Some(interrupt.clone());
+        Ok(interrupt)
+    }
+
+    /// Opens the session that halts the robot while this one waits for a reply. Call it before the arm is taken.
+    pub(crate) fn prepare_halt(&self, interrupt: &Interrupt) -> Result<(), Failure> {
+        let link = LinkArgs { trace: None, ..self.link.limited() };
+        interrupt.prepare(|| {
+            // a serial line carries one session, so nothing can halt there
+            if link.is_serial() {
+                return Ok(None);
+            }
+            let mut stopper = Self::new(&link);
+            // the handle must exist before it is needed
+            stopper.with(|controller| controller.robot().map(drop))?;
+            let mut stopper = Stopper(stopper);
+            Ok(Some(Box::new(move || stopper.0.halt())))
+        })
+    }
+
+    /// Halts the robot, and connects again first if the connection was lost.
+    fn halt(&mut self) -> Result<(), Failure> {
+        if self.lost {
+            self.reconnect()?;
+        }
+        self.restart_budget();
+        self.with(|controller| controller.robot()?.halt().map(drop))
+    }
+
+    /// Gives the arm back if this session has it.
+    pub(crate) fn give_arm(&mut self) -> Result<(), Failure> {
+        if !self.has_arm() {
+            return Ok(());
+        }
+        self.restart_budget();
+        self.with(|controller| controller.arm()?.give())
+    }
+
+    /// Closes a lost connection, so that the controller releases what it holds, such as the arm.
+    pub(crate) fn abandon(&mut self) {
+        if self.lost {
+            self.open = None;
+            self.objects.clear();
+        }
     }
 
     /// Releases an object before the end of the session.
     pub(crate) fn release(&mut self, object: Object, handle: i32) -> Result<(), Failure> {
-        self.controller.release(object, handle).map_err(|error| self.ended(error))
+        self.objects.retain(|_, open| *open != handle);
+        let released = self.opened()?.controller.release(object, handle);
+        released.map_err(|error| self.ended(error))
     }
 
     /// Converts an error. After a call without a reply, nothing more is sent.
     pub(crate) fn ended(&mut self, error: Error) -> Failure {
-        let failure = failure(error, &self.target, &self.budget);
+        let Some(Open { controller, target, budget }) = &mut self.open else {
+            return Failure::Connection { message: error.to_string(), hint: "`connect` connects again".into() };
+        };
+        let failure = failure(error, target, budget);
         if !failure.leaves_the_session_alive() {
-            self.controller.set_deadline(Some(bcap_std::now()));
+            controller.set_deadline(Some(bcap_std::now()));
+            self.lost = true;
         }
         failure
     }

@@ -5,12 +5,20 @@ use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
 use bcap_std::ObjectPath;
 
-use crate::args::LinkArgs;
 use crate::error::Failure;
 use crate::output::{print_json, print_line};
 use crate::plain;
-use crate::session::{Session, with_session};
+use crate::session::Session;
 use crate::value::{Value, described, integer, text, to_json};
+use crate::words::LAST_PACKETS;
+
+/// Returns the packet of a variable of the b-CAP Tester's debug mode (S2:1500); `None` for another name.
+pub(crate) fn last_packet(session: &Session, name: &str) -> Option<Vec<u8>> {
+    match LAST_PACKETS.iter().position(|known| name.strip_prefix("variable:").unwrap_or(name) == *known)? {
+        0 => Some(session.packets.last_sent()),
+        _ => Some(session.packets.last_received()),
+    }
+}
 
 /// Reads variables in order and prints their values; continues after a refusal.
 pub(crate) fn print_each<V>(
@@ -41,6 +49,9 @@ pub(crate) fn paths(names: &[String]) -> Result<Vec<ObjectPath>, Failure> {
 pub(crate) fn get_one(session: &mut Session, path: &ObjectPath) -> Result<Value, Failure> {
     let variable = session.object(path)?;
     let value = read(session, path, variable);
+    if value.as_ref().is_err_and(|failure| !failure.leaves_the_session_alive()) {
+        return value;
+    }
     let released = session.release(Object::Variable, variable);
     // an error of the read is more useful than an error of the release
     let value = value?;
@@ -79,22 +90,37 @@ const LISTS: [(Object, FunctionId); 6] = [
 ];
 
 /// Runs `bcap names`.
-pub(crate) fn names(link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    with_session(link, |session| {
-        let mut lists = Lists { session, json, total: 0, missing: 0, refused: 0 };
-        let controller = ObjectPath::controller();
-        for (object, function) in LISTS {
-            for path in lists.print(&controller, object, function)? {
-                let inner = match object {
-                    Object::Robot => FunctionId::ROBOT_GET_VARIABLE_NAMES,
-                    Object::Task => FunctionId::TASK_GET_VARIABLE_NAMES,
-                    _ => continue,
-                };
-                lists.print(&path, Object::Variable, inner)?;
-            }
+pub(crate) fn names(session: &mut Session, json: bool) -> Result<(), Failure> {
+    let mut lists = Lists { session, json, total: 0, missing: 0, refused: 0 };
+    let controller = ObjectPath::controller();
+    for (object, function) in LISTS {
+        for path in lists.print(&controller, object, function)? {
+            let inner = match object {
+                Object::Robot => FunctionId::ROBOT_GET_VARIABLE_NAMES,
+                Object::Task => FunctionId::TASK_GET_VARIABLE_NAMES,
+                _ => continue,
+            };
+            lists.print(&path, Object::Variable, inner)?;
         }
-        lists.end()
-    })
+    }
+    lists.end()
+}
+
+/// Returns the names of all lists that the controller has, for completion.
+pub(crate) fn all_names(session: &mut Session) -> Vec<String> {
+    let mut all = Vec::new();
+    let controller = ObjectPath::controller();
+    for (object, function) in LISTS {
+        for name in list(session, &controller, function).unwrap_or_default() {
+            let path = controller.clone().join(object, name);
+            if object == Object::Robot {
+                let inner = list(session, &path, FunctionId::ROBOT_GET_VARIABLE_NAMES).unwrap_or_default();
+                all.extend(inner.into_iter().map(|name| format!("robot/{name}")));
+            }
+            all.push(path.to_string());
+        }
+    }
+    all
 }
 
 /// Prints the lists of `bcap names`: each completely, or not at all. A refused list is reported, except one that the
@@ -147,7 +173,8 @@ pub(crate) fn list(session: &mut Session, owner: &ObjectPath, function: Function
     let handle = session.object(owner)?;
     let names = session.call(&owner.to_string(), function, &[integer(handle)?, text("")?]);
     let released = match owner.object() {
-        Object::Controller => Ok(()),
+        // the robot stays open, because it may have the arm
+        Object::Controller | Object::Robot => Ok(()),
         object => session.release(object, handle),
     };
     // an error of the list is more useful than an error of the release

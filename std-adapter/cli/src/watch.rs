@@ -1,53 +1,44 @@
 //! `bcap watch`: reads variables periodically.
 
-use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 
-use crate::args::{LinkArgs, Watch};
+use crate::args::Watch;
 use crate::error::Failure;
 use crate::selection::{Selection, expand};
-use crate::session::with_session;
-use crate::signal;
+use crate::session::Session;
 use crate::table::Table;
 use crate::value::Value;
 use crate::variables::{paths, print, read, shown};
 
 /// Runs `bcap watch` until it is interrupted or has done `--count` rounds.
-pub(crate) fn watch(args: &Watch, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let ended = signal::ended()?;
-    let selections = Selection::parse_each(&args.names)?;
-    with_session(link, |session| {
-        let names = expand(session, &selections)?;
-        let paths = paths(&names)?;
-        let variables = paths.iter().map(|path| session.object(path)).collect::<Result<Vec<_>, _>>()?;
-        let table = args.csv.as_deref().map(Table::create).transpose()?;
-        let start = Instant::now();
-        let mut output =
-            Output { start, changed: args.changed, json, table, last: vec![None; paths.len()], is_new: false };
-        let mut pace = Pace { interval: args.interval, next: start };
-        let mut rounds = 0;
-        loop {
-            session.restart_budget();
-            let began = start.elapsed();
-            for (n, (path, variable)) in paths.iter().zip(&variables).enumerate() {
-                let value = read(session, path, *variable)?;
-                output.value(n, &names[n], value)?;
-            }
-            output.end_round(began, &names)?;
-            rounds += 1;
-            if args.count.is_some_and(|count| rounds >= count) {
-                return Ok(());
-            }
-            match ended.recv_timeout(pace.until_next(Instant::now())) {
-                Err(RecvTimeoutError::Timeout) => {}
-                Ok(()) | Err(RecvTimeoutError::Disconnected) => {
-                    // the time limit covers the end of the session, not the wait before it
-                    session.restart_budget();
-                    return Ok(());
-                }
-            }
+pub(crate) fn watch(args: &Watch, session: &mut Session, json: bool) -> Result<(), Failure> {
+    let interrupt = session.handle_signals()?;
+    let names = expand(session, &Selection::parse_each(&args.names)?)?;
+    let paths = paths(&names)?;
+    let variables = paths.iter().map(|path| session.object(path)).collect::<Result<Vec<_>, _>>()?;
+    let table = args.csv.as_deref().map(Table::create).transpose()?;
+    let start = Instant::now();
+    let mut output = Output { start, changed: args.changed, json, table, last: vec![None; paths.len()], is_new: false };
+    let mut pace = Pace { interval: args.interval, next: start };
+    let mut rounds = 0;
+    loop {
+        session.restart_budget();
+        let began = start.elapsed();
+        for (n, (path, variable)) in paths.iter().zip(&variables).enumerate() {
+            let value = read(session, path, *variable)?;
+            output.value(n, &names[n], value)?;
         }
-    })
+        output.end_round(began, &names)?;
+        rounds += 1;
+        if args.count.is_some_and(|count| rounds >= count) {
+            return Ok(());
+        }
+        if interrupt.sleep(pace.until_next(Instant::now())).is_err() {
+            // the time limit covers the end of the session, not the wait before it
+            session.restart_budget();
+            return Ok(());
+        }
+    }
 }
 
 /// Where the values go.

@@ -48,7 +48,7 @@ fn fake() -> Fake {
 fn option_environment_profile_default_in_this_order() {
     let [one, two, three] = [fake(), fake(), fake()];
     let home = Home::with(&format!(
-        "[profile.cell]\naddress = \"{}\"\nmodel = \"rc9\"\nconnect_option = \"@IfNotMember\"\ntimeout = \"20s\"\n",
+        "[profile.cell]\naddress = \"{}\"\nmodel = \"rc9\"\noption = \"@IfNotMember\"\ntimeout = \"20s\"\n",
         one.address
     ));
     let connected = |fake: &Fake| fake.seen().iter().find(|call| call.starts_with("ControllerConnect")).cloned();
@@ -63,13 +63,13 @@ fn option_environment_profile_default_in_this_order() {
         ("BCAP_PROFILE", "cell"),
         ("BCAP_ROBOT", two.address.as_str()),
         ("BCAP_PROVIDER", "FromEnvironment"),
-        ("BCAP_CONNECT_OPTION", "E=1"),
+        ("BCAP_OPTION", "E=1"),
         ("BCAP_TIMEOUT", "15s"),
     ];
     assert_eq!(home.run(&["get", "I1"], &environment).code, 0);
     assert_eq!(connected(&two), connect("FromEnvironment", "E=1"));
 
-    let options = ["--robot", &three.address, "--provider", "FromOption", "--connect-option", "O=1"];
+    let options = ["--robot", &three.address, "--provider", "FromOption", "--option", "O=1"];
     assert_eq!(home.run(&[&["get", "I1"], &options[..]].concat(), &environment).code, 0);
     assert_eq!(connected(&three), connect("FromOption", "O=1"));
     assert_eq!([one.seen().len(), two.seen().len(), three.seen().len()], [7, 7, 7]);
@@ -150,7 +150,7 @@ fn profiles_are_listed_and_shown() {
                  timeout = \"2000ms\"\n";
     assert_eq!(home.run(&["profile", "show", "cell"], &[]).out, shown);
     let json = home.run(&["profile", "show", "cell", "--json"], &[]).out;
-    assert!(json.contains("\"timeout_ms\":2000") && json.contains("\"connect_option\":null"), "{json}");
+    assert!(json.contains("\"timeout_ms\":2000") && json.contains("\"option\":null"), "{json}");
     let run = home.run(&["profile", "show", "x"], &[]);
     assert!(run.code == 2 && run.err.contains("has a, cell"), "{run:?}");
     let empty = Home::with("");

@@ -97,6 +97,16 @@ impl<'a> Robot<'a> {
 }
 
 impl<'a> Arm<'a> {
+    pub(super) const fn new(robot: Robot<'a>) -> Self {
+        Self { robot }
+    }
+
+    /// Ends the use of this object without giving the arm back. The session keeps the arm:
+    /// [`Controller::arm`](super::Controller::arm) returns it again, and the end of the session gives it back.
+    pub fn keep(self) {
+        std::mem::forget(self);
+    }
+
     /// Switches the motor on, and waits until it is.
     ///
     /// # Errors

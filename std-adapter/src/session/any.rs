@@ -2,7 +2,7 @@
 
 use std::io;
 
-use bcap_core::bcap::call::{Call, ControllerHandle, Maybe};
+use bcap_core::bcap::call::{Call, ControllerHandle, Maybe, RobotHandle};
 use bcap_core::bcap::{FrameWriter, FunctionId, Object};
 use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
@@ -50,11 +50,15 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         function: FunctionId,
         arguments: &[OwnedVariant],
     ) -> Result<(HResult, Option<OwnedVariant>), Error> {
-        let value = self.call(object, AnyCall { function, arguments }).await?.map(OwnedVariant::from);
+        let called =
+            self.call(object, AnyCall { function, arguments }).await.map(|value| value.map(OwnedVariant::from));
+        self.record_arm(function, arguments, called.is_ok());
+        let value = called?;
         match (function.opens(), function.releases()) {
             (Some(Object::Service), _) => self.opened.push((Object::Service, 0)),
             (_, Some(Object::Service)) => {
                 self.opened.clear();
+                self.arm = None;
                 self.forget_handles();
             }
             (Some(opened), _) => value.as_ref().and_then(handle).into_iter().for_each(|new| self.record(opened, new)),
@@ -73,6 +77,42 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             self.handle = ControllerHandle(handle);
         }
         self.opened.push((object, handle));
+    }
+
+    /// Records what a call of the robot does to the arm, so that the end of the session gives it back.
+    ///
+    /// A call that failed may have been executed, unless it was to take the arm.
+    fn record_arm(&mut self, function: FunctionId, arguments: &[OwnedVariant], succeeded: bool) {
+        let text = |index: usize| arguments.get(index).and_then(|value| value.as_variant().as_bstr());
+        let command = text(1).map(|command| command.to_string().to_ascii_lowercase()).unwrap_or_default();
+        match (function, command.as_str()) {
+            (FunctionId::ROBOT_EXECUTE, "takearm") if succeeded => {
+                // the arm is given back over the robot that has it
+                self.robot = arguments.first().and_then(handle).map(RobotHandle).or(self.robot);
+                self.arm.get_or_insert_default();
+            }
+            (FunctionId::ROBOT_EXECUTE, "givearm") if succeeded => self.arm = None,
+            (FunctionId::ROBOT_EXECUTE, "motor") => {
+                let on = arguments.get(2).is_some_and(|parameter| is_on(parameter.as_variant()));
+                if let Some(arm) = self.arm.as_mut().filter(|_| on || succeeded) {
+                    arm.motor = on;
+                }
+            }
+            (
+                FunctionId::ROBOT_EXECUTE
+                | FunctionId::ROBOT_MOVE
+                | FunctionId::ROBOT_DRIVE
+                | FunctionId::ROBOT_ROTATE
+                | FunctionId::ROBOT_GO_HOME,
+                _,
+            ) => self.set_moving(true),
+            _ => {}
+        }
+    }
+
+    /// Returns whether this session has taken the arm.
+    pub(crate) const fn has_arm(&self) -> bool {
+        self.arm.is_some()
     }
 
     /// Opens all objects of a path, and returns the handle of the last one.
@@ -106,7 +146,13 @@ impl<X: Transport<Error = io::Error>> Session<X> {
             Object::Variable => {
                 self.variables.values_mut().for_each(|names| names.retain(|_, variable| variable.0 != handle));
             }
-            Object::Robot | Object::Controller => self.forget_handles(),
+            Object::Robot | Object::Controller => {
+                // the controller gives the arm back with the robot that has it
+                if object == Object::Controller || self.robot == Some(RobotHandle(handle)) {
+                    self.arm = None;
+                }
+                self.forget_handles();
+            }
             _ => {}
         }
     }
@@ -116,6 +162,12 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         self.robot = None;
         self.variables.clear();
     }
+}
+
+/// Returns whether the parameter of the command `Motor` switches the motor on: its first number is not 0.
+fn is_on(parameter: Variant<'_>) -> bool {
+    let first = parameter.as_array().map_or(Some(parameter), |array| array.iter().next());
+    first.and_then(|number| number.as_i32()) != Some(0)
 }
 
 /// Returns a handle: an I4, or a UI4 of the same bits.

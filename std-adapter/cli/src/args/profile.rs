@@ -13,7 +13,7 @@ The file:
   [profile.cell1]
   address = \"tcp:192.168.0.1\"
   model = \"rc9\"                # rc8, rc9 or cobotta; or provider = \"CaoProv.DENSO.VRC9\"
-  connect_option = \"\"
+  option = \"\"
   rac_port = 5006
   timeout = \"3s\"
 Examples:

@@ -20,8 +20,8 @@ use super::plan::{Change, FileChange, Plan, unfit};
 use super::{folder, live};
 use crate::args::{LinkArgs, Restore};
 use crate::confirm::confirm;
+use crate::ending::Ending;
 use crate::error::Failure;
-use crate::interrupt::Interrupt;
 use crate::named::Entry;
 use crate::output::{print_json, print_line};
 use crate::remote;
@@ -62,9 +62,8 @@ pub(crate) fn restore(args: &Restore, link: &LinkArgs, json: bool) -> Result<(),
     );
     confirm(&what, "Tasks and robot must stay at rest meanwhile.", "nothing was written", args.yes)?;
     let mut journal = Journal::begin(&args.dir, &target, &plan.names())?;
-    let interrupt = Interrupt::install()?;
-    let written =
-        with_session(link, |session| Writing { session, journal: &mut journal, interrupt: &interrupt }.run(&plan));
+    let ending = Ending::install()?;
+    let written = with_session(link, |session| Writing { session, journal: &mut journal, ending: &ending }.run(&plan));
     conclude(&args.dir, &mut journal, written, json)
 }
 
@@ -170,7 +169,7 @@ fn conclude(dir: &Path, journal: &mut Journal, written: Result<(), Failure>, jso
 struct Writing<'a> {
     session: &'a mut Session,
     journal: &'a mut Journal,
-    interrupt: &'a Interrupt,
+    ending: &'a Ending,
 }
 
 impl Writing<'_> {
@@ -223,7 +222,7 @@ impl Writing<'_> {
 
     /// Ends the restore between two writes after a signal.
     fn check_signal(&self) -> Result<(), Failure> {
-        if self.interrupt.has_come() {
+        if self.ending.has_come() {
             return Err(Failure::Interrupted("interrupted between two writes".into()));
         }
         Ok(())

@@ -123,7 +123,7 @@ fn config(args: &args::Gateway, link: &LinkArgs, protocol: Protocol) -> Result<C
         client: client::Config { timing, ..client },
         service: String::leak(link.start_option()),
         provider: String::leak(link.provider().to_owned()),
-        option: String::leak(link.connect_option().to_owned()),
+        option: String::leak(link.option().to_owned()),
         request_timeout: call.saturating_add(Duration::from_secs(2)),
         rules: rules::read(args.rules.as_deref(), &args.allow_put)?,
         ..Config::RC8

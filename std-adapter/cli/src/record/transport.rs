@@ -61,8 +61,11 @@ pub(crate) fn taped<X: HasEnds>(connection: Connection<X, Vec<u8>>) -> Connectio
     Connection::new(Taped::new(transport), client)
 }
 
+/// A TCP socket that records.
+pub(crate) type TapedTcp = Taped<TcpTransport>;
+
 /// A client of RAC that records.
-pub(crate) type TapedRac = RacConnection<Taped<TcpTransport>, [u8; MAX_VALUE]>;
+pub(crate) type TapedRac = RacConnection<TapedTcp, [u8; MAX_VALUE]>;
 
 /// Records a connection of RAC from now on.
 pub(crate) fn taped_rac(connection: RacClient) -> TapedRac {

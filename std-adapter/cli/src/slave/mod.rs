@@ -21,8 +21,8 @@ use stream::{Course, stream};
 /// Runs `bcap slave`.
 pub(crate) fn slave(args: &Slave, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     match &args.command {
-        SlaveCommand::Play(args) => play(args, link, json),
-        SlaveCommand::Cosine(args) => cosine(args, link, json),
+        SlaveCommand::Play(args) => play(args, link.untraced()?, json),
+        SlaveCommand::Cosine(args) => cosine(args, link.untraced()?, json),
         SlaveCommand::Record(args) => record::record(args, link, json),
     }
 }

@@ -182,7 +182,11 @@ impl Job<'_> {
         let signals = signals()?;
         let mut motion = connect().map_err(|error| not_connected(&error, self.target))?;
         let mut watch = connect().map_err(|error| not_connected(&error, self.target))?;
-        let provider = Provider { option: self.link.connect_option(), ..Provider::new(self.link.provider()) };
+        let provider = Provider {
+            machine: self.link.machine(),
+            option: self.link.option(),
+            ..Provider::new(self.link.provider())
+        };
         let opened = |error: RunError| self.not_opened(&error);
         let handles = motion.run(open_robot(provider, None)).map_err(opened)?;
         let watching = watch.run(open_robot(provider, None)).map_err(opened)?;

@@ -34,7 +34,7 @@ pub(crate) fn command(args: &[&str]) -> Command {
 pub(crate) fn bare(args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_bcap"));
     command.args(args).env_remove("NO_COLOR").env_remove("CLICOLOR_FORCE");
-    for name in ["ROBOT", "TIMEOUT", "PROVIDER", "CONNECT_OPTION", "RAC_PORT", "PROFILE"] {
+    for name in ["ROBOT", "TIMEOUT", "PROVIDER", "MACHINE", "OPTION", "ATTEMPTS", "RAC_PORT", "PROFILE"] {
         command.env_remove(format!("BCAP_{name}"));
     }
     command

@@ -9,6 +9,7 @@ use bcap_core::time::Instant;
 use bcap_core::variant::OwnedVariant;
 
 use super::Controller;
+use crate::blocking::robot::Arm;
 use crate::blocking::socket::{ready, wrap_any};
 use crate::blocking::{Connection, Transport};
 use crate::error::Error;
@@ -79,6 +80,24 @@ impl Controller {
     /// An [`Error`]; the objects that were opened on the way are released then.
     pub fn open(&mut self, path: &ObjectPath) -> Result<i32, Error> {
         ready(self.session.open_object(path))
+    }
+
+    /// Returns the arm, which is taken first unless this session has it: by the command `TakeArm` of
+    /// [`call_any`](Self::call_any), or by an [`Arm`] that was [kept](Arm::keep).
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; the arm is not taken then.
+    pub fn arm(&mut self) -> Result<Arm<'_>, Error> {
+        let taken = self.session.has_arm();
+        let robot = self.robot()?;
+        if taken { Ok(Arm::new(robot)) } else { robot.take_arm() }
+    }
+
+    /// Returns whether this session has taken the arm. The end of the session gives it back.
+    #[must_use]
+    pub const fn has_arm(&self) -> bool {
+        self.session.has_arm()
     }
 
     /// Releases an object of this session before the session ends. A handle that the session does not have is ignored.

@@ -1,0 +1,128 @@
+//! `bcap move`: a whole motion, from taking the arm to giving it back.
+
+use bcap_core::bcap::FunctionId;
+use bcap_core::procedure::Motion;
+use bcap_std::{Move, ObjectPath};
+
+use crate::args::MoveArgs;
+use crate::error::Failure;
+use crate::interrupt::interrupted;
+use crate::output::{note, print_json, print_line};
+use crate::session::Session;
+use crate::value::{integer, text};
+
+/// Runs `bcap move`.
+pub(crate) fn motion(args: &MoveArgs, session: &mut Session, json: bool) -> Result<(), Failure> {
+    let had_arm = session.has_arm();
+    if args.no_wait && !had_arm {
+        return Err(Failure::Input(
+            "--no-wait needs the arm of this session, which would otherwise be given back while the robot moves; in \
+             `bcap shell` or `bcap run` write `exec robot TakeArm 0 1` first"
+                .into(),
+        ));
+    }
+    if args.speed.is_some_and(|speed| !(speed > 0.0 && speed <= 100.0)) {
+        return Err(Failure::Input(format!(
+            "--speed {}: write a speed above 0 and up to 100",
+            args.speed.unwrap_or(0.0)
+        )));
+    }
+    let interrupt = session.handle_signals()?;
+    session.prepare_halt(&interrupt)?;
+    interrupt.set_moving(true);
+    let ended = prepared(args, session, had_arm)
+        .and_then(|()| if interrupt.is_interrupted() { Ok(None) } else { moved(args, session).map(Some) });
+    if had_arm {
+        return ended.and_then(|ended| concluded(args, ended, json));
+    }
+    if session.is_lost() {
+        // the controller gives the arm back when it notices the end of the connection; the robot must not move until then
+        if interrupt.halt().is_ok() {
+            note("the robot was halted over another connection");
+        }
+        session.abandon();
+    }
+    let given = session.give_arm();
+    interrupt.set_moving(false);
+    if interrupt.is_interrupted() && ended.as_ref().is_ok_and(|_| given.is_ok()) {
+        return Err(interrupted());
+    }
+    // an error of the motion is more useful than an error of giving the arm back
+    let ended = ended?;
+    given.and_then(|()| concluded(args, ended, json))
+}
+
+/// Takes the arm and switches the motor on.
+fn prepared(args: &MoveArgs, session: &mut Session, had_arm: bool) -> Result<(), Failure> {
+    session.with(|controller| {
+        // what was on before stays on
+        let on = controller.robot()?.read::<bool>("@SERVO_ON");
+        let mut arm = controller.arm()?;
+        let prepared = (|| {
+            if !matches!(on, Ok(true)) {
+                arm.motor_on()?;
+            }
+            args.tool.map_or(Ok(()), |tool| arm.select_tool(tool))?;
+            args.work.map_or(Ok(()), |work| arm.select_work(work))
+        })();
+        if prepared.is_ok() || had_arm {
+            arm.keep();
+        }
+        prepared
+    })
+}
+
+/// Moves; `None` after the start of a motion that is not waited for.
+fn moved(args: &MoveArgs, session: &mut Session) -> Result<Motion, Failure> {
+    // the motion has its own time limit
+    session.suspend_budget();
+    if args.no_wait {
+        return started(args, session).map(|()| Motion::Arrived);
+    }
+    let motion = destination(args);
+    let ended = session.with(|controller| {
+        let mut arm = controller.arm()?;
+        let ended = arm.move_to(&motion, args.within);
+        arm.keep();
+        ended
+    });
+    session.restart_budget();
+    ended
+}
+
+fn destination(args: &MoveArgs) -> Move {
+    let to = args.to.as_str();
+    let motion = if args.line { Move::line(to) } else { Move::joint(to) };
+    match args.speed {
+        Some(speed) => motion.speed_percent(speed),
+        None => motion,
+    }
+}
+
+/// Starts a motion without waiting for its end.
+fn started(args: &MoveArgs, session: &mut Session) -> Result<(), Failure> {
+    let robot = session.object(&"robot".parse::<ObjectPath>()?)?;
+    let interpolation = if args.line { 2 } else { 1 };
+    let option = args.speed.map_or_else(|| "NEXT".into(), |speed| format!("NEXT,SPEED={speed}"));
+    let arguments = [integer(robot)?, integer(interpolation)?, text(&format!("@E {}", args.to))?, text(&option)?];
+    session.call("robot", FunctionId::ROBOT_MOVE, &arguments).map(drop)
+}
+
+fn concluded(args: &MoveArgs, ended: Option<Motion>, json: bool) -> Result<(), Failure> {
+    let to = &args.to;
+    let unfit = |message: String, code| Err(Failure::Unfit { message, code, hint: None });
+    match ended {
+        // interrupted, which the line of the shell or the script reports
+        None => Ok(()),
+        Some(Motion::Arrived) => {
+            let (key, text) = if args.no_wait { ("started", "on the way to") } else { ("arrived", "at") };
+            let name = serde_json::Value::from(to.as_str());
+            Ok(if json { print_json(&format!("{{\"{key}\":{name}}}")) } else { print_line(&format!("{text} {to}")) }?)
+        }
+        Some(Motion::Failed(code)) => unfit(format!("not at {to}: the controller has the error {code}"), Some(code)),
+        Some(Motion::TimedOut) => {
+            unfit(format!("not at {to}: it took more than {:?} (--within), so the robot was halted", args.within), None)
+        }
+        Some(_) => unfit(format!("not at {to}: the robot was halted"), None),
+    }
+}

@@ -1,0 +1,67 @@
+//! A `bcap sim` process with clients.
+#![allow(dead_code, reason = "every test file uses its own part of this")]
+
+use std::io::{BufRead, BufReader};
+use std::process::{Child, Command, Stdio};
+
+use super::common::{Run, bcap, bcap_with, command};
+
+/// A virtual controller; dropping this kills it.
+pub(crate) struct Virtual {
+    child: Child,
+    pub(crate) tcp: String,
+    pub(crate) udp: String,
+    pub(crate) rac: String,
+}
+
+impl Virtual {
+    pub(crate) fn start(more: &[&str]) -> Self {
+        let free = ["--bcap", "127.0.0.1:0", "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"];
+        let mut child = command(&[&["sim"], &free[..], more].concat()).stdout(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
+        let address = |key: &str| line.split_whitespace().find_map(|word| word.strip_prefix(key)).unwrap().to_owned();
+        let (tcp, udp) = (format!("tcp:{}", address("bcap=")), format!("udp:{}", address("udp=")));
+        Self { tcp, udp, rac: address("rac="), child }
+    }
+
+    pub(crate) fn run(&self, args: &[&str]) -> Run {
+        bcap(&[args, &["--robot", &self.tcp]].concat())
+    }
+
+    /// Runs lines as a script.
+    pub(crate) fn script(&self, lines: &str) -> Run {
+        bcap_with(&["run", "-", "--robot", &self.tcp], lines.as_bytes())
+    }
+
+    /// Starts a command without a time limit.
+    pub(crate) fn spawn(&self, args: &[&str]) -> Child {
+        let mut command: Command = super::common::bare(&[args, &["--robot", &self.tcp]].concat());
+        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap()
+    }
+
+    /// Waits until the robot moves, as another client sees it.
+    pub(crate) fn wait_for_motion(&self) {
+        while self.run(&["get", "@BUSY_STATUS"]).out != "@BUSY_STATUS = true\n" {}
+    }
+
+    /// Asserts that the robot rests with its motor off, and that another client can take the arm.
+    #[track_caller]
+    pub(crate) fn assert_at_rest_with_free_arm(&self) {
+        let state = self.run(&["get", "@BUSY_STATUS", "robot/@SERVO_ON", "@ERROR_CODE"]);
+        assert_eq!(state.out, "@BUSY_STATUS = false\nrobot/@SERVO_ON = false\n@ERROR_CODE = 0\n");
+        assert_eq!(self.run(&["exec", "robot", "TakeArm", "0", "1"]).code, 0);
+    }
+}
+
+impl Drop for Virtual {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// Sends a signal to a process.
+pub(crate) fn signal(name: &str, child: &Child) {
+    assert!(Command::new("kill").args([name, &child.id().to_string()]).status().unwrap().success());
+}

@@ -1,0 +1,277 @@
+//! `bcap shell`, `bcap run`, and the commands that do a whole job, against a virtual controller.
+#![cfg(unix)]
+
+mod common;
+#[path = "common/virtual_robot.rs"]
+mod virtual_robot;
+
+use std::io::Write;
+use std::process::Stdio;
+
+use common::{Run, bcap, bcap_with};
+use virtual_robot::{Virtual, signal};
+
+/// A motion that takes more than ten seconds.
+const SLOW: [&str; 4] = ["move", "J(90, 45, 90, 0, 45, 0)", "--speed", "1"];
+const INTERRUPTED: &str = "interrupted: the robot was halted, and the arm was given back";
+
+#[test]
+fn the_sample_sessions_of_the_specification_are_scripts() {
+    let robot = Virtual::start(&["--model", "rc9"]);
+    let provider = ["--provider", "CaoProv.DENSO.VRC9"];
+    // far away, so that the halt of the sample comes before the end of its motion
+    robot.run(&[&["put", "P1", "300,0,400,180,0,180,5"], &provider[..]].concat());
+    for (name, out) in
+        [("variables", "IO150 = false\nIO150 = true\nIO150 = false\n"), ("tasks", "Pro1 ready\n"), ("robot", "")]
+    {
+        let file = format!("{}/../../docs/scripts/{name}.bcap", env!("CARGO_MANIFEST_DIR"));
+        let run = robot.run(&[&["run", file.as_str()], &provider[..]].concat());
+        assert_eq!((run.out.as_str(), run.err.as_str(), run.code), (out, "", 0), "{name}");
+    }
+    let state = robot.run(&[&["get", "@BUSY_STATUS", "robot/@SERVO_ON"], &provider[..]].concat());
+    assert_eq!(state.out, "@BUSY_STATUS = false\nrobot/@SERVO_ON = false\n");
+}
+
+#[test]
+fn the_arm_stays_taken_from_line_to_line() {
+    let robot = Virtual::start(&[]);
+    let run = robot.script(
+        "# the arm and the motor\n\
+         exec robot TakeArm 0 1\n\
+         exec robot Motor 1 0\n\
+         get robot/@SERVO_ON\n\
+         names --json\n\
+         call Robot_Move robot 1 '8,@E J(10, 45, 90, 0, 45, 0)' 8,SPEED=100\n\
+         move 'J(0, 45, 90, 0, 45, 0)'\n\
+         get robot/@SERVO_ON\n",
+    );
+    assert_eq!((run.err.as_str(), run.code), ("", 0));
+    assert!(run.out.ends_with("at J(0, 45, 90, 0, 45, 0)\nrobot/@SERVO_ON = true\n"), "{run:?}");
+    robot.assert_at_rest_with_free_arm();
+}
+
+#[test]
+fn variables_of_a_script_are_replaced() {
+    let robot = Virtual::start(&[]);
+    let run = robot.script("set x = 3\nset name = I$x\nput $name ${x}5\nput S1 '$x'\nget I3 S1\n");
+    assert_eq!((run.out.as_str(), run.code), ("I3 = 35\nS1 = $x\nI3 = 35\nS1 = $x\n", 0), "{run:?}");
+}
+
+#[test]
+fn a_script_stops_at_the_first_error_and_names_its_line() {
+    let robot = Virtual::start(&[]);
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let name = file.path().display();
+    for (lines, message, code) in [
+        ("put I1 7\n\nexpect I1 = 5\nput I2 1\n", format!("{name}:3: expected I1 = 5, found 7"), 1),
+        ("expect I1 >= 8\n", format!("{name}:1: expected I1 >= 8, found 7"), 1),
+        ("get I1 X1\n", format!("{name}:1: 1 of 2 were refused"), 1),
+        ("get I1\ngte I1\n", format!("{name}:2: unrecognized subcommand 'gte'"), 2),
+        ("get $y\n", format!("{name}:1: the variable y is not set"), 2),
+        ("wait I1 = 5 20ms\n", format!("{name}:1: waited 20ms for I1 = 5, found 7"), 4),
+        ("exec robot NoCommand\n", format!("{name}:1: robot: NoCommand"), 1),
+        ("bcap get I1\n", format!("{name}:1: write the command without the word bcap"), 2),
+        ("get I1 --robot tcp:x\n", format!("{name}:1: unexpected argument '--robot' found"), 2),
+    ] {
+        std::fs::write(file.path(), lines).unwrap();
+        let run = robot.run(&["run", &name.to_string()]);
+        assert!(run.err.contains(&message) && run.code == code, "{lines}: {run:?}");
+    }
+    assert_eq!(robot.run(&["get", "I2"]).out, "I2 = 0\n");
+    let run = bcap(&["run", "/no/such/file"]);
+    assert!(run.code == 2 && run.err.contains("/no/such/file: No such file"), "{run:?}");
+}
+
+#[test]
+fn conditions_compare_as_put_writes() {
+    let robot = Virtual::start(&[]);
+    let lines = "put F1 2.5\nput P1 400,0,300.1,180,0,180,5\nput IO128 on\n\
+                 expect F1 = 2.5\nexpect F1 > -3\nexpect F1 <= 2.5\nexpect F1 != 2.4\n\
+                 expect P1 = 400,0,300.1,180,0,180,5\nexpect IO128 = true\nwait I1 = 0\nsleep 1ms\n";
+    assert_eq!(robot.script(lines).code, 0);
+}
+
+#[test]
+fn one_move_takes_the_arm_and_gives_it_back() {
+    let robot = Virtual::start(&[]);
+    let run = robot.run(&["move", "J(10, 45, 90, 0, 45, 0)", "--speed", "50"]);
+    assert_eq!((run.out.as_str(), run.err.as_str(), run.code), ("at J(10, 45, 90, 0, 45, 0)\n", "", 0));
+    robot.assert_at_rest_with_free_arm();
+    let run = robot.run(&["move", "J(999, 45, 90, 0, 45, 0)"]);
+    assert_eq!(run.code, 1, "{run:?}");
+    assert_eq!(robot.run(&["clear"]).code, 0);
+    let run = robot.run(&["move", "P1", "--speed", "0"]);
+    assert!(run.code == 2 && run.err.contains("write a speed above 0 and up to 100"), "{run:?}");
+    let run = robot.run(&["move", "P1", "--no-wait"]);
+    assert!(run.code == 2 && run.err.contains("--no-wait needs the arm of this session"), "{run:?}");
+    let run = robot.run(&["move", "J(-90, 45, 90, 0, 45, 0)", "--speed", "1", "--within", "1ms"]);
+    assert!(run.code == 1 && run.err.contains("so the robot was halted"), "{run:?}");
+    robot.assert_at_rest_with_free_arm();
+}
+
+#[test]
+fn what_ends_with_the_session_is_said() {
+    let robot = Virtual::start(&[]);
+    let run = robot.run(&["exec", "robot", "TakeArm", "0", "1"]);
+    assert!(run.code == 0 && run.err.contains("the arm was taken, and is given back now"), "{run:?}");
+    let run = robot.run(&["call", "Robot_Move", "robot", "3,2", "8,@E P1", "8,SPEED=10"]);
+    assert!(run.code == 1 && run.err.contains("`bcap move P1` takes it, moves and gives it back"), "{run:?}");
+}
+
+#[test]
+fn ctrl_c_halts_a_motion_and_gives_the_arm_back() {
+    let robot = Virtual::start(&[]);
+    // one command; a motion of a script; a call that lasts as long as the motion; a motion of an earlier line
+    let slow = "move 'J(90, 45, 90, 0, 45, 0)' --speed 1\n";
+    let arm = "exec robot TakeArm 0 1\nexec robot Motor 1 0\n";
+    let long_call = format!("{arm}call Robot_Move robot 1 '8,@E J(-90, 45, 90, 0, 45, 0)' 8,SPEED=1\n");
+    let earlier = format!("{arm}{}sleep 1min\n", slow.replace("--speed", "--no-wait --speed"));
+    for (args, lines) in [
+        (&SLOW[..], ""),
+        (&["run", "-"], slow),
+        (&["run", "-"], &long_call),
+        (&["run", "-"], &earlier),
+        (&["shell"], slow),
+    ] {
+        let mut child = robot.spawn(args);
+        child.stdin.as_mut().unwrap().write_all(lines.as_bytes()).unwrap();
+        robot.wait_for_motion();
+        signal("-INT", &child);
+        if args == ["shell"] {
+            // the shell continues after an interruption
+            child.stdin.as_mut().unwrap().write_all(b"get I1\n").unwrap();
+        }
+        let run: Run = child.wait_with_output().unwrap().into();
+        assert!(run.err.contains(INTERRUPTED), "{lines}: {run:?}");
+        assert_eq!(run.code, if args == ["shell"] { 0 } else { 130 }, "{lines}: {run:?}");
+        assert_eq!(run.out.contains("I1 = 0"), args == ["shell"], "{run:?}");
+        robot.assert_at_rest_with_free_arm();
+    }
+}
+
+#[test]
+fn ctrl_c_halts_a_motion_over_udp() {
+    let robot = Virtual::start(&[]);
+    let mut command = common::bare(&[&SLOW[..], &["--robot", &robot.udp]].concat());
+    let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    robot.wait_for_motion();
+    signal("-INT", &child);
+    let run: Run = child.wait_with_output().unwrap().into();
+    assert!(run.err.contains(INTERRUPTED) && run.code == 130, "{run:?}");
+    robot.assert_at_rest_with_free_arm();
+}
+
+#[test]
+fn both_sessions_of_a_motion_end() {
+    let robot = Virtual::start(&[]);
+    // a controller has 16 slots for clients over UDP
+    for _ in 0..20 {
+        let run = bcap(&["move", "J(0, 45, 90, 0, 45, 0)", "--robot", &robot.udp]);
+        assert_eq!(run.code, 0, "{run:?}");
+    }
+}
+
+#[test]
+fn a_connection_that_is_lost_during_a_motion_is_replaced_to_halt() {
+    let scenario = tempfile::NamedTempFile::new().unwrap();
+    // `move` reads the state of the controller while it waits
+    let fault =
+        |call: u8, of: &str| format!("[[fault]]\nwhen = {{ call = {call}, of = {of:?} }}\nthen = \"disconnect\"\n");
+    std::fs::write(scenario.path(), fault(5, "Variable_GetValue") + &fault(3, "SysState")).unwrap();
+    let arm = "exec robot TakeArm 0 1\nexec robot Motor 1 0\n";
+    let slow = "'8,@E J(90, 45, 90, 0, 45, 0)' 8,NEXT,SPEED=1";
+    let reads = "get I1\n".repeat(5);
+    for lines in [
+        format!("{arm}call Robot_Move robot 1 {slow}\n{reads}"),
+        "move 'J(90, 45, 90, 0, 45, 0)' --speed 1\n".to_owned(),
+    ] {
+        let robot = Virtual::start(&["--scenario", scenario.path().to_str().unwrap()]);
+        let run = robot.script(&lines);
+        assert_eq!(run.code, 3, "{lines}: {run:?}");
+        assert!(run.err.contains("the robot was halted over another connection"), "{lines}: {run:?}");
+        let state = robot.run(&["get", "@BUSY_STATUS"]);
+        assert_eq!(state.out, "@BUSY_STATUS = false\n");
+        assert_eq!(robot.run(&["exec", "robot", "TakeArm", "0", "1"]).code, 0);
+    }
+}
+
+#[test]
+fn a_shell_that_is_ended_gives_the_arm_back() {
+    let robot = Virtual::start(&[]);
+    for name in ["-TERM", "-HUP"] {
+        let mut child = robot.spawn(&["shell"]);
+        let lines = "exec robot TakeArm 0 1\nexec robot Motor 1 0\nmove J(90,45,90,0,45,0) --speed 1 --no-wait\n";
+        // stays open, because the end of the input would end the shell too
+        let mut stdin = child.stdin.take().unwrap();
+        stdin.write_all(lines.as_bytes()).unwrap();
+        robot.wait_for_motion();
+        signal(name, &child);
+        let run: Run = child.wait_with_output().unwrap().into();
+        assert_eq!(run.code, 130, "{name}: {run:?}");
+        drop(stdin);
+        robot.assert_at_rest_with_free_arm();
+    }
+}
+
+#[test]
+fn the_shell_says_that_the_connection_is_lost_and_connects_again() {
+    let robot = Virtual::start(&[]);
+    let scenario = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(
+        scenario.path(),
+        "[[fault]]\nwhen = { call = 1, of = \"Variable_PutValue\" }\nthen = \"disconnect\"\n",
+    )
+    .unwrap();
+    drop(robot);
+    let robot = Virtual::start(&["--scenario", scenario.path().to_str().unwrap()]);
+    let lines = "exec robot TakeArm 0 1\nput I1 1\nget I1\nconnect\nput I1 2\nexec robot TakeArm 0 1\n";
+    let run = bcap_with(&["shell", "--robot", &robot.tcp], lines.as_bytes());
+    assert_eq!((run.out.matches("I1 = ").count(), run.code), (1, 0), "{run:?}");
+    assert!(run.out.contains("I1 = 2"), "{run:?}");
+    assert!(run.err.contains("closed the connection during Variable_PutValue"), "{run:?}");
+    assert!(run.err.contains("the connection is lost") && run.err.contains("`connect` connects again"), "{run:?}");
+    robot.assert_at_rest_with_free_arm();
+}
+
+#[test]
+fn a_shell_without_a_controller_explains_itself() {
+    let run = bcap_with(
+        &["shell", "--robot", "tcp:127.0.0.1:1"],
+        b"decode 01100000000100000002000000000004\nhelp\nhelp move\n",
+    );
+    assert!(run.err.contains("cannot connect") && run.err.contains("`connect` tries again"), "{run:?}");
+    assert!(run.out.contains("function 2 Service_Stop") && run.out.contains("--speed <PERCENT>"), "{run:?}");
+    for command in ["get", "exec", "move", "task", "sim", "expect", "connect"] {
+        assert!(run.out.lines().any(|line| line.starts_with(&format!("{command} "))), "{command}: {run:?}");
+    }
+}
+
+#[test]
+fn errors_and_messages_are_shown_and_cleared() {
+    let scenario = tempfile::NamedTempFile::new().unwrap();
+    std::fs::write(
+        scenario.path(),
+        "[[fault]]\nwhen = { call = 1, of = \"Motor\" }\nthen = { error = \"0x84201486\" }\n",
+    )
+    .unwrap();
+    let robot = Virtual::start(&["--scenario", scenario.path().to_str().unwrap()]);
+    let run = robot.run(&["errors"]);
+    assert_eq!((run.out.as_str(), run.code), ("no errors\n", 0));
+    let shell = bcap_with(
+        &["shell", "--robot", &robot.tcp],
+        b"exec robot TakeArm 0 1\nexec robot Motor 1 0\nerrors\nmessages\nclear\nerrors\nexit\nget I1\n",
+    );
+    assert_eq!(shell.out.matches("0x84201486").count(), 1, "{shell:?}");
+    assert!(shell.out.contains(&format!(" RC8 {}: ", 0x8420_1486_u32.cast_signed())), "{shell:?}");
+    assert!(shell.out.ends_with("no errors\n"), "{shell:?}");
+}
+
+#[test]
+fn tasks_are_started_and_stopped() {
+    let robot = Virtual::start(&[]);
+    assert_eq!(robot.run(&["task", "start", "Pro1", "--forever"]).code, 0);
+    assert_eq!(robot.run(&["task", "status", "Pro1"]).out, "Pro1 running\n");
+    assert_eq!(robot.run(&["task", "stop", "Pro1", "--now"]).code, 0);
+    assert_ne!(robot.run(&["task", "status", "Pro1", "--json"]).out, "{\"name\":\"Pro1\",\"status\":\"running\"}\n");
+    assert_eq!(robot.run(&["task", "start", "Pro1"]).code, 2);
+}

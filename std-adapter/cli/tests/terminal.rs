@@ -1,0 +1,139 @@
+//! `bcap shell` in a terminal, as a person uses it. It needs tmux.
+#![cfg(unix)]
+
+mod common;
+#[path = "common/virtual_robot.rs"]
+mod virtual_robot;
+
+use std::path::Path;
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use virtual_robot::Virtual;
+
+/// A terminal; dropping this ends it.
+struct Terminal {
+    socket: String,
+}
+
+impl Terminal {
+    /// Runs the command in a terminal; `None` without tmux.
+    fn start(size: (u16, u16), args: &[&str], folder: &Path) -> Option<Self> {
+        let terminal = Self { socket: folder.join("tmux").display().to_string() };
+        let history = format!("BCAP_HISTORY={}", folder.join("history").display());
+        let (width, height) = (size.0.to_string(), size.1.to_string());
+        let mut command = terminal.tmux();
+        command.args(["-f", "/dev/null", "new-session", "-d", "-x", &width, "-y", &height, "-e", &history]);
+        match command.arg(env!("CARGO_BIN_EXE_bcap")).args(args).status() {
+            Ok(status) => assert!(status.success()),
+            Err(_) => {
+                eprintln!("skipped: tmux is not installed");
+                std::mem::forget(terminal);
+                return None;
+            }
+        }
+        Some(terminal)
+    }
+
+    fn tmux(&self) -> Command {
+        let mut command = Command::new("tmux");
+        command.args(["-S", &self.socket]).env_remove("TMUX").env_remove("BCAP_ROBOT");
+        command
+    }
+
+    /// Presses keys, in tmux's notation.
+    fn keys(&self, keys: &[&str]) {
+        assert!(self.tmux().arg("send-keys").args(keys).status().unwrap().success());
+    }
+
+    fn enter(&self, line: &str) {
+        self.keys(&["-l", line]);
+        self.keys(&["Enter"]);
+    }
+
+    fn screen(&self) -> String {
+        let output = self.tmux().args(["capture-pane", "-p"]).output().unwrap();
+        String::from_utf8(output.stdout).unwrap()
+    }
+
+    /// Waits until the screen contains a text, and returns the screen.
+    #[track_caller]
+    fn wait_for(&self, text: &str) -> String {
+        let began = Instant::now();
+        loop {
+            let screen = self.screen();
+            if screen.contains(text) {
+                return screen;
+            }
+            assert!(began.elapsed() < Duration::from_secs(60), "{text:?} is missing:\n{screen}");
+        }
+    }
+}
+
+impl Drop for Terminal {
+    fn drop(&mut self) {
+        let _ = self.tmux().arg("kill-server").output();
+    }
+}
+
+#[test]
+fn ctrl_c_in_the_shell_halts_the_robot_and_gives_the_arm_back() {
+    for size in [(80, 24), (200, 50)] {
+        let robot = Virtual::start(&[]);
+        let folder = tempfile::tempdir().unwrap();
+        let Some(terminal) = Terminal::start(size, &["shell", "--robot", &robot.tcp], folder.path()) else { return };
+        terminal.wait_for("RC8 auto ok>");
+        terminal.enter("exec robot TakeArm 0 1");
+        terminal.wait_for("RC8 auto ok arm>");
+        terminal.enter("exec robot Motor 1 0");
+        terminal.wait_for("RC8 auto ok arm motor>");
+        // during a motion
+        terminal.enter("move 'J(90, 45, 90, 0, 45, 0)' --speed 1");
+        robot.wait_for_motion();
+        terminal.keys(&["C-c"]);
+        terminal.wait_for("error: interrupted: the robot was halted, and the arm was given back\nRC8 auto ok>");
+        robot.assert_at_rest_with_free_arm();
+        // at the prompt, while the robot moves
+        terminal.enter("exec robot TakeArm 0 1");
+        terminal.wait_for("RC8 auto ok arm>");
+        terminal.enter("move 'J(-90, 45, 90, 0, 45, 0)' --speed 1 --no-wait");
+        terminal.wait_for("on the way to J(-90, 45, 90, 0, 45, 0)");
+        robot.wait_for_motion();
+        terminal.keys(&["C-c"]);
+        terminal.wait_for(" note: the robot was halted, and the arm was given back");
+        robot.assert_at_rest_with_free_arm();
+        terminal.enter("exit");
+    }
+}
+
+#[test]
+fn tab_completes_and_the_history_is_kept() {
+    let robot = Virtual::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    let args = ["shell", "--robot", &robot.tcp];
+    let Some(terminal) = Terminal::start((80, 24), &args, folder.path()) else { return };
+    terminal.wait_for("RC8 auto ok>");
+    // a command, a function, a command of a robot, a variable of a robot
+    for (typed, completed) in [
+        ("mess", "> messages"),
+        ("call robot_mo", "> call Robot_Move"),
+        ("exec controller ClearE", "> exec controller ClearError"),
+        ("get robot/@SERVO", "> get robot/@SERVO_ON"),
+        ("task:Pro1 get task:Pro", "task:Pro1"),
+    ] {
+        terminal.keys(&["-l", typed]);
+        terminal.keys(&["Tab"]);
+        terminal.wait_for(completed);
+        terminal.keys(&["C-a", "C-k"]);
+    }
+    terminal.enter("put I7 1234");
+    terminal.wait_for("I7 = 1234");
+    terminal.enter("exit");
+    let history = folder.path().join("history");
+    while !std::fs::read_to_string(&history).is_ok_and(|lines| lines.contains("put I7 1234")) {}
+    drop(terminal);
+    let terminal = Terminal::start((80, 24), &args, folder.path()).unwrap();
+    terminal.wait_for("RC8 auto ok>");
+    terminal.keys(&["Up", "Up"]);
+    terminal.wait_for("> put I7 1234");
+}
