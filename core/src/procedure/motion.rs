@@ -1,4 +1,4 @@
-//! Starting a motion and waiting for its end.
+//! Starting a motion, letting others follow it, and waiting for the end.
 //!
 //! ```text
 //!  Robot_Move NEXT ─► DestJnt ─► (pause ─► SysState ─► CurJnt)* ─► Arrived
@@ -11,6 +11,18 @@
 //!
 //! A robot that rests elsewhere has been halted, unless SysState reports a motion (a slow start, a motion on hold) or the
 //! robot has not begun to move yet.
+//!
+//! A motion that follows another one:
+//!
+//! ```text
+//!  SysState ─► CurJnt: under way to A ─► Robot_Move NEXT to B ─► (pause ─► SysState ─► DestJnt ─► CurJnt)*
+//!     DestJnt is A, and the robot moves: it was not halted before B was accepted
+//!     DestJnt is B twice, and the robot moves: it has reached A, and B is the destination from now on
+//! ```
+//!
+//! DestJnt is the destination of the motion under way, so it tells B only when the motion to B has begun. After a halt it may
+//! be the place where the robot rests, so it counts only while the robot moves and is not there. At most one motion waits
+//! behind the one under way: with more, a destination could be missed.
 
 use core::convert::identity;
 use core::time::Duration;
@@ -91,12 +103,92 @@ impl MotionConfig {
 pub enum Motion {
     /// The robot rests at its destination.
     Arrived,
-    /// The robot rests elsewhere, and the controller has no error: another client halted it, or it did not begin to move.
+    /// The robot rests, and the controller has no error, but it was not seen to reach its destination: another client
+    /// halted it, or it did not begin to move.
     Halted,
     /// The controller has an error; this is the first one.
     Failed(HResult),
     /// The time limit has passed, and the robot was halted.
     TimedOut,
+}
+
+/// Motions that follow each other without a stop: what is known of them between two procedures.
+///
+/// [`queue_motion`] adds a motion, [`wait_for_queue`] waits for the last one.
+#[derive(Clone, Copy, Debug)]
+#[must_use = "the robot moves until `wait_for_queue`"]
+pub struct MotionQueue {
+    config: MotionConfig,
+    /// When the time limit passes.
+    until: Instant,
+    /// When a robot at rest must have begun to move.
+    start_until: Instant,
+    /// Where the motion under way ends; `None` before the first one.
+    destination: Option<[f64; JOINTS]>,
+    /// Whether SysState reports a motion.
+    reports_motion: bool,
+    /// Where the robot was when it was first seen at rest.
+    rest: Option<[f64; JOINTS]>,
+    /// Whether the robot has moved since the first poll.
+    moved: bool,
+    /// Polls in a row with the robot at rest.
+    still: u8,
+    ended: Option<Motion>,
+}
+
+impl MotionQueue {
+    /// Returns a queue without motions. The time limit begins with the first motion, and is that of all motions.
+    pub const fn new(config: MotionConfig) -> Self {
+        Self {
+            config,
+            until: Instant::FAR_FUTURE,
+            start_until: Instant::FAR_FUTURE,
+            destination: None,
+            reports_motion: false,
+            rest: None,
+            moved: false,
+            still: 0,
+            ended: None,
+        }
+    }
+
+    /// Returns how the motions have ended, once the robot is known to have stopped before the end of the last one.
+    #[must_use]
+    pub const fn ended(&self) -> Option<Motion> {
+        self.ended
+    }
+
+    /// Compares a position with the place where the robot was first seen at rest.
+    fn update_rest(&mut self, joints: &[f64; JOINTS], now: Instant) {
+        // from where the rest began, not from the last poll, so that a slow motion adds up
+        let rests = self.rest.map(|rest| within(joints, &rest, AT_REST));
+        if rests == Some(true) {
+            self.still = self.still.saturating_add(1);
+            return;
+        }
+        (self.still, self.rest) = (0, Some(*joints));
+        if rests == Some(false) {
+            self.moved = true;
+            self.start_until = now.saturating_add(self.config.start);
+        }
+    }
+
+    /// Tells whether the robot counts as stopped, wherever it is.
+    fn is_stopped(&self, goal: Goal) -> bool {
+        // with shorter pauses, as many more polls
+        let polls = self.config.still.max(1).saturating_mul(if goal == Goal::Begin { 4 } else { 1 });
+        self.still >= polls && !self.reports_motion
+    }
+
+    /// Tells whether the robot is at the destination of the motion under way.
+    fn is_at_destination(&self, joints: &[f64; JOINTS]) -> bool {
+        self.destination.is_some_and(|destination| within(joints, &destination, self.config.tolerance))
+    }
+
+    /// Begins to follow a motion to this destination.
+    const fn aim(&mut self, destination: [f64; JOINTS]) {
+        (self.destination, self.rest, self.still) = (Some(destination), None, 0);
+    }
 }
 
 /// Starts a motion and waits for its end.
@@ -113,28 +205,49 @@ pub fn move_and_wait<D: Encode, O: AsRef<str>>(
     motion: MotionStart<D, O>,
     config: MotionConfig,
 ) -> impl Procedure<Output = Motion, Error = StepError> {
-    let steps = MoveSteps {
-        handles,
-        motion,
-        config,
-        step: Step::Move,
-        until: Instant::FAR_FUTURE,
-        start_until: Instant::FAR_FUTURE,
-        destination: [0.0; JOINTS],
-        reports_motion: false,
-        rest: None,
-        moved: false,
-        still: 0,
-        error: 0,
-        outcome: Motion::Halted,
-    };
-    Sequence::new(steps, identity)
+    Sequence::new(MoveSteps::new(handles, Some(motion), MotionQueue::new(config), Goal::End), outcome)
+}
+
+/// Lets a motion follow those of a queue, and returns when it has begun.
+///
+/// The controller has the motion before the one under way ends, so it moves from one to the next without a stop if the
+/// pass of the first allows it. A robot that rests at the destination starts at once. The motion is not sent if the
+/// robot was stopped before that destination, and nothing can be added to a queue that has [ended](MotionQueue::ended).
+///
+/// A motion counts only if it is seen to begin, because DestJnt then tells where it ends. One that ends where it begins is
+/// never seen, nor is one of a few milliseconds: both end as [`Motion::Halted`], and so does one that was accepted so late
+/// that a halt before it cannot be excluded. The robot is halted then.
+///
+/// # Cancel safety
+///
+/// As [`move_and_wait`].
+pub fn queue_motion<D: Encode, O: AsRef<str>>(
+    handles: Handles,
+    queue: MotionQueue,
+    motion: MotionStart<D, O>,
+) -> impl Procedure<Output = MotionQueue, Error = StepError> {
+    Sequence::new(MoveSteps::new(handles, Some(motion), queue, Goal::Begin), identity)
+}
+
+/// Waits for the end of the last motion of a queue. A queue without motions ends as [`Motion::Halted`].
+///
+/// # Cancel safety
+///
+/// As [`move_and_wait`].
+pub fn wait_for_queue(handles: Handles, queue: MotionQueue) -> impl Procedure<Output = Motion, Error = StepError> {
+    Sequence::new(MoveSteps::<(), &str>::new(handles, None, queue, Goal::End), outcome)
+}
+
+fn outcome(queue: MotionQueue) -> Motion {
+    queue.ended.unwrap_or(Motion::Halted)
 }
 
 /// The joints of CurJnt and DestJnt.
 const JOINTS: usize = 8;
 /// How far a joint at rest may be from where the rest began, in degrees or mm.
 const AT_REST: f64 = 0.002;
+/// The longest pause between two polls while the beginning of a motion is waited for.
+const BEGIN_INTERVAL: Duration = Duration::from_millis(5);
 /// The bits of SysState for an error, for the emergency stop, and for a motion.
 const ERROR: i32 = 1 << 1;
 const EMERGENCY_STOP: i32 = 1 << 10;
@@ -142,25 +255,39 @@ const MOVING: i32 = 0b11 << 20;
 
 struct MoveSteps<D, O> {
     handles: Handles,
-    motion: MotionStart<D, O>,
-    config: MotionConfig,
+    motion: Option<MotionStart<D, O>>,
+    queue: MotionQueue,
+    goal: Goal,
+    follow: Follow,
     step: Step,
-    /// When the time limit passes.
-    until: Instant,
-    /// When the motion must have begun.
-    start_until: Instant,
-    destination: [f64; JOINTS],
-    /// Whether SysState reports a motion.
-    reports_motion: bool,
-    /// Where the robot was when it was first seen at rest.
-    rest: Option<[f64; JOINTS]>,
-    /// Whether the robot has moved since the first poll.
-    moved: bool,
-    /// Polls in a row with the robot at rest.
-    still: u8,
+    /// What DestJnt said in this poll.
+    seen: [f64; JOINTS],
+    /// When the last reply arrived.
+    now: Instant,
     /// The index of the error to ask for.
     error: i32,
-    outcome: Motion,
+}
+
+/// When the steps end.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Goal {
+    /// When the motion has begun.
+    Begin,
+    /// When the robot rests.
+    End,
+}
+
+/// What is known of a motion of a queue that was accepted and has not begun.
+#[derive(Clone, Copy, PartialEq)]
+enum Follow {
+    /// There is no such motion.
+    None,
+    /// It was accepted behind another motion. The robot may have been halted before.
+    Accepted,
+    /// It was accepted at rest, or the motion before was still under way after that.
+    InOrder,
+    /// The robot was once seen to move to this destination.
+    Seen([f64; JOINTS]),
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -177,6 +304,25 @@ enum Step {
 }
 
 impl<D, O> MoveSteps<D, O> {
+    fn new(handles: Handles, motion: Option<MotionStart<D, O>>, queue: MotionQueue, goal: Goal) -> Self {
+        let step = match (queue.ended, queue.destination, &motion) {
+            (None, None, Some(_)) => Step::Move,
+            (None, Some(_), _) => Step::State,
+            _ => Step::End,
+        };
+        Self {
+            handles,
+            motion,
+            queue,
+            goal,
+            follow: Follow::None,
+            step,
+            seen: [0.0; JOINTS],
+            now: Instant::ZERO,
+            error: 0,
+        }
+    }
+
     fn of_robot(&self, command: &'static str) -> Next<'_> {
         let execute = StepCall::new(FunctionId::ROBOT_EXECUTE).with(self.handles.robot.0);
         Next::Call(execute.with(command).with(Argument::Empty))
@@ -188,38 +334,104 @@ impl<D, O> MoveSteps<D, O> {
     }
 
     fn end(&mut self, outcome: Motion) {
-        self.outcome = outcome;
+        self.queue.ended = Some(outcome);
         self.step = Step::End;
     }
 
+    fn halt(&mut self, outcome: Motion) {
+        self.queue.ended = Some(outcome);
+        self.step = Step::Halt;
+    }
+
+    /// Waits for the next poll.
+    fn pause(&mut self, now: Instant) {
+        let MotionQueue { config, until, .. } = self.queue;
+        let interval = if self.goal == Goal::Begin { config.interval.min(BEGIN_INTERVAL) } else { config.interval };
+        self.step = Step::Pause(now.saturating_add(interval).min(until));
+    }
+
     /// Compares the robot's position with its destination and with earlier positions.
-    fn update_position(&mut self, joints: [f64; JOINTS], now: Instant) {
-        // from where the rest began, not from the last poll, so that a slow motion adds up
-        let rests = self.rest.map(|rest| within(&joints, &rest, AT_REST));
-        match rests {
-            Some(true) => self.still = self.still.saturating_add(1),
-            _ => (self.still, self.rest) = (0, Some(joints)),
+    fn update_position(&mut self, joints: &[f64; JOINTS], now: Instant) {
+        self.queue.update_rest(joints, now);
+        if self.follow != Follow::None {
+            self.update_follow(joints, now);
+            return;
         }
-        self.moved |= rests == Some(false);
+        let MotionQueue { reports_motion, moved, still, .. } = self.queue;
+        let there = self.queue.is_at_destination(joints);
+        let stopped = self.queue.is_stopped(self.goal);
         // a motion may end where it began, so rest there does not count as arrival while SysState reports a motion
-        let at_end = within(&joints, &self.destination, self.config.tolerance) && (self.moved || !self.reports_motion);
-        let stopped = self.still >= self.config.still.max(1) && !self.reports_motion;
-        if self.still >= 1 && at_end {
-            self.end(Motion::Arrived);
-        } else if stopped && self.moved {
+        if still >= 1 && there && (moved || !reports_motion) {
+            match self.goal {
+                // the next motion starts from rest
+                Goal::Begin => (self.queue.destination, self.step) = (None, Step::Move),
+                Goal::End => self.end(Motion::Arrived),
+            }
+        } else if stopped && moved {
             self.end(Motion::Halted);
-        } else if stopped && now >= self.start_until {
+        } else if stopped && now >= self.queue.start_until {
             self.halt(Motion::Halted);
-        } else if now >= self.until {
+        } else if now >= self.queue.until {
             self.halt(Motion::TimedOut);
+        } else if self.goal == Goal::Begin && reports_motion && !there {
+            self.step = Step::Move;
         } else {
-            self.step = Step::Pause(now.saturating_add(self.config.interval).min(self.until));
+            self.pause(now);
         }
     }
 
-    fn halt(&mut self, outcome: Motion) {
-        self.outcome = outcome;
-        self.step = Step::Halt;
+    /// Looks for the beginning of a motion of a queue.
+    fn update_follow(&mut self, joints: &[f64; JOINTS], now: Instant) {
+        let MotionQueue { reports_motion, config, destination, .. } = self.queue;
+        let changed = destination.is_none_or(|before| !within(&self.seen, &before, AT_REST));
+        let begins = reports_motion && changed && !within(joints, &self.seen, config.tolerance);
+        match self.follow {
+            Follow::Accepted if changed => return self.halt(Motion::Halted),
+            Follow::Accepted if reports_motion => self.follow = Follow::InOrder,
+            Follow::Seen(seen) if begins && within(&self.seen, &seen, AT_REST) => {
+                self.queue.aim(seen);
+                self.step = Step::End;
+                return;
+            }
+            Follow::InOrder | Follow::Seen(_) if begins => self.follow = Follow::Seen(self.seen),
+            _ => {}
+        }
+        let elsewhere = destination.is_some() && !self.queue.is_at_destination(joints);
+        if self.queue.is_stopped(self.goal) && (elsewhere || now >= self.queue.start_until) {
+            self.halt(Motion::Halted);
+        } else if now >= self.queue.until {
+            self.halt(Motion::TimedOut);
+        } else {
+            self.pause(now);
+        }
+    }
+
+    /// Records that the controller has accepted the motion.
+    fn accepted(&mut self, now: Instant) {
+        let queue = &mut self.queue;
+        if queue.until == Instant::FAR_FUTURE {
+            queue.until = now.saturating_add(queue.config.limit);
+        }
+        if queue.destination.is_some() {
+            (self.follow, self.step) = (Follow::Accepted, Step::State);
+            return;
+        }
+        (queue.start_until, queue.rest, queue.moved) = (now.saturating_add(queue.config.start), None, false);
+        (self.follow, self.step) = match self.goal {
+            Goal::Begin => (Follow::InOrder, Step::State),
+            Goal::End => (Follow::None, Step::Destination),
+        };
+    }
+
+    /// Records what DestJnt said.
+    fn aimed(&mut self, destination: [f64; JOINTS]) {
+        self.seen = destination;
+        if self.follow == Follow::None {
+            self.queue.aim(destination);
+            self.step = Step::State;
+        } else {
+            self.step = Step::Position;
+        }
     }
 }
 
@@ -230,9 +442,9 @@ fn within(joints: &[f64; JOINTS], other: &[f64; JOINTS], distance: f64) -> bool 
 
 impl<D: Encode, O: AsRef<str>> MoveSteps<D, O> {
     /// Returns the call that starts the motion.
-    fn start(&self) -> StepCall<'_> {
+    fn start(&self) -> Option<StepCall<'_>> {
         let robot = self.handles.robot.0;
-        match &self.motion {
+        Some(match self.motion.as_ref()? {
             MotionStart::Move { interpolation, pose, option } => {
                 let pose: &dyn Encode = pose;
                 let call = StepCall::new(FunctionId::ROBOT_MOVE).with(robot).with(*interpolation);
@@ -247,17 +459,17 @@ impl<D: Encode, O: AsRef<str>> MoveSteps<D, O> {
                 let call = StepCall::new(FunctionId::ROBOT_ROTATE).with(robot).with(*plane).with(degrees);
                 call.with(centre.as_ref()).with(option.as_ref())
             }
-        }
+        })
     }
 }
 
 impl<D: Encode, O: AsRef<str>> Steps for MoveSteps<D, O> {
-    type Output = Motion;
+    type Output = MotionQueue;
     const KEEPS_OBJECTS: bool = true;
 
     fn next(&self) -> Next<'_> {
         match self.step {
-            Step::Move => Next::Call(self.start()),
+            Step::Move => self.start().map_or(Next::End, Next::Call),
             Step::Destination => self.of_robot("DestJnt"),
             Step::Pause(until) => Next::Wait(until),
             Step::State => self.of_controller("SysState", Argument::Empty),
@@ -274,22 +486,20 @@ impl<D: Encode, O: AsRef<str>> Steps for MoveSteps<D, O> {
     }
 
     fn succeeded(&mut self, reply: &Frame<'_>, now: Instant) -> Result<(), StepCause> {
+        self.now = now;
         match self.step {
-            Step::Move => {
-                self.until = now.saturating_add(self.config.limit);
-                self.start_until = now.saturating_add(self.config.start);
-                self.step = Step::Destination;
-            }
-            Step::Destination => {
-                self.destination = joints(reply)?;
-                self.step = Step::State;
-            }
+            Step::Move => self.accepted(now),
+            Step::Destination => self.aimed(joints(reply)?),
             Step::State => {
                 let bits = Int::read(reply.args).map_err(StepCause::Reply)?;
-                self.reports_motion = bits & MOVING != 0;
-                self.step = if bits & (ERROR | EMERGENCY_STOP) == 0 { Step::Position } else { Step::ErrorCount };
+                self.queue.reports_motion = bits & MOVING != 0;
+                self.step = match self.follow {
+                    _ if bits & (ERROR | EMERGENCY_STOP) != 0 => Step::ErrorCount,
+                    Follow::None => Step::Position,
+                    _ => Step::Destination,
+                };
             }
-            Step::Position => self.update_position(joints(reply)?, now),
+            Step::Position => self.update_position(&joints(reply)?, now),
             Step::ErrorCount => {
                 // the last error of the list is the oldest, so the first cause
                 self.error = Int::read(reply.args).map_err(StepCause::Reply)?.saturating_sub(1);
@@ -311,12 +521,22 @@ impl<D: Encode, O: AsRef<str>> Steps for MoveSteps<D, O> {
 
     fn undo(&self, cause: Option<&StepCause>) -> Option<Undo> {
         let cause = cause?;
-        let moves = self.step != Step::Move || cause.may_have_run();
+        let moves = self.step != Step::Move || self.queue.destination.is_some() || cause.may_have_run();
         moves.then_some(Undo::Halt(self.handles.robot.0))
     }
 
-    fn output(&mut self) -> Motion {
-        self.outcome
+    /// A controller that is braking, or whose queue is full, is busy: the robot's state tells what follows.
+    fn recovered(&mut self, cause: &StepCause) -> bool {
+        let busy = *cause == StepCause::Refused(HResult::E_ROBOTISBUSY);
+        let waits = busy && self.step == Step::Move && self.queue.destination.is_some();
+        if waits {
+            self.pause(self.now);
+        }
+        waits
+    }
+
+    fn output(&mut self) -> MotionQueue {
+        self.queue
     }
 }
 
