@@ -21,7 +21,7 @@
 //! | [`read_variable`], [`write_variable`]              | opens a variable, reads or writes it, releases it            |
 //! | [`prepare_robot`], [`give_arm`]                    | takes the arm and switches the motor on; gives the arm back  |
 //! | [`move_and_wait`]                                  | starts a motion and waits for its end                        |
-//! | [`queue_motion`], [`wait_for_queue`]               | lets motions follow each other, and waits for the last one   |
+//! | [`run_queue`]                                      | lets motions follow each other, and waits for the last one   |
 //! | [`slave::Stream`](crate::slave::Stream)      | streams poses in Slave Mode                                  |
 //!
 //! A procedure that fails undoes what it did before it reports the failure, as far as the connection still works: it
@@ -40,7 +40,7 @@ mod variable;
 
 pub use self::action::{Action, Channel, Procedure};
 pub use self::failure::{Failure, StepCause, StepError};
-pub use self::motion::{Motion, MotionConfig, MotionQueue, MotionStart, move_and_wait, queue_motion, wait_for_queue};
+pub use self::motion::{Motion, MotionConfig, MotionQueue, MotionStart, Until, move_and_wait, run_queue};
 pub use self::open::{open, open_robot};
 pub use self::path::{Opened, Owner, PATH_MAX, PathError, PathStep, open_path};
 pub use self::provider::{Handles, Provider};

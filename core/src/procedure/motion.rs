@@ -114,9 +114,9 @@ pub enum Motion {
 
 /// Motions that follow each other without a stop: what is known of them between two procedures.
 ///
-/// [`queue_motion`] adds a motion, [`wait_for_queue`] waits for the last one.
+/// [`run_queue`] adds a motion, and waits for the last one.
 #[derive(Clone, Copy, Debug)]
-#[must_use = "the robot moves until `wait_for_queue`"]
+#[must_use = "the robot may move until the queue has ended"]
 pub struct MotionQueue {
     config: MotionConfig,
     /// When the time limit passes.
@@ -152,10 +152,16 @@ impl MotionQueue {
         }
     }
 
-    /// Returns how the motions have ended, once the robot is known to have stopped before the end of the last one.
+    /// Returns how the motions have ended, after [`Until::Ended`], or when the robot was stopped before.
     #[must_use]
     pub const fn ended(&self) -> Option<Motion> {
         self.ended
+    }
+
+    /// Tells whether there was no motion yet.
+    #[must_use]
+    pub fn is_new(&self) -> bool {
+        self.until == Instant::FAR_FUTURE
     }
 
     /// Compares a position with the place where the robot was first seen at rest.
@@ -174,9 +180,9 @@ impl MotionQueue {
     }
 
     /// Tells whether the robot counts as stopped, wherever it is.
-    fn is_stopped(&self, goal: Goal) -> bool {
+    fn is_stopped(&self, begins: bool) -> bool {
         // with shorter pauses, as many more polls
-        let polls = self.config.still.max(1).saturating_mul(if goal == Goal::Begin { 4 } else { 1 });
+        let polls = self.config.still.max(1).saturating_mul(if begins { 4 } else { 1 });
         self.still >= polls && !self.reports_motion
     }
 
@@ -205,41 +211,40 @@ pub fn move_and_wait<D: Encode, O: AsRef<str>>(
     motion: MotionStart<D, O>,
     config: MotionConfig,
 ) -> impl Procedure<Output = Motion, Error = StepError> {
-    Sequence::new(MoveSteps::new(handles, Some(motion), MotionQueue::new(config), Goal::End), outcome)
+    let steps = MoveSteps::new(handles, MotionQueue::new(config), Some(motion), Until::Ended);
+    Sequence::new(steps, |queue: MotionQueue| queue.ended.unwrap_or(Motion::Halted))
 }
 
-/// Lets a motion follow those of a queue, and returns when it has begun.
+/// Until when [`run_queue`] runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Until {
+    /// Until the last motion has begun, or the robot was stopped before.
+    Begun,
+    /// Until the robot rests.
+    Ended,
+}
+
+/// Adds a motion to a queue, if there is one, and runs until the last motion has begun or the robot rests.
 ///
-/// The controller has the motion before the one under way ends, so it moves from one to the next without a stop if the
-/// pass of the first allows it. A robot that rests at the destination starts at once. The motion is not sent if the
-/// robot was stopped before that destination, and nothing can be added to a queue that has [ended](MotionQueue::ended).
+/// The controller gets the motion before the one under way ends, so it moves from one to the next without a stop if the
+/// pass of the first allows it. From rest at the destination the motion starts at once. If the robot was stopped before
+/// that destination, the motion is not sent, and the queue has [ended](MotionQueue::ended).
 ///
-/// A motion counts only if it is seen to begin, because DestJnt then tells where it ends. One that ends where it begins is
-/// never seen, nor is one of a few milliseconds: both end as [`Motion::Halted`], and so does one that was accepted so late
-/// that a halt before it cannot be excluded. The robot is halted then.
+/// A motion of a queue counts only if it is seen to begin, because DestJnt then tells where it ends. One that ends where it
+/// begins is never seen, nor is one of a few milliseconds: both end as [`Motion::Halted`], and so does one that was
+/// accepted so late that a halt before it cannot be excluded. The robot is halted then.
 ///
 /// # Cancel safety
 ///
 /// As [`move_and_wait`].
-pub fn queue_motion<D: Encode, O: AsRef<str>>(
+pub fn run_queue<D: Encode, O: AsRef<str>>(
     handles: Handles,
     queue: MotionQueue,
-    motion: MotionStart<D, O>,
+    motion: Option<MotionStart<D, O>>,
+    until: Until,
 ) -> impl Procedure<Output = MotionQueue, Error = StepError> {
-    Sequence::new(MoveSteps::new(handles, Some(motion), queue, Goal::Begin), identity)
-}
-
-/// Waits for the end of the last motion of a queue. A queue without motions ends as [`Motion::Halted`].
-///
-/// # Cancel safety
-///
-/// As [`move_and_wait`].
-pub fn wait_for_queue(handles: Handles, queue: MotionQueue) -> impl Procedure<Output = Motion, Error = StepError> {
-    Sequence::new(MoveSteps::<(), &str>::new(handles, None, queue, Goal::End), outcome)
-}
-
-fn outcome(queue: MotionQueue) -> Motion {
-    queue.ended.unwrap_or(Motion::Halted)
+    Sequence::new(MoveSteps::new(handles, queue, motion, until), identity)
 }
 
 /// The joints of CurJnt and DestJnt.
@@ -257,7 +262,11 @@ struct MoveSteps<D, O> {
     handles: Handles,
     motion: Option<MotionStart<D, O>>,
     queue: MotionQueue,
-    goal: Goal,
+    goal: Until,
+    /// Whether the motion is still to be sent.
+    unsent: bool,
+    /// Whether the motion must be seen to begin.
+    strict: bool,
     follow: Follow,
     step: Step,
     /// What DestJnt said in this poll.
@@ -266,15 +275,6 @@ struct MoveSteps<D, O> {
     now: Instant,
     /// The index of the error to ask for.
     error: i32,
-}
-
-/// When the steps end.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Goal {
-    /// When the motion has begun.
-    Begin,
-    /// When the robot rests.
-    End,
 }
 
 /// What is known of a motion of a queue that was accepted and has not begun.
@@ -304,23 +304,21 @@ enum Step {
 }
 
 impl<D, O> MoveSteps<D, O> {
-    fn new(handles: Handles, motion: Option<MotionStart<D, O>>, queue: MotionQueue, goal: Goal) -> Self {
-        let step = match (queue.ended, queue.destination, &motion) {
-            (None, None, Some(_)) => Step::Move,
-            (None, Some(_), _) => Step::State,
+    fn new(handles: Handles, queue: MotionQueue, motion: Option<MotionStart<D, O>>, goal: Until) -> Self {
+        let unsent = motion.is_some();
+        let step = match queue.ended {
+            None if !queue.is_new() => Step::State,
+            None if unsent => Step::Move,
             _ => Step::End,
         };
-        Self {
-            handles,
-            motion,
-            queue,
-            goal,
-            follow: Follow::None,
-            step,
-            seen: [0.0; JOINTS],
-            now: Instant::ZERO,
-            error: 0,
-        }
+        let strict = goal == Until::Begun || !queue.is_new();
+        let (follow, seen, now) = (Follow::None, [0.0; JOINTS], Instant::ZERO);
+        Self { handles, motion, queue, goal, unsent, strict, follow, step, seen, now, error: 0 }
+    }
+
+    /// Tells whether the motion has not begun yet.
+    fn begins(&self) -> bool {
+        self.unsent || self.follow != Follow::None
     }
 
     fn of_robot(&self, command: &'static str) -> Next<'_> {
@@ -346,7 +344,7 @@ impl<D, O> MoveSteps<D, O> {
     /// Waits for the next poll.
     fn pause(&mut self, now: Instant) {
         let MotionQueue { config, until, .. } = self.queue;
-        let interval = if self.goal == Goal::Begin { config.interval.min(BEGIN_INTERVAL) } else { config.interval };
+        let interval = if self.begins() { config.interval.min(BEGIN_INTERVAL) } else { config.interval };
         self.step = Step::Pause(now.saturating_add(interval).min(until));
     }
 
@@ -359,21 +357,20 @@ impl<D, O> MoveSteps<D, O> {
         }
         let MotionQueue { reports_motion, moved, still, .. } = self.queue;
         let there = self.queue.is_at_destination(joints);
-        let stopped = self.queue.is_stopped(self.goal);
+        let stopped = self.queue.is_stopped(self.begins());
         // a motion may end where it began, so rest there does not count as arrival while SysState reports a motion
-        if still >= 1 && there && (moved || !reports_motion) {
-            match self.goal {
-                // the next motion starts from rest
-                Goal::Begin => (self.queue.destination, self.step) = (None, Step::Move),
-                Goal::End => self.end(Motion::Arrived),
-            }
+        if still >= 1 && there && (moved || !reports_motion) && self.unsent {
+            // the next motion starts from rest
+            (self.queue.destination, self.step) = (None, Step::Move);
+        } else if still >= 1 && there && (moved || !reports_motion) {
+            self.end(Motion::Arrived);
         } else if stopped && moved {
             self.end(Motion::Halted);
         } else if stopped && now >= self.queue.start_until {
             self.halt(Motion::Halted);
         } else if now >= self.queue.until {
             self.halt(Motion::TimedOut);
-        } else if self.goal == Goal::Begin && reports_motion && !there {
+        } else if self.unsent && reports_motion && !there {
             self.step = Step::Move;
         } else {
             self.pause(now);
@@ -390,14 +387,17 @@ impl<D, O> MoveSteps<D, O> {
             Follow::Accepted if reports_motion => self.follow = Follow::InOrder,
             Follow::Seen(seen) if begins && within(&self.seen, &seen, AT_REST) => {
                 self.queue.aim(seen);
-                self.step = Step::End;
+                (self.follow, self.step) = (Follow::None, Step::State);
+                if self.goal == Until::Begun {
+                    self.step = Step::End;
+                }
                 return;
             }
             Follow::InOrder | Follow::Seen(_) if begins => self.follow = Follow::Seen(self.seen),
             _ => {}
         }
         let elsewhere = destination.is_some() && !self.queue.is_at_destination(joints);
-        if self.queue.is_stopped(self.goal) && (elsewhere || now >= self.queue.start_until) {
+        if self.queue.is_stopped(self.begins()) && (elsewhere || now >= self.queue.start_until) {
             self.halt(Motion::Halted);
         } else if now >= self.queue.until {
             self.halt(Motion::TimedOut);
@@ -408,8 +408,9 @@ impl<D, O> MoveSteps<D, O> {
 
     /// Records that the controller has accepted the motion.
     fn accepted(&mut self, now: Instant) {
+        self.unsent = false;
         let queue = &mut self.queue;
-        if queue.until == Instant::FAR_FUTURE {
+        if queue.is_new() {
             queue.until = now.saturating_add(queue.config.limit);
         }
         if queue.destination.is_some() {
@@ -417,10 +418,8 @@ impl<D, O> MoveSteps<D, O> {
             return;
         }
         (queue.start_until, queue.rest, queue.moved) = (now.saturating_add(queue.config.start), None, false);
-        (self.follow, self.step) = match self.goal {
-            Goal::Begin => (Follow::InOrder, Step::State),
-            Goal::End => (Follow::None, Step::Destination),
-        };
+        (self.follow, self.step) =
+            if self.strict { (Follow::InOrder, Step::State) } else { (Follow::None, Step::Destination) };
     }
 
     /// Records what DestJnt said.

@@ -92,6 +92,17 @@ impl Robot {
     }
 }
 
+fn begin(
+    queue: MotionQueue,
+    motion: MotionStart<&str, &str>,
+) -> impl Procedure<Output = MotionQueue, Error = StepError> {
+    run_queue(HANDLES, queue, Some(motion), Until::Begun)
+}
+
+fn wait(queue: MotionQueue) -> impl Procedure<Output = MotionQueue, Error = StepError> {
+    run_queue(HANDLES, queue, None::<MotionStart<&str, &str>>, Until::Ended)
+}
+
 /// Runs motions to these angles; the robot is halted before a call, and the program pauses before each motion.
 fn drive(robot: &mut Robot, angles: &[f64], pause: Duration, halt_before: Option<usize>) -> Motion {
     let mut queue = MotionQueue::new(MotionConfig::within(Duration::from_secs(10)));
@@ -107,10 +118,11 @@ fn drive(robot: &mut Robot, angles: &[f64], pause: Duration, halt_before: Option
     for angle in angles {
         let pose = format!("J({angle})");
         let motion = MotionStart::Move { interpolation: 1, pose: pose.as_str(), option: "NEXT" };
-        let run = run_from(now, queue_motion(HANDLES, queue, motion), |_, call, now| carry(robot, call, now));
+        let run = run_from(now, begin(queue, motion), |_, call, now| carry(robot, call, now));
         (queue, now) = (run.result.unwrap(), run.now.saturating_add(pause));
     }
-    run_from(now, wait_for_queue(HANDLES, queue), |_, call, now| carry(robot, call, now)).result.unwrap()
+    let run = run_from(now, wait(queue), |_, call, now| carry(robot, call, now));
+    run.result.unwrap().ended().unwrap_or(Motion::TimedOut)
 }
 
 #[test]
@@ -165,7 +177,8 @@ fn a_motion_that_is_never_seen_to_begin_is_halted() {
     assert_eq!(drive(&mut robot, &[0.0, 10.0], Duration::ZERO, None), Motion::Halted);
     assert_eq!(robot.calls.iter().filter(|call| call.contains("Robot_Move")).count(), 1);
     // without a motion there is nothing to wait for
-    assert_eq!(drive(&mut Robot::new(0, false), &[], Duration::ZERO, None), Motion::Halted);
+    let run = run(wait(MotionQueue::new(MotionConfig::within(Duration::ZERO))), |_, call, _| panic!("{call}"));
+    assert_eq!(run.result.unwrap().ended(), None);
 }
 
 #[test]
@@ -175,7 +188,7 @@ fn a_busy_robot_is_asked_again_and_another_refusal_halts_it() {
     let mut queue = MotionQueue::new(MotionConfig::within(Duration::from_secs(10)));
     let (mut now, motion) = (Instant::ZERO, |pose| MotionStart::Move { interpolation: 1, pose, option: "NEXT" });
     for pose in ["J(10)", "J(20)"] {
-        let run = run_from(now, queue_motion(HANDLES, queue, motion(pose)), |_, call, now| {
+        let run = run_from(now, begin(queue, motion(pose)), |_, call, now| {
             if call.contains("J(20)") && refused < 5 {
                 refused += 1;
                 return Answer::Refused(HResult::E_ROBOTISBUSY);
@@ -185,7 +198,7 @@ fn a_busy_robot_is_asked_again_and_another_refusal_halts_it() {
         (queue, now) = (run.result.unwrap(), run.now);
     }
     assert_eq!((refused, queue.ended()), (5, None));
-    let run = run_from(now, queue_motion(HANDLES, queue, motion("J(5)")), |_, call, now| {
+    let run = run_from(now, begin(queue, motion("J(5)")), |_, call, now| {
         if call.contains("J(5)") { Answer::Refused(HResult::E_INVALIDARG) } else { robot.answer(call, now) }
     });
     let error = run.result.err().unwrap();
@@ -198,14 +211,25 @@ fn the_time_limit_is_that_of_all_motions() {
     let mut robot = Robot::new(0, false);
     let queue = MotionQueue::new(MotionConfig::within(Duration::from_millis(250)));
     let motion = |pose| MotionStart::Move { interpolation: 1, pose, option: "NEXT" };
-    let first =
-        run_from(Instant::ZERO, queue_motion(HANDLES, queue, motion("J(20)")), |_, c, now| robot.answer(c, now));
-    let second = queue_motion(HANDLES, first.result.unwrap(), motion("J(40)"));
+    let first = run_from(Instant::ZERO, begin(queue, motion("J(20)")), |_, c, now| robot.answer(c, now));
+    let second = begin(first.result.unwrap(), motion("J(40)"));
     let second = run_from(first.now, second, |_, call, now| robot.answer(call, now));
     let queue = second.result.unwrap();
     assert_eq!(queue.ended(), None);
-    let ended = run_from(second.now, wait_for_queue(HANDLES, queue), |_, call, now| robot.answer(call, now));
-    assert_eq!(ended.result, Ok(Motion::TimedOut));
+    let ended = run_from(second.now, wait(queue), |_, call, now| robot.answer(call, now));
+    assert_eq!(ended.result.unwrap().ended(), Some(Motion::TimedOut));
     assert_eq!(ended.calls.last().unwrap(), HALT);
     assert!((250..260).contains(&(ended.now.as_micros() / 1000)), "{:?}", ended.now);
+}
+
+#[test]
+fn the_last_motion_may_be_added_and_waited_for_at_once() {
+    let mut robot = Robot::new(0, false);
+    let motion = |pose| MotionStart::Move { interpolation: 1, pose, option: "NEXT" };
+    let queue = MotionQueue::new(MotionConfig::within(Duration::from_secs(10)));
+    let first = run_from(Instant::ZERO, begin(queue, motion("J(10)")), |_, call, now| robot.answer(call, now));
+    let last = run_queue(HANDLES, first.result.unwrap(), Some(motion("J(20)")), Until::Ended);
+    let last = run_from(first.now, last, |_, call, now| robot.answer(call, now));
+    assert_eq!(last.result.unwrap().ended(), Some(Motion::Arrived));
+    assert_eq!(robot.reached, [10.0, 20.0]);
 }
