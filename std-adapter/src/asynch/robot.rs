@@ -5,12 +5,13 @@ use std::time::Duration;
 
 use bcap_core::bcap::Object;
 use bcap_core::position::{Joints, Position};
-use bcap_core::procedure::Motion;
+use bcap_core::procedure::{Motion, MotionConfig, MotionQueue, Until};
 use bcap_core::variant::{Encode, FromVariant};
 use tokio::sync::oneshot;
 
 use super::SendTransport;
 use super::handle::{Handle, owned};
+use super::moving::Moving;
 use super::socket::{BoxFuture, Socket};
 use super::task::{MoveRequest, Request};
 use crate::error::Error;
@@ -217,10 +218,64 @@ impl Arm {
     /// robot move on, keep the future. The halt uses the same connection, so it is executed after a call that the
     /// controller still executes; a [`Stopper`] has its own.
     pub async fn move_to(&mut self, motion: Move, limit: Duration) -> Result<Motion, Error> {
+        let queue = MotionQueue::new(MotionConfig::within(limit));
+        let queue = self.run_queue(queue, Some(motion), Until::Ended).await?;
+        Ok(queue.ended().unwrap_or(Motion::Halted))
+    }
+
+    /// Starts a motion and returns when it has begun, so that [`Moving::then`] can let others follow it without a stop.
+    /// `limit` is the time limit of all of them; after it the robot is halted.
+    ///
+    /// **Dropping the [`Moving`] halts the robot.** [`Moving::wait`] waits for the end.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]. If the motion may have begun, the robot was halted, unless the connection is lost.
+    ///
+    /// # Cancel safety
+    ///
+    /// **Dropping the future halts the robot**, as with [`move_to`](Self::move_to).
+    ///
+    /// # Examples
+    ///
+    /// ```no_run
+    /// # use std::time::Duration;
+    /// # use bcap_std::{Error, Motion, Move, Pass, asynch::Arm};
+    /// # async fn example(mut arm: Arm) -> Result<(), Error> {
+    /// let mut moving = arm.start(Move::line("P1").pass(Pass::Near), Duration::from_secs(30)).await?;
+    /// moving = moving.then(Move::line("P2").pass(Pass::Near)).await?; // round the corner at P1
+    /// match moving.then(Move::line("P3")).await?.wait().await? {
+    ///     Motion::Arrived => println!("at P3, by way of P1 and P2"),
+    ///     other => println!("stopped: {other:?}"),
+    /// }
+    /// # Ok(())
+    /// # }
+    /// ```
+    pub async fn start(&mut self, motion: Move, limit: Duration) -> Result<Moving<'_>, Error> {
+        Moving::new(self, MotionQueue::new(MotionConfig::within(limit))).run(Some(motion), Until::Begun).await
+    }
+
+    pub(super) async fn run_queue(
+        &self,
+        queue: MotionQueue,
+        motion: Option<Move>,
+        until: Until,
+    ) -> Result<MotionQueue, Error> {
         let (reply, ended) = oneshot::channel();
-        let request = MoveRequest { session: self.session, motion, limit, reply };
-        self.robot.handle.send(Request::Move(request))?;
+        let request = MoveRequest { session: self.session, queue, motion, until, reply };
+        self.robot.handle.send(Request::Move(Box::new(request)))?;
         ended.await.map_err(|_| Error::Closed)?
+    }
+
+    /// Halts the robot if a motion of this arm may be under way; nothing waits for it.
+    pub(super) fn give_up(&self) {
+        // when the task has ended, it has given the arm back
+        let _ = self.robot.handle.send(Request::GiveUp(self.session));
+    }
+
+    /// Halts the robot.
+    pub(super) async fn halt(&self) -> Result<Halted, Error> {
+        self.robot.handle.run_always(|session| Box::pin(session.halt())).await
     }
 
     /// Returns the robot, to read its position.

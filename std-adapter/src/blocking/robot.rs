@@ -4,10 +4,11 @@ use std::time::Duration;
 
 use bcap_core::bcap::Object;
 use bcap_core::position::{Joints, Position};
-use bcap_core::procedure::Motion;
+use bcap_core::procedure::{Motion, MotionConfig, MotionQueue, Until};
 use bcap_core::slave::{AxisLimits, Format, Stats, Trajectory};
 use bcap_core::variant::{Encode, FromVariant};
 
+use super::moving::Moving;
 use super::socket::{Blocking, ready};
 use crate::error::Error;
 use crate::moves::Move;
@@ -151,7 +152,38 @@ impl<'a> Arm<'a> {
     ///
     /// An [`Error`]. If the motion may have begun, the robot was halted, unless the connection is lost.
     pub fn move_to(&mut self, motion: &Move, limit: Duration) -> Result<Motion, Error> {
-        ready(self.robot.session.move_to(motion, limit))
+        let queue = MotionQueue::new(MotionConfig::within(limit));
+        let queue = ready(self.robot.session.run_queue(queue, Some(motion.clone()), Until::Ended))?;
+        Ok(queue.ended().unwrap_or(Motion::Halted))
+    }
+
+    /// Starts a motion and returns when it has begun, so that [`Moving::then`] can let others follow it without a stop.
+    /// `limit` is the time limit of all of them; after it the robot is halted.
+    ///
+    /// **Dropping the [`Moving`] halts the robot**, also by an error or a panic. [`Moving::wait`] waits for the end.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]. If the motion may have begun, the robot was halted, unless the connection is lost.
+    ///
+    /// # Examples
+    ///
+    /// ```no_run
+    /// # use std::time::Duration;
+    /// # use bcap_std::{Motion, Move, Pass, Settings, blocking::Controller};
+    /// # let mut cell = Controller::connect("tcp:192.168.0.1", &Settings::rc9())?;
+    /// # let mut arm = cell.robot()?.take_arm()?;
+    /// let mut moving = arm.start(&Move::line("P1").pass(Pass::Near), Duration::from_secs(30))?;
+    /// moving = moving.then(&Move::line("P2").pass(Pass::Near))?; // round the corner at P1
+    /// match moving.then(&Move::line("P3"))?.wait()? {
+    ///     Motion::Arrived => println!("at P3, by way of P1 and P2"),
+    ///     other => println!("stopped: {other:?}"),
+    /// }
+    /// # Ok::<(), bcap_std::Error>(())
+    /// ```
+    pub fn start(&mut self, motion: &Move, limit: Duration) -> Result<Moving<'_>, Error> {
+        let queue = MotionQueue::new(MotionConfig::within(limit));
+        Moving { session: self.robot.session, queue }.run(Some(motion), Until::Begun)
     }
 
     /// Streams poses in Slave Mode, one each 8 ms, until the trajectory ends, and waits until the robot rests.

@@ -1,0 +1,92 @@
+//! Motions under way as an object for tokio.
+
+use bcap_core::procedure::{Motion, MotionQueue, Until};
+
+use super::robot::{Arm, Robot};
+use crate::error::Error;
+use crate::moves::Move;
+use crate::session::Halted;
+
+/// Motions that follow each other, of which the last has begun; [`Arm::start`] returns it.
+///
+/// **Dropping it halts the robot**, and so does dropping the future of any of its functions. Other calls of the controller
+/// are made meanwhile.
+///
+/// # Truth
+///
+/// Only the end of the last motion can be waited for, and [`Motion::Arrived`] means that every motion was carried out and
+/// that the joints rest at the end of the last one. If the robot was stopped before, [`then`](Self::then) sends nothing, and
+/// [`wait`](Self::wait) says how it ended. A motion counts only if it is seen to begin: one that ends where it begins, or
+/// takes only some milliseconds, ends as [`Motion::Halted`].
+#[derive(Debug)]
+#[must_use = "dropping it halts the robot"]
+pub struct Moving<'a> {
+    arm: &'a Arm,
+    queue: MotionQueue,
+}
+
+impl<'a> Moving<'a> {
+    pub(super) const fn new(arm: &'a mut Arm, queue: MotionQueue) -> Self {
+        Self { arm, queue }
+    }
+
+    /// Lets a motion follow, and returns when it has begun.
+    ///
+    /// The controller gets it at once, while the motion before is under way. With [`Pass::Near`](crate::Pass::Near) or
+    /// [`Pass::Within`](crate::Pass::Within) for the motion before, the robot does not stop between them. One motion waits
+    /// at a time: with more, the controller could not be asked where they end.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; the robot was halted, unless the connection is lost.
+    ///
+    /// # Cancel safety
+    ///
+    /// **Dropping the future halts the robot.**
+    pub async fn then(self, motion: Move) -> Result<Self, Error> {
+        self.run(Some(motion), Until::Begun).await
+    }
+
+    /// Waits until the last motion ends, at most until the time limit of all motions; the robot is halted then.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; the robot was halted, unless the connection is lost.
+    ///
+    /// # Cancel safety
+    ///
+    /// **Dropping the future halts the robot.**
+    pub async fn wait(self) -> Result<Motion, Error> {
+        Ok(self.run(None, Until::Ended).await?.queue.ended().unwrap_or(Motion::Halted))
+    }
+
+    /// Halts the robot, as a drop does, and waits until it rests.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; the robot may still move.
+    ///
+    /// # Cancel safety
+    ///
+    /// The robot is halted even if the future is dropped.
+    pub async fn halt(self) -> Result<Halted, Error> {
+        self.arm.halt().await
+    }
+
+    /// Returns the robot, to read its position.
+    #[must_use]
+    pub const fn robot(&self) -> &Robot {
+        self.arm.robot()
+    }
+
+    pub(super) async fn run(mut self, motion: Option<Move>, until: Until) -> Result<Self, Error> {
+        self.queue = self.arm.run_queue(self.queue, motion, until).await?;
+        Ok(self)
+    }
+}
+
+impl Drop for Moving<'_> {
+    fn drop(&mut self) {
+        self.arm.give_up();
+    }
+}
