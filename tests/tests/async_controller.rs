@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
+use bcap_core::slave::{AxisLimits, Cycle, Format, Mode, Next, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode};
 use bcap_core::variant::OwnedVariant;
 use bcap_sim::memory::Network;
 use bcap_sim::{Config, Controller as Simulated, Profile};
@@ -322,6 +323,49 @@ async fn no_stopped_queue_is_reported_as_arrived() {
     }
     println!("{trials} trials: {arrived} arrived, {halted} halted, {dropped} dropped");
     assert!(halted + dropped > 0, "no stop came in time");
+}
+
+/// Swings the first joint by 4 degrees, in so many cycles.
+fn swing(cycles: u32) -> impl FnMut(&Cycle<'_>) -> Next + Send + 'static {
+    move |cycle: &Cycle<'_>| {
+        let mut joints: [f64; 8] = cycle.start.numbers().try_into().unwrap_or_default();
+        let part = f64::from(cycle.number + 1) / f64::from(cycles);
+        joints[0] += 2.0 * (1.0 - (part * std::f64::consts::TAU).cos());
+        if cycle.number < cycles { Next::Pose(Pose::j(joints)) } else { Next::Finish }
+    }
+}
+
+#[tokio::test]
+async fn poses_are_streamed_and_a_dropped_stream_stops() {
+    let sim = simulated();
+    let cell = Controller::connect(&format!("udp:{}", sim.udp), &settings()).await.unwrap();
+    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+    arm.motor_on().await.unwrap();
+    let mode = SlaveMode { mode: Mode::Mode0, pose: PoseType::J };
+    let format = Format::new(mode, ReceiveFormat::pose(ReceivePose::J));
+    let limits = AxisLimits::uniform(100.0, 800.0);
+    let stats = arm.stream(format, limits, swing(100)).await.unwrap();
+    assert!(stats.cycles >= 100, "{stats:?}");
+    assert!(sim.application().slave_record().any(|cycle| cycle.axes[0] > 3.9));
+    tokio::select! {
+        ended = arm.stream(format, limits, swing(100_000)) => panic!("{ended:?}"),
+        () = until(&sim, |sim| sim.slave_mode() != 0 && sim.slave_counters().cycles > 120) => {}
+    }
+    // the next call waits until Slave Mode has ended
+    let there = arm.robot().joints().await.unwrap().degrees[0];
+    {
+        let sim = sim.application();
+        assert_eq!((sim.slave_mode(), sim.errors().count()), (0, 0));
+    }
+    assert_eq!(arm.move_to(to(there + 5.0), LIMIT).await.unwrap(), Motion::Arrived);
+    let wrong = arm.stream(format, limits, |cycle: &Cycle<'_>| {
+        let mut joints: [f64; 8] = cycle.start.numbers().try_into().unwrap_or_default();
+        joints[0] += 20.0;
+        Next::Pose(Pose::j(joints))
+    });
+    assert!(matches!(wrong.await, Err(Error::Stream(_))));
+    drop(arm);
+    until(&sim, |sim| sim.arm_owner().is_none() && !sim.motor_is_on()).await;
 }
 
 #[tokio::test]

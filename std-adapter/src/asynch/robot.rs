@@ -1,11 +1,14 @@
 //! A robot, its arm and its stopper as objects for tokio.
 
 use std::io;
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 use bcap_core::bcap::Object;
 use bcap_core::position::{Joints, Position};
 use bcap_core::procedure::{Motion, MotionConfig, MotionQueue, Until};
+use bcap_core::slave::{AxisLimits, Cycle, Format, MoveReply, Next, Stats, Trajectory};
+use bcap_core::time::Instant;
 use bcap_core::variant::{Encode, FromVariant};
 use tokio::sync::oneshot;
 
@@ -255,6 +258,32 @@ impl Arm {
         Moving::new(self, MotionQueue::new(MotionConfig::within(limit))).run(Some(motion), Until::Begun).await
     }
 
+    /// Streams poses in Slave Mode, one each 8 ms, until the trajectory ends, and waits until the robot rests.
+    ///
+    /// As [`blocking::Arm::stream`](crate::blocking::Arm::stream), with a trajectory that the task owns: it is called there,
+    /// so it must return at once. Other calls and subscriptions of the controller wait until the stream ends, because the
+    /// controller refuses them in Slave Mode; a [`Stopper`] works at any time. Timers of tokio are late by one to two
+    /// milliseconds, see [`slave`](crate::slave).
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; after [`Error::Stream`] of a failed call Slave Mode is off, and the controller has stopped the robot.
+    ///
+    /// # Cancel safety
+    ///
+    /// **Dropping the future stops the robot** in an orderly way, as [`Next::Stop`] does: from the next pose on it slows down
+    /// along its present direction.
+    pub async fn stream(
+        &mut self,
+        format: Format,
+        limits: AxisLimits,
+        trajectory: impl Trajectory + Send + 'static,
+    ) -> Result<Stats, Error> {
+        let here = Arc::new(());
+        let mut trajectory = WhileWanted { trajectory, caller: Arc::downgrade(&here) };
+        self.run(move |session| Box::pin(async move { session.stream(format, limits, &mut trajectory).await })).await
+    }
+
     pub(super) async fn run_queue(
         &self,
         queue: MotionQueue,
@@ -312,6 +341,22 @@ impl Arm {
                 },
             )
             .await
+    }
+}
+
+/// A trajectory that stops when its caller has gone.
+struct WhileWanted<T> {
+    trajectory: T,
+    caller: Weak<()>,
+}
+
+impl<T: Trajectory> Trajectory for WhileWanted<T> {
+    fn next(&mut self, cycle: &Cycle<'_>) -> Next {
+        if self.caller.strong_count() == 0 { Next::Stop } else { self.trajectory.next(cycle) }
+    }
+
+    fn moved(&mut self, reply: &MoveReply<'_>, now: Instant) {
+        self.trajectory.moved(reply, now);
     }
 }
 
