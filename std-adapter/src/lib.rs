@@ -49,6 +49,22 @@ pub use bcap_core as core;
 pub use bcap_core::position::{Joints, Position, Transform};
 pub use bcap_core::procedure::Motion;
 
+/// Defines a setter for each field of a struct that may grow.
+macro_rules! setters {
+    ($name:ident { $($field:ident: $type:ty;)* }) => {
+        impl $name {
+            $(
+                #[doc = concat!("Returns it with another value of the field `", stringify!($field), "`.")]
+                #[must_use]
+                pub const fn $field(mut self, $field: $type) -> Self {
+                    self.$field = $field;
+                    self
+                }
+            )*
+        }
+    };
+}
+
 mod address;
 #[cfg(feature = "tokio")]
 pub mod asynch;

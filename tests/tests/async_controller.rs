@@ -23,7 +23,7 @@ fn simulated() -> Served<Simulated> {
 }
 
 fn settings() -> Settings {
-    Settings::rc8().reconnect(Backoff { min: Duration::from_millis(1), max: Duration::from_millis(20) })
+    Settings::rc8().reconnect(Backoff::default().min(Duration::from_millis(1)).max(Duration::from_millis(20)))
 }
 
 async fn connect(sim: &Served<Simulated>) -> Controller {

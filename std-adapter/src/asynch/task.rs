@@ -450,13 +450,13 @@ mod tests {
     #[test]
     fn delays_double_up_to_the_maximum_and_differ() {
         let (min, max) = (Duration::from_millis(100), Duration::from_secs(1));
-        let mut delays = Delays::new(Backoff { min, max });
+        let mut delays = Delays::new(Backoff::default().min(min).max(max));
         for bound in [100, 200, 400, 800, 1000, 1000] {
             let delay = delays.next();
             let bound = Duration::from_millis(bound);
             assert!(bound / 2 <= delay && delay <= bound, "{delay:?} for {bound:?}");
         }
-        let once: Vec<_> = (0..50).map(|_| Delays::new(Backoff { min: max, max }).next()).collect();
+        let once: Vec<_> = (0..50).map(|_| Delays::new(Backoff::default().min(max).max(max)).next()).collect();
         assert!(once.iter().any(|delay| *delay != once[0]));
     }
 }
