@@ -4,7 +4,7 @@
 //!
 //! ```text
 //!  Controller::connect ─┬─► read, write, execute
-//!                       ├─► robot ─► Robot ─► take_arm ─► Arm: motor_on, move_to
+//!                       ├─► robot ─► Robot ─► take_arm ─► Arm: motor_on, move_to, start ─► Moving: then, wait
 //!                       └─► stopper ─► Stopper: halt, from any thread
 //! ```
 //!

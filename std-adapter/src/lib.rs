@@ -25,7 +25,8 @@
 //! | to                          | read                                                                                    |
 //! |-----------------------------|-----------------------------------------------------------------------------------------|
 //! | move a robot                | [`blocking::Arm::move_to`], [`Move`], [`Motion`]                                        |
-//! | stop it                     | [`blocking::Stopper`]; what a drop does: [`blocking::Arm`]                              |
+//! | follow a path without stops | [`blocking::Arm::start`], [`blocking::Moving`]                                          |
+//! | stop it                     | [`blocking::Stopper`]; what a drop does: [`blocking::Arm`], [`blocking::Moving`]        |
 //! | read and write              | [`blocking::Controller::read`], [`write`](blocking::Controller::write), [`scan`](blocking::Controller::scan) |
 //! | use tokio                   | `asynch::Controller`: many tasks, reconnection, subscriptions                           |
 //! | stream poses                | [`blocking::Arm::stream`], [`slave`]                                                    |

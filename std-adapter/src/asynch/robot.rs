@@ -121,7 +121,8 @@ impl Robot {
     /// Executes a command of the robot with a parameter, and returns its value.
     ///
     /// Some commands move the robot, such as `DriveEx`; they fail without the arm. Other calls of the controller wait until
-    /// the command has ended, and dropping the future does not stop it: only a [`Stopper`] does.
+    /// the command has ended, and **dropping the future does not stop it**: only a [`Stopper`] does. Use [`Arm::move_to`]
+    /// for motions.
     ///
     /// # Errors
     ///

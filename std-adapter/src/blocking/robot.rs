@@ -76,7 +76,9 @@ impl<'a> Robot<'a> {
 
     /// Executes a command of the robot with a parameter, and returns its value.
     ///
-    /// Some commands move the robot, such as `DriveEx`; they fail without the arm.
+    /// Some commands move the robot, such as `DriveEx`; they fail without the arm. Such a call returns when the motion has
+    /// ended; only a [`Stopper`](super::Stopper) halts it before. After one with `NEXT` the robot moves on, also when the
+    /// [`Arm`] is dropped, which knows the motions of its own functions only. Use [`Arm::move_to`] for motions.
     ///
     /// # Errors
     ///
@@ -146,7 +148,8 @@ impl<'a> Arm<'a> {
     /// Moves, and waits until the motion ends, at most for `limit`; the robot is halted then.
     ///
     /// [`Motion::Arrived`] means that the joints rest at the destination, not only that the robot does not move. On
-    /// another thread a [`Stopper`](super::Stopper) can halt the motion at any time.
+    /// another thread a [`Stopper`](super::Stopper) can halt the motion at any time. Nothing of it can be dropped: when the
+    /// call returns, also with an error, the robot rests or was told to halt.
     ///
     /// # Errors
     ///
@@ -189,7 +192,8 @@ impl<'a> Arm<'a> {
     /// Streams poses in Slave Mode, one each 8 ms, until the trajectory ends, and waits until the robot rests.
     ///
     /// The motor must be on. A pose beyond `limits` is not sent: the robot stops in an orderly way. To stop early, the
-    /// trajectory returns [`Next::Stop`](bcap_core::slave::Next::Stop). Slave Mode needs its licence (S2:1454). Streams with
+    /// trajectory returns [`Next::Stop`](bcap_core::slave::Next::Stop). A panic in the trajectory drops the [`Arm`], which
+    /// halts the robot. Slave Mode needs its licence (S2:1454). Streams with
     /// IO, or with a second connection for the controller's errors, are made by the
     /// [`Engine`](bcap_core::slave::Engine), see [`slave`](crate::slave).
     ///
