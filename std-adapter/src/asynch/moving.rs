@@ -1,13 +1,15 @@
 //! Motions under way as an object for tokio.
 
 use bcap_core::procedure::{Motion, MotionQueue, Until};
+use tokio::sync::oneshot;
 
-use super::robot::{Arm, Robot};
+use super::handle::Handle;
+use super::task::{MoveRequest, Request};
 use crate::error::Error;
 use crate::moves::Move;
 use crate::session::Halted;
 
-/// Motions that follow each other, of which the last has begun; [`Arm::start`] returns it.
+/// Motions that follow each other, of which the last has begun; [`Arm::start`](super::Arm::start) returns it.
 ///
 /// **Dropping it halts the robot**, and so does dropping the future of any of its functions. Other calls of the controller
 /// are made meanwhile.
@@ -21,15 +23,13 @@ use crate::session::Halted;
 #[derive(Debug)]
 #[must_use = "dropping it halts the robot"]
 pub struct Moving<'a> {
-    arm: &'a Arm,
-    queue: MotionQueue,
+    pub(super) handle: &'a Handle,
+    /// The session in which the arm was taken.
+    pub(super) session: u64,
+    pub(super) queue: MotionQueue,
 }
 
-impl<'a> Moving<'a> {
-    pub(super) const fn new(arm: &'a mut Arm, queue: MotionQueue) -> Self {
-        Self { arm, queue }
-    }
-
+impl Moving<'_> {
     /// Lets a motion follow, and returns when it has begun.
     ///
     /// The controller gets it at once, while the motion before is under way. With [`Pass::Near`](crate::Pass::Near) or
@@ -70,23 +70,31 @@ impl<'a> Moving<'a> {
     ///
     /// The robot is halted even if the future is dropped.
     pub async fn halt(self) -> Result<Halted, Error> {
-        self.arm.halt().await
-    }
-
-    /// Returns the robot, to read its position.
-    #[must_use]
-    pub const fn robot(&self) -> &Robot {
-        self.arm.robot()
+        self.handle.run_always(|session| Box::pin(session.halt())).await
     }
 
     pub(super) async fn run(mut self, motion: Option<Move>, until: Until) -> Result<Self, Error> {
-        self.queue = self.arm.run_queue(self.queue, motion, until).await?;
+        self.queue = run_queue(self.handle, self.session, self.queue, motion, until).await?;
         Ok(self)
     }
 }
 
+/// Runs the motions of a queue in the task, with one more if there is one. A drop of the future halts the robot.
+pub(super) async fn run_queue(
+    handle: &Handle,
+    session: u64,
+    queue: MotionQueue,
+    motion: Option<Move>,
+    until: Until,
+) -> Result<MotionQueue, Error> {
+    let (reply, ended) = oneshot::channel();
+    handle.send(Request::Move(Box::new(MoveRequest { session, queue, motion, until, reply })))?;
+    ended.await.map_err(|_| Error::Closed)?
+}
+
 impl Drop for Moving<'_> {
     fn drop(&mut self) {
-        self.arm.give_up();
+        // when the task has ended, it has given the arm back
+        let _ = self.handle.send(Request::GiveUp(self.session));
     }
 }

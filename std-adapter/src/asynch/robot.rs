@@ -10,13 +10,12 @@ use bcap_core::procedure::{Motion, MotionConfig, MotionQueue, Until};
 use bcap_core::slave::{AxisLimits, Cycle, Format, MoveReply, Next, Stats, Trajectory};
 use bcap_core::time::Instant;
 use bcap_core::variant::{Encode, FromVariant};
-use tokio::sync::oneshot;
 
 use super::SendTransport;
 use super::handle::{Handle, owned};
-use super::moving::Moving;
+use super::moving::{Moving, run_queue};
 use super::socket::{BoxFuture, Socket};
-use super::task::{MoveRequest, Request};
+use super::task::Request;
 use crate::error::Error;
 use crate::moves::Move;
 use crate::session::{Halted, Session};
@@ -223,7 +222,7 @@ impl Arm {
     /// controller still executes; a [`Stopper`] has its own.
     pub async fn move_to(&mut self, motion: Move, limit: Duration) -> Result<Motion, Error> {
         let queue = MotionQueue::new(MotionConfig::within(limit));
-        let queue = self.run_queue(queue, Some(motion), Until::Ended).await?;
+        let queue = run_queue(&self.robot.handle, self.session, queue, Some(motion), Until::Ended).await?;
         Ok(queue.ended().unwrap_or(Motion::Halted))
     }
 
@@ -256,7 +255,8 @@ impl Arm {
     /// # }
     /// ```
     pub async fn start(&mut self, motion: Move, limit: Duration) -> Result<Moving<'_>, Error> {
-        Moving::new(self, MotionQueue::new(MotionConfig::within(limit))).run(Some(motion), Until::Begun).await
+        let queue = MotionQueue::new(MotionConfig::within(limit));
+        Moving { handle: &self.robot.handle, session: self.session, queue }.run(Some(motion), Until::Begun).await
     }
 
     /// Streams poses in Slave Mode, one each 8 ms, until the trajectory ends, and waits until the robot rests.
@@ -283,29 +283,6 @@ impl Arm {
         let here = Arc::new(());
         let mut trajectory = WhileWanted { trajectory, caller: Arc::downgrade(&here) };
         self.run(move |session| Box::pin(async move { session.stream(format, limits, &mut trajectory).await })).await
-    }
-
-    pub(super) async fn run_queue(
-        &self,
-        queue: MotionQueue,
-        motion: Option<Move>,
-        until: Until,
-    ) -> Result<MotionQueue, Error> {
-        let (reply, ended) = oneshot::channel();
-        let request = MoveRequest { session: self.session, queue, motion, until, reply };
-        self.robot.handle.send(Request::Move(Box::new(request)))?;
-        ended.await.map_err(|_| Error::Closed)?
-    }
-
-    /// Halts the robot if a motion of this arm may be under way; nothing waits for it.
-    pub(super) fn give_up(&self) {
-        // when the task has ended, it has given the arm back
-        let _ = self.robot.handle.send(Request::GiveUp(self.session));
-    }
-
-    /// Halts the robot.
-    pub(super) async fn halt(&self) -> Result<Halted, Error> {
-        self.robot.handle.run_always(|session| Box::pin(session.halt())).await
     }
 
     /// Returns the robot, to read its position.
@@ -342,6 +319,14 @@ impl Arm {
                 },
             )
             .await
+    }
+}
+
+impl Moving<'_> {
+    /// Returns the robot, to read its position.
+    #[must_use]
+    pub fn robot(&self) -> Robot {
+        Robot::new(self.handle.clone())
     }
 }
 

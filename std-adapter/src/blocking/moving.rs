@@ -2,7 +2,6 @@
 
 use bcap_core::procedure::{Motion, MotionQueue, Until};
 
-use super::robot::Robot;
 use super::socket::{Blocking, ready};
 use crate::error::Error;
 use crate::moves::Move;
@@ -55,11 +54,6 @@ impl Moving<'_> {
     /// An [`Error`]; the robot may still move.
     pub fn halt(self) -> Result<Halted, Error> {
         ready(self.session.halt())
-    }
-
-    /// Returns the robot, to read its position.
-    pub const fn robot(&mut self) -> Robot<'_> {
-        Robot::new(self.session)
     }
 
     pub(super) fn run(mut self, motion: Option<&Move>, until: Until) -> Result<Self, Error> {

@@ -148,8 +148,8 @@ impl<'a> Arm<'a> {
     /// Moves, and waits until the motion ends, at most for `limit`; the robot is halted then.
     ///
     /// [`Motion::Arrived`] means that the joints rest at the destination, not only that the robot does not move. On
-    /// another thread a [`Stopper`](super::Stopper) can halt the motion at any time. Nothing of it can be dropped: when the
-    /// call returns, also with an error, the robot rests or was told to halt.
+    /// another thread a [`Stopper`](super::Stopper) can halt the motion at any time. When the call returns, also
+    /// with an error, the robot rests or was told to halt, so there is nothing to drop.
     ///
     /// # Errors
     ///
@@ -221,6 +221,13 @@ impl<'a> Arm<'a> {
     /// The first [`Error`].
     pub fn give(self) -> Result<(), Error> {
         ready(self.robot.session.give_arm())
+    }
+}
+
+impl Moving<'_> {
+    /// Returns the robot, to read its position.
+    pub const fn robot(&mut self) -> Robot<'_> {
+        Robot::new(self.session)
     }
 }
 
