@@ -410,10 +410,10 @@ fn motions_follow_each_other_without_a_stop() {
     let joints = arm.robot().joints().unwrap().degrees;
     assert!((joints[0] - 60.0).abs() < 0.05 && joints[5].abs() < 0.05, "{joints:?}");
     // late: the robot rests, and the next motion starts from there
-    let moving = arm.start(&to(50.0), LIMIT).unwrap();
+    let moving = arm.start(&to(-30.0), LIMIT).unwrap();
     until_rest(&sim);
-    assert_eq!(moving.then(&to(40.0)).unwrap().wait().unwrap(), Motion::Arrived);
-    assert!((sim.application().joints()[0] - 40.0).abs() < 0.05);
+    assert_eq!(moving.then(&to(60.0)).unwrap().wait().unwrap(), Motion::Arrived);
+    assert!((sim.application().joints()[0] - 60.0).abs() < 0.05);
 }
 
 /// Turns the first and the sixth joint.

@@ -108,8 +108,8 @@ pub enum Until {
 /// pass of the first allows it. From rest at the destination the motion starts at once. If the robot was stopped before
 /// that destination, the motion is not sent, and the queue has [ended](MotionQueue::ended).
 ///
-/// A motion of a queue counts only if it is seen to begin, because DestJnt then tells where it ends. One that ends where it
-/// begins is never seen, nor is one of a few milliseconds: both end as [`Motion::Halted`], and so does one that was
+/// A motion of a queue counts only if two polls see it under way, because DestJnt then tells where it ends. One that ends where
+/// it begins is never seen, nor is one that is shorter than the polls: both end as [`Motion::Halted`], and so does one that was
 /// accepted so late that a halt before it cannot be excluded. The robot is halted then.
 ///
 /// # Cancel safety

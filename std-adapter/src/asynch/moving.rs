@@ -18,8 +18,11 @@ use crate::session::Halted;
 ///
 /// Only the end of the last motion can be waited for, and [`Motion::Arrived`] means that every motion was carried out and
 /// that the joints rest at the end of the last one. If the robot was stopped before, [`then`](Self::then) sends nothing, and
-/// [`wait`](Self::wait) says how it ended. A motion counts only if it is seen to begin: one that ends where it begins, or
-/// takes only some milliseconds, ends as [`Motion::Halted`].
+/// [`wait`](Self::wait) says how it ended.
+///
+/// A motion counts only if it is seen to begin, in two polls of 5 ms and three calls each. One that ends where it begins is
+/// never seen, and one that is shorter than that may not be: the robot is halted, and it ends as [`Motion::Halted`]. On a
+/// loaded machine motions below some tenths of a second are too short; join them, or use `Arm::move_to`.
 #[derive(Debug)]
 #[must_use = "dropping it halts the robot"]
 pub struct Moving<'a> {
