@@ -14,7 +14,7 @@ use crate::session::Halted;
 /// **Dropping it halts the robot**, and so does dropping the future of any of its functions. Other calls of the controller
 /// are made meanwhile.
 ///
-/// # Truth
+/// # Outcome
 ///
 /// Only the end of the last motion can be waited for, and [`Motion::Arrived`] means that every motion was carried out and
 /// that the joints rest at the end of the last one. If the robot was stopped before, [`then`](Self::then) sends nothing, and

@@ -44,7 +44,7 @@ pub(super) enum Request {
     Close(oneshot::Sender<Result<(), Error>>),
 }
 
-/// A queue, a further motion, and the caller that waits.
+/// Motions in sequence, a further one, and the caller that waits.
 pub(super) struct MoveRequest {
     /// The session in which the arm was taken.
     pub(super) session: u64,

@@ -11,7 +11,7 @@ use crate::session::{Halted, Session};
 ///
 /// **Dropping it halts the robot**, also by an error or a panic.
 ///
-/// # Truth
+/// # Outcome
 ///
 /// Only the end of the last motion can be waited for, and [`Motion::Arrived`] means that every motion was carried out and
 /// that the joints rest at the end of the last one. If the robot was stopped before, [`then`](Self::then) sends nothing, and
