@@ -12,12 +12,22 @@ use crate::hresult::HResult;
 use crate::num::to_u32;
 use crate::rac::{self, VariableKind};
 use crate::time::Instant;
-use crate::variant::Variant;
+use crate::variant::{FromVariant, Variant};
 
 /// Reads a variable: sets its value in the reply.
 pub type Get<S> = fn(&S, &mut ReplyValue<'_>) -> Result<(), EncodeError>;
 /// Writes a variable, or refuses the value with a code.
 pub type Put<S> = fn(&mut S, Variant<'_>) -> Result<(), HResult>;
+
+/// Writes a value to its place in the state, for [`DeviceVariable::writable`].
+///
+/// # Errors
+///
+/// [`HResult::E_INVALIDARGTYPE`] for a value of another type, or one that does not fit.
+pub fn assign<T: for<'a> FromVariant<'a>>(place: &mut T, value: Variant<'_>) -> Result<(), HResult> {
+    *place = value.convert().map_err(|_| HResult::E_INVALIDARGTYPE)?;
+    Ok(())
+}
 
 /// A variable of a [`Device`] with the state `S`.
 #[derive(Clone, Copy, Debug)]
@@ -55,8 +65,7 @@ impl<S> DeviceVariable<S> {
 /// # Examples
 ///
 /// ```
-/// use bcap_core::device::{Device, DeviceVariable};
-/// use bcap_core::hresult::HResult;
+/// use bcap_core::device::{Device, DeviceVariable, assign};
 ///
 /// #[derive(Default)]
 /// struct Conveyor {
@@ -66,10 +75,8 @@ impl<S> DeviceVariable<S> {
 ///
 /// let device = Device::new(Conveyor::default(), [
 ///     DeviceVariable::new("I1", |conveyor: &Conveyor, reply| reply.set(&conveyor.parts)),
-///     DeviceVariable::new("F1", |conveyor: &Conveyor, reply| reply.set(&conveyor.speed)).writable(|conveyor, value| {
-///         conveyor.speed = value.convert().map_err(|_| HResult::E_INVALIDARGTYPE)?;
-///         Ok(())
-///     }),
+///     DeviceVariable::new("F1", |conveyor: &Conveyor, reply| reply.set(&conveyor.speed))
+///         .writable(|conveyor, value| assign(&mut conveyor.speed, value)),
 /// ]);
 /// assert_eq!(device.state.parts, 0);
 /// ```
@@ -183,10 +190,8 @@ mod tests {
             State::default(),
             [
                 DeviceVariable::new("I1", |state: &State, reply| reply.set(&state.parts)),
-                DeviceVariable::new("F12", |state: &State, reply| reply.set(&state.speed)).writable(|state, value| {
-                    state.speed = value.convert().map_err(|_| HResult::E_INVALIDARGTYPE)?;
-                    Ok(())
-                }),
+                DeviceVariable::new("F12", |state: &State, reply| reply.set(&state.speed))
+                    .writable(|state, value| assign(&mut state.speed, value)),
             ],
         )
     }

@@ -5,8 +5,7 @@
 //! bcap put F1 0.5 && bcap rac get F1
 //! ```
 
-use bcap_core::device::{Device, DeviceVariable};
-use bcap_core::hresult::HResult;
+use bcap_std::core::device::{Device, DeviceVariable, assign};
 use bcap_std::server::Server;
 
 /// The state of the conveyor.
@@ -20,11 +19,7 @@ pub(crate) struct Conveyor {
 pub(crate) fn device() -> Device<Conveyor, 2> {
     let parts = DeviceVariable::new("I1", |conveyor: &Conveyor, reply| reply.set(&conveyor.parts));
     let speed = DeviceVariable::new("F1", |conveyor: &Conveyor, reply| reply.set(&conveyor.speed));
-    let speed = speed.writable(|conveyor, value| {
-        conveyor.speed = value.convert().map_err(|_| HResult::E_INVALIDARGTYPE)?;
-        Ok(())
-    });
-    Device::new(Conveyor::default(), [parts, speed])
+    Device::new(Conveyor::default(), [parts, speed.writable(|conveyor, value| assign(&mut conveyor.speed, value))])
 }
 
 #[tokio::main(flavor = "current_thread")]

@@ -15,6 +15,7 @@
 
 mod controller;
 mod handle;
+mod moving;
 mod objects;
 mod robot;
 #[cfg(feature = "serial")]
@@ -37,6 +38,7 @@ use tokio::net::{TcpStream, ToSocketAddrs, UdpSocket, lookup_host};
 use tokio::time::timeout;
 
 pub use self::controller::Controller;
+pub use self::moving::Moving;
 pub use self::objects::{File, Task};
 pub use self::robot::{Arm, Robot, Stopper};
 #[cfg(feature = "serial")]

@@ -4,7 +4,7 @@
 //!
 //! ```text
 //!  Controller::connect ─┬─► read, write, execute
-//!                       ├─► robot ─► Robot ─► take_arm ─► Arm: motor_on, move_to
+//!                       ├─► robot ─► Robot ─► take_arm ─► Arm: motor_on, move_to, start ─► Moving: then, wait
 //!                       └─► stopper ─► Stopper: halt, from any thread
 //! ```
 //!
@@ -14,6 +14,7 @@
 //! returns a [`RacConnection`], whose `get` and `put` read and write variables.
 
 mod controller;
+mod moving;
 mod objects;
 mod resolve;
 mod robot;
@@ -35,6 +36,7 @@ use bcap_core::time::Instant;
 use socket2::{SockRef, Socket};
 
 pub use self::controller::Controller;
+pub use self::moving::Moving;
 pub use self::objects::{File, Scan, Task};
 pub use self::resolve::resolve;
 pub use self::robot::{Arm, Robot};

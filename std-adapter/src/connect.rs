@@ -16,6 +16,7 @@ use socket2::{SockRef, TcpKeepalive};
 /// The defaults are those of the core ([`Config::TCP`], [`Config::UDP`], [`Config::SERIAL`]), 3 s to connect, and TCP keep-alive probes after
 /// 60 s of silence. The probes detect a peer that has vanished.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Options {
     /// The time limit for connecting to each address of a name.
     pub connect_timeout: Duration,
@@ -31,6 +32,15 @@ pub struct Options {
     /// The silence on TCP after which the operating system probes the peer; `None` disables probes.
     pub keep_alive: Option<Duration>,
 }
+
+setters! { Options {
+    connect_timeout: Duration;
+    tcp: Config;
+    udp: Config;
+    serial: Config;
+    rac: bcap_core::rac::client::Config;
+    keep_alive: Option<Duration>;
+} }
 
 impl Default for Options {
     fn default() -> Self {

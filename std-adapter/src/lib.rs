@@ -25,7 +25,8 @@
 //! | to                          | read                                                                                    |
 //! |-----------------------------|-----------------------------------------------------------------------------------------|
 //! | move a robot                | [`blocking::Arm::move_to`], [`Move`], [`Motion`]                                        |
-//! | stop it                     | [`blocking::Stopper`]; what a drop does: [`blocking::Arm`]                              |
+//! | follow a path without stops | [`blocking::Arm::start`], [`blocking::Moving`]                                          |
+//! | stop it                     | [`blocking::Stopper`]; what a drop does: [`blocking::Arm`], [`blocking::Moving`]        |
 //! | read and write              | [`blocking::Controller::read`], [`write`](blocking::Controller::write), [`scan`](blocking::Controller::scan) |
 //! | use tokio                   | `asynch::Controller`: many tasks, reconnection, subscriptions                           |
 //! | stream poses                | [`blocking::Arm::stream`], [`slave`]                                                    |
@@ -49,6 +50,22 @@
 pub use bcap_core as core;
 pub use bcap_core::position::{Joints, Position, Transform};
 pub use bcap_core::procedure::Motion;
+
+/// Defines a setter for each field of a struct that may grow.
+macro_rules! setters {
+    ($name:ident { $($field:ident: $type:ty;)* }) => {
+        impl $name {
+            $(
+                #[doc = concat!("Returns it with another value of the field `", stringify!($field), "`.")]
+                #[must_use]
+                pub const fn $field(mut self, $field: $type) -> Self {
+                    self.$field = $field;
+                    self
+                }
+            )*
+        }
+    };
+}
 
 mod address;
 #[cfg(feature = "tokio")]

@@ -127,7 +127,7 @@ pub enum Plane {
     Zx,
 }
 
-/// A motion, for `Arm::move_to`.
+/// A motion, for `Arm::move_to` and `Arm::start`.
 ///
 /// The controller's command is written beside each. `NEXT` is always among the options: the library itself waits for the
 /// end, so that it can halt the robot at any time. Not offered: free curves (interpolation 4) and `TIME=`, because no

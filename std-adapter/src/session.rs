@@ -21,7 +21,7 @@ use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
 use bcap_core::io::asynch::{Connection, Transport};
 use bcap_core::procedure::{
-    self, Handles, Motion, MotionConfig, Owner, PathError, PathStep, Procedure, Provider, StepError,
+    self, Handles, MotionQueue, Owner, PathError, PathStep, Procedure, Provider, StepError, Until,
 };
 use bcap_core::slave::{AxisLimits, Config, Engine, Format, MOVE_FRAME, Stats, StreamError, Trajectory};
 use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
@@ -309,14 +309,26 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         self.call(&name, call::robot_change(robot, &name)).await
     }
 
-    /// Moves and waits for the end.
-    pub(crate) async fn move_to(&mut self, motion: &Move, limit: Duration) -> Result<Motion, Error> {
+    /// Runs the motions of a queue, with one more if there is one.
+    pub(crate) async fn run_queue(
+        &mut self,
+        queue: MotionQueue,
+        motion: Option<Move>,
+        until: Until,
+    ) -> Result<MotionQueue, Error> {
+        if queue.is_new() {
+            self.clear_way().await?;
+        }
         let handles = self.handles().await?;
-        let steps = procedure::move_and_wait(handles, motion.clone().start(), MotionConfig::within(limit));
         self.set_moving(true);
-        let ended = self.run(ROBOT, steps).await?;
-        self.set_moving(false);
-        Ok(ended)
+        let queue = self.run(ROBOT, procedure::run_queue(handles, queue, motion.map(Move::start), until)).await?;
+        self.set_moving(queue.ended().is_none());
+        Ok(queue)
+    }
+
+    /// Halts a motion that was left behind, before another one starts from rest.
+    pub(crate) async fn clear_way(&mut self) -> Result<(), Error> {
+        if self.is_moving() { self.halt().await.map(drop) } else { Ok(()) }
     }
 
     /// Streams poses in Slave Mode with the arm that is taken.
@@ -339,6 +351,11 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         ended.map_err(|error| Error::Stream(error.error))?;
         self.set_moving(false);
         Ok(engine.stats().clone())
+    }
+
+    /// Tells whether a motion may be under way.
+    pub(crate) fn is_moving(&self) -> bool {
+        self.arm.is_some_and(|arm| arm.moving)
     }
 
     fn set_moving(&mut self, moving: bool) {

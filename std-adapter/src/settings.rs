@@ -89,12 +89,18 @@ impl ServiceOptions {
 /// How a controller for tokio connects again after a lost connection: the delay between two attempts doubles from `min` to
 /// `max`, less a random part of up to one half.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Backoff {
     /// The first delay.
     pub min: Duration,
     /// The longest delay.
     pub max: Duration,
 }
+
+setters! { Backoff {
+    min: Duration;
+    max: Duration;
+} }
 
 impl Default for Backoff {
     /// From 100 ms to 10 s.

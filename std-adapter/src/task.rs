@@ -2,6 +2,7 @@
 
 /// How a task is started (S2:526-544).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum TaskStart {
     /// Once (1).
     OneCycle,
@@ -14,6 +15,7 @@ pub enum TaskStart {
 
 /// When a task stops (S2:546-563).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum TaskStop {
     /// As the controller decides (0).
     Default,

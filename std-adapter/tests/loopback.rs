@@ -255,7 +255,7 @@ fn a_silent_peer_a_closed_port_and_an_unknown_host_give_different_errors() {
 
 #[test]
 fn a_connection_over_the_limit_is_answered_e_max_connect() {
-    let server = start(Limits { connections: 1, ..Limits::default() });
+    let server = start(Limits::default().connections(1));
     let mut first = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
     first.call(call::service_start("")).unwrap();
     let mut second = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
@@ -266,7 +266,7 @@ fn a_connection_over_the_limit_is_answered_e_max_connect() {
 
 #[test]
 fn one_address_cannot_exceed_its_share_of_the_slots() {
-    let server = start(Limits { connections_per_address: 1, udp_peers_per_address: 1, ..Limits::default() });
+    let server = start(Limits::default().connections_per_address(1).udp_peers_per_address(1));
     let refused = Some(HResult::E_MAX_CONNECT);
     let mut first = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
     first.call(call::service_start("")).unwrap();
@@ -280,7 +280,7 @@ fn one_address_cannot_exceed_its_share_of_the_slots() {
 
 #[test]
 fn the_longest_idle_connection_is_evicted_for_a_new_one() {
-    let server = start(Limits { connections: 2, evict_after: Duration::ZERO, ..Limits::default() });
+    let server = start(Limits::default().connections(2).evict_after(Duration::ZERO));
     let mut clients = [(); 2].map(|()| blocking::connect_tcp(server.tcp, &Options::default()).unwrap());
     // the second is idle longest
     for n in [0, 1, 0] {
@@ -295,7 +295,7 @@ fn the_longest_idle_connection_is_evicted_for_a_new_one() {
 
 #[test]
 fn a_connection_with_a_running_call_is_not_evicted() {
-    let server = start(Limits { connections: 1, evict_after: Duration::ZERO, ..Limits::default() });
+    let server = start(Limits::default().connections(1).evict_after(Duration::ZERO));
     let (address, options) = (server.tcp, Options::default().timeout(Duration::from_secs(30)));
     let waiting = std::thread::spawn(move || {
         let mut client = blocking::connect_tcp(address, &options).unwrap();
@@ -316,7 +316,7 @@ fn a_connection_with_a_running_call_is_not_evicted() {
 
 #[test]
 fn a_udp_peer_over_the_limit_is_answered_e_max_connect() {
-    let server = start(Limits { udp_peers: 1, ..Limits::default() });
+    let server = start(Limits::default().udp_peers(1));
     let mut first = blocking::connect_udp(server.udp, &Options::default()).unwrap();
     first.call(call::service_start("")).unwrap();
     let mut second = blocking::connect_udp(server.udp, &Options::default()).unwrap();
@@ -326,7 +326,7 @@ fn a_udp_peer_over_the_limit_is_answered_e_max_connect() {
 
 #[test]
 fn a_udp_peer_frees_its_slot_with_service_stop() {
-    let server = start(Limits { udp_peers: 2, ..Limits::default() });
+    let server = start(Limits::default().udp_peers(2));
     let mut first = blocking::connect_udp(server.udp, &Options::default()).unwrap();
     first.call(call::service_start("")).unwrap();
     for _ in 0..5 {
@@ -368,7 +368,7 @@ fn an_invalid_frame_is_answered_and_the_connection_closed() {
 
 #[test]
 fn a_partly_received_request_times_out() {
-    let server = start(Limits { receive: Duration::from_millis(150), ..Limits::default() });
+    let server = start(Limits::default().receive(Duration::from_millis(150)));
     let mut stream = TcpStream::connect(server.tcp).unwrap();
     stream.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
     stream.write_all(b"\x01").unwrap();
@@ -402,7 +402,7 @@ fn a_panic_of_the_handler_fails_only_its_call() {
 
 #[test]
 fn large_requests_and_replies_share_the_memory_pool() {
-    let server = start(Limits { memory: 100 << 10, ..Limits::default() });
+    let server = start(Limits::default().memory(100 << 10));
     let connect = || {
         let mut client = blocking::connect_tcp(server.tcp, &Options::default()).unwrap();
         client.call(call::service_start("")).unwrap();
@@ -448,7 +448,7 @@ fn until(mut condition: impl FnMut() -> bool) {
 #[test]
 fn invalid_datagrams_create_no_peer() {
     // there is one slot: a peer created by garbage would be evicted for the client, and counted in `left`
-    let server = start(Limits { udp_peers: 1, udp_idle: Duration::ZERO, ..Limits::default() });
+    let server = start(Limits::default().udp_peers(1).udp_idle(Duration::ZERO));
     let socket = std::net::UdpSocket::bind("127.0.0.1:0").unwrap();
     for garbage in [&b""[..], b"\x01", b"hello", &[1; 600], &[0xff; 504]] {
         socket.send_to(garbage, server.udp).unwrap();

@@ -138,7 +138,7 @@ fn a_waiting_request_is_resumed_by_another_connection() {
 
 #[test]
 fn a_connection_over_the_limit_is_answered_e_max_connect() {
-    let server = start(Limits { connections: 1, ..Limits::default() });
+    let server = start(Limits::default().connections(1));
     let mut first = TcpStream::connect(server.address).unwrap();
     first.write_all(b"GET:RC8:0:I:\r").unwrap();
     assert_eq!(line(&mut first), "0,3,41");

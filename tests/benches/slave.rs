@@ -33,7 +33,7 @@ fn main() -> ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let cycles = arguments.iter().find_map(|argument| argument.parse().ok()).unwrap_or(10_000);
     let realtime = if arguments.iter().any(|argument| argument == "--fifo") {
-        Realtime { fifo: Some(80), lock_memory: true, core: None }
+        Realtime::default().fifo(Some(80)).lock_memory(true).core(None)
     } else {
         Realtime::default()
     };

@@ -5,12 +5,13 @@ use std::time::Duration;
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
+use bcap_core::slave::{AxisLimits, Cycle, Format, Mode, Next, Pose, PoseType, ReceiveFormat, ReceivePose, SlaveMode};
 use bcap_core::variant::OwnedVariant;
 use bcap_sim::memory::Network;
 use bcap_sim::{Config, Controller as Simulated, Profile};
 use bcap_std::asynch::{Controller, Halted, State, Stopper};
 use bcap_std::server::Limits;
-use bcap_std::{Backoff, Error, Joints, Motion, Move, Position, Settings};
+use bcap_std::{Backoff, Error, Joints, Motion, Move, Pass, Position, Settings};
 use bcap_testkit::network::Random;
 use bcap_tests::served::Served;
 
@@ -22,7 +23,7 @@ fn simulated() -> Served<Simulated> {
 }
 
 fn settings() -> Settings {
-    Settings::rc8().reconnect(Backoff { min: Duration::from_millis(1), max: Duration::from_millis(20) })
+    Settings::rc8().reconnect(Backoff::default().min(Duration::from_millis(1)).max(Duration::from_millis(20)))
 }
 
 async fn connect(sim: &Served<Simulated>) -> Controller {
@@ -210,6 +211,162 @@ async fn no_stopped_motion_is_reported_as_arrived() {
     }
     println!("{trials} trials: {arrived} arrived, {halted} halted, {dropped} dropped");
     assert!(halted + dropped > 0, "no stop came in time");
+}
+
+#[tokio::test]
+async fn motions_follow_each_other_and_other_calls_are_made() {
+    let sim = simulated();
+    let cell = connect(&sim).await;
+    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+    arm.motor_on().await.unwrap();
+    let motions = async {
+        // motions that a loaded machine sees to begin, too
+        let mut moving = arm.start(to(90.0).pass(Pass::Near), LIMIT).await.unwrap();
+        for degrees in [150.0, 70.0, 140.0] {
+            moving = moving.then(to(degrees).pass(Pass::Near)).await.unwrap();
+        }
+        assert!(moving.robot().joints().await.unwrap().degrees[0] > 5.0);
+        moving.wait().await.unwrap()
+    };
+    let reads = async {
+        until(&sim, Simulated::is_moving).await;
+        let mut reads = 0;
+        while sim.application().is_moving() {
+            cell.read::<i32>("I1").await.unwrap();
+            reads += 1;
+        }
+        reads
+    };
+    let (motion, reads) = tokio::join!(motions, reads);
+    assert_eq!(motion, Motion::Arrived);
+    assert!((sim.application().joints()[0] - 140.0).abs() < 0.05);
+    assert!(reads > 1, "{reads} reads during the motions");
+}
+
+#[tokio::test]
+async fn motions_that_are_dropped_halt_the_robot() {
+    let sim = simulated();
+    let cell = connect(&sim).await;
+    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+    arm.motor_on().await.unwrap();
+    // between two motions
+    drop(arm.start(to(150.0), LIMIT).await.unwrap());
+    until(&sim, |sim| !sim.is_moving()).await;
+    assert!(sim.application().joints()[0] < 149.0);
+    // while one motion waits for another, and while the end is waited for
+    let moving = arm.start(to(150.0), LIMIT).await.unwrap();
+    assert!(tokio::time::timeout(Duration::from_millis(20), moving.then(to(0.0))).await.is_err());
+    until(&sim, |sim| !sim.is_moving()).await;
+    let moving = arm.start(to(150.0), LIMIT).await.unwrap();
+    assert!(tokio::time::timeout(Duration::from_millis(20), moving.wait()).await.is_err());
+    until(&sim, |sim| !sim.is_moving()).await;
+    assert_eq!(arm.start(to(150.0), LIMIT).await.unwrap().halt().await.unwrap(), Halted::Halted);
+    let rest = sim.application().joints()[0];
+    assert!(rest < 149.0, "{rest}");
+    // an error of a later motion halts those before it
+    let moving = arm.start(to(150.0), LIMIT).await.unwrap();
+    assert!(moving.then(Move::joint("P(")).await.unwrap_err().code().is_some());
+    assert!(!sim.application().is_moving());
+    // one that is forgotten is halted before the next
+    std::mem::forget(arm.start(to(150.0), LIMIT).await.unwrap());
+    assert_eq!(arm.move_to(to(rest), LIMIT).await.unwrap(), Motion::Arrived);
+    drop(arm);
+    until(&sim, |sim| sim.arm_owner().is_none() && !sim.motor_is_on()).await;
+}
+
+/// What the caller of three motions is told agrees with where the robot is, however and whenever they are stopped.
+#[tokio::test]
+async fn no_stopped_queue_is_reported_as_arrived() {
+    let trials = std::env::var("TRIALS").ok().and_then(|n| n.parse().ok()).unwrap_or(30_u32);
+    let sim = simulated();
+    let cell = connect(&sim).await;
+    let stopper = cell.stopper().await.unwrap();
+    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+    arm.motor_on().await.unwrap();
+    let (mut random, mut arrived, mut halted, mut dropped) = (Random(29), 0, 0, 0);
+    for trial in 0..trials {
+        let end = if trial % 2 == 0 { 12.0 } else { 0.0 };
+        let pass = if trial % 5 < 3 { Pass::Near } else { Pass::Commanded };
+        let delay = Duration::from_micros(random.below(400_000));
+        let motions = async {
+            let moving = arm.start(to(20.0 + end).pass(pass), LIMIT).await.unwrap();
+            moving.then(to(5.0).pass(pass)).await.unwrap().then(to(end)).await.unwrap().wait().await.unwrap()
+        };
+        let ended = if trial % 3 == 0 {
+            tokio::select! {
+                ended = motions => Some(ended),
+                () = tokio::time::sleep(delay) => None,
+            }
+        } else {
+            let halt = async {
+                tokio::time::sleep(delay).await;
+                stopper.halt().await.unwrap()
+            };
+            Some(tokio::join!(motions, halt).0)
+        };
+        until(&sim, |sim| !sim.is_moving()).await;
+        let off = (sim.application().joints()[0] - end).abs();
+        match ended {
+            Some(Motion::Arrived) => {
+                assert!(off <= 0.05, "trial {trial}: {off} degrees from the end");
+                arrived += 1;
+            }
+            Some(Motion::Halted) => halted += 1,
+            None => {
+                // the robot rests; it does not begin to move later
+                let rest = sim.application().joints()[0];
+                let asked = arm.robot().joints().await.unwrap().degrees[0];
+                assert!((asked - rest).abs() < 0.001, "trial {trial}: it moved on from {rest} to {asked}");
+                dropped += 1;
+            }
+            Some(other) => panic!("trial {trial}: {other:?}"),
+        }
+    }
+    println!("{trials} trials: {arrived} arrived, {halted} halted, {dropped} dropped");
+    assert!(halted + dropped > 0, "no stop came in time");
+}
+
+/// Swings the first joint by 4 degrees, in so many cycles.
+fn swing(cycles: u32) -> impl FnMut(&Cycle<'_>) -> Next + Send + 'static {
+    move |cycle: &Cycle<'_>| {
+        let mut joints: [f64; 8] = cycle.start.numbers().try_into().unwrap_or_default();
+        let part = f64::from(cycle.number + 1) / f64::from(cycles);
+        joints[0] += 2.0 * (1.0 - (part * std::f64::consts::TAU).cos());
+        if cycle.number < cycles { Next::Pose(Pose::j(joints)) } else { Next::Finish }
+    }
+}
+
+#[tokio::test]
+async fn poses_are_streamed_and_a_dropped_stream_stops() {
+    let sim = simulated();
+    let cell = Controller::connect(&format!("udp:{}", sim.udp), &settings()).await.unwrap();
+    let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
+    arm.motor_on().await.unwrap();
+    let mode = SlaveMode { mode: Mode::Mode0, pose: PoseType::J };
+    let format = Format::new(mode, ReceiveFormat::pose(ReceivePose::J));
+    let limits = AxisLimits::uniform(100.0, 800.0);
+    let stats = arm.stream(format, limits, swing(100)).await.unwrap();
+    assert!(stats.cycles >= 100, "{stats:?}");
+    assert!(sim.application().slave_record().any(|cycle| cycle.axes[0] > 3.9));
+    tokio::select! {
+        ended = arm.stream(format, limits, swing(100_000)) => panic!("{ended:?}"),
+        () = until(&sim, |sim| sim.slave_mode() != 0 && sim.slave_counters().cycles > 120) => {}
+    }
+    // the next call waits until Slave Mode has ended
+    let there = arm.robot().joints().await.unwrap().degrees[0];
+    {
+        let sim = sim.application();
+        assert_eq!((sim.slave_mode(), sim.errors().count()), (0, 0));
+    }
+    assert_eq!(arm.move_to(to(there + 5.0), LIMIT).await.unwrap(), Motion::Arrived);
+    let wrong = arm.stream(format, limits, |cycle: &Cycle<'_>| {
+        let mut joints: [f64; 8] = cycle.start.numbers().try_into().unwrap_or_default();
+        joints[0] += 20.0;
+        Next::Pose(Pose::j(joints))
+    });
+    assert!(matches!(wrong.await, Err(Error::Stream(_))));
+    drop(arm);
+    until(&sim, |sim| sim.arm_owner().is_none() && !sim.motor_is_on()).await;
 }
 
 #[tokio::test]

@@ -410,3 +410,152 @@ fn a_device_of_a_table_is_a_controller() {
     assert_eq!(rac.get(Variable::new(VariableKind::F, 1)).unwrap(), Variant::R4(0.5));
     cell.close().unwrap();
 }
+
+#[test]
+fn motions_follow_each_other_without_a_stop() {
+    let sim = simulated();
+    let mut cell = connect(&sim);
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    let both_turn = AtomicBool::new(false);
+    let ended = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while !ended.load(Ordering::Relaxed) {
+                sim.application().advance(bcap_std::now());
+                let joints = sim.application().joints();
+                both_turn.fetch_or(joints[0] < 59.0 && joints[5] > 1.0, Ordering::Relaxed);
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        });
+        let mut moving = arm.start(&to(60.0).pass(Pass::Near), LIMIT).unwrap();
+        assert!(sim.application().is_moving());
+        assert!(moving.robot().joints().unwrap().degrees[0] < 60.0);
+        moving = moving.then(&turn(60.0, 60.0).pass(Pass::Near)).unwrap();
+        assert_eq!(moving.then(&turn(60.0, 0.0)).unwrap().wait().unwrap(), Motion::Arrived);
+        ended.store(true, Ordering::Relaxed);
+    });
+    assert!(both_turn.load(Ordering::Relaxed), "the second motion begins before the first has ended");
+    let joints = arm.robot().joints().unwrap().degrees;
+    assert!((joints[0] - 60.0).abs() < 0.05 && joints[5].abs() < 0.05, "{joints:?}");
+    // late: the robot rests, and the next motion starts from there
+    let moving = arm.start(&to(-30.0), LIMIT).unwrap();
+    until_rest(&sim);
+    assert_eq!(moving.then(&to(60.0)).unwrap().wait().unwrap(), Motion::Arrived);
+    assert!((sim.application().joints()[0] - 60.0).abs() < 0.05);
+}
+
+/// Turns the first and the sixth joint.
+fn turn(first: f64, sixth: f64) -> Move {
+    Move::joint(Joints::new([first, 45.0, 90.0, 0.0, 45.0, sixth]))
+}
+
+fn until_rest(sim: &Served<Simulated>) {
+    while {
+        let mut controller = sim.application();
+        controller.advance(bcap_std::now());
+        controller.is_moving()
+    } {
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+#[test]
+fn motions_that_are_dropped_halt_the_robot() {
+    let sim = simulated();
+    let mut cell = connect(&sim);
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    drop(arm.start(&to(150.0), LIMIT).unwrap());
+    assert!(!sim.application().is_moving() && sim.application().joints()[0] < 149.0);
+    assert_eq!(arm.start(&to(150.0), LIMIT).unwrap().halt().unwrap(), Halted::Halted);
+    assert!(!sim.application().is_moving());
+    // an error of a later motion halts those before it
+    let moving = arm.start(&to(150.0), LIMIT).unwrap();
+    let refused = moving.then(&Move::joint("P(")).unwrap_err();
+    assert!(refused.code().is_some() && !sim.application().is_moving(), "{refused}");
+    // one that is forgotten is halted before the next
+    let below = sim.application().joints()[0] - 5.0;
+    std::mem::forget(arm.start(&to(150.0), LIMIT).unwrap());
+    assert_eq!(arm.move_to(&to(below), LIMIT).unwrap(), Motion::Arrived);
+    std::mem::forget(arm.start(&to(150.0), LIMIT).unwrap());
+    drop(arm);
+    assert!(!sim.application().is_moving());
+    drop(cell);
+    assert_left(&sim);
+}
+
+#[test]
+fn a_halt_between_motions_is_not_taken_for_arrival() {
+    let sim = simulated();
+    let mut cell = connect(&sim);
+    let stopper = cell.stopper().unwrap();
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    // while the program does something else: the next motion is not sent
+    let moving = arm.start(&to(100.0), LIMIT).unwrap();
+    assert_eq!(stopper.halt().unwrap(), Halted::Halted);
+    let rest = sim.application().joints()[0];
+    let moving = moving.then(&to(0.0)).unwrap().then(&to(100.0)).unwrap();
+    assert_eq!(moving.wait().unwrap(), Motion::Halted);
+    assert!((sim.application().joints()[0] - rest).abs() < 0.001);
+    // of two motions, the second one waits in the controller
+    let moving = arm.start(&to(rest + 50.0), LIMIT).unwrap();
+    let motion = std::thread::scope(|scope| {
+        scope.spawn(|| {
+            while sim.application().joints()[0] < rest + 20.0 {
+                sim.application().advance(bcap_std::now());
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            stopper.halt().unwrap()
+        });
+        moving.then(&to(rest)).unwrap().wait().unwrap()
+    });
+    let end = sim.application().joints()[0];
+    assert_eq!(motion, Motion::Halted);
+    assert!(end > rest + 15.0 && end < rest + 49.0, "{end} from {rest}");
+    // an error of the controller is the end of the queue as well
+    let moving = arm.start(&to(rest), LIMIT).unwrap();
+    sim.application().emergency_stop(true, bcap_std::now());
+    assert_eq!(moving.then(&to(rest + 50.0)).unwrap().wait().unwrap(), Motion::Failed(EMERGENCY_STOP));
+}
+
+/// A halt at a random time during three motions: what the waiting code is told agrees with where the robot is.
+#[test]
+fn no_halted_queue_is_reported_as_arrived() {
+    let trials = std::env::var("TRIALS").ok().and_then(|n| n.parse().ok()).unwrap_or(30_u32);
+    let sim = simulated();
+    let mut cell = connect(&sim);
+    let stopper = cell.stopper().unwrap();
+    let mut arm = cell.robot().unwrap().take_arm().unwrap();
+    arm.motor_on().unwrap();
+    let (mut random, mut outcomes) = (Random(23), [0, 0]);
+    for trial in 0..trials {
+        let pass = [Pass::Exact, Pass::Near, Pass::Within(5)][random.below(3) as usize];
+        let (degrees, other) = if trial % 2 == 0 { (12.0, 20.0) } else { (0.0, 0.0) };
+        let delay = Duration::from_micros(random.below(500_000));
+        let pause = Duration::from_micros(random.below(150_000) * u64::from(trial % 4 == 0));
+        let motion = std::thread::scope(|scope| {
+            let stopper = stopper.clone();
+            scope.spawn(move || {
+                std::thread::sleep(delay);
+                stopper.halt().unwrap()
+            });
+            let moving = arm.start(&turn(5.0 + other, degrees).pass(pass), LIMIT).unwrap();
+            std::thread::sleep(pause);
+            let moving = moving.then(&turn(40.0 - other, degrees + 1.0).pass(pass)).unwrap();
+            moving.then(&turn(degrees, other)).unwrap().wait().unwrap()
+        });
+        until_rest(&sim);
+        let joints = sim.application().joints();
+        let off = (joints[0] - degrees).abs().max((joints[5] - other).abs());
+        match motion {
+            Motion::Arrived => assert!(off <= 0.05, "trial {trial}: {off} degrees from the end"),
+            Motion::Halted => {}
+            ended => panic!("trial {trial}: {ended:?}"),
+        }
+        outcomes[usize::from(motion == Motion::Halted)] += 1;
+    }
+    println!("{trials} trials: {} arrived, {} halted", outcomes[0], outcomes[1]);
+    assert!(outcomes[1] > 0, "no halt came in time");
+}

@@ -56,7 +56,7 @@ async fn no_write_is_executed_twice_or_lost_without_an_error() {
     let restarts = std::env::var("RESTARTS").ok().and_then(|n| n.parse().ok()).unwrap_or(15_u32);
     let address = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
     let log = Log::default();
-    let backoff = Backoff { min: Duration::from_millis(2), max: Duration::from_millis(20) };
+    let backoff = Backoff::default().min(Duration::from_millis(2)).max(Duration::from_millis(20));
     let cell = Controller::spawn(&format!("tcp:{address}"), &Settings::rc8().reconnect(backoff)).unwrap();
     let (stop, next) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicI32::new(1)));
     let writers: Vec<_> = (0..4)

@@ -20,7 +20,7 @@ fn settings() -> Settings {
     let mut settings = Settings::rc8().service(ServiceOptions::default().watchdog(Duration::from_millis(80)));
     settings.options.serial.timing.attempts = 10;
     settings.options.serial.timing.attempt_timeout = Duration::from_millis(100);
-    settings.reconnect(Backoff { min: Duration::from_millis(1), max: Duration::from_millis(20) })
+    settings.reconnect(Backoff::default().min(Duration::from_millis(1)).max(Duration::from_millis(20)))
 }
 
 /// A value of each of the nine kinds; `round` makes those of the rounds differ.

@@ -29,7 +29,7 @@ fn frame(call: &impl Call, buffer: &mut [u8]) -> usize {
 
 #[test]
 fn two_hundred_connections_are_served_at_once() {
-    let server = Served::start(Limits { connections_per_address: 200, ..Limits::default() });
+    let server = Served::start(Limits::default().connections_per_address(200));
     let mut clients: Vec<_> = (0..200)
         .map(|n| {
             let (mut client, controller) = client(&server);
@@ -55,7 +55,7 @@ fn two_hundred_connections_are_served_at_once() {
 
 #[test]
 fn idle_connections_are_closed_after_the_configured_limit() {
-    let limits = Limits { connections: 4, idle: Some(Duration::from_secs(1)), ..Limits::default() };
+    let limits = Limits::default().connections(4).idle(Some(Duration::from_secs(1)));
     let server = Served::start(limits);
     let (mut waiting, controller) = client(&server);
     let mut silent: Vec<TcpStream> = (0..3).map(|_| TcpStream::connect(server.tcp).unwrap()).collect();
@@ -75,7 +75,7 @@ fn idle_connections_are_closed_after_the_configured_limit() {
 #[test]
 fn many_waiting_calls_do_not_slow_other_calls() {
     const WAITING: u64 = 200;
-    let server = Served::start(Limits { connections_per_address: 256, ..Limits::default() });
+    let server = Served::start(Limits::default().connections_per_address(256));
     let waiting: Vec<_> = (0..WAITING)
         .map(|_| {
             let (mut client, controller) = client(&server);
@@ -126,7 +126,7 @@ fn a_disconnect_after_unread_requests_is_detected() {
 #[test]
 fn a_reply_without_memory_is_reported() {
     // a request of 60 KiB fits, and its reply of as much does not fit beside it
-    let server = Served::start(Limits { memory: 100 << 10, ..Limits::default() });
+    let server = Served::start(Limits::default().memory(100 << 10));
     let (mut client, controller) = client(&server);
     let (large, fits) = ([7_u8; 60 << 10], [7_u8; 16 << 10]);
     let value = client.call(call::controller_execute(controller, "echo", &fits[..])).unwrap();
@@ -144,7 +144,7 @@ fn a_reply_without_memory_is_reported() {
 #[test]
 fn a_server_stops_despite_busy_peers() {
     const TIMEOUT: Duration = Duration::from_secs(300);
-    let server = Served::start(Limits { send: TIMEOUT, receive: TIMEOUT, ..Limits::default() });
+    let server = Served::start(Limits::default().send(TIMEOUT).receive(TIMEOUT));
     let (mut deaf, controller) = client(&server);
     let (mut slow, its_own) = client(&server);
     let (mut waiting, another) = client(&server);

@@ -21,6 +21,7 @@
 //! | [`read_variable`], [`write_variable`]              | opens a variable, reads or writes it, releases it            |
 //! | [`prepare_robot`], [`give_arm`]                    | takes the arm and switches the motor on; gives the arm back  |
 //! | [`move_and_wait`]                                  | starts a motion and waits for its end                        |
+//! | [`run_queue`]                                      | lets motions follow each other, and waits for the last one   |
 //! | [`slave::Stream`](crate::slave::Stream)      | streams poses in Slave Mode                                  |
 //!
 //! A procedure that fails undoes what it did before it reports the failure, as far as the connection still works: it
@@ -32,6 +33,7 @@ mod motion;
 mod open;
 mod path;
 mod provider;
+mod queue;
 mod release;
 mod robot;
 mod sequence;
@@ -39,10 +41,11 @@ mod variable;
 
 pub use self::action::{Action, Channel, Procedure};
 pub use self::failure::{Failure, StepCause, StepError};
-pub use self::motion::{Motion, MotionConfig, MotionStart, move_and_wait};
+pub use self::motion::{MotionStart, Until, move_and_wait, run_queue};
 pub use self::open::{open, open_robot};
 pub use self::path::{Opened, Owner, PATH_MAX, PathError, PathStep, open_path};
 pub use self::provider::{Handles, Provider};
+pub use self::queue::{Motion, MotionConfig, MotionQueue};
 pub use self::release::{release, release_controller, release_robot};
 pub use self::robot::{give_arm, prepare_robot};
 pub use self::variable::{read_variable, write_variable};

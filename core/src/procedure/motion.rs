@@ -1,4 +1,4 @@
-//! Starting a motion and waiting for its end.
+//! Starting a motion, letting others follow it, and waiting for the end.
 //!
 //! ```text
 //!  Robot_Move NEXT ─► DestJnt ─► (pause ─► SysState ─► CurJnt)* ─► Arrived
@@ -11,6 +11,18 @@
 //!
 //! A robot that rests elsewhere has been halted, unless SysState reports a motion (a slow start, a motion on hold) or the
 //! robot has not begun to move yet.
+//!
+//! A motion that follows another one:
+//!
+//! ```text
+//!  SysState ─► CurJnt: under way to A ─► Robot_Move NEXT to B ─► (pause ─► SysState ─► DestJnt ─► CurJnt)*
+//!     DestJnt is A, and the robot moves: it was not halted before B was accepted
+//!     DestJnt is B twice, and the robot moves: it has reached A, and B is the destination from now on
+//! ```
+//!
+//! DestJnt is the destination of the motion under way, so it tells B only when the motion to B has begun. After a halt it may
+//! be the place where the robot rests, so it counts only while the robot moves and is not there. At most one motion waits
+//! behind the one under way: with more, a destination could be missed.
 
 use core::convert::identity;
 use core::time::Duration;
@@ -18,6 +30,7 @@ use core::time::Duration;
 use super::action::Procedure;
 use super::failure::{StepCause, StepError};
 use super::provider::Handles;
+use super::queue::{AT_REST, JOINTS, Motion, MotionConfig, MotionQueue, within};
 use super::sequence::{Argument, Next, Sequence, StepCall, Steps, Undo};
 use crate::bcap::call::{Any, Int, Reply, ReplyError};
 use crate::bcap::{Frame, FunctionId};
@@ -57,52 +70,14 @@ pub enum MotionStart<D, O> {
     },
 }
 
-/// How [`move_and_wait`] waits for a motion.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct MotionConfig {
-    /// The time limit, from the start of the motion; after it the robot is halted.
-    pub limit: Duration,
-    /// How long the robot may take to begin the motion. If it still rests after that, it is halted, so that it does not
-    /// begin later.
-    pub start: Duration,
-    /// The pause between two polls of the robot.
-    pub interval: Duration,
-    /// How far each joint may be from the destination, in degrees or mm.
-    pub tolerance: f64,
-    /// The number of polls in a row with the robot at rest after which it counts as halted.
-    pub still: u8,
-}
-
-impl MotionConfig {
-    /// Returns a configuration with this time limit. It polls every 20 ms; the motion must begin within one second and end
-    /// within 0.05 degrees of its destination, and five polls at rest count as a halt.
-    #[must_use]
-    pub const fn within(limit: Duration) -> Self {
-        Self { limit, start: Duration::from_secs(1), interval: Duration::from_millis(20), tolerance: 0.05, still: 5 }
-    }
-}
-
-/// How a motion has ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[non_exhaustive]
-#[must_use]
-pub enum Motion {
-    /// The robot rests at its destination.
-    Arrived,
-    /// The robot rests elsewhere, and the controller has no error: another client halted it, or it did not begin to move.
-    Halted,
-    /// The controller has an error; this is the first one.
-    Failed(HResult),
-    /// The time limit has passed, and the robot was halted.
-    TimedOut,
-}
-
 /// Starts a motion and waits for its end.
 ///
 /// The arm must be taken and the motor on. When a call fails after the motion may have started, the robot is halted,
 /// because its state is unknown. A motion on hold counts as a motion until the time limit passes.
+///
+/// One halt cannot be detected: one that comes before the robot has moved by the tolerance, and before DestJnt is read, one
+/// round trip after the start. It looks like a motion to the place where the robot is, and ends as [`Motion::Arrived`].
+/// [`run_queue`] with [`Until::Begun`] does not have this gap, because it does not accept motions of no length.
 ///
 /// # Cancel safety
 ///
@@ -113,28 +88,44 @@ pub fn move_and_wait<D: Encode, O: AsRef<str>>(
     motion: MotionStart<D, O>,
     config: MotionConfig,
 ) -> impl Procedure<Output = Motion, Error = StepError> {
-    let steps = MoveSteps {
-        handles,
-        motion,
-        config,
-        step: Step::Move,
-        until: Instant::FAR_FUTURE,
-        start_until: Instant::FAR_FUTURE,
-        destination: [0.0; JOINTS],
-        reports_motion: false,
-        rest: None,
-        moved: false,
-        still: 0,
-        error: 0,
-        outcome: Motion::Halted,
-    };
-    Sequence::new(steps, identity)
+    let steps = MoveSteps::new(handles, MotionQueue::new(config), Some(motion), Until::Ended);
+    Sequence::new(steps, |queue: MotionQueue| queue.ended.unwrap_or(Motion::Halted))
 }
 
-/// The joints of CurJnt and DestJnt.
-const JOINTS: usize = 8;
-/// How far a joint at rest may be from where the rest began, in degrees or mm.
-const AT_REST: f64 = 0.002;
+/// Until when [`run_queue`] runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Until {
+    /// Until the last motion has begun, or the robot was stopped before.
+    Begun,
+    /// Until the robot rests.
+    Ended,
+}
+
+/// Adds a motion to a queue, if there is one, and runs until the last motion has begun or the robot rests.
+///
+/// The controller gets the motion before the one under way ends, so it moves from one to the next without a stop if the
+/// pass of the first allows it. From rest at the destination the motion starts at once. If the robot was stopped before
+/// that destination, the motion is not sent, and the queue has [ended](MotionQueue::ended).
+///
+/// A motion of a queue counts only if two polls see it under way, because DestJnt then tells where it ends. One that ends where
+/// it begins is never seen, nor is one that is shorter than the polls: both end as [`Motion::Halted`], and so does one that was
+/// accepted so late that a halt before it cannot be excluded. The robot is halted then.
+///
+/// # Cancel safety
+///
+/// As [`move_and_wait`].
+pub fn run_queue<D: Encode, O: AsRef<str>>(
+    handles: Handles,
+    queue: MotionQueue,
+    motion: Option<MotionStart<D, O>>,
+    until: Until,
+) -> impl Procedure<Output = MotionQueue, Error = StepError> {
+    Sequence::new(MoveSteps::new(handles, queue, motion, until), identity)
+}
+
+/// The longest pause between two polls while the beginning of a motion is waited for.
+const BEGIN_INTERVAL: Duration = Duration::from_millis(5);
 /// The bits of SysState for an error, for the emergency stop, and for a motion.
 const ERROR: i32 = 1 << 1;
 const EMERGENCY_STOP: i32 = 1 << 10;
@@ -142,25 +133,34 @@ const MOVING: i32 = 0b11 << 20;
 
 struct MoveSteps<D, O> {
     handles: Handles,
-    motion: MotionStart<D, O>,
-    config: MotionConfig,
+    motion: Option<MotionStart<D, O>>,
+    queue: MotionQueue,
+    goal: Until,
+    /// Whether the motion is still to be sent.
+    unsent: bool,
+    /// Whether the motion must be seen to begin.
+    strict: bool,
+    follow: Follow,
     step: Step,
-    /// When the time limit passes.
-    until: Instant,
-    /// When the motion must have begun.
-    start_until: Instant,
-    destination: [f64; JOINTS],
-    /// Whether SysState reports a motion.
-    reports_motion: bool,
-    /// Where the robot was when it was first seen at rest.
-    rest: Option<[f64; JOINTS]>,
-    /// Whether the robot has moved since the first poll.
-    moved: bool,
-    /// Polls in a row with the robot at rest.
-    still: u8,
+    /// What DestJnt said in this poll.
+    seen: [f64; JOINTS],
+    /// When the last reply arrived.
+    now: Instant,
     /// The index of the error to ask for.
     error: i32,
-    outcome: Motion,
+}
+
+/// What is known of a motion of a queue that was accepted and has not begun.
+#[derive(Clone, Copy, PartialEq)]
+enum Follow {
+    /// There is no such motion.
+    None,
+    /// It was accepted behind another motion. The robot may have been halted before.
+    Accepted,
+    /// It was accepted at rest, or the motion before was still under way after that.
+    InOrder,
+    /// The robot was once seen to move to this destination.
+    Seen([f64; JOINTS]),
 }
 
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -177,6 +177,23 @@ enum Step {
 }
 
 impl<D, O> MoveSteps<D, O> {
+    fn new(handles: Handles, queue: MotionQueue, motion: Option<MotionStart<D, O>>, goal: Until) -> Self {
+        let unsent = motion.is_some();
+        let step = match queue.ended {
+            None if !queue.is_new() => Step::State,
+            None if unsent => Step::Move,
+            _ => Step::End,
+        };
+        let strict = goal == Until::Begun || !queue.is_new();
+        let (follow, seen, now) = (Follow::None, [0.0; JOINTS], Instant::ZERO);
+        Self { handles, motion, queue, goal, unsent, strict, follow, step, seen, now, error: 0 }
+    }
+
+    /// Tells whether the motion has not begun yet.
+    fn begins(&self) -> bool {
+        self.unsent || self.follow != Follow::None
+    }
+
     fn of_robot(&self, command: &'static str) -> Next<'_> {
         let execute = StepCall::new(FunctionId::ROBOT_EXECUTE).with(self.handles.robot.0);
         Next::Call(execute.with(command).with(Argument::Empty))
@@ -188,51 +205,113 @@ impl<D, O> MoveSteps<D, O> {
     }
 
     fn end(&mut self, outcome: Motion) {
-        self.outcome = outcome;
+        self.queue.ended = Some(outcome);
         self.step = Step::End;
     }
 
-    /// Compares the robot's position with its destination and with earlier positions.
-    fn update_position(&mut self, joints: [f64; JOINTS], now: Instant) {
-        // from where the rest began, not from the last poll, so that a slow motion adds up
-        let rests = self.rest.map(|rest| within(&joints, &rest, AT_REST));
-        match rests {
-            Some(true) => self.still = self.still.saturating_add(1),
-            _ => (self.still, self.rest) = (0, Some(joints)),
-        }
-        self.moved |= rests == Some(false);
-        // a motion may end where it began, so rest there does not count as arrival while SysState reports a motion
-        let at_end = within(&joints, &self.destination, self.config.tolerance) && (self.moved || !self.reports_motion);
-        let stopped = self.still >= self.config.still.max(1) && !self.reports_motion;
-        if self.still >= 1 && at_end {
-            self.end(Motion::Arrived);
-        } else if stopped && self.moved {
-            self.end(Motion::Halted);
-        } else if stopped && now >= self.start_until {
-            self.halt(Motion::Halted);
-        } else if now >= self.until {
-            self.halt(Motion::TimedOut);
-        } else {
-            self.step = Step::Pause(now.saturating_add(self.config.interval).min(self.until));
-        }
-    }
-
     fn halt(&mut self, outcome: Motion) {
-        self.outcome = outcome;
+        self.queue.ended = Some(outcome);
         self.step = Step::Halt;
     }
-}
 
-/// Tells whether no joint is further away than this.
-fn within(joints: &[f64; JOINTS], other: &[f64; JOINTS], distance: f64) -> bool {
-    joints.iter().zip(other).all(|(joint, other)| (joint - other).abs() <= distance)
+    /// Waits for the next poll.
+    fn pause(&mut self, now: Instant) {
+        let MotionQueue { config, until, .. } = self.queue;
+        let interval = if self.begins() { config.interval.min(BEGIN_INTERVAL) } else { config.interval };
+        self.step = Step::Pause(now.saturating_add(interval).min(until));
+    }
+
+    /// Compares the robot's position with its destination and with earlier positions.
+    fn update_position(&mut self, joints: &[f64; JOINTS], now: Instant) {
+        self.queue.update_rest(joints, now);
+        if self.follow != Follow::None {
+            self.update_follow(joints, now);
+            return;
+        }
+        let MotionQueue { reports_motion, moved, still, .. } = self.queue;
+        let there = self.queue.is_at_destination(joints);
+        let stopped = self.queue.is_stopped(self.begins());
+        // a motion may end where it began, so rest there does not count as arrival while SysState reports a motion
+        if still >= 1 && there && (moved || !reports_motion) && self.unsent {
+            // the next motion starts from rest
+            (self.queue.destination, self.step) = (None, Step::Move);
+        } else if still >= 1 && there && (moved || !reports_motion) {
+            self.end(Motion::Arrived);
+        } else if stopped && moved {
+            self.end(Motion::Halted);
+        } else if stopped && now >= self.queue.start_until {
+            self.halt(Motion::Halted);
+        } else if now >= self.queue.until {
+            self.halt(Motion::TimedOut);
+        } else if self.unsent && reports_motion && !there {
+            self.step = Step::Move;
+        } else {
+            self.pause(now);
+        }
+    }
+
+    /// Looks for the beginning of a motion of a queue.
+    fn update_follow(&mut self, joints: &[f64; JOINTS], now: Instant) {
+        let MotionQueue { reports_motion, config, destination, .. } = self.queue;
+        let changed = destination.is_none_or(|before| !within(&self.seen, &before, AT_REST));
+        let begins = reports_motion && changed && !within(joints, &self.seen, config.tolerance);
+        match self.follow {
+            Follow::Accepted if changed => return self.halt(Motion::Halted),
+            Follow::Accepted if reports_motion => self.follow = Follow::InOrder,
+            Follow::Seen(seen) if begins && within(&self.seen, &seen, AT_REST) => {
+                self.queue.aim(seen);
+                (self.follow, self.step) = (Follow::None, Step::State);
+                if self.goal == Until::Begun {
+                    self.step = Step::End;
+                }
+                return;
+            }
+            Follow::InOrder | Follow::Seen(_) if begins => self.follow = Follow::Seen(self.seen),
+            _ => {}
+        }
+        let elsewhere = destination.is_some() && !self.queue.is_at_destination(joints);
+        if self.queue.is_stopped(self.begins()) && (elsewhere || now >= self.queue.start_until) {
+            self.halt(Motion::Halted);
+        } else if now >= self.queue.until {
+            self.halt(Motion::TimedOut);
+        } else {
+            self.pause(now);
+        }
+    }
+
+    /// Records that the controller has accepted the motion.
+    fn accepted(&mut self, now: Instant) {
+        self.unsent = false;
+        let queue = &mut self.queue;
+        if queue.is_new() {
+            queue.until = now.saturating_add(queue.config.limit);
+        }
+        if queue.destination.is_some() {
+            (self.follow, self.step) = (Follow::Accepted, Step::State);
+            return;
+        }
+        (queue.start_until, queue.rest, queue.moved) = (now.saturating_add(queue.config.start), None, false);
+        (self.follow, self.step) =
+            if self.strict { (Follow::InOrder, Step::State) } else { (Follow::None, Step::Destination) };
+    }
+
+    /// Records what DestJnt said.
+    fn aimed(&mut self, destination: [f64; JOINTS]) {
+        self.seen = destination;
+        if self.follow == Follow::None {
+            self.queue.aim(destination);
+            self.step = Step::State;
+        } else {
+            self.step = Step::Position;
+        }
+    }
 }
 
 impl<D: Encode, O: AsRef<str>> MoveSteps<D, O> {
     /// Returns the call that starts the motion.
-    fn start(&self) -> StepCall<'_> {
+    fn start(&self) -> Option<StepCall<'_>> {
         let robot = self.handles.robot.0;
-        match &self.motion {
+        Some(match self.motion.as_ref()? {
             MotionStart::Move { interpolation, pose, option } => {
                 let pose: &dyn Encode = pose;
                 let call = StepCall::new(FunctionId::ROBOT_MOVE).with(robot).with(*interpolation);
@@ -247,17 +326,17 @@ impl<D: Encode, O: AsRef<str>> MoveSteps<D, O> {
                 let call = StepCall::new(FunctionId::ROBOT_ROTATE).with(robot).with(*plane).with(degrees);
                 call.with(centre.as_ref()).with(option.as_ref())
             }
-        }
+        })
     }
 }
 
 impl<D: Encode, O: AsRef<str>> Steps for MoveSteps<D, O> {
-    type Output = Motion;
+    type Output = MotionQueue;
     const KEEPS_OBJECTS: bool = true;
 
     fn next(&self) -> Next<'_> {
         match self.step {
-            Step::Move => Next::Call(self.start()),
+            Step::Move => self.start().map_or(Next::End, Next::Call),
             Step::Destination => self.of_robot("DestJnt"),
             Step::Pause(until) => Next::Wait(until),
             Step::State => self.of_controller("SysState", Argument::Empty),
@@ -274,22 +353,20 @@ impl<D: Encode, O: AsRef<str>> Steps for MoveSteps<D, O> {
     }
 
     fn succeeded(&mut self, reply: &Frame<'_>, now: Instant) -> Result<(), StepCause> {
+        self.now = now;
         match self.step {
-            Step::Move => {
-                self.until = now.saturating_add(self.config.limit);
-                self.start_until = now.saturating_add(self.config.start);
-                self.step = Step::Destination;
-            }
-            Step::Destination => {
-                self.destination = joints(reply)?;
-                self.step = Step::State;
-            }
+            Step::Move => self.accepted(now),
+            Step::Destination => self.aimed(joints(reply)?),
             Step::State => {
                 let bits = Int::read(reply.args).map_err(StepCause::Reply)?;
-                self.reports_motion = bits & MOVING != 0;
-                self.step = if bits & (ERROR | EMERGENCY_STOP) == 0 { Step::Position } else { Step::ErrorCount };
+                self.queue.reports_motion = bits & MOVING != 0;
+                self.step = match self.follow {
+                    _ if bits & (ERROR | EMERGENCY_STOP) != 0 => Step::ErrorCount,
+                    Follow::None => Step::Position,
+                    _ => Step::Destination,
+                };
             }
-            Step::Position => self.update_position(joints(reply)?, now),
+            Step::Position => self.update_position(&joints(reply)?, now),
             Step::ErrorCount => {
                 // the last error of the list is the oldest, so the first cause
                 self.error = Int::read(reply.args).map_err(StepCause::Reply)?.saturating_sub(1);
@@ -311,12 +388,22 @@ impl<D: Encode, O: AsRef<str>> Steps for MoveSteps<D, O> {
 
     fn undo(&self, cause: Option<&StepCause>) -> Option<Undo> {
         let cause = cause?;
-        let moves = self.step != Step::Move || cause.may_have_run();
+        let moves = self.step != Step::Move || self.queue.destination.is_some() || cause.may_have_run();
         moves.then_some(Undo::Halt(self.handles.robot.0))
     }
 
-    fn output(&mut self) -> Motion {
-        self.outcome
+    /// A controller that is braking, or whose queue is full, is busy: the robot's state tells what follows.
+    fn recovered(&mut self, cause: &StepCause) -> bool {
+        let busy = *cause == StepCause::Refused(HResult::E_ROBOTISBUSY);
+        let waits = busy && self.step == Step::Move && self.queue.destination.is_some();
+        if waits {
+            self.pause(self.now);
+        }
+        waits
+    }
+
+    fn output(&mut self) -> MotionQueue {
+        self.queue
     }
 }
 

@@ -20,6 +20,7 @@ use crate::time::Instant;
 use crate::variant::{Encode, VarType, Variant, VariantBuf};
 
 mod motion;
+mod queue;
 
 /// The reaction of the peer to a call.
 #[derive(Clone, Debug)]
@@ -48,10 +49,19 @@ const CALL: Duration = Duration::from_millis(1);
 
 /// Runs a procedure against a peer, which is given the number of the call, its text, and the time of the reply.
 fn run<T>(
+    procedure: impl Procedure<Output = T, Error = StepError>,
+    peer: impl FnMut(usize, &str, Instant) -> Answer,
+) -> Run<T> {
+    run_from(Instant::ZERO, procedure, peer)
+}
+
+/// As [`run`], from this time on.
+fn run_from<T>(
+    mut now: Instant,
     mut procedure: impl Procedure<Output = T, Error = StepError>,
     mut peer: impl FnMut(usize, &str, Instant) -> Answer,
 ) -> Run<T> {
-    let (mut calls, mut now) = (Vec::new(), Instant::ZERO);
+    let mut calls = Vec::new();
     let timing = procedure.timing(Link::Stream, Timing::TCP);
     assert_eq!(timing, Timing::TCP, "these procedures use the connection's timing");
     loop {

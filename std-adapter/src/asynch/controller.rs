@@ -263,7 +263,8 @@ impl Controller {
     }
 
     /// Calls any function. The first argument of most is the handle of an object, which is valid in the session that opened
-    /// it. Objects that the call opens are released with the session, if the caller does not.
+    /// it. Objects that the call opens are released with the session, if the caller does not. Dropping the future does not
+    /// stop a call that moves the robot; only a [`Stopper`] does.
     ///
     /// # Errors
     ///

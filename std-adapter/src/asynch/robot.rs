@@ -1,18 +1,21 @@
 //! A robot, its arm and its stopper as objects for tokio.
 
 use std::io;
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 use bcap_core::bcap::Object;
 use bcap_core::position::{Joints, Position};
-use bcap_core::procedure::Motion;
+use bcap_core::procedure::{Motion, MotionConfig, MotionQueue, Until};
+use bcap_core::slave::{AxisLimits, Cycle, Format, MoveReply, Next, Stats, Trajectory};
+use bcap_core::time::Instant;
 use bcap_core::variant::{Encode, FromVariant};
-use tokio::sync::oneshot;
 
 use super::SendTransport;
 use super::handle::{Handle, owned};
+use super::moving::{Moving, run_queue};
 use super::socket::{BoxFuture, Socket};
-use super::task::{MoveRequest, Request};
+use super::task::Request;
 use crate::error::Error;
 use crate::moves::Move;
 use crate::session::{Halted, Session};
@@ -117,7 +120,8 @@ impl Robot {
     /// Executes a command of the robot with a parameter, and returns its value.
     ///
     /// Some commands move the robot, such as `DriveEx`; they fail without the arm. Other calls of the controller wait until
-    /// the command has ended, and dropping the future does not stop it: only a [`Stopper`] does.
+    /// the command has ended, and **dropping the future does not stop it**: only a [`Stopper`] does. Use [`Arm::move_to`]
+    /// for motions.
     ///
     /// # Errors
     ///
@@ -217,10 +221,68 @@ impl Arm {
     /// robot move on, keep the future. The halt uses the same connection, so it is executed after a call that the
     /// controller still executes; a [`Stopper`] has its own.
     pub async fn move_to(&mut self, motion: Move, limit: Duration) -> Result<Motion, Error> {
-        let (reply, ended) = oneshot::channel();
-        let request = MoveRequest { session: self.session, motion, limit, reply };
-        self.robot.handle.send(Request::Move(request))?;
-        ended.await.map_err(|_| Error::Closed)?
+        let queue = MotionQueue::new(MotionConfig::within(limit));
+        let queue = run_queue(&self.robot.handle, self.session, queue, Some(motion), Until::Ended).await?;
+        Ok(queue.ended().unwrap_or(Motion::Halted))
+    }
+
+    /// Starts a motion and returns when it has begun, so that [`Moving::then`] can let others follow it without a stop.
+    /// `limit` is the time limit of all of them; after it the robot is halted.
+    ///
+    /// **Dropping the [`Moving`] halts the robot.** [`Moving::wait`] waits for the end.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]. If the motion may have begun, the robot was halted, unless the connection is lost.
+    ///
+    /// # Cancel safety
+    ///
+    /// **Dropping the future halts the robot**, as with [`move_to`](Self::move_to).
+    ///
+    /// # Examples
+    ///
+    /// ```no_run
+    /// # use std::time::Duration;
+    /// # use bcap_std::{Error, Motion, Move, Pass, asynch::Arm};
+    /// # async fn example(mut arm: Arm) -> Result<(), Error> {
+    /// let mut moving = arm.start(Move::line("P1").pass(Pass::Near), Duration::from_secs(30)).await?;
+    /// moving = moving.then(Move::line("P2").pass(Pass::Near)).await?; // round the corner at P1
+    /// match moving.then(Move::line("P3")).await?.wait().await? {
+    ///     Motion::Arrived => println!("at P3, by way of P1 and P2"),
+    ///     other => println!("stopped: {other:?}"),
+    /// }
+    /// # Ok(())
+    /// # }
+    /// ```
+    pub async fn start(&mut self, motion: Move, limit: Duration) -> Result<Moving<'_>, Error> {
+        let queue = MotionQueue::new(MotionConfig::within(limit));
+        Moving { handle: &self.robot.handle, session: self.session, queue }.run(Some(motion), Until::Begun).await
+    }
+
+    /// Streams poses in Slave Mode, one each 8 ms, until the trajectory ends, and waits until the robot rests.
+    ///
+    /// As [`blocking::Arm::stream`](crate::blocking::Arm::stream), with a trajectory that the task owns: it is called there,
+    /// so it must return at once. Other calls and subscriptions of the controller wait until the stream ends, because the
+    /// controller refuses them in Slave Mode; a [`Stopper`] works at any time. Timers of tokio are late by one to two
+    /// milliseconds, see [`slave`](crate::slave).
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; after [`Error::Stream`] of a failed call Slave Mode is off, and the controller has stopped the robot.
+    ///
+    /// # Cancel safety
+    ///
+    /// **Dropping the future stops the robot** in an orderly way, as [`Next::Stop`] does: from the next pose on it slows down
+    /// along its present direction.
+    pub async fn stream(
+        &mut self,
+        format: Format,
+        limits: AxisLimits,
+        trajectory: impl Trajectory + Send + 'static,
+    ) -> Result<Stats, Error> {
+        let here = Arc::new(());
+        let mut trajectory = WhileWanted { trajectory, caller: Arc::downgrade(&here) };
+        self.run(move |session| Box::pin(async move { session.stream(format, limits, &mut trajectory).await })).await
     }
 
     /// Returns the robot, to read its position.
@@ -257,6 +319,30 @@ impl Arm {
                 },
             )
             .await
+    }
+}
+
+impl Moving<'_> {
+    /// Returns the robot, to read its position.
+    #[must_use]
+    pub fn robot(&self) -> Robot {
+        Robot::new(self.handle.clone())
+    }
+}
+
+/// A trajectory that stops when its caller has gone.
+struct WhileWanted<T> {
+    trajectory: T,
+    caller: Weak<()>,
+}
+
+impl<T: Trajectory> Trajectory for WhileWanted<T> {
+    fn next(&mut self, cycle: &Cycle<'_>) -> Next {
+        if self.caller.strong_count() == 0 { Next::Stop } else { self.trajectory.next(cycle) }
+    }
+
+    fn moved(&mut self, reply: &MoveReply<'_>, now: Instant) {
+        self.trajectory.moved(reply, now);
     }
 }
 

@@ -18,7 +18,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use bcap_core::io::asynch::Running;
-use bcap_core::procedure::{Motion, Procedure, StepError};
+use bcap_core::procedure::{MotionQueue, Procedure, StepError, Until};
 use bcap_core::time::Instant;
 use tokio::sync::{mpsc, oneshot, watch};
 
@@ -35,20 +35,23 @@ use crate::settings::{Backoff, Settings};
 pub(super) enum Request {
     /// Runs a function of the session.
     Run(Box<dyn Job>),
-    Move(MoveRequest),
+    Move(Box<MoveRequest>),
+    /// Halts the robot if a motion that was begun in this session may be under way.
+    GiveUp(u64),
     /// Gives back the arm that was taken in this session, if it still is.
     GiveArm(u64),
     Subscribe(String, Duration, watch::Sender<Option<Reading>>),
     Close(oneshot::Sender<Result<(), Error>>),
 }
 
-/// A motion, and who waits for its end.
+/// Motions in sequence, a further one, and the caller that waits.
 pub(super) struct MoveRequest {
     /// The session in which the arm was taken.
     pub(super) session: u64,
-    pub(super) motion: Move,
-    pub(super) limit: Duration,
-    pub(super) reply: oneshot::Sender<Result<Motion, Error>>,
+    pub(super) queue: MotionQueue,
+    pub(super) motion: Option<Move>,
+    pub(super) until: Until,
+    pub(super) reply: oneshot::Sender<Result<MotionQueue, Error>>,
 }
 
 /// A function of a session, and who waits for its result.
@@ -240,7 +243,7 @@ impl Task {
                 self.scan.fail(&Arc::new(error()));
                 return None;
             }
-            Some(Request::GiveArm(_)) => return None,
+            Some(Request::GiveArm(_) | Request::GiveUp(_)) => return None,
         }
         self.counters.failures.add();
         None
@@ -275,7 +278,11 @@ impl Task {
                         motion = None;
                         self.give_arm(session).await;
                     }
-                    Some(Request::GiveArm(_)) => {}
+                    Some(Request::GiveUp(id)) if id == session.id => {
+                        motion = None;
+                        give_up(session).await;
+                    }
+                    Some(Request::GiveArm(_) | Request::GiveUp(_)) => {}
                     Some(Request::Subscribe(name, interval, sender)) => self.scan.add(name, interval, sender),
                     Some(Request::Run(job)) => {
                         if !job.is_abandoned() {
@@ -311,10 +318,10 @@ impl Task {
     async fn start(
         &self,
         session: &mut Session<Socket>,
-        request: MoveRequest,
+        request: Box<MoveRequest>,
         earlier: Option<Moving>,
     ) -> Option<Moving> {
-        let MoveRequest { session: id, motion, limit, reply } = request;
+        let MoveRequest { session: id, queue, motion, until, reply } = *request;
         let halted = match earlier {
             Some(_) => session.halt().await.map(drop),
             None => Ok(()),
@@ -324,7 +331,7 @@ impl Task {
         }
         let begun = match halted {
             Ok(()) if id != session.id => Err(Error::ArmLost),
-            Ok(()) => session.motion(motion, limit).await,
+            Ok(()) => session.queue(queue, motion, until).await,
             Err(error) => Err(error),
         };
         self.count(begun.is_ok());
@@ -343,7 +350,7 @@ struct Moving {
     steps: Box<dyn MotionSteps>,
     /// When the robot is polled.
     due: Instant,
-    reply: oneshot::Sender<Result<Motion, Error>>,
+    reply: oneshot::Sender<Result<MotionQueue, Error>>,
 }
 
 /// A running motion as a trait object.
@@ -351,14 +358,14 @@ trait MotionSteps: Send {
     fn advance<'a>(
         &'a mut self,
         session: &'a mut Session<Socket>,
-    ) -> BoxFuture<'a, ControlFlow<Result<Motion, Error>, Instant>>;
+    ) -> BoxFuture<'a, ControlFlow<Result<MotionQueue, Error>, Instant>>;
 }
 
-impl<P: Procedure<Output = Motion, Error = StepError> + Send> MotionSteps for Running<P, io::Error> {
+impl<P: Procedure<Output = MotionQueue, Error = StepError> + Send> MotionSteps for Running<P, io::Error> {
     fn advance<'a>(
         &'a mut self,
         session: &'a mut Session<Socket>,
-    ) -> BoxFuture<'a, ControlFlow<Result<Motion, Error>, Instant>> {
+    ) -> BoxFuture<'a, ControlFlow<Result<MotionQueue, Error>, Instant>> {
         Box::pin(session.advance(self))
     }
 }
@@ -380,13 +387,18 @@ async fn step(session: &mut Session<Socket>, mut motion: Moving, now: Instant) -
             return Some(motion);
         }
         Some(ControlFlow::Break(ended)) => drop(motion.reply.send(ended)),
-        None => {
-            if let Err(error) = session.halt().await {
-                tracing::warn!(%error, "a motion was given up, and the robot was not halted");
-            }
-        }
+        None => give_up(session).await,
     }
     None
+}
+
+/// Halts the robot if it may move, because its caller has gone.
+async fn give_up(session: &mut Session<Socket>) {
+    if session.is_moving()
+        && let Err(error) = session.halt().await
+    {
+        tracing::warn!(%error, "a motion was given up, and the robot was not halted");
+    }
 }
 
 /// Waits until the caller of a motion has gone.
@@ -438,13 +450,13 @@ mod tests {
     #[test]
     fn delays_double_up_to_the_maximum_and_differ() {
         let (min, max) = (Duration::from_millis(100), Duration::from_secs(1));
-        let mut delays = Delays::new(Backoff { min, max });
+        let mut delays = Delays::new(Backoff::default().min(min).max(max));
         for bound in [100, 200, 400, 800, 1000, 1000] {
             let delay = delays.next();
             let bound = Duration::from_millis(bound);
             assert!(bound / 2 <= delay && delay <= bound, "{delay:?} for {bound:?}");
         }
-        let once: Vec<_> = (0..50).map(|_| Delays::new(Backoff { min: max, max }).next()).collect();
+        let once: Vec<_> = (0..50).map(|_| Delays::new(Backoff::default().min(max).max(max)).next()).collect();
         assert!(once.iter().any(|delay| *delay != once[0]));
     }
 }

@@ -191,7 +191,8 @@ impl Controller {
         self.session.handle
     }
 
-    /// Makes any call; `object` is named in errors. Objects that the call opens are released by the caller.
+    /// Makes any call; `object` is named in errors. Objects that the call opens are released by the caller. A call that
+    /// moves the robot returns when the motion has ended, or with `NEXT` at once; no drop halts it.
     ///
     /// # Errors
     ///

@@ -4,10 +4,11 @@ use std::time::Duration;
 
 use bcap_core::bcap::Object;
 use bcap_core::position::{Joints, Position};
-use bcap_core::procedure::Motion;
+use bcap_core::procedure::{Motion, MotionConfig, MotionQueue, Until};
 use bcap_core::slave::{AxisLimits, Format, Stats, Trajectory};
 use bcap_core::variant::{Encode, FromVariant};
 
+use super::moving::Moving;
 use super::socket::{Blocking, ready};
 use crate::error::Error;
 use crate::moves::Move;
@@ -75,7 +76,9 @@ impl<'a> Robot<'a> {
 
     /// Executes a command of the robot with a parameter, and returns its value.
     ///
-    /// Some commands move the robot, such as `DriveEx`; they fail without the arm.
+    /// Some commands move the robot, such as `DriveEx`; they fail without the arm. Such a call returns when the motion has
+    /// ended; only a [`Stopper`](super::Stopper) halts it before. After one with `NEXT` the robot moves on, also when the
+    /// [`Arm`] is dropped, which knows the motions of its own functions only. Use [`Arm::move_to`] for motions.
     ///
     /// # Errors
     ///
@@ -155,19 +158,52 @@ impl<'a> Arm<'a> {
     /// Moves, and waits until the motion ends, at most for `limit`; the robot is halted then.
     ///
     /// [`Motion::Arrived`] means that the joints rest at the destination, not only that the robot does not move. On
-    /// another thread a [`Stopper`](super::Stopper) can halt the motion at any time.
+    /// another thread a [`Stopper`](super::Stopper) can halt the motion at any time. When the call returns, also
+    /// with an error, the robot rests or was told to halt, so there is nothing to drop.
     ///
     /// # Errors
     ///
     /// An [`Error`]. If the motion may have begun, the robot was halted, unless the connection is lost.
     pub fn move_to(&mut self, motion: &Move, limit: Duration) -> Result<Motion, Error> {
-        ready(self.robot.session.move_to(motion, limit))
+        let queue = MotionQueue::new(MotionConfig::within(limit));
+        let queue = ready(self.robot.session.run_queue(queue, Some(motion.clone()), Until::Ended))?;
+        Ok(queue.ended().unwrap_or(Motion::Halted))
+    }
+
+    /// Starts a motion and returns when it has begun, so that [`Moving::then`] can let others follow it without a stop.
+    /// `limit` is the time limit of all of them; after it the robot is halted.
+    ///
+    /// **Dropping the [`Moving`] halts the robot**, also by an error or a panic. [`Moving::wait`] waits for the end.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]. If the motion may have begun, the robot was halted, unless the connection is lost.
+    ///
+    /// # Examples
+    ///
+    /// ```no_run
+    /// # use std::time::Duration;
+    /// # use bcap_std::{Motion, Move, Pass, Settings, blocking::Controller};
+    /// # let mut cell = Controller::connect("tcp:192.168.0.1", &Settings::rc9())?;
+    /// # let mut arm = cell.robot()?.take_arm()?;
+    /// let mut moving = arm.start(&Move::line("P1").pass(Pass::Near), Duration::from_secs(30))?;
+    /// moving = moving.then(&Move::line("P2").pass(Pass::Near))?; // round the corner at P1
+    /// match moving.then(&Move::line("P3"))?.wait()? {
+    ///     Motion::Arrived => println!("at P3, by way of P1 and P2"),
+    ///     other => println!("stopped: {other:?}"),
+    /// }
+    /// # Ok::<(), bcap_std::Error>(())
+    /// ```
+    pub fn start(&mut self, motion: &Move, limit: Duration) -> Result<Moving<'_>, Error> {
+        let queue = MotionQueue::new(MotionConfig::within(limit));
+        Moving { session: self.robot.session, queue }.run(Some(motion), Until::Begun)
     }
 
     /// Streams poses in Slave Mode, one each 8 ms, until the trajectory ends, and waits until the robot rests.
     ///
     /// The motor must be on. A pose beyond `limits` is not sent: the robot stops in an orderly way. To stop early, the
-    /// trajectory returns [`Next::Stop`](bcap_core::slave::Next::Stop). Slave Mode needs its licence (S2:1454). Streams with
+    /// trajectory returns [`Next::Stop`](bcap_core::slave::Next::Stop). A panic in the trajectory drops the [`Arm`], which
+    /// halts the robot. Slave Mode needs its licence (S2:1454). Streams with
     /// IO, or with a second connection for the controller's errors, are made by the
     /// [`Engine`](bcap_core::slave::Engine), see [`slave`](crate::slave).
     ///
@@ -195,6 +231,13 @@ impl<'a> Arm<'a> {
     /// The first [`Error`].
     pub fn give(self) -> Result<(), Error> {
         ready(self.robot.session.give_arm())
+    }
+}
+
+impl Moving<'_> {
+    /// Returns the robot, to read its position.
+    pub const fn robot(&mut self) -> Robot<'_> {
+        Robot::new(self.session)
     }
 }
 

@@ -6,6 +6,7 @@ use crate::server::Slots;
 
 /// What PLCs can cost a gateway; the number of its slots is its [`capacity`](bcap_core::gateway::Gateway::capacity).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Limits {
     /// Connections of one IP address at the same time.
     pub connections_per_address: usize,
@@ -21,6 +22,15 @@ pub struct Limits {
     /// The silence after which the operating system probes the PLC; `None` never does.
     pub keep_alive: Option<Duration>,
 }
+
+setters! { Limits {
+    connections_per_address: usize;
+    evict_after: Duration;
+    receive: Duration;
+    send: Duration;
+    idle: Option<Duration>;
+    keep_alive: Option<Duration>;
+} }
 
 impl Limits {
     pub(super) const fn slots(&self, total: usize) -> Slots {

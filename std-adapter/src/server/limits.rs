@@ -8,6 +8,7 @@ use super::admission::Slots;
 
 /// What peers can cost a server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Limits {
     /// Connections at the same time, b-CAP and RAC each.
     pub connections: usize,
@@ -16,7 +17,7 @@ pub struct Limits {
     /// The silence after which a connection without a running request may be closed when another connection needs its
     /// slot. The connection that has been idle longest is closed first.
     pub evict_after: Duration,
-    /// UDP peers at the same time. A peer that has stopped its service, or was silent for [`udp_idle`](Self::udp_idle),
+    /// UDP peers at the same time. A peer that has stopped its service, or was silent for `udp_idle`,
     /// makes room for another.
     pub udp_peers: usize,
     /// UDP peers of one IP address at the same time.
@@ -43,6 +44,23 @@ pub struct Limits {
     /// The silence on TCP after which the operating system probes the peer.
     pub keep_alive: Option<Duration>,
 }
+
+setters! { Limits {
+    connections: usize;
+    connections_per_address: usize;
+    evict_after: Duration;
+    udp_peers: usize;
+    udp_peers_per_address: usize;
+    udp_idle: Duration;
+    udp_lost: Duration;
+    receive: Duration;
+    send: Duration;
+    call: Duration;
+    idle: Option<Duration>;
+    frame: u32;
+    memory: usize;
+    keep_alive: Option<Duration>;
+} }
 
 impl Limits {
     /// Returns the slots for connections of one protocol.

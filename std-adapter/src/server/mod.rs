@@ -82,6 +82,7 @@ type Listening = Pin<Box<dyn Future<Output = io::Result<()>> + Send>>;
 
 /// The addresses that a server listens on.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Addresses {
     /// b-CAP over TCP.
     pub bcap_tcp: Vec<SocketAddr>,

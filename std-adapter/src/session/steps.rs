@@ -2,10 +2,9 @@
 
 use std::io;
 use std::ops::ControlFlow;
-use std::time::Duration;
 
 use bcap_core::io::asynch::{Running, Transport};
-use bcap_core::procedure::{self, Motion, MotionConfig, Procedure, StepError};
+use bcap_core::procedure::{self, MotionQueue, Procedure, StepError, Until};
 use bcap_core::time::Instant;
 
 use super::{ROBOT, Session};
@@ -28,28 +27,33 @@ impl<X: Transport<Error = io::Error>> Session<X> {
         self.connection.transport().now()
     }
 
-    /// Returns a motion that [`advance`](Self::advance) starts and waits for. It owns its destination.
-    pub(crate) async fn motion(
+    /// Returns the motions of a queue, with one more if there is one, that [`advance`](Self::advance) runs.
+    pub(crate) async fn queue(
         &mut self,
-        motion: Move,
-        limit: Duration,
-    ) -> Result<Running<impl Procedure<Output = Motion, Error = StepError> + Send + use<X>, io::Error>, Error> {
+        queue: MotionQueue,
+        motion: Option<Move>,
+        until: Until,
+    ) -> Result<Running<impl Procedure<Output = MotionQueue, Error = StepError> + Send + use<X>, io::Error>, Error>
+    {
+        if queue.is_new() {
+            self.clear_way().await?;
+        }
         let handles = self.handles().await?;
         self.set_moving(true);
-        Ok(Running::new(procedure::move_and_wait(handles, motion.start(), MotionConfig::within(limit))))
+        Ok(Running::new(procedure::run_queue(handles, queue, motion.map(Move::start), until)))
     }
 
     /// Makes the calls of a motion until it waits or ends.
-    pub(crate) async fn advance<P: Procedure<Output = Motion, Error = StepError>>(
+    pub(crate) async fn advance<P: Procedure<Output = MotionQueue, Error = StepError>>(
         &mut self,
         running: &mut Running<P, io::Error>,
-    ) -> ControlFlow<Result<Motion, Error>, Instant> {
+    ) -> ControlFlow<Result<MotionQueue, Error>, Instant> {
         match self.connection.advance(running).await {
             ControlFlow::Continue(at) => ControlFlow::Continue(at),
             ControlFlow::Break(ended) => {
                 let ended = self.ended(ROBOT, ended);
                 // after an error it is unknown whether the halt of the procedure succeeded
-                self.set_moving(ended.is_err());
+                self.set_moving(ended.as_ref().map_or(true, |queue| queue.ended().is_none()));
                 ControlFlow::Break(ended)
             }
         }

@@ -16,6 +16,7 @@ use std::io;
 /// # Ok::<(), bcap_std::slave::RealtimeError>(())
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub struct Realtime {
     /// The SCHED_FIFO priority, 1 to 99: the thread runs before all threads of the normal policy.
     pub fifo: Option<u8>,
@@ -24,6 +25,12 @@ pub struct Realtime {
     /// The processor core to run on, counted from 0.
     pub core: Option<usize>,
 }
+
+setters! { Realtime {
+    fifo: Option<u8>;
+    lock_memory: bool;
+    core: Option<usize>;
+} }
 
 /// The operating system refused a setting; settings that were applied before remain.
 #[derive(Debug, thiserror::Error)]
@@ -127,9 +134,9 @@ mod tests {
 
     #[test]
     fn errors_name_the_refused_setting_and_the_remedy() {
-        let error = Realtime { core: Some(1_000_000), ..Realtime::default() }.apply().unwrap_err().to_string();
+        let error = Realtime::default().core(Some(1_000_000)).apply().unwrap_err().to_string();
         assert!(error.starts_with("cannot pin the thread to core 1000000"), "{error}");
-        let error = Realtime { fifo: Some(0), ..Realtime::default() }.apply().unwrap_err().to_string();
+        let error = Realtime::default().fifo(Some(0)).apply().unwrap_err().to_string();
         assert!(error.contains("SCHED_FIFO priority 0: the priority must be 1 to 99"), "{error}");
         assert!(error.contains("setcap"), "{error}");
     }
@@ -139,7 +146,7 @@ mod tests {
         let allowed = rustix::thread::sched_getaffinity(None).unwrap();
         let core = (0..rustix::thread::CpuSet::MAX_CPU).find(|core| allowed.is_set(*core)).unwrap();
         let pinned = std::thread::spawn(move || {
-            Realtime { core: Some(core), ..Realtime::default() }.apply().unwrap();
+            Realtime::default().core(Some(core)).apply().unwrap();
             let now = rustix::thread::sched_getaffinity(None).unwrap();
             (now.count(), now.is_set(core))
         });

@@ -15,7 +15,7 @@ pub(crate) const SERVE: &str = "--serve";
 
 /// Serves until the standard input ends; answers each input line with the server's resources.
 pub(crate) fn serve() {
-    let server = Served::start(Limits { connections_per_address: Limits::default().connections, ..Limits::default() });
+    let server = Served::start(Limits::default().connections_per_address(Limits::default().connections));
     println!("{} {} {}", server.tcp, server.udp, server.rac);
     for _ in std::io::stdin().lines() {
         let tasks = server.tasks();

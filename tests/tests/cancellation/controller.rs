@@ -163,6 +163,33 @@ async fn arms(rig: &mut Rig) {
         assert_eq!(arm.move_to(motion, LIMIT).await.unwrap(), Motion::Arrived);
     })
     .await;
+    moving(rig).await;
+}
+
+async fn moving(rig: &mut Rig) {
+    let by = |arm: &Arm, degrees: f64| {
+        let robot = arm.robot().clone();
+        async move {
+            let there = robot.joints().await.unwrap().degrees[0];
+            Move::joint(Joints::new([there + degrees, 45.0, 90.0, 0.0, 45.0, 0.0]))
+        }
+    };
+    rig.sweep("Arm::start", async |cell| {
+        let mut arm = arm(&cell).await;
+        arm.motor_on().await.unwrap();
+        let motion = by(&arm, 5.0).await;
+        arm.start(motion, LIMIT).await.unwrap().halt().await.map(drop).unwrap();
+    })
+    .await;
+    rig.sweep("Moving::then", async |cell| {
+        let mut arm = arm(&cell).await;
+        arm.motor_on().await.unwrap();
+        let (out, back) = (by(&arm, 5.0).await, by(&arm, 0.0).await);
+        let moving = arm.start(out, LIMIT).await.unwrap().then(back).await.unwrap();
+        // on a loaded machine so short a motion may not be seen to begin, and is halted
+        assert!(matches!(moving.wait().await.unwrap(), Motion::Arrived | Motion::Halted));
+    })
+    .await;
 }
 
 async fn sessions(rig: &mut Rig) {

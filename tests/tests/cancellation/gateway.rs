@@ -89,7 +89,7 @@ pub(crate) fn all() -> BTreeMap<&'static str, usize> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
     LocalSet::new().block_on(&runtime, async {
         // a dropped gateway leaves its session over UDP behind
-        let limits = Limits { udp_peers: 1000, udp_peers_per_address: 1000, ..Limits::default() };
+        let limits = Limits::default().udp_peers(1000).udp_peers_per_address(1000);
         let server = Server::new(Application::default()).limits(limits);
         let server = server.bcap_tcp(ANY).await.unwrap().bcap_udp(ANY).await.unwrap();
         let addresses = server.addresses();

@@ -58,7 +58,7 @@ impl Calls {
 
 /// Room for all clients, and for those that begin again from another port.
 pub(crate) fn limits() -> Limits {
-    Limits { udp_peers: 1000, udp_peers_per_address: 1000, ..Limits::default() }
+    Limits::default().udp_peers(1000).udp_peers_per_address(1000)
 }
 
 /// Makes calls by a hundred clients at once, each with a token of its own, and checks how often each was executed. Returns
@@ -66,7 +66,7 @@ pub(crate) fn limits() -> Limits {
 pub(crate) fn call_over_udp(server: Served, address: SocketAddr, calls: usize, attempt: Duration) -> (usize, usize) {
     let timing = Timing { attempt_timeout: attempt, deadline: Duration::from_secs(10), ..Timing::UDP };
     let udp = Config { timing, ..Config::UDP };
-    let options = Options { udp, ..Options::default() };
+    let options = Options::default().udp(udp);
     let reported = Mutex::new(vec![None; calls]);
     let all = Arc::new(Calls { address, options, next: AtomicI32::new(0), reported });
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
@@ -127,7 +127,7 @@ fn garbled_datagrams_end_no_service() {
     let timing =
         Timing { attempt_timeout: Duration::from_millis(50), deadline: Duration::from_secs(10), ..Timing::UDP };
     let udp = Config { timing, ..Config::UDP };
-    let mut client = blocking::connect_udp(proxy.address, &Options { udp, ..Options::default() }).unwrap();
+    let mut client = blocking::connect_udp(proxy.address, &Options::default().udp(udp)).unwrap();
     let mut done = 0;
     for _ in 0..300 {
         match client.call(call::service_start("")) {

@@ -37,7 +37,7 @@ impl From<CallError<std::io::Error>> for Outcome {
 
 /// Options of a client whose calls may take so long.
 fn options(timeout: Duration) -> Options {
-    Options { connect_timeout: Duration::from_secs(30), ..Options::default().timeout(timeout) }
+    Options::default().timeout(timeout).connect_timeout(Duration::from_secs(30))
 }
 
 /// A timeout that is long enough for every event, on any machine.
@@ -154,7 +154,7 @@ fn every_call_ends_on_a_faulty_stream() {
 
 #[test]
 fn bytes_that_are_changed_or_doubled_end_the_call_or_the_connection_and_nothing_else() {
-    let server = Served::start(Limits { receive: Duration::from_millis(500), ..Limits::default() });
+    let server = Served::start(Limits::default().receive(Duration::from_millis(500)));
     let mut seen = [0; 3];
     for seed in 1000..1100 {
         let at = Random(seed).below(700);

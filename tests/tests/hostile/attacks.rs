@@ -31,7 +31,7 @@ use self::objects::objects_of_others_do_not_slow_opening;
 use self::slots::idle_connections_of_one_address_leave_slots_to_others;
 use crate::Case;
 use crate::datagrams::Peer;
-use crate::target::{LIMITS, Target};
+use crate::target::{Target, limits};
 use crate::wire::{Raw, bytes};
 
 pub(crate) const CASES: &[Case] = crate::cases! {
@@ -109,7 +109,7 @@ impl rac::server::Handler for Panicking {
 
 /// One call fails; its client and others are served, over UDP and over TCP.
 fn a_handler_that_panics_over_udp(_: &mut Target) {
-    let served = Served::of(Panicking::default(), LIMITS);
+    let served = Served::of(Panicking::default(), limits());
     let (mut one, mut other) = (Peer::to(served.udp), Peer::to(served.udp));
     let (first, second) = (one.begin(), other.begin());
     for _ in 0..3 {

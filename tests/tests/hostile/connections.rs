@@ -8,7 +8,7 @@ use bcap_core::hresult::HResult;
 use bcap_testkit::value::Value;
 
 use crate::Case;
-use crate::target::{LIMITS, Target, skipped};
+use crate::target::{Target, limits, skipped};
 use crate::wire::{Raw, SERIAL, bytes, request};
 
 pub(crate) const CASES: &[Case] = crate::cases! {
@@ -170,7 +170,7 @@ fn pieces_that_never_end_with_a_request(target: &mut Target) {
     raw.begin();
     let start = bytes(FunctionId::SERVICE_START, vec![Value::text("")]);
     raw.send(&start[..7]);
-    let until = std::time::Instant::now() + 2 * LIMITS.receive;
+    let until = std::time::Instant::now() + 2 * limits().receive;
     while std::time::Instant::now() < until {
         raw.send(&start[7..]);
         raw.send(&start[..7]);
@@ -185,10 +185,10 @@ fn large_requests_of_many_at_the_same_time(target: &mut Target) {
     let in_time = (0..5).any(|_| {
         let begun = Instant::now();
         let all_answered = large_requests(target);
-        assert!(all_answered || begun.elapsed() >= LIMITS.receive, "a request in time has no reply");
+        assert!(all_answered || begun.elapsed() >= limits().receive, "a request in time has no reply");
         all_answered
     });
-    assert!(in_time, "12 requests of 8 MiB take longer than {:?}, five times in a row", LIMITS.receive);
+    assert!(in_time, "12 requests of 8 MiB take longer than {:?}, five times in a row", limits().receive);
 }
 
 /// Sends 12 requests of 8 MiB, the last byte of each after all others; tells whether the server answered all of them.
@@ -202,7 +202,7 @@ fn large_requests(target: &mut Target) -> bool {
     }
     target.serves_others();
     if let (Some(before), Some(after)) = (before, target.process().memory()) {
-        let most = before.now + LIMITS.memory as u64 + (4 << 20);
+        let most = before.now + limits().memory as u64 + (4 << 20);
         assert!(after.now < most, "12 requests of 8 MiB: {before:?}, then {after:?}");
     }
     let mut taken = 0;
@@ -217,7 +217,7 @@ fn large_requests(target: &mut Target) -> bool {
         let Some(next) = raw.next_reply() else { return false };
         assert_eq!(next.code, 0);
     }
-    assert!((1..=LIMITS.memory / (8 << 20)).contains(&taken), "{taken} found memory");
+    assert!((1..=limits().memory / (8 << 20)).contains(&taken), "{taken} found memory");
     true
 }
 
@@ -260,7 +260,7 @@ fn silent_connections_cost_no_processor_time(target: &mut Target) {
 fn connections_to_the_limit_and_past_it(target: &mut Target) {
     target.has_released_all();
     // one place is the bystander's, and one is left for those who come
-    let mut inside: Vec<Raw> = (0..LIMITS.connections_per_address - 2).map(|_| Raw::connect(target.tcp)).collect();
+    let mut inside: Vec<Raw> = (0..limits().connections_per_address - 2).map(|_| Raw::connect(target.tcp)).collect();
     for raw in &mut inside {
         raw.begin();
     }

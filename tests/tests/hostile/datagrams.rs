@@ -11,7 +11,7 @@ use bcap_testkit::value::Value;
 use bcap_testkit::vectors::frames;
 
 use crate::Case;
-use crate::target::{LIMITS, Target};
+use crate::target::{Target, limits};
 use crate::wire::{SERIAL, UNKNOWN_TYPES, argument, broken_values, bytes, frame, nested, reply_frame, request, value};
 
 pub(crate) const CASES: &[Case] = crate::cases! {
@@ -352,7 +352,7 @@ fn a_reply_that_no_datagram_holds(target: &mut Target) {
 fn more_peers_than_slots(target: &mut Target) {
     let mut inside = Vec::new();
     let mut turned_away = 0;
-    for _ in 0..3 * LIMITS.udp_peers {
+    for _ in 0..3 * limits().udp_peers {
         let mut peer = Peer::new(target);
         let code = peer.call(FunctionId::SERVICE_START, vec![]).code;
         if code == 0 {
@@ -363,7 +363,7 @@ fn more_peers_than_slots(target: &mut Target) {
         }
     }
     // one place is the bystander's
-    assert_eq!((inside.len(), turned_away), (LIMITS.udp_peers - 1, 2 * LIMITS.udp_peers + 1));
+    assert_eq!((inside.len(), turned_away), (limits().udp_peers - 1, 2 * limits().udp_peers + 1));
     for peer in &mut inside {
         assert_eq!(peer.call(FunctionId::SERVICE_START, vec![]).code, 0, "who is in stays in");
     }

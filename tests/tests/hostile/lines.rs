@@ -9,7 +9,7 @@ use bcap_core::variant::VariantBuf;
 use bcap_testkit::network::Random;
 
 use crate::Case;
-use crate::target::{LIMITS, Target};
+use crate::target::{Target, limits};
 
 pub(crate) const CASES: &[Case] = crate::cases! {
     lines:
@@ -132,7 +132,7 @@ fn a_line_that_stops(target: &mut Target) {
     let mut all: Vec<Lines> = (0..40).map(|_| Lines::connect(target)).collect();
     all.iter_mut().for_each(|lines| lines.send(b"GET:RC8:1"));
     target.serves_others();
-    std::thread::sleep(LIMITS.receive / 2);
+    std::thread::sleep(limits().receive / 2);
     for mut lines in all {
         assert_eq!(lines.answer(), None);
     }
@@ -354,7 +354,7 @@ fn text_and_random_bytes(target: &mut Target) {
 
 fn rac_connections_past_the_limit(target: &mut Target) {
     // one place is the bystander's, and one is left for those who come
-    let mut inside: Vec<Lines> = (0..LIMITS.connections_per_address - 2).map(|_| Lines::connect(target)).collect();
+    let mut inside: Vec<Lines> = (0..limits().connections_per_address - 2).map(|_| Lines::connect(target)).collect();
     for lines in &mut inside {
         assert_eq!(lines.line("PUT:RC8:9:I:3,5"), "0");
     }

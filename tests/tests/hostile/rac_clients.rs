@@ -77,7 +77,7 @@ fn request(connection: &mut Connection) {
 }
 
 fn brief() -> Options {
-    Options { rac: Config { timeout: Duration::from_millis(200) }, ..long_timeouts() }
+    long_timeouts().rac(Config { timeout: Duration::from_millis(200) })
 }
 
 const LATE: Outcome = Outcome::Client(ClientError::Timeout(Timeout::Reply));
@@ -153,7 +153,7 @@ fn unsolicited_answers(_: &mut Target) {
 }
 
 fn a_late_answer_does_not_end_the_next_request(_: &mut Target) {
-    let options = Options { rac: Config { timeout: Duration::from_secs(1) }, ..long_timeouts() };
+    let options = long_timeouts().rac(Config { timeout: Duration::from_secs(1) });
     let outcomes = gets(&options, 2, |connection| {
         request(connection);
         std::thread::sleep(Duration::from_millis(1500));

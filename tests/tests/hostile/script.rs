@@ -139,7 +139,7 @@ pub(crate) fn brief() -> Options {
     };
     let config = |config: Config| Config { timing, ..config };
     let options = Options::default();
-    Options { tcp: config(options.tcp), udp: config(options.udp), connect_timeout: TIMEOUT, ..options }
+    options.tcp(config(options.tcp)).udp(config(options.udp)).connect_timeout(TIMEOUT)
 }
 
 /// What clients read.

@@ -20,22 +20,23 @@ use bcap_tests::served::Served;
 pub(crate) const SERVE: &str = "--serve";
 
 /// The limits of the attacked server: low enough for a case to exceed them.
-pub(crate) const LIMITS: Limits = Limits {
-    connections: 96,
-    connections_per_address: 64,
-    evict_after: Duration::from_secs(60),
-    udp_peers: 16,
-    udp_peers_per_address: 16,
-    udp_idle: Duration::from_secs(60),
-    udp_lost: Duration::from_secs(600),
-    receive: Duration::from_secs(4),
-    send: Duration::from_secs(1),
-    call: Duration::from_secs(3600),
-    idle: None,
-    frame: 16 << 20,
-    memory: 40 << 20,
-    keep_alive: None,
-};
+pub(crate) fn limits() -> Limits {
+    Limits::default()
+        .connections(96)
+        .connections_per_address(64)
+        .evict_after(Duration::from_secs(60))
+        .udp_peers(16)
+        .udp_peers_per_address(16)
+        .udp_idle(Duration::from_secs(60))
+        .udp_lost(Duration::from_secs(600))
+        .receive(Duration::from_secs(4))
+        .send(Duration::from_secs(1))
+        .call(Duration::from_secs(3600))
+        .idle(None)
+        .frame(16 << 20)
+        .memory(40 << 20)
+        .keep_alive(None)
+}
 
 /// Handles that the bystanders have open: service, controller and variable over TCP and UDP.
 const OPEN: i32 = 6;
@@ -45,7 +46,7 @@ pub(crate) const TIMEOUT: Duration = Duration::from_secs(30);
 
 /// Serves until the standard input ends; for the process that [`Target::start`] begins.
 pub(crate) fn serve() {
-    let server = Served::start(LIMITS);
+    let server = Served::start(limits());
     println!("{} {} {}", server.tcp, server.udp, server.rac);
     let _ = std::io::stdin().read_to_end(&mut Vec::new());
     let left = server.stop();
@@ -55,7 +56,7 @@ pub(crate) fn serve() {
 /// Returns the options of clients that must not time out.
 pub(crate) fn long_timeouts() -> Options {
     let options = Options::default().timeout(TIMEOUT);
-    Options { udp: Config { timing: Timing { attempts: 60, ..Timing::UDP }, ..options.udp }, ..options }
+    options.udp(Config { timing: Timing { attempts: 60, ..Timing::UDP }, ..options.udp })
 }
 
 /// The server and its well-behaved clients.

@@ -43,11 +43,9 @@ const SUPPRESSED: Duration = Duration::from_secs(1);
 pub(crate) fn gateway(args: &args::Gateway, link: &LinkArgs) -> Result<(), Failure> {
     let target = link.network_target()?;
     let config = config(args, link, target.protocol)?;
-    let limits = Limits {
-        connections_per_address: args.clients_per_address,
-        evict_after: Duration::from_secs(args.evict_after.into()),
-        ..Limits::default()
-    };
+    let limits = Limits::default()
+        .connections_per_address(args.clients_per_address)
+        .evict_after(Duration::from_secs(args.evict_after.into()));
     let bounds = Bounds {
         rate: args.audit_rate,
         size: u64::from(args.audit_size).saturating_mul(1 << 20),

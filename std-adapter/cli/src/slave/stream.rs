@@ -144,7 +144,7 @@ pub(crate) fn stream(
     link: &LinkArgs,
     json: bool,
 ) -> Result<(), Failure> {
-    let realtime = Realtime { fifo: args.fifo, lock_memory: args.lock_memory, core: args.core };
+    let realtime = Realtime::default().fifo(args.fifo).lock_memory(args.lock_memory).core(args.core);
     let server = link.network_target()?;
     let mut options = Options::default().timeout(link.timeout());
     options.udp.timing.attempts = UDP_ATTEMPTS;

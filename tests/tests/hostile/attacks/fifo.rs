@@ -14,7 +14,7 @@ use bcap_testkit::value::Value;
 use bcap_tests::served::Served;
 
 use crate::script::Outcome;
-use crate::target::{LIMITS, Target, skipped};
+use crate::target::{Target, limits, skipped};
 
 /// Reading and writing it fails at once, and other clients are served meanwhile.
 pub(super) fn a_fifo_among_the_files(_: &mut Target) {
@@ -25,7 +25,7 @@ pub(super) fn a_fifo_among_the_files(_: &mut Target) {
         return skipped("there is no mkfifo");
     }
     let config = bcap_sim::Config { files: Some(folder.clone()), ..bcap_sim::Config::new(Profile::Rc8) };
-    let served = Served::of(Controller::new(config), LIMITS);
+    let served = Served::of(Controller::new(config), limits());
     let outcomes: BTreeMap<_, _> =
         [("reading", false), ("writing", true)].map(|(n, w)| (n, touches(&served, w))).into();
     // a server that waits in the FIFO must end too: it is given an other end, which is closed at once

@@ -5,7 +5,7 @@ use std::net::{IpAddr, SocketAddr, TcpStream};
 use bcap_core::bcap::FunctionId;
 use socket2::{Domain, Socket, Type};
 
-use crate::target::{LIMITS, Target, skipped};
+use crate::target::{Target, limits, skipped};
 use crate::wire::{Raw, bytes};
 
 /// Connects from an address of the loopback other than that of the bystanders.
@@ -21,7 +21,7 @@ pub(super) fn idle_connections_of_one_address_leave_slots_to_others(target: &mut
     let attacker = IpAddr::from([127, 0, 0, 2]);
     let mut all = Vec::new();
     for server in [target.tcp, target.rac] {
-        for n in 0..LIMITS.connections + 10 {
+        for n in 0..limits().connections + 10 {
             let Ok(stream) = connect_from(attacker, server) else {
                 return skipped("the loopback has one address only");
             };

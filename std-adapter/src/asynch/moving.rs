@@ -1,0 +1,103 @@
+//! Motions under way as an object for tokio.
+
+use bcap_core::procedure::{Motion, MotionQueue, Until};
+use tokio::sync::oneshot;
+
+use super::handle::Handle;
+use super::task::{MoveRequest, Request};
+use crate::error::Error;
+use crate::moves::Move;
+use crate::session::Halted;
+
+/// Motions that follow each other, of which the last has begun; [`Arm::start`](super::Arm::start) returns it.
+///
+/// **Dropping it halts the robot**, and so does dropping the future of any of its functions. Other calls of the controller
+/// are made meanwhile.
+///
+/// # Outcome
+///
+/// Only the end of the last motion can be waited for, and [`Motion::Arrived`] means that every motion was carried out and
+/// that the joints rest at the end of the last one. If the robot was stopped before, [`then`](Self::then) sends nothing, and
+/// [`wait`](Self::wait) says how it ended.
+///
+/// A motion counts only if it is seen to begin, in two polls of 5 ms and three calls each. One that ends where it begins is
+/// never seen, and one that is shorter than that may not be: the robot is halted, and it ends as [`Motion::Halted`]. On a
+/// loaded machine motions below some tenths of a second are too short; join them, or use `Arm::move_to`.
+#[derive(Debug)]
+#[must_use = "dropping it halts the robot"]
+pub struct Moving<'a> {
+    pub(super) handle: &'a Handle,
+    /// The session in which the arm was taken.
+    pub(super) session: u64,
+    pub(super) queue: MotionQueue,
+}
+
+impl Moving<'_> {
+    /// Lets a motion follow, and returns when it has begun.
+    ///
+    /// The controller gets it at once, while the motion before is under way. With [`Pass::Near`](crate::Pass::Near) or
+    /// [`Pass::Within`](crate::Pass::Within) for the motion before, the robot does not stop between them. One motion waits
+    /// at a time: with more, the controller could not be asked where they end.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; the robot was halted, unless the connection is lost.
+    ///
+    /// # Cancel safety
+    ///
+    /// **Dropping the future halts the robot.**
+    pub async fn then(self, motion: Move) -> Result<Self, Error> {
+        self.run(Some(motion), Until::Begun).await
+    }
+
+    /// Waits until the last motion ends, at most until the time limit of all motions; the robot is halted then.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; the robot was halted, unless the connection is lost.
+    ///
+    /// # Cancel safety
+    ///
+    /// **Dropping the future halts the robot.**
+    pub async fn wait(self) -> Result<Motion, Error> {
+        Ok(self.run(None, Until::Ended).await?.queue.ended().unwrap_or(Motion::Halted))
+    }
+
+    /// Halts the robot, as a drop does, and waits until it rests.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; the robot may still move.
+    ///
+    /// # Cancel safety
+    ///
+    /// The robot is halted even if the future is dropped.
+    pub async fn halt(self) -> Result<Halted, Error> {
+        self.handle.run_always(|session| Box::pin(session.halt())).await
+    }
+
+    pub(super) async fn run(mut self, motion: Option<Move>, until: Until) -> Result<Self, Error> {
+        self.queue = run_queue(self.handle, self.session, self.queue, motion, until).await?;
+        Ok(self)
+    }
+}
+
+/// Runs the motions of a queue in the task, with one more if there is one. A drop of the future halts the robot.
+pub(super) async fn run_queue(
+    handle: &Handle,
+    session: u64,
+    queue: MotionQueue,
+    motion: Option<Move>,
+    until: Until,
+) -> Result<MotionQueue, Error> {
+    let (reply, ended) = oneshot::channel();
+    handle.send(Request::Move(Box::new(MoveRequest { session, queue, motion, until, reply })))?;
+    ended.await.map_err(|_| Error::Closed)?
+}
+
+impl Drop for Moving<'_> {
+    fn drop(&mut self) {
+        // when the task has ended, it has given the arm back
+        let _ = self.handle.send(Request::GiveUp(self.session));
+    }
+}

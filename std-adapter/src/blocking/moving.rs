@@ -1,0 +1,76 @@
+//! Motions under way as an object.
+
+use bcap_core::procedure::{Motion, MotionQueue, Until};
+
+use super::socket::{Blocking, ready};
+use crate::error::Error;
+use crate::moves::Move;
+use crate::session::{Halted, Session};
+
+/// Motions that follow each other, of which the last has begun; [`Arm::start`](super::Arm::start) returns it.
+///
+/// **Dropping it halts the robot**, also by an error or a panic.
+///
+/// # Outcome
+///
+/// Only the end of the last motion can be waited for, and [`Motion::Arrived`] means that every motion was carried out and
+/// that the joints rest at the end of the last one. If the robot was stopped before, [`then`](Self::then) sends nothing, and
+/// [`wait`](Self::wait) says how it ended.
+///
+/// A motion counts only if it is seen to begin, in two polls of 5 ms and three calls each. One that ends where it begins is
+/// never seen, and one that is shorter than that may not be: the robot is halted, and it ends as [`Motion::Halted`]. On a
+/// loaded machine motions below some tenths of a second are too short; join them, or use `Arm::move_to`.
+#[derive(Debug)]
+#[must_use = "dropping it halts the robot"]
+pub struct Moving<'a> {
+    pub(super) session: &'a mut Session<Blocking>,
+    pub(super) queue: MotionQueue,
+}
+
+impl Moving<'_> {
+    /// Lets a motion follow, and returns when it has begun.
+    ///
+    /// The controller gets it at once, while the motion before is under way. With [`Pass::Near`](crate::Pass::Near) or
+    /// [`Pass::Within`](crate::Pass::Within) for the motion before, the robot does not stop between them. One motion waits
+    /// at a time: with more, the controller could not be asked where they end.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; the robot was halted, unless the connection is lost.
+    pub fn then(self, motion: &Move) -> Result<Self, Error> {
+        self.run(Some(motion), Until::Begun)
+    }
+
+    /// Waits until the last motion ends, at most until the time limit of all motions; the robot is halted then.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; the robot was halted, unless the connection is lost.
+    pub fn wait(self) -> Result<Motion, Error> {
+        Ok(self.run(None, Until::Ended)?.queue.ended().unwrap_or(Motion::Halted))
+    }
+
+    /// Halts the robot, as a drop does, and waits until it rests.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]; the robot may still move.
+    pub fn halt(self) -> Result<Halted, Error> {
+        ready(self.session.halt())
+    }
+
+    pub(super) fn run(mut self, motion: Option<&Move>, until: Until) -> Result<Self, Error> {
+        self.queue = ready(self.session.run_queue(self.queue, motion.cloned(), until))?;
+        Ok(self)
+    }
+}
+
+impl Drop for Moving<'_> {
+    fn drop(&mut self) {
+        if self.session.is_moving()
+            && let Err(error) = ready(self.session.halt())
+        {
+            tracing::warn!(%error, "a motion was dropped, and the robot was not halted");
+        }
+    }
+}
