@@ -290,7 +290,8 @@ impl Session {
 
     /// Opens the session that halts the robot while this one waits for a reply. Call it before the arm is taken.
     pub(crate) fn prepare_halt(&self, interrupt: &Interrupt) -> Result<(), Failure> {
-        let link = LinkArgs { trace: None, ..self.link.limited() };
+        let mut link = self.link.limited();
+        link.trace = None;
         interrupt.prepare(|| {
             // a serial line carries one session, so nothing can halt there
             if link.is_serial() {
