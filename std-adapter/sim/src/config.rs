@@ -96,6 +96,11 @@ pub enum Mode {
 /// A client that is not connected: no server gives this number to a client.
 pub(crate) const ABSENT: PeerId = PeerId(u32::MAX);
 
+/// Returns the number under which the task at this place owns the arm: no server gives it to a client.
+pub(crate) fn peer_of_task(place: usize) -> PeerId {
+    PeerId(u32::try_from(place).map_or(0, |place| ABSENT.0.saturating_sub(1).saturating_sub(place)))
+}
+
 /// The holder of the executable token.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Token {

@@ -9,15 +9,22 @@ use crate::errors::Errors;
 use crate::variables::Variables;
 use crate::waits::Waits;
 
-/// The switches that a person sets: they decide which calls are refused.
+/// The switches that a person sets, which decide which calls are refused, and the warnings that a scenario sets.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Panel {
     pub(crate) mode: Mode,
     pub(crate) token: Token,
     pub(crate) emergency_stop: bool,
+    pub(crate) battery_low: bool,
+    pub(crate) warning: bool,
+    pub(crate) protective_stop: bool,
 }
 
 impl Panel {
+    pub(crate) const fn new(mode: Mode, token: Token) -> Self {
+        Self { mode, token, emergency_stop: false, battery_low: false, warning: false, protective_stop: false }
+    }
+
     pub(crate) fn is_auto(self) -> bool {
         self.mode == Mode::Auto
     }

@@ -3,6 +3,7 @@
 mod command;
 mod dispatch;
 pub mod execute;
+mod programs;
 pub mod system;
 mod variable;
 
@@ -18,7 +19,7 @@ use bcap_core::variant::{Variant, VariantBuf};
 use crate::arm::Arm;
 use crate::config::{ABSENT, Config, Mode, Permission, Token};
 use crate::context::{Context, Panel};
-use crate::errors::{ErrorEntry, Errors};
+use crate::errors::{ErrorEntry, Errors, Place};
 use crate::explain::Refusals;
 use crate::files::Files;
 use crate::kinematics::Joints;
@@ -102,7 +103,7 @@ impl Controller {
             refusals: Refusals::default(),
             scenario: Running::default(),
             common: Common {
-                panel: Panel { mode: config.mode, token: config.token, emergency_stop: false },
+                panel: Panel::new(config.mode, config.token),
                 now: Instant::ZERO,
                 variables: Variables::new(&config.sizes),
                 waits: Waits::default(),
@@ -117,13 +118,16 @@ impl Controller {
     pub fn advance(&mut self, now: Instant) {
         let now = self.common.now.max(now);
         while let Some((at, effect)) = self.scenario.due(now) {
+            self.run_programs(at);
             self.pass(self.common.now.max(at));
             self.apply(effect);
         }
+        self.run_programs(now);
         self.pass(now);
     }
 
-    /// Advances the controller to a time before which the scenario has no fault, except at cycles of Slave Mode.
+    /// Advances the controller to a time before which the scenario has no fault, except at cycles of Slave Mode, and no
+    /// program a step.
     fn pass(&mut self, now: Instant) {
         self.pass_slave_cycles(now);
         self.common.now = now;
@@ -157,6 +161,7 @@ impl Controller {
             Effect::Token(token) => self.set_token(token),
             Effect::Motor(true) => self.turn_motor_on(),
             Effect::Motor(false) => self.arm.turn_off(HResult::E_MOTOR_OFF, self.common.now, &mut self.common.waits),
+            Effect::Message(text) => self.messages.post_text(&text, "", self.common.now),
             Effect::Refuse(_) | Effect::Delay(_) | Effect::Wire(_) => {}
         }
     }
@@ -165,6 +170,14 @@ impl Controller {
     /// `[controller]`, and the faults happen as time passes.
     pub fn play(&mut self, scenario: Scenario) {
         self.set_up(&scenario.controller);
+        for program in &scenario.tasks {
+            let place = self.tasks.define(program.clone());
+            if let (Some(mode), Ok(task)) = (program.start, self.tasks.get_mut(place)) {
+                // a program that was just defined can start
+                let _ = task.start(mode, self.common.now);
+            }
+        }
+        self.free_arm_of_tasks();
         self.scenario.play(scenario);
     }
 
@@ -192,6 +205,10 @@ impl Controller {
         if let Some(permission) = setup.permission {
             self.set_permission(permission);
         }
+        let panel = &mut self.common.panel;
+        panel.battery_low = setup.battery_low.unwrap_or(panel.battery_low);
+        panel.warning = setup.warning.unwrap_or(panel.warning);
+        panel.protective_stop = setup.protective_stop.unwrap_or(panel.protective_stop);
         setup.apply(&mut self.common.config);
     }
 
@@ -242,7 +259,7 @@ impl Controller {
         if mode != Mode::Auto {
             let Common { config, now, waits, .. } = &mut self.common;
             self.arm.halt(config, *now, waits);
-            self.tasks.suspend();
+            self.tasks.suspend(*now);
         }
     }
 
@@ -271,11 +288,17 @@ impl Controller {
     }
 
     fn raise(&mut self, code: HResult) {
+        self.raise_at(code, None);
+    }
+
+    /// Raises an error that has occurred in a task.
+    fn raise_at(&mut self, code: HResult, place: Option<Place>) {
         let Common { now, waits, errors, .. } = &mut self.common;
-        errors.raise(code, *now);
-        self.messages.post(code, *now);
+        self.messages.post_error(code, place.as_ref().map_or("", |place| &place.program), *now);
+        errors.raise(code, *now, place);
         self.arm.fail(code, *now, waits);
-        self.tasks.fail(code);
+        self.tasks.fail(code, *now);
+        self.free_arm_of_tasks();
     }
 
     /// Drops a client's part of the state: its objects are released, its motion halts, its arm authority is free.
@@ -401,12 +424,12 @@ impl Controller {
 
     /// Iterates over the present errors in reverse order.
     pub fn errors(&self) -> impl Iterator<Item = ErrorEntry> {
-        self.common.errors.present().iter().copied()
+        self.common.errors.present().iter().map(|occurrence| occurrence.error)
     }
 
     /// Iterates over the log of errors and refused calls in reverse order.
     pub fn error_log(&self) -> impl Iterator<Item = ErrorEntry> {
-        self.common.errors.log().iter().copied()
+        self.common.errors.log().iter().map(|occurrence| occurrence.error)
     }
 
     /// Returns the number of open objects.

@@ -84,6 +84,7 @@ mod options;
 mod path;
 pub mod pose;
 pub mod preparation;
+pub mod program;
 mod queue;
 mod robot;
 mod route;

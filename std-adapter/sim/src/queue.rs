@@ -69,6 +69,11 @@ impl Queue {
         self.motions.len() >= CAPACITY
     }
 
+    /// Tells whether the motions brake to their end.
+    pub(crate) fn is_halting(&self) -> bool {
+        self.stage == Stage::Halting && !self.is_empty()
+    }
+
     /// Returns the client of the last motion, unless the motions brake to their end.
     pub(crate) fn accepts(&self) -> Option<PeerId> {
         self.motions.back().filter(|_| self.stage != Stage::Halting).map(|motion| motion.peer)

@@ -186,6 +186,11 @@ impl Robot {
         !self.queue.is_empty() || self.stream.as_ref().is_some_and(Stream::is_moving)
     }
 
+    /// Tells whether the motions brake to their end.
+    pub(crate) fn is_halting(&self) -> bool {
+        self.queue.is_halting()
+    }
+
     /// Tells whether the queue has motions of this client that continue to their end, and room for one more.
     pub(crate) fn may_follow(&self, peer: PeerId) -> bool {
         self.queue.accepts() == Some(peer) && !self.queue.is_full()

@@ -175,11 +175,17 @@ impl Controller {
     /// Starts a function of an object.
     fn start(&mut self, peer: PeerId, request: &Request<'_>, object: Object) -> Answered {
         let entry = self.objects.get(peer, request.handle(), object)?;
-        match entry.item {
+        match &entry.item {
             Item::Controller => self.call_controller(peer, request),
             Item::Robot => self.call_robot(peer, request),
-            Item::Task(n) => self.call_task(peer, n, request),
-            Item::Variable(target) => self.call_variable(peer, target, request),
+            Item::Task(n) => {
+                let n = *n;
+                self.call_task(peer, n, request)
+            }
+            Item::Variable(target) => {
+                let target = *target;
+                self.call_variable(peer, target, request)
+            }
             Item::Extension => self.call_extension(peer, request),
             Item::Command(_) => self.call_command(peer, request),
             Item::Message(message) => message.call(&self.common.config, request.function),
@@ -307,7 +313,11 @@ impl Controller {
         match request.function {
             FunctionId::TASK_GET_VARIABLE => self.open_variable(peer, Owner::Task(n), &request.text(1).to_string()),
             FunctionId::TASK_GET_VARIABLE_NAMES => Ok(Answer::names(names_of(Owner::Task(n)))),
-            _ => self.tasks.get_mut(n)?.call(&mut self.common.context(peer), request),
+            _ => {
+                let answered = self.tasks.get_mut(n)?.call(&mut self.common.context(peer), request);
+                self.free_arm_of_tasks();
+                answered
+            }
         }
     }
 

@@ -9,6 +9,7 @@
 //! | GetErrorLog                        | I4 index            | an array of VARIANT, see below                   |
 //! | SysState                           | -                   | I4 of bits, see [`Bit`]                          |
 //! | SysInfo                            | I4: 0               | BSTR, the serial number                          |
+//! |                                    | I4: 15              | I4: -1 when the battery's date has passed, or 0  |
 //! | Motor                              | as Robot_Execute's  | as Robot_Execute's                               |
 //! | StoState                           | -                   | BOOL; RC9, COBOTTA                               |
 //! | ManualReset, ResetStoState         | -                   | EMPTY; likewise; `E_ACCESSDENIED` in emergency stop |
@@ -29,13 +30,14 @@
 
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
+use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
 
 use super::{Controller, EMERGENCY_STOP};
 use crate::answer::{Answer, Answered};
 use crate::arm::commands::{MOTOR, motor};
 use crate::config::{Config, Profile, Token};
-use crate::errors::{ErrorEntry, description};
+use crate::errors::{Occurrence, description};
 use crate::table::Command;
 use crate::tasks::Task;
 use crate::value::{Value, one_int};
@@ -69,9 +71,11 @@ pub(super) const COMMANDS: &[Command<Run>] = &[
     command("SysState", |controller, _, _| Ok(Value::I4(controller.system_state()).into())),
     command("SysInfo", |controller, _, param| match one_int(param)? {
         0 => Ok(Value::from(controller.common.config.serial_number.as_str()).into()),
+        // -1 when the date of the encoders' battery has passed
+        15 => Ok(Value::I4(if controller.common.panel.battery_low { -1 } else { 0 }).into()),
         _ => Err(HResult::E_NOTIMPL),
     })
-    .accepts("one number: 0, the serial number"),
+    .accepts("one number: 0, the serial number, or 15, the battery"),
     command("Motor", |controller, peer, param| motor(&mut controller.arm, &mut controller.common.context(peer), param))
         .accepts(MOTOR),
     command("StoState", |controller, _, _| Ok(Value::Bool(controller.arm.preparation().is_torque_off()).into()))
@@ -119,7 +123,8 @@ pub(super) fn names(profile: Profile) -> impl Iterator<Item = &'static str> {
     COMMANDS.iter().filter(move |command| command.exists(profile)).map(|command| command.name)
 }
 
-/// The bits of SysState, by their numbers. Other bits are never set.
+/// The bits of SysState, by their numbers. Other bits are never set: 16 (program start reset) and 24 (command processing
+/// complete), because no source says when, and those that are reserved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Bit {
     /// A task is running.
@@ -134,20 +139,30 @@ pub enum Bit {
     Auto = 4,
     /// The executable token is not with the teach pendant.
     TokenOutside = 5,
-    /// A task runs until it is stopped.
-    Continuous = 8,
+    /// The battery is exhausted, as a scenario says.
+    Battery = 6,
+    /// The robot warns, as a scenario says.
+    Warning = 7,
+    /// A task that is stopped within its cycle can continue.
+    ContinueStart = 8,
     /// The emergency stop is pressed.
     EmergencyStop = 10,
     /// Auto mode is enabled; always.
     AutoEnable = 11,
+    /// The protective stop is active, as a scenario says.
+    ProtectiveStop = 12,
+    /// The robot brakes for Halt.
+    Stopping = 13,
     /// The arm is calibrated; always, except for a COBOTTA before AutoCal.
     Calibrated = 17,
     /// Manual or teach check mode.
     Manual = 18,
-    /// A task runs to the end of its cycle or line.
-    OneCycle = 19,
-    /// The robot moves; bit 21 says the same.
+    /// A task has completed the one cycle for which it was started, and was not started again.
+    CycleComplete = 19,
+    /// The robot moves, by its commands.
     Moving = 20,
+    /// The robot moves, by its encoders; here always the same.
+    EncoderMoving = 21,
 }
 
 impl Controller {
@@ -180,14 +195,18 @@ impl Controller {
             (Bit::Initialized as u32, true),
             (Bit::Auto as u32, panel.is_auto()),
             (Bit::TokenOutside as u32, panel.token != Token::TeachPendant),
-            (Bit::Continuous as u32, self.tasks.iter().any(Task::is_continuous)),
+            (Bit::Battery as u32, panel.battery_low),
+            (Bit::Warning as u32, panel.warning),
+            (Bit::ContinueStart as u32, self.tasks.iter().any(Task::can_continue)),
             (Bit::EmergencyStop as u32, panel.emergency_stop),
             (Bit::AutoEnable as u32, true),
+            (Bit::ProtectiveStop as u32, panel.protective_stop),
+            (Bit::Stopping as u32, self.arm.robot().is_halting()),
             (Bit::Calibrated as u32, self.arm.preparation().is_calibrated()),
             (Bit::Manual as u32, !panel.is_auto()),
-            (Bit::OneCycle as u32, self.tasks.iter().any(|t| t.is_running() && !t.is_continuous())),
+            (Bit::CycleComplete as u32, self.tasks.iter().any(Task::has_completed)),
             (Bit::Moving as u32, self.is_moving()),
-            (Bit::Moving as u32 + 1, self.is_moving()),
+            (Bit::EncoderMoving as u32, self.is_moving()),
         ];
         bits.iter().filter(|(_, on)| *on).fold(0, |state, (bit, _)| state | 1 << bit)
     }
@@ -201,14 +220,26 @@ fn count(n: usize) -> Value {
     Value::I4(i32::try_from(n).unwrap_or(i32::MAX))
 }
 
-fn log_entry(config: &Config, entry: &ErrorEntry) -> Result<Value, HResult> {
-    let time = config.date(entry.at)?.to_civil().ok_or(HResult::DISP_E_OVERFLOW)?;
-    let mut items = vec![Value::I4(entry.code.0), Value::I4(time.year.into())];
-    items.extend([time.month, time.day, time.hour, time.minute, time.second].map(|n| Value::I4(n.into())));
-    items.push(Value::I4(time.millisecond.into()));
-    items.extend([Value::I4(0), Value::I4(0), Value::I4(0), Value::from("")]);
-    items.push(Value::Text(description(entry.code)));
+fn log_entry(config: &Config, entry: &Occurrence) -> Result<Value, HResult> {
+    let mut items = vec![Value::I4(entry.error.code.0)];
+    items.extend(civil_time(config, entry.error.at)?);
+    let (program, line) = place_of(entry);
+    items.extend([Value::I4(0), Value::I4(0), Value::I4(line), Value::from(program)]);
+    items.push(Value::Text(description(entry.error.code)));
     Ok(Value::List(items))
+}
+
+/// Returns year, month, day, hour, minute, second and millisecond of a time.
+fn civil_time(config: &Config, at: Instant) -> Result<[Value; 7], HResult> {
+    let time = config.date(at)?.to_civil().ok_or(HResult::DISP_E_OVERFLOW)?;
+    let [month, day, hour] = [time.month, time.day, time.hour].map(i32::from);
+    let [minute, second, milli] = [time.minute.into(), time.second.into(), time.millisecond.into()];
+    Ok([time.year.into(), month, day, hour, minute, second, milli].map(Value::I4))
+}
+
+/// Returns the program and the line at which an error has occurred; nothing and 0 outside of tasks.
+fn place_of(entry: &Occurrence) -> (&str, i32) {
+    entry.place.as_ref().map_or(("", 0), |place| (place.program.as_str(), place.line))
 }
 
 /// Reads the code of GetErrorDescription: I4, UI4, ERROR, or another integer.
@@ -230,10 +261,11 @@ fn index(param: &Variant<'_>) -> Result<usize, HResult> {
     usize::try_from(one_int(param)?).map_err(|_| HResult::DISP_E_BADINDEX)
 }
 
-fn error_info(entry: &ErrorEntry) -> Value {
-    let (zero, program) = (|| Value::I4(0), Value::from(""));
-    let message = Value::Text(description(entry.code));
-    Value::List(vec![Value::I4(entry.code.0), message, zero(), zero(), program, zero(), zero()])
+fn error_info(entry: &Occurrence) -> Value {
+    let (program, line) = place_of(entry);
+    let (code, message) = (entry.error.code, Value::Text(description(entry.error.code)));
+    let (number, program) = (Value::I4, Value::from(program));
+    Value::List(vec![number(code.0), message, number(0), number(line), program, number(line), number(0)])
 }
 
 #[cfg(test)]

@@ -26,6 +26,12 @@ pub struct Setup {
     pub permission: Option<Permission>,
     /// Whether the emergency stop is pressed.
     pub emergency_stop: Option<bool>,
+    /// Whether the battery is exhausted: SysState and SysInfo 15.
+    pub battery_low: Option<bool>,
+    /// Whether the robot warns: SysState.
+    pub warning: Option<bool>,
+    /// Whether the protective stop is shown as active, by SysState and `@PROTECTIVE_STOP`; it stops nothing.
+    pub protective_stop: Option<bool>,
     /// The present errors, the first cause first.
     pub errors: Vec<HResult>,
     /// Whether a client that is not connected owns the arm.
