@@ -11,6 +11,7 @@ use bcap_core::variant::OleDate;
 use crate::executor::Executor;
 use crate::explain::Observer;
 use crate::kinematics::Joints;
+use crate::trace::Recorder;
 use crate::variables::Sizes;
 
 /// A model of controller.
@@ -236,6 +237,8 @@ pub struct Config {
     pub file_work: Executor,
     /// Receives the reason of each refused argument, and each tolerated text.
     pub observer: Observer,
+    /// Receives the trajectory of the arm.
+    pub recorder: Recorder,
     /// The names of the tasks.
     pub tasks: Vec<String>,
     /// The time of one cycle of a task.
@@ -279,6 +282,7 @@ impl Config {
             files: None,
             file_work: Executor::default(),
             observer: Observer::default(),
+            recorder: Recorder::default(),
             tasks: ["Pro1", "Pro2", "Pro3"].map(str::to_owned).to_vec(),
             task_cycle: Duration::from_secs(1),
             task_lines: 10,

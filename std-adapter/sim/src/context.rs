@@ -6,6 +6,7 @@ use bcap_core::time::Instant;
 
 use crate::config::{Config, Mode, Permission, Token};
 use crate::errors::Errors;
+use crate::operations::Operations;
 use crate::variables::Variables;
 use crate::waits::Waits;
 
@@ -41,6 +42,7 @@ pub(crate) struct Context<'a> {
     pub(crate) variables: &'a mut Variables,
     pub(crate) waits: &'a mut Waits,
     pub(crate) errors: &'a mut Errors,
+    pub(crate) operations: &'a mut Operations,
     /// The error that the call has caused. The controller raises it when the call returns.
     pub(crate) raised: &'a mut Option<HResult>,
 }
@@ -75,6 +77,11 @@ impl Context<'_> {
     /// Enters a refused call into the error log.
     pub(crate) fn refuse(&mut self, code: HResult) -> HResult {
         self.errors.refuse(code, self.now)
+    }
+
+    /// Enters what the call has done into the log of operations.
+    pub(crate) fn record(&mut self, text: &str) {
+        self.operations.record(text, self.now);
     }
 
     /// Makes the controller raise an error when this call returns; the call ends with its code.

@@ -25,6 +25,7 @@ use crate::files::Files;
 use crate::kinematics::Joints;
 use crate::messages::Messages;
 use crate::objects::Objects;
+use crate::operations::Operations;
 use crate::scenario::{Delivery, Effect, Running, Scenario, Setup};
 use crate::slave::{self, Limits, SlaveCounters, SlaveCycle};
 use crate::tasks::{TaskStatus, Tasks};
@@ -69,6 +70,7 @@ struct Common {
     variables: Variables,
     waits: Waits,
     errors: Errors,
+    operations: Operations,
     /// The error that the present call has caused.
     raised: Option<HResult>,
 }
@@ -83,6 +85,7 @@ impl Common {
             variables: &mut self.variables,
             waits: &mut self.waits,
             errors: &mut self.errors,
+            operations: &mut self.operations,
             raised: &mut self.raised,
         }
     }
@@ -108,6 +111,7 @@ impl Controller {
                 variables: Variables::new(&config.sizes),
                 waits: Waits::default(),
                 errors: Errors::default(),
+                operations: Operations::default(),
                 raised: None,
                 config,
             },
@@ -129,6 +133,15 @@ impl Controller {
     /// Advances the controller to a time before which the scenario has no fault, except at cycles of Slave Mode, and no
     /// program a step.
     fn pass(&mut self, now: Instant) {
+        while let Some(at) = self.arm.next_point(&self.common.config, now) {
+            self.pass_to(self.common.now.max(at));
+            self.arm.take_point(&self.common.config, at);
+        }
+        self.pass_to(now);
+    }
+
+    /// Advances the controller to a time before which no point of the trace is due.
+    fn pass_to(&mut self, now: Instant) {
         self.pass_slave_cycles(now);
         self.common.now = now;
         self.tasks.advance(now);
@@ -241,6 +254,9 @@ impl Controller {
     }
 
     fn press_emergency_stop(&mut self, pressed: bool) {
+        if pressed != self.common.panel.emergency_stop {
+            self.record_operation(if pressed { "emergency stop pressed" } else { "emergency stop released" });
+        }
         if pressed && !self.common.panel.emergency_stop {
             self.arm.preparation_mut().emergency_stop(self.common.config.profile);
             self.raise(EMERGENCY_STOP);
@@ -255,6 +271,11 @@ impl Controller {
     }
 
     fn turn_mode_switch(&mut self, mode: Mode) {
+        self.record_operation(match mode {
+            Mode::Manual => "manual mode",
+            Mode::TeachCheck => "teach check mode",
+            Mode::Auto => "auto mode",
+        });
         self.common.panel.mode = mode;
         if mode != Mode::Auto {
             let Common { config, now, waits, .. } = &mut self.common;
@@ -265,7 +286,16 @@ impl Controller {
 
     /// Sets the holder of the executable token.
     pub fn set_token(&mut self, token: Token) {
+        self.record_operation(match token {
+            Token::Any => "executable token: any client",
+            Token::TeachPendant => "executable token: teach pendant",
+            Token::Client(_) => "executable token: one client",
+        });
         self.common.panel.token = token;
+    }
+
+    fn record_operation(&mut self, operation: &str) {
+        self.common.operations.record(operation, self.common.now);
     }
 
     /// Sets the communication permission.

@@ -81,6 +81,7 @@ impl Preparation {
         }
         self.use_manual_reset(ctx)?;
         self.complete();
+        ctx.record("motion preparation");
         Ok(Answer::Done)
     }
 
@@ -88,6 +89,7 @@ impl Preparation {
     pub(crate) fn calibrate(&mut self, ctx: &mut Context<'_>) -> Answered {
         ctx.may_execute()?;
         self.calibrated = true;
+        ctx.record("calibration");
         Ok(Answer::Done)
     }
 
@@ -98,6 +100,7 @@ impl Preparation {
         }
         self.use_manual_reset(ctx)?;
         self.torque_off = false;
+        ctx.record("manual reset");
         Ok(Answer::Done)
     }
 

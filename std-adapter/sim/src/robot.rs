@@ -66,6 +66,18 @@ pub(crate) struct Settings {
     pub(crate) external: Percent,
     pub(crate) tool: i32,
     pub(crate) work: i32,
+    pub(crate) load: Load,
+}
+
+/// What a client tells about the load and how the robot uses it. Motions do not depend on it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Load {
+    /// In g.
+    pub(crate) mass: i32,
+    pub(crate) centre: [f64; 3],
+    pub(crate) inertia: [f64; 3],
+    /// SpeedMode: 0 off, 1 for motions of joints, 2 along lines, 3 both.
+    pub(crate) speed_mode: i32,
 }
 
 /// The robot's state.
@@ -101,6 +113,7 @@ impl Robot {
                 external: Percent::of_speed(config.ext_speed),
                 tool: 0,
                 work: 0,
+                load: Load::default(),
             },
         }
     }
@@ -177,8 +190,7 @@ impl Robot {
 
     /// Sets internal speeds, tool and work coordinates back, as TakeArm does.
     pub(crate) fn reset_settings(&mut self) {
-        let external = self.settings.external;
-        self.settings = Settings { line: Percent::FULL, joint: Percent::FULL, external, tool: 0, work: 0 };
+        self.settings = Settings { line: Percent::FULL, joint: Percent::FULL, tool: 0, work: 0, ..self.settings };
     }
 
     /// Tells whether a motion is running or held, or an axis moves in Slave Mode.

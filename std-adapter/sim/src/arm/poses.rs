@@ -68,6 +68,27 @@ pub(super) fn out_range(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_
     .into())
 }
 
+/// Executes ConvertPosWork: `[pose, from, to]`, the same place in other work coordinates.
+pub(super) fn convert_work(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let Variant::Array(array) = param.flatten() else { return Err(HResult::E_INVALIDARGTYPE) };
+    let item = |place: usize| array.get(place).unwrap_or(Variant::Empty);
+    let (from, to) = match array.len() {
+        2 => (one_int(&item(1))?, arm.robot.settings().work),
+        3 => (one_int(&item(1))?, one_int(&item(2))?),
+        _ => return Err(HResult::E_INVALIDARG),
+    };
+    let [from, to] = [coordinates(from)?, coordinates(to)?].map(|number| arm.robot.works.get(number));
+    let Pose::Frame(frame, fig) = pose_of(&item(0), ctx)? else { return Err(HResult::E_INVALIDARG) };
+    let [x, y, z, rx, ry, rz] = to.inverse().times(&from.times(&frame)).to_xyz_rpy();
+    Ok(Value::R8s(measured([x, y, z, rx, ry, rz, fig.map_or(-1.0, f64::from)])).into())
+}
+
+/// Executes CheckVirtualFence: 0, because there are no fences.
+pub(super) fn check_fence(_: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    pose_of(param, ctx)?;
+    Ok(Value::I4(0).into())
+}
+
 /// Which definitions a command is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Definition {

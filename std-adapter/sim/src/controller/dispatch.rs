@@ -189,6 +189,13 @@ impl Controller {
             Item::Extension => self.call_extension(peer, request),
             Item::Command(_) => self.call_command(peer, request),
             Item::Message(message) => message.call(&self.common.config, request.function),
+            Item::File if request.function == FunctionId::FILE_RUN => {
+                let name = entry.name.clone();
+                self.run_file(peer, &name)
+            }
+            // files have no variables and no commands
+            Item::File if request.function == FunctionId::FILE_GET_VARIABLE => Err(HResult::E_CAO_OBJECT_NOTFOUND),
+            Item::File if request.function == FunctionId::FILE_EXECUTE => Err(HResult::E_INVALID_CMD_NAME),
             Item::File => {
                 let progress = self.files.call(&self.common.context(peer), &entry.name, request)?;
                 self.file_progress(peer, request, progress)
@@ -319,6 +326,17 @@ impl Controller {
                 answered
             }
         }
+    }
+
+    /// Starts the task of a file for one cycle, and answers its name.
+    fn run_file(&mut self, peer: PeerId, path: &str) -> Answered {
+        let whole = path.replace('\\', "/");
+        let task = whole.rsplit_once('.').map_or(whole.as_str(), |(task, _)| task);
+        let last = task.rsplit('/').next().unwrap_or(task);
+        let place = self.tasks.position(task).or_else(|| self.tasks.position(last));
+        let task = self.tasks.get_mut(place.ok_or(HResult::E_CAO_OBJECT_NOTFOUND)?)?;
+        task.start_for(&mut self.common.context(peer), 1)?;
+        Ok(Value::from(task.name()).into())
     }
 
     fn open_message(&mut self, peer: PeerId) -> Answered {

@@ -7,6 +7,8 @@
 //! | GetCurErrorCount, GetErrorLogCount | -                   | I4                                               |
 //! | GetCurErrorInfo                    | I4 index            | an array of VARIANT, see below                   |
 //! | GetErrorLog                        | I4 index            | an array of VARIANT, see below                   |
+//! | GetOprLogCount                     | -                   | I4                                               |
+//! | GetOprLog                          | I4 index            | an array of VARIANT, see below                   |
 //! | SysState                           | -                   | I4 of bits, see [`Bit`]                          |
 //! | SysInfo                            | I4: 0               | BSTR, the serial number                          |
 //! |                                    | I4: 15              | I4: -1 when the battery's date has passed, or 0  |
@@ -20,7 +22,10 @@
 //! GetCurErrorInfo  code I4, message BSTR, subcode I4, file and line I4, program BSTR, line I4, file I4
 //! GetErrorLog      code, year, month, day, hour, minute, second, millisecond, subcode, file, line I4,
 //!                  program, message BSTR
+//! GetOprLog        the same, with the code 0 and the operation as message
 //! ```
+//!
+//! File and line, program and its line tell the task in which an error has occurred, and its step.
 //!
 //! Index 0 is the latest error, the greatest index the oldest one, which is the first cause: clients that print the list
 //! from its end show it in order. An index out of range answers `DISP_E_BADINDEX`. Of GetErrorLog's array, public
@@ -38,6 +43,7 @@ use crate::answer::{Answer, Answered};
 use crate::arm::commands::{MOTOR, motor};
 use crate::config::{Config, Profile, Token};
 use crate::errors::{Occurrence, description};
+use crate::operations::Operation;
 use crate::table::Command;
 use crate::tasks::Task;
 use crate::value::{Value, one_int};
@@ -68,6 +74,12 @@ pub(super) const COMMANDS: &[Command<Run>] = &[
         Ok(log_entry(&controller.common.config, entry)?.into())
     })
     .accepts("one number: the index, from 0 to below GetErrorLogCount"),
+    command("GetOprLogCount", |controller, _, _| Ok(count(controller.common.operations.log().len()).into())),
+    command("GetOprLog", |controller, _, param| {
+        let entry = controller.common.operations.log().get(index(param)?).ok_or(HResult::DISP_E_BADINDEX)?;
+        Ok(operation(&controller.common.config, entry)?.into())
+    })
+    .accepts("one number: the index, from 0 to below GetOprLogCount"),
     command("SysState", |controller, _, _| Ok(Value::I4(controller.system_state()).into())),
     command("SysInfo", |controller, _, param| match one_int(param)? {
         0 => Ok(Value::from(controller.common.config.serial_number.as_str()).into()),
@@ -103,6 +115,17 @@ pub(super) const COMMANDS: &[Command<Run>] = &[
     })
     .of(is_cobotta)
     .accepts("[force, close]: 6 to 20 N, BOOL or a number"),
+    command("HandMoveAH", |controller, peer, param| {
+        controller.arm.hand_mut().move_and_grip(&mut controller.common.context(peer), param)
+    })
+    .of(is_cobotta)
+    .accepts("[place, speed, force]: 0 to 30 mm, 1 to 100 percent, 6 to 20 N"),
+    command("HandMoveVH", |controller, peer, param| {
+        controller.arm.hand_mut().suck(&mut controller.common.context(peer), param)
+    })
+    .of(is_cobotta)
+    .accepts("[power, on]: 0 to 100 percent, BOOL or a number"),
+    command("HandHoldState", |_, _, _| Ok(Value::Bool(false).into())).of(is_cobotta),
     command("HandStop", |controller, _, _| {
         let now = controller.common.now;
         let stopped = controller.arm.hand_mut().stop(HResult::E_ABORT, now, &mut controller.common.waits);
@@ -111,10 +134,6 @@ pub(super) const COMMANDS: &[Command<Run>] = &[
     .of(is_cobotta),
     command("HandCurPos", |controller, _, _| Ok(Value::R8(controller.hand_position()).into())).of(is_cobotta),
     command("HandCurLoad", |_, _, _| Ok(Value::R8(0.0).into())).of(is_cobotta),
-    Command::missing("GetOprLogCount"),
-    Command::missing("GetOprLog"),
-    Command::missing("HandMoveAH"),
-    Command::missing("HandMoveVH"),
     Command::missing("SetAutoMode"),
 ];
 
@@ -173,6 +192,7 @@ impl Controller {
         }
         self.arm.preparation_mut().use_manual_reset(&mut self.common.context(peer))?;
         self.common.errors.clear();
+        self.record_operation("errors cleared");
         Ok(Answer::Done)
     }
 
@@ -226,6 +246,13 @@ fn log_entry(config: &Config, entry: &Occurrence) -> Result<Value, HResult> {
     let (program, line) = place_of(entry);
     items.extend([Value::I4(0), Value::I4(0), Value::I4(line), Value::from(program)]);
     items.push(Value::Text(description(entry.error.code)));
+    Ok(Value::List(items))
+}
+
+fn operation(config: &Config, entry: &Operation) -> Result<Value, HResult> {
+    let mut items = vec![Value::I4(0)];
+    items.extend(civil_time(config, entry.at)?);
+    items.extend([Value::I4(0), Value::I4(0), Value::I4(0), Value::from(""), Value::from(entry.text.as_str())]);
     Ok(Value::List(items))
 }
 

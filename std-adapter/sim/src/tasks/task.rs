@@ -142,17 +142,18 @@ impl Task {
             // a deleted task answers its state only
             _ if self.status == TaskStatus::NonExistent => Err(HResult::E_CAO_OBJECT_NOTFOUND),
             FunctionId::TASK_START => self.start_for(ctx, request.int(1)),
-            FunctionId::TASK_STOP => self.stop(request.int(1), ctx.now).map(Answer::done_if),
-            FunctionId::TASK_DELETE => self.delete(),
+            FunctionId::TASK_STOP => self.stop_for(ctx, request.int(1)).map(Answer::done_if),
+            FunctionId::TASK_DELETE => self.delete_for(ctx),
             FunctionId::TASK_GET_FILE_NAME => Ok(Value::Text(format!("{}.pcs", self.name)).into()),
             _ => Err(HResult::E_NOTIMPL),
         }
     }
 
     /// Starts it for a client, which needs Auto mode, the executable token and no error.
-    pub(super) fn start_for(&mut self, ctx: &mut Context<'_>, mode: i32) -> Answered {
+    pub(crate) fn start_for(&mut self, ctx: &mut Context<'_>, mode: i32) -> Answered {
         ctx.may_execute()?;
         self.start(mode, ctx.now)?;
+        ctx.record(&format!("task {} started", self.name));
         Ok(Answer::Done)
     }
 
@@ -177,9 +178,16 @@ impl Task {
         Ok(())
     }
 
+    /// Stops it for a client.
+    pub(super) fn stop_for(&mut self, ctx: &mut Context<'_>, mode: i32) -> Result<bool, HResult> {
+        let stopped = self.stop(mode, ctx.now)?;
+        ctx.record(&format!("task {} stopped", self.name));
+        Ok(stopped)
+    }
+
     /// Stops it: mode 0 and 1 at once, 2 at the end of the line, 3 at the end of the cycle, 4 at once and back to its
     /// beginning. Returns whether there was something to stop.
-    pub(super) fn stop(&mut self, mode: i32, now: Instant) -> Result<bool, HResult> {
+    fn stop(&mut self, mode: i32, now: Instant) -> Result<bool, HResult> {
         let running = self.is_running();
         match mode {
             0 | 1 => self.suspend(now),
@@ -195,11 +203,12 @@ impl Task {
         Ok(running)
     }
 
-    /// Deletes it, unless it runs.
-    fn delete(&mut self) -> Answered {
+    /// Deletes it for a client, unless it runs.
+    fn delete_for(&mut self, ctx: &mut Context<'_>) -> Answered {
         if self.is_running() {
             return Err(HResult::E_CAO_CMD_EXECUTE);
         }
+        ctx.record(&format!("task {} deleted", self.name));
         self.status = TaskStatus::NonExistent;
         Ok(Answer::Done)
     }

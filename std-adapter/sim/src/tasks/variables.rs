@@ -43,7 +43,7 @@ pub(crate) const VARIABLES: &[Property<Read, Write>] = &[
     write(
         "@STOP",
         |task, ctx, mode| {
-            task.stop(one_int(mode)?, ctx.now)?;
+            task.stop_for(ctx, one_int(mode)?)?;
             Ok(Answer::Done)
         },
         "one number, 0 to 4",
