@@ -347,6 +347,7 @@ Examples:
   bcap sim
   bcap sim --bcap 127.0.0.1:0 --udp 127.0.0.1:0 --rac 127.0.0.1:0
   bcap sim --scenario faults.toml
+  bcap sim --record motion.csv
   bcap sim --model cobotta --robot-type CVR038A1-NV6
   bcap sim --bcap [::]:5007 --udp [::]:5007 --rac [::]:5006")]
 pub(crate) struct Sim {
@@ -388,6 +389,13 @@ pub(crate) struct Sim {
     /// refused calls, errors, the emergency stop, a bad link
     #[arg(long, value_name = "FILE")]
     pub(crate) scenario: Option<PathBuf>,
+
+    /// Writes the trajectory of the arm to a CSV file: the axes and the tool centre point every 8 ms while the arm moves
+    ///
+    /// Columns: time_s, J1 to J8 (degrees, mm), X, Y, Z (mm), RX, RY, RZ (degrees), tool, work. Time passes when clients
+    /// call, so the file ends with the last call.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) record: Option<PathBuf>,
 
     /// The folder of the controller's files; clients see its regular files and folders [default: an empty temporary folder]
     #[arg(long, value_name = "DIR")]

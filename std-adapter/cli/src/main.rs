@@ -31,6 +31,7 @@ mod tap;
 mod target;
 mod text;
 mod times;
+mod trajectory;
 mod value;
 mod variables;
 mod watch;

@@ -23,6 +23,7 @@ use crate::error::Failure;
 use crate::listen::{runtime, taken};
 use crate::output::print_line;
 use crate::signal;
+use crate::trajectory::Trajectory;
 
 /// The maximum number of queued file jobs.
 const FILE_JOBS: usize = 64;
@@ -54,13 +55,18 @@ pub(crate) fn sim(args: &Sim) -> Result<(), Failure> {
             config.robot_type.clone_from(robot_type);
         }
         config.slave.licensed = !args.no_slave_licence;
+        let trajectory = args.record.as_deref().map(Trajectory::create).transpose()?;
+        if let Some(trajectory) = &trajectory {
+            config.recorder = trajectory.recorder();
+        }
         let mut controller = Controller::new(config);
         if let Some(path) = &args.scenario {
             controller.play(read_scenario(path)?);
         }
         let (server, listening) = listen(controller, &wanted).await?;
         print_line(&listening.to_string())?;
-        Ok(server.run(ended).await?)
+        server.run(ended).await?;
+        Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?)
     })
 }
 

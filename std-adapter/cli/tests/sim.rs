@@ -335,3 +335,20 @@ fn the_demo_shows_frames_of_all_links() {
         assert!(run.out.contains(part), "{part}: {}", run.out);
     }
 }
+
+#[test]
+fn the_trajectory_is_recorded_as_csv() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("motion.csv");
+    let sim = Sim::start(&["--record", file.to_str().unwrap()]);
+    drop(sim);
+    let text = fs::read_to_string(&file).unwrap();
+    assert_eq!(text.lines().next(), Some("time_s,J1,J2,J3,J4,J5,J6,J7,J8,X,Y,Z,RX,RY,RZ,tool,work"), "{text}");
+}
+
+#[test]
+fn a_file_that_cannot_be_recorded_is_named() {
+    let run = bcap(&["sim", "--bcap", "127.0.0.1:0", "--record", "/no/such/folder/motion.csv"]);
+    assert_ne!(run.code, 0);
+    assert!(run.err.contains("--record /no/such/folder/motion.csv"), "{}", run.err);
+}

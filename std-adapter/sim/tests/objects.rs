@@ -181,7 +181,7 @@ fn the_names_of_commands_are_those_that_can_be_opened_and_executed() {
             let unknown = [HResult::E_NOTIMPL, HResult::E_INVALID_CMD_NAME].contains(&reply);
             assert!(!unknown, "{profile:?}: {name} answers {reply}");
         }
-        let other = call::controller_get_command(client.controller, "GetOprLog", "");
+        let other = call::controller_get_command(client.controller, "SetAutoMode", "");
         assert_eq!(world.call(client.peer, other), code(HResult::E_CAO_OBJECT_NOTFOUND));
     }
 }
