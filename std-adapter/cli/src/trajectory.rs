@@ -123,7 +123,8 @@ mod tests {
         }
         let mut lines = Lines { out: BufWriter::new(Full), last: None, waiting: 0, failed: None };
         for n in 0..300 {
-            let point = TracePoint { at: Instant::from_millis(n), axes: [n as f64; 8], position: [0.0; 6], tool: 0, work: 0 };
+            let point =
+                TracePoint { at: Instant::from_millis(n), axes: [n as f64; 8], position: [0.0; 6], tool: 0, work: 0 };
             lines.add(&point);
         }
         assert_eq!(lines.end().unwrap_err().kind(), io::ErrorKind::StorageFull);

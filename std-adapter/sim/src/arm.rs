@@ -128,7 +128,7 @@ use crate::answer::{Answer, Answered};
 use crate::config::Config;
 use crate::context::Context;
 use crate::hand::Hand;
-use crate::kinematics::{forward, six};
+use crate::kinematics::six;
 use crate::preparation::Preparation;
 use crate::robot::{Robot, Servo};
 use crate::slave::{self, Limits, Slave};
@@ -203,7 +203,7 @@ impl Arm {
         let axes = self.robot.axes(at);
         let settings = self.robot.settings();
         let (tool, work) = (settings.tool, settings.work);
-        let position = self.robot.coordinates().pose(&forward(&six(&axes))).to_xyz_rpy();
+        let position = self.robot.coordinates().place(&six(&axes)).to_xyz_rpy();
         let point = TracePoint { at, axes, position, tool, work };
         let rest = self.is_at_rest();
         self.trace.take(&config.recorder, &point, rest);

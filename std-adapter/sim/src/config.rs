@@ -10,7 +10,7 @@ use bcap_core::variant::OleDate;
 
 use crate::executor::Executor;
 use crate::explain::Observer;
-use crate::kinematics::Joints;
+use crate::kinematics::{Geometry, Joints};
 use crate::trace::Recorder;
 use crate::variables::Sizes;
 
@@ -216,6 +216,8 @@ pub struct Config {
     pub permission: Permission,
     /// The wall clock at [`Instant::ZERO`](bcap_core::time::Instant::ZERO): milliseconds since 1970-01-01 00:00.
     pub wall_clock_origin_ms: i64,
+    /// The dimensions, ranges and speeds of the arm.
+    pub geometry: Geometry,
     /// The initial position, which is also the target of GoHome: J1 to J6 in degrees.
     pub home: Joints,
     /// The time that the motor takes to come on.
@@ -269,6 +271,7 @@ impl Config {
             token: Token::Any,
             permission: Permission::ReadWrite,
             wall_clock_origin_ms: 0,
+            geometry: Geometry::DEFAULT,
             home: [0.0, 45.0, 90.0, 0.0, 45.0, 0.0],
             motor_on_delay: Duration::from_millis(300),
             servo_on_waits: true,

@@ -263,7 +263,8 @@ impl Queue {
         self.slow_down(Stage::Skipping, now);
         let mut here = self.axes(self.at_rest());
         for n in self.begun..self.motions.len() {
-            match self.motions[n].route.as_ref().map(|(route, tool)| route.path(&here, tool)) {
+            let motion = &self.motions[n];
+            match motion.route.as_ref().map(|(route, tool)| route.path(motion.arm(), &here, tool)) {
                 Some(Ok(path)) => {
                     here = path.end();
                     self.motions[n].replace(path, now);

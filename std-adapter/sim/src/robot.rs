@@ -7,7 +7,7 @@ use bcap_core::time::Instant;
 use crate::config::Config;
 use crate::context::Context;
 use crate::coordinates::{Coordinates, Definitions};
-use crate::kinematics::{Axes, Joints, six, with_joints};
+use crate::kinematics::{Axes, Geometry, Joints, six, with_joints};
 use crate::motion::{Motion, Rates};
 use crate::options::Pass;
 use crate::path::Path;
@@ -83,6 +83,7 @@ pub(crate) struct Load {
 /// The robot's state.
 #[derive(Clone, Debug)]
 pub(crate) struct Robot {
+    geometry: Geometry,
     queue: Queue,
     /// Slave Mode. While it is on, the queue is empty.
     stream: Option<Stream>,
@@ -100,6 +101,7 @@ impl Robot {
         let home = with_joints(&config.home, &[0.0; 8]);
         let internal = Percent { speed: config.speed, ..Percent::FULL };
         Self {
+            geometry: config.geometry,
             queue: Queue::new(home),
             stream: None,
             last_motion: 0,
@@ -183,9 +185,15 @@ impl Robot {
         &mut self.settings
     }
 
+    /// Returns the dimensions, ranges and speeds of the arm.
+    pub(crate) fn geometry(&self) -> &Geometry {
+        &self.geometry
+    }
+
     /// Returns the present tool and work coordinates.
     pub(crate) fn coordinates(&self) -> Coordinates {
-        Coordinates { tool: self.tools.get(self.settings.tool), work: self.works.get(self.settings.work) }
+        let (tool, work) = (self.tools.get(self.settings.tool), self.works.get(self.settings.work));
+        Coordinates { arm: self.geometry, tool, work }
     }
 
     /// Sets internal speeds, tool and work coordinates back, as TakeArm does.
@@ -250,7 +258,7 @@ impl Robot {
         now: Instant,
     ) -> Result<u64, Blocked> {
         let tool = self.coordinates().tool;
-        let path = route.path(&self.queue.last_destination(), &tool)?;
+        let path = route.path(&self.geometry, &self.queue.last_destination(), &tool)?;
         self.last_motion += 1;
         let rates = internal.times(self.settings.external);
         let mut motion = Motion::new(self.last_motion, peer, path, rates, now);
@@ -318,7 +326,7 @@ impl Robot {
 
     /// Brakes all axes together from these speeds to rest, as hard as these limits of acceleration allow.
     pub(crate) fn brake(&mut self, peer: PeerId, speeds: &Axes, limits: &Axes, now: Instant) {
-        let Some(path) = Path::braking(self.queue.axes(now), speeds, limits) else { return };
+        let Some(path) = Path::braking(&self.geometry, self.queue.axes(now), speeds, limits) else { return };
         self.last_motion += 1;
         self.queue.brake(Motion::braking(self.last_motion, peer, path, now), now);
     }

@@ -8,7 +8,7 @@ use bcap_core::variant::Variant;
 use super::Arm;
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
-use crate::kinematics::{forward, measured, six};
+use crate::kinematics::{measured, six};
 use crate::robot::Load;
 use crate::value::{Value, numbers, numbers_of_text, one_int, whole};
 
@@ -38,7 +38,7 @@ pub(super) fn servo_data(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'
         2 | 4 => vec![0.0; 8],
         17 => {
             let coordinates = arm.robot.coordinates();
-            let place = |at| coordinates.pose(&forward(&six(&arm.robot.axes(at)))).position;
+            let place = |at| coordinates.place(&six(&arm.robot.axes(at))).position;
             let (here, soon) = (place(ctx.now), place(ctx.now.saturating_add(SPEED_TIME)));
             let [x, y, z] = [0, 1, 2].map(|i| (soon[i] - here[i]) / SPEED_TIME.as_secs_f64());
             measured([x, y, z, 0.0, 0.0, 0.0, 0.0, 0.0])

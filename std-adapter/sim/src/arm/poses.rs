@@ -9,7 +9,7 @@ use super::Arm;
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::coordinates::Coordinates;
-use crate::kinematics::{angle, figure, measured, pose_numbers};
+use crate::kinematics::{angle, measured, pose_numbers};
 use crate::pose::Pose;
 use crate::robot::coordinates;
 use crate::value::{Value, one_int};
@@ -20,9 +20,9 @@ pub(super) fn convert(arm: &Arm, ctx: &Context<'_>, from: Kind, to: Kind, param:
     let pose = Pose::parse_as(from, param, ctx.variables)?;
     let coordinates = arm.robot.coordinates();
     // an argument out of reach is no error of the controller
-    let joints = coordinates.flange(pose).joints(&near).map_err(|error| error.code())?;
+    let joints = coordinates.flange(pose).joints(&coordinates.arm, &near).map_err(|error| error.code())?;
     Ok(Value::R8s(match (to, pose) {
-        (Kind::P, Pose::Frame(frame, _)) => pose_numbers(&frame, figure(&joints)),
+        (Kind::P, Pose::Frame(frame, _)) => pose_numbers(&frame, coordinates.arm.figure(&joints)),
         (Kind::P, Pose::Joints(_)) => coordinates.position(&joints),
         (Kind::T, _) => coordinates.trans(&joints),
         _ => angle(&joints),
@@ -57,11 +57,11 @@ pub(super) fn out_range(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_
             let settings = robot.settings();
             let tool = robot.tools.get(number(1, settings.tool)?);
             let work = robot.works.get(number(2, settings.work)?);
-            (array.get(0).unwrap_or(Variant::Empty), Coordinates { tool, work })
+            (array.get(0).unwrap_or(Variant::Empty), Coordinates { arm: *robot.geometry(), tool, work })
         }
         _ => (*param, robot.coordinates()),
     };
-    Ok(Value::I4(match coordinates.flange(pose_of(&pose, ctx)?).joints(&near) {
+    Ok(Value::I4(match coordinates.flange(pose_of(&pose, ctx)?).joints(&coordinates.arm, &near) {
         Ok(_) => 0,
         Err(out_of_reach) => 1 << out_of_reach.0.saturating_sub(1),
     })
