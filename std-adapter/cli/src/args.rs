@@ -4,6 +4,7 @@
 use std::env;
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::str::FromStr;
 use std::time::Duration;
 
 use bcap_sim::Profile;
@@ -348,6 +349,8 @@ Examples:
   bcap sim --bcap 127.0.0.1:0 --udp 127.0.0.1:0 --rac 127.0.0.1:0
   bcap sim --scenario faults.toml
   bcap sim --record motion.csv
+  bcap sim --model rc9 --print-model
+  bcap sim --model cell7.toml
   bcap sim --model cobotta --robot-type CVR038A1-NV6
   bcap sim --bcap [::]:5007 --udp [::]:5007 --rac [::]:5006")]
 pub(crate) struct Sim {
@@ -363,9 +366,13 @@ pub(crate) struct Sim {
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:5006")]
     pub(crate) rac: SocketAddr,
 
-    /// The controller to simulate
-    #[arg(long, value_name = "MODEL", default_value = "rc8")]
-    pub(crate) model: Model,
+    /// The controller to simulate: rc8, rc8a, rc9, cobotta, cobotta-pro, or a file like those that --print-model prints
+    #[arg(long, value_name = "MODEL|FILE.toml", default_value = "rc8")]
+    pub(crate) model: ModelSource,
+
+    /// Prints the file of the model, to copy and change, and exits
+    #[arg(long)]
+    pub(crate) print_model: bool,
 
     /// The type of the robot, which drivers read as @TYPE_NAME [default: VS050A3; CVR038A1 for a COBOTTA]
     ///
@@ -414,24 +421,26 @@ pub(crate) struct Sim {
     pub(crate) lenient: bool,
 }
 
-/// A model of controller.
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-pub(crate) enum Model {
-    /// RC8
-    Rc8,
-    /// RC9: has StoState and ManualReset
-    Rc9,
-    /// COBOTTA: as RC9, but must be prepared before it moves, and has no HandIO in Slave Mode
-    Cobotta,
+/// Where the model of a controller comes from.
+#[derive(Clone, Debug)]
+pub(crate) enum ModelSource {
+    BuiltIn(Profile),
+    File(PathBuf),
 }
 
-impl From<Model> for Profile {
-    fn from(model: Model) -> Self {
-        match model {
-            Model::Rc8 => Self::Rc8,
-            Model::Rc9 => Self::Rc9,
-            Model::Cobotta => Self::Cobotta,
-        }
+impl FromStr for ModelSource {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        Ok(Self::BuiltIn(match text.to_ascii_lowercase().as_str() {
+            "rc8" => Profile::Rc8,
+            "rc8a" => Profile::Rc8a,
+            "rc9" => Profile::Rc9,
+            "cobotta" => Profile::Cobotta,
+            "cobotta-pro" => Profile::CobottaPro,
+            name if name.ends_with(".toml") => return Ok(Self::File(text.into())),
+            _ => return Err("it is rc8, rc8a, rc9, cobotta, cobotta-pro, or a file whose name ends with .toml".into()),
+        }))
     }
 }
 

@@ -15,10 +15,10 @@ use bcap_core::hresult::HResult;
 use bcap_sim::explain::Observer;
 use bcap_sim::files::{Executor, Job};
 use bcap_sim::scenario::Delivery;
-use bcap_sim::{Config, Controller, Profile, Scenario};
+use bcap_sim::{Config, Controller, Model, Profile, Scenario};
 use bcap_std::server::Server;
 
-use crate::args::Sim;
+use crate::args::{ModelSource, Sim};
 use crate::error::Failure;
 use crate::listen::{runtime, taken};
 use crate::output::print_line;
@@ -33,6 +33,10 @@ const EXPLANATIONS: usize = 64;
 
 /// Runs `bcap sim`, until a signal ends it.
 pub(crate) fn sim(args: &Sim) -> Result<(), Failure> {
+    let model = read_model(&args.model)?;
+    if args.print_model {
+        return print_model(&args.model);
+    }
     let runtime = runtime()?;
     runtime.block_on(async {
         // install the signal handlers before the `ready` line: a reader of that line may send a signal at once
@@ -44,8 +48,7 @@ pub(crate) fn sim(args: &Sim) -> Result<(), Failure> {
         if !files.is_dir() {
             return Err(Failure::Input(format!("--files {}: the folder does not exist", files.display())));
         }
-        let mut config =
-            Config { files: Some(files.to_owned()), file_work: file_worker()?, ..config(args.model.into()) };
+        let mut config = Config { files: Some(files.to_owned()), file_work: file_worker()?, ..config(model) };
         (config.mode, config.token) = (args.mode.into(), args.token.into());
         config.lenient = args.lenient;
         if args.explain || args.lenient {
@@ -67,6 +70,25 @@ pub(crate) fn sim(args: &Sim) -> Result<(), Failure> {
         print_line(&listening.to_string())?;
         server.run(ended).await?;
         Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?)
+    })
+}
+
+/// Reads a model, from its file if it is not built in.
+fn read_model(source: &ModelSource) -> Result<Model, Failure> {
+    let path = match source {
+        ModelSource::BuiltIn(profile) => return Ok(profile.model().clone()),
+        ModelSource::File(path) => path,
+    };
+    let text = fs::read_to_string(path)
+        .map_err(|error| Failure::Input(format!("cannot read the model {}: {error}", path.display())))?;
+    Model::parse(&text).map_err(|error| Failure::Input(format!("{} is not a valid model: {error}", path.display())))
+}
+
+/// Prints the file of a model.
+fn print_model(source: &ModelSource) -> Result<(), Failure> {
+    Ok(match source {
+        ModelSource::BuiltIn(profile) => io::stdout().write_all(profile.text().as_bytes())?,
+        ModelSource::File(path) => io::stdout().write_all(&fs::read(path)?)?,
     })
 }
 
@@ -145,13 +167,13 @@ impl fmt::Display for Listening {
 
 /// Creates a controller.
 pub(crate) fn controller(model: Profile) -> Controller {
-    Controller::new(config(model))
+    Controller::new(config(model.model().clone()))
 }
 
 /// Returns the configuration of a controller with the clock of this machine.
-fn config(model: Profile) -> Config {
+fn config(model: Model) -> Config {
     let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let origin = since_1970.as_micros().saturating_sub(bcap_std::now().as_micros().into()) / 1000;
     let wall_clock_origin_ms = i64::try_from(origin).unwrap_or(0);
-    Config { wall_clock_origin_ms, ..Config::new(model) }
+    Config { wall_clock_origin_ms, ..Config::of(model) }
 }

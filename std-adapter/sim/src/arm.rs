@@ -150,7 +150,7 @@ impl Arm {
         Self {
             robot: Robot::new(config),
             hand: Hand::new(),
-            preparation: Preparation::new(config.profile),
+            preparation: Preparation::new(config.model.functions),
             slave: Slave::default(),
             trace: Trace::default(),
         }

@@ -258,7 +258,7 @@ impl Controller {
             self.record_operation(if pressed { "emergency stop pressed" } else { "emergency stop released" });
         }
         if pressed && !self.common.panel.emergency_stop {
-            self.arm.preparation_mut().emergency_stop(self.common.config.profile);
+            self.arm.preparation_mut().emergency_stop(self.common.config.model.functions);
             self.raise(EMERGENCY_STOP);
         }
         self.common.panel.emergency_stop = pressed;

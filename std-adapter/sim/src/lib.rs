@@ -43,7 +43,7 @@
 //!
 //! The tables of names, types and answers are with the code: [`variables`], [`system`], [`arm`], [`execute`],
 //! [`commands`], [`messages`], [`trace`], [`explain`], [`files`], [`hand`], [`preparation`], [`pose`], [`kinematics`],
-//! [`scenario`], [`slave`], [`tasks`].
+//! [`scenario`], [`slave`], [`tasks`], [`model`].
 //!
 //! # Examples
 //!
@@ -79,6 +79,7 @@ pub mod hand;
 pub mod kinematics;
 pub mod memory;
 pub mod messages;
+pub mod model;
 pub mod motion;
 mod objects;
 mod operations;
@@ -100,10 +101,11 @@ mod value;
 pub mod variables;
 mod waits;
 
-pub use config::{Config, Mode, Permission, Profile, SlaveConfig, SlaveFormats, SpeedSetting, Token};
+pub use config::{Config, Mode, Permission, SlaveConfig, SpeedSetting, Token};
 pub use controller::execute::Bit;
 pub use controller::{Controller, EMERGENCY_STOP, execute, system};
 pub use errors::ErrorEntry;
+pub use model::{Model, Profile, SlaveFormats};
 pub use scenario::Scenario;
 pub use stream::{SlaveCounters, SlaveCycle};
 pub use tasks::TaskStatus;

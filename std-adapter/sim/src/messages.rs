@@ -129,7 +129,7 @@ impl Message {
             (FunctionId::MESSAGE_GET_DATE_TIME, _) => Value::Date(config.date(self.at)?).into(),
             (FunctionId::MESSAGE_GET_SERIAL_NUMBER, _) => Value::I4(self.serial).into(),
             (FunctionId::MESSAGE_GET_SOURCE, _) if !self.source.is_empty() => Value::from(self.source.as_str()).into(),
-            (FunctionId::MESSAGE_GET_SOURCE, _) => Value::from(config.profile.type_name()).into(),
+            (FunctionId::MESSAGE_GET_SOURCE, _) => Value::from(config.model.name.as_str()).into(),
             (FunctionId::MESSAGE_GET_DESTINATION, _) => Value::from("").into(),
             (FunctionId::MESSAGE_REPLY, _) => Answer::Code(HResult::S_FALSE),
             (FunctionId::MESSAGE_CLEAR, _) => Answer::Done,

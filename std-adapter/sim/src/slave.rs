@@ -82,7 +82,8 @@ use crate::value::{Value, one_int};
 use crate::waits::{Wait, Waits};
 use format::{Formats, Order, State};
 
-pub use crate::config::{SlaveConfig, SlaveFormats, SpeedSetting};
+pub use crate::config::{SlaveConfig, SpeedSetting};
+pub use crate::model::SlaveFormats;
 pub use crate::stream::{CYCLE, Limits, SlaveCounters, SlaveCycle};
 
 /// The option element of a pose, without the bits of its joints.

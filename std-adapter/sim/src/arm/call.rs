@@ -21,7 +21,7 @@ impl Arm {
         match request.function {
             FunctionId::ROBOT_EXECUTE => {
                 let name = command_of(request).unwrap_or_default();
-                let handler = Command::handler(COMMANDS, &name, ctx.config.profile)?;
+                let handler = Command::handler(COMMANDS, &name, ctx.config.model.functions)?;
                 self.run(handler, ctx, request)
             }
             FunctionId::ROBOT_MOVE => {

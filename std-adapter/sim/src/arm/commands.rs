@@ -8,8 +8,8 @@ use super::poses::Definition;
 use super::readings::{self, Reading};
 use super::{Arm, measures, moves, poses};
 use crate::answer::{Answer, Answered};
-use crate::config::Profile;
 use crate::context::Context;
+use crate::model::Functions;
 use crate::robot::{Percent, percent};
 use crate::slave;
 use crate::table::Command;
@@ -46,6 +46,10 @@ const DEFINE: &str = "[number, pose]: 1 to 63; a P in any form, or its 6 numbers
 const JOINTS: &str = "6 to 8 numbers in degrees, \"J(...)\", \"J1\" or [numbers, \"J\"]";
 const POSITION: &str = "6 or 7 numbers (X Y Z RX RY RZ Fig), \"P(...)\", \"P1\" or [numbers, \"P\"]";
 const TRANS: &str = "9 or 10 numbers (position, orient, approach, Fig), \"T(...)\", \"T1\" or [numbers, \"T\"]";
+
+const fn has_preparation(functions: Functions) -> bool {
+    functions.preparation
+}
 
 /// The commands.
 pub(crate) const COMMANDS: &[Command<Handler>] = &[
@@ -127,11 +131,11 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
         arm.preparation.prepare_reset();
         Ok(Answer::Done)
     })
-    .of(Profile::needs_preparation),
-    command("MotionPreparation", |arm, ctx, _| arm.preparation.prepare_motion(ctx)).of(Profile::needs_preparation),
+    .of(has_preparation),
+    command("MotionPreparation", |arm, ctx, _| arm.preparation.prepare_motion(ctx)).of(has_preparation),
     read("GetMotionPreparationState", |arm, _| Value::Bool(arm.preparation.is_motion_ready()))
-        .of(Profile::needs_preparation),
-    command("AutoCal", |arm, ctx, _| arm.preparation.calibrate(ctx)).of(Profile::needs_preparation),
+        .of(has_preparation),
+    command("AutoCal", |arm, ctx, _| arm.preparation.calibrate(ctx)).of(has_preparation),
     command("StartLog", |arm, ctx, _| {
         arm.trace.start(ctx.now);
         Ok(Answer::Done)

@@ -283,7 +283,9 @@ impl Controller {
             },
             FunctionId::CONTROLLER_GET_EXTENSION_NAMES => Ok(Answer::names([hand::NAME])),
             FunctionId::CONTROLLER_GET_COMMAND => self.open_command(peer, &name()),
-            FunctionId::CONTROLLER_GET_COMMAND_NAMES => Ok(Answer::names(execute::names(self.common.config.profile))),
+            FunctionId::CONTROLLER_GET_COMMAND_NAMES => {
+                Ok(Answer::names(execute::names(self.common.config.model.functions)))
+            }
             FunctionId::CONTROLLER_GET_MESSAGE => self.open_message(peer),
             _ => Err(HResult::E_NOTIMPL),
         }
@@ -291,7 +293,7 @@ impl Controller {
 
     /// Executes a command of Controller_Execute.
     pub(super) fn run(&mut self, peer: PeerId, name: &str, param: &Variant<'_>) -> Answered {
-        let run = Command::handler(execute::COMMANDS, name, self.common.config.profile)?;
+        let run = Command::handler(execute::COMMANDS, name, self.common.config.model.functions)?;
         run(self, peer, param).map(Answer::of_command)
     }
 
@@ -307,7 +309,7 @@ impl Controller {
         match request.function {
             FunctionId::EXTENSION_EXECUTE => {
                 let name = request.text(1).to_string();
-                let run = Command::handler(hand::COMMANDS, &name, self.common.config.profile)?;
+                let run = Command::handler(hand::COMMANDS, &name, self.common.config.model.functions)?;
                 run(self.arm.hand_mut(), &mut self.common.context(peer))
             }
             FunctionId::EXTENSION_GET_VARIABLE_NAMES => Ok(Answer::names::<String>([])),

@@ -41,8 +41,9 @@ use bcap_core::variant::Variant;
 use super::{Controller, EMERGENCY_STOP};
 use crate::answer::{Answer, Answered};
 use crate::arm::commands::{MOTOR, motor};
-use crate::config::{Config, Profile, Token};
+use crate::config::{Config, Token};
 use crate::errors::{Occurrence, description};
+use crate::model::Functions;
 use crate::operations::Operation;
 use crate::table::Command;
 use crate::tasks::Task;
@@ -54,8 +55,12 @@ const fn command(name: &'static str, run: Run) -> Command<Run> {
     Command::new(name, run)
 }
 
-const fn is_cobotta(profile: Profile) -> bool {
-    matches!(profile, Profile::Cobotta)
+const fn has_hand(functions: Functions) -> bool {
+    functions.hand
+}
+
+const fn has_safe_torque_off(functions: Functions) -> bool {
+    functions.safe_torque_off
 }
 
 /// The commands, in the order of Controller_GetCommandNames.
@@ -91,55 +96,55 @@ pub(super) const COMMANDS: &[Command<Run>] = &[
     command("Motor", |controller, peer, param| motor(&mut controller.arm, &mut controller.common.context(peer), param))
         .accepts(MOTOR),
     command("StoState", |controller, _, _| Ok(Value::Bool(controller.arm.preparation().is_torque_off()).into()))
-        .of(Profile::has_safe_torque_off)
+        .of(has_safe_torque_off)
         .in_slave_mode(),
-    command("ManualReset", manual_reset).of(Profile::has_safe_torque_off).in_slave_mode(),
-    command("ResetStoState", manual_reset).of(Profile::has_safe_torque_off),
+    command("ManualReset", manual_reset).of(has_safe_torque_off).in_slave_mode(),
+    command("ResetStoState", manual_reset).of(has_safe_torque_off),
     command("ManualResetPreparation", |controller, _, _| {
         controller.arm.preparation_mut().prepare_reset();
         Ok(Answer::Done)
     })
-    .of(Profile::needs_preparation),
+    .of(|functions| functions.preparation),
     command("HandMoveA", |controller, peer, param| {
         controller.arm.hand_mut().move_absolute(&mut controller.common.context(peer), param)
     })
-    .of(is_cobotta)
+    .of(has_hand)
     .accepts("[place, speed]: 0 to 30 mm, 1 to 100 percent"),
     command("HandMoveR", |controller, peer, param| {
         controller.arm.hand_mut().move_relative(&mut controller.common.context(peer), param)
     })
-    .of(is_cobotta)
+    .of(has_hand)
     .accepts("[way, speed]: in mm and within 0 to 30 mm, 1 to 100 percent"),
     command("HandMoveH", |controller, peer, param| {
         controller.arm.hand_mut().grip(&mut controller.common.context(peer), param)
     })
-    .of(is_cobotta)
+    .of(has_hand)
     .accepts("[force, close]: 6 to 20 N, BOOL or a number"),
     command("HandMoveAH", |controller, peer, param| {
         controller.arm.hand_mut().move_and_grip(&mut controller.common.context(peer), param)
     })
-    .of(is_cobotta)
+    .of(has_hand)
     .accepts("[place, speed, force]: 0 to 30 mm, 1 to 100 percent, 6 to 20 N"),
     command("HandMoveVH", |controller, peer, param| {
         controller.arm.hand_mut().suck(&mut controller.common.context(peer), param)
     })
-    .of(is_cobotta)
+    .of(has_hand)
     .accepts("[power, on]: 0 to 100 percent, BOOL or a number"),
-    command("HandHoldState", |_, _, _| Ok(Value::Bool(false).into())).of(is_cobotta),
+    command("HandHoldState", |_, _, _| Ok(Value::Bool(false).into())).of(has_hand),
     command("HandStop", |controller, _, _| {
         let now = controller.common.now;
         let stopped = controller.arm.hand_mut().stop(HResult::E_ABORT, now, &mut controller.common.waits);
         Ok(Answer::done_if(stopped))
     })
-    .of(is_cobotta),
-    command("HandCurPos", |controller, _, _| Ok(Value::R8(controller.hand_position()).into())).of(is_cobotta),
-    command("HandCurLoad", |_, _, _| Ok(Value::R8(0.0).into())).of(is_cobotta),
+    .of(has_hand),
+    command("HandCurPos", |controller, _, _| Ok(Value::R8(controller.hand_position()).into())).of(has_hand),
+    command("HandCurLoad", |_, _, _| Ok(Value::R8(0.0).into())).of(has_hand),
     Command::missing("SetAutoMode"),
 ];
 
-/// Iterates over the names of the commands that a profile has.
-pub(super) fn names(profile: Profile) -> impl Iterator<Item = &'static str> {
-    COMMANDS.iter().filter(move |command| command.exists(profile)).map(|command| command.name)
+/// Iterates over the names of the commands that a model has.
+pub(super) fn names(functions: Functions) -> impl Iterator<Item = &'static str> {
+    COMMANDS.iter().filter(move |command| command.exists(functions)).map(|command| command.name)
 }
 
 /// The bits of SysState, by their numbers. Other bits are never set: 16 (program start reset) and 24 (command processing

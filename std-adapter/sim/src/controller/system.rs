@@ -49,7 +49,7 @@ pub(super) const VARIABLES: &[Property<Read, Write>] = &[
     read("@AUTO_ENABLE", |_| Ok(Value::Bool(true))),
     read("@PROTECTIVE_STOP", |controller| Ok(Value::Bool(controller.common.panel.protective_stop))),
     read("@MAKER_NAME", |_| Ok(Value::from("bcap-sim"))),
-    read("@TYPE", |controller| Ok(Value::from(controller.config().profile.type_name()))),
+    read("@TYPE", |controller| Ok(Value::from(controller.config().model.name.as_str()))),
     read("@VERSION", |controller| Ok(Value::from(controller.config().version.as_str()))),
     read("@FIRMWARE", |controller| Ok(Value::from(controller.config().version.as_str()))),
     read("@SERIAL_NO", |controller| Ok(Value::from(controller.config().serial_number.as_str()))),

@@ -4,7 +4,8 @@ use bcap_core::hresult::HResult;
 use serde::Deserialize;
 
 use super::setup::Setup;
-use crate::config::{ABSENT, Mode, Permission, SlaveFormats, Token};
+use crate::config::{ABSENT, Mode, Permission, Token};
+use crate::model::{FormatName, SlaveFormats};
 
 #[derive(Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -85,15 +86,6 @@ enum ArmName {
     Taken,
 }
 
-#[derive(Clone, Copy, PartialEq, Deserialize)]
-#[serde(rename_all = "snake_case")]
-enum FormatName {
-    MiniIo,
-    HandIo,
-    UserIo,
-    Current,
-}
-
 impl From<ModeName> for Mode {
     fn from(name: ModeName) -> Self {
         match name {
@@ -138,12 +130,7 @@ impl SetupEntry {
             Some(_) => return Err("`axes` is 6, 7 or 8"),
         };
         let (slave_speed, slave_acceleration) = (self.slave_speed.read()?, self.slave_acceleration.read()?);
-        let formats = self.formats.map(|list| SlaveFormats {
-            mini_io: list.contains(&FormatName::MiniIo),
-            hand_io: list.contains(&FormatName::HandIo),
-            user_io: list.contains(&FormatName::UserIo),
-            current: list.contains(&FormatName::Current),
-        });
+        let formats = self.formats.as_deref().map(SlaveFormats::of);
         Ok(Setup {
             mode: self.mode.map(Mode::from),
             token: self.token.map(Token::from),

@@ -2,7 +2,8 @@
 
 use bcap_core::hresult::HResult;
 
-use crate::config::{Config, Mode, Permission, SlaveFormats, Token};
+use crate::config::{Config, Mode, Permission, Token};
+use crate::model::SlaveFormats;
 
 /// The state of a controller when a scenario begins. `None`, and an empty list of errors, leave the state unchanged.
 ///

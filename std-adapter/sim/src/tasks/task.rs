@@ -137,7 +137,7 @@ impl Task {
         match request.function {
             FunctionId::TASK_EXECUTE => {
                 let name = command_of(request).unwrap_or_default();
-                Ok(Command::handler(COMMANDS, &name, ctx.config.profile)?(self).into())
+                Ok(Command::handler(COMMANDS, &name, ctx.config.model.functions)?(self).into())
             }
             // a deleted task answers its state only
             _ if self.status == TaskStatus::NonExistent => Err(HResult::E_CAO_OBJECT_NOTFOUND),
