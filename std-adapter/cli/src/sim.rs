@@ -86,10 +86,11 @@ fn read_model(source: &ModelSource) -> Result<Model, Failure> {
 
 /// Prints the file of a model.
 fn print_model(source: &ModelSource) -> Result<(), Failure> {
-    Ok(match source {
-        ModelSource::BuiltIn(profile) => io::stdout().write_all(profile.text().as_bytes())?,
-        ModelSource::File(path) => io::stdout().write_all(&fs::read(path)?)?,
-    })
+    let text = match source {
+        ModelSource::BuiltIn(profile) => profile.text().into(),
+        ModelSource::File(path) => fs::read_to_string(path)?,
+    };
+    print_line(text.trim_end())
 }
 
 /// Starts a thread for file jobs, so that a blocking file system does not delay other calls.
