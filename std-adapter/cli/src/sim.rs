@@ -21,7 +21,7 @@ use bcap_std::server::Server;
 use crate::args::{ModelSource, Sim};
 use crate::error::Failure;
 use crate::listen::{runtime, taken};
-use crate::output::print_line;
+use crate::output::{print_block, print_line};
 use crate::signal;
 use crate::trajectory::Trajectory;
 
@@ -90,7 +90,7 @@ fn print_model(source: &ModelSource) -> Result<(), Failure> {
         ModelSource::BuiltIn(profile) => profile.text().into(),
         ModelSource::File(path) => fs::read_to_string(path)?,
     };
-    print_line(text.trim_end())
+    Ok(print_block(text.trim_end())?)
 }
 
 /// Starts a thread for file jobs, so that a blocking file system does not delay other calls.

@@ -9,13 +9,15 @@ use bcap_core::time::Instant;
 
 use super::steps::{Steps, Turn};
 use super::timed::Timed;
-use super::variables::COMMANDS;
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::function::command_of;
 use crate::program::Program;
 use crate::table::Command;
 use crate::value::Value;
+
+/// The commands of Task_Execute.
+const COMMANDS: &[Command<fn(&Task) -> Value>] = &[Command::new("GetStatus", Task::status_value)];
 
 /// The state of a task, with the numbers of `@STATUS` and GetStatus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,4 +1,4 @@
-//! The commands and the system variables of a task.
+//! The system variables of a task.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use bcap_core::variant::Variant;
 use super::task::Task;
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
-use crate::table::{Command, Property};
+use crate::table::Property;
 use crate::value::{Value, one_int};
 
 /// The priority of every task.
@@ -15,9 +15,6 @@ const PRIORITY: i32 = 128;
 
 type Read = fn(&Task) -> Value;
 type Write = fn(&mut Task, &mut Context<'_>, &Variant<'_>) -> Answered;
-
-/// The commands of Task_Execute.
-pub(super) const COMMANDS: &[Command<Read>] = &[Command::new("GetStatus", Task::status_value)];
 
 const fn read(name: &'static str, get: Read) -> Property<Read, Write> {
     Property::read(name, get)
