@@ -16,8 +16,10 @@ use crate::program::Program;
 use crate::table::Command;
 use crate::value::Value;
 
+type Read = fn(&Task) -> Value;
+
 /// The commands of Task_Execute.
-const COMMANDS: &[Command<fn(&Task) -> Value>] = &[Command::new("GetStatus", Task::status_value)];
+const COMMANDS: &[Command<Read>] = &[Command::new("GetStatus", Task::status_value)];
 
 /// The state of a task, with the numbers of `@STATUS` and GetStatus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
