@@ -90,7 +90,7 @@ fn one_task_wakes_another() {
         let mut seen = Vec::new();
         while world.now < Instant::from_millis(1200) {
             world.pass(step);
-            if world.now.as_micros() % 100_000 == 0 {
+            if world.now.as_micros().is_multiple_of(100_000) {
                 seen.push([1, 2, 3].map(|n| int(&world, n)));
             }
         }
