@@ -81,6 +81,19 @@ fn a_task_waits_for_an_io_of_a_client() {
 }
 
 #[test]
+fn a_task_that_waits_for_years_costs_nothing() {
+    let text =
+        "[[task]]\nname = 'T'\nstart = 1\nline_ms = 1\nsteps = [{ wait = { IO200 = true } }, { set = { I1 = 1 } }]";
+    let mut world = world(text);
+    let client = world.client(1);
+    // a check each millisecond would take minutes
+    world.pass(100 * 365 * 86_400_000);
+    assert_eq!(world.put(client, "IO200", true), HResult::S_OK);
+    world.pass(2);
+    assert_eq!(int(&world, 1), 1);
+}
+
+#[test]
 fn one_task_wakes_another() {
     let text = "[[task]]\nname = 'A'\nstart = 1\nsteps = [{ wait = { I1 = 1 } }, { set = { I2 = 1 } }]
                 [[task]]\nname = 'B'\nstart = 1\nsteps = [{ wait = { I2 = 1 } }, { set = { I3 = 1 } }]

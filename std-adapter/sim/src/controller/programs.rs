@@ -46,6 +46,7 @@ impl Controller {
         }
     }
 
+    /// Begins or ends the present step of a task. Until the next step of another task, or `until`, variables do not change.
     fn take_turn(&mut self, place: usize, until: Instant) {
         let Some(turn) = self.tasks.get(place).ok().and_then(Task::turn) else { return };
         let now = self.common.now;
@@ -54,6 +55,7 @@ impl Controller {
             Some(step) => self.check_step(place, step),
             None => Ok(Next::Over),
         };
+        let idle = matches!(next, Ok(Next::Poll | Next::Motion(_) | Next::Busy));
         let quiet = self.tasks.acts().map_or(until, |at| at.min(until));
         let end = match &next {
             Ok(Next::Motion(wait)) => self.arm.end_of(*wait, now),
@@ -75,7 +77,10 @@ impl Controller {
             Ok(Next::Halted) => task.suspend(now),
             Err(code) => self.fail_in_task(place, code),
         }
-        self.tasks.wake(now);
+        // what other tasks wait for may have happened
+        if !idle {
+            self.tasks.wake(now);
+        }
     }
 
     /// Begins a step.
