@@ -93,7 +93,8 @@
 //!               work coordinates, in mm per second
 //! ```
 //!
-//! The arm follows its commands exactly and has no mass: deviations, torques, currents and loads are 0.
+//! The arm follows its commands exactly and has no mass: deviations, torques, currents and loads are 0. A record does not
+//! fit a datagram: over UDP, GetLogRecord answers `E_TOO_MUCH_DATA`.
 //!
 //! # Queue and pass
 //!
