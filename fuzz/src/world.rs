@@ -62,7 +62,7 @@ impl World {
 
     /// Opens a session with a controller, a robot, a task, a variable, an extension and a command.
     fn open(&mut self, peer: u32) {
-        let provider = self.sim.config().profile.provider();
+        let provider = self.sim.config().model.provider.clone();
         self.request(peer, FunctionId::SERVICE_START, &[&""]);
         self.request(peer, FunctionId::CONTROLLER_CONNECT, &[&"", &provider, &"", &""]);
         let controller = self.handle(peer, Object::Controller);
@@ -153,7 +153,7 @@ impl World {
 
     fn take_arm(&mut self, peer: u32) -> i32 {
         let robot = self.handle(peer, Object::Robot);
-        if self.sim.config().profile == Profile::Cobotta {
+        if self.sim.config().model.functions.preparation {
             self.request(peer, FunctionId::ROBOT_EXECUTE, &[&robot, &"ManualResetPreparation", &()]);
             self.request(peer, FunctionId::ROBOT_EXECUTE, &[&robot, &"MotionPreparation", &()]);
         }

@@ -4,6 +4,7 @@
 use std::env;
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::str::FromStr;
 use std::time::Duration;
 
 use bcap_sim::Profile as ModelProfile;
@@ -554,6 +555,9 @@ Examples:
   bcap sim --bcap 127.0.0.1:0 --udp 127.0.0.1:0 --rac 127.0.0.1:0
   bcap sim --scenario faults.toml
   bcap sim --replay session.pcapng
+  bcap sim --record motion.csv
+  bcap sim --model rc9 --print-model
+  bcap sim --model cell7.toml
   bcap sim --model cobotta --robot-type CVR038A1-NV6
   bcap sim --bcap [::]:5007 --udp [::]:5007 --rac [::]:5006")]
 pub(crate) struct Sim {
@@ -569,9 +573,13 @@ pub(crate) struct Sim {
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:5006")]
     pub(crate) rac: SocketAddr,
 
-    /// The controller to simulate
-    #[arg(long, value_name = "MODEL", default_value = "rc8")]
-    pub(crate) model: Model,
+    /// The controller to simulate: rc8, rc8a, rc9, cobotta, cobotta-pro, or a file like those that --print-model prints
+    #[arg(long, value_name = "MODEL|FILE.toml", default_value = "rc8")]
+    pub(crate) model: ModelSource,
+
+    /// Prints the file of the model, to copy and change, and exits
+    #[arg(long)]
+    pub(crate) print_model: bool,
 
     /// The type of the robot, which drivers read as @TYPE_NAME [default: VS050A3; CVR038A1 for a COBOTTA]
     ///
@@ -600,8 +608,14 @@ pub(crate) struct Sim {
     ///
     /// The connections of clients are those of the capture in their order. A request gets the reply of the next call with the same
     /// function and arguments, at once. A request that the capture does not have is refused with E_FAIL and printed on stderr.
-    #[arg(long, value_name = "FILE.pcapng", conflicts_with_all = ["scenario", "files", "explain", "lenient"])]
+    #[arg(long, value_name = "FILE.pcapng", conflicts_with_all = ["scenario", "files", "explain", "lenient", "record"])]
     pub(crate) replay: Option<PathBuf>,
+    /// Writes the trajectory of the arm to a CSV file: the axes and the tool centre point every 8 ms while the arm moves
+    ///
+    /// Columns: time_s, J1 to J8 (degrees, mm), X, Y, Z (mm), RX, RY, RZ (degrees), tool, work. Time passes when clients
+    /// call, so the file ends with the last call.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) record: Option<PathBuf>,
 
     /// The folder of the controller's files; clients see its regular files and folders [default: an empty temporary folder]
     #[arg(long, value_name = "DIR")]
@@ -620,24 +634,26 @@ pub(crate) struct Sim {
     pub(crate) lenient: bool,
 }
 
-/// A model of controller.
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-pub(crate) enum Model {
-    /// RC8
-    Rc8,
-    /// RC9: has StoState and ManualReset
-    Rc9,
-    /// COBOTTA: as RC9, but must be prepared before it moves, and has no HandIO in Slave Mode
-    Cobotta,
+/// Where the model of a controller comes from.
+#[derive(Clone, Debug)]
+pub(crate) enum ModelSource {
+    BuiltIn(ModelProfile),
+    File(PathBuf),
 }
 
-impl From<Model> for ModelProfile {
-    fn from(model: Model) -> Self {
-        match model {
-            Model::Rc8 => Self::Rc8,
-            Model::Rc9 => Self::Rc9,
-            Model::Cobotta => Self::Cobotta,
-        }
+impl FromStr for ModelSource {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        Ok(Self::BuiltIn(match text.to_ascii_lowercase().as_str() {
+            "rc8" => ModelProfile::Rc8,
+            "rc8a" => ModelProfile::Rc8a,
+            "rc9" => ModelProfile::Rc9,
+            "cobotta" => ModelProfile::Cobotta,
+            "cobotta-pro" => ModelProfile::CobottaPro,
+            name if name.ends_with(".toml") => return Ok(Self::File(text.into())),
+            _ => return Err("it is rc8, rc8a, rc9, cobotta, cobotta-pro, or a file whose name ends with .toml".into()),
+        }))
     }
 }
 

@@ -62,6 +62,7 @@ mod text;
 mod times;
 mod title;
 mod trace;
+mod trajectory;
 mod trouble;
 mod value;
 mod variables;

@@ -16,18 +16,19 @@ use bcap_core::{bcap, rac};
 use bcap_sim::explain::Observer;
 use bcap_sim::files::{Executor, Job};
 use bcap_sim::scenario::Delivery;
-use bcap_sim::{Config, Controller, Profile, Scenario};
+use bcap_sim::{Config, Controller, Model, Profile, Scenario};
 use bcap_std::server::Server;
 use tokio::sync::oneshot;
 
-use crate::args::Sim;
+use crate::args::{ModelSource, Sim};
 use crate::error::Failure;
 use crate::listen::{runtime, taken};
-use crate::output::print_line;
+use crate::output::{print_block, print_line};
 use crate::playback::Playback;
 use crate::proxy::Front;
 use crate::robot::Robot;
 use crate::signal;
+use crate::trajectory::Trajectory;
 
 /// The maximum number of queued file jobs.
 const FILE_JOBS: usize = 64;
@@ -37,6 +38,10 @@ const EXPLANATIONS: usize = 64;
 
 /// Runs `bcap sim`, until a signal ends it; its clients are recorded to `file`.
 pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
+    let model = read_model(&args.model)?;
+    if args.print_model {
+        return print_model(&args.model);
+    }
     let runtime = runtime()?;
     runtime.block_on(async {
         // install the signal handlers before the `ready` line: a reader of that line may send a signal at once
@@ -50,8 +55,7 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         if !files.is_dir() {
             return Err(Failure::Input(format!("--files {}: the folder does not exist", files.display())));
         }
-        let mut config =
-            Config { files: Some(files.to_owned()), file_work: file_worker()?, ..config(args.model.into()) };
+        let mut config = Config { files: Some(files.to_owned()), file_work: file_worker()?, ..config(model) };
         (config.mode, config.token) = (args.mode.into(), args.token.into());
         config.lenient = args.lenient;
         if args.explain || args.lenient {
@@ -61,11 +65,16 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
             config.robot_type.clone_from(robot_type);
         }
         config.slave.licensed = !args.no_slave_licence;
+        let trajectory = args.record.as_deref().map(Trajectory::create).transpose()?;
+        if let Some(trajectory) = &trajectory {
+            config.recorder = trajectory.recorder();
+        }
         let mut controller = Controller::new(config);
         if let Some(path) = &args.scenario {
             controller.play(read_scenario(path)?);
         }
-        serve(Server::new(controller).tap(deliver), args, file, ended).await
+        serve(Server::new(controller).tap(deliver), args, file, ended).await?;
+        Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?)
     })
 }
 
@@ -106,6 +115,26 @@ async fn recorded<H: Serves>(server: Server<H>, front: Front, ended: impl Future
     let (written, served) = tokio::join!(front, server.run(async { drop(stopped.await) }));
     served?;
     written
+}
+
+/// Reads a model, from its file if it is not built in.
+fn read_model(source: &ModelSource) -> Result<Model, Failure> {
+    let path = match source {
+        ModelSource::BuiltIn(profile) => return Ok(profile.model().clone()),
+        ModelSource::File(path) => path,
+    };
+    let text = fs::read_to_string(path)
+        .map_err(|error| Failure::Input(format!("cannot read the model {}: {error}", path.display())))?;
+    Model::parse(&text).map_err(|error| Failure::Input(format!("{} is not a valid model: {error}", path.display())))
+}
+
+/// Prints the file of a model.
+fn print_model(source: &ModelSource) -> Result<(), Failure> {
+    let text = match source {
+        ModelSource::BuiltIn(profile) => profile.text().into(),
+        ModelSource::File(path) => fs::read_to_string(path)?,
+    };
+    Ok(print_block(text.trim_end())?)
 }
 
 /// Starts a thread for file jobs, so that a blocking file system does not delay other calls.
@@ -186,13 +215,13 @@ impl fmt::Display for Listening {
 
 /// Creates a controller.
 pub(crate) fn controller(model: Profile) -> Controller {
-    Controller::new(config(model))
+    Controller::new(config(model.model().clone()))
 }
 
 /// Returns the configuration of a controller with the clock of this machine.
-fn config(model: Profile) -> Config {
+fn config(model: Model) -> Config {
     let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let origin = since_1970.as_micros().saturating_sub(bcap_std::now().as_micros().into()) / 1000;
     let wall_clock_origin_ms = i64::try_from(origin).unwrap_or(0);
-    Config { wall_clock_origin_ms, ..Config::new(model) }
+    Config { wall_clock_origin_ms, ..Config::of(model) }
 }

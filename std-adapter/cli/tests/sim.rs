@@ -335,3 +335,51 @@ fn the_demo_shows_frames_of_all_links() {
         assert!(run.out.contains(part), "{part}: {}", run.out);
     }
 }
+
+#[test]
+fn the_trajectory_is_recorded_as_csv() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("motion.csv");
+    let sim = Sim::start(&["--record", file.to_str().unwrap()]);
+    drop(sim);
+    let text = fs::read_to_string(&file).unwrap();
+    assert_eq!(text.lines().next(), Some("time_s,J1,J2,J3,J4,J5,J6,J7,J8,X,Y,Z,RX,RY,RZ,tool,work"), "{text}");
+}
+
+#[test]
+fn a_file_that_cannot_be_recorded_is_named() {
+    let run = bcap(&["sim", "--bcap", "127.0.0.1:0", "--record", "/no/such/folder/motion.csv"]);
+    assert_ne!(run.code, 0);
+    assert!(run.err.contains("--record /no/such/folder/motion.csv"), "{}", run.err);
+}
+
+#[test]
+fn a_printed_model_is_changed_and_loaded() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("cell7.toml");
+    let printed = bcap(&["sim", "--model", "rc9", "--print-model"]);
+    assert_eq!(printed.code, 0);
+    let changed = printed.out.replace("VS050A3", "VM060A1").replace("i = 100", "i = 7").replace("\"RC9\"", "\"CELL7\"");
+    assert_ne!(changed, printed.out);
+    fs::write(&file, &changed).unwrap();
+    let sim = Sim::start(&["--model", file.to_str().unwrap()]);
+    let get = |name: &str| sim.tcp(&["get", name, "--provider", "CaoProv.DENSO.VRC9"]).out;
+    assert_eq!(get("robot/@TYPE_NAME"), "robot/@TYPE_NAME = VM060A1\n");
+    assert_eq!(get("@TYPE"), "@TYPE = CELL7\n");
+    assert_eq!(get("@VAR_I_LEN"), "@VAR_I_LEN = 7\n");
+}
+
+#[test]
+fn an_invalid_model_is_named_with_its_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("cell7.toml");
+    let text = bcap_sim::Profile::Rc8.text().replace("speed = 405.0", "speed = -1.0");
+    fs::write(&file, &text).unwrap();
+    let line = text.lines().position(|line| line.contains("speed = -1.0")).unwrap() + 1;
+    let run = bcap(&["sim", "--model", file.to_str().unwrap()]);
+    assert_ne!(run.code, 0);
+    let expected = format!("cell7.toml is not a valid model: line {line}: J3: the speed is -1; it is above 0");
+    assert!(run.err.contains(&expected), "{}", run.err);
+    let run = bcap(&["sim", "--model", "rc7"]);
+    assert!(run.err.contains("rc8, rc8a, rc9, cobotta, cobotta-pro"), "{}", run.err);
+}

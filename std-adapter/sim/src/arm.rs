@@ -72,8 +72,29 @@
 //! | OutRange                        | pose or \[pose, -1, -1\]    | I4: 0, or bit n-1 of axis n                      |
 //! | GetToolDef, GetWorkDef          | I4, 0 to 63                 | R8\[6\]: X Y Z RX RY RZ                          |
 //! | SetToolDef, SetWorkDef          | \[1 to 63, pose\]           | EMPTY; needs the arm authority                   |
+//! | StartLog, StopLog               | -                           | EMPTY; a point of the log every 8 ms             |
+//! | ClearLog, GetLogCount           | -                           | EMPTY; I4, at most 10,000                        |
+//! | GetLogRecord                    | I4 index, 0 is the oldest   | an array of 39, see below                        |
+//! | PayLoad                         | \[g, centre, inertia\]      | EMPTY; kept, without an effect on motions        |
+//! | SpeedMode                       | I4, 0 to 3                  | EMPTY; kept, without an effect on motions        |
+//! | ConvertPosWork                  | \[pose, from, to\]          | R8\[7\]: the pose in other work coordinates      |
+//! | CheckVirtualFence               | a pose                      | I4: 0, because there are no fences               |
+//! | GetSrvData                      | I4: 2, 4, 17                | R8\[8\]: see below                               |
 //! | slvMove, slvChangeMode, ...     | see [`slave`]               |                                                  |
 //! | MotionPreparation, ...          | see [`preparation`](crate::preparation) |                                      |
+//!
+//! # Logs and servo data
+//!
+//! ```text
+//! GetLogRecord  of J1 to J8: commanded position, position R8, current, load R8;
+//!               user data, program number I4, file name BSTR, line I4, ms since the start of the controller I4,
+//!               tool, work I4
+//! GetSrvData    2 deviation of each motor; 4 torque of each axis; 17 speed of the tool centre point in x, y, z of the
+//!               work coordinates, in mm per second
+//! ```
+//!
+//! The arm follows its commands exactly and has no mass: deviations, torques, currents and loads are 0. A record does not
+//! fit a datagram: over UDP, GetLogRecord answers `E_TOO_MUCH_DATA`.
 //!
 //! # Queue and pass
 //!
@@ -94,6 +115,7 @@
 
 mod call;
 pub(crate) mod commands;
+mod measures;
 mod moves;
 mod poses;
 mod readings;
@@ -107,9 +129,11 @@ use crate::answer::{Answer, Answered};
 use crate::config::Config;
 use crate::context::Context;
 use crate::hand::Hand;
+use crate::kinematics::six;
 use crate::preparation::Preparation;
 use crate::robot::{Robot, Servo};
 use crate::slave::{self, Limits, Slave};
+use crate::trace::{Trace, TracePoint};
 use crate::waits::{Wait, Waits};
 
 /// The arm: the robot with its hand, its preparation and its Slave Mode.
@@ -119,6 +143,7 @@ pub(crate) struct Arm {
     hand: Hand,
     preparation: Preparation,
     slave: Slave,
+    trace: Trace,
 }
 
 impl Arm {
@@ -126,8 +151,9 @@ impl Arm {
         Self {
             robot: Robot::new(config),
             hand: Hand::new(),
-            preparation: Preparation::new(config.profile),
+            preparation: Preparation::new(config.model.functions),
             slave: Slave::default(),
+            trace: Trace::default(),
         }
     }
 
@@ -165,6 +191,28 @@ impl Arm {
     pub(crate) fn advance(&mut self, now: Instant, waits: &mut Waits) {
         self.robot.advance(now, waits);
         self.hand.advance(now, waits);
+    }
+
+    /// Returns when the next point of the trace is due, if that is by `until`.
+    pub(crate) fn next_point(&mut self, config: &Config, until: Instant) -> Option<Instant> {
+        let rest = self.is_at_rest();
+        self.trace.next(&config.recorder, until, rest)
+    }
+
+    /// Takes the point of the trace that is due.
+    pub(crate) fn take_point(&mut self, config: &Config, at: Instant) {
+        let axes = self.robot.axes(at);
+        let settings = self.robot.settings();
+        let (tool, work) = (settings.tool, settings.work);
+        let position = self.robot.coordinates().place(&six(&axes)).to_xyz_rpy();
+        let point = TracePoint { at, axes, position, tool, work };
+        let rest = self.is_at_rest();
+        self.trace.take(&config.recorder, &point, rest);
+    }
+
+    /// Tells whether nothing moves the arm.
+    fn is_at_rest(&self) -> bool {
+        !self.robot.is_moving() && self.robot.stream().is_none()
     }
 
     /// Returns the number of the present cycle of Slave Mode.
@@ -277,6 +325,7 @@ impl Arm {
     pub(crate) fn switch_motor(&mut self, ctx: &mut Context<'_>, on: bool, wait: bool) -> Answered {
         ctx.may_command()?;
         if !on {
+            ctx.record("motor off");
             self.robot.turn_off(HResult::E_MOTOR_OFF, ctx.now, ctx.waits);
             return Ok(Answer::Done);
         }
@@ -290,6 +339,7 @@ impl Arm {
         if self.preparation.is_torque_off() {
             return Err(HResult::E_ACCESSDENIED);
         }
+        ctx.record("motor on");
         self.turn_on(ctx.now.saturating_add(ctx.config.motor_on_delay));
         self.robot.advance(ctx.now, ctx.waits);
         Ok(if wait && !self.robot.motor_is_on() { Answer::Until(Wait::Servo) } else { Answer::Done })

@@ -10,76 +10,10 @@ use bcap_core::variant::OleDate;
 
 use crate::executor::Executor;
 use crate::explain::Observer;
-use crate::kinematics::Joints;
+use crate::kinematics::{Geometry, Joints};
+use crate::model::{Model, Profile, SlaveFormats};
+use crate::trace::Recorder;
 use crate::variables::Sizes;
-
-/// A model of controller.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum Profile {
-    /// RC8: provider `CaoProv.DENSO.VRC`.
-    #[default]
-    Rc8,
-    /// RC9: provider `CaoProv.DENSO.VRC9`; it has StoState and ManualReset.
-    Rc9,
-    /// COBOTTA: provider `CaoProv.DENSO.VRC`; it has StoState and ManualReset, needs a preparation before it moves (see
-    /// [`preparation`](crate::preparation)), and its Slave Mode has no HandIO.
-    Cobotta,
-}
-
-impl Profile {
-    /// Returns the name of the provider that Controller_Connect accepts.
-    #[must_use]
-    pub const fn provider(self) -> &'static str {
-        match self {
-            Self::Rc8 | Self::Cobotta => "CaoProv.DENSO.VRC",
-            Self::Rc9 => "CaoProv.DENSO.VRC9",
-        }
-    }
-
-    /// Returns the controller's type, `@TYPE`.
-    #[must_use]
-    pub const fn type_name(self) -> &'static str {
-        match self {
-            Self::Rc8 => "RC8",
-            Self::Rc9 => "RC9",
-            Self::Cobotta => "COBOTTA",
-        }
-    }
-
-    /// Returns the default type of the robot, `@TYPE_NAME`.
-    ///
-    /// COBOTTA: the type that the public ROS 2 driver expects. RC8, RC9: the arm whose lengths
-    /// [`kinematics`](crate::kinematics) uses, spelled like `VS060A3` in public launch files.
-    #[must_use]
-    pub const fn robot_type(self) -> &'static str {
-        match self {
-            Self::Rc8 | Self::Rc9 => "VS050A3",
-            Self::Cobotta => "CVR038A1",
-        }
-    }
-
-    /// Returns the default version of its software, `@VERSION`.
-    ///
-    /// The public ROS 2 driver clears the errors of a COBOTTA from 2.8.0 on, and calls ManualReset of an RC9 from 1.4.0 on.
-    #[must_use]
-    pub const fn version(self) -> &'static str {
-        match self {
-            Self::Rc8 | Self::Cobotta => "2.8.0",
-            Self::Rc9 => "1.4.0",
-        }
-    }
-
-    /// Tells whether it needs a preparation before its motor is switched on.
-    pub(crate) const fn needs_preparation(self) -> bool {
-        matches!(self, Self::Cobotta)
-    }
-
-    /// Tells whether the emergency stop removes the torque until ManualReset.
-    pub(crate) const fn has_safe_torque_off(self) -> bool {
-        matches!(self, Self::Rc9 | Self::Cobotta)
-    }
-}
 
 /// The operation mode, with the numbers of `@MODE`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -95,6 +29,11 @@ pub enum Mode {
 
 /// A client that is not connected: no server gives this number to a client.
 pub(crate) const ABSENT: PeerId = PeerId(u32::MAX);
+
+/// Returns the number under which the task at this place owns the arm: no server gives it to a client.
+pub(crate) fn peer_of_task(place: usize) -> PeerId {
+    PeerId(u32::try_from(place).map_or(0, |place| ABSENT.0.saturating_sub(1).saturating_sub(place)))
+}
 
 /// The holder of the executable token.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -165,24 +104,6 @@ impl Default for SlaveConfig {
     }
 }
 
-/// The parts of the formats of Slave Mode that a controller has.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SlaveFormats {
-    /// MiniIO, 0x0100.
-    pub mini_io: bool,
-    /// HandIO, 0x0020.
-    pub hand_io: bool,
-    /// User IO, 0x0200.
-    pub user_io: bool,
-    /// The currents of the axes, 0x0040.
-    pub current: bool,
-}
-
-impl SlaveFormats {
-    /// All parts.
-    pub const ALL: Self = Self { mini_io: true, hand_io: true, user_io: true, current: true };
-}
-
 /// A virtual controller's settings.
 ///
 /// # Examples
@@ -191,12 +112,12 @@ impl SlaveFormats {
 /// use bcap_sim::{Config, Controller, Profile};
 ///
 /// let controller = Controller::new(Config { serial_number: "08B0001".into(), ..Config::new(Profile::Rc9) });
-/// assert_eq!(controller.config().profile.provider(), "CaoProv.DENSO.VRC9");
+/// assert_eq!(controller.config().model.provider, "CaoProv.DENSO.VRC9");
 /// ```
 #[derive(Clone, Debug)]
 pub struct Config {
-    /// The model.
-    pub profile: Profile,
+    /// The model. The other settings begin with its values.
+    pub model: Model,
     /// Whether it tolerates what a real controller may refuse: the provider of another model, and unknown options. It tells
     /// `observer` each text that it tolerates.
     pub lenient: bool,
@@ -210,6 +131,8 @@ pub struct Config {
     pub permission: Permission,
     /// The wall clock at [`Instant::ZERO`](bcap_core::time::Instant::ZERO): milliseconds since 1970-01-01 00:00.
     pub wall_clock_origin_ms: i64,
+    /// The dimensions, ranges and speeds of the arm.
+    pub geometry: Geometry,
     /// The initial position, which is also the target of GoHome: J1 to J6 in degrees.
     pub home: Joints,
     /// The time that the motor takes to come on.
@@ -231,6 +154,8 @@ pub struct Config {
     pub file_work: Executor,
     /// Receives the reason of each refused argument, and each tolerated text.
     pub observer: Observer,
+    /// Receives the trajectory of the arm.
+    pub recorder: Recorder,
     /// The names of the tasks.
     pub tasks: Vec<String>,
     /// The time of one cycle of a task.
@@ -250,38 +175,43 @@ pub struct Config {
 }
 
 impl Config {
-    /// Makes the settings of a controller in Auto mode with its motor off, which every client may use.
+    /// Makes the settings of a built-in model, in Auto mode with its motor off, which every client may use.
     #[must_use]
     pub fn new(profile: Profile) -> Self {
+        Self::of(profile.model().clone())
+    }
+
+    /// Makes the same settings of any model.
+    #[must_use]
+    pub fn of(model: Model) -> Self {
         Self {
-            profile,
             lenient: false,
-            sizes: Sizes::default(),
+            sizes: model.sizes,
             mode: Mode::Auto,
             token: Token::Any,
             permission: Permission::ReadWrite,
             wall_clock_origin_ms: 0,
-            home: [0.0, 45.0, 90.0, 0.0, 45.0, 0.0],
+            geometry: model.geometry,
+            home: model.home,
             motor_on_delay: Duration::from_millis(300),
             servo_on_waits: true,
             speed: 100.0,
             ext_speed: 100.0,
-            slave: SlaveConfig {
-                formats: SlaveFormats { hand_io: profile != Profile::Cobotta, ..SlaveFormats::ALL },
-                ..SlaveConfig::default()
-            },
-            extended_axes: 0,
+            slave: SlaveConfig { formats: model.formats, ..SlaveConfig::default() },
+            extended_axes: model.extended_axes,
             files: None,
             file_work: Executor::default(),
             observer: Observer::default(),
+            recorder: Recorder::default(),
             tasks: ["Pro1", "Pro2", "Pro3"].map(str::to_owned).to_vec(),
             task_cycle: Duration::from_secs(1),
             task_lines: 10,
             max_objects: 1000,
             serial_number: "VIRTUAL".to_owned(),
-            version: profile.version().to_owned(),
-            robot_type: profile.robot_type().to_owned(),
-            arm_name: "Arm0".to_owned(),
+            version: model.version.clone(),
+            robot_type: model.robot_type.clone(),
+            arm_name: model.arm_name.clone(),
+            model,
         }
     }
 
@@ -296,15 +226,14 @@ impl Config {
 
     /// Checks the provider that a client names.
     pub(crate) fn check_provider(&self, name: &str) -> Result<(), HResult> {
-        let own = self.profile.provider();
+        let own = self.model.provider.as_str();
         if own.eq_ignore_ascii_case(name) {
             return Ok(());
         }
-        let others = [Profile::Rc8, Profile::Rc9, Profile::Cobotta];
-        if !self.lenient || !others.iter().any(|profile| profile.provider().eq_ignore_ascii_case(name)) {
+        if !self.lenient || !Profile::ALL.iter().any(|profile| profile.provider().eq_ignore_ascii_case(name)) {
             return Err(HResult::E_CAO_PROV_INVALID);
         }
-        let model = self.profile.type_name();
+        let model = &self.model.name;
         self.observer.tolerated(&format!("Controller_Connect: provider {name:?} is not that of {model}, {own:?}"));
         Ok(())
     }

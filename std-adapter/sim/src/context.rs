@@ -6,18 +6,26 @@ use bcap_core::time::Instant;
 
 use crate::config::{Config, Mode, Permission, Token};
 use crate::errors::Errors;
+use crate::operations::Operations;
 use crate::variables::Variables;
 use crate::waits::Waits;
 
-/// The switches that a person sets: they decide which calls are refused.
+/// The switches that a person sets, which decide which calls are refused, and the warnings that a scenario sets.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Panel {
     pub(crate) mode: Mode,
     pub(crate) token: Token,
     pub(crate) emergency_stop: bool,
+    pub(crate) battery_low: bool,
+    pub(crate) warning: bool,
+    pub(crate) protective_stop: bool,
 }
 
 impl Panel {
+    pub(crate) const fn new(mode: Mode, token: Token) -> Self {
+        Self { mode, token, emergency_stop: false, battery_low: false, warning: false, protective_stop: false }
+    }
+
     pub(crate) fn is_auto(self) -> bool {
         self.mode == Mode::Auto
     }
@@ -34,6 +42,7 @@ pub(crate) struct Context<'a> {
     pub(crate) variables: &'a mut Variables,
     pub(crate) waits: &'a mut Waits,
     pub(crate) errors: &'a mut Errors,
+    pub(crate) operations: &'a mut Operations,
     /// The error that the call has caused. The controller raises it when the call returns.
     pub(crate) raised: &'a mut Option<HResult>,
 }
@@ -68,6 +77,11 @@ impl Context<'_> {
     /// Enters a refused call into the error log.
     pub(crate) fn refuse(&mut self, code: HResult) -> HResult {
         self.errors.refuse(code, self.now)
+    }
+
+    /// Enters what the call has done into the log of operations.
+    pub(crate) fn record(&mut self, text: &str) {
+        self.operations.record(text, self.now);
     }
 
     /// Makes the controller raise an error when this call returns; the call ends with its code.

@@ -3,6 +3,7 @@
 mod command;
 mod dispatch;
 pub mod execute;
+mod programs;
 pub mod system;
 mod variable;
 
@@ -18,12 +19,13 @@ use bcap_core::variant::{Variant, VariantBuf};
 use crate::arm::Arm;
 use crate::config::{ABSENT, Config, Mode, Permission, Token};
 use crate::context::{Context, Panel};
-use crate::errors::{ErrorEntry, Errors};
+use crate::errors::{ErrorEntry, Errors, Place};
 use crate::explain::Refusals;
 use crate::files::Files;
 use crate::kinematics::Joints;
 use crate::messages::Messages;
 use crate::objects::Objects;
+use crate::operations::Operations;
 use crate::scenario::{Delivery, Effect, Running, Scenario, Setup};
 use crate::slave::{self, Limits, SlaveCounters, SlaveCycle};
 use crate::tasks::{TaskStatus, Tasks};
@@ -68,6 +70,7 @@ struct Common {
     variables: Variables,
     waits: Waits,
     errors: Errors,
+    operations: Operations,
     /// The error that the present call has caused.
     raised: Option<HResult>,
 }
@@ -82,6 +85,7 @@ impl Common {
             variables: &mut self.variables,
             waits: &mut self.waits,
             errors: &mut self.errors,
+            operations: &mut self.operations,
             raised: &mut self.raised,
         }
     }
@@ -102,11 +106,12 @@ impl Controller {
             refusals: Refusals::default(),
             scenario: Running::default(),
             common: Common {
-                panel: Panel { mode: config.mode, token: config.token, emergency_stop: false },
+                panel: Panel::new(config.mode, config.token),
                 now: Instant::ZERO,
                 variables: Variables::new(&config.sizes),
                 waits: Waits::default(),
                 errors: Errors::default(),
+                operations: Operations::default(),
                 raised: None,
                 config,
             },
@@ -117,14 +122,26 @@ impl Controller {
     pub fn advance(&mut self, now: Instant) {
         let now = self.common.now.max(now);
         while let Some((at, effect)) = self.scenario.due(now) {
+            self.run_programs(at);
             self.pass(self.common.now.max(at));
             self.apply(effect);
         }
+        self.run_programs(now);
         self.pass(now);
     }
 
-    /// Advances the controller to a time before which the scenario has no fault, except at cycles of Slave Mode.
+    /// Advances the controller to a time before which the scenario has no fault, except at cycles of Slave Mode, and no
+    /// program a step.
     fn pass(&mut self, now: Instant) {
+        while let Some(at) = self.arm.next_point(&self.common.config, now) {
+            self.pass_to(self.common.now.max(at));
+            self.arm.take_point(&self.common.config, at);
+        }
+        self.pass_to(now);
+    }
+
+    /// Advances the controller to a time before which no point of the trace is due.
+    fn pass_to(&mut self, now: Instant) {
         self.pass_slave_cycles(now);
         self.common.now = now;
         self.tasks.advance(now);
@@ -157,6 +174,7 @@ impl Controller {
             Effect::Token(token) => self.set_token(token),
             Effect::Motor(true) => self.turn_motor_on(),
             Effect::Motor(false) => self.arm.turn_off(HResult::E_MOTOR_OFF, self.common.now, &mut self.common.waits),
+            Effect::Message(text) => self.messages.post_text(&text, "", self.common.now),
             Effect::Refuse(_) | Effect::Delay(_) | Effect::Wire(_) => {}
         }
     }
@@ -165,6 +183,14 @@ impl Controller {
     /// `[controller]`, and the faults happen as time passes.
     pub fn play(&mut self, scenario: Scenario) {
         self.set_up(&scenario.controller);
+        for program in &scenario.tasks {
+            let place = self.tasks.define(program.clone());
+            if let (Some(mode), Ok(task)) = (program.start, self.tasks.get_mut(place)) {
+                // a program that was just defined can start
+                let _ = task.start(mode, self.common.now);
+            }
+        }
+        self.free_arm_of_tasks();
         self.scenario.play(scenario);
     }
 
@@ -192,6 +218,10 @@ impl Controller {
         if let Some(permission) = setup.permission {
             self.set_permission(permission);
         }
+        let panel = &mut self.common.panel;
+        panel.battery_low = setup.battery_low.unwrap_or(panel.battery_low);
+        panel.warning = setup.warning.unwrap_or(panel.warning);
+        panel.protective_stop = setup.protective_stop.unwrap_or(panel.protective_stop);
         setup.apply(&mut self.common.config);
     }
 
@@ -224,8 +254,11 @@ impl Controller {
     }
 
     fn press_emergency_stop(&mut self, pressed: bool) {
+        if pressed != self.common.panel.emergency_stop {
+            self.record_operation(if pressed { "emergency stop pressed" } else { "emergency stop released" });
+        }
         if pressed && !self.common.panel.emergency_stop {
-            self.arm.preparation_mut().emergency_stop(self.common.config.profile);
+            self.arm.preparation_mut().emergency_stop(self.common.config.model.functions);
             self.raise(EMERGENCY_STOP);
         }
         self.common.panel.emergency_stop = pressed;
@@ -238,17 +271,31 @@ impl Controller {
     }
 
     fn turn_mode_switch(&mut self, mode: Mode) {
+        self.record_operation(match mode {
+            Mode::Manual => "manual mode",
+            Mode::TeachCheck => "teach check mode",
+            Mode::Auto => "auto mode",
+        });
         self.common.panel.mode = mode;
         if mode != Mode::Auto {
             let Common { config, now, waits, .. } = &mut self.common;
             self.arm.halt(config, *now, waits);
-            self.tasks.suspend();
+            self.tasks.suspend(*now);
         }
     }
 
     /// Sets the holder of the executable token.
     pub fn set_token(&mut self, token: Token) {
+        self.record_operation(match token {
+            Token::Any => "executable token: any client",
+            Token::TeachPendant => "executable token: teach pendant",
+            Token::Client(_) => "executable token: one client",
+        });
         self.common.panel.token = token;
+    }
+
+    fn record_operation(&mut self, operation: &str) {
+        self.common.operations.record(operation, self.common.now);
     }
 
     /// Sets the communication permission.
@@ -271,11 +318,17 @@ impl Controller {
     }
 
     fn raise(&mut self, code: HResult) {
+        self.raise_at(code, None);
+    }
+
+    /// Raises an error that has occurred in a task.
+    fn raise_at(&mut self, code: HResult, place: Option<Place>) {
         let Common { now, waits, errors, .. } = &mut self.common;
-        errors.raise(code, *now);
-        self.messages.post(code, *now);
+        self.messages.post_error(code, place.as_ref().map_or("", |place| &place.program), *now);
+        errors.raise(code, *now, place);
         self.arm.fail(code, *now, waits);
-        self.tasks.fail(code);
+        self.tasks.fail(code, *now);
+        self.free_arm_of_tasks();
     }
 
     /// Drops a client's part of the state: its objects are released, its motion halts, its arm authority is free.
@@ -401,12 +454,12 @@ impl Controller {
 
     /// Iterates over the present errors in reverse order.
     pub fn errors(&self) -> impl Iterator<Item = ErrorEntry> {
-        self.common.errors.present().iter().copied()
+        self.common.errors.present().iter().map(|occurrence| occurrence.error)
     }
 
     /// Iterates over the log of errors and refused calls in reverse order.
     pub fn error_log(&self) -> impl Iterator<Item = ErrorEntry> {
-        self.common.errors.log().iter().copied()
+        self.common.errors.log().iter().map(|occurrence| occurrence.error)
     }
 
     /// Returns the number of open objects.

@@ -4,15 +4,16 @@
 //!  base ── work ──> work coordinates ── pose ──> tool centre point <── tool ── flange
 //! ```
 
-use crate::kinematics::{Frame, Joints, figure, forward, measured, pose_numbers};
+use crate::kinematics::{Frame, Geometry, Joints, measured, pose_numbers};
 use crate::pose::Pose;
 
 /// The number of definitions of each kind; number 0 is the base or the flange itself.
 const COUNT: usize = 64;
 
-/// The tool and the work coordinates of a pose.
+/// The arm, the tool and the work coordinates of a pose.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Coordinates {
+    pub(crate) arm: Geometry,
     /// The tool centre point, relative to the flange.
     pub(crate) tool: Frame,
     /// Relative to the base.
@@ -25,25 +26,30 @@ impl Coordinates {
         self.work.inverse().times(flange).times(&self.tool)
     }
 
+    /// Returns the tool centre point in work coordinates.
+    pub(crate) fn place(&self, joints: &Joints) -> Frame {
+        self.pose(&self.arm.forward(joints))
+    }
+
     /// Returns X Y Z RX RY RZ Fig of the tool centre point.
     pub(crate) fn position(&self, joints: &Joints) -> Vec<f64> {
-        pose_numbers(&self.pose(&forward(joints)), figure(joints))
+        pose_numbers(&self.place(joints), self.arm.figure(joints))
     }
 
     /// Returns position, orient vector, approach vector and Fig of the tool centre point.
     pub(crate) fn trans(&self, joints: &Joints) -> Vec<f64> {
-        let [x, y, z, vectors @ ..] = self.pose(&forward(joints)).to_trans();
+        let [x, y, z, vectors @ ..] = self.place(joints).to_trans();
         let mut numbers = measured([x, y, z]);
         // the components of a unit vector, 1e-9 of which are less than 1e-6 degrees
         numbers.extend(vectors.map(|n| (n * 1e9).round() / 1e9 + 0.0));
-        numbers.push(f64::from(figure(joints)));
+        numbers.push(f64::from(self.arm.figure(joints)));
         numbers
     }
 
     /// Returns the tool centre point of a pose, and its Fig if it has one.
     pub(crate) fn pose_of(&self, pose: &Pose) -> (Frame, Option<u8>) {
         match pose {
-            Pose::Joints(joints) => (self.pose(&forward(joints)), None),
+            Pose::Joints(joints) => (self.place(joints), None),
             Pose::Frame(frame, fig) => (*frame, *fig),
         }
     }

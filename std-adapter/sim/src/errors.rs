@@ -17,25 +17,42 @@ pub struct ErrorEntry {
     pub at: Instant,
 }
 
+/// The line of a task's program at which an error has occurred.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Place {
+    pub(crate) program: String,
+    /// From 1.
+    pub(crate) line: i32,
+}
+
+/// An error, and where it occurred.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Occurrence {
+    pub(crate) error: ErrorEntry,
+    /// `None` for an error outside of tasks.
+    pub(crate) place: Option<Place>,
+}
+
 /// The lists of errors, both in reverse order.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Errors {
     /// Index 0 of GetCurErrorInfo is the latest error, the greatest index the first cause.
-    present: VecDeque<ErrorEntry>,
-    log: VecDeque<ErrorEntry>,
+    present: VecDeque<Occurrence>,
+    log: VecDeque<Occurrence>,
 }
 
 impl Errors {
     /// Enters an error into both lists.
-    pub(crate) fn raise(&mut self, code: HResult, at: Instant) {
-        push(&mut self.present, ErrorEntry { code, at });
-        push(&mut self.log, ErrorEntry { code, at });
+    pub(crate) fn raise(&mut self, code: HResult, at: Instant, place: Option<Place>) {
+        let occurrence = Occurrence { error: ErrorEntry { code, at }, place };
+        push(&mut self.present, occurrence.clone());
+        push(&mut self.log, occurrence);
     }
 
     /// Enters a refused call into the log only, if its code is one of the controller.
     pub(crate) fn refuse(&mut self, code: HResult, at: Instant) -> HResult {
         if code.level().is_some() {
-            push(&mut self.log, ErrorEntry { code, at });
+            push(&mut self.log, Occurrence { error: ErrorEntry { code, at }, place: None });
         }
         code
     }
@@ -44,21 +61,21 @@ impl Errors {
         self.present.clear();
     }
 
-    pub(crate) fn present(&self) -> &VecDeque<ErrorEntry> {
+    pub(crate) fn present(&self) -> &VecDeque<Occurrence> {
         &self.present
     }
 
-    pub(crate) fn log(&self) -> &VecDeque<ErrorEntry> {
+    pub(crate) fn log(&self) -> &VecDeque<Occurrence> {
         &self.log
     }
 
     /// Returns the code of the latest error; `S_OK` without an error.
     pub(crate) fn code(&self) -> HResult {
-        self.present.front().map_or(HResult::S_OK, |entry| entry.code)
+        self.present.front().map_or(HResult::S_OK, |entry| entry.error.code)
     }
 }
 
-fn push(list: &mut VecDeque<ErrorEntry>, entry: ErrorEntry) {
+fn push<T>(list: &mut VecDeque<T>, entry: T) {
     list.truncate(CAPACITY - 1);
     list.push_front(entry);
 }
@@ -81,7 +98,7 @@ mod tests {
     fn the_lists_are_in_reverse_order_and_bounded() {
         let mut errors = Errors::default();
         for n in 0..300 {
-            errors.raise(HResult::from_u32(0x8320_0000 + n), Instant::from_millis(n.into()));
+            errors.raise(HResult::from_u32(0x8320_0000 + n), Instant::from_millis(n.into()), None);
         }
         assert_eq!(errors.code(), HResult::from_u32(0x8320_0000 + 299));
         assert_eq!(errors.present().len(), CAPACITY);

@@ -17,13 +17,18 @@
 //! | File_GetAttribute                        | I4: 1 read-only, 16 folder                                           |
 //! | File_GetType                             | BSTR: the extension of the name; `Folder`                            |
 //! | File_GetVariableNames                    | an empty array: files have no variables                              |
-//! | File_Run, File_GetVariable, File_Execute | `E_NOTIMPL`                                                          |
+//! | File_GetVariable                         | `E_CAO_OBJECT_NOTFOUND`: files have no variables                     |
+//! | File_Execute                             | `E_INVALID_CMD_NAME`: files have no commands                         |
+//! | File_Run                                 | starts the task of the file for one cycle, BSTR: its name            |
 //!
 //! A name that leaves the root, directly or by a symbolic link, is refused with `E_ACCESSDENIED`, an invalid name with
 //! `E_INVALIDARG`. A file that does not exist is `E_CAO_OBJECT_NOTFOUND`, a target that exists already
 //! `E_CAO_COLLECTION_REGISTERED`, contents larger than 16 MiB `E_TOO_MUCH_DATA`. Writing needs the communication
-//! permission. Only regular files and folders are listed; a FIFO, a device or a socket is refused with
+//! permission, to run a file what Task_Start needs. Only regular files and folders are listed; a FIFO, a device or a socket is refused with
 //! `E_ACCESSDENIED`.
+//!
+//! A file belongs to the task that has its path, without the extension, as its name: `Fold\Serve.pcs` to the task
+//! `Fold/Serve`, or to `Serve` if there is no such task. Another file is `E_CAO_OBJECT_NOTFOUND` to File_Run.
 //!
 //! # Blocking
 //!

@@ -6,6 +6,9 @@
 //! | UnChuck                      | HandMoveH \[force, false\]   | opens; likewise                                    |
 //! | -                            | HandMoveA \[place, speed\]   | moves to a place, 0 to 30 mm                       |
 //! | -                            | HandMoveR \[way, speed\]     | moves by so many mm; a negative way closes         |
+//! | -                            | HandMoveAH \[place, speed, force\] | moves to a place; there is nothing to grip on the way |
+//! | -                            | HandMoveVH \[power, on\]     | switches suction, of 0 to 100 percent, on or off   |
+//! | -                            | HandHoldState                | BOOL: always false, there is nothing to grip       |
 //! | -                            | HandStop                     | stops; waiting calls get `E_ABORT`; `S_FALSE` at rest |
 //! | CurPos                       | HandCurPos                   | R8, mm between the fingers                         |
 //! | -                            | HandCurLoad                  | R8, percent: always 0, there is nothing to grip    |
@@ -62,12 +65,13 @@ pub(crate) struct Hand {
     end: Instant,
     /// The client that moved the fingers last.
     peer: PeerId,
+    suction: bool,
 }
 
 impl Hand {
     /// Makes a closed hand at rest.
     pub(crate) const fn new() -> Self {
-        Self { from: 0.0, to: 0.0, began: Instant::ZERO, end: Instant::ZERO, peer: PeerId(0) }
+        Self { from: 0.0, to: 0.0, began: Instant::ZERO, end: Instant::ZERO, peer: PeerId(0), suction: false }
     }
 
     /// Returns the distance between the fingers, in mm.
@@ -118,6 +122,30 @@ impl Hand {
         self.move_to(ctx, if closes != 0.0 { 0.0 } else { STROKE }, 25.0)
     }
 
+    /// Executes HandMoveAH, `[place, speed, force]`.
+    pub(crate) fn move_and_grip(&mut self, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+        match numbers(param)?[..] {
+            [place, percent, force] if FORCES.contains(&force) => self.move_to(ctx, place, percent),
+            _ => Err(HResult::E_INVALIDARG),
+        }
+    }
+
+    /// Executes HandMoveVH, `[power, on]`.
+    pub(crate) fn suck(&mut self, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+        let (power, on) = pair(param)?;
+        if !(0.0..=100.0).contains(&power) {
+            return Err(HResult::E_INVALIDARG);
+        }
+        ctx.may_execute()?;
+        (self.suction, self.peer) = (on != 0.0, ctx.peer);
+        Ok(Answer::Done)
+    }
+
+    /// Switches suction off; returns whether it was on.
+    fn release(&mut self) -> bool {
+        std::mem::take(&mut self.suction)
+    }
+
     fn move_to(&mut self, ctx: &mut Context<'_>, to: f64, percent: f64) -> Answered {
         if !(0.0..=STROKE).contains(&to) || !(1.0..=100.0).contains(&percent) {
             return Err(HResult::E_INVALIDARG);
@@ -129,19 +157,20 @@ impl Hand {
         let from = self.position(ctx.now);
         let micros = (to - from).abs() / (SPEED * percent / 100.0) * 1e6;
         let end = ctx.now.saturating_add(Duration::from_micros(micros.ceil() as u64));
-        *self = Self { from, to, began: ctx.now, end, peer: ctx.peer };
+        *self = Self { from, to, began: ctx.now, end, peer: ctx.peer, ..*self };
         Ok(Answer::Until(Wait::Hand))
     }
 
-    /// Stops the fingers; returns whether they were moving. Calls that wait for them end with `code`.
+    /// Stops the fingers and the suction; returns whether there was something to stop. Calls that wait for the fingers end
+    /// with `code`.
     pub(crate) fn stop(&mut self, code: HResult, now: Instant, waits: &mut Waits) -> bool {
-        let moving = now < self.end;
+        let (moving, sucked) = (now < self.end, self.release());
         let here = self.position(now);
         (self.from, self.to, self.end) = (here, here, now);
         if moving {
             waits.end(Wait::Hand, code);
         }
-        moving
+        moving || sucked
     }
 
     /// Stops the fingers if this client moves them.

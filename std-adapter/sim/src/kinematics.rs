@@ -1,6 +1,7 @@
 //! The kinematics of the arm: the frame of the flange for given joints, and the joints for a given frame.
 //!
-//! A vertical arm of six axes with a spherical wrist. All dimensions are in mm; all joints 0 stretches it straight up.
+//! A vertical arm of six axes with a spherical wrist. All joints 0 stretches it straight up. The dimensions are those of the
+//! default arm, in mm; a [model](crate::model) may have others.
 //!
 //! ```text
 //!            z                          d1  345   base to the shoulder axis J2
@@ -33,41 +34,57 @@ pub type Joints = [f64; 6];
 /// J1 to J8; an axis that the arm lacks is 0.
 pub(crate) type Axes = [f64; 8];
 
-/// Base to shoulder.
-const D1: f64 = 345.0;
-/// Upper arm.
-const A2: f64 = 250.0;
-/// Offset of the forearm.
-const A3: f64 = -10.0;
-/// Forearm.
-const D4: f64 = 255.0;
-/// Wrist centre to flange.
-const D6: f64 = 70.0;
+/// The number of axes: J1 to J6, and the extended ones.
+const AXES: usize = 8;
 
-/// The ranges of J1 to J6, in degrees.
+/// The dimensions, ranges and speeds of an arm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Geometry {
+    /// Base to the shoulder axis J2, in mm.
+    pub d1: f64,
+    /// Upper arm, J2 to J3, in mm.
+    pub a2: f64,
+    /// Forearm axis beside the elbow axis, in mm.
+    pub a3: f64,
+    /// Forearm, J3 to the wrist centre, in mm.
+    pub d4: f64,
+    /// Wrist centre to the flange, in mm.
+    pub d6: f64,
+    /// The ranges of J1 to J8, in degrees or mm.
+    pub ranges: [(f64, f64); AXES],
+    /// The largest speeds of J1 to J8, in degrees or mm per second.
+    pub speeds: [f64; AXES],
+}
+
+/// The ranges of J1 to J6 of the default arm, in degrees.
 pub const RANGES: [(f64, f64); 6] =
     [(-170.0, 170.0), (-120.0, 120.0), (-120.0, 150.0), (-270.0, 270.0), (-120.0, 120.0), (-360.0, 360.0)];
 
-/// The largest speeds of J1 to J6, in degrees per second.
+/// The largest speeds of J1 to J6 of the default arm, in degrees per second.
 pub const SPEEDS: Joints = [375.0, 330.0, 405.0, 450.0, 450.0, 720.0];
 
-/// The range of an extended axis (J7, J8) to either side, in degrees or mm.
+/// The default range of an extended axis (J7, J8) to either side, in degrees or mm.
 pub const EXTENDED_RANGE: f64 = 1000.0;
 
-/// The largest speed of an extended axis (J7, J8), in degrees or mm per second.
+/// The default largest speed of an extended axis (J7, J8), in degrees or mm per second.
 pub const EXTENDED_SPEED: f64 = 500.0;
 
-/// The ranges of J1 to J8.
-pub(crate) const AXIS_RANGES: [(f64, f64); 8] = {
-    let ([j1, j2, j3, j4, j5, j6], extended) = (RANGES, (-EXTENDED_RANGE, EXTENDED_RANGE));
-    [j1, j2, j3, j4, j5, j6, extended, extended]
-};
-
-/// The largest speeds of J1 to J8.
-pub(crate) const AXIS_SPEEDS: Axes = {
-    let [j1, j2, j3, j4, j5, j6] = SPEEDS;
-    [j1, j2, j3, j4, j5, j6, EXTENDED_SPEED, EXTENDED_SPEED]
-};
+impl Geometry {
+    /// The default arm.
+    pub const DEFAULT: Self = {
+        let ([r1, r2, r3, r4, r5, r6], extended) = (RANGES, (-EXTENDED_RANGE, EXTENDED_RANGE));
+        let [s1, s2, s3, s4, s5, s6] = SPEEDS;
+        Self {
+            d1: 345.0,
+            a2: 250.0,
+            a3: -10.0,
+            d4: 255.0,
+            d6: 70.0,
+            ranges: [r1, r2, r3, r4, r5, r6, extended, extended],
+            speeds: [s1, s2, s3, s4, s5, s6, EXTENDED_SPEED, EXTENDED_SPEED],
+        }
+    };
+}
 
 /// A sine below this counts as zero: two wrist axes are in line, or the wrist centre is over J1.
 const SINGULAR: f64 = 1e-9;
@@ -204,91 +221,121 @@ impl Frame {
     }
 }
 
-/// Returns the frame of the flange for these joints.
-pub(crate) fn forward(joints: &Joints) -> Frame {
-    let [j1, j2, j3, j4, j5, j6] = *joints;
-    let forearm = multiply(&rz_matrix(j1), &ry_matrix(j2 + j3));
-    let wrist = multiply(&multiply(&rz_matrix(j4), &ry_matrix(j5)), &rz_matrix(j6));
-    let rotation = multiply(&forearm, &wrist);
-    let upper_arm = multiply(&rz_matrix(j1), &ry_matrix(j2));
-    let position = [0, 1, 2].map(|i| {
-        let shoulder = if i == 2 { D1 } else { 0.0 };
-        shoulder + A2 * upper_arm[i][2] + A3 * forearm[i][0] + D4 * forearm[i][2] + D6 * rotation[i][2]
-    });
-    Frame { position, rotation }
-}
-
-/// Returns the Fig of the joints.
-pub(crate) fn figure(joints: &Joints) -> u8 {
-    let [_, j2, j3, j4, j5, j6] = *joints;
-    let bend = elbow_bend(j3);
-    // the distance of the wrist centre from the axis of J1, negative behind it
-    let reach = A2 * j2.to_radians().sin() + forearm_length() * (j2.to_radians() + bend).sin();
-    let lefty = reach >= -SINGULAR;
-    let below = if lefty { bend < 0.0 } else { bend > 0.0 };
-    let bit = |on: bool, bit: u8| if on { bit } else { 0 };
-    bit(lefty, LEFTY)
-        | bit(below, BELOW)
-        | bit(j5 >= 0.0, NONFLIP)
-        | bit(j4.abs() > 180.0, DOUBLE4)
-        | bit(j6.abs() > 180.0, DOUBLE6)
-}
-
-/// Returns the joints for a frame of the flange in the posture `fig`.
-///
-/// At a singularity, an undefined joint keeps its value of `near`.
-pub(crate) fn inverse(frame: &Frame, fig: u8, near: &Joints) -> Result<Joints, OutOfReach> {
-    let r = &frame.rotation;
-    let centre = [0, 1, 2].map(|i| frame.position[i] - D6 * r[i][2]);
-    let lefty = fig & LEFTY != 0;
-    let j1 = base_angle(centre, lefty, near[0].to_radians());
-    let reach = centre[0].hypot(centre[1]) * if lefty { 1.0 } else { -1.0 };
-    let (j2, j3) = arm_angles(reach, centre[2] - D1, (fig & BELOW != 0) != lefty)?;
-    let arm = multiply(&rz_matrix(j1.to_degrees()), &ry_matrix((j2 + j3).to_degrees()));
-    let [j4, j5, j6] = wrist_angles(&multiply(&transpose(&arm), r), fig & NONFLIP != 0, near[3].to_radians());
-    let turned = |angle: f64, double: bool| match (double, angle > 0.0) {
-        (false, _) => angle,
-        (true, true) => angle - 360.0,
-        (true, false) => angle + 360.0,
-    };
-    let joints = [
-        j1.to_degrees(),
-        j2.to_degrees(),
-        j3.to_degrees(),
-        turned(j4.to_degrees(), fig & DOUBLE4 != 0),
-        j5.to_degrees(),
-        turned(j6.to_degrees(), fig & DOUBLE6 != 0),
-    ];
-    match out_of_range(&joints) {
-        None => Ok(joints),
-        Some(axis) => Err(OutOfReach(axis)),
+impl Geometry {
+    /// Returns the frame of the flange for these joints.
+    pub(crate) fn forward(&self, joints: &Joints) -> Frame {
+        let [j1, j2, j3, j4, j5, j6] = *joints;
+        let forearm = multiply(&rz_matrix(j1), &ry_matrix(j2 + j3));
+        let wrist = multiply(&multiply(&rz_matrix(j4), &ry_matrix(j5)), &rz_matrix(j6));
+        let rotation = multiply(&forearm, &wrist);
+        let upper_arm = multiply(&rz_matrix(j1), &ry_matrix(j2));
+        let position = [0, 1, 2].map(|i| {
+            let shoulder = if i == 2 { self.d1 } else { 0.0 };
+            shoulder
+                + self.a2 * upper_arm[i][2]
+                + self.a3 * forearm[i][0]
+                + self.d4 * forearm[i][2]
+                + self.d6 * rotation[i][2]
+        });
+        Frame { position, rotation }
     }
-}
 
-/// Returns the joints for a frame of the flange with the least turning from `near`, in any posture.
-pub(crate) fn inverse_nearest(frame: &Frame, near: &Joints) -> Result<Joints, OutOfReach> {
-    let mut best: Result<(f64, Joints), OutOfReach> = Err(OutOfReach(3));
-    for fig in 0..32 {
-        match (inverse(frame, fig, near), &best) {
-            (Ok(joints), best_so_far) => {
-                let turning = joints.iter().zip(near).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-                if best_so_far.is_err() || best_so_far.is_ok_and(|(least, _)| turning < least) {
-                    best = Ok((turning, joints));
-                }
-            }
-            (Err(error), Err(_)) => best = Err(error),
-            (Err(_), Ok(_)) => {}
+    /// Returns the Fig of the joints.
+    pub(crate) fn figure(&self, joints: &Joints) -> u8 {
+        let [_, j2, j3, j4, j5, j6] = *joints;
+        let bend = self.elbow_bend(j3);
+        // the distance of the wrist centre from the axis of J1, negative behind it
+        let reach = self.a2 * j2.to_radians().sin() + self.forearm_length() * (j2.to_radians() + bend).sin();
+        let lefty = reach >= -SINGULAR;
+        let below = if lefty { bend < 0.0 } else { bend > 0.0 };
+        let bit = |on: bool, bit: u8| if on { bit } else { 0 };
+        bit(lefty, LEFTY)
+            | bit(below, BELOW)
+            | bit(j5 >= 0.0, NONFLIP)
+            | bit(j4.abs() > 180.0, DOUBLE4)
+            | bit(j6.abs() > 180.0, DOUBLE6)
+    }
+
+    /// Returns the joints for a frame of the flange in the posture `fig`.
+    ///
+    /// At a singularity, an undefined joint keeps its value of `near`.
+    pub(crate) fn inverse(&self, frame: &Frame, fig: u8, near: &Joints) -> Result<Joints, OutOfReach> {
+        let r = &frame.rotation;
+        let centre = [0, 1, 2].map(|i| frame.position[i] - self.d6 * r[i][2]);
+        let lefty = fig & LEFTY != 0;
+        let j1 = base_angle(centre, lefty, near[0].to_radians());
+        let reach = centre[0].hypot(centre[1]) * if lefty { 1.0 } else { -1.0 };
+        let (j2, j3) = self.arm_angles(reach, centre[2] - self.d1, (fig & BELOW != 0) != lefty)?;
+        let arm = multiply(&rz_matrix(j1.to_degrees()), &ry_matrix((j2 + j3).to_degrees()));
+        let [j4, j5, j6] = wrist_angles(&multiply(&transpose(&arm), r), fig & NONFLIP != 0, near[3].to_radians());
+        let turned = |angle: f64, double: bool| match (double, angle > 0.0) {
+            (false, _) => angle,
+            (true, true) => angle - 360.0,
+            (true, false) => angle + 360.0,
+        };
+        let joints = [
+            j1.to_degrees(),
+            j2.to_degrees(),
+            j3.to_degrees(),
+            turned(j4.to_degrees(), fig & DOUBLE4 != 0),
+            j5.to_degrees(),
+            turned(j6.to_degrees(), fig & DOUBLE6 != 0),
+        ];
+        match self.out_of_range(&joints) {
+            None => Ok(joints),
+            Some(axis) => Err(OutOfReach(axis)),
         }
     }
-    best.map(|(_, joints)| joints)
-}
 
-/// Returns the first axis whose value is NaN or outside its range. The slice has J1 to J6, or all axes.
-pub(crate) fn out_of_range(axes: &[f64]) -> Option<u8> {
-    // a pose computed at the end of a range may be beyond it through rounding
-    const SLACK: f64 = 1e-6;
-    let outside = |(place, (low, high)): (&f64, &(f64, f64))| !(*low - SLACK..=*high + SLACK).contains(place);
-    axes.iter().zip(&AXIS_RANGES).position(outside).and_then(|n| u8::try_from(n + 1).ok())
+    /// Returns the joints for a frame of the flange with the least turning from `near`, in any posture.
+    pub(crate) fn inverse_nearest(&self, frame: &Frame, near: &Joints) -> Result<Joints, OutOfReach> {
+        let mut best: Result<(f64, Joints), OutOfReach> = Err(OutOfReach(3));
+        for fig in 0..32 {
+            match (self.inverse(frame, fig, near), &best) {
+                (Ok(joints), best_so_far) => {
+                    let turning = joints.iter().zip(near).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+                    if best_so_far.is_err() || best_so_far.is_ok_and(|(least, _)| turning < least) {
+                        best = Ok((turning, joints));
+                    }
+                }
+                (Err(error), Err(_)) => best = Err(error),
+                (Err(_), Ok(_)) => {}
+            }
+        }
+        best.map(|(_, joints)| joints)
+    }
+
+    /// Returns the first axis whose value is NaN or outside its range. The slice has J1 to J6, or all axes.
+    pub(crate) fn out_of_range(&self, axes: &[f64]) -> Option<u8> {
+        // a pose computed at the end of a range may be beyond it through rounding
+        const SLACK: f64 = 1e-6;
+        let outside = |(place, (low, high)): (&f64, &(f64, f64))| !(*low - SLACK..=*high + SLACK).contains(place);
+        axes.iter().zip(&self.ranges).position(outside).and_then(|n| u8::try_from(n + 1).ok())
+    }
+
+    /// Solves the triangle of shoulder, elbow and wrist centre for J2 and J3, in the plane of the arm.
+    fn arm_angles(&self, reach: f64, height: f64, bend_positive: bool) -> Result<(f64, f64), OutOfReach> {
+        let length = self.forearm_length();
+        let cosine = (reach * reach + height * height - self.a2 * self.a2 - length * length) / (2.0 * self.a2 * length);
+        // the elbow cannot stretch or fold further
+        if !(-1.0 - SINGULAR..=1.0 + SINGULAR).contains(&cosine) {
+            return Err(OutOfReach(3));
+        }
+        let angle = cosine.clamp(-1.0, 1.0).acos();
+        let bend = if bend_positive { angle } else { -angle };
+        let j2 = reach.atan2(height) - (length * bend.sin()).atan2(self.a2 + length * bend.cos());
+        Ok((normal(j2), bend - self.a3.atan2(self.d4)))
+    }
+
+    /// The distance from the elbow to the wrist centre.
+    fn forearm_length(&self) -> f64 {
+        self.d4.hypot(self.a3)
+    }
+
+    /// The angle between the upper arm and the line from the elbow to the wrist centre.
+    fn elbow_bend(&self, j3: f64) -> f64 {
+        j3.to_radians() + self.a3.atan2(self.d4)
+    }
 }
 
 /// Returns J1 to J6.
@@ -310,20 +357,6 @@ fn base_angle(centre: [f64; 3], lefty: bool, near: f64) -> f64 {
     if lefty { centre[1].atan2(centre[0]) } else { (-centre[1]).atan2(-centre[0]) }
 }
 
-/// Solves the triangle of shoulder, elbow and wrist centre for J2 and J3, in the plane of the arm.
-fn arm_angles(reach: f64, height: f64, bend_positive: bool) -> Result<(f64, f64), OutOfReach> {
-    let length = forearm_length();
-    let cosine = (reach * reach + height * height - A2 * A2 - length * length) / (2.0 * A2 * length);
-    // the elbow cannot stretch or fold further
-    if !(-1.0 - SINGULAR..=1.0 + SINGULAR).contains(&cosine) {
-        return Err(OutOfReach(3));
-    }
-    let angle = cosine.clamp(-1.0, 1.0).acos();
-    let bend = if bend_positive { angle } else { -angle };
-    let j2 = reach.atan2(height) - (length * bend.sin()).atan2(A2 + length * bend.cos());
-    Ok((normal(j2), bend - A3.atan2(D4)))
-}
-
 /// Solves `Rz(J4) Ry(J5) Rz(J6)`.
 fn wrist_angles(r: &Matrix, nonflip: bool, near_j4: f64) -> [f64; 3] {
     let sine = r[0][2].hypot(r[1][2]);
@@ -339,16 +372,6 @@ fn wrist_angles(r: &Matrix, nonflip: bool, near_j4: f64) -> [f64; 3] {
     }
     let s = if nonflip { 1.0 } else { -1.0 };
     [(s * r[1][2]).atan2(s * r[0][2]), (s * sine).atan2(r[2][2]), (s * r[2][1]).atan2(-s * r[2][0])]
-}
-
-/// The distance from the elbow to the wrist centre.
-fn forearm_length() -> f64 {
-    D4.hypot(A3)
-}
-
-/// The angle between the upper arm and the line from the elbow to the wrist centre.
-fn elbow_bend(j3: f64) -> f64 {
-    j3.to_radians() + A3.atan2(D4)
 }
 
 /// Brings an angle into -180 to 180 degrees, in radians.
@@ -446,6 +469,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    const ARM: Geometry = Geometry::DEFAULT;
+
     fn assert_close(a: &[f64], b: &[f64], tolerance: f64) {
         assert!(a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() < tolerance), "{a:?} is not {b:?}");
     }
@@ -458,22 +483,22 @@ mod tests {
     #[test]
     fn the_pose_of_the_guides_slave_move_has_the_joints_of_its_reply() {
         let joints = [0.0, 45.0, 90.0, 0.0, 45.0, 0.0];
-        let pose = forward(&joints).to_xyz_rpy();
+        let pose = ARM.forward(&joints).to_xyz_rpy();
         assert_close(&pose[..3], &[364.16, 0.0, 278.5355], 1e-3);
         assert_close(&[turn(pose[3]), turn(pose[4]), turn(pose[5])], &[turn(180.0), turn(0.0), turn(180.0)], 1e-9);
-        assert_eq!(figure(&joints), 5);
+        assert_eq!(ARM.figure(&joints), 5);
 
         let guide = Frame::from_xyz_rpy([364.16, 0.0, 278.5355, 180.0, 1.272222e-14, 180.0]);
-        assert_close(&inverse(&guide, 5, &[0.0; 6]).unwrap(), &joints, 1e-4);
+        assert_close(&ARM.inverse(&guide, 5, &[0.0; 6]).unwrap(), &joints, 1e-4);
     }
 
     #[test]
     fn the_straight_arm_is_as_high_as_its_parts() {
-        let frame = forward(&[0.0; 6]);
+        let frame = ARM.forward(&[0.0; 6]);
         assert_close(&frame.position, &[-10.0, 0.0, 345.0 + 250.0 + 255.0 + 70.0], 1e-9);
         assert_close(&frame.to_xyz_rpy()[3..], &[0.0; 3], 1e-9);
         assert_eq!(
-            inverse_nearest(&Frame::from_xyz_rpy([0.0, 0.0, 2000.0, 0.0, 0.0, 0.0]), &[0.0; 6]),
+            ARM.inverse_nearest(&Frame::from_xyz_rpy([0.0, 0.0, 2000.0, 0.0, 0.0, 0.0]), &[0.0; 6]),
             Err(OutOfReach(3))
         );
     }
@@ -513,21 +538,21 @@ mod tests {
     proptest! {
         #[test]
         fn joints_come_back_from_their_pose_and_figure(joints in any_joints()) {
-            let bend = elbow_bend(joints[2]).to_degrees();
-            let centre = forward(&joints);
+            let bend = ARM.elbow_bend(joints[2]).to_degrees();
+            let centre = ARM.forward(&joints);
             let r = centre.rotation;
-            let over_base = (centre.position[0] - D6 * r[0][2]).hypot(centre.position[1] - D6 * r[1][2]);
+            let over_base = (centre.position[0] - ARM.d6 * r[0][2]).hypot(centre.position[1] - ARM.d6 * r[1][2]);
             // next to a singularity the solution exists but is ill-conditioned
             prop_assume!(bend.abs() > 0.5 && joints[4].abs() > 0.5 && over_base > 1.0);
-            let back = inverse(&forward(&joints), figure(&joints), &joints).unwrap();
+            let back = ARM.inverse(&ARM.forward(&joints), ARM.figure(&joints), &joints).unwrap();
             assert_close(&back, &joints, 1e-5);
         }
 
         #[test]
         fn poses_come_back_from_their_joints(joints in any_joints()) {
-            let frame = forward(&joints);
-            let near = inverse_nearest(&frame, &joints).unwrap();
-            assert_close(&forward(&near).to_trans(), &frame.to_trans(), 1e-4);
+            let frame = ARM.forward(&joints);
+            let near = ARM.inverse_nearest(&frame, &joints).unwrap();
+            assert_close(&ARM.forward(&near).to_trans(), &frame.to_trans(), 1e-4);
             let [x, y, z, rx, ry, rz] = frame.to_xyz_rpy();
             assert_close(&Frame::from_xyz_rpy([x, y, z, rx, ry, rz]).to_trans(), &frame.to_trans(), 1e-6);
             assert_close(&Frame::from_trans(frame.to_trans()).unwrap().to_trans(), &frame.to_trans(), 1e-6);

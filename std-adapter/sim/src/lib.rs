@@ -16,14 +16,15 @@
 //! * Files below a folder of this machine.
 //! * A hand, as an extension and with the commands of a COBOTTA; the preparation that a COBOTTA needs before it moves.
 //! * Command objects, and messages about the controller's errors.
-//! * Tasks that run on the injected clock.
+//! * Tasks with programs that a scenario defines, on the injected clock.
+//! * Logs of errors, of operations and of positions.
 //! * The emergency stop, the mode switch, the executable token and errors, set by a test.
 //! * Faults of the controller and of the wire, set by a scenario.
 //! * [`memory`]: connections without sockets, on a clock that waits for nothing, for tests of drivers.
 //!
 //! # What answers `E_NOTIMPL`
 //!
-//! Free curves, RotateH, File_Run, Task_Delete, logs of positions and of operations, force control;
+//! Free curves, RotateH, areas, motions of two robots, force control;
 //! `docs/virtual-controller.md` has the whole table. A command that no controller is known to have answers `E_INVALID_CMD_NAME`.
 //! A call that answers `S_OK` has done what it was asked for.
 //!
@@ -41,8 +42,8 @@
 //! * Variable_GetDateTime answers when the variable was last read or written through this handle.
 //!
 //! The tables of names, types and answers are with the code: [`variables`], [`system`], [`arm`], [`execute`],
-//! [`commands`], [`messages`], [`explain`], [`files`], [`hand`], [`preparation`], [`pose`], [`kinematics`],
-//! [`scenario`], [`slave`], [`tasks`].
+//! [`commands`], [`messages`], [`trace`], [`explain`], [`files`], [`hand`], [`preparation`], [`pose`], [`kinematics`],
+//! [`scenario`], [`slave`], [`tasks`], [`model`].
 //!
 //! # Examples
 //!
@@ -79,12 +80,15 @@ pub mod hand;
 pub mod kinematics;
 pub mod memory;
 pub mod messages;
+pub mod model;
 pub mod motion;
 mod objects;
+mod operations;
 mod options;
 mod path;
 pub mod pose;
 pub mod preparation;
+pub mod program;
 mod queue;
 mod robot;
 mod route;
@@ -93,14 +97,16 @@ pub mod slave;
 mod stream;
 mod table;
 pub mod tasks;
+pub mod trace;
 mod value;
 pub mod variables;
 mod waits;
 
-pub use config::{Config, Mode, Permission, Profile, SlaveConfig, SlaveFormats, SpeedSetting, Token};
+pub use config::{Config, Mode, Permission, SlaveConfig, SpeedSetting, Token};
 pub use controller::execute::Bit;
 pub use controller::{Controller, EMERGENCY_STOP, execute, system};
 pub use errors::ErrorEntry;
+pub use model::{Model, Profile, SlaveFormats};
 pub use scenario::Scenario;
 pub use stream::{SlaveCounters, SlaveCycle};
 pub use tasks::TaskStatus;

@@ -1,19 +1,22 @@
 //! Messages: what the controller sends without a request, for a client to fetch.
 //!
-//! Each error of the controller is a message to every client that is connected then. Controller_GetMessage opens the
-//! oldest message that this client has not fetched, and answers `S_FALSE` without a handle if it has fetched all. A client
-//! that has connected with `@EventDisable=true` gets no messages. The controller keeps the latest 64 for each client; a
-//! gap in the serial numbers shows that older ones are lost.
+//! Each error of the controller is a message to every client that is connected then, and so is each text that a task or
+//! a scenario posts. Controller_GetMessage opens the oldest message that this client has not fetched, and answers
+//! `S_FALSE` without a handle if it has fetched all. A client that has connected with `@EventDisable=true` gets no
+//! messages. The controller keeps the latest 64 for each client; a gap in the serial numbers shows that older ones are
+//! lost.
 //!
-//! | function                      | answer                                                      |
-//! |-------------------------------|-------------------------------------------------------------|
-//! | Message_GetNumber             | I4, the code of the error                                   |
-//! | Message_GetValue              | I4, the same                                                |
-//! | Message_GetDescription        | BSTR, its text                                              |
-//! | Message_GetDateTime           | DATE, when it occurred                                      |
-//! | Message_GetSerialNumber       | I4, from 1, for each client                                 |
-//! | Message_GetSource, -Destination | BSTR, `@TYPE` of the controller; empty                    |
-//! | Message_Reply, Message_Clear  | `S_FALSE`: no message asks for a reply; `S_OK`              |
+//! | function                      | an error                             | a text                                 |
+//! |-------------------------------|--------------------------------------|----------------------------------------|
+//! | Message_GetNumber             | I4, the code                         | I4, 0                                  |
+//! | Message_GetValue              | I4, the same                         | BSTR, the text                         |
+//! | Message_GetDescription        | BSTR, its description                | BSTR, the text                         |
+//! | Message_GetDateTime           | DATE, when it occurred               | DATE, when it was posted               |
+//! | Message_GetSerialNumber       | I4, from 1, for each client          | likewise                               |
+//! | Message_GetSource             | BSTR, the task, or `@TYPE`           | likewise                               |
+//! | Message_GetDestination        | BSTR, empty                          | likewise                               |
+//! | Message_Reply                 | `S_FALSE`: no message asks for a reply | likewise                             |
+//! | Message_Clear                 | `S_OK`                               | likewise                               |
 //!
 //! No public source says which messages a real controller sends. The maker's own tools show that errors are among them.
 
@@ -33,11 +36,19 @@ use crate::value::Value;
 const WAITING: usize = 64;
 
 /// A message.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Message {
-    code: HResult,
+    content: Content,
+    /// The task; empty for the controller itself.
+    source: String,
     at: Instant,
     serial: i32,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Content {
+    Error(HResult),
+    Text(String),
 }
 
 /// The messages that the clients have not fetched.
@@ -58,7 +69,7 @@ impl Messages {
 
     /// Returns the oldest message that a client has not fetched.
     pub(crate) fn oldest(&self, peer: PeerId) -> Option<Message> {
-        self.waiting.get(&peer)?.front().copied()
+        self.waiting.get(&peer)?.front().cloned()
     }
 
     /// Drops the oldest message of a client, which has fetched it.
@@ -73,30 +84,55 @@ impl Messages {
         self.serials.remove(&peer);
     }
 
-    pub(crate) fn post(&mut self, code: HResult, at: Instant) {
+    /// Posts an error; `source` is the task in which it occurred.
+    pub(crate) fn post_error(&mut self, code: HResult, source: &str, at: Instant) {
+        self.post(&Content::Error(code), source, at);
+    }
+
+    /// Posts a text.
+    pub(crate) fn post_text(&mut self, text: &str, source: &str, at: Instant) {
+        self.post(&Content::Text(text.to_owned()), source, at);
+    }
+
+    fn post(&mut self, content: &Content, source: &str, at: Instant) {
         for (peer, waiting) in &mut self.waiting {
             let serial = self.serials.entry(*peer).or_insert(0);
             *serial = serial.checked_add(1).unwrap_or(1);
             if waiting.len() >= WAITING {
                 waiting.pop_front();
             }
-            waiting.push_back(Message { code, at, serial: *serial });
+            waiting.push_back(Message { content: content.clone(), source: source.to_owned(), at, serial: *serial });
         }
     }
 }
 
 impl Message {
+    /// Describes it.
+    pub(crate) fn help(&self) -> &'static str {
+        match self.content {
+            Content::Error(_) => "An error of the controller.",
+            Content::Text(_) => "A text of a task or of the controller.",
+        }
+    }
+
     /// Executes a function of the message object.
     pub(crate) fn call(&self, config: &Config, function: FunctionId) -> Answered {
-        Ok(match function {
-            FunctionId::MESSAGE_GET_NUMBER | FunctionId::MESSAGE_GET_VALUE => Value::I4(self.code.0).into(),
-            FunctionId::MESSAGE_GET_DESCRIPTION => Value::Text(description(self.code)).into(),
-            FunctionId::MESSAGE_GET_DATE_TIME => Value::Date(config.date(self.at)?).into(),
-            FunctionId::MESSAGE_GET_SERIAL_NUMBER => Value::I4(self.serial).into(),
-            FunctionId::MESSAGE_GET_SOURCE => Value::from(config.profile.type_name()).into(),
-            FunctionId::MESSAGE_GET_DESTINATION => Value::from("").into(),
-            FunctionId::MESSAGE_REPLY => Answer::Code(HResult::S_FALSE),
-            FunctionId::MESSAGE_CLEAR => Answer::Done,
+        Ok(match (function, &self.content) {
+            (FunctionId::MESSAGE_GET_NUMBER | FunctionId::MESSAGE_GET_VALUE, Content::Error(code)) => {
+                Value::I4(code.0).into()
+            }
+            (FunctionId::MESSAGE_GET_NUMBER, Content::Text(_)) => Value::I4(0).into(),
+            (FunctionId::MESSAGE_GET_DESCRIPTION, Content::Error(code)) => Value::Text(description(*code)).into(),
+            (FunctionId::MESSAGE_GET_VALUE | FunctionId::MESSAGE_GET_DESCRIPTION, Content::Text(text)) => {
+                Value::from(text.as_str()).into()
+            }
+            (FunctionId::MESSAGE_GET_DATE_TIME, _) => Value::Date(config.date(self.at)?).into(),
+            (FunctionId::MESSAGE_GET_SERIAL_NUMBER, _) => Value::I4(self.serial).into(),
+            (FunctionId::MESSAGE_GET_SOURCE, _) if !self.source.is_empty() => Value::from(self.source.as_str()).into(),
+            (FunctionId::MESSAGE_GET_SOURCE, _) => Value::from(config.model.name.as_str()).into(),
+            (FunctionId::MESSAGE_GET_DESTINATION, _) => Value::from("").into(),
+            (FunctionId::MESSAGE_REPLY, _) => Answer::Code(HResult::S_FALSE),
+            (FunctionId::MESSAGE_CLEAR, _) => Answer::Done,
             _ => return Err(HResult::E_NOTIMPL),
         })
     }

@@ -15,7 +15,7 @@ use std::time::Duration;
 use bcap_core::handler::PeerId;
 use bcap_core::time::Instant;
 
-use crate::kinematics::{AXIS_RANGES, Axes, Frame, forward, six};
+use crate::kinematics::{Axes, Frame, Geometry, six};
 use crate::options::Pass;
 use crate::path::Path;
 pub use crate::path::{LINE_SPEED, TURN_SPEED};
@@ -144,6 +144,11 @@ impl Motion {
         [0, 1, 2, 3, 4, 5, 6, 7].map(|i| here[i] - start[i])
     }
 
+    /// Returns the arm that it moves.
+    pub(crate) fn arm(&self) -> &Geometry {
+        &self.path.arm
+    }
+
     pub(crate) fn destination(&self) -> Axes {
         self.path.end()
     }
@@ -186,8 +191,9 @@ impl Motion {
             Pass::Stop => self.end(),
             Pass::Near(None) => braking,
             Pass::Near(Some(distance)) => {
-                let end = forward(&six(&self.destination()));
-                let far = |at: u64| forward(&six(&self.axes(Instant::from_micros(at)))).distance(&end).0 > distance;
+                let place = |axes: &Axes| self.path.arm.forward(&six(axes));
+                let end = place(&self.destination());
+                let far = |at: u64| place(&self.axes(Instant::from_micros(at))).distance(&end).0 > distance;
                 // bisection, because the flange comes nearer while the motion brakes
                 let (mut before, mut after) = (braking.as_micros(), self.end().as_micros());
                 while far(before) && before + 1 < after {
@@ -228,7 +234,7 @@ impl Motion {
         let (here, there) = (self.path.bounds(self.ramp.at(begin).0, 1.0), next.path.bounds(from, to));
         let start = next.path.start();
         (0..8).all(|i| {
-            let ((low, high), offset) = (AXIS_RANGES[i], start[i]);
+            let ((low, high), offset) = (self.path.arm.ranges[i], start[i]);
             here[i].0 + there[i].0 - offset >= low - ROUNDING && here[i].1 + there[i].1 - offset <= high + ROUNDING
         })
     }
@@ -242,7 +248,7 @@ mod tests {
     const FULL: Rates = Rates { speed: 1.0, accel: 1.0, decel: 1.0 };
 
     fn turn_of_j1(degrees: f64, rates: Rates) -> Motion {
-        let path = Path::axes([0.0; 8], [degrees, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        let path = Path::axes(&Geometry::DEFAULT, [0.0; 8], [degrees, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
         let mut motion = Motion::new(1, PeerId(1), path, rates, Instant::ZERO);
         motion.run(Instant::ZERO);
         motion

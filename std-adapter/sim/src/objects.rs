@@ -134,16 +134,16 @@ impl Entry {
     }
 
     fn help(&self) -> String {
-        match self.item {
+        match &self.item {
             Item::Controller => "A virtual robot controller.".to_owned(),
             Item::Robot => "A virtual arm of six axes.".to_owned(),
-            Item::Task(_) => "A virtual task: a loop of fixed time.".to_owned(),
+            Item::Task(_) => "A virtual task.".to_owned(),
             Item::Variable(Target::System(..)) => format!("The system variable {}.", self.name),
             Item::Variable(_) => format!("The user variable {}.", self.name),
             Item::File => format!("The file {}.", self.name),
             Item::Extension => "A virtual electric hand.".to_owned(),
             Item::Command(_) => format!("The command {} of the controller.", self.name),
-            Item::Message(_) => "An error of the controller.".to_owned(),
+            Item::Message(message) => message.help().to_owned(),
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The path of a motion: positions of the axes, and the speed that all limits permit.
 
-use crate::kinematics::{AXIS_RANGES, AXIS_SPEEDS, Axes, Frame, OutOfReach, inverse_nearest, six, with_joints};
+use crate::kinematics::{Axes, Frame, Geometry, OutOfReach, six, with_joints};
 
 /// The largest speed of the flange on a line, in mm per second.
 pub const LINE_SPEED: f64 = 2000.0;
@@ -21,17 +21,20 @@ pub(crate) struct Path {
     knots: Vec<Axes>,
     /// The highest speed within all limits, in paths per second.
     pub(crate) full_speed: f64,
+    /// The arm that follows the path.
+    pub(crate) arm: Geometry,
 }
 
 impl Path {
     /// Plans a motion in which every axis moves evenly.
-    pub(crate) fn axes(from: Axes, to: Axes) -> Self {
-        Self { full_speed: axis_limit(&from, &to, 1.0), knots: vec![from, to] }
+    pub(crate) fn axes(arm: &Geometry, from: Axes, to: Axes) -> Self {
+        Self { full_speed: axis_limit(arm, &from, &to, 1.0), knots: vec![from, to], arm: *arm }
     }
 
     /// Plans a motion of the flange through the frames of `frame`, a function of the part of the path, 0 to 1, while J7 and
     /// J8 move evenly to those of `end`. The flange moves `size.0` mm and turns `size.1` degrees.
     pub(crate) fn along(
+        arm: &Geometry,
         start: Axes,
         end: &Axes,
         size: (f64, f64),
@@ -42,29 +45,29 @@ impl Path {
         let mut here = start;
         for n in 1..=LINE_PARTS {
             let part = n as f64 / LINE_PARTS as f64;
-            let joints = inverse_nearest(&frame(part), &six(&here))?;
+            let joints = arm.inverse_nearest(&frame(part), &six(&here))?;
             let next = with_joints(&joints, &between(&start, end, part));
             if let Some(axis) = here.iter().zip(&next).take(6).position(|(a, b)| (a - b).abs() > LARGEST_STEP) {
                 return Err(OutOfReach(u8::try_from(axis + 1).unwrap_or(0)));
             }
-            full_speed = full_speed.min(axis_limit(&here, &next, LINE_PARTS as f64));
+            full_speed = full_speed.min(axis_limit(arm, &here, &next, LINE_PARTS as f64));
             knots.push(next);
             here = next;
         }
-        Ok(Self { knots, full_speed })
+        Ok(Self { knots, full_speed, arm: *arm })
     }
 
     /// Plans the path on which axes at these speeds come to rest together, within their limits of acceleration.
     ///
     /// `None` for axes at rest. An axis that would leave its range stops at the end of the range, so it brakes harder.
-    pub(crate) fn braking(from: Axes, speeds: &Axes, limits: &Axes) -> Option<Self> {
+    pub(crate) fn braking(arm: &Geometry, from: Axes, speeds: &Axes, limits: &Axes) -> Option<Self> {
         let seconds = speeds.iter().zip(limits).map(|(speed, limit)| speed.abs() / limit).fold(0.0, f64::max);
         let to = [0, 1, 2, 3, 4, 5, 6, 7].map(|i| {
-            let (low, high) = AXIS_RANGES[i];
+            let (low, high) = arm.ranges[i];
             // through rounding, an axis may be slightly beyond its range
             (from[i] + speeds[i] * seconds / 2.0).clamp(low.min(from[i]), high.max(from[i]))
         });
-        (seconds > 1e-6).then(|| Self { knots: vec![from, to], full_speed: 2.0 / seconds })
+        (seconds > 1e-6).then(|| Self { knots: vec![from, to], full_speed: 2.0 / seconds, arm: *arm })
     }
 
     /// Returns the position of the axes at its end.
@@ -101,7 +104,7 @@ fn between(a: &Axes, b: &Axes, part: f64) -> Axes {
 }
 
 /// Returns the speed at which the first axis reaches its limit, in paths per second.
-fn axis_limit(from: &Axes, to: &Axes, parts: f64) -> f64 {
-    let limits = from.iter().zip(to).zip(&AXIS_SPEEDS).map(|((a, b), speed)| speed / ((a - b).abs() * parts));
+fn axis_limit(arm: &Geometry, from: &Axes, to: &Axes, parts: f64) -> f64 {
+    let limits = from.iter().zip(to).zip(&arm.speeds).map(|((a, b), speed)| speed / ((a - b).abs() * parts));
     limits.fold(f64::INFINITY, f64::min)
 }

@@ -21,7 +21,7 @@ use bcap_core::rac::VariableKind as Kind;
 use bcap_core::variant::{Array, Variant};
 
 use crate::drive::Drive;
-use crate::kinematics::{Frame, Joints, OutOfReach, inverse, inverse_nearest, out_of_range};
+use crate::kinematics::{Frame, Geometry, Joints, OutOfReach};
 use crate::options::{Pass, pass_item, split_outside_brackets, split_pass};
 use crate::value::{number, numbers, numbers_of_text, whole};
 use crate::variables::{Family, Variables, parse_name};
@@ -183,14 +183,14 @@ impl Pose {
     }
 
     /// Returns the joints of the pose, for a frame those nearest to `near`.
-    pub(crate) fn joints(&self, near: &Joints) -> Result<Joints, OutOfReach> {
+    pub(crate) fn joints(&self, arm: &Geometry, near: &Joints) -> Result<Joints, OutOfReach> {
         match self {
-            Self::Joints(joints) => match out_of_range(joints) {
+            Self::Joints(joints) => match arm.out_of_range(joints) {
                 None => Ok(*joints),
                 Some(axis) => Err(OutOfReach(axis)),
             },
-            Self::Frame(frame, Some(fig)) => inverse(frame, *fig, near),
-            Self::Frame(frame, None) => inverse_nearest(frame, near),
+            Self::Frame(frame, Some(fig)) => arm.inverse(frame, *fig, near),
+            Self::Frame(frame, None) => arm.inverse_nearest(frame, near),
         }
     }
 }

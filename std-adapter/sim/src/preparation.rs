@@ -18,13 +18,13 @@
 //! token and no error. Public clients show this order and the two codes; how long a preparation lasts is a decision of
 //! this model. AutoCal takes no time and moves nothing.
 //!
-//! Other profiles do not know these commands and need no preparation.
+//! Other models do not know these commands and need no preparation.
 
 use bcap_core::hresult::HResult;
 
 use crate::answer::{Answer, Answered};
-use crate::config::Profile;
 use crate::context::Context;
+use crate::model::Functions;
 
 /// The steps of the preparation that are done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,8 +39,8 @@ pub(crate) struct Preparation {
 }
 
 impl Preparation {
-    pub(crate) const fn new(profile: Profile) -> Self {
-        let ready = !profile.needs_preparation();
+    pub(crate) const fn new(functions: Functions) -> Self {
+        let ready = !functions.preparation;
         Self { manual_reset: ready, motion: ready, calibrated: ready, torque_off: false }
     }
 
@@ -58,9 +58,9 @@ impl Preparation {
     }
 
     /// Records that the emergency stop was pressed.
-    pub(crate) const fn emergency_stop(&mut self, profile: Profile) {
-        self.torque_off = profile.has_safe_torque_off();
-        self.motion = !profile.needs_preparation();
+    pub(crate) const fn emergency_stop(&mut self, functions: Functions) {
+        self.torque_off = functions.safe_torque_off;
+        self.motion = !functions.preparation;
     }
 
     /// Makes the motor ready to be switched on.
@@ -81,6 +81,7 @@ impl Preparation {
         }
         self.use_manual_reset(ctx)?;
         self.complete();
+        ctx.record("motion preparation");
         Ok(Answer::Done)
     }
 
@@ -88,6 +89,7 @@ impl Preparation {
     pub(crate) fn calibrate(&mut self, ctx: &mut Context<'_>) -> Answered {
         ctx.may_execute()?;
         self.calibrated = true;
+        ctx.record("calibration");
         Ok(Answer::Done)
     }
 
@@ -98,12 +100,13 @@ impl Preparation {
         }
         self.use_manual_reset(ctx)?;
         self.torque_off = false;
+        ctx.record("manual reset");
         Ok(Answer::Done)
     }
 
     /// Checks that a command that concerns safety may be executed, and consumes its preparation.
     pub(crate) fn use_manual_reset(&mut self, ctx: &mut Context<'_>) -> Result<(), HResult> {
-        if !ctx.config.profile.needs_preparation() {
+        if !ctx.config.model.functions.preparation {
             return Ok(());
         }
         match std::mem::take(&mut self.manual_reset) {

@@ -69,6 +69,11 @@ impl Queue {
         self.motions.len() >= CAPACITY
     }
 
+    /// Tells whether the motions brake to their end.
+    pub(crate) fn is_halting(&self) -> bool {
+        self.stage == Stage::Halting && !self.is_empty()
+    }
+
     /// Returns the client of the last motion, unless the motions brake to their end.
     pub(crate) fn accepts(&self) -> Option<PeerId> {
         self.motions.back().filter(|_| self.stage != Stage::Halting).map(|motion| motion.peer)
@@ -258,7 +263,8 @@ impl Queue {
         self.slow_down(Stage::Skipping, now);
         let mut here = self.axes(self.at_rest());
         for n in self.begun..self.motions.len() {
-            match self.motions[n].route.as_ref().map(|(route, tool)| route.path(&here, tool)) {
+            let motion = &self.motions[n];
+            match motion.route.as_ref().map(|(route, tool)| route.path(motion.arm(), &here, tool)) {
                 Some(Ok(path)) => {
                     here = path.end();
                     self.motions[n].replace(path, now);

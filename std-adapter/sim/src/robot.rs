@@ -7,7 +7,7 @@ use bcap_core::time::Instant;
 use crate::config::Config;
 use crate::context::Context;
 use crate::coordinates::{Coordinates, Definitions};
-use crate::kinematics::{Axes, Joints, six, with_joints};
+use crate::kinematics::{Axes, Geometry, Joints, six, with_joints};
 use crate::motion::{Motion, Rates};
 use crate::options::Pass;
 use crate::path::Path;
@@ -66,11 +66,24 @@ pub(crate) struct Settings {
     pub(crate) external: Percent,
     pub(crate) tool: i32,
     pub(crate) work: i32,
+    pub(crate) load: Load,
+}
+
+/// What a client tells about the load and how the robot uses it. Motions do not depend on it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Load {
+    /// In g.
+    pub(crate) mass: i32,
+    pub(crate) centre: [f64; 3],
+    pub(crate) inertia: [f64; 3],
+    /// SpeedMode: 0 off, 1 for motions of joints, 2 along lines, 3 both.
+    pub(crate) speed_mode: i32,
 }
 
 /// The robot's state.
 #[derive(Clone, Debug)]
 pub(crate) struct Robot {
+    geometry: Geometry,
     queue: Queue,
     /// Slave Mode. While it is on, the queue is empty.
     stream: Option<Stream>,
@@ -88,6 +101,7 @@ impl Robot {
         let home = with_joints(&config.home, &[0.0; 8]);
         let internal = Percent { speed: config.speed, ..Percent::FULL };
         Self {
+            geometry: config.geometry,
             queue: Queue::new(home),
             stream: None,
             last_motion: 0,
@@ -101,6 +115,7 @@ impl Robot {
                 external: Percent::of_speed(config.ext_speed),
                 tool: 0,
                 work: 0,
+                load: Load::default(),
             },
         }
     }
@@ -170,20 +185,30 @@ impl Robot {
         &mut self.settings
     }
 
+    /// Returns the dimensions, ranges and speeds of the arm.
+    pub(crate) fn geometry(&self) -> &Geometry {
+        &self.geometry
+    }
+
     /// Returns the present tool and work coordinates.
     pub(crate) fn coordinates(&self) -> Coordinates {
-        Coordinates { tool: self.tools.get(self.settings.tool), work: self.works.get(self.settings.work) }
+        let (tool, work) = (self.tools.get(self.settings.tool), self.works.get(self.settings.work));
+        Coordinates { arm: self.geometry, tool, work }
     }
 
     /// Sets internal speeds, tool and work coordinates back, as TakeArm does.
     pub(crate) fn reset_settings(&mut self) {
-        let external = self.settings.external;
-        self.settings = Settings { line: Percent::FULL, joint: Percent::FULL, external, tool: 0, work: 0 };
+        self.settings = Settings { line: Percent::FULL, joint: Percent::FULL, tool: 0, work: 0, ..self.settings };
     }
 
     /// Tells whether a motion is running or held, or an axis moves in Slave Mode.
     pub(crate) fn is_moving(&self) -> bool {
         !self.queue.is_empty() || self.stream.as_ref().is_some_and(Stream::is_moving)
+    }
+
+    /// Tells whether the motions brake to their end.
+    pub(crate) fn is_halting(&self) -> bool {
+        self.queue.is_halting()
     }
 
     /// Tells whether the queue has motions of this client that continue to their end, and room for one more.
@@ -233,7 +258,7 @@ impl Robot {
         now: Instant,
     ) -> Result<u64, Blocked> {
         let tool = self.coordinates().tool;
-        let path = route.path(&self.queue.last_destination(), &tool)?;
+        let path = route.path(&self.geometry, &self.queue.last_destination(), &tool)?;
         self.last_motion += 1;
         let rates = internal.times(self.settings.external);
         let mut motion = Motion::new(self.last_motion, peer, path, rates, now);
@@ -301,7 +326,7 @@ impl Robot {
 
     /// Brakes all axes together from these speeds to rest, as hard as these limits of acceleration allow.
     pub(crate) fn brake(&mut self, peer: PeerId, speeds: &Axes, limits: &Axes, now: Instant) {
-        let Some(path) = Path::braking(self.queue.axes(now), speeds, limits) else { return };
+        let Some(path) = Path::braking(&self.geometry, self.queue.axes(now), speeds, limits) else { return };
         self.last_motion += 1;
         self.queue.brake(Motion::braking(self.last_motion, peer, path, now), now);
     }

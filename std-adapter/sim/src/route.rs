@@ -6,7 +6,7 @@ use bcap_core::hresult::HResult;
 
 use crate::curve::{Arc, Point};
 use crate::drive::Drive;
-use crate::kinematics::{Axes, Frame, Joints, OutOfReach, figure, forward, out_of_range, six, with_joints};
+use crate::kinematics::{Axes, Frame, Geometry, Joints, OutOfReach, six, with_joints};
 use crate::path::Path;
 use crate::pose::Pose;
 
@@ -55,23 +55,27 @@ impl From<OutOfReach> for Blocked {
 
 impl Route {
     /// Plans the path of a tool from a position of the axes.
-    pub(crate) fn path(&self, here: &Axes, tool: &Frame) -> Result<Path, Blocked> {
-        let axes = |end: Axes| Ok(Path::axes(*here, in_range(end)?));
+    pub(crate) fn path(&self, arm: &Geometry, here: &Axes, tool: &Frame) -> Result<Path, Blocked> {
+        let axes = |end: Axes| Ok(Path::axes(arm, *here, in_range(arm, end)?));
         match self {
-            Self::Joints(pose, extended) => axes(with_joints(&pose.joints(&six(here))?, &turned(extended, here))),
-            Self::Line(pose, extended) => line(here, tool, pose, &turned(extended, here)),
+            Self::Joints(pose, extended) => axes(with_joints(&pose.joints(arm, &six(here))?, &turned(extended, here))),
+            Self::Line(pose, extended) => line(arm, here, tool, pose, &turned(extended, here)),
             Self::Turn(drive) => axes(drive.apply(here)),
             Self::Home(joints) => axes(with_joints(joints, here)),
-            Self::Arc(via, pose) => arc(here, tool, *via, pose),
+            Self::Arc(via, pose) => arc_path(arm, here, tool, *via, pose),
             Self::Depart { distance, line: straight } => {
-                let frame = forward(&six(here)).times(tool).withdrawn(*distance).times(&tool.inverse());
+                let frame = arm.forward(&six(here)).times(tool).withdrawn(*distance).times(&tool.inverse());
                 let pose = Pose::Frame(frame, None);
-                if *straight { line(here, tool, &pose, here) } else { Self::Joints(pose, None).path(here, tool) }
+                if *straight {
+                    line(arm, here, tool, &pose, here)
+                } else {
+                    Self::Joints(pose, None).path(arm, here, tool)
+                }
             }
             Self::Rotate { arc, turns } => {
-                let (from, flange) = (forward(&six(here)).times(tool), tool.inverse());
+                let (from, flange) = (arm.forward(&six(here)).times(tool), tool.inverse());
                 let size = (arc.length(from.position), if *turns { arc.degrees.abs() } else { 0.0 });
-                Ok(Path::along(*here, here, size, |part| {
+                Ok(Path::along(arm, *here, here, size, |part| {
                     let turned = from.turned(arc.centre, arc.axis, arc.degrees * part);
                     if *turns { turned } else { from.moved_to(turned.position) }.times(&flange)
                 })?)
@@ -84,24 +88,24 @@ fn turned(extended: &Option<Drive>, here: &Axes) -> Axes {
     extended.as_ref().map_or(*here, |drive| drive.apply(here))
 }
 
-fn in_range(axes: Axes) -> Result<Axes, OutOfReach> {
-    out_of_range(&axes).map_or(Ok(axes), |axis| Err(OutOfReach(axis)))
+fn in_range(arm: &Geometry, axes: Axes) -> Result<Axes, OutOfReach> {
+    arm.out_of_range(&axes).map_or(Ok(axes), |axis| Err(OutOfReach(axis)))
 }
 
 /// Plans a line, on which the posture cannot change; J7 and J8 move to those of `extended`.
-fn line(here: &Axes, tool: &Frame, pose: &Pose, extended: &Axes) -> Result<Path, Blocked> {
-    let (from, (to, fig), flange) = (forward(&six(here)).times(tool), tip(pose, tool), tool.inverse());
-    let end = in_range(with_joints(&six(here), extended))?;
-    let path = Path::along(*here, &end, from.distance(&to), |part| from.towards(&to, part).times(&flange))?;
+fn line(arm: &Geometry, here: &Axes, tool: &Frame, pose: &Pose, extended: &Axes) -> Result<Path, Blocked> {
+    let (from, (to, fig), flange) = (arm.forward(&six(here)).times(tool), tip(arm, pose, tool), tool.inverse());
+    let end = in_range(arm, with_joints(&six(here), extended))?;
+    let path = Path::along(arm, *here, &end, from.distance(&to), |part| from.towards(&to, part).times(&flange))?;
     keeps_posture(path, fig)
 }
 
 /// Plans an arc, on which the posture cannot change.
-fn arc(here: &Axes, tool: &Frame, via: Point, pose: &Pose) -> Result<Path, Blocked> {
-    let (from, (to, fig), flange) = (forward(&six(here)).times(tool), tip(pose, tool), tool.inverse());
+fn arc_path(arm: &Geometry, here: &Axes, tool: &Frame, via: Point, pose: &Pose) -> Result<Path, Blocked> {
+    let (from, (to, fig), flange) = (arm.forward(&six(here)).times(tool), tip(arm, pose, tool), tool.inverse());
     let arc = Arc::through(from.position, via, to.position).ok_or(Blocked::Invalid)?;
     let size = (arc.length(from.position), from.distance(&to).1);
-    let path = Path::along(*here, here, size, |part| {
+    let path = Path::along(arm, *here, here, size, |part| {
         let position = from.turned(arc.centre, arc.axis, arc.degrees * part).position;
         from.towards(&to, part).moved_to(position).times(&flange)
     })?;
@@ -109,9 +113,9 @@ fn arc(here: &Axes, tool: &Frame, via: Point, pose: &Pose) -> Result<Path, Block
 }
 
 /// Returns the frame of the tool for a pose of the flange, and the Fig if the pose has one.
-fn tip(pose: &Pose, tool: &Frame) -> (Frame, Option<u8>) {
+fn tip(arm: &Geometry, pose: &Pose, tool: &Frame) -> (Frame, Option<u8>) {
     match pose {
-        Pose::Joints(joints) => (forward(joints).times(tool), None),
+        Pose::Joints(joints) => (arm.forward(joints).times(tool), None),
         Pose::Frame(frame, fig) => (frame.times(tool), *fig),
     }
 }
@@ -121,7 +125,7 @@ fn keeps_posture(path: Path, fig: Option<u8>) -> Result<Path, Blocked> {
     // shoulder, elbow and wrist; the turns of J4 and J6 result from the path
     const POSTURE: u8 = 7;
     match fig {
-        Some(fig) if (figure(&six(&path.end())) ^ fig) & POSTURE != 0 => Err(Blocked::Invalid),
+        Some(fig) if (path.arm.figure(&six(&path.end())) ^ fig) & POSTURE != 0 => Err(Blocked::Invalid),
         _ => Ok(path),
     }
 }

@@ -41,6 +41,7 @@
 //! | `{ mode = m }`          | the mode switch is turned: `"auto"`, `"manual"`, `"teach_check"`                 |
 //! | `{ token = t }`         | the executable token goes to `"any"`, the `"pendant"` or an `"other"` client     |
 //! | `{ motor = b }`         | the motor is switched on or off from outside                                     |
+//! | `{ message = text }`    | a message is posted to the clients, see [`messages`](crate::messages)            |
 //!
 //! A code is a name or a number: `"E_BUF_FULL"`, `"0x83201483"`. `bcap sim --scenario FILE` plays a file.
 //!
@@ -55,6 +56,9 @@
 //! token = "pendant"           # any; pendant: the teach pendant; other: a client that is not connected
 //! permission = "read_only"    # read_write
 //! emergency_stop = true       # pressed, which is an error that cannot be cleared
+//! battery_low = true          # the battery is exhausted: SysState, SysInfo 15
+//! warning = true              # the robot warns: SysState
+//! protective_stop = true      # is shown by SysState and @PROTECTIVE_STOP; it stops nothing
 //! errors = ["0x84201482"]     # present errors, the first cause first
 //! arm = "taken"               # free; taken: by a client that is not connected, for good
 //! motor = false               # off; true is refused with emergency_stop or errors
@@ -68,6 +72,31 @@
 //! slave_speed = { j1 = 500.0 }            # limits of Slave Mode for single axes, in degrees or mm per second,
 //! slave_acceleration = { j2 = 10000.0 }   # and per second squared
 //! ```
+//!
+//! # Tasks
+//!
+//! A section `[[task]]` defines a [task](crate::tasks) with a program, in place of one with the same name:
+//!
+//! ```toml
+//! [[task]]
+//! name = "Feeder"
+//! start = 2                             # runs from the beginning: 1 one cycle, 2 continuously; without it, a client starts it
+//! line_ms = 10                          # the least time of a step; default 10
+//! steps = [
+//!     { wait = { IO128 = true } },      # until all these variables have these values
+//!     { set = { IO24 = true, I5 = 7 } },
+//!     { move = "@P J(0,45,90,0,45,0)" },                                    # Robot_Move with the joints
+//!     { move = { pose = "@E P1", interpolation = 2, option = "SPEED=50" } },
+//!     { wait_ms = 500 },
+//!     { add = { I10 = 1 } },            # to variables I, F and D
+//!     { message = "one part fed" },
+//!     { set = { IO24 = false } },
+//!     { error = "0x81501003" },         # an error of the controller
+//! ]
+//! ```
+//!
+//! Each step is a line. Values are numbers, BOOLs for IO, texts for S, and arrays for V, P, J and T. A variable that waits
+//! is checked every `line_ms`.
 //!
 //! To refuse all clients, refuse each Service_Start: `when = { every = 1, of = "Service_Start" }` with
 //! `then = { refuse = "E_MAX_CONNECT" }`.
@@ -83,6 +112,7 @@ mod file;
 mod run;
 mod section;
 mod setup;
+mod task;
 
 use std::time::Duration;
 
@@ -91,6 +121,7 @@ use bcap_core::time::Instant;
 use serde::Deserialize;
 
 use crate::config::{Mode, Token};
+use crate::program::Program;
 
 pub(crate) use run::{Running, Step};
 pub use setup::Setup;
@@ -124,6 +155,8 @@ pub struct Scenario {
     pub seed: u64,
     /// The initial state of the controller.
     pub controller: Setup,
+    /// The tasks.
+    pub tasks: Vec<Program>,
     /// The faults. If a call meets several, all happen, in this order.
     pub faults: Vec<ScenarioFault>,
 }
@@ -165,7 +198,7 @@ pub enum Which {
 }
 
 /// The effect of a fault.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Effect {
     /// The call is not executed, and answered with this code.
     Refuse(HResult),
@@ -185,6 +218,8 @@ pub enum Effect {
     Token(Token),
     /// The motor is switched on or off.
     Motor(bool),
+    /// A message is posted to the clients.
+    Message(String),
 }
 
 /// What happens to an answer on the wire.
@@ -223,6 +258,16 @@ pub enum ScenarioError {
     /// The section `[controller]` is invalid.
     #[error("controller: {0}")]
     Controller(&'static str),
+    /// A task is invalid.
+    #[error("task {name:?}, step {step}: {problem}")]
+    Task {
+        /// Its name.
+        name: String,
+        /// The number of the step, from 1; 0 for the task itself.
+        step: usize,
+        /// What is wrong, and what is accepted.
+        problem: String,
+    },
     /// A fault is invalid.
     #[error("fault {number}: {problem}")]
     Fault {

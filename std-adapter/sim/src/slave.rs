@@ -73,7 +73,7 @@ use crate::answer::{Answer, Answered};
 use crate::config::Config;
 use crate::context::Context;
 use crate::coordinates::Coordinates;
-use crate::kinematics::{AXIS_SPEEDS, Axes, OutOfReach, out_of_range, six};
+use crate::kinematics::{Axes, OutOfReach, six};
 use crate::motion::ACCELERATION_TIME;
 use crate::pose::Pose;
 use crate::robot::{Percent, Robot};
@@ -82,7 +82,8 @@ use crate::value::{Value, one_int};
 use crate::waits::{Wait, Waits};
 use format::{Formats, Order, State};
 
-pub use crate::config::{SlaveConfig, SlaveFormats, SpeedSetting};
+pub use crate::config::{SlaveConfig, SpeedSetting};
+pub use crate::model::SlaveFormats;
 pub use crate::stream::{CYCLE, Limits, SlaveCounters, SlaveCycle};
 
 /// The option element of a pose, without the bits of its joints.
@@ -222,13 +223,13 @@ pub(crate) fn mode(robot: &Robot) -> i32 {
 
 /// Returns the limits of Slave Mode, if it is entered now.
 pub(crate) fn limits(robot: &Robot, config: &Config) -> Limits {
-    let slave = &config.slave;
+    let (slave, speeds) = (&config.slave, robot.geometry().speeds);
     let (mut speed, mut acceleration) = match slave.speed_setting {
         SpeedSetting::Servo | SpeedSetting::ServoByExtSpeed => {
-            (AXIS_SPEEDS.map(|limit| limit * 1.2), AXIS_SPEEDS.map(|limit| limit / ACCELERATION_TIME * 4.0))
+            (speeds.map(|limit| limit * 1.2), speeds.map(|limit| limit / ACCELERATION_TIME * 4.0))
         }
         SpeedSetting::Command | SpeedSetting::CommandByExtSpeed => {
-            (AXIS_SPEEDS, AXIS_SPEEDS.map(|limit| limit / ACCELERATION_TIME))
+            (speeds, speeds.map(|limit| limit / ACCELERATION_TIME))
         }
     };
     for (limits, own) in [(&mut speed, slave.speed_limits), (&mut acceleration, slave.acceleration_limits)] {
@@ -319,9 +320,9 @@ fn target(
     }
     let numbers = if kind == Kind::J { &numbers[..6] } else { numbers };
     let pose = coordinates.flange(Pose::new(kind, numbers)?);
-    Ok(pose.joints(&six(&near)).and_then(|joints| {
+    Ok(pose.joints(&coordinates.arm, &six(&near)).and_then(|joints| {
         axes[..6].copy_from_slice(&joints);
-        out_of_range(&axes).map_or(Ok(axes), |axis| Err(OutOfReach(axis)))
+        coordinates.arm.out_of_range(&axes).map_or(Ok(axes), |axis| Err(OutOfReach(axis)))
     }))
 }
 

@@ -5,7 +5,7 @@
 
 use bcap_core::hresult::HResult;
 
-use crate::config::Profile;
+use crate::model::Functions;
 
 /// A command of an Execute function. `R` is the type of its handler, a function pointer.
 #[derive(Clone, Copy, Debug)]
@@ -15,7 +15,7 @@ pub(crate) struct Command<R> {
     run: Option<R>,
     /// Makes the answer of a call that has waited, for commands that answer a value then.
     resume: Option<R>,
-    is_of: fn(Profile) -> bool,
+    is_of: fn(Functions) -> bool,
     /// The values that its parameter may have, for commands that check it.
     pub(crate) accepts: Option<&'static str>,
     /// Whether the client in Slave Mode may call it.
@@ -42,8 +42,8 @@ impl<R: Copy> Command<R> {
         self
     }
 
-    /// Restricts the command to some profiles; the others do not know its name.
-    pub(crate) const fn of(mut self, is_of: fn(Profile) -> bool) -> Self {
+    /// Restricts the command to some models; the others do not know its name.
+    pub(crate) const fn of(mut self, is_of: fn(Functions) -> bool) -> Self {
         self.is_of = is_of;
         self
     }
@@ -53,9 +53,9 @@ impl<R: Copy> Command<R> {
         self
     }
 
-    /// Tells whether a profile executes this command.
-    pub(crate) fn exists(&self, profile: Profile) -> bool {
-        self.run.is_some() && (self.is_of)(profile)
+    /// Tells whether a model executes this command.
+    pub(crate) fn exists(&self, functions: Functions) -> bool {
+        self.run.is_some() && (self.is_of)(functions)
     }
 
     /// Returns the handler that makes the answer of a call that has waited.
@@ -72,9 +72,9 @@ impl<R: Copy> Command<R> {
     ///
     /// # Errors
     ///
-    /// `E_NOTIMPL` for a command that this model lacks, `E_INVALID_CMD_NAME` for one that the profile does not know.
-    pub(crate) fn handler(table: &'static [Self], name: &str, profile: Profile) -> Result<R, HResult> {
-        let command = Self::find(table, name).filter(|command| (command.is_of)(profile));
+    /// `E_NOTIMPL` for a command that this crate lacks, `E_INVALID_CMD_NAME` for one that the model does not know.
+    pub(crate) fn handler(table: &'static [Self], name: &str, functions: Functions) -> Result<R, HResult> {
+        let command = Self::find(table, name).filter(|command| (command.is_of)(functions));
         command.ok_or(HResult::E_INVALID_CMD_NAME)?.run.ok_or(HResult::E_NOTIMPL)
     }
 }
@@ -125,7 +125,7 @@ impl<G: Copy, P: Copy> Property<G, P> {
     }
 }
 
-/// Asserts that the module headers of these sources name every command of a table that a profile executes, and that
+/// Asserts that the module headers of these sources name every command of a table that a model executes, and that
 /// `docs/virtual-controller.md` has a row for every command.
 #[cfg(test)]
 pub(crate) fn assert_documented<R: Copy>(table: &[Command<R>], sources: &[&str]) {

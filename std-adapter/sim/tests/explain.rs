@@ -90,6 +90,7 @@ fn an_observer_is_told() {
     assert_eq!(world.execute(client, "ClearError", ()), ok(&()));
     assert_eq!(world.execute(client, "SysInfo", 7), code(HResult::E_NOTIMPL));
     assert_eq!(world.execute(client, "SysInfo", "a"), code(HResult::DISP_E_TYPEMISMATCH));
-    let text = "Controller_Execute \"SysInfo\": given \"a\"; accepted one number: 0, the serial number";
+    let text =
+        "Controller_Execute \"SysInfo\": given \"a\"; accepted one number: 0, the serial number, or 15, the battery";
     assert_eq!(*seen.lock().unwrap(), [(HResult::DISP_E_TYPEMISMATCH, text.to_owned())]);
 }

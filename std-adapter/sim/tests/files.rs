@@ -306,3 +306,22 @@ fn file_work_that_is_dropped_or_that_no_client_waits_for_changes_nothing() {
     run_all(&queue);
     assert_eq!(rig.world.again(again.peer, &names), (Outcome::Done(HResult::S_OK), common::value(&["Sub\\", "a.pcs"])));
 }
+
+#[test]
+fn a_file_runs_as_its_task() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut world = World::with(Config { files: Some(folder.path().to_owned()), ..Config::default() });
+    let client = world.client(1);
+    let open = |world: &mut World, name: &str| {
+        FileHandle(world.handle(client.peer, call::controller_get_file(client.controller, name, "@Create=1")))
+    };
+    let (file, other) = (open(&mut world, "pro2.pcs"), open(&mut world, "other.pcs"));
+    assert_eq!(world.call(client.peer, call::file_run(file, "")), ok("Pro2"));
+    assert_eq!(world.sim.task("Pro2").map(|task| task.0), Some(bcap_sim::TaskStatus::Running));
+    assert_eq!(world.call(client.peer, call::file_run(file, "")).0, HResult::E_CAO_CMD_EXECUTE);
+    assert_eq!(world.call(client.peer, call::file_run(other, "")).0, HResult::E_CAO_OBJECT_NOTFOUND);
+    assert_eq!(world.call(client.peer, call::file_execute(file, "Open", ())).0, HResult::E_INVALID_CMD_NAME);
+    assert_eq!(world.call(client.peer, call::file_get_variable(file, "Size", "")).0, HResult::E_CAO_OBJECT_NOTFOUND);
+    world.pass(5000);
+    assert_eq!(world.sim.task("Pro2"), Some((bcap_sim::TaskStatus::Ready, 1)));
+}

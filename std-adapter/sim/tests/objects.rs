@@ -168,7 +168,7 @@ fn a_command_object_keeps_parameters_and_result() {
 
 #[test]
 fn the_names_of_commands_are_those_that_can_be_opened_and_executed() {
-    for (profile, count) in [(Profile::Rc8, 9), (Profile::Rc9, 12), (Profile::Cobotta, 19)] {
+    for (profile, count) in [(Profile::Rc8, 11), (Profile::Rc9, 14), (Profile::Cobotta, 24)] {
         let mut world = World::with(Config::new(profile));
         let client = world.client(1);
         let (_, names) = world.call(client.peer, call::controller_get_command_names(client.controller, ""));
@@ -181,7 +181,7 @@ fn the_names_of_commands_are_those_that_can_be_opened_and_executed() {
             let unknown = [HResult::E_NOTIMPL, HResult::E_INVALID_CMD_NAME].contains(&reply);
             assert!(!unknown, "{profile:?}: {name} answers {reply}");
         }
-        let other = call::controller_get_command(client.controller, "GetOprLog", "");
+        let other = call::controller_get_command(client.controller, "SetAutoMode", "");
         assert_eq!(world.call(client.peer, other), code(HResult::E_CAO_OBJECT_NOTFOUND));
     }
 }

@@ -329,13 +329,11 @@ fn lists_of_names_open_what_they_name() {
 fn what_is_not_modelled_says_so() {
     let mut world = World::new();
     let client = world.client(1);
-    let task = world.task(client, "Pro1");
     let c = client.controller;
     assert_eq!(world.call(client.peer, call::controller_get_file(c, "a.pcs", "")), code(HResult::E_NOTIMPL));
     assert_eq!(world.call(client.peer, call::controller_get_file_names(c, "")), code(HResult::E_NOTIMPL));
-    assert_eq!(world.call(client.peer, call::task_delete(task, "")), code(HResult::E_NOTIMPL));
-    assert_eq!(world.robot(client, "StartLog", ()), code(HResult::E_NOTIMPL));
-    assert_eq!(world.execute(client, "GetOprLog", 0), code(HResult::E_NOTIMPL));
+    assert_eq!(world.robot(client, "ForceCtrl", ()), code(HResult::E_NOTIMPL));
+    assert_eq!(world.execute(client, "SetAutoMode", ()), code(HResult::E_NOTIMPL));
     // an RC8 has not what a COBOTTA has
     assert_eq!(world.execute(client, "HandStop", ()), code(HResult::E_INVALID_CMD_NAME));
     assert_eq!(world.robot(client, "MotionPreparation", ()), code(HResult::E_INVALID_CMD_NAME));

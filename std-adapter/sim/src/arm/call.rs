@@ -3,6 +3,7 @@
 use bcap_core::bcap::FunctionId;
 use bcap_core::bcap::server::Request;
 use bcap_core::hresult::HResult;
+use bcap_core::variant::Variant;
 
 use super::commands::{COMMANDS, Handler};
 use super::{Arm, moves};
@@ -20,10 +21,13 @@ impl Arm {
         match request.function {
             FunctionId::ROBOT_EXECUTE => {
                 let name = command_of(request).unwrap_or_default();
-                let handler = Command::handler(COMMANDS, &name, ctx.config.profile)?;
+                let handler = Command::handler(COMMANDS, &name, ctx.config.model.functions)?;
                 self.run(handler, ctx, request)
             }
-            FunctionId::ROBOT_MOVE => moves::move_to(&mut self.robot, ctx, request),
+            FunctionId::ROBOT_MOVE => {
+                let option = request.text(3).to_string();
+                moves::move_to(&mut self.robot, ctx, request.int(1), &request.value(2), &option)
+            }
             FunctionId::ROBOT_DRIVE => {
                 let drive = Drive::relative(request.int(1), request.float(2))?;
                 moves::drive(&mut self.robot, ctx, drive, &request.text(3).to_string())
@@ -52,6 +56,20 @@ impl Arm {
             FunctionId::ROBOT_CHANGE => self.change(ctx, &request.text(1).to_string()),
             _ => Err(HResult::E_NOTIMPL),
         }
+    }
+
+    /// Starts a motion of a task, which takes the arm if it is free.
+    pub(crate) fn move_for_task(
+        &mut self,
+        ctx: &mut Context<'_>,
+        interpolation: i32,
+        pose: &Variant<'_>,
+        option: &str,
+    ) -> Answered {
+        if self.robot.owner().is_none() {
+            self.robot.set_owner(Some((ctx.peer, 0)));
+        }
+        moves::move_to(&mut self.robot, ctx, interpolation, pose, option)
     }
 
     /// Makes the answer of a call that has waited successfully.

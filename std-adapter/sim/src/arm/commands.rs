@@ -6,10 +6,10 @@ use bcap_core::variant::Variant;
 
 use super::poses::Definition;
 use super::readings::{self, Reading};
-use super::{Arm, moves, poses};
+use super::{Arm, measures, moves, poses};
 use crate::answer::{Answer, Answered};
-use crate::config::Profile;
 use crate::context::Context;
+use crate::model::Functions;
 use crate::robot::{Percent, percent};
 use crate::slave;
 use crate::table::Command;
@@ -46,6 +46,10 @@ const DEFINE: &str = "[number, pose]: 1 to 63; a P in any form, or its 6 numbers
 const JOINTS: &str = "6 to 8 numbers in degrees, \"J(...)\", \"J1\" or [numbers, \"J\"]";
 const POSITION: &str = "6 or 7 numbers (X Y Z RX RY RZ Fig), \"P(...)\", \"P1\" or [numbers, \"P\"]";
 const TRANS: &str = "9 or 10 numbers (position, orient, approach, Fig), \"T(...)\", \"T1\" or [numbers, \"T\"]";
+
+const fn has_preparation(functions: Functions) -> bool {
+    functions.preparation
+}
 
 /// The commands.
 pub(crate) const COMMANDS: &[Command<Handler>] = &[
@@ -127,28 +131,38 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
         arm.preparation.prepare_reset();
         Ok(Answer::Done)
     })
-    .of(Profile::needs_preparation),
-    command("MotionPreparation", |arm, ctx, _| arm.preparation.prepare_motion(ctx)).of(Profile::needs_preparation),
+    .of(has_preparation),
+    command("MotionPreparation", |arm, ctx, _| arm.preparation.prepare_motion(ctx)).of(has_preparation),
     read("GetMotionPreparationState", |arm, _| Value::Bool(arm.preparation.is_motion_ready()))
-        .of(Profile::needs_preparation),
-    command("AutoCal", |arm, ctx, _| arm.preparation.calibrate(ctx)).of(Profile::needs_preparation),
-    Command::missing("GetSrvData"),
-    Command::missing("ConvertPosWork"),
-    Command::missing("PayLoad"),
-    Command::missing("SpeedMode"),
+        .of(has_preparation),
+    command("AutoCal", |arm, ctx, _| arm.preparation.calibrate(ctx)).of(has_preparation),
+    command("StartLog", |arm, ctx, _| {
+        arm.trace.start(ctx.now);
+        Ok(Answer::Done)
+    }),
+    command("StopLog", |arm, _, _| Ok(Answer::done_if(arm.trace.stop()))),
+    command("ClearLog", |arm, _, _| {
+        arm.trace.clear();
+        Ok(Answer::Done)
+    }),
+    read("GetLogCount", |arm, _| Value::I4(i32::try_from(arm.trace.len()).unwrap_or(i32::MAX))),
+    command("GetLogRecord", |arm, _, param| measures::log_record(arm, param))
+        .accepts("one number: the index, from 0 to below GetLogCount"),
+    command("GetSrvData", measures::servo_data)
+        .accepts("one number: 2 deviations, 4 torques, 17 speed of the tool centre point"),
+    command("PayLoad", measures::payload)
+        .accepts("[mass, centre, inertia]: g, and two arrays of 3 numbers or \"V(x,y,z)\", the last of which may be absent"),
+    command("SpeedMode", measures::speed_mode).accepts("one number, 0 to 3"),
+    command("ConvertPosWork", poses::convert_work)
+        .accepts("[pose, from] or [pose, from, to]: a pose, and two numbers of work coordinates, 0 to 63"),
+    command("CheckVirtualFence", poses::check_fence).accepts("a pose in any form"),
     Command::missing("GetAreaDef"),
     Command::missing("GetAreaEnabled"),
     Command::missing("SetAreaEnabled"),
-    Command::missing("CheckVirtualFence"),
     Command::missing("ForceSensor"),
     Command::missing("ForceValue"),
     Command::missing("ForceCtrl"),
     Command::missing("ForceParam"),
-    Command::missing("StartLog"),
-    Command::missing("StopLog"),
-    Command::missing("ClearLog"),
-    Command::missing("GetLogCount"),
-    Command::missing("GetLogRecord"),
     Command::missing("SyncTimeStart"),
     Command::missing("SyncTimeEnd"),
     Command::missing("SyncMoveStart"),
@@ -180,6 +194,7 @@ fn take_arm(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answer
     ctx.may_execute()?;
     arm.robot.may_set(ctx)?;
     arm.robot.set_owner(Some((ctx.peer, group)));
+    ctx.record("arm taken");
     if keep == 0 {
         arm.robot.reset_settings();
     }
@@ -196,6 +211,7 @@ fn give_arm(arm: &mut Arm, ctx: &mut Context<'_>, _: &Variant<'_>) -> Answered {
         return if passes { Ok(Answer::Until(Wait::Rest)) } else { Err(HResult::E_ROBOTISBUSY) };
     }
     arm.robot.set_owner(None);
+    ctx.record("arm given back");
     Ok(Answer::Done)
 }
 

@@ -39,26 +39,30 @@ struct MoveOptions {
 }
 
 /// Executes Robot_Move.
-pub(super) fn move_to(robot: &mut Robot, ctx: &mut Context<'_>, request: &Request<'_>) -> Answered {
-    let option = request.text(3).to_string();
-    let pose = request.value(2);
-    match request.int(1) {
+pub(super) fn move_to(
+    robot: &mut Robot,
+    ctx: &mut Context<'_>,
+    interpolation: i32,
+    pose: &Variant<'_>,
+    option: &str,
+) -> Answered {
+    match interpolation {
         interpolation @ (1 | 2) => {
-            let Target { pose, extended, pass } = Target::parse(&pose, ctx.variables)?;
+            let Target { pose, extended, pass } = Target::parse(pose, ctx.variables)?;
             let pose = robot.coordinates().flange(pose);
             if let Some(drive) = &extended {
                 drive.check(ctx.config.extended_axes)?;
             }
             match interpolation {
-                1 => start(robot, ctx, (Route::Joints(pose, extended), pass), Speed::Joints, &option),
-                _ => start(robot, ctx, (Route::Line(pose, extended), pass), Speed::Line, &option),
+                1 => start(robot, ctx, (Route::Joints(pose, extended), pass), Speed::Joints, option),
+                _ => start(robot, ctx, (Route::Line(pose, extended), pass), Speed::Line, option),
             }
         }
         3 => {
-            let (via, Target { pose, pass, .. }) = Target::parse_two(&pose, ctx.variables)?;
+            let (via, Target { pose, pass, .. }) = Target::parse_two(pose, ctx.variables)?;
             let coordinates = robot.coordinates();
             let via = coordinates.work.times(&coordinates.pose_of(&via).0).position;
-            start(robot, ctx, (Route::Arc(via, coordinates.flange(pose)), pass), Speed::Line, &option)
+            start(robot, ctx, (Route::Arc(via, coordinates.flange(pose)), pass), Speed::Line, option)
         }
         4 => Err(HResult::E_NOTIMPL),
         _ => Err(HResult::E_INVALIDARG),

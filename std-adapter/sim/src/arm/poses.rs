@@ -9,7 +9,7 @@ use super::Arm;
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::coordinates::Coordinates;
-use crate::kinematics::{angle, figure, measured, pose_numbers};
+use crate::kinematics::{angle, measured, pose_numbers};
 use crate::pose::Pose;
 use crate::robot::coordinates;
 use crate::value::{Value, one_int};
@@ -20,9 +20,9 @@ pub(super) fn convert(arm: &Arm, ctx: &Context<'_>, from: Kind, to: Kind, param:
     let pose = Pose::parse_as(from, param, ctx.variables)?;
     let coordinates = arm.robot.coordinates();
     // an argument out of reach is no error of the controller
-    let joints = coordinates.flange(pose).joints(&near).map_err(|error| error.code())?;
+    let joints = coordinates.flange(pose).joints(&coordinates.arm, &near).map_err(|error| error.code())?;
     Ok(Value::R8s(match (to, pose) {
-        (Kind::P, Pose::Frame(frame, _)) => pose_numbers(&frame, figure(&joints)),
+        (Kind::P, Pose::Frame(frame, _)) => pose_numbers(&frame, coordinates.arm.figure(&joints)),
         (Kind::P, Pose::Joints(_)) => coordinates.position(&joints),
         (Kind::T, _) => coordinates.trans(&joints),
         _ => angle(&joints),
@@ -57,15 +57,36 @@ pub(super) fn out_range(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_
             let settings = robot.settings();
             let tool = robot.tools.get(number(1, settings.tool)?);
             let work = robot.works.get(number(2, settings.work)?);
-            (array.get(0).unwrap_or(Variant::Empty), Coordinates { tool, work })
+            (array.get(0).unwrap_or(Variant::Empty), Coordinates { arm: *robot.geometry(), tool, work })
         }
         _ => (*param, robot.coordinates()),
     };
-    Ok(Value::I4(match coordinates.flange(pose_of(&pose, ctx)?).joints(&near) {
+    Ok(Value::I4(match coordinates.flange(pose_of(&pose, ctx)?).joints(&coordinates.arm, &near) {
         Ok(_) => 0,
         Err(out_of_reach) => 1 << out_of_reach.0.saturating_sub(1),
     })
     .into())
+}
+
+/// Executes ConvertPosWork: `[pose, from, to]`, the same place in other work coordinates.
+pub(super) fn convert_work(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let Variant::Array(array) = param.flatten() else { return Err(HResult::E_INVALIDARGTYPE) };
+    let item = |place: usize| array.get(place).unwrap_or(Variant::Empty);
+    let (from, to) = match array.len() {
+        2 => (one_int(&item(1))?, arm.robot.settings().work),
+        3 => (one_int(&item(1))?, one_int(&item(2))?),
+        _ => return Err(HResult::E_INVALIDARG),
+    };
+    let [from, to] = [coordinates(from)?, coordinates(to)?].map(|number| arm.robot.works.get(number));
+    let Pose::Frame(frame, fig) = pose_of(&item(0), ctx)? else { return Err(HResult::E_INVALIDARG) };
+    let [x, y, z, rx, ry, rz] = to.inverse().times(&from.times(&frame)).to_xyz_rpy();
+    Ok(Value::R8s(measured([x, y, z, rx, ry, rz, fig.map_or(-1.0, f64::from)])).into())
+}
+
+/// Executes CheckVirtualFence: 0, because there are no fences.
+pub(super) fn check_fence(_: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    pose_of(param, ctx)?;
+    Ok(Value::I4(0).into())
 }
 
 /// Which definitions a command is about.

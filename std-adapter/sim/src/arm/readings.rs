@@ -2,7 +2,7 @@
 
 use super::Arm;
 use crate::context::Context;
-use crate::kinematics::{figure, measured, six};
+use crate::kinematics::{measured, six};
 use crate::value::Value;
 
 /// Reads a value of the arm.
@@ -54,7 +54,7 @@ pub(super) fn target_trans(arm: &Arm, _: &Context<'_>) -> Value {
 }
 
 pub(super) fn figure_of(arm: &Arm, ctx: &Context<'_>) -> Value {
-    Value::I4(figure(&arm.robot.joints(ctx.now)).into())
+    Value::I4(arm.robot.geometry().figure(&arm.robot.joints(ctx.now)).into())
 }
 
 pub(super) fn tool(arm: &Arm, _: &Context<'_>) -> Value {

@@ -15,8 +15,8 @@ use crate::waits::Wait;
 
 impl Controller {
     pub(super) fn open_command(&mut self, peer: PeerId, name: &str) -> Answered {
-        let profile = self.common.config.profile;
-        let command = Command::find(execute::COMMANDS, name).filter(|command| command.exists(profile));
+        let functions = self.common.config.model.functions;
+        let command = Command::find(execute::COMMANDS, name).filter(|command| command.exists(functions));
         let name = command.ok_or(HResult::E_CAO_OBJECT_NOTFOUND)?.name;
         self.open(peer, Item::Command(CommandObject::default()), name.to_owned())
     }

@@ -175,14 +175,27 @@ impl Controller {
     /// Starts a function of an object.
     fn start(&mut self, peer: PeerId, request: &Request<'_>, object: Object) -> Answered {
         let entry = self.objects.get(peer, request.handle(), object)?;
-        match entry.item {
+        match &entry.item {
             Item::Controller => self.call_controller(peer, request),
             Item::Robot => self.call_robot(peer, request),
-            Item::Task(n) => self.call_task(peer, n, request),
-            Item::Variable(target) => self.call_variable(peer, target, request),
+            Item::Task(n) => {
+                let n = *n;
+                self.call_task(peer, n, request)
+            }
+            Item::Variable(target) => {
+                let target = *target;
+                self.call_variable(peer, target, request)
+            }
             Item::Extension => self.call_extension(peer, request),
             Item::Command(_) => self.call_command(peer, request),
             Item::Message(message) => message.call(&self.common.config, request.function),
+            Item::File if request.function == FunctionId::FILE_RUN => {
+                let name = entry.name.clone();
+                self.run_file(peer, &name)
+            }
+            // files have no variables and no commands
+            Item::File if request.function == FunctionId::FILE_GET_VARIABLE => Err(HResult::E_CAO_OBJECT_NOTFOUND),
+            Item::File if request.function == FunctionId::FILE_EXECUTE => Err(HResult::E_INVALID_CMD_NAME),
             Item::File => {
                 let progress = self.files.call(&self.common.context(peer), &entry.name, request)?;
                 self.file_progress(peer, request, progress)
@@ -270,7 +283,9 @@ impl Controller {
             },
             FunctionId::CONTROLLER_GET_EXTENSION_NAMES => Ok(Answer::names([hand::NAME])),
             FunctionId::CONTROLLER_GET_COMMAND => self.open_command(peer, &name()),
-            FunctionId::CONTROLLER_GET_COMMAND_NAMES => Ok(Answer::names(execute::names(self.common.config.profile))),
+            FunctionId::CONTROLLER_GET_COMMAND_NAMES => {
+                Ok(Answer::names(execute::names(self.common.config.model.functions)))
+            }
             FunctionId::CONTROLLER_GET_MESSAGE => self.open_message(peer),
             _ => Err(HResult::E_NOTIMPL),
         }
@@ -278,7 +293,7 @@ impl Controller {
 
     /// Executes a command of Controller_Execute.
     pub(super) fn run(&mut self, peer: PeerId, name: &str, param: &Variant<'_>) -> Answered {
-        let run = Command::handler(execute::COMMANDS, name, self.common.config.profile)?;
+        let run = Command::handler(execute::COMMANDS, name, self.common.config.model.functions)?;
         run(self, peer, param).map(Answer::of_command)
     }
 
@@ -294,7 +309,7 @@ impl Controller {
         match request.function {
             FunctionId::EXTENSION_EXECUTE => {
                 let name = request.text(1).to_string();
-                let run = Command::handler(hand::COMMANDS, &name, self.common.config.profile)?;
+                let run = Command::handler(hand::COMMANDS, &name, self.common.config.model.functions)?;
                 run(self.arm.hand_mut(), &mut self.common.context(peer))
             }
             FunctionId::EXTENSION_GET_VARIABLE_NAMES => Ok(Answer::names::<String>([])),
@@ -307,8 +322,23 @@ impl Controller {
         match request.function {
             FunctionId::TASK_GET_VARIABLE => self.open_variable(peer, Owner::Task(n), &request.text(1).to_string()),
             FunctionId::TASK_GET_VARIABLE_NAMES => Ok(Answer::names(names_of(Owner::Task(n)))),
-            _ => self.tasks.get_mut(n)?.call(&mut self.common.context(peer), request),
+            _ => {
+                let answered = self.tasks.get_mut(n)?.call(&mut self.common.context(peer), request);
+                self.free_arm_of_tasks();
+                answered
+            }
         }
+    }
+
+    /// Starts the task of a file for one cycle, and answers its name.
+    fn run_file(&mut self, peer: PeerId, path: &str) -> Answered {
+        let whole = path.replace('\\', "/");
+        let task = whole.rsplit_once('.').map_or(whole.as_str(), |(task, _)| task);
+        let last = task.rsplit('/').next().unwrap_or(task);
+        let place = self.tasks.position(task).or_else(|| self.tasks.position(last));
+        let task = self.tasks.get_mut(place.ok_or(HResult::E_CAO_OBJECT_NOTFOUND)?)?;
+        task.start_for(&mut self.common.context(peer), 1)?;
+        Ok(Value::from(task.name()).into())
     }
 
     fn open_message(&mut self, peer: PeerId) -> Answered {

@@ -7,8 +7,11 @@
 //! | GetCurErrorCount, GetErrorLogCount | -                   | I4                                               |
 //! | GetCurErrorInfo                    | I4 index            | an array of VARIANT, see below                   |
 //! | GetErrorLog                        | I4 index            | an array of VARIANT, see below                   |
+//! | GetOprLogCount                     | -                   | I4                                               |
+//! | GetOprLog                          | I4 index            | an array of VARIANT, see below                   |
 //! | SysState                           | -                   | I4 of bits, see [`Bit`]                          |
 //! | SysInfo                            | I4: 0               | BSTR, the serial number                          |
+//! |                                    | I4: 15              | I4: -1 when the battery's date has passed, or 0  |
 //! | Motor                              | as Robot_Execute's  | as Robot_Execute's                               |
 //! | StoState                           | -                   | BOOL; RC9, COBOTTA                               |
 //! | ManualReset, ResetStoState         | -                   | EMPTY; likewise; `E_ACCESSDENIED` in emergency stop |
@@ -19,7 +22,10 @@
 //! GetCurErrorInfo  code I4, message BSTR, subcode I4, file and line I4, program BSTR, line I4, file I4
 //! GetErrorLog      code, year, month, day, hour, minute, second, millisecond, subcode, file, line I4,
 //!                  program, message BSTR
+//! GetOprLog        the same, with the code 0 and the operation as message
 //! ```
+//!
+//! File and line, program and its line tell the task in which an error has occurred, and its step.
 //!
 //! Index 0 is the latest error, the greatest index the oldest one, which is the first cause: clients that print the list
 //! from its end show it in order. An index out of range answers `DISP_E_BADINDEX`. Of GetErrorLog's array, public
@@ -29,13 +35,16 @@
 
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
+use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
 
 use super::{Controller, EMERGENCY_STOP};
 use crate::answer::{Answer, Answered};
 use crate::arm::commands::{MOTOR, motor};
-use crate::config::{Config, Profile, Token};
-use crate::errors::{ErrorEntry, description};
+use crate::config::{Config, Token};
+use crate::errors::{Occurrence, description};
+use crate::model::Functions;
+use crate::operations::Operation;
 use crate::table::Command;
 use crate::tasks::Task;
 use crate::value::{Value, one_int};
@@ -46,8 +55,12 @@ const fn command(name: &'static str, run: Run) -> Command<Run> {
     Command::new(name, run)
 }
 
-const fn is_cobotta(profile: Profile) -> bool {
-    matches!(profile, Profile::Cobotta)
+const fn has_hand(functions: Functions) -> bool {
+    functions.hand
+}
+
+const fn has_safe_torque_off(functions: Functions) -> bool {
+    functions.safe_torque_off
 }
 
 /// The commands, in the order of Controller_GetCommandNames.
@@ -66,60 +79,76 @@ pub(super) const COMMANDS: &[Command<Run>] = &[
         Ok(log_entry(&controller.common.config, entry)?.into())
     })
     .accepts("one number: the index, from 0 to below GetErrorLogCount"),
+    command("GetOprLogCount", |controller, _, _| Ok(count(controller.common.operations.log().len()).into())),
+    command("GetOprLog", |controller, _, param| {
+        let entry = controller.common.operations.log().get(index(param)?).ok_or(HResult::DISP_E_BADINDEX)?;
+        Ok(operation(&controller.common.config, entry)?.into())
+    })
+    .accepts("one number: the index, from 0 to below GetOprLogCount"),
     command("SysState", |controller, _, _| Ok(Value::I4(controller.system_state()).into())),
     command("SysInfo", |controller, _, param| match one_int(param)? {
         0 => Ok(Value::from(controller.common.config.serial_number.as_str()).into()),
+        // -1 when the date of the encoders' battery has passed
+        15 => Ok(Value::I4(if controller.common.panel.battery_low { -1 } else { 0 }).into()),
         _ => Err(HResult::E_NOTIMPL),
     })
-    .accepts("one number: 0, the serial number"),
+    .accepts("one number: 0, the serial number, or 15, the battery"),
     command("Motor", |controller, peer, param| motor(&mut controller.arm, &mut controller.common.context(peer), param))
         .accepts(MOTOR),
     command("StoState", |controller, _, _| Ok(Value::Bool(controller.arm.preparation().is_torque_off()).into()))
-        .of(Profile::has_safe_torque_off)
+        .of(has_safe_torque_off)
         .in_slave_mode(),
-    command("ManualReset", manual_reset).of(Profile::has_safe_torque_off).in_slave_mode(),
-    command("ResetStoState", manual_reset).of(Profile::has_safe_torque_off),
+    command("ManualReset", manual_reset).of(has_safe_torque_off).in_slave_mode(),
+    command("ResetStoState", manual_reset).of(has_safe_torque_off),
     command("ManualResetPreparation", |controller, _, _| {
         controller.arm.preparation_mut().prepare_reset();
         Ok(Answer::Done)
     })
-    .of(Profile::needs_preparation),
+    .of(|functions| functions.preparation),
     command("HandMoveA", |controller, peer, param| {
         controller.arm.hand_mut().move_absolute(&mut controller.common.context(peer), param)
     })
-    .of(is_cobotta)
+    .of(has_hand)
     .accepts("[place, speed]: 0 to 30 mm, 1 to 100 percent"),
     command("HandMoveR", |controller, peer, param| {
         controller.arm.hand_mut().move_relative(&mut controller.common.context(peer), param)
     })
-    .of(is_cobotta)
+    .of(has_hand)
     .accepts("[way, speed]: in mm and within 0 to 30 mm, 1 to 100 percent"),
     command("HandMoveH", |controller, peer, param| {
         controller.arm.hand_mut().grip(&mut controller.common.context(peer), param)
     })
-    .of(is_cobotta)
+    .of(has_hand)
     .accepts("[force, close]: 6 to 20 N, BOOL or a number"),
+    command("HandMoveAH", |controller, peer, param| {
+        controller.arm.hand_mut().move_and_grip(&mut controller.common.context(peer), param)
+    })
+    .of(has_hand)
+    .accepts("[place, speed, force]: 0 to 30 mm, 1 to 100 percent, 6 to 20 N"),
+    command("HandMoveVH", |controller, peer, param| {
+        controller.arm.hand_mut().suck(&mut controller.common.context(peer), param)
+    })
+    .of(has_hand)
+    .accepts("[power, on]: 0 to 100 percent, BOOL or a number"),
+    command("HandHoldState", |_, _, _| Ok(Value::Bool(false).into())).of(has_hand),
     command("HandStop", |controller, _, _| {
         let now = controller.common.now;
         let stopped = controller.arm.hand_mut().stop(HResult::E_ABORT, now, &mut controller.common.waits);
         Ok(Answer::done_if(stopped))
     })
-    .of(is_cobotta),
-    command("HandCurPos", |controller, _, _| Ok(Value::R8(controller.hand_position()).into())).of(is_cobotta),
-    command("HandCurLoad", |_, _, _| Ok(Value::R8(0.0).into())).of(is_cobotta),
-    Command::missing("GetOprLogCount"),
-    Command::missing("GetOprLog"),
-    Command::missing("HandMoveAH"),
-    Command::missing("HandMoveVH"),
+    .of(has_hand),
+    command("HandCurPos", |controller, _, _| Ok(Value::R8(controller.hand_position()).into())).of(has_hand),
+    command("HandCurLoad", |_, _, _| Ok(Value::R8(0.0).into())).of(has_hand),
     Command::missing("SetAutoMode"),
 ];
 
-/// Iterates over the names of the commands that a profile has.
-pub(super) fn names(profile: Profile) -> impl Iterator<Item = &'static str> {
-    COMMANDS.iter().filter(move |command| command.exists(profile)).map(|command| command.name)
+/// Iterates over the names of the commands that a model has.
+pub(super) fn names(functions: Functions) -> impl Iterator<Item = &'static str> {
+    COMMANDS.iter().filter(move |command| command.exists(functions)).map(|command| command.name)
 }
 
-/// The bits of SysState, by their numbers. Other bits are never set.
+/// The bits of SysState, by their numbers. Other bits are never set: 16 (program start reset) and 24 (command processing
+/// complete), because no source says when, and those that are reserved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Bit {
     /// A task is running.
@@ -134,20 +163,30 @@ pub enum Bit {
     Auto = 4,
     /// The executable token is not with the teach pendant.
     TokenOutside = 5,
-    /// A task runs until it is stopped.
-    Continuous = 8,
+    /// The battery is exhausted, as a scenario says.
+    Battery = 6,
+    /// The robot warns, as a scenario says.
+    Warning = 7,
+    /// A task that is stopped within its cycle can continue.
+    ContinueStart = 8,
     /// The emergency stop is pressed.
     EmergencyStop = 10,
     /// Auto mode is enabled; always.
     AutoEnable = 11,
+    /// The protective stop is active, as a scenario says.
+    ProtectiveStop = 12,
+    /// The robot brakes for Halt.
+    Stopping = 13,
     /// The arm is calibrated; always, except for a COBOTTA before AutoCal.
     Calibrated = 17,
     /// Manual or teach check mode.
     Manual = 18,
-    /// A task runs to the end of its cycle or line.
-    OneCycle = 19,
-    /// The robot moves; bit 21 says the same.
+    /// A task has completed the one cycle for which it was started, and was not started again.
+    CycleComplete = 19,
+    /// The robot moves, by its commands.
     Moving = 20,
+    /// The robot moves, by its encoders; here always the same.
+    EncoderMoving = 21,
 }
 
 impl Controller {
@@ -158,6 +197,7 @@ impl Controller {
         }
         self.arm.preparation_mut().use_manual_reset(&mut self.common.context(peer))?;
         self.common.errors.clear();
+        self.record_operation("errors cleared");
         Ok(Answer::Done)
     }
 
@@ -180,14 +220,18 @@ impl Controller {
             (Bit::Initialized as u32, true),
             (Bit::Auto as u32, panel.is_auto()),
             (Bit::TokenOutside as u32, panel.token != Token::TeachPendant),
-            (Bit::Continuous as u32, self.tasks.iter().any(Task::is_continuous)),
+            (Bit::Battery as u32, panel.battery_low),
+            (Bit::Warning as u32, panel.warning),
+            (Bit::ContinueStart as u32, self.tasks.iter().any(Task::can_continue)),
             (Bit::EmergencyStop as u32, panel.emergency_stop),
             (Bit::AutoEnable as u32, true),
+            (Bit::ProtectiveStop as u32, panel.protective_stop),
+            (Bit::Stopping as u32, self.arm.robot().is_halting()),
             (Bit::Calibrated as u32, self.arm.preparation().is_calibrated()),
             (Bit::Manual as u32, !panel.is_auto()),
-            (Bit::OneCycle as u32, self.tasks.iter().any(|t| t.is_running() && !t.is_continuous())),
+            (Bit::CycleComplete as u32, self.tasks.iter().any(Task::has_completed)),
             (Bit::Moving as u32, self.is_moving()),
-            (Bit::Moving as u32 + 1, self.is_moving()),
+            (Bit::EncoderMoving as u32, self.is_moving()),
         ];
         bits.iter().filter(|(_, on)| *on).fold(0, |state, (bit, _)| state | 1 << bit)
     }
@@ -201,14 +245,33 @@ fn count(n: usize) -> Value {
     Value::I4(i32::try_from(n).unwrap_or(i32::MAX))
 }
 
-fn log_entry(config: &Config, entry: &ErrorEntry) -> Result<Value, HResult> {
-    let time = config.date(entry.at)?.to_civil().ok_or(HResult::DISP_E_OVERFLOW)?;
-    let mut items = vec![Value::I4(entry.code.0), Value::I4(time.year.into())];
-    items.extend([time.month, time.day, time.hour, time.minute, time.second].map(|n| Value::I4(n.into())));
-    items.push(Value::I4(time.millisecond.into()));
-    items.extend([Value::I4(0), Value::I4(0), Value::I4(0), Value::from("")]);
-    items.push(Value::Text(description(entry.code)));
+fn log_entry(config: &Config, entry: &Occurrence) -> Result<Value, HResult> {
+    let mut items = vec![Value::I4(entry.error.code.0)];
+    items.extend(civil_time(config, entry.error.at)?);
+    let (program, line) = place_of(entry);
+    items.extend([Value::I4(0), Value::I4(0), Value::I4(line), Value::from(program)]);
+    items.push(Value::Text(description(entry.error.code)));
     Ok(Value::List(items))
+}
+
+fn operation(config: &Config, entry: &Operation) -> Result<Value, HResult> {
+    let mut items = vec![Value::I4(0)];
+    items.extend(civil_time(config, entry.at)?);
+    items.extend([Value::I4(0), Value::I4(0), Value::I4(0), Value::from(""), Value::from(entry.text.as_str())]);
+    Ok(Value::List(items))
+}
+
+/// Returns year, month, day, hour, minute, second and millisecond of a time.
+fn civil_time(config: &Config, at: Instant) -> Result<[Value; 7], HResult> {
+    let time = config.date(at)?.to_civil().ok_or(HResult::DISP_E_OVERFLOW)?;
+    let [month, day, hour] = [time.month, time.day, time.hour].map(i32::from);
+    let [minute, second, milli] = [time.minute.into(), time.second.into(), time.millisecond.into()];
+    Ok([time.year.into(), month, day, hour, minute, second, milli].map(Value::I4))
+}
+
+/// Returns the program and the line at which an error has occurred; nothing and 0 outside of tasks.
+fn place_of(entry: &Occurrence) -> (&str, i32) {
+    entry.place.as_ref().map_or(("", 0), |place| (place.program.as_str(), place.line))
 }
 
 /// Reads the code of GetErrorDescription: I4, UI4, ERROR, or another integer.
@@ -230,10 +293,11 @@ fn index(param: &Variant<'_>) -> Result<usize, HResult> {
     usize::try_from(one_int(param)?).map_err(|_| HResult::DISP_E_BADINDEX)
 }
 
-fn error_info(entry: &ErrorEntry) -> Value {
-    let (zero, program) = (|| Value::I4(0), Value::from(""));
-    let message = Value::Text(description(entry.code));
-    Value::List(vec![Value::I4(entry.code.0), message, zero(), zero(), program, zero(), zero()])
+fn error_info(entry: &Occurrence) -> Value {
+    let (program, line) = place_of(entry);
+    let (code, message) = (entry.error.code, Value::Text(description(entry.error.code)));
+    let (number, program) = (Value::I4, Value::from(program));
+    Value::List(vec![number(code.0), message, number(0), number(line), program, number(line), number(0)])
 }
 
 #[cfg(test)]

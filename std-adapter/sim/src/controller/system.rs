@@ -3,8 +3,8 @@
 //!
 //! Reading a variable that can only be written answers `E_ACCESSDENIED`, writing one that can only be read
 //! `E_CAO_NOT_WRITABLE`. Variables without a function in this model have the value of an idle controller:
-//! `@DEADMAN_SW`, `@PROTECTIVE_STOP` and `@TSR_BUSY_STATUS` are false, `@AUTO_ENABLE` is true, `@IO_ALLOC_MODE` and a
-//! task's `@STATUS_DETAILS` are 0. `@LOCK`, the machine lock, is stored but has no effect.
+//! `@DEADMAN_SW` and `@TSR_BUSY_STATUS` are false, `@AUTO_ENABLE` is true, `@IO_ALLOC_MODE` and a task's
+//! `@STATUS_DETAILS` are 0. `@PROTECTIVE_STOP` is what a scenario says. `@LOCK`, the machine lock, is stored but has no effect.
 
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
@@ -47,9 +47,9 @@ pub(super) const VARIABLES: &[Property<Read, Write>] = &[
     read("@EMERGENCY_STOP", |controller| Ok(Value::Bool(controller.emergency_stopped()))),
     read("@DEADMAN_SW", |_| Ok(Value::Bool(false))),
     read("@AUTO_ENABLE", |_| Ok(Value::Bool(true))),
-    read("@PROTECTIVE_STOP", |_| Ok(Value::Bool(false))),
+    read("@PROTECTIVE_STOP", |controller| Ok(Value::Bool(controller.common.panel.protective_stop))),
     read("@MAKER_NAME", |_| Ok(Value::from("bcap-sim"))),
-    read("@TYPE", |controller| Ok(Value::from(controller.config().profile.type_name()))),
+    read("@TYPE", |controller| Ok(Value::from(controller.config().model.name.as_str()))),
     read("@VERSION", |controller| Ok(Value::from(controller.config().version.as_str()))),
     read("@FIRMWARE", |controller| Ok(Value::from(controller.config().version.as_str()))),
     read("@SERIAL_NO", |controller| Ok(Value::from(controller.config().serial_number.as_str()))),

@@ -67,7 +67,11 @@ impl Controller {
         match owner {
             Owner::Controller => property(system::VARIABLES, n)?.setter()?(self, peer, value),
             Owner::Robot => property(arm::variables::VARIABLES, n)?.setter()?(&mut self.arm, &mut ctx, value),
-            Owner::Task(task) => property(tasks::VARIABLES, n)?.setter()?(self.tasks.get_mut(task)?, &mut ctx, value),
+            Owner::Task(task) => {
+                let answered = property(tasks::VARIABLES, n)?.setter()?(self.tasks.get_mut(task)?, &mut ctx, value);
+                self.free_arm_of_tasks();
+                answered
+            }
         }
     }
 

@@ -6,6 +6,7 @@ use bcap_core::time::Instant;
 use serde::Deserialize;
 
 use super::section::{ModeName, SetupEntry, TokenName, read_code};
+use super::task::TaskEntry;
 use super::{Effect, Scenario, ScenarioError, ScenarioFault, Trigger, Which, WireFault};
 
 #[derive(Deserialize)]
@@ -15,6 +16,8 @@ struct File {
     seed: u64,
     #[serde(default)]
     controller: SetupEntry,
+    #[serde(default)]
+    task: Vec<TaskEntry>,
     #[serde(default)]
     fault: Vec<FaultEntry>,
 }
@@ -53,6 +56,7 @@ enum ThenEntry {
     Mode(ModeName),
     Token(TokenName),
     Motor(bool),
+    Message(String),
 }
 
 impl Scenario {
@@ -69,7 +73,8 @@ impl Scenario {
             .enumerate()
             .map(|(n, entry)| entry.read().map_err(|problem| ScenarioError::Fault { number: n + 1, problem }));
         let controller = file.controller.read().map_err(ScenarioError::Controller)?;
-        Ok(Self { seed: file.seed, controller, faults: faults.collect::<Result<_, _>>()? })
+        let tasks = file.task.into_iter().map(TaskEntry::read).collect::<Result<_, _>>()?;
+        Ok(Self { seed: file.seed, controller, tasks, faults: faults.collect::<Result<_, _>>()? })
     }
 }
 
@@ -127,6 +132,7 @@ impl ThenEntry {
             Self::Mode(mode) => Effect::Mode(mode.into()),
             Self::Token(token) => Effect::Token(token.into()),
             Self::Motor(on) => Effect::Motor(on),
+            Self::Message(text) => Effect::Message(text),
             Self::LinkLossMs(millis) => Effect::LinkLoss(Some(Duration::from_millis(millis))),
         })
     }

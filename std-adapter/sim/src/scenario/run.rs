@@ -80,7 +80,7 @@ impl Running {
         });
         let (at, armed) = timed.min_by_key(|(at, _)| *at)?;
         armed.over = true;
-        Some((at, armed.fault.then))
+        Some((at, armed.fault.then.clone()))
     }
 
     /// Takes the faults of a cycle.
@@ -88,7 +88,7 @@ impl Running {
         let due = |armed: &&mut Armed| !armed.over && armed.fault.when == Trigger::Cycle(cycle);
         let take = |armed: &mut Armed| {
             armed.over = true;
-            armed.fault.then
+            armed.fault.then.clone()
         };
         self.faults.iter_mut().filter(due).map(take).collect()
     }
@@ -122,7 +122,7 @@ impl Running {
                 Which::Chance(p) => self.chance.f64() < p,
             };
             if happens {
-                effects.push(armed.fault.then);
+                effects.push(armed.fault.then.clone());
             }
         }
         effects

@@ -4,7 +4,8 @@ use bcap_core::hresult::HResult;
 use serde::Deserialize;
 
 use super::setup::Setup;
-use crate::config::{ABSENT, Mode, Permission, SlaveFormats, Token};
+use crate::config::{ABSENT, Mode, Permission, Token};
+use crate::model::{FormatName, SlaveFormats};
 
 #[derive(Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -13,6 +14,9 @@ pub(super) struct SetupEntry {
     token: Option<TokenName>,
     permission: Option<PermissionName>,
     emergency_stop: Option<bool>,
+    battery_low: Option<bool>,
+    warning: Option<bool>,
+    protective_stop: Option<bool>,
     errors: Vec<String>,
     arm: Option<ArmName>,
     motor: Option<bool>,
@@ -82,15 +86,6 @@ enum ArmName {
     Taken,
 }
 
-#[derive(Clone, Copy, PartialEq, Deserialize)]
-#[serde(rename_all = "snake_case")]
-enum FormatName {
-    MiniIo,
-    HandIo,
-    UserIo,
-    Current,
-}
-
 impl From<ModeName> for Mode {
     fn from(name: ModeName) -> Self {
         match name {
@@ -135,17 +130,15 @@ impl SetupEntry {
             Some(_) => return Err("`axes` is 6, 7 or 8"),
         };
         let (slave_speed, slave_acceleration) = (self.slave_speed.read()?, self.slave_acceleration.read()?);
-        let formats = self.formats.map(|list| SlaveFormats {
-            mini_io: list.contains(&FormatName::MiniIo),
-            hand_io: list.contains(&FormatName::HandIo),
-            user_io: list.contains(&FormatName::UserIo),
-            current: list.contains(&FormatName::Current),
-        });
+        let formats = self.formats.as_deref().map(SlaveFormats::of);
         Ok(Setup {
             mode: self.mode.map(Mode::from),
             token: self.token.map(Token::from),
             permission: self.permission.map(Permission::from),
             emergency_stop: self.emergency_stop,
+            battery_low: self.battery_low,
+            warning: self.warning,
+            protective_stop: self.protective_stop,
             errors,
             arm_taken: self.arm.map(|arm| arm == ArmName::Taken),
             motor: self.motor,

@@ -2,7 +2,8 @@
 
 use bcap_core::hresult::HResult;
 
-use crate::config::{Config, Mode, Permission, SlaveFormats, Token};
+use crate::config::{Config, Mode, Permission, Token};
+use crate::model::SlaveFormats;
 
 /// The state of a controller when a scenario begins. `None`, and an empty list of errors, leave the state unchanged.
 ///
@@ -26,6 +27,12 @@ pub struct Setup {
     pub permission: Option<Permission>,
     /// Whether the emergency stop is pressed.
     pub emergency_stop: Option<bool>,
+    /// Whether the battery is exhausted: SysState and SysInfo 15.
+    pub battery_low: Option<bool>,
+    /// Whether the robot warns: SysState.
+    pub warning: Option<bool>,
+    /// Whether the protective stop is shown as active, by SysState and `@PROTECTIVE_STOP`; it stops nothing.
+    pub protective_stop: Option<bool>,
     /// The present errors, the first cause first.
     pub errors: Vec<HResult>,
     /// Whether a client that is not connected owns the arm.

@@ -13,9 +13,9 @@
 use bcap_core::hresult::HResult;
 use bcap_core::variant::{Array, VarType, Variant};
 
-use crate::config::SlaveFormats;
 use crate::coordinates::Coordinates;
 use crate::kinematics::{Axes, measured, six};
+use crate::model::SlaveFormats;
 use crate::value::{Value, numbers, numbers_of_array, one_int, whole};
 use crate::variables::Variables;
 

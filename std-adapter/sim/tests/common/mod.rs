@@ -140,8 +140,8 @@ impl World {
     pub(crate) fn client(&mut self, peer: u32) -> Client {
         let peer = PeerId(peer);
         assert_eq!(self.call(peer, call::service_start("")), code(HResult::S_OK));
-        let provider = self.sim.config().profile.provider();
-        let controller = self.handle(peer, call::controller_connect("b-CAP", provider, "localhost", ""));
+        let provider = self.sim.config().model.provider.clone();
+        let controller = self.handle(peer, call::controller_connect("b-CAP", &provider, "localhost", ""));
         let controller = ControllerHandle(controller);
         let robot = RobotHandle(self.handle(peer, call::controller_get_robot(controller, "Arm", "")));
         Client { peer, controller, robot }
@@ -150,7 +150,7 @@ impl World {
     /// Opens a session that holds the arm, with the motor on and the external speed at 100 %.
     pub(crate) fn mover(&mut self, peer: u32) -> Client {
         let client = self.client(peer);
-        if self.sim.config().profile == Profile::Cobotta {
+        if self.sim.config().model.functions.preparation {
             assert_eq!(self.robot(client, "ManualResetPreparation", ()), ok(&()));
             assert_eq!(self.robot(client, "MotionPreparation", ()), ok(&()));
         }

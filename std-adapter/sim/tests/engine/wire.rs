@@ -51,8 +51,8 @@ impl Wire {
     /// Starts the service and opens controller and robot.
     pub(crate) fn open(&mut self, world: &mut World) -> Handles {
         self.call(world, &call::service_start("")).unwrap();
-        let provider = world.sim.config().profile.provider();
-        self.call(world, &call::controller_connect("", provider, "localhost", "")).unwrap();
+        let provider = world.sim.config().model.provider.clone();
+        self.call(world, &call::controller_connect("", &provider, "localhost", "")).unwrap();
         let controller = self.client.value::<ControllerHandle>().unwrap();
         self.call(world, &call::controller_get_robot(controller, "Arm", "")).unwrap();
         Handles { controller, robot: self.client.value::<RobotHandle>().unwrap() }

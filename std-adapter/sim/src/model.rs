@@ -1,0 +1,375 @@
+//! The models of controllers, as data files.
+//!
+//! Five are built in ([`Profile`]); their files in `std-adapter/sim/models` say where each value comes from. A copy of such a
+//! file, changed, is another model: [`Model::parse`], `bcap sim --model FILE.toml`. All keys are required, and unknown ones
+//! are refused.
+//!
+//! | section       | what it has                                                                          |
+//! |---------------|--------------------------------------------------------------------------------------|
+//! | -             | name (`@TYPE`), provider, version, type and name of the robot                        |
+//! | `[functions]` | the commands that exist besides those of all models                                  |
+//! | `[slave]`     | the parts of the formats of Slave Mode                                               |
+//! | `[variables]` | the number of variables of each kind, with the IO                                    |
+//! | `[arm]`       | its dimensions ([`kinematics`](crate::kinematics)), home position, ranges and speeds |
+
+use std::sync::OnceLock;
+
+use serde::Deserialize;
+use toml::Spanned;
+
+use crate::kinematics::{EXTENDED_RANGE, EXTENDED_SPEED, Geometry, Joints};
+use crate::variables::Sizes;
+
+/// A model of controller that is built in.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Profile {
+    /// RC8: provider `CaoProv.DENSO.VRC`.
+    #[default]
+    Rc8,
+    /// RC8A: as RC8, with another name.
+    Rc8a,
+    /// RC9: provider `CaoProv.DENSO.VRC9`; it has StoState and ManualReset.
+    Rc9,
+    /// COBOTTA: provider `CaoProv.DENSO.VRC`; it has StoState and ManualReset, needs a preparation before it moves (see
+    /// [`preparation`](crate::preparation)), and its Slave Mode has no HandIO.
+    Cobotta,
+    /// COBOTTA PRO: as RC9, with another name and another type of robot.
+    CobottaPro,
+}
+
+impl Profile {
+    /// All built-in models.
+    pub const ALL: [Self; 5] = [Self::Rc8, Self::Rc8a, Self::Rc9, Self::Cobotta, Self::CobottaPro];
+
+    /// Returns the file of the model.
+    #[must_use]
+    pub const fn text(self) -> &'static str {
+        match self {
+            Self::Rc8 => include_str!("../models/rc8.toml"),
+            Self::Rc8a => include_str!("../models/rc8a.toml"),
+            Self::Rc9 => include_str!("../models/rc9.toml"),
+            Self::Cobotta => include_str!("../models/cobotta.toml"),
+            Self::CobottaPro => include_str!("../models/cobotta_pro.toml"),
+        }
+    }
+
+    /// Returns the model.
+    #[must_use]
+    pub fn model(self) -> &'static Model {
+        static MODELS: OnceLock<[Model; 5]> = OnceLock::new();
+        let parse = |profile: Self| Model::parse(profile.text()).expect("a test parses all built-in models");
+        let [rc8, rc8a, rc9, cobotta, cobotta_pro] = MODELS.get_or_init(|| Self::ALL.map(parse));
+        match self {
+            Self::Rc8 => rc8,
+            Self::Rc8a => rc8a,
+            Self::Rc9 => rc9,
+            Self::Cobotta => cobotta,
+            Self::CobottaPro => cobotta_pro,
+        }
+    }
+
+    /// Returns the name of the provider that Controller_Connect accepts.
+    #[must_use]
+    pub fn provider(self) -> &'static str {
+        &self.model().provider
+    }
+}
+
+/// A model of controller.
+///
+/// # Examples
+///
+/// ```
+/// use bcap_sim::{Config, Model, Profile};
+///
+/// let text = Profile::Rc9.text().replace("VS050A3", "VM060A1");
+/// let config = Config::of(Model::parse(&text)?);
+/// assert_eq!(config.robot_type, "VM060A1");
+/// # Ok::<(), bcap_sim::model::ModelError>(())
+/// ```
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Model {
+    /// `@TYPE`.
+    pub name: String,
+    /// The name of the provider that Controller_Connect accepts.
+    pub provider: String,
+    /// `@VERSION`.
+    pub version: String,
+    /// `@TYPE_NAME` of the robot.
+    pub robot_type: String,
+    /// The robot's name.
+    pub arm_name: String,
+    /// The commands that exist besides those of all models.
+    pub functions: Functions,
+    /// The formats of Slave Mode.
+    pub formats: SlaveFormats,
+    /// The numbers of user variables.
+    pub sizes: Sizes,
+    /// The dimensions, ranges and speeds of the arm.
+    pub geometry: Geometry,
+    /// The initial position: J1 to J6 in degrees.
+    pub home: Joints,
+    /// The number of extended axes, 0 to 2.
+    pub extended_axes: u8,
+}
+
+/// The commands that only some models have.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Functions {
+    /// StoState, ManualReset and ResetStoState: the emergency stop removes the torque until ManualReset.
+    pub safe_torque_off: bool,
+    /// ManualResetPreparation, MotionPreparation, GetMotionPreparationState and AutoCal: the motor needs a preparation.
+    pub preparation: bool,
+    /// The commands of the hand.
+    pub hand: bool,
+}
+
+/// The parts of the formats of Slave Mode that a controller has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SlaveFormats {
+    /// MiniIO, 0x0100.
+    pub mini_io: bool,
+    /// HandIO, 0x0020.
+    pub hand_io: bool,
+    /// User IO, 0x0200.
+    pub user_io: bool,
+    /// The currents of the axes, 0x0040.
+    pub current: bool,
+}
+
+impl SlaveFormats {
+    /// All parts.
+    pub const ALL: Self = Self { mini_io: true, hand_io: true, user_io: true, current: true };
+
+    /// Makes the formats with these parts.
+    pub(crate) fn of(list: &[FormatName]) -> Self {
+        let has = |name| list.contains(&name);
+        Self {
+            mini_io: has(FormatName::MiniIo),
+            hand_io: has(FormatName::HandIo),
+            user_io: has(FormatName::UserIo),
+            current: has(FormatName::Current),
+        }
+    }
+}
+
+/// A part of the formats of Slave Mode, as models and scenarios name it.
+#[derive(Clone, Copy, PartialEq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum FormatName {
+    MiniIo,
+    HandIo,
+    UserIo,
+    Current,
+}
+
+/// The error of an invalid model.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum ModelError {
+    /// Invalid TOML, an unknown key or a missing one; the message says where.
+    #[error("{0}")]
+    Toml(#[from] toml::de::Error),
+    /// A value is invalid.
+    #[error("line {line}: {problem}")]
+    Value {
+        /// The line of the value, from 1.
+        line: usize,
+        /// What is wrong, and what is accepted.
+        problem: String,
+    },
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    name: Spanned<String>,
+    provider: Spanned<String>,
+    version: Spanned<String>,
+    robot_type: Spanned<String>,
+    arm_name: Spanned<String>,
+    functions: Functions,
+    slave: SlaveEntry,
+    variables: SizesEntry,
+    arm: ArmEntry,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SlaveEntry {
+    formats: Vec<FormatName>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct SizesEntry {
+    i: u16,
+    f: u16,
+    d: u16,
+    v: u16,
+    p: u16,
+    j: u16,
+    t: u16,
+    s: u16,
+    io: u16,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ArmEntry {
+    d1: Spanned<f64>,
+    a2: Spanned<f64>,
+    a3: Spanned<f64>,
+    d4: Spanned<f64>,
+    d6: Spanned<f64>,
+    home: Spanned<Joints>,
+    axes: Spanned<Vec<Spanned<AxisEntry>>>,
+}
+
+#[derive(Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct AxisEntry {
+    range: (f64, f64),
+    speed: f64,
+}
+
+/// A value that is wrong: its place in the file, and why.
+type Wrong = (usize, String);
+
+impl Model {
+    /// Reads a model from TOML.
+    ///
+    /// # Errors
+    ///
+    /// A [`ModelError`] that names the line.
+    pub fn parse(text: &str) -> Result<Self, ModelError> {
+        let file: File = toml::from_str(text)?;
+        file.read().map_err(|(place, problem)| {
+            let before = text.get(..place).unwrap_or(text);
+            ModelError::Value { line: before.matches('\n').count() + 1, problem }
+        })
+    }
+}
+
+impl File {
+    fn read(self) -> Result<Model, Wrong> {
+        let SizesEntry { i, f, d, v, p, j, t, s, io } = self.variables;
+        let (geometry, extended_axes) = self.arm.geometry()?;
+        let home = self.arm.home(&geometry)?;
+        Ok(Model {
+            name: text("name", self.name)?,
+            provider: text("provider", self.provider)?,
+            version: text("version", self.version)?,
+            robot_type: text("robot_type", self.robot_type)?,
+            arm_name: text("arm_name", self.arm_name)?,
+            functions: self.functions,
+            formats: SlaveFormats::of(&self.slave.formats),
+            sizes: Sizes { i, f, d, v, p, j, t, s, io },
+            geometry,
+            home,
+            extended_axes,
+        })
+    }
+}
+
+fn text(key: &str, value: Spanned<String>) -> Result<String, Wrong> {
+    let place = value.span().start;
+    let value = value.into_inner();
+    if value.trim().is_empty() { Err((place, format!("`{key}` is empty"))) } else { Ok(value) }
+}
+
+impl ArmEntry {
+    /// Returns the arm, and the number of its extended axes.
+    fn geometry(&self) -> Result<(Geometry, u8), Wrong> {
+        let length = |key: &str, value: &Spanned<f64>, least: f64| match *value.get_ref() {
+            n if n.is_finite() && n >= least => Ok(n),
+            n => Err((value.span().start, format!("`{key}` is {n}; it is a length in mm, {least} or more"))),
+        };
+        let axes = self.axes.get_ref();
+        let extended = axes.len().checked_sub(6).and_then(|n| u8::try_from(n).ok()).filter(|n| *n <= 2);
+        let wrong_count = || (self.axes.span().start, format!("`axes` has {} elements; an arm has 6 to 8", axes.len()));
+        let extended = extended.ok_or_else(wrong_count)?;
+        let mut ranges = [(-EXTENDED_RANGE, EXTENDED_RANGE); 8];
+        let mut speeds = [EXTENDED_SPEED; 8];
+        for (n, axis) in axes.iter().enumerate() {
+            let AxisEntry { range: (low, high), speed } = *axis.get_ref();
+            let wrong = |problem: &str| (axis.span().start, format!("J{}: {problem}", n + 1));
+            if !(low.is_finite() && high.is_finite() && low < high) {
+                return Err(wrong(&format!("the range is [{low}, {high}]; its first number is the lower one")));
+            }
+            if !(speed.is_finite() && speed > 0.0) {
+                return Err(wrong(&format!("the speed is {speed}; it is above 0")));
+            }
+            (ranges[n], speeds[n]) = ((low, high), speed);
+        }
+        let geometry = Geometry {
+            d1: length("d1", &self.d1, 0.0)?,
+            a2: length("a2", &self.a2, 1.0)?,
+            a3: length("a3", &self.a3, -1e6)?,
+            d4: length("d4", &self.d4, 1.0)?,
+            d6: length("d6", &self.d6, 0.0)?,
+            ranges,
+            speeds,
+        };
+        Ok((geometry, extended))
+    }
+
+    fn home(&self, geometry: &Geometry) -> Result<Joints, Wrong> {
+        let home = *self.home.get_ref();
+        match geometry.out_of_range(&home) {
+            Some(axis) => Err((self.home.span().start, format!("`home`: J{axis} is outside its range"))),
+            None => Ok(home),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_built_in_models_are_valid() {
+        let names = Profile::ALL.map(|profile| Model::parse(profile.text()).unwrap().name);
+        assert_eq!(names, ["RC8", "RC8A", "RC9", "COBOTTA", "COBOTTA PRO"]);
+        for profile in Profile::ALL {
+            assert_eq!(profile.model(), &Model::parse(profile.text()).unwrap());
+            assert_eq!(profile.model().geometry, Geometry::DEFAULT);
+        }
+        assert_eq!(
+            Profile::Cobotta.model().functions,
+            Functions { safe_torque_off: true, preparation: true, hand: true }
+        );
+        assert!(!Profile::Cobotta.model().formats.hand_io && Profile::Rc9.model().formats.hand_io);
+    }
+
+    #[test]
+    fn what_is_wrong_is_told_with_its_line() {
+        let valid = Profile::Rc9.text();
+        let line = |part: &str| valid.lines().position(|line| line.contains(part)).unwrap() + 1;
+        for (from, to, at, problem) in [
+            ("name = \"RC9\"", "name = \" \"", line("name = \"RC9\""), "`name` is empty"),
+            ("d1 = 345.0", "d1 = -1.0", line("d1 = 345.0"), "`d1` is -1"),
+            ("a2 = 250.0", "a2 = nan", line("a2 = 250.0"), "`a2` is NaN"),
+            ("speed = 330.0", "speed = 0.0", line("speed = 330.0"), "J2: the speed is 0"),
+            ("range = [-270.0, 270.0]", "range = [270.0, -270.0]", line("speed = 450.0"), "J4: the range"),
+            ("home = [0.0, 45.0", "home = [0.0, 200.0", line("home = [0.0"), "`home`: J2"),
+            ("    { range = [-360.0, 360.0], speed = 720.0 },\n", "", line("axes = ["), "`axes` has 5 elements"),
+        ] {
+            assert!(valid.contains(from), "{from}");
+            let error = Model::parse(&valid.replace(from, to)).unwrap_err().to_string();
+            assert!(error.starts_with(&format!("line {at}: ")) && error.contains(problem), "{to}: {error}");
+        }
+        for (from, to, problem) in [
+            ("io = 512", "io = 70000", "70000"),
+            ("hand = false", "hands = false", "unknown field `hands`"),
+            ("version = ", "# version = ", "missing field `version`"),
+            ("hand_io", "foot_io", "foot_io"),
+        ] {
+            let error = Model::parse(&valid.replace(from, to)).unwrap_err().to_string();
+            assert!(error.contains("line ") && error.contains(problem), "{to}: {error}");
+        }
+    }
+}

@@ -1,0 +1,139 @@
+//! The work of a task with a program: the present step, and when it continues.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use bcap_core::time::Instant;
+
+use crate::program::{Program, Step};
+
+/// A program and its progress.
+#[derive(Clone, Debug)]
+pub(super) struct Steps {
+    program: Program,
+    /// The present step.
+    at: usize,
+    /// The present step has begun.
+    entered: bool,
+    /// When the present step continues, while the task runs.
+    due: Instant,
+    /// When the present step was first checked, while it is polled.
+    polled: Option<Instant>,
+    /// The rest of the present step, while the task is stopped.
+    left: Duration,
+    /// When the cycle began.
+    began: Instant,
+    /// The time of the last whole cycle.
+    pub(super) cycle: Duration,
+}
+
+/// The present step of a task whose time has come.
+#[derive(Clone, Debug)]
+pub(crate) struct Turn {
+    steps: Arc<[Step]>,
+    at: usize,
+    /// Whether the step begins; otherwise it ends, if what it waits for has happened.
+    pub(crate) begins: bool,
+}
+
+impl Turn {
+    pub(crate) fn step(&self) -> Option<&Step> {
+        self.steps.get(self.at)
+    }
+}
+
+impl Steps {
+    pub(super) fn new(program: Program) -> Self {
+        Self {
+            program,
+            at: 0,
+            entered: false,
+            due: Instant::ZERO,
+            polled: None,
+            left: Duration::ZERO,
+            began: Instant::ZERO,
+            cycle: Duration::ZERO,
+        }
+    }
+
+    /// Returns the present line, from 1.
+    pub(super) fn line(&self) -> i32 {
+        i32::try_from(self.at).unwrap_or(i32::MAX).saturating_add(1)
+    }
+
+    /// Returns when the present step continues, while the task runs.
+    pub(super) fn due(&self) -> Instant {
+        self.due
+    }
+
+    pub(super) fn reset(&mut self) {
+        (self.at, self.entered, self.left, self.polled) = (0, false, Duration::ZERO, None);
+    }
+
+    /// Continues, or starts at the beginning.
+    pub(super) fn resume(&mut self, now: Instant) {
+        if self.at == 0 && !self.entered {
+            self.began = now;
+        }
+        self.due = now.saturating_add(self.left);
+    }
+
+    /// Stops within the step. A motion begins again when the task continues.
+    pub(super) fn suspend(&mut self, now: Instant) {
+        (self.left, self.polled) = (self.due.saturating_since(now), None);
+        if let Some(Step::Move { .. }) = self.program.steps.get(self.at) {
+            (self.entered, self.left) = (false, Duration::ZERO);
+        }
+    }
+
+    pub(super) fn turn(&self) -> Turn {
+        Turn { steps: Arc::clone(&self.program.steps), at: self.at, begins: !self.entered }
+    }
+
+    /// Records that the present step has begun, and takes this time, or is checked then.
+    pub(super) fn begun(&mut self, now: Instant, time: Duration) {
+        self.entered = true;
+        self.due = now.saturating_add(time.max(self.program.line));
+    }
+
+    /// Checks the present step again at this time, but not before the next line time.
+    pub(super) fn wait(&mut self, now: Instant, until: Instant) {
+        (self.due, self.polled) = (until.max(now.saturating_add(self.program.line)), None);
+    }
+
+    /// Checks the present step again at the first time after `quiet` that is whole line times away from the first check.
+    pub(super) fn poll(&mut self, now: Instant, quiet: Instant) {
+        let first = *self.polled.get_or_insert(now);
+        self.due = self.next_check(first, quiet.max(now));
+    }
+
+    /// Checks a polled step again, at the next whole line time.
+    pub(super) fn wake(&mut self, now: Instant) {
+        if let Some(first) = self.polled {
+            self.due = self.due.min(self.next_check(first, now));
+        }
+    }
+
+    pub(super) fn is_polled(&self) -> bool {
+        self.polled.is_some()
+    }
+
+    /// Returns the first time after `time` that is whole line times after the first check.
+    fn next_check(&self, first: Instant, time: Instant) -> Instant {
+        let line = self.program.line.as_micros().max(1);
+        let lines = time.saturating_since(first).as_micros() / line + 1;
+        let micros = u64::try_from(lines.saturating_mul(line)).unwrap_or(u64::MAX);
+        first.saturating_add(Duration::from_micros(micros))
+    }
+
+    /// Ends the present step. Returns whether it was the last one of the cycle.
+    pub(super) fn end_step(&mut self, now: Instant) -> bool {
+        (self.at, self.entered, self.due) = (self.at + 1, false, now);
+        (self.left, self.polled) = (Duration::ZERO, None);
+        if self.at < self.program.steps.len() {
+            return false;
+        }
+        (self.at, self.cycle, self.began) = (0, now.saturating_since(self.began), now);
+        true
+    }
+}

@@ -1,0 +1,421 @@
+//! A task: its states, and the work that it does while it runs.
+
+use std::time::Duration;
+
+use bcap_core::bcap::FunctionId;
+use bcap_core::bcap::server::Request;
+use bcap_core::hresult::HResult;
+use bcap_core::time::Instant;
+
+use super::steps::{Steps, Turn};
+use super::timed::Timed;
+use crate::answer::{Answer, Answered};
+use crate::context::Context;
+use crate::function::command_of;
+use crate::program::Program;
+use crate::table::Command;
+use crate::value::Value;
+
+type Read = fn(&Task) -> Value;
+
+/// The commands of Task_Execute.
+const COMMANDS: &[Command<Read>] = &[Command::new("GetStatus", Task::status_value)];
+
+/// The state of a task, with the numbers of `@STATUS` and GetStatus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TaskStatus {
+    /// Deleted.
+    NonExistent = 0,
+    /// Stopped within a cycle.
+    Suspended = 1,
+    /// At its beginning.
+    Ready = 2,
+    /// Running.
+    Running = 3,
+    /// Stopped at the end of a line.
+    StepStop = 4,
+}
+
+/// The point at which a running task stops by itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Until {
+    Stopped,
+    CycleEnd,
+    /// The end of a line; of a loop of fixed time, as a time within the cycle.
+    LineEnd(Duration),
+}
+
+/// What a task does while it runs.
+#[derive(Clone, Debug)]
+enum Work {
+    Timed(Timed),
+    Steps(Steps),
+}
+
+/// A task.
+#[derive(Clone, Debug)]
+pub(crate) struct Task {
+    name: String,
+    work: Work,
+    status: TaskStatus,
+    until: Until,
+    /// Until when the running time is counted.
+    since: Instant,
+    cycles: u64,
+    /// The time that it has been running since it was last started from its beginning.
+    pub(super) elapsed: Duration,
+    /// It has completed a cycle of its own accord since it was last started.
+    completed: bool,
+}
+
+impl Task {
+    pub(super) fn timed(name: String, cycle: Duration, lines: u32) -> Self {
+        Self::new(name, Work::Timed(Timed::new(cycle, lines)))
+    }
+
+    pub(super) fn of(program: Program) -> Self {
+        Self::new(program.name.clone(), Work::Steps(Steps::new(program)))
+    }
+
+    const fn new(name: String, work: Work) -> Self {
+        Self {
+            name,
+            work,
+            status: TaskStatus::Ready,
+            until: Until::Stopped,
+            since: Instant::ZERO,
+            cycles: 0,
+            elapsed: Duration::ZERO,
+            completed: false,
+        }
+    }
+
+    pub(crate) fn name(&self) -> &str {
+        &self.name
+    }
+
+    pub(crate) fn status(&self) -> TaskStatus {
+        self.status
+    }
+
+    pub(crate) fn is_running(&self) -> bool {
+        self.status == TaskStatus::Running
+    }
+
+    /// Tells whether it is stopped within a cycle, and can continue.
+    pub(crate) fn can_continue(&self) -> bool {
+        matches!(self.status, TaskStatus::Suspended | TaskStatus::StepStop)
+    }
+
+    /// Tells whether it has completed one cycle and stopped.
+    pub(crate) fn has_completed(&self) -> bool {
+        self.completed
+    }
+
+    pub(crate) fn cycles(&self) -> u64 {
+        self.cycles
+    }
+
+    pub(super) fn status_value(&self) -> Value {
+        Value::I4(self.status as i32)
+    }
+
+    /// Returns the time of a cycle; of a program, that of the last one.
+    pub(super) fn cycle_time(&self) -> Duration {
+        match &self.work {
+            Work::Timed(timed) => timed.cycle,
+            Work::Steps(steps) => steps.cycle,
+        }
+    }
+
+    /// Returns the present line, from 1.
+    pub(crate) fn line(&self) -> i32 {
+        match &self.work {
+            Work::Timed(timed) => timed.line(),
+            Work::Steps(steps) => steps.line(),
+        }
+    }
+
+    /// Executes a function of the task object that concerns this task.
+    pub(crate) fn call(&mut self, ctx: &mut Context<'_>, request: &Request<'_>) -> Answered {
+        match request.function {
+            FunctionId::TASK_EXECUTE => {
+                let name = command_of(request).unwrap_or_default();
+                Ok(Command::handler(COMMANDS, &name, ctx.config.model.functions)?(self).into())
+            }
+            // a deleted task answers its state only
+            _ if self.status == TaskStatus::NonExistent => Err(HResult::E_CAO_OBJECT_NOTFOUND),
+            FunctionId::TASK_START => self.start_for(ctx, request.int(1)),
+            FunctionId::TASK_STOP => self.stop_for(ctx, request.int(1)).map(Answer::done_if),
+            FunctionId::TASK_DELETE => self.delete_for(ctx),
+            FunctionId::TASK_GET_FILE_NAME => Ok(Value::Text(format!("{}.pcs", self.name)).into()),
+            _ => Err(HResult::E_NOTIMPL),
+        }
+    }
+
+    /// Starts it for a client, which needs Auto mode, the executable token and no error.
+    pub(crate) fn start_for(&mut self, ctx: &mut Context<'_>, mode: i32) -> Answered {
+        ctx.may_execute()?;
+        self.start(mode, ctx.now)?;
+        ctx.record(&format!("task {} started", self.name));
+        Ok(Answer::Done)
+    }
+
+    /// Starts or continues it: mode 1 to the end of the cycle, 2 until it is stopped, 3 to the end of the line.
+    pub(crate) fn start(&mut self, mode: i32, now: Instant) -> Result<(), HResult> {
+        let until = match mode {
+            1 => Until::CycleEnd,
+            2 => Until::Stopped,
+            3 => self.line_end(),
+            _ => return Err(HResult::E_INVALIDARG),
+        };
+        match self.status {
+            TaskStatus::NonExistent => return Err(HResult::E_CAO_OBJECT_NOTFOUND),
+            TaskStatus::Running => return Err(HResult::E_CAO_CMD_EXECUTE),
+            TaskStatus::Ready => self.elapsed = Duration::ZERO,
+            TaskStatus::Suspended | TaskStatus::StepStop => {}
+        }
+        (self.until, self.status, self.since, self.completed) = (until, TaskStatus::Running, now, false);
+        if let Work::Steps(steps) = &mut self.work {
+            steps.resume(now);
+        }
+        Ok(())
+    }
+
+    /// Stops it for a client.
+    pub(super) fn stop_for(&mut self, ctx: &mut Context<'_>, mode: i32) -> Result<bool, HResult> {
+        let stopped = self.stop(mode, ctx.now)?;
+        ctx.record(&format!("task {} stopped", self.name));
+        Ok(stopped)
+    }
+
+    /// Stops it: mode 0 and 1 at once, 2 at the end of the line, 3 at the end of the cycle, 4 at once and back to its
+    /// beginning. Returns whether there was something to stop.
+    fn stop(&mut self, mode: i32, now: Instant) -> Result<bool, HResult> {
+        let running = self.is_running();
+        match mode {
+            0 | 1 => self.suspend(now),
+            2 => self.until = self.line_end(),
+            3 => self.until = Until::CycleEnd,
+            4 => {
+                let changed = self.status != TaskStatus::Ready;
+                self.reset(now);
+                return Ok(changed);
+            }
+            _ => return Err(HResult::E_INVALIDARG),
+        }
+        Ok(running)
+    }
+
+    /// Deletes it for a client, unless it runs.
+    fn delete_for(&mut self, ctx: &mut Context<'_>) -> Answered {
+        if self.is_running() {
+            return Err(HResult::E_CAO_CMD_EXECUTE);
+        }
+        ctx.record(&format!("task {} deleted", self.name));
+        self.status = TaskStatus::NonExistent;
+        Ok(Answer::Done)
+    }
+
+    pub(crate) fn suspend(&mut self, now: Instant) {
+        self.advance(now);
+        if self.is_running() {
+            self.status = TaskStatus::Suspended;
+            if let Work::Steps(steps) = &mut self.work {
+                steps.suspend(now);
+            }
+        }
+    }
+
+    /// Stops it and returns it to its beginning.
+    pub(super) fn reset(&mut self, now: Instant) {
+        self.advance(now);
+        if self.status == TaskStatus::NonExistent {
+            return;
+        }
+        self.status = TaskStatus::Ready;
+        match &mut self.work {
+            Work::Timed(timed) => timed.progress = Duration::ZERO,
+            Work::Steps(steps) => steps.reset(),
+        }
+    }
+
+    /// Advances its running time to `now`, and a loop of fixed time through its lines.
+    pub(super) fn advance(&mut self, now: Instant) {
+        if !self.is_running() {
+            return;
+        }
+        let passed = now.saturating_since(self.since);
+        self.since = now;
+        let Work::Timed(timed) = &mut self.work else {
+            self.elapsed = self.elapsed.saturating_add(passed);
+            return;
+        };
+        let end = match self.until {
+            Until::Stopped => None,
+            Until::CycleEnd => Some(timed.cycle),
+            Until::LineEnd(end) => Some(end),
+        };
+        match end.filter(|end| timed.progress.saturating_add(passed) >= *end) {
+            Some(end) => {
+                self.elapsed = self.elapsed.saturating_add(end.saturating_sub(timed.progress));
+                timed.progress = end;
+                let whole = end >= timed.cycle;
+                self.status = TaskStatus::StepStop;
+                if whole {
+                    self.end_cycle();
+                }
+            }
+            None => {
+                self.elapsed = self.elapsed.saturating_add(passed);
+                self.cycles = self.cycles.saturating_add(timed.pass(passed));
+            }
+        }
+    }
+
+    /// Ends at the end of a cycle.
+    fn end_cycle(&mut self) {
+        self.cycles = self.cycles.saturating_add(1);
+        (self.status, self.completed) = (TaskStatus::Ready, self.until == Until::CycleEnd);
+        if let Work::Timed(timed) = &mut self.work {
+            timed.progress = Duration::ZERO;
+        }
+    }
+
+    fn line_end(&self) -> Until {
+        Until::LineEnd(match &self.work {
+            Work::Timed(timed) => timed.line_end(),
+            Work::Steps(_) => Duration::ZERO,
+        })
+    }
+
+    /// Returns when the present step of its program continues; `None` unless it runs one.
+    pub(super) fn due(&self) -> Option<Instant> {
+        self.steps().filter(|_| self.is_running()).map(Steps::due)
+    }
+
+    fn steps(&self) -> Option<&Steps> {
+        match &self.work {
+            Work::Steps(steps) => Some(steps),
+            Work::Timed(_) => None,
+        }
+    }
+
+    /// Returns the present step of its program.
+    pub(crate) fn turn(&self) -> Option<Turn> {
+        self.steps().map(Steps::turn)
+    }
+
+    /// Records that the present step has begun, and takes this time, or is checked then.
+    pub(crate) fn begun(&mut self, now: Instant, time: Duration) {
+        if let Work::Steps(steps) = &mut self.work {
+            steps.begun(now, time);
+        }
+    }
+
+    /// Checks the present step again at this time, but not before the next line time.
+    pub(crate) fn wait(&mut self, now: Instant, until: Instant) {
+        if let Work::Steps(steps) = &mut self.work {
+            steps.wait(now, until);
+        }
+    }
+
+    /// Checks the present step again at the first time after `quiet` that is whole line times away. Until then nothing
+    /// changes what it waits for, unless [`wake`](Self::wake) is called.
+    pub(crate) fn poll(&mut self, now: Instant, quiet: Instant) {
+        if let Work::Steps(steps) = &mut self.work {
+            steps.poll(now, quiet);
+        }
+    }
+
+    /// Checks a polled step again, at the next whole line time.
+    pub(super) fn wake(&mut self, now: Instant) {
+        if let Work::Steps(steps) = &mut self.work {
+            steps.wake(now);
+        }
+    }
+
+    /// Returns when the present step continues, if the task runs a program and its step is not polled.
+    pub(super) fn acts(&self) -> Option<Instant> {
+        self.steps().filter(|steps| self.is_running() && !steps.is_polled()).map(Steps::due)
+    }
+
+    /// Ends the present step of its program, and with it perhaps the cycle.
+    pub(crate) fn end_step(&mut self, now: Instant) {
+        self.advance(now);
+        let Work::Steps(steps) = &mut self.work else { return };
+        match (steps.end_step(now), self.until) {
+            (true, Until::CycleEnd | Until::LineEnd(_)) => self.end_cycle(),
+            (true, Until::Stopped) => self.cycles = self.cycles.saturating_add(1),
+            (false, Until::LineEnd(_)) => self.status = TaskStatus::StepStop,
+            (false, _) => {}
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn task() -> Task {
+        Task::timed("Pro1".to_owned(), Duration::from_millis(100), 10)
+    }
+
+    fn ms(n: u64) -> Instant {
+        Instant::from_millis(n)
+    }
+
+    #[test]
+    fn one_cycle_ends_by_itself() {
+        let mut task = task();
+        task.start(1, ms(0)).unwrap();
+        task.advance(ms(45));
+        assert_eq!((task.status(), task.line(), task.cycles()), (TaskStatus::Running, 5, 0));
+        assert_eq!(task.start(1, ms(45)), Err(HResult::E_CAO_CMD_EXECUTE));
+        task.advance(ms(1000));
+        assert_eq!((task.status(), task.line(), task.cycles()), (TaskStatus::Ready, 1, 1));
+        assert_eq!(task.elapsed, Duration::from_millis(100));
+    }
+
+    #[test]
+    fn continuous_cycles_are_counted_in_one_go_and_stop_at_the_end_of_one() {
+        let mut task = task();
+        task.start(2, ms(0)).unwrap();
+        task.advance(ms(1_000_050));
+        assert_eq!((task.cycles(), task.line()), (10_000, 6));
+        assert_eq!(task.stop(3, ms(1_000_050)), Ok(true));
+        task.advance(ms(1_000_099));
+        assert_eq!(task.status(), TaskStatus::Running);
+        task.advance(ms(1_000_100));
+        assert_eq!((task.status(), task.cycles()), (TaskStatus::Ready, 10_001));
+        assert_eq!(task.stop(1, ms(1_000_100)), Ok(false));
+    }
+
+    #[test]
+    fn steps_walk_line_by_line() {
+        let mut task = task();
+        for line in 1..10 {
+            task.start(3, ms(line * 1000)).unwrap();
+            task.advance(ms(line * 1000 + 500));
+            assert_eq!((task.status(), task.line()), (TaskStatus::StepStop, i32::try_from(line).unwrap() + 1));
+        }
+        task.start(3, ms(20_000)).unwrap();
+        task.advance(ms(20_500));
+        assert_eq!((task.status(), task.cycles()), (TaskStatus::Ready, 1));
+    }
+
+    #[test]
+    fn a_suspended_task_goes_on_where_it_was() {
+        let mut task = task();
+        task.start(1, ms(0)).unwrap();
+        task.advance(ms(60));
+        assert_eq!(task.stop(0, ms(60)), Ok(true));
+        task.advance(ms(5000));
+        assert_eq!((task.status(), task.line()), (TaskStatus::Suspended, 7));
+        task.start(1, ms(5000)).unwrap();
+        task.advance(ms(5040));
+        assert_eq!(task.status(), TaskStatus::Ready);
+        assert_eq!(task.stop(5, ms(5040)), Err(HResult::E_INVALIDARG));
+        assert_eq!(task.start(0, ms(6000)), Err(HResult::E_INVALIDARG));
+    }
+}

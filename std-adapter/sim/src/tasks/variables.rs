@@ -1,0 +1,52 @@
+//! The system variables of a task.
+
+use std::time::Duration;
+
+use bcap_core::variant::Variant;
+
+use super::task::Task;
+use crate::answer::{Answer, Answered};
+use crate::context::Context;
+use crate::table::Property;
+use crate::value::{Value, one_int};
+
+/// The priority of every task.
+const PRIORITY: i32 = 128;
+
+type Read = fn(&Task) -> Value;
+type Write = fn(&mut Task, &mut Context<'_>, &Variant<'_>) -> Answered;
+
+const fn read(name: &'static str, get: Read) -> Property<Read, Write> {
+    Property::read(name, get)
+}
+
+const fn write(name: &'static str, put: Write, accepts: &'static str) -> Property<Read, Write> {
+    Property::write(name, put, accepts)
+}
+
+/// The system variables of a task, in the order of Task_GetVariableNames.
+pub(crate) const VARIABLES: &[Property<Read, Write>] = &[
+    read("@STATUS", Task::status_value),
+    read("@STATUS_DETAILS", |_| Value::I4(0)),
+    read("@PRIORITY", |_| Value::I4(PRIORITY)),
+    read("@LINE_NO", |task| Value::I4s(vec![task.line()])),
+    read("@CYCLE_TIME", |task| millis(task.cycle_time())),
+    read("@ELAPSED_TIME", |task| millis(task.elapsed)),
+    write(
+        "@START",
+        |task, ctx, mode| task.start_for(ctx, one_int(mode)?),
+        "one number: 1 one cycle, 2 continuous, 3 one line",
+    ),
+    write(
+        "@STOP",
+        |task, ctx, mode| {
+            task.stop_for(ctx, one_int(mode)?)?;
+            Ok(Answer::Done)
+        },
+        "one number, 0 to 4",
+    ),
+];
+
+fn millis(time: Duration) -> Value {
+    Value::I4(i32::try_from(time.as_millis()).unwrap_or(i32::MAX))
+}
