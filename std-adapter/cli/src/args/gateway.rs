@@ -1,0 +1,71 @@
+//! The arguments of `bcap gateway`.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use clap::Args;
+
+use crate::rules::AllowPut;
+
+/// Lets PLCs that speak RAC read, and if rules allow it write, the variables of a robot that speaks b-CAP
+///
+/// Prints one line, `ready rac=IP:PORT`, when it listens, then the audit log: one JSON object a line for every request and
+/// for each change of the robot's session. While the robot is disconnected, every request is answered with E_NOT_CONNECTED
+/// at once. SIGINT and SIGTERM end it with 0, after running requests have been answered.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+A file of rules. By default everything may be read and nothing written.
+  convert = true                            # a value of another type is converted where nothing is lost
+  rate = { per_second = 50, burst = 10 }    # for each client
+  [[get]]
+  kind = \"P\"
+  [[put]]
+  kind = \"I\"
+  index = [0, 99]                           # or one number
+  values = [-10, 10]                        # or a list of ranges, one for each element
+Examples:
+  bcap gateway --robot tcp:192.168.0.1
+  bcap gateway --robot udp:192.168.0.1 --allow-put I/0-99,IO/128-143 --allow-put F/5=0..1
+  bcap gateway --rac [::]:5006 --robot tcp:192.168.0.1 --rules rules.toml --audit /var/log/gateway.jsonl")]
+pub(crate) struct Gateway {
+    /// Where RAC listens
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:5006")]
+    pub(crate) rac: SocketAddr,
+
+    /// What clients may do, in TOML
+    #[arg(long, value_name = "FILE")]
+    pub(crate) rules: Option<PathBuf>,
+
+    /// Allows variables to be written, in addition to the rules: KIND[/FIRST[-LAST]][=MIN..MAX[,MIN..MAX]...], several
+    /// separated by commas
+    ///
+    /// Each range is about one element of the value, the last range also about the elements after it.
+    #[arg(long, value_name = "RULES", value_parser = AllowPut::parse)]
+    pub(crate) allow_put: Vec<AllowPut>,
+
+    /// Connections of one IP address at the same time, of 64 in all
+    #[arg(long, value_name = "COUNT", default_value_t = 16)]
+    pub(crate) clients_per_address: usize,
+
+    /// The seconds of silence after which a connection may be closed when another needs its slot. The connection that has
+    /// been idle longest is closed first
+    #[arg(long, value_name = "SECONDS", default_value_t = 10)]
+    pub(crate) evict_after: u32,
+
+    /// Where the audit log goes; a file is appended to, - is the standard output
+    #[arg(long, value_name = "FILE", default_value = "-")]
+    pub(crate) audit: PathBuf,
+
+    /// The lines a second that one IP address may cause in the audit log, and ten times as many at once. Further lines are
+    /// counted only; 0 writes all. Successful writes are always logged
+    #[arg(long, value_name = "LINES", default_value_t = 10)]
+    pub(crate) audit_rate: u32,
+
+    /// The size in MiB at which a log file is renamed to FILE.1 and a new file begins; 0 for any size
+    #[arg(long, value_name = "MIB", default_value_t = 16)]
+    pub(crate) audit_size: u32,
+
+    /// The number of old log files to keep; FILE.1 is the newest
+    #[arg(long, value_name = "COUNT", default_value_t = 4)]
+    pub(crate) audit_keep: u32,
+}

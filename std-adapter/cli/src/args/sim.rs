@@ -1,0 +1,157 @@
+//! The arguments of `bcap sim`.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use bcap_sim::Profile;
+use clap::Args;
+
+/// Runs a virtual controller on real sockets
+///
+/// Prints one line, `ready bcap=IP:PORT udp=IP:PORT rac=IP:PORT`, when it listens. Port 0 selects a free port. On SIGINT and
+/// SIGTERM it exits with 0.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+Examples:
+  bcap sim
+  bcap sim --bcap 127.0.0.1:0 --udp 127.0.0.1:0 --rac 127.0.0.1:0
+  bcap sim --scenario faults.toml
+  bcap sim --replay session.pcapng
+  bcap sim --record motion.csv
+  bcap sim --model rc9 --print-model
+  bcap sim --model cell7.toml
+  bcap sim --model cobotta --robot-type CVR038A1-NV6
+  bcap sim --bcap [::]:5007 --udp [::]:5007 --rac [::]:5006")]
+pub(crate) struct Sim {
+    /// The address for b-CAP over TCP
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:5007")]
+    pub(crate) bcap: SocketAddr,
+
+    /// The address for b-CAP over UDP
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:5007")]
+    pub(crate) udp: SocketAddr,
+
+    /// The address for RAC
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:5006")]
+    pub(crate) rac: SocketAddr,
+
+    /// The controller to simulate: rc8, rc8a, rc9, cobotta, cobotta-pro, or a file like those that --print-model prints
+    #[arg(long, value_name = "MODEL|FILE.toml", default_value = "rc8")]
+    pub(crate) model: ModelSource,
+
+    /// Prints the file of the model, to copy and change, and exits
+    #[arg(long)]
+    pub(crate) print_model: bool,
+
+    /// The type of the robot, which drivers read as @TYPE_NAME [default: VS050A3; CVR038A1 for a COBOTTA]
+    ///
+    /// The type does not change the lengths, ranges and speeds of the arm. A scenario sets name, axes and version.
+    #[arg(long, value_name = "TYPE")]
+    pub(crate) robot_type: Option<String>,
+
+    /// The operation mode at the start
+    #[arg(long, value_name = "MODE", default_value = "auto")]
+    pub(crate) mode: OperationMode,
+
+    /// The holder of the executable token
+    #[arg(long, value_name = "HOLDER", default_value = "any")]
+    pub(crate) token: TokenHolder,
+
+    /// Starts without a Slave Mode licence
+    #[arg(long)]
+    pub(crate) no_slave_licence: bool,
+
+    /// A file with the initial state of the controller (errors, type, axes, version, limits) and with faults to inject:
+    /// refused calls, errors, the emergency stop, a bad link
+    #[arg(long, value_name = "FILE")]
+    pub(crate) scenario: Option<PathBuf>,
+
+    /// Answers as the server of a capture did, instead of as a virtual controller
+    ///
+    /// The connections of clients are those of the capture in their order. A request gets the reply of the next call with the same
+    /// function and arguments, at once. A request that the capture does not have is refused with E_FAIL and printed on stderr.
+    #[arg(long, value_name = "FILE.pcapng", conflicts_with_all = ["scenario", "files", "explain", "lenient", "record"])]
+    pub(crate) replay: Option<PathBuf>,
+    /// Writes the trajectory of the arm to a CSV file: the axes and the tool centre point every 8 ms while the arm moves
+    ///
+    /// Columns: time_s, J1 to J8 (degrees, mm), X, Y, Z (mm), RX, RY, RZ (degrees), tool, work. Time passes when clients
+    /// call, so the file ends with the last call.
+    #[arg(long, value_name = "FILE")]
+    pub(crate) record: Option<PathBuf>,
+
+    /// The folder of the controller's files; clients see its regular files and folders [default: an empty temporary folder]
+    #[arg(long, value_name = "DIR")]
+    pub(crate) files: Option<PathBuf>,
+
+    /// Prints on stderr why an argument was refused: the call, the refused value, the accepted values
+    ///
+    /// GetErrorDescription of the code returns the same text.
+    #[arg(long)]
+    pub(crate) explain: bool,
+
+    /// Accepts the provider of another model and unknown options, and prints each of them on stderr
+    ///
+    /// Without it, Controller_Connect answers E_CAO_PROV_INVALID, and other functions E_INVALIDARG.
+    #[arg(long)]
+    pub(crate) lenient: bool,
+}
+
+/// Where the model of a controller comes from.
+#[derive(Clone, Debug)]
+pub(crate) enum ModelSource {
+    BuiltIn(Profile),
+    File(PathBuf),
+}
+
+impl FromStr for ModelSource {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        Ok(Self::BuiltIn(match text.to_ascii_lowercase().as_str() {
+            "rc8" => Profile::Rc8,
+            "rc8a" => Profile::Rc8a,
+            "rc9" => Profile::Rc9,
+            "cobotta" => Profile::Cobotta,
+            "cobotta-pro" => Profile::CobottaPro,
+            name if name.ends_with(".toml") => return Ok(Self::File(text.into())),
+            _ => return Err("it is rc8, rc8a, rc9, cobotta, cobotta-pro, or a file whose name ends with .toml".into()),
+        }))
+    }
+}
+
+/// An operation mode.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub(crate) enum OperationMode {
+    Manual,
+    TeachCheck,
+    Auto,
+}
+
+impl From<OperationMode> for bcap_sim::Mode {
+    fn from(mode: OperationMode) -> Self {
+        match mode {
+            OperationMode::Manual => Self::Manual,
+            OperationMode::TeachCheck => Self::TeachCheck,
+            OperationMode::Auto => Self::Auto,
+        }
+    }
+}
+
+/// The holder of the executable token.
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+pub(crate) enum TokenHolder {
+    /// Any client or the teach pendant
+    Any,
+    /// The teach pendant only
+    Pendant,
+}
+
+impl From<TokenHolder> for bcap_sim::Token {
+    fn from(holder: TokenHolder) -> Self {
+        match holder {
+            TokenHolder::Any => Self::Any,
+            TokenHolder::Pendant => Self::TeachPendant,
+        }
+    }
+}
