@@ -154,8 +154,8 @@ release version execute="":
     packages=(-p bcap-core -p bcap-sim -p bcap-std -p bcap-embassy -p bcap-cli)
     case "{{execute}}" in
         --execute)
-            git tag --annotate --message 'release {{version}}' 'v{{version}}'
-            cargo publish --locked --no-verify "${packages[@]}" ;;
+            cargo publish --locked --no-verify "${packages[@]}"
+            git tag --annotate --message 'release {{version}}' 'v{{version}}' ;;
         "") cargo publish --locked --no-verify --dry-run "${packages[@]}" ;;
         *) fail "unknown argument {{execute}}" ;;
     esac
