@@ -171,7 +171,8 @@ impl<'a> Arm<'a> {
     }
 
     /// Starts a motion and returns when it has begun, so that [`Moving::then`] can let others follow it without a stop.
-    /// `limit` is the time limit of all of them; after it the robot is halted.
+    /// `limit` is the time limit of all of them; after it the robot is halted. It is looked at while a call of the
+    /// [`Moving`] runs: a program that keeps the value and makes no call of it halts nothing.
     ///
     /// **Dropping the [`Moving`] halts the robot**, also by an error or a panic. [`Moving::wait`] waits for the end.
     ///

@@ -153,7 +153,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
                 }
                 self.forget_handles();
             }
-            _ => {}
+            _ => self.objects.retain(|(kind, _), open| (*kind, *open) != (object, handle)),
         }
     }
 
@@ -161,6 +161,7 @@ impl<X: Transport<Error = io::Error>> Session<X> {
     fn forget_handles(&mut self) {
         self.robot = None;
         self.variables.clear();
+        self.objects.clear();
     }
 }
 
