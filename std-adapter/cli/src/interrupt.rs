@@ -17,7 +17,7 @@ use crate::error::Failure;
 const AGAIN: Duration = Duration::from_millis(50);
 
 /// The further SIGINT that end a command whose call does not end.
-const IMPATIENT: u32 = 5;
+const MAX_INTERRUPTS: u32 = 5;
 
 /// Halts the robot over a session of its own.
 pub(crate) type Halt = Box<dyn FnMut() -> Result<(), Failure> + Send>;
@@ -90,7 +90,7 @@ impl Interrupt {
                 Ok(Signal::Interrupt) => again += 1,
                 Err(_) => {}
             }
-            if again == IMPATIENT {
+            if again == MAX_INTERRUPTS {
                 let what = "interrupted again and again, so the command ends; the controller gives the arm back when it \
                             notices the end of the connection";
                 Failure::Interrupted(what.into()).print(false, None);
@@ -104,10 +104,21 @@ impl Interrupt {
         *self.0.stopper.lock().unwrap_or_else(PoisonError::into_inner) = None;
     }
 
-    /// Halts the robot, if [`prepare`](Self::prepare) has given a way to do so.
-    pub(crate) fn halt(&self) -> Result<(), Failure> {
+    /// Halts the robot. Returns whether [`prepare`](Self::prepare) has given a way to do so.
+    pub(crate) fn halt(&self) -> Result<bool, Failure> {
         let mut stopper = self.0.stopper.lock().unwrap_or_else(PoisonError::into_inner);
-        stopper.as_mut().map_or(Ok(()), |halt| halt())
+        stopper.as_mut().map_or(Ok(false), |halt| halt().map(|()| true))
+    }
+
+    /// Returns whether there is a way to halt the robot while a call runs.
+    pub(crate) fn can_halt(&self) -> bool {
+        self.0.stopper.lock().unwrap_or_else(PoisonError::into_inner).is_some()
+    }
+
+    /// Returns the failure of a command that a signal interrupted while its session had the arm.
+    pub(crate) fn failure(&self) -> Failure {
+        let halted = if self.can_halt() { "the robot was halted" } else { "the motion was not halted: it has ended" };
+        Failure::Interrupted(format!("interrupted: {halted}, and the arm was given back"))
     }
 
     /// Sets how the robot is halted, unless that is known; `open` may connect.
@@ -212,9 +223,4 @@ impl Sources {
         }
         Signal::Interrupt
     }
-}
-
-/// The failure of a command that a signal interrupted while its session had the arm.
-pub(crate) fn interrupted() -> Failure {
-    Failure::Interrupted("interrupted: the robot was halted, and the arm was given back".into())
 }

@@ -13,8 +13,8 @@ use crate::args::{Call, Command, Exec};
 use crate::duration;
 use crate::error::Failure;
 use crate::escape;
-use crate::interrupt::{Interrupt, interrupted};
-use crate::output::{note, print_line, print_raw};
+use crate::interrupt::Interrupt;
+use crate::output::{print_line, print_raw};
 use crate::plain;
 use crate::reference;
 use crate::session::Session;
@@ -122,6 +122,11 @@ impl Runner {
         self.interrupt.begin();
     }
 
+    /// Returns whether a signal has arrived since the last line began.
+    pub(crate) fn is_interrupted(&self) -> bool {
+        self.interrupt.is_interrupted()
+    }
+
     /// Returns whether a signal has ended the command.
     pub(crate) fn is_ended(&self) -> bool {
         self.interrupt.is_ended()
@@ -146,7 +151,8 @@ impl Runner {
         }
         let had_arm = session.has_arm();
         self.interrupt.set_moving(had_arm);
-        let done = self.command(&line, session);
+        // a signal after `set_moving` halts the robot, one before it prevents the call
+        let done = if self.interrupt.is_interrupted() { Ok(Flow::Continue) } else { self.command(&line, session) };
         self.interrupt.set_moving(false);
         self.conclude(done, had_arm, session)
     }
@@ -154,9 +160,6 @@ impl Runner {
     /// Halts the robot and gives the arm back after an interruption, and closes a lost connection.
     fn conclude(&self, done: Result<Flow, Failure>, had_arm: bool, session: &mut Session) -> Result<Flow, Failure> {
         if session.is_lost() {
-            if had_arm && self.interrupt.halt().is_ok() {
-                note("the robot was halted over another connection");
-            }
             session.abandon();
             return done;
         }
@@ -165,7 +168,7 @@ impl Runner {
         }
         if had_arm || session.has_arm() {
             session.give_arm()?;
-            return Err(interrupted());
+            return Err(self.interrupt.failure());
         }
         match done {
             Err(Failure::Interrupted(_)) => done,
@@ -285,9 +288,7 @@ fn may_take_arm(command: &Command) -> bool {
 /// Prints help that was asked for, or converts the error of an invalid command.
 fn explained(error: &clap::Error) -> Result<(), Failure> {
     match error.kind() {
-        ErrorKind::DisplayHelp | ErrorKind::DisplayVersion | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
-            Ok(print_raw(error.render().to_string().trim_end())?)
-        }
+        ErrorKind::DisplayHelp | ErrorKind::DisplayVersion => Ok(print_raw(error.render().to_string().trim_end())?),
         _ => {
             let text = error.render().to_string();
             let text = text.strip_prefix("error: ").unwrap_or(&text).trim_end();

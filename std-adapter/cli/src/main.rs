@@ -91,6 +91,9 @@ fn recorded(cli: &Cli) -> Result<(), Failure> {
     // these record their clients or their robot
     let is_served = matches!(cli.command, Command::Proxy(_) | Command::Sim(_) | Command::Gateway(_));
     let Some(file) = cli.link.write.as_deref().filter(|_| !is_served) else { return run(cli) };
+    if matches!(cli.command, Command::Raw(_)) || !cli.command.connects() {
+        return Err(Failure::Input("this command has nothing to record; leave --write out".into()));
+    }
     let recording = record::Recording::of_command(file)?;
     let result = run(cli);
     result.and(recording.finish())

@@ -6,8 +6,7 @@ use bcap_std::{Move, ObjectPath};
 
 use crate::args::MoveArgs;
 use crate::error::Failure;
-use crate::interrupt::interrupted;
-use crate::output::{note, print_json, print_line};
+use crate::output::{print_json, print_line};
 use crate::session::Session;
 use crate::value::{integer, text};
 
@@ -30,22 +29,18 @@ pub(crate) fn motion(args: &MoveArgs, session: &mut Session, json: bool) -> Resu
     let interrupt = session.handle_signals()?;
     session.prepare_halt(&interrupt)?;
     interrupt.set_moving(true);
-    let ended = prepared(args, session, had_arm)
-        .and_then(|()| if interrupt.is_interrupted() { Ok(None) } else { moved(args, session).map(Some) });
+    // a signal after `set_moving` halts the robot, one before it prevents the motion
+    let ready = if interrupt.is_interrupted() { Ok(()) } else { prepared(args, session, had_arm) };
+    let ended = ready.and_then(|()| if interrupt.is_interrupted() { Ok(None) } else { moved(args, session).map(Some) });
     if had_arm {
         return ended.and_then(|ended| concluded(args, ended, json));
     }
-    if session.is_lost() {
-        // the controller gives the arm back when it notices the end of the connection; the robot must not move until then
-        if interrupt.halt().is_ok() {
-            note("the robot was halted over another connection");
-        }
-        session.abandon();
-    }
+    // halts the robot if the connection was lost: the controller gives the arm back only when it notices that
+    session.abandon();
     let given = session.give_arm();
     interrupt.set_moving(false);
     if interrupt.is_interrupted() && ended.as_ref().is_ok_and(|_| given.is_ok()) {
-        return Err(interrupted());
+        return Err(interrupt.failure());
     }
     // an error of the motion is more useful than an error of giving the arm back
     let ended = ended?;

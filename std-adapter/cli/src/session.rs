@@ -15,6 +15,7 @@ use crate::budget::Budget;
 use crate::connection::{failure, open};
 use crate::error::Failure;
 use crate::interrupt::Interrupt;
+use crate::output::note;
 use crate::trace::Packets;
 use crate::value::{Value, described, integer, text};
 
@@ -33,6 +34,8 @@ pub(crate) struct Session {
     pub(crate) interrupt: Option<Interrupt>,
     /// The bytes of the last packets.
     pub(crate) packets: Packets,
+    /// The scripts that run each other now.
+    pub(crate) scripts: u8,
 }
 
 /// An open connection.
@@ -45,6 +48,10 @@ struct Open {
 impl Drop for Session {
     /// Ends this session, and then the one that halts the robot.
     fn drop(&mut self) {
+        if self.has_arm() {
+            // halting the robot and giving the arm back have time of their own, however long the command took
+            self.allow_time();
+        }
         self.open = None;
         if let Some(interrupt) = &self.interrupt {
             interrupt.dismiss();
@@ -83,6 +90,7 @@ impl Session {
             objects: HashMap::new(),
             interrupt: None,
             packets: Packets::new(link.trace),
+            scripts: 0,
         }
     }
 
@@ -177,6 +185,13 @@ impl Session {
         if let Some(Open { controller, budget, .. }) = &mut self.open {
             budget.restart();
             controller.set_deadline(budget.deadline());
+        }
+    }
+
+    /// Sets the time limit that a halt has, at least that of the command.
+    fn allow_time(&mut self) {
+        if let Some(Open { controller, .. }) = &mut self.open {
+            controller.set_deadline(Some(bcap_std::now() + self.link.for_halt().timeout()));
         }
     }
 
@@ -290,11 +305,11 @@ impl Session {
 
     /// Opens the session that halts the robot while this one waits for a reply. Call it before the arm is taken.
     pub(crate) fn prepare_halt(&self, interrupt: &Interrupt) -> Result<(), Failure> {
-        let mut link = self.link.limited();
+        let mut link = self.link.for_halt();
         link.trace = None;
         interrupt.prepare(|| {
-            // a serial line carries one session, so nothing can halt there
             if link.is_serial() {
+                note("a serial line carries one session, so Ctrl-C cannot halt the robot here");
                 return Ok(None);
             }
             let mut stopper = Self::new(&link);
@@ -319,16 +334,32 @@ impl Session {
         if !self.has_arm() {
             return Ok(());
         }
+        self.allow_time();
+        let given = self.with(|controller| controller.arm()?.give());
         self.restart_budget();
-        self.with(|controller| controller.arm()?.give())
+        given
     }
 
-    /// Closes a lost connection, so that the controller releases what it holds, such as the arm.
+    /// Closes a lost connection, so that the controller releases what it holds, such as the arm. If this session had the arm,
+    /// the robot is halted over another connection first: a motion may be under way.
     pub(crate) fn abandon(&mut self) {
-        if self.lost {
-            self.open = None;
-            self.objects.clear();
+        if !self.lost {
+            return;
         }
+        if self.open.as_ref().is_some_and(|open| open.controller.has_arm()) {
+            match self.interrupt.as_ref().map_or(Ok(false), Interrupt::halt) {
+                Ok(true) => note("the robot was halted over another connection"),
+                Ok(false) => {
+                    note("the robot was NOT halted, because there is no other connection; use the emergency stop")
+                }
+                Err(failure) => {
+                    failure.print(false, None);
+                    note("the robot may still move; use the emergency stop");
+                }
+            }
+        }
+        self.open = None;
+        self.objects.clear();
     }
 
     /// Releases an object before the end of the session.

@@ -42,9 +42,6 @@ pub(crate) fn shell(session: &mut Session, verb: Verb, json: bool) -> Result<(),
         // the first shell has no history yet
         let _ = editor.load_history(file);
     }
-    if link.is_serial() {
-        note("a serial line carries one session, so Ctrl-C cannot halt the robot here");
-    }
     connect(&shared, json)?;
     let ended = read_lines(&mut editor, &shared, &mut Runner::new(interrupt, verb, json), json);
     if let Some(file) = &history {
@@ -76,12 +73,15 @@ fn read_lines(
 ) -> Result<(), Failure> {
     loop {
         let prompt = format!("{}> ", prompt(&mut locked(shared)));
+        // Ctrl-C after the end of the last line, while the state for the prompt was read
+        if runner.is_interrupted() {
+            runner.begin();
+            report(stop(&mut locked(shared)), json);
+        }
         let line = match editor.readline(&prompt) {
             Ok(line) => line,
             Err(ReadlineError::Interrupted) => {
-                if let Err(failure) = stop(&mut locked(shared)) {
-                    failure.print(json, None);
-                }
+                report(stop(&mut locked(shared)), json);
                 continue;
             }
             Err(ReadlineError::Eof) => return Ok(()),
@@ -93,12 +93,17 @@ fn read_lines(
         // a line that cannot be kept is run all the same
         let _ = editor.add_history_entry(&line);
         runner.begin();
-        match runner.run(&line, &mut locked(shared)) {
+        let (done, is_open) = {
+            let mut session = locked(shared);
+            let done = runner.run(&line, &mut session);
+            (done, session.is_open())
+        };
+        match done {
             Ok(Flow::Continue) => {}
             Ok(Flow::Exit) => return Ok(()),
             Err(failure) => {
                 failure.print(json, None);
-                if !failure.leaves_the_session_alive() {
+                if !is_open && !failure.leaves_the_session_alive() {
                     note("`connect` connects again");
                 }
             }
@@ -119,6 +124,12 @@ fn stop(session: &mut Session) -> Result<(), Failure> {
     session.give_arm()?;
     note("the robot was halted, and the arm was given back");
     Ok(())
+}
+
+fn report(done: Result<(), Failure>, json: bool) {
+    if let Err(failure) = done {
+        failure.print(json, None);
+    }
 }
 
 fn locked(shared: &Shared) -> MutexGuard<'_, Session> {

@@ -74,7 +74,12 @@ fn wrong(error: bcap_std::AddressError) -> Failure {
 
 /// Returns the address of the environment variable, or of the profile.
 fn indirect(profile: Option<&str>) -> Option<String> {
-    env::var("BCAP_ROBOT").ok().filter(|text| !text.is_empty()).or_else(|| profile.map(str::to_owned))
+    in_environment().or_else(|| profile.map(str::to_owned))
+}
+
+/// Returns the address of the environment variable.
+pub(crate) fn in_environment() -> Option<String> {
+    env::var("BCAP_ROBOT").ok().filter(|text| !text.is_empty())
 }
 
 #[cfg(test)]

@@ -101,11 +101,11 @@ impl LinkArgs {
     }
 
     /// Adds the values of the profile, as far as they do not hinder a halt: its time limit is ignored, and a profile that
-    /// cannot be read is reported and ignored if --robot names the controller.
+    /// cannot be read is reported and ignored if --robot or BCAP_ROBOT names the controller.
     pub(crate) fn with_profile_for_halt(&self) -> Result<Self, Failure> {
         match self.with_profile() {
             Ok(link) => Ok(Self { timeout: self.timeout, ..link }),
-            Err(failure) if self.robot.is_some() => {
+            Err(failure) if self.robot.is_some() || target::in_environment().is_some() => {
                 failure.print(false, None);
                 Ok(self.clone())
             }
@@ -166,6 +166,11 @@ impl LinkArgs {
     /// Limits the whole command even if the user gave no limit.
     pub(crate) fn limited(&self) -> Self {
         Self { timeout: Some(self.timeout()), ..self.clone() }
+    }
+
+    /// Limits the whole command, for a halt: to the default limit at least, because Robot_Halt returns when the robot rests.
+    pub(crate) fn for_halt(&self) -> Self {
+        Self { timeout: Some(self.timeout().max(DEFAULT_TIMEOUT)), ..self.clone() }
     }
 
     /// Returns the attempts of a call over UDP (S2:1493).

@@ -29,7 +29,7 @@ pub(crate) struct MoveArgs {
     #[arg(long)]
     pub(crate) line: bool,
 
-    /// The speed, in percent of the maximum
+    /// The speed, in percent of the speed that the arm is set to
     #[arg(long, value_name = "PERCENT")]
     pub(crate) speed: Option<f64>,
 
