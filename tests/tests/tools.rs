@@ -8,10 +8,10 @@ use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use bcap_core::variant::OwnedVariant;
-use bcap_sim::{Config, Controller as Simulated, Profile};
+use bcap_sim::{Config, Controller as Simulated, Profile, TaskStatus};
 use bcap_std::blocking::{Connection, Controller, TcpTransport, Transport, connect_tcp};
 use bcap_std::server::Limits;
-use bcap_std::{CallError, Error, Options};
+use bcap_std::{CallError, Error, Options, TaskStart};
 use bcap_tests::served::Served;
 
 fn simulated() -> Served<Simulated> {
@@ -67,6 +67,21 @@ fn objects_are_opened_by_their_path() {
     );
     tool.close().unwrap();
     assert_eq!(sim.application().open_objects(), 0);
+}
+
+#[test]
+fn a_handle_of_an_ended_service_is_not_that_of_another_task() {
+    let sim = simulated();
+    let mut tool = tool(&sim);
+    connect(&mut tool);
+    tool.task("Pro1").unwrap().status().unwrap();
+    tool.call_any("", FunctionId::SERVICE_STOP, &[]).unwrap();
+    connect(&mut tool);
+    tool.task("Pro2").unwrap().status().unwrap();
+    tool.task("Pro1").unwrap().start(TaskStart::OneCycle).unwrap();
+    let status = |name| sim.application().task(name).unwrap().0;
+    assert_eq!((status("Pro1"), status("Pro2")), (TaskStatus::Running, TaskStatus::Ready));
+    tool.close().unwrap();
 }
 
 #[test]

@@ -74,11 +74,10 @@ impl Interrupt {
         if signal == Signal::End {
             shared.ended.store(true, Ordering::SeqCst);
         }
-        *shared.interrupted.lock().unwrap_or_else(PoisonError::into_inner) = true;
-        shared.changed.notify_all();
+        self.mark();
         let (mut reported, mut again) = (false, 0);
-        // a motion may begin just after a halt, so halt until the command has ended its call
-        while shared.moving.load(Ordering::SeqCst) {
+        // a motion may begin just after a halt, so halt until the command has ended its call; then the next line may begin
+        while shared.moving.load(Ordering::SeqCst) && self.is_interrupted() {
             if let Err(failure) = self.halt()
                 && !reported
             {
@@ -87,7 +86,11 @@ impl Interrupt {
             }
             match more.recv_timeout(AGAIN) {
                 Ok(Signal::End) => shared.ended.store(true, Ordering::SeqCst),
-                Ok(Signal::Interrupt) => again += 1,
+                Ok(Signal::Interrupt) => {
+                    // for the next line, if the one that was interrupted has just ended
+                    self.mark();
+                    again += 1;
+                }
                 Err(_) => {}
             }
             if again == MAX_INTERRUPTS {
@@ -97,6 +100,12 @@ impl Interrupt {
                 process::exit(130);
             }
         }
+    }
+
+    /// Records a signal.
+    fn mark(&self) {
+        *self.0.interrupted.lock().unwrap_or_else(PoisonError::into_inner) = true;
+        self.0.changed.notify_all();
     }
 
     /// Closes the session that halts.

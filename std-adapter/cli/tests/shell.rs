@@ -150,6 +150,80 @@ fn ctrl_c_halts_a_motion_and_gives_the_arm_back() {
 }
 
 #[test]
+fn a_signal_ends_a_script_that_waits_for_its_next_line() {
+    let robot = Virtual::start(&[]);
+    for name in ["-INT", "-TERM"] {
+        let mut child = robot.spawn(&["run", "-"]);
+        // stays open, because the end of the input would end the script too
+        let mut stdin = child.stdin.take().unwrap();
+        let lines = "exec robot TakeArm 0 1\nexec robot Motor 1 0\nmove J(90,45,90,0,45,0) --speed 1 --no-wait\n";
+        stdin.write_all(lines.as_bytes()).unwrap();
+        robot.wait_for_motion();
+        signal(name, &child);
+        let run: Run = child.wait_with_output().unwrap().into();
+        assert!(run.code == 130 && run.err.contains("-:3: interrupted before this line"), "{name}: {run:?}");
+        drop(stdin);
+        robot.assert_at_rest_with_free_arm();
+    }
+}
+
+#[test]
+fn ctrl_c_halts_motions_after_a_command_with_signals_of_its_own() {
+    let robot = Virtual::start(&[]);
+    let backup = tempfile::tempdir().unwrap();
+    let mut child = robot.spawn(&["shell"]);
+    let mut stdin = child.stdin.take().unwrap();
+    let (there, back) = ("move 'J(90, 45, 90, 0, 45, 0)' --speed 1\n", "move 'J(-90, 45, 90, 0, 45, 0)' --speed 1\n");
+    stdin.write_all(format!("dump {}\n{there}", backup.path().join("cell").display()).as_bytes()).unwrap();
+    robot.wait_for_motion();
+    signal("-INT", &child);
+    robot.wait_for_rest();
+    stdin.write_all(back.as_bytes()).unwrap();
+    robot.wait_for_motion();
+    signal("-INT", &child);
+    robot.wait_for_rest();
+    stdin.write_all(b"get I1\n").unwrap();
+    drop(stdin);
+    let run: Run = child.wait_with_output().unwrap().into();
+    assert_eq!((run.err.matches(INTERRUPTED).count(), run.code), (2, 0), "{run:?}");
+    assert!(run.out.ends_with("I1 = 0\n"), "{run:?}");
+    robot.assert_at_rest_with_free_arm();
+}
+
+#[test]
+fn the_end_of_a_script_has_time_of_its_own_to_halt_the_robot() {
+    let robot = Virtual::start(&[]);
+    let lines =
+        "exec robot TakeArm 0 1\nexec robot Motor 1 0\nmove J(90,45,90,0,45,0) --speed 1 --no-wait\nsleep 700ms\n";
+    let run = bcap_with(&["run", "-", "--timeout", "500ms", "--robot", &robot.tcp], lines.as_bytes());
+    assert_eq!(run.code, 0, "{run:?}");
+    robot.assert_at_rest_with_free_arm();
+}
+
+#[test]
+fn scripts_that_run_themselves_and_incomplete_commands_are_errors() {
+    let robot = Virtual::start(&[]);
+    let file = tempfile::NamedTempFile::new().unwrap();
+    let name = file.path().display();
+    std::fs::write(file.path(), format!("run {name}\n")).unwrap();
+    let run = robot.run(&["run", &name.to_string()]);
+    assert!(run.code == 2 && run.err.contains("more than 16 scripts run each other"), "{run:?}");
+    let run = robot.script("task\nput I1 1\n");
+    assert!(run.code == 2 && run.err.contains("-:1: "), "{run:?}");
+    assert_eq!(robot.run(&["get", "I1"]).out, "I1 = 0\n");
+}
+
+#[test]
+fn a_recording_that_would_be_empty_is_refused() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("empty.pcapng");
+    for args in [["raw", "01"], ["explain", "E_HANDLE"]] {
+        let run = bcap(&[&args[..], &["--write", file.to_str().unwrap()]].concat());
+        assert!(run.code == 2 && run.err.contains("nothing to record") && !file.exists(), "{run:?}");
+    }
+}
+
+#[test]
 fn ctrl_c_halts_a_motion_over_udp() {
     let robot = Virtual::start(&[]);
     let mut command = common::bare(&[&SLOW[..], &["--robot", &robot.udp]].concat());

@@ -45,6 +45,11 @@ impl Virtual {
         while self.run(&["get", "@BUSY_STATUS"]).out != "@BUSY_STATUS = true\n" {}
     }
 
+    /// Waits until the robot rests, as another client sees it.
+    pub(crate) fn wait_for_rest(&self) {
+        while self.run(&["get", "@BUSY_STATUS"]).out != "@BUSY_STATUS = false\n" {}
+    }
+
     /// Asserts that the robot rests with its motor off, and that another client can take the arm.
     #[track_caller]
     pub(crate) fn assert_at_rest_with_free_arm(&self) {
