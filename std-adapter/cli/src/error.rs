@@ -80,6 +80,14 @@ pub(crate) enum Failure {
         /// What to do.
         hint: String,
     },
+    /// The controller answered with a value that does not fit the call; the connection works.
+    #[error("{message}")]
+    Unexpected {
+        /// What the reply carries.
+        message: String,
+        /// What to do.
+        hint: String,
+    },
     /// No answer arrived in time.
     #[error("{message}")]
     Timeout {
@@ -183,7 +191,7 @@ impl Failure {
             | Self::Unfit { .. }
             | Self::Different => 1,
             Self::Input(_) | Self::Item(_) | Self::BadLines(_) | Self::Stdio(_) => 2,
-            Self::Connection { .. } => 3,
+            Self::Connection { .. } | Self::Unexpected { .. } => 3,
             Self::Timeout { .. } => 4,
             // the convention of shells: 128 plus the number of SIGINT
             Self::Interrupted(_) => 130,
@@ -204,7 +212,7 @@ impl Failure {
     pub(crate) fn hint(&self) -> Option<&str> {
         match self {
             Self::Refused { code, .. } => code.hint(),
-            Self::Connection { hint, .. } | Self::Timeout { hint, .. } => Some(hint),
+            Self::Connection { hint, .. } | Self::Unexpected { hint, .. } | Self::Timeout { hint, .. } => Some(hint),
             Self::Unfit { code, hint, .. } => hint.as_deref().or_else(|| code.and_then(HResult::hint)),
             Self::Script { failure, .. } => failure.hint(),
             Self::Input(_)
@@ -285,6 +293,7 @@ impl Failure {
             }
             Self::Input(_)
             | Self::Connection { .. }
+            | Self::Unexpected { .. }
             | Self::Timeout { .. }
             | Self::Unfit { .. }
             | Self::Different

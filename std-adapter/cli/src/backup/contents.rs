@@ -33,6 +33,65 @@ impl About {
     }
 }
 
+/// A part that could not be listed or read.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Omission {
+    pub(crate) part: Part,
+    /// Why, in words.
+    pub(crate) reason: String,
+}
+
+/// What is omitted.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(into = "String", try_from = "String")]
+pub(crate) enum Part {
+    /// All variables of a kind; `I` in backup.json.
+    Variables(VariableKind),
+    /// Some system variables; `system`.
+    System,
+    /// A file, or a folder with everything in it; `file:Sub`, and `file:` for all files.
+    Files(String),
+}
+
+impl Part {
+    /// Returns whether the part has a file, or may have it.
+    pub(crate) fn has_file(&self, path: &str) -> bool {
+        let Self::Files(omitted) = self else { return false };
+        let below = path.strip_prefix(omitted.as_str());
+        omitted.is_empty() || below.is_some_and(|below| below.is_empty() || below.starts_with('/'))
+    }
+
+    pub(crate) fn has_variable(&self, variable: UserVariable) -> bool {
+        *self == Self::Variables(variable.kind())
+    }
+}
+
+impl From<Part> for String {
+    fn from(part: Part) -> Self {
+        match part {
+            Part::Variables(kind) => kind.name().into(),
+            Part::System => "system".into(),
+            Part::Files(path) => format!("file:{path}"),
+        }
+    }
+}
+
+impl TryFrom<String> for Part {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        if let Some(path) = text.strip_prefix("file:") {
+            return Ok(Self::Files(path.into()));
+        }
+        if text == "system" {
+            return Ok(Self::System);
+        }
+        let kind = VariableKind::ALL.into_iter().find(|kind| kind.name() == text);
+        kind.map(Self::Variables).ok_or_else(|| format!("{text:?} is no part of a backup"))
+    }
+}
+
 /// A user variable; they are ordered by kind, then by index.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct UserVariable {
@@ -65,8 +124,8 @@ pub(crate) struct Contents {
     pub(crate) system: BTreeMap<String, Entry>,
     /// By path, with `/` between its parts.
     pub(crate) files: BTreeMap<String, Vec<u8>>,
-    /// What the controller refused to list or to read, in words; refused variables are entries of their own.
-    pub(crate) omitted: Vec<String>,
+    /// What could not be listed or read; refused variables are entries of their own.
+    pub(crate) omitted: Vec<Omission>,
 }
 
 impl Contents {

@@ -20,7 +20,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use bcap_core::rac::VariableKind;
 use serde::{Deserialize, Serialize};
 
-use super::contents::{About, Contents, UserVariable};
+use super::contents::{About, Contents, Omission, UserVariable};
 use crate::disk;
 use crate::error::Failure;
 use crate::files::local_files;
@@ -48,7 +48,7 @@ struct Manifest {
     /// The number of user variables that could not be read.
     refused: usize,
     /// What else could not be read.
-    omitted: Vec<String>,
+    omitted: Vec<Omission>,
 }
 
 /// The folder of a backup.
@@ -114,7 +114,7 @@ impl Folder {
     }
 
     /// Reads everything back, and marks the backup as complete.
-    pub(super) fn finish(&self, omitted: Vec<String>) -> Result<Contents, Failure> {
+    pub(super) fn finish(&self, omitted: Vec<Omission>) -> Result<Contents, Failure> {
         let contents = Contents { about: self.about.clone(), omitted, ..read_all(&self.path)? };
         self.write_manifest(true, &contents)?;
         Ok(contents)

@@ -11,7 +11,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind;
 use bcap_std::ObjectPath;
 
-use super::contents::{About, Contents, UserVariable};
+use super::contents::{About, Contents, Omission, Part, UserVariable};
 use crate::error::Failure;
 use crate::named::Entry;
 use crate::remote;
@@ -115,9 +115,9 @@ pub(super) fn contents(session: &mut Session) -> Result<Contents, Failure> {
 pub(super) fn count(
     session: &mut Session,
     kind: VariableKind,
-    omitted: &mut Vec<String>,
+    omitted: &mut Vec<Omission>,
 ) -> Result<Option<u32>, Failure> {
-    unless_refused(selection::count(session, kind), omitted)
+    unless_omitted(selection::count(session, kind), Part::Variables(kind), omitted)
 }
 
 /// Reads variables of a kind, in order.
@@ -186,7 +186,7 @@ pub(super) fn system(session: &mut Session, name: &str) -> Result<Option<Entry>,
 }
 
 /// Returns the names of all system variables: those of the controller, of its robots and of its tasks.
-pub(super) fn system_names(session: &mut Session, omitted: &mut Vec<String>) -> Result<BTreeSet<String>, Failure> {
+pub(super) fn system_names(session: &mut Session, omitted: &mut Vec<Omission>) -> Result<BTreeSet<String>, Failure> {
     use FunctionId as F;
     let controller = ObjectPath::controller();
     let mut names = BTreeSet::new();
@@ -202,7 +202,12 @@ pub(super) fn system_names(session: &mut Session, omitted: &mut Vec<String>) -> 
         (Object::Task, F::CONTROLLER_GET_TASK_NAMES, F::TASK_GET_VARIABLE_NAMES, &["@STATUS", "@PRIORITY"]),
     ];
     for (object, list_owners, list_variables, usual) in owners {
-        for name in unless_absent(list(session, &controller, list_owners), omitted)? {
+        let owners = match list(session, &controller, list_owners) {
+            // a controller that does not implement the list has no such objects
+            Err(Failure::Refused { code: HResult::E_NOTIMPL, .. }) => Vec::new(),
+            owners => unless_omitted(owners, Part::System, omitted)?.unwrap_or_default(),
+        };
+        for name in owners {
             let owner = controller.clone().join(object, name);
             let listed = self::listed(session, &owner, list_variables)?;
             add(&owner, listed, usual);
@@ -214,37 +219,43 @@ pub(super) fn system_names(session: &mut Session, omitted: &mut Vec<String>) -> 
 /// Lists the variables of an object; `None` after a refusal, also because the list does not fit a datagram.
 fn listed(session: &mut Session, owner: &ObjectPath, function: FunctionId) -> Result<Option<Vec<String>>, Failure> {
     match list(session, owner, function) {
-        Err(Failure::Refused { .. }) => Ok(None),
+        Err(Failure::Refused { .. } | Failure::Unexpected { .. }) => Ok(None),
         names => names.map(Some),
     }
 }
 
-/// Returns the paths of all files.
-pub(super) fn files(session: &mut Session, omitted: &mut Vec<String>) -> Result<Vec<String>, Failure> {
-    unless_absent(remote::walk(session, ""), omitted)
+/// Returns the paths of all files. What cannot be listed does not hide the rest.
+pub(super) fn files(session: &mut Session, omitted: &mut Vec<Omission>) -> Result<Vec<String>, Failure> {
+    remote::walk(session, "", |path, failure| match failure {
+        // a controller that does not implement the list has no files
+        Failure::Refused { code: HResult::E_NOTIMPL, .. } if path.is_empty() => Ok(()),
+        failure => omit(failure, Part::Files(path), omitted),
+    })
 }
 
-/// Reads a file; `None` after a refusal.
-pub(super) fn file(session: &mut Session, path: &str, omitted: &mut Vec<String>) -> Result<Option<Vec<u8>>, Failure> {
-    unless_refused(remote::read(session, path), omitted)
+/// Reads a file; `None` if that is not possible.
+pub(super) fn file(session: &mut Session, path: &str, omitted: &mut Vec<Omission>) -> Result<Option<Vec<u8>>, Failure> {
+    unless_omitted(remote::read(session, path), Part::Files(path.to_owned()), omitted)
 }
 
-/// Turns a refusal into an entry of the list of what is omitted.
-fn unless_refused<T>(result: Result<T, Failure>, omitted: &mut Vec<String>) -> Result<Option<T>, Failure> {
+fn unless_omitted<T>(
+    result: Result<T, Failure>,
+    part: Part,
+    omitted: &mut Vec<Omission>,
+) -> Result<Option<T>, Failure> {
     match result {
-        Err(Failure::Refused { doing, code }) => {
-            omitted.push(format!("{doing}: {code}"));
-            Ok(None)
-        }
-        result => result.map(Some),
+        Err(failure) => omit(failure, part, omitted).map(|()| None),
+        Ok(value) => Ok(Some(value)),
     }
 }
 
-/// As [`unless_refused`], for a list. A controller that does not implement the list has no such objects, so nothing is
-/// omitted then.
-fn unless_absent<T: Default>(list: Result<T, Failure>, omitted: &mut Vec<String>) -> Result<T, Failure> {
-    match list {
-        Err(Failure::Refused { code: HResult::E_NOTIMPL, .. }) => Ok(T::default()),
-        list => Ok(unless_refused(list, omitted)?.unwrap_or_default()),
-    }
+/// Adds a part to the list of what is omitted; returns the failure if the session cannot go on after it.
+fn omit(failure: Failure, part: Part, omitted: &mut Vec<Omission>) -> Result<(), Failure> {
+    let reason = match failure {
+        Failure::Refused { doing, code } => format!("{doing}: {code}"),
+        Failure::Unexpected { message, .. } => message,
+        failure => return Err(failure),
+    };
+    omitted.push(Omission { part, reason });
+    Ok(())
 }

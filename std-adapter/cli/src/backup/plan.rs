@@ -4,7 +4,7 @@ use bcap_core::rac::VariableKind;
 use serde_json::json;
 
 use super::compare::{Difference, differences, variables};
-use super::contents::Contents;
+use super::contents::{Contents, Part};
 use super::diff::entry_text;
 use crate::error::Failure;
 use crate::named::Entry;
@@ -49,6 +49,7 @@ impl Plan {
     /// Compares the backup with the controller. A difference that cannot be written is an error, so that a restore is not
     /// partial by plan.
     pub(super) fn new(backup: &Contents, controller: &Contents, io: bool) -> Result<Self, Failure> {
+        check_known(backup, controller)?;
         let mut plan = Self { variables: Vec::new(), files: Vec::new(), notes: Vec::new() };
         let (mut misfits, mut unread, mut outputs, mut extra) = (Vec::new(), 0, 0, 0);
         for Difference { name: variable, a, b } in differences(&backup.variables, &controller.variables) {
@@ -103,7 +104,7 @@ impl Plan {
                 self.notes.push(format!("{count} {what}"));
             }
         }
-        self.notes.extend(backup.omitted.iter().map(|part| format!("not in the backup: {part}")));
+        self.notes.extend(backup.omitted.iter().map(|part| format!("not in the backup: {}", part.reason)));
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -141,6 +142,24 @@ impl Plan {
         });
         variables.chain(files).collect()
     }
+}
+
+/// Refuses a controller of which something is unknown that the backup has: a file that could not be read would be
+/// overwritten as a new one.
+fn check_known(backup: &Contents, controller: &Contents) -> Result<(), Failure> {
+    let is_needed = |part: &Part| match part {
+        Part::Variables(_) => backup.variables.keys().any(|variable| part.has_variable(*variable)),
+        Part::Files(_) => backup.files.keys().any(|path| part.has_file(path)),
+        // they are not written
+        Part::System => false,
+    };
+    let mut unknown = controller.omitted.iter().filter(|omission| is_needed(&omission.part));
+    let Some(first) = unknown.next() else { return Ok(()) };
+    let more = match unknown.count() {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    Err(unfit(format!("the controller could not be read completely: {}{more}; over UDP, use TCP", first.reason)))
 }
 
 fn same_type(a: &Value, b: &Value) -> bool {

@@ -1,0 +1,169 @@
+//! `bcap dump`, `bcap diff` and `bcap restore` with controllers that refuse a part, or change meanwhile.
+
+mod common;
+#[path = "common/fake.rs"]
+#[allow(dead_code, reason = "this test needs no datagrams from it")]
+mod fake;
+#[path = "common/hooked.rs"]
+mod hooked;
+
+use std::fs;
+use std::path::PathBuf;
+
+use bcap_core::bcap::FunctionId;
+use bcap_core::bcap::server::Request;
+use bcap_core::hresult::HResult;
+use bcap_core::rac::VariableKind as Kind;
+use bcap_core::variant::Variant;
+use bcap_sim::{Config, Controller, Profile, Sizes};
+use bcap_std::server::Limits;
+use bcap_tests::served::Served;
+use common::{Run, bcap};
+use fake::{Fake, usual, value};
+use hooked::Hooked;
+
+/// A controller with few variables and three files, and a folder for backups.
+struct Cell {
+    served: Served<Hooked>,
+    address: String,
+    folder: tempfile::TempDir,
+    files: PathBuf,
+}
+
+impl Cell {
+    fn start() -> Self {
+        Self::with(Config::new(Profile::Rc8))
+    }
+
+    fn with(config: Config) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let files = folder.path().join("robot");
+        fs::create_dir_all(files.join("Sub")).unwrap();
+        for (name, text) in [("Pro1.pcs", "one"), ("Pro2.pcs", "two"), ("Sub/Pro3.pcs", "three")] {
+            fs::write(files.join(name), text).unwrap();
+        }
+        let sizes = Sizes { i: 20, f: 1, d: 1, v: 1, p: 1, j: 1, t: 1, s: 1, io: 32 };
+        let controller = Controller::new(Config { sizes, files: Some(files.clone()), ..config });
+        let served = Served::of(Hooked::new(controller), Limits::default());
+        let address = format!("tcp:{}", served.tcp);
+        Self { served, address, folder, files }
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.folder.path().join(name).to_str().unwrap().to_owned()
+    }
+
+    fn run(&self, args: &[&str]) -> Run {
+        bcap(&[args, &["--robot", &self.address]].concat())
+    }
+
+    #[track_caller]
+    fn dump(&self, name: &str) -> String {
+        let path = self.path(name);
+        let run = self.run(&["dump", &path]);
+        assert_eq!((run.code, run.err.as_str()), (0, ""), "{run:?}");
+        path
+    }
+
+    fn hook(&self, hook: impl FnMut(&Request<'_>) -> Option<HResult> + Send + 'static) {
+        self.served.application().set(hook);
+    }
+
+    /// Refuses a function from now on.
+    fn refuse(&self, function: FunctionId, code: HResult) {
+        self.hook(move |request| (request.function == function).then_some(code));
+    }
+
+    fn set_i(&self, index: u32, number: i32) {
+        self.served.application().controller.set_variable(Kind::I, index, &Variant::I4(number)).unwrap();
+    }
+
+    fn read(&self, name: &str) -> String {
+        fs::read_to_string(self.folder.path().join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
+    }
+}
+
+/// Returns a folder with the name of a backup in it.
+fn new_folder() -> (tempfile::TempDir, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let dir = folder.path().join("a").to_str().unwrap().to_owned();
+    (folder, dir)
+}
+
+#[test]
+fn a_restore_to_a_controller_that_cannot_be_read_completely_writes_nothing() {
+    let cell = Cell::start();
+    let dir = cell.dump("a");
+    let refused = |part: &str| {
+        for how in ["--yes", "--dry-run"] {
+            let run = cell.run(&["restore", how, &dir]);
+            assert!(run.code == 1 && run.out.is_empty() && run.err.contains("Nothing was written"), "{part}: {run:?}");
+            let first = format!("the controller could not be read completely: {part}");
+            assert!(run.err.contains(&first) && run.err.contains("over UDP, use TCP"), "{part}: {run:?}");
+        }
+    };
+    cell.refuse(FunctionId::CONTROLLER_GET_FILE_NAMES, HResult::E_TOO_MUCH_DATA);
+    refused("/: Controller_GetFileNames");
+    cell.refuse(FunctionId::FILE_GET_FILE_NAMES, HResult::E_NOTIMPL);
+    refused("/Sub: File_GetFileNames");
+    cell.refuse(FunctionId::FILE_GET_VALUE, HResult::E_ACCESSDENIED);
+    refused("/Pro1.pcs: File_GetValue");
+    cell.hook(|request| {
+        let is_length = request.value(1).as_bstr().is_some_and(|name| name.to_string() == "@VAR_D_LEN");
+        (request.function == FunctionId::CONTROLLER_GET_VARIABLE && is_length).then_some(HResult::E_FAIL)
+    });
+    refused("@VAR_D_LEN: Controller_GetVariable");
+    // what the backup does not have cannot be overwritten
+    cell.hook(|_| None);
+    fs::write(cell.files.join("new.pcs"), "new").unwrap();
+    cell.set_i(5, 7);
+    cell.hook(|request| {
+        let is_new = request.value(1).as_bstr().is_some_and(|name| name.to_string() == "new.pcs");
+        (request.function == FunctionId::CONTROLLER_GET_FILE && is_new).then_some(HResult::E_ACCESSDENIED)
+    });
+    let run = cell.run(&["restore", "--dry-run", &dir]);
+    assert!(run.code == 0 && run.out.starts_with("I5: 7 -> 0\n"), "{run:?}");
+}
+
+#[test]
+fn a_refused_folder_does_not_hide_the_others() {
+    let cell = Cell::start();
+    cell.refuse(FunctionId::FILE_GET_FILE_NAMES, HResult::E_NOTIMPL);
+    let dir = cell.path("a");
+    let run = cell.run(&["dump", &dir]);
+    assert!(run.code == 1 && run.err.contains("the controller refused 1 parts"), "{run:?}");
+    assert!(run.out.contains(" and 2 files of RC8"), "{run:?}");
+    assert!(cell.read("a/backup.json").contains("/Sub: File_GetFileNames: 0x80004001 (E_NOTIMPL)"));
+    assert_eq!([cell.read("a/files/Pro1.pcs"), cell.read("a/files/Pro2.pcs")], ["one", "two"]);
+    // only a controller that does not list its root has no files
+    cell.refuse(FunctionId::CONTROLLER_GET_FILE_NAMES, HResult::E_NOTIMPL);
+    let run = cell.run(&["dump", &cell.path("b")]);
+    assert!(run.code == 0 && run.out.contains(" and 0 files of RC8"), "{run:?}");
+}
+
+#[test]
+fn a_bad_name_or_value_of_a_file_does_not_end_the_dump() {
+    let fake = Fake::tcp(|request| {
+        let name = request.args.get(1).and_then(|name| name.as_bstr()).map(|name| name.to_string());
+        match request.function() {
+            FunctionId::CONTROLLER_GET_FILE_NAMES => {
+                value(["../x", "Pro1.pcs", "Pro2.pcs"].map(str::to_owned).to_vec())
+            }
+            FunctionId::CONTROLLER_GET_FILE if name.as_deref() == Some("Pro1.pcs") => value(5),
+            FunctionId::CONTROLLER_GET_FILE => value(6),
+            FunctionId::FILE_GET_VALUE if request.args.get(0).and_then(|n| n.as_i32()) == Some(5) => value(1.5),
+            FunctionId::FILE_GET_VALUE => value("two".to_owned()),
+            FunctionId::VARIABLE_GET_VALUE => value(0),
+            FunctionId::CONTROLLER_GET_VARIABLE_NAMES => HResult::E_NOTIMPL.into(),
+            _ => usual(request),
+        }
+    });
+    let (folder, dir) = new_folder();
+    let run = bcap(&["dump", &dir, "--robot", &fake.address]);
+    assert!(run.code == 1 && run.err.contains("the controller refused 2 parts"), "{run:?}");
+    let manifest = fs::read_to_string(folder.path().join("a/backup.json")).unwrap();
+    for part in ["the unsafe name \\\"../x\\\"", "/Pro1.pcs: the reply carries"] {
+        assert!(manifest.contains(part), "{part}: {manifest}");
+    }
+    assert_eq!(fs::read_to_string(folder.path().join("a/files/Pro2.pcs")).unwrap(), "two");
+}
