@@ -4,7 +4,7 @@
 //! |------|--------------------------------------------------------|
 //! | 0    | done                                                   |
 //! | 1    | the controller refused, or `bcap diff` found differences |
-//! | 2    | wrong usage, or input that cannot be read              |
+//! | 2    | wrong usage, or input that cannot be read; `bcap diff` could not compare everything |
 //! | 3    | no connection, or a connection that broke              |
 //! | 4    | the controller did not answer in time                  |
 //! | 130  | interrupted by a signal                                |
@@ -109,6 +109,9 @@ pub(crate) enum Failure {
     /// Two backups differ; the output has the differences.
     #[error("there are differences")]
     Different,
+    /// Two backups could not be compared, or not completely.
+    #[error("{0}")]
+    NotCompared(Box<Failure>),
     /// A line of a script failed.
     #[error("{place}: {failure}")]
     Script {
@@ -195,15 +198,18 @@ impl Failure {
             Self::Timeout { .. } => 4,
             // the convention of shells: 128 plus the number of SIGINT
             Self::Interrupted(_) => 130,
+            // 1 is the code for a difference
+            Self::NotCompared(failure) => failure.code().max(2),
             Self::Script { failure, .. } => failure.code(),
         }
     }
 
     /// Returns the code of the controller.
-    const fn result_code(&self) -> Option<HResult> {
+    fn result_code(&self) -> Option<HResult> {
         match self {
             Self::Refused { code, .. } => Some(*code),
             Self::Unfit { code, .. } => *code,
+            Self::NotCompared(failure) => failure.result_code(),
             _ => None,
         }
     }
@@ -214,7 +220,7 @@ impl Failure {
             Self::Refused { code, .. } => code.hint(),
             Self::Connection { hint, .. } | Self::Unexpected { hint, .. } | Self::Timeout { hint, .. } => Some(hint),
             Self::Unfit { code, hint, .. } => hint.as_deref().or_else(|| code.and_then(HResult::hint)),
-            Self::Script { failure, .. } => failure.hint(),
+            Self::Script { failure, .. } | Self::NotCompared(failure) => failure.hint(),
             Self::Input(_)
             | Self::Item(_)
             | Self::BadLines(_)
@@ -231,7 +237,7 @@ impl Failure {
     pub(crate) fn leaves_the_session_alive(&self) -> bool {
         match self {
             Self::Connection { .. } | Self::Timeout { .. } => false,
-            Self::Script { failure, .. } => failure.leaves_the_session_alive(),
+            Self::Script { failure, .. } | Self::NotCompared(failure) => failure.leaves_the_session_alive(),
             _ => true,
         }
     }
@@ -286,7 +292,7 @@ impl Failure {
             Self::Refused { code, .. } | Self::Unfit { code: Some(code), .. } => {
                 (line.code, line.hresult) = (Some(code.0), code.name());
             }
-            Self::Script { failure, .. } => {
+            Self::Script { failure, .. } | Self::NotCompared(failure) => {
                 if let Self::Refused { code, .. } | Self::Unfit { code: Some(code), .. } = failure.as_ref() {
                     (line.code, line.hresult) = (Some(code.0), code.name());
                 }

@@ -142,6 +142,38 @@ fn a_refused_folder_does_not_hide_the_others() {
 }
 
 #[test]
+fn what_is_omitted_is_not_a_difference() {
+    let cell = Cell::start();
+    let dir = cell.dump("a");
+    let full = Fake::tcp(|request| match request.function() {
+        FunctionId::SERVICE_START => HResult::E_MAX_CONNECT.into(),
+        _ => usual(request),
+    });
+    let run = bcap(&["diff", &dir, "--robot", &full.address]);
+    assert!(run.code == 2 && run.err.contains("E_MAX_CONNECT"), "{run:?}");
+    let run = bcap(&["diff", &dir, "--json", "--robot", &full.address]);
+    assert!(run.code == 2 && run.out.contains("\"hresult\":\"E_MAX_CONNECT\""), "{run:?}");
+
+    cell.refuse(FunctionId::FILE_GET_FILE_NAMES, HResult::E_NOTIMPL);
+    let not_compared = "not compared: /Sub: File_GetFileNames: 0x80004001 (E_NOTIMPL), in the second\n";
+    let run = cell.run(&["diff", &dir]);
+    assert_eq!((run.code, run.out.as_str()), (2, not_compared), "{run:?}");
+    assert!(run.err.contains("no difference in what could be compared, and 1 parts could not"), "{run:?}");
+    cell.set_i(5, 7);
+    let run = cell.run(&["diff", &dir]);
+    assert_eq!((run.code, run.out.as_str()), (1, format!("I5: 0 -> 7\n{not_compared}").as_str()), "{run:?}");
+    let run = cell.run(&["diff", "--json", "robot:", &dir]);
+    let line = "{\"not_compared\":\"/Sub: File_GetFileNames: 0x80004001 (E_NOTIMPL)\",\"side\":\"a\"}\n";
+    assert!(run.code == 1 && run.out.ends_with(line) && run.out.lines().count() == 2, "{run:?}");
+
+    let refused = cell.path("b");
+    assert_eq!(cell.run(&["dump", &refused]).code, 1);
+    cell.hook(|_| None);
+    let run = cell.run(&["diff", &refused]);
+    assert!(run.code == 2 && run.out.contains("(E_NOTIMPL), in the first\n"), "{run:?}");
+}
+
+#[test]
 fn a_bad_name_or_value_of_a_file_does_not_end_the_dump() {
     let fake = Fake::tcp(|request| {
         let name = request.args.get(1).and_then(|name| name.as_bstr()).map(|name| name.to_string());

@@ -28,7 +28,10 @@ pub(crate) struct Dump {
 /// A and B are folders of `bcap dump`, addresses such as tcp:192.168.0.1, or robot: for the controller of --robot. A line is
 /// `I5: 3 -> 7`, first the value of A; with --json {"name":"I5","a":{"vt":3,"v":3},"b":{"vt":3,"v":7}}, where null is a
 /// variable or a file that does not exist. System variables show the controller's state, so they are compared only with
-/// --system. The exit code is 0 if there is no difference, 1 if there is one, and 2 or more after an error.
+/// --system. What a side does not have because its controller refused it is not compared: a line says so.
+///
+/// The exit code is 0 if everything was compared and there is no difference, 1 if there is one, and 2 or more after an
+/// error, a refusal, or if there is no difference in a part of the variables and files but the rest was not compared.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

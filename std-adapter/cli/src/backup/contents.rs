@@ -129,6 +129,11 @@ pub(crate) struct Contents {
 }
 
 impl Contents {
+    /// Returns whether a part is omitted that `is_meant` selects.
+    pub(crate) fn omits(&self, is_meant: impl Fn(&Part) -> bool) -> bool {
+        self.omitted.iter().any(|omission| is_meant(&omission.part))
+    }
+
     /// Counts the user variables that could not be read. System variables that can only be written do not count.
     pub(crate) fn refused(&self) -> usize {
         self.variables.values().filter(|entry| matches!(entry, Entry::Refused(_))).count()
