@@ -173,6 +173,46 @@ fn what_is_omitted_is_not_a_difference() {
     assert!(run.code == 2 && run.out.contains("(E_NOTIMPL), in the first\n"), "{run:?}");
 }
 
+/// Returns a controller with 100 variables of kind I, whose `I*` returns I0 whatever PutID said.
+fn without_put_id(values: fn(i32) -> i32) -> Fake {
+    Fake::tcp(move |request| {
+        let text = |n: usize| request.args.get(n).and_then(|name| name.as_bstr()).map(|name| name.to_string());
+        let handle = request.args.get(0).and_then(|handle| handle.as_i32()).unwrap_or_default();
+        match request.function() {
+            FunctionId::CONTROLLER_GET_VARIABLE => match text(1).unwrap().as_str() {
+                "@VAR_I_LEN" => value(50),
+                "I*" => value(100),
+                name => match name.strip_prefix('I').and_then(|index| index.parse::<i32>().ok()) {
+                    Some(index) => value(100 + index),
+                    None => HResult::E_CAO_OBJECT_NOTFOUND.into(),
+                },
+            },
+            FunctionId::VARIABLE_GET_VALUE if handle == 50 => value(100),
+            FunctionId::VARIABLE_GET_VALUE => value(values(handle - 100)),
+            FunctionId::CONTROLLER_GET_FILE_NAMES | FunctionId::CONTROLLER_GET_VARIABLE_NAMES => {
+                HResult::E_NOTIMPL.into()
+            }
+            _ => usual(request),
+        }
+    })
+}
+
+#[test]
+fn a_put_id_without_effect_is_found_by_samples() {
+    // first and last are as `I*` says, or nothing but one sample is not
+    let all: [fn(i32) -> i32; 3] =
+        [|n| if (40..60).contains(&n) { n } else { 0 }, |n| i32::from(n == 99), |n| if n < 90 { n % 2 } else { 0 }];
+    for values in all {
+        let fake = without_put_id(values);
+        let (folder, dir) = new_folder();
+        bcap(&["dump", &dir, "--robot", &fake.address]);
+        let text = fs::read_to_string(folder.path().join("a/variables/I.jsonl")).unwrap();
+        let expected: String =
+            (0..100).map(|n| format!("{{\"name\":\"I{n}\",\"vt\":3,\"v\":{}}}\n", values(n))).collect();
+        assert_eq!(text, expected);
+    }
+}
+
 #[test]
 fn a_bad_name_or_value_of_a_file_does_not_end_the_dump() {
     let fake = Fake::tcp(|request| {

@@ -1,10 +1,13 @@
 //! Reads a controller.
 //!
 //! The variables of a kind are read through one handle of `I*`, whose PutID chooses the variable: two calls for each instead
-//! of three. If the last variable has another value under its own name, the controller does not support PutID as expected,
-//! and every variable is opened by name.
+//! of three. A controller may accept PutID and ignore it. So the handle is trusted after two ids have returned different
+//! values that agree with those by name. While all values are equal, only samples are read by name. After the first
+//! disagreement every variable is opened by name.
 
 use std::collections::BTreeSet;
+use std::iter::once;
+use std::ops::Range;
 
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
@@ -124,32 +127,83 @@ pub(super) fn count(
 pub(super) fn variables(
     session: &mut Session,
     kind: VariableKind,
-    indices: std::ops::Range<u32>,
+    indices: Range<u32>,
     mut each: impl FnMut(u32, Entry) -> Result<(), Failure>,
 ) -> Result<(), Failure> {
-    let Some(last) = indices.clone().last() else { return Ok(()) };
-    let wildcard = open_wildcard(session, kind, last)?;
+    let mut wildcard = Wildcard::open(session, kind, &indices)?;
     for index in indices {
-        let value = match wildcard {
-            Some(handle) => entry(by_id(session, kind, handle, index))?,
-            None => by_name(session, kind, index)?,
+        let value = match &mut wildcard {
+            Some(wildcard) => wildcard.read(session, index)?,
+            None => None,
+        };
+        let value = match value {
+            Some(value) => value,
+            None => {
+                wildcard.take().map_or(Ok(()), |wildcard| wildcard.close(session))?;
+                by_name(session, kind, index)?
+            }
         };
         each(index, value)?;
     }
-    wildcard.map_or(Ok(()), |handle| session.release(Object::Variable, handle))
+    wildcard.map_or(Ok(()), |wildcard| wildcard.close(session))
 }
 
-/// Opens `I*`, if the controller has it and reads the last variable through it as by its name.
-fn open_wildcard(session: &mut Session, kind: VariableKind, last: u32) -> Result<Option<i32>, Failure> {
-    let handle = match session.object(&ObjectPath::variable(&format!("{}*", kind.name()))?) {
-        Err(Failure::Refused { .. }) => return Ok(None),
-        opened => opened?,
-    };
-    if entry(by_id(session, kind, handle, last))? == by_name(session, kind, last)? {
-        return Ok(Some(handle));
+/// A handle of `I*`, through which PutID chooses the variable.
+struct Wildcard {
+    kind: VariableKind,
+    handle: i32,
+    /// The value that all ids have returned so far, as a handle that ignores PutID does; `None` when two have differed.
+    only: Option<Entry>,
+}
+
+impl Wildcard {
+    /// Opens `I*`, if the controller has it and reads samples through it as by their names.
+    fn open(session: &mut Session, kind: VariableKind, indices: &Range<u32>) -> Result<Option<Self>, Failure> {
+        if indices.is_empty() {
+            return Ok(None);
+        }
+        let handle = match session.object(&ObjectPath::variable(&format!("{}*", kind.name()))?) {
+            Err(Failure::Refused { .. }) => return Ok(None),
+            opened => opened?,
+        };
+        let mut wildcard = Self { kind, handle, only: None };
+        for index in samples(indices) {
+            let value = entry(by_id(session, kind, handle, index))?;
+            if value != by_name(session, kind, index)? {
+                wildcard.close(session)?;
+                return Ok(None);
+            }
+            if wildcard.only.replace(value).is_some_and(|other| wildcard.only.as_ref() != Some(&other)) {
+                wildcard.only = None;
+                break;
+            }
+        }
+        Ok(Some(wildcard))
     }
-    session.release(Object::Variable, handle)?;
-    Ok(None)
+
+    /// Reads a variable; `None` if the handle returns another value than the name does.
+    fn read(&mut self, session: &mut Session, index: u32) -> Result<Option<Entry>, Failure> {
+        let value = entry(by_id(session, self.kind, self.handle, index))?;
+        if self.only.as_ref().is_some_and(|only| *only != value) {
+            if value != by_name(session, self.kind, index)? {
+                return Ok(None);
+            }
+            self.only = None;
+        }
+        Ok(Some(value))
+    }
+
+    fn close(self, session: &mut Session) -> Result<(), Failure> {
+        session.release(Object::Variable, self.handle)
+    }
+}
+
+/// Returns the indices that are read in both ways: the last, the first, and at least eight if there are as many. Their
+/// distance is odd, so that values that alternate differ in the samples too.
+fn samples(indices: &Range<u32>) -> impl Iterator<Item = u32> + use<> {
+    let last = indices.end.saturating_sub(1);
+    let distance = (indices.len() / 16).min(64) | 1;
+    once(last).chain(indices.clone().step_by(distance).filter(move |index| *index != last))
 }
 
 fn by_id(session: &mut Session, kind: VariableKind, handle: i32, index: u32) -> Result<Value, Failure> {
