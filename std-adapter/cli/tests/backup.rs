@@ -69,8 +69,12 @@ impl Cell {
 fn tree(path: &str) -> Vec<(PathBuf, Vec<u8>)> {
     let mut files = Vec::new();
     let mut folders = vec![PathBuf::from(path)];
+    let replaced = Path::new(path).join("replaced");
     while let Some(folder) = folders.pop() {
         for entry in fs::read_dir(&folder).unwrap().map(Result::unwrap) {
+            if entry.path() == replaced {
+                continue;
+            }
             if entry.file_type().unwrap().is_dir() {
                 folders.push(entry.path());
             } else {

@@ -214,6 +214,51 @@ fn a_put_id_without_effect_is_found_by_samples() {
 }
 
 #[test]
+fn a_file_that_changes_after_the_plan_is_not_overwritten() {
+    let cell = Cell::start();
+    let dir = cell.dump("a");
+    for (changed, message) in [("Pro1.pcs", "file:Pro1.pcs"), ("Pro2.pcs", "file:Pro2.pcs")] {
+        cell.hook(|_| None);
+        // Pro1 is replaced by the restore, Pro2 is new to it
+        fs::write(cell.files.join("Pro1.pcs"), "changed").unwrap();
+        let _ = fs::remove_file(cell.files.join("Pro2.pcs"));
+        cell.set_i(5, 7);
+        let file = cell.files.join(changed);
+        cell.hook(move |request| {
+            if request.function == FunctionId::VARIABLE_PUT_VALUE {
+                fs::write(&file, "by another program").unwrap();
+            }
+            None
+        });
+        let run = cell.run(&["restore", "--yes", &dir]);
+        assert!(run.code == 1 && run.err.contains(message) && run.err.contains("another program"), "{run:?}");
+        assert!(!run.out.contains("may be written"), "{run:?}");
+        assert_eq!(fs::read_to_string(cell.files.join(changed)).unwrap(), "by another program");
+    }
+}
+
+#[test]
+fn a_replaced_file_is_saved() {
+    let cell = Cell::start();
+    let dir = cell.dump("a");
+    for text in ["first", "second"] {
+        fs::write(cell.files.join("Sub/Pro3.pcs"), text).unwrap();
+        let run = cell.run(&["restore", "--yes", &dir]);
+        assert_eq!((run.code, run.err.as_str()), (0, ""), "{run:?}");
+        assert_eq!(fs::read_to_string(cell.files.join("Sub/Pro3.pcs")).unwrap(), "three");
+        let journal = cell.read("a/restore.jsonl");
+        let line = journal.lines().rfind(|line| line.starts_with("{\"writing\"")).unwrap();
+        let line: serde_json::Value = serde_json::from_str(line).unwrap();
+        assert_eq!(line["was"]["size"], text.len());
+        let saved = line["was"]["saved"].as_str().unwrap();
+        assert!(saved.starts_with("replaced/") && saved.ends_with("/Sub/Pro3.pcs"), "{saved}");
+        assert_eq!(cell.read(&format!("a/{saved}")), text);
+    }
+    // the saved files are no part of the backup
+    assert_eq!(cell.run(&["diff", &dir]).code, 0);
+}
+
+#[test]
 fn a_bad_name_or_value_of_a_file_does_not_end_the_dump() {
     let fake = Fake::tcp(|request| {
         let name = request.args.get(1).and_then(|name| name.as_bstr()).map(|name| name.to_string());

@@ -54,13 +54,13 @@ pub(crate) struct Diff {
 /// Writes a backup back to the controller
 ///
 /// Compares the backup with the controller, shows what is going to be written, and asks. Only what differs is written, and
-/// each value and file is read back. The command stops at the first refusal, and if a value has changed since the plan was
+/// each value and file is read back. The command stops at the first refusal, and if a value or file has changed since the plan was
 /// shown. It writes nothing while the controller is busy or has an error, if a part that the backup has cannot be read
 /// there, or if a variable of the backup does not exist or has another type there. Nothing is deleted. System variables are never written, and IO only with --io, because they
 /// switch outputs.
 ///
 /// Each write is recorded in DIR/restore.jsonl before it is sent. If the command is killed, `bcap restore --status DIR` says
-/// what was written, and the same restore again writes the rest.
+/// what was written, and the same restore again writes the rest. A file that is replaced is saved below DIR/replaced first.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

@@ -20,15 +20,19 @@ pub(super) struct Change {
 /// A file that is written.
 pub(super) struct FileChange {
     pub(super) path: String,
-    /// The size of the file that is replaced.
-    pub(super) replaced: Option<usize>,
+    /// The content that is replaced; `None` for a new file.
+    pub(super) was: Option<Vec<u8>>,
     pub(super) bytes: Vec<u8>,
 }
 
 impl FileChange {
-    /// Returns the replaced file as JSON.
-    pub(super) fn was_json(&self) -> String {
-        self.replaced.map_or("null".into(), |size| json!({ "size": size }).to_string())
+    /// Returns the replaced file as JSON; `saved` is the place of its copy.
+    pub(super) fn was_json(&self, saved: Option<&str>) -> String {
+        match (&self.was, saved) {
+            (None, _) => "null".into(),
+            (Some(was), None) => json!({ "size": was.len() }).to_string(),
+            (Some(was), Some(saved)) => json!({ "size": was.len(), "saved": saved }).to_string(),
+        }
     }
 
     /// Returns the new file as JSON.
@@ -82,7 +86,7 @@ impl Plan {
         for Difference { name, a, b } in differences(&backup.files, &controller.files) {
             match a {
                 Some(bytes) => {
-                    self.files.push(FileChange { path: name.clone(), replaced: b.map(Vec::len), bytes: bytes.clone() })
+                    self.files.push(FileChange { path: name.clone(), was: b.cloned(), bytes: bytes.clone() })
                 }
                 None => self.notes.push(format!("file:{name} is not in the backup and stays")),
             }
@@ -125,7 +129,7 @@ impl Plan {
         let variables =
             self.variables.iter().map(|change| line(change.name.clone(), to_json(&change.was), to_json(&change.value)));
         let files =
-            self.files.iter().map(|file| line(format!("file:{}", file.path), file.was_json(), file.value_json()));
+            self.files.iter().map(|file| line(format!("file:{}", file.path), file.was_json(None), file.value_json()));
         variables.chain(files).collect()
     }
 
@@ -136,8 +140,8 @@ impl Plan {
             .variables
             .iter()
             .map(|change| format!("{}: {} -> {}", change.name, text(&change.was), text(&change.value)));
-        let files = self.files.iter().map(|file| match file.replaced {
-            Some(size) => format!("file:{}: replaced, {size} bytes -> {} bytes", file.path, file.bytes.len()),
+        let files = self.files.iter().map(|file| match &file.was {
+            Some(was) => format!("file:{}: replaced, {} bytes -> {} bytes", file.path, was.len(), file.bytes.len()),
             None => format!("file:{}: new, {} bytes", file.path, file.bytes.len()),
         });
         variables.chain(files).collect()
