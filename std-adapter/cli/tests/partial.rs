@@ -259,6 +259,38 @@ fn a_replaced_file_is_saved() {
 }
 
 #[test]
+fn an_unknown_serial_number_is_not_that_of_the_same_controller() {
+    let cell = Cell::with(Config { serial_number: String::new(), ..Config::new(Profile::Rc8) });
+    let dir = cell.dump("a");
+    cell.set_i(5, 7);
+    let run = cell.run(&["restore", "--yes", &dir]);
+    assert!(run.code == 1 && run.err.contains("give --other-controller"), "{run:?}");
+    assert!(run.err.contains("RC8 with unknown serial number"), "{run:?}");
+    let run = cell.run(&["restore", "--yes", "--other-controller", &dir]);
+    assert!(run.code == 0 && run.out.ends_with("is complete; 1 of 1 are written\n"), "{run:?}");
+}
+
+#[test]
+fn a_serial_number_can_be_an_integer() {
+    let fake = Fake::tcp(|request| {
+        let name = request.args.get(1).and_then(|name| name.as_bstr()).map(|name| name.to_string());
+        match request.function() {
+            FunctionId::CONTROLLER_GET_VARIABLE if name.as_deref() == Some("@SERIAL_NO") => value(77),
+            FunctionId::VARIABLE_GET_VALUE if request.args.get(0).and_then(|n| n.as_i32()) == Some(77) => value(4711),
+            FunctionId::VARIABLE_GET_VALUE => value(0),
+            FunctionId::CONTROLLER_GET_FILE_NAMES | FunctionId::CONTROLLER_GET_VARIABLE_NAMES => {
+                HResult::E_NOTIMPL.into()
+            }
+            _ => usual(request),
+        }
+    });
+    let (folder, dir) = new_folder();
+    bcap(&["dump", &dir, "--robot", &fake.address]);
+    let manifest = fs::read_to_string(folder.path().join("a/backup.json")).unwrap();
+    assert!(manifest.contains("\"serial\": \"4711\""), "{manifest}");
+}
+
+#[test]
 fn a_bad_name_or_value_of_a_file_does_not_end_the_dump() {
     let fake = Fake::tcp(|request| {
         let name = request.args.get(1).and_then(|name| name.as_bstr()).map(|name| name.to_string());

@@ -84,7 +84,7 @@ pub(crate) struct Restore {
     #[arg(long)]
     pub(crate) io: bool,
 
-    /// Writes to a controller of another type or serial number than that of the backup
+    /// Writes to a controller of another type or serial number than that of the backup, or if the number is unknown
     #[arg(long)]
     pub(crate) other_controller: bool,
 

@@ -21,15 +21,17 @@ pub(crate) struct About {
 }
 
 impl About {
-    /// Returns whether both are of the same controller, whose software may have been updated.
+    /// Returns whether both are of the same controller, whose software may have been updated. Without a serial number that
+    /// is not known.
     pub(crate) fn is_same_controller(&self, other: &Self) -> bool {
-        (&self.kind, &self.serial) == (&other.kind, &other.serial)
+        !self.serial.is_empty() && (&self.kind, &self.serial) == (&other.kind, &other.serial)
     }
 
     pub(crate) fn describe(&self) -> String {
         let part = |name: &str, text: &str| if text.is_empty() { String::new() } else { format!("{name}{text}") };
         let kind = if self.kind.is_empty() { "a controller of unknown type" } else { &self.kind };
-        format!("{kind}{}{}", part(" with serial number ", &self.serial), part(", version ", &self.version))
+        let serial = if self.serial.is_empty() { " with unknown serial number" } else { " with serial number " };
+        format!("{kind}{serial}{}{}", self.serial, part(", version ", &self.version))
     }
 }
 

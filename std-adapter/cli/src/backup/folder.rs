@@ -68,7 +68,7 @@ impl Folder {
             Some(manifest) if manifest.complete => return wrong("the folder has a complete backup"),
             Some(manifest) if !manifest.controller.is_same_controller(&about) => {
                 return wrong(&format!(
-                    "the folder has an interrupted dump of another controller, {}",
+                    "the folder has an interrupted dump of another controller, or of an unknown one: {}",
                     manifest.controller.describe()
                 ));
             }

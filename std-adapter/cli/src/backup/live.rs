@@ -85,7 +85,10 @@ const ROBOT: [&str; 24] = [
 /// Reads type, version and serial number.
 pub(super) fn about(session: &mut Session) -> Result<About, Failure> {
     let mut text = |name: &str| match entry(get_one(session, &ObjectPath::variable(name)?))? {
-        Entry::Value(value) => Ok(value.convert::<String>().unwrap_or_default()),
+        Entry::Value(value) => {
+            let number = || value.convert::<i64>().map(|number| number.to_string());
+            Ok(value.convert::<String>().or_else(|_| number()).unwrap_or_default().trim().to_owned())
+        }
         Entry::Refused(_) => Ok::<_, Failure>(String::new()),
     };
     Ok(About { kind: text("@TYPE")?, version: text("@VERSION")?, serial: text("@SERIAL_NO")? })
