@@ -291,6 +291,23 @@ fn a_serial_number_can_be_an_integer() {
 }
 
 #[test]
+fn a_file_of_a_backup_has_the_size_of_the_dump() {
+    let cell = Cell::start();
+    let dir = cell.dump("a");
+    let damaged = |part: &str| {
+        let run = cell.run(&["restore", "--yes", &dir]);
+        assert!(run.code == 2 && run.err.contains("the backup is damaged") && run.err.contains(part), "{run:?}");
+    };
+    let file = cell.folder.path().join("a/files/Sub/Pro3.pcs");
+    fs::write(&file, "thr").unwrap();
+    damaged("files/Sub/Pro3.pcs has 3 bytes, backup.json says 5");
+    fs::rename(&file, cell.folder.path().join("a/files/Pro4.pcs")).unwrap();
+    damaged("files/Pro4.pcs is not in backup.json");
+    fs::remove_file(cell.folder.path().join("a/files/Pro4.pcs")).unwrap();
+    damaged("files/Sub/Pro3.pcs is missing");
+}
+
+#[test]
 fn a_bad_name_or_value_of_a_file_does_not_end_the_dump() {
     let fake = Fake::tcp(|request| {
         let name = request.args.get(1).and_then(|name| name.as_bstr()).map(|name| name.to_string());

@@ -6,6 +6,7 @@
 //!      system.jsonl         the same for system variables
 //!      files/Pro1.pcs       the files, as they are
 //!      restore.jsonl        the journal of `bcap restore`
+//!      replaced/            the files that `bcap restore` has replaced
 //! ```
 //!
 //! A file appears under its name when it is complete. While a kind is read its lines are in `I.jsonl.part`, where the next
@@ -20,6 +21,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use bcap_core::rac::VariableKind;
 use serde::{Deserialize, Serialize};
 
+use super::compare::{Difference, differences};
 use super::contents::{About, Contents, Omission, UserVariable};
 use crate::disk;
 use crate::error::Failure;
@@ -44,7 +46,10 @@ struct Manifest {
     /// The number of variables of each kind.
     variables: BTreeMap<String, usize>,
     system: usize,
+    /// The number of files.
     files: usize,
+    /// The size of each file in bytes, by path.
+    file_sizes: BTreeMap<String, usize>,
     /// The number of user variables that could not be read.
     refused: usize,
     /// What else could not be read.
@@ -135,6 +140,7 @@ impl Folder {
             variables: counts(contents),
             system: contents.system.len(),
             files: contents.files.len(),
+            file_sizes: sizes(contents),
             refused: contents.refused(),
             omitted: contents.omitted.clone(),
         };
@@ -218,18 +224,27 @@ pub(super) fn load(path: &Path) -> Result<Contents, Failure> {
     let (about, omitted) = (manifest.controller, manifest.omitted);
     let contents = Contents { about, omitted, ..read_all(path)? };
     let (found, written) = (counts(&contents), manifest.variables);
-    let is_whole = (contents.system.len(), contents.files.len()) == (manifest.system, manifest.files);
-    if is_whole && found == written {
-        return Ok(contents);
+    if found != written || contents.system.len() != manifest.system {
+        return Err(wrong(format!(
+            "the backup is damaged: it has {found:?} variables and {} system variables; backup.json says {written:?} and {}",
+            contents.system.len(),
+            manifest.system
+        )));
     }
+    let (found, written) = (sizes(&contents), manifest.file_sizes);
+    let Some(Difference { name, a, b }) = differences(&found, &written).into_iter().next() else { return Ok(contents) };
+    let what = match (a, b) {
+        (Some(found), Some(written)) => format!("files/{name} has {found} bytes, backup.json says {written}"),
+        (None, _) => format!("files/{name} is missing"),
+        (_, None) => format!("files/{name} is not in backup.json"),
+    };
     Err(wrong(format!(
-        "the backup is damaged: it has {found:?} variables, {} system variables and {} files; backup.json says \
-         {written:?}, {} and {}",
-        contents.system.len(),
-        contents.files.len(),
-        manifest.system,
-        manifest.files
+        "the backup is damaged: {what}; after an intended change, correct \"file_sizes\" in backup.json"
     )))
+}
+
+fn sizes(contents: &Contents) -> BTreeMap<String, usize> {
+    contents.files.iter().map(|(path, bytes)| (path.clone(), bytes.len())).collect()
 }
 
 fn read_manifest(path: &Path) -> Result<Option<Manifest>, Failure> {
