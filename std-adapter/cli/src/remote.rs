@@ -35,8 +35,11 @@ pub(crate) fn list(session: &mut Session, folder: &str) -> Result<Vec<Item>, Fai
     Ok(items)
 }
 
-/// Lists a folder, each name with the result of its check.
-fn entries(session: &mut Session, folder: &str) -> Result<Vec<(Item, Result<(), Failure>)>, Failure> {
+/// A listed name, and the result of its check.
+type Listed = (Item, Result<(), Failure>);
+
+/// Lists a folder without the order of its names.
+fn entries(session: &mut Session, folder: &str) -> Result<Vec<Listed>, Failure> {
     let names = if folder.is_empty() {
         let controller = integer(session.controller()?)?;
         session.call("/", FunctionId::CONTROLLER_GET_FILE_NAMES, &[controller, text("")?])?.1
