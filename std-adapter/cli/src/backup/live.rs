@@ -134,7 +134,7 @@ pub(super) fn variables(
     mut each: impl FnMut(u32, Entry) -> Result<(), Failure>,
 ) -> Result<(), Failure> {
     let mut wildcard = Wildcard::open(session, kind, &indices)?;
-    for index in indices {
+    for index in indices.clone() {
         let value = match &mut wildcard {
             Some(wildcard) => wildcard.read(session, index)?,
             None => None,
@@ -142,7 +142,10 @@ pub(super) fn variables(
         let value = match value {
             Some(value) => value,
             None => {
-                wildcard.take().map_or(Ok(()), |wildcard| wildcard.close(session))?;
+                if let Some(wildcard) = wildcard.take() {
+                    wildcard.check_again(session, indices.start..index)?;
+                    wildcard.close(session)?;
+                }
                 by_name(session, kind, index)?
             }
         };
@@ -194,6 +197,23 @@ impl Wildcard {
             self.only = None;
         }
         Ok(Some(value))
+    }
+
+    /// Compares by name what was read before the handle was known to be wrong.
+    fn check_again(&self, session: &mut Session, indices: Range<u32>) -> Result<(), Failure> {
+        for index in indices {
+            if self.only != Some(by_name(session, self.kind, index)?) {
+                return Err(Failure::Unfit {
+                    message: format!(
+                        "{0}{index} has another value through {0}*: PutID has no effect",
+                        self.kind.name()
+                    ),
+                    code: None,
+                    hint: Some("stop the programs of the controller, and dump to another folder".into()),
+                });
+            }
+        }
+        Ok(())
     }
 
     fn close(self, session: &mut Session) -> Result<(), Failure> {
