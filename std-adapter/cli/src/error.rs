@@ -1,13 +1,13 @@
 //! Failures of commands: their messages, hints and exit codes.
 //!
-//! | code | meaning                                                |
-//! |------|--------------------------------------------------------|
-//! | 0    | done                                                   |
-//! | 1    | the controller refused, or `bcap diff` found differences |
-//! | 2    | wrong usage, or input that cannot be read; `bcap diff` could not compare everything |
-//! | 3    | no connection, or a connection that broke              |
-//! | 4    | the controller did not answer in time                  |
-//! | 130  | interrupted by a signal                                |
+//! | code | meaning                                                                      |
+//! |------|------------------------------------------------------------------------------|
+//! | 0    | done                                                                         |
+//! | 1    | the controller refused, or `bcap diff` found differences                     |
+//! | 2    | wrong usage, input that cannot be read, or `bcap diff` could not compare all |
+//! | 3    | no connection, or a connection that broke, or an unexpected reply            |
+//! | 4    | the controller did not answer in time                                        |
+//! | 130  | interrupted by a signal                                                      |
 //!
 //! With `--json` a failure is also a line of the output: `{"error":...}`, with `offset` for malformed input, `code` and
 //! `hresult` for a refusal, `name` for the refused variable, and `hint`.

@@ -110,7 +110,7 @@ fn a_restore_to_a_controller_that_cannot_be_read_completely_writes_nothing() {
     cell.refuse(FunctionId::FILE_GET_VALUE, HResult::E_ACCESSDENIED);
     refused("/Pro1.pcs: File_GetValue");
     cell.hook(|request| {
-        let is_length = request.value(1).as_bstr().is_some_and(|name| name.to_string() == "@VAR_D_LEN");
+        let is_length = request.value(1).as_bstr().is_some_and(|name| name == "@VAR_D_LEN");
         (request.function == FunctionId::CONTROLLER_GET_VARIABLE && is_length).then_some(HResult::E_FAIL)
     });
     refused("@VAR_D_LEN: Controller_GetVariable");
@@ -119,7 +119,7 @@ fn a_restore_to_a_controller_that_cannot_be_read_completely_writes_nothing() {
     fs::write(cell.files.join("new.pcs"), "new").unwrap();
     cell.set_i(5, 7);
     cell.hook(|request| {
-        let is_new = request.value(1).as_bstr().is_some_and(|name| name.to_string() == "new.pcs");
+        let is_new = request.value(1).as_bstr().is_some_and(|name| name == "new.pcs");
         (request.function == FunctionId::CONTROLLER_GET_FILE && is_new).then_some(HResult::E_ACCESSDENIED)
     });
     let run = cell.run(&["restore", "--dry-run", &dir]);
