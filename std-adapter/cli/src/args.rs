@@ -52,8 +52,8 @@ pub(crate) struct Cli {
 }
 
 const EXIT_CODES: &str = "\
-Exit codes: 0 done, 1 the controller refused or diff found differences, 2 wrong usage or malformed input,
-3 no connection, 4 timeout, 130 interrupted by a signal.
+Exit codes: 0 done, 1 the controller refused or diff found differences, 2 wrong usage, malformed input or
+a diff that is refused or incomplete, 3 no connection, 4 timeout, 130 interrupted by a signal.
 There are no colours if NO_COLOR is set or the output is not a terminal.";
 
 impl Cli {

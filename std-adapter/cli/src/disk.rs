@@ -29,6 +29,8 @@ pub(crate) fn write_by(temporary: &Path, path: &Path, bytes: &[u8], replace: boo
     let mut file = Builder::new().prefix(TEMPORARY).tempfile_in(temporary).map_err(failed(temporary))?;
     file.write_all(bytes).map_err(failed(path))?;
     set_permissions(file.as_file()).map_err(failed(path))?;
+    // otherwise a power failure could leave an empty file under the new name
+    file.as_file().sync_all().map_err(failed(path))?;
     let placed = if replace { file.persist(path) } else { file.persist_noclobber(path) };
     placed.map(drop).map_err(|error| failed(path)(error.error))
 }

@@ -1,13 +1,13 @@
 //! Failures of commands: their messages, hints and exit codes.
 //!
-//! | code | meaning                                                |
-//! |------|--------------------------------------------------------|
-//! | 0    | done                                                   |
-//! | 1    | the controller refused, or `bcap diff` found differences |
-//! | 2    | wrong usage, or input that cannot be read              |
-//! | 3    | no connection, or a connection that broke              |
-//! | 4    | the controller did not answer in time                  |
-//! | 130  | interrupted by a signal                                |
+//! | code | meaning                                                                      |
+//! |------|------------------------------------------------------------------------------|
+//! | 0    | done                                                                         |
+//! | 1    | the controller refused, or `bcap diff` found differences                     |
+//! | 2    | wrong usage, input that cannot be read, or `bcap diff` could not compare all |
+//! | 3    | no connection, or a connection that broke, or an unexpected reply            |
+//! | 4    | the controller did not answer in time                                        |
+//! | 130  | interrupted by a signal                                                      |
 //!
 //! With `--json` a failure is also a line of the output: `{"error":...}`, with `offset` for malformed input, `code` and
 //! `hresult` for a refusal, `name` for the refused variable, and `hint`.
@@ -80,6 +80,14 @@ pub(crate) enum Failure {
         /// What to do.
         hint: String,
     },
+    /// The controller answered with a value that does not fit the call; the connection works.
+    #[error("{message}")]
+    Unexpected {
+        /// What the reply carries.
+        message: String,
+        /// What to do.
+        hint: String,
+    },
     /// No answer arrived in time.
     #[error("{message}")]
     Timeout {
@@ -101,6 +109,9 @@ pub(crate) enum Failure {
     /// Two backups differ; the output has the differences.
     #[error("there are differences")]
     Different,
+    /// Two backups could not be compared, or not completely.
+    #[error("{0}")]
+    NotCompared(Box<Failure>),
     /// A line of a script failed.
     #[error("{place}: {failure}")]
     Script {
@@ -183,19 +194,22 @@ impl Failure {
             | Self::Unfit { .. }
             | Self::Different => 1,
             Self::Input(_) | Self::Item(_) | Self::BadLines(_) | Self::Stdio(_) => 2,
-            Self::Connection { .. } => 3,
+            Self::Connection { .. } | Self::Unexpected { .. } => 3,
             Self::Timeout { .. } => 4,
             // the convention of shells: 128 plus the number of SIGINT
             Self::Interrupted(_) => 130,
+            // 1 is the code for a difference
+            Self::NotCompared(failure) => failure.code().max(2),
             Self::Script { failure, .. } => failure.code(),
         }
     }
 
     /// Returns the code of the controller.
-    const fn result_code(&self) -> Option<HResult> {
+    fn result_code(&self) -> Option<HResult> {
         match self {
             Self::Refused { code, .. } => Some(*code),
             Self::Unfit { code, .. } => *code,
+            Self::NotCompared(failure) => failure.result_code(),
             _ => None,
         }
     }
@@ -204,9 +218,9 @@ impl Failure {
     pub(crate) fn hint(&self) -> Option<&str> {
         match self {
             Self::Refused { code, .. } => code.hint(),
-            Self::Connection { hint, .. } | Self::Timeout { hint, .. } => Some(hint),
+            Self::Connection { hint, .. } | Self::Unexpected { hint, .. } | Self::Timeout { hint, .. } => Some(hint),
             Self::Unfit { code, hint, .. } => hint.as_deref().or_else(|| code.and_then(HResult::hint)),
-            Self::Script { failure, .. } => failure.hint(),
+            Self::Script { failure, .. } | Self::NotCompared(failure) => failure.hint(),
             Self::Input(_)
             | Self::Item(_)
             | Self::BadLines(_)
@@ -223,7 +237,7 @@ impl Failure {
     pub(crate) fn leaves_the_session_alive(&self) -> bool {
         match self {
             Self::Connection { .. } | Self::Timeout { .. } => false,
-            Self::Script { failure, .. } => failure.leaves_the_session_alive(),
+            Self::Script { failure, .. } | Self::NotCompared(failure) => failure.leaves_the_session_alive(),
             _ => true,
         }
     }
@@ -278,13 +292,14 @@ impl Failure {
             Self::Refused { code, .. } | Self::Unfit { code: Some(code), .. } => {
                 (line.code, line.hresult) = (Some(code.0), code.name());
             }
-            Self::Script { failure, .. } => {
+            Self::Script { failure, .. } | Self::NotCompared(failure) => {
                 if let Self::Refused { code, .. } | Self::Unfit { code: Some(code), .. } = failure.as_ref() {
                     (line.code, line.hresult) = (Some(code.0), code.name());
                 }
             }
             Self::Input(_)
             | Self::Connection { .. }
+            | Self::Unexpected { .. }
             | Self::Timeout { .. }
             | Self::Unfit { .. }
             | Self::Different

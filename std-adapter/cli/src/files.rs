@@ -38,7 +38,7 @@ fn listed(session: &mut Session, path: &str, recursive: bool) -> Result<Vec<Item
     for item in found {
         match (item.is_folder, recursive) {
             (true, true) => {
-                let files = remote::walk(session, &item.path)?;
+                let files = remote::walk(session, &item.path, |_, failure| Err(failure))?;
                 items.extend(files.into_iter().map(|path| Item { path, is_folder: false }));
             }
             (true, false) if !with_wildcards => items.extend(remote::list(session, &item.path)?),
@@ -126,7 +126,7 @@ impl Copying<'_> {
                     continue;
                 }
                 self.needs_recursive(&format!("robot:/{}", item.path))?;
-                for path in remote::walk(session, &item.path)? {
+                for path in remote::walk(session, &item.path, |_, failure| Err(failure))? {
                     let below = path.strip_prefix(&item.path).unwrap_or(&path).trim_start_matches('/');
                     copies.push((path.clone(), base.join(below)));
                 }

@@ -29,6 +29,17 @@ pub(crate) fn normal(path: &str) -> String {
 
 /// Lists a folder in the order of its names; the root is the empty path.
 pub(crate) fn list(session: &mut Session, folder: &str) -> Result<Vec<Item>, Failure> {
+    let entries = entries(session, folder)?.into_iter();
+    let mut items = entries.map(|(item, checked)| checked.map(|()| item)).collect::<Result<Vec<_>, _>>()?;
+    items.sort();
+    Ok(items)
+}
+
+/// A listed name, and the result of its check.
+type Listed = (Item, Result<(), Failure>);
+
+/// Lists a folder without the order of its names.
+fn entries(session: &mut Session, folder: &str) -> Result<Vec<Listed>, Failure> {
     let names = if folder.is_empty() {
         let controller = integer(session.controller()?)?;
         session.call("/", FunctionId::CONTROLLER_GET_FILE_NAMES, &[controller, text("")?])?.1
@@ -41,31 +52,52 @@ pub(crate) fn list(session: &mut Session, folder: &str) -> Result<Vec<Item>, Fai
     let mut items = Vec::new();
     for name in strings(names.as_ref())? {
         let (own, is_folder) = name.strip_suffix(['\\', '/']).map_or((name.as_str(), false), |own| (own, true));
-        check_name(own)?;
         let path = if folder.is_empty() { own.to_owned() } else { format!("{folder}/{own}") };
-        items.push(Item { path, is_folder });
+        items.push((Item { path, is_folder }, check_name(own)));
     }
-    items.sort();
     Ok(items)
 }
 
 /// Lists all files of a folder and of the folders below it, without the folders.
-pub(crate) fn walk(session: &mut Session, folder: &str) -> Result<Vec<String>, Failure> {
+///
+/// `skip` gets the path of a folder that cannot be listed or of an invalid name, with the reason; an error ends the walk.
+pub(crate) fn walk(
+    session: &mut Session,
+    folder: &str,
+    mut skip: impl FnMut(String, Failure) -> Result<(), Failure>,
+) -> Result<Vec<String>, Failure> {
     let mut files = Vec::new();
     let mut folders = vec![folder.to_owned()];
     let mut read = 0;
     while let Some(folder) = folders.pop() {
         read += 1;
-        if folder.split('/').count() > DEPTH || read > FOLDERS {
-            let message = format!("/{folder}: there are more than {DEPTH} folders in one another, or {FOLDERS} in all");
-            return Err(Failure::Connection { message, hint: "copy single folders with `bcap cp`".into() });
+        if read > FOLDERS {
+            // the folders that are left are not known by name
+            skip(String::new(), too_many(&folder))?;
+            break;
         }
-        for item in list(session, &folder)? {
-            if item.is_folder { folders.push(item.path) } else { files.push(item.path) }
+        let is_too_deep = folder.split('/').count() > DEPTH;
+        match if is_too_deep { Err(too_many(&folder)) } else { entries(session, &folder) } {
+            Err(failure) => skip(folder, failure)?,
+            Ok(entries) => {
+                for (Item { path, is_folder }, checked) in entries {
+                    match checked {
+                        // with `/` at its beginning it is not the path of another file
+                        Err(failure) => skip(format!("/{path}"), failure)?,
+                        Ok(()) if is_folder => folders.push(path),
+                        Ok(()) => files.push(path),
+                    }
+                }
+            }
         }
     }
     files.sort();
     Ok(files)
+}
+
+fn too_many(folder: &str) -> Failure {
+    let message = format!("/{folder}: there are more than {DEPTH} folders in one another, or {FOLDERS} in all");
+    Failure::Unexpected { message, hint: "copy single folders with `bcap cp`".into() }
 }
 
 /// Returns the items that a path with the wildcards `*` and `?` names, in the order of their names.
@@ -197,7 +229,7 @@ fn strings(list: Option<&Value>) -> Result<Vec<String>, Failure> {
 }
 
 fn unexpected(path: &str, value: Option<&Value>) -> Failure {
-    Failure::Connection {
+    Failure::Unexpected {
         message: format!("/{path}: the reply carries {}", described(value)),
         hint: "use `bcap call` to see the reply: it prints any value".into(),
     }
@@ -207,7 +239,7 @@ fn unexpected(path: &str, value: Option<&Value>) -> Failure {
 fn check_name(name: &str) -> Result<(), Failure> {
     let is_unsafe = |c: char| c.is_control() || "/\\:".contains(c);
     if name.is_empty() || name == "." || name == ".." || name.contains(is_unsafe) {
-        return Err(Failure::Connection {
+        return Err(Failure::Unexpected {
             message: format!("the controller lists a file with the unsafe name {name:?}"),
             hint: "rename the file on the controller".into(),
         });

@@ -79,7 +79,7 @@ fn each(
 pub(crate) fn count(session: &mut Session, kind: VariableKind) -> Result<u32, Failure> {
     let name = format!("@VAR_{}_LEN", kind.name());
     let value = get_one(session, &ObjectPath::variable(&name)?)?;
-    value.convert().ok().filter(|count| *count <= LONGEST).ok_or_else(|| Failure::Connection {
+    value.convert().ok().filter(|count| *count <= LONGEST).ok_or_else(|| Failure::Unexpected {
         message: format!("{name} is {}, which is not a number from 0 to {LONGEST}", described(Some(&value))),
         hint: "use a range, such as I1-I50".into(),
     })

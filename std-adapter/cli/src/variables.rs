@@ -182,7 +182,7 @@ pub(crate) fn list(session: &mut Session, owner: &ObjectPath, function: Function
     released?;
     match names {
         None => Ok(Vec::new()),
-        Some(value) => all_strings(value.as_variant()).ok_or_else(|| Failure::Connection {
+        Some(value) => all_strings(value.as_variant()).ok_or_else(|| Failure::Unexpected {
             message: format!("{function}: the reply carries {} instead of a list of names", described(Some(&value))),
             hint: "use `bcap call` to see the reply: it prints any value".into(),
         }),

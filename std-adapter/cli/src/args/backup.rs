@@ -28,7 +28,10 @@ pub(crate) struct Dump {
 /// A and B are folders of `bcap dump`, addresses such as tcp:192.168.0.1, or robot: for the controller of --robot. A line is
 /// `I5: 3 -> 7`, first the value of A; with --json {"name":"I5","a":{"vt":3,"v":3},"b":{"vt":3,"v":7}}, where null is a
 /// variable or a file that does not exist. System variables show the controller's state, so they are compared only with
-/// --system. The exit code is 0 if there is no difference, 1 if there is one, and 2 or more after an error.
+/// --system. What a side does not have because its controller refused it is not compared: a line says so.
+///
+/// The exit code is 0 if everything was compared and is equal, 1 if there is a difference, and 2 or more after an error or a
+/// refusal, or if a part was not compared and the rest is equal.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -51,13 +54,13 @@ pub(crate) struct Diff {
 /// Writes a backup back to the controller
 ///
 /// Compares the backup with the controller, shows what is going to be written, and asks. Only what differs is written, and
-/// each value and file is read back. The command stops at the first refusal, and if a value has changed since the plan was
-/// shown. It writes nothing while the controller is busy or has an error, or if a variable of the backup does not exist or
-/// has another type there. Nothing is deleted. System variables are never written, and IO only with --io, because they
-/// switch outputs.
+/// each value and file is read back. The command stops at the first refusal, and if a value or a file has changed since the
+/// plan was shown. It writes nothing while the controller is busy or has an error, if a part that the backup has cannot be
+/// read there, or if a variable of the backup does not exist or has another type there. Nothing is deleted. System variables
+/// are never written, and IO only with --io, because they switch outputs.
 ///
-/// Each write is recorded in DIR/restore.jsonl before it is sent. If the command is killed, `bcap restore --status DIR` says
-/// what was written, and the same restore again writes the rest.
+/// Each write is recorded in DIR/restore.jsonl before it is sent, and a file that is replaced is saved in DIR/replaced. If the
+/// command is killed, `bcap restore --status DIR` says what was written, and the same restore again writes the rest.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -81,7 +84,7 @@ pub(crate) struct Restore {
     #[arg(long)]
     pub(crate) io: bool,
 
-    /// Writes to a controller of another type or serial number than that of the backup
+    /// Writes to a controller of another type or serial number than that of the backup, or if the number is unknown
     #[arg(long)]
     pub(crate) other_controller: bool,
 

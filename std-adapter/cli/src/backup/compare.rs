@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::contents::Contents;
+use super::contents::{Contents, Part};
 use crate::named::Entry;
 
 /// What two backups have under one name.
@@ -28,11 +28,31 @@ pub(super) fn differences<'a, N: Ord, T: PartialEq>(
 
 /// Returns the differences of the variables; with `system` also those of the system variables except the clocks.
 pub(super) fn variables<'a>(a: &'a Contents, b: &'a Contents, system: bool) -> Vec<Difference<String, &'a Entry>> {
-    let user = differences(&a.variables, &b.variables);
+    let mut user = differences(&a.variables, &b.variables);
+    user.retain(|difference| is_certain(difference, a, b, |part| part.has_variable(*difference.name)));
     let user = user.into_iter().map(|Difference { name, a, b }| Difference { name: name.name(), a, b });
     let system = if system { differences(&a.system, &b.system) } else { Vec::new() };
     let is_clock = |name: &str| CLOCKS.iter().any(|clock| name.rsplit('/').next() == Some(clock));
     let system = system.into_iter().filter(|difference| !is_clock(difference.name));
+    let system = system.filter(|difference| is_certain(difference, a, b, |part| *part == Part::System));
     let system = system.map(|Difference { name, a, b }| Difference { name: name.clone(), a, b });
     user.chain(system).collect()
+}
+
+/// Returns the differences of the files.
+pub(super) fn files<'a>(a: &'a Contents, b: &'a Contents) -> Vec<Difference<&'a String, &'a Vec<u8>>> {
+    let mut files = differences(&a.files, &b.files);
+    files.retain(|difference| is_certain(difference, a, b, |part| part.has_file(difference.name)));
+    files
+}
+
+/// Returns whether a difference is known: what only one side has may be omitted from the other.
+fn is_certain<N, T>(
+    difference: &Difference<N, T>,
+    a: &Contents,
+    b: &Contents,
+    is_meant: impl Fn(&Part) -> bool,
+) -> bool {
+    let may_exist = |value: &Option<T>, side: &Contents| value.is_none() && side.omits(&is_meant);
+    !may_exist(&difference.a, a) && !may_exist(&difference.b, b)
 }

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use serde_json::json;
 
-use super::compare::{self, Difference, differences};
-use super::contents::Contents;
+use super::compare::{self, Difference};
+use super::contents::{Contents, Part};
 use super::{folder, live};
 use crate::args::{Diff, LinkArgs};
 use crate::error::Failure;
@@ -17,16 +17,43 @@ use crate::value::to_json;
 
 /// Runs `bcap diff`.
 pub(crate) fn diff(args: &Diff, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let (a, b) = (read(&args.a, link)?, read(&args.b, link)?);
+    let read = |word| read(word, link).map_err(|failure| Failure::NotCompared(Box::new(failure)));
+    let (a, b) = (read(&args.a)?, read(&args.b)?);
     let variables = compare::variables(&a, &b, args.system);
     for difference in &variables {
         print(&if json { variable_json(difference) } else { variable_line(difference) }, json)?;
     }
-    let files = differences(&a.files, &b.files);
+    let files = compare::files(&a, &b);
     for difference in &files {
         print(&if json { file_json(difference) } else { file_line(difference) }, json)?;
     }
-    if variables.is_empty() && files.is_empty() { Ok(()) } else { Err(Failure::Different) }
+    let omitted = print_omitted(&a, &b, args.system, json)?;
+    match omitted {
+        _ if !variables.is_empty() || !files.is_empty() => Err(Failure::Different),
+        0 => Ok(()),
+        _ => Err(Failure::NotCompared(Box::new(Failure::Unfit {
+            message: format!("there is no difference in what could be compared, and {omitted} parts could not"),
+            code: None,
+            hint: Some("over UDP, use TCP instead".into()),
+        }))),
+    }
+}
+
+/// Prints the parts that a side does not have, and returns their number.
+fn print_omitted(a: &Contents, b: &Contents, system: bool, json: bool) -> Result<usize, Failure> {
+    let mut count = 0;
+    for (contents, side, words) in [(a, "a", "first"), (b, "b", "second")] {
+        for omission in contents.omitted.iter().filter(|omission| system || omission.part != Part::System) {
+            let reason = &omission.reason;
+            let line = match json {
+                true => json!({ "not_compared": reason, "side": side }).to_string(),
+                false => format!("not compared: {reason}, in the {words}"),
+            };
+            print(&line, json)?;
+            count += 1;
+        }
+    }
+    Ok(count)
 }
 
 /// Reads a folder, or the controller at an address.

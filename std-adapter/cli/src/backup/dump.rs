@@ -6,7 +6,7 @@ use bcap_core::rac::VariableKind;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
-use super::contents::{Contents, UserVariable};
+use super::contents::{Contents, Omission, UserVariable};
 use super::folder::Folder;
 use super::live;
 use crate::args::{Dump, LinkArgs};
@@ -66,7 +66,8 @@ fn print_summary(shown: &str, contents: &Contents, json: bool) -> Result<(), Fai
 }
 
 fn missing_parts(contents: &Contents) -> String {
-    let first = contents.omitted.first().map(|first| format!("the first of them is {first}; ")).unwrap_or_default();
+    let first =
+        contents.omitted.first().map(|first| format!("the first of them is {}; ", first.reason)).unwrap_or_default();
     format!("{first}lines with \"refused\" and \"omitted\" in backup.json have their codes; over UDP, use TCP instead")
 }
 
@@ -90,7 +91,7 @@ impl Dumping<'_> {
     }
 
     /// Saves the variables of a kind, from the first one that an earlier dump did not save.
-    fn kind(&mut self, kind: VariableKind, omitted: &mut Vec<String>) -> Result<(), Failure> {
+    fn kind(&mut self, kind: VariableKind, omitted: &mut Vec<Omission>) -> Result<(), Failure> {
         let Some(count) = live::count(self.session, kind, omitted)? else { return Ok(()) };
         let Some((mut part, done)) = self.folder.part(kind)? else { return Ok(()) };
         self.begin(kind.name(), count.into());
@@ -104,7 +105,7 @@ impl Dumping<'_> {
         part.finish()
     }
 
-    fn system(&mut self, omitted: &mut Vec<String>) -> Result<(), Failure> {
+    fn system(&mut self, omitted: &mut Vec<Omission>) -> Result<(), Failure> {
         let names = live::system_names(self.session, omitted)?;
         self.begin("@", names.len() as u64);
         let mut system = BTreeMap::new();
@@ -118,7 +119,7 @@ impl Dumping<'_> {
         self.folder.write_system(&system)
     }
 
-    fn files(&mut self, omitted: &mut Vec<String>) -> Result<(), Failure> {
+    fn files(&mut self, omitted: &mut Vec<Omission>) -> Result<(), Failure> {
         let paths = live::files(self.session, omitted)?;
         self.begin("file", paths.len() as u64);
         for path in paths {

@@ -6,6 +6,7 @@
 //!      system.jsonl         the same for system variables
 //!      files/Pro1.pcs       the files, as they are
 //!      restore.jsonl        the journal of `bcap restore`
+//!      replaced/            the files that `bcap restore` has replaced
 //! ```
 //!
 //! A file appears under its name when it is complete. While a kind is read its lines are in `I.jsonl.part`, where the next
@@ -20,7 +21,8 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use bcap_core::rac::VariableKind;
 use serde::{Deserialize, Serialize};
 
-use super::contents::{About, Contents, UserVariable};
+use super::compare::{Difference, differences};
+use super::contents::{About, Contents, Omission, UserVariable};
 use crate::disk;
 use crate::error::Failure;
 use crate::files::local_files;
@@ -44,11 +46,14 @@ struct Manifest {
     /// The number of variables of each kind.
     variables: BTreeMap<String, usize>,
     system: usize,
+    /// The number of files.
     files: usize,
+    /// The size of each file in bytes, by path.
+    file_sizes: BTreeMap<String, usize>,
     /// The number of user variables that could not be read.
     refused: usize,
     /// What else could not be read.
-    omitted: Vec<String>,
+    omitted: Vec<Omission>,
 }
 
 /// The folder of a backup.
@@ -68,7 +73,7 @@ impl Folder {
             Some(manifest) if manifest.complete => return wrong("the folder has a complete backup"),
             Some(manifest) if !manifest.controller.is_same_controller(&about) => {
                 return wrong(&format!(
-                    "the folder has an interrupted dump of another controller, {}",
+                    "the folder has an interrupted dump of another controller, or of an unknown one: {}",
                     manifest.controller.describe()
                 ));
             }
@@ -114,7 +119,7 @@ impl Folder {
     }
 
     /// Reads everything back, and marks the backup as complete.
-    pub(super) fn finish(&self, omitted: Vec<String>) -> Result<Contents, Failure> {
+    pub(super) fn finish(&self, omitted: Vec<Omission>) -> Result<Contents, Failure> {
         let contents = Contents { about: self.about.clone(), omitted, ..read_all(&self.path)? };
         self.write_manifest(true, &contents)?;
         Ok(contents)
@@ -135,6 +140,7 @@ impl Folder {
             variables: counts(contents),
             system: contents.system.len(),
             files: contents.files.len(),
+            file_sizes: sizes(contents),
             refused: contents.refused(),
             omitted: contents.omitted.clone(),
         };
@@ -218,18 +224,27 @@ pub(super) fn load(path: &Path) -> Result<Contents, Failure> {
     let (about, omitted) = (manifest.controller, manifest.omitted);
     let contents = Contents { about, omitted, ..read_all(path)? };
     let (found, written) = (counts(&contents), manifest.variables);
-    let is_whole = (contents.system.len(), contents.files.len()) == (manifest.system, manifest.files);
-    if is_whole && found == written {
-        return Ok(contents);
+    if found != written || contents.system.len() != manifest.system {
+        return Err(wrong(format!(
+            "the backup is damaged: it has {found:?} variables and {} system variables; backup.json says {written:?} and {}",
+            contents.system.len(),
+            manifest.system
+        )));
     }
+    let (found, written) = (sizes(&contents), manifest.file_sizes);
+    let Some(Difference { name, a, b }) = differences(&found, &written).into_iter().next() else { return Ok(contents) };
+    let what = match (a, b) {
+        (Some(found), Some(written)) => format!("files/{name} has {found} bytes, backup.json says {written}"),
+        (None, _) => format!("files/{name} is missing"),
+        (_, None) => format!("files/{name} is not in backup.json"),
+    };
     Err(wrong(format!(
-        "the backup is damaged: it has {found:?} variables, {} system variables and {} files; backup.json says \
-         {written:?}, {} and {}",
-        contents.system.len(),
-        contents.files.len(),
-        manifest.system,
-        manifest.files
+        "the backup is damaged: {what}; after an intended change, correct \"file_sizes\" in backup.json"
     )))
+}
+
+fn sizes(contents: &Contents) -> BTreeMap<String, usize> {
+    contents.files.iter().map(|(path, bytes)| (path.clone(), bytes.len())).collect()
 }
 
 fn read_manifest(path: &Path) -> Result<Option<Manifest>, Failure> {

@@ -1,17 +1,20 @@
 //! Reads a controller.
 //!
 //! The variables of a kind are read through one handle of `I*`, whose PutID chooses the variable: two calls for each instead
-//! of three. If the last variable has another value under its own name, the controller does not support PutID as expected,
-//! and every variable is opened by name.
+//! of three. A controller may accept PutID and ignore it. So the handle is trusted after two ids have returned different
+//! values that agree with those by name. While all values are equal, only samples are read by name. After the first
+//! disagreement every variable is opened by name.
 
 use std::collections::BTreeSet;
+use std::iter::once;
+use std::ops::Range;
 
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
 use bcap_core::rac::VariableKind;
 use bcap_std::ObjectPath;
 
-use super::contents::{About, Contents, UserVariable};
+use super::contents::{About, Contents, Omission, Part, UserVariable};
 use crate::error::Failure;
 use crate::named::Entry;
 use crate::remote;
@@ -82,7 +85,10 @@ const ROBOT: [&str; 24] = [
 /// Reads type, version and serial number.
 pub(super) fn about(session: &mut Session) -> Result<About, Failure> {
     let mut text = |name: &str| match entry(get_one(session, &ObjectPath::variable(name)?))? {
-        Entry::Value(value) => Ok(value.convert::<String>().unwrap_or_default()),
+        Entry::Value(value) => {
+            let number = || value.convert::<i64>().map(|number| number.to_string());
+            Ok(value.convert::<String>().or_else(|_| number()).unwrap_or_default().trim().to_owned())
+        }
         Entry::Refused(_) => Ok::<_, Failure>(String::new()),
     };
     Ok(About { kind: text("@TYPE")?, version: text("@VERSION")?, serial: text("@SERIAL_NO")? })
@@ -115,41 +121,112 @@ pub(super) fn contents(session: &mut Session) -> Result<Contents, Failure> {
 pub(super) fn count(
     session: &mut Session,
     kind: VariableKind,
-    omitted: &mut Vec<String>,
+    omitted: &mut Vec<Omission>,
 ) -> Result<Option<u32>, Failure> {
-    unless_refused(selection::count(session, kind), omitted)
+    unless_omitted(selection::count(session, kind), Part::Variables(kind), omitted)
 }
 
 /// Reads variables of a kind, in order.
 pub(super) fn variables(
     session: &mut Session,
     kind: VariableKind,
-    indices: std::ops::Range<u32>,
+    indices: Range<u32>,
     mut each: impl FnMut(u32, Entry) -> Result<(), Failure>,
 ) -> Result<(), Failure> {
-    let Some(last) = indices.clone().last() else { return Ok(()) };
-    let wildcard = open_wildcard(session, kind, last)?;
-    for index in indices {
-        let value = match wildcard {
-            Some(handle) => entry(by_id(session, kind, handle, index))?,
-            None => by_name(session, kind, index)?,
+    let mut wildcard = Wildcard::open(session, kind, &indices)?;
+    for index in indices.clone() {
+        let value = match &mut wildcard {
+            Some(wildcard) => wildcard.read(session, index)?,
+            None => None,
+        };
+        let value = match value {
+            Some(value) => value,
+            None => {
+                if let Some(wildcard) = wildcard.take() {
+                    wildcard.check_again(session, indices.start..index)?;
+                    wildcard.close(session)?;
+                }
+                by_name(session, kind, index)?
+            }
         };
         each(index, value)?;
     }
-    wildcard.map_or(Ok(()), |handle| session.release(Object::Variable, handle))
+    wildcard.map_or(Ok(()), |wildcard| wildcard.close(session))
 }
 
-/// Opens `I*`, if the controller has it and reads the last variable through it as by its name.
-fn open_wildcard(session: &mut Session, kind: VariableKind, last: u32) -> Result<Option<i32>, Failure> {
-    let handle = match session.object(&ObjectPath::variable(&format!("{}*", kind.name()))?) {
-        Err(Failure::Refused { .. }) => return Ok(None),
-        opened => opened?,
-    };
-    if entry(by_id(session, kind, handle, last))? == by_name(session, kind, last)? {
-        return Ok(Some(handle));
+/// A handle of `I*`, through which PutID chooses the variable.
+struct Wildcard {
+    kind: VariableKind,
+    handle: i32,
+    /// The value that all ids have returned so far, as a handle that ignores PutID does; `None` when two have differed.
+    only: Option<Entry>,
+}
+
+impl Wildcard {
+    /// Opens `I*`, if the controller has it and reads samples through it as by their names.
+    fn open(session: &mut Session, kind: VariableKind, indices: &Range<u32>) -> Result<Option<Self>, Failure> {
+        if indices.is_empty() {
+            return Ok(None);
+        }
+        let handle = match session.object(&ObjectPath::variable(&format!("{}*", kind.name()))?) {
+            Err(Failure::Refused { .. }) => return Ok(None),
+            opened => opened?,
+        };
+        let mut wildcard = Self { kind, handle, only: None };
+        for index in samples(indices) {
+            let value = entry(by_id(session, kind, handle, index))?;
+            if value != by_name(session, kind, index)? {
+                wildcard.close(session)?;
+                return Ok(None);
+            }
+            if wildcard.only.replace(value).is_some_and(|other| wildcard.only.as_ref() != Some(&other)) {
+                wildcard.only = None;
+                break;
+            }
+        }
+        Ok(Some(wildcard))
     }
-    session.release(Object::Variable, handle)?;
-    Ok(None)
+
+    /// Reads a variable; `None` if the handle returns another value than the name does.
+    fn read(&mut self, session: &mut Session, index: u32) -> Result<Option<Entry>, Failure> {
+        let value = entry(by_id(session, self.kind, self.handle, index))?;
+        if self.only.as_ref().is_some_and(|only| *only != value) {
+            if value != by_name(session, self.kind, index)? {
+                return Ok(None);
+            }
+            self.only = None;
+        }
+        Ok(Some(value))
+    }
+
+    /// Compares by name what was read before the handle was known to be wrong.
+    fn check_again(&self, session: &mut Session, indices: Range<u32>) -> Result<(), Failure> {
+        for index in indices {
+            if self.only != Some(by_name(session, self.kind, index)?) {
+                return Err(Failure::Unfit {
+                    message: format!(
+                        "{0}{index} has another value through {0}*: PutID has no effect",
+                        self.kind.name()
+                    ),
+                    code: None,
+                    hint: Some("stop the programs of the controller, and dump to another folder".into()),
+                });
+            }
+        }
+        Ok(())
+    }
+
+    fn close(self, session: &mut Session) -> Result<(), Failure> {
+        session.release(Object::Variable, self.handle)
+    }
+}
+
+/// Returns the indices that are read in both ways: the last, the first, and at least eight if there are as many. Their
+/// distance is odd, so that values that alternate differ in the samples too.
+fn samples(indices: &Range<u32>) -> impl Iterator<Item = u32> + use<> {
+    let last = indices.end.saturating_sub(1);
+    let distance = (indices.len() / 16).min(64) | 1;
+    once(last).chain(indices.clone().step_by(distance).filter(move |index| *index != last))
 }
 
 fn by_id(session: &mut Session, kind: VariableKind, handle: i32, index: u32) -> Result<Value, Failure> {
@@ -186,7 +263,7 @@ pub(super) fn system(session: &mut Session, name: &str) -> Result<Option<Entry>,
 }
 
 /// Returns the names of all system variables: those of the controller, of its robots and of its tasks.
-pub(super) fn system_names(session: &mut Session, omitted: &mut Vec<String>) -> Result<BTreeSet<String>, Failure> {
+pub(super) fn system_names(session: &mut Session, omitted: &mut Vec<Omission>) -> Result<BTreeSet<String>, Failure> {
     use FunctionId as F;
     let controller = ObjectPath::controller();
     let mut names = BTreeSet::new();
@@ -202,7 +279,12 @@ pub(super) fn system_names(session: &mut Session, omitted: &mut Vec<String>) -> 
         (Object::Task, F::CONTROLLER_GET_TASK_NAMES, F::TASK_GET_VARIABLE_NAMES, &["@STATUS", "@PRIORITY"]),
     ];
     for (object, list_owners, list_variables, usual) in owners {
-        for name in unless_absent(list(session, &controller, list_owners), omitted)? {
+        let owners = match list(session, &controller, list_owners) {
+            // a controller that does not implement the list has no such objects
+            Err(Failure::Refused { code: HResult::E_NOTIMPL, .. }) => Vec::new(),
+            owners => unless_omitted(owners, Part::System, omitted)?.unwrap_or_default(),
+        };
+        for name in owners {
             let owner = controller.clone().join(object, name);
             let listed = self::listed(session, &owner, list_variables)?;
             add(&owner, listed, usual);
@@ -214,37 +296,43 @@ pub(super) fn system_names(session: &mut Session, omitted: &mut Vec<String>) -> 
 /// Lists the variables of an object; `None` after a refusal, also because the list does not fit a datagram.
 fn listed(session: &mut Session, owner: &ObjectPath, function: FunctionId) -> Result<Option<Vec<String>>, Failure> {
     match list(session, owner, function) {
-        Err(Failure::Refused { .. }) => Ok(None),
+        Err(Failure::Refused { .. } | Failure::Unexpected { .. }) => Ok(None),
         names => names.map(Some),
     }
 }
 
-/// Returns the paths of all files.
-pub(super) fn files(session: &mut Session, omitted: &mut Vec<String>) -> Result<Vec<String>, Failure> {
-    unless_absent(remote::walk(session, ""), omitted)
+/// Returns the paths of all files. What cannot be listed does not hide the rest.
+pub(super) fn files(session: &mut Session, omitted: &mut Vec<Omission>) -> Result<Vec<String>, Failure> {
+    remote::walk(session, "", |path, failure| match failure {
+        // a controller that does not implement the list has no files
+        Failure::Refused { code: HResult::E_NOTIMPL, .. } if path.is_empty() => Ok(()),
+        failure => omit(failure, Part::Files(path), omitted),
+    })
 }
 
-/// Reads a file; `None` after a refusal.
-pub(super) fn file(session: &mut Session, path: &str, omitted: &mut Vec<String>) -> Result<Option<Vec<u8>>, Failure> {
-    unless_refused(remote::read(session, path), omitted)
+/// Reads a file; `None` if that is not possible.
+pub(super) fn file(session: &mut Session, path: &str, omitted: &mut Vec<Omission>) -> Result<Option<Vec<u8>>, Failure> {
+    unless_omitted(remote::read(session, path), Part::Files(path.to_owned()), omitted)
 }
 
-/// Turns a refusal into an entry of the list of what is omitted.
-fn unless_refused<T>(result: Result<T, Failure>, omitted: &mut Vec<String>) -> Result<Option<T>, Failure> {
+fn unless_omitted<T>(
+    result: Result<T, Failure>,
+    part: Part,
+    omitted: &mut Vec<Omission>,
+) -> Result<Option<T>, Failure> {
     match result {
-        Err(Failure::Refused { doing, code }) => {
-            omitted.push(format!("{doing}: {code}"));
-            Ok(None)
-        }
-        result => result.map(Some),
+        Err(failure) => omit(failure, part, omitted).map(|()| None),
+        Ok(value) => Ok(Some(value)),
     }
 }
 
-/// As [`unless_refused`], for a list. A controller that does not implement the list has no such objects, so nothing is
-/// omitted then.
-fn unless_absent<T: Default>(list: Result<T, Failure>, omitted: &mut Vec<String>) -> Result<T, Failure> {
-    match list {
-        Err(Failure::Refused { code: HResult::E_NOTIMPL, .. }) => Ok(T::default()),
-        list => Ok(unless_refused(list, omitted)?.unwrap_or_default()),
-    }
+/// Adds a part to the list of what is omitted; returns the failure if the session cannot go on after it.
+fn omit(failure: Failure, part: Part, omitted: &mut Vec<Omission>) -> Result<(), Failure> {
+    let reason = match failure {
+        Failure::Refused { doing, code } => format!("{doing}: {code}"),
+        Failure::Unexpected { message, .. } => message,
+        failure => return Err(failure),
+    };
+    omitted.push(Omission { part, reason });
+    Ok(())
 }

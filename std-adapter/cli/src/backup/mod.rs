@@ -10,6 +10,7 @@ mod folder;
 mod journal;
 mod live;
 mod plan;
+mod replaced;
 mod restore;
 
 pub(crate) use diff::diff;

@@ -4,7 +4,7 @@ use bcap_core::rac::VariableKind;
 use serde_json::json;
 
 use super::compare::{Difference, differences, variables};
-use super::contents::Contents;
+use super::contents::{Contents, Part};
 use super::diff::entry_text;
 use crate::error::Failure;
 use crate::named::Entry;
@@ -20,15 +20,19 @@ pub(super) struct Change {
 /// A file that is written.
 pub(super) struct FileChange {
     pub(super) path: String,
-    /// The size of the file that is replaced.
-    pub(super) replaced: Option<usize>,
+    /// The content that is replaced; `None` for a new file.
+    pub(super) was: Option<Vec<u8>>,
     pub(super) bytes: Vec<u8>,
 }
 
 impl FileChange {
-    /// Returns the replaced file as JSON.
-    pub(super) fn was_json(&self) -> String {
-        self.replaced.map_or("null".into(), |size| json!({ "size": size }).to_string())
+    /// Returns the replaced file as JSON; `saved` is the place of its copy.
+    pub(super) fn was_json(&self, saved: Option<&str>) -> String {
+        match (&self.was, saved) {
+            (None, _) => "null".into(),
+            (Some(was), None) => json!({ "size": was.len() }).to_string(),
+            (Some(was), Some(saved)) => json!({ "size": was.len(), "saved": saved }).to_string(),
+        }
     }
 
     /// Returns the new file as JSON.
@@ -49,6 +53,7 @@ impl Plan {
     /// Compares the backup with the controller. A difference that cannot be written is an error, so that a restore is not
     /// partial by plan.
     pub(super) fn new(backup: &Contents, controller: &Contents, io: bool) -> Result<Self, Failure> {
+        check_known(backup, controller)?;
         let mut plan = Self { variables: Vec::new(), files: Vec::new(), notes: Vec::new() };
         let (mut misfits, mut unread, mut outputs, mut extra) = (Vec::new(), 0, 0, 0);
         for Difference { name: variable, a, b } in differences(&backup.variables, &controller.variables) {
@@ -81,7 +86,7 @@ impl Plan {
         for Difference { name, a, b } in differences(&backup.files, &controller.files) {
             match a {
                 Some(bytes) => {
-                    self.files.push(FileChange { path: name.clone(), replaced: b.map(Vec::len), bytes: bytes.clone() })
+                    self.files.push(FileChange { path: name.clone(), was: b.cloned(), bytes: bytes.clone() })
                 }
                 None => self.notes.push(format!("file:{name} is not in the backup and stays")),
             }
@@ -103,7 +108,7 @@ impl Plan {
                 self.notes.push(format!("{count} {what}"));
             }
         }
-        self.notes.extend(backup.omitted.iter().map(|part| format!("not in the backup: {part}")));
+        self.notes.extend(backup.omitted.iter().map(|part| format!("not in the backup: {}", part.reason)));
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -124,7 +129,7 @@ impl Plan {
         let variables =
             self.variables.iter().map(|change| line(change.name.clone(), to_json(&change.was), to_json(&change.value)));
         let files =
-            self.files.iter().map(|file| line(format!("file:{}", file.path), file.was_json(), file.value_json()));
+            self.files.iter().map(|file| line(format!("file:{}", file.path), file.was_json(None), file.value_json()));
         variables.chain(files).collect()
     }
 
@@ -135,12 +140,30 @@ impl Plan {
             .variables
             .iter()
             .map(|change| format!("{}: {} -> {}", change.name, text(&change.was), text(&change.value)));
-        let files = self.files.iter().map(|file| match file.replaced {
-            Some(size) => format!("file:{}: replaced, {size} bytes -> {} bytes", file.path, file.bytes.len()),
+        let files = self.files.iter().map(|file| match &file.was {
+            Some(was) => format!("file:{}: replaced, {} bytes -> {} bytes", file.path, was.len(), file.bytes.len()),
             None => format!("file:{}: new, {} bytes", file.path, file.bytes.len()),
         });
         variables.chain(files).collect()
     }
+}
+
+/// Refuses a controller of which something is unknown that the backup has: a file that could not be read would be
+/// overwritten as a new one.
+fn check_known(backup: &Contents, controller: &Contents) -> Result<(), Failure> {
+    let is_needed = |part: &Part| match part {
+        Part::Variables(_) => backup.variables.keys().any(|variable| part.has_variable(*variable)),
+        Part::Files(_) => backup.files.keys().any(|path| part.has_file(path)),
+        // they are not written
+        Part::System => false,
+    };
+    let mut unknown = controller.omitted.iter().filter(|omission| is_needed(&omission.part));
+    let Some(first) = unknown.next() else { return Ok(()) };
+    let more = match unknown.count() {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    Err(unfit(format!("the controller could not be read completely: {}{more}; over UDP, use TCP", first.reason)))
 }
 
 fn same_type(a: &Value, b: &Value) -> bool {

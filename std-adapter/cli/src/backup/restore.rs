@@ -5,7 +5,9 @@
 //!                                     read, is it still as planned? ─► journal ─► write ─► read back ─► journal
 //! ```
 //!
-//! The user may think about the plan for hours, so no session stays open meanwhile, and each value is checked again.
+//! A file is checked in the same way, and the one that it replaces is saved in the folder before the write.
+//!
+//! The user may think about the plan for hours, so no session stays open meanwhile, and each value and file is checked again.
 
 use std::path::Path;
 
@@ -17,6 +19,7 @@ use super::contents::About;
 use super::diff::entry_text;
 use super::journal::{Journal, Past};
 use super::plan::{Change, FileChange, Plan, unfit};
+use super::replaced::Replaced;
 use super::{folder, live};
 use crate::args::{LinkArgs, Restore};
 use crate::confirm::confirm;
@@ -62,8 +65,11 @@ pub(crate) fn restore(args: &Restore, link: &LinkArgs, json: bool) -> Result<(),
     );
     confirm(&what, "Tasks and robot must stay at rest meanwhile.", "nothing was written", args.yes)?;
     let mut journal = Journal::begin(&args.dir, &target, &plan.names())?;
+    let replaced = Replaced::new(&args.dir);
     let ending = Ending::install()?;
-    let written = with_session(link, |session| Writing { session, journal: &mut journal, ending: &ending }.run(&plan));
+    let written = with_session(link, |session| {
+        Writing { session, journal: &mut journal, replaced: &replaced, ending: &ending }.run(&plan)
+    });
     conclude(&args.dir, &mut journal, written, json)
 }
 
@@ -169,6 +175,7 @@ fn conclude(dir: &Path, journal: &mut Journal, written: Result<(), Failure>, jso
 struct Writing<'a> {
     session: &'a mut Session,
     journal: &'a mut Journal,
+    replaced: &'a Replaced,
     ending: &'a Ending,
 }
 
@@ -214,7 +221,11 @@ impl Writing<'_> {
     fn file(&mut self, file: &FileChange) -> Result<(), Failure> {
         self.check_signal()?;
         let name = format!("file:{}", file.path);
-        self.journal.writing(&name, &file.was_json(), &file.value_json())?;
+        if content_now(self.session, file)? != file.was {
+            return Err(stopped(format!("{name} has changed since the plan: another program writes it")));
+        }
+        let saved = file.was.as_ref().map(|was| self.replaced.save(&file.path, was)).transpose()?;
+        self.journal.writing(&name, &file.was_json(saved.as_deref()), &file.value_json())?;
         remote::make_folders(self.session, &file.path)?;
         remote::write(self.session, &file.path, &file.bytes)?;
         self.journal.written(&name)
@@ -227,6 +238,14 @@ impl Writing<'_> {
         }
         Ok(())
     }
+}
+
+/// Reads a file before it is written; `None` if it does not exist.
+fn content_now(session: &mut Session, file: &FileChange) -> Result<Option<Vec<u8>>, Failure> {
+    if file.was.is_none() && !remote::exists(session, &file.path)? {
+        return Ok(None);
+    }
+    remote::read(session, &file.path).map(Some)
 }
 
 /// Checks the state in the middle of a restore, where something may have been written.
