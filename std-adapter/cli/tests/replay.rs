@@ -254,3 +254,41 @@ fn a_released_handle_is_not_sent_and_handle_0_is() {
     assert!(run.out.ends_with("9 calls of 1 connection, 9 replies compared, 2 differences\n"), "{}", run.out);
     assert_eq!(bcap(&["get", "I1", "I2", "--robot", &sim.bcap]).out, "I1 = 0\nI2 = 8\n");
 }
+
+#[test]
+fn a_replay_ends_whatever_the_times_of_the_capture_are() {
+    let sim = Running::sim(&[]);
+    for (name, step) in [("equal", 0), ("backward", -1000)] {
+        let mut capture = Capture::new();
+        (capture.micros, capture.step) = (1_000_000, step);
+        let mut sessions = [1, 2].map(|number| Session::start(&mut capture, number));
+        for handle in 201..204 {
+            for session in &mut sessions {
+                session.open(&mut capture, "I1", handle);
+                session.call(&mut capture, GET_VALUE, &[i4(handle)], &[i4(0)]);
+            }
+        }
+        let file = path(&format!("{name}.pcap"));
+        capture.save(&file);
+        for options in [&[][..], &["--fast"]] {
+            let run = replay(&file, &sim, options);
+            let totals = "16 calls of 2 connections, 16 replies compared, 0 differences\n";
+            assert_eq!((run.code, run.out.as_str(), run.err.as_str()), (0, totals, ""), "{name}: {run:?}");
+        }
+    }
+}
+
+#[test]
+fn a_capture_with_too_many_connections_is_refused() {
+    let mut capture = Capture::new();
+    for number in 1..=1025 {
+        Session { flow: Flow::new(number, BCAP), serial: 0 }.call(&mut capture, SERVICE_START, &[bstr("")], &[]);
+    }
+    let file = path("links.pcap");
+    capture.save(&file);
+    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
+    let run = bcap(&["replay", file.to_str().unwrap(), "--robot", &free]);
+    let refused = "error: the capture has calls in 1025 connections; at most 1024 can be replayed at once\n";
+    assert_eq!((run.code, run.out.as_str()), (2, ""), "{run:?}");
+    assert!(run.err.starts_with(refused), "{run:?}");
+}
