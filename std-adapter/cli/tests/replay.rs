@@ -9,9 +9,10 @@ mod recorded;
 mod running;
 
 use std::path::{Path, PathBuf};
+use std::process::Stdio;
 
 use capture::{BCAP, Capture, Flow, From, bstr, i4, numbered};
-use common::{Run, bcap};
+use common::{Run, bcap, command};
 use running::Running;
 use serde_json::Value;
 
@@ -276,6 +277,32 @@ fn a_replay_ends_whatever_the_times_of_the_capture_are() {
             assert_eq!((run.code, run.out.as_str(), run.err.as_str()), (0, totals, ""), "{name}: {run:?}");
         }
     }
+}
+
+#[test]
+fn a_replay_whose_output_is_closed_makes_no_more_calls() {
+    let seen = path("closed-seen.pcapng");
+    let (mut capture, sim) = (Capture::new(), Running::sim(&["--write", seen.to_str().unwrap()]));
+    let mut sessions = [1, 2].map(|number| Session::start(&mut capture, number));
+    sessions[0].open(&mut capture, "I1", 201);
+    sessions[1].open(&mut capture, "I2", 202);
+    // the difference
+    sessions[0].call(&mut capture, GET_VALUE, &[i4(201)], &[i4(99)]);
+    // much later, in both connections
+    capture.micros = 2_000_000_000;
+    sessions[0].call(&mut capture, PUT_VALUE, &[i4(201), i4(7)], &[]);
+    sessions[1].call(&mut capture, PUT_VALUE, &[i4(202), i4(7)], &[]);
+    let file = path("closed.pcap");
+    capture.save(&file);
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let args = ["replay", file.to_str().unwrap(), "--robot", &sim.bcap, "--allow", "Variable_PutValue"];
+    let mut command = command(&args);
+    command.stdin(Stdio::null()).stdout(writer).status().unwrap();
+    assert_eq!(sim.interrupt().code, 0);
+    let run = bcap(&["decode", seen.to_str().unwrap()]);
+    assert!(run.out.contains("Variable_GetValue(variable: I1)"), "{run:?}");
+    assert!(!run.out.contains("Variable_PutValue"), "{run:?}");
 }
 
 #[test]

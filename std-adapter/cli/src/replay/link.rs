@@ -3,7 +3,6 @@
 use std::collections::HashMap;
 use std::error;
 use std::sync::mpsc::Sender;
-use std::thread;
 use std::time::{Duration, Instant};
 
 use bcap_core::bcap::{FunctionId, Kind, Object};
@@ -50,14 +49,14 @@ pub(super) struct Link<'a> {
 }
 
 impl<'a> Link<'a> {
-    /// Makes the calls in turn, and sends the outcome of each.
+    /// Makes the calls in turn, and sends the outcome of each, until the replay stops.
     pub(super) fn run(&self, outcomes: &Sender<Outcome<'a>>) {
         let mut opened = None;
         for planned in &self.planned.calls {
-            if let Some(began) = self.began {
-                thread::sleep(planned.offset.saturating_sub(began.elapsed()));
+            let left = || self.began.map_or(Duration::ZERO, |began| planned.offset.saturating_sub(began.elapsed()));
+            if !self.order.wait(planned.after, left) {
+                return;
             }
-            self.order.wait(planned.after);
             let client = opened.get_or_insert_with(|| self.open());
             let came = match client {
                 Ok(client) => client.make(&planned.call),
@@ -77,8 +76,10 @@ impl<'a> Link<'a> {
         }
         let is_volatile = self.volatile.iter().any(|name| is_named(&planned.call, name));
         let is_different = planned.call.reply.as_ref().is_some_and(|reply| differs(reply, &came, is_volatile));
-        // the receiver ends early only if the output is closed
-        let _ = outcomes.send(Outcome { call: &planned.call, came, is_different });
+        if outcomes.send(Outcome { call: &planned.call, came, is_different }).is_err() {
+            // the receiver ends early only if the output is closed
+            self.order.stop();
+        }
     }
 
     /// Opens the connection; an error is for people.
