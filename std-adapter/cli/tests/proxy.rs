@@ -14,6 +14,7 @@ use std::collections::HashSet;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream, UdpSocket};
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use common::{Run, bare, bcap};
 use running::Running;
@@ -291,4 +292,27 @@ fn a_proxy_over_tcp_closes_more_connections_than_it_serves() {
     let printed = proxy.interrupt();
     let notes: Vec<_> = printed.out.lines().filter(|line| line.contains("256 connections")).collect();
     assert_eq!(notes.len(), 1, "{}", printed.out);
+}
+
+#[test]
+fn a_gateway_reports_at_once_that_its_recording_has_failed() {
+    let (sim, folder) = (Running::sim(&[]), tempfile::tempdir().unwrap());
+    let [pipe, audit] = ["recording", "audit"].map(|name| folder.path().join(name).to_str().unwrap().to_owned());
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    // opening a pipe waits for its other end
+    let reader = std::thread::spawn({
+        let pipe = pipe.clone();
+        move || std::fs::File::open(pipe).unwrap()
+    });
+    let robot = format!("tcp:{}", sim.bcap);
+    let args = ["gateway", "--rac", "127.0.0.1:0", "--robot", &robot, "--audit", &audit, "--write", &pipe];
+    let mut gateway = Running::start(&args);
+    drop(reader.join().unwrap());
+    assert_eq!(bcap(&["rac", "get", "I3", "--robot", &gateway.rac]).out, "I3 = 0\n");
+    let line = gateway.error_line();
+    assert_eq!(line, format!(" note: the recording has failed, and the gateway goes on without it: {pipe}"));
+    assert_eq!(bcap(&["rac", "get", "I3", "--robot", &gateway.rac]).out, "I3 = 0\n");
+    let printed = gateway.interrupt();
+    assert_eq!(printed.code, 2, "{printed:?}");
+    assert_eq!(printed.err.lines().next().map(|line| line.contains("cannot write ")), Some(true), "{printed:?}");
 }

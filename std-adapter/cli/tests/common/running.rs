@@ -37,6 +37,19 @@ impl Running {
         Self::start(&[&["sim"], &free[..], more].concat())
     }
 
+    /// Waits for the next line of the standard error.
+    pub(crate) fn error_line(&mut self) -> String {
+        let mut line = Vec::new();
+        // without a buffer, which would keep what follows from `interrupt`
+        for byte in self.child.stderr.as_mut().unwrap().bytes().map(Result::unwrap) {
+            if byte == b'\n' {
+                break;
+            }
+            line.push(byte);
+        }
+        String::from_utf8(line).unwrap()
+    }
+
     /// Ends the process by SIGINT, and returns what it printed after the first line.
     pub(crate) fn interrupt(mut self) -> Run {
         assert!(Command::new("kill").args(["-INT", &self.child.id().to_string()]).status().unwrap().success());
