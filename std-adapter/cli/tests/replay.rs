@@ -319,3 +319,20 @@ fn a_capture_with_too_many_connections_is_refused() {
     assert_eq!((run.code, run.out.as_str()), (2, ""), "{run:?}");
     assert!(run.err.starts_with(refused), "{run:?}");
 }
+
+#[test]
+fn options_of_a_virtual_controller_conflict_with_a_capture_to_play_back() {
+    for option in [
+        &["--model", "rc8"][..],
+        &["--mode", "auto"],
+        &["--token", "any"],
+        &["--robot-type", "VS050A3"],
+        &["--no-slave-licence"],
+        &["--record", "motion.csv"],
+        &["--print-model"],
+    ] {
+        let run = bcap(&[&["sim", "--replay", "no/such/file.pcapng"], option].concat());
+        let conflict = format!("the argument '--replay <FILE.pcapng>' cannot be used with '{}", option[0]);
+        assert!(run.code == 2 && run.err.contains(&conflict), "{run:?}");
+    }
+}
