@@ -29,7 +29,7 @@ use bcap_core::limits::Strictness;
 use crate::args::CaptureArgs;
 use crate::error::Failure;
 use crate::output::{print_json, print_line};
-pub(crate) use call::{Argument, Call, Event, Reply};
+pub(crate) use call::{Argument, Call, Event, Link, Reply};
 use conversation::Conversations;
 pub(crate) use live::Live;
 use print::Printer;

@@ -28,8 +28,9 @@ pub(crate) use self::transport::{TapedRac, TapedTcp, taped, taped_rac};
 use crate::error::Failure;
 use crate::frame::Role;
 
-/// The most entries that wait for the file. Then [`Recorder::bytes`] waits, because a recording must not lack bytes.
-const QUEUE: usize = 1 << 14;
+/// The most entries that wait for the file, each with up to 64 KiB, so 64 MiB. Then [`Recorder::bytes`] waits, because a
+/// recording must not lack bytes.
+const QUEUE: usize = 1 << 10;
 
 /// An entry of the queue.
 enum Entry {
@@ -138,6 +139,11 @@ impl Recording {
         let thread =
             thread::Builder::new().name("record".into()).spawn(move || run(&entries, Tape::new(writer, each)))?;
         Ok(Self { recorder, file: file.map(Path::to_owned), thread })
+    }
+
+    /// Returns the file; `None` for a recording only for the command.
+    pub(crate) fn file(&self) -> Option<&Path> {
+        self.file.as_deref()
     }
 
     pub(crate) fn recorder(&self) -> &Recorder {

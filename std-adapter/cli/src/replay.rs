@@ -41,13 +41,23 @@ pub(crate) fn replay(args: &Replay, link: &LinkArgs, json: bool) -> Result<(), F
     let mut totals = Totals { connections: plan.links.len(), ..Totals::default() };
     thread::scope(|scope| {
         let (outcomes, received) = channel();
-        for planned in &plan.links {
-            let (outcomes, robot, order) = (outcomes.clone(), &robot, &order);
-            let replay = link::Link { planned, robot, order, began, timeout: link.timeout(), volatile: &args.volatile };
-            scope.spawn(move || replay.run(&outcomes));
-        }
+        let start = || {
+            plan.links.iter().try_for_each(|planned| {
+                let (outcomes, robot, order) = (outcomes.clone(), &robot, &order);
+                let link =
+                    link::Link { planned, robot, order, began, timeout: link.timeout(), volatile: &args.volatile };
+                thread::Builder::new().spawn_scoped(scope, move || link.run(&outcomes)).map(drop)
+            })
+        };
+        let started =
+            start().map_err(|error| Failure::Input(format!("cannot start a thread for each connection: {error}")));
         drop(outcomes);
-        received.iter().try_for_each(|outcome| totals.add(&outcome, json))
+        let done = started.and_then(|()| received.iter().try_for_each(|outcome| totals.add(&outcome, json)));
+        if done.is_err() {
+            // without a reader of the output the robot must not be moved
+            order.stop();
+        }
+        done
     })?;
     totals.print(json)?;
     match totals.differences {

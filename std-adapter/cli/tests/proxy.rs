@@ -10,7 +10,11 @@ mod running;
 #[path = "common/tshark.rs"]
 mod tshark;
 
+use std::collections::HashSet;
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream, UdpSocket};
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use common::{Run, bare, bcap};
 use running::Running;
@@ -243,4 +247,72 @@ fn a_robot_that_refuses_and_a_file_that_cannot_be_written_are_said() {
     assert!(run.code == 2 && run.err.contains("a serial line has no packets to record"), "{run:?}");
     let run = bcap(&["proxy", "--drop", "2"]);
     assert!(run.code == 2 && run.err.contains("write a share from 0 to 1"), "{run:?}");
+}
+
+/// The most clients of a proxy over UDP, and the most connections over TCP.
+const CLIENTS: usize = 256;
+
+#[test]
+fn a_proxy_over_udp_drops_datagrams_of_more_clients_than_it_serves() {
+    let robot = UdpSocket::bind("127.0.0.1:0").unwrap();
+    let address = robot.local_addr().unwrap().to_string();
+    let proxy = Running::start(&["proxy", "--listen", "127.0.0.1:0", "--robot", &address]);
+    let mut buffer = [0; 16];
+    let mut sources = HashSet::new();
+    let clients: Vec<_> = (0..=CLIENTS).map(|_| UdpSocket::bind("127.0.0.1:0").unwrap()).collect();
+    // one after another, so that none is lost in the buffer of a socket; the last one is not served
+    for client in &clients[..CLIENTS] {
+        client.send_to(b"x", &proxy.udp).unwrap();
+        sources.insert(robot.recv_from(&mut buffer).unwrap().1);
+    }
+    assert_eq!(sources.len(), CLIENTS);
+    clients[CLIENTS].send_to(b"spare", &proxy.udp).unwrap();
+    clients[CLIENTS].send_to(b"spare", &proxy.udp).unwrap();
+    clients[0].send_to(b"again", &proxy.udp).unwrap();
+    let (count, from) = robot.recv_from(&mut buffer).unwrap();
+    assert_eq!((&buffer[..count], sources.contains(&from)), (&b"again"[..], true));
+    let printed = proxy.interrupt();
+    let notes: Vec<_> = printed.out.lines().filter(|line| line.contains("256 clients over UDP")).collect();
+    assert_eq!(notes.len(), 1, "{}", printed.out);
+}
+
+#[test]
+fn a_proxy_over_tcp_closes_more_connections_than_it_serves() {
+    let robot = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = robot.local_addr().unwrap().to_string();
+    let proxy = Running::start(&["proxy", "--listen", "127.0.0.1:0", "--robot", &address]);
+    let connections: Vec<_> =
+        (0..CLIENTS).map(|_| (TcpStream::connect(&proxy.bcap).unwrap(), robot.accept().unwrap().0)).collect();
+    let mut spare = TcpStream::connect(&proxy.bcap).unwrap();
+    assert_eq!(spare.read(&mut [0; 16]).unwrap(), 0, "the proxy closes it");
+    for (mut client, mut server) in connections {
+        client.write_all(b"x").unwrap();
+        server.read_exact(&mut [0; 1]).unwrap();
+    }
+    let printed = proxy.interrupt();
+    let notes: Vec<_> = printed.out.lines().filter(|line| line.contains("256 connections")).collect();
+    assert_eq!(notes.len(), 1, "{}", printed.out);
+}
+
+#[test]
+fn a_gateway_reports_at_once_that_its_recording_has_failed() {
+    let (sim, folder) = (Running::sim(&[]), tempfile::tempdir().unwrap());
+    let [pipe, audit] = ["recording", "audit"].map(|name| folder.path().join(name).to_str().unwrap().to_owned());
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    // opening a pipe waits for its other end
+    let reader = std::thread::spawn({
+        let pipe = pipe.clone();
+        move || std::fs::File::open(pipe).unwrap()
+    });
+    let robot = format!("tcp:{}", sim.bcap);
+    let args = ["gateway", "--rac", "127.0.0.1:0", "--robot", &robot, "--audit", &audit, "--write", &pipe];
+    let mut gateway = Running::start(&args);
+    drop(reader.join().unwrap());
+    assert_eq!(bcap(&["rac", "get", "I3", "--robot", &gateway.rac]).out, "I3 = 0\n");
+    let line = gateway.error_line();
+    assert_eq!(line, format!(" note: the recording has failed, and the gateway goes on without it: {pipe}"));
+    assert_eq!(bcap(&["rac", "get", "I3", "--robot", &gateway.rac]).out, "I3 = 0\n");
+    let printed = gateway.interrupt();
+    assert_eq!(printed.code, 2, "{printed:?}");
+    assert_eq!(printed.err.lines().next().map(|line| line.contains("cannot write ")), Some(true), "{printed:?}");
 }

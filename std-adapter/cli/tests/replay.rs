@@ -9,9 +9,10 @@ mod recorded;
 mod running;
 
 use std::path::{Path, PathBuf};
+use std::process::Stdio;
 
 use capture::{BCAP, Capture, Flow, From, bstr, i4, numbered};
-use common::{Run, bcap};
+use common::{Run, bcap, command};
 use running::Running;
 use serde_json::Value;
 
@@ -162,4 +163,176 @@ fn a_server_that_plays_a_session_back_gives_the_recorded_replies() {
 
     let run = bcap(&["sim", "--replay", "no/such/file.pcapng"]);
     assert!(run.code == 2 && run.err.contains("cannot read no/such/file.pcapng: "), "{run:?}");
+}
+
+// codes of functions
+const SERVICE_START: u32 = 1;
+const SERVICE_STOP: u32 = 2;
+const CONNECT: u32 = 3;
+const GET_VARIABLE: u32 = 9;
+const GET_VALUE: u32 = 101;
+const PUT_VALUE: u32 = 102;
+const RELEASE: u32 = 111;
+
+/// The recorded handle of the controller.
+const CONTROLLER: u8 = 200;
+
+/// A connection of a capture that a test makes.
+struct Session {
+    flow: Flow,
+    serial: u8,
+}
+
+impl Session {
+    /// Starts a session that opens the controller.
+    fn start(capture: &mut Capture, number: u32) -> Self {
+        let mut session = Self { flow: Flow::new(number, BCAP), serial: 0 };
+        session.call(capture, SERVICE_START, &[bstr("")], &[]);
+        let connect = [bstr(""), bstr("CaoProv.DENSO.VRC"), bstr("localhost"), bstr("")];
+        session.call(capture, CONNECT, &connect, &[i4(CONTROLLER)]);
+        session
+    }
+
+    /// Adds a call and its reply with S_OK.
+    fn call(&mut self, capture: &mut Capture, function: u32, arguments: &[Vec<u8>], value: &[Vec<u8>]) {
+        self.serial += 1;
+        capture.tcp(&mut self.flow, From::Client, &numbered(self.serial, 0, function, arguments));
+        capture.tcp(&mut self.flow, From::Server, &numbered(self.serial, 0, 0, value));
+    }
+
+    /// Adds the call that opens a variable.
+    fn open(&mut self, capture: &mut Capture, name: &str, handle: u8) {
+        self.call(capture, GET_VARIABLE, &[i4(CONTROLLER), bstr(name), bstr("")], &[i4(handle)]);
+    }
+}
+
+const NOT_OPEN: &str = "replayed: no reply: not sent: the object is not open in this replay";
+
+#[test]
+fn a_handle_that_was_not_opened_in_the_replay_is_not_sent() {
+    let (mut capture, sim) = (Capture::new(), Running::sim(&[]));
+    let mut session = Session::start(&mut capture, 1);
+    session.open(&mut capture, "I1", 201);
+    // numbers that the controller gives to the objects above
+    const GIVEN: std::ops::RangeInclusive<u8> = 1..=20;
+    for handle in GIVEN {
+        // the capture lacks the call that opened it
+        session.call(&mut capture, PUT_VALUE, &[i4(handle), i4(7)], &[]);
+        // the replayed call is refused
+        session.open(&mut capture, "no variable", handle);
+        session.call(&mut capture, PUT_VALUE, &[i4(handle), i4(8)], &[]);
+    }
+    // a number that an object had before
+    session.open(&mut capture, "no variable", 201);
+    session.call(&mut capture, PUT_VALUE, &[i4(201), i4(9)], &[]);
+    let file = path("foreign.pcap");
+    capture.save(&file);
+    let run = replay(&file, &sim, &["--fast", "--allow", "Variable_PutValue"]);
+    assert_eq!(run.code, 1, "{run:?}");
+    let refused = 2 * GIVEN.count() + 1;
+    assert_eq!(run.out.matches(NOT_OPEN).count(), refused, "{}", run.out);
+    assert_eq!(bcap(&["get", "I1", "--robot", &sim.bcap]).out, "I1 = 0\n");
+}
+
+#[test]
+fn a_released_handle_is_not_sent_and_handle_0_is() {
+    let (mut capture, sim) = (Capture::new(), Running::sim(&[]));
+    let mut session = Session::start(&mut capture, 1);
+    session.open(&mut capture, "I1", 201);
+    session.call(&mut capture, RELEASE, &[i4(201)], &[]);
+    // the controller may give the number of I1 to I2
+    session.open(&mut capture, "I2", 202);
+    session.call(&mut capture, PUT_VALUE, &[i4(201), i4(7)], &[]);
+    session.call(&mut capture, PUT_VALUE, &[i4(202), i4(8)], &[]);
+    session.call(&mut capture, GET_VALUE, &[i4(0)], &[]);
+    session.call(&mut capture, SERVICE_STOP, &[], &[]);
+    let file = path("released.pcap");
+    capture.save(&file);
+    let run = replay(&file, &sim, &["--fast", "--allow", "Variable_PutValue"]);
+    assert_eq!(run.out.matches(NOT_OPEN).count(), 1, "{}", run.out);
+    let zero = "tcp1 #8 Variable_GetValue(variable: I4(0))\n  recorded: S_OK\n  replayed: 0x80070006 (E_HANDLE)";
+    assert!(run.out.contains(zero), "{}", run.out);
+    assert!(run.out.ends_with("9 calls of 1 connection, 9 replies compared, 2 differences\n"), "{}", run.out);
+    assert_eq!(bcap(&["get", "I1", "I2", "--robot", &sim.bcap]).out, "I1 = 0\nI2 = 8\n");
+}
+
+#[test]
+fn a_replay_ends_whatever_the_times_of_the_capture_are() {
+    let sim = Running::sim(&[]);
+    for (name, step) in [("equal", 0), ("backward", -1000)] {
+        let mut capture = Capture::new();
+        (capture.micros, capture.step) = (1_000_000, step);
+        let mut sessions = [1, 2].map(|number| Session::start(&mut capture, number));
+        for handle in 201..204 {
+            for session in &mut sessions {
+                session.open(&mut capture, "I1", handle);
+                session.call(&mut capture, GET_VALUE, &[i4(handle)], &[i4(0)]);
+            }
+        }
+        let file = path(&format!("{name}.pcap"));
+        capture.save(&file);
+        for options in [&[][..], &["--fast"]] {
+            let run = replay(&file, &sim, options);
+            let totals = "16 calls of 2 connections, 16 replies compared, 0 differences\n";
+            assert_eq!((run.code, run.out.as_str(), run.err.as_str()), (0, totals, ""), "{name}: {run:?}");
+        }
+    }
+}
+
+#[test]
+fn a_replay_whose_output_is_closed_makes_no_more_calls() {
+    let seen = path("closed-seen.pcapng");
+    let (mut capture, sim) = (Capture::new(), Running::sim(&["--write", seen.to_str().unwrap()]));
+    let mut sessions = [1, 2].map(|number| Session::start(&mut capture, number));
+    sessions[0].open(&mut capture, "I1", 201);
+    sessions[1].open(&mut capture, "I2", 202);
+    // the difference
+    sessions[0].call(&mut capture, GET_VALUE, &[i4(201)], &[i4(99)]);
+    // much later, in both connections
+    capture.micros = 2_000_000_000;
+    sessions[0].call(&mut capture, PUT_VALUE, &[i4(201), i4(7)], &[]);
+    sessions[1].call(&mut capture, PUT_VALUE, &[i4(202), i4(7)], &[]);
+    let file = path("closed.pcap");
+    capture.save(&file);
+    let (reader, writer) = std::io::pipe().unwrap();
+    drop(reader);
+    let args = ["replay", file.to_str().unwrap(), "--robot", &sim.bcap, "--allow", "Variable_PutValue"];
+    let mut command = command(&args);
+    command.stdin(Stdio::null()).stdout(writer).status().unwrap();
+    assert_eq!(sim.interrupt().code, 0);
+    let run = bcap(&["decode", seen.to_str().unwrap()]);
+    assert!(run.out.contains("Variable_GetValue(variable: I1)"), "{run:?}");
+    assert!(!run.out.contains("Variable_PutValue"), "{run:?}");
+}
+
+#[test]
+fn a_capture_with_too_many_connections_is_refused() {
+    let mut capture = Capture::new();
+    for number in 1..=1025 {
+        Session { flow: Flow::new(number, BCAP), serial: 0 }.call(&mut capture, SERVICE_START, &[bstr("")], &[]);
+    }
+    let file = path("links.pcap");
+    capture.save(&file);
+    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().to_string();
+    let run = bcap(&["replay", file.to_str().unwrap(), "--robot", &free]);
+    let refused = "error: the capture has calls in 1025 connections; at most 1024 can be replayed at once\n";
+    assert_eq!((run.code, run.out.as_str()), (2, ""), "{run:?}");
+    assert!(run.err.starts_with(refused), "{run:?}");
+}
+
+#[test]
+fn options_of_a_virtual_controller_conflict_with_a_capture_to_play_back() {
+    for option in [
+        &["--model", "rc8"][..],
+        &["--mode", "auto"],
+        &["--token", "any"],
+        &["--robot-type", "VS050A3"],
+        &["--no-slave-licence"],
+        &["--record", "motion.csv"],
+        &["--print-model"],
+    ] {
+        let run = bcap(&[&["sim", "--replay", "no/such/file.pcapng"], option].concat());
+        let conflict = format!("the argument '--replay <FILE.pcapng>' cannot be used with '{}", option[0]);
+        assert!(run.code == 2 && run.err.contains(&conflict), "{run:?}");
+    }
 }

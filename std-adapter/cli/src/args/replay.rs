@@ -10,9 +10,10 @@ use crate::title::Title;
 /// Makes the calls of a capture again, and compares the replies
 ///
 /// Every connection of the capture is opened again, and its calls are made at their times. A call is never made before the calls
-/// that were answered before it have been answered again. Handles are replaced by those that the robot gives now; the retries of
-/// calls over UDP are not repeated. A reply that differs is printed with the recorded one, and the exit code is then 1. A call
-/// that had no reply is made, but not compared.
+/// that were answered before it have been answered again. Handles are replaced by those that the robot gives now; a call is not
+/// sent if its object is not open in the replay. The retries of calls over UDP are not repeated. A reply that differs is printed
+/// with the recorded one, and the exit code is then 1. A call that had no reply is made, but not compared.
+/// At most 1024 connections are replayed. When the output is closed, such as by `head`, no more calls are made.
 ///
 /// Functions that may move the robot, write, or execute a command must be allowed by name. Without that nothing is sent.
 #[derive(Debug, Args)]

@@ -71,8 +71,11 @@ pub(crate) struct Sim {
     ///
     /// The connections of clients are those of the capture in their order. A request gets the reply of the next call with the same
     /// function and arguments, at once. A request that the capture does not have is refused with E_FAIL and printed on stderr.
-    #[arg(long, value_name = "FILE.pcapng", conflicts_with_all = ["scenario", "files", "explain", "lenient", "record"])]
+    #[arg(long, value_name = "FILE.pcapng", conflicts_with_all = [
+        "model", "print_model", "robot_type", "mode", "token", "no_slave_licence", "scenario", "record", "files", "explain", "lenient",
+    ])]
     pub(crate) replay: Option<PathBuf>,
+
     /// Writes the trajectory of the arm to a CSV file: the axes and the tool centre point every 8 ms while the arm moves
     ///
     /// Columns: time_s, J1 to J8 (degrees, mm), X, Y, Z (mm), RX, RY, RZ (degrees), tool, work. Time passes when clients

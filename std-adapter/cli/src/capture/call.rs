@@ -48,6 +48,8 @@ pub(crate) struct Call {
     /// The time of the first attempt.
     pub(crate) at: u64,
     pub(crate) link: String,
+    /// Its place among the requests of its connection.
+    pub(crate) number: u64,
     /// The serial number of the first attempt; `None` for RAC.
     pub(crate) serial: Option<u16>,
     /// `Variable_GetValue`, or `GET` and `PUT` of RAC.

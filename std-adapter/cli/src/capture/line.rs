@@ -16,11 +16,13 @@ pub(crate) struct Lines {
     partial: [Vec<u8>; 2],
     /// Requests without a response, in order.
     pending: VecDeque<Call>,
+    /// The number of requests so far.
+    count: u64,
 }
 
 impl Lines {
     pub(crate) fn new(link: String) -> Self {
-        Self { link, partial: Default::default(), pending: VecDeque::new() }
+        Self { link, partial: Default::default(), pending: VecDeque::new(), count: 0 }
     }
 
     /// Adds the next bytes of one direction.
@@ -61,13 +63,15 @@ impl Lines {
         let mut memory = vec![0; 16 * line.len() + 64];
         match role {
             Role::Request => {
-                let call = match Request::parse(line, &mut memory) {
+                let mut call = match Request::parse(line, &mut memory) {
                     Ok(request) => self.request(&request, at),
                     Err(error) => {
                         out.push(Found::Note(at, format!("client: invalid line {}: {error}", shown(line))));
                         self.call(shown(line), Vec::new(), at)
                     }
                 };
+                call.number = self.count;
+                self.count += 1;
                 self.pending.push_back(call);
             }
             Role::Response => match Response::parse(line, &mut memory) {
@@ -100,6 +104,7 @@ impl Lines {
         Call {
             at,
             link: self.link.clone(),
+            number: 0,
             serial: None,
             function,
             command: None,

@@ -171,6 +171,7 @@ impl Session {
         let call = Call {
             at,
             link: self.link.clone(),
+            number: self.count,
             serial: Some(frame.serial),
             function: function.to_string(),
             command,

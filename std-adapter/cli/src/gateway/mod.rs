@@ -7,6 +7,7 @@ mod rotate;
 mod throttle;
 
 use std::convert::Infallible;
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -21,7 +22,7 @@ use crate::args::{self, LinkArgs};
 use crate::error::Failure;
 use crate::frame::Role;
 use crate::listen::{runtime, taken};
-use crate::output::print_line;
+use crate::output::{note, print_line};
 use crate::record::{Ends, Recorder, Recording};
 use crate::rules;
 use crate::signal;
@@ -36,8 +37,8 @@ type Places = Memory<CLIENTS, 256>;
 /// The longest time for a call that the robot keeps alive.
 const CALL: Duration = Duration::from_secs(8);
 
-/// The time between two looks whether lines of the log were suppressed.
-const SUPPRESSED: Duration = Duration::from_secs(1);
+/// The time between two looks whether lines of the log were suppressed, or the recording has failed.
+const REPORT: Duration = Duration::from_secs(1);
 
 /// Runs `bcap gateway` until a signal ends it.
 pub(crate) fn gateway(args: &args::Gateway, link: &LinkArgs) -> Result<(), Failure> {
@@ -71,7 +72,7 @@ pub(crate) fn gateway(args: &args::Gateway, link: &LinkArgs) -> Result<(), Failu
         };
         tokio::select! {
             counters = driver.run(listener, ended) => Ok::<_, Failure>(counters),
-            never = report_suppressed(&audit) => match never {},
+            never = report(&audit, recording.as_ref()) => match never {},
         }
     })?;
     // the driver has dropped its log
@@ -96,11 +97,17 @@ fn lock(audit: &Mutex<Audit>) -> std::sync::MutexGuard<'_, Audit> {
     audit.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Writes the counts of suppressed lines when they are due, also when nothing else is logged.
-async fn report_suppressed(audit: &Mutex<Audit>) -> Infallible {
+/// Writes the counts of suppressed lines when they are due, also when nothing else is logged, and reports once that the
+/// recording has failed: the gateway may run for months after that.
+async fn report(audit: &Mutex<Audit>, recording: Option<&Recording>) -> Infallible {
+    let mut recording = recording;
     loop {
-        sleep(SUPPRESSED).await;
+        sleep(REPORT).await;
         lock(audit).report_suppressed();
+        if let Some(failed) = recording.take_if(|recording| recording.has_failed()) {
+            let file = failed.file().unwrap_or(Path::new("")).display();
+            note(&format!("the recording has failed, and the gateway goes on without it: {file}"));
+        }
     }
 }
 

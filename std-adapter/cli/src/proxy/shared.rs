@@ -7,6 +7,9 @@ use std::time::Duration;
 use crate::faults::{Faults, Plan};
 use crate::record::{Recorder, Recording};
 
+/// The most clients over UDP, and the most connections of each TCP port: each needs a socket to the robot and memory.
+pub(super) const CLIENTS: usize = 256;
+
 /// What all tasks share.
 #[derive(Clone)]
 pub(super) struct Shared {

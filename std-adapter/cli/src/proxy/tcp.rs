@@ -11,7 +11,7 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
 
-use super::shared::Shared;
+use super::shared::{CLIENTS, Shared};
 use crate::faults::Faults;
 use crate::frame::Role;
 use crate::record::{Ends, Recorder};
@@ -26,13 +26,25 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 pub(super) async fn listen(listener: TcpListener, robot: Arc<[SocketAddr]>, is_rac: bool, shared: Shared) {
     // dropped with this future, which ends the connections
     let mut connections = JoinSet::new();
+    let mut is_full = false;
     loop {
         let accepted = tokio::select! {
             accepted = listener.accept() => accepted,
             Some(_) = connections.join_next() => continue,
         };
+        // those that have ended do not count
+        while connections.try_join_next().is_some() {}
         match accepted {
+            Ok((stream, client)) if connections.len() >= CLIENTS => {
+                drop(stream);
+                // one note until a place is free, also if a client connects again and again
+                if !std::mem::replace(&mut is_full, true) {
+                    let ends = Ends { is_tcp: true, client, server: robot.first().copied().unwrap_or(client) };
+                    shared.recorder.note(ends, format!("closed connections: {CLIENTS} connections are open"));
+                }
+            }
             Ok((stream, client)) => {
+                is_full = false;
                 drop(connections.spawn(connection(stream, client, Arc::clone(&robot), is_rac, shared.clone())))
             }
             Err(_) => sleep(ACCEPT_PAUSE).await,

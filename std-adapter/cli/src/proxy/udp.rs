@@ -10,7 +10,7 @@ use tokio::net::UdpSocket;
 use tokio::task::JoinSet;
 use tokio::time::{sleep, timeout};
 
-use super::shared::Shared;
+use super::shared::{CLIENTS, Shared};
 use crate::faults::Faults;
 use crate::frame::Role;
 use crate::record::{Ends, Recorder};
@@ -38,6 +38,7 @@ struct Client {
 pub(super) async fn serve(socket: UdpSocket, robot: SocketAddr, shared: Shared) {
     let (here, clients) = (Arc::new(socket), Clients::default());
     let mut replies = JoinSet::new();
+    let mut is_full = false;
     let mut buffer = vec![0; DATAGRAM];
     loop {
         let received = tokio::select! {
@@ -47,17 +48,29 @@ pub(super) async fn serve(socket: UdpSocket, robot: SocketAddr, shared: Shared) 
         // an ICMP error for an earlier reply does not affect the socket
         let Ok((count, from)) = received else { continue };
         let at = shared.recorder.now();
-        let known = lock(&clients).get(&from).cloned();
+        let (known, count_of_clients) = {
+            let clients = lock(&clients);
+            (clients.get(&from).cloned(), clients.len())
+        };
+        let ends = Ends { is_tcp: false, client: from, server: robot };
         let client = match known {
             Some(client) => client,
+            None if count_of_clients >= CLIENTS => {
+                // one note until a place is free: a flood of datagrams must not become a flood of notes
+                if !std::mem::replace(&mut is_full, true) {
+                    let text = format!("dropped datagrams of more than {CLIENTS} clients over UDP");
+                    shared.recorder.note(ends, text);
+                }
+                continue;
+            }
             None => match open(&here, from, robot, &shared).await {
                 Ok(client) => {
+                    is_full = false;
                     lock(&clients).insert(from, client.clone());
                     replies.spawn(forward_replies(client.clone(), Arc::clone(&clients)));
                     client
                 }
                 Err(error) => {
-                    let ends = Ends { is_tcp: false, client: from, server: robot };
                     shared.recorder.note(ends, format!("no socket to the robot at {robot}: {error}"));
                     continue;
                 }

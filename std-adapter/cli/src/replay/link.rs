@@ -3,10 +3,9 @@
 use std::collections::HashMap;
 use std::error;
 use std::sync::mpsc::Sender;
-use std::thread;
 use std::time::{Duration, Instant};
 
-use bcap_core::bcap::{FunctionId, Kind};
+use bcap_core::bcap::{FunctionId, Kind, Object};
 use bcap_core::hresult::HResult;
 use bcap_core::rac::{Variable, VariableKind};
 use bcap_std::blocking::{self, Controller};
@@ -50,14 +49,14 @@ pub(super) struct Link<'a> {
 }
 
 impl<'a> Link<'a> {
-    /// Makes the calls in turn, and sends the outcome of each.
+    /// Makes the calls in turn, and sends the outcome of each, until the replay stops.
     pub(super) fn run(&self, outcomes: &Sender<Outcome<'a>>) {
         let mut opened = None;
         for planned in &self.planned.calls {
-            if let Some(began) = self.began {
-                thread::sleep(planned.offset.saturating_sub(began.elapsed()));
+            let left = || self.began.map_or(Duration::ZERO, |began| planned.offset.saturating_sub(began.elapsed()));
+            if !self.order.wait(planned.after, left) {
+                return;
             }
-            self.order.wait(planned.after);
             let client = opened.get_or_insert_with(|| self.open());
             let came = match client {
                 Ok(client) => client.make(&planned.call),
@@ -77,8 +76,10 @@ impl<'a> Link<'a> {
         }
         let is_volatile = self.volatile.iter().any(|name| is_named(&planned.call, name));
         let is_different = planned.call.reply.as_ref().is_some_and(|reply| differs(reply, &came, is_volatile));
-        // the receiver ends early only if the output is closed
-        let _ = outcomes.send(Outcome { call: &planned.call, came, is_different });
+        if outcomes.send(Outcome { call: &planned.call, came, is_different }).is_err() {
+            // the receiver ends early only if the output is closed
+            self.order.stop();
+        }
     }
 
     /// Opens the connection; an error is for people.
@@ -123,11 +124,15 @@ fn differs(recorded: &Reply, came: &Came, is_volatile: bool) -> bool {
     recorded.opened.is_none() && code.is_ok() && bytes(recorded.value.as_ref()) != bytes(value.as_ref())
 }
 
+/// The present handles by the recorded ones; `None` for an object that is not open in this replay.
+type Handles = HashMap<i32, Option<i32>>;
+
+const NOT_DECODED: &str = "an argument cannot be decoded";
+
 /// An open connection.
 struct Client {
     socket: Socket,
-    /// The present handles by the recorded ones.
-    handles: HashMap<i32, i32>,
+    handles: Handles,
     is_lost: bool,
 }
 
@@ -144,28 +149,52 @@ impl Client {
             Socket::Rac(client) => rac(client, call),
         };
         self.is_lost |= is_lost;
-        if let Came::Reply(_, Some(value)) = &came {
-            self.remember(call, value);
-        }
+        self.remember(call, &came);
         came
     }
 
-    /// Remembers the handle of an object that the call opened.
-    fn remember(&mut self, call: &Call, value: &Value) {
+    /// Records what the call has opened or released in this replay.
+    ///
+    /// The robot may give the number of a released object to another one, so the number must not be sent any more.
+    fn remember(&mut self, call: &Call, came: &Came) {
+        let (is_done, value) = match came {
+            Came::Reply(code, value) => (code.is_ok(), value.as_ref().filter(|_| code.is_ok())),
+            Came::Nothing(_) => (false, None),
+        };
+        if is_done && let Some(function) = function(call) {
+            if function.opens() == Some(Object::Service) || function.releases() == Some(Object::Service) {
+                self.handles.clear();
+            } else if function.releases().is_some()
+                && let Some(recorded) = call.arguments.first().and_then(handle)
+            {
+                self.handles.insert(recorded, None);
+            }
+        }
         let opened = call.reply.as_ref().filter(|reply| reply.opened.is_some());
-        let recorded = opened.and_then(|reply| reply.value.as_ref()?.as_variant().as_i32());
-        if let Some((recorded, present)) = recorded.zip(value.as_variant().as_i32()) {
+        if let Some(recorded) = opened.and_then(|reply| reply.value.as_ref()?.as_variant().as_i32()) {
+            let present = value.and_then(|value| value.as_variant().as_i32());
+            for other in self.handles.values_mut().filter(|other| **other == present) {
+                *other = None;
+            }
             self.handles.insert(recorded, present);
         }
     }
 }
 
-/// Makes a call of b-CAP; the flag is whether the connection was lost.
-fn bcap(controller: &mut Controller, call: &Call, handles: &HashMap<i32, i32>) -> (Came, bool) {
+/// Returns the function of a call of b-CAP.
+fn function(call: &Call) -> Option<FunctionId> {
     let unknown = || call.function.strip_prefix("function ").and_then(|number| number.parse().ok()).map(FunctionId);
-    let function = FunctionId::parse(&call.function).or_else(unknown);
-    let Some((function, arguments)) = function.and_then(|found| Some((found, arguments(call, found, handles)?))) else {
-        return (Came::Nothing("not sent: an argument cannot be decoded".into()), false);
+    FunctionId::parse(&call.function).or_else(unknown)
+}
+
+/// Makes a call of b-CAP; the flag is whether the connection was lost.
+fn bcap(controller: &mut Controller, call: &Call, handles: &Handles) -> (Came, bool) {
+    let Some(function) = function(call) else {
+        return (Came::Nothing("not sent: the function is unknown".into()), false);
+    };
+    let arguments = match arguments(call, function, handles) {
+        Ok(arguments) => arguments,
+        Err(why) => return (Came::Nothing(format!("not sent: {why}")), false),
     };
     match controller.call_any("", function, &arguments) {
         Ok((code, value)) => (Came::Reply(code, value), false),
@@ -174,18 +203,32 @@ fn bcap(controller: &mut Controller, call: &Call, handles: &HashMap<i32, i32>) -
     }
 }
 
-/// Returns the arguments of a call with the present handles; `None` if one could not be decoded.
-fn arguments(call: &Call, function: FunctionId, handles: &HashMap<i32, i32>) -> Option<Vec<Value>> {
+/// Returns the arguments of a call with the present handles; an error says why the call must not be sent.
+fn arguments(call: &Call, function: FunctionId, handles: &Handles) -> Result<Vec<Value>, &'static str> {
     let kinds = function.signature().map_or(&[][..], |signature| signature.arguments);
-    let argument = |(i, argument): (usize, &Argument)| {
-        let value = argument.value.as_ref()?;
-        let handle = matches!(kinds.get(i), Some(Kind::Handle(_))).then(|| value.as_variant().as_i32()).flatten();
-        match handle.and_then(|handle| handles.get(&handle)) {
-            Some(present) => Value::new(present).ok(),
-            None => Some(value.clone()),
-        }
+    let argument = |(i, argument): (usize, &Argument)| match kinds.get(i) {
+        Some(Kind::Handle(_)) => present(argument, handles),
+        _ => argument.value.clone().ok_or(NOT_DECODED),
     };
     call.arguments.iter().enumerate().map(argument).collect()
+}
+
+/// Returns the handle that the object of an argument has in this replay.
+///
+/// A recorded number that was not replaced could be the handle of another object of the robot.
+fn present(argument: &Argument, handles: &Handles) -> Result<Value, &'static str> {
+    const NOT_OPEN: &str = "the object is not open in this replay";
+    let recorded = handle(argument).ok_or("a handle is not an integer of 32 bits")?;
+    match handles.get(&recorded) {
+        Some(present) => Value::new(&present.ok_or(NOT_OPEN)?).map_err(|_| NOT_DECODED),
+        // 0 is the handle of no object
+        None if recorded == 0 => argument.value.clone().ok_or(NOT_DECODED),
+        None => Err(NOT_OPEN),
+    }
+}
+
+fn handle(argument: &Argument) -> Option<i32> {
+    argument.value.as_ref()?.as_variant().as_i32()
 }
 
 /// Makes a request of RAC; the flag is whether the connection was lost.

@@ -1,6 +1,7 @@
 //! The order of calls of different connections: what was answered before a call is answered before it again.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 
 /// The answered calls, by the order of their recorded replies.
 pub(super) struct Order {
@@ -13,19 +14,37 @@ struct State {
     ended: Vec<bool>,
     /// The number of calls at the front that have all ended.
     front: usize,
+    is_stopped: bool,
 }
 
 impl Order {
     /// The order of this many answered calls.
     pub(super) fn new(answered: usize) -> Self {
-        Self { state: Mutex::new(State { ended: vec![false; answered], front: 0 }), changed: Condvar::new() }
+        let state = State { ended: vec![false; answered], front: 0, is_stopped: false };
+        Self { state: Mutex::new(state), changed: Condvar::new() }
     }
 
-    /// Waits until the first `count` calls have ended.
-    pub(super) fn wait(&self, count: usize) {
-        let waits = |state: &mut State| state.front < count;
+    /// Waits until the first `count` calls have ended and no time is `left`. Returns false if the replay has stopped.
+    pub(super) fn wait(&self, count: usize, left: impl Fn() -> Duration) -> bool {
+        let mut state = self.lock();
         // a thread that panicked has left the numbers in order
-        drop(self.changed.wait_while(self.lock(), waits).unwrap_or_else(PoisonError::into_inner));
+        while !state.is_stopped {
+            let left = left();
+            if !left.is_zero() {
+                state = self.changed.wait_timeout(state, left).unwrap_or_else(PoisonError::into_inner).0;
+            } else if state.front < count {
+                state = self.changed.wait(state).unwrap_or_else(PoisonError::into_inner);
+            } else {
+                return true;
+            }
+        }
+        false
+    }
+
+    /// Stops the replay: no more calls are made.
+    pub(super) fn stop(&self) {
+        self.lock().is_stopped = true;
+        self.changed.notify_all();
     }
 
     /// Records that a call has ended, with a reply or without.

@@ -1,12 +1,15 @@
 //! What a capture contains for a replay.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::time::Duration;
 
-use crate::capture::{Call, Event};
+use crate::capture::{Call, Event, Link};
 use crate::error::Failure;
 use crate::title::Title;
 use crate::value::Value;
+
+/// The most connections of a replay: each has a thread and a socket.
+const LINKS: usize = 1024;
 
 /// The protocol of a connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,10 +19,19 @@ pub(super) enum Protocol {
     Rac,
 }
 
+impl Protocol {
+    fn of(link: &Link) -> Self {
+        match link.protocol {
+            "RAC" => Self::Rac,
+            _ if link.name.starts_with("udp") => Self::Udp,
+            _ => Self::Tcp,
+        }
+    }
+}
+
 /// A connection of the capture.
 #[derive(Debug)]
 pub(super) struct PlannedLink {
-    name: String,
     pub(super) protocol: Protocol,
     pub(super) calls: Vec<PlannedCall>,
 }
@@ -45,36 +57,26 @@ pub(super) struct Plan {
 }
 
 impl Plan {
-    /// Sorts the calls of a capture, which are in the order of their requests, into connections.
+    /// Sorts the calls of a capture into connections.
     pub(super) fn new(events: Vec<Event>) -> Result<Self, Failure> {
-        let (mut links, mut calls) = (Vec::new(), Vec::new());
-        for event in events {
-            match event {
-                Event::Link(link) => {
-                    let protocol = match link.protocol {
-                        "RAC" => Protocol::Rac,
-                        _ if link.name.starts_with("udp") => Protocol::Udp,
-                        _ => Protocol::Tcp,
-                    };
-                    links.push(PlannedLink { name: link.name, protocol, calls: Vec::new() });
-                }
-                Event::Call(call) => calls.push(call),
-                Event::Note(_) => {}
-            }
-        }
-        let Some(began) = calls.first().map(|call| call.at) else {
+        let mut links = links(events)?;
+        let calls = || links.iter().flat_map(|link| &link.calls);
+        let Some(began) = calls().map(|planned| planned.call.at).min() else {
             return Err(Failure::Input("the capture has no call of b-CAP and no request of RAC".into()));
         };
-        let mut ends: Vec<_> = calls.iter().enumerate().filter_map(|(index, call)| Some((end(call)?, index))).collect();
+        let ended = |(index, planned): (usize, &PlannedCall)| Some((end(&planned.call)?, index));
+        let mut ends: Vec<_> = calls().enumerate().filter_map(ended).collect();
         ends.sort_unstable();
-        let ranks: BTreeMap<_, _> = ends.iter().enumerate().map(|(rank, (_, index))| (*index, rank)).collect();
-        for (index, call) in calls.into_iter().enumerate() {
-            let Some(link) = links.iter_mut().find(|link| link.name == call.link) else { continue };
-            let offset = Duration::from_nanos(call.at.saturating_sub(began));
-            let after = ends.partition_point(|(end, _)| *end <= call.at);
-            link.calls.push(PlannedCall { call, offset, after, rank: ranks.get(&index).copied() });
+        let ranks: HashMap<_, _> = ends.iter().enumerate().map(|(rank, (_, index))| (*index, rank)).collect();
+        for (index, planned) in links.iter_mut().flat_map(|link| &mut link.calls).enumerate() {
+            let at = planned.call.at;
+            planned.offset = Duration::from_nanos(at.saturating_sub(began));
+            // A call waits for its predecessor in the connection, whose time is not later, and for calls whose end, and so
+            // whose time, is earlier. A cycle of calls that wait for each other would need only equal times, so only
+            // predecessors in one connection, which have no cycle. With `<=` a call could wait for its own end.
+            planned.after = ends.partition_point(|(end, _)| *end < at);
+            planned.rank = ranks.get(&index).copied();
         }
-        links.retain(|link| !link.calls.is_empty());
         Ok(Self { links, answered: ends.len() })
     }
 
@@ -94,6 +96,38 @@ impl Plan {
              --allow {first}",
             list.join(", ")
         )))
+    }
+}
+
+/// Returns the connections that have calls. Their calls are in the order of the requests, and no call is earlier than its
+/// predecessor, also if the clock of the capture ran backward.
+fn links(events: Vec<Event>) -> Result<Vec<PlannedLink>, Failure> {
+    let (mut links, mut calls) = (Vec::new(), HashMap::<_, Vec<Call>>::new());
+    for event in events {
+        match event {
+            Event::Link(link) => links.push(link),
+            Event::Call(call) => calls.entry(call.link.clone()).or_default().push(call),
+            Event::Note(_) => {}
+        }
+    }
+    let planned = |link: Link| {
+        let mut calls = calls.remove(&link.name)?;
+        calls.sort_by_key(|call| call.number);
+        let mut latest = 0;
+        let planned = |mut call: Call| {
+            latest = call.at.max(latest);
+            call.at = latest;
+            PlannedCall { call, offset: Duration::ZERO, after: 0, rank: None }
+        };
+        let calls = calls.into_iter().map(planned).collect();
+        Some(PlannedLink { protocol: Protocol::of(&link), calls })
+    };
+    let links: Vec<_> = links.into_iter().filter_map(planned).collect();
+    match links.len() {
+        0..=LINKS => Ok(links),
+        count => Err(Failure::Input(format!(
+            "the capture has calls in {count} connections; at most {LINKS} can be replayed at once"
+        ))),
     }
 }
 

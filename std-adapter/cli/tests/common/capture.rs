@@ -53,10 +53,13 @@ impl Flow {
     }
 }
 
-/// A capture in memory; one millisecond passes between two packets.
+/// A capture in memory; one millisecond passes between two packets, unless a test changes the clock.
 pub(crate) struct Capture {
     bytes: Vec<u8>,
-    micros: u32,
+    /// The time of the last packet.
+    pub(crate) micros: u32,
+    /// The microseconds between two packets.
+    pub(crate) step: i32,
     /// The number of packets.
     pub(crate) packets: u32,
 }
@@ -76,12 +79,12 @@ impl Capture {
         for field in [0xa1b2_c3d4, 0x0004_0002, 0, 0, 0x0004_0000, link] {
             bytes.extend(field.to_le_bytes());
         }
-        Self { bytes, micros: 0, packets: 0 }
+        Self { bytes, micros: 0, step: 1000, packets: 0 }
     }
 
     /// Adds a packet of raw IP.
     pub(crate) fn packet(&mut self, packet: &[u8]) {
-        self.micros += 1000;
+        self.micros = self.micros.checked_add_signed(self.step).unwrap();
         self.packets += 1;
         let length = u32::try_from(packet.len()).unwrap();
         for field in [self.micros / 1_000_000, self.micros % 1_000_000, length, length] {

@@ -2,7 +2,7 @@
 #![allow(dead_code, reason = "every test file uses its own part of this")]
 
 use std::io::{BufRead, BufReader, Read};
-use std::process::{Child, ChildStdout, Command, Stdio};
+use std::process::{Child, ChildStderr, ChildStdout, Command, Stdio};
 
 use crate::common::{Run, command};
 
@@ -10,6 +10,7 @@ use crate::common::{Run, command};
 pub(crate) struct Running {
     child: Child,
     out: BufReader<ChildStdout>,
+    err: BufReader<ChildStderr>,
     /// The addresses, without a protocol; empty if the command does not serve one.
     pub(crate) bcap: String,
     pub(crate) udp: String,
@@ -20,6 +21,7 @@ impl Running {
     pub(crate) fn start(args: &[&str]) -> Self {
         let mut child = command(args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
         let mut out = BufReader::new(child.stdout.take().unwrap());
+        let err = BufReader::new(child.stderr.take().unwrap());
         let mut line = String::new();
         out.read_line(&mut line).unwrap();
         let address = |key: &str| -> String {
@@ -28,7 +30,7 @@ impl Running {
         };
         assert!(line.starts_with("ready "), "{line:?}");
         let [bcap, udp, rac] = ["bcap=", "udp=", "rac="].map(address);
-        Self { child, out, bcap, udp, rac }
+        Self { child, out, err, bcap, udp, rac }
     }
 
     /// Starts a virtual controller on free ports.
@@ -37,12 +39,19 @@ impl Running {
         Self::start(&[&["sim"], &free[..], more].concat())
     }
 
+    /// Waits for the next line of the standard error.
+    pub(crate) fn error_line(&mut self) -> String {
+        let mut line = String::new();
+        self.err.read_line(&mut line).unwrap();
+        line.trim_end().to_owned()
+    }
+
     /// Ends the process by SIGINT, and returns what it printed after the first line.
     pub(crate) fn interrupt(mut self) -> Run {
         assert!(Command::new("kill").args(["-INT", &self.child.id().to_string()]).status().unwrap().success());
         let (mut out, mut err) = (String::new(), String::new());
         self.out.read_to_string(&mut out).unwrap();
-        self.child.stderr.take().unwrap().read_to_string(&mut err).unwrap();
+        self.err.read_to_string(&mut err).unwrap();
         Run { out, err, code: self.child.wait().unwrap().code().unwrap() }
     }
 }
