@@ -376,7 +376,7 @@ impl fmt::Display for TextErrorKind {
             Self::NanPayload => "a NaN with a payload has no text",
             Self::Full => "the value does not fit",
             Self::Verb => "the verb is GET or PUT",
-            Self::PartName => "the part name is RC8",
+            Self::PartName => "the part name is RC8, or empty",
             Self::Index => "the index is a decimal number of at most 32 bits",
             Self::VariableType => "the variable type is one of I F D S V P J T IO",
             Self::GetWithData => "a GET ends with the colon after its variable type",

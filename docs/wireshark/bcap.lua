@@ -1444,7 +1444,7 @@ local function show_request_line(item, range, line, record)
     record.variable, record.kind = kind:upper() .. index, kind:upper()
     item:add(r.verb, range, verb:upper())
     item:add(r.variable, range, record.variable)
-    if not RAC_KINDS[record.kind] or part:upper() ~= "RC8" then
+    if not RAC_KINDS[record.kind] or (part ~= "" and part:upper() ~= "RC8") then
         item:add_proto_expert_info(re.malformed, "Malformed line: unknown part or kind of variable")
     end
     if value:match("%S") then

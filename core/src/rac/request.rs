@@ -6,7 +6,7 @@
 //!
 //!  request = blanks verb ":" part ":" index ":" kind ":" [ blanks value ] CR
 //!  verb    = "GET" | "PUT"                         a GET has no value, a PUT has one
-//!  part    = "RC8"                                 the fixed name of the controller
+//!  part    = [ "RC8" ]                             the fixed name of the controller, which may be omitted (S0:63-65)
 //!  index   = digits                                at most 32 bits
 //!  kind    = "I" | "F" | "D" | "S" | "V" | "P" | "J" | "T" | "IO"
 //! ```
@@ -312,9 +312,9 @@ fn verb(word: &[u8]) -> Option<Verb> {
     [Verb::Get, Verb::Put].into_iter().find(|verb| is(word, verb.name()))
 }
 
-/// `part = "RC8"`, in any case
+/// `part = [ "RC8" ]`, in any case
 fn part(word: &[u8]) -> Option<()> {
-    is(word, "RC8").then_some(())
+    (word.is_empty() || is(word, "RC8")).then_some(())
 }
 
 /// Compares a word, ignoring ASCII case.

@@ -105,6 +105,16 @@ fn the_samples_of_the_specification_are_understood_and_written_without_blanks() 
 }
 
 #[test]
+fn the_part_name_may_be_omitted() {
+    let request = Request::parse(b"GET::10:I:", &mut []).unwrap();
+    assert_eq!(request, Request::Get(variable(VariableKind::I, 10)));
+    assert_eq!(line_of(&request).unwrap(), "GET:RC8:10:I:\r");
+    let mut memory = [0; 16];
+    let request = Request::parse(b"PUT::10:I:3,-5", &mut memory).unwrap();
+    assert_eq!(request, Request::Put(variable(VariableKind::I, 10), Variant::I4(-5)));
+}
+
+#[test]
 fn words_are_read_in_any_case_behind_any_blanks() {
     let request = Request::parse(b" \t get:rc8:010:iO:", &mut []).unwrap();
     assert_eq!(request, Request::Get(variable(VariableKind::Io, 10)));

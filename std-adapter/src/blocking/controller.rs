@@ -54,7 +54,7 @@ pub struct Controller {
 
 impl Controller {
     /// Connects to the controller at `tcp:HOST[:PORT]`, `udp:HOST[:PORT]` or `serial:PATH[?baud=N&parity=P&stop=S]`
-    /// ([`Address`](crate::Address)), and starts a session with a watchdog. Serial lines need the feature `serial`.
+    /// ([`Address`]), and starts a session with a watchdog. Serial lines need the feature `serial`.
     ///
     /// # Errors
     ///
