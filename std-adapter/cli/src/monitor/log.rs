@@ -1,0 +1,111 @@
+//! The packet log: one call a line, `#4 I4(1) = Variable_GetValue(variable: I4(3))`. The reply comes first, because a narrow
+//! terminal cuts the end.
+
+use std::collections::{HashMap, VecDeque};
+use std::time::Duration;
+
+use crate::escape;
+use crate::frame::Role;
+use crate::screen::Line;
+
+/// The lines that are kept.
+const KEPT: usize = 500;
+
+/// The calls whose last reply is remembered.
+const REMEMBERED: usize = 4096;
+
+/// The last calls. A call whose reply is the same as before is omitted, unless all are wanted.
+#[derive(Debug, Default)]
+pub(crate) struct CallLog {
+    lines: VecDeque<String>,
+    /// The request that has no reply yet.
+    pending: Option<String>,
+    /// The last reply of each call.
+    replies: HashMap<String, String>,
+    pub(crate) shows_all: bool,
+    pub(crate) is_paused: bool,
+}
+
+impl CallLog {
+    /// Adds a packet, formatted as `#4 Variable_GetValue(variable: I4(3))` or `#4 0x00000000 (S_OK): I4(1)`.
+    pub(crate) fn packet(&mut self, role: Role, text: &str, at: Duration) {
+        let (number, rest) = text.split_once(' ').unwrap_or(("", text));
+        if role == Role::Request {
+            // a request without a reply, such as one whose connection was lost
+            if let Some(request) = self.pending.replace(text.to_owned()) {
+                self.push(&request, "no reply", at);
+            }
+            return;
+        }
+        let Some(request) = self.pending.take() else { return self.push(&format!("{number} no request"), rest, at) };
+        let (_, call) = request.split_once(' ').unwrap_or(("", &request));
+        if self.replies.len() >= REMEMBERED {
+            self.replies.clear();
+        }
+        let is_same = self.replies.insert(call.to_owned(), rest.to_owned()).is_some_and(|before| before == rest);
+        if self.shows_all || !is_same {
+            self.push(&request, rest, at);
+        }
+    }
+
+    fn push(&mut self, request: &str, reply: &str, at: Duration) {
+        if self.is_paused {
+            return;
+        }
+        if self.lines.len() >= KEPT {
+            self.lines.pop_front();
+        }
+        let reply =
+            reply.strip_prefix("0x00000000 (S_OK)").map_or(reply, |rest| rest.strip_prefix(": ").unwrap_or("S_OK"));
+        self.lines.push_back(format!(
+            "{:8.2} {number} {} = {}",
+            at.as_secs_f64(),
+            escape::cut(&reply),
+            escape::cut(&call)
+        ));
+    }
+
+    pub(crate) fn lines(&self) -> Vec<Line> {
+        self.lines.iter().map(Line::new).collect()
+    }
+
+    pub(crate) fn title(&self) -> &'static str {
+        match (self.is_paused, self.shows_all) {
+            (true, _) => "packets, paused",
+            (false, true) => "packets, all",
+            (false, false) => "packets, changes only",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reply_that_is_the_same_is_omitted() {
+        let mut log = CallLog::default();
+        let call = |log: &mut CallLog, serial: u32, value: i32| {
+            log.packet(Role::Request, &format!("#{serial} Variable_GetValue(variable: I4(3))"), Duration::ZERO);
+            log.packet(
+                Role::Response,
+                &format!("#{serial} 0x00000000 (S_OK): I4({value})"),
+                Duration::from_millis(1500),
+            );
+        };
+        call(&mut log, 1, 7);
+        call(&mut log, 2, 7);
+        call(&mut log, 3, 8);
+        log.is_paused = true;
+        call(&mut log, 4, 9);
+        log.is_paused = false;
+        log.shows_all = true;
+        call(&mut log, 5, 9);
+        log.packet(Role::Request, "#6 Service_Stop()", Duration::ZERO);
+        log.packet(Role::Request, "#7 Service_Stop()", Duration::ZERO);
+        let lines: Vec<String> = log.lines().into_iter().map(|line| line.text).collect();
+        let call =
+            |serial: u32, value: i32| format!("    1.50 #{serial} I4({value}) = Variable_GetValue(variable: I4(3))");
+        assert_eq!(lines, [call(1, 7), call(3, 8), call(5, 9), "    0.00 #6 no reply = Service_Stop()".into()]);
+    }
+}
