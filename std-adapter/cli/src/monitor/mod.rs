@@ -3,7 +3,6 @@
 //! The main thread draws and reads keys, the [reader](reader) talks to the controller, and a halt has a thread and a
 //! connection of its own, so it waits for neither.
 
-mod log;
 mod reader;
 mod state;
 

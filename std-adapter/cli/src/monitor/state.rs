@@ -7,10 +7,9 @@ use bcap_core::variant::Variant;
 use bcap_std::ObjectPath;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 
-use super::log::CallLog;
 use crate::frame::Role;
 use crate::plain;
-use crate::screen::{Line, Mark, Panel, Part, Screen, numbered, robot_lines};
+use crate::screen::{CallLog, Line, Mark, Panel, Part, Screen, numbered, robot_lines};
 use crate::value::Value;
 
 /// How long a change is marked.
@@ -212,13 +211,11 @@ impl State {
                 let name = self.variables.get(self.selected).map(|variable| format!("{}=", variable.name));
                 self.input = Input::Editing(name.unwrap_or_default());
             }
-            KeyCode::Char('a') => self.log.shows_all = !self.log.shows_all,
-            KeyCode::Char('p') => self.log.is_paused = !self.log.is_paused,
             KeyCode::Up => self.selected = self.selected.saturating_sub(1),
             KeyCode::Down => self.selected = (self.selected + 1).min(last),
             KeyCode::Home => self.selected = 0,
             KeyCode::End => self.selected = last,
-            _ => {}
+            key => self.log.key(key),
         }
         None
     }
@@ -274,7 +271,7 @@ impl State {
             tasks: Panel::new("tasks", tasks),
             errors: Panel::new("errors", errors).showing(Part::Wrapped),
             messages: Panel::new("messages", self.messages.iter().map(Line::new).collect()).showing(Part::Last),
-            log: Panel::new(self.log.title(), self.log.lines()).showing(Part::Last),
+            log: self.log.panel("packets"),
             notice,
             keys,
         }

@@ -4,11 +4,13 @@
 //! text is escaped there. [`Terminal`] restores the terminal on every exit.
 
 mod draw;
+mod log;
 mod robot;
 mod spark;
 mod terminal;
 
 pub(crate) use draw::{Look, draw};
+pub(crate) use log::CallLog;
 pub(crate) use robot::{numbered, robot_lines};
 pub(crate) use terminal::{Terminal, require};
 

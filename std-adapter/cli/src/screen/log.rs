@@ -1,4 +1,4 @@
-//! The packet log: one call a line, `#4 I4(1) = Variable_GetValue(variable: I4(3))`. The reply comes first, because a narrow
+//! The log of packets or calls: one call a line, `#4 I4(1) = Variable_GetValue(variable: I4(3))`. The reply comes first, because a narrow
 //! terminal cuts the end.
 
 use std::collections::{HashMap, VecDeque};
@@ -6,7 +6,9 @@ use std::time::Duration;
 
 use crate::escape;
 use crate::frame::Role;
-use crate::screen::Line;
+use ratatui::crossterm::event::KeyCode;
+
+use super::{Line, Panel, Part};
 
 /// The lines that are kept.
 const KEPT: usize = 500;
@@ -22,41 +24,47 @@ pub(crate) struct CallLog {
     pending: Option<String>,
     /// The last reply of each call.
     replies: HashMap<String, String>,
-    pub(crate) shows_all: bool,
-    pub(crate) is_paused: bool,
+    shows_all: bool,
+    is_paused: bool,
 }
 
 impl CallLog {
-    /// Adds a packet, formatted as `#4 Variable_GetValue(variable: I4(3))` or `#4 0x00000000 (S_OK): I4(1)`.
+    /// Adds a packet of a client, formatted as `#4 Variable_GetValue(variable: I4(3))` or `#4 0x00000000 (S_OK): I4(1)`.
     pub(crate) fn packet(&mut self, role: Role, text: &str, at: Duration) {
-        let (number, rest) = text.split_once(' ').unwrap_or(("", text));
-        if role == Role::Request {
-            // a request without a reply, such as one whose connection was lost
-            if let Some(request) = self.pending.replace(text.to_owned()) {
-                self.push(&request, "no reply", at);
+        let pending = match role {
+            // the earlier request has no reply, such as one whose connection was lost
+            Role::Request => self.pending.replace(text.to_owned()),
+            Role::Response => self.pending.take(),
+        };
+        let (number, reply) = text.split_once(' ').unwrap_or(("", text));
+        match (role, &pending) {
+            (Role::Request, None) => {}
+            (Role::Request, Some(request)) => {
+                let (number, call) = request.split_once(' ').unwrap_or(("", request));
+                self.call(number, call, "no reply", at);
             }
-            return;
-        }
-        let Some(request) = self.pending.take() else { return self.push(&format!("{number} no request"), rest, at) };
-        let (_, call) = request.split_once(' ').unwrap_or(("", &request));
-        if self.replies.len() >= REMEMBERED {
-            self.replies.clear();
-        }
-        let is_same = self.replies.insert(call.to_owned(), rest.to_owned()).is_some_and(|before| before == rest);
-        if self.shows_all || !is_same {
-            self.push(&request, rest, at);
+            (Role::Response, None) => self.call(number, "a packet without a request", reply, at),
+            (Role::Response, Some(request)) => {
+                let (_, call) = request.split_once(' ').unwrap_or(("", request));
+                self.call(number, call, reply, at);
+            }
         }
     }
 
-    fn push(&mut self, request: &str, reply: &str, at: Duration) {
-        if self.is_paused {
+    /// Adds a call and its reply: `0x00000000 (S_OK): I4(1)`.
+    pub(crate) fn call(&mut self, number: &str, call: &str, reply: &str, at: Duration) {
+        if self.replies.len() >= REMEMBERED {
+            self.replies.clear();
+        }
+        let is_same = self.replies.insert(call.to_owned(), reply.to_owned()).is_some_and(|before| before == reply);
+        if self.is_paused || is_same && !self.shows_all {
             return;
         }
         if self.lines.len() >= KEPT {
             self.lines.pop_front();
         }
-        let reply =
-            reply.strip_prefix("0x00000000 (S_OK)").map_or(reply, |rest| rest.strip_prefix(": ").unwrap_or("S_OK"));
+        let done = reply.strip_prefix("0x00000000 (S_OK)");
+        let reply = done.map_or(reply, |value| value.strip_prefix(": ").unwrap_or("S_OK"));
         self.lines.push_back(format!(
             "{:8.2} {number} {} = {}",
             at.as_secs_f64(),
@@ -65,15 +73,26 @@ impl CallLog {
         ));
     }
 
-    pub(crate) fn lines(&self) -> Vec<Line> {
+    fn lines(&self) -> Vec<Line> {
         self.lines.iter().map(Line::new).collect()
     }
 
-    pub(crate) fn title(&self) -> &'static str {
-        match (self.is_paused, self.shows_all) {
-            (true, _) => "packets, paused",
-            (false, true) => "packets, all",
-            (false, false) => "packets, changes only",
+    /// Returns the lines as a panel.
+    pub(crate) fn panel(&self, what: &str) -> Panel {
+        let which = match (self.is_paused, self.shows_all) {
+            (true, _) => "paused",
+            (false, true) => "all",
+            (false, false) => "changes only",
+        };
+        Panel::new(format!("{what}, {which}"), self.lines()).showing(Part::Last)
+    }
+
+    /// Handles the keys of a log.
+    pub(crate) fn key(&mut self, key: KeyCode) {
+        match key {
+            KeyCode::Char('a') => self.shows_all = !self.shows_all,
+            KeyCode::Char('p') => self.is_paused = !self.is_paused,
+            _ => {}
         }
     }
 }
