@@ -75,7 +75,8 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
             config.robot_type.clone_from(robot_type);
         }
         config.slave.licensed = !args.no_slave_licence;
-        let trajectory = args.record.as_deref().map(Trajectory::create).transpose()?;
+        let create = |path| Trajectory::create(path, config.wall_clock_origin_ms);
+        let trajectory = args.record.as_deref().map(create).transpose()?;
         if let Some(trajectory) = &trajectory {
             config.recorder = trajectory.recorder();
         }
@@ -108,8 +109,8 @@ async fn on_screen(
         }
     };
     serve(Watched::server(&watched), args, file, ended, |line| {
-        let title = line.strip_prefix("ready ").unwrap_or(line);
-        live = Some(Live::open(title, &watched, quit)?);
+        let addresses = line.strip_prefix("ready ").unwrap_or(line);
+        live = Some(Live::open(addresses, &watched, quit)?);
         Ok(())
     })
     .await

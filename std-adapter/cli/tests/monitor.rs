@@ -39,8 +39,9 @@ fn a_person_watches_writes_halts_and_quits() {
         let folder = tempfile::tempdir().unwrap();
         let args = format!("monitor I1 I2 IO128 --interval 50 --robot {}", robot.tcp);
         let Some(terminal) = monitor(size, &args, &folder) else { return };
-        let screen = terminal.wait_for("> I1    = 0");
-        assert!(screen.contains("IO128 = false") && screen.contains("RC8 auto ok"), "{screen}");
+        for text in ["> I1    = 0", "IO128 = false", "RC8 auto ok", "J2    45.000", "no errors"] {
+            terminal.wait_for(text);
+        }
         terminal.wait_for("Pro1             ready");
         // a change is marked, bold
         assert_eq!(robot.run(&["put", "I1", "5"]).code, 0);
@@ -52,7 +53,7 @@ fn a_person_watches_writes_halts_and_quits() {
         terminal.wait_for("write NAME=VALUE: I2=_");
         terminal.text("3,5");
         terminal.keys(&["Enter"]);
-        terminal.wait_for("did you mean");
+        terminal.wait_for("I2: 3,5: this could be TYPE,DATA");
         terminal.keys(&["w"]);
         terminal.text("7");
         terminal.keys(&["Enter"]);
@@ -119,7 +120,7 @@ fn a_lost_connection_is_shown_and_opened_again() {
     drop(robot);
     terminal.wait_for("NOT CONNECTED: ");
     terminal.keys(&["h"]);
-    terminal.wait_for("NOT HALTED: ");
+    terminal.wait_for("NOT HALTED, use the emergency stop: ");
     let mut again = sim_at(&address);
     let screen = terminal.wait_for("RC8 auto ok");
     assert!(!screen.contains("NOT CONNECTED"), "{screen}");

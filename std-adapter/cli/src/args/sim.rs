@@ -19,6 +19,7 @@ Examples:
   bcap sim --scenario faults.toml
   bcap sim --replay session.pcapng
   bcap sim --record motion.csv
+  bcap sim --record motion.mcap
   bcap sim --screen
   bcap sim --model rc9 --print-model
   bcap sim --model cell7.toml
@@ -77,9 +78,10 @@ pub(crate) struct Sim {
     ])]
     pub(crate) replay: Option<PathBuf>,
 
-    /// Writes the trajectory of the arm to a CSV file: the axes and the tool centre point every 8 ms while the arm moves
+    /// Writes the trajectory of the arm to a file: the axes and the tool centre point every 8 ms while the arm moves
     ///
-    /// Columns: time_s, J1 to J8 (degrees, mm), X, Y, Z (mm), RX, RY, RZ (degrees), tool, work. Time passes when clients
+    /// A name that ends with .mcap makes an MCAP file for Foxglove and PlotJuggler, with the topic /arm; its times are those of
+    /// the controller's clock. Any other name makes a CSV file. Columns: time_s, J1 to J8 (degrees, mm), X, Y, Z (mm), RX, RY, RZ (degrees), tool, work. Time passes when clients
     /// call, so the file ends with the last call.
     #[arg(long, value_name = "FILE")]
     pub(crate) record: Option<PathBuf>,

@@ -130,7 +130,9 @@ impl Monitor {
             };
             let outcome = halted.map(|()| "the robot rests".into());
             // without a receiver the screen has ended
-            let _ = updates.send(Update::Done(outcome.map_err(|failure| format!("NOT HALTED: {failure}"))));
+            let _ = updates.send(Update::Done(
+                outcome.map_err(|failure| format!("NOT HALTED, use the emergency stop: {failure}")),
+            ));
         });
     }
 }

@@ -259,7 +259,7 @@ impl State {
         let (notice, keys) = self.footer();
         let tasks = self.tasks.iter().map(|(name, status)| Line::new(format!("{name:16} {status}"))).collect();
         let errors = match self.errors.as_slice() {
-            [] => vec![Line::new("no errors")],
+            [] if !self.has_error && !self.words.is_empty() => vec![Line::new("no errors")],
             errors => errors.iter().map(Line::new).collect(),
         };
         Screen {
@@ -318,7 +318,7 @@ impl Robot {
             ("FIG", figure),
             ("tool", self.tool.clone()),
             ("work", self.work.clone()),
-            ("speed %", self.speed.clone()),
+            ("ext speed", self.speed.as_ref().map(|speed| format!("{speed} %"))),
         ]);
         if !line.is_empty() {
             lines.push(Line::new(line));

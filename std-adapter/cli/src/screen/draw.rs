@@ -63,12 +63,13 @@ pub(crate) fn draw(screen: &Screen, look: Look, frame: &mut Frame<'_>) {
         frame.render_widget(Paragraph::new(text).wrap(Wrap { trim: true }), area);
         return;
     }
+    let long = Styled::from(escape::line(&screen.notice.text)).width() > usize::from(area.width);
     let [title, top, middle, log, notice, keys] = Layout::vertical([
         Constraint::Length(1),
         Constraint::Fill(11),
         Constraint::Fill(5),
         Constraint::Fill(5),
-        Constraint::Length(1),
+        Constraint::Length(if long { 2 } else { 1 }),
         Constraint::Length(1),
     ])
     .areas(area);
@@ -88,7 +89,8 @@ pub(crate) fn draw(screen: &Screen, look: Look, frame: &mut Frame<'_>) {
     ] {
         panel(part, look, area, buffer);
     }
-    put(&screen.notice.text, look.style(screen.notice.mark), notice, buffer);
+    let text = Styled::styled(escape::line(&screen.notice.text), look.style(screen.notice.mark));
+    Paragraph::new(text).wrap(Wrap { trim: true }).render(notice, buffer);
     put(&screen.keys, Style::new().add_modifier(Modifier::DIM), keys, buffer);
 }
 
@@ -244,6 +246,15 @@ mod tests {
             "q quit",
         ];
         assert_eq!(rows(&example(), PLAIN, (80, 24)), expected);
+    }
+
+    #[test]
+    fn a_long_notice_has_two_lines() {
+        let mut screen = example();
+        screen.notice = Line::new(format!("NOT HALTED: {}; use the emergency stop", "x".repeat(60)));
+        let rows = rows(&screen, PLAIN, (80, 24));
+        assert!(rows[21].starts_with("NOT HALTED: ") && rows[22].ends_with("use the emergency stop"), "{rows:#?}");
+        assert_eq!(rows[23], "q quit");
     }
 
     #[test]

@@ -106,7 +106,7 @@ impl Watched {
     }
 
     /// Returns what is shown at a time.
-    fn screen(&mut self, title: &str, now: Instant) -> Screen {
+    fn screen(&mut self, addresses: &str, now: Instant) -> Screen {
         self.controller.advance(now);
         let (controller, point) = (&self.controller, self.controller.point());
         let mut robot = robot_lines(&point.axes, &point.position);
@@ -118,10 +118,10 @@ impl Watched {
         let none = errors.is_empty().then(|| Line::new("no errors"));
         let client = |(peer, client): (&PeerId, &Client)| {
             let Client { protocol, calls, last, .. } = client;
-            Line::new(format!("client {:4} {protocol:5} {calls:8} calls, last {last}", peer.0))
+            Line::new(format!("client {}: {last}, {calls} calls, {protocol}", peer.0))
         };
         Screen {
-            title: format!("bcap sim {title}"),
+            title: "bcap sim".into(),
             state: self.state(),
             alarm: controller.errors().next().is_some(),
             values: Panel::new("connections", self.clients.iter().map(client).collect()),
@@ -131,7 +131,7 @@ impl Watched {
             messages: Panel::new("refused arguments", self.refused.lines().iter().map(Line::new).collect())
                 .showing(Part::Last),
             log: self.log.panel("calls"),
-            notice: Line::default(),
+            notice: Line::new(addresses),
             keys: KEYS.into(),
         }
     }
@@ -222,15 +222,15 @@ pub(super) struct Live {
 
 impl Live {
     /// Opens the screen. When the user quits, `quit` is dropped.
-    pub(super) fn open(title: &str, watched: &Arc<Mutex<Watched>>, quit: oneshot::Sender<()>) -> io::Result<Self> {
+    pub(super) fn open(addresses: &str, watched: &Arc<Mutex<Watched>>, quit: oneshot::Sender<()>) -> io::Result<Self> {
         let mut terminal = Terminal::open()?;
         let stop = Arc::new(AtomicBool::new(false));
-        let (title, watched, stopped) = (title.to_owned(), Arc::clone(watched), Arc::clone(&stop));
+        let (addresses, watched, stopped) = (addresses.to_owned(), Arc::clone(watched), Arc::clone(&stop));
         let thread = thread::Builder::new().name("screen".into()).spawn(move || {
             let _quit = quit;
-            while !stopped.load(Ordering::SeqCst) && step(&title, &watched, &mut terminal).is_ok_and(|goes_on| goes_on)
-            {
-            }
+            while !stopped.load(Ordering::SeqCst)
+                && step(&addresses, &watched, &mut terminal).is_ok_and(|goes_on| goes_on)
+            {}
         })?;
         Ok(Self { stop, thread: Some(thread) })
     }
@@ -247,9 +247,9 @@ impl Drop for Live {
 }
 
 /// Draws once and handles a key; returns whether to continue.
-fn step(title: &str, watched: &Mutex<Watched>, terminal: &mut Terminal) -> io::Result<bool> {
+fn step(addresses: &str, watched: &Mutex<Watched>, terminal: &mut Terminal) -> io::Result<bool> {
     let locked = || watched.lock().unwrap_or_else(PoisonError::into_inner);
-    let screen = locked().screen(title, bcap_std::now());
+    let screen = locked().screen(addresses, bcap_std::now());
     terminal.draw(&screen)?;
     let Some(KeyEvent { code, modifiers, .. }) = terminal.key(FRAME)? else { return Ok(true) };
     match (code, modifiers.contains(KeyModifiers::CONTROL)) {
@@ -285,10 +285,10 @@ mod tests {
         assert_eq!(outcome, Outcome::Done(HResult::S_OK));
         watched.controller.emergency_stop(true, at);
         let screen = watched.screen("bcap=127.0.0.1:5007", at);
-        assert_eq!(screen.title, "bcap sim bcap=127.0.0.1:5007");
+        assert_eq!(screen.notice.text, "bcap=127.0.0.1:5007");
         assert_eq!(screen.state, format!("RC8 auto error {:#010X} EMERGENCY STOP", EMERGENCY_STOP.to_u32()));
         assert!(screen.alarm);
-        assert_eq!(texts(&screen.values), ["client    7 RAC          1 calls, last Put I1"]);
+        assert_eq!(texts(&screen.values), ["client 7: Put I1, 1 calls, RAC"]);
         assert_eq!(texts(&screen.log), ["    1.50 client 7: S_OK = Put I1 I4(5)"]);
         assert_eq!(texts(&screen.tasks)[0], "Pro1             Ready, 0 cycles");
         assert!(texts(&screen.errors)[0].starts_with(&EMERGENCY_STOP.to_string()), "{:?}", screen.errors);
