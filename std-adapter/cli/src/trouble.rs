@@ -112,6 +112,13 @@ impl fmt::Display for Message {
     }
 }
 
+impl Message {
+    /// Formats the message without its time, the text first.
+    pub(crate) fn short(&self) -> String {
+        format!("{} ({} {})", self.text, self.source, self.number)
+    }
+}
+
 /// Fetches the oldest message that the controller has for this client; `None` without one.
 pub(crate) fn next_message(session: &mut Session) -> Result<Option<Message>, Failure> {
     let arguments = [integer(session.controller()?)?];

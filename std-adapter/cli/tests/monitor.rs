@@ -100,6 +100,22 @@ fn every_end_restores_the_terminal() {
     }
 }
 
+#[cfg(target_os = "linux")]
+#[test]
+fn a_terminal_that_is_gone_ends_the_monitor() {
+    let robot = Virtual::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    let args = ["monitor", "I1", "--robot", &robot.tcp];
+    let Some(terminal) = Terminal::start((80, 24), &args, folder.path()) else { return };
+    terminal.wait_for("I1 = 0");
+    let process = format!("/proc/{}", terminal.variable("pane_pid"));
+    assert!(std::path::Path::new(&process).exists());
+    drop(terminal);
+    while std::path::Path::new(&process).exists() {
+        std::thread::yield_now();
+    }
+}
+
 /// Starts a virtual controller at an address.
 fn sim_at(address: &str) -> Child {
     let address = address.strip_prefix("tcp:").unwrap_or(address);
@@ -157,6 +173,28 @@ fn a_screen_without_colours_has_none() {
     let styled = terminal.styled_screen();
     assert!(styled.contains("\u{1b}[1m") && !styled.contains("\u{1b}[33") && !styled.contains("[38"), "{styled:?}");
     terminal.keys(&["q"]);
+}
+
+#[test]
+fn the_examples_of_the_help_run() {
+    let robot = Virtual::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    let help = bcap(&["monitor", "--help"]).out;
+    let (_, examples) = help.split_once("Examples:\n").unwrap();
+    let Some(terminal) = Terminal::run((80, 24), &["sh"], folder.path()) else { return };
+    terminal.enter(&format!("PS1='ready> '; export BCAP_ROBOT={}", robot.tcp));
+    let examples: Vec<&str> = examples.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
+    assert!(examples.len() >= 3, "{help}");
+    for example in examples {
+        let line = example.replace("tcp:192.168.0.1", &robot.tcp);
+        terminal.enter(&line.replace("bcap ", concat!(env!("CARGO_BIN_EXE_bcap"), " ")));
+        terminal.wait_for("RC8 auto ok");
+        terminal.wait_for("J2    45.000");
+        terminal.keys(&["q"]);
+        assert_sane(&terminal);
+        terminal.enter("clear");
+        terminal.wait_until("a clear screen", |screen| screen.trim() == "ready>");
+    }
 }
 
 #[test]

@@ -6,7 +6,7 @@
 mod reader;
 mod state;
 
-use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -86,25 +86,23 @@ impl Monitor {
             while let Ok((role, text)) = self.packet.try_recv() {
                 self.state.apply(Update::Packet(role, text));
             }
-            loop {
-                match self.update.try_recv() {
-                    Ok(update) => self.state.apply(update),
-                    Err(TryRecvError::Empty | TryRecvError::Disconnected) => break,
-                }
+            while let Ok(update) = self.update.try_recv() {
+                self.state.apply(update);
             }
             terminal.draw(&self.state.screen())?;
-            let Some(key) = terminal.key(FRAME)? else { continue };
-            let request = match self.state.key(key) {
-                None => continue,
-                Some(Action::Quit) => return Ok(()),
-                Some(Action::Halt) => {
-                    self.halt();
-                    continue;
-                }
-                Some(Action::Check(name, text)) => Request::Check(name, text),
-                Some(Action::Write(write)) => Request::Write(write),
-            };
-            self.request(request)?;
+            for key in terminal.keys(FRAME)? {
+                let request = match self.state.key(key) {
+                    None => continue,
+                    Some(Action::Quit) => return Ok(()),
+                    Some(Action::Halt) => {
+                        self.halt();
+                        continue;
+                    }
+                    Some(Action::Check(name, text)) => Request::Check(name, text),
+                    Some(Action::Write(write)) => Request::Write(write),
+                };
+                self.request(request)?;
+            }
         }
         Ok(())
     }

@@ -225,7 +225,7 @@ impl Reader {
         while plan.messages {
             self.session.restart_budget();
             match trouble::next_message(&mut self.session) {
-                Ok(Some(message)) => self.tell(Update::Message(message.to_string())),
+                Ok(Some(message)) => self.tell(Update::Message(message.short())),
                 Ok(None) => return Ok(()),
                 Err(failure) if failure.leaves_the_session_alive() => plan.messages = false,
                 Err(failure) => return Err(failure),

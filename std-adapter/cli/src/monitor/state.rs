@@ -270,7 +270,8 @@ impl State {
             robot: self.robot.panel(),
             tasks: Panel::new("tasks", tasks),
             errors: Panel::new("errors", errors).showing(Part::Wrapped),
-            messages: Panel::new("messages", self.messages.iter().map(Line::new).collect()).showing(Part::Last),
+            messages: Panel::new("messages, latest first", self.messages.iter().rev().map(Line::new).collect())
+                .showing(Part::Wrapped),
             log: self.log.panel("packets"),
             notice,
             keys,

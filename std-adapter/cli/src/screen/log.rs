@@ -1,14 +1,17 @@
-//! The log of packets or calls: one call a line, `#4 I4(1) = Variable_GetValue(variable: I4(3))`. The reply comes first, because a narrow
-//! terminal cuts the end.
+//! The log of packets or calls: one call a line, `#4 I4(1) = Variable_GetValue(variable: I4(3))`.
+//!
+//! The reply comes first, because a narrow terminal cuts the end.
 
 use std::collections::{HashMap, VecDeque};
+use std::hash::{BuildHasher as _, RandomState};
 use std::time::Duration;
 
-use crate::escape;
-use crate::frame::Role;
+use bcap_core::hresult::HResult;
 use ratatui::crossterm::event::KeyCode;
 
 use super::{Line, Panel, Part};
+use crate::escape;
+use crate::frame::Role;
 
 /// The lines that are kept.
 const KEPT: usize = 500;
@@ -22,8 +25,9 @@ pub(crate) struct CallLog {
     lines: VecDeque<String>,
     /// The request that has no reply yet.
     pending: Option<String>,
-    /// The last reply of each call.
-    replies: HashMap<String, String>,
+    /// The hash of the last reply of each call, by the hash of the call: values can be large.
+    replies: HashMap<u64, u64>,
+    hasher: RandomState,
     shows_all: bool,
     is_paused: bool,
 }
@@ -31,12 +35,14 @@ pub(crate) struct CallLog {
 impl CallLog {
     /// Adds a packet of a client, formatted as `#4 Variable_GetValue(variable: I4(3))` or `#4 0x00000000 (S_OK): I4(1)`.
     pub(crate) fn packet(&mut self, role: Role, text: &str, at: Duration) {
+        let (number, reply) = text.split_once(' ').unwrap_or(("", text));
         let pending = match role {
             // the earlier request has no reply, such as one whose connection was lost
             Role::Request => self.pending.replace(text.to_owned()),
+            // a keep-alive: the reply follows
+            Role::Response if reply.starts_with(&HResult::S_EXECUTING.to_string()) => return,
             Role::Response => self.pending.take(),
         };
-        let (number, reply) = text.split_once(' ').unwrap_or(("", text));
         match (role, &pending) {
             (Role::Request, None) => {}
             (Role::Request, Some(request)) => {
@@ -56,7 +62,8 @@ impl CallLog {
         if self.replies.len() >= REMEMBERED {
             self.replies.clear();
         }
-        let is_same = self.replies.insert(call.to_owned(), reply.to_owned()).is_some_and(|before| before == reply);
+        let (key, hash) = (self.hasher.hash_one(call), self.hasher.hash_one(reply));
+        let is_same = self.replies.insert(key, hash) == Some(hash);
         if self.is_paused || is_same && !self.shows_all {
             return;
         }
@@ -114,7 +121,9 @@ mod tests {
         };
         call(&mut log, 1, 7);
         call(&mut log, 2, 7);
-        call(&mut log, 3, 8);
+        log.packet(Role::Request, "#3 Variable_GetValue(variable: I4(3))", Duration::ZERO);
+        log.packet(Role::Response, &format!("#3 {}", HResult::S_EXECUTING), Duration::ZERO);
+        log.packet(Role::Response, "#3 0x00000000 (S_OK): I4(8)", Duration::from_millis(1500));
         log.is_paused = true;
         call(&mut log, 4, 9);
         log.is_paused = false;

@@ -41,16 +41,44 @@ impl Terminal {
         self.inner.draw(|frame| draw(screen, self.look, frame)).map(drop)
     }
 
-    /// Waits for a key at most this long. A change of the size ends the wait.
-    pub(crate) fn key(&self, time: Duration) -> io::Result<Option<KeyEvent>> {
-        if !event::poll(time)? {
-            return Ok(None);
+    /// Waits for keys at most this long, and returns all that were pressed.
+    ///
+    /// # Errors
+    ///
+    /// When the terminal is gone, such as after a lost ssh connection.
+    pub(crate) fn keys(&self, time: Duration) -> io::Result<Vec<KeyEvent>> {
+        wait(time)?;
+        let mut keys = Vec::new();
+        while event::poll(Duration::ZERO)? {
+            match event::read()? {
+                Event::Key(key) if key.kind != KeyEventKind::Release => keys.push(key),
+                _ => {}
+            }
         }
-        Ok(match event::read()? {
-            Event::Key(key) if key.kind != KeyEventKind::Release => Some(key),
-            _ => None,
-        })
+        Ok(keys)
     }
+}
+
+/// Waits for input. crossterm would read a terminal that is gone without end.
+#[cfg(unix)]
+fn wait(time: Duration) -> io::Result<()> {
+    use rustix::event::{PollFd, PollFlags, Timespec, poll};
+    let input = io::stdin();
+    let mut inputs = [PollFd::new(&input, PollFlags::IN)];
+    let time = Timespec::try_from(time).map_err(io::Error::other)?;
+    match poll(&mut inputs, Some(&time)) {
+        Ok(_) | Err(rustix::io::Errno::INTR) => {}
+        Err(error) => return Err(error.into()),
+    }
+    if inputs[0].revents().intersects(PollFlags::HUP | PollFlags::ERR | PollFlags::NVAL) {
+        return Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the terminal is gone"));
+    }
+    Ok(())
+}
+
+#[cfg(not(unix))]
+fn wait(time: Duration) -> io::Result<()> {
+    event::poll(time).map(drop)
 }
 
 impl Drop for Terminal {

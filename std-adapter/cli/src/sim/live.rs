@@ -128,8 +128,11 @@ impl Watched {
             robot: Panel::new("robot, degrees and mm", robot),
             tasks: Panel::new("tasks", tasks.map(Line::new).collect()),
             errors: Panel::new("errors", errors.into_iter().chain(none).collect()).showing(Part::Wrapped),
-            messages: Panel::new("refused arguments", self.refused.lines().iter().map(Line::new).collect())
-                .showing(Part::Last),
+            messages: Panel::new(
+                "refused arguments, latest first",
+                self.refused.lines().iter().rev().map(Line::new).collect(),
+            )
+            .showing(Part::Wrapped),
             log: self.log.panel("calls"),
             notice: Line::new(addresses),
             keys: KEYS.into(),
@@ -246,19 +249,18 @@ impl Drop for Live {
     }
 }
 
-/// Draws once and handles a key; returns whether to continue.
+/// Draws once and handles keys; returns whether to continue.
 fn step(addresses: &str, watched: &Mutex<Watched>, terminal: &mut Terminal) -> io::Result<bool> {
     let locked = || watched.lock().unwrap_or_else(PoisonError::into_inner);
     let screen = locked().screen(addresses, bcap_std::now());
     terminal.draw(&screen)?;
-    let Some(KeyEvent { code, modifiers, .. }) = terminal.key(FRAME)? else { return Ok(true) };
-    match (code, modifiers.contains(KeyModifiers::CONTROL)) {
-        (KeyCode::Char('c'), true) | (KeyCode::Char('q'), false) => Ok(false),
-        (key, _) => {
-            locked().log.key(key);
-            Ok(true)
+    for KeyEvent { code, modifiers, .. } in terminal.keys(FRAME)? {
+        match (code, modifiers.contains(KeyModifiers::CONTROL)) {
+            (KeyCode::Char('c'), true) | (KeyCode::Char('q'), false) => return Ok(false),
+            (key, _) => locked().log.key(key),
         }
     }
+    Ok(true)
 }
 
 #[cfg(test)]
