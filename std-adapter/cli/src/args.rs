@@ -11,6 +11,7 @@ mod codec;
 mod files;
 mod gateway;
 mod link;
+mod monitor;
 mod profile;
 mod proxy;
 mod raw;
@@ -25,6 +26,7 @@ pub(crate) use self::codec::{CaptureArgs, Decode, Encode, Text, TextCommand};
 pub(crate) use self::files::{Cp, Ls};
 pub(crate) use self::gateway::Gateway;
 pub(crate) use self::link::LinkArgs;
+pub(crate) use self::monitor::Monitor;
 pub(crate) use self::profile::{Profile, ProfileCommand};
 pub(crate) use self::proxy::{Proxy, RobotPorts};
 pub(crate) use self::raw::Raw;
@@ -80,6 +82,7 @@ pub(crate) enum Command {
     Get(Get),
     Put(Put),
     Watch(Watch),
+    Monitor(Monitor),
     Names(Names),
     Ls(Ls),
     Cp(Cp),

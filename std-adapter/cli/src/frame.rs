@@ -75,16 +75,7 @@ pub(crate) fn to_line(frame: &Frame<'_>, role: Role) -> String {
     }
     match role {
         Role::Request => {
-            let names = frame.function().argument_names();
-            let _ = write!(out, " {}(", frame.function());
-            for (i, value) in frame.args.iter().enumerate() {
-                let separator = if i > 0 { ", " } else { "" };
-                let _ = match names.get(i) {
-                    Some(name) => write!(out, "{separator}{name}: {value:?}"),
-                    None => write!(out, "{separator}{value:?}"),
-                };
-            }
-            out.push(')');
+            let _ = write!(out, " {}", to_call(frame.function(), frame.args.iter()));
         }
         Role::Response => {
             let _ = write!(out, " {}", frame.hresult());
@@ -93,6 +84,22 @@ pub(crate) fn to_line(frame: &Frame<'_>, role: Role) -> String {
             }
         }
     }
+    out
+}
+
+/// Formats a call: `Variable_GetValue(variable: I4(3))`.
+pub(crate) fn to_call<'a>(function: FunctionId, values: impl Iterator<Item = Variant<'a>>) -> String {
+    let mut out = format!("{function}(");
+    let names = function.argument_names();
+    for (i, value) in values.enumerate() {
+        let separator = if i > 0 { ", " } else { "" };
+        // writing to a string cannot fail
+        let _ = match names.get(i) {
+            Some(name) => write!(out, "{separator}{name}: {value:?}"),
+            None => write!(out, "{separator}{value:?}"),
+        };
+    }
+    out.push(')');
     out
 }
 

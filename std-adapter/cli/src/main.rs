@@ -29,6 +29,7 @@ mod item;
 mod json;
 mod line;
 mod listen;
+mod monitor;
 mod motion;
 mod named;
 mod output;
@@ -47,8 +48,11 @@ mod remote;
 mod replay;
 mod robot;
 mod rules;
+mod samples;
+mod screen;
 mod script;
 mod selection;
+mod series;
 mod session;
 mod shell;
 mod signal;
@@ -123,6 +127,7 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Get(args) => get::get(args, session, json),
         Command::Put(args) => put::put(args, session, json),
         Command::Watch(args) => watch::watch(args, session, json),
+        Command::Monitor(args) => monitor::monitor(args, session, json),
         Command::Names(_) => variables::names(session, json),
         Command::Ls(args) => files::ls(args, link, json),
         Command::Cp(args) => files::cp(args, link, json),

@@ -1,12 +1,14 @@
 //! `bcap sim`: serves a virtual controller on sockets.
 
+mod live;
+
 use std::fmt;
 use std::fs;
 use std::io::{self, Write as _};
 use std::net::SocketAddr;
 use std::ops::ControlFlow;
 use std::path::Path;
-use std::sync::mpsc;
+use std::sync::{Arc, Mutex, mpsc};
 use std::thread;
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -27,8 +29,10 @@ use crate::output::{print_block, print_line};
 use crate::playback::Playback;
 use crate::proxy::Front;
 use crate::robot::Robot;
+use crate::screen::require;
 use crate::signal;
 use crate::trajectory::Trajectory;
+use live::{Live, Refused, Watched};
 
 /// The maximum number of queued file jobs.
 const FILE_JOBS: usize = 64;
@@ -42,12 +46,15 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
     if args.print_model {
         return print_model(&args.model);
     }
+    if args.screen {
+        require("leave --screen out")?;
+    }
     let runtime = runtime()?;
     runtime.block_on(async {
         // install the signal handlers before the `ready` line: a reader of that line may send a signal at once
         let ended = signal::wait()?;
         if let Some(capture) = &args.replay {
-            return serve(Server::new(Playback::read(capture)?), args, file, ended).await;
+            return serve(Server::new(Playback::read(capture)?), args, file, ended, print_line).await;
         }
         // dropped, and thereby deleted, after the controller has ended
         let temporary = tempfile::tempdir()?;
@@ -58,14 +65,18 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         let mut config = Config { files: Some(files.to_owned()), file_work: file_worker()?, ..config(model) };
         (config.mode, config.token) = (args.mode.into(), args.token.into());
         config.lenient = args.lenient;
-        if args.explain || args.lenient {
+        let refused = Refused::default();
+        if args.screen {
+            config.observer = refused.observer();
+        } else if args.explain || args.lenient {
             config.observer = explainer(args.explain)?;
         }
         if let Some(robot_type) = &args.robot_type {
             config.robot_type.clone_from(robot_type);
         }
         config.slave.licensed = !args.no_slave_licence;
-        let trajectory = args.record.as_deref().map(Trajectory::create).transpose()?;
+        let create = |path| Trajectory::create(path, config.wall_clock_origin_ms);
+        let trajectory = args.record.as_deref().map(create).transpose()?;
         if let Some(trajectory) = &trajectory {
             config.recorder = trajectory.recorder();
         }
@@ -73,24 +84,53 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         if let Some(path) = &args.scenario {
             controller.play(read_scenario(path)?);
         }
-        serve(Server::new(controller).tap(deliver), args, file, ended).await?;
+        if args.screen {
+            on_screen(Watched::shared(controller, refused), args, file, ended).await?;
+        } else {
+            serve(Server::new(controller).tap(deliver), args, file, ended, print_line).await?;
+        }
         Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?)
     })
 }
 
-/// Serves at the addresses of the command line until `ended`; the clients are recorded to `file`.
+/// Serves, and shows the controller, until `ended` or until the user quits.
+async fn on_screen(
+    watched: Arc<Mutex<Watched>>,
+    args: &Sim,
+    file: Option<&Path>,
+    ended: impl Future<Output = ()>,
+) -> Result<(), Failure> {
+    let ((quit, quits), mut live) = (oneshot::channel::<()>(), None);
+    let ended = async {
+        tokio::select! {
+            () = ended => {}
+            // the sender is dropped
+            _ = quits => {}
+        }
+    };
+    serve(Watched::server(&watched), args, file, ended, |line| {
+        let addresses = line.strip_prefix("ready ").unwrap_or(line);
+        live = Some(Live::open(addresses, &watched, quit)?);
+        Ok(())
+    })
+    .await
+}
+
+/// Serves at the addresses of the command line until `ended`; the clients are recorded to `file`. `ready` gets the line with
+/// the addresses.
 async fn serve<H: Serves>(
     server: Server<H>,
     args: &Sim,
     file: Option<&Path>,
     ended: impl Future<Output = ()>,
+    ready: impl FnOnce(&str) -> io::Result<()>,
 ) -> Result<(), Failure> {
     if let Some(file) = file {
-        return recorded(server, Front::bind(args, file).await?, ended).await;
+        return recorded(server, Front::bind(args, file).await?, ended, ready).await;
     }
     let wanted = Listening { bcap: args.bcap, udp: args.udp, rac: args.rac };
     let (server, listening) = bind(server, &wanted).await?;
-    print_line(&listening.to_string())?;
+    ready(&listening.to_string())?;
     Ok(server.run(ended).await?)
 }
 
@@ -100,10 +140,15 @@ trait Serves: bcap::server::Handler + rac::server::Handler + Send + 'static {}
 impl<H: bcap::server::Handler + rac::server::Handler + Send + 'static> Serves for H {}
 
 /// Serves through a front that records, until `ended`.
-async fn recorded<H: Serves>(server: Server<H>, front: Front, ended: impl Future<Output = ()>) -> Result<(), Failure> {
+async fn recorded<H: Serves>(
+    server: Server<H>,
+    front: Front,
+    ended: impl Future<Output = ()>,
+    ready: impl FnOnce(&str) -> io::Result<()>,
+) -> Result<(), Failure> {
     let any = SocketAddr::from(([127, 0, 0, 1], 0));
     let (server, Listening { bcap, udp, rac }) = bind(server, &Listening { bcap: any, udp: any, rac: any }).await?;
-    print_line(&front.ready()?)?;
+    ready(&front.ready()?)?;
     let (stop, stopped) = oneshot::channel::<()>();
     let robot = Robot { tcp: vec![bcap], udp, rac: vec![rac] };
     let front = async {

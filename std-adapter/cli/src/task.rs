@@ -30,14 +30,7 @@ pub(crate) fn task(args: &Task, session: &mut Session, json: bool) -> Result<(),
         }
         TaskCommand::Status { name } => {
             let status = session.with(|controller| controller.task(name)?.status())?;
-            let status = match status {
-                TaskStatus::None => "none".into(),
-                TaskStatus::Suspended => "suspended".into(),
-                TaskStatus::Ready => "ready".into(),
-                TaskStatus::Running => "running".into(),
-                TaskStatus::StoppedAtStep => "stopped at a step".into(),
-                other => format!("{other:?}"),
-            };
+            let status = status_text(status);
             let line = &format!("{name} {status}");
             Ok(if json {
                 print_json(&serde_json::json!({ "name": name, "status": status }).to_string())
@@ -45,5 +38,17 @@ pub(crate) fn task(args: &Task, session: &mut Session, json: bool) -> Result<(),
                 print_line(line)
             }?)
         }
+    }
+}
+
+/// Returns the name of a status.
+pub(crate) fn status_text(status: TaskStatus) -> String {
+    match status {
+        TaskStatus::None => "none".into(),
+        TaskStatus::Suspended => "suspended".into(),
+        TaskStatus::Ready => "ready".into(),
+        TaskStatus::Running => "running".into(),
+        TaskStatus::StoppedAtStep => "stopped at a step".into(),
+        other => format!("{other:?}"),
     }
 }

@@ -5,6 +5,7 @@
 
 use std::io::{self, Write as _};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use bcap_core::bcap::{Decoder, Frame, Progress};
@@ -46,6 +47,8 @@ pub(crate) enum Wire {
 #[derive(Clone, Debug)]
 pub(crate) struct Packets {
     level: Option<Level>,
+    /// Receives each packet as a line of values.
+    watcher: Option<Sender<(Role, String)>>,
     last: Arc<Mutex<Last>>,
     /// Whether packets are neither recorded nor printed.
     paused: Arc<AtomicBool>,
@@ -59,7 +62,12 @@ struct Last {
 
 impl Packets {
     pub(crate) fn new(level: Option<Level>) -> Self {
-        Self { level, last: Arc::default(), paused: Arc::default() }
+        Self { level, watcher: None, last: Arc::default(), paused: Arc::default() }
+    }
+
+    /// Sends each packet of later connections as a line of values to `watcher`.
+    pub(crate) fn watch(&mut self, watcher: Sender<(Role, String)>) {
+        self.watcher = Some(watcher);
     }
 
     /// Wraps a transport.
@@ -96,6 +104,10 @@ impl Packets {
         slot.clear();
         slot.extend_from_slice(bytes);
         drop(last);
+        if let Some(watcher) = &self.watcher {
+            // without a receiver the command is ending
+            let _ = watcher.send((role, shown(role, wire, bytes, Level::Values)));
+        }
         if let Some(level) = self.level {
             let arrow = if role == Role::Request { "->" } else { "<-" };
             let text = with_arrow(arrow, &shown(role, wire, bytes, level));

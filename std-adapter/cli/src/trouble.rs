@@ -1,12 +1,13 @@
 //! `bcap errors`, `bcap clear` and `bcap messages`.
 
+use std::fmt;
 use std::time::{Duration, Instant};
 
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
 
-use crate::args::Messages;
+use crate::args;
 use crate::error::Failure;
 use crate::output::{print_json, print_line};
 use crate::plain;
@@ -15,20 +16,26 @@ use crate::value::{Value, integer, text};
 
 /// Runs `bcap errors`.
 pub(crate) fn errors(session: &mut Session, json: bool) -> Result<(), Failure> {
-    let count = controller(session, "GetCurErrorCount", &())?;
-    let count = count.as_variant().as_i32().unwrap_or(0);
-    if count == 0 && !json {
+    let errors = present(session)?;
+    if errors.is_empty() && !json {
         print_line("no errors")?;
     }
-    for index in 0..count {
-        let info = controller(session, "GetCurErrorInfo", &index)?;
-        let elements: Vec<Variant<'_>> =
-            info.as_variant().as_array().map(|info| info.iter().collect()).unwrap_or_default();
-        let code = elements.first().and_then(|code| code.as_i32()).map(HResult);
-        let message = elements.get(1).map(|message| plain::to_plain(*message)).unwrap_or_default();
-        print_error(code.unwrap_or_default(), &message, json)?;
-    }
-    Ok(())
+    errors.iter().try_for_each(|(code, message)| print_error(*code, message, json))
+}
+
+/// Reads the present errors of the controller with their texts, the latest first.
+pub(crate) fn present(session: &mut Session) -> Result<Vec<(HResult, String)>, Failure> {
+    let count = controller(session, "GetCurErrorCount", &())?;
+    let count = count.as_variant().as_i32().unwrap_or(0);
+    (0..count).map(|index| error(session, index)).collect()
+}
+
+fn error(session: &mut Session, index: i32) -> Result<(HResult, String), Failure> {
+    let info = controller(session, "GetCurErrorInfo", &index)?;
+    let elements: Vec<Variant<'_>> = info.as_variant().as_array().map(|info| info.iter().collect()).unwrap_or_default();
+    let code = elements.first().and_then(|code| code.as_i32()).map(HResult);
+    let message = elements.get(1).map(|message| plain::to_plain(*message)).unwrap_or_default();
+    Ok((code.unwrap_or_default(), message))
 }
 
 fn print_error(code: HResult, message: &str, json: bool) -> Result<(), Failure> {
@@ -61,7 +68,7 @@ fn controller(
 }
 
 /// Runs `bcap messages`.
-pub(crate) fn messages(args: &Messages, session: &mut Session, json: bool) -> Result<(), Failure> {
+pub(crate) fn messages(args: &args::Messages, session: &mut Session, json: bool) -> Result<(), Failure> {
     const INTERVAL: Duration = Duration::from_millis(50);
     let Some(time) = args.time else { return fetch(session, json) };
     let interrupt = session.handle_signals()?;
@@ -78,29 +85,60 @@ pub(crate) fn messages(args: &Messages, session: &mut Session, json: bool) -> Re
 
 /// Prints the messages that the controller has.
 fn fetch(session: &mut Session, json: bool) -> Result<(), Failure> {
-    loop {
-        let arguments = [integer(session.controller()?)?];
-        let (code, value) = session.call("messages", FunctionId::CONTROLLER_GET_MESSAGE, &arguments)?;
-        let handle = value.as_ref().and_then(|value| value.as_variant().as_i32());
-        let Some(handle) = handle.filter(|_| code == HResult::S_OK) else { return Ok(()) };
-        let printed = print_message(session, handle, json);
-        session.release(Object::Message, handle)?;
-        printed?;
+    while let Some(message) = next_message(session)? {
+        let Message { number, source, time, text } = &message;
+        if json {
+            let line = serde_json::json!({ "number": number, "source": source, "time": time, "text": text });
+            print_json(&line.to_string())?;
+        } else {
+            print_line(&message.to_string())?;
+        }
+    }
+    Ok(())
+}
+
+/// A message of the controller.
+pub(crate) struct Message {
+    number: String,
+    source: String,
+    time: String,
+    text: String,
+}
+
+impl fmt::Display for Message {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { number, source, time, text } = self;
+        write!(f, "{time} {source} {number}: {text}")
     }
 }
 
-fn print_message(session: &mut Session, handle: i32, json: bool) -> Result<(), Failure> {
+impl Message {
+    /// Formats the message without its time, the text first.
+    pub(crate) fn short(&self) -> String {
+        format!("{} ({} {})", self.text, self.source, self.number)
+    }
+}
+
+/// Fetches the oldest message that the controller has for this client; `None` without one.
+pub(crate) fn next_message(session: &mut Session) -> Result<Option<Message>, Failure> {
+    let arguments = [integer(session.controller()?)?];
+    let (code, value) = session.call("messages", FunctionId::CONTROLLER_GET_MESSAGE, &arguments)?;
+    let handle = value.as_ref().and_then(|value| value.as_variant().as_i32());
+    let Some(handle) = handle.filter(|_| code == HResult::S_OK) else { return Ok(None) };
+    let message = read_message(session, handle);
+    session.release(Object::Message, handle)?;
+    message.map(Some)
+}
+
+fn read_message(session: &mut Session, handle: i32) -> Result<Message, Failure> {
     let mut field = |function| {
         let (_, value) = session.call("message", function, &[integer(handle)?])?;
         Ok::<_, Failure>(plain::to_plain(value.unwrap_or_default().as_variant()))
     };
-    let number = field(FunctionId::MESSAGE_GET_NUMBER)?;
-    let source = field(FunctionId::MESSAGE_GET_SOURCE)?;
-    let time = field(FunctionId::MESSAGE_GET_DATE_TIME)?;
-    let text = field(FunctionId::MESSAGE_GET_DESCRIPTION)?;
-    if json {
-        let line = serde_json::json!({ "number": number, "source": source, "time": time, "text": text });
-        return Ok(print_json(&line.to_string())?);
-    }
-    Ok(print_line(&format!("{time} {source} {number}: {text}"))?)
+    Ok(Message {
+        number: field(FunctionId::MESSAGE_GET_NUMBER)?,
+        source: field(FunctionId::MESSAGE_GET_SOURCE)?,
+        time: field(FunctionId::MESSAGE_GET_DATE_TIME)?,
+        text: field(FunctionId::MESSAGE_GET_DESCRIPTION)?,
+    })
 }

@@ -2,8 +2,12 @@
 
 use std::time::{Duration, Instant};
 
+use bcap_std::ObjectPath;
+
 use crate::args::Watch;
 use crate::error::Failure;
+use crate::interrupt::Interrupt;
+use crate::samples::Samples;
 use crate::selection::{Selection, expand};
 use crate::session::Session;
 use crate::table::Table;
@@ -15,10 +19,27 @@ pub(crate) fn watch(args: &Watch, session: &mut Session, json: bool) -> Result<(
     let interrupt = session.handle_signals()?;
     let names = expand(session, &Selection::parse_each(&args.names)?)?;
     let paths = paths(&names)?;
-    let variables = paths.iter().map(|path| session.object(path)).collect::<Result<Vec<_>, _>>()?;
     let table = args.csv.as_deref().map(Table::create).transpose()?;
-    let start = Instant::now();
-    let mut output = Output { start, changed: args.changed, json, table, last: vec![None; paths.len()], is_new: false };
+    let samples = args.mcap.as_deref().map(Samples::create).transpose()?;
+    let (start, last) = (Instant::now(), vec![None; paths.len()]);
+    let mut output = Output { start, changed: args.changed, json, table, samples, last, is_new: false };
+    let done = rounds(args, session, &interrupt, &names, &paths, &mut output);
+    // also after a failure, so that the file has its index
+    let ended = output.samples.as_mut().map_or(Ok(()), Samples::end);
+    done.and(ended)
+}
+
+/// Reads the variables until `--count` or a signal ends it.
+fn rounds(
+    args: &Watch,
+    session: &mut Session,
+    interrupt: &Interrupt,
+    names: &[String],
+    paths: &[ObjectPath],
+    output: &mut Output,
+) -> Result<(), Failure> {
+    let variables = paths.iter().map(|path| session.object(path)).collect::<Result<Vec<_>, _>>()?;
+    let start = output.start;
     let mut pace = Pace { interval: args.interval, next: start };
     let mut rounds = 0;
     loop {
@@ -28,7 +49,7 @@ pub(crate) fn watch(args: &Watch, session: &mut Session, json: bool) -> Result<(
             let value = read(session, path, *variable)?;
             output.value(n, &names[n], value)?;
         }
-        output.end_round(began, &names)?;
+        output.end_round(began, names)?;
         rounds += 1;
         if args.count.is_some_and(|count| rounds >= count) {
             return Ok(());
@@ -49,6 +70,8 @@ struct Output {
     json: bool,
     /// Instead of lines.
     table: Option<Table>,
+    /// Instead of lines.
+    samples: Option<Samples>,
     /// The last value of each variable.
     last: Vec<Option<Value>>,
     /// Whether this round has a value to show.
@@ -58,7 +81,10 @@ struct Output {
 impl Output {
     fn value(&mut self, n: usize, name: &str, value: Value) -> Result<(), Failure> {
         let is_new = !self.changed || self.last[n].as_ref() != Some(&value);
-        if is_new && self.table.is_none() {
+        if let Some(samples) = self.samples.as_mut().filter(|_| is_new) {
+            samples.push(name, self.start.elapsed(), &value)?;
+        }
+        if is_new && self.table.is_none() && self.samples.is_none() {
             print(&stamped(self.start.elapsed(), &shown(name, &value, self.json), self.json), self.json)?;
         }
         self.is_new |= is_new;

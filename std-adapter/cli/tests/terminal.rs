@@ -2,79 +2,13 @@
 #![cfg(unix)]
 
 mod common;
+#[path = "common/tmux.rs"]
+mod tmux;
 #[path = "common/virtual_robot.rs"]
 mod virtual_robot;
 
-use std::path::Path;
-use std::process::Command;
-use std::time::{Duration, Instant};
-
+use tmux::Terminal;
 use virtual_robot::Virtual;
-
-/// A terminal; dropping this ends it.
-struct Terminal {
-    socket: String,
-}
-
-impl Terminal {
-    /// Runs the command in a terminal; `None` without tmux.
-    fn start(size: (u16, u16), args: &[&str], folder: &Path) -> Option<Self> {
-        let terminal = Self { socket: folder.join("tmux").display().to_string() };
-        let history = format!("BCAP_HISTORY={}", folder.join("history").display());
-        let (width, height) = (size.0.to_string(), size.1.to_string());
-        let mut command = terminal.tmux();
-        command.args(["-f", "/dev/null", "new-session", "-d", "-x", &width, "-y", &height, "-e", &history]);
-        match command.arg(env!("CARGO_BIN_EXE_bcap")).args(args).status() {
-            Ok(status) => assert!(status.success()),
-            Err(_) => {
-                eprintln!("skipped: tmux is not installed");
-                std::mem::forget(terminal);
-                return None;
-            }
-        }
-        Some(terminal)
-    }
-
-    fn tmux(&self) -> Command {
-        let mut command = Command::new("tmux");
-        command.args(["-S", &self.socket]).env_remove("TMUX").env_remove("BCAP_ROBOT");
-        command
-    }
-
-    /// Presses keys, in tmux's notation.
-    fn keys(&self, keys: &[&str]) {
-        assert!(self.tmux().arg("send-keys").args(keys).status().unwrap().success());
-    }
-
-    fn enter(&self, line: &str) {
-        self.keys(&["-l", line]);
-        self.keys(&["Enter"]);
-    }
-
-    fn screen(&self) -> String {
-        let output = self.tmux().args(["capture-pane", "-p"]).output().unwrap();
-        String::from_utf8(output.stdout).unwrap()
-    }
-
-    /// Waits until the screen contains a text, and returns the screen.
-    #[track_caller]
-    fn wait_for(&self, text: &str) -> String {
-        let began = Instant::now();
-        loop {
-            let screen = self.screen();
-            if screen.contains(text) {
-                return screen;
-            }
-            assert!(began.elapsed() < Duration::from_secs(60), "{text:?} is missing:\n{screen}");
-        }
-    }
-}
-
-impl Drop for Terminal {
-    fn drop(&mut self) {
-        let _ = self.tmux().arg("kill-server").output();
-    }
-}
 
 #[test]
 fn ctrl_c_in_the_shell_halts_the_robot_and_gives_the_arm_back() {

@@ -201,13 +201,18 @@ impl Arm {
 
     /// Takes the point of the trace that is due.
     pub(crate) fn take_point(&mut self, config: &Config, at: Instant) {
+        let point = self.point(at);
+        let rest = self.is_at_rest();
+        self.trace.take(&config.recorder, &point, rest);
+    }
+
+    /// Returns where the arm is.
+    pub(crate) fn point(&self, at: Instant) -> TracePoint {
         let axes = self.robot.axes(at);
         let settings = self.robot.settings();
         let (tool, work) = (settings.tool, settings.work);
         let position = self.robot.coordinates().place(&six(&axes)).to_xyz_rpy();
-        let point = TracePoint { at, axes, position, tool, work };
-        let rest = self.is_at_rest();
-        self.trace.take(&config.recorder, &point, rest);
+        TracePoint { at, axes, position, tool, work }
     }
 
     /// Tells whether nothing moves the arm.

@@ -29,6 +29,7 @@ use crate::operations::Operations;
 use crate::scenario::{Delivery, Effect, Running, Scenario, Setup};
 use crate::slave::{self, Limits, SlaveCounters, SlaveCycle};
 use crate::tasks::{TaskStatus, Tasks};
+use crate::trace::TracePoint;
 use crate::variables::{Family, Variables};
 use crate::waits::{Wait, Waits};
 
@@ -398,6 +399,12 @@ impl Controller {
         self.arm.robot().axes(self.common.now)
     }
 
+    /// Returns where the arm is at the present time: the axes and the tool centre point.
+    #[must_use]
+    pub fn point(&self) -> TracePoint {
+        self.arm.point(self.common.now)
+    }
+
     /// Tells whether a motion is running or held, or an axis moves in Slave Mode.
     #[must_use]
     pub fn is_moving(&self) -> bool {
@@ -450,6 +457,11 @@ impl Controller {
     pub fn task(&self, name: &str) -> Option<(TaskStatus, u64)> {
         let task = self.tasks.get(self.tasks.position(name)?).ok()?;
         Some((task.status(), task.cycles()))
+    }
+
+    /// Iterates over the tasks: the name, the state, and the number of cycles that it has completed.
+    pub fn tasks(&self) -> impl Iterator<Item = (&str, TaskStatus, u64)> {
+        self.tasks.iter().map(|task| (task.name(), task.status(), task.cycles()))
     }
 
     /// Iterates over the present errors in reverse order.

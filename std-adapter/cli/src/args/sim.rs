@@ -19,6 +19,8 @@ Examples:
   bcap sim --scenario faults.toml
   bcap sim --replay session.pcapng
   bcap sim --record motion.csv
+  bcap sim --record motion.mcap
+  bcap sim --screen
   bcap sim --model rc9 --print-model
   bcap sim --model cell7.toml
   bcap sim --model cobotta --robot-type CVR038A1-NV6
@@ -72,16 +74,23 @@ pub(crate) struct Sim {
     /// The connections of clients are those of the capture in their order. A request gets the reply of the next call with the same
     /// function and arguments, at once. A request that the capture does not have is refused with E_FAIL and printed on stderr.
     #[arg(long, value_name = "FILE.pcapng", conflicts_with_all = [
-        "model", "print_model", "robot_type", "mode", "token", "no_slave_licence", "scenario", "record", "files", "explain", "lenient",
+        "model", "print_model", "robot_type", "mode", "token", "no_slave_licence", "scenario", "record", "files", "explain", "lenient", "screen",
     ])]
     pub(crate) replay: Option<PathBuf>,
 
-    /// Writes the trajectory of the arm to a CSV file: the axes and the tool centre point every 8 ms while the arm moves
+    /// Writes the trajectory of the arm to a file: the axes and the tool centre point every 8 ms while the arm moves
     ///
-    /// Columns: time_s, J1 to J8 (degrees, mm), X, Y, Z (mm), RX, RY, RZ (degrees), tool, work. Time passes when clients
+    /// A name that ends with .mcap makes an MCAP file for Foxglove and PlotJuggler, with the topic /arm; its times are those of
+    /// the controller's clock. Any other name makes a CSV file. Columns: time_s, J1 to J8 (degrees, mm), X, Y, Z (mm), RX, RY, RZ (degrees), tool, work. Time passes when clients
     /// call, so the file ends with the last call.
     #[arg(long, value_name = "FILE")]
     pub(crate) record: Option<PathBuf>,
+
+    /// Shows the state, the pose, the tasks, the connections and the last calls live in the terminal; `q` quits
+    ///
+    /// The refused arguments of --explain are part of the screen. `bcap monitor --help` says what the terminal needs.
+    #[arg(long)]
+    pub(crate) screen: bool,
 
     /// The folder of the controller's files; clients see its regular files and folders [default: an empty temporary folder]
     #[arg(long, value_name = "DIR")]

@@ -80,7 +80,8 @@ pub(crate) struct Put {
 Examples:
   bcap watch robot/@CURRENT_POSITION --interval 20
   bcap watch I1 I2 IO128 --changed --json
-  bcap watch I1-I4 P1 --interval 10ms --count 100 --csv table.csv")]
+  bcap watch I1-I4 P1 --interval 10ms --count 100 --csv table.csv
+  bcap watch I1 robot/@CURRENT_ANGLE --interval 20ms --count 100 --mcap values.mcap")]
 pub(crate) struct Watch {
     /// The variables, as for `bcap get`
     #[arg(value_name = "NAME", required = true)]
@@ -100,6 +101,13 @@ pub(crate) struct Watch {
     /// An array has a column for each element, P1.1 to P1.7. An existing file is replaced.
     #[arg(long, value_name = "FILE", conflicts_with = "json")]
     pub(crate) csv: Option<PathBuf>,
+
+    /// Writes the values to an MCAP file instead, for Foxglove and PlotJuggler: a topic for each variable, such as /I1
+    ///
+    /// A message is JSON with the field `value`; its time is that of the reading. With --changed a value is written only when
+    /// it has changed. An existing file is replaced.
+    #[arg(long, value_name = "FILE.mcap", conflicts_with = "json")]
+    pub(crate) mcap: Option<PathBuf>,
 
     /// Ends after this number of rounds
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]

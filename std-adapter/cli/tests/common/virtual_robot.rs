@@ -29,6 +29,12 @@ impl Virtual {
         bcap(&[args, &["--robot", &self.tcp]].concat())
     }
 
+    /// Ends the controller with a signal, and waits until it has written its files.
+    pub(crate) fn end(&mut self, name: &str) {
+        signal(name, &self.child);
+        assert_eq!(self.child.wait().unwrap().code(), Some(0));
+    }
+
     /// Runs lines as a script.
     pub(crate) fn script(&self, lines: &str) -> Run {
         bcap_with(&["run", "-", "--robot", &self.tcp], lines.as_bytes())

@@ -1,0 +1,97 @@
+//! The terminal of a live screen.
+
+use std::env;
+use std::io::{self, IsTerminal as _};
+use std::time::Duration;
+
+use ratatui::DefaultTerminal;
+use ratatui::crossterm::event::{self, Event, KeyEvent, KeyEventKind};
+
+use super::{Look, Screen, draw};
+use crate::error::Failure;
+
+/// A terminal that shows a live screen; dropping this restores it. A panic and a signal restore it too.
+pub(crate) struct Terminal {
+    inner: DefaultTerminal,
+    look: Look,
+}
+
+/// Fails unless the output is a terminal that can move its cursor; `instead` is what to use otherwise.
+pub(crate) fn require(instead: &str) -> Result<(), Failure> {
+    let terminal = env::var("TERM").unwrap_or_default();
+    if terminal == "dumb" {
+        return Err(Failure::Input(format!(
+            "TERM=dumb: this terminal cannot move its cursor, which a live screen needs; set TERM to what the terminal is, or \
+             {instead}"
+        )));
+    }
+    if !io::stdout().is_terminal() || !io::stdin().is_terminal() {
+        return Err(Failure::Input(format!("a live screen needs a terminal as input and output; {instead}")));
+    }
+    Ok(())
+}
+
+impl Terminal {
+    /// Switches to the alternate screen. A panic restores the terminal before its message is printed.
+    pub(crate) fn open() -> io::Result<Self> {
+        Ok(Self { inner: ratatui::try_init()?, look: look() })
+    }
+
+    pub(crate) fn draw(&mut self, screen: &Screen) -> io::Result<()> {
+        self.inner.draw(|frame| draw(screen, self.look, frame)).map(drop)
+    }
+
+    /// Waits for keys at most this long, and returns all that were pressed.
+    ///
+    /// # Errors
+    ///
+    /// When the terminal is gone, such as after a lost ssh connection.
+    pub(crate) fn keys(&self, time: Duration) -> io::Result<Vec<KeyEvent>> {
+        wait(time)?;
+        let mut keys = Vec::new();
+        while event::poll(Duration::ZERO)? {
+            match event::read()? {
+                Event::Key(key) if key.kind != KeyEventKind::Release => keys.push(key),
+                _ => {}
+            }
+        }
+        Ok(keys)
+    }
+}
+
+/// Waits for input. crossterm would read a terminal that is gone without end.
+#[cfg(unix)]
+fn wait(time: Duration) -> io::Result<()> {
+    use rustix::event::{PollFd, PollFlags, Timespec, poll};
+    let input = io::stdin();
+    let mut inputs = [PollFd::new(&input, PollFlags::IN)];
+    let time = Timespec::try_from(time).map_err(io::Error::other)?;
+    match poll(&mut inputs, Some(&time)) {
+        Ok(_) | Err(rustix::io::Errno::INTR) => {}
+        Err(error) => return Err(error.into()),
+    }
+    if inputs[0].revents().intersects(PollFlags::HUP | PollFlags::ERR | PollFlags::NVAL) {
+        return Err(io::Error::new(io::ErrorKind::UnexpectedEof, "the terminal is gone"));
+    }
+    Ok(())
+}
+
+#[cfg(not(unix))]
+fn wait(time: Duration) -> io::Result<()> {
+    event::poll(time).map(drop)
+}
+
+impl Drop for Terminal {
+    fn drop(&mut self) {
+        // a terminal that is gone cannot be restored
+        let _ = ratatui::try_restore();
+    }
+}
+
+/// Reads what the terminal can show: `NO_COLOR`, and the character set of the locale.
+fn look() -> Look {
+    let set = |name: &str| env::var(name).ok().filter(|value| !value.is_empty());
+    let locale = set("LC_ALL").or_else(|| set("LC_CTYPE")).or_else(|| set("LANG")).unwrap_or_default().to_lowercase();
+    let unicode = !cfg!(unix) || locale.contains("utf-8") || locale.contains("utf8");
+    Look { colour: set("NO_COLOR").is_none(), unicode }
+}

@@ -1,0 +1,213 @@
+//! `bcap monitor` in a terminal, as a person uses it. It needs tmux.
+#![cfg(unix)]
+
+mod common;
+#[path = "common/tmux.rs"]
+mod tmux;
+#[path = "common/virtual_robot.rs"]
+mod virtual_robot;
+
+use std::io::{BufRead, BufReader};
+use std::process::{Child, Stdio};
+
+use common::{bare, bcap, command};
+use tmux::Terminal;
+use virtual_robot::Virtual;
+
+const SIZES: [(u16, u16); 2] = [(80, 24), (200, 50)];
+
+/// Starts a shell in a terminal and `bcap` in it.
+fn monitor(size: (u16, u16), args: &str, folder: &tempfile::TempDir) -> Option<Terminal> {
+    let terminal = Terminal::run(size, &["sh"], folder.path())?;
+    terminal.enter(&format!("PS1='ready> '; {} {args}", env!("CARGO_BIN_EXE_bcap")));
+    Some(terminal)
+}
+
+/// Asserts that the terminal is as it was: no alternate screen, a cursor, an echo, and lines.
+#[track_caller]
+fn assert_sane(terminal: &Terminal) {
+    terminal.wait_for("ready>");
+    assert_eq!(["alternate_on", "cursor_flag"].map(|name| terminal.variable(name)), ["0", "1"]);
+    terminal.enter("stty -a | tr ' ;' '\\n\\n' | grep -xE -- '-?(icanon|echo|isig)' | tr '\\n' '.'");
+    terminal.wait_for("isig.icanon.echo.");
+}
+
+#[test]
+fn a_person_watches_writes_halts_and_quits() {
+    for size in SIZES {
+        let robot = Virtual::start(&[]);
+        let folder = tempfile::tempdir().unwrap();
+        let args = format!("monitor I1 I2 IO128 --interval 50 --robot {}", robot.tcp);
+        let Some(terminal) = monitor(size, &args, &folder) else { return };
+        for text in ["> I1    = 0", "IO128 = false", "RC8 auto ok", "J2    45.000", "no errors"] {
+            terminal.wait_for(text);
+        }
+        terminal.wait_for("Pro1             ready");
+        // a change is marked, bold
+        assert_eq!(robot.run(&["put", "I1", "5"]).code, 0);
+        terminal.wait_for(">*I1    = 5");
+        assert!(terminal.styled_screen().contains("\u{1b}[1m"), "{}", terminal.styled_screen());
+        terminal.wait_for(" I4(5) = Variable_GetValue(");
+        // a value is asked for before it is written
+        terminal.keys(&["Down", "w"]);
+        terminal.wait_for("write NAME=VALUE: I2=_");
+        terminal.text("3,5");
+        terminal.keys(&["Enter"]);
+        terminal.wait_for("I2: 3,5: this could be TYPE,DATA");
+        terminal.keys(&["w"]);
+        terminal.text("7");
+        terminal.keys(&["Enter"]);
+        terminal.wait_for("write I2 = 7, now 0? y/N");
+        assert_eq!(robot.run(&["get", "I2"]).out, "I2 = 0\n");
+        terminal.keys(&["y"]);
+        terminal.wait_for("I2 = 7 is written");
+        assert_eq!(robot.run(&["get", "I2"]).out, "I2 = 7\n");
+        // halts the motion of another client
+        let mover = robot.spawn(&["move", "J(90, 45, 90, 0, 45, 0)", "--speed", "1"]);
+        robot.wait_for_motion();
+        terminal.wait_for("motor moving");
+        terminal.keys(&["h"]);
+        terminal.wait_for("the robot rests");
+        let moved = mover.wait_with_output().unwrap();
+        assert!(String::from_utf8_lossy(&moved.stderr).contains("the robot was halted"), "{moved:?}");
+        robot.assert_at_rest_with_free_arm();
+        // all packets, and no more packets
+        terminal.keys(&["a"]);
+        terminal.wait_for("packets, all");
+        terminal.keys(&["p"]);
+        terminal.wait_for("packets, paused");
+        terminal.keys(&["q"]);
+        assert_sane(&terminal);
+    }
+}
+
+#[test]
+fn every_end_restores_the_terminal() {
+    let robot = Virtual::start(&[]);
+    for end in ["C-c", "-INT", "-TERM", "-HUP"] {
+        let folder = tempfile::tempdir().unwrap();
+        let Some(terminal) = monitor((80, 24), &format!("monitor I1 --robot {}", robot.tcp), &folder) else { return };
+        terminal.wait_for("I1 = 0");
+        assert_eq!(terminal.variable("alternate_on"), "1");
+        if end == "C-c" {
+            terminal.keys(&[end]);
+        } else {
+            let shell = terminal.variable("pane_pid");
+            let kill = ["-c", &format!("kill {end} $(pgrep -P {shell})")];
+            assert!(std::process::Command::new("sh").args(kill).status().unwrap().success());
+        }
+        assert_sane(&terminal);
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_terminal_that_is_gone_ends_the_monitor() {
+    let robot = Virtual::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    let args = ["monitor", "I1", "--robot", &robot.tcp];
+    let Some(terminal) = Terminal::start((80, 24), &args, folder.path()) else { return };
+    terminal.wait_for("I1 = 0");
+    let process = format!("/proc/{}", terminal.variable("pane_pid"));
+    assert!(std::path::Path::new(&process).exists());
+    drop(terminal);
+    while std::path::Path::new(&process).exists() {
+        std::thread::yield_now();
+    }
+}
+
+/// Starts a virtual controller at an address.
+fn sim_at(address: &str) -> Child {
+    let address = address.strip_prefix("tcp:").unwrap_or(address);
+    let args = ["sim", "--bcap", address, "--udp", "127.0.0.1:0", "--rac", "127.0.0.1:0"];
+    let mut child = command(&args).stdout(Stdio::piped()).spawn().unwrap();
+    BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut String::new()).unwrap();
+    child
+}
+
+#[test]
+fn a_lost_connection_is_shown_and_opened_again() {
+    let robot = Virtual::start(&[]);
+    let address = robot.tcp.clone();
+    let folder = tempfile::tempdir().unwrap();
+    let args = format!("monitor I1 --interval 20 --timeout 500 --robot {address}");
+    let Some(terminal) = monitor((80, 24), &args, &folder) else { return };
+    terminal.wait_for("RC8 auto ok");
+    drop(robot);
+    terminal.wait_for("NOT CONNECTED: ");
+    terminal.keys(&["h"]);
+    terminal.wait_for("NOT HALTED, use the emergency stop: ");
+    let mut again = sim_at(&address);
+    let screen = terminal.wait_for("RC8 auto ok");
+    assert!(!screen.contains("NOT CONNECTED"), "{screen}");
+    // the connection that halts is opened again, too
+    terminal.keys(&["h"]);
+    terminal.wait_for("the robot rests");
+    terminal.keys(&["q"]);
+    assert_sane(&terminal);
+    again.kill().unwrap();
+    again.wait().unwrap();
+}
+
+#[test]
+fn a_small_terminal_says_so_until_it_is_large_enough() {
+    let robot = Virtual::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    let Some(terminal) = monitor((60, 12), &format!("monitor I1 --robot {}", robot.tcp), &folder) else { return };
+    terminal.wait_for("The terminal is 60x12.");
+    terminal.resize((80, 24));
+    terminal.wait_for("I1 = 0");
+    terminal.keys(&["q"]);
+    assert_sane(&terminal);
+}
+
+#[test]
+fn a_screen_without_colours_has_none() {
+    let robot = Virtual::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    let Some(terminal) = Terminal::run((80, 24), &["sh"], folder.path()) else { return };
+    terminal.enter(&format!("NO_COLOR=1 {} monitor I1 --robot {}", env!("CARGO_BIN_EXE_bcap"), robot.tcp));
+    terminal.wait_for("I1 = 0");
+    robot.run(&["put", "I1", "1"]);
+    terminal.wait_for(">*I1 = 1");
+    let styled = terminal.styled_screen();
+    assert!(styled.contains("\u{1b}[1m") && !styled.contains("\u{1b}[33") && !styled.contains("[38"), "{styled:?}");
+    terminal.keys(&["q"]);
+}
+
+#[test]
+fn the_examples_of_the_help_run() {
+    let robot = Virtual::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    let help = bcap(&["monitor", "--help"]).out;
+    let (_, examples) = help.split_once("Examples:\n").unwrap();
+    let Some(terminal) = Terminal::run((80, 24), &["sh"], folder.path()) else { return };
+    terminal.enter(&format!("PS1='ready> '; export BCAP_ROBOT={}", robot.tcp));
+    let examples: Vec<&str> = examples.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
+    assert!(examples.len() >= 3, "{help}");
+    for example in examples {
+        let line = example.replace("tcp:192.168.0.1", &robot.tcp);
+        terminal.enter(&line.replace("bcap ", concat!(env!("CARGO_BIN_EXE_bcap"), " ")));
+        terminal.wait_for("RC8 auto ok");
+        terminal.wait_for("J2    45.000");
+        terminal.keys(&["q"]);
+        assert_sane(&terminal);
+        terminal.enter("clear");
+        terminal.wait_until("a clear screen", |screen| screen.trim() == "ready>");
+    }
+}
+
+#[test]
+fn a_live_screen_needs_a_terminal() {
+    let run = bcap(&["monitor", "I1"]);
+    assert_eq!(run.code, 2);
+    assert!(run.err.contains("needs a terminal as input and output; `bcap watch` prints"), "{}", run.err);
+    let dumb: common::Run = bare(&["monitor"]).env("TERM", "dumb").output().unwrap().into();
+    assert_eq!(dumb.code, 2);
+    assert!(dumb.err.contains("TERM=dumb: this terminal cannot move its cursor"), "{}", dumb.err);
+    let json = bcap(&["monitor", "--json"]);
+    assert!(json.err.contains("`bcap watch --json`"), "{}", json.err);
+    let trace = bcap(&["monitor", "--trace"]);
+    assert!(trace.err.contains("leave --trace out"), "{}", trace.err);
+    assert_eq!(bcap(&["monitor", "I1-J5"]).code, 2);
+}
