@@ -18,6 +18,7 @@ mod replay;
 mod session;
 mod sim;
 mod slave;
+mod slave_format;
 mod variables;
 
 pub(crate) use self::backup::{Diff, Dump, Restore};
@@ -32,6 +33,7 @@ pub(crate) use self::replay::Replay;
 pub(crate) use self::session::{Clear, Errors, Messages, MoveArgs, Run, Shell, Task, TaskCommand};
 pub(crate) use self::sim::{ModelSource, Sim};
 pub(crate) use self::slave::{Cosine, Doctor, Halt, Play, Record, Slave, SlaveCommand, StreamArgs};
+pub(crate) use self::slave_format::{FormatArgs, wide_bits};
 pub(crate) use self::variables::{Get, Names, Put, Watch};
 use crate::error::Failure;
 use crate::escape;

@@ -9,7 +9,9 @@ use std::process::{Child, ChildStderr, Stdio};
 
 use bcap_sim::{Config, Controller, Profile};
 use bcap_tests::cable::{Cable, End, Quality};
+use bcap_tests::line_server::LineServer;
 use bcap_tests::pty::Line;
+use bcap_tests::slowed::Slowed;
 use common::{Run, bare, bcap, bcap_with, command};
 
 /// A `bcap sim` process at the end of a cable; dropping this kills it.
@@ -163,4 +165,61 @@ fn the_serial_options_are_checked() {
         let run = bcap(args);
         assert!(run.code == 2 && run.err.contains(part), "{args:?}: {run:?}");
     }
+}
+
+#[test]
+fn a_line_that_is_too_slow_for_slave_mode_is_refused_before_anything_moves() {
+    let Some(cable) = Cable::new(Quality::default()) else { return };
+    let sim = LineServer::start(Slowed(Controller::new(Config::new(Profile::Rc8))), &cable.path(End::Controller));
+    let run = bcap(&["slave", "cosine", "--yes", "--robot", &cable.address(115_200)]);
+    let part = "together 226 bytes of 10 bits, which are 2260 bits and take 19.6 ms at 115200 baud; a pose is due every 8 ms";
+    assert!(run.code == 2 && run.err.contains(part), "{run:?}");
+    assert_eq!(cable.passed().bytes, 0);
+    assert!(!sim.handler().0.motor_is_on());
+}
+
+/// Streams a cosine over a cable of 921600 baud.
+fn stream<H: bcap_core::bcap::server::Handler + Send + 'static>(cable: &Cable, controller: H, seconds: &str) -> Run {
+    let _sim = LineServer::start(controller, &cable.path(End::Controller));
+    let report = ["--json", "--robot", &cable.address(921_600)];
+    bcap(&[&["slave", "cosine", "--yes", "--seconds", seconds, "--amplitude", "10"][..], &report].concat())
+}
+
+#[test]
+fn slave_mode_streams_over_a_fast_line() {
+    let Some(cable) = Cable::new(Quality { baud: Some(921_600), ..Quality::default() }) else { return };
+    let run = stream(&cable, Slowed(Controller::new(Config::new(Profile::Rc8))), "1");
+    assert_eq!((run.code, run.err.as_str()), (0, ""), "{run:?}");
+    let report: serde_json::Value = serde_json::from_str(&run.out).unwrap();
+    assert!(report["cycles"].as_u64().unwrap() >= 125 && report["underflows"] == 0, "{report}");
+}
+
+#[test]
+#[ignore = "measures a stream in real time: `just serial`"]
+fn slave_mode_streams_in_real_time_over_a_line_of_921600_baud() {
+    let Some(cable) = Cable::new(Quality { baud: Some(921_600), ..Quality::default() }) else { return };
+    let run = stream(&cable, Controller::new(Config::new(Profile::Rc8)), "10");
+    println!("{}{:?}", run.out, cable.passed());
+    assert_eq!((run.code, run.err.as_str()), (0, ""), "{run:?}");
+    let report: serde_json::Value = serde_json::from_str(&run.out).unwrap();
+    assert_eq!(report["underflows"], 0, "{report}");
+}
+
+#[test]
+fn slave_mode_begins_at_a_variable_and_stops_on_ctrl_c_over_a_line() {
+    let Some(cable) = Cable::new(Quality { baud: Some(921_600), ..Quality::default() }) else { return };
+    let sim = LineServer::start(Slowed(Controller::new(Config::new(Profile::Rc8))), &cable.path(End::Controller));
+    let robot = cable.address(921_600);
+    assert_eq!(bcap(&["put", "J1", "1,45,90,0,45,0,0,0", "--robot", &robot]).code, 0);
+    let args = ["slave", "cosine", "--yes", "--seconds", "60", "--from", "J1", "--speed", "100", "--robot", &robot];
+    let stream = bare(&args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    while sim.handler().0.slave_record().count() < 50 {
+        std::thread::sleep(std::time::Duration::from_millis(5));
+    }
+    assert!(std::process::Command::new("kill").args(["-INT", &stream.id().to_string()]).status().unwrap().success());
+    let run = Run::from(stream.wait_with_output().unwrap());
+    assert!(run.code == 130 && run.err.contains("the robot has stopped and the arm is released"), "{run:?}");
+    assert!(!run.err.contains("Ctrl-C again halts"), "{run:?}");
+    let controller = &sim.handler().0;
+    assert_eq!((controller.slave_mode(), controller.arm_owner(), controller.is_moving()), (0, None, false));
 }
