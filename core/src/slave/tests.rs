@@ -9,9 +9,9 @@ use std::string::ToString;
 use std::vec::Vec;
 
 use super::*;
-use crate::bcap::{Decoder, FrameWriter, Link};
 use crate::bcap::call::{Call, RobotHandle};
 use crate::bcap::client::{self, Client};
+use crate::bcap::{Decoder, FrameWriter, Link};
 use crate::position::{Joints, Position, Transform};
 use crate::time::Instant;
 use crate::variant::{Encode, VarType, Variant, VariantBuf};

@@ -92,11 +92,7 @@ impl<const N: usize> Engine<N> {
         Ok(())
     }
 
-    fn supply_pose(
-        &mut self,
-        trajectory: &mut (impl Trajectory + ?Sized),
-        pose: &Pose,
-    ) -> Result<(), PoseError> {
+    fn supply_pose(&mut self, trajectory: &mut (impl Trajectory + ?Sized), pose: &Pose) -> Result<(), PoseError> {
         self.push(pose)?;
         if let Some(outputs) = trajectory.outputs() {
             self.set_outputs(outputs)?;

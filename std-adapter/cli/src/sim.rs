@@ -120,7 +120,9 @@ fn open_lines<H: Serves>(mut server: Server<H>, lines: &[SerialLine]) -> Result<
 /// Prints that a serial line was unplugged or plugged in again.
 fn print_event(line: &SerialLine, event: LineEvent<'_>) {
     match event {
-        LineEvent::Lost(error) => note(&format!("serial:{line} is lost ({error}); waiting until it can be opened again")),
+        LineEvent::Lost(error) => {
+            note(&format!("serial:{line} is lost ({error}); waiting until it can be opened again"))
+        }
         LineEvent::Reopened => note(&format!("serial:{line} is open again")),
         _ => {}
     }

@@ -83,7 +83,8 @@ fn outputs_of_a_file_change_along_the_path_and_are_in_the_replies() {
     let rows: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
     assert!(rows.len() >= 30, "{}", rows.len());
     let mini: Vec<&str> = rows.iter().map(|row| &row[17]).collect();
-    let changes: Vec<&&str> = mini.iter().enumerate().filter(|(n, bits)| *n == 0 || mini[n - 1] != **bits).map(|(_, bits)| bits).collect();
+    let changes: Vec<&&str> =
+        mini.iter().enumerate().filter(|(n, bits)| *n == 0 || mini[n - 1] != **bits).map(|(_, bits)| bits).collect();
     assert_eq!(changes, [&"0x0", &"0x10000", &"0x0"]);
     let times: Vec<i64> = rows.iter().map(|row| row[1].parse().unwrap()).collect();
     assert!(times.windows(2).all(|pair| pair[0] <= pair[1]) && times[0] < times[times.len() - 1], "{times:?}");
@@ -130,8 +131,8 @@ fn a_stream_starts_from_a_variable() {
     let sim = controller();
     assert_eq!(run(&sim, &["put", "J1", "5,45,90,0,45,0,0,0"]).code, 0);
     slave(&sim, &["cosine", "--from", "J1", "--mode", "0", "--seconds", "0.4", "--amplitude", "2", "--speed", "50"]);
-    let (joints, record): (_, Vec<_>) =
-        { (sim.application().0.joints(), sim.application().0.slave_record().collect()) };
+    let joints = sim.application().0.joints();
+    let record: Vec<_> = sim.application().0.slave_record().collect();
     assert!((joints[0] - 5.0).abs() < 1e-6, "{joints:?}");
     let highest = record.iter().map(|cycle| cycle.axes[0]).fold(f64::MIN, f64::max);
     assert!((highest - 7.0).abs() < 1e-3, "{highest}");

@@ -19,12 +19,17 @@ struct Terminal {
 impl Terminal {
     /// Runs the command in a terminal; `None` without tmux.
     fn start(size: (u16, u16), args: &[&str], folder: &Path) -> Option<Self> {
+        Self::run(size, &[&[env!("CARGO_BIN_EXE_bcap")], args].concat(), folder)
+    }
+
+    /// Runs a program with its arguments in a terminal; `None` without tmux.
+    fn run(size: (u16, u16), program: &[&str], folder: &Path) -> Option<Self> {
         let terminal = Self { socket: folder.join("tmux").display().to_string() };
         let history = format!("BCAP_HISTORY={}", folder.join("history").display());
         let (width, height) = (size.0.to_string(), size.1.to_string());
         let mut command = terminal.tmux();
         command.args(["-f", "/dev/null", "new-session", "-d", "-x", &width, "-y", &height, "-e", &history]);
-        match command.arg(env!("CARGO_BIN_EXE_bcap")).args(args).status() {
+        match command.args(program).status() {
             Ok(status) => assert!(status.success()),
             Err(_) => {
                 eprintln!("skipped: tmux is not installed");
@@ -136,4 +141,24 @@ fn tab_completes_and_the_history_is_kept() {
     terminal.wait_for("RC8 auto ok>");
     terminal.keys(&["Up", "Up"]);
     terminal.wait_for("> put I7 1234");
+}
+
+/// The prompt reads single keys without an echo; the shell that a person returns to must not.
+#[test]
+fn sigterm_at_the_prompt_restores_the_terminal() {
+    let robot = Virtual::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    let script = folder.path().join("script");
+    let shell = format!(
+        "before=$(stty -g)\n{} shell --robot {}\n[ \"$before\" = \"$(stty -g)\" ] && echo restored || echo changed\nsleep 60\n",
+        env!("CARGO_BIN_EXE_bcap"),
+        robot.tcp
+    );
+    std::fs::write(&script, shell).unwrap();
+    let Some(terminal) = Terminal::run((80, 24), &["sh", script.to_str().unwrap()], folder.path()) else { return };
+    terminal.wait_for("RC8 auto ok>");
+    let panes = terminal.tmux().args(["list-panes", "-F", "#{pane_pid}"]).output().unwrap();
+    let parent = String::from_utf8(panes.stdout).unwrap();
+    assert!(Command::new("pkill").args(["-TERM", "-P", parent.trim(), "bcap"]).status().unwrap().success());
+    terminal.wait_for("restored");
 }

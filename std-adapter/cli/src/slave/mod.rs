@@ -40,8 +40,7 @@ pub(crate) fn slave(args: &Slave, link: &LinkArgs, json: bool) -> Result<(), Fai
 }
 
 fn play(args: &Play, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let poses =
-        Poses::read(&args.file, args.stream.pose.map(PoseType::from), args.stream.format.extended, args.hz)?;
+    let poses = Poses::read(&args.file, args.stream.pose.map(PoseType::from), args.stream.format.extended, args.hz)?;
     let format = checked_format(&args.stream, poses.kind, link)?;
     let outputs = poses.each_outputs(CYCLE);
     let course = Course::Poses { poses: poses.each_cycle(CYCLE), outputs, loops: args.loops };

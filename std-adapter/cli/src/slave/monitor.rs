@@ -119,7 +119,10 @@ fn monitor(link: &LinkArgs, status: &StreamStatus, signals: &Receiver<()>, ended
                 print(&bar, &format!("stopping: the robot slows down and the arm is released{again}"));
             }
             Ok(()) if link.is_serial() => {
-                print(&bar, "a serial line carries one session, so nothing can halt the robot now; use the emergency stop");
+                print(
+                    &bar,
+                    "a serial line carries one session, so nothing can halt the robot now; use the emergency stop",
+                );
             }
             Ok(()) => {
                 status.halted.store(true, Relaxed);

@@ -64,15 +64,11 @@ pub(crate) struct Poses {
 
 impl Poses {
     /// Reads a file.
-    pub(crate) fn read(
-        path: &Path,
-        kind: Option<PoseType>,
-        extended: ExtendedAxes,
-        hz: f64,
-    ) -> Result<Self, Failure> {
+    pub(crate) fn read(path: &Path, kind: Option<PoseType>, extended: ExtendedAxes, hz: f64) -> Result<Self, Failure> {
         let text = std::fs::read_to_string(path)
             .map_err(|error| Failure::Input(format!("cannot read {}: {error}", path.display())))?;
-        Self::parse(&text, kind, extended, hz).map_err(|problem| Failure::Input(format!("{}: {problem}", path.display())))
+        Self::parse(&text, kind, extended, hz)
+            .map_err(|problem| Failure::Input(format!("{}: {problem}", path.display())))
     }
 
     fn parse(text: &str, kind: Option<PoseType>, extended: ExtendedAxes, hz: f64) -> Result<Self, String> {

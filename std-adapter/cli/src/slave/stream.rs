@@ -108,8 +108,7 @@ impl Job<'_> {
         };
         let (kind, samples) = (format.mode.pose, room(args.plot.is_some()));
         let status = Arc::clone(&monitor.status);
-        let mut player =
-            Player::new(course, Arc::clone(&status), kind, &args.format, user_bytes, samples, received);
+        let mut player = Player::new(course, Arc::clone(&status), kind, &args.format, user_bytes, samples, received);
         let ended = beside(&mut motion, watch.as_mut(), engine.stream(&mut player)).map_err(|error| error.error);
         let fault = engine.fault().cloned();
         if fault.is_some() {
