@@ -89,6 +89,11 @@ corpora action:
 lossy calls="100000":
     UDP_CALLS={{calls}} cargo test -p bcap-tests --test faults datagrams_are_lost -- --nocapture
 
+# Values and a file of 256 KiB over a serial cable of 115200 baud that corrupts one byte in 10,000, then 10 s of Slave Mode at 921600.
+serial:
+    cargo test --release -p bcap-tests --test serial_cable -- --ignored --nocapture --test-threads 1
+    cargo test --release -p bcap-cli --test serial -- --ignored --nocapture
+
 # Two hundred clients for a minute, or for `just soak 36000` seconds; half of them misbehave.
 soak seconds="60":
     cargo bench -p bcap-tests --bench soak -- --seconds {{seconds}}

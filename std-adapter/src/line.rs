@@ -78,11 +78,16 @@ impl SerialLine {
     /// Returns how long the line takes for a number of bytes in one direction.
     #[must_use]
     pub fn transfer_time(&self, bytes: u32) -> Duration {
+        let bits = u64::from(bytes) * u64::from(self.byte_bits());
+        Duration::from_micros((bits * 1_000_000).div_ceil(u64::from(self.baud.max(1))))
+    }
+
+    /// Returns how many bits the line sends for a byte: a start bit, eight data bits, parity and stop bits.
+    #[must_use]
+    pub fn byte_bits(&self) -> u32 {
         let parity = if self.parity == Parity::None { 0 } else { 1 };
         let stop = if self.stop_bits == StopBits::One { 1 } else { 2 };
-        // a start bit and eight data bits
-        let bits = u64::from(bytes) * (9 + parity + stop);
-        Duration::from_micros((bits * 1_000_000).div_ceil(u64::from(self.baud.max(1))))
+        9 + parity + stop
     }
 
     /// Parses `PATH[?OPTIONS]`; `text` is the whole address, for messages.

@@ -5,6 +5,8 @@
 //! | [`served`]     | a server on real sockets with a small application                                   |
 //! | [`serial`]     | a server of serial framing, over TCP or a serial line                               |
 //! | `pty`          | the same over a pair of pseudo-terminals, with noise                                |
+//! | `cable`        | a serial cable between two pseudo-terminals, with the speed and faults of a real one |
+//! | `line_server`  | the server of `bcap-std` on a serial line                                           |
 //! | [`slowed`]     | a virtual controller with a slow clock                                              |
 //! | [`stepped`]    | a virtual controller whose clock advances only when clients call or wait            |
 //! | [`drivers`]    | the call sequences of public drivers, from `tests/drivers`                          |
@@ -15,7 +17,11 @@
 
 pub mod allocation;
 pub mod async_functions;
+#[cfg(unix)]
+pub mod cable;
 pub mod drivers;
+#[cfg(unix)]
+pub mod line_server;
 pub mod process;
 pub mod proxy;
 #[cfg(unix)]

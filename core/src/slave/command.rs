@@ -172,10 +172,10 @@ fn check_user_io(range: UserIo, bytes: &[u8]) -> Result<(), FormatError> {
 /// Bytes of `u32 length | VARTYPE, count`.
 const ARGUMENT_HEAD: usize = 4 + HEAD;
 /// Bytes of VARTYPE and count.
-const HEAD: usize = 6;
+pub(super) const HEAD: usize = 6;
 /// The offset of the parameter of slvMove: after the header, the robot (I4), the name (BSTR of 7 characters) and the
 /// parameter's length.
-const PARAMETER: usize = HEADER_LEN + (ARGUMENT_HEAD + 4) + (ARGUMENT_HEAD + 4 + 14) + 4;
+pub(super) const PARAMETER: usize = HEADER_LEN + (ARGUMENT_HEAD + 4) + (ARGUMENT_HEAD + 4 + 14) + 4;
 /// The size of a buffer for a [`PreparedMove`] of any format without user IO to send, in bytes.
 pub const MOVE_FRAME: usize = 256;
 
@@ -296,6 +296,20 @@ impl<const N: usize> PreparedMove<N> {
         // it is the last element, before EOT
         self.patch(self.len.wrapping_sub(1 + 4), &bits.to_le_bytes());
         Ok(())
+    }
+
+    /// Sets those outputs that the format sends.
+    ///
+    /// # Errors
+    ///
+    /// [`FormatError::UserIoLength`] when the user IO has another number of bytes than the format's.
+    pub fn set_outputs(&mut self, outputs: Outputs<'_>) -> Result<(), FormatError> {
+        match self.format.send.io {
+            SendIo::None => {}
+            SendIo::Mini => self.set_mini_io(outputs.mini_io)?,
+            SendIo::User(_) => self.set_user_io(outputs.user_io)?,
+        }
+        if self.format.send.hand_io { self.set_hand_io(outputs.hand_io) } else { Ok(()) }
     }
 
     fn patch(&mut self, at: usize, bytes: &[u8]) {

@@ -21,7 +21,7 @@
 
 use core::time::Duration;
 
-use super::command::{MOVE_FRAME, PreparedMove};
+use super::command::{MOVE_FRAME, Outputs, PreparedMove};
 use super::config::{Config, ConfigError};
 use super::fault::{Cause, ControllerError, ERRORS_MAX, Fault, RecoverError, Released};
 use super::format::FormatError;
@@ -348,6 +348,15 @@ impl<const N: usize> Engine<N> {
     /// When the format does not send user IO, or sends another number of bytes.
     pub fn set_user_io(&mut self, bytes: &[u8]) -> Result<(), FormatError> {
         self.frame.set_user_io(bytes)
+    }
+
+    /// Sets those outputs that the format sends, for the next pose and those after it.
+    ///
+    /// # Errors
+    ///
+    /// When the user IO has another number of bytes than the format's.
+    pub fn set_outputs(&mut self, outputs: Outputs<'_>) -> Result<(), FormatError> {
+        self.frame.set_outputs(outputs)
     }
 
     /// Ends a stream in motion.

@@ -28,6 +28,7 @@ mod config;
 mod engine;
 mod fault;
 mod format;
+mod length;
 mod limits;
 mod mode;
 mod pacer;

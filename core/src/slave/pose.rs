@@ -237,6 +237,18 @@ impl Pose {
         self.numbers.get(..self.shape.pose.len()).unwrap_or_default()
     }
 
+    /// Returns the extended joints; `None` if the pose does not command any.
+    #[must_use]
+    pub fn extended(&self) -> Option<Extended> {
+        let [.., seven, eight] = self.axes();
+        match self.shape.extended {
+            ExtendedAxes::None => None,
+            ExtendedAxes::Seven => Some(Extended::Seven(seven)),
+            ExtendedAxes::Eight => Some(Extended::Eight(eight)),
+            ExtendedAxes::Both => Some(Extended::Both(seven, eight)),
+        }
+    }
+
     /// Returns the continuous values, for limits and ramps; missing ones are 0.
     ///
     /// ```text

@@ -9,9 +9,9 @@ use std::string::ToString;
 use std::vec::Vec;
 
 use super::*;
-use crate::bcap::Decoder;
 use crate::bcap::call::{Call, RobotHandle};
 use crate::bcap::client::{self, Client};
+use crate::bcap::{Decoder, FrameWriter, Link};
 use crate::position::{Joints, Position, Transform};
 use crate::time::Instant;
 use crate::variant::{Encode, VarType, Variant, VariantBuf};
@@ -391,4 +391,79 @@ fn quantiles_are_at_most_an_eighth_too_large() {
     assert_eq!((histogram.max(), histogram.count()), (u32::MAX, 100_001));
     assert_eq!(histogram.iter().map(|(_, count)| count).sum::<u32>(), 100_001);
     assert!(histogram.iter().zip(histogram.iter().skip(1)).all(|((a, _), (b, _))| a < b));
+}
+
+#[test]
+fn lengths_are_those_of_the_frames() {
+    let range = UserIo::new(128, 3).unwrap();
+    let written = |values: &[&dyn Encode]| {
+        let mut buffer = [0; 512];
+        let mut frame = FrameWriter::new(&mut buffer).unwrap();
+        match values {
+            [alone] => frame.argument(*alone).unwrap(),
+            values => frame.argument(&values).unwrap(),
+        }
+        frame.finish(1, 0, 0).unwrap().len()
+    };
+    let [shapes, io] = [4, 3].map(|count| 0..count);
+    for (extended, io) in shapes.flat_map(|shape| io.clone().map(move |io| (shape, io))) {
+        let extended = [ExtendedAxes::None, ExtendedAxes::Seven, ExtendedAxes::Eight, ExtendedAxes::Both][extended];
+        let io = [SendIo::None, SendIo::Mini, SendIo::User(range)][io];
+        for extras in 0..64 {
+            let has = |extra: u8| extras & extra != 0;
+            let receive = ReceiveFormat {
+                pose: ReceivePose::TJ,
+                time: has(1).then_some(TimeUnit::Micros),
+                mini_io: has(2),
+                user_io: has(4).then_some(range),
+                hand_io: has(8),
+                current: has(16),
+            };
+            let send = SendFormat { io, hand_io: has(32) };
+            let format = Format { extended, send, receive, ..format(Mode::Mode2, PoseType::T) };
+            let [request, reply] = format.frame_lengths(Link::Stream);
+            assert_eq!(PreparedMove::<512>::new(ROBOT, &format).unwrap().as_bytes().len(), request, "{format:?}");
+            let mut values: Vec<&dyn Encode> = std::vec![];
+            values.extend(has(1).then_some(&1_i32 as &dyn Encode));
+            values.push(&[0.0; 18]);
+            values.extend(has(2).then_some(&1_i32 as &dyn Encode));
+            values.extend(has(4).then_some(&[1_u8; 3] as &dyn Encode));
+            values.extend(has(8).then_some(&1_i32 as &dyn Encode));
+            values.extend(has(16).then_some(&[0.0; 8] as &dyn Encode));
+            assert_eq!(written(&values), reply, "{format:?}");
+            assert_eq!(format.frame_lengths(Link::Serial), [request + 2, reply + 2]);
+        }
+    }
+}
+
+/// A trajectory that sets outputs with each pose.
+struct Outputting {
+    bytes: [u8; 2],
+}
+
+impl Trajectory for Outputting {
+    fn next(&mut self, cycle: &Cycle<'_>) -> Next {
+        Next::Pose(*cycle.start)
+    }
+
+    fn outputs(&mut self) -> Option<Outputs<'_>> {
+        Some(Outputs { mini_io: 7, hand_io: 9, user_io: &self.bytes })
+    }
+}
+
+#[test]
+fn a_prepared_move_takes_the_outputs_of_its_format() {
+    let user = SendIo::User(UserIo::new(128, 2).unwrap());
+    for (io, hand_io) in [(SendIo::None, false), (SendIo::Mini, true), (user, true), (user, false)] {
+        let format = Format { send: SendFormat { io, hand_io }, ..format(Mode::Mode0, PoseType::P) };
+        let mut prepared = PreparedMove::<512>::new(ROBOT, &format).unwrap();
+        let mut trajectory = Outputting { bytes: [1, 2] };
+        let outputs = trajectory.outputs().unwrap();
+        prepared.set_outputs(outputs).unwrap();
+        prepared.set_pose(&spec_pose()).unwrap();
+        let expected = slv_move(ROBOT, &format, &spec_pose(), outputs).unwrap();
+        assert_eq!(request(&prepared, 1), request(expected, 1), "{io:?}");
+        let short = prepared.set_outputs(Outputs { user_io: &[1], ..outputs });
+        assert_eq!(short.is_err(), matches!(io, SendIo::User(_)));
+    }
 }

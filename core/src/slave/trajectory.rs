@@ -2,6 +2,7 @@
 
 use core::time::Duration;
 
+use super::command::Outputs;
 use super::engine::Engine;
 use super::limits::PoseError;
 use super::pose::Pose;
@@ -47,6 +48,12 @@ pub trait Trajectory {
     /// Returns the next pose, or ends the stream.
     fn next(&mut self, cycle: &Cycle<'_>) -> Next;
 
+    /// Returns the outputs that are sent with the pose that [`next`](Self::next) has just returned, and with those after it;
+    /// `None` leaves them as they are. Those that the format does not send are ignored.
+    fn outputs(&mut self) -> Option<Outputs<'_>> {
+        None
+    }
+
     /// Is called with the controller's reply to a pose.
     fn moved(&mut self, reply: &MoveReply<'_>, now: Instant) {
         let _ = (reply, now);
@@ -60,12 +67,13 @@ impl<F: FnMut(&Cycle<'_>) -> Next> Trajectory for F {
 }
 
 impl<const N: usize> Engine<N> {
-    /// Handles [`Action::Pose`](super::Action::Pose) with the next element of a trajectory: pushes a pose, or ends the
-    /// stream. `number` is the number of poses before it.
+    /// Handles [`Action::Pose`](super::Action::Pose) with the next element of a trajectory: pushes a pose with its outputs,
+    /// or ends the stream. `number` is the number of poses before it.
     ///
     /// # Errors
     ///
-    /// When the pose is invalid or exceeds the limits; the stream then [stops](Self::stop).
+    /// When the pose is invalid or exceeds the limits, or the user IO has another length than the format's; the stream then
+    /// [stops](Self::stop).
     pub fn supply(
         &mut self,
         trajectory: &mut (impl Trajectory + ?Sized),
@@ -79,7 +87,15 @@ impl<const N: usize> Engine<N> {
         match trajectory.next(&cycle) {
             Next::Finish => self.finish(),
             Next::Stop => self.stop(),
-            Next::Pose(pose) => return self.push(&pose).inspect_err(|_| self.stop()),
+            Next::Pose(pose) => return self.supply_pose(trajectory, &pose).inspect_err(|_| self.stop()),
+        }
+        Ok(())
+    }
+
+    fn supply_pose(&mut self, trajectory: &mut (impl Trajectory + ?Sized), pose: &Pose) -> Result<(), PoseError> {
+        self.push(pose)?;
+        if let Some(outputs) = trajectory.outputs() {
+            self.set_outputs(outputs)?;
         }
         Ok(())
     }

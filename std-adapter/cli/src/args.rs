@@ -2,9 +2,10 @@
 #![allow(rustdoc::broken_intra_doc_links, reason = "these comments are the help text, where brackets are brackets")]
 
 use std::env;
+use std::ffi::{OsStr, OsString};
 use std::path::PathBuf;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
 mod backup;
 mod codec;
@@ -19,6 +20,7 @@ mod replay;
 mod session;
 mod sim;
 mod slave;
+mod slave_format;
 mod variables;
 
 pub(crate) use self::backup::{Diff, Dump, Restore};
@@ -34,6 +36,7 @@ pub(crate) use self::replay::Replay;
 pub(crate) use self::session::{Clear, Errors, Messages, MoveArgs, Run, Shell, Task, TaskCommand};
 pub(crate) use self::sim::{ModelSource, Sim};
 pub(crate) use self::slave::{Cosine, Doctor, Halt, Play, Record, Slave, SlaveCommand, StreamArgs};
+pub(crate) use self::slave_format::{FormatArgs, wide_bits};
 pub(crate) use self::variables::{Get, Names, Put, Watch};
 use crate::error::Failure;
 use crate::escape;
@@ -61,19 +64,29 @@ There are no colours if NO_COLOR is set or the output is not a terminal.";
 impl Cli {
     /// Parses the command line, or exits with the help or an error.
     pub(crate) fn parse_or_exit() -> Self {
-        Self::try_parse().unwrap_or_else(|error| {
+        Self::parse_from(env::args_os()).unwrap_or_else(|error| {
             if !error.use_stderr() {
                 // help and version contain no text from outside
                 error.exit();
             }
             // clap quotes arguments in its errors, so parse again with escaped arguments, which are safe to print
             let safe = env::args_os().map(|argument| escape::line(&escape::cut(&argument.display())));
-            match Self::try_parse_from(safe) {
+            match Self::parse_from(safe) {
                 Err(error) if error.use_stderr() => error.exit(),
                 // the escaped arguments parse differently
                 _ => Failure::Input(escape::line(&error.to_string())).exit(),
             }
         })
+    }
+
+    /// Parses arguments; an empty environment variable counts as one that is not set.
+    fn parse_from<A: Into<OsString> + Clone>(arguments: impl Iterator<Item = A>) -> clap::error::Result<Self> {
+        let is_empty = |name: &OsStr| env::var_os(name).is_some_and(|value| value.is_empty());
+        let command = Self::command().mut_args(|argument| match argument.get_env() {
+            Some(name) if is_empty(name) => argument.env(None::<&str>),
+            _ => argument,
+        });
+        Self::from_arg_matches(&command.try_get_matches_from(arguments)?)
     }
 }
 

@@ -24,13 +24,23 @@ pub(crate) fn open(target: &Address, budget: &Budget, packets: &Packets) -> Resu
                 blocking::connect_udp(peer, options).map(taped).map(|open| tapped(open, packets, Wire::Datagrams))
             }
         }),
-        Address::Serial(_) if current().is_some() => Err(Failure::Input(format!(
+        Address::Serial(line) => {
+            unrecorded(target)?;
+            blocking::connect_serial(line, &Options::default())
+                .map(|open| tapped(open, packets, Wire::Serial))
+                .map_err(|error| not_connected(&error, target))
+        }
+        other => Err(Failure::Input(format!("{other}: this kind of address is not supported"))),
+    }
+}
+
+/// Refuses a serial line for a command that is recorded.
+pub(crate) fn unrecorded(target: &Address) -> Result<(), Failure> {
+    match current() {
+        None => Ok(()),
+        Some(_) => Err(Failure::Input(format!(
             "{target}: a serial line has no packets to record; --write needs tcp:HOST[:PORT] or udp:HOST[:PORT]"
         ))),
-        Address::Serial(line) => blocking::connect_serial(line, &Options::default())
-            .map(|open| tapped(open, packets, Wire::Serial))
-            .map_err(|error| not_connected(&error, target)),
-        other => Err(Failure::Input(format!("{other}: this kind of address is not supported"))),
     }
 }
 

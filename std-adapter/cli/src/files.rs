@@ -4,27 +4,25 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use crate::args::{Cp, LinkArgs, Ls};
+use crate::args::{Cp, Ls};
 use crate::disk;
 use crate::error::Failure;
 use crate::output::{print_json, print_line};
 use crate::place::Place;
 use crate::remote::{self, Item};
-use crate::session::{Session, with_session};
+use crate::session::Session;
 
 /// Runs `bcap ls`.
-pub(crate) fn ls(args: &Ls, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+pub(crate) fn ls(args: &Ls, session: &mut Session, json: bool) -> Result<(), Failure> {
     let path = match Place::parse(&args.path) {
         Place::Remote(path) => path,
         Place::Local(path) => remote::normal(&path.to_string_lossy()),
     };
-    with_session(link, |session| {
-        for item in listed(session, &path, args.recursive)? {
-            let size = if args.long && !item.is_folder { Some(remote::size(session, &item.path)?) } else { None };
-            print_item(&item, size, args.long, json)?;
-        }
-        Ok(())
-    })
+    for item in listed(session, &path, args.recursive)? {
+        let size = if args.long && !item.is_folder { Some(remote::size(session, &item.path)?) } else { None };
+        print_item(&item, size, args.long, json)?;
+    }
+    Ok(())
 }
 
 /// Returns the content of a folder, or what matches a path with wildcards.
@@ -62,11 +60,11 @@ fn print_item(item: &Item, size: Option<i64>, long: bool, json: bool) -> Result<
 }
 
 /// Runs `bcap cp`.
-pub(crate) fn cp(args: &Cp, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+pub(crate) fn cp(args: &Cp, session: &mut Session, json: bool) -> Result<(), Failure> {
     let Some((last, sources)) = args.paths.split_last() else {
         return Err(Failure::Input("write SOURCE and DEST".into()));
     };
-    let copying = Copying { args, link, json };
+    let mut copying = Copying { args, session, json };
     let sources: Vec<Place> = sources.iter().map(|source| Place::parse(source)).collect();
     let into_folder = last.ends_with(['/', '\\']) || sources.len() > 1;
     match Place::parse(last) {
@@ -101,75 +99,70 @@ fn not_found(path: &str) -> Failure {
 /// A run of `bcap cp`.
 struct Copying<'a> {
     args: &'a Cp,
-    link: &'a LinkArgs,
+    session: &'a mut Session,
     json: bool,
 }
 
 impl Copying<'_> {
-    fn download(&self, patterns: &[String], to: &Path, into: bool) -> Result<(), Failure> {
-        with_session(self.link, |session| {
-            let mut found = Vec::new();
-            for pattern in patterns {
-                let items = remote::find(session, pattern)?;
-                if items.is_empty() {
-                    return Err(not_found(pattern));
-                }
-                found.extend(items);
+    fn download(&mut self, patterns: &[String], to: &Path, into: bool) -> Result<(), Failure> {
+        let mut found = Vec::new();
+        for pattern in patterns {
+            let items = remote::find(self.session, pattern)?;
+            if items.is_empty() {
+                return Err(not_found(pattern));
             }
-            let into = into || to.is_dir() || found.len() > 1;
-            let mut copies: Vec<(String, PathBuf)> = Vec::new();
-            for item in &found {
-                let base =
-                    if into && !item.path.is_empty() { to.join(remote::last(&item.path)) } else { to.to_owned() };
-                if !item.is_folder {
-                    copies.push((item.path.clone(), base));
-                    continue;
-                }
-                self.needs_recursive(&format!("robot:/{}", item.path))?;
-                for path in remote::walk(session, &item.path, |_, failure| Err(failure))? {
-                    let below = path.strip_prefix(&item.path).unwrap_or(&path).trim_start_matches('/');
-                    copies.push((path.clone(), base.join(below)));
-                }
+            found.extend(items);
+        }
+        let into = into || to.is_dir() || found.len() > 1;
+        let mut copies: Vec<(String, PathBuf)> = Vec::new();
+        for item in &found {
+            let base = if into && !item.path.is_empty() { to.join(remote::last(&item.path)) } else { to.to_owned() };
+            if !item.is_folder {
+                copies.push((item.path.clone(), base));
+                continue;
             }
-            self.check(copies.iter().map(|(_, to)| to.display().to_string()), |to| Ok(Path::new(to).exists()))?;
-            for (from, to) in copies {
-                let bytes = remote::read(session, &from)?;
-                disk::write(&to, &bytes, self.args.force)?;
-                self.print(&format!("robot:/{from}"), &to.display().to_string())?;
+            self.needs_recursive(&format!("robot:/{}", item.path))?;
+            for path in remote::walk(self.session, &item.path, |_, failure| Err(failure))? {
+                let below = path.strip_prefix(&item.path).unwrap_or(&path).trim_start_matches('/');
+                copies.push((path.clone(), base.join(below)));
             }
-            Ok(())
-        })
+        }
+        check(copies.iter().map(|(_, to)| to.display().to_string()), self.args.force, |to| Ok(Path::new(to).exists()))?;
+        for (from, to) in copies {
+            let bytes = remote::read(self.session, &from)?;
+            disk::write(&to, &bytes, self.args.force)?;
+            self.print(&format!("robot:/{from}"), &to.display().to_string())?;
+        }
+        Ok(())
     }
 
-    fn upload(&self, files: &[PathBuf], to: &str, into: bool) -> Result<(), Failure> {
-        with_session(self.link, |session| {
-            // only a listing tells a folder from a file
-            let into = into || remote::find(session, to)?.iter().any(|item| item.is_folder);
-            let mut copies: Vec<(PathBuf, String)> = Vec::new();
-            for file in files {
-                let base = match file.file_name() {
-                    Some(name) if into => remote::normal(&format!("{to}/{}", name.to_string_lossy())),
-                    _ => to.to_owned(),
-                };
-                if !fs::metadata(file).map_err(disk::failed(file))?.is_dir() {
-                    copies.push((file.clone(), base));
-                    continue;
-                }
-                self.needs_recursive(&file.display().to_string())?;
-                for below in local_files(file)? {
-                    let name = below.strip_prefix(file).unwrap_or(&below).to_string_lossy().into_owned();
-                    copies.push((below, remote::normal(&format!("{base}/{name}"))));
-                }
+    fn upload(&mut self, files: &[PathBuf], to: &str, into: bool) -> Result<(), Failure> {
+        // only a listing tells a folder from a file
+        let into = into || remote::find(self.session, to)?.iter().any(|item| item.is_folder);
+        let mut copies: Vec<(PathBuf, String)> = Vec::new();
+        for file in files {
+            let base = match file.file_name() {
+                Some(name) if into => remote::normal(&format!("{to}/{}", name.to_string_lossy())),
+                _ => to.to_owned(),
+            };
+            if !fs::metadata(file).map_err(disk::failed(file))?.is_dir() {
+                copies.push((file.clone(), base));
+                continue;
             }
-            self.check(copies.iter().map(|(_, to)| to.clone()), |to| remote::exists(session, to))?;
-            for (from, to) in copies {
-                let bytes = fs::read(&from).map_err(disk::failed(&from))?;
-                remote::make_folders(session, &to)?;
-                remote::write(session, &to, &bytes)?;
-                self.print(&from.display().to_string(), &format!("robot:/{to}"))?;
+            self.needs_recursive(&file.display().to_string())?;
+            for below in local_files(file)? {
+                let name = below.strip_prefix(file).unwrap_or(&below).to_string_lossy().into_owned();
+                copies.push((below, remote::normal(&format!("{base}/{name}"))));
             }
-            Ok(())
-        })
+        }
+        check(copies.iter().map(|(_, to)| to.clone()), self.args.force, |to| remote::exists(self.session, to))?;
+        for (from, to) in copies {
+            let bytes = fs::read(&from).map_err(disk::failed(&from))?;
+            remote::make_folders(self.session, &to)?;
+            remote::write(self.session, &to, &bytes)?;
+            self.print(&from.display().to_string(), &format!("robot:/{to}"))?;
+        }
+        Ok(())
     }
 
     fn needs_recursive(&self, folder: &str) -> Result<(), Failure> {
@@ -180,30 +173,30 @@ impl Copying<'_> {
         }
     }
 
-    /// Checks all destinations before the first file is copied.
-    fn check(
-        &self,
-        all: impl Iterator<Item = String>,
-        mut exists: impl FnMut(&str) -> Result<bool, Failure>,
-    ) -> Result<(), Failure> {
-        let mut seen = BTreeSet::new();
-        for to in all {
-            if !self.args.force && exists(&to)? {
-                return Err(Failure::Input(format!("{to} exists; give --force to replace it. No file was copied")));
-            }
-            if let Some(twice) = seen.replace(to) {
-                return Err(Failure::Input(format!("{twice}: two files would have this name. No file was copied")));
-            }
-        }
-        Ok(())
-    }
-
     fn print(&self, from: &str, to: &str) -> Result<(), Failure> {
         if self.json {
             return Ok(print_json(&serde_json::json!({ "from": from, "to": to }).to_string())?);
         }
         Ok(print_line(&format!("{from} -> {to}"))?)
     }
+}
+
+/// Checks all destinations before the first file is copied.
+fn check(
+    all: impl Iterator<Item = String>,
+    force: bool,
+    mut exists: impl FnMut(&str) -> Result<bool, Failure>,
+) -> Result<(), Failure> {
+    let mut seen = BTreeSet::new();
+    for to in all {
+        if !force && exists(&to)? {
+            return Err(Failure::Input(format!("{to} exists; give --force to replace it. No file was copied")));
+        }
+        if let Some(twice) = seen.replace(to) {
+            return Err(Failure::Input(format!("{twice}: two files would have this name. No file was copied")));
+        }
+    }
+    Ok(())
 }
 
 /// Lists the regular files of a folder of this machine and of the folders below it.

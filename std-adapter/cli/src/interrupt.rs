@@ -12,6 +12,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::error::Failure;
+use crate::output::note;
 
 /// How long a motion that begins beside a halt may run until the next halt.
 const AGAIN: Duration = Duration::from_millis(50);
@@ -34,6 +35,8 @@ struct Shared {
     ended: AtomicBool,
     /// Whether this command may move the robot now.
     moving: AtomicBool,
+    /// Whether this command ends between two calls, and a second signal ends it at once.
+    ends: AtomicBool,
     /// How the robot is halted.
     stopper: Mutex<Option<Halt>>,
 }
@@ -48,22 +51,21 @@ enum Signal {
 }
 
 impl Interrupt {
-    /// Handles signals from now on. `end` is called on SIGTERM and SIGHUP while no line runs.
-    pub(crate) fn install(end: impl Fn() + Send + 'static) -> io::Result<Self> {
+    /// Handles signals from now on. `idle` is called after each; its argument is whether the command must end.
+    pub(crate) fn install(idle: impl Fn(bool) + Send + 'static) -> io::Result<Self> {
         let interrupt = Self(Arc::new(Shared {
             interrupted: Mutex::new(false),
             changed: Condvar::new(),
             ended: AtomicBool::new(false),
             moving: AtomicBool::new(false),
+            ends: AtomicBool::new(false),
             stopper: Mutex::new(None),
         }));
         let (signals, handler) = (signals()?, interrupt.clone());
         thread::Builder::new().name("interrupt".into()).spawn(move || {
             while let Ok(signal) = signals.recv() {
                 handler.signalled(signal, &signals);
-                if signal == Signal::End {
-                    end();
-                }
+                idle(signal == Signal::End);
             }
         })?;
         Ok(interrupt)
@@ -73,6 +75,12 @@ impl Interrupt {
         let Self(shared) = self;
         if signal == Signal::End {
             shared.ended.store(true, Ordering::SeqCst);
+        }
+        if shared.ends.load(Ordering::SeqCst) {
+            if self.is_interrupted() {
+                process::exit(130);
+            }
+            note("ends after this call; press Ctrl-C again to end at once");
         }
         self.mark();
         let (mut reported, mut again) = (false, 0);
@@ -100,6 +108,12 @@ impl Interrupt {
                 process::exit(130);
             }
         }
+    }
+
+    /// Lets the command end between two calls on a signal, and at once on a second one, until the guard is dropped.
+    pub(crate) fn end_between_calls(&self) -> EndsBetweenCalls {
+        self.0.ends.store(true, Ordering::SeqCst);
+        EndsBetweenCalls(self.clone())
     }
 
     /// Records a signal.
@@ -174,6 +188,15 @@ impl Interrupt {
             let waited = self.0.changed.wait_timeout(interrupted, left);
             interrupted = waited.unwrap_or_else(PoisonError::into_inner).0;
         }
+    }
+}
+
+/// Resets [`Interrupt::end_between_calls`] when it is dropped.
+pub(crate) struct EndsBetweenCalls(Interrupt);
+
+impl Drop for EndsBetweenCalls {
+    fn drop(&mut self) {
+        self.0.0.ends.store(false, Ordering::SeqCst);
     }
 }
 

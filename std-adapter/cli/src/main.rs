@@ -13,7 +13,6 @@ mod disk;
 mod dissect;
 mod doctor;
 mod duration;
-mod ending;
 mod error;
 mod escape;
 mod explain;
@@ -62,6 +61,7 @@ mod table;
 mod tap;
 mod target;
 mod task;
+mod terminal;
 mod text;
 mod times;
 mod title;
@@ -129,11 +129,11 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Watch(args) => watch::watch(args, session, json),
         Command::Monitor(args) => monitor::monitor(args, session, json),
         Command::Names(_) => variables::names(session, json),
-        Command::Ls(args) => files::ls(args, link, json),
-        Command::Cp(args) => files::cp(args, link, json),
-        Command::Dump(args) => backup::dump(args, link, json),
-        Command::Diff(args) => backup::diff(args, link, json),
-        Command::Restore(args) => backup::restore(args, link, json),
+        Command::Ls(args) => files::ls(args, session, json),
+        Command::Cp(args) => files::cp(args, session, json),
+        Command::Dump(args) => backup::dump(args, session, json),
+        Command::Diff(args) => backup::diff(args, session, json),
+        Command::Restore(args) => backup::restore(args, session, json),
         Command::Profile(args) => profiles::profile(args, json),
         Command::Call(args) => call::call(args, session, json),
         Command::Exec(args) => call::exec(args, session, json),

@@ -12,6 +12,18 @@ use crate::value::{integer, text};
 
 /// Runs `bcap move`.
 pub(crate) fn motion(args: &MoveArgs, session: &mut Session, json: bool) -> Result<(), Failure> {
+    if !go(args, session)? {
+        return Ok(());
+    }
+    let (key, text) = if args.no_wait { ("started", "on the way to") } else { ("arrived", "at") };
+    let to = &args.to;
+    let name = serde_json::Value::from(to.as_str());
+    Ok(if json { print_json(&format!("{{\"{key}\":{name}}}")) } else { print_line(&format!("{text} {to}")) }?)
+}
+
+/// Moves the robot. Returns whether it is where it should be; `false` after an interruption that the line of the shell or the
+/// script reports.
+pub(crate) fn go(args: &MoveArgs, session: &mut Session) -> Result<bool, Failure> {
     let had_arm = session.has_arm();
     if args.no_wait && !had_arm {
         return Err(Failure::Input(
@@ -33,7 +45,7 @@ pub(crate) fn motion(args: &MoveArgs, session: &mut Session, json: bool) -> Resu
     let ready = if interrupt.is_interrupted() { Ok(()) } else { prepared(args, session, had_arm) };
     let ended = ready.and_then(|()| if interrupt.is_interrupted() { Ok(None) } else { moved(args, session).map(Some) });
     if had_arm {
-        return ended.and_then(|ended| concluded(args, ended, json));
+        return ended.and_then(|ended| concluded(args, ended));
     }
     // halts the robot if the connection was lost: the controller gives the arm back only when it notices that
     session.abandon();
@@ -44,7 +56,7 @@ pub(crate) fn motion(args: &MoveArgs, session: &mut Session, json: bool) -> Resu
     }
     // an error of the motion is more useful than an error of giving the arm back
     let ended = ended?;
-    given.and_then(|()| concluded(args, ended, json))
+    given.and_then(|()| concluded(args, ended))
 }
 
 /// Takes the arm and switches the motor on.
@@ -103,17 +115,12 @@ fn started(args: &MoveArgs, session: &mut Session) -> Result<(), Failure> {
     session.call("robot", FunctionId::ROBOT_MOVE, &arguments).map(drop)
 }
 
-fn concluded(args: &MoveArgs, ended: Option<Motion>, json: bool) -> Result<(), Failure> {
+fn concluded(args: &MoveArgs, ended: Option<Motion>) -> Result<bool, Failure> {
     let to = &args.to;
     let unfit = |message: String, code| Err(Failure::Unfit { message, code, hint: None });
     match ended {
-        // interrupted, which the line of the shell or the script reports
-        None => Ok(()),
-        Some(Motion::Arrived) => {
-            let (key, text) = if args.no_wait { ("started", "on the way to") } else { ("arrived", "at") };
-            let name = serde_json::Value::from(to.as_str());
-            Ok(if json { print_json(&format!("{{\"{key}\":{name}}}")) } else { print_line(&format!("{text} {to}")) }?)
-        }
+        None => Ok(false),
+        Some(Motion::Arrived) => Ok(true),
         Some(Motion::Failed(code)) => unfit(format!("not at {to}: the controller has the error {code}"), Some(code)),
         Some(Motion::TimedOut) => {
             unfit(format!("not at {to}: it took more than {:?} (--within), so the robot was halted", args.within), None)

@@ -29,7 +29,7 @@ pub(crate) fn raw(args: &Raw, link: &LinkArgs, json: bool) -> Result<(), Failure
     let listens = args.listen.is_some();
     let own = if listens { Role::Response } else { Role::Request };
     let packets = packets(&args.packets, own)?;
-    let interrupt = Interrupt::install(|| {})?;
+    let interrupt = Interrupt::install(|_| {})?;
     let peer = match &args.listen {
         Some(address) => Peer::listen(address, &interrupt)?,
         None => Peer::connect(link)?,

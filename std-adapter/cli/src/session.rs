@@ -297,7 +297,7 @@ impl Session {
     pub(crate) fn handle_signals(&mut self) -> Result<Interrupt, Failure> {
         let interrupt = match self.interrupt.take() {
             Some(interrupt) => interrupt,
-            None => Interrupt::install(|| {})?,
+            None => Interrupt::install(|_| {})?,
         };
         self.interrupt = Some(interrupt.clone());
         Ok(interrupt)

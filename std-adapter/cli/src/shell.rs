@@ -18,6 +18,7 @@ use crate::interrupt::Interrupt;
 use crate::line::{self, Flow, Runner, Verb};
 use crate::output::{note, print_line};
 use crate::session::Session;
+use crate::terminal::Terminal;
 use crate::variables::{all_names, get_one};
 
 /// The session of the shell, which a signal ends and the completion reads.
@@ -30,10 +31,19 @@ const HISTORY: usize = 1000;
 pub(crate) fn shell(session: &mut Session, verb: Verb, json: bool) -> Result<(), Failure> {
     let link = session.link().clone();
     let shared: Shared = Arc::new(Mutex::new(Session::new(&link)));
-    let ending = Arc::clone(&shared);
-    let interrupt = Interrupt::install(move || {
-        locked(&ending).close();
-        process::exit(130);
+    let signalled = Arc::clone(&shared);
+    let terminal = Terminal::saved();
+    let interrupt = Interrupt::install(move |must_end| {
+        if must_end {
+            locked(&signalled).close();
+            // the prompt has changed it
+            terminal.restore();
+            process::exit(130);
+        }
+        // while a line runs, the line itself ends; it has the session
+        if let Ok(mut session) = signalled.try_lock() {
+            report(stop(&mut session), json);
+        }
     })?;
     locked(&shared).interrupt = Some(interrupt.clone());
     let mut editor = editor(&shared)?;

@@ -1,4 +1,4 @@
-//! `bcap sim`: serves a virtual controller on sockets.
+//! `bcap sim`: serves a virtual controller on sockets and serial lines.
 
 mod live;
 
@@ -19,13 +19,14 @@ use bcap_sim::explain::Observer;
 use bcap_sim::files::{Executor, Job};
 use bcap_sim::scenario::Delivery;
 use bcap_sim::{Config, Controller, Model, Profile, Scenario};
-use bcap_std::server::Server;
+use bcap_std::SerialLine;
+use bcap_std::server::{LineEvent, Server};
 use tokio::sync::oneshot;
 
 use crate::args::{ModelSource, Sim};
 use crate::error::Failure;
 use crate::listen::{runtime, taken};
-use crate::output::{print_block, print_line};
+use crate::output::{note, print_block, print_line};
 use crate::playback::Playback;
 use crate::proxy::Front;
 use crate::robot::Robot;
@@ -126,12 +127,45 @@ async fn serve<H: Serves>(
     ready: impl FnOnce(&str) -> io::Result<()>,
 ) -> Result<(), Failure> {
     if let Some(file) = file {
+        if !args.serial.is_empty() {
+            return Err(Failure::Input("a serial line has no packets to record; leave out --write or --serial".into()));
+        }
         return recorded(server, Front::bind(args, file).await?, ended, ready).await;
     }
-    let wanted = Listening { bcap: args.bcap, udp: args.udp, rac: args.rac };
-    let (server, listening) = bind(server, &wanted).await?;
-    ready(&listening.to_string())?;
+    let (server, listening) = if args.no_network {
+        (server, "ready".to_owned())
+    } else {
+        let wanted = Listening { bcap: args.bcap, udp: args.udp, rac: args.rac };
+        let (server, listening) = bind(server, &wanted).await?;
+        (server, listening.to_string())
+    };
+    let (server, lines) = open_lines(server, &args.serial)?;
+    ready(&format!("{listening}{lines}"))?;
     Ok(server.run(ended).await?)
+}
+
+/// Opens the serial lines; also returns their words for the `ready` line.
+fn open_lines<H: Serves>(mut server: Server<H>, lines: &[SerialLine]) -> Result<(Server<H>, String), Failure> {
+    let mut words = String::new();
+    for line in lines {
+        server = server.bcap_serial(line, print_event).map_err(|error| Failure::Connection {
+            message: format!("cannot open serial:{line}: {error}"),
+            hint: "check the name and the permissions of the device, and that no other program uses it".into(),
+        })?;
+        words += &format!(" serial={line}");
+    }
+    Ok((server, words))
+}
+
+/// Prints that a serial line was unplugged or plugged in again.
+fn print_event(line: &SerialLine, event: LineEvent<'_>) {
+    match event {
+        LineEvent::Lost(error) => {
+            note(&format!("serial:{line} is lost ({error}); waiting until it can be opened again"))
+        }
+        LineEvent::Reopened => note(&format!("serial:{line} is open again")),
+        _ => {}
+    }
 }
 
 /// A handler of both protocols.

@@ -153,3 +153,17 @@ fn trailing_options_have_defaults() {
         assert!(fake.seen().contains(&sent.to_owned()), "{sent}: {:?} {run:?}", fake.seen());
     }
 }
+
+#[test]
+fn an_empty_environment_variable_counts_as_missing() {
+    let names = ["TIMEOUT", "PROVIDER", "MACHINE", "OPTION", "ATTEMPTS", "RAC_PORT", "PROFILE"];
+    for name in names {
+        let run: common::Run =
+            command(&["encode", "--help"]).env(format!("BCAP_{name}"), "").output().unwrap().into();
+        assert_eq!((run.code, run.err.as_str()), (0, ""), "BCAP_{name}");
+        let run: common::Run = common::bare(&["explain", "S_OK"]).env(format!("BCAP_{name}"), "").output().unwrap().into();
+        assert_eq!((run.code, run.err.as_str()), (0, ""), "BCAP_{name}");
+    }
+    let run: common::Run = common::bare(&["explain", "S_OK"]).env("BCAP_TIMEOUT", "x").output().unwrap().into();
+    assert!(run.code == 2 && run.err.contains("--timeout"), "{run:?}");
+}

@@ -5,7 +5,7 @@ mod common;
 #[path = "common/virtual_robot.rs"]
 mod virtual_robot;
 
-use std::io::Write;
+use std::io::{BufRead, BufReader, Write};
 use std::process::Stdio;
 
 use common::{Run, bcap, bcap_with};
@@ -348,4 +348,37 @@ fn tasks_are_started_and_stopped() {
     assert_eq!(robot.run(&["task", "stop", "Pro1", "--now"]).code, 0);
     assert_ne!(robot.run(&["task", "status", "Pro1", "--json"]).out, "{\"name\":\"Pro1\",\"status\":\"running\"}\n");
     assert_eq!(robot.run(&["task", "start", "Pro1"]).code, 2);
+}
+
+/// A shell without a terminal reads its lines without knowing of signals, so Ctrl-C must reach the session by another way.
+#[test]
+fn ctrl_c_at_the_prompt_without_a_terminal_gives_the_arm_back() {
+    let robot = Virtual::start(&[]);
+    let mut shell = robot.spawn(&["shell"]);
+    let mut lines = shell.stdin.take().unwrap();
+    lines.write_all(b"exec robot TakeArm 0 1\nget I1\n").unwrap();
+    let mut out = BufReader::new(shell.stdout.take().unwrap()).lines();
+    while !out.next().unwrap().unwrap().contains("I1 = 0") {}
+    signal("-INT", &shell);
+    let mut err = BufReader::new(shell.stderr.take().unwrap()).lines();
+    while !err.next().unwrap().unwrap().contains("the robot was halted, and the arm was given back") {}
+    robot.assert_at_rest_with_free_arm();
+    drop(lines);
+    assert_eq!(shell.wait().unwrap().code(), Some(0));
+}
+
+/// The arm belongs to the session of the shell, so a command with a session of its own would have closed or not seen it.
+#[test]
+fn commands_on_files_and_backups_use_the_session_of_the_shell() {
+    let robot = Virtual::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    let backup = folder.path().join("backup").display().to_string();
+    let local = folder.path().join("local.txt").display().to_string();
+    std::fs::write(&local, "text").unwrap();
+    let lines = format!(
+        "ls\ncp {local} robot:/a.txt\nls robot:/\ndump {backup}\ndiff robot: {backup}\nrestore {backup} --yes --io\n"
+    );
+    let run = bcap_with(&["run", "-", "--trace=headers", "--robot", &robot.tcp], lines.as_bytes());
+    assert!(run.out.contains("/a.txt") && run.code < 2, "{run:?}");
+    assert_eq!(run.err.matches(" Service_Start, ").count(), 1, "{}", run.err.lines().take(20).collect::<String>());
 }

@@ -7,6 +7,8 @@ mod tmux;
 #[path = "common/virtual_robot.rs"]
 mod virtual_robot;
 
+use std::process::Command;
+
 use tmux::Terminal;
 use virtual_robot::Virtual;
 
@@ -70,4 +72,23 @@ fn tab_completes_and_the_history_is_kept() {
     terminal.wait_for("RC8 auto ok>");
     terminal.keys(&["Up", "Up"]);
     terminal.wait_for("> put I7 1234");
+}
+
+/// The prompt reads single keys without an echo; the shell that a person returns to must not.
+#[test]
+fn sigterm_at_the_prompt_restores_the_terminal() {
+    let robot = Virtual::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    let script = folder.path().join("script");
+    let shell = format!(
+        "before=$(stty -g)\n{} shell --robot {}\n[ \"$before\" = \"$(stty -g)\" ] && echo restored || echo changed\nsleep 60\n",
+        env!("CARGO_BIN_EXE_bcap"),
+        robot.tcp
+    );
+    std::fs::write(&script, shell).unwrap();
+    let Some(terminal) = Terminal::run((80, 24), &["sh", script.to_str().unwrap()], folder.path()) else { return };
+    terminal.wait_for("RC8 auto ok>");
+    let parent = terminal.variable("pane_pid");
+    assert!(Command::new("pkill").args(["-TERM", "-P", &parent, "bcap"]).status().unwrap().success());
+    terminal.wait_for("restored");
 }

@@ -1,8 +1,9 @@
-//! A server for tokio: b-CAP over TCP and UDP, RAC over TCP, for any handler.
+//! A server for tokio: b-CAP over TCP, UDP and serial lines, RAC over TCP, for any handler.
 //!
 //! ```text
 //!   TCP listener ─► a task for each connection ─┐
 //!   UDP socket ───► one task for all peers ─────┼─► the handler, one call at a time
+//!   serial line ──► one task for its client ────┤
 //!   RAC listener ─► a task for each connection ─┘
 //! ```
 //!
@@ -39,6 +40,8 @@ mod admission;
 mod limits;
 mod memory;
 mod rac;
+#[cfg(feature = "serial")]
+mod serial;
 mod shared;
 mod stream;
 mod tcp;
@@ -62,6 +65,8 @@ pub use admission::{Admission, SlotState, Slots};
 pub use limits::Limits;
 #[cfg(feature = "gateway")]
 pub(crate) use rac::refuse as refuse_rac;
+#[cfg(feature = "serial")]
+pub use serial::{LineEvent, LineReport};
 pub use shared::Tap;
 #[cfg(feature = "gateway")]
 pub(crate) use tcp::REFUSALS;
@@ -73,6 +78,8 @@ pub struct Server<H> {
     limits: Limits,
     bcap: Vec<TcpListener>,
     udp: Vec<UdpSocket>,
+    #[cfg(feature = "serial")]
+    serial: Vec<serial::Port>,
     rac: Vec<(TcpListener, ListenRac<H>)>,
 }
 
@@ -105,7 +112,15 @@ impl<H: Handler + Send + 'static> Server<H> {
     #[must_use]
     pub fn with_shared(handler: Arc<Mutex<H>>) -> Self {
         let shared = Arc::new(ServerState::new(handler));
-        Self { shared, limits: Limits::default(), bcap: Vec::new(), udp: Vec::new(), rac: Vec::new() }
+        Self {
+            shared,
+            limits: Limits::default(),
+            bcap: Vec::new(),
+            udp: Vec::new(),
+            #[cfg(feature = "serial")]
+            serial: Vec::new(),
+            rac: Vec::new(),
+        }
     }
 
     /// Changes the limits.
@@ -142,6 +157,24 @@ impl<H: Handler + Send + 'static> Server<H> {
     /// When the address cannot be listened on.
     pub async fn bcap_udp<A: ToSocketAddrs>(mut self, address: A) -> io::Result<Self> {
         self.udp.push(UdpSocket::bind(address).await?);
+        Ok(self)
+    }
+
+    /// Serves b-CAP on a serial line, for the one client at its other end.
+    ///
+    /// When the device fails, for example because it was unplugged, the server releases the client's objects and opens the
+    /// device again as soon as that is possible. `report` is called at both events.
+    ///
+    /// # Errors
+    ///
+    /// When the device does not exist, is in use, or does not have these settings.
+    ///
+    /// # Panics
+    ///
+    /// Outside a tokio runtime with I/O enabled.
+    #[cfg(feature = "serial")]
+    pub fn bcap_serial(mut self, line: &crate::SerialLine, report: LineReport) -> io::Result<Self> {
+        self.serial.push(serial::Port::open(line, report)?);
         Ok(self)
     }
 
@@ -191,6 +224,10 @@ impl<H: Handler + Send + 'static> Server<H> {
         }
         for socket in self.udp {
             tasks.spawn(udp::serve(socket, Arc::clone(&self.shared), self.limits, stopped.clone()));
+        }
+        #[cfg(feature = "serial")]
+        for port in self.serial {
+            tasks.spawn(serial::serve(port, Arc::clone(&self.shared), self.limits, stopped.clone()));
         }
         for (listener, listen) in self.rac {
             tasks.spawn(listen(listener, Arc::clone(&self.shared), self.limits, stopped.clone()));

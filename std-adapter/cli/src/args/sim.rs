@@ -5,12 +5,13 @@ use std::path::PathBuf;
 use std::str::FromStr;
 
 use bcap_sim::Profile;
+use bcap_std::{Address, SerialLine};
 use clap::Args;
 
 /// Runs a virtual controller on real sockets
 ///
-/// Prints one line, `ready bcap=IP:PORT udp=IP:PORT rac=IP:PORT`, when it listens. Port 0 selects a free port. On SIGINT and
-/// SIGTERM it exits with 0.
+/// Prints one line, `ready bcap=IP:PORT udp=IP:PORT rac=IP:PORT`, when it listens, with `serial=PATH?OPTIONS` for each serial line.
+/// Port 0 selects a free port. On SIGINT and SIGTERM it exits with 0.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -24,6 +25,7 @@ Examples:
   bcap sim --model rc9 --print-model
   bcap sim --model cell7.toml
   bcap sim --model cobotta --robot-type CVR038A1-NV6
+  bcap sim --serial '/dev/ttyUSB0?baud=115200' --no-network
   bcap sim --bcap [::]:5007 --udp [::]:5007 --rac [::]:5006")]
 pub(crate) struct Sim {
     /// The address for b-CAP over TCP
@@ -37,6 +39,17 @@ pub(crate) struct Sim {
     /// The address for RAC
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:5006")]
     pub(crate) rac: SocketAddr,
+
+    /// A serial line for b-CAP, written as for --robot, with or without `serial:`; may be given several times
+    ///
+    /// Its client is at the other end. When the device is unplugged, the controller releases the client's objects, opens the
+    /// device again as soon as it is plugged in, and says both on stderr.
+    #[arg(long, value_name = "PATH?OPTIONS", value_parser = serial_line)]
+    pub(crate) serial: Vec<SerialLine>,
+
+    /// Serves only the serial lines
+    #[arg(long, requires = "serial", conflicts_with_all = ["bcap", "udp", "rac"])]
+    pub(crate) no_network: bool,
 
     /// The controller to simulate: rc8, rc8a, rc9, cobotta, cobotta-pro, or a file like those that --print-model prints
     #[arg(long, value_name = "MODEL|FILE.toml", default_value = "rc8")]
@@ -107,6 +120,17 @@ pub(crate) struct Sim {
     /// Without it, Controller_Connect answers E_CAO_PROV_INVALID, and other functions E_INVALIDARG.
     #[arg(long)]
     pub(crate) lenient: bool,
+}
+
+/// Parses a serial line, with or without `serial:`.
+fn serial_line(text: &str) -> Result<SerialLine, String> {
+    let has_scheme = text.get(..7).is_some_and(|scheme| scheme.eq_ignore_ascii_case("serial:"));
+    let address = if has_scheme { text.to_owned() } else { format!("serial:{text}") };
+    match address.parse::<Address>() {
+        Ok(Address::Serial(line)) => Ok(line),
+        Ok(_) => Err("write the path of a serial device, such as /dev/ttyUSB0".into()),
+        Err(error) => Err(error.to_string()),
+    }
 }
 
 /// Where the model of a controller comes from.

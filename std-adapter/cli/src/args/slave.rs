@@ -5,18 +5,24 @@ use std::path::PathBuf;
 use bcap_core::slave::{Mode, PoseType};
 use clap::{Args, Subcommand, ValueEnum};
 
+use super::slave_format::FormatArgs;
+
 /// Streams poses in Slave Mode, one every 8 ms, and reports the timing
 ///
 /// `play` and `cosine` move the robot and ask for confirmation first. Ctrl-C slows the robot down, leaves Slave Mode,
 /// releases the arm and exits with 130. A second Ctrl-C halts the robot over a separate connection. After an error the robot
 /// stops, and the first error of the controller is printed. The controller needs a b-CAP Slave licence, Auto mode, the
 /// executable token and no pending error; `bcap doctor` checks these.
+///
+/// Over a serial line the robot must be able to receive a pose and send its reply within 8 ms; a slower line is refused. Such
+/// a line carries one session, so a second Ctrl-C cannot halt the robot.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   bcap slave cosine --seconds 5
   bcap slave record path.csv --seconds 10
-  bcap slave play path.csv --mode 2 --approach --report report.json --plot plot.svg")]
+  bcap slave play path.csv --mode 2 --approach --report report.json --plot plot.svg
+  bcap slave cosine --robot 'serial:/dev/ttyUSB0?baud=921600'")]
 pub(crate) struct Slave {
     #[command(subcommand)]
     pub(crate) command: SlaveCommand,
@@ -34,13 +40,15 @@ pub(crate) enum SlaveCommand {
 /// A line of the file is a pose, with its numbers separated by commas: J1 to J8 in degrees (trailing joints are optional),
 /// X Y Z RX RY RZ FIG in mm and degrees (P), or X Y Z OX OY OZ AX AY AZ FIG (T). The first line may name the columns, as in
 /// a file of `bcap slave record`. Then they may have any order, columns with other names are ignored, and a column `t` is
-/// the time of each pose in seconds. Poses are interpolated to the cycle of 8 ms. The robot must be at the first pose;
+/// the time of each pose in seconds. Poses are interpolated to the cycle of 8 ms. Columns MINI, HAND and USER are the outputs
+/// of --send-format, numbers such as 48 or 0x30, from the time of their line on. The robot must be at the first pose;
 /// --approach moves it there.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   bcap slave play path.csv
   bcap slave play path.csv --hz 50 --loop 10 --yes
+  bcap slave play welding.csv --send-format mini --recv-format PJ,time,mini --received replies.csv
   bcap slave play poses.csv --type P --mode 0 --robot udp:192.168.0.1 --provider CaoProv.DENSO.VRC9")]
 pub(crate) struct Play {
     /// The poses
@@ -64,11 +72,13 @@ pub(crate) struct Play {
 
 /// Moves along one period of a cosine, which ends where the robot stands now: the sample of the specification
 ///
-/// Type J turns joint 1; types P and T move along Z.
+/// Type J turns joint 1; types P and T move along Z. The sample program of the specification begins at the variable J1, in
+/// mode 0: --from J1 --mode 0.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   bcap slave cosine
+  bcap slave cosine --from J1 --mode 0
   bcap slave cosine --seconds 80 --amplitude 5 --mode 1 --yes")]
 pub(crate) struct Cosine {
     /// The period, in seconds
@@ -78,6 +88,14 @@ pub(crate) struct Cosine {
     /// The distance to the turning point, in degrees (J) or mm (P, T); negative for the other direction
     #[arg(long, value_name = "A", default_value_t = 10.0, allow_negative_numbers = true, value_parser = finite)]
     pub(crate) amplitude: f64,
+
+    /// First moves the robot to this variable, such as J1, as `bcap move` does
+    #[arg(long, value_name = "VARIABLE")]
+    pub(crate) from: Option<String>,
+
+    /// The speed of the motion to --from, in percent
+    #[arg(long, value_name = "PERCENT", default_value_t = 10.0, requires = "from", value_parser = percent)]
+    pub(crate) speed: f64,
 
     #[command(flatten)]
     pub(crate) stream: StreamArgs,
@@ -118,6 +136,9 @@ pub(crate) struct StreamArgs {
     /// The pose type: joints, position, or homogeneous transform [default: from the file's first line, or J]
     #[arg(long = "type", value_name = "TYPE")]
     pub(crate) pose: Option<PoseArg>,
+
+    #[command(flatten)]
+    pub(crate) format: FormatArgs,
 
     /// Moves the robot without asking for confirmation
     #[arg(long)]

@@ -7,17 +7,17 @@ use serde_json::json;
 use super::compare::{self, Difference};
 use super::contents::{Contents, Part};
 use super::{folder, live};
-use crate::args::{Diff, LinkArgs};
+use crate::args::Diff;
 use crate::error::Failure;
 use crate::named::Entry;
 use crate::output::{print_json, print_line};
 use crate::plain;
-use crate::session::with_session;
+use crate::session::{Session, with_session};
 use crate::value::to_json;
 
 /// Runs `bcap diff`.
-pub(crate) fn diff(args: &Diff, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let read = |word| read(word, link).map_err(|failure| Failure::NotCompared(Box::new(failure)));
+pub(crate) fn diff(args: &Diff, session: &mut Session, json: bool) -> Result<(), Failure> {
+    let mut read = |word| read(word, session).map_err(|failure| Failure::NotCompared(Box::new(failure)));
     let (a, b) = (read(&args.a)?, read(&args.b)?);
     let variables = compare::variables(&a, &b, args.system);
     for difference in &variables {
@@ -57,11 +57,11 @@ fn print_omitted(a: &Contents, b: &Contents, system: bool, json: bool) -> Result
 }
 
 /// Reads a folder, or the controller at an address.
-fn read(word: &str, link: &LinkArgs) -> Result<Contents, Failure> {
+fn read(word: &str, session: &mut Session) -> Result<Contents, Failure> {
     let is_address = |scheme: &str| ["tcp", "udp", "serial"].iter().any(|known| scheme.eq_ignore_ascii_case(known));
     match word.split_once(':') {
-        Some((robot, "")) if robot.eq_ignore_ascii_case("robot") => with_session(link, live::contents),
-        Some((scheme, _)) if is_address(scheme) => with_session(&link.at(word), live::contents),
+        Some((robot, "")) if robot.eq_ignore_ascii_case("robot") => live::contents(session),
+        Some((scheme, _)) if is_address(scheme) => with_session(&session.link().at(word), live::contents),
         _ => folder::load(Path::new(word)),
     }
 }

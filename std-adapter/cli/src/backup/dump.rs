@@ -9,30 +9,29 @@ use serde_json::json;
 use super::contents::{Contents, Omission, UserVariable};
 use super::folder::Folder;
 use super::live;
-use crate::args::{Dump, LinkArgs};
-use crate::ending::Ending;
+use crate::args::Dump;
 use crate::error::Failure;
+use crate::interrupt::Interrupt;
 use crate::output::{print_json, print_line};
-use crate::session::{Session, with_session};
+use crate::session::Session;
 
 /// Runs `bcap dump`.
-pub(crate) fn dump(args: &Dump, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let ending = Ending::install()?;
+pub(crate) fn dump(args: &Dump, session: &mut Session, json: bool) -> Result<(), Failure> {
+    let interrupt = session.handle_signals()?;
+    let _ends = interrupt.end_between_calls();
     let shown = args.dir.display().to_string();
-    let contents = with_session(link, |session| {
-        let folder = Folder::begin(&args.dir, live::about(session)?)?;
-        if folder.is_resumed && !json {
-            print_line(&format!("{shown}: the interrupted dump goes on"))?;
-        }
-        let bar = ProgressBar::new(0);
-        // the template is a constant, and a wrong one only changes the look
-        if let Ok(style) = ProgressStyle::with_template("{msg:4} {bar:30} {pos}/{len} {elapsed}") {
-            bar.set_style(style);
-        }
-        let contents = Dumping { session, folder: &folder, ending: &ending, shown: &shown, bar: &bar }.run();
-        bar.finish_and_clear();
-        contents
-    })?;
+    let folder = Folder::begin(&args.dir, live::about(session)?)?;
+    if folder.is_resumed && !json {
+        print_line(&format!("{shown}: the interrupted dump goes on"))?;
+    }
+    let bar = ProgressBar::new(0);
+    // the template is a constant, and a wrong one only changes the look
+    if let Ok(style) = ProgressStyle::with_template("{msg:4} {bar:30} {pos}/{len} {elapsed}") {
+        bar.set_style(style);
+    }
+    let contents = Dumping { session, folder: &folder, interrupt: &interrupt, shown: &shown, bar: &bar }.run();
+    bar.finish_and_clear();
+    let contents = contents?;
     print_summary(&shown, &contents, json)?;
     match contents.refused() + contents.omitted.len() {
         0 => Ok(()),
@@ -74,7 +73,7 @@ fn missing_parts(contents: &Contents) -> String {
 struct Dumping<'a> {
     session: &'a mut Session,
     folder: &'a Folder,
-    ending: &'a Ending,
+    interrupt: &'a Interrupt,
     shown: &'a str,
     bar: &'a ProgressBar,
 }
@@ -96,9 +95,9 @@ impl Dumping<'_> {
         let Some((mut part, done)) = self.folder.part(kind)? else { return Ok(()) };
         self.begin(kind.name(), count.into());
         self.bar.set_position(done.into());
-        let Self { session, ending, shown, bar, .. } = self;
+        let Self { session, interrupt, shown, bar, .. } = self;
         live::variables(session, kind, done..count, |index, entry| {
-            check_signal(ending, shown)?;
+            check_signal(interrupt, shown)?;
             bar.inc(1);
             part.push(UserVariable::new(kind, index).name(), entry)
         })?;
@@ -110,7 +109,7 @@ impl Dumping<'_> {
         self.begin("@", names.len() as u64);
         let mut system = BTreeMap::new();
         for name in names {
-            check_signal(self.ending, self.shown)?;
+            check_signal(self.interrupt, self.shown)?;
             self.bar.inc(1);
             if let Some(entry) = live::system(self.session, &name)? {
                 system.insert(name, entry);
@@ -123,7 +122,7 @@ impl Dumping<'_> {
         let paths = live::files(self.session, omitted)?;
         self.begin("file", paths.len() as u64);
         for path in paths {
-            check_signal(self.ending, self.shown)?;
+            check_signal(self.interrupt, self.shown)?;
             self.bar.inc(1);
             if self.folder.has_file(&path) {
                 continue;
@@ -143,8 +142,8 @@ impl Dumping<'_> {
 }
 
 /// Ends the dump after a signal.
-fn check_signal(ending: &Ending, shown: &str) -> Result<(), Failure> {
-    if ending.has_come() {
+fn check_signal(interrupt: &Interrupt, shown: &str) -> Result<(), Failure> {
+    if interrupt.is_interrupted() {
         return Err(Failure::Interrupted(format!("interrupted; run `bcap dump {shown}` again to go on")));
     }
     Ok(())

@@ -7,7 +7,7 @@
 //!
 //! A file is checked in the same way, and the one that it replaces is saved in the folder before the write.
 //!
-//! The user may think about the plan for hours, so no session stays open meanwhile, and each value and file is checked again.
+//! The user may think about the plan for hours, so a session of the command's own does not stay open meanwhile, and each value and file is checked again.
 
 use std::path::Path;
 
@@ -15,20 +15,20 @@ use bcap_core::bcap::{FunctionId, Object};
 use bcap_std::ObjectPath;
 use serde_json::json;
 
-use super::contents::About;
+use super::contents::{About, Contents};
 use super::diff::entry_text;
 use super::journal::{Journal, Past};
 use super::plan::{Change, FileChange, Plan, unfit};
 use super::replaced::Replaced;
 use super::{folder, live};
-use crate::args::{LinkArgs, Restore};
+use crate::args::Restore;
 use crate::confirm::confirm;
-use crate::ending::Ending;
 use crate::error::Failure;
+use crate::interrupt::Interrupt;
 use crate::named::Entry;
 use crate::output::{print_json, print_line};
 use crate::remote;
-use crate::session::{Session, with_session};
+use crate::session::Session;
 use crate::value::{Value, integer, to_json};
 use crate::variables::{get_one, read};
 
@@ -36,7 +36,7 @@ use crate::variables::{get_one, read};
 const SHOWN: usize = 20;
 
 /// Runs `bcap restore`.
-pub(crate) fn restore(args: &Restore, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+pub(crate) fn restore(args: &Restore, session: &mut Session, json: bool) -> Result<(), Failure> {
     if args.status {
         return status(&args.dir, json);
     }
@@ -44,12 +44,13 @@ pub(crate) fn restore(args: &Restore, link: &LinkArgs, json: bool) -> Result<(),
     if let Some(past) = Past::read(&args.dir)?.filter(|past| !past.is_complete()) {
         summary(&past, json)?;
     }
-    let plan = with_session(link, |session| {
-        check_state(session)?;
-        let controller = live::contents(session)?;
-        check_controller(args, &backup.about, &controller.about)?;
-        Plan::new(&backup, &controller, args.io)
-    })?;
+    // the session of the shell stays open
+    let is_own = !session.is_open();
+    let plan = planned(args, &backup, session);
+    if is_own {
+        session.close();
+    }
+    let plan = plan?;
     show(&plan, if args.dry_run || json { usize::MAX } else { SHOWN }, json)?;
     if plan.is_empty() {
         return note("there is nothing to write: the controller has the values of the backup", json);
@@ -57,7 +58,7 @@ pub(crate) fn restore(args: &Restore, link: &LinkArgs, json: bool) -> Result<(),
     if args.dry_run {
         return Ok(());
     }
-    let target = link.target()?.to_string();
+    let target = session.link().target()?.to_string();
     let what = format!(
         "{} variables and {} files are going to be written to {target}",
         plan.variables.len(),
@@ -66,11 +67,20 @@ pub(crate) fn restore(args: &Restore, link: &LinkArgs, json: bool) -> Result<(),
     confirm(&what, "Tasks and robot must stay at rest meanwhile.", "nothing was written", args.yes)?;
     let mut journal = Journal::begin(&args.dir, &target, &plan.names())?;
     let replaced = Replaced::new(&args.dir);
-    let ending = Ending::install()?;
-    let written = with_session(link, |session| {
-        Writing { session, journal: &mut journal, replaced: &replaced, ending: &ending }.run(&plan)
-    });
+    let interrupt = session.handle_signals()?;
+    let _ends = interrupt.end_between_calls();
+    // the question may have taken long
+    session.restart_budget();
+    let written = Writing { session, journal: &mut journal, replaced: &replaced, interrupt: &interrupt }.run(&plan);
     conclude(&args.dir, &mut journal, written, json)
+}
+
+/// Compares the backup with the controller.
+fn planned(args: &Restore, backup: &Contents, session: &mut Session) -> Result<Plan, Failure> {
+    check_state(session)?;
+    let controller = live::contents(session)?;
+    check_controller(args, &backup.about, &controller.about)?;
+    Plan::new(backup, &controller, args.io)
 }
 
 /// Prints what the last restore has written.
@@ -176,7 +186,7 @@ struct Writing<'a> {
     session: &'a mut Session,
     journal: &'a mut Journal,
     replaced: &'a Replaced,
-    ending: &'a Ending,
+    interrupt: &'a Interrupt,
 }
 
 impl Writing<'_> {
@@ -233,7 +243,7 @@ impl Writing<'_> {
 
     /// Ends the restore between two writes after a signal.
     fn check_signal(&self) -> Result<(), Failure> {
-        if self.ending.has_come() {
+        if self.interrupt.is_interrupted() {
             return Err(Failure::Interrupted("interrupted between two writes".into()));
         }
         Ok(())

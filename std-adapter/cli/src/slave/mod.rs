@@ -1,22 +1,34 @@
 //! `bcap slave`: streams poses in Slave Mode and reports the timing.
 
 mod monitor;
+mod player;
 mod plot;
 mod poses;
+mod received;
 mod record;
 mod report;
 mod sample;
+mod speed;
 mod stream;
 
-use bcap_core::slave::PoseType;
+use std::time::Duration;
 
-use crate::args::{Cosine, LinkArgs, Play, Slave, SlaveCommand};
+use bcap_core::slave::{ExtendedAxes, Format, Mode, Pose, PoseType, ReceivePose, SlaveMode};
+
+use crate::args::{Cosine, LinkArgs, MoveArgs, Play, Slave, SlaveCommand, StreamArgs};
 use crate::confirm;
 use crate::error::Failure;
+use crate::motion;
+use crate::session::Session;
+use monitor::signals;
+use player::Course;
 use poses::Poses;
 pub(crate) use poses::columns;
 use sample::CYCLE;
-use stream::{Course, stream};
+use stream::stream;
+
+/// How long the motion to the start of a stream may take.
+const APPROACH: Duration = Duration::from_secs(180);
 
 /// Runs `bcap slave`.
 pub(crate) fn slave(args: &Slave, link: &LinkArgs, json: bool) -> Result<(), Failure> {
@@ -28,21 +40,26 @@ pub(crate) fn slave(args: &Slave, link: &LinkArgs, json: bool) -> Result<(), Fai
 }
 
 fn play(args: &Play, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let poses = Poses::read(&args.file, args.stream.pose.map(PoseType::from), args.hz)?;
-    let kind = poses.kind;
-    let course = Course::Poses { poses: poses.each_cycle(CYCLE), loops: args.loops, approach: args.approach };
+    let poses = Poses::read(&args.file, args.stream.pose.map(PoseType::from), args.stream.format.extended, args.hz)?;
+    let format = checked_format(&args.stream, poses.kind, link)?;
+    let outputs = poses.each_outputs(CYCLE);
+    let course = Course::Poses { poses: poses.each_cycle(CYCLE), outputs, loops: args.loops };
+    let approach = match args.approach.zip(poses.first()) {
+        Some((percent, first)) => Some((start_text(&first)?, percent)),
+        None => None,
+    };
     let mode = args.stream.mode;
     let first = poses.first().map(|pose| format!("{pose:?}")).unwrap_or_default();
     let what = format!(
         "{} plays {} in {mode:?}: {} poses in {:.1} s, from {first}{}",
-        link.network_target()?,
+        link.target()?,
         args.file.display(),
         course.cycles(),
         f64::from(course.cycles()) * CYCLE,
         args.approach.map(|percent| format!(", and first moves there at {percent} %")).unwrap_or_default(),
     );
     confirm(&what, args.stream.yes)?;
-    stream(course, kind, &args.stream, link, json)
+    run(course, format, approach, &args.stream, link, json)
 }
 
 fn cosine(args: &Cosine, link: &LinkArgs, json: bool) -> Result<(), Failure> {
@@ -54,12 +71,79 @@ fn cosine(args: &Cosine, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     // the range was checked above
     let course = Course::Cosine { cycles: (cycles as u32).max(1), amplitude: args.amplitude };
     let kind = args.stream.pose.map_or(PoseType::J, PoseType::from);
+    let format = checked_format(&args.stream, kind, link)?;
     let (along, unit) = if kind == PoseType::J { ("joint 1", "degrees") } else { ("Z", "mm") };
-    let (target, mode) = (link.network_target()?, args.stream.mode);
-    let what =
-        format!("{target} moves {along} by {} {unit} and back within {} s, in {mode:?}", args.amplitude, args.seconds);
+    let (target, mode) = (link.target()?, args.stream.mode);
+    let first = args.from.as_ref().map(|from| format!("first moves to {from} at {} %, then ", args.speed));
+    let what = format!(
+        "{target} {}moves {along} by {} {unit} and back within {} s, in {mode:?}",
+        first.unwrap_or_default(),
+        args.amplitude,
+        args.seconds
+    );
     confirm(&what, args.stream.yes)?;
-    stream(course, kind, &args.stream, link, json)
+    run(course, format, args.from.clone().map(|from| (from, args.speed)), &args.stream, link, json)
+}
+
+/// Moves the robot to the start, if that is wanted, and streams.
+fn run(
+    course: Course,
+    format: Format,
+    start: Option<(String, f64)>,
+    args: &StreamArgs,
+    link: &LinkArgs,
+    json: bool,
+) -> Result<(), Failure> {
+    // a Ctrl-C after the motion to the start ends the stream
+    let signals = signals()?;
+    if let Some((to, percent)) = start {
+        approach(to, percent, link)?;
+    }
+    stream(course, format, args, link, json, signals)
+}
+
+/// Moves the robot by an ordinary motion, as `bcap move` does.
+fn approach(to: String, percent: f64, link: &LinkArgs) -> Result<(), Failure> {
+    let motion = MoveArgs {
+        to,
+        line: false,
+        speed: Some(percent),
+        tool: None,
+        work: None,
+        within: APPROACH,
+        wait: true,
+        no_wait: false,
+    };
+    let mut session = Session::new(link);
+    if motion::go(&motion, &mut session)? { Ok(()) } else { Err(Failure::Interrupted("interrupted".into())) }
+}
+
+/// Writes the first pose of a stream as the destination of a motion.
+fn start_text(pose: &Pose) -> Result<String, Failure> {
+    let shape = pose.shape();
+    if shape.extended != ExtendedAxes::None && shape.pose != PoseType::J {
+        return Err(Failure::Input(format!(
+            "--approach cannot move the extended joints to a pose of type {:?}; move them first, for example with `bcap move`",
+            shape.pose
+        )));
+    }
+    let numbers: Vec<String> = pose.numbers().iter().map(f64::to_string).collect();
+    Ok(format!("{:?}({})", shape.pose, numbers.join(",")))
+}
+
+/// Returns the format of a stream, if the options fit each other and the line is fast enough.
+fn checked_format(args: &StreamArgs, kind: PoseType, link: &LinkArgs) -> Result<Format, Failure> {
+    let format = args.format.format(SlaveMode { mode: Mode::from(args.mode), pose: kind });
+    let is_contained = match kind {
+        PoseType::P => matches!(format.receive.pose, ReceivePose::P | ReceivePose::PJ),
+        PoseType::J => matches!(format.receive.pose, ReceivePose::J | ReceivePose::PJ | ReceivePose::TJ),
+        PoseType::T => matches!(format.receive.pose, ReceivePose::T | ReceivePose::TJ),
+    };
+    if args.plot.is_some() && !is_contained {
+        return Err(Failure::Input(format!("--plot needs the type of the stream in --recv-format: write {kind:?}")));
+    }
+    speed::check(link, &format)?;
+    Ok(format)
 }
 
 /// Asks for confirmation before the robot moves.

@@ -115,7 +115,14 @@ fn monitor(link: &LinkArgs, status: &StreamStatus, signals: &Receiver<()>, ended
     loop {
         match signals.recv_timeout(INTERVAL) {
             Ok(()) if !status.stop.swap(true, Relaxed) => {
-                print(&bar, "stopping: the robot slows down and the arm is released; Ctrl-C again halts it at once");
+                let again = if link.is_serial() { "" } else { "; Ctrl-C again halts it at once" };
+                print(&bar, &format!("stopping: the robot slows down and the arm is released{again}"));
+            }
+            Ok(()) if link.is_serial() => {
+                print(
+                    &bar,
+                    "a serial line carries one session, so nothing can halt the robot now; use the emergency stop",
+                );
             }
             Ok(()) => {
                 status.halted.store(true, Relaxed);

@@ -1,17 +1,18 @@
 //! Files of poses: CSV with one pose per line, and the interpolation to one pose per cycle.
 //!
 //! ```text
-//!   t,J1,J2,...            optional column names; `t` in seconds
-//!   0.000,0,45,...         a pose
+//!   t,J1,J2,...,MINI       optional column names; `t` in seconds, outputs as numbers
+//!   0.000,0,45,...,0x30    a pose
 //! ```
 //!
 //! Poses are interpolated by Catmull-Rom splines with the file's times, so the speed is continuous. Angles of P poses take
-//! the shorter direction.
+//! the shorter direction. Outputs change at the time of their line.
 
 use std::path::Path;
 
-use bcap_core::slave::{Pose, PoseType};
+use bcap_core::slave::{Extended, ExtendedAxes, Pose, PoseType};
 
+use crate::args::wide_bits;
 use crate::error::Failure;
 
 /// Returns the column names of a pose type.
@@ -23,22 +24,54 @@ pub(crate) const fn columns(pose: PoseType) -> &'static [&'static str] {
     }
 }
 
+/// Returns the columns of the extended joints, which a J pose has among its own.
+const fn extended_columns(kind: PoseType, extended: ExtendedAxes) -> &'static [&'static str] {
+    match (kind, extended) {
+        (PoseType::J, _) | (_, ExtendedAxes::None) => &[],
+        (_, ExtendedAxes::Seven) => &["J7"],
+        (_, ExtendedAxes::Eight) => &["J8"],
+        (_, ExtendedAxes::Both) => &["J7", "J8"],
+    }
+}
+
+/// Returns the extended joints with these values.
+const fn extended_joints(axes: ExtendedAxes, seven: f64, eight: f64) -> Option<Extended> {
+    match axes {
+        ExtendedAxes::None => None,
+        ExtendedAxes::Seven => Some(Extended::Seven(seven)),
+        ExtendedAxes::Eight => Some(Extended::Eight(eight)),
+        ExtendedAxes::Both => Some(Extended::Both(seven, eight)),
+    }
+}
+
+/// The outputs that a line of a file sets; `None` without their column.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct FileOutputs {
+    pub(crate) mini: Option<u64>,
+    pub(crate) user: Option<u64>,
+    pub(crate) hand: Option<u64>,
+}
+
 /// The poses of a file with their times, in seconds from the first one.
 #[derive(Debug)]
 pub(crate) struct Poses {
     pub(crate) kind: PoseType,
+    extended: ExtendedAxes,
     rows: Vec<(f64, Vec<f64>)>,
+    /// For each row.
+    outputs: Vec<FileOutputs>,
 }
 
 impl Poses {
     /// Reads a file.
-    pub(crate) fn read(path: &Path, kind: Option<PoseType>, hz: f64) -> Result<Self, Failure> {
+    pub(crate) fn read(path: &Path, kind: Option<PoseType>, extended: ExtendedAxes, hz: f64) -> Result<Self, Failure> {
         let text = std::fs::read_to_string(path)
             .map_err(|error| Failure::Input(format!("cannot read {}: {error}", path.display())))?;
-        Self::parse(&text, kind, hz).map_err(|problem| Failure::Input(format!("{}: {problem}", path.display())))
+        Self::parse(&text, kind, extended, hz)
+            .map_err(|problem| Failure::Input(format!("{}: {problem}", path.display())))
     }
 
-    fn parse(text: &str, kind: Option<PoseType>, hz: f64) -> Result<Self, String> {
+    fn parse(text: &str, kind: Option<PoseType>, extended: ExtendedAxes, hz: f64) -> Result<Self, String> {
         let mut reader = csv::ReaderBuilder::new()
             .has_headers(false)
             .flexible(true)
@@ -47,15 +80,17 @@ impl Poses {
             .from_reader(text.as_bytes());
         let mut layout: Option<Layout> = None;
         let mut rows: Vec<(f64, Vec<f64>)> = Vec::new();
+        let mut outputs = Vec::new();
         for record in reader.records() {
             let record = record.map_err(|error| error.to_string())?;
             let line = record.position().map_or(0, csv::Position::line);
             let fields: Vec<&str> = record.iter().collect();
             let Some(layout) = &layout else {
                 let (found, is_header) =
-                    Layout::of(&fields, kind).map_err(|problem| format!("line {line}: {problem}"))?;
+                    Layout::of(&fields, kind, extended).map_err(|problem| format!("line {line}: {problem}"))?;
                 let found = layout.insert(found);
                 if !is_header {
+                    outputs.push(FileOutputs::default());
                     rows.push(found.row(&fields, 0, hz).map_err(|problem| format!("line {line}: {problem}"))?);
                 }
                 continue;
@@ -68,6 +103,7 @@ impl Poses {
                 return Err(format!("line {line}: the time {at} s is not after the previous time {before} s"));
             }
             rows.push((at, numbers));
+            outputs.push(layout.outputs(&fields).map_err(|problem| format!("line {line}: {problem}"))?);
         }
         let (Some(layout), Some((begin, _))) = (layout, rows.first()) else {
             return Err("the file has no pose; write one pose per line, such as 0,45,90".into());
@@ -77,16 +113,28 @@ impl Poses {
         if kind == PoseType::P {
             unwind(&mut rows);
         }
-        Ok(Self { kind, rows })
+        Ok(Self { kind, extended, rows, outputs })
     }
 
     /// Returns the first pose.
     pub(crate) fn first(&self) -> Option<Pose> {
-        self.rows.first().and_then(|(_, numbers)| Pose::from_numbers(self.kind, numbers))
+        self.rows.first().and_then(|(_, numbers)| self.pose(numbers))
     }
 
     /// Returns a pose for each cycle, from the first pose of the file to its last.
     pub(crate) fn each_cycle(&self, cycle: f64) -> Vec<Pose> {
+        let moments = self.moments(cycle).into_iter();
+        moments.filter_map(|(row, at)| self.pose(&self.at(row, at, cycle))).collect()
+    }
+
+    /// Returns the outputs for each cycle.
+    pub(crate) fn each_outputs(&self, cycle: f64) -> Vec<FileOutputs> {
+        let moments = self.moments(cycle).into_iter();
+        moments.map(|(row, _)| self.outputs.get(row).copied().unwrap_or_default()).collect()
+    }
+
+    /// Returns the time of each cycle, and the last row before it.
+    fn moments(&self, cycle: f64) -> Vec<(usize, f64)> {
         let end = self.rows.last().map_or(0.0, |(at, _)| *at);
         // the tolerance keeps the last cycle despite rounding
         let count = (end / cycle + 1e-6).floor();
@@ -97,14 +145,28 @@ impl Poses {
             while self.rows.get(row + 1).is_some_and(|(next, _)| *next <= at + cycle * 1e-6) {
                 row += 1;
             }
-            out.extend(Pose::from_numbers(self.kind, &self.at(row, at, cycle)));
+            out.push((row, at));
             index += 1.0;
         }
         if end - count * cycle > cycle * 1e-3 {
             // the file ends inside a cycle
-            out.extend(self.rows.last().and_then(|(_, numbers)| Pose::from_numbers(self.kind, numbers)));
+            out.push((self.rows.len() - 1, end));
         }
         out
+    }
+
+    /// Makes a pose of the numbers of a row.
+    fn pose(&self, numbers: &[f64]) -> Option<Pose> {
+        let own = numbers.get(..self.kind.len()).unwrap_or(numbers);
+        let number = |at: usize| numbers.get(at).copied().unwrap_or(0.0);
+        let first = self.kind.len();
+        let (seven, eight) = match (self.kind, self.extended) {
+            (PoseType::J, _) => (number(6), number(7)),
+            (_, ExtendedAxes::Eight) => (0.0, number(first)),
+            _ => (number(first), number(first + 1)),
+        };
+        let pose = Pose::from_numbers(self.kind, own)?;
+        Some(extended_joints(self.extended, seven, eight).map_or(pose, |joints| pose.with_extended(joints)))
     }
 
     /// Returns the interpolated numbers at a time between a row and the next one.
@@ -117,7 +179,7 @@ impl Poses {
         let mut out = Vec::with_capacity(numbers.len());
         for column in 0..numbers.len() {
             let (a, b) = (numbers[column], next[column]);
-            let is_figure = self.kind != PoseType::J && column + 1 == numbers.len();
+            let is_figure = self.kind != PoseType::J && column + 1 == self.kind.len();
             out.push(if is_figure {
                 a
             } else {
@@ -173,23 +235,26 @@ struct Layout {
     time: Option<usize>,
     /// The column of each number.
     numbers: Vec<usize>,
+    /// The columns MINI, USER and HAND.
+    outputs: [Option<usize>; 3],
     /// The number of fields in a line.
     fields: usize,
 }
 
 impl Layout {
     /// Determines the columns from the first line; also returns whether that line is a header.
-    fn of(fields: &[&str], kind: Option<PoseType>) -> Result<(Self, bool), String> {
+    fn of(fields: &[&str], kind: Option<PoseType>, extended: ExtendedAxes) -> Result<(Self, bool), String> {
         if fields.iter().all(|field| field.parse::<f64>().is_ok()) {
             let kind = kind.unwrap_or(PoseType::J);
-            let expected = columns(kind).len();
+            let expected = columns(kind).len() + extended_columns(kind, extended).len();
             if fields.len() > expected || (kind != PoseType::J && fields.len() < expected) {
                 let found = fields.len();
                 return Err(format!(
                     "it has {found} numbers, but a pose of type {kind:?} has {expected}; name the columns in the first line"
                 ));
             }
-            return Ok((Self { kind, time: None, numbers: (0..fields.len()).collect(), fields: fields.len() }, false));
+            let numbers = (0..fields.len()).collect();
+            return Ok((Self { kind, time: None, numbers, outputs: [None; 3], fields: fields.len() }, false));
         }
         let find = |name: &str| fields.iter().position(|field| field.eq_ignore_ascii_case(name));
         let has = |kind: PoseType| columns(kind).iter().all(|name| find(name).is_some());
@@ -200,11 +265,13 @@ impl Layout {
             () => PoseType::J,
         });
         // trailing joints may be missing, but no joint in between
-        let numbers: Vec<usize> = columns(kind).iter().map_while(|name| find(name)).collect();
-        if numbers.is_empty() || (kind != PoseType::J && numbers.len() < columns(kind).len()) {
-            return Err(format!("a pose of type {kind:?} needs the columns {}", columns(kind).join(",")));
+        let names = [columns(kind), extended_columns(kind, extended)].concat();
+        let numbers: Vec<usize> = names.iter().map_while(|name| find(name)).collect();
+        if numbers.is_empty() || (kind != PoseType::J && numbers.len() < names.len()) {
+            return Err(format!("a pose of type {kind:?} needs the columns {}", names.join(",")));
         }
-        Ok((Self { kind, time: find("t"), numbers, fields: fields.len() }, true))
+        let outputs = ["MINI", "USER", "HAND"].map(find);
+        Ok((Self { kind, time: find("t"), numbers, outputs, fields: fields.len() }, true))
     }
 
     /// Reads a line.
@@ -223,6 +290,19 @@ impl Layout {
         };
         Ok((at, self.numbers.iter().map(|column| number(*column)).collect::<Result<_, _>>()?))
     }
+
+    /// Reads the outputs of a line, which has as many fields as the first one.
+    fn outputs(&self, fields: &[&str]) -> Result<FileOutputs, String> {
+        let read = |column: Option<usize>| {
+            let field = column.and_then(|column| fields.get(column).map(|field| (column + 1, field)));
+            let bits = field.map(|(number, field)| {
+                wide_bits(field).map_err(|problem| format!("field {number}: {field:?}: {problem}"))
+            });
+            bits.transpose()
+        };
+        let [mini, user, hand] = self.outputs;
+        Ok(FileOutputs { mini: read(mini)?, user: read(user)?, hand: read(hand)? })
+    }
 }
 
 #[cfg(test)]
@@ -230,7 +310,7 @@ mod tests {
     use super::*;
 
     fn parse(text: &str) -> Result<Poses, String> {
-        Poses::parse(text, None, 125.0)
+        Poses::parse(text, None, ExtendedAxes::None, 125.0)
     }
 
     fn first_column(poses: &Poses) -> Vec<f64> {
@@ -247,7 +327,7 @@ mod tests {
     #[test]
     fn slower_files_are_interpolated_with_continuous_speed() {
         let text: String = (0..=10).map(|n| format!("{}\n", f64::from(n * n))).collect();
-        let poses = Poses::parse(&text, None, 25.0).unwrap();
+        let poses = Poses::parse(&text, None, ExtendedAxes::None, 25.0).unwrap();
         let each = first_column(&poses);
         assert_eq!(each.len(), 51);
         // the rows are exact; between inner rows the curve is the parabola, and it starts and ends at rest
@@ -273,6 +353,35 @@ mod tests {
         }
         assert_eq!(each[2].numbers()[5], 181.0);
         assert_eq!(parse("x,y,z,ox,oy,oz,ax,ay,az,fig\n1,2,3,1,0,0,0,1,0,5").unwrap().kind, PoseType::T);
+    }
+
+    #[test]
+    fn outputs_hold_from_line_to_line() {
+        let poses = parse("t,J1,MINI,HAND\n0,0,0x30000,1\n0.016,1,0,2\n").unwrap();
+        let set = |mini, hand| FileOutputs { mini: Some(mini), user: None, hand: Some(hand) };
+        assert_eq!(poses.each_outputs(0.008), [set(0x30000, 1), set(0x30000, 1), set(0, 2)]);
+        assert_eq!(parse("1\n2\n").unwrap().each_outputs(0.008), [FileOutputs::default(); 2]);
+        assert!(parse("J1,MINI\n0,on\n").unwrap_err().contains("line 2: field 2: \"on\": write a number"));
+    }
+
+    #[test]
+    fn extended_joints_are_columns_or_follow_the_pose() {
+        let parse = |text: &str, axes| Poses::parse(text, None, axes, 125.0);
+        let last = |poses: Poses| poses.each_cycle(0.008).last().map(|pose| pose.as_slice().to_vec()).unwrap();
+        let [option7, option8, both] = [0x40, 0x80, 0xc0].map(|bits| f64::from(0x0040_0000 | bits));
+        let named = "X,Y,Z,RX,RY,RZ,FIG,J8,J7\n1,2,3,4,5,6,5,80,70\n";
+        let pose = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 5.0];
+        for (axes, more) in [
+            (ExtendedAxes::Seven, &[option7, 70.0][..]),
+            (ExtendedAxes::Eight, &[option8, 80.0]),
+            (ExtendedAxes::Both, &[both, 70.0, 80.0]),
+        ] {
+            assert_eq!(last(parse(named, axes).unwrap()), [&pose[..], more].concat());
+        }
+        let joints = last(parse("1,2,3,4,5,6,7,8\n", ExtendedAxes::Both).unwrap());
+        assert_eq!(joints, [1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, both]);
+        let error = parse("X,Y,Z,RX,RY,RZ,FIG,J8\n1,2,3,4,5,6,5,80\n", ExtendedAxes::Seven).unwrap_err();
+        assert!(error.contains("needs the columns X,Y,Z,RX,RY,RZ,FIG,J7"), "{error}");
     }
 
     #[test]
