@@ -11,7 +11,7 @@ use bcap_core::variant::OleDate;
 use crate::executor::Executor;
 use crate::explain::Observer;
 use crate::kinematics::{Geometry, Joints};
-use crate::model::{Model, Profile, SlaveFormats};
+use crate::model::{ArmModel, Model, Profile, SlaveFormats};
 use crate::trace::Recorder;
 use crate::variables::Sizes;
 
@@ -213,6 +213,14 @@ impl Config {
             arm_name: model.arm_name.clone(),
             model,
         }
+    }
+
+    /// Replaces the arm: its dimensions, ranges, speeds, initial position, extended axes and type.
+    #[must_use]
+    pub fn with_arm(mut self, arm: &ArmModel) -> Self {
+        (self.geometry, self.home, self.extended_axes) = (arm.geometry, arm.home, arm.extended_axes);
+        self.robot_type.clone_from(&arm.robot_type);
+        self
     }
 
     /// Refuses an unknown option, or ignores it and tells the observer.
