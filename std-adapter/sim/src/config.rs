@@ -65,8 +65,7 @@ pub enum SpeedSetting {
     Servo = 0,
     /// The same, multiplied by the external speed and the external acceleration.
     ServoByExtSpeed = 1,
-    /// The limits of a motion command: [`SPEEDS`](crate::kinematics::SPEEDS), reached within
-    /// [`ACCELERATION_TIME`](crate::motion::ACCELERATION_TIME).
+    /// The limits of a motion command: the speeds of the [arm](Geometry), and the accelerations that reach them in its time.
     Command = 2,
     /// The same, multiplied by the external speed and the external acceleration.
     CommandByExtSpeed = 3,

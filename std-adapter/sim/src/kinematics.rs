@@ -75,6 +75,8 @@ pub struct Geometry {
     pub ranges: [(f64, f64); AXES],
     /// The largest speeds of J1 to J8, in degrees or mm per second.
     pub speeds: [f64; AXES],
+    /// The time in which each axis reaches its largest speed, in seconds: its largest acceleration.
+    pub acceleration_time: f64,
 }
 
 /// The kind of an arm, and its lengths.
@@ -100,6 +102,9 @@ pub const EXTENDED_RANGE: f64 = 1000.0;
 /// The default largest speed of an extended axis (J7, J8), in degrees or mm per second.
 pub const EXTENDED_SPEED: f64 = 500.0;
 
+/// The time in which an axis of the default arm reaches its largest speed, in seconds.
+pub const ACCELERATION_TIME: f64 = 0.2;
+
 impl Geometry {
     /// The default arm.
     pub const DEFAULT: Self = {
@@ -118,6 +123,7 @@ impl Geometry {
             }),
             ranges: [r1, r2, r3, r4, r5, r6, extended, extended],
             speeds: [s1, s2, s3, s4, s5, s6, EXTENDED_SPEED, EXTENDED_SPEED],
+            acceleration_time: ACCELERATION_TIME,
         }
     };
 }
@@ -141,6 +147,11 @@ impl OutOfReach {
 }
 
 impl Geometry {
+    /// Returns the largest accelerations of J1 to J8, in degrees or mm per second squared.
+    pub(crate) fn accelerations(&self) -> Axes {
+        self.speeds.map(|speed| speed / self.acceleration_time)
+    }
+
     /// Returns the number of joints: 4 or 6.
     pub(crate) const fn joints(&self) -> usize {
         match self.links {

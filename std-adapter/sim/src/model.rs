@@ -13,7 +13,7 @@
 //! | `[arm]`       | its dimensions ([`kinematics`](crate::kinematics)), home position, ranges and speeds |
 //!
 //! The arm has `kinematics = "vertical"` (six axes, the default) or `"horizontal"` (four). The lengths a1, b4 and b6 of six axes
-//! may be omitted, and are 0 then. A controller of any model drives another arm with [`ArmModel`], `bcap sim --arm`.
+//! may be omitted, and are 0 then. `acceleration_time`, in seconds, may be omitted, and is 0.2 then. A controller of any model drives another arm with [`ArmModel`], `bcap sim --arm`.
 
 mod arm;
 

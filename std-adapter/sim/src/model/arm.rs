@@ -6,7 +6,9 @@ use serde::Deserialize;
 use toml::Spanned;
 
 use super::{ModelError, Wrong, located, text};
-use crate::kinematics::{EXTENDED_RANGE, EXTENDED_SPEED, Geometry, Horizontal, Joints, Links, Vertical};
+use crate::kinematics::{
+    ACCELERATION_TIME, EXTENDED_RANGE, EXTENDED_SPEED, Geometry, Horizontal, Joints, Links, Vertical,
+};
 
 /// An arm that is built in, besides those of the [models](super::Profile): its file says where each value comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -122,6 +124,7 @@ pub(super) struct ArmEntry {
     b4: Option<Spanned<f64>>,
     b6: Option<Spanned<f64>>,
     d6: Option<Spanned<f64>>,
+    acceleration_time: Option<Spanned<f64>>,
     home: Spanned<Vec<f64>>,
     axes: Spanned<Vec<Spanned<AxisEntry>>>,
 }
@@ -154,7 +157,15 @@ impl ArmEntry {
             Links::Horizontal(_) => 4,
         };
         let (ranges, speeds, extended) = arm.axes(joints)?;
-        let geometry = Geometry { links, ranges, speeds };
+        let acceleration_time = match &arm.acceleration_time {
+            None => ACCELERATION_TIME,
+            Some(time) if (0.001..=10.0).contains(time.get_ref()) => *time.get_ref(),
+            Some(time) => {
+                let problem = format!("`acceleration_time` is {}; it is 0.001 to 10 seconds", time.get_ref());
+                return Err((time.span().start, problem));
+            }
+        };
+        let geometry = Geometry { links, ranges, speeds, acceleration_time };
         Ok((geometry, arm.home(&geometry, joints)?, extended))
     }
 
