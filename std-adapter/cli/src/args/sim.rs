@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use bcap_sim::Profile;
+use bcap_sim::{ArmProfile, Profile};
 use clap::Args;
 
 /// Runs a virtual controller on real sockets
@@ -21,6 +21,7 @@ Examples:
   bcap sim --record motion.csv
   bcap sim --model rc9 --print-model
   bcap sim --model cell7.toml
+  bcap sim --model rc9 --arm vs060
   bcap sim --model cobotta --robot-type CVR038A1-NV6
   bcap sim --bcap [::]:5007 --udp [::]:5007 --rac [::]:5006")]
 pub(crate) struct Sim {
@@ -43,6 +44,14 @@ pub(crate) struct Sim {
     /// Prints the file of the model, to copy and change, and exits
     #[arg(long)]
     pub(crate) print_model: bool,
+
+    /// The arm instead of that of the model: vs060, vs087, hsr065 (four axes), or a file like those that --print-arm prints
+    #[arg(long, value_name = "ARM|FILE.toml")]
+    pub(crate) arm: Option<ArmSource>,
+
+    /// Prints the file of the arm, to copy and change, and exits
+    #[arg(long, requires = "arm")]
+    pub(crate) print_arm: bool,
 
     /// The type of the robot, which drivers read as @TYPE_NAME [default: VS050A3; CVR038A1 for a COBOTTA]
     ///
@@ -72,7 +81,7 @@ pub(crate) struct Sim {
     /// The connections of clients are those of the capture in their order. A request gets the reply of the next call with the same
     /// function and arguments, at once. A request that the capture does not have is refused with E_FAIL and printed on stderr.
     #[arg(long, value_name = "FILE.pcapng", conflicts_with_all = [
-        "model", "print_model", "robot_type", "mode", "token", "no_slave_licence", "scenario", "record", "files", "explain", "lenient",
+        "model", "print_model", "arm", "robot_type", "mode", "token", "no_slave_licence", "scenario", "record", "files", "explain", "lenient",
     ])]
     pub(crate) replay: Option<PathBuf>,
 
@@ -120,6 +129,29 @@ impl FromStr for ModelSource {
             name if name.ends_with(".toml") => return Ok(Self::File(text.into())),
             _ => return Err("it is rc8, rc8a, rc9, cobotta, cobotta-pro, or a file whose name ends with .toml".into()),
         }))
+    }
+}
+
+/// Where an arm comes from.
+#[derive(Clone, Debug)]
+pub(crate) enum ArmSource {
+    BuiltIn(ArmProfile),
+    File(PathBuf),
+}
+
+impl FromStr for ArmSource {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let name = text.to_ascii_lowercase();
+        match ArmProfile::ALL.into_iter().find(|arm| arm.name() == name) {
+            Some(arm) => Ok(Self::BuiltIn(arm)),
+            None if name.ends_with(".toml") => Ok(Self::File(text.into())),
+            None => {
+                let names = ArmProfile::ALL.map(ArmProfile::name).join(", ");
+                Err(format!("it is {names}, or a file whose name ends with .toml"))
+            }
+        }
     }
 }
 
