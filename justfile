@@ -52,6 +52,18 @@ objects:
 fairness:
     cargo bench -p bcap-tests --bench fairness
 
+# Random programs of motions with each arm: no axis exceeds its speed or leaves its range.
+programs count="10000":
+    PROGRAMS={{count}} cargo test --release -p bcap-sim --test robot random::no_axis
+
+# Random scenarios with 1,000 random calls each, three times: the same records.
+scenarios count="100":
+    PROGRAMS={{count}} cargo test --release -p bcap-sim --test determinism
+
+# Draws the figures of docs/motion.md again.
+figures:
+    FIGURES=write cargo test -p bcap-sim --test figures
+
 # What `bcap proxy` adds to a round trip.
 proxy:
     cargo bench -p bcap-cli --bench proxy

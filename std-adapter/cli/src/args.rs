@@ -34,7 +34,7 @@ pub(crate) use self::proxy::{Proxy, RobotPorts};
 pub(crate) use self::raw::Raw;
 pub(crate) use self::replay::Replay;
 pub(crate) use self::session::{Clear, Errors, Messages, MoveArgs, Run, Shell, Task, TaskCommand};
-pub(crate) use self::sim::{ModelSource, Sim};
+pub(crate) use self::sim::{ArmSource, ModelSource, Sim};
 pub(crate) use self::slave::{Cosine, Doctor, Halt, Play, Record, Slave, SlaveCommand, StreamArgs};
 pub(crate) use self::slave_format::{FormatArgs, wide_bits};
 pub(crate) use self::variables::{Get, Names, Put, Watch};

@@ -18,12 +18,12 @@ use bcap_core::{bcap, rac};
 use bcap_sim::explain::Observer;
 use bcap_sim::files::{Executor, Job};
 use bcap_sim::scenario::Delivery;
-use bcap_sim::{Config, Controller, Model, Profile, Scenario};
+use bcap_sim::{ArmModel, Config, Controller, Model, Profile, Scenario};
 use bcap_std::SerialLine;
 use bcap_std::server::{LineEvent, Server};
 use tokio::sync::oneshot;
 
-use crate::args::{ModelSource, Sim};
+use crate::args::{ArmSource, ModelSource, Sim};
 use crate::error::Failure;
 use crate::listen::{runtime, taken};
 use crate::output::{note, print_block, print_line};
@@ -46,6 +46,10 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
     let model = read_model(&args.model)?;
     if args.print_model {
         return print_model(&args.model);
+    }
+    let arm = args.arm.as_ref().map(read_arm).transpose()?;
+    if let (true, Some((_, text))) = (args.print_arm, &arm) {
+        return Ok(print_block(text.trim_end())?);
     }
     if args.screen {
         require("leave --screen out")?;
@@ -71,6 +75,9 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
             config.observer = refused.observer();
         } else if args.explain || args.lenient {
             config.observer = explainer(args.explain)?;
+        }
+        if let Some((arm, _)) = &arm {
+            config = config.with_arm(arm);
         }
         if let Some(robot_type) = &args.robot_type {
             config.robot_type.clone_from(robot_type);
@@ -205,6 +212,19 @@ fn read_model(source: &ModelSource) -> Result<Model, Failure> {
     let text = fs::read_to_string(path)
         .map_err(|error| Failure::Input(format!("cannot read the model {}: {error}", path.display())))?;
     Model::parse(&text).map_err(|error| Failure::Input(format!("{} is not a valid model: {error}", path.display())))
+}
+
+/// Reads an arm, from its file if it is not built in; returns it with its text.
+fn read_arm(source: &ArmSource) -> Result<(ArmModel, String), Failure> {
+    let path = match source {
+        ArmSource::BuiltIn(arm) => return Ok((arm.arm().clone(), arm.text().to_owned())),
+        ArmSource::File(path) => path,
+    };
+    let text = fs::read_to_string(path)
+        .map_err(|error| Failure::Input(format!("cannot read the arm {}: {error}", path.display())))?;
+    let arm = ArmModel::parse(&text)
+        .map_err(|error| Failure::Input(format!("{} is not a valid arm: {error}", path.display())))?;
+    Ok((arm, text))
 }
 
 /// Prints the file of a model.

@@ -370,6 +370,27 @@ fn a_printed_model_is_changed_and_loaded() {
 }
 
 #[test]
+fn a_controller_drives_another_arm() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("scara.toml");
+    let printed = bcap(&["sim", "--arm", "hsr065", "--print-arm"]);
+    assert_eq!(printed.code, 0);
+    fs::write(&file, printed.out.replace("HSR065A1-N32-NNN-NNN A", "LONG").replace("a2 = 275.0", "a2 = 325.0")).unwrap();
+    for (arm, name, y) in [("hsr065", "HSR065A1-N32-NNN-NNN A", 275), (file.to_str().unwrap(), "LONG", 325)] {
+        let sim = Sim::start(&["--model", "rc9", "--arm", arm]);
+        let get = |name: &str| sim.tcp(&["get", name, "--provider", "CaoProv.DENSO.VRC9"]).out;
+        assert_eq!(get("robot/@TYPE_NAME"), format!("robot/@TYPE_NAME = {name}\n"));
+        // with J2 = 90, the second link points along y
+        assert_eq!(get("robot/@CURRENT_POSITION"), format!("robot/@CURRENT_POSITION = 375, {y}, 0, 0, 0, 90, 0\n"));
+    }
+    let run = bcap(&["sim", "--arm", "vs999"]);
+    assert!(run.err.contains("vs060, vs087, hsr065"), "{}", run.err);
+    fs::write(&file, printed.out.replace("a1 = 375.0", "d6 = 375.0")).unwrap();
+    let run = bcap(&["sim", "--arm", file.to_str().unwrap()]);
+    assert!(run.err.contains("scara.toml is not a valid arm: line"), "{}", run.err);
+}
+
+#[test]
 fn an_invalid_model_is_named_with_its_line() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("cell7.toml");

@@ -11,7 +11,7 @@ use bcap_core::variant::OleDate;
 use crate::executor::Executor;
 use crate::explain::Observer;
 use crate::kinematics::{Geometry, Joints};
-use crate::model::{Model, Profile, SlaveFormats};
+use crate::model::{ArmModel, Model, Profile, SlaveFormats};
 use crate::trace::Recorder;
 use crate::variables::Sizes;
 
@@ -65,8 +65,7 @@ pub enum SpeedSetting {
     Servo = 0,
     /// The same, multiplied by the external speed and the external acceleration.
     ServoByExtSpeed = 1,
-    /// The limits of a motion command: [`SPEEDS`](crate::kinematics::SPEEDS), reached within
-    /// [`ACCELERATION_TIME`](crate::motion::ACCELERATION_TIME).
+    /// The limits of a motion command: the speeds of the [arm](Geometry), and the accelerations that reach them in its time.
     Command = 2,
     /// The same, multiplied by the external speed and the external acceleration.
     CommandByExtSpeed = 3,
@@ -213,6 +212,14 @@ impl Config {
             arm_name: model.arm_name.clone(),
             model,
         }
+    }
+
+    /// Replaces the arm: its dimensions, ranges, speeds, initial position, extended axes and type.
+    #[must_use]
+    pub fn with_arm(mut self, arm: &ArmModel) -> Self {
+        (self.geometry, self.home, self.extended_axes) = (arm.geometry, arm.home, arm.extended_axes);
+        self.robot_type.clone_from(&arm.robot_type);
+        self
     }
 
     /// Refuses an unknown option, or ignores it and tells the observer.

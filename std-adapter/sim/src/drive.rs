@@ -103,10 +103,11 @@ impl Drive {
         }
     }
 
-    /// Checks that an arm with this number of extended axes has all axes of the turns.
-    pub(crate) fn check(&self, extended: u8) -> Result<(), HResult> {
+    /// Checks that an arm with this number of joints and of extended axes has all axes of the turns.
+    pub(crate) fn check(&self, joints: usize, extended: u8) -> Result<(), HResult> {
         let axes = FIRST_EXTENDED - 1 + usize::from(extended);
-        match self.turns.iter().all(|(axis, _)| *axis <= axes) {
+        let exists = |axis: usize| axis <= joints || (FIRST_EXTENDED..=axes).contains(&axis);
+        match self.turns.iter().all(|(axis, _)| exists(*axis)) {
             true => Ok(()),
             false => Err(HResult::E_INVALIDARG),
         }

@@ -106,7 +106,7 @@ pub use config::{Config, Mode, Permission, SlaveConfig, SpeedSetting, Token};
 pub use controller::execute::Bit;
 pub use controller::{Controller, EMERGENCY_STOP, execute, system};
 pub use errors::ErrorEntry;
-pub use model::{Model, Profile, SlaveFormats};
+pub use model::{ArmModel, ArmProfile, Model, Profile, SlaveFormats};
 pub use scenario::Scenario;
 pub use stream::{SlaveCounters, SlaveCycle};
 pub use tasks::TaskStatus;

@@ -1,8 +1,8 @@
 //! The models of controllers, as data files.
 //!
 //! Five are built in ([`Profile`]); their files in `std-adapter/sim/models` say where each value comes from. A copy of such a
-//! file, changed, is another model: [`Model::parse`], `bcap sim --model FILE.toml`. All keys are required, and unknown ones
-//! are refused.
+//! file, changed, is another model: [`Model::parse`], `bcap sim --model FILE.toml`. All keys are required
+//! except as named below, and unknown ones are refused.
 //!
 //! | section       | what it has                                                                          |
 //! |---------------|--------------------------------------------------------------------------------------|
@@ -11,13 +11,20 @@
 //! | `[slave]`     | the parts of the formats of Slave Mode                                               |
 //! | `[variables]` | the number of variables of each kind, with the IO                                    |
 //! | `[arm]`       | its dimensions ([`kinematics`](crate::kinematics)), home position, ranges and speeds |
+//!
+//! The arm has `kinematics = "vertical"` (six axes, the default) or `"horizontal"` (four). The lengths a1, b4 and b6 of six axes
+//! may be omitted, and are 0 then. `acceleration_time`, in seconds, may be omitted, and is 0.2 then. A controller of any model drives another arm with [`ArmModel`], `bcap sim --arm`.
+
+mod arm;
 
 use std::sync::OnceLock;
 
 use serde::Deserialize;
 use toml::Spanned;
 
-use crate::kinematics::{EXTENDED_RANGE, EXTENDED_SPEED, Geometry, Joints};
+use self::arm::ArmEntry;
+pub use self::arm::{ArmModel, ArmProfile};
+use crate::kinematics::{Geometry, Joints};
 use crate::variables::Sizes;
 
 /// A model of controller that is built in.
@@ -194,7 +201,7 @@ struct File {
     functions: Functions,
     slave: SlaveEntry,
     variables: SizesEntry,
-    arm: ArmEntry,
+    arm: Spanned<ArmEntry>,
 }
 
 #[derive(Deserialize)]
@@ -217,25 +224,6 @@ struct SizesEntry {
     io: u16,
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct ArmEntry {
-    d1: Spanned<f64>,
-    a2: Spanned<f64>,
-    a3: Spanned<f64>,
-    d4: Spanned<f64>,
-    d6: Spanned<f64>,
-    home: Spanned<Joints>,
-    axes: Spanned<Vec<Spanned<AxisEntry>>>,
-}
-
-#[derive(Clone, Copy, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct AxisEntry {
-    range: (f64, f64),
-    speed: f64,
-}
-
 /// A value that is wrong: its place in the file, and why.
 type Wrong = (usize, String);
 
@@ -247,18 +235,20 @@ impl Model {
     /// A [`ModelError`] that names the line.
     pub fn parse(text: &str) -> Result<Self, ModelError> {
         let file: File = toml::from_str(text)?;
-        file.read().map_err(|(place, problem)| {
-            let before = text.get(..place).unwrap_or(text);
-            ModelError::Value { line: before.matches('\n').count() + 1, problem }
-        })
+        file.read().map_err(|wrong| located(text, wrong))
     }
+}
+
+/// Returns the error of a wrong value, with its line.
+fn located(text: &str, (place, problem): Wrong) -> ModelError {
+    let before = text.get(..place).unwrap_or(text);
+    ModelError::Value { line: before.matches('\n').count() + 1, problem }
 }
 
 impl File {
     fn read(self) -> Result<Model, Wrong> {
         let SizesEntry { i, f, d, v, p, j, t, s, io } = self.variables;
-        let (geometry, extended_axes) = self.arm.geometry()?;
-        let home = self.arm.home(&geometry)?;
+        let (geometry, home, extended_axes) = ArmEntry::read(&self.arm)?;
         Ok(Model {
             name: text("name", self.name)?,
             provider: text("provider", self.provider)?,
@@ -281,51 +271,6 @@ fn text(key: &str, value: Spanned<String>) -> Result<String, Wrong> {
     if value.trim().is_empty() { Err((place, format!("`{key}` is empty"))) } else { Ok(value) }
 }
 
-impl ArmEntry {
-    /// Returns the arm, and the number of its extended axes.
-    fn geometry(&self) -> Result<(Geometry, u8), Wrong> {
-        let length = |key: &str, value: &Spanned<f64>, least: f64| match *value.get_ref() {
-            n if n.is_finite() && n >= least => Ok(n),
-            n => Err((value.span().start, format!("`{key}` is {n}; it is a length in mm, {least} or more"))),
-        };
-        let axes = self.axes.get_ref();
-        let extended = axes.len().checked_sub(6).and_then(|n| u8::try_from(n).ok()).filter(|n| *n <= 2);
-        let wrong_count = || (self.axes.span().start, format!("`axes` has {} elements; an arm has 6 to 8", axes.len()));
-        let extended = extended.ok_or_else(wrong_count)?;
-        let mut ranges = [(-EXTENDED_RANGE, EXTENDED_RANGE); 8];
-        let mut speeds = [EXTENDED_SPEED; 8];
-        for (n, axis) in axes.iter().enumerate() {
-            let AxisEntry { range: (low, high), speed } = *axis.get_ref();
-            let wrong = |problem: &str| (axis.span().start, format!("J{}: {problem}", n + 1));
-            if !(low.is_finite() && high.is_finite() && low < high) {
-                return Err(wrong(&format!("the range is [{low}, {high}]; its first number is the lower one")));
-            }
-            if !(speed.is_finite() && speed > 0.0) {
-                return Err(wrong(&format!("the speed is {speed}; it is above 0")));
-            }
-            (ranges[n], speeds[n]) = ((low, high), speed);
-        }
-        let geometry = Geometry {
-            d1: length("d1", &self.d1, 0.0)?,
-            a2: length("a2", &self.a2, 1.0)?,
-            a3: length("a3", &self.a3, -1e6)?,
-            d4: length("d4", &self.d4, 1.0)?,
-            d6: length("d6", &self.d6, 0.0)?,
-            ranges,
-            speeds,
-        };
-        Ok((geometry, extended))
-    }
-
-    fn home(&self, geometry: &Geometry) -> Result<Joints, Wrong> {
-        let home = *self.home.get_ref();
-        match geometry.out_of_range(&home) {
-            Some(axis) => Err((self.home.span().start, format!("`home`: J{axis} is outside its range"))),
-            None => Ok(home),
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -336,7 +281,6 @@ mod tests {
         assert_eq!(names, ["RC8", "RC8A", "RC9", "COBOTTA", "COBOTTA PRO"]);
         for profile in Profile::ALL {
             assert_eq!(profile.model(), &Model::parse(profile.text()).unwrap());
-            assert_eq!(profile.model().geometry, Geometry::DEFAULT);
         }
         assert_eq!(
             Profile::Cobotta.model().functions,

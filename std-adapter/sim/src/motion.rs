@@ -15,14 +15,12 @@ use std::time::Duration;
 use bcap_core::handler::PeerId;
 use bcap_core::time::Instant;
 
+pub use crate::kinematics::ACCELERATION_TIME;
 use crate::kinematics::{Axes, Frame, Geometry, six};
 use crate::options::Pass;
 use crate::path::Path;
 pub use crate::path::{LINE_SPEED, TURN_SPEED};
 use crate::route::Route;
-
-/// The time in which a motion at full acceleration reaches its full speed, in seconds.
-pub const ACCELERATION_TIME: f64 = 0.2;
 
 /// The rounding of a sum of positions, in degrees or mm.
 const ROUNDING: f64 = 1e-9;
@@ -163,7 +161,7 @@ impl Motion {
         let (place, speed) = self.ramp.at(now);
         let full = self.path.full_speed;
         if full.is_finite() {
-            let accel = full / ACCELERATION_TIME;
+            let accel = self.path.full_accel;
             let Rates { speed: top, accel: up, decel: down } = self.rates;
             self.ramp = Ramp::run(now, place, speed, full * top, accel * up, accel * down);
         }
@@ -174,7 +172,7 @@ impl Motion {
     pub(crate) fn brake(&mut self, now: Instant) {
         let (place, speed) = self.ramp.at(now);
         // at full deceleration, whatever the deceleration of the motion
-        let decel = self.path.full_speed / ACCELERATION_TIME;
+        let decel = self.path.full_accel;
         if decel.is_finite() {
             self.ramp = Ramp::brake(now, place, speed, decel);
         }
@@ -213,7 +211,7 @@ impl Motion {
         let end = self.end();
         let pass = self.pass_time().max(now);
         let top = self.rates.speed.max(next.rates.speed);
-        let rise = ACCELERATION_TIME * top / next.rates.accel;
+        let rise = next.path.full_speed * top / (next.path.full_accel * next.rates.accel);
         let mut overlap = end.saturating_since(pass).as_secs_f64().min(rise);
         for _ in 0..8 {
             let begin = Instant::from_micros(end.as_micros().saturating_sub((overlap * 1e6) as u64));
@@ -229,7 +227,7 @@ impl Motion {
     fn fits(&self, next: &Self, begin: Instant) -> bool {
         let time = self.end().saturating_since(begin).as_secs_f64();
         let (from, _) = next.ramp.at(begin);
-        let rise = next.path.full_speed / ACCELERATION_TIME * next.rates.accel * time * time / 2.0;
+        let rise = next.path.full_accel * next.rates.accel * time * time / 2.0;
         let to = if rise.is_finite() { (from + rise).min(1.0) } else { 1.0 };
         let (here, there) = (self.path.bounds(self.ramp.at(begin).0, 1.0), next.path.bounds(from, to));
         let start = next.path.start();

@@ -21,6 +21,8 @@ pub(crate) struct Path {
     knots: Vec<Axes>,
     /// The highest speed within all limits, in paths per second.
     pub(crate) full_speed: f64,
+    /// The largest acceleration within all limits, in paths per second squared.
+    pub(crate) full_accel: f64,
     /// The arm that follows the path.
     pub(crate) arm: Geometry,
 }
@@ -28,7 +30,8 @@ pub(crate) struct Path {
 impl Path {
     /// Plans a motion in which every axis moves evenly.
     pub(crate) fn axes(arm: &Geometry, from: Axes, to: Axes) -> Self {
-        Self { full_speed: axis_limit(arm, &from, &to, 1.0), knots: vec![from, to], arm: *arm }
+        let full_speed = axis_limit(arm, &from, &to, 1.0);
+        Self { full_speed, full_accel: full_speed / arm.acceleration_time, knots: vec![from, to], arm: *arm }
     }
 
     /// Plans a motion of the flange through the frames of `frame`, a function of the part of the path, 0 to 1, while J7 and
@@ -54,7 +57,8 @@ impl Path {
             knots.push(next);
             here = next;
         }
-        Ok(Self { knots, full_speed, arm: *arm })
+        let (full_speed, full_accel) = curved(arm, &knots, full_speed);
+        Ok(Self { knots, full_speed, full_accel, arm: *arm })
     }
 
     /// Plans the path on which axes at these speeds come to rest together, within their limits of acceleration.
@@ -67,7 +71,9 @@ impl Path {
             // through rounding, an axis may be slightly beyond its range
             (from[i] + speeds[i] * seconds / 2.0).clamp(low.min(from[i]), high.max(from[i]))
         });
-        (seconds > 1e-6).then(|| Self { knots: vec![from, to], full_speed: 2.0 / seconds, arm: *arm })
+        let full_speed = 2.0 / seconds;
+        let full_accel = full_speed / arm.acceleration_time;
+        (seconds > 1e-6).then(|| Self { knots: vec![from, to], full_speed, full_accel, arm: *arm })
     }
 
     /// Returns the position of the axes at its end.
@@ -107,4 +113,57 @@ fn between(a: &Axes, b: &Axes, part: f64) -> Axes {
 fn axis_limit(arm: &Geometry, from: &Axes, to: &Axes, parts: f64) -> f64 {
     let limits = from.iter().zip(to).zip(&arm.speeds).map(|((a, b), speed)| speed / ((a - b).abs() * parts));
     limits.fold(f64::INFINITY, f64::min)
+}
+
+/// Returns the speed and the acceleration along a path, in paths per second (squared), at which no axis exceeds its acceleration.
+///
+/// Where an axis turns unevenly, its acceleration has two parts: that along the path, and that of its bend, which grows with the
+/// square of the speed. Each may take half of the limit at least.
+fn curved(arm: &Geometry, knots: &[Axes], full_speed: f64) -> (f64, f64) {
+    let parts = (knots.len() - 1) as f64;
+    let limits = arm.accelerations();
+    let bends = || {
+        knots.windows(3).flat_map(move |three| {
+            let (a, b, c) = (three[0], three[1], three[2]);
+            (0..8).map(move |i| {
+                let (slope, bend) =
+                    ((c[i] - a[i]).abs() * parts / 2.0, (c[i] - 2.0 * b[i] + a[i]).abs() * parts * parts);
+                (limits[i], slope, bend)
+            })
+        })
+    };
+    let speed = bends().fold(full_speed, |speed, (limit, _, bend)| speed.min((limit / 2.0 / bend).sqrt()));
+    let most = speed / arm.acceleration_time;
+    let accel = bends().fold(most, |accel, (limit, slope, bend)| accel.min((limit - bend * speed * speed) / slope));
+    (speed, accel)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::ArmProfile;
+
+    /// A line close to the axis of J1, where J1 must turn fast: at full speed and full acceleration no axis exceeds its limits.
+    #[test]
+    fn a_bent_path_keeps_the_accelerations_of_all_axes() {
+        for arm in [Geometry::DEFAULT, ArmProfile::Vs060.arm().geometry, ArmProfile::Hsr065.arm().geometry] {
+            let (tilt, height) = if arm.joints() == 6 { (180.0, 300.0) } else { (0.0, 100.0) };
+            let [from, to] = [-150.0, 150.0].map(|y| Frame::from_xyz_rpy([200.0, y, height, tilt, 0.0, tilt]));
+            let start = with_joints(&arm.inverse_nearest(&from, &[0.0; 6]).unwrap(), &[0.0; 8]);
+            let path = Path::along(&arm, start, &start, (300.0, 0.0), |part| from.towards(&to, part)).unwrap();
+            let (speed, accel) = (path.full_speed, path.full_accel);
+            let parts = LINE_PARTS as f64;
+            let mut largest = 0.0_f64;
+            for three in path.knots.windows(3) {
+                for (i, limit) in arm.accelerations().into_iter().enumerate() {
+                    let slope = (three[2][i] - three[0][i]) * parts / 2.0;
+                    let bend = (three[2][i] - 2.0 * three[1][i] + three[0][i]) * parts * parts;
+                    let here = slope.abs() * accel + bend.abs() * speed * speed;
+                    assert!(here <= limit * 1.000_001, "J{}: {here} is above {limit}", i + 1);
+                    largest = largest.max(here / limit);
+                }
+            }
+            assert!(largest > 0.9, "the limit is used: {largest}");
+        }
+    }
 }

@@ -64,7 +64,7 @@ impl Route {
             Self::Home(joints) => axes(with_joints(joints, here)),
             Self::Arc(via, pose) => arc_path(arm, here, tool, *via, pose),
             Self::Depart { distance, line: straight } => {
-                let frame = arm.forward(&six(here)).times(tool).withdrawn(*distance).times(&tool.inverse());
+                let frame = arm.withdraw(&arm.forward(&six(here)).times(tool), *distance).times(&tool.inverse());
                 let pose = Pose::Frame(frame, None);
                 if *straight {
                     line(arm, here, tool, &pose, here)
@@ -122,10 +122,9 @@ fn tip(arm: &Geometry, pose: &Pose, tool: &Frame) -> (Frame, Option<u8>) {
 
 /// Checks that a path ends in the posture that its command asks for.
 fn keeps_posture(path: Path, fig: Option<u8>) -> Result<Path, Blocked> {
-    // shoulder, elbow and wrist; the turns of J4 and J6 result from the path
-    const POSTURE: u8 = 7;
+    // the turns of J4 and J6 result from the path
     match fig {
-        Some(fig) if (path.arm.figure(&six(&path.end())) ^ fig) & POSTURE != 0 => Err(Blocked::Invalid),
+        Some(fig) if !path.arm.same_posture(path.arm.figure(&six(&path.end())), fig) => Err(Blocked::Invalid),
         _ => Ok(path),
     }
 }

@@ -74,7 +74,6 @@ use crate::config::Config;
 use crate::context::Context;
 use crate::coordinates::Coordinates;
 use crate::kinematics::{Axes, OutOfReach, six};
-use crate::motion::ACCELERATION_TIME;
 use crate::pose::Pose;
 use crate::robot::{Percent, Robot};
 use crate::stream::{Offered, SlaveMode, Stream};
@@ -223,14 +222,12 @@ pub(crate) fn mode(robot: &Robot) -> i32 {
 
 /// Returns the limits of Slave Mode, if it is entered now.
 pub(crate) fn limits(robot: &Robot, config: &Config) -> Limits {
-    let (slave, speeds) = (&config.slave, robot.geometry().speeds);
+    let (slave, speeds, accelerations) = (&config.slave, robot.geometry().speeds, robot.geometry().accelerations());
     let (mut speed, mut acceleration) = match slave.speed_setting {
         SpeedSetting::Servo | SpeedSetting::ServoByExtSpeed => {
-            (speeds.map(|limit| limit * 1.2), speeds.map(|limit| limit / ACCELERATION_TIME * 4.0))
+            (speeds.map(|limit| limit * 1.2), accelerations.map(|limit| limit * 4.0))
         }
-        SpeedSetting::Command | SpeedSetting::CommandByExtSpeed => {
-            (speeds, speeds.map(|limit| limit / ACCELERATION_TIME))
-        }
+        SpeedSetting::Command | SpeedSetting::CommandByExtSpeed => (speeds, accelerations),
     };
     for (limits, own) in [(&mut speed, slave.speed_limits), (&mut acceleration, slave.acceleration_limits)] {
         limits.iter_mut().zip(own).for_each(|(limit, own)| *limit = own.unwrap_or(*limit));

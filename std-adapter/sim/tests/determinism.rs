@@ -1,4 +1,5 @@
 //! The same scenario and the same calls at the same times give the same answers, however often time is advanced between.
+//! Scenario, calls and times are random. `just scenarios` runs 100.
 
 mod common;
 
@@ -11,14 +12,12 @@ use bcap_sim::{Config, Profile, Scenario};
 
 use common::{Client, Value, World};
 
-/// The number of programs; the environment variable `PROGRAMS` sets another one, as 100, which take two minutes in a debug build.
+/// The number of programs; the environment variable `PROGRAMS` sets another one, as 100.
 const PROGRAMS: u64 = 5;
 const CALLS: usize = 1000;
 
-const SCENARIO: &str = r#"
-seed = 11
-[controller]
-motor = true
+/// The tasks of all scenarios.
+const TASKS: &str = r#"
 [[task]]
 name = "Count"
 start = 2
@@ -34,25 +33,34 @@ steps = [{ move = "@P J(20,45,90,0,45,0)" }, { wait_ms = 20 }, { move = { pose =
 [[task]]
 name = "Fail"
 steps = [{ wait_ms = 100 }, { error = "0x81501003" }, { set = { S1 = "failed" } }]
-[[fault]]
-when = { chance = 0.02 }
-then = { refuse = "E_BUF_FULL" }
-[[fault]]
-when = { chance = 0.01 }
-then = { delay_ms = 30 }
-[[fault]]
-when = { every = 173 }
-then = { error = "0x83204001" }
-[[fault]]
-when = { at_ms = 900 }
-then = { emergency_stop = true }
-[[fault]]
-when = { at_ms = 1000 }
-then = { emergency_stop = false }
-[[fault]]
-when = { cycle = 40 }
-then = { error = "0x84204043" }
 "#;
+
+/// Makes a scenario: a seed of its own, and up to ten faults.
+fn scenario(random: &mut fastrand::Rng) -> String {
+    let mut text = format!("seed = {}\n[controller]\nmotor = {}\n{TASKS}", random.u32(..), random.bool());
+    for _ in 0..random.usize(0..6) {
+        let when = match random.u32(0..3) {
+            0 => format!("chance = {}", f64::from(random.u32(1..30)) / 1000.0),
+            1 => format!("every = {}", random.u32(50..400)),
+            _ => format!("cycle = {}", random.u32(1..60)),
+        };
+        let then = match random.u32(0..3) {
+            0 => r#"refuse = "E_BUF_FULL""#.to_owned(),
+            1 => format!("delay_ms = {}", random.u32(1..60)),
+            _ => r#"error = "0x83204001""#.to_owned(),
+        };
+        // an action that answers a call does not fit a cycle of Slave Mode
+        let then = if when.starts_with("cycle") { r#"error = "0x84204043""#.to_owned() } else { then };
+        let _ = writeln!(text, "[[fault]]\nwhen = {{ {when} }}\nthen = {{ {then} }}");
+    }
+    for _ in 0..random.usize(0..3) {
+        let at = random.u32(100..3000);
+        for (at, pressed) in [(at, true), (at + random.u32(10..300), false)] {
+            let _ = writeln!(text, "[[fault]]\nwhen = {{ at_ms = {at} }}\nthen = {{ emergency_stop = {pressed} }}");
+        }
+    }
+    text
+}
 
 fn programs() -> u64 {
     std::env::var("PROGRAMS").ok().and_then(|n| n.parse().ok()).unwrap_or(PROGRAMS)
@@ -137,7 +145,8 @@ fn run(seed: u64, often: bool) -> String {
     let profile = if seed.is_multiple_of(2) { Profile::Rc8 } else { Profile::Rc9 };
     let mut world = World::with(Config { max_objects: 100_000, ..Config::new(profile) });
     let clients = [world.client(1), world.client(2)];
-    world.sim.play(Scenario::parse(SCENARIO).unwrap());
+    let text = scenario(&mut random);
+    world.sim.play(Scenario::parse(&text).unwrap_or_else(|error| panic!("seed {seed}: {error}\n{text}")));
     let mut waiting: [Option<Waiting>; 2] = [None, None];
     let mut record = String::new();
     for _ in 0..CALLS {

@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use bcap_sim::Profile;
+use bcap_sim::{ArmProfile, Profile};
 use bcap_std::{Address, SerialLine};
 use clap::Args;
 
@@ -24,6 +24,7 @@ Examples:
   bcap sim --screen
   bcap sim --model rc9 --print-model
   bcap sim --model cell7.toml
+  bcap sim --model rc9 --arm vs060
   bcap sim --model cobotta --robot-type CVR038A1-NV6
   bcap sim --serial '/dev/ttyUSB0?baud=115200' --no-network
   bcap sim --bcap [::]:5007 --udp [::]:5007 --rac [::]:5006")]
@@ -59,6 +60,14 @@ pub(crate) struct Sim {
     #[arg(long)]
     pub(crate) print_model: bool,
 
+    /// The arm instead of that of the model: vs060, vs087, hsr065 (four axes), or a file like those that --print-arm prints
+    #[arg(long, value_name = "ARM|FILE.toml")]
+    pub(crate) arm: Option<ArmSource>,
+
+    /// Prints the file of the arm, to copy and change, and exits
+    #[arg(long, requires = "arm")]
+    pub(crate) print_arm: bool,
+
     /// The type of the robot, which drivers read as @TYPE_NAME [default: VS050A3; CVR038A1 for a COBOTTA]
     ///
     /// The type does not change the lengths, ranges and speeds of the arm. A scenario sets name, axes and version.
@@ -87,7 +96,8 @@ pub(crate) struct Sim {
     /// The connections of clients are those of the capture in their order. A request gets the reply of the next call with the same
     /// function and arguments, at once. A request that the capture does not have is refused with E_FAIL and printed on stderr.
     #[arg(long, value_name = "FILE.pcapng", conflicts_with_all = [
-        "model", "print_model", "robot_type", "mode", "token", "no_slave_licence", "scenario", "record", "files", "explain", "lenient", "screen",
+        "model", "print_model", "arm", "robot_type", "mode", "token", "no_slave_licence", "scenario", "record", "files", "explain", "lenient",
+        "screen",
     ])]
     pub(crate) replay: Option<PathBuf>,
 
@@ -153,6 +163,29 @@ impl FromStr for ModelSource {
             name if name.ends_with(".toml") => return Ok(Self::File(text.into())),
             _ => return Err("it is rc8, rc8a, rc9, cobotta, cobotta-pro, or a file whose name ends with .toml".into()),
         }))
+    }
+}
+
+/// Where an arm comes from.
+#[derive(Clone, Debug)]
+pub(crate) enum ArmSource {
+    BuiltIn(ArmProfile),
+    File(PathBuf),
+}
+
+impl FromStr for ArmSource {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let name = text.to_ascii_lowercase();
+        match ArmProfile::ALL.into_iter().find(|arm| arm.name() == name) {
+            Some(arm) => Ok(Self::BuiltIn(arm)),
+            None if name.ends_with(".toml") => Ok(Self::File(text.into())),
+            None => {
+                let names = ArmProfile::ALL.map(ArmProfile::name).join(", ");
+                Err(format!("it is {names}, or a file whose name ends with .toml"))
+            }
+        }
     }
 }
 

@@ -51,7 +51,7 @@ pub(super) fn move_to(
             let Target { pose, extended, pass } = Target::parse(pose, ctx.variables)?;
             let pose = robot.coordinates().flange(pose);
             if let Some(drive) = &extended {
-                drive.check(ctx.config.extended_axes)?;
+                drive.check(robot.geometry().joints(), ctx.config.extended_axes)?;
             }
             match interpolation {
                 1 => start(robot, ctx, (Route::Joints(pose, extended), pass), Speed::Joints, option),
@@ -75,7 +75,7 @@ pub(super) fn approach(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant
     let (distance, pass) = length_and_pass(&length)?;
     let coordinates = robot.coordinates();
     let (frame, fig) = coordinates.pose_of(&Pose::parse(&pose, ctx.variables)?);
-    let pose = coordinates.flange(Pose::Frame(frame.withdrawn(distance), fig));
+    let pose = coordinates.flange(Pose::Frame(coordinates.arm.withdraw(&frame, distance), fig));
     let route = if line { Route::Line(pose, None) } else { Route::Joints(pose, None) };
     start(robot, ctx, (route, pass), Speed::of(line), &text_or_nothing(&option)?)
 }
@@ -193,7 +193,7 @@ pub(super) fn drive_command(robot: &mut Robot, ctx: &mut Context<'_>, absolute: 
 
 /// Turns single axes.
 pub(super) fn drive(robot: &mut Robot, ctx: &mut Context<'_>, drive: Drive, option: &str) -> Answered {
-    drive.check(ctx.config.extended_axes)?;
+    drive.check(robot.geometry().joints(), ctx.config.extended_axes)?;
     let pass = drive.pass;
     start(robot, ctx, (Route::Turn(drive), pass), Speed::Joints, option)
 }

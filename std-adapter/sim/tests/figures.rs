@@ -1,0 +1,127 @@
+//! The figures of `docs/motion.md`: this test draws them from the virtual controller, and compares them with the files.
+//! `just figures` writes the files.
+
+mod common;
+
+use std::path::PathBuf;
+
+use bcap_core::bcap::call;
+use bcap_core::hresult::HResult;
+use bcap_sim::{ArmProfile, Config, Profile};
+use plotters::prelude::*;
+
+use common::{World, code, doubles};
+
+const COLOURS: [RGBColor; 4] =
+    [RGBColor(31, 119, 180), RGBColor(214, 39, 40), RGBColor(44, 140, 60), RGBColor(148, 103, 189)];
+
+/// The ends of the first motion that are drawn.
+const PASSES: [&str; 4] = ["@0", "@P", "@50", "@E"];
+
+/// A point of a record: the time in s, and the tool centre point in mm.
+type Point = (f64, [f64; 3]);
+/// The lines of a chart with their names.
+type Lines = Vec<(String, Vec<(f64, f64)>)>;
+
+/// Draws a corner of two lines, 200 mm each, and returns the tool centre point every 8 ms.
+fn corner(pass: &str) -> Vec<Point> {
+    let mut world = World::with(Config::new(Profile::Rc8).with_arm(ArmProfile::Vs060.arm()));
+    let client = world.mover(1);
+    let robot = client.robot;
+    let to = |x: f64, y: f64| format!("P({x},{y},400,180,0,180,-1)");
+    let start = to(300.0, -100.0);
+    assert_eq!(world.run(client.peer, call::robot_move(robot, 1, start.as_str(), "")), code(HResult::S_OK));
+    let began = world.now;
+    for pose in [format!("{pass} {}", to(300.0, 100.0)), format!("@E {}", to(500.0, 100.0))] {
+        let line = call::robot_move(robot, 2, pose.as_str(), "SPEED=80,ACCEL=15,DECEL=15,NEXT");
+        assert_eq!(world.call(client.peer, line), code(HResult::S_OK));
+    }
+    let mut points = Vec::new();
+    loop {
+        let position = doubles(&world.robot(client, "CurPos", ()).1);
+        points.push((world.now.saturating_since(began).as_secs_f64(), [position[0], position[1], position[2]]));
+        if !world.sim.is_moving() {
+            return points;
+        }
+        world.pass(8);
+    }
+}
+
+/// Returns the speed between the points of a record.
+fn speeds(points: &[Point]) -> Vec<(f64, f64)> {
+    let between = |pair: &[Point]| {
+        let ((from, a), (to, b)) = (pair[0], pair[1]);
+        let length = a.iter().zip(b).map(|(a, b)| (b - a).powi(2)).sum::<f64>().sqrt();
+        ((from + to) / 2.0, length / (to - from))
+    };
+    points.windows(2).filter(|pair| pair[1].0 > pair[0].0).map(between).collect()
+}
+
+fn chart(title: &str, (x, y): (&str, &str), lines: &Lines) -> String {
+    let mut svg = String::new();
+    {
+        let root = SVGBackend::with_string(&mut svg, (900, 420)).into_drawing_area();
+        root.fill(&WHITE).unwrap();
+        let bounds = |of: fn(&(f64, f64)) -> f64| {
+            let values = lines.iter().flat_map(|(_, points)| points.iter().map(of));
+            let (low, high) =
+                values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), n| (low.min(n), high.max(n)));
+            let room = (high - low) * 0.05;
+            low - room..high + room
+        };
+        let mut chart = ChartBuilder::on(&root)
+            .caption(title, ("sans-serif", 20))
+            .margin(12)
+            .x_label_area_size(36)
+            .y_label_area_size(64)
+            .build_cartesian_2d(bounds(|point| point.0), bounds(|point| point.1))
+            .unwrap();
+        let style = ("sans-serif", 14);
+        chart.configure_mesh().light_line_style(WHITE).x_desc(x).y_desc(y).label_style(style).draw().unwrap();
+        for ((name, points), colour) in lines.iter().zip(COLOURS) {
+            let line = chart.draw_series(LineSeries::new(points.iter().copied(), colour.stroke_width(2))).unwrap();
+            line.label(name).legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)));
+        }
+        chart.configure_series_labels().legend_area_size(36).label_font(style).border_style(BLACK).draw().unwrap();
+        root.present().unwrap();
+    }
+    svg
+}
+
+/// Compares a figure with its file, or writes the file.
+fn figure(name: &str, svg: &str) {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../docs/motion").join(name);
+    assert!(svg.len() < 60_000, "{name} has {} bytes", svg.len());
+    if std::env::var_os("FIGURES").is_some_and(|what| what == "write") {
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        return std::fs::write(&path, svg).unwrap();
+    }
+    let file = std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    assert!(file == svg, "{name} is not what the virtual controller does; `just figures` draws it again");
+}
+
+#[test]
+fn the_figures_are_those_of_the_virtual_controller() {
+    let records = PASSES.map(|pass| (pass, corner(pass)));
+    let lines = |of: &dyn Fn(&[Point]) -> Vec<(f64, f64)>| -> Lines {
+        records.iter().map(|(pass, points)| ((*pass).to_owned(), of(points))).collect()
+    };
+    let path = lines(&|points| points.iter().map(|(_, place)| (place[0], place[1])).collect());
+    let position = lines(&|points| points.iter().map(|(at, place)| (*at, place[0] + place[1])).collect());
+    figure("path.svg", &chart("Path of the tool", ("X, mm", "Y, mm"), &path));
+    figure("position.svg", &chart("Position along the corner: X + Y", ("time, s", "mm"), &position));
+    figure("speed.svg", &chart("Speed of the tool", ("time, s", "mm/s"), &lines(&speeds)));
+    // what the page says: @0 and @E come to rest at the corner, @P does not, @50 slows down more, and a pass takes less time
+    let least = |pass: usize| {
+        let speeds = speeds(&records[pass].1);
+        let middle = &speeds[speeds.len() / 4..speeds.len() * 3 / 4];
+        middle.iter().map(|(_, speed)| *speed).fold(f64::INFINITY, f64::min)
+    };
+    let [stop, pass, near, exact] = [least(0), least(1), least(2), least(3)];
+    assert!(
+        stop < pass / 10.0 && exact < pass / 10.0 && stop < near / 2.0 && near < pass,
+        "{stop} {pass} {near} {exact}"
+    );
+    let [stop, pass, near, exact] = [0, 1, 2, 3].map(|pass| records[pass].1.last().unwrap().0);
+    assert!(pass < near && near < stop && (exact - stop).abs() < 0.01, "{stop} {pass} {near} {exact}");
+}
