@@ -108,7 +108,7 @@ fn judge(case: &Case, options: &Options) -> CaseResult {
         reason,
         expected,
         came,
-        exchange: bench.log,
+        exchange: std::mem::take(&mut bench.log),
         milliseconds: u64::try_from(began.elapsed().as_millis()).unwrap_or(u64::MAX),
     }
 }

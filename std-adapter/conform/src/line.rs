@@ -4,6 +4,7 @@ use std::io::Write as _;
 use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
+use bcap_core::hresult::HResult;
 use bcap_core::rac::Response;
 use bcap_core::variant::VarType;
 
@@ -78,6 +79,10 @@ pub(crate) fn check(bench: &mut Bench<'_>, line: &str, want: LineWant) -> Result
     let mut wire = connect(bench)?;
     let line = line.replace("{n}", &bench.options.scratch.to_string());
     let answer = ask(bench, &mut wire, &line)?;
+    let absent = [HResult::E_CAO_OBJECT_NOTFOUND, HResult::E_ACCESSDENIED, HResult::E_NOTIMPL];
+    if matches!(want, LineWant::Type(..)) && absent.iter().any(|code| answer == code.0.to_string()) {
+        return skip(format!("the device does not have the variable: {answer}"));
+    }
     check_answer(&answer, want)
 }
 

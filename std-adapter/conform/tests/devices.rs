@@ -2,54 +2,53 @@
 
 mod common;
 
-use std::collections::HashSet;
+use std::collections::BTreeSet;
 
 use bcap_conform::{Group, Level, Link, Report, Verdict, cases};
 use bcap_core::device::{Device, DeviceVariable, assign};
 use bcap_sim::{Config, Controller, Profile};
 use common::{Served, provider, report};
 
-/// Runs all cases against a virtual controller: none fails, and only what does not apply is skipped.
-fn passes(profile: Profile, link: Link) {
+/// Runs all cases against a virtual controller: none fails, and only cases of the other link and of `absent` are skipped.
+fn passes(profile: Profile, link: Link, absent: &[&str]) {
     let served = Served::start(Controller::new(Config::new(profile)));
     let mut options = served.options(link, Level::Motion);
     options.provider = provider(profile);
     let report = report(&options);
     assert_eq!(report.failures().collect::<Vec<_>>(), [""; 0]);
-    let of_the_other_link = |reason: &str| reason.starts_with("a case of ");
     let reasons = report.results.iter().filter_map(|result| Some((result.name.as_str(), result.reason.as_deref()?)));
-    let skipped: Vec<_> = reasons.filter(|(_, reason)| !of_the_other_link(reason)).collect();
-    assert_eq!(skipped, [("", ""); 0]);
+    let skipped = reasons.filter(|(_, reason)| !reason.starts_with("a case of ")).map(|(name, _)| name);
+    assert_eq!(skipped.collect::<Vec<_>>(), absent);
 }
 
 #[test]
 fn the_rc8_passes_over_tcp() {
-    passes(Profile::Rc8, Link::Tcp);
+    passes(Profile::Rc8, Link::Tcp, &[]);
 }
 
 #[test]
 fn the_rc8_passes_over_udp() {
-    passes(Profile::Rc8, Link::Udp);
+    passes(Profile::Rc8, Link::Udp, &[]);
 }
 
 #[test]
 fn the_rc9_passes_over_tcp() {
-    passes(Profile::Rc9, Link::Tcp);
+    passes(Profile::Rc9, Link::Tcp, &[]);
 }
 
 #[test]
 fn the_rc9_passes_over_udp() {
-    passes(Profile::Rc9, Link::Udp);
+    passes(Profile::Rc9, Link::Udp, &[]);
 }
 
 #[test]
 fn the_cobotta_passes_over_tcp() {
-    passes(Profile::Cobotta, Link::Tcp);
+    passes(Profile::Cobotta, Link::Tcp, &["slave/receive-hand-io"]);
 }
 
 #[test]
 fn the_cobotta_passes_over_udp() {
-    passes(Profile::Cobotta, Link::Udp);
+    passes(Profile::Cobotta, Link::Udp, &["slave/receive-hand-io"]);
 }
 
 /// The state of the device of the example `device_server`.
@@ -66,7 +65,7 @@ fn conveyor() -> Device<Conveyor, 2> {
 }
 
 /// Returns the groups in which at least one case passed.
-fn passed_groups(report: &Report) -> HashSet<Group> {
+fn passed_groups(report: &Report) -> BTreeSet<Group> {
     let passed = report.results.iter().filter(|result| result.verdict == Verdict::Pass);
     passed.filter_map(|result| result.group).collect()
 }
