@@ -1,4 +1,4 @@
-//! Runs the steps of one case against the device.
+//! One connection to the device: calls, their replies, and the handles that they give.
 
 use std::time::{Duration, Instant};
 
@@ -6,8 +6,8 @@ use bcap_core::bcap::{FunctionId, Kind};
 use bcap_core::hresult::HResult;
 use bcap_core::variant::{OwnedVariant, VarType, Variant};
 
-use crate::case::{Arg, Case, Setup, Slot, Step, Want};
 use crate::device::{Options, Refusals};
+use crate::language::{Arg, Setup, Slot, Want};
 use crate::wire::{Came, Link, Reply, Wire, encode, hex, request_text};
 
 /// Why a case ends early.
@@ -27,22 +27,22 @@ pub(crate) fn skip<T>(why: impl Into<String>) -> Result<T, Stop> {
 
 /// The last call, to send copies of it.
 #[derive(Clone, Debug)]
-struct Sent {
-    function: FunctionId,
-    args: Vec<OwnedVariant>,
-    marker: u16,
-    serial: u16,
-    reply: Option<Reply>,
+pub(crate) struct Sent {
+    pub(crate) function: FunctionId,
+    pub(crate) args: Vec<OwnedVariant>,
+    pub(crate) marker: u16,
+    pub(crate) serial: u16,
+    pub(crate) reply: Option<Reply>,
 }
 
-/// The state of a case that runs.
+/// The connection of a case, and what it has opened.
 pub(crate) struct Bench<'a> {
     pub(crate) options: &'a Options,
     pub(crate) link: Link,
     wire: Option<Wire>,
     pub(crate) serial: u16,
     handles: [Option<i32>; Slot::COUNT],
-    last: Option<Sent>,
+    pub(crate) last: Option<Sent>,
     /// The values of scratch variables before the case.
     saved: Vec<(String, OwnedVariant)>,
     /// Whether the arm was taken, so that the case must give it back.
@@ -59,21 +59,7 @@ impl<'a> Bench<'a> {
         Self { options, link, wire: None, serial, handles, last: None, saved: Vec::new(), armed: false, log }
     }
 
-    /// Runs a case, then undoes what it changed.
-    pub(crate) fn run(&mut self, case: &Case) -> Result<(), Stop> {
-        let result = self.setup(case.setup).and_then(|()| match &case.body {
-            crate::case::Body::Steps(steps) => steps.iter().try_for_each(|step| self.step(step)),
-            crate::case::Body::Run(run) => run(self),
-        });
-        let log = self.log.len();
-        let restored = self.clean_up();
-        if restored.is_ok() {
-            self.log.truncate(log);
-        }
-        result.and(restored)
-    }
-
-    fn setup(&mut self, setup: Setup) -> Result<(), Stop> {
+    pub(crate) fn setup(&mut self, setup: Setup) -> Result<(), Stop> {
         if setup == Setup::Rac {
             return Ok(());
         }
@@ -88,11 +74,11 @@ impl<'a> Bench<'a> {
         self.open_controller()?;
         match setup {
             Setup::Robot | Setup::Arm => {
-                self.open(Slot::Robot, FunctionId::CONTROLLER_GET_ROBOT, &[
-                    Arg::H(Slot::Controller),
-                    Arg::S("Arm"),
-                    Arg::S(""),
-                ])?;
+                self.open(
+                    Slot::Robot,
+                    FunctionId::CONTROLLER_GET_ROBOT,
+                    &[Arg::H(Slot::Controller), Arg::S("Arm"), Arg::S("")],
+                )?;
             }
             Setup::Task => self.open_task()?,
             _ => {}
@@ -140,7 +126,7 @@ impl<'a> Bench<'a> {
     }
 
     /// Leaves the device as it was: halts, ends Slave Mode, gives the arm back, restores variables.
-    fn clean_up(&mut self) -> Result<(), Stop> {
+    pub(crate) fn clean_up(&mut self) -> Result<(), Stop> {
         if self.armed {
             self.armed = false;
             let alive = self.robot_command("slvChangeMode", "3,0").is_ok();
@@ -184,12 +170,14 @@ impl<'a> Bench<'a> {
     }
 
     /// Keeps the value of a scratch variable. Without the variable, or if it cannot be written, the case is skipped.
-    fn save(&mut self, kind: &str) -> Result<(), Stop> {
+    pub(crate) fn save(&mut self, kind: &str) -> Result<(), Stop> {
         let name = self.options.scratch(kind);
         let variable = self.variable(&name)?;
         let reply = self.exchange(FunctionId::VARIABLE_GET_VALUE, vec![variable.clone()])?;
         self.check(FunctionId::VARIABLE_GET_VALUE, &reply, Want::Ok, Refusals::Skip)?;
-        let Some(value) = reply.args.into_iter().next() else { return fail(format!("the value of {name}"), "no value") };
+        let Some(value) = reply.args.into_iter().next() else {
+            return fail(format!("the value of {name}"), "no value");
+        };
         // the same value: a device that allows no writing refuses it
         let reply = self.exchange(FunctionId::VARIABLE_PUT_VALUE, vec![variable, value.clone()])?;
         if reply.code == HResult::E_ACCESSDENIED {
@@ -388,58 +376,6 @@ impl<'a> Bench<'a> {
             false => fail(format!("{function}: {}", want_text(want)), reply.text()),
         }
     }
-
-    fn step(&mut self, step: &Step) -> Result<(), Stop> {
-        match *step {
-            Step::Call(function, args, want) => self.want(function, args, want).map(drop),
-            Step::Must(function, args, want) => self.must(function, args, want).map(drop),
-            Step::Open(slot, function, args) => self.open(slot, function, args),
-            Step::Differ(a, b) if self.handle(a) == self.handle(b) => {
-                fail("two open objects have different handles", format!("both are {}", self.handle(a)))
-            }
-            Step::Differ(..) => Ok(()),
-            Step::Edited(edits, reaction) => self.edited(edits, reaction),
-            Step::Pieces(sizes) => self.pieces(sizes),
-            Step::Copy { renumbered } => self.copy(renumbered),
-            Step::Reconnect => {
-                self.connect()?;
-                self.must(FunctionId::SERVICE_START, &[Arg::S("")], Want::NoValue).map(drop)
-            }
-            Step::Save(kind) => self.save(kind),
-            Step::Line(line, want) => crate::line::check(self, line, want),
-        }
-    }
-
-    /// Sends Service_Start in pieces, each after a pause.
-    fn pieces(&mut self, sizes: &[usize]) -> Result<(), Stop> {
-        let serial = self.next_serial();
-        let option = OwnedVariant::new("WDT=400").unwrap_or_default();
-        let bytes = encode(serial, 0, FunctionId::SERVICE_START.0, &[option]);
-        let mut rest = bytes.as_slice();
-        for size in sizes.iter().copied().chain([usize::MAX]) {
-            let (piece, after) = rest.split_at(size.min(rest.len()));
-            rest = after;
-            self.send(piece, "a piece of Service_Start")?;
-            if !rest.is_empty() {
-                std::thread::sleep(PIECE_PAUSE);
-            }
-        }
-        let reply = self.reply(FunctionId::SERVICE_START, serial)?;
-        self.check(FunctionId::SERVICE_START, &reply, Want::NoValue, Refusals::Fail)
-    }
-
-    fn copy(&mut self, renumbered: bool) -> Result<(), Stop> {
-        let Some(last) = self.last.clone() else { return fail("a call", "no call was made") };
-        let serial = if renumbered { self.next_serial() } else { last.serial };
-        let bytes = encode(serial, last.marker, last.function.0, &last.args);
-        self.send(&bytes, &format!("copy of #{}: {}", last.marker, request_text(serial, last.function, &last.args)))?;
-        let reply = self.reply(last.function, serial)?;
-        let Some(first) = last.reply else { return fail("a first reply", "no reply") };
-        let is_same = first.code == reply.code
-            && first.args.len() == reply.args.len()
-            && first.args.iter().zip(&reply.args).all(|(a, b)| a.as_bytes() == b.as_bytes());
-        if is_same { Ok(()) } else { fail(format!("the first reply again: {}", first.text()), reply.text()) }
-    }
 }
 
 /// A session over UDP lasts until Service_Stop, or until the device forgets its peer.
@@ -452,9 +388,6 @@ impl Drop for Bench<'_> {
         }
     }
 }
-
-/// The pause between two pieces of a frame: longer than the segments of one write are apart.
-const PIECE_PAUSE: Duration = Duration::from_millis(20);
 
 pub(crate) fn value_of(text: &str) -> Result<OwnedVariant, Stop> {
     match OwnedVariant::parse_text(text.as_bytes()) {
@@ -473,13 +406,12 @@ fn matches(want: Want, reply: &Reply) -> bool {
         Want::Type(vartype) => is_ok && value.is_some_and(|value| value.vartype() == VarType(vartype)),
         Want::Array(element, count) => {
             is_ok
-                && value.and_then(|value| value.as_array()).is_some_and(|array| {
-                    array.element() == VarType(element) && (count == 0 || array.len() == count)
-                })
+                && value
+                    .and_then(|value| value.as_array())
+                    .is_some_and(|array| array.element() == VarType(element) && (count == 0 || array.len() == count))
         }
         Want::Value(text) => {
-            is_ok
-                && value_of(text).is_ok_and(|wanted| value.is_some_and(|value| value == wanted.as_variant()))
+            is_ok && value_of(text).is_ok_and(|wanted| value.is_some_and(|value| value == wanted.as_variant()))
         }
         Want::Code(codes) => codes.contains(&reply.code),
         Want::Refused => reply.code.is_err(),

@@ -3,7 +3,7 @@
 use std::net::SocketAddr;
 use std::time::Duration;
 
-use crate::case::{Group, Level};
+use crate::language::{Group, Level};
 use crate::wire::Link;
 
 /// The addresses of a device.

@@ -5,7 +5,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::variant::OwnedVariant;
 
 use crate::bench::{Bench, Stop, fail};
-use crate::case::{Arg, Edit, Reaction, Want};
+use crate::language::{Arg, Edit, Reaction, Want};
 use crate::wire::{Came, Link, describe, encode};
 
 /// Where the fields are (S2:200-384).
@@ -48,10 +48,15 @@ impl Bench<'_> {
         match (reaction, came) {
             (Reaction::Served, Came::Reply(reply)) if reply.serial == serial && reply.code.is_ok() => Ok(()),
             (Reaction::Served, came) => fail(format!("success with the serial {serial}"), came.text()),
-            (Reaction::Ends | Reaction::Resync, Came::Reply(reply)) if reply.code.is_ok() => match reply.serial == serial {
-                true => Ok(()),
-                false => fail(format!("a reply with the serial {serial}, an error, or the end of the connection"), came.text()),
-            },
+            (Reaction::Ends | Reaction::Resync, Came::Reply(reply)) if reply.code.is_ok() => {
+                match reply.serial == serial {
+                    true => Ok(()),
+                    false => fail(
+                        format!("a reply with the serial {serial}, an error, or the end of the connection"),
+                        came.text(),
+                    ),
+                }
+            }
             (_, Came::Reply(reply)) if reply.code.is_err() => self.ends(reply.code),
             (_, Came::Closed) => Ok(()),
             (_, Came::Nothing) if is_udp => Ok(()),

@@ -26,8 +26,10 @@ mod case;
 mod cases;
 mod device;
 mod edit;
+mod language;
 mod line;
 mod report;
+mod steps;
 mod wire;
 
 use std::time::Instant;

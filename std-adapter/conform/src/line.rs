@@ -9,7 +9,7 @@ use bcap_core::rac::Response;
 use bcap_core::variant::VarType;
 
 use crate::bench::{Bench, Stop, fail, skip};
-use crate::case::LineWant;
+use crate::language::LineWant;
 use crate::wire::read_until;
 
 /// The end of a line.

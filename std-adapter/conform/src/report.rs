@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use serde::Serialize;
 
-use crate::case::{Group, Level};
+use crate::language::{Group, Level};
 
 /// The outcome of a case.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -96,7 +96,8 @@ impl Report {
     /// Returns the numbers of the results in one line.
     #[must_use]
     pub fn summary(&self) -> String {
-        let [passed, failed, skipped] = [Verdict::Pass, Verdict::Fail, Verdict::Skip].map(|verdict| self.count(verdict));
+        let [passed, failed, skipped] =
+            [Verdict::Pass, Verdict::Fail, Verdict::Skip].map(|verdict| self.count(verdict));
         format!("{} cases: {passed} passed, {failed} failed, {skipped} skipped", self.results.len())
     }
 

@@ -127,8 +127,7 @@ impl Wire {
                 Ok(Self::Tcp { stream, received: Vec::new() })
             }
             Link::Udp => {
-                let any: SocketAddr =
-                    if address.is_ipv4() { ([0, 0, 0, 0], 0).into() } else { ([0_u16; 8], 0).into() };
+                let any: SocketAddr = if address.is_ipv4() { ([0, 0, 0, 0], 0).into() } else { ([0_u16; 8], 0).into() };
                 let socket = UdpSocket::bind(any)?;
                 socket.connect(address)?;
                 Ok(Self::Udp(socket))

@@ -80,7 +80,15 @@ fn the_server_of_a_device_passes_what_it_has() {
         let report = report(&options);
         assert_eq!(report.failures().collect::<Vec<_>>(), [""; 0]);
         let passed = passed_groups(&report);
-        for group in [Group::Frames, Group::Arguments, Group::Types, Group::Sessions, Group::Timeouts, Group::Handles, Group::Rac] {
+        for group in [
+            Group::Frames,
+            Group::Arguments,
+            Group::Types,
+            Group::Sessions,
+            Group::Timeouts,
+            Group::Handles,
+            Group::Rac,
+        ] {
             assert!(passed.contains(&group), "{group}");
         }
         let written = ["types/r4-tenth", "variables/write-f", "rac/put-f"];

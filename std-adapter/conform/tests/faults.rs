@@ -75,20 +75,36 @@ fn patched(parts: &Parts, change: impl Fn(&mut Vec<u8>)) -> Vec<u8> {
 }
 
 const FAULTS: &[Fault] = &[
-    of_reply("serial plus one", "frames/minimal-request", |_, _, parts| Parts { serial: parts.serial.wrapping_add(1), ..parts }.write()),
-    of_reply("serial of 8 bits", "frames/serial-256", |_, _, parts| Parts { serial: parts.serial & 0xff, ..parts }.write()),
-    of_reply("serial is big-endian", "frames/serial-4660", |_, _, parts| Parts { serial: parts.serial.swap_bytes(), ..parts }.write()),
-    of_reply("serial of 15 bits", "frames/serial-65535", |_, _, parts| Parts { serial: parts.serial & 0x7fff, ..parts }.write()),
-    of_reply("reserved field is the serial", "frames/minimal-request", |_, _, parts| Parts { marker: parts.serial, ..parts }.write()),
+    of_reply("serial plus one", "frames/minimal-request", |_, _, parts| {
+        Parts { serial: parts.serial.wrapping_add(1), ..parts }.write()
+    }),
+    of_reply("serial of 8 bits", "frames/serial-256", |_, _, parts| {
+        Parts { serial: parts.serial & 0xff, ..parts }.write()
+    }),
+    of_reply("serial is big-endian", "frames/serial-4660", |_, _, parts| {
+        Parts { serial: parts.serial.swap_bytes(), ..parts }.write()
+    }),
+    of_reply("serial of 15 bits", "frames/serial-65535", |_, _, parts| {
+        Parts { serial: parts.serial & 0x7fff, ..parts }.write()
+    }),
+    of_reply("reserved field is the serial", "frames/minimal-request", |_, _, parts| {
+        Parts { marker: parts.serial, ..parts }.write()
+    }),
     of_reply("length one too large", "frames/minimal-request", |_, _, parts| patched(&parts, |bytes| bytes[1] += 1)),
     of_reply("length one too small", "frames/minimal-request", |_, _, parts| patched(&parts, |bytes| bytes[1] -= 1)),
-    of_reply("wrong last byte", "frames/minimal-request", |_, _, parts| patched(&parts, |bytes| *bytes.last_mut().unwrap() = 3)),
-    of_reply("a checksum, as on serial lines", "frames/minimal-request", |_, _, parts| patched(&parts, |bytes| {
-        let end = bytes.len() - 1;
-        bytes.splice(end..end, [0x12, 0x34]);
-        bytes[1] += 2;
-    })),
-    of_reply("wrong number of arguments", "sessions/connect-and-disconnect", |_, _, parts| patched(&parts, |bytes| bytes[13] += 1)),
+    of_reply("wrong last byte", "frames/minimal-request", |_, _, parts| {
+        patched(&parts, |bytes| *bytes.last_mut().unwrap() = 3)
+    }),
+    of_reply("a checksum, as on serial lines", "frames/minimal-request", |_, _, parts| {
+        patched(&parts, |bytes| {
+            let end = bytes.len() - 1;
+            bytes.splice(end..end, [0x12, 0x34]);
+            bytes[1] += 2;
+        })
+    }),
+    of_reply("wrong number of arguments", "sessions/connect-and-disconnect", |_, _, parts| {
+        patched(&parts, |bytes| bytes[13] += 1)
+    }),
     of_reply("argument length one too large", "variables/type-of-i", |_, request, parts| match request.function {
         F::VARIABLE_GET_VALUE => patched(&parts, |bytes| bytes[15] += 1),
         _ => parts.write(),
@@ -109,14 +125,18 @@ const FAULTS: &[Fault] = &[
         F::VARIABLE_GET_VALUE => with_value(parts, |value| value.as_f64().and_then(|number| owned(&number))),
         _ => parts.write(),
     }),
-    of_reply("P with 6 elements", "variables/type-of-p", |_, _, parts| with_value(parts, |value| {
-        let items = value.as_array()?.items::<f32>()?;
-        (items.len() == 7).then(|| owned(&items.iter().take(6).collect::<Vec<f32>>()))?
-    })),
-    of_reply("letters above 127 are lost", "types/bstr-kanji", |_, _, parts| with_value(parts, |value| {
-        let text: String = value.as_bstr()?.to_string();
-        owned(text.replace(|letter: char| !letter.is_ascii(), "?").as_str())
-    })),
+    of_reply("P with 6 elements", "variables/type-of-p", |_, _, parts| {
+        with_value(parts, |value| {
+            let items = value.as_array()?.items::<f32>()?;
+            (items.len() == 7).then(|| owned(&items.iter().take(6).collect::<Vec<f32>>()))?
+        })
+    }),
+    of_reply("letters above 127 are lost", "types/bstr-kanji", |_, _, parts| {
+        with_value(parts, |value| {
+            let text: String = value.as_bstr()?.to_string();
+            owned(text.replace(|letter: char| !letter.is_ascii(), "?").as_str())
+        })
+    }),
     of_reply("I4 without sign", "types/i4-minus-1", |_, request, parts| match request.function {
         F::VARIABLE_GET_VALUE => with_value(parts, |value| match value {
             Variant::I4(number) => owned(&(number & 0x7fff_ffff)),
@@ -137,11 +157,21 @@ const FAULTS: &[Fault] = &[
         bytes.extend(parts.write());
         bytes
     }),
-    of_reply("every reply twice", "timeouts/silence-after-a-reply", |_, _, parts| [parts.write(), parts.write()].concat()),
-    of_reply("E_FAIL for an invalid handle", "handles/zero", |_, _, parts| with_code(parts, HResult::E_HANDLE, HResult::E_FAIL)),
-    of_reply("success for an invalid handle", "handles/use-after-release", |_, _, parts| with_code(parts, HResult::E_HANDLE, HResult::S_OK)),
-    of_reply("success without arguments", "arguments/missing/Controller_GetVariable", |_, _, parts| with_code(parts, HResult::E_INVALIDARG, HResult::S_OK)),
-    of_reply("success with an argument of another type", "arguments/variable-name-is-number", |_, _, parts| with_code(parts, HResult::E_INVALIDARGTYPE, HResult::S_OK)),
+    of_reply("every reply twice", "timeouts/silence-after-a-reply", |_, _, parts| {
+        [parts.write(), parts.write()].concat()
+    }),
+    of_reply("E_FAIL for an invalid handle", "handles/zero", |_, _, parts| {
+        with_code(parts, HResult::E_HANDLE, HResult::E_FAIL)
+    }),
+    of_reply("success for an invalid handle", "handles/use-after-release", |_, _, parts| {
+        with_code(parts, HResult::E_HANDLE, HResult::S_OK)
+    }),
+    of_reply("success without arguments", "arguments/missing/Controller_GetVariable", |_, _, parts| {
+        with_code(parts, HResult::E_INVALIDARG, HResult::S_OK)
+    }),
+    of_reply("success with an argument of another type", "arguments/variable-name-is-number", |_, _, parts| {
+        with_code(parts, HResult::E_INVALIDARGTYPE, HResult::S_OK)
+    }),
     of_reply("success of an unknown function", "frames/function-138", |_, request, parts| match request.function {
         F(138) => Parts { code: 0, ..parts }.write(),
         _ => parts.write(),
@@ -150,21 +180,29 @@ const FAULTS: &[Fault] = &[
         F::SERVICE_START => Parts { code: 0, ..parts }.write(),
         _ => parts.write(),
     }),
-    of_reply("handle of an open object is given again", "handles/two-of-one-name", |memory, request, parts| match request.function {
-        F::CONTROLLER_GET_VARIABLE => {
-            let new = parts.args.first().and_then(|value| value.as_variant().as_i32());
-            memory.handle = memory.handle.or(new);
-            let first = memory.handle;
-            with_value(parts, |_| owned(&first?))
+    of_reply("handle of an open object is given again", "handles/two-of-one-name", |memory, request, parts| {
+        match request.function {
+            F::CONTROLLER_GET_VARIABLE => {
+                let new = parts.args.first().and_then(|value| value.as_variant().as_i32());
+                memory.handle = memory.handle.or(new);
+                let first = memory.handle;
+                with_value(parts, |_| owned(&first?))
+            }
+            _ => parts.write(),
         }
-        _ => parts.write(),
     }),
-    of_reply("slvGetMode is always 0", "slave/mode-of-slave-mode", |_, request, parts| match is_robot_command(request, "slvGetMode") {
-        true => with_value(parts, |_| owned(&0_i32)),
-        false => parts.write(),
+    of_reply("slvGetMode is always 0", "slave/mode-of-slave-mode", |_, request, parts| {
+        match is_robot_command(request, "slvGetMode") {
+            true => with_value(parts, |_| owned(&0_i32)),
+            false => parts.write(),
+        }
     }),
-    of_reply("never S_BUF_FULL", "slave/buffer-fills-in-mode-0", |_, _, parts| with_code(parts, HResult::S_BUF_FULL, HResult::S_OK)),
-    of_reply("E_BUF_FULL is success", "slave/buffer-overflows-in-mode-0", |_, _, parts| with_code(parts, HResult::E_BUF_FULL, HResult::S_OK)),
+    of_reply("never S_BUF_FULL", "slave/buffer-fills-in-mode-0", |_, _, parts| {
+        with_code(parts, HResult::S_BUF_FULL, HResult::S_OK)
+    }),
+    of_reply("E_BUF_FULL is success", "slave/buffer-overflows-in-mode-0", |_, _, parts| {
+        with_code(parts, HResult::E_BUF_FULL, HResult::S_OK)
+    }),
     of_request("a write is not executed", Link::Tcp, "variables/write-i", |_, parts| match F(parts.code) {
         // becomes another call that succeeds without a value
         F::VARIABLE_PUT_VALUE => Some(Parts { code: F::VARIABLE_PUT_TAG.0, ..parts }),
@@ -172,7 +210,11 @@ const FAULTS: &[Fault] = &[
     }),
     of_request("names are case-sensitive", Link::Tcp, "variables/name-in-lower-case", |_, mut parts| {
         if F(parts.code) == F::CONTROLLER_GET_VARIABLE
-            && parts.args.get(1).and_then(|name| name.as_variant().as_bstr()).is_some_and(|name| name.to_string() == "i1")
+            && parts
+                .args
+                .get(1)
+                .and_then(|name| name.as_variant().as_bstr())
+                .is_some_and(|name| name.to_string() == "i1")
         {
             parts.args[1] = OwnedVariant::new("NoSuchVariable").unwrap();
         }
@@ -184,8 +226,12 @@ const FAULTS: &[Fault] = &[
         }
         Some(parts)
     }),
-    of_request("a retransmission over UDP is executed again", Link::Udp, "udp/copy-of-release", |_, parts| Some(Parts { marker: parts.serial, ..parts })),
-    of_request("a retransmission over UDP opens a second object", Link::Udp, "udp/copy-of-open", |_, parts| Some(Parts { marker: parts.serial, ..parts })),
+    of_request("a retransmission over UDP is executed again", Link::Udp, "udp/copy-of-release", |_, parts| {
+        Some(Parts { marker: parts.serial, ..parts })
+    }),
+    of_request("a retransmission over UDP opens a second object", Link::Udp, "udp/copy-of-open", |_, parts| {
+        Some(Parts { marker: parts.serial, ..parts })
+    }),
     of_request("a retransmission over UDP is not answered", Link::Udp, "udp/copy-of-start", |_, parts| {
         (parts.marker == 0 || parts.marker == parts.serial).then_some(parts)
     }),
@@ -193,21 +239,35 @@ const FAULTS: &[Fault] = &[
         let is_complete = bytes.len() >= 5 && usize::from(bytes[1]) == bytes.len();
         if is_complete { bytes } else { Vec::new() }
     }),
-    of_bytes("only the first frame of a segment is served", Link::Tcp, "frames/two-frames-in-one-segment", |_, mut bytes| {
-        bytes.truncate(bytes.get(1).map_or(0, |length| usize::from(*length)));
-        bytes
+    of_bytes(
+        "only the first frame of a segment is served",
+        Link::Tcp,
+        "frames/two-frames-in-one-segment",
+        |_, mut bytes| {
+            bytes.truncate(bytes.get(1).map_or(0, |length| usize::from(*length)));
+            bytes
+        },
+    ),
+    of_bytes("an invalid frame is ignored without an answer", Link::Tcp, "frames/wrong-end", |_, bytes| {
+        match bytes.last() {
+            Some(4) => bytes,
+            _ => Vec::new(),
+        }
     }),
-    of_bytes("an invalid frame is ignored without an answer", Link::Tcp, "frames/wrong-end", |_, bytes| match bytes.last() {
-        Some(4) => bytes,
-        _ => Vec::new(),
-    }),
-    of_bytes("an invalid datagram ends the service of the client", Link::Udp, "frames/serial-wraps", |memory, bytes| {
-        memory.count += 1;
-        if memory.count > 3 { Vec::new() } else { bytes }
-    }),
+    of_bytes(
+        "an invalid datagram ends the service of the client",
+        Link::Udp,
+        "frames/serial-wraps",
+        |memory, bytes| {
+            memory.count += 1;
+            if memory.count > 3 { Vec::new() } else { bytes }
+        },
+    ),
     of_line("the answer ends with LF", "rac/get-i", |line| line.replace('\r', "\n")),
     of_line("an I is of type 2", "rac/get-i", |line| line.replace("0,3,", "0,2,")),
-    of_line("no error in an answer", "rac/unknown-command", |line| if line.starts_with('-') { "0\r".into() } else { line.into() }),
+    of_line("no error in an answer", "rac/unknown-command", |line| {
+        if line.starts_with('-') { "0\r".into() } else { line.into() }
+    }),
     of_line("a J with 6 numbers", "rac/get-j", |line| match line.split(',').count() {
         10 => format!("{}\r", line.trim_end().rsplitn(3, ',').last().unwrap_or_default()),
         _ => line.into(),

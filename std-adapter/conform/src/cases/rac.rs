@@ -11,7 +11,12 @@ const fn line(name: &'static str, source: &'static str, rule: &'static str, tabl
     case(Group::Rac, name, source, rule, Rac, steps(table))
 }
 
-const fn run(name: &'static str, source: &'static str, rule: &'static str, run: fn(&mut Bench<'_>) -> Result<(), Stop>) -> Case {
+const fn run(
+    name: &'static str,
+    source: &'static str,
+    rule: &'static str,
+    run: fn(&mut Bench<'_>) -> Result<(), Stop>,
+) -> Case {
     case(Group::Rac, name, source, rule, Rac, Body::Run(run))
 }
 
@@ -21,10 +26,8 @@ const I4: LineWant = LineWant::Type(3, 0);
 /// A written value is read back: the value, and the two lines.
 macro_rules! put {
     ($name:literal, $source:literal, $kind:literal, $value:literal, $answer:literal) => {
-        run($name, $source, "PUT sets a variable, and GET reads it", |bench| {
-            put_and_get(bench, $kind, $value, $answer)
-        })
-        .at(Level::Write)
+        run($name, $source, "PUT sets a variable, and GET reads it", |bench| put_and_get(bench, $kind, $value, $answer))
+            .at(Level::Write)
     };
 }
 
@@ -33,33 +36,104 @@ pub(super) const CASES: &[Case] = &[
     line("get-f", "S0:242", "GET of F answers type 4", &[Step::Line("GET:RC8:1:F:\r", LineWant::Type(4, 0))]),
     line("get-d", "S0:256", "GET of D answers type 5", &[Step::Line("GET:RC8:1:D:\r", LineWant::Type(5, 0))]),
     line("get-s", "S0:268", "GET of S answers type 8", &[Step::Line("GET:RC8:1:S:\r", LineWant::Type(8, 0))]),
-    line("get-v", "S0:283", "GET of V answers 3 numbers of type 8196", &[Step::Line("GET:RC8:1:V:\r", LineWant::Type(4, 3))]),
-    line("get-p", "S0:296", "GET of P answers 7 numbers of type 8196", &[Step::Line("GET:RC8:1:P:\r", LineWant::Type(4, 7))]),
-    line("get-j", "S0:310", "GET of J answers 8 numbers of type 8196", &[Step::Line("GET:RC8:1:J:\r", LineWant::Type(4, 8))]),
-    line("get-t", "S0:325", "GET of T answers 10 numbers of type 8196", &[Step::Line("GET:RC8:1:T:\r", LineWant::Type(4, 10))]),
+    line(
+        "get-v",
+        "S0:283",
+        "GET of V answers 3 numbers of type 8196",
+        &[Step::Line("GET:RC8:1:V:\r", LineWant::Type(4, 3))],
+    ),
+    line(
+        "get-p",
+        "S0:296",
+        "GET of P answers 7 numbers of type 8196",
+        &[Step::Line("GET:RC8:1:P:\r", LineWant::Type(4, 7))],
+    ),
+    line(
+        "get-j",
+        "S0:310",
+        "GET of J answers 8 numbers of type 8196",
+        &[Step::Line("GET:RC8:1:J:\r", LineWant::Type(4, 8))],
+    ),
+    line(
+        "get-t",
+        "S0:325",
+        "GET of T answers 10 numbers of type 8196",
+        &[Step::Line("GET:RC8:1:T:\r", LineWant::Type(4, 10))],
+    ),
     line("get-io", "S0:331", "GET of IO answers type 11", &[Step::Line("GET:RC8:128:IO:\r", LineWant::Type(11, 0))]),
-    line("blank-at-the-head", "S0:59", "blanks at the head of a line are ignored", &[Step::Line("  GET:RC8:1:I:\r", I4)]),
+    line(
+        "blank-at-the-head",
+        "S0:59",
+        "blanks at the head of a line are ignored",
+        &[Step::Line("  GET:RC8:1:I:\r", I4)],
+    ),
     line("tab-at-the-head", "S0:59", "a TAB at the head of a line is ignored", &[Step::Line("\tGET:RC8:1:I:\r", I4)]),
     line("empty-line", "S0:175", "an empty line is E_INVALIDCOMMAND", &[Step::Line("\r", INVALID)]),
-    line("unknown-command", "S0:175", "only GET and PUT are commands", &[Step::Line("SET:RC8:1:I:3,1\r", LineWant::Code(&[HResult::E_INVALIDCOMMAND]))]),
-    line("words", "S0:175", "a line that is no command is E_INVALIDCOMMAND", &[Step::Line("HELLO\r", LineWant::Code(&[HResult::E_INVALIDCOMMAND]))]),
+    line(
+        "unknown-command",
+        "S0:175",
+        "only GET and PUT are commands",
+        &[Step::Line("SET:RC8:1:I:3,1\r", LineWant::Code(&[HResult::E_INVALIDCOMMAND]))],
+    ),
+    line(
+        "words",
+        "S0:175",
+        "a line that is no command is E_INVALIDCOMMAND",
+        &[Step::Line("HELLO\r", LineWant::Code(&[HResult::E_INVALIDCOMMAND]))],
+    ),
     line("other-part", "S0:71", "the part is RC8", &[Step::Line("GET:RC9:1:I:\r", INVALID)]),
-    line("unknown-kind", "S0:77", "the kinds of variables are I F D S V P J T IO", &[Step::Line("GET:RC8:1:X:\r", INVALID)]),
+    line(
+        "unknown-kind",
+        "S0:77",
+        "the kinds of variables are I F D S V P J T IO",
+        &[Step::Line("GET:RC8:1:X:\r", INVALID)],
+    ),
     line("no-kind", "S0:77", "a variable has a kind", &[Step::Line("GET:RC8:1::\r", INVALID)]),
     line("no-index", "S0:73", "a variable has an index", &[Step::Line("GET:RC8::I:\r", INVALID)]),
     line("index-is-a-word", "S0:73", "an index is a number", &[Step::Line("GET:RC8:x:I:\r", INVALID)]),
     line("index-negative", "S0:73", "an index is not negative", &[Step::Line("GET:RC8:-1:I:\r", INVALID)]),
-    line("index-too-large", "S0:73", "an index above the last one is refused", &[Step::Line("GET:RC8:99999999:I:\r", INVALID)]),
-    line("index-wraps", "S0:73", "an index does not wrap at 32 bits", &[Step::Line("GET:RC8:4294967297:I:\r", INVALID)]),
+    line(
+        "index-too-large",
+        "S0:73",
+        "an index above the last one is refused",
+        &[Step::Line("GET:RC8:99999999:I:\r", INVALID)],
+    ),
+    line(
+        "index-wraps",
+        "S0:73",
+        "an index does not wrap at 32 bits",
+        &[Step::Line("GET:RC8:4294967297:I:\r", INVALID)],
+    ),
     line("too-few-colons", "S0:65", "a request has four colons", &[Step::Line("GET:RC8:1\r", INVALID)]),
     line("257-bytes", "S0:57", "a command has at most 256 bytes", &[Step::Line(LONG, INVALID)]),
     line("put-without-value", "S0:87", "PUT has a value", &[Step::Line("PUT:RC8:{n}:I:\r", INVALID)]).at(Level::Write),
-    line("put-of-a-word", "S0:173", "the data of type 3 is a number", &[Step::Line("PUT:RC8:{n}:I:3,x\r", INVALID)]).at(Level::Write),
-    line("put-too-large", "S0:173", "a number has to fit its type", &[Step::Line("PUT:RC8:{n}:I:3,2147483648\r", INVALID)]).at(Level::Write),
-    line("put-of-unknown-type", "S0:115-135", "type 99 does not exist", &[Step::Line("PUT:RC8:{n}:I:99,1\r", INVALID)]).at(Level::Write),
-    line("put-of-text-to-i", "S0:173", "a value of another type is refused", &[Step::Line("PUT:RC8:{n}:I:8,abc\r", INVALID)]).at(Level::Write),
-    line("put-of-short-array", "S0:402", "P has 7 elements", &[Step::Line("PUT:RC8:{n}:P:8196,1,2\r", INVALID)]).at(Level::Write),
-    line("put-to-unknown-kind", "S0:77", "the kinds of variables are I F D S V P J T IO", &[Step::Line("PUT:RC8:{n}:X:3,1\r", INVALID)]).at(Level::Write),
+    line("put-of-a-word", "S0:173", "the data of type 3 is a number", &[Step::Line("PUT:RC8:{n}:I:3,x\r", INVALID)])
+        .at(Level::Write),
+    line(
+        "put-too-large",
+        "S0:173",
+        "a number has to fit its type",
+        &[Step::Line("PUT:RC8:{n}:I:3,2147483648\r", INVALID)],
+    )
+    .at(Level::Write),
+    line("put-of-unknown-type", "S0:115-135", "type 99 does not exist", &[Step::Line("PUT:RC8:{n}:I:99,1\r", INVALID)])
+        .at(Level::Write),
+    line(
+        "put-of-text-to-i",
+        "S0:173",
+        "a value of another type is refused",
+        &[Step::Line("PUT:RC8:{n}:I:8,abc\r", INVALID)],
+    )
+    .at(Level::Write),
+    line("put-of-short-array", "S0:402", "P has 7 elements", &[Step::Line("PUT:RC8:{n}:P:8196,1,2\r", INVALID)])
+        .at(Level::Write),
+    line(
+        "put-to-unknown-kind",
+        "S0:77",
+        "the kinds of variables are I F D S V P J T IO",
+        &[Step::Line("PUT:RC8:{n}:X:3,1\r", INVALID)],
+    )
+    .at(Level::Write),
     put!("put-i", "S0:351", "I", "3,-123", "0,3,-123"),
     put!("put-f", "S0:363", "F", "4,123.01", "0,4,123.01"),
     put!("put-d", "S0:375", "D", "5,0.1", "0,5,0.1"),
@@ -75,7 +149,12 @@ pub(super) const CASES: &[Case] = &[
     run("line-in-pieces", "S0:189", "a line may arrive in pieces", pieces),
     run("pause-within-a-line", "S0:193", "a pause within a line loses nothing", pause),
     run("line-feed-is-no-end", "S0:95", "a line ends with CR, not with LF", line_feed),
-    run("half-a-line-and-the-end", "S0:206", "a connection that ends within a line does not disturb others", half_a_line),
+    run(
+        "half-a-line-and-the-end",
+        "S0:206",
+        "a connection that ends within a line does not disturb others",
+        half_a_line,
+    ),
     run("two-sessions", "S0:189", "two sessions work at the same time", two_sessions),
 ];
 

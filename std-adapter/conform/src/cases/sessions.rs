@@ -12,7 +12,13 @@ use crate::wire::Link;
 const C: Slot = Slot::Controller;
 const A: Slot = Slot::A;
 
-const fn session(name: &'static str, source: &'static str, rule: &'static str, setup: Setup, table: &'static [Step]) -> Case {
+const fn session(
+    name: &'static str,
+    source: &'static str,
+    rule: &'static str,
+    setup: Setup,
+    table: &'static [Step],
+) -> Case {
     case(Group::Sessions, name, source, rule, setup, steps(table))
 }
 
@@ -25,56 +31,127 @@ macro_rules! accepted {
 
 macro_rules! refused {
     ($name:literal, $option:literal, $rule:literal) => {
-        session($name, "S2:225", $rule, Connected, &[
-            Step::Must(F::SERVICE_START, &[S($option)], Want::Code(&[HResult::E_INVALIDARG])),
-            Step::Must(F::SERVICE_START, &[S("")], Want::NoValue),
-        ])
+        session(
+            $name,
+            "S2:225",
+            $rule,
+            Connected,
+            &[
+                Step::Must(F::SERVICE_START, &[S($option)], Want::Code(&[HResult::E_INVALIDARG])),
+                Step::Must(F::SERVICE_START, &[S("")], Want::NoValue),
+            ],
+        )
     };
 }
 
 pub(super) const CASES: &[Case] = &[
-    session("start-and-stop", "S2:372", "Service_Stop ends the session", Connected, &[
-        Step::Must(F::SERVICE_START, &[], Want::NoValue),
-        Step::Must(F::SERVICE_STOP, &[], Want::NoValue),
-    ]),
-    session("start-again", "S2:206", "after Service_Stop the connection may start another session", Connected, &[
-        Step::Must(F::SERVICE_START, &[], Want::NoValue),
-        Step::Must(F::SERVICE_STOP, &[], Want::NoValue),
-        Step::Must(F::SERVICE_START, &[], Want::NoValue),
-    ]),
-    session("connect-and-disconnect", "S2:251", "Controller_Connect returns a handle, which Controller_Disconnect releases", Controller, &[
-        Step::Must(F::CONTROLLER_DISCONNECT, &[H(C)], Want::NoValue),
-    ]),
-    session("connect-twice", "S2:251", "a controller may be connected again after its release", Controller, &[
-        Step::Must(F::CONTROLLER_DISCONNECT, &[H(C)], Want::NoValue),
-        Step::Must(F::CONTROLLER_GET_NAME, &[H(C)], Want::Code(&[HResult::E_HANDLE, HResult::E_NOTIMPL])),
-    ]),
-    case(Group::Sessions, "two-controllers", "S2:251", "one client may connect to the controller twice", Controller, Body::Run(two_controllers)),
-    case(Group::Sessions, "connect-before-start", "S2:195", "Service_Start comes first", Connected, Body::Run(connect_before_start)),
-    session("handle-before-start", "S2:195", "Service_Start comes first", Connected, &[
-        Step::Must(F::CONTROLLER_GET_NAME, &[crate::case::Arg::I(1)], Want::Refused),
-    ]),
-    session("stop-releases-handles", "S2:372", "after Service_Stop all handles are invalid", Controller, &[
-        Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]),
-        Step::Must(F::SERVICE_STOP, &[], Want::NoValue),
-        Step::Must(F::SERVICE_START, &[S("")], Want::NoValue),
-        Step::Must(F::VARIABLE_GET_VALUE, &[H(A)], Want::Code(&[HResult::E_HANDLE])),
-    ]),
-    session("work-after-stop", "S2:372", "after Service_Stop nothing but Service_Start is served", Controller, &[
-        Step::Must(F::SERVICE_STOP, &[], Want::NoValue),
-        Step::Must(F::CONTROLLER_GET_NAME, &[H(C)], Want::Refused),
-    ]),
-    session("end-releases-handles", "S2:336", "handles do not outlive their connection", Controller, &[
-        Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]),
-        Step::Reconnect,
-        Step::Must(F::VARIABLE_GET_VALUE, &[H(A)], Want::Code(&[HResult::E_HANDLE])),
-    ]),
-    session("refused-call-keeps-the-session", "S0:153", "an error of a call does not end the session", Controller, &[
-        Step::Must(F::CONTROLLER_GET_VARIABLE, &[H(C), S("NoSuchVariable"), S("")], Want::Refused),
-        Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]),
-        Step::Must(F::VARIABLE_GET_VALUE, &[H(A)], Want::Type(3)),
-    ]),
-    case(Group::Sessions, "unknown-provider", "S2:263", "a provider that does not exist is refused", Started, Body::Run(unknown_provider)),
+    session(
+        "start-and-stop",
+        "S2:372",
+        "Service_Stop ends the session",
+        Connected,
+        &[Step::Must(F::SERVICE_START, &[], Want::NoValue), Step::Must(F::SERVICE_STOP, &[], Want::NoValue)],
+    ),
+    session(
+        "start-again",
+        "S2:206",
+        "after Service_Stop the connection may start another session",
+        Connected,
+        &[
+            Step::Must(F::SERVICE_START, &[], Want::NoValue),
+            Step::Must(F::SERVICE_STOP, &[], Want::NoValue),
+            Step::Must(F::SERVICE_START, &[], Want::NoValue),
+        ],
+    ),
+    session(
+        "connect-and-disconnect",
+        "S2:251",
+        "Controller_Connect returns a handle, which Controller_Disconnect releases",
+        Controller,
+        &[Step::Must(F::CONTROLLER_DISCONNECT, &[H(C)], Want::NoValue)],
+    ),
+    session(
+        "connect-twice",
+        "S2:251",
+        "a controller may be connected again after its release",
+        Controller,
+        &[
+            Step::Must(F::CONTROLLER_DISCONNECT, &[H(C)], Want::NoValue),
+            Step::Must(F::CONTROLLER_GET_NAME, &[H(C)], Want::Code(&[HResult::E_HANDLE, HResult::E_NOTIMPL])),
+        ],
+    ),
+    case(
+        Group::Sessions,
+        "two-controllers",
+        "S2:251",
+        "one client may connect to the controller twice",
+        Controller,
+        Body::Run(two_controllers),
+    ),
+    case(
+        Group::Sessions,
+        "connect-before-start",
+        "S2:195",
+        "Service_Start comes first",
+        Connected,
+        Body::Run(connect_before_start),
+    ),
+    session(
+        "handle-before-start",
+        "S2:195",
+        "Service_Start comes first",
+        Connected,
+        &[Step::Must(F::CONTROLLER_GET_NAME, &[crate::case::Arg::I(1)], Want::Refused)],
+    ),
+    session(
+        "stop-releases-handles",
+        "S2:372",
+        "after Service_Stop all handles are invalid",
+        Controller,
+        &[
+            Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]),
+            Step::Must(F::SERVICE_STOP, &[], Want::NoValue),
+            Step::Must(F::SERVICE_START, &[S("")], Want::NoValue),
+            Step::Must(F::VARIABLE_GET_VALUE, &[H(A)], Want::Code(&[HResult::E_HANDLE])),
+        ],
+    ),
+    session(
+        "work-after-stop",
+        "S2:372",
+        "after Service_Stop nothing but Service_Start is served",
+        Controller,
+        &[Step::Must(F::SERVICE_STOP, &[], Want::NoValue), Step::Must(F::CONTROLLER_GET_NAME, &[H(C)], Want::Refused)],
+    ),
+    session(
+        "end-releases-handles",
+        "S2:336",
+        "handles do not outlive their connection",
+        Controller,
+        &[
+            Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]),
+            Step::Reconnect,
+            Step::Must(F::VARIABLE_GET_VALUE, &[H(A)], Want::Code(&[HResult::E_HANDLE])),
+        ],
+    ),
+    session(
+        "refused-call-keeps-the-session",
+        "S0:153",
+        "an error of a call does not end the session",
+        Controller,
+        &[
+            Step::Must(F::CONTROLLER_GET_VARIABLE, &[H(C), S("NoSuchVariable"), S("")], Want::Refused),
+            Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]),
+            Step::Must(F::VARIABLE_GET_VALUE, &[H(A)], Want::Type(3)),
+        ],
+    ),
+    case(
+        Group::Sessions,
+        "unknown-provider",
+        "S2:263",
+        "a provider that does not exist is refused",
+        Started,
+        Body::Run(unknown_provider),
+    ),
     accepted!("option-empty", "", "the option may be empty"),
     accepted!("option-wdt-80", "WDT=80", "80 ms is the shortest interval of keep-alives"),
     accepted!("option-wdt-400", "WDT=400", "the option of the specification's frame"),
@@ -88,9 +165,32 @@ pub(super) const CASES: &[Case] = &[
     refused!("option-wdt-0", "WDT=0", "an interval below 80 ms is refused"),
     refused!("option-wdt-1", "WDT=1", "an interval below 80 ms is refused"),
     refused!("option-invoke-timeout-79", "InvokeTimeout=79", "a time limit below 80 ms is refused"),
-    case(Group::Sessions, "two-clients", "S0:189", "two clients work at the same time", Controller, Body::Run(two_clients)),
-    case(Group::Sessions, "ten-clients", "S0:189", "ten clients work at the same time", Started, Body::Run(ten_clients)).over(Link::Tcp),
-    case(Group::Sessions, "one-after-another", "S2:195", "fifty clients may come one after the other", Started, Body::Run(one_after_another)).over(Link::Tcp),
+    case(
+        Group::Sessions,
+        "two-clients",
+        "S0:189",
+        "two clients work at the same time",
+        Controller,
+        Body::Run(two_clients),
+    ),
+    case(
+        Group::Sessions,
+        "ten-clients",
+        "S0:189",
+        "ten clients work at the same time",
+        Started,
+        Body::Run(ten_clients),
+    )
+    .over(Link::Tcp),
+    case(
+        Group::Sessions,
+        "one-after-another",
+        "S2:195",
+        "fifty clients may come one after the other",
+        Started,
+        Body::Run(one_after_another),
+    )
+    .over(Link::Tcp),
 ];
 
 /// Controllers refuse the call; the specification only shows the order, and servers of small devices do not need it.

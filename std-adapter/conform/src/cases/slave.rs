@@ -15,11 +15,22 @@ use crate::wire::{Link, Reply, encode, request_text};
 
 const R: Slot = Slot::Robot;
 
-const fn slave(name: &'static str, source: &'static str, rule: &'static str, setup: Setup, table: &'static [Step]) -> Case {
+const fn slave(
+    name: &'static str,
+    source: &'static str,
+    rule: &'static str,
+    setup: Setup,
+    table: &'static [Step],
+) -> Case {
     case(Group::Slave, name, source, rule, setup, steps(table))
 }
 
-const fn run(name: &'static str, source: &'static str, rule: &'static str, run: fn(&mut Bench<'_>) -> Result<(), Stop>) -> Case {
+const fn run(
+    name: &'static str,
+    source: &'static str,
+    rule: &'static str,
+    run: fn(&mut Bench<'_>) -> Result<(), Stop>,
+) -> Case {
     case(Group::Slave, name, source, rule, Arm, Body::Run(run)).at(Level::Motion)
 }
 
@@ -30,15 +41,76 @@ macro_rules! command {
 }
 
 pub(super) const CASES: &[Case] = &[
-    slave("mode-at-rest", "S2:1034", "without Slave Mode slvGetMode returns 0", Robot, &[command!("slvGetMode", "0,", Want::Value("3,0"))]),
-    slave("command-in-lower-case", "S2:691", "the case of a command does not matter", Robot, &[command!("slvgetmode", "0,", Want::Value("3,0"))]),
-    slave("move-outside", "S2:1027", "slvMove outside of Slave Mode is refused", Robot, &[command!("slvMove", "8197,0,0,0,0,0,0,0,0", Want::Refused)]).at(Level::Motion),
-    slave("enter-without-arm", "S2:1022", "Slave Mode needs the arm authority", Robot, &[command!("slvChangeMode", "3,514", Want::Refused)]).at(Level::Motion),
-    slave("unknown-mode-4", "S2:1018-1033", "mode 0x004 does not exist", Arm, &[command!("slvChangeMode", "3,4", Want::Refused)]).at(Level::Motion),
-    slave("unknown-mode-200", "S2:1018-1033", "mode 0x200 does not exist", Arm, &[command!("slvChangeMode", "3,512", Want::Refused)]).at(Level::Motion),
-    slave("unknown-mode-301", "S2:1018-1033", "mode 0x301 does not exist", Arm, &[command!("slvChangeMode", "3,769", Want::Refused)]).at(Level::Motion),
-    slave("unknown-send-format", "S2:1040-1046", "send format 0x0001 does not exist", Arm, &[command!("slvSendFormat", "3,1", Want::Refused)]).at(Level::Motion),
-    slave("unknown-receive-format", "S2:1052-1069", "receive format 0x0006 does not exist", Arm, &[command!("slvRecvFormat", "3,6", Want::Refused)]).at(Level::Motion),
+    slave(
+        "mode-at-rest",
+        "S2:1034",
+        "without Slave Mode slvGetMode returns 0",
+        Robot,
+        &[command!("slvGetMode", "0,", Want::Value("3,0"))],
+    ),
+    slave(
+        "command-in-lower-case",
+        "S2:691",
+        "the case of a command does not matter",
+        Robot,
+        &[command!("slvgetmode", "0,", Want::Value("3,0"))],
+    ),
+    slave(
+        "move-outside",
+        "S2:1027",
+        "slvMove outside of Slave Mode is refused",
+        Robot,
+        &[command!("slvMove", "8197,0,0,0,0,0,0,0,0", Want::Refused)],
+    )
+    .at(Level::Motion),
+    slave(
+        "enter-without-arm",
+        "S2:1022",
+        "Slave Mode needs the arm authority",
+        Robot,
+        &[command!("slvChangeMode", "3,514", Want::Refused)],
+    )
+    .at(Level::Motion),
+    slave(
+        "unknown-mode-4",
+        "S2:1018-1033",
+        "mode 0x004 does not exist",
+        Arm,
+        &[command!("slvChangeMode", "3,4", Want::Refused)],
+    )
+    .at(Level::Motion),
+    slave(
+        "unknown-mode-200",
+        "S2:1018-1033",
+        "mode 0x200 does not exist",
+        Arm,
+        &[command!("slvChangeMode", "3,512", Want::Refused)],
+    )
+    .at(Level::Motion),
+    slave(
+        "unknown-mode-301",
+        "S2:1018-1033",
+        "mode 0x301 does not exist",
+        Arm,
+        &[command!("slvChangeMode", "3,769", Want::Refused)],
+    )
+    .at(Level::Motion),
+    slave(
+        "unknown-send-format",
+        "S2:1040-1046",
+        "send format 0x0001 does not exist",
+        Arm,
+        &[command!("slvSendFormat", "3,1", Want::Refused)],
+    )
+    .at(Level::Motion),
+    slave(
+        "unknown-receive-format",
+        "S2:1052-1069",
+        "receive format 0x0006 does not exist",
+        Arm,
+        &[command!("slvRecvFormat", "3,6", Want::Refused)],
+    )
+    .at(Level::Motion),
     run("enter-0-p", "S2:1018-1033", "mode 0x001 is entered and left", |bench| enter(bench, 0x001, 'P')),
     run("enter-0-j", "S2:1018-1033", "mode 0x002 is entered and left", |bench| enter(bench, 0x002, 'J')),
     run("enter-0-t", "S2:1018-1033", "mode 0x003 is entered and left", |bench| enter(bench, 0x003, 'T')),
@@ -48,10 +120,21 @@ pub(super) const CASES: &[Case] = &[
     run("enter-2-p", "S2:1018-1033", "mode 0x201 is entered and left", |bench| enter(bench, 0x201, 'P')),
     run("enter-2-j", "S2:1018-1033", "mode 0x202 is entered and left", |bench| enter(bench, 0x202, 'J')),
     run("enter-2-t", "S2:1018-1033", "mode 0x203 is entered and left", |bench| enter(bench, 0x203, 'T')),
-    run("buffer-fills-in-mode-0", "S2:1203", "the pose that fills the buffer is answered S_BUF_FULL", buffer_fills).over(Link::Tcp),
-    run("buffer-overflows-in-mode-0", "S2:1204", "a pose for which there is no room is answered E_BUF_FULL", buffer_overflows).over(Link::Tcp),
-    run("buffer-waits-in-mode-2", "S2:1225", "in mode 2 a reply waits for room, and no pose is refused", |bench| never_full(bench, 0x202)).over(Link::Tcp),
-    run("buffer-overwritten-in-mode-1", "S2:1217", "in mode 1 no pose is refused", |bench| never_full(bench, 0x102)).over(Link::Tcp),
+    run("buffer-fills-in-mode-0", "S2:1203", "the pose that fills the buffer is answered S_BUF_FULL", buffer_fills)
+        .over(Link::Tcp),
+    run(
+        "buffer-overflows-in-mode-0",
+        "S2:1204",
+        "a pose for which there is no room is answered E_BUF_FULL",
+        buffer_overflows,
+    )
+    .over(Link::Tcp),
+    run("buffer-waits-in-mode-2", "S2:1225", "in mode 2 a reply waits for room, and no pose is refused", |bench| {
+        never_full(bench, 0x202)
+    })
+    .over(Link::Tcp),
+    run("buffer-overwritten-in-mode-1", "S2:1217", "in mode 1 no pose is refused", |bench| never_full(bench, 0x102))
+        .over(Link::Tcp),
     run("underflow-at-rest", "S2:1289", "without poses a robot at rest stays in Slave Mode", underflow_at_rest),
     run("other-commands", "S2:1027", "in Slave Mode other commands are refused", other_commands),
     run("mode-of-slave-mode", "S2:1034", "slvGetMode returns the mode", |bench| enter(bench, 0x202, 'J')),
@@ -59,13 +142,8 @@ pub(super) const CASES: &[Case] = &[
 ];
 
 /// The receive formats, and the number of doubles of the pose.
-const POSES: [(&str, &str, usize); 5] = [
-    ("p", "3,1", 7),
-    ("j", "3,2", 8),
-    ("t", "3,3", 10),
-    ("p-and-j", "3,4", 15),
-    ("t-and-j", "3,5", 18),
-];
+const POSES: [(&str, &str, usize); 5] =
+    [("p", "3,1", 7), ("j", "3,2", 8), ("t", "3,3", 10), ("p-and-j", "3,4", 15), ("t-and-j", "3,5", 18)];
 
 /// Receive formats with more than the pose.
 const MORE: [(&str, &str, usize); 4] =

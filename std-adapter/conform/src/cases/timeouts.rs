@@ -12,25 +12,92 @@ use crate::case::Setup::{Arm, Connected, Controller, Started};
 use crate::case::{Body, Case, Group, Level, Setup, Slot, Step, Want, case, steps};
 use crate::wire::{Came, Link, encode, request_text};
 
-const fn run(name: &'static str, source: &'static str, rule: &'static str, setup: Setup, run: fn(&mut Bench<'_>) -> Result<(), Stop>) -> Case {
+const fn run(
+    name: &'static str,
+    source: &'static str,
+    rule: &'static str,
+    setup: Setup,
+    run: fn(&mut Bench<'_>) -> Result<(), Stop>,
+) -> Case {
     case(Group::Timeouts, name, source, rule, setup, Body::Run(run))
 }
 
 pub(super) const CASES: &[Case] = &[
-    run("pause-within-the-header", "S2:200-384", "a pause of 500 ms within a frame loses nothing", Connected, pause_in_header).over(Link::Tcp),
-    run("pause-within-an-argument", "S2:200-384", "a pause of 500 ms within a frame loses nothing", Connected, pause_in_argument).over(Link::Tcp),
-    run("pause-between-frames", "S2:200-384", "a session without calls for a second goes on", Controller, pause_between),
-    run("pause-of-another-client", "S0:189", "an unfinished frame of one client does not delay another", Started, unfinished_frame_of_another).over(Link::Tcp),
-    run("quick-call-without-keep-alive", "S2:225", "a call that takes no time gets no keep-alive", Connected, no_keep_alive),
+    run(
+        "pause-within-the-header",
+        "S2:200-384",
+        "a pause of 500 ms within a frame loses nothing",
+        Connected,
+        pause_in_header,
+    )
+    .over(Link::Tcp),
+    run(
+        "pause-within-an-argument",
+        "S2:200-384",
+        "a pause of 500 ms within a frame loses nothing",
+        Connected,
+        pause_in_argument,
+    )
+    .over(Link::Tcp),
+    run(
+        "pause-between-frames",
+        "S2:200-384",
+        "a session without calls for a second goes on",
+        Controller,
+        pause_between,
+    ),
+    run(
+        "pause-of-another-client",
+        "S0:189",
+        "an unfinished frame of one client does not delay another",
+        Started,
+        unfinished_frame_of_another,
+    )
+    .over(Link::Tcp),
+    run(
+        "quick-call-without-keep-alive",
+        "S2:225",
+        "a call that takes no time gets no keep-alive",
+        Connected,
+        no_keep_alive,
+    ),
     run("silence-after-a-reply", "S0:189", "a device sends nothing without a request", Controller, silence),
-    run("keep-alives-of-a-motion", "S2:225", "with WDT=100 a long call gets S_EXECUTING with its serial, and then its reply", Arm, keep_alives).at(Level::Motion),
-    run("no-keep-alive-without-wdt", "S2:225", "without WDT a long call gets no S_EXECUTING", Arm, no_keep_alives_without_wdt).at(Level::Motion),
-    run("others-during-a-motion", "S0:189", "a long call of one client does not delay another", Arm, others_during_a_motion).at(Level::Motion),
-    case(Group::Timeouts, "restart-with-another-wdt", "S2:225", "a later Service_Start may set another interval", Connected, steps(&[
-        Step::Must(F::SERVICE_START, &[S("WDT=100")], Want::NoValue),
-        Step::Must(F::SERVICE_STOP, &[], Want::NoValue),
-        Step::Must(F::SERVICE_START, &[S("WDT=500")], Want::NoValue),
-    ])),
+    run(
+        "keep-alives-of-a-motion",
+        "S2:225",
+        "with WDT=100 a long call gets S_EXECUTING with its serial, and then its reply",
+        Arm,
+        keep_alives,
+    )
+    .at(Level::Motion),
+    run(
+        "no-keep-alive-without-wdt",
+        "S2:225",
+        "without WDT a long call gets no S_EXECUTING",
+        Arm,
+        no_keep_alives_without_wdt,
+    )
+    .at(Level::Motion),
+    run(
+        "others-during-a-motion",
+        "S0:189",
+        "a long call of one client does not delay another",
+        Arm,
+        others_during_a_motion,
+    )
+    .at(Level::Motion),
+    case(
+        Group::Timeouts,
+        "restart-with-another-wdt",
+        "S2:225",
+        "a later Service_Start may set another interval",
+        Connected,
+        steps(&[
+            Step::Must(F::SERVICE_START, &[S("WDT=100")], Want::NoValue),
+            Step::Must(F::SERVICE_STOP, &[], Want::NoValue),
+            Step::Must(F::SERVICE_START, &[S("WDT=500")], Want::NoValue),
+        ]),
+    ),
 ];
 
 /// A pause that is longer than the poll interval of known servers.
@@ -76,7 +143,9 @@ fn no_keep_alive(bench: &mut Bench<'_>) -> Result<(), Stop> {
     let bytes = encode(serial, marker, F::SERVICE_START.0, &[option]);
     bench.send(&bytes, "Service_Start(WDT=400)")?;
     match bench.receive() {
-        Came::Reply(reply) if reply.serial == serial && reply.code.is_ok() && reply.code != HResult::S_EXECUTING => Ok(()),
+        Came::Reply(reply) if reply.serial == serial && reply.code.is_ok() && reply.code != HResult::S_EXECUTING => {
+            Ok(())
+        }
         came => fail("the reply itself", came.text()),
     }
 }

@@ -24,46 +24,102 @@ const fn run(name: &'static str, rule: &'static str, run: fn(&mut Bench<'_>) -> 
 }
 
 pub(super) const CASES: &[Case] = &[
-    udp("copy-of-start", "a retransmitted Service_Start gets its reply again", Connected, &[Step::Must(F::SERVICE_START, &[S("")], Want::NoValue), COPY]),
+    udp(
+        "copy-of-start",
+        "a retransmitted Service_Start gets its reply again",
+        Connected,
+        &[Step::Must(F::SERVICE_START, &[S("")], Want::NoValue), COPY],
+    ),
     udp("copy-of-connect", "a retransmission gets the same handle", Controller, &[COPY]),
-    udp("copy-of-open", "a retransmission opens no second object", Controller, &[Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]), COPY]),
-    udp("three-copies-of-open", "every retransmission gets the first reply", Controller, &[Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]), COPY, COPY, COPY]),
-    udp("duplicate-of-open", "a datagram that the network duplicates opens no second object", Controller, &[Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]), DUPLICATE]),
-    udp("copy-of-release", "a retransmitted release is not executed again, which would be E_HANDLE", Controller, &[
-        Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]),
-        Step::Must(F::VARIABLE_RELEASE, &[H(A)], Want::NoValue),
-        COPY,
-    ]),
-    udp("duplicate-of-release", "a duplicated release is not executed again", Controller, &[
-        Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]),
-        Step::Must(F::VARIABLE_RELEASE, &[H(A)], Want::NoValue),
-        DUPLICATE,
-    ]),
-    udp("copy-of-a-refusal", "a retransmission of a refused call is refused with the same code", Controller, &[
-        Step::Must(F::CONTROLLER_GET_VARIABLE, &[H(C), S("NoSuchVariable"), S("")], Want::Refused),
-        COPY,
-    ]),
-    udp("copy-of-get", "a retransmission of a reading call gets the same value", Controller, &[
-        Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]),
-        Step::Must(F::VARIABLE_GET_VALUE, &[H(A)], Want::Type(3)),
-        COPY,
-    ]),
-    udp("copy-of-disconnect", "a retransmitted Controller_Disconnect is not executed again", Controller, &[Step::Must(F::CONTROLLER_DISCONNECT, &[H(C)], Want::NoValue), COPY]),
-    udp("copy-of-put", "a retransmitted write gets its reply again", Controller, &[
-        Step::Save("I"),
-        Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), crate::case::Arg::Scratch("I"), S("")]),
-        Step::Call(F::VARIABLE_PUT_VALUE, &[H(A), V("3,77")], Want::NoValue),
-        COPY,
-        Step::Must(F::VARIABLE_GET_VALUE, &[H(A)], Want::Value("3,77")),
-    ])
+    udp(
+        "copy-of-open",
+        "a retransmission opens no second object",
+        Controller,
+        &[Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]), COPY],
+    ),
+    udp(
+        "three-copies-of-open",
+        "every retransmission gets the first reply",
+        Controller,
+        &[Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]), COPY, COPY, COPY],
+    ),
+    udp(
+        "duplicate-of-open",
+        "a datagram that the network duplicates opens no second object",
+        Controller,
+        &[Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]), DUPLICATE],
+    ),
+    udp(
+        "copy-of-release",
+        "a retransmitted release is not executed again, which would be E_HANDLE",
+        Controller,
+        &[
+            Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]),
+            Step::Must(F::VARIABLE_RELEASE, &[H(A)], Want::NoValue),
+            COPY,
+        ],
+    ),
+    udp(
+        "duplicate-of-release",
+        "a duplicated release is not executed again",
+        Controller,
+        &[
+            Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]),
+            Step::Must(F::VARIABLE_RELEASE, &[H(A)], Want::NoValue),
+            DUPLICATE,
+        ],
+    ),
+    udp(
+        "copy-of-a-refusal",
+        "a retransmission of a refused call is refused with the same code",
+        Controller,
+        &[Step::Must(F::CONTROLLER_GET_VARIABLE, &[H(C), S("NoSuchVariable"), S("")], Want::Refused), COPY],
+    ),
+    udp(
+        "copy-of-get",
+        "a retransmission of a reading call gets the same value",
+        Controller,
+        &[
+            Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]),
+            Step::Must(F::VARIABLE_GET_VALUE, &[H(A)], Want::Type(3)),
+            COPY,
+        ],
+    ),
+    udp(
+        "copy-of-disconnect",
+        "a retransmitted Controller_Disconnect is not executed again",
+        Controller,
+        &[Step::Must(F::CONTROLLER_DISCONNECT, &[H(C)], Want::NoValue), COPY],
+    ),
+    udp(
+        "copy-of-put",
+        "a retransmitted write gets its reply again",
+        Controller,
+        &[
+            Step::Save("I"),
+            Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), crate::case::Arg::Scratch("I"), S("")]),
+            Step::Call(F::VARIABLE_PUT_VALUE, &[H(A), V("3,77")], Want::NoValue),
+            COPY,
+            Step::Must(F::VARIABLE_GET_VALUE, &[H(A)], Want::Value("3,77")),
+        ],
+    )
     .at(Level::Write),
-    udp("next-call-after-a-copy", "after a retransmission the next call is executed", Controller, &[
-        Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]),
-        COPY,
-        Step::Open(B, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]),
-        Step::Differ(A, B),
-    ]),
-    run("same-serial-other-function", "a call with the marker of the last call, but another function, is no copy", same_serial_other_function),
+    udp(
+        "next-call-after-a-copy",
+        "after a retransmission the next call is executed",
+        Controller,
+        &[
+            Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]),
+            COPY,
+            Step::Open(B, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]),
+            Step::Differ(A, B),
+        ],
+    ),
+    run(
+        "same-serial-other-function",
+        "a call with the marker of the last call, but another function, is no copy",
+        same_serial_other_function,
+    ),
     run("late-copy-is-not-executed", "a copy of an older call is not executed", late_copy),
     run("reserved-0-means-serial", "a request without a marker has its serial as marker", no_marker),
     run("first-serial-65535", "markers wrap", wrapping_markers),

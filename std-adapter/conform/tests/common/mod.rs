@@ -70,7 +70,15 @@ pub(crate) fn provider(profile: Profile) -> String {
 
 /// Runs the cases, and prints the failures and the skips.
 pub(crate) fn report(options: &Options) -> Report {
-    let report = run(options, |result| if result.verdict != Verdict::Pass { println!("{}", result.text()) }, || false);
+    let report = run(
+        options,
+        |result| {
+            if result.verdict != Verdict::Pass {
+                println!("{}", result.text())
+            }
+        },
+        || false,
+    );
     let mut slow: Vec<_> = report.results.iter().map(|result| (result.milliseconds, &result.name)).collect();
     slow.sort();
     println!("{}; slowest: {:?}", report.summary(), &slow[slow.len().saturating_sub(12)..]);
