@@ -9,6 +9,7 @@ use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
 mod backup;
 mod codec;
+mod conform;
 mod files;
 mod gateway;
 mod link;
@@ -25,6 +26,7 @@ mod variables;
 
 pub(crate) use self::backup::{Diff, Dump, Restore};
 pub(crate) use self::codec::{CaptureArgs, Decode, Encode, Text, TextCommand};
+pub(crate) use self::conform::{Conform, LevelArg};
 pub(crate) use self::files::{Cp, Ls};
 pub(crate) use self::gateway::Gateway;
 pub(crate) use self::link::LinkArgs;
@@ -57,8 +59,8 @@ pub(crate) struct Cli {
 }
 
 const EXIT_CODES: &str = "\
-Exit codes: 0 done, 1 the controller refused or diff found differences, 2 wrong usage, malformed input or
-a diff that is refused or incomplete, 3 no connection, 4 timeout, 130 interrupted by a signal.
+Exit codes: 0 done, 1 the controller refused, diff found differences or a case of conform failed, 2 wrong usage,
+malformed input or a diff that is refused or incomplete, 3 no connection, 4 timeout, 130 interrupted by a signal.
 There are no colours if NO_COLOR is set or the output is not a terminal.";
 
 impl Cli {
@@ -121,6 +123,7 @@ pub(crate) enum Command {
     Gateway(Gateway),
     Proxy(Proxy),
     Replay(Replay),
+    Conform(Conform),
     Demo(Demo),
     Decode(Decode),
     Encode(Encode),

@@ -3,7 +3,7 @@
 //! | code | meaning                                                                      |
 //! |------|------------------------------------------------------------------------------|
 //! | 0    | done                                                                         |
-//! | 1    | the controller refused, or `bcap diff` found differences                     |
+//! | 1    | the controller refused, `bcap diff` found differences, or a case failed      |
 //! | 2    | wrong usage, input that cannot be read, or `bcap diff` could not compare all |
 //! | 3    | no connection, or a connection that broke, or an unexpected reply            |
 //! | 4    | the controller did not answer in time                                        |
@@ -62,6 +62,14 @@ pub(crate) enum Failure {
         /// The number of replies that differ.
         different: usize,
         /// The number of compared replies.
+        total: usize,
+    },
+    /// Some cases of `bcap conform` failed; each has been reported.
+    #[error("{failed} of {total} cases failed")]
+    CasesFailed {
+        /// The number of failed cases.
+        failed: usize,
+        /// The number of all cases.
         total: usize,
     },
     /// Some lists of names were refused; each has been reported.
@@ -190,6 +198,7 @@ impl Failure {
             Self::Refused { .. }
             | Self::SomeRefused { .. }
             | Self::RepliesDiffer { .. }
+            | Self::CasesFailed { .. }
             | Self::ListsRefused { .. }
             | Self::Unfit { .. }
             | Self::Different => 1,
@@ -226,6 +235,7 @@ impl Failure {
             | Self::BadLines(_)
             | Self::SomeRefused { .. }
             | Self::RepliesDiffer { .. }
+            | Self::CasesFailed { .. }
             | Self::ListsRefused { .. }
             | Self::Different
             | Self::Interrupted(_)
@@ -285,7 +295,11 @@ impl Failure {
         let mut line =
             Line { name, error: escape::cut(self), offset: None, code: None, hresult: None, hint: self.hint() };
         match self {
-            Self::BadLines(_) | Self::SomeRefused { .. } | Self::RepliesDiffer { .. } | Self::ListsRefused { .. } => {
+            Self::BadLines(_)
+            | Self::SomeRefused { .. }
+            | Self::RepliesDiffer { .. }
+            | Self::CasesFailed { .. }
+            | Self::ListsRefused { .. } => {
                 return None;
             }
             Self::Item(item) => line.offset = Some(item.offset),

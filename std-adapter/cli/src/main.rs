@@ -6,6 +6,7 @@ mod budget;
 mod call;
 mod capture;
 mod confirm;
+mod conform;
 mod connection;
 mod decode;
 mod demo;
@@ -95,7 +96,7 @@ fn recorded(cli: &Cli) -> Result<(), Failure> {
     // these record their clients or their robot
     let is_served = matches!(cli.command, Command::Proxy(_) | Command::Sim(_) | Command::Gateway(_));
     let Some(file) = cli.link.write.as_deref().filter(|_| !is_served) else { return run(cli) };
-    if matches!(cli.command, Command::Raw(_)) || !cli.command.connects() {
+    if matches!(cli.command, Command::Raw(_) | Command::Conform(_)) || !cli.command.connects() {
         return Err(Failure::Input("this command has nothing to record; leave --write out".into()));
     }
     let recording = record::Recording::of_command(file)?;
@@ -153,6 +154,7 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Gateway(args) => gateway::gateway(args, link.untraced()?),
         Command::Proxy(args) => proxy::proxy(args, link.untraced()?, json),
         Command::Replay(args) => replay::replay(args, link.untraced()?, json),
+        Command::Conform(args) => conform::conform(args, link, json),
         Command::Demo(_) => demo::demo(),
         Command::Decode(args) => decode::decode(args, json),
         Command::Encode(args) => decode::encode(args),

@@ -37,7 +37,7 @@ impl Robot {
 }
 
 /// A host in the form of `--robot`: an IPv6 address has brackets.
-fn host(address: &NetworkAddress) -> String {
+pub(crate) fn host(address: &NetworkAddress) -> String {
     match address.host.parse() {
         Ok(IpAddr::V6(host)) => format!("[{host}]"),
         _ => address.host.clone(),

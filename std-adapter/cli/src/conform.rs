@@ -1,0 +1,124 @@
+//! `bcap conform`: judges a server by the cases of `bcap-conform`.
+
+use std::io;
+
+use bcap_conform::{Case, CaseResult, Level, Link, Options, Report, Target, Verdict};
+use bcap_std::{NetworkAddress, Protocol, blocking};
+
+use crate::args::{Conform, LevelArg, LinkArgs};
+use crate::connection::not_connected;
+use crate::ending::Ending;
+use crate::error::Failure;
+use crate::output::{print_block, print_json, print_line};
+use crate::robot::host;
+use crate::target;
+
+/// Runs `bcap conform`.
+pub(crate) fn conform(args: &Conform, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    let chosen = chosen(args)?;
+    if args.list {
+        return Ok(chosen.iter().try_for_each(|case| list(case, json))?);
+    }
+    if args.level == LevelArg::Motion && !args.yes_the_robot_may_move {
+        return Err(Failure::Input("--level motion moves the robot: add --yes-the-robot-may-move".into()));
+    }
+    let options = options(args, link)?;
+    let ending = Ending::install()?;
+    let mut printed = Ok(());
+    let report = bcap_conform::run(
+        &options,
+        |result| {
+            if printed.is_ok() && !args.junit {
+                printed = print(result, json);
+            }
+        },
+        || ending.has_come(),
+    );
+    printed?;
+    finish(args, json, &report, chosen.len())
+}
+
+/// Returns the cases that the arguments choose.
+fn chosen(args: &Conform) -> Result<Vec<Case>, Failure> {
+    let cases = bcap_conform::cases();
+    if let Some(unknown) = args.case.iter().find(|name| !cases.iter().any(|case| case.name() == **name)) {
+        return Err(Failure::Input(format!("no case is named {unknown:?}; `bcap conform --list` prints the names")));
+    }
+    let is_chosen = |case: &Case| {
+        (args.group.is_empty() || args.group.contains(&case.group()))
+            && (args.case.is_empty() || args.case.contains(&case.name()))
+    };
+    let chosen: Vec<_> = cases.into_iter().filter(is_chosen).collect();
+    if chosen.is_empty() {
+        return Err(Failure::Input("no case of --case is in a group of --group".into()));
+    }
+    Ok(chosen)
+}
+
+fn options(args: &Conform, link: &LinkArgs) -> Result<Options, Failure> {
+    let bcap = link.untraced()?.network_target()?;
+    let rac = args.robot_rac.clone().unwrap_or_else(|| host(&bcap));
+    let rac = target::rac(Some(&rac), None, link.rac_port())?;
+    let resolve = |address: &NetworkAddress| {
+        let found = blocking::resolve(address, Some(link.timeout()))
+            .map_err(|error| not_connected(&error, &bcap_std::Address::Network(address.clone())))?;
+        found.first().copied().ok_or_else(|| Failure::Input(format!("{address} has no address")))
+    };
+    let over = match bcap.protocol {
+        Protocol::Tcp => Link::Tcp,
+        Protocol::Udp => Link::Udp,
+    };
+    let target = Target { bcap: Some((over, resolve(&bcap)?)), rac: Some(resolve(&rac)?) };
+    Ok(Options {
+        level: match args.level {
+            LevelArg::Read => Level::Read,
+            LevelArg::Write => Level::Write,
+            LevelArg::Motion => Level::Motion,
+        },
+        groups: args.group.clone(),
+        cases: args.case.clone(),
+        timeout: link.timeout(),
+        provider: link.provider().into(),
+        machine: link.machine().into(),
+        option: link.option().into(),
+        task: args.task.clone(),
+        scratch: args.scratch,
+        ..Options::new(target)
+    })
+}
+
+/// Prints a case of the list.
+fn list(case: &Case, json: bool) -> io::Result<()> {
+    let level = format!("{:?}", case.level()).to_lowercase();
+    if json {
+        let line = serde_json::json!({
+            "name": case.name(), "level": level, "source": case.source(), "rule": case.rule()
+        });
+        return print_json(&line.to_string());
+    }
+    print_line(&format!("{} ({level}): {} [{}]", case.name(), case.rule(), case.source()))
+}
+
+fn print(result: &CaseResult, json: bool) -> io::Result<()> {
+    if json {
+        // serializing strings and numbers cannot fail
+        return print_json(&serde_json::to_string(result).unwrap_or_default());
+    }
+    print_block(&result.text())
+}
+
+/// Prints the end of the report, and returns the failure of the command if a case failed.
+fn finish(args: &Conform, json: bool, report: &Report, planned: usize) -> Result<(), Failure> {
+    if args.junit {
+        print_block(report.junit().trim_end())?;
+    } else if !json {
+        print_line(&report.summary())?;
+    }
+    if report.results.len() < planned {
+        return Err(Failure::Interrupted(format!("ended after {} of {planned} cases", report.results.len())));
+    }
+    match report.count(Verdict::Fail) {
+        0 => Ok(()),
+        failed => Err(Failure::CasesFailed { failed, total: report.results.len() }),
+    }
+}

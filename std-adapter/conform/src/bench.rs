@@ -1,0 +1,435 @@
+//! One connection to the device: calls, their replies, and the handles that they give.
+
+use std::time::{Duration, Instant};
+
+use bcap_core::bcap::{FunctionId, Kind};
+use bcap_core::hresult::HResult;
+use bcap_core::variant::{OwnedVariant, VarType, Variant};
+
+use crate::device::{Options, Refusals};
+use crate::language::{Arg, Setup, Slot, Want};
+use crate::wire::{Came, Link, Reply, Wire, encode, hex, request_text};
+
+/// Why a case ends early.
+#[derive(Clone, Debug)]
+pub(crate) enum Stop {
+    Fail { expected: String, came: String },
+    Skip(String),
+}
+
+pub(crate) fn fail<T>(expected: impl Into<String>, came: impl Into<String>) -> Result<T, Stop> {
+    Err(Stop::Fail { expected: expected.into(), came: came.into() })
+}
+
+pub(crate) fn skip<T>(why: impl Into<String>) -> Result<T, Stop> {
+    Err(Stop::Skip(why.into()))
+}
+
+/// The last call, to send copies of it.
+#[derive(Clone, Debug)]
+pub(crate) struct Sent {
+    pub(crate) function: FunctionId,
+    pub(crate) args: Vec<OwnedVariant>,
+    pub(crate) marker: u16,
+    pub(crate) serial: u16,
+    pub(crate) reply: Option<Reply>,
+}
+
+/// The connection of a case, and what it has opened.
+pub(crate) struct Bench<'a> {
+    pub(crate) options: &'a Options,
+    pub(crate) link: Link,
+    wire: Option<Wire>,
+    pub(crate) serial: u16,
+    handles: [Option<i32>; Slot::COUNT],
+    pub(crate) last: Option<Sent>,
+    /// The values of scratch variables before the case.
+    saved: Vec<(String, OwnedVariant)>,
+    /// Whether the arm was taken, so that the case must give it back.
+    armed: bool,
+    /// What was sent and received, one line each.
+    pub(crate) log: Vec<String>,
+}
+
+impl<'a> Bench<'a> {
+    pub(crate) fn new(options: &'a Options, link: Link) -> Self {
+        // over UDP a stale reply to an earlier client of the same port must not match
+        let serial = if link == Link::Udp { fastrand::u16(1..30000) } else { 1 };
+        let (handles, log) = ([None; Slot::COUNT], Vec::new());
+        Self { options, link, wire: None, serial, handles, last: None, saved: Vec::new(), armed: false, log }
+    }
+
+    pub(crate) fn setup(&mut self, setup: Setup) -> Result<(), Stop> {
+        if setup == Setup::Rac {
+            return Ok(());
+        }
+        self.connect()?;
+        if setup == Setup::Connected {
+            return Ok(());
+        }
+        self.must(FunctionId::SERVICE_START, &[Arg::S("")], Want::NoValue)?;
+        if setup == Setup::Started {
+            return Ok(());
+        }
+        self.open_controller()?;
+        match setup {
+            Setup::Robot | Setup::Arm => {
+                self.open(
+                    Slot::Robot,
+                    FunctionId::CONTROLLER_GET_ROBOT,
+                    &[Arg::H(Slot::Controller), Arg::S("Arm"), Arg::S("")],
+                )?;
+            }
+            Setup::Task => self.open_task()?,
+            _ => {}
+        }
+        if setup == Setup::Arm { self.take_arm() } else { Ok(()) }
+    }
+
+    pub(crate) fn open_controller(&mut self) -> Result<(), Stop> {
+        let options = self.options;
+        let texts = ["b-CAP", &options.provider, &options.machine, &options.option];
+        let args = texts.map(|text| OwnedVariant::new(text).unwrap_or_default());
+        let reply = self.exchange(FunctionId::CONTROLLER_CONNECT, args.to_vec())?;
+        self.check(FunctionId::CONTROLLER_CONNECT, &reply, Want::Ok, Refusals::Fail)?;
+        self.keep(Slot::Controller, &reply)
+    }
+
+    fn open_task(&mut self) -> Result<(), Stop> {
+        let task = OwnedVariant::new(self.options.task.as_str()).unwrap_or_default();
+        let args = vec![self.argument(&Arg::H(Slot::Controller))?, task, OwnedVariant::new("").unwrap_or_default()];
+        let reply = self.exchange(FunctionId::CONTROLLER_GET_TASK, args)?;
+        self.check(FunctionId::CONTROLLER_GET_TASK, &reply, Want::Ok, Refusals::Skip)?;
+        self.keep(Slot::Task, &reply)
+    }
+
+    /// Takes the arm and switches the motor on, after the preparation of a COBOTTA.
+    fn take_arm(&mut self) -> Result<(), Stop> {
+        let refused = self.robot_command("ManualResetPreparation", "0,")?.code;
+        if refused.is_ok() {
+            self.robot_command("MotionPreparation", "0,")?;
+        }
+        let taken = self.robot_command("TakeArm", "8195,0,0")?;
+        if taken.code.is_err() {
+            return skip(format!("TakeArm: {}", taken.text()));
+        }
+        self.armed = true;
+        // slow, whatever the program of the robot has set before
+        self.robot_command("ExtSpeed", "8196,10,10,10")?;
+        let motor = self.robot_command("Motor", "8195,1,0")?;
+        if motor.code.is_err() { skip(format!("Motor on: {}", motor.text())) } else { Ok(()) }
+    }
+
+    /// Calls Robot_Execute.
+    pub(crate) fn robot_command(&mut self, command: &'static str, value: &'static str) -> Result<Reply, Stop> {
+        self.call(FunctionId::ROBOT_EXECUTE, &[Arg::H(Slot::Robot), Arg::S(command), Arg::V(value)])
+    }
+
+    /// Leaves the device as it was: halts, ends Slave Mode, gives the arm back, restores variables.
+    pub(crate) fn clean_up(&mut self) -> Result<(), Stop> {
+        if self.armed {
+            self.armed = false;
+            let alive = self.robot_command("slvChangeMode", "3,0").is_ok();
+            if alive {
+                let _ = self.call(FunctionId::ROBOT_HALT, &[Arg::H(Slot::Robot), Arg::S("")]);
+                let _ = self.robot_command("Motor", "8195,0,0");
+                let _ = self.robot_command("GiveArm", "0,");
+            }
+        }
+        if self.wire.is_some() {
+            // the connection may have ended as part of the case
+            let _ = self.call(FunctionId::SERVICE_STOP, &[]);
+        }
+        self.wire = None;
+        for (name, value) in std::mem::take(&mut self.saved) {
+            self.restore(&name, value)?;
+        }
+        Ok(())
+    }
+
+    fn restore(&mut self, name: &str, value: OwnedVariant) -> Result<(), Stop> {
+        self.setup(Setup::Controller)?;
+        let variable = self.variable(name)?;
+        let reply = self.exchange(FunctionId::VARIABLE_PUT_VALUE, vec![variable, value])?;
+        let _ = self.call(FunctionId::SERVICE_STOP, &[]);
+        self.wire = None;
+        if reply.code.is_err() {
+            return fail(format!("the value of {name} is restored"), reply.text());
+        }
+        Ok(())
+    }
+
+    /// Opens a variable of the controller, and returns its handle.
+    pub(crate) fn variable(&mut self, name: &str) -> Result<OwnedVariant, Stop> {
+        let text = |text: &str| OwnedVariant::new(text).unwrap_or_default();
+        let args = vec![self.argument(&Arg::H(Slot::Controller))?, text(name), text("")];
+        let reply = self.exchange(FunctionId::CONTROLLER_GET_VARIABLE, args)?;
+        self.check(FunctionId::CONTROLLER_GET_VARIABLE, &reply, Want::Ok, Refusals::Skip)?;
+        let Some(value) = reply.args.into_iter().next() else { return fail("a handle", "no value") };
+        Ok(value)
+    }
+
+    /// Keeps the value of a scratch variable. Without the variable, or if it cannot be written, the case is skipped.
+    pub(crate) fn save(&mut self, kind: &str) -> Result<(), Stop> {
+        let name = self.options.scratch(kind);
+        let variable = self.variable(&name)?;
+        let reply = self.exchange(FunctionId::VARIABLE_GET_VALUE, vec![variable.clone()])?;
+        self.check(FunctionId::VARIABLE_GET_VALUE, &reply, Want::Ok, Refusals::Skip)?;
+        let Some(value) = reply.args.into_iter().next() else {
+            return fail(format!("the value of {name}"), "no value");
+        };
+        // the same value: a device that allows no writing refuses it
+        let reply = self.exchange(FunctionId::VARIABLE_PUT_VALUE, vec![variable, value.clone()])?;
+        if reply.code == HResult::E_ACCESSDENIED {
+            return skip(format!("{name} cannot be written: {}", reply.code));
+        }
+        self.saved.push((name, value));
+        Ok(())
+    }
+
+    pub(crate) fn connect(&mut self) -> Result<(), Stop> {
+        self.wire = None;
+        let address = match self.options.target.bcap {
+            Some((_, address)) => address,
+            None => return skip("the address of b-CAP is not given"),
+        };
+        match Wire::connect(self.link, address, self.options.timeout) {
+            Ok(wire) => self.wire = Some(wire),
+            Err(error) => return fail(format!("{address} accepts the connection"), error.to_string()),
+        }
+        Ok(())
+    }
+
+    /// Sends bytes.
+    pub(crate) fn send(&mut self, bytes: &[u8], text: &str) -> Result<(), Stop> {
+        self.log.push(format!("-> {text} [{}]", hex(bytes)));
+        let Some(wire) = &mut self.wire else { return fail("a connection", "the connection has ended") };
+        match wire.send(bytes) {
+            Ok(()) => Ok(()),
+            Err(error) => fail("the device receives the request", error.to_string()),
+        }
+    }
+
+    /// Receives what arrives within the time limit of a reply.
+    pub(crate) fn receive(&mut self) -> Came {
+        self.receive_within(self.options.timeout)
+    }
+
+    pub(crate) fn receive_within(&mut self, limit: Duration) -> Came {
+        let came = self.wire.as_mut().map_or(Came::Closed, |wire| wire.receive(limit));
+        self.log.push(format!("<- {}", came.text()));
+        came
+    }
+
+    /// Returns the serial of the next request.
+    pub(crate) fn next_serial(&mut self) -> u16 {
+        let serial = self.serial;
+        self.serial = serial.checked_add(1).unwrap_or(1);
+        serial
+    }
+
+    /// Makes a call, and returns its reply whatever its code.
+    pub(crate) fn call(&mut self, function: FunctionId, args: &[Arg]) -> Result<Reply, Stop> {
+        let args = args.iter().map(|arg| self.argument(arg)).collect::<Result<Vec<_>, _>>()?;
+        self.exchange(function, args)
+    }
+
+    /// Makes a call, and returns its reply whatever its code. The rules of all replies are checked.
+    pub(crate) fn exchange(&mut self, function: FunctionId, args: Vec<OwnedVariant>) -> Result<Reply, Stop> {
+        let serial = self.next_serial();
+        let marker = if self.link == Link::Udp { serial } else { 0 };
+        let bytes = encode(serial, marker, function.0, &args);
+        self.send(&bytes, &request_text(serial, function, &args))?;
+        self.last = Some(Sent { function, args, marker: serial, serial, reply: None });
+        let reply = self.reply(function, serial)?;
+        if let Some(last) = &mut self.last {
+            last.reply = Some(reply.clone());
+        }
+        Ok(reply)
+    }
+
+    /// Receives the reply with this serial; keep-alives are checked and skipped.
+    pub(crate) fn reply(&mut self, function: FunctionId, serial: u16) -> Result<Reply, Stop> {
+        // a device that keeps a call alive must still answer it
+        let until = Instant::now() + self.options.timeout.saturating_mul(4);
+        loop {
+            let came = self.receive();
+            let Came::Reply(reply) = came else {
+                return fail(format!("a reply to {function} with the serial {serial}"), came.text());
+            };
+            self.check_reply(function, serial, &reply)?;
+            if reply.code != HResult::S_EXECUTING {
+                return Ok(reply);
+            }
+            if Instant::now() > until {
+                return fail(format!("a reply to {function} after the keep-alives"), reply.text());
+            }
+        }
+    }
+
+    /// Checks what holds for every reply (S2:200-384).
+    fn check_reply(&self, function: FunctionId, serial: u16, reply: &Reply) -> Result<(), Stop> {
+        let expected = |what: &str| format!("the reply to {function} {what}");
+        if reply.serial != serial {
+            return fail(expected(&format!("has the serial {serial} of its request")), reply.text());
+        }
+        if reply.reserved != 0 {
+            return fail(expected("has 0 in the reserved field"), reply.text());
+        }
+        if reply.args.len() > 1 {
+            return fail(expected("has at most one value"), reply.text());
+        }
+        let result = function.signature().map(|signature| signature.result);
+        match (result, reply.value()) {
+            (_, None) | (None, _) => Ok(()),
+            (_, Some(_)) if reply.code == HResult::S_EXECUTING => {
+                fail("S_EXECUTING has no value (S2:225)", reply.text())
+            }
+            (Some(Kind::Nothing), Some(value)) if !value.is_empty() => fail(expected("has no value"), reply.text()),
+            (Some(Kind::Handle(_) | Kind::Int), Some(value)) if reply.code.is_ok() => match value {
+                Variant::I4(_) | Variant::Ui4(_) => Ok(()),
+                Variant::Empty if function == FunctionId::SERVICE_START => Ok(()),
+                _ => fail(expected("is an I4"), reply.text()),
+            },
+            (Some(Kind::Text), Some(value)) if reply.code.is_ok() && value.as_bstr().is_none() => {
+                fail(expected("is a BSTR"), reply.text())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    pub(crate) fn argument(&self, arg: &Arg) -> Result<OwnedVariant, Stop> {
+        let handle = |slot: Slot| match self.handles[slot as usize] {
+            Some(handle) => Ok(handle),
+            None => skip(format!("the handle {slot:?} is missing")),
+        };
+        let encoded = match *arg {
+            Arg::H(slot) => OwnedVariant::new(&handle(slot)?),
+            Arg::Unsigned(slot) => OwnedVariant::new(&handle(slot)?.cast_unsigned()),
+            Arg::I(number) => OwnedVariant::new(&number),
+            Arg::S(text) => OwnedVariant::new(text),
+            Arg::Scratch(kind) => OwnedVariant::new(self.options.scratch(kind).as_str()),
+            Arg::V(text) => return value_of(text),
+        };
+        // arguments of cases are small
+        Ok(encoded.unwrap_or_default())
+    }
+
+    fn keep(&mut self, slot: Slot, reply: &Reply) -> Result<(), Stop> {
+        let handle = match reply.value() {
+            Some(Variant::I4(handle)) => handle,
+            Some(Variant::Ui4(handle)) => handle.cast_signed(),
+            _ => return fail("a handle (I4)", reply.text()),
+        };
+        self.handles[slot as usize] = Some(handle);
+        Ok(())
+    }
+
+    pub(crate) fn handle(&self, slot: Slot) -> i32 {
+        self.handles[slot as usize].unwrap_or_default()
+    }
+
+    pub(crate) fn set_handle(&mut self, slot: Slot, handle: i32) {
+        self.handles[slot as usize] = Some(handle);
+    }
+
+    /// Makes a call and checks its reply; skips the case if the device does not have the function.
+    pub(crate) fn want(&mut self, function: FunctionId, args: &[Arg], want: Want) -> Result<Reply, Stop> {
+        let reply = self.call(function, args)?;
+        self.check(function, &reply, want, Refusals::Skip)?;
+        Ok(reply)
+    }
+
+    /// Makes a call that every device has, and checks its reply.
+    pub(crate) fn must(&mut self, function: FunctionId, args: &[Arg], want: Want) -> Result<Reply, Stop> {
+        let reply = self.call(function, args)?;
+        self.check(function, &reply, want, Refusals::Fail)?;
+        Ok(reply)
+    }
+
+    /// Opens an object, and keeps its handle.
+    pub(crate) fn open(&mut self, slot: Slot, function: FunctionId, args: &[Arg]) -> Result<(), Stop> {
+        let reply = self.want(function, args, Want::Ok)?;
+        self.keep(slot, &reply)
+    }
+
+    /// Checks a reply.
+    pub(crate) fn check(
+        &self,
+        function: FunctionId,
+        reply: &Reply,
+        want: Want,
+        refusals: Refusals,
+    ) -> Result<(), Stop> {
+        let wants_success = !matches!(want, Want::Code(_) | Want::Refused);
+        let is_missing = [HResult::E_NOTIMPL, HResult::E_INVALID_CMD_NAME, HResult::E_CAO_OBJECT_NOTFOUND];
+        let opens = function.opens().is_some();
+        // a device may lack an object or a function, but not refuse one that it has
+        if refusals == Refusals::Skip
+            && (is_missing[..2].contains(&reply.code) || wants_success && opens && reply.code == is_missing[2])
+            && !matches!(want, Want::Code(codes) if codes.contains(&reply.code))
+        {
+            return skip(format!("the device does not have it: {function} answered {}", reply.code));
+        }
+        match matches(want, reply) {
+            true => Ok(()),
+            false => fail(format!("{function}: {}", want_text(want)), reply.text()),
+        }
+    }
+}
+
+/// A session over UDP lasts until Service_Stop, or until the device forgets its peer.
+impl Drop for Bench<'_> {
+    fn drop(&mut self) {
+        let serial = self.next_serial();
+        if let (Link::Udp, Some(wire)) = (self.link, &mut self.wire) {
+            // without an answer the device forgets the peer later
+            let _ = wire.send(&encode(serial, serial, FunctionId::SERVICE_STOP.0, &[]));
+        }
+    }
+}
+
+pub(crate) fn value_of(text: &str) -> Result<OwnedVariant, Stop> {
+    match OwnedVariant::parse_text(text.as_bytes()) {
+        Ok(value) => Ok(value),
+        Err(error) => fail(format!("the text {text:?} is a value"), error.to_string()),
+    }
+}
+
+/// Tells whether a reply is what a case wants.
+fn matches(want: Want, reply: &Reply) -> bool {
+    let value = reply.value();
+    let is_ok = reply.code.is_ok();
+    match want {
+        Want::Ok => is_ok,
+        Want::NoValue => is_ok && value.is_none_or(|value| value.is_empty()),
+        Want::Type(vartype) => is_ok && value.is_some_and(|value| value.vartype() == VarType(vartype)),
+        Want::Array(element, count) => {
+            is_ok
+                && value
+                    .and_then(|value| value.as_array())
+                    .is_some_and(|array| array.element() == VarType(element) && (count == 0 || array.len() == count))
+        }
+        Want::Value(text) => {
+            is_ok && value_of(text).is_ok_and(|wanted| value.is_some_and(|value| value == wanted.as_variant()))
+        }
+        Want::Code(codes) => codes.contains(&reply.code),
+        Want::Refused => reply.code.is_err(),
+    }
+}
+
+pub(crate) fn want_text(want: Want) -> String {
+    match want {
+        Want::Ok => "success".into(),
+        Want::NoValue => "success without a value".into(),
+        Want::Type(vartype) => format!("success with {}", VarType(vartype)),
+        Want::Array(element, 0) => format!("success with an array of {}", VarType(element)),
+        Want::Array(element, count) => format!("success with {count} elements of {}", VarType(element)),
+        Want::Value(text) => match value_of(text) {
+            Ok(value) => format!("success with {}", crate::wire::short(&value.as_variant())),
+            Err(_) => text.into(),
+        },
+        Want::Code(codes) => codes.iter().map(ToString::to_string).collect::<Vec<_>>().join(" or "),
+        Want::Refused => "an error".into(),
+    }
+}

@@ -1,0 +1,91 @@
+//! A case: its name, its rule and what it does.
+
+use std::borrow::Cow;
+
+use crate::bench::{Bench, Stop};
+pub(crate) use crate::language::{Arg, Edit, LineWant, Reaction, Setup, Slot, Step, Want};
+pub use crate::language::{Group, Level};
+use crate::wire::Link;
+
+/// A case for a device.
+#[derive(Clone, Debug)]
+pub struct Case {
+    /// Its name within the group.
+    pub(crate) name: Cow<'static, str>,
+    pub(crate) group: Group,
+    pub(crate) level: Level,
+    /// The lines of the specification.
+    pub(crate) source: &'static str,
+    /// The rule in one sentence.
+    pub(crate) rule: &'static str,
+    /// The link without which the case does not apply.
+    pub(crate) only: Option<Link>,
+    pub(crate) setup: Setup,
+    pub(crate) body: Body,
+}
+
+impl Case {
+    /// Returns the name with the group, such as `frames/wrong-eot`.
+    #[must_use]
+    pub fn name(&self) -> String {
+        format!("{}/{}", self.group, self.name)
+    }
+
+    /// Returns the group.
+    #[must_use]
+    pub const fn group(&self) -> Group {
+        self.group
+    }
+
+    /// Returns the level from which on the case runs.
+    #[must_use]
+    pub const fn level(&self) -> Level {
+        self.level
+    }
+
+    /// Returns the lines of the specification that the case tests.
+    #[must_use]
+    pub const fn source(&self) -> &'static str {
+        self.source
+    }
+
+    /// Returns the tested rule as a sentence.
+    #[must_use]
+    pub const fn rule(&self) -> &'static str {
+        self.rule
+    }
+
+    pub(crate) const fn at(mut self, level: Level) -> Self {
+        self.level = level;
+        self
+    }
+
+    pub(crate) const fn over(mut self, link: Link) -> Self {
+        self.only = Some(link);
+        self
+    }
+}
+
+/// Makes a case of level `read` for all links.
+pub(crate) const fn case(
+    group: Group,
+    name: &'static str,
+    source: &'static str,
+    rule: &'static str,
+    setup: Setup,
+    body: Body,
+) -> Case {
+    Case { name: Cow::Borrowed(name), group, level: Level::Read, source, rule, only: None, setup, body }
+}
+
+/// What a case does.
+#[derive(Clone, Debug)]
+pub(crate) enum Body {
+    Steps(Cow<'static, [Step]>),
+    Run(fn(&mut Bench<'_>) -> Result<(), Stop>),
+}
+
+/// The steps of a constant table.
+pub(crate) const fn steps(steps: &'static [Step]) -> Body {
+    Body::Steps(Cow::Borrowed(steps))
+}

@@ -1,0 +1,246 @@
+//! Pauses within frames, and keep-alives.
+
+use std::time::{Duration, Instant};
+
+use bcap_core::bcap::FunctionId as F;
+use bcap_core::hresult::HResult;
+use bcap_core::variant::OwnedVariant;
+
+use crate::bench::{Bench, Stop, fail, skip};
+use crate::case::Arg::{H, I, S, V};
+use crate::case::Setup::{Arm, Connected, Controller, Started};
+use crate::case::{Body, Case, Group, Level, Setup, Slot, Step, Want, case, steps};
+use crate::wire::{Came, Link, encode, request_text};
+
+const fn run(
+    name: &'static str,
+    source: &'static str,
+    rule: &'static str,
+    setup: Setup,
+    run: fn(&mut Bench<'_>) -> Result<(), Stop>,
+) -> Case {
+    case(Group::Timeouts, name, source, rule, setup, Body::Run(run))
+}
+
+pub(super) const CASES: &[Case] = &[
+    run(
+        "pause-within-the-header",
+        "S2:200-384",
+        "a pause of 500 ms within a frame loses nothing",
+        Connected,
+        pause_in_header,
+    )
+    .over(Link::Tcp),
+    run(
+        "pause-within-an-argument",
+        "S2:200-384",
+        "a pause of 500 ms within a frame loses nothing",
+        Connected,
+        pause_in_argument,
+    )
+    .over(Link::Tcp),
+    run(
+        "pause-between-frames",
+        "S2:200-384",
+        "a session without calls for a second goes on",
+        Controller,
+        pause_between,
+    ),
+    run(
+        "pause-of-another-client",
+        "S0:189",
+        "an unfinished frame of one client does not delay another",
+        Started,
+        unfinished_frame_of_another,
+    )
+    .over(Link::Tcp),
+    run(
+        "quick-call-without-keep-alive",
+        "S2:225",
+        "a call that takes no time gets no keep-alive",
+        Connected,
+        no_keep_alive,
+    ),
+    run("silence-after-a-reply", "S0:189", "a device sends nothing without a request", Controller, silence),
+    run(
+        "keep-alives-of-a-motion",
+        "S2:225",
+        "with WDT=100 a long call gets S_EXECUTING with its serial, and then its reply",
+        Arm,
+        keep_alives,
+    )
+    .at(Level::Motion),
+    run(
+        "no-keep-alive-without-wdt",
+        "S2:225",
+        "without WDT a long call gets no S_EXECUTING",
+        Arm,
+        no_keep_alives_without_wdt,
+    )
+    .at(Level::Motion),
+    run(
+        "others-during-a-motion",
+        "S0:189",
+        "a long call of one client does not delay another",
+        Arm,
+        others_during_a_motion,
+    )
+    .at(Level::Motion),
+    case(
+        Group::Timeouts,
+        "restart-with-another-wdt",
+        "S2:225",
+        "a later Service_Start may set another interval",
+        Connected,
+        steps(&[
+            Step::Must(F::SERVICE_START, &[S("WDT=100")], Want::NoValue),
+            Step::Must(F::SERVICE_STOP, &[], Want::NoValue),
+            Step::Must(F::SERVICE_START, &[S("WDT=500")], Want::NoValue),
+        ]),
+    ),
+];
+
+/// A pause that is longer than the poll interval of known servers.
+const PAUSE: Duration = Duration::from_millis(500);
+
+fn paused(bench: &mut Bench<'_>, at: usize) -> Result<(), Stop> {
+    let serial = bench.next_serial();
+    let option = OwnedVariant::new("WDT=400").unwrap_or_default();
+    let bytes = encode(serial, 0, F::SERVICE_START.0, &[option]);
+    bench.send(&bytes[..at], "the start of Service_Start")?;
+    if let came @ (Came::Reply(_) | Came::Invalid(_) | Came::Closed) = bench.receive_within(PAUSE) {
+        return fail("silence until the frame is complete", came.text());
+    }
+    bench.send(&bytes[at..], "the rest")?;
+    let reply = bench.reply(F::SERVICE_START, serial)?;
+    if reply.code.is_ok() { Ok(()) } else { fail("success", reply.text()) }
+}
+
+fn pause_in_header(bench: &mut Bench<'_>) -> Result<(), Stop> {
+    paused(bench, 7)
+}
+
+fn pause_in_argument(bench: &mut Bench<'_>) -> Result<(), Stop> {
+    paused(bench, 30)
+}
+
+fn pause_between(bench: &mut Bench<'_>) -> Result<(), Stop> {
+    std::thread::sleep(Duration::from_secs(1));
+    bench.want(F::CONTROLLER_GET_VARIABLE, &[H(Slot::Controller), S("I1"), S("")], Want::Type(3)).map(drop)
+}
+
+fn unfinished_frame_of_another(bench: &mut Bench<'_>) -> Result<(), Stop> {
+    let mut other = Bench::new(bench.options, bench.link);
+    other.connect()?;
+    other.send(&[1, 44, 0, 0, 0, 1], "the start of a frame")?;
+    bench.must(F(999), &[], Want::Refused).map(drop)
+}
+
+fn no_keep_alive(bench: &mut Bench<'_>) -> Result<(), Stop> {
+    let serial = bench.next_serial();
+    let option = OwnedVariant::new("WDT=400").unwrap_or_default();
+    let marker = if bench.link == Link::Udp { serial } else { 0 };
+    let bytes = encode(serial, marker, F::SERVICE_START.0, &[option]);
+    bench.send(&bytes, "Service_Start(WDT=400)")?;
+    match bench.receive() {
+        Came::Reply(reply) if reply.serial == serial && reply.code.is_ok() && reply.code != HResult::S_EXECUTING => {
+            Ok(())
+        }
+        came => fail("the reply itself", came.text()),
+    }
+}
+
+fn silence(bench: &mut Bench<'_>) -> Result<(), Stop> {
+    bench.must(F(999), &[], Want::Refused)?;
+    match bench.receive_within(bench.options.quiet) {
+        Came::Nothing => Ok(()),
+        came => fail("silence", came.text()),
+    }
+}
+
+/// Sends a motion that takes about a second, and returns its serial.
+fn start_motion(bench: &mut Bench<'_>) -> Result<u16, Stop> {
+    // the axis turns by 5 degrees and back, slowly
+    let pair = if bench.handle(Slot::B) == 0 { "8204,(8195,6,5)" } else { "8204,(8195,6,-5)" };
+    bench.set_handle(Slot::B, 1 - bench.handle(Slot::B));
+    let args = [H(Slot::Robot), S("DriveEx"), V(pair)];
+    let args = args.iter().map(|arg| bench.argument(arg)).collect::<Result<Vec<_>, _>>()?;
+    let serial = bench.next_serial();
+    let marker = if bench.link == Link::Udp { serial } else { 0 };
+    let bytes = encode(serial, marker, F::ROBOT_EXECUTE.0, &args);
+    bench.send(&bytes, &request_text(serial, F::ROBOT_EXECUTE, &args))?;
+    Ok(serial)
+}
+
+/// Sets the interval of keep-alives: the arm is lost with the session, so this is a session of its own.
+fn with_wdt(bench: &mut Bench<'_>, option: &'static str) -> Result<(), Stop> {
+    bench.must(F::SERVICE_STOP, &[], Want::NoValue)?;
+    bench.must(F::SERVICE_START, &[S(option)], Want::NoValue)?;
+    bench.open_controller()?;
+    bench.open(Slot::Robot, F::CONTROLLER_GET_ROBOT, &[H(Slot::Controller), S("Arm"), S("")])?;
+    bench.robot_command("TakeArm", "8195,0,0")?;
+    bench.robot_command("ExtSpeed", "8196,1,1,1")?;
+    bench.robot_command("Motor", "8195,1,0").map(drop)
+}
+
+/// Returns the number of keep-alives before the reply, and the reply's result.
+fn count_keep_alives(bench: &mut Bench<'_>, serial: u16) -> Result<(usize, HResult), Stop> {
+    let until = Instant::now() + Duration::from_secs(60);
+    let mut count = 0;
+    loop {
+        match bench.receive_within(until.saturating_duration_since(Instant::now())) {
+            Came::Reply(reply) if reply.serial != serial => return fail(format!("the serial {serial}"), reply.text()),
+            Came::Reply(reply) if reply.code == HResult::S_EXECUTING && reply.args.is_empty() => count += 1,
+            Came::Reply(reply) if reply.code == HResult::S_EXECUTING => {
+                return fail("S_EXECUTING without a value", reply.text());
+            }
+            Came::Reply(reply) => return Ok((count, reply.code)),
+            came => return fail("S_EXECUTING or the reply", came.text()),
+        }
+    }
+}
+
+fn moved(code: HResult) -> Result<(), Stop> {
+    if code.is_err() { skip(format!("the motion: {code}")) } else { Ok(()) }
+}
+
+fn keep_alives(bench: &mut Bench<'_>) -> Result<(), Stop> {
+    with_wdt(bench, "WDT=100")?;
+    let serial = start_motion(bench)?;
+    let began = Instant::now();
+    let (count, code) = count_keep_alives(bench, serial)?;
+    moved(code)?;
+    let tenths = began.elapsed().as_millis() / 100;
+    let back = start_motion(bench)?;
+    count_keep_alives(bench, back)?;
+    // timers and networks delay them, so half of them must arrive
+    let least = usize::try_from(tenths / 2).unwrap_or(usize::MAX);
+    let most = usize::try_from(tenths + 2).unwrap_or(usize::MAX);
+    match (least..=most).contains(&count) {
+        true => Ok(()),
+        false => fail(format!("{least} to {most} keep-alives in {tenths} intervals"), format!("{count}")),
+    }
+}
+
+fn no_keep_alives_without_wdt(bench: &mut Bench<'_>) -> Result<(), Stop> {
+    let serial = start_motion(bench)?;
+    let (count, code) = count_keep_alives(bench, serial)?;
+    moved(code)?;
+    let back = start_motion(bench)?;
+    count_keep_alives(bench, back)?;
+    if count == 0 { Ok(()) } else { fail("no keep-alive", format!("{count}")) }
+}
+
+fn others_during_a_motion(bench: &mut Bench<'_>) -> Result<(), Stop> {
+    with_wdt(bench, "WDT=100")?;
+    let mut other = Bench::new(bench.options, bench.link);
+    other.connect()?;
+    other.must(F::SERVICE_START, &[S("")], Want::NoValue)?;
+    let serial = start_motion(bench)?;
+    other.must(F(999), &[], Want::Refused)?;
+    other.must(F::CONTROLLER_GET_NAME, &[I(1)], Want::Refused)?;
+    let (_, code) = count_keep_alives(bench, serial)?;
+    moved(code)?;
+    let back = start_motion(bench)?;
+    count_keep_alives(bench, back).map(drop)
+}

@@ -1,0 +1,83 @@
+//! The device under test and the settings of a run.
+
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use crate::language::{Group, Level};
+use crate::wire::Link;
+
+/// The addresses of a device.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Target {
+    /// The link and the address of b-CAP.
+    pub bcap: Option<(Link, SocketAddr)>,
+    /// The address of RAC.
+    pub rac: Option<SocketAddr>,
+}
+
+/// The settings of a run.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The device.
+    pub target: Target,
+    /// The highest level of the cases that run.
+    pub level: Level,
+    /// The groups that run; empty means all.
+    pub groups: Vec<Group>,
+    /// The names of the cases that run, such as `frames/wrong-eot`; empty means all.
+    pub cases: Vec<String>,
+    /// The time limit of each reply, and of connecting.
+    pub timeout: Duration,
+    /// How long the device must be silent before a case takes it for silent.
+    pub quiet: Duration,
+    /// The provider of Controller_Connect.
+    pub provider: String,
+    /// The machine of Controller_Connect.
+    pub machine: String,
+    /// The option of Controller_Connect.
+    pub option: String,
+    /// The name of the task for the cases of tasks.
+    pub task: String,
+    /// The index of the variables that cases of level `write` may write: I90, F90, D90, S90, V90, P90, J90, T90.
+    pub scratch: u32,
+    /// The number of the IO that these cases may write. Without it, no IO is written.
+    pub scratch_io: Option<u32>,
+}
+
+impl Options {
+    /// Returns the settings for a device: level `read`, all cases, 3 s for a reply.
+    #[must_use]
+    pub fn new(target: Target) -> Self {
+        Self {
+            target,
+            level: Level::Read,
+            groups: Vec::new(),
+            cases: Vec::new(),
+            timeout: Duration::from_secs(3),
+            quiet: Duration::from_millis(250),
+            provider: "CaoProv.DENSO.VRC".into(),
+            machine: "localhost".into(),
+            option: String::new(),
+            task: "Pro1".into(),
+            scratch: 90,
+            scratch_io: None,
+        }
+    }
+
+    /// Returns the name of the scratch variable of a kind.
+    pub(crate) fn scratch(&self, kind: &str) -> String {
+        match (kind, self.scratch_io) {
+            ("IO", Some(number)) => format!("IO{number}"),
+            _ => format!("{kind}{}", self.scratch),
+        }
+    }
+}
+
+/// What a missing function or object means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Refusals {
+    /// The case does not apply.
+    Skip,
+    /// The case fails.
+    Fail,
+}

@@ -1,0 +1,125 @@
+//! Frames with deliberate errors, and what may follow them.
+
+use bcap_core::bcap::FunctionId;
+use bcap_core::hresult::HResult;
+use bcap_core::variant::OwnedVariant;
+
+use crate::bench::{Bench, Stop, fail};
+use crate::language::{Arg, Edit, Reaction, Want};
+use crate::wire::{Came, Link, describe, encode};
+
+/// Where the fields are (S2:200-384).
+mod field {
+    pub(super) const LENGTH: usize = 1;
+    pub(super) const SERIAL: usize = 5;
+    pub(super) const RESERVED: usize = 7;
+    pub(super) const CODE: usize = 9;
+    pub(super) const COUNT: usize = 13;
+}
+
+impl Bench<'_> {
+    /// Sends Service_Start with changes, checks what follows, and that the device serves another session.
+    pub(crate) fn edited(&mut self, edits: &[Edit], reaction: Reaction) -> Result<(), Stop> {
+        let mut serial = self.next_serial();
+        let option = OwnedVariant::new("WDT=400").unwrap_or_default();
+        let marker = if self.link == Link::Udp { serial } else { 0 };
+        let mut bytes = encode(serial, marker, FunctionId::SERVICE_START.0, &[option]);
+        for edit in edits {
+            apply(edit, &mut bytes);
+            if let Edit::Serial(number) = edit {
+                serial = *number;
+            }
+        }
+        self.send(&bytes, &format!("edited {edits:?}: {}", describe(&bytes)))?;
+        // a device may drop an invalid datagram
+        let is_dropped = self.link == Link::Udp && reaction != Reaction::Served;
+        let came = self.receive_within(if is_dropped { self.options.quiet } else { self.options.timeout });
+        self.judge(reaction, serial, &came)?;
+        if reaction != Reaction::Served {
+            // the device must serve a new connection as if nothing had happened
+            self.connect()?;
+            self.must(FunctionId::SERVICE_START, &[Arg::S("")], Want::NoValue)?;
+        }
+        Ok(())
+    }
+
+    fn judge(&mut self, reaction: Reaction, serial: u16, came: &Came) -> Result<(), Stop> {
+        let is_udp = self.link == Link::Udp;
+        match (reaction, came) {
+            (Reaction::Served, Came::Reply(reply)) if reply.serial == serial && reply.code.is_ok() => Ok(()),
+            (Reaction::Served, came) => fail(format!("success with the serial {serial}"), came.text()),
+            (Reaction::Ends | Reaction::Resync, Came::Reply(reply)) if reply.code.is_ok() => {
+                match reply.serial == serial {
+                    true => Ok(()),
+                    false => fail(
+                        format!("a reply with the serial {serial}, an error, or the end of the connection"),
+                        came.text(),
+                    ),
+                }
+            }
+            (_, Came::Reply(reply)) if reply.code.is_err() => self.ends(reply.code),
+            (_, Came::Closed) => Ok(()),
+            (_, Came::Nothing) if is_udp => Ok(()),
+            (_, came) => fail("an error, or the end of the connection", came.text()),
+        }
+    }
+
+    /// After E_INVALIDRCPACKET the device closes the connection (S0:169).
+    fn ends(&mut self, code: HResult) -> Result<(), Stop> {
+        if self.link == Link::Udp || code != HResult::E_INVALIDRCPACKET {
+            return Ok(());
+        }
+        match self.receive() {
+            Came::Closed => Ok(()),
+            came => fail("the end of the connection after E_INVALIDRCPACKET", came.text()),
+        }
+    }
+}
+
+fn apply(edit: &Edit, bytes: &mut Vec<u8>) {
+    match *edit {
+        Edit::Function(function) => put(bytes, field::CODE, &function.0.to_le_bytes()),
+        Edit::Length(length) => put(bytes, field::LENGTH, &length.to_le_bytes()),
+        Edit::Count(count) => put(bytes, field::COUNT, &count.to_le_bytes()),
+        Edit::Reserved(marker) => put(bytes, field::RESERVED, &marker.to_le_bytes()),
+        Edit::Serial(serial) => put(bytes, field::SERIAL, &serial.to_le_bytes()),
+        Edit::Byte(at, value) => put(bytes, at, &[value]),
+        Edit::Longer(by) => {
+            let length = u32::try_from(bytes.len()).unwrap_or(u32::MAX).wrapping_add_signed(by);
+            put(bytes, field::LENGTH, &length.to_le_bytes());
+        }
+        Edit::Last(value) => {
+            if let Some(last) = bytes.last_mut() {
+                *last = value;
+            }
+        }
+        Edit::Body(count, body) => replace_body(bytes, count, body),
+        Edit::Nested(depth) => replace_body(bytes, 1, &nested(depth)),
+        Edit::Before(noise) => drop(bytes.splice(..0, noise.iter().copied())),
+        Edit::After(noise) => bytes.extend_from_slice(noise),
+        Edit::Cut(length) => bytes.truncate(length),
+    }
+}
+
+fn put(bytes: &mut [u8], at: usize, value: &[u8]) {
+    bytes[at..at + value.len()].copy_from_slice(value);
+}
+
+/// Replaces the arguments, and adjusts the length.
+fn replace_body(bytes: &mut Vec<u8>, count: u16, body: &[u8]) {
+    bytes.truncate(field::COUNT);
+    bytes.extend_from_slice(&count.to_le_bytes());
+    bytes.extend_from_slice(body);
+    bytes.push(bcap_core::bcap::EOT);
+    let length = u32::try_from(bytes.len()).unwrap_or(u32::MAX);
+    bytes[field::LENGTH..field::SERIAL].copy_from_slice(&length.to_le_bytes());
+}
+
+/// An argument: arrays of one VARIANT inside each other, with EMPTY inside the last.
+fn nested(depth: usize) -> Vec<u8> {
+    let mut value = [0x0c, 0x20, 1, 0, 0, 0].repeat(depth);
+    value.extend_from_slice(&[0, 0, 1, 0, 0, 0]);
+    let mut argument = u32::try_from(value.len()).unwrap_or(u32::MAX).to_le_bytes().to_vec();
+    argument.append(&mut value);
+    argument
+}

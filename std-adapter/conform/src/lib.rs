@@ -1,0 +1,121 @@
+//! Conformance cases for b-CAP and RAC, the protocols of DENSO robot controllers.
+//!
+//! ```text
+//!  cases    tables: what is sent, what must come, the line of the specification
+//!  bench    runs one case on a connection of its own, and undoes what it changed
+//!  wire     bytes and frames over TCP and UDP; frames may be wrong on purpose
+//!  report   results as text, JSON (serde) and JUnit
+//! ```
+//!
+//! [`run`] judges a device: a controller, a gateway, another implementation. No client logic is between a case and the
+//! socket, so wrong frames can be sent, and nothing hides a wrong reply. Every wait has a time limit.
+//!
+//! # Examples
+//!
+//! ```no_run
+//! use bcap_conform::{Link, Options, Target, Verdict, run};
+//!
+//! let target = Target { bcap: Some((Link::Tcp, "192.168.0.1:5007".parse()?)), rac: None };
+//! let report = run(&Options::new(target), |result| println!("{}", result.text()), || false);
+//! assert_eq!(report.count(Verdict::Fail), 0, "{:?}", report.failures().collect::<Vec<_>>());
+//! # Ok::<(), std::net::AddrParseError>(())
+//! ```
+
+mod bench;
+mod case;
+mod cases;
+mod device;
+mod edit;
+mod language;
+mod line;
+mod report;
+mod steps;
+mod wire;
+
+use std::time::Instant;
+
+pub use case::{Case, Group, Level};
+pub use device::{Options, Target};
+pub use report::{CaseResult, Report, Verdict};
+pub use wire::Link;
+
+use bench::{Bench, Stop};
+
+/// Returns all cases for devices, by group.
+#[must_use]
+pub fn cases() -> Vec<Case> {
+    cases::all()
+}
+
+/// Judges a device: runs the chosen cases, one after the other, and passes each result to `each`.
+///
+/// Before each case it asks `ended` whether to end early; the arm is given back and variables are restored by then.
+pub fn run(options: &Options, mut each: impl FnMut(&CaseResult), ended: impl Fn() -> bool) -> Report {
+    let mut report = Report::default();
+    for case in cases() {
+        let name = case.name();
+        let wanted = (options.groups.is_empty() || options.groups.contains(&case.group))
+            && (options.cases.is_empty() || options.cases.iter().any(|wanted| *wanted == name));
+        if !wanted {
+            continue;
+        }
+        if ended() {
+            break;
+        }
+        let result = judge(&case, options);
+        each(&result);
+        report.results.push(result);
+    }
+    report
+}
+
+/// Returns why a case does not apply.
+fn inapplicable(case: &Case, options: &Options) -> Option<String> {
+    if case.level > options.level {
+        return Some(format!("needs --level {}", format!("{:?}", case.level).to_lowercase()));
+    }
+    if case.group == Group::Rac {
+        return options.target.rac.is_none().then(|| "the address of RAC is not given".into());
+    }
+    match (options.target.bcap, case.only) {
+        (None, _) => Some("the address of b-CAP is not given".into()),
+        (Some((link, _)), Some(only)) if link != only => Some(match only {
+            Link::Tcp => "a case of TCP".into(),
+            Link::Udp => "a case of UDP".into(),
+        }),
+        _ => None,
+    }
+}
+
+fn judge(case: &Case, options: &Options) -> CaseResult {
+    let began = Instant::now();
+    let link = options.target.bcap.map_or(Link::Tcp, |(link, _)| link);
+    let mut bench = Bench::new(options, link);
+    let outcome = match inapplicable(case, options) {
+        Some(reason) => Err(Stop::Skip(reason)),
+        None => bench.run(case),
+    };
+    let (verdict, reason, expected, came) = match outcome {
+        Ok(()) => (Verdict::Pass, None, None, None),
+        Err(Stop::Skip(reason)) => (Verdict::Skip, Some(reason), None, None),
+        Err(Stop::Fail { expected, came }) => (Verdict::Fail, None, Some(expected), Some(came)),
+    };
+    CaseResult {
+        name: case.name(),
+        group: Some(case.group),
+        level: Some(case.level),
+        source: case.source,
+        rule: case.rule,
+        verdict,
+        reason,
+        expected,
+        came,
+        exchange: std::mem::take(&mut bench.log),
+        milliseconds: u64::try_from(began.elapsed().as_millis()).unwrap_or(u64::MAX),
+    }
+}
+
+/// The examples of the crate's page.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct Readme;

@@ -1,0 +1,84 @@
+//! Runs a case: its setup, its steps, and the end, which undoes what they changed.
+
+use std::time::Duration;
+
+use bcap_core::bcap::FunctionId;
+use bcap_core::variant::OwnedVariant;
+
+use crate::bench::{Bench, Stop, fail};
+use crate::case::{Body, Case};
+use crate::device::Refusals;
+use crate::language::{Arg, Step, Want};
+use crate::line;
+use crate::wire::{encode, request_text};
+
+/// The pause between two pieces of a frame: longer than the segments of one write are apart.
+const PIECE_PAUSE: Duration = Duration::from_millis(20);
+
+impl Bench<'_> {
+    /// Runs a case, then undoes what it changed.
+    pub(crate) fn run(&mut self, case: &Case) -> Result<(), Stop> {
+        let result = self.setup(case.setup).and_then(|()| match &case.body {
+            Body::Steps(steps) => steps.iter().try_for_each(|step| self.step(step)),
+            Body::Run(run) => run(self),
+        });
+        let log = self.log.len();
+        let restored = self.clean_up();
+        if restored.is_ok() {
+            self.log.truncate(log);
+        }
+        result.and(restored)
+    }
+
+    fn step(&mut self, step: &Step) -> Result<(), Stop> {
+        match *step {
+            Step::Call(function, args, want) => self.want(function, args, want).map(drop),
+            Step::Must(function, args, want) => self.must(function, args, want).map(drop),
+            Step::Open(slot, function, args) => self.open(slot, function, args),
+            Step::Differ(a, b) if self.handle(a) == self.handle(b) => {
+                fail("two open objects have different handles", format!("both are {}", self.handle(a)))
+            }
+            Step::Differ(..) => Ok(()),
+            Step::Edited(edits, reaction) => self.edited(edits, reaction),
+            Step::Pieces(sizes) => self.pieces(sizes),
+            Step::Copy { renumbered } => self.copy(renumbered),
+            Step::Reconnect => {
+                self.connect()?;
+                self.must(FunctionId::SERVICE_START, &[Arg::S("")], Want::NoValue).map(drop)
+            }
+            Step::Save(kind) => self.save(kind),
+            Step::Line(line, want) => line::check(self, line, want),
+        }
+    }
+
+    /// Sends Service_Start in pieces, each after a pause.
+    fn pieces(&mut self, sizes: &[usize]) -> Result<(), Stop> {
+        let serial = self.next_serial();
+        let option = OwnedVariant::new("WDT=400").unwrap_or_default();
+        let bytes = encode(serial, 0, FunctionId::SERVICE_START.0, &[option]);
+        let mut rest = bytes.as_slice();
+        for size in sizes.iter().copied().chain([usize::MAX]) {
+            let (piece, after) = rest.split_at(size.min(rest.len()));
+            rest = after;
+            self.send(piece, "a piece of Service_Start")?;
+            if !rest.is_empty() {
+                std::thread::sleep(PIECE_PAUSE);
+            }
+        }
+        let reply = self.reply(FunctionId::SERVICE_START, serial)?;
+        self.check(FunctionId::SERVICE_START, &reply, Want::NoValue, Refusals::Fail)
+    }
+
+    fn copy(&mut self, renumbered: bool) -> Result<(), Stop> {
+        let Some(last) = self.last.clone() else { return fail("a call", "no call was made") };
+        let serial = if renumbered { self.next_serial() } else { last.serial };
+        let bytes = encode(serial, last.marker, last.function.0, &last.args);
+        self.send(&bytes, &format!("copy of #{}: {}", last.marker, request_text(serial, last.function, &last.args)))?;
+        let reply = self.reply(last.function, serial)?;
+        let Some(first) = last.reply else { return fail("a first reply", "no reply") };
+        let is_same = first.code == reply.code
+            && first.args.len() == reply.args.len()
+            && first.args.iter().zip(&reply.args).all(|(a, b)| a.as_bytes() == b.as_bytes());
+        if is_same { Ok(()) } else { fail(format!("the first reply again: {}", first.text()), reply.text()) }
+    }
+}

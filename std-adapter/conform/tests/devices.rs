@@ -1,0 +1,109 @@
+//! Correct devices pass: the virtual controllers over TCP and UDP, and the server of a small device.
+
+mod common;
+
+use std::collections::BTreeSet;
+
+use bcap_conform::{Group, Level, Link, Report, Verdict, cases};
+use bcap_core::device::{Device, DeviceVariable, assign};
+use bcap_sim::{Config, Controller, Profile};
+use common::{Served, provider, report};
+
+/// Runs all cases against a virtual controller: none fails, and only cases of the other link and of `absent` are skipped.
+fn passes(profile: Profile, link: Link, absent: &[&str]) {
+    let served = Served::start(Controller::new(Config::new(profile)));
+    let mut options = served.options(link, Level::Motion);
+    options.provider = provider(profile);
+    let report = report(&options);
+    assert_eq!(report.failures().collect::<Vec<_>>(), [""; 0]);
+    let reasons = report.results.iter().filter_map(|result| Some((result.name.as_str(), result.reason.as_deref()?)));
+    let skipped = reasons.filter(|(_, reason)| !reason.starts_with("a case of ")).map(|(name, _)| name);
+    assert_eq!(skipped.collect::<Vec<_>>(), absent);
+}
+
+#[test]
+fn the_rc8_passes_over_tcp() {
+    passes(Profile::Rc8, Link::Tcp, &[]);
+}
+
+#[test]
+fn the_rc8_passes_over_udp() {
+    passes(Profile::Rc8, Link::Udp, &[]);
+}
+
+#[test]
+fn the_rc9_passes_over_tcp() {
+    passes(Profile::Rc9, Link::Tcp, &[]);
+}
+
+#[test]
+fn the_rc9_passes_over_udp() {
+    passes(Profile::Rc9, Link::Udp, &[]);
+}
+
+#[test]
+fn the_cobotta_passes_over_tcp() {
+    passes(Profile::Cobotta, Link::Tcp, &["slave/receive-hand-io"]);
+}
+
+#[test]
+fn the_cobotta_passes_over_udp() {
+    passes(Profile::Cobotta, Link::Udp, &["slave/receive-hand-io"]);
+}
+
+/// The state of the device of the example `device_server`.
+#[derive(Default)]
+struct Conveyor {
+    parts: i32,
+    speed: f32,
+}
+
+fn conveyor() -> Device<Conveyor, 2> {
+    let parts = DeviceVariable::new("I1", |conveyor: &Conveyor, reply| reply.set(&conveyor.parts));
+    let speed = DeviceVariable::new("F1", |conveyor: &Conveyor, reply| reply.set(&conveyor.speed));
+    Device::new(Conveyor::default(), [parts, speed.writable(|conveyor, value| assign(&mut conveyor.speed, value))])
+}
+
+/// Returns the groups in which at least one case passed.
+fn passed_groups(report: &Report) -> BTreeSet<Group> {
+    let passed = report.results.iter().filter(|result| result.verdict == Verdict::Pass);
+    passed.filter_map(|result| result.group).collect()
+}
+
+#[test]
+fn the_server_of_a_device_passes_what_it_has() {
+    for link in [Link::Tcp, Link::Udp] {
+        let served = Served::start(conveyor());
+        let mut options = served.options(link, Level::Motion);
+        // F1 may be written
+        options.scratch = 1;
+        let report = report(&options);
+        assert_eq!(report.failures().collect::<Vec<_>>(), [""; 0]);
+        let passed = passed_groups(&report);
+        for group in [
+            Group::Frames,
+            Group::Arguments,
+            Group::Types,
+            Group::Sessions,
+            Group::Timeouts,
+            Group::Handles,
+            Group::Rac,
+        ] {
+            assert!(passed.contains(&group), "{group}");
+        }
+        let written = ["types/r4-tenth", "variables/write-f", "rac/put-f"];
+        for name in written {
+            let result = report.results.iter().find(|result| result.name == name).unwrap();
+            assert_eq!(result.verdict, Verdict::Pass, "{}", result.text());
+        }
+    }
+}
+
+#[test]
+fn case_names_differ() {
+    let mut names: Vec<_> = cases().iter().map(|case| case.name()).collect();
+    let count = names.len();
+    names.sort();
+    names.dedup();
+    assert_eq!(names.len(), count);
+}

@@ -1,0 +1,306 @@
+//! Broken devices: every planted fault is caught by the case that is named with it.
+
+mod common;
+#[path = "common/relay.rs"]
+mod relay;
+
+use bcap_conform::{Level, Link, Options, Verdict, run};
+use bcap_core::bcap::FunctionId as F;
+use bcap_core::hresult::HResult;
+use bcap_core::variant::{OwnedVariant, Variant};
+use bcap_sim::{Config, Controller, Profile};
+use common::Served;
+use relay::{Hooks, Parts, Relay, Request};
+
+/// A fault and the case that catches it.
+struct Fault {
+    name: &'static str,
+    hooks: Hooks,
+    link: Link,
+    case: &'static str,
+}
+
+const fn of_reply(name: &'static str, case: &'static str, reply: relay::OnReply) -> Fault {
+    Fault { name, hooks: Hooks { reply, ..Hooks::HONEST }, link: Link::Tcp, case }
+}
+
+const fn of_request(name: &'static str, link: Link, case: &'static str, request: relay::OnRequest) -> Fault {
+    Fault { name, hooks: Hooks { request, ..Hooks::HONEST }, link, case }
+}
+
+const fn of_line(name: &'static str, case: &'static str, line: fn(&str) -> String) -> Fault {
+    Fault { name, hooks: Hooks { line, ..Hooks::HONEST }, link: Link::Tcp, case }
+}
+
+const fn of_bytes(
+    name: &'static str,
+    link: Link,
+    case: &'static str,
+    bytes: fn(&mut relay::Memory, Vec<u8>) -> Vec<u8>,
+) -> Fault {
+    Fault { name, hooks: Hooks { bytes, ..Hooks::HONEST }, link, case }
+}
+
+/// Replaces the value of a reply that has one of this kind.
+fn with_value(parts: Parts, change: impl Fn(&Variant<'_>) -> Option<OwnedVariant>) -> Vec<u8> {
+    let changed = parts.args.first().and_then(|value| change(&value.as_variant()));
+    Parts { args: changed.map(|value| vec![value]).unwrap_or(parts.args.clone()), ..parts }.write()
+}
+
+/// Replaces a code.
+fn with_code(parts: Parts, from: HResult, to: HResult) -> Vec<u8> {
+    let code = if parts.result() == from { to.0 } else { parts.code };
+    Parts { code, ..parts }.write()
+}
+
+fn owned<T: bcap_core::variant::Encode + ?Sized>(value: &T) -> Option<OwnedVariant> {
+    OwnedVariant::new(value).ok()
+}
+
+/// Returns the text of an argument of a request.
+fn text(request: &Request, index: usize) -> String {
+    let value = request.args.get(index).map(OwnedVariant::as_variant);
+    value.and_then(|value| value.as_bstr()).map(|text| text.to_string()).unwrap_or_default()
+}
+
+fn is_robot_command(request: &Request, name: &str) -> bool {
+    request.function == F::ROBOT_EXECUTE && text(request, 1).eq_ignore_ascii_case(name)
+}
+
+/// Changes bytes of the encoded reply.
+fn patched(parts: &Parts, change: impl Fn(&mut Vec<u8>)) -> Vec<u8> {
+    let mut bytes = parts.write();
+    change(&mut bytes);
+    bytes
+}
+
+const FAULTS: &[Fault] = &[
+    of_reply("serial plus one", "frames/minimal-request", |_, _, parts| {
+        Parts { serial: parts.serial.wrapping_add(1), ..parts }.write()
+    }),
+    of_reply("serial of 8 bits", "frames/serial-256", |_, _, parts| {
+        Parts { serial: parts.serial & 0xff, ..parts }.write()
+    }),
+    of_reply("serial is big-endian", "frames/serial-4660", |_, _, parts| {
+        Parts { serial: parts.serial.swap_bytes(), ..parts }.write()
+    }),
+    of_reply("serial of 15 bits", "frames/serial-65535", |_, _, parts| {
+        Parts { serial: parts.serial & 0x7fff, ..parts }.write()
+    }),
+    of_reply("reserved field is the serial", "frames/minimal-request", |_, _, parts| {
+        Parts { marker: parts.serial, ..parts }.write()
+    }),
+    of_reply("length one too large", "frames/minimal-request", |_, _, parts| patched(&parts, |bytes| bytes[1] += 1)),
+    of_reply("length one too small", "frames/minimal-request", |_, _, parts| patched(&parts, |bytes| bytes[1] -= 1)),
+    of_reply("wrong last byte", "frames/minimal-request", |_, _, parts| {
+        patched(&parts, |bytes| *bytes.last_mut().unwrap() = 3)
+    }),
+    of_reply("a checksum, as on serial lines", "frames/minimal-request", |_, _, parts| {
+        patched(&parts, |bytes| {
+            let end = bytes.len() - 1;
+            bytes.splice(end..end, [0x12, 0x34]);
+            bytes[1] += 2;
+        })
+    }),
+    of_reply("wrong number of arguments", "sessions/connect-and-disconnect", |_, _, parts| {
+        patched(&parts, |bytes| bytes[13] += 1)
+    }),
+    of_reply("argument length one too large", "variables/type-of-i", |_, request, parts| match request.function {
+        F::VARIABLE_GET_VALUE => patched(&parts, |bytes| bytes[15] += 1),
+        _ => parts.write(),
+    }),
+    of_reply("a value with a void reply", "frames/minimal-request", |_, request, parts| match request.function {
+        F::SERVICE_START => Parts { args: vec![owned(&1_i32).unwrap()], ..parts }.write(),
+        _ => parts.write(),
+    }),
+    of_reply("handle as BSTR", "sessions/connect-and-disconnect", |_, request, parts| match request.function {
+        F::CONTROLLER_CONNECT => with_value(parts, |_| owned("2")),
+        _ => parts.write(),
+    }),
+    of_reply("I as I2", "variables/type-of-i", |_, request, parts| match request.function {
+        F::VARIABLE_GET_VALUE => with_value(parts, |value| value.as_i32().and_then(|_| owned(&1_i16))),
+        _ => parts.write(),
+    }),
+    of_reply("F as R8", "variables/type-of-f", |_, request, parts| match request.function {
+        F::VARIABLE_GET_VALUE => with_value(parts, |value| value.as_f64().and_then(|number| owned(&number))),
+        _ => parts.write(),
+    }),
+    of_reply("P with 6 elements", "variables/type-of-p", |_, _, parts| {
+        with_value(parts, |value| {
+            let items = value.as_array()?.items::<f32>()?;
+            (items.len() == 7).then(|| owned(&items.iter().take(6).collect::<Vec<f32>>()))?
+        })
+    }),
+    of_reply("letters above 127 are lost", "types/bstr-kanji", |_, _, parts| {
+        with_value(parts, |value| {
+            let text: String = value.as_bstr()?.to_string();
+            owned(text.replace(|letter: char| !letter.is_ascii(), "?").as_str())
+        })
+    }),
+    of_reply("I4 without sign", "types/i4-minus-1", |_, request, parts| match request.function {
+        F::VARIABLE_GET_VALUE => with_value(parts, |value| match value {
+            Variant::I4(number) => owned(&(number & 0x7fff_ffff)),
+            _ => None,
+        }),
+        _ => parts.write(),
+    }),
+    of_reply("never S_EXECUTING", "timeouts/keep-alives-of-a-motion", |_, _, parts| match parts.result() {
+        HResult::S_EXECUTING => Vec::new(),
+        _ => parts.write(),
+    }),
+    of_reply("S_EXECUTING with the serial 0", "timeouts/keep-alives-of-a-motion", |_, _, parts| match parts.result() {
+        HResult::S_EXECUTING => Parts { serial: 0, ..parts }.write(),
+        _ => parts.write(),
+    }),
+    of_reply("S_EXECUTING before each reply", "timeouts/quick-call-without-keep-alive", |_, _, parts| {
+        let mut bytes = Parts { code: HResult::S_EXECUTING.0, args: Vec::new(), ..parts.clone() }.write();
+        bytes.extend(parts.write());
+        bytes
+    }),
+    of_reply("every reply twice", "timeouts/silence-after-a-reply", |_, _, parts| {
+        [parts.write(), parts.write()].concat()
+    }),
+    of_reply("E_FAIL for an invalid handle", "handles/zero", |_, _, parts| {
+        with_code(parts, HResult::E_HANDLE, HResult::E_FAIL)
+    }),
+    of_reply("success for an invalid handle", "handles/use-after-release", |_, _, parts| {
+        with_code(parts, HResult::E_HANDLE, HResult::S_OK)
+    }),
+    of_reply("success without arguments", "arguments/missing/Controller_GetVariable", |_, _, parts| {
+        with_code(parts, HResult::E_INVALIDARG, HResult::S_OK)
+    }),
+    of_reply("success with an argument of another type", "arguments/variable-name-is-number", |_, _, parts| {
+        with_code(parts, HResult::E_INVALIDARGTYPE, HResult::S_OK)
+    }),
+    of_reply("success of an unknown function", "frames/function-138", |_, request, parts| match request.function {
+        F(138) => Parts { code: 0, ..parts }.write(),
+        _ => parts.write(),
+    }),
+    of_reply("a short WDT is accepted", "sessions/option-wdt-79", |_, request, parts| match request.function {
+        F::SERVICE_START => Parts { code: 0, ..parts }.write(),
+        _ => parts.write(),
+    }),
+    of_reply("handle of an open object is given again", "handles/two-of-one-name", |memory, request, parts| {
+        match request.function {
+            F::CONTROLLER_GET_VARIABLE => {
+                let new = parts.args.first().and_then(|value| value.as_variant().as_i32());
+                memory.handle = memory.handle.or(new);
+                let first = memory.handle;
+                with_value(parts, |_| owned(&first?))
+            }
+            _ => parts.write(),
+        }
+    }),
+    of_reply("slvGetMode is always 0", "slave/mode-of-slave-mode", |_, request, parts| {
+        match is_robot_command(request, "slvGetMode") {
+            true => with_value(parts, |_| owned(&0_i32)),
+            false => parts.write(),
+        }
+    }),
+    of_reply("never S_BUF_FULL", "slave/buffer-fills-in-mode-0", |_, _, parts| {
+        with_code(parts, HResult::S_BUF_FULL, HResult::S_OK)
+    }),
+    of_reply("E_BUF_FULL is success", "slave/buffer-overflows-in-mode-0", |_, _, parts| {
+        with_code(parts, HResult::E_BUF_FULL, HResult::S_OK)
+    }),
+    of_request("a write is not executed", Link::Tcp, "variables/write-i", |_, parts| match F(parts.code) {
+        // becomes another call that succeeds without a value
+        F::VARIABLE_PUT_VALUE => Some(Parts { code: F::VARIABLE_PUT_TAG.0, ..parts }),
+        _ => Some(parts),
+    }),
+    of_request("names are case-sensitive", Link::Tcp, "variables/name-in-lower-case", |_, mut parts| {
+        if F(parts.code) == F::CONTROLLER_GET_VARIABLE
+            && parts
+                .args
+                .get(1)
+                .and_then(|name| name.as_variant().as_bstr())
+                .is_some_and(|name| name.to_string() == "i1")
+        {
+            parts.args[1] = OwnedVariant::new("NoSuchVariable").unwrap();
+        }
+        Some(parts)
+    }),
+    of_request("every name is I1", Link::Tcp, "variables/unknown-name", |_, mut parts| {
+        if F(parts.code) == F::CONTROLLER_GET_VARIABLE && parts.args.len() == 3 {
+            parts.args[1] = OwnedVariant::new("I1").unwrap();
+        }
+        Some(parts)
+    }),
+    of_request("a retransmission over UDP is executed again", Link::Udp, "udp/copy-of-release", |_, parts| {
+        Some(Parts { marker: parts.serial, ..parts })
+    }),
+    of_request("a retransmission over UDP opens a second object", Link::Udp, "udp/copy-of-open", |_, parts| {
+        Some(Parts { marker: parts.serial, ..parts })
+    }),
+    of_request("a retransmission over UDP is not answered", Link::Udp, "udp/copy-of-start", |_, parts| {
+        (parts.marker == 0 || parts.marker == parts.serial).then_some(parts)
+    }),
+    of_bytes("an incomplete frame is lost", Link::Tcp, "frames/pieces-after-the-header", |_, bytes| {
+        let is_complete = bytes.len() >= 5 && usize::from(bytes[1]) == bytes.len();
+        if is_complete { bytes } else { Vec::new() }
+    }),
+    of_bytes(
+        "only the first frame of a segment is served",
+        Link::Tcp,
+        "frames/two-frames-in-one-segment",
+        |_, mut bytes| {
+            bytes.truncate(bytes.get(1).map_or(0, |length| usize::from(*length)));
+            bytes
+        },
+    ),
+    of_bytes("an invalid frame is ignored without an answer", Link::Tcp, "frames/wrong-end", |_, bytes| {
+        match bytes.last() {
+            Some(4) => bytes,
+            _ => Vec::new(),
+        }
+    }),
+    of_bytes(
+        "an invalid datagram ends the service of the client",
+        Link::Udp,
+        "frames/serial-wraps",
+        |memory, bytes| {
+            memory.count += 1;
+            if memory.count > 3 { Vec::new() } else { bytes }
+        },
+    ),
+    of_line("the answer ends with LF", "rac/get-i", |line| line.replace('\r', "\n")),
+    of_line("an I is of type 2", "rac/get-i", |line| line.replace("0,3,", "0,2,")),
+    of_line("no error in an answer", "rac/unknown-command", |line| {
+        if line.starts_with('-') { "0\r".into() } else { line.into() }
+    }),
+    of_line("a J with 6 numbers", "rac/get-j", |line| match line.split(',').count() {
+        10 => format!("{}\r", line.trim_end().rsplitn(3, ',').last().unwrap_or_default()),
+        _ => line.into(),
+    }),
+];
+
+/// Runs one case against the controller behind a relay, and returns the verdict and the text of the result.
+fn judged(served: &Served, hooks: Hooks, link: Link, case: &str) -> (Verdict, String) {
+    let relay = Relay::start(hooks, served.tcp, served.udp, served.rac);
+    let target = bcap_conform::Target {
+        bcap: Some((link, if link == Link::Tcp { relay.tcp } else { relay.udp })),
+        rac: Some(relay.rac),
+    };
+    let timeout = std::time::Duration::from_secs(2);
+    let options = Options { level: Level::Motion, cases: vec![case.into()], timeout, ..Options::new(target) };
+    let report = run(&options, |_| (), || false);
+    let [result] = report.results.as_slice() else { panic!("no case is named {case}") };
+    (result.verdict, result.text())
+}
+
+#[test]
+fn every_planted_fault_is_caught_by_its_case() {
+    let served = Served::start(Controller::new(Config::new(Profile::Rc8)));
+    let mut missed = Vec::new();
+    for fault in FAULTS {
+        let (honest, text) = judged(&served, Hooks::HONEST, fault.link, fault.case);
+        assert_eq!(honest, Verdict::Pass, "without the fault {:?}: {text}", fault.name);
+        let (verdict, text) = judged(&served, fault.hooks, fault.link, fault.case);
+        println!("{}: {}\n{text}", fault.name, fault.case);
+        if verdict != Verdict::Fail {
+            missed.push((fault.name, fault.case, verdict));
+        }
+    }
+    assert_eq!(missed, []);
+    assert!(FAULTS.len() >= 30, "{}", FAULTS.len());
+}
