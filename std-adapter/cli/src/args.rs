@@ -9,6 +9,7 @@ use clap::{Args, Parser, Subcommand};
 mod backup;
 mod codec;
 mod files;
+mod fuzz;
 mod gateway;
 mod link;
 mod profile;
@@ -23,6 +24,7 @@ mod variables;
 pub(crate) use self::backup::{Diff, Dump, Restore};
 pub(crate) use self::codec::{CaptureArgs, Decode, Encode, Text, TextCommand};
 pub(crate) use self::files::{Cp, Ls};
+pub(crate) use self::fuzz::Fuzz;
 pub(crate) use self::gateway::Gateway;
 pub(crate) use self::link::LinkArgs;
 pub(crate) use self::profile::{Profile, ProfileCommand};
@@ -52,7 +54,7 @@ pub(crate) struct Cli {
 }
 
 const EXIT_CODES: &str = "\
-Exit codes: 0 done, 1 the controller refused or diff found differences, 2 wrong usage, malformed input or
+Exit codes: 0 done, 1 the controller refused, diff found differences or fuzz found faults, 2 wrong usage, malformed input or
 a diff that is refused or incomplete, 3 no connection, 4 timeout, 130 interrupted by a signal.
 There are no colours if NO_COLOR is set or the output is not a terminal.";
 
@@ -105,6 +107,7 @@ pub(crate) enum Command {
     Gateway(Gateway),
     Proxy(Proxy),
     Replay(Replay),
+    Fuzz(Fuzz),
     Demo(Demo),
     Decode(Decode),
     Encode(Encode),

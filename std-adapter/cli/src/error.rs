@@ -3,7 +3,7 @@
 //! | code | meaning                                                                      |
 //! |------|------------------------------------------------------------------------------|
 //! | 0    | done                                                                         |
-//! | 1    | the controller refused, or `bcap diff` found differences                     |
+//! | 1    | the controller refused, `bcap diff` found differences, or `bcap fuzz` faults |
 //! | 2    | wrong usage, input that cannot be read, or `bcap diff` could not compare all |
 //! | 3    | no connection, or a connection that broke, or an unexpected reply            |
 //! | 4    | the controller did not answer in time                                        |
@@ -64,6 +64,9 @@ pub(crate) enum Failure {
         /// The number of compared replies.
         total: usize,
     },
+    /// A fuzzer has found faults; each has been reported.
+    #[error("{0} findings")]
+    Findings(usize),
     /// Some lists of names were refused; each has been reported.
     #[error("{refused} of {total} lists of names were refused; the output is not complete")]
     ListsRefused {
@@ -190,6 +193,7 @@ impl Failure {
             Self::Refused { .. }
             | Self::SomeRefused { .. }
             | Self::RepliesDiffer { .. }
+            | Self::Findings(_)
             | Self::ListsRefused { .. }
             | Self::Unfit { .. }
             | Self::Different => 1,
@@ -226,6 +230,7 @@ impl Failure {
             | Self::BadLines(_)
             | Self::SomeRefused { .. }
             | Self::RepliesDiffer { .. }
+            | Self::Findings(_)
             | Self::ListsRefused { .. }
             | Self::Different
             | Self::Interrupted(_)
@@ -285,9 +290,11 @@ impl Failure {
         let mut line =
             Line { name, error: escape::cut(self), offset: None, code: None, hresult: None, hint: self.hint() };
         match self {
-            Self::BadLines(_) | Self::SomeRefused { .. } | Self::RepliesDiffer { .. } | Self::ListsRefused { .. } => {
-                return None;
-            }
+            Self::BadLines(_)
+            | Self::SomeRefused { .. }
+            | Self::RepliesDiffer { .. }
+            | Self::Findings(_)
+            | Self::ListsRefused { .. } => return None,
             Self::Item(item) => line.offset = Some(item.offset),
             Self::Refused { code, .. } | Self::Unfit { code: Some(code), .. } => {
                 (line.code, line.hresult) = (Some(code.0), code.name());
