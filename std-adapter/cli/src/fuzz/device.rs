@@ -309,9 +309,14 @@ impl Run<'_> {
         wire.send(lines);
         let found = |kind, detail: String| Ok(Next::Found(Finding::new(kind, SUBJECT, detail)));
         // what follows the last CR is no line
-        let complete =
-            lines.iter().rposition(|byte| *byte == b'\r').and_then(|end| lines.get(..end)).unwrap_or_default();
-        for line in complete.split(|byte| *byte == b'\r').filter(|line| !line.trim_ascii().is_empty()) {
+        let end = lines.iter().rposition(|byte| *byte == b'\r').unwrap_or(0);
+        let lines = || lines.get(..end).unwrap_or_default().split(|byte| *byte == b'\r');
+        if lines().any(|line| line.trim_ascii().is_empty()) {
+            // whether a blank line is answered is not specified, so later responses could not be told apart
+            wire.close();
+            return Ok(Next::Continue);
+        }
+        for line in lines() {
             let is_valid = line.len() < bcap_core::rac::MAX_LINE && line.is_ascii();
             match wire.receive(self.device.timeout)? {
                 // a server may cut off a client that sends no text or too much of it

@@ -51,6 +51,11 @@ pub(crate) fn fuzz(args: &Fuzz, link: &LinkArgs, json: bool) -> Result<(), Failu
         ));
     }
     let again = args.again.as_deref().map(save::read).transpose()?;
+    if again.is_none() && link.write.is_some() {
+        return Err(Failure::Input(
+            "every finding has a capture in --out; --write records only the steps of --again".into(),
+        ));
+    }
     let mut device = device(args, link)?;
     if let Some(finding) = device.probe(None)? {
         return Err(Failure::Connection {
