@@ -41,7 +41,7 @@ pub struct Grammar {
     pub names: Vec<String>,
     /// Commands of functions that execute one.
     pub commands: Vec<(FunctionId, String)>,
-    /// Variables that lines of RAC may write, as `I:` and an index; without one there is no PUT.
+    /// Variables that may be written, as kind and index; without one there is no PUT.
     pub writable: Vec<(&'static str, u32)>,
     /// Options of objects that are opened.
     pub options: Vec<String>,
@@ -120,6 +120,9 @@ impl Grammar {
                 steps.extend(self.open(object, u)?.map(Step::Call));
             }
         }
+        if !self.writable.is_empty() && self.functions.contains(&FunctionId::VARIABLE_PUT_VALUE) && u.ratio(1, 2)? {
+            steps.extend(self.write(u)?.map(Step::Call));
+        }
         if !self.functions.is_empty() {
             for _ in 0..u.int_in_range(0..=STEPS)? {
                 steps.push(Step::Call(self.call(u)?));
@@ -151,6 +154,22 @@ impl Grammar {
         let object = FunctionId(call.function).opens().unwrap_or(Object::Variable);
         let release = Step::Call(Call::new(object.released_by(), vec![Argument::Handle(object)]));
         Ok([self.opening(), vec![[open, release]; 300].concat()].concat())
+    }
+
+    /// Generates the calls that open a variable that may be written, and write it.
+    fn write(&self, u: &mut Unstructured<'_>) -> Result<[Call; 2]> {
+        let (kind, index) = u.choose(&self.writable)?;
+        let (controller, name) = (Argument::Handle(Object::Controller), Value::text(&format!("{kind}{index}")));
+        let open = vec![controller, Argument::Value(name), Argument::Value(Value::text(""))];
+        let value = match u.int_in_range(0..=3)? {
+            0 => u.arbitrary()?,
+            1 => Value::R4(f32::from(u.arbitrary::<i16>()?).to_bits()),
+            _ => Value::I4(u.arbitrary()?),
+        };
+        Ok([
+            Call::new(FunctionId::CONTROLLER_GET_VARIABLE, open),
+            Call::new(FunctionId::VARIABLE_PUT_VALUE, vec![Argument::Handle(Object::Variable), Argument::Value(value)]),
+        ])
     }
 
     /// Generates the call that opens an object by its name on the controller.
