@@ -82,6 +82,10 @@ pub fn reply(request: &TestFrame, bytes: &[u8]) -> Result<TestFrame, Fault> {
         return Err(Fault::Count(reply.args.len()));
     }
     let value = reply.args.first();
+    // another success, such as S_FALSE, may have no value
+    if code != HResult::S_OK {
+        return Ok(reply);
+    }
     if value.map_or(matches!(signature.result, Kind::Nothing | Kind::Maybe), |value| has_kind(value, signature.result))
     {
         return Ok(reply);
@@ -156,6 +160,7 @@ mod tests {
         assert_eq!(judged(&name, 7, 0, vec![Value::I4(5)]), Err(wrong));
         assert_eq!(judged(&name, 7, 0, vec![]), Err(Fault::Type { expected: "a string", value: None }));
         assert_eq!(judged(&name, 7, HResult::E_HANDLE.0, vec![]), Ok(HResult::E_HANDLE.0));
+        assert_eq!(judged(&name, 7, HResult::S_FALSE.0, vec![Value::Empty]), Ok(HResult::S_FALSE.0));
         assert_eq!(judged(&name, 7, HResult::S_EXECUTING.0, vec![]), Ok(HResult::S_EXECUTING.0));
         assert_eq!(judged(&name, 7, 0, vec![Value::text(""), Value::Empty]), Err(Fault::Count(2)));
         let none = request(FunctionId::ROBOT_GET_NAME, vec![]);
