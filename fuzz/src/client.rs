@@ -14,8 +14,7 @@ use bcap_core::storage::Storage;
 use bcap_core::time::Instant;
 use bcap_testkit::frame::TestFrame;
 use bcap_testkit::oracle::{Oracle, Verdict};
-
-use crate::input::AnyValue;
+use bcap_testkit::value::Value;
 
 /// The number of unanswered ranges of serials that a client stores.
 const REMEMBERED: usize = 8;
@@ -23,7 +22,7 @@ const REMEMBERED: usize = 8;
 /// An operation.
 #[derive(Arbitrary, Debug)]
 enum Op {
-    Start(AnyValue),
+    Start(Value),
     /// The link accepts this many bytes.
     Take(u8),
     TakeAll,
@@ -32,7 +31,7 @@ enum Op {
         behind: u8,
         executing: bool,
         code: i32,
-        args: Vec<AnyValue>,
+        args: Vec<Value>,
         cut: u8,
     },
     /// The same, with a reply that is larger than the client's memory.
@@ -128,7 +127,7 @@ impl<R: Storage> Run<R> {
         let mut skipped = false;
         while let (false, Ok(op)) = (u.is_empty(), Op::arbitrary(u)) {
             match op {
-                Op::Start(AnyValue(value)) => self.start(&value),
+                Op::Start(value) => self.start(&value),
                 Op::Take(count) => self.take(usize::from(count)),
                 Op::TakeAll => self.take(usize::MAX),
                 Op::Reply { behind, executing, code, args, cut } => self.reply(behind, executing, code, args, cut),
@@ -173,7 +172,7 @@ impl<R: Storage> Run<R> {
         assert!(self.client.reply().is_none_or(|frame| frame.hresult() != HResult::S_EXECUTING));
     }
 
-    fn start(&mut self, value: &bcap_testkit::value::Value) {
+    fn start(&mut self, value: &Value) {
         let could = !self.client.is_closed() && !self.client.is_busy() && self.client.transmit().is_empty();
         let call = call::controller_execute(ControllerHandle(7), "x", value);
         match self.client.start(&call, self.client.timing(), self.now) {
@@ -219,10 +218,10 @@ impl<R: Storage> Run<R> {
     }
 
     /// Delivers a frame, on a stream without its last `cut` bytes.
-    fn reply(&mut self, behind: u8, executing: bool, code: i32, args: Vec<AnyValue>, cut: u8) {
+    fn reply(&mut self, behind: u8, executing: bool, code: i32, args: Vec<Value>, cut: u8) {
         let serial = self.model.last.wrapping_sub(u16::from(behind));
         let code = if executing { HResult::S_EXECUTING.0 } else { code };
-        let args = args.into_iter().take(2).map(|AnyValue(value)| value).collect();
+        let args = args.into_iter().take(2).collect();
         let wire = TestFrame { serial, reserved: 0, code, args }.to_wire(self.client.link() == Link::Serial);
         let missing = if cut.is_multiple_of(4) { usize::from(cut).min(wire.len()) } else { 0 };
         // on a serial line, a receiver searches a frame that is too long for other frames
@@ -345,11 +344,11 @@ impl<R: Storage> Run<R> {
         if self.client.is_closed() {
             return;
         }
-        self.start(&bcap_testkit::value::Value::I4(1));
+        self.start(&Value::I4(1));
         assert!(self.client.is_busy());
         self.take(usize::MAX);
         if self.model.clean || self.client.link() == Link::Datagram {
-            self.reply(0, false, 5, vec![AnyValue(bcap_testkit::value::Value::Ui1(9))], 1);
+            self.reply(0, false, 5, vec![Value::Ui1(9)], 1);
             assert!(!self.client.is_busy());
         }
     }

@@ -15,8 +15,6 @@ use bcap_testkit::frame::TestFrame;
 use bcap_testkit::oracle::{Oracle, Verdict};
 use bcap_testkit::value::Value;
 
-use crate::input::AnyValue;
-
 const SLOTS: usize = 3;
 
 /// The capacity of the gateway's handle cache.
@@ -61,13 +59,13 @@ enum Op {
     /// The robot answers the call with this.
     Answer {
         code: i32,
-        value: Option<AnyValue>,
+        value: Option<Value>,
     },
     /// The robot answers an earlier call.
     Stray {
         behind: u8,
         code: i32,
-        value: Option<AnyValue>,
+        value: Option<Value>,
     },
     Executing,
     Garbage(Vec<u8>),
@@ -83,7 +81,7 @@ enum Text {
     Letters(u8),
     Position([i16; 7]),
     Bool(bool),
-    Any(AnyValue),
+    Any(Value),
     Raw(Vec<u8>),
 }
 
@@ -98,7 +96,7 @@ impl Text {
                 format!("8196,{}", numbers.join(",")).into_bytes()
             }
             Self::Bool(b) => format!("11,{}", -i32::from(*b)).into_bytes(),
-            Self::Any(AnyValue(value)) => {
+            Self::Any(value) => {
                 let wire = value.to_wire();
                 let value = bcap_core::variant::Variant::decode(&wire, &Limits::STREAM, Strictness::Strict);
                 let mut buffer = [0; 300];
@@ -211,10 +209,10 @@ impl Run<'_> {
             Op::RobotClosed => {}
             Op::Obey => self.obey(),
             Op::ObeyAll => (0..4).for_each(|_| self.obey()),
-            Op::Answer { code, value } => self.answer(code, value.map(|AnyValue(value)| value)),
+            Op::Answer { code, value } => self.answer(code, value),
             Op::Stray { behind, code, value } => {
                 let serial = self.robot.last.wrapping_sub(u16::from(behind) + 1);
-                self.send_reply(serial, code, value.map(|AnyValue(value)| value));
+                self.send_reply(serial, code, value);
             }
             Op::Executing => self.send_reply(self.robot.last, HResult::S_EXECUTING.0, None),
             Op::Garbage(bytes) => self.send_from_robot(&bytes),

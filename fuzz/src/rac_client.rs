@@ -13,7 +13,6 @@ use bcap_core::time::Instant;
 use bcap_core::variant::{Variant, VariantBuf};
 use bcap_testkit::value::Value;
 
-use crate::input::AnyValue;
 use crate::rac_line::split;
 
 /// Bytes of the fixed memory; a larger value does not fit.
@@ -24,7 +23,7 @@ const ROOM: usize = 64;
 enum Op {
     Start {
         kind: u8,
-        value: Option<AnyValue>,
+        value: Option<Value>,
     },
     /// The link accepts this many bytes.
     Take(u8),
@@ -32,7 +31,7 @@ enum Op {
     /// A response arrives, sometimes without its end.
     Reply {
         code: i32,
-        value: Option<AnyValue>,
+        value: Option<Value>,
         cut: u8,
     },
     Line(Vec<u8>),
@@ -97,7 +96,7 @@ impl<V: Storage> Run<V> {
             match op {
                 Op::Start { kind, value } => {
                     let kind = VariableKind::ALL[usize::from(kind) % VariableKind::ALL.len()];
-                    self.start(kind, value.map(|AnyValue(value)| value).as_ref());
+                    self.start(kind, value.as_ref());
                 }
                 Op::Take(count) => self.take(usize::from(count)),
                 Op::TakeAll => self.take(usize::MAX),
@@ -210,9 +209,9 @@ impl<V: Storage> Run<V> {
     }
 
     /// Delivers a response; every fourth is truncated.
-    fn reply(&mut self, code: i32, value: Option<&AnyValue>, cut: u8) {
+    fn reply(&mut self, code: i32, value: Option<&Value>, cut: u8) {
         let mut line = code.to_string().into_bytes();
-        if let Some(AnyValue(value)) = value {
+        if let Some(value) = value {
             let mut buffer = [0; 2048];
             let text = VariantBuf::<8192>::new(value).ok();
             let text = text.as_ref().and_then(|value| value.as_variant().to_text(&mut buffer).ok());

@@ -11,8 +11,8 @@ use bcap_core::time::Instant;
 use bcap_core::variant::{VariantBuf, Writer};
 use bcap_testkit::value::Value;
 
-use crate::input::chunks;
 use crate::text::check_error;
+use bcap_testkit::link::chunks;
 
 /// Splits bytes into lines and parses each as a request and as a response.
 ///

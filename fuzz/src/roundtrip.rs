@@ -10,7 +10,7 @@ use bcap_testkit::frame::TestFrame;
 use bcap_testkit::text;
 use bcap_testkit::value::Value;
 
-use crate::input::{AnyValue, BOTH};
+use crate::input::BOTH;
 use crate::text::Owned;
 
 const DEEPEST: Limits = Limits { depth: MAX_DEPTH, ..Limits::STREAM };
@@ -24,7 +24,7 @@ pub fn roundtrip_binary(data: &[u8]) {
     let mut u = Unstructured::new(data);
     let Ok((crc, serial, reserved, code)) = u.arbitrary::<(bool, u16, u16, i32)>() else { return };
     let mut args = Vec::new();
-    while let (true, Ok(AnyValue(value))) = (args.len() < 8 && !u.is_empty(), u.arbitrary()) {
+    while let (true, Ok(value)) = (args.len() < 8 && !u.is_empty(), u.arbitrary()) {
         args.push(value);
     }
     for value in &args {
@@ -78,7 +78,7 @@ pub fn roundtrip_text(data: &[u8]) {
     let mut u = Unstructured::new(data);
     match u.arbitrary::<u8>() {
         Ok(0..128) => {
-            while let (false, Ok(AnyValue(value))) = (u.is_empty(), u.arbitrary()) {
+            while let (false, Ok(value)) = (u.is_empty(), u.arbitrary()) {
                 text_there_and_back(&value);
             }
         }

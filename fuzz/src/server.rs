@@ -15,8 +15,6 @@ use bcap_testkit::frame::TestFrame;
 use bcap_testkit::oracle::{Oracle, Verdict};
 use bcap_testkit::value::Value;
 
-use crate::input::AnyValue;
-
 const PEER: PeerId = PeerId(3);
 const OBJECTS: usize = 5;
 /// The initial memory in each direction of a session that can grow.
@@ -29,7 +27,7 @@ enum Op {
     Call {
         function: u8,
         retry: u8,
-        values: Vec<AnyValue>,
+        values: Vec<Value>,
         wrong_handle: bool,
         cut: u8,
     },
@@ -56,7 +54,7 @@ enum Options {
 #[derive(Arbitrary, Clone, Debug)]
 enum Plan {
     Succeed,
-    Answer(AnyValue),
+    Answer(Value),
     Refuse(i32),
     Wait(u16),
     /// Requests to be polled at a time in the past.
@@ -184,7 +182,7 @@ impl Application {
                 self.open.push((object, self.next_handle));
                 HResult::S_OK.into()
             }
-            (Plan::Answer(AnyValue(value)), None) => {
+            (Plan::Answer(value), None) => {
                 let _ = reply.set(&value);
                 HResult(function.0).into()
             }
@@ -263,7 +261,7 @@ impl<T: Storage> Run<T> {
                         Options::InvokeTimeout(millis) => format!("x, InvokeTimeout = <{millis}>"),
                         Options::Text(text) => text,
                     };
-                    let value = AnyValue(Value::text(&text));
+                    let value = Value::text(&text);
                     self.request(FunctionId::SERVICE_START, 0, vec![value], false, 1);
                 }
                 Op::Bytes(bytes) => {
@@ -284,9 +282,9 @@ impl<T: Storage> Run<T> {
 
     /// Generates and delivers a request. Every eighth is a retransmission, every eighth is truncated, and every eighth
     /// follows noise on the line.
-    fn request(&mut self, function: FunctionId, retry: u8, values: Vec<AnyValue>, wrong_handle: bool, cut: u8) {
+    fn request(&mut self, function: FunctionId, retry: u8, values: Vec<Value>, wrong_handle: bool, cut: u8) {
         let kinds = function.signature().map_or(&[][..], |signature| signature.arguments);
-        let mut values = values.into_iter().map(|AnyValue(value)| value);
+        let mut values = values.into_iter();
         let args: Vec<_> = kinds.iter().map(|kind| self.argument(*kind, wrong_handle, values.next())).collect();
         self.serial = self.serial.wrapping_add(1).max(1);
         let frame = match &self.last {

@@ -11,7 +11,6 @@ use bcap_core::variant::{Encode, VariantBuf};
 use bcap_sim::{Mode, Permission, Profile, Scenario, Token};
 use bcap_testkit::value::{VARIANT, Value};
 
-use crate::input::AnyValue;
 use crate::world::{CLIENTS, Trace, World};
 
 /// An operation.
@@ -71,7 +70,7 @@ enum Arg {
     Numbers(Vec<f32>),
     Mixed(Vec<(bool, i8)>),
     Pose(Pose),
-    Any(AnyValue),
+    Any(Value),
 }
 
 /// A pose as text or as values.
@@ -256,7 +255,7 @@ impl Arg {
                 Value::Array(VARIANT, list.iter().take(12).map(item).collect())
             }
             Self::Pose(pose) => pose.value(),
-            Self::Any(AnyValue(value)) => value.clone(),
+            Self::Any(value) => value.clone(),
         }
     }
 }

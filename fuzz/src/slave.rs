@@ -16,8 +16,6 @@ use bcap_testkit::frame::TestFrame;
 use bcap_testkit::oracle::{Oracle, Verdict};
 use bcap_testkit::value::{VARIANT, Value};
 
-use crate::input::AnyValue;
-
 /// The configuration of the stream and of the robot.
 #[derive(Arbitrary, Debug)]
 struct Plan {
@@ -36,8 +34,8 @@ enum Op {
     /// The controller answers with one of the codes that the engine distinguishes.
     Answer(u8),
     /// The controller answers with any code.
-    Any(i32, AnyValue),
-    Value(AnyValue),
+    Any(i32, Value),
+    Value(Value),
     /// The call fails without an answer.
     Fail(u8),
     /// A pose near the last one, by hundredths of an axis's maximum motion in a cycle.
@@ -140,8 +138,8 @@ impl Run {
                 let value = self.flight.map_or(Value::Empty, |(step, _)| self.value(step, ROBOT));
                 self.reply(CODES[usize::from(index) % CODES.len()], value);
             }
-            Op::Any(code, AnyValue(value)) => self.reply(HResult(code), value),
-            Op::Value(AnyValue(value)) => self.reply(HResult::S_OK, value),
+            Op::Any(code, value) => self.reply(HResult(code), value),
+            Op::Value(value) => self.reply(HResult::S_OK, value),
             Op::Fail(index) => {
                 self.fail([Failure::Timeout, Failure::NotSent, Failure::Lost][usize::from(index % 3)]);
             }

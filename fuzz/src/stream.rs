@@ -11,9 +11,9 @@ use bcap_core::limits::{Limits, Strictness};
 use bcap_core::storage::Storage;
 use bcap_core::time::Instant;
 use bcap_testkit::frame::TestFrame;
+use bcap_testkit::link::chunks;
 use bcap_testkit::oracle::{Oracle, Verdict};
-
-use crate::input::{AnyValue, chunks};
+use bcap_testkit::value::Value;
 
 /// Bytes of the fixed memory; a longer frame does not fit.
 const ROOM: usize = 96;
@@ -35,7 +35,7 @@ enum Piece {
         serial: u16,
         reserved: u16,
         code: u8,
-        args: Vec<AnyValue>,
+        args: Vec<Value>,
     },
     /// A complete frame of this many bytes, which may be larger than the memory.
     Long(u8, u16),
@@ -87,7 +87,7 @@ fn made_up(rest: &[u8], crc: bool) -> Vec<u8> {
     while let (true, Ok(piece)) = (!u.is_empty() && bytes.len() < 4096, Piece::arbitrary(&mut u)) {
         match piece {
             Piece::Frame { serial, reserved, code, args } => {
-                let args = args.into_iter().take(3).map(|AnyValue(value)| value).collect();
+                let args = args.into_iter().take(3).collect();
                 bytes.extend(TestFrame { serial, reserved, code: i32::from(code), args }.to_wire(crc));
             }
             Piece::Long(fill, len) => {

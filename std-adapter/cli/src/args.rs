@@ -11,6 +11,7 @@ mod backup;
 mod codec;
 mod conform;
 mod files;
+mod fuzz;
 mod gateway;
 mod link;
 mod monitor;
@@ -28,6 +29,7 @@ pub(crate) use self::backup::{Diff, Dump, Restore};
 pub(crate) use self::codec::{CaptureArgs, Decode, Encode, Text, TextCommand};
 pub(crate) use self::conform::{Conform, LevelArg};
 pub(crate) use self::files::{Cp, Ls};
+pub(crate) use self::fuzz::Fuzz;
 pub(crate) use self::gateway::Gateway;
 pub(crate) use self::link::LinkArgs;
 pub(crate) use self::monitor::Monitor;
@@ -59,8 +61,8 @@ pub(crate) struct Cli {
 }
 
 const EXIT_CODES: &str = "\
-Exit codes: 0 done, 1 the controller refused, diff found differences or a case of conform failed, 2 wrong usage,
-malformed input or a diff that is refused or incomplete, 3 no connection, 4 timeout, 130 interrupted by a signal.
+Exit codes: 0 done, 1 the controller refused, diff found differences, a case of conform failed or fuzz found faults, 2 wrong
+usage, malformed input or a diff that is refused or incomplete, 3 no connection, 4 timeout, 130 interrupted by a signal.
 There are no colours if NO_COLOR is set or the output is not a terminal.";
 
 impl Cli {
@@ -124,6 +126,7 @@ pub(crate) enum Command {
     Proxy(Proxy),
     Replay(Replay),
     Conform(Conform),
+    Fuzz(Fuzz),
     Demo(Demo),
     Decode(Decode),
     Encode(Encode),

@@ -3,7 +3,7 @@
 //! | code | meaning                                                                      |
 //! |------|------------------------------------------------------------------------------|
 //! | 0    | done                                                                         |
-//! | 1    | the controller refused, `bcap diff` found differences, or a case failed      |
+//! | 1    | refused, or `diff`, `conform` or `fuzz` found what they look for          |
 //! | 2    | wrong usage, input that cannot be read, or `bcap diff` could not compare all |
 //! | 3    | no connection, or a connection that broke, or an unexpected reply            |
 //! | 4    | the controller did not answer in time                                        |
@@ -72,6 +72,9 @@ pub(crate) enum Failure {
         /// The number of all cases.
         total: usize,
     },
+    /// A fuzzer has found faults; each has been reported.
+    #[error("{0} findings")]
+    Findings(usize),
     /// Some lists of names were refused; each has been reported.
     #[error("{refused} of {total} lists of names were refused; the output is not complete")]
     ListsRefused {
@@ -199,6 +202,7 @@ impl Failure {
             | Self::SomeRefused { .. }
             | Self::RepliesDiffer { .. }
             | Self::CasesFailed { .. }
+            | Self::Findings(_)
             | Self::ListsRefused { .. }
             | Self::Unfit { .. }
             | Self::Different => 1,
@@ -236,6 +240,7 @@ impl Failure {
             | Self::SomeRefused { .. }
             | Self::RepliesDiffer { .. }
             | Self::CasesFailed { .. }
+            | Self::Findings(_)
             | Self::ListsRefused { .. }
             | Self::Different
             | Self::Interrupted(_)
@@ -299,6 +304,7 @@ impl Failure {
             | Self::SomeRefused { .. }
             | Self::RepliesDiffer { .. }
             | Self::CasesFailed { .. }
+            | Self::Findings(_)
             | Self::ListsRefused { .. } => {
                 return None;
             }

@@ -20,6 +20,7 @@ mod explain;
 mod faults;
 mod files;
 mod frame;
+mod fuzz;
 mod gateway;
 mod get;
 mod halt;
@@ -42,6 +43,7 @@ mod proxy;
 mod put;
 mod rac;
 mod raw;
+mod reading;
 mod record;
 mod reference;
 mod remote;
@@ -94,7 +96,7 @@ fn main() -> ExitCode {
 /// Runs the command, and records it if the user wants that.
 fn recorded(cli: &Cli) -> Result<(), Failure> {
     // these record their clients or their robot
-    let is_served = matches!(cli.command, Command::Proxy(_) | Command::Sim(_) | Command::Gateway(_));
+    let is_served = matches!(cli.command, Command::Proxy(_) | Command::Sim(_) | Command::Gateway(_) | Command::Fuzz(_));
     let Some(file) = cli.link.write.as_deref().filter(|_| !is_served) else { return run(cli) };
     if matches!(cli.command, Command::Raw(_) | Command::Conform(_)) || !cli.command.connects() {
         return Err(Failure::Input("this command has nothing to record; leave --write out".into()));
@@ -155,6 +157,7 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Proxy(args) => proxy::proxy(args, link.untraced()?, json),
         Command::Replay(args) => replay::replay(args, link.untraced()?, json),
         Command::Conform(args) => conform::conform(args, link, json),
+        Command::Fuzz(args) => fuzz::fuzz(args, link.untraced()?, json),
         Command::Demo(_) => demo::demo(),
         Command::Decode(args) => decode::decode(args, json),
         Command::Encode(args) => decode::encode(args),

@@ -24,7 +24,7 @@ pub(crate) struct LinkArgs {
     ///
     /// Without a protocol it is TCP; tcp://HOST is accepted too. Write IPv6 addresses in brackets: tcp:[fe80::1]:5007. A serial
     /// line may have settings, here with the defaults: 'serial:/dev/ttyUSB0?baud=115200&parity=none&stop=1'. `rac`,
-    /// `doctor`, `gateway`, `proxy`, `replay` and `slave` need a network.
+    /// `doctor`, `gateway`, `proxy`, `replay`, `fuzz` and `slave` need a network.
     #[arg(long, global = true, value_name = "ADDRESS")]
     robot: Option<String>,
 
@@ -32,7 +32,7 @@ pub(crate) struct LinkArgs {
     ///
     /// It covers connecting, all calls with their keep-alives, and the end of the session. `watch` and `slave record` apply
     /// it to each round; `doctor` to each link, and then to all other checks together; `slave play`, `slave cosine`,
-    /// `gateway` and `replay` to each answer; `proxy` to connecting; `shell` and `run` to each line. A motion of `move` has
+    /// `gateway`, `replay` and `fuzz` to each answer; `proxy` to connecting; `shell` and `run` to each line. A motion of `move` has
     /// --within instead. Without this option `halt` ends within 3 s, and a controller can keep any other call alive for
     /// 180 s. Over UDP the attempts (--attempts) share the time.
     #[arg(long, global = true, value_name = "MS", env = "BCAP_TIMEOUT", value_parser = duration::parse)]
@@ -77,7 +77,7 @@ pub(crate) struct LinkArgs {
     pub(crate) write: Option<PathBuf>,
 
     /// Prints each packet that is sent (->) and received (<-) on the standard error: headers, values, or bytes beside the
-    /// values. `gateway`, `proxy`, `replay`, `slave play` and `slave cosine` do not have it
+    /// values. `gateway`, `proxy`, `replay`, `fuzz`, `slave play` and `slave cosine` do not have it
     #[arg(long, global = true, value_name = "LEVEL", num_args = 0..=1, require_equals = true,
           default_missing_value = "bytes")]
     pub(crate) trace: Option<Level>,

@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use crate::capture::{Call, Event, Link};
 use crate::error::Failure;
+use crate::reading;
 use crate::title::Title;
 use crate::value::Value;
 
@@ -136,15 +137,10 @@ fn end(call: &Call) -> Option<u64> {
     Some(call.at.saturating_add(call.reply.as_ref()?.after))
 }
 
-/// Returns whether a call neither moves nor writes: it opens, reads or releases.
+/// Returns whether a call neither moves nor writes.
 fn reads(call: &Call) -> bool {
-    let name = call.function.as_str();
-    let is_session = ["Service_Start", "Service_Stop", "Controller_Connect", "Controller_Disconnect"].contains(&name);
-    let is_read = name == "GET" || name.contains("_Get") || name.ends_with("_Release");
-    // opening a file with an option may create it
-    let creates =
-        name.ends_with("_GetFile") && call.arguments.get(2).is_some_and(|option| !is_empty_text(option.value.as_ref()));
-    is_session || (is_read && !creates)
+    let has_option = call.arguments.get(2).is_some_and(|option| !is_empty_text(option.value.as_ref()));
+    reading::reads(&call.function, has_option)
 }
 
 fn is_empty_text(value: Option<&Value>) -> bool {

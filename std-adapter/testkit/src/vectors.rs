@@ -1,4 +1,4 @@
-//! The frames and lines of the specifications: `tests/vectors/*.jsonl`.
+//! The frames and lines of the specifications: `vectors/*.jsonl`.
 //!
 //! Some headings and kinds of the RC8 guide's frames are wrong there (`rc8_24` is a response that is called a request),
 //! so only their names are used; bytes, serials, codes and values are compared.
@@ -7,9 +7,9 @@ use serde_json::Value as Json;
 
 use crate::value::{ARRAY, VARIANT, Value};
 
-const GUIDE: &str = include_str!("../../vectors/bcap-rc8-guide.jsonl");
-const SPEC: &str = include_str!("../../vectors/bcap-rc9-spec.jsonl");
-const RAC: &str = include_str!("../../vectors/rac-spec.jsonl");
+const GUIDE: &str = include_str!("../vectors/bcap-rc8-guide.jsonl");
+const SPEC: &str = include_str!("../vectors/bcap-rc9-spec.jsonl");
+const RAC: &str = include_str!("../vectors/rac-spec.jsonl");
 
 /// A frame as a specification prints it.
 #[derive(Clone, Debug)]

@@ -41,6 +41,8 @@ pub enum Value {
 pub const VARIANT: u16 = 12;
 /// The bit of arrays.
 pub const ARRAY: u16 = 0x2000;
+/// The VARTYPEs of scalars, except VARIANT.
+pub const SCALARS: [u16; 16] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 10, 11, 17, 18, 19, 20, 21];
 
 impl Value {
     /// Makes a string.

@@ -3,8 +3,9 @@
 use proptest::collection::vec;
 use proptest::prelude::*;
 
+use crate::damage::{Damage, damaged};
 use crate::frame::TestFrame;
-use crate::value::{VARIANT, Value};
+use crate::value::{SCALARS, VARIANT, Value};
 
 /// Strings: plain text, any 16-bit units, surrogates without partners, NULs.
 pub fn units() -> impl Strategy<Value = Vec<u16>> {
@@ -53,9 +54,6 @@ fn float_bits() -> impl Strategy<Value = u64> {
     ]
 }
 
-/// The VARTYPEs of scalars, but for VARIANT.
-pub const SCALARS: [u16; 16] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 10, 11, 17, 18, 19, 20, 21];
-
 /// A VARTYPE of [`SCALARS`].
 fn vartype() -> impl Strategy<Value = u16> {
     prop::sample::select(&SCALARS[..])
@@ -88,22 +86,7 @@ pub fn frame() -> impl Strategy<Value = TestFrame> {
         .prop_map(|(serial, reserved, code, args)| TestFrame { serial, reserved, code, args })
 }
 
-/// One piece of damage; positions are fractions of 65536 of the length.
-#[derive(Clone, Copy, Debug)]
-pub enum Damage {
-    /// Replaces a byte.
-    Set(u16, u8),
-    /// Adds to a byte, as off-by-one lengths and counts do.
-    Add(u16, i8),
-    /// Puts a byte in.
-    Insert(u16, u8),
-    /// Takes a byte out.
-    Remove(u16),
-    /// Cuts the end off.
-    Truncate(u16),
-}
-
-/// Damage of every sort.
+/// Damage of every kind.
 pub fn damage() -> impl Strategy<Value = Damage> {
     prop_oneof![
         3 => (any::<u16>(), any::<u8>()).prop_map(|(at, byte)| Damage::Set(at, byte)),
@@ -114,33 +97,7 @@ pub fn damage() -> impl Strategy<Value = Damage> {
     ]
 }
 
-impl Damage {
-    /// Does it to `bytes`.
-    pub fn apply(self, bytes: &mut Vec<u8>) {
-        let place = |at: u16, len: usize| (usize::from(at) * len) >> 16;
-        let len = bytes.len();
-        match self {
-            Self::Insert(at, byte) => bytes.insert(place(at, len + 1), byte),
-            _ if bytes.is_empty() => {}
-            Self::Set(at, byte) => bytes[place(at, len)] = byte,
-            Self::Add(at, n) => bytes[place(at, len)] = bytes[place(at, len)].wrapping_add_signed(n),
-            Self::Remove(at) => drop(bytes.remove(place(at, len))),
-            Self::Truncate(at) => bytes.truncate(place(at, len)),
-        }
-    }
-}
-
 /// Encoded frames with damage; some have a corrected length field, so that the decoder reaches the damage.
 pub fn damaged_frame() -> impl Strategy<Value = Vec<u8>> {
-    (frame(), vec(damage(), 1..4), any::<bool>()).prop_map(|(frame, damages, mend)| {
-        let mut wire = frame.to_wire(false);
-        damages.into_iter().for_each(|damage| damage.apply(&mut wire));
-        if mend && wire.len() >= 16 {
-            let length = wire.len() as u32;
-            wire[0] = 1;
-            wire[1..5].copy_from_slice(&length.to_le_bytes());
-            wire[length as usize - 1] = 4;
-        }
-        wire
-    })
+    (frame(), vec(damage(), 1..4), any::<bool>()).prop_map(|(frame, damages, fixes)| damaged(&frame, &damages, fixes))
 }

@@ -1,0 +1,351 @@
+//! Runs steps against the device, and judges what it does.
+
+use std::collections::HashSet;
+use std::net::SocketAddr;
+use std::time::{Duration, Instant};
+
+use bcap_core::bcap::FunctionId;
+use bcap_core::hresult::HResult;
+use bcap_testkit::frame::TestFrame;
+use bcap_testkit::judge::{self, TCP};
+use bcap_testkit::oracle::Verdict;
+use bcap_testkit::step::{Argument, Call, Delivery, Step};
+use bcap_testkit::value::Value;
+
+use super::finding::{Finding, Kind};
+use super::gate::Gate;
+use super::session::Session;
+use super::wire::{Protocol, Received, Wire};
+use crate::error::Failure;
+use crate::interrupt::Interrupt;
+use crate::record::Recorder;
+
+/// A call may be kept alive for this number of time limits.
+const KEPT_ALIVE: u32 = 10;
+/// How often an object is tried again that was refused, because the device may still be releasing others.
+const AGAIN: u32 = 4;
+/// The wait between the parts of a frame that is split.
+const SPLIT: Duration = Duration::from_millis(1);
+
+/// The device, and the limits of what it gets.
+pub(super) struct Device {
+    pub(super) bcap: Vec<SocketAddr>,
+    pub(super) rac: Option<Vec<SocketAddr>>,
+    pub(super) timeout: Duration,
+    pub(super) gate: Gate,
+    pub(super) interrupt: Interrupt,
+    /// The least time between two packets.
+    pub(super) interval: Duration,
+    pub(super) next: Instant,
+    /// Packets so far.
+    pub(super) packets: u64,
+}
+
+/// How a run goes on.
+enum Next {
+    Continue,
+    /// The connection is over as it should be.
+    End,
+    Found(Finding),
+}
+
+/// A run of steps.
+struct Run<'a> {
+    device: &'a mut Device,
+    recorder: Option<&'a Recorder>,
+    wire: Option<Wire>,
+    rac: Option<Wire>,
+    session: Session,
+    /// Calls that are written together with the next one.
+    joined: Vec<TestFrame>,
+    /// Openings that succeeded.
+    opened: HashSet<String>,
+}
+
+impl Device {
+    /// Runs steps on a new connection, and then sees whether a new client is served.
+    pub(super) fn run(&mut self, steps: &[Step], recorder: Option<&Recorder>) -> Result<Option<Finding>, Failure> {
+        let mut run = Run {
+            device: self,
+            recorder,
+            wire: None,
+            rac: None,
+            session: Session::default(),
+            joined: Vec::new(),
+            opened: HashSet::new(),
+        };
+        let found = run.steps(steps)?;
+        let Run { wire, rac, .. } = run;
+        [wire, rac].into_iter().flatten().for_each(Wire::close);
+        // what every later client meets is worse than what one connection met
+        Ok(self.probe(recorder)?.or(found))
+    }
+
+    /// Sees whether a new client is served.
+    pub(super) fn probe(&mut self, recorder: Option<&Recorder>) -> Result<Option<Finding>, Failure> {
+        const SUBJECT: &str = "a new client";
+        let mut wire = match Wire::connect(&self.bcap, Protocol::Bcap, self.timeout, recorder) {
+            Ok(wire) => wire,
+            Err(error) => return Ok(Some(Finding::new(Kind::Crash, SUBJECT, format!("cannot connect: {error}")))),
+        };
+        let text = Argument::Value(Value::text(""));
+        let mut session = Session::default();
+        for (function, arguments) in [(FunctionId::SERVICE_START, vec![text]), (FunctionId::SERVICE_STOP, vec![])] {
+            let frame = session.frame(&Call::new(function, arguments));
+            self.pace()?;
+            wire.send(&frame.to_wire(false));
+            let found = match self.await_reply(&mut wire, &frame)? {
+                Ok(reply) if HResult(reply.code).is_err() => {
+                    Finding::new(Kind::Leak, SUBJECT, format!("{function} is refused with {}", HResult(reply.code)))
+                }
+                Ok(_) => continue,
+                Err(finding) => match finding.kind {
+                    Kind::Reset => Finding::new(Kind::Crash, SUBJECT, "the device closes the connection"),
+                    kind => Finding::new(kind, SUBJECT, finding.detail),
+                },
+            };
+            return Ok(Some(found));
+        }
+        wire.close();
+        if let Some(addresses) = &self.rac
+            && let Err(error) = Wire::connect(addresses, Protocol::Rac, self.timeout, recorder)
+        {
+            return Ok(Some(Finding::new(Kind::Crash, SUBJECT, format!("cannot connect to RAC: {error}"))));
+        }
+        Ok(None)
+    }
+
+    /// Waits until the next packet may be sent; ends on a signal.
+    fn pace(&mut self) -> Result<(), Failure> {
+        if self.interrupt.is_interrupted() {
+            return Err(Failure::Interrupted("interrupted".into()));
+        }
+        self.packets += 1;
+        let now = Instant::now();
+        if self.next > now {
+            self.interrupt.sleep(self.next - now)?;
+        }
+        self.next = self.next.max(now) + self.interval;
+        Ok(())
+    }
+
+    /// Waits for the reply to a request.
+    fn await_reply(&self, wire: &mut Wire, request: &TestFrame) -> Result<Result<TestFrame, Finding>, Failure> {
+        let found = |kind, detail: String| Ok(Err(Finding::of_function(kind, request.code, detail)));
+        let began = Instant::now();
+        let (patient, limit) = (self.timeout.saturating_mul(KEPT_ALIVE), self.timeout.as_millis());
+        loop {
+            match wire.receive(self.timeout)? {
+                Received::Closed => {
+                    return found(Kind::Reset, "the device closes the connection after a valid frame".into());
+                }
+                Received::Silence => return found(Kind::Hang, format!("no reply within {limit} ms")),
+                Received::Packet(bytes) => match judge::reply(request, &bytes) {
+                    Err(fault) => return found(Kind::WrongReply, fault.to_string()),
+                    Ok(reply) if HResult(reply.code) != HResult::S_EXECUTING => return Ok(Ok(reply)),
+                    Ok(_) if began.elapsed() > patient => {
+                        return found(Kind::Hang, format!("S_EXECUTING for {} ms", patient.as_millis()));
+                    }
+                    Ok(_) => {}
+                },
+            }
+        }
+    }
+}
+
+impl Run<'_> {
+    fn steps(&mut self, steps: &[Step]) -> Result<Option<Finding>, Failure> {
+        for (place, step) in steps.iter().enumerate() {
+            let next = match step {
+                Step::Call(call) => {
+                    // the last call cannot wait for another one
+                    let is_joined =
+                        call.delivery == Delivery::Joined && matches!(steps.get(place + 1), Some(Step::Call(_)));
+                    self.call(call, is_joined)?
+                }
+                Step::Bytes(bytes) => self.bytes(bytes)?,
+                Step::Line(line) => self.line(line)?,
+                Step::Reconnect => {
+                    self.wire.take().into_iter().for_each(Wire::close);
+                    (self.session, self.joined) = (Session::default(), Vec::new());
+                    Next::Continue
+                }
+            };
+            match next {
+                Next::Continue => {}
+                Next::End => return Ok(None),
+                Next::Found(finding) => return Ok(Some(finding)),
+            }
+        }
+        Ok(None)
+    }
+
+    /// Returns the connection for b-CAP, which is opened when it is first used.
+    fn wire(&mut self) -> Result<Wire, Finding> {
+        if let Some(wire) = self.wire.take() {
+            return Ok(wire);
+        }
+        let wire = Wire::connect(&self.device.bcap, Protocol::Bcap, self.device.timeout, self.recorder);
+        wire.map_err(|error| Finding::new(Kind::Crash, "a new client", format!("cannot connect: {error}")))
+    }
+
+    fn call(&mut self, call: &Call, is_joined: bool) -> Result<Next, Failure> {
+        let frame = self.session.frame(call);
+        if !self.device.gate.has_call(&frame, self.session.variable(&frame)) {
+            return Ok(Next::Continue);
+        }
+        if is_joined {
+            self.joined.push(frame);
+            return Ok(Next::Continue);
+        }
+        let mut wire = match self.wire() {
+            Ok(wire) => wire,
+            Err(finding) => return Ok(Next::Found(finding)),
+        };
+        self.device.pace()?;
+        let mut frames = std::mem::take(&mut self.joined);
+        frames.push(frame);
+        let bytes = frames.iter().flat_map(|frame| frame.to_wire(false)).collect::<Vec<_>>();
+        match call.delivery {
+            Delivery::Split(count) if usize::from(count) < bytes.len() => {
+                let (first, rest) = bytes.split_at(usize::from(count));
+                wire.send(first);
+                // otherwise the operating system would send one segment
+                std::thread::sleep(SPLIT);
+                wire.send(rest);
+            }
+            _ => wire.send(&bytes),
+        }
+        for frame in frames {
+            match self.reply(&mut wire, &frame)? {
+                Next::Continue => {}
+                next => return Ok(next),
+            }
+        }
+        self.wire = Some(wire);
+        Ok(Next::Continue)
+    }
+
+    fn reply(&mut self, wire: &mut Wire, request: &TestFrame) -> Result<Next, Failure> {
+        let mut again = AGAIN;
+        loop {
+            let reply = match self.device.await_reply(wire, request)? {
+                Ok(reply) => reply,
+                Err(finding) if finding.kind == Kind::Reset && self.session.is_stopped => return Ok(Next::End),
+                Err(finding) => return Ok(Next::Found(finding)),
+            };
+            let opening = self.session.opening(request);
+            match opening {
+                Some(opening) if HResult(reply.code).is_ok() => drop(self.opened.insert(opening)),
+                Some(opening) if self.opened.contains(&opening) => {
+                    if again == 0 {
+                        let detail = format!("refused with {}, but succeeded before", HResult(reply.code));
+                        return Ok(Next::Found(Finding::of_function(Kind::Leak, request.code, detail)));
+                    }
+                    again -= 1;
+                    self.device.interrupt.sleep(self.device.timeout / 20)?;
+                    self.device.pace()?;
+                    wire.send(&request.to_wire(false));
+                    continue;
+                }
+                _ => {}
+            }
+            return Ok(self.session.replied(request, &reply).map_or(Next::Continue, Next::Found));
+        }
+    }
+
+    /// Sends hostile bytes, which end the connection.
+    fn bytes(&mut self, bytes: &[u8]) -> Result<Next, Failure> {
+        const SUBJECT: &str = "bytes";
+        if !self.device.gate.has_bytes(bytes) {
+            return Ok(Next::End);
+        }
+        let mut wire = match self.wire() {
+            Ok(wire) => wire,
+            Err(finding) => return Ok(Next::Found(finding)),
+        };
+        self.device.pace()?;
+        wire.send(bytes);
+        let next = match TCP.decode(bytes) {
+            // an odd frame may still be valid
+            Verdict::Frame(frame, length) if length == bytes.len() => match self.reply(&mut wire, &frame)? {
+                Next::Continue => Next::End,
+                next => next,
+            },
+            Verdict::Refused if is_complete(bytes) => match wire.receive(self.device.timeout)? {
+                Received::Silence => {
+                    let limit = self.device.timeout.as_millis();
+                    let detail =
+                        format!("neither a reply to an invalid frame nor the end of the connection within {limit} ms");
+                    Next::Found(Finding::new(Kind::Hang, SUBJECT, detail))
+                }
+                Received::Packet(reply) if !is_frame(&reply) => {
+                    Next::Found(Finding::new(Kind::WrongReply, SUBJECT, "the reply is malformed"))
+                }
+                Received::Packet(_) | Received::Closed => Next::End,
+            },
+            _ => Next::End,
+        };
+        wire.close();
+        Ok(next)
+    }
+
+    /// Sends lines of RAC.
+    fn line(&mut self, lines: &[u8]) -> Result<Next, Failure> {
+        const SUBJECT: &str = "RAC";
+        let Some(addresses) = self.device.rac.as_deref().filter(|_| self.device.gate.has_line(lines)) else {
+            return Ok(Next::Continue);
+        };
+        let mut wire = match self.rac.take() {
+            Some(wire) => wire,
+            None => match Wire::connect(addresses, Protocol::Rac, self.device.timeout, self.recorder) {
+                Ok(wire) => wire,
+                Err(error) => {
+                    return Ok(Next::Found(Finding::new(Kind::Crash, SUBJECT, format!("cannot connect: {error}"))));
+                }
+            },
+        };
+        self.device.pace()?;
+        wire.send(lines);
+        let found = |kind, detail: String| Ok(Next::Found(Finding::new(kind, SUBJECT, detail)));
+        // what follows the last CR is no line
+        let end = lines.iter().rposition(|byte| *byte == b'\r').unwrap_or(0);
+        let lines = || lines.get(..end).unwrap_or_default().split(|byte| *byte == b'\r');
+        if lines().any(|line| line.trim_ascii().is_empty()) {
+            // whether a blank line is answered is not specified, so later responses could not be told apart
+            wire.close();
+            return Ok(Next::Continue);
+        }
+        for line in lines() {
+            let is_valid = line.len() < bcap_core::rac::MAX_LINE && line.is_ascii();
+            match wire.receive(self.device.timeout)? {
+                // a server may cut off a client that sends no text or too much of it
+                Received::Closed if !is_valid => return Ok(Next::Continue),
+                Received::Closed => return found(Kind::Reset, "the device closes the connection after a line".into()),
+                Received::Silence => {
+                    return found(Kind::Hang, format!("no response within {} ms", self.device.timeout.as_millis()));
+                }
+                Received::Packet(response) => {
+                    let response = response.strip_suffix(b"\r").unwrap_or(&response);
+                    if let Err(fault) = judge::response(line, response) {
+                        return found(Kind::WrongReply, fault.to_string());
+                    }
+                }
+            }
+        }
+        self.rac = Some(wire);
+        Ok(Next::Continue)
+    }
+}
+
+/// Returns whether the bytes are at least as many as their length field says, so that a server waits for no more.
+fn is_complete(bytes: &[u8]) -> bool {
+    let length = bytes.get(1..5).and_then(|field| field.try_into().ok()).map(u32::from_le_bytes);
+    bytes.first() == Some(&1)
+        && length
+            .is_some_and(|length| length >= 16 && usize::try_from(length).is_ok_and(|length| length <= bytes.len()))
+}
+
+fn is_frame(bytes: &[u8]) -> bool {
+    matches!(TCP.decode(bytes), Verdict::Frame(_, length) if length == bytes.len())
+}

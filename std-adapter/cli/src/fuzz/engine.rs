@@ -1,0 +1,167 @@
+//! Generates sessions from a seed, runs them, and reduces, confirms and saves what is found.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use arbitrary::Unstructured;
+use bcap_testkit::generate;
+use bcap_testkit::grammar::Grammar;
+use bcap_testkit::network::Random;
+use bcap_testkit::step::Step;
+
+use super::device::Device;
+use super::finding::Finding;
+use super::minimise::minimise;
+use super::save::Files;
+use crate::error::Failure;
+use crate::record::Recording;
+
+/// The bytes that a session is made of; more than any session needs.
+const ENTROPY: usize = 1 << 14;
+/// One session in this number opens and releases one object again and again.
+const OPENINGS: u64 = 16;
+/// The most runs to reduce a finding, and the most time.
+const RUNS: u32 = 200;
+const TIME: Duration = Duration::from_secs(60);
+/// The wait between two looks for a device that restarts.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// A finding that is reduced and saved.
+#[derive(Debug)]
+pub(super) struct Saved {
+    pub(super) finding: Finding,
+    /// The number of the session that found it, from 0 on, and the time since the start.
+    pub(super) session: u64,
+    pub(super) after: Duration,
+    pub(super) steps: usize,
+    /// Whether it came again when the same steps were run again.
+    pub(super) is_repeatable: bool,
+    pub(super) files: Files,
+}
+
+/// The limits of a run.
+#[derive(Debug)]
+pub(super) struct Plan {
+    pub(super) seed: u64,
+    pub(super) grammar: Grammar,
+    pub(super) until: Instant,
+    pub(super) sessions: u64,
+    pub(super) findings: u64,
+    pub(super) restart: Duration,
+    pub(super) out: PathBuf,
+}
+
+/// Fuzzes until a limit; calls `each` with every finding. Returns the number of sessions, and whether the device still answers.
+pub(super) fn fuzz(
+    device: &mut Device,
+    plan: &Plan,
+    mut each: impl FnMut(&Saved) -> Result<(), Failure>,
+) -> Result<(u64, bool), Failure> {
+    let began = Instant::now();
+    let mut found: Vec<Finding> = Vec::new();
+    let mut sessions = 0;
+    while sessions < plan.sessions && Instant::now() < plan.until {
+        let session = sessions;
+        sessions += 1;
+        let steps = steps(plan, session, device.rac.is_some());
+        let Some(finding) = device.run(&steps, None)? else { continue };
+        let answers = recover(device, plan.restart)?;
+        if found.iter().any(|known| known.is_same(&finding)) && answers {
+            continue;
+        }
+        let saved =
+            keep(device, plan, Found { finding, session, after: began.elapsed(), steps, answers }, found.len() + 1)?;
+        each(&saved)?;
+        found.push(saved.finding);
+        let answers = recover(device, plan.restart)?;
+        if !answers || found.len() as u64 >= plan.findings {
+            return Ok((sessions, answers));
+        }
+    }
+    Ok((sessions, true))
+}
+
+/// Generates the steps of a session; they depend only on the seed and its number.
+fn steps(plan: &Plan, session: u64, has_rac: bool) -> Vec<Step> {
+    let mut random = Random(plan.seed);
+    let bytes = generate::bytes(random.number() ^ session.wrapping_mul(0x9e37_79b9_7f4a_7c15), ENTROPY);
+    let mut u = Unstructured::new(&bytes);
+    let kind = u.int_in_range(0..=OPENINGS - 1);
+    let steps = match kind {
+        Ok(0) => plan.grammar.openings(&mut u),
+        Ok(1..=3) if has_rac => (0..8).map(|_| plan.grammar.line(&mut u).map(Step::Line)).collect(),
+        _ => plan.grammar.session(&mut u),
+    };
+    // the bytes always suffice, because an empty `Unstructured` gives zeros
+    steps.unwrap_or_default()
+}
+
+/// Waits until the device answers again; returns whether it does.
+fn recover(device: &mut Device, limit: Duration) -> Result<bool, Failure> {
+    let until = Instant::now() + limit;
+    loop {
+        if device.probe(None)?.is_none() {
+            return Ok(true);
+        }
+        if Instant::now() >= until {
+            return Ok(false);
+        }
+        device.interrupt.sleep(LOOK)?;
+    }
+}
+
+/// What a session found.
+struct Found {
+    finding: Finding,
+    session: u64,
+    after: Duration,
+    steps: Vec<Step>,
+    /// Whether the device answers new clients afterwards.
+    answers: bool,
+}
+
+/// Reduces a finding and saves it.
+fn keep(device: &mut Device, plan: &Plan, found: Found, number: usize) -> Result<Saved, Failure> {
+    let Found { finding, session, after, steps, answers } = found;
+    let files = Files::new(&plan.out, number, &finding)?;
+    let mut remarks = vec![
+        format!("bcap fuzz, seed {}, session {session}: {finding}", plan.seed),
+        "run it again: bcap fuzz --robot ADDR --again FILE --yes-this-device-is-mine".into(),
+    ];
+    // first of all, because the device may not come back
+    files.write_steps(&steps, &remarks)?;
+    let mut saved = Saved { finding, session, after, steps: steps.len(), is_repeatable: false, files };
+    if !answers {
+        return Ok(saved);
+    }
+    let until = Instant::now() + TIME;
+    let (mut runs, finding) = (0, saved.finding.clone());
+    let mut fails = |steps: &[Step]| {
+        runs += 1;
+        if runs > RUNS || Instant::now() >= until {
+            return Ok(None);
+        }
+        let found = device.run(steps, None)?;
+        let answers = recover(device, plan.restart)?;
+        Ok(answers.then(|| found.is_some_and(|found| found.is_same(&finding))))
+    };
+    let steps = if fails(&steps)? == Some(true) {
+        saved.is_repeatable = true;
+        minimise(steps, fails)?
+    } else {
+        remarks.push(
+            "the steps did not fail when they were run again, so an earlier session or the time has a part in it"
+                .into(),
+        );
+        steps
+    };
+    saved.steps = steps.len();
+    saved.files.write_steps(&steps, &remarks)?;
+    let recording = Recording::start(Some(&saved.files.capture), |_| {})?;
+    let last = device.run(&steps, Some(recording.recorder()));
+    recording.finish()?;
+    if let Some(last) = last?.filter(|last| last.is_same(&saved.finding)) {
+        saved.finding = last;
+    }
+    Ok(saved)
+}

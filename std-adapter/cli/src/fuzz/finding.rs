@@ -1,0 +1,68 @@
+//! What a fuzzer finds.
+
+use std::fmt;
+
+use bcap_core::bcap::FunctionId;
+use serde::Serialize;
+
+/// A kind of finding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Kind {
+    /// No new connection is possible.
+    Crash,
+    /// No reply came, and no end of the connection.
+    Hang,
+    /// The device closed the connection after a valid frame or line.
+    Reset,
+    /// A reply that the protocol does not allow.
+    WrongReply,
+    /// A handle is valid that is not open.
+    Handle,
+    /// An object or a client is refused that was served before.
+    Leak,
+}
+
+impl Kind {
+    /// Returns the word for file names and output.
+    pub(super) const fn name(self) -> &'static str {
+        match self {
+            Self::Crash => "crash",
+            Self::Hang => "hang",
+            Self::Reset => "reset",
+            Self::WrongReply => "wrong-reply",
+            Self::Handle => "handle",
+            Self::Leak => "leak",
+        }
+    }
+}
+
+/// A finding.
+#[derive(Clone, Debug)]
+pub(super) struct Finding {
+    pub(super) kind: Kind,
+    /// What the device was asked: a function, `bytes` or `RAC`.
+    pub(super) subject: String,
+    pub(super) detail: String,
+}
+
+impl Finding {
+    pub(super) fn new(kind: Kind, subject: impl Into<String>, detail: impl Into<String>) -> Self {
+        Self { kind, subject: subject.into(), detail: detail.into() }
+    }
+
+    pub(super) fn of_function(kind: Kind, function: i32, detail: impl Into<String>) -> Self {
+        Self::new(kind, FunctionId(function).to_string(), detail)
+    }
+
+    /// Returns whether both are probably the same fault. A crash is noticed only after its session, so any crash is the same.
+    pub(super) fn is_same(&self, other: &Self) -> bool {
+        self.kind == other.kind && (self.kind == Kind::Crash || self.subject == other.subject)
+    }
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}: {}", self.kind.name(), self.subject, self.detail)
+    }
+}

@@ -1,0 +1,254 @@
+//! What a fuzzer may send to a device.
+
+use bcap_core::bcap::FunctionId;
+use bcap_core::gateway::AllowBuf;
+use bcap_core::rac::{Request, Variable, VariableKind};
+use bcap_testkit::frame::TestFrame;
+use bcap_testkit::grammar::Grammar;
+use bcap_testkit::value::Value;
+
+use crate::reading;
+
+/// Commands that only read.
+const READING: [(FunctionId, &[&str]); 2] = [
+    (
+        FunctionId::CONTROLLER_EXECUTE,
+        &[
+            "SysState",
+            "SysInfo",
+            "GetCurErrorCount",
+            "GetCurErrorInfo",
+            "GetErrorDescription",
+            "GetErrorLogCount",
+            "StoState",
+        ],
+    ),
+    (
+        FunctionId::ROBOT_EXECUTE,
+        &[
+            "CurPos",
+            "CurJnt",
+            "CurTrn",
+            "CurTool",
+            "CurWork",
+            "HighCurJntEx",
+            "GetTool",
+            "J2P",
+            "P2J",
+            "OutRange",
+            "slvGetMode",
+        ],
+    ),
+];
+/// Commands that move, switch or set, for `--with-motion`.
+const ACTING: [(FunctionId, &[&str]); 2] = [
+    (FunctionId::CONTROLLER_EXECUTE, &["ClearError", "KillAll", "SuspendAll", "ManualReset"]),
+    (
+        FunctionId::ROBOT_EXECUTE,
+        &["TakeArm", "GiveArm", "Motor", "ExtSpeed", "Draw", "DriveEx", "slvChangeMode", "slvMove", "SetTool"],
+    ),
+];
+/// Numbers from here on are not functions of any firmware; those below may be functions that no public source describes.
+const NO_FUNCTION: i32 = 65_536;
+
+/// What may be sent.
+#[derive(Debug)]
+pub(super) struct Gate {
+    writable: Vec<AllowBuf>,
+    with_motion: bool,
+}
+
+impl Gate {
+    pub(super) const fn new(writable: Vec<AllowBuf>, with_motion: bool) -> Self {
+        Self { writable, with_motion }
+    }
+
+    /// Returns the grammar of what may be sent. The gate checks every packet nevertheless.
+    pub(super) fn grammar(&self, provider: &str) -> Grammar {
+        let all = |lists: &[(FunctionId, &[&str])]| -> Vec<(FunctionId, String)> {
+            let each = |(function, names): &(FunctionId, &[&str])| {
+                names.iter().map(|name| (*function, String::from(*name))).collect::<Vec<_>>()
+            };
+            lists.iter().flat_map(each).collect()
+        };
+        let mut grammar = Grammar { provider: provider.into(), commands: all(&READING), ..Grammar::reading() };
+        for rule in &self.writable {
+            let allow = rule.as_allow();
+            let last = allow.last.min(allow.first.saturating_add(9));
+            grammar.writable.extend([allow.first, last].map(|index| (allow.kind.name(), index)));
+            grammar.names.extend((allow.first..=last).map(|index| format!("{}{index}", allow.kind.name())));
+        }
+        if self.with_motion {
+            grammar.functions = FunctionId::all().collect();
+            grammar.commands.extend(all(&ACTING));
+            grammar.unknown.extend([138, 200, 1000]);
+            grammar.options.extend(["NEXT", "SPEED=20", "@Create"].map(String::from));
+            return grammar;
+        }
+        grammar.functions.retain(|function| reads(function.0));
+        // with an option it may create a file, which the gate refuses
+        grammar.functions.push(FunctionId::CONTROLLER_GET_FILE);
+        grammar.functions.extend(READING.map(|(function, _)| function));
+        if !self.writable.is_empty() {
+            grammar.functions.push(FunctionId::VARIABLE_PUT_VALUE);
+        }
+        grammar
+    }
+
+    /// Returns whether a call may be sent; `variable` is the name of the variable whose handle is its first argument.
+    pub(super) fn has_call(&self, frame: &TestFrame, variable: Option<&str>) -> bool {
+        self.with_motion || (self.has_function(frame, variable) && is_safe_inside(&frame.to_wire(false)))
+    }
+
+    fn has_function(&self, frame: &TestFrame, variable: Option<&str>) -> bool {
+        let function = FunctionId(frame.code);
+        if let Some((_, commands)) = READING.iter().find(|(owner, _)| *owner == function) {
+            return frame.args.get(1).is_some_and(|value| commands.iter().any(|name| *value == Value::text(name)));
+        }
+        if function == FunctionId::VARIABLE_PUT_VALUE {
+            return variable.and_then(variable_of).is_some_and(|variable| self.writes(variable));
+        }
+        let has_option = frame.args.get(2).is_some_and(|option| *option != Value::text(""));
+        is_no_function(frame.code) || reading::reads(&function.to_string(), has_option)
+    }
+
+    /// Returns whether bytes may be sent that are no valid frame: none of the frames that a receiver may see in them calls a
+    /// function that does more than read.
+    pub(super) fn has_bytes(&self, bytes: &[u8]) -> bool {
+        self.with_motion || (code_at(bytes, 0).is_none_or(is_safe) && is_safe_inside(bytes))
+    }
+
+    /// Returns the name of a variable that may be written, if there is one.
+    pub(super) fn any_variable(&self) -> Option<String> {
+        let allow = self.writable.first()?.as_allow();
+        Some(format!("{}{}", allow.kind.name(), allow.first))
+    }
+
+    /// Returns whether lines of RAC may be sent.
+    pub(super) fn has_line(&self, line: &[u8]) -> bool {
+        let writes = line.windows(3).any(|word| word.eq_ignore_ascii_case(b"PUT"));
+        if self.with_motion || !writes {
+            return true;
+        }
+        let mut memory = [0; 1024];
+        let request = line.strip_suffix(b"\r").and_then(|line| Request::parse(line, &mut memory).ok());
+        matches!(request, Some(Request::Put(variable, _)) if self.writes(variable))
+    }
+
+    fn writes(&self, variable: Variable) -> bool {
+        self.writable
+            .iter()
+            .map(AllowBuf::as_allow)
+            .any(|allow| allow.kind == variable.kind && (allow.first..=allow.last).contains(&variable.index))
+    }
+}
+
+/// Parses the name of a variable, such as `I90`.
+fn variable_of(name: &str) -> Option<Variable> {
+    let (kind, index) = name.split_at_checked(name.find(|c: char| c.is_ascii_digit())?)?;
+    Some(Variable::new(VariableKind::from_name(kind)?, index.parse().ok()?))
+}
+
+const fn is_no_function(code: i32) -> bool {
+    code < 1 || code >= NO_FUNCTION
+}
+
+/// Returns whether a call of the function only reads, whatever its arguments are.
+fn reads(code: i32) -> bool {
+    reading::reads(&FunctionId(code).to_string(), true)
+}
+
+fn is_safe(code: i32) -> bool {
+    is_no_function(code) || reads(code)
+}
+
+/// Returns the code of a frame that begins at this place.
+fn code_at(bytes: &[u8], at: usize) -> Option<i32> {
+    bytes.get(at + 9..at + 13)?.try_into().ok().map(i32::from_le_bytes)
+}
+
+/// Returns whether a receiver that lost its place, and takes a later byte for the beginning of a frame, sees no known function that
+/// does more than read. Numbers that no public source describes are too common among lengths and values to refuse them here.
+fn is_safe_inside(bytes: &[u8]) -> bool {
+    const SOH: u8 = 1;
+    let starts = bytes.iter().enumerate().skip(1).filter(|(_, byte)| **byte == SOH);
+    let is_harmless = |code| is_safe(code) || FunctionId(code).signature().is_none();
+    starts.into_iter().all(|(at, _)| code_at(bytes, at).is_none_or(is_harmless))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frame(function: FunctionId, args: Vec<Value>) -> TestFrame {
+        TestFrame { serial: 1, reserved: 0, code: function.0, args }
+    }
+
+    fn gate(ranges: &[&str]) -> Gate {
+        Gate::new(ranges.iter().map(|text| AllowBuf::parse(text).unwrap()).collect(), false)
+    }
+
+    #[test]
+    fn only_calls_that_read_pass() {
+        let gate = gate(&[]);
+        let passes = |function, args| gate.has_call(&frame(function, args), None);
+        assert!(passes(FunctionId::SERVICE_START, vec![Value::text("")]));
+        assert!(passes(FunctionId::VARIABLE_GET_VALUE, vec![Value::I4(3)]));
+        assert!(passes(FunctionId::ROBOT_EXECUTE, vec![Value::I4(3), Value::text("CurPos"), Value::Empty]));
+        assert!(passes(FunctionId(65_536), vec![]));
+        for function in FunctionId::all().filter(|function| reads(function.0)) {
+            assert!(passes(function, vec![Value::I4(0)]), "{function}");
+        }
+        let robot = Value::I4(3);
+        for function in FunctionId::all().filter(|function| !reads(function.0)) {
+            assert!(!passes(function, vec![]), "{function}");
+            assert!(!passes(function, vec![robot.clone(), Value::text("TakeArm"), Value::Empty]), "{function}");
+        }
+        assert!(!passes(FunctionId::ROBOT_MOVE, vec![robot.clone(), Value::I4(1), Value::text("P1"), Value::text("")]));
+        assert!(!passes(FunctionId(138), vec![]));
+        let file = |option| vec![Value::I4(1), Value::text("a"), option];
+        assert!(passes(FunctionId::CONTROLLER_GET_FILE, file(Value::text(""))));
+        assert!(!passes(FunctionId::CONTROLLER_GET_FILE, file(Value::text("@Create"))));
+    }
+
+    #[test]
+    fn no_frame_inside_bytes_calls_a_function_that_moves() {
+        let gate = gate(&[]);
+        let movement = frame(FunctionId::ROBOT_MOVE, vec![Value::I4(3)]).to_wire(false);
+        let read = frame(FunctionId::VARIABLE_GET_VALUE, vec![Value::I4(3)]).to_wire(false);
+        assert!(gate.has_bytes(&read) && gate.has_bytes(&read[..7]));
+        assert!(!gate.has_bytes(&movement));
+        assert!(!gate.has_bytes(&[&[7][..], &movement].concat()));
+        assert!(!gate.has_bytes(&[&[9][..], &movement[1..]].concat()), "a receiver may ignore the first byte");
+        let inside = Value::Array(17, movement.iter().map(|byte| Value::Ui1(*byte)).collect());
+        assert!(!gate.has_call(&frame(FunctionId::VARIABLE_GET_VALUE, vec![inside]), None));
+        assert!(Gate::new(vec![], true).has_bytes(&movement));
+    }
+
+    #[test]
+    fn writes_need_a_range() {
+        let put = frame(FunctionId::VARIABLE_PUT_VALUE, vec![Value::I4(3), Value::I4(1)]);
+        let (none, some) = (gate(&[]), gate(&["I/90-99"]));
+        assert!(!none.has_call(&put, Some("I90")));
+        for (name, passes) in
+            [("I90", true), ("I99", true), ("I100", false), ("F90", false), ("I*", false), ("@SPEED", false)]
+        {
+            assert_eq!(some.has_call(&put, Some(name)), passes, "{name}");
+        }
+        assert!(!some.has_call(&put, None));
+        assert!(none.has_line(b"GET:RC8:1:I:\r") && !none.has_line(b"PUT:RC8:90:I:3,1\r"));
+        assert!(some.has_line(b"PUT:RC8:90:I:3,1\r") && !some.has_line(b"PUT:RC8:1:I:3,1\r"));
+        assert!(!some.has_line(b"put:RC8:90:I:3,1\r"), "only a line that is certain to write the range");
+        assert!(!some.has_line(b"PUT:RC8:90:I:3,1\rPUT:RC8:1:I:3,1\r"));
+    }
+
+    #[test]
+    fn the_calls_that_open_a_session_pass() {
+        for gate in [gate(&[]), gate(&["I/90-99"])] {
+            for step in gate.grammar("CaoProv.DENSO.VRC").opening() {
+                let bcap_testkit::step::Step::Call(call) = step else { panic!("{step}") };
+                assert!(gate.has_call(&call.to_frame(1, |_| 0), None), "{call}");
+            }
+        }
+    }
+}

@@ -1,0 +1,449 @@
+//! A small device with one planted bug, for the fuzzer. It crashes as a process does: every connection ends, and its ports are
+//! closed until it has restarted.
+#![allow(dead_code, reason = "every test file uses its own part of this")]
+
+use std::io::{Read, Write};
+use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread;
+use std::time::Duration;
+
+use bcap_core::bcap::{FunctionId, Kind, Object};
+use bcap_core::hresult::HResult;
+use bcap_core::rac;
+use bcap_testkit::frame::TestFrame;
+use bcap_testkit::judge::TCP;
+use bcap_testkit::oracle::Verdict;
+use bcap_testkit::value::{ARRAY, Value};
+
+/// What is wrong with the device; `None` of them with [`Bug::None`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Bug {
+    None,
+    // malformed frames
+    LengthBelowHeaderCrashes,
+    HugeLengthCrashes,
+    ArgumentCountCrashes,
+    ArrayCountCrashes,
+    NestingCrashes,
+    OddStringHangs,
+    WrongEndIsIgnored,
+    // valid frames
+    LongStringCrashes,
+    SurrogateResets,
+    UnknownFunctionResets,
+    UnknownFunctionSucceeds,
+    MissingArgumentSucceeds,
+    ExtraArgumentHangs,
+    ForeignHandleCrashes,
+    InvalidHandleHangs,
+    // delivery
+    SplitHeaderHangs,
+    JoinedRequestHangs,
+    RetryIsAnsweredTwice,
+    // replies
+    SerialIsCut,
+    LengthIsOffByOne,
+    NameIsNumber,
+    TwoValues,
+    NoValue,
+    ExecutingForever,
+    // handles
+    HandleLivesOn,
+    NegativeHandleIsValid,
+    ReleaseLeaks,
+    DisconnectLeaks,
+    // RAC
+    LongLineCrashes,
+    IndexResets,
+    DoubleIsSingle,
+}
+
+impl Bug {
+    /// All bugs, without [`Bug::None`].
+    pub(crate) const ALL: [Self; 31] = [
+        Self::LengthBelowHeaderCrashes,
+        Self::HugeLengthCrashes,
+        Self::ArgumentCountCrashes,
+        Self::ArrayCountCrashes,
+        Self::NestingCrashes,
+        Self::OddStringHangs,
+        Self::WrongEndIsIgnored,
+        Self::LongStringCrashes,
+        Self::SurrogateResets,
+        Self::UnknownFunctionResets,
+        Self::UnknownFunctionSucceeds,
+        Self::MissingArgumentSucceeds,
+        Self::ExtraArgumentHangs,
+        Self::ForeignHandleCrashes,
+        Self::InvalidHandleHangs,
+        Self::SplitHeaderHangs,
+        Self::JoinedRequestHangs,
+        Self::RetryIsAnsweredTwice,
+        Self::SerialIsCut,
+        Self::LengthIsOffByOne,
+        Self::NameIsNumber,
+        Self::TwoValues,
+        Self::NoValue,
+        Self::ExecutingForever,
+        Self::HandleLivesOn,
+        Self::NegativeHandleIsValid,
+        Self::ReleaseLeaks,
+        Self::DisconnectLeaks,
+        Self::LongLineCrashes,
+        Self::IndexResets,
+        Self::DoubleIsSingle,
+    ];
+}
+
+/// How long a crashed device takes to restart.
+const RESTART: Duration = Duration::from_millis(30);
+/// The objects of all clients that a device with a leak has room for.
+const ROOM: usize = 50;
+
+/// The device.
+pub(crate) struct Planted {
+    pub(crate) bcap: String,
+    pub(crate) rac: String,
+    device: Arc<Device>,
+}
+
+struct Device {
+    bug: Bug,
+    ports: [SocketAddr; 2],
+    has_crashed: AtomicBool,
+    is_over: AtomicBool,
+    leaked: AtomicUsize,
+    streams: Mutex<Vec<TcpStream>>,
+    calls: Mutex<Vec<FunctionId>>,
+}
+
+/// What happens to a connection.
+enum Fate {
+    Reply(Vec<u8>),
+    /// No reply.
+    Silence,
+    Close,
+    Crash,
+}
+
+impl Planted {
+    pub(crate) fn start(bug: Bug) -> Self {
+        let listeners = [(); 2].map(|()| TcpListener::bind("127.0.0.1:0").unwrap());
+        let ports = listeners.each_ref().map(|listener| listener.local_addr().unwrap());
+        let device = Arc::new(Device {
+            bug,
+            ports,
+            has_crashed: AtomicBool::new(false),
+            is_over: AtomicBool::new(false),
+            leaked: AtomicUsize::new(0),
+            streams: Mutex::default(),
+            calls: Mutex::default(),
+        });
+        for (listener, is_rac) in listeners.into_iter().zip([false, true]) {
+            let device = Arc::clone(&device);
+            thread::spawn(move || device.listen(listener, is_rac));
+        }
+        let [bcap, rac] = ports.map(|port| port.to_string());
+        Self { bcap, rac, device }
+    }
+
+    /// Returns the functions that were called.
+    pub(crate) fn calls(&self) -> Vec<FunctionId> {
+        self.device.calls.lock().unwrap().clone()
+    }
+}
+
+impl Drop for Planted {
+    fn drop(&mut self) {
+        self.device.is_over.store(true, Ordering::SeqCst);
+        self.device.crash();
+    }
+}
+
+impl Device {
+    fn listen(self: Arc<Self>, mut listener: TcpListener, is_rac: bool) {
+        loop {
+            let Ok((stream, _)) = listener.accept() else { continue };
+            if self.is_over.load(Ordering::SeqCst) {
+                return;
+            }
+            if self.has_crashed.load(Ordering::SeqCst) && !is_rac {
+                drop(stream);
+                drop(listener);
+                thread::sleep(RESTART);
+                listener = loop {
+                    // the port may still be in use by connections that are closing
+                    if let Ok(listener) = TcpListener::bind(self.ports[0]) {
+                        break listener;
+                    }
+                };
+                self.leaked.store(0, Ordering::SeqCst);
+                self.has_crashed.store(false, Ordering::SeqCst);
+                continue;
+            }
+            stream.set_nodelay(true).unwrap();
+            self.streams.lock().unwrap().push(stream.try_clone().unwrap());
+            let device = Arc::clone(&self);
+            thread::spawn(move || if is_rac { device.serve_rac(stream) } else { device.serve(stream) });
+        }
+    }
+
+    fn crash(&self) {
+        self.has_crashed.store(true, Ordering::SeqCst);
+        for stream in self.streams.lock().unwrap().drain(..) {
+            let _ = stream.shutdown(Shutdown::Both);
+        }
+        // wakes the threads that listen
+        self.ports.iter().for_each(|port| drop(TcpStream::connect(port)));
+    }
+
+    /// Does what happens to a connection; returns whether it goes on.
+    fn goes_on(&self, stream: &mut TcpStream, fate: Fate) -> bool {
+        match fate {
+            Fate::Reply(bytes) => stream.write_all(&bytes).is_ok(),
+            Fate::Silence => true,
+            Fate::Close => false,
+            Fate::Crash => {
+                self.crash();
+                false
+            }
+        }
+    }
+
+    fn serve(&self, mut stream: TcpStream) {
+        let (mut client, mut bytes, mut buffer) =
+            (Client { device: self, open: Vec::new(), next: 0 }, Vec::new(), vec![0; 1 << 16]);
+        while let Ok(count @ 1..) = stream.read(&mut buffer) {
+            if self.bug == Bug::SplitHeaderHangs && bytes.is_empty() && count < 15 {
+                continue;
+            }
+            bytes.extend_from_slice(&buffer[..count]);
+            let mut is_first = true;
+            loop {
+                let fate = match TCP.decode(&bytes) {
+                    Verdict::Incomplete => break,
+                    Verdict::Refused => {
+                        let fate = self.refuse(&bytes);
+                        let is_silent = matches!(fate, Fate::Silence);
+                        if !self.goes_on(&mut stream, fate) || !is_silent {
+                            let _ = stream.shutdown(Shutdown::Both);
+                            client.leave();
+                            return;
+                        }
+                        bytes.clear();
+                        break;
+                    }
+                    Verdict::Frame(frame, length) => {
+                        bytes.drain(..length);
+                        match is_first || self.bug != Bug::JoinedRequestHangs {
+                            true => client.call(&frame, &mut stream),
+                            false => Fate::Silence,
+                        }
+                    }
+                };
+                is_first = false;
+                if !self.goes_on(&mut stream, fate) {
+                    let _ = stream.shutdown(Shutdown::Both);
+                    client.leave();
+                    return;
+                }
+            }
+        }
+        let _ = stream.shutdown(Shutdown::Both);
+        client.leave();
+    }
+
+    /// Answers malformed bytes.
+    fn refuse(&self, bytes: &[u8]) -> Fate {
+        let number = |at: usize, length: usize| {
+            bytes
+                .get(at..at + length)
+                .map_or(0, |field| field.iter().rev().fold(0_u64, |sum, byte| sum << 8 | u64::from(*byte)))
+        };
+        let length = number(1, 4);
+        match self.bug {
+            Bug::LengthBelowHeaderCrashes if length < 16 => Fate::Crash,
+            Bug::HugeLengthCrashes if length > 0x0100_0000 => Fate::Crash,
+            Bug::ArgumentCountCrashes if number(13, 2) > 64 => Fate::Crash,
+            Bug::ArrayCountCrashes if number(19, 2) & u64::from(ARRAY) != 0 && number(21, 4) > 0xffff => Fate::Crash,
+            Bug::NestingCrashes if bytes.len() > 500 && bytes[200..398].chunks_exact(6).all(|level| level.contains(&12)) => {
+                Fate::Crash
+            }
+            Bug::OddStringHangs if number(19, 2) == 8 && number(25, 4) % 2 == 1 => Fate::Silence,
+            Bug::WrongEndIsIgnored if bytes.last() != Some(&4) => Fate::Silence,
+            _ => Fate::Reply(
+                TestFrame { serial: 0, reserved: 0, code: HResult::E_INVALIDRCPACKET.0, args: vec![] }.to_wire(false),
+            ),
+        }
+    }
+
+    fn serve_rac(&self, mut stream: TcpStream) {
+        let (mut bytes, mut buffer) = (Vec::new(), vec![0; 1 << 14]);
+        while let Ok(count @ 1..) = stream.read(&mut buffer) {
+            bytes.extend_from_slice(&buffer[..count]);
+            while let Some(end) = bytes.iter().position(|byte| *byte == b'\r') {
+                let line: Vec<u8> = bytes.drain(..=end).collect();
+                let fate = self.line(&line[..end]);
+                if !self.goes_on(&mut stream, fate) {
+                    let _ = stream.shutdown(Shutdown::Both);
+                    return;
+                }
+            }
+        }
+        let _ = stream.shutdown(Shutdown::Both);
+    }
+
+    fn line(&self, line: &[u8]) -> Fate {
+        let mut memory = [0; 1024];
+        let value = match rac::Request::parse(line, &mut memory) {
+            _ if line.len() > 256 && self.bug == Bug::LongLineCrashes => return Fate::Crash,
+            Ok(rac::Request::Get(variable)) if variable.index > 99_999 && self.bug == Bug::IndexResets => {
+                return Fate::Close;
+            }
+            Ok(rac::Request::Get(variable)) => match variable.kind {
+                rac::VariableKind::I => "0,3,5",
+                rac::VariableKind::D if self.bug == Bug::DoubleIsSingle => "0,4,1.5",
+                rac::VariableKind::D => "0,5,1.5",
+                _ => "-2147024809",
+            },
+            _ => "-2147024809",
+        };
+        Fate::Reply(format!("{value}\r").into_bytes())
+    }
+}
+
+struct Client<'a> {
+    device: &'a Device,
+    open: Vec<(Object, i32)>,
+    next: i32,
+}
+
+impl Client<'_> {
+    fn leave(&self) {
+        if self.device.bug == Bug::DisconnectLeaks {
+            self.device.leaked.fetch_add(self.open.len(), Ordering::SeqCst);
+        }
+    }
+
+    fn call(&mut self, frame: &TestFrame, stream: &mut TcpStream) -> Fate {
+        let (bug, function) = (self.device.bug, FunctionId(frame.code));
+        self.device.calls.lock().unwrap().push(function);
+        let strings =
+            || frame.args.iter().filter_map(|value| if let Value::Bstr(units) = value { Some(units) } else { None });
+        let lone = |units: &Vec<u16>| char::decode_utf16(units.iter().copied()).any(|unit| unit.is_err());
+        match bug {
+            Bug::LongStringCrashes if strings().any(|units| units.len() >= 16_384) => return Fate::Crash,
+            Bug::SurrogateResets if strings().any(lone) => return Fate::Close,
+            _ => {}
+        }
+        let (code, value) = match self.execute(function, frame, stream) {
+            Ok(answer) => answer,
+            Err(fate) => return fate,
+        };
+        let cut = |serial: u16| if bug == Bug::SerialIsCut { serial & 0x7fff } else { serial };
+        let mut args: Vec<_> = value.into_iter().collect();
+        if bug == Bug::TwoValues && matches!(args[..], [Value::Empty]) {
+            args.push(Value::Empty);
+        }
+        let is_text = matches!(args[..], [Value::Bstr(_)]);
+        let mut reply = TestFrame { serial: cut(frame.serial), reserved: 0, code: code.0, args }.to_wire(false);
+        if bug == Bug::LengthIsOffByOne && is_text {
+            reply[1] += 1;
+        }
+        if bug == Bug::RetryIsAnsweredTwice && frame.reserved != 0 {
+            reply = [&reply[..], &reply].concat();
+        }
+        Fate::Reply(reply)
+    }
+
+    fn execute(
+        &mut self,
+        function: FunctionId,
+        frame: &TestFrame,
+        stream: &mut TcpStream,
+    ) -> Result<(HResult, Option<Value>), Fate> {
+        let bug = self.device.bug;
+        let Some(signature) = function.signature() else {
+            return match bug {
+                Bug::UnknownFunctionResets => Err(Fate::Close),
+                Bug::UnknownFunctionSucceeds => Ok((HResult::S_OK, None)),
+                _ => Ok((HResult::E_NOTIMPL, None)),
+            };
+        };
+        let (given, expected) = (frame.args.len(), signature.arguments.len());
+        if given < expected && bug != Bug::MissingArgumentSucceeds {
+            return Ok((HResult::E_INVALIDARG, None));
+        }
+        if given > expected {
+            return if bug == Bug::ExtraArgumentHangs { Err(Fate::Silence) } else { Ok((HResult::E_INVALIDARG, None)) };
+        }
+        let handle = match (signature.arguments.first(), frame.args.first()) {
+            (Some(Kind::Handle(object)), Some(Value::I4(handle))) => Some((*object, *handle)),
+            (Some(Kind::Handle(_)), _) => return Ok((HResult::E_INVALIDARG, None)),
+            _ => None,
+        };
+        if let Some((object, handle)) = handle
+            && !self.open.contains(&(object, handle))
+        {
+            let is_valid = bug == Bug::NegativeHandleIsValid && handle < 0;
+            let lives_on =
+                bug == Bug::HandleLivesOn && handle > 0 && handle <= self.next && handle % 8 == object as i32;
+            if bug == Bug::ForeignHandleCrashes && self.open.iter().any(|open| open.1 == handle) {
+                return Err(Fate::Crash);
+            }
+            if bug == Bug::InvalidHandleHangs && handle > 100 {
+                return Err(Fate::Silence);
+            }
+            if bug == Bug::ExecutingForever && handle == 0 {
+                let executing =
+                    TestFrame { serial: frame.serial, reserved: 0, code: HResult::S_EXECUTING.0, args: vec![] };
+                while stream.write_all(&executing.to_wire(false)).is_ok() {
+                    thread::sleep(Duration::from_millis(20));
+                }
+                return Err(Fate::Close);
+            }
+            if !is_valid && !lives_on {
+                return Ok((HResult::E_HANDLE, None));
+            }
+        }
+        self.result(function, signature.result, handle)
+    }
+
+    /// Returns the result of a function that succeeds.
+    fn result(
+        &mut self,
+        function: FunctionId,
+        kind: Kind,
+        handle: Option<(Object, i32)>,
+    ) -> Result<(HResult, Option<Value>), Fate> {
+        let bug = self.device.bug;
+        if function.releases().is_some() {
+            self.open.retain(|open| Some(*open) != handle);
+            if bug == Bug::ReleaseLeaks {
+                self.device.leaked.fetch_add(1, Ordering::SeqCst);
+            }
+        }
+        Ok((
+            HResult::S_OK,
+            match kind {
+                Kind::Handle(object) => {
+                    if self.device.leaked.load(Ordering::SeqCst) + self.open.len() > ROOM {
+                        return Ok((HResult::E_OUTOFMEMORY, None));
+                    }
+                    self.next = (self.next / 8 + 1) * 8 + object as i32;
+                    self.open.push((object, self.next));
+                    Some(Value::I4(self.next))
+                }
+                Kind::Int if bug == Bug::NoValue => None,
+                Kind::Int => Some(Value::I4(7)),
+                Kind::Float => Some(Value::R4(1.0_f32.to_bits())),
+                Kind::Text if bug == Bug::NameIsNumber => Some(Value::I4(7)),
+                Kind::Text => Some(Value::text("name")),
+                Kind::Any | Kind::Maybe => Some(Value::Empty),
+                Kind::Nothing => None,
+            },
+        ))
+    }
+}

@@ -1,0 +1,212 @@
+//! `bcap fuzz`: finds planted bugs, finds none in the virtual controller, and sends nothing that moves.
+
+mod common;
+#[path = "common/planted.rs"]
+mod planted;
+#[path = "common/running.rs"]
+mod running;
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use bcap_core::bcap::FunctionId;
+use common::{Run, bare, bcap};
+use planted::{Bug, Planted};
+use running::Running;
+use serde_json::Value;
+
+const MINE: &str = "--yes-this-device-is-mine";
+
+/// An empty folder for findings.
+fn folder(name: &str) -> PathBuf {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("fuzz").join(name);
+    let _ = std::fs::remove_dir_all(&folder);
+    folder
+}
+
+/// Fuzzes a device; the findings are in a folder with this name.
+fn fuzz(device: &Planted, name: &str, more: &[&str]) -> Run {
+    let folder = folder(name);
+    let fixed = ["fuzz", "--robot", &device.bcap, "--robot-rac", &device.rac, MINE, "--rate", "0"];
+    let out = ["--out", folder.to_str().unwrap()];
+    bare(&[&fixed, &out[..], more].concat()).output().unwrap().into()
+}
+
+/// Returns the findings and the totals of a run with `--json`.
+fn lines(run: &Run) -> (Vec<Value>, Value) {
+    let mut lines: Vec<Value> = run.out.lines().map(|line| serde_json::from_str(line).unwrap()).collect();
+    let totals = lines.pop().unwrap_or_else(|| panic!("{run:?}"));
+    (lines, totals)
+}
+
+#[test]
+fn without_a_confirmation_nothing_is_sent() {
+    let device = Planted::start(Bug::None);
+    let run = bcap(&["fuzz", "--robot", &device.bcap, "--runs", "1"]);
+    assert_eq!((run.code, device.calls()), (2, vec![]), "{run:?}");
+    assert!(run.err.contains(MINE), "{run:?}");
+    let run = bcap(&["fuzz", "--robot", &format!("udp:{}", device.bcap), MINE]);
+    assert_eq!((run.code, device.calls()), (2, vec![]), "{run:?}");
+}
+
+#[test]
+fn a_device_without_a_bug_has_no_finding_and_gets_only_calls_that_read() {
+    let device = Planted::start(Bug::None);
+    let run = fuzz(&device, "none", &["--runs", "150", "--duration", "10min", "--timeout", "30000"]);
+    assert_eq!(run.code, 0, "{run:?}");
+    assert!(run.out.starts_with("seed 1: 150 sessions, ") && run.out.contains(" 0 findings in "), "{run:?}");
+    let calls = device.calls();
+    let is_gated = |function: &FunctionId| {
+        let name = function.to_string();
+        let is_known = function.signature().is_some();
+        !is_known
+            || name.contains("_Get")
+            || name.ends_with("_Release")
+            || name.starts_with("Service_")
+            || ["Controller_Connect", "Controller_Disconnect", "Controller_Execute", "Robot_Execute"].contains(&&*name)
+    };
+    assert!(calls.len() > 1000, "{}", calls.len());
+    assert_eq!(calls.iter().filter(|function| !is_gated(function)).collect::<Vec<_>>(), [&FunctionId(0); 0]);
+    assert!(calls.contains(&FunctionId::CONTROLLER_GET_FILE) && calls.contains(&FunctionId::ROBOT_EXECUTE));
+}
+
+#[test]
+fn the_same_seed_sends_the_same_calls() {
+    let calls = |seed: &str| {
+        let device = Planted::start(Bug::None);
+        let run = fuzz(&device, &format!("same{seed}"), &["--runs", "20", "--seed", seed, "--timeout", "30000"]);
+        assert_eq!(run.code, 0, "{run:?}");
+        device.calls()
+    };
+    let first = calls("5");
+    assert_eq!(first, calls("5"));
+    assert_ne!(first, calls("6"));
+}
+
+#[test]
+fn a_finding_is_reduced_saved_and_found_again() {
+    let device = Planted::start(Bug::SurrogateResets);
+    let run = fuzz(&device, "saved", &["--findings", "1", "--duration", "10min", "--timeout", "5000", "--json"]);
+    assert_eq!(run.code, 1, "{run:?}");
+    let (findings, totals) = lines(&run);
+    let [finding] = &findings[..] else { panic!("{run:?}") };
+    assert_eq!(
+        (&finding["kind"], &finding["repeatable"], &totals["findings"]),
+        (&"reset".into(), &true.into(), &1.into())
+    );
+    assert!(finding["steps"].as_u64().unwrap() <= 2, "{finding}");
+    let file = finding["file"].as_str().unwrap();
+    let text = std::fs::read_to_string(file).unwrap();
+    assert!(text.starts_with("# bcap fuzz, seed 1, session "), "{text}");
+    let capture = finding["capture"].as_str().unwrap();
+    let decoded = bcap(&["decode", capture]);
+    assert_eq!(decoded.code, 0, "{decoded:?}");
+    assert!(decoded.out.contains(finding["subject"].as_str().unwrap()), "{decoded:?}");
+    let again =
+        |device: &Planted| bcap(&["fuzz", "--robot", &device.bcap, "--robot-rac", &device.rac, MINE, "--again", file]);
+    let run = again(&device);
+    assert_eq!(run.code, 1, "{run:?}");
+    assert!(run.out.contains("the device closes the connection after a valid frame"), "{run:?}");
+    let run = again(&Planted::start(Bug::None));
+    assert_eq!((run.code, &*run.out), (0, "no finding\n"), "{run:?}");
+}
+
+#[test]
+fn steps_that_move_are_refused_without_the_option() {
+    let device = Planted::start(Bug::None);
+    let folder = folder("moves");
+    std::fs::create_dir_all(&folder).unwrap();
+    let file = folder.join("moves.steps");
+    std::fs::write(&file, "call Robot_Halt @Robot 08000100000000000000\n").unwrap();
+    let args = ["fuzz", "--robot", &device.bcap, "--robot-rac", &device.rac, MINE, "--again", file.to_str().unwrap()];
+    let run = bcap(&args);
+    assert_eq!(run.code, 2, "{run:?}");
+    assert!(run.err.contains("this step may move or write: call Robot_Halt"), "{run:?}");
+    assert!(!device.calls().contains(&FunctionId::ROBOT_HALT));
+    let run = bcap(&[&args[..], &["--with-motion"]].concat());
+    assert_eq!(run.code, 0, "{run:?}");
+    assert!(device.calls().contains(&FunctionId::ROBOT_HALT));
+}
+
+#[test]
+fn writes_reach_only_the_named_range() {
+    let sim = Running::sim(&[]);
+    let robot = ["--robot", &sim.bcap, "--robot-rac", &sim.rac];
+    let get = |name: &str| bcap(&["get", name, "--robot", &sim.bcap]).out;
+    assert_eq!(bcap(&["put", "I89", "5", "--robot", &sim.bcap]).code, 0);
+    let folder = folder("writes");
+    let more = ["--with-writes", "I/90-91", "--rate", "0", "--runs", "60", "--timeout", "30000", "--duration", "10min"];
+    let run = bcap(&[&["fuzz", MINE, "--out", folder.to_str().unwrap()], &robot[..], &more].concat());
+    assert_eq!(run.code, 0, "{run:?}");
+    assert_eq!(get("I89"), "I89 = 5\n");
+    assert_ne!((get("I90"), get("I91")), ("I90 = 0\n".into(), "I91 = 0\n".into()));
+}
+
+#[test]
+fn the_virtual_controller_has_no_finding() {
+    for model in ["rc8", "rc9"] {
+        let sim = Running::sim(&["--model", model]);
+        let folder = folder(model);
+        let out = ["--out", folder.to_str().unwrap(), "--rate", "0", "--runs", "100", "--duration", "10min"];
+        let robot = ["--robot", &sim.bcap, "--robot-rac", &sim.rac, "--timeout", "30000"];
+        let run = bcap(&[&["fuzz", MINE], &robot[..], &out].concat());
+        assert_eq!(run.code, 0, "{model}: {run:?}");
+    }
+}
+
+/// Fuzzes a device with a planted bug until the first finding; returns it.
+fn first_finding(bug: Bug, limits: &[&str]) -> Option<Value> {
+    let device = Planted::start(bug);
+    let run =
+        fuzz(&device, &format!("{bug:?}"), &[&["--findings", "1", "--timeout", "400", "--json"], limits].concat());
+    lines(&run).0.into_iter().next()
+}
+
+#[test]
+fn planted_bugs_are_found() {
+    // those that are found in few sessions, of every kind
+    for (bug, kind) in [
+        (Bug::HugeLengthCrashes, "crash"),
+        (Bug::LongStringCrashes, "crash"),
+        (Bug::ExtraArgumentHangs, "hang"),
+        (Bug::UnknownFunctionResets, "reset"),
+        (Bug::NameIsNumber, "wrong-reply"),
+        (Bug::LengthIsOffByOne, "wrong-reply"),
+        (Bug::NegativeHandleIsValid, "handle"),
+        (Bug::ReleaseLeaks, "leak"),
+        (Bug::DoubleIsSingle, "wrong-reply"),
+    ] {
+        let found = first_finding(bug, &["--runs", "400", "--duration", "10min"]);
+        let found = found.unwrap_or_else(|| panic!("{bug:?} is not found"));
+        assert_eq!(found["kind"].as_str().unwrap().replace('_', "-"), kind, "{bug:?}: {found}");
+    }
+}
+
+/// Prints how long each planted bug takes: `cargo test -p bcap-cli --test fuzz -- --ignored --nocapture`.
+#[test]
+#[ignore = "takes minutes; it measures"]
+fn the_time_to_find_each_planted_bug() {
+    let mut found = 0;
+    println!("{:<26} {:<12} {:>8} {:>8} {:>6}  finding", "bug", "kind", "session", "ms", "steps");
+    for bug in Bug::ALL {
+        let began = Instant::now();
+        let Some(finding) = first_finding(bug, &["--duration", "30s"]) else {
+            println!("{:<26} not found in {} s", format!("{bug:?}"), began.elapsed().as_secs());
+            continue;
+        };
+        found += 1;
+        let text = |key: &str| finding[key].as_str().unwrap_or_default().to_owned();
+        let number = |key: &str| finding[key].as_u64().unwrap_or_default();
+        println!(
+            "{:<26} {:<12} {:>8} {:>8} {:>6}  {}: {}",
+            format!("{bug:?}"),
+            text("kind"),
+            number("session"),
+            number("after_ms"),
+            number("steps"),
+            text("subject"),
+            text("detail")
+        );
+    }
+    println!("{found} of {} found", Bug::ALL.len());
+}
