@@ -16,6 +16,9 @@ use crate::pattern::{matches, replace};
 /// The address of the virtual controller in the pages.
 const ROBOT: &str = "192.168.0.1";
 
+/// Runs a command; one that waits for ever must not hang the test.
+const LIMITED: &str = "exec timeout 60 sh -c \"$COMMAND\" 2>&1";
+
 /// An option of a server that names where it listens.
 struct Listening {
     option: &'static str,
@@ -103,8 +106,7 @@ impl World {
         if self.robot.is_none() {
             self.start_sim("");
         }
-        let text = format!("exec 2>&1\n{}", replace(&command.text, &self.to_actual));
-        let output = self.shell(&text).stdin(Stdio::null()).output().unwrap();
+        let output = self.shell(LIMITED).env("COMMAND", replace(&command.text, &self.to_actual)).stdin(Stdio::null()).output().unwrap();
         let shown = replace(&String::from_utf8_lossy(&output.stdout), &self.to_page);
         if output.status.code() != Some(command.exit) {
             return fail(&format!("ends with {:?}:", output.status), &shown);
@@ -170,12 +172,11 @@ impl World {
     fn shell(&self, text: &str) -> Process {
         let own = Path::new(env!("CARGO_BIN_EXE_bcap")).parent().unwrap().to_owned();
         let path = env::join_paths([own].into_iter().chain(env::split_paths(&env::var_os("PATH").unwrap()))).unwrap();
-        // a command that waits for ever must not hang the test
-        let mut shell = Process::new("timeout");
+        let mut shell = Process::new("sh");
         for name in ["TIMEOUT", "PROVIDER", "MACHINE", "OPTION", "ATTEMPTS", "PROFILE"] {
             shell.env_remove(format!("BCAP_{name}"));
         }
-        shell.args(["120", "sh", "-c", text]).current_dir(self.folder.path()).env("PATH", path).env("HOME", self.folder.path());
+        shell.args(["-c", text]).current_dir(self.folder.path()).env("PATH", path).env("HOME", self.folder.path());
         shell.env_remove("XDG_CONFIG_HOME").env_remove("NO_COLOR").env_remove("CLICOLOR_FORCE");
         shell.envs(self.robot.clone().into_iter().flatten());
         shell
