@@ -28,7 +28,7 @@ pub(crate) fn replace(text: &str, pairs: &[(String, String)]) -> String {
     let mut result = String::with_capacity(text.len());
     let mut rest = text;
     while let Some(next) = rest.chars().next() {
-        let is_start = !result.ends_with(|last: char| last.is_ascii_alphanumeric() || last == '.' || last == ':');
+        let is_start = !result.ends_with(|last: char| last.is_ascii_alphanumeric() || last == '.');
         let found = pairs.iter().filter(|(from, _)| is_start && rest.starts_with(from.as_str())).filter(|(from, _)| {
             let after = &rest[from.len()..];
             !after.starts_with(|next: char| next.is_ascii_digit())

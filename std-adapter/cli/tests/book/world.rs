@@ -3,11 +3,17 @@
 use std::env;
 use std::fs;
 use std::io::{BufRead, BufReader};
+use std::net::{TcpListener, UdpSocket};
 use std::os::unix::fs::symlink;
 use std::path::Path;
 use std::process::{Child, Command as Process, Stdio};
 use std::thread;
+use std::time::Duration;
 
+use bcap_sim::{Config, Controller, Profile};
+use bcap_std::server::Limits;
+use bcap_tests::served::Served;
+use bcap_tests::slowed::Slowed;
 use tempfile::TempDir;
 
 use crate::page::Command;
@@ -50,6 +56,8 @@ pub(crate) struct World {
     to_page: Vec<(String, String)>,
     /// The environment variables of the present controller.
     robot: Option<[(&'static str, String); 2]>,
+    /// A virtual controller in this process, for pages about Slave Mode.
+    slowed: Option<Served<Slowed>>,
 }
 
 impl World {
@@ -57,7 +65,7 @@ impl World {
     pub(crate) fn new(docs: &Path) -> Self {
         let folder = tempfile::tempdir().unwrap();
         symlink(docs.canonicalize().unwrap(), folder.path().join("docs")).unwrap();
-        Self { folder, servers: Vec::new(), to_actual: Vec::new(), to_page: Vec::new(), robot: None }
+        Self { folder, servers: Vec::new(), to_actual: Vec::new(), to_page: Vec::new(), robot: None, slowed: None }
     }
 
     pub(crate) fn write(&mut self, name: &str, content: &str) {
@@ -71,8 +79,21 @@ impl World {
 
     /// Starts a virtual controller, which the pages know under the address [`ROBOT`].
     pub(crate) fn start_sim(&mut self, options: &str) {
+        if options == "slowed" {
+            let config = Config { motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) };
+            let sim = Served::of(Slowed(Controller::new(config)), Limits::default());
+            self.know(sim.tcp.to_string(), sim.udp.to_string(), None);
+            self.slowed = Some(sim);
+            return;
+        }
         let ready = self.start(&format!("bcap sim {options}")).unwrap_or_else(|output| panic!("{output}"));
-        let [tcp, udp, rac] = ["bcap", "udp", "rac"].map(|key| address(&ready, key).unwrap());
+        let [tcp, udp, rac] = ["bcap", "udp", "rac"].map(|key| address(&ready, key));
+        self.know(tcp.unwrap(), udp.unwrap(), rac);
+    }
+
+    /// Translates the addresses of [`ROBOT`] from now on.
+    fn know(&mut self, tcp: String, udp: String, rac: Option<String>) {
+        self.robot = Some(variables(&tcp, rac.as_deref()));
         for (page, actual) in [
             (ROBOT.to_owned(), tcp.clone()),
             (format!("tcp:{ROBOT}"), format!("tcp:{tcp}")),
@@ -80,11 +101,11 @@ impl World {
             (format!("{ROBOT}:5007"), tcp.clone()),
             (format!("tcp:{ROBOT}:5007"), format!("tcp:{tcp}")),
             (format!("udp:{ROBOT}:5007"), format!("udp:{udp}")),
-            (format!("{ROBOT}:5006"), rac.clone()),
         ] {
             self.translate(page, actual);
         }
-        for (actual, port) in [(tcp, 5007), (udp, 5007), (rac, 5006)] {
+        for (actual, port) in [(Some(tcp), 5007), (Some(udp), 5007), (rac, 5006)] {
+            let Some(actual) = actual else { continue };
             self.to_page.retain(|(known, _)| *known != actual);
             self.to_page.push((actual, format!("{ROBOT}:{port}")));
         }
@@ -125,11 +146,14 @@ impl World {
         };
         let mut words: Vec<String> = text.split_whitespace().map(str::to_owned).collect();
         let mut addresses = Vec::new();
+        let both = free_port();
         for &Listening { option, keys, default } in options {
             let page = words.iter().position(|word| word == option).map(|at| words.drain(at..at + 2).last().unwrap());
             let page = page.unwrap_or_else(|| default.to_owned());
             addresses.extend(keys.iter().map(|key| (*key, page.clone())));
-            words.extend([option.to_owned(), "127.0.0.1:0".to_owned()]);
+            // a real controller has one port for TCP and UDP
+            let port = if matches!(option, "--bcap" | "--udp") { both } else { 0 };
+            words.extend([option.to_owned(), format!("127.0.0.1:{port}")]);
         }
         let text = format!("exec {}", replace(&words.join(" "), &self.to_actual));
         let mut child = self.shell(&text).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
@@ -146,9 +170,8 @@ impl World {
             self.serve(&line, key, &page);
         }
         if words[1] == "sim" {
-            let [tcp, rac] = ["bcap", "rac"].map(|key| address(&line, key).unwrap());
-            let port = rac.rsplit(':').next().unwrap_or_default().to_owned();
-            self.robot = Some([("BCAP_ROBOT", format!("tcp:{tcp}")), ("BCAP_RAC_PORT", port)]);
+            let [tcp, rac] = ["bcap", "rac"].map(|key| address(&line, key));
+            self.robot = Some(variables(&tcp.unwrap(), rac.as_deref()));
         }
         Ok(line.trim_end().to_owned())
     }
@@ -188,6 +211,22 @@ impl Drop for World {
         for server in &mut self.servers {
             let _ = server.kill();
             let _ = server.wait();
+        }
+    }
+}
+
+/// The environment variables of a controller.
+fn variables(tcp: &str, rac: Option<&str>) -> [(&'static str, String); 2] {
+    let port = rac.and_then(|rac| rac.rsplit(':').next()).unwrap_or("5006");
+    [("BCAP_ROBOT", format!("tcp:{tcp}")), ("BCAP_RAC_PORT", port.to_owned())]
+}
+
+/// Returns a port that is free for TCP and UDP.
+fn free_port() -> u16 {
+    loop {
+        let tcp = TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+        if UdpSocket::bind(tcp).is_ok() {
+            return tcp.port();
         }
     }
 }
