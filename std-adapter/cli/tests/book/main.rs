@@ -8,8 +8,8 @@
 //! * A command that ends with `&` is a server of `bcap`. It listens on free ports; the test translates addresses in both
 //!   directions, and does so for the address 192.168.0.1 of the virtual controller as well.
 //!
-//! A comment `<!-- book: ... -->` above a block directs the test: `sim OPTIONS` starts another virtual controller (`sim slowed`: one with
-//! a slow clock, so that a busy machine meets the deadlines of Slave Mode), `run COMMAND` runs a command that the reader does not see, `file NAME` writes the next block to a file, `needs PROGRAM` runs the next
+//! A comment `<!-- book: ... -->` above a block directs the test: `sim OPTIONS` starts another virtual controller (`sim stepped`: one
+//! whose clock waits for its clients, so that a busy machine meets the deadlines of Slave Mode), `run COMMAND` runs a command that the reader does not see, `file NAME` writes the next block to a file, `needs PROGRAM` runs the next
 //! block only where PROGRAM is installed, and `skip REASON` does not run it.
 #![cfg(unix)]
 
@@ -83,7 +83,7 @@ fn every_command_runs_as_printed() {
     println!("book: {} pages, {commands} commands run, {programs} programs compiled by doc tests", pages.len());
     let failures: Vec<_> = outcomes.into_iter().flat_map(|outcome| outcome.failures).collect();
     assert!(failures.is_empty(), "\n{}", failures.join("\n"));
-    assert!(commands >= 100, "{commands} commands: are the blocks still found?");
+    assert!(commands >= 90, "{commands} commands: are the blocks still found?");
 }
 
 #[test]

@@ -13,7 +13,7 @@ use std::time::Duration;
 use bcap_sim::{Config, Controller, Profile};
 use bcap_std::server::Limits;
 use bcap_tests::served::Served;
-use bcap_tests::slowed::Slowed;
+use bcap_tests::stepped::Stepped;
 use tempfile::TempDir;
 
 use crate::page::Command;
@@ -43,10 +43,8 @@ const SIM: &[Listening] = &[
     listening("--rac", &["rac"], "127.0.0.1:5006"),
 ];
 const GATEWAY: &[Listening] = &[listening("--rac", &["rac"], "127.0.0.1:5006")];
-const PROXY: &[Listening] = &[
-    listening("--listen", &["bcap", "udp"], "127.0.0.1:5007"),
-    listening("--listen-rac", &["rac"], "127.0.0.1:5006"),
-];
+const PROXY: &[Listening] =
+    &[listening("--listen", &["bcap", "udp"], "127.0.0.1:5007"), listening("--listen-rac", &["rac"], "127.0.0.1:5006")];
 
 pub(crate) struct World {
     folder: TempDir,
@@ -57,7 +55,7 @@ pub(crate) struct World {
     /// The environment variables of the present controller.
     robot: Option<[(&'static str, String); 2]>,
     /// A virtual controller in this process, for pages about Slave Mode.
-    slowed: Option<Served<Slowed>>,
+    stepped: Option<Served<Stepped>>,
 }
 
 impl World {
@@ -65,7 +63,7 @@ impl World {
     pub(crate) fn new(docs: &Path) -> Self {
         let folder = tempfile::tempdir().unwrap();
         symlink(docs.canonicalize().unwrap(), folder.path().join("docs")).unwrap();
-        Self { folder, servers: Vec::new(), to_actual: Vec::new(), to_page: Vec::new(), robot: None, slowed: None }
+        Self { folder, servers: Vec::new(), to_actual: Vec::new(), to_page: Vec::new(), robot: None, stepped: None }
     }
 
     pub(crate) fn write(&mut self, name: &str, content: &str) {
@@ -79,11 +77,11 @@ impl World {
 
     /// Starts a virtual controller, which the pages know under the address [`ROBOT`].
     pub(crate) fn start_sim(&mut self, options: &str) {
-        if options == "slowed" {
+        if options == "stepped" {
             let config = Config { motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) };
-            let sim = Served::of(Slowed(Controller::new(config)), Limits::default());
+            let sim = Served::of(Stepped::new(Controller::new(config)), Limits::default());
             self.know(sim.tcp.to_string(), sim.udp.to_string(), None);
-            self.slowed = Some(sim);
+            self.stepped = Some(sim);
             return;
         }
         let ready = self.start(&format!("bcap sim {options}")).unwrap_or_else(|output| panic!("{output}"));
@@ -119,7 +117,9 @@ impl World {
                 self.start_sim("");
             }
             return match self.start(server.trim_end()).map(|line| replace(&line, &self.to_page)) {
-                Ok(line) if command.output.is_empty() || matches(&command.output, std::slice::from_ref(&line)) => Ok(()),
+                Ok(line) if command.output.is_empty() || matches(&command.output, std::slice::from_ref(&line)) => {
+                    Ok(())
+                }
                 Ok(output) => fail("the server prints:", &output),
                 Err(output) => fail("the server ends:", &output),
             };
@@ -127,7 +127,12 @@ impl World {
         if self.robot.is_none() {
             self.start_sim("");
         }
-        let output = self.shell(LIMITED).env("COMMAND", replace(&command.text, &self.to_actual)).stdin(Stdio::null()).output().unwrap();
+        let output = self
+            .shell(LIMITED)
+            .env("COMMAND", replace(&command.text, &self.to_actual))
+            .stdin(Stdio::null())
+            .output()
+            .unwrap();
         let shown = replace(&String::from_utf8_lossy(&output.stdout), &self.to_page);
         if output.status.code() != Some(command.exit) {
             return fail(&format!("ends with {:?}:", output.status), &shown);
