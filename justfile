@@ -32,6 +32,14 @@ lint:
 doc:
     bash .ci/run doc
 
+# The book, with its commands, links and pages checked. `mdbook` writes it into book/.
+book:
+    bash .ci/run book
+
+# Common misspellings, by the word list of typos; `_typos.toml` has the words that are right here.
+spelling:
+    bash .ci/run spelling
+
 # Searches linked images of the core for panic paths.
 no-panic:
     bash .ci/run no-panic
@@ -184,3 +192,11 @@ release version execute="":
 # A Debian package with a static binary, manual pages, completions and a unit for the gateway.
 debian:
     std-adapter/cli/packaging/debian
+
+# A container image of the static binary, if there is podman or buildah, and a test of its files in a chroot.
+container:
+    bash .ci/run container
+
+# Builds the static binary in two directories, and compares the bytes.
+reproducible:
+    std-adapter/cli/packaging/reproducible

@@ -35,3 +35,20 @@ pub mod stepped;
 #[cfg(doctest)]
 #[doc = include_str!("../../README.md")]
 pub struct Readme;
+
+/// The programs of the book are compiled; those without a socket run.
+#[cfg(doctest)]
+mod book {
+    #[doc = include_str!("../../docs/start.md")]
+    mod start {}
+    #[doc = include_str!("../../docs/variables.md")]
+    mod variables {}
+    #[doc = include_str!("../../docs/move.md")]
+    mod motion {}
+    #[doc = include_str!("../../docs/serial.md")]
+    mod serial {}
+    #[doc = include_str!("../../docs/test-your-driver.md")]
+    mod test_your_driver {}
+    #[doc = include_str!("../../docs/porting.md")]
+    mod porting {}
+}
