@@ -38,7 +38,6 @@ use embassy_sync::blocking_mutex::raw::{CriticalSectionRawMutex, NoopRawMutex};
 use embassy_time::{Duration, Timer};
 use static_cell::{ConstStaticCell, StaticCell};
 
-const ADDRESS: [u8; 6] = [0x02, 0, 0, 0xbc, 0xa9, 0x03];
 /// Concurrent PLCs, listeners, of which one answers PLCs without a slot, and the capacity of the LRU cache of handles.
 const SESSIONS: usize = 4;
 const LISTENERS: usize = SESSIONS + 1;
@@ -88,7 +87,8 @@ extern "C" fn program() -> ! {
 /// Not inlined: otherwise the temporaries of initialisation would stay on the stack forever.
 #[inline(never)]
 fn start(spawner: Spawner) -> Result<(), SpawnError> {
-    static RESOURCES: ConstStaticCell<StackResources<SOCKETS>> = ConstStaticCell::new(StackResources::new());
+    // not a `ConstStaticCell`: with a host name in it, the type is not `Send`
+    static RESOURCES: StaticCell<StackResources<SOCKETS>> = StaticCell::new();
     static SOCKET_MEMORY: ConstStaticCell<[[[u8; 512]; 2]; LISTENERS]> =
         ConstStaticCell::new([[[0; 512]; 2]; LISTENERS]);
 
@@ -100,7 +100,7 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     let settings = config::load(config::log);
     let robot = settings.robot;
     defmt::info!("gateway to {}, provider {=str}", defmt::Debug2Format(&robot), settings.provider);
-    let (stack, runner) = net::start(settings, ADDRESS, RESOURCES.take());
+    let (stack, runner) = net::start(settings, RESOURCES.init_with(StackResources::new));
     let board = make(settings);
     spawner.spawn(run_stack(runner)?);
     spawner.spawn(run_robot_link(stack, settings, board)?);
