@@ -135,6 +135,12 @@ impl<'a> Settings<'a> {
         invalid.map_or(Ok(()), Err)
     }
 
+    /// Returns the settings in a file: its lines without comments after `#`, without spaces around them, and not empty.
+    pub fn lines_of_file(text: &'a str) -> impl Iterator<Item = &'a str> {
+        let lines = text.lines().map(|line| line.split('#').next().unwrap_or_default().trim());
+        lines.filter(|line| !line.is_empty())
+    }
+
     /// Returns the rules for PLCs.
     #[must_use]
     pub fn rules<'r, 's: 'r>(&'s self, memory: &'r mut RuleMemory<'s>) -> Rules<'r> {

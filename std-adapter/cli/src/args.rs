@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand};
 
 mod backup;
+mod board;
 mod codec;
 mod files;
 mod gateway;
@@ -21,6 +22,7 @@ mod slave;
 mod variables;
 
 pub(crate) use self::backup::{Diff, Dump, Restore};
+pub(crate) use self::board::{Board, BoardCommand, Configure};
 pub(crate) use self::codec::{CaptureArgs, Decode, Encode, Text, TextCommand};
 pub(crate) use self::files::{Cp, Ls};
 pub(crate) use self::gateway::Gateway;
@@ -103,6 +105,7 @@ pub(crate) enum Command {
     Halt(Halt),
     Doctor(Doctor),
     Gateway(Gateway),
+    Board(Board),
     Proxy(Proxy),
     Replay(Replay),
     Demo(Demo),
@@ -121,6 +124,7 @@ impl Command {
         !matches!(
             self,
             Self::Profile(_)
+                | Self::Board(_)
                 | Self::Sim(_)
                 | Self::Demo(_)
                 | Self::Decode(_)
