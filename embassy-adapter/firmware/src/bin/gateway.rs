@@ -107,6 +107,8 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     for (number, memory) in (PLC..).zip(SOCKET_MEMORY.take()) {
         spawner.spawn(serve(stack, memory, settings, board, Task::new(number))?);
     }
+    #[cfg(feature = "console")]
+    spawner.spawn(serve_console()?);
     #[cfg(feature = "echo")]
     if let Some(port) = settings.echo {
         echo::start(spawner, stack, port)?;
@@ -202,6 +204,13 @@ async fn run_robot_link(stack: Stack<'static>, settings: &'static Settings<'stat
         select(run, net::improve_address(stack, settings, has_robot)).await;
     };
     watched(ROBOT, work).await
+}
+
+/// Serves the host that changes the settings.
+#[cfg(feature = "console")]
+#[embassy_executor::task]
+async fn serve_console() -> ! {
+    bcap_firmware::console::run().await
 }
 
 /// Provokes the fault that a letter on the serial port asks for.
