@@ -10,9 +10,13 @@ use bcap_core::gateway::RuleError;
 pub enum SettingError {
     /// The line is not `KEY=VALUE`, or there is no such key.
     Key,
+    /// The line contains NUL, which ends the settings.
+    Nul,
     /// The value does not have the form that its key asks for.
     Value,
-    /// The rule of a `get` or `put` is invalid; columns count from its first character.
+    /// The network before the rule of a `put@` is invalid.
+    Clients,
+    /// The rule of a `get` or `put` is invalid; its column counts from the first character of the rule.
     Rule(RuleError),
     /// A `get` has ranges of values, which only a `put` has.
     GetWithValues,
@@ -31,8 +35,10 @@ impl From<RuleError> for SettingError {
 impl fmt::Display for SettingError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Self::Rule(error) => return error.fmt(f),
+            Self::Rule(error) => return error.kind.fmt(f),
+            Self::Clients => "invalid network: expected put@ADDRESS[/PREFIX]=RULE",
             Self::Key => "expected KEY=VALUE with a known key",
+            Self::Nul => "a setting cannot contain NUL",
             Self::Value => "invalid value for this key",
             Self::GetWithValues => "a get has no ranges of values; only a put has",
             Self::TooManyNetworks => "too many networks: a board has memory for 16 allow lines",
@@ -42,3 +48,44 @@ impl fmt::Display for SettingError {
 }
 
 impl core::error::Error for SettingError {}
+
+impl SettingError {
+    /// Returns the column of the line at which the error is, in bytes counted from 1.
+    fn column(self, line: &[u8]) -> usize {
+        let after =
+            |count| line.iter().enumerate().filter(|(_, byte)| **byte == b'=').nth(count).map_or(1, |(at, _)| at + 2);
+        match self {
+            Self::Key | Self::TooManyNetworks | Self::TooManyRules => 1,
+            Self::Nul => line.iter().position(|byte| *byte == 0).map_or(1, |at| at + 1),
+            Self::Value => after(0),
+            Self::Clients => "put@".len() + 1,
+            Self::GetWithValues => after(1),
+            Self::Rule(error) => after(0) + usize::try_from(error.column.saturating_sub(1)).unwrap_or_default(),
+        }
+    }
+}
+
+/// An invalid line of the settings.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InvalidLine<'a> {
+    /// The line.
+    pub line: &'a [u8],
+    /// What is wrong with it.
+    pub error: SettingError,
+}
+
+impl InvalidLine<'_> {
+    /// Returns the column of the line at which the error is, in bytes counted from 1.
+    #[must_use]
+    pub fn column(&self) -> usize {
+        self.error.column(self.line)
+    }
+}
+
+impl fmt::Display for InvalidLine<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "invalid setting \"{}\": {}, at column {}", self.line.escape_ascii(), self.error, self.column())
+    }
+}
+
+impl core::error::Error for InvalidLine<'_> {}

@@ -3,7 +3,7 @@
 use core::fmt;
 use core::ops::Range;
 
-use crate::{BLOCK, MAGIC, SettingError, Settings};
+use crate::{BLOCK, InvalidLine, MAGIC, Settings};
 
 /// Why settings cannot be read from an image, or written into it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -14,12 +14,7 @@ pub enum ImageError<'a> {
     /// The image contains [`MAGIC`] more than once.
     ManyBlocks,
     /// A line of the settings is invalid.
-    Invalid {
-        /// The line.
-        line: &'a [u8],
-        /// What is wrong with it.
-        error: SettingError,
-    },
+    Invalid(InvalidLine<'a>),
     /// The settings are longer than the block.
     TooLong {
         /// Their length in bytes.
@@ -32,7 +27,7 @@ impl fmt::Display for ImageError<'_> {
         match self {
             Self::NoBlock => f.write_str("the image has no configuration block"),
             Self::ManyBlocks => f.write_str("the image has more than one configuration block"),
-            Self::Invalid { line, error } => write!(f, "invalid setting \"{}\": {error}", line.escape_ascii()),
+            Self::Invalid(line) => line.fmt(f),
             Self::TooLong { len } => write!(f, "the settings take {len} bytes of {}", BLOCK - MAGIC.len()),
         }
     }
@@ -69,13 +64,7 @@ pub fn text(image: &[u8]) -> Result<&[u8], ImageError<'static>> {
 /// # Ok::<(), image::ImageError<'_>>(())
 /// ```
 pub fn write<'a>(image: &mut [u8], settings: &'a [u8]) -> Result<(), ImageError<'a>> {
-    let mut invalid = None;
-    let _ = Settings::read(settings, |line, error| {
-        invalid.get_or_insert(ImageError::Invalid { line, error });
-    });
-    if let Some(error) = invalid {
-        return Err(error);
-    }
+    Settings::check(settings).map_err(ImageError::Invalid)?;
     let range = find(image)?;
     match image.get_mut(range).unwrap_or_default().split_at_mut_checked(settings.len()) {
         Some((text, rest)) => {
@@ -141,7 +130,7 @@ mod tests {
         let mut image = image();
         let error = write(&mut image, b"echo=7\nput=X\nrate=x\n").unwrap_err();
         let text =
-            "invalid setting \"put=X\": unknown kind of variable: expected one of I F D S V P J T IO, at column 1";
+            "invalid setting \"put=X\": unknown kind of variable: expected one of I F D S V P J T IO, at column 5";
         assert_eq!(error.to_string(), text);
         assert_eq!(image, self::image());
         assert_eq!(write(&mut [0x55; 4096], b""), Err(ImageError::NoBlock));

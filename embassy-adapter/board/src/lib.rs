@@ -19,7 +19,8 @@
 //! | `dhcp`     | `yes`, `no`: request an address by DHCP; always without an `address` | `yes` |
 //! | `address`  | `ADDRESS/PREFIX`: the board's address without DHCP, or when no server answers for 5 s | none |
 //! | `gateway`  | the default gateway, used with `address` | none                 |
-//! | `mac`      | `02:00:00:bc:a9:03`: the MAC address | that of the image        |
+//! | `mac`      | `02:00:00:bc:a9:03`: the MAC address | derived from the chip's id |
+//! | `hostname` | the name sent with DHCP: at most 32 letters, digits and hyphens | none |
 //! | `get`      | `KIND[/FIRST[-LAST]]`: what PLCs may read; can be repeated | everything |
 //! | `put`      | `KIND[/FIRST[-LAST]][=MIN..MAX[,MIN..MAX]...]`: what PLCs may write, and the accepted values; can be repeated | nothing |
 //! | `put@CLIENT` | as `put`, for the clients of a network only: `put@192.168.0.7=I/0-99`, `put@192.168.0.0/24=F` | |
@@ -37,14 +38,18 @@
 #[cfg(test)]
 extern crate std;
 
+pub mod console;
+pub mod crc;
 mod error;
 pub mod image;
 pub mod limiter;
+pub mod mac;
 pub mod ring;
 mod rules;
 mod settings;
+pub mod slots;
 
-pub use self::error::SettingError;
+pub use self::error::{InvalidLine, SettingError};
 pub use self::rules::RuleMemory;
 pub use self::settings::{Robot, Settings, Transport};
 

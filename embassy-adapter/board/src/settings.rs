@@ -6,8 +6,8 @@ use core::time::Duration;
 
 use bcap_core::gateway::{Network, Rate, Rules};
 
-use crate::SettingError;
 use crate::rules::{List, RuleMemory};
+use crate::{InvalidLine, SettingError};
 
 /// The settings of a board; its texts borrow from the block.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,8 +30,10 @@ pub struct Settings<'a> {
     pub address: Option<(Ipv4Addr, u8)>,
     /// The default gateway, used with `address`.
     pub gateway: Option<Ipv4Addr>,
-    /// The MAC address; `None` means that of the image.
+    /// The MAC address; `None` means one derived from the chip's id ([`mac::from_unique_id`](crate::mac::from_unique_id)).
     pub mac: Option<[u8; 6]>,
+    /// The name sent with DHCP; at most 32 characters.
+    pub hostname: Option<&'a str>,
     /// The port of the echo server, if there is one.
     pub echo: Option<u16>,
     /// The idle time after which a PLC's connection is closed; `None` means never.
@@ -78,6 +80,7 @@ impl Default for Settings<'_> {
             address: None,
             gateway: None,
             mac: None,
+            hostname: None,
             echo: None,
             idle: None,
             evict: Duration::from_secs(10),
@@ -117,6 +120,27 @@ impl<'a> Settings<'a> {
         settings
     }
 
+    /// Checks the text of a block as the board does.
+    ///
+    /// # Errors
+    ///
+    /// The first [`InvalidLine`].
+    pub fn check(text: &'a [u8]) -> Result<(), InvalidLine<'a>> {
+        let mut lines = text.split(|byte| *byte == b'\n');
+        let mut invalid =
+            lines.find(|line| line.contains(&0)).map(|line| InvalidLine { line, error: SettingError::Nul });
+        let _ = Self::read(text, |line, error| {
+            invalid.get_or_insert(InvalidLine { line, error });
+        });
+        invalid.map_or(Ok(()), Err)
+    }
+
+    /// Returns the settings in a file: its lines without comments after `#`, without spaces around them, and not empty.
+    pub fn lines_of_file(text: &'a str) -> impl Iterator<Item = &'a str> {
+        let lines = text.lines().map(|line| line.split('#').next().unwrap_or_default().trim());
+        lines.filter(|line| !line.is_empty())
+    }
+
     /// Returns the rules for PLCs.
     #[must_use]
     pub fn rules<'r, 's: 'r>(&'s self, memory: &'r mut RuleMemory<'s>) -> Rules<'r> {
@@ -137,6 +161,7 @@ impl<'a> Settings<'a> {
             "address" => self.address = Some(valid(network(text))?),
             "gateway" => self.gateway = Some(valid(text.parse().ok())?),
             "mac" => self.mac = Some(valid(mac(text))?),
+            "hostname" => self.hostname = Some(valid(hostname(text))?),
             "get" => self.lists.allow_get(text)?,
             "put" => self.lists.allow_put(Network::ANY, text)?,
             "allow" => self.lists.allow_clients(valid(Network::parse(text))?)?,
@@ -147,7 +172,7 @@ impl<'a> Settings<'a> {
             "rate" => self.rate = valid(rate(text))?,
             "echo" => self.echo = Some(valid(text.parse().ok().filter(|port| *port > 0))?),
             _ => match key.strip_prefix("put@") {
-                Some(clients) => self.lists.allow_put(valid(Network::parse(clients))?, text)?,
+                Some(clients) => self.lists.allow_put(Network::parse(clients).ok_or(SettingError::Clients)?, text)?,
                 None => return Err(SettingError::Key),
             },
         }
@@ -196,6 +221,13 @@ fn mac(value: &str) -> Option<[u8; 6]> {
     (parts.next().is_none() && mac[0] & 1 == 0 && mac != [0; 6]).then_some(mac)
 }
 
+/// Accepts a host name without dots (RFC 1123) that fits the 32 bytes that embassy-net sends.
+fn hostname(value: &str) -> Option<&str> {
+    let is_name = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'-';
+    let has_hyphen_at_end = value.starts_with('-') || value.ends_with('-');
+    ((1..=32).contains(&value.len()) && value.bytes().all(is_name) && !has_hyphen_at_end).then_some(value)
+}
+
 fn rate(value: &str) -> Option<Rate> {
     let (per_second, burst) = value.split_once('/').unwrap_or((value, value));
     let per_second = per_second.parse().ok()?;
@@ -226,7 +258,7 @@ mod tests {
     fn every_key_is_parsed() {
         let settings = read(
             "robot=udp:192.168.0.1:5008\nprovider=P\nmachine=m\noption=Server=10.6.235.60\nservice=\nvariable=P7\n\
-             dhcp=no\naddress=192.168.0.9/16\ngateway=192.168.0.254\nmac=02:00:00:BC:a9:7f\necho=7\nconvert=yes\n\
+             dhcp=no\naddress=192.168.0.9/16\ngateway=192.168.0.254\nmac=02:00:00:BC:a9:7f\nhostname=cell-7\necho=7\nconvert=yes\n\
              rate=50/10\nidle=60\nevict=3600\nkeepalive=1\n",
         );
         let expected = Settings {
@@ -240,6 +272,7 @@ mod tests {
             address: Some((Ipv4Addr::new(192, 168, 0, 9), 16)),
             gateway: Some(Ipv4Addr::new(192, 168, 0, 254)),
             mac: Some([2, 0, 0, 0xbc, 0xa9, 0x7f]),
+            hostname: Some("cell-7"),
             echo: Some(7),
             idle: Some(Duration::from_secs(60)),
             evict: Duration::from_secs(3600),
@@ -256,6 +289,23 @@ mod tests {
     }
 
     #[test]
+    fn the_first_invalid_line_is_named_with_the_column() {
+        for (text, column, error) in [
+            ("echo=7\nput=I/3-1\n", 7, "invalid index range 3-1: the first index is above the last"),
+            ("put@10.0.0.0/8=X", 16, "unknown kind of variable: expected one of I F D S V P J T IO"),
+            ("put@10.0.0=I", 5, "invalid network: expected put@ADDRESS[/PREFIX]=RULE"),
+            ("get=I=1..2", 7, "a get has no ranges of values; only a put has"),
+            ("hostname=-x\ncolour=red", 10, "invalid value for this key"),
+            ("colour=red", 1, "expected KEY=VALUE with a known key"),
+            ("provider=a\0b\nput=I", 11, "a setting cannot contain NUL"),
+        ] {
+            let found = Settings::check(text.as_bytes()).unwrap_err();
+            assert_eq!((found.column(), std::format!("{}", found.error).as_str()), (column, error), "{text:?}");
+        }
+        assert_eq!(Settings::check(b"echo=7\n\nput=I\n"), Ok(()));
+    }
+
+    #[test]
     fn an_invalid_line_is_reported_and_forbids_every_put() {
         for line in [
             "robot=10.0.2.2",
@@ -269,6 +319,11 @@ mod tests {
             "mac=03:00:00:bc:a9:03",
             "mac=00:00:00:00:00:00",
             "mac=2:0:0:bc:a9:3",
+            "hostname=",
+            "hostname=cell_7",
+            "hostname=-cell",
+            "hostname=cell.plant",
+            "hostname=a-name-of-33-characters-is-refused",
             "dhcp=maybe",
             "convert=",
             "rate=x",

@@ -21,6 +21,12 @@ mod chosen {
     pub(super) const ETHERNET_IRQ: u16 = 13;
     pub(super) const UART: usize = 0x4000_4000;
     pub(super) const UART_TX_IRQ: u16 = 1;
+    #[cfg(feature = "console")]
+    pub(super) const CONSOLE_UART: usize = 0x4000_5000;
+    #[cfg(feature = "console")]
+    pub(super) const CONSOLE_RX_IRQ: u16 = 2;
+    #[cfg(feature = "console")]
+    pub(super) const CONSOLE_TX_IRQ: u16 = 3;
     pub(super) const FPGA_IO: usize = 0x4002_8000;
     pub(super) const WATCHDOG: usize = 0x4000_8000;
     pub(super) const CLOCK_HZ: u32 = 25_000_000;
@@ -32,6 +38,12 @@ mod chosen {
     pub(super) const ETHERNET_IRQ: u16 = 48;
     pub(super) const UART: usize = 0x5020_0000;
     pub(super) const UART_TX_IRQ: u16 = 33;
+    #[cfg(feature = "console")]
+    pub(super) const CONSOLE_UART: usize = 0x5020_1000;
+    #[cfg(feature = "console")]
+    pub(super) const CONSOLE_RX_IRQ: u16 = 34;
+    #[cfg(feature = "console")]
+    pub(super) const CONSOLE_TX_IRQ: u16 = 35;
     pub(super) const FPGA_IO: usize = 0x5030_2000;
     pub(super) const WATCHDOG: usize = 0x5008_1000;
     pub(super) const CLOCK_HZ: u32 = 20_000_000;
@@ -41,6 +53,9 @@ mod chosen {
 pub(crate) const ETHERNET: Block = unsafe { Block::new(chosen::ETHERNET) };
 // SAFETY: a serial port without DMA
 pub(crate) const UART: Block = unsafe { Block::new(chosen::UART) };
+// SAFETY: a serial port without DMA
+#[cfg(feature = "console")]
+pub(crate) const CONSOLE_UART: Block = unsafe { Block::new(chosen::CONSOLE_UART) };
 // SAFETY: counters, LEDs and switches
 pub(crate) const FPGA_IO: Block = unsafe { Block::new(chosen::FPGA_IO) };
 // SAFETY: the processor's system control block
@@ -52,6 +67,11 @@ pub(crate) const WATCHDOG: Block = unsafe { Block::new(chosen::WATCHDOG) };
 pub(crate) const ETHERNET_IRQ: Irq = Irq(chosen::ETHERNET_IRQ);
 /// The interrupt of the serial port's transmitter.
 pub(crate) const UART_TX_IRQ: Irq = Irq(chosen::UART_TX_IRQ);
+/// The interrupts of the second serial port's receiver and transmitter.
+#[cfg(feature = "console")]
+pub(crate) const CONSOLE_RX_IRQ: Irq = Irq(chosen::CONSOLE_RX_IRQ);
+#[cfg(feature = "console")]
+pub(crate) const CONSOLE_TX_IRQ: Irq = Irq(chosen::CONSOLE_TX_IRQ);
 /// The clock of the core, and of SysTick.
 pub const CLOCK_HZ: u32 = chosen::CLOCK_HZ;
 

@@ -7,7 +7,11 @@ use cortex_m::interrupt::InterruptNumber as _;
 use cortex_m::peripheral::NVIC;
 use cortex_m_rt::exception;
 
+#[cfg(feature = "console")]
+use crate::board::{CONSOLE_RX_IRQ, CONSOLE_TX_IRQ};
 use crate::board::{ETHERNET_IRQ, UART_TX_IRQ};
+#[cfg(feature = "console")]
+use crate::console;
 use crate::{fault, lan9118, uart};
 
 #[exception]
@@ -18,9 +22,23 @@ unsafe fn DefaultHandler(number: i16) {
         lan9118::wake();
     } else if number == UART_TX_IRQ.number().cast_signed() {
         uart::transmit();
-    } else {
+    } else if !is_of_console(number) {
         fault::unexpected(number);
     }
+}
+
+/// Handles an interrupt of the second serial port; `false` if it is another one.
+fn is_of_console(number: i16) -> bool {
+    #[cfg(feature = "console")]
+    if number == CONSOLE_RX_IRQ.number().cast_signed() {
+        console::receive();
+        return true;
+    } else if number == CONSOLE_TX_IRQ.number().cast_signed() {
+        console::transmit();
+        return true;
+    }
+    let _ = number;
+    false
 }
 
 /// The NMI, to which only the watchdog is connected.

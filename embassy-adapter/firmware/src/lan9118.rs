@@ -17,6 +17,7 @@
 use core::sync::atomic::{AtomicU32, Ordering};
 use core::task::{Context, Waker};
 
+use bcap_board::mac::from_unique_id;
 use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState};
 use embassy_sync::waitqueue::AtomicWaker;
 use embassy_time::{Duration, Instant};
@@ -201,10 +202,17 @@ struct PhyLink {
 impl<'m> Lan9118<'m> {
     /// Resets the controller and sets its MAC address.
     ///
+    /// `None` means an address derived from that in the controller's EEPROM, the only unique id of this board.
+    ///
     /// # Errors
     ///
     /// An [`InitError`] when the controller is missing or does not respond.
-    pub fn new(address: [u8; 6], frames: &'m mut Frames) -> Result<Self, InitError> {
+    pub fn new(address: Option<[u8; 6]>, frames: &'m mut Frames) -> Result<Self, InitError> {
+        reset()?;
+        let address = match address {
+            Some(address) => address,
+            None => from_unique_id(&factory_address()?),
+        };
         let link = PhyLink { up: false, checked_at: None, received: 0, silent_since: Instant::MIN };
         let controller = Self { address, frames, link };
         controller.init()?;
@@ -213,12 +221,7 @@ impl<'m> Lan9118<'m> {
 
     /// Resets the controller, sets its MAC address and enables it.
     fn init(&self) -> Result<(), InitError> {
-        let found = ETHERNET.read::<{ register::BYTE_TEST }>();
-        if found != BYTE_TEST {
-            return Err(InitError::NotFound(found));
-        }
-        ETHERNET.write::<{ register::HW_CFG }>(SOFT_RESET);
-        wait_until(|| ETHERNET.read::<{ register::HW_CFG }>() & SOFT_RESET == 0)?;
+        reset()?;
         ETHERNET.write::<{ register::HW_CFG }>(HW_CFG);
 
         let [a, b, c, d, e, f] = self.address;
@@ -504,6 +507,23 @@ fn mii_ready() -> Result<(), InitError> {
         }
     }
     Err(InitError::Stuck)
+}
+
+/// Resets the controller, which then loads its factory address from its EEPROM.
+fn reset() -> Result<(), InitError> {
+    let found = ETHERNET.read::<{ register::BYTE_TEST }>();
+    if found != BYTE_TEST {
+        return Err(InitError::NotFound(found));
+    }
+    ETHERNET.write::<{ register::HW_CFG }>(SOFT_RESET);
+    wait_until(|| ETHERNET.read::<{ register::HW_CFG }>() & SOFT_RESET == 0)
+}
+
+/// Returns the MAC address from the EEPROM; valid after a reset until another address is set.
+fn factory_address() -> Result<[u8; 6], InitError> {
+    let [a, b, c, d] = read_mac(mac::ADDR_LOW)?.to_le_bytes();
+    let [e, f, ..] = read_mac(mac::ADDR_HIGH)?.to_le_bytes();
+    Ok([a, b, c, d, e, f])
 }
 
 fn read_mac(register: u32) -> Result<u32, InitError> {

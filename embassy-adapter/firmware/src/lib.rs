@@ -24,11 +24,15 @@
 pub mod board;
 pub mod clock;
 pub mod config;
+#[cfg(feature = "console")]
+pub mod console;
 #[cfg(feature = "echo")]
 pub mod echo;
 mod exceptions;
 pub mod executor;
 pub mod fault;
+#[cfg(feature = "console")]
+pub mod flash;
 pub mod lan9118;
 pub mod log;
 mod mmio;

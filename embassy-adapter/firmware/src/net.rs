@@ -16,20 +16,18 @@ const DHCP_AGAIN: Duration = Duration::from_secs(if cfg!(feature = "faults") { 3
 /// The runner that moves frames; one task must run it.
 pub type NetRunner = Runner<'static, &'static mut Lan9118<'static>>;
 
-/// Starts the network; `mac` is the default MAC address for settings without one. Call it once.
+/// Starts the network. Call it once.
 ///
 /// Without an Ethernet controller the program ends. Not inlined, because the network stack is built on the call stack.
 #[inline(never)]
 pub fn start<const SOCKETS: usize>(
     settings: &Settings<'_>,
-    mac: [u8; 6],
     resources: &'static mut StackResources<SOCKETS>,
 ) -> (Stack<'static>, NetRunner) {
     static FRAMES: ConstStaticCell<Frames> = ConstStaticCell::new(Frames::new());
     static DEVICE: StaticCell<Lan9118<'static>> = StaticCell::new();
 
-    let mac = settings.mac.unwrap_or(mac);
-    let device = match Lan9118::new(mac, FRAMES.take()) {
+    let device = match Lan9118::new(settings.mac, FRAMES.take()) {
         Ok(device) => DEVICE.init(device),
         Err(error) => {
             defmt::error!("no Ethernet controller: {}", error);
@@ -38,8 +36,9 @@ pub fn start<const SOCKETS: usize>(
     };
     let config = match own(settings).filter(|_| !settings.dhcp) {
         Some(own) => Config::ipv4_static(own),
-        None => Config::dhcpv4(DhcpConfig::default()),
+        None => Config::dhcpv4(dhcp(settings)),
     };
+    let mac = device.address();
     embassy_net::new(device, config, resources, seed(mac))
 }
 
@@ -68,10 +67,18 @@ pub async fn improve_address(stack: Stack<'_>, settings: &Settings<'_>, is_usefu
         Timer::after(DHCP_AGAIN).await;
         let has_own = stack.config_v4().is_some_and(|found| Some(&found) == own(settings).as_ref());
         if settings.dhcp && has_own && !is_useful() {
-            stack.set_config_v4(ConfigV4::Dhcp(DhcpConfig::default()));
+            stack.set_config_v4(ConfigV4::Dhcp(dhcp(settings)));
             find_address(stack, settings).await;
         }
     }
+}
+
+/// Returns the configuration of DHCP, with the board's name.
+fn dhcp(settings: &Settings<'_>) -> DhcpConfig {
+    let mut config = DhcpConfig::default();
+    // the settings accept only names that fit
+    config.hostname = settings.hostname.and_then(|name| name.try_into().ok());
+    config
 }
 
 /// Returns the configured address.

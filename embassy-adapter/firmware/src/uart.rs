@@ -11,7 +11,8 @@ use core::fmt;
 
 use bcap_board::ring::Ring;
 
-use crate::board::{self, UART, UART_TX_IRQ};
+use crate::board::{self, Irq, UART, UART_TX_IRQ};
+use crate::mmio::Block;
 
 /// Registers of the CMSDK serial port.
 mod register {
@@ -25,7 +26,11 @@ mod register {
 const TX_FULL: u32 = 1 << 0;
 const RX_FULL: u32 = 1 << 1;
 const ENABLE_TX_RX_TX_INTERRUPT: u32 = 0b111;
+#[cfg(feature = "console")]
+const RX_INTERRUPT_ENABLE: u32 = 1 << 3;
 const TX_INTERRUPT: u32 = 1 << 0;
+#[cfg(feature = "console")]
+const RX_INTERRUPT: u32 = 1 << 1;
 const BAUD: u32 = 115_200;
 /// The most bytes sent in one interrupt: the port has room for one or two, an emulated port has room for all.
 const BURST: usize = 16;
@@ -52,42 +57,70 @@ pub(crate) fn start() {
     board::pend(UART_TX_IRQ);
 }
 
-/// Handles the interrupt of the transmitter: sends some of the buffered bytes.
+/// Handles the interrupt of the transmitter.
 pub(crate) fn transmit() {
-    UART.write::<{ register::INT_CLEAR }>(TX_INTERRUPT);
+    transmit_to(UART, UART_TX_IRQ, &RING);
+}
+
+/// Sends some of the buffered bytes to a port, in the interrupt of its transmitter.
+pub(crate) fn transmit_to(port: Block, irq: Irq, ring: &Ring<4096>) {
+    port.write::<{ register::INT_CLEAR }>(TX_INTERRUPT);
     for _ in 0..BURST {
-        if UART.read::<{ register::STATE }>() & TX_FULL != 0 {
+        if port.read::<{ register::STATE }>() & TX_FULL != 0 {
             return;
         }
-        let Some(byte) = RING.pop() else { return };
-        UART.write::<{ register::DATA }>(u32::from(byte));
+        let Some(byte) = ring.pop() else { return };
+        port.write::<{ register::DATA }>(u32::from(byte));
     }
     // no interrupt comes if the port took the last byte before its interrupt was cleared
-    if !RING.is_empty() {
-        start();
+    if !ring.is_empty() {
+        board::pend(irq);
     }
 }
 
 /// Sends the buffered bytes by polling, for the end of a program; gives up when the port takes no byte.
 pub fn flush() {
+    flush_to(UART, &RING);
+}
+
+/// Sends the buffered bytes to a port by polling.
+pub(crate) fn flush_to(port: Block, ring: &Ring<4096>) {
     critical_section::with(|_| {
-        while !RING.is_empty() {
-            let is_free = || UART.read::<{ register::STATE }>() & TX_FULL == 0;
+        while !ring.is_empty() {
+            let is_free = || port.read::<{ register::STATE }>() & TX_FULL == 0;
             if !(0..FULL_POLLS).any(|_| is_free()) {
                 return;
             }
-            if let Some(byte) = RING.pop() {
-                UART.write::<{ register::DATA }>(u32::from(byte));
+            if let Some(byte) = ring.pop() {
+                port.write::<{ register::DATA }>(u32::from(byte));
             }
         }
     });
 }
 
+/// Enables another port in the same way, with an interrupt for each received byte.
+#[cfg(feature = "console")]
+pub(crate) fn enable(port: Block) {
+    port.write::<{ register::BAUD_DIVISOR }>(crate::board::CLOCK_HZ / BAUD);
+    port.write::<{ register::CONTROL }>(ENABLE_TX_RX_TX_INTERRUPT | RX_INTERRUPT_ENABLE);
+}
+
 /// Returns the received byte, if there is one.
 #[must_use]
 pub fn read() -> Option<u8> {
-    let has_come = UART.read::<{ register::STATE }>() & RX_FULL != 0;
-    has_come.then(|| UART.read::<{ register::DATA }>().to_le_bytes()[0])
+    received(UART)
+}
+
+/// Returns the received byte of another port, in the interrupt of its receiver.
+#[cfg(feature = "console")]
+pub(crate) fn receive_from(port: Block) -> Option<u8> {
+    port.write::<{ register::INT_CLEAR }>(RX_INTERRUPT);
+    received(port)
+}
+
+fn received(port: Block) -> Option<u8> {
+    let has_come = port.read::<{ register::STATE }>() & RX_FULL != 0;
+    has_come.then(|| port.read::<{ register::DATA }>().to_le_bytes()[0])
 }
 
 /// A text writer to the serial port.

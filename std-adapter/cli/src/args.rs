@@ -8,6 +8,7 @@ use std::path::PathBuf;
 use clap::{Args, CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
 mod backup;
+mod board;
 mod codec;
 mod conform;
 mod files;
@@ -26,6 +27,7 @@ mod slave_format;
 mod variables;
 
 pub(crate) use self::backup::{Diff, Dump, Restore};
+pub(crate) use self::board::{Board, BoardCommand, Configure};
 pub(crate) use self::codec::{CaptureArgs, Decode, Encode, Text, TextCommand};
 pub(crate) use self::conform::{Conform, LevelArg};
 pub(crate) use self::files::{Cp, Ls};
@@ -123,6 +125,7 @@ pub(crate) enum Command {
     Halt(Halt),
     Doctor(Doctor),
     Gateway(Gateway),
+    Board(Board),
     Proxy(Proxy),
     Replay(Replay),
     Conform(Conform),
@@ -143,6 +146,7 @@ impl Command {
         !matches!(
             self,
             Self::Profile(_)
+                | Self::Board(_)
                 | Self::Sim(_)
                 | Self::Demo(_)
                 | Self::Decode(_)

@@ -2,6 +2,7 @@
 
 mod args;
 mod backup;
+mod board;
 mod budget;
 mod call;
 mod capture;
@@ -154,6 +155,7 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Halt(_) => halt::halt(session, json),
         Command::Doctor(args) => doctor::doctor(args, link, json),
         Command::Gateway(args) => gateway::gateway(args, link.untraced()?),
+        Command::Board(args) => board::board(args, link, json),
         Command::Proxy(args) => proxy::proxy(args, link.untraced()?, json),
         Command::Replay(args) => replay::replay(args, link.untraced()?, json),
         Command::Conform(args) => conform::conform(args, link, json),

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::ExitCode;
 use std::{env, fs};
 
-use bcap_board::image;
+use bcap_board::{Settings, image};
 
 const USAGE: &str = "usage: configure IMAGE [KEY=VALUE | @FILE]...
 
@@ -45,17 +45,18 @@ fn configure(path: &Path, arguments: &[String]) -> Result<(), Box<dyn Error>> {
 fn settings(arguments: &[String]) -> Result<String, String> {
     let mut settings = String::new();
     for argument in arguments {
-        let text = match argument.strip_prefix('@') {
-            Some(path) => &fs::read_to_string(path).map_err(|error| format!("{path}: {error}"))?,
-            None => argument,
-        };
-        for line in text.lines() {
-            // only files have comments; an argument may contain #
-            let line = if argument.starts_with('@') { line.split('#').next().unwrap_or_default().trim() } else { line };
-            if !line.is_empty() {
-                settings.push_str(line);
-                settings.push('\n');
+        let file;
+        // only files have comments; an argument may contain #
+        let lines: Vec<_> = match argument.strip_prefix('@') {
+            Some(path) => {
+                file = fs::read_to_string(path).map_err(|error| format!("{path}: {error}"))?;
+                Settings::lines_of_file(&file).collect()
             }
+            None => argument.lines().filter(|line| !line.is_empty()).collect(),
+        };
+        for line in lines {
+            settings.push_str(line);
+            settings.push('\n');
         }
     }
     Ok(settings)

@@ -24,8 +24,6 @@ use smoltcp::socket::tcp;
 use smoltcp::wire::{EthernetAddress, IpCidr};
 use static_cell::ConstStaticCell;
 
-const ADDRESS: [u8; 6] = [0x02, 0, 0, 0xbc, 0xa9, 0x01];
-
 #[panic_handler]
 fn panic(info: &core::panic::PanicInfo<'_>) -> ! {
     fault::panic_text(info)
@@ -47,7 +45,7 @@ extern "C" fn program() -> ! {
     let settings = config::load(|line| {
         let _ = writeln!(Text, "settings: cannot read \"{}\"", line.escape_ascii());
     });
-    let mut device = match Lan9118::new(ADDRESS, FRAMES.take()) {
+    let mut device = match Lan9118::new(settings.mac, FRAMES.take()) {
         Ok(device) => device,
         Err(error) => {
             let _ = writeln!(Text, "no Ethernet controller: {error:?}");
@@ -82,7 +80,7 @@ extern "C" fn program() -> ! {
 
 /// Creates the interface with the configured address.
 fn interface(device: &mut Lan9118<'_>, settings: &Settings<'_>) -> Interface {
-    let address = EthernetAddress(ADDRESS);
+    let address = EthernetAddress(device.address());
     let mut interface = Interface::new(iface::Config::new(address.into()), device, bare::to_smoltcp(now()));
     // without DHCP it needs a configured address
     let Some((own, prefix)) = settings.address else { return interface };

@@ -38,7 +38,6 @@ use embassy_sync::blocking_mutex::raw::{CriticalSectionRawMutex, NoopRawMutex};
 use embassy_time::{Duration, Timer};
 use static_cell::{ConstStaticCell, StaticCell};
 
-const ADDRESS: [u8; 6] = [0x02, 0, 0, 0xbc, 0xa9, 0x03];
 /// Concurrent PLCs, listeners, of which one answers PLCs without a slot, and the capacity of the LRU cache of handles.
 const SESSIONS: usize = 4;
 const LISTENERS: usize = SESSIONS + 1;
@@ -88,7 +87,8 @@ extern "C" fn program() -> ! {
 /// Not inlined: otherwise the temporaries of initialisation would stay on the stack forever.
 #[inline(never)]
 fn start(spawner: Spawner) -> Result<(), SpawnError> {
-    static RESOURCES: ConstStaticCell<StackResources<SOCKETS>> = ConstStaticCell::new(StackResources::new());
+    // not a `ConstStaticCell`: with a host name in it, the type is not `Send`
+    static RESOURCES: StaticCell<StackResources<SOCKETS>> = StaticCell::new();
     static SOCKET_MEMORY: ConstStaticCell<[[[u8; 512]; 2]; LISTENERS]> =
         ConstStaticCell::new([[[0; 512]; 2]; LISTENERS]);
 
@@ -100,13 +100,15 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     let settings = config::load(config::log);
     let robot = settings.robot;
     defmt::info!("gateway to {}, provider {=str}", defmt::Debug2Format(&robot), settings.provider);
-    let (stack, runner) = net::start(settings, ADDRESS, RESOURCES.take());
+    let (stack, runner) = net::start(settings, RESOURCES.init_with(StackResources::new));
     let board = make(settings);
     spawner.spawn(run_stack(runner)?);
     spawner.spawn(run_robot_link(stack, settings, board)?);
     for (number, memory) in (PLC..).zip(SOCKET_MEMORY.take()) {
         spawner.spawn(serve(stack, memory, settings, board, Task::new(number))?);
     }
+    #[cfg(feature = "console")]
+    spawner.spawn(serve_console()?);
     #[cfg(feature = "echo")]
     if let Some(port) = settings.echo {
         echo::start(spawner, stack, port)?;
@@ -202,6 +204,13 @@ async fn run_robot_link(stack: Stack<'static>, settings: &'static Settings<'stat
         select(run, net::improve_address(stack, settings, has_robot)).await;
     };
     watched(ROBOT, work).await
+}
+
+/// Serves the host that changes the settings.
+#[cfg(feature = "console")]
+#[embassy_executor::task]
+async fn serve_console() -> ! {
+    bcap_firmware::console::run().await
 }
 
 /// Provokes the fault that a letter on the serial port asks for.

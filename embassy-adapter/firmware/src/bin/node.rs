@@ -25,7 +25,6 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_time::{Instant, Timer};
 use static_cell::{ConstStaticCell, StaticCell};
 
-const ADDRESS: [u8; 6] = [0x02, 0, 0, 0xbc, 0xa9, 0x02];
 const RAC_SESSIONS: usize = 4;
 const BCAP_PORT: u16 = 5007;
 /// Sockets: RAC, b-CAP over TCP and UDP, the robot, DHCP.
@@ -60,7 +59,8 @@ extern "C" fn program() -> ! {
 /// Not inlined: otherwise the temporaries of initialisation would stay on the stack forever.
 #[inline(never)]
 fn start(spawner: Spawner) -> Result<(), SpawnError> {
-    static RESOURCES: ConstStaticCell<StackResources<SOCKETS>> = ConstStaticCell::new(StackResources::new());
+    // not a `ConstStaticCell`: with a host name in it, the type is not `Send`
+    static RESOURCES: StaticCell<StackResources<SOCKETS>> = StaticCell::new();
     static RAC: ConstStaticCell<[[[u8; 512]; 2]; RAC_SESSIONS]> = ConstStaticCell::new([[[0; 512]; 2]; RAC_SESSIONS]);
     // apart from their memory, which would lie in the flash as well if it were part of a value that is not all zero
     static SESSIONS: [StaticCell<Option<RacSession>>; RAC_SESSIONS] = [const { StaticCell::new() }; RAC_SESSIONS];
@@ -72,7 +72,7 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     let settings = config::load(config::log);
     let robot = settings.robot.address;
     defmt::info!("robot {}, provider {=str}", defmt::Debug2Format(&robot), settings.provider);
-    let (stack, runner) = net::start(settings, ADDRESS, RESOURCES.take());
+    let (stack, runner) = net::start(settings, RESOURCES.init_with(StackResources::new));
     spawner.spawn(run_stack(runner)?);
     spawner.spawn(find_address(stack, settings)?);
     for (memory, session) in RAC.take().iter_mut().zip(&SESSIONS) {

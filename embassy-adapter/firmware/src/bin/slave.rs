@@ -28,9 +28,8 @@ use bcap_firmware::{clock, config, executor, fault, stack};
 use embassy_executor::{SpawnError, Spawner};
 use embassy_net::{Stack, StackResources};
 use embassy_time::Timer;
-use static_cell::ConstStaticCell;
+use static_cell::{ConstStaticCell, StaticCell};
 
-const ADDRESS: [u8; 6] = [0x02, 0, 0, 0xbc, 0xa9, 0x04];
 /// Sockets: two connections, DHCP.
 const SOCKETS: usize = 3;
 const CYCLES: u32 = 2000;
@@ -63,7 +62,8 @@ extern "C" fn program() -> ! {
 /// Starts the board and all tasks.
 #[inline(never)]
 fn start(spawner: Spawner) -> Result<(), SpawnError> {
-    static RESOURCES: ConstStaticCell<StackResources<SOCKETS>> = ConstStaticCell::new(StackResources::new());
+    // not a `ConstStaticCell`: with a host name in it, the type is not `Send`
+    static RESOURCES: StaticCell<StackResources<SOCKETS>> = StaticCell::new();
 
     uart::init();
     if let Some(peripherals) = cortex_m::Peripherals::take() {
@@ -72,7 +72,7 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     let settings = config::load(|line| {
         let _ = writeln!(Text, "settings: cannot read \"{}\"", line.escape_ascii());
     });
-    let (stack, runner) = net::start(settings, ADDRESS, RESOURCES.take());
+    let (stack, runner) = net::start(settings, RESOURCES.init_with(StackResources::new));
     spawner.spawn(run_stack(runner)?);
     spawner.spawn(play(stack, settings)?);
     Ok(())

@@ -1,0 +1,191 @@
+//! Changes the settings in flash over a serial line.
+//!
+//! A host sends a request as a line; the board answers with a line that starts with `ok` or `error`. A line that is empty is
+//! ignored, and a carriage return, too.
+//!
+//! | request          | what the board does                                              | answer            |
+//! |------------------|------------------------------------------------------------------|-------------------|
+//! | `hello`          | tells that it speaks this protocol                               | `ok bcap-board 1` |
+//! | `show`           | sends the settings, a line `setting KEY=VALUE` for each          | `ok flash` or `ok image`, their place |
+//! | `new`            | starts empty settings                                            | `ok`              |
+//! | `add KEY=VALUE`  | adds a line to them, if it is valid                              | `ok`              |
+//! | `save CRC32`     | writes them into the flash, if that is their CRC-32, in hexadecimal | `ok`           |
+//! | `factory`        | removes the settings from the flash, so those of the image count | `ok`              |
+//! | `restart`        | restarts: the settings are read at the start                     | `ok`              |
+//!
+//! The settings of the board change with `save` and `factory` only, and a power cut in either leaves the earlier settings or
+//! the new ones ([`slots`](crate::slots)).
+
+use core::fmt;
+use core::str;
+
+use embedded_io::{Read, Write, WriteFmtError};
+use embedded_storage::nor_flash::NorFlash;
+use heapless::Vec;
+
+use crate::Settings;
+use crate::crc::Crc32;
+use crate::slots::{Slots, TEXT};
+
+/// The most bytes of a request.
+pub const LINE: usize = 512;
+/// The answer to `hello`.
+pub const HELLO: &str = "ok bcap-board 1";
+
+/// What the board must do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Action {
+    /// Restart, once the answer has left.
+    Restart,
+}
+
+/// The board's side of the protocol.
+#[derive(Debug)]
+pub struct Console<'a, F> {
+    slots: Slots<F>,
+    /// The settings of the image.
+    image: &'a [u8],
+    /// The request that arrives.
+    request: Vec<u8, LINE>,
+    is_too_long: bool,
+    /// The settings that the host sends.
+    new: [u8; TEXT],
+    len: usize,
+}
+
+impl<'a, F: NorFlash> Console<'a, F> {
+    /// Serves these slots; `image` has the settings that are used without valid slots.
+    #[must_use]
+    pub const fn new(slots: Slots<F>, image: &'a [u8]) -> Self {
+        Self { slots, image, request: Vec::new(), is_too_long: false, new: [0; TEXT], len: 0 }
+    }
+
+    /// Takes a received byte; at the end of a request, does it and writes the answer to `port`.
+    ///
+    /// # Errors
+    ///
+    /// An error of `port`.
+    pub fn receive<W: Write>(&mut self, byte: u8, port: &mut W) -> Result<Option<Action>, W::Error> {
+        if !matches!(byte, b'\r' | b'\n') {
+            self.is_too_long |= self.request.push(byte).is_err();
+            return Ok(None);
+        }
+        let request = core::mem::take(&mut self.request);
+        if core::mem::take(&mut self.is_too_long) {
+            answer(port, format_args!("error the request is longer than {LINE} bytes"))?;
+            return Ok(None);
+        }
+        if request.is_empty() {
+            return Ok(None);
+        }
+        self.perform(&request, port)
+    }
+
+    /// Serves a port until the host asks for a restart, or the port ends.
+    ///
+    /// # Errors
+    ///
+    /// An error of `port`.
+    pub fn run<P: Read + Write>(&mut self, port: &mut P) -> Result<Option<Action>, P::Error> {
+        let mut byte = [0];
+        while port.read(&mut byte)? > 0 {
+            if let Some(action) = self.receive(byte[0], port)? {
+                return Ok(Some(action));
+            }
+        }
+        Ok(None)
+    }
+
+    fn perform<W: Write>(&mut self, request: &[u8], port: &mut W) -> Result<Option<Action>, W::Error> {
+        let Ok(request) = str::from_utf8(request) else {
+            answer(port, format_args!("error the request is not UTF-8"))?;
+            return Ok(None);
+        };
+        let (verb, argument) = request.split_once(' ').unwrap_or((request, ""));
+        let mut action = None;
+        match verb {
+            "hello" => answer(port, format_args!("{HELLO}"))?,
+            "show" => self.show(port)?,
+            "new" => {
+                self.len = 0;
+                answer(port, format_args!("ok"))?;
+            }
+            "add" => self.add(argument.as_bytes(), port)?,
+            "save" => self.save(argument, port)?,
+            "factory" => result(port, self.slots.clear())?,
+            "restart" => {
+                action = Some(Action::Restart);
+                answer(port, format_args!("ok"))?;
+            }
+            _ => answer(port, format_args!("error unknown request \"{}\"", verb.escape_debug()))?,
+        }
+        Ok(action)
+    }
+
+    /// Sends the settings. It reads them into the memory of the new ones, which are lost.
+    fn show<W: Write>(&mut self, port: &mut W) -> Result<(), W::Error> {
+        self.len = 0;
+        let (text, place) = match self.slots.read(&mut self.new) {
+            Ok(Some(text)) => (text, "flash"),
+            Ok(None) => (self.image, "image"),
+            Err(error) => return answer(port, format_args!("error {error}")),
+        };
+        let text = text.split(|byte| *byte == 0).next().unwrap_or_default();
+        for line in text.split(|byte| *byte == b'\n').filter(|line| !line.is_empty()) {
+            port.write_all(b"setting ")?;
+            port.write_all(line)?;
+            port.write_all(b"\n")?;
+        }
+        answer(port, format_args!("ok {place}"))
+    }
+
+    /// Adds a line to the new settings.
+    fn add<W: Write>(&mut self, line: &[u8], port: &mut W) -> Result<(), W::Error> {
+        if line.is_empty() {
+            return answer(port, format_args!("error add needs KEY=VALUE"));
+        }
+        let end = self.len + line.len() + 1;
+        let Some((last, room)) = self.new.get_mut(self.len..end).and_then(<[u8]>::split_last_mut) else {
+            return answer(port, format_args!("error the settings take {end} bytes of {TEXT}"));
+        };
+        room.copy_from_slice(line);
+        *last = b'\n';
+        // all lines together, because the memory for rules is limited
+        match Settings::check(self.new.get(..end).unwrap_or_default()) {
+            Err(error) => answer(port, format_args!("error {error}")),
+            Ok(()) => {
+                self.len = end;
+                answer(port, format_args!("ok"))
+            }
+        }
+    }
+
+    fn save<W: Write>(&mut self, crc: &str, port: &mut W) -> Result<(), W::Error> {
+        let text = self.new.get(..self.len).unwrap_or_default();
+        let found = Crc32::new().and(text).value();
+        if u32::from_str_radix(crc, 16) != Ok(found) {
+            return answer(port, format_args!("error the settings have the CRC-32 {found:08x}"));
+        }
+        let written = self.slots.write(text);
+        result(port, written)
+    }
+}
+
+/// Answers with the result of an operation on the flash.
+fn result<W: Write, E: fmt::Display>(port: &mut W, result: Result<(), E>) -> Result<(), W::Error> {
+    match result {
+        Ok(()) => answer(port, format_args!("ok")),
+        Err(error) => answer(port, format_args!("error {error}")),
+    }
+}
+
+fn answer<W: Write>(port: &mut W, text: fmt::Arguments<'_>) -> Result<(), W::Error> {
+    match port.write_fmt(text) {
+        Err(WriteFmtError::Other(error)) => return Err(error),
+        // the texts here cannot fail
+        Err(WriteFmtError::FmtError) | Ok(()) => {}
+    }
+    port.write_all(b"\n")?;
+    port.flush()
+}

@@ -1,0 +1,113 @@
+//! Tests the protocol that changes settings over a serial line.
+
+mod flash;
+
+use std::convert::Infallible;
+
+use bcap_board::console::{Action, Console, LINE};
+use bcap_board::crc::Crc32;
+use bcap_board::slots::{Slots, TEXT};
+use flash::Flash;
+
+const IMAGE: &[u8] = b"robot=192.168.0.1:5007\nput=I/0-9\n\0\0\0\0";
+
+type Board = Console<'static, Flash<4, 2048>>;
+
+fn board() -> Board {
+    Console::new(Slots::new(Flash::new(4096), 0..4096).unwrap(), IMAGE)
+}
+
+/// Sends bytes and returns the answers.
+fn send(board: &mut Board, bytes: &[u8]) -> String {
+    let mut port = Port::default();
+    for byte in bytes {
+        assert_eq!(board.receive(*byte, &mut port), Ok(None));
+    }
+    String::from_utf8(port.0).unwrap()
+}
+
+/// What the board sent.
+#[derive(Default)]
+struct Port(Vec<u8>);
+
+impl embedded_io::ErrorType for Port {
+    type Error = Infallible;
+}
+
+impl embedded_io::Write for Port {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
+        // a port may take a part only
+        let count = bytes.len().min(3);
+        self.0.extend(&bytes[..count]);
+        Ok(count)
+    }
+
+    fn flush(&mut self) -> Result<(), Infallible> {
+        Ok(())
+    }
+}
+
+fn crc(text: &str) -> String {
+    format!("{:08x}", Crc32::new().and(text.as_bytes()).value())
+}
+
+#[test]
+fn settings_are_saved_shown_and_removed() {
+    let mut board = board();
+    assert_eq!(send(&mut board, b"hello\r\n"), "ok bcap-board 1\n");
+    let of_image = "setting robot=192.168.0.1:5007\nsetting put=I/0-9\nok image\n";
+    assert_eq!(send(&mut board, b"show\n"), of_image);
+    assert_eq!(send(&mut board, b"new\nadd put=I/0-99\nadd hostname=cell-7\n"), "ok\nok\nok\n");
+    let saved = crc("put=I/0-99\nhostname=cell-7\n");
+    assert_eq!(send(&mut board, format!("save {saved}\n").as_bytes()), "ok\n");
+    assert_eq!(send(&mut board, b"show\n"), "setting put=I/0-99\nsetting hostname=cell-7\nok flash\n");
+    assert_eq!(send(&mut board, b"factory\nshow\n"), ["ok\n", of_image].concat());
+}
+
+#[test]
+fn invalid_requests_are_answered_and_change_nothing() {
+    let mut board = board();
+    for (request, answer) in [
+        (
+            "add put=I/3-1",
+            "error invalid setting \"put=I/3-1\": invalid index range 3-1: the first index is above the last, at column 7",
+        ),
+        ("add colour=red", "error invalid setting \"colour=red\": expected KEY=VALUE with a known key, at column 1"),
+        ("add", "error add needs KEY=VALUE"),
+        ("add machine=a\0b", "error invalid setting \"machine=a\\x00b\": a setting cannot contain NUL, at column 10"),
+        ("save 1", "error the settings have the CRC-32 00000000"),
+        ("save", "error the settings have the CRC-32 00000000"),
+        ("Hello", "error unknown request \"Hello\""),
+        ("\u{7}", "error unknown request \"\\u{7}\""),
+    ] {
+        assert_eq!(send(&mut board, format!("{request}\n").as_bytes()), format!("{answer}\n"), "{request:?}");
+    }
+    assert_eq!(send(&mut board, b"\xff\xfe\n"), "error the request is not UTF-8\n");
+    assert_eq!(send(&mut board, b"\n\r\n\r"), "", "empty lines");
+    assert_eq!(send(&mut board, &[b'x'; LINE]), "");
+    assert_eq!(send(&mut board, b"\n").len(), "error unknown request \"\"\n".len() + LINE, "the longest request");
+    assert_eq!(
+        send(&mut board, &[&[b'x'; LINE + 1][..], b"\nhello\n"].concat()),
+        "error the request is longer than 512 bytes\nok bcap-board 1\n"
+    );
+    // what was refused is not a part of the new settings
+    assert_eq!(send(&mut board, b"save 00000000\nshow\n"), "ok\nok flash\n");
+}
+
+#[test]
+fn settings_beyond_the_memory_are_refused() {
+    let mut board = board();
+    let line = format!("add provider={}\n", "x".repeat(TEXT / 5 - 10));
+    let answers = send(&mut board, line.repeat(6).as_bytes());
+    assert_eq!(answers, "ok\n".repeat(5) + &format!("error the settings take {} bytes of {TEXT}\n", TEXT / 5 * 6));
+    let rules = send(&mut board, ["new\n", &"add put=I\n".repeat(33)].concat().as_bytes());
+    assert!(rules.starts_with(&"ok\n".repeat(33)) && rules.contains("too many rules"), "{rules}");
+}
+
+#[test]
+fn a_restart_is_an_action_after_its_answer() {
+    let mut port = Port::default();
+    let mut board = board();
+    let last = b"restart\n".iter().map(|byte| board.receive(*byte, &mut port).unwrap()).last();
+    assert_eq!((last, port.0), (Some(Some(Action::Restart)), b"ok\n".to_vec()));
+}

@@ -1,0 +1,113 @@
+//! A model of a NOR flash whose power can be cut at every byte.
+#![allow(dead_code, reason = "every test file uses its own part of this")]
+
+use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashError, NorFlashErrorKind, ReadNorFlash};
+
+/// A flash that is written in units of `WRITE` bytes and erased in sectors of `ERASE` bytes.
+///
+/// Writing can only clear bits. Writing a byte and erasing a byte are a step each. When the steps are used up, the power is
+/// cut: the byte of that step gets an arbitrary value between the old and the new one, and all later operations fail.
+#[derive(Clone, Debug)]
+pub(crate) struct Flash<const WRITE: usize, const ERASE: usize> {
+    bytes: Vec<u8>,
+    /// The steps until the power cut, and those done.
+    left: Option<u32>,
+    done: u32,
+}
+
+/// Why an operation failed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum FlashError {
+    PowerCut,
+    /// A misaligned operation, or one out of bounds.
+    Misuse,
+    /// A bit to be set, which only erasing does.
+    NotErased,
+}
+
+impl NorFlashError for FlashError {
+    fn kind(&self) -> NorFlashErrorKind {
+        NorFlashErrorKind::Other
+    }
+}
+
+impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
+    /// Makes a flash with random contents.
+    pub(crate) fn new(len: usize) -> Self {
+        let noise = (0..len).map(|at| u8::try_from(at.wrapping_mul(2_654_435_761) >> 11 & 0xff).unwrap());
+        Self { bytes: noise.collect(), left: None, done: 0 }
+    }
+
+    /// Cuts the power at this step from now on; `None` means never.
+    pub(crate) fn with_cut_at(self, step: Option<u32>) -> Self {
+        Self { left: step, ..self }
+    }
+
+    /// Does a step on a byte.
+    fn step(&mut self, at: usize, new: u8) -> Result<(), FlashError> {
+        if let Some(left) = &mut self.left {
+            if *left == 0 {
+                return Err(FlashError::PowerCut);
+            }
+            *left -= 1;
+            if *left == 0 {
+                // some of the bits have changed
+                let changed = self.bytes[at] ^ new;
+                let some = u8::try_from(self.done.wrapping_mul(0x9e37_79b1) >> 24).unwrap();
+                self.bytes[at] ^= changed & some;
+                return Err(FlashError::PowerCut);
+            }
+        }
+        self.done += 1;
+        self.bytes[at] = new;
+        Ok(())
+    }
+
+    fn range(&self, from: u32, to: u32, unit: usize) -> Result<std::ops::Range<usize>, FlashError> {
+        let range = usize::try_from(from).unwrap()..usize::try_from(to).unwrap();
+        let is_valid =
+            range.start.is_multiple_of(unit) && range.end.is_multiple_of(unit) && range.end <= self.bytes.len();
+        is_valid.then_some(range).ok_or(FlashError::Misuse)
+    }
+}
+
+impl<const WRITE: usize, const ERASE: usize> ErrorType for Flash<WRITE, ERASE> {
+    type Error = FlashError;
+}
+
+impl<const WRITE: usize, const ERASE: usize> ReadNorFlash for Flash<WRITE, ERASE> {
+    const READ_SIZE: usize = if WRITE > 4 { 4 } else { WRITE };
+
+    fn read(&mut self, offset: u32, bytes: &mut [u8]) -> Result<(), FlashError> {
+        let range = self.range(offset, offset + u32::try_from(bytes.len()).unwrap(), Self::READ_SIZE)?;
+        bytes.copy_from_slice(&self.bytes[range]);
+        Ok(())
+    }
+
+    fn capacity(&self) -> usize {
+        self.bytes.len()
+    }
+}
+
+impl<const WRITE: usize, const ERASE: usize> NorFlash for Flash<WRITE, ERASE> {
+    const WRITE_SIZE: usize = WRITE;
+    const ERASE_SIZE: usize = ERASE;
+
+    fn erase(&mut self, from: u32, to: u32) -> Result<(), FlashError> {
+        for at in self.range(from, to, ERASE)? {
+            self.step(at, 0xff)?;
+        }
+        Ok(())
+    }
+
+    fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), FlashError> {
+        let range = self.range(offset, offset + u32::try_from(bytes.len()).unwrap(), WRITE)?;
+        for (at, new) in range.zip(bytes) {
+            if self.bytes[at] & new != *new {
+                return Err(FlashError::NotErased);
+            }
+            self.step(at, *new)?;
+        }
+        Ok(())
+    }
+}

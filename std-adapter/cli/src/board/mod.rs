@@ -1,0 +1,100 @@
+//! `bcap board`: the settings of a board over a serial line, in the protocol of [`bcap_board::console`].
+
+mod port;
+
+use std::fs;
+
+use bcap_board::Settings;
+use bcap_board::console::LINE;
+use bcap_board::crc::Crc32;
+use bcap_board::slots::TEXT;
+
+use self::port::{Answer, Port};
+use crate::args::{Board, BoardCommand, Configure, LinkArgs};
+use crate::error::Failure;
+use crate::output;
+
+pub(crate) fn board(args: &Board, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    let BoardCommand::Configure(args) = &args.command;
+    configure(args, link, json)
+}
+
+fn configure(args: &Configure, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    // the settings are checked before the port is opened
+    let settings = read(&args.settings)?;
+    let mut port = Port::open(&args.port, args.baud, link.timeout())?;
+    if args.factory {
+        request(&mut port, "factory", json)?;
+    } else if !args.settings.is_empty() {
+        replace(&mut port, &settings, json)?;
+    } else if !args.restart {
+        show(&mut port, json)?;
+    }
+    if args.restart {
+        request(&mut port, "restart", json)?;
+    }
+    Ok(())
+}
+
+/// Reads and checks the settings of the command line; each ends with a line feed.
+fn read(arguments: &[String]) -> Result<String, Failure> {
+    let mut settings = String::new();
+    let mut add = |line: &str| settings.extend([line, "\n"]);
+    for argument in arguments {
+        match argument.strip_prefix('@') {
+            Some(path) => {
+                let text = fs::read_to_string(path).map_err(|error| Failure::Input(format!("{path}: {error}")))?;
+                Settings::lines_of_file(&text).for_each(&mut add);
+            }
+            None => add(argument),
+        }
+    }
+    Settings::check(settings.as_bytes()).map_err(|error| Failure::Input(error.to_string()))?;
+    let most = LINE - "add ".len();
+    if let Some(line) = settings.lines().find(|line| line.len() > most || line.is_empty()) {
+        return Err(Failure::Input(format!(
+            "a setting has 1 to {most} bytes, but this has {}: \"{line}\"",
+            line.len()
+        )));
+    }
+    if settings.len() > TEXT {
+        return Err(Failure::Input(format!("the settings take {} bytes of {TEXT}", settings.len())));
+    }
+    Ok(settings)
+}
+
+/// Replaces the settings of the board. They change with the last request, so an earlier failure changes nothing.
+fn replace(port: &mut Port, settings: &str, json: bool) -> Result<(), Failure> {
+    port.ask("new", |_| Ok(()))?.accepted("new")?;
+    for line in settings.lines() {
+        request(port, &format!("add {line}"), json)?;
+    }
+    let crc = Crc32::new().and(settings.as_bytes()).value();
+    request(port, &format!("save {crc:08x}"), json)
+}
+
+/// Sends a request and prints it with its answer.
+fn request(port: &mut Port, request: &str, json: bool) -> Result<(), Failure> {
+    let answer = port.ask(request, |_| Ok(()))?;
+    if json {
+        output::print_json(&serde_json::json!({ "request": request, "answer": answer.0 }).to_string())?;
+    } else {
+        output::print_line(&format!("{request}: {}", answer.0))?;
+    }
+    answer.accepted(request)
+}
+
+/// Prints the settings of the board, as `@FILE` takes them, and where they are.
+fn show(port: &mut Port, json: bool) -> Result<(), Failure> {
+    let answer = port.ask("show", |setting| match json {
+        true => output::print_json(&serde_json::json!({ "setting": setting }).to_string()),
+        false => output::print_line(setting),
+    })?;
+    let Answer(text) = &answer;
+    match text.as_str() {
+        "ok flash" => output::note("these settings are in the flash of the board"),
+        "ok image" => output::note("these settings are those of the image; the flash has none"),
+        _ => {}
+    }
+    answer.accepted("show")
+}

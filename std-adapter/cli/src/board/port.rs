@@ -1,0 +1,111 @@
+//! The serial port to a board: requests and answers are lines.
+
+use std::io::{self, ErrorKind, Read, Write};
+use std::time::{Duration, Instant};
+
+use bcap_board::console::HELLO;
+use serialport::SerialPort;
+
+use crate::error::Failure;
+
+/// The longest wait for bytes before the time limit is checked.
+const LOOK: Duration = Duration::from_millis(20);
+/// The longest line that a board sends; more bytes belong to something else.
+const MAX_LINE: usize = 4096;
+
+/// An open port with a board at its other end.
+pub(super) struct Port {
+    port: Box<dyn SerialPort>,
+    name: String,
+    timeout: Duration,
+    /// Received bytes without a line end.
+    received: Vec<u8>,
+}
+
+/// The last line of an answer: it starts with `ok` or `error`.
+pub(super) struct Answer(pub(super) String);
+
+impl Answer {
+    /// Fails if the board refused the request.
+    pub(super) fn accepted(&self, request: &str) -> Result<(), Failure> {
+        match self.0.strip_prefix("error ") {
+            None => Ok(()),
+            Some(reason) => Err(Failure::Unfit {
+                message: format!("the board refused \"{request}\": {reason}"),
+                code: None,
+                hint: Some("the settings of the board are unchanged".into()),
+            }),
+        }
+    }
+}
+
+impl Port {
+    /// Opens a port, and checks that a board speaks the protocol there; each answer must arrive within `timeout`.
+    pub(super) fn open(name: &str, baud: u32, timeout: Duration) -> Result<Self, Failure> {
+        let port = serialport::new(name, baud).timeout(LOOK).open().map_err(|error| Failure::Connection {
+            message: format!("cannot open {name}: {error}"),
+            hint: "check the name and the permissions of the device, and that no other program uses it".into(),
+        })?;
+        let mut port = Self { port, name: name.into(), timeout, received: Vec::new() };
+        // the first line feed ends what an earlier program may have sent; its answer, and the log of a board, are skipped
+        port.send("\nhello\n")?;
+        let deadline = Instant::now() + timeout;
+        while port.line(deadline)? != HELLO {}
+        Ok(port)
+    }
+
+    /// Sends a request and returns the answer; calls `setting` with each setting before it.
+    pub(super) fn ask(
+        &mut self,
+        request: &str,
+        mut setting: impl FnMut(&str) -> io::Result<()>,
+    ) -> Result<Answer, Failure> {
+        self.send(&format!("{request}\n"))?;
+        let deadline = Instant::now() + self.timeout;
+        loop {
+            let line = self.line(deadline)?;
+            if let Some(line) = line.strip_prefix("setting ") {
+                setting(line)?;
+            } else if line == "ok" || line.starts_with("ok ") || line.starts_with("error ") {
+                return Ok(Answer(line));
+            }
+        }
+    }
+
+    fn send(&mut self, text: &str) -> Result<(), Failure> {
+        self.port.write_all(text.as_bytes()).and_then(|()| self.port.flush()).map_err(|error| self.broken(&error))
+    }
+
+    /// Receives a line; bytes that are not UTF-8 are replaced.
+    fn line(&mut self, deadline: Instant) -> Result<String, Failure> {
+        loop {
+            if let Some(end) = self.received.iter().position(|byte| *byte == b'\n') {
+                let line: Vec<u8> = self.received.drain(..=end).collect();
+                return Ok(String::from_utf8_lossy(&line).trim_end().to_owned());
+            }
+            if self.received.len() > MAX_LINE {
+                self.received.clear();
+            }
+            let mut buffer = [0; 256];
+            match self.port.read(&mut buffer) {
+                Ok(count) => self.received.extend_from_slice(buffer.get(..count).unwrap_or_default()),
+                Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) => {}
+                Err(error) => return Err(self.broken(&error)),
+            }
+            if Instant::now() >= deadline {
+                return Err(Failure::Timeout {
+                    message: format!("no answer from a board at {} within {} ms", self.name, self.timeout.as_millis()),
+                    hint: "check the port, --baud and that the image of the board has the console; --timeout allows more time"
+                        .into(),
+                });
+            }
+        }
+    }
+
+    fn broken(&self, error: &io::Error) -> Failure {
+        Failure::Connection {
+            message: format!("{}: {error}", self.name),
+            hint: "check the cable; the settings of the board are the earlier ones or the new ones".into(),
+        }
+    }
+}
