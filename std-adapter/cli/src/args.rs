@@ -9,6 +9,7 @@ use clap::{Args, Parser, Subcommand};
 mod backup;
 mod codec;
 mod files;
+mod fleet;
 mod gateway;
 mod link;
 mod profile;
@@ -23,6 +24,7 @@ mod variables;
 pub(crate) use self::backup::{Diff, Dump, Restore};
 pub(crate) use self::codec::{CaptureArgs, Decode, Encode, Text, TextCommand};
 pub(crate) use self::files::{Cp, Ls};
+pub(crate) use self::fleet::Fleet;
 pub(crate) use self::gateway::Gateway;
 pub(crate) use self::link::LinkArgs;
 pub(crate) use self::profile::{Profile, ProfileCommand};
@@ -103,6 +105,7 @@ pub(crate) enum Command {
     Halt(Halt),
     Doctor(Doctor),
     Gateway(Gateway),
+    Fleet(Fleet),
     Proxy(Proxy),
     Replay(Replay),
     Demo(Demo),
@@ -121,6 +124,7 @@ impl Command {
         !matches!(
             self,
             Self::Profile(_)
+                | Self::Fleet(_)
                 | Self::Sim(_)
                 | Self::Demo(_)
                 | Self::Decode(_)

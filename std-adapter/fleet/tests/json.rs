@@ -143,12 +143,12 @@ async fn without_a_rule_no_command_is_received() {
 
 /// A controller whose I1 counts its own reads until it is frozen; returns its address.
 async fn counter(last: &Arc<AtomicI32>, frozen: &Arc<AtomicBool>) -> SocketAddr {
-    let (last, frozen) = (Arc::clone(last), Arc::clone(frozen));
-    let variable = DeviceVariable::new("I1", move |(): &(), reply| {
+    let counter = (Arc::clone(last), Arc::clone(frozen));
+    let variable = DeviceVariable::new("I1", |(last, frozen): &(Arc<AtomicI32>, Arc<AtomicBool>), reply| {
         let more = i32::from(!frozen.load(Ordering::SeqCst));
         reply.set(&(last.fetch_add(more, Ordering::SeqCst) + more))
     });
-    let server = Server::new(Device::new((), [variable])).bcap_tcp("127.0.0.1:0").await.unwrap();
+    let server = Server::new(Device::new(counter, [variable])).bcap_tcp("127.0.0.1:0").await.unwrap();
     let address = server.addresses().bcap_tcp[0];
     tokio::spawn(async move { drop(server.run(std::future::pending()).await) });
     address
