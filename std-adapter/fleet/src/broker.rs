@@ -93,8 +93,9 @@ fn password(broker: &config::Broker) -> Result<String, Error> {
         return Ok(text.trim_end_matches(['\r', '\n']).to_owned());
     }
     match &broker.password_env {
-        Some(name) => std::env::var(name)
-            .map_err(|_| Error::Config(format!("[broker]: the environment variable {name} of password_env is not set"))),
+        Some(name) => std::env::var(name).map_err(|_| {
+            Error::Config(format!("[broker]: the environment variable {name} of password_env is not set"))
+        }),
         None => Ok(String::new()),
     }
 }

@@ -78,9 +78,7 @@ async fn check_cell(cell: &Cell) -> Vec<Row> {
     for point in &cell.points {
         let began = Instant::now();
         let result = match timeout(LIMIT, read(&controller, &point.source)).await {
-            Ok(Ok(Some(value))) => {
-                Ok((serde_json::to_string(&value).unwrap_or_default(), began.elapsed()))
-            }
+            Ok(Ok(Some(value))) => Ok((serde_json::to_string(&value).unwrap_or_default(), began.elapsed())),
             Ok(Ok(None)) => Err("its value is EMPTY or of a type that cannot be published".into()),
             Ok(Err(error)) => Err(error.to_string()),
             Err(_) => Err(silent()),

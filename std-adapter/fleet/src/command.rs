@@ -101,7 +101,9 @@ impl Commands {
             return Err(format!("it expires in {} ms; the longest time is {} ms", expires - now, self.longest()));
         }
         if *expires <= self.began + self.longest() {
-            return Err("this node has just started, and an earlier process may have executed it; send a new one".into());
+            return Err(
+                "this node has just started, and an earlier process may have executed it; send a new one".into()
+            );
         }
         self.accepted.retain(|_, expires| *expires > now);
         if self.accepted.contains_key(&(cell, id.clone())) {
@@ -196,7 +198,10 @@ mod tests {
         let mut commands = commands(&["I/0-9=-10..10"], 1000);
         let now = BEGAN + 20_000;
         let mut check = |id: &str, expires, at| {
-            commands.check(0, &command(id, "I1", json!(1), expires), at).map(|job| job.value).map_err(|error| error.split(';').next().unwrap().to_owned())
+            commands
+                .check(0, &command(id, "I1", json!(1), expires), at)
+                .map(|job| job.value)
+                .map_err(|error| error.split(';').next().unwrap().to_owned())
         };
         let one = OwnedVariant::new(&1_i32).unwrap();
         assert_eq!(check("a", now + 5000, now), Ok(one.clone()));
@@ -224,7 +229,10 @@ mod tests {
         let mut number = 0;
         let mut check = |name: &str, value: Value| {
             number += 1;
-            commands.check(0, &command(&number.to_string(), name, value, now + 5000), now).map(|job| job.value).map_err(|e| e)
+            commands
+                .check(0, &command(&number.to_string(), name, value, now + 5000), now)
+                .map(|job| job.value)
+                .map_err(|e| e)
         };
         assert!(check("I9", json!(-10)).is_ok());
         assert_eq!(check("I9", json!(11)).unwrap_err(), "the value is out of the range that the rules allow");
@@ -244,7 +252,10 @@ mod tests {
         let mut commands = commands(&["I"], 2);
         let now = BEGAN + 20_000;
         let mut check = |cell, id: &str, at| commands.check(cell, &command(id, "I1", json!(1), at + 5000), at).is_ok();
-        assert_eq!([check(0, "a", now), check(0, "b", now), check(0, "c", now), check(1, "a", now)], [true, true, false, true]);
+        assert_eq!(
+            [check(0, "a", now), check(0, "b", now), check(0, "c", now), check(1, "a", now)],
+            [true, true, false, true]
+        );
         assert_eq!([check(0, "d", now + 500), check(0, "e", now + 500)], [true, false]);
     }
 }

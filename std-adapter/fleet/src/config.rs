@@ -3,14 +3,13 @@
 use std::collections::HashSet;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 use bcap_core::gateway::AllowBuf;
 use bcap_std::{Address, Model};
 use serde::Deserialize;
 
 use crate::error::Error;
-use crate::point::{Point, points};
+use crate::point::{Point, Publish, points};
 
 /// The configuration of a fleet.
 #[derive(Clone, Debug, Deserialize)]
@@ -152,27 +151,6 @@ impl From<ModelName> for Model {
     }
 }
 
-/// Variables that are published in the same way.
-#[derive(Clone, Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(crate) struct Publish {
-    pub(crate) names: Vec<String>,
-    #[serde(default = "interval")]
-    interval_ms: u64,
-    /// The change of a number below which it counts as equal.
-    #[serde(default)]
-    pub(crate) dead_band: f64,
-    /// Whether equal readings are left out.
-    #[serde(default = "yes")]
-    pub(crate) on_change: bool,
-}
-
-impl Publish {
-    pub(crate) const fn interval(&self) -> Duration {
-        Duration::from_millis(self.interval_ms)
-    }
-}
-
 const fn keep_alive() -> u16 {
     15
 }
@@ -195,14 +173,6 @@ const fn per_second() -> u32 {
 
 const fn longest_seconds() -> u32 {
     10
-}
-
-const fn interval() -> u64 {
-    1000
-}
-
-const fn yes() -> bool {
-    true
 }
 
 impl Config {
@@ -330,8 +300,17 @@ mod tests {
             (SMALL.replace("edge1", "a/b"), "node \"a/b\""),
             (SMALL.replace("tcp:127", "tpc:127"), "[[controller]] number 1, cell1"),
             (SMALL.replace("cell1", "edge1"), "another controller or the node has this name"),
-            (SMALL.replace("[[controller]]", "user = \"a\"\npassword_file = \"a\"\npassword_env = \"b\"\n[[controller]]"), "not both"),
-            (SMALL.replace("[[controller]]", "[commands]\nallow = [\"X\"]\n[[controller]]"), "the rule \"X\": unknown kind"),
+            (
+                SMALL.replace(
+                    "[[controller]]",
+                    "user = \"a\"\npassword_file = \"a\"\npassword_env = \"b\"\n[[controller]]",
+                ),
+                "not both",
+            ),
+            (
+                SMALL.replace("[[controller]]", "[commands]\nallow = [\"X\"]\n[[controller]]"),
+                "the rule \"X\": unknown kind",
+            ),
             (publish("names = [\"I5-1\"]"), "I5-1"),
             (publish("names = [\"I1\", \"I0-3\"]"), "I1 is published twice"),
             (publish("names = [\"I1\"]\ninterval_ms = 0"), "interval_ms"),

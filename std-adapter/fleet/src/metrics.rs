@@ -61,10 +61,15 @@ impl Metrics {
             u8::from(cell.up.load(Ordering::Relaxed)).to_string()
         });
         per_cell("bcap_readings", "counter", "Values that were read.", &|cell| get(&cell.readings).to_string());
-        per_cell("bcap_read_errors", "counter", "Values that could not be read.", &|cell| get(&cell.errors).to_string());
-        per_cell("bcap_scan_overruns", "counter", "Readings that were left out because the controller is too slow.", &|cell| {
-            get(&cell.overruns).to_string()
+        per_cell("bcap_read_errors", "counter", "Values that could not be read.", &|cell| {
+            get(&cell.errors).to_string()
         });
+        per_cell(
+            "bcap_scan_overruns",
+            "counter",
+            "Readings that were left out because the controller is too slow.",
+            &|cell| get(&cell.overruns).to_string(),
+        );
         per_cell("bcap_read_seconds", "counter", "The time of all reads.", &|cell| {
             format!("{:.6}", std::time::Duration::from_micros(get(&cell.read_us)).as_secs_f64())
         });

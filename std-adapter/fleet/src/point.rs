@@ -3,8 +3,36 @@
 use std::time::Duration;
 
 use bcap_core::rac::VariableKind;
+use serde::Deserialize;
 
-use crate::config::Publish;
+/// Variables that are published in the same way.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Publish {
+    names: Vec<String>,
+    #[serde(default = "interval")]
+    interval_ms: u64,
+    /// The change of a number below which it counts as equal.
+    #[serde(default)]
+    dead_band: f64,
+    /// Whether equal readings are left out.
+    #[serde(default = "yes")]
+    on_change: bool,
+}
+
+impl Publish {
+    const fn interval(&self) -> Duration {
+        Duration::from_millis(self.interval_ms)
+    }
+}
+
+const fn interval() -> u64 {
+    1000
+}
+
+const fn yes() -> bool {
+    true
+}
 
 /// One thing that is read of a controller.
 #[derive(Clone, Debug, PartialEq)]
@@ -97,7 +125,10 @@ mod tests {
         let names = |text| named(text).unwrap().into_iter().map(|(name, ..)| name).collect::<Vec<_>>();
         assert_eq!(names("I8-10"), ["I8", "I9", "I10"]);
         assert_eq!(names("robot/@SERVO_ON"), ["robot/@SERVO_ON"]);
-        assert_eq!(named("IO128").unwrap(), [("IO128".into(), Source::Controller("IO128".into()), Some(VariableKind::Io))]);
+        assert_eq!(
+            named("IO128").unwrap(),
+            [("IO128".into(), Source::Controller("IO128".into()), Some(VariableKind::Io))]
+        );
         assert_eq!(named("@CURRENT_TIME").unwrap()[0].2, None);
         assert!(named("I3-1").is_err() && named("I 1").is_err() && named("").is_err() && named("I0-99999").is_err());
     }

@@ -25,7 +25,9 @@ impl Value {
             Variant::R4(n) => Self::Number(shortest(n)),
             Variant::R8(n) => Self::Number(n),
             Variant::Bstr(text) => Self::Text(text.to_string()),
-            Variant::Array(array) => Self::Numbers(array.iter().map(|element| number(&element)).collect::<Option<_>>()?),
+            Variant::Array(array) => {
+                Self::Numbers(array.iter().map(|element| number(&element)).collect::<Option<_>>()?)
+            }
             Variant::Date(date) => Self::Number(date.raw()),
             other => Self::Integer(other.as_i64()?),
         })

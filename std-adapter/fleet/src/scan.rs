@@ -8,8 +8,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use bcap_core::variant::OwnedVariant;
-use bcap_std::asynch::{Controller, State as Session};
 use bcap_std::Error;
+use bcap_std::asynch::{Controller, State as Session};
 use tokio::time::{Instant, sleep_until};
 
 use crate::config::Config;
@@ -53,11 +53,14 @@ impl Scan {
             (0..).zip(points).map(|(index, point)| Scanned { index, point, due: Instant::now(), last: None }).collect();
         let mut states = self.controller.states();
         let mut state = states.next().await;
+        // each failed attempt to connect is a state, mostly with the same reason
+        let mut reported = None;
         loop {
             match state {
                 None | Some(Session::Closed) => return,
                 Some(Session::Connected) => {
                     self.report(None);
+                    reported = None;
                     self.spread(&mut scanned);
                     state = tokio::select! {
                         next = states.next() => next,
@@ -65,7 +68,10 @@ impl Scan {
                     };
                 }
                 Some(Session::Disconnected { reason, .. }) => {
-                    self.report(Some(reason));
+                    if reported.as_ref() != Some(&reason) {
+                        self.report(Some(reason.clone()));
+                        reported = Some(reason);
+                    }
                     self.lose(&mut scanned);
                     state = states.next().await;
                 }
@@ -87,9 +93,7 @@ impl Scan {
 
     async fn read_all(&self, scanned: &mut [Scanned<'_>]) -> std::convert::Infallible {
         loop {
-            let Some(next) = scanned.iter_mut().min_by_key(|scanned| scanned.due) else {
-                std::future::pending().await
-            };
+            let Some(next) = scanned.iter_mut().min_by_key(|scanned| scanned.due) else { std::future::pending().await };
             sleep_until(next.due).await;
             let began = Instant::now();
             let reading = read(&self.controller, &next.point.source).await;
@@ -135,7 +139,8 @@ impl Scan {
         }
         scanned.last = Some((value.clone(), quality));
         let id = self.shared.next_id.fetch_add(1, Ordering::Relaxed);
-        let reading = Reading { cell: self.cell, point: scanned.index, time: now_ms(), id, value, quality, historical: false };
+        let reading =
+            Reading { cell: self.cell, point: scanned.index, time: now_ms(), id, value, quality, historical: false };
         self.shared.queue.push(Item::Reading(reading));
     }
 

@@ -75,7 +75,8 @@ impl Sparkplug {
             (first, typed(point))
         };
         let devices = config.controllers.iter();
-        let devices = devices.map(|cell| Device { is_born: false, points: cell.points.iter().map(&mut next).collect() });
+        let devices =
+            devices.map(|cell| Device { is_born: false, points: cell.points.iter().map(&mut next).collect() });
         Self { seq: 0, bd_seq: 0, devices: devices.collect() }
     }
 
@@ -263,7 +264,8 @@ fn number(value: &Value, kind: DataType) -> Option<Number> {
 impl PropertySet {
     fn new(quality: Quality, unit: &str) -> Self {
         let code = if quality == Quality::Good { 192 } else { 0 };
-        let mut set = Self { keys: vec!["Quality".into()], values: vec![PropertyValue::int(DataType::Int32 as u32, code)] };
+        let mut set =
+            Self { keys: vec!["Quality".into()], values: vec![PropertyValue::int(DataType::Int32 as u32, code)] };
         if !unit.is_empty() {
             set.keys.push("engUnit".into());
             set.values.push(PropertyValue::text(DataType::String as u32, unit));

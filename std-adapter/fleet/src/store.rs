@@ -63,9 +63,10 @@ impl Store {
     pub(crate) fn open(buffer: &Buffer, config: &Config) -> io::Result<Self> {
         fs::create_dir_all(&buffer.directory)?;
         let bytes = u64::from(buffer.mib).max(1) << 20;
-        let names = config.controllers.iter().map(|cell| {
-            (cell.name.clone(), cell.points.iter().map(|point| point.name.clone()).collect())
-        });
+        let names = config
+            .controllers
+            .iter()
+            .map(|cell| (cell.name.clone(), cell.points.iter().map(|point| point.name.clone()).collect()));
         let mut store = Self {
             directory: buffer.directory.clone(),
             bytes,
@@ -283,7 +284,11 @@ mod tests {
         assert_eq!((store.stored() + dropped, store.load(0).unwrap()[0].id), (10_000, dropped));
         store.acknowledge();
         let rest = store.stored();
-        assert_eq!((store.load(3_600_001).unwrap().len(), store.take_dropped()), (0, rest), "an hour later all are too old");
+        assert_eq!(
+            (store.load(3_600_001).unwrap().len(), store.take_dropped()),
+            (0, rest),
+            "an hour later all are too old"
+        );
     }
 
     #[test]

@@ -8,17 +8,21 @@ use std::path::Path;
 
 use bcap_fleet::Config;
 use common::{Mosquitto, Robot, Running};
-use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, IsCa, KeyPair};
+use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair};
 
 /// Writes an authority, and certificates of a broker and a client.
 fn certificates(folder: &Path) {
     let mut params = CertificateParams::new(vec![]).unwrap();
+    // the subjects must differ, or the certificates look self-signed
+    params.distinguished_name.push(DnType::CommonName, "authority");
     params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
     let ca = CertifiedIssuer::self_signed(params, KeyPair::generate().unwrap()).unwrap();
     fs::write(folder.join("ca.pem"), ca.pem()).unwrap();
     for (name, host) in [("broker", "localhost"), ("client", "edge1")] {
         let key = KeyPair::generate().unwrap();
-        let certificate = CertificateParams::new(vec![host.to_owned()]).unwrap().signed_by(&key, &ca).unwrap();
+        let mut params = CertificateParams::new(vec![host.to_owned()]).unwrap();
+        params.distinguished_name.push(DnType::CommonName, host);
+        let certificate = params.signed_by(&key, &ca).unwrap();
         fs::write(folder.join(format!("{name}.pem")), certificate.pem()).unwrap();
         fs::write(folder.join(format!("{name}.key")), key.serialize_pem()).unwrap();
     }
@@ -72,7 +76,8 @@ async fn a_client_certificate_and_a_password_are_needed() {
     assert!(rows.iter().all(|row| row.result.is_ok()), "{rows:?}");
     assert_eq!((rows.len(), rows[2].what.as_str(), rows[2].result.as_ref().unwrap().0.as_str()), (5, "I1", "3"));
 
-    let without: String = good.lines().filter(|line| !line.contains("client.")).map(|line| format!("{line}\n")).collect();
+    let without: String =
+        good.lines().filter(|line| !line.contains("client.")).map(|line| format!("{line}\n")).collect();
     let rows = bcap_fleet::check(&Config::parse(&without).unwrap()).await.unwrap();
     assert!(rows[0].result.is_err(), "{rows:?}");
 

@@ -14,10 +14,11 @@ use graph::Arrows;
 use source::Source;
 
 /// The crates whose files are read, and their folders.
-const CRATES: [(&str, &str); 7] = [
+const CRATES: [(&str, &str); 8] = [
     ("bcap-core", "core"),
     ("bcap-std", "std-adapter"),
     ("bcap-sim", "std-adapter/sim"),
+    ("bcap-fleet", "std-adapter/fleet"),
     ("bcap-cli", "std-adapter/cli"),
     ("bcap-embassy", "embassy-adapter"),
     ("bcap-board", "embassy-adapter/board"),
