@@ -245,6 +245,16 @@ impl Rules<'_> {
         if !pace.admits(self.rate, now) {
             return Err(Refusal::Rate);
         }
+        self.permits(request, client)
+    }
+
+    /// Checks a request of a client against everything but the rate, as a program with its own requests does. Rules for
+    /// networks apply only to a client whose address is known.
+    ///
+    /// # Errors
+    ///
+    /// The first [`Refusal`].
+    pub fn permits(&self, request: &Request<'_>, client: Option<Ipv4Addr>) -> Result<(), Refusal> {
         match request {
             Request::Get(variable) => {
                 find(self.get, client, *variable)?;

@@ -12,6 +12,7 @@ mod board;
 mod codec;
 mod conform;
 mod files;
+mod fleet;
 mod fuzz;
 mod gateway;
 mod link;
@@ -31,6 +32,7 @@ pub(crate) use self::board::{Board, BoardCommand, Configure};
 pub(crate) use self::codec::{CaptureArgs, Decode, Encode, Text, TextCommand};
 pub(crate) use self::conform::{Conform, LevelArg};
 pub(crate) use self::files::{Cp, Ls};
+pub(crate) use self::fleet::Fleet;
 pub(crate) use self::fuzz::Fuzz;
 pub(crate) use self::gateway::Gateway;
 pub(crate) use self::link::LinkArgs;
@@ -126,6 +128,7 @@ pub(crate) enum Command {
     Doctor(Doctor),
     Gateway(Gateway),
     Board(Board),
+    Fleet(Fleet),
     Proxy(Proxy),
     Replay(Replay),
     Conform(Conform),
@@ -147,6 +150,7 @@ impl Command {
             self,
             Self::Profile(_)
                 | Self::Board(_)
+                | Self::Fleet(_)
                 | Self::Sim(_)
                 | Self::Demo(_)
                 | Self::Decode(_)

@@ -20,6 +20,7 @@ mod escape;
 mod explain;
 mod faults;
 mod files;
+mod fleet;
 mod frame;
 mod fuzz;
 mod gateway;
@@ -154,6 +155,7 @@ pub(crate) fn verb(command: &Command, session: &mut Session, json: bool) -> Resu
         Command::Slave(args) => slave::slave(args, link, json),
         Command::Halt(_) => halt::halt(session, json),
         Command::Doctor(args) => doctor::doctor(args, link, json),
+        Command::Fleet(args) => fleet::fleet(args, json),
         Command::Gateway(args) => gateway::gateway(args, link.untraced()?),
         Command::Board(args) => board::board(args, link, json),
         Command::Proxy(args) => proxy::proxy(args, link.untraced()?, json),

@@ -14,11 +14,12 @@ use graph::Arrows;
 use source::Source;
 
 /// The crates whose files are read, and their folders.
-const CRATES: [(&str, &str); 8] = [
+const CRATES: [(&str, &str); 9] = [
     ("bcap-core", "core"),
     ("bcap-std", "std-adapter"),
     ("bcap-sim", "std-adapter/sim"),
     ("bcap-conform", "std-adapter/conform"),
+    ("bcap-fleet", "std-adapter/fleet"),
     ("bcap-cli", "std-adapter/cli"),
     ("bcap-embassy", "embassy-adapter"),
     ("bcap-board", "embassy-adapter/board"),

@@ -1,0 +1,40 @@
+//! The arguments of `bcap fleet`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+/// Publishes variables of many controllers to an MQTT broker, as plain JSON or Sparkplug B
+///
+/// CONFIG is a file in TOML with the broker, the controllers and the variables; docs/fleet.md describes it. The broker and the
+/// controllers may come and go. While the broker is away, readings go to a buffer on disk and are sent later as historical.
+/// Variables can be written through the broker if a rule of CONFIG allows it; every such command is printed.
+///
+/// Prints one JSON object a line: changes of connections, and commands. SIGINT and SIGTERM end it with 0.
+#[derive(Debug, Args)]
+#[command(after_help = "\
+A small CONFIG:
+  group = \"plant\"
+  node = \"edge1\"
+  [broker]
+  host = \"127.0.0.1\"
+  [[controller]]
+  name = \"cell1\"
+  address = \"tcp:192.168.0.1\"
+  [[controller.publish]]
+  names = [\"I1-9\", \"IO128\", \"pose\", \"error\"]
+  interval_ms = 200
+Examples:
+  bcap fleet fleet.toml --check
+  bcap fleet fleet.toml
+  mosquitto_sub -v -t 'bcap/plant/#'")]
+pub(crate) struct Fleet {
+    /// The configuration
+    #[arg(value_name = "CONFIG")]
+    pub(crate) config: PathBuf,
+
+    /// Connects to the broker and all controllers, reads each variable once, prints a table and ends; the exit code is 3 if
+    /// anything failed
+    #[arg(long)]
+    pub(crate) check: bool,
+}

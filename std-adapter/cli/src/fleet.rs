@@ -1,0 +1,136 @@
+//! `bcap fleet`: the arguments and the output of the crate `bcap-fleet`.
+
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use bcap_core::variant::OleDate;
+use bcap_fleet::{Config, Error, Event, Fleet, Row};
+use serde::Serialize;
+
+use crate::args;
+use crate::error::Failure;
+use crate::listen::runtime;
+use crate::output::{note, print_json, print_line};
+use crate::signal;
+
+/// The most lines that wait for the output.
+const BACKLOG: usize = 4096;
+
+/// The longest time that the end waits for the output.
+const CLOSE: Duration = Duration::from_secs(2);
+
+/// Runs `bcap fleet`.
+pub(crate) fn fleet(args: &args::Fleet, json: bool) -> Result<(), Failure> {
+    let config = Config::read(&args.config).map_err(failure)?;
+    if args.check { check(&config, json) } else { run(config) }
+}
+
+fn failure(error: Error) -> Failure {
+    match error {
+        Error::Listen { .. } => Failure::Connection {
+            message: error.to_string(),
+            hint: "choose another port in [metrics]; port 0 takes a free one".into(),
+        },
+        error => Failure::Input(error.to_string()),
+    }
+}
+
+/// Publishes until a signal arrives.
+fn run(config: Config) -> Result<(), Failure> {
+    let (lines, waiting) = sync_channel(BACKLOG);
+    let writer = thread::Builder::new().name("events".into()).spawn(move || write(&waiting))?;
+    runtime()?.block_on(async {
+        // the signals first: a reader of the line may send one at once
+        let ended = signal::wait()?;
+        let controllers = config.controllers();
+        let log = lines.clone();
+        let fleet = Fleet::start(config, move |event| send(&log, event)).await.map_err(failure)?;
+        let metrics = fleet.metrics_address().map(|address| format!(" metrics={address}")).unwrap_or_default();
+        print_line(&format!("ready controllers={controllers}{metrics}"))?;
+        fleet.run(ended).await;
+        Ok::<_, Failure>(())
+    })?;
+    drop(lines);
+    let until = Instant::now() + CLOSE;
+    while !writer.is_finished() && Instant::now() < until {
+        thread::sleep(Duration::from_millis(1));
+    }
+    Ok(())
+}
+
+/// An event with its time in UTC.
+#[derive(Serialize)]
+struct Line<'a> {
+    time: String,
+    #[serde(flatten)]
+    event: &'a Event,
+}
+
+/// Gives a line to the writer. A reader that does not read loses lines, and does not delay the fleet.
+fn send(lines: &SyncSender<String>, event: &Event) {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let civil = i64::try_from(since.as_millis()).ok().and_then(OleDate::from_unix_millis).and_then(OleDate::to_civil);
+    let time = civil.map(|civil| format!("{civil}Z")).unwrap_or_default();
+    if let Ok(line) = serde_json::to_string(&Line { time, event }) {
+        let _ = lines.try_send(line);
+    }
+}
+
+fn write(lines: &Receiver<String>) {
+    while let Ok(line) = lines.recv() {
+        if print_json(&line).is_err() {
+            return;
+        }
+    }
+}
+
+/// A row of the check as JSON.
+#[derive(Serialize)]
+struct RowLine<'a> {
+    name: &'a str,
+    what: &'a str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    value: Option<&'a str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    us: Option<u64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    error: Option<&'a str>,
+}
+
+/// Tries everything once, and prints a table.
+fn check(config: &Config, json: bool) -> Result<(), Failure> {
+    let rows = runtime()?.block_on(bcap_fleet::check(config)).map_err(failure)?;
+    let width = |of: fn(&Row) -> &str| rows.iter().map(|row| of(row).chars().count()).max().unwrap_or(0);
+    let (names, whats) = (width(|row| &row.name), width(|row| &row.what));
+    for row in &rows {
+        let us = |time: &Duration| u64::try_from(time.as_micros()).unwrap_or(u64::MAX);
+        if json {
+            let ok = row.result.as_ref().ok();
+            let line = RowLine {
+                name: &row.name,
+                what: &row.what,
+                value: ok.map(|(value, _)| value.as_str()),
+                us: ok.map(|(_, time)| us(time)),
+                error: row.result.as_ref().err().map(String::as_str),
+            };
+            print_json(&serde_json::to_string(&line).unwrap_or_default())?;
+            continue;
+        }
+        let Row { name, what, result, .. } = row;
+        let result = match result {
+            Ok((value, time)) => format!("ok    {:>8.1} ms  {value}", time.as_secs_f64() * 1000.0),
+            Err(error) => format!("error {error}"),
+        };
+        print_line(&format!("{name:names$}  {what:whats$}  {result}"))?;
+    }
+    let failed = rows.iter().filter(|row| row.result.is_err()).count();
+    if failed == 0 {
+        return Ok(());
+    }
+    note("an address or name in the configuration may be wrong, or the device is not reachable from here");
+    Err(Failure::Connection {
+        message: format!("{failed} of {} checks failed", rows.len()),
+        hint: "the lines above say which, and why".into(),
+    })
+}

@@ -1,0 +1,146 @@
+//! One connection to the broker. It is made anew after a loss, so that nothing is sent again without the publisher knowing.
+
+use std::time::Duration;
+
+use rumqttc::{AsyncClient, Event, LastWill, MqttOptions};
+use tokio::sync::mpsc;
+use tokio::task::JoinHandle;
+
+use crate::config::{self, Config};
+use crate::error::Error;
+use crate::message::Message;
+
+/// The most messages that the broker has not acknowledged.
+pub(crate) const WINDOW: u16 = 100;
+
+/// The most events that wait for the publisher.
+const EVENTS: usize = 256;
+
+/// The largest message in bytes: a birth may be long, a command is short.
+const LARGEST: (usize, usize) = (1 << 20, 16 << 20);
+
+/// How to connect, with secrets and certificates that were read once.
+pub(crate) struct Broker {
+    options: MqttOptions,
+}
+
+/// What happened on a connection; an error is its end.
+pub(crate) type LinkEvent = Result<Event, String>;
+
+/// A connection, whose task ends with it.
+pub(crate) struct Link {
+    pub(crate) client: AsyncClient,
+    pub(crate) events: mpsc::Receiver<LinkEvent>,
+    task: JoinHandle<()>,
+}
+
+impl Drop for Link {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}
+
+impl Broker {
+    /// Reads secrets and certificates.
+    pub(crate) fn new(config: &Config) -> Result<Self, Error> {
+        let broker = &config.broker;
+        let port = broker.port.unwrap_or(if broker.tls.is_some() { 8883 } else { 1883 });
+        let id = broker.client_id.clone().unwrap_or_else(|| format!("bcap-{}-{}", config.group, config.node));
+        let mut options = MqttOptions::new(id, &broker.host, port);
+        options.set_keep_alive(Duration::from_secs(broker.keep_alive_seconds.into()));
+        options.set_clean_session(true).set_inflight(WINDOW);
+        options.set_max_packet_size(LARGEST.0, LARGEST.1);
+        if let Some(user) = &broker.user {
+            options.set_credentials(user, password(broker)?);
+        }
+        if let Some(tls) = &broker.tls {
+            set_tls(&mut options, tls)?;
+        }
+        Ok(Self { options })
+    }
+
+    /// Returns the same with another client id, for a check beside a running fleet.
+    pub(crate) fn with_suffix(mut self, suffix: &str) -> Self {
+        let id = self.options.client_id() + suffix;
+        self.options.set_client_id(id);
+        self
+    }
+
+    /// Begins to connect.
+    pub(crate) fn connect(&self, will: Option<Message>) -> Link {
+        let mut options = self.options.clone();
+        if let Some(Message { topic, payload, qos, retain, .. }) = will {
+            options.set_last_will(LastWill::new(topic, payload, qos, retain));
+        }
+        let (client, mut events) = AsyncClient::new(options, usize::from(WINDOW) * 2);
+        let (sender, receiver) = mpsc::channel(EVENTS);
+        let task = tokio::spawn(async move {
+            loop {
+                let event = events.poll().await.map_err(|error| error.to_string());
+                let ended = event.is_err();
+                if sender.send(event).await.is_err() || ended {
+                    return;
+                }
+            }
+        });
+        Link { client, events: receiver, task }
+    }
+}
+
+fn password(broker: &config::Broker) -> Result<String, Error> {
+    if let Some(path) = &broker.password_file {
+        let text = std::fs::read_to_string(path).map_err(|source| Error::Read { path: path.clone(), source })?;
+        return Ok(text.trim_end_matches(['\r', '\n']).to_owned());
+    }
+    match &broker.password_env {
+        Some(name) => std::env::var(name).map_err(|_| {
+            Error::Config(format!("[broker]: the environment variable {name} of password_env is not set"))
+        }),
+        None => Ok(String::new()),
+    }
+}
+
+#[cfg(not(feature = "tls"))]
+fn set_tls(_: &mut MqttOptions, _: &config::Tls) -> Result<(), Error> {
+    Err(Error::Tls("this program was built without TLS".into()))
+}
+
+#[cfg(feature = "tls")]
+fn set_tls(options: &mut MqttOptions, tls: &config::Tls) -> Result<(), Error> {
+    use std::path::Path;
+    use std::sync::Arc;
+
+    use rumqttc::{TlsConfiguration, Transport};
+    use tokio_rustls::rustls::crypto::ring::default_provider;
+    use tokio_rustls::rustls::pki_types::pem::PemObject as _;
+    use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer};
+    use tokio_rustls::rustls::{ClientConfig, RootCertStore};
+
+    let wrong = |path: &Path, error: &dyn std::fmt::Display| Error::Tls(format!("{}: {error}", path.display()));
+    let certificates = |path: &Path| {
+        let certificates = CertificateDer::pem_file_iter(path).and_then(Iterator::collect::<Result<Vec<_>, _>>);
+        match certificates {
+            Ok(certificates) if certificates.is_empty() => Err(wrong(path, &"there is no certificate in PEM")),
+            Ok(certificates) => Ok(certificates),
+            Err(error) => Err(wrong(path, &error)),
+        }
+    };
+    let mut roots = RootCertStore::empty();
+    for certificate in certificates(&tls.ca)? {
+        roots.add(certificate).map_err(|error| wrong(&tls.ca, &error))?;
+    }
+    let builder = ClientConfig::builder_with_provider(Arc::new(default_provider()))
+        .with_safe_default_protocol_versions()
+        .map_err(|error| Error::Tls(error.to_string()))?
+        .with_root_certificates(roots);
+    let config = match (&tls.certificate, &tls.key) {
+        (Some(certificate), Some(key)) => {
+            let private = PrivateKeyDer::from_pem_file(key).map_err(|error| wrong(key, &error))?;
+            let chain = certificates(certificate)?;
+            builder.with_client_auth_cert(chain, private).map_err(|error| wrong(certificate, &error))?
+        }
+        _ => builder.with_no_client_auth(),
+    };
+    options.set_transport(Transport::tls_with_config(TlsConfiguration::Rustls(Arc::new(config))));
+    Ok(())
+}

@@ -1,0 +1,261 @@
+//! Commands from the broker: to write a variable. Off unless a rule allows them; never a motion, never a motor.
+//!
+//! ```json
+//! {"id":"7c1f","name":"I10","value":5,"expires":1790000000000,"origin":"mes"}
+//! ```
+//!
+//! The checks, in this order: the message is new (not retained) and valid; it has not expired, and does not expire later than
+//! `longest_seconds` from now; its id is new; the rate; the rules.
+//!
+//! A command is executed at most once. A copy that arrives before the expiry has a known id, and a copy that arrives later
+//! has expired. A copy of a command that an earlier process has executed expires before the start of this one and
+//! `longest_seconds`; all such commands are refused. This needs a clock that is not set back.
+
+use std::collections::HashMap;
+use std::time::Duration;
+
+use bcap_core::gateway::{Allow, Rules};
+use bcap_core::rac::{Request, Variable, VariableKind};
+use bcap_core::variant::OwnedVariant;
+use bcap_std::Error;
+use bcap_std::asynch::Controller;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use tokio::time::{Instant, timeout_at};
+
+use crate::config;
+use crate::event::CommandResult;
+
+/// The most bytes of a correlation id.
+const LONGEST_ID: usize = 128;
+
+/// A command to write a variable.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Command {
+    /// The correlation id.
+    pub(crate) id: String,
+    /// The variable.
+    pub(crate) name: String,
+    pub(crate) value: Value,
+    /// Milliseconds since 1970.
+    pub(crate) expires: u64,
+    /// Who sent it, as it claims.
+    pub(crate) origin: Option<String>,
+}
+
+/// The answer to a command.
+#[derive(Serialize)]
+pub(crate) struct Answer<'a> {
+    pub(crate) id: &'a str,
+    pub(crate) result: CommandResult,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) reason: Option<&'a str>,
+}
+
+/// A checked command.
+#[derive(Clone, Debug)]
+pub(crate) struct Job {
+    pub(crate) name: String,
+    pub(crate) value: OwnedVariant,
+    pub(crate) deadline: Instant,
+}
+
+/// The rules, and what was executed.
+#[derive(Debug)]
+pub(crate) struct Commands {
+    config: config::Commands,
+    /// When this process began, in milliseconds since 1970.
+    began: u64,
+    /// The expiry of each command that was accepted, by controller and id.
+    accepted: HashMap<(usize, String), u64>,
+    /// The tokens of each controller, and when they were counted, in milliseconds since 1970.
+    tokens: HashMap<usize, (f64, u64)>,
+}
+
+impl Commands {
+    pub(crate) fn new(config: config::Commands, began: u64) -> Self {
+        Self { config, began, accepted: HashMap::new(), tokens: HashMap::new() }
+    }
+
+    /// Returns whether a rule allows any command.
+    pub(crate) const fn are_on(&self) -> bool {
+        !self.config.allow.is_empty()
+    }
+
+    /// Returns the longest time until an expiry, in milliseconds.
+    pub(crate) fn longest(&self) -> u64 {
+        u64::from(self.config.longest_seconds) * 1000
+    }
+
+    /// Checks a command; the error says why it is refused.
+    pub(crate) fn check(&mut self, cell: usize, command: &Command, now: u64) -> Result<Job, String> {
+        let Command { id, name, value, expires, .. } = command;
+        if id.is_empty() || id.len() > LONGEST_ID {
+            return Err(format!("the id has {} bytes; expected 1 to {LONGEST_ID}", id.len()));
+        }
+        if *expires <= now {
+            return Err(format!("it expired {} ms ago", now - expires));
+        }
+        if *expires > now + self.longest() {
+            return Err(format!("it expires in {} ms; the longest time is {} ms", expires - now, self.longest()));
+        }
+        if *expires <= self.began + self.longest() {
+            return Err(
+                "this node has just started, and an earlier process may have executed it; send a new one".into()
+            );
+        }
+        self.accepted.retain(|_, expires| *expires > now);
+        if self.accepted.contains_key(&(cell, id.clone())) {
+            return Err("this id was accepted before; a command is executed at most once".into());
+        }
+        self.take_token(cell, now)?;
+        let value = self.permitted(name, value)?;
+        self.accepted.insert((cell, id.clone()), *expires);
+        Ok(Job { name: name.clone(), value, deadline: Instant::now() + Duration::from_millis(expires - now) })
+    }
+
+    /// Takes a token of a controller's bucket, which holds those of one second.
+    fn take_token(&mut self, cell: usize, now: u64) -> Result<(), String> {
+        let most = f64::from(self.config.per_second);
+        let (tokens, counted) = self.tokens.entry(cell).or_insert((most, now));
+        *tokens = (*tokens + most * now.saturating_sub(*counted) as f64 / 1000.0).min(most);
+        *counted = now;
+        if *tokens < 1.0 {
+            return Err(format!("more commands than {} a second", self.config.per_second));
+        }
+        *tokens -= 1.0;
+        Ok(())
+    }
+
+    /// Converts the value to the type of the variable, and checks both against the rules.
+    fn permitted(&self, name: &str, value: &Value) -> Result<OwnedVariant, String> {
+        let variable = variable(name).ok_or_else(|| format!("{name:?} is no user variable, such as I1 or IO128"))?;
+        let value = typed(variable.kind, value)
+            .ok_or_else(|| format!("the value is not of the type of a variable of kind {}", variable.kind))?;
+        let put: Vec<Allow<'_>> = self.config.allow.iter().map(|rule| rule.0.as_allow()).collect();
+        let rules = Rules { put: &put, ..Rules::READ_ONLY };
+        rules.permits(&Request::Put(variable, value.as_variant()), None).map_err(|refusal| refusal.to_string())?;
+        Ok(value)
+    }
+}
+
+/// Parses the name of a user variable.
+fn variable(name: &str) -> Option<Variable> {
+    let digits = name.find(|c: char| c.is_ascii_digit())?;
+    let (kind, index) = name.split_at(digits);
+    let is_plain = index.bytes().all(|byte| byte.is_ascii_digit());
+    Some(Variable::new(VariableKind::from_name(kind)?, index.parse().ok().filter(|_| is_plain)?))
+}
+
+/// Converts JSON to the value of a variable of this kind, without loss of more than the digits of a float.
+fn typed(kind: VariableKind, value: &Value) -> Option<OwnedVariant> {
+    let float = |value: &Value| value.as_f64().map(|n| n as f32).filter(|n| n.is_finite());
+    let value = match kind {
+        VariableKind::I => OwnedVariant::new(&i32::try_from(value.as_i64()?).ok()?),
+        VariableKind::F => OwnedVariant::new(&float(value)?),
+        VariableKind::D => OwnedVariant::new(&value.as_f64()?),
+        VariableKind::S => OwnedVariant::new(value.as_str()?),
+        VariableKind::Io => OwnedVariant::new(&value.as_bool()?),
+        VariableKind::V | VariableKind::P | VariableKind::J | VariableKind::T => {
+            let numbers: Vec<f32> = value.as_array()?.iter().map(float).collect::<Option<_>>()?;
+            OwnedVariant::new(&numbers)
+        }
+    };
+    value.ok().filter(|value| kind.fits(&value.as_variant()))
+}
+
+/// Executes a command.
+pub(crate) async fn execute(controller: Controller, job: Job) -> (CommandResult, Option<String>) {
+    match timeout_at(job.deadline, controller.write(&job.name, job.value)).await {
+        Ok(Ok(())) => (CommandResult::Done, None),
+        Ok(Err(error @ (Error::Refused { .. } | Error::NotConnected { .. } | Error::Closed | Error::Argument(_)))) => {
+            (CommandResult::Failed, Some(error.to_string()))
+        }
+        Ok(Err(error)) => (CommandResult::Unknown, Some(error.to_string())),
+        Err(_) => (CommandResult::Unknown, Some("it expired while it was executed".into())),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    const BEGAN: u64 = 1_000_000;
+
+    fn commands(rules: &[&str], per_second: u32) -> Commands {
+        let allow = rules.iter().map(|rule| config::Rule::try_from((*rule).to_owned()).unwrap()).collect();
+        Commands::new(config::Commands { allow, per_second, longest_seconds: 10 }, BEGAN)
+    }
+
+    fn command(id: &str, name: &str, value: Value, expires: u64) -> Command {
+        Command { id: id.into(), name: name.into(), value, expires, origin: None }
+    }
+
+    #[test]
+    fn a_command_is_accepted_once_and_in_time() {
+        let mut commands = commands(&["I/0-9=-10..10"], 1000);
+        let now = BEGAN + 20_000;
+        let mut check = |id: &str, expires, at| {
+            commands
+                .check(0, &command(id, "I1", json!(1), expires), at)
+                .map(|job| job.value)
+                .map_err(|error| error.split(';').next().unwrap().to_owned())
+        };
+        let one = OwnedVariant::new(&1_i32).unwrap();
+        assert_eq!(check("a", now + 5000, now), Ok(one.clone()));
+        assert_eq!(check("a", now + 5000, now + 1), Err("this id was accepted before".into()));
+        assert_eq!(check("a", now + 5000, now + 5000), Err("it expired 0 ms ago".into()));
+        assert_eq!(check("b", now + 10_001, now), Err("it expires in 10001 ms".into()));
+        assert_eq!(check("", now + 1, now), Err("the id has 0 bytes".into()));
+        assert_eq!(check("a", now + 15_000, now + 5001), Ok(one), "the id is free again after its expiry");
+    }
+
+    #[test]
+    fn a_command_that_an_earlier_process_may_have_executed_is_refused() {
+        let mut commands = commands(&["I"], 1000);
+        // an earlier process accepts this just before it ends
+        let old = command("a", "I1", json!(1), BEGAN + 10_000);
+        assert!(commands.check(0, &old, BEGAN).unwrap_err().starts_with("this node has just started"));
+        assert!(commands.check(0, &old, BEGAN + 9_999).unwrap_err().starts_with("this node has just started"));
+        assert!(commands.check(0, &command("b", "I1", json!(1), BEGAN + 10_001), BEGAN + 1).is_ok());
+    }
+
+    #[test]
+    fn the_rules_of_the_gateway_apply() {
+        let mut commands = commands(&["I/0-9=-10..10", "F", "IO/128", "P"], 1000);
+        let now = BEGAN + 20_000;
+        let mut number = 0;
+        let mut check = |name: &str, value: Value| {
+            number += 1;
+            commands
+                .check(0, &command(&number.to_string(), name, value, now + 5000), now)
+                .map(|job| job.value)
+                .map_err(|e| e)
+        };
+        assert!(check("I9", json!(-10)).is_ok());
+        assert_eq!(check("I9", json!(11)).unwrap_err(), "the value is out of the range that the rules allow");
+        assert_eq!(check("I10", json!(1)).unwrap_err(), "no rule allows this variable");
+        assert_eq!(check("D1", json!(1.0)).unwrap_err(), "no rule allows this kind of variable");
+        assert_eq!(check("I1", json!(1.5)).unwrap_err(), "the value is not of the type of a variable of kind I");
+        assert_eq!(check("IO128", json!(1)).unwrap_err(), "the value is not of the type of a variable of kind IO");
+        assert_eq!(check("F1", json!(1)), Ok(OwnedVariant::new(&1.0_f32).unwrap()));
+        assert!(check("P1", json!([1, 2, 3, 4, 5, 6, -1])).is_ok() && check("P1", json!([1, 2])).is_err());
+        for name in ["@SPEED", "robot/@SERVO_ON", "I-1", "I", "I+1"] {
+            assert!(check(name, json!(1)).unwrap_err().contains("no user variable"), "{name}");
+        }
+    }
+
+    #[test]
+    fn the_rate_is_limited_for_each_controller() {
+        let mut commands = commands(&["I"], 2);
+        let now = BEGAN + 20_000;
+        let mut check = |cell, id: &str, at| commands.check(cell, &command(id, "I1", json!(1), at + 5000), at).is_ok();
+        assert_eq!(
+            [check(0, "a", now), check(0, "b", now), check(0, "c", now), check(1, "a", now)],
+            [true, true, false, true]
+        );
+        assert_eq!([check(0, "d", now + 500), check(0, "e", now + 500)], [true, false]);
+    }
+}

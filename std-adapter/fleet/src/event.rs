@@ -1,0 +1,70 @@
+//! What a fleet reports to its user: changes of connections, and every command.
+
+use serde::Serialize;
+
+/// What happened. Serialised with the tag `event`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Event {
+    /// The broker accepted the connection.
+    BrokerUp {},
+    /// The connection to the broker failed or was lost.
+    BrokerDown {
+        /// Why.
+        reason: String,
+    },
+    /// A session with a controller was opened.
+    RobotUp {
+        /// The controller.
+        controller: String,
+    },
+    /// There is no session with a controller.
+    RobotDown {
+        /// The controller.
+        controller: String,
+        /// Why.
+        reason: String,
+    },
+    /// The buffer on disk failed; readings that do not fit the memory are dropped and counted.
+    BufferFailed {
+        /// Why.
+        reason: String,
+    },
+    /// A command arrived from the broker, and was executed or not.
+    Command {
+        /// The controller.
+        controller: String,
+        /// The topic of the command.
+        topic: String,
+        /// The correlation id.
+        id: String,
+        /// Who sent it, as the command itself claims; the broker does not tell.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        origin: Option<String>,
+        /// The variable.
+        name: String,
+        /// The value, as JSON.
+        value: String,
+        /// How it ended.
+        result: CommandResult,
+        /// Why it was not executed.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        reason: Option<String>,
+    },
+}
+
+/// How a command ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum CommandResult {
+    /// The controller wrote the value.
+    Done,
+    /// The command was not sent to the controller.
+    Refused,
+    /// The controller refused the value, or there was no connection; nothing was written.
+    Failed,
+    /// The controller did not answer in time; the value may have been written.
+    Unknown,
+}

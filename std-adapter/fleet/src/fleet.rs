@@ -1,0 +1,119 @@
+//! A fleet: the scans, the publisher and the server of metrics.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::AtomicU64;
+
+use bcap_std::asynch::Controller;
+use bcap_std::{Model, Settings};
+use tokio::net::TcpListener;
+use tokio::task::JoinSet;
+
+use crate::broker::Broker;
+use crate::config::{Cell, Config};
+use crate::error::Error;
+use crate::event::Event;
+use crate::http;
+use crate::metrics::Metrics;
+use crate::publisher::Publisher;
+use crate::queue::Queue;
+use crate::reading::now_ms;
+use crate::scan::{Scan, Shared};
+use crate::store::Store;
+
+/// Many controllers and one broker.
+pub struct Fleet {
+    shared: Arc<Shared>,
+    publisher: Publisher,
+    controllers: Vec<Controller>,
+    listener: Option<TcpListener>,
+}
+
+impl Fleet {
+    /// Reads secrets and certificates, opens the buffer, listens for metrics, and begins to connect to the controllers.
+    /// `report` is called for each [`Event`]; it must return at once.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`]. A broker or controller that is away is no error.
+    ///
+    /// # Cancel safety
+    ///
+    /// Dropping the future closes everything.
+    pub async fn start(config: Config, report: impl Fn(&Event) + Send + Sync + 'static) -> Result<Self, Error> {
+        let broker = Broker::new(&config)?;
+        let store = match &config.buffer {
+            None => None,
+            Some(buffer) => {
+                let failed = |source| Error::Buffer { path: buffer.directory.clone(), source };
+                Some(Store::open(buffer, &config).map_err(failed)?)
+            }
+        };
+        let listener = match config.metrics_address() {
+            None => None,
+            Some(address) => {
+                let listener = TcpListener::bind(address).await;
+                Some(listener.map_err(|source| Error::Listen { address, source })?)
+            }
+        };
+        let controllers = config.controllers.iter().map(spawn).collect::<Result<Vec<_>, _>>()?;
+        let metrics = Arc::new(Metrics::new(config.controllers.len()));
+        let shared = Arc::new(Shared {
+            queue: Queue::new(Arc::clone(&metrics)),
+            metrics,
+            report: Box::new(report),
+            // at most 1000 readings a millisecond
+            next_id: AtomicU64::new(now_ms().saturating_mul(1000)),
+            config,
+        });
+        let publisher = Publisher::new(Arc::clone(&shared), controllers.clone(), broker, store);
+        Ok(Self { shared, publisher, controllers, listener })
+    }
+
+    /// Returns where metrics are served.
+    #[must_use]
+    pub fn metrics_address(&self) -> Option<SocketAddr> {
+        self.listener.as_ref().and_then(|listener| listener.local_addr().ok())
+    }
+
+    /// Runs until `end` is ready. Then it closes the sessions with the controllers, sends what the broker takes within two
+    /// seconds, and writes the rest to the buffer.
+    ///
+    /// # Cancel safety
+    ///
+    /// Dropping the future closes all connections. Readings in memory are lost then.
+    pub async fn run(self, end: impl Future<Output = ()>) {
+        let Self { shared, publisher, controllers, listener } = self;
+        let mut tasks = JoinSet::new();
+        if let Some(listener) = listener {
+            tasks.spawn(http::serve(listener, Arc::clone(&shared)));
+        }
+        for (cell, controller) in controllers.iter().enumerate() {
+            tasks.spawn(Scan { shared: Arc::clone(&shared), cell, controller: controller.clone() }.run());
+        }
+        let closing = async {
+            end.await;
+            let mut closing = JoinSet::new();
+            for controller in controllers {
+                closing.spawn(controller.close());
+            }
+            // a controller that does not answer must not delay the end
+            let _ = tokio::time::timeout(CLOSE, closing.join_all()).await;
+        };
+        publisher.run(closing).await;
+    }
+}
+
+/// The longest time for the end of all sessions.
+const CLOSE: std::time::Duration = std::time::Duration::from_secs(2);
+
+/// Begins to connect to a controller.
+fn spawn(cell: &Cell) -> Result<Controller, Error> {
+    Controller::spawn(&cell.address, &settings(cell))
+        .map_err(|error| Error::Config(format!("the controller {}: {error}", cell.name)))
+}
+
+/// Returns how to connect to a controller.
+pub(crate) fn settings(cell: &Cell) -> Settings {
+    Settings::new(Model::from(cell.model))
+}

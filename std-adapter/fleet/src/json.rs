@@ -1,0 +1,100 @@
+//! Plain JSON: one topic for each variable, for people and programs without a library.
+//!
+//! | topic                       | payload                                                          | retained |
+//! |-----------------------------|------------------------------------------------------------------|----------|
+//! | `bcap/GROUP/NODE/state`     | `{"state":"online","time":T}`; `offline` by will                 | yes      |
+//! | `bcap/GROUP/NAME/state`     | `{"state":"connected","time":T}`; `disconnected` with `reason`   | yes      |
+//! | `bcap/GROUP/NAME/VARIABLE`  | `{"value":5,"quality":"good","time":T,"id":N}`                   | yes      |
+//! | the same                    | the same with `"historical":true`: the broker was away           | no       |
+//! | the same                    | the same with `"repeated":true`: sent before, for a broker that has lost it | yes |
+//! | `bcap/GROUP/NAME/command`   | a command to this node, see [`command`](crate::command)          |          |
+//! | `bcap/GROUP/NAME/answer`    | its answer                                                       | no       |
+//!
+//! `T` is in milliseconds since 1970. `N` is different for each reading of a node, and increases.
+
+use rumqttc::QoS;
+use serde::Serialize;
+
+use crate::command::Answer;
+use crate::config::Config;
+use crate::message::Message;
+use crate::queue::State;
+use crate::reading::{Quality, Reading, Value};
+
+#[derive(Serialize)]
+struct Shown<'a> {
+    /// `null` if unknown, or a number that JSON does not have.
+    value: Option<&'a Value>,
+    quality: Quality,
+    time: u64,
+    id: u64,
+    #[serde(skip_serializing_if = "is_false")]
+    historical: bool,
+    #[serde(skip_serializing_if = "is_false")]
+    repeated: bool,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde passes a reference")]
+const fn is_false(flag: &bool) -> bool {
+    !*flag
+}
+
+#[derive(Serialize)]
+struct StateShown<'a> {
+    state: &'a str,
+    time: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    reason: Option<&'a str>,
+}
+
+/// Returns the topic of something of a controller, or of the node.
+pub(crate) fn topic(config: &Config, name: &str, leaf: &str) -> String {
+    format!("bcap/{}/{name}/{leaf}", config.group)
+}
+
+/// Returns the message that the broker sends when this node is gone, or that this node sends when it starts or ends.
+pub(crate) fn node(config: &Config, online: bool, time: u64) -> Message {
+    let state = if online { "online" } else { "offline" };
+    retained(topic(config, &config.node, "state"), &StateShown { state, time, reason: None })
+}
+
+/// Returns the message for a change of a controller's state.
+pub(crate) fn state(config: &Config, state: &State) -> Message {
+    let reason = state.down.as_deref();
+    let word = if reason.is_some() { "disconnected" } else { "connected" };
+    let shown = StateShown { state: word, time: state.time, reason };
+    retained(topic(config, &config.controllers[state.cell].name, "state"), &shown)
+}
+
+/// Returns the message for a reading.
+pub(crate) fn reading(config: &Config, reading: Reading) -> Message {
+    // an old value must not replace a newer one
+    let retain = !reading.historical;
+    let message = shown(config, &reading, false);
+    Message { reading: Some(reading), retain, ..message }
+}
+
+/// Returns the message that repeats the latest reading of a point.
+pub(crate) fn repeated(config: &Config, reading: &Reading) -> Message {
+    shown(config, reading, true)
+}
+
+fn shown(config: &Config, reading: &Reading, repeated: bool) -> Message {
+    let cell = &config.controllers[reading.cell];
+    let Reading { quality, time, id, .. } = *reading;
+    let historical = reading.historical && !repeated;
+    let shown = Shown { value: reading.value.as_ref(), quality, time, id, historical, repeated };
+    retained(topic(config, &cell.name, &cell.points[reading.point].name), &shown)
+}
+
+/// Returns the answer to a command.
+pub(crate) fn answer(config: &Config, cell: usize, answer: &Answer<'_>) -> Message {
+    let topic = topic(config, &config.controllers[cell].name, "answer");
+    Message { retain: false, ..retained(topic, answer) }
+}
+
+fn retained(topic: String, shown: &impl Serialize) -> Message {
+    // numbers, texts and lists of them are always JSON
+    let payload = serde_json::to_vec(shown).unwrap_or_default();
+    Message { topic, payload, qos: QoS::AtLeastOnce, retain: true, reading: None }
+}

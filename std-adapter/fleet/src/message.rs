@@ -1,0 +1,16 @@
+//! A message to the broker.
+
+use rumqttc::QoS;
+
+use crate::reading::Reading;
+
+/// A message to the broker.
+#[derive(Clone, Debug)]
+pub(crate) struct Message {
+    pub(crate) topic: String,
+    pub(crate) payload: Vec<u8>,
+    pub(crate) qos: QoS,
+    pub(crate) retain: bool,
+    /// What must be sent again if the broker does not acknowledge it.
+    pub(crate) reading: Option<Reading>,
+}

@@ -1,0 +1,648 @@
+//! Moves readings to the broker and commands from it. One task owns the connection, the buffer on disk and the encoder.
+//!
+//! While there is a connection, new readings go first, and those of the buffer when there is nothing new. At most
+//! [`WINDOW`] messages wait for the broker. After a loss, readings that it has not acknowledged go to the buffer.
+
+use std::collections::{HashMap, VecDeque};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use bcap_std::asynch::Controller;
+use rumqttc::{ConnectReturnCode, Event as Mqtt, Outgoing, Packet, Publish, QoS};
+use tokio::task::{JoinSet, spawn_blocking};
+use tokio::time::{Instant, sleep_until, timeout};
+
+use crate::broker::{Broker, Link, LinkEvent, WINDOW};
+use crate::command::{Answer, Command, Commands, execute};
+use crate::config::{Config, Format};
+use crate::event::{CommandResult, Event};
+use crate::json;
+use crate::message::Message;
+use crate::queue::{Item, State};
+use crate::reading::{Reading, now_ms};
+use crate::scan::Shared;
+use crate::sparkplug::{self, Sparkplug};
+use crate::store::Store;
+
+/// The delays between two attempts to connect.
+const BACKOFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(10));
+
+/// The longest time for the last messages.
+const CLOSE: Duration = Duration::from_secs(2);
+
+/// The most readings in memory without a buffer on disk.
+const MEMORY: usize = 20_000;
+
+/// New readings beyond this go to the buffer although there is a connection.
+const BACKLOG: usize = 10_000;
+
+/// The most commands that run at the same time.
+const RUNNING: usize = 64;
+
+/// Moves readings to the broker and commands from it.
+pub(crate) struct Publisher {
+    shared: Arc<Shared>,
+    controllers: Vec<Controller>,
+    broker: Broker,
+    /// `None` for JSON.
+    sparkplug: Option<Sparkplug>,
+    /// `None` without a buffer on disk, or after it has failed.
+    store: Option<Store>,
+    commands: Commands,
+    running: JoinSet<Finished>,
+    cells: Vec<Cell>,
+    /// Readings to send as historical.
+    history: VecDeque<Reading>,
+    /// Readings that the broker must acknowledge before the store's loaded file can be deleted.
+    loaded: usize,
+    link: Option<Connection>,
+    retry: Instant,
+    backoff: Duration,
+    /// Whether all values must be repeated, because newer ones than the retained ones went to the buffer.
+    stale: bool,
+}
+
+/// What is known of a controller.
+struct Cell {
+    state: Option<State>,
+    latest: Vec<Option<Reading>>,
+}
+
+/// A command that has ended.
+struct Finished {
+    cell: usize,
+    topic: String,
+    command: Command,
+    result: CommandResult,
+    reason: Option<String>,
+}
+
+/// A connection and its messages.
+struct Connection {
+    link: Link,
+    /// Whether the broker has accepted it.
+    is_up: bool,
+    /// Messages to give to the link.
+    out: VecDeque<Message>,
+    /// Readings of messages that the link has not sent.
+    sent: VecDeque<Option<Reading>>,
+    /// Readings of messages that the broker has not acknowledged, by packet.
+    waiting: HashMap<u16, Option<Reading>>,
+}
+
+impl Connection {
+    fn room(&self) -> usize {
+        usize::from(WINDOW).saturating_sub(self.in_flight() + self.out.len())
+    }
+
+    fn in_flight(&self) -> usize {
+        self.sent.len() + self.waiting.len()
+    }
+
+    /// Gives messages to the link.
+    fn flush(&mut self) {
+        while self.in_flight() < usize::from(WINDOW) {
+            let Some(Message { topic, payload, qos, retain, reading }) = self.out.pop_front() else { return };
+            // the channel of the link has room for more than the window; after a loss the event follows
+            let _ = self.link.client.try_publish(topic, qos, retain, payload);
+            self.sent.push_back(reading);
+        }
+    }
+
+    /// Returns the readings that may not have arrived, the oldest first.
+    fn into_readings(mut self) -> Vec<Reading> {
+        let sent = std::mem::take(&mut self.sent);
+        let waiting = std::mem::take(&mut self.waiting);
+        let out = std::mem::take(&mut self.out).into_iter().map(|message| message.reading);
+        let mut readings: Vec<_> = waiting.into_values().chain(sent).chain(out).flatten().collect();
+        readings.sort_by_key(|reading| reading.id);
+        readings
+    }
+}
+
+impl Publisher {
+    pub(crate) fn new(shared: Arc<Shared>, controllers: Vec<Controller>, broker: Broker, store: Option<Store>) -> Self {
+        let config = &shared.config;
+        let cells = config.controllers.iter().map(|cell| Cell { state: None, latest: vec![None; cell.points.len()] });
+        Self {
+            cells: cells.collect(),
+            commands: Commands::new(config.commands.clone(), now_ms()),
+            sparkplug: (config.format == Format::Sparkplug).then(|| Sparkplug::new(config)),
+            controllers,
+            broker,
+            store,
+            running: JoinSet::new(),
+            history: VecDeque::new(),
+            loaded: 0,
+            link: None,
+            retry: Instant::now(),
+            backoff: BACKOFF.0,
+            stale: false,
+            shared,
+        }
+    }
+
+    /// Runs until `end` is ready.
+    pub(crate) async fn run(mut self, end: impl Future<Output = ()>) {
+        tokio::pin!(end);
+        let shared = Arc::clone(&self.shared);
+        loop {
+            if self.link.is_none() && self.retry <= Instant::now() {
+                self.connect();
+            }
+            self.step().await;
+            tokio::select! {
+                event = next(&mut self.link) => self.handle(event).await,
+                () = shared.queue.added() => {}
+                () = sleep_until(self.retry), if self.link.is_none() => {}
+                Some(Ok(finished)) = self.running.join_next() => self.finish(finished),
+                () = &mut end => break,
+            }
+        }
+        self.close().await;
+    }
+
+    fn config(&self) -> &Config {
+        &self.shared.config
+    }
+
+    fn is_up(&self) -> bool {
+        self.link.as_ref().is_some_and(|connection| connection.is_up)
+    }
+
+    /// Moves what can be moved without waiting for the broker.
+    async fn step(&mut self) {
+        if !self.is_up() {
+            return self.drain().await;
+        }
+        if self.shared.queue.len() > BACKLOG {
+            self.stale = true;
+            self.drain().await;
+        }
+        loop {
+            self.pump();
+            if !self.history.is_empty() || self.loaded > 0 || !self.load().await {
+                return;
+            }
+        }
+    }
+
+    /// Moves all new readings to the buffer.
+    async fn drain(&mut self) {
+        let mut readings = Vec::new();
+        while let Some(item) = self.shared.queue.pop() {
+            match item {
+                Item::State(state) => {
+                    self.set_state(&state);
+                    if self.is_up() {
+                        self.send_state(&state);
+                    }
+                }
+                Item::Reading(mut reading) => {
+                    self.cells[reading.cell].latest[reading.point] = Some(reading.clone());
+                    reading.historical = true;
+                    readings.push(reading);
+                }
+            }
+        }
+        if !readings.is_empty() {
+            self.keep(readings).await;
+        }
+    }
+
+    /// Puts messages into the window.
+    fn pump(&mut self) {
+        let shared = Arc::clone(&self.shared);
+        while self.link.as_ref().is_some_and(|connection| connection.room() > 0) {
+            if let Some(item) = shared.queue.pop() {
+                match item {
+                    Item::State(state) => {
+                        self.set_state(&state);
+                        self.send_state(&state);
+                    }
+                    Item::Reading(reading) => self.send(reading),
+                }
+            } else if let Some(reading) = self.history.pop_front() {
+                self.send_history(reading);
+            } else if std::mem::take(&mut self.stale) {
+                self.repeat();
+            } else {
+                break;
+            }
+        }
+        if let Some(connection) = &mut self.link {
+            connection.flush();
+        }
+    }
+
+    fn push(&mut self, message: Message) {
+        if let Some(connection) = &mut self.link {
+            connection.out.push_back(message);
+        }
+    }
+
+    fn set_state(&mut self, state: &State) {
+        let cell = &mut self.cells[state.cell];
+        if self.sparkplug.is_some() {
+            // a birth waits for the first readings of the session
+            cell.latest.fill(None);
+        }
+        cell.state = Some(state.clone());
+    }
+
+    fn send_state(&mut self, state: &State) {
+        let shared = Arc::clone(&self.shared);
+        let message = match &mut self.sparkplug {
+            None => Some(json::state(&shared.config, state)),
+            Some(sparkplug) => sparkplug.device_death(&shared.config, state.cell),
+        };
+        if let Some(message) = message {
+            self.push(message);
+        }
+    }
+
+    /// Sends a new reading.
+    fn send(&mut self, reading: Reading) {
+        let shared = Arc::clone(&self.shared);
+        let config = &shared.config;
+        let cell = reading.cell;
+        let before = self.cells[cell].latest[reading.point].replace(reading.clone());
+        let Some(sparkplug) = &mut self.sparkplug else {
+            return self.push(json::reading(config, reading));
+        };
+        let is_down = self.cells[cell].state.as_ref().is_none_or(|state| state.down.is_some());
+        if is_down {
+            // the death of the device has said that all values are unknown
+            self.cells[cell].latest[reading.point] = None;
+        } else if !sparkplug.is_born(cell) {
+            // the birth carries the latest reading only
+            if let Some(before) = before {
+                self.history.push_back(Reading { historical: true, ..before });
+                self.loaded += 1;
+            }
+            self.birth(cell);
+        } else if sparkplug.has_type(config, &reading) {
+            let message = sparkplug.data(config, reading);
+            self.push(message);
+        } else {
+            let birth = sparkplug.device_birth(config, cell, &self.cells[cell].latest);
+            self.push(birth);
+        }
+    }
+
+    fn send_history(&mut self, reading: Reading) {
+        let shared = Arc::clone(&self.shared);
+        let config = &shared.config;
+        let Some(sparkplug) = &mut self.sparkplug else {
+            return self.push(json::reading(config, reading));
+        };
+        if !sparkplug.is_born(reading.cell) {
+            // aliases are unknown before a birth; its unread values are null
+            let birth = sparkplug.device_birth(config, reading.cell, &self.cells[reading.cell].latest);
+            if let Some(connection) = &mut self.link {
+                connection.out.push_back(birth);
+            }
+        }
+        let message = sparkplug.data(config, reading);
+        self.push(message);
+    }
+
+    /// Sends the birth of a device when each of its points was read.
+    fn birth(&mut self, cell: usize) {
+        let shared = Arc::clone(&self.shared);
+        let latest = &self.cells[cell].latest;
+        let is_up = self.cells[cell].state.as_ref().is_some_and(|state| state.down.is_none());
+        if let Some(sparkplug) = &mut self.sparkplug
+            && is_up
+            && latest.iter().all(Option::is_some)
+        {
+            let birth = sparkplug.device_birth(&shared.config, cell, latest);
+            self.push(birth);
+        }
+    }
+
+    /// Sends what a host must know after a new connection, or when it asks.
+    fn introduce(&mut self) {
+        let shared = Arc::clone(&self.shared);
+        let config = &shared.config;
+        if let Some(sparkplug) = &mut self.sparkplug {
+            let birth = sparkplug.birth(config);
+            self.push(birth);
+            (0..self.cells.len()).for_each(|cell| self.birth(cell));
+            return;
+        }
+        self.push(json::node(config, true, now_ms()));
+        let states: Vec<_> = self.cells.iter().filter_map(|cell| cell.state.clone()).collect();
+        states.iter().for_each(|state| self.send_state(state));
+        self.repeat();
+    }
+
+    /// Sends the latest readings again, so that the retained ones are the newest. Sparkplug has births for this.
+    fn repeat(&mut self) {
+        if self.sparkplug.is_some() {
+            return self.introduce();
+        }
+        let readings = self.cells.iter().flat_map(|cell| cell.latest.iter().flatten());
+        let messages: Vec<_> = readings.map(|reading| json::repeated(self.config(), reading)).collect();
+        messages.into_iter().for_each(|message| self.push(message));
+    }
+
+    fn connect(&mut self) {
+        let shared = Arc::clone(&self.shared);
+        let will = match &mut self.sparkplug {
+            Some(sparkplug) => sparkplug.will(&shared.config),
+            None => json::node(&shared.config, false, now_ms()),
+        };
+        let link = self.broker.connect(Some(will));
+        let (out, sent, waiting) = Default::default();
+        self.link = Some(Connection { link, is_up: false, out, sent, waiting });
+    }
+
+    async fn handle(&mut self, event: Option<LinkEvent>) {
+        match event {
+            Some(Ok(Mqtt::Incoming(Packet::ConnAck(ack)))) if ack.code == ConnectReturnCode::Success => {
+                self.accepted().await;
+            }
+            Some(Ok(Mqtt::Incoming(Packet::Publish(publish)))) => self.receive(&publish),
+            Some(Ok(Mqtt::Incoming(Packet::PubAck(ack)))) => {
+                let reading = self.link.as_mut().and_then(|connection| connection.waiting.remove(&ack.pkid));
+                self.arrived(reading.flatten()).await;
+            }
+            Some(Ok(Mqtt::Outgoing(Outgoing::Publish(packet)))) => {
+                let Some(connection) = &mut self.link else { return };
+                let reading = connection.sent.pop_front().flatten();
+                if packet == 0 {
+                    // QoS 0 has no acknowledgement
+                    self.arrived(reading).await;
+                } else {
+                    connection.waiting.insert(packet, reading);
+                }
+            }
+            Some(Ok(_)) => {}
+            Some(Err(reason)) => self.lose(reason).await,
+            None => self.lose("the connection has ended".into()).await,
+        }
+    }
+
+    async fn accepted(&mut self) {
+        let metrics = &self.shared.metrics;
+        metrics.broker_up.store(true, Ordering::Relaxed);
+        metrics.broker_connections.fetch_add(1, Ordering::Relaxed);
+        (self.shared.report)(&Event::BrokerUp {});
+        self.backoff = BACKOFF.0;
+        // what was read before the connection is historical
+        self.drain().await;
+        self.stale = false;
+        let topics = self.topics();
+        if let Some(connection) = &mut self.link {
+            connection.is_up = true;
+            for topic in topics {
+                let _ = connection.link.client.try_subscribe(topic, QoS::AtLeastOnce);
+            }
+        }
+        self.introduce();
+    }
+
+    /// Returns the topics of commands.
+    fn topics(&self) -> Vec<String> {
+        let config = self.config();
+        let mut topics = Vec::new();
+        if self.sparkplug.is_some() {
+            topics.push(sparkplug::topic(config, "NCMD", None));
+            if self.commands.are_on() {
+                topics.push(sparkplug::topic(config, "DCMD", None) + "/+");
+            }
+        } else if self.commands.are_on() {
+            topics.push(format!("bcap/{}/+/command", config.group));
+        }
+        topics
+    }
+
+    /// Counts a reading that the broker has.
+    async fn arrived(&mut self, reading: Option<Reading>) {
+        let Some(reading) = reading else { return };
+        self.shared.metrics.published.fetch_add(1, Ordering::Relaxed);
+        if reading.historical && self.loaded > 0 {
+            self.loaded -= 1;
+            if self.loaded == 0 {
+                self.with_store(|store| {
+                    store.acknowledge();
+                    Ok(())
+                })
+                .await;
+            }
+        }
+    }
+
+    async fn lose(&mut self, reason: String) {
+        if self.is_up() {
+            self.shared.metrics.broker_up.store(false, Ordering::Relaxed);
+        }
+        (self.shared.report)(&Event::BrokerDown { reason });
+        self.retry = Instant::now() + self.backoff;
+        self.backoff = (self.backoff * 2).min(BACKOFF.1);
+        self.recover().await;
+    }
+
+    /// Ends the connection, and keeps what may not have arrived.
+    async fn recover(&mut self) {
+        let Some(connection) = self.link.take() else { return };
+        let mut readings = connection.into_readings();
+        // what was loaded goes back as well, so that the file can be deleted
+        readings.extend(self.history.drain(..));
+        readings.iter_mut().for_each(|reading| reading.historical = true);
+        readings.sort_by_key(|reading| reading.id);
+        let had_loaded = std::mem::take(&mut self.loaded) > 0;
+        if !readings.is_empty() {
+            self.keep(readings).await;
+        }
+        if had_loaded {
+            self.with_store(|store| {
+                store.acknowledge();
+                Ok(())
+            })
+            .await;
+        }
+    }
+
+    /// Puts readings into the buffer.
+    async fn keep(&mut self, readings: Vec<Reading>) {
+        if self.store.is_some() {
+            let count = readings.len() as u64;
+            let kept = self.with_store(move |store| store.append(&readings, now_ms())).await;
+            if kept.is_none() {
+                self.shared.metrics.dropped.fetch_add(count, Ordering::Relaxed);
+            }
+            return;
+        }
+        self.history.extend(readings);
+        let excess = self.history.len().saturating_sub(MEMORY);
+        self.history.drain(..excess);
+        self.shared.metrics.dropped.fetch_add(excess as u64, Ordering::Relaxed);
+    }
+
+    /// Loads the oldest readings of the store; returns whether there are any.
+    async fn load(&mut self) -> bool {
+        if self.store.as_ref().is_none_or(|store| store.stored() == 0) {
+            return false;
+        }
+        let readings = self.with_store(|store| store.load(now_ms())).await.unwrap_or_default();
+        self.loaded = readings.len();
+        self.history.extend(readings);
+        self.loaded > 0
+    }
+
+    /// Runs a blocking function of the store on another thread. A store that fails is given up.
+    async fn with_store<T: Send + 'static>(
+        &mut self,
+        work: impl FnOnce(&mut Store) -> std::io::Result<T> + Send + 'static,
+    ) -> Option<T> {
+        let mut store = self.store.take()?;
+        let done = spawn_blocking(move || {
+            let result = work(&mut store);
+            let counts = (store.take_dropped(), store.stored(), store.stored_bytes());
+            (store, result, counts)
+        });
+        let (store, result, (dropped, stored, bytes)) = done.await.ok()?;
+        let metrics = &self.shared.metrics;
+        metrics.dropped.fetch_add(dropped, Ordering::Relaxed);
+        metrics.stored.store(stored, Ordering::Relaxed);
+        metrics.stored_bytes.store(bytes, Ordering::Relaxed);
+        match result {
+            Ok(value) => {
+                self.store = Some(store);
+                Some(value)
+            }
+            Err(error) => {
+                (self.shared.report)(&Event::BufferFailed { reason: error.to_string() });
+                None
+            }
+        }
+    }
+
+    fn receive(&mut self, publish: &Publish) {
+        let shared = Arc::clone(&self.shared);
+        let config = &shared.config;
+        let mut levels = publish.topic.split('/');
+        if let Some(sparkplug) = &mut self.sparkplug {
+            let cell = levels.nth(4).and_then(|name| config.controllers.iter().position(|cell| cell.name == name));
+            let is_node = publish.topic == sparkplug::topic(config, "NCMD", None);
+            if !is_node && cell.is_none() {
+                return;
+            }
+            match sparkplug.command(config, cell.filter(|_| !is_node), &publish.payload) {
+                Ok(command) if is_node && command.rebirth => self.introduce(),
+                Ok(command) => {
+                    let sent = command.time.unwrap_or(0);
+                    let expires = sent.saturating_add(self.commands.longest());
+                    for (name, value) in command.writes {
+                        let id = format!("{sent}/{name}");
+                        let command = Command { id, name, value, expires, origin: None };
+                        self.order(cell.unwrap_or(0), publish, command);
+                    }
+                }
+                Err(reason) => self.unreadable(cell, publish, reason),
+            }
+            return;
+        }
+        let name = levels.nth(2).unwrap_or_default();
+        // another node of the group may have this controller
+        let Some(cell) = config.controllers.iter().position(|cell| cell.name == name) else { return };
+        match serde_json::from_slice(&publish.payload) {
+            Ok(command) => self.order(cell, publish, command),
+            Err(error) => self.unreadable(Some(cell), publish, format!("it is not a command: {error}")),
+        }
+    }
+
+    /// Executes a command, or refuses it.
+    fn order(&mut self, cell: usize, publish: &Publish, command: Command) {
+        self.shared.metrics.commands.fetch_add(1, Ordering::Relaxed);
+        let checked = if publish.retain {
+            Err("it is retained, and may be old".into())
+        } else if self.running.len() >= RUNNING {
+            Err(format!("{RUNNING} commands are running"))
+        } else {
+            self.commands.check(cell, &command, now_ms())
+        };
+        let topic = publish.topic.clone();
+        match checked {
+            Ok(job) => {
+                let controller = self.controllers[cell].clone();
+                self.running.spawn(async move {
+                    let (result, reason) = execute(controller, job).await;
+                    Finished { cell, topic, command, result, reason }
+                });
+            }
+            Err(reason) => {
+                self.shared.metrics.refused.fetch_add(1, Ordering::Relaxed);
+                self.finish(Finished { cell, topic, command, result: CommandResult::Refused, reason: Some(reason) });
+            }
+        }
+    }
+
+    fn unreadable(&mut self, cell: Option<usize>, publish: &Publish, reason: String) {
+        let Some(cell) = cell else { return };
+        self.shared.metrics.commands.fetch_add(1, Ordering::Relaxed);
+        self.shared.metrics.refused.fetch_add(1, Ordering::Relaxed);
+        let command = Command { id: String::new(), name: String::new(), value: ().into(), expires: 0, origin: None };
+        let (topic, result) = (publish.topic.clone(), CommandResult::Refused);
+        self.finish(Finished { cell, topic, command, result, reason: Some(reason) });
+    }
+
+    /// Writes the outcome of a command to the audit log, and answers it.
+    fn finish(&mut self, finished: Finished) {
+        let Finished { cell, topic, command, result, reason } = finished;
+        let shared = Arc::clone(&self.shared);
+        let answer = json::answer(&shared.config, cell, &Answer { id: &command.id, result, reason: reason.as_deref() });
+        (shared.report)(&Event::Command {
+            controller: shared.config.controllers[cell].name.clone(),
+            topic,
+            id: command.id,
+            origin: command.origin,
+            name: command.name,
+            value: command.value.to_string(),
+            result,
+            reason,
+        });
+        // Sparkplug has no answers; a host sees the new value
+        if self.sparkplug.is_none() && self.is_up() {
+            self.push(answer);
+        }
+    }
+
+    /// Announces the end, and keeps what may not have arrived.
+    async fn close(mut self) {
+        if self.is_up() {
+            let shared = Arc::clone(&self.shared);
+            self.push(match &self.sparkplug {
+                Some(sparkplug) => sparkplug.death(&shared.config),
+                None => json::node(&shared.config, false, now_ms()),
+            });
+            let last = async {
+                while self.link.as_ref().is_some_and(|link| !link.out.is_empty() || link.in_flight() > 0) {
+                    if let Some(connection) = &mut self.link {
+                        connection.flush();
+                    }
+                    let event = next(&mut self.link).await;
+                    self.handle(event).await;
+                }
+                if let Some(connection) = &mut self.link {
+                    let _ = connection.link.client.try_disconnect();
+                    while connection.link.events.recv().await.is_some_and(|event| event.is_ok()) {}
+                }
+            };
+            let _ = timeout(CLOSE, last).await;
+        }
+        self.recover().await;
+        self.drain().await;
+    }
+}
+
+/// Waits for the next event of a connection. Cancel-safe.
+async fn next(link: &mut Option<Connection>) -> Option<LinkEvent> {
+    match link {
+        Some(connection) => connection.link.events.recv().await,
+        None => std::future::pending().await,
+    }
+}

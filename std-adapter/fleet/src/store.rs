@@ -1,0 +1,303 @@
+//! Readings on disk while the broker is away: files of JSON lines, the oldest first.
+//!
+//! A file is deleted after the broker has acknowledged all of its readings. If the process is killed before that, they are
+//! sent again, with the same ids. A file that exceeds the limits of bytes or age is deleted, and its readings are counted
+//! as dropped. The functions block; the publisher calls them on a thread for blocking work.
+
+use std::collections::VecDeque;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, BufRead as _, BufReader, Write as _};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+use crate::config::{Buffer, Config};
+use crate::reading::{Quality, Reading, Value};
+
+/// A buffer on disk.
+#[derive(Debug)]
+pub(crate) struct Store {
+    directory: PathBuf,
+    /// The most bytes of all files.
+    bytes: u64,
+    /// The most bytes of a file.
+    segment: u64,
+    age: Duration,
+    /// The oldest first.
+    segments: VecDeque<Segment>,
+    /// The number of the next file.
+    next: u64,
+    /// The file that is being written.
+    open: Option<File>,
+    /// The file that [`load`](Self::load) has returned, until it is acknowledged.
+    loaded: Option<Segment>,
+    /// Readings that were lost since the last [`take_dropped`](Self::take_dropped).
+    dropped: u64,
+    /// The names of the configuration, to which the lines refer.
+    names: Vec<(String, Vec<String>)>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Segment {
+    number: u64,
+    bytes: u64,
+    readings: u64,
+    /// The time of its last reading.
+    newest: u64,
+}
+
+/// A reading with names, which stay valid when the configuration changes.
+#[derive(Serialize, Deserialize)]
+struct Line {
+    cell: String,
+    point: String,
+    time: u64,
+    id: u64,
+    value: Option<Value>,
+    quality: Quality,
+}
+
+impl Store {
+    /// Opens the directory, and finds what an earlier process has left.
+    pub(crate) fn open(buffer: &Buffer, config: &Config) -> io::Result<Self> {
+        fs::create_dir_all(&buffer.directory)?;
+        let bytes = u64::from(buffer.mib).max(1) << 20;
+        let names = config
+            .controllers
+            .iter()
+            .map(|cell| (cell.name.clone(), cell.points.iter().map(|point| point.name.clone()).collect()));
+        let mut store = Self {
+            directory: buffer.directory.clone(),
+            bytes,
+            segment: (bytes / 64).max(1 << 14),
+            age: Duration::from_secs(u64::from(buffer.hours).max(1) * 3600),
+            segments: VecDeque::new(),
+            next: 0,
+            open: None,
+            loaded: None,
+            dropped: 0,
+            names: names.collect(),
+        };
+        store.find()?;
+        Ok(store)
+    }
+
+    fn find(&mut self) -> io::Result<()> {
+        let mut numbers = Vec::new();
+        for entry in fs::read_dir(&self.directory)? {
+            let name = entry?.file_name();
+            let number = name.to_str().and_then(|name| name.strip_suffix(".jsonl")).and_then(|n| n.parse::<u64>().ok());
+            numbers.extend(number);
+        }
+        numbers.sort_unstable();
+        for number in numbers {
+            let path = self.path(number);
+            let (lines, bytes) = (read_lines(&path)?, fs::metadata(&path)?.len());
+            let newest = lines.iter().map(|line| line.time).max().unwrap_or(0);
+            self.segments.push_back(Segment { number, bytes, readings: lines.len() as u64, newest });
+            self.next = number + 1;
+        }
+        Ok(())
+    }
+
+    /// Appends readings, and deletes what exceeds the limits.
+    pub(crate) fn append(&mut self, readings: &[Reading], now: u64) -> io::Result<()> {
+        for reading in readings {
+            if self.open.is_none() || self.segments.back().is_some_and(|last| last.bytes >= self.segment) {
+                self.begin()?;
+            }
+            let mut line = serde_json::to_vec(&self.line(reading)).map_err(io::Error::from)?;
+            line.push(b'\n');
+            if let (Some(file), Some(last)) = (&mut self.open, self.segments.back_mut()) {
+                file.write_all(&line)?;
+                last.bytes += line.len() as u64;
+                last.readings += 1;
+                last.newest = last.newest.max(reading.time);
+            }
+        }
+        self.trim(now);
+        Ok(())
+    }
+
+    fn begin(&mut self) -> io::Result<()> {
+        let path = self.path(self.next);
+        self.open = Some(OpenOptions::new().create_new(true).append(true).open(path)?);
+        self.segments.push_back(Segment { number: self.next, bytes: 0, readings: 0, newest: 0 });
+        self.next += 1;
+        Ok(())
+    }
+
+    /// Deletes the oldest files until the limits are met.
+    fn trim(&mut self, now: u64) {
+        let oldest = now.saturating_sub(u64::try_from(self.age.as_millis()).unwrap_or(u64::MAX));
+        while let Some(first) = self.segments.front().copied() {
+            let is_old = first.newest < oldest && first.readings > 0;
+            if self.stored_bytes() <= self.bytes && !is_old {
+                break;
+            }
+            self.segments.pop_front();
+            if self.segments.is_empty() {
+                self.open = None;
+            }
+            self.dropped += first.readings;
+            self.delete(first);
+        }
+    }
+
+    /// Returns the readings of the oldest file. The file is kept until [`acknowledge`](Self::acknowledge).
+    pub(crate) fn load(&mut self, now: u64) -> io::Result<Vec<Reading>> {
+        self.trim(now);
+        if self.loaded.is_some() {
+            return Ok(Vec::new());
+        }
+        let Some(first) = self.segments.pop_front() else { return Ok(Vec::new()) };
+        if self.segments.is_empty() {
+            self.open = None;
+        }
+        let lines = read_lines(&self.path(first.number))?;
+        let mut readings = Vec::new();
+        for line in lines {
+            match self.reading(line) {
+                Some(reading) => readings.push(reading),
+                // the configuration no longer has this variable
+                None => self.dropped += 1,
+            }
+        }
+        if readings.is_empty() {
+            self.delete(first);
+        } else {
+            self.loaded = Some(first);
+        }
+        Ok(readings)
+    }
+
+    /// Deletes the loaded file: its readings are acknowledged, or were appended again.
+    pub(crate) fn acknowledge(&mut self) {
+        if let Some(loaded) = self.loaded.take() {
+            self.delete(loaded);
+        }
+    }
+
+    /// Returns the number of lost readings since the last call.
+    pub(crate) const fn take_dropped(&mut self) -> u64 {
+        std::mem::replace(&mut self.dropped, 0)
+    }
+
+    pub(crate) fn stored(&self) -> u64 {
+        self.segments.iter().map(|segment| segment.readings).sum()
+    }
+
+    pub(crate) fn stored_bytes(&self) -> u64 {
+        self.segments.iter().chain(&self.loaded).map(|segment| segment.bytes).sum()
+    }
+
+    fn delete(&self, segment: Segment) {
+        // a file that cannot be deleted is sent again by the next process
+        let _ = fs::remove_file(self.path(segment.number));
+    }
+
+    fn path(&self, number: u64) -> PathBuf {
+        self.directory.join(format!("{number:012}.jsonl"))
+    }
+
+    fn line(&self, reading: &Reading) -> Line {
+        let (cell, points) = &self.names[reading.cell];
+        Line {
+            cell: cell.clone(),
+            point: points[reading.point].clone(),
+            time: reading.time,
+            id: reading.id,
+            value: reading.value.clone(),
+            quality: reading.quality,
+        }
+    }
+
+    fn reading(&self, line: Line) -> Option<Reading> {
+        let cell = self.names.iter().position(|(name, _)| *name == line.cell)?;
+        let point = self.names[cell].1.iter().position(|name| *name == line.point)?;
+        let Line { time, id, value, quality, .. } = line;
+        Some(Reading { cell, point, time, id, value, quality, historical: true })
+    }
+}
+
+/// Reads the lines of a file; a line that a crash has cut is left out.
+fn read_lines(path: &Path) -> io::Result<Vec<Line>> {
+    let mut lines = Vec::new();
+    for line in BufReader::new(File::open(path)?).split(b'\n') {
+        lines.extend(serde_json::from_slice(&line?).ok());
+    }
+    Ok(lines)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn config() -> Config {
+        let text = "group = \"g\"\nnode = \"n\"\n[broker]\nhost = \"h\"\n[[controller]]\nname = \"a\"\n\
+            address = \"tcp:127.0.0.1\"\n[[controller.publish]]\nnames = [\"I1\", \"S1\"]\n";
+        Config::parse(text).unwrap()
+    }
+
+    fn open(directory: &Path, hours: u32) -> Store {
+        Store::open(&Buffer { directory: directory.to_owned(), mib: 1, hours }, &config()).unwrap()
+    }
+
+    fn reading(id: u64, time: u64) -> Reading {
+        let value = Some(Value::Text("x".repeat(100)));
+        Reading { cell: 0, point: 1, time, id, value, quality: Quality::Good, historical: true }
+    }
+
+    fn ids(readings: &[Reading]) -> Vec<u64> {
+        readings.iter().map(|reading| reading.id).collect()
+    }
+
+    #[test]
+    fn readings_come_back_in_order_also_in_another_process() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut store = open(folder.path(), 1);
+        store.append(&[reading(1, 10), reading(2, 11)], 11).unwrap();
+        assert_eq!(ids(&store.load(11).unwrap()), [1, 2]);
+        store.append(&[reading(3, 12)], 12).unwrap();
+        drop(store);
+        let mut store = open(folder.path(), 1);
+        assert_eq!(store.stored(), 3, "1 and 2 were not acknowledged");
+        assert_eq!(store.load(12).unwrap(), [reading(1, 10), reading(2, 11)]);
+        store.acknowledge();
+        assert_eq!(ids(&store.load(12).unwrap()), [3]);
+        store.acknowledge();
+        assert_eq!((ids(&store.load(12).unwrap()), store.stored_bytes(), store.take_dropped()), (vec![], 0, 0));
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn the_oldest_readings_are_dropped_and_counted() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut store = open(folder.path(), 1);
+        for id in 0..10_000 {
+            store.append(&[reading(id, 0)], 0).unwrap();
+        }
+        assert!(store.stored_bytes() <= 1 << 20, "{}", store.stored_bytes());
+        let dropped = store.take_dropped();
+        assert!(dropped > 0);
+        assert_eq!((store.stored() + dropped, store.load(0).unwrap()[0].id), (10_000, dropped));
+        store.acknowledge();
+        let rest = store.stored();
+        assert_eq!(
+            (store.load(3_600_001).unwrap().len(), store.take_dropped()),
+            (0, rest),
+            "an hour later all are too old"
+        );
+    }
+
+    #[test]
+    fn a_cut_line_is_left_out() {
+        let folder = tempfile::tempdir().unwrap();
+        open(folder.path(), 1).append(&[reading(1, 10), reading(2, 11)], 11).unwrap();
+        let path = folder.path().join("000000000000.jsonl");
+        let text = fs::read(&path).unwrap();
+        fs::write(&path, &text[..text.len() - 5]).unwrap();
+        assert_eq!(ids(&open(folder.path(), 1).load(11).unwrap()), [1]);
+    }
+}

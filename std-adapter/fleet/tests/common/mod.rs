@@ -1,0 +1,254 @@
+//! A Mosquitto, virtual controllers and a subscriber.
+#![allow(dead_code, reason = "every test file uses its own part of this")]
+
+use std::fs;
+use std::net::{SocketAddr, TcpListener};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use bcap_core::variant::Variant;
+use bcap_fleet::{Config, Event, Fleet};
+use bcap_sim::{Controller, Profile, VariableKind};
+use bcap_std::server::Server;
+use rumqttc::{AsyncClient, Event as Mqtt, MqttOptions, Packet, Publish, QoS};
+use tempfile::TempDir;
+use tokio::sync::{mpsc, oneshot};
+use tokio::task::JoinHandle;
+use tokio::time::timeout;
+
+/// A wait that is longer than this is a failure.
+const LIMIT: Duration = Duration::from_secs(30);
+
+/// A broker in a process of its own.
+pub(crate) struct Mosquitto {
+    folder: TempDir,
+    child: Option<Child>,
+    pub(crate) port: u16,
+}
+
+impl Mosquitto {
+    /// Starts a broker with more lines of configuration; `None`, with a line that says so, where it is not installed.
+    pub(crate) fn start(more: impl Fn(&Path) -> String) -> Option<Self> {
+        let program = ["mosquitto", "/usr/sbin/mosquitto"].into_iter();
+        let found = program.filter(|name| Command::new(name).arg("-h").stdout(Stdio::null()).status().is_ok()).next();
+        if found.is_none() {
+            println!("skipped: mosquitto is not installed");
+            return None;
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let port = free_port();
+        // Debian's package changes to its own user, which cannot write here
+        let text = format!(
+            "listener {port} 127.0.0.1\nuser root\npersistence true\npersistence_location {}/\nmax_queued_messages 0\n{}",
+            folder.path().display(),
+            more(folder.path())
+        );
+        fs::write(folder.path().join("mosquitto.conf"), text).unwrap();
+        let mut broker = Self { folder, child: None, port };
+        broker.restart();
+        Some(broker)
+    }
+
+    /// A broker that anyone may use.
+    pub(crate) fn open() -> Option<Self> {
+        Self::start(|_| "allow_anonymous true\n".into())
+    }
+
+    pub(crate) fn path(&self) -> &Path {
+        self.folder.path()
+    }
+
+    pub(crate) fn restart(&mut self) {
+        let file = self.folder.path().join("mosquitto.conf");
+        let program = if Path::new("/usr/sbin/mosquitto").exists() { "/usr/sbin/mosquitto" } else { "mosquitto" };
+        let child = Command::new(program).arg("-c").arg(file).stderr(Stdio::null()).spawn().unwrap();
+        self.child = Some(child);
+    }
+
+    /// Ends the broker as its service does; it writes its sessions to disk.
+    pub(crate) fn stop(&mut self) {
+        if let Some(mut child) = self.child.take() {
+            Command::new("kill").arg(child.id().to_string()).status().unwrap();
+            child.wait().unwrap();
+        }
+    }
+}
+
+impl Drop for Mosquitto {
+    fn drop(&mut self) {
+        self.stop();
+    }
+}
+
+pub(crate) fn free_port() -> u16 {
+    TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+/// A virtual controller that can be killed and started again at the same address.
+pub(crate) struct Robot {
+    pub(crate) controller: Arc<Mutex<Controller>>,
+    pub(crate) address: SocketAddr,
+    server: Option<JoinHandle<()>>,
+}
+
+impl Robot {
+    pub(crate) async fn start() -> Self {
+        let config = bcap_sim::Config::new(Profile::Rc8);
+        let controller = Arc::new(Mutex::new(Controller::new(config)));
+        let address = SocketAddr::from(([127, 0, 0, 1], free_port()));
+        let mut robot = Self { controller, address, server: None };
+        robot.restart().await;
+        robot
+    }
+
+    pub(crate) async fn restart(&mut self) {
+        let server = loop {
+            match Server::with_shared(Arc::clone(&self.controller)).bcap_tcp(self.address).await {
+                Ok(server) => break server,
+                // the port of the life before may not be free yet
+                Err(_) => tokio::time::sleep(Duration::from_millis(1)).await,
+            }
+        };
+        self.server = Some(tokio::spawn(async move { drop(server.run(std::future::pending()).await) }));
+    }
+
+    pub(crate) async fn kill(&mut self) {
+        if let Some(server) = self.server.take() {
+            server.abort();
+            let _ = server.await;
+        }
+    }
+
+    pub(crate) fn set(&self, index: u32, value: i32) {
+        self.controller.lock().unwrap().set_variable(VariableKind::I, index, &Variant::I4(value)).unwrap();
+    }
+
+    pub(crate) fn get(&self, index: u32) -> i32 {
+        let value = self.controller.lock().unwrap().variable::<16>(VariableKind::I, index).unwrap();
+        value.as_variant().as_i32().unwrap()
+    }
+}
+
+/// A fleet in this process.
+pub(crate) struct Running {
+    pub(crate) metrics: Option<SocketAddr>,
+    pub(crate) events: Arc<Mutex<Vec<Event>>>,
+    end: oneshot::Sender<()>,
+    task: JoinHandle<()>,
+}
+
+impl Running {
+    pub(crate) async fn start(config: &str) -> Self {
+        let events: Arc<Mutex<Vec<Event>>> = Arc::default();
+        let log = Arc::clone(&events);
+        let config = Config::parse(config).unwrap();
+        let fleet = Fleet::start(config, move |event| log.lock().unwrap().push(event.clone())).await.unwrap();
+        let metrics = fleet.metrics_address();
+        let (end, ended) = oneshot::channel();
+        let task = tokio::spawn(fleet.run(async { drop(ended.await) }));
+        Self { metrics, events, end, task }
+    }
+
+    pub(crate) async fn stop(self) -> Vec<Event> {
+        self.end.send(()).unwrap();
+        timeout(LIMIT, self.task).await.unwrap().unwrap();
+        self.events.lock().unwrap().clone()
+    }
+
+    /// Returns a number of the metrics.
+    pub(crate) async fn metric(&self, name: &str) -> u64 {
+        let text = http(self.metrics.unwrap(), "/metrics").await;
+        let line = text.lines().find(|line| line.starts_with(&format!("{name} "))).unwrap_or_else(|| panic!("{text}"));
+        line.rsplit(' ').next().unwrap().parse().unwrap()
+    }
+}
+
+/// Asks the server of metrics.
+pub(crate) async fn http(address: SocketAddr, path: &str) -> String {
+    use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+    let mut stream = tokio::net::TcpStream::connect(address).await.unwrap();
+    stream.write_all(format!("GET {path} HTTP/1.1\r\nHost: x\r\n\r\n").as_bytes()).await.unwrap();
+    let mut text = String::new();
+    stream.read_to_string(&mut text).await.unwrap();
+    text
+}
+
+/// A subscriber whose session outlasts a restart of the broker.
+pub(crate) struct Subscriber {
+    pub(crate) client: AsyncClient,
+    messages: mpsc::UnboundedReceiver<Publish>,
+    task: JoinHandle<()>,
+}
+
+impl Drop for Subscriber {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}
+
+impl Subscriber {
+    /// Subscribes, and waits until the broker has confirmed it.
+    pub(crate) async fn start(port: u16, topic: &str) -> Self {
+        let mut options = MqttOptions::new(format!("subscriber-{}", free_port()), "127.0.0.1", port);
+        options.set_clean_session(false).set_max_packet_size(1 << 20, 1 << 20);
+        let (client, mut events) = AsyncClient::new(options, 100);
+        client.subscribe(topic, QoS::AtLeastOnce).await.unwrap();
+        let (sender, messages) = mpsc::unbounded_channel();
+        let (confirm, confirmed) = oneshot::channel();
+        let mut confirm = Some(confirm);
+        let task = tokio::spawn(async move {
+            loop {
+                match events.poll().await {
+                    Ok(Mqtt::Incoming(Packet::Publish(publish))) => drop(sender.send(publish)),
+                    Ok(Mqtt::Incoming(Packet::SubAck(_))) => drop(confirm.take().map(|confirm| confirm.send(()))),
+                    Ok(_) => {}
+                    // the broker is away
+                    Err(_) => tokio::time::sleep(Duration::from_millis(5)).await,
+                }
+            }
+        });
+        timeout(LIMIT, confirmed).await.unwrap().unwrap();
+        Self { client, messages, task }
+    }
+
+    pub(crate) async fn next(&mut self) -> Publish {
+        timeout(LIMIT, self.messages.recv()).await.expect("no message arrived in time").unwrap()
+    }
+
+    /// Waits for a message that a function accepts, and returns what it makes of it.
+    pub(crate) async fn find<T>(&mut self, mut accept: impl FnMut(&Publish) -> Option<T>) -> T {
+        loop {
+            if let Some(found) = accept(&self.next().await) {
+                return found;
+            }
+        }
+    }
+
+    /// Waits for a message on a topic whose JSON a function accepts.
+    pub(crate) async fn json(&mut self, topic: &str, accept: impl Fn(&serde_json::Value) -> bool) -> serde_json::Value {
+        self.find(|publish| {
+            let json = || serde_json::from_slice::<serde_json::Value>(&publish.payload).unwrap();
+            (publish.topic == topic).then(json).filter(&accept)
+        })
+        .await
+    }
+
+    pub(crate) async fn publish(&self, topic: &str, payload: impl Into<Vec<u8>>) {
+        self.client.publish(topic, QoS::AtLeastOnce, false, payload).await.unwrap();
+    }
+}
+
+/// Returns the time in milliseconds since 1970.
+pub(crate) fn now_ms() -> u64 {
+    let time = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap();
+    time.as_millis().try_into().unwrap()
+}
+
+/// A folder of its own, and its path.
+pub(crate) fn folder() -> (TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().to_owned();
+    (folder, path)
+}

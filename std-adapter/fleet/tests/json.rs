@@ -1,0 +1,219 @@
+//! Plain JSON through a real Mosquitto: values, states, commands, the buffer.
+
+mod common;
+
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
+use std::time::Duration;
+
+use bcap_core::device::{Device, DeviceVariable};
+use bcap_fleet::{CommandResult, Event};
+use bcap_std::server::Server;
+use common::{Mosquitto, Robot, Running, Subscriber, folder, http, now_ms};
+use rumqttc::Publish;
+use serde_json::json;
+
+/// Returns a configuration with the controllers `cell1`, `cell2`, ...
+fn config(port: u16, more: &str, robots: &[&Robot], publish: &str) -> String {
+    let mut text = format!(
+        "group = \"plant\"\nnode = \"edge1\"\n[broker]\nhost = \"127.0.0.1\"\nport = {port}\n[metrics]\nport = 0\n{more}\n"
+    );
+    for (number, robot) in (1..).zip(robots) {
+        text += &format!("[[controller]]\nname = \"cell{number}\"\naddress = \"tcp:{}\"\n{publish}\n", robot.address);
+    }
+    text
+}
+
+const FAST: &str = "[[controller.publish]]\nnames = [\"I1\", \"pose\", \"error\"]\ninterval_ms = 10";
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn values_and_states_of_several_robots_arrive() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let (mut one, two) = (Robot::start().await, Robot::start().await);
+    one.set(1, 11);
+    two.set(1, 22);
+    let mut host = Subscriber::start(broker.port, "bcap/#").await;
+    let fleet = Running::start(&config(broker.port, "", &[&one, &two], FAST)).await;
+    host.json("bcap/plant/edge1/state", |json| json["state"] == "online").await;
+    let first = host.json("bcap/plant/cell1/I1", |json| json["value"] == 11).await;
+    assert_eq!((&first["quality"], first.get("historical")), (&json!("good"), None));
+    assert!(first["time"].as_u64().unwrap().abs_diff(now_ms()) < 60_000 && first["id"].is_u64());
+
+    two.set(1, 23);
+    host.json("bcap/plant/cell2/I1", |json| json["value"] == 23).await;
+
+    one.kill().await;
+    // the read that fails may be reported before the lost connection, or after it
+    let mut missing = vec!["bcap/plant/cell1/I1", "bcap/plant/cell1/state"];
+    while !missing.is_empty() {
+        let publish = host.next().await;
+        let json: serde_json::Value = serde_json::from_slice(&publish.payload).unwrap();
+        let is_bad = json["quality"] == "bad" && json["value"].is_null();
+        let is_lost = json["state"] == "disconnected" && json["reason"].is_string();
+        missing.retain(|topic| *topic != publish.topic || !(is_bad || is_lost));
+    }
+    one.restart().await;
+    host.json("bcap/plant/cell1/I1", |json| json["quality"] == "good" && json["value"] == 11).await;
+
+    // a subscriber that comes later gets the retained values
+    let mut late = Subscriber::start(broker.port, "bcap/plant/cell2/pose").await;
+    let pose = late.json("bcap/plant/cell2/pose", |json| json["quality"] == "good").await;
+    assert_eq!(pose["value"].as_array().unwrap().len(), 7);
+
+    assert!(http(fleet.metrics.unwrap(), "/healthz").await.starts_with("HTTP/1.1 200 OK\r\n"));
+    assert!(fleet.metric("bcap_controller_up{controller=\"cell2\"}").await == 1);
+    assert!(fleet.metric("bcap_published_total").await > 0);
+    fleet.stop().await;
+    host.json("bcap/plant/edge1/state", |json| json["state"] == "offline").await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_fleet_that_is_killed_is_offline_by_will() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let robot = Robot::start().await;
+    let mut host = Subscriber::start(broker.port, "bcap/plant/edge1/state").await;
+    let fleet = bcap_fleet::Config::parse(&config(broker.port, "", &[&robot], FAST)).unwrap();
+    let fleet = bcap_fleet::Fleet::start(fleet, |_| {}).await.unwrap();
+    let task = tokio::spawn(fleet.run(std::future::pending()));
+    host.json("bcap/plant/edge1/state", |json| json["state"] == "online").await;
+    task.abort();
+    host.json("bcap/plant/edge1/state", |json| json["state"] == "offline").await;
+}
+
+fn command(id: &str, name: &str, value: i32, expires: u64) -> String {
+    json!({"id": id, "name": name, "value": value, "expires": expires, "origin": "mes"}).to_string()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn commands_are_allowed_by_rules_only_and_executed_once() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let robot = Robot::start().await;
+    let mut host = Subscriber::start(broker.port, "bcap/#").await;
+    let rules = "[commands]\nallow = [\"I/10-19=-10..10\"]\nper_second = 1000\nlongest_seconds = 1";
+    let fleet = Running::start(&config(broker.port, rules, &[&robot], FAST)).await;
+    host.json("bcap/plant/cell1/I1", |json| json["quality"] == "good").await;
+
+    let (to, from) = ("bcap/plant/cell1/command", "bcap/plant/cell1/answer");
+    host.publish(to, command("a", "I10", 7, now_ms() + 1000)).await;
+    assert_eq!(host.json(from, |_| true).await, json!({"id": "a", "result": "done"}));
+    assert_eq!(robot.get(10), 7);
+
+    robot.set(10, 0);
+    let now = now_ms();
+    for (command, reason) in [
+        (command("a", "I10", 7, now + 1000), "executed at most once"),
+        (command("b", "I10", 11, now + 1000), "out of the range"),
+        (command("c", "I20", 1, now + 1000), "no rule allows this variable"),
+        (command("d", "F1", 1, now + 1000), "no rule allows this kind"),
+        (command("e", "@SPEED", 1, now + 1000), "no user variable"),
+        (command("f", "I10", 1, now - 5), "it expired"),
+        (command("g", "I10", 1, now + 600_000), "the longest time is 1000 ms"),
+        ("nonsense".into(), "it is not a command"),
+    ] {
+        host.publish(to, command).await;
+        let answer = host.json(from, |_| true).await;
+        assert_eq!(answer["result"], "refused", "{answer}");
+        assert!(answer["reason"].as_str().unwrap().contains(reason), "{answer}");
+    }
+    assert_eq!(robot.get(10), 0, "no refused command was executed");
+
+    let events = fleet.stop().await;
+    let audited: Vec<_> = events
+        .iter()
+        .filter_map(|event| match event {
+            Event::Command { id, origin, result, .. } => Some((id.as_str(), origin.as_deref(), *result)),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(audited[0], ("a", Some("mes"), CommandResult::Done));
+    assert_eq!(audited.len(), 9);
+    assert!(audited[1..].iter().all(|(.., result)| *result == CommandResult::Refused));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn without_a_rule_no_command_is_received() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let robot = Robot::start().await;
+    let mut host = Subscriber::start(broker.port, "bcap/#").await;
+    let fleet = Running::start(&config(broker.port, "", &[&robot], FAST)).await;
+    host.json("bcap/plant/cell1/I1", |json| json["quality"] == "good").await;
+    host.publish("bcap/plant/cell1/command", command("a", "I1", 5, now_ms() + 5000)).await;
+    // its own copy shows that the broker has forwarded it
+    host.json("bcap/plant/cell1/command", |_| true).await;
+    robot.set(1, 2);
+    host.json("bcap/plant/cell1/I1", |json| json["value"] == 2).await;
+    assert!(!fleet.stop().await.iter().any(|event| matches!(event, Event::Command { .. })));
+}
+
+/// A controller whose I1 counts its own reads until it is frozen; returns its address.
+async fn counter(last: &Arc<AtomicI32>, frozen: &Arc<AtomicBool>) -> SocketAddr {
+    let counter = (Arc::clone(last), Arc::clone(frozen));
+    let variable = DeviceVariable::new("I1", |(last, frozen): &(Arc<AtomicI32>, Arc<AtomicBool>), reply| {
+        let more = i32::from(!frozen.load(Ordering::SeqCst));
+        reply.set(&(last.fetch_add(more, Ordering::SeqCst) + more))
+    });
+    let server = Server::new(Device::new(counter, [variable])).bcap_tcp("127.0.0.1:0").await.unwrap();
+    let address = server.addresses().bcap_tcp[0];
+    tokio::spawn(async move { drop(server.run(std::future::pending()).await) });
+    address
+}
+
+/// `RESTARTS=50 cargo test -p bcap-fleet --test json -- --nocapture every_reading` is the long run.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_reading_of_a_counter_arrives_once_or_is_counted_as_dropped() {
+    let restarts = std::env::var("RESTARTS").ok().and_then(|n| n.parse().ok()).unwrap_or(4_usize);
+    let Some(mut broker) = Mosquitto::open() else { return };
+    let (_folder, path) = folder();
+    let (lasts, frozen) = ([0; 3].map(|_| Arc::new(AtomicI32::new(0))), Arc::new(AtomicBool::new(false)));
+    let mut text = config(broker.port, &format!("[buffer]\ndirectory = {path:?}\n"), &[], "");
+    for (number, last) in (1..).zip(&lasts) {
+        let address = counter(last, &frozen).await;
+        text += &format!("[[controller]]\nname = \"cell{number}\"\naddress = \"tcp:{address}\"\n{COUNTED}\n");
+    }
+    let mut host = Subscriber::start(broker.port, "bcap/plant/+/I1").await;
+    let fleet = Running::start(&text).await;
+    let mut seen = [0; 3].map(|_| BTreeMap::<i32, BTreeMap<u64, u32>>::new());
+    let mut note = |publish: &Publish| {
+        let json: serde_json::Value = serde_json::from_slice(&publish.payload).unwrap();
+        let cell: usize = publish.topic["bcap/plant/cell".len()..][..1].parse().unwrap();
+        if let (Some(value), None) = (json["value"].as_i64(), json.get("repeated")) {
+            let ids = seen[cell - 1].entry(value.try_into().unwrap()).or_default();
+            *ids.entry(json["id"].as_u64().unwrap()).or_default() += 1;
+        }
+        (json["historical"] == true, seen.iter().map(BTreeMap::len).sum::<usize>())
+    };
+    for number in 0..restarts {
+        // some readings before the loss, then some during it
+        for _ in 0..200 {
+            note(&host.next().await);
+        }
+        broker.stop();
+        let during = lasts[0].load(Ordering::SeqCst) + 100;
+        while lasts[0].load(Ordering::SeqCst) < during {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        broker.restart();
+        while !note(&host.next().await).0 {}
+        println!("restart {number}: {:?}", lasts[0]);
+    }
+    frozen.store(true, Ordering::SeqCst);
+    let read: i32 = lasts.iter().map(|last| last.load(Ordering::SeqCst)).sum();
+    let read = usize::try_from(read).unwrap();
+    let mut arrived = 0;
+    while arrived + usize::try_from(fleet.metric("bcap_dropped_total").await).unwrap() < read {
+        arrived = note(&host.next().await).1;
+    }
+    let dropped = fleet.metric("bcap_dropped_total").await;
+    fleet.stop().await;
+    assert_eq!(arrived + usize::try_from(dropped).unwrap(), read);
+    let mut copies = 0;
+    for ids in seen.iter().flat_map(BTreeMap::values) {
+        assert_eq!(ids.len(), 1, "a reading has one id: {ids:?}");
+        copies += ids.values().sum::<u32>() - 1;
+    }
+    println!("{restarts} restarts: {read} read, {arrived} arrived, {dropped} dropped, {copies} copies with a known id");
+}
+
+const COUNTED: &str = "[[controller.publish]]\nnames = [\"I1\"]\ninterval_ms = 5";

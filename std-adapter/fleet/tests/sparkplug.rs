@@ -1,0 +1,321 @@
+//! Sparkplug B through a real Mosquitto, read by a decoder that is written from the specification alone.
+
+mod common;
+
+use common::{Mosquitto, Robot, Running, Subscriber, now_ms};
+use rumqttc::Publish;
+
+/// A field of a protocol buffer.
+#[derive(Clone, Debug, PartialEq)]
+enum Field {
+    Number(u64),
+    Bytes(Vec<u8>),
+}
+
+/// Reads the fields of a message with their numbers.
+fn fields(mut bytes: &[u8]) -> Vec<(u64, Field)> {
+    fn varint(bytes: &mut &[u8]) -> u64 {
+        let mut number = 0;
+        for shift in (0..).step_by(7) {
+            let (first, rest) = bytes.split_first().unwrap();
+            *bytes = rest;
+            number |= u64::from(first & 0x7F) << shift;
+            if first & 0x80 == 0 {
+                break;
+            }
+        }
+        number
+    }
+    let mut fields = Vec::new();
+    while !bytes.is_empty() {
+        let key = varint(&mut bytes);
+        let field = match key & 7 {
+            0 => Field::Number(varint(&mut bytes)),
+            kind => {
+                let length = match kind {
+                    1 => 8,
+                    2 => varint(&mut bytes).try_into().unwrap(),
+                    5 => 4,
+                    _ => panic!("wire type {kind}"),
+                };
+                let (data, rest) = bytes.split_at(length);
+                bytes = rest;
+                Field::Bytes(data.to_vec())
+            }
+        };
+        fields.push((key >> 3, field));
+    }
+    fields
+}
+
+#[derive(Debug, Default, Clone)]
+struct Metric {
+    name: Option<String>,
+    alias: Option<u64>,
+    time: Option<u64>,
+    datatype: Option<u64>,
+    is_historical: bool,
+    is_null: bool,
+    /// Of any type.
+    value: Option<Field>,
+    properties: Vec<(String, Field)>,
+}
+
+#[derive(Debug)]
+struct Payload {
+    time: u64,
+    seq: Option<u64>,
+    metrics: Vec<Metric>,
+}
+
+fn number(field: &Field) -> u64 {
+    match field {
+        Field::Number(number) => *number,
+        Field::Bytes(_) => panic!("{field:?} is no number"),
+    }
+}
+
+fn text(field: &Field) -> String {
+    match field {
+        Field::Bytes(bytes) => String::from_utf8(bytes.clone()).unwrap(),
+        Field::Number(_) => panic!("{field:?} is no text"),
+    }
+}
+
+fn bytes(field: Field) -> Vec<u8> {
+    match field {
+        Field::Bytes(bytes) => bytes,
+        Field::Number(_) => panic!("{field:?} has no bytes"),
+    }
+}
+
+fn metric(data: &[u8]) -> Metric {
+    let mut metric = Metric::default();
+    for (tag, field) in fields(data) {
+        match tag {
+            1 => metric.name = Some(text(&field)),
+            2 => metric.alias = Some(number(&field)),
+            3 => metric.time = Some(number(&field)),
+            4 => metric.datatype = Some(number(&field)),
+            5 => metric.is_historical = number(&field) == 1,
+            7 => metric.is_null = number(&field) == 1,
+            9 => {
+                let set = fields(&bytes(field));
+                let keys = set.iter().filter(|(tag, _)| *tag == 1).map(|(_, key)| text(key));
+                let values = set.iter().filter(|(tag, _)| *tag == 2).map(|(_, value)| {
+                    let value = fields(&bytes(value.clone()));
+                    value.into_iter().find(|(tag, _)| *tag >= 3).unwrap().1
+                });
+                metric.properties = keys.zip(values).collect();
+            }
+            10..=15 => metric.value = Some(field),
+            _ => panic!("unexpected field {tag}"),
+        }
+    }
+    metric
+}
+
+fn payload(publish: &Publish) -> Payload {
+    let mut payload = Payload { time: 0, seq: None, metrics: Vec::new() };
+    for (tag, field) in fields(&publish.payload) {
+        match tag {
+            1 => payload.time = number(&field),
+            2 => payload.metrics.push(metric(&bytes(field))),
+            3 => payload.seq = Some(number(&field)),
+            _ => panic!("unexpected field {tag}"),
+        }
+    }
+    payload
+}
+
+/// A host that checks the rules for all messages.
+struct Host {
+    subscriber: Subscriber,
+    next: Option<u64>,
+}
+
+impl Host {
+    async fn start(port: u16) -> Self {
+        Self { subscriber: Subscriber::start(port, "spBv1.0/plant/#").await, next: None }
+    }
+
+    /// Waits for a message of a kind, such as `DBIRTH/edge1/cell1`, and checks the sequence of all messages before it.
+    async fn next(&mut self, kind: &str) -> Payload {
+        loop {
+            let publish = self.subscriber.next().await;
+            if publish.topic.contains("CMD/") {
+                continue;
+            }
+            let payload = payload(&publish);
+            let is_birth = publish.topic.contains("/NBIRTH/");
+            if is_birth {
+                assert_eq!(payload.seq, Some(0), "NBIRTH begins the sequence");
+            } else if !publish.topic.contains("/NDEATH/") {
+                assert_eq!(payload.seq, self.next, "{}", publish.topic);
+            }
+            self.next = payload.seq.map(|seq| (seq + 1) % 256).or(self.next);
+            assert!(payload.time.abs_diff(now_ms()) < 60_000 && !publish.retain);
+            if publish.topic == format!("spBv1.0/plant/{kind}") {
+                return payload;
+            }
+        }
+    }
+
+    /// Waits for data of an alias.
+    async fn data(&mut self, cell: &str, alias: u64) -> Metric {
+        loop {
+            let payload = self.next(&format!("DDATA/edge1/{cell}")).await;
+            if let Some(metric) = payload.metrics.into_iter().find(|metric| metric.alias == Some(alias)) {
+                return metric;
+            }
+        }
+    }
+}
+
+fn named<'a>(payload: &'a Payload, name: &str) -> &'a Metric {
+    payload.metrics.iter().find(|metric| metric.name.as_deref() == Some(name)).unwrap_or_else(|| panic!("{payload:?}"))
+}
+
+fn property(metric: &Metric, key: &str) -> Option<Field> {
+    metric.properties.iter().find(|(name, _)| name == key).map(|(_, value)| value.clone())
+}
+
+fn config(port: u16, more: &str, robots: &[&Robot]) -> String {
+    let mut config = format!(
+        "group = \"plant\"\nnode = \"edge1\"\nformat = \"sparkplug\"\n[broker]\nhost = \"127.0.0.1\"\nport = {port}\n{more}\n"
+    );
+    for (number, robot) in (1..).zip(robots) {
+        config += &format!(
+            "[[controller]]\nname = \"cell{number}\"\naddress = \"tcp:{}\"\n[[controller.publish]]\n\
+             names = [\"I1\", \"I9999999\", \"P1\", \"IO128\", \"S1\", \"mode\"]\ninterval_ms = 10\n",
+            robot.address
+        );
+    }
+    config
+}
+
+/// Encodes a command of a host by hand: a metric with a name, a time, a type and a value.
+fn write(name: &str, time: u64, datatype: u8, tag: u8, value: u64) -> Vec<u8> {
+    fn varint(mut number: u64, out: &mut Vec<u8>) {
+        while number >= 0x80 {
+            out.push((number & 0x7F) as u8 | 0x80);
+            number >>= 7;
+        }
+        out.push(number as u8);
+    }
+    let mut metric = vec![10, name.len() as u8];
+    metric.extend(name.as_bytes());
+    metric.push(3 << 3);
+    varint(time, &mut metric);
+    metric.extend([4 << 3, datatype, tag << 3]);
+    varint(value, &mut metric);
+    let mut payload = vec![8];
+    varint(time, &mut payload);
+    payload.extend([2 << 3 | 2, metric.len() as u8]);
+    payload.extend(metric);
+    payload
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn births_data_deaths_and_rebirth() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let (mut one, two) = (Robot::start().await, Robot::start().await);
+    one.set(1, -5);
+    let mut host = Host::start(broker.port).await;
+    let fleet = Running::start(&config(broker.port, "", &[&one, &two])).await;
+
+    let node = host.next("NBIRTH/edge1").await;
+    let bd_seq = named(&node, "bdSeq").value.clone().unwrap();
+    assert_eq!(named(&node, "Node Control/Rebirth").value, Some(Field::Number(0)));
+
+    let birth = host.next("DBIRTH/edge1/cell1").await;
+    let i1 = named(&birth, "I1").clone();
+    // Int32, as its bits; quality 192 is good
+    assert_eq!((i1.datatype, &i1.value), (Some(3), &Some(Field::Number(u64::from((-5_i32).cast_unsigned())))));
+    assert_eq!((property(&i1, "Quality"), i1.is_null), (Some(Field::Number(192)), false));
+    assert!(i1.time.unwrap().abs_diff(now_ms()) < 60_000);
+    let missing = named(&birth, "I9999999");
+    assert_eq!((missing.is_null, property(missing, "Quality")), (true, Some(Field::Number(0))));
+    let x = named(&birth, "P1/X");
+    assert_eq!((x.datatype, property(x, "engUnit")), (Some(9), Some(Field::Bytes(b"mm".to_vec()))));
+    assert_eq!(property(named(&birth, "P1/RX"), "engUnit"), Some(Field::Bytes(b"deg".to_vec())));
+    assert_eq!((named(&birth, "IO128").datatype, named(&birth, "S1").datatype), (Some(11), Some(12)));
+    let mut aliases: Vec<_> = birth.metrics.iter().map(|metric| metric.alias.unwrap()).collect();
+    aliases.dedup();
+    assert_eq!(aliases.len(), 12, "an alias for each metric: {birth:?}");
+
+    one.set(1, 6);
+    let data = loop {
+        // what was read before the connection is historical
+        let data = host.data("cell1", i1.alias.unwrap()).await;
+        if !data.is_historical {
+            break data;
+        }
+    };
+    assert_eq!((data.value, data.name), (Some(Field::Number(6)), None));
+
+    one.kill().await;
+    assert!(host.next("DDEATH/edge1/cell1").await.metrics.is_empty());
+    one.restart().await;
+    assert_eq!(named(&host.next("DBIRTH/edge1/cell1").await, "I1").value, Some(Field::Number(6)));
+
+    // a host asks for all births
+    let rebirth = write("Node Control/Rebirth", now_ms(), 11, 14, 1);
+    host.subscriber.publish("spBv1.0/plant/NCMD/edge1", rebirth).await;
+    assert_eq!(named(&host.next("NBIRTH/edge1").await, "bdSeq").value, Some(bd_seq.clone()));
+    host.next("DBIRTH/edge1/cell1").await;
+    host.next("DBIRTH/edge1/cell2").await;
+
+    fleet.stop().await;
+    assert_eq!(named(&host.next("NDEATH/edge1").await, "bdSeq").value, Some(bd_seq));
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_host_writes_an_allowed_value_and_no_other() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let robot = Robot::start().await;
+    let mut host = Host::start(broker.port).await;
+    let rules = "[commands]\nallow = [\"I/1=-10..10\"]";
+    let fleet = Running::start(&config(broker.port, rules, &[&robot])).await;
+    let birth = host.next("DBIRTH/edge1/cell1").await;
+    let alias = named(&birth, "I1").alias.unwrap();
+
+    let command = "spBv1.0/plant/DCMD/edge1/cell1";
+    host.subscriber.publish(command, write("I1", now_ms(), 3, 10, 11)).await;
+    host.subscriber.publish(command, write("I2", now_ms(), 3, 10, 1)).await;
+    host.subscriber.publish(command, write("I1", now_ms() - 3_600_000, 3, 10, 1)).await;
+    host.subscriber.publish(command, b"\xFF".to_vec()).await;
+    host.subscriber.publish(command, write("I1", now_ms(), 3, 10, 9)).await;
+    assert_eq!(host.data("cell1", alias).await.value, Some(Field::Number(9)), "the first change is the allowed one");
+    assert_eq!((robot.get(1), robot.get(2)), (9, 0));
+    let events = serde_json::to_value(fleet.stop().await).unwrap();
+    let results: Vec<_> = events.as_array().unwrap().iter().filter(|event| event["event"] == "command").collect();
+    let results: Vec<_> = results.iter().map(|event| event["result"].as_str().unwrap()).collect();
+    assert_eq!(results, ["refused", "refused", "refused", "refused", "done"]);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn readings_without_a_broker_are_sent_as_historical() {
+    let Some(mut broker) = Mosquitto::open() else { return };
+    let robot = Robot::start().await;
+    let mut host = Host::start(broker.port).await;
+    let fleet = Running::start(&config(broker.port, "[metrics]\nport = 0", &[&robot])).await;
+    let alias = named(&host.next("DBIRTH/edge1/cell1").await, "I1").alias.unwrap();
+    broker.stop();
+    for value in 1..=5 {
+        let before = fleet.metric("bcap_readings_total{controller=\"cell1\"}").await;
+        robot.set(1, value);
+        // each point was read twice
+        while fleet.metric("bcap_readings_total{controller=\"cell1\"}").await < before + 12 {
+            tokio::time::sleep(std::time::Duration::from_millis(1)).await;
+        }
+    }
+    broker.restart();
+    host.next("NBIRTH/edge1").await;
+    assert_eq!(named(&host.next("DBIRTH/edge1/cell1").await, "I1").value, Some(Field::Number(5)));
+    for value in 1..=5 {
+        let data = host.data("cell1", alias).await;
+        assert_eq!((data.value, data.is_historical), (Some(Field::Number(value)), true));
+    }
+    fleet.stop().await;
+}
