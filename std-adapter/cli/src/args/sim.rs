@@ -74,15 +74,17 @@ pub(crate) struct Sim {
     /// The connections of clients are those of the capture in their order. A request gets the reply of the next call with the same
     /// function and arguments, at once. A request that the capture does not have is refused with E_FAIL and printed on stderr.
     #[arg(long, value_name = "FILE.pcapng", conflicts_with_all = [
-        "model", "print_model", "robot_type", "mode", "token", "no_slave_licence", "scenario", "record", "files", "explain", "lenient", "screen",
+        "model", "print_model", "robot_type", "mode", "token", "no_slave_licence", "scenario", "record", "files", "explain", "lenient",
+        "screen",
     ])]
     pub(crate) replay: Option<PathBuf>,
 
     /// Writes the trajectory of the arm to a file: the axes and the tool centre point every 8 ms while the arm moves
     ///
     /// A name that ends with .mcap makes an MCAP file for Foxglove and PlotJuggler, with the topic /arm; its times are those of
-    /// the controller's clock. Any other name makes a CSV file. Columns: time_s, J1 to J8 (degrees, mm), X, Y, Z (mm), RX, RY, RZ (degrees), tool, work. Time passes when clients
-    /// call, so the file ends with the last call.
+    /// the controller's clock. Any other name makes a CSV file with the columns time_s, J1 to J8 (degrees, mm), X, Y, Z (mm), RX,
+    /// RY, RZ (degrees), tool, work. Time passes when clients call, and with --screen always, so the file ends with the last
+    /// call.
     #[arg(long, value_name = "FILE")]
     pub(crate) record: Option<PathBuf>,
 
