@@ -8,8 +8,8 @@ use ratatui::symbols::border;
 use ratatui::text::{Line as Styled, Text};
 use ratatui::widgets::{Block, Paragraph, Widget as _, Wrap};
 
+use super::parts::{Line, Mark, Panel, Part, Screen};
 use super::spark::sparkline;
-use super::{Line, Mark, Panel, Part, Screen};
 use crate::escape;
 
 /// The smallest terminal.
