@@ -1,6 +1,6 @@
 //! Live screens of `bcap monitor` and `bcap sim --screen`: what they show, and how it is drawn.
 //!
-//! A [`Screen`] is drawn by the function [`draw()`] alone, which reads neither the clock nor the environment, so tests assert its lines. All
+//! A [`Screen`] is drawn by `draw` alone, which reads neither the clock nor the environment, so tests assert its lines. All
 //! text is escaped there. [`Terminal`] restores the terminal on every exit.
 
 mod draw;
@@ -10,7 +10,6 @@ mod robot;
 mod spark;
 mod terminal;
 
-pub(crate) use draw::{Look, draw};
 pub(crate) use log::CallLog;
 pub(crate) use parts::{Line, Mark, Panel, Part, Screen};
 pub(crate) use robot::{numbered, robot_lines};
