@@ -1,23 +1,21 @@
 //! `bcap sim`: serves a virtual controller on sockets and serial lines.
 
+mod delivery;
 mod live;
 
 use std::fmt;
 use std::fs;
 use std::io::{self, Write as _};
 use std::net::SocketAddr;
-use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::{Arc, Mutex, mpsc};
 use std::thread;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::{bcap, rac};
 use bcap_sim::explain::Observer;
 use bcap_sim::files::{Executor, Job};
-use bcap_sim::scenario::Delivery;
 use bcap_sim::{ArmModel, Config, Controller, Model, Profile, Scenario};
 use bcap_std::SerialLine;
 use bcap_std::server::{LineEvent, Server};
@@ -33,6 +31,7 @@ use crate::robot::Robot;
 use crate::screen::require;
 use crate::signal;
 use crate::trajectory::Trajectory;
+use delivery::deliver;
 use live::{Live, Refused, Watched};
 
 /// The maximum number of queued file jobs.
@@ -287,16 +286,6 @@ async fn bind<H: Serves>(server: Server<H>, wanted: &Listening) -> Result<(Serve
         (Some(bcap), Some(udp), Some(rac)) => Ok((server, Listening { bcap, udp, rac })),
         _ => Err(Failure::Stdio(io::Error::other("a socket has no local address"))),
     }
-}
-
-/// Applies the scenario to the bytes of a reply: sends them, drops them, or closes the connection.
-fn deliver(controller: &mut Controller, peer: PeerId, bytes: &mut Vec<u8>) -> ControlFlow<()> {
-    match controller.deliver(peer, bytes) {
-        Delivery::Send => {}
-        Delivery::Drop => bytes.clear(),
-        Delivery::Disconnect => return ControlFlow::Break(()),
-    }
-    ControlFlow::Continue(())
 }
 
 fn read_scenario(path: &Path) -> Result<Scenario, Failure> {

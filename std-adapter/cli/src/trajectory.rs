@@ -34,7 +34,7 @@ pub(crate) struct Trajectory(Arc<Mutex<Format>>);
 
 enum Format {
     Csv(Lines<File>),
-    Mcap(Points<BufWriter<File>>),
+    Mcap(Box<Points<BufWriter<File>>>),
 }
 
 /// The messages of an MCAP file.
@@ -63,7 +63,8 @@ impl Trajectory {
         let failed = |error: io::Error| Failure::Input(format!("--record {}: {error}", path.display()));
         let is_mcap = path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"));
         let format = if is_mcap {
-            Format::Mcap(Points::new(BufWriter::new(File::create(path).map_err(failed)?), origin_ms).map_err(failed)?)
+            let out = BufWriter::new(File::create(path).map_err(failed)?);
+            Format::Mcap(Box::new(Points::new(out, origin_ms).map_err(failed)?))
         } else {
             Format::Csv(Lines::new(File::create(path).map_err(failed)?).map_err(failed)?)
         };

@@ -123,7 +123,7 @@ fn the_virtual_controller() {
         terminal.wait_for(": Variable_GetValue, 4 calls");
         let refused = bcap(&["call", "Variable_PutValue", "variable:I1", "8,x", "--robot", &address]);
         assert_eq!(refused.code, 1, "{}", refused.err);
-        terminal.wait_for("(E_INVALIDARGTYPE): Variabl");
+        terminal.wait_for("(E_INVALIDARGTYPE)");
         terminal.wait_for("= Service_Stop()");
         let screen = terminal
             .wait_until("one client", |screen| !screen.contains("client 2: Var") && !screen.contains("client 2: Serv"));

@@ -18,12 +18,13 @@ use crate::duration;
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Keys:
-  q, Ctrl-C          quits
-  h, Ctrl-X          halts the robot at once; Ctrl-X also while a value is typed
-  w, Enter           writes a variable: NAME=VALUE, then y; Esc cancels
+  q, Ctrl-C            quits
+  h, Ctrl-X            halts the robot at once; Ctrl-X also while a value is typed
+  w, Enter             writes a variable: NAME=VALUE, then y; Esc cancels
   Up, Down, Home, End  selects a variable
-  a                  shows all packets, or only those of calls whose reply has changed
-  p                  pauses the packets
+  a                    shows all packets, or only those of calls whose reply has changed
+  p                    pauses the packets
+
 Examples:
   bcap monitor
   bcap monitor I1-I8 IO128-IO135 P1

@@ -104,8 +104,9 @@ pub(crate) struct Sim {
     /// Writes the trajectory of the arm to a file: the axes and the tool centre point every 8 ms while the arm moves
     ///
     /// A name that ends with .mcap makes an MCAP file for Foxglove and PlotJuggler, with the topic /arm; its times are those of
-    /// the controller's clock. Any other name makes a CSV file. Columns: time_s, J1 to J8 (degrees, mm), X, Y, Z (mm), RX, RY, RZ (degrees), tool, work. Time passes when clients
-    /// call, so the file ends with the last call.
+    /// the controller's clock. Any other name makes a CSV file with the columns time_s, J1 to J8 (degrees, mm), X, Y, Z (mm), RX,
+    /// RY, RZ (degrees), tool, work. Time passes when clients call, and with --screen always, so the file ends with the last
+    /// call.
     #[arg(long, value_name = "FILE")]
     pub(crate) record: Option<PathBuf>,
 

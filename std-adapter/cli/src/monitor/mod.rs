@@ -1,13 +1,13 @@
 //! `bcap monitor`: a live screen of a controller.
 //!
-//! The main thread draws and reads keys, the [reader](reader) talks to the controller, and a halt has a thread and a
+//! The main thread draws and reads keys, the [`reader`] talks to the controller, and a halt has a thread and a
 //! connection of its own, so it waits for neither.
 
 mod reader;
 mod state;
 
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::thread;
+use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
 use crate::args;
@@ -16,8 +16,9 @@ use crate::frame::Role;
 use crate::halt::halt_now;
 use crate::interrupt::Interrupt;
 use crate::screen::{Terminal, require};
-use crate::selection::Selection;
+use crate::selection::{Selection, expand};
 use crate::session::Session;
+use crate::variables::paths;
 use reader::{Reader, Request};
 use state::{Action, State, Update};
 
@@ -45,17 +46,19 @@ pub(crate) fn monitor(args: &args::Monitor, session: &mut Session, json: bool) -
     let mut reader = Reader {
         session: own,
         interrupt: interrupt.clone(),
-        selections,
+        names: Vec::new(),
         interval: args.interval,
         updates: updates.clone(),
         requests: request,
     };
-    // a wrong address is an error; only a connection that was open before is tried again
+    // a wrong address or selection is an error; only a connection that was open before is tried again
     reader.connect()?;
+    reader.names = expand(&mut reader.session, &selections)?;
+    paths(&reader.names)?;
     let (address, halting) = (link.target()?.to_string(), interrupt.clone());
     let mut screen = Monitor { state: State::new(address), interrupt, link, updates, update, packet, requests };
     let reading = thread::Builder::new().name("reader".into()).spawn(move || reader.run())?;
-    let ended = screen.run();
+    let ended = screen.run(&reading);
     // ends the reader, and with it its session
     drop(screen);
     let read = reading.join();
@@ -78,10 +81,11 @@ struct Monitor {
 }
 
 impl Monitor {
-    fn run(&mut self) -> Result<(), Failure> {
+    /// Draws and handles keys until the user quits, a signal arrives, or the reader panics.
+    fn run(&mut self, reading: &JoinHandle<()>) -> Result<(), Failure> {
         let mut terminal = Terminal::open()?;
         let start = Instant::now();
-        while !self.interrupt.is_interrupted() {
+        while !self.interrupt.is_interrupted() && !reading.is_finished() {
             self.state.set_time(start.elapsed());
             while let Ok((role, text)) = self.packet.try_recv() {
                 self.state.apply(Update::Packet(role, text));

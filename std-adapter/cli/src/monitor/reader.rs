@@ -11,7 +11,6 @@ use super::state::{Robot, Update, Write};
 use crate::error::Failure;
 use crate::interrupt::Interrupt;
 use crate::plain;
-use crate::selection::{Selection, expand};
 use crate::session::Session;
 use crate::task::status_text;
 use crate::trouble;
@@ -37,7 +36,8 @@ pub(crate) enum Request {
 pub(crate) struct Reader {
     pub(crate) session: Session,
     pub(crate) interrupt: Interrupt,
-    pub(crate) selections: Vec<Selection>,
+    /// The variables.
+    pub(crate) names: Vec<String>,
     pub(crate) interval: Duration,
     pub(crate) updates: Sender<Update>,
     pub(crate) requests: Receiver<Request>,
@@ -133,9 +133,8 @@ impl Reader {
                 "h has no connection yet, and opens one when it is pressed: {failure}"
             ))));
         }
-        let names = expand(&mut self.session, &self.selections)?;
-        let variables = paths(&names)?;
-        self.tell(Update::Connected(names));
+        let variables = paths(&self.names)?;
+        self.tell(Update::Connected(self.names.clone()));
         let controller = ObjectPath::controller();
         let tasks = alive(list(&mut self.session, &controller, FunctionId::CONTROLLER_GET_TASK_NAMES))?;
         let kind = self.text("@TYPE")?;
@@ -154,6 +153,10 @@ impl Reader {
 
     fn round(&mut self, plan: &mut Plan) -> Result<(), Failure> {
         for (n, path) in plan.variables.iter().enumerate() {
+            // a halt over a slow line does not wait for the end of the round
+            while let Ok(request) = self.requests.try_recv() {
+                self.request(request)?;
+            }
             let value = match self.value(path) {
                 Ok(value) => Ok(value),
                 Err(Failure::Refused { code, .. }) => Err(code.to_string()),

@@ -141,7 +141,9 @@ impl State {
                 self.messages.push_back(text);
             }
             Update::Packet(role, text) => self.log.packet(role, &text, self.now),
-            Update::Checked(Ok(write)) => self.input = Input::Asking(write),
+            Update::Checked(Ok(write)) if matches!(self.input, Input::None) => self.input = Input::Asking(write),
+            // a `y` that the user types now is no answer
+            Update::Checked(Ok(write)) => self.notice = Line::alarm(format!("{} was not written", write.path)),
             Update::Checked(Err(why)) | Update::Done(Err(why)) => self.notice = Line::alarm(why),
             Update::Done(Ok(what)) => self.notice = Line::new(what),
         }
@@ -408,6 +410,13 @@ mod tests {
         assert_eq!(state.screen().notice.text, "nothing was written");
         state.apply(Update::Checked(Ok(write)));
         assert!(matches!(typed(&mut state, "y"), Some(Action::Write(_))));
+        // a check that ends while the next value is typed asks nothing
+        let [value, before] = [6, 5].map(|n| Value::new(&n).unwrap());
+        typed(&mut state, "w");
+        state.apply(Update::Checked(Ok(Box::new(Write { path: ObjectPath::variable("I1").unwrap(), value, before }))));
+        assert!(typed(&mut state, "y").is_none());
+        assert_eq!(state.screen().notice.text, "write NAME=VALUE: I1=y_   I1 was not written");
+        state.key(KeyCode::Esc.into());
         // without an equals sign nothing is checked
         typed(&mut state, "w");
         (0..3).for_each(|_| assert!(state.key(KeyCode::Backspace.into()).is_none()));

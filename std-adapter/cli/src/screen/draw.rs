@@ -8,8 +8,8 @@ use ratatui::symbols::border;
 use ratatui::text::{Line as Styled, Text};
 use ratatui::widgets::{Block, Paragraph, Widget as _, Wrap};
 
+use super::parts::{Line, Mark, Panel, Part, Screen};
 use super::spark::sparkline;
-use super::{Line, Mark, Panel, Part, Screen};
 use crate::escape;
 
 /// The smallest terminal.
@@ -253,7 +253,7 @@ mod tests {
         let mut screen = example();
         screen.notice = Line::new(format!("NOT HALTED: {}; use the emergency stop", "x".repeat(60)));
         let rows = rows(&screen, PLAIN, (80, 24));
-        assert!(rows[21].starts_with("NOT HALTED: ") && rows[22].ends_with("use the emergency stop"), "{rows:#?}");
+        assert!(rows[21].starts_with("NOT HALTED: ") && rows[22].ends_with("the emergency stop"), "{rows:#?}");
         assert_eq!(rows[23], "q quit");
     }
 

@@ -9,7 +9,7 @@ use std::time::Duration;
 use bcap_core::hresult::HResult;
 use ratatui::crossterm::event::KeyCode;
 
-use super::{Line, Panel, Part};
+use super::parts::{Line, Panel, Part};
 use crate::escape;
 use crate::frame::Role;
 

@@ -7,7 +7,8 @@ use std::time::Duration;
 use ratatui::DefaultTerminal;
 use ratatui::crossterm::event::{self, Event, KeyEvent, KeyEventKind};
 
-use super::{Look, Screen, draw};
+use super::draw::{Look, draw};
+use super::parts::Screen;
 use crate::error::Failure;
 
 /// A terminal that shows a live screen; dropping this restores it. A panic and a signal restore it too.

@@ -19,7 +19,7 @@ use bcap_std::server::Server;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use tokio::sync::oneshot;
 
-use super::deliver;
+use super::delivery::deliver;
 use crate::escape;
 use crate::frame::to_call;
 use crate::screen::{CallLog, Line, Panel, Part, Screen, Terminal, numbered, robot_lines};
