@@ -25,7 +25,8 @@ impl Room {
     /// Waits until there is room for so many bytes, and takes it. An entry above the limit waits until it is alone. Nothing
     /// waits after the end of the thread that writes.
     pub(super) fn take(&self, bytes: usize) {
-        let is_full = |state: &mut State| !state.closed && state.used > 0 && state.used.saturating_add(bytes) > self.limit;
+        let is_full =
+            |state: &mut State| !state.closed && state.used > 0 && state.used.saturating_add(bytes) > self.limit;
         let state = self.changed.wait_while(self.state(), is_full);
         let mut state = state.unwrap_or_else(PoisonError::into_inner);
         state.used = state.used.saturating_add(bytes);
