@@ -18,6 +18,7 @@ pub(crate) fn ls(args: &Ls, session: &mut Session, json: bool) -> Result<(), Fai
         Place::Remote(path) => path,
         Place::Local(path) => remote::normal(&path.to_string_lossy()),
     };
+    session.begin()?;
     for item in listed(session, &path, args.recursive)? {
         let size = if args.long && !item.is_folder { Some(remote::size(session, &item.path)?) } else { None };
         print_item(&item, size, args.long, json)?;
@@ -105,6 +106,7 @@ struct Copying<'a> {
 
 impl Copying<'_> {
     fn download(&mut self, patterns: &[String], to: &Path, into: bool) -> Result<(), Failure> {
+        self.session.begin()?;
         let mut found = Vec::new();
         for pattern in patterns {
             let items = remote::find(self.session, pattern)?;
@@ -137,6 +139,7 @@ impl Copying<'_> {
     }
 
     fn upload(&mut self, files: &[PathBuf], to: &str, into: bool) -> Result<(), Failure> {
+        self.session.begin()?;
         // only a listing tells a folder from a file
         let into = into || remote::find(self.session, to)?.iter().any(|item| item.is_folder);
         let mut copies: Vec<(PathBuf, String)> = Vec::new();

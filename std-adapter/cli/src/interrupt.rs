@@ -3,7 +3,7 @@
 //! The session of the command waits for a reply then, so the halt has a session of its own, which is opened before the motion
 //! begins. The command gives the arm back when its call has ended.
 
-use std::io;
+use std::io::{self, Write as _};
 use std::process;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, channel};
@@ -12,7 +12,6 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use crate::error::Failure;
-use crate::output::note;
 
 /// How long a motion that begins beside a halt may run until the next halt.
 const AGAIN: Duration = Duration::from_millis(50);
@@ -80,7 +79,8 @@ impl Interrupt {
             if self.is_interrupted() {
                 process::exit(130);
             }
-            note("ends after this call; press Ctrl-C again to end at once");
+            // an error of printing cannot be reported
+            let _ = writeln!(io::stderr(), "ends after this call; press Ctrl-C again to end at once");
         }
         self.mark();
         let (mut reported, mut again) = (false, 0);

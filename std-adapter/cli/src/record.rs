@@ -11,26 +11,27 @@
 mod ends;
 mod packets;
 mod pcapng;
+mod room;
 mod tape;
 mod transport;
 
 use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
-use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
+use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
+use std::sync::{Arc, OnceLock};
 use std::thread::{self, JoinHandle};
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 pub(crate) use self::ends::{Ends, Recorded};
 use self::pcapng::Writer;
+use self::room::Room;
 use self::tape::Tape;
 pub(crate) use self::transport::{TapedRac, TapedTcp, taped, taped_rac};
 use crate::error::Failure;
 use crate::frame::Role;
 
-/// The most entries that wait for the file, each with up to 64 KiB, so 64 MiB. Then [`Recorder::bytes`] waits, because a
-/// recording must not lack bytes.
-const QUEUE: usize = 1 << 10;
+/// The most bytes that wait for the file. Then [`Recorder::bytes`] waits, because a recording must not lack bytes.
+const QUEUE: usize = 64 << 20;
 
 /// An entry of the queue.
 enum Entry {
@@ -41,10 +42,23 @@ enum Entry {
     End,
 }
 
+impl Entry {
+    /// Returns the memory that the entry takes, in bytes.
+    fn size(&self) -> usize {
+        let more = match self {
+            Self::Bytes { bytes, note, .. } => bytes.len() + note.as_ref().map_or(0, String::len),
+            Self::Note { text, .. } => text.len(),
+            Self::Opened { .. } | Self::Closed { .. } | Self::End => 0,
+        };
+        size_of::<Self>() + more
+    }
+}
+
 /// Records bytes; clones record to the same file.
 #[derive(Clone, Debug)]
 pub(crate) struct Recorder {
-    queue: SyncSender<Entry>,
+    queue: Sender<Entry>,
+    room: Arc<Room>,
     clock: Clock,
 }
 
@@ -101,6 +115,7 @@ impl Recorder {
     }
 
     fn put(&self, entry: Entry) {
+        self.room.take(entry.size());
         // the thread ends early only if the file cannot be written; `Recording::finish` reports that
         let _ = self.queue.send(entry);
     }
@@ -134,10 +149,13 @@ impl Recording {
     /// Starts a recording to a file, or only for `each`.
     pub(crate) fn start(file: Option<&Path>, each: impl FnMut(Recorded<'_>) + Send + 'static) -> Result<Self, Failure> {
         let writer = file.map(|path| Writer::create(path).map_err(|error| not_written(path, &error))).transpose()?;
-        let (queue, entries) = sync_channel(QUEUE);
-        let recorder = Recorder { queue, clock: Clock::new() };
-        let thread =
-            thread::Builder::new().name("record".into()).spawn(move || run(&entries, Tape::new(writer, each)))?;
+        let (queue, entries) = channel();
+        let room = Arc::new(Room::new(QUEUE));
+        let recorder = Recorder { queue, room: Arc::clone(&room), clock: Clock::new() };
+        let thread = thread::Builder::new().name("record".into()).spawn(move || {
+            let _closing = room.close_at_end();
+            run(&entries, &room, Tape::new(writer, each))
+        })?;
         Ok(Self { recorder, file: file.map(Path::to_owned), thread })
     }
 
@@ -172,7 +190,7 @@ fn not_written(path: &Path, error: &io::Error) -> Failure {
 }
 
 /// Turns entries into packets until the end.
-fn run(entries: &Receiver<Entry>, mut tape: Tape<impl FnMut(Recorded<'_>)>) -> io::Result<()> {
+fn run(entries: &Receiver<Entry>, room: &Room, mut tape: Tape<impl FnMut(Recorded<'_>)>) -> io::Result<()> {
     loop {
         let entry = match entries.try_recv() {
             Ok(entry) => entry,
@@ -183,6 +201,8 @@ fn run(entries: &Receiver<Entry>, mut tape: Tape<impl FnMut(Recorded<'_>)>) -> i
             }
             Err(TryRecvError::Disconnected) => Entry::End,
         };
+        // it takes memory until it is written, but never more than one at a time
+        room.give(entry.size());
         match entry {
             Entry::Opened { at, ends } => tape.open(at, ends)?,
             Entry::Bytes { at, ends, sender, bytes, note } => tape.bytes(at, ends, sender, &bytes, note.as_deref())?,

@@ -160,6 +160,12 @@ impl Session {
         })
     }
 
+    /// Connects and starts the service unless that has been done; fails after a lost connection. A command that takes refusals for
+    /// results begins with this, because Service_Start may be refused too.
+    pub(crate) fn begin(&mut self) -> Result<(), Failure> {
+        self.opened().map(drop)
+    }
+
     /// Returns whether the connection was lost.
     pub(crate) const fn is_lost(&self) -> bool {
         self.lost

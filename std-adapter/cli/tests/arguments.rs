@@ -159,9 +159,10 @@ fn an_empty_environment_variable_counts_as_missing() {
     let names = ["TIMEOUT", "PROVIDER", "MACHINE", "OPTION", "ATTEMPTS", "RAC_PORT", "PROFILE"];
     for name in names {
         let run: common::Run =
-            command(&["encode", "--help"]).env(format!("BCAP_{name}"), "").output().unwrap().into();
+            common::command(&["encode", "--help"]).env(format!("BCAP_{name}"), "").output().unwrap().into();
         assert_eq!((run.code, run.err.as_str()), (0, ""), "BCAP_{name}");
-        let run: common::Run = common::bare(&["explain", "S_OK"]).env(format!("BCAP_{name}"), "").output().unwrap().into();
+        let run: common::Run =
+            common::bare(&["explain", "S_OK"]).env(format!("BCAP_{name}"), "").output().unwrap().into();
         assert_eq!((run.code, run.err.as_str()), (0, ""), "BCAP_{name}");
     }
     let run: common::Run = common::bare(&["explain", "S_OK"]).env("BCAP_TIMEOUT", "x").output().unwrap().into();

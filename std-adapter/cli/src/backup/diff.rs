@@ -60,7 +60,10 @@ fn print_omitted(a: &Contents, b: &Contents, system: bool, json: bool) -> Result
 fn read(word: &str, session: &mut Session) -> Result<Contents, Failure> {
     let is_address = |scheme: &str| ["tcp", "udp", "serial"].iter().any(|known| scheme.eq_ignore_ascii_case(known));
     match word.split_once(':') {
-        Some((robot, "")) if robot.eq_ignore_ascii_case("robot") => live::contents(session),
+        Some((robot, "")) if robot.eq_ignore_ascii_case("robot") => {
+            session.begin()?;
+            live::contents(session)
+        }
         Some((scheme, _)) if is_address(scheme) => with_session(&session.link().at(word), live::contents),
         _ => folder::load(Path::new(word)),
     }

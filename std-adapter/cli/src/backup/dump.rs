@@ -20,6 +20,7 @@ pub(crate) fn dump(args: &Dump, session: &mut Session, json: bool) -> Result<(),
     let interrupt = session.handle_signals()?;
     let _ends = interrupt.end_between_calls();
     let shown = args.dir.display().to_string();
+    session.begin()?;
     let folder = Folder::begin(&args.dir, live::about(session)?)?;
     if folder.is_resumed && !json {
         print_line(&format!("{shown}: the interrupted dump goes on"))?;

@@ -7,7 +7,8 @@
 //!
 //! A file is checked in the same way, and the one that it replaces is saved in the folder before the write.
 //!
-//! The user may think about the plan for hours, so a session of the command's own does not stay open meanwhile, and each value and file is checked again.
+//! The user may read the plan for hours, so the command's own session does not stay open meanwhile, and each value and file is
+//! checked again.
 
 use std::path::Path;
 
@@ -71,12 +72,15 @@ pub(crate) fn restore(args: &Restore, session: &mut Session, json: bool) -> Resu
     let _ends = interrupt.end_between_calls();
     // the question may have taken long
     session.restart_budget();
-    let written = Writing { session, journal: &mut journal, replaced: &replaced, interrupt: &interrupt }.run(&plan);
+    let written = session.begin().and_then(|()| {
+        Writing { session, journal: &mut journal, replaced: &replaced, interrupt: &interrupt }.run(&plan)
+    });
     conclude(&args.dir, &mut journal, written, json)
 }
 
 /// Compares the backup with the controller.
 fn planned(args: &Restore, backup: &Contents, session: &mut Session) -> Result<Plan, Failure> {
+    session.begin()?;
     check_state(session)?;
     let controller = live::contents(session)?;
     check_controller(args, &backup.about, &controller.about)?;
