@@ -375,7 +375,8 @@ fn a_controller_drives_another_arm() {
     let file = folder.path().join("scara.toml");
     let printed = bcap(&["sim", "--arm", "hsr065", "--print-arm"]);
     assert_eq!(printed.code, 0);
-    fs::write(&file, printed.out.replace("HSR065A1-N32-NNN-NNN A", "LONG").replace("a2 = 275.0", "a2 = 325.0")).unwrap();
+    fs::write(&file, printed.out.replace("HSR065A1-N32-NNN-NNN A", "LONG").replace("a2 = 275.0", "a2 = 325.0"))
+        .unwrap();
     for (arm, name, y) in [("hsr065", "HSR065A1-N32-NNN-NNN A", 275), (file.to_str().unwrap(), "LONG", 325)] {
         let sim = Sim::start(&["--model", "rc9", "--arm", arm]);
         let get = |name: &str| sim.tcp(&["get", name, "--provider", "CaoProv.DENSO.VRC9"]).out;

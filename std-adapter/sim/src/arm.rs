@@ -36,8 +36,8 @@
 //! Approach ends before its pose, and Depart before the present pose, by the length in mm against the approach vector,
 //! the z of the flange. In an arc the flange turns evenly from the orientation of the start to that of the end; the
 //! orientation of the point on the circle has no effect. Three points on one line are `E_INVALIDARG`. Robot_Rotate turns
-//! right-handed about an axis of the base; with `Pose=1`, the default, the flange turns with it, with `Pose=2` it keeps its
-//! orientation.
+//! right-handed about an axis of the base; with `Pose=1` the flange turns with it, with `Pose=2`, the default, it keeps its
+//! orientation. RotateH turns the tool right-handed about its approach vector, in place.
 //!
 //! Halt answers when the arm is at rest, so that it does not refuse a motion that follows. If the arm is at rest
 //! already, Halt answers `S_FALSE`. The halted call ends with `E_ABORT`.
@@ -54,6 +54,7 @@
 //! | DriveEx, DriveAEx               | \[pairs, option\] or pairs  | EMPTY; turns axes by, or to, a value             |
 //! | Approach                        | \[1 or 2, pose, length\]     | EMPTY; to a pose before this one                 |
 //! | Depart                          | \[1 or 2, length\]           | EMPTY; away from the present pose                |
+//! | RotateH                         | angle or \[angle, option\]   | EMPTY; turns the tool in place                   |
 //! | MotionSkip                      | \[group, mode\] or nothing  | EMPTY at once; `S_FALSE` without a motion        |
 //! | MotionComplete                  | \[group, mode\] or nothing  | BOOL: 0 commands complete, 1 robot at rest       |
 //! | CurPos, DestPos, HighCurPos     | -                           | R8\[7\]: X Y Z RX RY RZ Fig                      |

@@ -24,7 +24,7 @@
 //!
 //! # What answers `E_NOTIMPL`
 //!
-//! Free curves, RotateH, areas, motions of two robots, force control;
+//! Free curves, areas, motions of two robots, force control;
 //! `docs/virtual-controller.md` has the whole table. A command that no controller is known to have answers `E_INVALID_CMD_NAME`.
 //! A call that answers `S_OK` has done what it was asked for.
 //!

@@ -163,7 +163,7 @@ impl Motion {
         if full.is_finite() {
             let accel = self.path.full_accel;
             let Rates { speed: top, accel: up, decel: down } = self.rates;
-            self.ramp = Ramp::run(now, place, speed, full * top, accel * up, accel * down);
+            self.ramp = Ramp::run(now, place, speed, (full * top).min(self.path.bend_speed), accel * up, accel * down);
         }
         self.pass_time = self.plan_pass();
     }

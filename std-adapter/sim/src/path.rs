@@ -21,6 +21,8 @@ pub(crate) struct Path {
     knots: Vec<Axes>,
     /// The highest speed within all limits, in paths per second.
     pub(crate) full_speed: f64,
+    /// The speed above which the bends of the path would exceed the acceleration of an axis, in paths per second.
+    pub(crate) bend_speed: f64,
     /// The largest acceleration within all limits, in paths per second squared.
     pub(crate) full_accel: f64,
     /// The arm that follows the path.
@@ -31,7 +33,8 @@ impl Path {
     /// Plans a motion in which every axis moves evenly.
     pub(crate) fn axes(arm: &Geometry, from: Axes, to: Axes) -> Self {
         let full_speed = axis_limit(arm, &from, &to, 1.0);
-        Self { full_speed, full_accel: full_speed / arm.acceleration_time, knots: vec![from, to], arm: *arm }
+        let full_accel = full_speed / arm.acceleration_time;
+        Self { full_speed, bend_speed: f64::INFINITY, full_accel, knots: vec![from, to], arm: *arm }
     }
 
     /// Plans a motion of the flange through the frames of `frame`, a function of the part of the path, 0 to 1, while J7 and
@@ -57,8 +60,8 @@ impl Path {
             knots.push(next);
             here = next;
         }
-        let (full_speed, full_accel) = curved(arm, &knots, full_speed);
-        Ok(Self { knots, full_speed, full_accel, arm: *arm })
+        let (bend_speed, full_accel) = curved(arm, &knots, full_speed);
+        Ok(Self { knots, full_speed, bend_speed, full_accel, arm: *arm })
     }
 
     /// Plans the path on which axes at these speeds come to rest together, within their limits of acceleration.
@@ -73,7 +76,13 @@ impl Path {
         });
         let full_speed = 2.0 / seconds;
         let full_accel = full_speed / arm.acceleration_time;
-        (seconds > 1e-6).then(|| Self { knots: vec![from, to], full_speed, full_accel, arm: *arm })
+        (seconds > 1e-6).then(|| Self {
+            knots: vec![from, to],
+            full_speed,
+            bend_speed: f64::INFINITY,
+            full_accel,
+            arm: *arm,
+        })
     }
 
     /// Returns the position of the axes at its end.
@@ -115,7 +124,7 @@ fn axis_limit(arm: &Geometry, from: &Axes, to: &Axes, parts: f64) -> f64 {
     limits.fold(f64::INFINITY, f64::min)
 }
 
-/// Returns the speed and the acceleration along a path, in paths per second (squared), at which no axis exceeds its acceleration.
+/// Returns the largest speed and acceleration along a path, in paths per second (squared), that its bends permit.
 ///
 /// Where an axis turns unevenly, its acceleration has two parts: that along the path, and that of its bend, which grows with the
 /// square of the speed. Each may take half of the limit at least.
@@ -132,10 +141,10 @@ fn curved(arm: &Geometry, knots: &[Axes], full_speed: f64) -> (f64, f64) {
             })
         })
     };
-    let speed = bends().fold(full_speed, |speed, (limit, _, bend)| speed.min((limit / 2.0 / bend).sqrt()));
-    let most = speed / arm.acceleration_time;
+    let bend_speed = bends().fold(f64::INFINITY, |speed, (limit, _, bend)| speed.min((limit / 2.0 / bend).sqrt()));
+    let (speed, most) = (full_speed.min(bend_speed), full_speed / arm.acceleration_time);
     let accel = bends().fold(most, |accel, (limit, slope, bend)| accel.min((limit - bend * speed * speed) / slope));
-    (speed, accel)
+    (bend_speed, accel)
 }
 
 #[cfg(test)]
@@ -151,7 +160,7 @@ mod tests {
             let [from, to] = [-150.0, 150.0].map(|y| Frame::from_xyz_rpy([200.0, y, height, tilt, 0.0, tilt]));
             let start = with_joints(&arm.inverse_nearest(&from, &[0.0; 6]).unwrap(), &[0.0; 8]);
             let path = Path::along(&arm, start, &start, (300.0, 0.0), |part| from.towards(&to, part)).unwrap();
-            let (speed, accel) = (path.full_speed, path.full_accel);
+            let (speed, accel) = (path.full_speed.min(path.bend_speed), path.full_accel);
             let parts = LINE_PARTS as f64;
             let mut largest = 0.0_f64;
             for three in path.knots.windows(3) {

@@ -25,6 +25,8 @@ pub(crate) enum Route {
     Arc(Point, Pose),
     /// Against the approach vector by a distance in mm, on a line or by the joints.
     Depart { distance: f64, line: bool },
+    /// About the approach vector by an angle in degrees, in place.
+    RotateTool(f64),
     /// On a circle about an axis, with the flange turning like the circle or not at all.
     Rotate { arc: Arc, turns: bool },
 }
@@ -71,6 +73,11 @@ impl Route {
                 } else {
                     Self::Joints(pose, None).path(arm, here, tool)
                 }
+            }
+            Self::RotateTool(degrees) => {
+                let from = arm.forward(&six(here)).times(tool);
+                let arc = Arc { centre: from.position, axis: from.direction([0.0, 0.0, 1.0]), degrees: *degrees };
+                Self::Rotate { arc, turns: true }.path(arm, here, tool)
             }
             Self::Rotate { arc, turns } => {
                 let (from, flange) = (arm.forward(&six(here)).times(tool), tool.inverse());

@@ -108,6 +108,8 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
         .accepts(APPROACH),
     command("Depart", |arm, ctx, param| moves::depart(&mut arm.robot, ctx, param))
         .accepts(DEPART),
+    command("RotateH", |arm, ctx, param| moves::rotate_tool(&mut arm.robot, ctx, param))
+        .accepts("an angle of -180 to 180 degrees, perhaps with a pass (\"@P 30\"), or [angle, motion option]"),
     command("MotionSkip", motion_skip).accepts("nothing, the group, or [group, mode]: group 0 or -1, mode 0 to 3"),
     command("MotionComplete", motion_complete)
         .accepts("nothing, the group, or [group, mode]: group 0 or -1, mode 0 (commands) or 1 (motion)"),
@@ -167,7 +169,6 @@ pub(crate) const COMMANDS: &[Command<Handler>] = &[
     Command::missing("SyncTimeEnd"),
     Command::missing("SyncMoveStart"),
     Command::missing("SyncMoveEnd"),
-    Command::missing("RotateH"),
     Command::missing("AddPathPoint"),
     Command::missing("ClrPathPoint"),
     Command::missing("LoadPathPoint"),

@@ -100,7 +100,7 @@ pub(super) fn rotate(robot: &mut Robot, ctx: &mut Context<'_>, request: &Request
         return Err(HResult::E_INVALIDARG);
     }
     let centre = point(&request.text(3).to_string(), ctx.variables)?;
-    let (mut turns, mut pass) = (true, Pass::Stop);
+    let (mut turns, mut pass) = (false, Pass::Stop);
     let option = request.text(4).to_string();
     let mut others = Vec::new();
     for part in split_outside_brackets(&option) {
@@ -116,6 +116,22 @@ pub(super) fn rotate(robot: &mut Robot, ctx: &mut Context<'_>, request: &Request
     let centre = work.times(&Frame::IDENTITY.moved_to(centre)).position;
     let route = Route::Rotate { arc: Arc { centre, axis: work.direction(axis), degrees }, turns };
     start(robot, ctx, (route, pass), Speed::Line, &others.join(","))
+}
+
+/// Executes RotateH: an angle, or `[angle, option]`.
+pub(super) fn rotate_tool(robot: &mut Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
+    let param = param.flatten();
+    let (angle, option) = match param {
+        Variant::Array(array) if array.len() == 2 => {
+            (array.get(0).unwrap_or(param), text_or_nothing(&array.get(1).unwrap_or(Variant::Empty))?)
+        }
+        _ => (param, String::new()),
+    };
+    let (degrees, pass) = length_and_pass(&angle)?;
+    if degrees.abs() > 180.0 {
+        return Err(HResult::E_INVALIDARG);
+    }
+    start(robot, ctx, (Route::RotateTool(degrees), pass), Speed::Line, &option)
 }
 
 /// Reads the interpolation and the other elements of a parameter; elements at its end may be absent.
@@ -135,7 +151,7 @@ fn straight_or_not<'v, const N: usize>(param: &Variant<'v>) -> Result<(bool, [Va
     Ok((line, others))
 }
 
-/// Reads a length in mm and its pass: a number, `"@P 30"`, or `[30, "", "@P"]`.
+/// Reads a length in mm, or an angle in degrees, and its pass: a number, `"@P 30"`, or `[30, "", "@P"]`.
 fn length_and_pass(value: &Variant<'_>) -> Result<(f64, Pass), HResult> {
     let (length, pass) = match value.flatten() {
         Variant::Bstr(text) => {

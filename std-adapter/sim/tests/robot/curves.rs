@@ -2,6 +2,7 @@
 
 use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
+use bcap_sim::{ArmProfile, Config, Profile};
 
 use crate::assert_close;
 use crate::common::{Client, World, code, doubles, ok};
@@ -101,8 +102,28 @@ fn approach_and_depart_keep_their_distance() {
 }
 
 #[test]
+fn rotate_h_turns_the_tool_in_place() {
+    let (mut world, client) = at_start();
+    assert_eq!(world.robot(client, "RotateH", 30), ok(&()));
+    let here = pose(&mut world, client);
+    assert_close(&here[..3], &[300.0, 0.0, 300.0], 1e-6);
+    // the flange points down, so that its right-handed turn lowers RZ
+    assert!((here[5] - 150.0).abs() < 1e-6, "{here:?}");
+    assert_eq!(world.robot(client, "RotateH", ("@0 -50", "SPEED=50")), ok(&()));
+    assert!((pose(&mut world, client)[5].abs() - 160.0).abs() < 1e-6);
+    assert_eq!(world.robot(client, "RotateH", 181), code(HResult::E_INVALIDARG));
+    assert_eq!(world.robot(client, "RotateH", ()), code(HResult::E_INVALIDARGTYPE));
+    // four axes turn J4
+    let arm = ArmProfile::Hsr065.arm();
+    let mut world = World::with(Config::new(Profile::Rc8).with_arm(arm));
+    let client = world.mover(1);
+    assert_eq!(world.robot(client, "RotateH", -40), ok(&()));
+    assert!((world.sim.joints()[3] + 40.0).abs() < 1e-6, "{:?}", world.sim.joints());
+}
+
+#[test]
 fn rotate_turns_the_flange_with_the_circle_or_not() {
-    for (option, turned) in [("@0, Pose = 1, NEXT", 200.0_f64 - 360.0), ("@0,Pose=2,NEXT", 180.0), ("NEXT", -160.0)] {
+    for (option, turned) in [("@0, Pose = 1, NEXT", 200.0_f64 - 360.0), ("@0,Pose=2,NEXT", 180.0), ("NEXT", 180.0)] {
         let (mut world, client) = at_start();
         let go = call::robot_rotate(client.robot, "XY", 20.0, "V(0,0,0)", option);
         let poses = trace(&mut world, client, go);
@@ -114,7 +135,7 @@ fn rotate_turns_the_flange_with_the_circle_or_not() {
     }
     // about the flange's own place: it only turns
     let (mut world, client) = at_start();
-    let go = call::robot_rotate(client.robot, "yz", 15.0, "V(300.00,0.00,300.00)", "");
+    let go = call::robot_rotate(client.robot, "yz", 15.0, "V(300.00,0.00,300.00)", "Pose=1");
     assert_eq!(world.run(client.peer, go), code(HResult::S_OK));
     let here = pose(&mut world, client);
     assert_close(&here[..3], &[300.0, 0.0, 300.0], 1e-6);
