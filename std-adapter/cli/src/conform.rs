@@ -54,8 +54,11 @@ fn judge_clients(args: &Conform, over: Link, address: SocketAddr, limit: Duratio
         Link::Tcp => "tcp",
         Link::Udp => "udp",
     };
-    if !args.junit {
-        print_line(&format!("ready bcap={protocol}:{}", judge.address()?))?;
+    let ready = format!("{protocol}:{}", judge.address()?);
+    if json {
+        print_json(&serde_json::json!({ "ready": ready }).to_string())?;
+    } else if !args.junit {
+        print_line(&format!("ready bcap={ready}"))?;
     }
     let report = judge.run(args.sessions, limit)?;
     if report.count(Verdict::Pass) + report.count(Verdict::Fail) == 0 {
