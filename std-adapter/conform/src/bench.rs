@@ -185,7 +185,7 @@ impl<'a> Bench<'a> {
             // the connection may have ended as part of the case
             let _ = self.call(FunctionId::SERVICE_STOP, &[]);
         }
-        self.wire = None;
+        self.close();
         for (name, value) in std::mem::take(&mut self.saved) {
             self.restore(&name, value)?;
         }
@@ -197,7 +197,7 @@ impl<'a> Bench<'a> {
         let variable = self.variable(name)?;
         let reply = self.exchange(FunctionId::VARIABLE_PUT_VALUE, vec![variable, value])?;
         let _ = self.call(FunctionId::SERVICE_STOP, &[]);
-        self.wire = None;
+        self.close();
         if reply.code.is_err() {
             return fail(format!("the value of {name} is restored"), reply.text());
         }
@@ -232,8 +232,14 @@ impl<'a> Bench<'a> {
         Ok(())
     }
 
+    fn close(&mut self) {
+        if let Some(wire) = self.wire.take() {
+            wire.close(self.options.quiet);
+        }
+    }
+
     pub(crate) fn connect(&mut self) -> Result<(), Stop> {
-        self.wire = None;
+        self.close();
         let address = match self.options.target.bcap {
             Some((_, address)) => address,
             None => return skip("the address of b-CAP is not given"),
@@ -423,7 +429,7 @@ impl<'a> Bench<'a> {
     }
 }
 
-/// A session over UDP lasts until Service_Stop, or until the device forgets its peer.
+/// A session over UDP lasts until Service_Stop, or until the device forgets its peer; a TCP connection until its end.
 impl Drop for Bench<'_> {
     fn drop(&mut self) {
         let serial = self.next_serial();
@@ -431,6 +437,7 @@ impl Drop for Bench<'_> {
             // without an answer the device forgets the peer later
             let _ = wire.send(&encode(serial, serial, FunctionId::SERVICE_STOP.0, &[]));
         }
+        self.close();
     }
 }
 

@@ -59,7 +59,7 @@ pub fn run(options: &Options, mut each: impl FnMut(&CaseResult), ended: impl Fn(
     for case in cases() {
         let name = case.name();
         let wanted = (options.groups.is_empty() || options.groups.contains(&case.group))
-            && (options.cases.is_empty() || options.cases.iter().any(|wanted| *wanted == name));
+            && (options.cases.is_empty() || options.cases.contains(&name));
         if !wanted {
             continue;
         }
