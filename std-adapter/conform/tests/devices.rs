@@ -68,7 +68,7 @@ fn a_motion_leaves_the_robot_as_it_was() {
 /// Returns the external speed, whether the motor is on, and the joints.
 fn state(served: &Served) -> (f64, bool, Vec<f64>) {
     let mut cell =
-        bcap_std::blocking::Controller::connect(&served.tcp.to_string(), &bcap_std::Settings::rc8()).unwrap();
+        bcap_std::blocking::Controller::connect(&format!("tcp:{}", served.tcp), &bcap_std::Settings::rc8()).unwrap();
     let mut robot = cell.robot().unwrap();
     let state = (
         robot.execute("CurExtSpd", ()).unwrap(),
