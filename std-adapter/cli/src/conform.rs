@@ -1,20 +1,26 @@
 //! `bcap conform`: judges a server by the cases of `bcap-conform`.
 
 use std::io;
+use std::net::SocketAddr;
+use std::time::Duration;
 
-use bcap_conform::{Case, CaseResult, Level, Link, Options, Report, Target, Verdict};
+use bcap_conform::{Case, CaseResult, ClientJudge, Level, Link, Options, Report, Target, Verdict};
 use bcap_std::{NetworkAddress, Protocol, blocking};
 
 use crate::args::{Conform, LevelArg, LinkArgs};
 use crate::connection::not_connected;
 use crate::ending::Ending;
 use crate::error::Failure;
+use crate::listen::taken;
 use crate::output::{print_block, print_json, print_line};
 use crate::robot::host;
 use crate::target;
 
 /// Runs `bcap conform`.
 pub(crate) fn conform(args: &Conform, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    if let Some((over, address)) = args.listen {
+        return judge_clients(args, over, address, link.limit().unwrap_or(CLIENT_LIMIT), json);
+    }
     let chosen = chosen(args)?;
     if args.list {
         return Ok(chosen.iter().try_for_each(|case| list(case, json))?);
@@ -36,6 +42,33 @@ pub(crate) fn conform(args: &Conform, link: &LinkArgs, json: bool) -> Result<(),
     );
     printed?;
     finish(args, json, &report, chosen.len())
+}
+
+/// How long `--listen` waits for a client, and for its next request.
+const CLIENT_LIMIT: Duration = Duration::from_secs(60);
+
+/// Plays a controller, and judges its clients.
+fn judge_clients(args: &Conform, over: Link, address: SocketAddr, limit: Duration, json: bool) -> Result<(), Failure> {
+    let judge = ClientJudge::bind(over, address).map_err(|error| taken("--listen", address, &error))?;
+    let protocol = match over {
+        Link::Tcp => "tcp",
+        Link::Udp => "udp",
+    };
+    let ready = format!("{protocol}:{}", judge.address()?);
+    if json {
+        print_json(&serde_json::json!({ "ready": ready }).to_string())?;
+    } else if !args.junit {
+        print_line(&format!("ready bcap={ready}"))?;
+    }
+    let report = judge.run(args.sessions, limit)?;
+    if report.count(Verdict::Pass) + report.count(Verdict::Fail) == 0 {
+        let message = format!("no client has sent a request within {} s", limit.as_secs());
+        return Err(Failure::Timeout { message, hint: "--timeout sets how long --listen waits".into() });
+    }
+    if !args.junit {
+        report.results.iter().try_for_each(|result| print(result, json))?;
+    }
+    finish(args, json, &report, report.results.len())
 }
 
 /// Returns the cases that the arguments choose.

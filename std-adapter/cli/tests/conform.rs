@@ -6,10 +6,11 @@ mod common;
 mod virtual_robot;
 
 use std::env;
+use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Stdio};
 
-use common::{Run, bcap};
+use common::{Run, bcap, bcap_with};
 use serde_json::Value;
 use virtual_robot::Virtual;
 
@@ -22,7 +23,9 @@ fn the_examples_of_the_help_run() {
     let path = env::join_paths([bin.to_owned()].into_iter().chain(env::split_paths(&env::var_os("PATH").unwrap())));
     let port = robot.rac.rsplit(':').next().unwrap();
     let mut count = 0;
-    for example in examples.lines().map(str::trim).filter(|line| line.starts_with("bcap ")) {
+    // an example that listens waits for a client
+    let lines = examples.lines().map(str::trim).filter(|line| line.starts_with("bcap ") && !line.contains("--listen"));
+    for example in lines {
         let line = example.replace("tcp:192.168.0.1", &robot.tcp).replace("udp:192.168.0.1", &robot.udp);
         let mut shell = Command::new("sh");
         shell.args(["-c", &line]).env("PATH", path.as_ref().unwrap()).env("BCAP_RAC_PORT", port);
@@ -111,4 +114,36 @@ fn the_documentation_has_the_number_of_cases_of_each_group() {
         assert!(text.contains(&row), "{row}");
     }
     assert!(text.contains(&format!("{} cases", cases.len())), "{}", cases.len());
+}
+
+#[test]
+fn a_client_is_judged_by_the_controller_that_it_connects_to() {
+    for protocol in ["tcp", "udp"] {
+        let listen = format!("{protocol}:127.0.0.1:0");
+        let mut judge = common::command(&["conform", "--listen", &listen]).stdout(Stdio::piped()).spawn().unwrap();
+        let mut out = BufReader::new(judge.stdout.take().unwrap());
+        let mut line = String::new();
+        out.read_line(&mut line).unwrap();
+        let address = line.trim().strip_prefix("ready bcap=").unwrap();
+        // a script is one session; the judge answers one read with an error
+        let mut script = String::new();
+        for number in 0..20 {
+            script.push_str(&format!("get I{number}\n"));
+        }
+        let client = bcap_with(&["run", "-", "--robot", address], script.as_bytes());
+        let mut rest = String::new();
+        out.read_to_string(&mut rest).unwrap();
+        assert!(rest.contains("pass client/handles-are-open\n"), "{rest} {client:?}");
+        assert!(rest.contains(" 0 failed, "), "{rest} {client:?}");
+        assert_eq!(judge.wait().unwrap().code(), Some(0), "{rest}");
+    }
+}
+
+#[test]
+fn without_a_client_the_judge_says_so() {
+    let run = bcap(&["conform", "--listen", "127.0.0.1:0", "--timeout", "50"]);
+    assert_eq!(run.code, 4, "{run:?}");
+    assert!(run.err.contains("no client has sent a request within"), "{run:?}");
+    let run = bcap(&["conform", "--listen", "nowhere"]);
+    assert!(run.code == 2 && run.err.contains("write [tcp:|udp:]IP:PORT"), "{run:?}");
 }

@@ -35,6 +35,9 @@ pub(crate) struct Sent {
     pub(crate) reply: Option<Reply>,
 }
 
+/// The external speed, acceleration and deceleration of cases, in percent.
+const SLOW: &str = "8196,10,10,10";
+
 /// The connection of a case, and what it has opened.
 pub(crate) struct Bench<'a> {
     pub(crate) options: &'a Options,
@@ -45,6 +48,8 @@ pub(crate) struct Bench<'a> {
     pub(crate) last: Option<Sent>,
     /// The values of scratch variables before the case.
     saved: Vec<(String, OwnedVariant)>,
+    /// The external speed before the case.
+    speed: Option<[f64; 3]>,
     /// Whether the arm was taken, so that the case must give it back.
     armed: bool,
     /// What was sent and received, one line each.
@@ -56,7 +61,18 @@ impl<'a> Bench<'a> {
         // over UDP a stale reply to an earlier client of the same port must not match
         let serial = if link == Link::Udp { fastrand::u16(1..30000) } else { 1 };
         let (handles, log) = ([None; Slot::COUNT], Vec::new());
-        Self { options, link, wire: None, serial, handles, last: None, saved: Vec::new(), armed: false, log }
+        Self {
+            options,
+            link,
+            wire: None,
+            serial,
+            handles,
+            last: None,
+            saved: Vec::new(),
+            speed: None,
+            armed: false,
+            log,
+        }
     }
 
     pub(crate) fn setup(&mut self, setup: Setup) -> Result<(), Stop> {
@@ -83,7 +99,7 @@ impl<'a> Bench<'a> {
             Setup::Task => self.open_task()?,
             _ => {}
         }
-        if setup == Setup::Arm { self.take_arm() } else { Ok(()) }
+        if setup == Setup::Arm { self.take_arm(SLOW) } else { Ok(()) }
     }
 
     pub(crate) fn open_controller(&mut self) -> Result<(), Stop> {
@@ -104,7 +120,7 @@ impl<'a> Bench<'a> {
     }
 
     /// Takes the arm and switches the motor on, after the preparation of a COBOTTA.
-    fn take_arm(&mut self) -> Result<(), Stop> {
+    pub(crate) fn take_arm(&mut self, speed: &'static str) -> Result<(), Stop> {
         let refused = self.robot_command("ManualResetPreparation", "0,")?.code;
         if refused.is_ok() {
             self.robot_command("MotionPreparation", "0,")?;
@@ -114,10 +130,38 @@ impl<'a> Bench<'a> {
             return skip(format!("TakeArm: {}", taken.text()));
         }
         self.armed = true;
+        if self.speed.is_none() {
+            self.speed = self.external_speed()?;
+        }
         // slow, whatever the program of the robot has set before
-        self.robot_command("ExtSpeed", "8196,10,10,10")?;
+        let slow = self.robot_command("ExtSpeed", speed)?;
+        if slow.code.is_err() {
+            return skip(format!("ExtSpeed: {}", slow.text()));
+        }
         let motor = self.robot_command("Motor", "8195,1,0")?;
         if motor.code.is_err() { skip(format!("Motor on: {}", motor.text())) } else { Ok(()) }
+    }
+
+    /// Returns the external speed, acceleration and deceleration; `None` if the controller does not tell them.
+    fn external_speed(&mut self) -> Result<Option<[f64; 3]>, Stop> {
+        let mut speed = [0.0; 3];
+        for (place, command) in speed.iter_mut().zip(["CurExtSpd", "CurExtAcc", "CurExtDec"]) {
+            let reply = self.robot_command(command, "0,")?;
+            match reply.value().and_then(|value| value.as_f64()) {
+                Some(percent) if reply.code.is_ok() => *place = percent,
+                _ => return Ok(None),
+            }
+        }
+        Ok(Some(speed))
+    }
+
+    /// Sets the external speed as it was before the case.
+    fn restore_speed(&mut self) -> Result<(), Stop> {
+        let Some(speed) = self.speed.take() else { return Ok(()) };
+        let values = [OwnedVariant::new("ExtSpeed"), OwnedVariant::new(&speed)];
+        let [command, percent] = values.map(Result::unwrap_or_default);
+        let handle = self.argument(&Arg::H(Slot::Robot))?;
+        self.exchange(FunctionId::ROBOT_EXECUTE, vec![handle, command, percent]).map(drop)
     }
 
     /// Calls Robot_Execute.
@@ -132,6 +176,7 @@ impl<'a> Bench<'a> {
             let alive = self.robot_command("slvChangeMode", "3,0").is_ok();
             if alive {
                 let _ = self.call(FunctionId::ROBOT_HALT, &[Arg::H(Slot::Robot), Arg::S("")]);
+                let _ = self.restore_speed();
                 let _ = self.robot_command("Motor", "8195,0,0");
                 let _ = self.robot_command("GiveArm", "0,");
             }
@@ -140,7 +185,7 @@ impl<'a> Bench<'a> {
             // the connection may have ended as part of the case
             let _ = self.call(FunctionId::SERVICE_STOP, &[]);
         }
-        self.wire = None;
+        self.close();
         for (name, value) in std::mem::take(&mut self.saved) {
             self.restore(&name, value)?;
         }
@@ -152,7 +197,7 @@ impl<'a> Bench<'a> {
         let variable = self.variable(name)?;
         let reply = self.exchange(FunctionId::VARIABLE_PUT_VALUE, vec![variable, value])?;
         let _ = self.call(FunctionId::SERVICE_STOP, &[]);
-        self.wire = None;
+        self.close();
         if reply.code.is_err() {
             return fail(format!("the value of {name} is restored"), reply.text());
         }
@@ -187,8 +232,14 @@ impl<'a> Bench<'a> {
         Ok(())
     }
 
+    fn close(&mut self) {
+        if let Some(wire) = self.wire.take() {
+            wire.close(self.options.quiet);
+        }
+    }
+
     pub(crate) fn connect(&mut self) -> Result<(), Stop> {
-        self.wire = None;
+        self.close();
         let address = match self.options.target.bcap {
             Some((_, address)) => address,
             None => return skip("the address of b-CAP is not given"),
@@ -378,7 +429,7 @@ impl<'a> Bench<'a> {
     }
 }
 
-/// A session over UDP lasts until Service_Stop, or until the device forgets its peer.
+/// A session over UDP lasts until Service_Stop, or until the device forgets its peer; a TCP connection until its end.
 impl Drop for Bench<'_> {
     fn drop(&mut self) {
         let serial = self.next_serial();
@@ -386,6 +437,7 @@ impl Drop for Bench<'_> {
             // without an answer the device forgets the peer later
             let _ = wire.send(&encode(serial, serial, FunctionId::SERVICE_STOP.0, &[]));
         }
+        self.close();
     }
 }
 

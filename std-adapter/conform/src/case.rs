@@ -78,11 +78,14 @@ pub(crate) const fn case(
     Case { name: Cow::Borrowed(name), group, level: Level::Read, source, rule, only: None, setup, body }
 }
 
+/// A case in Rust.
+pub(crate) type Run = fn(&mut Bench<'_>) -> Result<(), Stop>;
+
 /// What a case does.
 #[derive(Clone, Debug)]
 pub(crate) enum Body {
     Steps(Cow<'static, [Step]>),
-    Run(fn(&mut Bench<'_>) -> Result<(), Stop>),
+    Run(Run),
 }
 
 /// The steps of a constant table.

@@ -4,11 +4,13 @@
 //!  cases    tables: what is sent, what must come, the line of the specification
 //!  bench    runs one case on a connection of its own, and undoes what it changed
 //!  wire     bytes and frames over TCP and UDP; frames may be wrong on purpose
+//!  client   cases for clients
 //!  report   results as text, JSON (serde) and JUnit
 //! ```
 //!
 //! [`run`] judges a device: a controller, a gateway, another implementation. No client logic is between a case and the
-//! socket, so wrong frames can be sent, and nothing hides a wrong reply. Every wait has a time limit.
+//! socket, so wrong frames can be sent, and nothing hides a wrong reply. Every wait has a time limit. [`ClientJudge`] is a
+//! controller that judges its clients.
 //!
 //! # Examples
 //!
@@ -24,6 +26,7 @@
 mod bench;
 mod case;
 mod cases;
+mod client;
 mod device;
 mod edit;
 mod language;
@@ -35,6 +38,7 @@ mod wire;
 use std::time::Instant;
 
 pub use case::{Case, Group, Level};
+pub use client::{ClientJudge, client_cases};
 pub use device::{Options, Target};
 pub use report::{CaseResult, Report, Verdict};
 pub use wire::Link;
@@ -55,7 +59,7 @@ pub fn run(options: &Options, mut each: impl FnMut(&CaseResult), ended: impl Fn(
     for case in cases() {
         let name = case.name();
         let wanted = (options.groups.is_empty() || options.groups.contains(&case.group))
-            && (options.cases.is_empty() || options.cases.iter().any(|wanted| *wanted == name));
+            && (options.cases.is_empty() || options.cases.contains(&name));
         if !wanted {
             continue;
         }

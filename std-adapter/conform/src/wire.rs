@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 use std::io::{self, Read, Write};
-use std::net::{SocketAddr, TcpStream, UdpSocket};
+use std::net::{Shutdown, SocketAddr, TcpStream, UdpSocket};
 use std::time::{Duration, Instant};
 
 use bcap_core::bcap::{Decoder, FrameWriter, FunctionId, Progress};
@@ -132,6 +132,18 @@ impl Wire {
                 socket.connect(address)?;
                 Ok(Self::Udp(socket))
             }
+        }
+    }
+
+    /// Ends the connection, and waits until the device has ended it too: a small device then has room for the next one.
+    pub(crate) fn close(self, limit: Duration) {
+        let Self::Tcp { mut stream, .. } = self else { return };
+        let until = Instant::now() + limit;
+        let mut buffer = [0; 4096];
+        // a device that has ended the connection already is no error
+        let mut open = stream.shutdown(Shutdown::Write).is_ok();
+        while open {
+            open = matches!(read_until(&mut stream, &mut buffer, until), Ok(Some(1..)));
         }
     }
 

@@ -51,6 +51,34 @@ fn the_cobotta_passes_over_udp() {
     passes(Profile::Cobotta, Link::Udp, &["slave/receive-hand-io"]);
 }
 
+#[test]
+fn a_motion_leaves_the_robot_as_it_was() {
+    let served = Served::start(Controller::new(Config { ext_speed: 40.0, ..Config::new(Profile::Rc8) }));
+    let mut options = served.options(Link::Tcp, Level::Motion);
+    options.cases = vec!["timeouts/keep-alives-of-a-motion".into(), "slave/enter-2-j".into()];
+    let before = state(&served);
+    assert_eq!(report(&options).count(Verdict::Pass), 2);
+    let after = state(&served);
+    assert_eq!((before.0, before.1), (40.0, false));
+    assert_eq!((after.0, after.1), (before.0, before.1));
+    let moved = before.2.iter().zip(&after.2).any(|(before, after)| (before - after).abs() > 0.001);
+    assert!(!moved, "{before:?} {after:?}");
+}
+
+/// Returns the external speed, whether the motor is on, and the joints.
+fn state(served: &Served) -> (f64, bool, Vec<f64>) {
+    let mut cell =
+        bcap_std::blocking::Controller::connect(&format!("tcp:{}", served.tcp), &bcap_std::Settings::rc8()).unwrap();
+    let mut robot = cell.robot().unwrap();
+    let state = (
+        robot.execute("CurExtSpd", ()).unwrap(),
+        robot.read("@SERVO_ON").unwrap(),
+        robot.execute("CurJnt", ()).unwrap(),
+    );
+    cell.close().unwrap();
+    state
+}
+
 /// The state of the device of the example `device_server`.
 #[derive(Default)]
 struct Conveyor {

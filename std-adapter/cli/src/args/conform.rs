@@ -1,8 +1,11 @@
 //! The arguments of `bcap conform`.
 
+use std::net::SocketAddr;
+
+use bcap_conform::{Group, Link};
 use clap::{Args, ValueEnum};
 
-/// Judges a controller, a gateway or another server by the cases of the specification
+/// Judges a controller, a gateway or another server by the cases of the specification, or a client
 ///
 /// Each case has its own connection. A failure is printed with what was sent and received, what was expected and what came; a
 /// skipped case with the reason. The address of --robot chooses the link of b-CAP, TCP or UDP. RAC is at the same host.
@@ -17,7 +20,8 @@ Examples:
   bcap conform --robot tcp:192.168.0.1 --level write --scratch 50 --group variables
   bcap conform --robot tcp:192.168.0.1 --case frames/wrong-end --json
   bcap conform --robot tcp:192.168.0.1 --level motion --yes-the-robot-may-move --group slave --junit
-  bcap conform --list --group udp")]
+  bcap conform --list --group udp
+  bcap conform --listen 127.0.0.1:5007")]
 pub(crate) struct Conform {
     /// What the cases may do to the device
     #[arg(long, value_enum, default_value_t = LevelArg::Read)]
@@ -29,7 +33,7 @@ pub(crate) struct Conform {
 
     /// Runs only this group; may be repeated
     #[arg(long, value_name = "GROUP", value_parser = group)]
-    pub(crate) group: Vec<bcap_conform::Group>,
+    pub(crate) group: Vec<Group>,
 
     /// Runs only this case, such as frames/wrong-end; may be repeated
     #[arg(long, value_name = "NAME")]
@@ -51,6 +55,18 @@ pub(crate) struct Conform {
     #[arg(long, value_name = "NAME", default_value = "Pro1")]
     pub(crate) task: String,
 
+    /// Plays a controller at this address instead, [tcp:|udp:]IP:PORT, and judges the clients that connect
+    ///
+    /// It prints `ready bcap=tcp:IP:PORT`, serves --sessions, and prints the results. It waits at most --timeout (60 s by default) for
+    /// a client, and as long for each request. Some calls of Variable_GetValue are answered in unusual ways, so a client under
+    /// test should make ten of them.
+    #[arg(long, value_name = "ADDRESS", value_parser = listen, conflicts_with_all = ["level", "group", "case", "list"])]
+    pub(crate) listen: Option<(Link, SocketAddr)>,
+
+    /// The number of sessions of clients that --listen serves, one after the other
+    #[arg(long, value_name = "N", default_value_t = 1, requires = "listen")]
+    pub(crate) sessions: usize,
+
     /// The address of RAC [default: the host of --robot and port 5006]
     #[arg(long, value_name = "HOST[:PORT]")]
     pub(crate) robot_rac: Option<String>,
@@ -67,8 +83,18 @@ pub(crate) enum LevelArg {
     Motion,
 }
 
-fn group(text: &str) -> Result<bcap_conform::Group, String> {
-    let names = || bcap_conform::Group::ALL.map(bcap_conform::Group::name).join(", ");
-    let found = bcap_conform::Group::ALL.into_iter().find(|group| group.name() == text);
+fn group(text: &str) -> Result<Group, String> {
+    let names = || Group::ALL.map(Group::name).join(", ");
+    let found = Group::ALL.into_iter().find(|group| group.name() == text);
     found.ok_or_else(|| format!("no group is named {text:?}; the groups are {}", names()))
+}
+
+fn listen(text: &str) -> Result<(Link, SocketAddr), String> {
+    let (link, address) = match text.split_once(':') {
+        Some(("tcp", rest)) => (Link::Tcp, rest),
+        Some(("udp", rest)) => (Link::Udp, rest),
+        _ => (Link::Tcp, text),
+    };
+    let address = address.parse().map_err(|error| format!("{error}: write [tcp:|udp:]IP:PORT"))?;
+    Ok((link, address))
 }

@@ -9,7 +9,7 @@ use bcap_core::variant::{OwnedVariant, Variant};
 use crate::bench::{Bench, Stop, fail, skip};
 use crate::case::Arg::{H, S, V};
 use crate::case::Setup::{Arm, Robot};
-use crate::case::{Body, Case, Group, Level, Setup, Slot, Step, Want, case, steps};
+use crate::case::{Body, Case, Group, Level, Run, Setup, Slot, Step, Want, case, steps};
 use crate::device::Refusals;
 use crate::wire::{Link, Reply, encode, request_text};
 
@@ -156,7 +156,7 @@ pub(super) fn formats() -> impl Iterator<Item = Case> {
         ..case(Group::Slave, "", "S2:1103-1181", "the reply of slvMove has the values of the receive format", Arm, run)
             .at(Level::Motion)
     };
-    let functions: [fn(&mut Bench<'_>) -> Result<(), Stop>; 9] = [
+    let functions: [Run; 9] = [
         |bench| received(bench, 0),
         |bench| received(bench, 1),
         |bench| received(bench, 2),

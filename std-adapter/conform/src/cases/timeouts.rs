@@ -178,9 +178,7 @@ fn with_wdt(bench: &mut Bench<'_>, option: &'static str) -> Result<(), Stop> {
     bench.must(F::SERVICE_START, &[S(option)], Want::NoValue)?;
     bench.open_controller()?;
     bench.open(Slot::Robot, F::CONTROLLER_GET_ROBOT, &[H(Slot::Controller), S("Arm"), S("")])?;
-    bench.robot_command("TakeArm", "8195,0,0")?;
-    bench.robot_command("ExtSpeed", "8196,1,1,1")?;
-    bench.robot_command("Motor", "8195,1,0").map(drop)
+    bench.take_arm("8196,1,1,1")
 }
 
 /// Returns the number of keep-alives before the reply, and the reply's result.

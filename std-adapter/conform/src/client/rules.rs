@@ -1,0 +1,202 @@
+//! What every request of a client must be.
+
+use std::collections::{BTreeMap, HashMap};
+
+use bcap_core::bcap::{Frame, FunctionId, Kind, Object};
+use bcap_core::hresult::HResult;
+use bcap_core::limits::UDP_SEND_MAX;
+use bcap_core::variant::Variant;
+
+use crate::report::{CaseResult, Verdict};
+use crate::wire::Link;
+
+/// The cases: name, source, rule.
+const CASES: &[(&str, &str, &str)] = &[
+    ("valid-frames", "S2:200-384", "every request is a valid frame"),
+    ("serial-not-0", "S2:200-384", "a serial is not 0"),
+    ("serials-ascend", "S2:200-384", "each request has the next serial; 1 follows 65535"),
+    ("reserved-0", "S2:200-384", "over TCP the reserved field is 0"),
+    ("marker", "S2:1487", "over UDP the reserved field is the serial of the first attempt"),
+    ("datagram-size", "S2:1487", "a datagram has at most 488 bytes"),
+    ("one-at-a-time", "S0:189", "a request is sent after the reply to the last one"),
+    ("start-first", "S2:195", "Service_Start is the first call"),
+    ("known-functions", "S2:1613-1806", "the functions are 1 to 137"),
+    ("argument-count", "S2:1613-1806", "a call has the arguments of its function"),
+    ("argument-types", "S2:1613-1806", "the arguments have the types of the function"),
+    ("handles-are-i4", "S2:299", "a handle is sent as I4, or UI4 as open drivers do"),
+    ("handles-are-open", "S0:180", "a call uses a handle that is open"),
+    ("handles-of-the-kind", "S0:180", "a call uses a handle of its object"),
+    ("wdt-option", "S2:225", "the interval WDT is at least 80 ms"),
+    ("objects-released", "S2:336", "objects are released before Service_Stop"),
+    ("stop-at-the-end", "S2:372", "Service_Stop ends a session"),
+    ("nothing-after-stop", "S2:372", "after Service_Stop no object is used"),
+    ("waits-while-executing", "S2:225", "S_EXECUTING is not the reply: the client waits for it"),
+    ("other-serial-ignored", "S2:200-384", "a reply with another serial is not the reply"),
+    ("reply-in-pieces", "S2:200-384", "a reply may arrive byte by byte"),
+    ("two-replies-in-a-segment", "S2:200-384", "a stale reply and the reply may arrive in one segment"),
+    ("reply-twice", "S2:200-384", "a repeated reply is dropped"),
+    ("refusal-survived", "S0:153", "an error of a call does not end the session"),
+    ("retry-after-loss", "S2:1493", "a call without a reply is sent again"),
+    ("retry-has-a-new-serial", "S2:1487", "a retry has a new serial"),
+    ("retry-is-the-same-call", "S2:1487", "a retry has the function and the arguments of the first attempt"),
+    ("foreign-datagram-ignored", "S2:1487", "a reply from another port is not the reply"),
+];
+
+/// Iterates over the cases for clients: name, source and rule.
+pub fn client_cases() -> impl Iterator<Item = (String, &'static str, &'static str)> {
+    CASES.iter().map(|(name, source, rule)| (format!("client/{name}"), *source, *rule))
+}
+
+/// The verdicts so far, and what the rules must remember of a session.
+#[derive(Debug)]
+pub(super) struct Rules {
+    link: Link,
+    verdicts: BTreeMap<&'static str, Result<(), (String, String)>>,
+    serial: Option<u16>,
+    started: bool,
+    stopped: bool,
+    open: HashMap<i32, Object>,
+    pub(super) log: Vec<String>,
+}
+
+impl Rules {
+    pub(super) fn new(link: Link) -> Self {
+        let (verdicts, open, log) = (BTreeMap::new(), HashMap::new(), Vec::new());
+        Self { link, verdicts, serial: None, started: false, stopped: false, open, log }
+    }
+
+    /// Records the outcome of a rule; the first failure stays.
+    pub(super) fn judge(&mut self, name: &'static str, holds: bool, expected: &str, came: impl Into<String>) {
+        if holds {
+            self.verdicts.entry(name).or_insert(Ok(()));
+        } else if !matches!(self.verdicts.get(name), Some(Err(_))) {
+            self.verdicts.insert(name, Err((expected.into(), came.into())));
+        }
+    }
+
+    /// Forgets the session before.
+    pub(super) fn begin(&mut self) {
+        (self.serial, self.started, self.stopped) = (None, false, false);
+        self.open.clear();
+    }
+
+    /// Judges a request that is not a retry.
+    pub(super) fn request(&mut self, frame: &Frame<'_>, length: usize, text: &str) {
+        let function = frame.function();
+        self.judge("valid-frames", true, "", "");
+        self.judge("serial-not-0", frame.serial != 0, "a serial of 1 to 65535", text);
+        if let Some(last) = self.serial {
+            let next = last.checked_add(1).unwrap_or(1);
+            self.judge("serials-ascend", frame.serial == next, &format!("the serial {next}"), text);
+        }
+        self.serial = Some(frame.serial);
+        match self.link {
+            Link::Tcp => self.judge("reserved-0", frame.reserved == 0, "0", format!("{}: {text}", frame.reserved)),
+            Link::Udp => {
+                let marker = frame.reserved == frame.serial;
+                self.judge("marker", marker, &frame.serial.to_string(), format!("{}: {text}", frame.reserved));
+                self.judge("datagram-size", length <= UDP_SEND_MAX, "at most 488 bytes", format!("{length}: {text}"));
+            }
+        }
+        if !self.started {
+            self.judge("start-first", function == FunctionId::SERVICE_START, "Service_Start", text);
+            self.started = true;
+        }
+        if self.stopped {
+            self.judge("nothing-after-stop", function == FunctionId::SERVICE_START, "no call, or Service_Start", text);
+        }
+        self.arguments(frame, text);
+    }
+
+    fn arguments(&mut self, frame: &Frame<'_>, text: &str) {
+        let function = frame.function();
+        let Some(signature) = function.signature() else {
+            return self.judge("known-functions", false, "a function of 1 to 137", text);
+        };
+        self.judge("known-functions", true, "", "");
+        let count = signature.arguments.len();
+        let optional = function == FunctionId::SERVICE_START && frame.args.is_empty();
+        let expected = format!("{count} arguments");
+        self.judge("argument-count", frame.args.len() == count || optional, &expected, text);
+        for (kind, value) in signature.arguments.iter().zip(frame.args) {
+            match kind {
+                Kind::Handle(object) => self.handle(*object, &value, text),
+                _ => self.judge("argument-types", kind.accepts(&value), &format!("{kind:?}"), text),
+            }
+        }
+        if function == FunctionId::SERVICE_START
+            && let Some(option) = frame.args.get(0).and_then(|value| value.as_bstr()).map(|text| text.to_string())
+            && let Some(interval) = option.split(',').find_map(|part| part.trim().strip_prefix("WDT="))
+        {
+            let is_long = interval.parse().is_ok_and(|interval: u32| interval >= 80);
+            self.judge("wdt-option", is_long, "WDT=80 or more", text);
+        }
+        if function == FunctionId::SERVICE_STOP {
+            let left: Vec<_> = self.open.values().map(|object| object.name()).collect();
+            self.judge("objects-released", left.is_empty(), "no open objects", format!("open: {}", left.join(", ")));
+            self.stopped = true;
+            self.judge("nothing-after-stop", true, "", "");
+            self.judge("stop-at-the-end", true, "", "");
+        }
+    }
+
+    fn handle(&mut self, object: Object, value: &Variant<'_>, text: &str) {
+        let handle = match *value {
+            Variant::I4(handle) => handle,
+            Variant::Ui4(handle) => handle.cast_signed(),
+            _ => return self.judge("handles-are-i4", false, "an I4", text),
+        };
+        self.judge("handles-are-i4", true, "", "");
+        let found = self.open.get(&handle).copied();
+        self.judge("handles-are-open", found.is_some(), "a handle that is open", text);
+        if let Some(found) = found {
+            self.judge("handles-of-the-kind", found == object, &format!("a handle of {}", object.name()), text);
+        }
+    }
+
+    /// Records what a reply opens or releases.
+    pub(super) fn reply(&mut self, request: &Frame<'_>, code: HResult, value: Option<&Variant<'_>>) {
+        if code.is_err() {
+            return;
+        }
+        let function = request.function();
+        if let (Some(object), Some(handle)) = (function.opens(), value.and_then(Variant::as_i32)) {
+            self.open.insert(handle, object);
+        }
+        if function.releases().is_some()
+            && let Some(handle) = request.args.get(0).and_then(|value| value.as_i32())
+        {
+            self.open.remove(&handle);
+        }
+    }
+
+    /// Continues the serials after a retry.
+    pub(super) fn retried(&mut self, serial: u16) {
+        self.serial = Some(serial);
+    }
+
+    /// Judges the end of a connection.
+    pub(super) fn end(&mut self) {
+        if self.started {
+            self.judge("stop-at-the-end", self.stopped, "Service_Stop", "the end of the connection");
+        }
+    }
+
+    /// Returns the results of all cases.
+    pub(super) fn results(mut self) -> Vec<CaseResult> {
+        let log = std::mem::take(&mut self.log);
+        let made = CASES.iter().map(|(name, source, rule)| {
+            let outcome = self.verdicts.remove(name);
+            let (verdict, reason, expected, came) = match outcome {
+                None => (Verdict::Skip, Some("the client gave no occasion for it".into()), None, None),
+                Some(Ok(())) => (Verdict::Pass, None, None, None),
+                Some(Err((expected, came))) => (Verdict::Fail, None, Some(expected), Some(came)),
+            };
+            let exchange = if verdict == Verdict::Fail { log.clone() } else { Vec::new() };
+            let name = format!("client/{name}");
+            let (group, level) = (None, None);
+            CaseResult { name, group, level, source, rule, verdict, reason, expected, came, exchange, milliseconds: 0 }
+        });
+        made.collect()
+    }
+}
