@@ -112,6 +112,23 @@ fn a_finding_is_reduced_saved_and_found_again() {
 }
 
 #[test]
+fn the_examples_of_the_help_run() {
+    let (device, folder) = (Planted::start(Bug::None), folder("examples"));
+    std::fs::create_dir_all(&folder).unwrap();
+    std::fs::write(folder.join("finding.steps"), "call Service_Start 08000100000000000000\n").unwrap();
+    let help = bcap(&["fuzz", "--help"]).out;
+    let (_, examples) = help.split_once("Examples:\n").unwrap();
+    let examples: Vec<_> = examples.lines().filter_map(|line| line.trim().strip_prefix("bcap ")).collect();
+    assert_eq!(examples.len(), 3, "{help}");
+    for example in examples {
+        let line = example.replace("192.168.0.1", &device.bcap);
+        let words: Vec<_> = line.split_whitespace().chain(["--robot-rac", &device.rac, "--timeout", "30000"]).collect();
+        let run: Run = bare(&words).current_dir(&folder).output().unwrap().into();
+        assert_eq!(run.code, 0, "{example}: {run:?}");
+    }
+}
+
+#[test]
 fn steps_that_move_are_refused_without_the_option() {
     let device = Planted::start(Bug::None);
     let folder = folder("moves");
@@ -157,8 +174,7 @@ fn the_virtual_controller_has_no_finding() {
 /// Fuzzes a device with a planted bug until the first finding; returns it.
 fn first_finding(bug: Bug, limits: &[&str]) -> Option<Value> {
     let device = Planted::start(bug);
-    let run =
-        fuzz(&device, &format!("{bug:?}"), &[&["--findings", "1", "--timeout", "400", "--json"], limits].concat());
+    let run = fuzz(&device, &format!("{bug:?}"), &[&["--findings", "1", "--json"], limits].concat());
     lines(&run).0.into_iter().next()
 }
 
@@ -173,12 +189,16 @@ fn planted_bugs_are_found() {
         (Bug::NameIsNumber, "wrong-reply"),
         (Bug::LengthIsOffByOne, "wrong-reply"),
         (Bug::NegativeHandleIsValid, "handle"),
+        (Bug::HandleLivesOn, "handle"),
         (Bug::ReleaseLeaks, "leak"),
         (Bug::DoubleIsSingle, "wrong-reply"),
     ] {
-        let found = first_finding(bug, &["--runs", "400", "--duration", "10min"]);
+        // a busy machine must not look like a device that hangs, except where the fuzzer waits for bytes that do not come
+        let waits = kind == "hang" || bug == Bug::LengthIsOffByOne;
+        let timeout = if waits { "1500" } else { "20000" };
+        let found = first_finding(bug, &["--runs", "400", "--duration", "10min", "--timeout", timeout]);
         let found = found.unwrap_or_else(|| panic!("{bug:?} is not found"));
-        assert_eq!(found["kind"].as_str().unwrap().replace('_', "-"), kind, "{bug:?}: {found}");
+        assert_eq!(found["kind"], kind, "{bug:?}: {found}");
     }
 }
 
@@ -190,7 +210,7 @@ fn the_time_to_find_each_planted_bug() {
     println!("{:<26} {:<12} {:>8} {:>8} {:>6}  finding", "bug", "kind", "session", "ms", "steps");
     for bug in Bug::ALL {
         let began = Instant::now();
-        let Some(finding) = first_finding(bug, &["--duration", "30s"]) else {
+        let Some(finding) = first_finding(bug, &["--duration", "5min", "--timeout", "800"]) else {
             println!("{:<26} not found in {} s", format!("{bug:?}"), began.elapsed().as_secs());
             continue;
         };

@@ -128,6 +128,9 @@ impl Grammar {
                 steps.push(Step::Call(self.call(u)?));
             }
         }
+        if !self.functions.is_empty() && u.ratio(1, 8)? {
+            steps.extend(self.stale(u)?.into_iter().map(Step::Call));
+        }
         if u.ratio(2, 5)? {
             steps.push(Step::Bytes(self.attack(u)?));
         }
@@ -170,6 +173,23 @@ impl Grammar {
             Call::new(FunctionId::CONTROLLER_GET_VARIABLE, open),
             Call::new(FunctionId::VARIABLE_PUT_VALUE, vec![Argument::Handle(Object::Variable), Argument::Value(value)]),
         ])
+    }
+
+    /// Generates calls that open an object, release it, and use it again.
+    fn stale(&self, u: &mut Unstructured<'_>) -> Result<Vec<Call>> {
+        let object = *u.choose(&[Object::Robot, Object::Task, Object::Variable, Object::File])?;
+        let on_object = |function: &&FunctionId| {
+            function.signature().is_some_and(|signature| signature.arguments.first() == Some(&Kind::Handle(object)))
+        };
+        let functions: Vec<_> = self.functions.iter().filter(on_object).collect();
+        let (Some(open), false) = (self.open(object, u)?, functions.is_empty()) else { return Ok(Vec::new()) };
+        let function = **u.choose(&functions)?;
+        let kinds = function.signature().map_or(&[][..], |signature| signature.arguments);
+        let mut again = Call::new(function, vec![Argument::Released(object)]);
+        for (place, kind) in kinds.iter().enumerate().skip(1) {
+            again.arguments.push(self.argument(function, place, *kind, u)?);
+        }
+        Ok(vec![open, Call::new(object.released_by(), vec![Argument::Handle(object)]), again])
     }
 
     /// Generates the call that opens an object by its name on the controller.

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 /// A kind of finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
+#[serde(rename_all = "kebab-case")]
 pub(super) enum Kind {
     /// No new connection is possible.
     Crash,

@@ -268,7 +268,9 @@ impl Device {
             Bug::HugeLengthCrashes if length > 0x0100_0000 => Fate::Crash,
             Bug::ArgumentCountCrashes if number(13, 2) > 64 => Fate::Crash,
             Bug::ArrayCountCrashes if number(19, 2) & u64::from(ARRAY) != 0 && number(21, 4) > 0xffff => Fate::Crash,
-            Bug::NestingCrashes if bytes.len() > 500 && bytes[200..398].chunks_exact(6).all(|level| level.contains(&12)) => {
+            Bug::NestingCrashes
+                if bytes.len() > 500 && bytes[200..398].chunks_exact(6).all(|level| level.contains(&12)) =>
+            {
                 Fate::Crash
             }
             Bug::OddStringHangs if number(19, 2) == 8 && number(25, 4) % 2 == 1 => Fate::Silence,
