@@ -102,6 +102,9 @@ impl World {
         ] {
             self.translate(page, actual);
         }
+        if let Some(rac) = &rac {
+            self.translate(format!("{ROBOT}:5006"), rac.clone());
+        }
         for (actual, port) in [(Some(tcp), 5007), (Some(udp), 5007), (rac, 5006)] {
             let Some(actual) = actual else { continue };
             self.to_page.retain(|(known, _)| *known != actual);
