@@ -102,6 +102,9 @@ impl World {
         ] {
             self.translate(page, actual);
         }
+        if let Some(rac) = &rac {
+            self.translate(format!("{ROBOT}:5006"), rac.clone());
+        }
         for (actual, port) in [(Some(tcp), 5007), (Some(udp), 5007), (rac, 5006)] {
             let Some(actual) = actual else { continue };
             self.to_page.retain(|(known, _)| *known != actual);
@@ -141,8 +144,19 @@ impl World {
         if command.output.is_empty() || matches(&command.output, &lines) { Ok(()) } else { fail("prints:", &shown) }
     }
 
-    /// Starts a server on free ports, and returns its first line.
+    /// Starts a server on free ports, and returns its first line. Another process may take such a port first, so it tries again.
     fn start(&mut self, text: &str) -> Result<String, String> {
+        let mut result = self.try_start(text);
+        for _ in 0..4 {
+            if result.is_ok() {
+                break;
+            }
+            result = self.try_start(text);
+        }
+        result
+    }
+
+    fn try_start(&mut self, text: &str) -> Result<String, String> {
         let options = match text.split_whitespace().nth(1) {
             Some("sim") => SIM,
             Some("gateway") => GATEWAY,
@@ -153,8 +167,8 @@ impl World {
         let mut addresses = Vec::new();
         let both = free_port();
         for &Listening { option, keys, default } in options {
-            let page = words.iter().position(|word| word == option).map(|at| words.drain(at..at + 2).last().unwrap());
-            let page = page.unwrap_or_else(|| default.to_owned());
+            let known = words.iter().position(|word| word == option);
+            let page = known.map_or_else(|| default.to_owned(), |at| words.drain(at..at + 2).next_back().unwrap());
             addresses.extend(keys.iter().map(|key| (*key, page.clone())));
             // a real controller has one port for TCP and UDP
             let port = if matches!(option, "--bcap" | "--udp") { both } else { 0 };
