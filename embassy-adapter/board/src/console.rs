@@ -1,7 +1,7 @@
 //! Changes the settings in flash over a serial line.
 //!
-//! A host sends a request as a line; the board answers with a line that starts with `ok` or `error`. A line that is empty is
-//! ignored, and a carriage return, too.
+//! A host sends a request as a line, which ends with a line feed, a carriage return or both. The board answers with a line that
+//! starts with `ok` or `error`. It ignores empty lines.
 //!
 //! | request          | what the board does                                              | answer            |
 //! |------------------|------------------------------------------------------------------|-------------------|

@@ -1,4 +1,7 @@
-//! The settings of a board: a text block in its flash, which a host can change without rebuilding the image.
+//! What boards share: their settings, in the image and in flash, and what a log needs.
+//!
+//! The settings in the image are a text block, which a host can change without rebuilding the image. Settings in flash
+//! ([`slots`]) replace them; a host changes those over a serial line ([`console`]).
 //!
 //! ```text
 //!  "BCAPCONF"  key=value LF  key=value LF  ...  NUL up to 2048 bytes

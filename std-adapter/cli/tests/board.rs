@@ -153,6 +153,15 @@ fn invalid_settings_are_refused_with_their_column_before_anything_is_sent() {
 }
 
 #[test]
+fn a_device_that_sends_other_lines_without_end_is_no_board() {
+    let Some((mut device, host)) = pty::pair() else { return };
+    let is_full = |error: &io::Error| error.kind() == ErrorKind::TimedOut;
+    thread::spawn(move || while device.write_all(b"$GPGGA,0\n").as_ref().err().is_none_or(is_full) {});
+    let run = bcap(&["board", "configure", &host.name().unwrap(), "--timeout", "300"]);
+    assert!(run.code == 4 && run.err.contains("no answer from a board at /dev/"), "{run:?}");
+}
+
+#[test]
 fn a_port_without_a_board_is_reported() {
     let Some((_silent, host)) = pty::pair() else { return };
     let run = bcap(&["board", "configure", &host.name().unwrap(), "--timeout", "100"]);

@@ -79,6 +79,14 @@ impl Port {
     /// Receives a line; bytes that are not UTF-8 are replaced.
     fn line(&mut self, deadline: Instant) -> Result<String, Failure> {
         loop {
+            // first, because a device that is no board may send lines without end
+            if Instant::now() >= deadline {
+                return Err(Failure::Timeout {
+                    message: format!("no answer from a board at {} within {} ms", self.name, self.timeout.as_millis()),
+                    hint: "check the port, --baud and that the image of the board has the console; --timeout allows more time"
+                        .into(),
+                });
+            }
             if let Some(end) = self.received.iter().position(|byte| *byte == b'\n') {
                 let line: Vec<u8> = self.received.drain(..=end).collect();
                 return Ok(String::from_utf8_lossy(&line).trim_end().to_owned());
@@ -91,13 +99,6 @@ impl Port {
                 Ok(count) => self.received.extend_from_slice(buffer.get(..count).unwrap_or_default()),
                 Err(error) if matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) => {}
                 Err(error) => return Err(self.broken(&error)),
-            }
-            if Instant::now() >= deadline {
-                return Err(Failure::Timeout {
-                    message: format!("no answer from a board at {} within {} ms", self.name, self.timeout.as_millis()),
-                    hint: "check the port, --baud and that the image of the board has the console; --timeout allows more time"
-                        .into(),
-                });
             }
         }
     }
