@@ -63,10 +63,13 @@ pub(crate) enum Source {
 /// The most variables of a range.
 const LONGEST: u32 = 10_000;
 
+/// The longest interval.
+const DAY: Duration = Duration::from_secs(86_400);
+
 /// Returns the points of a table `publish`.
 pub(crate) fn points(publish: &Publish) -> Result<Vec<Point>, String> {
-    if publish.interval().is_zero() {
-        return Err("interval_ms must be 1 or more".into());
+    if publish.interval().is_zero() || publish.interval() > DAY {
+        return Err(format!("interval_ms {}: expected 1 to {}", publish.interval_ms, DAY.as_millis()));
     }
     if !(publish.dead_band.is_finite() && publish.dead_band >= 0.0) {
         return Err(format!("dead_band {}: expected a number that is 0 or more", publish.dead_band));
@@ -88,6 +91,9 @@ fn named(text: &str) -> Result<Vec<(String, Source, Option<VariableKind>)>, Stri
         "pose" => return one("pose", Source::Pose, Some(VariableKind::P)),
         "joints" => return one("joints", Source::Joints, Some(VariableKind::J)),
         "mode" => return one("mode", Source::Controller("@MODE".into()), None),
+        "state" | "command" | "answer" => {
+            return Err(format!("{text:?} is a topic of its own; it cannot be a variable"));
+        }
         "error" => return one("error", Source::Controller("@ERROR_CODE".into()), None),
         _ => {}
     }

@@ -37,6 +37,9 @@ const MEMORY: usize = 20_000;
 /// New readings beyond this go to the buffer although there is a connection.
 const BACKLOG: usize = 10_000;
 
+/// The most messages that wait for the window before answers are left out: commands must not fill the memory.
+const WAITING: usize = 1000;
+
 /// The most commands that run at the same time.
 const RUNNING: usize = 64;
 
@@ -59,7 +62,7 @@ pub(crate) struct Publisher {
     link: Option<Connection>,
     retry: Instant,
     backoff: Duration,
-    /// Whether all values must be repeated, because newer ones than the retained ones went to the buffer.
+    /// Whether all values must be sent again: newer ones than the retained ones went to the buffer, or a host has asked.
     stale: bool,
 }
 
@@ -223,10 +226,10 @@ impl Publisher {
                     }
                     Item::Reading(reading) => self.send(reading),
                 }
-            } else if let Some(reading) = self.history.pop_front() {
-                self.send_history(reading);
             } else if std::mem::take(&mut self.stale) {
                 self.repeat();
+            } else if let Some(reading) = self.history.pop_front() {
+                self.send_history(reading);
             } else {
                 break;
             }
@@ -532,7 +535,8 @@ impl Publisher {
                 return;
             }
             match sparkplug.command(config, cell.filter(|_| !is_node), &publish.payload) {
-                Ok(command) if is_node && command.rebirth => self.introduce(),
+                // not at once: a host that asks again and again must not fill the memory
+                Ok(command) if is_node && command.rebirth => self.stale = true,
                 Ok(command) => {
                     let sent = command.time.unwrap_or(0);
                     let expires = sent.saturating_add(self.commands.longest());
@@ -606,7 +610,8 @@ impl Publisher {
             reason,
         });
         // Sparkplug has no answers; a host sees the new value
-        if self.sparkplug.is_none() && self.is_up() {
+        let has_room = self.link.as_ref().is_some_and(|connection| connection.is_up && connection.out.len() < WAITING);
+        if self.sparkplug.is_none() && has_room {
             self.push(answer);
         }
     }
@@ -614,6 +619,7 @@ impl Publisher {
     /// Announces the end, and keeps what may not have arrived.
     async fn close(mut self) {
         if self.is_up() {
+            self.step().await;
             let shared = Arc::clone(&self.shared);
             self.push(match &self.sparkplug {
                 Some(sparkplug) => sparkplug.death(&shared.config),

@@ -83,11 +83,10 @@ impl Scan {
 
     /// Spreads the first readings of all controllers over the interval, so that they do not poll at the same time.
     fn spread(&self, scanned: &mut [Scanned<'_>]) {
-        let cells = u32::try_from(self.shared.config.controllers.len()).unwrap_or(u32::MAX);
-        let cell = u32::try_from(self.cell).unwrap_or(0);
+        let (cell, cells) = (self.cell, self.shared.config.controllers.len());
         let now = Instant::now();
-        for point in scanned {
-            point.due = now + point.point.interval * cell / cells;
+        for scanned in scanned {
+            scanned.due = now + offset(scanned.point.interval, cell, cells);
         }
     }
 
@@ -171,6 +170,12 @@ impl Scan {
     }
 }
 
+/// Returns when a controller's first reading is due.
+fn offset(interval: Duration, cell: usize, cells: usize) -> Duration {
+    let (cell, cells) = (u32::try_from(cell).unwrap_or(0), u32::try_from(cells).unwrap_or(u32::MAX));
+    interval / cells.max(1) * cell
+}
+
 /// Reads a point once; `None` if its value has no counterpart.
 pub(crate) async fn read(controller: &Controller, source: &Source) -> Result<Option<Value>, Error> {
     let value: OwnedVariant = match source {
@@ -184,4 +189,16 @@ pub(crate) async fn read(controller: &Controller, source: &Source) -> Result<Opt
 
 fn micros(time: Duration) -> u64 {
     u64::try_from(time.as_micros()).unwrap_or(u64::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_scans_are_spread_over_the_interval() {
+        let second = Duration::from_secs(1);
+        let offsets: Vec<_> = (0..4).map(|cell| offset(second, cell, 4).as_millis()).collect();
+        assert_eq!(offsets, [0, 250, 500, 750]);
+    }
 }
