@@ -9,8 +9,8 @@ use bcap_std::{NetworkAddress, Protocol, blocking};
 
 use crate::args::{Conform, LevelArg, LinkArgs};
 use crate::connection::not_connected;
-use crate::ending::Ending;
 use crate::error::Failure;
+use crate::interrupt::Interrupt;
 use crate::listen::taken;
 use crate::output::{print_block, print_json, print_line};
 use crate::robot::host;
@@ -29,7 +29,8 @@ pub(crate) fn conform(args: &Conform, link: &LinkArgs, json: bool) -> Result<(),
         return Err(Failure::Input("--level motion moves the robot: add --yes-the-robot-may-move".into()));
     }
     let options = options(args, link)?;
-    let ending = Ending::install()?;
+    let interrupt = Interrupt::install(|_| {})?;
+    let _ends = interrupt.end_between_calls();
     let mut printed = Ok(());
     let report = bcap_conform::run(
         &options,
@@ -38,7 +39,7 @@ pub(crate) fn conform(args: &Conform, link: &LinkArgs, json: bool) -> Result<(),
                 printed = print(result, json);
             }
         },
-        || ending.has_come(),
+        || interrupt.is_interrupted(),
     );
     printed?;
     finish(args, json, &report, chosen.len())

@@ -76,7 +76,7 @@ fn device(args: &Fuzz, link: &LinkArgs) -> Result<Device, Failure> {
         rac: None,
         timeout: link.timeout(),
         gate: Gate::new(args.with_writes.clone(), args.with_motion),
-        interrupt: Interrupt::install(|| {})?,
+        interrupt: Interrupt::install(|_| {})?,
         interval: Duration::from_secs(1).checked_div(args.rate).unwrap_or_default(),
         next: Instant::now(),
         packets: 0,

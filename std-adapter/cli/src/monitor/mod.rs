@@ -40,7 +40,7 @@ pub(crate) fn monitor(args: &args::Monitor, session: &mut Session, json: bool) -
     let mut own = Session::new(&link);
     own.packets.watch(packets);
     // not in the session: the end of its connection must not close the one that halts
-    let interrupt = Interrupt::install(|| {})?;
+    let interrupt = Interrupt::install(|_| {})?;
     let (updates, update) = channel();
     let (requests, request) = channel();
     let mut reader = Reader {
