@@ -66,7 +66,10 @@ fn the_monitor() {
             assert_eq!(robot.run(&["put", "F1", value]).code, 0);
             terminal.wait_for(&format!("*F1    = {value} "));
         }
-        assert_eq!(robot.run(&["put", "S1=gripper 2", "I2=1200"]).code, 0);
+        // one after the other, so that the packets are in this order
+        assert_eq!(robot.run(&["put", "I2", "1200"]).code, 0);
+        terminal.wait_for("= 1200");
+        assert_eq!(robot.run(&["put", "S1", "gripper 2"]).code, 0);
         terminal.wait_for("= gripper 2");
         terminal.wait_until("no marks", |screen| !screen.contains('*'));
         assert_eq!(robot.run(&["put", "IO128", "true"]).code, 0);
