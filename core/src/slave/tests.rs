@@ -460,9 +460,10 @@ fn a_prepared_move_takes_the_outputs_of_its_format() {
         let mut trajectory = Outputting { bytes: [1, 2] };
         let outputs = trajectory.outputs().unwrap();
         prepared.set_outputs(outputs).unwrap();
-        prepared.set_pose(&spec_pose()).unwrap();
-        let expected = slv_move(ROBOT, &format, &spec_pose(), outputs).unwrap();
-        assert_eq!(request(&prepared, 1), request(expected, 1), "{io:?}");
+        let pose = spec_pose();
+        prepared.set_pose(&pose).unwrap();
+        let expected = slv_move(ROBOT, &format, &pose, outputs).unwrap();
+        assert_eq!(request(prepared.clone(), 1), request(expected, 1), "{io:?}");
         let short = prepared.set_outputs(Outputs { user_io: &[1], ..outputs });
         assert_eq!(short.is_err(), matches!(io, SendIo::User(_)));
     }
