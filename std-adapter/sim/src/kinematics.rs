@@ -51,14 +51,10 @@ mod frame;
 mod horizontal;
 mod vertical;
 
-use bcap_core::hresult::HResult;
-
-pub(crate) use self::frame::{Frame, cross, dot, unit};
+pub use self::frame::Joints;
+pub(crate) use self::frame::{Frame, OutOfReach, cross, dot, unit};
 pub use self::horizontal::Horizontal;
 pub use self::vertical::Vertical;
-
-/// J1 to J6, in degrees; of an arm of four axes J3 is in mm, and J5 and J6 are 0.
-pub type Joints = [f64; 6];
 
 /// J1 to J8; an axis that the arm lacks is 0.
 pub(crate) type Axes = [f64; 8];
@@ -134,17 +130,6 @@ const DOUBLE4: u8 = 8;
 const DOUBLE6: u8 = 16;
 /// J4 of an arm of four axes is beyond ±180.
 const DOUBLE: u8 = 16;
-
-/// A pose out of reach: the axis, 1 to 8, that would leave its range.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct OutOfReach(pub(crate) u8);
-
-impl OutOfReach {
-    /// Returns the error of the controller.
-    pub(crate) fn code(self) -> HResult {
-        HResult::from_u32(0x8320_4070 + u32::from(self.0))
-    }
-}
 
 impl Geometry {
     /// Returns the largest accelerations of J1 to J8, in degrees or mm per second squared.

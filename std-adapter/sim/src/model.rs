@@ -16,6 +16,7 @@
 //! may be omitted, and are 0 then. `acceleration_time`, in seconds, may be omitted, and is 0.2 then. A controller of any model drives another arm with [`ArmModel`], `bcap sim --arm`.
 
 mod arm;
+mod error;
 
 use std::sync::OnceLock;
 
@@ -24,6 +25,8 @@ use toml::Spanned;
 
 use self::arm::ArmEntry;
 pub use self::arm::{ArmModel, ArmProfile};
+pub use self::error::ModelError;
+use self::error::{Wrong, located, text};
 use crate::kinematics::{Geometry, Joints};
 use crate::variables::Sizes;
 
@@ -173,23 +176,6 @@ pub(crate) enum FormatName {
     Current,
 }
 
-/// The error of an invalid model.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ModelError {
-    /// Invalid TOML, an unknown key or a missing one; the message says where.
-    #[error("{0}")]
-    Toml(#[from] toml::de::Error),
-    /// A value is invalid.
-    #[error("line {line}: {problem}")]
-    Value {
-        /// The line of the value, from 1.
-        line: usize,
-        /// What is wrong, and what is accepted.
-        problem: String,
-    },
-}
-
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct File {
@@ -224,9 +210,6 @@ struct SizesEntry {
     io: u16,
 }
 
-/// A value that is wrong: its place in the file, and why.
-type Wrong = (usize, String);
-
 impl Model {
     /// Reads a model from TOML.
     ///
@@ -237,12 +220,6 @@ impl Model {
         let file: File = toml::from_str(text)?;
         file.read().map_err(|wrong| located(text, wrong))
     }
-}
-
-/// Returns the error of a wrong value, with its line.
-fn located(text: &str, (place, problem): Wrong) -> ModelError {
-    let before = text.get(..place).unwrap_or(text);
-    ModelError::Value { line: before.matches('\n').count() + 1, problem }
 }
 
 impl File {
@@ -263,12 +240,6 @@ impl File {
             extended_axes,
         })
     }
-}
-
-fn text(key: &str, value: Spanned<String>) -> Result<String, Wrong> {
-    let place = value.span().start;
-    let value = value.into_inner();
-    if value.trim().is_empty() { Err((place, format!("`{key}` is empty"))) } else { Ok(value) }
 }
 
 #[cfg(test)]

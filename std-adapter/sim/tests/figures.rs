@@ -20,8 +20,10 @@ const PASSES: [&str; 4] = ["@0", "@P", "@50", "@E"];
 
 /// A point of a record: the time in s, and the tool centre point in mm.
 type Point = (f64, [f64; 3]);
+/// The points of a line of a chart.
+type Line = Vec<(f64, f64)>;
 /// The lines of a chart with their names.
-type Lines = Vec<(String, Vec<(f64, f64)>)>;
+type Lines = Vec<(String, Line)>;
 
 /// Draws a corner of two lines, 200 mm each, and returns the tool centre point every 8 ms.
 fn corner(pass: &str) -> Vec<Point> {
@@ -103,7 +105,7 @@ fn figure(name: &str, svg: &str) {
 #[test]
 fn the_figures_are_those_of_the_virtual_controller() {
     let records = PASSES.map(|pass| (pass, corner(pass)));
-    let lines = |of: &dyn Fn(&[Point]) -> Vec<(f64, f64)>| -> Lines {
+    let lines = |of: &dyn Fn(&[Point]) -> Line| -> Lines {
         records.iter().map(|(pass, points)| ((*pass).to_owned(), of(points))).collect()
     };
     let path = lines(&|points| points.iter().map(|(_, place)| (place[0], place[1])).collect());

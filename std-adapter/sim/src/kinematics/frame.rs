@@ -1,4 +1,20 @@
-//! Frames: position and orientation in space.
+//! Frames: position and orientation in space; joints, and the axis that cannot reach a frame.
+
+use bcap_core::hresult::HResult;
+
+/// J1 to J6, in degrees; of an arm of four axes J3 is in mm, and J5 and J6 are 0.
+pub type Joints = [f64; 6];
+
+/// A pose out of reach: the axis, 1 to 8, that would leave its range.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct OutOfReach(pub(crate) u8);
+
+impl OutOfReach {
+    /// Returns the error of the controller.
+    pub(crate) fn code(self) -> HResult {
+        HResult::from_u32(0x8320_4070 + u32::from(self.0))
+    }
+}
 
 /// A sine below this counts as zero: two axes are in line, or a point is on an axis.
 pub(super) const SINGULAR: f64 = 1e-9;

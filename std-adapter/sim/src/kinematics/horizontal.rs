@@ -1,8 +1,7 @@
 //! Arms of four axes (SCARA): two links in a horizontal plane, a vertical axis J3, and J4 that turns the flange about it.
 
-use super::frame::{SINGULAR, normal, rz_matrix};
+use super::frame::{Frame, Joints, OutOfReach, SINGULAR, normal, rz_matrix};
 use super::vertical::LEFTY;
-use super::{Frame, Joints, OutOfReach};
 
 /// A flange is upright if its axis leans by less than this, in radians.
 const UPRIGHT: f64 = 1e-6;

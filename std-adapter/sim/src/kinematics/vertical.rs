@@ -1,7 +1,6 @@
 //! Arms of six axes: four lengths in a vertical plane, a wrist, and offsets beside the plane.
 
-use super::frame::{Matrix, SINGULAR, multiply, normal, ry_matrix, rz_matrix, transpose};
-use super::{Frame, Joints, OutOfReach};
+use super::frame::{Frame, Joints, Matrix, OutOfReach, SINGULAR, multiply, normal, ry_matrix, rz_matrix, transpose};
 
 pub(super) const LEFTY: u8 = 1;
 const BELOW: u8 = 2;

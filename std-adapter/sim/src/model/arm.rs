@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 use serde::Deserialize;
 use toml::Spanned;
 
-use super::{ModelError, Wrong, located, text};
+use super::error::{ModelError, Wrong, located, text};
 use crate::kinematics::{
     ACCELERATION_TIME, EXTENDED_RANGE, EXTENDED_SPEED, Geometry, Horizontal, Joints, Links, Vertical,
 };
