@@ -52,6 +52,10 @@ pub(crate) struct Bench<'a> {
     speed: Option<[f64; 3]>,
     /// Whether the arm was taken, so that the case must give it back.
     armed: bool,
+    /// Whether a reply has arrived.
+    answered: bool,
+    /// Whether the device ended a connection before any reply.
+    pub(crate) refused: bool,
     /// What was sent and received, one line each.
     pub(crate) log: Vec<String>,
 }
@@ -71,6 +75,8 @@ impl<'a> Bench<'a> {
             saved: Vec::new(),
             speed: None,
             armed: false,
+            answered: false,
+            refused: false,
             log,
         }
     }
@@ -257,7 +263,10 @@ impl<'a> Bench<'a> {
         let Some(wire) = &mut self.wire else { return fail("a connection", "the connection has ended") };
         match wire.send(bytes) {
             Ok(()) => Ok(()),
-            Err(error) => fail("the device receives the request", error.to_string()),
+            Err(error) => {
+                self.refused |= !self.answered;
+                fail("the device receives the request", error.to_string())
+            }
         }
     }
 
@@ -268,6 +277,11 @@ impl<'a> Bench<'a> {
 
     pub(crate) fn receive_within(&mut self, limit: Duration) -> Came {
         let came = self.wire.as_mut().map_or(Came::Closed, |wire| wire.receive(limit));
+        match came {
+            Came::Reply(_) => self.answered = true,
+            Came::Closed => self.refused |= !self.answered,
+            Came::Invalid(_) | Came::Nothing => {}
+        }
         self.log.push(format!("<- {}", came.text()));
         came
     }
