@@ -24,6 +24,8 @@ use crate::record::Recorder;
 const KEPT_ALIVE: u32 = 10;
 /// How often an object is tried again that was refused, because the device may still be releasing others.
 const AGAIN: u32 = 4;
+/// The wait before each of these attempts.
+const RELEASING: Duration = Duration::from_millis(150);
 /// The wait between the parts of a frame that is split.
 const SPLIT: Duration = Duration::from_millis(1);
 
@@ -243,7 +245,7 @@ impl Run<'_> {
                         return Ok(Next::Found(Finding::of_function(Kind::Leak, request.code, detail)));
                     }
                     again -= 1;
-                    self.device.interrupt.sleep(self.device.timeout / 20)?;
+                    self.device.interrupt.sleep(RELEASING)?;
                     self.device.pace()?;
                     wire.send(&request.to_wire(false));
                     continue;
