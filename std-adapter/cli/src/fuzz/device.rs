@@ -135,7 +135,7 @@ impl Device {
     fn await_reply(&self, wire: &mut Wire, request: &TestFrame) -> Result<Result<TestFrame, Finding>, Failure> {
         let found = |kind, detail: String| Ok(Err(Finding::of_function(kind, request.code, detail)));
         let began = Instant::now();
-        let (patient, limit) = (self.timeout.saturating_mul(KEPT_ALIVE), self.timeout.as_millis());
+        let (longest, limit) = (self.timeout.saturating_mul(KEPT_ALIVE), self.timeout.as_millis());
         loop {
             match wire.receive(self.timeout)? {
                 Received::Closed => {
@@ -145,8 +145,8 @@ impl Device {
                 Received::Packet(bytes) => match judge::reply(request, &bytes) {
                     Err(fault) => return found(Kind::WrongReply, fault.to_string()),
                     Ok(reply) if HResult(reply.code) != HResult::S_EXECUTING => return Ok(Ok(reply)),
-                    Ok(_) if began.elapsed() > patient => {
-                        return found(Kind::Hang, format!("S_EXECUTING for {} ms", patient.as_millis()));
+                    Ok(_) if began.elapsed() > longest => {
+                        return found(Kind::Hang, format!("S_EXECUTING for {} ms", longest.as_millis()));
                     }
                     Ok(_) => {}
                 },
