@@ -24,6 +24,8 @@ use crate::record::Recorder;
 const KEPT_ALIVE: u32 = 10;
 /// How often an object is tried again that was refused, because the device may still be releasing others.
 const AGAIN: u32 = 4;
+/// The wait before each of these attempts.
+const RELEASING: Duration = Duration::from_millis(150);
 /// The wait between the parts of a frame that is split.
 const SPLIT: Duration = Duration::from_millis(1);
 
@@ -133,7 +135,7 @@ impl Device {
     fn await_reply(&self, wire: &mut Wire, request: &TestFrame) -> Result<Result<TestFrame, Finding>, Failure> {
         let found = |kind, detail: String| Ok(Err(Finding::of_function(kind, request.code, detail)));
         let began = Instant::now();
-        let (patient, limit) = (self.timeout.saturating_mul(KEPT_ALIVE), self.timeout.as_millis());
+        let (longest, limit) = (self.timeout.saturating_mul(KEPT_ALIVE), self.timeout.as_millis());
         loop {
             match wire.receive(self.timeout)? {
                 Received::Closed => {
@@ -143,8 +145,8 @@ impl Device {
                 Received::Packet(bytes) => match judge::reply(request, &bytes) {
                     Err(fault) => return found(Kind::WrongReply, fault.to_string()),
                     Ok(reply) if HResult(reply.code) != HResult::S_EXECUTING => return Ok(Ok(reply)),
-                    Ok(_) if began.elapsed() > patient => {
-                        return found(Kind::Hang, format!("S_EXECUTING for {} ms", patient.as_millis()));
+                    Ok(_) if began.elapsed() > longest => {
+                        return found(Kind::Hang, format!("S_EXECUTING for {} ms", longest.as_millis()));
                     }
                     Ok(_) => {}
                 },
@@ -243,7 +245,7 @@ impl Run<'_> {
                         return Ok(Next::Found(Finding::of_function(Kind::Leak, request.code, detail)));
                     }
                     again -= 1;
-                    self.device.interrupt.sleep(self.device.timeout / 20)?;
+                    self.device.interrupt.sleep(RELEASING)?;
                     self.device.pace()?;
                     wire.send(&request.to_wire(false));
                     continue;

@@ -120,7 +120,7 @@ struct Device {
 }
 
 /// What happens to a connection.
-enum Fate {
+enum Outcome {
     Reply(Vec<u8>),
     /// No reply.
     Silence,
@@ -200,12 +200,12 @@ impl Device {
     }
 
     /// Does what happens to a connection; returns whether it goes on.
-    fn goes_on(&self, stream: &mut TcpStream, fate: Fate) -> bool {
-        match fate {
-            Fate::Reply(bytes) => stream.write_all(&bytes).is_ok(),
-            Fate::Silence => true,
-            Fate::Close => false,
-            Fate::Crash => {
+    fn goes_on(&self, stream: &mut TcpStream, outcome: Outcome) -> bool {
+        match outcome {
+            Outcome::Reply(bytes) => stream.write_all(&bytes).is_ok(),
+            Outcome::Silence => true,
+            Outcome::Close => false,
+            Outcome::Crash => {
                 self.crash();
                 false
             }
@@ -222,12 +222,12 @@ impl Device {
             bytes.extend_from_slice(&buffer[..count]);
             let mut is_first = true;
             loop {
-                let fate = match TCP.decode(&bytes) {
+                let outcome = match TCP.decode(&bytes) {
                     Verdict::Incomplete => break,
                     Verdict::Refused => {
-                        let fate = self.refuse(&bytes);
-                        let is_silent = matches!(fate, Fate::Silence);
-                        if !self.goes_on(&mut stream, fate) || !is_silent {
+                        let outcome = self.refuse(&bytes);
+                        let is_silent = matches!(outcome, Outcome::Silence);
+                        if !self.goes_on(&mut stream, outcome) || !is_silent {
                             let _ = stream.shutdown(Shutdown::Both);
                             client.leave();
                             return;
@@ -239,12 +239,12 @@ impl Device {
                         bytes.drain(..length);
                         match is_first || self.bug != Bug::JoinedRequestHangs {
                             true => client.call(&frame, &mut stream),
-                            false => Fate::Silence,
+                            false => Outcome::Silence,
                         }
                     }
                 };
                 is_first = false;
-                if !self.goes_on(&mut stream, fate) {
+                if !self.goes_on(&mut stream, outcome) {
                     let _ = stream.shutdown(Shutdown::Both);
                     client.leave();
                     return;
@@ -256,7 +256,7 @@ impl Device {
     }
 
     /// Answers malformed bytes.
-    fn refuse(&self, bytes: &[u8]) -> Fate {
+    fn refuse(&self, bytes: &[u8]) -> Outcome {
         let number = |at: usize, length: usize| {
             bytes
                 .get(at..at + length)
@@ -264,18 +264,18 @@ impl Device {
         };
         let length = number(1, 4);
         match self.bug {
-            Bug::LengthBelowHeaderCrashes if length < 16 => Fate::Crash,
-            Bug::HugeLengthCrashes if length > 0x0100_0000 => Fate::Crash,
-            Bug::ArgumentCountCrashes if number(13, 2) > 64 => Fate::Crash,
-            Bug::ArrayCountCrashes if number(19, 2) & u64::from(ARRAY) != 0 && number(21, 4) > 0xffff => Fate::Crash,
+            Bug::LengthBelowHeaderCrashes if length < 16 => Outcome::Crash,
+            Bug::HugeLengthCrashes if length > 0x0100_0000 => Outcome::Crash,
+            Bug::ArgumentCountCrashes if number(13, 2) > 64 => Outcome::Crash,
+            Bug::ArrayCountCrashes if number(19, 2) & u64::from(ARRAY) != 0 && number(21, 4) > 0xffff => Outcome::Crash,
             Bug::NestingCrashes
                 if bytes.len() > 500 && bytes[200..398].chunks_exact(6).all(|level| level.contains(&12)) =>
             {
-                Fate::Crash
+                Outcome::Crash
             }
-            Bug::OddStringHangs if number(19, 2) == 8 && number(25, 4) % 2 == 1 => Fate::Silence,
-            Bug::WrongEndIsIgnored if bytes.last() != Some(&4) => Fate::Silence,
-            _ => Fate::Reply(
+            Bug::OddStringHangs if number(19, 2) == 8 && number(25, 4) % 2 == 1 => Outcome::Silence,
+            Bug::WrongEndIsIgnored if bytes.last() != Some(&4) => Outcome::Silence,
+            _ => Outcome::Reply(
                 TestFrame { serial: 0, reserved: 0, code: HResult::E_INVALIDRCPACKET.0, args: vec![] }.to_wire(false),
             ),
         }
@@ -287,8 +287,8 @@ impl Device {
             bytes.extend_from_slice(&buffer[..count]);
             while let Some(end) = bytes.iter().position(|byte| *byte == b'\r') {
                 let line: Vec<u8> = bytes.drain(..=end).collect();
-                let fate = self.line(&line[..end]);
-                if !self.goes_on(&mut stream, fate) {
+                let outcome = self.line(&line[..end]);
+                if !self.goes_on(&mut stream, outcome) {
                     let _ = stream.shutdown(Shutdown::Both);
                     return;
                 }
@@ -297,12 +297,12 @@ impl Device {
         let _ = stream.shutdown(Shutdown::Both);
     }
 
-    fn line(&self, line: &[u8]) -> Fate {
+    fn line(&self, line: &[u8]) -> Outcome {
         let mut memory = [0; 1024];
         let value = match rac::Request::parse(line, &mut memory) {
-            _ if line.len() > 256 && self.bug == Bug::LongLineCrashes => return Fate::Crash,
+            _ if line.len() > 256 && self.bug == Bug::LongLineCrashes => return Outcome::Crash,
             Ok(rac::Request::Get(variable)) if variable.index > 99_999 && self.bug == Bug::IndexResets => {
-                return Fate::Close;
+                return Outcome::Close;
             }
             Ok(rac::Request::Get(variable)) => match variable.kind {
                 rac::VariableKind::I => "0,3,5",
@@ -312,7 +312,7 @@ impl Device {
             },
             _ => "-2147024809",
         };
-        Fate::Reply(format!("{value}\r").into_bytes())
+        Outcome::Reply(format!("{value}\r").into_bytes())
     }
 }
 
@@ -329,20 +329,20 @@ impl Client<'_> {
         }
     }
 
-    fn call(&mut self, frame: &TestFrame, stream: &mut TcpStream) -> Fate {
+    fn call(&mut self, frame: &TestFrame, stream: &mut TcpStream) -> Outcome {
         let (bug, function) = (self.device.bug, FunctionId(frame.code));
         self.device.calls.lock().unwrap().push(function);
         let strings =
             || frame.args.iter().filter_map(|value| if let Value::Bstr(units) = value { Some(units) } else { None });
         let lone = |units: &Vec<u16>| char::decode_utf16(units.iter().copied()).any(|unit| unit.is_err());
         match bug {
-            Bug::LongStringCrashes if strings().any(|units| units.len() >= 16_384) => return Fate::Crash,
-            Bug::SurrogateResets if strings().any(lone) => return Fate::Close,
+            Bug::LongStringCrashes if strings().any(|units| units.len() >= 16_384) => return Outcome::Crash,
+            Bug::SurrogateResets if strings().any(lone) => return Outcome::Close,
             _ => {}
         }
         let (code, value) = match self.execute(function, frame, stream) {
             Ok(answer) => answer,
-            Err(fate) => return fate,
+            Err(outcome) => return outcome,
         };
         let cut = |serial: u16| if bug == Bug::SerialIsCut { serial & 0x7fff } else { serial };
         let mut args: Vec<_> = value.into_iter().collect();
@@ -357,7 +357,7 @@ impl Client<'_> {
         if bug == Bug::RetryIsAnsweredTwice && frame.reserved != 0 {
             reply = [&reply[..], &reply].concat();
         }
-        Fate::Reply(reply)
+        Outcome::Reply(reply)
     }
 
     fn execute(
@@ -365,11 +365,11 @@ impl Client<'_> {
         function: FunctionId,
         frame: &TestFrame,
         stream: &mut TcpStream,
-    ) -> Result<(HResult, Option<Value>), Fate> {
+    ) -> Result<(HResult, Option<Value>), Outcome> {
         let bug = self.device.bug;
         let Some(signature) = function.signature() else {
             return match bug {
-                Bug::UnknownFunctionResets => Err(Fate::Close),
+                Bug::UnknownFunctionResets => Err(Outcome::Close),
                 Bug::UnknownFunctionSucceeds => Ok((HResult::S_OK, None)),
                 _ => Ok((HResult::E_NOTIMPL, None)),
             };
@@ -379,7 +379,11 @@ impl Client<'_> {
             return Ok((HResult::E_INVALIDARG, None));
         }
         if given > expected {
-            return if bug == Bug::ExtraArgumentHangs { Err(Fate::Silence) } else { Ok((HResult::E_INVALIDARG, None)) };
+            return if bug == Bug::ExtraArgumentHangs {
+                Err(Outcome::Silence)
+            } else {
+                Ok((HResult::E_INVALIDARG, None))
+            };
         }
         let handle = match (signature.arguments.first(), frame.args.first()) {
             (Some(Kind::Handle(object)), Some(Value::I4(handle))) => Some((*object, *handle)),
@@ -393,10 +397,10 @@ impl Client<'_> {
             let lives_on =
                 bug == Bug::HandleLivesOn && handle > 0 && handle <= self.next && handle % 8 == object as i32;
             if bug == Bug::ForeignHandleCrashes && self.open.iter().any(|open| open.1 == handle) {
-                return Err(Fate::Crash);
+                return Err(Outcome::Crash);
             }
             if bug == Bug::InvalidHandleHangs && handle > 100 {
-                return Err(Fate::Silence);
+                return Err(Outcome::Silence);
             }
             if bug == Bug::ExecutingForever && handle == 0 {
                 let executing =
@@ -404,7 +408,7 @@ impl Client<'_> {
                 while stream.write_all(&executing.to_wire(false)).is_ok() {
                     thread::sleep(Duration::from_millis(20));
                 }
-                return Err(Fate::Close);
+                return Err(Outcome::Close);
             }
             if !is_valid && !lives_on {
                 return Ok((HResult::E_HANDLE, None));
@@ -419,7 +423,7 @@ impl Client<'_> {
         function: FunctionId,
         kind: Kind,
         handle: Option<(Object, i32)>,
-    ) -> Result<(HResult, Option<Value>), Fate> {
+    ) -> Result<(HResult, Option<Value>), Outcome> {
         let bug = self.device.bug;
         if function.releases().is_some() {
             self.open.retain(|open| Some(*open) != handle);
