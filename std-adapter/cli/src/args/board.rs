@@ -16,8 +16,8 @@ pub(crate) enum BoardCommand {
 
 /// Replaces all settings of a board, or prints them
 ///
-/// Without settings as arguments it prints those of the board. Otherwise the board has exactly the given settings afterwards,
-/// in its flash, and prints an answer to each; it uses them after a restart. Settings are checked before anything is sent,
+/// Without settings as arguments the command prints those of the board. Otherwise it replaces all of them in the flash of the
+/// board, and prints the answer to each. The board uses them after a restart. Settings are checked before anything is sent,
 /// and again by the board. A power cut leaves the earlier settings or the new ones.
 ///
 /// --timeout limits each answer.
