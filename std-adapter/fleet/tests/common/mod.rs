@@ -51,7 +51,7 @@ impl Mosquitto {
         Some(broker)
     }
 
-    /// A broker that anyone may use.
+    /// A broker without passwords.
     pub(crate) fn open() -> Option<Self> {
         Self::start(|_| "allow_anonymous true\n".into())
     }
