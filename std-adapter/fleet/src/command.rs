@@ -229,10 +229,7 @@ mod tests {
         let mut number = 0;
         let mut check = |name: &str, value: Value| {
             number += 1;
-            commands
-                .check(0, &command(&number.to_string(), name, value, now + 5000), now)
-                .map(|job| job.value)
-                .map_err(|e| e)
+            commands.check(0, &command(&number.to_string(), name, value, now + 5000), now).map(|job| job.value)
         };
         assert!(check("I9", json!(-10)).is_ok());
         assert_eq!(check("I9", json!(11)).unwrap_err(), "the value is out of the range that the rules allow");

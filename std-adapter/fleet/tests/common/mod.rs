@@ -31,8 +31,8 @@ pub(crate) struct Mosquitto {
 impl Mosquitto {
     /// Starts a broker with more lines of configuration; `None`, with a line that says so, where it is not installed.
     pub(crate) fn start(more: impl Fn(&Path) -> String) -> Option<Self> {
-        let program = ["mosquitto", "/usr/sbin/mosquitto"].into_iter();
-        let found = program.filter(|name| Command::new(name).arg("-h").stdout(Stdio::null()).status().is_ok()).next();
+        let mut programs = ["mosquitto", "/usr/sbin/mosquitto"].into_iter();
+        let found = programs.find(|name| Command::new(name).arg("-h").stdout(Stdio::null()).status().is_ok());
         if found.is_none() {
             println!("skipped: mosquitto is not installed");
             return None;
@@ -51,7 +51,7 @@ impl Mosquitto {
         Some(broker)
     }
 
-    /// A broker that anyone may use.
+    /// A broker without passwords.
     pub(crate) fn open() -> Option<Self> {
         Self::start(|_| "allow_anonymous true\n".into())
     }
