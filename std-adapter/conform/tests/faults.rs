@@ -210,11 +210,7 @@ const FAULTS: &[Fault] = &[
     }),
     of_request("names are case-sensitive", Link::Tcp, "variables/name-in-lower-case", |_, mut parts| {
         if F(parts.code) == F::CONTROLLER_GET_VARIABLE
-            && parts
-                .args
-                .get(1)
-                .and_then(|name| name.as_variant().as_bstr())
-                .is_some_and(|name| name.to_string() == "i1")
+            && parts.args.get(1).and_then(|name| name.as_variant().as_bstr()).is_some_and(|name| name == "i1")
         {
             parts.args[1] = OwnedVariant::new("NoSuchVariable").unwrap();
         }
