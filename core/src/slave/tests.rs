@@ -423,13 +423,15 @@ fn lengths_are_those_of_the_frames() {
             let format = Format { extended, send, receive, ..format(Mode::Mode2, PoseType::T) };
             let [request, reply] = format.frame_lengths(Link::Stream);
             assert_eq!(PreparedMove::<512>::new(ROBOT, &format).unwrap().as_bytes().len(), request, "{format:?}");
-            let mut values: Vec<&dyn Encode> = std::vec![];
-            values.extend(has(1).then_some(&1_i32 as &dyn Encode));
-            values.push(&[0.0; 18]);
-            values.extend(has(2).then_some(&1_i32 as &dyn Encode));
-            values.extend(has(4).then_some(&[1_u8; 3] as &dyn Encode));
-            values.extend(has(8).then_some(&1_i32 as &dyn Encode));
-            values.extend(has(16).then_some(&[0.0; 8] as &dyn Encode));
+            let parts: [(bool, &dyn Encode); 6] = [
+                (has(1), &1_i32),
+                (true, &[0.0; 18]),
+                (has(2), &1_i32),
+                (has(4), &[1_u8; 3]),
+                (has(8), &1_i32),
+                (has(16), &[0.0; 8]),
+            ];
+            let values: Vec<&dyn Encode> = parts.into_iter().filter_map(|(has, value)| has.then_some(value)).collect();
             assert_eq!(written(&values), reply, "{format:?}");
             assert_eq!(format.frame_lengths(Link::Serial), [request + 2, reply + 2]);
         }
