@@ -37,7 +37,7 @@ struct Line {
 #[derive(Debug, Subcommand)]
 enum LineCommand {
     #[command(flatten)]
-    Verb(Command),
+    Verb(Box<Command>),
     /// Sets a variable of the shell or the script: set x = 3
     Set {
         /// The name
@@ -179,7 +179,7 @@ impl Runner {
     fn command(&mut self, line: &Line, session: &mut Session) -> Result<Flow, Failure> {
         let json = self.json || line.json;
         match &line.command {
-            LineCommand::Verb(Command::Shell(_)) => {
+            LineCommand::Verb(command) if matches!(**command, Command::Shell(_)) => {
                 return Err(Failure::Input("a shell does not run inside a shell or a script".into()));
             }
             LineCommand::Verb(command) => (self.verb)(command, session, json)?,
