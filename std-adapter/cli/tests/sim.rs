@@ -382,7 +382,7 @@ fn a_controller_drives_another_arm() {
         let get = |name: &str| sim.tcp(&["get", name, "--provider", "CaoProv.DENSO.VRC9"]).out;
         assert_eq!(get("robot/@TYPE_NAME"), format!("robot/@TYPE_NAME = {name}\n"));
         // with J2 = 90, the second link points along y
-        assert_eq!(get("robot/@CURRENT_POSITION"), format!("robot/@CURRENT_POSITION = 375, {y}, 0, 0, 0, 90, 0\n"));
+        assert_eq!(get("robot/@CURRENT_POSITION"), format!("robot/@CURRENT_POSITION = 375,{y},0,0,0,90,0\n"));
     }
     let run = bcap(&["sim", "--arm", "vs999"]);
     assert!(run.err.contains("vs060, vs087, hsr065"), "{}", run.err);
