@@ -40,6 +40,9 @@ pub(crate) fn slave(args: &Slave, link: &LinkArgs, json: bool) -> Result<(), Fai
 }
 
 fn play(args: &Play, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    if args.approach.is_some() {
+        check_can_halt("--approach", link)?;
+    }
     let poses = Poses::read(&args.file, args.stream.pose.map(PoseType::from), args.stream.format.extended, args.hz)?;
     let format = checked_format(&args.stream, poses.kind, link)?;
     let outputs = poses.each_outputs(CYCLE);
@@ -63,6 +66,9 @@ fn play(args: &Play, link: &LinkArgs, json: bool) -> Result<(), Failure> {
 }
 
 fn cosine(args: &Cosine, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+    if args.from.is_some() {
+        check_can_halt("--from", link)?;
+    }
     let cycles = (args.seconds / CYCLE).round();
     if cycles > f64::from(u32::MAX) {
         let most = f64::from(u32::MAX) * CYCLE;
@@ -83,6 +89,17 @@ fn cosine(args: &Cosine, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     );
     confirm(&what, args.stream.yes)?;
     run(course, format, args.from.clone().map(|from| (from, args.speed)), &args.stream, link, json)
+}
+
+/// Refuses a motion to the start that nothing could halt: the line's only session waits for the end of the motion.
+fn check_can_halt(option: &str, link: &LinkArgs) -> Result<(), Failure> {
+    if link.is_serial() {
+        return Err(Failure::Input(format!(
+            "{option}: a serial line carries one session, so Ctrl-C could not halt the motion to the start; leave {option} out \
+             and move the robot there first, or use TCP or UDP"
+        )));
+    }
+    Ok(())
 }
 
 /// Moves the robot to the start, if that is wanted, and streams.
