@@ -227,7 +227,9 @@ impl Outcome<'_> {
                 code: None,
                 hint: Some(
                     match self.target {
-                        Address::Serial(_) => "move the robot to the first pose before the stream, for example with `bcap move`",
+                        Address::Serial(_) => {
+                            "move the robot to the first pose before the stream, for example with `bcap move`"
+                        }
                         _ => "give --approach to move the robot to the first pose before the stream",
                     }
                     .into(),
