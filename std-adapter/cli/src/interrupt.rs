@@ -36,6 +36,8 @@ struct Shared {
     moving: AtomicBool,
     /// Whether this command ends between two calls, and a second signal ends it at once.
     ends: AtomicBool,
+    /// Whether the process goes on after the command: it is the shell, or runs a script.
+    goes_on: AtomicBool,
     /// How the robot is halted.
     stopper: Mutex<Option<Halt>>,
 }
@@ -58,6 +60,7 @@ impl Interrupt {
             ended: AtomicBool::new(false),
             moving: AtomicBool::new(false),
             ends: AtomicBool::new(false),
+            goes_on: AtomicBool::new(false),
             stopper: Mutex::new(None),
         }));
         let (signals, handler) = (signals()?, interrupt.clone());
@@ -76,11 +79,13 @@ impl Interrupt {
             shared.ended.store(true, Ordering::SeqCst);
         }
         if shared.ends.load(Ordering::SeqCst) {
-            if self.is_interrupted() {
+            let goes_on = shared.goes_on.load(Ordering::SeqCst);
+            if self.is_interrupted() && !goes_on {
                 process::exit(130);
             }
+            let again = if goes_on { "" } else { "; press Ctrl-C again to end at once" };
             // an error of printing cannot be reported
-            let _ = writeln!(io::stderr(), "ends after this call; press Ctrl-C again to end at once");
+            let _ = writeln!(io::stderr(), "ends after this call{again}");
         }
         self.mark();
         let (mut reported, mut again) = (false, 0);
@@ -110,7 +115,13 @@ impl Interrupt {
         }
     }
 
-    /// Lets the command end between two calls on a signal, and at once on a second one, until the guard is dropped.
+    /// Sets that the process goes on after the command, so that no signal ends it at once: its session must be closed.
+    pub(crate) fn set_going_on(&self) {
+        self.0.goes_on.store(true, Ordering::SeqCst);
+    }
+
+    /// Lets the command end between two calls on a signal, until the guard is dropped. A second signal ends the process at once,
+    /// unless it [goes on](Self::set_going_on).
     pub(crate) fn end_between_calls(&self) -> EndsBetweenCalls {
         self.0.ends.store(true, Ordering::SeqCst);
         EndsBetweenCalls(self.clone())
@@ -124,7 +135,9 @@ impl Interrupt {
 
     /// Closes the session that halts.
     pub(crate) fn dismiss(&self) {
-        *self.0.stopper.lock().unwrap_or_else(PoisonError::into_inner) = None;
+        let stopper = self.0.stopper.lock().unwrap_or_else(PoisonError::into_inner).take();
+        // after the lock is released: closing may take long, and another halt must not wait for it
+        drop(stopper);
     }
 
     /// Halts the robot. Returns whether [`prepare`](Self::prepare) has given a way to do so.

@@ -114,6 +114,7 @@ pub(crate) struct Runner {
 
 impl Runner {
     pub(crate) fn new(interrupt: Interrupt, verb: Verb, json: bool) -> Self {
+        interrupt.set_going_on();
         Self { variables: HashMap::new(), interrupt, verb, json }
     }
 

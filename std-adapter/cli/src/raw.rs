@@ -17,6 +17,7 @@ use crate::hex;
 use crate::interrupt::Interrupt;
 use crate::listen::taken;
 use crate::output::{print_block, print_json, print_line};
+use crate::session::Session;
 use crate::trace::{self, Level, Wire};
 
 /// The longest wait between two looks for a signal.
@@ -25,11 +26,12 @@ const STEP: Duration = Duration::from_millis(50);
 const DATAGRAM: usize = 65_535;
 
 /// Runs `bcap raw`.
-pub(crate) fn raw(args: &Raw, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+pub(crate) fn raw(args: &Raw, session: &mut Session, json: bool) -> Result<(), Failure> {
     let listens = args.listen.is_some();
     let own = if listens { Role::Response } else { Role::Request };
     let packets = packets(&args.packets, own)?;
-    let interrupt = Interrupt::install(|_| {})?;
+    let interrupt = session.handle_signals()?;
+    let link = session.link();
     let peer = match &args.listen {
         Some(address) => Peer::listen(address, &interrupt)?,
         None => Peer::connect(link)?,

@@ -1,4 +1,4 @@
-//! SIGINT and SIGTERM, which end commands that run until they are interrupted.
+//! SIGINT, SIGTERM and SIGHUP, which end commands that run until they are interrupted.
 
 use std::io;
 use std::sync::mpsc::{Receiver, channel};
@@ -51,12 +51,34 @@ pub(crate) fn wait() -> io::Result<impl Future<Output = ()>> {
     use tokio::signal::unix::{SignalKind, signal};
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut terminate = signal(SignalKind::terminate())?;
+    // a handler would end what `nohup` lets run
+    let mut hangup = (!ignores_hangup()).then(|| signal(SignalKind::hangup())).transpose()?;
     Ok(async move {
+        let hung_up = async {
+            match &mut hangup {
+                Some(hangup) => drop(hangup.recv().await),
+                None => std::future::pending().await,
+            }
+        };
         tokio::select! {
             _ = interrupt.recv() => {}
             _ = terminate.recv() => {}
+            () = hung_up => {}
         }
     })
+}
+
+/// Returns whether this process ignores SIGHUP, as `nohup` arranges. Only Linux tells.
+#[cfg(unix)]
+fn ignores_hangup() -> bool {
+    std::fs::read_to_string("/proc/self/status").is_ok_and(|status| has_ignored_hangup(&status))
+}
+
+/// Reads from the text of `/proc/PID/status` whether SIGHUP is ignored: it is bit 0 of the hexadecimal set `SigIgn`.
+#[cfg(unix)]
+fn has_ignored_hangup(status: &str) -> bool {
+    let set = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    set.and_then(|set| u64::from_str_radix(set.trim(), 16).ok()).is_some_and(|set| set & 1 == 1)
 }
 
 /// Returns a future that completes on Ctrl-C.
@@ -65,4 +87,16 @@ pub(crate) fn wait() -> io::Result<impl Future<Output = ()>> {
     Ok(async {
         let _ = tokio::signal::ctrl_c().await;
     })
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_ignored_hangup_is_bit_0_of_its_set() {
+        assert!(has_ignored_hangup("Name:\tbcap\nSigIgn:\t0000000000001001\nSigCgt:\t0000000000000000\n"));
+        assert!(!has_ignored_hangup("SigIgn:\t0000000000001000\nSigCgt:\t0000000000000001\n"));
+        assert!(!has_ignored_hangup(""));
+    }
 }

@@ -8,7 +8,7 @@ use std::fs;
 use std::io::{self, Write as _};
 use std::net::SocketAddr;
 use std::path::Path;
-use std::sync::{Arc, Mutex, mpsc};
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::thread;
 use std::time::{SystemTime, UNIX_EPOCH};
 
@@ -40,6 +40,10 @@ const FILE_JOBS: usize = 64;
 /// The maximum number of queued explanations.
 const EXPLANATIONS: usize = 64;
 
+/// The list of the screen that gets the events of serial lines; `None` without a screen. The server reports them to a function,
+/// which has no state of its own.
+static SHOWN: Mutex<Option<Refused>> = Mutex::new(None);
+
 /// Runs `bcap sim`, until a signal ends it; its clients are recorded to `file`.
 pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
     let model = read_model(&args.model)?;
@@ -70,6 +74,7 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         (config.mode, config.token) = (args.mode.into(), args.token.into());
         config.lenient = args.lenient;
         let refused = Refused::default();
+        *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = args.screen.then(|| refused.clone());
         if args.screen {
             config.observer = refused.observer();
         } else if args.explain || args.lenient {
@@ -163,14 +168,17 @@ fn open_lines<H: Serves>(mut server: Server<H>, lines: &[SerialLine]) -> Result<
     Ok((server, words))
 }
 
-/// Prints that a serial line was unplugged or plugged in again.
+/// Prints or shows that a serial line was unplugged or plugged in again.
 fn print_event(line: &SerialLine, event: LineEvent<'_>) {
-    match event {
-        LineEvent::Lost(error) => {
-            note(&format!("serial:{line} is lost ({error}); waiting until it can be opened again"))
-        }
-        LineEvent::Reopened => note(&format!("serial:{line} is open again")),
-        _ => {}
+    let text = match event {
+        LineEvent::Lost(error) => format!("serial:{line} is lost ({error}); waiting until it can be opened again"),
+        LineEvent::Reopened => format!("serial:{line} is open again"),
+        _ => return,
+    };
+    match &*SHOWN.lock().unwrap_or_else(PoisonError::into_inner) {
+        // a note would be written over the screen
+        Some(shown) => shown.push(text),
+        None => note(&text),
     }
 }
 

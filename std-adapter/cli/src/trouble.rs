@@ -16,18 +16,26 @@ use crate::value::{Value, integer, text};
 
 /// Runs `bcap errors`.
 pub(crate) fn errors(session: &mut Session, json: bool) -> Result<(), Failure> {
-    let errors = present(session)?;
-    if errors.is_empty() && !json {
+    let count = count(session)?;
+    if count == 0 && !json {
         print_line("no errors")?;
     }
-    errors.iter().try_for_each(|(code, message)| print_error(*code, message, json))
+    // each at once: a refusal of a later one does not hide it
+    (0..count).try_for_each(|index| {
+        let (code, message) = error(session, index)?;
+        print_error(code, &message, json)
+    })
 }
 
 /// Reads the present errors of the controller with their texts, the latest first.
 pub(crate) fn present(session: &mut Session) -> Result<Vec<(HResult, String)>, Failure> {
+    (0..count(session)?).map(|index| error(session, index)).collect()
+}
+
+/// Reads the number of present errors.
+fn count(session: &mut Session) -> Result<i32, Failure> {
     let count = controller(session, "GetCurErrorCount", &())?;
-    let count = count.as_variant().as_i32().unwrap_or(0);
-    (0..count).map(|index| error(session, index)).collect()
+    Ok(count.as_variant().as_i32().unwrap_or(0).max(0))
 }
 
 fn error(session: &mut Session, index: i32) -> Result<(HResult, String), Failure> {

@@ -19,14 +19,24 @@ pub(crate) fn watch(args: &Watch, session: &mut Session, json: bool) -> Result<(
     let interrupt = session.handle_signals()?;
     let names = expand(session, &Selection::parse_each(&args.names)?)?;
     let paths = paths(&names)?;
+    // before the files: a controller that cannot be reached does not cost the values of an earlier run
+    let variables = paths.iter().map(|path| session.object(path)).collect::<Result<Vec<_>, _>>()?;
     let table = args.csv.as_deref().map(Table::create).transpose()?;
     let samples = args.mcap.as_deref().map(Samples::create).transpose()?;
     let (start, last) = (Instant::now(), vec![None; paths.len()]);
     let mut output = Output { start, changed: args.changed, json, table, samples, last, is_new: false };
-    let done = rounds(args, session, &interrupt, &names, &paths, &mut output);
+    let variables = Variables { names, paths, handles: variables };
+    let done = rounds(args, session, &interrupt, &variables, &mut output);
     // also after a failure, so that the file has its index
     let ended = output.samples.as_mut().map_or(Ok(()), Samples::end);
     done.and(ended)
+}
+
+/// The variables that are read, which are open.
+struct Variables {
+    names: Vec<String>,
+    paths: Vec<ObjectPath>,
+    handles: Vec<i32>,
 }
 
 /// Reads the variables until `--count` or a signal ends it.
@@ -34,18 +44,17 @@ fn rounds(
     args: &Watch,
     session: &mut Session,
     interrupt: &Interrupt,
-    names: &[String],
-    paths: &[ObjectPath],
+    variables: &Variables,
     output: &mut Output,
 ) -> Result<(), Failure> {
-    let variables = paths.iter().map(|path| session.object(path)).collect::<Result<Vec<_>, _>>()?;
+    let Variables { names, paths, handles } = variables;
     let start = output.start;
     let mut pace = Pace { interval: args.interval, next: start };
     let mut rounds = 0;
     loop {
         session.restart_budget();
         let began = start.elapsed();
-        for (n, (path, variable)) in paths.iter().zip(&variables).enumerate() {
+        for (n, (path, variable)) in paths.iter().zip(handles).enumerate() {
             let value = read(session, path, *variable)?;
             output.value(n, &names[n], value)?;
         }

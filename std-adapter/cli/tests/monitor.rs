@@ -100,6 +100,21 @@ fn every_end_restores_the_terminal() {
     }
 }
 
+#[test]
+fn a_halt_is_waited_for_at_the_end() {
+    let robot = Virtual::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    let Some(terminal) = monitor((80, 24), &format!("monitor I1 --robot {}", robot.tcp), &folder) else { return };
+    terminal.wait_for("I1 = 0");
+    let mover = robot.spawn(&["move", "J(90, 45, 90, 0, 45, 0)", "--speed", "1"]);
+    robot.wait_for_motion();
+    terminal.keys(&["h", "q"]);
+    assert_sane(&terminal);
+    let moved = mover.wait_with_output().unwrap();
+    assert!(String::from_utf8_lossy(&moved.stderr).contains("the robot was halted"), "{moved:?}");
+    robot.assert_at_rest_with_free_arm();
+}
+
 #[cfg(target_os = "linux")]
 #[test]
 fn a_terminal_that_is_gone_ends_the_monitor() {

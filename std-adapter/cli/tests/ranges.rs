@@ -108,6 +108,19 @@ fn what_get_prints_as_json_can_be_written_back() {
 }
 
 #[test]
+fn a_controller_that_cannot_be_reached_does_not_empty_a_table() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("earlier.csv");
+    std::fs::write(&file, "t,I1\n").unwrap();
+    let closed = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap();
+    for option in ["--csv", "--mcap"] {
+        let robot = format!("tcp:{closed}");
+        let run = bcap(&["watch", "I1", option, file.to_str().unwrap(), "--robot", &robot]);
+        assert_eq!((run.code, std::fs::read_to_string(&file).unwrap().as_str()), (3, "t,I1\n"), "{run:?}");
+    }
+}
+
+#[test]
 fn watch_writes_a_table() {
     let robot = Robot::start();
     robot.run(&["put", "I1=5", "V1=1.5,-2,3", "S1=a, b"]);

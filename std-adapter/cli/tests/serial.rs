@@ -207,12 +207,15 @@ fn slave_mode_streams_in_real_time_over_a_line_of_921600_baud() {
 }
 
 #[test]
-fn slave_mode_begins_at_a_variable_and_stops_on_ctrl_c_over_a_line() {
+fn slave_mode_stops_on_ctrl_c_over_a_line_and_refuses_a_motion_that_nothing_could_halt() {
     let Some(cable) = Cable::new(Quality { baud: Some(921_600), ..Quality::default() }) else { return };
     let sim = LineServer::start(Slowed(Controller::new(Config::new(Profile::Rc8))), &cable.path(End::Controller));
     let robot = cable.address(921_600);
-    assert_eq!(bcap(&["put", "J1", "1,45,90,0,45,0,0,0", "--robot", &robot]).code, 0);
-    let args = ["slave", "cosine", "--yes", "--seconds", "60", "--from", "J1", "--speed", "100", "--robot", &robot];
+    for start in [&["cosine", "--from", "J1"][..], &["play", "path.csv", "--approach"]] {
+        let run = bcap(&[&["slave"], start, &["--yes", "--robot", &robot]].concat());
+        assert!(run.code == 2 && run.err.contains("a serial line carries one session"), "{run:?}");
+    }
+    let args = ["slave", "cosine", "--yes", "--seconds", "60", "--robot", &robot];
     let stream = bare(&args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     while sim.handler().0.slave_record().count() < 50 {
         std::thread::sleep(std::time::Duration::from_millis(5));

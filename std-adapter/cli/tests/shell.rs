@@ -298,8 +298,16 @@ fn the_shell_says_that_the_connection_is_lost_and_connects_again() {
     .unwrap();
     drop(robot);
     let robot = Virtual::start(&["--scenario", scenario.path().to_str().unwrap()]);
-    let lines = "exec robot TakeArm 0 1\nput I1 1\nget I1\nconnect\nput I1 2\nexec robot TakeArm 0 1\n";
+    let folder = tempfile::tempdir().unwrap();
+    let backup = folder.path().join("backup");
+    let backup = backup.display();
+    // a command that fails because of the lost connection does not open another one
+    let lines = format!(
+        "dump {backup}\nexec robot TakeArm 0 1\nput I1 1\nrestore {backup} --yes\nget I1\nconnect\nput I1 2\n\
+         exec robot TakeArm 0 1\n"
+    );
     let run = bcap_with(&["shell", "--robot", &robot.tcp], lines.as_bytes());
+    assert_eq!(run.err.matches("the connection is lost").count(), 2, "{run:?}");
     assert_eq!((run.out.matches("I1 = ").count(), run.code), (1, 0), "{run:?}");
     assert!(run.out.contains("I1 = 2"), "{run:?}");
     assert!(run.err.contains("closed the connection during Variable_PutValue"), "{run:?}");

@@ -220,6 +220,24 @@ fn ctrl_c_slows_down_within_the_limits_and_releases_the_arm() {
 }
 
 #[test]
+fn a_lost_terminal_stops_a_stream_after_the_motion_to_its_start() {
+    let sim = controller();
+    let ramp = ramp("ramp3.csv", 60);
+    let child = command(&["slave", "play", &ramp, "--yes", "--approach", "100", "--robot", &tcp(&sim)])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    await_speed(&sim, 9.0);
+    kill("-HUP", &child);
+    let output = child.wait_with_output().unwrap();
+    let err = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(130), "{err}");
+    assert!(err.contains("the robot has stopped and the arm is released"), "{err}");
+    assert_at_rest(&sim, 0);
+}
+
+#[test]
 fn a_second_ctrl_c_halts_over_its_own_connection() {
     let sim = controller();
     let ramp = ramp("ramp2.csv", 60);

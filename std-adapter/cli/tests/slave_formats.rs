@@ -100,7 +100,7 @@ fn user_io_is_sent_and_received() {
     slave(&sim, &[&cosine[..], &formats].concat());
     assert_eq!(on(&sim, 128..160), [128, 130]);
     let text = fs::read_to_string(received).unwrap();
-    assert!(text.lines().last().unwrap().ends_with(",05 00"), "{text}");
+    assert!(text.lines().last().unwrap().ends_with(",0x5"), "{text}");
 }
 
 #[test]
@@ -143,10 +143,16 @@ fn a_stream_starts_from_a_variable() {
 #[test]
 fn nothing_moves_with_formats_that_do_not_fit() {
     let sim = controller();
+    let hand = file("hand.csv", "J1,HAND\n0,1\n1,0x100000000\n");
     for (args, part) in [
         (&["cosine", "--plot", "x.svg", "--recv-format", "P"][..], "--plot needs the type of the stream"),
         (&["cosine", "--send-format", "mini,user:128:1"], "exclude each other"),
         (&["cosine", "--recv-format", "user:129:1"], "cannot begin at port 129"),
+        (&["cosine", "--mini-io", "0"], "--mini-io: slvMove does not carry it; add mini to --send-format"),
+        (&["cosine", "--send-format", "mini", "--user-io", "1"], "--user-io: slvMove does not carry it"),
+        (&["cosine", "--send-format", "user:128:1", "--user-io", "0x100"], "--user-io: 0x100 does not fit the 8 bits"),
+        (&["play", &hand], "column HAND: slvMove does not carry it; add hand to --send-format"),
+        (&["play", &hand, "--send-format", "hand"], "column HAND: 0x100000000 does not fit the 32 bits of hand"),
         (&["cosine", "--speed", "20"], "--from"),
         (&["cosine", "--from", "J1"], "give --yes"),
     ] {

@@ -11,7 +11,7 @@ use crate::rules::AllowPut;
 ///
 /// Prints one line, `ready rac=IP:PORT`, when it listens, then the audit log: one JSON object a line for every request and
 /// for each change of the robot's session. While the robot is disconnected, every request is answered with E_NOT_CONNECTED
-/// at once. SIGINT and SIGTERM end it with 0, after running requests have been answered.
+/// at once. SIGINT, SIGTERM and SIGHUP end it with 0, after running requests have been answered.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 A file of rules. By default everything may be read and nothing written.

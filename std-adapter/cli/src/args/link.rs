@@ -23,8 +23,8 @@ pub(crate) struct LinkArgs {
     /// [default: tcp:127.0.0.1]
     ///
     /// Without a protocol it is TCP; tcp://HOST is accepted too. Write IPv6 addresses in brackets: tcp:[fe80::1]:5007. A serial
-    /// line may have settings, here with the defaults: 'serial:/dev/ttyUSB0?baud=115200&parity=none&stop=1'. `rac`,
-    /// `doctor`, `gateway`, `proxy`, `replay`, `fuzz` and `slave` need a network.
+    /// line may have settings, here with the defaults: 'serial:/dev/ttyUSB0?baud=115200&parity=none&stop=1'. `rac`, `raw`,
+    /// `doctor`, `gateway`, `proxy`, `replay`, `conform` and `fuzz` need a network.
     #[arg(long, global = true, value_name = "ADDRESS")]
     robot: Option<String>,
 
@@ -77,7 +77,8 @@ pub(crate) struct LinkArgs {
     pub(crate) write: Option<PathBuf>,
 
     /// Prints each packet that is sent (->) and received (<-) on the standard error: headers, values, or bytes beside the
-    /// values. `gateway`, `proxy`, `replay`, `fuzz`, `slave play` and `slave cosine` do not have it
+    /// values. `monitor`, `gateway`, `proxy`, `replay`, `conform`, `fuzz`, `slave play` and `slave cosine` do not
+    /// have it
     #[arg(long, global = true, value_name = "LEVEL", num_args = 0..=1, require_equals = true,
           default_missing_value = "bytes")]
     pub(crate) trace: Option<Level>,

@@ -14,7 +14,8 @@ use crate::duration;
 /// halts the robot and gives the arm back; over a serial line it cannot, because such a line carries one session.
 ///
 /// POSITION is a variable (P1, J2, T3), or a value as the controller's language writes it: 'J(0, 45, 90, 0, 45, 0)',
-/// 'P(400, 0, 300, 180, 0, 180, 5)'. The exit code is 0 only if the robot rests at the destination.
+/// 'P(400, 0, 300, 180, 0, 180, 5)'. The exit code is 0 only if the robot rests at the destination, or,
+/// with --no-wait, if the motion has begun.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

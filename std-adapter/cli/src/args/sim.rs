@@ -11,7 +11,7 @@ use clap::Args;
 /// Runs a virtual controller on real sockets
 ///
 /// Prints one line, `ready bcap=IP:PORT udp=IP:PORT rac=IP:PORT`, when it listens, with `serial=PATH?OPTIONS` for each serial line.
-/// Port 0 selects a free port. On SIGINT and SIGTERM it exits with 0.
+/// Port 0 selects a free port. On SIGINT, SIGTERM and SIGHUP it exits with 0.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

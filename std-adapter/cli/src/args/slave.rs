@@ -15,7 +15,7 @@ use super::slave_format::FormatArgs;
 /// executable token and no pending error; `bcap doctor` checks these.
 ///
 /// Over a serial line the robot must be able to receive a pose and send its reply within 8 ms; a slower line is refused. Such
-/// a line carries one session, so a second Ctrl-C cannot halt the robot.
+/// a line carries one session, so a second Ctrl-C cannot halt the robot, and --approach and --from are refused.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -41,8 +41,8 @@ pub(crate) enum SlaveCommand {
 /// X Y Z RX RY RZ FIG in mm and degrees (P), or X Y Z OX OY OZ AX AY AZ FIG (T). The first line may name the columns, as in
 /// a file of `bcap slave record`. Then they may have any order, columns with other names are ignored, and a column `t` is
 /// the time of each pose in seconds. Poses are interpolated to the cycle of 8 ms. Columns MINI, HAND and USER are the outputs
-/// of --send-format, numbers such as 48 or 0x30, from the time of their line on. The robot must be at the first pose;
-/// --approach moves it there.
+/// of --send-format, numbers such as 48 or 0x30, from the time of their line on; a column whose part is not in --send-format
+/// is refused. The robot must be at the first pose; --approach moves it there.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
@@ -62,7 +62,7 @@ pub(crate) struct Play {
     #[arg(long = "loop", value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     pub(crate) loops: u32,
 
-    /// First moves the robot to the first pose, at this percentage of its speed
+    /// First moves the robot to the first pose, at this percentage of its speed; not over a serial line
     #[arg(long, value_name = "PERCENT", num_args = 0..=1, default_missing_value = "10", value_parser = percent)]
     pub(crate) approach: Option<f64>,
 
@@ -89,7 +89,7 @@ pub(crate) struct Cosine {
     #[arg(long, value_name = "A", default_value_t = 10.0, allow_negative_numbers = true, value_parser = finite)]
     pub(crate) amplitude: f64,
 
-    /// First moves the robot to this variable, such as J1, as `bcap move` does
+    /// First moves the robot to this variable, such as J1, as `bcap move` does; not over a serial line
     #[arg(long, value_name = "VARIABLE")]
     pub(crate) from: Option<String>,
 

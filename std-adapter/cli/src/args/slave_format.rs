@@ -7,13 +7,16 @@ use bcap_core::slave::{
 };
 use clap::Args;
 
+use crate::error::Failure;
+
 /// What slvMove and its reply carry beside the pose (S2:1043-1181).
 #[derive(Debug, Args)]
 pub(crate) struct FormatArgs {
     /// What slvMove sets beside the pose (slvSendFormat): mini or user:PORT:BYTES, and hand, separated by commas
     ///
     /// MiniIO and user IO exclude each other. PORT is the number of the first IO, a multiple of 8 from 128 on. --mini-io,
-    /// --user-io and --hand-io have the values; columns MINI, USER and HAND of a file change them in each pose.
+    /// --user-io and --hand-io have the values; columns MINI, USER and HAND of a file change them in each pose. A value whose
+    /// part is not in PARTS, or that does not fit it, is refused.
     #[arg(long, value_name = "PARTS", default_value = "none", value_parser = send_format)]
     pub(crate) send_format: SendFormat,
 
@@ -22,17 +25,17 @@ pub(crate) struct FormatArgs {
     #[arg(long, value_name = "PARTS", value_parser = ReceiveParts::parse)]
     pub(crate) recv_format: Option<ReceiveParts>,
 
-    /// The bits of MiniIO that slvMove sets, such as 0x10000 for IO16
-    #[arg(long, value_name = "BITS", default_value = "0", value_parser = bits)]
-    pub(crate) mini_io: i32,
+    /// The bits of MiniIO that slvMove sets, such as 0x10000 for IO16 [default: 0]
+    #[arg(long, value_name = "BITS", value_parser = bits)]
+    pub(crate) mini_io: Option<i32>,
 
-    /// The bits of HandIO that slvMove sets
-    #[arg(long, value_name = "BITS", default_value = "0", value_parser = bits)]
-    pub(crate) hand_io: i32,
+    /// The bits of HandIO that slvMove sets [default: 0]
+    #[arg(long, value_name = "BITS", value_parser = bits)]
+    pub(crate) hand_io: Option<i32>,
 
-    /// The bits of the user IO that slvMove sets; bit 0 is the first IO of its range
-    #[arg(long, value_name = "BITS", default_value = "0", value_parser = wide_bits)]
-    pub(crate) user_io: u64,
+    /// The bits of the user IO that slvMove sets; bit 0 is the first IO of its range [default: 0]
+    #[arg(long, value_name = "BITS", value_parser = wide_bits)]
+    pub(crate) user_io: Option<u64>,
 
     /// The extended joints that slvMove moves: 7, 8 or 7,8
     ///
@@ -56,6 +59,37 @@ impl FormatArgs {
         });
         let receive = ReceiveFormat { pose, ..parts.format };
         Format { extended: self.extended, send: self.send_format, ..Format::new(mode, receive) }
+    }
+
+    /// Checks the options of the outputs.
+    pub(crate) fn check_options(&self) -> Result<(), Failure> {
+        let [mini, hand] = [self.mini_io, self.hand_io].map(|bits| bits.map(|bits| bits.cast_unsigned().into()));
+        let checked = self.check_outputs(["--mini-io", "--user-io", "--hand-io"], [mini, self.user_io, hand]);
+        checked.map_err(Failure::Input)
+    }
+
+    /// Checks that slvMove carries MiniIO, user IO and HandIO, where they have a value, and that the value fits. The names say
+    /// where the values are from.
+    pub(crate) fn check_outputs(&self, names: [&str; 3], values: [Option<u64>; 3]) -> Result<(), String> {
+        let SendFormat { io, hand_io } = self.send_format;
+        let parts = [
+            ("mini", if io == SendIo::Mini { 32 } else { 0 }),
+            ("user:PORT:BYTES", if let SendIo::User(range) = io { u32::from(range.bytes()) * 8 } else { 0 }),
+            ("hand", if hand_io { 32 } else { 0 }),
+        ];
+        for (((part, bits), name), value) in parts.into_iter().zip(names).zip(values) {
+            let Some(value) = value else { continue };
+            if bits == 0 {
+                return Err(format!(
+                    "{name}: slvMove does not carry it; add {part} to --send-format, or leave {name} out"
+                ));
+            }
+            // a shift by 64 bits leaves nothing
+            if value.checked_shr(bits).unwrap_or(0) != 0 {
+                return Err(format!("{name}: {value:#x} does not fit the {bits} bits of {part} in --send-format"));
+            }
+        }
+        Ok(())
     }
 }
 

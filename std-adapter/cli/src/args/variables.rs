@@ -73,7 +73,7 @@ pub(crate) struct Put {
 
 /// Reads variables periodically
 ///
-/// A line begins with the seconds since the start; with --json it has the milliseconds as "ms". On SIGINT and SIGTERM the
+/// A line begins with the seconds since the start; with --json it has the milliseconds as "ms". On SIGINT, SIGTERM and SIGHUP the
 /// command releases its objects, stops the service and exits with 0.
 #[derive(Debug, Args)]
 #[command(after_help = "\

@@ -45,8 +45,8 @@ pub(crate) fn restore(args: &Restore, session: &mut Session, json: bool) -> Resu
     if let Some(past) = Past::read(&args.dir)?.filter(|past| !past.is_complete()) {
         summary(&past, json)?;
     }
-    // the session of the shell stays open
-    let is_own = !session.is_open();
+    // the session of the shell stays open, and a lost one stays lost
+    let is_own = !session.is_open() && !session.is_lost();
     let plan = planned(args, &backup, session);
     if is_own {
         session.close();

@@ -15,12 +15,13 @@ use crate::error::Failure;
 use crate::frame::Role;
 use crate::halt::halt_now;
 use crate::interrupt::Interrupt;
+use crate::output::note;
 use crate::screen::{Terminal, require};
 use crate::selection::{Selection, expand};
 use crate::session::Session;
 use crate::variables::paths;
 use reader::{Reader, Request};
-use state::{Action, State, Update};
+use state::{Action, HALTED, State, Update, not_halted};
 
 /// The longest time from one drawing to the next.
 const FRAME: Duration = Duration::from_millis(50);
@@ -39,8 +40,8 @@ pub(crate) fn monitor(args: &args::Monitor, session: &mut Session, json: bool) -
     let (packets, packet) = channel();
     let mut own = Session::new(&link);
     own.packets.watch(packets);
-    // not in the session: the end of its connection must not close the one that halts
-    let interrupt = Interrupt::install(|_| {})?;
+    // of the command's session, not of the one that reads: the end of its connection must not close the one that halts
+    let interrupt = session.handle_signals()?;
     let (updates, update) = channel();
     let (requests, request) = channel();
     let mut reader = Reader {
@@ -55,19 +56,35 @@ pub(crate) fn monitor(args: &args::Monitor, session: &mut Session, json: bool) -
     reader.connect()?;
     reader.names = expand(&mut reader.session, &selections)?;
     paths(&reader.names)?;
-    let (address, halting) = (link.target()?.to_string(), interrupt.clone());
-    let mut screen = Monitor { state: State::new(address), interrupt, link, updates, update, packet, requests };
+    let state = State::new(link.target()?.to_string());
+    let mut screen = Monitor { state, interrupt, link, updates, update, packet, requests, halts: Vec::new() };
     let reading = thread::Builder::new().name("reader".into()).spawn(move || reader.run())?;
     let ended = screen.run(&reading);
+    let Monitor { update, requests, halts, .. } = screen;
     // ends the reader, and with it its session
-    drop(screen);
+    drop(requests);
+    let joined = halts.into_iter().map(JoinHandle::join).fold(Ok(()), Result::and);
     let read = reading.join();
-    halting.dismiss();
-    match read {
-        Ok(()) => ended,
-        // the panic has printed its message
-        Err(_) => Err(Failure::Input("the reading thread has ended by a panic".into())),
+    outcomes(&update)?;
+    // the panic has printed its message
+    read.and(joined).map_err(|_| Failure::Input("a thread has ended by a panic".into()))?;
+    ended
+}
+
+/// Prints the outcomes of halts and writes that the screen no longer showed; a failed halt is the result.
+fn outcomes(update: &Receiver<Update>) -> Result<(), Failure> {
+    let mut result = Ok(());
+    while let Ok(update) = update.try_recv() {
+        match update {
+            Update::Done(Ok(text) | Err(text)) => note(&text),
+            Update::Halted(Ok(())) => note(HALTED),
+            Update::Halted(Err(failure)) => {
+                result = Err(Failure::Unfit { message: not_halted(&failure), code: None, hint: None });
+            }
+            _ => {}
+        }
     }
+    result
 }
 
 struct Monitor {
@@ -78,6 +95,8 @@ struct Monitor {
     update: Receiver<Update>,
     packet: Receiver<(Role, String)>,
     requests: Sender<Request>,
+    /// The threads that halt the robot now.
+    halts: Vec<JoinHandle<()>>,
 }
 
 impl Monitor {
@@ -87,6 +106,8 @@ impl Monitor {
         let start = Instant::now();
         while !self.interrupt.is_interrupted() && !reading.is_finished() {
             self.state.set_time(start.elapsed());
+            // the outcomes of the others are drawn below
+            self.halts.retain(|halt| !halt.is_finished());
             while let Ok((role, text)) = self.packet.try_recv() {
                 self.state.apply(Update::Packet(role, text));
             }
@@ -99,7 +120,7 @@ impl Monitor {
                     None => continue,
                     Some(Action::Quit) => return Ok(()),
                     Some(Action::Halt) => {
-                        self.halt();
+                        self.halt()?;
                         continue;
                     }
                     Some(Action::Check(name, text)) => Request::Check(name, text),
@@ -108,7 +129,7 @@ impl Monitor {
                 self.request(request)?;
             }
         }
-        Ok(())
+        if self.interrupt.is_ended() { Err(Failure::Interrupted("ended by a signal".into())) } else { Ok(()) }
     }
 
     fn request(&self, request: Request) -> Result<(), Failure> {
@@ -116,25 +137,24 @@ impl Monitor {
     }
 
     /// Halts the robot in a thread of its own. A serial line carries one session, so the reader halts there.
-    fn halt(&self) {
+    fn halt(&mut self) -> Result<(), Failure> {
         if self.link.is_serial() {
-            // a reader that has ended is reported when the screen ends
-            let _ = self.request(Request::Halt);
-            return;
+            return self.request(Request::Halt);
         }
         let (interrupt, link, updates) = (self.interrupt.clone(), self.link.clone(), self.updates.clone());
-        thread::spawn(move || {
-            let halted = match interrupt.halt() {
+        self.halts.push(thread::Builder::new().name("halt".into()).spawn(move || {
+            let idle = interrupt.halt();
+            let halted = match idle {
                 Ok(true) => Ok(()),
-                Ok(false) => halt_now(&link).map(drop),
-                // connects again
-                Err(_) => interrupt.halt().map(drop),
+                // there is no idle session, or the controller no longer knows its handles
+                Ok(false) | Err(_) => halt_now(&link).map(drop),
             };
-            let outcome = halted.map(|()| "the robot rests".into());
-            // without a receiver the screen has ended
-            let _ = updates.send(Update::Done(
-                outcome.map_err(|failure| format!("NOT HALTED, use the emergency stop: {failure}")),
-            ));
-        });
+            // without a receiver the command has ended
+            let _ = updates.send(Update::Halted(halted));
+            if idle.is_err() {
+                interrupt.dismiss();
+            }
+        })?);
+        Ok(())
     }
 }

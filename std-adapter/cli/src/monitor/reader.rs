@@ -81,6 +81,10 @@ impl Reader {
                 self.tell(Update::Lost(text.clone()));
                 match self.wait(SLOW) {
                     None => return,
+                    Some(Some(Request::Halt)) => self.tell(Update::Halted(Err(Failure::Connection {
+                        message: "there is no connection".into(),
+                        hint: "it is tried again every second".into(),
+                    }))),
                     Some(Some(_)) => self.tell(Update::Done(Err("there is no connection".into()))),
                     Some(None) => {}
                 }
@@ -104,6 +108,15 @@ impl Reader {
             Err(RecvTimeoutError::Timeout) => Some(None),
             Err(RecvTimeoutError::Disconnected) => None,
         }
+    }
+
+    /// Does what the user has asked for meanwhile. Called before each call of a round, so that a halt over a slow line does not
+    /// wait for the end of the round.
+    fn poll(&mut self) -> Result<(), Failure> {
+        while let Ok(request) = self.requests.try_recv() {
+            self.request(request)?;
+        }
+        Ok(())
     }
 
     /// Reads until the user quits. Fails when the connection is lost.
@@ -153,15 +166,12 @@ impl Reader {
 
     fn round(&mut self, plan: &mut Plan) -> Result<(), Failure> {
         for (n, path) in plan.variables.iter().enumerate() {
-            // a halt over a slow line does not wait for the end of the round
-            while let Ok(request) = self.requests.try_recv() {
-                self.request(request)?;
-            }
+            self.poll()?;
             let value = match self.value(path) {
                 Ok(value) => Ok(value),
+                Err(failure) if is_lost(&failure) => return Err(failure),
                 Err(Failure::Refused { code, .. }) => Err(code.to_string()),
-                Err(failure) if failure.leaves_the_session_alive() => Err(failure.to_string()),
-                Err(failure) => return Err(failure),
+                Err(failure) => Err(failure.to_string()),
             };
             self.tell(Update::Value(n, value));
         }
@@ -206,6 +216,7 @@ impl Reader {
         }
         self.tell(Update::State(words, has_error));
         if has_error || plan.had_error {
+            self.poll()?;
             let errors = alive(trouble::present(&mut self.session))?.unwrap_or_default();
             self.tell(Update::Errors(errors.iter().map(|(code, text)| explained(*code, text)).collect()));
         }
@@ -216,6 +227,7 @@ impl Reader {
     fn tasks(&mut self, plan: &Plan) -> Result<(), Failure> {
         let mut tasks = Vec::new();
         for name in &plan.tasks {
+            self.poll()?;
             self.session.restart_budget();
             let status = alive(self.session.with(|controller| controller.task(name)?.status()))?;
             tasks.push((name.clone(), status.map_or_else(|| "unknown".into(), status_text)));
@@ -226,12 +238,13 @@ impl Reader {
 
     fn messages(&mut self, plan: &mut Plan) -> Result<(), Failure> {
         while plan.messages {
+            self.poll()?;
             self.session.restart_budget();
             match trouble::next_message(&mut self.session) {
                 Ok(Some(message)) => self.tell(Update::Message(message.short())),
                 Ok(None) => return Ok(()),
-                Err(failure) if failure.leaves_the_session_alive() => plan.messages = false,
-                Err(failure) => return Err(failure),
+                Err(failure) if is_lost(&failure) => return Err(failure),
+                Err(_) => plan.messages = false,
             }
         }
         Ok(())
@@ -246,12 +259,14 @@ impl Reader {
 
     /// Reads a variable as text; `None` if the controller does not have it.
     fn text(&mut self, name: &str) -> Result<Option<String>, Failure> {
+        self.poll()?;
         let value = alive(self.value(&ObjectPath::variable(name)?))?;
         Ok(value.map(|value| plain::to_plain(value.as_variant())))
     }
 
     /// Reads an array of numbers; empty if the controller does not have it.
     fn numbers(&mut self, name: &str) -> Result<Vec<f64>, Failure> {
+        self.poll()?;
         let value = alive(self.value(&ObjectPath::variable(name)?))?.unwrap_or_default();
         let array = value.as_variant().as_array();
         Ok(array.map(|array| array.iter().filter_map(|number| number.as_f64()).collect()).unwrap_or_default())
@@ -261,7 +276,7 @@ impl Reader {
     fn request(&mut self, request: Request) -> Result<(), Failure> {
         let update = match request {
             Request::Check(name, text) => match self.check(&name, &text) {
-                Err(failure) if !failure.leaves_the_session_alive() => return Err(failure),
+                Err(failure) if is_lost(&failure) => return Err(failure),
                 checked => Update::Checked(checked.map(Box::new).map_err(|failure| format!("{name}: {failure}"))),
             },
             Request::Write(write) => match self.write(&write) {
@@ -275,17 +290,21 @@ impl Reader {
                 written => Update::Done(written.map_err(|failure| format!("not written: {failure}"))),
             },
             Request::Halt => {
-                self.session.restart_budget();
-                let halted = self.session.with(|controller| controller.robot()?.halt());
-                Update::Done(
-                    halted
-                        .map(|_| "the robot rests".into())
-                        .map_err(|failure| format!("NOT HALTED, use the emergency stop: {failure}")),
-                )
+                let mut halted = self.halt();
+                if halted.as_ref().is_err_and(is_stale) {
+                    self.session.close();
+                    halted = self.connect().and_then(|()| self.halt());
+                }
+                Update::Halted(halted)
             }
         };
         self.tell(update);
         Ok(())
+    }
+
+    fn halt(&mut self) -> Result<(), Failure> {
+        self.session.restart_budget();
+        self.session.with(|controller| controller.robot()?.halt().map(drop))
     }
 
     /// Converts text to the type of the variable, and reads its present value.
@@ -309,9 +328,19 @@ impl Reader {
 fn alive<T>(result: Result<T, Failure>) -> Result<Option<T>, Failure> {
     match result {
         Ok(value) => Ok(Some(value)),
-        Err(failure) if failure.leaves_the_session_alive() => Ok(None),
-        Err(failure) => Err(failure),
+        Err(failure) if is_lost(&failure) => Err(failure),
+        Err(_) => Ok(None),
     }
+}
+
+/// Returns whether the reader must connect again.
+fn is_lost(failure: &Failure) -> bool {
+    !failure.leaves_the_session_alive() || is_stale(failure)
+}
+
+/// Returns whether the controller no longer knows a handle of the session: it has started again, or has ended the session.
+fn is_stale(failure: &Failure) -> bool {
+    matches!(failure, Failure::Refused { code: HResult::E_HANDLE, .. })
 }
 
 /// Formats an error with its text, its meaning if the text does not contain it, and what to do.

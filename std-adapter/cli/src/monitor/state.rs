@@ -7,6 +7,7 @@ use bcap_core::variant::Variant;
 use bcap_std::ObjectPath;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 
+use crate::error::Failure;
 use crate::frame::Role;
 use crate::plain;
 use crate::screen::{CallLog, Line, Mark, Panel, Part, Screen, numbered, robot_lines};
@@ -101,8 +102,17 @@ pub(crate) enum Update {
     Packet(Role, String),
     /// A value that was typed was checked.
     Checked(Result<Box<Write>, String>),
-    /// The outcome of a write or a halt.
+    /// The outcome of a write, or a remark.
     Done(Result<String, String>),
+    Halted(Result<(), Failure>),
+}
+
+/// The outcome of a halt that succeeded.
+pub(crate) const HALTED: &str = "the robot rests";
+
+/// Formats the outcome of a halt that failed.
+pub(crate) fn not_halted(failure: &Failure) -> String {
+    format!("NOT HALTED, use the emergency stop: {failure}")
 }
 
 /// What a key asks for.
@@ -146,6 +156,8 @@ impl State {
             Update::Checked(Ok(write)) => self.notice = Line::alarm(format!("{} was not written", write.path)),
             Update::Checked(Err(why)) | Update::Done(Err(why)) => self.notice = Line::alarm(why),
             Update::Done(Ok(what)) => self.notice = Line::new(what),
+            Update::Halted(Ok(())) => self.notice = Line::new(HALTED),
+            Update::Halted(Err(failure)) => self.notice = Line::alarm(not_halted(&failure)),
         }
     }
 

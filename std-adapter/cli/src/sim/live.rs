@@ -32,7 +32,7 @@ const KEPT: usize = 200;
 
 const KEYS: &str = "q quit  a all calls, or only those whose reply has changed  p pause calls";
 
-/// The arguments that were refused or tolerated, each as a line.
+/// The arguments that were refused or tolerated, and the events of serial lines, each as a line.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Refused(Arc<Mutex<VecDeque<String>>>);
 
@@ -41,15 +41,20 @@ impl Refused {
     pub(super) fn observer(&self) -> Observer {
         let list = self.clone();
         Observer::new(move |code, text| {
-            let mut lines = list.lines();
-            if lines.len() >= KEPT {
-                lines.pop_front();
-            }
-            lines.push_back(match code {
+            list.push(match code {
                 HResult::S_OK => format!("tolerated: {text}"),
                 code => format!("{code}: {text}"),
             });
         })
+    }
+
+    /// Adds a line, in place of the oldest one if there are many.
+    pub(super) fn push(&self, line: String) {
+        let mut lines = self.lines();
+        if lines.len() >= KEPT {
+            lines.pop_front();
+        }
+        lines.push_back(line);
     }
 
     fn lines(&self) -> MutexGuard<'_, VecDeque<String>> {

@@ -18,6 +18,7 @@ use bcap_core::slave::{ExtendedAxes, Format, Mode, Pose, PoseType, ReceivePose, 
 use crate::args::{Cosine, LinkArgs, MoveArgs, Play, Slave, SlaveCommand, StreamArgs};
 use crate::confirm;
 use crate::error::Failure;
+use crate::interrupt::Interrupt;
 use crate::motion;
 use crate::session::Session;
 use monitor::signals;
@@ -31,17 +32,24 @@ use stream::stream;
 const APPROACH: Duration = Duration::from_secs(180);
 
 /// Runs `bcap slave`.
-pub(crate) fn slave(args: &Slave, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+pub(crate) fn slave(args: &Slave, session: &Session, json: bool) -> Result<(), Failure> {
+    let (link, interrupt) = (session.link(), session.interrupt.as_ref());
     match &args.command {
-        SlaveCommand::Play(args) => play(args, link.untraced()?, json),
-        SlaveCommand::Cosine(args) => cosine(args, link.untraced()?, json),
+        SlaveCommand::Play(args) => play(args, link.untraced()?, interrupt, json),
+        SlaveCommand::Cosine(args) => cosine(args, link.untraced()?, interrupt, json),
         SlaveCommand::Record(args) => record::record(args, link, json),
     }
 }
 
-fn play(args: &Play, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+fn play(args: &Play, link: &LinkArgs, interrupt: Option<&Interrupt>, json: bool) -> Result<(), Failure> {
+    if args.approach.is_some() {
+        check_can_halt("--approach", link)?;
+    }
     let poses = Poses::read(&args.file, args.stream.pose.map(PoseType::from), args.stream.format.extended, args.hz)?;
     let format = checked_format(&args.stream, poses.kind, link)?;
+    poses
+        .check_outputs(&args.stream.format)
+        .map_err(|problem| Failure::Input(format!("{}: {problem}", args.file.display())))?;
     let outputs = poses.each_outputs(CYCLE);
     let course = Course::Poses { poses: poses.each_cycle(CYCLE), outputs, loops: args.loops };
     let approach = match args.approach.zip(poses.first()) {
@@ -58,11 +66,14 @@ fn play(args: &Play, link: &LinkArgs, json: bool) -> Result<(), Failure> {
         f64::from(course.cycles()) * CYCLE,
         args.approach.map(|percent| format!(", and first moves there at {percent} %")).unwrap_or_default(),
     );
-    confirm(&what, args.stream.yes)?;
+    confirm(&what, interrupt, args.stream.yes)?;
     run(course, format, approach, &args.stream, link, json)
 }
 
-fn cosine(args: &Cosine, link: &LinkArgs, json: bool) -> Result<(), Failure> {
+fn cosine(args: &Cosine, link: &LinkArgs, interrupt: Option<&Interrupt>, json: bool) -> Result<(), Failure> {
+    if args.from.is_some() {
+        check_can_halt("--from", link)?;
+    }
     let cycles = (args.seconds / CYCLE).round();
     if cycles > f64::from(u32::MAX) {
         let most = f64::from(u32::MAX) * CYCLE;
@@ -81,8 +92,19 @@ fn cosine(args: &Cosine, link: &LinkArgs, json: bool) -> Result<(), Failure> {
         args.amplitude,
         args.seconds
     );
-    confirm(&what, args.stream.yes)?;
+    confirm(&what, interrupt, args.stream.yes)?;
     run(course, format, args.from.clone().map(|from| (from, args.speed)), &args.stream, link, json)
+}
+
+/// Refuses a motion to the start that nothing could halt: the line's only session waits for the end of the motion.
+fn check_can_halt(option: &str, link: &LinkArgs) -> Result<(), Failure> {
+    if link.is_serial() {
+        return Err(Failure::Input(format!(
+            "{option}: a serial line carries one session, so Ctrl-C could not halt the motion to the start; leave {option} out \
+             and move the robot there first, or use TCP or UDP"
+        )));
+    }
+    Ok(())
 }
 
 /// Moves the robot to the start, if that is wanted, and streams.
@@ -142,11 +164,17 @@ fn checked_format(args: &StreamArgs, kind: PoseType, link: &LinkArgs) -> Result<
     if args.plot.is_some() && !is_contained {
         return Err(Failure::Input(format!("--plot needs the type of the stream in --recv-format: write {kind:?}")));
     }
+    args.format.check_options()?;
     speed::check(link, &format)?;
     Ok(format)
 }
 
-/// Asks for confirmation before the robot moves.
-fn confirm(what: &str, yes: bool) -> Result<(), Failure> {
-    confirm::confirm(what, "The robot will move.", "the robot was not moved", yes)
+/// Asks for confirmation before the robot moves. In the shell, whose prompt stays, a Ctrl-C at the question only sets
+/// `interrupt`.
+fn confirm(what: &str, interrupt: Option<&Interrupt>, yes: bool) -> Result<(), Failure> {
+    confirm::confirm(what, "The robot will move.", "the robot was not moved", yes)?;
+    if interrupt.is_some_and(Interrupt::is_interrupted) {
+        return Err(Failure::Interrupted("interrupted: the robot was not moved".into()));
+    }
+    Ok(())
 }

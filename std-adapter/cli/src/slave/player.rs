@@ -92,7 +92,12 @@ struct NextOutputs {
 impl NextOutputs {
     /// Returns the outputs of the command line.
     fn new(args: &FormatArgs, user_bytes: usize) -> Self {
-        Self { mini: args.mini_io, hand: args.hand_io, user: args.user_io.to_le_bytes(), user_bytes }
+        Self {
+            mini: args.mini_io.unwrap_or(0),
+            hand: args.hand_io.unwrap_or(0),
+            user: args.user_io.unwrap_or(0).to_le_bytes(),
+            user_bytes,
+        }
     }
 
     /// Changes those that a file sets.
@@ -109,7 +114,7 @@ impl NextOutputs {
     }
 }
 
-/// Returns the low 32 bits.
+/// Returns the low 32 bits; a file with more of them was refused.
 fn low(bits: u64) -> i32 {
     u32::try_from(bits & u64::from(u32::MAX)).unwrap_or(0).cast_signed()
 }

@@ -12,7 +12,7 @@ use std::path::Path;
 
 use bcap_core::slave::{Extended, ExtendedAxes, Pose, PoseType};
 
-use crate::args::wide_bits;
+use crate::args::{FormatArgs, wide_bits};
 use crate::error::Failure;
 
 /// Returns the column names of a pose type.
@@ -114,6 +114,13 @@ impl Poses {
             unwind(&mut rows);
         }
         Ok(Self { kind, extended, rows, outputs })
+    }
+
+    /// Checks that the format of slvMove carries the outputs of the file.
+    pub(crate) fn check_outputs(&self, format: &FormatArgs) -> Result<(), String> {
+        self.outputs.iter().try_for_each(|FileOutputs { mini, user, hand }| {
+            format.check_outputs(["column MINI", "column USER", "column HAND"], [*mini, *user, *hand])
+        })
     }
 
     /// Returns the first pose.

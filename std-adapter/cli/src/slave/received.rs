@@ -6,7 +6,6 @@ use bcap_core::slave::{CURRENT_LEN, MoveReply, PoseType, ReceiveFormat, ReceiveP
 
 use super::poses::columns;
 use crate::error::Failure;
-use crate::hex;
 
 /// The most numbers of a pose in a reply.
 const POSE_MAX: usize = 18;
@@ -95,7 +94,8 @@ impl Received {
         fields.extend(format.time.map(|_| reply.time.cast_unsigned().to_string()));
         fields.extend(reply.pose.iter().take(format.pose.len()).map(f64::to_string));
         fields.extend(format.mini_io.then(|| bits(reply.mini)));
-        fields.extend(format.user_io.map(|range| hex::spaced(&reply.user[..usize::from(range.bytes()).min(USER_MAX)])));
+        // byte 0 has the first IO; `slave play` reads the number
+        fields.extend(format.user_io.map(|_| format!("{:#x}", u64::from_le_bytes(reply.user))));
         fields.extend(format.hand_io.then(|| bits(reply.hand)));
         fields.extend(reply.current.iter().filter(|_| format.current).map(f64::to_string));
         fields

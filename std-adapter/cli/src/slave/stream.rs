@@ -225,7 +225,15 @@ impl Outcome<'_> {
             Cause::NotAtStart { .. } => Failure::Unfit {
                 message,
                 code: None,
-                hint: Some("give --approach to move the robot to the first pose before the stream".into()),
+                hint: Some(
+                    match self.target {
+                        Address::Serial(_) => {
+                            "move the robot to the first pose before the stream, for example with `bcap move`"
+                        }
+                        _ => "give --approach to move the robot to the first pose before the stream",
+                    }
+                    .into(),
+                ),
             },
             _ => Failure::Unfit { message, code: fault.code(), hint: None },
         }
