@@ -330,6 +330,9 @@ mod tests {
         else {
             panic!()
         };
-        assert_eq!((plane, degrees, centre.as_str(), option.as_str()), ("ZX", 90.0, "V(400, 0, 1.5)", "@E,Pose=1,NEXT"));
+        assert_eq!(
+            (plane, degrees, centre.as_str(), option.as_str()),
+            ("ZX", 90.0, "V(400, 0, 1.5)", "@E,Pose=1,NEXT")
+        );
     }
 }
