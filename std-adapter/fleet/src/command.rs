@@ -142,7 +142,7 @@ impl Commands {
 
 /// Returns the name of a user variable as the controller has it, so that `I01` and `I1` are one variable.
 pub(crate) fn canonical(name: &str) -> String {
-    variable(name).map_or_else(|| name.to_owned(), |variable| variable.to_string())
+    variable(name).map_or_else(|| name.to_owned(), |Variable { kind, index }| format!("{kind}{index}"))
 }
 
 /// Parses the name of a user variable.
