@@ -1,4 +1,4 @@
-//! Watches the state of several controllers, which may come and go.
+//! Watches the state of several controllers, which may disconnect and return.
 //!
 //! ```text
 //! bcap sim

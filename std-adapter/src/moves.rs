@@ -251,7 +251,8 @@ impl Move {
                     Plane::Yz => "YZ",
                     Plane::Zx => "ZX",
                 };
-                let option = format!("{},{option}", self.pass);
+                // without Pose=1 the controller keeps the orientation of the tool
+                let option = format!("{},Pose=1,{option}", self.pass);
                 MotionStart::Rotate { plane, degrees: *degrees, centre: format!("V({x}, {y}, {z})"), option }
             }
         }
@@ -329,6 +330,9 @@ mod tests {
         else {
             panic!()
         };
-        assert_eq!((plane, degrees, centre.as_str(), option.as_str()), ("ZX", 90.0, "V(400, 0, 1.5)", "@E,NEXT"));
+        assert_eq!(
+            (plane, degrees, centre.as_str(), option.as_str()),
+            ("ZX", 90.0, "V(400, 0, 1.5)", "@E,Pose=1,NEXT")
+        );
     }
 }

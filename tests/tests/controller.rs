@@ -222,13 +222,17 @@ fn arcs_rotations_approach_and_depart_end_where_they_should() {
     let at = |dx: f64, dy: f64, dz: f64| Position { xyz_mm: [x + dx, y + dy, z + dz], ..from };
     let mut ends_at = |motion: &Move, [wx, wy, wz]: [f64; 3]| {
         assert_eq!(arm.move_to(motion, LIMIT).unwrap(), Motion::Arrived, "{motion:?}");
-        let there = arm.robot().position().unwrap().xyz_mm;
+        let end = arm.robot().position().unwrap();
+        let there = end.xyz_mm;
         let off = [there[0] - wx, there[1] - wy, there[2] - wz].map(f64::abs).into_iter().fold(0.0, f64::max);
         assert!(off < 0.2, "{motion:?} ended at {there:?}");
+        end
     };
     ends_at(&Move::circle(at(-20.0, 20.0, 0.0), at(-40.0, 0.0, 0.0)), [x - 40.0, y, z]);
-    // half a circle about the middle leads back
-    ends_at(&Move::rotate(Plane::Xy, 180.0, [x - 20.0, y, z]), [x, y, z]);
+    // half a circle about the middle leads back, and the tool turns with it
+    let turned = ends_at(&Move::rotate(Plane::Xy, 180.0, [x - 20.0, y, z]), [x, y, z]);
+    let degrees = (turned.rotation_degrees[2] - from.rotation_degrees[2]).abs();
+    assert!((degrees - 180.0).abs() < 0.05, "RZ turned by {degrees} degrees");
     // the tool points down: it approaches from above, and departs upwards
     ends_at(&Move::joint(at(0.0, 0.0, -30.0)), [x, y, z - 30.0]);
     ends_at(&Move::depart(Interpolation::Line, 10.0), [x, y, z - 20.0]);

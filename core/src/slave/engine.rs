@@ -392,7 +392,7 @@ impl<const N: usize> Engine<N> {
     ///
     /// # Errors
     ///
-    /// When there is no fault, the connection is lost, or the emergency stop was pressed.
+    /// When there is no fault, the connection is lost, or the emergency stop was seen pressed ([`Fault::emergency_stop`]).
     pub fn recover(&mut self) -> Result<(), RecoverError> {
         let fault = self.fault.as_ref().filter(|_| self.phase == Phase::Faulted).ok_or(RecoverError::NoFault)?;
         if fault.emergency_stop == Some(true) {

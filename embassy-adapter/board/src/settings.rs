@@ -135,10 +135,11 @@ impl<'a> Settings<'a> {
         invalid.map_or(Ok(()), Err)
     }
 
-    /// Returns the settings in a file: its lines without comments after `#`, without spaces around them, and not empty.
+    /// Returns the settings in a file: its lines without comments, without spaces around them, and not empty.
+    ///
+    /// A comment begins with a `#` at the beginning of a line or after a blank, so a value may contain `#`.
     pub fn lines_of_file(text: &'a str) -> impl Iterator<Item = &'a str> {
-        let lines = text.lines().map(|line| line.split('#').next().unwrap_or_default().trim());
-        lines.filter(|line| !line.is_empty())
+        text.lines().map(|line| without_comment(line).trim()).filter(|line| !line.is_empty())
     }
 
     /// Returns the rules for PLCs.
@@ -159,7 +160,7 @@ impl<'a> Settings<'a> {
             "variable" => self.variable = text,
             "dhcp" => self.dhcp = valid(yes(text))?,
             "address" => self.address = Some(valid(network(text))?),
-            "gateway" => self.gateway = Some(valid(text.parse().ok())?),
+            "gateway" => self.gateway = Some(valid(host(text))?),
             "mac" => self.mac = Some(valid(mac(text))?),
             "hostname" => self.hostname = Some(valid(hostname(text))?),
             "get" => self.lists.allow_get(text)?,
@@ -189,9 +190,23 @@ fn seconds(value: &str) -> Option<Duration> {
     value.parse().ok().filter(|seconds| (1..=3600).contains(seconds)).map(Duration::from_secs)
 }
 
+/// Returns a line up to its comment.
+fn without_comment(line: &str) -> &str {
+    let mut hashes = line.match_indices('#').map(|(at, _)| line.split_at(at).0);
+    hashes.find(|before| before.is_empty() || before.ends_with([' ', '\t'])).unwrap_or(line)
+}
+
+/// Parses an address that one machine can have. The network stack panics on any other one.
+fn host(value: &str) -> Option<Ipv4Addr> {
+    let is_host = |address: &Ipv4Addr| {
+        !(address.is_unspecified() || address.is_broadcast() || address.is_multicast() || address.is_loopback())
+    };
+    value.parse().ok().filter(is_host)
+}
+
 fn network(value: &str) -> Option<(Ipv4Addr, u8)> {
     let (address, prefix) = value.split_once('/')?;
-    Some((address.parse().ok()?, prefix.parse().ok().filter(|prefix| *prefix <= 32)?))
+    Some((host(address)?, prefix.parse().ok().filter(|prefix| *prefix <= 32)?))
 }
 
 fn robot(value: &str) -> Option<Robot> {
@@ -289,6 +304,13 @@ mod tests {
     }
 
     #[test]
+    fn a_comment_begins_at_a_line_or_after_a_blank() {
+        let file = "# a board\nprovider=a#b\n  # indented\nmachine=m # the machine\noption=#1\n\nservice=\t#\n";
+        let lines: Vec<_> = Settings::lines_of_file(file).collect();
+        assert_eq!(lines, ["provider=a#b", "machine=m", "option=#1", "service="]);
+    }
+
+    #[test]
     fn the_first_invalid_line_is_named_with_the_column() {
         for (text, column, error) in [
             ("echo=7\nput=I/3-1\n", 7, "invalid index range 3-1: the first index is above the last"),
@@ -313,7 +335,14 @@ mod tests {
             "robot=http:10.0.2.2:5007",
             "address=10.0.2.15",
             "address=10.0.2.15/33",
+            "address=0.0.0.0/0",
+            "address=224.0.0.1/24",
+            "address=255.255.255.255/32",
+            "address=127.0.0.1/8",
             "gateway=10.0.2",
+            "gateway=0.0.0.0",
+            "gateway=239.1.2.3",
+            "gateway=255.255.255.255",
             "mac=02:00:00:bc:a9",
             "mac=02:00:00:bc:a9:03:04",
             "mac=03:00:00:bc:a9:03",

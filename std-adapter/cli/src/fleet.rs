@@ -1,5 +1,7 @@
 //! `bcap fleet`: the arguments and the output of the crate `bcap-fleet`.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::thread;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -39,13 +41,14 @@ fn failure(error: Error) -> Failure {
 /// Publishes until a signal arrives.
 fn run(config: Config) -> Result<(), Failure> {
     let (lines, waiting) = sync_channel(BACKLOG);
+    let dropped = Arc::new(AtomicU64::new(0));
     let writer = thread::Builder::new().name("events".into()).spawn(move || write(&waiting))?;
     runtime()?.block_on(async {
         // the signals first: a reader of the line may send one at once
         let ended = signal::wait()?;
         let controllers = config.controllers();
-        let log = lines.clone();
-        let fleet = Fleet::start(config, move |event| send(&log, event)).await.map_err(failure)?;
+        let (log, count) = (lines.clone(), Arc::clone(&dropped));
+        let fleet = Fleet::start(config, move |event| send(&log, &count, event)).await.map_err(failure)?;
         let metrics = fleet.metrics_address().map(|address| format!(" metrics={address}")).unwrap_or_default();
         print_line(&format!("ready controllers={controllers}{metrics}"))?;
         fleet.run(ended).await;
@@ -55,6 +58,10 @@ fn run(config: Config) -> Result<(), Failure> {
     let until = Instant::now() + CLOSE;
     while !writer.is_finished() && Instant::now() < until {
         thread::sleep(Duration::from_millis(1));
+    }
+    match dropped.load(Ordering::Relaxed) {
+        0 => {}
+        count => note(&format!("{count} lines were not printed, because the reader of the output was too slow")),
     }
     Ok(())
 }
@@ -67,13 +74,15 @@ struct Line<'a> {
     event: &'a Event,
 }
 
-/// Gives a line to the writer. A reader that does not read loses lines, and does not delay the fleet.
-fn send(lines: &SyncSender<String>, event: &Event) {
+/// Gives a line to the writer. A reader that does not read loses lines, which are counted, and does not delay the fleet.
+fn send(lines: &SyncSender<String>, dropped: &AtomicU64, event: &Event) {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     let civil = i64::try_from(since.as_millis()).ok().and_then(OleDate::from_unix_millis).and_then(OleDate::to_civil);
     let time = civil.map(|civil| format!("{civil}Z")).unwrap_or_default();
-    if let Ok(line) = serde_json::to_string(&Line { time, event }) {
-        let _ = lines.try_send(line);
+    if let Ok(line) = serde_json::to_string(&Line { time, event })
+        && lines.try_send(line).is_err()
+    {
+        dropped.fetch_add(1, Ordering::Relaxed);
     }
 }
 

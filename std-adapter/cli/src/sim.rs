@@ -94,7 +94,7 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         }
         let mut controller = Controller::new(config);
         if let Some(path) = &args.scenario {
-            controller.play(read_scenario(path)?);
+            controller.play(read_scenario(path, controller.config())?);
         }
         if args.screen {
             on_screen(Watched::shared(controller, refused), args, file, ended).await?;
@@ -296,10 +296,11 @@ async fn bind<H: Serves>(server: Server<H>, wanted: &Listening) -> Result<(Serve
     }
 }
 
-fn read_scenario(path: &Path) -> Result<Scenario, Failure> {
+fn read_scenario(path: &Path, config: &Config) -> Result<Scenario, Failure> {
     let text = fs::read_to_string(path)
         .map_err(|error| Failure::Input(format!("cannot read the scenario {}: {error}", path.display())))?;
     Scenario::parse(&text)
+        .and_then(|scenario| scenario.check(config).map(|()| scenario))
         .map_err(|error| Failure::Input(format!("{} is not a valid scenario: {error}", path.display())))
 }
 

@@ -112,7 +112,7 @@ impl Commands {
         self.take_token(cell, now)?;
         let value = self.permitted(name, value)?;
         self.accepted.insert((cell, id.clone()), *expires);
-        Ok(Job { name: name.clone(), value, deadline: Instant::now() + Duration::from_millis(expires - now) })
+        Ok(Job { name: canonical(name), value, deadline: Instant::now() + Duration::from_millis(expires - now) })
     }
 
     /// Takes a token of a controller's bucket, which holds those of one second.
@@ -138,6 +138,11 @@ impl Commands {
         rules.permits(&Request::Put(variable, value.as_variant()), None).map_err(|refusal| refusal.to_string())?;
         Ok(value)
     }
+}
+
+/// Returns the name of a user variable as the controller has it, so that `I01` and `I1` are one variable.
+pub(crate) fn canonical(name: &str) -> String {
+    variable(name).map_or_else(|| name.to_owned(), |Variable { kind, index }| format!("{kind}{index}"))
 }
 
 /// Parses the name of a user variable.
@@ -167,6 +172,12 @@ fn typed(kind: VariableKind, value: &Value) -> Option<OwnedVariant> {
 
 /// Executes a command.
 pub(crate) async fn execute(controller: Controller, job: Job) -> (CommandResult, Option<String>) {
+    // a read opens the variable. The write is then one call, and a task that is busy until the deadline does not begin it.
+    match timeout_at(job.deadline, controller.read::<OwnedVariant>(&job.name)).await {
+        Ok(Ok(_)) => {}
+        Ok(Err(error)) => return (CommandResult::Failed, Some(error.to_string())),
+        Err(_) => return (CommandResult::Refused, Some("it expired before it could be sent".into())),
+    }
     match timeout_at(job.deadline, controller.write(&job.name, job.value)).await {
         Ok(Ok(())) => (CommandResult::Done, None),
         Ok(Err(error @ (Error::Refused { .. } | Error::NotConnected { .. } | Error::Closed | Error::Argument(_)))) => {
@@ -210,6 +221,18 @@ mod tests {
         assert_eq!(check("b", now + 10_001, now), Err("it expires in 10001 ms".into()));
         assert_eq!(check("", now + 1, now), Err("the id has 0 bytes".into()));
         assert_eq!(check("a", now + 15_000, now + 5001), Ok(one), "the id is free again after its expiry");
+    }
+
+    #[test]
+    fn the_job_has_the_canonical_name() {
+        let mut commands = commands(&["I", "IO"], 1000);
+        let now = BEGAN + 20_000;
+        let mut name = |id: &str, name: &str, value| {
+            commands.check(0, &command(id, name, value, now + 5000), now).map(|job| job.name)
+        };
+        assert_eq!(name("a", "I007", json!(1)), Ok("I7".into()));
+        assert_eq!(name("b", "IO0128", json!(true)), Ok("IO128".into()));
+        assert_eq!(canonical("@SPEED"), "@SPEED", "what is no variable stays as it is");
     }
 
     #[test]

@@ -63,7 +63,7 @@ pub(crate) struct Tls {
     pub(crate) key: Option<PathBuf>,
 }
 
-/// What is kept on disk while the broker is away.
+/// What is kept on disk while the broker is disconnected.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Buffer {

@@ -31,6 +31,11 @@ pub enum Event {
         /// Why.
         reason: String,
     },
+    /// The end of the process lost readings that were in memory, because there is no buffer on disk, or it has failed.
+    Unsent {
+        /// How many.
+        readings: u64,
+    },
     /// A command arrived from the broker, and was executed or not.
     Command {
         /// The controller.

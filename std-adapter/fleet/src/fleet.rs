@@ -35,7 +35,7 @@ impl Fleet {
     ///
     /// # Errors
     ///
-    /// An [`Error`]. A broker or controller that is away is no error.
+    /// An [`Error`]. A disconnected broker or controller is no error.
     ///
     /// # Cancel safety
     ///

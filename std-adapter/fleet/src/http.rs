@@ -73,7 +73,7 @@ fn metrics(shared: &Shared) -> String {
     shared.metrics.text(names, shared.queue.len())
 }
 
-/// The process is healthy while it runs and has the broker; robots come and go.
+/// The process is healthy while it runs and has the broker; robots may disconnect and return.
 fn health(shared: &Shared) -> (&'static str, &'static str, String) {
     if shared.metrics.broker_up.load(Ordering::Relaxed) {
         ("200 OK", PLAIN, "ok\n".into())

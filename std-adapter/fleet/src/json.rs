@@ -5,7 +5,7 @@
 //! | `bcap/GROUP/NODE/state`     | `{"state":"online","time":T}`; `offline` by will                 | yes      |
 //! | `bcap/GROUP/NAME/state`     | `{"state":"connected","time":T}`; `disconnected` with `reason`   | yes      |
 //! | `bcap/GROUP/NAME/VARIABLE`  | `{"value":5,"quality":"good","time":T,"id":N}`                   | yes      |
-//! | the same                    | the same with `"historical":true`: the broker was away           | no       |
+//! | the same                    | the same with `"historical":true`: the broker was disconnected   | no       |
 //! | the same                    | the same with `"repeated":true`: sent before, for a broker that has lost it | yes |
 //! | `bcap/GROUP/NAME/command`   | a command to this node, see [`command`](crate::command)          |          |
 //! | `bcap/GROUP/NAME/answer`    | its answer                                                       | no       |

@@ -15,7 +15,7 @@
 //! | `point`                 | the variables to publish                                                 |
 //! | `scan`                  | reads the variables of one controller                                    |
 //! | `queue`                 | readings between the scans and the publisher                             |
-//! | `store`                 | readings on disk while the broker is away                                |
+//! | `store`                 | readings on disk while the broker is disconnected                        |
 //! | `broker`                | one connection to the broker, with TLS                                   |
 //! | `publisher`             | moves readings to the broker, and commands from it                       |
 //! | `json`, `sparkplug`     | topics and payloads                                                      |

@@ -14,7 +14,7 @@ use tokio::task::{JoinSet, spawn_blocking};
 use tokio::time::{Instant, sleep_until, timeout};
 
 use crate::broker::{Broker, Link, LinkEvent, WINDOW};
-use crate::command::{Answer, Command, Commands, execute};
+use crate::command::{Answer, Command, Commands, canonical, execute};
 use crate::config::{Config, Format};
 use crate::event::{CommandResult, Event};
 use crate::json;
@@ -22,7 +22,7 @@ use crate::message::Message;
 use crate::queue::{Item, State};
 use crate::reading::{Reading, now_ms};
 use crate::scan::Shared;
-use crate::sparkplug::{self, Sparkplug};
+use crate::sparkplug::{self, HostWrite, Sparkplug};
 use crate::store::Store;
 
 /// The delays between two attempts to connect.
@@ -40,8 +40,14 @@ const BACKLOG: usize = 10_000;
 /// The most messages that wait for the window before answers are left out: commands must not fill the memory.
 const WAITING: usize = 1000;
 
-/// The most commands that run at the same time.
-const RUNNING: usize = 64;
+/// The most commands that run at the same time, and those of one controller: a slow one must not occupy all.
+const RUNNING: (usize, usize) = (64, 16);
+
+/// How long a connection must last before the backoff begins anew: a broker may accept and close at once.
+const STABLE: Duration = Duration::from_secs(10);
+
+/// The most bytes of a text of a command in an answer or event.
+const LONGEST_TEXT: usize = 256;
 
 /// Moves readings to the broker and commands from it.
 pub(crate) struct Publisher {
@@ -70,6 +76,14 @@ pub(crate) struct Publisher {
 struct Cell {
     state: Option<State>,
     latest: Vec<Option<Reading>>,
+    /// The number of commands that run.
+    running: usize,
+}
+
+impl Cell {
+    fn is_connected(&self) -> bool {
+        self.state.as_ref().is_some_and(|state| state.down.is_none())
+    }
 }
 
 /// A command that has ended.
@@ -86,6 +100,7 @@ struct Connection {
     link: Link,
     /// Whether the broker has accepted it.
     is_up: bool,
+    began: Instant,
     /// Messages to give to the link.
     out: VecDeque<Message>,
     /// Readings of messages that the link has not sent.
@@ -127,7 +142,11 @@ impl Connection {
 impl Publisher {
     pub(crate) fn new(shared: Arc<Shared>, controllers: Vec<Controller>, broker: Broker, store: Option<Store>) -> Self {
         let config = &shared.config;
-        let cells = config.controllers.iter().map(|cell| Cell { state: None, latest: vec![None; cell.points.len()] });
+        let cells = config.controllers.iter().map(|cell| Cell {
+            state: None,
+            latest: vec![None; cell.points.len()],
+            running: 0,
+        });
         Self {
             cells: cells.collect(),
             commands: Commands::new(config.commands.clone(), now_ms()),
@@ -159,7 +178,7 @@ impl Publisher {
                 event = next(&mut self.link) => self.handle(event).await,
                 () = shared.queue.added() => {}
                 () = sleep_until(self.retry), if self.link.is_none() => {}
-                Some(Ok(finished)) = self.running.join_next() => self.finish(finished),
+                Some(Ok(finished)) = self.running.join_next() => self.end(finished),
                 () = &mut end => break,
             }
         }
@@ -274,8 +293,7 @@ impl Publisher {
         let Some(sparkplug) = &mut self.sparkplug else {
             return self.push(json::reading(config, reading));
         };
-        let is_down = self.cells[cell].state.as_ref().is_none_or(|state| state.down.is_some());
-        if is_down {
+        if !self.cells[cell].is_connected() {
             // the death of the device has said that all values are unknown
             self.cells[cell].latest[reading.point] = None;
         } else if !sparkplug.is_born(cell) {
@@ -300,22 +318,26 @@ impl Publisher {
         let Some(sparkplug) = &mut self.sparkplug else {
             return self.push(json::reading(config, reading));
         };
-        if !sparkplug.is_born(reading.cell) {
+        let cell = reading.cell;
+        let mut messages = Vec::new();
+        if !sparkplug.is_born(cell) {
             // aliases are unknown before a birth; its unread values are null
-            let birth = sparkplug.device_birth(config, reading.cell, &self.cells[reading.cell].latest);
-            if let Some(connection) = &mut self.link {
-                connection.out.push_back(birth);
-            }
+            messages.push(sparkplug.device_birth(config, cell, &self.cells[cell].latest));
         }
-        let message = sparkplug.data(config, reading);
-        self.push(message);
+        messages.push(sparkplug.data(config, reading));
+        let has_more = self.history.front().is_some_and(|next| next.cell == cell);
+        if !self.cells[cell].is_connected() && !has_more {
+            // the birth was for its history only
+            messages.extend(sparkplug.device_death(config, cell));
+        }
+        messages.into_iter().for_each(|message| self.push(message));
     }
 
     /// Sends the birth of a device when each of its points was read.
     fn birth(&mut self, cell: usize) {
         let shared = Arc::clone(&self.shared);
         let latest = &self.cells[cell].latest;
-        let is_up = self.cells[cell].state.as_ref().is_some_and(|state| state.down.is_none());
+        let is_up = self.cells[cell].is_connected();
         if let Some(sparkplug) = &mut self.sparkplug
             && is_up
             && latest.iter().all(Option::is_some)
@@ -359,7 +381,7 @@ impl Publisher {
         };
         let link = self.broker.connect(Some(will));
         let (out, sent, waiting) = Default::default();
-        self.link = Some(Connection { link, is_up: false, out, sent, waiting });
+        self.link = Some(Connection { link, is_up: false, began: Instant::now(), out, sent, waiting });
     }
 
     async fn handle(&mut self, event: Option<LinkEvent>) {
@@ -393,13 +415,12 @@ impl Publisher {
         metrics.broker_up.store(true, Ordering::Relaxed);
         metrics.broker_connections.fetch_add(1, Ordering::Relaxed);
         (self.shared.report)(&Event::BrokerUp {});
-        self.backoff = BACKOFF.0;
         // what was read before the connection is historical
         self.drain().await;
         self.stale = false;
         let topics = self.topics();
         if let Some(connection) = &mut self.link {
-            connection.is_up = true;
+            (connection.is_up, connection.began) = (true, Instant::now());
             for topic in topics {
                 let _ = connection.link.client.try_subscribe(topic, QoS::AtLeastOnce);
             }
@@ -443,6 +464,9 @@ impl Publisher {
             self.shared.metrics.broker_up.store(false, Ordering::Relaxed);
         }
         (self.shared.report)(&Event::BrokerDown { reason });
+        if self.link.as_ref().is_some_and(|connection| connection.is_up && connection.began.elapsed() >= STABLE) {
+            self.backoff = BACKOFF.0;
+        }
         self.retry = Instant::now() + self.backoff;
         self.backoff = (self.backoff * 2).min(BACKOFF.1);
         self.recover().await;
@@ -538,10 +562,9 @@ impl Publisher {
                 // not at once: a host that asks again and again must not fill the memory
                 Ok(command) if is_node && command.rebirth => self.stale = true,
                 Ok(command) => {
-                    let sent = command.time.unwrap_or(0);
-                    let expires = sent.saturating_add(self.commands.longest());
-                    for (name, value) in command.writes {
-                        let id = format!("{sent}/{name}");
+                    for HostWrite { name, value, time } in command.writes {
+                        let expires = time.saturating_add(self.commands.longest());
+                        let id = format!("{time}/{}", canonical(&name));
                         let command = Command { id, name, value, expires, origin: None };
                         self.order(cell.unwrap_or(0), publish, command);
                     }
@@ -564,8 +587,10 @@ impl Publisher {
         self.shared.metrics.commands.fetch_add(1, Ordering::Relaxed);
         let checked = if publish.retain {
             Err("it is retained, and may be old".into())
-        } else if self.running.len() >= RUNNING {
-            Err(format!("{RUNNING} commands are running"))
+        } else if self.running.len() >= RUNNING.0 {
+            Err(format!("{} commands are running", RUNNING.0))
+        } else if self.cells[cell].running >= RUNNING.1 {
+            Err(format!("{} commands of this controller are running", RUNNING.1))
         } else {
             self.commands.check(cell, &command, now_ms())
         };
@@ -573,22 +598,27 @@ impl Publisher {
         match checked {
             Ok(job) => {
                 let controller = self.controllers[cell].clone();
+                self.cells[cell].running += 1;
                 self.running.spawn(async move {
                     let (result, reason) = execute(controller, job).await;
                     Finished { cell, topic, command, result, reason }
                 });
             }
             Err(reason) => {
-                self.shared.metrics.refused.fetch_add(1, Ordering::Relaxed);
                 self.finish(Finished { cell, topic, command, result: CommandResult::Refused, reason: Some(reason) });
             }
         }
     }
 
+    /// Ends a command that ran.
+    fn end(&mut self, finished: Finished) {
+        self.cells[finished.cell].running -= 1;
+        self.finish(finished);
+    }
+
     fn unreadable(&mut self, cell: Option<usize>, publish: &Publish, reason: String) {
         let Some(cell) = cell else { return };
         self.shared.metrics.commands.fetch_add(1, Ordering::Relaxed);
-        self.shared.metrics.refused.fetch_add(1, Ordering::Relaxed);
         let command = Command { id: String::new(), name: String::new(), value: ().into(), expires: 0, origin: None };
         let (topic, result) = (publish.topic.clone(), CommandResult::Refused);
         self.finish(Finished { cell, topic, command, result, reason: Some(reason) });
@@ -598,14 +628,18 @@ impl Publisher {
     fn finish(&mut self, finished: Finished) {
         let Finished { cell, topic, command, result, reason } = finished;
         let shared = Arc::clone(&self.shared);
-        let answer = json::answer(&shared.config, cell, &Answer { id: &command.id, result, reason: reason.as_deref() });
+        if result == CommandResult::Refused {
+            shared.metrics.refused.fetch_add(1, Ordering::Relaxed);
+        }
+        let (id, reason) = (cut(command.id), reason.map(cut));
+        let answer = json::answer(&shared.config, cell, &Answer { id: &id, result, reason: reason.as_deref() });
         (shared.report)(&Event::Command {
             controller: shared.config.controllers[cell].name.clone(),
             topic,
-            id: command.id,
-            origin: command.origin,
-            name: command.name,
-            value: command.value.to_string(),
+            id,
+            origin: command.origin.map(cut),
+            name: cut(command.name),
+            value: cut(command.value.to_string()),
             result,
             reason,
         });
@@ -618,6 +652,13 @@ impl Publisher {
 
     /// Announces the end, and keeps what may not have arrived.
     async fn close(mut self) {
+        let ended = async {
+            while let Some(finished) = self.running.join_next().await {
+                finished.into_iter().for_each(|finished| self.end(finished));
+            }
+        };
+        // the controllers are closed, so commands end at once
+        let _ = timeout(CLOSE, ended).await;
         if self.is_up() {
             self.step().await;
             let shared = Arc::clone(&self.shared);
@@ -642,7 +683,21 @@ impl Publisher {
         }
         self.recover().await;
         self.drain().await;
+        if !self.history.is_empty() {
+            let readings = self.history.len() as u64;
+            self.shared.metrics.dropped.fetch_add(readings, Ordering::Relaxed);
+            (self.shared.report)(&Event::Unsent { readings });
+        }
     }
+}
+
+/// Shortens a text of a command: a sender must not fill the log.
+fn cut(mut text: String) -> String {
+    if text.len() > LONGEST_TEXT {
+        text.truncate(text.floor_char_boundary(LONGEST_TEXT));
+        text.push('…');
+    }
+    text
 }
 
 /// Waits for the next event of a connection. Cancel-safe.

@@ -80,7 +80,7 @@ pub(crate) struct Reading {
     /// `None` if the value is unknown.
     pub(crate) value: Option<Value>,
     pub(crate) quality: Quality,
-    /// Whether the broker was away when it was read, or may have received it before.
+    /// Whether the broker was disconnected when it was read, or may have received it before.
     pub(crate) historical: bool,
 }
 

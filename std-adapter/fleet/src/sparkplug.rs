@@ -5,8 +5,10 @@
 //! | NBIRTH  | after each connection, and when a host asks for a rebirth                                |
 //! | NDEATH  | by will, and before an orderly end                                                       |
 //! | DBIRTH  | when there is a session with the controller and each of its points was read              |
-//! | DDATA   | a reading, by alias; `is_historical` if the broker was away                              |
+//! | DDATA   | a reading, by alias; `is_historical` if the broker was disconnected                       |
 //! | DDEATH  | when the session is lost                                                                 |
+//!
+//! Data refer to a birth. So historical data of a disconnected device are sent between a DBIRTH and a DDEATH of their own.
 //!
 //! A metric that cannot be read is null, with the property `Quality` 0. A position has a metric for each element, with its unit
 //! as the property `engUnit`. The specification demands QoS 0 for births and data.
@@ -58,11 +60,19 @@ enum DataType {
 /// A command of a host to this node or a device.
 #[derive(Debug, PartialEq)]
 pub(crate) struct HostCommand {
-    /// The name of the variable, and its value as JSON.
-    pub(crate) writes: Vec<(String, serde_json::Value)>,
+    pub(crate) writes: Vec<HostWrite>,
     pub(crate) rebirth: bool,
-    /// When the host sent it, in milliseconds since 1970.
-    pub(crate) time: Option<u64>,
+}
+
+/// A write that a host asks for.
+#[derive(Debug, PartialEq)]
+pub(crate) struct HostWrite {
+    /// The name of the variable.
+    pub(crate) name: String,
+    /// The value as JSON.
+    pub(crate) value: serde_json::Value,
+    /// When the host sent it, in milliseconds since 1970: the time of the metric, or else of the payload; 0 without any.
+    pub(crate) time: u64,
 }
 
 impl Sparkplug {
@@ -165,14 +175,14 @@ impl Sparkplug {
     /// Returns what a host asks of the node (`cell` is `None`) or of a device.
     pub(crate) fn command(&self, config: &Config, cell: Option<usize>, payload: &[u8]) -> Result<HostCommand, String> {
         let payload = Payload::decode(payload).map_err(|error| format!("the payload is not Sparkplug B: {error}"))?;
-        let mut command = HostCommand { writes: Vec::new(), rebirth: false, time: payload.timestamp };
+        let mut command = HostCommand { writes: Vec::new(), rebirth: false };
         for metric in payload.metrics {
             let name = metric.name.clone().or_else(|| self.name(config, cell?, metric.alias?));
             let name = name.ok_or("a metric has neither a name nor a known alias")?;
-            command.time = metric.timestamp.or(command.time);
+            let time = metric.timestamp.or(payload.timestamp).unwrap_or(0);
             match cell {
                 None => command.rebirth |= name == REBIRTH && metric.value == Some(Number::Boolean(true)),
-                Some(_) => command.writes.push((name, metric.to_json())),
+                Some(_) => command.writes.push(HostWrite { name, value: metric.to_json(), time }),
             }
         }
         Ok(command)

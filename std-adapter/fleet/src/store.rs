@@ -1,11 +1,11 @@
-//! Readings on disk while the broker is away: files of JSON lines, the oldest first.
+//! Readings on disk while the broker is disconnected: files of JSON lines, the oldest first.
 //!
 //! A file is deleted after the broker has acknowledged all of its readings. If the process is killed before that, they are
 //! sent again, with the same ids. A file that exceeds the limits of bytes or age is deleted, and its readings are counted
 //! as dropped. The functions block; the publisher calls them on a thread for blocking work.
 
 use std::collections::VecDeque;
-use std::fs::{self, File, OpenOptions};
+use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{self, BufRead as _, BufReader, Write as _};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -34,6 +34,8 @@ pub(crate) struct Store {
     loaded: Option<Segment>,
     /// Readings that were lost since the last [`take_dropped`](Self::take_dropped).
     dropped: u64,
+    /// Locked, so that no other process uses the directory.
+    _lock: File,
     /// The names of the configuration, to which the lines refer.
     names: Vec<(String, Vec<String>)>,
 }
@@ -62,6 +64,7 @@ impl Store {
     /// Opens the directory, and finds what an earlier process has left.
     pub(crate) fn open(buffer: &Buffer, config: &Config) -> io::Result<Self> {
         fs::create_dir_all(&buffer.directory)?;
+        let lock = lock(&buffer.directory.join("lock"))?;
         let bytes = u64::from(buffer.mib).max(1) << 20;
         let names = config
             .controllers
@@ -77,6 +80,7 @@ impl Store {
             open: None,
             loaded: None,
             dropped: 0,
+            _lock: lock,
             names: names.collect(),
         };
         store.find()?;
@@ -221,6 +225,16 @@ impl Store {
     }
 }
 
+/// Locks a file until it is closed.
+fn lock(path: &Path) -> io::Result<File> {
+    let file = OpenOptions::new().create(true).truncate(false).write(true).open(path)?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => Err(io::Error::other("another process uses this directory")),
+        Err(TryLockError::Error(error)) => Err(error),
+    }
+}
+
 /// Reads the lines of a file; a line that a crash has cut is left out.
 fn read_lines(path: &Path) -> io::Result<Vec<Line>> {
     let mut lines = Vec::new();
@@ -268,7 +282,19 @@ mod tests {
         assert_eq!(ids(&store.load(12).unwrap()), [3]);
         store.acknowledge();
         assert_eq!((ids(&store.load(12).unwrap()), store.stored_bytes(), store.take_dropped()), (vec![], 0, 0));
-        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
+        let left: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+        assert_eq!(left, ["lock"]);
+    }
+
+    #[test]
+    fn a_directory_has_one_store() {
+        let folder = tempfile::tempdir().unwrap();
+        let buffer = Buffer { directory: folder.path().to_owned(), mib: 1, hours: 1 };
+        let first = open(folder.path(), 1);
+        let error = Store::open(&buffer, &config()).unwrap_err();
+        assert_eq!(error.to_string(), "another process uses this directory");
+        drop(first);
+        assert!(Store::open(&buffer, &config()).is_ok());
     }
 
     #[test]

@@ -319,3 +319,31 @@ async fn readings_without_a_broker_are_sent_as_historical() {
     }
     fleet.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn history_of_a_disconnected_device_ends_with_its_death() {
+    let Some(mut broker) = Mosquitto::open() else { return };
+    let mut robot = Robot::start().await;
+    let mut host = Host::start(broker.port).await;
+    let fleet = Running::start(&config(broker.port, "[metrics]\nport = 0", &[&robot])).await;
+    let alias = named(&host.next("DBIRTH/edge1/cell1").await, "I1").alias.unwrap();
+    broker.stop();
+    let before = fleet.metric("bcap_readings_total{controller=\"cell1\"}").await;
+    robot.set(1, 7);
+    // each point was read twice
+    while fleet.metric("bcap_readings_total{controller=\"cell1\"}").await < before + 12 {
+        tokio::time::sleep(std::time::Duration::from_millis(1)).await;
+    }
+    robot.kill().await;
+    while fleet.metric("bcap_controller_up{controller=\"cell1\"}").await != 0 {
+        tokio::time::sleep(std::time::Duration::from_millis(1)).await;
+    }
+    broker.restart();
+    host.next("NBIRTH/edge1").await;
+    let birth = host.next("DBIRTH/edge1/cell1").await;
+    assert!(birth.metrics.iter().all(|metric| metric.is_null), "{birth:?}");
+    let data = host.data("cell1", alias).await;
+    assert_eq!((data.value, data.is_historical), (Some(Field::Number(7)), true));
+    host.next("DDEATH/edge1/cell1").await;
+    fleet.stop().await;
+}

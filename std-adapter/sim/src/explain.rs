@@ -57,7 +57,7 @@ const FUNCTIONS: &[(FunctionId, &str)] = &[
     (
         FunctionId::ROBOT_ROTATE,
         "plane BSTR: XY, YZ or ZX; degrees; centre BSTR: V(x,y,z) or a variable V; option BSTR: @0, @P, @n, Pose=1 \
-         (the flange turns) or Pose=2 (it does not), and the options of Robot_Move",
+         (the flange turns) or Pose=2 (it does not; the default), and the options of Robot_Move",
     ),
     (FunctionId::ROBOT_SPEED, "axis I4: -1 or 0; speed: percent, 0.0001 to 100"),
     (FunctionId::ROBOT_ACCELERATE, "axis I4: -1 or 0; acceleration and deceleration: percent, 0.0001 to 100, or -1"),

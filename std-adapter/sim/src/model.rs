@@ -268,7 +268,10 @@ mod tests {
             ("name = \"RC9\"", "name = \" \"", line("name = \"RC9\""), "`name` is empty"),
             ("d1 = 345.0", "d1 = -1.0", line("d1 = 345.0"), "`d1` is -1"),
             ("a2 = 250.0", "a2 = nan", line("a2 = 250.0"), "`a2` is NaN"),
+            ("d1 = 345.0", "d1 = 1e6", line("d1 = 345.0"), "`d1` is 1000000"),
             ("speed = 330.0", "speed = 0.0", line("speed = 330.0"), "J2: the speed is 0"),
+            ("speed = 330.0", "speed = 1e7", line("speed = 330.0"), "J2: the speed is 10000000"),
+            ("range = [-270.0, 270.0]", "range = [-270.0, 1e300]", line("speed = 450.0"), "J4: the range"),
             ("range = [-270.0, 270.0]", "range = [270.0, -270.0]", line("speed = 450.0"), "J4: the range"),
             ("home = [0.0, 45.0", "home = [0.0, 200.0", line("home = [0.0"), "`home`: J2"),
             ("    { range = [-360.0, 360.0], speed = 720.0 },\n", "", line("axes = ["), "`axes` has 5 elements"),
@@ -277,7 +280,13 @@ mod tests {
             let error = Model::parse(&valid.replace(from, to)).unwrap_err().to_string();
             assert!(error.starts_with(&format!("line {at}: ")) && error.contains(problem), "{to}: {error}");
         }
+        let sixth = "    { range = [-360.0, 360.0], speed = 720.0 },\n";
         for (from, to, problem) in [
+            (
+                sixth,
+                [sixth, "    { range = [1.0, 100.0], speed = 1.0 },\n"].concat().as_str(),
+                "J7: the range is [1, 100]",
+            ),
             ("io = 512", "io = 70000", "70000"),
             ("hand = false", "hands = false", "unknown field `hands`"),
             ("version = ", "# version = ", "missing field `version`"),

@@ -9,6 +9,7 @@ use bcap_core::endpoint::{Endpoint, Serve};
 use bcap_core::handler::{Outcome, PeerId};
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
+use bcap_sim::model::ArmProfile;
 use bcap_sim::scenario::Delivery;
 use bcap_sim::{Config, Controller, EMERGENCY_STOP, Profile, Scenario};
 
@@ -386,4 +387,13 @@ fn a_scenario_sets_type_name_and_axes_of_the_robot() {
         let error = Scenario::parse(&format!("[controller]\naxes = {axes}")).unwrap_err();
         assert_eq!(error.to_string(), "controller: `axes` is 6, 7 or 8");
     }
+    let scenario = Scenario::parse("[controller]\naxes = 7").unwrap();
+    let six = Config::new(Profile::Rc8);
+    assert!(scenario.check(&six).is_ok());
+    let four = six.with_arm(ArmProfile::Hsr065.arm());
+    let error = scenario.check(&four).unwrap_err();
+    assert_eq!(error.to_string(), "controller: `axes` is for an arm of six joints; this arm has four");
+    let mut sim = Controller::new(four);
+    sim.play(scenario);
+    assert_eq!(sim.config().extended_axes, 0);
 }

@@ -7,10 +7,10 @@ use clap::Args;
 /// Publishes variables of many controllers to an MQTT broker, as plain JSON or Sparkplug B
 ///
 /// CONFIG is a file in TOML with the broker, the controllers and the variables; docs/fleet.md describes it. The broker and the
-/// controllers may come and go. While the broker is away, readings go to a buffer on disk and are sent later as historical.
+/// controllers may disconnect and return. While the broker is disconnected, readings go to a buffer on disk and are sent later as historical.
 /// Variables can be written through the broker if a rule of CONFIG allows it; every such command is printed.
 ///
-/// Prints one JSON object a line: changes of connections, and commands. SIGINT and SIGTERM end it with 0.
+/// Prints a line `ready`, then one JSON object a line: changes of connections, and commands. SIGINT and SIGTERM end it with 0.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 A small CONFIG:

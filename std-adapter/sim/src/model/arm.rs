@@ -10,6 +10,12 @@ use crate::kinematics::{
     ACCELERATION_TIME, EXTENDED_RANGE, EXTENDED_SPEED, Geometry, Horizontal, Joints, Links, Vertical,
 };
 
+/// The longest link in mm.
+const LONGEST: f64 = 1e5;
+
+/// The largest end of a range, in degrees or mm, and the highest speed: beyond them calculations lose all digits.
+const LARGEST: f64 = 1e6;
+
 /// An arm that is built in, besides those of the [models](super::Profile): its file says where each value comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
@@ -170,12 +176,15 @@ impl ArmEntry {
     }
 
     fn links(&self, start: usize) -> Result<Links, Wrong> {
-        const ANY: f64 = -1e6;
+        const ANY: f64 = -LONGEST;
         let length = |(key, value): Length<'_>, least: f64| match value {
             None => Err((start, format!("missing field `{key}`"))),
             Some(value) => match *value.get_ref() {
-                n if n.is_finite() && n >= least => Ok(n),
-                n => Err((value.span().start, format!("`{key}` is {n}; it is a length in mm, {least} or more"))),
+                n if (least..=LONGEST).contains(&n) => Ok(n),
+                n => {
+                    let problem = format!("`{key}` is {n}; it is a length in mm, {least} to {LONGEST}");
+                    Err((value.span().start, problem))
+                }
             },
         };
         // an offset that most arms lack
@@ -226,8 +235,15 @@ impl ArmEntry {
             if !(low.is_finite() && high.is_finite() && low < high) {
                 return Err(wrong(&format!("the range is [{low}, {high}]; its first number is the lower one")));
             }
-            if !(speed.is_finite() && speed > 0.0) {
-                return Err(wrong(&format!("the speed is {speed}; it is above 0")));
+            if low < -LARGEST || high > LARGEST {
+                return Err(wrong(&format!("the range is [{low}, {high}]; its ends are -{LARGEST} to {LARGEST}")));
+            }
+            // `home` has no extended axes: they begin at 0
+            if n >= joints && !(low..=high).contains(&0.0) {
+                return Err(wrong(&format!("the range is [{low}, {high}]; that of an extended axis contains 0")));
+            }
+            if !(speed > 0.0 && speed <= LARGEST) {
+                return Err(wrong(&format!("the speed is {speed}; it is above 0, and at most {LARGEST}")));
             }
             (ranges[n], speeds[n]) = ((low, high), speed);
         }

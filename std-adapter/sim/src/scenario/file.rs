@@ -8,6 +8,7 @@ use serde::Deserialize;
 use super::section::{ModeName, SetupEntry, TokenName, read_code};
 use super::task::TaskEntry;
 use super::{Effect, Scenario, ScenarioError, ScenarioFault, Trigger, Which, WireFault};
+use crate::config::Config;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -60,6 +61,18 @@ enum ThenEntry {
 }
 
 impl Scenario {
+    /// Checks a scenario against the arm of a controller: one of four axes has no extended axes.
+    ///
+    /// # Errors
+    ///
+    /// A [`ScenarioError`]. [`Controller::play`](crate::Controller::play) ignores `axes` then.
+    pub fn check(&self, config: &Config) -> Result<(), ScenarioError> {
+        if self.controller.extended_axes.is_some() && config.geometry.joints() != 6 {
+            return Err(ScenarioError::Controller("`axes` is for an arm of six joints; this arm has four"));
+        }
+        Ok(())
+    }
+
     /// Reads a scenario from TOML.
     ///
     /// # Errors

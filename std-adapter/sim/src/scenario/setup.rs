@@ -71,7 +71,9 @@ impl Setup {
             limits.iter_mut().zip(own).for_each(|(limit, own)| *limit = own.or(*limit));
         }
         config.servo_on_waits = self.servo_on_waits.unwrap_or(config.servo_on_waits);
-        config.extended_axes = self.extended_axes.unwrap_or(config.extended_axes);
+        if let Some(axes) = self.extended_axes.filter(|_| config.geometry.joints() == 6) {
+            config.extended_axes = axes;
+        }
         let texts = [
             (&mut config.version, &self.version),
             (&mut config.robot_type, &self.robot_type),
