@@ -62,7 +62,8 @@ pub(crate) struct Request {
 #[derive(Debug, Default)]
 pub(crate) struct Memory {
     pub(crate) handle: Option<i32>,
-    pub(crate) count: usize,
+    /// Whether a datagram was invalid.
+    pub(crate) had_invalid: bool,
 }
 
 /// Changes a request; `None` drops it.
