@@ -14,6 +14,7 @@ use crate::interrupt::Interrupt;
 use crate::listen::taken;
 use crate::output::{print_block, print_json, print_line};
 use crate::robot::host;
+use crate::session::Session;
 use crate::target;
 
 /// Runs `bcap conform`.
@@ -30,7 +31,15 @@ pub(crate) fn conform(args: &Conform, link: &LinkArgs, json: bool) -> Result<(),
     }
     let options = options(args, link)?;
     let interrupt = Interrupt::install(|_| {})?;
-    let _ends = interrupt.end_between_calls();
+    let moves = args.level == LevelArg::Motion && chosen.iter().any(|case| case.level() == Level::Motion);
+    let _ends = if moves {
+        // the motor must not stay on, so the cases always end with their clean-up
+        Session::new(link).prepare_halt(&interrupt)?;
+        interrupt.halt_until_restored();
+        None
+    } else {
+        Some(interrupt.end_between_calls())
+    };
     let mut printed = Ok(());
     let report = bcap_conform::run(
         &options,
@@ -41,6 +50,8 @@ pub(crate) fn conform(args: &Conform, link: &LinkArgs, json: bool) -> Result<(),
         },
         || interrupt.is_interrupted(),
     );
+    interrupt.set_moving(false);
+    interrupt.dismiss();
     printed?;
     finish(args, json, &report, chosen.len())
 }

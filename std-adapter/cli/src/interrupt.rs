@@ -38,6 +38,8 @@ struct Shared {
     ends: AtomicBool,
     /// Whether the process goes on after the command: it is the shell, or runs a script.
     goes_on: AtomicBool,
+    /// Whether the command always restores what it changed, so that no number of signals ends it before.
+    restores: AtomicBool,
     /// How the robot is halted.
     stopper: Mutex<Option<Halt>>,
 }
@@ -61,6 +63,7 @@ impl Interrupt {
             moving: AtomicBool::new(false),
             ends: AtomicBool::new(false),
             goes_on: AtomicBool::new(false),
+            restores: AtomicBool::new(false),
             stopper: Mutex::new(None),
         }));
         let (signals, handler) = (signals()?, interrupt.clone());
@@ -106,7 +109,7 @@ impl Interrupt {
                 }
                 Err(_) => {}
             }
-            if again == MAX_INTERRUPTS {
+            if again == MAX_INTERRUPTS && !shared.restores.load(Ordering::SeqCst) {
                 let what = "interrupted again and again, so the command ends; the controller gives the arm back when it \
                             notices the end of the connection";
                 Failure::Interrupted(what.into()).print(false, None);
@@ -125,6 +128,13 @@ impl Interrupt {
     pub(crate) fn end_between_calls(&self) -> EndsBetweenCalls {
         self.0.ends.store(true, Ordering::SeqCst);
         EndsBetweenCalls(self.clone())
+    }
+
+    /// Halts the robot on every signal until [`set_moving`](Self::set_moving) says that the command has restored what it changed;
+    /// no number of signals ends the command before.
+    pub(crate) fn halt_until_restored(&self) {
+        self.0.restores.store(true, Ordering::SeqCst);
+        self.set_moving(true);
     }
 
     /// Records a signal.

@@ -42,16 +42,22 @@ const SLOW: &str = "8196,10,10,10";
 pub(crate) struct Bench<'a> {
     pub(crate) options: &'a Options,
     pub(crate) link: Link,
-    wire: Option<Wire>,
+    pub(crate) wire: Option<Wire>,
     pub(crate) serial: u16,
     handles: [Option<i32>; Slot::COUNT],
     pub(crate) last: Option<Sent>,
     /// The values of scratch variables before the case.
-    saved: Vec<(String, OwnedVariant)>,
-    /// The external speed before the case.
-    speed: Option<[f64; 3]>,
+    pub(crate) saved: Vec<(String, OwnedVariant)>,
+    /// The external speed before the first case that changed it; `None` when it is restored.
+    pub(crate) speed: Option<[f64; 3]>,
     /// Whether the arm was taken, so that the case must give it back.
-    armed: bool,
+    pub(crate) armed: bool,
+    /// The argument of DriveAEx that turns the axis of the case back.
+    pub(crate) way_back: Option<OwnedVariant>,
+    /// Whether a call may have started the task.
+    pub(crate) task_started: bool,
+    /// Tells whether the run is to end, so that nothing may move any more.
+    pub(crate) is_interrupted: Option<&'a dyn Fn() -> bool>,
     /// Whether a reply has arrived.
     answered: bool,
     /// Whether the device ended a connection before any reply.
@@ -62,8 +68,9 @@ pub(crate) struct Bench<'a> {
 
 impl<'a> Bench<'a> {
     pub(crate) fn new(options: &'a Options, link: Link) -> Self {
-        // over UDP a stale reply to an earlier client of the same port must not match
-        let serial = if link == Link::Udp { fastrand::u16(1..30000) } else { 1 };
+        // over UDP a stale reply to an earlier client of the same port must not match, and a low serial would make 65534 look like a
+        // late copy
+        let serial = if link == Link::Udp { fastrand::u16(1000..30000) } else { 1 };
         let (handles, log) = ([None; Slot::COUNT], Vec::new());
         Self {
             options,
@@ -75,6 +82,9 @@ impl<'a> Bench<'a> {
             saved: Vec::new(),
             speed: None,
             armed: false,
+            way_back: None,
+            task_started: false,
+            is_interrupted: None,
             answered: false,
             refused: false,
             log,
@@ -137,7 +147,10 @@ impl<'a> Bench<'a> {
         }
         self.armed = true;
         if self.speed.is_none() {
-            self.speed = self.external_speed()?;
+            let Some(speed) = self.external_speed()? else {
+                return skip("the external speed cannot be read, so it could not be restored");
+            };
+            self.speed = Some(speed);
         }
         // slow, whatever the program of the robot has set before
         let slow = self.robot_command("ExtSpeed", speed)?;
@@ -161,53 +174,9 @@ impl<'a> Bench<'a> {
         Ok(Some(speed))
     }
 
-    /// Sets the external speed as it was before the case.
-    fn restore_speed(&mut self) -> Result<(), Stop> {
-        let Some(speed) = self.speed.take() else { return Ok(()) };
-        let values = [OwnedVariant::new("ExtSpeed"), OwnedVariant::new(&speed)];
-        let [command, percent] = values.map(Result::unwrap_or_default);
-        let handle = self.argument(&Arg::H(Slot::Robot))?;
-        self.exchange(FunctionId::ROBOT_EXECUTE, vec![handle, command, percent]).map(drop)
-    }
-
     /// Calls Robot_Execute.
     pub(crate) fn robot_command(&mut self, command: &'static str, value: &'static str) -> Result<Reply, Stop> {
         self.call(FunctionId::ROBOT_EXECUTE, &[Arg::H(Slot::Robot), Arg::S(command), Arg::V(value)])
-    }
-
-    /// Leaves the device as it was: halts, ends Slave Mode, gives the arm back, restores variables.
-    pub(crate) fn clean_up(&mut self) -> Result<(), Stop> {
-        if self.armed {
-            self.armed = false;
-            let alive = self.robot_command("slvChangeMode", "3,0").is_ok();
-            if alive {
-                let _ = self.call(FunctionId::ROBOT_HALT, &[Arg::H(Slot::Robot), Arg::S("")]);
-                let _ = self.restore_speed();
-                let _ = self.robot_command("Motor", "8195,0,0");
-                let _ = self.robot_command("GiveArm", "0,");
-            }
-        }
-        if self.wire.is_some() {
-            // the connection may have ended as part of the case
-            let _ = self.call(FunctionId::SERVICE_STOP, &[]);
-        }
-        self.close();
-        for (name, value) in std::mem::take(&mut self.saved) {
-            self.restore(&name, value)?;
-        }
-        Ok(())
-    }
-
-    fn restore(&mut self, name: &str, value: OwnedVariant) -> Result<(), Stop> {
-        self.setup(Setup::Controller)?;
-        let variable = self.variable(name)?;
-        let reply = self.exchange(FunctionId::VARIABLE_PUT_VALUE, vec![variable, value])?;
-        let _ = self.call(FunctionId::SERVICE_STOP, &[]);
-        self.close();
-        if reply.code.is_err() {
-            return fail(format!("the value of {name} is restored"), reply.text());
-        }
-        Ok(())
     }
 
     /// Opens a variable of the controller, and returns its handle.
@@ -238,7 +207,21 @@ impl<'a> Bench<'a> {
         Ok(())
     }
 
-    fn close(&mut self) {
+    /// Keeps the value of a scratch variable for a case of RAC, if the device has an address of b-CAP.
+    pub(crate) fn save_over_bcap(&mut self, kind: &str) -> Result<(), Stop> {
+        if self.options.target.bcap.is_none() {
+            return Ok(());
+        }
+        let saved = self.setup(Setup::Controller).and_then(|()| self.save(kind));
+        self.attempt(FunctionId::SERVICE_STOP, Vec::new(), self.options.timeout);
+        self.close();
+        match saved {
+            Err(Stop::Fail { came, .. }) => skip(format!("the value of {kind} is not saved over b-CAP: {came}")),
+            other => other,
+        }
+    }
+
+    pub(crate) fn close(&mut self) {
         if let Some(wire) = self.wire.take() {
             wire.close(self.options.quiet);
         }
@@ -306,7 +289,14 @@ impl<'a> Bench<'a> {
         let bytes = encode(serial, marker, function.0, &args);
         self.send(&bytes, &request_text(serial, function, &args))?;
         self.last = Some(Sent { function, args, marker: serial, serial, reply: None });
+        // until a reply says otherwise
+        self.task_started |= function == FunctionId::TASK_START;
         let reply = self.reply(function, serial)?;
+        match function {
+            FunctionId::TASK_START if reply.code.is_err() => self.task_started = false,
+            FunctionId::TASK_STOP if reply.code.is_ok() => self.task_started = false,
+            _ => {}
+        }
         if let Some(last) = &mut self.last {
             last.reply = Some(reply.clone());
         }

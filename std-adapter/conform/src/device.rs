@@ -40,8 +40,6 @@ pub struct Options {
     pub task: String,
     /// The index of the variables that cases of level `write` may write: I90, F90, D90, S90, V90, P90, J90, T90.
     pub scratch: u32,
-    /// The number of the IO that these cases may write. Without it, no IO is written.
-    pub scratch_io: Option<u32>,
 }
 
 impl Options {
@@ -60,16 +58,12 @@ impl Options {
             option: String::new(),
             task: "Pro1".into(),
             scratch: 90,
-            scratch_io: None,
         }
     }
 
     /// Returns the name of the scratch variable of a kind.
     pub(crate) fn scratch(&self, kind: &str) -> String {
-        match (kind, self.scratch_io) {
-            ("IO", Some(number)) => format!("IO{number}"),
-            _ => format!("{kind}{}", self.scratch),
-        }
+        format!("{kind}{}", self.scratch)
     }
 }
 

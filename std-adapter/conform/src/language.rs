@@ -174,6 +174,10 @@ pub(crate) enum Step {
     Copy { renumbered: bool },
     /// Ends the connection and starts another session; handles keep their places.
     Reconnect,
+    /// Ends the connection, starts another session and connects to the controller.
+    ReconnectController,
+    /// Connects to the controller once more.
+    ConnectController,
     /// Keeps the value of the scratch variable of a kind, to restore it after the case.
     Save(&'static str),
     /// Sends a line of RAC and checks the answer.

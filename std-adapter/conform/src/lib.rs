@@ -33,6 +33,7 @@ mod language;
 mod line;
 mod report;
 mod steps;
+mod undo;
 mod wire;
 
 use std::time::{Duration, Instant};
@@ -56,6 +57,8 @@ pub fn cases() -> Vec<Case> {
 /// Before each case it asks `ended` whether to end early; the arm is given back and variables are restored by then.
 pub fn run(options: &Options, mut each: impl FnMut(&CaseResult), ended: impl Fn() -> bool) -> Report {
     let mut report = Report::default();
+    // what a case could not restore, the next one restores
+    let mut speed = None;
     for case in cases() {
         let name = case.name();
         let wanted = (options.groups.is_empty() || options.groups.contains(&case.group))
@@ -66,7 +69,7 @@ pub fn run(options: &Options, mut each: impl FnMut(&CaseResult), ended: impl Fn(
         if ended() {
             break;
         }
-        let result = judge(&case, options);
+        let result = judge(&case, options, &ended, &mut speed);
         each(&result);
         report.results.push(result);
     }
@@ -95,10 +98,20 @@ fn inapplicable(case: &Case, options: &Options) -> Option<String> {
 const REFUSALS: usize = 5;
 const REFUSAL_PAUSE: Duration = Duration::from_millis(100);
 
-fn judge(case: &Case, options: &Options) -> CaseResult {
+fn judge<'a>(
+    case: &Case,
+    options: &'a Options,
+    ended: &'a dyn Fn() -> bool,
+    speed: &mut Option<[f64; 3]>,
+) -> CaseResult {
     let began = Instant::now();
     let link = options.target.bcap.map_or(Link::Tcp, |(link, _)| link);
-    let mut bench = Bench::new(options, link);
+    let new_bench = |speed| {
+        let mut bench = Bench::new(options, link);
+        (bench.speed, bench.is_interrupted) = (speed, Some(ended));
+        bench
+    };
+    let mut bench = new_bench(*speed);
     let mut outcome = match inapplicable(case, options) {
         Some(reason) => Err(Stop::Skip(reason)),
         None => bench.run(case),
@@ -108,9 +121,10 @@ fn judge(case: &Case, options: &Options) -> CaseResult {
             break;
         }
         std::thread::sleep(REFUSAL_PAUSE);
-        bench = Bench::new(options, link);
+        bench = new_bench(bench.speed);
         outcome = bench.run(case);
     }
+    *speed = bench.speed;
     let (verdict, reason, expected, came) = match outcome {
         Ok(()) => (Verdict::Pass, None, None, None),
         Err(Stop::Skip(reason)) => (Verdict::Skip, Some(reason), None, None),

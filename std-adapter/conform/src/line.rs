@@ -5,7 +5,7 @@ use std::net::{SocketAddr, TcpStream};
 use std::time::{Duration, Instant};
 
 use bcap_core::hresult::HResult;
-use bcap_core::rac::Response;
+use bcap_core::rac::{Response, VariableKind};
 use bcap_core::variant::VarType;
 
 use crate::bench::{Bench, Stop, fail, skip};
@@ -74,8 +74,14 @@ pub(crate) fn ask(bench: &mut Bench<'_>, wire: &mut LineWire, line: &str) -> Res
     }
 }
 
-/// Sends a line on a connection of its own, and checks the answer. `{n}` is the scratch index.
+/// Sends a line on a connection of its own, and checks the answer. `{n}` is the scratch index; a PUT to it saves the variable
+/// before.
 pub(crate) fn check(bench: &mut Bench<'_>, line: &str, want: LineWant) -> Result<(), Stop> {
+    if let Some(kind) = line.strip_prefix("PUT:RC8:{n}:").and_then(|rest| rest.split(':').next())
+        && VariableKind::from_name(kind).is_some()
+    {
+        bench.save_over_bcap(kind)?;
+    }
     let mut wire = connect(bench)?;
     let line = line.replace("{n}", &bench.options.scratch.to_string());
     let answer = ask(bench, &mut wire, &line)?;

@@ -8,7 +8,7 @@ use bcap_core::variant::OwnedVariant;
 use crate::bench::{Bench, Stop, fail};
 use crate::case::{Body, Case};
 use crate::device::Refusals;
-use crate::language::{Arg, Step, Want};
+use crate::language::{Arg, Setup, Step, Want};
 use crate::line;
 use crate::wire::{encode, request_text};
 
@@ -46,6 +46,8 @@ impl Bench<'_> {
                 self.connect()?;
                 self.must(FunctionId::SERVICE_START, &[Arg::S("")], Want::NoValue).map(drop)
             }
+            Step::ReconnectController => self.setup(Setup::Controller),
+            Step::ConnectController => self.open_controller(),
             Step::Save(kind) => self.save(kind),
             Step::Line(line, want) => line::check(self, line, want),
         }

@@ -11,7 +11,8 @@ use clap::{Args, ValueEnum};
 /// skipped case with the reason. The address of --robot chooses the link of b-CAP, TCP or UDP. RAC is at the same host.
 /// docs/conformance.md describes the groups.
 ///
-/// The exit code is 0 if no case failed, otherwise 1. Ctrl-C ends the run after the present case.
+/// The exit code is 0 if no case failed, otherwise 1. Ctrl-C ends the run after the present case; with --level motion it
+/// halts the robot first, and the case restores what it changed.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:

@@ -61,7 +61,9 @@ pub(crate) struct Fuzz {
     #[arg(long, value_name = "RANGE", value_parser = range)]
     pub(crate) with_writes: Vec<AllowBuf>,
 
-    /// Sends every function and command: it moves the robot, switches its motor, starts tasks, and changes settings and files
+    /// Sends every function of the specification, and commands that move or set, such as Draw, Motor, SetTool and KillAll
+    ///
+    /// The robot moves, tasks start and stop, and settings and files change. docs/fuzzing-devices.md lists the commands.
     #[arg(long)]
     pub(crate) with_motion: bool,
 

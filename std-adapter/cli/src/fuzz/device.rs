@@ -13,7 +13,7 @@ use bcap_testkit::step::{Argument, Call, Delivery, Step};
 use bcap_testkit::value::Value;
 
 use super::finding::{Finding, Kind};
-use super::gate::Gate;
+use super::gate::{Gate, TAIL};
 use super::session::Session;
 use super::wire::{Protocol, Received, Wire};
 use crate::error::Failure;
@@ -60,6 +60,8 @@ struct Run<'a> {
     session: Session,
     /// Calls that are written together with the next one.
     joined: Vec<TestFrame>,
+    /// The last bytes that were sent on the connection, or are to be sent with the next call.
+    tail: Vec<u8>,
     /// Openings that succeeded.
     opened: HashSet<String>,
 }
@@ -74,6 +76,7 @@ impl Device {
             rac: None,
             session: Session::default(),
             joined: Vec::new(),
+            tail: Vec::new(),
             opened: HashSet::new(),
         };
         let found = run.steps(steps)?;
@@ -169,7 +172,7 @@ impl Run<'_> {
                 Step::Line(line) => self.line(line)?,
                 Step::Reconnect => {
                     self.wire.take().into_iter().for_each(Wire::close);
-                    (self.session, self.joined) = (Session::default(), Vec::new());
+                    (self.session, self.joined, self.tail) = (Session::default(), Vec::new(), Vec::new());
                     Next::Continue
                 }
             };
@@ -191,9 +194,24 @@ impl Run<'_> {
         wire.map_err(|error| Finding::new(Kind::Crash, "a new client", format!("cannot connect: {error}")))
     }
 
+    /// Returns whether the bytes may follow those sent before, and records that they do.
+    fn follows(&mut self, bytes: &[u8]) -> bool {
+        let is_allowed = self.device.gate.has_joint(&self.tail, bytes);
+        if is_allowed {
+            self.tail.extend_from_slice(bytes);
+            self.tail.drain(..self.tail.len().saturating_sub(TAIL));
+        }
+        is_allowed
+    }
+
     fn call(&mut self, call: &Call, is_joined: bool) -> Result<Next, Failure> {
         let frame = self.session.frame(call);
-        if !self.device.gate.has_call(&frame, self.session.variable(&frame)) {
+        // a joined call may release the handle or give it to another variable
+        let is_blind = !self.joined.is_empty() && frame.code == FunctionId::VARIABLE_PUT_VALUE.0;
+        if is_blind
+            || !self.device.gate.has_call(&frame, self.session.variable(&frame))
+            || !self.follows(&frame.to_wire(false))
+        {
             return Ok(Next::Continue);
         }
         if is_joined {
@@ -245,9 +263,13 @@ impl Run<'_> {
                         return Ok(Next::Found(Finding::of_function(Kind::Leak, request.code, detail)));
                     }
                     again -= 1;
+                    let bytes = request.to_wire(false);
+                    if !self.follows(&bytes) {
+                        return Ok(Next::End);
+                    }
                     self.device.interrupt.sleep(RELEASING)?;
                     self.device.pace()?;
-                    wire.send(&request.to_wire(false));
+                    wire.send(&bytes);
                     continue;
                 }
                 _ => {}
@@ -259,7 +281,8 @@ impl Run<'_> {
     /// Sends hostile bytes, which end the connection.
     fn bytes(&mut self, bytes: &[u8]) -> Result<Next, Failure> {
         const SUBJECT: &str = "bytes";
-        if !self.device.gate.has_bytes(bytes) {
+        // joined calls that no call followed were not sent, so the end of what was sent is unknown
+        if !self.joined.is_empty() || !self.device.gate.has_bytes(bytes) || !self.follows(bytes) {
             return Ok(Next::End);
         }
         let mut wire = match self.wire() {
@@ -286,6 +309,7 @@ impl Run<'_> {
                 }
                 Received::Packet(_) | Received::Closed => Next::End,
             },
+            _ if wire.is_stuck() => Next::Found(Finding::new(Kind::Hang, SUBJECT, "the device takes no more bytes")),
             _ => Next::End,
         };
         wire.close();
@@ -295,7 +319,7 @@ impl Run<'_> {
     /// Sends lines of RAC.
     fn line(&mut self, lines: &[u8]) -> Result<Next, Failure> {
         const SUBJECT: &str = "RAC";
-        let Some(addresses) = self.device.rac.as_deref().filter(|_| self.device.gate.has_line(lines)) else {
+        let Some(addresses) = self.device.rac.as_deref().filter(|_| self.device.gate.has_lines(lines)) else {
             return Ok(Next::Continue);
         };
         let mut wire = match self.rac.take() {

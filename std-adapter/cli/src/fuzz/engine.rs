@@ -145,15 +145,19 @@ fn keep(device: &mut Device, plan: &Plan, found: Found, number: usize) -> Result
         let answers = recover(device, plan.restart)?;
         Ok(answers.then(|| found.is_some_and(|found| found.is_same(&finding))))
     };
-    let steps = if fails(&steps)? == Some(true) {
-        saved.is_repeatable = true;
-        minimise(steps, fails)?
-    } else {
-        remarks.push(
-            "the steps did not fail when they were run again, so an earlier session or the time has a part in it"
-                .into(),
-        );
-        steps
+    let steps = match fails(&steps)? {
+        Some(true) => {
+            saved.is_repeatable = true;
+            minimise(steps, fails)?
+        }
+        Some(false) => {
+            remarks.push("the steps did not fail again, so it depends on an earlier session or on timing".into());
+            steps
+        }
+        None => {
+            remarks.push("the steps were run again, and the device did not come back".into());
+            steps
+        }
     };
     saved.steps = steps.len();
     saved.files.write_steps(&steps, &remarks)?;

@@ -118,21 +118,37 @@ impl Gate {
         self.with_motion || (code_at(bytes, 0).is_none_or(is_safe) && is_safe_inside(bytes))
     }
 
+    /// Returns whether bytes may be sent after `tail`, the last bytes that were sent on the connection: no frame that begins in the
+    /// tail calls a function that does more than read.
+    pub(super) fn has_joint(&self, tail: &[u8], bytes: &[u8]) -> bool {
+        let starts = tail.len().saturating_sub(TAIL)..tail.len();
+        let joint = [tail, bytes].concat();
+        self.with_motion || starts.into_iter().all(|at| is_harmless_at(&joint, at))
+    }
+
     /// Returns the name of a variable that may be written, if there is one.
     pub(super) fn any_variable(&self) -> Option<String> {
         let allow = self.writable.first()?.as_allow();
         Some(format!("{}{}", allow.kind.name(), allow.first))
     }
 
-    /// Returns whether lines of RAC may be sent.
-    pub(super) fn has_line(&self, line: &[u8]) -> bool {
-        let writes = line.windows(3).any(|word| word.eq_ignore_ascii_case(b"PUT"));
-        if self.with_motion || !writes {
-            return true;
+    /// Returns whether lines of RAC may be sent. The last one needs its CR, so that it does not continue in the next step.
+    pub(super) fn has_lines(&self, lines: &[u8]) -> bool {
+        let Some(lines) = lines.strip_suffix(b"\r") else { return self.with_motion };
+        self.with_motion || lines.split(|byte| *byte == b'\r').all(|line| self.has_line(line))
+    }
+
+    /// Returns whether a line without its CR may be sent: it reads, it writes an allowed variable, or it has no word.
+    fn has_line(&self, line: &[u8]) -> bool {
+        let has_word = line.windows(2).any(|pair| matches!(pair, [first, second] if first != second));
+        let verb = line.trim_ascii_start().get(..4).unwrap_or_default();
+        if verb.eq_ignore_ascii_case(b"GET:") || !has_word {
+            // a device may end a line elsewhere, so the rest must not be a request to write
+            return !line.windows(3).any(|word| word.eq_ignore_ascii_case(b"PUT"));
         }
         let mut memory = [0; 1024];
-        let request = line.strip_suffix(b"\r").and_then(|line| Request::parse(line, &mut memory).ok());
-        matches!(request, Some(Request::Put(variable, _)) if self.writes(variable))
+        let request = Request::parse(line, &mut memory);
+        verb == b"PUT:" && matches!(request, Ok(Request::Put(variable, _)) if self.writes(variable))
     }
 
     fn writes(&self, variable: Variable) -> bool {
@@ -142,6 +158,9 @@ impl Gate {
             .any(|allow| allow.kind == variable.kind && (allow.first..=allow.last).contains(&variable.index))
     }
 }
+
+/// The bytes before a packet in which a receiver that lost its place may see the beginning of a frame that ends in the packet.
+pub(super) const TAIL: usize = 12;
 
 /// Parses the name of a variable, such as `I90`.
 fn variable_of(name: &str) -> Option<Variable> {
@@ -170,10 +189,14 @@ fn code_at(bytes: &[u8], at: usize) -> Option<i32> {
 /// Returns whether a receiver that lost its place, and takes a later byte for the beginning of a frame, sees no known function that
 /// does more than read. Numbers that no public source describes are too common among lengths and values to refuse them here.
 fn is_safe_inside(bytes: &[u8]) -> bool {
+    (1..bytes.len()).all(|at| is_harmless_at(bytes, at))
+}
+
+/// Returns whether a frame that begins at this place, if one does, calls no known function that does more than read.
+fn is_harmless_at(bytes: &[u8], at: usize) -> bool {
     const SOH: u8 = 1;
-    let starts = bytes.iter().enumerate().skip(1).filter(|(_, byte)| **byte == SOH);
     let is_harmless = |code| is_safe(code) || FunctionId(code).signature().is_none();
-    starts.into_iter().all(|(at, _)| code_at(bytes, at).is_none_or(is_harmless))
+    bytes.get(at) != Some(&SOH) || code_at(bytes, at).is_none_or(is_harmless)
 }
 
 #[cfg(test)]
@@ -200,7 +223,10 @@ mod tests {
             assert!(passes(function, vec![Value::I4(0)]), "{function}");
         }
         let robot = Value::I4(3);
-        for function in FunctionId::all().filter(|function| !reads(function.0)) {
+        // GetFile reads without its option
+        let opens_file = |function: FunctionId| function.to_string().ends_with("_GetFile");
+        let is_refused = |function: &FunctionId| !reads(function.0) && !opens_file(*function);
+        for function in FunctionId::all().filter(is_refused) {
             assert!(!passes(function, vec![]), "{function}");
             assert!(!passes(function, vec![robot.clone(), Value::text("TakeArm"), Value::Empty]), "{function}");
         }
@@ -223,6 +249,11 @@ mod tests {
         let inside = Value::Array(17, movement.iter().map(|byte| Value::Ui1(*byte)).collect());
         assert!(!gate.has_call(&frame(FunctionId::VARIABLE_GET_VALUE, vec![inside]), None));
         assert!(Gate::new(vec![], true).has_bytes(&movement));
+        for at in 1..TAIL {
+            assert!(!gate.has_joint(&movement[..at], &movement[at..]), "a frame in two packets, from byte {at} on");
+            assert!(gate.has_joint(&read[..at], &read[at..]), "{at}");
+        }
+        assert!(gate.has_joint(&[], &movement), "the packet itself is checked by has_bytes");
     }
 
     #[test]
@@ -236,10 +267,16 @@ mod tests {
             assert_eq!(some.has_call(&put, Some(name)), passes, "{name}");
         }
         assert!(!some.has_call(&put, None));
-        assert!(none.has_line(b"GET:RC8:1:I:\r") && !none.has_line(b"PUT:RC8:90:I:3,1\r"));
-        assert!(some.has_line(b"PUT:RC8:90:I:3,1\r") && !some.has_line(b"PUT:RC8:1:I:3,1\r"));
-        assert!(!some.has_line(b"put:RC8:90:I:3,1\r"), "only a line that is certain to write the range");
-        assert!(!some.has_line(b"PUT:RC8:90:I:3,1\rPUT:RC8:1:I:3,1\r"));
+        assert!(none.has_lines(b"GET:RC8:1:I:\r") && !none.has_lines(b"PUT:RC8:90:I:3,1\r"));
+        assert!(some.has_lines(b"PUT:RC8:90:I:3,1\r") && !some.has_lines(b"PUT:RC8:1:I:3,1\r"));
+        assert!(!some.has_lines(b"put:RC8:90:I:3,1\r"), "only a line that is certain to write the range");
+        assert!(!some.has_lines(b"PUT:RC8:90:I:3,1\rPUT:RC8:1:I:3,1\r"));
+        for line in [" \tGET:RC8:1:I:\r", "GET:RC8:1:I:\rGET:RC8:x:I:\r", "GGGG\r", "\r"] {
+            assert!(none.has_lines(line.as_bytes()), "{line:?}");
+        }
+        for line in ["", "GET:RC8:1:I:", "SET:RC8:1:I:3,1\r", "GET:RC8:1:I:\nPUT:RC8:1:I:3,1\r", "RUN\r"] {
+            assert!(!some.has_lines(line.as_bytes()), "{line:?}");
+        }
     }
 
     #[test]

@@ -16,17 +16,35 @@ pub(super) fn minimise(
         return Ok(best);
     }
     for place in 0..best.len() {
+        if !simplify(&mut best, place, &mut fails)? {
+            return Ok(best);
+        }
+    }
+    Ok(best)
+}
+
+/// Replaces a step by simpler forms as long as the steps fail. Returns whether budget is left.
+fn simplify(
+    best: &mut Vec<Step>,
+    place: usize,
+    fails: &mut impl FnMut(&[Step]) -> Result<Option<bool>, Failure>,
+) -> Result<bool, Failure> {
+    'changed: loop {
+        // each form has one change, so an accepted form has forms of its own
         for simpler in best.get(place).map(simpler).unwrap_or_default() {
             let mut steps = best.clone();
             steps.splice(place..=place, [simpler]);
             match fails(&steps)? {
-                Some(true) => best = steps,
+                Some(true) => {
+                    *best = steps;
+                    continue 'changed;
+                }
                 Some(false) => {}
-                None => return Ok(best),
+                None => return Ok(false),
             }
         }
+        return Ok(true);
     }
-    Ok(best)
 }
 
 /// Removes chunks of steps, smaller and smaller ones, as long as the rest fails (ddmin). Returns whether budget is left.

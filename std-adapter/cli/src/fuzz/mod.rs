@@ -155,7 +155,7 @@ fn may_pass(gate: &Gate, step: &Step) -> bool {
     match step {
         Step::Call(call) => gate.has_call(&call.to_frame(1, |_: &Argument| 0), gate.any_variable().as_deref()),
         Step::Bytes(bytes) => gate.has_bytes(bytes),
-        Step::Line(line) => gate.has_line(line),
+        Step::Line(line) => gate.has_lines(line),
         Step::Reconnect => true,
     }
 }

@@ -1,6 +1,7 @@
 //! The files of a finding: its steps as a text, and a capture of a run.
 
 use std::fs;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use bcap_testkit::step::{self, Step};
@@ -16,11 +17,19 @@ pub(super) struct Files {
 }
 
 impl Files {
-    /// Chooses the names for the finding with a number, and makes the folder.
+    /// Makes the folder and the file of the steps, with the first number from `number` on that has no file of this kind.
     pub(super) fn new(folder: &Path, number: usize, finding: &Finding) -> Result<Self, Failure> {
         fs::create_dir_all(folder).map_err(|error| not_written(folder, &error))?;
-        let file = |extension| folder.join(format!("{number:02}-{}.{extension}", finding.kind.name()));
-        Ok(Self { steps: file("steps"), capture: file("pcapng") })
+        let mut number = number;
+        loop {
+            let file = |extension| folder.join(format!("{number:02}-{}.{extension}", finding.kind.name()));
+            let files = Self { steps: file("steps"), capture: file("pcapng") };
+            match fs::File::create_new(&files.steps) {
+                Ok(_) => return Ok(files),
+                Err(error) if error.kind() == ErrorKind::AlreadyExists => number += 1,
+                Err(error) => return Err(not_written(&files.steps, &error)),
+            }
+        }
     }
 
     /// Writes the steps, with `remarks` before them.

@@ -15,6 +15,7 @@ use super::finding::{Finding, Kind};
 struct Open {
     object: Object,
     handle: i32,
+    /// The name of a variable of the controller, otherwise empty.
     name: String,
 }
 
@@ -59,12 +60,20 @@ impl Session {
             return None;
         }
         let finding = self.invalid_handle(request);
-        if function == FunctionId::SERVICE_STOP {
-            self.is_stopped = true;
+        match function {
+            FunctionId::SERVICE_START => self.is_stopped = false,
+            FunctionId::SERVICE_STOP => {
+                self.is_stopped = true;
+                self.open.clear();
+            }
+            _ => {}
         }
         if let (Some(object), Some(Value::I4(handle))) = (function.opens(), reply.args.first()) {
+            // a variable of a task or a robot may have the name of one of the controller
             let name = match request.args.get(1) {
-                Some(Value::Bstr(units)) => String::from_utf16_lossy(units),
+                Some(Value::Bstr(units)) if function == FunctionId::CONTROLLER_GET_VARIABLE => {
+                    String::from_utf16_lossy(units)
+                }
                 _ => String::new(),
             };
             self.open.push(Open { object, handle: *handle, name });

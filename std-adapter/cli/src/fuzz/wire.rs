@@ -37,6 +37,8 @@ pub(super) struct Wire {
     protocol: Protocol,
     received: Vec<u8>,
     tape: Option<(Recorder, Ends)>,
+    /// Whether the device took no more bytes within the time limit.
+    is_stuck: bool,
 }
 
 impl Wire {
@@ -50,7 +52,10 @@ impl Wire {
         let mut last = io::Error::from(io::ErrorKind::NotFound);
         for address in addresses {
             match TcpStream::connect_timeout(address, timeout) {
-                Ok(stream) => return Self::new(stream, protocol, recorder),
+                Ok(stream) => {
+                    stream.set_write_timeout(Some(timeout))?;
+                    return Self::new(stream, protocol, recorder);
+                }
                 Err(error) => last = error,
             }
         }
@@ -67,14 +72,19 @@ impl Wire {
         if let Some((recorder, ends)) = &tape {
             recorder.opened(*ends);
         }
-        Ok(Self { stream, protocol, received: Vec::new(), tape })
+        Ok(Self { stream, protocol, received: Vec::new(), tape, is_stuck: false })
     }
 
-    /// Sends bytes. An error is not reported: the device closed the connection, which the next receive tells, after the bytes that
-    /// the device sent before.
+    /// Sends bytes. An error is not reported: the next receive returns what the device sent before, and then that it closed the
+    /// connection, or silence if it took no more bytes.
     pub(super) fn send(&mut self, bytes: &[u8]) {
         self.record(Role::Request, bytes);
-        let _ = self.stream.write_all(bytes);
+        self.is_stuck |= self.stream.write_all(bytes).is_err_and(|error| is_timeout(&error));
+    }
+
+    /// Returns whether the device took no more bytes within the time limit.
+    pub(super) const fn is_stuck(&self) -> bool {
+        self.is_stuck
     }
 
     /// Receives a packet.
@@ -91,7 +101,7 @@ impl Wire {
             let end = |wire: &mut Self, end| {
                 Ok(if is_empty { end } else { Received::Packet(std::mem::take(&mut wire.received)) })
             };
-            if left.is_zero() {
+            if left.is_zero() || self.is_stuck {
                 return end(self, Received::Silence);
             }
             self.stream.set_read_timeout(Some(left))?;

@@ -3,9 +3,9 @@
 use bcap_core::bcap::FunctionId as F;
 use bcap_core::hresult::HResult;
 
-use crate::case::Arg::{H, I, S, Unsigned, V};
+use crate::case::Arg::{H, I, S, Scratch, Unsigned, V};
 use crate::case::Setup::{Connected, Controller, Started};
-use crate::case::{Case, Group, Setup, Slot, Step, Want, case, steps};
+use crate::case::{Case, Group, Level, Setup, Slot, Step, Want, case, steps};
 
 const COUNT: Want = Want::Code(&[HResult::E_INVALIDARG]);
 const TYPE: Want = Want::Code(&[HResult::E_INVALIDARGTYPE, HResult::E_INVALIDARG]);
@@ -134,10 +134,12 @@ pub(super) const CASES: &[Case] = &[
         "Variable_PutValue has two arguments",
         Controller,
         &[
-            Step::Open(Slot::A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")]),
+            Step::Save("I"),
+            Step::Open(Slot::A, F::CONTROLLER_GET_VARIABLE, &[H(C), Scratch("I"), S("")]),
             Step::Must(F::VARIABLE_PUT_VALUE, &[H(Slot::A)], COUNT),
         ],
-    ),
+    )
+    .at(Level::Write),
     arguments(
         "handle-as-ui4",
         "S2:299",

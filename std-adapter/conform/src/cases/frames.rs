@@ -165,10 +165,10 @@ pub(super) const CASES: &[Case] = &[
         &[Step::Must(F::SERVICE_START, &[], Want::NoValue), Step::Call(F(0), &[], Want::Refused)],
     ),
     frame(
-        "function-138",
+        "function-65536",
         "S2:1806",
         "the functions are 1 to 137",
-        &[Step::Must(F::SERVICE_START, &[], Want::NoValue), Step::Must(F(138), &[], Want::Refused)],
+        &[Step::Must(F::SERVICE_START, &[], Want::NoValue), Step::Must(F(65_536), &[], Want::Refused)],
     ),
     frame(
         "function-negative",
@@ -219,7 +219,7 @@ pub(super) const CASES: &[Case] = &[
         "a refused call does not end the session",
         &[
             Step::Must(F::SERVICE_START, &[], Want::NoValue),
-            Step::Must(F(999), &[], Want::Refused),
+            Step::Must(F(65_999), &[], Want::Refused),
             Step::Must(F::SERVICE_STOP, &[], Want::NoValue),
         ],
     ),
@@ -276,7 +276,7 @@ impl Case {
 fn serial_wraps(bench: &mut Bench<'_>) -> Result<(), Stop> {
     bench.serial = 0xfffe;
     for _ in 0..4 {
-        bench.must(F(999), &[], Want::Refused)?;
+        bench.must(F(65_999), &[], Want::Refused)?;
     }
     Ok(())
 }
@@ -285,7 +285,7 @@ fn serial_jumps(bench: &mut Bench<'_>) -> Result<(), Stop> {
     // ascending: over UDP a lower serial is a late copy
     for serial in [30_100, 30_101, 31_000] {
         bench.serial = serial;
-        bench.must(F(999), &[], Want::Refused)?;
+        bench.must(F(65_999), &[], Want::Refused)?;
     }
     Ok(())
 }

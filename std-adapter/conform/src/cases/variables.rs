@@ -3,7 +3,6 @@
 use std::borrow::Cow;
 
 use bcap_core::bcap::FunctionId as F;
-use bcap_core::hresult::HResult;
 
 use crate::case::Arg::{H, I, S, Scratch, V};
 use crate::case::Setup::{Controller, Robot, Task};
@@ -229,7 +228,8 @@ pub(super) const CASES: &[Case] = &[
             Step::Call(F::VARIABLE_PUT_ID, &[H(A), I(2)], Want::NoValue),
             Step::Must(F::VARIABLE_GET_VALUE, &[H(A)], Want::Type(3)),
         ],
-    ),
+    )
+    .at(Level::Write),
     written!("write-i", "I", "3,-12345"),
     written!("write-f", "F", "4,-0.25"),
     written!("write-d", "D", "5,-0.1"),
@@ -258,8 +258,9 @@ pub(super) const CASES: &[Case] = &[
             Step::Save("I"),
             Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), Scratch("I"), S("")]),
             Step::Call(F::VARIABLE_PUT_VALUE, &[H(A), V("3,4711")], Want::NoValue),
-            Step::Reconnect,
-            Step::Must(F::VARIABLE_GET_VALUE, &[H(A)], Want::Code(&[HResult::E_HANDLE])),
+            Step::ReconnectController,
+            Step::Open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), Scratch("I"), S("")]),
+            Step::Must(F::VARIABLE_GET_VALUE, &[H(A)], Want::Value("3,4711")),
         ],
     )
     .at(Level::Write),

@@ -62,7 +62,8 @@ pub(crate) struct Request {
 #[derive(Debug, Default)]
 pub(crate) struct Memory {
     pub(crate) handle: Option<i32>,
-    pub(crate) count: usize,
+    /// Whether a datagram was invalid.
+    pub(crate) had_invalid: bool,
 }
 
 /// Changes a request; `None` drops it.
@@ -235,6 +236,8 @@ fn relay_lines(client: &TcpStream, device: SocketAddr, hooks: Hooks) {
 fn relay_datagrams(socket: &UdpSocket, device: SocketAddr, hooks: Hooks, ended: &AtomicBool) {
     let mut clients: HashMap<SocketAddr, (UdpSocket, Arc<Mutex<Shared>>)> = HashMap::new();
     socket.set_read_timeout(Some(Duration::from_millis(200))).unwrap();
+    // raw datagrams belong to no client
+    let mut device_memory = Memory::default();
     let mut buffer = [0; 65536];
     while !ended.load(Ordering::Acquire) {
         let Ok((count, client)) = socket.recv_from(&mut buffer) else { continue };
@@ -256,7 +259,7 @@ fn relay_datagrams(socket: &UdpSocket, device: SocketAddr, hooks: Hooks, ended: 
             (out, shared)
         });
         let mut shared = shared.lock().unwrap();
-        let bytes = (hooks.bytes)(&mut shared.memory, buffer[..count].to_vec());
+        let bytes = (hooks.bytes)(&mut device_memory, buffer[..count].to_vec());
         match Parts::read(&bytes) {
             Some((parts, used)) if used == bytes.len() => {
                 if let Some(bytes) = shared.request(&hooks, parts) {

@@ -1,0 +1,163 @@
+//! The end of a case: leaves the device as it was before.
+
+use std::time::{Duration, Instant};
+
+use bcap_core::bcap::FunctionId;
+use bcap_core::hresult::HResult;
+use bcap_core::variant::OwnedVariant;
+
+use crate::bench::{Bench, Stop, fail};
+use crate::language::{Arg, Setup, Slot, Want};
+use crate::wire::{Came, encode, request_text};
+
+/// The longest turn of an axis at the slow speed of cases.
+const TURN: Duration = Duration::from_secs(60);
+/// The pause after an invalid reply, which may stay at the front of the stream.
+const PAUSE: Duration = Duration::from_millis(20);
+
+fn text(text: &str) -> OwnedVariant {
+    // the texts of cases are short
+    OwnedVariant::new(text).unwrap_or_default()
+}
+
+impl<'a> Bench<'a> {
+    /// Leaves the device as it was: halts, ends Slave Mode, turns the axis back, gives the arm back, stops the task, restores
+    /// variables. Every part is done even if another one fails.
+    pub(crate) fn clean_up(&mut self) -> Result<(), Stop> {
+        let armed = if self.armed { self.disarm() } else { Ok(()) };
+        if self.wire.is_some() {
+            // the connection may have ended as part of the case
+            self.attempt(FunctionId::SERVICE_STOP, Vec::new(), self.options.timeout);
+        }
+        self.close();
+        let stopped = if self.task_started { self.stop_task() } else { Ok(()) };
+        let mut restored = Ok(());
+        for (name, value) in std::mem::take(&mut self.saved) {
+            restored = restored.and(self.restore(&name, value));
+        }
+        armed.and(stopped).and(restored)
+    }
+
+    /// Halts the robot and gives the arm back.
+    fn disarm(&mut self) -> Result<(), Stop> {
+        self.armed = false;
+        // the session of the case may wait for the reply of a motion
+        let halted = self.beside().setup_and(Setup::Robot, |other| {
+            let handle = other.argument(&Arg::H(Slot::Robot))?;
+            Ok(other.attempt(FunctionId::ROBOT_HALT, vec![handle, text("")], other.options.timeout))
+        });
+        if !matches!(halted, Ok(Some(_))) {
+            self.robot(FunctionId::ROBOT_HALT, vec![text("")]);
+        }
+        let slave = OwnedVariant::new(&0_i32).unwrap_or_default();
+        if self.robot(FunctionId::ROBOT_EXECUTE, vec![text("slvChangeMode"), slave]).is_none() {
+            self.take_arm_again();
+        }
+        self.turn_back();
+        self.restore_speed();
+        for (command, value) in [("Motor", "8195,0,0"), ("GiveArm", "0,")] {
+            let value = OwnedVariant::parse_text(value.as_bytes()).unwrap_or_default();
+            self.robot(FunctionId::ROBOT_EXECUTE, vec![text(command), value]);
+        }
+        match self.speed {
+            Some(speed) => fail(format!("the external speed is restored to {speed:?}"), "ExtSpeed fails"),
+            None => Ok(()),
+        }
+    }
+
+    /// Opens a session for the rest, if that of the case has ended. The controller has given the arm back then.
+    fn take_arm_again(&mut self) {
+        if self.setup(Setup::Robot).is_ok() {
+            let value = OwnedVariant::parse_text(b"8195,0,0").unwrap_or_default();
+            self.robot(FunctionId::ROBOT_EXECUTE, vec![text("TakeArm"), value]);
+        }
+    }
+
+    /// Turns the axis back that the case has turned, but not after an interruption.
+    fn turn_back(&mut self) {
+        let Some(back) = self.way_back.take() else { return };
+        if self.is_interrupted.is_some_and(|is_interrupted| is_interrupted()) {
+            return;
+        }
+        if let Ok(handle) = self.argument(&Arg::H(Slot::Robot)) {
+            self.attempt(FunctionId::ROBOT_EXECUTE, vec![handle, text("DriveAEx"), back], TURN);
+        }
+    }
+
+    /// Sets the external speed as it was before.
+    fn restore_speed(&mut self) {
+        let Some(speed) = self.speed else { return };
+        let speed = OwnedVariant::new(&speed).unwrap_or_default();
+        let code = self.robot(FunctionId::ROBOT_EXECUTE, vec![text("ExtSpeed"), speed]);
+        if code.is_some_and(HResult::is_ok) {
+            self.speed = None;
+        }
+    }
+
+    /// Stops the task over a session of its own.
+    fn stop_task(&mut self) -> Result<(), Stop> {
+        self.task_started = false;
+        let stopped = self.beside().setup_and(Setup::Task, |other| {
+            let args = [Arg::H(Slot::Task), Arg::I(1), Arg::S("")];
+            let args = args.iter().map(|arg| other.argument(arg)).collect::<Result<Vec<_>, _>>()?;
+            Ok(other.attempt(FunctionId::TASK_STOP, args, other.options.timeout))
+        });
+        match stopped {
+            Ok(Some(_)) => Ok(()),
+            _ => fail(format!("the task {} is stopped", self.options.task), "Task_Stop is not answered"),
+        }
+    }
+
+    /// Returns another connection to the device.
+    fn beside(&self) -> Self {
+        Self::new(self.options, self.link)
+    }
+
+    fn setup_and<T>(mut self, setup: Setup, then: impl FnOnce(&mut Self) -> Result<T, Stop>) -> Result<T, Stop> {
+        self.setup(setup)?;
+        let result = then(&mut self);
+        self.attempt(FunctionId::SERVICE_STOP, Vec::new(), self.options.timeout);
+        result
+    }
+
+    /// Calls a function of the robot as part of the end; returns its code.
+    fn robot(&mut self, function: FunctionId, args: Vec<OwnedVariant>) -> Option<HResult> {
+        let handle = self.argument(&Arg::H(Slot::Robot)).ok()?;
+        self.attempt(function, std::iter::once(handle).chain(args).collect(), self.options.timeout)
+    }
+
+    /// Makes a call, skips replies to other calls, and returns the code; `None` without a reply.
+    pub(crate) fn attempt(
+        &mut self,
+        function: FunctionId,
+        args: Vec<OwnedVariant>,
+        limit: Duration,
+    ) -> Option<HResult> {
+        let serial = self.next_serial();
+        let marker = if self.link == crate::wire::Link::Udp { serial } else { 0 };
+        self.send(&encode(serial, marker, function.0, &args), &request_text(serial, function, &args)).ok()?;
+        let until = Instant::now() + limit;
+        loop {
+            let left = until.saturating_duration_since(Instant::now());
+            match self.receive_within(left) {
+                Came::Reply(reply) if reply.serial == serial && reply.code != HResult::S_EXECUTING => {
+                    return Some(reply.code);
+                }
+                Came::Closed | Came::Nothing => return None,
+                _ if left.is_zero() => return None,
+                Came::Reply(_) => {}
+                Came::Invalid(_) => std::thread::sleep(PAUSE),
+            }
+        }
+    }
+
+    fn restore(&mut self, name: &str, value: OwnedVariant) -> Result<(), Stop> {
+        self.setup(Setup::Controller)?;
+        let variable = self.variable(name)?;
+        let reply = self.exchange(FunctionId::VARIABLE_PUT_VALUE, vec![variable, value])?;
+        self.check(FunctionId::VARIABLE_PUT_VALUE, &reply, Want::Ok, crate::device::Refusals::Fail)?;
+        self.attempt(FunctionId::SERVICE_STOP, Vec::new(), self.options.timeout);
+        self.close();
+        Ok(())
+    }
+}
