@@ -3,6 +3,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 /// A terminal; dropping this ends it.
@@ -18,7 +19,9 @@ impl Terminal {
 
     /// Runs a command in a terminal of UTF-8 without tmux's own status line; `None` without tmux.
     pub(crate) fn run(size: (u16, u16), command_line: &[&str], folder: &Path) -> Option<Self> {
-        let terminal = Self { socket: folder.join("tmux") };
+        // a name of its own, because the server of the terminal before may still be ending
+        static NUMBER: AtomicUsize = AtomicUsize::new(0);
+        let terminal = Self { socket: folder.join(format!("tmux{}", NUMBER.fetch_add(1, Ordering::Relaxed))) };
         let settings = folder.join("tmux.conf");
         std::fs::write(&settings, "set -g status off\n").unwrap();
         let history = format!("BCAP_HISTORY={}", folder.join("history").display());
