@@ -85,8 +85,7 @@ fn option_environment_profile_default_in_this_order() {
 fn a_timeout_of_the_profile_or_the_environment_applies() {
     let silent = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let address = format!("tcp:{}", silent.local_addr().unwrap());
-    let home =
-        Home::with(&format!("[profile.cell]\naddress = \"{address}\"\ntimeout = 60\n").replace("60", "\"60ms\""));
+    let home = Home::with(&format!("[profile.cell]\naddress = \"{address}\"\ntimeout = \"60ms\"\n"));
     let run = home.run(&["get", "I1", "--profile", "cell"], &[]);
     assert!(run.code == 4 && run.err.contains("time limit of 60 ms"), "{run:?}");
     let run = home.run(&["get", "I1", "--profile", "cell"], &[("BCAP_TIMEOUT", "50")]);
