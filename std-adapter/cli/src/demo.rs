@@ -2,6 +2,7 @@
 
 use std::io;
 use std::net::{Ipv4Addr, SocketAddr};
+use std::sync::mpsc::{Receiver, channel};
 use std::thread::{self, JoinHandle};
 
 use bcap_core::bcap::call::{self, Call, Reply, VariableHandle};
@@ -14,10 +15,11 @@ use bcap_std::{CallError, ConnectError, Options};
 use tokio::sync::oneshot;
 
 use crate::error::Failure;
+use crate::frame::Role;
 use crate::listen::runtime;
 use crate::output::print_block;
 use crate::sim::{self, Listening};
-use crate::tap::{Protocol, Tap};
+use crate::trace::{Level, Packets, Traced, Wire, arrow, with_arrow};
 use crate::value::Value;
 
 const POSE: [f32; 7] = [400.0, 0.0, 300.5, 180.0, 0.0, 180.0, 5.0];
@@ -48,7 +50,7 @@ fn over_tcp(listening: &Listening) -> Result<(), Failure> {
     print_block(&format!("\n== b-CAP over TCP, {} ==", listening.bcap))?;
     let connected = blocking::connect_tcp(listening.bcap, &Options::default())
         .map_err(|error| unreached(&error, listening.bcap))?;
-    let mut link = TracedClient::tapping(connected);
+    let mut link = TracedClient::tapping(connected, Wire::Stream);
 
     link.run("Start the service, with a keep-alive every 100 ms during long calls", call::service_start("WDT=100"))?;
     let connect = call::controller_connect("demo", "CaoProv.DENSO.VRC", "localhost", "");
@@ -83,7 +85,7 @@ fn over_udp(listening: &Listening) -> Result<(), Failure> {
     ))?;
     let connected =
         blocking::connect_udp(listening.udp, &Options::default()).map_err(|error| unreached(&error, listening.udp))?;
-    let mut link = TracedClient::tapping(connected);
+    let mut link = TracedClient::tapping(connected, Wire::Datagrams);
 
     link.run("Start the service", call::service_start(""))?;
     let connect = call::controller_connect("demo", "CaoProv.DENSO.VRC", "localhost", "");
@@ -107,36 +109,58 @@ fn over_rac(listening: &Listening) -> Result<(), Failure> {
     print_block(&format!("\n== RAC, text over TCP, {} ==", listening.rac))?;
     let connected = blocking::connect_rac(listening.rac, &Options::default());
     let (transport, client) = connected.map_err(|error| unreached(&error, listening.rac))?.into_parts();
-    let mut robot = RacConnection::new(Tap::new(transport, Protocol::Rac), client);
+    let (transcript, transport) = Transcript::of(transport, Wire::Lines);
+    let mut robot = RacConnection::new(transport, client);
     let (i1, p1) = (Variable::new(VariableKind::I, 1), Variable::new(VariableKind::P, 1));
 
     let read = robot.get(i1).map_err(|error| disagreement(error.to_string())).and_then(|value| agrees(value, &43_i32));
-    show("Read I1, written over UDP", robot.transport())?;
+    transcript.show("Read I1, written over UDP")?;
     read?;
     let read = robot.get(p1).map_err(|error| disagreement(error.to_string())).and_then(|value| agrees(value, &POSE));
-    show("Read the pose, written over TCP", robot.transport())?;
+    transcript.show("Read the pose, written over TCP")?;
     read?;
     let written = robot.put(i1, Variant::I4(44));
-    show("Write 44 to I1", robot.transport())?;
+    transcript.show("Write 44 to I1")?;
     written.map_err(|error| disagreement(error.to_string()))
 }
 
-/// Prints the frames that passed a tap, and their purpose.
-fn show<X>(purpose: &str, tap: &mut Tap<X>) -> Result<(), Failure> {
-    let purpose = if purpose.is_empty() { String::new() } else { format!("\n{purpose}\n") };
-    Ok(print_block(&format!("{purpose}{}", tap.take().trim_end()))?)
+/// The packets of a link since they were last shown.
+struct Transcript(Receiver<(Role, String)>);
+
+impl Transcript {
+    /// Wraps a transport, whose packets are recorded.
+    fn of<X>(transport: X, wire: Wire) -> (Self, Traced<X>) {
+        let (watcher, packets) = channel();
+        let mut recorder = Packets::new(None);
+        recorder.watch(Level::Bytes, watcher);
+        (Self(packets), recorder.tap(transport, wire))
+    }
+
+    /// Prints a purpose, and the packets that served it.
+    fn show(&self, purpose: &str) -> Result<(), Failure> {
+        if !purpose.is_empty() {
+            print_block(&format!("\n{purpose}"))?;
+        }
+        for (role, text) in self.0.try_iter() {
+            let packet = with_arrow(arrow(role), &text);
+            print_block(&format!("  {}", packet.replace('\n', "\n  ")))?;
+        }
+        Ok(())
+    }
 }
 
-/// A client whose frames are printed.
+/// A client whose packets are printed.
 struct TracedClient<X> {
-    connection: Connection<Tap<X>, Vec<u8>>,
+    connection: Connection<Traced<X>, Vec<u8>>,
+    transcript: Transcript,
 }
 
 impl<X: Transport<Error = io::Error>> TracedClient<X> {
-    /// Puts a tap between a client and its transport.
-    fn tapping(connection: Connection<X, Vec<u8>>) -> Self {
+    /// Puts a transcript between a client and its transport.
+    fn tapping(connection: Connection<X, Vec<u8>>, wire: Wire) -> Self {
         let (transport, client) = connection.into_parts();
-        Self { connection: Connection::new(Tap::new(transport, Protocol::Bcap), client) }
+        let (transcript, transport) = Transcript::of(transport, wire);
+        Self { connection: Connection::new(transport, client), transcript }
     }
 
     /// Makes a call, prints its purpose and its frames, and returns the reply as converted by `convert`.
@@ -148,7 +172,7 @@ impl<X: Transport<Error = io::Error>> TracedClient<X> {
     ) -> Result<T, Failure> {
         let doing = call.function().to_string();
         let reply = self.connection.call(call).map(convert);
-        show(purpose, self.connection.transport())?;
+        self.transcript.show(purpose)?;
         reply.map_err(|error| failed(&doing, &error))
     }
 
@@ -170,7 +194,7 @@ impl<X: Transport<Error = io::Error>> TracedClient<X> {
             Err(error) => Err(failed(&doing, &error)),
             Ok(_) => Err(disagreement(format!("{doing} should have been refused"))),
         };
-        show(purpose, self.connection.transport())?;
+        self.transcript.show(purpose)?;
         Ok(print_block(&format!("     {}", explained(code?)))?)
     }
 }

@@ -53,9 +53,18 @@ enum Signal {
     End,
 }
 
+/// The handler of this process.
+static INSTALLED: Mutex<Option<Interrupt>> = Mutex::new(None);
+
 impl Interrupt {
     /// Handles signals from now on. `idle` is called after each; its argument is whether the command must end.
+    ///
+    /// A process has one handler: a later call, as by a line of the shell, returns it, and ignores its own `idle`.
     pub(crate) fn install(idle: impl Fn(bool) + Send + 'static) -> io::Result<Self> {
+        let mut installed = INSTALLED.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(interrupt) = &*installed {
+            return Ok(interrupt.clone());
+        }
         let interrupt = Self(Arc::new(Shared {
             interrupted: Mutex::new(false),
             changed: Condvar::new(),
@@ -73,7 +82,7 @@ impl Interrupt {
                 idle(signal == Signal::End);
             }
         })?;
-        Ok(interrupt)
+        Ok(installed.insert(interrupt).clone())
     }
 
     fn signalled(&self, signal: Signal, more: &Receiver<Signal>) {
@@ -184,6 +193,9 @@ impl Interrupt {
     /// Sets whether the command may move the robot from now on.
     pub(crate) fn set_moving(&self, moving: bool) {
         self.0.moving.store(moving, Ordering::SeqCst);
+        if !moving {
+            self.0.restores.store(false, Ordering::SeqCst);
+        }
     }
 
     /// Returns whether a signal arrived since the beginning of the line.

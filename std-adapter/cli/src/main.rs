@@ -63,7 +63,6 @@ mod signal;
 mod sim;
 mod slave;
 mod table;
-mod tap;
 mod target;
 mod task;
 mod terminal;

@@ -47,8 +47,8 @@ pub(crate) enum Wire {
 #[derive(Clone, Debug)]
 pub(crate) struct Packets {
     level: Option<Level>,
-    /// Receives each packet as a line of values.
-    watcher: Option<Sender<(Role, String)>>,
+    /// Receives each packet as text.
+    watcher: Option<(Level, Sender<(Role, String)>)>,
     last: Arc<Mutex<Last>>,
     /// Whether packets are neither recorded nor printed.
     paused: Arc<AtomicBool>,
@@ -65,9 +65,9 @@ impl Packets {
         Self { level, watcher: None, last: Arc::default(), paused: Arc::default() }
     }
 
-    /// Sends each packet of later connections as a line of values to `watcher`.
-    pub(crate) fn watch(&mut self, watcher: Sender<(Role, String)>) {
-        self.watcher = Some(watcher);
+    /// Sends each packet of later connections as text to `watcher`.
+    pub(crate) fn watch(&mut self, level: Level, watcher: Sender<(Role, String)>) {
+        self.watcher = Some((level, watcher));
     }
 
     /// Wraps a transport.
@@ -104,13 +104,12 @@ impl Packets {
         slot.clear();
         slot.extend_from_slice(bytes);
         drop(last);
-        if let Some(watcher) = &self.watcher {
+        if let Some((level, watcher)) = &self.watcher {
             // without a receiver the command is ending
-            let _ = watcher.send((role, shown(role, wire, bytes, Level::Values)));
+            let _ = watcher.send((role, shown(role, wire, bytes, *level)));
         }
         if let Some(level) = self.level {
-            let arrow = if role == Role::Request { "->" } else { "<-" };
-            let text = with_arrow(arrow, &shown(role, wire, bytes, level));
+            let text = with_arrow(arrow(role), &shown(role, wire, bytes, level));
             // an error of the standard error cannot be reported
             let _ = writeln!(io::stderr().lock(), "{}", escape::block(&text));
         }
@@ -143,6 +142,14 @@ impl<X> Traced<X> {
     }
 }
 
+/// Returns the arrow of a direction.
+pub(crate) const fn arrow(role: Role) -> &'static str {
+    match role {
+        Role::Request => "->",
+        Role::Response => "<-",
+    }
+}
+
 /// Puts an arrow before the first line, and blanks before the others.
 pub(crate) fn with_arrow(arrow: &str, lines: &str) -> String {
     format!("{arrow} {}", lines.replace('\n', "\n   "))
@@ -170,7 +177,7 @@ const fn decoder(wire: Wire) -> Decoder {
 pub(crate) fn shown(role: Role, wire: Wire, bytes: &[u8], level: Level) -> String {
     if wire == Wire::Lines {
         let text = String::from_utf8_lossy(bytes).trim_end().to_owned();
-        return if level == Level::Bytes { format!("{text}\n{}", hex::spaced(bytes)) } else { text };
+        return if level == Level::Bytes { beside_bytes(&text, bytes) } else { text };
     }
     let lenient = decoder(wire).decode_datagram(bytes);
     let strict = Decoder { strictness: Strictness::Strict, ..decoder(wire) }.decode_datagram(bytes);
@@ -185,6 +192,13 @@ pub(crate) fn shown(role: Role, wire: Wire, bytes: &[u8], level: Level) -> Strin
         (Err(error), _) => format!("{}\nnot a frame: {error}", hex::spaced(bytes)),
         (Ok(frame), Ok(_)) => frame::to_line(frame, role),
     }
+}
+
+/// Formats a line of RAC after its bytes, 16 in a row.
+fn beside_bytes(text: &str, bytes: &[u8]) -> String {
+    let mut rows = bytes.chunks(16).map(hex::spaced);
+    let first = format!("{:48} {text}", rows.next().unwrap_or_default());
+    std::iter::once(first).chain(rows).collect::<Vec<_>>().join("\n")
 }
 
 /// Writes the header of a frame: `#4 Variable_GetValue, 30 bytes`.

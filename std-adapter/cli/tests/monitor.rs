@@ -10,6 +10,7 @@ mod virtual_robot;
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Stdio};
 
+use bcap_tests::cable::{Cable, End, Quality};
 use common::{bare, bcap, command};
 use tmux::Terminal;
 use virtual_robot::Virtual;
@@ -113,6 +114,26 @@ fn a_halt_is_waited_for_at_the_end() {
     let moved = mover.wait_with_output().unwrap();
     assert!(String::from_utf8_lossy(&moved.stderr).contains("the robot was halted"), "{moved:?}");
     robot.assert_at_rest_with_free_arm();
+}
+
+#[test]
+fn a_halt_over_a_serial_line_uses_its_only_session() {
+    let Some(cable) = Cable::new(Quality { baud: Some(115_200), ..Quality::default() }) else { return };
+    let line = format!("{}?baud=115200", cable.path(End::Controller).display());
+    let robot = Virtual::start(&["--serial", &line]);
+    let folder = tempfile::tempdir().unwrap();
+    let args = format!("monitor I1 --robot '{}'", cable.address(115_200));
+    let Some(terminal) = monitor((80, 24), &args, &folder) else { return };
+    terminal.wait_for("I1 = 0");
+    let mover = robot.spawn(&["move", "J(90, 45, 90, 0, 45, 0)", "--speed", "1"]);
+    robot.wait_for_motion();
+    terminal.keys(&["h"]);
+    terminal.wait_for("the robot rests");
+    let moved = mover.wait_with_output().unwrap();
+    assert!(String::from_utf8_lossy(&moved.stderr).contains("the robot was halted"), "{moved:?}");
+    robot.assert_at_rest_with_free_arm();
+    terminal.keys(&["q"]);
+    assert_sane(&terminal);
 }
 
 #[cfg(target_os = "linux")]

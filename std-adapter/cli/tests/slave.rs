@@ -126,6 +126,9 @@ fn a_recording_can_be_played() {
     let run = slave(&sim, &["record", recorded, "--seconds", "0.2", "--hz", "50"]);
     assert_eq!((run.code, run.out.as_str()), (0, format!("11 poses in {recorded}\n").as_str()), "{}", run.err);
     let text = fs::read_to_string(recorded).unwrap();
+    // without a robot the older recording stays as it is
+    let run = bcap(&["slave", "record", recorded, "--robot", "tcp:127.0.0.1:1"]);
+    assert_eq!((run.code, fs::read_to_string(recorded).unwrap()), (3, text.clone()), "{run:?}");
     assert!(text.starts_with("t,J1,J2,J3,J4,J5,J6,J7,J8\n0."), "{text}");
     assert!(cycles(&sim).is_empty(), "nothing was moved");
 

@@ -43,6 +43,30 @@ fn ctrl_c_in_the_shell_halts_the_robot_and_gives_the_arm_back() {
 }
 
 #[test]
+fn ctrl_c_halts_the_motion_to_the_start_of_a_stream_in_the_shell() {
+    let robot = Virtual::start(&[]);
+    let folder = tempfile::tempdir().unwrap();
+    let Some(terminal) = Terminal::start((80, 24), &["shell", "--robot", &robot.tcp], folder.path()) else { return };
+    terminal.wait_for("RC8 auto ok>");
+    // the second time too, although each line has opened and closed sessions of its own
+    for to in ["J(90, 45, 90, 0, 45, 0)", "J(-90, 45, 90, 0, 45, 0)"] {
+        terminal.enter(&format!("slave cosine --from '{to}' --speed 1 --yes"));
+        robot.wait_for_motion();
+        terminal.keys(&["C-c"]);
+        terminal.wait_for("error: interrupted");
+        terminal.wait_for("RC8 auto ok>");
+        robot.assert_at_rest_with_free_arm();
+        terminal.enter("clear");
+        terminal.keys(&["C-l"]);
+        terminal.wait_for("RC8 auto ok>");
+    }
+    // the shell itself goes on
+    terminal.enter("get I1");
+    terminal.wait_for("I1 = 0");
+    terminal.enter("exit");
+}
+
+#[test]
 fn tab_completes_and_the_history_is_kept() {
     let robot = Virtual::start(&[]);
     let folder = tempfile::tempdir().unwrap();

@@ -19,6 +19,7 @@ use crate::output::note;
 use crate::screen::{Terminal, require};
 use crate::selection::{Selection, expand};
 use crate::session::Session;
+use crate::trace::Level;
 use crate::variables::paths;
 use reader::{Reader, Request};
 use state::{Action, HALTED, State, Update, not_halted};
@@ -39,7 +40,7 @@ pub(crate) fn monitor(args: &args::Monitor, session: &mut Session, json: bool) -
     require("`bcap watch` prints the values as lines")?;
     let (packets, packet) = channel();
     let mut own = Session::new(&link);
-    own.packets.watch(packets);
+    own.packets.watch(Level::Values, packets);
     // of the command's session, not of the one that reads: the end of its connection must not close the one that halts
     let interrupt = session.handle_signals()?;
     let (updates, update) = channel();

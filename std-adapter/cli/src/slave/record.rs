@@ -3,7 +3,7 @@
 use std::fs::File;
 use std::io;
 use std::path::Path;
-use std::sync::mpsc::RecvTimeoutError;
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
 use bcap_core::bcap::FunctionId;
@@ -23,49 +23,63 @@ use crate::value::{Value, described, integer, text};
 pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     let ended = signal::ended()?;
     let kind = PoseType::from(args.pose);
-    let refused = |error: csv::Error| cannot_write(&args.file, &error);
-    let mut file = csv::Writer::from_path(&args.file).map_err(refused)?;
-    let header: Vec<&str> = ["t"].iter().chain(columns(kind)).copied().collect();
-    file.write_record(&header).map_err(refused)?;
     let lines = with_session(link, |session| {
         let robot = session.object(&"robot".parse::<ObjectPath>()?)?;
-        let start = Instant::now();
-        let bar = ProgressBar::new_spinner();
-        let mut lines = 0_u32;
-        loop {
-            session.restart_budget();
-            let before = start.elapsed();
-            let numbers = position(session, robot, kind)?;
-            // the middle of the round trip
-            let at = (before + start.elapsed()).as_secs_f64() / 2.0;
-            write(&mut file, at, &numbers).map_err(refused)?;
-            lines += 1;
-            if lines % 25 == 1 {
-                bar.set_message(format!("{lines} poses, {at:.1} s; Ctrl-C ends"));
-                bar.tick();
-            }
-            // relative to the start, so that a slow round does not delay the following ones
-            let next = Duration::from_secs_f64(f64::from(lines) / args.hz);
-            if args.seconds.is_some_and(|seconds| next.as_secs_f64() > seconds) {
-                break;
-            }
-            match ended.recv_timeout(next.saturating_sub(start.elapsed())) {
-                Err(RecvTimeoutError::Timeout) => {}
-                Ok(()) | Err(RecvTimeoutError::Disconnected) => break,
-            }
-        }
-        bar.finish_and_clear();
+        // a robot without this type of pose has nothing to record, and must not cost an older file
+        position(session, robot, kind)?;
+        let mut file = csv::Writer::from_path(&args.file).map_err(|error| cannot_write(&args.file, &error))?;
+        let header: Vec<&str> = ["t"].iter().chain(columns(kind)).copied().collect();
+        let recorded = match file.write_record(&header) {
+            Ok(()) => poses(session, robot, args, &mut file, &ended),
+            Err(error) => Err(cannot_write(&args.file, &error)),
+        };
+        // after an error too, the file keeps the recorded poses
+        file.flush().map_err(|error| cannot_write(&args.file, &error.into()))?;
         // the time limit covers the end of the session, not the wait before it
         session.restart_budget();
-        Ok(lines)
-    });
-    // after an error too, the file keeps the recorded poses
-    file.flush().map_err(|error| cannot_write(&args.file, &error.into()))?;
-    let lines = lines?;
+        recorded
+    })?;
     if json {
         return Ok(print_json(&format!("{{\"poses\":{lines}}}"))?);
     }
     Ok(print_line(&format!("{lines} poses in {}", args.file.display()))?)
+}
+
+/// Records poses until the time is over or a signal arrives, and returns their number.
+fn poses(
+    session: &mut Session,
+    robot: i32,
+    args: &Record,
+    file: &mut csv::Writer<File>,
+    ended: &Receiver<()>,
+) -> Result<u32, Failure> {
+    let start = Instant::now();
+    let bar = ProgressBar::new_spinner();
+    let mut lines = 0_u32;
+    loop {
+        session.restart_budget();
+        let before = start.elapsed();
+        let numbers = position(session, robot, args.pose.into())?;
+        // the middle of the round trip
+        let at = (before + start.elapsed()).as_secs_f64() / 2.0;
+        write(file, at, &numbers).map_err(|error| cannot_write(&args.file, &error))?;
+        lines += 1;
+        if lines % 25 == 1 {
+            bar.set_message(format!("{lines} poses, {at:.1} s; Ctrl-C ends"));
+            bar.tick();
+        }
+        // relative to the start, so that a slow round does not delay the following ones
+        let next = Duration::from_secs_f64(f64::from(lines) / args.hz);
+        if args.seconds.is_some_and(|seconds| next.as_secs_f64() > seconds) {
+            break;
+        }
+        match ended.recv_timeout(next.saturating_sub(start.elapsed())) {
+            Err(RecvTimeoutError::Timeout) => {}
+            Ok(()) | Err(RecvTimeoutError::Disconnected) => break,
+        }
+    }
+    bar.finish_and_clear();
+    Ok(lines)
 }
 
 /// Reads the current pose of the robot.
