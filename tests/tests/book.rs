@@ -125,23 +125,66 @@ fn relative_links_lead_to_files_and_headings() {
     assert!(checked >= 100, "{checked} links: are they still found?");
 }
 
-/// The table of functions in the page about other libraries: their names are made of the function's name by fixed rules.
-#[test]
-fn the_names_of_other_libraries_follow_from_the_functions() {
-    let page = read(&repository().join("docs/porting.md"));
-    let (_, table) = page.split_once("## Functions").unwrap();
-    let (table, _) = table.split_once("\n## ").unwrap();
-    let rows = table.lines().filter(|line| line.starts_with("| ") && line.contains('_'));
+/// Returns the cells of the rows of a table, without the marks of code.
+fn rows(text: &str) -> Vec<Vec<&str>> {
+    let lines = text.lines().filter(|line| line.starts_with("| "));
+    lines.map(|line| line.split('|').skip(1).map(|cell| cell.trim().trim_matches('`')).collect()).collect()
+}
+
+/// Returns the names of the public functions of the Rust files of a folder.
+fn methods(folder: &Path) -> BTreeSet<String> {
     let mut names = BTreeSet::new();
-    for row in rows {
-        let cells: Vec<_> = row.split('|').map(|cell| cell.trim().trim_matches('`')).collect();
-        let name = cells[1];
-        let is_known = (1..=137).filter_map(|id| FunctionId(id).name()).any(|known| known == name.replace('_', ""));
-        assert!(is_known, "{name} is no function");
-        assert_eq!(cells[2], name.to_lowercase(), "Python: {row}");
-        assert_eq!(cells[3], format!("bCap_{}", name.replace('_', "")), "C: {row}");
-        assert_eq!(cells[4], name, "C#: {row}");
-        names.insert(name.to_owned());
+    for entry in fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()) {
+        if entry.is_dir() {
+            names.append(&mut methods(&entry));
+            continue;
+        }
+        let text = read(&entry);
+        let functions = text.lines().filter_map(|line| line.trim_start().strip_prefix("pub ")?.split_once("fn "));
+        let name = |rest: &str| rest.chars().take_while(|&next| next.is_alphanumeric() || next == '_').collect();
+        names.extend(functions.map(|(_, rest)| name(rest)));
     }
-    assert_eq!(names.len(), 30, "{names:?}");
+    names
+}
+
+/// The names in other libraries, as their public sources have them, are made of the function's name by fixed rules.
+#[test]
+fn every_function_has_its_names_in_other_libraries() {
+    let page = read(&repository().join("docs/porting.md"));
+    let (_, tables) = page.split_once("\n## Functions\n").unwrap();
+    let (tables, _) = tables.split_once("\n## ").unwrap();
+    let mut functions = FunctionId::all();
+    for table in tables.split("\n### ").filter(|table| table.contains("| function |")) {
+        let (object, table) = table.split_once('\n').unwrap();
+        for cells in rows(table).into_iter().filter(|cells| cells[0] != "function") {
+            let function = functions.next().unwrap_or_else(|| panic!("{} is a row too many", cells[0]));
+            let (name, joined) = (function.to_string(), function.name().unwrap());
+            let expected = [&name, &function.0.to_string(), &name.to_lowercase(), &format!("bCap_{joined}"), &name]
+                .map(ToString::to_string);
+            assert_eq!(cells[..5], expected, "left: the row; right: function, number, Python, C, C# and Java");
+            assert!(
+                expected.iter().all(|spelling| FunctionId::parse(spelling) == Some(function)),
+                "bcap call {expected:?}"
+            );
+            assert_eq!(object, function.signature().unwrap().object.name(), "{name}: the table of its object");
+        }
+    }
+    assert_eq!(functions.next(), None, "a function without a row");
+}
+
+/// The methods that the page about other libraries names in code exist; only their type is not checked.
+#[test]
+fn the_page_about_other_libraries_names_methods_that_exist() {
+    let page = read(&repository().join("docs/porting.md"));
+    let methods = methods(&repository().join("std-adapter/src"));
+    let code = page.lines().filter(|line| line.starts_with("| ")).flat_map(|line| line.split('`').skip(1).step_by(2));
+    let types = ["Controller", "Robot", "Arm", "Move", "Stopper", "Task", "File", "Settings", "ServiceOptions"];
+    let paths = code.filter_map(|code| code.trim_start_matches("asynch::").split_once("::"));
+    let mut checked = 0;
+    for (owner, rest) in paths.filter(|(owner, _)| types.contains(owner)) {
+        let name = rest.split('(').next().unwrap();
+        assert!(methods.contains(name), "{owner}::{name} does not exist");
+        checked += 1;
+    }
+    assert!(checked >= 137, "{checked} methods: are they still found?");
 }
