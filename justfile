@@ -193,6 +193,10 @@ release version execute="":
 debian:
     std-adapter/cli/packaging/debian
 
+# Installs that package in an empty root, or in a Debian system in the directory `root`, and uses it there.
+debian-test root="":
+    std-adapter/cli/packaging/debian-test {{root}}
+
 # A container image of the static binary, if there is podman or buildah, and a test of its files in a chroot.
 container:
     bash .ci/run container
