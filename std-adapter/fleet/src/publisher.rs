@@ -3,6 +3,8 @@
 //! While there is a connection, new readings go first, and those of the buffer when there is nothing new. At most
 //! [`WINDOW`] messages wait for the broker. After a loss, readings that it has not acknowledged go to the buffer.
 
+mod role;
+
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -23,6 +25,7 @@ use crate::queue::{Item, State};
 use crate::reading::{Reading, now_ms};
 use crate::scan::Shared;
 use crate::sparkplug::{self, HostWrite, Sparkplug};
+use crate::standby::Standby;
 use crate::store::Store;
 
 /// The delays between two attempts to connect.
@@ -54,6 +57,10 @@ pub(crate) struct Publisher {
     shared: Arc<Shared>,
     controllers: Vec<Controller>,
     broker: Broker,
+    /// `None` if this is the only process of the node.
+    standby: Option<Standby>,
+    /// Whether another process was seen as the active one since this process was.
+    stands_by: bool,
     /// `None` for JSON.
     sparkplug: Option<Sparkplug>,
     /// `None` without a buffer on disk, or after it has failed.
@@ -95,6 +102,12 @@ struct Finished {
     reason: Option<String>,
 }
 
+/// What is known of a message that was given to the link.
+struct Sent {
+    at: Instant,
+    reading: Option<Reading>,
+}
+
 /// A connection and its messages.
 struct Connection {
     link: Link,
@@ -103,10 +116,10 @@ struct Connection {
     began: Instant,
     /// Messages to give to the link.
     out: VecDeque<Message>,
-    /// Readings of messages that the link has not sent.
-    sent: VecDeque<Option<Reading>>,
-    /// Readings of messages that the broker has not acknowledged, by packet.
-    waiting: HashMap<u16, Option<Reading>>,
+    /// Messages that the link has not sent.
+    sent: VecDeque<Sent>,
+    /// Messages that the broker has not acknowledged, by packet.
+    waiting: HashMap<u16, Sent>,
 }
 
 impl Connection {
@@ -124,7 +137,7 @@ impl Connection {
             let Some(Message { topic, payload, qos, retain, reading }) = self.out.pop_front() else { return };
             // the channel of the link has room for more than the window; after a loss the event follows
             let _ = self.link.client.try_publish(topic, qos, retain, payload);
-            self.sent.push_back(reading);
+            self.sent.push_back(Sent { at: Instant::now(), reading });
         }
     }
 
@@ -133,7 +146,8 @@ impl Connection {
         let sent = std::mem::take(&mut self.sent);
         let waiting = std::mem::take(&mut self.waiting);
         let out = std::mem::take(&mut self.out).into_iter().map(|message| message.reading);
-        let mut readings: Vec<_> = waiting.into_values().chain(sent).chain(out).flatten().collect();
+        let sent = waiting.into_values().chain(sent).map(|sent| sent.reading);
+        let mut readings: Vec<_> = sent.chain(out).flatten().collect();
         readings.sort_by_key(|reading| reading.id);
         readings
     }
@@ -150,6 +164,8 @@ impl Publisher {
         Self {
             cells: cells.collect(),
             commands: Commands::new(config.commands.clone(), now_ms()),
+            standby: config.standby.as_ref().map(|standby| Standby::new(standby.after())),
+            stands_by: false,
             sparkplug: (config.format == Format::Sparkplug).then(|| Sparkplug::new(config)),
             controllers,
             broker,
@@ -174,10 +190,12 @@ impl Publisher {
                 self.connect();
             }
             self.step().await;
+            let wake = self.standby.as_ref().and_then(Standby::wake);
             tokio::select! {
                 event = next(&mut self.link) => self.handle(event).await,
                 () = shared.queue.added() => {}
                 () = sleep_until(self.retry), if self.link.is_none() => {}
+                () = at(wake) => self.tick().await,
                 Some(Ok(finished)) = self.running.join_next() => self.end(finished),
                 () = &mut end => break,
             }
@@ -195,8 +213,11 @@ impl Publisher {
 
     /// Moves what can be moved without waiting for the broker.
     async fn step(&mut self) {
-        if !self.is_up() {
-            return self.drain().await;
+        if !self.is_active() {
+            self.drain().await;
+        }
+        if !self.sends_history() {
+            return;
         }
         if self.shared.queue.len() > BACKLOG {
             self.stale = true;
@@ -217,7 +238,7 @@ impl Publisher {
             match item {
                 Item::State(state) => {
                     self.set_state(&state);
-                    if self.is_up() {
+                    if self.is_active() {
                         self.send_state(&state);
                     }
                 }
@@ -236,8 +257,9 @@ impl Publisher {
     /// Puts messages into the window.
     fn pump(&mut self) {
         let shared = Arc::clone(&self.shared);
+        let is_active = self.is_active();
         while self.link.as_ref().is_some_and(|connection| connection.room() > 0) {
-            if let Some(item) = shared.queue.pop() {
+            if let Some(item) = is_active.then(|| shared.queue.pop()).flatten() {
                 match item {
                     Item::State(state) => {
                         self.set_state(&state);
@@ -245,7 +267,7 @@ impl Publisher {
                     }
                     Item::Reading(reading) => self.send(reading),
                 }
-            } else if std::mem::take(&mut self.stale) {
+            } else if is_active && std::mem::take(&mut self.stale) {
                 self.repeat();
             } else if let Some(reading) = self.history.pop_front() {
                 self.send_history(reading);
@@ -357,7 +379,7 @@ impl Publisher {
             (0..self.cells.len()).for_each(|cell| self.birth(cell));
             return;
         }
-        self.push(json::node(config, true, now_ms()));
+        self.push(self.node_state(true));
         let states: Vec<_> = self.cells.iter().filter_map(|cell| cell.state.clone()).collect();
         states.iter().for_each(|state| self.send_state(state));
         self.repeat();
@@ -375,11 +397,11 @@ impl Publisher {
 
     fn connect(&mut self) {
         let shared = Arc::clone(&self.shared);
-        let will = match &mut self.sparkplug {
-            Some(sparkplug) => sparkplug.will(&shared.config),
-            None => json::node(&shared.config, false, now_ms()),
+        let link = match (&self.standby, &mut self.sparkplug) {
+            (Some(standby), _) if !standby.is_active() => self.broker.watch(standby.instance()),
+            (_, Some(sparkplug)) => self.broker.connect(Some(sparkplug.will(&shared.config))),
+            (_, None) => self.broker.connect(Some(self.node_state(false))),
         };
-        let link = self.broker.connect(Some(will));
         let (out, sent, waiting) = Default::default();
         self.link = Some(Connection { link, is_up: false, began: Instant::now(), out, sent, waiting });
     }
@@ -391,17 +413,25 @@ impl Publisher {
             }
             Some(Ok(Mqtt::Incoming(Packet::Publish(publish)))) => self.receive(&publish),
             Some(Ok(Mqtt::Incoming(Packet::PubAck(ack)))) => {
-                let reading = self.link.as_mut().and_then(|connection| connection.waiting.remove(&ack.pkid));
-                self.arrived(reading.flatten()).await;
+                let sent = self.link.as_mut().and_then(|connection| connection.waiting.remove(&ack.pkid));
+                if let Some(Sent { at, reading }) = sent {
+                    self.prove(at);
+                    self.arrived(reading).await;
+                }
+            }
+            Some(Ok(Mqtt::Incoming(Packet::SubAck(_)))) => {
+                if let Some(standby) = self.standby.as_mut().filter(|standby| !standby.is_active()) {
+                    standby.subscribed(Instant::now());
+                }
             }
             Some(Ok(Mqtt::Outgoing(Outgoing::Publish(packet)))) => {
                 let Some(connection) = &mut self.link else { return };
-                let reading = connection.sent.pop_front().flatten();
+                let Some(sent) = connection.sent.pop_front() else { return };
                 if packet == 0 {
                     // QoS 0 has no acknowledgement
-                    self.arrived(reading).await;
+                    self.arrived(sent.reading).await;
                 } else {
-                    connection.waiting.insert(packet, reading);
+                    connection.waiting.insert(packet, sent);
                 }
             }
             Some(Ok(_)) => {}
@@ -412,9 +442,14 @@ impl Publisher {
 
     async fn accepted(&mut self) {
         let metrics = &self.shared.metrics;
-        metrics.broker_up.store(true, Ordering::Relaxed);
         metrics.broker_connections.fetch_add(1, Ordering::Relaxed);
-        (self.shared.report)(&Event::BrokerUp {});
+        // a takeover replaces one connection by another
+        if !metrics.broker_up.swap(true, Ordering::Relaxed) {
+            (self.shared.report)(&Event::BrokerUp {});
+        }
+        if self.is_watcher() {
+            return self.watch();
+        }
         // what was read before the connection is historical
         self.drain().await;
         self.stale = false;
@@ -425,6 +460,7 @@ impl Publisher {
                 let _ = connection.link.client.try_subscribe(topic, QoS::AtLeastOnce);
             }
         }
+        self.activate();
         self.introduce();
     }
 
@@ -464,7 +500,10 @@ impl Publisher {
             self.shared.metrics.broker_up.store(false, Ordering::Relaxed);
         }
         (self.shared.report)(&Event::BrokerDown { reason });
-        if self.link.as_ref().is_some_and(|connection| connection.is_up && connection.began.elapsed() >= STABLE) {
+        if let Some(standby) = &mut self.standby {
+            standby.lost();
+        }
+        if self.link.as_ref().is_some_and(|connection| connection.age() >= STABLE) {
             self.backoff = BACKOFF.0;
         }
         self.retry = Instant::now() + self.backoff;
@@ -549,6 +588,9 @@ impl Publisher {
     }
 
     fn receive(&mut self, publish: &Publish) {
+        if publish.topic == self.state_topic() {
+            return self.saw(publish);
+        }
         let shared = Arc::clone(&self.shared);
         let config = &shared.config;
         let mut levels = publish.topic.split('/');
@@ -592,7 +634,13 @@ impl Publisher {
         } else if self.cells[cell].running >= RUNNING.1 {
             Err(format!("{} commands of this controller are running", RUNNING.1))
         } else {
-            self.commands.check(cell, &command, now_ms())
+            // the time first: what is proven afterwards was so at this time
+            let now = now_ms();
+            if self.is_proven() {
+                self.commands.check(cell, &command, now)
+            } else {
+                Err("another process of this node may be active by now; send a new one".into())
+            }
         };
         let topic = publish.topic.clone();
         match checked {
@@ -644,8 +692,8 @@ impl Publisher {
             reason,
         });
         // Sparkplug has no answers; a host sees the new value
-        let has_room = self.link.as_ref().is_some_and(|connection| connection.is_up && connection.out.len() < WAITING);
-        if self.sparkplug.is_none() && has_room {
+        let has_room = self.link.as_ref().is_some_and(|connection| connection.out.len() < WAITING);
+        if self.sparkplug.is_none() && self.is_active() && has_room {
             self.push(answer);
         }
     }
@@ -662,10 +710,13 @@ impl Publisher {
         if self.is_up() {
             self.step().await;
             let shared = Arc::clone(&self.shared);
-            self.push(match &self.sparkplug {
-                Some(sparkplug) => sparkplug.death(&shared.config),
-                None => json::node(&shared.config, false, now_ms()),
-            });
+            if self.is_active() {
+                let death = self.sparkplug.as_ref().map(|sparkplug| sparkplug.death(&shared.config));
+                death.into_iter().for_each(|death| self.push(death));
+                if self.sparkplug.is_none() || self.standby.is_some() {
+                    self.push(self.node_state(false));
+                }
+            }
             let last = async {
                 while self.link.as_ref().is_some_and(|link| !link.out.is_empty() || link.in_flight() > 0) {
                     if let Some(connection) = &mut self.link {
@@ -698,6 +749,14 @@ fn cut(mut text: String) -> String {
         text.push('…');
     }
     text
+}
+
+/// Waits until a time, or forever.
+async fn at(time: Option<Instant>) {
+    match time {
+        Some(time) => sleep_until(time).await,
+        None => std::future::pending().await,
+    }
 }
 
 /// Waits for the next event of a connection. Cancel-safe.

@@ -34,8 +34,8 @@ const REBIRTH: &str = "Node Control/Rebirth";
 pub(crate) struct Sparkplug {
     /// The number of the next message after NBIRTH.
     seq: u8,
-    /// Joins NBIRTH with the NDEATH of the same connection.
-    bd_seq: u64,
+    /// Joins NBIRTH with the NDEATH of the same connection; 0 follows 255.
+    bd_seq: u8,
     devices: Vec<Device>,
 }
 
@@ -92,8 +92,18 @@ impl Sparkplug {
 
     /// Returns the will of the next connection.
     pub(crate) fn will(&mut self, config: &Config) -> Message {
-        self.bd_seq += 1;
+        self.bd_seq = self.bd_seq.wrapping_add(1);
         self.death(config)
+    }
+
+    /// Returns the number that joins births and deaths of the present connection.
+    pub(crate) const fn bd_seq(&self) -> u8 {
+        self.bd_seq
+    }
+
+    /// Continues the numbers of another process of this node.
+    pub(crate) const fn follow(&mut self, bd_seq: u8) {
+        self.bd_seq = bd_seq;
     }
 
     /// Returns the death of the node.
@@ -103,7 +113,7 @@ impl Sparkplug {
     }
 
     fn bd_seq_metric(&self) -> Metric {
-        Metric::named("bdSeq", DataType::Int64 as u32, Number::Long(self.bd_seq))
+        Metric::named("bdSeq", DataType::Int64 as u32, Number::Long(self.bd_seq.into()))
     }
 
     /// Returns the birth of the node. All devices need a birth after it.

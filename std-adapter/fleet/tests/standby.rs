@@ -1,0 +1,300 @@
+//! Two processes of one node through a real Mosquitto: one is active, the other takes over.
+
+mod common;
+
+use std::io::{BufRead as _, BufReader};
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
+use std::time::{Duration, Instant};
+
+use bcap_fleet::{Config, Event, Fleet};
+use common::{Mosquitto, Proxy, Robot, Running, Subscriber, counter, now_ms};
+use serde_json::{Value, json};
+use tokio::sync::watch;
+
+const STATE: &str = "bcap/plant/edge1/state";
+const VALUE: &str = "bcap/plant/cell1/I1";
+
+fn config(port: u16, address: impl std::fmt::Display, more: &str) -> String {
+    format!(
+        "group = \"plant\"\nnode = \"edge1\"\n{more}\n[broker]\nhost = \"127.0.0.1\"\nport = {port}\n[metrics]\nport = 0\n\
+         [[controller]]\nname = \"cell1\"\naddress = \"tcp:{address}\"\n\
+         [[controller.publish]]\nnames = [\"I1\"]\ninterval_ms = 10\n"
+    )
+}
+
+const FAST: &str = "[standby]\nafter_ms = 400";
+
+async fn is_active(fleet: &Running) {
+    fleet.event(|event| matches!(event, Event::Active { .. })).await;
+}
+
+async fn is_standby(fleet: &Running) {
+    fleet.event(|event| matches!(event, Event::Standby { .. })).await;
+}
+
+/// A value that was read just now.
+fn is_new(json: &Value) -> bool {
+    json["quality"] == "good" && json.get("historical").is_none() && json.get("repeated").is_none()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn one_process_reads_and_the_other_takes_over() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let robot = Robot::start().await;
+    let text = config(broker.port, robot.address, FAST);
+    let mut host = Subscriber::start(broker.port, "bcap/#").await;
+    let first = Running::start(&text).await;
+    is_active(&first).await;
+    let second = Running::start(&text).await;
+    is_standby(&second).await;
+    robot.set(1, 5);
+    host.json(VALUE, |json| is_new(json) && json["value"] == 5).await;
+    assert_eq!(second.metric("bcap_readings_total{controller=\"cell1\"}").await, 0);
+    assert_eq!([first.metric("bcap_active").await, second.metric("bcap_active").await], [1, 0]);
+    assert_eq!(second.metric("bcap_controller_up{controller=\"cell1\"}").await, 1, "its session is open");
+
+    first.abort().await;
+    host.json(STATE, |json| json["state"] == "offline").await;
+    is_active(&second).await;
+    host.json(VALUE, |json| is_new(json) && json["value"] == 5).await;
+    let third = Running::start(&text).await;
+    is_standby(&third).await;
+
+    // an orderly end hands over as well
+    second.stop().await;
+    is_active(&third).await;
+    robot.set(1, 6);
+    host.json(VALUE, |json| is_new(json) && json["value"] == 6).await;
+    third.stop().await;
+    host.json(STATE, |json| json["state"] == "offline").await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_process_whose_network_stalls_becomes_the_standby_and_sends_its_readings() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let robot = Robot::start().await;
+    let mut host = Subscriber::start(broker.port, "bcap/#").await;
+    let proxy = Proxy::start(broker.port).await;
+    let first = Running::start(&config(proxy.port, robot.address, FAST)).await;
+    is_active(&first).await;
+    let second = Running::start(&config(broker.port, robot.address, FAST)).await;
+    is_standby(&second).await;
+    proxy.set(false);
+    // read by the first process, which does not know yet that it is not the active one
+    robot.set(1, 7);
+    let before = first.metric("bcap_readings_total{controller=\"cell1\"}").await;
+    while first.metric("bcap_readings_total{controller=\"cell1\"}").await < before + 2 {
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+    is_active(&second).await;
+    robot.set(1, 8);
+    host.json(VALUE, |json| is_new(json) && json["value"] == 8).await;
+    proxy.set(true);
+    host.json(VALUE, |json| json["historical"] == true && json["value"] == 7).await;
+    is_standby(&first).await;
+    assert_eq!(first.metric("bcap_active").await, 0);
+    first.stop().await;
+    robot.set(1, 9);
+    host.json(VALUE, |json| json["value"] == 9).await;
+    assert_eq!(second.metric("bcap_active").await, 1, "the end of a standby changes nothing");
+    second.stop().await;
+}
+
+fn command(id: &str, value: i32, expires: u64) -> String {
+    json!({"id": id, "name": "I10", "value": value, "expires": expires}).to_string()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn no_command_is_executed_by_both() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let robot = Robot::start().await;
+    let mut host = Subscriber::start(broker.port, "bcap/#").await;
+    let rules = format!("{FAST}\n[commands]\nallow = [\"I/10\"]\nper_second = 1000\nlongest_seconds = 2");
+    let proxy = Proxy::start(broker.port).await;
+    let first = Running::start(&config(proxy.port, robot.address, &rules)).await;
+    is_active(&first).await;
+    let second = Running::start(&config(broker.port, robot.address, &rules)).await;
+    is_standby(&second).await;
+    let (to, from) = ("bcap/plant/cell1/command", "bcap/plant/cell1/answer");
+
+    // accepted again and again until the first process has been active for long enough
+    let mut number = 0;
+    let executed = loop {
+        let (id, expires) = (format!("first{number}"), now_ms() + 1900);
+        host.publish(to, command(&id, 1, expires)).await;
+        let answer = host.json(from, |_| true).await;
+        if answer["result"] == "done" {
+            break command(&id, 2, expires);
+        }
+        assert!(answer["reason"].as_str().unwrap().contains("started or taken over"), "{answer}");
+        number += 1;
+    };
+
+    // this one waits in the network until another process is active
+    proxy.set(false);
+    let late = command("late", 3, now_ms() + 1900);
+    host.publish(to, late.clone()).await;
+    is_active(&second).await;
+    for copy in [executed, late] {
+        host.publish(to, copy).await;
+        let answer = host.json(from, |_| true).await;
+        assert_eq!(answer["result"], "refused", "{answer}");
+        assert!(answer["reason"].as_str().unwrap().contains("started or taken over"), "{answer}");
+    }
+    proxy.set(true);
+    first.event(|event| matches!(event, Event::Command { id, .. } if id == "late")).await;
+    let reasons: Vec<_> = (first.events.lock().unwrap().iter())
+        .filter_map(|event| match event {
+            Event::Command { id, reason, .. } if id == "late" => Some(reason.clone().unwrap()),
+            _ => None,
+        })
+        .collect();
+    assert!(reasons.len() == 1 && reasons[0].contains("another process of this node may be active"), "{reasons:?}");
+    assert_eq!(robot.get(10), 1);
+
+    // new commands are executed again after a while
+    loop {
+        host.publish(to, command(&format!("second{number}"), 4, now_ms() + 1900)).await;
+        if host.json(from, |_| true).await["result"] == "done" {
+            break;
+        }
+        number += 1;
+    }
+    assert_eq!(robot.get(10), 4);
+    first.stop().await;
+    second.stop().await;
+}
+
+/// A fleet in a process of its own, whose events say its name and role.
+struct Process {
+    child: Child,
+    /// Its name, and whether it is active.
+    role: watch::Receiver<Option<(Option<String>, bool)>>,
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// The body of a [`Process`]: this test program starts itself with this test only.
+#[tokio::test]
+#[ignore = "a process of the other tests"]
+async fn process() {
+    let Ok(text) = std::env::var("FLEET") else { return };
+    let fleet =
+        Fleet::start(Config::parse(&text).unwrap(), |event| println!("\n{}", serde_json::to_string(event).unwrap()));
+    fleet.await.unwrap().run(std::future::pending()).await;
+}
+
+impl Process {
+    fn start(config: &str) -> Self {
+        let mut child = Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "process", "--ignored", "--nocapture"])
+            .env("FLEET", config)
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let lines = BufReader::new(child.stdout.take().unwrap()).lines();
+        let (sender, role) = watch::channel(None);
+        std::thread::spawn(move || {
+            for line in lines.map_while(Result::ok) {
+                let event: Value = serde_json::from_str(&line).unwrap_or_default();
+                match event["event"].as_str() {
+                    Some("active") => {
+                        sender.send_replace(Some((event["instance"].as_str().map(str::to_owned), true)));
+                    }
+                    Some("standby") => {
+                        sender.send_modify(|role| *role = Some((role.take().and_then(|(name, _)| name), false)));
+                    }
+                    _ => {}
+                }
+            }
+        });
+        Self { child, role }
+    }
+
+    fn signal(&self, signal: &str) {
+        assert!(Command::new("kill").args([signal, &self.child.id().to_string()]).status().unwrap().success());
+    }
+
+    async fn is(&mut self, active: bool) {
+        let reached = self.role.wait_for(|role| role.as_ref().is_some_and(|(_, is)| *is == active));
+        tokio::time::timeout(Duration::from_secs(30), reached).await.expect("the role did not change").unwrap();
+    }
+
+    fn is_named(&self, instance: &Value) -> bool {
+        self.role.borrow().as_ref().is_some_and(|(name, _)| name.as_deref() == instance.as_str())
+    }
+}
+
+/// Waits until a process publishes values that it reads, and returns its name.
+async fn taken_over(host: &mut Subscriber, not: Option<&Value>) -> Value {
+    let state = host.json(STATE, |json| json["state"] == "online" && Some(&json["instance"]) != not).await;
+    host.json(VALUE, is_new).await;
+    state["instance"].clone()
+}
+
+/// Prints the median and the longest time.
+fn print(what: &str, mut times: Vec<Duration>) {
+    times.sort_unstable();
+    println!("{what}: {} takeovers, p50 {:?}, max {:?}", times.len(), times[times.len() / 2], times[times.len() - 1]);
+}
+
+/// `just takeover` is the long run with the default of `after_ms`.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn processes_that_are_killed_or_stopped_are_replaced() {
+    let count = std::env::var("TAKEOVERS").ok().and_then(|n| n.parse().ok());
+    let standby = if count.is_some() { "[standby]" } else { FAST };
+    let count = count.unwrap_or(1);
+    let Some(mut broker) = Mosquitto::open() else { return };
+    let last = Arc::new(AtomicI32::new(0));
+    let address = counter(&last, &Arc::new(AtomicBool::new(false))).await;
+    let text = config(broker.port, address, standby);
+    let mut host = Subscriber::start(broker.port, "bcap/#").await;
+    let (mut active, mut other) = (Process::start(&text), Process::start(&text));
+    let mut name = taken_over(&mut host, None).await;
+    if other.is_named(&name) {
+        std::mem::swap(&mut active, &mut other);
+    }
+
+    let mut killed = Vec::new();
+    for _ in 0..count {
+        other.is(false).await;
+        let began = Instant::now();
+        active.signal("-KILL");
+        name = taken_over(&mut host, Some(&name)).await;
+        killed.push(began.elapsed());
+        active = std::mem::replace(&mut other, Process::start(&text));
+        active.is(true).await;
+    }
+    print("SIGKILL", killed);
+
+    let mut stopped = Vec::new();
+    for _ in 0..count {
+        other.is(false).await;
+        let began = Instant::now();
+        active.signal("-STOP");
+        name = taken_over(&mut host, Some(&name)).await;
+        stopped.push(began.elapsed());
+        other.is(true).await;
+        active.signal("-CONT");
+        std::mem::swap(&mut active, &mut other);
+    }
+    print("SIGSTOP", stopped);
+
+    let mut restarted = Vec::new();
+    for _ in 0..count {
+        broker.stop();
+        broker.restart();
+        let (began, time) = (Instant::now(), now_ms());
+        host.json(VALUE, |json| is_new(json) && json["time"].as_u64() >= Some(time)).await;
+        restarted.push(began.elapsed());
+    }
+    print("restart of the broker", restarted);
+    assert!(last.load(Ordering::SeqCst) > 0);
+}
