@@ -200,3 +200,8 @@ container:
 # Builds the static binary in two directories, and compares the bytes.
 reproducible:
     std-adapter/cli/packaging/reproducible
+
+# How long it takes until the standby of a fleet replaces a process that is killed or stopped, and until values arrive after
+# a restart of the broker, with the default of `after_ms`. Needs Mosquitto.
+takeover count="20":
+    TAKEOVERS={{count}} cargo test --release -p bcap-fleet --test standby -- --nocapture processes_that_are

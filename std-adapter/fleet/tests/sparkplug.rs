@@ -2,7 +2,8 @@
 
 mod common;
 
-use common::{Mosquitto, Robot, Running, Subscriber, now_ms};
+use bcap_fleet::Event;
+use common::{Mosquitto, Proxy, Robot, Running, Subscriber, now_ms};
 use rumqttc::Publish;
 
 /// A field of a protocol buffer.
@@ -346,4 +347,52 @@ async fn history_of_a_disconnected_device_ends_with_its_death() {
     assert_eq!((data.value, data.is_historical), (Some(Field::Number(7)), true));
     host.next("DDEATH/edge1/cell1").await;
     fleet.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_births_of_two_processes_follow_each_other() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let robot = Robot::start().await;
+    let proxy = Proxy::start(broker.port).await;
+    let mut host = Subscriber::start(broker.port, "spBv1.0/plant/#").await;
+    let text = |port| config(port, "[standby]\nafter_ms = 400", &[&robot]);
+    let mut active = Running::start(&text(broker.port)).await;
+    let is_active = |event: &Event| matches!(event, Event::Active { .. });
+    active.event(is_active).await;
+    // whether the node is born, and its bdSeq
+    let mut node = (false, 0);
+    for number in 1..=4 {
+        // the second one to take over has a network that stalls; the others are killed
+        let other = Running::start(&text(if number == 2 { proxy.port } else { broker.port })).await;
+        other.event(|event| matches!(event, Event::Standby { .. })).await;
+        if number == 3 {
+            proxy.set(false);
+        } else {
+            active.abort().await;
+        }
+        other.event(is_active).await;
+        active = other;
+        loop {
+            let publish = host.next().await;
+            let payload = payload(&publish);
+            let bd_seq = || match named(&payload, "bdSeq").value {
+                Some(Field::Number(number)) => number,
+                _ => panic!("{payload:?}"),
+            };
+            match publish.topic.split('/').nth(2).unwrap() {
+                "NBIRTH" => {
+                    assert_eq!((node.0, bd_seq()), (false, node.1 + 1), "one birth at a time");
+                    node = (true, bd_seq());
+                }
+                "NDEATH" => {
+                    assert_eq!((node.0, bd_seq()), (true, node.1), "the death of the present birth");
+                    node.0 = false;
+                }
+                // of the process that has just taken over
+                "DBIRTH" if node == (true, number + 1) => break,
+                _ => {}
+            }
+        }
+    }
+    active.stop().await;
 }

@@ -144,14 +144,7 @@ async fn no_command_is_executed_by_both() {
         assert!(answer["reason"].as_str().unwrap().contains("started or taken over"), "{answer}");
     }
     proxy.set(true);
-    first.event(|event| matches!(event, Event::Command { id, .. } if id == "late")).await;
-    let reasons: Vec<_> = (first.events.lock().unwrap().iter())
-        .filter_map(|event| match event {
-            Event::Command { id, reason, .. } if id == "late" => Some(reason.clone().unwrap()),
-            _ => None,
-        })
-        .collect();
-    assert!(reasons.len() == 1 && reasons[0].contains("another process of this node may be active"), "{reasons:?}");
+    is_standby(&first).await;
     assert_eq!(robot.get(10), 1);
 
     // new commands are executed again after a while
@@ -167,11 +160,38 @@ async fn no_command_is_executed_by_both() {
     second.stop().await;
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_process_that_may_not_be_active_any_more_refuses_commands() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let robot = Robot::start().await;
+    let mut host = Subscriber::start(broker.port, "bcap/#").await;
+    let rules = format!("{FAST}\n[commands]\nallow = [\"I/10\"]\nlongest_seconds = 600");
+    let proxy = Proxy::start(broker.port).await;
+    let fleet = Running::start(&config(proxy.port, robot.address, &rules)).await;
+    is_active(&fleet).await;
+    // what arrives now was sent before the connection stalls
+    host.json(VALUE, is_new).await;
+    proxy.set_up(false);
+    let stalled = now_ms();
+    while now_ms() < stalled + 400 {
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+    host.publish("bcap/plant/cell1/command", command("a", 1, now_ms() + 10_000)).await;
+    let refused = |event: &Event| {
+        let text = "another process of this node may be active";
+        matches!(event, Event::Command { id, reason: Some(reason), .. } if id == "a" && reason.contains(text))
+    };
+    fleet.event(refused).await;
+    proxy.set(true);
+    host.json("bcap/plant/cell1/answer", |json| json["result"] == "refused").await;
+    fleet.stop().await;
+}
+
 /// A fleet in a process of its own, whose events say its name and role.
 struct Process {
     child: Child,
-    /// Its name, and whether it is active.
-    role: watch::Receiver<Option<(Option<String>, bool)>>,
+    /// Whether it is active; `None` before it knows.
+    role: watch::Receiver<Option<bool>>,
 }
 
 impl Drop for Process {
@@ -204,14 +224,8 @@ impl Process {
         std::thread::spawn(move || {
             for line in lines.map_while(Result::ok) {
                 let event: Value = serde_json::from_str(&line).unwrap_or_default();
-                match event["event"].as_str() {
-                    Some("active") => {
-                        sender.send_replace(Some((event["instance"].as_str().map(str::to_owned), true)));
-                    }
-                    Some("standby") => {
-                        sender.send_modify(|role| *role = Some((role.take().and_then(|(name, _)| name), false)));
-                    }
-                    _ => {}
+                if let Some(word @ ("active" | "standby")) = event["event"].as_str() {
+                    sender.send_replace(Some(word == "active"));
                 }
             }
         });
@@ -222,21 +236,31 @@ impl Process {
         assert!(Command::new("kill").args([signal, &self.child.id().to_string()]).status().unwrap().success());
     }
 
-    async fn is(&mut self, active: bool) {
-        let reached = self.role.wait_for(|role| role.as_ref().is_some_and(|(_, is)| *is == active));
-        tokio::time::timeout(Duration::from_secs(30), reached).await.expect("the role did not change").unwrap();
-    }
-
-    fn is_named(&self, instance: &Value) -> bool {
-        self.role.borrow().as_ref().is_some_and(|(name, _)| name.as_deref() == instance.as_str())
+    /// Returns whether it is active; `None` before it knows.
+    fn role(&self) -> Option<bool> {
+        *self.role.borrow()
     }
 }
 
-/// Waits until a process publishes values that it reads, and returns its name.
-async fn taken_over(host: &mut Subscriber, not: Option<&Value>) -> Value {
-    let state = host.json(STATE, |json| json["state"] == "online" && Some(&json["instance"]) != not).await;
-    host.json(VALUE, is_new).await;
-    state["instance"].clone()
+/// Waits until one process is active and the other one is the standby, and swaps them if necessary.
+async fn settle(active: &mut Process, other: &mut Process) {
+    let began = Instant::now();
+    while [active.role(), other.role()] != [Some(true), Some(false)] {
+        if [active.role(), other.role()] == [Some(false), Some(true)] {
+            std::mem::swap(active, other);
+            return;
+        }
+        assert!(began.elapsed() < Duration::from_secs(30), "{:?}", [active.role(), other.role()]);
+        tokio::time::sleep(Duration::from_millis(2)).await;
+    }
+}
+
+/// Returns how long it takes until a value arrives that was read and sent after a failure.
+async fn takeover(host: &mut Subscriber, fail: impl FnOnce()) -> Duration {
+    let (began, time) = (Instant::now(), now_ms());
+    fail();
+    host.json(VALUE, |json| is_new(json) && json["time"].as_u64() > Some(time)).await;
+    began.elapsed()
 }
 
 /// Prints the median and the longest time.
@@ -257,44 +281,25 @@ async fn processes_that_are_killed_or_stopped_are_replaced() {
     let text = config(broker.port, address, standby);
     let mut host = Subscriber::start(broker.port, "bcap/#").await;
     let (mut active, mut other) = (Process::start(&text), Process::start(&text));
-    let mut name = taken_over(&mut host, None).await;
-    if other.is_named(&name) {
-        std::mem::swap(&mut active, &mut other);
-    }
-
-    let mut killed = Vec::new();
+    let [mut killed, mut stopped, mut restarted] = [const { Vec::new() }; 3];
     for _ in 0..count {
-        other.is(false).await;
-        let began = Instant::now();
-        active.signal("-KILL");
-        name = taken_over(&mut host, Some(&name)).await;
-        killed.push(began.elapsed());
+        settle(&mut active, &mut other).await;
+        killed.push(takeover(&mut host, || active.signal("-KILL")).await);
         active = std::mem::replace(&mut other, Process::start(&text));
-        active.is(true).await;
     }
     print("SIGKILL", killed);
-
-    let mut stopped = Vec::new();
     for _ in 0..count {
-        other.is(false).await;
-        let began = Instant::now();
-        active.signal("-STOP");
-        name = taken_over(&mut host, Some(&name)).await;
-        stopped.push(began.elapsed());
-        other.is(true).await;
+        settle(&mut active, &mut other).await;
+        stopped.push(takeover(&mut host, || active.signal("-STOP")).await);
         active.signal("-CONT");
-        std::mem::swap(&mut active, &mut other);
     }
     print("SIGSTOP", stopped);
-
-    let mut restarted = Vec::new();
     for _ in 0..count {
+        settle(&mut active, &mut other).await;
         broker.stop();
-        broker.restart();
-        let (began, time) = (Instant::now(), now_ms());
-        host.json(VALUE, |json| is_new(json) && json["time"].as_u64() >= Some(time)).await;
-        restarted.push(began.elapsed());
+        restarted.push(takeover(&mut host, || broker.restart()).await);
     }
     print("restart of the broker", restarted);
+    settle(&mut active, &mut other).await;
     assert!(last.load(Ordering::SeqCst) > 0);
 }

@@ -276,7 +276,8 @@ impl Subscriber {
 /// A TCP proxy that can stop to forward, as a network does. Connections stay open.
 pub(crate) struct Proxy {
     pub(crate) port: u16,
-    flows: watch::Sender<bool>,
+    /// Whether bytes flow from the clients, and to them.
+    flows: [watch::Sender<bool>; 2],
     task: JoinHandle<()>,
 }
 
@@ -291,15 +292,16 @@ impl Proxy {
     pub(crate) async fn start(to: u16) -> Self {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let port = listener.local_addr().unwrap().port();
-        let (flows, flow) = watch::channel(true);
+        let flows = [watch::Sender::new(true), watch::Sender::new(true)];
+        let [up, down] = [flows[0].subscribe(), flows[1].subscribe()];
         let task = tokio::spawn(async move {
             let mut connections = JoinSet::new();
             loop {
                 let Ok((client, _)) = listener.accept().await else { return };
                 let Ok(server) = TcpStream::connect(("127.0.0.1", to)).await else { continue };
                 let ((from_client, to_client), (from_server, to_server)) = (client.into_split(), server.into_split());
-                connections.spawn(forward(from_client, to_server, flow.clone()));
-                connections.spawn(forward(from_server, to_client, flow.clone()));
+                connections.spawn(forward(from_client, to_server, up.clone()));
+                connections.spawn(forward(from_server, to_client, down.clone()));
             }
         });
         Self { port, flows, task }
@@ -307,7 +309,13 @@ impl Proxy {
 
     /// Forwards or stops to forward. What arrives in between is forwarded later.
     pub(crate) fn set(&self, flows: bool) {
-        self.flows.send_replace(flows);
+        self.set_up(flows);
+        self.flows[1].send_replace(flows);
+    }
+
+    /// Forwards or stops to forward what clients send.
+    pub(crate) fn set_up(&self, flows: bool) {
+        self.flows[0].send_replace(flows);
     }
 }
 
