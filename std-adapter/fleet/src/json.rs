@@ -3,6 +3,7 @@
 //! | topic                       | payload                                                          | retained |
 //! |-----------------------------|------------------------------------------------------------------|----------|
 //! | `bcap/GROUP/NODE/state`     | `{"state":"online","time":T}`; `offline` by will                 | yes      |
+//! | the same                    | with `[standby]` also `"instance"` and, for Sparkplug, `"bdSeq"`  | yes      |
 //! | `bcap/GROUP/NAME/state`     | `{"state":"connected","time":T}`; `disconnected` with `reason`   | yes      |
 //! | `bcap/GROUP/NAME/VARIABLE`  | `{"value":5,"quality":"good","time":T,"id":N}`                   | yes      |
 //! | the same                    | the same with `"historical":true`: the broker was disconnected   | no       |
