@@ -47,7 +47,7 @@ const WAITING: usize = 1000;
 const RUNNING: (usize, usize) = (64, 16);
 
 /// How long a connection must last before the backoff begins anew: a broker may accept and close at once.
-const STABLE: Duration = Duration::from_secs(10);
+const STABLE: Duration = Duration::from_secs(2);
 
 /// The most bytes of a text of a command in an answer or event.
 const LONGEST_TEXT: usize = 256;

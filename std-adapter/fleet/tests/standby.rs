@@ -296,6 +296,10 @@ async fn processes_that_are_killed_or_stopped_are_replaced() {
     print("SIGSTOP", stopped);
     for _ in 0..count {
         settle(&mut active, &mut other).await;
+        if count > 1 {
+            // each restart is measured by itself: after 2 s the backoff begins anew
+            tokio::time::sleep(Duration::from_millis(2500)).await;
+        }
         broker.stop();
         restarted.push(takeover(&mut host, || broker.restart()).await);
     }

@@ -19,7 +19,7 @@ use tempfile::TempDir;
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
 use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
-use tokio::sync::{mpsc, oneshot, watch};
+use tokio::sync::{Notify, mpsc, oneshot, watch};
 use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::timeout;
 
@@ -74,8 +74,17 @@ impl Mosquitto {
 
     /// Ends the broker as its service does; it writes its sessions to disk.
     pub(crate) fn stop(&mut self) {
+        self.signal("-TERM");
+    }
+
+    /// Ends the broker as a crash does; it loses what it has acknowledged and not delivered.
+    pub(crate) fn kill(&mut self) {
+        self.signal("-KILL");
+    }
+
+    fn signal(&mut self, signal: &str) {
         if let Some(mut child) = self.child.take() {
-            Command::new("kill").arg(child.id().to_string()).status().unwrap();
+            Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
             child.wait().unwrap();
         }
     }
@@ -228,6 +237,7 @@ impl Subscriber {
         options.set_clean_session(false).set_max_packet_size(1 << 20, 1 << 20);
         let (client, mut events) = AsyncClient::new(options, 100);
         client.subscribe(topic, QoS::AtLeastOnce).await.unwrap();
+        let (again, topic) = (client.clone(), topic.to_owned());
         let (sender, messages) = mpsc::unbounded_channel();
         let (confirm, confirmed) = oneshot::channel();
         let mut confirm = Some(confirm);
@@ -235,6 +245,10 @@ impl Subscriber {
             loop {
                 match events.poll().await {
                     Ok(Mqtt::Incoming(Packet::Publish(publish))) => drop(sender.send(publish)),
+                    // a broker that was killed has lost the session
+                    Ok(Mqtt::Incoming(Packet::ConnAck(ack))) if !ack.session_present && confirm.is_none() => {
+                        let _ = again.try_subscribe(&topic, QoS::AtLeastOnce);
+                    }
                     Ok(Mqtt::Incoming(Packet::SubAck(_))) => drop(confirm.take().map(|confirm| confirm.send(()))),
                     Ok(_) => {}
                     // the broker is away
@@ -278,6 +292,7 @@ pub(crate) struct Proxy {
     pub(crate) port: u16,
     /// Whether bytes flow from the clients, and to them.
     flows: [watch::Sender<bool>; 2],
+    cut: Arc<Notify>,
     task: JoinHandle<()>,
 }
 
@@ -293,18 +308,32 @@ impl Proxy {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let port = listener.local_addr().unwrap().port();
         let flows = [watch::Sender::new(true), watch::Sender::new(true)];
+        let cut = Arc::new(Notify::new());
+        let cuts = Arc::clone(&cut);
         let [up, down] = [flows[0].subscribe(), flows[1].subscribe()];
         let task = tokio::spawn(async move {
             let mut connections = JoinSet::new();
             loop {
-                let Ok((client, _)) = listener.accept().await else { return };
+                let accepted = tokio::select! {
+                    accepted = listener.accept() => accepted,
+                    () = cuts.notified() => {
+                        connections.shutdown().await;
+                        continue;
+                    }
+                };
+                let Ok((client, _)) = accepted else { return };
                 let Ok(server) = TcpStream::connect(("127.0.0.1", to)).await else { continue };
                 let ((from_client, to_client), (from_server, to_server)) = (client.into_split(), server.into_split());
                 connections.spawn(forward(from_client, to_server, up.clone()));
                 connections.spawn(forward(from_server, to_client, down.clone()));
             }
         });
-        Self { port, flows, task }
+        Self { port, flows, cut, task }
+    }
+
+    /// Ends all connections; what was not forwarded is lost.
+    pub(crate) fn cut(&self) {
+        self.cut.notify_one();
     }
 
     /// Forwards or stops to forward. What arrives in between is forwarded later.
