@@ -1,7 +1,8 @@
-//! Two processes of one node through a real Mosquitto: one is active, the other takes over.
+//! Processes that are killed or stopped, with a real Mosquitto: one is active, the other takes over; the buffer outlasts them.
 
 mod common;
 
+use std::collections::HashSet;
 use std::io::{BufRead as _, BufReader};
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
@@ -9,7 +10,7 @@ use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::time::{Duration, Instant};
 
 use bcap_fleet::{Config, Event, Fleet};
-use common::{Mosquitto, Proxy, Robot, Running, Subscriber, counter, now_ms};
+use common::{Mosquitto, Proxy, Robot, Running, Subscriber, counter, folder, now_ms};
 use serde_json::{Value, json};
 use tokio::sync::watch;
 
@@ -306,4 +307,36 @@ async fn processes_that_are_killed_or_stopped_are_replaced() {
     print("restart of the broker", restarted);
     settle(&mut active, &mut other).await;
     assert!(last.load(Ordering::SeqCst) > 0);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_a_killed_process_has_on_disk_is_sent_by_the_next_one() {
+    let Some(mut broker) = Mosquitto::open() else { return };
+    let (_folder, path) = folder();
+    let last = Arc::new(AtomicI32::new(0));
+    let address = counter(&last, &Arc::new(AtomicBool::new(false))).await;
+    let text = config(broker.port, address, &format!("[buffer]\ndirectory = {path:?}"));
+    let mut host = Subscriber::start(broker.port, VALUE).await;
+    let first = Process::start(&text);
+    host.json(VALUE, is_new).await;
+    broker.stop();
+    let before = last.load(Ordering::SeqCst);
+    while last.load(Ordering::SeqCst) < before + 100 {
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+    drop(first);
+    let killed = last.load(Ordering::SeqCst);
+    let lines: Vec<Value> = (std::fs::read_dir(&path).unwrap())
+        .map(|entry| std::fs::read_to_string(entry.unwrap().path()).unwrap())
+        .flat_map(|text| text.lines().map(|line| serde_json::from_str(line).unwrap()).collect::<Vec<_>>())
+        .collect();
+    let mut missing: HashSet<_> = lines.iter().map(|line| line["id"].as_u64().unwrap()).collect();
+    println!("{} readings on disk, {} since the end of the broker", missing.len(), killed - before);
+    assert!(missing.len() >= 90);
+    broker.restart();
+    let _second = Process::start(&text);
+    while !missing.is_empty() {
+        let json: Value = serde_json::from_slice(&host.next().await.payload).unwrap();
+        missing.remove(&json["id"].as_u64().unwrap());
+    }
 }
