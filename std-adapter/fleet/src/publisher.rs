@@ -3,6 +3,7 @@
 //! While there is a connection, new readings go first, and those of the buffer when there is nothing new. At most
 //! [`WINDOW`] messages wait for the broker. After a loss, readings that it has not acknowledged go to the buffer.
 
+mod confirm;
 mod role;
 
 use std::collections::{HashMap, VecDeque};
@@ -27,6 +28,7 @@ use crate::scan::Shared;
 use crate::sparkplug::{self, HostWrite, Sparkplug};
 use crate::standby::Standby;
 use crate::store::Store;
+use confirm::Unconfirmed;
 
 /// The delays between two attempts to connect.
 const BACKOFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(10));
@@ -120,34 +122,43 @@ struct Connection {
     sent: VecDeque<Sent>,
     /// Messages that the broker has not acknowledged, by packet.
     waiting: HashMap<u16, Sent>,
+    /// Messages without acknowledgements.
+    unconfirmed: Unconfirmed,
 }
 
 impl Connection {
     fn room(&self) -> usize {
-        usize::from(WINDOW).saturating_sub(self.in_flight() + self.out.len())
+        usize::from(WINDOW).min(self.unconfirmed.room()).saturating_sub(self.in_flight() + self.out.len())
     }
 
     fn in_flight(&self) -> usize {
         self.sent.len() + self.waiting.len()
     }
 
+    /// Returns whether the broker has all messages.
+    fn is_idle(&self) -> bool {
+        self.out.is_empty() && self.in_flight() == 0 && self.unconfirmed.is_empty()
+    }
+
     /// Gives messages to the link.
     fn flush(&mut self) {
         while self.in_flight() < usize::from(WINDOW) {
-            let Some(Message { topic, payload, qos, retain, reading }) = self.out.pop_front() else { return };
+            let Some(Message { topic, payload, qos, retain, reading }) = self.out.pop_front() else { break };
             // the channel of the link has room for more than the window; after a loss the event follows
             let _ = self.link.client.try_publish(topic, qos, retain, payload);
             self.sent.push_back(Sent { at: Instant::now(), reading });
         }
+        self.ask();
     }
 
     /// Returns the readings that may not have arrived, the oldest first.
     fn into_readings(mut self) -> Vec<Reading> {
         let sent = std::mem::take(&mut self.sent);
         let waiting = std::mem::take(&mut self.waiting);
+        let unconfirmed = std::mem::take(&mut self.unconfirmed).into_readings();
         let out = std::mem::take(&mut self.out).into_iter().map(|message| message.reading);
         let sent = waiting.into_values().chain(sent).map(|sent| sent.reading);
-        let mut readings: Vec<_> = sent.chain(out).flatten().collect();
+        let mut readings: Vec<_> = sent.chain(out).flatten().chain(unconfirmed).collect();
         readings.sort_by_key(|reading| reading.id);
         readings
     }
@@ -402,8 +413,8 @@ impl Publisher {
             (_, Some(sparkplug)) => self.broker.connect(Some(sparkplug.will(&shared.config))),
             (_, None) => self.broker.connect(Some(self.node_state(false))),
         };
-        let (out, sent, waiting) = Default::default();
-        self.link = Some(Connection { link, is_up: false, began: Instant::now(), out, sent, waiting });
+        let (out, sent, waiting, unconfirmed) = Default::default();
+        self.link = Some(Connection { link, is_up: false, began: Instant::now(), out, sent, waiting, unconfirmed });
     }
 
     async fn handle(&mut self, event: Option<LinkEvent>) {
@@ -428,10 +439,20 @@ impl Publisher {
                 let Some(connection) = &mut self.link else { return };
                 let Some(sent) = connection.sent.pop_front() else { return };
                 if packet == 0 {
-                    // QoS 0 has no acknowledgement
-                    self.arrived(sent.reading).await;
+                    connection.unconfirmed.push(sent.reading);
                 } else {
                     connection.waiting.insert(packet, sent);
+                }
+            }
+            Some(Ok(Mqtt::Outgoing(Outgoing::Unsubscribe(_)))) => {
+                if let Some(connection) = &mut self.link {
+                    connection.unconfirmed.asked();
+                }
+            }
+            Some(Ok(Mqtt::Incoming(Packet::UnsubAck(_)))) => {
+                let confirmed = self.link.as_mut().map(|connection| connection.unconfirmed.confirmed());
+                for reading in confirmed.unwrap_or_default() {
+                    self.arrived(Some(reading)).await;
                 }
             }
             Some(Ok(_)) => {}
@@ -718,7 +739,7 @@ impl Publisher {
                 }
             }
             let last = async {
-                while self.link.as_ref().is_some_and(|link| !link.out.is_empty() || link.in_flight() > 0) {
+                while self.link.as_ref().is_some_and(|link| !link.is_idle()) {
                     if let Some(connection) = &mut self.link {
                         connection.flush();
                     }

@@ -396,3 +396,31 @@ async fn the_births_of_two_processes_follow_each_other() {
     }
     active.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn readings_that_a_broken_connection_has_lost_are_sent_as_historical() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let robot = Robot::start().await;
+    let proxy = Proxy::start(broker.port).await;
+    let mut host = Host::start(broker.port).await;
+    let fleet = Running::start(&config(proxy.port, "[metrics]\nport = 0", &[&robot])).await;
+    let alias = named(&host.next("DBIRTH/edge1/cell1").await, "I1").alias.unwrap();
+    proxy.set_up(false);
+    for value in 1..=5 {
+        let before = fleet.metric("bcap_readings_total{controller=\"cell1\"}").await;
+        robot.set(1, value);
+        // each point was read twice
+        while fleet.metric("bcap_readings_total{controller=\"cell1\"}").await < before + 12 {
+            tokio::time::sleep(std::time::Duration::from_millis(1)).await;
+        }
+    }
+    proxy.cut();
+    fleet.event(|event| matches!(event, Event::BrokerDown { .. })).await;
+    proxy.set_up(true);
+    host.next("NBIRTH/edge1").await;
+    for value in 1..=5 {
+        let data = host.data("cell1", alias).await;
+        assert_eq!((data.value, data.is_historical), (Some(Field::Number(value)), true));
+    }
+    fleet.stop().await;
+}
