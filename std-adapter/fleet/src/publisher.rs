@@ -16,6 +16,7 @@ use rumqttc::{ConnectReturnCode, Event as Mqtt, Outgoing, Packet, Publish, QoS};
 use tokio::task::{JoinSet, spawn_blocking};
 use tokio::time::{Instant, sleep_until, timeout};
 
+use self::confirm::Unconfirmed;
 use crate::broker::{Broker, Link, LinkEvent, WINDOW};
 use crate::command::{Answer, Command, Commands, canonical, execute};
 use crate::config::{Config, Format};
@@ -28,7 +29,6 @@ use crate::scan::Shared;
 use crate::sparkplug::{self, HostWrite, Sparkplug};
 use crate::standby::Standby;
 use crate::store::Store;
-use confirm::Unconfirmed;
 
 /// The delays between two attempts to connect.
 const BACKOFF: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(10));
@@ -430,11 +430,7 @@ impl Publisher {
                     self.arrived(reading).await;
                 }
             }
-            Some(Ok(Mqtt::Incoming(Packet::SubAck(_)))) => {
-                if let Some(standby) = self.standby.as_mut().filter(|standby| !standby.is_active()) {
-                    standby.subscribed(Instant::now());
-                }
-            }
+            Some(Ok(Mqtt::Incoming(Packet::SubAck(ack)))) => self.subscribed(&ack.return_codes).await,
             Some(Ok(Mqtt::Outgoing(Outgoing::Publish(packet)))) => {
                 let Some(connection) = &mut self.link else { return };
                 let Some(sent) = connection.sent.pop_front() else { return };
@@ -517,9 +513,7 @@ impl Publisher {
     }
 
     async fn lose(&mut self, reason: String) {
-        if self.is_up() {
-            self.shared.metrics.broker_up.store(false, Ordering::Relaxed);
-        }
+        self.shared.metrics.broker_up.store(false, Ordering::Relaxed);
         (self.shared.report)(&Event::BrokerDown { reason });
         if let Some(standby) = &mut self.standby {
             standby.lost();

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-use rumqttc::{Publish, QoS};
+use rumqttc::{Publish, QoS, SubscribeReasonCode};
 use tokio::time::Instant;
 
 use super::{Connection, Publisher};
@@ -21,6 +21,7 @@ impl Publisher {
         self.is_up() && !self.is_watcher()
     }
 
+    /// Returns whether the connection is, or will be, that of a watcher.
     pub(super) fn is_watcher(&self) -> bool {
         self.standby.as_ref().is_some_and(|standby| !standby.is_active())
     }
@@ -51,6 +52,17 @@ impl Publisher {
         }
     }
 
+    /// The broker has answered a subscription. Without that of a watcher nothing would arrive, and it would take over.
+    pub(super) async fn subscribed(&mut self, codes: &[SubscribeReasonCode]) {
+        let Some(standby) = self.standby.as_mut().filter(|standby| !standby.is_active()) else { return };
+        if codes.contains(&SubscribeReasonCode::Failure) {
+            let reason = format!("the broker refuses the subscription of {}", self.state_topic());
+            return self.lose(reason).await;
+        }
+        standby.subscribed(Instant::now());
+    }
+
+    /// Returns the topic of the state of this node.
     pub(super) fn state_topic(&self) -> String {
         json::topic(&self.shared.config, &self.shared.config.node, "state")
     }
@@ -110,9 +122,9 @@ impl Publisher {
         self.connect();
     }
 
-    /// Notes when a message that the broker has acknowledged was sent.
+    /// The broker has acknowledged a message that was sent at this time.
     pub(super) fn prove(&mut self, sent: Instant) {
-        if let Some(standby) = &mut self.standby {
+        if let Some(standby) = self.standby.as_mut().filter(|standby| standby.is_active()) {
             standby.prove(sent);
         }
     }
