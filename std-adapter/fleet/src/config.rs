@@ -20,6 +20,8 @@ pub struct Config {
     pub(crate) node: String,
     #[serde(default)]
     pub(crate) format: Format,
+    /// The id of the Sparkplug host without which nothing is published.
+    pub(crate) primary_host: Option<String>,
     pub(crate) broker: Broker,
     pub(crate) buffer: Option<Buffer>,
     pub(crate) metrics: Option<Metrics>,
@@ -227,6 +229,12 @@ impl Config {
     fn check(&mut self) -> Result<(), String> {
         name("group", &self.group)?;
         name("node", &self.node)?;
+        if let Some(host) = &self.primary_host {
+            name("primary_host", host)?;
+            if self.format != Format::Sparkplug {
+                return Err("primary_host needs format = \"sparkplug\"".into());
+            }
+        }
         self.broker.check()?;
         if let Some(Standby { after_ms }) = self.standby {
             if !(200..=60_000).contains(&after_ms) {
@@ -342,6 +350,7 @@ mod tests {
                 SMALL.replace("[[controller]]", "[commands]\nallow = [\"X\"]\n[[controller]]"),
                 "the rule \"X\": unknown kind",
             ),
+            (format!("primary_host = \"scada\"\n{SMALL}"), "primary_host needs format"),
             (SMALL.replace("[[controller]]", "[standby]\nafter_ms = 199\n[[controller]]"), "200 to 60000"),
             (SMALL.replace("[[controller]]", "client_id = \"a\"\n[standby]\n[[controller]]"), "remove client_id"),
             (publish("names = [\"I5-1\"]"), "I5-1"),

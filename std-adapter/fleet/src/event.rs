@@ -25,6 +25,11 @@ pub enum Event {
         #[serde(skip_serializing_if = "Option::is_none")]
         active: Option<String>,
     },
+    /// The primary host of Sparkplug came online, so this node publishes, or it went offline.
+    PrimaryHost {
+        /// Whether it is online.
+        online: bool,
+    },
     /// A session with a controller was opened.
     RobotUp {
         /// The controller.

@@ -4,6 +4,7 @@
 //! [`WINDOW`] messages wait for the broker. After a loss, readings that it has not acknowledged go to the buffer.
 
 mod confirm;
+mod host;
 mod role;
 
 use std::collections::{HashMap, VecDeque};
@@ -61,6 +62,8 @@ pub(crate) struct Publisher {
     broker: Broker,
     /// `None` if this is the only process of the node.
     standby: Option<Standby>,
+    /// When the primary host came online, as it says, in milliseconds since 1970; 0 if it is offline or unknown.
+    host_since: u64,
     /// Whether another process was seen as the active one since this process was.
     stands_by: bool,
     /// `None` for JSON.
@@ -143,12 +146,17 @@ impl Connection {
     /// Gives messages to the link.
     fn flush(&mut self) {
         while self.in_flight() < usize::from(WINDOW) {
-            let Some(Message { topic, payload, qos, retain, reading }) = self.out.pop_front() else { break };
-            // the channel of the link has room for more than the window; after a loss the event follows
-            let _ = self.link.client.try_publish(topic, qos, retain, payload);
-            self.sent.push_back(Sent { at: Instant::now(), reading });
+            let Some(message) = self.out.pop_front() else { break };
+            self.send(message);
         }
-        self.ask();
+        self.unconfirmed.ask(|| self.link.client.try_unsubscribe(confirm::TOPIC).is_ok());
+    }
+
+    fn send(&mut self, message: Message) {
+        let Message { topic, payload, qos, retain, reading } = message;
+        // the channel of the link has room for more than the window; after a loss the event follows
+        let _ = self.link.client.try_publish(topic, qos, retain, payload);
+        self.sent.push_back(Sent { at: Instant::now(), reading });
     }
 
     /// Returns the readings that may not have arrived, the oldest first.
@@ -176,6 +184,7 @@ impl Publisher {
             cells: cells.collect(),
             commands: Commands::new(config.commands.clone(), now_ms()),
             standby: config.standby.as_ref().map(|standby| Standby::new(standby.after())),
+            host_since: 0,
             stands_by: false,
             sparkplug: (config.format == Format::Sparkplug).then(|| Sparkplug::new(config)),
             controllers,
@@ -422,7 +431,12 @@ impl Publisher {
             Some(Ok(Mqtt::Incoming(Packet::ConnAck(ack)))) if ack.code == ConnectReturnCode::Success => {
                 self.accepted().await;
             }
-            Some(Ok(Mqtt::Incoming(Packet::Publish(publish)))) => self.receive(&publish),
+            Some(Ok(Mqtt::Incoming(Packet::Publish(publish)))) => {
+                if !self.saw_host(&publish).await {
+                    self.receive(&publish);
+                }
+            }
+            Some(Ok(Mqtt::Outgoing(Outgoing::Disconnect))) => self.lose("the primary host is offline".into()).await,
             Some(Ok(Mqtt::Incoming(Packet::PubAck(ack)))) => {
                 let sent = self.link.as_mut().and_then(|connection| connection.waiting.remove(&ack.pkid));
                 if let Some(Sent { at, reading }) = sent {
@@ -467,7 +481,16 @@ impl Publisher {
         if self.is_watcher() {
             return self.watch();
         }
-        // what was read before the connection is historical
+        self.drain().await;
+        self.activate();
+        if !self.waits_for_host() {
+            self.begin().await;
+        }
+    }
+
+    /// Begins to publish and to receive commands.
+    async fn begin(&mut self) {
+        // what was read before is historical
         self.drain().await;
         self.stale = false;
         let topics = self.topics();
@@ -477,7 +500,6 @@ impl Publisher {
                 let _ = connection.link.client.try_subscribe(topic, QoS::AtLeastOnce);
             }
         }
-        self.activate();
         self.introduce();
     }
 
@@ -603,7 +625,7 @@ impl Publisher {
     }
 
     fn receive(&mut self, publish: &Publish) {
-        if publish.topic == self.state_topic() {
+        if self.is_watcher() {
             return self.saw(publish);
         }
         let shared = Arc::clone(&self.shared);

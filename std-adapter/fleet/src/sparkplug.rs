@@ -29,6 +29,9 @@ use crate::units::elements;
 /// The metric by which a host asks for births.
 const REBIRTH: &str = "Node Control/Rebirth";
 
+/// The metric that joins births and deaths of a node.
+const BD_SEQ: &str = "bdSeq";
+
 /// The state of the encoder.
 #[derive(Debug)]
 pub(crate) struct Sparkplug {
@@ -112,8 +115,15 @@ impl Sparkplug {
         Message { qos: QoS::AtLeastOnce, ..message(topic(config, "NDEATH", None), &payload, None) }
     }
 
+    /// Returns whether a payload is the death of the birth with the number that was followed last.
+    pub(crate) fn is_death(&self, payload: &[u8]) -> bool {
+        let metrics = Payload::decode(payload).map(|payload| payload.metrics).unwrap_or_default();
+        let number = Some(Number::Long(self.bd_seq.into()));
+        metrics.iter().any(|metric| metric.name.as_deref() == Some(BD_SEQ) && metric.value == number)
+    }
+
     fn bd_seq_metric(&self) -> Metric {
-        Metric::named("bdSeq", DataType::Int64 as u32, Number::Long(self.bd_seq.into()))
+        Metric::named(BD_SEQ, DataType::Int64 as u32, Number::Long(self.bd_seq.into()))
     }
 
     /// Returns the birth of the node. All devices need a birth after it.

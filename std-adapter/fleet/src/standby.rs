@@ -7,7 +7,7 @@
 //!
 //! The broker is the lock. It has one connection for a client id, and closes the older one. A watcher takes over by a
 //! connection with the client id of the node: from then on the earlier process cannot publish. It takes over when it sees
-//! `offline`, which is also the will of the active process, or no `online` for some time.
+//! `offline` or the will of the active process, or no `online` for some time.
 //!
 //! **Commands.** The active process accepts a command only if the broker has acknowledged a message that it sent less than
 //! `after` ago. So it accepts none later than `after` following a takeover, and none that expires later than `after` and
@@ -104,16 +104,25 @@ impl Standby {
         }
         // the will of an earlier process may follow the first message of a later one
         if self.online.is_none() || self.online == seen.instance {
-            let (least, most) = DELAY_MS;
-            let delay = if is_own { 0 } else { least + random() % (most - least) };
-            self.takeover = Some(now + Duration::from_millis(delay));
+            if is_own {
+                self.takeover = Some(now);
+            } else {
+                self.saw_death(now);
+            }
         }
         false
+    }
+
+    /// A watcher has seen the end of the process that was online last.
+    pub(crate) fn saw_death(&mut self, now: Instant) {
+        let (least, most) = DELAY_MS;
+        self.takeover = Some(now + Duration::from_millis(least + random() % (most - least)));
     }
 
     /// The next connection is that of the active process.
     pub(crate) fn take_over(&mut self) {
         (self.is_active, self.takeover) = (true, None);
+        self.online = Some(self.instance.clone());
     }
 
     /// This process has published `online`, and repeats it later.
@@ -169,7 +178,9 @@ mod tests {
     fn the_process_that_was_active_goes_on_at_once() {
         let (mut standby, now) = (Standby::new(AFTER), Instant::now());
         let own = standby.instance().to_owned();
+        standby.saw(&seen("online", "b"), false, now);
         for state in ["online", "offline"] {
+            standby.take_over();
             standby.lost();
             standby.saw(&seen(state, &own), true, now);
             assert_eq!(standby.wake(), Some(now), "{state}");

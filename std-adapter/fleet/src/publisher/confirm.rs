@@ -6,14 +6,13 @@
 
 use std::collections::VecDeque;
 
-use super::Connection;
 use crate::reading::Reading;
 
 /// The most readings without confirmation.
 const LIMIT: usize = 10_000;
 
 /// The topic that is unsubscribed. Nothing subscribes to it.
-const TOPIC: &str = "bcap/confirm";
+pub(super) const TOPIC: &str = "bcap/confirm";
 
 /// Readings that were written to the connection.
 #[derive(Debug, Default)]
@@ -39,6 +38,14 @@ impl Unconfirmed {
         self.readings.extend(reading);
     }
 
+    /// Asks with a function if there is something to confirm. The function says whether the link took the question; if not,
+    /// the next call asks.
+    pub(super) fn ask(&mut self, send: impl FnOnce() -> bool) {
+        if !self.is_empty() && !self.is_asking {
+            self.is_asking = send();
+        }
+    }
+
     /// The question was written.
     pub(super) fn asked(&mut self) {
         self.asked = self.readings.len();
@@ -53,16 +60,5 @@ impl Unconfirmed {
 
     pub(super) fn into_readings(self) -> VecDeque<Reading> {
         self.readings
-    }
-}
-
-impl Connection {
-    /// Asks the broker to confirm what was written.
-    pub(super) fn ask(&mut self) {
-        let unconfirmed = &mut self.unconfirmed;
-        if !unconfirmed.is_empty() && !unconfirmed.is_asking {
-            // a full channel is asked again after the next event
-            unconfirmed.is_asking = self.link.client.try_unsubscribe(TOPIC).is_ok();
-        }
     }
 }

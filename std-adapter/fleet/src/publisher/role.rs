@@ -12,7 +12,7 @@ use crate::event::Event;
 use crate::json;
 use crate::message::Message;
 use crate::reading::now_ms;
-use crate::sparkplug::Sparkplug;
+use crate::sparkplug::{self, Sparkplug};
 use crate::standby::{Seen, Standby};
 
 impl Publisher {
@@ -45,10 +45,12 @@ impl Publisher {
 
     /// The broker has accepted the connection of a watcher.
     pub(super) fn watch(&mut self) {
-        let topic = self.state_topic();
+        let topics = [self.death_topic(), Some(self.state_topic())];
         if let Some(connection) = &mut self.link {
             connection.is_up = true;
-            let _ = connection.link.client.try_subscribe(topic, QoS::AtLeastOnce);
+            for topic in topics.into_iter().flatten() {
+                let _ = connection.link.client.try_subscribe(topic, QoS::AtLeastOnce);
+            }
         }
     }
 
@@ -60,6 +62,11 @@ impl Publisher {
             return self.lose(reason).await;
         }
         standby.subscribed(Instant::now());
+    }
+
+    /// Returns the topic of the will of the active process, if it is not that of the state.
+    fn death_topic(&self) -> Option<String> {
+        self.sparkplug.as_ref().map(|_| sparkplug::topic(&self.shared.config, "NDEATH", None))
     }
 
     /// Returns the topic of the state of this node.
@@ -90,9 +97,17 @@ impl Publisher {
         }
     }
 
-    /// A watcher has received the state of the node.
+    /// A watcher has received the state of the node, or its death.
     pub(super) fn saw(&mut self, publish: &Publish) {
+        let is_death = publish.topic != self.state_topic();
         let Some(standby) = self.standby.as_mut().filter(|standby| !standby.is_active()) else { return };
+        if is_death {
+            // that of an earlier birth may come late
+            if self.sparkplug.as_ref().is_some_and(|sparkplug| sparkplug.is_death(&publish.payload)) {
+                standby.saw_death(Instant::now());
+            }
+            return;
+        }
         let Ok(seen) = serde_json::from_slice::<Seen>(&publish.payload) else { return };
         if let (Some(sparkplug), Some(bd_seq)) = (&mut self.sparkplug, seen.bd_seq) {
             sparkplug.follow(bd_seq);
@@ -113,6 +128,7 @@ impl Publisher {
             if let Some(connection) = &mut self.link {
                 // readings must not delay it
                 connection.out.push_front(state);
+                connection.flush();
             }
             return;
         }
