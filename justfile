@@ -204,3 +204,13 @@ container:
 # Builds the static binary in two directories, and compares the bytes.
 reproducible:
     std-adapter/cli/packaging/reproducible
+
+# How long it takes until the standby of a fleet replaces a process that is killed or stopped, and until values arrive after
+# a restart of the broker, with the default of `after_ms`. Needs Mosquitto.
+takeover count="20":
+    TAKEOVERS={{count}} cargo test --release -p bcap-fleet --test standby -- --nocapture processes_that_are
+
+# A fleet whose broker, robots and network fail again and again: every fourth failure is one of the broker, and there are
+# 50 commands for each. Prints what arrived, was dropped, and was executed. Needs Mosquitto.
+chaos failures="200":
+    FAILURES={{failures}} cargo test --release -p bcap-fleet --test chaos -- --nocapture

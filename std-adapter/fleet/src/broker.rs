@@ -66,12 +66,23 @@ impl Broker {
         self
     }
 
+    /// Begins to connect, to watch the active process of this node.
+    pub(crate) fn watch(&self, instance: &str) -> Link {
+        let mut options = self.options.clone();
+        options.set_client_id(format!("{}-{instance}", self.options.client_id()));
+        Self::open(options)
+    }
+
     /// Begins to connect.
     pub(crate) fn connect(&self, will: Option<Message>) -> Link {
         let mut options = self.options.clone();
         if let Some(Message { topic, payload, qos, retain, .. }) = will {
             options.set_last_will(LastWill::new(topic, payload, qos, retain));
         }
+        Self::open(options)
+    }
+
+    fn open(options: MqttOptions) -> Link {
         let (client, mut events) = AsyncClient::new(options, usize::from(WINDOW) * 2);
         let (sender, receiver) = mpsc::channel(EVENTS);
         let task = tokio::spawn(async move {

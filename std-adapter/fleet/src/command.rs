@@ -65,7 +65,7 @@ pub(crate) struct Job {
 #[derive(Debug)]
 pub(crate) struct Commands {
     config: config::Commands,
-    /// When this process began, in milliseconds since 1970.
+    /// The last time at which another process can have accepted a command, in milliseconds since 1970.
     began: u64,
     /// The expiry of each command that was accepted, by controller and id.
     accepted: HashMap<(usize, String), u64>,
@@ -76,6 +76,11 @@ pub(crate) struct Commands {
 impl Commands {
     pub(crate) fn new(config: config::Commands, began: u64) -> Self {
         Self { config, began, accepted: HashMap::new(), tokens: HashMap::new() }
+    }
+
+    /// Refuses the commands that another process may have accepted until a time.
+    pub(crate) const fn begin(&mut self, began: u64) {
+        self.began = began;
     }
 
     /// Returns whether a rule allows any command.
@@ -102,7 +107,8 @@ impl Commands {
         }
         if *expires <= self.began + self.longest() {
             return Err(
-                "this node has just started, and an earlier process may have executed it; send a new one".into()
+                "this node has just started or taken over, and another process may have executed it; send a new one"
+                    .into(),
             );
         }
         self.accepted.retain(|_, expires| *expires > now);
@@ -177,6 +183,10 @@ pub(crate) async fn execute(controller: Controller, job: Job) -> (CommandResult,
         Ok(Ok(_)) => {}
         Ok(Err(error)) => return (CommandResult::Failed, Some(error.to_string())),
         Err(_) => return (CommandResult::Refused, Some("it expired before it could be sent".into())),
+    }
+    // a process that was stopped in between must not write late
+    if Instant::now() >= job.deadline {
+        return (CommandResult::Refused, Some("it expired before it could be sent".into()));
     }
     match timeout_at(job.deadline, controller.write(&job.name, job.value)).await {
         Ok(Ok(())) => (CommandResult::Done, None),

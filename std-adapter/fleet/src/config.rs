@@ -3,6 +3,7 @@
 use std::collections::HashSet;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use bcap_core::gateway::AllowBuf;
 use bcap_std::{Address, Model};
@@ -19,9 +20,12 @@ pub struct Config {
     pub(crate) node: String,
     #[serde(default)]
     pub(crate) format: Format,
+    /// The id of the Sparkplug host without which nothing is published.
+    pub(crate) primary_host: Option<String>,
     pub(crate) broker: Broker,
     pub(crate) buffer: Option<Buffer>,
     pub(crate) metrics: Option<Metrics>,
+    pub(crate) standby: Option<Standby>,
     #[serde(default)]
     pub(crate) commands: Commands,
     #[serde(rename = "controller")]
@@ -81,6 +85,21 @@ pub(crate) struct Metrics {
     #[serde(default = "loopback")]
     pub(crate) address: IpAddr,
     pub(crate) port: u16,
+}
+
+/// How several processes of a node divide their work.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Standby {
+    /// The time without a message of the active process after which another one takes over.
+    #[serde(default = "after_ms")]
+    after_ms: u64,
+}
+
+impl Standby {
+    pub(crate) const fn after(&self) -> Duration {
+        Duration::from_millis(self.after_ms)
+    }
 }
 
 /// What commands from the broker may do.
@@ -167,6 +186,10 @@ const fn loopback() -> IpAddr {
     IpAddr::V4(Ipv4Addr::LOCALHOST)
 }
 
+const fn after_ms() -> u64 {
+    2000
+}
+
 const fn per_second() -> u32 {
     10
 }
@@ -206,7 +229,23 @@ impl Config {
     fn check(&mut self) -> Result<(), String> {
         name("group", &self.group)?;
         name("node", &self.node)?;
+        if let Some(host) = &self.primary_host {
+            name("primary_host", host)?;
+            if self.format != Format::Sparkplug {
+                return Err("primary_host needs format = \"sparkplug\"".into());
+            }
+        }
         self.broker.check()?;
+        if let Some(Standby { after_ms }) = self.standby {
+            if !(200..=60_000).contains(&after_ms) {
+                return Err(format!("[standby]: after_ms {after_ms}: expected 200 to 60000"));
+            }
+            if self.broker.client_id.is_some() {
+                return Err(
+                    "[standby]: remove client_id from [broker]; all processes of a node need the same one".into()
+                );
+            }
+        }
         if self.commands.longest_seconds == 0 {
             return Err("[commands]: longest_seconds must be 1 or more".into());
         }
@@ -311,6 +350,9 @@ mod tests {
                 SMALL.replace("[[controller]]", "[commands]\nallow = [\"X\"]\n[[controller]]"),
                 "the rule \"X\": unknown kind",
             ),
+            (format!("primary_host = \"scada\"\n{SMALL}"), "primary_host needs format"),
+            (SMALL.replace("[[controller]]", "[standby]\nafter_ms = 199\n[[controller]]"), "200 to 60000"),
+            (SMALL.replace("[[controller]]", "client_id = \"a\"\n[standby]\n[[controller]]"), "remove client_id"),
             (publish("names = [\"I5-1\"]"), "I5-1"),
             (publish("names = [\"I1\", \"I0-3\"]"), "I1 is published twice"),
             (publish("names = [\"I1\"]\ninterval_ms = 0"), "interval_ms"),

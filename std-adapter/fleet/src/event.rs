@@ -14,6 +14,22 @@ pub enum Event {
         /// Why.
         reason: String,
     },
+    /// This process of a node with `[standby]` is the active one now: it reads and publishes.
+    Active {
+        /// The name of this process in the state of the node.
+        instance: String,
+    },
+    /// Another process of the node is active; this one waits to take over.
+    Standby {
+        /// The name of the active process, if it has one.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        active: Option<String>,
+    },
+    /// The primary host of Sparkplug came online, so this node publishes, or it went offline.
+    PrimaryHost {
+        /// Whether it is online.
+        online: bool,
+    },
     /// A session with a controller was opened.
     RobotUp {
         /// The controller.

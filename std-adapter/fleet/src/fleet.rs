@@ -2,11 +2,12 @@
 
 use std::net::SocketAddr;
 use std::sync::Arc;
-use std::sync::atomic::AtomicU64;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use bcap_std::asynch::Controller;
 use bcap_std::{Model, Settings};
 use tokio::net::TcpListener;
+use tokio::sync::watch;
 use tokio::task::JoinSet;
 
 use crate::broker::Broker;
@@ -58,9 +59,11 @@ impl Fleet {
         };
         let controllers = config.controllers.iter().map(spawn).collect::<Result<Vec<_>, _>>()?;
         let metrics = Arc::new(Metrics::new(config.controllers.len()));
+        metrics.active.store(config.standby.is_none(), Ordering::Relaxed);
         let shared = Arc::new(Shared {
             queue: Queue::new(Arc::clone(&metrics)),
             metrics,
+            reads: watch::Sender::new(config.standby.is_none()),
             report: Box::new(report),
             // at most 1000 readings a millisecond
             next_id: AtomicU64::new(now_ms().saturating_mul(1000)),

@@ -3,6 +3,7 @@
 //! | topic                       | payload                                                          | retained |
 //! |-----------------------------|------------------------------------------------------------------|----------|
 //! | `bcap/GROUP/NODE/state`     | `{"state":"online","time":T}`; `offline` by will                 | yes      |
+//! | the same                    | with `[standby]` also `"instance"` and, for Sparkplug, `"bdSeq"`  | yes      |
 //! | `bcap/GROUP/NAME/state`     | `{"state":"connected","time":T}`; `disconnected` with `reason`   | yes      |
 //! | `bcap/GROUP/NAME/VARIABLE`  | `{"value":5,"quality":"good","time":T,"id":N}`                   | yes      |
 //! | the same                    | the same with `"historical":true`: the broker was disconnected   | no       |
@@ -45,6 +46,10 @@ struct StateShown<'a> {
     time: u64,
     #[serde(skip_serializing_if = "Option::is_none")]
     reason: Option<&'a str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    instance: Option<&'a str>,
+    #[serde(rename = "bdSeq", skip_serializing_if = "Option::is_none")]
+    bd_seq: Option<u8>,
 }
 
 /// Returns the topic of something of a controller, or of the node.
@@ -52,17 +57,19 @@ pub(crate) fn topic(config: &Config, name: &str, leaf: &str) -> String {
     format!("bcap/{}/{name}/{leaf}", config.group)
 }
 
-/// Returns the message that the broker sends when this node is gone, or that this node sends when it starts or ends.
-pub(crate) fn node(config: &Config, online: bool, time: u64) -> Message {
+/// Returns the message that the broker sends when this node is gone, or that this node sends when it starts or ends. With
+/// several processes, `instance` says which one is meant, and `bd_seq` lets the next one continue its numbers.
+pub(crate) fn node(config: &Config, online: bool, time: u64, instance: Option<&str>, bd_seq: Option<u8>) -> Message {
     let state = if online { "online" } else { "offline" };
-    retained(topic(config, &config.node, "state"), &StateShown { state, time, reason: None })
+    let shown = StateShown { state, time, reason: None, instance, bd_seq };
+    retained(topic(config, &config.node, "state"), &shown)
 }
 
 /// Returns the message for a change of a controller's state.
 pub(crate) fn state(config: &Config, state: &State) -> Message {
     let reason = state.down.as_deref();
     let word = if reason.is_some() { "disconnected" } else { "connected" };
-    let shown = StateShown { state: word, time: state.time, reason };
+    let shown = StateShown { state: word, time: state.time, reason, instance: None, bd_seq: None };
     retained(topic(config, &config.controllers[state.cell].name, "state"), &shown)
 }
 

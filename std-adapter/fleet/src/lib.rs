@@ -18,6 +18,7 @@
 //! | `store`                 | readings on disk while the broker is disconnected                        |
 //! | `broker`                | one connection to the broker, with TLS                                   |
 //! | `publisher`             | moves readings to the broker, and commands from it                       |
+//! | `standby`               | decides which process of a node is active                                |
 //! | `json`, `sparkplug`     | topics and payloads                                                      |
 //! | `command`               | rules, expiry and at-most-once execution of commands                     |
 //! | `metrics`, `http`       | counters, and the server that shows them                                 |
@@ -40,6 +41,7 @@ mod queue;
 mod reading;
 mod scan;
 mod sparkplug;
+mod standby;
 mod store;
 mod units;
 

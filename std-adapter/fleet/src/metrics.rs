@@ -7,6 +7,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 #[derive(Debug)]
 pub(crate) struct Metrics {
     pub(crate) cells: Vec<CellMetrics>,
+    /// Whether this process reads and publishes; a standby does not.
+    pub(crate) active: AtomicBool,
     pub(crate) broker_up: AtomicBool,
     pub(crate) broker_connections: AtomicU64,
     /// Readings that the broker has.
@@ -35,6 +37,7 @@ impl Metrics {
     pub(crate) fn new(cells: usize) -> Self {
         Self {
             cells: (0..cells).map(|_| CellMetrics::default()).collect(),
+            active: AtomicBool::new(true),
             broker_up: AtomicBool::new(false),
             broker_connections: AtomicU64::new(0),
             published: AtomicU64::new(0),
@@ -74,7 +77,9 @@ impl Metrics {
             format!("{:.6}", std::time::Duration::from_micros(get(&cell.read_us)).as_secs_f64())
         });
         let up = u64::from(self.broker_up.load(Ordering::Relaxed));
+        let active = u64::from(self.active.load(Ordering::Relaxed));
         for (name, kind, help, value) in [
+            ("bcap_active", "gauge", "Whether this process is not a standby.", active),
             ("bcap_broker_up", "gauge", "Whether there is a connection to the broker.", up),
             ("bcap_broker_connections", "counter", "Connections to the broker.", get(&self.broker_connections)),
             ("bcap_published", "counter", "Readings that the broker has.", get(&self.published)),

@@ -3,6 +3,10 @@
 //! While there is a connection, new readings go first, and those of the buffer when there is nothing new. At most
 //! [`WINDOW`] messages wait for the broker. After a loss, readings that it has not acknowledged go to the buffer.
 
+mod confirm;
+mod host;
+mod role;
+
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -13,6 +17,7 @@ use rumqttc::{ConnectReturnCode, Event as Mqtt, Outgoing, Packet, Publish, QoS};
 use tokio::task::{JoinSet, spawn_blocking};
 use tokio::time::{Instant, sleep_until, timeout};
 
+use self::confirm::Unconfirmed;
 use crate::broker::{Broker, Link, LinkEvent, WINDOW};
 use crate::command::{Answer, Command, Commands, canonical, execute};
 use crate::config::{Config, Format};
@@ -23,6 +28,7 @@ use crate::queue::{Item, State};
 use crate::reading::{Reading, now_ms};
 use crate::scan::Shared;
 use crate::sparkplug::{self, HostWrite, Sparkplug};
+use crate::standby::Standby;
 use crate::store::Store;
 
 /// The delays between two attempts to connect.
@@ -44,7 +50,7 @@ const WAITING: usize = 1000;
 const RUNNING: (usize, usize) = (64, 16);
 
 /// How long a connection must last before the backoff begins anew: a broker may accept and close at once.
-const STABLE: Duration = Duration::from_secs(10);
+const STABLE: Duration = Duration::from_secs(2);
 
 /// The most bytes of a text of a command in an answer or event.
 const LONGEST_TEXT: usize = 256;
@@ -54,6 +60,12 @@ pub(crate) struct Publisher {
     shared: Arc<Shared>,
     controllers: Vec<Controller>,
     broker: Broker,
+    /// `None` if this is the only process of the node.
+    standby: Option<Standby>,
+    /// When the primary host came online, as it says, in milliseconds since 1970; 0 if it is offline or unknown.
+    host_since: u64,
+    /// Whether another process was seen as the active one since this process was.
+    stands_by: bool,
     /// `None` for JSON.
     sparkplug: Option<Sparkplug>,
     /// `None` without a buffer on disk, or after it has failed.
@@ -95,6 +107,12 @@ struct Finished {
     reason: Option<String>,
 }
 
+/// What is known of a message that was given to the link.
+struct Sent {
+    at: Instant,
+    reading: Option<Reading>,
+}
+
 /// A connection and its messages.
 struct Connection {
     link: Link,
@@ -103,37 +121,52 @@ struct Connection {
     began: Instant,
     /// Messages to give to the link.
     out: VecDeque<Message>,
-    /// Readings of messages that the link has not sent.
-    sent: VecDeque<Option<Reading>>,
-    /// Readings of messages that the broker has not acknowledged, by packet.
-    waiting: HashMap<u16, Option<Reading>>,
+    /// Messages that the link has not sent.
+    sent: VecDeque<Sent>,
+    /// Messages that the broker has not acknowledged, by packet.
+    waiting: HashMap<u16, Sent>,
+    /// Messages without acknowledgements.
+    unconfirmed: Unconfirmed,
 }
 
 impl Connection {
     fn room(&self) -> usize {
-        usize::from(WINDOW).saturating_sub(self.in_flight() + self.out.len())
+        usize::from(WINDOW).min(self.unconfirmed.room()).saturating_sub(self.in_flight() + self.out.len())
     }
 
     fn in_flight(&self) -> usize {
         self.sent.len() + self.waiting.len()
     }
 
+    /// Returns whether the broker has all messages.
+    fn is_idle(&self) -> bool {
+        self.out.is_empty() && self.in_flight() == 0 && self.unconfirmed.is_empty()
+    }
+
     /// Gives messages to the link.
     fn flush(&mut self) {
         while self.in_flight() < usize::from(WINDOW) {
-            let Some(Message { topic, payload, qos, retain, reading }) = self.out.pop_front() else { return };
-            // the channel of the link has room for more than the window; after a loss the event follows
-            let _ = self.link.client.try_publish(topic, qos, retain, payload);
-            self.sent.push_back(reading);
+            let Some(message) = self.out.pop_front() else { break };
+            self.send(message);
         }
+        self.unconfirmed.ask(|| self.link.client.try_unsubscribe(confirm::TOPIC).is_ok());
+    }
+
+    fn send(&mut self, message: Message) {
+        let Message { topic, payload, qos, retain, reading } = message;
+        // the channel of the link has room for more than the window; after a loss the event follows
+        let _ = self.link.client.try_publish(topic, qos, retain, payload);
+        self.sent.push_back(Sent { at: Instant::now(), reading });
     }
 
     /// Returns the readings that may not have arrived, the oldest first.
     fn into_readings(mut self) -> Vec<Reading> {
         let sent = std::mem::take(&mut self.sent);
         let waiting = std::mem::take(&mut self.waiting);
+        let unconfirmed = std::mem::take(&mut self.unconfirmed).into_readings();
         let out = std::mem::take(&mut self.out).into_iter().map(|message| message.reading);
-        let mut readings: Vec<_> = waiting.into_values().chain(sent).chain(out).flatten().collect();
+        let sent = waiting.into_values().chain(sent).map(|sent| sent.reading);
+        let mut readings: Vec<_> = sent.chain(out).flatten().chain(unconfirmed).collect();
         readings.sort_by_key(|reading| reading.id);
         readings
     }
@@ -150,6 +183,9 @@ impl Publisher {
         Self {
             cells: cells.collect(),
             commands: Commands::new(config.commands.clone(), now_ms()),
+            standby: config.standby.as_ref().map(|standby| Standby::new(standby.after())),
+            host_since: 0,
+            stands_by: false,
             sparkplug: (config.format == Format::Sparkplug).then(|| Sparkplug::new(config)),
             controllers,
             broker,
@@ -174,10 +210,12 @@ impl Publisher {
                 self.connect();
             }
             self.step().await;
+            let wake = self.standby.as_ref().and_then(Standby::wake);
             tokio::select! {
                 event = next(&mut self.link) => self.handle(event).await,
                 () = shared.queue.added() => {}
                 () = sleep_until(self.retry), if self.link.is_none() => {}
+                () = at(wake) => self.tick().await,
                 Some(Ok(finished)) = self.running.join_next() => self.end(finished),
                 () = &mut end => break,
             }
@@ -195,8 +233,11 @@ impl Publisher {
 
     /// Moves what can be moved without waiting for the broker.
     async fn step(&mut self) {
-        if !self.is_up() {
-            return self.drain().await;
+        if !self.is_active() {
+            self.drain().await;
+        }
+        if !self.sends_history() {
+            return;
         }
         if self.shared.queue.len() > BACKLOG {
             self.stale = true;
@@ -217,7 +258,7 @@ impl Publisher {
             match item {
                 Item::State(state) => {
                     self.set_state(&state);
-                    if self.is_up() {
+                    if self.is_active() {
                         self.send_state(&state);
                     }
                 }
@@ -236,8 +277,9 @@ impl Publisher {
     /// Puts messages into the window.
     fn pump(&mut self) {
         let shared = Arc::clone(&self.shared);
+        let is_active = self.is_active();
         while self.link.as_ref().is_some_and(|connection| connection.room() > 0) {
-            if let Some(item) = shared.queue.pop() {
+            if let Some(item) = is_active.then(|| shared.queue.pop()).flatten() {
                 match item {
                     Item::State(state) => {
                         self.set_state(&state);
@@ -245,7 +287,7 @@ impl Publisher {
                     }
                     Item::Reading(reading) => self.send(reading),
                 }
-            } else if std::mem::take(&mut self.stale) {
+            } else if is_active && std::mem::take(&mut self.stale) {
                 self.repeat();
             } else if let Some(reading) = self.history.pop_front() {
                 self.send_history(reading);
@@ -357,7 +399,7 @@ impl Publisher {
             (0..self.cells.len()).for_each(|cell| self.birth(cell));
             return;
         }
-        self.push(json::node(config, true, now_ms()));
+        self.push(self.node_state(true));
         let states: Vec<_> = self.cells.iter().filter_map(|cell| cell.state.clone()).collect();
         states.iter().for_each(|state| self.send_state(state));
         self.repeat();
@@ -375,13 +417,13 @@ impl Publisher {
 
     fn connect(&mut self) {
         let shared = Arc::clone(&self.shared);
-        let will = match &mut self.sparkplug {
-            Some(sparkplug) => sparkplug.will(&shared.config),
-            None => json::node(&shared.config, false, now_ms()),
+        let link = match (&self.standby, &mut self.sparkplug) {
+            (Some(standby), _) if !standby.is_active() => self.broker.watch(standby.instance()),
+            (_, Some(sparkplug)) => self.broker.connect(Some(sparkplug.will(&shared.config))),
+            (_, None) => self.broker.connect(Some(self.node_state(false))),
         };
-        let link = self.broker.connect(Some(will));
-        let (out, sent, waiting) = Default::default();
-        self.link = Some(Connection { link, is_up: false, began: Instant::now(), out, sent, waiting });
+        let (out, sent, waiting, unconfirmed) = Default::default();
+        self.link = Some(Connection { link, is_up: false, began: Instant::now(), out, sent, waiting, unconfirmed });
     }
 
     async fn handle(&mut self, event: Option<LinkEvent>) {
@@ -389,19 +431,38 @@ impl Publisher {
             Some(Ok(Mqtt::Incoming(Packet::ConnAck(ack)))) if ack.code == ConnectReturnCode::Success => {
                 self.accepted().await;
             }
-            Some(Ok(Mqtt::Incoming(Packet::Publish(publish)))) => self.receive(&publish),
-            Some(Ok(Mqtt::Incoming(Packet::PubAck(ack)))) => {
-                let reading = self.link.as_mut().and_then(|connection| connection.waiting.remove(&ack.pkid));
-                self.arrived(reading.flatten()).await;
+            Some(Ok(Mqtt::Incoming(Packet::Publish(publish)))) => {
+                if !self.saw_host(&publish).await {
+                    self.receive(&publish);
+                }
             }
+            Some(Ok(Mqtt::Outgoing(Outgoing::Disconnect))) => self.lose("the primary host is offline".into()).await,
+            Some(Ok(Mqtt::Incoming(Packet::PubAck(ack)))) => {
+                let sent = self.link.as_mut().and_then(|connection| connection.waiting.remove(&ack.pkid));
+                if let Some(Sent { at, reading }) = sent {
+                    self.prove(at);
+                    self.arrived(reading).await;
+                }
+            }
+            Some(Ok(Mqtt::Incoming(Packet::SubAck(ack)))) => self.subscribed(&ack.return_codes).await,
             Some(Ok(Mqtt::Outgoing(Outgoing::Publish(packet)))) => {
                 let Some(connection) = &mut self.link else { return };
-                let reading = connection.sent.pop_front().flatten();
+                let Some(sent) = connection.sent.pop_front() else { return };
                 if packet == 0 {
-                    // QoS 0 has no acknowledgement
-                    self.arrived(reading).await;
+                    connection.unconfirmed.push(sent.reading);
                 } else {
-                    connection.waiting.insert(packet, reading);
+                    connection.waiting.insert(packet, sent);
+                }
+            }
+            Some(Ok(Mqtt::Outgoing(Outgoing::Unsubscribe(_)))) => {
+                if let Some(connection) = &mut self.link {
+                    connection.unconfirmed.asked();
+                }
+            }
+            Some(Ok(Mqtt::Incoming(Packet::UnsubAck(_)))) => {
+                let confirmed = self.link.as_mut().map(|connection| connection.unconfirmed.confirmed());
+                for reading in confirmed.unwrap_or_default() {
+                    self.arrived(Some(reading)).await;
                 }
             }
             Some(Ok(_)) => {}
@@ -412,10 +473,24 @@ impl Publisher {
 
     async fn accepted(&mut self) {
         let metrics = &self.shared.metrics;
-        metrics.broker_up.store(true, Ordering::Relaxed);
         metrics.broker_connections.fetch_add(1, Ordering::Relaxed);
-        (self.shared.report)(&Event::BrokerUp {});
-        // what was read before the connection is historical
+        // a takeover replaces one connection by another
+        if !metrics.broker_up.swap(true, Ordering::Relaxed) {
+            (self.shared.report)(&Event::BrokerUp {});
+        }
+        if self.is_watcher() {
+            return self.watch();
+        }
+        self.drain().await;
+        self.activate();
+        if !self.waits_for_host() {
+            self.begin().await;
+        }
+    }
+
+    /// Begins to publish and to receive commands.
+    async fn begin(&mut self) {
+        // what was read before is historical
         self.drain().await;
         self.stale = false;
         let topics = self.topics();
@@ -460,11 +535,12 @@ impl Publisher {
     }
 
     async fn lose(&mut self, reason: String) {
-        if self.is_up() {
-            self.shared.metrics.broker_up.store(false, Ordering::Relaxed);
-        }
+        self.shared.metrics.broker_up.store(false, Ordering::Relaxed);
         (self.shared.report)(&Event::BrokerDown { reason });
-        if self.link.as_ref().is_some_and(|connection| connection.is_up && connection.began.elapsed() >= STABLE) {
+        if let Some(standby) = &mut self.standby {
+            standby.lost();
+        }
+        if self.link.as_ref().is_some_and(|connection| connection.age() >= STABLE) {
             self.backoff = BACKOFF.0;
         }
         self.retry = Instant::now() + self.backoff;
@@ -549,6 +625,9 @@ impl Publisher {
     }
 
     fn receive(&mut self, publish: &Publish) {
+        if self.is_watcher() {
+            return self.saw(publish);
+        }
         let shared = Arc::clone(&self.shared);
         let config = &shared.config;
         let mut levels = publish.topic.split('/');
@@ -592,7 +671,13 @@ impl Publisher {
         } else if self.cells[cell].running >= RUNNING.1 {
             Err(format!("{} commands of this controller are running", RUNNING.1))
         } else {
-            self.commands.check(cell, &command, now_ms())
+            // the time first: what is proven afterwards was so at this time
+            let now = now_ms();
+            if self.is_proven() {
+                self.commands.check(cell, &command, now)
+            } else {
+                Err("another process of this node may be active by now; send a new one".into())
+            }
         };
         let topic = publish.topic.clone();
         match checked {
@@ -644,8 +729,8 @@ impl Publisher {
             reason,
         });
         // Sparkplug has no answers; a host sees the new value
-        let has_room = self.link.as_ref().is_some_and(|connection| connection.is_up && connection.out.len() < WAITING);
-        if self.sparkplug.is_none() && has_room {
+        let has_room = self.link.as_ref().is_some_and(|connection| connection.out.len() < WAITING);
+        if self.sparkplug.is_none() && self.is_active() && has_room {
             self.push(answer);
         }
     }
@@ -662,12 +747,15 @@ impl Publisher {
         if self.is_up() {
             self.step().await;
             let shared = Arc::clone(&self.shared);
-            self.push(match &self.sparkplug {
-                Some(sparkplug) => sparkplug.death(&shared.config),
-                None => json::node(&shared.config, false, now_ms()),
-            });
+            if self.is_active() {
+                let death = self.sparkplug.as_ref().map(|sparkplug| sparkplug.death(&shared.config));
+                death.into_iter().for_each(|death| self.push(death));
+                if self.sparkplug.is_none() || self.standby.is_some() {
+                    self.push(self.node_state(false));
+                }
+            }
             let last = async {
-                while self.link.as_ref().is_some_and(|link| !link.out.is_empty() || link.in_flight() > 0) {
+                while self.link.as_ref().is_some_and(|link| !link.is_idle()) {
                     if let Some(connection) = &mut self.link {
                         connection.flush();
                     }
@@ -698,6 +786,14 @@ fn cut(mut text: String) -> String {
         text.push('…');
     }
     text
+}
+
+/// Waits until a time, or forever.
+async fn at(time: Option<Instant>) {
+    match time {
+        Some(time) => sleep_until(time).await,
+        None => std::future::pending().await,
+    }
 }
 
 /// Waits for the next event of a connection. Cancel-safe.

@@ -10,6 +10,7 @@ use std::time::Duration;
 use bcap_core::variant::OwnedVariant;
 use bcap_std::Error;
 use bcap_std::asynch::{Controller, State as Session};
+use tokio::sync::watch;
 use tokio::time::{Instant, sleep_until};
 
 use crate::config::Config;
@@ -25,6 +26,8 @@ pub(crate) struct Shared {
     pub(crate) queue: Queue,
     pub(crate) metrics: Arc<Metrics>,
     pub(crate) report: Box<dyn Fn(&Event) + Send + Sync>,
+    /// Whether variables are read; a standby does not.
+    pub(crate) reads: watch::Sender<bool>,
     /// The id of the next reading. It begins with the time, so that the ids of a later process are higher.
     pub(crate) next_id: AtomicU64,
 }
@@ -61,10 +64,9 @@ impl Scan {
                 Some(Session::Connected) => {
                     self.report(None);
                     reported = None;
-                    self.spread(&mut scanned);
                     state = tokio::select! {
                         next = states.next() => next,
-                        never = self.read_all(&mut scanned) => match never {},
+                        never = self.read_while_active(&mut scanned) => match never {},
                     };
                 }
                 Some(Session::Disconnected { reason, .. }) => {
@@ -87,6 +89,22 @@ impl Scan {
         let now = Instant::now();
         for scanned in scanned {
             scanned.due = now + offset(scanned.point.interval, cell, cells);
+        }
+    }
+
+    /// Reads while this process is the active one of its node.
+    async fn read_while_active(&self, scanned: &mut [Scanned<'_>]) -> std::convert::Infallible {
+        let mut reads = self.shared.reads.subscribe();
+        loop {
+            // the sender is not dropped before this
+            let _ = reads.wait_for(|reads| *reads).await;
+            self.spread(scanned);
+            tokio::select! {
+                never = self.read_all(scanned) => match never {},
+                _ = reads.wait_for(|reads| !*reads) => {}
+            }
+            // the first readings of the next time are reported, and the end of the session is not
+            scanned.iter_mut().for_each(|scanned| scanned.last = None);
         }
     }
 

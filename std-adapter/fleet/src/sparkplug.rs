@@ -29,13 +29,16 @@ use crate::units::elements;
 /// The metric by which a host asks for births.
 const REBIRTH: &str = "Node Control/Rebirth";
 
+/// The metric that joins births and deaths of a node.
+const BD_SEQ: &str = "bdSeq";
+
 /// The state of the encoder.
 #[derive(Debug)]
 pub(crate) struct Sparkplug {
     /// The number of the next message after NBIRTH.
     seq: u8,
-    /// Joins NBIRTH with the NDEATH of the same connection.
-    bd_seq: u64,
+    /// Joins NBIRTH with the NDEATH of the same connection; 0 follows 255.
+    bd_seq: u8,
     devices: Vec<Device>,
 }
 
@@ -92,8 +95,18 @@ impl Sparkplug {
 
     /// Returns the will of the next connection.
     pub(crate) fn will(&mut self, config: &Config) -> Message {
-        self.bd_seq += 1;
+        self.bd_seq = self.bd_seq.wrapping_add(1);
         self.death(config)
+    }
+
+    /// Returns the number that joins births and deaths of the present connection.
+    pub(crate) const fn bd_seq(&self) -> u8 {
+        self.bd_seq
+    }
+
+    /// Continues the numbers of another process of this node.
+    pub(crate) const fn follow(&mut self, bd_seq: u8) {
+        self.bd_seq = bd_seq;
     }
 
     /// Returns the death of the node.
@@ -102,8 +115,15 @@ impl Sparkplug {
         Message { qos: QoS::AtLeastOnce, ..message(topic(config, "NDEATH", None), &payload, None) }
     }
 
+    /// Returns whether a payload is the death of the birth with the number that was followed last.
+    pub(crate) fn is_death(&self, payload: &[u8]) -> bool {
+        let metrics = Payload::decode(payload).map(|payload| payload.metrics).unwrap_or_default();
+        let number = Some(Number::Long(self.bd_seq.into()));
+        metrics.iter().any(|metric| metric.name.as_deref() == Some(BD_SEQ) && metric.value == number)
+    }
+
     fn bd_seq_metric(&self) -> Metric {
-        Metric::named("bdSeq", DataType::Int64 as u32, Number::Long(self.bd_seq))
+        Metric::named(BD_SEQ, DataType::Int64 as u32, Number::Long(self.bd_seq.into()))
     }
 
     /// Returns the birth of the node. All devices need a birth after it.

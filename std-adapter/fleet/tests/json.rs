@@ -3,15 +3,12 @@
 mod common;
 
 use std::collections::BTreeMap;
-use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::time::Duration;
 
-use bcap_core::device::{Device, DeviceVariable};
 use bcap_fleet::{CommandResult, Event};
-use bcap_std::server::Server;
-use common::{Mosquitto, Robot, Running, Subscriber, folder, http, now_ms};
+use common::{Mosquitto, Robot, Running, Subscriber, counter, folder, http, now_ms};
 use rumqttc::Publish;
 use serde_json::json;
 
@@ -145,19 +142,6 @@ async fn without_a_rule_no_command_is_received() {
     robot.set(1, 2);
     host.json("bcap/plant/cell1/I1", |json| json["value"] == 2).await;
     assert!(!fleet.stop().await.iter().any(|event| matches!(event, Event::Command { .. })));
-}
-
-/// A controller whose I1 counts its own reads until it is frozen; returns its address.
-async fn counter(last: &Arc<AtomicI32>, frozen: &Arc<AtomicBool>) -> SocketAddr {
-    let counter = (Arc::clone(last), Arc::clone(frozen));
-    let variable = DeviceVariable::new("I1", |(last, frozen): &(Arc<AtomicI32>, Arc<AtomicBool>), reply| {
-        let more = i32::from(!frozen.load(Ordering::SeqCst));
-        reply.set(&(last.fetch_add(more, Ordering::SeqCst) + more))
-    });
-    let server = Server::new(Device::new(counter, [variable])).bcap_tcp("127.0.0.1:0").await.unwrap();
-    let address = server.addresses().bcap_tcp[0];
-    tokio::spawn(async move { drop(server.run(std::future::pending()).await) });
-    address
 }
 
 /// `RESTARTS=50 cargo test -p bcap-fleet --test json -- --nocapture every_reading` is the long run.

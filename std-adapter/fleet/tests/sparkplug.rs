@@ -2,7 +2,8 @@
 
 mod common;
 
-use common::{Mosquitto, Robot, Running, Subscriber, now_ms};
+use bcap_fleet::Event;
+use common::{Mosquitto, Proxy, Robot, Running, Subscriber, now_ms};
 use rumqttc::Publish;
 
 /// A field of a protocol buffer.
@@ -286,7 +287,14 @@ async fn a_host_writes_an_allowed_value_and_no_other() {
     host.subscriber.publish(command, write("I1", now_ms() - 3_600_000, 3, 10, 1)).await;
     host.subscriber.publish(command, b"\xFF".to_vec()).await;
     host.subscriber.publish(command, write("I1", now_ms(), 3, 10, 9)).await;
-    assert_eq!(host.data("cell1", alias).await.value, Some(Field::Number(9)), "the first change is the allowed one");
+    let data = loop {
+        // what was read before the connection is historical
+        let data = host.data("cell1", alias).await;
+        if !data.is_historical {
+            break data;
+        }
+    };
+    assert_eq!(data.value, Some(Field::Number(9)), "the first change is the allowed one");
     assert_eq!((robot.get(1), robot.get(2)), (9, 0));
     let events = serde_json::to_value(fleet.stop().await).unwrap();
     let results: Vec<_> = events.as_array().unwrap().iter().filter(|event| event["event"] == "command").collect();
@@ -345,5 +353,143 @@ async fn history_of_a_disconnected_device_ends_with_its_death() {
     let data = host.data("cell1", alias).await;
     assert_eq!((data.value, data.is_historical), (Some(Field::Number(7)), true));
     host.next("DDEATH/edge1/cell1").await;
+    fleet.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_births_of_two_processes_follow_each_other() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let robot = Robot::start().await;
+    let proxy = Proxy::start(broker.port).await;
+    let mut host = Subscriber::start(broker.port, "spBv1.0/plant/#").await;
+    // the will of a killed process is much faster than this
+    let text = |port| config(port, "[standby]\nafter_ms = 3000", &[&robot]);
+    let mut active = Running::start(&text(broker.port)).await;
+    let is_active = |event: &Event| matches!(event, Event::Active { .. });
+    active.event(is_active).await;
+    // whether the node is born, and its bdSeq
+    let mut node = (false, 0);
+    for number in 1..=4 {
+        // the second one to take over has a network that stalls; the others are killed
+        let other = Running::start(&text(if number == 2 { proxy.port } else { broker.port })).await;
+        other.event(|event| matches!(event, Event::Standby { .. })).await;
+        if number == 3 {
+            proxy.set(false);
+        } else {
+            active.abort().await;
+        }
+        other.event(is_active).await;
+        active = other;
+        loop {
+            let publish = host.next().await;
+            let payload = payload(&publish);
+            let bd_seq = || match named(&payload, "bdSeq").value {
+                Some(Field::Number(number)) => number,
+                _ => panic!("{payload:?}"),
+            };
+            match publish.topic.split('/').nth(2).unwrap() {
+                "NBIRTH" => {
+                    assert_eq!((node.0, bd_seq()), (false, node.1 + 1), "one birth at a time");
+                    node = (true, bd_seq());
+                }
+                "NDEATH" => {
+                    assert_eq!((node.0, bd_seq()), (true, node.1), "the death of the present birth");
+                    node.0 = false;
+                }
+                // of the process that has just taken over
+                "DBIRTH" if node == (true, number + 1) => break,
+                _ => {}
+            }
+        }
+    }
+    active.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn readings_that_a_broken_connection_has_lost_are_sent_as_historical() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let robot = Robot::start().await;
+    let proxy = Proxy::start(broker.port).await;
+    let mut host = Host::start(broker.port).await;
+    let fleet = Running::start(&config(proxy.port, "[metrics]\nport = 0", &[&robot])).await;
+    let alias = named(&host.next("DBIRTH/edge1/cell1").await, "I1").alias.unwrap();
+    proxy.set_up(false);
+    for value in 1..=5 {
+        let before = fleet.metric("bcap_readings_total{controller=\"cell1\"}").await;
+        robot.set(1, value);
+        // each point was read twice
+        while fleet.metric("bcap_readings_total{controller=\"cell1\"}").await < before + 12 {
+            tokio::time::sleep(std::time::Duration::from_millis(1)).await;
+        }
+    }
+    proxy.cut();
+    fleet.event(|event| matches!(event, Event::BrokerDown { .. })).await;
+    proxy.set_up(true);
+    host.next("NBIRTH/edge1").await;
+    for value in 1..=5 {
+        let data = host.data("cell1", alias).await;
+        assert_eq!((data.value, data.is_historical), (Some(Field::Number(value)), true));
+    }
+    fleet.stop().await;
+}
+
+fn host_state(online: bool, timestamp: u64) -> String {
+    format!("{{\"online\":{online},\"timestamp\":{timestamp}}}")
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn nothing_is_published_while_the_primary_host_is_offline() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let robot = Robot::start().await;
+    robot.set(1, 1);
+    let mut host = Host::start(broker.port).await;
+    let state = async |host: &Host, online, time| {
+        let client = &host.subscriber.client;
+        client.publish("spBv1.0/STATE/scada", rumqttc::QoS::AtLeastOnce, true, host_state(online, time)).await.unwrap();
+    };
+    let text = format!("primary_host = \"scada\"\n{}", config(broker.port, "[metrics]\nport = 0", &[&robot]));
+    let fleet = Running::start(&text).await;
+    let up = |event: &Event| matches!(event, Event::BrokerUp {});
+    fleet.event(up).await;
+    let readings = "bcap_readings_total{controller=\"cell1\"}";
+    for value in 1..=3 {
+        let before = fleet.metric(readings).await;
+        robot.set(1, value);
+        // each point was read twice
+        while fleet.metric(readings).await < before + 12 {
+            tokio::time::sleep(std::time::Duration::from_millis(1)).await;
+        }
+    }
+    assert_eq!(fleet.metric("bcap_published_total").await, 0);
+    state(&host, true, 1000).await;
+    let bd_seq = named(&host.next("NBIRTH/edge1").await, "bdSeq").value.clone();
+    let alias = named(&host.next("DBIRTH/edge1/cell1").await, "I1").alias.unwrap();
+    for value in 1..=3 {
+        let data = host.data("cell1", alias).await;
+        assert_eq!((data.value, data.is_historical), (Some(Field::Number(value)), true));
+    }
+
+    // the will of an earlier connection of the host changes nothing
+    state(&host, false, 999).await;
+    robot.set(1, 4);
+    while host.data("cell1", alias).await.value != Some(Field::Number(4)) {}
+
+    state(&host, false, 2000).await;
+    assert_eq!(named(&host.next("NDEATH/edge1").await, "bdSeq").value, bd_seq);
+    fleet.event(|event| *event == Event::BrokerDown { reason: "the primary host is offline".into() }).await;
+    let before = fleet.metric(readings).await;
+    robot.set(1, 5);
+    while fleet.metric(readings).await < before + 12 {
+        tokio::time::sleep(std::time::Duration::from_millis(1)).await;
+    }
+    state(&host, true, 3000).await;
+    assert_ne!(named(&host.next("NBIRTH/edge1").await, "bdSeq").value, bd_seq);
+    loop {
+        let data = host.data("cell1", alias).await;
+        if data.value == Some(Field::Number(5)) {
+            assert!(data.is_historical);
+            break;
+        }
+    }
     fleet.stop().await;
 }

@@ -10,6 +10,8 @@ use clap::Args;
 /// controllers may disconnect and return. While the broker is disconnected, readings go to a buffer on disk and are sent later as historical.
 /// Variables can be written through the broker if a rule of CONFIG allows it; every such command is printed.
 ///
+/// Two processes with the same group and node and a table `[standby]` are active and standby.
+///
 /// Prints a line `ready`, then one JSON object a line: changes of connections, and commands. SIGINT and SIGTERM end it with 0.
 #[derive(Debug, Args)]
 #[command(after_help = "\

@@ -5,17 +5,22 @@ use std::fs;
 use std::net::{SocketAddr, TcpListener};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use bcap_core::device::{Device, DeviceVariable};
 use bcap_core::variant::Variant;
 use bcap_fleet::{Config, Event, Fleet};
 use bcap_sim::{Controller, Profile, VariableKind};
 use bcap_std::server::Server;
 use rumqttc::{AsyncClient, Event as Mqtt, MqttOptions, Packet, Publish, QoS};
 use tempfile::TempDir;
-use tokio::sync::{mpsc, oneshot};
-use tokio::task::JoinHandle;
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::net::TcpStream;
+use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
+use tokio::sync::{Notify, mpsc, oneshot, watch};
+use tokio::task::{JoinHandle, JoinSet};
 use tokio::time::timeout;
 
 /// A wait that is longer than this is a failure.
@@ -69,8 +74,17 @@ impl Mosquitto {
 
     /// Ends the broker as its service does; it writes its sessions to disk.
     pub(crate) fn stop(&mut self) {
+        self.signal("-TERM");
+    }
+
+    /// Ends the broker as a crash does; it loses what it has acknowledged and not delivered.
+    pub(crate) fn kill(&mut self) {
+        self.signal("-KILL");
+    }
+
+    fn signal(&mut self, signal: &str) {
         if let Some(mut child) = self.child.take() {
-            Command::new("kill").arg(child.id().to_string()).status().unwrap();
+            Command::new("kill").args([signal, &child.id().to_string()]).status().unwrap();
             child.wait().unwrap();
         }
     }
@@ -131,6 +145,19 @@ impl Robot {
     }
 }
 
+/// A controller whose I1 counts its own reads until it is frozen; returns its address.
+pub(crate) async fn counter(last: &Arc<AtomicI32>, frozen: &Arc<AtomicBool>) -> SocketAddr {
+    let counter = (Arc::clone(last), Arc::clone(frozen));
+    let variable = DeviceVariable::new("I1", |(last, frozen): &(Arc<AtomicI32>, Arc<AtomicBool>), reply| {
+        let more = i32::from(!frozen.load(Ordering::SeqCst));
+        reply.set(&(last.fetch_add(more, Ordering::SeqCst) + more))
+    });
+    let server = Server::new(Device::new(counter, [variable])).bcap_tcp("127.0.0.1:0").await.unwrap();
+    let address = server.addresses().bcap_tcp[0];
+    tokio::spawn(async move { drop(server.run(std::future::pending()).await) });
+    address
+}
+
 /// A fleet in this process.
 pub(crate) struct Running {
     pub(crate) metrics: Option<SocketAddr>,
@@ -157,6 +184,22 @@ impl Running {
         self.events.lock().unwrap().clone()
     }
 
+    /// Ends the fleet as a crash does.
+    pub(crate) async fn abort(self) {
+        self.task.abort();
+        let _ = self.task.await;
+    }
+
+    /// Waits for an event that a function accepts.
+    pub(crate) async fn event(&self, accept: impl Fn(&Event) -> bool) {
+        let arrived = async {
+            while !self.events.lock().unwrap().iter().any(&accept) {
+                tokio::time::sleep(Duration::from_millis(2)).await;
+            }
+        };
+        timeout(LIMIT, arrived).await.expect("no event arrived in time");
+    }
+
     /// Returns a number of the metrics.
     pub(crate) async fn metric(&self, name: &str) -> u64 {
         let text = http(self.metrics.unwrap(), "/metrics").await;
@@ -167,8 +210,7 @@ impl Running {
 
 /// Asks the server of metrics.
 pub(crate) async fn http(address: SocketAddr, path: &str) -> String {
-    use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
-    let mut stream = tokio::net::TcpStream::connect(address).await.unwrap();
+    let mut stream = TcpStream::connect(address).await.unwrap();
     stream.write_all(format!("GET {path} HTTP/1.1\r\nHost: x\r\n\r\n").as_bytes()).await.unwrap();
     let mut text = String::new();
     stream.read_to_string(&mut text).await.unwrap();
@@ -195,6 +237,7 @@ impl Subscriber {
         options.set_clean_session(false).set_max_packet_size(1 << 20, 1 << 20);
         let (client, mut events) = AsyncClient::new(options, 100);
         client.subscribe(topic, QoS::AtLeastOnce).await.unwrap();
+        let (again, topic) = (client.clone(), topic.to_owned());
         let (sender, messages) = mpsc::unbounded_channel();
         let (confirm, confirmed) = oneshot::channel();
         let mut confirm = Some(confirm);
@@ -202,6 +245,10 @@ impl Subscriber {
             loop {
                 match events.poll().await {
                     Ok(Mqtt::Incoming(Packet::Publish(publish))) => drop(sender.send(publish)),
+                    // a broker that was killed has lost the session
+                    Ok(Mqtt::Incoming(Packet::ConnAck(ack))) if !ack.session_present && confirm.is_none() => {
+                        let _ = again.try_subscribe(&topic, QoS::AtLeastOnce);
+                    }
                     Ok(Mqtt::Incoming(Packet::SubAck(_))) => drop(confirm.take().map(|confirm| confirm.send(()))),
                     Ok(_) => {}
                     // the broker is away
@@ -238,6 +285,77 @@ impl Subscriber {
     pub(crate) async fn publish(&self, topic: &str, payload: impl Into<Vec<u8>>) {
         self.client.publish(topic, QoS::AtLeastOnce, false, payload).await.unwrap();
     }
+}
+
+/// A TCP proxy that can stop to forward, as a network does. Connections stay open.
+pub(crate) struct Proxy {
+    pub(crate) port: u16,
+    /// Whether bytes flow from the clients, and to them.
+    flows: [watch::Sender<bool>; 2],
+    cut: Arc<Notify>,
+    task: JoinHandle<()>,
+}
+
+impl Drop for Proxy {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}
+
+impl Proxy {
+    /// Forwards to a port of this machine.
+    pub(crate) async fn start(to: u16) -> Self {
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let port = listener.local_addr().unwrap().port();
+        let flows = [watch::Sender::new(true), watch::Sender::new(true)];
+        let cut = Arc::new(Notify::new());
+        let cuts = Arc::clone(&cut);
+        let [up, down] = [flows[0].subscribe(), flows[1].subscribe()];
+        let task = tokio::spawn(async move {
+            let mut connections = JoinSet::new();
+            loop {
+                let accepted = tokio::select! {
+                    accepted = listener.accept() => accepted,
+                    () = cuts.notified() => {
+                        connections.shutdown().await;
+                        continue;
+                    }
+                };
+                let Ok((client, _)) = accepted else { return };
+                let Ok(server) = TcpStream::connect(("127.0.0.1", to)).await else { continue };
+                let ((from_client, to_client), (from_server, to_server)) = (client.into_split(), server.into_split());
+                connections.spawn(forward(from_client, to_server, up.clone()));
+                connections.spawn(forward(from_server, to_client, down.clone()));
+            }
+        });
+        Self { port, flows, cut, task }
+    }
+
+    /// Ends all connections; what was not forwarded is lost.
+    pub(crate) fn cut(&self) {
+        self.cut.notify_one();
+    }
+
+    /// Forwards or stops to forward. What arrives in between is forwarded later.
+    pub(crate) fn set(&self, flows: bool) {
+        self.set_up(flows);
+        self.flows[1].send_replace(flows);
+    }
+
+    /// Forwards or stops to forward what clients send.
+    pub(crate) fn set_up(&self, flows: bool) {
+        self.flows[0].send_replace(flows);
+    }
+}
+
+async fn forward(mut from: OwnedReadHalf, mut to: OwnedWriteHalf, mut flows: watch::Receiver<bool>) {
+    let mut bytes = [0; 4096];
+    while let Ok(count @ 1..) = from.read(&mut bytes).await {
+        if flows.wait_for(|flows| *flows).await.is_err() || to.write_all(&bytes[..count]).await.is_err() {
+            return;
+        }
+    }
+    let _ = flows.wait_for(|flows| *flows).await;
 }
 
 /// Returns the time in milliseconds since 1970.

@@ -1,0 +1,70 @@
+//! The primary host of Sparkplug: nothing is published while it is offline. Readings wait in the buffer.
+//!
+//! The host says on the retained topic `spBv1.0/STATE/HOST` whether it is online. If it goes offline, the node announces its
+//! death and ends the connection, as the specification demands. The next connection waits for the host.
+
+use rumqttc::{Publish, QoS};
+use serde::Deserialize;
+
+use super::Publisher;
+use crate::event::Event;
+
+/// What the host publishes.
+#[derive(Debug, Deserialize)]
+struct HostState {
+    online: bool,
+    /// Milliseconds since 1970.
+    timestamp: u64,
+}
+
+impl Publisher {
+    /// Returns the topic of the primary host, if there is one.
+    fn host_topic(&self) -> Option<String> {
+        self.config().primary_host.as_ref().map(|host| format!("spBv1.0/STATE/{host}"))
+    }
+
+    /// Subscribes to the state of the primary host; returns whether there is one to wait for.
+    pub(super) fn waits_for_host(&mut self) -> bool {
+        let topic = self.host_topic();
+        self.host_since = 0;
+        if let (Some(connection), Some(topic)) = (&mut self.link, &topic) {
+            connection.flush();
+            let _ = connection.link.client.try_subscribe(topic, QoS::AtLeastOnce);
+        }
+        topic.is_some()
+    }
+
+    /// Handles a state of the primary host; returns whether the message is one.
+    pub(super) async fn saw_host(&mut self, publish: &Publish) -> bool {
+        if self.host_topic().is_none_or(|topic| topic != publish.topic) {
+            return false;
+        }
+        let Ok(HostState { online, timestamp }) = serde_json::from_slice(&publish.payload) else { return true };
+        if online {
+            self.host_since = self.host_since.max(timestamp);
+        }
+        // the will of an earlier connection of the host may come late
+        let is_late = !online && timestamp < self.host_since;
+        if is_late || online == self.is_up() || self.link.is_none() {
+            return true;
+        }
+        (self.shared.report)(&Event::PrimaryHost { online });
+        if online {
+            self.begin().await;
+        } else {
+            self.leave();
+        }
+        true
+    }
+
+    /// Announces the death of the node, and ends the connection.
+    fn leave(&mut self) {
+        let death = self.sparkplug.as_ref().map(|sparkplug| sparkplug.death(&self.shared.config));
+        if let (Some(connection), Some(death)) = (&mut self.link, death) {
+            // the channel of the link has room for more than the window; the event of the disconnection follows
+            connection.send(death);
+            let _ = connection.link.client.try_disconnect();
+            connection.is_up = false;
+        }
+    }
+}

@@ -1,0 +1,154 @@
+//! The publisher of a node with several processes: it watches, takes over, and shows that it is active.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use rumqttc::{Publish, QoS, SubscribeReasonCode};
+use tokio::time::Instant;
+
+use super::{Connection, Publisher};
+use crate::event::Event;
+use crate::json;
+use crate::message::Message;
+use crate::reading::now_ms;
+use crate::sparkplug::{self, Sparkplug};
+use crate::standby::{Seen, Standby};
+
+impl Publisher {
+    /// Returns whether this process has the connection of the node.
+    pub(super) fn is_active(&self) -> bool {
+        self.is_up() && !self.is_watcher()
+    }
+
+    /// Returns whether the connection is, or will be, that of a watcher.
+    pub(super) fn is_watcher(&self) -> bool {
+        self.standby.as_ref().is_some_and(|standby| !standby.is_active())
+    }
+
+    /// Returns whether readings of the buffer can be sent. In JSON a watcher sends them too.
+    pub(super) fn sends_history(&self) -> bool {
+        self.is_active() || self.is_up() && self.sparkplug.is_none()
+    }
+
+    /// Returns whether commands can be accepted: no other process can be active by now.
+    pub(super) fn is_proven(&self) -> bool {
+        self.standby.as_ref().is_none_or(|standby| standby.is_proven(Instant::now()))
+    }
+
+    /// Returns the message that says whether this node is online.
+    pub(super) fn node_state(&self, online: bool) -> Message {
+        let instance = self.standby.as_ref().map(Standby::instance);
+        let bd_seq = self.sparkplug.as_ref().map(Sparkplug::bd_seq).filter(|_| instance.is_some());
+        json::node(&self.shared.config, online, now_ms(), instance, bd_seq)
+    }
+
+    /// The broker has accepted the connection of a watcher.
+    pub(super) fn watch(&mut self) {
+        let topics = [self.death_topic(), Some(self.state_topic())];
+        if let Some(connection) = &mut self.link {
+            connection.is_up = true;
+            for topic in topics.into_iter().flatten() {
+                let _ = connection.link.client.try_subscribe(topic, QoS::AtLeastOnce);
+            }
+        }
+    }
+
+    /// The broker has answered a subscription. Without that of a watcher nothing would arrive, and it would take over.
+    pub(super) async fn subscribed(&mut self, codes: &[SubscribeReasonCode]) {
+        let Some(standby) = self.standby.as_mut().filter(|standby| !standby.is_active()) else { return };
+        if codes.contains(&SubscribeReasonCode::Failure) {
+            let reason = format!("the broker refuses the subscription of {}", self.state_topic());
+            return self.lose(reason).await;
+        }
+        standby.subscribed(Instant::now());
+    }
+
+    /// Returns the topic of the will of the active process, if it is not that of the state.
+    fn death_topic(&self) -> Option<String> {
+        self.sparkplug.as_ref().map(|_| sparkplug::topic(&self.shared.config, "NDEATH", None))
+    }
+
+    /// Returns the topic of the state of this node.
+    pub(super) fn state_topic(&self) -> String {
+        json::topic(&self.shared.config, &self.shared.config.node, "state")
+    }
+
+    /// The broker has accepted this process as the active one. Call it before messages are sent.
+    pub(super) fn activate(&mut self) {
+        let shared = Arc::clone(&self.shared);
+        let Some(standby) = &mut self.standby else { return };
+        let now = now_ms();
+        // another process may have accepted commands until now; the clocks of the two may differ
+        let margin = u64::try_from((standby.after() * 2).as_millis()).unwrap_or(u64::MAX);
+        self.commands.begin(now.saturating_add(margin));
+        // ids above those of the other process
+        shared.next_id.fetch_max(now.saturating_mul(1000), Ordering::Relaxed);
+        standby.beaten(Instant::now());
+        if !*shared.reads.borrow() {
+            // the latest values of an earlier time as the active process
+            self.cells.iter_mut().for_each(|cell| cell.latest.fill(None));
+        }
+        shared.reads.send_replace(true);
+        shared.metrics.active.store(true, Ordering::Relaxed);
+        (shared.report)(&Event::Active { instance: standby.instance().to_owned() });
+        if self.sparkplug.is_some() {
+            self.push(self.node_state(true));
+        }
+    }
+
+    /// A watcher has received the state of the node, or its death.
+    pub(super) fn saw(&mut self, publish: &Publish) {
+        let is_death = publish.topic != self.state_topic();
+        let Some(standby) = self.standby.as_mut().filter(|standby| !standby.is_active()) else { return };
+        if is_death {
+            // that of an earlier birth may come late
+            if self.sparkplug.as_ref().is_some_and(|sparkplug| sparkplug.is_death(&publish.payload)) {
+                standby.saw_death(Instant::now());
+            }
+            return;
+        }
+        let Ok(seen) = serde_json::from_slice::<Seen>(&publish.payload) else { return };
+        if let (Some(sparkplug), Some(bd_seq)) = (&mut self.sparkplug, seen.bd_seq) {
+            sparkplug.follow(bd_seq);
+        }
+        if standby.saw(&seen, publish.retain, Instant::now()) && !std::mem::replace(&mut self.stands_by, true) {
+            self.shared.reads.send_replace(false);
+            self.shared.metrics.active.store(false, Ordering::Relaxed);
+            (self.shared.report)(&Event::Standby { active: seen.instance });
+        }
+    }
+
+    /// Takes over, or shows that this process is active.
+    pub(super) async fn tick(&mut self) {
+        let Some(standby) = &mut self.standby else { return };
+        if standby.is_active() {
+            standby.beaten(Instant::now());
+            let state = self.node_state(true);
+            if let Some(connection) = &mut self.link {
+                // readings must not delay it
+                connection.out.push_front(state);
+                connection.flush();
+            }
+            return;
+        }
+        standby.take_over();
+        self.stands_by = false;
+        self.recover().await;
+        self.connect();
+    }
+
+    /// The broker has acknowledged a message that was sent at this time.
+    pub(super) fn prove(&mut self, sent: Instant) {
+        if let Some(standby) = self.standby.as_mut().filter(|standby| standby.is_active()) {
+            standby.prove(sent);
+        }
+    }
+}
+
+impl Connection {
+    /// Returns how long the connection has lasted since the broker accepted it.
+    pub(super) fn age(&self) -> Duration {
+        if self.is_up { self.began.elapsed() } else { Duration::ZERO }
+    }
+}
