@@ -2,6 +2,7 @@
 
 use core::convert::Infallible;
 
+use embassy_futures::join::join;
 use embedded_io_async::{Read, Write};
 use embedded_storage::nor_flash::NorFlash;
 use heapless::Vec;
@@ -13,6 +14,9 @@ use crate::{log, memory};
 
 /// The most bytes of an answer: more than all settings with the word before each.
 const ANSWER: usize = 4096;
+
+/// The most bytes that are passed to a port at once: a packet of USB.
+const PART: usize = 64;
 
 /// The bytes of an answer, which are sent after it is complete.
 #[derive(Debug)]
@@ -58,13 +62,16 @@ pub async fn serve<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
     receiver: &mut R,
     sender: &mut W,
 ) -> Result<Action, R::Error> {
-    let mut bytes = [0; 64];
+    let mut bytes = [0; PART];
     loop {
         let count = receiver.read(&mut bytes).await?;
         for byte in bytes.iter().take(count) {
             answer.0.clear();
             let Ok(action) = console.receive(*byte, answer);
-            sender.write_all(&answer.0).await?;
+            // in parts, because some UARTs refuse more than their buffer has room for
+            for part in answer.0.chunks(PART) {
+                sender.write_all(part).await?;
+            }
             if let Some(action) = action {
                 sender.flush().await?;
                 return Ok(action);
@@ -79,10 +86,35 @@ pub async fn serve<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
 ///
 /// An error of the port; up to 64 bytes of the log are then lost.
 pub async fn send_log<W: Write>(sender: &mut W) -> Result<Infallible, W::Error> {
-    let mut bytes = [0; 64];
+    let mut bytes = [0; PART];
     loop {
         let count = log::read(&mut bytes).await;
         sender.write_all(bytes.get(..count).unwrap_or_default()).await?;
         sender.flush().await?;
     }
+}
+
+/// Serves the console on one UART and sends the log to another; calls `restart` when the host asks for it. Call it once.
+pub async fn run<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
+    slots: Slots<F>,
+    mut receiver: R,
+    mut sender: W,
+    mut log: impl Write,
+    restart: fn() -> !,
+) {
+    let (mut console, answer) = (console(slots), answer());
+    let serve = async {
+        loop {
+            // after a line error the request is invalid, and the host repeats it
+            if serve(&mut console, answer, &mut receiver, &mut sender).await.is_ok() {
+                restart();
+            }
+        }
+    };
+    let send_log = async {
+        loop {
+            let _ = send_log(&mut log).await;
+        }
+    };
+    join(serve, send_log).await;
 }
