@@ -24,7 +24,7 @@ static LIMITER: Mutex<CriticalSectionRawMutex, RefCell<Limiter<16>>> = Mutex::ne
 pub struct Parts {
     /// Writes the counters of the Ethernet controller.
     pub frames: fn(defmt::Formatter<'_>),
-    /// Returns the high-water mark and the size of the stack, in bytes.
+    /// Returns the high-water mark and the size of the stack, in bytes; zeros where they are not measured.
     pub stack: fn() -> (usize, usize),
     /// Returns the number of lines of the log that were dropped.
     pub dropped: fn() -> u32,
