@@ -1,4 +1,30 @@
-//! What boards share: their settings, in the image and in flash, and what a log needs.
+//! What boards share: settings, a console for them, faults, watchdog, log, LED, and the tasks of a gateway.
+//!
+//! | module       | feature    | what it is                                                                    |
+//! |--------------|------------|-------------------------------------------------------------------------------|
+//! | [`Settings`] |            | lines `KEY=VALUE`                                                             |
+//! | [`mod@image`] |           | the settings in an image, seen from a host                                    |
+//! | [`slots`]    |            | the settings in flash                                                         |
+//! | [`console`]  |            | changes the settings over a serial line                                       |
+//! | [`mac`]      |            | a MAC address from the id of a chip                                           |
+//! | [`record`]   |            | the cause of the last reset, kept over the reset                              |
+//! | [`ring`], [`limiter`] |   | the buffer and the limits of a log                                            |
+//! | `gateway`    | `embassy`  | the tasks of a gateway                                                        |
+//! | `report`     | `embassy`  | the log of a gateway, and its status line                                     |
+//! | `address`    | `embassy`  | the board's address: DHCP or configured                                       |
+//! | `watchdog`   | `embassy`  | feeds a watchdog while all tasks run                                          |
+//! | `led`        | `embassy`  | the state on an LED                                                           |
+//! | `config`     | `embassy`  | reads the settings at the start                                               |
+//! | `memory`     | `embassy`  | the block of settings in the image itself                                     |
+//! | `log`        | `log`      | defmt's logger, into a ring buffer                                            |
+//! | `port`       | `port`     | the console and the log over any serial port                                  |
+//! | `usb`        | `usb`      | the console and the log as two serial ports over USB                          |
+//! | `stack`, `fault` | `cortex-m` | the stack with its guard, and the handler of faults; on ARM only          |
+//!
+//! An image needs no `unsafe` for these. The crate itself has unsafe code in `memory`, `log`, `stack` and `fault` only; each
+//! says why.
+//!
+//! # Settings
 //!
 //! The settings in the image are a text block, which a host can change without rebuilding the image. Settings in flash
 //! ([`slots`]) replace them; a host changes those over a serial line ([`console`]).
@@ -41,16 +67,41 @@
 #[cfg(test)]
 extern crate std;
 
+#[cfg(feature = "embassy")]
+pub mod address;
+#[cfg(feature = "embassy")]
+pub mod config;
 pub mod console;
 pub mod crc;
 mod error;
+#[cfg(all(feature = "cortex-m", target_arch = "arm"))]
+pub mod fault;
+#[cfg(feature = "embassy")]
+pub mod gateway;
 pub mod image;
+#[cfg(feature = "embassy")]
+pub mod led;
 pub mod limiter;
+#[cfg(feature = "log")]
+pub mod log;
 pub mod mac;
+#[cfg(any(feature = "cortex-m", feature = "embassy"))]
+pub mod memory;
+#[cfg(feature = "port")]
+pub mod port;
+pub mod record;
+#[cfg(feature = "embassy")]
+pub mod report;
 pub mod ring;
 mod rules;
 mod settings;
 pub mod slots;
+#[cfg(all(feature = "cortex-m", target_arch = "arm"))]
+pub mod stack;
+#[cfg(feature = "usb")]
+pub mod usb;
+#[cfg(feature = "embassy")]
+pub mod watchdog;
 
 pub use self::error::{InvalidLine, SettingError};
 pub use self::rules::RuleMemory;

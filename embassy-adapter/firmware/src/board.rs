@@ -58,8 +58,6 @@ pub(crate) const UART: Block = unsafe { Block::new(chosen::UART) };
 pub(crate) const CONSOLE_UART: Block = unsafe { Block::new(chosen::CONSOLE_UART) };
 // SAFETY: counters, LEDs and switches
 pub(crate) const FPGA_IO: Block = unsafe { Block::new(chosen::FPGA_IO) };
-// SAFETY: the processor's system control block
-pub(crate) const SYSTEM_CONTROL: Block = unsafe { Block::new(0xe000_ed00) };
 // SAFETY: a counter
 pub(crate) const WATCHDOG: Block = unsafe { Block::new(chosen::WATCHDOG) };
 

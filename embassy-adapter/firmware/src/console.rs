@@ -9,6 +9,7 @@ use core::future::poll_fn;
 use core::task::Poll;
 
 use bcap_board::console::{Action, Console};
+use bcap_board::memory;
 use bcap_board::ring::Ring;
 use cortex_m::peripheral::SCB;
 use embassy_sync::waitqueue::AtomicWaker;
@@ -16,7 +17,7 @@ use static_cell::StaticCell;
 
 use crate::board::{self, CONSOLE_RX_IRQ, CONSOLE_TX_IRQ, CONSOLE_UART};
 use crate::flash::{self, Flash};
-use crate::{config, uart};
+use crate::uart;
 
 /// Received bytes: more than arrive while the board runs its other tasks.
 static RECEIVED: Ring<256> = Ring::new();
@@ -34,7 +35,7 @@ pub async fn run() -> ! {
             core::future::pending().await
         }
     };
-    let console = CONSOLE.init_with(|| Console::new(slots, config::image()));
+    let console = CONSOLE.init_with(|| Console::new(slots, memory::image()));
     uart::enable(CONSOLE_UART);
     board::unmask(CONSOLE_RX_IRQ);
     board::unmask(CONSOLE_TX_IRQ);

@@ -1,6 +1,7 @@
-//! The exception handlers: the interrupts of the Ethernet controller and the serial port, the watchdog's NMI and faults.
+//! The exception handlers: the interrupts of the Ethernet controller and the serial port, and the watchdog's NMI.
 //!
-//! The linker finds the handlers by name, so no other file refers to this one. SysTick is in [`clock`](crate::clock).
+//! The linker finds the handlers by name, so no other file refers to this one. SysTick is in [`clock`](crate::clock), and the
+//! handler of faults in `bcap_board`.
 #![expect(unsafe_code, reason = "handlers of exceptions are unsafe functions")]
 
 use cortex_m::interrupt::InterruptNumber as _;
@@ -45,10 +46,4 @@ fn is_of_console(number: i16) -> bool {
 #[exception]
 unsafe fn NonMaskableInt() -> ! {
     fault::hung()
-}
-
-// without the trampoline, which passes a reference to a frame that does not exist after a stack overflow
-#[exception(trampoline = false)]
-unsafe fn HardFault() -> ! {
-    fault::hard_fault()
 }

@@ -5,10 +5,9 @@
 
 use core::sync::atomic::{AtomicBool, Ordering};
 
+use bcap_board::stack;
 use embassy_executor::{Spawner, raw};
 use static_cell::StaticCell;
-
-use crate::stack;
 
 static EXECUTOR: StaticCell<raw::Executor> = StaticCell::new();
 /// Whether a task was woken since the executor's last poll.

@@ -1,4 +1,5 @@
 //! Board support that the images share: the Ethernet controller, clock, serial port and executor of a board in QEMU.
+//! What is not special to this board is in `bcap_board`.
 //!
 //! | module       | what it is                                                                        |
 //! |--------------|-----------------------------------------------------------------------------------|
@@ -7,15 +8,12 @@
 //! | [`clock`]    | a hardware counter as a clock, and embassy's time driver on it                    |
 //! | [`executor`] | an executor that sleeps with WFI                                                  |
 //! | [`uart`]     | the serial port and the buffer of what it sends                                   |
-//! | [`log`]      | defmt's logger on the serial port                                                 |
-//! | [`config`]   | the settings block in the flash, which a host tool patches                        |
-//! | [`net`]      | embassy-net on the board: its task and its address                                |
-//! | [`stack`]    | the program's stack and its high-water mark                                       |
+//! | [`config`]   | the settings of the image or of the console                                       |
+//! | [`net`]      | embassy-net on the board                                                          |
 //! | `echo`       | an echo server, with the feature `echo`                                           |
 //! | [`node`]     | the board as a controller: uptime, counters and some memory                       |
-//! | [`watchdog`] | a reset when a task makes no progress                                             |
+//! | [`watchdog`] | the registers of the watchdog                                                     |
 //! | [`fault`]    | reports and resets after a panic or a fault                                       |
-//! | [`record`]   | the cause of the last reset, kept over the reset                                  |
 //!
 //! The exception handlers (`exceptions`) use all of them. Unsafe code is limited to what the hardware requires: access to
 //! registers (`mmio`), the symbols that the linker looks for, and the exception handlers.
@@ -34,13 +32,10 @@ pub mod fault;
 #[cfg(feature = "console")]
 pub mod flash;
 pub mod lan9118;
-pub mod log;
 mod mmio;
 pub mod net;
 pub mod node;
 #[cfg(feature = "faults")]
 pub mod provoke;
-pub mod record;
-pub mod stack;
 pub mod uart;
 pub mod watchdog;

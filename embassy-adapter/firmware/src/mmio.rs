@@ -1,4 +1,4 @@
-//! Volatile access to registers, and to constants that change after the build.
+//! Volatile access to registers.
 #![expect(unsafe_code, reason = "registers are reached through their addresses")]
 
 /// A block of 32-bit registers at a fixed address.
@@ -31,11 +31,4 @@ impl Block {
         // SAFETY: as for `read`
         unsafe { core::ptr::with_exposed_provenance_mut::<u32>(self.base + OFFSET).write_volatile(value) };
     }
-}
-
-/// Returns a constant whose value in the image may have been changed after the build.
-pub(crate) fn patched<T>(constant: &'static T) -> &'static T {
-    // the volatile read keeps the compiler from assuming the value of the constant
-    // SAFETY: a reference is valid to read from
-    unsafe { core::ptr::from_ref(&constant).read_volatile() }
 }

@@ -14,6 +14,7 @@
 //!  GET:RC8:0:IO:           IO0          whether the robot answers
 //! ```
 
+use bcap_board::stack;
 use bcap_core::bcap::FunctionId;
 use bcap_core::bcap::server::{self, Handler as BcapHandler};
 use bcap_core::error::EncodeError;
@@ -24,7 +25,7 @@ use bcap_core::rac::{Request, Variable, VariableKind};
 use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
 
-use crate::{lan9118, stack};
+use crate::lan9118;
 
 /// The index of the first variable that can be written.
 const MEMORY: u32 = 10;

@@ -1,7 +1,7 @@
 //! The serial port: received bytes, and a buffer for bytes to send.
 //!
 //! ```text
-//!  log, text ─► RING, 4 KiB ─► interrupt of the transmitter ─► port
+//!  log, text ─► ring of the log, 4 KiB ─► interrupt of the transmitter ─► port
 //! ```
 //!
 //! Writing copies into the buffer and never waits. Bytes that do not fit are dropped together with the rest of their frame,
@@ -9,6 +9,7 @@
 
 use core::fmt;
 
+use bcap_board::log;
 use bcap_board::ring::Ring;
 
 use crate::board::{self, Irq, UART, UART_TX_IRQ};
@@ -37,29 +38,22 @@ const BURST: usize = 16;
 /// How often a port that takes no byte is polled before [`flush`] gives up: more than the time of a character.
 const FULL_POLLS: u32 = 100_000;
 
-/// The bytes to send.
-static RING: Ring<4096> = Ring::new();
-
 /// Enables the port: 115200 baud, 8 data bits, no parity.
 pub fn init() {
     UART.write::<{ register::BAUD_DIVISOR }>(crate::board::CLOCK_HZ / BAUD);
     UART.write::<{ register::CONTROL }>(ENABLE_TX_RX_TX_INTERRUPT);
     board::unmask(UART_TX_IRQ);
-}
-
-/// Returns the bytes to send; the writer of the log starts its frames on it.
-pub(crate) const fn ring() -> &'static Ring<4096> {
-    &RING
+    log::on_frame(start);
 }
 
 /// Starts sending the buffered bytes.
-pub(crate) fn start() {
+fn start() {
     board::pend(UART_TX_IRQ);
 }
 
 /// Handles the interrupt of the transmitter.
 pub(crate) fn transmit() {
-    transmit_to(UART, UART_TX_IRQ, &RING);
+    transmit_to(UART, UART_TX_IRQ, log::ring());
 }
 
 /// Sends some of the buffered bytes to a port, in the interrupt of its transmitter.
@@ -80,7 +74,7 @@ pub(crate) fn transmit_to(port: Block, irq: Irq, ring: &Ring<4096>) {
 
 /// Sends the buffered bytes by polling, for the end of a program; gives up when the port takes no byte.
 pub fn flush() {
-    flush_to(UART, &RING);
+    flush_to(UART, log::ring());
 }
 
 /// Sends the buffered bytes to a port by polling.
@@ -129,7 +123,7 @@ pub struct Text;
 
 impl fmt::Write for Text {
     fn write_str(&mut self, text: &str) -> fmt::Result {
-        critical_section::with(|_| RING.frame(|frame| frame.extend(text.as_bytes())));
+        critical_section::with(|_| log::ring().frame(|frame| frame.extend(text.as_bytes())));
         start();
         Ok(())
     }

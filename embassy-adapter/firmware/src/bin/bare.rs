@@ -10,7 +10,7 @@
 
 use core::fmt::{self, Write as _};
 
-use bcap_board::Settings;
+use bcap_board::{Settings, stack};
 use bcap_core::bcap::call::{self, Call, ControllerHandle, Reply, VariableHandle};
 use bcap_core::bcap::client::{Client, ClientError, Config as ClientConfig, Event};
 use bcap_core::hresult::HResult;
@@ -18,7 +18,7 @@ use bcap_core::time::Instant;
 use bcap_embassy::bare::{self, LinkError};
 use bcap_firmware::lan9118::{Frames, Lan9118};
 use bcap_firmware::uart::{self, Text};
-use bcap_firmware::{clock, config, fault, stack};
+use bcap_firmware::{clock, config, fault};
 use smoltcp::iface::{self, Interface, SocketHandle, SocketSet};
 use smoltcp::socket::tcp;
 use smoltcp::wire::{EthernetAddress, IpCidr};
@@ -39,6 +39,7 @@ extern "C" fn program() -> ! {
     static MEMORY: ConstStaticCell<[[u8; 1024]; 2]> = ConstStaticCell::new([[0; 1024]; 2]);
 
     uart::init();
+    fault::init();
     if let Some(peripherals) = cortex_m::Peripherals::take() {
         clock::init(peripherals.SYST);
     }

@@ -8,7 +8,7 @@
 #![no_std]
 #![no_main]
 
-use bcap_board::Settings;
+use bcap_board::{Settings, address, stack};
 use bcap_core::bcap::client::Config as ClientConfig;
 use bcap_core::bcap::{Client, call, server as bcap_server};
 use bcap_core::io::CallError;
@@ -17,7 +17,7 @@ use bcap_embassy::net::{Connection, NetError, Options, TcpClient, TcpTransport};
 use bcap_embassy::server::{Limits, Listener, SharedHandler, UdpPeer, UdpServer};
 use bcap_firmware::net::{self, NetRunner};
 use bcap_firmware::node::Node;
-use bcap_firmware::{clock, config, executor, fault, lan9118, stack, uart};
+use bcap_firmware::{clock, config, executor, fault, lan9118, uart};
 use embassy_executor::{SpawnError, Spawner};
 use embassy_net::udp::{PacketMetadata, UdpSocket};
 use embassy_net::{Stack, StackResources};
@@ -66,6 +66,7 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     static SESSIONS: [StaticCell<Option<RacSession>>; RAC_SESSIONS] = [const { StaticCell::new() }; RAC_SESSIONS];
 
     uart::init();
+    fault::init();
     if let Some(peripherals) = cortex_m::Peripherals::take() {
         clock::init(peripherals.SYST);
     }
@@ -92,7 +93,7 @@ async fn run_stack(mut runner: NetRunner) -> ! {
 
 #[embassy_executor::task]
 async fn find_address(stack: Stack<'static>, settings: &'static Settings<'static>) {
-    net::find_address(stack, settings).await;
+    address::find(stack, settings).await;
 }
 
 #[embassy_executor::task(pool_size = RAC_SESSIONS)]

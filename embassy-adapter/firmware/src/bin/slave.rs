@@ -13,7 +13,7 @@
 
 use core::fmt::Write as _;
 
-use bcap_board::Settings;
+use bcap_board::{Settings, address, stack};
 use bcap_core::bcap::Client;
 use bcap_core::bcap::client::Config as ClientConfig;
 use bcap_core::procedure::{Provider, open_robot};
@@ -24,7 +24,7 @@ use bcap_core::slave::{
 use bcap_embassy::net::{Connection, Options, TcpClient, TcpTransport};
 use bcap_firmware::net::{self, NetRunner};
 use bcap_firmware::uart::{self, Text};
-use bcap_firmware::{clock, config, executor, fault, stack};
+use bcap_firmware::{clock, config, executor, fault};
 use embassy_executor::{SpawnError, Spawner};
 use embassy_net::{Stack, StackResources};
 use embassy_time::Timer;
@@ -66,6 +66,7 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     static RESOURCES: StaticCell<StackResources<SOCKETS>> = StaticCell::new();
 
     uart::init();
+    fault::init();
     if let Some(peripherals) = cortex_m::Peripherals::take() {
         clock::init(peripherals.SYST);
     }
@@ -87,7 +88,7 @@ async fn run_stack(mut runner: NetRunner) -> ! {
 async fn play(stack: Stack<'static>, settings: &'static Settings<'static>) -> ! {
     static MOTION: ConstStaticCell<Memory> = ConstStaticCell::new([[0; 512]; 4]);
     static WATCH: ConstStaticCell<Memory> = ConstStaticCell::new([[0; 512]; 4]);
-    net::find_address(stack, settings).await;
+    address::find(stack, settings).await;
     let mut motion = link(stack, MOTION.take());
     let mut watch = link(stack, WATCH.take());
     while let Err(error) = connect(&mut motion, &mut watch, settings).await {

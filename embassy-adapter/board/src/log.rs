@@ -1,15 +1,28 @@
-//! defmt's logger: frames in the buffer of the serial port.
+//! defmt's logger: frames in a ring buffer, which the image sends where it likes.
 //!
 //! A frame is encoded inside a critical section, which lasts as long as copying its bytes. A frame without room is dropped
-//! and counted; [`dropped`] returns the count.
+//! and counted; [`dropped`] returns the count. An image sends the bytes in an interrupt ([`ring`], [`on_frame`]) or in a task
+//! ([`read`]).
 #![expect(unsafe_code, reason = "defmt's logger is an unsafe trait")]
 
-use core::cell::RefCell;
+use core::cell::{Cell, RefCell};
+use core::future::poll_fn;
+use core::task::Poll;
 
 use critical_section::{Mutex, RestoreState};
+use embassy_sync::waitqueue::AtomicWaker;
 
-use crate::uart;
-use bcap_board::ring::Frame;
+use crate::ring::{Frame, Ring};
+
+/// The size of the buffer, in bytes.
+pub const SIZE: usize = 4096;
+
+static RING: Ring<SIZE> = Ring::new();
+static READER: AtomicWaker = AtomicWaker::new();
+static ON_FRAME: Mutex<Cell<Hook>> = Mutex::new(Cell::new(None));
+
+/// What is called after each frame.
+type Hook = Option<fn()>;
 
 static STATE: Mutex<RefCell<State>> =
     Mutex::new(RefCell::new(State { encoder: defmt::Encoder::new(), frame: None, restore: None }));
@@ -17,15 +30,42 @@ static STATE: Mutex<RefCell<State>> =
 struct State {
     encoder: defmt::Encoder,
     /// The frame being written.
-    frame: Option<Frame<'static, 4096>>,
+    frame: Option<Frame<'static, SIZE>>,
     /// The critical section around a frame.
     restore: Option<RestoreState>,
+}
+
+/// Returns the buffer. It has one reader: the image or [`read`].
+#[must_use]
+pub const fn ring() -> &'static Ring<SIZE> {
+    &RING
 }
 
 /// Returns the number of frames that were dropped since the start, because the buffer was full.
 #[must_use]
 pub fn dropped() -> u32 {
-    uart::ring().dropped()
+    RING.dropped()
+}
+
+/// Sets what is called after each frame, such as starting an interrupt that sends it.
+pub fn on_frame(start: fn()) {
+    critical_section::with(|cs| ON_FRAME.borrow(cs).set(Some(start)));
+}
+
+/// Waits for bytes of the log and moves them into a buffer; returns their number, which is above 0.
+///
+/// Cancel-safe: a dropped future has moved no bytes.
+pub async fn read(buffer: &mut [u8]) -> usize {
+    poll_fn(|context| {
+        READER.register(context.waker());
+        let mut count = 0;
+        for (to, from) in buffer.iter_mut().zip(core::iter::from_fn(|| RING.pop())) {
+            *to = from;
+            count += 1;
+        }
+        if count > 0 { Poll::Ready(count) } else { Poll::Pending }
+    })
+    .await
 }
 
 #[defmt::global_logger]
@@ -38,14 +78,13 @@ unsafe impl defmt::Logger for Logger {
         let restore = unsafe { critical_section::acquire() };
         with(|State { encoder, frame, restore: restored }| {
             *restored = Some(restore);
-            let frame = frame.insert(uart::ring().begin());
+            let frame = frame.insert(RING.begin());
             encoder.start_frame(|bytes| frame.extend(bytes));
         });
     }
 
-    unsafe fn flush() {
-        uart::flush();
-    }
+    /// Does nothing: only the image knows where the bytes go.
+    unsafe fn flush() {}
 
     unsafe fn release() {
         let restore = with(|State { encoder, frame, restore }| {
@@ -55,7 +94,10 @@ unsafe impl defmt::Logger for Logger {
             }
             restore.take()
         });
-        uart::start();
+        READER.wake();
+        if let Some(start) = critical_section::with(|cs| ON_FRAME.borrow(cs).get()) {
+            start();
+        }
         if let Some(Some(restore)) = restore {
             // SAFETY: this is the state that `acquire` returned
             unsafe { critical_section::release(restore) };

@@ -1,12 +1,21 @@
-//! The stacks, and the high-water mark of the program's.
+//! The stacks of a Cortex-M, and the high-water mark of the program's.
 //!
 //! ```text
 //!  lowest address ─► guard │ program's stack │ stack of the exception handlers │ data
 //! ```
 //!
 //! An overflow of the program's stack faults: at the guard, which the MPU forbids to access, or at the processor's limit of
-//! the stack pointer (Cortex-M33). A frame that jumps over the guard leaves the memory, which faults as well. The fault's
-//! handler runs on the other stack, so it can report the overflow. The program's stack is filled with a pattern; words that differ from it have been in use.
+//! the stack pointer (ARMv8-M). A frame that jumps over the guard leaves the memory, which faults as well. The fault's
+//! handler runs on the other stack, so it can report the overflow. The program's stack is filled with a pattern; words that
+//! differ from it have been in use.
+//!
+//! The linker script of the image defines the places. `_program_stack_end` must be a multiple of 256, and must be the lowest
+//! address of the memory:
+//!
+//! ```text
+//!  _program_stack_end = ORIGIN(STACK);       _program_stack_start = ORIGIN(STACK) + LENGTH(STACK);
+//!  _stack_end = ORIGIN(HANDLERS);            _stack_start = ORIGIN(HANDLERS) + LENGTH(HANDLERS);
+//! ```
 #![expect(unsafe_code, reason = "the stack is memory that Rust has no name for")]
 
 use core::arch::asm;
@@ -15,22 +24,11 @@ use core::ptr::addr_of_mut;
 
 use cortex_m::register::psp;
 
-#[cfg(not(feature = "mps2-an505"))]
-use crate::board::SYSTEM_CONTROL;
-
 const PATTERN: u32 = 0xcccc_cccc;
 /// Words below the stack pointer that are not painted: the painting function's own frame.
 const MARGIN: usize = 64;
 /// Bytes of the guard: a power of two, at which the stack's lowest address is aligned.
 const GUARD: usize = 256;
-
-/// Registers of the MPU.
-#[cfg(not(feature = "mps2-an505"))]
-mod register {
-    pub(super) const CONTROL: usize = 0x94;
-    pub(super) const REGION_BASE: usize = 0x9c;
-    pub(super) const REGION_ATTRIBUTES: usize = 0xa0;
-}
 
 unsafe extern "C" {
     static mut _program_stack_start: u32;
@@ -42,9 +40,9 @@ unsafe extern "C" {
 pub fn run(program: extern "C" fn() -> !) -> ! {
     let Range { start, end } = bounds();
     paint(start, end);
-    #[cfg(not(feature = "mps2-an505"))]
+    #[cfg(not(armv8m))]
     guard();
-    #[cfg(feature = "mps2-an505")]
+    #[cfg(armv8m)]
     // SAFETY: the limit is the end of the program's stack
     unsafe {
         asm!("msr psplim, {}", in(reg) start, options(nomem, nostack));
@@ -65,17 +63,23 @@ pub fn run(program: extern "C" fn() -> !) -> ! {
 }
 
 /// Forbids every access to the guard, except to the handlers of a hard fault and of the NMI.
-#[cfg(not(feature = "mps2-an505"))]
+#[cfg(not(armv8m))]
 fn guard() {
+    use cortex_m::peripheral::MPU;
+
     const ENABLE: u32 = 1;
     const DEFAULT_ELSEWHERE: u32 = 1 << 2;
     const NUMBER_IS_VALID: u32 = 1 << 4;
     const NEVER_EXECUTE: u32 = 1 << 28;
     const SIZE: u32 = (GUARD.ilog2() - 1) << 1;
     let base = u32::try_from(addr_of_mut!(_program_stack_end).addr()).unwrap_or_default();
-    SYSTEM_CONTROL.write::<{ register::REGION_BASE }>(base | NUMBER_IS_VALID);
-    SYSTEM_CONTROL.write::<{ register::REGION_ATTRIBUTES }>(NEVER_EXECUTE | SIZE | ENABLE);
-    SYSTEM_CONTROL.write::<{ register::CONTROL }>(DEFAULT_ELSEWHERE | ENABLE);
+    // SAFETY: no code has a reason to access the guard, and no other code uses this region of the MPU
+    unsafe {
+        let mpu = &*MPU::PTR;
+        mpu.rbar.write(base | NUMBER_IS_VALID);
+        mpu.rasr.write(NEVER_EXECUTE | SIZE | ENABLE);
+        mpu.ctrl.write(DEFAULT_ELSEWHERE | ENABLE);
+    }
     cortex_m::asm::dsb();
     cortex_m::asm::isb();
 }

@@ -1,0 +1,205 @@
+//! The tasks of a gateway board: RAC for four PLCs, b-CAP to the robot, the address, the log and the watchdog.
+//!
+//! ```text
+//!  PLCs ─► port 5006, 4 slots ────┐
+//!                                 ├─► Gateway: rules, handles, counters ─► robot, over TCP or UDP
+//!  settings in the flash ─────────┘        │
+//!                                          └─► log, a status line every 10 s
+//! ```
+//!
+//! An image makes an embassy-net [`Stack`] with [`SOCKETS`] sockets, calls [`start`], runs the stack in a task of its own, and
+//! [`watch`] in another.
+
+use bcap_core::bcap::client::{self, Timing};
+use bcap_core::gateway::{Config, Gateway, Memory};
+use bcap_core::rac;
+use bcap_embassy::clock::now;
+use bcap_embassy::gateway::{Listener, SharedGateway, TcpRobot, run_robot};
+use bcap_embassy::net::{Options, UdpTransport};
+use bcap_embassy::server::Limits;
+use embassy_executor::{SpawnError, Spawner};
+use embassy_futures::select::select;
+use embassy_net::Stack;
+use embassy_net::udp::{PacketMetadata, UdpSocket};
+use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+use embassy_time::{Duration, Timer};
+use static_cell::{ConstStaticCell, StaticCell};
+
+use crate::led::State;
+use crate::report::{self, Parts};
+use crate::watchdog::{self, Task, watched};
+use crate::{RuleMemory, Settings, Transport, address};
+
+/// The PLCs that are served at once.
+pub const SESSIONS: usize = 4;
+/// Listeners, of which one answers PLCs without a slot.
+const LISTENERS: usize = SESSIONS + 1;
+/// The capacity of the LRU cache of handles.
+const HANDLES: usize = 64;
+/// The sockets of the network stack: the listeners, the robot, DHCP.
+pub const SOCKETS: usize = LISTENERS + 2;
+
+/// The tasks that the watchdog watches; the PLCs' tasks have the numbers from `PLC` on.
+const NETWORK: Task = Task::new(0);
+const ROBOT: Task = Task::new(1);
+const STATUS: Task = Task::new(2);
+const PLC: u32 = 3;
+/// How far the gateway may overrun its deadline; a longer overrun means that its tasks hang.
+const MAX_OVERRUN: core::time::Duration = core::time::Duration::from_secs(2);
+
+/// The gateway that the tasks share.
+pub type Board = SharedGateway<'static, NoopRawMutex, SESSIONS>;
+
+/// Starts the tasks of a gateway, except for the network stack, the watchdog, and what only this board has. Call it once.
+///
+/// `dhcp_again` is the pause before the board asks for an address again ([`address::DHCP_AGAIN`]).
+///
+/// # Errors
+///
+/// A [`SpawnError`] at the second call.
+pub fn start(
+    spawner: Spawner,
+    stack: Stack<'static>,
+    settings: &'static Settings<'static>,
+    parts: Parts,
+    dhcp_again: Duration,
+) -> Result<&'static Board, SpawnError> {
+    static SOCKET_MEMORY: ConstStaticCell<[[[u8; 512]; 2]; LISTENERS]> =
+        ConstStaticCell::new([[[0; 512]; 2]; LISTENERS]);
+
+    let robot = settings.robot;
+    defmt::info!("gateway to {}, provider {=str}", defmt::Debug2Format(&robot), settings.provider);
+    let board = make(settings);
+    spawner.spawn(run_robot_link(stack, settings, board, dhcp_again)?);
+    for (number, memory) in (PLC..).zip(SOCKET_MEMORY.take()) {
+        spawner.spawn(serve(stack, memory, settings, board, Task::new(number))?);
+    }
+    spawner.spawn(log_status(board, parts)?);
+    Ok(board)
+}
+
+/// Runs the network stack under the watchdog.
+pub async fn run_network<F: Future>(runner: F) -> F::Output {
+    watched(NETWORK, runner).await
+}
+
+/// Calls `feed` each second while the tasks run, the gateway meets its deadlines and `is_healthy` returns true.
+pub async fn watch(board: &'static Board, is_healthy: fn() -> bool, feed: impl FnMut()) -> ! {
+    let is_healthy = || {
+        let due = board.view(Gateway::poll_timeout).flatten();
+        is_healthy() && due.is_none_or(|due| now() <= due.saturating_add(MAX_OVERRUN))
+    };
+    watchdog::run(is_healthy, feed).await
+}
+
+/// Returns what the LED shows.
+#[must_use]
+pub fn led_state(board: &Board, stack: Stack<'_>) -> State {
+    match (stack.is_link_up() && stack.is_config_up(), has_robot(board)) {
+        (false, _) => State::NoNetwork,
+        (true, false) => State::NoRobot,
+        (true, true) => State::Up,
+    }
+}
+
+fn has_robot(board: &Board) -> bool {
+    board.view(Gateway::is_up).unwrap_or_default()
+}
+
+/// Creates the gateway from the settings.
+#[inline(never)]
+fn make(settings: &'static Settings<'static>) -> &'static Board {
+    static MEMORY: ConstStaticCell<Memory<SESSIONS, HANDLES>> = ConstStaticCell::new(Memory::new());
+    static RULES: StaticCell<RuleMemory<'static>> = StaticCell::new();
+    static BOARD: StaticCell<Board> = StaticCell::new();
+
+    let rules = settings.rules(RULES.init(RuleMemory::new()));
+    defmt::info!("{=usize} rules for GET, {=usize} for PUT", rules.get.len(), rules.put.len());
+    let client = match settings.robot.transport {
+        Transport::Tcp => Config::RC8.client,
+        // five attempts take 2.5 s; a call that runs longer has sent keep-alives
+        Transport::Udp => client::Config {
+            timing: Timing {
+                deadline: Config::RC8.client.timing.deadline,
+                keep_alive: Config::RC8.client.timing.keep_alive,
+                ..Timing::UDP
+            },
+            ..client::Config::UDP
+        },
+    };
+    let Settings { provider, machine, option, service, .. } = *settings;
+    let config = Config { client, service, provider, machine, option, rules, ..Config::RC8 };
+    BOARD.init(SharedGateway::new(Gateway::new(config, MEMORY.take()), report::log))
+}
+
+/// Serves PLCs, one after another.
+#[embassy_executor::task(pool_size = LISTENERS)]
+async fn serve(
+    stack: Stack<'static>,
+    memory: &'static mut [[u8; 512]; 2],
+    settings: &'static Settings<'static>,
+    board: &'static Board,
+    task: Task,
+) -> ! {
+    let [rx, tx] = memory;
+    let mut listener = Listener::with_options(stack, rac::PORT, rx, tx, options(settings));
+    let limits = Limits { idle: settings.idle, evict_after: Some(settings.evict), ..Limits::default() };
+    watched(task, listener.run(board, &limits)).await
+}
+
+/// Returns the timeouts of a PLC's connection; one that confirms no keep-alive is reset.
+fn options(settings: &Settings<'_>) -> Options {
+    let keep_alive = Duration::from_secs(settings.keep_alive.as_secs());
+    let lost = Options::default().lost.max(keep_alive * 3);
+    Options { keep_alive, lost, ..Options::default() }
+}
+
+/// Waits for an address, then runs the connection to the robot.
+#[embassy_executor::task]
+async fn run_robot_link(
+    stack: Stack<'static>,
+    settings: &'static Settings<'static>,
+    board: &'static Board,
+    dhcp_again: Duration,
+) {
+    static MEMORY: ConstStaticCell<[[u8; 1024]; 3]> = ConstStaticCell::new([[0; 1024]; 3]);
+    static META: ConstStaticCell<[[PacketMetadata; 2]; 2]> = ConstStaticCell::new([[PacketMetadata::EMPTY; 2]; 2]);
+    let ([rx, tx, frame], [rx_meta, tx_meta]) = (MEMORY.take(), META.take());
+    let address = settings.robot.address;
+    let run = async {
+        match settings.robot.transport {
+            Transport::Tcp => {
+                let mut robot = TcpRobot::new(stack, rx, tx, Options::default(), address);
+                run_robot(&mut robot, frame, board).await
+            }
+            Transport::Udp => {
+                let socket = UdpSocket::new(stack, rx_meta, rx, tx_meta, tx);
+                match UdpTransport::new(stack, socket, address) {
+                    Ok(mut robot) => run_robot(&mut robot, frame, board).await,
+                    Err(error) => {
+                        // the gateway works without a robot; its PLCs get E_NOT_CONNECTED
+                        defmt::error!("cannot open a socket for the robot: {}", error);
+                    }
+                }
+            }
+        }
+    };
+    let work = async {
+        address::find(stack, settings).await;
+        select(run, address::improve(stack, settings, dhcp_again, || has_robot(board))).await;
+    };
+    watched(ROBOT, work).await
+}
+
+/// Logs the state of the board every 10 s.
+#[embassy_executor::task]
+async fn log_status(board: &'static Board, parts: Parts) -> ! {
+    let work = async {
+        loop {
+            Timer::after_secs(10).await;
+            board.view(|gateway| report::status(gateway, &parts));
+            report::left_out();
+        }
+    };
+    watched(STATUS, work).await
+}

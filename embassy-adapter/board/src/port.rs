@@ -1,0 +1,120 @@
+//! The console and the log over any serial port: a UART or a USB CDC port.
+
+use core::convert::Infallible;
+
+use embassy_futures::join::join;
+use embedded_io_async::{Read, Write};
+use embedded_storage::nor_flash::NorFlash;
+use heapless::Vec;
+use static_cell::ConstStaticCell;
+
+use crate::console::{Action, Console};
+use crate::slots::Slots;
+use crate::{log, memory};
+
+/// The most bytes of an answer: more than all settings with the word before each.
+const ANSWER: usize = 4096;
+
+/// The most bytes that are passed to a port at once: a packet of USB.
+const PART: usize = 64;
+
+/// The bytes of an answer, which are sent after it is complete.
+#[derive(Debug)]
+pub struct Answer(Vec<u8, ANSWER>);
+
+impl embedded_io::ErrorType for Answer {
+    type Error = Infallible;
+}
+
+impl embedded_io::Write for Answer {
+    /// Takes all bytes. Bytes that do not fit are lost; no answer is that long.
+    fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
+        let _ = self.0.extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> Result<(), Infallible> {
+        Ok(())
+    }
+}
+
+/// Returns the memory of the answers. Call it once.
+#[must_use]
+pub fn answer() -> &'static mut Answer {
+    static ANSWER_MEMORY: ConstStaticCell<Answer> = ConstStaticCell::new(Answer(Vec::new()));
+    ANSWER_MEMORY.take()
+}
+
+/// Creates a console for the settings in these slots and in the image.
+#[must_use]
+pub fn console<F: NorFlash>(slots: Slots<F>) -> Console<'static, F> {
+    Console::new(slots, memory::image())
+}
+
+/// Serves a host that changes the settings, until it asks for a restart.
+///
+/// # Errors
+///
+/// An error of the port, such as an unplugged cable; serve it again once it works.
+pub async fn serve<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
+    console: &mut Console<'_, F>,
+    answer: &mut Answer,
+    receiver: &mut R,
+    sender: &mut W,
+) -> Result<Action, R::Error> {
+    let mut bytes = [0; PART];
+    loop {
+        let count = receiver.read(&mut bytes).await?;
+        for byte in bytes.iter().take(count) {
+            answer.0.clear();
+            let Ok(action) = console.receive(*byte, answer);
+            // in parts, because some UARTs refuse more than their buffer has room for
+            for part in answer.0.chunks(PART) {
+                sender.write_all(part).await?;
+            }
+            if let Some(action) = action {
+                sender.flush().await?;
+                return Ok(action);
+            }
+        }
+    }
+}
+
+/// Sends the log to a port.
+///
+/// # Errors
+///
+/// An error of the port; up to 64 bytes of the log are then lost.
+pub async fn send_log<W: Write>(sender: &mut W) -> Result<Infallible, W::Error> {
+    let mut bytes = [0; PART];
+    loop {
+        let count = log::read(&mut bytes).await;
+        sender.write_all(bytes.get(..count).unwrap_or_default()).await?;
+        sender.flush().await?;
+    }
+}
+
+/// Serves the console on one UART and sends the log to another; calls `restart` when the host asks for it. Call it once.
+pub async fn run<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
+    slots: Slots<F>,
+    mut receiver: R,
+    mut sender: W,
+    mut log: impl Write,
+    restart: fn() -> !,
+) {
+    let (mut console, answer) = (console(slots), answer());
+    let serve = async {
+        loop {
+            // after a line error the request is invalid, and the host repeats it
+            if serve(&mut console, answer, &mut receiver, &mut sender).await.is_ok() {
+                restart();
+            }
+        }
+    };
+    let send_log = async {
+        loop {
+            let _ = send_log(&mut log).await;
+        }
+    };
+    join(serve, send_log).await;
+}

@@ -1,0 +1,54 @@
+//! The console and the log as two serial ports (CDC ACM) over USB; on Linux `/dev/ttyACM0` and `/dev/ttyACM1`.
+
+use embassy_futures::join::join3;
+use embassy_usb::class::cdc_acm::{CdcAcmClass, State};
+use embassy_usb::driver::Driver;
+use embassy_usb::{Builder, Config};
+use embedded_storage::nor_flash::NorFlash;
+use static_cell::{ConstStaticCell, StaticCell};
+
+use crate::port;
+use crate::slots::Slots;
+
+/// pid.codes' pair for tests; a product needs one of its own.
+const VENDOR: u16 = 0x1209;
+const PRODUCT: u16 = 0x0001;
+/// The packet size of full speed.
+const PACKET: u16 = 64;
+
+/// Serves both ports; calls `restart` when the host asks for it. Call it once.
+pub async fn run<D: Driver<'static>, F: NorFlash>(driver: D, slots: Slots<F>, restart: fn() -> !) {
+    static BUFFERS: ConstStaticCell<([u8; 256], [u8; 64], [u8; 64])> =
+        ConstStaticCell::new(([0; 256], [0; 64], [0; 64]));
+    static STATES: StaticCell<[State<'static>; 2]> = StaticCell::new();
+    static PACKET_MEMORY: ConstStaticCell<[u8; PACKET as usize]> = ConstStaticCell::new([0; PACKET as usize]);
+
+    let (descriptors, bos, control) = BUFFERS.take();
+    let [console_state, log_state] = STATES.init([State::new(), State::new()]);
+    let mut config = Config::new(VENDOR, PRODUCT);
+    config.manufacturer = Some("bcap");
+    config.product = Some("b-CAP gateway: console and log");
+    let mut builder = Builder::new(driver, config, descriptors, bos, &mut [], control);
+    let (mut sender, receiver) = CdcAcmClass::new(&mut builder, console_state, PACKET).split();
+    let (mut log, _) = CdcAcmClass::new(&mut builder, log_state, PACKET).split();
+    let mut receiver = receiver.into_buffered(PACKET_MEMORY.take());
+    let (mut console, answer) = (port::console(slots), port::answer());
+
+    let serve = async {
+        loop {
+            sender.wait_connection().await;
+            // an error means that the host is gone
+            if port::serve(&mut console, answer, &mut receiver, &mut sender).await.is_ok() {
+                restart();
+            }
+        }
+    };
+    let send_log = async {
+        loop {
+            log.wait_connection().await;
+            let _ = port::send_log(&mut log).await;
+        }
+    };
+    let mut device = builder.build();
+    join3(device.run(), serve, send_log).await;
+}
