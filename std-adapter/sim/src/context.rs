@@ -7,6 +7,7 @@ use bcap_core::time::Instant;
 use crate::config::{Config, Mode, Permission, Token};
 use crate::errors::Errors;
 use crate::operations::Operations;
+use crate::rules::Rule;
 use crate::variables::Variables;
 use crate::waits::Waits;
 
@@ -48,17 +49,21 @@ pub(crate) struct Context<'a> {
 }
 
 impl Context<'_> {
-    /// Checks what every command that starts something needs: Auto mode, the executable token, no error.
-    pub(crate) fn may_execute(&mut self) -> Result<(), HResult> {
-        self.may_command()?;
-        if self.errors.code().is_err() { Err(self.refuse(HResult::E_ERROR_PRESENT)) } else { Ok(()) }
-    }
-
-    /// Checks Auto mode and the executable token.
-    pub(crate) fn may_command(&mut self) -> Result<(), HResult> {
-        if !self.panel.is_auto() {
+    /// Checks the conditions of a rule that do not concern the arm: the mode, the executable token, no error.
+    pub(crate) fn may(&mut self, rule: &Rule) -> Result<(), HResult> {
+        if rule.auto && !self.panel.is_auto() {
             return Err(self.refuse(HResult::E_ACCESSDENIED));
         }
+        if rule.token {
+            self.has_token()?;
+        }
+        if rule.no_error && self.errors.code().is_err() {
+            return Err(self.refuse(HResult::E_ERROR_PRESENT));
+        }
+        Ok(())
+    }
+
+    fn has_token(&mut self) -> Result<(), HResult> {
         match self.panel.token {
             Token::TeachPendant => Err(self.refuse(HResult::E_TOKEN_NOT_ETHERNET)),
             Token::Client(owner) if owner != self.peer => Err(self.refuse(HResult::E_TOKEN_ADDRESS)),
