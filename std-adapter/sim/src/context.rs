@@ -1,5 +1,7 @@
 //! What a part of the controller sees of the rest of it during one call.
 
+use std::net::IpAddr;
+
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
@@ -37,6 +39,8 @@ impl Panel {
 pub(crate) struct Context<'a> {
     /// The client.
     pub(crate) peer: PeerId,
+    /// Its address, if it is known.
+    pub(crate) address: Option<IpAddr>,
     pub(crate) now: Instant,
     pub(crate) config: &'a Config,
     pub(crate) panel: Panel,
@@ -67,6 +71,9 @@ impl Context<'_> {
         match self.panel.token {
             Token::TeachPendant => Err(self.refuse(HResult::E_TOKEN_NOT_ETHERNET)),
             Token::Client(owner) if owner != self.peer => Err(self.refuse(HResult::E_TOKEN_ADDRESS)),
+            Token::Address(address) if self.address != Some(address.to_canonical()) => {
+                Err(self.refuse(HResult::E_TOKEN_ADDRESS))
+            }
             _ => Ok(()),
         }
     }
