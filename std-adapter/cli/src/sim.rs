@@ -156,7 +156,8 @@ async fn serve<H: Serves>(
             return Err(Failure::Input("a serial line has no packets to record; leave out --write or --serial".into()));
         }
         if matches!(args.token, Token::Address(_)) {
-            let problem = "clients have no address of their own while they are recorded; leave out --write or the address of --token";
+            let problem = "clients have no address of their own while they are recorded; leave out --write or the address \
+                           of --token";
             return Err(Failure::Input(problem.into()));
         }
         return recorded(server, Front::bind(args, rac, file).await?, ended, ready).await;
