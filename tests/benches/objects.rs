@@ -1,18 +1,21 @@
-//! Time to open and release an object of the virtual controller, with few and with many objects open.
+//! Objects of the virtual controller: time to open and release one with few and with many open, memory of each, and requests
+//! per second of many clients.
 //!
 //! ```text
 //! cargo bench -p bcap-tests --bench objects
 //! ```
 //!
-//! One client over loopback TCP opens and releases a variable, while other clients hold 10, then 90,000 objects (900 in
-//! each of 100 connections). The times must not depend on the number of open objects; they are printed, not judged.
+//! One client over loopback TCP opens and releases a variable, while 100 other clients hold 10, then 100,000 objects: each the
+//! controller and 999 variables, the most that one client may open. The times must not depend on the number of open objects.
+//! Then the resident memory of this process, clients included, before and after the objects were opened, and how many reads of
+//! their variables the 100 clients complete in 3 s, each with one request in flight. The figures are printed, not judged.
 
 use std::process::ExitCode;
 use std::sync::mpsc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use bcap_core::bcap::call::{self, ControllerHandle};
+use bcap_core::bcap::call::{self, ControllerHandle, VariableHandle};
 use bcap_sim::{Config, Controller, Profile};
 use bcap_std::blocking::{self, TcpClient};
 use bcap_std::server::{Limits, Server};
@@ -20,7 +23,17 @@ use bcap_std::server::{Limits, Server};
 type Failure = Box<dyn std::error::Error + Send + Sync>;
 
 const CLIENTS: usize = 100;
+/// The variables of each client; with its controller, it has 1,000 objects.
+const VARIABLES: usize = 999;
 const ROUNDS: usize = 2_000;
+const TIME: Duration = Duration::from_secs(3);
+
+/// A client with the objects that it has opened.
+struct Holder {
+    client: TcpClient,
+    controller: ControllerHandle,
+    variables: Vec<VariableHandle>,
+}
 
 fn main() -> ExitCode {
     match run() {
@@ -51,18 +64,60 @@ fn run() -> Result<(), Failure> {
         Ok::<_, Failure>((client, controller))
     };
     let mut measured = connect()?;
-    let mut others = (0..CLIENTS).map(|_| connect()).collect::<Result<Vec<_>, _>>()?;
+    let mut others = Vec::new();
+    for _ in 0..CLIENTS {
+        let (client, controller) = connect()?;
+        others.push(Holder { client, controller, variables: Vec::with_capacity(VARIABLES) });
+    }
+    let before = resident();
     println!("{:<16} {:>12} {:>12} {:>12} {:>12}", "objects open", "open", "p99", "release", "p99");
-    let mut open = 0;
-    for goal in [10, 90_000] {
+    let mut open = CLIENTS;
+    for goal in [CLIENTS + 10, CLIENTS * (VARIABLES + 1)] {
         while open < goal {
-            let (client, controller) = &mut others[open % CLIENTS];
-            client.call(call::controller_get_variable(*controller, "I1", ""))?;
+            let holder = &mut others[open % CLIENTS];
+            // I0 to I99, as a default controller has them
+            let name = format!("I{}", holder.variables.len() % 100);
+            holder.variables.push(holder.client.call(call::controller_get_variable(holder.controller, &name, ""))?);
             open += 1;
         }
         measure(goal, &mut measured)?;
     }
+    if let (Some(before), Some(after)) = (before, resident()) {
+        let each = 1024.0 * after.saturating_sub(before) as f64 / (CLIENTS * VARIABLES) as f64;
+        println!("resident memory: {before} KiB before, {after} KiB after; {each:.0} bytes for each object");
+    }
+    read(others)
+}
+
+/// Lets each client read its variables in turn.
+fn read(clients: Vec<Holder>) -> Result<(), Failure> {
+    let begun = Instant::now();
+    let readers = clients.into_iter().map(|mut holder| {
+        thread::spawn(move || {
+            let mut count = 0_u64;
+            for variable in holder.variables.iter().cycle() {
+                if begun.elapsed() >= TIME {
+                    break;
+                }
+                holder.client.call(call::variable_get_value(*variable))?;
+                count += 1;
+            }
+            Ok::<_, Failure>(count)
+        })
+    });
+    let mut count = 0;
+    for reader in readers.collect::<Vec<_>>() {
+        count += reader.join().map_err(|_| "a client has panicked")??;
+    }
+    let rate = count as f64 / begun.elapsed().as_secs_f64();
+    println!("{CLIENTS} clients with {} objects each: {rate:.0} requests/s", VARIABLES + 1);
     Ok(())
+}
+
+/// Returns the resident memory of this process in KiB; `None` where the system does not tell.
+fn resident() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?.trim().strip_suffix(" kB")?.parse().ok()
 }
 
 fn measure(open: usize, (client, controller): &mut (TcpClient, ControllerHandle)) -> Result<(), Failure> {

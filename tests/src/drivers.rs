@@ -27,21 +27,36 @@ pub enum Link {
 #[expect(missing_docs, reason = "the variants are the models")]
 pub enum Model {
     Rc8,
+    Rc8a,
     Rc9,
     Cobotta,
+    #[serde(rename = "cobotta-pro")]
+    CobottaPro,
 }
 
 impl Model {
     /// All models.
-    pub const ALL: [Self; 3] = [Self::Rc8, Self::Rc9, Self::Cobotta];
+    pub const ALL: [Self; 5] = [Self::Rc8, Self::Rc8a, Self::Rc9, Self::Cobotta, Self::CobottaPro];
 
     /// Returns the profile of the virtual controller.
     #[must_use]
     pub const fn profile(self) -> Profile {
         match self {
             Self::Rc8 => Profile::Rc8,
+            Self::Rc8a => Profile::Rc8a,
             Self::Rc9 => Profile::Rc9,
             Self::Cobotta => Profile::Cobotta,
+            Self::CobottaPro => Profile::CobottaPro,
+        }
+    }
+
+    /// Returns the model whose programs it also runs.
+    #[must_use]
+    pub const fn like(self) -> Self {
+        match self {
+            Self::Rc8 | Self::Rc8a => Self::Rc8,
+            Self::Rc9 | Self::CobottaPro => Self::Rc9,
+            Self::Cobotta => Self::Cobotta,
         }
     }
 }
@@ -68,6 +83,14 @@ pub struct Head {
     /// The user variables at the start.
     #[serde(default)]
     pub variables: BTreeMap<String, Json>,
+}
+
+impl Head {
+    /// Returns what happens on a model that it is not for.
+    #[must_use]
+    pub fn failure(&self, model: Model) -> Option<&Failure> {
+        self.elsewhere.get(&model).or_else(|| self.elsewhere.get(&model.like()))
+    }
 }
 
 fn one_session() -> BTreeMap<String, Link> {

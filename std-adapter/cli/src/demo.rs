@@ -34,7 +34,9 @@ pub(crate) fn demo() -> Result<(), Failure> {
     ))?;
     over_tcp(&robot.listening)?;
     over_udp(&robot.listening)?;
-    over_rac(&robot.listening)?;
+    if let Some(address) = robot.listening.rac {
+        over_rac(address)?;
+    }
     robot.stop()?;
     print_block(
         "\nThe three links read and wrote the same variables. What to try next:\n  \
@@ -105,10 +107,10 @@ fn over_udp(listening: &Listening) -> Result<(), Failure> {
     )
 }
 
-fn over_rac(listening: &Listening) -> Result<(), Failure> {
-    print_block(&format!("\n== RAC, text over TCP, {} ==", listening.rac))?;
-    let connected = blocking::connect_rac(listening.rac, &Options::default());
-    let (transport, client) = connected.map_err(|error| unreached(&error, listening.rac))?.into_parts();
+fn over_rac(address: SocketAddr) -> Result<(), Failure> {
+    print_block(&format!("\n== RAC, text over TCP, {address} =="))?;
+    let connected = blocking::connect_rac(address, &Options::default());
+    let (transport, client) = connected.map_err(|error| unreached(&error, address))?.into_parts();
     let (transcript, transport) = Transcript::of(transport, Wire::Lines);
     let mut robot = RacConnection::new(transport, client);
     let (i1, p1) = (Variable::new(VariableKind::I, 1), Variable::new(VariableKind::P, 1));
@@ -239,7 +241,7 @@ struct Robot {
 impl Robot {
     fn start() -> Result<Self, Failure> {
         let free = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
-        let wanted = Listening { bcap: free, udp: free, rac: free };
+        let wanted = Listening { bcap: free, udp: free, rac: Some(free) };
         let runtime = runtime()?;
         let (server, listening) = runtime.block_on(sim::listen(sim::controller(Profile::Rc8), &wanted))?;
         let (stop, stopped) = oneshot::channel();

@@ -48,7 +48,8 @@ const DEFAULT_CONNECT: Duration = Duration::from_secs(3);
 struct Listeners {
     bcap: TcpListener,
     udp: UdpSocket,
-    rac: TcpListener,
+    /// `None` if the robot has no RAC.
+    rac: Option<TcpListener>,
 }
 
 /// Runs `bcap proxy` until a signal ends it.
@@ -124,8 +125,8 @@ pub(crate) struct Front {
 
 impl Front {
     /// Binds the addresses of the controller, and starts the recording.
-    pub(crate) async fn bind(args: &Sim, file: &Path) -> Result<Self, Failure> {
-        Ok(Self { listeners: Listeners::of_sim(args).await?, recording: Recording::start(Some(file), |_| {})? })
+    pub(crate) async fn bind(args: &Sim, rac: Option<SocketAddr>, file: &Path) -> Result<Self, Failure> {
+        Ok(Self { listeners: Listeners::of_sim(args, rac).await?, recording: Recording::start(Some(file), |_| {})? })
     }
 
     /// Returns the line that names the addresses.
@@ -156,21 +157,28 @@ impl Listeners {
         let below = SocketAddr::new(wanted.ip(), wanted.port().saturating_sub(1));
         let wanted = args.listen_rac.unwrap_or(below);
         let rac = TcpListener::bind(wanted).await.map_err(|error| taken("--listen-rac", wanted, &error))?;
-        Ok(Self { bcap, udp, rac })
+        Ok(Self { bcap, udp, rac: Some(rac) })
     }
 
     /// Binds the sockets of a virtual controller that is recorded.
-    async fn of_sim(args: &Sim) -> Result<Self, Failure> {
+    async fn of_sim(args: &Sim, rac: Option<SocketAddr>) -> Result<Self, Failure> {
         let tcp =
             async |option, address| TcpListener::bind(address).await.map_err(|error| taken(option, address, &error));
-        let (bcap, rac) = (tcp("--bcap", args.bcap).await?, tcp("--rac", args.rac).await?);
+        let bcap = tcp("--bcap", args.bcap).await?;
+        let rac = match rac {
+            Some(address) => Some(tcp("--rac", address).await?),
+            None => None,
+        };
         let udp = UdpSocket::bind(args.udp).await.map_err(|error| taken("--udp", args.udp, &error))?;
         Ok(Self { bcap, udp, rac })
     }
 
     fn ready(&self) -> io::Result<String> {
-        let [bcap, udp, rac] = [self.bcap.local_addr()?, self.udp.local_addr()?, self.rac.local_addr()?];
-        Ok(format!("ready bcap={bcap} udp={udp} rac={rac}"))
+        let mut ready = format!("ready bcap={} udp={}", self.bcap.local_addr()?, self.udp.local_addr()?);
+        if let Some(rac) = &self.rac {
+            ready += &format!(" rac={}", rac.local_addr()?);
+        }
+        Ok(ready)
     }
 
     /// Forwards until `ended` or until the file cannot be written, then closes all connections.
@@ -189,7 +197,11 @@ impl Listeners {
         tokio::join!(
             tcp::listen(self.bcap, tcp, false, shared.clone()),
             udp::serve(self.udp, robot.udp, shared.clone()),
-            tcp::listen(self.rac, rac, true, shared.clone()),
+            async {
+                if let Some(listener) = self.rac {
+                    tcp::listen(listener, rac, true, shared.clone()).await;
+                }
+            },
         );
     }
 }

@@ -6,7 +6,7 @@ mod live;
 use std::fmt;
 use std::fs;
 use std::io::{self, Write as _};
-use std::net::SocketAddr;
+use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::thread;
@@ -16,7 +16,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::{bcap, rac};
 use bcap_sim::explain::Observer;
 use bcap_sim::files::{Executor, Job};
-use bcap_sim::{ArmModel, Config, Controller, Model, Profile, Scenario};
+use bcap_sim::{ArmModel, Config, Controller, Model, Profile, Scenario, Token};
 use bcap_std::SerialLine;
 use bcap_std::server::{LineEvent, Server};
 use tokio::sync::oneshot;
@@ -34,6 +34,9 @@ use crate::trajectory::Trajectory;
 use delivery::deliver;
 use live::{Live, Refused, Watched};
 
+/// The address for RAC, on a model that has it.
+const RAC: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 5006);
+
 /// The maximum number of queued file jobs.
 const FILE_JOBS: usize = 64;
 
@@ -50,6 +53,7 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
     if args.print_model {
         return print_model(&args.model);
     }
+    let rac = args.rac.or_else(|| model.rac.then_some(RAC));
     let arm = args.arm.as_ref().map(read_arm).transpose()?;
     if let (true, Some((_, text))) = (args.print_arm, &arm) {
         return Ok(print_block(text.trim_end())?);
@@ -62,7 +66,7 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         // install the signal handlers before the `ready` line: a reader of that line may send a signal at once
         let ended = signal::wait()?;
         if let Some(capture) = &args.replay {
-            return serve(Server::new(Playback::read(capture)?), args, file, ended, print_line).await;
+            return serve(Server::new(Playback::read(capture)?), args, rac, file, ended, print_line).await;
         }
         // dropped, and thereby deleted, after the controller has ended
         let temporary = tempfile::tempdir()?;
@@ -71,7 +75,7 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
             return Err(Failure::Input(format!("--files {}: the folder does not exist", files.display())));
         }
         let mut config = Config { files: Some(files.to_owned()), file_work: file_worker()?, ..config(model) };
-        (config.mode, config.token) = (args.mode.into(), args.token.into());
+        (config.mode, config.token) = (args.mode.into(), args.token);
         config.lenient = args.lenient;
         let refused = Refused::default();
         *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = args.screen.then(|| refused.clone());
@@ -97,9 +101,17 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
             controller.play(read_scenario(path, controller.config())?);
         }
         if args.screen {
-            on_screen(Watched::shared(controller, refused), args, file, ended).await?;
+            on_screen(Watched::shared(controller, refused), args, rac, file, ended).await?;
         } else {
-            serve(Server::new(controller).tap(deliver), args, file, ended, print_line).await?;
+            serve(
+                Server::new(controller).tap(deliver).on_connect(Controller::connected),
+                args,
+                rac,
+                file,
+                ended,
+                print_line,
+            )
+            .await?;
         }
         Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?)
     })
@@ -109,6 +121,7 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
 async fn on_screen(
     watched: Arc<Mutex<Watched>>,
     args: &Sim,
+    rac: Option<SocketAddr>,
     file: Option<&Path>,
     ended: impl Future<Output = ()>,
 ) -> Result<(), Failure> {
@@ -120,7 +133,7 @@ async fn on_screen(
             _ = quits => {}
         }
     };
-    serve(Watched::server(&watched), args, file, ended, |line| {
+    serve(Watched::server(&watched), args, rac, file, ended, |line| {
         let addresses = line.strip_prefix("ready ").unwrap_or(line);
         live = Some(Live::open(addresses, &watched, quit)?);
         Ok(())
@@ -133,6 +146,7 @@ async fn on_screen(
 async fn serve<H: Serves>(
     server: Server<H>,
     args: &Sim,
+    rac: Option<SocketAddr>,
     file: Option<&Path>,
     ended: impl Future<Output = ()>,
     ready: impl FnOnce(&str) -> io::Result<()>,
@@ -141,12 +155,17 @@ async fn serve<H: Serves>(
         if !args.serial.is_empty() {
             return Err(Failure::Input("a serial line has no packets to record; leave out --write or --serial".into()));
         }
-        return recorded(server, Front::bind(args, file).await?, ended, ready).await;
+        if matches!(args.token, Token::Address(_)) {
+            let problem = "clients have no address of their own while they are recorded; leave out --write or the address \
+                           of --token";
+            return Err(Failure::Input(problem.into()));
+        }
+        return recorded(server, Front::bind(args, rac, file).await?, ended, ready).await;
     }
     let (server, listening) = if args.no_network {
         (server, "ready".to_owned())
     } else {
-        let wanted = Listening { bcap: args.bcap, udp: args.udp, rac: args.rac };
+        let wanted = Listening { bcap: args.bcap, udp: args.udp, rac };
         let (server, listening) = bind(server, &wanted).await?;
         (server, listening.to_string())
     };
@@ -195,10 +214,11 @@ async fn recorded<H: Serves>(
     ready: impl FnOnce(&str) -> io::Result<()>,
 ) -> Result<(), Failure> {
     let any = SocketAddr::from(([127, 0, 0, 1], 0));
-    let (server, Listening { bcap, udp, rac }) = bind(server, &Listening { bcap: any, udp: any, rac: any }).await?;
+    let (server, Listening { bcap, udp, rac }) =
+        bind(server, &Listening { bcap: any, udp: any, rac: Some(any) }).await?;
     ready(&front.ready()?)?;
     let (stop, stopped) = oneshot::channel::<()>();
-    let robot = Robot { tcp: vec![bcap], udp, rac: vec![rac] };
+    let robot = Robot { tcp: vec![bcap], udp, rac: rac.into_iter().collect() };
     let front = async {
         let written = front.serve(&robot, ended).await;
         drop(stop);
@@ -273,7 +293,8 @@ fn explainer(refusals: bool) -> io::Result<Observer> {
 pub(crate) struct Listening {
     pub(crate) bcap: SocketAddr,
     pub(crate) udp: SocketAddr,
-    pub(crate) rac: SocketAddr,
+    /// `None` without RAC.
+    pub(crate) rac: Option<SocketAddr>,
 }
 
 /// Binds the sockets of a controller; port 0 selects a free port.
@@ -281,17 +302,20 @@ pub(crate) async fn listen(
     controller: Controller,
     wanted: &Listening,
 ) -> Result<(Server<Controller>, Listening), Failure> {
-    bind(Server::new(controller).tap(deliver), wanted).await
+    bind(Server::new(controller).tap(deliver).on_connect(Controller::connected), wanted).await
 }
 
 async fn bind<H: Serves>(server: Server<H>, wanted: &Listening) -> Result<(Server<H>, Listening), Failure> {
     let server = server.bcap_tcp(wanted.bcap).await.map_err(|error| taken("--bcap", wanted.bcap, &error))?;
     let server = server.bcap_udp(wanted.udp).await.map_err(|error| taken("--udp", wanted.udp, &error))?;
-    let server = server.rac_tcp(wanted.rac).await.map_err(|error| taken("--rac", wanted.rac, &error))?;
+    let server = match wanted.rac {
+        Some(address) => server.rac_tcp(address).await.map_err(|error| taken("--rac", address, &error))?,
+        None => server,
+    };
     let addresses = server.addresses();
     let first = |addresses: &[SocketAddr]| addresses.first().copied();
     match (first(&addresses.bcap_tcp), first(&addresses.bcap_udp), first(&addresses.rac_tcp)) {
-        (Some(bcap), Some(udp), Some(rac)) => Ok((server, Listening { bcap, udp, rac })),
+        (Some(bcap), Some(udp), rac) => Ok((server, Listening { bcap, udp, rac })),
         _ => Err(Failure::Stdio(io::Error::other("a socket has no local address"))),
     }
 }
@@ -306,7 +330,8 @@ fn read_scenario(path: &Path, config: &Config) -> Result<Scenario, Failure> {
 
 impl fmt::Display for Listening {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "ready bcap={} udp={} rac={}", self.bcap, self.udp, self.rac)
+        write!(f, "ready bcap={} udp={}", self.bcap, self.udp)?;
+        self.rac.map_or(Ok(()), |rac| write!(f, " rac={rac}"))
     }
 }
 

@@ -405,3 +405,41 @@ fn an_invalid_model_is_named_with_its_line() {
     let run = bcap(&["sim", "--model", "rc7"]);
     assert!(run.err.contains("rc8, rc8a, rc9, cobotta, cobotta-pro"), "{}", run.err);
 }
+
+#[test]
+fn the_token_of_an_address_is_for_clients_of_that_address() {
+    let take = ["exec", "robot", "TakeArm"];
+    for (token, taken) in [("127.0.0.1", true), ("192.0.2.1", false)] {
+        let sim = Sim::start(&["--token", token]);
+        for run in [sim.tcp(&take), sim.udp(&take)] {
+            assert_eq!(run.code == 0, taken, "{token}: {}", run.err);
+            assert!(taken || run.err.contains("E_TOKEN_ADDRESS"), "{}", run.err);
+        }
+    }
+    let run = bcap(&["sim", "--token", "cell7"]);
+    assert!(run.err.contains("it is any, pendant, or an IP address"), "{}", run.err);
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("clients.pcapng");
+    let run = bcap(&["sim", "--token", "192.0.2.1", "--bcap", "127.0.0.1:0", "--write", file.to_str().unwrap()]);
+    assert!(run.code != 0 && run.err.contains("leave out --write"), "{}", run.err);
+}
+
+#[test]
+fn a_model_without_rac_serves_it_only_on_request() {
+    let free = ["sim", "--bcap", "127.0.0.1:0", "--udp", "127.0.0.1:0", "--model", "rc9"];
+    let ready = |more: &[&str]| {
+        let mut child = command(&[&free[..], more].concat()).stdout(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
+        child.kill().unwrap();
+        child.wait().unwrap();
+        line
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("clients.pcapng");
+    let write = ["--write", file.to_str().unwrap()];
+    for more in [&[][..], &write[..]] {
+        assert!(!ready(more).contains(" rac="), "{more:?}");
+        assert!(ready(&[&["--rac", "127.0.0.1:0"], more].concat()).contains(" rac=127.0.0.1:"), "{more:?}");
+    }
+}

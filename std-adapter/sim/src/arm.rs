@@ -133,6 +133,7 @@ use crate::hand::Hand;
 use crate::kinematics::six;
 use crate::preparation::Preparation;
 use crate::robot::{Robot, Servo};
+use crate::rules;
 use crate::slave::{self, Limits, Slave};
 use crate::trace::{Trace, TracePoint};
 use crate::waits::{Wait, Waits};
@@ -329,13 +330,13 @@ impl Arm {
 
     /// Switches the motor for a client. With `wait`, the call is answered when it is on.
     pub(crate) fn switch_motor(&mut self, ctx: &mut Context<'_>, on: bool, wait: bool) -> Answered {
-        ctx.may_command()?;
         if !on {
+            ctx.may(&rules::MOTOR_OFF)?;
             ctx.record("motor off");
             self.robot.turn_off(HResult::E_MOTOR_OFF, ctx.now, ctx.waits);
             return Ok(Answer::Done);
         }
-        ctx.may_execute()?;
+        ctx.may(&rules::MOTOR_ON)?;
         if ctx.panel.emergency_stop {
             return Err(HResult::E_ACCESSDENIED);
         }

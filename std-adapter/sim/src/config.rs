@@ -1,5 +1,6 @@
 //! The settings of a virtual controller.
 
+use std::net::IpAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -27,6 +28,9 @@ pub enum Mode {
     Auto = 3,
 }
 
+/// The providers of electric hands that public programs connect to at the same controller. This model has no such hand.
+const HAND_PROVIDERS: &[&str] = &["CaoProv.DENSO.ESC11PCI"];
+
 /// A client that is not connected: no server gives this number to a client.
 pub(crate) const ABSENT: PeerId = PeerId(u32::MAX);
 
@@ -45,6 +49,9 @@ pub enum Token {
     TeachPendant,
     /// One client: the controller refuses the others with `E_TOKEN_ADDRESS`.
     Client(PeerId),
+    /// The clients of one address, as [`Controller::connected`](crate::Controller::connected) names it: the controller refuses
+    /// the others with `E_TOKEN_ADDRESS`.
+    Address(IpAddr),
 }
 
 /// The communication permission.
@@ -236,6 +243,9 @@ impl Config {
         let own = self.model.provider.as_str();
         if own.eq_ignore_ascii_case(name) {
             return Ok(());
+        }
+        if HAND_PROVIDERS.iter().any(|provider| provider.eq_ignore_ascii_case(name)) {
+            return Err(HResult::E_NOTIMPL);
         }
         if !self.lenient || !Profile::ALL.iter().any(|profile| profile.provider().eq_ignore_ascii_case(name)) {
             return Err(HResult::E_CAO_PROV_INVALID);

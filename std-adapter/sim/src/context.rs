@@ -1,5 +1,7 @@
 //! What a part of the controller sees of the rest of it during one call.
 
+use std::net::IpAddr;
+
 use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
@@ -7,6 +9,7 @@ use bcap_core::time::Instant;
 use crate::config::{Config, Mode, Permission, Token};
 use crate::errors::Errors;
 use crate::operations::Operations;
+use crate::rules::Rule;
 use crate::variables::Variables;
 use crate::waits::Waits;
 
@@ -36,6 +39,8 @@ impl Panel {
 pub(crate) struct Context<'a> {
     /// The client.
     pub(crate) peer: PeerId,
+    /// Its address, if it is known.
+    pub(crate) address: Option<IpAddr>,
     pub(crate) now: Instant,
     pub(crate) config: &'a Config,
     pub(crate) panel: Panel,
@@ -48,20 +53,27 @@ pub(crate) struct Context<'a> {
 }
 
 impl Context<'_> {
-    /// Checks what every command that starts something needs: Auto mode, the executable token, no error.
-    pub(crate) fn may_execute(&mut self) -> Result<(), HResult> {
-        self.may_command()?;
-        if self.errors.code().is_err() { Err(self.refuse(HResult::E_ERROR_PRESENT)) } else { Ok(()) }
-    }
-
-    /// Checks Auto mode and the executable token.
-    pub(crate) fn may_command(&mut self) -> Result<(), HResult> {
-        if !self.panel.is_auto() {
+    /// Checks the conditions of a rule that do not concern the arm: the mode, the executable token, no error.
+    pub(crate) fn may(&mut self, rule: &Rule) -> Result<(), HResult> {
+        if rule.auto && !self.panel.is_auto() {
             return Err(self.refuse(HResult::E_ACCESSDENIED));
         }
+        if rule.token {
+            self.has_token()?;
+        }
+        if rule.no_error && self.errors.code().is_err() {
+            return Err(self.refuse(HResult::E_ERROR_PRESENT));
+        }
+        Ok(())
+    }
+
+    fn has_token(&mut self) -> Result<(), HResult> {
         match self.panel.token {
             Token::TeachPendant => Err(self.refuse(HResult::E_TOKEN_NOT_ETHERNET)),
             Token::Client(owner) if owner != self.peer => Err(self.refuse(HResult::E_TOKEN_ADDRESS)),
+            Token::Address(address) if self.address != Some(address.to_canonical()) => {
+                Err(self.refuse(HResult::E_TOKEN_ADDRESS))
+            }
             _ => Ok(()),
         }
     }

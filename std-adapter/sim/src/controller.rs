@@ -7,7 +7,8 @@ mod programs;
 pub mod system;
 mod variable;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
+use std::net::IpAddr;
 use std::time::Duration;
 
 use bcap_core::handler::PeerId;
@@ -67,6 +68,8 @@ pub struct Controller {
 struct Common {
     config: Config,
     panel: Panel,
+    /// The addresses of the clients, as far as they are known.
+    addresses: BTreeMap<PeerId, IpAddr>,
     now: Instant,
     variables: Variables,
     waits: Waits,
@@ -80,6 +83,7 @@ impl Common {
     fn context(&mut self, peer: PeerId) -> Context<'_> {
         Context {
             peer,
+            address: self.addresses.get(&peer).copied(),
             now: self.now,
             config: &self.config,
             panel: self.panel,
@@ -108,6 +112,7 @@ impl Controller {
             scenario: Running::default(),
             common: Common {
                 panel: Panel::new(config.mode, config.token),
+                addresses: BTreeMap::new(),
                 now: Instant::ZERO,
                 variables: Variables::new(&config.sizes),
                 waits: Waits::default(),
@@ -201,7 +206,11 @@ impl Controller {
             self.press_emergency_stop(pressed);
         }
         setup.errors.iter().for_each(|code| self.raise(*code));
-        let Common { now, waits, .. } = &mut self.common;
+        let Common { now, waits, config, .. } = &mut self.common;
+        if setup.torque_off {
+            self.arm.preparation_mut().emergency_stop(config.model.functions);
+            self.arm.turn_off(HResult::E_MOTOR_OFF, *now, waits);
+        }
         match setup.motor {
             Some(true) => self.arm.force_on(),
             Some(false) => self.arm.turn_off(HResult::E_MOTOR_OFF, *now, waits),
@@ -291,6 +300,7 @@ impl Controller {
             Token::Any => "executable token: any client",
             Token::TeachPendant => "executable token: teach pendant",
             Token::Client(_) => "executable token: one client",
+            Token::Address(_) => "executable token: one address",
         });
         self.common.panel.token = token;
     }
@@ -330,6 +340,11 @@ impl Controller {
         self.arm.fail(code, *now, waits);
         self.tasks.fail(code, *now);
         self.free_arm_of_tasks();
+    }
+
+    /// Records the address of a client, for [`Token::Address`]. A server calls it when the client connects.
+    pub fn connected(&mut self, peer: PeerId, address: IpAddr) {
+        self.common.addresses.insert(peer, address.to_canonical());
     }
 
     /// Drops a client's part of the state: its objects are released, its motion halts, its arm authority is free.

@@ -30,6 +30,7 @@ use bcap_core::variant::Variant;
 
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
+use crate::rules;
 use crate::table::Command;
 use crate::value::{Value, numbers};
 use crate::waits::{Wait, Waits};
@@ -136,7 +137,7 @@ impl Hand {
         if !(0.0..=100.0).contains(&power) {
             return Err(HResult::E_INVALIDARG);
         }
-        ctx.may_execute()?;
+        ctx.may(&rules::HAND)?;
         (self.suction, self.peer) = (on != 0.0, ctx.peer);
         Ok(Answer::Done)
     }
@@ -150,7 +151,7 @@ impl Hand {
         if !(0.0..=STROKE).contains(&to) || !(1.0..=100.0).contains(&percent) {
             return Err(HResult::E_INVALIDARG);
         }
-        ctx.may_execute()?;
+        ctx.may(&rules::HAND)?;
         if self.end(ctx.now).is_some() {
             return Err(HResult::E_ROBOTISBUSY);
         }

@@ -92,6 +92,7 @@ pub mod program;
 mod queue;
 mod robot;
 mod route;
+mod rules;
 pub mod scenario;
 pub mod slave;
 mod stream;

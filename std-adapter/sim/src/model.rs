@@ -6,7 +6,7 @@
 //!
 //! | section       | what it has                                                                          |
 //! |---------------|--------------------------------------------------------------------------------------|
-//! | -             | name (`@TYPE`), provider, version, type and name of the robot                        |
+//! | -             | name (`@TYPE`), provider, version, type and name of the robot, RAC                   |
 //! | `[functions]` | the commands that exist besides those of all models                                  |
 //! | `[slave]`     | the parts of the formats of Slave Mode                                               |
 //! | `[variables]` | the number of variables of each kind, with the IO                                    |
@@ -111,6 +111,8 @@ pub struct Model {
     pub robot_type: String,
     /// The robot's name.
     pub arm_name: String,
+    /// Whether it has a server of RAC. A program that serves a [`Controller`](crate::Controller) decides by it.
+    pub rac: bool,
     /// The commands that exist besides those of all models.
     pub functions: Functions,
     /// The formats of Slave Mode.
@@ -184,6 +186,7 @@ struct File {
     version: Spanned<String>,
     robot_type: Spanned<String>,
     arm_name: Spanned<String>,
+    rac: bool,
     functions: Functions,
     slave: SlaveEntry,
     variables: SizesEntry,
@@ -232,6 +235,7 @@ impl File {
             version: text("version", self.version)?,
             robot_type: text("robot_type", self.robot_type)?,
             arm_name: text("arm_name", self.arm_name)?,
+            rac: self.rac,
             functions: self.functions,
             formats: SlaveFormats::of(&self.slave.formats),
             sizes: Sizes { i, f, d, v, p, j, t, s, io },

@@ -25,6 +25,7 @@ use bcap_core::hresult::HResult;
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::model::Functions;
+use crate::rules;
 
 /// The steps of the preparation that are done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -75,7 +76,7 @@ impl Preparation {
 
     /// Executes MotionPreparation.
     pub(crate) fn prepare_motion(&mut self, ctx: &mut Context<'_>) -> Answered {
-        ctx.may_execute()?;
+        ctx.may(&rules::PREPARATION)?;
         if ctx.panel.emergency_stop {
             return Err(HResult::E_ACCESSDENIED);
         }
@@ -87,7 +88,7 @@ impl Preparation {
 
     /// Executes AutoCal.
     pub(crate) fn calibrate(&mut self, ctx: &mut Context<'_>) -> Answered {
-        ctx.may_execute()?;
+        ctx.may(&rules::PREPARATION)?;
         self.calibrated = true;
         ctx.record("calibration");
         Ok(Answer::Done)

@@ -13,6 +13,7 @@ use crate::options::Pass;
 use crate::path::Path;
 use crate::queue::Queue;
 use crate::route::{Blocked, Route};
+use crate::rules::{Authority, Rule};
 use crate::stream::Stream;
 use crate::waits::{Wait, Waits};
 
@@ -331,27 +332,24 @@ impl Robot {
         self.queue.brake(Motion::braking(self.last_motion, peer, path, now), now);
     }
 
-    /// Checks everything that a motion needs, in the order that the documentation of [`arm`](crate::arm) gives.
-    pub(crate) fn may_move(&self, ctx: &mut Context<'_>) -> Result<(), HResult> {
-        ctx.may_execute()?;
-        if self.owner() != Some(ctx.peer) {
+    /// Checks the conditions of a rule, in the order of its fields.
+    pub(crate) fn may(&self, ctx: &mut Context<'_>, rule: &Rule) -> Result<(), HResult> {
+        ctx.may(rule)?;
+        let may_own = match (rule.arm, self.owner()) {
+            (Authority::Any, _) | (Authority::Free, None) => true,
+            (Authority::Own, None) => false,
+            (_, Some(owner)) => owner == ctx.peer,
+        };
+        if !may_own {
             return Err(ctx.refuse(HResult::E_ARM_NOT_TAKEN));
         }
-        if !self.motor_is_on() {
+        if rule.motor && !self.motor_is_on() {
             return Err(ctx.refuse(HResult::E_MOTOR_OFF));
         }
-        if self.is_moving() || self.stream.is_some() {
+        if rule.rest && (self.is_moving() || self.stream.is_some()) {
             return Err(HResult::E_ROBOTISBUSY);
         }
         Ok(())
-    }
-
-    /// Checks that no other client owns the arm, and with it the internal speeds, the tool and the work coordinates.
-    pub(crate) fn may_set(&self, ctx: &mut Context<'_>) -> Result<(), HResult> {
-        match self.owner() {
-            Some(owner) if owner != ctx.peer => Err(ctx.refuse(HResult::E_ARM_NOT_TAKEN)),
-            _ => Ok(()),
-        }
     }
 }
 

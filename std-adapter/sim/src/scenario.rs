@@ -39,7 +39,7 @@
 //! | `{ emergency_stop = b }`| the emergency stop is pressed (true) or released (false)                         |
 //! | `{ link_loss_ms = t }`  | for this time no call arrives and no answer is sent; 0 is without end            |
 //! | `{ mode = m }`          | the mode switch is turned: `"auto"`, `"manual"`, `"teach_check"`                 |
-//! | `{ token = t }`         | the executable token goes to `"any"`, the `"pendant"` or an `"other"` client     |
+//! | `{ token = t }`         | the executable token goes to `"any"`, the `"pendant"`, an `"other"` client, an address |
 //! | `{ motor = b }`         | the motor is switched on or off from outside                                     |
 //! | `{ message = text }`    | a message is posted to the clients, see [`messages`](crate::messages)            |
 //!
@@ -53,9 +53,10 @@
 //! ```toml
 //! [controller]
 //! mode = "manual"             # auto, manual, teach_check
-//! token = "pendant"           # any; pendant: the teach pendant; other: a client that is not connected
+//! token = "pendant"           # any; pendant: the teach pendant; other: a client that is not connected; or an IP address
 //! permission = "read_only"    # read_write
 //! emergency_stop = true       # pressed, which is an error that cannot be cleared
+//! torque_off = true           # as after an emergency stop that was released; only of models that have StoState
 //! battery_low = true          # the battery is exhausted: SysState, SysInfo 15
 //! warning = true              # the robot warns: SysState
 //! protective_stop = true      # is shown by SysState and @PROTECTIVE_STOP; it stops nothing
@@ -63,6 +64,7 @@
 //! arm = "taken"               # free; taken: by a client that is not connected, for good
 //! motor = false               # off; true is refused with emergency_stop or errors
 //! licence = false             # of Slave Mode
+//! slave_speed_setting = 2     # parameter 153, what limits Slave Mode: 0 to 3, see `SpeedSetting`
 //! formats = ["mini_io"]       # of Slave Mode: any of mini_io, hand_io, user_io, current
 //! version = "1.2.0"           # @VERSION
 //! robot_type = "CVR038A1"     # @TYPE_NAME

@@ -76,6 +76,7 @@ use crate::coordinates::Coordinates;
 use crate::kinematics::{Axes, OutOfReach, six};
 use crate::pose::Pose;
 use crate::robot::{Percent, Robot};
+use crate::rules;
 use crate::stream::{Offered, SlaveMode, Stream};
 use crate::value::{Value, one_int};
 use crate::waits::{Wait, Waits};
@@ -129,7 +130,7 @@ impl Slave {
         if owner != ctx.peer {
             return Err(ctx.refuse(HResult::E_ARM_NOT_TAKEN));
         }
-        ctx.may_command()?;
+        ctx.may(&rules::SLAVE_MOVE)?;
         let order = self.order(ctx, param)?;
         if refuses {
             // normal in mode 0, so it does not go into the error log
@@ -252,7 +253,7 @@ pub(crate) fn change_mode(robot: &mut Robot, ctx: &mut Context<'_>, param: &Vari
     if robot.stream().is_some() {
         return Err(ctx.refuse(HResult::E_SLVMODE_ON));
     }
-    robot.may_move(ctx)?;
+    robot.may(ctx, &rules::ENTER_SLAVE_MODE)?;
     let limits = limits(robot, ctx.config);
     robot.enter(Stream::new(ctx.peer, mode, limits, robot.axes(ctx.now), ctx.now));
     Ok(Answer::Done)

@@ -3,6 +3,7 @@
 
 mod common;
 
+use std::ops::Range;
 use std::path::PathBuf;
 
 use bcap_core::bcap::call;
@@ -59,35 +60,71 @@ fn speeds(points: &[Point]) -> Vec<(f64, f64)> {
     points.windows(2).filter(|pair| pair[1].0 > pair[0].0).map(between).collect()
 }
 
-fn chart(title: &str, (x, y): (&str, &str), lines: &Lines) -> String {
+/// What a chart shows.
+struct Chart<'a> {
+    title: &'a str,
+    /// The names of the axes.
+    axes: (&'a str, &'a str),
+    /// The digits after the point of their labels.
+    digits: (usize, usize),
+    /// The size of the figure, without [`SCALE`].
+    size: (u32, u32),
+    /// The part that is shown; `None` shows everything.
+    part: Option<(Range<f64>, Range<f64>)>,
+}
+
+/// The backend rounds to whole units, so a figure is drawn larger than it is shown.
+const SCALE: u32 = 4;
+
+fn chart(Chart { title, axes, digits, size, part }: &Chart<'_>, lines: &Lines) -> String {
     let mut svg = String::new();
+    let (width, height) = (size.0 * SCALE, size.1 * SCALE);
     {
-        let root = SVGBackend::with_string(&mut svg, (900, 420)).into_drawing_area();
+        let root = SVGBackend::with_string(&mut svg, (width, height)).into_drawing_area();
         root.fill(&WHITE).unwrap();
-        let bounds = |of: fn(&(f64, f64)) -> f64| {
-            let values = lines.iter().flat_map(|(_, points)| points.iter().map(of));
-            let (low, high) =
-                values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), n| (low.min(n), high.max(n)));
-            let room = (high - low) * 0.05;
-            low - room..high + room
-        };
+        let (x, y) = part.clone().unwrap_or_else(|| (bounds(lines, |point| point.0), bounds(lines, |point| point.1)));
+        let scaled = |n: u32| n * SCALE;
         let mut chart = ChartBuilder::on(&root)
-            .caption(title, ("sans-serif", 20))
-            .margin(12)
-            .x_label_area_size(36)
-            .y_label_area_size(64)
-            .build_cartesian_2d(bounds(|point| point.0), bounds(|point| point.1))
+            .caption(title, ("sans-serif", scaled(20)))
+            .margin(scaled(12))
+            .x_label_area_size(scaled(36))
+            .y_label_area_size(scaled(64))
+            .build_cartesian_2d(x, y)
             .unwrap();
-        let style = ("sans-serif", 14);
-        chart.configure_mesh().light_line_style(WHITE).x_desc(x).y_desc(y).label_style(style).draw().unwrap();
-        for ((name, points), colour) in lines.iter().zip(COLOURS) {
-            let line = chart.draw_series(LineSeries::new(points.iter().copied(), colour.stroke_width(2))).unwrap();
-            line.label(name).legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)));
+        let style = ("sans-serif", scaled(14));
+        let (x_label, y_label) = (|n: &f64| format!("{n:.0$}", digits.0), |n: &f64| format!("{n:.0$}", digits.1));
+        let mut mesh = chart.configure_mesh();
+        mesh.bold_line_style(BLACK.mix(0.15).stroke_width(SCALE)).max_light_lines(0);
+        mesh.axis_style(BLACK.stroke_width(SCALE)).set_all_tick_mark_size(scaled(4));
+        mesh.x_label_formatter(&x_label).y_label_formatter(&y_label);
+        mesh.x_desc(axes.0).y_desc(axes.1).label_style(style).draw().unwrap();
+        for (n, ((name, points), colour)) in lines.iter().zip(COLOURS).enumerate() {
+            let stroke = colour.stroke_width(scaled(2));
+            let shown = |(x, y): &&(f64, f64)| part.as_ref().is_none_or(|(xs, ys)| xs.contains(x) && ys.contains(y));
+            let points = points.iter().filter(shown).copied();
+            // the last line covers the first one, so it has gaps
+            let drawn = match n + 1 == lines.len() {
+                true => chart.draw_series(DashedLineSeries::new(points, scaled(8), scaled(8), stroke)),
+                false => chart.draw_series(LineSeries::new(points, stroke)),
+            };
+            let key = move |(x, y): (i32, i32)| PathElement::new([(x, y), (x + 18 * SCALE as i32, y)], stroke);
+            drawn.unwrap().label(name).legend(key);
         }
-        chart.configure_series_labels().legend_area_size(36).label_font(style).border_style(BLACK).draw().unwrap();
+        let mut labels = chart.configure_series_labels();
+        labels.legend_area_size(scaled(30)).margin(scaled(10)).label_font(style);
+        labels.background_style(WHITE).border_style(BLACK.stroke_width(SCALE)).draw().unwrap();
         root.present().unwrap();
     }
-    svg
+    let drawn = format!("width=\"{width}\" height=\"{height}\"");
+    svg.replacen(&drawn, &format!("width=\"{}\" height=\"{}\"", size.0, size.1), 1)
+}
+
+/// Returns the range of the values of all lines, with some room.
+fn bounds(lines: &Lines, of: fn(&(f64, f64)) -> f64) -> Range<f64> {
+    let values = lines.iter().flat_map(|(_, points)| points.iter().map(of));
+    let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), n| (low.min(n), high.max(n)));
+    let room = (high - low) * 0.05;
+    low - room..high + room
 }
 
 /// Compares a figure with its file, or writes the file.
@@ -110,9 +147,17 @@ fn the_figures_are_those_of_the_virtual_controller() {
     };
     let path = lines(&|points| points.iter().map(|(_, place)| (place[0], place[1])).collect());
     let position = lines(&|points| points.iter().map(|(at, place)| (*at, place[0] + place[1])).collect());
-    figure("path.svg", &chart("Path of the tool", ("X, mm", "Y, mm"), &path));
-    figure("position.svg", &chart("Position along the corner: X + Y", ("time, s", "mm"), &position));
-    figure("speed.svg", &chart("Speed of the tool", ("time, s", "mm/s"), &lines(&speeds)));
+    let corner = Chart {
+        title: "Path of the tool at the corner",
+        axes: ("X, mm", "Y, mm"),
+        digits: (0, 0),
+        size: (560, 540),
+        part: Some((294.0..414.0, -12.0..108.0)),
+    };
+    figure("path.svg", &chart(&corner, &path));
+    let over_time = |title, y| Chart { title, axes: ("time, s", y), digits: (1, 0), size: (900, 420), part: None };
+    figure("position.svg", &chart(&over_time("Position along the corner: X + Y", "mm"), &position));
+    figure("speed.svg", &chart(&over_time("Speed of the tool", "mm/s"), &lines(&speeds)));
     // what the page says: @0 and @E come to rest at the corner, @P does not, @50 slows down more, and a pass takes less time
     let least = |pass: usize| {
         let speeds = speeds(&records[pass].1);

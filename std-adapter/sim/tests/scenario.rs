@@ -243,6 +243,7 @@ fn each_thing_that_slave_mode_needs_can_be_missing_at_the_beginning() {
         ("mode = 'teach_check'", HResult::E_ACCESSDENIED),
         ("token = 'pendant'", HResult::E_TOKEN_NOT_ETHERNET),
         ("token = 'other'", HResult::E_TOKEN_ADDRESS),
+        ("token = '192.168.0.5'", HResult::E_TOKEN_ADDRESS),
         ("emergency_stop = true", HResult::E_ERROR_PRESENT),
         ("errors = ['0x84201482']", HResult::E_ERROR_PRESENT),
         ("arm = 'taken'", HResult::E_ARM_NOT_TAKEN),
@@ -335,6 +336,9 @@ fn what_is_no_scenario_says_where_and_why() {
         ("[controller]\nerrors = ['S_FALSE']", "controller: an error is a code that begins with 8"),
         ("[controller]\nerrors = ['OOPS']", "controller: a code is a known name"),
         ("[controller]\nmotor = true\nemergency_stop = true", "controller: the motor is off while"),
+        ("[controller]\nmotor = true\ntorque_off = true", "controller: the motor is off while the torque is off"),
+        ("[controller]\ntoken = '192.168.0'", "any, pendant, other or an IP address, not \"192.168.0\""),
+        ("[controller]\nslave_speed_setting = 4", "controller: `slave_speed_setting` is 0 to 3"),
         ("[[fault]]\nwhen = { call = 1 }", "missing field `then`"),
         ("[[fault]]\nwhen = { cal = 1 }\nthen = 'drop'", "unknown field `cal`"),
         ("[[fault]]\nwhen = { call = 1 }\nthen = 'dorp'", "unknown variant `dorp`"),
@@ -396,4 +400,47 @@ fn a_scenario_sets_type_name_and_axes_of_the_robot() {
     let mut sim = Controller::new(four);
     sim.play(scenario);
     assert_eq!(sim.config().extended_axes, 0);
+}
+
+#[test]
+fn a_controller_begins_in_safe_torque_off() {
+    let start = scenario("[controller]\ntorque_off = true");
+    for profile in Profile::ALL {
+        let config = Config::new(profile);
+        let functions = config.model.functions;
+        assert_eq!(start.check(&config).is_ok(), functions.safe_torque_off, "{profile:?}");
+        let mut world = World::with(config);
+        world.sim.play(start.clone());
+        let client = world.client(1);
+        if !functions.safe_torque_off {
+            assert_eq!(world.robot(client, "Motor", 1), code(HResult::S_OK), "{profile:?} ignores it");
+            continue;
+        }
+        assert_eq!(world.execute(client, "StoState", ()), ok(&true), "{profile:?}");
+        let refused = if functions.preparation { HResult::E_MOTION_UNPREPARED } else { HResult::E_ACCESSDENIED };
+        assert_eq!(world.robot(client, "Motor", 1), code(refused), "{profile:?}");
+        if functions.preparation {
+            assert_eq!(world.robot(client, "ManualResetPreparation", ()), ok(&()));
+            assert_eq!(world.robot(client, "MotionPreparation", ()), ok(&()));
+        } else {
+            assert_eq!(world.execute(client, "ManualReset", ()), ok(&()));
+        }
+        assert_eq!(world.execute(client, "StoState", ()), ok(&false), "{profile:?}");
+        assert_eq!(world.robot(client, "Motor", 1), ok(&()), "{profile:?}");
+    }
+}
+
+#[test]
+fn parameter_153_sets_the_limits_of_slave_mode() {
+    let limits = |setting: u8| {
+        let (mut world, client) = begun(&format!("slave_speed_setting = {setting}"));
+        assert_eq!(world.robot(client, "ExtSpeed", 50), ok(&()));
+        let limits = world.sim.slave_limits();
+        (limits.speed[0], limits.acceleration[0])
+    };
+    let [(servo, servo_acceleration), by_ext_speed, (command, command_acceleration), command_by_ext_speed] =
+        [0, 1, 2, 3].map(limits);
+    assert_eq!((servo, servo_acceleration), (1.2 * command, 4.0 * command_acceleration));
+    assert_eq!(by_ext_speed, (servo * 0.5, servo_acceleration * 0.25));
+    assert_eq!(command_by_ext_speed, (command * 0.5, command_acceleration * 0.25));
 }

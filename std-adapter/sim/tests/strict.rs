@@ -42,7 +42,7 @@ fn the_provider_of_another_model_is_refused_or_named() {
     assert_eq!(lenient.call(PeerId(1), connect()).0, HResult::S_OK);
     let text = r#"Controller_Connect: provider "CaoProv.DENSO.VRC" is not that of RC9, "CaoProv.DENSO.VRC9""#;
     assert_eq!(texts(&seen), [text]);
-    let unknown = call::controller_connect("", "CaoProv.DENSO.ESC11PCI", "localhost", "");
+    let unknown = call::controller_connect("", "CaoProv.DENSO.VRC7", "localhost", "");
     assert_eq!(lenient.call(PeerId(1), unknown), code(HResult::E_CAO_PROV_INVALID));
 }
 
@@ -107,5 +107,42 @@ fn the_options_of_public_programs_are_known() {
     for option in ["", "ID=0", "@ifnotmember", "@IfNotMember=true"] {
         let robot = call::controller_get_robot(client.controller, "Arm", option);
         assert_eq!(world.call(client.peer, robot).0, HResult::S_OK, "{option}");
+    }
+}
+
+#[test]
+fn the_provider_of_an_electric_hand_has_a_code_of_its_own() {
+    for lenient in [false, true] {
+        let (mut world, _) = controller(Profile::Rc8, lenient);
+        world.call(PeerId(1), call::service_start(""));
+        let hand = call::controller_connect("", "CaoProv.DENSO.ESC11PCI", "", "BoardID=0,BoardType=2,ChannelNo=0");
+        assert_eq!(world.call(PeerId(1), hand), code(HResult::E_NOTIMPL));
+        let other = call::controller_connect("", "CaoProv.DENSO.ESC12", "", "");
+        assert_eq!(world.call(PeerId(1), other), code(HResult::E_CAO_PROV_INVALID));
+    }
+}
+
+#[test]
+fn each_model_accepts_its_own_provider_only() {
+    for profile in Profile::ALL {
+        let (mut world, _) = controller(profile, false);
+        world.call(PeerId(1), call::service_start(""));
+        for provider in ["CaoProv.DENSO.VRC", "CaoProv.DENSO.VRC9"] {
+            let expected = if provider == profile.provider() { HResult::S_OK } else { HResult::E_CAO_PROV_INVALID };
+            let connect = call::controller_connect("", provider, "localhost", "");
+            assert_eq!(world.call(PeerId(1), connect).0, expected, "{profile:?} {provider}");
+        }
+    }
+    let rac = Profile::ALL.map(|profile| profile.model().rac);
+    assert_eq!(rac, [true, true, false, true, false]);
+}
+
+#[test]
+fn the_machine_is_not_checked_and_server_is_a_known_option() {
+    let (mut world, _) = controller(Profile::Rc9, false);
+    world.call(PeerId(1), call::service_start(""));
+    for machine in ["localhost", "192.168.0.1", "", "cell7"] {
+        let connect = call::controller_connect("", "CaoProv.DENSO.VRC9", machine, "Server=192.168.0.1");
+        assert_eq!(world.call(PeerId(1), connect).0, HResult::S_OK, "{machine}");
     }
 }

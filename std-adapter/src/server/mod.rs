@@ -67,7 +67,7 @@ pub use limits::Limits;
 pub(crate) use rac::refuse as refuse_rac;
 #[cfg(feature = "serial")]
 pub use serial::{LineEvent, LineReport};
-pub use shared::Tap;
+pub use shared::{OnConnect, Tap};
 #[cfg(feature = "gateway")]
 pub(crate) use tcp::REFUSALS;
 
@@ -137,6 +137,14 @@ impl<H: Handler + Send + 'static> Server<H> {
     #[must_use]
     pub fn tap(self, tap: Tap<H>) -> Self {
         self.shared.set_tap(tap);
+        self
+    }
+
+    /// Tells a function the IP address of each client that connects over TCP or UDP, before the client's first call. Only the
+    /// first function of a server counts. A client at a serial line has no address.
+    #[must_use]
+    pub fn on_connect(self, on_connect: OnConnect<H>) -> Self {
+        self.shared.set_on_connect(on_connect);
         self
     }
 

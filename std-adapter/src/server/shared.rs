@@ -5,6 +5,7 @@
 
 use std::any::Any;
 use std::cmp::Ordering::{Equal, Greater, Less};
+use std::net::IpAddr;
 use std::ops::ControlFlow;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
@@ -33,11 +34,15 @@ pub(super) struct ServerState<H> {
     changes: AtomicUsize,
     changed: Notify,
     tap: OnceLock<Tap<H>>,
+    on_connect: OnceLock<OnConnect<H>>,
 }
 
 /// A function that inspects the bytes of a frame or line before they are sent to a peer, and may change them. If it leaves
 /// no bytes, nothing is sent; if it returns `Break`, the connection is closed.
 pub type Tap<H> = fn(&mut H, PeerId, &mut Vec<u8>) -> ControlFlow<()>;
+
+/// A function that learns the address of a new client, before its first call.
+pub type OnConnect<H> = fn(&mut H, PeerId, IpAddr);
 
 impl<H> ServerState<H> {
     pub(super) fn new(handler: Arc<Mutex<H>>) -> Self {
@@ -49,6 +54,7 @@ impl<H> ServerState<H> {
             changes: AtomicUsize::new(0),
             changed: Notify::new(),
             tap: OnceLock::new(),
+            on_connect: OnceLock::new(),
         }
     }
 
@@ -60,6 +66,18 @@ impl<H> ServerState<H> {
     pub(super) fn set_tap(&self, tap: Tap<H>) {
         // the first tap stays
         let _ = self.tap.set(tap);
+    }
+
+    pub(super) fn set_on_connect(&self, on_connect: OnConnect<H>) {
+        // the first function stays
+        let _ = self.on_connect.set(on_connect);
+    }
+
+    /// Tells the handler the address of a new client.
+    pub(super) fn connected(&self, peer: PeerId, address: IpAddr) {
+        if let Some(on_connect) = self.on_connect.get() {
+            self.handler().with_handler(peer, |handler| on_connect(handler, peer, address));
+        }
     }
 
     /// Passes bytes through the tap before they are sent; `None` if the connection must be closed.

@@ -46,6 +46,10 @@ pub(super) async fn serve<H: Send + 'static, M: ServeLocked<H> + 'static>(
     activity: Arc<Activity>,
     mut stopped: watch::Receiver<()>,
 ) {
+    // a connection that is closed already has no address, and makes no call
+    if let Ok(address) = stream.peer_addr() {
+        shared.connected(peer, address.ip());
+    }
     // these wait for the whole connection: a wait of their own for each request would register and remove a waker
     let mut stopped = pin!(stopped.changed());
     let idle = Arc::clone(&activity);

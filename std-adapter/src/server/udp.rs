@@ -118,7 +118,9 @@ impl<H: Handler + Send + 'static> Peers<H> {
         }
         let config = Config { invoke_timeout_max: self.limits.call, ..Config::UDP };
         let session = Box::new(Session::new(config, [0; UDP_SEND_MAX], [0; RECEIVE_BUFFER]));
-        self.known.insert(from, Peer { id: self.shared.next_peer(), session, last_seen: now() });
+        let id = self.shared.next_peer();
+        self.shared.connected(id, from.ip());
+        self.known.insert(from, Peer { id, session, last_seen: now() });
         true
     }
 

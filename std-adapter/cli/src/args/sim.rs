@@ -4,13 +4,14 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use bcap_sim::{ArmProfile, Profile};
+use bcap_sim::{ArmProfile, Profile, Token};
 use bcap_std::{Address, SerialLine};
 use clap::Args;
 
 /// Runs a virtual controller on real sockets
 ///
 /// Prints one line, `ready bcap=IP:PORT udp=IP:PORT rac=IP:PORT`, when it listens, with `serial=PATH?OPTIONS` for each serial line.
+/// A model without RAC leaves `rac=IP:PORT` out.
 /// Port 0 selects a free port. On SIGINT, SIGTERM and SIGHUP it exits with 0.
 #[derive(Debug, Args)]
 #[command(after_help = "\
@@ -18,6 +19,7 @@ Examples:
   bcap sim
   bcap sim --bcap 127.0.0.1:0 --udp 127.0.0.1:0 --rac 127.0.0.1:0
   bcap sim --scenario faults.toml
+  bcap sim --token 192.168.0.5
   bcap sim --replay session.pcapng
   bcap sim --record motion.csv
   bcap sim --record motion.mcap
@@ -37,9 +39,11 @@ pub(crate) struct Sim {
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:5007")]
     pub(crate) udp: SocketAddr,
 
-    /// The address for RAC
-    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:5006")]
-    pub(crate) rac: SocketAddr,
+    /// The address for RAC [default: 127.0.0.1:5006 on a model that has RAC: rc8, rc8a, cobotta]
+    ///
+    /// With an address, any model serves RAC.
+    #[arg(long, value_name = "ADDR")]
+    pub(crate) rac: Option<SocketAddr>,
 
     /// A serial line for b-CAP, written as for --robot, with or without `serial:`; may be given several times
     ///
@@ -78,9 +82,11 @@ pub(crate) struct Sim {
     #[arg(long, value_name = "MODE", default_value = "auto")]
     pub(crate) mode: OperationMode,
 
-    /// The holder of the executable token
-    #[arg(long, value_name = "HOLDER", default_value = "any")]
-    pub(crate) token: TokenHolder,
+    /// The holder of the executable token: any client, the teach pendant, or the clients of one IP address
+    ///
+    /// Other clients are refused with E_TOKEN_NOT_ETHERNET or E_TOKEN_ADDRESS when they start something.
+    #[arg(long, value_name = "any|pendant|IP", default_value = "any", value_parser = token)]
+    pub(crate) token: Token,
 
     /// Starts without a Slave Mode licence
     #[arg(long)]
@@ -208,20 +214,14 @@ impl From<OperationMode> for bcap_sim::Mode {
     }
 }
 
-/// The holder of the executable token.
-#[derive(Clone, Copy, Debug, clap::ValueEnum)]
-pub(crate) enum TokenHolder {
-    /// Any client or the teach pendant
-    Any,
-    /// The teach pendant only
-    Pendant,
-}
-
-impl From<TokenHolder> for bcap_sim::Token {
-    fn from(holder: TokenHolder) -> Self {
-        match holder {
-            TokenHolder::Any => Self::Any,
-            TokenHolder::Pendant => Self::TeachPendant,
-        }
+/// Parses the holder of the executable token.
+fn token(text: &str) -> Result<Token, String> {
+    match text {
+        "any" => Ok(Token::Any),
+        "pendant" => Ok(Token::TeachPendant),
+        address => match address.parse() {
+            Ok(address) => Ok(Token::Address(address)),
+            Err(_) => Err("it is any, pendant, or an IP address".into()),
+        },
     }
 }

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::io;
+use std::net::IpAddr;
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -88,7 +89,11 @@ impl Watched {
 
     /// Makes the server.
     pub(super) fn server(shared: &Arc<Mutex<Self>>) -> Server<Self> {
-        Server::with_shared(Arc::clone(shared)).tap(Self::deliver)
+        Server::with_shared(Arc::clone(shared)).tap(Self::deliver).on_connect(Self::connected)
+    }
+
+    fn connected(&mut self, peer: PeerId, address: IpAddr) {
+        self.controller.connected(peer, address);
     }
 
     fn deliver(&mut self, peer: PeerId, bytes: &mut Vec<u8>) -> ControlFlow<()> {

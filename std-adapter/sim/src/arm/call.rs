@@ -12,6 +12,7 @@ use crate::context::Context;
 use crate::drive::Drive;
 use crate::function::command_of;
 use crate::robot::{Percent, coordinates, percent};
+use crate::rules;
 use crate::table::Command;
 use crate::waits::Wait;
 
@@ -41,7 +42,7 @@ impl Arm {
             }),
             FunctionId::ROBOT_HOLD => Ok(Answer::done_if(self.robot.hold(ctx.now))),
             FunctionId::ROBOT_UNHOLD => {
-                ctx.may_execute()?;
+                ctx.may(&rules::UNHOLD)?;
                 Ok(Answer::done_if(self.robot.unhold(ctx.now)))
             }
             FunctionId::ROBOT_SPEED => self.set_speed(ctx, request.int(1), request.float(2)),
@@ -90,7 +91,7 @@ impl Arm {
 
     fn set_speed(&mut self, ctx: &mut Context<'_>, axis: i32, speed: f64) -> Answered {
         let speed = percent(speed)?;
-        self.robot.may_set(ctx)?;
+        self.robot.may(ctx, &rules::SETTING)?;
         let settings = self.robot.settings_mut();
         match axis {
             -1 => settings.line.speed = speed,
@@ -105,7 +106,7 @@ impl Arm {
         // -1 keeps the value
         let chosen = |value: f64| if value == -1.0 { Ok(None) } else { percent(value).map(Some) };
         let (accel, decel) = (chosen(accel)?, chosen(decel)?);
-        self.robot.may_set(ctx)?;
+        self.robot.may(ctx, &rules::SETTING)?;
         let settings = self.robot.settings_mut();
         let set = |of: &mut Percent| (of.accel, of.decel) = (accel.unwrap_or(of.accel), decel.unwrap_or(of.decel));
         match axis {
@@ -119,7 +120,7 @@ impl Arm {
 
     /// Executes Robot_Change, which selects a tool or work coordinates.
     fn change(&mut self, ctx: &mut Context<'_>, name: &str) -> Answered {
-        self.robot.may_set(ctx)?;
+        self.robot.may(ctx, &rules::SETTING)?;
         let upper = name.trim().to_ascii_uppercase();
         let number = |digits: &str| digits.parse().map_err(|_| HResult::E_INVALIDARG).and_then(coordinates);
         let settings = self.robot.settings_mut();

@@ -11,6 +11,7 @@ use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::model::Functions;
 use crate::robot::{Percent, percent};
+use crate::rules;
 use crate::slave;
 use crate::table::Command;
 use crate::value::{Value, numbers, one_int, whole};
@@ -192,8 +193,7 @@ fn take_arm(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answer
     if group != 0 || ![-1, 0, 1].contains(&keep) {
         return Err(HResult::E_INVALIDARG);
     }
-    ctx.may_execute()?;
-    arm.robot.may_set(ctx)?;
+    arm.robot.may(ctx, &rules::TAKE_ARM)?;
     arm.robot.set_owner(Some((ctx.peer, group)));
     ctx.record("arm taken");
     if keep == 0 {
@@ -235,7 +235,7 @@ fn group_and_mode(param: &Variant<'_>, most: i32) -> Result<i32, HResult> {
 
 fn motion_skip(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
     group_and_mode(param, 3)?;
-    arm.robot.may_set(ctx)?;
+    arm.robot.may(ctx, &rules::SETTING)?;
     let skipped = arm.robot.skip_motion(ctx.now, ctx.waits);
     Ok(Answer::done_if(skipped.map_err(|blocked| moves::refuse(ctx, blocked))?))
 }

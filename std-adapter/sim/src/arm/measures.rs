@@ -10,6 +10,7 @@ use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::kinematics::{measured, six};
 use crate::robot::Load;
+use crate::rules;
 use crate::value::{Value, numbers, numbers_of_text, one_int, whole};
 
 /// The time over which a speed is measured.
@@ -63,7 +64,7 @@ pub(super) fn payload(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'_>)
     if mass < 0 {
         return Err(HResult::E_INVALIDARG);
     }
-    arm.robot.may_set(ctx)?;
+    arm.robot.may(ctx, &rules::SETTING)?;
     let load = &mut arm.robot.settings_mut().load;
     *load = Load { mass, centre, inertia, ..*load };
     Ok(Answer::Done)
@@ -78,7 +79,7 @@ pub(super) fn speed_mode(arm: &mut Arm, ctx: &mut Context<'_>, param: &Variant<'
     if !(0..=3).contains(&mode) {
         return Err(HResult::E_INVALIDARG);
     }
-    arm.robot.may_set(ctx)?;
+    arm.robot.may(ctx, &rules::SETTING)?;
     arm.robot.settings_mut().load.speed_mode = mode;
     Ok(Answer::Done)
 }

@@ -14,6 +14,7 @@ use crate::options::{Pass, options, pass_item, pass_of_text, split_outside_brack
 use crate::pose::{Pose, Target};
 use crate::robot::{Percent, Robot, percent};
 use crate::route::{Blocked, Route};
+use crate::rules;
 use crate::value::{number, numbers_of_text};
 use crate::variables::{Family, Variables, parse_name};
 use crate::waits::Wait;
@@ -224,7 +225,7 @@ pub(super) fn go_home(robot: &mut Robot, ctx: &mut Context<'_>) -> Answered {
 fn start(robot: &mut Robot, ctx: &mut Context<'_>, way: (Route, Pass), speed: Speed, option: &str) -> Answered {
     let internal = if speed == Speed::Line { robot.settings().line } else { robot.settings().joint };
     let options = MoveOptions::read(option, internal, ctx)?;
-    match robot.may_move(ctx) {
+    match robot.may(ctx, &rules::MOTION) {
         Err(HResult::E_ROBOTISBUSY) if robot.may_follow(ctx.peer) => {}
         checked => checked?,
     }

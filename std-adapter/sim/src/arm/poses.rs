@@ -12,6 +12,7 @@ use crate::coordinates::Coordinates;
 use crate::kinematics::{angle, measured, pose_numbers};
 use crate::pose::Pose;
 use crate::robot::coordinates;
+use crate::rules;
 use crate::value::{Value, one_int};
 
 /// Converts a pose to another kind; of several postures, takes the nearest to the robot's.
@@ -111,9 +112,7 @@ pub(super) fn define(arm: &mut Arm, ctx: &mut Context<'_>, of: Definition, param
     };
     let Pose::Frame(frame, _) = pose_of(&pose, ctx)? else { return Err(HResult::E_INVALIDARG) };
     let number = one_int(&number)?;
-    if arm.robot.owner() != Some(ctx.peer) {
-        return Err(ctx.refuse(HResult::E_ARM_NOT_TAKEN));
-    }
+    arm.robot.may(ctx, &rules::DEFINITION)?;
     let definitions = if of == Definition::Tool { &mut arm.robot.tools } else { &mut arm.robot.works };
     if definitions.set(number, frame) { Ok(Answer::Done) } else { Err(HResult::E_INVALIDARG) }
 }

@@ -8,6 +8,7 @@ use super::readings::{self, Reading};
 use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::robot::{Percent, coordinates, percent};
+use crate::rules;
 use crate::table::Property;
 use crate::value::{TRUTH, Value, number, one_int, truth};
 
@@ -54,13 +55,13 @@ fn put_servo_on(arm: &mut Arm, ctx: &mut Context<'_>, value: &Variant<'_>) -> An
 }
 
 fn put_tool(arm: &mut Arm, ctx: &mut Context<'_>, value: &Variant<'_>) -> Answered {
-    arm.robot.may_set(ctx)?;
+    arm.robot.may(ctx, &rules::SETTING)?;
     arm.robot.settings_mut().tool = coordinates(one_int(value)?)?;
     Ok(Answer::Done)
 }
 
 fn put_work(arm: &mut Arm, ctx: &mut Context<'_>, value: &Variant<'_>) -> Answered {
-    arm.robot.may_set(ctx)?;
+    arm.robot.may(ctx, &rules::SETTING)?;
     arm.robot.settings_mut().work = coordinates(one_int(value)?)?;
     Ok(Answer::Done)
 }

@@ -49,6 +49,7 @@ impl Handler for Controller {
 
     fn left(&mut self, peer: PeerId, now: Instant) {
         self.advance(now);
+        self.common.addresses.remove(&peer);
         self.forget(peer);
     }
 }
@@ -68,6 +69,10 @@ impl rac::server::Handler for Controller {
             Some(value) => self.put_user(peer, Family::Plain(kind), index, &value).map(|()| HResult::S_OK),
         };
         Outcome::Done(result.unwrap_or_else(|refused| refused))
+    }
+
+    fn left(&mut self, peer: PeerId, _: Instant) {
+        self.common.addresses.remove(&peer);
     }
 }
 
@@ -239,8 +244,8 @@ impl Controller {
     }
 
     fn connect(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
-        check_options(&self.common.config, request)?;
         self.common.config.check_provider(&request.text(1).to_string())?;
+        check_options(&self.common.config, request)?;
         let silent =
             option(&request.text(3).to_string(), "@EventDisable").is_some_and(|v| v.eq_ignore_ascii_case("true"));
         self.messages.connect(peer, !silent);

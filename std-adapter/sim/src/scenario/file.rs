@@ -61,14 +61,20 @@ enum ThenEntry {
 }
 
 impl Scenario {
-    /// Checks a scenario against the arm of a controller: one of four axes has no extended axes.
+    /// Checks a scenario against a controller: an arm of four axes has no extended axes, and a model without StoState has no
+    /// safe torque off.
     ///
     /// # Errors
     ///
-    /// A [`ScenarioError`]. [`Controller::play`](crate::Controller::play) ignores `axes` then.
+    /// A [`ScenarioError`]. [`Controller::play`](crate::Controller::play) ignores `axes` and `torque_off` then.
     pub fn check(&self, config: &Config) -> Result<(), ScenarioError> {
         if self.controller.extended_axes.is_some() && config.geometry.joints() != 6 {
             return Err(ScenarioError::Controller("`axes` is for an arm of six joints; this arm has four"));
+        }
+        if self.controller.torque_off && !config.model.functions.safe_torque_off {
+            return Err(ScenarioError::Controller(
+                "`torque_off` is for a model that has StoState; this model lacks it",
+            ));
         }
         Ok(())
     }

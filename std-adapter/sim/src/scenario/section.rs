@@ -4,7 +4,7 @@ use bcap_core::hresult::HResult;
 use serde::Deserialize;
 
 use super::setup::Setup;
-use crate::config::{ABSENT, Mode, Permission, Token};
+use crate::config::{ABSENT, Mode, Permission, SpeedSetting, Token};
 use crate::model::{FormatName, SlaveFormats};
 
 #[derive(Default, Deserialize)]
@@ -17,10 +17,12 @@ pub(super) struct SetupEntry {
     battery_low: Option<bool>,
     warning: Option<bool>,
     protective_stop: Option<bool>,
+    torque_off: bool,
     errors: Vec<String>,
     arm: Option<ArmName>,
     motor: Option<bool>,
     licence: Option<bool>,
+    slave_speed_setting: Option<u8>,
     formats: Option<Vec<FormatName>>,
     version: Option<String>,
     robot_type: Option<String>,
@@ -65,12 +67,8 @@ pub(super) enum ModeName {
 }
 
 #[derive(Clone, Copy, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub(super) enum TokenName {
-    Any,
-    Pendant,
-    Other,
-}
+#[serde(try_from = "String")]
+pub(super) struct TokenName(Token);
 
 #[derive(Clone, Copy, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -96,13 +94,25 @@ impl From<ModeName> for Mode {
     }
 }
 
+impl TryFrom<String> for TokenName {
+    type Error = String;
+
+    fn try_from(name: String) -> Result<Self, String> {
+        Ok(Self(match name.as_str() {
+            "any" => Token::Any,
+            "pendant" => Token::TeachPendant,
+            "other" => Token::Client(ABSENT),
+            address => match address.parse() {
+                Ok(address) => Token::Address(address),
+                Err(_) => return Err(format!("a token is any, pendant, other or an IP address, not {name:?}")),
+            },
+        }))
+    }
+}
+
 impl From<TokenName> for Token {
     fn from(name: TokenName) -> Self {
-        match name {
-            TokenName::Any => Self::Any,
-            TokenName::Pendant => Self::TeachPendant,
-            TokenName::Other => Self::Client(ABSENT),
-        }
+        name.0
     }
 }
 
@@ -124,6 +134,17 @@ impl SetupEntry {
         if self.motor == Some(true) && (self.emergency_stop == Some(true) || !errors.is_empty()) {
             return Err("the motor is off while the emergency stop is pressed or an error is present");
         }
+        if self.motor == Some(true) && self.torque_off {
+            return Err("the motor is off while the torque is off");
+        }
+        let slave_speed_setting = match self.slave_speed_setting {
+            None => None,
+            Some(0) => Some(SpeedSetting::Servo),
+            Some(1) => Some(SpeedSetting::ServoByExtSpeed),
+            Some(2) => Some(SpeedSetting::Command),
+            Some(3) => Some(SpeedSetting::CommandByExtSpeed),
+            Some(_) => return Err("`slave_speed_setting` is 0 to 3"),
+        };
         let extended_axes = match self.axes {
             Some(axes @ 6..=8) => Some(axes - 6),
             None => None,
@@ -139,10 +160,12 @@ impl SetupEntry {
             battery_low: self.battery_low,
             warning: self.warning,
             protective_stop: self.protective_stop,
+            torque_off: self.torque_off,
             errors,
             arm_taken: self.arm.map(|arm| arm == ArmName::Taken),
             motor: self.motor,
             licence: self.licence,
+            slave_speed_setting,
             formats,
             version: self.version,
             robot_type: self.robot_type,

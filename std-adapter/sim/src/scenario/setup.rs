@@ -2,7 +2,7 @@
 
 use bcap_core::hresult::HResult;
 
-use crate::config::{Config, Mode, Permission, Token};
+use crate::config::{Config, Mode, Permission, SpeedSetting, Token};
 use crate::model::SlaveFormats;
 
 /// The state of a controller when a scenario begins. `None`, and an empty list of errors, leave the state unchanged.
@@ -33,6 +33,8 @@ pub struct Setup {
     pub warning: Option<bool>,
     /// Whether the protective stop is shown as active, by SysState and `@PROTECTIVE_STOP`; it stops nothing.
     pub protective_stop: Option<bool>,
+    /// Whether the torque is off, as after an emergency stop that was released. Models without StoState ignore it.
+    pub torque_off: bool,
     /// The present errors, the first cause first.
     pub errors: Vec<HResult>,
     /// Whether a client that is not connected owns the arm.
@@ -41,6 +43,8 @@ pub struct Setup {
     pub motor: Option<bool>,
     /// Whether Slave Mode has its licence.
     pub licence: Option<bool>,
+    /// What limits Slave Mode: parameter 153.
+    pub slave_speed_setting: Option<SpeedSetting>,
     /// The formats of Slave Mode.
     pub formats: Option<SlaveFormats>,
     /// `@VERSION`.
@@ -63,6 +67,7 @@ impl Setup {
     /// Applies the settings of the model.
     pub(crate) fn apply(&self, config: &mut Config) {
         config.slave.licensed = self.licence.unwrap_or(config.slave.licensed);
+        config.slave.speed_setting = self.slave_speed_setting.unwrap_or(config.slave.speed_setting);
         config.slave.formats = self.formats.unwrap_or(config.slave.formats);
         for (limits, own) in [
             (&mut config.slave.speed_limits, self.slave_speed),

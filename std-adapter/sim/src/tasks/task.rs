@@ -13,6 +13,7 @@ use crate::answer::{Answer, Answered};
 use crate::context::Context;
 use crate::function::command_of;
 use crate::program::Program;
+use crate::rules;
 use crate::table::Command;
 use crate::value::Value;
 
@@ -155,7 +156,7 @@ impl Task {
 
     /// Starts it for a client, which needs Auto mode, the executable token and no error.
     pub(crate) fn start_for(&mut self, ctx: &mut Context<'_>, mode: i32) -> Answered {
-        ctx.may_execute()?;
+        ctx.may(&rules::START_TASK)?;
         self.start(mode, ctx.now)?;
         ctx.record(&format!("task {} started", self.name));
         Ok(Answer::Done)

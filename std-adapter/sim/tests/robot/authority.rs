@@ -1,5 +1,6 @@
 //! Arm authority, motor and speeds: what a motion needs, and who may set it.
 
+use std::net::IpAddr;
 use std::time::Duration;
 
 use bcap_core::bcap::call::{self, VariableHandle};
@@ -50,6 +51,27 @@ fn each_missing_condition_has_its_code_in_this_order() {
         HResult::from_u32(0x8150_0001),
     ];
     assert_eq!(log, expected);
+}
+
+#[test]
+fn the_token_of_an_address_is_for_its_clients() {
+    let address = |text: &str| text.parse::<IpAddr>().unwrap();
+    let mut world = World::with(Config { token: Token::Address(address("192.168.0.5")), ..Config::default() });
+    let clients = [1, 2, 3].map(|peer| world.client(peer));
+    world.sim.connected(clients[0].peer, address("::ffff:192.168.0.5"));
+    world.sim.connected(clients[1].peer, address("192.168.0.6"));
+    let take = |world: &mut World, n: usize| world.robot(clients[n], "TakeArm", [0, 0]);
+    // the third client is at a serial line and has no address
+    assert_eq!(take(&mut world, 1), code(HResult::E_TOKEN_ADDRESS));
+    assert_eq!(take(&mut world, 2), code(HResult::E_TOKEN_ADDRESS));
+    assert_eq!(take(&mut world, 0), ok(&()));
+    // its address is that of the connection, not of the session
+    assert_eq!(world.call(clients[0].peer, call::service_stop()), code(HResult::S_OK));
+    let again = world.client(1);
+    assert_eq!(world.robot(again, "TakeArm", [0, 0]), ok(&()));
+    world.sim.left(again.peer, world.now);
+    let unknown = world.client(1);
+    assert_eq!(world.robot(unknown, "TakeArm", [0, 0]), code(HResult::E_TOKEN_ADDRESS));
 }
 
 #[test]

@@ -1,0 +1,131 @@
+//! What a call needs besides valid arguments. The code reads these rules, and `docs/virtual-controller.md` has them as a table.
+//!
+//! The conditions of a rule are checked in the order of the fields of [`Rule`].
+
+/// The conditions of some calls.
+#[derive(Debug)]
+pub(crate) struct Rule {
+    /// The functions, the commands and the system variables, as the table names them.
+    #[cfg_attr(not(test), expect(dead_code, reason = "the tests compare them with the table"))]
+    calls: &'static str,
+    /// Auto mode, otherwise `E_ACCESSDENIED`.
+    pub(crate) auto: bool,
+    /// The executable token, otherwise `E_TOKEN_NOT_ETHERNET` or `E_TOKEN_ADDRESS`.
+    pub(crate) token: bool,
+    /// No error, otherwise `E_ERROR_PRESENT`.
+    pub(crate) no_error: bool,
+    /// The arm authority, otherwise `E_ARM_NOT_TAKEN`.
+    pub(crate) arm: Authority,
+    /// The motor is on, otherwise `E_MOTOR_OFF`.
+    pub(crate) motor: bool,
+    /// Nothing moves the arm, otherwise `E_ROBOTISBUSY`.
+    pub(crate) rest: bool,
+}
+
+/// Who may own the arm.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Authority {
+    /// Any client.
+    Any,
+    /// No other client.
+    Free,
+    /// The client of the call.
+    Own,
+}
+
+const NOTHING: Rule =
+    Rule { calls: "", auto: false, token: false, no_error: false, arm: Authority::Any, motor: false, rest: false };
+
+const EXECUTION: Rule = Rule { auto: true, token: true, no_error: true, ..NOTHING };
+
+/// Motions. A motion of the client whose motion is under way joins the queue instead of finding the arm at rest.
+pub(crate) const MOTION: Rule = Rule {
+    calls: "Robot_Move, Robot_Drive, Robot_Rotate, Robot_GoHome, DriveEx, DriveAEx, Approach, Depart, RotateH",
+    arm: Authority::Own,
+    motor: true,
+    rest: true,
+    ..EXECUTION
+};
+
+/// Entering Slave Mode.
+pub(crate) const ENTER_SLAVE_MODE: Rule = Rule { calls: "slvChangeMode", ..MOTION };
+
+/// A pose of Slave Mode, which this client has entered. The end of Auto mode ends Slave Mode, so it is not checked here.
+pub(crate) const SLAVE_MOVE: Rule = Rule { calls: "slvMove", token: true, ..NOTHING };
+
+/// Taking the arm.
+pub(crate) const TAKE_ARM: Rule = Rule { calls: "TakeArm", arm: Authority::Free, ..EXECUTION };
+
+/// Switching the motor on.
+pub(crate) const MOTOR_ON: Rule = Rule { calls: "Motor 1, @SERVO_ON true", ..EXECUTION };
+
+/// Switching the motor off.
+pub(crate) const MOTOR_OFF: Rule = Rule { calls: "Motor 0, @SERVO_ON false", auto: true, token: true, ..NOTHING };
+
+/// Continuing a held motion.
+pub(crate) const UNHOLD: Rule = Rule { calls: "Robot_Unhold", ..EXECUTION };
+
+/// Starting a task.
+pub(crate) const START_TASK: Rule = Rule { calls: "Task_Start, File_Run", ..EXECUTION };
+
+/// The hand.
+pub(crate) const HAND: Rule = Rule {
+    calls: "Robot_Chuck, Robot_Unchuck, HandMoveA, HandMoveR, HandMoveH, HandMoveAH, HandMoveVH, Chuck, UnChuck",
+    ..EXECUTION
+};
+
+/// The preparation of a COBOTTA.
+pub(crate) const PREPARATION: Rule = Rule { calls: "MotionPreparation, AutoCal", ..EXECUTION };
+
+/// What belongs to the arm, and may be changed without it while no client owns it.
+pub(crate) const SETTING: Rule = Rule {
+    calls: "Robot_Speed, Robot_Accelerate, Robot_Change, MotionSkip, PayLoad, SpeedMode, @CURRENT_TOOL, @CURRENT_WORK",
+    arm: Authority::Free,
+    ..NOTHING
+};
+
+/// Definitions of tools and work coordinates.
+pub(crate) const DEFINITION: Rule = Rule { calls: "SetToolDef, SetWorkDef", arm: Authority::Own, ..NOTHING };
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RULES: [&Rule; 12] = [
+        &MOTION,
+        &ENTER_SLAVE_MODE,
+        &SLAVE_MOVE,
+        &TAKE_ARM,
+        &MOTOR_ON,
+        &MOTOR_OFF,
+        &UNHOLD,
+        &START_TASK,
+        &HAND,
+        &PREPARATION,
+        &SETTING,
+        &DEFINITION,
+    ];
+
+    #[test]
+    fn the_table_of_the_page_is_this_one() {
+        let page = include_str!("../../../docs/virtual-controller.md");
+        let section = page.split("\n## ").find(|section| section.starts_with("Conditions")).expect("the heading");
+        let rows: Vec<Vec<_>> = section
+            .lines()
+            .filter(|line| line.starts_with('|'))
+            .skip(2)
+            .map(|line| line.trim_matches('|').split('|').map(str::trim).collect())
+            .collect();
+        let cells = RULES.map(|rule| {
+            let needs = |needed: bool| if needed { "yes" } else { "-" };
+            let arm = match rule.arm {
+                Authority::Any => "-",
+                Authority::Free => "free",
+                Authority::Own => "own",
+            };
+            let [auto, token, no_error] = [rule.auto, rule.token, rule.no_error].map(needs);
+            vec![rule.calls, auto, token, no_error, arm, needs(rule.motor), needs(rule.rest)]
+        });
+        assert_eq!(rows, cells);
+    }
+}
