@@ -118,6 +118,7 @@ pub mod histogram;
 pub mod hresult;
 pub mod io;
 pub mod limits;
+pub mod modbus;
 mod num;
 mod outbox;
 pub mod position;

@@ -33,6 +33,9 @@
 //! | `keepalive` | `SECONDS`: the idle time after which a TCP keep-alive is sent to a PLC; one without an answer for 15 s, or three times this, is gone | 5 |
 //! | `convert`  | `yes`, `no`: convert a PUT of another type where the conversion is lossless | `no` |
 //! | `rate`     | `PER_SECOND[/BURST]`: token bucket per PLC, in requests | no limit |
+//! | `modbus`   | the port of Modbus TCP, usually 502; for images with the feature `modbus` | no Modbus |
+//! | `register` | `ADDRESS=KIND[/FIRST[-LAST]][:FORMAT][:low]`: variables in holding registers from this address on ([`bcap_core::modbus::Entry`]); can be repeated | none |
+//! | `coil`     | `ADDRESS=IO[/FIRST[-LAST]]`: coils from this address on; can be repeated | none |
 //! | `echo`     | the port of an echo server, to compare round trips; for images with the feature `echo` | no echo server |
 //!
 //! An invalid line is skipped and reported. The board then refuses every PUT, whatever the other lines allow.
@@ -47,6 +50,8 @@ mod error;
 pub mod image;
 pub mod limiter;
 pub mod mac;
+#[cfg(feature = "modbus")]
+mod modbus_map;
 pub mod ring;
 mod rules;
 mod settings;

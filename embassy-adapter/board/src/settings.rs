@@ -5,7 +5,11 @@ use core::str;
 use core::time::Duration;
 
 use bcap_core::gateway::{Network, Rate, Rules};
+#[cfg(feature = "modbus")]
+use bcap_core::modbus::Entry;
 
+#[cfg(feature = "modbus")]
+use crate::modbus_map::ModbusMap;
 use crate::rules::{List, RuleMemory};
 use crate::{InvalidLine, SettingError};
 
@@ -42,6 +46,11 @@ pub struct Settings<'a> {
     pub evict: Duration,
     /// The idle time after which a TCP keep-alive is sent to a PLC.
     pub keep_alive: Duration,
+    /// The port of Modbus TCP, if PLCs may use it.
+    #[cfg(feature = "modbus")]
+    pub modbus: Option<u16>,
+    #[cfg(feature = "modbus")]
+    modbus_map: ModbusMap,
     convert: bool,
     rate: Rate,
     lists: List,
@@ -85,6 +94,10 @@ impl Default for Settings<'_> {
             idle: None,
             evict: Duration::from_secs(10),
             keep_alive: Duration::from_secs(5),
+            #[cfg(feature = "modbus")]
+            modbus: None,
+            #[cfg(feature = "modbus")]
+            modbus_map: ModbusMap::default(),
             convert: false,
             rate: Rate::UNLIMITED,
             lists: List::default(),
@@ -148,6 +161,13 @@ impl<'a> Settings<'a> {
         self.lists.rules(memory, self.convert, self.rate)
     }
 
+    /// Returns the map from the registers and coils of Modbus to variables.
+    #[cfg(feature = "modbus")]
+    #[must_use]
+    pub fn modbus_map(&self) -> &[Entry] {
+        self.modbus_map.entries()
+    }
+
     fn set(&mut self, line: &'a [u8]) -> Result<(), SettingError> {
         let line = str::from_utf8(line).ok().and_then(|line| line.split_once('='));
         let (key, text) = line.ok_or(SettingError::Key)?;
@@ -171,7 +191,13 @@ impl<'a> Settings<'a> {
             "keepalive" => self.keep_alive = valid(seconds(text))?,
             "convert" => self.convert = valid(yes(text))?,
             "rate" => self.rate = valid(rate(text))?,
-            "echo" => self.echo = Some(valid(text.parse().ok().filter(|port| *port > 0))?),
+            "echo" => self.echo = Some(valid(port(text))?),
+            #[cfg(feature = "modbus")]
+            "modbus" => self.modbus = Some(valid(port(text))?),
+            #[cfg(feature = "modbus")]
+            "register" => self.modbus_map.add(Entry::registers(text)?)?,
+            #[cfg(feature = "modbus")]
+            "coil" => self.modbus_map.add(Entry::coils(text)?)?,
             _ => match key.strip_prefix("put@") {
                 Some(clients) => self.lists.allow_put(Network::parse(clients).ok_or(SettingError::Clients)?, text)?,
                 None => return Err(SettingError::Key),
@@ -188,6 +214,10 @@ fn valid<T>(value: Option<T>) -> Result<T, SettingError> {
 /// Parses a time of 1 s to an hour.
 fn seconds(value: &str) -> Option<Duration> {
     value.parse().ok().filter(|seconds| (1..=3600).contains(seconds)).map(Duration::from_secs)
+}
+
+fn port(value: &str) -> Option<u16> {
+    value.parse().ok().filter(|port| *port > 0)
 }
 
 /// Returns a line up to its comment.
@@ -294,7 +324,7 @@ mod tests {
             keep_alive: Duration::from_secs(1),
             convert: true,
             rate: Rate { per_second: 50, burst: 10 },
-            lists: List::default(),
+            ..Settings::default()
         };
         assert_eq!(settings, expected);
         assert_eq!(read("rate=5").rate, Rate { per_second: 5, burst: 5 });
@@ -366,6 +396,12 @@ mod tests {
             "put@10.0.2=I",
             "put@=I",
             "echo=65536",
+            #[cfg(feature = "modbus")]
+            "modbus=0",
+            #[cfg(feature = "modbus")]
+            "register=1=S/1",
+            #[cfg(feature = "modbus")]
+            "coil=1=I/1",
             "colour=red",
             "nonsense",
             "provider=\u{fffd}\u{fffd}=x", // valid: a provider may have any name
