@@ -17,7 +17,6 @@
 
 use super::map::Table;
 use crate::hresult::HResult;
-use crate::num::to_usize;
 
 /// The longest frame in bytes.
 pub(super) const FRAME: usize = 260;
@@ -90,8 +89,8 @@ pub(super) struct Command {
 
 impl Command {
     /// Returns the number of bytes of its coils or registers.
-    pub(super) const fn bytes(self) -> usize {
-        let count = to_usize(self.count as u32);
+    pub(super) fn bytes(self) -> usize {
+        let count = usize::from(self.count);
         match self.table {
             Table::Coils => count.div_ceil(8),
             Table::Registers => count.saturating_mul(2),
@@ -153,8 +152,8 @@ pub(super) fn set_coil(bytes: &mut [u8], at: u16) {
     }
 }
 
-const fn bit(at: u16) -> u8 {
-    1_u8.rotate_left(at as u32 & 7)
+fn bit(at: u16) -> u8 {
+    1_u8.rotate_left(u32::from(at & 7))
 }
 
 #[cfg(test)]

@@ -92,6 +92,8 @@ struct Running {
     done: u16,
     /// The response after the reply to the present line, whatever that reply is.
     refusal: Option<Exception>,
+    /// Whether the rules refuse the present line, so that the request ends with its reply.
+    is_forbidden: bool,
 }
 
 impl<'a> Front<'a> {
@@ -200,13 +202,13 @@ impl<'a> Front<'a> {
             check(self.map, command)?;
             Ok((command, refused(self.map, command, bytes, permits)?))
         });
-        let mut running = Running { length, command: None, done: 0, refusal: None };
+        let mut running = Running { length, command: None, done: 0, refusal: None, is_forbidden: false };
         match checked {
             Ok((command, refused)) => {
                 running.command = Some(command);
                 if let Some(at) = refused {
                     // only the line that the rules refuse, so that the gateway logs it
-                    (running.done, running.refusal) = (at, Some(Exception::IllegalDataAddress));
+                    (running.done, running.is_forbidden) = (at, true);
                 }
                 self.prepare(command, function.first().copied().unwrap_or_default());
             }
@@ -278,6 +280,7 @@ impl<'a> Front<'a> {
         let reply = Response::parse(&self.reply, &mut memory);
         let (exception, value) = match reply {
             Ok(Response { result, .. }) if result.is_err() => (Some(running.refusal.unwrap_or(result.into())), None),
+            Ok(_) if running.is_forbidden => (Some(Exception::IllegalDataAddress), None),
             Ok(Response { value, .. }) => (running.refusal, value),
             Err(_) => (Some(running.refusal.unwrap_or(Exception::ServerDeviceFailure)), None),
         };

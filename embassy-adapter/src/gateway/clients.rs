@@ -56,26 +56,63 @@ impl<'s> Listener<'s> {
     /// Serves PLCs forever, one after another.
     pub async fn run<M: RawMutex, const N: usize>(&mut self, shared: &SharedGateway<'_, M, N>, limits: &Limits) -> ! {
         loop {
-            if self.transport.accept(self.port).await.is_err() {
-                Timer::after_millis(PAUSE_MS).await;
-                continue;
-            }
-            let client = self.transport.socket().remote_endpoint();
-            if !shared.admits(client) {
-                self.transport.reset().await;
-                continue;
-            }
-            match serve(&mut self.transport, client, shared, limits).await {
-                // it was idle, so it would not confirm the end of the connection if it were gone
-                Some(Ended::Evicted) => self.transport.reset().await,
-                Some(_) => self.transport.close().await,
-                None => {
-                    shared.deny(client, Denial::Full);
-                    answer_full(&mut self.transport).await;
-                    self.transport.close().await;
-                }
-            }
+            let client = accept(&mut self.transport, self.port, shared).await;
+            let outcome = serve_or_refuse(&mut self.transport, client, shared, limits).await;
+            end(&mut self.transport, outcome).await;
         }
+    }
+}
+
+/// How a connection must be ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Outcome {
+    Close,
+    /// The client was idle, so it would not confirm the end of the connection if it were gone.
+    Reset,
+}
+
+/// Waits for a client that the rules admit, and returns its address.
+pub(super) async fn accept<M: RawMutex, const N: usize>(
+    transport: &mut TcpTransport<'_>,
+    port: u16,
+    shared: &SharedGateway<'_, M, N>,
+) -> Option<IpEndpoint> {
+    loop {
+        if transport.accept(port).await.is_err() {
+            Timer::after_millis(PAUSE_MS).await;
+            continue;
+        }
+        let client = transport.socket().remote_endpoint();
+        if shared.admits(client) {
+            return client;
+        }
+        transport.reset().await;
+    }
+}
+
+/// Serves a client, or answers it that all slots are in use.
+pub(super) async fn serve_or_refuse<X: Transport, M: RawMutex, const N: usize>(
+    transport: &mut X,
+    client: Option<IpEndpoint>,
+    shared: &SharedGateway<'_, M, N>,
+    limits: &Limits,
+) -> Outcome {
+    match serve(transport, client, shared, limits).await {
+        Some(Ended::Evicted) => Outcome::Reset,
+        Some(_) => Outcome::Close,
+        None => {
+            shared.deny(client, Denial::Full);
+            answer_full(transport).await;
+            Outcome::Close
+        }
+    }
+}
+
+/// Ends the connection of a client.
+pub(super) async fn end(transport: &mut TcpTransport<'_>, outcome: Outcome) {
+    match outcome {
+        Outcome::Close => transport.close().await,
+        Outcome::Reset => transport.reset().await,
     }
 }
 

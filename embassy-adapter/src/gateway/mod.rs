@@ -43,6 +43,8 @@
 //! ```
 
 mod clients;
+#[cfg(feature = "modbus")]
+mod modbus;
 mod robot;
 mod shared;
 
@@ -50,6 +52,8 @@ use bcap_core::gateway::Event;
 use embassy_net::IpEndpoint;
 
 pub use self::clients::{Listener, serve};
+#[cfg(feature = "modbus")]
+pub use self::modbus::{ModbusLink, ModbusListener};
 pub use self::robot::{RobotLink, TcpRobot, run_robot};
 pub use self::shared::SharedGateway;
 use crate::net::NetError;

@@ -53,7 +53,7 @@ impl Client {
 }
 
 /// Returns the IPv4 address of a client.
-fn address(client: Option<IpEndpoint>) -> Option<Ipv4Addr> {
+pub(super) fn address(client: Option<IpEndpoint>) -> Option<Ipv4Addr> {
     client.map(|IpEndpoint { addr: IpAddress::Ipv4(address), .. }| address)
 }
 

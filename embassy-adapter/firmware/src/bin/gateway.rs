@@ -21,6 +21,8 @@ use bcap_core::bcap::client::{self, Timing};
 use bcap_core::gateway::{Config, Event, Gateway, Memory, Refusal, Tally};
 use bcap_core::rac;
 use bcap_core::time::{Instant, micros};
+#[cfg(feature = "modbus")]
+use bcap_embassy::gateway::ModbusListener;
 use bcap_embassy::gateway::{Denial, Listener, Report, SharedGateway, TcpRobot, run_robot};
 use bcap_embassy::net::{Options, UdpTransport};
 use bcap_embassy::server::Limits;
@@ -42,18 +44,26 @@ use static_cell::{ConstStaticCell, StaticCell};
 const SESSIONS: usize = 4;
 const LISTENERS: usize = SESSIONS + 1;
 const HANDLES: usize = 64;
-/// Sockets: the listeners, the echo, the robot, DHCP.
-const SOCKETS: usize = LISTENERS + ECHOES + 2;
+/// Sockets: the listeners, the echo, Modbus, the robot, DHCP.
+const SOCKETS: usize = LISTENERS + ECHOES + MODBUS + 2;
 #[cfg(feature = "echo")]
 const ECHOES: usize = echo::ECHOES;
 #[cfg(not(feature = "echo"))]
 const ECHOES: usize = 0;
+
+/// Concurrent clients of Modbus; they share the slots with the PLCs.
+#[cfg(feature = "modbus")]
+const MODBUS: usize = 2;
+#[cfg(not(feature = "modbus"))]
+const MODBUS: usize = 0;
 
 /// The tasks that the watchdog watches; the PLCs' tasks have the numbers from `PLC` on.
 const NETWORK: Task = Task::new(0);
 const ROBOT: Task = Task::new(1);
 const STATUS: Task = Task::new(2);
 const PLC: u32 = 3;
+#[cfg(feature = "modbus")]
+const MODBUS_TASK: u32 = PLC + 5;
 /// How far the gateway may overrun its deadline; a longer overrun means that its tasks hang.
 const MAX_OVERRUN: core::time::Duration = core::time::Duration::from_secs(2);
 
@@ -107,6 +117,8 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     for (number, memory) in (PLC..).zip(SOCKET_MEMORY.take()) {
         spawner.spawn(serve(stack, memory, settings, board, Task::new(number))?);
     }
+    #[cfg(feature = "modbus")]
+    start_modbus(spawner, stack, settings, board)?;
     #[cfg(feature = "console")]
     spawner.spawn(serve_console()?);
     #[cfg(feature = "echo")]
@@ -162,8 +174,42 @@ async fn serve(
 ) -> ! {
     let [rx, tx] = memory;
     let mut listener = Listener::with_options(stack, rac::PORT, rx, tx, options(settings));
-    let limits = Limits { idle: settings.idle, evict_after: Some(settings.evict), ..Limits::default() };
-    watched(task, listener.run(board, &limits)).await
+    watched(task, listener.run(board, &limits(settings))).await
+}
+
+/// Starts the tasks that serve Modbus, if the settings have a port for it.
+#[cfg(feature = "modbus")]
+fn start_modbus(
+    spawner: Spawner,
+    stack: Stack<'static>,
+    settings: &'static Settings<'static>,
+    board: &'static Board,
+) -> Result<(), SpawnError> {
+    static MEMORY: ConstStaticCell<[[[u8; 512]; 2]; MODBUS]> = ConstStaticCell::new([[[0; 512]; 2]; MODBUS]);
+    let Some(port) = settings.modbus else { return Ok(()) };
+    for (number, [rx, tx]) in (MODBUS_TASK..).zip(MEMORY.take()) {
+        let map = settings.modbus_map();
+        let listener = ModbusListener::new(stack, port, map, [rx, tx], options(settings));
+        spawner.spawn(serve_modbus(listener, settings, board, Task::new(number))?);
+    }
+    Ok(())
+}
+
+/// Serves clients of Modbus, one after another.
+#[cfg(feature = "modbus")]
+#[embassy_executor::task(pool_size = MODBUS)]
+async fn serve_modbus(
+    mut listener: ModbusListener<'static>,
+    settings: &'static Settings<'static>,
+    board: &'static Board,
+    task: Task,
+) -> ! {
+    watched(task, listener.run(board, &limits(settings))).await
+}
+
+/// Returns the time limits of a PLC's session.
+fn limits(settings: &Settings<'_>) -> Limits {
+    Limits { idle: settings.idle, evict_after: Some(settings.evict), ..Limits::default() }
 }
 
 /// Returns the timeouts of a PLC's connection; one that confirms no keep-alive is reset.
