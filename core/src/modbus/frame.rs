@@ -168,7 +168,9 @@ mod tests {
         }
         assert_eq!(length(&header[..6]), Ok(Some(12)));
         assert_eq!(length(&[0, 1, 0, 0, 0, 254]), Ok(Some(FRAME)));
-        for invalid in [[0, 1, 0, 0, 0, 255], [0, 1, 0, 0, 0, 1], [0, 1, 0, 0, 1, 0], [0, 1, 0, 1, 0, 6], [0, 1, 1, 0, 0, 6]] {
+        for invalid in
+            [[0, 1, 0, 0, 0, 255], [0, 1, 0, 0, 0, 1], [0, 1, 0, 0, 1, 0], [0, 1, 0, 1, 0, 6], [0, 1, 1, 0, 0, 6]]
+        {
             assert_eq!(length(&invalid), Err(()), "{invalid:?}");
         }
         assert_eq!(length(b"GET:RC8:1:I:\r"), Err(()), "a client of RAC");
@@ -209,7 +211,7 @@ mod tests {
         for function in invalid {
             assert_eq!(parse(function), Err(Exception::IllegalDataValue), "{function:?}");
         }
-        for function in [&[] as &[u8], &[0, 0], &[7], &[22, 0, 0], &[23], &[43, 14], &[0x83, 2]] {
+        for function in [&[][..], &[0, 0], &[7], &[22, 0, 0], &[23], &[43, 14], &[0x83, 2]] {
             assert_eq!(parse(function), Err(Exception::IllegalFunction), "{function:?}");
         }
     }

@@ -233,10 +233,7 @@ impl fmt::Display for EntryError {
             Self::Address => "expected ADDRESS=VARIABLES with an address from 0 to 65535, such as 100=I/10-19",
             Self::Name => "unknown kind of variable: expected one of I F D V P J T in registers, IO in coils",
             Self::Kind(kind) => {
-                return write!(
-                    f,
-                    "a variable of kind {kind} cannot be in registers: expected one of I F D V P J T"
-                );
+                return write!(f, "a variable of kind {kind} cannot be in registers: expected one of I F D V P J T");
             }
             Self::CoilKind(kind) => return write!(f, "a variable of kind {kind} cannot be a coil: expected IO"),
             Self::Index => "invalid index: expected FIRST or FIRST-LAST, with LAST not below FIRST",

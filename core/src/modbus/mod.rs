@@ -256,9 +256,9 @@ impl<'a> Front<'a> {
         let mut memory = [0; MAX_LINE];
         let mut out = Writer::new(&mut memory);
         let written = match (running.command, frame::parse(function)) {
-            (Some(command), Ok((_, bytes))) => with_request(self.map, command, bytes, running.done, |_, request| {
-                request.write_line(&mut out).is_ok()
-            }),
+            (Some(command), Ok((_, bytes))) => {
+                with_request(self.map, command, bytes, running.done, |_, request| request.write_line(&mut out).is_ok())
+            }
             _ => None,
         };
         if written != Some(true) {
@@ -313,7 +313,11 @@ impl<'a> Front<'a> {
             // after the function and the number of bytes
             let data = self.response.get_mut(HEADER.saturating_add(2)..).unwrap_or_default();
             let stored = match command.table {
-                Table::Coils => value.as_bool().map(|on| if on { frame::set_coil(data, done) }),
+                Table::Coils => value.as_bool().map(|on| {
+                    if on {
+                        frame::set_coil(data, done)
+                    }
+                }),
                 Table::Registers => store(place, &value, data, done, count),
             };
             stored.ok_or(Exception::ServerDeviceFailure)?;

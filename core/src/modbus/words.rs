@@ -123,8 +123,8 @@ mod tests {
 
     #[test]
     fn a_value_that_does_not_fit_is_not_stored() {
-        for (entry, value) in [
-            ("0=I:i16", &32_768 as &dyn Encode),
+        let cases: [(&str, &dyn Encode); 10] = [
+            ("0=I:i16", &32_768),
             ("0=I:i16", &-32_769),
             ("0=I:u16", &-1),
             ("0=I:u16", &65_536),
@@ -134,7 +134,8 @@ mod tests {
             ("0=V", &[1.0_f32; 4]),
             ("0=V", &1.0_f32),
             ("0=F", &[1.0_f32]),
-        ] {
+        ];
+        for (entry, value) in cases {
             assert_eq!(stored(entry, value), None, "{entry}");
         }
     }

@@ -36,6 +36,8 @@
 //! | `modbus`   | the port of Modbus TCP, usually 502; for images with the feature `modbus` | no Modbus |
 //! | `register` | `ADDRESS=KIND[/FIRST[-LAST]][:FORMAT][:low]`: variables in holding registers from this address on ([`bcap_core::modbus::Entry`]); can be repeated | none |
 //! | `coil`     | `ADDRESS=IO[/FIRST[-LAST]]`: coils from this address on; can be repeated | none |
+//! | `health`   | the port of a read-only page of the board's state, usually 80; for images with the feature `health` | no page |
+//! | `syslog`   | `ADDRESS[:PORT]`: where refusals and changes of the state are sent, usually to port 514; for images with the feature `health` | nowhere |
 //! | `echo`     | the port of an echo server, to compare round trips; for images with the feature `echo` | no echo server |
 //!
 //! An invalid line is skipped and reported. The board then refuses every PUT, whatever the other lines allow.
@@ -47,7 +49,10 @@ extern crate std;
 pub mod console;
 pub mod crc;
 mod error;
+#[cfg(feature = "health")]
+pub mod health;
 pub mod image;
+pub mod led;
 pub mod limiter;
 pub mod mac;
 #[cfg(feature = "modbus")]
@@ -56,6 +61,8 @@ pub mod ring;
 mod rules;
 mod settings;
 pub mod slots;
+#[cfg(feature = "health")]
+pub mod syslog;
 
 pub use self::error::{InvalidLine, SettingError};
 pub use self::rules::RuleMemory;

@@ -46,6 +46,12 @@ pub struct Settings<'a> {
     pub evict: Duration,
     /// The idle time after which a TCP keep-alive is sent to a PLC.
     pub keep_alive: Duration,
+    /// The port of the page of the board's state, if there is one.
+    #[cfg(feature = "health")]
+    pub health: Option<u16>,
+    /// Where messages of syslog are sent, if anywhere.
+    #[cfg(feature = "health")]
+    pub syslog: Option<SocketAddrV4>,
     /// The port of Modbus TCP, if PLCs may use it.
     #[cfg(feature = "modbus")]
     pub modbus: Option<u16>,
@@ -94,6 +100,10 @@ impl Default for Settings<'_> {
             idle: None,
             evict: Duration::from_secs(10),
             keep_alive: Duration::from_secs(5),
+            #[cfg(feature = "health")]
+            health: None,
+            #[cfg(feature = "health")]
+            syslog: None,
             #[cfg(feature = "modbus")]
             modbus: None,
             #[cfg(feature = "modbus")]
@@ -192,6 +202,10 @@ impl<'a> Settings<'a> {
             "convert" => self.convert = valid(yes(text))?,
             "rate" => self.rate = valid(rate(text))?,
             "echo" => self.echo = Some(valid(port(text))?),
+            #[cfg(feature = "health")]
+            "health" => self.health = Some(valid(port(text))?),
+            #[cfg(feature = "health")]
+            "syslog" => self.syslog = Some(valid(collector(text))?),
             #[cfg(feature = "modbus")]
             "modbus" => self.modbus = Some(valid(port(text))?),
             #[cfg(feature = "modbus")]
@@ -218,6 +232,15 @@ fn seconds(value: &str) -> Option<Duration> {
 
 fn port(value: &str) -> Option<u16> {
     value.parse().ok().filter(|port| *port > 0)
+}
+
+#[cfg(feature = "health")]
+fn collector(value: &str) -> Option<SocketAddrV4> {
+    let (address, number) = match value.split_once(':') {
+        Some((address, number)) => (address, port(number)?),
+        None => (value, crate::syslog::PORT),
+    };
+    Some(SocketAddrV4::new(host(address)?, number))
 }
 
 /// Returns a line up to its comment.
@@ -333,6 +356,16 @@ mod tests {
         }
     }
 
+    #[cfg(feature = "health")]
+    #[test]
+    fn a_collector_has_the_port_of_syslog_unless_another_is_given() {
+        let address = Ipv4Addr::new(10, 0, 2, 2);
+        assert_eq!(read("health=80\nsyslog=10.0.2.2").syslog, Some(SocketAddrV4::new(address, 514)));
+        assert_eq!(read("syslog=10.0.2.2:5140").syslog, Some(SocketAddrV4::new(address, 5140)));
+        assert_eq!(read("health=80").health, Some(80));
+        assert_eq!((Settings::default().health, Settings::default().syslog), (None, None), "off without a setting");
+    }
+
     #[test]
     fn a_comment_begins_at_a_line_or_after_a_blank() {
         let file = "# a board\nprovider=a#b\n  # indented\nmachine=m # the machine\noption=#1\n\nservice=\t#\n";
@@ -396,6 +429,12 @@ mod tests {
             "put@10.0.2=I",
             "put@=I",
             "echo=65536",
+            #[cfg(feature = "health")]
+            "health=0",
+            #[cfg(feature = "health")]
+            "syslog=10.0.2.2:0",
+            #[cfg(feature = "health")]
+            "syslog=224.0.0.1",
             #[cfg(feature = "modbus")]
             "modbus=0",
             #[cfg(feature = "modbus")]

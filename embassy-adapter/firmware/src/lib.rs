@@ -12,6 +12,7 @@
 //! | [`net`]      | embassy-net on the board: its task and its address                                |
 //! | [`stack`]    | the program's stack and its high-water mark                                       |
 //! | `echo`       | an echo server, with the feature `echo`                                           |
+//! | `health`     | the page of the state and messages of syslog, with the feature `health`           |
 //! | [`node`]     | the board as a controller: uptime, counters and some memory                       |
 //! | [`watchdog`] | a reset when a task makes no progress                                             |
 //! | [`fault`]    | reports and resets after a panic or a fault                                       |
@@ -33,6 +34,8 @@ pub mod executor;
 pub mod fault;
 #[cfg(feature = "console")]
 pub mod flash;
+#[cfg(feature = "health")]
+pub mod health;
 pub mod lan9118;
 pub mod log;
 mod mmio;

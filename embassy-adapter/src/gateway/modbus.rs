@@ -22,22 +22,18 @@ pub struct ModbusListener<'s> {
     transport: TcpTransport<'s>,
     port: u16,
     map: &'s [Entry],
+    front: Front<'s>,
 }
 
 impl<'s> ModbusListener<'s> {
     /// Creates a listener; `rx` and `tx` are its socket's buffers, and `map` says which variables its clients see.
     #[must_use]
-    pub fn new(
-        stack: Stack<'s>,
-        port: u16,
-        map: &'s [Entry],
-        [rx, tx]: [&'s mut [u8]; 2],
-        options: Options,
-    ) -> Self {
-        Self { transport: TcpTransport::new(stack, rx, tx, options), port, map }
+    pub fn new(stack: Stack<'s>, port: u16, map: &'s [Entry], [rx, tx]: [&'s mut [u8]; 2], options: Options) -> Self {
+        Self { transport: TcpTransport::new(stack, rx, tx, options), port, map, front: Front::new(map) }
     }
 
     /// Serves clients forever, one after another.
+    #[expect(clippy::large_futures, reason = "96 bytes above the limit on a host, for one transport inside another")]
     pub async fn run<M: RawMutex, const N: usize>(&mut self, shared: &SharedGateway<'_, M, N>, limits: &Limits) -> ! {
         loop {
             let client = accept(&mut self.transport, self.port, shared).await;
@@ -45,7 +41,8 @@ impl<'s> ModbusListener<'s> {
                 let permitted = shared.view(|gateway| gateway.config().rules.permits(request, address(client)).is_ok());
                 permitted.unwrap_or_default()
             };
-            let mut link = ModbusLink::new(&mut self.transport, self.map, permits);
+            self.front = Front::new(self.map);
+            let mut link = ModbusLink::new(&mut self.transport, &mut self.front, permits);
             let outcome = serve_or_refuse(&mut link, client, shared, limits).await;
             end(&mut self.transport, outcome).await;
         }
@@ -54,17 +51,17 @@ impl<'s> ModbusListener<'s> {
 
 /// A connection of a Modbus client as a transport of RAC, for [`serve`](super::serve): any stream, such as TCP.
 #[derive(Debug)]
-pub struct ModbusLink<'a, X, P> {
+pub struct ModbusLink<'a, 'm, X, P> {
     link: &'a mut X,
-    front: Front<'a>,
+    front: &'a mut Front<'m>,
     permits: P,
 }
 
-impl<'a, X: Transport, P: Fn(&Request<'_>) -> bool> ModbusLink<'a, X, P> {
-    /// Wraps a new connection. `permits` tells whether the rules permit a request
+impl<'a, 'm, X: Transport, P: Fn(&Request<'_>) -> bool> ModbusLink<'a, 'm, X, P> {
+    /// Wraps a new connection, with a new front. `permits` tells whether the rules permit a request
     /// ([`Rules::permits`](bcap_core::gateway::Rules::permits)).
-    pub const fn new(link: &'a mut X, map: &'a [Entry], permits: P) -> Self {
-        Self { link, front: Front::new(map), permits }
+    pub const fn new(link: &'a mut X, front: &'a mut Front<'m>, permits: P) -> Self {
+        Self { link, front, permits }
     }
 
     /// Sends what is left of a response; `None` at `until`.
@@ -81,7 +78,7 @@ impl<'a, X: Transport, P: Fn(&Request<'_>) -> bool> ModbusLink<'a, X, P> {
     }
 }
 
-impl<X: Transport, P: Fn(&Request<'_>) -> bool> Transport for ModbusLink<'_, X, P> {
+impl<X: Transport, P: Fn(&Request<'_>) -> bool> Transport for ModbusLink<'_, '_, X, P> {
     type Error = X::Error;
 
     fn now(&self) -> Instant {

@@ -99,6 +99,12 @@ impl<'m, M: RawMutex, const SESSIONS: usize> SharedGateway<'m, M, SESSIONS> {
         self.with(|inner| work(&inner.gateway))
     }
 
+    /// Returns the number of clients with a slot.
+    #[must_use]
+    pub fn sessions(&self) -> usize {
+        self.with(|inner| inner.clients.iter().filter(|client| client.peer.is_some()).count()).unwrap_or_default()
+    }
+
     /// Calls `work` with the shared state; `None` when it is already borrowed.
     pub(super) fn with<T>(&self, work: impl FnOnce(&mut Inner<'m, SESSIONS>) -> T) -> Option<T> {
         self.inner.lock(|inner| inner.try_borrow_mut().ok().map(|mut inner| work(&mut inner)))

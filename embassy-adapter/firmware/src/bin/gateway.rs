@@ -24,11 +24,17 @@ use bcap_core::time::{Instant, micros};
 #[cfg(feature = "modbus")]
 use bcap_embassy::gateway::ModbusListener;
 use bcap_embassy::gateway::{Denial, Listener, Report, SharedGateway, TcpRobot, run_robot};
+#[cfg(feature = "health")]
+use bcap_embassy::http::HttpListener;
 use bcap_embassy::net::{Options, UdpTransport};
 use bcap_embassy::server::Limits;
 #[cfg(feature = "echo")]
 use bcap_firmware::echo;
+#[cfg(feature = "health")]
+use bcap_firmware::health;
 use bcap_firmware::net::{self, NetRunner};
+#[cfg(feature = "health")]
+use bcap_firmware::record::Cause;
 use bcap_firmware::watchdog::{self, Task, watched};
 use bcap_firmware::{clock, config, executor, fault, lan9118, log, stack, uart};
 use embassy_executor::{SpawnError, Spawner};
@@ -44,8 +50,8 @@ use static_cell::{ConstStaticCell, StaticCell};
 const SESSIONS: usize = 4;
 const LISTENERS: usize = SESSIONS + 1;
 const HANDLES: usize = 64;
-/// Sockets: the listeners, the echo, Modbus, the robot, DHCP.
-const SOCKETS: usize = LISTENERS + ECHOES + MODBUS + 2;
+/// Sockets: the listeners, the echo, Modbus, the page and syslog, the robot, DHCP.
+const SOCKETS: usize = LISTENERS + ECHOES + MODBUS + HEALTH + 2;
 #[cfg(feature = "echo")]
 const ECHOES: usize = echo::ECHOES;
 #[cfg(not(feature = "echo"))]
@@ -57,6 +63,11 @@ const MODBUS: usize = 2;
 #[cfg(not(feature = "modbus"))]
 const MODBUS: usize = 0;
 
+#[cfg(feature = "health")]
+const HEALTH: usize = 2;
+#[cfg(not(feature = "health"))]
+const HEALTH: usize = 0;
+
 /// The tasks that the watchdog watches; the PLCs' tasks have the numbers from `PLC` on.
 const NETWORK: Task = Task::new(0);
 const ROBOT: Task = Task::new(1);
@@ -64,6 +75,10 @@ const STATUS: Task = Task::new(2);
 const PLC: u32 = 3;
 #[cfg(feature = "modbus")]
 const MODBUS_TASK: u32 = PLC + 5;
+#[cfg(feature = "health")]
+const PAGE: Task = Task::new(PLC + 7);
+#[cfg(feature = "health")]
+const SYSLOG: Task = Task::new(PLC + 8);
 /// How far the gateway may overrun its deadline; a longer overrun means that its tasks hang.
 const MAX_OVERRUN: core::time::Duration = core::time::Duration::from_secs(2);
 
@@ -106,7 +121,8 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     if let Some(peripherals) = cortex_m::Peripherals::take() {
         clock::init(peripherals.SYST);
     }
-    defmt::info!("last reset: {}", defmt::Display2Format(&fault::last_reset()));
+    let last_reset = fault::last_reset();
+    defmt::info!("last reset: {}", defmt::Display2Format(&last_reset));
     let settings = config::load(config::log);
     let robot = settings.robot;
     defmt::info!("gateway to {}, provider {=str}", defmt::Debug2Format(&robot), settings.provider);
@@ -117,6 +133,8 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     for (number, memory) in (PLC..).zip(SOCKET_MEMORY.take()) {
         spawner.spawn(serve(stack, memory, settings, board, Task::new(number))?);
     }
+    #[cfg(feature = "health")]
+    start_health(spawner, stack, settings, board, last_reset)?;
     #[cfg(feature = "modbus")]
     start_modbus(spawner, stack, settings, board)?;
     #[cfg(feature = "console")]
@@ -175,6 +193,52 @@ async fn serve(
     let [rx, tx] = memory;
     let mut listener = Listener::with_options(stack, rac::PORT, rx, tx, options(settings));
     watched(task, listener.run(board, &limits(settings))).await
+}
+
+/// Starts the page of the board's state and the messages of syslog, if the settings ask for them.
+#[cfg(feature = "health")]
+fn start_health(
+    spawner: Spawner,
+    stack: Stack<'static>,
+    settings: &'static Settings<'static>,
+    board: &'static Board,
+    last_reset: Cause,
+) -> Result<(), SpawnError> {
+    static MEMORY: ConstStaticCell<([[u8; 1024]; 2], [u8; health::PAGE])> =
+        ConstStaticCell::new(([[0; 1024]; 2], [0; health::PAGE]));
+    if let Some(port) = settings.health {
+        let ([rx, tx], page) = MEMORY.take();
+        let listener = HttpListener::new(stack, port, [rx, tx], page, Options::default());
+        spawner.spawn(serve_page(listener, board, last_reset)?);
+    }
+    if let Some(collector) = settings.syslog {
+        health::start(&last_reset);
+        spawner.spawn(send_messages(stack, collector, settings)?);
+    }
+    Ok(())
+}
+
+/// Shows the board's state to the clients that the rules admit.
+#[cfg(feature = "health")]
+#[embassy_executor::task]
+async fn serve_page(mut listener: HttpListener<'static>, board: &'static Board, last_reset: Cause) -> ! {
+    let admits = |client: Option<IpEndpoint>| {
+        let address = client.map(|IpEndpoint { addr: IpAddress::Ipv4(address), .. }| address);
+        board.view(|gateway| gateway.config().rules.admits(address)).unwrap_or_default()
+    };
+    let answer = |path: &str, page: &mut dyn core::fmt::Write| health::answer(board, &last_reset, path, page);
+    watched(PAGE, listener.run(admits, answer)).await
+}
+
+/// Sends messages of syslog.
+#[cfg(feature = "health")]
+#[embassy_executor::task]
+async fn send_messages(
+    stack: Stack<'static>,
+    collector: core::net::SocketAddrV4,
+    settings: &'static Settings<'static>,
+) -> ! {
+    watched(SYSLOG, health::send_messages(stack, collector, settings.hostname)).await
 }
 
 /// Starts the tasks that serve Modbus, if the settings have a port for it.
@@ -335,6 +399,8 @@ impl defmt::Format for Times<'_> {
 
 /// Logs refusals, failures, and the connections of clients and of the robot.
 fn log_report(report: &Report<'_>) {
+    #[cfg(feature = "health")]
+    health::report(report);
     match *report {
         Report::Connected { client } => limited(client, "connected", |left_out| {
             defmt::info!("{}: connected{}", Client(client), left_out);
