@@ -57,18 +57,14 @@ impl<'s> Listener<'s> {
     pub async fn run<M: RawMutex, const N: usize>(&mut self, shared: &SharedGateway<'_, M, N>, limits: &Limits) -> ! {
         loop {
             let client = accept(&mut self.transport, self.port, shared).await;
-            let outcome = serve_or_refuse(&mut self.transport, client, shared, limits).await;
-            end(&mut self.transport, outcome).await;
+            let ended = serve(&mut self.transport, client, shared, limits).await;
+            if ended.is_none() {
+                shared.deny(client, Denial::Full);
+                answer_full(&mut self.transport).await;
+            }
+            end(&mut self.transport, matches!(ended, Some(Ended::Evicted))).await;
         }
     }
-}
-
-/// How a connection must be ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Outcome {
-    Close,
-    /// The client was idle, so it would not confirm the end of the connection if it were gone.
-    Reset,
 }
 
 /// Waits for a client that the rules admit, and returns its address.
@@ -90,34 +86,16 @@ pub(super) async fn accept<M: RawMutex, const N: usize>(
     }
 }
 
-/// Serves a client, or answers it that all slots are in use.
-pub(super) async fn serve_or_refuse<X: Transport, M: RawMutex, const N: usize>(
-    transport: &mut X,
-    client: Option<IpEndpoint>,
-    shared: &SharedGateway<'_, M, N>,
-    limits: &Limits,
-) -> Outcome {
-    match serve(transport, client, shared, limits).await {
-        Some(Ended::Evicted) => Outcome::Reset,
-        Some(_) => Outcome::Close,
-        None => {
-            shared.deny(client, Denial::Full);
-            answer_full(transport).await;
-            Outcome::Close
-        }
-    }
-}
-
-/// Ends the connection of a client.
-pub(super) async fn end(transport: &mut TcpTransport<'_>, outcome: Outcome) {
-    match outcome {
-        Outcome::Close => transport.close().await,
-        Outcome::Reset => transport.reset().await,
+/// Ends the connection of a client. An evicted one was idle, so it would not confirm the end if it were gone.
+pub(super) async fn end(transport: &mut TcpTransport<'_>, is_evicted: bool) {
+    match is_evicted {
+        true => transport.reset().await,
+        false => transport.close().await,
     }
 }
 
 /// Answers the first line of a client without a slot.
-async fn answer_full<X: Transport>(transport: &mut X) {
+pub(super) async fn answer_full<X: Transport>(transport: &mut X) {
     let mut chunk = [0; CHUNK];
     let until = transport.now().saturating_add(FULL_WAIT);
     // not before its line arrives, because a line that arrives after the close would reset the connection

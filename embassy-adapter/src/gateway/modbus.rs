@@ -10,11 +10,11 @@ use bcap_core::time::Instant;
 use embassy_net::Stack;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 
-use super::SharedGateway;
-use super::clients::{accept, end, serve_or_refuse};
+use super::clients::{accept, answer_full, end, serve};
 use super::shared::address;
+use super::{Denial, SharedGateway};
 use crate::net::{Options, TcpTransport};
-use crate::server::Limits;
+use crate::server::{Ended, Limits};
 
 /// A TCP listener that serves one client of Modbus at a time; use several on the same port to serve several clients.
 #[derive(Debug)]
@@ -33,7 +33,7 @@ impl<'s> ModbusListener<'s> {
     }
 
     /// Serves clients forever, one after another.
-    #[expect(clippy::large_futures, reason = "96 bytes above the limit on a host, for one transport inside another")]
+    #[expect(clippy::large_futures, reason = "32 bytes above the limit on a host, for one transport inside another")]
     pub async fn run<M: RawMutex, const N: usize>(&mut self, shared: &SharedGateway<'_, M, N>, limits: &Limits) -> ! {
         loop {
             let client = accept(&mut self.transport, self.port, shared).await;
@@ -43,8 +43,12 @@ impl<'s> ModbusListener<'s> {
             };
             self.front = Front::new(self.map);
             let mut link = ModbusLink::new(&mut self.transport, &mut self.front, permits);
-            let outcome = serve_or_refuse(&mut link, client, shared, limits).await;
-            end(&mut self.transport, outcome).await;
+            let ended = serve(&mut link, client, shared, limits).await;
+            if ended.is_none() {
+                shared.deny(client, Denial::Full);
+                answer_full(&mut link).await;
+            }
+            end(&mut self.transport, matches!(ended, Some(Ended::Evicted))).await;
         }
     }
 }

@@ -47,7 +47,9 @@ fn an_independent_client_of_modbus_reads_and_writes_variables() {
         "register=300=P/1",
         "coil=0=IO/128-143",
     ];
-    let mut board = Board::start(&sim.bcap, &["--modbus", &port], &settings).up();
+    // the image of the test of the page, so that one build serves both
+    let page = free_port().to_string();
+    let mut board = Board::start(&sim.bcap, &["--health", &page, "--modbus", &port], &settings).up();
     let mut client =
         Command::new(&python).args(["-c", CLIENT, &port]).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
     let exchanges = [
