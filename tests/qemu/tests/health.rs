@@ -3,18 +3,31 @@
 
 use std::io::{Read, Write};
 use std::net::{TcpStream, UdpSocket};
+use std::time::Instant;
 
 use bcap_qemu::{Board, Sim, TIMEOUT, bcap, free_port, run};
 
-/// Sends a request and returns the head and the body of the response.
+/// Sends a request and returns the head and the body of the response. The board resets connections while both listeners
+/// close earlier ones, so it tries again.
 fn get(port: u16, request: &str) -> (String, String) {
-    let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
-    stream.set_read_timeout(Some(TIMEOUT)).unwrap();
-    write!(stream, "{request} HTTP/1.1\r\nHost: board\r\n\r\n").unwrap();
+    let since = Instant::now();
+    loop {
+        if let Ok(response) = try_get(port, request)
+            && let Some((head, body)) = response.split_once("\r\n\r\n")
+        {
+            return (head.to_owned(), body.to_owned());
+        }
+        assert!(since.elapsed() < TIMEOUT, "no response to {request}");
+    }
+}
+
+fn try_get(port: u16, request: &str) -> std::io::Result<String> {
+    let mut stream = TcpStream::connect(("127.0.0.1", port))?;
+    stream.set_read_timeout(Some(TIMEOUT))?;
+    stream.write_all(format!("{request} HTTP/1.1\r\nHost: board\r\n\r\n").as_bytes())?;
     let mut response = String::new();
-    stream.read_to_string(&mut response).unwrap();
-    let (head, body) = response.split_once("\r\n\r\n").unwrap();
-    (head.to_owned(), body.to_owned())
+    stream.read_to_string(&mut response)?;
+    Ok(response)
 }
 
 /// Returns the number after a key of the JSON.

@@ -69,7 +69,7 @@ fn an_independent_client_of_modbus_reads_and_writes_variables() {
         ("client.read_coils(0, count=8)", "[False, True, False, True, False, False, False, False]"),
         ("client.write_coil(8, True)", "exception 2"),
         ("client.read_holding_registers(0, count=1)", "exception 2"),
-        ("client.mask_write_register(100, 0, 0)", "exception 1"),
+        ("client.mask_write_register(address=100, and_mask=0, or_mask=0)", "exception 1"),
     ];
     let requests: String = exchanges.iter().map(|(request, _)| format!("{request}\n")).collect();
     client.stdin.take().unwrap().write_all(requests.as_bytes()).unwrap();

@@ -63,8 +63,11 @@ const MODBUS: usize = 2;
 #[cfg(not(feature = "modbus"))]
 const MODBUS: usize = 0;
 
+/// Listeners of the page, so that one can close while the other answers.
 #[cfg(feature = "health")]
-const HEALTH: usize = 2;
+const PAGES: usize = 2;
+#[cfg(feature = "health")]
+const HEALTH: usize = PAGES + 1;
 #[cfg(not(feature = "health"))]
 const HEALTH: usize = 0;
 
@@ -76,9 +79,9 @@ const PLC: u32 = 3;
 #[cfg(feature = "modbus")]
 const MODBUS_TASK: u32 = PLC + 5;
 #[cfg(feature = "health")]
-const PAGE: Task = Task::new(PLC + 7);
+const SYSLOG: Task = Task::new(PLC + 7);
 #[cfg(feature = "health")]
-const SYSLOG: Task = Task::new(PLC + 8);
+const PAGE_TASK: u32 = PLC + 8;
 /// How far the gateway may overrun its deadline; a longer overrun means that its tasks hang.
 const MAX_OVERRUN: core::time::Duration = core::time::Duration::from_secs(2);
 
@@ -204,12 +207,13 @@ fn start_health(
     board: &'static Board,
     last_reset: Cause,
 ) -> Result<(), SpawnError> {
-    static MEMORY: ConstStaticCell<([[u8; 1024]; 2], [u8; health::PAGE])> =
-        ConstStaticCell::new(([[0; 1024]; 2], [0; health::PAGE]));
+    static MEMORY: ConstStaticCell<[([[u8; 1024]; 2], [u8; health::PAGE]); PAGES]> =
+        ConstStaticCell::new([([[0; 1024]; 2], [0; health::PAGE]); PAGES]);
     if let Some(port) = settings.health {
-        let ([rx, tx], page) = MEMORY.take();
-        let listener = HttpListener::new(stack, port, [rx, tx], page, Options::default());
-        spawner.spawn(serve_page(listener, board, last_reset)?);
+        for (number, ([rx, tx], page)) in (PAGE_TASK..).zip(MEMORY.take()) {
+            let listener = HttpListener::new(stack, port, [rx, tx], page, Options::default());
+            spawner.spawn(serve_page(listener, board, last_reset, Task::new(number))?);
+        }
     }
     if let Some(collector) = settings.syslog {
         health::start(&last_reset);
@@ -220,14 +224,14 @@ fn start_health(
 
 /// Shows the board's state to the clients that the rules admit.
 #[cfg(feature = "health")]
-#[embassy_executor::task]
-async fn serve_page(mut listener: HttpListener<'static>, board: &'static Board, last_reset: Cause) -> ! {
+#[embassy_executor::task(pool_size = PAGES)]
+async fn serve_page(mut listener: HttpListener<'static>, board: &'static Board, last_reset: Cause, task: Task) -> ! {
     let admits = |client: Option<IpEndpoint>| {
         let address = client.map(|IpEndpoint { addr: IpAddress::Ipv4(address), .. }| address);
         board.view(|gateway| gateway.config().rules.admits(address)).unwrap_or_default()
     };
     let answer = |path: &str, page: &mut dyn core::fmt::Write| health::answer(board, &last_reset, path, page);
-    watched(PAGE, listener.run(admits, answer)).await
+    watched(task, listener.run(admits, answer)).await
 }
 
 /// Sends messages of syslog.
