@@ -1,9 +1,9 @@
 //! A front for clients that speak Modbus TCP: it turns their requests into lines of RAC, and the replies into responses.
 //!
 //! ```text
-//!  client ─ room, received ─────►┌───────┐─ line, line_taken ─► a server of RAC, such as a seat of a gateway
+//!  client ─ room, received ────────►┌───────┐─ line, line_taken ─► a server of RAC, such as a seat of a gateway
 //!         ◄─ transmit, transmitted ─│ Front │◄─ replied ──────────
-//!                                └───────┘
+//!                                   └───────┘
 //! ```
 //!
 //! Holding registers and coils are mapped to variables by a list of [`Entry`]s. A request that covers several variables

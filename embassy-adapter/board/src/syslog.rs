@@ -12,7 +12,7 @@
 //!   └ the facility local0 and the severity
 //! ```
 //!
-//! UDP loses messages without notice. What must not be lost belongs into the log of the robot's or of the gateway's operator.
+//! UDP can lose messages.
 
 use core::fmt;
 

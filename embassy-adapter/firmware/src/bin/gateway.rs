@@ -76,6 +76,7 @@ const NETWORK: Task = Task::new(0);
 const ROBOT: Task = Task::new(1);
 const STATUS: Task = Task::new(2);
 const PLC: u32 = 3;
+// after the numbers of the listeners
 #[cfg(feature = "modbus")]
 const MODBUS_TASK: u32 = PLC + 5;
 #[cfg(feature = "health")]
