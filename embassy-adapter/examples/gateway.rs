@@ -3,11 +3,12 @@
 //! Like the other examples, this is a library of tasks that a firmware calls with its own network stack.
 #![no_std]
 
+use bcap_core::bcap::client;
 use bcap_core::gateway::{Allow, Config, Event, Gateway, Memory, Rules};
 use bcap_core::io::asynch::Timed;
 use bcap_core::rac::{self, VariableKind};
 use bcap_embassy::clock::EmbassyClock;
-use bcap_embassy::gateway::{Listener, Report, SharedGateway, TcpRobot, run_robot, serve};
+use bcap_embassy::gateway::{Listener, Report, SerialRobot, SharedGateway, TcpRobot, run_robot, serve};
 use bcap_embassy::net::Options;
 use bcap_embassy::server::Limits;
 use embassy_net::{IpEndpoint, Stack};
@@ -51,4 +52,16 @@ pub async fn keep_robot(stack: Stack<'_>, robot: IpEndpoint, memory: &mut [[u8; 
     let [rx, tx, frame] = memory;
     let mut link = TcpRobot::new(stack, rx, tx, Options::default(), robot);
     run_robot(&mut link, frame, board).await
+}
+
+/// Creates the same gateway for a robot that is connected by a serial line of 115,200 baud.
+pub fn make_serial(memory: &mut Memory<3, 32>) -> Board<'_> {
+    let rules = Rules { put: &PUT, ..Rules::READ_ONLY };
+    let client = client::Config::serial(115_200);
+    SharedGateway::new(Gateway::new(Config { client, rules, ..Config::RC9 }, memory), log)
+}
+
+/// Runs the connection to a robot at the other end of a serial line, such as a buffered UART.
+pub async fn keep_serial_robot<U: Read + Write>(uart: U, frame: &mut [u8; 512], board: &Board<'_>) -> ! {
+    run_robot(&mut SerialRobot::new(uart), frame, board).await
 }

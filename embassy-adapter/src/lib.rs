@@ -6,6 +6,7 @@
 //! | `serial`   | `serial`      | clients over a serial line, with the CRC of serial frames                        |
 //! | `server`   | `server`      | servers of both protocols over any transport; with `embassy-net`, over TCP and UDP |
 //! | `gateway`  | `gateway`     | gateway from RAC clients to a b-CAP robot: the core's gateway over embassy-net   |
+//! | `http`     | `http`        | pages over HTTP, such as the health of a board                                    |
 //! | `bare`     | `smoltcp`     | clients and servers for smoltcp without embassy, by polling                      |
 //!
 //! [`bcap_core`] implements the protocols. This crate moves their bytes and supplies the time. Guarantees:
@@ -29,6 +30,8 @@ pub mod bare;
 pub mod clock;
 #[cfg(feature = "gateway")]
 pub mod gateway;
+#[cfg(feature = "http")]
+pub mod http;
 #[cfg(feature = "embassy-net")]
 pub mod net;
 #[cfg(feature = "serial")]

@@ -41,7 +41,12 @@ pub fn client<D, T: Storage, R: Storage>(device: D, config: Config, tx: T, rx: R
 where
     D: Read + Write,
 {
-    Connection::new(Timed::new(Line(device), EmbassyClock), Client::new(config, tx, rx))
+    Connection::new(transport(device), Client::new(config, tx, rx))
+}
+
+/// Creates a transport over a device, whose errors are lost bytes.
+pub const fn transport<D>(device: D) -> SerialTransport<D> {
+    Timed::new(Line(device), EmbassyClock)
 }
 
 /// The pause after an error of the line, so that a device that only fails does not keep its task running.

@@ -3,7 +3,7 @@
 //!
 //! The functions are listed at the end, and the list is compared with the sources. `tests/tests/cancellation` does the
 //! same for the core and bcap-std.
-#![cfg(all(feature = "gateway", feature = "serial"))]
+#![cfg(all(feature = "http", feature = "modbus", feature = "serial"))]
 #![allow(
     clippy::expect_used,
     clippy::indexing_slicing,
@@ -36,10 +36,12 @@ use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
 use bcap_core::io::CallError;
 use bcap_core::io::asynch::Timer as _;
+use bcap_core::modbus::{self, Entry};
 use bcap_core::rac::{self, VariableKind};
 use bcap_core::time::Instant;
 use bcap_embassy::clock::{EmbassyClock, now};
 use bcap_embassy::gateway::{self, RobotLink as _, TcpRobot, run_robot};
+use bcap_embassy::http::{Content, HttpListener};
 use bcap_embassy::net::{Connection, NetError, Options, TcpTransport, Transport, UdpTransport};
 use bcap_embassy::server::{Limits, Listener, SharedHandler, UdpPeer, UdpServer};
 use common::{address, between};
@@ -614,6 +616,65 @@ fn gateway() {
     });
 }
 
+/// The listeners of Modbus and HTTP, dropped while a client asks, and begun again.
+fn fronts() {
+    between(|_, clients, board| async move {
+        let mut memory = Memory::<2, 4>::new();
+        let plant = gateway::SharedGateway::<NoopRawMutex, 2>::new(Gateway::new(GATEWAY, &mut memory), |_| {});
+        let map = [Entry::registers("100=I/1").unwrap()];
+        let mut buffers = [[0; 512]; 5];
+        let [modbus_rx, modbus_tx, http_rx, http_tx, page] = &mut buffers;
+        let mut modbus =
+            gateway::ModbusListener::new(board, modbus::PORT, &map, [modbus_rx, modbus_tx], Options::default());
+        let mut http = HttpListener::new(board, 80, [http_rx, http_tx], page, Options::default());
+        let limits = Limits::default();
+        let answer = |path: &str, page: &mut dyn std::fmt::Write| page.write_str(path).ok().map(|()| Content::Text);
+        for polls in 1..=30_u8 {
+            // there is no robot, so the response is the exception 0x0a
+            let read = [0, polls, 0, 0, 0, 6, 1, 3, 0, 100, 0, 2];
+            let exception = [0, polls, 0, 0, 0, 3, 1, 0x83, 0x0a];
+            let dropped = dropped_after(polls.into(), modbus.run(&plant, &limits));
+            let dropped = select(asked(clients, modbus::PORT, &read, &exception), dropped).await;
+            count("ModbusListener::run", &dropped);
+            beside(modbus.run(&plant, &limits), asked(clients, modbus::PORT, &read, &exception)).await;
+
+            let get = format!("GET /{polls} HTTP/1.1\r\n\r\n");
+            let end = format!("\r\n\r\n/{polls}");
+            let dropped = dropped_after(polls.into(), http.run(|_| true, answer));
+            let dropped = select(asked(clients, 80, get.as_bytes(), end.as_bytes()), dropped).await;
+            count("HttpListener::run", &dropped);
+            beside(http.run(|_| true, answer), asked(clients, 80, get.as_bytes(), end.as_bytes())).await;
+        }
+    });
+}
+
+/// Counts an await point if the second future was dropped before the first was ready.
+fn count<T>(name: &'static str, dropped: &Either<(), T>) {
+    let dropped = usize::from(matches!(dropped, Either::Second(_)));
+    POINTS.with_borrow_mut(|all| *all.entry(name).or_default() += dropped);
+}
+
+/// Sends a request on new connections until its response ends with `end`.
+async fn asked(stack: Stack<'_>, port: u16, request: &[u8], end: &[u8]) {
+    let [mut rx, mut tx] = [[0; 512]; 2];
+    let mut socket = TcpSocket::new(stack, &mut rx, &mut tx);
+    loop {
+        socket.abort();
+        let _ = socket.flush().await;
+        if socket.connect((address(1), port)).await.is_ok() && socket.write(request).await == Ok(request.len()) {
+            let mut response = Vec::new();
+            let mut byte = [0];
+            while with_timeout(embassy_time::Duration::from_secs(1), socket.read(&mut byte)).await == Ok(Ok(1)) {
+                response.extend(byte);
+                if response.ends_with(end) {
+                    return;
+                }
+            }
+        }
+        Timer::after_millis(1).await;
+    }
+}
+
 /// The timer of serial lines; the transport over it is the core's.
 fn serial() {
     embassy_futures::block_on(sweep("EmbassyClock::sleep_until", async |polls| {
@@ -630,12 +691,19 @@ const DECLARED: Coverage = Exempt("a declaration; its implementations are covere
 const FUNCTIONS: &[(&str, Coverage)] = &[
     ("clock.rs: EmbassyClock::sleep_until", Swept("EmbassyClock::sleep_until")),
     ("gateway/clients.rs: Listener::run", Swept("gateway::Listener::run")),
+    ("gateway/clients.rs: accept", Through("gateway/clients.rs: Listener::run")),
+    ("gateway/clients.rs: end", Through("gateway/clients.rs: Listener::run")),
     ("gateway/clients.rs: answer_full", Through("gateway/clients.rs: Listener::run")),
     ("gateway/clients.rs: open", Through("gateway/clients.rs: Listener::run")),
     ("gateway/clients.rs: run_session", Through("gateway/clients.rs: Listener::run")),
     ("gateway/clients.rs: wait_for_bytes", Through("gateway/clients.rs: Listener::run")),
     ("gateway/clients.rs: serve", Through("gateway/clients.rs: Listener::run")),
     ("gateway/robot.rs: RobotLink::open", DECLARED),
+    ("gateway/modbus.rs: ModbusLink::flush", Through("gateway/modbus.rs: ModbusListener::run")),
+    ("gateway/modbus.rs: ModbusLink::receive", Through("gateway/modbus.rs: ModbusListener::run")),
+    ("gateway/modbus.rs: ModbusLink::send", Through("gateway/modbus.rs: ModbusListener::run")),
+    ("gateway/modbus.rs: ModbusLink::sleep_until", Exempt("it does what the wrapped transport does")),
+    ("gateway/modbus.rs: ModbusListener::run", Swept("ModbusListener::run")),
     ("gateway/robot.rs: TcpRobot::open", Swept("TcpRobot::open")),
     ("gateway/robot.rs: TcpRobot::receive", Through("gateway/robot.rs: run_robot")),
     ("gateway/robot.rs: TcpRobot::send", Through("gateway/robot.rs: run_robot")),
@@ -643,8 +711,16 @@ const FUNCTIONS: &[(&str, Coverage)] = &[
     ("gateway/robot.rs: UdpTransport::open", Exempt("it awaits nothing")),
     ("gateway/robot.rs: run_robot", Swept("run_robot")),
     ("gateway/robot.rs: transfer", Through("gateway/robot.rs: run_robot")),
+    ("gateway/serial.rs: SerialRobot::open", Exempt("it awaits nothing")),
+    ("gateway/serial.rs: SerialRobot::receive", Exempt("it does what the core's Timed does")),
+    ("gateway/serial.rs: SerialRobot::send", Exempt("it does what the core's Timed does")),
+    ("gateway/serial.rs: SerialRobot::sleep_until", Exempt("it does what the core's Timed does")),
     ("gateway/shared.rs: SharedGateway::wait_for_client", Through("gateway/clients.rs: Listener::run")),
     ("gateway/shared.rs: SharedGateway::wait_for_robot", Through("gateway/robot.rs: run_robot")),
+    ("http.rs: HttpListener::run", Swept("HttpListener::run")),
+    ("http.rs: receive", Through("http.rs: HttpListener::run")),
+    ("http.rs: send", Through("http.rs: HttpListener::run")),
+    ("http.rs: serve", Through("http.rs: HttpListener::run")),
     ("net/link.rs: wait", Through("net/tcp.rs: TcpTransport::receive")),
     ("net/tcp.rs: TcpTransport::accept", Through("server/tcp.rs: Listener::serve_one")),
     ("net/tcp.rs: TcpTransport::close", Swept("TcpTransport::close")),
@@ -678,6 +754,7 @@ fn bcap_embassy_survives_a_drop_at_every_await_point() {
     udp_bytes();
     servers();
     gateway();
+    fronts();
     serial();
     let points = POINTS.take();
     let sources = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");

@@ -1,26 +1,40 @@
 //! Tests a client on a serial line whose device reports errors of the line.
-#![cfg(all(feature = "serial", feature = "server"))]
+#![cfg(all(feature = "gateway", feature = "serial"))]
 #![allow(clippy::indexing_slicing, clippy::large_futures, clippy::unwrap_used, reason = "a test fails by panicking")]
 
+use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::future::{pending, ready};
+use std::rc::Rc;
 
 use bcap_core::bcap::server::{Config as ServerConfig, Handler, Request, Session};
 use bcap_core::bcap::{FunctionId, call, client::Timing};
 use bcap_core::endpoint::{Endpoint, Serve};
+use bcap_core::gateway;
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
+use bcap_core::io::asynch::Timed;
 use bcap_core::time::Instant;
+use bcap_embassy::clock::EmbassyClock;
+use bcap_embassy::gateway::{SerialRobot, SharedGateway, run_robot, serve};
 use bcap_embassy::serial::{self, Config};
+use bcap_embassy::server::Limits;
 use embassy_futures::block_on;
+use embassy_futures::join::join;
+use embassy_futures::select::{Either, select};
+use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+use embassy_time::{Duration, Timer, with_timeout};
 use embedded_io_async::{ErrorKind, ErrorType, Read, Write};
 
-/// A controller that answers every call with 1.
+/// A controller that answers every call that returns something with 1.
 struct One;
 
 impl Handler for One {
     fn call(&mut self, _: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, _: Instant) -> Outcome {
-        let has_value = request.function == FunctionId::CONTROLLER_CONNECT;
+        let has_value = matches!(
+            request.function,
+            FunctionId::CONTROLLER_CONNECT | FunctionId::CONTROLLER_GET_VARIABLE | FunctionId::VARIABLE_GET_VALUE
+        );
         if has_value { reply.set(&1).map_or(HResult::E_FAIL, |()| HResult::S_OK) } else { HResult::S_OK }.into()
     }
 }
@@ -69,6 +83,72 @@ impl Write for Uart {
     async fn flush(&mut self) -> Result<(), ErrorKind> {
         Ok(())
     }
+}
+
+/// The gateway's end of a PLC's serial line: what the PLC has sent, and what it receives.
+#[derive(Clone, Default)]
+struct PlcLine {
+    sent: Rc<RefCell<VecDeque<u8>>>,
+    received: Rc<RefCell<Vec<u8>>>,
+}
+
+impl ErrorType for PlcLine {
+    type Error = ErrorKind;
+}
+
+impl Read for PlcLine {
+    async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, ErrorKind> {
+        loop {
+            if let Some(byte) = self.sent.borrow_mut().pop_front() {
+                buffer[0] = byte;
+                return Ok(1);
+            }
+            Timer::after_millis(1).await;
+        }
+    }
+}
+
+impl Write for PlcLine {
+    async fn write(&mut self, bytes: &[u8]) -> Result<usize, ErrorKind> {
+        self.received.borrow_mut().extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    async fn flush(&mut self) -> Result<(), ErrorKind> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_gateway_between_two_serial_lines_serves_a_plc_despite_errors_of_the_line() {
+    let millis = core::time::Duration::from_millis;
+    let timing = Timing { attempt_timeout: millis(30), ..Timing::serial(115_200) };
+    let client = Config { timing, character_timeout: millis(5), ..Config::serial(115_200) };
+    let session = Session::new(ServerConfig::SERIAL, [0; 512], [0; 512]);
+    let uart = Uart { session, line: VecDeque::new(), damaged: 4 };
+    let mut memory = gateway::Memory::<1, 4>::new();
+    let config = gateway::Config { client, ..gateway::Config::RC8 };
+    let plant = SharedGateway::<NoopRawMutex, 1>::new(gateway::Gateway::new(config, &mut memory), |_| {});
+    let (mut robot, mut frame) = (SerialRobot::new(uart), [0; 512]);
+    let plc = PlcLine::default();
+    let mut line = Timed::new(plc.clone(), EmbassyClock);
+    let test = async {
+        while !plant.view(|gateway| gateway.is_up()).unwrap() {
+            Timer::after_millis(1).await;
+        }
+        for (request, answer) in [("GET:RC8:7:I:\r", "0,3,1\r"), ("PUT:RC8:7:I:3,2\r", "-2147024891\r")] {
+            plc.received.borrow_mut().clear();
+            plc.sent.borrow_mut().extend(request.bytes());
+            while !plc.received.borrow().ends_with(b"\r") {
+                Timer::after_millis(1).await;
+            }
+            assert_eq!(plc.received.borrow().as_slice(), answer.as_bytes());
+        }
+    };
+    let limits = Limits::default();
+    let board = join(run_robot(&mut robot, &mut frame, &plant), serve(&mut line, None, &plant, &limits));
+    let test = with_timeout(Duration::from_secs(60), test);
+    assert!(matches!(block_on(select(board, test)), Either::Second(Ok(()))), "it hangs");
 }
 
 #[test]

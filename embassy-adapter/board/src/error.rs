@@ -3,6 +3,8 @@
 use core::fmt;
 
 use bcap_core::gateway::RuleError;
+#[cfg(feature = "modbus")]
+use bcap_core::modbus::EntryError;
 
 /// Why a line of the settings is invalid.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,6 +26,22 @@ pub enum SettingError {
     TooManyNetworks,
     /// There are more rules, or ranges of values in them, than the board has memory for.
     TooManyRules,
+    /// An entry of the map of Modbus is invalid.
+    #[cfg(feature = "modbus")]
+    Entry(EntryError),
+    /// An entry of the map of Modbus has addresses of another one.
+    #[cfg(feature = "modbus")]
+    Overlap,
+    /// There are more entries than the board has memory for.
+    #[cfg(feature = "modbus")]
+    TooManyEntries,
+}
+
+#[cfg(feature = "modbus")]
+impl From<EntryError> for SettingError {
+    fn from(error: EntryError) -> Self {
+        Self::Entry(error)
+    }
 }
 
 impl From<RuleError> for SettingError {
@@ -43,6 +61,12 @@ impl fmt::Display for SettingError {
             Self::GetWithValues => "a get has no ranges of values; only a put has",
             Self::TooManyNetworks => "too many networks: a board has memory for 16 allow lines",
             Self::TooManyRules => "too many rules: a board has memory for 32 rules with 64 ranges of values",
+            #[cfg(feature = "modbus")]
+            Self::Entry(error) => return error.fmt(f),
+            #[cfg(feature = "modbus")]
+            Self::Overlap => "some of these addresses are in another line, too",
+            #[cfg(feature = "modbus")]
+            Self::TooManyEntries => "too many entries: a board has memory for 32 register and coil lines",
         })
     }
 }
@@ -58,6 +82,10 @@ impl SettingError {
             Self::Key | Self::TooManyNetworks | Self::TooManyRules => 1,
             Self::Nul => line.iter().position(|byte| *byte == 0).map_or(1, |at| at + 1),
             Self::Value => after(0),
+            #[cfg(feature = "modbus")]
+            Self::Entry(_) | Self::Overlap => after(0),
+            #[cfg(feature = "modbus")]
+            Self::TooManyEntries => 1,
             Self::Clients => "put@".len() + 1,
             Self::GetWithValues => after(1),
             Self::Rule(error) => after(0) + usize::try_from(error.column.saturating_sub(1)).unwrap_or_default(),

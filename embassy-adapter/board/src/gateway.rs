@@ -7,13 +7,20 @@
 //!                                          └─► log, a status line every 10 s
 //! ```
 //!
+//! The feature `modbus` adds two listeners for Modbus TCP, `health` a page of the state and messages of syslog. The settings
+//! switch them on.
+//!
 //! An image makes an embassy-net [`Stack`] with [`SOCKETS`] sockets, calls [`start`], runs the stack in a task of its own, and
 //! [`watch`] in another.
+
+use core::sync::atomic::{AtomicBool, Ordering};
 
 use bcap_core::bcap::client::{self, Timing};
 use bcap_core::gateway::{Config, Gateway, Memory};
 use bcap_core::rac;
 use bcap_embassy::clock::now;
+#[cfg(feature = "modbus")]
+use bcap_embassy::gateway::ModbusListener;
 use bcap_embassy::gateway::{Listener, SharedGateway, TcpRobot, run_robot};
 use bcap_embassy::net::{Options, UdpTransport};
 use bcap_embassy::server::Limits;
@@ -21,34 +28,33 @@ use embassy_executor::{SpawnError, Spawner};
 use embassy_futures::select::select;
 use embassy_net::Stack;
 use embassy_net::udp::{PacketMetadata, UdpSocket};
-use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use embassy_time::{Duration, Timer};
 use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::led::State;
-use crate::report::{self, Parts};
+#[cfg(feature = "modbus")]
+use crate::parts::MODBUS_TASK;
+pub use crate::parts::{Board, SESSIONS};
+use crate::parts::{NETWORK, PAGES, PLC, Parts, ROBOT, STATUS};
 use crate::watchdog::{self, Task, watched};
-use crate::{RuleMemory, Settings, Transport, address};
+use crate::{RuleMemory, Settings, Transport, address, report};
 
-/// The PLCs that are served at once.
-pub const SESSIONS: usize = 4;
 /// Listeners, of which one answers PLCs without a slot.
 const LISTENERS: usize = SESSIONS + 1;
 /// The capacity of the LRU cache of handles.
 const HANDLES: usize = 64;
-/// The sockets of the network stack: the listeners, the robot, DHCP.
-pub const SOCKETS: usize = LISTENERS + 2;
+/// Concurrent clients of Modbus; they share the slots with the PLCs.
+const MODBUS: usize = if cfg!(feature = "modbus") { 2 } else { 0 };
+/// The sockets of the page and of syslog.
+const HEALTH: usize = if cfg!(feature = "health") { PAGES + 1 } else { 0 };
+/// The sockets of the network stack: the listeners, Modbus, the page and syslog, the robot, DHCP.
+pub const SOCKETS: usize = LISTENERS + MODBUS + HEALTH + 2;
 
-/// The tasks that the watchdog watches; the PLCs' tasks have the numbers from `PLC` on.
-const NETWORK: Task = Task::new(0);
-const ROBOT: Task = Task::new(1);
-const STATUS: Task = Task::new(2);
-const PLC: u32 = 3;
 /// How far the gateway may overrun its deadline; a longer overrun means that its tasks hang.
 const MAX_OVERRUN: core::time::Duration = core::time::Duration::from_secs(2);
 
-/// The gateway that the tasks share.
-pub type Board = SharedGateway<'static, NoopRawMutex, SESSIONS>;
+/// Whether the settings are invalid or the last reset was a fault.
+static HAS_ERROR: AtomicBool = AtomicBool::new(false);
 
 /// Starts the tasks of a gateway, except for the network stack, the watchdog, and what only this board has. Call it once.
 ///
@@ -74,7 +80,12 @@ pub fn start(
     for (number, memory) in (PLC..).zip(SOCKET_MEMORY.take()) {
         spawner.spawn(serve(stack, memory, settings, board, Task::new(number))?);
     }
+    #[cfg(feature = "modbus")]
+    start_modbus(spawner, stack, settings, board)?;
+    #[cfg(feature = "health")]
+    crate::page::start(spawner, stack, settings, board, parts)?;
     spawner.spawn(log_status(board, parts)?);
+    HAS_ERROR.store(settings.has_invalid_line() || parts.last_reset.is_fault(), Ordering::Relaxed);
     Ok(board)
 }
 
@@ -95,10 +106,11 @@ pub async fn watch(board: &'static Board, is_healthy: fn() -> bool, feed: impl F
 /// Returns what the LED shows.
 #[must_use]
 pub fn led_state(board: &Board, stack: Stack<'_>) -> State {
-    match (stack.is_link_up() && stack.is_config_up(), has_robot(board)) {
-        (false, _) => State::NoNetwork,
-        (true, false) => State::NoRobot,
-        (true, true) => State::Up,
+    State {
+        link: stack.is_link_up(),
+        address: stack.is_config_up(),
+        robot: has_robot(board),
+        error: HAS_ERROR.load(Ordering::Relaxed),
     }
 }
 
@@ -143,8 +155,41 @@ async fn serve(
 ) -> ! {
     let [rx, tx] = memory;
     let mut listener = Listener::with_options(stack, rac::PORT, rx, tx, options(settings));
-    let limits = Limits { idle: settings.idle, evict_after: Some(settings.evict), ..Limits::default() };
-    watched(task, listener.run(board, &limits)).await
+    watched(task, listener.run(board, &limits(settings))).await
+}
+
+/// Starts the tasks that serve Modbus, if the settings have a port for it.
+#[cfg(feature = "modbus")]
+fn start_modbus(
+    spawner: Spawner,
+    stack: Stack<'static>,
+    settings: &'static Settings<'static>,
+    board: &'static Board,
+) -> Result<(), SpawnError> {
+    static MEMORY: ConstStaticCell<[[[u8; 512]; 2]; MODBUS]> = ConstStaticCell::new([[[0; 512]; 2]; MODBUS]);
+    let Some(port) = settings.modbus else { return Ok(()) };
+    for (number, [rx, tx]) in (MODBUS_TASK..).zip(MEMORY.take()) {
+        let listener = ModbusListener::new(stack, port, settings.modbus_map(), [rx, tx], options(settings));
+        spawner.spawn(serve_modbus(listener, settings, board, Task::new(number))?);
+    }
+    Ok(())
+}
+
+/// Serves clients of Modbus, one after another.
+#[cfg(feature = "modbus")]
+#[embassy_executor::task(pool_size = MODBUS)]
+async fn serve_modbus(
+    mut listener: ModbusListener<'static>,
+    settings: &'static Settings<'static>,
+    board: &'static Board,
+    task: Task,
+) -> ! {
+    watched(task, listener.run(board, &limits(settings))).await
+}
+
+/// Returns the time limits of a PLC's session.
+fn limits(settings: &Settings<'_>) -> Limits {
+    Limits { idle: settings.idle, evict_after: Some(settings.evict), ..Limits::default() }
 }
 
 /// Returns the timeouts of a PLC's connection; one that confirms no keep-alive is reset.

@@ -59,7 +59,14 @@
 //! | `keepalive` | `SECONDS`: the idle time after which a TCP keep-alive is sent to a PLC; one without an answer for 15 s, or three times this, is gone | 5 |
 //! | `convert`  | `yes`, `no`: convert a PUT of another type where the conversion is lossless | `no` |
 //! | `rate`     | `PER_SECOND[/BURST]`: token bucket per PLC, in requests | no limit |
+//! | `modbus`   | the port of Modbus TCP, usually 502; for images with the feature `modbus` | no Modbus |
+//! | `register` | `ADDRESS=KIND[/FIRST[-LAST]][:FORMAT][:low]`: variables in holding registers from this address on ([`bcap_core::modbus::Entry`]); can be repeated | none |
+//! | `coil`     | `ADDRESS=IO[/FIRST[-LAST]]`: coils from this address on; can be repeated | none |
+//! | `health`   | the port of a read-only page of the board's state, usually 80; for images with the feature `health` | no page |
+//! | `syslog`   | `ADDRESS[:PORT]`: where refusals and changes of the state are sent, usually to port 514; for images with the feature `health` | nowhere |
 //! | `echo`     | the port of an echo server, to compare round trips; for images with the feature `echo` | no echo server |
+//!
+//! A key of a feature that the image does not have is invalid, as an unknown one is.
 //!
 //! An invalid line is skipped and reported. The board then refuses every PUT, whatever the other lines allow.
 #![no_std]
@@ -78,8 +85,9 @@ mod error;
 pub mod fault;
 #[cfg(feature = "embassy")]
 pub mod gateway;
+#[cfg(feature = "health")]
+pub mod health;
 pub mod image;
-#[cfg(feature = "embassy")]
 pub mod led;
 pub mod limiter;
 #[cfg(feature = "log")]
@@ -87,6 +95,12 @@ pub mod log;
 pub mod mac;
 #[cfg(any(feature = "cortex-m", feature = "embassy"))]
 pub mod memory;
+#[cfg(feature = "modbus")]
+mod modbus_map;
+#[cfg(all(feature = "embassy", feature = "health"))]
+pub mod page;
+#[cfg(feature = "embassy")]
+pub mod parts;
 #[cfg(feature = "port")]
 pub mod port;
 pub mod record;
@@ -98,6 +112,8 @@ mod settings;
 pub mod slots;
 #[cfg(all(feature = "cortex-m", target_arch = "arm"))]
 pub mod stack;
+#[cfg(feature = "health")]
+pub mod syslog;
 #[cfg(feature = "usb")]
 pub mod usb;
 #[cfg(feature = "embassy")]

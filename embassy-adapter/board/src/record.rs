@@ -72,6 +72,12 @@ impl Cause {
         Self::Panic { file, line }
     }
 
+    /// Tells whether the board has failed: a panic, a fault, tasks or a network that hang.
+    #[must_use]
+    pub const fn is_fault(&self) -> bool {
+        !matches!(self, Self::PowerOn | Self::Unrecorded)
+    }
+
     /// Returns the kind and the values.
     fn to_words(self) -> [u32; 6] {
         match self {

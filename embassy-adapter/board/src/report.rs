@@ -15,20 +15,10 @@ use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 
 use crate::limiter::Limiter;
+use crate::parts::Parts;
 
 /// Limits the lines about clients.
 static LIMITER: Mutex<CriticalSectionRawMutex, RefCell<Limiter<16>>> = Mutex::new(RefCell::new(Limiter::new()));
-
-/// What the status line tells of the board itself.
-#[derive(Clone, Copy)]
-pub struct Parts {
-    /// Writes the counters of the Ethernet controller.
-    pub frames: fn(defmt::Formatter<'_>),
-    /// Returns the high-water mark and the size of the stack, in bytes; zeros where they are not measured.
-    pub stack: fn() -> (usize, usize),
-    /// Returns the number of lines of the log that were dropped.
-    pub dropped: fn() -> u32,
-}
 
 /// Logs the state of the gateway and of the board.
 pub fn status(gateway: &Gateway<'_>, parts: &Parts) {
@@ -86,6 +76,8 @@ impl defmt::Format for Times<'_> {
 
 /// Logs refusals, failures, and the connections of clients and of the robot.
 pub fn log(report: &Report<'_>) {
+    #[cfg(feature = "health")]
+    crate::page::report(report);
     match *report {
         Report::Connected { client } => limited(client, "connected", |left_out| {
             defmt::info!("{}: connected{}", Client(client), left_out);

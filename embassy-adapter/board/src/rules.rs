@@ -55,6 +55,11 @@ impl List {
         self.distrusted = true;
     }
 
+    /// Returns whether a line was invalid.
+    pub(crate) const fn is_distrusted(&self) -> bool {
+        self.distrusted
+    }
+
     /// Adds a rule for reading, which has no values.
     pub(crate) fn allow_get(&mut self, text: &str) -> Result<(), SettingError> {
         let rule = AllowBuf::parse(text)?;

@@ -5,7 +5,11 @@ use core::str;
 use core::time::Duration;
 
 use bcap_core::gateway::{Network, Rate, Rules};
+#[cfg(feature = "modbus")]
+use bcap_core::modbus::Entry;
 
+#[cfg(feature = "modbus")]
+use crate::modbus_map::ModbusMap;
 use crate::rules::{List, RuleMemory};
 use crate::{InvalidLine, SettingError};
 
@@ -42,6 +46,17 @@ pub struct Settings<'a> {
     pub evict: Duration,
     /// The idle time after which a TCP keep-alive is sent to a PLC.
     pub keep_alive: Duration,
+    /// The port of the page of the board's state, if there is one.
+    #[cfg(feature = "health")]
+    pub health: Option<u16>,
+    /// Where messages of syslog are sent, if anywhere.
+    #[cfg(feature = "health")]
+    pub syslog: Option<SocketAddrV4>,
+    /// The port of Modbus TCP, if PLCs may use it.
+    #[cfg(feature = "modbus")]
+    pub modbus: Option<u16>,
+    #[cfg(feature = "modbus")]
+    modbus_map: ModbusMap,
     convert: bool,
     rate: Rate,
     lists: List,
@@ -85,6 +100,14 @@ impl Default for Settings<'_> {
             idle: None,
             evict: Duration::from_secs(10),
             keep_alive: Duration::from_secs(5),
+            #[cfg(feature = "health")]
+            health: None,
+            #[cfg(feature = "health")]
+            syslog: None,
+            #[cfg(feature = "modbus")]
+            modbus: None,
+            #[cfg(feature = "modbus")]
+            modbus_map: ModbusMap::default(),
             convert: false,
             rate: Rate::UNLIMITED,
             lists: List::default(),
@@ -142,10 +165,23 @@ impl<'a> Settings<'a> {
         text.lines().map(|line| without_comment(line).trim()).filter(|line| !line.is_empty())
     }
 
+    /// Returns whether a line was invalid, so that every PUT is refused.
+    #[must_use]
+    pub const fn has_invalid_line(&self) -> bool {
+        self.lists.is_distrusted()
+    }
+
     /// Returns the rules for PLCs.
     #[must_use]
     pub fn rules<'r, 's: 'r>(&'s self, memory: &'r mut RuleMemory<'s>) -> Rules<'r> {
         self.lists.rules(memory, self.convert, self.rate)
+    }
+
+    /// Returns the map from the registers and coils of Modbus to variables.
+    #[cfg(feature = "modbus")]
+    #[must_use]
+    pub fn modbus_map(&self) -> &[Entry] {
+        self.modbus_map.entries()
     }
 
     fn set(&mut self, line: &'a [u8]) -> Result<(), SettingError> {
@@ -171,7 +207,17 @@ impl<'a> Settings<'a> {
             "keepalive" => self.keep_alive = valid(seconds(text))?,
             "convert" => self.convert = valid(yes(text))?,
             "rate" => self.rate = valid(rate(text))?,
-            "echo" => self.echo = Some(valid(text.parse().ok().filter(|port| *port > 0))?),
+            "echo" => self.echo = Some(valid(port(text))?),
+            #[cfg(feature = "health")]
+            "health" => self.health = Some(valid(port(text))?),
+            #[cfg(feature = "health")]
+            "syslog" => self.syslog = Some(valid(collector(text))?),
+            #[cfg(feature = "modbus")]
+            "modbus" => self.modbus = Some(valid(port(text))?),
+            #[cfg(feature = "modbus")]
+            "register" => self.modbus_map.add(Entry::registers(text)?)?,
+            #[cfg(feature = "modbus")]
+            "coil" => self.modbus_map.add(Entry::coils(text)?)?,
             _ => match key.strip_prefix("put@") {
                 Some(clients) => self.lists.allow_put(Network::parse(clients).ok_or(SettingError::Clients)?, text)?,
                 None => return Err(SettingError::Key),
@@ -188,6 +234,19 @@ fn valid<T>(value: Option<T>) -> Result<T, SettingError> {
 /// Parses a time of 1 s to an hour.
 fn seconds(value: &str) -> Option<Duration> {
     value.parse().ok().filter(|seconds| (1..=3600).contains(seconds)).map(Duration::from_secs)
+}
+
+fn port(value: &str) -> Option<u16> {
+    value.parse().ok().filter(|port| *port > 0)
+}
+
+#[cfg(feature = "health")]
+fn collector(value: &str) -> Option<SocketAddrV4> {
+    let (address, number) = match value.split_once(':') {
+        Some((address, number)) => (address, port(number)?),
+        None => (value, crate::syslog::PORT),
+    };
+    Some(SocketAddrV4::new(host(address)?, number))
 }
 
 /// Returns a line up to its comment.
@@ -294,13 +353,23 @@ mod tests {
             keep_alive: Duration::from_secs(1),
             convert: true,
             rate: Rate { per_second: 50, burst: 10 },
-            lists: List::default(),
+            ..Settings::default()
         };
         assert_eq!(settings, expected);
         assert_eq!(read("rate=5").rate, Rate { per_second: 5, burst: 5 });
         for tcp in ["robot=10.0.2.2:1", "robot=tcp:10.0.2.2:1"] {
             assert_eq!(read(tcp).robot.transport, Transport::Tcp);
         }
+    }
+
+    #[cfg(feature = "health")]
+    #[test]
+    fn a_collector_has_the_port_of_syslog_unless_another_is_given() {
+        let address = Ipv4Addr::new(10, 0, 2, 2);
+        assert_eq!(read("health=80\nsyslog=10.0.2.2").syslog, Some(SocketAddrV4::new(address, 514)));
+        assert_eq!(read("syslog=10.0.2.2:5140").syslog, Some(SocketAddrV4::new(address, 5140)));
+        assert_eq!(read("health=80").health, Some(80));
+        assert_eq!((Settings::default().health, Settings::default().syslog), (None, None), "off without a setting");
     }
 
     #[test]
@@ -366,6 +435,18 @@ mod tests {
             "put@10.0.2=I",
             "put@=I",
             "echo=65536",
+            #[cfg(feature = "health")]
+            "health=0",
+            #[cfg(feature = "health")]
+            "syslog=10.0.2.2:0",
+            #[cfg(feature = "health")]
+            "syslog=224.0.0.1",
+            #[cfg(feature = "modbus")]
+            "modbus=0",
+            #[cfg(feature = "modbus")]
+            "register=1=S/1",
+            #[cfg(feature = "modbus")]
+            "coil=1=I/1",
             "colour=red",
             "nonsense",
             "provider=\u{fffd}\u{fffd}=x", // valid: a provider may have any name

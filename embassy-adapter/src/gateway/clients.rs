@@ -56,31 +56,46 @@ impl<'s> Listener<'s> {
     /// Serves PLCs forever, one after another.
     pub async fn run<M: RawMutex, const N: usize>(&mut self, shared: &SharedGateway<'_, M, N>, limits: &Limits) -> ! {
         loop {
-            if self.transport.accept(self.port).await.is_err() {
-                Timer::after_millis(PAUSE_MS).await;
-                continue;
+            let client = accept(&mut self.transport, self.port, shared).await;
+            let ended = serve(&mut self.transport, client, shared, limits).await;
+            if ended.is_none() {
+                shared.deny(client, Denial::Full);
+                answer_full(&mut self.transport).await;
             }
-            let client = self.transport.socket().remote_endpoint();
-            if !shared.admits(client) {
-                self.transport.reset().await;
-                continue;
-            }
-            match serve(&mut self.transport, client, shared, limits).await {
-                // it was idle, so it would not confirm the end of the connection if it were gone
-                Some(Ended::Evicted) => self.transport.reset().await,
-                Some(_) => self.transport.close().await,
-                None => {
-                    shared.deny(client, Denial::Full);
-                    answer_full(&mut self.transport).await;
-                    self.transport.close().await;
-                }
-            }
+            end(&mut self.transport, matches!(ended, Some(Ended::Evicted))).await;
         }
     }
 }
 
+/// Waits for a client that the rules admit, and returns its address.
+pub(super) async fn accept<M: RawMutex, const N: usize>(
+    transport: &mut TcpTransport<'_>,
+    port: u16,
+    shared: &SharedGateway<'_, M, N>,
+) -> Option<IpEndpoint> {
+    loop {
+        if transport.accept(port).await.is_err() {
+            Timer::after_millis(PAUSE_MS).await;
+            continue;
+        }
+        let client = transport.socket().remote_endpoint();
+        if shared.admits(client) {
+            return client;
+        }
+        transport.reset().await;
+    }
+}
+
+/// Ends the connection of a client. An evicted one was idle, so it would not confirm the end if it were gone.
+pub(super) async fn end(transport: &mut TcpTransport<'_>, is_evicted: bool) {
+    match is_evicted {
+        true => transport.reset().await,
+        false => transport.close().await,
+    }
+}
+
 /// Answers the first line of a client without a slot.
-async fn answer_full<X: Transport>(transport: &mut X) {
+pub(super) async fn answer_full<X: Transport>(transport: &mut X) {
     let mut chunk = [0; CHUNK];
     let until = transport.now().saturating_add(FULL_WAIT);
     // not before its line arrives, because a line that arrives after the close would reset the connection

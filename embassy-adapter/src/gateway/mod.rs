@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!  PLC ─► Listener ─► serve ─┐
-//!  PLC ─► Listener ─► serve ─┼─► SharedGateway ◄─► run_robot ─► robot, over TCP or UDP
+//!  PLC ─► Listener ─► serve ─┼─► SharedGateway ◄─► run_robot ─► robot, over TCP, UDP or RS-232
 //!  serial line ─────► serve ─┘         │
 //!                                      └─► Log: answered and refused lines, connections and disconnections
 //! ```
@@ -43,14 +43,22 @@
 //! ```
 
 mod clients;
+#[cfg(feature = "modbus")]
+mod modbus;
 mod robot;
+#[cfg(feature = "serial")]
+mod serial;
 mod shared;
 
 use bcap_core::gateway::Event;
 use embassy_net::IpEndpoint;
 
 pub use self::clients::{Listener, serve};
+#[cfg(feature = "modbus")]
+pub use self::modbus::{ModbusLink, ModbusListener};
 pub use self::robot::{RobotLink, TcpRobot, run_robot};
+#[cfg(feature = "serial")]
+pub use self::serial::SerialRobot;
 pub use self::shared::SharedGateway;
 use crate::net::NetError;
 use crate::server::Ended;

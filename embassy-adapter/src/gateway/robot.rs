@@ -12,7 +12,7 @@ use super::SharedGateway;
 use crate::clock::{now, ticks};
 use crate::net::{NetError, Options, TcpTransport, UdpTransport};
 
-/// A transport to the robot that can be reopened: a [`TcpRobot`] or a [`UdpTransport`].
+/// A transport to the robot that can be reopened: a [`TcpRobot`], a [`UdpTransport`], or over a serial line a `SerialRobot`.
 pub trait RobotLink: Transport<Error = NetError> {
     /// Opens a connection.
     ///

@@ -53,7 +53,7 @@ impl Client {
 }
 
 /// Returns the IPv4 address of a client.
-fn address(client: Option<IpEndpoint>) -> Option<Ipv4Addr> {
+pub(super) fn address(client: Option<IpEndpoint>) -> Option<Ipv4Addr> {
     client.map(|IpEndpoint { addr: IpAddress::Ipv4(address), .. }| address)
 }
 
@@ -97,6 +97,12 @@ impl<'m, M: RawMutex, const SESSIONS: usize> SharedGateway<'m, M, SESSIONS> {
     /// Returns `None` when the gateway is already borrowed, which happens only when the log callback calls this.
     pub fn view<T>(&self, work: impl FnOnce(&Gateway<'m>) -> T) -> Option<T> {
         self.with(|inner| work(&inner.gateway))
+    }
+
+    /// Returns the number of clients with a slot.
+    #[must_use]
+    pub fn sessions(&self) -> usize {
+        self.with(|inner| inner.clients.iter().filter(|client| client.peer.is_some()).count()).unwrap_or_default()
     }
 
     /// Calls `work` with the shared state; `None` when it is already borrowed.

@@ -23,6 +23,8 @@ pub enum NetError {
     Timeout,
     /// The datagram is larger than the socket's buffer.
     TooLarge,
+    /// The serial line to the robot failed.
+    Line,
 }
 
 impl fmt::Display for NetError {
@@ -32,6 +34,7 @@ impl fmt::Display for NetError {
             Self::NoRoute => "there is no route to the peer",
             Self::Reset => "the peer refused or closed the connection",
             Self::Timeout => "the peer did not answer in time",
+            Self::Line => "the serial line failed",
             Self::TooLarge => "the datagram does not fit into the socket's buffer",
         })
     }

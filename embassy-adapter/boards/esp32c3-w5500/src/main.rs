@@ -6,9 +6,9 @@
 use core::panic::PanicInfo;
 
 use bcap_board::gateway::{self, Board};
-use bcap_board::report::Parts;
+use bcap_board::parts::Parts;
 use bcap_board::slots::Slots;
-use bcap_board::{address, config, led, log, mac, memory, port};
+use bcap_board::{address, config, led, mac, memory, port};
 use embassy_executor::Spawner;
 use embassy_futures::join::join;
 use embassy_net::{Stack, StackResources};
@@ -63,7 +63,7 @@ async fn start(spawner: Spawner, p: Peripherals) -> Option<()> {
     watchdog.set_timeout(RwdtStage::Stage0, Duration::from_secs(8));
     watchdog.enable();
     esp_rtos::start(TimerGroup::new(p.TIMG0).timer0, p.FROM_CPU_INTR0);
-    defmt::info!("last reset: {}", defmt::Display2Format(&memory::record().take()));
+    let parts = Parts::after(memory::record().take());
     let mut slots = Slots::new(FlashStorage::new(p.FLASH), SETTINGS).ok()?;
     let settings = config::load(Some(&mut slots), config::log);
     let console = UsbSerialJtag::new(p.USB_DEVICE).into_async();
@@ -83,7 +83,6 @@ async fn start(spawner: Spawner, p: Peripherals) -> Option<()> {
     let (net, runner) = embassy_net::new(device, address::config(settings), resources, seed);
 
     spawner.spawn(run_network(wiznet, runner).ok()?);
-    let parts = Parts { frames: |_| {}, stack: || (0, 0), dropped: log::dropped };
     let board = gateway::start(spawner, net, settings, parts, address::DHCP_AGAIN).ok()?;
     let led = Output::new(p.GPIO5, Level::Low, OutputConfig::default());
     spawner.spawn(watch(board, watchdog, led, net).ok()?);
@@ -98,7 +97,7 @@ async fn serve(
     log: UartTx<'static, Async>,
 ) {
     let (receiver, sender) = console.split();
-    port::run(slots, receiver, sender, log, || software_reset()).await;
+    port::run(slots, receiver, sender, || software_reset()).await;
 }
 
 #[embassy_executor::task]

@@ -8,9 +8,9 @@ mod chip;
 use core::panic::PanicInfo;
 
 use bcap_board::gateway::{self, Board};
-use bcap_board::report::Parts;
+use bcap_board::parts::Parts;
 use bcap_board::slots::Slots;
-use bcap_board::{address, config, fault, led, log, mac, memory, port, stack};
+use bcap_board::{address, config, fault, led, mac, memory, port, stack};
 use cortex_m::peripheral::SCB;
 use embassy_executor::{Executor, Spawner};
 use embassy_futures::join::join;
@@ -64,7 +64,7 @@ fn start(spawner: Spawner, p: Peripherals) -> Option<()> {
 
     let mut watchdog = IndependentWatchdog::new(p.IWDG, WATCHDOG_MICROS);
     watchdog.unleash();
-    defmt::info!("last reset: {}", defmt::Display2Format(&memory::record().take()));
+    let parts = Parts::after(memory::record().take());
     let flash = Flash::new_blocking(p.FLASH).into_blocking_regions().bank2_region1;
     let mut slots = Slots::new(flash, SETTINGS).ok()?;
     let settings = config::load(Some(&mut slots), config::log);
@@ -94,7 +94,6 @@ fn start(spawner: Spawner, p: Peripherals) -> Option<()> {
     let (resources, seed) = (RESOURCES.init_with(StackResources::new), Rng::new(p.RNG, Irqs).next_u64());
     let (net, runner) = embassy_net::new(device, address::config(settings), resources, seed);
     spawner.spawn(run_network(runner).ok()?);
-    let parts = Parts { frames: |_| {}, stack: || (stack::high_water(), stack::size()), dropped: log::dropped };
     let board = gateway::start(spawner, net, settings, parts, address::DHCP_AGAIN).ok()?;
     spawner.spawn(watch(board, watchdog, Output::new(p.PB0, Level::Low, Speed::Low), net).ok()?);
     stack::repaint();
@@ -105,7 +104,7 @@ fn start(spawner: Spawner, p: Peripherals) -> Option<()> {
 #[embassy_executor::task]
 async fn serve(slots: Slots<BoardFlash>, console: BufferedUart<'static>, log: BufferedUartTx<'static>) {
     let (sender, receiver) = console.split();
-    port::run(slots, receiver, sender, log, || SCB::sys_reset()).await;
+    port::run(slots, receiver, sender, || SCB::sys_reset()).await;
 }
 
 #[embassy_executor::task]

@@ -6,9 +6,9 @@
 use core::panic::PanicInfo;
 
 use bcap_board::gateway::{self, Board};
-use bcap_board::report::Parts;
+use bcap_board::parts::Parts;
 use bcap_board::slots::Slots;
-use bcap_board::{address, config, fault, led, log, mac, memory, stack, usb};
+use bcap_board::{address, config, fault, led, mac, memory, stack, usb};
 use cortex_m::peripheral::SCB;
 use embassy_executor::{Executor, Spawner};
 use embassy_futures::join::join;
@@ -75,7 +75,7 @@ async fn run(spawner: Spawner, p: Peripherals) -> Option<()> {
 
     let mut watchdog = Watchdog::new(p.WATCHDOG);
     watchdog.start(WATCHDOG_TIME);
-    defmt::info!("last reset: {}", defmt::Display2Format(&memory::record().take()));
+    let parts = Parts::after(memory::record().take());
     let mut flash = BoardFlash::new_blocking(p.FLASH);
     let mut id = [0; 8];
     flash.blocking_unique_id(&mut id).ok()?;
@@ -95,7 +95,6 @@ async fn run(spawner: Spawner, p: Peripherals) -> Option<()> {
     let (net, runner) = embassy_net::new(device, address::config(settings), resources, RoscRng.next_u64());
 
     spawner.spawn(run_network(wiznet, runner).ok()?);
-    let parts = Parts { frames: |_| {}, stack: || (stack::high_water(), stack::size()), dropped: log::dropped };
     let board = gateway::start(spawner, net, settings, parts, address::DHCP_AGAIN).ok()?;
     spawner.spawn(watch(board, watchdog, Output::new(p.PIN_25, Level::Low), net).ok()?);
     stack::repaint();

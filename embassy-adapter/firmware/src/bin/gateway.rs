@@ -7,7 +7,7 @@
 #![no_main]
 
 use bcap_board::gateway::{self, Board};
-use bcap_board::report::Parts;
+use bcap_board::parts::Parts;
 use bcap_board::stack;
 #[cfg(feature = "echo")]
 use bcap_firmware::echo;
@@ -56,15 +56,20 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     if let Some(peripherals) = cortex_m::Peripherals::take() {
         clock::init(peripherals.SYST);
     }
-    defmt::info!("last reset: {}", defmt::Display2Format(&fault::last_reset()));
+    let parts = Parts {
+        frames: |f| defmt::write!(f, "{}", lan9118::counters()),
+        counters: |show| {
+            let lan9118::Counters { received, sent, dropped, restarts } = lan9118::counters();
+            show("frames received", received);
+            show("frames sent", sent);
+            show("frames dropped", dropped);
+            show("network restarts", restarts);
+        },
+        ..Parts::after(fault::last_reset())
+    };
     let settings = config::load(config::log);
     let (stack, runner) = net::start(settings, RESOURCES.init_with(StackResources::new));
     spawner.spawn(run_stack(runner)?);
-    let parts = Parts {
-        frames: |f| defmt::write!(f, "{}", lan9118::counters()),
-        stack: || (stack::high_water(), stack::size()),
-        dropped: bcap_board::log::dropped,
-    };
     let board = gateway::start(spawner, stack, settings, parts, net::DHCP_AGAIN)?;
     #[cfg(feature = "console")]
     spawner.spawn(serve_console()?);

@@ -1,0 +1,198 @@
+//! The page of the board's state ([`health`](crate::health)), and messages of syslog about refusals and changes of the state.
+
+use core::cell::RefCell;
+use core::fmt::{self, Write};
+use core::net::SocketAddrV4;
+use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use core::time::Duration;
+
+use bcap_core::gateway::{Event, Gateway};
+use bcap_embassy::clock::now;
+use bcap_embassy::gateway::Report;
+use bcap_embassy::http::{Content, HttpListener};
+use bcap_embassy::net::Options;
+use embassy_executor::{SpawnError, Spawner};
+use embassy_net::udp::{PacketMetadata, UdpSocket};
+use embassy_net::{IpAddress, IpEndpoint, Stack};
+use embassy_sync::blocking_mutex::Mutex;
+use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
+use embassy_sync::channel::Channel;
+use heapless::{String, Vec};
+use static_cell::ConstStaticCell;
+
+use crate::Settings;
+use crate::health::Health;
+use crate::limiter::Limiter;
+use crate::parts::{Board, PAGE_TASK, PAGES, Parts, SYSLOG_TASK};
+use crate::syslog::{Message, Severity};
+use crate::watchdog::{Task, watched};
+
+/// The name of the image in messages and on the page.
+const IMAGE: &str = "gateway";
+
+/// The size of the longest page.
+const PAGE: usize = 3072;
+
+/// The most counters of a board that the page shows.
+const COUNTERS: usize = 8;
+
+/// The messages that wait for the network; further ones are lost and counted.
+const WAITING: usize = 16;
+/// The longest text of a message, and the longest message. Longer ones are cut.
+const TEXT: usize = 192;
+const MESSAGE: usize = TEXT + 96;
+
+/// The memory of a listener of the page: its buffers, and a page.
+type PageMemory = ([[u8; 1024]; 2], [u8; PAGE]);
+
+/// A message that waits.
+struct Waiting {
+    severity: Severity,
+    id: &'static str,
+    text: String<TEXT>,
+}
+
+static MESSAGES: Channel<CriticalSectionRawMutex, Waiting, WAITING> = Channel::new();
+static IS_ON: AtomicBool = AtomicBool::new(false);
+static LOST: AtomicU32 = AtomicU32::new(0);
+static LIMITER: Mutex<CriticalSectionRawMutex, RefCell<Limiter<16>>> = Mutex::new(RefCell::new(Limiter::new()));
+
+/// Starts the page and the messages, if the settings ask for them.
+pub(crate) fn start(
+    spawner: Spawner,
+    stack: Stack<'static>,
+    settings: &'static Settings<'static>,
+    board: &'static Board,
+    parts: Parts,
+) -> Result<(), SpawnError> {
+    static MEMORY: ConstStaticCell<[PageMemory; PAGES]> = ConstStaticCell::new([([[0; 1024]; 2], [0; PAGE]); PAGES]);
+    if let Some(port) = settings.health {
+        for (number, ([rx, tx], page)) in (PAGE_TASK..).zip(MEMORY.take()) {
+            let listener = HttpListener::new(stack, port, [rx, tx], page, Options::default());
+            spawner.spawn(serve(listener, board, parts, Task::new(number))?);
+        }
+    }
+    if let Some(collector) = settings.syslog {
+        IS_ON.store(true, Ordering::Relaxed);
+        let severity = if parts.last_reset.is_fault() { Severity::Error } else { Severity::Notice };
+        queue(severity, "start", format_args!("last reset: {}", parts.last_reset));
+        spawner.spawn(send(stack, collector, settings.hostname)?);
+    }
+    Ok(())
+}
+
+/// Shows the board's state to the clients that the rules admit.
+#[embassy_executor::task(pool_size = PAGES)]
+async fn serve(mut listener: HttpListener<'static>, board: &'static Board, parts: Parts, task: Task) -> ! {
+    let admits = |client: Option<IpEndpoint>| {
+        let address = client.map(|IpEndpoint { addr: IpAddress::Ipv4(address), .. }| address);
+        board.view(|gateway| gateway.config().rules.admits(address)).unwrap_or_default()
+    };
+    let answer = |path: &str, page: &mut dyn Write| answer(board, &parts, path, page);
+    watched(task, listener.run(admits, answer)).await
+}
+
+/// Sends messages of syslog.
+#[embassy_executor::task]
+async fn send(stack: Stack<'static>, collector: SocketAddrV4, host: Option<&'static str>) -> ! {
+    watched(SYSLOG_TASK, send_messages(stack, collector, host)).await
+}
+
+/// Queues the message about a report of the gateway, if there is one: at most one a second for each client and reason.
+pub(crate) fn report(report: &Report<'_>) {
+    match *report {
+        Report::Denied { client, reason } => {
+            limited(client, "denied", format_args!("not served: {reason:?}"));
+        }
+        Report::Answered { client, line, event: Event::Refused { refusal, .. } } => {
+            limited(client, "refused", format_args!("{}: {refusal}", line.escape_ascii()));
+        }
+        Report::Robot { event: Event::RobotDown { error, .. }, .. } => {
+            queue(Severity::Warning, "robot-down", format_args!("{error}"));
+        }
+        Report::Robot { event: Event::RobotUp, .. } => queue(Severity::Notice, "robot-up", format_args!("connected")),
+        _ => {}
+    }
+}
+
+fn limited(client: Option<IpEndpoint>, id: &'static str, text: fmt::Arguments<'_>) {
+    let address = client.map(|IpEndpoint { addr: IpAddress::Ipv4(address), .. }| address);
+    let admitted = LIMITER.lock(|limiter| limiter.try_borrow_mut().ok()?.admit(address, id, now()));
+    match (admitted, client) {
+        (None, _) => {}
+        (Some(left_out), Some(client)) => {
+            queue(Severity::Warning, id, format_args!("{client}: {text} ({left_out} more before)"));
+        }
+        (Some(left_out), None) => queue(Severity::Warning, id, format_args!("{text} ({left_out} more before)")),
+    }
+}
+
+fn queue(severity: Severity, id: &'static str, text: fmt::Arguments<'_>) {
+    if IS_ON.load(Ordering::Relaxed) {
+        let mut waiting = Waiting { severity, id, text: String::new() };
+        // a longer text is cut
+        let _ = write!(Cut(&mut waiting.text), "{text}");
+        if MESSAGES.try_send(waiting).is_err() {
+            LOST.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+/// Sends the messages to the collector.
+async fn send_messages(stack: Stack<'_>, collector: SocketAddrV4, host: Option<&str>) -> ! {
+    let (mut metas, mut buffers) = ([[PacketMetadata::EMPTY; 4]; 2], ([0; 1], [0; 2 * MESSAGE]));
+    let ([rx_meta, tx_meta], (rx, tx)) = (&mut metas, &mut buffers);
+    let mut socket = UdpSocket::new(stack, rx_meta, rx, tx_meta, tx);
+    loop {
+        stack.wait_config_up().await;
+        // port 0 takes a free one
+        let _ = socket.bind(0);
+        let Waiting { severity, id, text } = MESSAGES.receive().await;
+        let mut datagram = String::<MESSAGE>::new();
+        let _ = write!(Cut(&mut datagram), "{}", Message { severity, host, app: IMAGE, id, text: &text });
+        if socket.send_to(datagram.as_bytes(), collector).await.is_err() {
+            LOST.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+}
+
+/// Writes what fits.
+struct Cut<'a, const N: usize>(&'a mut String<N>);
+
+impl<const N: usize> Write for Cut<'_, N> {
+    fn write_str(&mut self, text: &str) -> fmt::Result {
+        text.chars().try_for_each(|c| self.0.push(c).map_err(|_| fmt::Error))
+    }
+}
+
+/// Writes the page of a path.
+fn answer(board: &Board, parts: &Parts, path: &str, page: &mut dyn Write) -> Option<Content> {
+    let sessions = board.sessions();
+    let (used, size) = (parts.stack)();
+    let mut counters = Vec::<(&str, u32), COUNTERS>::new();
+    // the first ones, if a board has more
+    (parts.counters)(&mut |name, count| {
+        let _ = counters.push((name, count));
+    });
+    let own = [("log frames dropped", (parts.dropped)()), ("syslog messages lost", LOST.load(Ordering::Relaxed))];
+    counters.extend(own.into_iter().take(counters.capacity().saturating_sub(counters.len())));
+    let answer = |gateway: &Gateway<'_>| {
+        let health = Health {
+            image: IMAGE,
+            version: env!("CARGO_PKG_VERSION"),
+            uptime: Duration::from_micros(now().as_micros()),
+            last_reset: &parts.last_reset,
+            robot_is_up: gateway.is_up(),
+            sessions: (sessions, gateway.capacity()),
+            counters: gateway.counters(),
+            memory: &[("stack", used, size)],
+            board: &counters,
+        };
+        match path {
+            "/" => health.write_page(page).ok().map(|()| Content::Html),
+            "/health.json" => health.write_json(page).ok().map(|()| Content::Json),
+            _ => None,
+        }
+    };
+    board.view(answer).flatten()
+}

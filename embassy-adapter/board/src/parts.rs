@@ -1,0 +1,62 @@
+//! What the tasks of a gateway board share: the gateway, their numbers, and what a board knows of itself.
+
+use bcap_embassy::gateway::SharedGateway;
+use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+
+use crate::record::Cause;
+use crate::watchdog::Task;
+
+/// The PLCs that are served at once.
+pub const SESSIONS: usize = 4;
+/// Listeners of the page, so that one can close while the other answers.
+pub(crate) const PAGES: usize = 2;
+/// The tasks that the watchdog watches; the PLCs' tasks have the numbers from `PLC` on.
+pub(crate) const NETWORK: Task = Task::new(0);
+pub(crate) const ROBOT: Task = Task::new(1);
+pub(crate) const STATUS: Task = Task::new(2);
+pub(crate) const PLC: u32 = 3;
+// after the numbers of the listeners
+#[cfg(feature = "modbus")]
+pub(crate) const MODBUS_TASK: u32 = PLC + 5;
+#[cfg(feature = "health")]
+pub(crate) const SYSLOG_TASK: Task = Task::new(PLC + 7);
+#[cfg(feature = "health")]
+pub(crate) const PAGE_TASK: u32 = PLC + 8;
+/// The gateway that the tasks share.
+pub type Board = SharedGateway<'static, NoopRawMutex, SESSIONS>;
+
+/// What a board knows of itself, for the status line and the page.
+#[derive(Clone, Copy)]
+pub struct Parts {
+    /// The cause of the last reset.
+    pub last_reset: Cause,
+    /// Writes the counters of the Ethernet controller.
+    pub frames: fn(defmt::Formatter<'_>),
+    /// Passes the name and the count of further counters, for the page.
+    pub counters: fn(&mut dyn FnMut(&'static str, u32)),
+    /// Returns the high-water mark and the size of the stack, in bytes; zeros where they are not measured.
+    pub stack: fn() -> (usize, usize),
+    /// Returns the number of lines of the log that were dropped.
+    pub dropped: fn() -> u32,
+}
+
+impl Parts {
+    /// Logs the cause of the last reset, and returns the parts of a board without counters of its own.
+    #[must_use]
+    pub fn after(last_reset: Cause) -> Self {
+        defmt::info!("last reset: {}", defmt::Display2Format(&last_reset));
+        Self {
+            last_reset,
+            frames: |_| {},
+            counters: |_| {},
+            #[cfg(all(feature = "cortex-m", target_arch = "arm"))]
+            stack: || (crate::stack::high_water(), crate::stack::size()),
+            #[cfg(not(all(feature = "cortex-m", target_arch = "arm")))]
+            stack: || (0, 0),
+            #[cfg(feature = "log")]
+            dropped: crate::log::dropped,
+            #[cfg(not(feature = "log"))]
+            dropped: || 0,
+        }
+    }
+}

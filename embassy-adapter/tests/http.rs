@@ -1,0 +1,94 @@
+//! Tests the HTTP server over two embassy-net stacks connected by a simulated cable.
+#![cfg(feature = "http")]
+#![allow(clippy::indexing_slicing, clippy::large_futures, clippy::unwrap_used, reason = "a test fails by panicking")]
+
+#[allow(dead_code, reason = "other tests use the rest")]
+mod common;
+
+use std::fmt::Write;
+
+use bcap_embassy::http::{Content, HttpListener};
+use bcap_embassy::net::Options;
+use common::{address, between};
+use embassy_futures::select::{Either, select};
+use embassy_net::Stack;
+use embassy_net::tcp::TcpSocket;
+use embassy_time::{Duration, Timer, with_timeout};
+
+/// Sends bytes on a new connection and returns all that is sent back.
+async fn exchange(stack: Stack<'_>, request: &[u8]) -> String {
+    let [mut rx, mut tx] = [[0; 512]; 2];
+    let mut socket = TcpSocket::new(stack, &mut rx, &mut tx);
+    while socket.connect((address(1), 80)).await.is_err() {
+        Timer::after_millis(1).await;
+    }
+    for part in request.chunks(100) {
+        let mut sent = 0;
+        while sent < part.len() {
+            sent += socket.write(&part[sent..]).await.unwrap();
+        }
+    }
+    let mut response = Vec::new();
+    loop {
+        let mut bytes = [0; 64];
+        match socket.read(&mut bytes).await {
+            Ok(count @ 1..) => response.extend_from_slice(&bytes[..count]),
+            Ok(0) => return String::from_utf8(response).unwrap(),
+            Err(_) => return "reset".to_owned(),
+        }
+    }
+}
+
+fn answer(path: &str, page: &mut dyn Write) -> Option<Content> {
+    match path {
+        "/" => write!(page, "<p>up").ok().map(|()| Content::Html),
+        "/long" => write!(page, "{}", "x".repeat(1000)).ok().map(|()| Content::Text),
+        "/too-long" => write!(page, "{}", "x".repeat(1001)).ok().map(|()| Content::Text),
+        _ => None,
+    }
+}
+
+fn response(status: &str, rest: &str) -> String {
+    format!("HTTP/1.1 {status}\r\nConnection: close\r\nCache-Control: no-store\r\n{rest}")
+}
+
+#[test]
+fn pages_are_read_and_nothing_else_is_possible() {
+    between(|_, clients, board| async move {
+        let ([mut rx, mut tx], mut page) = ([[0; 512]; 2], [0; 1192]);
+        let mut listener = HttpListener::new(board, 80, [&mut rx, &mut tx], &mut page, Options::default());
+        let test = with_timeout(Duration::from_secs(60), async {
+            let html = "Content-Type: text/html; charset=utf-8\r\nContent-Length: 5\r\n\r\n";
+            let get = exchange(clients, b"GET / HTTP/1.1\r\nHost: board\r\n\r\n").await;
+            assert_eq!(get, response("200 OK", &format!("{html}<p>up")));
+            assert_eq!(exchange(clients, b"HEAD / HTTP/1.1\r\n\r\n").await, response("200 OK", html));
+            let long = exchange(clients, b"GET /long HTTP/1.1\r\n\r\n").await;
+            assert!(long.contains("Content-Length: 1000\r\n") && long.ends_with(&"x".repeat(1000)), "{long}");
+            for (request, status) in [
+                (&b"GET /too-long HTTP/1.1\r\n\r\n"[..], "500 Internal Server Error"),
+                (b"GET /other HTTP/1.1\r\n\r\n", "404 Not Found"),
+                (b"PUT / HTTP/1.1\r\n\r\n", "405 Method Not Allowed\r\nAllow: GET, HEAD"),
+                (b"GET:RC8:1:I:\r\n\r\n", "400 Bad Request"),
+            ] {
+                assert_eq!(exchange(clients, request).await, response(status, "Content-Length: 0\r\n\r\n"));
+            }
+            let large = [&b"GET / HTTP/1.1\r\nCookie: "[..], &[b'x'; 1200]].concat();
+            assert!(exchange(clients, &large).await.starts_with("HTTP/1.1 431 "));
+        });
+        let ended = select(listener.run(|_| true, answer), test).await;
+        assert!(matches!(ended, Either::Second(Ok(()))), "it hangs");
+    });
+}
+
+#[test]
+fn a_client_that_is_not_admitted_gets_a_reset() {
+    between(|_, clients, board| async move {
+        let ([mut rx, mut tx], mut page) = ([[0; 512]; 2], [0; 400]);
+        let mut listener = HttpListener::new(board, 80, [&mut rx, &mut tx], &mut page, Options::default());
+        let test = with_timeout(Duration::from_secs(60), async {
+            assert_eq!(exchange(clients, b"GET / HTTP/1.1\r\n\r\n").await, "reset");
+        });
+        let ended = select(listener.run(|client| client.is_none(), answer), test).await;
+        assert!(matches!(ended, Either::Second(Ok(()))), "it hangs");
+    });
+}

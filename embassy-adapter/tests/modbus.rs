@@ -1,0 +1,140 @@
+//! Tests clients of Modbus TCP in front of the gateway, over two embassy-net stacks connected by a simulated cable.
+#![cfg(feature = "modbus")]
+#![allow(clippy::indexing_slicing, clippy::large_futures, clippy::unwrap_used, reason = "a test fails by panicking")]
+
+#[allow(dead_code, reason = "other tests use the rest")]
+mod common;
+
+use std::cell::RefCell;
+
+use bcap_core::bcap::server;
+use bcap_core::gateway::{Allow, Bounds, Config, Event, Gateway, Memory, Rules};
+use bcap_core::modbus::{Entry, PORT};
+use bcap_core::rac::VariableKind;
+use bcap_embassy::gateway::{ModbusListener, Report, SharedGateway, TcpRobot, run_robot};
+use bcap_embassy::net::Options;
+use bcap_embassy::server::{Limits, Listener, SharedHandler};
+use common::{Number, address, between};
+use embassy_futures::join::{join, join3};
+use embassy_futures::select::select3;
+use embassy_net::tcp::TcpSocket;
+use embassy_net::{IpEndpoint, Stack};
+use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+use embassy_time::{Duration, Timer, with_timeout};
+
+type Plant<'m> = SharedGateway<'m, NoopRawMutex, 2>;
+
+thread_local! {
+    /// The refused lines and the ends of sessions.
+    static LOG: RefCell<Vec<String>> = const { RefCell::new(Vec::new()) };
+}
+
+fn log(report: &Report<'_>) {
+    let text = match *report {
+        Report::Answered { line, event: Event::Refused { .. }, .. } => String::from_utf8_lossy(line).into_owned(),
+        Report::Disconnected { ended, .. } => format!("{ended:?}"),
+        _ => return,
+    };
+    LOG.with_borrow_mut(|log| log.push(text));
+}
+
+fn logged() -> Vec<String> {
+    LOG.with_borrow_mut(std::mem::take)
+}
+
+/// Serves two Modbus clients, answers a third, and runs the connection to the robot, forever.
+async fn run(stack: Stack<'_>, plant: &Plant<'_>, map: &[Entry]) {
+    let mut memory = [[[0; 512]; 2]; 4];
+    let [[rx, tx], rest @ ..] = &mut memory;
+    let mut link = TcpRobot::new(stack, rx, tx, Options::default(), IpEndpoint::from((address(0), 5007)));
+    let [mut a, mut b, mut c] =
+        rest.each_mut().map(|[rx, tx]| ModbusListener::new(stack, PORT, map, [rx, tx], Options::default()));
+    let (mut frame, limits) = ([0; 512], Limits::default());
+    let clients = join3(a.run(plant, &limits), b.run(plant, &limits), c.run(plant, &limits));
+    join(run_robot(&mut link, &mut frame, plant), clients).await;
+}
+
+/// Serves b-CAP over TCP, on the clients' side of the cable.
+async fn serve_robot(stack: Stack<'_>, number: &SharedHandler<NoopRawMutex, Number, 4>) {
+    let (mut rx, mut tx) = ([0; 512], [0; 512]);
+    let mut slot = None;
+    let make = || server::Session::<_, _, 8>::new(server::Config::TCP, [0; 512], [0; 512]);
+    Listener::new(stack, 5007, &mut rx, &mut tx).run(&mut slot, make, number, &Limits::default()).await
+}
+
+async fn connect<'s>(stack: Stack<'s>, memory: &'s mut [[u8; 512]; 2]) -> TcpSocket<'s> {
+    let [rx, tx] = memory;
+    let mut socket = TcpSocket::new(stack, rx, tx);
+    while socket.connect((address(1), PORT)).await.is_err() {
+        Timer::after_millis(1).await;
+    }
+    socket
+}
+
+/// Sends a request and returns the function and the data of the response.
+async fn ask(socket: &mut TcpSocket<'_>, function: &[u8]) -> Vec<u8> {
+    let length = u8::try_from(function.len() + 1).unwrap();
+    let request = [&[0x12, 0x34, 0, 0, 0, length, 1], function].concat();
+    assert_eq!(socket.write(&request).await, Ok(request.len()));
+    let mut response = Vec::new();
+    while response.len() < 6 || response.len() < 6 + usize::from(response[5]) {
+        let mut byte = [0];
+        assert_eq!(socket.read(&mut byte).await, Ok(1), "closed after {response:?}");
+        response.extend(byte);
+    }
+    assert_eq!(response[..5], [0x12, 0x34, 0, 0, 0]);
+    response[7..].to_vec()
+}
+
+#[test]
+fn rules_slots_and_the_log_apply_to_clients_of_modbus() {
+    between(|_, clients, board| async move {
+        let values = [Bounds { min: -10.0, max: 10.0 }];
+        let put = [Allow { values: &values, ..Allow::range(VariableKind::I, 1, 1) }];
+        let config = Config {
+            rules: Rules { put: &put, ..Rules::READ_ONLY },
+            first_pause: core::time::Duration::from_millis(20),
+            longest_pause: core::time::Duration::from_millis(100),
+            ..Config::RC8
+        };
+        let map = [Entry::registers("100=I/1-2").unwrap(), Entry::registers("200=I/1:i16").unwrap()];
+        let number = SharedHandler::new(Number { value: 70_000, left: 0 });
+        let mut memory = Memory::<2, 4>::new();
+        let plant = Plant::new(Gateway::new(config, &mut memory), log);
+        let test = async {
+            let mut memory = [[[0; 512]; 2]; 4];
+            let [a, b, c, d] = &mut memory;
+            let mut a = connect(clients, a).await;
+            let mut b = connect(clients, b).await;
+            // before the robot is connected, the path is not available
+            while ask(&mut a, &[3, 0, 100, 0, 2]).await != [3, 4, 0, 1, 0x11, 0x70] {
+                Timer::after_millis(1).await;
+            }
+            assert_eq!(ask(&mut b, &[3, 0, 200, 0, 1]).await, [0x83, 4], "70000 does not fit a register");
+            assert_eq!(ask(&mut b, &[16, 0, 100, 0, 2, 4, 0xff, 0xff, 0xff, 0xf6]).await, [16, 0, 100, 0, 2]);
+            assert_eq!(ask(&mut a, &[4, 0, 200, 0, 1]).await, [4, 2, 0xff, 0xf6]);
+            assert_eq!(logged(), [""; 0]);
+            // a value out of the range, a variable without a rule, two of which one has no rule, and no variable
+            assert_eq!(ask(&mut a, &[6, 0, 200, 0, 11]).await, [0x86, 3]);
+            assert_eq!(ask(&mut a, &[16, 0, 102, 0, 2, 4, 0, 0, 0, 5]).await, [0x90, 2]);
+            assert_eq!(ask(&mut a, &[16, 0, 100, 0, 4, 8, 0, 0, 0, 5, 0, 0, 0, 5]).await, [0x90, 2]);
+            assert_eq!(ask(&mut a, &[1, 0, 0, 0, 1]).await, [0x81, 2]);
+            let expected = ["PUT:RC8:1:I:3,11", "PUT:RC8:2:I:3,5", "PUT:RC8:2:I:3,5", "MODBUS:1:0:1"];
+            assert_eq!(logged(), expected);
+            assert_eq!(ask(&mut a, &[4, 0, 200, 0, 1]).await, [4, 2, 0xff, 0xf6], "nothing was written");
+            // both slots are in use
+            let mut c = connect(clients, c).await;
+            assert_eq!(ask(&mut c, &[3, 0, 100, 0, 2]).await, [0x83, 6]);
+            assert_eq!(c.read(&mut [0]).await, Ok(0), "closed");
+            // bytes that are not Modbus end the connection and free its slot
+            assert_eq!(b.write(b"GET:RC8:1:I:\r").await, Ok(13));
+            assert_eq!(b.read(&mut [0]).await, Ok(0), "closed");
+            assert_eq!(logged(), ["Some(Closed)"]);
+            let mut d = connect(clients, d).await;
+            assert_eq!(ask(&mut d, &[3, 0, 200, 0, 1]).await, [3, 2, 0xff, 0xf6]);
+        };
+        let test = with_timeout(Duration::from_secs(60), test);
+        let ended = select3(run(board, &plant, &map), serve_robot(clients, &number), test).await;
+        assert!(matches!(ended, embassy_futures::select::Either3::Third(Ok(()))), "it hangs");
+    });
+}

@@ -1,0 +1,86 @@
+//! Tests the page of the gateway board's state in QEMU, and its messages of syslog.
+#![cfg(unix)]
+
+use std::io::{Read, Write};
+use std::net::{TcpStream, UdpSocket};
+use std::time::Instant;
+
+use bcap_qemu::{Board, Sim, TIMEOUT, bcap, free_port, run};
+
+/// Sends a request and returns the head and the body of the response. The board resets connections while both listeners
+/// close earlier ones, so it tries again.
+fn get(port: u16, request: &str) -> (String, String) {
+    let since = Instant::now();
+    loop {
+        if let Ok(response) = try_get(port, request)
+            && let Some((head, body)) = response.split_once("\r\n\r\n")
+        {
+            return (head.to_owned(), body.to_owned());
+        }
+        assert!(since.elapsed() < TIMEOUT, "no response to {request}");
+    }
+}
+
+fn try_get(port: u16, request: &str) -> std::io::Result<String> {
+    let mut stream = TcpStream::connect(("127.0.0.1", port))?;
+    stream.set_read_timeout(Some(TIMEOUT))?;
+    stream.write_all(format!("{request} HTTP/1.1\r\nHost: board\r\n\r\n").as_bytes())?;
+    let mut response = String::new();
+    stream.read_to_string(&mut response)?;
+    Ok(response)
+}
+
+/// Returns the number after a key of the JSON.
+fn number(json: &str, key: &str) -> u64 {
+    let (_, rest) = json.split_once(&format!("\"{key}\":")).unwrap_or_else(|| panic!("{key} in {json}"));
+    let digits: String = rest.chars().take_while(char::is_ascii_digit).collect();
+    digits.parse().unwrap_or_else(|_| panic!("{key} in {json}"))
+}
+
+#[test]
+fn the_page_shows_the_state_and_syslog_tells_refusals_and_changes() {
+    let Some(bcap) = bcap() else { return };
+    let collector = UdpSocket::bind("127.0.0.1:0").unwrap();
+    collector.set_read_timeout(Some(TIMEOUT)).unwrap();
+    let sim = Sim::start(&bcap, "127.0.0.1:0");
+    let port = free_port();
+    let syslog = format!("syslog=10.0.2.2:{}", collector.local_addr().unwrap().port());
+    let settings = ["provider=CaoProv.DENSO.VRC", "hostname=cell-7", &syslog];
+    // the image of the test of Modbus, so that one build serves both
+    let modbus = free_port().to_string();
+    let mut board = Board::start(&sim.bcap, &["--health", &port.to_string(), "--modbus", &modbus], &settings).up();
+    let message = || {
+        let mut datagram = [0; 1024];
+        let count = collector.recv(&mut datagram).unwrap();
+        String::from_utf8_lossy(&datagram[..count]).into_owned()
+    };
+    assert_eq!(message(), "<133>1 - cell-7 gateway - start - last reset: power-on");
+    // the board may have asked the robot before it was there
+    while message() != "<133>1 - cell-7 gateway - robot-up - connected" {}
+
+    assert!(!run(&bcap, &["rac", "put", "I5", "7", "--robot", &board.rac]).ok);
+    let refused = message();
+    assert!(refused.starts_with("<132>1 - cell-7 gateway - refused - 10.0.2.2:"), "{refused}");
+    assert!(refused.ends_with(": PUT:RC8:5:I:3,7: the gateway is read-only (0 more before)"), "{refused}");
+
+    let (head, json) = get(port, "GET /health.json");
+    assert!(head.starts_with("HTTP/1.1 200 OK\r\n") && head.contains("application/json"), "{head}");
+    assert!(json.starts_with("{\"image\":\"gateway\",\"version\":\"0.1.0\",\"uptime_s\":"), "{json}");
+    assert!(json.contains("\"last_reset\":\"power-on\",\"robot\":{\"state\":\"up\",\"sessions\":1}"), "{json}");
+    assert!(json.contains("\"slots\":4},\"requests\":{\"refused\":1,\"served\":{\"count\":"), "{json}");
+    assert!((1..12_288).contains(&number(&json, "stack\":{\"most")), "{json}");
+    assert!(number(&json, "frames received") > 10, "{json}");
+    assert_eq!(number(&json, "syslog messages lost"), 0, "{json}");
+
+    let (head, page) = get(port, "GET /");
+    assert!(head.contains("text/html") && page.starts_with("<!DOCTYPE html>"), "{head} {page}");
+    assert!(page.contains("<tr><td>robot<td>up<tr>") && page.contains("<tr><td>last reset<td>power-on<tr>"), "{page}");
+    assert!(get(port, "PUT /").0.starts_with("HTTP/1.1 405 "));
+    assert!(get(port, "GET /settings").0.starts_with("HTTP/1.1 404 "));
+
+    sim.end("-KILL");
+    let down = message();
+    assert!(down.starts_with("<132>1 - cell-7 gateway - robot-down - "), "{down}");
+    assert!(get(port, "GET /health.json").1.contains("\"state\":\"down\""));
+    assert!(board.is_running(), "{}", board.log());
+}
