@@ -29,6 +29,9 @@ const IMAGE: &str = "gateway";
 /// Memory for the longest page.
 pub const PAGE: usize = 3072;
 
+/// The buffers of a listener: those of its socket, and the page.
+pub type Buffers = ([[u8; 1024]; 2], [u8; PAGE]);
+
 /// The messages that wait for the network; further ones are lost and counted.
 const WAITING: usize = 16;
 /// The longest text of a message, and the longest message. Longer ones are cut.

@@ -208,7 +208,7 @@ fn start_health(
     board: &'static Board,
     last_reset: Cause,
 ) -> Result<(), SpawnError> {
-    static MEMORY: ConstStaticCell<[([[u8; 1024]; 2], [u8; health::PAGE]); PAGES]> =
+    static MEMORY: ConstStaticCell<[health::Buffers; PAGES]> =
         ConstStaticCell::new([([[0; 1024]; 2], [0; health::PAGE]); PAGES]);
     if let Some(port) = settings.health {
         for (number, ([rx, tx], page)) in (PAGE_TASK..).zip(MEMORY.take()) {
