@@ -120,12 +120,6 @@ impl<'a> Front<'a> {
         self.is_broken
     }
 
-    /// Tells whether part of a request has arrived and its rest has not.
-    #[must_use]
-    pub const fn is_receiving(&self) -> bool {
-        self.received > 0 && self.running.is_none()
-    }
-
     /// Returns how many bytes from the client there is room for. It is 0 only while a request runs.
     #[must_use]
     pub const fn room(&self) -> usize {
@@ -153,7 +147,8 @@ impl<'a> Front<'a> {
         }
     }
 
-    /// Records that the client's connection has taken `count` bytes of [`transmit`](Self::transmit).
+    /// Records that the client's connection has taken `count` bytes of [`transmit`](Self::transmit). After the last one, call
+    /// [`received`](Self::received), without bytes if there are none: the next request may have arrived already.
     pub const fn transmitted(&mut self, count: usize) {
         self.sent = self.sent.saturating_add(count);
     }
