@@ -36,9 +36,6 @@ const PAGE: usize = 3072;
 /// The most counters of a board that the page shows.
 const COUNTERS: usize = 8;
 
-/// The buffers of a listener: those of its socket, and the page.
-pub type Buffers = ([[u8; 1024]; 2], [u8; PAGE]);
-
 /// The messages that wait for the network; further ones are lost and counted.
 const WAITING: usize = 16;
 /// The longest text of a message, and the longest message. Longer ones are cut.
