@@ -52,7 +52,7 @@ instructions:
 arrays:
     cargo bench -p bcap-tests --bench arrays
 
-# Objects of the virtual controller: times with 10 and with 100,000 open, memory, requests per second of 100 clients.
+# Objects of the virtual controller: times with 10 and with 90,000 open, memory, requests per second of 100 clients.
 objects:
     cargo bench -p bcap-tests --bench objects
 
