@@ -104,9 +104,9 @@ struct Connection {
     /// Messages to give to the link.
     out: VecDeque<Message>,
     /// Readings of messages that the link has not sent.
-    sent: VecDeque<Option<Reading>>,
+    sent: VecDeque<Vec<Reading>>,
     /// Readings of messages that the broker has not acknowledged, by packet.
-    waiting: HashMap<u16, Option<Reading>>,
+    waiting: HashMap<u16, Vec<Reading>>,
 }
 
 impl Connection {
@@ -121,10 +121,10 @@ impl Connection {
     /// Gives messages to the link.
     fn flush(&mut self) {
         while self.in_flight() < usize::from(WINDOW) {
-            let Some(Message { topic, payload, qos, retain, reading }) = self.out.pop_front() else { return };
+            let Some(Message { topic, payload, qos, retain, readings }) = self.out.pop_front() else { return };
             // the channel of the link has room for more than the window; after a loss the event follows
             let _ = self.link.client.try_publish(topic, qos, retain, payload);
-            self.sent.push_back(reading);
+            self.sent.push_back(readings);
         }
     }
 
@@ -132,7 +132,7 @@ impl Connection {
     fn into_readings(mut self) -> Vec<Reading> {
         let sent = std::mem::take(&mut self.sent);
         let waiting = std::mem::take(&mut self.waiting);
-        let out = std::mem::take(&mut self.out).into_iter().map(|message| message.reading);
+        let out = std::mem::take(&mut self.out).into_iter().map(|message| message.readings);
         let mut readings: Vec<_> = waiting.into_values().chain(sent).chain(out).flatten().collect();
         readings.sort_by_key(|reading| reading.id);
         readings
@@ -304,8 +304,11 @@ impl Publisher {
             }
             self.birth(cell);
         } else if sparkplug.has_type(config, &reading) {
-            let message = sparkplug.data(config, reading);
-            self.push(message);
+            let last = self.link.as_mut().and_then(|connection| connection.out.back_mut());
+            if !last.is_some_and(|message| sparkplug.join(config, message, &reading)) {
+                let message = sparkplug.data(config, reading);
+                self.push(message);
+            }
         } else {
             let birth = sparkplug.device_birth(config, cell, &self.cells[cell].latest);
             self.push(birth);
@@ -391,17 +394,17 @@ impl Publisher {
             }
             Some(Ok(Mqtt::Incoming(Packet::Publish(publish)))) => self.receive(&publish),
             Some(Ok(Mqtt::Incoming(Packet::PubAck(ack)))) => {
-                let reading = self.link.as_mut().and_then(|connection| connection.waiting.remove(&ack.pkid));
-                self.arrived(reading.flatten()).await;
+                let readings = self.link.as_mut().and_then(|connection| connection.waiting.remove(&ack.pkid));
+                self.arrived(readings.unwrap_or_default()).await;
             }
             Some(Ok(Mqtt::Outgoing(Outgoing::Publish(packet)))) => {
                 let Some(connection) = &mut self.link else { return };
-                let reading = connection.sent.pop_front().flatten();
+                let readings = connection.sent.pop_front().unwrap_or_default();
                 if packet == 0 {
                     // QoS 0 has no acknowledgement
-                    self.arrived(reading).await;
+                    self.arrived(readings).await;
                 } else {
-                    connection.waiting.insert(packet, reading);
+                    connection.waiting.insert(packet, readings);
                 }
             }
             Some(Ok(_)) => {}
@@ -443,12 +446,12 @@ impl Publisher {
         topics
     }
 
-    /// Counts a reading that the broker has.
-    async fn arrived(&mut self, reading: Option<Reading>) {
-        let Some(reading) = reading else { return };
-        self.shared.metrics.published.fetch_add(1, Ordering::Relaxed);
-        if reading.historical && self.loaded > 0 {
-            self.loaded -= 1;
+    /// Counts readings that the broker has.
+    async fn arrived(&mut self, readings: Vec<Reading>) {
+        self.shared.metrics.published.fetch_add(readings.len() as u64, Ordering::Relaxed);
+        let loaded = readings.iter().filter(|reading| reading.historical).count().min(self.loaded);
+        if loaded > 0 {
+            self.loaded -= loaded;
             if self.loaded == 0 {
                 self.with_store(|store| {
                     store.acknowledge();

@@ -5,7 +5,7 @@
 //! | NBIRTH  | after each connection, and when a host asks for a rebirth                                |
 //! | NDEATH  | by will, and before an orderly end                                                       |
 //! | DBIRTH  | when there is a session with the controller and each of its points was read              |
-//! | DDATA   | a reading, by alias; `is_historical` if the broker was disconnected                       |
+//! | DDATA   | readings, by alias; `is_historical` if the broker was disconnected                        |
 //! | DDEATH  | when the session is lost                                                                 |
 //!
 //! Data refer to a birth. So historical data of a disconnected device are sent between a DBIRTH and a DDEATH of their own.
@@ -28,6 +28,9 @@ use crate::units::elements;
 
 /// The metric by which a host asks for births.
 const REBIRTH: &str = "Node Control/Rebirth";
+
+/// The most readings of one message.
+const JOINED: usize = 100;
 
 /// The state of the encoder.
 #[derive(Debug)]
@@ -99,7 +102,7 @@ impl Sparkplug {
     /// Returns the death of the node.
     pub(crate) fn death(&self, config: &Config) -> Message {
         let payload = Payload { timestamp: Some(now_ms()), metrics: vec![self.bd_seq_metric()], seq: None };
-        Message { qos: QoS::AtLeastOnce, ..message(topic(config, "NDEATH", None), &payload, None) }
+        Message { qos: QoS::AtLeastOnce, ..message(topic(config, "NDEATH", None), &payload, Vec::new()) }
     }
 
     fn bd_seq_metric(&self) -> Metric {
@@ -111,7 +114,7 @@ impl Sparkplug {
         self.seq = 0;
         self.devices.iter_mut().for_each(|device| device.is_born = false);
         let rebirth = Metric::named(REBIRTH, DataType::Boolean as u32, Number::Boolean(false));
-        self.numbered(topic(config, "NBIRTH", None), vec![self.bd_seq_metric(), rebirth], None)
+        self.numbered(topic(config, "NBIRTH", None), vec![self.bd_seq_metric(), rebirth], Vec::new())
     }
 
     pub(crate) fn is_born(&self, cell: usize) -> bool {
@@ -131,13 +134,13 @@ impl Sparkplug {
             }
         }
         self.devices[cell].is_born = true;
-        self.numbered(topic(config, "DBIRTH", Some(cell)), metrics, None)
+        self.numbered(topic(config, "DBIRTH", Some(cell)), metrics, Vec::new())
     }
 
     /// Returns the death of a device, if it was born.
     pub(crate) fn device_death(&mut self, config: &Config, cell: usize) -> Option<Message> {
         std::mem::take(&mut self.devices[cell].is_born)
-            .then(|| self.numbered(topic(config, "DDEATH", Some(cell)), Vec::new(), None))
+            .then(|| self.numbered(topic(config, "DDEATH", Some(cell)), Vec::new(), Vec::new()))
     }
 
     /// Returns whether a value has the type that the birth has announced.
@@ -149,6 +152,26 @@ impl Sparkplug {
 
     /// Returns the data of a reading.
     pub(crate) fn data(&mut self, config: &Config, reading: Reading) -> Message {
+        let metrics = self.metrics(config, &reading);
+        self.numbered(topic(config, "DDATA", Some(reading.cell)), metrics, vec![reading])
+    }
+
+    /// Adds a new reading to the data of other points of the same controller; returns whether it was added. A scan reads many
+    /// points at once, and one message for all of them costs the broker and its subscribers much less.
+    pub(crate) fn join(&self, config: &Config, message: &mut Message, reading: &Reading) -> bool {
+        let fits = |other: &Reading| other.cell == reading.cell && other.point != reading.point && !other.historical;
+        let can_join = !message.readings.is_empty() && message.readings.len() < JOINED && message.readings.iter().all(fits);
+        if can_join {
+            // a protocol buffer is extended by more elements of a repeated field
+            let more = Payload { timestamp: None, metrics: self.metrics(config, reading), seq: None };
+            message.payload.extend(more.encode_to_vec());
+            message.readings.push(reading.clone());
+        }
+        can_join
+    }
+
+    /// Returns the metrics of a reading, by alias.
+    fn metrics(&self, config: &Config, reading: &Reading) -> Vec<Metric> {
         let point = &config.controllers[reading.cell].points[reading.point];
         let (alias, kind) = self.devices[reading.cell].points[reading.point];
         let metrics = (0..).zip(values(point, reading.value.as_ref(), kind.unwrap_or(DataType::String)));
@@ -161,15 +184,14 @@ impl Sparkplug {
             properties: metric.properties.map(PropertySet::quality_only),
             ..metric
         });
-        let metrics = metrics.collect();
-        self.numbered(topic(config, "DDATA", Some(reading.cell)), metrics, Some(reading))
+        metrics.collect()
     }
 
     /// Returns a message with the next sequence number.
-    fn numbered(&mut self, topic: String, metrics: Vec<Metric>, reading: Option<Reading>) -> Message {
+    fn numbered(&mut self, topic: String, metrics: Vec<Metric>, readings: Vec<Reading>) -> Message {
         let payload = Payload { timestamp: Some(now_ms()), metrics, seq: Some(self.seq.into()) };
         self.seq = self.seq.wrapping_add(1);
-        message(topic, &payload, reading)
+        message(topic, &payload, readings)
     }
 
     /// Returns what a host asks of the node (`cell` is `None`) or of a device.
@@ -201,8 +223,8 @@ pub(crate) fn topic(config: &Config, kind: &str, cell: Option<usize>) -> String 
     cell.map_or_else(|| node.clone(), |cell| format!("{node}/{}", config.controllers[cell].name))
 }
 
-fn message(topic: String, payload: &Payload, reading: Option<Reading>) -> Message {
-    Message { topic, payload: payload.encode_to_vec(), qos: QoS::AtMostOnce, retain: false, reading }
+fn message(topic: String, payload: &Payload, readings: Vec<Reading>) -> Message {
+    Message { topic, payload: payload.encode_to_vec(), qos: QoS::AtMostOnce, retain: false, readings }
 }
 
 /// Returns the type of a point that its kind of variable decides.
@@ -222,7 +244,7 @@ const fn type_of(value: &Value) -> DataType {
         Value::Bool(_) => DataType::Boolean,
         Value::Integer(_) => DataType::Int64,
         Value::Number(_) => DataType::Double,
-        Value::Text(_) | Value::Numbers(_) => DataType::String,
+        Value::Text(_) | Value::Numbers(_) | Value::Texts(_) => DataType::String,
     }
 }
 
