@@ -327,7 +327,10 @@ impl Publisher {
             // aliases are unknown before a birth; its unread values are null
             messages.push(sparkplug.device_birth(config, cell, &self.cells[cell].latest));
         }
-        messages.push(sparkplug.data(config, reading));
+        let last = self.link.as_mut().and_then(|connection| connection.out.back_mut());
+        if !last.is_some_and(|message| messages.is_empty() && sparkplug.join(config, message, &reading)) {
+            messages.push(sparkplug.data(config, reading));
+        }
         let has_more = self.history.front().is_some_and(|next| next.cell == cell);
         if !self.cells[cell].is_connected() && !has_more {
             // the birth was for its history only

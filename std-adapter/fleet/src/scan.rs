@@ -11,8 +11,8 @@ use std::time::Duration;
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::variant::OwnedVariant;
-use bcap_std::{Error, TaskStatus};
 use bcap_std::asynch::{Controller, State as Session};
+use bcap_std::{Error, TaskStatus};
 use tokio::time::{Instant, sleep_until};
 
 use crate::config::Config;

@@ -156,11 +156,14 @@ impl Sparkplug {
         self.numbered(topic(config, "DDATA", Some(reading.cell)), metrics, vec![reading])
     }
 
-    /// Adds a new reading to the data of other points of the same controller; returns whether it was added. A scan reads many
+    /// Adds a reading to the data of other points of the same controller; returns whether it was added. A scan reads many
     /// points at once, and one message for all of them costs the broker and its subscribers much less.
     pub(crate) fn join(&self, config: &Config, message: &mut Message, reading: &Reading) -> bool {
-        let fits = |other: &Reading| other.cell == reading.cell && other.point != reading.point && !other.historical;
-        let can_join = !message.readings.is_empty() && message.readings.len() < JOINED && message.readings.iter().all(fits);
+        let fits = |other: &Reading| {
+            other.cell == reading.cell && other.point != reading.point && other.historical == reading.historical
+        };
+        let can_join =
+            !message.readings.is_empty() && message.readings.len() < JOINED && message.readings.iter().all(fits);
         if can_join {
             // a protocol buffer is extended by more elements of a repeated field
             let more = Payload { timestamp: None, metrics: self.metrics(config, reading), seq: None };
@@ -309,5 +312,42 @@ impl PropertySet {
         self.keys.truncate(1);
         self.values.truncate(1);
         self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn readings_of_one_scan_are_one_message() {
+        let config = "group = \"g\"\nnode = \"n\"\nformat = \"sparkplug\"\n[broker]\nhost = \"h\"\n[[controller]]\n\
+            name = \"a\"\naddress = \"tcp:h\"\n[[controller.publish]]\nnames = [\"I1-2\"]\n";
+        let config = Config::parse(config).unwrap();
+        let mut sparkplug = Sparkplug::new(&config);
+        sparkplug.birth(&config);
+        sparkplug.device_birth(&config, 0, &[None, None]);
+        let reading = |point, value| Reading {
+            cell: 0,
+            point,
+            time: 5,
+            id: 1,
+            value: Some(Value::Integer(value)),
+            quality: Quality::Good,
+            historical: false,
+        };
+        let mut message = sparkplug.data(&config, reading(0, 7));
+        assert!(sparkplug.join(&config, &mut message, &reading(1, 8)));
+        // a host may take only one value of a metric from a message
+        assert!(!sparkplug.join(&config, &mut message, &reading(1, 9)));
+        assert!(!sparkplug.join(&config, &mut message, &Reading { historical: true, ..reading(0, 9) }));
+        let mut birth = sparkplug.device_birth(&config, 0, &[None, None]);
+        assert!(!sparkplug.join(&config, &mut birth, &reading(0, 9)));
+
+        let payload = Payload::decode(message.payload.as_slice()).unwrap();
+        let metrics: Vec<_> = payload.metrics.into_iter().map(|metric| (metric.alias, metric.value)).collect();
+        assert_eq!(metrics, [(Some(1), Some(Number::Int(7))), (Some(2), Some(Number::Int(8)))]);
+        // 0 and 1 are the births
+        assert_eq!((payload.seq, message.readings.len()), (Some(2), 2));
     }
 }

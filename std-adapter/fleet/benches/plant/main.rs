@@ -131,9 +131,18 @@ fn measure(format: &str, load: Load) -> Result<(), Failure> {
     println!("  values/s that arrive        {:>10.0}", per_second(seen.values));
     println!("  messages/s that arrive      {:>10.0}", per_second(seen.messages));
     println!("  readings/s of the fleet     {:>10.0}", per_second(after.1.readings - before.1.readings));
-    println!("  skipped, dropped, errors/s  {:>10.0} {:.0} {:.0}", per_second(after.1.overruns - before.1.overruns),
-        per_second(after.1.dropped - before.1.dropped), per_second(after.1.errors - before.1.errors));
-    for (name, before, after) in ["fleet", "simulator", "broker", "subscriber"].iter().zip(&before.0).zip(&after.0).map(|((name, before), after)| (name, before, after)) {
+    println!(
+        "  skipped, dropped, errors/s  {:>10.0} {:.0} {:.0}",
+        per_second(after.1.overruns - before.1.overruns),
+        per_second(after.1.dropped - before.1.dropped),
+        per_second(after.1.errors - before.1.errors)
+    );
+    for (name, before, after) in ["fleet", "simulator", "broker", "subscriber"]
+        .iter()
+        .zip(&before.0)
+        .zip(&after.0)
+        .map(|((name, before), after)| (name, before, after))
+    {
         let share = per_second(after.ticks - before.ticks);
         println!("  CPU of the {name:<16} {share:>10.0} %    memory {:>7} KiB", after.kib);
     }
