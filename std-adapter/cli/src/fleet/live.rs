@@ -165,9 +165,10 @@ fn controller(controller: &ControllerStatus) -> Line {
 
 fn buffer(status: &Status) -> Vec<Line> {
     let dropped = format!("dropped      {}", status.dropped);
+    let (queued, stored, kib) = (status.queued, status.stored, status.stored_bytes.div_ceil(1024));
+    // two lines, which is all that a terminal of 80 by 24 has for them
     vec![
-        Line::new(format!("in memory    {}", status.queued)),
-        Line::new(format!("on disk      {}, {} KiB", status.stored, status.stored_bytes.div_ceil(1024))),
+        Line::new(format!("in memory    {queued}, on disk {stored} ({kib} KiB)")),
         if status.dropped > 0 { Line::alarm(dropped) } else { Line::new(dropped) },
     ]
 }
