@@ -69,8 +69,10 @@ impl Scan {
                     reported = None;
                     self.spread(&mut scanned);
                     state = tokio::select! {
-                        next = states.next() => next,
+                        biased;
+                        // first, because it reports what was read before the loss
                         never = self.read_all(&mut scanned) => match never {},
+                        next = states.next() => next,
                     };
                 }
                 Some(Session::Disconnected { reason, .. }) => {
@@ -96,6 +98,7 @@ impl Scan {
         }
     }
 
+    /// Reads all points when they are due.
     async fn read_all(&self, scanned: &mut [Scanned<'_>]) -> std::convert::Infallible {
         let mut began = None;
         loop {

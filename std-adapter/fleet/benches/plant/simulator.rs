@@ -30,11 +30,16 @@ pub(crate) fn run(count: u32, values: u32, hz: u32) -> Result<(), Failure> {
     runtime.block_on(std::future::pending())
 }
 
+/// A prime number: the order of changes differs from that of the fleet's scans, so that a change waits for its scan between nothing
+/// and the whole interval.
+const STEP: usize = 7919;
+
 /// Changes one controller after another, spread over the interval.
 fn change(controllers: &[Arc<Mutex<Controller>>], values: u32, hz: u32) {
     let pause = Duration::from_secs(1) / hz / u32::try_from(controllers.len()).unwrap_or(1);
     let mut due = Instant::now();
-    for controller in controllers.iter().cycle() {
+    let order = (0..controllers.len()).map(|number| number * STEP % controllers.len());
+    for controller in order.cycle().filter_map(|number| controllers.get(number)) {
         due += pause;
         thread::sleep(due.saturating_duration_since(Instant::now()));
         let mut controller = controller.lock().unwrap_or_else(PoisonError::into_inner);
