@@ -97,6 +97,11 @@ board:
     cargo build --release -p bcap-cli
     BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo bench -p bcap-qemu --bench gateway
 
+# Virtual controllers, `bcap fleet`, Mosquitto and a subscriber on this machine: values a second, processor time, memory, latency.
+fleet controllers="500" values="20" hz="5" seconds="10":
+    cargo build --release -p bcap-cli
+    BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo bench -p bcap-fleet --bench plant -- {{controllers}} {{values}} {{hz}} {{seconds}}
+
 # Each fuzz target for half a minute, or for `just fuzz 1200` seconds.
 fuzz seconds="30":
     FUZZ_SECONDS={{seconds}} bash .ci/run fuzz

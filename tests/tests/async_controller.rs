@@ -78,6 +78,10 @@ async fn variables_are_read_and_written_by_many_tasks() {
         cell.write("P1", position).await.unwrap();
         let [count, there] = cell.read_all(["I3", "P1"]).await.unwrap();
         assert_eq!((count.convert(), there.convert()), (Ok(30), Ok(position)));
+        let each = cell.read_each(&["I3", "I99999", "P1"]).await.unwrap();
+        let [(first, count), (second, missing), (third, there)] = each.as_slice() else { panic!("{each:?}") };
+        assert_eq!((count.as_ref().unwrap().convert(), there.as_ref().unwrap().convert()), (Ok(30), Ok(position)));
+        assert!(missing.is_err() && first <= second && second <= third);
         let controller = cell.handle().await.unwrap().0;
         let arguments = vec![OwnedVariant::new(&controller).unwrap(), OwnedVariant::new("").unwrap()];
         let names = cell.call(FunctionId::CONTROLLER_GET_ROBOT_NAMES, arguments).await.unwrap();

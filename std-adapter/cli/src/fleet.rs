@@ -1,5 +1,7 @@
 //! `bcap fleet`: the arguments and the output of the crate `bcap-fleet`.
 
+mod live;
+
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -9,12 +11,15 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use bcap_core::variant::OleDate;
 use bcap_fleet::{Config, Error, Event, Fleet, Row};
 use serde::Serialize;
+use tokio::sync::oneshot;
 
 use crate::args;
 use crate::error::Failure;
 use crate::listen::runtime;
 use crate::output::{note, print_json, print_line};
+use crate::screen::{Live, require};
 use crate::signal;
+use live::{Events, Shown};
 
 /// The most lines that wait for the output.
 const BACKLOG: usize = 4096;
@@ -25,7 +30,11 @@ const CLOSE: Duration = Duration::from_secs(2);
 /// Runs `bcap fleet`.
 pub(crate) fn fleet(args: &args::Fleet, json: bool) -> Result<(), Failure> {
     let config = Config::read(&args.config).map_err(failure)?;
-    if args.check { check(&config, json) } else { run(config) }
+    match (args.check, args.screen) {
+        (true, _) => check(&config, json),
+        (false, true) => on_screen(config),
+        (false, false) => run(config),
+    }
 }
 
 fn failure(error: Error) -> Failure {
@@ -66,6 +75,38 @@ fn run(config: Config) -> Result<(), Failure> {
     Ok(())
 }
 
+/// Publishes until a signal arrives or the user quits, and shows the fleet.
+fn on_screen(config: Config) -> Result<(), Failure> {
+    require("leave --screen out")?;
+    runtime()?.block_on(async {
+        let ended = signal::wait()?;
+        let events = Events::default();
+        let shown = events.clone();
+        let fleet = Fleet::start(config, move |event| shown.add(&now(), event)).await.map_err(failure)?;
+        let metrics = fleet.metrics_address().map(|address| address.to_string());
+        let mut shown = Shown::new(fleet.monitor(), events, metrics);
+        let (quit, quits) = oneshot::channel::<()>();
+        let live = Live::open(quit, move |keys| shown.screen(keys))?;
+        let ended = async {
+            tokio::select! {
+                () = ended => {}
+                // the sender is dropped
+                _ = quits => {}
+            }
+            drop(live);
+        };
+        fleet.run(ended).await;
+        Ok(())
+    })
+}
+
+/// Returns the time in UTC.
+fn now() -> String {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let civil = i64::try_from(since.as_millis()).ok().and_then(OleDate::from_unix_millis).and_then(OleDate::to_civil);
+    civil.map(|civil| format!("{civil}Z")).unwrap_or_default()
+}
+
 /// An event with its time in UTC.
 #[derive(Serialize)]
 struct Line<'a> {
@@ -76,10 +117,7 @@ struct Line<'a> {
 
 /// Gives a line to the writer. A reader that does not read loses lines, which are counted, and does not delay the fleet.
 fn send(lines: &SyncSender<String>, dropped: &AtomicU64, event: &Event) {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    let civil = i64::try_from(since.as_millis()).ok().and_then(OleDate::from_unix_millis).and_then(OleDate::to_civil);
-    let time = civil.map(|civil| format!("{civil}Z")).unwrap_or_default();
-    if let Ok(line) = serde_json::to_string(&Line { time, event })
+    if let Ok(line) = serde_json::to_string(&Line { time: now(), event })
         && lines.try_send(line).is_err()
     {
         dropped.fetch_add(1, Ordering::Relaxed);

@@ -28,11 +28,11 @@ use crate::output::{note, print_block, print_line};
 use crate::playback::Playback;
 use crate::proxy::Front;
 use crate::robot::Robot;
-use crate::screen::require;
+use crate::screen::{Live, require};
 use crate::signal;
 use crate::trajectory::Trajectory;
 use delivery::deliver;
-use live::{Live, Refused, Watched};
+use live::{Refused, Watched, shown};
 
 /// The address for RAC, on a model that has it.
 const RAC: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::LOCALHOST), 5006);
@@ -135,7 +135,7 @@ async fn on_screen(
     };
     serve(Watched::server(&watched), args, rac, file, ended, |line| {
         let addresses = line.strip_prefix("ready ").unwrap_or(line);
-        live = Some(Live::open(addresses, &watched, quit)?);
+        live = Some(Live::open(quit, shown(addresses, &watched))?);
         Ok(())
     })
     .await

@@ -1,10 +1,13 @@
-//! The recordings in `docs/screens`: the terminal of `bcap shell`, `bcap monitor` and `bcap sim --screen`, as text. It needs tmux.
+//! The recordings in `docs/screens`: the terminal of `bcap shell`, `bcap monitor`, `bcap sim --screen` and `bcap fleet --screen`, as
+//! text. It needs tmux, and Mosquitto for the fleet.
 //!
 //! `BLESS=1 cargo test -p bcap-cli --test screens` writes them. The test compares what does not change from run to run: numbers,
 //! sparklines and blanks are left out.
 #![cfg(unix)]
 
 mod common;
+#[path = "common/mosquitto.rs"]
+mod mosquitto;
 #[path = "common/tmux.rs"]
 mod tmux;
 #[path = "common/virtual_robot.rs"]
@@ -36,7 +39,10 @@ fn recorded(name: &str, (width, height): (u16, u16), screen: &str) {
 /// Returns a screen without what changes from run to run.
 fn stable(screen: &str) -> String {
     let is_bar = |c: char| ('▁'..='█').contains(&c);
+    // the order of the events of a fleet is not the same in each run
+    let is_event = |line: &str| line.contains(" is connected") || line.contains(" is disconnected");
     let line = |line: &str| {
+        let line = if is_event(line) { "event" } else { line };
         let words: Vec<String> = line
             .replace(is_bar, " ")
             .split_whitespace()
@@ -104,6 +110,44 @@ fn the_shell() {
         }
         recorded("shell", size, &terminal.screen());
         terminal.enter("exit");
+    }
+}
+
+#[test]
+fn the_fleet() {
+    for size in SIZES {
+        let folder = tempfile::tempdir().unwrap();
+        let Some(broker) = mosquitto::broker() else { return };
+        let robots = [(); 2].map(|()| Virtual::start(&[]));
+        let mut config = format!(
+            "group = \"plant\"\nnode = \"edge1\"\n[broker]\nhost = \"127.0.0.1\"\nport = {}\n[buffer]\ndirectory = {:?}\n",
+            broker.port,
+            folder.path().join("buffer")
+        );
+        // no program listens on port 1
+        let addresses = [&robots[0].tcp, &robots[1].tcp, "tcp:127.0.0.1:1"];
+        for (number, address) in (1..).zip(addresses) {
+            config += &format!("[[controller]]\nname = \"cell{number}\"\naddress = \"{address}\"\n");
+            config += "[[controller.publish]]\nnames = [\"I1-9\"]\ninterval_ms = 100\n";
+        }
+        let file = folder.path().join("fleet.toml");
+        fs::write(&file, config).unwrap();
+        let args = ["fleet", file.to_str().unwrap(), "--screen"];
+        let Some(terminal) = Terminal::start(size, &args, folder.path()) else { return };
+        terminal.wait_for("2 of 3 controllers connected, broker connected");
+        terminal.wait_for("cell3: ");
+        // 80 by 24 has lines for three of the four
+        let screen = terminal.wait_until("all events", |screen| {
+            let count =
+                ["the broker is connected", "cell1 is connected", "cell2 is connected", "cell3 is disconnected"];
+            count.iter().filter(|event| screen.contains(*event)).count() >= if size.1 < 50 { 3 } else { 4 }
+        });
+        recorded("fleet", size, &screen);
+        terminal.keys(&["Down"]);
+        terminal.wait_for("> cell2");
+        drop(broker);
+        terminal.wait_for("BROKER DISCONNECTED");
+        terminal.keys(&["q"]);
     }
 }
 

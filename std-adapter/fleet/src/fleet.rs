@@ -20,6 +20,7 @@ use crate::publisher::Publisher;
 use crate::queue::Queue;
 use crate::reading::now_ms;
 use crate::scan::{Scan, Shared};
+use crate::status::Monitor;
 use crate::store::Store;
 
 /// Many controllers and one broker.
@@ -77,6 +78,12 @@ impl Fleet {
     #[must_use]
     pub fn metrics_address(&self) -> Option<SocketAddr> {
         self.listener.as_ref().and_then(|listener| listener.local_addr().ok())
+    }
+
+    /// Returns what reads the status while the fleet runs.
+    #[must_use]
+    pub fn monitor(&self) -> Monitor {
+        Monitor { shared: Arc::clone(&self.shared) }
     }
 
     /// Runs until `end` is ready. Then it closes the sessions with the controllers, sends what the broker takes within two

@@ -78,7 +78,7 @@ pub(crate) fn reading(config: &Config, reading: Reading) -> Message {
     // an old value must not replace a newer one
     let retain = !reading.historical;
     let message = shown(config, &reading, false);
-    Message { reading: Some(reading), retain, ..message }
+    Message { readings: vec![reading], retain, ..message }
 }
 
 /// Returns the message that repeats the latest reading of a point.
@@ -103,5 +103,5 @@ pub(crate) fn answer(config: &Config, cell: usize, answer: &Answer<'_>) -> Messa
 fn retained(topic: String, shown: &impl Serialize) -> Message {
     // numbers, texts and lists of them are always JSON
     let payload = serde_json::to_vec(shown).unwrap_or_default();
-    Message { topic, payload, qos: QoS::AtLeastOnce, retain: true, reading: None }
+    Message { topic, payload, qos: QoS::AtLeastOnce, retain: true, readings: Vec::new() }
 }

@@ -22,6 +22,7 @@
 //! | `json`, `sparkplug`     | topics and payloads                                                      |
 //! | `command`               | rules, expiry and at-most-once execution of commands                     |
 //! | `metrics`, `http`       | counters, and the server that shows them                                 |
+//! | `status`                | the same counters for a screen                                           |
 //! | `check`                 | tries everything once                                                    |
 
 mod broker;
@@ -42,6 +43,7 @@ mod reading;
 mod scan;
 mod sparkplug;
 mod standby;
+mod status;
 mod store;
 mod units;
 
@@ -50,3 +52,4 @@ pub use self::config::Config;
 pub use self::error::Error;
 pub use self::event::{CommandResult, Event};
 pub use self::fleet::Fleet;
+pub use self::status::{ControllerStatus, Monitor, Status};

@@ -12,5 +12,5 @@ pub(crate) struct Message {
     pub(crate) qos: QoS,
     pub(crate) retain: bool,
     /// What must be sent again if the broker does not acknowledge it.
-    pub(crate) reading: Option<Reading>,
+    pub(crate) readings: Vec<Reading>,
 }

@@ -31,6 +31,8 @@ pub(crate) struct CellMetrics {
     pub(crate) overruns: AtomicU64,
     /// The time of all reads, in microseconds; their number is `readings` and `errors`.
     pub(crate) read_us: AtomicU64,
+    /// The time of the last scan, in microseconds: the reads of all points that were due.
+    pub(crate) scan_us: AtomicU64,
 }
 
 impl Metrics {
@@ -75,6 +77,9 @@ impl Metrics {
         );
         per_cell("bcap_read_seconds", "counter", "The time of all reads.", &|cell| {
             format!("{:.6}", std::time::Duration::from_micros(get(&cell.read_us)).as_secs_f64())
+        });
+        per_cell("bcap_scan_seconds", "gauge", "The time of the last scan.", &|cell| {
+            format!("{:.6}", std::time::Duration::from_micros(get(&cell.scan_us)).as_secs_f64())
         });
         let up = u64::from(self.broker_up.load(Ordering::Relaxed));
         let active = u64::from(self.active.load(Ordering::Relaxed));

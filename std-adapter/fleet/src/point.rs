@@ -58,6 +58,20 @@ pub(crate) enum Source {
     Pose,
     /// CurJnt.
     Joints,
+    /// The status of a task.
+    Task(String),
+    /// The statuses of all tasks.
+    Tasks,
+}
+
+impl Source {
+    /// Returns the name of a variable of the controller.
+    pub(crate) fn variable(&self) -> Option<&str> {
+        match self {
+            Self::Controller(name) => Some(name),
+            _ => None,
+        }
+    }
 }
 
 /// The most variables of a range.
@@ -91,6 +105,7 @@ fn named(text: &str) -> Result<Vec<(String, Source, Option<VariableKind>)>, Stri
         "pose" => return one("pose", Source::Pose, Some(VariableKind::P)),
         "joints" => return one("joints", Source::Joints, Some(VariableKind::J)),
         "mode" => return one("mode", Source::Controller("@MODE".into()), None),
+        "tasks" => return one("tasks", Source::Tasks, None),
         "state" | "command" | "answer" => {
             return Err(format!("{text:?} is a topic of its own; it cannot be a variable"));
         }
@@ -98,14 +113,19 @@ fn named(text: &str) -> Result<Vec<(String, Source, Option<VariableKind>)>, Stri
         _ => {}
     }
     let wrong = |c: char| c.is_control() || c.is_whitespace() || "+#/".contains(c);
-    let (source, name): (fn(String) -> Source, _) = match text.strip_prefix("robot/") {
-        Some(name) => (Source::Robot, name),
-        None => (Source::Controller, text),
+    let (source, name): (fn(String) -> Source, _) = match text.split_once('/') {
+        Some(("robot", name)) => (Source::Robot, name),
+        Some(("task", name)) => (Source::Task, name),
+        _ => (Source::Controller, text),
     };
     if name.is_empty() || name.contains(wrong) {
         return Err(format!(
-            "{text:?}: expected a variable (I1, @MODE, robot/@SERVO_ON), a range (I1-9), pose, joints, mode or error"
+            "{text:?}: expected a variable (I1, @MODE, robot/@SERVO_ON), a range (I1-9), pose, joints, mode, error, task/NAME \
+             or tasks"
         ));
+    }
+    if text.starts_with("task/") {
+        return one(text, source(name.to_owned()), None);
     }
     let digits = name.find(|c: char| c.is_ascii_digit()).unwrap_or(name.len());
     let (letters, index) = name.split_at(digits);
@@ -135,6 +155,8 @@ mod tests {
             named("IO128").unwrap(),
             [("IO128".into(), Source::Controller("IO128".into()), Some(VariableKind::Io))]
         );
+        // a task may have the name of a variable
+        assert_eq!(named("task/I1").unwrap(), [("task/I1".into(), Source::Task("I1".into()), None)]);
         assert_eq!(named("@CURRENT_TIME").unwrap()[0].2, None);
         assert!(named("I3-1").is_err() && named("I 1").is_err() && named("").is_err() && named("I0-99999").is_err());
     }

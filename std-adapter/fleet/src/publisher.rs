@@ -110,7 +110,7 @@ struct Finished {
 /// What is known of a message that was given to the link.
 struct Sent {
     at: Instant,
-    reading: Option<Reading>,
+    readings: Vec<Reading>,
 }
 
 /// A connection and its messages.
@@ -153,10 +153,10 @@ impl Connection {
     }
 
     fn send(&mut self, message: Message) {
-        let Message { topic, payload, qos, retain, reading } = message;
+        let Message { topic, payload, qos, retain, readings } = message;
         // the channel of the link has room for more than the window; after a loss the event follows
         let _ = self.link.client.try_publish(topic, qos, retain, payload);
-        self.sent.push_back(Sent { at: Instant::now(), reading });
+        self.sent.push_back(Sent { at: Instant::now(), readings });
     }
 
     /// Returns the readings that may not have arrived, the oldest first.
@@ -164,8 +164,8 @@ impl Connection {
         let sent = std::mem::take(&mut self.sent);
         let waiting = std::mem::take(&mut self.waiting);
         let unconfirmed = std::mem::take(&mut self.unconfirmed).into_readings();
-        let out = std::mem::take(&mut self.out).into_iter().map(|message| message.reading);
-        let sent = waiting.into_values().chain(sent).map(|sent| sent.reading);
+        let out = std::mem::take(&mut self.out).into_iter().map(|message| message.readings);
+        let sent = waiting.into_values().chain(sent).map(|sent| sent.readings);
         let mut readings: Vec<_> = sent.chain(out).flatten().chain(unconfirmed).collect();
         readings.sort_by_key(|reading| reading.id);
         readings
@@ -346,8 +346,11 @@ impl Publisher {
             }
             self.birth(cell);
         } else if sparkplug.has_type(config, &reading) {
-            let message = sparkplug.data(config, reading);
-            self.push(message);
+            let last = self.link.as_mut().and_then(|connection| connection.out.back_mut());
+            if !last.is_some_and(|message| sparkplug.join(config, message, &reading)) {
+                let message = sparkplug.data(config, reading);
+                self.push(message);
+            }
         } else {
             let birth = sparkplug.device_birth(config, cell, &self.cells[cell].latest);
             self.push(birth);
@@ -366,7 +369,10 @@ impl Publisher {
             // aliases are unknown before a birth; its unread values are null
             messages.push(sparkplug.device_birth(config, cell, &self.cells[cell].latest));
         }
-        messages.push(sparkplug.data(config, reading));
+        let last = self.link.as_mut().and_then(|connection| connection.out.back_mut());
+        if !last.is_some_and(|message| messages.is_empty() && sparkplug.join(config, message, &reading)) {
+            messages.push(sparkplug.data(config, reading));
+        }
         let has_more = self.history.front().is_some_and(|next| next.cell == cell);
         if !self.cells[cell].is_connected() && !has_more {
             // the birth was for its history only
@@ -439,9 +445,9 @@ impl Publisher {
             Some(Ok(Mqtt::Outgoing(Outgoing::Disconnect))) => self.lose("the primary host is offline".into()).await,
             Some(Ok(Mqtt::Incoming(Packet::PubAck(ack)))) => {
                 let sent = self.link.as_mut().and_then(|connection| connection.waiting.remove(&ack.pkid));
-                if let Some(Sent { at, reading }) = sent {
+                if let Some(Sent { at, readings }) = sent {
                     self.prove(at);
-                    self.arrived(reading).await;
+                    self.arrived(readings).await;
                 }
             }
             Some(Ok(Mqtt::Incoming(Packet::SubAck(ack)))) => self.subscribed(&ack.return_codes).await,
@@ -449,7 +455,7 @@ impl Publisher {
                 let Some(connection) = &mut self.link else { return };
                 let Some(sent) = connection.sent.pop_front() else { return };
                 if packet == 0 {
-                    connection.unconfirmed.push(sent.reading);
+                    connection.unconfirmed.push(sent.readings);
                 } else {
                     connection.waiting.insert(packet, sent);
                 }
@@ -461,9 +467,7 @@ impl Publisher {
             }
             Some(Ok(Mqtt::Incoming(Packet::UnsubAck(_)))) => {
                 let confirmed = self.link.as_mut().map(|connection| connection.unconfirmed.confirmed());
-                for reading in confirmed.unwrap_or_default() {
-                    self.arrived(Some(reading)).await;
-                }
+                self.arrived(confirmed.unwrap_or_default()).await;
             }
             Some(Ok(_)) => {}
             Some(Err(reason)) => self.lose(reason).await,
@@ -518,12 +522,12 @@ impl Publisher {
         topics
     }
 
-    /// Counts a reading that the broker has.
-    async fn arrived(&mut self, reading: Option<Reading>) {
-        let Some(reading) = reading else { return };
-        self.shared.metrics.published.fetch_add(1, Ordering::Relaxed);
-        if reading.historical && self.loaded > 0 {
-            self.loaded -= 1;
+    /// Counts readings that the broker has.
+    async fn arrived(&mut self, readings: Vec<Reading>) {
+        self.shared.metrics.published.fetch_add(readings.len() as u64, Ordering::Relaxed);
+        let loaded = readings.iter().filter(|reading| reading.historical).count().min(self.loaded);
+        if loaded > 0 {
+            self.loaded -= loaded;
             if self.loaded == 0 {
                 self.with_store(|store| {
                     store.acknowledge();

@@ -1,5 +1,6 @@
 //! A value that was read of a controller.
 
+use std::collections::BTreeMap;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use bcap_core::variant::Variant;
@@ -14,6 +15,7 @@ pub(crate) enum Value {
     Number(f64),
     Text(String),
     Numbers(Vec<f64>),
+    Texts(BTreeMap<String, String>),
 }
 
 impl Value {

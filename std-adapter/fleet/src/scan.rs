@@ -1,15 +1,18 @@
-//! The scan of one controller: reads each point at its interval, one call after another, and reports changes.
+//! The scan of one controller: reads each point at its interval, one call after another, and reports changes. Variables that
+//! are due at the same time are one request to the task of the controller, which saves most of the cost of a reading.
 //!
 //! It reads by itself, and not with `Controller::subscribe`: a subscription skips a reading that was replaced before it was
 //! taken, has no time of the reading, and cannot read the pose of the robot.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
+use bcap_core::bcap::FunctionId;
 use bcap_core::variant::OwnedVariant;
-use bcap_std::Error;
 use bcap_std::asynch::{Controller, State as Session};
+use bcap_std::{Error, TaskStatus};
 use tokio::sync::watch;
 use tokio::time::{Instant, sleep_until};
 
@@ -19,6 +22,9 @@ use crate::metrics::{CellMetrics, Metrics};
 use crate::point::{Point, Source};
 use crate::queue::{Item, Queue, State};
 use crate::reading::{Quality, Reading, Value, now_ms};
+
+/// The most variables that are read together. Commands for the controller wait meanwhile.
+const BATCH: usize = 32;
 
 /// What all scans share.
 pub(crate) struct Shared {
@@ -65,8 +71,10 @@ impl Scan {
                     self.report(None);
                     reported = None;
                     state = tokio::select! {
-                        next = states.next() => next,
+                        biased;
+                        // first, because it reports what was read before the loss
                         never = self.read_while_active(&mut scanned) => match never {},
+                        next = states.next() => next,
                     };
                 }
                 Some(Session::Disconnected { reason, .. }) => {
@@ -108,41 +116,64 @@ impl Scan {
         }
     }
 
+    /// Reads all points when they are due.
     async fn read_all(&self, scanned: &mut [Scanned<'_>]) -> std::convert::Infallible {
+        let mut began = None;
         loop {
-            let Some(next) = scanned.iter_mut().min_by_key(|scanned| scanned.due) else { std::future::pending().await };
-            sleep_until(next.due).await;
-            let began = Instant::now();
-            let reading = read(&self.controller, &next.point.source).await;
-            let ended = Instant::now();
-            let metrics = self.metrics();
-            metrics.read_us.fetch_add(micros(ended - began), Ordering::Relaxed);
-            // deadlines stay on their grid; those that have passed are left out
-            next.due += next.point.interval;
-            if next.due < ended {
-                let missed = (ended - next.due).as_nanos() / next.point.interval.as_nanos() + 1;
-                let missed = u32::try_from(missed).unwrap_or(u32::MAX);
-                metrics.overruns.fetch_add(missed.into(), Ordering::Relaxed);
-                next.due = next.due.checked_add(next.point.interval * missed).unwrap_or(ended + next.point.interval);
+            let Some(next) = scanned.iter().map(|scanned| scanned.due).min() else { std::future::pending().await };
+            if next > Instant::now() {
+                if let Some(began) = began.take() {
+                    self.metrics().scan_us.store(micros(Instant::now() - began), Ordering::Relaxed);
+                }
+                sleep_until(next).await;
             }
-            match reading {
-                // the state follows, and marks all points
-                Err(Error::NotConnected { .. } | Error::Closed) => {}
-                Err(_) => {
-                    metrics.errors.fetch_add(1, Ordering::Relaxed);
-                    self.push(next, None, Quality::Bad);
-                }
-                Ok(value) => {
-                    metrics.readings.fetch_add(1, Ordering::Relaxed);
-                    let quality = if value.is_some() { Quality::Good } else { Quality::Bad };
-                    self.push(next, value, quality);
-                }
+            let now = Instant::now();
+            began.get_or_insert(now);
+            let batch = batch(scanned, now);
+            let sources: Vec<_> = batch.iter().map(|index| &scanned[*index].point.source).collect();
+            let readings = read_batch(&self.controller, &sources).await;
+            let ended = Instant::now();
+            self.metrics().read_us.fetch_add(micros(ended - now), Ordering::Relaxed);
+            for index in &batch {
+                self.reschedule(&mut scanned[*index], ended);
+            }
+            for (index, (time, value)) in batch.into_iter().zip(readings) {
+                self.count(&mut scanned[index], time, value);
+            }
+        }
+    }
+
+    /// Sets the next deadline of a point. Deadlines stay on their grid; those that have passed are left out.
+    fn reschedule(&self, scanned: &mut Scanned<'_>, ended: Instant) {
+        let interval = scanned.point.interval;
+        scanned.due += interval;
+        if scanned.due < ended {
+            let missed = (ended - scanned.due).as_nanos() / interval.as_nanos() + 1;
+            let missed = u32::try_from(missed).unwrap_or(u32::MAX);
+            self.metrics().overruns.fetch_add(missed.into(), Ordering::Relaxed);
+            scanned.due = scanned.due.checked_add(interval * missed).unwrap_or(ended + interval);
+        }
+    }
+
+    /// Counts what was read, and reports it.
+    fn count(&self, scanned: &mut Scanned<'_>, time: u64, value: Result<Option<Value>, Error>) {
+        match value {
+            // the state follows, and marks all points
+            Err(Error::NotConnected { .. } | Error::Closed) => {}
+            Err(_) => {
+                self.metrics().errors.fetch_add(1, Ordering::Relaxed);
+                self.push(scanned, time, None, Quality::Bad);
+            }
+            Ok(value) => {
+                self.metrics().readings.fetch_add(1, Ordering::Relaxed);
+                let quality = if value.is_some() { Quality::Good } else { Quality::Bad };
+                self.push(scanned, time, value, quality);
             }
         }
     }
 
     /// Reports a reading unless it counts as equal to the last one.
-    fn push(&self, scanned: &mut Scanned<'_>, value: Option<Value>, quality: Quality) {
+    fn push(&self, scanned: &mut Scanned<'_>, time: u64, value: Option<Value>, quality: Quality) {
         let Point { dead_band, on_change, .. } = *scanned.point;
         let is_same = |(last, was): &(Option<Value>, Quality)| {
             *was == quality
@@ -156,8 +187,7 @@ impl Scan {
         }
         scanned.last = Some((value.clone(), quality));
         let id = self.shared.next_id.fetch_add(1, Ordering::Relaxed);
-        let reading =
-            Reading { cell: self.cell, point: scanned.index, time: now_ms(), id, value, quality, historical: false };
+        let reading = Reading { cell: self.cell, point: scanned.index, time, id, value, quality, historical: false };
         self.shared.queue.push(Item::Reading(reading));
     }
 
@@ -165,7 +195,7 @@ impl Scan {
     fn lose(&self, scanned: &mut [Scanned<'_>]) {
         for scanned in scanned {
             if scanned.last.as_ref().is_some_and(|(_, quality)| *quality == Quality::Good) {
-                self.push(scanned, None, Quality::Bad);
+                self.push(scanned, now_ms(), None, Quality::Bad);
             }
             // the first reading of the next session is always reported
             scanned.last = None;
@@ -201,8 +231,76 @@ pub(crate) async fn read(controller: &Controller, source: &Source) -> Result<Opt
         Source::Robot(name) => controller.robot().await?.read(name).await?,
         Source::Pose => controller.robot().await?.execute("CurPos", ()).await?,
         Source::Joints => controller.robot().await?.execute("CurJnt", ()).await?,
+        Source::Task(name) => return Ok(Some(Value::Text(status(controller, name).await?))),
+        Source::Tasks => return Ok(Some(Value::Texts(statuses(controller).await?))),
     };
     Ok(Value::of(&value.as_variant()))
+}
+
+/// Reads the status of a task.
+async fn status(controller: &Controller, name: &str) -> Result<String, Error> {
+    Ok(match controller.task(name).await?.status().await? {
+        TaskStatus::None => "none".into(),
+        TaskStatus::Suspended => "suspended".into(),
+        TaskStatus::Ready => "ready".into(),
+        TaskStatus::Running => "running".into(),
+        TaskStatus::StoppedAtStep => "stopped_at_step".into(),
+        TaskStatus::Other(number) => number.to_string(),
+        other => format!("{other:?}"),
+    })
+}
+
+/// Reads the statuses of all tasks.
+async fn statuses(controller: &Controller) -> Result<BTreeMap<String, String>, Error> {
+    let function = FunctionId::CONTROLLER_GET_TASK_NAMES;
+    let handle = OwnedVariant::new(&controller.handle().await?.0).map_err(Error::Argument)?;
+    let option = OwnedVariant::new("").map_err(Error::Argument)?;
+    let names = controller.call(function, vec![handle, option]).await?;
+    let names: Vec<String> =
+        names.convert().map_err(|source| Error::Value { object: "the names of the tasks".into(), source })?;
+    let mut statuses = BTreeMap::new();
+    for name in names {
+        let status = status(controller, &name).await?;
+        statuses.insert(name, status);
+    }
+    Ok(statuses)
+}
+
+/// Returns the points to read next: those that are due, the most overdue first. Variables of the controller are read
+/// together, all else alone.
+fn batch(scanned: &[Scanned<'_>], now: Instant) -> Vec<usize> {
+    let mut due: Vec<_> = (0..scanned.len()).filter(|index| scanned[*index].due <= now).collect();
+    due.sort_by_key(|index| scanned[*index].due);
+    let is_variable = |index: &usize| matches!(scanned[*index].point.source, Source::Controller(_));
+    let joined = due.iter().take(BATCH).take_while(|index| is_variable(index)).count();
+    due.truncate(joined.max(1));
+    due
+}
+
+/// Reads points, and returns for each when its reply arrived and its value.
+async fn read_batch(controller: &Controller, sources: &[&Source]) -> Vec<(u64, Result<Option<Value>, Error>)> {
+    let names: Option<Vec<_>> = sources.iter().map(|source| source.variable()).collect();
+    let Some(names) = names else {
+        let value = match sources.first() {
+            Some(source) => read(controller, source).await,
+            None => Ok(None),
+        };
+        return vec![(now_ms(), value)];
+    };
+    match controller.read_each(&names).await {
+        // there is no session, and none of them was read
+        Err(_) => Vec::new(),
+        Ok(values) => {
+            let (now, ended) = (now_ms(), std::time::Instant::now());
+            let time = |arrived| now.saturating_sub(millis(ended.saturating_duration_since(arrived)));
+            let convert = |value: OwnedVariant| Value::of(&value.as_variant());
+            values.into_iter().map(|(arrived, value)| (time(arrived), value.map(convert))).collect()
+        }
+    }
+}
+
+fn millis(time: Duration) -> u64 {
+    u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
 }
 
 fn micros(time: Duration) -> u64 {

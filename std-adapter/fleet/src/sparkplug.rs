@@ -5,7 +5,7 @@
 //! | NBIRTH  | after each connection, and when a host asks for a rebirth                                |
 //! | NDEATH  | by will, and before an orderly end                                                       |
 //! | DBIRTH  | when there is a session with the controller and each of its points was read              |
-//! | DDATA   | a reading, by alias; `is_historical` if the broker was disconnected                       |
+//! | DDATA   | readings, by alias; `is_historical` if the broker was disconnected                        |
 //! | DDEATH  | when the session is lost                                                                 |
 //!
 //! Data refer to a birth. So historical data of a disconnected device are sent between a DBIRTH and a DDEATH of their own.
@@ -31,6 +31,8 @@ const REBIRTH: &str = "Node Control/Rebirth";
 
 /// The metric that joins births and deaths of a node.
 const BD_SEQ: &str = "bdSeq";
+/// The most readings of one message.
+const JOINED: usize = 100;
 
 /// The state of the encoder.
 #[derive(Debug)]
@@ -112,7 +114,7 @@ impl Sparkplug {
     /// Returns the death of the node.
     pub(crate) fn death(&self, config: &Config) -> Message {
         let payload = Payload { timestamp: Some(now_ms()), metrics: vec![self.bd_seq_metric()], seq: None };
-        Message { qos: QoS::AtLeastOnce, ..message(topic(config, "NDEATH", None), &payload, None) }
+        Message { qos: QoS::AtLeastOnce, ..message(topic(config, "NDEATH", None), &payload, Vec::new()) }
     }
 
     /// Returns whether a payload is the death of the birth with the number that was followed last.
@@ -131,7 +133,7 @@ impl Sparkplug {
         self.seq = 0;
         self.devices.iter_mut().for_each(|device| device.is_born = false);
         let rebirth = Metric::named(REBIRTH, DataType::Boolean as u32, Number::Boolean(false));
-        self.numbered(topic(config, "NBIRTH", None), vec![self.bd_seq_metric(), rebirth], None)
+        self.numbered(topic(config, "NBIRTH", None), vec![self.bd_seq_metric(), rebirth], Vec::new())
     }
 
     pub(crate) fn is_born(&self, cell: usize) -> bool {
@@ -151,13 +153,13 @@ impl Sparkplug {
             }
         }
         self.devices[cell].is_born = true;
-        self.numbered(topic(config, "DBIRTH", Some(cell)), metrics, None)
+        self.numbered(topic(config, "DBIRTH", Some(cell)), metrics, Vec::new())
     }
 
     /// Returns the death of a device, if it was born.
     pub(crate) fn device_death(&mut self, config: &Config, cell: usize) -> Option<Message> {
         std::mem::take(&mut self.devices[cell].is_born)
-            .then(|| self.numbered(topic(config, "DDEATH", Some(cell)), Vec::new(), None))
+            .then(|| self.numbered(topic(config, "DDEATH", Some(cell)), Vec::new(), Vec::new()))
     }
 
     /// Returns whether a value has the type that the birth has announced.
@@ -169,6 +171,29 @@ impl Sparkplug {
 
     /// Returns the data of a reading.
     pub(crate) fn data(&mut self, config: &Config, reading: Reading) -> Message {
+        let metrics = self.metrics(config, &reading);
+        self.numbered(topic(config, "DDATA", Some(reading.cell)), metrics, vec![reading])
+    }
+
+    /// Adds a reading to the data of other points of the same controller; returns whether it was added. A scan reads many
+    /// points at once, and one message for all of them costs the broker and its subscribers much less.
+    pub(crate) fn join(&self, config: &Config, message: &mut Message, reading: &Reading) -> bool {
+        let fits = |other: &Reading| {
+            other.cell == reading.cell && other.point != reading.point && other.historical == reading.historical
+        };
+        let can_join =
+            !message.readings.is_empty() && message.readings.len() < JOINED && message.readings.iter().all(fits);
+        if can_join {
+            // a protocol buffer is extended by more elements of a repeated field
+            let more = Payload { timestamp: None, metrics: self.metrics(config, reading), seq: None };
+            message.payload.extend(more.encode_to_vec());
+            message.readings.push(reading.clone());
+        }
+        can_join
+    }
+
+    /// Returns the metrics of a reading, by alias.
+    fn metrics(&self, config: &Config, reading: &Reading) -> Vec<Metric> {
         let point = &config.controllers[reading.cell].points[reading.point];
         let (alias, kind) = self.devices[reading.cell].points[reading.point];
         let metrics = (0..).zip(values(point, reading.value.as_ref(), kind.unwrap_or(DataType::String)));
@@ -181,15 +206,14 @@ impl Sparkplug {
             properties: metric.properties.map(PropertySet::quality_only),
             ..metric
         });
-        let metrics = metrics.collect();
-        self.numbered(topic(config, "DDATA", Some(reading.cell)), metrics, Some(reading))
+        metrics.collect()
     }
 
     /// Returns a message with the next sequence number.
-    fn numbered(&mut self, topic: String, metrics: Vec<Metric>, reading: Option<Reading>) -> Message {
+    fn numbered(&mut self, topic: String, metrics: Vec<Metric>, readings: Vec<Reading>) -> Message {
         let payload = Payload { timestamp: Some(now_ms()), metrics, seq: Some(self.seq.into()) };
         self.seq = self.seq.wrapping_add(1);
-        message(topic, &payload, reading)
+        message(topic, &payload, readings)
     }
 
     /// Returns what a host asks of the node (`cell` is `None`) or of a device.
@@ -221,8 +245,8 @@ pub(crate) fn topic(config: &Config, kind: &str, cell: Option<usize>) -> String 
     cell.map_or_else(|| node.clone(), |cell| format!("{node}/{}", config.controllers[cell].name))
 }
 
-fn message(topic: String, payload: &Payload, reading: Option<Reading>) -> Message {
-    Message { topic, payload: payload.encode_to_vec(), qos: QoS::AtMostOnce, retain: false, reading }
+fn message(topic: String, payload: &Payload, readings: Vec<Reading>) -> Message {
+    Message { topic, payload: payload.encode_to_vec(), qos: QoS::AtMostOnce, retain: false, readings }
 }
 
 /// Returns the type of a point that its kind of variable decides.
@@ -242,7 +266,7 @@ const fn type_of(value: &Value) -> DataType {
         Value::Bool(_) => DataType::Boolean,
         Value::Integer(_) => DataType::Int64,
         Value::Number(_) => DataType::Double,
-        Value::Text(_) | Value::Numbers(_) => DataType::String,
+        Value::Text(_) | Value::Numbers(_) | Value::Texts(_) => DataType::String,
     }
 }
 
@@ -307,5 +331,42 @@ impl PropertySet {
         self.keys.truncate(1);
         self.values.truncate(1);
         self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn readings_of_one_scan_are_one_message() {
+        let config = "group = \"g\"\nnode = \"n\"\nformat = \"sparkplug\"\n[broker]\nhost = \"h\"\n[[controller]]\n\
+            name = \"a\"\naddress = \"tcp:h\"\n[[controller.publish]]\nnames = [\"I1-2\"]\n";
+        let config = Config::parse(config).unwrap();
+        let mut sparkplug = Sparkplug::new(&config);
+        sparkplug.birth(&config);
+        sparkplug.device_birth(&config, 0, &[None, None]);
+        let reading = |point, value| Reading {
+            cell: 0,
+            point,
+            time: 5,
+            id: 1,
+            value: Some(Value::Integer(value)),
+            quality: Quality::Good,
+            historical: false,
+        };
+        let mut message = sparkplug.data(&config, reading(0, 7));
+        assert!(sparkplug.join(&config, &mut message, &reading(1, 8)));
+        // a host may take only one value of a metric from a message
+        assert!(!sparkplug.join(&config, &mut message, &reading(1, 9)));
+        assert!(!sparkplug.join(&config, &mut message, &Reading { historical: true, ..reading(0, 9) }));
+        let mut birth = sparkplug.device_birth(&config, 0, &[None, None]);
+        assert!(!sparkplug.join(&config, &mut birth, &reading(0, 9)));
+
+        let payload = Payload::decode(message.payload.as_slice()).unwrap();
+        let metrics: Vec<_> = payload.metrics.into_iter().map(|metric| (metric.alias, metric.value)).collect();
+        assert_eq!(metrics, [(Some(1), Some(Number::Int(7))), (Some(2), Some(Number::Int(8)))]);
+        // 0 and 1 are the births
+        assert_eq!((payload.seq, message.readings.len()), (Some(2), 2));
     }
 }

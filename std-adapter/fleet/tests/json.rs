@@ -8,6 +8,8 @@ use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::time::Duration;
 
 use bcap_fleet::{CommandResult, Event};
+use bcap_std::asynch::Controller;
+use bcap_std::{Settings, TaskStart};
 use common::{Mosquitto, Robot, Running, Subscriber, counter, folder, http, now_ms};
 use rumqttc::Publish;
 use serde_json::json;
@@ -64,6 +66,32 @@ async fn values_and_states_of_several_robots_arrive() {
     assert!(fleet.metric("bcap_published_total").await > 0);
     fleet.stop().await;
     host.json("bcap/plant/edge1/state", |json| json["state"] == "offline").await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_states_of_tasks_are_points() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let robot = Robot::start().await;
+    let publish = "[[controller.publish]]\nnames = [\"task/Pro1\", \"tasks\", \"task/Pro9\"]\ninterval_ms = 10";
+    let mut host = Subscriber::start(broker.port, "bcap/#").await;
+    let fleet = Running::start(&config(broker.port, "", &[&robot], publish)).await;
+    host.json("bcap/plant/cell1/task/Pro1", |json| json["value"] == "ready").await;
+    let all = json!({"Pro1": "ready", "Pro2": "ready", "Pro3": "ready"});
+    host.json("bcap/plant/cell1/tasks", |json| json["value"] == all).await;
+    host.json("bcap/plant/cell1/task/Pro9", |json| json["quality"] == "bad" && json["value"].is_null()).await;
+
+    let (address, settings) = (format!("tcp:{}", robot.address), Settings::rc8());
+    let other = Controller::connect(&address, &settings).await.unwrap();
+    other.task("Pro1").await.unwrap().start(TaskStart::Continuous).await.unwrap();
+    // the task may start between the reads of the two
+    let mut waiting = vec!["bcap/plant/cell1/task/Pro1", "bcap/plant/cell1/tasks"];
+    while !waiting.is_empty() {
+        let publish = host.next().await;
+        let json: serde_json::Value = serde_json::from_slice(&publish.payload).unwrap();
+        let is_running = json["value"] == "running" || json["value"]["Pro1"] == "running";
+        waiting.retain(|topic| *topic != publish.topic || !is_running);
+    }
+    fleet.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

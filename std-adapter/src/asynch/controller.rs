@@ -1,7 +1,7 @@
 //! A controller as an object for tokio.
 
 use std::io;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use bcap_core::bcap::call::ControllerHandle;
 use bcap_core::bcap::{FunctionId, Object};
@@ -131,6 +131,46 @@ impl Controller {
                     let mut values = std::array::from_fn(|_| OwnedVariant::default());
                     for (value, name) in values.iter_mut().zip(&names) {
                         *value = session.read(Object::Controller, name).await?;
+                    }
+                    Ok(values)
+                })
+            })
+            .await
+    }
+
+    /// Reads several variables of any type in one turn, and returns for each when its reply arrived, and its value or error.
+    /// Other calls wait meanwhile. After a loss of the connection the rest is not read.
+    ///
+    /// # Errors
+    ///
+    /// An [`Error`] if there is no session.
+    ///
+    /// # Cancel safety
+    ///
+    /// As [`Controller`].
+    ///
+    /// # Examples
+    ///
+    /// ```no_run
+    /// # async fn example(cell: bcap_std::asynch::Controller) -> Result<(), bcap_std::Error> {
+    /// for (arrived, value) in cell.read_each(&["I1", "P1", "@MODE"]).await? {
+    ///     println!("{value:?}, {} ms ago", arrived.elapsed().as_millis());
+    /// }
+    /// # Ok(())
+    /// # }
+    /// ```
+    pub async fn read_each(&self, names: &[&str]) -> Result<Vec<(Instant, Result<OwnedVariant, Error>)>, Error> {
+        let names: Vec<_> = names.iter().map(|name| (*name).to_owned()).collect();
+        self.handle
+            .run(move |session| {
+                Box::pin(async move {
+                    let mut values = Vec::with_capacity(names.len());
+                    for name in &names {
+                        let value = match session.lost() {
+                            None => session.read(Object::Controller, name).await,
+                            Some(error) => Err(error),
+                        };
+                        values.push((Instant::now(), value));
                     }
                     Ok(values)
                 })

@@ -99,6 +99,7 @@ pub(crate) fn all() -> BTreeMap<&'static str, usize> {
 async fn calls(rig: &mut Rig) {
     rig.sweep("Controller::read", async |cell| cell.read::<i32>("I1").await.unwrap()).await;
     rig.sweep("Controller::read_all", async |cell| cell.read_all(["I2", "P1"]).await.unwrap()).await;
+    rig.sweep("Controller::read_each", async |cell| cell.read_each(&["I2", "P1"]).await.unwrap().len()).await;
     rig.sweep("Controller::write", async |cell| cell.write("I3", 1).await.unwrap()).await;
     rig.sweep("Controller::execute", async |cell| cell.execute::<i32>("SysState", ()).await.unwrap()).await;
     rig.sweep("Controller::call", async |cell| {

@@ -64,6 +64,7 @@ pub(crate) const STD: &[(&str, Coverage)] = &[
     ("asynch/controller.rs: Controller::over", Swept("Controller::over")),
     ("asynch/controller.rs: Controller::read", Swept("Controller::read")),
     ("asynch/controller.rs: Controller::read_all", Swept("Controller::read_all")),
+    ("asynch/controller.rs: Controller::read_each", Swept("Controller::read_each")),
     ("asynch/controller.rs: Controller::robot", Swept("Controller::robot")),
     ("asynch/controller.rs: Controller::stopper", Through("asynch/robot.rs: Stopper::halt")),
     ("asynch/controller.rs: Controller::task", Swept("Controller::task")),

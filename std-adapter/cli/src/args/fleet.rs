@@ -29,6 +29,7 @@ A small CONFIG:
 Examples:
   bcap fleet fleet.toml --check
   bcap fleet fleet.toml
+  bcap fleet fleet.toml --screen
   mosquitto_sub -v -t 'bcap/plant/#'")]
 pub(crate) struct Fleet {
     /// The configuration
@@ -39,4 +40,8 @@ pub(crate) struct Fleet {
     /// anything failed
     #[arg(long)]
     pub(crate) check: bool,
+
+    /// Shows the controllers, the buffer, the broker and the last events live in the terminal, and prints no lines
+    #[arg(long, conflicts_with = "check")]
+    pub(crate) screen: bool,
 }

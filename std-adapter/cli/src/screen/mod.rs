@@ -4,12 +4,14 @@
 //! text is escaped there. [`Terminal`] restores the terminal on every exit.
 
 mod draw;
+mod live;
 mod log;
 mod parts;
 mod robot;
 mod spark;
 mod terminal;
 
+pub(crate) use live::Live;
 pub(crate) use log::CallLog;
 pub(crate) use parts::{Line, Mark, Panel, Part, Screen};
 pub(crate) use robot::{numbered, robot_lines};

@@ -4,9 +4,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::io;
 use std::net::IpAddr;
 use std::ops::ControlFlow;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use bcap_core::bcap::server as bcap;
@@ -17,16 +15,12 @@ use bcap_core::time::Instant;
 use bcap_sim::explain::Observer;
 use bcap_sim::{Controller, Mode};
 use bcap_std::server::Server;
-use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
-use tokio::sync::oneshot;
+use ratatui::crossterm::event::KeyCode;
 
 use super::delivery::deliver;
 use crate::escape;
 use crate::frame::to_call;
-use crate::screen::{CallLog, Line, Panel, Part, Screen, Terminal, numbered, robot_lines};
-
-/// The time from one drawing to the next.
-const FRAME: Duration = Duration::from_millis(100);
+use crate::screen::{CallLog, Line, Panel, Part, Screen, numbered, robot_lines};
 
 /// The refused and tolerated arguments that are kept.
 const KEPT: usize = 200;
@@ -227,50 +221,14 @@ impl rac::Handler for Watched {
     }
 }
 
-/// The thread that draws; dropping this ends it and restores the terminal.
-pub(super) struct Live {
-    stop: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
-}
-
-impl Live {
-    /// Opens the screen. When the user quits, `quit` is dropped.
-    pub(super) fn open(addresses: &str, watched: &Arc<Mutex<Watched>>, quit: oneshot::Sender<()>) -> io::Result<Self> {
-        let mut terminal = Terminal::open()?;
-        let stop = Arc::new(AtomicBool::new(false));
-        let (addresses, watched, stopped) = (addresses.to_owned(), Arc::clone(watched), Arc::clone(&stop));
-        let thread = thread::Builder::new().name("screen".into()).spawn(move || {
-            let _quit = quit;
-            while !stopped.load(Ordering::SeqCst)
-                && step(&addresses, &watched, &mut terminal).is_ok_and(|goes_on| goes_on)
-            {}
-        })?;
-        Ok(Self { stop, thread: Some(thread) })
+/// Returns the function that makes the screen, for [`Live`](crate::screen::Live).
+pub(super) fn shown(addresses: &str, watched: &Arc<Mutex<Watched>>) -> impl FnMut(&[KeyCode]) -> Screen + Send + use<> {
+    let (addresses, watched) = (addresses.to_owned(), Arc::clone(watched));
+    move |keys| {
+        let mut watched = watched.lock().unwrap_or_else(PoisonError::into_inner);
+        keys.iter().for_each(|key| watched.log.key(*key));
+        watched.screen(&addresses, bcap_std::now())
     }
-}
-
-impl Drop for Live {
-    fn drop(&mut self) {
-        self.stop.store(true, Ordering::SeqCst);
-        if let Some(thread) = self.thread.take() {
-            // a panic of the thread has printed its message
-            let _ = thread.join();
-        }
-    }
-}
-
-/// Draws once and handles keys; returns whether to continue.
-fn step(addresses: &str, watched: &Mutex<Watched>, terminal: &mut Terminal) -> io::Result<bool> {
-    let locked = || watched.lock().unwrap_or_else(PoisonError::into_inner);
-    let screen = locked().screen(addresses, bcap_std::now());
-    terminal.draw(&screen)?;
-    for KeyEvent { code, modifiers, .. } in terminal.keys(FRAME)? {
-        match (code, modifiers.contains(KeyModifiers::CONTROL)) {
-            (KeyCode::Char('c'), true) | (KeyCode::Char('q'), false) => return Ok(false),
-            (key, _) => locked().log.key(key),
-        }
-    }
-    Ok(true)
 }
 
 #[cfg(test)]

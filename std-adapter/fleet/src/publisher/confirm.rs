@@ -34,8 +34,8 @@ impl Unconfirmed {
     }
 
     /// A message was written.
-    pub(super) fn push(&mut self, reading: Option<Reading>) {
-        self.readings.extend(reading);
+    pub(super) fn push(&mut self, readings: Vec<Reading>) {
+        self.readings.extend(readings);
     }
 
     /// Asks with a function if there is something to confirm. The function says whether the link took the question; if not,
