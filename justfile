@@ -76,6 +76,10 @@ figures:
 proxy:
     cargo bench -p bcap-cli --bench proxy
 
+# Slave Mode in real time through `bcap proxy`, which records: an hour, or `just proxy-slave 1` for a minute. It fails on an underflow.
+proxy-slave minutes="60":
+    MINUTES={{minutes}} cargo test --release -p bcap-cli --test proxy_load -- --ignored --nocapture
+
 # Round trips over loopback compared with a bare ping-pong, and a server with 100 connections.
 loopback:
     cargo bench -p bcap-tests --bench loopback

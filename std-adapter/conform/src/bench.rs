@@ -341,12 +341,15 @@ impl<'a> Bench<'a> {
         let marker = if self.link == Link::Udp { serial } else { 0 };
         let bytes = encode(serial, marker, function.0, &args);
         self.send(&bytes, &request_text(serial, function, &args))?;
+        let task = self.handles[Slot::Task as usize];
+        let is_of_task = task.is_some() && args.first().and_then(|handle| handle.as_variant().as_i32()) == task;
         self.last = Some(Sent { function, args, marker: serial, serial, reply: None });
         // until a reply says otherwise
         self.task_started |= function == FunctionId::TASK_START;
         let reply = self.reply(function, serial)?;
         match function {
-            FunctionId::TASK_START if reply.code.is_err() => self.task_started = false,
+            // a faulty device may have started it nevertheless
+            FunctionId::TASK_START if reply.code.is_err() && !is_of_task => self.task_started = false,
             FunctionId::TASK_STOP if reply.code.is_ok() => self.task_started = false,
             _ => {}
         }

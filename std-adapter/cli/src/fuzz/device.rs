@@ -1,13 +1,15 @@
 //! Runs steps against the device, and judges what it does.
 
 use std::collections::HashSet;
+use std::io;
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
+use bcap_core::limits::UDP_SEND_MAX;
 use bcap_testkit::frame::TestFrame;
-use bcap_testkit::judge::{self, TCP};
+use bcap_testkit::judge::{self, Fault, TCP};
 use bcap_testkit::oracle::Verdict;
 use bcap_testkit::step::{Argument, Call, Delivery, Step};
 use bcap_testkit::value::Value;
@@ -26,12 +28,25 @@ const KEPT_ALIVE: u32 = 10;
 const AGAIN: u32 = 4;
 /// The wait before each of these attempts.
 const RELEASING: Duration = Duration::from_millis(150);
+/// How often a datagram is sent before its reply counts as missing.
+const ATTEMPTS: u32 = 5;
+/// How long a reply to an invalid datagram may take; a device may drop it.
+const DROPPED: Duration = Duration::from_millis(30);
+/// How often a connection is tried again that a small device has no slot for, the wait before each, and the time in which such a
+/// device ends the connection.
+const SLOTS: u32 = 10;
+const SLOT: Duration = Duration::from_millis(50);
+const REFUSED: Duration = Duration::from_millis(10);
 /// The wait between the parts of a frame that is split.
 const SPLIT: Duration = Duration::from_millis(1);
 
 /// The device, and the limits of what it gets.
 pub(super) struct Device {
     pub(super) bcap: Vec<SocketAddr>,
+    /// The protocol of the addresses before.
+    pub(super) protocol: Protocol,
+    /// Whether the device refuses a connection that follows another one closely.
+    pub(super) is_small: bool,
     pub(super) rac: Option<Vec<SocketAddr>>,
     pub(super) timeout: Duration,
     pub(super) gate: Gate,
@@ -64,6 +79,8 @@ struct Run<'a> {
     tail: Vec<u8>,
     /// Openings that succeeded.
     opened: HashSet<String>,
+    /// The last reply.
+    last: Option<TestFrame>,
 }
 
 impl Device {
@@ -78,6 +95,7 @@ impl Device {
             joined: Vec::new(),
             tail: Vec::new(),
             opened: HashSet::new(),
+            last: None,
         };
         let found = run.steps(steps)?;
         let Run { wire, rac, .. } = run;
@@ -89,7 +107,7 @@ impl Device {
     /// Sees whether a new client is served.
     pub(super) fn probe(&mut self, recorder: Option<&Recorder>) -> Result<Option<Finding>, Failure> {
         const SUBJECT: &str = "a new client";
-        let mut wire = match Wire::connect(&self.bcap, Protocol::Bcap, self.timeout, recorder) {
+        let mut wire = match self.connect(recorder) {
             Ok(wire) => wire,
             Err(error) => return Ok(Some(Finding::new(Kind::Crash, SUBJECT, format!("cannot connect: {error}")))),
         };
@@ -113,11 +131,34 @@ impl Device {
         }
         wire.close();
         if let Some(addresses) = &self.rac
-            && let Err(error) = Wire::connect(addresses, Protocol::Rac, self.timeout, recorder)
+            && let Err(error) = self.connect_to(addresses, Protocol::Rac, recorder)
         {
             return Ok(Some(Finding::new(Kind::Crash, SUBJECT, format!("cannot connect to RAC: {error}"))));
         }
         Ok(None)
+    }
+
+    fn connect(&self, recorder: Option<&Recorder>) -> io::Result<Wire> {
+        self.connect_to(&self.bcap, self.protocol, recorder)
+    }
+
+    /// Opens a connection; again if a small device has no slot for it.
+    fn connect_to(
+        &self,
+        addresses: &[SocketAddr],
+        protocol: Protocol,
+        recorder: Option<&Recorder>,
+    ) -> io::Result<Wire> {
+        let mut again = if self.is_small { SLOTS } else { 0 };
+        loop {
+            let wire = Wire::connect(addresses, protocol, self.timeout, recorder);
+            let is_refused = self.is_small && wire.as_ref().map_or(true, |wire| wire.is_refused(REFUSED));
+            if !is_refused || again == 0 {
+                return wire;
+            }
+            again -= 1;
+            std::thread::sleep(SLOT);
+        }
     }
 
     /// Waits until the next packet may be sent; ends on a signal.
@@ -139,13 +180,22 @@ impl Device {
         let found = |kind, detail: String| Ok(Err(Finding::of_function(kind, request.code, detail)));
         let began = Instant::now();
         let (longest, limit) = (self.timeout.saturating_mul(KEPT_ALIVE), self.timeout.as_millis());
+        // a lost datagram is no fault of the device
+        let mut attempts = if wire.is_datagrams() { ATTEMPTS } else { 1 };
+        let attempt = self.timeout / attempts;
         loop {
-            match wire.receive(self.timeout)? {
+            match wire.receive(attempt)? {
                 Received::Closed => {
                     return found(Kind::Reset, "the device closes the connection after a valid frame".into());
                 }
+                Received::Silence if attempts > 1 => {
+                    attempts -= 1;
+                    wire.send(&request.to_wire(false));
+                }
                 Received::Silence => return found(Kind::Hang, format!("no reply within {limit} ms")),
                 Received::Packet(bytes) => match judge::reply(request, &bytes) {
+                    // to a datagram before
+                    Err(Fault::Serial(_, late)) if wire.has_sent(late) => {}
                     Err(fault) => return found(Kind::WrongReply, fault.to_string()),
                     Ok(reply) if HResult(reply.code) != HResult::S_EXECUTING => return Ok(Ok(reply)),
                     Ok(_) if began.elapsed() > longest => {
@@ -164,8 +214,9 @@ impl Run<'_> {
             let next = match step {
                 Step::Call(call) => {
                     // the last call cannot wait for another one
-                    let is_joined =
-                        call.delivery == Delivery::Joined && matches!(steps.get(place + 1), Some(Step::Call(_)));
+                    let is_joined = self.device.protocol == Protocol::Bcap
+                        && call.delivery == Delivery::Joined
+                        && matches!(steps.get(place + 1), Some(Step::Call(_)));
                     self.call(call, is_joined)?
                 }
                 Step::Bytes(bytes) => self.bytes(bytes)?,
@@ -190,8 +241,9 @@ impl Run<'_> {
         if let Some(wire) = self.wire.take() {
             return Ok(wire);
         }
-        let wire = Wire::connect(&self.device.bcap, Protocol::Bcap, self.device.timeout, self.recorder);
-        wire.map_err(|error| Finding::new(Kind::Crash, "a new client", format!("cannot connect: {error}")))
+        self.device
+            .connect(self.recorder)
+            .map_err(|error| Finding::new(Kind::Crash, "a new client", format!("cannot connect: {error}")))
     }
 
     /// Returns whether the bytes may follow those sent before, and records that they do.
@@ -232,18 +284,55 @@ impl Run<'_> {
                 wire.send(first);
                 // otherwise the operating system would send one segment
                 std::thread::sleep(SPLIT);
-                wire.send(rest);
+                wire.send(if wire.is_datagrams() { &bytes } else { rest });
             }
             _ => wire.send(&bytes),
         }
         for frame in frames {
-            match self.reply(&mut wire, &frame)? {
+            let next = match self.reply(&mut wire, &frame)? {
+                Next::Continue if wire.is_datagrams() && call.delivery == Delivery::Again => {
+                    self.retransmit(&mut wire, &frame)?
+                }
+                next => next,
+            };
+            // a device may take a strange serial number for that of an old call, and may not receive a long datagram
+            let is_strange = call.serial.is_some() || call.is_retry || bytes.len() > UDP_SEND_MAX;
+            match next {
+                Next::Continue if wire.is_datagrams() && is_strange => return Ok(self.ended(wire)),
+                Next::Found(finding) if wire.is_datagrams() && is_strange && finding.kind == Kind::Hang => {
+                    return Ok(self.ended(wire));
+                }
                 Next::Continue => {}
                 next => return Ok(next),
             }
         }
         self.wire = Some(wire);
         Ok(Next::Continue)
+    }
+
+    /// Ends the run with the connection.
+    fn ended(&mut self, wire: Wire) -> Next {
+        self.wire = Some(wire);
+        Next::End
+    }
+
+    /// Sends a call again as a retransmission: with the next serial number, and that of the first attempt in the reserved field. The
+    /// device must not execute it, but send its reply again.
+    fn retransmit(&mut self, wire: &mut Wire, request: &TestFrame) -> Result<Next, Failure> {
+        let Some(first) = self.last.take().filter(|_| request.reserved == 0) else { return Ok(Next::Continue) };
+        let copy = TestFrame { serial: self.session.next_serial(), reserved: request.serial, ..request.clone() };
+        self.device.pace()?;
+        wire.send(&copy.to_wire(false));
+        let again = match self.device.await_reply(wire, &copy)? {
+            Ok(reply) => reply,
+            Err(finding) => return Ok(Next::Found(finding)),
+        };
+        if (first.code, &first.args) == (again.code, &again.args) {
+            return Ok(Next::Continue);
+        }
+        let shown = |reply: &TestFrame| format!("{} {:?}", HResult(reply.code), reply.args);
+        let detail = format!("a call is answered with {}, its retransmission with {}", shown(&first), shown(&again));
+        Ok(Next::Found(Finding::of_function(Kind::WrongReply, request.code, detail)))
     }
 
     fn reply(&mut self, wire: &mut Wire, request: &TestFrame) -> Result<Next, Failure> {
@@ -274,7 +363,9 @@ impl Run<'_> {
                 }
                 _ => {}
             }
-            return Ok(self.session.replied(request, &reply).map_or(Next::Continue, Next::Found));
+            let found = self.session.replied(request, &reply);
+            self.last = Some(reply);
+            return Ok(found.map_or(Next::Continue, Next::Found));
         }
     }
 
@@ -293,9 +384,18 @@ impl Run<'_> {
         wire.send(bytes);
         let next = match TCP.decode(bytes) {
             // an odd frame may still be valid
-            Verdict::Frame(frame, length) if length == bytes.len() => match self.reply(&mut wire, &frame)? {
-                Next::Continue => Next::End,
-                next => next,
+            Verdict::Frame(frame, length) if length == bytes.len() && !wire.is_datagrams() => {
+                match self.reply(&mut wire, &frame)? {
+                    Next::Continue => Next::End,
+                    next => next,
+                }
+            }
+            _ if wire.is_datagrams() => match wire.receive(DROPPED)? {
+                Received::Packet(reply) if !is_frame(&reply) => {
+                    Next::Found(Finding::new(Kind::WrongReply, SUBJECT, "the reply is malformed"))
+                }
+                Received::Closed => Next::Found(Finding::new(Kind::Crash, SUBJECT, "the device closes its port")),
+                Received::Packet(_) | Received::Silence => Next::End,
             },
             Verdict::Refused if is_complete(bytes) => match wire.receive(self.device.timeout)? {
                 Received::Silence => {
@@ -324,7 +424,7 @@ impl Run<'_> {
         };
         let mut wire = match self.rac.take() {
             Some(wire) => wire,
-            None => match Wire::connect(addresses, Protocol::Rac, self.device.timeout, self.recorder) {
+            None => match self.device.connect_to(addresses, Protocol::Rac, self.recorder) {
                 Ok(wire) => wire,
                 Err(error) => {
                     return Ok(Next::Found(Finding::new(Kind::Crash, SUBJECT, format!("cannot connect: {error}"))));

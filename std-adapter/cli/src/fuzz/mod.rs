@@ -22,6 +22,7 @@ mod wire;
 use std::time::{Duration, Instant};
 
 use bcap_std::Protocol;
+use bcap_testkit::grammar::Grammar;
 use bcap_testkit::step::{Argument, Step};
 use serde::Serialize;
 
@@ -36,6 +37,9 @@ use crate::output::{note, print_block, print_json, print_line};
 use crate::record::Recording;
 use crate::robot::Robot;
 
+/// The number of clients before the first session.
+const LOOKS: u32 = 30;
+
 /// Runs `bcap fuzz`.
 pub(crate) fn fuzz(args: &Fuzz, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     if !args.yes_this_device_is_mine {
@@ -45,11 +49,6 @@ pub(crate) fn fuzz(args: &Fuzz, link: &LinkArgs, json: bool) -> Result<(), Failu
                 .into(),
         ));
     }
-    if link.network_target()?.protocol == Protocol::Udp {
-        return Err(Failure::Input(
-            "fuzz needs TCP, because a lost datagram is no fault of the device; write --robot HOST".into(),
-        ));
-    }
     let again = args.again.as_deref().map(save::read).transpose()?;
     if again.is_none() && link.write.is_some() {
         return Err(Failure::Input(
@@ -57,7 +56,7 @@ pub(crate) fn fuzz(args: &Fuzz, link: &LinkArgs, json: bool) -> Result<(), Failu
         ));
     }
     let mut device = device(args, link)?;
-    if let Some(finding) = device.probe(None)? {
+    if let Some(finding) = first_look(&mut device)? {
         return Err(Failure::Connection {
             message: format!("the device does not serve a client before the first packet: {finding}"),
             hint: "check --robot with `bcap doctor`".into(),
@@ -69,10 +68,34 @@ pub(crate) fn fuzz(args: &Fuzz, link: &LinkArgs, json: bool) -> Result<(), Failu
     }
 }
 
+/// Sees whether the device serves clients, and whether it needs time between two of them.
+fn first_look(device: &mut Device) -> Result<Option<Finding>, Failure> {
+    let look = |device: &mut Device| (0..LOOKS).find_map(|_| device.probe(None).transpose()).transpose();
+    let found = look(device)?;
+    if found.is_none() {
+        return Ok(None);
+    }
+    device.is_small = true;
+    let found = look(device)?;
+    if found.is_none() {
+        note(
+            "the device refuses a client that follows another one closely, so refused connections are tried again for half a second; \
+             a device that restarts within this time is not noticed",
+        );
+    }
+    Ok(found)
+}
+
 fn device(args: &Fuzz, link: &LinkArgs) -> Result<Device, Failure> {
     let robot = Robot::resolve(&RobotPorts { robot_udp: None, robot_rac: args.robot_rac.clone() }, link)?;
+    let (bcap, protocol) = match link.network_target()?.protocol {
+        Protocol::Tcp => (robot.tcp, wire::Protocol::Bcap),
+        Protocol::Udp => (vec![robot.udp], wire::Protocol::Datagrams),
+    };
     let mut device = Device {
-        bcap: robot.tcp,
+        bcap,
+        protocol,
+        is_small: false,
         rac: None,
         timeout: link.timeout(),
         gate: Gate::new(args.with_writes.clone(), args.with_motion),
@@ -98,7 +121,10 @@ fn run(device: &mut Device, args: &Fuzz, link: &LinkArgs, json: bool) -> Result<
     let began = Instant::now();
     let plan = Plan {
         seed: args.seed,
-        grammar: device.gate.grammar(link.provider()),
+        grammar: Grammar {
+            datagrams: device.protocol == wire::Protocol::Datagrams,
+            ..device.gate.grammar(link.provider())
+        },
         until: began + args.duration,
         sessions: args.runs.unwrap_or(u64::MAX),
         findings: args.findings,
