@@ -132,9 +132,9 @@ fn the_examples_of_the_help_run() {
     let help = bcap(&["fuzz", "--help"]).out;
     let (_, examples) = help.split_once("Examples:\n").unwrap();
     let examples: Vec<_> = examples.lines().filter_map(|line| line.trim().strip_prefix("bcap ")).collect();
-    assert_eq!(examples.len(), 3, "{help}");
+    assert_eq!(examples.len(), 4, "{help}");
     for example in examples {
-        let line = example.replace("192.168.0.1", &device.bcap);
+        let line = example.replace("udp:192.168.0.1", &device.udp).replace("192.168.0.1", &device.bcap);
         let words: Vec<_> = line.split_whitespace().chain(["--robot-rac", &device.rac, "--timeout", "30000"]).collect();
         let run: Run = bare(&words).current_dir(&folder).output().unwrap().into();
         assert_eq!(run.code, 0, "{example}: {run:?}");

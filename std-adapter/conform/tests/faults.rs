@@ -351,7 +351,8 @@ fn a_session_that_stops_answering_is_replaced_to_switch_the_motor_off() {
     let before = state(&served);
     let request: relay::OnRequest = |memory, parts| {
         let is_motion =
-            parts.args.get(1).and_then(|name| name.as_variant().as_bstr()).is_some_and(|name| name == "DriveAEx");
+            parts.args.get(1).and_then(|name| name.as_variant().as_bstr()).is_some_and(|name| name == "DriveEx");
+        // from then on the device answers nothing on this connection
         memory.had_invalid |= is_motion;
         (!memory.had_invalid).then_some(parts)
     };

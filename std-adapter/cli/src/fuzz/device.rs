@@ -32,11 +32,8 @@ const RELEASING: Duration = Duration::from_millis(150);
 const ATTEMPTS: u32 = 5;
 /// How long a reply to an invalid datagram may take; a device may drop it.
 const DROPPED: Duration = Duration::from_millis(30);
-/// How often a connection is tried again that a small device has no slot for, the wait before each, and the time in which such a
-/// device ends the connection.
-const SLOTS: u32 = 10;
-const SLOT: Duration = Duration::from_millis(50);
-const REFUSED: Duration = Duration::from_millis(10);
+/// The wait before a refused connection is tried again.
+const SLOT: Duration = Duration::from_millis(20);
 /// The wait between the parts of a frame that is split.
 const SPLIT: Duration = Duration::from_millis(1);
 
@@ -45,8 +42,8 @@ pub(super) struct Device {
     pub(super) bcap: Vec<SocketAddr>,
     /// The protocol of the addresses before.
     pub(super) protocol: Protocol,
-    /// Whether the device refuses a connection that follows another one closely.
-    pub(super) is_small: bool,
+    /// For how long a refused connection is tried again.
+    pub(super) reconnect: Duration,
     pub(super) rac: Option<Vec<SocketAddr>>,
     pub(super) timeout: Duration,
     pub(super) gate: Gate,
@@ -106,6 +103,19 @@ impl Device {
 
     /// Sees whether a new client is served.
     pub(super) fn probe(&mut self, recorder: Option<&Recorder>) -> Result<Option<Finding>, Failure> {
+        let until = Instant::now() + self.reconnect;
+        loop {
+            let found = self.probe_once(recorder)?;
+            if found.as_ref().is_none_or(|found| !matches!(found.kind, Kind::Crash | Kind::Leak))
+                || Instant::now() >= until
+            {
+                return Ok(found);
+            }
+            self.interrupt.sleep(SLOT)?;
+        }
+    }
+
+    fn probe_once(&mut self, recorder: Option<&Recorder>) -> Result<Option<Finding>, Failure> {
         const SUBJECT: &str = "a new client";
         let mut wire = match self.connect(recorder) {
             Ok(wire) => wire,
@@ -117,7 +127,7 @@ impl Device {
             let frame = session.frame(&Call::new(function, arguments));
             self.pace()?;
             wire.send(&frame.to_wire(false));
-            let found = match self.await_reply(&mut wire, &frame)? {
+            let found = match self.await_reply(&mut wire, &frame, true)? {
                 Ok(reply) if HResult(reply.code).is_err() => {
                     Finding::new(Kind::Leak, SUBJECT, format!("{function} is refused with {}", HResult(reply.code)))
                 }
@@ -131,7 +141,7 @@ impl Device {
         }
         wire.close();
         if let Some(addresses) = &self.rac
-            && let Err(error) = self.connect_to(addresses, Protocol::Rac, recorder)
+            && let Err(error) = Wire::connect(addresses, Protocol::Rac, self.timeout, recorder)
         {
             return Ok(Some(Finding::new(Kind::Crash, SUBJECT, format!("cannot connect to RAC: {error}"))));
         }
@@ -139,26 +149,7 @@ impl Device {
     }
 
     fn connect(&self, recorder: Option<&Recorder>) -> io::Result<Wire> {
-        self.connect_to(&self.bcap, self.protocol, recorder)
-    }
-
-    /// Opens a connection; again if a small device has no slot for it.
-    fn connect_to(
-        &self,
-        addresses: &[SocketAddr],
-        protocol: Protocol,
-        recorder: Option<&Recorder>,
-    ) -> io::Result<Wire> {
-        let mut again = if self.is_small { SLOTS } else { 0 };
-        loop {
-            let wire = Wire::connect(addresses, protocol, self.timeout, recorder);
-            let is_refused = self.is_small && wire.as_ref().map_or(true, |wire| wire.is_refused(REFUSED));
-            if !is_refused || again == 0 {
-                return wire;
-            }
-            again -= 1;
-            std::thread::sleep(SLOT);
-        }
+        Wire::connect(&self.bcap, self.protocol, self.timeout, recorder)
     }
 
     /// Waits until the next packet may be sent; ends on a signal.
@@ -176,13 +167,20 @@ impl Device {
     }
 
     /// Waits for the reply to a request.
-    fn await_reply(&self, wire: &mut Wire, request: &TestFrame) -> Result<Result<TestFrame, Finding>, Failure> {
+    ///
+    /// A device may drop a datagram that is not of the usual kind, so the wait for its reply is short.
+    fn await_reply(
+        &self,
+        wire: &mut Wire,
+        request: &TestFrame,
+        is_usual: bool,
+    ) -> Result<Result<TestFrame, Finding>, Failure> {
         let found = |kind, detail: String| Ok(Err(Finding::of_function(kind, request.code, detail)));
         let began = Instant::now();
         let (longest, limit) = (self.timeout.saturating_mul(KEPT_ALIVE), self.timeout.as_millis());
         // a lost datagram is no fault of the device
         let mut attempts = if wire.is_datagrams() { ATTEMPTS } else { 1 };
-        let attempt = self.timeout / attempts;
+        let attempt = if wire.is_datagrams() && !is_usual { DROPPED } else { self.timeout / attempts };
         loop {
             match wire.receive(attempt)? {
                 Received::Closed => {
@@ -270,13 +268,31 @@ impl Run<'_> {
             self.joined.push(frame);
             return Ok(Next::Continue);
         }
+        let mut frames = std::mem::take(&mut self.joined);
+        frames.push(frame);
+        let until = Instant::now() + self.device.reconnect;
+        loop {
+            let is_new = self.wire.is_none();
+            let next = self.exchange(call, &frames)?;
+            // the device had no slot for the connection
+            let is_refused = is_new
+                && self.wire.as_ref().is_none_or(|wire| !wire.has_received())
+                && matches!(&next, Next::Found(found) if matches!(found.kind, Kind::Reset | Kind::Crash));
+            if !is_refused || Instant::now() >= until {
+                return Ok(next);
+            }
+            self.wire = None;
+            self.device.interrupt.sleep(SLOT)?;
+        }
+    }
+
+    /// Sends frames together, and awaits their replies.
+    fn exchange(&mut self, call: &Call, frames: &[TestFrame]) -> Result<Next, Failure> {
         let mut wire = match self.wire() {
             Ok(wire) => wire,
             Err(finding) => return Ok(Next::Found(finding)),
         };
         self.device.pace()?;
-        let mut frames = std::mem::take(&mut self.joined);
-        frames.push(frame);
         let bytes = frames.iter().flat_map(|frame| frame.to_wire(false)).collect::<Vec<_>>();
         match call.delivery {
             Delivery::Split(count) if usize::from(count) < bytes.len() => {
@@ -288,32 +304,26 @@ impl Run<'_> {
             }
             _ => wire.send(&bytes),
         }
+        // a device may take a strange serial number for that of an old call, and may not receive a long datagram
+        let is_usual = call.serial.is_none() && !call.is_retry && bytes.len() <= UDP_SEND_MAX;
+        let mut next = Next::Continue;
         for frame in frames {
-            let next = match self.reply(&mut wire, &frame)? {
-                Next::Continue if wire.is_datagrams() && call.delivery == Delivery::Again => {
-                    self.retransmit(&mut wire, &frame)?
-                }
-                next => next,
-            };
-            // a device may take a strange serial number for that of an old call, and may not receive a long datagram
-            let is_strange = call.serial.is_some() || call.is_retry || bytes.len() > UDP_SEND_MAX;
-            match next {
-                Next::Continue if wire.is_datagrams() && is_strange => return Ok(self.ended(wire)),
-                Next::Found(finding) if wire.is_datagrams() && is_strange && finding.kind == Kind::Hang => {
-                    return Ok(self.ended(wire));
-                }
-                Next::Continue => {}
-                next => return Ok(next),
+            next = self.reply(&mut wire, frame, is_usual)?;
+            if matches!(next, Next::Continue) && wire.is_datagrams() && is_usual && call.delivery == Delivery::Again {
+                next = self.retransmit(&mut wire, frame)?;
+            }
+            if !matches!(next, Next::Continue) {
+                break;
             }
         }
+        if wire.is_datagrams() && !is_usual {
+            next = match next {
+                Next::Found(finding) if finding.kind != Kind::Hang => Next::Found(finding),
+                _ => Next::End,
+            };
+        }
         self.wire = Some(wire);
-        Ok(Next::Continue)
-    }
-
-    /// Ends the run with the connection.
-    fn ended(&mut self, wire: Wire) -> Next {
-        self.wire = Some(wire);
-        Next::End
+        Ok(next)
     }
 
     /// Sends a call again as a retransmission: with the next serial number, and that of the first attempt in the reserved field. The
@@ -323,7 +333,7 @@ impl Run<'_> {
         let copy = TestFrame { serial: self.session.next_serial(), reserved: request.serial, ..request.clone() };
         self.device.pace()?;
         wire.send(&copy.to_wire(false));
-        let again = match self.device.await_reply(wire, &copy)? {
+        let again = match self.device.await_reply(wire, &copy, true)? {
             Ok(reply) => reply,
             Err(finding) => return Ok(Next::Found(finding)),
         };
@@ -335,10 +345,10 @@ impl Run<'_> {
         Ok(Next::Found(Finding::of_function(Kind::WrongReply, request.code, detail)))
     }
 
-    fn reply(&mut self, wire: &mut Wire, request: &TestFrame) -> Result<Next, Failure> {
+    fn reply(&mut self, wire: &mut Wire, request: &TestFrame, is_usual: bool) -> Result<Next, Failure> {
         let mut again = AGAIN;
         loop {
-            let reply = match self.device.await_reply(wire, request)? {
+            let reply = match self.device.await_reply(wire, request, is_usual)? {
                 Ok(reply) => reply,
                 Err(finding) if finding.kind == Kind::Reset && self.session.is_stopped => return Ok(Next::End),
                 Err(finding) => return Ok(Next::Found(finding)),
@@ -385,7 +395,7 @@ impl Run<'_> {
         let next = match TCP.decode(bytes) {
             // an odd frame may still be valid
             Verdict::Frame(frame, length) if length == bytes.len() && !wire.is_datagrams() => {
-                match self.reply(&mut wire, &frame)? {
+                match self.reply(&mut wire, &frame, true)? {
                     Next::Continue => Next::End,
                     next => next,
                 }
@@ -424,7 +434,7 @@ impl Run<'_> {
         };
         let mut wire = match self.rac.take() {
             Some(wire) => wire,
-            None => match self.device.connect_to(addresses, Protocol::Rac, self.recorder) {
+            None => match Wire::connect(addresses, Protocol::Rac, self.device.timeout, self.recorder) {
                 Ok(wire) => wire,
                 Err(error) => {
                     return Ok(Next::Found(Finding::new(Kind::Crash, SUBJECT, format!("cannot connect: {error}"))));

@@ -37,9 +37,6 @@ use crate::output::{note, print_block, print_json, print_line};
 use crate::record::Recording;
 use crate::robot::Robot;
 
-/// The number of clients before the first session.
-const LOOKS: u32 = 30;
-
 /// Runs `bcap fuzz`.
 pub(crate) fn fuzz(args: &Fuzz, link: &LinkArgs, json: bool) -> Result<(), Failure> {
     if !args.yes_this_device_is_mine {
@@ -56,7 +53,7 @@ pub(crate) fn fuzz(args: &Fuzz, link: &LinkArgs, json: bool) -> Result<(), Failu
         ));
     }
     let mut device = device(args, link)?;
-    if let Some(finding) = first_look(&mut device)? {
+    if let Some(finding) = device.probe(None)? {
         return Err(Failure::Connection {
             message: format!("the device does not serve a client before the first packet: {finding}"),
             hint: "check --robot with `bcap doctor`".into(),
@@ -68,24 +65,6 @@ pub(crate) fn fuzz(args: &Fuzz, link: &LinkArgs, json: bool) -> Result<(), Failu
     }
 }
 
-/// Sees whether the device serves clients, and whether it needs time between two of them.
-fn first_look(device: &mut Device) -> Result<Option<Finding>, Failure> {
-    let look = |device: &mut Device| (0..LOOKS).find_map(|_| device.probe(None).transpose()).transpose();
-    let found = look(device)?;
-    if found.is_none() {
-        return Ok(None);
-    }
-    device.is_small = true;
-    let found = look(device)?;
-    if found.is_none() {
-        note(
-            "the device refuses a client that follows another one closely, so refused connections are tried again for half a second; \
-             a device that restarts within this time is not noticed",
-        );
-    }
-    Ok(found)
-}
-
 fn device(args: &Fuzz, link: &LinkArgs) -> Result<Device, Failure> {
     let robot = Robot::resolve(&RobotPorts { robot_udp: None, robot_rac: args.robot_rac.clone() }, link)?;
     let (bcap, protocol) = match link.network_target()?.protocol {
@@ -95,7 +74,7 @@ fn device(args: &Fuzz, link: &LinkArgs) -> Result<Device, Failure> {
     let mut device = Device {
         bcap,
         protocol,
-        is_small: false,
+        reconnect: args.reconnect.unwrap_or_default(),
         rac: None,
         timeout: link.timeout(),
         gate: Gate::new(args.with_writes.clone(), args.with_motion),

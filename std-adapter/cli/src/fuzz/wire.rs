@@ -15,6 +15,9 @@ use crate::record::{Ends, Recorder};
 /// How long the device may take to close its side after the fuzzer has closed.
 const CLOSING: Duration = Duration::from_millis(200);
 
+/// The serial numbers of Service_Stop over UDP, relative to the last one.
+const STOPS: [u16; 4] = [1, 0x2000, 0x6000, 0xa000];
+
 /// What a device sends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Protocol {
@@ -55,6 +58,7 @@ pub(super) struct Wire {
     /// The serial numbers of the datagrams that were sent; 0 stands for those that are too short for one.
     sent: HashSet<u16>,
     last: u16,
+    has_received: bool,
 }
 
 impl Wire {
@@ -91,16 +95,21 @@ impl Wire {
         if let Some((recorder, ends)) = &tape {
             recorder.opened(*ends);
         }
-        Self { socket, protocol, received: Vec::new(), tape, is_stuck: false, sent: HashSet::new(), last: 0 }
+        Self {
+            socket,
+            protocol,
+            received: Vec::new(),
+            tape,
+            is_stuck: false,
+            sent: HashSet::new(),
+            last: 0,
+            has_received: false,
+        }
     }
 
-    /// Returns whether the device ends the connection within this time, as one does that has no slot for it.
-    pub(super) fn is_refused(&self, within: Duration) -> bool {
-        let Socket::Tcp(stream) = &self.socket else { return false };
-        match stream.set_read_timeout(Some(within)).and_then(|()| stream.peek(&mut [0])) {
-            Ok(count) => count == 0,
-            Err(error) => !is_timeout(&error),
-        }
+    /// Returns whether the device has sent anything.
+    pub(super) const fn has_received(&self) -> bool {
+        self.has_received
     }
 
     /// Sends bytes. An error is not reported: the next receive returns what the device sent before, and then that it closed the
@@ -157,6 +166,7 @@ impl Wire {
             };
             match read {
                 Ok(count) if self.protocol == Protocol::Datagrams => {
+                    self.has_received = true;
                     let bytes = buffer.get(..count).unwrap_or_default();
                     self.record(Role::Response, bytes);
                     return Ok(Received::Packet(bytes.to_vec()));
@@ -166,6 +176,7 @@ impl Wire {
                     let bytes = buffer.get(..count).unwrap_or_default();
                     self.record(Role::Response, bytes);
                     self.received.extend_from_slice(bytes);
+                    self.has_received = true;
                 }
                 Err(error) if is_timeout(&error) => {}
                 Err(_) => return end(self, Received::Closed),
@@ -188,24 +199,33 @@ impl Wire {
 
     /// Closes the connection, and waits shortly for the device to do so too, so that it has noticed. Over UDP it ends the session.
     pub(super) fn close(mut self) {
-        match &self.socket {
-            Socket::Tcp(stream) => drop(stream.shutdown(Shutdown::Write)),
-            Socket::Udp(_) => {
-                let serial = self.last.checked_add(1).unwrap_or(1);
-                let code = FunctionId::SERVICE_STOP.0;
-                self.send(&TestFrame { serial, reserved: 0, code, args: vec![] }.to_wire(false));
-            }
-        }
+        let Socket::Tcp(stream) = &self.socket else { return self.stop() };
+        let _ = stream.shutdown(Shutdown::Write);
         let until = Instant::now() + CLOSING;
         while let Some(left) = until.checked_duration_since(Instant::now()).filter(|left| !left.is_zero()) {
             match self.receive(left) {
-                Ok(Received::Packet(reply))
-                    if self.is_datagrams() && reply.get(5..7) == Some(&self.last.to_le_bytes()) =>
-                {
-                    return;
-                }
                 Ok(Received::Packet(_)) => {}
                 Ok(Received::Closed | Received::Silence) | Err(_) => return,
+            }
+        }
+    }
+
+    /// Sends Service_Stop until it is answered, because the device keeps a slot for the port. A device may take a serial number for an
+    /// old one after the strange ones of a session, so they are far apart.
+    fn stop(mut self) {
+        let last = self.last;
+        for ahead in STOPS {
+            let serial = last.wrapping_add(ahead).max(1);
+            let code = FunctionId::SERVICE_STOP.0;
+            self.send(&TestFrame { serial, reserved: 0, code, args: vec![] }.to_wire(false));
+            let until = Instant::now() + CLOSING / 4;
+            while let Some(left) = until.checked_duration_since(Instant::now()).filter(|left| !left.is_zero()) {
+                match self.receive(left) {
+                    Ok(Received::Packet(reply)) if reply.get(5..7) == Some(&serial.to_le_bytes()) => return,
+                    Ok(Received::Packet(_)) => {}
+                    Ok(Received::Closed) | Err(_) => return,
+                    Ok(Received::Silence) => break,
+                }
             }
         }
     }
