@@ -105,7 +105,7 @@ board:
 fuzz seconds="30":
     FUZZ_SECONDS={{seconds}} bash .ci/run fuzz
 
-# How long `bcap fuzz` takes to find each of 31 planted bugs: minutes.
+# How long `bcap fuzz` takes to find each of 34 planted bugs: minutes.
 planted:
     cargo test --release -p bcap-cli --test fuzz -- --ignored --nocapture
 
