@@ -350,14 +350,14 @@ fn a_session_that_stops_answering_is_replaced_to_switch_the_motor_off() {
     let served = Served::start(Controller::new(Config { ext_speed: 40.0, ..Config::new(Profile::Rc8) }));
     let before = state(&served);
     let request: relay::OnRequest = |memory, parts| {
-        let is_motion =
-            parts.args.get(1).and_then(|name| name.as_variant().as_bstr()).is_some_and(|name| name == "DriveEx");
+        let is_change =
+            parts.args.get(1).and_then(|name| name.as_variant().as_bstr()).is_some_and(|name| name == "slvChangeMode");
         // from then on the device answers nothing on this connection
-        memory.had_invalid |= is_motion;
+        memory.had_invalid |= is_change;
         (!memory.had_invalid).then_some(parts)
     };
     let hooks = Hooks { request, ..Hooks::HONEST };
-    let (verdict, text) = judged(&served, hooks, Link::Tcp, "timeouts/keep-alives-of-a-motion");
+    let (verdict, text) = judged(&served, hooks, Link::Tcp, "slave/enter-2-j");
     assert_eq!(verdict, Verdict::Fail, "{text}");
     assert_eq!(state(&served), before, "{text}");
 }

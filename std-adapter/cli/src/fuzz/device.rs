@@ -31,7 +31,7 @@ const RELEASING: Duration = Duration::from_millis(150);
 /// How often a datagram is sent before its reply counts as missing.
 const ATTEMPTS: u32 = 5;
 /// How long a reply to an invalid datagram may take; a device may drop it.
-const DROPPED: Duration = Duration::from_millis(30);
+const DROPPED: Duration = Duration::from_millis(10);
 /// The wait before a refused connection is tried again.
 const SLOT: Duration = Duration::from_millis(20);
 /// The wait between the parts of a frame that is split.
@@ -96,7 +96,8 @@ impl Device {
         };
         let found = run.steps(steps)?;
         let Run { wire, rac, .. } = run;
-        [wire, rac].into_iter().flatten().for_each(Wire::close);
+        let is_closed = [wire, rac].into_iter().flatten().fold(false, |is_closed, wire| wire.close() | is_closed);
+        let found = found.or_else(|| is_closed.then(closed_port));
         // what every later client meets is worse than what one connection met
         Ok(self.probe(recorder)?.or(found))
     }
@@ -183,6 +184,7 @@ impl Device {
         let attempt = if wire.is_datagrams() && !is_usual { DROPPED } else { self.timeout / attempts };
         loop {
             match wire.receive(attempt)? {
+                Received::Closed if wire.is_datagrams() => return Ok(Err(closed_port())),
                 Received::Closed => {
                     return found(Kind::Reset, "the device closes the connection after a valid frame".into());
                 }
@@ -220,7 +222,8 @@ impl Run<'_> {
                 Step::Bytes(bytes) => self.bytes(bytes)?,
                 Step::Line(line) => self.line(line)?,
                 Step::Reconnect => {
-                    self.wire.take().into_iter().for_each(Wire::close);
+                    // the probe after the session sees a closed port too
+                    let _ = self.wire.take().map(Wire::close);
                     (self.session, self.joined, self.tail) = (Session::default(), Vec::new(), Vec::new());
                     Next::Continue
                 }
@@ -404,7 +407,7 @@ impl Run<'_> {
                 Received::Packet(reply) if !is_frame(&reply) => {
                     Next::Found(Finding::new(Kind::WrongReply, SUBJECT, "the reply is malformed"))
                 }
-                Received::Closed => Next::Found(Finding::new(Kind::Crash, SUBJECT, "the device closes its port")),
+                Received::Closed => Next::Found(closed_port()),
                 Received::Packet(_) | Received::Silence => Next::End,
             },
             Verdict::Refused if is_complete(bytes) => match wire.receive(self.device.timeout)? {
@@ -422,8 +425,7 @@ impl Run<'_> {
             _ if wire.is_stuck() => Next::Found(Finding::new(Kind::Hang, SUBJECT, "the device takes no more bytes")),
             _ => Next::End,
         };
-        wire.close();
-        Ok(next)
+        Ok(if wire.close() { Next::Found(closed_port()) } else { next })
     }
 
     /// Sends lines of RAC.
@@ -472,6 +474,11 @@ impl Run<'_> {
         self.rac = Some(wire);
         Ok(Next::Continue)
     }
+}
+
+/// A finding over UDP: the machine of the device reports that no program has the port.
+fn closed_port() -> Finding {
+    Finding::new(Kind::Crash, "UDP", "the device has closed its port")
 }
 
 /// Returns whether the bytes are at least as many as their length field says, so that a server waits for no more.

@@ -198,21 +198,23 @@ impl Wire {
     }
 
     /// Closes the connection, and waits shortly for the device to do so too, so that it has noticed. Over UDP it ends the session.
-    pub(super) fn close(mut self) {
+    /// Returns whether the device has closed its port for datagrams.
+    pub(super) fn close(mut self) -> bool {
         let Socket::Tcp(stream) = &self.socket else { return self.stop() };
         let _ = stream.shutdown(Shutdown::Write);
         let until = Instant::now() + CLOSING;
         while let Some(left) = until.checked_duration_since(Instant::now()).filter(|left| !left.is_zero()) {
             match self.receive(left) {
                 Ok(Received::Packet(_)) => {}
-                Ok(Received::Closed | Received::Silence) | Err(_) => return,
+                Ok(Received::Closed | Received::Silence) | Err(_) => break,
             }
         }
+        false
     }
 
     /// Sends Service_Stop until it is answered, because the device keeps a slot for the port. A device may take a serial number for an
     /// old one after the strange ones of a session, so they are far apart.
-    fn stop(mut self) {
+    fn stop(mut self) -> bool {
         let last = self.last;
         for ahead in STOPS {
             let serial = last.wrapping_add(ahead).max(1);
@@ -221,13 +223,15 @@ impl Wire {
             let until = Instant::now() + CLOSING / 4;
             while let Some(left) = until.checked_duration_since(Instant::now()).filter(|left| !left.is_zero()) {
                 match self.receive(left) {
-                    Ok(Received::Packet(reply)) if reply.get(5..7) == Some(&serial.to_le_bytes()) => return,
+                    Ok(Received::Packet(reply)) if reply.get(5..7) == Some(&serial.to_le_bytes()) => return false,
                     Ok(Received::Packet(_)) => {}
-                    Ok(Received::Closed) | Err(_) => return,
+                    Ok(Received::Closed) => return true,
+                    Err(_) => return false,
                     Ok(Received::Silence) => break,
                 }
             }
         }
+        false
     }
 
     pub(super) fn is_datagrams(&self) -> bool {
