@@ -214,7 +214,8 @@ fn planted_bugs_are_found() {
         // a busy machine must not look like a device that hangs, except where the fuzzer waits for bytes that do not come
         let waits = kind == "hang" || bug == Bug::LengthIsOffByOne;
         let timeout = if waits { "1500" } else { "20000" };
-        let found = first_finding(bug, &["--runs", "400", "--duration", "10min", "--timeout", timeout]);
+        let found =
+            first_finding(bug, &["--runs", "400", "--duration", "10min", "--restart", "5s", "--timeout", timeout]);
         let found = found.unwrap_or_else(|| panic!("{bug:?} is not found"));
         assert_eq!(found["kind"], kind, "{bug:?}: {found}");
     }
