@@ -76,6 +76,10 @@ figures:
 proxy:
     cargo bench -p bcap-cli --bench proxy
 
+# Slave Mode in real time through `bcap proxy`, which records: an hour, or `just proxy-slave 1` for a minute. It fails on an underflow.
+proxy-slave minutes="60":
+    MINUTES={{minutes}} cargo test --release -p bcap-cli --test proxy_load -- --ignored --nocapture
+
 # Round trips over loopback compared with a bare ping-pong, and a server with 100 connections.
 loopback:
     cargo bench -p bcap-tests --bench loopback
@@ -106,7 +110,7 @@ fleet controllers="500" values="20" hz="5" seconds="10":
 fuzz seconds="30":
     FUZZ_SECONDS={{seconds}} bash .ci/run fuzz
 
-# How long `bcap fuzz` takes to find each of 31 planted bugs: minutes.
+# How long `bcap fuzz` takes to find each of 34 planted bugs: minutes.
 planted:
     cargo test --release -p bcap-cli --test fuzz -- --ignored --nocapture
 

@@ -164,6 +164,44 @@ fn a_client_over_udp_survives_losses() {
     });
 }
 
+#[test]
+fn the_slot_of_a_udp_peer_is_free_after_service_stop() {
+    between(|_, client, server| async move {
+        let shared = number(7);
+        let serving = async {
+            let (mut rx_meta, mut tx_meta) = ([PacketMetadata::EMPTY; 4], [PacketMetadata::EMPTY; 4]);
+            let (mut rx, mut tx) = ([0; 2048], [0; 2048]);
+            let mut socket = UdpSocket::new(server, &mut rx_meta, &mut rx, &mut tx_meta, &mut tx);
+            socket.bind(5007).unwrap();
+            let mut peers: Vec<Option<UdpPeer<8>>> = [None, None].into_iter().collect();
+            UdpServer::new(&mut socket, &mut peers, &shared, Limits::default()).run().await;
+        };
+        let mut memory: [_; 4] = std::array::from_fn(|_| ([PacketMetadata::EMPTY; 4], [[0; 1024]; 2]));
+        let [a, b, c, d] = memory.each_mut().map(|(meta, [rx, tx])| {
+            let [rx_meta, tx_meta] = meta.as_chunks_mut::<2>().0 else { unreachable!() };
+            let socket = UdpSocket::new(client, rx_meta, rx, tx_meta, tx);
+            let transport = UdpTransport::new(client, socket, (address(1), 5007)).unwrap();
+            Connection::new(transport, Client::new(Config::UDP, [0; 488], [0; 505]))
+        });
+        let test = async {
+            let (mut stopped, mut working, mut next, mut last) = (a, b, c, d);
+            for peer in [&mut stopped, &mut working] {
+                peer.call(call::service_start("")).await.unwrap();
+            }
+            let controller = working.call(call::controller_connect("", "P", "", "")).await.unwrap();
+            let full = next.call(call::service_start("")).await;
+            assert_eq!(full, Err(CallError::Refused(HResult::E_MAX_CONNECT)));
+            stopped.call(call::service_stop()).await.unwrap();
+            next.call(call::service_start("")).await.unwrap();
+            // neither of the two peers with a service lost its slot
+            let full = last.call(call::service_start("")).await;
+            assert_eq!(full, Err(CallError::Refused(HResult::E_MAX_CONNECT)));
+            working.call(call::controller_get_variable(controller, "I1", "")).await.unwrap();
+        };
+        select(serving, test).await;
+    });
+}
+
 /// Serves RAC on port 5006 forever.
 async fn serve_rac(stack: Stack<'_>, shared: &Controller, limits: Limits) {
     let (mut rx, mut tx) = ([0; 512], [0; 512]);

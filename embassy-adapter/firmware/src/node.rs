@@ -29,8 +29,11 @@ use crate::lan9118;
 
 /// The index of the first variable that can be written.
 const MEMORY: u32 = 10;
-/// The handle of the only controller.
-const CONTROLLER: i32 = 1;
+/// The bits of a handle that number the opened object; the bits below are a variable's kind and its index.
+const NUMBER_SHIFT: u32 = 9;
+const NUMBER_MASK: u32 = 0x003f_ffff;
+const KIND_SHIFT: u32 = 5;
+const INDEX_MASK: u32 = 0x1f;
 
 /// The board as a controller.
 #[derive(Debug, Default)]
@@ -38,6 +41,8 @@ pub struct Node {
     answered: u32,
     refused: u32,
     memory: [i32; 10],
+    /// The number of objects opened so far.
+    opened: u32,
     /// Whether the robot answered the last request.
     pub robot_is_up: bool,
 }
@@ -46,7 +51,7 @@ impl Node {
     /// Creates the state of a board that has just started.
     #[must_use]
     pub const fn new() -> Self {
-        Self { answered: 0, refused: 0, memory: [0; 10], robot_is_up: false }
+        Self { answered: 0, refused: 0, memory: [0; 10], opened: 0, robot_is_up: false }
     }
 
     /// Returns the numbers of requests answered and refused.
@@ -83,6 +88,12 @@ impl Node {
             5 => i32::try_from(stack::high_water()).unwrap_or(i32::MAX),
             _ => *self.memory.get(place(index)?)?,
         })
+    }
+
+    /// Returns a new handle. Handles repeat after 4 million objects.
+    fn open(&mut self, variable: u32) -> i32 {
+        self.opened = self.opened.wrapping_add(1);
+        ((self.opened & NUMBER_MASK) << NUMBER_SHIFT | variable).cast_signed()
     }
 
     fn put(&mut self, variable: Variable, value: Variant<'_>) -> HResult {
@@ -127,12 +138,12 @@ impl BcapHandler for Node {
             | FunctionId::SERVICE_STOP
             | FunctionId::CONTROLLER_DISCONNECT
             | FunctionId::VARIABLE_RELEASE => HResult::S_OK,
-            FunctionId::CONTROLLER_CONNECT => from_encoding(reply.set(&CONTROLLER)),
+            FunctionId::CONTROLLER_CONNECT => from_encoding(reply.set(&self.open(0))),
             FunctionId::CONTROLLER_GET_VARIABLE => {
                 let mut name = [0; 16];
                 match request.text(1).to_str(&mut name).and_then(from_name) {
-                    Some(variable) => from_encoding(reply.set(&to_handle(variable))),
-                    None => HResult::E_INVALIDARG,
+                    Some(variable) if exists(variable) => from_encoding(reply.set(&self.open(to_bits(variable)))),
+                    _ => HResult::E_CAO_OBJECT_NOTFOUND,
                 }
             }
             FunctionId::VARIABLE_GET_VALUE => match variable() {
@@ -164,13 +175,22 @@ fn from_name(name: &str) -> Option<Variable> {
     Some(Variable::new(VariableKind::from_name(kind)?, index.parse().ok()?))
 }
 
-/// Returns the handle of a variable: its kind and its index.
-fn to_handle(variable: Variable) -> i32 {
+fn exists(variable: Variable) -> bool {
+    match variable.kind {
+        VariableKind::I => matches!(variable.index, 0..=5 | 10..=19),
+        VariableKind::D | VariableKind::S | VariableKind::Io => variable.index == 0,
+        _ => false,
+    }
+}
+
+/// Returns the kind and the index of a variable as the lower bits of its handles.
+fn to_bits(variable: Variable) -> u32 {
     let kind = VariableKind::ALL.iter().position(|kind| *kind == variable.kind).unwrap_or_default();
-    (i32::try_from(kind + 1).unwrap_or_default() << 24) | (variable.index & 0x00ff_ffff).cast_signed()
+    u32::try_from(kind).unwrap_or_default() << KIND_SHIFT | variable.index & INDEX_MASK
 }
 
 fn from_handle(handle: i32) -> Option<Variable> {
-    let kind = usize::try_from(handle >> 24).ok()?.checked_sub(1)?;
-    Some(Variable::new(*VariableKind::ALL.get(kind)?, (handle & 0x00ff_ffff).cast_unsigned()))
+    let bits = handle.cast_unsigned();
+    let kind = usize::try_from(bits >> KIND_SHIFT & ((1 << (NUMBER_SHIFT - KIND_SHIFT)) - 1)).ok()?;
+    Some(Variable::new(*VariableKind::ALL.get(kind)?, bits & INDEX_MASK))
 }

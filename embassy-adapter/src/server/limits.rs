@@ -17,7 +17,8 @@ pub struct Limits {
     /// How long a client of a gateway must be idle before it may be disconnected to make room for another one; `None` means
     /// never. Servers without a gateway ignore it.
     pub evict_after: Option<Duration>,
-    /// How long a UDP peer must be idle before another peer may take its slot.
+    /// How long a UDP peer with a service must be idle before another peer may take its slot. Without one, before Service_Start and
+    /// after Service_Stop, its slot may be taken at once.
     pub udp_idle: Duration,
 }
 

@@ -149,9 +149,10 @@ impl<'a, 's, M: RawMutex, H: Handler, const N: usize, const OBJECTS: usize> UdpS
     }
 }
 
-/// Opens a session for a new peer, in a free slot or in that of the peer that has been idle longest.
+/// Opens a session for a new peer, in a free slot, in that of a peer without a service, or in that of an idle peer.
 ///
-/// Returns `None` when no slot is free and no peer has been idle for [`Limits::udp_idle`].
+/// A peer has a service from Service_Start to Service_Stop. Returns `None` when all slots have peers with a service that were not
+/// idle for [`Limits::udp_idle`].
 ///
 /// Not inlined: otherwise the temporary session would take stack or future memory while datagrams are received.
 #[inline(never)]
@@ -162,13 +163,14 @@ fn open_slot<'p, M: RawMutex, H: Handler, const N: usize, const OBJECTS: usize>(
     endpoint: IpEndpoint,
     now: Instant,
 ) -> Option<&'p mut UdpPeer<OBJECTS>> {
-    let idle = |peer: &UdpPeer<OBJECTS>| {
+    let has_service = |peer: &UdpPeer<OBJECTS>| peer.session.is_running() || peer.session.open_objects() > 0;
+    let is_idle = |peer: &UdpPeer<OBJECTS>| {
         !peer.session.is_running() && now.saturating_since(peer.last_received) >= limits.udp_idle
     };
     let slot = peers
         .iter_mut()
-        .filter(|slot| slot.as_ref().is_none_or(idle))
-        .min_by_key(|slot| slot.as_ref().map(|peer| peer.last_received))?;
+        .filter(|slot| slot.as_ref().is_none_or(|peer| !has_service(peer) || is_idle(peer)))
+        .min_by_key(|slot| slot.as_ref().map(|peer| (has_service(peer), peer.last_received)))?;
     if let Some(old) = slot {
         shared.close(&mut old.session, old.id, now);
     }

@@ -17,6 +17,9 @@ use serde_json::Value;
 
 const MINE: &str = "--yes-this-device-is-mine";
 
+/// In the options of a test: over UDP.
+const DATAGRAMS: &str = "datagrams";
+
 /// An empty folder for findings.
 fn folder(name: &str) -> PathBuf {
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("fuzz").join(name);
@@ -27,9 +30,12 @@ fn folder(name: &str) -> PathBuf {
 /// Fuzzes a device; the findings are in a folder with this name.
 fn fuzz(device: &Planted, name: &str, more: &[&str]) -> Run {
     let folder = folder(name);
-    let fixed = ["fuzz", "--robot", &device.bcap, "--robot-rac", &device.rac, MINE, "--rate", "0"];
+    let is_udp = more.contains(&DATAGRAMS);
+    let more: Vec<_> = more.iter().copied().filter(|word| *word != DATAGRAMS).collect();
+    let robot = if is_udp { &device.udp } else { &device.bcap };
+    let fixed = ["fuzz", "--robot", robot, "--robot-rac", &device.rac, MINE, "--rate", "0"];
     let out = ["--out", folder.to_str().unwrap()];
-    bare(&[&fixed, &out[..], more].concat()).output().unwrap().into()
+    bare(&[&fixed, &out[..], &more].concat()).output().unwrap().into()
 }
 
 /// Returns the findings and the totals of a run with `--json`.
@@ -45,8 +51,6 @@ fn without_a_confirmation_nothing_is_sent() {
     let run = bcap(&["fuzz", "--robot", &device.bcap, "--runs", "1"]);
     assert_eq!((run.code, device.calls()), (2, vec![]), "{run:?}");
     assert!(run.err.contains(MINE), "{run:?}");
-    let run = bcap(&["fuzz", "--robot", &format!("udp:{}", device.bcap), MINE]);
-    assert_eq!((run.code, device.calls()), (2, vec![]), "{run:?}");
 }
 
 #[test]
@@ -68,6 +72,15 @@ fn a_device_without_a_bug_has_no_finding_and_gets_only_calls_that_read() {
     assert!(calls.len() > 1000, "{}", calls.len());
     assert_eq!(calls.iter().filter(|function| !is_gated(function)).collect::<Vec<_>>(), [&FunctionId(0); 0]);
     assert!(calls.contains(&FunctionId::CONTROLLER_GET_FILE) && calls.contains(&FunctionId::ROBOT_EXECUTE));
+}
+
+#[test]
+fn a_device_without_a_bug_has_no_finding_over_udp() {
+    let device = Planted::start(Bug::None);
+    let run = fuzz(&device, "datagrams", &[DATAGRAMS, "--runs", "150", "--duration", "10min", "--timeout", "30000"]);
+    assert_eq!(run.code, 0, "{run:?}");
+    assert!(run.out.starts_with("seed 1: 150 sessions, ") && run.out.contains(" 0 findings in "), "{run:?}");
+    assert!(device.calls().len() > 500, "{}", device.calls().len());
 }
 
 #[test]
@@ -119,9 +132,9 @@ fn the_examples_of_the_help_run() {
     let help = bcap(&["fuzz", "--help"]).out;
     let (_, examples) = help.split_once("Examples:\n").unwrap();
     let examples: Vec<_> = examples.lines().filter_map(|line| line.trim().strip_prefix("bcap ")).collect();
-    assert_eq!(examples.len(), 3, "{help}");
+    assert_eq!(examples.len(), 4, "{help}");
     for example in examples {
-        let line = example.replace("192.168.0.1", &device.bcap);
+        let line = example.replace("udp:192.168.0.1", &device.udp).replace("192.168.0.1", &device.bcap);
         let words: Vec<_> = line.split_whitespace().chain(["--robot-rac", &device.rac, "--timeout", "30000"]).collect();
         let run: Run = bare(&words).current_dir(&folder).output().unwrap().into();
         assert_eq!(run.code, 0, "{example}: {run:?}");
@@ -161,20 +174,22 @@ fn writes_reach_only_the_named_range() {
 
 #[test]
 fn the_virtual_controller_has_no_finding() {
-    for model in ["rc8", "rc9"] {
+    for (model, link) in [("rc8", "tcp"), ("rc9", "tcp"), ("rc8", "udp")] {
         let sim = Running::sim(&["--model", model]);
-        let folder = folder(model);
+        let folder = folder(&format!("{model}-{link}"));
         let out = ["--out", folder.to_str().unwrap(), "--rate", "0", "--runs", "100", "--duration", "10min"];
-        let robot = ["--robot", &sim.bcap, "--robot-rac", &sim.rac, "--timeout", "30000"];
+        let address = if link == "udp" { format!("udp:{}", sim.udp) } else { sim.bcap.clone() };
+        let robot = ["--robot", &address, "--robot-rac", &sim.rac, "--timeout", "30000"];
         let run = bcap(&[&["fuzz", MINE], &robot[..], &out].concat());
-        assert_eq!(run.code, 0, "{model}: {run:?}");
+        assert_eq!(run.code, 0, "{model} over {link}: {run:?}");
     }
 }
 
 /// Fuzzes a device with a planted bug until the first finding; returns it.
 fn first_finding(bug: Bug, limits: &[&str]) -> Option<Value> {
     let device = Planted::start(bug);
-    let run = fuzz(&device, &format!("{bug:?}"), &[&["--findings", "1", "--json"], limits].concat());
+    let link = if bug.is_of_datagrams() { &[DATAGRAMS][..] } else { &[] };
+    let run = fuzz(&device, &format!("{bug:?}"), &[&["--findings", "1", "--json"], limits, link].concat());
     lines(&run).0.into_iter().next()
 }
 
@@ -192,11 +207,15 @@ fn planted_bugs_are_found() {
         (Bug::HandleLivesOn, "handle"),
         (Bug::ReleaseLeaks, "leak"),
         (Bug::DoubleIsSingle, "wrong-reply"),
+        (Bug::LongDatagramCrashes, "crash"),
+        (Bug::CutDatagramHangs, "hang"),
+        (Bug::RetransmissionIsExecuted, "wrong-reply"),
     ] {
         // a busy machine must not look like a device that hangs, except where the fuzzer waits for bytes that do not come
         let waits = kind == "hang" || bug == Bug::LengthIsOffByOne;
         let timeout = if waits { "1500" } else { "20000" };
-        let found = first_finding(bug, &["--runs", "400", "--duration", "10min", "--timeout", timeout]);
+        let found =
+            first_finding(bug, &["--runs", "400", "--duration", "10min", "--restart", "5s", "--timeout", timeout]);
         let found = found.unwrap_or_else(|| panic!("{bug:?} is not found"));
         assert_eq!(found["kind"], kind, "{bug:?}: {found}");
     }

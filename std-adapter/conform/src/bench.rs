@@ -35,6 +35,11 @@ pub(crate) struct Sent {
     pub(crate) reply: Option<Reply>,
 }
 
+/// How often a call or a case is repeated when the device ended its connection without any reply: a small device may have no slot
+/// yet.
+pub(crate) const REFUSALS: usize = 5;
+pub(crate) const REFUSAL_PAUSE: Duration = Duration::from_millis(100);
+
 /// The external speed, acceleration and deceleration of cases, in percent.
 const SLOW: &str = "8196,10,10,10";
 
@@ -58,10 +63,14 @@ pub(crate) struct Bench<'a> {
     pub(crate) task_started: bool,
     /// Tells whether the run is to end, so that nothing may move any more.
     pub(crate) is_interrupted: Option<&'a dyn Fn() -> bool>,
-    /// Whether a reply has arrived.
+    /// Whether nothing was sent on the connection.
+    is_fresh: bool,
+    /// Whether a reply has arrived on the connection.
     answered: bool,
-    /// Whether the device ended a connection before any reply.
+    /// Whether the device ended the connection before any reply.
     pub(crate) refused: bool,
+    /// Whether a first call got no reply although it was repeated.
+    has_no_slot: bool,
     /// What was sent and received, one line each.
     pub(crate) log: Vec<String>,
 }
@@ -85,8 +94,10 @@ impl<'a> Bench<'a> {
             way_back: None,
             task_started: false,
             is_interrupted: None,
+            is_fresh: false,
             answered: false,
             refused: false,
+            has_no_slot: false,
             log,
         }
     }
@@ -221,10 +232,27 @@ impl<'a> Bench<'a> {
         }
     }
 
+    /// Ends the connection; over UDP the session, because the device would keep its slot for the port.
     pub(crate) fn close(&mut self) {
-        if let Some(wire) = self.wire.take() {
-            wire.close(self.options.quiet);
+        let Some(mut wire) = self.wire.take() else { return };
+        if self.link == Link::Udp {
+            let serial = self.next_serial();
+            // without an answer the device forgets the peer later
+            let _ = wire.send(&encode(serial, serial, FunctionId::SERVICE_STOP.0, &[]));
         }
+        wire.close(self.options.quiet);
+    }
+
+    /// Starts a session of another client beside this one; a device that has no slot for it skips the case.
+    pub(crate) fn another(&self) -> Result<Self, Stop> {
+        let mut other = Self::new(self.options, self.link);
+        other.serial = self.serial;
+        other.connect()?;
+        let started = other.must(FunctionId::SERVICE_START, &[Arg::S("")], Want::NoValue);
+        if other.has_no_slot {
+            return skip("the device has no slot for another client at the same time");
+        }
+        started.map(|_| other)
     }
 
     pub(crate) fn connect(&mut self) -> Result<(), Stop> {
@@ -234,7 +262,7 @@ impl<'a> Bench<'a> {
             None => return skip("the address of b-CAP is not given"),
         };
         match Wire::connect(self.link, address, self.options.timeout) {
-            Ok(wire) => self.wire = Some(wire),
+            Ok(wire) => (self.wire, self.is_fresh, self.answered) = (Some(wire), true, false),
             Err(error) => return fail(format!("{address} accepts the connection"), error.to_string()),
         }
         Ok(())
@@ -243,6 +271,7 @@ impl<'a> Bench<'a> {
     /// Sends bytes.
     pub(crate) fn send(&mut self, bytes: &[u8], text: &str) -> Result<(), Stop> {
         self.log.push(format!("-> {text} [{}]", hex(bytes)));
+        self.is_fresh = false;
         let Some(wire) = &mut self.wire else { return fail("a connection", "the connection has ended") };
         match wire.send(bytes) {
             Ok(()) => Ok(()),
@@ -283,17 +312,44 @@ impl<'a> Bench<'a> {
     }
 
     /// Makes a call, and returns its reply whatever its code. The rules of all replies are checked.
+    ///
+    /// The first call of a connection is repeated on a new one while the device has no slot: it ends the connection without a reply,
+    /// or answers E_MAX_CONNECT.
     pub(crate) fn exchange(&mut self, function: FunctionId, args: Vec<OwnedVariant>) -> Result<Reply, Stop> {
+        let mut repeats = 0;
+        loop {
+            let is_first = self.is_fresh;
+            self.refused = false;
+            let outcome = self.exchange_once(function, args.clone());
+            let has_slot = outcome.as_ref().map_or(!self.refused, |reply| reply.code != HResult::E_MAX_CONNECT);
+            if !is_first || has_slot {
+                return outcome;
+            }
+            if repeats == REFUSALS {
+                // repeated enough, so the case does not run again
+                (self.refused, self.has_no_slot) = (false, true);
+                return outcome;
+            }
+            repeats += 1;
+            std::thread::sleep(REFUSAL_PAUSE);
+            self.connect()?;
+        }
+    }
+
+    fn exchange_once(&mut self, function: FunctionId, args: Vec<OwnedVariant>) -> Result<Reply, Stop> {
         let serial = self.next_serial();
         let marker = if self.link == Link::Udp { serial } else { 0 };
         let bytes = encode(serial, marker, function.0, &args);
         self.send(&bytes, &request_text(serial, function, &args))?;
+        let task = self.handles[Slot::Task as usize];
+        let is_of_task = task.is_some() && args.first().and_then(|handle| handle.as_variant().as_i32()) == task;
         self.last = Some(Sent { function, args, marker: serial, serial, reply: None });
         // until a reply says otherwise
         self.task_started |= function == FunctionId::TASK_START;
         let reply = self.reply(function, serial)?;
         match function {
-            FunctionId::TASK_START if reply.code.is_err() => self.task_started = false,
+            // a faulty device may have started it nevertheless
+            FunctionId::TASK_START if reply.code.is_err() && !is_of_task => self.task_started = false,
             FunctionId::TASK_STOP if reply.code.is_ok() => self.task_started = false,
             _ => {}
         }
@@ -370,7 +426,7 @@ impl<'a> Bench<'a> {
         Ok(encoded.unwrap_or_default())
     }
 
-    fn keep(&mut self, slot: Slot, reply: &Reply) -> Result<(), Stop> {
+    pub(crate) fn keep(&mut self, slot: Slot, reply: &Reply) -> Result<(), Stop> {
         let handle = match reply.value() {
             Some(Variant::I4(handle)) => handle,
             Some(Variant::Ui4(handle)) => handle.cast_signed(),
@@ -433,14 +489,8 @@ impl<'a> Bench<'a> {
     }
 }
 
-/// A session over UDP lasts until Service_Stop, or until the device forgets its peer; a TCP connection until its end.
 impl Drop for Bench<'_> {
     fn drop(&mut self) {
-        let serial = self.next_serial();
-        if let (Link::Udp, Some(wire)) = (self.link, &mut self.wire) {
-            // without an answer the device forgets the peer later
-            let _ = wire.send(&encode(serial, serial, FunctionId::SERVICE_STOP.0, &[]));
-        }
         self.close();
     }
 }

@@ -36,7 +36,7 @@ mod steps;
 mod undo;
 mod wire;
 
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 pub use case::{Case, Group, Level};
 pub use client::{ClientJudge, client_cases};
@@ -44,7 +44,7 @@ pub use device::{Options, Target};
 pub use report::{CaseResult, Report, Verdict};
 pub use wire::Link;
 
-use bench::{Bench, Stop};
+use bench::{Bench, REFUSAL_PAUSE, REFUSALS, Stop};
 
 /// Returns all cases for devices, by group.
 #[must_use]
@@ -93,10 +93,6 @@ fn inapplicable(case: &Case, options: &Options) -> Option<String> {
         _ => None,
     }
 }
-
-/// How often a case runs again when the device ended its connection without any reply: a small device may have no slot yet.
-const REFUSALS: usize = 5;
-const REFUSAL_PAUSE: Duration = Duration::from_millis(100);
 
 fn judge<'a>(
     case: &Case,

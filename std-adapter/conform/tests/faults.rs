@@ -330,3 +330,34 @@ fn a_wrong_reply_during_a_motion_leaves_the_robot_as_it_was() {
     let has_moved = joints.iter().zip(&after.2).any(|(before, after)| (before - after).abs() > 0.001);
     assert!(!has_moved, "{joints:?} {:?}", after.2);
 }
+
+#[test]
+fn a_task_that_starts_with_an_error_is_stopped() {
+    let served = Served::start(Controller::new(Config::new(Profile::Rc8)));
+    let reply: relay::OnReply = |_, request, parts| match request.function {
+        F::TASK_START => with_code(parts, HResult::S_OK, HResult::E_FAIL),
+        _ => parts.write(),
+    };
+    let (verdict, text) = judged(&served, Hooks { reply, ..Hooks::HONEST }, Link::Tcp, "tasks/start-and-stop");
+    assert_eq!(verdict, Verdict::Skip, "{text}");
+    // a task that still runs would skip the case
+    let (verdict, text) = judged(&served, Hooks::HONEST, Link::Tcp, "tasks/start-and-stop");
+    assert_eq!(verdict, Verdict::Pass, "{text}");
+}
+
+#[test]
+fn a_session_that_stops_answering_is_replaced_to_switch_the_motor_off() {
+    let served = Served::start(Controller::new(Config { ext_speed: 40.0, ..Config::new(Profile::Rc8) }));
+    let before = state(&served);
+    let request: relay::OnRequest = |memory, parts| {
+        let is_change =
+            parts.args.get(1).and_then(|name| name.as_variant().as_bstr()).is_some_and(|name| name == "slvChangeMode");
+        // from then on the device answers nothing on this connection
+        memory.had_invalid |= is_change;
+        (!memory.had_invalid).then_some(parts)
+    };
+    let hooks = Hooks { request, ..Hooks::HONEST };
+    let (verdict, text) = judged(&served, hooks, Link::Tcp, "slave/enter-2-j");
+    assert_eq!(verdict, Verdict::Fail, "{text}");
+    assert_eq!(state(&served), before, "{text}");
+}

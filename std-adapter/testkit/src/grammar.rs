@@ -29,6 +29,8 @@ use crate::value::{ARRAY, VARIANT, Value};
 const STEPS: usize = 12;
 /// The lengths of long strings: around 16 bits of bytes, of characters, and of twice their number.
 const LONG: [usize; 5] = [255, 16_383, 16_384, 32_768, 65_536];
+/// Lengths of datagrams: around the limits of b-CAP and of an Ethernet frame, and the longest of IPv4.
+const DATAGRAMS: [usize; 8] = [487, 489, 503, 505, 1471, 1473, 9001, 65_507];
 
 /// What steps are made of.
 #[derive(Clone, Debug)]
@@ -47,6 +49,8 @@ pub struct Grammar {
     pub options: Vec<String>,
     /// The provider of Controller_Connect.
     pub provider: String,
+    /// Whether packets are datagrams: then calls are also retransmitted, and bytes may be too long for a datagram of b-CAP.
+    pub datagrams: bool,
 }
 
 impl Grammar {
@@ -93,6 +97,7 @@ impl Grammar {
             writable: Vec::new(),
             options: vec![String::new()],
             provider: "CaoProv.DENSO.VRC".into(),
+            datagrams: false,
         }
     }
 
@@ -223,6 +228,7 @@ impl Grammar {
         call.is_retry = u.ratio(1, 16)?;
         call.delivery = match u.int_in_range(0..=15)? {
             0 => Delivery::Split(u.int_in_range(1..=40)?),
+            1 | 2 if self.datagrams => Delivery::Again,
             1 => Delivery::Joined,
             _ => Delivery::Whole,
         };
@@ -295,6 +301,11 @@ impl Grammar {
         let frame = |args: Vec<Value>| TestFrame { serial: 9, reserved: 0, code: code.0, args };
         let handle = Value::I4(u.int_in_range(0..=4)?);
         let extreme = *u.choose(&EXTREMES)?;
+        if self.datagrams && u.ratio(1, 4)? {
+            // the frame has 35 bytes without the letters
+            let length = *u.choose(&DATAGRAMS)?;
+            return Ok(frame(vec![handle, Value::text(&"a".repeat((length - 35) / 2))]).to_wire(false));
+        }
         // the header has 15 bytes, then come the length of an argument, its VARTYPE and its count
         let patched = |args: Vec<Value>, at: usize, bytes: &[u8]| {
             let mut wire = frame(args).to_wire(false);

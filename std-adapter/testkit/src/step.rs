@@ -7,6 +7,7 @@
 //! call Variable_GetValue ~Variable               the handle of the variable that was released last
 //! call Robot_GetName @Robot serial=65535 retry split=7
 //! call 65536 joined                              sent together with the next call
+//! call Controller_GetName @Controller again      over UDP: sent again after its reply, as a retransmission
 //! bytes 01100000000100000002000000000004         as they are; the last step of its connection
 //! line "GET:RC8:1:I:\r"                          a line of RAC
 //! reconnect                                      closes the connection and opens another
@@ -104,10 +105,12 @@ pub enum Argument {
 pub enum Delivery {
     /// All at once.
     Whole,
-    /// This number of bytes first, then the rest.
+    /// This number of bytes first, then the rest; over UDP then all of them.
     Split(u8),
-    /// Together with the next call.
+    /// Together with the next call; over UDP at once.
     Joined,
+    /// Over UDP once more after the reply, as a retransmission that the first one made superfluous; over TCP at once.
+    Again,
 }
 
 impl fmt::Display for Step {
@@ -145,6 +148,7 @@ impl fmt::Display for Call {
             Delivery::Whole => Ok(()),
             Delivery::Split(count) => write!(f, " split={count}"),
             Delivery::Joined => f.write_str(" joined"),
+            Delivery::Again => f.write_str(" again"),
         }
     }
 }
@@ -206,6 +210,7 @@ fn call(text: &str) -> Result<Call, String> {
             }
             _ if word == "retry" => call.is_retry = true,
             _ if word == "joined" => call.delivery = Delivery::Joined,
+            _ if word == "again" => call.delivery = Delivery::Again,
             _ => call.arguments.push(argument(word)?),
         }
     }
@@ -283,7 +288,8 @@ mod tests {
             Call { function: -5, serial: Some(0), is_retry: true, delivery: Delivery::Split(7), ..named.clone() };
         let joined = Call { delivery: Delivery::Joined, ..Call::new(FunctionId(65_536), vec![]) };
         let line = (0..=255).collect::<Vec<u8>>();
-        let steps = [named, strange, joined].map(Step::Call).into_iter();
+        let again = Call { delivery: Delivery::Again, ..named.clone() };
+        let steps = [named, strange, joined, again].map(Step::Call).into_iter();
         let steps = steps.chain([Step::Bytes(line.clone()), Step::Line(line), Step::Reconnect]).collect::<Vec<_>>();
         let text: String = steps.iter().map(|step| format!("{step}\n# a comment\n\n")).collect();
         assert_eq!(parse(&text), Ok(steps));
@@ -298,7 +304,7 @@ mod tests {
             .take_while(|line| !line.contains("```"))
             .map(|line| format!("{}\n", line.trim_start_matches("//!")))
             .collect();
-        assert_eq!(parse(&text).map(|steps| steps.len()), Ok(8), "{text}");
+        assert_eq!(parse(&text).map(|steps| steps.len()), Ok(9), "{text}");
     }
 
     #[test]

@@ -17,12 +17,14 @@ use crate::duration;
 ///
 /// By default the fuzzer sends only functions that open, read and release, and commands that read, as `bcap replay` does without
 /// --allow. That holds for hostile bytes too: a damaged frame whose function could be another one is not sent. Still a device with a
-/// fault may do anything with any packet. Keep its emergency stop at hand. b-CAP is fuzzed over TCP, RAC if its port is open.
+/// fault may do anything with any packet. Keep its emergency stop at hand. The address of --robot chooses the link of b-CAP, TCP or UDP.
+/// RAC is fuzzed if its port is open.
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
   bcap fuzz --robot 192.168.0.1 --seed 1 --duration 2s --yes-this-device-is-mine
   bcap fuzz --robot 192.168.0.1 --seed 7 --runs 20 --rate 500 --with-writes I/90-99 --yes-this-device-is-mine
+  bcap fuzz --robot udp:192.168.0.1 --runs 20 --reconnect 500ms --yes-this-device-is-mine
   bcap fuzz --robot 192.168.0.1 --again finding.steps --yes-this-device-is-mine")]
 pub(crate) struct Fuzz {
     /// Confirms that the device may crash, and that no person or machine depends on it
@@ -44,6 +46,10 @@ pub(crate) struct Fuzz {
     /// Ends after this number of different findings
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) findings: u64,
+
+    /// Tries a refused connection again for this time, for a small device with few slots; one that restarts within it is not noticed
+    #[arg(long, value_name = "TIME", value_parser = duration::parse)]
+    pub(crate) reconnect: Option<Duration>,
 
     /// Sends at most this number of packets in a second; 0 is no limit
     #[arg(long, value_name = "N", default_value_t = 200)]

@@ -1,13 +1,15 @@
 //! Runs steps against the device, and judges what it does.
 
 use std::collections::HashSet;
+use std::io;
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::hresult::HResult;
+use bcap_core::limits::UDP_SEND_MAX;
 use bcap_testkit::frame::TestFrame;
-use bcap_testkit::judge::{self, TCP};
+use bcap_testkit::judge::{self, Fault, TCP};
 use bcap_testkit::oracle::Verdict;
 use bcap_testkit::step::{Argument, Call, Delivery, Step};
 use bcap_testkit::value::Value;
@@ -26,12 +28,22 @@ const KEPT_ALIVE: u32 = 10;
 const AGAIN: u32 = 4;
 /// The wait before each of these attempts.
 const RELEASING: Duration = Duration::from_millis(150);
+/// How often a datagram is sent before its reply counts as missing.
+const ATTEMPTS: u32 = 5;
+/// How long a reply to an invalid datagram may take; a device may drop it.
+const DROPPED: Duration = Duration::from_millis(10);
+/// The wait before a refused connection is tried again.
+const SLOT: Duration = Duration::from_millis(20);
 /// The wait between the parts of a frame that is split.
 const SPLIT: Duration = Duration::from_millis(1);
 
 /// The device, and the limits of what it gets.
 pub(super) struct Device {
     pub(super) bcap: Vec<SocketAddr>,
+    /// The protocol of the addresses before.
+    pub(super) protocol: Protocol,
+    /// For how long a refused connection is tried again.
+    pub(super) reconnect: Duration,
     pub(super) rac: Option<Vec<SocketAddr>>,
     pub(super) timeout: Duration,
     pub(super) gate: Gate,
@@ -64,6 +76,8 @@ struct Run<'a> {
     tail: Vec<u8>,
     /// Openings that succeeded.
     opened: HashSet<String>,
+    /// The last reply.
+    last: Option<TestFrame>,
 }
 
 impl Device {
@@ -78,18 +92,33 @@ impl Device {
             joined: Vec::new(),
             tail: Vec::new(),
             opened: HashSet::new(),
+            last: None,
         };
         let found = run.steps(steps)?;
         let Run { wire, rac, .. } = run;
-        [wire, rac].into_iter().flatten().for_each(Wire::close);
+        let is_closed = [wire, rac].into_iter().flatten().fold(false, |is_closed, wire| wire.close() | is_closed);
+        let found = found.or_else(|| is_closed.then(closed_port));
         // what every later client meets is worse than what one connection met
         Ok(self.probe(recorder)?.or(found))
     }
 
     /// Sees whether a new client is served.
     pub(super) fn probe(&mut self, recorder: Option<&Recorder>) -> Result<Option<Finding>, Failure> {
+        let until = Instant::now() + self.reconnect;
+        loop {
+            let found = self.probe_once(recorder)?;
+            if found.as_ref().is_none_or(|found| !matches!(found.kind, Kind::Crash | Kind::Leak))
+                || Instant::now() >= until
+            {
+                return Ok(found);
+            }
+            self.interrupt.sleep(SLOT)?;
+        }
+    }
+
+    fn probe_once(&mut self, recorder: Option<&Recorder>) -> Result<Option<Finding>, Failure> {
         const SUBJECT: &str = "a new client";
-        let mut wire = match Wire::connect(&self.bcap, Protocol::Bcap, self.timeout, recorder) {
+        let mut wire = match self.connect(recorder) {
             Ok(wire) => wire,
             Err(error) => return Ok(Some(Finding::new(Kind::Crash, SUBJECT, format!("cannot connect: {error}")))),
         };
@@ -99,7 +128,7 @@ impl Device {
             let frame = session.frame(&Call::new(function, arguments));
             self.pace()?;
             wire.send(&frame.to_wire(false));
-            let found = match self.await_reply(&mut wire, &frame)? {
+            let found = match self.await_reply(&mut wire, &frame, true)? {
                 Ok(reply) if HResult(reply.code).is_err() => {
                     Finding::new(Kind::Leak, SUBJECT, format!("{function} is refused with {}", HResult(reply.code)))
                 }
@@ -120,6 +149,10 @@ impl Device {
         Ok(None)
     }
 
+    fn connect(&self, recorder: Option<&Recorder>) -> io::Result<Wire> {
+        Wire::connect(&self.bcap, self.protocol, self.timeout, recorder)
+    }
+
     /// Waits until the next packet may be sent; ends on a signal.
     fn pace(&mut self) -> Result<(), Failure> {
         if self.interrupt.is_interrupted() {
@@ -135,17 +168,34 @@ impl Device {
     }
 
     /// Waits for the reply to a request.
-    fn await_reply(&self, wire: &mut Wire, request: &TestFrame) -> Result<Result<TestFrame, Finding>, Failure> {
+    ///
+    /// A device may drop a datagram that is not of the usual kind, so the wait for its reply is short.
+    fn await_reply(
+        &self,
+        wire: &mut Wire,
+        request: &TestFrame,
+        is_usual: bool,
+    ) -> Result<Result<TestFrame, Finding>, Failure> {
         let found = |kind, detail: String| Ok(Err(Finding::of_function(kind, request.code, detail)));
         let began = Instant::now();
         let (longest, limit) = (self.timeout.saturating_mul(KEPT_ALIVE), self.timeout.as_millis());
+        // a lost datagram is no fault of the device
+        let mut attempts = if wire.is_datagrams() { ATTEMPTS } else { 1 };
+        let attempt = if wire.is_datagrams() && !is_usual { DROPPED } else { self.timeout / attempts };
         loop {
-            match wire.receive(self.timeout)? {
+            match wire.receive(attempt)? {
+                Received::Closed if wire.is_datagrams() => return Ok(Err(closed_port())),
                 Received::Closed => {
                     return found(Kind::Reset, "the device closes the connection after a valid frame".into());
                 }
+                Received::Silence if attempts > 1 => {
+                    attempts -= 1;
+                    wire.send(&request.to_wire(false));
+                }
                 Received::Silence => return found(Kind::Hang, format!("no reply within {limit} ms")),
                 Received::Packet(bytes) => match judge::reply(request, &bytes) {
+                    // to a datagram before
+                    Err(Fault::Serial(_, late)) if wire.has_sent(late) => {}
                     Err(fault) => return found(Kind::WrongReply, fault.to_string()),
                     Ok(reply) if HResult(reply.code) != HResult::S_EXECUTING => return Ok(Ok(reply)),
                     Ok(_) if began.elapsed() > longest => {
@@ -164,14 +214,16 @@ impl Run<'_> {
             let next = match step {
                 Step::Call(call) => {
                     // the last call cannot wait for another one
-                    let is_joined =
-                        call.delivery == Delivery::Joined && matches!(steps.get(place + 1), Some(Step::Call(_)));
+                    let is_joined = self.device.protocol == Protocol::Bcap
+                        && call.delivery == Delivery::Joined
+                        && matches!(steps.get(place + 1), Some(Step::Call(_)));
                     self.call(call, is_joined)?
                 }
                 Step::Bytes(bytes) => self.bytes(bytes)?,
                 Step::Line(line) => self.line(line)?,
                 Step::Reconnect => {
-                    self.wire.take().into_iter().for_each(Wire::close);
+                    // the probe after the session sees a closed port too
+                    let _ = self.wire.take().map(Wire::close);
                     (self.session, self.joined, self.tail) = (Session::default(), Vec::new(), Vec::new());
                     Next::Continue
                 }
@@ -190,8 +242,9 @@ impl Run<'_> {
         if let Some(wire) = self.wire.take() {
             return Ok(wire);
         }
-        let wire = Wire::connect(&self.device.bcap, Protocol::Bcap, self.device.timeout, self.recorder);
-        wire.map_err(|error| Finding::new(Kind::Crash, "a new client", format!("cannot connect: {error}")))
+        self.device
+            .connect(self.recorder)
+            .map_err(|error| Finding::new(Kind::Crash, "a new client", format!("cannot connect: {error}")))
     }
 
     /// Returns whether the bytes may follow those sent before, and records that they do.
@@ -218,13 +271,31 @@ impl Run<'_> {
             self.joined.push(frame);
             return Ok(Next::Continue);
         }
+        let mut frames = std::mem::take(&mut self.joined);
+        frames.push(frame);
+        let until = Instant::now() + self.device.reconnect;
+        loop {
+            let is_new = self.wire.is_none();
+            let next = self.exchange(call, &frames)?;
+            // the device had no slot for the connection
+            let is_refused = is_new
+                && self.wire.as_ref().is_none_or(|wire| !wire.has_received())
+                && matches!(&next, Next::Found(found) if matches!(found.kind, Kind::Reset | Kind::Crash));
+            if !is_refused || Instant::now() >= until {
+                return Ok(next);
+            }
+            self.wire = None;
+            self.device.interrupt.sleep(SLOT)?;
+        }
+    }
+
+    /// Sends frames together, and awaits their replies.
+    fn exchange(&mut self, call: &Call, frames: &[TestFrame]) -> Result<Next, Failure> {
         let mut wire = match self.wire() {
             Ok(wire) => wire,
             Err(finding) => return Ok(Next::Found(finding)),
         };
         self.device.pace()?;
-        let mut frames = std::mem::take(&mut self.joined);
-        frames.push(frame);
         let bytes = frames.iter().flat_map(|frame| frame.to_wire(false)).collect::<Vec<_>>();
         match call.delivery {
             Delivery::Split(count) if usize::from(count) < bytes.len() => {
@@ -232,24 +303,55 @@ impl Run<'_> {
                 wire.send(first);
                 // otherwise the operating system would send one segment
                 std::thread::sleep(SPLIT);
-                wire.send(rest);
+                wire.send(if wire.is_datagrams() { &bytes } else { rest });
             }
             _ => wire.send(&bytes),
         }
+        // a device may take a strange serial number for that of an old call, and may not receive a long datagram
+        let is_usual = call.serial.is_none() && !call.is_retry && bytes.len() <= UDP_SEND_MAX;
+        let mut next = Next::Continue;
         for frame in frames {
-            match self.reply(&mut wire, &frame)? {
-                Next::Continue => {}
-                next => return Ok(next),
+            next = self.reply(&mut wire, frame, is_usual)?;
+            if matches!(next, Next::Continue) && wire.is_datagrams() && is_usual && call.delivery == Delivery::Again {
+                next = self.retransmit(&mut wire, frame)?;
+            }
+            if !matches!(next, Next::Continue) {
+                break;
             }
         }
+        if wire.is_datagrams() && !is_usual {
+            next = match next {
+                Next::Found(finding) if finding.kind != Kind::Hang => Next::Found(finding),
+                _ => Next::End,
+            };
+        }
         self.wire = Some(wire);
-        Ok(Next::Continue)
+        Ok(next)
     }
 
-    fn reply(&mut self, wire: &mut Wire, request: &TestFrame) -> Result<Next, Failure> {
+    /// Sends a call again as a retransmission: with the next serial number, and that of the first attempt in the reserved field. The
+    /// device must not execute it, but send its reply again.
+    fn retransmit(&mut self, wire: &mut Wire, request: &TestFrame) -> Result<Next, Failure> {
+        let Some(first) = self.last.take().filter(|_| request.reserved == 0) else { return Ok(Next::Continue) };
+        let copy = TestFrame { serial: self.session.next_serial(), reserved: request.serial, ..request.clone() };
+        self.device.pace()?;
+        wire.send(&copy.to_wire(false));
+        let again = match self.device.await_reply(wire, &copy, true)? {
+            Ok(reply) => reply,
+            Err(finding) => return Ok(Next::Found(finding)),
+        };
+        if (first.code, &first.args) == (again.code, &again.args) {
+            return Ok(Next::Continue);
+        }
+        let shown = |reply: &TestFrame| format!("{} {:?}", HResult(reply.code), reply.args);
+        let detail = format!("a call is answered with {}, its retransmission with {}", shown(&first), shown(&again));
+        Ok(Next::Found(Finding::of_function(Kind::WrongReply, request.code, detail)))
+    }
+
+    fn reply(&mut self, wire: &mut Wire, request: &TestFrame, is_usual: bool) -> Result<Next, Failure> {
         let mut again = AGAIN;
         loop {
-            let reply = match self.device.await_reply(wire, request)? {
+            let reply = match self.device.await_reply(wire, request, is_usual)? {
                 Ok(reply) => reply,
                 Err(finding) if finding.kind == Kind::Reset && self.session.is_stopped => return Ok(Next::End),
                 Err(finding) => return Ok(Next::Found(finding)),
@@ -274,7 +376,9 @@ impl Run<'_> {
                 }
                 _ => {}
             }
-            return Ok(self.session.replied(request, &reply).map_or(Next::Continue, Next::Found));
+            let found = self.session.replied(request, &reply);
+            self.last = Some(reply);
+            return Ok(found.map_or(Next::Continue, Next::Found));
         }
     }
 
@@ -293,9 +397,18 @@ impl Run<'_> {
         wire.send(bytes);
         let next = match TCP.decode(bytes) {
             // an odd frame may still be valid
-            Verdict::Frame(frame, length) if length == bytes.len() => match self.reply(&mut wire, &frame)? {
-                Next::Continue => Next::End,
-                next => next,
+            Verdict::Frame(frame, length) if length == bytes.len() && !wire.is_datagrams() => {
+                match self.reply(&mut wire, &frame, true)? {
+                    Next::Continue => Next::End,
+                    next => next,
+                }
+            }
+            _ if wire.is_datagrams() => match wire.receive(DROPPED)? {
+                Received::Packet(reply) if !is_frame(&reply) => {
+                    Next::Found(Finding::new(Kind::WrongReply, SUBJECT, "the reply is malformed"))
+                }
+                Received::Closed => Next::Found(closed_port()),
+                Received::Packet(_) | Received::Silence => Next::End,
             },
             Verdict::Refused if is_complete(bytes) => match wire.receive(self.device.timeout)? {
                 Received::Silence => {
@@ -312,8 +425,7 @@ impl Run<'_> {
             _ if wire.is_stuck() => Next::Found(Finding::new(Kind::Hang, SUBJECT, "the device takes no more bytes")),
             _ => Next::End,
         };
-        wire.close();
-        Ok(next)
+        Ok(if wire.close() { Next::Found(closed_port()) } else { next })
     }
 
     /// Sends lines of RAC.
@@ -362,6 +474,11 @@ impl Run<'_> {
         self.rac = Some(wire);
         Ok(Next::Continue)
     }
+}
+
+/// A finding over UDP: the machine of the device reports that no program has the port.
+fn closed_port() -> Finding {
+    Finding::new(Kind::Crash, "UDP", "the device has closed its port")
 }
 
 /// Returns whether the bytes are at least as many as their length field says, so that a server waits for no more.

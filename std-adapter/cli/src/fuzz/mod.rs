@@ -22,6 +22,7 @@ mod wire;
 use std::time::{Duration, Instant};
 
 use bcap_std::Protocol;
+use bcap_testkit::grammar::Grammar;
 use bcap_testkit::step::{Argument, Step};
 use serde::Serialize;
 
@@ -45,11 +46,6 @@ pub(crate) fn fuzz(args: &Fuzz, link: &LinkArgs, json: bool) -> Result<(), Failu
                 .into(),
         ));
     }
-    if link.network_target()?.protocol == Protocol::Udp {
-        return Err(Failure::Input(
-            "fuzz needs TCP, because a lost datagram is no fault of the device; write --robot HOST".into(),
-        ));
-    }
     let again = args.again.as_deref().map(save::read).transpose()?;
     if again.is_none() && link.write.is_some() {
         return Err(Failure::Input(
@@ -71,8 +67,14 @@ pub(crate) fn fuzz(args: &Fuzz, link: &LinkArgs, json: bool) -> Result<(), Failu
 
 fn device(args: &Fuzz, link: &LinkArgs) -> Result<Device, Failure> {
     let robot = Robot::resolve(&RobotPorts { robot_udp: None, robot_rac: args.robot_rac.clone() }, link)?;
+    let (bcap, protocol) = match link.network_target()?.protocol {
+        Protocol::Tcp => (robot.tcp, wire::Protocol::Bcap),
+        Protocol::Udp => (vec![robot.udp], wire::Protocol::Datagrams),
+    };
     let mut device = Device {
-        bcap: robot.tcp,
+        bcap,
+        protocol,
+        reconnect: args.reconnect.unwrap_or_default(),
         rac: None,
         timeout: link.timeout(),
         gate: Gate::new(args.with_writes.clone(), args.with_motion),
@@ -98,7 +100,10 @@ fn run(device: &mut Device, args: &Fuzz, link: &LinkArgs, json: bool) -> Result<
     let began = Instant::now();
     let plan = Plan {
         seed: args.seed,
-        grammar: device.gate.grammar(link.provider()),
+        grammar: Grammar {
+            datagrams: device.protocol == wire::Protocol::Datagrams,
+            ..device.gate.grammar(link.provider())
+        },
         until: began + args.duration,
         sessions: args.runs.unwrap_or(u64::MAX),
         findings: args.findings,

@@ -31,9 +31,15 @@ pub(super) struct Session {
 }
 
 impl Session {
+    /// Returns the serial number of the next packet.
+    pub(super) fn next_serial(&mut self) -> u16 {
+        self.serial = self.serial.checked_add(1).unwrap_or(1);
+        self.serial
+    }
+
     /// Makes the frame of a call.
     pub(super) fn frame(&mut self, call: &Call) -> TestFrame {
-        self.serial = self.serial.checked_add(1).unwrap_or(1);
+        let serial = self.next_serial();
         let handle = |argument: &Argument| match argument {
             Argument::Handle(object) => {
                 let latest = self.open.iter().rev().find(|open| open.object == *object);
@@ -42,7 +48,7 @@ impl Session {
             Argument::Released(object) => self.released.get(object.name()).copied().unwrap_or(0),
             Argument::Value(_) => 0,
         };
-        call.to_frame(self.serial, handle)
+        call.to_frame(serial, handle)
     }
 
     /// Returns the name of the variable whose handle is the first argument.

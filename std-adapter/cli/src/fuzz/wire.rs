@@ -1,10 +1,13 @@
 //! A connection to the device, which records its bytes.
 
+use std::collections::HashSet;
 use std::io::{self, Read as _, Write as _};
-use std::net::{Shutdown, SocketAddr, TcpStream};
+use std::net::{Shutdown, SocketAddr, TcpStream, UdpSocket};
 use std::time::{Duration, Instant};
 
+use bcap_core::bcap::FunctionId;
 use bcap_core::limits::Limits;
+use bcap_testkit::frame::TestFrame;
 
 use crate::frame::Role;
 use crate::record::{Ends, Recorder};
@@ -12,11 +15,24 @@ use crate::record::{Ends, Recorder};
 /// How long the device may take to close its side after the fuzzer has closed.
 const CLOSING: Duration = Duration::from_millis(200);
 
+/// The serial numbers of Service_Stop over UDP, relative to the last one.
+const STOPS: [u16; 4] = [1, 0x2000, 0x6000, 0xa000];
+
 /// What a device sends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Protocol {
     Bcap,
+    /// b-CAP over UDP.
+    Datagrams,
     Rac,
+}
+
+/// The socket of a connection.
+#[derive(Debug)]
+enum Socket {
+    Tcp(TcpStream),
+    /// A port of its own, so that the device takes it for another client.
+    Udp(UdpSocket),
 }
 
 /// What came.
@@ -24,7 +40,7 @@ pub(super) enum Protocol {
 pub(super) enum Received {
     /// A frame, or a line with its CR; bytes that are neither if no more came in time.
     Packet(Vec<u8>),
-    /// The device closed or reset the connection.
+    /// The device closed or reset the connection, or has closed its port for datagrams.
     Closed,
     /// Nothing came in time.
     Silence,
@@ -33,12 +49,16 @@ pub(super) enum Received {
 /// A connection.
 #[derive(Debug)]
 pub(super) struct Wire {
-    stream: TcpStream,
+    socket: Socket,
     protocol: Protocol,
     received: Vec<u8>,
     tape: Option<(Recorder, Ends)>,
     /// Whether the device took no more bytes within the time limit.
     is_stuck: bool,
+    /// The serial numbers of the datagrams that were sent; 0 stands for those that are too short for one.
+    sent: HashSet<u16>,
+    last: u16,
+    has_received: bool,
 }
 
 impl Wire {
@@ -51,35 +71,71 @@ impl Wire {
     ) -> io::Result<Self> {
         let mut last = io::Error::from(io::ErrorKind::NotFound);
         for address in addresses {
-            match TcpStream::connect_timeout(address, timeout) {
-                Ok(stream) => {
-                    stream.set_write_timeout(Some(timeout))?;
-                    return Self::new(stream, protocol, recorder);
-                }
+            let socket = match protocol {
+                Protocol::Datagrams => datagrams(address).map(Socket::Udp),
+                Protocol::Bcap | Protocol::Rac => stream(address, timeout).map(Socket::Tcp),
+            };
+            match socket {
+                Ok(socket) => return Ok(Self::new(socket, protocol, recorder)),
                 Err(error) => last = error,
             }
         }
         Err(last)
     }
 
-    fn new(stream: TcpStream, protocol: Protocol, recorder: Option<&Recorder>) -> io::Result<Self> {
-        stream.set_nodelay(true)?;
+    fn new(socket: Socket, protocol: Protocol, recorder: Option<&Recorder>) -> Self {
         // the peer may have closed the connection already
-        let ends = stream
-            .local_addr()
-            .and_then(|client| stream.peer_addr().map(|server| Ends { is_tcp: true, client, server }));
+        let (client, server) = match &socket {
+            Socket::Tcp(stream) => (stream.local_addr(), stream.peer_addr()),
+            Socket::Udp(socket) => (socket.local_addr(), socket.peer_addr()),
+        };
+        let is_tcp = matches!(socket, Socket::Tcp(_));
+        let ends = client.and_then(|client| server.map(|server| Ends { is_tcp, client, server }));
         let tape = recorder.cloned().zip(ends.ok());
         if let Some((recorder, ends)) = &tape {
             recorder.opened(*ends);
         }
-        Ok(Self { stream, protocol, received: Vec::new(), tape, is_stuck: false })
+        Self {
+            socket,
+            protocol,
+            received: Vec::new(),
+            tape,
+            is_stuck: false,
+            sent: HashSet::new(),
+            last: 0,
+            has_received: false,
+        }
+    }
+
+    /// Returns whether the device has sent anything.
+    pub(super) const fn has_received(&self) -> bool {
+        self.has_received
     }
 
     /// Sends bytes. An error is not reported: the next receive returns what the device sent before, and then that it closed the
     /// connection, or silence if it took no more bytes.
     pub(super) fn send(&mut self, bytes: &[u8]) {
+        match &mut self.socket {
+            Socket::Tcp(stream) => {
+                let result = stream.write_all(bytes);
+                self.is_stuck |= result.is_err_and(|error| is_timeout(&error));
+            }
+            Socket::Udp(socket) => {
+                let serial = bytes.get(5..7).and_then(|field| field.try_into().ok()).map_or(0, u16::from_le_bytes);
+                self.sent.insert(serial);
+                self.last = serial;
+                // one that is too long for IP is not sent
+                if socket.send(bytes).is_err() {
+                    return;
+                }
+            }
+        }
         self.record(Role::Request, bytes);
-        self.is_stuck |= self.stream.write_all(bytes).is_err_and(|error| is_timeout(&error));
+    }
+
+    /// Returns whether a datagram with this serial number was sent, so that a reply to it may come late.
+    pub(super) fn has_sent(&self, serial: u16) -> bool {
+        self.sent.contains(&serial)
     }
 
     /// Returns whether the device took no more bytes within the time limit.
@@ -104,13 +160,23 @@ impl Wire {
             if left.is_zero() || self.is_stuck {
                 return end(self, Received::Silence);
             }
-            self.stream.set_read_timeout(Some(left))?;
-            match self.stream.read(&mut buffer) {
+            let read = match &mut self.socket {
+                Socket::Tcp(stream) => stream.set_read_timeout(Some(left)).and_then(|()| stream.read(&mut buffer)),
+                Socket::Udp(socket) => socket.set_read_timeout(Some(left)).and_then(|()| socket.recv(&mut buffer)),
+            };
+            match read {
+                Ok(count) if self.protocol == Protocol::Datagrams => {
+                    self.has_received = true;
+                    let bytes = buffer.get(..count).unwrap_or_default();
+                    self.record(Role::Response, bytes);
+                    return Ok(Received::Packet(bytes.to_vec()));
+                }
                 Ok(0) => return end(self, Received::Closed),
                 Ok(count) => {
                     let bytes = buffer.get(..count).unwrap_or_default();
                     self.record(Role::Response, bytes);
                     self.received.extend_from_slice(bytes);
+                    self.has_received = true;
                 }
                 Err(error) if is_timeout(&error) => {}
                 Err(_) => return end(self, Received::Closed),
@@ -131,16 +197,45 @@ impl Wire {
         usize::try_from(length).ok().filter(|length| *length <= self.received.len())
     }
 
-    /// Closes the connection, and waits shortly for the device to do so too, so that it has noticed.
-    pub(super) fn close(mut self) {
-        let _ = self.stream.shutdown(Shutdown::Write);
+    /// Closes the connection, and waits shortly for the device to do so too, so that it has noticed. Over UDP it ends the session.
+    /// Returns whether the device has closed its port for datagrams.
+    pub(super) fn close(mut self) -> bool {
+        let Socket::Tcp(stream) = &self.socket else { return self.stop() };
+        let _ = stream.shutdown(Shutdown::Write);
         let until = Instant::now() + CLOSING;
         while let Some(left) = until.checked_duration_since(Instant::now()).filter(|left| !left.is_zero()) {
             match self.receive(left) {
                 Ok(Received::Packet(_)) => {}
-                Ok(Received::Closed | Received::Silence) | Err(_) => return,
+                Ok(Received::Closed | Received::Silence) | Err(_) => break,
             }
         }
+        false
+    }
+
+    /// Sends Service_Stop until it is answered, because the device keeps a slot for the port. A device may take a serial number for an
+    /// old one after the strange ones of a session, so they are far apart.
+    fn stop(mut self) -> bool {
+        let last = self.last;
+        for ahead in STOPS {
+            let serial = last.wrapping_add(ahead).max(1);
+            let code = FunctionId::SERVICE_STOP.0;
+            self.send(&TestFrame { serial, reserved: 0, code, args: vec![] }.to_wire(false));
+            let until = Instant::now() + CLOSING / 4;
+            while let Some(left) = until.checked_duration_since(Instant::now()).filter(|left| !left.is_zero()) {
+                match self.receive(left) {
+                    Ok(Received::Packet(reply)) if reply.get(5..7) == Some(&serial.to_le_bytes()) => return false,
+                    Ok(Received::Packet(_)) => {}
+                    Ok(Received::Closed) => return true,
+                    Err(_) => return false,
+                    Ok(Received::Silence) => break,
+                }
+            }
+        }
+        false
+    }
+
+    pub(super) fn is_datagrams(&self) -> bool {
+        self.protocol == Protocol::Datagrams
     }
 
     fn record(&self, sender: Role, bytes: &[u8]) {
@@ -156,6 +251,20 @@ impl Drop for Wire {
             recorder.closed(*ends);
         }
     }
+}
+
+fn stream(address: &SocketAddr, timeout: Duration) -> io::Result<TcpStream> {
+    let stream = TcpStream::connect_timeout(address, timeout)?;
+    stream.set_write_timeout(Some(timeout))?;
+    stream.set_nodelay(true)?;
+    Ok(stream)
+}
+
+fn datagrams(address: &SocketAddr) -> io::Result<UdpSocket> {
+    let any: SocketAddr = if address.is_ipv4() { ([0; 4], 0).into() } else { ([0_u16; 8], 0).into() };
+    let socket = UdpSocket::bind(any)?;
+    socket.connect(address)?;
+    Ok(socket)
 }
 
 fn is_timeout(error: &io::Error) -> bool {

@@ -2,8 +2,9 @@
 //! closed until it has restarted.
 #![allow(dead_code, reason = "every test file uses its own part of this")]
 
-use std::io::{Read, Write};
-use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::collections::HashMap;
+use std::io::{self, Read, Write};
+use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread;
@@ -11,6 +12,7 @@ use std::time::Duration;
 
 use bcap_core::bcap::{FunctionId, Kind, Object};
 use bcap_core::hresult::HResult;
+use bcap_core::limits::UDP_RECEIVE_MAX;
 use bcap_core::rac;
 use bcap_testkit::frame::TestFrame;
 use bcap_testkit::judge::TCP;
@@ -58,11 +60,15 @@ pub(crate) enum Bug {
     LongLineCrashes,
     IndexResets,
     DoubleIsSingle,
+    // UDP
+    LongDatagramCrashes,
+    CutDatagramHangs,
+    RetransmissionIsExecuted,
 }
 
 impl Bug {
     /// All bugs, without [`Bug::None`].
-    pub(crate) const ALL: [Self; 31] = [
+    pub(crate) const ALL: [Self; 34] = [
         Self::LengthBelowHeaderCrashes,
         Self::HugeLengthCrashes,
         Self::ArgumentCountCrashes,
@@ -94,7 +100,15 @@ impl Bug {
         Self::LongLineCrashes,
         Self::IndexResets,
         Self::DoubleIsSingle,
+        Self::LongDatagramCrashes,
+        Self::CutDatagramHangs,
+        Self::RetransmissionIsExecuted,
     ];
+
+    /// Returns whether only datagrams show it.
+    pub(crate) const fn is_of_datagrams(self) -> bool {
+        matches!(self, Self::LongDatagramCrashes | Self::CutDatagramHangs | Self::RetransmissionIsExecuted)
+    }
 }
 
 /// How long a crashed device takes to restart.
@@ -105,7 +119,9 @@ const ROOM: usize = 50;
 /// The device.
 pub(crate) struct Planted {
     pub(crate) bcap: String,
+    pub(crate) udp: String,
     pub(crate) rac: String,
+    udp_port: SocketAddr,
     device: Arc<Device>,
 }
 
@@ -145,8 +161,14 @@ impl Planted {
             let device = Arc::clone(&device);
             thread::spawn(move || device.listen(listener, is_rac));
         }
+        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
+        let udp_port = socket.local_addr().unwrap();
+        thread::spawn({
+            let device = Arc::clone(&device);
+            move || device.serve_datagrams(socket)
+        });
         let [bcap, rac] = ports.map(|port| port.to_string());
-        Self { bcap, rac, device }
+        Self { bcap, udp: format!("udp:{udp_port}"), rac, udp_port, device }
     }
 
     /// Returns the functions that were called.
@@ -159,6 +181,8 @@ impl Drop for Planted {
     fn drop(&mut self) {
         self.device.is_over.store(true, Ordering::SeqCst);
         self.device.crash();
+        // wakes the thread that receives
+        let _ = UdpSocket::bind("127.0.0.1:0").and_then(|socket| socket.send_to(&[], self.udp_port));
     }
 }
 
@@ -255,6 +279,47 @@ impl Device {
         client.leave();
     }
 
+    /// Serves clients over UDP, each port with a session of its own.
+    fn serve_datagrams(&self, mut socket: UdpSocket) {
+        let port = socket.local_addr().unwrap();
+        let (mut peers, mut buffer) = (HashMap::new(), vec![0; 1 << 16]);
+        loop {
+            let Ok((count, from)) = socket.recv_from(&mut buffer) else { continue };
+            if self.is_over.load(Ordering::SeqCst) {
+                return;
+            }
+            if count > UDP_RECEIVE_MAX && self.bug == Bug::LongDatagramCrashes {
+                drop(socket);
+                thread::sleep(RESTART);
+                socket = UdpSocket::bind(port).unwrap();
+                peers.clear();
+                continue;
+            }
+            let frame = match TCP.decode(&buffer[..count]) {
+                Verdict::Frame(frame, length) if length == count && count <= UDP_RECEIVE_MAX => frame,
+                Verdict::Incomplete if count >= 15 && self.bug == Bug::CutDatagramHangs => {
+                    // until the end of the test
+                    while !self.is_over.load(Ordering::SeqCst) {
+                        thread::sleep(RESTART);
+                    }
+                    return;
+                }
+                _ => continue,
+            };
+            let marker = if frame.reserved == 0 { frame.serial } else { frame.reserved };
+            let client = || (Client { device: self, open: Vec::new(), next: 0 }, None);
+            let (client, last): &mut (_, Option<(u16, i32, Vec<u8>)>) = peers.entry(from).or_insert_with(client);
+            let is_copy = last.as_ref().is_some_and(|(first, code, _)| (*first, *code) == (marker, frame.code));
+            if !is_copy || self.bug == Bug::RetransmissionIsExecuted {
+                let Outcome::Reply(reply) = client.call(&frame, &mut io::sink()) else { continue };
+                *last = Some((marker, frame.code, reply));
+            }
+            let Some((_, _, reply)) = last else { continue };
+            reply[5..7].copy_from_slice(&frame.serial.to_le_bytes());
+            let _ = socket.send_to(reply, from);
+        }
+    }
+
     /// Answers malformed bytes.
     fn refuse(&self, bytes: &[u8]) -> Outcome {
         let number = |at: usize, length: usize| {
@@ -329,7 +394,7 @@ impl Client<'_> {
         }
     }
 
-    fn call(&mut self, frame: &TestFrame, stream: &mut TcpStream) -> Outcome {
+    fn call(&mut self, frame: &TestFrame, stream: &mut impl Write) -> Outcome {
         let (bug, function) = (self.device.bug, FunctionId(frame.code));
         self.device.calls.lock().unwrap().push(function);
         let strings =
@@ -364,7 +429,7 @@ impl Client<'_> {
         &mut self,
         function: FunctionId,
         frame: &TestFrame,
-        stream: &mut TcpStream,
+        stream: &mut impl Write,
     ) -> Result<(HResult, Option<Value>), Outcome> {
         let bug = self.device.bug;
         let Some(signature) = function.signature() else {

@@ -181,9 +181,9 @@ pub(super) const CASES: &[Case] = &[
     arguments(
         "many",
         "S0:182",
-        "a call with 40 arguments is refused",
+        "a call with 30 arguments is refused",
         Started,
-        &[Step::Must(F::CONTROLLER_CONNECT, &[I(0); 40], Want::Refused)],
+        &[Step::Must(F::CONTROLLER_CONNECT, &[I(0); 30], Want::Refused)],
     ),
     arguments(
         "long-name",

@@ -223,16 +223,8 @@ fn two_controllers(bench: &mut Bench<'_>) -> Result<(), Stop> {
     bench.want(F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")], Want::Type(3)).map(drop)
 }
 
-/// Starts another session beside the one of the case.
-fn another<'a>(bench: &Bench<'a>) -> Result<Bench<'a>, Stop> {
-    let mut other = Bench::new(bench.options, bench.link);
-    other.connect()?;
-    other.must(F::SERVICE_START, &[S("")], Want::NoValue)?;
-    Ok(other)
-}
-
 fn two_clients(bench: &mut Bench<'_>) -> Result<(), Stop> {
-    let mut other = another(bench)?;
+    let mut other = bench.another()?;
     other.open_controller()?;
     for _ in 0..3 {
         bench.want(F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")], Want::Type(3))?;
@@ -244,10 +236,11 @@ fn two_clients(bench: &mut Bench<'_>) -> Result<(), Stop> {
 }
 
 fn ten_clients(bench: &mut Bench<'_>) -> Result<(), Stop> {
-    let mut others = (0..9).map(|_| another(bench)).collect::<Result<Vec<_>, _>>()?;
+    let mut others = (0..9).map(|_| bench.another()).collect::<Result<Vec<_>, _>>()?;
     others.iter_mut().try_for_each(|other| other.must(F::SERVICE_STOP, &[], Want::NoValue).map(drop))
 }
 
 fn one_after_another(bench: &mut Bench<'_>) -> Result<(), Stop> {
-    (0..50).try_for_each(|_| another(bench).map(drop))
+    bench.close();
+    (0..50).try_for_each(|_| bench.another().map(drop))
 }

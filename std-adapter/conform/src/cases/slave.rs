@@ -189,9 +189,7 @@ fn received(bench: &mut Bench<'_>, index: usize) -> Result<(), Stop> {
 /// Returns the present position of the robot as a pose.
 fn pose(bench: &mut Bench<'_>, kind: char) -> Result<OwnedVariant, Stop> {
     // the robot of another connection, because Slave Mode refuses these commands
-    let mut other = Bench::new(bench.options, bench.link);
-    other.connect()?;
-    other.must(F::SERVICE_START, &[S("")], Want::NoValue)?;
+    let mut other = bench.another()?;
     other.open_controller()?;
     other.open(R, F::CONTROLLER_GET_ROBOT, &[H(Slot::Controller), S("Arm"), S("")])?;
     let command = match kind {

@@ -257,9 +257,7 @@ fn no_keep_alives_without_wdt(bench: &mut Bench<'_>) -> Result<(), Stop> {
 
 fn others_during_a_motion(bench: &mut Bench<'_>) -> Result<(), Stop> {
     with_wdt(bench, "WDT=100")?;
-    let mut other = Bench::new(bench.options, bench.link);
-    other.connect()?;
-    other.must(F::SERVICE_START, &[S("")], Want::NoValue)?;
+    let mut other = bench.another()?;
     let serial = start_motion(bench)?;
     other.must(F(65_999), &[], Want::Refused)?;
     other.must(F::CONTROLLER_GET_NAME, &[I(1)], Want::Refused)?;

@@ -188,10 +188,8 @@ fn wrapping_markers(bench: &mut Bench<'_>) -> Result<(), Stop> {
 }
 
 fn another_port(bench: &mut Bench<'_>) -> Result<(), Stop> {
-    let mut other = Bench::new(bench.options, bench.link);
-    other.connect()?;
-    other.serial = bench.serial;
-    other.must(F::SERVICE_START, &[S("")], Want::NoValue)?;
+    let mut other = bench.another()?;
+    bench.serial = other.serial;
     bench.open(A, F::CONTROLLER_GET_VARIABLE, &[H(C), S("I1"), S("")])?;
     // the same serial as the call before, from another port
     other.set_handle(A, bench.handle(A));
