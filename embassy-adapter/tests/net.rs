@@ -178,7 +178,7 @@ fn the_slot_of_a_udp_peer_is_free_after_service_stop() {
         };
         let mut memory: [_; 4] = std::array::from_fn(|_| ([PacketMetadata::EMPTY; 4], [[0; 1024]; 2]));
         let [a, b, c, d] = memory.each_mut().map(|(meta, [rx, tx])| {
-            let [rx_meta, tx_meta] = meta.as_chunks_mut::<2>().0 else { unreachable!() };
+            let (rx_meta, tx_meta) = meta.split_at_mut(2);
             let socket = UdpSocket::new(client, rx_meta, rx, tx_meta, tx);
             let transport = UdpTransport::new(client, socket, (address(1), 5007)).unwrap();
             Connection::new(transport, Client::new(Config::UDP, [0; 488], [0; 505]))

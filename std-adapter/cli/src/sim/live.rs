@@ -1,7 +1,6 @@
 //! `bcap sim --screen`: the virtual controller, its clients and their last calls, live in the terminal.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::io;
 use std::net::IpAddr;
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
