@@ -1,9 +1,9 @@
 //! The page of the board's state ([`health`](crate::health)), and messages of syslog about refusals and changes of the state.
 
-use core::cell::RefCell;
+use core::cell::{Cell, RefCell};
 use core::fmt::{self, Write};
 use core::net::SocketAddrV4;
-use core::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use core::sync::atomic::{AtomicBool, Ordering};
 use core::time::Duration;
 
 use bcap_core::gateway::{Event, Gateway};
@@ -54,7 +54,8 @@ struct Waiting {
 
 static MESSAGES: Channel<CriticalSectionRawMutex, Waiting, WAITING> = Channel::new();
 static IS_ON: AtomicBool = AtomicBool::new(false);
-static LOST: AtomicU32 = AtomicU32::new(0);
+// not an atomic integer, because some processors have no atomic addition
+static LOST: Mutex<CriticalSectionRawMutex, Cell<u32>> = Mutex::new(Cell::new(0));
 static LIMITER: Mutex<CriticalSectionRawMutex, RefCell<Limiter<16>>> = Mutex::new(RefCell::new(Limiter::new()));
 
 /// Starts the page and the messages, if the settings ask for them.
@@ -133,9 +134,14 @@ fn queue(severity: Severity, id: &'static str, text: fmt::Arguments<'_>) {
         // a longer text is cut
         let _ = write!(Cut(&mut waiting.text), "{text}");
         if MESSAGES.try_send(waiting).is_err() {
-            LOST.fetch_add(1, Ordering::Relaxed);
+            lose();
         }
     }
+}
+
+/// Counts a message that is lost.
+fn lose() {
+    LOST.lock(|lost| lost.set(lost.get().saturating_add(1)));
 }
 
 /// Sends the messages to the collector.
@@ -151,7 +157,7 @@ async fn send_messages(stack: Stack<'_>, collector: SocketAddrV4, host: Option<&
         let mut datagram = String::<MESSAGE>::new();
         let _ = write!(Cut(&mut datagram), "{}", Message { severity, host, app: IMAGE, id, text: &text });
         if socket.send_to(datagram.as_bytes(), collector).await.is_err() {
-            LOST.fetch_add(1, Ordering::Relaxed);
+            lose();
         }
     }
 }
@@ -174,7 +180,7 @@ fn answer(board: &Board, parts: &Parts, path: &str, page: &mut dyn Write) -> Opt
     (parts.counters)(&mut |name, count| {
         let _ = counters.push((name, count));
     });
-    let own = [("log frames dropped", (parts.dropped)()), ("syslog messages lost", LOST.load(Ordering::Relaxed))];
+    let own = [("log frames dropped", (parts.dropped)()), ("syslog messages lost", LOST.lock(Cell::get))];
     counters.extend(own.into_iter().take(counters.capacity().saturating_sub(counters.len())));
     let answer = |gateway: &Gateway<'_>| {
         let health = Health {

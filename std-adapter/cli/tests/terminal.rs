@@ -53,12 +53,11 @@ fn ctrl_c_halts_the_motion_to_the_start_of_a_stream_in_the_shell() {
         terminal.enter(&format!("slave cosine --from '{to}' --speed 1 --yes"));
         robot.wait_for_motion();
         terminal.keys(&["C-c"]);
-        terminal.wait_for("error: interrupted");
-        terminal.wait_for("RC8 auto ok>");
+        terminal.wait_for("error: interrupted: the robot was halted, and the arm was given back\nRC8 auto ok>");
         robot.assert_at_rest_with_free_arm();
-        terminal.enter("clear");
+        // an empty screen, so that the next round does not find the text of this one
         terminal.keys(&["C-l"]);
-        terminal.wait_for("RC8 auto ok>");
+        terminal.wait_until("an empty screen", |screen| !screen.contains("error"));
     }
     // the shell itself goes on
     terminal.enter("get I1");

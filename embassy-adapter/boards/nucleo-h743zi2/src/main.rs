@@ -104,7 +104,7 @@ fn start(spawner: Spawner, p: Peripherals) -> Option<()> {
 #[embassy_executor::task]
 async fn serve(slots: Slots<BoardFlash>, console: BufferedUart<'static>, log: BufferedUartTx<'static>) {
     let (sender, receiver) = console.split();
-    port::run(slots, receiver, sender, || SCB::sys_reset()).await;
+    port::run(slots, receiver, sender, log, || SCB::sys_reset()).await;
 }
 
 #[embassy_executor::task]
