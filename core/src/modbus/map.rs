@@ -14,8 +14,8 @@
 //! | `D`             | `f64`              | `f32`      | 4; 2 for `f32`            |
 //! | `V` `P` `J` `T` | `f32`              |            | 6, 14, 16, 20             |
 //!
-//! Without an index the entry is about variable 0, with two about these and those between them, in a row. The first register
-//! of a number is its highest one; with `low` it is its lowest one.
+//! `FIRST-LAST` maps these variables to successive addresses; without an index, variable 0 is mapped. The first register of a
+//! number is its highest one; with `low` it is its lowest one.
 
 use core::fmt;
 

@@ -12,10 +12,10 @@
 //!
 //! * **Reads** may begin and end within a variable. Each variable is read at its own time.
 //! * **Writes** must cover variables completely. If a rule refuses one of the variables of a request, none is written. If the
-//!   robot refuses one, those before it have been written.
+//!   robot or the rate refuses one, those before it have been written.
 //! * **Functions** 1 to 6, 15 and 16. Input registers are the holding registers, discrete inputs are the coils. Every unit
 //!   identifier is accepted.
-//! * **Refusals** are [`Exception`]s. A request that has no line gets one that no server accepts, `MODBUS:3:100:2` with
+//! * **Refusals** are [`Exception`]s. For a request without a variable, the front sends the invalid line `MODBUS:3:100:2`, with
 //!   function, first address and count, so that a gateway logs and counts it.
 //! * **Bytes that are not Modbus TCP** end the connection ([`Front::is_broken`]).
 //!
@@ -375,9 +375,11 @@ fn refused(
     let mut done = 0;
     while command.is_write && done < command.count {
         let permitted = with_request(map, command, bytes, done, |place, request| {
-            permits(request).then(|| share(place, command, done))
+            // before the first line is sent, so that a value without a text leaves nothing half written
+            let has_text = request.write_line(&mut Writer::new(&mut [0; MAX_LINE])).is_ok();
+            has_text.then(|| permits(request).then(|| share(place, command, done)))
         });
-        match permitted.ok_or(Exception::IllegalDataValue)? {
+        match permitted.flatten().ok_or(Exception::IllegalDataValue)? {
             Some(count) => done = done.saturating_add(count),
             None => return Ok(Some(done)),
         }

@@ -37,9 +37,9 @@ pub async fn find(stack: Stack<'_>, settings: &Settings<'_>) {
     }
 }
 
-/// Asks for an address by DHCP again, after each pause in which the board has only the configured one and that is not useful.
+/// Retries DHCP after each pause while the board uses the configured address and `is_useful` returns false.
 ///
-/// A switch and a DHCP server may start later than the board. `is_useful` tells whether the address works.
+/// A switch and a DHCP server may start later than the board.
 pub async fn improve(stack: Stack<'_>, settings: &Settings<'_>, pause: Duration, is_useful: impl Fn() -> bool) -> ! {
     loop {
         Timer::after(pause).await;

@@ -43,6 +43,8 @@ use crate::{RuleMemory, Settings, Transport, address, report};
 const LISTENERS: usize = SESSIONS + 1;
 /// The capacity of the LRU cache of handles.
 const HANDLES: usize = 64;
+// the tasks after the PLCs have fixed numbers
+const _: () = assert!(LISTENERS == 5);
 /// Concurrent clients of Modbus; they share the slots with the PLCs.
 const MODBUS: usize = if cfg!(feature = "modbus") { 2 } else { 0 };
 /// The sockets of the page and of syslog.
@@ -56,13 +58,13 @@ const MAX_OVERRUN: core::time::Duration = core::time::Duration::from_secs(2);
 /// Whether the settings are invalid or the last reset was a fault.
 static HAS_ERROR: AtomicBool = AtomicBool::new(false);
 
-/// Starts the tasks of a gateway, except for the network stack, the watchdog, and what only this board has. Call it once.
+/// Starts the tasks of a gateway, except for the network stack, the watchdog and board-specific tasks. Call it once.
 ///
 /// `dhcp_again` is the pause before the board asks for an address again ([`address::DHCP_AGAIN`]).
 ///
 /// # Errors
 ///
-/// A [`SpawnError`] at the second call.
+/// A [`SpawnError`] when the pool of a task is full.
 pub fn start(
     spawner: Spawner,
     stack: Stack<'static>,
@@ -184,7 +186,9 @@ async fn serve_modbus(
     board: &'static Board,
     task: Task,
 ) -> ! {
-    watched(task, listener.run(board, &limits(settings))).await
+    // there is no spare listener that could make room, so a silent client must not stay
+    let limits = Limits { idle: settings.idle.or(Some(settings.evict)), ..limits(settings) };
+    watched(task, listener.run(board, &limits)).await
 }
 
 /// Returns the time limits of a PLC's session.
@@ -244,6 +248,8 @@ async fn log_status(board: &'static Board, parts: Parts) -> ! {
             Timer::after_secs(10).await;
             board.view(|gateway| report::status(gateway, &parts));
             report::left_out();
+            #[cfg(feature = "health")]
+            crate::page::left_out();
         }
     };
     watched(STATUS, work).await

@@ -5,7 +5,7 @@
 //!  /health.json  the same for programs
 //! ```
 //!
-//! Both are read-only. They tell nothing of the settings, because any client that can reach the port can read them.
+//! Both are read-only. They show no settings, because any client that can reach the port can read them.
 
 use core::fmt::{self, Write};
 use core::time::Duration;

@@ -8,7 +8,7 @@
 //! | two flashes each 2 s   | an address, no robot: its address, or it is off    |
 //! | fast blinking, 5 Hz    | an error: invalid settings, or a reset after a fault |
 //!
-//! An error is shown before the other states, so that a technician sees it.
+//! An error hides the other states until the next reset without one.
 //!
 //! # Examples
 //!
@@ -30,7 +30,7 @@ use embassy_time::Timer;
 #[cfg(feature = "embassy")]
 use embedded_hal::digital::OutputPin;
 
-/// What the light tells of.
+/// The state that the LED shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct State {
     /// Whether the Ethernet link is up.

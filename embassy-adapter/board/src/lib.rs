@@ -13,7 +13,10 @@
 //! | `report`     | `embassy`  | the log of a gateway, and its status line                                     |
 //! | `address`    | `embassy`  | the board's address: DHCP or configured                                       |
 //! | `watchdog`   | `embassy`  | feeds a watchdog while all tasks run                                          |
-//! | `led`        | `embassy`  | the state on an LED                                                           |
+//! | `led`        |            | the patterns of an LED; its task with `embassy`                               |
+//! | `health`, `syslog` | `health` | the page of the state, and the format of messages                         |
+//! | `page`       | `embassy` and `health` | their tasks                                                       |
+//! | `parts`      | `embassy`  | what the tasks share, and board-specific data                                 |
 //! | `config`     | `embassy`  | reads the settings at the start                                               |
 //! | `memory`     | `embassy`  | the block of settings in the image itself                                     |
 //! | `log`        | `log`      | defmt's logger, into a ring buffer                                            |
@@ -34,8 +37,8 @@
 //! ```
 //!
 //! The block is stored unencoded in ELF and binary images, so a tool can search for the eight letters and write after
-//! them, as [`write`](image::write) does. Both sides parse it with [`Settings::read`], so the board accepts the same
-//! settings as the host.
+//! them, as [`write`](image::write) does. Both sides parse it with [`Settings::read`]. A host knows the keys of all
+//! features; an image without a feature refuses its keys.
 //!
 //! | key        | value                                | default                  |
 //! |------------|--------------------------------------|--------------------------|
@@ -63,7 +66,7 @@
 //! | `register` | `ADDRESS=KIND[/FIRST[-LAST]][:FORMAT][:low]`: variables in holding registers from this address on ([`bcap_core::modbus::Entry`]); can be repeated | none |
 //! | `coil`     | `ADDRESS=IO[/FIRST[-LAST]]`: coils from this address on; can be repeated | none |
 //! | `health`   | the port of a read-only page of the board's state, usually 80; for images with the feature `health` | no page |
-//! | `syslog`   | `ADDRESS[:PORT]`: where refusals and changes of the state are sent, usually to port 514; for images with the feature `health` | nowhere |
+//! | `syslog`   | `ADDRESS[:PORT]`: where refusals and changes of the state are sent, usually to port 514; for images with the feature `health` | not sent |
 //! | `echo`     | the port of an echo server, to compare round trips; for images with the feature `echo` | no echo server |
 //!
 //! A key of a feature that the image does not have is invalid, as an unknown one is.

@@ -106,7 +106,7 @@ pub(crate) fn report(report: &Report<'_>) {
             limited(client, "denied", format_args!("not served: {reason:?}"));
         }
         Report::Answered { client, line, event: Event::Refused { refusal, .. } } => {
-            limited(client, "refused", format_args!("{}: {refusal}", line.escape_ascii()));
+            limited(client, "refused", format_args!("{refusal}: {}", line.escape_ascii()));
         }
         Report::Robot { event: Event::RobotDown { error, .. }, .. } => {
             queue(Severity::Warning, "robot-down", format_args!("{error}"));
@@ -122,10 +122,21 @@ fn limited(client: Option<IpEndpoint>, id: &'static str, text: fmt::Arguments<'_
     match (admitted, client) {
         (None, _) => {}
         (Some(left_out), Some(client)) => {
-            queue(Severity::Warning, id, format_args!("{client}: {text} ({left_out} more before)"));
+            queue(Severity::Warning, id, format_args!("{client}: {left_out} more before: {text}"));
         }
-        (Some(left_out), None) => queue(Severity::Warning, id, format_args!("{text} ({left_out} more before)")),
+        (Some(left_out), None) => queue(Severity::Warning, id, format_args!("{left_out} more before: {text}")),
     }
+}
+
+/// Queues a message for each client and reason whose messages were left out, with their number. Call it periodically.
+pub(crate) fn left_out() {
+    LIMITER.lock(|limiter| {
+        let Ok(mut limiter) = limiter.try_borrow_mut() else { return };
+        limiter.drain(|client, id, count| match client {
+            Some(client) => queue(Severity::Warning, id, format_args!("{client}: {count} more")),
+            None => queue(Severity::Warning, id, format_args!("other clients: {count} more")),
+        });
+    });
 }
 
 fn queue(severity: Severity, id: &'static str, text: fmt::Arguments<'_>) {

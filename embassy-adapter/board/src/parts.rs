@@ -1,4 +1,4 @@
-//! What the tasks of a gateway board share: the gateway, their numbers, and what a board knows of itself.
+//! What the tasks of a gateway board share: the gateway, their numbers, and board-specific data.
 
 use bcap_embassy::gateway::SharedGateway;
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
@@ -25,7 +25,7 @@ pub(crate) const PAGE_TASK: u32 = PLC + 8;
 /// The gateway that the tasks share.
 pub type Board = SharedGateway<'static, NoopRawMutex, SESSIONS>;
 
-/// What a board knows of itself, for the status line and the page.
+/// Board-specific data for the status line and the page.
 #[derive(Clone, Copy)]
 pub struct Parts {
     /// The cause of the last reset.

@@ -29,9 +29,9 @@ pub enum Cause {
     },
     /// A fault.
     Fault {
-        /// The address of the instruction; 0 in an exception handler.
+        /// The address of the instruction; 0 in an exception handler, except on ARMv6-M.
         pc: u32,
-        /// The return address of its function; 0 in an exception handler.
+        /// The return address of its function; 0 in an exception handler, except on ARMv6-M.
         lr: u32,
         /// The register CFSR; 0 on a processor without it.
         status: u32,
@@ -173,6 +173,10 @@ impl<'m> Record<'m> {
         let words = [MAGIC, kind, a, b, c, d, e];
         for (to, from) in self.0.iter().zip(words.into_iter().chain([checksum(&words)])) {
             to.store(from, Ordering::Relaxed);
+        }
+        // a reset drops the last write to a memory with error correction, such as that of the STM32H7; this one changes nothing
+        if let Some(first) = self.0.first() {
+            first.store(MAGIC, Ordering::Relaxed);
         }
     }
 

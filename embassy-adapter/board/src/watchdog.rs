@@ -55,11 +55,21 @@ pub async fn watched<F: Future>(task: Task, work: F) -> F::Output {
     }
 }
 
-/// Calls `feed` each second while all registered tasks run and `is_healthy` returns true.
+/// Calls `feed` each second while all registered tasks run and `is_healthy` returns true. Otherwise it records
+/// [`Cause::Watchdog`](crate::record::Cause::Watchdog), in case that the watchdog resets the board.
 pub async fn run(is_healthy: impl Fn() -> bool, mut feed: impl FnMut()) -> ! {
+    let mut was_fed = true;
     loop {
         Timer::after(PULSE).await;
-        if stalled() == 0 && is_healthy() {
+        let tasks = stalled();
+        let is_fed = tasks == 0 && is_healthy();
+        #[cfg(any(target_arch = "arm", target_arch = "riscv32"))]
+        if is_fed != was_fed {
+            use crate::record::Cause;
+            crate::memory::record().write(if is_fed { Cause::Unrecorded } else { Cause::Watchdog { tasks } });
+        }
+        was_fed = is_fed;
+        if is_fed {
             update(|reports| reports.alive = 0);
             feed();
         }

@@ -100,7 +100,7 @@ fn start(spawner: Spawner, p: Peripherals) -> Option<()> {
     Some(())
 }
 
-/// The console on the serial port of the ST-Link, the log on D1.
+/// The console on the serial port of the ST-Link, the log on D2.
 #[embassy_executor::task]
 async fn serve(slots: Slots<BoardFlash>, console: BufferedUart<'static>, log: BufferedUartTx<'static>) {
     let (sender, receiver) = console.split();
