@@ -16,6 +16,7 @@ use bcap_core::hresult::HResult;
 use bcap_core::{bcap, rac};
 use bcap_sim::explain::Observer;
 use bcap_sim::files::{Executor, Job};
+use bcap_sim::scenario::Effect;
 use bcap_sim::{ArmModel, Config, Controller, Model, Profile, Scenario, Token};
 use bcap_std::SerialLine;
 use bcap_std::server::{LineEvent, Server};
@@ -98,7 +99,11 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         }
         let mut controller = Controller::new(config);
         if let Some(path) = &args.scenario {
-            controller.play(read_scenario(path, controller.config())?);
+            let scenario = read_scenario(path, controller.config())?;
+            if file.is_some() && has_token_of_address(&scenario) {
+                return Err(no_addresses("the token of the scenario"));
+            }
+            controller.play(scenario);
         }
         if args.screen {
             on_screen(Watched::shared(controller, refused), args, rac, file, ended).await?;
@@ -115,6 +120,21 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         }
         Ok(trajectory.map_or(Ok(()), |trajectory| trajectory.end())?)
     })
+}
+
+/// Returns whether a scenario gives the executable token to an address.
+fn has_token_of_address(scenario: &Scenario) -> bool {
+    let later = scenario.faults.iter().filter_map(|fault| match fault.then {
+        Effect::Token(token) => Some(token),
+        _ => None,
+    });
+    scenario.controller.token.into_iter().chain(later).any(|token| matches!(token, Token::Address(_)))
+}
+
+fn no_addresses(place: &str) -> Failure {
+    Failure::Input(format!(
+        "clients have no address of their own while they are recorded; leave out --write or the address of {place}"
+    ))
 }
 
 /// Serves, and shows the controller, until `ended` or until the user quits.
@@ -156,9 +176,7 @@ async fn serve<H: Serves>(
             return Err(Failure::Input("a serial line has no packets to record; leave out --write or --serial".into()));
         }
         if matches!(args.token, Token::Address(_)) {
-            let problem = "clients have no address of their own while they are recorded; leave out --write or the address \
-                           of --token";
-            return Err(Failure::Input(problem.into()));
+            return Err(no_addresses("--token"));
         }
         return recorded(server, Front::bind(args, rac, file).await?, ended, ready).await;
     }

@@ -422,6 +422,16 @@ fn the_token_of_an_address_is_for_clients_of_that_address() {
     let file = folder.path().join("clients.pcapng");
     let run = bcap(&["sim", "--token", "192.0.2.1", "--bcap", "127.0.0.1:0", "--write", file.to_str().unwrap()]);
     assert!(run.code != 0 && run.err.contains("leave out --write"), "{}", run.err);
+    // nor with that of a scenario
+    let scenario = folder.path().join("scenario.toml");
+    for text in
+        ["[controller]\ntoken = '192.0.2.1'\n", "[[fault]]\nwhen = { at_ms = 1 }\nthen = { token = '192.0.2.1' }\n"]
+    {
+        std::fs::write(&scenario, text).unwrap();
+        let [scenario, file] = [&scenario, &file].map(|path| path.to_str().unwrap());
+        let run = bcap(&["sim", "--scenario", scenario, "--bcap", "127.0.0.1:0", "--write", file]);
+        assert!(run.code == 2 && run.err.contains("the address of the token of the scenario"), "{text}: {}", run.err);
+    }
 }
 
 #[test]

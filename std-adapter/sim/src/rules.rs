@@ -77,7 +77,7 @@ pub(crate) const HAND: Rule = Rule {
 /// The preparation of a COBOTTA.
 pub(crate) const PREPARATION: Rule = Rule { calls: "MotionPreparation, AutoCal", ..EXECUTION };
 
-/// What belongs to the arm, and may be changed without it while no client owns it.
+/// Settings of the arm. A client may change them unless another client owns the arm.
 pub(crate) const SETTING: Rule = Rule {
     calls: "Robot_Speed, Robot_Accelerate, Robot_Change, MotionSkip, PayLoad, SpeedMode, @CURRENT_TOOL, @CURRENT_WORK",
     arm: Authority::Free,

@@ -25,7 +25,7 @@ pub(crate) fn record(args: &Record, link: &LinkArgs, json: bool) -> Result<(), F
     let kind = PoseType::from(args.pose);
     let lines = with_session(link, |session| {
         let robot = session.object(&"robot".parse::<ObjectPath>()?)?;
-        // a robot without this type of pose has nothing to record, and must not cost an older file
+        // reads one pose first, so that an error does not overwrite an existing file
         position(session, robot, kind)?;
         let mut file = csv::Writer::from_path(&args.file).map_err(|error| cannot_write(&args.file, &error))?;
         let header: Vec<&str> = ["t"].iter().chain(columns(kind)).copied().collect();
