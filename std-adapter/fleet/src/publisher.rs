@@ -675,10 +675,10 @@ impl Publisher {
         } else if self.cells[cell].running >= RUNNING.1 {
             Err(format!("{} commands of this controller are running", RUNNING.1))
         } else {
-            // the time first: what is proven afterwards was so at this time
-            let now = now_ms();
+            // the times first: what is proven afterwards was so at these times, and the deadline is not after the expiry
+            let (at, now) = (Instant::now(), now_ms());
             if self.is_proven() {
-                self.commands.check(cell, &command, now)
+                self.commands.check(cell, &command, at, now)
             } else {
                 Err("another process of this node may be active by now; send a new one".into())
             }
