@@ -119,7 +119,7 @@ impl Publisher {
         }
     }
 
-    /// Takes over, or shows that this process is active.
+    /// Takes over, puts that off, or shows that this process is active.
     pub(super) async fn tick(&mut self) {
         let Some(standby) = &mut self.standby else { return };
         if standby.is_active() {
@@ -130,6 +130,9 @@ impl Publisher {
                 connection.out.push_front(state);
                 connection.flush();
             }
+            return;
+        }
+        if standby.put_off(Instant::now()) {
             return;
         }
         standby.take_over();
