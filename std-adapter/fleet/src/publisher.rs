@@ -317,12 +317,27 @@ impl Publisher {
 
     fn send_state(&mut self, state: &State) {
         let shared = Arc::clone(&self.shared);
-        let message = match &mut self.sparkplug {
-            None => Some(json::state(&shared.config, state)),
-            Some(sparkplug) => sparkplug.device_death(&shared.config, state.cell),
+        let Some(sparkplug) = &mut self.sparkplug else {
+            self.push(json::state(&shared.config, state));
+            if state.down.is_some() {
+                self.send_unknown(state);
+            }
+            return;
         };
-        if let Some(message) = message {
+        if let Some(message) = sparkplug.device_death(&shared.config, state.cell) {
             self.push(message);
+        }
+    }
+
+    /// Sends that the points of a disconnected controller which this process has not read are unknown. The broker may have
+    /// good values of an earlier process.
+    fn send_unknown(&mut self, state: &State) {
+        let shared = Arc::clone(&self.shared);
+        for point in 0..self.cells[state.cell].latest.len() {
+            if self.cells[state.cell].latest[point].is_none() {
+                let id = shared.next_id.fetch_add(1, Ordering::Relaxed);
+                self.push(json::unknown(&shared.config, state, point, id));
+            }
         }
     }
 

@@ -128,6 +128,25 @@ async fn a_fleet_that_is_killed_is_offline_by_will() {
     host.json("bcap/plant/edge1/state", |json| json["state"] == "offline").await;
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_values_of_an_earlier_process_are_bad_if_the_robot_is_disconnected() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let mut robot = Robot::start().await;
+    let text = config(broker.port, "", &[&robot], FAST);
+    let mut host = Subscriber::start(broker.port, "bcap/#").await;
+    let fleet = Running::start(&text).await;
+    host.json("bcap/plant/cell1/I1", |json| json["quality"] == "good").await;
+    fleet.abort().await;
+    robot.kill().await;
+    let fleet = Running::start(&text).await;
+    host.json("bcap/plant/cell1/I1", |json| json["quality"] == "bad" && json["value"].is_null()).await;
+    let mut late = Subscriber::start(broker.port, "bcap/plant/cell1/I1").await;
+    assert_eq!(late.json("bcap/plant/cell1/I1", |_| true).await["quality"], "bad", "it is retained");
+    robot.restart().await;
+    host.json("bcap/plant/cell1/I1", |json| json["quality"] == "good").await;
+    fleet.stop().await;
+}
+
 fn command(id: &str, name: &str, value: i32, expires: u64) -> String {
     json!({"id": id, "name": name, "value": value, "expires": expires, "origin": "mes"}).to_string()
 }
