@@ -85,13 +85,16 @@ impl Publisher {
         // ids above those of the other process
         shared.next_id.fetch_max(now.saturating_mul(1000), Ordering::Relaxed);
         standby.beaten(Instant::now());
+        let instance = standby.instance().to_owned();
         if !*shared.reads.borrow() {
             // the latest values of an earlier time as the active process
+            let unborn: Vec<_> = (0..self.cells.len()).flat_map(|cell| self.take_unborn(cell)).collect();
+            self.send_later(unborn);
             self.cells.iter_mut().for_each(|cell| cell.latest.fill(None));
         }
         shared.reads.send_replace(true);
         shared.metrics.active.store(true, Ordering::Relaxed);
-        (shared.report)(&Event::Active { instance: standby.instance().to_owned() });
+        (shared.report)(&Event::Active { instance });
         if self.sparkplug.is_some() {
             self.push(self.node_state(true));
         }
