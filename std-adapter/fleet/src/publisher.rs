@@ -107,7 +107,7 @@ struct Finished {
     reason: Option<String>,
 }
 
-/// What is known of a message that was given to the link.
+/// A message passed to the link, until the broker confirms it.
 struct Sent {
     at: Instant,
     readings: Vec<Reading>,
