@@ -87,16 +87,17 @@ fn on_screen(config: Config) -> Result<(), Failure> {
         let mut shown = Shown::new(fleet.monitor(), events, metrics);
         let (quit, quits) = oneshot::channel::<()>();
         let live = Live::open(quit, move |keys| shown.screen(keys))?;
+        let mut closed = Ok(());
         let ended = async {
             tokio::select! {
                 () = ended => {}
                 // the sender is dropped
                 _ = quits => {}
             }
-            drop(live);
+            closed = live.close();
         };
         fleet.run(ended).await;
-        Ok(())
+        Ok(closed?)
     })
 }
 

@@ -153,12 +153,15 @@ async fn on_screen(
             _ = quits => {}
         }
     };
-    serve(Watched::server(&watched), args, rac, file, ended, |line| {
+    let served = serve(Watched::server(&watched), args, rac, file, ended, |line| {
         let addresses = line.strip_prefix("ready ").unwrap_or(line);
         live = Some(Live::open(quit, shown(addresses, &watched))?);
         Ok(())
     })
-    .await
+    .await;
+    let closed = live.map_or(Ok(()), Live::close);
+    served?;
+    Ok(closed?)
 }
 
 /// Serves at the addresses of the command line until `ended`; the clients are recorded to `file`. `ready` gets the line with

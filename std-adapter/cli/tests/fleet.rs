@@ -81,7 +81,7 @@ fn the_demo_plant_of_the_page_runs() {
     let mut options = MqttOptions::new("test", "127.0.0.1", port);
     options.set_max_packet_size(1 << 20, 1 << 20);
     let (client, mut connection) = Client::new(options, 10);
-    client.subscribe("bcap/plant/#", QoS::AtLeastOnce).unwrap();
+    client.subscribe("bcap/demo/#", QoS::AtLeastOnce).unwrap();
     let mut waiting: Vec<_> = ["I1", "tasks"].into_iter().flat_map(|name| (1..=3).map(move |n| (n, name))).collect();
     let messages = connection.iter().filter_map(|event| match event.unwrap() {
         rumqttc::Event::Incoming(Packet::Publish(publish)) => Some(publish),
@@ -91,7 +91,7 @@ fn the_demo_plant_of_the_page_runs() {
         let json: serde_json::Value = serde_json::from_slice(&publish.payload).unwrap();
         let is_counted = json["value"].as_i64() >= Some(2);
         let has_tasks = json["value"]["Pro1"] == "ready";
-        waiting.retain(|(n, name)| publish.topic != format!("bcap/plant/cell{n}/{name}") || !(is_counted || has_tasks));
+        waiting.retain(|(n, name)| publish.topic != format!("bcap/demo/cell{n}/{name}") || !(is_counted || has_tasks));
         if waiting.is_empty() {
             break;
         }

@@ -25,6 +25,7 @@ use tokio::time::{Instant, timeout_at};
 
 use crate::config;
 use crate::event::CommandResult;
+use crate::reading::now_ms;
 
 /// The most bytes of a correlation id.
 const LONGEST_ID: usize = 128;
@@ -59,6 +60,8 @@ pub(crate) struct Job {
     pub(crate) name: String,
     pub(crate) value: OwnedVariant,
     pub(crate) deadline: Instant,
+    /// The expiry in milliseconds since 1970.
+    pub(crate) expires: u64,
 }
 
 /// The rules, and what was executed.
@@ -93,8 +96,8 @@ impl Commands {
         u64::from(self.config.longest_seconds) * 1000
     }
 
-    /// Checks a command; the error says why it is refused.
-    pub(crate) fn check(&mut self, cell: usize, command: &Command, now: u64) -> Result<Job, String> {
+    /// Checks a command; the error says why it is refused. `at` was taken before `now`.
+    pub(crate) fn check(&mut self, cell: usize, command: &Command, at: Instant, now: u64) -> Result<Job, String> {
         let Command { id, name, value, expires, .. } = command;
         if id.is_empty() || id.len() > LONGEST_ID {
             return Err(format!("the id has {} bytes; expected 1 to {LONGEST_ID}", id.len()));
@@ -118,7 +121,8 @@ impl Commands {
         self.take_token(cell, now)?;
         let value = self.permitted(name, value)?;
         self.accepted.insert((cell, id.clone()), *expires);
-        Ok(Job { name: canonical(name), value, deadline: Instant::now() + Duration::from_millis(expires - now) })
+        let deadline = at + Duration::from_millis(expires - now);
+        Ok(Job { name: canonical(name), value, deadline, expires: *expires })
     }
 
     /// Takes a token of a controller's bucket, which holds those of one second.
@@ -184,8 +188,8 @@ pub(crate) async fn execute(controller: Controller, job: Job) -> (CommandResult,
         Ok(Err(error)) => return (CommandResult::Failed, Some(error.to_string())),
         Err(_) => return (CommandResult::Refused, Some("it expired before it could be sent".into())),
     }
-    // a process that was stopped in between must not write late
-    if Instant::now() >= job.deadline {
+    // a process or machine that was stopped in between must not write late; a suspended machine may stop one of the clocks
+    if Instant::now() >= job.deadline || now_ms() >= job.expires {
         return (CommandResult::Refused, Some("it expired before it could be sent".into()));
     }
     match timeout_at(job.deadline, controller.write(&job.name, job.value)).await {
@@ -220,7 +224,7 @@ mod tests {
         let now = BEGAN + 20_000;
         let mut check = |id: &str, expires, at| {
             commands
-                .check(0, &command(id, "I1", json!(1), expires), at)
+                .check(0, &command(id, "I1", json!(1), expires), Instant::now(), at)
                 .map(|job| job.value)
                 .map_err(|error| error.split(';').next().unwrap().to_owned())
         };
@@ -238,7 +242,7 @@ mod tests {
         let mut commands = commands(&["I", "IO"], 1000);
         let now = BEGAN + 20_000;
         let mut name = |id: &str, name: &str, value| {
-            commands.check(0, &command(id, name, value, now + 5000), now).map(|job| job.name)
+            commands.check(0, &command(id, name, value, now + 5000), Instant::now(), now).map(|job| job.name)
         };
         assert_eq!(name("a", "I007", json!(1)), Ok("I7".into()));
         assert_eq!(name("b", "IO0128", json!(true)), Ok("IO128".into()));
@@ -250,9 +254,14 @@ mod tests {
         let mut commands = commands(&["I"], 1000);
         // an earlier process accepts this just before it ends
         let old = command("a", "I1", json!(1), BEGAN + 10_000);
-        assert!(commands.check(0, &old, BEGAN).unwrap_err().starts_with("this node has just started"));
-        assert!(commands.check(0, &old, BEGAN + 9_999).unwrap_err().starts_with("this node has just started"));
-        assert!(commands.check(0, &command("b", "I1", json!(1), BEGAN + 10_001), BEGAN + 1).is_ok());
+        assert!(commands.check(0, &old, Instant::now(), BEGAN).unwrap_err().starts_with("this node has just started"));
+        assert!(
+            commands
+                .check(0, &old, Instant::now(), BEGAN + 9_999)
+                .unwrap_err()
+                .starts_with("this node has just started")
+        );
+        assert!(commands.check(0, &command("b", "I1", json!(1), BEGAN + 10_001), Instant::now(), BEGAN + 1).is_ok());
     }
 
     #[test]
@@ -262,7 +271,9 @@ mod tests {
         let mut number = 0;
         let mut check = |name: &str, value: Value| {
             number += 1;
-            commands.check(0, &command(&number.to_string(), name, value, now + 5000), now).map(|job| job.value)
+            commands
+                .check(0, &command(&number.to_string(), name, value, now + 5000), Instant::now(), now)
+                .map(|job| job.value)
         };
         assert!(check("I9", json!(-10)).is_ok());
         assert_eq!(check("I9", json!(11)).unwrap_err(), "the value is out of the range that the rules allow");
@@ -281,7 +292,9 @@ mod tests {
     fn the_rate_is_limited_for_each_controller() {
         let mut commands = commands(&["I"], 2);
         let now = BEGAN + 20_000;
-        let mut check = |cell, id: &str, at| commands.check(cell, &command(id, "I1", json!(1), at + 5000), at).is_ok();
+        let mut check = |cell, id: &str, at| {
+            commands.check(cell, &command(id, "I1", json!(1), at + 5000), Instant::now(), at).is_ok()
+        };
         assert_eq!(
             [check(0, "a", now), check(0, "b", now), check(0, "c", now), check(1, "a", now)],
             [true, true, false, true]

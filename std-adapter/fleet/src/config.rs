@@ -215,7 +215,7 @@ impl Config {
     ///
     /// [`Error::Config`] with the place of what is wrong.
     pub fn parse(text: &str) -> Result<Self, Error> {
-        let mut config: Self = toml::from_str(text).map_err(|error| Error::Config(error.to_string()))?;
+        let mut config: Self = toml::from_str(text).map_err(|error| Error::Config(describe(text, &error)))?;
         config.check().map_err(Error::Config)?;
         Ok(config)
     }
@@ -306,6 +306,13 @@ impl Cell {
     }
 }
 
+/// Describes an error with its line number. The text of the line may be a secret, so it is left out.
+fn describe(text: &str, error: &toml::de::Error) -> String {
+    let before = error.span().and_then(|span| text.get(..span.start));
+    let place = before.map(|before| format!("line {}: ", before.matches('\n').count() + 1)).unwrap_or_default();
+    format!("{place}{}", error.message())
+}
+
 /// Checks a name that becomes a level of a topic.
 fn name(key: &str, name: &str) -> Result<(), String> {
     let wrong = |c: char| c.is_control() || "/+#$".contains(c);
@@ -328,6 +335,15 @@ mod tests {
         assert_eq!(config.format, Format::Json);
         assert!(config.commands.allow.is_empty() && config.metrics_address().is_none() && config.buffer.is_none());
         assert_eq!(config.controllers(), 1);
+    }
+
+    #[test]
+    fn an_error_does_not_print_the_line() {
+        for line in ["password = \"hunter2\"", "password = \"hunter2", "password = hunter2", "user = [\"hunter2\"]"] {
+            let text = SMALL.replace("[[controller]]", &format!("{line}\n[[controller]]"));
+            let error = Config::parse(&text).unwrap_err().to_string();
+            assert!(error.contains("line 5") && !error.contains("hunter2"), "{line}: {error}");
+        }
     }
 
     #[test]

@@ -86,6 +86,12 @@ pub(crate) fn repeated(config: &Config, reading: &Reading) -> Message {
     shown(config, reading, true)
 }
 
+/// Returns the message that says that a point of a disconnected controller is unknown.
+pub(crate) fn unknown(config: &Config, state: &State, point: usize, id: u64) -> Message {
+    let (cell, time) = (state.cell, state.time);
+    shown(config, &Reading { cell, point, time, id, value: None, quality: Quality::Bad, historical: false }, false)
+}
+
 fn shown(config: &Config, reading: &Reading, repeated: bool) -> Message {
     let cell = &config.controllers[reading.cell];
     let Reading { quality, time, id, .. } = *reading;

@@ -107,7 +107,7 @@ struct Finished {
     reason: Option<String>,
 }
 
-/// What is known of a message that was given to the link.
+/// A message passed to the link, until the broker confirms it.
 struct Sent {
     at: Instant,
     readings: Vec<Reading>,
@@ -257,14 +257,15 @@ impl Publisher {
         while let Some(item) = self.shared.queue.pop() {
             match item {
                 Item::State(state) => {
-                    self.set_state(&state);
+                    readings.extend(self.set_state(&state));
                     if self.is_active() {
                         self.send_state(&state);
                     }
                 }
                 Item::Reading(mut reading) => {
-                    self.cells[reading.cell].latest[reading.point] = Some(reading.clone());
+                    // also the latest one: it is in the buffer
                     reading.historical = true;
+                    self.cells[reading.cell].latest[reading.point] = Some(reading.clone());
                     readings.push(reading);
                 }
             }
@@ -282,7 +283,8 @@ impl Publisher {
             if let Some(item) = is_active.then(|| shared.queue.pop()).flatten() {
                 match item {
                     Item::State(state) => {
-                        self.set_state(&state);
+                        let unborn = self.set_state(&state);
+                        self.send_later(unborn);
                         self.send_state(&state);
                     }
                     Item::Reading(reading) => self.send(reading),
@@ -306,23 +308,58 @@ impl Publisher {
         }
     }
 
-    fn set_state(&mut self, state: &State) {
+    /// Sets the state of a controller; returns the readings that waited for its birth.
+    fn set_state(&mut self, state: &State) -> Vec<Reading> {
+        // a birth waits for the first readings of the session
+        let unborn = self.take_unborn(state.cell);
         let cell = &mut self.cells[state.cell];
         if self.sparkplug.is_some() {
-            // a birth waits for the first readings of the session
             cell.latest.fill(None);
         }
         cell.state = Some(state.clone());
+        unborn
+    }
+
+    /// Sends readings as historical when there is nothing new.
+    fn send_later(&mut self, readings: Vec<Reading>) {
+        // the store's loaded file stays until these have arrived as well
+        self.loaded += readings.len();
+        self.history.extend(readings);
+    }
+
+    /// Takes the readings of a session that ends before the birth of its device, as historical ones. Those that are historical
+    /// are in the buffer.
+    fn take_unborn(&mut self, cell: usize) -> Vec<Reading> {
+        if self.sparkplug.as_ref().is_none_or(|sparkplug| sparkplug.is_born(cell)) {
+            return Vec::new();
+        }
+        let latest = self.cells[cell].latest.iter_mut().filter_map(Option::take);
+        latest.filter(|reading| !reading.historical).map(|reading| Reading { historical: true, ..reading }).collect()
     }
 
     fn send_state(&mut self, state: &State) {
         let shared = Arc::clone(&self.shared);
-        let message = match &mut self.sparkplug {
-            None => Some(json::state(&shared.config, state)),
-            Some(sparkplug) => sparkplug.device_death(&shared.config, state.cell),
+        let Some(sparkplug) = &mut self.sparkplug else {
+            self.push(json::state(&shared.config, state));
+            if state.down.is_some() {
+                self.send_unknown(state);
+            }
+            return;
         };
-        if let Some(message) = message {
+        if let Some(message) = sparkplug.device_death(&shared.config, state.cell) {
             self.push(message);
+        }
+    }
+
+    /// Sends that the points of a disconnected controller which this process has not read are unknown. The broker may have
+    /// good values of an earlier process.
+    fn send_unknown(&mut self, state: &State) {
+        let shared = Arc::clone(&self.shared);
+        for point in 0..self.cells[state.cell].latest.len() {
+            if self.cells[state.cell].latest[point].is_none() {
+                let id = shared.next_id.fetch_add(1, Ordering::Relaxed);
+                self.push(json::unknown(&shared.config, state, point, id));
+            }
         }
     }
 
@@ -340,9 +377,8 @@ impl Publisher {
             self.cells[cell].latest[reading.point] = None;
         } else if !sparkplug.is_born(cell) {
             // the birth carries the latest reading only
-            if let Some(before) = before {
-                self.history.push_back(Reading { historical: true, ..before });
-                self.loaded += 1;
+            if let Some(before) = before.filter(|before| !before.historical) {
+                self.send_later(vec![Reading { historical: true, ..before }]);
             }
             self.birth(cell);
         } else if sparkplug.has_type(config, &reading) {
@@ -675,10 +711,10 @@ impl Publisher {
         } else if self.cells[cell].running >= RUNNING.1 {
             Err(format!("{} commands of this controller are running", RUNNING.1))
         } else {
-            // the time first: what is proven afterwards was so at this time
-            let now = now_ms();
+            // the times first: what is proven afterwards was so at these times, and the deadline is not after the expiry
+            let (at, now) = (Instant::now(), now_ms());
             if self.is_proven() {
-                self.commands.check(cell, &command, now)
+                self.commands.check(cell, &command, at, now)
             } else {
                 Err("another process of this node may be active by now; send a new one".into())
             }
@@ -775,6 +811,10 @@ impl Publisher {
         }
         self.recover().await;
         self.drain().await;
+        let unborn: Vec<_> = (0..self.cells.len()).flat_map(|cell| self.take_unborn(cell)).collect();
+        if !unborn.is_empty() {
+            self.keep(unborn).await;
+        }
         if !self.history.is_empty() {
             let readings = self.history.len() as u64;
             self.shared.metrics.dropped.fetch_add(readings, Ordering::Relaxed);

@@ -137,8 +137,17 @@ impl Scan {
             for index in &batch {
                 self.reschedule(&mut scanned[*index], ended);
             }
-            for (index, (time, value)) in batch.into_iter().zip(readings) {
+            // after a timeout the rest of the batch is not read; after a loss of the session the state follows
+            let stopped = readings.last().and_then(|(time, value)| match value {
+                Err(error @ Error::NoReply { .. }) if !error.is_lost() => Some(*time),
+                _ => None,
+            });
+            let mut batch = batch.into_iter();
+            for ((time, value), index) in readings.into_iter().zip(batch.by_ref()) {
                 self.count(&mut scanned[index], time, value);
+            }
+            if let Some(time) = stopped {
+                batch.for_each(|index| self.fail(&mut scanned[index], time));
             }
         }
     }
@@ -160,16 +169,19 @@ impl Scan {
         match value {
             // the state follows, and marks all points
             Err(Error::NotConnected { .. } | Error::Closed) => {}
-            Err(_) => {
-                self.metrics().errors.fetch_add(1, Ordering::Relaxed);
-                self.push(scanned, time, None, Quality::Bad);
-            }
+            Err(_) => self.fail(scanned, time),
             Ok(value) => {
                 self.metrics().readings.fetch_add(1, Ordering::Relaxed);
                 let quality = if value.is_some() { Quality::Good } else { Quality::Bad };
                 self.push(scanned, time, value, quality);
             }
         }
+    }
+
+    /// Counts a point that could not be read, and reports it.
+    fn fail(&self, scanned: &mut Scanned<'_>, time: u64) {
+        self.metrics().errors.fetch_add(1, Ordering::Relaxed);
+        self.push(scanned, time, None, Quality::Bad);
     }
 
     /// Reports a reading unless it counts as equal to the last one.
@@ -277,7 +289,8 @@ fn batch(scanned: &[Scanned<'_>], now: Instant) -> Vec<usize> {
     due
 }
 
-/// Reads points, and returns for each when its reply arrived and its value.
+/// Reads points, and returns for each when its reply arrived and its value. After a timeout or a loss
+/// of the session the rest is missing.
 async fn read_batch(controller: &Controller, sources: &[&Source]) -> Vec<(u64, Result<Option<Value>, Error>)> {
     let names: Option<Vec<_>> = sources.iter().map(|source| source.variable()).collect();
     let Some(names) = names else {

@@ -31,8 +31,12 @@ const REBIRTH: &str = "Node Control/Rebirth";
 
 /// The metric that joins births and deaths of a node.
 const BD_SEQ: &str = "bdSeq";
+
 /// The most readings of one message.
 const JOINED: usize = 100;
+
+/// The most bytes of one message with more than one reading.
+const JOINED_BYTES: usize = 32 * 1024;
 
 /// The state of the encoder.
 #[derive(Debug)]
@@ -181,12 +185,14 @@ impl Sparkplug {
         let fits = |other: &Reading| {
             other.cell == reading.cell && other.point != reading.point && other.historical == reading.historical
         };
-        let can_join =
-            !message.readings.is_empty() && message.readings.len() < JOINED && message.readings.iter().all(fits);
+        if message.readings.is_empty() || message.readings.len() >= JOINED || !message.readings.iter().all(fits) {
+            return false;
+        }
+        // a protocol buffer is extended by more elements of a repeated field
+        let more = Payload { timestamp: None, metrics: self.metrics(config, reading), seq: None }.encode_to_vec();
+        let can_join = message.payload.len() + more.len() <= JOINED_BYTES;
         if can_join {
-            // a protocol buffer is extended by more elements of a repeated field
-            let more = Payload { timestamp: None, metrics: self.metrics(config, reading), seq: None };
-            message.payload.extend(more.encode_to_vec());
+            message.payload.extend(more);
             message.readings.push(reading.clone());
         }
         can_join
@@ -368,5 +374,26 @@ mod tests {
         assert_eq!(metrics, [(Some(1), Some(Number::Int(7))), (Some(2), Some(Number::Int(8)))]);
         // 0 and 1 are the births
         assert_eq!((payload.seq, message.readings.len()), (Some(2), 2));
+    }
+
+    #[test]
+    fn long_texts_are_messages_of_their_own() {
+        let config = "group = \"g\"\nnode = \"n\"\nformat = \"sparkplug\"\n[broker]\nhost = \"h\"\n[[controller]]\n\
+            name = \"a\"\naddress = \"tcp:h\"\n[[controller.publish]]\nnames = [\"S1-4\"]\n";
+        let config = Config::parse(config).unwrap();
+        let mut sparkplug = Sparkplug::new(&config);
+        sparkplug.device_birth(&config, 0, &[const { None }; 4]);
+        let reading = |point| Reading {
+            cell: 0,
+            point,
+            time: 5,
+            id: 1,
+            value: Some(Value::Text("a".repeat(10_000))),
+            quality: Quality::Good,
+            historical: false,
+        };
+        let mut message = sparkplug.data(&config, reading(0));
+        let joined = [1, 2, 3].map(|point| sparkplug.join(&config, &mut message, &reading(point)));
+        assert_eq!((joined, message.readings.len()), ([true, true, false], 3));
     }
 }

@@ -37,6 +37,8 @@ pub(crate) struct Standby {
     is_active: bool,
     /// When to take over; `None` before the subscription, and if this process is active.
     takeover: Option<Instant>,
+    /// Whether the takeover was put off once, because this process had stopped.
+    is_put_off: bool,
     /// The process that was online last.
     online: Option<String>,
     /// When to repeat `online`; `None` if the broker has not accepted this process as the active one.
@@ -57,7 +59,16 @@ pub(crate) struct Seen {
 impl Standby {
     pub(crate) fn new(after: Duration) -> Self {
         let instance = format!("{:016x}", random());
-        Self { instance, after, is_active: false, takeover: None, online: None, beat: None, proven: None }
+        Self {
+            instance,
+            after,
+            is_active: false,
+            takeover: None,
+            is_put_off: false,
+            online: None,
+            beat: None,
+            proven: None,
+        }
     }
 
     pub(crate) fn instance(&self) -> &str {
@@ -98,6 +109,7 @@ impl Standby {
         let is_own = seen.instance.as_ref() == Some(&self.instance);
         if seen.state == "online" {
             self.online.clone_from(&seen.instance);
+            self.is_put_off = false;
             // no other process was active since
             self.takeover = Some(if is_own { now } else { now + self.after });
             return !is_own && !is_retained;
@@ -119,9 +131,20 @@ impl Standby {
         self.takeover = Some(now + Duration::from_millis(least + random() % (most - least)));
     }
 
+    /// Puts the takeover off if it comes late: this process, or its machine, had stopped, and messages of the active process
+    /// may wait to be read. Returns whether it was put off; a process that is always late takes over the second time.
+    pub(crate) fn put_off(&mut self, now: Instant) -> bool {
+        let is_late = self.takeover.is_some_and(|takeover| now > takeover + self.after / BEATS);
+        if !is_late || self.is_put_off {
+            return false;
+        }
+        (self.takeover, self.is_put_off) = (Some(now + self.after), true);
+        true
+    }
+
     /// The next connection is that of the active process.
     pub(crate) fn take_over(&mut self) {
-        (self.is_active, self.takeover) = (true, None);
+        (self.is_active, self.takeover, self.is_put_off) = (true, None, false);
         self.online = Some(self.instance.clone());
     }
 
@@ -185,6 +208,19 @@ mod tests {
             standby.saw(&seen(state, &own), true, now);
             assert_eq!(standby.wake(), Some(now), "{state}");
         }
+    }
+
+    #[test]
+    fn a_watcher_that_was_stopped_puts_the_takeover_off_once() {
+        let (mut standby, now) = (Standby::new(AFTER), Instant::now());
+        standby.subscribed(now);
+        assert!(!standby.put_off(now + AFTER + AFTER / 4), "in time");
+        let late = now + AFTER * 10;
+        assert!(standby.put_off(late));
+        assert_eq!(standby.wake(), Some(late + AFTER));
+        assert!(!standby.put_off(late + AFTER * 10), "it takes over when nothing has arrived");
+        standby.saw(&seen("online", "b"), false, late);
+        assert!(standby.put_off(late + AFTER * 10), "the active process was seen in between");
     }
 
     #[test]

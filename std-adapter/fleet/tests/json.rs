@@ -10,7 +10,7 @@ use std::time::Duration;
 use bcap_fleet::{CommandResult, Event};
 use bcap_std::asynch::Controller;
 use bcap_std::{Settings, TaskStart};
-use common::{Mosquitto, Robot, Running, Subscriber, counter, folder, http, now_ms};
+use common::{Mosquitto, Proxy, Robot, Running, Subscriber, counter, folder, http, now_ms};
 use rumqttc::Publish;
 use serde_json::json;
 
@@ -69,6 +69,27 @@ async fn values_and_states_of_several_robots_arrive() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_robot_that_stops_responding_costs_one_timeout() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let robot = Robot::start().await;
+    let proxy = Proxy::start(robot.address.port()).await;
+    let publish = "[[controller.publish]]\nnames = [\"I1-16\"]\ninterval_ms = 10";
+    let text = config(broker.port, "", &[&robot], publish);
+    let text = text.replace(&robot.address.to_string(), &format!("127.0.0.1:{}", proxy.port));
+    let mut host = Subscriber::start(broker.port, "bcap/plant/cell1/+").await;
+    let fleet = Running::start(&text).await;
+    host.json("bcap/plant/cell1/I16", |json| json["quality"] == "good").await;
+    proxy.set(false);
+    // a call times out after 3 s
+    let bad = host.json("bcap/plant/cell1/I16", |json| json["quality"] == "bad");
+    tokio::time::timeout(Duration::from_secs(12), bad).await.expect("all points are bad after the first timeout");
+    assert!(fleet.metric("bcap_read_errors_total{controller=\"cell1\"}").await >= 16);
+    proxy.set(true);
+    host.json("bcap/plant/cell1/I16", |json| json["quality"] == "good").await;
+    fleet.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_states_of_tasks_are_points() {
     let Some(broker) = Mosquitto::open() else { return };
     let robot = Robot::start().await;
@@ -105,6 +126,25 @@ async fn a_fleet_that_is_killed_is_offline_by_will() {
     host.json("bcap/plant/edge1/state", |json| json["state"] == "online").await;
     task.abort();
     host.json("bcap/plant/edge1/state", |json| json["state"] == "offline").await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_values_of_an_earlier_process_are_bad_if_the_robot_is_disconnected() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let mut robot = Robot::start().await;
+    let text = config(broker.port, "", &[&robot], FAST);
+    let mut host = Subscriber::start(broker.port, "bcap/#").await;
+    let fleet = Running::start(&text).await;
+    host.json("bcap/plant/cell1/I1", |json| json["quality"] == "good").await;
+    fleet.abort().await;
+    robot.kill().await;
+    let fleet = Running::start(&text).await;
+    host.json("bcap/plant/cell1/I1", |json| json["quality"] == "bad" && json["value"].is_null()).await;
+    let mut late = Subscriber::start(broker.port, "bcap/plant/cell1/I1").await;
+    assert_eq!(late.json("bcap/plant/cell1/I1", |_| true).await["quality"], "bad", "it is retained");
+    robot.restart().await;
+    host.json("bcap/plant/cell1/I1", |json| json["quality"] == "good").await;
+    fleet.stop().await;
 }
 
 fn command(id: &str, name: &str, value: i32, expires: u64) -> String {

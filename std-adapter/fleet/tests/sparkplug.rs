@@ -3,7 +3,7 @@
 mod common;
 
 use bcap_fleet::Event;
-use common::{Mosquitto, Proxy, Robot, Running, Subscriber, now_ms};
+use common::{Mosquitto, Proxy, Robot, Running, Subscriber, folder, now_ms};
 use rumqttc::Publish;
 
 /// A field of a protocol buffer.
@@ -354,6 +354,30 @@ async fn history_of_a_disconnected_device_ends_with_its_death() {
     assert_eq!((data.value, data.is_historical), (Some(Field::Number(7)), true));
     host.next("DDEATH/edge1/cell1").await;
     fleet.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn readings_before_the_birth_of_their_device_are_not_lost() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let (_folder, path) = folder();
+    let (one, two) = (Robot::start().await, Robot::start().await);
+    let mut host = Host::start(broker.port).await;
+    let more = format!("[metrics]\nport = 0\n[buffer]\ndirectory = {path:?}");
+    let mut text = config(broker.port, &more, &[&one, &two]);
+    // the second controller reads this for the first time after half a minute, and is born then
+    text += "[[controller.publish]]\nnames = [\"I2\"]\ninterval_ms = 60000\n";
+    let fleet = Running::start(&text).await;
+    host.next("DBIRTH/edge1/cell1").await;
+    two.set(1, 42);
+    let before = fleet.metric("bcap_readings_total{controller=\"cell2\"}").await;
+    // each point was read twice
+    while fleet.metric("bcap_readings_total{controller=\"cell2\"}").await < before + 12 {
+        tokio::time::sleep(std::time::Duration::from_millis(1)).await;
+    }
+    fleet.stop().await;
+    let files = std::fs::read_dir(&path).unwrap();
+    let texts: String = files.filter_map(|file| std::fs::read_to_string(file.unwrap().path()).ok()).collect();
+    assert!(texts.contains("42"), "{texts:?}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -139,7 +139,10 @@ impl Controller {
     }
 
     /// Reads several variables of any type in one turn, and returns for each when its reply arrived, and its value or error.
-    /// Other calls wait meanwhile. After a loss of the connection the rest is not read.
+    /// Other calls wait meanwhile.
+    ///
+    /// After a timeout or a loss of the connection the rest is not read, and the result is shorter than `names`. So a
+    /// controller that stops responding costs one timeout, not one for each name.
     ///
     /// # Errors
     ///
@@ -170,7 +173,11 @@ impl Controller {
                             None => session.read(Object::Controller, name).await,
                             Some(error) => Err(error),
                         };
+                        let is_last = value.as_ref().is_err_and(|error| error.is_timeout() || session.lost().is_some());
                         values.push((Instant::now(), value));
+                        if is_last {
+                            break;
+                        }
                     }
                     Ok(values)
                 })

@@ -65,6 +65,11 @@ impl Events {
             }
             Event::BufferFailed { reason } => format!("the buffer has failed: {reason}"),
             Event::Unsent { readings } => format!("{readings} readings were not sent"),
+            Event::Active { .. } => "this process is active".to_owned(),
+            Event::Standby { active: Some(active) } => format!("this process is the standby of {active}"),
+            Event::Standby { active: None } => "this process is the standby".to_owned(),
+            Event::PrimaryHost { online: true } => "the primary host is online".to_owned(),
+            Event::PrimaryHost { online: false } => "the primary host is offline".to_owned(),
             other => format!("{other:?}"),
         };
         push(&mut lists.log, format!("{time} {text}"));

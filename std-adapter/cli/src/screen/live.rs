@@ -4,7 +4,7 @@ use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{self, JoinHandle};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use tokio::sync::oneshot;
@@ -14,10 +14,13 @@ use super::{Screen, Terminal};
 /// The time from one drawing to the next.
 const FRAME: Duration = Duration::from_millis(100);
 
+/// The longest time that the end waits for the thread: a terminal may not take output any more.
+const CLOSE: Duration = Duration::from_millis(500);
+
 /// The thread that draws; dropping this ends it and restores the terminal.
 pub(crate) struct Live {
     stop: Arc<AtomicBool>,
-    thread: Option<JoinHandle<()>>,
+    thread: Option<JoinHandle<io::Result<()>>>,
 }
 
 impl Live {
@@ -33,23 +36,42 @@ impl Live {
         let thread = thread::Builder::new().name("screen".into()).spawn(move || {
             let (_quit, mut keys) = (quit, Vec::new());
             while !stopped.load(Ordering::SeqCst) {
-                match terminal.draw(&screen(&keys)).and_then(|()| pressed(&terminal)) {
-                    Ok(Some(pressed)) => keys = pressed,
-                    Ok(None) | Err(_) => return,
+                terminal.draw(&screen(&keys))?;
+                match pressed(&terminal)? {
+                    Some(pressed) => keys = pressed,
+                    None => break,
                 }
             }
+            Ok(())
         })?;
         Ok(Self { stop, thread: Some(thread) })
+    }
+
+    /// Ends the thread and restores the terminal; returns why the thread ended before, if it failed.
+    pub(crate) fn close(mut self) -> io::Result<()> {
+        self.end()
+    }
+
+    fn end(&mut self) -> io::Result<()> {
+        self.stop.store(true, Ordering::SeqCst);
+        let Some(thread) = self.thread.take() else { return Ok(()) };
+        let until = Instant::now() + CLOSE;
+        while !thread.is_finished() {
+            if Instant::now() >= until {
+                // a message would wait for the same terminal
+                return Ok(());
+            }
+            thread::sleep(Duration::from_millis(1));
+        }
+        // a panic has printed its message
+        thread.join().unwrap_or_else(|_| Err(io::Error::other("the screen has failed")))
     }
 }
 
 impl Drop for Live {
     fn drop(&mut self) {
-        self.stop.store(true, Ordering::SeqCst);
-        if let Some(thread) = self.thread.take() {
-            // a panic of the thread has printed its message
-            let _ = thread.join();
-        }
+        // `close` returns the error
+        let _ = self.end();
     }
 }
 

@@ -1,14 +1,14 @@
 //! Confirms readings of QoS 0, which Sparkplug demands: they have no acknowledgements of their own.
 //!
 //! A broker handles the packets of a connection in their order, and answers an UNSUBSCRIBE also if there is no such
-//! subscription. So the answer confirms all that was sent before. There is at most one question at a time: the more is sent,
-//! the more each answer confirms.
+//! subscription. At most one UNSUBSCRIBE is pending. Its UNSUBACK confirms everything sent before it.
 
 use std::collections::VecDeque;
 
 use crate::reading::Reading;
 
-/// The most readings without confirmation.
+/// No message is sent while this many readings are unconfirmed. Below this limit the window counts messages, and a message has
+/// up to 100 readings. So at most about 20,000 readings are unconfirmed.
 const LIMIT: usize = 10_000;
 
 /// The topic that is unsubscribed. Nothing subscribes to it.
@@ -18,9 +18,9 @@ pub(super) const TOPIC: &str = "bcap/confirm";
 #[derive(Debug, Default)]
 pub(super) struct Unconfirmed {
     readings: VecDeque<Reading>,
-    /// Whether a question was given to the link, or waits for its answer.
+    /// Whether an UNSUBSCRIBE was passed to the link, and its UNSUBACK has not arrived.
     is_asking: bool,
-    /// How many readings the answer confirms.
+    /// How many readings the UNSUBACK confirms.
     asked: usize,
 }
 
@@ -38,20 +38,20 @@ impl Unconfirmed {
         self.readings.extend(readings);
     }
 
-    /// Asks with a function if there is something to confirm. The function says whether the link took the question; if not,
-    /// the next call asks.
+    /// Sends an UNSUBSCRIBE with a function if there is something to confirm and none is pending. The function returns whether
+    /// the link took it; if not, the next call sends it.
     pub(super) fn ask(&mut self, send: impl FnOnce() -> bool) {
         if !self.is_empty() && !self.is_asking {
             self.is_asking = send();
         }
     }
 
-    /// The question was written.
+    /// The UNSUBSCRIBE was written.
     pub(super) fn asked(&mut self) {
         self.asked = self.readings.len();
     }
 
-    /// The answer has arrived: returns the readings that it confirms.
+    /// The UNSUBACK has arrived: returns the readings that it confirms.
     pub(super) fn confirmed(&mut self) -> Vec<Reading> {
         self.is_asking = false;
         let count = std::mem::take(&mut self.asked).min(self.readings.len());

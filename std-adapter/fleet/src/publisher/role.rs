@@ -85,13 +85,16 @@ impl Publisher {
         // ids above those of the other process
         shared.next_id.fetch_max(now.saturating_mul(1000), Ordering::Relaxed);
         standby.beaten(Instant::now());
+        let instance = standby.instance().to_owned();
         if !*shared.reads.borrow() {
             // the latest values of an earlier time as the active process
+            let unborn: Vec<_> = (0..self.cells.len()).flat_map(|cell| self.take_unborn(cell)).collect();
+            self.send_later(unborn);
             self.cells.iter_mut().for_each(|cell| cell.latest.fill(None));
         }
         shared.reads.send_replace(true);
         shared.metrics.active.store(true, Ordering::Relaxed);
-        (shared.report)(&Event::Active { instance: standby.instance().to_owned() });
+        (shared.report)(&Event::Active { instance });
         if self.sparkplug.is_some() {
             self.push(self.node_state(true));
         }
@@ -119,7 +122,7 @@ impl Publisher {
         }
     }
 
-    /// Takes over, or shows that this process is active.
+    /// Takes over, puts that off, or shows that this process is active.
     pub(super) async fn tick(&mut self) {
         let Some(standby) = &mut self.standby else { return };
         if standby.is_active() {
@@ -130,6 +133,9 @@ impl Publisher {
                 connection.out.push_front(state);
                 connection.flush();
             }
+            return;
+        }
+        if standby.put_off(Instant::now()) {
             return;
         }
         standby.take_over();
