@@ -173,7 +173,7 @@ const fn is_no_function(code: i32) -> bool {
 }
 
 /// Returns whether a call of the function only reads, whatever its arguments are.
-fn reads(code: i32) -> bool {
+pub(super) fn reads(code: i32) -> bool {
     reading::reads(&FunctionId(code).to_string(), true)
 }
 
