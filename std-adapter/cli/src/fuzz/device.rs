@@ -15,7 +15,7 @@ use bcap_testkit::step::{Argument, Call, Delivery, Step};
 use bcap_testkit::value::Value;
 
 use super::finding::{Finding, Kind};
-use super::gate::{Gate, TAIL, reads};
+use super::gate::{Gate, TAIL, call_reads};
 use super::session::Session;
 use super::wire::{Protocol, Received, Wire, serial_of};
 use crate::error::Failure;
@@ -184,7 +184,7 @@ impl Device {
         let (limit, longest) = (self.timeout, self.timeout.saturating_mul(KEPT_ALIVE));
         // a lost datagram is not a fault of the device, but a device that is only slow must not move or write twice
         let (mut left, wait) = match (wire.is_datagrams(), is_usual) {
-            (true, true) if reads(request.code) => (ATTEMPTS - 1, limit / ATTEMPTS),
+            (true, true) if call_reads(request) => (ATTEMPTS - 1, limit / ATTEMPTS),
             (true, false) => (0, DROPPED.saturating_mul(ATTEMPTS)),
             _ => (0, limit),
         };

@@ -319,7 +319,7 @@ impl Device {
     /// Serves clients over UDP, each port with a session of its own.
     fn serve_datagrams(&self, mut socket: UdpSocket) {
         let port = socket.local_addr().unwrap();
-        let mut peers: HashMap<SocketAddr, (Client<'_>, Option<(u16, i32, Vec<u8>)>)> = HashMap::new();
+        let mut peers: HashMap<SocketAddr, Peer<'_>> = HashMap::new();
         let mut buffer = vec![0; 1 << 16];
         let mut before: HashMap<SocketAddr, Vec<u8>> = HashMap::new();
         let mut lost: HashMap<SocketAddr, Vec<u16>> = HashMap::new();
@@ -461,6 +461,9 @@ fn joined(first: &[u8], then: &[u8]) -> Vec<FunctionId> {
         .filter_map(|at| joint.get(at + 9..at + 13)?.try_into().ok().map(i32::from_le_bytes).map(FunctionId))
         .collect()
 }
+
+/// A client over UDP, and its last call: the marker, the function and the reply.
+type Peer<'a> = (Client<'a>, Option<(u16, i32, Vec<u8>)>);
 
 struct Client<'a> {
     device: &'a Device,
