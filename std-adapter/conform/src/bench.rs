@@ -71,6 +71,10 @@ pub(crate) struct Bench<'a> {
     pub(crate) refused: bool,
     /// Whether a first call got no reply although it was repeated.
     has_no_slot: bool,
+    /// Whether any reply has arrived in this case.
+    pub(crate) has_reply: bool,
+    /// How often a first call or the case was repeated since the last reply from a device that has a slot.
+    pub(crate) repeats: usize,
     /// What was sent and received, one line each.
     pub(crate) log: Vec<String>,
 }
@@ -98,6 +102,8 @@ impl<'a> Bench<'a> {
             answered: false,
             refused: false,
             has_no_slot: false,
+            has_reply: false,
+            repeats: 0,
             log,
         }
     }
@@ -290,7 +296,7 @@ impl<'a> Bench<'a> {
     pub(crate) fn receive_within(&mut self, limit: Duration) -> Came {
         let came = self.wire.as_mut().map_or(Came::Closed, |wire| wire.receive(limit));
         match came {
-            Came::Reply(_) => self.answered = true,
+            Came::Reply(_) => (self.answered, self.has_reply) = (true, true),
             Came::Closed => self.refused |= !self.answered,
             Came::Invalid(_) | Came::Nothing => {}
         }
@@ -316,21 +322,23 @@ impl<'a> Bench<'a> {
     /// The first call of a connection is repeated on a new one while the device has no slot: it ends the connection without a reply,
     /// or answers E_MAX_CONNECT.
     pub(crate) fn exchange(&mut self, function: FunctionId, args: Vec<OwnedVariant>) -> Result<Reply, Stop> {
-        let mut repeats = 0;
         loop {
             let is_first = self.is_fresh;
             self.refused = false;
             let outcome = self.exchange_once(function, args.clone());
             let has_slot = outcome.as_ref().map_or(!self.refused, |reply| reply.code != HResult::E_MAX_CONNECT);
+            if has_slot && outcome.is_ok() {
+                self.repeats = 0;
+            }
             if !is_first || has_slot {
                 return outcome;
             }
-            if repeats == REFUSALS {
+            if self.repeats == REFUSALS {
                 // repeated enough, so the case does not run again
                 (self.refused, self.has_no_slot) = (false, true);
                 return outcome;
             }
-            repeats += 1;
+            self.repeats += 1;
             std::thread::sleep(REFUSAL_PAUSE);
             self.connect()?;
         }

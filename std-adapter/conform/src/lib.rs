@@ -94,6 +94,11 @@ fn inapplicable(case: &Case, options: &Options) -> Option<String> {
     }
 }
 
+/// Tells whether a case may run again because the device had no slot for it: it only reads, and no reply has arrived.
+fn may_run_again(case: &Case, bench: &Bench<'_>) -> bool {
+    case.level == Level::Read && bench.refused && !bench.has_reply && bench.repeats < REFUSALS
+}
+
 fn judge<'a>(
     case: &Case,
     options: &'a Options,
@@ -112,12 +117,11 @@ fn judge<'a>(
         Some(reason) => Err(Stop::Skip(reason)),
         None => bench.run(case),
     };
-    for _ in 0..REFUSALS {
-        if !matches!(outcome, Err(Stop::Fail { .. })) || !bench.refused {
-            break;
-        }
+    while matches!(outcome, Err(Stop::Fail { .. })) && may_run_again(case, &bench) {
         std::thread::sleep(REFUSAL_PAUSE);
+        let repeats = bench.repeats + 1;
         bench = new_bench(bench.speed);
+        bench.repeats = repeats;
         outcome = bench.run(case);
     }
     *speed = bench.speed;

@@ -22,12 +22,21 @@ impl Bench<'_> {
             Body::Steps(steps) => steps.iter().try_for_each(|step| self.step(step)),
             Body::Run(run) => run(self),
         });
-        let log = self.log.len();
+        let (log, refused) = (self.log.len(), self.refused);
         let restored = self.clean_up();
+        // a connection that the device refused at the end does not excuse the case
+        self.refused = refused;
         if restored.is_ok() {
             self.log.truncate(log);
         }
-        result.and(restored)
+        match (result, restored) {
+            // the reader must know both
+            (Err(Stop::Fail { expected, came }), Err(Stop::Fail { expected: then, came: end })) => {
+                fail(format!("{expected}; at the end, {then}"), format!("{came}; at the end, {end}"))
+            }
+            (Err(Stop::Skip(_)), Err(failed @ Stop::Fail { .. })) => Err(failed),
+            (result, restored) => result.and(restored),
+        }
     }
 
     fn step(&mut self, step: &Step) -> Result<(), Stop> {

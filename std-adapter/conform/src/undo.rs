@@ -53,16 +53,16 @@ impl<'a> Bench<'a> {
         if self.robot(FunctionId::ROBOT_EXECUTE, vec![text("slvChangeMode"), slave]).is_none() {
             self.take_arm_again();
         }
-        self.turn_back();
+        let turned = self.turn_back();
         self.restore_speed();
         for (command, value) in [("Motor", "8195,0,0"), ("GiveArm", "0,")] {
             let value = OwnedVariant::parse_text(value.as_bytes()).unwrap_or_default();
             self.robot(FunctionId::ROBOT_EXECUTE, vec![text(command), value]);
         }
-        match self.speed {
+        turned.and(match self.speed {
             Some(speed) => fail(format!("the external speed is restored to {speed:?}"), "ExtSpeed fails"),
             None => Ok(()),
-        }
+        })
     }
 
     /// Opens a session for the rest, if that of the case has ended. The controller has given the arm back then.
@@ -74,13 +74,16 @@ impl<'a> Bench<'a> {
     }
 
     /// Turns the axis back that the case has turned, but not after an interruption.
-    fn turn_back(&mut self) {
-        let Some(back) = self.way_back.take() else { return };
+    fn turn_back(&mut self) -> Result<(), Stop> {
+        let Some(back) = self.way_back.take() else { return Ok(()) };
         if self.is_interrupted.is_some_and(|is_interrupted| is_interrupted()) {
-            return;
+            return Ok(());
         }
-        if let Ok(handle) = self.argument(&Arg::H(Slot::Robot)) {
-            self.attempt(FunctionId::ROBOT_EXECUTE, vec![handle, text("DriveAEx"), back], TURN);
+        let handle = self.argument(&Arg::H(Slot::Robot))?;
+        match self.attempt(FunctionId::ROBOT_EXECUTE, vec![handle, text("DriveAEx"), back], TURN) {
+            Some(code) if code.is_ok() => Ok(()),
+            Some(code) => fail("axis 6 is turned back", format!("axis 6 is not turned back: {code}")),
+            None => fail("axis 6 is turned back", "axis 6 is not turned back: no reply"),
         }
     }
 

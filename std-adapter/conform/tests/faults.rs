@@ -5,6 +5,11 @@ mod common;
 mod relay;
 
 use std::collections::BTreeSet;
+use std::io::{Read as _, Write as _};
+use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
 
 use bcap_conform::{Level, Link, Options, Verdict, run};
 use bcap_core::bcap::{Decoder, FunctionId as F};
@@ -360,4 +365,99 @@ fn a_session_that_stops_answering_is_replaced_to_switch_the_motor_off() {
     let (verdict, text) = judged(&served, hooks, Link::Tcp, "slave/enter-2-j");
     assert_eq!(verdict, Verdict::Fail, "{text}");
     assert_eq!(state(&served), before, "{text}");
+}
+
+/// A device in front of a correct one, which ends connections.
+struct Ending {
+    address: SocketAddr,
+    /// The motions that it received.
+    motions: Arc<AtomicUsize>,
+    connections: Arc<AtomicUsize>,
+}
+
+impl Ending {
+    /// Accepts a connection only if `accepts` returns true for the number of connections and of motions before it. Ends a connection
+    /// at its first motion.
+    fn start(device: SocketAddr, accepts: impl Fn(usize, usize) -> bool + Send + 'static) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = listener.local_addr().unwrap();
+        let (motions, connections) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
+        let ending = Self { address, motions: Arc::clone(&motions), connections: Arc::clone(&connections) };
+        thread::spawn(move || {
+            for client in listener.incoming() {
+                let client = client.unwrap();
+                if accepts(connections.fetch_add(1, Ordering::SeqCst), motions.load(Ordering::SeqCst)) {
+                    let (motions, device) = (Arc::clone(&motions), TcpStream::connect(device).unwrap());
+                    thread::spawn(move || relay_until_a_motion(&client, &device, &motions));
+                }
+            }
+        });
+        ending
+    }
+
+    fn judge(&self, level: Level, case: &str) -> (Verdict, String) {
+        let target = bcap_conform::Target { bcap: Some((Link::Tcp, self.address)), rac: None };
+        let timeout = std::time::Duration::from_secs(2);
+        let options = Options { level, cases: vec![case.into()], timeout, ..Options::new(target) };
+        let report = run(&options, |_| (), || false);
+        let [result] = report.results.as_slice() else { panic!("no case is named {case}") };
+        (result.verdict, result.text())
+    }
+}
+
+fn relay_until_a_motion(mut client: &TcpStream, mut device: &TcpStream, motions: &AtomicUsize) {
+    let name: Vec<u8> = "DriveEx".encode_utf16().flat_map(u16::to_le_bytes).collect();
+    let (mut from, mut to) = (device.try_clone().unwrap(), client.try_clone().unwrap());
+    thread::spawn(move || {
+        let _ = std::io::copy(&mut from, &mut to);
+        let _ = to.shutdown(Shutdown::Both);
+    });
+    let mut buffer = [0; 4096];
+    while let Ok(count @ 1..) = client.read(&mut buffer) {
+        let _ = device.write_all(&buffer[..count]);
+        if buffer[..count].windows(name.len()).any(|part| part == name) {
+            motions.fetch_add(1, Ordering::SeqCst);
+            break;
+        }
+    }
+    let _ = (client.shutdown(Shutdown::Both), device.shutdown(Shutdown::Both));
+}
+
+#[test]
+fn a_motion_whose_connection_ends_is_not_repeated() {
+    let served = Served::start(Controller::new(Config::new(Profile::Rc8)));
+    // those of the halt and of the session for the end are refused
+    let refused = AtomicUsize::new(0);
+    let accepts = move |_, motions| motions == 0 || refused.fetch_add(1, Ordering::SeqCst) >= 12;
+    let device = Ending::start(served.tcp, accepts);
+    let (verdict, text) = device.judge(Level::Motion, "timeouts/keep-alives-of-a-motion");
+    assert_eq!((verdict, device.motions.load(Ordering::SeqCst)), (Verdict::Fail, 1), "{text}");
+    assert!(text.contains("axis 6 is not turned back"), "{text}");
+}
+
+#[test]
+fn a_device_that_ends_every_connection_gets_few() {
+    let served = Served::start(Controller::new(Config::new(Profile::Rc8)));
+    for case in [
+        "sessions/start-and-stop",
+        "sessions/two-clients",
+        "frames/wrong-end",
+        "frames/wrong-start",
+        "frames/pieces-after-the-header",
+        "timeouts/quick-call-without-keep-alive",
+    ] {
+        let device = Ending::start(served.tcp, |_, _| false);
+        let (verdict, text) = device.judge(Level::Read, case);
+        // one with the bytes of the case, then a first call and its five repetitions
+        let connections = device.connections.load(Ordering::SeqCst);
+        assert!(verdict == Verdict::Fail && connections <= 7, "{case}: {connections} connections: {text}");
+    }
+}
+
+#[test]
+fn a_device_that_loses_its_slots_fails() {
+    let served = Served::start(Controller::new(Config::new(Profile::Rc8)));
+    let device = Ending::start(served.tcp, |connections, _| connections < 20);
+    let (verdict, text) = device.judge(Level::Read, "sessions/one-after-another");
+    assert_eq!(verdict, Verdict::Fail, "{text}");
 }

@@ -29,8 +29,11 @@ use crate::value::{ARRAY, VARIANT, Value};
 const STEPS: usize = 12;
 /// The lengths of long strings: around 16 bits of bytes, of characters, and of twice their number.
 const LONG: [usize; 5] = [255, 16_383, 16_384, 32_768, 65_536];
-/// Lengths of datagrams: around the limits of b-CAP and of an Ethernet frame, and the longest of IPv4.
-const DATAGRAMS: [usize; 8] = [487, 489, 503, 505, 1471, 1473, 9001, 65_507];
+/// Lengths of datagrams: around the limits of b-CAP and of an Ethernet frame, and the longest even one of IPv4. All are even,
+/// because a letter has two bytes.
+const DATAGRAMS: [usize; 8] = [488, 490, 504, 506, 1472, 1474, 9000, 65_506];
+/// The bytes of a frame with an I4 and an empty BSTR.
+const WITHOUT_LETTERS: usize = 44;
 
 /// What steps are made of.
 #[derive(Clone, Debug)]
@@ -302,9 +305,8 @@ impl Grammar {
         let handle = Value::I4(u.int_in_range(0..=4)?);
         let extreme = *u.choose(&EXTREMES)?;
         if self.datagrams && u.ratio(1, 4)? {
-            // the frame has 35 bytes without the letters
-            let length = *u.choose(&DATAGRAMS)?;
-            return Ok(frame(vec![handle, Value::text(&"a".repeat((length - 35) / 2))]).to_wire(false));
+            let letters = (*u.choose(&DATAGRAMS)? - WITHOUT_LETTERS) / 2;
+            return Ok(frame(vec![handle, Value::text(&"a".repeat(letters))]).to_wire(false));
         }
         // the header has 15 bytes, then come the length of an argument, its VARTYPE and its count
         let patched = |args: Vec<Value>, at: usize, bytes: &[u8]| {
@@ -381,4 +383,20 @@ fn nested(depth: usize, as_arrays: bool) -> Value {
     let level = [&header.to_le_bytes()[..], &1_u32.to_le_bytes()].concat();
     let bytes = [level.repeat(depth), Value::I4(1).to_wire()].concat();
     Value::Opaque(header, bytes[2..].to_vec())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::generate::bytes;
+
+    #[test]
+    fn long_datagrams_have_their_lengths() {
+        let grammar = Grammar { datagrams: true, ..Grammar::reading() };
+        let attack = |seed| grammar.attack(&mut Unstructured::new(&bytes(seed, 256))).map_or(0, |bytes| bytes.len());
+        let lengths: std::collections::BTreeSet<_> = (0..2000).map(attack).collect();
+        for length in DATAGRAMS {
+            assert!(lengths.contains(&length), "{length}: {lengths:?}");
+        }
+    }
 }

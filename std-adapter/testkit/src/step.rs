@@ -109,7 +109,7 @@ pub enum Delivery {
     Split(u8),
     /// Together with the next call; over UDP at once.
     Joined,
-    /// Over UDP once more after the reply, as a retransmission that the first one made superfluous; over TCP at once.
+    /// Over UDP, also sends a retransmission after the reply. Over TCP, the same as `Whole`.
     Again,
 }
 

@@ -47,7 +47,7 @@ pub(crate) struct Fuzz {
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) findings: u64,
 
-    /// Tries a refused connection again for this time, for a small device with few slots; one that restarts within it is not noticed
+    /// Retries refused connections for this time, for devices with few slots. A restart within this time is not detected
     #[arg(long, value_name = "TIME", value_parser = duration::parse)]
     pub(crate) reconnect: Option<Duration>,
 

@@ -15,9 +15,9 @@ use bcap_testkit::step::{Argument, Call, Delivery, Step};
 use bcap_testkit::value::Value;
 
 use super::finding::{Finding, Kind};
-use super::gate::{Gate, TAIL};
+use super::gate::{Gate, TAIL, call_reads};
 use super::session::Session;
-use super::wire::{Protocol, Received, Wire};
+use super::wire::{Protocol, Received, Wire, serial_of};
 use crate::error::Failure;
 use crate::interrupt::Interrupt;
 use crate::record::Recorder;
@@ -32,6 +32,8 @@ const RELEASING: Duration = Duration::from_millis(150);
 const ATTEMPTS: u32 = 5;
 /// How long a reply to an invalid datagram may take; a device may drop it.
 const DROPPED: Duration = Duration::from_millis(10);
+/// The time between two looks for a signal.
+const LOOK: Duration = Duration::from_millis(200);
 /// The wait before a refused connection is tried again.
 const SLOT: Duration = Duration::from_millis(20);
 /// The wait between the parts of a frame that is split.
@@ -96,7 +98,8 @@ impl Device {
         };
         let found = run.steps(steps)?;
         let Run { wire, rac, .. } = run;
-        let is_closed = [wire, rac].into_iter().flatten().fold(false, |is_closed, wire| wire.close() | is_closed);
+        let is_closed =
+            [wire, rac].into_iter().flatten().fold(false, |is_closed, wire| wire.close(&self.gate) | is_closed);
         let found = found.or_else(|| is_closed.then(closed_port));
         // what every later client meets is worse than what one connection met
         Ok(self.probe(recorder)?.or(found))
@@ -128,7 +131,7 @@ impl Device {
             let frame = session.frame(&Call::new(function, arguments));
             self.pace()?;
             wire.send(&frame.to_wire(false));
-            let found = match self.await_reply(&mut wire, &frame, true)? {
+            let found = match self.await_reply(&mut wire, &mut session, &frame, true)? {
                 Ok(reply) if HResult(reply.code).is_err() => {
                     Finding::new(Kind::Leak, SUBJECT, format!("{function} is refused with {}", HResult(reply.code)))
                 }
@@ -140,7 +143,7 @@ impl Device {
             };
             return Ok(Some(found));
         }
-        wire.close();
+        wire.close(&self.gate);
         if let Some(addresses) = &self.rac
             && let Err(error) = Wire::connect(addresses, Protocol::Rac, self.timeout, recorder)
         {
@@ -167,42 +170,68 @@ impl Device {
         Ok(())
     }
 
-    /// Waits for the reply to a request.
+    /// Waits for the reply to a request. Over UDP a call that only reads is sent again while no reply arrives.
     ///
     /// A device may drop a datagram that is not of the usual kind, so the wait for its reply is short.
     fn await_reply(
         &self,
         wire: &mut Wire,
+        session: &mut Session,
         request: &TestFrame,
         is_usual: bool,
     ) -> Result<Result<TestFrame, Finding>, Failure> {
         let found = |kind, detail: String| Ok(Err(Finding::of_function(kind, request.code, detail)));
+        let (limit, longest) = (self.timeout, self.timeout.saturating_mul(KEPT_ALIVE));
+        // a lost datagram is not a fault of the device, but a device that is only slow must not move or write twice
+        let (mut left, wait) = match (wire.is_datagrams(), is_usual) {
+            (true, true) if call_reads(request) => (ATTEMPTS - 1, limit / ATTEMPTS),
+            (true, false) => (0, DROPPED.saturating_mul(ATTEMPTS)),
+            _ => (0, limit),
+        };
+        let mut attempts = vec![request.clone()];
         let began = Instant::now();
-        let (longest, limit) = (self.timeout.saturating_mul(KEPT_ALIVE), self.timeout.as_millis());
-        // a lost datagram is no fault of the device
-        let mut attempts = if wire.is_datagrams() { ATTEMPTS } else { 1 };
-        let attempt = if wire.is_datagrams() && !is_usual { DROPPED } else { self.timeout / attempts };
+        let mut until = began + wait;
         loop {
-            match wire.receive(attempt)? {
+            if self.interrupt.is_interrupted() {
+                return Err(Failure::Interrupted("interrupted".into()));
+            }
+            let rest = until.saturating_duration_since(Instant::now());
+            match wire.receive(if wire.is_datagrams() { rest.min(LOOK) } else { rest })? {
+                Received::Silence if wire.is_datagrams() && Instant::now() < until => {}
                 Received::Closed if wire.is_datagrams() => return Ok(Err(closed_port())),
                 Received::Closed => {
                     return found(Kind::Reset, "the device closes the connection after a valid frame".into());
                 }
-                Received::Silence if attempts > 1 => {
-                    attempts -= 1;
-                    wire.send(&request.to_wire(false));
-                }
-                Received::Silence => return found(Kind::Hang, format!("no reply within {limit} ms")),
-                Received::Packet(bytes) => match judge::reply(request, &bytes) {
-                    // to a datagram before
-                    Err(Fault::Serial(_, late)) if wire.has_sent(late) => {}
-                    Err(fault) => return found(Kind::WrongReply, fault.to_string()),
-                    Ok(reply) if HResult(reply.code) != HResult::S_EXECUTING => return Ok(Ok(reply)),
-                    Ok(_) if began.elapsed() > longest => {
-                        return found(Kind::Hang, format!("S_EXECUTING for {} ms", longest.as_millis()));
+                Received::Silence if left > 0 => {
+                    left -= 1;
+                    until = Instant::now() + wait;
+                    let reserved = if request.reserved == 0 { request.serial } else { request.reserved };
+                    let again = TestFrame { serial: session.next_serial(), reserved, ..request.clone() };
+                    let bytes = again.to_wire(false);
+                    if self.gate.has_joint(wire.tail(), &bytes) {
+                        wire.send(&bytes);
+                        attempts.push(again);
                     }
-                    Ok(_) => {}
-                },
+                }
+                Received::Silence => return found(Kind::Hang, format!("no reply within {} ms", limit.as_millis())),
+                Received::Packet(bytes) => {
+                    let serial = serial_of(&bytes);
+                    let attempt = attempts.iter().find(|attempt| Some(attempt.serial) == serial).unwrap_or(request);
+                    match judge::reply(attempt, &bytes) {
+                        // to a datagram before
+                        Err(Fault::Serial(_, late)) if wire.takes_reply(late, is_executing(&bytes)) => {}
+                        Err(fault) => return found(Kind::WrongReply, fault.to_string()),
+                        Ok(reply) if HResult(reply.code) != HResult::S_EXECUTING => {
+                            wire.takes_reply(reply.serial, false);
+                            return Ok(Ok(TestFrame { serial: request.serial, ..reply }));
+                        }
+                        Ok(_) if began.elapsed() > longest => {
+                            return found(Kind::Hang, format!("S_EXECUTING for {} ms", longest.as_millis()));
+                        }
+                        // the device has the call, so it is not sent again
+                        Ok(_) => (left, until) = (0, Instant::now() + limit),
+                    }
+                }
             }
         }
     }
@@ -223,7 +252,7 @@ impl Run<'_> {
                 Step::Line(line) => self.line(line)?,
                 Step::Reconnect => {
                     // the probe after the session sees a closed port too
-                    let _ = self.wire.take().map(Wire::close);
+                    let _ = self.wire.take().map(|wire| wire.close(&self.device.gate));
                     (self.session, self.joined, self.tail) = (Session::default(), Vec::new(), Vec::new());
                     Next::Continue
                 }
@@ -249,6 +278,10 @@ impl Run<'_> {
 
     /// Returns whether the bytes may follow those sent before, and records that they do.
     fn follows(&mut self, bytes: &[u8]) -> bool {
+        if let Some(wire) = self.wire.as_ref().filter(|wire| wire.is_datagrams()) {
+            // retransmissions too
+            self.tail = wire.tail().to_vec();
+        }
         let is_allowed = self.device.gate.has_joint(&self.tail, bytes);
         if is_allowed {
             self.tail.extend_from_slice(bytes);
@@ -298,7 +331,10 @@ impl Run<'_> {
         self.device.pace()?;
         let bytes = frames.iter().flat_map(|frame| frame.to_wire(false)).collect::<Vec<_>>();
         match call.delivery {
-            Delivery::Split(count) if usize::from(count) < bytes.len() => {
+            Delivery::Split(count)
+                if usize::from(count) < bytes.len()
+                    && self.may_split(&wire, bytes.get(..usize::from(count)).unwrap_or_default(), &bytes) =>
+            {
                 let (first, rest) = bytes.split_at(usize::from(count));
                 wire.send(first);
                 // otherwise the operating system would send one segment
@@ -329,14 +365,25 @@ impl Run<'_> {
         Ok(next)
     }
 
+    /// Returns whether the beginning of a frame may be sent first. Over UDP the whole frame follows, and a device may join both.
+    fn may_split(&self, wire: &Wire, first: &[u8], whole: &[u8]) -> bool {
+        let tail = [wire.tail(), first].concat();
+        !wire.is_datagrams()
+            || (self.device.gate.has_joint(wire.tail(), first) && self.device.gate.has_joint(&tail, whole))
+    }
+
     /// Sends a call again as a retransmission: with the next serial number, and that of the first attempt in the reserved field. The
     /// device must not execute it, but send its reply again.
     fn retransmit(&mut self, wire: &mut Wire, request: &TestFrame) -> Result<Next, Failure> {
         let Some(first) = self.last.take().filter(|_| request.reserved == 0) else { return Ok(Next::Continue) };
         let copy = TestFrame { serial: self.session.next_serial(), reserved: request.serial, ..request.clone() };
+        let bytes = copy.to_wire(false);
+        if !self.device.gate.has_joint(wire.tail(), &bytes) {
+            return Ok(Next::Continue);
+        }
         self.device.pace()?;
-        wire.send(&copy.to_wire(false));
-        let again = match self.device.await_reply(wire, &copy, true)? {
+        wire.send(&bytes);
+        let again = match self.device.await_reply(wire, &mut self.session, &copy, true)? {
             Ok(reply) => reply,
             Err(finding) => return Ok(Next::Found(finding)),
         };
@@ -350,13 +397,14 @@ impl Run<'_> {
 
     fn reply(&mut self, wire: &mut Wire, request: &TestFrame, is_usual: bool) -> Result<Next, Failure> {
         let mut again = AGAIN;
+        let (first, mut request) = (request.serial, request.clone());
         loop {
-            let reply = match self.device.await_reply(wire, request, is_usual)? {
+            let reply = match self.device.await_reply(wire, &mut self.session, &request, is_usual)? {
                 Ok(reply) => reply,
                 Err(finding) if finding.kind == Kind::Reset && self.session.is_stopped => return Ok(Next::End),
                 Err(finding) => return Ok(Next::Found(finding)),
             };
-            let opening = self.session.opening(request);
+            let opening = self.session.opening(&request);
             match opening {
                 Some(opening) if HResult(reply.code).is_ok() => drop(self.opened.insert(opening)),
                 Some(opening) if self.opened.contains(&opening) => {
@@ -365,8 +413,16 @@ impl Run<'_> {
                         return Ok(Next::Found(Finding::of_function(Kind::Leak, request.code, detail)));
                     }
                     again -= 1;
+                    if wire.is_datagrams() {
+                        // a new call: a copy would only get the same reply
+                        request.serial = self.session.next_serial();
+                    }
                     let bytes = request.to_wire(false);
-                    if !self.follows(&bytes) {
+                    let is_allowed = match wire.is_datagrams() {
+                        true => self.device.gate.has_joint(wire.tail(), &bytes),
+                        false => self.follows(&bytes),
+                    };
+                    if !is_allowed {
                         return Ok(Next::End);
                     }
                     self.device.interrupt.sleep(RELEASING)?;
@@ -376,8 +432,9 @@ impl Run<'_> {
                 }
                 _ => {}
             }
-            let found = self.session.replied(request, &reply);
-            self.last = Some(reply);
+            let found = self.session.replied(&request, &reply);
+            // a call with another serial number is not retransmitted
+            self.last = (request.serial == first).then_some(reply);
             return Ok(found.map_or(Next::Continue, Next::Found));
         }
     }
@@ -425,11 +482,27 @@ impl Run<'_> {
             _ if wire.is_stuck() => Next::Found(Finding::new(Kind::Hang, SUBJECT, "the device takes no more bytes")),
             _ => Next::End,
         };
-        Ok(if wire.close() { Next::Found(closed_port()) } else { next })
+        Ok(if wire.close(&self.device.gate) { Next::Found(closed_port()) } else { next })
     }
 
-    /// Sends lines of RAC.
+    /// Sends lines of RAC; a device may have no slot for their connection yet.
     fn line(&mut self, lines: &[u8]) -> Result<Next, Failure> {
+        let until = Instant::now() + self.device.reconnect;
+        loop {
+            let is_new = self.rac.is_none();
+            let next = self.lines(lines)?;
+            let is_refused = is_new
+                && self.rac.as_ref().is_none_or(|wire| !wire.has_received())
+                && matches!(&next, Next::Found(found) if matches!(found.kind, Kind::Reset | Kind::Crash));
+            if !is_refused || Instant::now() >= until {
+                return Ok(next);
+            }
+            self.rac = None;
+            self.device.interrupt.sleep(SLOT)?;
+        }
+    }
+
+    fn lines(&mut self, lines: &[u8]) -> Result<Next, Failure> {
         const SUBJECT: &str = "RAC";
         let Some(addresses) = self.device.rac.as_deref().filter(|_| self.device.gate.has_lines(lines)) else {
             return Ok(Next::Continue);
@@ -451,7 +524,7 @@ impl Run<'_> {
         let lines = || lines.get(..end).unwrap_or_default().split(|byte| *byte == b'\r');
         if lines().any(|line| line.trim_ascii().is_empty()) {
             // whether a blank line is answered is not specified, so later responses could not be told apart
-            wire.close();
+            wire.close(&self.device.gate);
             return Ok(Next::Continue);
         }
         for line in lines() {
@@ -459,7 +532,10 @@ impl Run<'_> {
             match wire.receive(self.device.timeout)? {
                 // a server may cut off a client that sends no text or too much of it
                 Received::Closed if !is_valid => return Ok(Next::Continue),
-                Received::Closed => return found(Kind::Reset, "the device closes the connection after a line".into()),
+                Received::Closed => {
+                    self.rac = Some(wire);
+                    return found(Kind::Reset, "the device closes the connection after a line".into());
+                }
                 Received::Silence => {
                     return found(Kind::Hang, format!("no response within {} ms", self.device.timeout.as_millis()));
                 }
@@ -487,6 +563,10 @@ fn is_complete(bytes: &[u8]) -> bool {
     bytes.first() == Some(&1)
         && length
             .is_some_and(|length| length >= 16 && usize::try_from(length).is_ok_and(|length| length <= bytes.len()))
+}
+
+fn is_executing(bytes: &[u8]) -> bool {
+    matches!(TCP.decode(bytes), Verdict::Frame(frame, _) if HResult(frame.code) == HResult::S_EXECUTING)
 }
 
 fn is_frame(bytes: &[u8]) -> bool {

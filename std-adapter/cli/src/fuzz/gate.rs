@@ -108,8 +108,7 @@ impl Gate {
         if function == FunctionId::VARIABLE_PUT_VALUE {
             return variable.and_then(variable_of).is_some_and(|variable| self.writes(variable));
         }
-        let has_option = frame.args.get(2).is_some_and(|option| *option != Value::text(""));
-        is_no_function(frame.code) || reading::reads(&function.to_string(), has_option)
+        is_no_function(frame.code) || call_reads(frame)
     }
 
     /// Returns whether bytes may be sent that are no valid frame: none of the frames that a receiver may see in them calls a
@@ -170,6 +169,12 @@ fn variable_of(name: &str) -> Option<Variable> {
 
 const fn is_no_function(code: i32) -> bool {
     code < 1 || code >= NO_FUNCTION
+}
+
+/// Returns whether a call only opens, reads or releases, so that it may be sent again while no reply arrives.
+pub(super) fn call_reads(frame: &TestFrame) -> bool {
+    let has_option = frame.args.get(2).is_some_and(|option| *option != Value::text(""));
+    reading::reads(&FunctionId(frame.code).to_string(), has_option)
 }
 
 /// Returns whether a call of the function only reads, whatever its arguments are.

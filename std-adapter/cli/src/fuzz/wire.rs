@@ -1,6 +1,6 @@
 //! A connection to the device, which records its bytes.
 
-use std::collections::HashSet;
+use std::collections::HashMap;
 use std::io::{self, Read as _, Write as _};
 use std::net::{Shutdown, SocketAddr, TcpStream, UdpSocket};
 use std::time::{Duration, Instant};
@@ -9,6 +9,7 @@ use bcap_core::bcap::FunctionId;
 use bcap_core::limits::Limits;
 use bcap_testkit::frame::TestFrame;
 
+use super::gate::{Gate, TAIL};
 use crate::frame::Role;
 use crate::record::{Ends, Recorder};
 
@@ -55,9 +56,11 @@ pub(super) struct Wire {
     tape: Option<(Recorder, Ends)>,
     /// Whether the device took no more bytes within the time limit.
     is_stuck: bool,
-    /// The serial numbers of the datagrams that were sent; 0 stands for those that are too short for one.
-    sent: HashSet<u16>,
+    /// The serial numbers of the datagrams that were sent, each with the number of replies that may still arrive.
+    sent: HashMap<u16, u32>,
     last: u16,
+    /// The last bytes that were sent in datagrams.
+    tail: Vec<u8>,
     has_received: bool,
 }
 
@@ -101,8 +104,9 @@ impl Wire {
             received: Vec::new(),
             tape,
             is_stuck: false,
-            sent: HashSet::new(),
+            sent: HashMap::new(),
             last: 0,
+            tail: Vec::new(),
             has_received: false,
         }
     }
@@ -121,21 +125,38 @@ impl Wire {
                 self.is_stuck |= result.is_err_and(|error| is_timeout(&error));
             }
             Socket::Udp(socket) => {
-                let serial = bytes.get(5..7).and_then(|field| field.try_into().ok()).map_or(0, u16::from_le_bytes);
-                self.sent.insert(serial);
-                self.last = serial;
+                let serial = serial_of(bytes);
+                self.last = serial.unwrap_or(0);
                 // one that is too long for IP is not sent
                 if socket.send(bytes).is_err() {
                     return;
                 }
+                if let Some(serial) = serial {
+                    *self.sent.entry(serial).or_default() += 1;
+                }
+                self.tail.extend_from_slice(bytes);
+                self.tail.drain(..self.tail.len().saturating_sub(TAIL));
             }
         }
         self.record(Role::Request, bytes);
     }
 
-    /// Returns whether a datagram with this serial number was sent, so that a reply to it may come late.
-    pub(super) fn has_sent(&self, serial: u16) -> bool {
-        self.sent.contains(&serial)
+    /// Returns the last bytes that were sent in datagrams.
+    pub(super) fn tail(&self) -> &[u8] {
+        &self.tail
+    }
+
+    /// Records a reply with this serial number. Returns whether a datagram with it was sent and not replied to before. An S_EXECUTING
+    /// is not counted.
+    pub(super) fn takes_reply(&mut self, serial: u16, is_executing: bool) -> bool {
+        match self.sent.get_mut(&serial) {
+            Some(_) if is_executing => true,
+            Some(count @ 1..) => {
+                *count -= 1;
+                true
+            }
+            _ => false,
+        }
     }
 
     /// Returns whether the device took no more bytes within the time limit.
@@ -199,8 +220,8 @@ impl Wire {
 
     /// Closes the connection, and waits shortly for the device to do so too, so that it has noticed. Over UDP it ends the session.
     /// Returns whether the device has closed its port for datagrams.
-    pub(super) fn close(mut self) -> bool {
-        let Socket::Tcp(stream) = &self.socket else { return self.stop() };
+    pub(super) fn close(mut self, gate: &Gate) -> bool {
+        let Socket::Tcp(stream) = &self.socket else { return self.stop(gate) };
         let _ = stream.shutdown(Shutdown::Write);
         let until = Instant::now() + CLOSING;
         while let Some(left) = until.checked_duration_since(Instant::now()).filter(|left| !left.is_zero()) {
@@ -214,12 +235,16 @@ impl Wire {
 
     /// Sends Service_Stop until it is answered, because the device keeps a slot for the port. A device may take a serial number for an
     /// old one after the strange ones of a session, so they are far apart.
-    fn stop(mut self) -> bool {
+    fn stop(mut self, gate: &Gate) -> bool {
         let last = self.last;
         for ahead in STOPS {
             let serial = last.wrapping_add(ahead).max(1);
             let code = FunctionId::SERVICE_STOP.0;
-            self.send(&TestFrame { serial, reserved: 0, code, args: vec![] }.to_wire(false));
+            let bytes = TestFrame { serial, reserved: 0, code, args: vec![] }.to_wire(false);
+            if !gate.has_joint(&self.tail, &bytes) {
+                continue;
+            }
+            self.send(&bytes);
             let until = Instant::now() + CLOSING / 4;
             while let Some(left) = until.checked_duration_since(Instant::now()).filter(|left| !left.is_zero()) {
                 match self.receive(left) {
@@ -265,6 +290,11 @@ fn datagrams(address: &SocketAddr) -> io::Result<UdpSocket> {
     let socket = UdpSocket::bind(any)?;
     socket.connect(address)?;
     Ok(socket)
+}
+
+/// Returns the serial number of a frame; `None` for bytes that are too short.
+pub(super) fn serial_of(bytes: &[u8]) -> Option<u16> {
+    bytes.get(5..7)?.try_into().ok().map(u16::from_le_bytes)
 }
 
 fn is_timeout(error: &io::Error) -> bool {

@@ -64,11 +64,19 @@ pub(crate) enum Bug {
     LongDatagramCrashes,
     CutDatagramHangs,
     RetransmissionIsExecuted,
+    OldReplyRepeats,
+    // no bugs
+    /// The network loses first attempts, and the device drops a repeated serial number.
+    LosesDatagrams,
+    /// Controller_Execute over UDP takes longer than any time limit.
+    SlowExecute,
+    /// RAC has one slot, which is mostly taken.
+    BusyRac,
 }
 
 impl Bug {
-    /// All bugs, without [`Bug::None`].
-    pub(crate) const ALL: [Self; 34] = [
+    /// All bugs.
+    pub(crate) const ALL: [Self; 35] = [
         Self::LengthBelowHeaderCrashes,
         Self::HugeLengthCrashes,
         Self::ArgumentCountCrashes,
@@ -103,11 +111,19 @@ impl Bug {
         Self::LongDatagramCrashes,
         Self::CutDatagramHangs,
         Self::RetransmissionIsExecuted,
+        Self::OldReplyRepeats,
     ];
 
     /// Returns whether only datagrams show it.
     pub(crate) const fn is_of_datagrams(self) -> bool {
-        matches!(self, Self::LongDatagramCrashes | Self::CutDatagramHangs | Self::RetransmissionIsExecuted)
+        matches!(
+            self,
+            Self::LongDatagramCrashes
+                | Self::CutDatagramHangs
+                | Self::RetransmissionIsExecuted
+                | Self::OldReplyRepeats
+                | Self::LosesDatagrams
+        )
     }
 }
 
@@ -133,6 +149,11 @@ struct Device {
     leaked: AtomicUsize,
     streams: Mutex<Vec<TcpStream>>,
     calls: Mutex<Vec<FunctionId>>,
+    /// The functions of frames that begin in one datagram and end in the next one.
+    joined: Mutex<Vec<FunctionId>>,
+    /// Datagrams that were lost, and retransmissions of them that arrived.
+    lost: AtomicUsize,
+    retransmitted: AtomicUsize,
 }
 
 /// What happens to a connection.
@@ -156,6 +177,9 @@ impl Planted {
             leaked: AtomicUsize::new(0),
             streams: Mutex::default(),
             calls: Mutex::default(),
+            joined: Mutex::default(),
+            lost: AtomicUsize::new(0),
+            retransmitted: AtomicUsize::new(0),
         });
         for (listener, is_rac) in listeners.into_iter().zip([false, true]) {
             let device = Arc::clone(&device);
@@ -175,6 +199,16 @@ impl Planted {
     pub(crate) fn calls(&self) -> Vec<FunctionId> {
         self.device.calls.lock().unwrap().clone()
     }
+
+    /// Returns the functions that a device calls if it joins two datagrams.
+    pub(crate) fn joined(&self) -> Vec<FunctionId> {
+        self.device.joined.lock().unwrap().clone()
+    }
+
+    /// Returns the number of lost datagrams, and of their retransmissions.
+    pub(crate) fn lost(&self) -> (usize, usize) {
+        (self.device.lost.load(Ordering::SeqCst), self.device.retransmitted.load(Ordering::SeqCst))
+    }
 }
 
 impl Drop for Planted {
@@ -188,7 +222,7 @@ impl Drop for Planted {
 
 impl Device {
     fn listen(self: Arc<Self>, mut listener: TcpListener, is_rac: bool) {
-        loop {
+        for number in 0.. {
             let Ok((stream, _)) = listener.accept() else { continue };
             if self.is_over.load(Ordering::SeqCst) {
                 return;
@@ -205,6 +239,9 @@ impl Device {
                 };
                 self.leaked.store(0, Ordering::SeqCst);
                 self.has_crashed.store(false, Ordering::SeqCst);
+                continue;
+            }
+            if is_rac && self.bug == Bug::BusyRac && number % 3 != 0 {
                 continue;
             }
             stream.set_nodelay(true).unwrap();
@@ -282,12 +319,19 @@ impl Device {
     /// Serves clients over UDP, each port with a session of its own.
     fn serve_datagrams(&self, mut socket: UdpSocket) {
         let port = socket.local_addr().unwrap();
-        let (mut peers, mut buffer) = (HashMap::new(), vec![0; 1 << 16]);
+        let mut peers: HashMap<SocketAddr, Peer<'_>> = HashMap::new();
+        let mut buffer = vec![0; 1 << 16];
+        let mut before: HashMap<SocketAddr, Vec<u8>> = HashMap::new();
+        let mut lost: HashMap<SocketAddr, Vec<u16>> = HashMap::new();
+        let mut number = 0;
         loop {
             let Ok((count, from)) = socket.recv_from(&mut buffer) else { continue };
             if self.is_over.load(Ordering::SeqCst) {
                 return;
             }
+            let last = before.entry(from).or_default();
+            self.joined.lock().unwrap().extend(joined(last, &buffer[..count]));
+            *last = buffer[..count].to_vec();
             if count > UDP_RECEIVE_MAX && self.bug == Bug::LongDatagramCrashes {
                 drop(socket);
                 thread::sleep(RESTART);
@@ -307,8 +351,36 @@ impl Device {
                 _ => continue,
             };
             let marker = if frame.reserved == 0 { frame.serial } else { frame.reserved };
+            let lost = lost.entry(from).or_default();
+            if self.bug == Bug::LosesDatagrams && FunctionId(frame.code).opens().is_some() {
+                number += 1;
+                if lost.contains(&frame.serial) {
+                    continue;
+                }
+                if lost.contains(&frame.reserved) {
+                    self.retransmitted.fetch_add(1, Ordering::SeqCst);
+                } else if number % 20 == 0 && frame.reserved == 0 {
+                    lost.push(frame.serial);
+                    self.lost.fetch_add(1, Ordering::SeqCst);
+                    continue;
+                }
+            }
+            if self.bug == Bug::SlowExecute && frame.code == FunctionId::CONTROLLER_EXECUTE.0 {
+                self.calls.lock().unwrap().push(FunctionId::CONTROLLER_EXECUTE);
+                continue;
+            }
+            if self.bug == Bug::OldReplyRepeats
+                && FunctionId(frame.code).name().is_some_and(|name| name.contains("_Get"))
+                && let Some((_, Some((_, _, reply)))) = peers.get(&from)
+            {
+                while !self.is_over.load(Ordering::SeqCst) {
+                    let _ = socket.send_to(reply, from);
+                    thread::sleep(Duration::from_millis(5));
+                }
+                return;
+            }
             let client = || (Client { device: self, open: Vec::new(), next: 0 }, None);
-            let (client, last): &mut (_, Option<(u16, i32, Vec<u8>)>) = peers.entry(from).or_insert_with(client);
+            let (client, last) = peers.entry(from).or_insert_with(client);
             let is_copy = last.as_ref().is_some_and(|(first, code, _)| (*first, *code) == (marker, frame.code));
             if !is_copy || self.bug == Bug::RetransmissionIsExecuted {
                 let Outcome::Reply(reply) = client.call(&frame, &mut io::sink()) else { continue };
@@ -380,6 +452,18 @@ impl Device {
         Outcome::Reply(format!("{value}\r").into_bytes())
     }
 }
+
+/// Returns the functions of frames whose header begins in `first` and ends in `then`.
+fn joined(first: &[u8], then: &[u8]) -> Vec<FunctionId> {
+    let joint = [first, then].concat();
+    (first.len().saturating_sub(12)..first.len())
+        .filter(|at| joint[*at] == 1)
+        .filter_map(|at| joint.get(at + 9..at + 13)?.try_into().ok().map(i32::from_le_bytes).map(FunctionId))
+        .collect()
+}
+
+/// A client over UDP, and its last call: the marker, the function and the reply.
+type Peer<'a> = (Client<'a>, Option<(u16, i32, Vec<u8>)>);
 
 struct Client<'a> {
     device: &'a Device,
