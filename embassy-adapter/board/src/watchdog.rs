@@ -15,6 +15,8 @@ use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_time::{Duration, Timer, with_timeout};
 
+use crate::record::Cause;
+
 /// The interval at which tasks report progress and at which the reports are checked.
 const PULSE: Duration = Duration::from_secs(1);
 
@@ -56,17 +58,15 @@ pub async fn watched<F: Future>(task: Task, work: F) -> F::Output {
 }
 
 /// Calls `feed` each second while all registered tasks run and `is_healthy` returns true. Otherwise it records
-/// [`Cause::Watchdog`](crate::record::Cause::Watchdog), in case that the watchdog resets the board.
+/// [`Cause::Watchdog`], in case that the watchdog resets the board.
 pub async fn run(is_healthy: impl Fn() -> bool, mut feed: impl FnMut()) -> ! {
     let mut was_fed = true;
     loop {
         Timer::after(PULSE).await;
         let tasks = stalled();
         let is_fed = tasks == 0 && is_healthy();
-        #[cfg(any(target_arch = "arm", target_arch = "riscv32"))]
         if is_fed != was_fed {
-            use crate::record::Cause;
-            crate::memory::record().write(if is_fed { Cause::Unrecorded } else { Cause::Watchdog { tasks } });
+            record(if is_fed { Cause::Unrecorded } else { Cause::Watchdog { tasks } });
         }
         was_fed = is_fed;
         if is_fed {
@@ -74,6 +74,15 @@ pub async fn run(is_healthy: impl Fn() -> bool, mut feed: impl FnMut()) -> ! {
             feed();
         }
     }
+}
+
+/// Writes the cause of the reset that may follow.
+fn record(cause: Cause) {
+    #[cfg(any(target_arch = "arm", target_arch = "riscv32"))]
+    crate::memory::record().write(cause);
+    // a host has no such memory
+    #[cfg(not(any(target_arch = "arm", target_arch = "riscv32")))]
+    let _ = cause;
 }
 
 /// Returns a bit for each registered task that has not run since the last feeding.
