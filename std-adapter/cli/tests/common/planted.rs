@@ -370,14 +370,18 @@ impl Device {
                 continue;
             }
             if self.bug == Bug::OldReplyRepeats
-                && FunctionId(frame.code).name().is_some_and(|name| name.contains("_Get"))
+                && FunctionId(frame.code).name().is_some_and(|name| name.contains("Get"))
                 && let Some((_, Some((_, _, reply)))) = peers.get(&from)
             {
-                while !self.is_over.load(Ordering::SeqCst) {
+                // until another client comes
+                socket.set_read_timeout(Some(Duration::from_millis(5))).unwrap();
+                while !socket.recv_from(&mut buffer).is_ok_and(|(_, other)| other != from)
+                    && !self.is_over.load(Ordering::SeqCst)
+                {
                     let _ = socket.send_to(reply, from);
-                    thread::sleep(Duration::from_millis(5));
                 }
-                return;
+                socket.set_read_timeout(None).unwrap();
+                continue;
             }
             let client = || (Client { device: self, open: Vec::new(), next: 0 }, None);
             let (client, last) = peers.entry(from).or_insert_with(client);
