@@ -119,12 +119,13 @@ pub(crate) fn report(report: &Report<'_>) {
 fn limited(client: Option<IpEndpoint>, id: &'static str, text: fmt::Arguments<'_>) {
     let address = client.map(|IpEndpoint { addr: IpAddress::Ipv4(address), .. }| address);
     let admitted = LIMITER.lock(|limiter| limiter.try_borrow_mut().ok()?.admit(address, id, now()));
-    match (admitted, client) {
-        (None, _) => {}
-        (Some(left_out), Some(client)) => {
-            queue(Severity::Warning, id, format_args!("{client}: {left_out} more before: {text}"));
-        }
-        (Some(left_out), None) => queue(Severity::Warning, id, format_args!("{left_out} more before: {text}")),
+    let Some(left_out) = admitted else { return };
+    // the number comes first, because the end of a long text is cut
+    match (client, left_out) {
+        (Some(client), 0) => queue(Severity::Warning, id, format_args!("{client}: {text}")),
+        (Some(client), count) => queue(Severity::Warning, id, format_args!("{client}: {count} more before: {text}")),
+        (None, 0) => queue(Severity::Warning, id, text),
+        (None, count) => queue(Severity::Warning, id, format_args!("{count} more before: {text}")),
     }
 }
 
