@@ -148,7 +148,7 @@ impl<'a> Front<'a> {
     }
 
     /// Records that the client's connection has taken `count` bytes of [`transmit`](Self::transmit). After the last one, call
-    /// [`received`](Self::received), without bytes if there are none: the next request may have arrived already.
+    /// [`received`](Self::received), also with no bytes: the next request may have arrived already.
     pub const fn transmitted(&mut self, count: usize) {
         self.sent = self.sent.saturating_add(count);
     }
