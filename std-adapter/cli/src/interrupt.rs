@@ -57,7 +57,8 @@ enum Signal {
 static INSTALLED: Mutex<Option<Interrupt>> = Mutex::new(None);
 
 impl Interrupt {
-    /// Handles signals from now on. `idle` is called after each; its argument is whether the command must end.
+    /// Handles signals from now on. `idle` is called after each that did not halt a motion; its argument is whether the command
+    /// must end.
     ///
     /// A process has one handler: a later call, as by a line of the shell, returns it, and ignores its own `idle`.
     pub(crate) fn install(idle: impl Fn(bool) + Send + 'static) -> io::Result<Self> {
@@ -65,7 +66,22 @@ impl Interrupt {
         if let Some(interrupt) = &*installed {
             return Ok(interrupt.clone());
         }
-        let interrupt = Self(Arc::new(Shared {
+        let interrupt = Self::new();
+        let (signals, handler) = (signals()?, interrupt.clone());
+        thread::Builder::new().name("interrupt".into()).spawn(move || {
+            while let Ok(signal) = signals.recv() {
+                let was_answered = handler.signalled(signal, &signals);
+                let must_end = handler.is_ended();
+                if must_end || !was_answered {
+                    idle(must_end);
+                }
+            }
+        })?;
+        Ok(installed.insert(interrupt).clone())
+    }
+
+    fn new() -> Self {
+        Self(Arc::new(Shared {
             interrupted: Mutex::new(false),
             changed: Condvar::new(),
             ended: AtomicBool::new(false),
@@ -74,18 +90,12 @@ impl Interrupt {
             goes_on: AtomicBool::new(false),
             restores: AtomicBool::new(false),
             stopper: Mutex::new(None),
-        }));
-        let (signals, handler) = (signals()?, interrupt.clone());
-        thread::Builder::new().name("interrupt".into()).spawn(move || {
-            while let Ok(signal) = signals.recv() {
-                handler.signalled(signal, &signals);
-                idle(signal == Signal::End);
-            }
-        })?;
-        Ok(installed.insert(interrupt).clone())
+        }))
     }
 
-    fn signalled(&self, signal: Signal, more: &Receiver<Signal>) {
+    /// Handles a signal, and those that arrive meanwhile. Returns whether the last one halted a motion: then it is not for the
+    /// prompt, which may have begun since.
+    fn signalled(&self, signal: Signal, more: &Receiver<Signal>) -> bool {
         let Self(shared) = self;
         if signal == Signal::End {
             shared.ended.store(true, Ordering::SeqCst);
@@ -100,7 +110,7 @@ impl Interrupt {
             let _ = writeln!(io::stderr(), "ends after this call{again}");
         }
         self.mark();
-        let (mut reported, mut again) = (false, 0);
+        let (mut reported, mut again, mut was_answered) = (false, 0, false);
         // a motion may begin just after a halt, so halt until the command has ended its call; then the next line may begin
         while shared.moving.load(Ordering::SeqCst) && self.is_interrupted() {
             if let Err(failure) = self.halt()
@@ -109,12 +119,14 @@ impl Interrupt {
                 failure.print(false, None);
                 reported = true;
             }
+            was_answered = true;
             match more.recv_timeout(AGAIN) {
                 Ok(Signal::End) => shared.ended.store(true, Ordering::SeqCst),
                 Ok(Signal::Interrupt) => {
                     // for the next line, if the one that was interrupted has just ended
                     self.mark();
                     again += 1;
+                    was_answered = false;
                 }
                 Err(_) => {}
             }
@@ -125,6 +137,7 @@ impl Interrupt {
                 process::exit(130);
             }
         }
+        was_answered
     }
 
     /// Sets that the process goes on after the command, so that no signal ends it at once: its session must be closed.
@@ -289,5 +302,42 @@ impl Sources {
             std::future::pending::<()>().await;
         }
         Signal::Interrupt
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A motion whose halt ends the command, as in the shell; `then` is called after it.
+    fn halting(then: impl Fn() + Send + 'static) -> Interrupt {
+        let interrupt = Interrupt::new();
+        let motion = interrupt.clone();
+        let halt = move || {
+            motion.set_moving(false);
+            then();
+            Ok(())
+        };
+        interrupt.prepare(|| Ok(Some(Box::new(halt)))).unwrap();
+        interrupt.set_moving(true);
+        interrupt
+    }
+
+    #[test]
+    fn a_signal_that_halted_a_motion_is_not_for_the_next_prompt() {
+        let (_sender, more) = channel();
+        let interrupt = halting(|| ());
+        assert!(interrupt.signalled(Signal::Interrupt, &more));
+        assert!(!interrupt.is_ended());
+        // nothing moves now
+        assert!(!interrupt.signalled(Signal::Interrupt, &more));
+    }
+
+    #[test]
+    fn a_signal_after_the_end_of_the_motion_is_for_the_next_prompt() {
+        let (sender, more) = channel();
+        let interrupt = halting(move || sender.send(Signal::Interrupt).unwrap());
+        assert!(!interrupt.signalled(Signal::Interrupt, &more));
+        assert!(interrupt.is_interrupted());
     }
 }
