@@ -5,10 +5,10 @@
     reason = "a host changes a constant after the build, and the section of a static is an unsafe attribute"
 )]
 
-#[cfg(target_arch = "arm")]
+#[cfg(any(target_arch = "arm", target_arch = "riscv32"))]
 use core::sync::atomic::AtomicU32;
 
-#[cfg(target_arch = "arm")]
+#[cfg(any(target_arch = "arm", target_arch = "riscv32"))]
 use crate::record::{Memory, Record, WORDS};
 use crate::{BLOCK, MAGIC};
 
@@ -23,9 +23,10 @@ static SETTINGS: [u8; BLOCK] = {
     block
 };
 
-/// cortex-m-rt leaves this section alone at the start.
-#[cfg(target_arch = "arm")]
-#[unsafe(link_section = ".uninit.record")]
+/// The start-up code leaves this section alone: that of cortex-m-rt, and that of esp-hal except after power-on.
+#[cfg(any(target_arch = "arm", target_arch = "riscv32"))]
+#[cfg_attr(target_arch = "arm", unsafe(link_section = ".uninit.record"))]
+#[cfg_attr(target_arch = "riscv32", unsafe(link_section = ".rtc_fast.persistent"))]
 static RECORD: Memory = [const { AtomicU32::new(0) }; WORDS];
 
 /// Returns the text of the settings in this image, up to the end of its block.
@@ -38,8 +39,8 @@ pub fn image() -> &'static [u8] {
     block.get(MAGIC.len()..).unwrap_or_default()
 }
 
-/// Returns the record of the last reset's cause, for images with cortex-m-rt.
-#[cfg(target_arch = "arm")]
+/// Returns the record of the last reset's cause, for images with cortex-m-rt or esp-hal.
+#[cfg(any(target_arch = "arm", target_arch = "riscv32"))]
 #[must_use]
 pub const fn record() -> Record<'static> {
     Record::new(&RECORD)

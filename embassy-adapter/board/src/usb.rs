@@ -1,6 +1,7 @@
 //! The console and the log as two serial ports (CDC ACM) over USB; on Linux `/dev/ttyACM0` and `/dev/ttyACM1`.
 
 use embassy_futures::join::join3;
+use embassy_time::{Duration, with_timeout};
 use embassy_usb::class::cdc_acm::{CdcAcmClass, State};
 use embassy_usb::driver::Driver;
 use embassy_usb::{Builder, Config};
@@ -13,6 +14,8 @@ use crate::slots::Slots;
 /// pid.codes' pair for tests; a product needs one of its own.
 const VENDOR: u16 = 0x1209;
 const PRODUCT: u16 = 0x0001;
+/// The time in which a host takes the answer to `restart`.
+const ANSWER_TIME: Duration = Duration::from_secs(1);
 /// The packet size of full speed.
 const PACKET: u16 = 64;
 
@@ -39,6 +42,8 @@ pub async fn run<D: Driver<'static>, F: NorFlash>(driver: D, slots: Slots<F>, re
             sender.wait_connection().await;
             // an error means that the host is gone
             if port::serve(&mut console, answer, &mut receiver, &mut sender).await.is_ok() {
+                // the endpoint accepts an empty packet once the host has taken the answer; `flush` does not wait for that
+                let _ = with_timeout(ANSWER_TIME, sender.write_packet(&[])).await;
                 restart();
             }
         }
