@@ -52,9 +52,10 @@ instructions:
 arrays:
     cargo bench -p bcap-tests --bench arrays
 
-# Objects of the virtual controller: times with 10 and with 90,000 open, memory, requests per second of 100 clients.
+# Objects of `bcap sim`: times with 1,200 and with 100,000 open, memory, requests per second of 100 clients.
 objects:
-    cargo bench -p bcap-tests --bench objects
+    cargo build --release -p bcap-cli
+    BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo bench -p bcap-tests --bench objects
 
 # How long a small call waits while another client sends requests of 16 MiB.
 fairness:

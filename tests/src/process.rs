@@ -20,6 +20,8 @@ pub struct Process {
 pub struct Memory {
     /// What it takes now.
     pub now: u64,
+    /// The part of `now` that is not the program or another file: heap and stacks.
+    pub anonymous: u64,
     /// The most that it has taken so far.
     pub most: u64,
 }
@@ -45,7 +47,11 @@ impl Process {
             let line = status.lines().find_map(|line| line.strip_prefix(key))?;
             line.trim().trim_end_matches("kB").trim().parse::<u64>().ok()
         };
-        Some(Memory { now: kibibytes("VmRSS:")? << 10, most: kibibytes("VmHWM:")? << 10 })
+        Some(Memory {
+            now: kibibytes("VmRSS:")? << 10,
+            anonymous: kibibytes("RssAnon:")? << 10,
+            most: kibibytes("VmHWM:")? << 10,
+        })
     }
 
     /// Returns the processor time that it has used.

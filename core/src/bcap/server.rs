@@ -108,6 +108,12 @@ pub trait Handler {
         let _ = (peer, now);
     }
 
+    /// Is called when the server refuses a request: its function, the number or the types of its arguments, or their handle
+    /// is wrong. The server replies `code`; the arguments are those of the request, unchecked.
+    fn refused(&mut self, peer: PeerId, request: &Request<'_>, code: HResult, now: Instant) {
+        let _ = (peer, request, code, now);
+    }
+
     /// Is called when a peer disconnected, after its objects were released.
     fn left(&mut self, peer: PeerId, now: Instant) {
         let _ = (peer, now);
@@ -329,7 +335,12 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
             Ok(_) if is_full => return Some(self.refuse_attempt(&attempt, HResult::E_MAX_OBJECT)),
             Ok(Some(options)) => self.state.set_options(options),
             Ok(None) => {}
-            Err(result) => return Some(self.refuse_attempt(&attempt, result)),
+            Err(result) => {
+                if let Some(frame) = self.inbox.frame(self.rx.bytes(), frame) {
+                    handler.refused(peer, &Request { function, args: frame.args }, result, now);
+                }
+                return Some(self.refuse_attempt(&attempt, result));
+            }
         }
         if function == FunctionId::SERVICE_STOP {
             self.end_service(handler, peer, now);

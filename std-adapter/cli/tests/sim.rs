@@ -2,6 +2,7 @@
 
 mod common;
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::io::{BufRead, BufReader, Read};
 use std::net::TcpListener;
@@ -148,6 +149,29 @@ fn a_refused_argument_is_explained_on_stderr_and_by_its_description() {
     assert!(line.contains("E_INVALIDARG") && line.trim_end().ends_with(why), "{line}");
     let text = sim.tcp(&["exec", "controller", "GetErrorDescription", "-2147024809"]).out;
     assert!(text.trim_end().ends_with(why), "{text}");
+}
+
+#[test]
+fn an_argument_of_the_wrong_type_is_named_on_stderr() {
+    let mut sim = Sim::start_with(&["--explain"], Stdio::piped());
+    let run = sim.tcp(&["call", "Robot_Speed", "robot", "8,fast", "4,10"]);
+    assert!(run.code == 1 && run.err.contains("E_INVALIDARGTYPE"), "{run:?}");
+    let mut line = String::new();
+    BufReader::new(sim.child.stderr.take().unwrap()).read_line(&mut line).unwrap();
+    let why = "Robot_Speed: axis: given \"fast\"; accepted I4, or another integer type whose value fits";
+    assert!(line.contains("E_INVALIDARGTYPE") && line.trim_end().ends_with(why), "{line}");
+}
+
+#[test]
+fn the_help_names_all_that_is_not_simulated() {
+    let help = bcap(&["sim", "--help"]).out;
+    let words: BTreeSet<_> = help.split(|c: char| !c.is_ascii_alphanumeric()).collect();
+    let page = include_str!("../../../docs/virtual-controller.md");
+    let commands = page.split("\n## Commands").nth(1).unwrap().lines().filter(|line| line.starts_with('|'));
+    let cells = commands.map(|line| line.split('|').map(str::trim).collect::<Vec<_>>());
+    let missing: Vec<_> = cells.filter(|cells| cells[4] == "no").map(|cells| cells[2]).collect();
+    assert!(missing.contains(&"ForceCtrl"), "{missing:?}");
+    assert!(missing.iter().all(|name| words.contains(name)), "{missing:?}");
 }
 
 #[test]

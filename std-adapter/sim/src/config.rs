@@ -168,7 +168,8 @@ pub struct Config {
     pub task_cycle: Duration,
     /// The number of lines of a task. Each takes the same part of its cycle.
     pub task_lines: u32,
-    /// The largest number of objects that one client may open; opening another answers `E_MAX_OBJECT`.
+    /// The largest number of objects that one client may open, its service not counted; opening another answers
+    /// `E_MAX_OBJECT`. A server has a limit of its own: 1,000 objects of a connection, with the service.
     pub max_objects: usize,
     /// `@SERIAL_NO`, and SysInfo 0.
     pub serial_number: String,

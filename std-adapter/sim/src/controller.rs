@@ -18,6 +18,7 @@ use bcap_core::time::Instant;
 use bcap_core::variant::{Variant, VariantBuf};
 
 use crate::arm::Arm;
+use crate::comm::Comm;
 use crate::config::{ABSENT, Config, Mode, Permission, Token};
 use crate::context::{Context, Panel};
 use crate::errors::{ErrorEntry, Errors, Place};
@@ -56,6 +57,7 @@ pub struct Controller {
     sessions: BTreeSet<PeerId>,
     objects: Objects,
     arm: Arm,
+    comm: Comm,
     tasks: Tasks,
     files: Files,
     messages: Messages,
@@ -105,6 +107,7 @@ impl Controller {
             sessions: BTreeSet::new(),
             objects: Objects::default(),
             arm: Arm::new(&config),
+            comm: Comm::default(),
             tasks: Tasks::new(&config),
             files: Files::default(),
             messages: Messages::default(),
@@ -181,6 +184,7 @@ impl Controller {
             Effect::Motor(true) => self.turn_motor_on(),
             Effect::Motor(false) => self.arm.turn_off(HResult::E_MOTOR_OFF, self.common.now, &mut self.common.waits),
             Effect::Message(text) => self.messages.post_text(&text, "", self.common.now),
+            Effect::Comm { line, text } => self.comm.receive(line, &text),
             Effect::Refuse(_) | Effect::Delay(_) | Effect::Wire(_) => {}
         }
     }

@@ -4,14 +4,15 @@
 //! [`Observer`] receives it too. The model keeps one reason for each code, that of the last call of any client, because
 //! drivers ask for descriptions over another session than the refused one.
 //!
-//! A call that the server refuses before it reaches the model has no reason.
+//! The server refuses a call whose arguments do not have the number or the types of its function, before it reaches the model.
+//! The reason names the argument.
 
 use std::collections::BTreeMap;
 use std::fmt::{self, Write as _};
 use std::sync::Arc;
 
-use bcap_core::bcap::FunctionId;
 use bcap_core::bcap::server::Request;
+use bcap_core::bcap::{FunctionId, Kind};
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
 
@@ -133,7 +134,17 @@ impl Refusals {
         if !CODES.contains(&code) {
             return;
         }
-        let text = explain(request, accepted);
+        self.keep(explain(request, accepted), code, observer);
+    }
+
+    /// Records why the server has refused a request whose arguments do not fit its function.
+    pub(crate) fn record_signature(&mut self, request: &Request<'_>, code: HResult, observer: &Observer) {
+        if let Some(text) = wrong_arguments(request).filter(|_| CODES.contains(&code)) {
+            self.keep(text, code, observer);
+        }
+    }
+
+    fn keep(&mut self, text: String, code: HResult, observer: &Observer) {
         if let Some(tell) = &observer.0 {
             tell(code, &text);
         }
@@ -143,6 +154,33 @@ impl Refusals {
     /// Returns the reason of the last refusal with this code.
     pub(crate) fn last(&self, code: HResult) -> Option<&str> {
         self.last.get(&code.to_u32()).map(String::as_str)
+    }
+}
+
+/// Names the first argument of another type than the function has, or the number of arguments that differs.
+fn wrong_arguments(request: &Request<'_>) -> Option<String> {
+    let (kinds, names) = (request.function.signature()?.arguments, request.function.argument_names());
+    let mut text = request.function.to_string();
+    let wrong = (0..).zip(kinds.iter().zip(names)).find(|(n, (kind, _))| !kind.accepts(&request.value(*n)));
+    if request.args.len() != kinds.len() {
+        let _ =
+            write!(text, ": given {} arguments; accepted {}: {}", request.args.len(), kinds.len(), names.join(", "));
+    } else {
+        let (n, (kind, name)) = wrong?;
+        let _ = write!(text, ": {name}: given ");
+        show(&mut text, &request.value(n), 0);
+        let _ = write!(text, "; accepted {}", accepted_type(*kind));
+    }
+    Some(text)
+}
+
+const fn accepted_type(kind: Kind) -> &'static str {
+    match kind {
+        Kind::Handle(_) => "the handle of an object: I4",
+        Kind::Int => "I4, or another integer type whose value fits",
+        Kind::Float => "R4, R8 or an integer",
+        Kind::Text => "BSTR, or EMPTY",
+        Kind::Any | Kind::Maybe | Kind::Nothing => "a known VARTYPE",
     }
 }
 

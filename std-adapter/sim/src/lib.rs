@@ -15,6 +15,7 @@
 //! * Slave Mode with its three modes, buffers, formats, limits and errors.
 //! * Files below a folder of this machine.
 //! * A hand, as an extension and with the commands of a COBOTTA; the preparation that a COBOTTA needs before it moves.
+//! * Lines of data communication, on which a scenario sends texts.
 //! * Command objects, and messages about the controller's errors.
 //! * Tasks with programs that a scenario defines, on the injected clock.
 //! * Logs of errors, of operations and of positions.
@@ -42,7 +43,7 @@
 //! * Variable_GetDateTime answers when the variable was last read or written through this handle.
 //!
 //! The tables of names, types and answers are with the code: [`variables`], [`system`], [`arm`], [`execute`],
-//! [`commands`], [`messages`], [`trace`], [`explain`], [`files`], [`hand`], [`preparation`], [`pose`], [`kinematics`],
+//! [`commands`], [`comm`], [`messages`], [`trace`], [`explain`], [`files`], [`hand`], [`preparation`], [`pose`], [`kinematics`],
 //! [`scenario`], [`slave`], [`tasks`], [`model`].
 //!
 //! # Examples
@@ -64,6 +65,7 @@
 
 mod answer;
 pub mod arm;
+pub mod comm;
 pub mod commands;
 mod config;
 mod context;

@@ -8,7 +8,7 @@
 //! |---------------|--------------------------------------------------------------------------------------|
 //! | -             | name (`@TYPE`), provider, version, type and name of the robot, RAC                   |
 //! | `[functions]` | the commands that exist besides those of all models                                  |
-//! | `[slave]`     | the parts of the formats of Slave Mode                                               |
+//! | `[slave]`     | the parts of the formats of Slave Mode, and which IO they are                        |
 //! | `[variables]` | the number of variables of each kind, with the IO                                    |
 //! | `[arm]`       | its dimensions ([`kinematics`](crate::kinematics)), home position, ranges and speeds |
 //!
@@ -18,6 +18,7 @@
 mod arm;
 mod error;
 
+use std::ops::Range;
 use std::sync::OnceLock;
 
 use serde::Deserialize;
@@ -117,6 +118,8 @@ pub struct Model {
     pub functions: Functions,
     /// The formats of Slave Mode.
     pub formats: SlaveFormats,
+    /// The IO of Slave Mode.
+    pub slave_io: SlaveIo,
     /// The numbers of user variables.
     pub sizes: Sizes,
     /// The dimensions, ranges and speeds of the arm.
@@ -137,6 +140,28 @@ pub struct Functions {
     pub preparation: bool,
     /// The commands of the hand.
     pub hand: bool,
+}
+
+/// The IO that slvMove reads and writes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SlaveIo {
+    /// MiniIO.
+    pub mini: SlaveIoPart,
+    /// HandIO.
+    pub hand: SlaveIoPart,
+    /// The number of the first user IO.
+    pub user: usize,
+}
+
+/// The IO of MiniIO or HandIO: 32 bits.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SlaveIoPart {
+    /// The number of the IO of bit 0.
+    pub first: usize,
+    /// The IO that can only be read.
+    pub read: Range<usize>,
+    /// The IO that can be read and written.
+    pub write: Range<usize>,
 }
 
 /// The parts of the formats of Slave Mode that a controller has.
@@ -197,6 +222,31 @@ struct File {
 #[serde(deny_unknown_fields)]
 struct SlaveEntry {
     formats: Vec<FormatName>,
+    mini_io: Spanned<IoEntry>,
+    hand_io: Spanned<IoEntry>,
+    user_io: u16,
+}
+
+/// The IO of a part, with the last one of each range.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct IoEntry {
+    first: u16,
+    read: [u16; 2],
+    write: [u16; 2],
+}
+
+impl IoEntry {
+    fn read(key: &str, entry: &Spanned<Self>) -> Result<SlaveIoPart, Wrong> {
+        let Self { first, read, write } = *entry.get_ref();
+        let bits = first..=first.saturating_add(31);
+        if [read, write].iter().any(|[from, to]| from > to || !bits.contains(from) || !bits.contains(to)) {
+            let problem = format!("`{key}`: `read` and `write` are ranges of the IO {first} to {}", bits.end());
+            return Err((entry.span().start, problem));
+        }
+        let range = |[from, to]: [u16; 2]| usize::from(from)..usize::from(to) + 1;
+        Ok(SlaveIoPart { first: first.into(), read: range(read), write: range(write) })
+    }
 }
 
 #[derive(Deserialize)]
@@ -238,6 +288,11 @@ impl File {
             rac: self.rac,
             functions: self.functions,
             formats: SlaveFormats::of(&self.slave.formats),
+            slave_io: SlaveIo {
+                mini: IoEntry::read("mini_io", &self.slave.mini_io)?,
+                hand: IoEntry::read("hand_io", &self.slave.hand_io)?,
+                user: self.slave.user_io.into(),
+            },
             sizes: Sizes { i, f, d, v, p, j, t, s, io },
             geometry,
             home,
@@ -277,6 +332,13 @@ mod tests {
             ("speed = 330.0", "speed = 1e7", line("speed = 330.0"), "J2: the speed is 10000000"),
             ("range = [-270.0, 270.0]", "range = [-270.0, 1e300]", line("speed = 450.0"), "J4: the range"),
             ("range = [-270.0, 270.0]", "range = [270.0, -270.0]", line("speed = 450.0"), "J4: the range"),
+            (
+                "write = [64, 71]",
+                "write = [64, 80]",
+                line("hand_io = {"),
+                "`hand_io`: `read` and `write` are ranges of the IO 48 to 79",
+            ),
+            ("read = [0, 15]", "read = [15, 0]", line("mini_io = {"), "`mini_io`"),
             ("home = [0.0, 45.0", "home = [0.0, 200.0", line("home = [0.0"), "`home`: J2"),
             ("    { range = [-360.0, 360.0], speed = 720.0 },\n", "", line("axes = ["), "`axes` has 5 elements"),
         ] {
@@ -294,7 +356,7 @@ mod tests {
             ("io = 512", "io = 70000", "70000"),
             ("hand = false", "hands = false", "unknown field `hands`"),
             ("version = ", "# version = ", "missing field `version`"),
-            ("hand_io", "foot_io", "foot_io"),
+            ("\"hand_io\"", "\"foot_io\"", "foot_io"),
         ] {
             let error = Model::parse(&valid.replace(from, to)).unwrap_err().to_string();
             assert!(error.contains("line ") && error.contains(problem), "{to}: {error}");

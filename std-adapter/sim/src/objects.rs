@@ -14,7 +14,9 @@ use bcap_core::time::Instant;
 use bcap_core::variant::Variant;
 
 use crate::answer::{Answer, Answered};
+use crate::comm;
 use crate::commands::CommandObject;
+use crate::hand;
 use crate::messages::Message;
 use crate::value::{Value, keep, one_int};
 use crate::variables::{Family, Variables};
@@ -44,6 +46,35 @@ pub(crate) enum Target {
     System(Owner, usize),
 }
 
+/// An extension.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Extension {
+    Hand,
+    Comm,
+    /// It has no command that is executed.
+    Pallet,
+}
+
+impl Extension {
+    pub(crate) const ALL: [Self; 3] = [Self::Hand, Self::Comm, Self::Pallet];
+
+    pub(crate) const fn name(self) -> &'static str {
+        match self {
+            Self::Hand => hand::NAME,
+            Self::Comm => comm::NAME,
+            Self::Pallet => "Pallet",
+        }
+    }
+
+    const fn help(self) -> &'static str {
+        match self {
+            Self::Hand => "A virtual electric hand.",
+            Self::Comm => "The lines of data communication.",
+            Self::Pallet => "The calculation of positions on a pallet.",
+        }
+    }
+}
+
 /// The object of a handle.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Item {
@@ -54,8 +85,7 @@ pub(crate) enum Item {
     Variable(Target),
     /// A file or a folder; its name from the root is the entry's name.
     File,
-    /// The hand.
-    Extension,
+    Extension(Extension),
     /// A command; its name is the entry's name.
     Command(CommandObject),
     Message(Message),
@@ -69,7 +99,7 @@ impl Item {
             Self::Task(_) => Object::Task,
             Self::Variable(_) => Object::Variable,
             Self::File => Object::File,
-            Self::Extension => Object::Extension,
+            Self::Extension(_) => Object::Extension,
             Self::Command(_) => Object::Command,
             Self::Message(_) => Object::Message,
         }
@@ -141,7 +171,7 @@ impl Entry {
             Item::Variable(Target::System(..)) => format!("The system variable {}.", self.name),
             Item::Variable(_) => format!("The user variable {}.", self.name),
             Item::File => format!("The file {}.", self.name),
-            Item::Extension => "A virtual electric hand.".to_owned(),
+            Item::Extension(extension) => extension.help().to_owned(),
             Item::Command(_) => format!("The command {} of the controller.", self.name),
             Item::Message(message) => message.help().to_owned(),
         }

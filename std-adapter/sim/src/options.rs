@@ -11,8 +11,8 @@
 //! | motions                          | see [`arm`](crate::arm)                                   |
 //!
 //! Another option is refused with `E_INVALIDARG`, so that a misspelt one does not pass unnoticed; no source has a code.
-//! A [lenient](crate::Config::lenient) controller ignores it and tells the [observer](crate::explain::Observer). An
-//! unknown option of Service_Start is always ignored, because the vendor's server library ignores it.
+//! A [lenient](crate::Config::lenient) controller ignores it, as the vendor's server library does in Service_Start, and tells
+//! the [observer](crate::explain::Observer).
 
 use bcap_core::bcap::FunctionId;
 use bcap_core::bcap::server::Request;
@@ -59,11 +59,7 @@ pub(crate) fn check(config: &Config, request: &Request<'_>) -> Result<(), HResul
     };
     let text = request.text(*place).to_string();
     for (key, _) in options(&text).filter(|(key, _)| !known.iter().any(|known| known.eq_ignore_ascii_case(key))) {
-        if *function == FunctionId::SERVICE_START {
-            config.observer.tolerated(&format!("{function}: unknown option {key:?} is ignored"));
-        } else {
-            config.unknown_option(&function.to_string(), key)?;
-        }
+        config.unknown_option(&function.to_string(), key)?;
     }
     Ok(())
 }

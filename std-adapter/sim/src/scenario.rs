@@ -42,6 +42,7 @@
 //! | `{ token = t }`         | the executable token goes to `"any"`, the `"pendant"`, an `"other"` client, an address |
 //! | `{ motor = b }`         | the motor is switched on or off from outside                                     |
 //! | `{ message = text }`    | a message is posted to the clients, see [`messages`](crate::messages)            |
+//! | `{ comm = { line = n, text = t } }` | a device sends a text on a line, see [`comm`](crate::comm)           |
 //!
 //! A code is a name or a number: `"E_BUF_FULL"`, `"0x83201483"`. `bcap sim --scenario FILE` plays a file.
 //!
@@ -222,6 +223,13 @@ pub enum Effect {
     Motor(bool),
     /// A message is posted to the clients.
     Message(String),
+    /// A device sends a text on a line of data communication.
+    Comm {
+        /// The line, 1 to 16.
+        line: i32,
+        /// The text.
+        text: String,
+    },
 }
 
 /// What happens to an answer on the wire.

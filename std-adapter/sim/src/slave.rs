@@ -143,7 +143,7 @@ impl Slave {
         match stream.offer(axes, &mut self.counters) {
             Offered::Withheld => Ok(Answer::Until(Wait::Stored)),
             stored => {
-                order.write(ctx.variables);
+                order.write(&ctx.config.model.slave_io, ctx.variables);
                 let value = self.answer(robot, ctx, &order);
                 let code = if stored == Offered::Full { HResult::S_BUF_FULL } else { HResult::S_OK };
                 Ok(Answer::Coded(code, value))
@@ -154,13 +154,13 @@ impl Slave {
     /// Answers a slvMove whose pose was withheld and is now stored.
     pub(crate) fn stored(&self, robot: &Robot, ctx: &mut Context<'_>, param: &Variant<'_>) -> Answered {
         let order = self.order(ctx, param)?;
-        order.write(ctx.variables);
+        order.write(&ctx.config.model.slave_io, ctx.variables);
         Ok(self.answer(robot, ctx, &order).into())
     }
 
     fn order(&self, ctx: &Context<'_>, param: &Variant<'_>) -> Result<Order, HResult> {
         let order = self.formats(ctx.peer).read(&param.flatten())?;
-        order.check(ctx.variables)?;
+        order.check(&ctx.config.model.slave_io, ctx.variables)?;
         Ok(order)
     }
 
@@ -172,7 +172,7 @@ impl Slave {
         let current = robot.stream().map_or([0.0; 8], Stream::current);
         let state =
             State { micros: ctx.now.as_micros(), axes: robot.axes(ctx.now), coordinates: robot.coordinates(), current };
-        self.formats(ctx.peer).answer(&state, order, ctx.variables)
+        self.formats(ctx.peer).answer(&state, order, &ctx.config.model.slave_io, ctx.variables)
     }
 
     /// Skips idle cycles, at most `most`. Returns the number and the time of the next cycle, if it begins by `until`.

@@ -4,8 +4,13 @@ mod common;
 
 use std::sync::{Arc, Mutex};
 
-use bcap_core::bcap::call;
+use bcap_core::bcap::server::{Config as Server, Session};
+use bcap_core::bcap::{Decoder, FrameWriter, FunctionId, call};
+use bcap_core::endpoint::{Endpoint, Serve};
+use bcap_core::handler::PeerId;
 use bcap_core::hresult::HResult;
+use bcap_core::time::Instant;
+use bcap_core::variant::Encode;
 use bcap_sim::explain::Observer;
 use bcap_sim::{Config, Controller};
 
@@ -77,6 +82,58 @@ fn long_values_are_cut_and_control_characters_escaped() {
     assert_eq!(world.robot(client, "TakeArm", vec![1.0_f64; 5000].as_slice()), code(HResult::E_INVALIDARG));
     let text = description(&mut world, client, HResult::E_INVALIDARG);
     assert!(text.contains("given VT_R8 of 5000 elements;"), "{text}");
+}
+
+#[test]
+fn an_argument_of_the_wrong_type_is_named_though_the_server_refuses_it() {
+    let seen: Arc<Mutex<Vec<String>>> = Arc::default();
+    let tell = Arc::clone(&seen);
+    let observer = Observer::new(move |_, text| tell.lock().unwrap().push(text.to_owned()));
+    let mut sim = Controller::new(Config { observer, ..Config::default() });
+    let mut session: Session<[u8; 1024]> = Session::new(Server::TCP, [0; 1024], [0; 1024]);
+    let mut call = |function: FunctionId, arguments: &[&dyn Encode]| {
+        let mut buffer = [0; 512];
+        let mut frame = FrameWriter::new(&mut buffer).unwrap();
+        arguments.iter().for_each(|argument| frame.argument(*argument).unwrap());
+        let request = frame.finish(1, 0, function.0).unwrap();
+        session.receive_buffer()[..request.len()].copy_from_slice(request);
+        session.received(request.len());
+        while session.run(&mut sim, PeerId(1), Instant::ZERO).is_some() {}
+        let reply = Decoder::TCP.decode_datagram(session.transmit()).unwrap();
+        let text = reply.args.get(0).and_then(|value| Some(value.as_bstr()?.to_string()));
+        let (code, len) = (reply.hresult(), session.transmit().len());
+        session.transmitted(len);
+        (code, text)
+    };
+    call(FunctionId::SERVICE_START, &[&""]);
+    call(FunctionId::CONTROLLER_CONNECT, &[&"", &"CaoProv.DENSO.VRC", &"", &""]);
+    call(FunctionId::CONTROLLER_GET_ROBOT, &[&2, &"Arm0", &""]);
+    let wrong: [(FunctionId, &[&dyn Encode], HResult, &str); 3] = [
+        (
+            FunctionId::ROBOT_SPEED,
+            &[&3, &"x", &10.0_f32],
+            HResult::E_INVALIDARGTYPE,
+            "Robot_Speed: axis: given \"x\"; accepted I4, or another integer type whose value fits",
+        ),
+        (
+            FunctionId::ROBOT_HALT,
+            &[&3, &1],
+            HResult::E_INVALIDARGTYPE,
+            "Robot_Halt: option: given I4(1); accepted BSTR, or EMPTY",
+        ),
+        (
+            FunctionId::ROBOT_SPEED,
+            &[&3, &-1],
+            HResult::E_INVALIDARG,
+            "Robot_Speed: given 2 arguments; accepted 3: robot, axis, speed",
+        ),
+    ];
+    for (function, arguments, expected, text) in wrong {
+        assert_eq!(call(function, arguments), (expected, None));
+        assert_eq!(seen.lock().unwrap().pop().as_deref(), Some(text));
+        let (_, description) = call(FunctionId::CONTROLLER_EXECUTE, &[&2, &"GetErrorDescription", &expected.0]);
+        assert!(description.is_some_and(|description| description.ends_with(text)), "{text}");
+    }
 }
 
 #[test]

@@ -116,9 +116,10 @@ fn each_command_answers_as_its_row_says() {
                 "Controller" => world.poll(peer, &call::controller_execute(client.controller, name, ()), false),
                 "Robot" => world.poll(peer, &call::robot_execute(client.robot, name, ()), false),
                 "Task" => world.poll(peer, &call::task_execute(task, name, ()), false),
-                "Hand0" => {
-                    let hand = call::ExtensionHandle(open(&mut world, client, Object::Extension).unwrap());
-                    world.poll(peer, &call::extension_execute(hand, name, ()), false)
+                "Hand0" | "Comm" | "Pallet" => {
+                    let open = call::controller_get_extension(client.controller, object, "");
+                    let extension = call::ExtensionHandle(world.handle(peer, open));
+                    world.poll(peer, &call::extension_execute(extension, name, ()), false)
                 }
                 other => panic!("{other} has no commands"),
             };

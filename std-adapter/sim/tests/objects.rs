@@ -8,7 +8,7 @@ use bcap_core::handler::{Outcome, PeerId};
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use bcap_core::variant::OleDate;
-use bcap_sim::{Config, Profile, Token};
+use bcap_sim::{Config, Profile, Scenario, Token};
 
 use common::{Client, Reply, World, code, ok, value};
 
@@ -16,6 +16,46 @@ fn cobotta() -> (World, Client) {
     let mut world = World::with(Config::new(Profile::Cobotta));
     let client = world.client(1);
     (world, client)
+}
+
+// --- data communication
+
+#[test]
+fn a_line_gives_the_texts_of_its_device_in_their_order() {
+    let mut world = World::new();
+    let client = world.client(1);
+    let send = |at: u32, line: u32, text: &str| {
+        format!("[[fault]]\nwhen = {{ at_ms = {at} }}\nthen = {{ comm = {{ line = {line}, text = {text:?} }} }}\n")
+    };
+    let text = [send(10, 4, "lost"), send(20, 4, "a"), send(20, 5, "other"), send(30, 4, "\u{e9}b"), send(50, 4, "c")];
+    world.sim.play(Scenario::parse(&text.concat()).unwrap());
+    let opened = call::controller_get_extension(client.controller, " comm ", "");
+    let comm = ExtensionHandle(world.handle(client.peer, opened));
+    let run = |world: &mut World, command: &str, line: i32| {
+        world.call(client.peer, call::extension_execute(comm, command, line))
+    };
+    world.pass(15);
+    assert_eq!(run(&mut world, "State", 4), ok(&0));
+    assert_eq!(run(&mut world, "count", 4), ok(&0));
+    assert_eq!(run(&mut world, "input", 4), code(HResult::E_NOT_CONNECTED));
+    assert_eq!(run(&mut world, "clear", 4), code(HResult::E_NOT_CONNECTED));
+    assert_eq!(run(&mut world, "open", 4), ok(&()));
+    assert_eq!(run(&mut world, "STATE", 4), ok(&2));
+    assert_eq!(run(&mut world, "input", 4), code(HResult::E_TIMEOUT), "what came to the closed line is lost");
+    world.pass(20);
+    assert_eq!(run(&mut world, "count", 4), ok(&4));
+    assert_eq!(run(&mut world, "input", 4), ok("a"));
+    assert_eq!(run(&mut world, "open", 4), ok(&()), "it is open already, and keeps its texts");
+    assert_eq!(run(&mut world, "input", 4), ok("\u{e9}b"));
+    world.pass(20);
+    assert_eq!(run(&mut world, "clear", 4), ok(&()));
+    assert_eq!(run(&mut world, "count", 4), ok(&0));
+    assert_eq!(run(&mut world, "close", 4), ok(&()));
+    assert_eq!(run(&mut world, "State", 4), ok(&0));
+    for line in [0, 17, -1] {
+        assert_eq!(run(&mut world, "open", line), code(HResult::E_INVALIDARG), "{line}");
+    }
+    assert_eq!(run(&mut world, "output", 4), code(HResult::E_INVALID_CMD_NAME));
 }
 
 // --- the hand
@@ -29,8 +69,8 @@ fn the_hand_opens_and_closes_in_its_time() {
     let mut world = World::new();
     let client = world.client(1);
     let names = call::controller_get_extension_names(client.controller, "");
-    assert_eq!(world.call(client.peer, names), ok(&["Hand0"][..]));
-    let other = call::controller_get_extension(client.controller, "Comm", "");
+    assert_eq!(world.call(client.peer, names), ok(&["Hand0", "Comm", "Pallet"][..]));
+    let other = call::controller_get_extension(client.controller, "Hand1", "");
     assert_eq!(world.call(client.peer, other), code(HResult::E_CAO_OBJECT_NOTFOUND));
 
     let hand = hand(&mut world, client);

@@ -90,10 +90,15 @@ fn an_unknown_option_of_a_motion_is_refused_or_ignored_by_name() {
 }
 
 #[test]
-fn an_unknown_option_of_the_service_is_ignored_as_the_vendors_library_does() {
-    let (mut world, seen) = controller(Profile::Rc8, false);
-    assert_eq!(world.call(PeerId(1), call::service_start(",WDT=400,InvokeTimeout=180000,Fast=1")), code(HResult::S_OK));
-    assert_eq!(texts(&seen), [r#"Service_Start: unknown option "Fast" is ignored"#]);
+fn an_unknown_option_of_the_service_is_refused_or_ignored_by_name() {
+    let start = |options| call::service_start(options);
+    let (mut strict, seen) = controller(Profile::Rc8, false);
+    assert_eq!(strict.call(PeerId(1), start("WDT=400,WTD=400")), code(HResult::E_INVALIDARG));
+    assert_eq!(strict.call(PeerId(1), start(",wdt=400,InvokeTimeout=180000")), code(HResult::S_OK));
+    assert!(texts(&seen).is_empty());
+    let (mut lenient, seen) = controller(Profile::Rc8, true);
+    assert_eq!(lenient.call(PeerId(1), start("WDT=400,WTD=400")), code(HResult::S_OK));
+    assert_eq!(texts(&seen), [r#"Service_Start: unknown option "WTD" is ignored"#]);
 }
 
 #[test]

@@ -196,6 +196,10 @@ impl<H: bcap::Handler> bcap::Handler for Locking<'_, H> {
         self.with_handler(peer, |handler| handler.abandoned(peer, now));
     }
 
+    fn refused(&mut self, peer: PeerId, request: &bcap::Request<'_>, code: HResult, now: Instant) {
+        self.with_handler(peer, |handler| handler.refused(peer, request, code, now));
+    }
+
     fn left(&mut self, peer: PeerId, now: Instant) {
         self.with_handler(peer, |handler| handler.left(peer, now));
     }

@@ -21,6 +21,8 @@ struct Recorder {
     wait_until: Option<Instant>,
     abandoned: usize,
     left: usize,
+    /// The refused requests: function, number of arguments, code.
+    refused: Vec<(i32, usize, HResult)>,
     value: Vec<u8>,
 }
 
@@ -41,6 +43,10 @@ impl Handler for Recorder {
 
     fn abandoned(&mut self, _: PeerId, _: Instant) {
         self.abandoned += 1;
+    }
+
+    fn refused(&mut self, _: PeerId, request: &Request<'_>, code: HResult, _: Instant) {
+        self.refused.push((request.function.0, request.args.len(), code));
     }
 
     fn left(&mut self, _: PeerId, _: Instant) {
@@ -176,6 +182,8 @@ fn arguments_are_checked_before_the_handler() {
     ];
     for (serial, (call, expected)) in (4..).zip(cases) {
         assert_eq!(bench.call(call, serial, at(0)), [(serial, expected)], "{call:?}");
+        let told = (call.function.0, call.arguments.len(), expected);
+        assert_eq!(bench.handler.refused.pop(), Some(told), "{call:?}");
     }
     assert_eq!(bench.handler.calls, []);
     assert_eq!(bench.call(raw(70, &[&2_u32, &()]), 20, at(0)), [(20, HResult::S_OK)]);

@@ -197,6 +197,13 @@ impl bcap::Handler for Watched {
         self.clients.entry(peer).and_modify(|client| client.pending = None);
     }
 
+    fn refused(&mut self, peer: PeerId, request: &bcap::Request<'_>, code: HResult, now: Instant) {
+        let call = escape::cut(&to_call(request.function, request.args.iter()));
+        self.begin(peer, "b-CAP", request.function.to_string(), call);
+        bcap::Handler::refused(&mut self.controller, peer, request, code, now);
+        self.end(peer, Outcome::Done(code), &ReplyValue::new(&mut []), now);
+    }
+
     fn left(&mut self, peer: PeerId, now: Instant) {
         bcap::Handler::left(&mut self.controller, peer, now);
         self.clients.remove(&peer);

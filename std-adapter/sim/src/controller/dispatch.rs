@@ -12,10 +12,11 @@ use super::variable::{accepted_value, names_of};
 use super::{Controller, execute};
 use crate::answer::{Answer, Answered};
 use crate::arm;
+use crate::comm;
 use crate::files::{Done, WorkProgress};
 use crate::function::{command_of, executes};
 use crate::hand;
-use crate::objects::{Entry, Item, Owner};
+use crate::objects::{Entry, Extension, Item, Owner};
 use crate::options::{check as check_options, option};
 use crate::scenario::Step;
 use crate::table::Command;
@@ -45,6 +46,11 @@ impl Handler for Controller {
         self.scenario.forget(peer);
         self.files.forget(peer);
         self.arm.abandon(peer);
+    }
+
+    /// Keeps why the server has refused a request, for GetErrorDescription.
+    fn refused(&mut self, _: PeerId, request: &Request<'_>, code: HResult, _: Instant) {
+        self.refusals.record_signature(request, code, &self.common.config.observer);
     }
 
     fn left(&mut self, peer: PeerId, now: Instant) {
@@ -191,7 +197,10 @@ impl Controller {
                 let target = *target;
                 self.call_variable(peer, target, request)
             }
-            Item::Extension => self.call_extension(peer, request),
+            Item::Extension(extension) => {
+                let extension = *extension;
+                self.call_extension(peer, extension, request)
+            }
             Item::Command(_) => self.call_command(peer, request),
             Item::Message(message) => message.call(&self.common.config, request.function),
             Item::File if request.function == FunctionId::FILE_RUN => {
@@ -282,11 +291,12 @@ impl Controller {
                 let progress = self.files.call(&self.common.context(peer), "", request)?;
                 self.file_progress(peer, request, progress)
             }
-            FunctionId::CONTROLLER_GET_EXTENSION => match name().trim().eq_ignore_ascii_case(hand::NAME) {
-                true => self.open(peer, Item::Extension, hand::NAME.to_owned()),
-                false => Err(HResult::E_CAO_OBJECT_NOTFOUND),
-            },
-            FunctionId::CONTROLLER_GET_EXTENSION_NAMES => Ok(Answer::names([hand::NAME])),
+            FunctionId::CONTROLLER_GET_EXTENSION => {
+                let is_named = |extension: &Extension| extension.name().eq_ignore_ascii_case(name().trim());
+                let extension = Extension::ALL.into_iter().find(is_named).ok_or(HResult::E_CAO_OBJECT_NOTFOUND)?;
+                self.open(peer, Item::Extension(extension), extension.name().to_owned())
+            }
+            FunctionId::CONTROLLER_GET_EXTENSION_NAMES => Ok(Answer::names(Extension::ALL.map(Extension::name))),
             FunctionId::CONTROLLER_GET_COMMAND => self.open_command(peer, &name()),
             FunctionId::CONTROLLER_GET_COMMAND_NAMES => {
                 Ok(Answer::names(execute::names(self.common.config.model.functions)))
@@ -310,12 +320,24 @@ impl Controller {
         }
     }
 
-    fn call_extension(&mut self, peer: PeerId, request: &Request<'_>) -> Answered {
+    fn call_extension(&mut self, peer: PeerId, extension: Extension, request: &Request<'_>) -> Answered {
         match request.function {
             FunctionId::EXTENSION_EXECUTE => {
-                let name = request.text(1).to_string();
-                let run = Command::handler(hand::COMMANDS, &name, self.common.config.model.functions)?;
-                run(self.arm.hand_mut(), &mut self.common.context(peer))
+                let (name, functions) = (request.text(1).to_string(), self.common.config.model.functions);
+                match extension {
+                    Extension::Hand => {
+                        let run = Command::handler(hand::COMMANDS, &name, functions)?;
+                        run(self.arm.hand_mut(), &mut self.common.context(peer))
+                    }
+                    Extension::Comm => {
+                        let run = Command::handler(comm::COMMANDS, &name, functions)?;
+                        self.comm.execute(run, &request.value(2))
+                    }
+                    Extension::Pallet => Err(match name.trim().eq_ignore_ascii_case("CalcPos") {
+                        true => HResult::E_NOTIMPL,
+                        false => HResult::E_INVALID_CMD_NAME,
+                    }),
+                }
             }
             FunctionId::EXTENSION_GET_VARIABLE_NAMES => Ok(Answer::names::<String>([])),
             FunctionId::EXTENSION_GET_VARIABLE => Err(HResult::E_CAO_OBJECT_NOTFOUND),
@@ -398,6 +420,10 @@ fn command(request: &Request<'_>) -> Option<(Option<&'static str>, bool)> {
         }
         FunctionId::ROBOT_EXECUTE => {
             Command::find(arm::commands::COMMANDS, &name).map(|command| (command.accepts, command.in_slave_mode))
+        }
+        // of the commands of a hand, none checks its parameter
+        FunctionId::EXTENSION_EXECUTE => {
+            Command::find(comm::COMMANDS, &name).map(|command| (command.accepts, command.in_slave_mode))
         }
         _ => None,
     }

@@ -8,6 +8,7 @@ use serde::Deserialize;
 use super::section::{ModeName, SetupEntry, TokenName, read_code};
 use super::task::TaskEntry;
 use super::{Effect, Scenario, ScenarioError, ScenarioFault, Trigger, Which, WireFault};
+use crate::comm;
 use crate::config::Config;
 
 #[derive(Deserialize)]
@@ -58,6 +59,14 @@ enum ThenEntry {
     Token(TokenName),
     Motor(bool),
     Message(String),
+    Comm(CommEntry),
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct CommEntry {
+    line: i32,
+    text: String,
 }
 
 impl Scenario {
@@ -152,6 +161,8 @@ impl ThenEntry {
             Self::Token(token) => Effect::Token(token.into()),
             Self::Motor(on) => Effect::Motor(on),
             Self::Message(text) => Effect::Message(text),
+            Self::Comm(CommEntry { line, text }) if comm::LINES.contains(&line) => Effect::Comm { line, text },
+            Self::Comm(_) => return Err("`line` is 1 to 16"),
             Self::LinkLossMs(millis) => Effect::LinkLoss(Some(Duration::from_millis(millis))),
         })
     }

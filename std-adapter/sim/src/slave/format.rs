@@ -8,14 +8,15 @@
 //! ```
 //!
 //! An array of numbers may also be an array of VARIANT. A number may have any type that converts without loss.
-//! An offset is an IO number from 128 on, a size is a number of bits; both are multiples of 8.
+//! An offset is the number of a user IO, a size is a number of bits; both are multiples of 8. Which IO are MiniIO, HandIO and
+//! user IO is data of the [model](crate::model::SlaveIo).
 
 use bcap_core::hresult::HResult;
 use bcap_core::variant::{Array, VarType, Variant};
 
 use crate::coordinates::Coordinates;
 use crate::kinematics::{Axes, measured, six};
-use crate::model::SlaveFormats;
+use crate::model::{SlaveFormats, SlaveIo, SlaveIoPart};
 use crate::value::{Value, numbers, numbers_of_array, one_int, whole};
 use crate::variables::Variables;
 
@@ -27,14 +28,6 @@ const USER: i32 = 0x0200;
 
 /// The formats of slvSendFormat: MiniIO and user IO exclude each other.
 const SEND: [i32; 6] = [0, HAND, MINI, MINI | HAND, USER, USER | HAND];
-
-/// The IO of bit 0 of MiniIO, and the IO that slvMove can write.
-const MINI_IO: (usize, std::ops::Range<usize>) = (0, 16..32);
-/// The IO of bit 0 of HandIO, the IO that slvMove can write, and those that it can only read.
-const HAND_IO: (usize, std::ops::Range<usize>) = (48, 64..72);
-const HAND_IN: std::ops::Range<usize> = 48..56;
-/// The first user IO.
-const USER_IO: i32 = 128;
 
 /// Tells whether a controller has all parts of a format.
 fn has(parts: SlaveFormats, format: i32) -> bool {
@@ -122,7 +115,7 @@ impl Formats {
     }
 
     /// Makes the answer of slvMove.
-    pub(super) fn answer(self, state: &State, order: &Order, io: &Variables) -> Value {
+    pub(super) fn answer(self, state: &State, order: &Order, map: &SlaveIo, io: &Variables) -> Value {
         let has = |part: i32| self.receive & part != 0;
         let mut items = Vec::new();
         if has(TIME) {
@@ -132,13 +125,13 @@ impl Formats {
         }
         items.push(Value::R8s(self.pose(&state.axes, &state.coordinates)));
         if has(MINI) {
-            items.push(Value::I4(read_bits(io, MINI_IO.0, |_| true)));
+            items.push(Value::I4(read_bits(io, &map.mini)));
         }
         if let Some((offset, size)) = order.read_user {
             items.push(Value::Ui1s((0..size).map(|n| read_byte(io, offset + n * 8)).collect()));
         }
         if has(HAND) {
-            items.push(Value::I4(read_bits(io, HAND_IO.0, |n| HAND_IN.contains(&n) || HAND_IO.1.contains(&n))));
+            items.push(Value::I4(read_bits(io, &map.hand)));
         }
         if has(CURRENT) {
             items.push(Value::R8s(state.current.to_vec()));
@@ -179,18 +172,22 @@ pub(super) struct Order {
 }
 
 impl Order {
-    /// Checks that its user IO exist.
-    pub(super) fn check(&self, io: &Variables) -> Result<(), HResult> {
+    /// Checks that its user IO are user IO, and exist.
+    pub(super) fn check(&self, map: &SlaveIo, io: &Variables) -> Result<(), HResult> {
         let written = self.user.as_ref().map(|(offset, data)| (*offset, data.len()));
-        let mut ends = written.into_iter().chain(self.read_user).map(|(offset, size)| offset + size * 8);
+        let user = || written.into_iter().chain(self.read_user);
+        if user().any(|(offset, _)| offset < map.user) {
+            return Err(HResult::E_INVALIDARG);
+        }
+        let mut ends = user().map(|(offset, size)| offset + size * 8);
         if ends.all(|end| end <= io.io_len()) { Ok(()) } else { Err(HResult::DISP_E_BADINDEX) }
     }
 
     /// Sets the IO.
-    pub(super) fn write(&self, io: &mut Variables) {
-        for (value, (first, writable)) in [(self.mini, MINI_IO), (self.hand, HAND_IO)] {
-            for n in value.iter().flat_map(|_| writable.clone()) {
-                io.set_io(n, value.unwrap_or(0) >> (n - first) & 1 != 0);
+    pub(super) fn write(&self, map: &SlaveIo, io: &mut Variables) {
+        for (value, part) in [(self.mini, &map.mini), (self.hand, &map.hand)] {
+            for n in value.iter().flat_map(|_| part.write.clone()) {
+                io.set_io(n, value.unwrap_or(0) >> (n - part.first) & 1 != 0);
             }
         }
         let (offset, data) = self.user.as_ref().map_or((0, &[][..]), |(offset, data)| (*offset, data.as_slice()));
@@ -220,7 +217,7 @@ impl<'a> Items<'a> {
     /// Reads the first user IO, and the number of bytes.
     fn user_io(&mut self) -> Result<(usize, usize), HResult> {
         let (offset, size) = (self.int()?, self.int()?);
-        if offset < USER_IO || offset % 8 != 0 || size < 0 || size % 8 != 0 {
+        if offset % 8 != 0 || size < 0 || size % 8 != 0 {
             return Err(HResult::E_INVALIDARG);
         }
         let unsigned = |n: i32| usize::try_from(n).map_err(|_| HResult::E_INVALIDARG);
@@ -239,9 +236,10 @@ fn bytes(value: &Variant<'_>) -> Result<Vec<u8>, HResult> {
     numbers_of_array(value)?.into_iter().map(byte).collect()
 }
 
-/// Reads 32 IO from `first` on; IO that are not readable are 0.
-fn read_bits(io: &Variables, first: usize, readable: impl Fn(usize) -> bool) -> i32 {
-    (0..32).filter(|bit| readable(first + bit) && io.io(first + bit)).fold(0_i32, |bits, bit| bits | 1 << bit)
+/// Reads the 32 IO of a part; those that are not of it are 0.
+fn read_bits(io: &Variables, part: &SlaveIoPart) -> i32 {
+    let is_on = |n: usize| (part.read.contains(&n) || part.write.contains(&n)) && io.io(n);
+    (0..32).filter(|bit| is_on(part.first + bit)).fold(0_i32, |bits, bit| bits | 1 << bit)
 }
 
 /// Reads eight IO.

@@ -4,7 +4,7 @@ use bcap_core::bcap::call;
 use bcap_core::hresult::HResult;
 use bcap_core::time::Instant;
 use bcap_core::variant::{Encode, Variant};
-use bcap_sim::{Config, Profile, SlaveConfig, SlaveFormats, VariableKind};
+use bcap_sim::{Config, Model, Profile, SlaveConfig, SlaveFormats, VariableKind};
 
 use crate::common::{Value, code, doubles, ok, value};
 use crate::{Rig, START, assert_close, j1};
@@ -193,6 +193,29 @@ fn io_travels_inside_slv_move() {
     }
     assert_eq!(rig.slv_move((START, 0, 200, 16, 0)).0, HResult::E_BUF_FULL);
     assert!(io(&rig, 16));
+}
+
+#[test]
+fn a_model_says_which_io_are_mini_io_hand_io_and_user_io() {
+    let text = Profile::Rc9.text();
+    let text = text.replace(
+        "mini_io = { first = 0, read = [0, 15], write = [16, 31] }",
+        "mini_io = { first = 100, read = [100, 101], write = [102, 103] }",
+    );
+    let text = text.replace("user_io = 128", "user_io = 256");
+    let mut rig = Rig::with(Config::of(Model::parse(&text).unwrap()));
+    for n in [101, 105, 264] {
+        rig.world.sim.set_variable(VariableKind::Io, n, &Variant::Bool(true)).unwrap();
+    }
+    rig.execute("slvSendFormat", 0x0100);
+    rig.execute("slvRecvFormat", 0x0302);
+    rig.execute("slvChangeMode", 0x202);
+    // all bits are sent; only those of 102 and 103 are written, and those of 100 to 103 are read
+    let (result, answer) = rig.slv_move((START, -1, 256, 16));
+    assert_eq!((result, answer), ok(&(START, 0b1110, [0_u8, 1])));
+    let on: Vec<u32> = (0..512).filter(|n| io(&rig, *n)).collect();
+    assert_eq!(on, [101, 102, 103, 105, 264]);
+    assert_eq!(rig.slv_move((START, -1, 248, 16)), code(HResult::E_INVALIDARG));
 }
 
 #[test]
