@@ -237,7 +237,12 @@ impl Plc {
         }
     }
 
-    fn try_connect(address: &str, timeout: Duration) -> io::Result<Self> {
+    /// Connects, with a limit for the wait for each answer.
+    ///
+    /// # Errors
+    ///
+    /// The connection was refused.
+    pub fn try_connect(address: &str, timeout: Duration) -> io::Result<Self> {
         let stream = TcpStream::connect(address)?;
         stream.set_read_timeout(Some(timeout))?;
         stream.set_nodelay(true)?;
@@ -246,7 +251,16 @@ impl Plc {
 
     /// Sends bytes.
     pub fn send(&mut self, bytes: &[u8]) {
-        self.stream.get_mut().write_all(bytes).unwrap();
+        self.try_send(bytes).unwrap();
+    }
+
+    /// Sends bytes.
+    ///
+    /// # Errors
+    ///
+    /// The connection ended.
+    pub fn try_send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.stream.get_mut().write_all(bytes)
     }
 
     /// Reads an answer.
