@@ -7,7 +7,7 @@
 //!                                          └─► log, a status line every 10 s
 //! ```
 //!
-//! The feature `modbus` adds two listeners for Modbus TCP, `health` a page of the state and messages of syslog. The settings
+//! The feature `modbus` adds listeners for two clients of Modbus TCP, `health` a page of the state and messages of syslog. The settings
 //! switch them on.
 //!
 //! An image makes an embassy-net [`Stack`] with [`SOCKETS`] sockets, calls [`start`], runs the stack in a task of its own, and
@@ -32,9 +32,9 @@ use embassy_time::{Duration, Timer};
 use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::led::State;
-#[cfg(feature = "modbus")]
-use crate::parts::MODBUS_TASK;
 pub use crate::parts::{Board, SESSIONS};
+#[cfg(feature = "modbus")]
+use crate::parts::{MODBUS_TASK, SPARE_TASK};
 use crate::parts::{NETWORK, PAGES, PLC, Parts, ROBOT, STATUS};
 use crate::watchdog::{self, Task, watched};
 use crate::{RuleMemory, Settings, Transport, address, report};
@@ -45,8 +45,8 @@ const LISTENERS: usize = SESSIONS + 1;
 const HANDLES: usize = 64;
 // the tasks after the PLCs have fixed numbers
 const _: () = assert!(LISTENERS == 5);
-/// Concurrent clients of Modbus; they share the slots with the PLCs.
-const MODBUS: usize = if cfg!(feature = "modbus") { 2 } else { 0 };
+/// Listeners of Modbus, of which the last refuses clients; the clients of the others share the slots with the PLCs.
+const MODBUS: usize = if cfg!(feature = "modbus") { 3 } else { 0 };
 /// The sockets of the page and of syslog.
 const HEALTH: usize = if cfg!(feature = "health") { PAGES + 1 } else { 0 };
 /// The sockets of the network stack: the listeners, Modbus, the page and syslog, the robot, DHCP.
@@ -170,23 +170,34 @@ fn start_modbus(
 ) -> Result<(), SpawnError> {
     static MEMORY: ConstStaticCell<[[[u8; 512]; 2]; MODBUS]> = ConstStaticCell::new([[[0; 512]; 2]; MODBUS]);
     let Some(port) = settings.modbus else { return Ok(()) };
-    for (number, [rx, tx]) in (MODBUS_TASK..).zip(MEMORY.take()) {
-        let listener = ModbusListener::new(stack, port, settings.modbus_map(), [rx, tx], options(settings));
-        spawner.spawn(serve_modbus(listener, settings, board, Task::new(number))?);
+    let [serving @ .., spare] = MEMORY.take();
+    let listener =
+        |[rx, tx]: &'static mut _| ModbusListener::new(stack, port, settings.modbus_map(), [rx, tx], options(settings));
+    // the network passes a connection to the first listener that is free, so the spare one comes last
+    for (number, memory) in (MODBUS_TASK..).zip(serving) {
+        spawner.spawn(serve_modbus(listener(memory), settings, board, Task::new(number))?);
     }
+    spawner.spawn(refuse_modbus(listener(spare), board)?);
     Ok(())
+}
+
+/// Refuses clients of Modbus beyond those that are served.
+#[cfg(feature = "modbus")]
+#[embassy_executor::task]
+async fn refuse_modbus(mut listener: ModbusListener<'static>, board: &'static Board) -> ! {
+    watched(SPARE_TASK, listener.refuse(board)).await
 }
 
 /// Serves clients of Modbus, one after another.
 #[cfg(feature = "modbus")]
-#[embassy_executor::task(pool_size = MODBUS)]
+#[embassy_executor::task(pool_size = MODBUS - 1)]
 async fn serve_modbus(
     mut listener: ModbusListener<'static>,
     settings: &'static Settings<'static>,
     board: &'static Board,
     task: Task,
 ) -> ! {
-    // there is no spare listener that could make room, so a silent client must not stay
+    // the spare listener makes no room, so a silent client must not stay
     let limits = Limits { idle: settings.idle.or(Some(settings.evict)), ..limits(settings) };
     watched(task, listener.run(board, &limits)).await
 }

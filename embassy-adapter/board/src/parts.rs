@@ -18,10 +18,12 @@ pub(crate) const PLC: u32 = 3;
 // after the numbers of the listeners
 #[cfg(feature = "modbus")]
 pub(crate) const MODBUS_TASK: u32 = PLC + 5;
+#[cfg(feature = "modbus")]
+pub(crate) const SPARE_TASK: Task = Task::new(PLC + 7);
 #[cfg(feature = "health")]
-pub(crate) const SYSLOG_TASK: Task = Task::new(PLC + 7);
+pub(crate) const SYSLOG_TASK: Task = Task::new(PLC + 8);
 #[cfg(feature = "health")]
-pub(crate) const PAGE_TASK: u32 = PLC + 8;
+pub(crate) const PAGE_TASK: u32 = PLC + 9;
 /// The gateway that the tasks share.
 pub type Board = SharedGateway<'static, NoopRawMutex, SESSIONS>;
 

@@ -16,7 +16,8 @@ use super::{Denial, SharedGateway};
 use crate::net::{Options, TcpTransport};
 use crate::server::{Ended, Limits};
 
-/// A TCP listener that serves one client of Modbus at a time; use several on the same port to serve several clients.
+/// A TCP listener that serves one client of Modbus at a time; use several on the same port to serve several clients, and one
+/// that [refuses](Self::refuse) further clients.
 #[derive(Debug)]
 pub struct ModbusListener<'s> {
     transport: TcpTransport<'s>,
@@ -49,6 +50,21 @@ impl<'s> ModbusListener<'s> {
                 answer_full(&mut link).await;
             }
             end(&mut self.transport, matches!(ended, Some(Ended::Evicted))).await;
+        }
+    }
+
+    /// Answers the first request of each client with exception 06, "server device busy", and closes its connection, forever.
+    ///
+    /// It is for one listener more than serve clients: the network resets connections that no listener accepts, and a client
+    /// cannot tell that from a board that failed.
+    pub async fn refuse<M: RawMutex, const N: usize>(&mut self, shared: &SharedGateway<'_, M, N>) -> ! {
+        loop {
+            let client = accept(&mut self.transport, self.port, shared).await;
+            shared.deny(client, Denial::Full);
+            self.front = Front::new(self.map);
+            let mut link = ModbusLink::new(&mut self.transport, &mut self.front, |_: &Request<'_>| true);
+            answer_full(&mut link).await;
+            end(&mut self.transport, false).await;
         }
     }
 }
