@@ -171,8 +171,9 @@ fn start_modbus(
     static MEMORY: ConstStaticCell<[[[u8; 512]; 2]; MODBUS]> = ConstStaticCell::new([[[0; 512]; 2]; MODBUS]);
     let Some(port) = settings.modbus else { return Ok(()) };
     let [serving @ .., spare] = MEMORY.take();
-    let listener =
-        |[rx, tx]: &'static mut _| ModbusListener::new(stack, port, settings.modbus_map(), [rx, tx], options(settings));
+    let listener = |[rx, tx]: &'static mut [[u8; 512]; 2]| {
+        ModbusListener::new(stack, port, settings.modbus_map(), [rx, tx], options(settings))
+    };
     // the network passes a connection to the first listener that is free, so the spare one comes last
     for (number, memory) in (MODBUS_TASK..).zip(serving) {
         spawner.spawn(serve_modbus(listener(memory), settings, board, Task::new(number))?);

@@ -116,8 +116,8 @@ pub(crate) fn report(report: &Report<'_>) {
     }
 }
 
-fn limited(client: Option<IpEndpoint>, id: &'static str, text: fmt::Arguments<'_>) {
-    let address = client.map(|IpEndpoint { addr: IpAddress::Ipv4(address), .. }| address);
+fn limited(client: Option<SocketAddrV4>, id: &'static str, text: fmt::Arguments<'_>) {
+    let address = client.map(|client| *client.ip());
     let admitted = LIMITER.lock(|limiter| limiter.try_borrow_mut().ok()?.admit(address, id, now()));
     let Some(left_out) = admitted else { return };
     // the number comes first, because the end of a long text is cut

@@ -46,9 +46,9 @@ mod udp;
 
 pub use bcap_core::io::asynch::{Connection, Transport};
 
-pub use self::link::NetError;
 pub use self::tcp::{Options, TcpTransport};
 pub use self::udp::UdpTransport;
+pub use crate::error::NetError;
 
 /// A client over TCP.
 pub type TcpClient<'s, T, R = T> = Connection<TcpTransport<'s>, T, R>;

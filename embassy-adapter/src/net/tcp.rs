@@ -8,7 +8,8 @@ use embassy_net::tcp::{ConnectError, TcpSocket};
 use embassy_net::{IpEndpoint, Stack};
 use embassy_time::{Duration, Timer, with_timeout};
 
-use super::link::{NetError, is_down, wait};
+use super::NetError;
+use super::link::{is_down, wait};
 use crate::clock::{now, ticks};
 
 /// The timeouts of a connection.
