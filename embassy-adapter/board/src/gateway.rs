@@ -35,7 +35,7 @@ use crate::led::State;
 pub use crate::parts::{Board, SESSIONS};
 #[cfg(feature = "modbus")]
 use crate::parts::{MODBUS_TASK, SPARE_TASK};
-use crate::parts::{NETWORK, PAGES, PLC, Parts, ROBOT, STATUS};
+use crate::parts::{NETWORK, PAGES, PLC, PLC_BUFFER, PLC_BUFFERS, Parts, ROBOT, ROBOT_BUFFER, ROBOT_BUFFERS, STATUS};
 use crate::watchdog::{self, Task, watched};
 use crate::{RuleMemory, Settings, Transport, address, report};
 
@@ -72,8 +72,8 @@ pub fn start(
     parts: Parts,
     dhcp_again: Duration,
 ) -> Result<&'static Board, SpawnError> {
-    static SOCKET_MEMORY: ConstStaticCell<[[[u8; 512]; 2]; LISTENERS]> =
-        ConstStaticCell::new([[[0; 512]; 2]; LISTENERS]);
+    static SOCKET_MEMORY: ConstStaticCell<[[[u8; PLC_BUFFER]; 2]; LISTENERS]> =
+        ConstStaticCell::new([[[0; PLC_BUFFER]; 2]; LISTENERS]);
 
     let robot = settings.robot;
     defmt::info!("gateway to {}, provider {=str}", defmt::Debug2Format(&robot), settings.provider);
@@ -150,7 +150,7 @@ fn make(settings: &'static Settings<'static>) -> &'static Board {
 #[embassy_executor::task(pool_size = LISTENERS)]
 async fn serve(
     stack: Stack<'static>,
-    memory: &'static mut [[u8; 512]; 2],
+    memory: &'static mut [[u8; PLC_BUFFER]; 2],
     settings: &'static Settings<'static>,
     board: &'static Board,
     task: Task,
@@ -168,10 +168,11 @@ fn start_modbus(
     settings: &'static Settings<'static>,
     board: &'static Board,
 ) -> Result<(), SpawnError> {
-    static MEMORY: ConstStaticCell<[[[u8; 512]; 2]; MODBUS]> = ConstStaticCell::new([[[0; 512]; 2]; MODBUS]);
+    static MEMORY: ConstStaticCell<[[[u8; PLC_BUFFER]; 2]; MODBUS]> =
+        ConstStaticCell::new([[[0; PLC_BUFFER]; 2]; MODBUS]);
     let Some(port) = settings.modbus else { return Ok(()) };
     let [serving @ .., spare] = MEMORY.take();
-    let listener = |[rx, tx]: &'static mut [[u8; 512]; 2]| {
+    let listener = |[rx, tx]: &'static mut [[u8; PLC_BUFFER]; 2]| {
         ModbusListener::new(stack, port, settings.modbus_map(), [rx, tx], options(settings))
     };
     // the network passes a connection to the first listener that is free, so the spare one comes last
@@ -212,7 +213,7 @@ fn limits(settings: &Settings<'_>) -> Limits {
 fn options(settings: &Settings<'_>) -> Options {
     let keep_alive = Duration::from_secs(settings.keep_alive.as_secs());
     let lost = Options::default().lost.max(keep_alive * 3);
-    Options { keep_alive, lost, ..Options::default() }
+    Options { keep_alive, lost, usage: Some(&PLC_BUFFERS), ..Options::default() }
 }
 
 /// Waits for an address, then runs the connection to the robot.
@@ -223,14 +224,15 @@ async fn run_robot_link(
     board: &'static Board,
     dhcp_again: Duration,
 ) {
-    static MEMORY: ConstStaticCell<[[u8; 1024]; 3]> = ConstStaticCell::new([[0; 1024]; 3]);
+    static MEMORY: ConstStaticCell<[[u8; ROBOT_BUFFER]; 3]> = ConstStaticCell::new([[0; ROBOT_BUFFER]; 3]);
     static META: ConstStaticCell<[[PacketMetadata; 2]; 2]> = ConstStaticCell::new([[PacketMetadata::EMPTY; 2]; 2]);
     let ([rx, tx, frame], [rx_meta, tx_meta]) = (MEMORY.take(), META.take());
     let address = settings.robot.address;
     let run = async {
         match settings.robot.transport {
             Transport::Tcp => {
-                let mut robot = TcpRobot::new(stack, rx, tx, Options::default(), address);
+                let options = Options { usage: Some(&ROBOT_BUFFERS), ..Options::default() };
+                let mut robot = TcpRobot::new(stack, rx, tx, options, address);
                 run_robot(&mut robot, frame, board).await
             }
             Transport::Udp => {

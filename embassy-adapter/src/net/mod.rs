@@ -43,11 +43,13 @@
 mod link;
 mod tcp;
 mod udp;
+mod usage;
 
 pub use bcap_core::io::asynch::{Connection, Transport};
 
 pub use self::tcp::{Options, TcpTransport};
 pub use self::udp::UdpTransport;
+pub use self::usage::Usage;
 pub use crate::error::NetError;
 
 /// A client over TCP.
