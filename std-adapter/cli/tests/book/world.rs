@@ -43,8 +43,7 @@ const SIM: &[Listening] = &[
     listening("--udp", &["udp"], "127.0.0.1:5007"),
     listening("--rac", &["rac"], "127.0.0.1:5006"),
 ];
-const GATEWAY: &[Listening] =
-    &[listening("--rac", &["rac"], "127.0.0.1:5006"), listening("--modbus", &["modbus"], "")];
+const GATEWAY: &[Listening] = &[listening("--rac", &["rac"], "127.0.0.1:5006"), listening("--modbus", &["modbus"], "")];
 const PROXY: &[Listening] =
     &[listening("--listen", &["bcap", "udp"], "127.0.0.1:5007"), listening("--listen-rac", &["rac"], "127.0.0.1:5006")];
 
