@@ -203,7 +203,10 @@ impl Board {
 
 impl Drop for Board {
     fn drop(&mut self) {
-        signal("-TERM", &format!("-{}", self.child.id()));
+        // a board that was reset has ended already
+        if self.is_running() {
+            signal("-TERM", &format!("-{}", self.child.id()));
+        }
         let _ = self.child.wait();
         if std::thread::panicking() {
             let _ = writeln!(io::stderr(), "the board's log: {}", self.log());
