@@ -102,6 +102,18 @@ board:
     cargo build --release -p bcap-cli
     BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo bench -p bcap-qemu --bench gateway
 
+# The gateway board in QEMU with four PLCs while the robot, the link and other clients fail at random: an hour, or `just board-soak 1`.
+board-soak minutes="60" seed="1":
+    cargo build --release -p bcap-cli
+    SOAK_SECONDS=$(({{minutes}} * 60)) SOAK_SEED={{seed}} BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" \
+        cargo test -p bcap-qemu --test soak
+
+# A client that sends refused PUTs to the gateway board in QEMU as fast as it can, and a PLC beside it: ten minutes, or `just board-flood 1`.
+board-flood minutes="10":
+    cargo build --release -p bcap-cli
+    FLOOD_SECONDS=$(({{minutes}} * 60)) BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" \
+        cargo test -p bcap-qemu --test flood
+
 # Virtual controllers, `bcap fleet`, Mosquitto and a subscriber on this machine: values a second, processor time, memory, latency.
 fleet controllers="500" values="20" hz="5" seconds="10":
     cargo build --release -p bcap-cli

@@ -1,19 +1,15 @@
-//! A gateway board between a b-CAP robot and three RAC PLCs: two over the network, one on a serial line.
+//! A gateway board between a b-CAP robot and three RAC PLCs, all over the network. `serial_gateway` is one without a network.
 //!
 //! Like the other examples, this is a library of tasks that a firmware calls with its own network stack.
 #![no_std]
 
-use bcap_core::bcap::client;
 use bcap_core::gateway::{Allow, Config, Event, Gateway, Memory, Rules};
-use bcap_core::io::asynch::Timed;
 use bcap_core::rac::{self, VariableKind};
-use bcap_embassy::clock::EmbassyClock;
-use bcap_embassy::gateway::{Listener, Report, SerialRobot, SharedGateway, TcpRobot, run_robot, serve};
+use bcap_embassy::gateway::{Listener, Report, SharedGateway, TcpRobot, run_robot};
 use bcap_embassy::net::Options;
 use bcap_embassy::server::Limits;
 use embassy_net::{IpEndpoint, Stack};
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
-use embedded_io_async::{Read, Write};
 
 /// The variables that PLCs may write: `I0` to `I99`.
 const PUT: [Allow<'static>; 1] = [Allow::range(VariableKind::I, 0, 99)];
@@ -36,15 +32,9 @@ fn log(report: &Report<'_>) {
     }
 }
 
-/// Serves one PLC at a time; run it twice to serve two.
+/// Serves one PLC at a time; run it three times to serve three.
 pub async fn serve_plc(stack: Stack<'_>, [rx, tx]: &mut [[u8; 512]; 2], board: &Board<'_>) -> ! {
     Listener::new(stack, rac::PORT, rx, tx).run(board, &Limits::default()).await
-}
-
-/// Serves the PLC at the other end of a serial line; returns when the line fails.
-pub async fn serve_serial<U: Read + Write>(uart: U, board: &Board<'_>) {
-    let mut transport = Timed::new(uart, EmbassyClock);
-    let _ = serve(&mut transport, None, board, &Limits::default()).await;
 }
 
 /// Runs the connection to the robot.
@@ -52,16 +42,4 @@ pub async fn keep_robot(stack: Stack<'_>, robot: IpEndpoint, memory: &mut [[u8; 
     let [rx, tx, frame] = memory;
     let mut link = TcpRobot::new(stack, rx, tx, Options::default(), robot);
     run_robot(&mut link, frame, board).await
-}
-
-/// Creates the same gateway for a robot that is connected by a serial line of 115,200 baud.
-pub fn make_serial(memory: &mut Memory<3, 32>) -> Board<'_> {
-    let rules = Rules { put: &PUT, ..Rules::READ_ONLY };
-    let client = client::Config::serial(115_200);
-    SharedGateway::new(Gateway::new(Config { client, rules, ..Config::RC9 }, memory), log)
-}
-
-/// Runs the connection to a robot at the other end of a serial line, such as a buffered UART.
-pub async fn keep_serial_robot<U: Read + Write>(uart: U, frame: &mut [u8; 512], board: &Board<'_>) -> ! {
-    run_robot(&mut SerialRobot::new(uart), frame, board).await
 }

@@ -5,7 +5,7 @@
 //! | `net`      | `embassy-net` | clients over the TCP and UDP of embassy-net                                      |
 //! | `serial`   | `serial`      | clients over a serial line, with the CRC of serial frames                        |
 //! | `server`   | `server`      | servers of both protocols over any transport; with `embassy-net`, over TCP and UDP |
-//! | `gateway`  | `gateway`     | gateway from RAC clients to a b-CAP robot: the core's gateway over embassy-net   |
+//! | `gateway`  | `gateway`     | gateway from RAC clients to a b-CAP robot over any transport; with `embassy-net`, over TCP and UDP |
 //! | `http`     | `http`        | pages over HTTP, such as the health of a board                                    |
 //! | `bare`     | `smoltcp`     | clients and servers for smoltcp without embassy, by polling                      |
 //!
@@ -28,6 +28,8 @@ pub use bcap_core as core;
 pub mod bare;
 #[cfg(any(feature = "embassy-net", feature = "serial", feature = "server"))]
 pub mod clock;
+#[cfg(any(feature = "embassy-net", feature = "gateway"))]
+mod error;
 #[cfg(feature = "gateway")]
 pub mod gateway;
 #[cfg(feature = "http")]

@@ -42,13 +42,13 @@ thread_local! {
 
 fn log(report: &Report<'_>) {
     let text = match *report {
-        Report::Connected { client } => format!("connected {}", client.unwrap().addr),
-        Report::Disconnected { client, ended } => format!("gone {} {ended:?}", client.unwrap().addr),
+        Report::Connected { client } => format!("connected {}", client.unwrap().ip()),
+        Report::Disconnected { client, ended } => format!("gone {} {ended:?}", client.unwrap().ip()),
         Report::Answered { client, line, event: Event::Refused { refusal, .. } } => {
             assert!(matches!(refusal, Refusal::Line(_) | Refusal::Kind));
-            format!("refused {} {}", client.unwrap().addr, String::from_utf8_lossy(line))
+            format!("refused {} {}", client.unwrap().ip(), String::from_utf8_lossy(line))
         }
-        Report::Denied { client, reason } => format!("denied {} {reason:?}", client.unwrap().addr),
+        Report::Denied { client, reason } => format!("denied {} {reason:?}", client.unwrap().ip()),
         Report::Answered { event: Event::Failed { result, .. }, .. } => format!("failed {result}"),
         Report::Answered { .. } => return,
         Report::Robot { event: Event::RobotDown { .. }, cause } => format!("robot down {cause:?}"),

@@ -12,11 +12,11 @@ use bcap_core::gateway::{Allow, Bounds, Config, Event, Gateway, Memory, Rules};
 use bcap_core::modbus::{Entry, PORT};
 use bcap_core::rac::VariableKind;
 use bcap_embassy::gateway::{ModbusListener, Report, SharedGateway, TcpRobot, run_robot};
-use bcap_embassy::net::Options;
+use bcap_embassy::net::{Options, Usage};
 use bcap_embassy::server::{Limits, Listener, SharedHandler};
 use common::{Number, address, between};
 use embassy_futures::join::{join, join3};
-use embassy_futures::select::select3;
+use embassy_futures::select::{Either, select, select3};
 use embassy_net::tcp::TcpSocket;
 use embassy_net::{IpEndpoint, Stack};
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
@@ -137,4 +137,38 @@ fn rules_slots_and_the_log_apply_to_clients_of_modbus() {
         let ended = select3(run(board, &plant, &map), serve_robot(clients, &number), test).await;
         assert!(matches!(ended, embassy_futures::select::Either3::Third(Ok(()))), "it hangs");
     });
+}
+
+#[test]
+fn a_client_that_no_listener_can_serve_gets_an_exception_instead_of_a_reset() {
+    static USAGE: Usage = Usage::new();
+    let options = Options { usage: Some(&USAGE), ..Options::default() };
+    between(|_, clients, board| async move {
+        let map = [Entry::registers("100=I/1-2").unwrap()];
+        let mut memory = Memory::<2, 4>::new();
+        let plant = Plant::new(Gateway::new(Config::RC8, &mut memory), log);
+        let serve = async {
+            let mut memory = [[[0; 512]; 2]; 2];
+            let [served, spare] =
+                memory.each_mut().map(|[rx, tx]| ModbusListener::new(board, PORT, &map, [&mut rx[..], tx], options));
+            let ([mut served, mut spare], limits) = ([served, spare], Limits::default());
+            join(served.run(&plant, &limits), spare.refuse(&plant)).await;
+        };
+        let test = async {
+            let mut memory = [[[0; 512]; 2]; 3];
+            let [a, b, c] = &mut memory;
+            let mut a = connect(clients, a).await;
+            assert_eq!(ask(&mut a, &[3, 0, 100, 0, 2]).await, [0x83, 0x0a], "served, without a robot");
+            let mut b = connect(clients, b).await;
+            assert_eq!(ask(&mut b, &[3, 0, 100, 0, 2]).await, [0x83, 6]);
+            assert_eq!(b.read(&mut [0]).await, Ok(0), "closed");
+            a.close();
+            assert_eq!(a.read(&mut [0]).await, Ok(0), "closed");
+            let mut c = connect(clients, c).await;
+            assert_eq!(ask(&mut c, &[3, 0, 100, 0, 2]).await, [0x83, 0x0a], "served");
+        };
+        let ended = select(serve, with_timeout(Duration::from_secs(60), test)).await;
+        assert!(matches!(ended, Either::Second(Ok(()))), "it hangs");
+    });
+    assert_eq!(USAGE.most(), (12, 9), "a request and an exception");
 }

@@ -13,9 +13,7 @@ use bcap_core::endpoint::{Endpoint, Serve};
 use bcap_core::gateway;
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
-use bcap_core::io::asynch::Timed;
 use bcap_core::time::Instant;
-use bcap_embassy::clock::EmbassyClock;
 use bcap_embassy::gateway::{SerialRobot, SharedGateway, run_robot, serve};
 use bcap_embassy::serial::{self, Config};
 use bcap_embassy::server::Limits;
@@ -85,10 +83,10 @@ impl Write for Uart {
     }
 }
 
-/// The gateway's end of a PLC's serial line: what the PLC has sent, and what it receives.
+/// The gateway's end of a PLC's serial line: what the PLC has sent or the line has lost, and what the PLC receives.
 #[derive(Clone, Default)]
 struct PlcLine {
-    sent: Rc<RefCell<VecDeque<u8>>>,
+    sent: Rc<RefCell<VecDeque<Result<u8, ErrorKind>>>>,
     received: Rc<RefCell<Vec<u8>>>,
 }
 
@@ -100,7 +98,7 @@ impl Read for PlcLine {
     async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, ErrorKind> {
         loop {
             if let Some(byte) = self.sent.borrow_mut().pop_front() {
-                buffer[0] = byte;
+                buffer[0] = byte?;
                 return Ok(1);
             }
             Timer::after_millis(1).await;
@@ -131,14 +129,16 @@ fn a_gateway_between_two_serial_lines_serves_a_plc_despite_errors_of_the_line() 
     let plant = SharedGateway::<NoopRawMutex, 1>::new(gateway::Gateway::new(config, &mut memory), |_| {});
     let (mut robot, mut frame) = (SerialRobot::new(uart), [0; 512]);
     let plc = PlcLine::default();
-    let mut line = Timed::new(plc.clone(), EmbassyClock);
+    let mut line = serial::transport(plc.clone());
     let test = async {
         while !plant.view(|gateway| gateway.is_up()).unwrap() {
             Timer::after_millis(1).await;
         }
         for (request, answer) in [("GET:RC8:7:I:\r", "0,3,1\r"), ("PUT:RC8:7:I:3,2\r", "-2147024891\r")] {
             plc.received.borrow_mut().clear();
-            plc.sent.borrow_mut().extend(request.bytes());
+            // an error of the line before the request, which leaves the session open
+            plc.sent.borrow_mut().push_back(Err(ErrorKind::InvalidData));
+            plc.sent.borrow_mut().extend(request.bytes().map(Ok));
             while !plc.received.borrow().ends_with(b"\r") {
                 Timer::after_millis(1).await;
             }

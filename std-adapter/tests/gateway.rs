@@ -12,6 +12,7 @@ use bcap_core::bcap::{FunctionId, Link, Object};
 use bcap_core::gateway::{Allow, Config, Counters, Event, Gateway, Memory, RobotError, Rules};
 use bcap_core::handler::{Outcome, PeerId, ReplyValue};
 use bcap_core::hresult::HResult;
+use bcap_core::modbus::Entry;
 use bcap_core::rac::VariableKind;
 use bcap_core::time::Instant;
 use bcap_core::variant::VariantBuf;
@@ -125,6 +126,8 @@ impl Seen {
 /// A gateway that runs until it is stopped.
 struct Driven {
     address: SocketAddr,
+    /// The address of Modbus: I0 to I9 in the registers 0 to 19, I90 to I99 in the registers 100 to 109.
+    modbus: SocketAddr,
     reports: mpsc::UnboundedReceiver<Seen>,
     stop: oneshot::Sender<()>,
     task: JoinHandle<Counters>,
@@ -152,12 +155,16 @@ impl Driven {
         let gateway = Gateway::new(config, Box::leak(Box::new(Memory::<2, 4>::new())));
         let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
         let address = listener.local_addr().unwrap();
+        let entries = ["0=I/0-9", "100=I/90-99:i16"].map(|entry| Entry::registers(entry).unwrap());
+        let modbus_listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
+        let modbus = modbus_listener.local_addr().unwrap();
         let (log, reports) = mpsc::unbounded_channel();
         let robot = (robot.ip().to_string(), robot.port());
         let driver = Driver::new(gateway, robot, move |report| drop(log.send(Seen::of(report)))).limits(limits);
+        let driver = driver.modbus(modbus_listener, Box::leak(Box::new(entries)));
         let (stop, stopped) = oneshot::channel();
         let task = tokio::spawn(driver.run(listener, async { drop(stopped.await) }));
-        Self { address, reports, stop, task }
+        Self { address, modbus, reports, stop, task }
     }
 
     /// Waits for the next report of a kind.
@@ -180,7 +187,10 @@ impl Driven {
 
     /// Waits for the end of a client's connection, and returns its reason.
     async fn ended(&mut self, plc: &Plc) -> Option<Ended> {
-        let client = plc.address;
+        self.ended_at(plc.address).await
+    }
+
+    async fn ended_at(&mut self, client: SocketAddr) -> Option<Ended> {
         self.report(|seen| match seen {
             Seen::Disconnected(address, ended) if *address == client => Some(*ended),
             _ => None,
@@ -414,4 +424,95 @@ async fn a_running_request_is_answered_before_the_end() {
         assert!(TcpStream::connect(gateway.address).await.is_err(), "nothing listens");
         robot.stop().await;
     }
+}
+
+/// A client of Modbus TCP.
+struct Modbus {
+    address: SocketAddr,
+    stream: TcpStream,
+}
+
+impl Modbus {
+    async fn connect(gateway: &Driven) -> Self {
+        let stream = TcpStream::connect(gateway.modbus).await.unwrap();
+        Self { address: stream.local_addr().unwrap(), stream }
+    }
+
+    /// Sends a request: function and data.
+    async fn send(&mut self, function: &[u8]) {
+        let length = u8::try_from(function.len() + 1).unwrap();
+        self.stream.write_all(&[&[0x12, 0x34, 0, 0, 0, length, 7], function].concat()).await.unwrap();
+    }
+
+    /// Returns the function and the data of a response; nothing after the end of the connection.
+    async fn response(&mut self) -> Vec<u8> {
+        let mut header = [0; 7];
+        if self.stream.read_exact(&mut header).await.is_err() {
+            return Vec::new();
+        }
+        let [head @ .., length, unit] = header;
+        assert_eq!((head, unit), ([0x12, 0x34, 0, 0, 0], 7));
+        let mut response = vec![0; usize::from(length) - 1];
+        self.stream.read_exact(&mut response).await.unwrap();
+        response
+    }
+
+    async fn ask(&mut self, function: &[u8]) -> Vec<u8> {
+        self.send(function).await;
+        self.response().await
+    }
+}
+
+#[tokio::test]
+async fn clients_of_modbus_share_the_rules_and_the_variables() {
+    let robot = Running::start(Link::Stream, 0).await;
+    let mut gateway = Driven::start(Link::Stream, robot.address, Limits::default()).await;
+    gateway.up().await;
+    let (mut client, mut plc) = (Modbus::connect(&gateway).await, Plc::connect(&gateway).await);
+    assert_eq!(client.ask(&[16, 0, 2, 0, 4, 8, 0, 1, 0x11, 0x70, 0xff, 0xff, 0xff, 0xfe]).await, [16, 0, 2, 0, 4]);
+    assert_eq!(plc.ask("GET:RC8:1:I:\r").await, "0,3,70000\r");
+    assert_eq!(plc.ask("PUT:RC8:95:I:3,9\r").await, "0\r");
+    // two requests at once, of which the second waits for the response to the first
+    client.send(&[3, 0, 4, 0, 2]).await;
+    client.send(&[4, 0, 105, 0, 1]).await;
+    assert_eq!(client.response().await, [3, 4, 0xff, 0xff, 0xff, 0xfe]);
+    assert_eq!(client.response().await, [4, 2, 0, 9]);
+    assert_eq!(client.ask(&[3, 0, 99, 0, 1]).await, [0x83, 2], "an address without a variable");
+    assert_eq!(client.ask(&[22, 0, 0]).await, [0x96, 1], "a function that is not supported");
+    let lines = ["PUT:RC8:1:I:3,70000", "PUT:RC8:2:I:3,-2", "GET:RC8:2:I:", "GET:RC8:95:I:", "MODBUS:3:99:1"];
+    let address = client.address;
+    for expected in lines {
+        let line = gateway.report(|seen| match seen {
+            Seen::Answered(client, line, _) if *client == address => Some(line.clone()),
+            _ => None,
+        });
+        assert_eq!(line.await, expected);
+    }
+    let counters = gateway.stop().await;
+    assert_eq!((counters.refused, client.response().await), (2, Vec::new()));
+    robot.stop().await;
+}
+
+#[tokio::test]
+async fn clients_of_modbus_share_the_slots_and_the_limits() {
+    let nowhere = SocketAddr::from((Ipv4Addr::LOCALHOST, 9));
+    let limits = Limits::default().receive(Duration::from_millis(50));
+    let mut gateway = Driven::start(Link::Stream, nowhere, limits).await;
+    gateway.down().await;
+    let mut plc = Plc::connect(&gateway).await;
+    assert_eq!(plc.ask("GET:RC8:1:I:\r").await, NOT_CONNECTED);
+    let mut client = Modbus::connect(&gateway).await;
+    assert_eq!(client.ask(&[3, 0, 0, 0, 2]).await, [0x83, 0x0a], "no path to the robot");
+    let mut late = Modbus::connect(&gateway).await;
+    assert_eq!(late.ask(&[3, 0, 0, 0, 2]).await, [0x83, 6], "the gateway has no slot");
+    assert!(late.response().await.is_empty(), "the connection is closed");
+    // bytes that are not Modbus free the slot
+    client.stream.write_all(b"GET:RC8:1:I:\r").await.unwrap();
+    assert!(client.response().await.is_empty(), "the connection is closed");
+    assert_eq!(gateway.ended_at(client.address).await, Some(Ended::NotModbus));
+    // a request must be complete in time
+    let mut slow = Modbus::connect(&gateway).await;
+    slow.stream.write_all(&[0, 1, 0, 0, 0, 6, 1]).await.unwrap();
+    assert_eq!(gateway.ended_at(slow.address).await, Some(Ended::RequestTooSlow));
+    gateway.stop().await;
 }

@@ -120,6 +120,18 @@ impl<'a> Front<'a> {
         self.is_broken
     }
 
+    /// Tells whether a request runs.
+    #[must_use]
+    pub const fn is_running(&self) -> bool {
+        self.running.is_some()
+    }
+
+    /// Tells whether bytes of a request have arrived that does not run yet.
+    #[must_use]
+    pub const fn is_receiving(&self) -> bool {
+        self.running.is_none() && self.received > 0
+    }
+
     /// Returns how many bytes from the client there is room for. It is 0 only while a request runs.
     #[must_use]
     pub const fn room(&self) -> usize {

@@ -16,6 +16,8 @@ pub enum SettingError {
     Nul,
     /// The value does not have the form that its key asks for.
     Value,
+    /// Another service of the board has the port.
+    Port,
     /// The network before the rule of a `put@` is invalid.
     Clients,
     /// The rule of a `get` or `put` is invalid; its column counts from the first character of the rule.
@@ -58,6 +60,7 @@ impl fmt::Display for SettingError {
             Self::Key => "expected KEY=VALUE with a known key",
             Self::Nul => "a setting cannot contain NUL",
             Self::Value => "invalid value for this key",
+            Self::Port => "this port is in use: RAC has 5006, and modbus, health and echo need a port each",
             Self::GetWithValues => "a get has no ranges of values; only a put has",
             Self::TooManyNetworks => "too many networks: a board has memory for 16 allow lines",
             Self::TooManyRules => "too many rules: a board has memory for 32 rules with 64 ranges of values",
@@ -81,7 +84,7 @@ impl SettingError {
         match self {
             Self::Key | Self::TooManyNetworks | Self::TooManyRules => 1,
             Self::Nul => line.iter().position(|byte| *byte == 0).map_or(1, |at| at + 1),
-            Self::Value => after(0),
+            Self::Value | Self::Port => after(0),
             #[cfg(feature = "modbus")]
             Self::Entry(_) | Self::Overlap => after(0),
             #[cfg(feature = "modbus")]

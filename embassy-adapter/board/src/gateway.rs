@@ -7,7 +7,7 @@
 //!                                          └─► log, a status line every 10 s
 //! ```
 //!
-//! The feature `modbus` adds two listeners for Modbus TCP, `health` a page of the state and messages of syslog. The settings
+//! The feature `modbus` adds listeners for two clients of Modbus TCP, `health` a page of the state and messages of syslog. The settings
 //! switch them on.
 //!
 //! An image makes an embassy-net [`Stack`] with [`SOCKETS`] sockets, calls [`start`], runs the stack in a task of its own, and
@@ -32,10 +32,10 @@ use embassy_time::{Duration, Timer};
 use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::led::State;
-#[cfg(feature = "modbus")]
-use crate::parts::MODBUS_TASK;
 pub use crate::parts::{Board, SESSIONS};
-use crate::parts::{NETWORK, PAGES, PLC, Parts, ROBOT, STATUS};
+#[cfg(feature = "modbus")]
+use crate::parts::{MODBUS_TASK, SPARE_TASK};
+use crate::parts::{NETWORK, PAGES, PLC, PLC_BUFFER, PLC_BUFFERS, Parts, ROBOT, ROBOT_BUFFER, ROBOT_BUFFERS, STATUS};
 use crate::watchdog::{self, Task, watched};
 use crate::{RuleMemory, Settings, Transport, address, report};
 
@@ -45,8 +45,8 @@ const LISTENERS: usize = SESSIONS + 1;
 const HANDLES: usize = 64;
 // the tasks after the PLCs have fixed numbers
 const _: () = assert!(LISTENERS == 5);
-/// Concurrent clients of Modbus; they share the slots with the PLCs.
-const MODBUS: usize = if cfg!(feature = "modbus") { 2 } else { 0 };
+/// Listeners of Modbus, of which the last refuses clients; the clients of the others share the slots with the PLCs.
+const MODBUS: usize = if cfg!(feature = "modbus") { 3 } else { 0 };
 /// The sockets of the page and of syslog.
 const HEALTH: usize = if cfg!(feature = "health") { PAGES + 1 } else { 0 };
 /// The sockets of the network stack: the listeners, Modbus, the page and syslog, the robot, DHCP.
@@ -72,8 +72,8 @@ pub fn start(
     parts: Parts,
     dhcp_again: Duration,
 ) -> Result<&'static Board, SpawnError> {
-    static SOCKET_MEMORY: ConstStaticCell<[[[u8; 512]; 2]; LISTENERS]> =
-        ConstStaticCell::new([[[0; 512]; 2]; LISTENERS]);
+    static SOCKET_MEMORY: ConstStaticCell<[[[u8; PLC_BUFFER]; 2]; LISTENERS]> =
+        ConstStaticCell::new([[[0; PLC_BUFFER]; 2]; LISTENERS]);
 
     let robot = settings.robot;
     defmt::info!("gateway to {}, provider {=str}", defmt::Debug2Format(&robot), settings.provider);
@@ -150,7 +150,7 @@ fn make(settings: &'static Settings<'static>) -> &'static Board {
 #[embassy_executor::task(pool_size = LISTENERS)]
 async fn serve(
     stack: Stack<'static>,
-    memory: &'static mut [[u8; 512]; 2],
+    memory: &'static mut [[u8; PLC_BUFFER]; 2],
     settings: &'static Settings<'static>,
     board: &'static Board,
     task: Task,
@@ -168,25 +168,38 @@ fn start_modbus(
     settings: &'static Settings<'static>,
     board: &'static Board,
 ) -> Result<(), SpawnError> {
-    static MEMORY: ConstStaticCell<[[[u8; 512]; 2]; MODBUS]> = ConstStaticCell::new([[[0; 512]; 2]; MODBUS]);
+    static MEMORY: ConstStaticCell<[[[u8; PLC_BUFFER]; 2]; MODBUS]> =
+        ConstStaticCell::new([[[0; PLC_BUFFER]; 2]; MODBUS]);
     let Some(port) = settings.modbus else { return Ok(()) };
-    for (number, [rx, tx]) in (MODBUS_TASK..).zip(MEMORY.take()) {
-        let listener = ModbusListener::new(stack, port, settings.modbus_map(), [rx, tx], options(settings));
-        spawner.spawn(serve_modbus(listener, settings, board, Task::new(number))?);
+    let [serving @ .., spare] = MEMORY.take();
+    let listener = |[rx, tx]: &'static mut [[u8; PLC_BUFFER]; 2]| {
+        ModbusListener::new(stack, port, settings.modbus_map(), [rx, tx], options(settings))
+    };
+    // the network passes a connection to the first listener that is free, so the spare one comes last
+    for (number, memory) in (MODBUS_TASK..).zip(serving) {
+        spawner.spawn(serve_modbus(listener(memory), settings, board, Task::new(number))?);
     }
+    spawner.spawn(refuse_modbus(listener(spare), board)?);
     Ok(())
+}
+
+/// Refuses clients of Modbus beyond those that are served.
+#[cfg(feature = "modbus")]
+#[embassy_executor::task]
+async fn refuse_modbus(mut listener: ModbusListener<'static>, board: &'static Board) -> ! {
+    watched(SPARE_TASK, listener.refuse(board)).await
 }
 
 /// Serves clients of Modbus, one after another.
 #[cfg(feature = "modbus")]
-#[embassy_executor::task(pool_size = MODBUS)]
+#[embassy_executor::task(pool_size = MODBUS - 1)]
 async fn serve_modbus(
     mut listener: ModbusListener<'static>,
     settings: &'static Settings<'static>,
     board: &'static Board,
     task: Task,
 ) -> ! {
-    // there is no spare listener that could make room, so a silent client must not stay
+    // the spare listener makes no room, so a silent client must not stay
     let limits = Limits { idle: settings.idle.or(Some(settings.evict)), ..limits(settings) };
     watched(task, listener.run(board, &limits)).await
 }
@@ -200,7 +213,7 @@ fn limits(settings: &Settings<'_>) -> Limits {
 fn options(settings: &Settings<'_>) -> Options {
     let keep_alive = Duration::from_secs(settings.keep_alive.as_secs());
     let lost = Options::default().lost.max(keep_alive * 3);
-    Options { keep_alive, lost, ..Options::default() }
+    Options { keep_alive, lost, usage: Some(&PLC_BUFFERS), ..Options::default() }
 }
 
 /// Waits for an address, then runs the connection to the robot.
@@ -211,14 +224,15 @@ async fn run_robot_link(
     board: &'static Board,
     dhcp_again: Duration,
 ) {
-    static MEMORY: ConstStaticCell<[[u8; 1024]; 3]> = ConstStaticCell::new([[0; 1024]; 3]);
+    static MEMORY: ConstStaticCell<[[u8; ROBOT_BUFFER]; 3]> = ConstStaticCell::new([[0; ROBOT_BUFFER]; 3]);
     static META: ConstStaticCell<[[PacketMetadata; 2]; 2]> = ConstStaticCell::new([[PacketMetadata::EMPTY; 2]; 2]);
     let ([rx, tx, frame], [rx_meta, tx_meta]) = (MEMORY.take(), META.take());
     let address = settings.robot.address;
     let run = async {
         match settings.robot.transport {
             Transport::Tcp => {
-                let mut robot = TcpRobot::new(stack, rx, tx, Options::default(), address);
+                let options = Options { usage: Some(&ROBOT_BUFFERS), ..Options::default() };
+                let mut robot = TcpRobot::new(stack, rx, tx, options, address);
                 run_robot(&mut robot, frame, board).await
             }
             Transport::Udp => {

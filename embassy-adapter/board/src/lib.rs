@@ -69,7 +69,7 @@
 //! | `syslog`   | `ADDRESS[:PORT]`: where refusals and changes of the state are sent, usually to port 514; for images with the feature `health` | not sent |
 //! | `echo`     | the port of an echo server, to compare round trips; for images with the feature `echo` | no echo server |
 //!
-//! A key of a feature that the image does not have is invalid, as an unknown one is.
+//! A key of a feature that the image does not have is invalid, as an unknown one is. Two services cannot have one port.
 //!
 //! An invalid line is skipped and reported. The board then refuses every PUT, whatever the other lines allow.
 #![no_std]

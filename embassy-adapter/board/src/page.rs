@@ -23,7 +23,7 @@ use static_cell::ConstStaticCell;
 use crate::Settings;
 use crate::health::Health;
 use crate::limiter::Limiter;
-use crate::parts::{Board, PAGE_TASK, PAGES, Parts, SYSLOG_TASK};
+use crate::parts::{Board, PAGE_TASK, PAGES, PLC_BUFFER, PLC_BUFFERS, Parts, ROBOT_BUFFER, ROBOT_BUFFERS, SYSLOG_TASK};
 use crate::syslog::{Message, Severity};
 use crate::watchdog::{Task, watched};
 
@@ -116,8 +116,8 @@ pub(crate) fn report(report: &Report<'_>) {
     }
 }
 
-fn limited(client: Option<IpEndpoint>, id: &'static str, text: fmt::Arguments<'_>) {
-    let address = client.map(|IpEndpoint { addr: IpAddress::Ipv4(address), .. }| address);
+fn limited(client: Option<SocketAddrV4>, id: &'static str, text: fmt::Arguments<'_>) {
+    let address = client.map(|client| *client.ip());
     let admitted = LIMITER.lock(|limiter| limiter.try_borrow_mut().ok()?.admit(address, id, now()));
     let Some(left_out) = admitted else { return };
     // the number comes first, because the end of a long text is cut
@@ -186,7 +186,16 @@ impl<const N: usize> Write for Cut<'_, N> {
 /// Writes the page of a path.
 fn answer(board: &Board, parts: &Parts, path: &str, page: &mut dyn Write) -> Option<Content> {
     let sessions = board.sessions();
-    let (used, size) = (parts.stack)();
+    let ((used, size), (log, log_size)) = ((parts.stack)(), (parts.log)());
+    let ((plc_in, plc_out), (robot_in, robot_out)) = (PLC_BUFFERS.most(), ROBOT_BUFFERS.most());
+    let memory = [
+        ("stack", used, size),
+        ("log", log, log_size),
+        ("PLC receive buffer", plc_in, PLC_BUFFER),
+        ("PLC send buffer", plc_out, PLC_BUFFER),
+        ("robot receive buffer", robot_in, ROBOT_BUFFER),
+        ("robot send buffer", robot_out, ROBOT_BUFFER),
+    ];
     let mut counters = Vec::<(&str, u32), COUNTERS>::new();
     // the first ones, if a board has more
     (parts.counters)(&mut |name, count| {
@@ -203,7 +212,7 @@ fn answer(board: &Board, parts: &Parts, path: &str, page: &mut dyn Write) -> Opt
             robot_is_up: gateway.is_up(),
             sessions: (sessions, gateway.capacity()),
             counters: gateway.counters(),
-            memory: &[("stack", used, size)],
+            memory: &memory,
             board: &counters,
         };
         match path {

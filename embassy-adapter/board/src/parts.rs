@@ -1,6 +1,7 @@
 //! What the tasks of a gateway board share: the gateway, their numbers, and board-specific data.
 
 use bcap_embassy::gateway::SharedGateway;
+use bcap_embassy::net::Usage;
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 
 use crate::record::Cause;
@@ -18,12 +19,20 @@ pub(crate) const PLC: u32 = 3;
 // after the numbers of the listeners
 #[cfg(feature = "modbus")]
 pub(crate) const MODBUS_TASK: u32 = PLC + 5;
+#[cfg(feature = "modbus")]
+pub(crate) const SPARE_TASK: Task = Task::new(PLC + 7);
 #[cfg(feature = "health")]
-pub(crate) const SYSLOG_TASK: Task = Task::new(PLC + 7);
+pub(crate) const SYSLOG_TASK: Task = Task::new(PLC + 8);
 #[cfg(feature = "health")]
-pub(crate) const PAGE_TASK: u32 = PLC + 8;
+pub(crate) const PAGE_TASK: u32 = PLC + 9;
 /// The gateway that the tasks share.
 pub type Board = SharedGateway<'static, NoopRawMutex, SESSIONS>;
+
+/// The buffers of the PLCs' sockets and their size in bytes, and those of the robot's socket over TCP.
+pub(crate) static PLC_BUFFERS: Usage = Usage::new();
+pub(crate) const PLC_BUFFER: usize = 512;
+pub(crate) static ROBOT_BUFFERS: Usage = Usage::new();
+pub(crate) const ROBOT_BUFFER: usize = 1024;
 
 /// Board-specific data for the status line and the page.
 #[derive(Clone, Copy)]
@@ -36,6 +45,8 @@ pub struct Parts {
     pub counters: fn(&mut dyn FnMut(&'static str, u32)),
     /// Returns the high-water mark and the size of the stack, in bytes; zeros where they are not measured.
     pub stack: fn() -> (usize, usize),
+    /// Returns the high-water mark and the size of the buffer of the log, in bytes; zeros where there is none.
+    pub log: fn() -> (usize, usize),
     /// Returns the number of lines of the log that were dropped.
     pub dropped: fn() -> u32,
 }
@@ -53,6 +64,10 @@ impl Parts {
             stack: || (crate::stack::high_water(), crate::stack::size()),
             #[cfg(not(all(feature = "cortex-m", target_arch = "arm")))]
             stack: || (0, 0),
+            #[cfg(feature = "log")]
+            log: || (usize::try_from(crate::log::ring().most()).unwrap_or_default(), crate::log::SIZE),
+            #[cfg(not(feature = "log"))]
+            log: || (0, 0),
             #[cfg(feature = "log")]
             dropped: crate::log::dropped,
             #[cfg(not(feature = "log"))]

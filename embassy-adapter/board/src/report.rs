@@ -4,13 +4,12 @@
 //! out.
 
 use core::cell::RefCell;
-use core::net::Ipv4Addr;
+use core::net::{Ipv4Addr, SocketAddrV4};
 
 use bcap_core::gateway::{Event, Gateway, Refusal, Tally};
 use bcap_core::time::micros;
 use bcap_embassy::clock::now;
 use bcap_embassy::gateway::{Denial, Report};
-use embassy_net::{IpAddress, IpEndpoint};
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 
@@ -123,8 +122,8 @@ fn name(refusal: &Refusal) -> &'static str {
 }
 
 /// Writes a line about a client, at most one a second for each client and reason.
-fn limited(client: Option<IpEndpoint>, reason: &'static str, write: impl FnOnce(LeftOut)) {
-    let address = client.map(|IpEndpoint { addr: IpAddress::Ipv4(address), .. }| address);
+fn limited(client: Option<SocketAddrV4>, reason: &'static str, write: impl FnOnce(LeftOut)) {
+    let address = client.map(|client| *client.ip());
     if let Some(left_out) = with_limiter(|limiter| limiter.admit(address, reason, now())).flatten() {
         write(LeftOut(left_out));
     }
@@ -146,7 +145,7 @@ impl defmt::Format for LeftOut {
 }
 
 /// Formats a client.
-struct Client(Option<IpEndpoint>);
+struct Client(Option<SocketAddrV4>);
 
 impl defmt::Format for Client {
     fn format(&self, f: defmt::Formatter<'_>) {

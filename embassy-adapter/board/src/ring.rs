@@ -30,6 +30,8 @@ pub struct Ring<const N: usize> {
     written: AtomicU32,
     read: AtomicU32,
     dropped: AtomicU32,
+    /// The most bytes that were not read at once.
+    most: AtomicU32,
 }
 
 impl<const N: usize> Ring<N> {
@@ -47,6 +49,7 @@ impl<const N: usize> Ring<N> {
             written: AtomicU32::new(0),
             read: AtomicU32::new(0),
             dropped: AtomicU32::new(0),
+            most: AtomicU32::new(0),
         }
     }
 
@@ -81,6 +84,11 @@ impl<const N: usize> Ring<N> {
     /// Returns the number of frames that were dropped for want of room; it saturates.
     pub fn dropped(&self) -> u32 {
         self.dropped.load(Ordering::Relaxed)
+    }
+
+    /// Returns the most bytes that were in the buffer at once.
+    pub fn most(&self) -> u32 {
+        self.most.load(Ordering::Relaxed)
     }
 
     fn slot(&self, number: u32) -> Option<&AtomicU8> {
@@ -125,7 +133,12 @@ impl<const N: usize> Frame<'_, N> {
                 let dropped = self.ring.dropped.load(Ordering::Relaxed);
                 self.ring.dropped.store(dropped.saturating_add(1), Ordering::Relaxed);
             }
-            false => self.ring.written.store(self.next, Ordering::Release),
+            false => {
+                // the reader can only make it less
+                let used = self.next.wrapping_sub(self.ring.read.load(Ordering::Relaxed));
+                self.ring.most.store(used.max(self.ring.most()), Ordering::Relaxed);
+                self.ring.written.store(self.next, Ordering::Release);
+            }
         }
     }
 }
@@ -156,6 +169,24 @@ mod tests {
             assert_eq!(read(&ring), [[round; 9].as_slice(), &[4; 7]].concat());
             assert_eq!(ring.dropped(), u32::from(round) + 1);
         }
+    }
+
+    #[test]
+    fn the_most_bytes_of_complete_frames_are_kept() {
+        let ring = Ring::<16>::new();
+        ring.frame(|frame| frame.extend(&[1; 9]));
+        ring.frame(|frame| frame.extend(&[2; 8]));
+        ring.begin().extend(&[3; 7]);
+        assert_eq!(
+            (ring.most(), ring.dropped()),
+            (9, 1),
+            "a dropped frame and one that is given up are not in the buffer"
+        );
+        let _ = read(&ring);
+        ring.frame(|frame| frame.extend(&[4; 5]));
+        assert_eq!(ring.most(), 9);
+        ring.frame(|frame| frame.extend(&[5; 11]));
+        assert_eq!(ring.most(), 16);
     }
 
     #[test]

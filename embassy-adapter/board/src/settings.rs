@@ -7,6 +7,7 @@ use core::time::Duration;
 use bcap_core::gateway::{Network, Rate, Rules};
 #[cfg(feature = "modbus")]
 use bcap_core::modbus::Entry;
+use bcap_core::rac;
 
 #[cfg(feature = "modbus")]
 use crate::modbus_map::ModbusMap;
@@ -207,13 +208,13 @@ impl<'a> Settings<'a> {
             "keepalive" => self.keep_alive = valid(seconds(text))?,
             "convert" => self.convert = valid(yes(text))?,
             "rate" => self.rate = valid(rate(text))?,
-            "echo" => self.echo = Some(valid(port(text))?),
+            "echo" => self.echo = Some(self.port(key, text)?),
             #[cfg(feature = "health")]
-            "health" => self.health = Some(valid(port(text))?),
+            "health" => self.health = Some(self.port(key, text)?),
             #[cfg(feature = "health")]
             "syslog" => self.syslog = Some(valid(collector(text))?),
             #[cfg(feature = "modbus")]
-            "modbus" => self.modbus = Some(valid(port(text))?),
+            "modbus" => self.modbus = Some(self.port(key, text)?),
             #[cfg(feature = "modbus")]
             "register" => self.modbus_map.add(Entry::registers(text)?)?,
             #[cfg(feature = "modbus")]
@@ -224,6 +225,23 @@ impl<'a> Settings<'a> {
             },
         }
         Ok(())
+    }
+
+    /// Parses the port of a service, which no other service of the board may have.
+    fn port(&self, key: &str, text: &str) -> Result<u16, SettingError> {
+        let port = valid(port(text))?;
+        let services = [
+            ("rac", Some(rac::PORT)),
+            ("echo", self.echo),
+            #[cfg(feature = "health")]
+            ("health", self.health),
+            #[cfg(feature = "modbus")]
+            ("modbus", self.modbus),
+        ];
+        match services.iter().any(|(other, used)| *other != key && *used == Some(port)) {
+            true => Err(SettingError::Port),
+            false => Ok(port),
+        }
     }
 }
 
@@ -318,6 +336,18 @@ mod tests {
     }
 
     use std::string::String;
+
+    #[test]
+    fn two_services_cannot_have_one_port() {
+        for (text, column) in [("echo=5006", 6), ("modbus=502\nhealth=502", 8), ("health=7\necho=7", 6)] {
+            let invalid = Settings::check(text.as_bytes()).unwrap_err();
+            assert_eq!((invalid.error, invalid.column()), (SettingError::Port, column), "{text}");
+        }
+        let settings = Settings::check(b"modbus=502\nmodbus=502\nhealth=80\necho=7");
+        assert_eq!(settings, Ok(()), "a later line with the key replaces the earlier one");
+        let error = "this port is in use: RAC has 5006, and modbus, health and echo need a port each";
+        assert_eq!(std::string::ToString::to_string(&SettingError::Port), error);
+    }
 
     #[test]
     fn an_empty_block_has_defaults_and_allows_no_put() {

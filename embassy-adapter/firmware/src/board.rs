@@ -14,6 +14,8 @@ use crate::mmio::Block;
 compile_error!("choose a board: one of the features mps2-an385, mps2-an386, mps2-an505");
 #[cfg(all(feature = "mps2-an505", any(feature = "mps2-an385", feature = "mps2-an386")))]
 compile_error!("choose one board: with mps2-an505, build with --no-default-features");
+#[cfg(all(feature = "console", feature = "lines"))]
+compile_error!("the console and the robot's line are one port: choose one of the features console and lines");
 
 #[cfg(not(feature = "mps2-an505"))]
 mod chosen {
@@ -21,12 +23,18 @@ mod chosen {
     pub(super) const ETHERNET_IRQ: u16 = 13;
     pub(super) const UART: usize = 0x4000_4000;
     pub(super) const UART_TX_IRQ: u16 = 1;
-    #[cfg(feature = "console")]
+    #[cfg(any(feature = "console", feature = "lines"))]
     pub(super) const CONSOLE_UART: usize = 0x4000_5000;
-    #[cfg(feature = "console")]
+    #[cfg(any(feature = "console", feature = "lines"))]
     pub(super) const CONSOLE_RX_IRQ: u16 = 2;
-    #[cfg(feature = "console")]
+    #[cfg(any(feature = "console", feature = "lines"))]
     pub(super) const CONSOLE_TX_IRQ: u16 = 3;
+    #[cfg(feature = "lines")]
+    pub(super) const UART_2: usize = 0x4000_6000;
+    #[cfg(feature = "lines")]
+    pub(super) const UART_2_RX_IRQ: u16 = 4;
+    #[cfg(feature = "lines")]
+    pub(super) const UART_2_TX_IRQ: u16 = 5;
     pub(super) const FPGA_IO: usize = 0x4002_8000;
     pub(super) const WATCHDOG: usize = 0x4000_8000;
     pub(super) const CLOCK_HZ: u32 = 25_000_000;
@@ -38,12 +46,18 @@ mod chosen {
     pub(super) const ETHERNET_IRQ: u16 = 48;
     pub(super) const UART: usize = 0x5020_0000;
     pub(super) const UART_TX_IRQ: u16 = 33;
-    #[cfg(feature = "console")]
+    #[cfg(any(feature = "console", feature = "lines"))]
     pub(super) const CONSOLE_UART: usize = 0x5020_1000;
-    #[cfg(feature = "console")]
+    #[cfg(any(feature = "console", feature = "lines"))]
     pub(super) const CONSOLE_RX_IRQ: u16 = 34;
-    #[cfg(feature = "console")]
+    #[cfg(any(feature = "console", feature = "lines"))]
     pub(super) const CONSOLE_TX_IRQ: u16 = 35;
+    #[cfg(feature = "lines")]
+    pub(super) const UART_2: usize = 0x5020_2000;
+    #[cfg(feature = "lines")]
+    pub(super) const UART_2_RX_IRQ: u16 = 36;
+    #[cfg(feature = "lines")]
+    pub(super) const UART_2_TX_IRQ: u16 = 37;
     pub(super) const FPGA_IO: usize = 0x5030_2000;
     pub(super) const WATCHDOG: usize = 0x5008_1000;
     pub(super) const CLOCK_HZ: u32 = 20_000_000;
@@ -54,8 +68,11 @@ pub(crate) const ETHERNET: Block = unsafe { Block::new(chosen::ETHERNET) };
 // SAFETY: a serial port without DMA
 pub(crate) const UART: Block = unsafe { Block::new(chosen::UART) };
 // SAFETY: a serial port without DMA
-#[cfg(feature = "console")]
+#[cfg(any(feature = "console", feature = "lines"))]
 pub(crate) const CONSOLE_UART: Block = unsafe { Block::new(chosen::CONSOLE_UART) };
+// SAFETY: a serial port without DMA
+#[cfg(feature = "lines")]
+pub(crate) const UART_2: Block = unsafe { Block::new(chosen::UART_2) };
 // SAFETY: counters, LEDs and switches
 pub(crate) const FPGA_IO: Block = unsafe { Block::new(chosen::FPGA_IO) };
 // SAFETY: a counter
@@ -66,10 +83,15 @@ pub(crate) const ETHERNET_IRQ: Irq = Irq(chosen::ETHERNET_IRQ);
 /// The interrupt of the serial port's transmitter.
 pub(crate) const UART_TX_IRQ: Irq = Irq(chosen::UART_TX_IRQ);
 /// The interrupts of the second serial port's receiver and transmitter.
-#[cfg(feature = "console")]
+#[cfg(any(feature = "console", feature = "lines"))]
 pub(crate) const CONSOLE_RX_IRQ: Irq = Irq(chosen::CONSOLE_RX_IRQ);
-#[cfg(feature = "console")]
+#[cfg(any(feature = "console", feature = "lines"))]
 pub(crate) const CONSOLE_TX_IRQ: Irq = Irq(chosen::CONSOLE_TX_IRQ);
+/// The interrupts of the third serial port's receiver and transmitter.
+#[cfg(feature = "lines")]
+pub(crate) const UART_2_RX_IRQ: Irq = Irq(chosen::UART_2_RX_IRQ);
+#[cfg(feature = "lines")]
+pub(crate) const UART_2_TX_IRQ: Irq = Irq(chosen::UART_2_TX_IRQ);
 /// The clock of the core, and of SysTick.
 pub const CLOCK_HZ: u32 = chosen::CLOCK_HZ;
 

@@ -23,7 +23,7 @@ unsafe fn DefaultHandler(number: i16) {
         lan9118::wake();
     } else if number == UART_TX_IRQ.number().cast_signed() {
         uart::transmit();
-    } else if !is_of_console(number) {
+    } else if !is_of_console(number) && !is_of_line(number) {
         fault::unexpected(number);
     }
 }
@@ -40,6 +40,17 @@ fn is_of_console(number: i16) -> bool {
     }
     let _ = number;
     false
+}
+
+/// Handles an interrupt of a line to a robot or a PLC; `false` if it is another one.
+fn is_of_line(number: i16) -> bool {
+    #[cfg(feature = "lines")]
+    return crate::lines::handle(number);
+    #[cfg(not(feature = "lines"))]
+    {
+        let _ = number;
+        false
+    }
 }
 
 /// The NMI, to which only the watchdog is connected.

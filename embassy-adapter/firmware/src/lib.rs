@@ -8,6 +8,7 @@
 //! | [`clock`]    | a hardware counter as a clock, and embassy's time driver on it                    |
 //! | [`executor`] | an executor that sleeps with WFI                                                  |
 //! | [`uart`]     | the serial port and the buffer of what it sends                                   |
+//! | `lines`      | two more serial ports as lines to a robot and a PLC, with the feature `lines`     |
 //! | [`config`]   | the settings of the image or of the console                                       |
 //! | [`net`]      | embassy-net on the board                                                          |
 //! | `echo`       | an echo server, with the feature `echo`                                           |
@@ -32,6 +33,8 @@ pub mod fault;
 #[cfg(feature = "console")]
 pub mod flash;
 pub mod lan9118;
+#[cfg(feature = "lines")]
+pub mod lines;
 mod mmio;
 pub mod net;
 pub mod node;

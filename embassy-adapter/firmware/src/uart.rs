@@ -27,10 +27,10 @@ mod register {
 const TX_FULL: u32 = 1 << 0;
 const RX_FULL: u32 = 1 << 1;
 const ENABLE_TX_RX_TX_INTERRUPT: u32 = 0b111;
-#[cfg(feature = "console")]
+#[cfg(any(feature = "console", feature = "lines"))]
 const RX_INTERRUPT_ENABLE: u32 = 1 << 3;
 const TX_INTERRUPT: u32 = 1 << 0;
-#[cfg(feature = "console")]
+#[cfg(any(feature = "console", feature = "lines"))]
 const RX_INTERRUPT: u32 = 1 << 1;
 const BAUD: u32 = 115_200;
 /// The most bytes sent in one interrupt: the port has room for one or two, an emulated port has room for all.
@@ -93,7 +93,7 @@ pub(crate) fn flush_to(port: Block, ring: &Ring<4096>) {
 }
 
 /// Enables another port in the same way, with an interrupt for each received byte.
-#[cfg(feature = "console")]
+#[cfg(any(feature = "console", feature = "lines"))]
 pub(crate) fn enable(port: Block) {
     port.write::<{ register::BAUD_DIVISOR }>(crate::board::CLOCK_HZ / BAUD);
     port.write::<{ register::CONTROL }>(ENABLE_TX_RX_TX_INTERRUPT | RX_INTERRUPT_ENABLE);
@@ -106,7 +106,7 @@ pub fn read() -> Option<u8> {
 }
 
 /// Returns the received byte of another port, in the interrupt of its receiver.
-#[cfg(feature = "console")]
+#[cfg(any(feature = "console", feature = "lines"))]
 pub(crate) fn receive_from(port: Block) -> Option<u8> {
     port.write::<{ register::INT_CLEAR }>(RX_INTERRUPT);
     received(port)

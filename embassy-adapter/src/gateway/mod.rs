@@ -1,4 +1,4 @@
-//! The core's gateway over embassy-net: it connects PLCs that speak RAC to a robot that speaks b-CAP.
+//! The core's gateway over any transport: it connects PLCs that speak RAC to a robot that speaks b-CAP.
 //!
 //! ```text
 //!  PLC ─► Listener ─► serve ─┐
@@ -11,9 +11,13 @@
 //! one task, which also polls the gateway at its deadlines. After moving bytes, a task polls the gateway and wakes the
 //! tasks that its events concern. [`bcap_core::gateway`] defines the answers and their timing.
 //!
+//! A board without Ethernet needs neither embassy-net nor its feature: PLCs and robot are on serial lines, and any other
+//! [`Transport`](bcap_core::io::asynch::Transport) does as well. [`Listener`], [`TcpRobot`] and `ModbusListener` need `embassy-net`.
+//!
 //! # Examples
 //!
 //! ```
+//! # #[cfg(feature = "embassy-net")] mod example {
 //! use bcap_core::gateway::{Config, Gateway, Memory};
 //! use bcap_core::rac;
 //! use bcap_embassy::gateway::{Listener, Report, SharedGateway, TcpRobot, run_robot};
@@ -40,27 +44,41 @@
 //!     let mut plc = Listener::new(stack, rac::PORT, &mut rx, &mut tx);
 //!     join(run_robot(&mut robot, &mut frame, &shared), plc.run(&shared, &limits)).await;
 //! }
+//! # }
 //! ```
 
 mod clients;
+#[cfg(feature = "embassy-net")]
+mod listener;
 #[cfg(feature = "modbus")]
 mod modbus;
+#[cfg(all(feature = "embassy-net", feature = "modbus"))]
+mod modbus_listener;
 mod robot;
 #[cfg(feature = "serial")]
 mod serial;
 mod shared;
+#[cfg(feature = "embassy-net")]
+mod tcp;
+
+use core::net::SocketAddrV4;
 
 use bcap_core::gateway::Event;
-use embassy_net::IpEndpoint;
 
-pub use self::clients::{Listener, serve};
+pub use self::clients::serve;
+#[cfg(feature = "embassy-net")]
+pub use self::listener::Listener;
 #[cfg(feature = "modbus")]
-pub use self::modbus::{ModbusLink, ModbusListener};
-pub use self::robot::{RobotLink, TcpRobot, run_robot};
+pub use self::modbus::ModbusLink;
+#[cfg(all(feature = "embassy-net", feature = "modbus"))]
+pub use self::modbus_listener::ModbusListener;
+pub use self::robot::{RobotLink, run_robot};
 #[cfg(feature = "serial")]
 pub use self::serial::SerialRobot;
 pub use self::shared::SharedGateway;
-use crate::net::NetError;
+#[cfg(feature = "embassy-net")]
+pub use self::tcp::TcpRobot;
+pub use crate::error::NetError;
 use crate::server::Ended;
 
 /// A callback that receives reports for a log.
@@ -86,26 +104,26 @@ pub enum Report<'a> {
     /// A client connected and has a slot.
     Connected {
         /// The client's address; `None` on a serial line.
-        client: Option<IpEndpoint>,
+        client: Option<SocketAddrV4>,
     },
     /// A client disconnected.
     Disconnected {
         /// The client's address; `None` on a serial line.
-        client: Option<IpEndpoint>,
+        client: Option<SocketAddrV4>,
         /// Why the session ended; `None` when its future was dropped.
         ended: Option<Ended<()>>,
     },
     /// A client was not served.
     Denied {
         /// The client's address; `None` on a serial line.
-        client: Option<IpEndpoint>,
+        client: Option<SocketAddrV4>,
         /// The reason.
         reason: Denial,
     },
     /// A line was answered: served, failed or refused.
     Answered {
         /// The client's address; `None` on a serial line.
-        client: Option<IpEndpoint>,
+        client: Option<SocketAddrV4>,
         /// The line without its CR; the first 256 bytes of an over-long line.
         line: &'a [u8],
         /// How the line was answered.
@@ -115,7 +133,7 @@ pub enum Report<'a> {
     Robot {
         /// Which of the two happened.
         event: Event,
-        /// The network error that ended the connection, if one did.
+        /// The error that ended the connection, if one did.
         cause: Option<NetError>,
     },
 }

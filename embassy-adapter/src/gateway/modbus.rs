@@ -4,54 +4,9 @@
 //! [`bcap_core::modbus`] defines how registers and coils become variables.
 
 use bcap_core::io::asynch::Transport;
-use bcap_core::modbus::{Entry, Front};
+use bcap_core::modbus::Front;
 use bcap_core::rac::Request;
 use bcap_core::time::Instant;
-use embassy_net::Stack;
-use embassy_sync::blocking_mutex::raw::RawMutex;
-
-use super::clients::{accept, answer_full, end, serve};
-use super::shared::address;
-use super::{Denial, SharedGateway};
-use crate::net::{Options, TcpTransport};
-use crate::server::{Ended, Limits};
-
-/// A TCP listener that serves one client of Modbus at a time; use several on the same port to serve several clients.
-#[derive(Debug)]
-pub struct ModbusListener<'s> {
-    transport: TcpTransport<'s>,
-    port: u16,
-    map: &'s [Entry],
-    front: Front<'s>,
-}
-
-impl<'s> ModbusListener<'s> {
-    /// Creates a listener; `rx` and `tx` are its socket's buffers, and `map` says which variables its clients see.
-    #[must_use]
-    pub fn new(stack: Stack<'s>, port: u16, map: &'s [Entry], [rx, tx]: [&'s mut [u8]; 2], options: Options) -> Self {
-        Self { transport: TcpTransport::new(stack, rx, tx, options), port, map, front: Front::new(map) }
-    }
-
-    /// Serves clients forever, one after another.
-    #[expect(clippy::large_futures, reason = "32 bytes above the limit on a host, for one transport inside another")]
-    pub async fn run<M: RawMutex, const N: usize>(&mut self, shared: &SharedGateway<'_, M, N>, limits: &Limits) -> ! {
-        loop {
-            let client = accept(&mut self.transport, self.port, shared).await;
-            let permits = |request: &Request<'_>| {
-                let permitted = shared.view(|gateway| gateway.config().rules.permits(request, address(client)).is_ok());
-                permitted.unwrap_or_default()
-            };
-            self.front = Front::new(self.map);
-            let mut link = ModbusLink::new(&mut self.transport, &mut self.front, permits);
-            let ended = serve(&mut link, client, shared, limits).await;
-            if ended.is_none() {
-                shared.deny(client, Denial::Full);
-                answer_full(&mut link).await;
-            }
-            end(&mut self.transport, matches!(ended, Some(Ended::Evicted))).await;
-        }
-    }
-}
 
 /// A connection of a Modbus client as a transport of RAC, for [`serve`](super::serve): any stream, such as TCP.
 #[derive(Debug)]

@@ -2,89 +2,29 @@
 
 use bcap_core::bcap;
 use bcap_core::io::asynch::Transport;
-use bcap_core::time::Instant;
 use embassy_futures::select::{Either, select};
-use embassy_net::{IpEndpoint, Stack};
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_time::Timer;
 
 use super::SharedGateway;
 use crate::clock::{now, ticks};
-use crate::net::{NetError, Options, TcpTransport, UdpTransport};
+use crate::error::NetError;
 
-/// A transport to the robot that can be reopened: a [`TcpRobot`], a [`UdpTransport`], or over a serial line a `SerialRobot`.
-pub trait RobotLink: Transport<Error = NetError> {
+/// A transport to the robot that can be reopened, with any error: `TcpRobot` and `UdpTransport` over embassy-net, `SerialRobot`
+/// over a serial line.
+pub trait RobotLink: Transport {
     /// Opens a connection.
     ///
     /// # Errors
     ///
-    /// A [`NetError`] when the connection cannot be opened.
-    fn open(&mut self) -> impl Future<Output = Result<(), NetError>>;
+    /// An error when the connection cannot be opened.
+    fn open(&mut self) -> impl Future<Output = Result<(), Self::Error>>;
 
     /// Closes the connection without waiting.
     fn close(&mut self);
-}
 
-/// A link to the robot over TCP.
-#[derive(Debug)]
-pub struct TcpRobot<'s> {
-    transport: TcpTransport<'s>,
-    peer: IpEndpoint,
-}
-
-impl<'s> TcpRobot<'s> {
-    /// Creates a link that is not open; `rx` and `tx` are the socket's buffers.
-    #[must_use]
-    pub fn new(
-        stack: Stack<'s>,
-        rx: &'s mut [u8],
-        tx: &'s mut [u8],
-        options: Options,
-        peer: impl Into<IpEndpoint>,
-    ) -> Self {
-        Self { transport: TcpTransport::new(stack, rx, tx, options), peer: peer.into() }
-    }
-}
-
-impl Transport for TcpRobot<'_> {
-    type Error = NetError;
-
-    fn now(&self) -> Instant {
-        now()
-    }
-
-    async fn send(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, NetError> {
-        self.transport.send(bytes, until).await
-    }
-
-    async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, NetError> {
-        self.transport.receive(buffer, until).await
-    }
-
-    async fn sleep_until(&mut self, at: Instant) {
-        self.transport.sleep_until(at).await;
-    }
-}
-
-impl RobotLink for TcpRobot<'_> {
-    async fn open(&mut self) -> Result<(), NetError> {
-        self.transport.connect(self.peer).await
-    }
-
-    fn close(&mut self) {
-        self.transport.socket().abort();
-    }
-}
-
-/// A link to the robot over UDP; the gateway's configuration must have [`Link::Datagram`](bcap::Link::Datagram) too.
-///
-/// UDP has no connection, so opening it succeeds even without a robot; only an answer shows that the robot is connected.
-impl RobotLink for UdpTransport<'_> {
-    async fn open(&mut self) -> Result<(), NetError> {
-        Ok(())
-    }
-
-    fn close(&mut self) {}
+    /// Returns what the log shows of an error.
+    fn cause(error: Self::Error) -> NetError;
 }
 
 /// Runs the connection to the robot and polls the gateway at its deadlines, forever.
@@ -104,7 +44,7 @@ pub async fn run_robot<L: RobotLink, M: RawMutex, const N: usize>(
         shared.poll();
         let wanted = shared.view(|gateway| gateway.robot_wanted()).unwrap_or_default();
         let result = match (robot.open, wanted) {
-            (false, true) => robot.link.open().await.map(|()| {
+            (false, true) => robot.link.open().await.map_err(L::cause).map(|()| {
                 robot.open = true;
                 shared.with(|inner| inner.gateway.robot_opened(now()));
             }),
@@ -166,7 +106,7 @@ async fn transfer<L: RobotLink, M: RawMutex, const N: usize>(
     });
     let to_send = frame.get(..to_send.unwrap_or_default()).unwrap_or_default();
     if !to_send.is_empty() {
-        if let Some(sent) = link.send(to_send, until).await? {
+        if let Some(sent) = link.send(to_send, until).await.map_err(L::cause)? {
             shared.with(|inner| inner.gateway.robot_transmitted(sent));
         }
         return Ok(());
@@ -178,7 +118,7 @@ async fn transfer<L: RobotLink, M: RawMutex, const N: usize>(
     match select(link.receive(room, until), shared.wait_for_robot()).await {
         Either::First(Ok(Some(count))) => received(frame.get(..count).unwrap_or_default(), shared),
         Either::First(Ok(None)) | Either::Second(()) => Ok(()),
-        Either::First(Err(error)) => Err(error),
+        Either::First(Err(error)) => Err(L::cause(error)),
     }
 }
 

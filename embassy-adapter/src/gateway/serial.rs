@@ -5,7 +5,7 @@ use bcap_core::time::Instant;
 use embedded_io_async::{Read, Write};
 
 use super::RobotLink;
-use crate::net::NetError;
+use crate::error::NetError;
 use crate::serial::{SerialTransport, transport};
 
 /// A link to the robot over RS-232; the gateway's configuration must have
@@ -27,18 +27,18 @@ impl<D: Read + Write> SerialRobot<D> {
 }
 
 impl<D: Read + Write> Transport for SerialRobot<D> {
-    type Error = NetError;
+    type Error = D::Error;
 
     fn now(&self) -> Instant {
         self.transport.now()
     }
 
-    async fn send(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, NetError> {
-        self.transport.send(bytes, until).await.map_err(|_| NetError::Line)
+    async fn send(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, D::Error> {
+        self.transport.send(bytes, until).await
     }
 
-    async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, NetError> {
-        self.transport.receive(buffer, until).await.map_err(|_| NetError::Line)
+    async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, D::Error> {
+        self.transport.receive(buffer, until).await
     }
 
     async fn sleep_until(&mut self, at: Instant) {
@@ -47,9 +47,13 @@ impl<D: Read + Write> Transport for SerialRobot<D> {
 }
 
 impl<D: Read + Write> RobotLink for SerialRobot<D> {
-    async fn open(&mut self) -> Result<(), NetError> {
+    async fn open(&mut self) -> Result<(), D::Error> {
         Ok(())
     }
 
     fn close(&mut self) {}
+
+    fn cause(_: D::Error) -> NetError {
+        NetError::Line
+    }
 }

@@ -3,21 +3,20 @@
 use core::cell::RefCell;
 use core::fmt;
 use core::future::poll_fn;
-use core::net::Ipv4Addr;
+use core::net::{Ipv4Addr, SocketAddrV4};
 use core::task::{Context, Poll};
 use core::time::Duration;
 
 use bcap_core::gateway::{Event, Gateway};
 use bcap_core::handler::PeerId;
 use bcap_core::time::Instant;
-use embassy_net::{IpAddress, IpEndpoint};
 use embassy_sync::blocking_mutex::Mutex;
 use embassy_sync::blocking_mutex::raw::RawMutex;
 use embassy_sync::waitqueue::WakerRegistration;
 
 use super::{Denial, Log, Report};
 use crate::clock::now;
-use crate::net::NetError;
+use crate::error::NetError;
 use crate::server::Ended;
 
 /// A gateway that several tasks share; `SESSIONS` is at least the number of its client slots.
@@ -39,7 +38,7 @@ pub(super) struct Inner<'m, const SESSIONS: usize> {
 /// A client slot.
 struct Client {
     peer: Option<PeerId>,
-    endpoint: Option<IpEndpoint>,
+    endpoint: Option<SocketAddrV4>,
     /// The time of its connection, or of the last bytes from it.
     last_received: Instant,
     /// Whether its session must end to make room for another client.
@@ -53,8 +52,8 @@ impl Client {
 }
 
 /// Returns the IPv4 address of a client.
-pub(super) fn address(client: Option<IpEndpoint>) -> Option<Ipv4Addr> {
-    client.map(|IpEndpoint { addr: IpAddress::Ipv4(address), .. }| address)
+fn address(client: Option<SocketAddrV4>) -> Option<Ipv4Addr> {
+    client.map(|client| *client.ip())
 }
 
 /// Wakes one task; a notification without a waiting task stays pending.
@@ -134,7 +133,7 @@ impl<'m, M: RawMutex, const SESSIONS: usize> SharedGateway<'m, M, SESSIONS> {
     }
 
     /// Opens a session for a client; `None` when all slots are in use.
-    pub(super) fn open(&self, endpoint: Option<IpEndpoint>) -> Option<PeerId> {
+    pub(super) fn open(&self, endpoint: Option<SocketAddrV4>) -> Option<PeerId> {
         self.with(|inner| {
             let client = inner.clients.iter_mut().find(|client| client.peer.is_none())?;
             let peer = inner.gateway.open_from(address(endpoint))?;
@@ -144,8 +143,8 @@ impl<'m, M: RawMutex, const SESSIONS: usize> SharedGateway<'m, M, SESSIONS> {
         })?
     }
 
-    /// Tells whether the rules allow a client to connect; logs it if they do not.
-    pub(super) fn admits(&self, endpoint: Option<IpEndpoint>) -> bool {
+    /// Tells whether the rules allow a client to connect; logs it if they do not. For listeners of your own.
+    pub fn admits(&self, endpoint: Option<SocketAddrV4>) -> bool {
         let admits = |inner: &mut Inner<'m, SESSIONS>| inner.gateway.config().rules.admits(address(endpoint));
         let admitted = self.with(admits).unwrap_or_default();
         if !admitted {
@@ -154,14 +153,14 @@ impl<'m, M: RawMutex, const SESSIONS: usize> SharedGateway<'m, M, SESSIONS> {
         admitted
     }
 
-    /// Logs that a client is not served.
-    pub(super) fn deny(&self, client: Option<IpEndpoint>, reason: Denial) {
+    /// Logs that a client is not served. For listeners of your own.
+    pub fn deny(&self, client: Option<SocketAddrV4>, reason: Denial) {
         self.with(|inner| (inner.log)(&Report::Denied { client, reason }));
     }
 
     /// Ends the session of the client that has been idle for the longest time, preferably one with the address of the new
     /// client; `false` when no client has been idle for `after`.
-    pub(super) fn evict(&self, endpoint: Option<IpEndpoint>, after: Duration) -> bool {
+    pub(super) fn evict(&self, endpoint: Option<SocketAddrV4>, after: Duration) -> bool {
         let now = now();
         let evicted = self.with(|inner| {
             let Inner { clients, gateway, .. } = inner;

@@ -43,12 +43,14 @@
 mod link;
 mod tcp;
 mod udp;
+mod usage;
 
 pub use bcap_core::io::asynch::{Connection, Transport};
 
-pub use self::link::NetError;
 pub use self::tcp::{Options, TcpTransport};
 pub use self::udp::UdpTransport;
+pub use self::usage::Usage;
+pub use crate::error::NetError;
 
 /// A client over TCP.
 pub type TcpClient<'s, T, R = T> = Connection<TcpTransport<'s>, T, R>;

@@ -8,7 +8,8 @@ use embassy_net::tcp::{ConnectError, TcpSocket};
 use embassy_net::{IpEndpoint, Stack};
 use embassy_time::{Duration, Timer, with_timeout};
 
-use super::link::{NetError, is_down, wait};
+use super::link::{is_down, wait};
+use super::{NetError, Usage};
 use crate::clock::{now, ticks};
 
 /// The timeouts of a connection.
@@ -23,15 +24,18 @@ pub struct Options {
     ///
     /// smoltcp retransmits after one second at the earliest, so less than 3 s breaks good connections.
     pub lost: Duration,
+    /// Where the use of the buffers is counted, if anywhere.
+    pub usage: Option<&'static Usage>,
 }
 
 impl Default for Options {
-    /// 3 s to connect, a keep-alive after 5 s, a reset after 15 s without an acknowledgement.
+    /// 3 s to connect, a keep-alive after 5 s, a reset after 15 s without an acknowledgement; the use of buffers is not counted.
     fn default() -> Self {
         Self {
             connect_timeout: Duration::from_secs(3),
             keep_alive: Duration::from_secs(5),
             lost: Duration::from_secs(15),
+            usage: None,
         }
     }
 }
@@ -156,11 +160,17 @@ impl Transport for TcpTransport<'_> {
 
     async fn send(&mut self, bytes: &[u8], until: Instant) -> Result<Option<usize>, NetError> {
         let sent = wait(self.stack, until, self.socket.write(bytes)).await?;
+        if let Some(usage) = self.options.usage {
+            usage.has_sent(self.socket.send_queue());
+        }
         sent.transpose().map_err(|_| NetError::Reset)
     }
 
     async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, NetError> {
         let received = wait(self.stack, until, self.socket.read(buffer)).await?;
+        if let (Some(usage), Some(Ok(count))) = (self.options.usage, received) {
+            usage.has_received(self.socket.recv_queue().saturating_add(count));
+        }
         received.transpose().map_err(|_| NetError::Reset)
     }
 

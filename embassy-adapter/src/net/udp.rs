@@ -8,7 +8,8 @@ use embassy_net::udp::{BindError, RecvError, SendError, UdpSocket};
 use embassy_net::{IpEndpoint, Stack};
 use embassy_time::Timer;
 
-use super::link::{NetError, wait};
+use super::NetError;
+use super::link::wait;
 use crate::clock::{now, ticks};
 
 /// A UDP socket with one peer as a transport; datagrams from other senders are dropped.

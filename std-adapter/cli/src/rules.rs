@@ -1,8 +1,11 @@
-//! The rules of a gateway: a file in TOML, and what the command line adds.
+//! The rules of a gateway and its map of Modbus: a file in TOML, and what the command line adds.
 //!
 //! ```toml
 //! convert = true                            # a PUT of 3,5 to an F variable becomes 5.0; only where nothing is lost
 //! rate = { per_second = 50, burst = 10 }    # for each client
+//!
+//! register = ["100=I/10-19:i16"]            # the map of Modbus, in the grammar of the core
+//! coil = ["0=IO/128-143"]
 //!
 //! [[get]]                                   # without any [[get]] everything may be read
 //! kind = "P"
@@ -22,37 +25,73 @@ use std::fs;
 use std::path::Path;
 
 use bcap_core::gateway::{Allow, AllowBuf, Bounds, Rate, RuleErrorKind, Rules};
+use bcap_core::modbus::{Entry as ModbusEntry, EntryError};
 use bcap_core::rac::VariableKind;
 use serde::Deserialize;
 
 use crate::error::Failure;
 
-/// Reads the rules. They live as long as the command.
-pub(crate) fn read(file: Option<&Path>, allow_put: &[AllowPut]) -> Result<Rules<'static>, Failure> {
-    let rules = match file {
-        Some(path) => {
-            let text = fs::read_to_string(path)
-                .map_err(|error| Failure::Input(format!("cannot read the rules in {}: {error}", path.display())))?;
-            parse(&text).map_err(|error| Failure::Input(format!("the rules in {}: {error}", path.display())))?
-        }
-        None => Rules::READ_ONLY,
-    };
-    let more = allow_put.iter().flat_map(|rules| &rules.0).map(|rule| Box::leak(Box::new(rule.clone())).as_allow());
-    Ok(Rules { put: Vec::leak(rules.put.iter().copied().chain(more).collect()), ..rules })
+/// What a gateway reads at its start. It lives as long as the command.
+#[derive(Debug, PartialEq)]
+pub(crate) struct Setup {
+    pub(crate) rules: Rules<'static>,
+    /// The map of Modbus.
+    pub(crate) map: Vec<ModbusEntry>,
 }
 
-/// Parses a file of rules.
-fn parse(text: &str) -> Result<Rules<'static>, String> {
-    let file: File = toml::from_str(text).map_err(|error| error.to_string().trim_end().to_owned())?;
-    let rules = |table: &str, entries: &[Entry]| -> Result<&'static [Allow<'static>], String> {
-        let numbered = (1..).zip(entries);
-        let rules =
-            numbered.map(|(n, entry)| entry.to_allow().map_err(|error| format!("[[{table}]] number {n}, {error}")));
-        rules.collect::<Result<Vec<_>, _>>().map(|rules| &*Vec::leak(rules))
-    };
-    let get = file.get.as_deref().map_or(Ok(&Allow::EVERYTHING[..]), |get| rules("get", get))?;
-    let rate = file.rate.map_or(Rate::UNLIMITED, Rate::from);
-    Ok(Rules { get, put: rules("put", &file.put)?, convert: file.convert, rate, ..Rules::READ_ONLY })
+impl Setup {
+    /// Reads a file, and adds what the command line has.
+    pub(crate) fn read(file: Option<&Path>, allow_put: &[AllowPut], more: &[ModbusEntry]) -> Result<Self, Failure> {
+        let mut setup = match file {
+            Some(path) => {
+                let text = fs::read_to_string(path)
+                    .map_err(|error| Failure::Input(format!("cannot read the rules in {}: {error}", path.display())))?;
+                Self::parse(&text)
+                    .map_err(|error| Failure::Input(format!("the rules in {}: {error}", path.display())))?
+            }
+            None => Self { rules: Rules::READ_ONLY, map: Vec::new() },
+        };
+        let put = allow_put.iter().flat_map(|rules| &rules.0).map(|rule| Box::leak(Box::new(rule.clone())).as_allow());
+        setup.rules.put = Vec::leak(setup.rules.put.iter().copied().chain(put).collect());
+        setup.map.extend(more);
+        match overlap(&setup.map) {
+            Some(addresses) => Err(Failure::Input(format!("two entries of the map of Modbus have {addresses}"))),
+            None => Ok(setup),
+        }
+    }
+
+    /// Parses a file.
+    fn parse(text: &str) -> Result<Self, String> {
+        let file: File = toml::from_str(text).map_err(|error| error.to_string().trim_end().to_owned())?;
+        let rules = |table: &str, entries: &[Entry]| -> Result<&'static [Allow<'static>], String> {
+            let numbered = (1..).zip(entries);
+            let rules =
+                numbered.map(|(n, entry)| entry.to_allow().map_err(|error| format!("[[{table}]] number {n}, {error}")));
+            rules.collect::<Result<Vec<_>, _>>().map(|rules| &*Vec::leak(rules))
+        };
+        let get = file.get.as_deref().map_or(Ok(&Allow::EVERYTHING[..]), |get| rules("get", get))?;
+        let rate = file.rate.map_or(Rate::UNLIMITED, Rate::from);
+        let rules = Rules { get, put: rules("put", &file.put)?, convert: file.convert, rate, ..Rules::READ_ONLY };
+        let registers = file.register.iter().map(|text| entry("register", text, ModbusEntry::registers));
+        let coils = file.coil.iter().map(|text| entry("coil", text, ModbusEntry::coils));
+        Ok(Self { rules, map: registers.chain(coils).collect::<Result<_, _>>()? })
+    }
+}
+
+/// Parses an entry of the map of Modbus.
+fn entry(key: &str, text: &str, parse: fn(&str) -> Result<ModbusEntry, EntryError>) -> Result<ModbusEntry, String> {
+    parse(text).map_err(|error| format!("{key} {text:?}: {error}"))
+}
+
+/// Returns the addresses that an entry shares with an earlier one.
+fn overlap(map: &[ModbusEntry]) -> Option<String> {
+    let mut numbered = map.iter().enumerate();
+    let found = numbered.find_map(|(at, entry)| map[..at].iter().find(|other| other.overlaps(entry)).zip(Some(entry)));
+    found.map(|(other, entry)| {
+        let (first, last) =
+            (other.addresses().0.max(entry.addresses().0), other.addresses().1.min(entry.addresses().1));
+        format!("the addresses {first} to {last}")
+    })
 }
 
 /// One use of `--allow-put`: rules in the grammar of [`AllowBuf`], separated by commas.
@@ -85,6 +124,10 @@ struct File {
     get: Option<Vec<Entry>>,
     #[serde(default)]
     put: Vec<Entry>,
+    #[serde(default)]
+    register: Vec<String>,
+    #[serde(default)]
+    coil: Vec<String>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -165,17 +208,18 @@ mod tests {
     #[test]
     fn the_rules_of_the_package_allow_no_write_until_a_line_is_uncommented() {
         let file = include_str!("../packaging/gateway.toml");
-        let rules = parse(file).unwrap();
+        let rules = Setup::parse(file).unwrap().rules;
         assert_eq!((rules.put.len(), rules.get.len()), (0, Allow::EVERYTHING.len()));
         let rules =
-            parse(&file.replace("# [[put]]", "[[put]]").replace("# kind", "kind").replace("# index", "index")).unwrap();
+            Setup::parse(&file.replace("# [[put]]", "[[put]]").replace("# kind", "kind").replace("# index", "index"));
+        let rules = rules.unwrap().rules;
         assert_eq!(rules.put.len(), 1);
     }
 
     #[test]
     fn an_empty_file_is_read_only() {
-        assert_eq!(parse("").unwrap(), Rules::READ_ONLY);
-        assert_eq!(read(None, &[]).unwrap(), Rules::READ_ONLY);
+        assert_eq!(Setup::parse("").unwrap(), Setup { rules: Rules::READ_ONLY, map: Vec::new() });
+        assert_eq!(Setup::read(None, &[], &[]).unwrap().rules, Rules::READ_ONLY);
     }
 
     #[test]
@@ -187,7 +231,9 @@ mod tests {
             .take_while(|line| !line.contains("```"))
             .map(|line| format!("{}\n", line.trim_start_matches("//!")))
             .collect();
-        let rules = parse(&sample).unwrap();
+        let Setup { rules, map } = Setup::parse(&sample).unwrap();
+        let registers = ModbusEntry::registers("100=I/10-19:i16").unwrap();
+        assert_eq!(map, [registers, ModbusEntry::coils("0=IO/128-143").unwrap()]);
         assert!(rules.convert);
         assert_eq!(rules.rate, Rate { per_second: 50, burst: 10 });
         assert_eq!(rules.get, [Allow::all(VariableKind::P)]);
@@ -205,7 +251,7 @@ mod tests {
     #[test]
     fn the_command_line_adds_to_the_file() {
         let allow = ["F,io/128-143", "I/5=-1..2.5", "V/7=0..1,-5..5,I/9"].map(|text| AllowPut::parse(text).unwrap());
-        let rules = read(None, &allow).unwrap();
+        let rules = Setup::read(None, &allow, &[]).unwrap().rules;
         let range = |min, max| Bounds { min, max };
         assert_eq!(
             rules.put,
@@ -239,8 +285,10 @@ mod tests {
             ("rate = 5", "PerClient"),
             ("convert = 1\n", "bool"),
             ("nonsense", "line 1"),
+            ("register = [\"1=S/1\"]", "register \"1=S/1\": a variable of kind S cannot be in registers"),
+            ("coil = [\"1=I/1\"]", "coil \"1=I/1\": "),
         ] {
-            let error = parse(text).unwrap_err();
+            let error = Setup::parse(text).unwrap_err();
             assert!(error.contains(word), "{text}: {error}");
         }
         for (text, error) in [
@@ -251,7 +299,14 @@ mod tests {
         ] {
             assert_eq!(AllowPut::parse(text).unwrap_err(), error);
         }
-        let error = read(Some(Path::new("/no/such/file.toml")), &[]).unwrap_err();
+        let error = Setup::read(Some(Path::new("/no/such/file.toml")), &[], &[]).unwrap_err();
         assert!(error.to_string().contains("/no/such/file.toml"), "{error}");
+    }
+    #[test]
+    fn entries_of_the_map_that_overlap_are_refused() {
+        let [a, b, c] = ["0=I/0-9", "20=I/10", "19=I/10"].map(|text| ModbusEntry::registers(text).unwrap());
+        assert_eq!(Setup::read(None, &[], &[a, b]).unwrap().map, [a, b]);
+        let error = Setup::read(None, &[], &[a, b, c]).unwrap_err();
+        assert_eq!(error.to_string(), "two entries of the map of Modbus have the addresses 19 to 19");
     }
 }

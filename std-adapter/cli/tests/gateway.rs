@@ -1,15 +1,19 @@
 //! `bcap gateway` between a PLC (`bcap rac`) and a robot (`bcap sim`), as processes.
 
 mod common;
+#[path = "common/pymodbus.rs"]
+mod pymodbus;
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
+use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use common::{Run, bcap, command};
+use pymodbus::Pymodbus;
 use serde_json::Value;
 
 const NOT_CONNECTED: &str = "-2147481342\r";
@@ -476,4 +480,85 @@ fn an_address_in_use_is_reported() {
     let run = bcap(&["gateway", "--rac", &address]);
     assert_eq!((run.out.as_str(), run.code), ("", 3));
     assert!(run.err.contains(&address) && run.err.contains("--rac"), "{}", run.err);
+}
+
+/// A gateway with Modbus: its map is in a file and on the command line.
+fn with_modbus(name: &str, robot: &str) -> Server {
+    let file = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+    let rules = "register = [\"100=I/10-20:i16\", \"200=F/1:low\"]\n\
+                 [[put]]\nkind = \"I\"\nindex = [10, 19]\nvalues = [-100, 100]\n[[put]]\nkind = \"F\"\nindex = 1\n";
+    std::fs::write(&file, rules).unwrap();
+    let modbus = ["--modbus", "127.0.0.1:0", "--rules", file.to_str().unwrap()];
+    up(robot, &[&modbus[..], &["--coil", "0=IO/128-143", "--allow-put", "IO/128-135"]].concat())
+}
+
+#[test]
+fn clients_of_modbus_read_and_write_what_the_rules_allow() {
+    let sim = Server::sim("127.0.0.1:0");
+    let mut gateway = with_modbus("gateway-modbus.toml", &sim.address("bcap"));
+    let mut stream = TcpStream::connect(gateway.address("modbus")).unwrap();
+    let mut ask = |request: &[u8], response: &[u8]| {
+        let length = u8::try_from(request.len() + 1).unwrap();
+        stream.write_all(&[&[0, 7, 0, 0, 0, length, 1], request].concat()).unwrap();
+        let mut found = vec![0; 7 + response.len()];
+        stream.read_exact(&mut found).unwrap();
+        assert_eq!(found[7..], *response, "{request:?}");
+    };
+    ask(&[16, 0, 100, 0, 2, 4, 0, 7, 0xff, 0xff], &[16, 0, 100, 0, 2]);
+    ask(&[3, 0, 100, 0, 3], &[3, 6, 0, 7, 0xff, 0xff, 0, 0]);
+    ask(&[6, 0, 100, 0, 101], &[0x86, 3]);
+    ask(&[5, 0, 1, 0xff, 0], &[5, 0, 1, 0xff, 0]);
+    ask(&[1, 0, 0, 0, 3], &[1, 1, 2]);
+    ask(&[5, 0, 8, 0xff, 0], &[0x85, 2]);
+    ask(&[3, 0, 0, 0, 1], &[0x83, 2]);
+    assert_eq!(gateway.rac(&["get", "I11"]).out, "I11 = -1\n");
+    assert_eq!(gateway.rac(&["get", "IO129"]).out, "IO129 = true\n");
+    for (line, name) in [("PUT:RC8:10:I:3,101", "E_INVALIDARG"), ("PUT:RC8:136:IO:11,-1", "E_ACCESSDENIED")] {
+        let refused = gateway.log("refused");
+        assert_eq!((refused["line"].as_str(), refused["name"].as_str()), (Some(line), Some(name)));
+    }
+    assert_eq!(gateway.log("refused")["line"], "MODBUS:3:0:1");
+}
+
+#[test]
+fn a_client_of_modbus_of_another_make_reads_and_writes_variables() {
+    let Some(pymodbus) = Pymodbus::find(Path::new(env!("CARGO_TARGET_TMPDIR"))) else { return };
+    let sim = Server::sim("127.0.0.1:0");
+    let gateway = with_modbus("gateway-pymodbus.toml", &sim.address("bcap"));
+    let exchanges = [
+        ("client.write_registers(100, [7, 65535, 9])", "ok"),
+        ("client.read_holding_registers(100, count=3)", "[7, 65535, 9]"),
+        ("client.read_input_registers(102, count=1)", "[9]"),
+        ("client.write_register(103, 101)", "exception 3"),
+        ("client.write_register(110, 1)", "exception 2"),
+        ("client.write_registers(200, [0, 0x3fc0])", "ok"),
+        ("client.read_holding_registers(200, count=2)", "[0, 16320]"),
+        ("client.write_coils(1, [True, False, True])", "ok"),
+        ("client.read_coils(0, count=8)", "[False, True, False, True, False, False, False, False]"),
+        ("client.write_coil(8, True)", "exception 2"),
+        ("client.mask_write_register(address=100, and_mask=0, or_mask=0)", "exception 1"),
+    ];
+    pymodbus.check(&gateway.address("modbus"), &exchanges);
+    assert_eq!(gateway.rac(&["get", "F1"]).out, "F1 = 1.5\n");
+}
+
+#[test]
+fn modbus_without_a_valid_map_is_refused() {
+    for (args, error) in [
+        (&[][..], "--modbus needs a map of registers or coils"),
+        (&["--register", "1=S/1"], "a variable of kind S cannot be in registers"),
+        (
+            &["--register", "0=I/0-9", "--register", "19=I/10"],
+            "two entries of the map of Modbus have the addresses 19 to 19",
+        ),
+    ] {
+        let run = bcap(&[&["gateway", "--rac", "127.0.0.1:0", "--modbus", "127.0.0.1:0"], args].concat());
+        assert_eq!((run.out.as_str(), run.code), ("", 2), "{}", run.err);
+        assert!(run.err.contains(error), "{}", run.err);
+    }
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap().to_string();
+    let run = bcap(&["gateway", "--rac", "127.0.0.1:0", "--modbus", &address, "--coil", "0=IO/1"]);
+    assert_eq!((run.out.as_str(), run.code), ("", 3));
+    assert!(run.err.contains(&address) && run.err.contains("--modbus"), "{}", run.err);
 }

@@ -1,4 +1,4 @@
-//! The PLCs' side of a gateway: a listener, and a task for each connection.
+//! The PLCs' side of a gateway: listeners, and a task for each connection.
 
 use std::io;
 use std::sync::Arc;
@@ -12,12 +12,13 @@ use tokio::task::JoinSet;
 use tokio::task::coop::consume_budget;
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
+use super::front::{Front, Map, refuse};
 use super::limits::Limits;
 use super::report::Ended;
 use super::shared::{GatewayState, must_wait};
 use super::traffic::{Ends, Moved};
 use crate::connect::set_up_tcp;
-use crate::server::{REFUSALS, refuse_rac};
+use crate::server::REFUSALS;
 
 /// The time to wait when a connection cannot be accepted, such as without a free file descriptor.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
@@ -25,6 +26,7 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(50);
 /// Accepts connections until the gateway stops, then waits until running requests are answered.
 pub(super) async fn listen(
     listener: TcpListener,
+    map: Map,
     shared: Arc<GatewayState>,
     limits: Limits,
     mut stopped: watch::Receiver<()>,
@@ -48,10 +50,10 @@ pub(super) async fn listen(
         };
         let seated = shared.lock().open(&slots, address);
         if let Some((peer, wake)) = seated {
-            let seat = Seat { peer, shared: Arc::clone(&shared), ended: None };
+            let seat = Seat { peer, shared: Arc::clone(&shared), front: Front::new(map), ended: None };
             tasks.spawn(serve(stream, seat, wake, limits, stopped.clone()));
         } else if refused.len() < REFUSALS {
-            refused.spawn(refuse_rac(stream));
+            refused.spawn(refuse(stream, map));
         }
     }
     drop(listener);
@@ -66,6 +68,7 @@ pub(super) async fn listen(
 struct Seat {
     peer: PeerId,
     shared: Arc<GatewayState>,
+    front: Front,
     ended: Option<Ended>,
 }
 
@@ -79,7 +82,7 @@ impl Drop for Seat {
 async fn serve(stream: TcpStream, mut seat: Seat, wake: Arc<Notify>, limits: Limits, stopped: watch::Receiver<()>) {
     // a socket that cannot be set up is closed already, and its first read tells so
     let _ = set_up_tcp(SockRef::from(&stream), limits.keep_alive);
-    let ended = converse(&stream, &seat, &wake, limits, stopped).await;
+    let ended = converse(&stream, &mut seat, &wake, limits, stopped).await;
     seat.shared.lock().tap.show(|| ends(&stream), Moved::Closed);
     seat.ended = Some(ended.unwrap_or_else(|error| Ended::Failed(error.kind())));
 }
@@ -105,12 +108,12 @@ impl State {
         if !inner.is_open(seat.peer) {
             return None;
         }
-        let gateway = &mut inner.gateway;
+        let (gateway, front) = (&mut inner.gateway, &seat.front);
         Some(Self {
-            sends: !gateway.transmit(seat.peer).is_empty(),
-            receives: !gateway.receive_buffer(seat.peer).is_empty(),
-            is_running: gateway.is_running(seat.peer),
-            is_receiving: gateway.is_receiving(seat.peer),
+            sends: !front.transmit(gateway, seat.peer).is_empty(),
+            receives: front.has_room(gateway, seat.peer),
+            is_running: front.is_running(gateway, seat.peer),
+            is_receiving: front.is_receiving(gateway, seat.peer),
         })
     }
 
@@ -131,7 +134,7 @@ impl State {
 /// Moves lines and answers until the connection ends.
 async fn converse(
     stream: &TcpStream,
-    seat: &Seat,
+    seat: &mut Seat,
     wake: &Notify,
     limits: Limits,
     mut stopped: watch::Receiver<()>,
@@ -145,7 +148,13 @@ async fn converse(
         seat.shared.step();
         // there may be bytes for the robot, or another deadline
         seat.shared.robot.notify_one();
+        if exchange(seat) {
+            continue;
+        }
         let Some(state) = State::of(seat) else { return Ok(Ended::Evicted) };
+        if seat.front.is_broken() {
+            return Ok(Ended::NotModbus);
+        }
         if stopping && !state.sends && !state.is_running {
             return Ok(Ended::Stopped);
         }
@@ -177,38 +186,34 @@ async fn converse(
     }
 }
 
-/// Sends a part of an answer; `false` when the socket takes nothing.
-fn send(stream: &TcpStream, seat: &Seat) -> io::Result<bool> {
+/// Moves lines and replies of a client that speaks Modbus; after `true` the gateway must be polled.
+fn exchange(seat: &mut Seat) -> bool {
     let inner = &mut *seat.shared.lock();
-    let bytes = inner.gateway.transmit(seat.peer);
+    inner.is_open(seat.peer) && seat.front.exchange(&mut inner.gateway, seat.peer)
+}
+
+/// Sends a part of an answer; `false` when the socket takes nothing.
+fn send(stream: &TcpStream, seat: &mut Seat) -> io::Result<bool> {
+    let inner = &mut *seat.shared.lock();
+    let bytes = seat.front.transmit(&inner.gateway, seat.peer);
     let sent = stream.try_write(bytes);
     if must_wait(&sent) {
         return Ok(false);
     }
     let count = sent?;
     inner.tap.show(|| ends(stream), Moved::Reply(bytes.get(..count).unwrap_or(bytes)));
-    inner.gateway.transmitted(seat.peer, count);
+    seat.front.transmitted(&mut inner.gateway, seat.peer, count);
     inner.moved(seat.peer);
     Ok(true)
 }
 
 /// Receives what has arrived; `true` when the client has closed the connection.
-fn receive(stream: &TcpStream, seat: &Seat) -> io::Result<bool> {
+fn receive(stream: &TcpStream, seat: &mut Seat) -> io::Result<bool> {
     let inner = &mut *seat.shared.lock();
-    let room = inner.gateway.receive_buffer(seat.peer);
-    if room.is_empty() {
-        // the step of another task has started a request of this client
-        return Ok(false);
-    }
-    let received = stream.try_read(room);
-    if must_wait(&received) {
-        return Ok(false);
-    }
-    let count = received?;
-    if let Some(bytes @ [_, ..]) = room.get(..count) {
-        inner.tap.show(|| ends(stream), Moved::Request(bytes));
-    }
-    inner.gateway.received(seat.peer, count);
+    let tap = &mut inner.tap;
+    let show = |bytes: &[u8]| tap.show(|| ends(stream), Moved::Request(bytes));
+    // without room, the step of another task has started a request of this client
+    let Some(count) = seat.front.receive(stream, &mut inner.gateway, seat.peer, show)? else { return Ok(false) };
     inner.moved(seat.peer);
     Ok(count == 0)
 }

@@ -12,6 +12,8 @@
 //! connection gets the slot of the connection that has been idle longest when slots are short. A PLC that sends without a
 //! pause does not delay the others: tasks yield after each read and write, and the gateway serves requests in turn.
 //!
+//! With [`Driver::modbus`], PLCs that do not speak RAC use Modbus TCP.
+//!
 //! The driver of boards in `bcap-embassy` has the same [`Report`]s.
 //!
 //! # Examples
@@ -37,6 +39,7 @@
 //! ```
 
 mod clients;
+mod front;
 mod limits;
 mod report;
 mod robot;
@@ -48,6 +51,7 @@ use std::time::Duration;
 
 use bcap_core::bcap::Link;
 use bcap_core::gateway::{Counters, Gateway};
+use bcap_core::modbus::Entry;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 
@@ -66,6 +70,7 @@ pub struct Driver {
     robot: HostPort,
     options: Options,
     limits: Limits,
+    modbus: Option<(TcpListener, &'static [Entry])>,
 }
 
 impl Driver {
@@ -83,13 +88,26 @@ impl Driver {
             gateway.set_next_serial(random_serial());
         }
         let shared = Arc::new(GatewayState::new(gateway, Box::new(log)));
-        Self { shared, robot: (host.into(), port), options: Options::default(), limits: Limits::default() }
+        Self {
+            shared,
+            robot: (host.into(), port),
+            options: Options::default(),
+            limits: Limits::default(),
+            modbus: None,
+        }
     }
 
     /// Changes the limits for PLCs.
     #[must_use]
     pub fn limits(self, limits: Limits) -> Self {
         Self { limits, ..self }
+    }
+
+    /// Serves Modbus TCP on another listener, for PLCs that do not speak RAC: a request becomes a line for each of its variables.
+    /// The same slots, rules and limits apply.
+    #[must_use]
+    pub fn modbus(self, listener: TcpListener, map: &'static [Entry]) -> Self {
+        Self { modbus: Some((listener, map)), ..self }
     }
 
     /// Shows all bytes of PLCs and of the robot to a function, such as a recording. It is called while the gateway is locked, so
@@ -117,16 +135,27 @@ impl Driver {
     /// When the future is dropped all connections are closed at once; a running request may have been carried out.
     pub async fn run(self, listener: TcpListener, shutdown: impl Future<Output = ()>) -> Counters {
         let (stop, stopped) = watch::channel(());
-        let clients = clients::listen(listener, Arc::clone(&self.shared), self.limits, stopped);
+        let listen =
+            |listener, map| clients::listen(listener, map, Arc::clone(&self.shared), self.limits, stopped.clone());
+        let rac = listen(listener, None);
+        let modbus = self.modbus.map(|(listener, map)| listen(listener, Some(map)));
         let clients = async {
-            tokio::join!(clients, async {
-                shutdown.await;
-                // every task sees that the sender is dropped
-                drop(stop);
-            })
+            tokio::join!(
+                rac,
+                async {
+                    if let Some(modbus) = modbus {
+                        modbus.await
+                    }
+                },
+                async {
+                    shutdown.await;
+                    // every task sees that the sender is dropped
+                    drop(stop);
+                }
+            )
         };
         tokio::select! {
-            ((), ()) = clients => {}
+            ((), (), ()) = clients => {}
             never = robot::run(Arc::clone(&self.shared), self.robot, self.options) => match never {},
         }
         self.shared.counters()

@@ -14,7 +14,8 @@ pub enum Report<'a> {
         /// The client's address.
         client: SocketAddr,
     },
-    /// A client got no slot. Its first line is answered with E_MAX_CONNECT, and the connection is closed.
+    /// A client got no slot. Its first line is answered with E_MAX_CONNECT, its first request of Modbus with the exception
+    /// "server device busy", and the connection is closed.
     TurnedAway {
         /// The client's address.
         client: SocketAddr,
@@ -30,7 +31,8 @@ pub enum Report<'a> {
     Answered {
         /// The client's address.
         client: SocketAddr,
-        /// The line, without its CR; of an over-long line the first 256 bytes.
+        /// The line, without its CR; of an over-long line the first 256 bytes. A request of Modbus becomes a line for each of its
+        /// variables.
         line: &'a [u8],
         /// How it was answered.
         event: Event,
@@ -56,6 +58,8 @@ pub enum Ended {
     Idle,
     /// The client did not read its answers.
     ReplyNotRead,
+    /// The client of Modbus sent bytes that are not Modbus TCP.
+    NotModbus,
     /// Another client needed the slot.
     Evicted,
     /// The gateway stops.

@@ -69,7 +69,7 @@ pub(crate) use rac::refuse as refuse_rac;
 pub use serial::{LineEvent, LineReport};
 pub use shared::{OnConnect, Tap};
 #[cfg(feature = "gateway")]
-pub(crate) use tcp::REFUSALS;
+pub(crate) use tcp::{REFUSAL_TIME, REFUSALS};
 
 /// A server that listens, and serves while it runs.
 #[derive(Debug)]

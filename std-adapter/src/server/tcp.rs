@@ -30,7 +30,7 @@ const OBJECTS: usize = 1000;
 /// once.
 pub(crate) const REFUSALS: usize = 32;
 /// How long a connection over the limit may take to send its first request.
-pub(super) const REFUSAL_TIME: Duration = Duration::from_secs(2);
+pub(crate) const REFUSAL_TIME: Duration = Duration::from_secs(2);
 
 type StreamSession = Session<Buffer, Buffer, OBJECTS>;
 

@@ -119,8 +119,13 @@ pub struct Board {
 }
 
 impl Board {
-    /// Builds the image if it is not built, and starts it with a robot and settings.
+    /// Builds the image of the gateway if it is not built, and starts it with a robot and settings.
     pub fn start(robot: &str, options: &[&str], settings: &[&str]) -> Self {
+        Self::start_image("gateway", robot, options, settings)
+    }
+
+    /// Builds an image if it is not built, and starts it with a robot and settings.
+    pub fn start_image(image: &str, robot: &str, options: &[&str], settings: &[&str]) -> Self {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
         let log = std::env::temp_dir().join(format!("bcap-qemu-{}-{number}.log", std::process::id()));
@@ -136,7 +141,7 @@ impl Board {
         let out = File::create(&log).unwrap();
         let err = out.try_clone().unwrap();
         // a process group, so that one signal ends QEMU and defmt-print too
-        command.args(options).arg("gateway").process_group(0);
+        command.args(options).arg(image).process_group(0);
         let mut child = command.stdin(Stdio::piped()).stdout(out).stderr(err).spawn().unwrap();
         let input = child.stdin.take().unwrap();
         let log_is_text = Command::new("defmt-print").arg("--version").output().is_ok();
@@ -198,7 +203,10 @@ impl Board {
 
 impl Drop for Board {
     fn drop(&mut self) {
-        signal("-TERM", &format!("-{}", self.child.id()));
+        // a board that was reset has ended already
+        if self.is_running() {
+            signal("-TERM", &format!("-{}", self.child.id()));
+        }
         let _ = self.child.wait();
         if std::thread::panicking() {
             let _ = writeln!(io::stderr(), "the board's log: {}", self.log());
@@ -237,7 +245,12 @@ impl Plc {
         }
     }
 
-    fn try_connect(address: &str, timeout: Duration) -> io::Result<Self> {
+    /// Connects, with a limit for the wait for each answer.
+    ///
+    /// # Errors
+    ///
+    /// The connection was refused.
+    pub fn try_connect(address: &str, timeout: Duration) -> io::Result<Self> {
         let stream = TcpStream::connect(address)?;
         stream.set_read_timeout(Some(timeout))?;
         stream.set_nodelay(true)?;
@@ -246,7 +259,16 @@ impl Plc {
 
     /// Sends bytes.
     pub fn send(&mut self, bytes: &[u8]) {
-        self.stream.get_mut().write_all(bytes).unwrap();
+        self.try_send(bytes).unwrap();
+    }
+
+    /// Sends bytes.
+    ///
+    /// # Errors
+    ///
+    /// The connection ended.
+    pub fn try_send(&mut self, bytes: &[u8]) -> io::Result<()> {
+        self.stream.get_mut().write_all(bytes)
     }
 
     /// Reads an answer.

@@ -69,6 +69,16 @@ fn the_page_shows_the_state_and_syslog_tells_refusals_and_changes() {
     assert!(json.contains("\"last_reset\":\"power-on\",\"robot\":{\"state\":\"up\",\"sessions\":1}"), "{json}");
     assert!(json.contains("\"slots\":4},\"requests\":{\"refused\":1,\"served\":{\"count\":"), "{json}");
     assert!((1..12_288).contains(&number(&json, "stack\":{\"most")), "{json}");
+    // a refused line, its answer, and the handshake with the robot
+    for (buffer, size) in [
+        ("log", 4096),
+        ("PLC receive buffer", 512),
+        ("PLC send buffer", 512),
+        ("robot receive buffer", 1024),
+        ("robot send buffer", 1024),
+    ] {
+        assert!((1..=size).contains(&number(&json, &format!("{buffer}\":{{\"most"))), "{json}");
+    }
     assert!(number(&json, "frames received") > 10, "{json}");
     assert_eq!(number(&json, "syslog messages lost"), 0, "{json}");
 

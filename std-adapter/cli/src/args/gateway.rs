@@ -3,13 +3,14 @@
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
+use bcap_core::modbus::Entry;
 use clap::Args;
 
 use crate::rules::AllowPut;
 
-/// Lets PLCs that speak RAC read, and if rules allow it write, the variables of a robot that speaks b-CAP
+/// Lets PLCs that speak RAC or Modbus TCP read, and if rules allow it write, the variables of a robot that speaks b-CAP
 ///
-/// Prints one line, `ready rac=IP:PORT`, when it listens, then the audit log: one JSON object a line for every request and
+/// Prints one line, `ready rac=IP:PORT` and with --modbus `modbus=IP:PORT`, when it listens, then the audit log: one JSON object a line for every request and
 /// for each change of the robot's session. While the robot is disconnected, every request is answered with E_NOT_CONNECTED
 /// at once. SIGINT, SIGTERM and SIGHUP end it with 0, after running requests have been answered.
 #[derive(Debug, Args)]
@@ -23,14 +24,33 @@ A file of rules. By default everything may be read and nothing written.
   kind = \"I\"
   index = [0, 99]                           # or one number
   values = [-10, 10]                        # or a list of ranges, one for each element
+The same file may have the map of Modbus, before the first [[get]] or [[put]].
+  register = [\"100=I/10-19:i16\", \"200=F/0-9\"]
+  coil = [\"0=IO/128-143\"]
 Examples:
   bcap gateway --robot tcp:192.168.0.1
   bcap gateway --robot udp:192.168.0.1 --allow-put I/0-99,IO/128-143 --allow-put F/5=0..1
-  bcap gateway --rac [::]:5006 --robot tcp:192.168.0.1 --rules rules.toml --audit /var/log/gateway.jsonl")]
+  bcap gateway --rac [::]:5006 --robot tcp:192.168.0.1 --rules rules.toml --audit /var/log/gateway.jsonl
+  bcap gateway --robot tcp:192.168.0.1 --modbus 127.0.0.1:5020 --register 100=I/10-19:i16 --coil 0=IO/128-143")]
 pub(crate) struct Gateway {
     /// Where RAC listens
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:5006")]
     pub(crate) rac: SocketAddr,
+
+    /// Where Modbus TCP listens, usually on port 502; off by default. The map says which variables its clients see
+    #[arg(long, value_name = "ADDR")]
+    pub(crate) modbus: Option<SocketAddr>,
+
+    /// Maps holding registers to variables: ADDRESS=KIND[/FIRST[-LAST]][:FORMAT][:low]; can be repeated
+    ///
+    /// Addresses count from 0. FORMAT is i16, u16 or i32 for I, and f32 or f64 for D. A number begins with its high register,
+    /// with low with its low one.
+    #[arg(long, value_name = "ENTRY", requires = "modbus", value_parser = Entry::registers)]
+    pub(crate) register: Vec<Entry>,
+
+    /// Maps coils to variables: ADDRESS=IO[/FIRST[-LAST]]; can be repeated
+    #[arg(long, value_name = "ENTRY", requires = "modbus", value_parser = Entry::coils)]
+    pub(crate) coil: Vec<Entry>,
 
     /// What clients may do, in TOML
     #[arg(long, value_name = "FILE")]
@@ -43,7 +63,7 @@ pub(crate) struct Gateway {
     #[arg(long, value_name = "RULES", value_parser = AllowPut::parse)]
     pub(crate) allow_put: Vec<AllowPut>,
 
-    /// Connections of one IP address at the same time, of 64 in all
+    /// Connections of one IP address at the same time, of 64 in all, with RAC and Modbus
     #[arg(long, value_name = "COUNT", default_value_t = 16)]
     pub(crate) clients_per_address: usize,
 

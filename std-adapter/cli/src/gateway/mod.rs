@@ -12,7 +12,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use bcap_core::bcap::client;
-use bcap_core::gateway::{Config, Gateway, Memory};
+use bcap_core::gateway::{Config, Gateway, Memory, Rules};
+use bcap_core::modbus::Entry;
 use bcap_std::gateway::{Driver, Limits, Moved, Report, Traffic};
 use tokio::net::TcpListener;
 use tokio::time::sleep;
@@ -24,7 +25,7 @@ use crate::frame::Role;
 use crate::listen::{runtime, taken};
 use crate::output::{note, print_line};
 use crate::record::{Ends, Recorder, Recording};
-use crate::rules;
+use crate::rules::Setup;
 use crate::signal;
 use bcap_std::Protocol;
 
@@ -43,7 +44,13 @@ const REPORT: Duration = Duration::from_secs(1);
 /// Runs `bcap gateway` until a signal ends it.
 pub(crate) fn gateway(args: &args::Gateway, link: &LinkArgs) -> Result<(), Failure> {
     let target = link.network_target()?;
-    let config = config(args, link, target.protocol)?;
+    let more: Vec<Entry> = args.register.iter().chain(&args.coil).copied().collect();
+    let Setup { rules, map } = Setup::read(args.rules.as_deref(), &args.allow_put, &more)?;
+    if args.modbus.is_some() && map.is_empty() {
+        let hint = "--register 100=I/10-19, --coil 0=IO/128-143, or the same in --rules";
+        return Err(Failure::Input(format!("--modbus needs a map of registers or coils: {hint}")));
+    }
+    let config = config(link, target.protocol, rules);
     let limits = Limits::default()
         .connections_per_address(args.clients_per_address)
         .evict_after(Duration::from_secs(args.evict_after.into()));
@@ -59,13 +66,27 @@ pub(crate) fn gateway(args: &args::Gateway, link: &LinkArgs) -> Result<(), Failu
         // the signals first: a reader of the line may send one at once
         let ended = signal::wait()?;
         let listener = TcpListener::bind(args.rac).await.map_err(|error| taken("--rac", args.rac, &error))?;
-        print_line(&format!("ready rac={}", listener.local_addr()?))?;
+        let modbus = match args.modbus {
+            Some(address) => {
+                Some(TcpListener::bind(address).await.map_err(|error| taken("--modbus", address, &error))?)
+            }
+            None => None,
+        };
+        let mut ready = format!("ready rac={}", listener.local_addr()?);
+        if let Some(modbus) = &modbus {
+            ready += &format!(" modbus={}", modbus.local_addr()?);
+        }
+        print_line(&ready)?;
         // the memory lives as long as the command
         let gateway = Gateway::new(config, Box::leak(Box::new(Places::new())));
         let logged = Arc::clone(&audit);
         let log = move |report: &Report<'_>| lock(&logged).log(report);
         let driver = Driver::new(gateway, (target.host, target.port), log);
         let driver = driver.limits(limits).connect_timeout(link.timeout());
+        let driver = match modbus {
+            Some(listener) => driver.modbus(listener, Vec::leak(map)),
+            None => driver,
+        };
         let driver = match recorder {
             Some(recorder) => driver.tap(move |traffic| record(&recorder, traffic)),
             None => driver,
@@ -111,7 +132,7 @@ async fn report(audit: &Mutex<Audit>, recording: Option<&Recording>) -> Infallib
     }
 }
 
-fn config(args: &args::Gateway, link: &LinkArgs, protocol: Protocol) -> Result<Config<'static>, Failure> {
+fn config(link: &LinkArgs, protocol: Protocol, rules: Rules<'static>) -> Config<'static> {
     let client = match protocol {
         Protocol::Tcp => client::Config::TCP,
         Protocol::Udp => client::Config::UDP,
@@ -124,13 +145,13 @@ fn config(args: &args::Gateway, link: &LinkArgs, protocol: Protocol) -> Result<C
         keep_alive: call,
         ..client.timing
     };
-    Ok(Config {
+    Config {
         client: client::Config { timing, ..client },
         service: String::leak(link.start_option()),
         provider: String::leak(link.provider().to_owned()),
         option: String::leak(link.option().to_owned()),
         request_timeout: call.saturating_add(Duration::from_secs(2)),
-        rules: rules::read(args.rules.as_deref(), &args.allow_put)?,
+        rules,
         ..Config::RC8
-    })
+    }
 }

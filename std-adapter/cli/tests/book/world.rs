@@ -30,6 +30,7 @@ struct Listening {
     option: &'static str,
     /// The keys of these addresses in the `ready` line.
     keys: &'static [&'static str],
+    /// Empty if it does not listen without the option.
     default: &'static str,
 }
 
@@ -42,7 +43,7 @@ const SIM: &[Listening] = &[
     listening("--udp", &["udp"], "127.0.0.1:5007"),
     listening("--rac", &["rac"], "127.0.0.1:5006"),
 ];
-const GATEWAY: &[Listening] = &[listening("--rac", &["rac"], "127.0.0.1:5006")];
+const GATEWAY: &[Listening] = &[listening("--rac", &["rac"], "127.0.0.1:5006"), listening("--modbus", &["modbus"], "")];
 const PROXY: &[Listening] =
     &[listening("--listen", &["bcap", "udp"], "127.0.0.1:5007"), listening("--listen-rac", &["rac"], "127.0.0.1:5006")];
 
@@ -168,6 +169,9 @@ impl World {
         let both = free_port();
         for &Listening { option, keys, default } in options {
             let known = words.iter().position(|word| word == option);
+            if known.is_none() && default.is_empty() {
+                continue;
+            }
             let page = known.map_or_else(|| default.to_owned(), |at| words.drain(at..at + 2).next_back().unwrap());
             addresses.extend(keys.iter().map(|key| (*key, page.clone())));
             // a real controller has one port for TCP and UDP

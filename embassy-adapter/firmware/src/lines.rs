@@ -1,0 +1,122 @@
+//! The second and the third serial port, as lines to a robot and to a PLC.
+//!
+//! ```text
+//!  port ─► interrupt ─► ring ─► Line::read     Line::write ─► ring ─► interrupt ─► port
+//! ```
+
+use core::convert::Infallible;
+use core::future::poll_fn;
+use core::task::Poll;
+
+use bcap_board::ring::Ring;
+use cortex_m::interrupt::InterruptNumber as _;
+use embassy_sync::waitqueue::AtomicWaker;
+use embedded_io_async::{ErrorType, Read, Write};
+
+use crate::board::{self, CONSOLE_RX_IRQ, CONSOLE_TX_IRQ, CONSOLE_UART, Irq, UART_2, UART_2_RX_IRQ, UART_2_TX_IRQ};
+use crate::mmio::Block;
+use crate::uart;
+
+static ROBOT: Port = Port::new(CONSOLE_UART, CONSOLE_RX_IRQ, CONSOLE_TX_IRQ);
+static PLC: Port = Port::new(UART_2, UART_2_RX_IRQ, UART_2_TX_IRQ);
+
+/// A serial port with its buffers.
+struct Port {
+    uart: Block,
+    receiver: Irq,
+    transmitter: Irq,
+    /// More than a frame, which arrives while the board runs its other tasks.
+    received: Ring<1024>,
+    /// More than all answers that one side waits for.
+    to_send: Ring<4096>,
+    waker: AtomicWaker,
+}
+
+impl Port {
+    const fn new(uart: Block, receiver: Irq, transmitter: Irq) -> Self {
+        let (received, to_send) = (Ring::new(), Ring::new());
+        Self { uart, receiver, transmitter, received, to_send, waker: AtomicWaker::new() }
+    }
+}
+
+/// A line. Its `read` is cancel-safe.
+#[derive(Clone, Copy)]
+pub struct Line(&'static Port);
+
+impl Line {
+    /// Starts the line to the robot, of 115,200 baud. Call it once.
+    #[must_use]
+    pub fn robot() -> Self {
+        Self::start(&ROBOT)
+    }
+
+    /// Starts the line to the PLC, of 115,200 baud. Call it once.
+    #[must_use]
+    pub fn plc() -> Self {
+        Self::start(&PLC)
+    }
+
+    fn start(port: &'static Port) -> Self {
+        uart::enable(port.uart);
+        board::unmask(port.receiver);
+        board::unmask(port.transmitter);
+        Self(port)
+    }
+}
+
+impl core::fmt::Debug for Line {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        f.write_str("Line")
+    }
+}
+
+impl ErrorType for Line {
+    type Error = Infallible;
+}
+
+impl Read for Line {
+    async fn read(&mut self, buffer: &mut [u8]) -> Result<usize, Infallible> {
+        poll_fn(|context| {
+            self.0.waker.register(context.waker());
+            let mut count = 0;
+            for (to, from) in buffer.iter_mut().zip(core::iter::from_fn(|| self.0.received.pop())) {
+                *to = from;
+                count += 1;
+            }
+            if count > 0 { Poll::Ready(Ok(count)) } else { Poll::Pending }
+        })
+        .await
+    }
+}
+
+impl Write for Line {
+    /// Never waits; bytes without room are lost, as on a line whose other end is gone.
+    async fn write(&mut self, bytes: &[u8]) -> Result<usize, Infallible> {
+        self.0.to_send.frame(|frame| frame.extend(bytes));
+        board::pend(self.0.transmitter);
+        Ok(bytes.len())
+    }
+
+    async fn flush(&mut self) -> Result<(), Infallible> {
+        Ok(())
+    }
+}
+
+/// Handles an interrupt; `false` if it is not one of these ports.
+pub(crate) fn handle(number: i16) -> bool {
+    let is = |irq: Irq| number == irq.number().cast_signed();
+    for port in [&ROBOT, &PLC] {
+        if is(port.receiver) {
+            while let Some(byte) = uart::receive_from(port.uart) {
+                port.received.frame(|frame| frame.extend(&[byte]));
+            }
+            port.waker.wake();
+            return true;
+        }
+        if is(port.transmitter) {
+            uart::transmit_to(port.uart, port.transmitter, &port.to_send);
+            return true;
+        }
+    }
+    false
+}

@@ -1,0 +1,108 @@
+//! TCP listeners for PLCs over embassy-net.
+
+use core::net::SocketAddrV4;
+use core::time::Duration;
+
+use bcap_core::io::asynch::Transport;
+use embassy_net::{IpAddress, IpEndpoint, Stack};
+use embassy_sync::blocking_mutex::raw::RawMutex;
+use embassy_time::Timer;
+
+use super::clients::{CHUNK, serve};
+use super::{Denial, SharedGateway};
+use crate::net::{Options, TcpTransport};
+use crate::server::{Ended, Limits};
+
+/// The pause before listening again after listening failed.
+const PAUSE_MS: u64 = 100;
+
+/// The answer to the first line of a client without a slot, E_MAX_CONNECT, and how long to wait for that line.
+const FULL: &[u8] = b"-2147481333\r";
+const FULL_WAIT: Duration = Duration::from_millis(500);
+
+/// A TCP listener that serves one PLC at a time; use several on the same port to serve several PLCs concurrently.
+///
+/// With one listener more than the gateway has slots, a PLC without a slot gets the answer E_MAX_CONNECT to its first line.
+/// The network resets connections that no listener accepts.
+#[derive(Debug)]
+pub struct Listener<'s> {
+    transport: TcpTransport<'s>,
+    port: u16,
+}
+
+impl<'s> Listener<'s> {
+    /// Creates a listener; `rx` and `tx` are its socket's buffers.
+    #[must_use]
+    pub fn new(stack: Stack<'s>, port: u16, rx: &'s mut [u8], tx: &'s mut [u8]) -> Self {
+        Self::with_options(stack, port, rx, tx, Options::default())
+    }
+
+    /// Creates a listener with other timeouts of its connections.
+    #[must_use]
+    pub fn with_options(stack: Stack<'s>, port: u16, rx: &'s mut [u8], tx: &'s mut [u8], options: Options) -> Self {
+        Self { transport: TcpTransport::new(stack, rx, tx, options), port }
+    }
+
+    /// Serves PLCs forever, one after another.
+    pub async fn run<M: RawMutex, const N: usize>(&mut self, shared: &SharedGateway<'_, M, N>, limits: &Limits) -> ! {
+        loop {
+            let client = accept(&mut self.transport, self.port, shared).await;
+            let ended = serve(&mut self.transport, client, shared, limits).await;
+            if ended.is_none() {
+                shared.deny(client, Denial::Full);
+                answer_full(&mut self.transport).await;
+            }
+            end(&mut self.transport, matches!(ended, Some(Ended::Evicted))).await;
+        }
+    }
+}
+
+/// Waits for a client that the rules admit, and returns its address.
+pub(super) async fn accept<M: RawMutex, const N: usize>(
+    transport: &mut TcpTransport<'_>,
+    port: u16,
+    shared: &SharedGateway<'_, M, N>,
+) -> Option<SocketAddrV4> {
+    loop {
+        if transport.accept(port).await.is_err() {
+            Timer::after_millis(PAUSE_MS).await;
+            continue;
+        }
+        let client = transport.socket().remote_endpoint();
+        let client = client.map(|IpEndpoint { addr: IpAddress::Ipv4(address), port }| SocketAddrV4::new(address, port));
+        if shared.admits(client) {
+            return client;
+        }
+        transport.reset().await;
+    }
+}
+
+/// Ends the connection of a client. An evicted one was idle, so it would not confirm the end if it were gone.
+pub(super) async fn end(transport: &mut TcpTransport<'_>, is_evicted: bool) {
+    match is_evicted {
+        true => transport.reset().await,
+        false => transport.close().await,
+    }
+}
+
+/// Answers the first line of a client without a slot.
+pub(super) async fn answer_full<X: Transport>(transport: &mut X) {
+    let mut chunk = [0; CHUNK];
+    let until = transport.now().saturating_add(FULL_WAIT);
+    // not before its line arrives, because a line that arrives after the close would reset the connection
+    if let Ok(Some(1..)) = transport.receive(&mut chunk, until).await {
+        // a client that does not read it has no slot either
+        let _ = transport.send(FULL, until).await;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use bcap_core::hresult::HResult;
+
+    #[test]
+    fn a_full_gateway_answers_e_max_connect() {
+        assert_eq!(std::format!("{}\r", HResult::E_MAX_CONNECT.0).as_bytes(), FULL);
+    }
+}
