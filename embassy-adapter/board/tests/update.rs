@@ -8,7 +8,7 @@ use std::io::{self, Write as _};
 use bcap_board::crc::Crc32;
 use bcap_board::identity::Identity;
 use bcap_board::slots::{Slots, TEXT};
-use bcap_board::update::{BLOCK, Partitions, Phase, StateFlash, UpdateError, Updater};
+use bcap_board::update::{BLOCK, Partitions, StateFlash, UpdateError, Updater};
 use embassy_boot::{BootLoader, BootLoaderConfig};
 use embassy_embedded_hal::flash::partition::BlockingPartition;
 use embassy_sync::blocking_mutex::Mutex;
@@ -19,7 +19,7 @@ static OLD: Identity = Identity::new("test-board", "0.1.0");
 static NEW: Identity = Identity::new("test-board", "0.2.0");
 const SETTINGS: &[u8] = b"put=I/0-99\n";
 /// The sizes of the partition of an image, and of that of the settings.
-const IMAGE: u32 = 2048;
+const IMAGE: u32 = 1024;
 const SLOTS: u32 = 4096;
 
 type Result<T> = std::result::Result<T, UpdateError<FlashError>>;
@@ -58,8 +58,9 @@ impl<const WRITE: usize, const ERASE: usize> Board<WRITE, ERASE> {
         {
             use embedded_storage::nor_flash::NorFlash as _;
             flash.erase(partitions.active.start, partitions.active.end).unwrap();
-            flash.write(partitions.active.start, &image(&OLD, 1400)).unwrap();
+            flash.write(partitions.active.start, &image(&OLD, 700)).unwrap();
         }
+        let flash = flash.with_erased_at_once(ERASE / 8);
         let mut slots = Slots::new(flash, partitions.history.end..partitions.history.end + SLOTS).unwrap();
         slots.write(SETTINGS).unwrap();
         Self { flash: slots.release(), last_reset: "power-on" }
@@ -84,7 +85,7 @@ impl<const WRITE: usize, const ERASE: usize> Board<WRITE, ERASE> {
     fn identity(&self) -> &'static Identity {
         let active = Self::partitions().active;
         let active = &self.flash.bytes()[usize::try_from(active.start).unwrap()..usize::try_from(active.end).unwrap()];
-        let found = [(&OLD, 1400), (&NEW, 2000)].into_iter().find(|(id, len)| active.starts_with(&image(id, *len)));
+        let found = [(&OLD, 700), (&NEW, 1000)].into_iter().find(|(id, len)| active.starts_with(&image(id, *len)));
         found.expect("the active partition has no complete image").0
     }
 
@@ -124,7 +125,7 @@ fn block_crc(number: u32, data: &[u8]) -> u32 {
 /// Installs the new image, and restarts into it. Returns `None` when the power was cut.
 fn into_trial<const W: usize, const E: usize>(board: &mut Board<W, E>) -> Option<Updater> {
     let mut updater = board.start().ok()?;
-    board.install(&mut updater, &NEW, 2000).ok()?;
+    board.install(&mut updater, &NEW, 1000).ok()?;
     board.boot().ok()?;
     board.start().ok()
 }
@@ -151,10 +152,8 @@ fn recover<const W: usize, const E: usize>(board: &mut Board<W, E>) {
     board.boot().unwrap();
     let mut updater = board.start().unwrap();
     assert_eq!(board.settings().as_deref(), Some(SETTINGS), "the settings");
-    // an image on trial is confirmed, or the update is the old image's
-    assert!(updater.phase() != Phase::OnTrial || board.identity() == &NEW);
     updater.confirm(&mut board.flash).unwrap();
-    let next = if board.identity() == &OLD { (&NEW, 2000) } else { (&OLD, 1400) };
+    let next = if board.identity() == &OLD { (&NEW, 1000) } else { (&OLD, 700) };
     board.install(&mut updater, next.0, next.1).unwrap();
     board.boot().unwrap();
     assert_eq!(board.identity(), next.0, "a repeated update");
@@ -186,16 +185,25 @@ fn power_cuts<const W: usize, const E: usize>(noise: u32) -> u32 {
     let mut board = Board::<W, E>::new();
     board.flash = board.flash.with_noise(noise);
     let mut cuts = cut_everywhere(&board, confirmed, |mut board| recover(&mut board));
-    cuts += cut_everywhere(&board, rolled_back, |mut board| recover(&mut board));
+    let (mut number, mut second) = (0_u32, 0);
+    cuts += cut_everywhere(&board, rolled_back, |mut board| {
+        number += 1;
+        // every 500th cut is followed by cuts everywhere in the next start
+        if number % 500 == 0 {
+            second += cut_everywhere(&board, |board| board.boot().ok(), |mut board| recover(&mut board));
+        }
+        recover(&mut board);
+    });
     // the banks of the state and the slots of the history are then used the other way round
     confirmed(&mut board).unwrap();
-    cuts + cut_everywhere(&board, rolled_back_to_new, |mut board| recover(&mut board))
+    cuts += cut_everywhere(&board, rolled_back_again, |mut board| recover(&mut board));
+    cuts + second
 }
 
-/// As `rolled_back`, from the new image.
-fn rolled_back_to_new<const W: usize, const E: usize>(board: &mut Board<W, E>) -> Option<()> {
+/// An update to the old image, which is rolled back.
+fn rolled_back_again<const W: usize, const E: usize>(board: &mut Board<W, E>) -> Option<()> {
     let mut updater = board.start().ok()?;
-    board.install(&mut updater, &OLD, 1400).ok()?;
+    board.install(&mut updater, &OLD, 700).ok()?;
     board.boot().ok()?;
     board.start().ok()?;
     board.boot().ok()?;
@@ -204,19 +212,19 @@ fn rolled_back_to_new<const W: usize, const E: usize>(board: &mut Board<W, E>) -
 
 #[test]
 fn a_power_cut_leaves_a_complete_image_and_the_settings() {
-    let cuts = [power_cuts::<1, 512>(0), power_cuts::<4, 1024>(1), power_cuts::<1, 512>(77)];
+    let cuts = [power_cuts::<1, 256>(0), power_cuts::<4, 512>(1)];
     // not `println`, which the tests of cargo show of failures only
     let _ = writeln!(io::stderr(), "updates: {} power cuts, all recovered", cuts.iter().sum::<u32>());
-    assert!(cuts.iter().all(|cuts| *cuts > 30_000), "{cuts:?}");
+    assert!(cuts.iter().all(|cuts| *cuts > 10_000), "{cuts:?}");
 }
 
 #[test]
 fn an_update_is_confirmed() {
-    let mut board = Board::<1, 512>::new();
+    let mut board = Board::<1, 256>::new();
     board.boot().unwrap();
     assert_eq!(board.status(), "test-board 0.1.0 confirmed");
     let mut updater = board.start().unwrap();
-    board.install(&mut updater, &NEW, 2000).unwrap();
+    board.install(&mut updater, &NEW, 1000).unwrap();
     let status = updater.status(&mut board.flash).unwrap().to_string();
     assert_eq!(status, "test-board 0.1.0 runs; a restart swaps in 0.2.0");
     assert_eq!(updater.begin::<()>("test-board", "0.2.0", 9, 0), Err(UpdateError::Busy));
@@ -235,7 +243,7 @@ fn an_update_is_confirmed() {
 
 #[test]
 fn an_update_that_is_reset_on_trial_is_rolled_back_and_the_reason_is_kept() {
-    let mut board = Board::<4, 1024>::new();
+    let mut board = Board::<4, 512>::new();
     rolled_back(&mut board).unwrap();
     for _ in 0..3 {
         board.last_reset = "something else";
@@ -248,7 +256,7 @@ fn an_update_that_is_reset_on_trial_is_rolled_back_and_the_reason_is_kept() {
 
 #[test]
 fn an_image_that_does_not_fit_is_refused_before_anything_is_erased() {
-    let mut board = Board::<1, 512>::new();
+    let mut board = Board::<1, 256>::new();
     let mut updater = board.start().unwrap();
     let before = board.flash.done();
     let refused = updater.begin::<()>("other-board", "0.2.0", 9, 0);
@@ -263,11 +271,11 @@ fn an_image_that_does_not_fit_is_refused_before_anything_is_erased() {
 
 #[test]
 fn damaged_lost_and_repeated_blocks_leave_the_image_complete() {
-    let mut board = Board::<1, 512>::new();
+    let mut board = Board::<1, 256>::new();
     let mut updater = board.start().unwrap();
-    let image = image(&NEW, 2000);
+    let image = image(&NEW, 1000);
     let crc = Crc32::new().and(&image).value();
-    updater.begin::<()>("test-board", "0.2.0", 2000, crc).unwrap();
+    updater.begin::<()>("test-board", "0.2.0", 1000, crc).unwrap();
     for (number, data) in (0..).zip(image.chunks(BLOCK)) {
         let good = block_crc(number, data);
         let flash = &mut board.flash;
@@ -289,7 +297,7 @@ fn damaged_lost_and_repeated_blocks_leave_the_image_complete() {
 
 #[test]
 fn an_image_with_another_crc_is_not_installed() {
-    let mut board = Board::<1, 512>::new();
+    let mut board = Board::<1, 256>::new();
     let mut updater = board.start().unwrap();
     updater.begin::<()>("test-board", "0.2.0", 3, 7).unwrap();
     updater.block(&mut board.flash, 0, block_crc(0, b"abc"), b"abc").unwrap();

@@ -11,6 +11,7 @@
 //! erased and written while the gateway runs, a sector at a time.
 
 mod download;
+mod request;
 mod state;
 mod status;
 
@@ -23,6 +24,7 @@ use heapless::String;
 
 pub use self::download::BLOCK;
 use self::download::Download;
+pub(crate) use self::request::perform;
 pub use self::state::{StateError, StateFlash};
 pub use self::status::{Phase, Status};
 use crate::identity::Identity;
