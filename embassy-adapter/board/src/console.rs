@@ -43,6 +43,8 @@ use crate::update::Updater;
 
 /// The most bytes of a request.
 pub const LINE: usize = 512;
+/// The bytes of a block of an image, except for its last one.
+pub const BLOCK: usize = 128;
 /// The answer to `hello`.
 pub const HELLO: &str = "ok bcap-board 1";
 

@@ -5,10 +5,11 @@ mod flash;
 use std::cell::RefCell;
 use std::io::{self, Write as _};
 
+use bcap_board::console::BLOCK;
 use bcap_board::crc::Crc32;
 use bcap_board::identity::Identity;
 use bcap_board::slots::{Slots, TEXT};
-use bcap_board::update::{BLOCK, Partitions, StateFlash, UpdateError, Updater};
+use bcap_board::update::{Partitions, StateFlash, UpdateError, Updater};
 use embassy_boot::{BootLoader, BootLoaderConfig};
 use embassy_embedded_hal::flash::partition::BlockingPartition;
 use embassy_sync::blocking_mutex::Mutex;
@@ -188,8 +189,8 @@ fn power_cuts<const W: usize, const E: usize>(noise: u32) -> u32 {
     let (mut number, mut second) = (0_u32, 0);
     cuts += cut_everywhere(&board, rolled_back, |mut board| {
         number += 1;
-        // every 500th cut is followed by cuts everywhere in the next start
-        if number % 500 == 0 {
+        // every 1500th cut is followed by cuts everywhere in the next start
+        if number % 1500 == 0 {
             second += cut_everywhere(&board, |board| board.boot().ok(), |mut board| recover(&mut board));
         }
         recover(&mut board);
@@ -260,7 +261,10 @@ fn an_image_that_does_not_fit_is_refused_before_anything_is_erased() {
     let mut updater = board.start().unwrap();
     let before = board.flash.done();
     let refused = updater.begin::<()>("other-board", "0.2.0", 9, 0);
-    assert_eq!(refused.clone().map_err(|error| error.to_string()).unwrap_err(), "the image is for another board: this is a test-board");
+    assert_eq!(
+        refused.clone().map_err(|error| error.to_string()).unwrap_err(),
+        "the image is for another board: this is a test-board"
+    );
     assert_eq!(updater.begin::<()>("test-board", "0.2.0", IMAGE + 1, 0), Err(UpdateError::Size { most: IMAGE }));
     assert_eq!(updater.begin::<()>("test-board", "0.2.0", 0, 0), Err(UpdateError::Size { most: IMAGE }));
     assert_eq!(updater.block(&mut board.flash, 0, 0, &[]), Err(UpdateError::NotBegun));

@@ -6,11 +6,9 @@ use embedded_storage::nor_flash::NorFlash;
 use heapless::String;
 
 use super::UpdateError;
+use crate::console::BLOCK;
 use crate::crc::Crc32;
 use crate::identity::VERSION;
-
-/// The size of a block in bytes.
-pub const BLOCK: usize = 128;
 
 #[derive(Debug)]
 pub(super) struct Download {
@@ -49,7 +47,9 @@ impl Download {
         if number.checked_add(1) == Some(expected) {
             return Ok(());
         }
-        let Some(offset) = offset.filter(|_| number == expected) else { return Err(UpdateError::Sequence { expected }) };
+        let Some(offset) = offset.filter(|_| number == expected) else {
+            return Err(UpdateError::Sequence { expected });
+        };
         let (start, sector) = (partition.start + offset, F::ERASE_SIZE);
         if usize::try_from(start).is_ok_and(|start| start.is_multiple_of(sector)) {
             let end = start + u32::try_from(sector).unwrap_or_default();

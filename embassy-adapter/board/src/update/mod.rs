@@ -14,6 +14,8 @@ mod download;
 mod request;
 mod state;
 mod status;
+#[cfg(feature = "embassy")]
+pub(crate) mod trial;
 
 use core::fmt;
 use core::ops::Range;
@@ -22,11 +24,11 @@ use embassy_boot::{BlockingFirmwareState, FirmwareUpdaterError, State};
 use embedded_storage::nor_flash::NorFlash;
 use heapless::String;
 
-pub use self::download::BLOCK;
 use self::download::Download;
 pub(crate) use self::request::perform;
 pub use self::state::{StateError, StateFlash};
 pub use self::status::{Phase, Status};
+use crate::console::BLOCK;
 use crate::identity::Identity;
 use crate::slots::{SlotError, Slots};
 
@@ -45,6 +47,9 @@ pub struct Partitions {
     /// The last update and why it was rolled back, for [`Slots`].
     pub history: Range<u32>,
 }
+
+/// The partitions and the identity of an image with updates.
+pub type Updates = (Partitions, &'static Identity);
 
 /// Why an update is refused, or has failed.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -91,9 +96,9 @@ impl<E: fmt::Debug> fmt::Display for UpdateError<E> {
         match self {
             Self::OtherBoard { board } => write!(f, "the image is for another board: this is a {board}"),
             Self::Size { most } => write!(f, "an image has 1 to {most} bytes on this board"),
-            Self::Busy => {
-                f.write_str("an update waits for a restart or is on trial; try again when it is confirmed or rolled back")
-            }
+            Self::Busy => f.write_str(
+                "an update waits for a restart or is on trial; try again when it is confirmed or rolled back",
+            ),
             Self::NotBegun => f.write_str("no update was begun"),
             Self::Damaged => f.write_str("the block is damaged"),
             Self::Sequence { expected } => write!(f, "expected block {expected}"),

@@ -4,8 +4,8 @@ use embedded_io::Write;
 use embedded_storage::nor_flash::NorFlash;
 use heapless::Vec;
 
-use super::{BLOCK, UpdateError, Updater};
-use crate::console::{answer, result};
+use super::{UpdateError, Updater};
+use crate::console::{BLOCK, answer, result};
 
 /// Does a request and answers it.
 pub(crate) fn perform<F: NorFlash, W: Write>(

@@ -163,7 +163,9 @@ impl<F: NorFlash> NorFlash for StateFlash<F> {
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), Self::Error> {
         let word = length(Self::WRITE_SIZE);
         match (offset, bytes, self.bank) {
-            (0, [state, rest @ ..], _) if self.is_erased && rest.iter().all(|byte| byte == state) => self.commit(*state),
+            (0, [state, rest @ ..], _) if self.is_erased && rest.iter().all(|byte| byte == state) => {
+                self.commit(*state)
+            }
             (0, ..) => Err(StateError::Unsupported),
             // "the progress is invalid", which protects a slow erase; a bank becomes invalid at once
             (offset, ..) if offset == word => Ok(()),
