@@ -28,14 +28,14 @@
 //! Blocks have the numbers 0, 1, 2 and so on; the last one of an image can have fewer bytes. After an error, or without an answer,
 //! the host sends the block again.
 
-use core::fmt;
 use core::str;
 
-use embedded_io::{Read, Write, WriteFmtError};
+use embedded_io::{Read, Write};
 use embedded_storage::nor_flash::NorFlash;
 use heapless::Vec;
 
 use crate::Settings;
+use crate::answer::{answer, result};
 use crate::crc::Crc32;
 use crate::slots::{Slots, TEXT};
 #[cfg(feature = "update")]
@@ -43,8 +43,6 @@ use crate::update::Updater;
 
 /// The most bytes of a request.
 pub const LINE: usize = 512;
-/// The bytes of a block of an image, except for its last one.
-pub const BLOCK: usize = 128;
 /// The answer to `hello`.
 pub const HELLO: &str = "ok bcap-board 1";
 
@@ -220,22 +218,4 @@ impl<F: NorFlash> Console<'_, F> {
         };
         crate::update::perform(updater, flash, verb, argument, port)
     }
-}
-
-/// Answers with the result of an operation on the flash.
-pub(crate) fn result<W: Write, E: fmt::Display>(port: &mut W, result: Result<(), E>) -> Result<(), W::Error> {
-    match result {
-        Ok(()) => answer(port, format_args!("ok")),
-        Err(error) => answer(port, format_args!("error {error}")),
-    }
-}
-
-pub(crate) fn answer<W: Write>(port: &mut W, text: fmt::Arguments<'_>) -> Result<(), W::Error> {
-    match port.write_fmt(text) {
-        Err(WriteFmtError::Other(error)) => return Err(error),
-        // the texts here cannot fail
-        Err(WriteFmtError::FmtError) | Ok(()) => {}
-    }
-    port.write_all(b"\n")?;
-    port.flush()
 }

@@ -101,7 +101,7 @@ pub async fn watch(board: &'static Board, is_healthy: fn() -> bool, feed: impl F
     let is_healthy = || {
         #[cfg(feature = "update")]
         if board.view(|gateway| gateway.counters().served.count() > 0).unwrap_or_default() {
-            crate::update::trial::has_served();
+            crate::trial::has_served();
         }
         let due = board.view(Gateway::poll_timeout).flatten();
         is_healthy() && due.is_none_or(|due| now() <= due.saturating_add(MAX_OVERRUN))

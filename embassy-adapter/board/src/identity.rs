@@ -11,6 +11,9 @@ use core::str;
 
 use crate::crc::Crc32;
 
+/// The bytes of a block in which an image is sent to a board, except for its last one.
+pub const BLOCK: usize = 128;
+
 const MAGIC: &[u8; 8] = b"BCAPNAME";
 /// The most bytes of the board's name, and of the version.
 pub const NAME: usize = 32;

@@ -81,6 +81,7 @@ extern crate std;
 
 #[cfg(feature = "embassy")]
 pub mod address;
+mod answer;
 #[cfg(feature = "embassy")]
 pub mod config;
 pub mod console;
@@ -120,6 +121,8 @@ pub mod slots;
 pub mod stack;
 #[cfg(feature = "health")]
 pub mod syslog;
+#[cfg(all(feature = "update", feature = "embassy"))]
+mod trial;
 #[cfg(feature = "update")]
 pub mod update;
 #[cfg(feature = "usb")]

@@ -46,7 +46,7 @@ impl Parts {
     pub fn after(last_reset: Cause) -> Self {
         defmt::info!("last reset: {}", defmt::Display2Format(&last_reset));
         #[cfg(feature = "update")]
-        crate::update::trial::set_last_reset(last_reset);
+        crate::trial::set_last_reset(last_reset);
         Self {
             last_reset,
             frames: |_| {},

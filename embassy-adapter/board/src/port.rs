@@ -11,9 +11,9 @@ use static_cell::ConstStaticCell;
 
 use crate::console::{Action, Console};
 use crate::slots::Slots;
-#[cfg(feature = "update")]
-use crate::update::{Updates, trial};
 use crate::{log, memory};
+#[cfg(feature = "update")]
+use crate::{trial, update::Updates};
 
 /// The most bytes of an answer: more than all settings with the word before each.
 const ANSWER: usize = 4096;

@@ -13,7 +13,7 @@ use crate::console::Console;
 use crate::port;
 use crate::slots::Slots;
 #[cfg(feature = "update")]
-use crate::update::{Updates, trial};
+use crate::{trial, update::Updates};
 
 /// pid.codes' pair for tests; a product needs one of its own.
 const VENDOR: u16 = 0x1209;

@@ -5,9 +5,8 @@ mod flash;
 use std::cell::RefCell;
 use std::io::{self, Write as _};
 
-use bcap_board::console::BLOCK;
 use bcap_board::crc::Crc32;
-use bcap_board::identity::Identity;
+use bcap_board::identity::{BLOCK, Identity};
 use bcap_board::slots::{Slots, TEXT};
 use bcap_board::update::{Partitions, StateFlash, UpdateError, Updater};
 use embassy_boot::{BootLoader, BootLoaderConfig};

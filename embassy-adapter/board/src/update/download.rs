@@ -6,9 +6,8 @@ use embedded_storage::nor_flash::NorFlash;
 use heapless::String;
 
 use super::UpdateError;
-use crate::console::BLOCK;
 use crate::crc::Crc32;
-use crate::identity::VERSION;
+use crate::identity::{BLOCK, VERSION};
 
 #[derive(Debug)]
 pub(super) struct Download {

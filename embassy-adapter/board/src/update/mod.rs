@@ -14,8 +14,6 @@ mod download;
 mod request;
 mod state;
 mod status;
-#[cfg(feature = "embassy")]
-pub(crate) mod trial;
 
 use core::fmt;
 use core::ops::Range;
@@ -28,8 +26,7 @@ use self::download::Download;
 pub(crate) use self::request::perform;
 pub use self::state::{StateError, StateFlash};
 pub use self::status::{Phase, Status};
-use crate::console::BLOCK;
-use crate::identity::Identity;
+use crate::identity::{BLOCK, Identity};
 use crate::slots::{SlotError, Slots};
 
 /// The largest unit in which a flash is written, in bytes.

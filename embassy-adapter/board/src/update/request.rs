@@ -5,7 +5,8 @@ use embedded_storage::nor_flash::NorFlash;
 use heapless::Vec;
 
 use super::{UpdateError, Updater};
-use crate::console::{BLOCK, answer, result};
+use crate::answer::{answer, result};
+use crate::identity::BLOCK;
 
 /// Does a request and answers it.
 pub(crate) fn perform<F: NorFlash, W: Write>(

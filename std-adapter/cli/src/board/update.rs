@@ -2,9 +2,8 @@
 
 use std::fs;
 
-use bcap_board::console::BLOCK;
 use bcap_board::crc::Crc32;
-use bcap_board::identity::{self, Identity};
+use bcap_board::identity::{self, BLOCK, Identity};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 

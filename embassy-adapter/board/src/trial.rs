@@ -13,12 +13,12 @@ use embassy_time::{Duration, with_timeout};
 use embedded_storage::nor_flash::NorFlash;
 
 #[cfg(feature = "port")]
-use super::{Phase, Updater, Updates};
-#[cfg(feature = "port")]
 use crate::console::Console;
 use crate::record::Cause;
 #[cfg(feature = "port")]
 use crate::slots::Slots;
+#[cfg(feature = "port")]
+use crate::update::{Phase, Updater, Updates};
 
 /// How long an update may take to serve its first request.
 #[cfg(feature = "port")]
@@ -54,7 +54,7 @@ pub(crate) fn console<F: NorFlash>(mut slots: Slots<F>, updates: Option<Updates>
             }
         }
     });
-    crate::port::console(slots).with_updates(updater)
+    Console::new(slots, crate::memory::image()).with_updates(updater)
 }
 
 /// Confirms an update on trial when it has served a request. Without a request in time, restarts the board, and the boot loader swaps
