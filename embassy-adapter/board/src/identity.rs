@@ -79,7 +79,7 @@ impl Identity {
 #[must_use]
 pub fn find(image: &[u8]) -> Option<Identity> {
     let mut blocks = image.windows(SIZE).filter(|window| window.starts_with(MAGIC)).filter_map(|window| {
-        let block = *window.as_array::<SIZE>()?;
+        let block = *window.first_chunk::<SIZE>()?;
         let (texts, crc) = block.split_last_chunk::<4>()?;
         (Crc32::new().and(texts).value() == u32::from_le_bytes(*crc)).then_some(Identity(block))
     });

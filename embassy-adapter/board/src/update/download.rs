@@ -5,7 +5,7 @@ use core::ops::Range;
 use embedded_storage::nor_flash::NorFlash;
 use heapless::String;
 
-use super::UpdateError;
+use super::error::UpdateError;
 use crate::crc::Crc32;
 use crate::identity::{BLOCK, VERSION};
 

@@ -4,7 +4,8 @@ use embedded_io::Write;
 use embedded_storage::nor_flash::NorFlash;
 use heapless::Vec;
 
-use super::{UpdateError, Updater};
+use super::error::UpdateError;
+use super::updater::Updater;
 use crate::answer::{answer, result};
 use crate::identity::BLOCK;
 

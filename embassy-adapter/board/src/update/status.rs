@@ -1,12 +1,13 @@
 //! What became of the last update, and its record in the flash.
 
 use core::fmt::{self, Write};
+use core::ops::Range;
 use core::str;
 
 use embedded_storage::nor_flash::NorFlash;
 use heapless::String;
 
-use super::{UpdateError, Updater};
+use super::error::UpdateError;
 use crate::identity::Identity;
 use crate::slots::Slots;
 
@@ -61,29 +62,27 @@ impl fmt::Display for Status {
     }
 }
 
-impl Updater {
-    /// Reads the record; empty without one.
-    pub(super) fn history<F: NorFlash>(&self, flash: &mut F) -> Result<String<RECORD>, UpdateError<F::Error>> {
-        let mut memory = [0; RECORD];
-        let text = Slots::new(&mut *flash, self.partitions.history.clone())?.read_start(&mut memory)?;
-        let text = text.and_then(|text| str::from_utf8(text).ok()).unwrap_or_default();
-        Ok(String::try_from(text).unwrap_or_default())
-    }
+/// Reads the record; empty without one.
+pub(super) fn history<F: NorFlash>(flash: &mut F, slots: &Range<u32>) -> Result<String<RECORD>, UpdateError<F::Error>> {
+    let mut memory = [0; RECORD];
+    let text = Slots::new(flash, slots.clone())?.read_start(&mut memory)?;
+    let text = text.and_then(|text| str::from_utf8(text).ok()).unwrap_or_default();
+    Ok(String::try_from(text).unwrap_or_default())
+}
 
-    /// Adds the reason of a roll-back to the record, at the first start after it.
-    pub(super) fn keep_reason<F: NorFlash>(
-        &self,
-        flash: &mut F,
-        reason: &dyn fmt::Display,
-    ) -> Result<(), UpdateError<F::Error>> {
-        let mut history = self.history(flash)?;
-        if !history.contains('\n') {
-            // a longer reason is cut
-            let _ = write!(Cut(&mut history), "\n{reason}");
-            Slots::new(&mut *flash, self.partitions.history.clone())?.write(history.as_bytes())?;
-        }
-        Ok(())
+/// Adds the reason of a roll-back to the record, at the first start after it.
+pub(super) fn keep_reason<F: NorFlash>(
+    flash: &mut F,
+    slots: &Range<u32>,
+    reason: &dyn fmt::Display,
+) -> Result<(), UpdateError<F::Error>> {
+    let mut history = history(flash, slots)?;
+    if !history.contains('\n') {
+        // a longer reason is cut
+        let _ = write!(Cut(&mut history), "\n{reason}");
+        Slots::new(flash, slots.clone())?.write(history.as_bytes())?;
     }
+    Ok(())
 }
 
 /// Writes what fits.
