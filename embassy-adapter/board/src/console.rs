@@ -15,17 +15,31 @@
 //!
 //! The settings of the board change with `save` and `factory` only, and a power cut in either leaves the earlier settings or
 //! the new ones ([`slots`](crate::slots)).
+//!
+//! With the feature `update`, on a board with partitions for updates:
+//!
+//! | request          | what the board does                                              | answer            |
+//! |------------------|------------------------------------------------------------------|-------------------|
+//! | `status`         | tells its name, its version and what became of the last update   | `ok BOARD VERSION PHASE` |
+//! | `update BOARD VERSION LENGTH CRC32` | begins to receive an image of `LENGTH` bytes, if it is for this board | `ok` |
+//! | `block NUMBER CRC32 HEX` | writes 128 bytes; the CRC-32 covers the number (u32, little-endian), too | `ok NUMBER` |
+//! | `install`        | checks the CRC-32 of the image in the flash; the next start swaps it in | `ok`       |
+//!
+//! Blocks have the numbers 0, 1, 2 and so on; the last one of an image can have fewer bytes. After an error, or without an answer,
+//! the host sends the block again.
 
-use core::fmt;
 use core::str;
 
-use embedded_io::{Read, Write, WriteFmtError};
+use embedded_io::{Read, Write};
 use embedded_storage::nor_flash::NorFlash;
 use heapless::Vec;
 
 use crate::Settings;
+use crate::answer::{answer, result};
 use crate::crc::Crc32;
 use crate::slots::{Slots, TEXT};
+#[cfg(feature = "update")]
+use crate::update::Updater;
 
 /// The most bytes of a request.
 pub const LINE: usize = 512;
@@ -52,13 +66,24 @@ pub struct Console<'a, F> {
     /// The settings that the host sends.
     new: [u8; TEXT],
     len: usize,
+    #[cfg(feature = "update")]
+    updater: Option<Updater>,
 }
 
 impl<'a, F: NorFlash> Console<'a, F> {
     /// Serves these slots; `image` has the settings that are used without valid slots.
     #[must_use]
     pub const fn new(slots: Slots<F>, image: &'a [u8]) -> Self {
-        Self { slots, image, request: Vec::new(), is_too_long: false, new: [0; TEXT], len: 0 }
+        Self {
+            slots,
+            image,
+            request: Vec::new(),
+            is_too_long: false,
+            new: [0; TEXT],
+            len: 0,
+            #[cfg(feature = "update")]
+            updater: None,
+        }
     }
 
     /// Takes a received byte; at the end of a request, does it and writes the answer to `port`.
@@ -118,6 +143,8 @@ impl<'a, F: NorFlash> Console<'a, F> {
                 action = Some(Action::Restart);
                 answer(port, format_args!("ok"))?;
             }
+            #[cfg(feature = "update")]
+            "status" | "update" | "block" | "install" => self.update(verb, argument, port)?,
             _ => answer(port, format_args!("error unknown request \"{}\"", verb.escape_debug()))?,
         }
         Ok(action)
@@ -172,20 +199,23 @@ impl<'a, F: NorFlash> Console<'a, F> {
     }
 }
 
-/// Answers with the result of an operation on the flash.
-fn result<W: Write, E: fmt::Display>(port: &mut W, result: Result<(), E>) -> Result<(), W::Error> {
-    match result {
-        Ok(()) => answer(port, format_args!("ok")),
-        Err(error) => answer(port, format_args!("error {error}")),
+#[cfg(feature = "update")]
+impl<F: NorFlash> Console<'_, F> {
+    /// Serves updates, too.
+    #[must_use]
+    pub fn with_updates(self, updater: Option<Updater>) -> Self {
+        Self { updater, ..self }
     }
-}
 
-fn answer<W: Write>(port: &mut W, text: fmt::Arguments<'_>) -> Result<(), W::Error> {
-    match port.write_fmt(text) {
-        Err(WriteFmtError::Other(error)) => return Err(error),
-        // the texts here cannot fail
-        Err(WriteFmtError::FmtError) | Ok(()) => {}
+    /// Returns the part for updates, if the board has one, and the flash.
+    pub fn updater(&mut self) -> Option<(&mut Updater, &mut F)> {
+        Some((self.updater.as_mut()?, self.slots.flash()))
     }
-    port.write_all(b"\n")?;
-    port.flush()
+
+    fn update<W: Write>(&mut self, verb: &str, argument: &str, port: &mut W) -> Result<(), W::Error> {
+        let Some((updater, flash)) = self.updater() else {
+            return answer(port, format_args!("error this image has no partition for updates"));
+        };
+        crate::update::perform(updater, flash, verb, argument, port)
+    }
 }

@@ -24,10 +24,20 @@ impl Crc32 {
 
     /// Adds bytes.
     #[must_use]
-    pub fn and(self, bytes: &[u8]) -> Self {
+    pub const fn and(self, mut bytes: &[u8]) -> Self {
         // bit by bit: a table costs 1 KiB of flash and saves less than a millisecond
-        let bit = |crc: u32, _| if crc & 1 == 0 { crc >> 1 } else { crc >> 1 ^ POLYNOMIAL };
-        Self(bytes.iter().fold(self.0, |crc, byte| (0..8).fold(crc ^ u32::from(*byte), bit)))
+        let Self(mut crc) = self;
+        while let Some((byte, rest)) = bytes.split_first() {
+            bytes = rest;
+            // `u32::from` is not const
+            crc ^= u32::from_le_bytes([*byte, 0, 0, 0]);
+            let mut bit = 0;
+            while bit < 8 {
+                crc = if crc & 1 == 0 { crc >> 1 } else { crc >> 1 ^ POLYNOMIAL };
+                bit += 1;
+            }
+        }
+        Self(crc)
     }
 
     /// Returns the CRC of the bytes so far.

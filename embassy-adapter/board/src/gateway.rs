@@ -99,6 +99,10 @@ pub async fn run_network<F: Future>(runner: F) -> F::Output {
 /// Calls `feed` each second while the tasks run, the gateway meets its deadlines and `is_healthy` returns true.
 pub async fn watch(board: &'static Board, is_healthy: fn() -> bool, feed: impl FnMut()) -> ! {
     let is_healthy = || {
+        #[cfg(feature = "update")]
+        if board.view(|gateway| gateway.counters().served.count() > 0).unwrap_or_default() {
+            crate::trial::has_served();
+        }
         let due = board.view(Gateway::poll_timeout).flatten();
         is_healthy() && due.is_none_or(|due| now() <= due.saturating_add(MAX_OVERRUN))
     };

@@ -4,6 +4,7 @@
 //! |--------------|------------|-------------------------------------------------------------------------------|
 //! | [`Settings`] |            | lines `KEY=VALUE`                                                             |
 //! | [`mod@image`] |           | the settings in an image, seen from a host                                    |
+//! | [`identity`] |            | the board and the version of an image, seen from a host                       |
 //! | [`slots`]    |            | the settings in flash                                                         |
 //! | [`console`]  |            | changes the settings over a serial line                                       |
 //! | [`mac`]      |            | a MAC address from the id of a chip                                           |
@@ -21,6 +22,7 @@
 //! | `memory`     | `embassy`  | the block of settings in the image itself                                     |
 //! | `log`        | `log`      | defmt's logger, into a ring buffer                                            |
 //! | `port`       | `port`     | the console and the log over any serial port                                  |
+//! | `update`     | `update`   | updates of the image, over embassy-boot                                       |
 //! | `usb`        | `usb`      | the console and the log as two serial ports over USB                          |
 //! | `stack`, `fault` | `cortex-m` | the stack with its guard, and the handler of faults; on ARM only          |
 //!
@@ -79,6 +81,7 @@ extern crate std;
 
 #[cfg(feature = "embassy")]
 pub mod address;
+mod answer;
 #[cfg(feature = "embassy")]
 pub mod config;
 pub mod console;
@@ -90,6 +93,7 @@ pub mod fault;
 pub mod gateway;
 #[cfg(feature = "health")]
 pub mod health;
+pub mod identity;
 pub mod image;
 pub mod led;
 pub mod limiter;
@@ -117,6 +121,10 @@ pub mod slots;
 pub mod stack;
 #[cfg(feature = "health")]
 pub mod syslog;
+#[cfg(all(feature = "update", feature = "embassy"))]
+mod trial;
+#[cfg(feature = "update")]
+pub mod update;
 #[cfg(feature = "usb")]
 pub mod usb;
 #[cfg(feature = "embassy")]

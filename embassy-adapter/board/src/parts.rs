@@ -56,6 +56,8 @@ impl Parts {
     #[must_use]
     pub fn after(last_reset: Cause) -> Self {
         defmt::info!("last reset: {}", defmt::Display2Format(&last_reset));
+        #[cfg(feature = "update")]
+        crate::trial::set_last_reset(last_reset);
         Self {
             last_reset,
             frames: |_| {},

@@ -1,8 +1,9 @@
 //! The console and the log over any serial port: a UART or a USB CDC port.
 
+use core::cell::RefCell;
 use core::convert::Infallible;
 
-use embassy_futures::join::join;
+use embassy_futures::join::join3;
 use embedded_io_async::{Read, Write};
 use embedded_storage::nor_flash::NorFlash;
 use heapless::Vec;
@@ -11,6 +12,8 @@ use static_cell::ConstStaticCell;
 use crate::console::{Action, Console};
 use crate::slots::Slots;
 use crate::{log, memory};
+#[cfg(feature = "update")]
+use crate::{trial, update::Updates};
 
 /// The most bytes of an answer: more than all settings with the word before each.
 const ANSWER: usize = 4096;
@@ -57,7 +60,7 @@ pub fn console<F: NorFlash>(slots: Slots<F>) -> Console<'static, F> {
 ///
 /// An error of the port, such as an unplugged cable; serve it again once it works.
 pub async fn serve<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
-    console: &mut Console<'_, F>,
+    console: &RefCell<Console<'_, F>>,
     answer: &mut Answer,
     receiver: &mut R,
     sender: &mut W,
@@ -67,7 +70,8 @@ pub async fn serve<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
         let count = receiver.read(&mut bytes).await?;
         for byte in bytes.iter().take(count) {
             answer.0.clear();
-            let Ok(action) = console.receive(*byte, answer);
+            // other tasks of the port borrow it between two bytes only
+            let Ok(action) = console.borrow_mut().receive(*byte, answer);
             // in parts, because some UARTs refuse more than their buffer has room for
             for part in answer.0.chunks(PART) {
                 sender.write_all(part).await?;
@@ -97,16 +101,39 @@ pub async fn send_log<W: Write>(sender: &mut W) -> Result<Infallible, W::Error> 
 /// Serves the console on one UART and sends the log to another; calls `restart` when the host asks for it. Call it once.
 pub async fn run<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
     slots: Slots<F>,
+    receiver: R,
+    sender: W,
+    log: impl Write,
+    restart: fn() -> !,
+) {
+    run_console(console(slots), receiver, sender, log, restart).await;
+}
+
+/// As [`run`], and receives updates, if the image has partitions for them.
+#[cfg(feature = "update")]
+pub async fn run_with_updates<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
+    slots: Slots<F>,
+    updates: Option<Updates>,
+    receiver: R,
+    sender: W,
+    log: impl Write,
+    restart: fn() -> !,
+) {
+    run_console(trial::console(slots, updates), receiver, sender, log, restart).await;
+}
+
+async fn run_console<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
+    console: Console<'static, F>,
     mut receiver: R,
     mut sender: W,
     mut log: impl Write,
     restart: fn() -> !,
 ) {
-    let (mut console, answer) = (console(slots), answer());
+    let (console, answer) = (RefCell::new(console), answer());
     let serve = async {
         loop {
             // after a line error the request is invalid, and the host repeats it
-            if serve(&mut console, answer, &mut receiver, &mut sender).await.is_ok() {
+            if serve(&console, answer, &mut receiver, &mut sender).await.is_ok() {
                 restart();
             }
         }
@@ -116,5 +143,13 @@ pub async fn run<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
             let _ = send_log(&mut log).await;
         }
     };
-    join(serve, send_log).await;
+    join3(serve, send_log, judge(&console, restart)).await;
+}
+
+/// Confirms an update on trial, or restarts the board without that.
+pub(crate) async fn judge<F: NorFlash>(console: &RefCell<Console<'_, F>>, restart: fn() -> !) {
+    #[cfg(feature = "update")]
+    trial::judge(console, restart).await;
+    #[cfg(not(feature = "update"))]
+    let _ = (console, restart);
 }

@@ -59,6 +59,8 @@ pub enum Cause {
         /// Its number.
         number: u32,
     },
+    /// An update on trial served no request in time.
+    Unconfirmed,
 }
 
 impl Cause {
@@ -92,6 +94,7 @@ impl Cause {
             Self::Watchdog { tasks } => [5, tasks, 0, 0, 0, 0],
             Self::Network => [6, 0, 0, 0, 0, 0],
             Self::Unexpected { number } => [7, number, 0, 0, 0, 0],
+            Self::Unconfirmed => [8, 0, 0, 0, 0, 0],
         }
     }
 
@@ -111,6 +114,7 @@ impl Cause {
             [5, tasks, ..] => Self::Watchdog { tasks },
             [6, ..] => Self::Network,
             [7, number, ..] => Self::Unexpected { number },
+            [8, ..] => Self::Unconfirmed,
             _ => Self::PowerOn,
         }
     }
@@ -136,6 +140,7 @@ impl fmt::Display for Cause {
             Self::Watchdog { tasks: 0 } => f.write_str("watchdog: no task runs, or the gateway overruns its deadline"),
             Self::Watchdog { tasks } => write!(f, "watchdog: stalled tasks {tasks:#b}"),
             Self::Network => f.write_str("watchdog: the Ethernet controller does not respond"),
+            Self::Unconfirmed => f.write_str("the update served no request in time"),
             Self::Unexpected { number } => write!(f, "unexpected exception or interrupt {}", number.cast_signed()),
         }
     }
@@ -211,12 +216,13 @@ mod tests {
     use super::*;
     use std::string::ToString;
 
-    const CAUSES: [Cause; 6] = [
+    const CAUSES: [Cause; 7] = [
         Cause::Fault { pc: 0x1000_0001, lr: 2, status: 3, hard: 4, address: 5 },
         Cause::StackOverflow { status: 1 << 20, address: 7 },
         Cause::Watchdog { tasks: 0b101 },
         Cause::Network,
         Cause::Unexpected { number: u32::MAX },
+        Cause::Unconfirmed,
         Cause::Unrecorded,
     ];
 

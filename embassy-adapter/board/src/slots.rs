@@ -105,9 +105,14 @@ impl<F: NorFlash> Slots<F> {
     ///
     /// [`SlotError::Flash`] when the flash cannot be read.
     pub fn read<'b>(&mut self, memory: &'b mut [u8; TEXT]) -> Result<Option<&'b [u8]>, SlotError<F::Error>> {
+        self.read_start(memory)
+    }
+
+    /// Reads the start of the settings, as far as there is memory: a multiple of 32 bytes.
+    pub(crate) fn read_start<'b>(&mut self, memory: &'b mut [u8]) -> Result<Option<&'b [u8]>, SlotError<F::Error>> {
         let Some(Valid { start, len, .. }) = self.newest() else { return Ok(None) };
         self.flash.read(start + offset(HEADER), memory)?;
-        Ok(memory.get(..len))
+        Ok(memory.get(..len.min(memory.len())))
     }
 
     /// Replaces the settings; a power cut leaves the earlier ones or these.
@@ -143,6 +148,11 @@ impl<F: NorFlash> Slots<F> {
         let last = self.newest().map_or(self.starts[0], |newest| newest.start);
         self.erase(self.other(last))?;
         self.erase(last)
+    }
+
+    /// Returns the flash, for other parts of it.
+    pub const fn flash(&mut self) -> &mut F {
+        &mut self.flash
     }
 
     /// Returns the flash.

@@ -1,6 +1,8 @@
 //! The console and the log as two serial ports (CDC ACM) over USB; on Linux `/dev/ttyACM0` and `/dev/ttyACM1`.
 
-use embassy_futures::join::join3;
+use core::cell::RefCell;
+
+use embassy_futures::join::join4;
 use embassy_time::{Duration, with_timeout};
 use embassy_usb::class::cdc_acm::{CdcAcmClass, State};
 use embassy_usb::driver::Driver;
@@ -8,8 +10,11 @@ use embassy_usb::{Builder, Config};
 use embedded_storage::nor_flash::NorFlash;
 use static_cell::{ConstStaticCell, StaticCell};
 
+use crate::console::Console;
 use crate::port;
 use crate::slots::Slots;
+#[cfg(feature = "update")]
+use crate::{trial, update::Updates};
 
 /// pid.codes' pair for tests; a product needs one of its own.
 const VENDOR: u16 = 0x1209;
@@ -21,6 +26,21 @@ const PACKET: u16 = 64;
 
 /// Serves both ports; calls `restart` when the host asks for it. Call it once.
 pub async fn run<D: Driver<'static>, F: NorFlash>(driver: D, slots: Slots<F>, restart: fn() -> !) {
+    run_console(driver, port::console(slots), restart).await;
+}
+
+/// As [`run`], and receives updates, if the image has partitions for them.
+#[cfg(feature = "update")]
+pub async fn run_with_updates<D: Driver<'static>, F: NorFlash>(
+    driver: D,
+    slots: Slots<F>,
+    updates: Option<Updates>,
+    restart: fn() -> !,
+) {
+    run_console(driver, trial::console(slots, updates), restart).await;
+}
+
+async fn run_console<D: Driver<'static>, F: NorFlash>(driver: D, console: Console<'static, F>, restart: fn() -> !) {
     static BUFFERS: ConstStaticCell<([u8; 256], [u8; 64], [u8; 64])> =
         ConstStaticCell::new(([0; 256], [0; 64], [0; 64]));
     static STATES: StaticCell<[State<'static>; 2]> = StaticCell::new();
@@ -35,13 +55,13 @@ pub async fn run<D: Driver<'static>, F: NorFlash>(driver: D, slots: Slots<F>, re
     let (mut sender, receiver) = CdcAcmClass::new(&mut builder, console_state, PACKET).split();
     let (mut log, _) = CdcAcmClass::new(&mut builder, log_state, PACKET).split();
     let mut receiver = receiver.into_buffered(PACKET_MEMORY.take());
-    let (mut console, answer) = (port::console(slots), port::answer());
+    let (console, answer) = (RefCell::new(console), port::answer());
 
     let serve = async {
         loop {
             sender.wait_connection().await;
             // an error means that the host is gone
-            if port::serve(&mut console, answer, &mut receiver, &mut sender).await.is_ok() {
+            if port::serve(&console, answer, &mut receiver, &mut sender).await.is_ok() {
                 // the endpoint accepts an empty packet once the host has taken the answer; `flush` does not wait for that
                 let _ = with_timeout(ANSWER_TIME, sender.write_packet(&[])).await;
                 restart();
@@ -55,5 +75,5 @@ pub async fn run<D: Driver<'static>, F: NorFlash>(driver: D, slots: Slots<F>, re
         }
     };
     let mut device = builder.build();
-    join3(device.run(), serve, send_log).await;
+    join4(device.run(), serve, send_log, port::judge(&console, restart)).await;
 }

@@ -28,7 +28,7 @@ mod slave_format;
 mod variables;
 
 pub(crate) use self::backup::{Diff, Dump, Restore};
-pub(crate) use self::board::{Board, BoardCommand, Configure};
+pub(crate) use self::board::{Board, BoardCommand, Configure, Status, Update};
 pub(crate) use self::codec::{CaptureArgs, Decode, Encode, Text, TextCommand};
 pub(crate) use self::conform::{Conform, LevelArg};
 pub(crate) use self::files::{Cp, Ls};

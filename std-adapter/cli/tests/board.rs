@@ -1,4 +1,4 @@
-//! `bcap board configure` with the board's side of the protocol at the other end of a pair of pseudo-terminals.
+//! `bcap board` with the board's side of the protocol at the other end of a pair of pseudo-terminals.
 #![cfg(unix)]
 
 mod common;
@@ -12,13 +12,17 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread::{self, JoinHandle};
 
 use bcap_board::console::{Action, Console};
+use bcap_board::identity::Identity;
 use bcap_board::slots::Slots;
+use bcap_board::update::{Partitions, Updater};
 use bcap_tests::pty;
 use common::{Run, bcap};
 use flash::Flash;
 use serialport::{SerialPort, TTYPort};
 
 const IMAGE: &[u8] = b"robot=192.168.0.1:5007\n";
+static RUNNING: Identity = Identity::new("test-board", "0.1.0");
+static NEW: Identity = Identity::new("test-board", "0.2.0");
 
 /// A board that serves its console until it restarts, or this value is dropped.
 struct Board {
@@ -34,6 +38,8 @@ struct Line {
     port: TTYPort,
     end: Arc<AtomicBool>,
     received: Arc<AtomicUsize>,
+    /// Damages received bytes.
+    damage: fn(usize, &mut u8),
 }
 
 impl embedded_io::ErrorType for Line {
@@ -46,7 +52,9 @@ impl embedded_io::Read for Line {
             match self.port.read(buffer) {
                 Err(error) if error.kind() == ErrorKind::TimedOut => {}
                 result => {
-                    self.received.fetch_add(*result.as_ref().unwrap_or(&0), Ordering::Relaxed);
+                    let count = *result.as_ref().unwrap_or(&0);
+                    let before = self.received.fetch_add(count, Ordering::Relaxed);
+                    (before..).zip(&mut buffer[..count]).for_each(|(at, byte)| (self.damage)(at, byte));
                     return result;
                 }
             }
@@ -68,19 +76,35 @@ impl embedded_io::Write for Line {
 impl Board {
     /// Starts a board; `None` if this machine has no pseudo-terminals.
     fn start() -> Option<Self> {
+        Self::run(Console::new(Slots::new(Flash::new(4096), 0..4096).unwrap(), IMAGE), |_, _| {})
+    }
+
+    /// Starts a board with partitions for updates; `damage` gets the number of each received byte and the byte.
+    fn with_updates(damage: fn(usize, &mut u8)) -> Option<Self> {
+        let mut slots = Slots::new(Flash::new(40_960), 0..4096).unwrap();
+        let partitions =
+            Partitions { active: 12_288..22_528, other: 22_528..34_816, state: 34_816..38_912, history: 4096..8192 };
+        let updater = Updater::start(slots.flash(), partitions, &RUNNING, &"power-on").unwrap();
+        Self::run(Console::new(slots, IMAGE).with_updates(Some(updater)), damage)
+    }
+
+    fn run(mut console: Console<'static, Flash<4, 2048>>, damage: fn(usize, &mut u8)) -> Option<Self> {
         let (mut port, host) = pty::pair()?;
         port.set_timeout(std::time::Duration::from_millis(5)).unwrap();
         // what a board logs, and a partly sent request of an earlier program
         port.write_all(b"0.001 INFO  started\nok nothing was asked\n").unwrap();
         let (end, received) = <(Arc<AtomicBool>, Arc<AtomicUsize>)>::default();
-        let mut line = Line { port, end: Arc::clone(&end), received: Arc::clone(&received) };
-        let mut console = Console::new(Slots::new(Flash::<4, 2048>::new(4096), 0..4096).unwrap(), IMAGE);
+        let mut line = Line { port, end: Arc::clone(&end), received: Arc::clone(&received), damage };
         let board = thread::spawn(move || console.run(&mut line).unwrap());
         Some(Self { host, end, received, board: Some(board) })
     }
 
     fn configure(&self, arguments: &[&str]) -> Run {
-        bcap(&[&["board", "configure", &self.host.name().unwrap()], arguments].concat())
+        self.bcap("configure", arguments)
+    }
+
+    fn bcap(&self, command: &str, arguments: &[&str]) -> Run {
+        bcap(&[&["board", command, &self.host.name().unwrap()], arguments].concat())
     }
 
     /// Ends the board, and returns what it was asked to do.
@@ -168,4 +192,68 @@ fn a_port_without_a_board_is_reported() {
     assert!(run.code == 4 && run.err.contains("no answer from a board at /dev/"), "{run:?}");
     let run = bcap(&["board", "configure", "/dev/no-such-line"]);
     assert!(run.code == 3 && run.err.contains("cannot open /dev/no-such-line: No such file"), "{run:?}");
+}
+
+/// Writes an image of this length into a folder, and returns its path.
+fn image(folder: &tempfile::TempDir, identity: &Identity, len: usize) -> String {
+    let mut bytes: Vec<u8> = (0..len).map(|at| u8::try_from(at % 251).unwrap()).collect();
+    bytes[300..364].copy_from_slice(identity.as_bytes());
+    let path = folder.path().join("image.bin");
+    fs::write(&path, bytes).unwrap();
+    path.to_str().unwrap().into()
+}
+
+#[test]
+fn an_image_is_received_although_the_line_damages_blocks() {
+    // a changed digit, a line feed that is lost, and one that is added
+    let damage = |at: usize, byte: &mut u8| match at {
+        4000 | 9000 | 13_000 => *byte = b'x',
+        6000..6300 if *byte == b'\n' => *byte = b'0',
+        11_000 => *byte = b'\n',
+        _ => {}
+    };
+    let Some(board) = Board::with_updates(damage) else { return };
+    assert_eq!(board.bcap("status", &[]).out, "test-board 0.1.0 confirmed\n");
+    let folder = tempfile::tempdir().unwrap();
+    let image = image(&folder, &NEW, 10_000);
+    let run = board.bcap("update", &[&image, "--no-restart", "--timeout", "1000"]);
+    let received = run.out.strip_prefix("test-board 0.2.0: 10000 bytes received and checked, ");
+    let repeated = received.and_then(|rest| rest.strip_suffix(" blocks were sent again\n"));
+    assert!(repeated.unwrap().parse::<u32>().unwrap() >= 5 && run.code == 0, "{run:?}");
+    assert_eq!(board.bcap("status", &[]).out, "test-board 0.1.0 runs; a restart swaps in 0.2.0\n");
+    let run = board.bcap("update", &[&image]);
+    assert!(run.code == 1 && run.err.contains("an update waits for a restart or is on trial"), "{run:?}");
+}
+
+#[test]
+fn a_board_is_restarted_after_its_update() {
+    let Some(board) = Board::with_updates(|_, _| {}) else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let run = board.bcap("update", &[&image(&folder, &NEW, 1000), "--json"]);
+    let expected = r#"{"board":"test-board","bytes":1000,"repeated":0,"restarted":true,"version":"0.2.0"}"#;
+    assert_eq!((run.out.trim_end(), run.code), (expected, 0), "{run:?}");
+    assert_eq!(board.end(), Some(Action::Restart));
+}
+
+#[test]
+fn an_image_that_does_not_fit_the_board_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(board) = Board::with_updates(|_, _| {}) else { return };
+    let other = Identity::new("other-board", "0.2.0");
+    for (identity, len, message) in [
+        (&other, 1000, "the image is for another board: this is a test-board"),
+        (&NEW, 10_241, "an image has 1 to 10240 bytes on this board"),
+    ] {
+        let run = board.bcap("update", &[&image(&folder, identity, len)]);
+        assert!(run.code == 1 && run.err.contains(message), "{run:?}");
+    }
+    let sent = board.received.load(Ordering::Relaxed);
+    fs::write(folder.path().join("text"), b"BCAPNAME").unwrap();
+    let run = board.bcap("update", &[folder.path().join("text").to_str().unwrap()]);
+    assert!(run.code == 2 && run.err.contains("the image does not tell its board"), "{run:?}");
+    assert_eq!(board.received.load(Ordering::Relaxed), sent, "bytes that the board received");
+
+    let Some(board) = Board::start() else { return };
+    let run = board.bcap("update", &[&image(&folder, &NEW, 1000)]);
+    assert!(run.code == 1 && run.err.contains("this image has no partition for updates"), "{run:?}");
 }

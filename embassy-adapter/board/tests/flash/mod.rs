@@ -6,13 +6,18 @@ use embedded_storage::nor_flash::{ErrorType, NorFlash, NorFlashError, NorFlashEr
 /// A flash that is written in units of `WRITE` bytes and erased in sectors of `ERASE` bytes.
 ///
 /// Writing can only clear bits. Writing a byte and erasing a byte are a step each. When the steps are used up, the power is
-/// cut: the byte of that step gets an arbitrary value between the old and the new one, and all later operations fail.
+/// cut: the byte of that step gets an arbitrary value between the old and the new one, and all later operations fail. A sector
+/// is erased as a whole, so a power cut also changes its other bytes.
 #[derive(Clone, Debug)]
 pub(crate) struct Flash<const WRITE: usize, const ERASE: usize> {
     bytes: Vec<u8>,
     /// The steps until the power cut, and those done.
     left: Option<u32>,
     done: u32,
+    /// Selects the bits that a power cut changes.
+    noise: u32,
+    /// The bytes that a step of erasing erases.
+    erased_at_once: usize,
 }
 
 /// Why an operation failed.
@@ -35,12 +40,33 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
     /// Makes a flash with random contents.
     pub(crate) fn new(len: usize) -> Self {
         let noise = (0..len).map(|at| u8::try_from(at.wrapping_mul(2_654_435_761) >> 11 & 0xff).unwrap());
-        Self { bytes: noise.collect(), left: None, done: 0 }
+        Self { bytes: noise.collect(), left: None, done: 0, noise: 0, erased_at_once: 1 }
     }
 
     /// Cuts the power at this step from now on; `None` means never.
     pub(crate) fn with_cut_at(self, step: Option<u32>) -> Self {
         Self { left: step, ..self }
+    }
+
+    /// Returns the steps that were done.
+    pub(crate) fn done(&self) -> u32 {
+        self.done
+    }
+
+    /// Changes other bits at a power cut.
+    pub(crate) fn with_noise(self, noise: u32) -> Self {
+        Self { noise, ..self }
+    }
+
+    /// Erases `count` bytes in a step: power cuts during an erase differ only in which bits they leave.
+    pub(crate) fn with_erased_at_once(self, count: usize) -> Self {
+        assert!(ERASE.is_multiple_of(count));
+        Self { erased_at_once: count, ..self }
+    }
+
+    /// Returns the contents.
+    pub(crate) fn bytes(&self) -> &[u8] {
+        &self.bytes
     }
 
     /// Does a step on a byte.
@@ -51,16 +77,30 @@ impl<const WRITE: usize, const ERASE: usize> Flash<WRITE, ERASE> {
             }
             *left -= 1;
             if *left == 0 {
-                // some of the bits have changed
-                let changed = self.bytes[at] ^ new;
-                let some = u8::try_from(self.done.wrapping_mul(0x9e37_79b1) >> 24).unwrap();
-                self.bytes[at] ^= changed & some;
+                self.change_some_bits(at, new);
                 return Err(FlashError::PowerCut);
             }
         }
         self.done += 1;
         self.bytes[at] = new;
         Ok(())
+    }
+
+    /// Does these steps at once if the power is not cut within them.
+    fn skip(&mut self, steps: usize) -> bool {
+        let steps = u32::try_from(steps).unwrap();
+        if self.left.is_some_and(|left| left <= steps) {
+            return false;
+        }
+        self.left = self.left.map(|left| left - steps);
+        self.done += steps;
+        true
+    }
+
+    fn change_some_bits(&mut self, at: usize, new: u8) {
+        let seed = self.done.wrapping_add(u32::try_from(at).unwrap()).wrapping_add(self.noise);
+        let some = u8::try_from(seed.wrapping_mul(0x9e37_79b1) >> 24).unwrap();
+        self.bytes[at] ^= (self.bytes[at] ^ new) & some;
     }
 
     fn range(&self, from: u32, to: u32, unit: usize) -> Result<std::ops::Range<usize>, FlashError> {
@@ -94,18 +134,33 @@ impl<const WRITE: usize, const ERASE: usize> NorFlash for Flash<WRITE, ERASE> {
     const ERASE_SIZE: usize = ERASE;
 
     fn erase(&mut self, from: u32, to: u32) -> Result<(), FlashError> {
-        for at in self.range(from, to, ERASE)? {
-            self.step(at, 0xff)?;
+        let range = self.range(from, to, ERASE)?;
+        if self.skip(range.len() / self.erased_at_once) {
+            self.bytes[range].fill(0xff);
+            return Ok(());
+        }
+        for at in range.step_by(self.erased_at_once) {
+            let was_on = self.left != Some(0);
+            let step = self.step(at, 0xff);
+            if step.is_err() && was_on {
+                (at + 1..(at + 1).next_multiple_of(ERASE)).for_each(|at| self.change_some_bits(at, 0xff));
+            }
+            step?;
+            self.bytes[at..at + self.erased_at_once].fill(0xff);
         }
         Ok(())
     }
 
     fn write(&mut self, offset: u32, bytes: &[u8]) -> Result<(), FlashError> {
         let range = self.range(offset, offset + u32::try_from(bytes.len()).unwrap(), WRITE)?;
+        if self.bytes[range.clone()].iter().zip(bytes).any(|(old, new)| old & new != *new) {
+            return Err(FlashError::NotErased);
+        }
+        if self.skip(bytes.len()) {
+            self.bytes[range].copy_from_slice(bytes);
+            return Ok(());
+        }
         for (at, new) in range.zip(bytes) {
-            if self.bytes[at] & new != *new {
-                return Err(FlashError::NotErased);
-            }
             self.step(at, *new)?;
         }
         Ok(())

@@ -3,13 +3,14 @@
 #![no_main]
 #![forbid(unsafe_code)]
 
+mod console;
+
 use core::panic::PanicInfo;
 
 use bcap_board::gateway::{self, Board};
 use bcap_board::parts::Parts;
 use bcap_board::slots::Slots;
-use bcap_board::{address, config, fault, led, mac, memory, stack, usb};
-use cortex_m::peripheral::SCB;
+use bcap_board::{address, config, fault, led, mac, memory, stack};
 use embassy_executor::{Executor, Spawner};
 use embassy_futures::join::join;
 use embassy_net::{Stack, StackResources};
@@ -103,7 +104,7 @@ async fn run(spawner: Spawner, p: Peripherals) -> Option<()> {
 
 #[embassy_executor::task]
 async fn serve_usb(driver: Driver<'static, USB>, slots: Slots<BoardFlash>) {
-    usb::run(driver, slots, || SCB::sys_reset()).await;
+    console::serve(driver, slots).await;
 }
 
 #[embassy_executor::task]

@@ -1,6 +1,8 @@
-//! `bcap board`: the settings of a board over a serial line, in the protocol of [`bcap_board::console`].
+//! `bcap board`: the settings and the image of a board over a serial line, in the protocol of [`bcap_board::console`].
 
+mod elf;
 mod port;
+mod update;
 
 use std::fs;
 
@@ -14,9 +16,15 @@ use crate::args::{Board, BoardCommand, Configure, LinkArgs};
 use crate::error::Failure;
 use crate::output;
 
+/// The hint after a refused change of the settings.
+const SETTINGS_REMAIN: &str = "the settings of the board are unchanged";
+
 pub(crate) fn board(args: &Board, link: &LinkArgs, json: bool) -> Result<(), Failure> {
-    let BoardCommand::Configure(args) = &args.command;
-    configure(args, link, json)
+    match &args.command {
+        BoardCommand::Configure(args) => configure(args, link, json),
+        BoardCommand::Update(args) => update::update(args, link, json),
+        BoardCommand::Status(args) => update::status(args, link, json),
+    }
 }
 
 fn configure(args: &Configure, link: &LinkArgs, json: bool) -> Result<(), Failure> {
@@ -65,7 +73,7 @@ fn read(arguments: &[String]) -> Result<String, Failure> {
 
 /// Replaces the settings of the board. They change with the last request, so an earlier failure changes nothing.
 fn replace(port: &mut Port, settings: &str, json: bool) -> Result<(), Failure> {
-    port.ask("new", |_| Ok(()))?.accepted("new")?;
+    port.ask("new", |_| Ok(()))?.accepted("new", SETTINGS_REMAIN)?;
     for line in settings.lines() {
         request(port, &format!("add {line}"), json)?;
     }
@@ -81,7 +89,7 @@ fn request(port: &mut Port, request: &str, json: bool) -> Result<(), Failure> {
     } else {
         output::print_line(&format!("{request}: {}", answer.0))?;
     }
-    answer.accepted(request)
+    answer.accepted(request, SETTINGS_REMAIN)
 }
 
 /// Prints the settings of the board, as `@FILE` takes them, and where they are.
@@ -96,5 +104,5 @@ fn show(port: &mut Port, json: bool) -> Result<(), Failure> {
         "ok image" => output::note("these settings are those of the image; the flash has none"),
         _ => {}
     }
-    answer.accepted("show")
+    answer.accepted("show", SETTINGS_REMAIN)
 }

@@ -26,14 +26,14 @@ pub(super) struct Port {
 pub(super) struct Answer(pub(super) String);
 
 impl Answer {
-    /// Fails if the board refused the request.
-    pub(super) fn accepted(&self, request: &str) -> Result<(), Failure> {
+    /// Fails with `hint` if the board refused the request.
+    pub(super) fn accepted(&self, request: &str, hint: &str) -> Result<(), Failure> {
         match self.0.strip_prefix("error ") {
             None => Ok(()),
             Some(reason) => Err(Failure::Unfit {
                 message: format!("the board refused \"{request}\": {reason}"),
                 code: None,
-                hint: Some("the settings of the board are unchanged".into()),
+                hint: Some(hint.into()),
             }),
         }
     }
@@ -47,11 +47,17 @@ impl Port {
             hint: "check the name and the permissions of the device, and that no other program uses it".into(),
         })?;
         let mut port = Self { port, name: name.into(), timeout, received: Vec::new() };
-        // the first line feed ends what an earlier program may have sent; its answer, and the log of a board, are skipped
-        port.send("\nhello\n")?;
-        let deadline = Instant::now() + timeout;
-        while port.line(deadline)? != HELLO {}
+        port.skip_answers()?;
         Ok(port)
+    }
+
+    /// Skips the answers to earlier requests, also those of an earlier program, and the log of a board.
+    pub(super) fn skip_answers(&mut self) -> Result<(), Failure> {
+        // the first line feed ends what an earlier program may have sent
+        self.send("\nhello\n")?;
+        let deadline = Instant::now() + self.timeout;
+        while self.line(deadline)? != HELLO {}
+        Ok(())
     }
 
     /// Sends a request and returns the answer; calls `setting` with each setting before it.
@@ -68,6 +74,27 @@ impl Port {
                 setting(line)?;
             } else if line == "ok" || line.starts_with("ok ") || line.starts_with("error ") {
                 return Ok(Answer(line));
+            }
+        }
+    }
+
+    /// Sends a block of an image; returns the reason of the board if the block must be sent again.
+    pub(super) fn send_block(&mut self, request: &str, number: u32) -> Result<Option<String>, Failure> {
+        // the first line feed ends what a damaged line may have left
+        self.send(&format!("\n{request}\n"))?;
+        let deadline = Instant::now() + self.timeout;
+        let stored = format!("ok {number}");
+        loop {
+            match self.line(deadline) {
+                Ok(line) if line == stored => return Ok(None),
+                Ok(line) => {
+                    // others are the log of the board, or answers to a block that was sent twice
+                    if let Some(reason) = line.strip_prefix("error ") {
+                        return Ok(Some(reason.to_owned()));
+                    }
+                }
+                Err(Failure::Timeout { message, .. }) => return Ok(Some(message)),
+                Err(failure) => return Err(failure),
             }
         }
     }
@@ -106,7 +133,7 @@ impl Port {
     fn broken(&self, error: &io::Error) -> Failure {
         Failure::Connection {
             message: format!("{}: {error}", self.name),
-            hint: "check the cable; the settings of the board are the earlier ones or the new ones".into(),
+            hint: "check the cable; the board has its earlier settings and image, or the new ones".into(),
         }
     }
 }

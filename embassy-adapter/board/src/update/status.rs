@@ -1,0 +1,95 @@
+//! What became of the last update, and its record in the flash.
+
+use core::fmt::{self, Write};
+use core::ops::Range;
+use core::str;
+
+use embedded_storage::nor_flash::NorFlash;
+use heapless::String;
+
+use super::error::UpdateError;
+use crate::identity::Identity;
+use crate::slots::Slots;
+
+/// The size of the record: the version, and the reason of a roll-back in a second line.
+const RECORD: usize = 128;
+
+/// What became of the last update.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Phase {
+    /// The image that runs was confirmed, or no update was ever installed.
+    Confirmed,
+    /// An update waits for a restart.
+    Installed,
+    /// The image that runs is an update, and must serve a request to be confirmed.
+    OnTrial,
+    /// The last update was not confirmed, and the earlier image runs.
+    RolledBack,
+}
+
+impl fmt::Display for Phase {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Confirmed => "confirmed",
+            Self::Installed => "installed",
+            Self::OnTrial => "on trial",
+            Self::RolledBack => "rolled back",
+        })
+    }
+}
+
+/// The version that runs, and what became of the last update.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Status {
+    pub(super) identity: Identity,
+    /// What became of the last update.
+    pub phase: Phase,
+    pub(super) history: String<RECORD>,
+}
+
+impl fmt::Display for Status {
+    /// Writes the board, its version and the phase, such as `w5500-evb-pico 0.1.0 confirmed`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { identity, phase, history } = self;
+        write!(f, "{} {} ", identity.board(), identity.version())?;
+        let (version, reason) = history.split_once('\n').unwrap_or((history, ""));
+        match phase {
+            Phase::Confirmed | Phase::OnTrial => phase.fmt(f),
+            Phase::Installed => write!(f, "runs; a restart swaps in {version}"),
+            Phase::RolledBack => write!(f, "confirmed; {version} was rolled back: {reason}"),
+        }
+    }
+}
+
+/// Reads the record; empty without one.
+pub(super) fn history<F: NorFlash>(flash: &mut F, slots: &Range<u32>) -> Result<String<RECORD>, UpdateError<F::Error>> {
+    let mut memory = [0; RECORD];
+    let text = Slots::new(flash, slots.clone())?.read_start(&mut memory)?;
+    let text = text.and_then(|text| str::from_utf8(text).ok()).unwrap_or_default();
+    Ok(String::try_from(text).unwrap_or_default())
+}
+
+/// Adds the reason of a roll-back to the record, at the first start after it.
+pub(super) fn keep_reason<F: NorFlash>(
+    flash: &mut F,
+    slots: &Range<u32>,
+    reason: &dyn fmt::Display,
+) -> Result<(), UpdateError<F::Error>> {
+    let mut history = history(flash, slots)?;
+    if !history.contains('\n') {
+        // a longer reason is cut
+        let _ = write!(Cut(&mut history), "\n{reason}");
+        Slots::new(flash, slots.clone())?.write(history.as_bytes())?;
+    }
+    Ok(())
+}
+
+/// Writes what fits.
+struct Cut<'a>(&'a mut String<RECORD>);
+
+impl Write for Cut<'_> {
+    fn write_str(&mut self, text: &str) -> fmt::Result {
+        text.chars().try_for_each(|c| self.0.push(c).map_err(|_| fmt::Error))
+    }
+}

@@ -1,0 +1,310 @@
+//! Tests updates with the boot loader of embassy-boot, with the power cut at every byte that is written or erased.
+
+mod flash;
+
+use std::cell::RefCell;
+use std::io::{self, Write as _};
+
+use bcap_board::crc::Crc32;
+use bcap_board::identity::{BLOCK, Identity};
+use bcap_board::slots::{Slots, TEXT};
+use bcap_board::update::{Partitions, StateFlash, UpdateError, Updater};
+use embassy_boot::{BootLoader, BootLoaderConfig};
+use embassy_embedded_hal::flash::partition::BlockingPartition;
+use embassy_sync::blocking_mutex::Mutex;
+use embassy_sync::blocking_mutex::raw::NoopRawMutex;
+use flash::{Flash, FlashError};
+
+static OLD: Identity = Identity::new("test-board", "0.1.0");
+static NEW: Identity = Identity::new("test-board", "0.2.0");
+const SETTINGS: &[u8] = b"put=I/0-99\n";
+/// The sizes of the partition of an image, and of that of the settings.
+const IMAGE: u32 = 1024;
+const SLOTS: u32 = 4096;
+
+type Result<T> = std::result::Result<T, UpdateError<FlashError>>;
+
+/// The boot loader would be at the start.
+fn partitions(sector: u32) -> Partitions {
+    let active = sector..sector + IMAGE;
+    let other = active.end..active.end + IMAGE + sector;
+    let state = other.end..other.end + 2 * sector;
+    let history = state.end.next_multiple_of(4096)..state.end.next_multiple_of(4096) + SLOTS;
+    Partitions { active, other, state, history }
+}
+
+/// An image of `len` bytes.
+fn image(identity: &Identity, len: usize) -> Vec<u8> {
+    let version = identity.version().as_bytes();
+    let code = (0..len).map(|at| version[at % version.len()].wrapping_mul(u8::try_from(at % 251).unwrap()));
+    let mut image: Vec<u8> = code.collect();
+    image[100..164].copy_from_slice(identity.as_bytes());
+    image
+}
+
+/// A board: everything that a power cut leaves is in its flash.
+#[derive(Clone)]
+struct Board<const WRITE: usize, const ERASE: usize> {
+    flash: Flash<WRITE, ERASE>,
+    /// Why it was last reset, which the test decides.
+    last_reset: &'static str,
+}
+
+impl<const WRITE: usize, const ERASE: usize> Board<WRITE, ERASE> {
+    /// Makes a board with the old image and settings.
+    fn new() -> Self {
+        let partitions = partitions(u32::try_from(ERASE).unwrap());
+        let mut flash = Flash::new(usize::try_from(partitions.history.end + SLOTS).unwrap());
+        {
+            use embedded_storage::nor_flash::NorFlash as _;
+            flash.erase(partitions.active.start, partitions.active.end).unwrap();
+            flash.write(partitions.active.start, &image(&OLD, 700)).unwrap();
+        }
+        let flash = flash.with_erased_at_once(ERASE / 8);
+        let mut slots = Slots::new(flash, partitions.history.end..partitions.history.end + SLOTS).unwrap();
+        slots.write(SETTINGS).unwrap();
+        Self { flash: slots.release(), last_reset: "power-on" }
+    }
+
+    fn partitions() -> Partitions {
+        partitions(u32::try_from(ERASE).unwrap())
+    }
+
+    /// Runs the boot loader.
+    fn boot(&mut self) -> std::result::Result<(), embassy_boot::BootError> {
+        let Partitions { active, other, state, .. } = Self::partitions();
+        let flash = Mutex::<NoopRawMutex, _>::new(RefCell::new(&mut self.flash));
+        let part = |range: &std::ops::Range<u32>| BlockingPartition::new(&flash, range.start, range.end - range.start);
+        let whole = BlockingPartition::new(&flash, 0, Self::partitions().history.end);
+        let state = StateFlash::new(whole, state).map_err(|_| embassy_boot::BootError::BadMagic)?;
+        let config = BootLoaderConfig { active: part(&active), dfu: part(&other), state };
+        BootLoader::new(config).prepare_boot(&mut [0; 64]).map(drop)
+    }
+
+    /// Returns the image that the boot loader would start; fails if it is not complete.
+    fn identity(&self) -> &'static Identity {
+        let active = Self::partitions().active;
+        let active = &self.flash.bytes()[usize::try_from(active.start).unwrap()..usize::try_from(active.end).unwrap()];
+        let found = [(&OLD, 700), (&NEW, 1000)].into_iter().find(|(id, len)| active.starts_with(&image(id, *len)));
+        found.expect("the active partition has no complete image").0
+    }
+
+    /// Starts the image in the active partition.
+    fn start(&mut self) -> Result<Updater> {
+        let identity = self.identity();
+        Updater::start(&mut self.flash, Self::partitions(), identity, &self.last_reset)
+    }
+
+    /// Receives an image and installs it.
+    fn install(&mut self, updater: &mut Updater, identity: &Identity, len: usize) -> Result<()> {
+        let image = image(identity, len);
+        let crc = Crc32::new().and(&image).value();
+        updater.begin("test-board", identity.version(), u32::try_from(len).unwrap(), crc)?;
+        for (number, data) in (0..).zip(image.chunks(BLOCK)) {
+            updater.block(&mut self.flash, number, block_crc(number, data), data)?;
+        }
+        updater.install(&mut self.flash)
+    }
+
+    fn status(&mut self) -> String {
+        let updater = self.start().unwrap();
+        updater.status(&mut self.flash).unwrap().to_string()
+    }
+
+    fn settings(&mut self) -> Option<Vec<u8>> {
+        let start = Self::partitions().history.end;
+        let mut slots = Slots::new(&mut self.flash, start..start + SLOTS).unwrap();
+        slots.read(&mut [0; TEXT]).unwrap().map(<[u8]>::to_vec)
+    }
+}
+
+fn block_crc(number: u32, data: &[u8]) -> u32 {
+    Crc32::new().and(&number.to_le_bytes()).and(data).value()
+}
+
+/// Installs the new image, and restarts into it. Returns `None` when the power was cut.
+fn into_trial<const W: usize, const E: usize>(board: &mut Board<W, E>) -> Option<Updater> {
+    let mut updater = board.start().ok()?;
+    board.install(&mut updater, &NEW, 1000).ok()?;
+    board.boot().ok()?;
+    board.start().ok()
+}
+
+/// An update that is confirmed, and a further start.
+fn confirmed<const W: usize, const E: usize>(board: &mut Board<W, E>) -> Option<()> {
+    let mut updater = into_trial(board)?;
+    updater.confirm(&mut board.flash).ok()?;
+    board.boot().ok()?;
+    board.start().ok().map(drop)
+}
+
+/// An update that is reset on trial, which rolls it back, and a further start.
+fn rolled_back<const W: usize, const E: usize>(board: &mut Board<W, E>) -> Option<()> {
+    into_trial(board)?;
+    board.last_reset = "the watchdog";
+    board.boot().ok()?;
+    board.start().ok().map(drop)
+}
+
+/// Switches the board on until a boot is not cut; then checks it, and repeats the update.
+fn recover<const W: usize, const E: usize>(board: &mut Board<W, E>) {
+    board.last_reset = "power-on";
+    board.boot().unwrap();
+    let mut updater = board.start().unwrap();
+    assert_eq!(board.settings().as_deref(), Some(SETTINGS), "the settings");
+    updater.confirm(&mut board.flash).unwrap();
+    let next = if board.identity() == &OLD { (&NEW, 1000) } else { (&OLD, 700) };
+    board.install(&mut updater, next.0, next.1).unwrap();
+    board.boot().unwrap();
+    assert_eq!(board.identity(), next.0, "a repeated update");
+    board.start().unwrap().confirm(&mut board.flash).unwrap();
+    board.boot().unwrap();
+    assert_eq!(board.identity(), next.0, "a repeated update, confirmed");
+}
+
+/// Does `work` with the power cut at each step, and calls `check` with what is left.
+fn cut_everywhere<const W: usize, const E: usize>(
+    board: &Board<W, E>,
+    work: impl Fn(&mut Board<W, E>) -> Option<()>,
+    mut check: impl FnMut(Board<W, E>),
+) -> u32 {
+    for cut in 1.. {
+        let mut board = board.clone();
+        board.flash = board.flash.with_cut_at(Some(cut));
+        let done = work(&mut board);
+        board.flash = board.flash.with_cut_at(None);
+        if done.is_some() {
+            return cut - 1;
+        }
+        check(board);
+    }
+    0
+}
+
+fn power_cuts<const W: usize, const E: usize>(noise: u32) -> u32 {
+    let mut board = Board::<W, E>::new();
+    board.flash = board.flash.with_noise(noise);
+    let mut cuts = cut_everywhere(&board, confirmed, |mut board| recover(&mut board));
+    let (mut number, mut second) = (0_u32, 0);
+    cuts += cut_everywhere(&board, rolled_back, |mut board| {
+        number += 1;
+        // every 1500th cut is followed by cuts everywhere in the next start
+        if number % 1500 == 0 {
+            second += cut_everywhere(&board, |board| board.boot().ok(), |mut board| recover(&mut board));
+        }
+        recover(&mut board);
+    });
+    // the banks of the state and the slots of the history are then used the other way round
+    confirmed(&mut board).unwrap();
+    cuts += cut_everywhere(&board, rolled_back_again, |mut board| recover(&mut board));
+    cuts + second
+}
+
+/// An update to the old image, which is rolled back.
+fn rolled_back_again<const W: usize, const E: usize>(board: &mut Board<W, E>) -> Option<()> {
+    let mut updater = board.start().ok()?;
+    board.install(&mut updater, &OLD, 700).ok()?;
+    board.boot().ok()?;
+    board.start().ok()?;
+    board.boot().ok()?;
+    board.start().ok().map(drop)
+}
+
+#[test]
+fn a_power_cut_leaves_a_complete_image_and_the_settings() {
+    let cuts = [power_cuts::<1, 256>(0), power_cuts::<4, 512>(1)];
+    // not `println`, which the tests of cargo show of failures only
+    let _ = writeln!(io::stderr(), "updates: {} power cuts, all recovered", cuts.iter().sum::<u32>());
+    assert!(cuts.iter().all(|cuts| *cuts > 10_000), "{cuts:?}");
+}
+
+#[test]
+fn an_update_is_confirmed() {
+    let mut board = Board::<1, 256>::new();
+    board.boot().unwrap();
+    assert_eq!(board.status(), "test-board 0.1.0 confirmed");
+    let mut updater = board.start().unwrap();
+    board.install(&mut updater, &NEW, 1000).unwrap();
+    let status = updater.status(&mut board.flash).unwrap().to_string();
+    assert_eq!(status, "test-board 0.1.0 runs; a restart swaps in 0.2.0");
+    assert_eq!(updater.begin::<()>("test-board", "0.2.0", 9, 0), Err(UpdateError::Busy));
+    // no update was on trial, so nothing is confirmed
+    updater.confirm(&mut board.flash).unwrap();
+    board.boot().unwrap();
+    assert_eq!(board.status(), "test-board 0.2.0 on trial");
+    let mut updater = board.start().unwrap();
+    assert_eq!(updater.begin::<()>("test-board", "0.2.0", 9, 0), Err(UpdateError::Busy));
+    updater.confirm(&mut board.flash).unwrap();
+    for _ in 0..3 {
+        board.boot().unwrap();
+        assert_eq!(board.status(), "test-board 0.2.0 confirmed");
+    }
+}
+
+#[test]
+fn an_update_that_is_reset_on_trial_is_rolled_back_and_the_reason_is_kept() {
+    let mut board = Board::<4, 512>::new();
+    rolled_back(&mut board).unwrap();
+    for _ in 0..3 {
+        board.last_reset = "something else";
+        assert_eq!(board.status(), "test-board 0.1.0 confirmed; 0.2.0 was rolled back: the watchdog");
+        board.boot().unwrap();
+    }
+    confirmed(&mut board).unwrap();
+    assert_eq!(board.status(), "test-board 0.2.0 confirmed");
+}
+
+#[test]
+fn an_image_that_does_not_fit_is_refused_before_anything_is_erased() {
+    let mut board = Board::<1, 256>::new();
+    let mut updater = board.start().unwrap();
+    let before = board.flash.done();
+    let refused = updater.begin::<()>("other-board", "0.2.0", 9, 0);
+    assert_eq!(
+        refused.clone().map_err(|error| error.to_string()).unwrap_err(),
+        "the image is for another board: this is a test-board"
+    );
+    assert_eq!(updater.begin::<()>("test-board", "0.2.0", IMAGE + 1, 0), Err(UpdateError::Size { most: IMAGE }));
+    assert_eq!(updater.begin::<()>("test-board", "0.2.0", 0, 0), Err(UpdateError::Size { most: IMAGE }));
+    assert_eq!(updater.block(&mut board.flash, 0, 0, &[]), Err(UpdateError::NotBegun));
+    assert_eq!(updater.install(&mut board.flash), Err(UpdateError::NotBegun));
+    updater.begin::<()>("test-board", "0.2.0", IMAGE, 0).unwrap();
+    assert_eq!(board.flash.done(), before, "bytes written or erased");
+}
+
+#[test]
+fn damaged_lost_and_repeated_blocks_leave_the_image_complete() {
+    let mut board = Board::<1, 256>::new();
+    let mut updater = board.start().unwrap();
+    let image = image(&NEW, 1000);
+    let crc = Crc32::new().and(&image).value();
+    updater.begin::<()>("test-board", "0.2.0", 1000, crc).unwrap();
+    for (number, data) in (0..).zip(image.chunks(BLOCK)) {
+        let good = block_crc(number, data);
+        let flash = &mut board.flash;
+        assert_eq!(updater.install(flash), Err(UpdateError::Incomplete { expected: number }));
+        assert_eq!(updater.block(flash, number, good ^ 1, data), Err(UpdateError::Damaged));
+        assert_eq!(updater.block(flash, number, good, &data[1..]), Err(UpdateError::Damaged));
+        if let Some(next) = image.chunks(BLOCK).nth(usize::try_from(number).unwrap() + 1) {
+            let lost = updater.block(flash, number + 1, block_crc(number + 1, next), next);
+            assert_eq!(lost, Err(UpdateError::Sequence { expected: number }));
+        }
+        for _ in 0..2 {
+            updater.block(flash, number, good, data).unwrap();
+        }
+    }
+    updater.install(&mut board.flash).unwrap();
+    board.boot().unwrap();
+    assert_eq!(board.identity(), &NEW);
+}
+
+#[test]
+fn an_image_with_another_crc_is_not_installed() {
+    let mut board = Board::<1, 256>::new();
+    let mut updater = board.start().unwrap();
+    updater.begin::<()>("test-board", "0.2.0", 3, 7).unwrap();
+    updater.block(&mut board.flash, 0, block_crc(0, b"abc"), b"abc").unwrap();
+    assert_eq!(updater.install(&mut board.flash), Err(UpdateError::Crc));
+    board.boot().unwrap();
+    assert_eq!(board.status(), "test-board 0.1.0 confirmed");
+}

@@ -1,0 +1,11 @@
+//! The parts of the flash that updates use, as offsets. The boot loader has this file, too.
+
+use bcap_board::update::Partitions;
+
+pub(crate) const PARTITIONS: Partitions = Partitions {
+    active: 0x01_0000..0x10_0000,
+    // a sector larger
+    other: 0x10_0000..0x1f_1000,
+    state: 0x00_8000..0x00_a000,
+    history: 0x00_a000..0x00_c000,
+};

@@ -1,0 +1,91 @@
+//! The bytes that an ELF file puts into the flash.
+
+use std::collections::BTreeMap;
+
+/// The longest image; a wrong address in a file must not allocate gigabytes.
+const MOST: u32 = 64 << 20;
+
+/// Tells whether a file is ELF.
+pub(super) fn is_elf(file: &[u8]) -> bool {
+    file.starts_with(b"\x7fELF")
+}
+
+/// Returns the segments of a little-endian ELF file with 32 bits as one binary; gaps are `ff`, as in erased flash.
+pub(super) fn flatten(file: &[u8]) -> Option<Vec<u8>> {
+    // 32 bits, little-endian
+    if file.get(4..6)? != [1, 1] {
+        return None;
+    }
+    let table = usize::try_from(word(file, 28)?).ok()?;
+    let [size, count] = [half(file, 42)?, half(file, 44)?].map(usize::from);
+    let mut segments = BTreeMap::new();
+    for number in 0..count {
+        let header = file.get(table.checked_add(number * size)?..)?;
+        let [kind, offset, _, address, len] = [0, 4, 8, 12, 16].map(|at| word(header, at));
+        let (offset, len) = (usize::try_from(offset?).ok()?, usize::try_from(len?).ok()?);
+        // segments that are loaded; memory without contents has no bytes in the file
+        if kind? == 1 && len > 0 {
+            segments.insert(address?, file.get(offset..offset.checked_add(len)?)?);
+        }
+    }
+    let (first, _) = segments.first_key_value()?;
+    let first = *first;
+    let mut image = Vec::new();
+    for (address, bytes) in segments {
+        let at = usize::try_from(Some(address - first).filter(|at| *at < MOST)?).ok()?;
+        if at < image.len() {
+            return None;
+        }
+        image.resize(at, 0xff);
+        image.extend_from_slice(bytes);
+    }
+    Some(image)
+}
+
+fn word(bytes: &[u8], at: usize) -> Option<u32> {
+    bytes.get(at..)?.first_chunk().map(|bytes| u32::from_le_bytes(*bytes))
+}
+
+fn half(bytes: &[u8], at: usize) -> Option<u16> {
+    bytes.get(at..)?.first_chunk().map(|bytes| u16::from_le_bytes(*bytes))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Makes a file with these segments: kind, address, contents.
+    fn file(segments: &[(u32, u32, &[u8])]) -> Vec<u8> {
+        let mut header = b"\x7fELF\x01\x01".to_vec();
+        header.resize(52, 0);
+        header[28] = 52;
+        header[42] = 32;
+        header[44] = u8::try_from(segments.len()).unwrap();
+        let mut contents = Vec::new();
+        for (kind, address, bytes) in segments {
+            let offset = 52 + 32 * segments.len() + contents.len();
+            let len = u32::try_from(bytes.len()).unwrap();
+            for field in [*kind, u32::try_from(offset).unwrap(), 0x2000_0000, *address, len, len, 5, 1] {
+                header.extend(field.to_le_bytes());
+            }
+            contents.extend_from_slice(bytes);
+        }
+        [header, contents].concat()
+    }
+
+    #[test]
+    fn loaded_segments_are_put_at_their_addresses() {
+        let file = file(&[(1, 0x1001_0008, b"second"), (1, 0x1001_0000, b"first"), (1, 9, b""), (6, 0, b"no segment")]);
+        assert!(is_elf(&file));
+        assert_eq!(flatten(&file).unwrap(), b"first\xff\xff\xffsecond");
+    }
+
+    #[test]
+    fn an_invalid_file_has_no_image() {
+        let good = file(&[(1, 0, b"bytes")]);
+        assert!((0..good.len()).all(|len| flatten(&good[..len]).is_none()), "cut off");
+        assert_eq!(flatten(&file(&[(1, 0, b"bytes"), (1, 4, b"overlap")])), None);
+        assert_eq!(flatten(&file(&[(1, 0, b"a"), (1, MOST, b"b")])), None);
+        assert_eq!(flatten(&file(&[])), None);
+    }
+}
