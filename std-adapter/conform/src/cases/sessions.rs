@@ -163,7 +163,17 @@ pub(super) const CASES: &[Case] = &[
     accepted!("option-blanks", " WDT = 400 ", "blanks around key and value do not matter"),
     accepted!("option-leading-comma", ",WDT=400", "a leading comma does not matter"),
     accepted!("option-invoke-timeout", ",WDT=400,InvokeTimeout=180000", "open drivers send this option"),
-    accepted!("option-unknown-key", "Colour=blue,WDT=400", "unknown keys are ignored"),
+    // no text says which: the vendor's server library ignores them, `bcap sim` refuses them
+    session(
+        "option-unknown-key",
+        OPTIONS,
+        "an unknown key is ignored or refused, and the session can be started after it",
+        Connected,
+        &[
+            Step::Must(F::SERVICE_START, &[S("Colour=blue,WDT=400")], Want::Code(&[HResult::S_OK, HResult::E_INVALIDARG])),
+            Step::Must(F::SERVICE_START, &[S("")], Want::NoValue),
+        ],
+    ),
     accepted!("option-brackets", "WDT=(400)", "a value may be in brackets"),
     refused!("option-wdt-79", "WDT=79", "an interval below 80 ms is refused"),
     refused!("option-wdt-0", "WDT=0", "an interval below 80 ms is refused"),
