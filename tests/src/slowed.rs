@@ -1,7 +1,7 @@
 //! A virtual controller with a slow clock, so that even a busy machine meets its deadlines.
 //!
-//! Its cycle of 8 ms takes [`SLOWNESS`] times as long, and its buffer lasts as much longer: a test in real time can then
-//! assert that nothing was late without measuring the machine.
+//! Its cycle of 8 ms takes [`SLOWNESS`] times as long, or another factor, and its buffer lasts as much longer: a test in real time
+//! can then assert that nothing was late without measuring the machine.
 
 use std::time::Duration;
 
@@ -19,41 +19,47 @@ pub const CYCLE: Duration = bcap_sim::slave::CYCLE.saturating_mul(SLOWNESS);
 
 /// The controller.
 #[derive(Debug)]
-pub struct Slowed(pub Controller);
+pub struct Slowed<const TIMES: u32 = SLOWNESS>(pub Controller);
 
-/// Returns the controller's time.
+/// Returns the time of a controller that is [`SLOWNESS`] times as slow.
 #[must_use]
 pub fn inner(at: Instant) -> Instant {
-    Instant::from_micros(at.as_micros() / u64::from(SLOWNESS))
+    Slowed::<SLOWNESS>::inner(at)
 }
 
-fn outer(outcome: Outcome) -> Outcome {
-    match outcome {
-        Outcome::Wait(at) => Outcome::Wait(Instant::from_micros(at.as_micros().saturating_mul(SLOWNESS.into()))),
-        done => done,
+impl<const TIMES: u32> Slowed<TIMES> {
+    fn inner(at: Instant) -> Instant {
+        Instant::from_micros(at.as_micros() / u64::from(TIMES))
+    }
+
+    fn outer(outcome: Outcome) -> Outcome {
+        match outcome {
+            Outcome::Wait(at) => Outcome::Wait(Instant::from_micros(at.as_micros().saturating_mul(TIMES.into()))),
+            done => done,
+        }
     }
 }
 
-impl Handler for Slowed {
+impl<const TIMES: u32> Handler for Slowed<TIMES> {
     fn call(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
-        outer(Handler::call(&mut self.0, peer, request, reply, inner(now)))
+        Self::outer(Handler::call(&mut self.0, peer, request, reply, Self::inner(now)))
     }
 
     fn resume(&mut self, peer: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
-        outer(Handler::resume(&mut self.0, peer, request, reply, inner(now)))
+        Self::outer(Handler::resume(&mut self.0, peer, request, reply, Self::inner(now)))
     }
 
     fn abandoned(&mut self, peer: PeerId, now: Instant) {
-        Handler::abandoned(&mut self.0, peer, inner(now));
+        Handler::abandoned(&mut self.0, peer, Self::inner(now));
     }
 
     fn left(&mut self, peer: PeerId, now: Instant) {
-        Handler::left(&mut self.0, peer, inner(now));
+        Handler::left(&mut self.0, peer, Self::inner(now));
     }
 }
 
-impl rac::server::Handler for Slowed {
+impl<const TIMES: u32> rac::server::Handler for Slowed<TIMES> {
     fn call(&mut self, peer: PeerId, request: &rac::Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
-        outer(rac::server::Handler::call(&mut self.0, peer, request, reply, inner(now)))
+        Self::outer(rac::server::Handler::call(&mut self.0, peer, request, reply, Self::inner(now)))
     }
 }

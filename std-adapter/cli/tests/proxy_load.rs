@@ -62,7 +62,7 @@ fn slave_mode_through_a_proxy_lacks_no_pose() {
     // a controller with a slow clock, whose mode 2 paces the command: a pose that the proxy delays by a cycle is an underflow, and a
     // busy machine is not
     let config = Config { motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) };
-    let sim = Served::of(Slowed(Controller::new(config)), Limits::default());
+    let sim: Served<Slowed> = Served::of(Slowed(Controller::new(config)), Limits::default());
     let (proxy, file) = proxy(&format!("tcp:{}", sim.tcp), "slave.pcapng");
     let (run, report) = slave(&proxy, 2);
     assert_eq!((run.code, &report["underflows"], &report["refused"]), (0, &0.into(), &0.into()), "{run:?}");

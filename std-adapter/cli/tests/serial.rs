@@ -167,10 +167,15 @@ fn the_serial_options_are_checked() {
     }
 }
 
+/// A controller whose cycle has room for the threads of the cable, too, on a busy machine.
+fn slow() -> Slowed<16> {
+    Slowed(Controller::new(Config::new(Profile::Rc8)))
+}
+
 #[test]
 fn a_line_that_is_too_slow_for_slave_mode_is_refused_before_anything_moves() {
     let Some(cable) = Cable::new(Quality::default()) else { return };
-    let sim = LineServer::start(Slowed(Controller::new(Config::new(Profile::Rc8))), &cable.path(End::Controller));
+    let sim = LineServer::start(slow(), &cable.path(End::Controller));
     let run = bcap(&["slave", "cosine", "--yes", "--robot", &cable.address(115_200)]);
     let part =
         "together 226 bytes of 10 bits, which are 2260 bits and take 19.6 ms at 115200 baud; a pose is due every 8 ms";
@@ -189,7 +194,7 @@ fn stream<H: bcap_core::bcap::server::Handler + Send + 'static>(cable: &Cable, c
 #[test]
 fn slave_mode_streams_over_a_fast_line() {
     let Some(cable) = Cable::new(Quality { baud: Some(921_600), ..Quality::default() }) else { return };
-    let run = stream(&cable, Slowed(Controller::new(Config::new(Profile::Rc8))), "1");
+    let run = stream(&cable, slow(), "1");
     assert_eq!((run.code, run.err.as_str()), (0, ""), "{run:?}");
     let report: serde_json::Value = serde_json::from_str(&run.out).unwrap();
     assert!(report["cycles"].as_u64().unwrap() >= 125 && report["underflows"] == 0, "{report}");
@@ -209,7 +214,7 @@ fn slave_mode_streams_in_real_time_over_a_line_of_921600_baud() {
 #[test]
 fn slave_mode_stops_on_ctrl_c_over_a_line_and_refuses_a_motion_that_nothing_could_halt() {
     let Some(cable) = Cable::new(Quality { baud: Some(921_600), ..Quality::default() }) else { return };
-    let sim = LineServer::start(Slowed(Controller::new(Config::new(Profile::Rc8))), &cable.path(End::Controller));
+    let sim = LineServer::start(slow(), &cable.path(End::Controller));
     let robot = cable.address(921_600);
     for start in [&["cosine", "--from", "J1"][..], &["play", "path.csv", "--approach"]] {
         let run = bcap(&[&["slave"], start, &["--yes", "--robot", &robot]].concat());

@@ -184,7 +184,7 @@ pub(crate) fn assert_as_seen(recorded: &Recorded) {
 /// Serves a virtual controller that records its calls.
 pub(crate) fn serve() -> Served<Recording> {
     let config = bcap_sim::Config { motor_on_delay: Duration::from_millis(1), ..bcap_sim::Config::new(Profile::Rc8) };
-    let controller = Slowed(Controller::new(config));
+    let controller: Slowed = Slowed(Controller::new(config));
     Served::of(Recording { controller, seen: Vec::new() }, Limits::default())
 }
 
