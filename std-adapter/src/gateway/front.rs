@@ -119,6 +119,12 @@ impl Front {
         }
     }
 
+    /// Tells whether a request of a client of Modbus runs or bytes of its response are left to send. Its client keeps its slot
+    /// meanwhile, also between two lines, while the gateway itself has nothing to do for it.
+    pub(super) fn is_busy(&self) -> bool {
+        matches!(self, Self::Modbus(front) if front.is_running() || !front.transmit().is_empty())
+    }
+
     /// Tells whether a part of a request has arrived.
     pub(super) fn is_receiving(&self, gateway: &Gateway<'_>, peer: PeerId) -> bool {
         match self {
