@@ -108,8 +108,11 @@ pub trait Handler {
         let _ = (peer, now);
     }
 
-    /// Is called when the server refuses a request: its function, the number or the types of its arguments, or their handle
-    /// is wrong. The server replies `code`; the arguments are those of the request, unchecked.
+    /// Is called when the server refuses a request: its function, the number or the types of its arguments, their handle or
+    /// the options of a Service_Start are wrong, or the list of objects is full. The server replies `code`; the arguments are
+    /// those of the request, unchecked.
+    ///
+    /// It is not called for a request that is too large, nor for one that arrives while another request of the peer runs.
     fn refused(&mut self, peer: PeerId, request: &Request<'_>, code: HResult, now: Instant) {
         let _ = (peer, request, code, now);
     }
@@ -331,15 +334,12 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
     ) -> Option<Event> {
         let function = attempt.function;
         let is_full = function.opens().is_some() && self.objects.is_full();
-        match self.check(frame) {
-            Ok(()) if is_full => return Some(self.refuse_attempt(&attempt, HResult::E_MAX_OBJECT)),
-            Ok(()) => {}
-            Err(result) => {
-                if let Some(frame) = self.inbox.frame(self.rx.bytes(), frame) {
-                    handler.refused(peer, &Request { function, args: frame.args }, result, now);
-                }
-                return Some(self.refuse_attempt(&attempt, result));
+        let checked = self.check(frame).and_then(|()| if is_full { Err(HResult::E_MAX_OBJECT) } else { Ok(()) });
+        if let Err(result) = checked {
+            if let Some(frame) = self.inbox.frame(self.rx.bytes(), frame) {
+                handler.refused(peer, &Request { function, args: frame.args }, result, now);
             }
+            return Some(self.refuse_attempt(&attempt, result));
         }
         if function == FunctionId::SERVICE_STOP {
             self.end_service(handler, peer, now);

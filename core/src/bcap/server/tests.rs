@@ -202,6 +202,7 @@ fn objects_are_released_in_reverse_order_and_limited() {
     let variable = || call::controller_get_variable(ControllerHandle(1), "I1", "");
     assert_eq!(bench.call(variable(), 4, at(0)), [(4, HResult::S_OK)]);
     assert_eq!(bench.call(variable(), 5, at(0)), [(5, HResult::E_MAX_OBJECT)]);
+    assert_eq!(bench.handler.refused.pop().map(|(_, _, code)| code), Some(HResult::E_MAX_OBJECT));
     assert_eq!(bench.call(call::robot_release(RobotHandle(2)), 6, at(0)), [(6, HResult::S_OK)]);
     assert_eq!(bench.call(halt(), 7, at(0)), [(7, HResult::E_HANDLE)]);
     assert_eq!(bench.call(variable(), 8, at(0)), [(8, HResult::S_OK)]);
