@@ -152,8 +152,11 @@ pub(super) async fn refuse(mut stream: TcpStream, map: Map) {
         let mut chunk = [0; CHUNK];
         while front.line().is_empty() {
             let room = chunk.get_mut(..front.room().min(CHUNK))?;
-            let count = stream.read(room).await.ok().filter(|count| *count > 0 && !front.is_broken())?;
+            let count = stream.read(room).await.ok().filter(|count| *count > 0)?;
             front.received(chunk.get(..count)?, |_| true);
+            if front.is_broken() {
+                return None;
+            }
         }
         let mut line = [0; 16];
         let mut out = Writer::new(&mut line);
