@@ -139,12 +139,7 @@ fn an_argument_of_the_wrong_type_is_named_though_the_server_refuses_it() {
             HResult::E_INVALIDARG,
             "Service_Start: given 2 arguments; accepted 1: option",
         ),
-        (
-            FunctionId(138),
-            &[&3],
-            HResult::E_INVALIDARG,
-            "function 138: unknown; accepted the functions 1 to 137",
-        ),
+        (FunctionId(138), &[&3], HResult::E_INVALIDARG, "function 138: unknown; accepted the functions 1 to 137"),
     ];
     for (function, arguments, expected, text) in wrong {
         assert_eq!(call(function, arguments), (expected, None));
