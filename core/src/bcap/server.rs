@@ -108,8 +108,11 @@ pub trait Handler {
         let _ = (peer, now);
     }
 
-    /// Is called when the server refuses a request: its function, the number or the types of its arguments, or their handle
-    /// is wrong. The server replies `code`; the arguments are those of the request, unchecked.
+    /// Is called when the server refuses a request: its function, the number or the types of its arguments, their handle or
+    /// the options of a Service_Start are wrong, or the list of objects is full. The server replies `code`; the arguments are
+    /// those of the request, unchecked.
+    ///
+    /// It is not called for a request that is too large, nor for one that arrives while another request of the peer runs.
     fn refused(&mut self, peer: PeerId, request: &Request<'_>, code: HResult, now: Instant) {
         let _ = (peer, request, code, now);
     }
@@ -331,16 +334,12 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
     ) -> Option<Event> {
         let function = attempt.function;
         let is_full = function.opens().is_some() && self.objects.is_full();
-        match self.check(frame) {
-            Ok(_) if is_full => return Some(self.refuse_attempt(&attempt, HResult::E_MAX_OBJECT)),
-            Ok(Some(options)) => self.state.set_options(options),
-            Ok(None) => {}
-            Err(result) => {
-                if let Some(frame) = self.inbox.frame(self.rx.bytes(), frame) {
-                    handler.refused(peer, &Request { function, args: frame.args }, result, now);
-                }
-                return Some(self.refuse_attempt(&attempt, result));
+        let checked = self.check(frame).and_then(|()| if is_full { Err(HResult::E_MAX_OBJECT) } else { Ok(()) });
+        if let Err(result) = checked {
+            if let Some(frame) = self.inbox.frame(self.rx.bytes(), frame) {
+                handler.refused(peer, &Request { function, args: frame.args }, result, now);
             }
+            return Some(self.refuse_attempt(&attempt, result));
         }
         if function == FunctionId::SERVICE_STOP {
             self.end_service(handler, peer, now);
@@ -402,7 +401,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         let refused = match self.state.judge(&attempt, now) {
             Verdict::New => Err(HResult::E_BUSY_PROC),
             // a client that begins a session does not wait for an earlier client's call
-            Verdict::Begin => self.check(frame).map(drop),
+            Verdict::Begin => self.check(frame),
             Verdict::Executing | Verdict::Repeat | Verdict::Drop => Ok(()),
         };
         match refused {
@@ -443,6 +442,12 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         let handle = value.and_then(|value| handle_of(&value));
         self.state.running = None;
         if result.is_ok() {
+            // a Service_Start that the handler refuses changes no options; `check` has refused invalid ones
+            if function == FunctionId::SERVICE_START
+                && let Ok(options) = StartOptions::read(args.get(0))
+            {
+                self.state.set_options(options);
+            }
             let released = args.get(0).and_then(|value| handle_of(&value)).unwrap_or(0);
             self.update_objects(function, handle, released);
         }
@@ -486,8 +491,8 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
         }
     }
 
-    /// Checks a request against the function table and the peer's objects; returns the options of a Service_Start.
-    fn check(&self, frame: Located) -> Result<Option<StartOptions>, HResult> {
+    /// Checks a request against the function table and the peer's objects, and the options of a Service_Start.
+    fn check(&self, frame: Located) -> Result<(), HResult> {
         let frame = self.inbox.frame(self.rx.bytes(), frame).ok_or(HResult::E_INVALIDRCPACKET)?;
         let function = frame.function();
         let Some(signature) = function.signature() else { return Err(HResult::E_INVALIDARG) };
@@ -506,9 +511,9 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
             }
         }
         if function != FunctionId::SERVICE_START {
-            return Ok(None);
+            return Ok(());
         }
-        StartOptions::read(frame.args.get(0)).map(Some).map_err(|_| HResult::E_INVALIDARG)
+        StartOptions::read(frame.args.get(0)).map(drop).map_err(|_| HResult::E_INVALIDARG)
     }
 
     /// Replies without calling the handler.

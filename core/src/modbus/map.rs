@@ -64,6 +64,17 @@ impl Format {
         })
     }
 
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Coil => "coil",
+            Self::I16 => "i16",
+            Self::U16 => "u16",
+            Self::I32 => "i32",
+            Self::F32 => "f32",
+            Self::F64 => "f64",
+        }
+    }
+
     const fn registers(self) -> u16 {
         match self {
             Self::Coil | Self::I16 | Self::U16 => 1,
@@ -96,6 +107,22 @@ pub struct Entry {
     index: u32,
     pub(super) format: Format,
     pub(super) low_first: bool,
+}
+
+/// Writes the text of the entry, without a format that is the kind's own.
+impl fmt::Display for Entry {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { first, last, kind, index, format, .. } = *self;
+        write!(f, "{first}={kind}/{index}")?;
+        let others = last.saturating_sub(first).checked_div(self.width()).unwrap_or(0);
+        if others > 0 {
+            write!(f, "-{}", index.saturating_add(others.into()))?;
+        }
+        if format != Format::Coil && Format::of(kind) != Some(format) {
+            write!(f, ":{}", format.name())?;
+        }
+        f.write_str(if self.low_first { ":low" } else { "" })
+    }
 }
 
 /// The variable at an address.
@@ -165,6 +192,12 @@ impl Entry {
     #[must_use]
     pub const fn addresses(&self) -> (u16, u16) {
         (self.first, self.last)
+    }
+
+    /// Returns the table of the addresses.
+    #[must_use]
+    pub const fn table(&self) -> Table {
+        self.table
     }
 
     /// Tells whether an address of this entry is also one of another.
@@ -285,6 +318,22 @@ mod tests {
         assert!(!map[0].overlaps(&map[3]), "they are in two tables");
         assert!(map[0].overlaps(&Entry::registers("109=F").unwrap()));
         assert!(!map[0].overlaps(&Entry::registers("110=F").unwrap()));
+    }
+
+    #[test]
+    fn an_entry_is_written_as_it_is_read() {
+        for (text, written) in [
+            ("100=I/10-19:i16", "100=I/10-19:i16"),
+            ("100=i:i32", "100=I/0"),
+            ("0=D/1-2:f32:low", "0=D/1-2:f32:low"),
+            ("7=D:f64:low", "7=D/0:low"),
+            ("0=P/3-4", "0=P/3-4"),
+            ("0=T/3", "0=T/3"),
+        ] {
+            assert_eq!(Entry::registers(text).unwrap().to_string(), written);
+            assert_eq!(Entry::registers(written), Entry::registers(text));
+        }
+        assert_eq!(Entry::coils("0=IO/128-143").unwrap().to_string(), "0=IO/128-143");
     }
 
     #[test]

@@ -30,8 +30,13 @@ fn store_element(entry: &Entry, value: &Variant<'_>, registers: &mut [u8]) -> Op
         Format::I16 => put(i16::try_from(value.as_i32()?).ok()?.to_be_bytes(), low_first, registers),
         Format::U16 => put(u16::try_from(value.as_i32()?).ok()?.to_be_bytes(), low_first, registers),
         Format::I32 => put(value.as_i32()?.to_be_bytes(), low_first, registers),
-        // a variable D in an f32 is rounded
-        Format::F32 => put(to_f32(value.as_f64()?).to_be_bytes(), low_first, registers),
+        Format::F32 => {
+            let number = value.as_f64()?;
+            // a variable D is rounded, but a finite one does not become infinite
+            let rounded = to_f32(number);
+            (rounded.is_finite() || !number.is_finite()).then_some(())?;
+            put(rounded.to_be_bytes(), low_first, registers)
+        }
         Format::F64 => put(value.as_f64()?.to_be_bytes(), low_first, registers),
         Format::Coil => None,
     }
@@ -123,7 +128,7 @@ mod tests {
 
     #[test]
     fn a_value_that_does_not_fit_is_not_stored() {
-        let cases: [(&str, &dyn Encode); 10] = [
+        let cases: [(&str, &dyn Encode); 12] = [
             ("0=I:i16", &32_768),
             ("0=I:i16", &-32_769),
             ("0=I:u16", &-1),
@@ -134,6 +139,8 @@ mod tests {
             ("0=V", &[1.0_f32; 4]),
             ("0=V", &1.0_f32),
             ("0=F", &[1.0_f32]),
+            ("0=D:f32", &1e39_f64),
+            ("0=D:f32", &f64::MIN),
         ];
         for (entry, value) in cases {
             assert_eq!(stored(entry, value), None, "{entry}");

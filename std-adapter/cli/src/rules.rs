@@ -25,7 +25,7 @@ use std::fs;
 use std::path::Path;
 
 use bcap_core::gateway::{Allow, AllowBuf, Bounds, Rate, RuleErrorKind, Rules};
-use bcap_core::modbus::{Entry as ModbusEntry, EntryError};
+use bcap_core::modbus::{Entry as ModbusEntry, EntryError, Table};
 use bcap_core::rac::VariableKind;
 use serde::Deserialize;
 
@@ -55,7 +55,7 @@ impl Setup {
         setup.rules.put = Vec::leak(setup.rules.put.iter().copied().chain(put).collect());
         setup.map.extend(more);
         match overlap(&setup.map) {
-            Some(addresses) => Err(Failure::Input(format!("two entries of the map of Modbus have {addresses}"))),
+            Some(error) => Err(Failure::Input(error)),
             None => Ok(setup),
         }
     }
@@ -83,14 +83,17 @@ fn entry(key: &str, text: &str, parse: fn(&str) -> Result<ModbusEntry, EntryErro
     parse(text).map_err(|error| format!("{key} {text:?}: {error}"))
 }
 
-/// Returns the addresses that an entry shares with an earlier one.
+/// Names the first two entries that overlap, and the first address that both have.
 fn overlap(map: &[ModbusEntry]) -> Option<String> {
     let mut numbered = map.iter().enumerate();
     let found = numbered.find_map(|(at, entry)| map[..at].iter().find(|other| other.overlaps(entry)).zip(Some(entry)));
     found.map(|(other, entry)| {
-        let (first, last) =
-            (other.addresses().0.max(entry.addresses().0), other.addresses().1.min(entry.addresses().1));
-        format!("the addresses {first} to {last}")
+        let table = match entry.table() {
+            Table::Coils => "coil",
+            Table::Registers => "register",
+        };
+        let address = other.addresses().0.max(entry.addresses().0);
+        format!("the map of Modbus has {table} {address} in two entries, {other} and {entry}")
     })
 }
 
@@ -307,6 +310,6 @@ mod tests {
         let [a, b, c] = ["0=I/0-9", "20=I/10", "19=I/10"].map(|text| ModbusEntry::registers(text).unwrap());
         assert_eq!(Setup::read(None, &[], &[a, b]).unwrap().map, [a, b]);
         let error = Setup::read(None, &[], &[a, b, c]).unwrap_err();
-        assert_eq!(error.to_string(), "two entries of the map of Modbus have the addresses 19 to 19");
+        assert_eq!(error.to_string(), "the map of Modbus has register 19 in two entries, 0=I/0-9 and 19=I/10");
     }
 }

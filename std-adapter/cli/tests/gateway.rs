@@ -549,7 +549,7 @@ fn modbus_without_a_valid_map_is_refused() {
         (&["--register", "1=S/1"], "a variable of kind S cannot be in registers"),
         (
             &["--register", "0=I/0-9", "--register", "19=I/10"],
-            "two entries of the map of Modbus have the addresses 19 to 19",
+            "the map of Modbus has register 19 in two entries, 0=I/0-9 and 19=I/10",
         ),
     ] {
         let run = bcap(&[&["gateway", "--rac", "127.0.0.1:0", "--modbus", "127.0.0.1:0"], args].concat());

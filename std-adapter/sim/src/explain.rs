@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 use std::fmt::{self, Write as _};
 use std::sync::Arc;
 
-use bcap_core::bcap::server::Request;
+use bcap_core::bcap::server::{Request, StartOptions};
 use bcap_core::bcap::{FunctionId, Kind};
 use bcap_core::hresult::HResult;
 use bcap_core::variant::Variant;
@@ -139,8 +139,13 @@ impl Refusals {
 
     /// Records why the server has refused a request whose arguments do not fit its function.
     pub(crate) fn record_signature(&mut self, request: &Request<'_>, code: HResult, observer: &Observer) {
-        if let Some(text) = wrong_arguments(request).filter(|_| CODES.contains(&code)) {
-            self.keep(text, code, observer);
+        if !CODES.contains(&code) {
+            return;
+        }
+        match wrong_arguments(request) {
+            Some(text) => self.keep(text, code, observer),
+            // the reason of an earlier call is not that of this one
+            None => drop(self.last.remove(&code.to_u32())),
         }
     }
 
@@ -157,12 +162,22 @@ impl Refusals {
     }
 }
 
-/// Names the first argument of another type than the function has, or the number of arguments that differs.
+/// Names an unknown function, a number of arguments that differs, the first argument of another type than the function has,
+/// or a wrong option of Service_Start.
 fn wrong_arguments(request: &Request<'_>) -> Option<String> {
-    let (kinds, names) = (request.function.signature()?.arguments, request.function.argument_names());
     let mut text = request.function.to_string();
+    let Some(signature) = request.function.signature() else {
+        text.push_str(": unknown; accepted the functions 1 to 137");
+        return Some(text);
+    };
+    let (kinds, names) = (signature.arguments, request.function.argument_names());
     let wrong = (0..).zip(kinds.iter().zip(names)).find(|(n, (kind, _))| !kind.accepts(&request.value(*n)));
-    if request.args.len() != kinds.len() {
+    if let (FunctionId::SERVICE_START, 0..=1, None) = (request.function, request.args.len(), wrong) {
+        let error = StartOptions::read(request.args.get(0)).err()?;
+        let _ = write!(text, ": given ");
+        show(&mut text, &request.value(0), 0);
+        let _ = write!(text, ": {error}");
+    } else if request.args.len() != kinds.len() {
         let _ =
             write!(text, ": given {} arguments; accepted {}: {}", request.args.len(), kinds.len(), names.join(", "));
     } else {

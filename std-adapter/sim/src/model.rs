@@ -224,7 +224,7 @@ struct SlaveEntry {
     formats: Vec<FormatName>,
     mini_io: Spanned<IoEntry>,
     hand_io: Spanned<IoEntry>,
-    user_io: u16,
+    user_io: Spanned<u16>,
 }
 
 /// The IO of a part, with the last one of each range.
@@ -237,16 +237,30 @@ struct IoEntry {
 }
 
 impl IoEntry {
-    fn read(key: &str, entry: &Spanned<Self>) -> Result<SlaveIoPart, Wrong> {
+    fn read(key: &str, entry: &Spanned<Self>, io: u16) -> Result<SlaveIoPart, Wrong> {
         let Self { first, read, write } = *entry.get_ref();
         let bits = first..=first.saturating_add(31);
         if [read, write].iter().any(|[from, to]| from > to || !bits.contains(from) || !bits.contains(to)) {
             let problem = format!("`{key}`: `read` and `write` are ranges of the IO {first} to {}", bits.end());
             return Err((entry.span().start, problem));
         }
+        if *bits.end() >= io {
+            let problem =
+                format!("`{key}`: it ends at IO{}, and `io` is {io}: accepted `first` + 31 below `io`", bits.end());
+            return Err((entry.span().start, problem));
+        }
         let range = |[from, to]: [u16; 2]| usize::from(from)..usize::from(to) + 1;
         Ok(SlaveIoPart { first: first.into(), read: range(read), write: range(write) })
     }
+}
+
+/// Reads the first IO of the user's part.
+fn user_io(first: &Spanned<u16>, io: u16) -> Result<usize, Wrong> {
+    let number = *first.get_ref();
+    if number % 8 != 0 || number > io {
+        return Err((first.span().start, format!("`user_io` is {number}: accepted multiples of 8, 0 to `io`, {io}")));
+    }
+    Ok(number.into())
 }
 
 #[derive(Deserialize)]
@@ -289,9 +303,9 @@ impl File {
             functions: self.functions,
             formats: SlaveFormats::of(&self.slave.formats),
             slave_io: SlaveIo {
-                mini: IoEntry::read("mini_io", &self.slave.mini_io)?,
-                hand: IoEntry::read("hand_io", &self.slave.hand_io)?,
-                user: self.slave.user_io.into(),
+                mini: IoEntry::read("mini_io", &self.slave.mini_io, io)?,
+                hand: IoEntry::read("hand_io", &self.slave.hand_io, io)?,
+                user: user_io(&self.slave.user_io, io)?,
             },
             sizes: Sizes { i, f, d, v, p, j, t, s, io },
             geometry,
@@ -339,6 +353,20 @@ mod tests {
                 "`hand_io`: `read` and `write` are ranges of the IO 48 to 79",
             ),
             ("read = [0, 15]", "read = [15, 0]", line("mini_io = {"), "`mini_io`"),
+            (
+                "io = 512",
+                "io = 79",
+                line("hand_io = {"),
+                "`hand_io`: it ends at IO79, and `io` is 79: accepted `first` + 31 below `io`",
+            ),
+            ("io = 512", "io = 31", line("mini_io = {"), "`mini_io`: it ends at IO31, and `io` is 31"),
+            (
+                "user_io = 128",
+                "user_io = 130",
+                line("user_io = 128"),
+                "`user_io` is 130: accepted multiples of 8, 0 to `io`, 512",
+            ),
+            ("user_io = 128", "user_io = 520", line("user_io = 128"), "`user_io` is 520"),
             ("home = [0.0, 45.0", "home = [0.0, 200.0", line("home = [0.0"), "`home`: J2"),
             ("    { range = [-360.0, 360.0], speed = 720.0 },\n", "", line("axes = ["), "`axes` has 5 elements"),
         ] {

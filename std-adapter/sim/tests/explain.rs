@@ -108,7 +108,7 @@ fn an_argument_of_the_wrong_type_is_named_though_the_server_refuses_it() {
     call(FunctionId::SERVICE_START, &[&""]);
     call(FunctionId::CONTROLLER_CONNECT, &[&"", &"CaoProv.DENSO.VRC", &"", &""]);
     call(FunctionId::CONTROLLER_GET_ROBOT, &[&2, &"Arm0", &""]);
-    let wrong: [(FunctionId, &[&dyn Encode], HResult, &str); 3] = [
+    let wrong: [(FunctionId, &[&dyn Encode], HResult, &str); 6] = [
         (
             FunctionId::ROBOT_SPEED,
             &[&3, &"x", &10.0_f32],
@@ -127,6 +127,19 @@ fn an_argument_of_the_wrong_type_is_named_though_the_server_refuses_it() {
             HResult::E_INVALIDARG,
             "Robot_Speed: given 2 arguments; accepted 3: robot, axis, speed",
         ),
+        (
+            FunctionId::SERVICE_START,
+            &[&"WDT=79"],
+            HResult::E_INVALIDARG,
+            "Service_Start: given \"WDT=79\": WDT is below the minimum of 80 ms",
+        ),
+        (
+            FunctionId::SERVICE_START,
+            &[&"", &""],
+            HResult::E_INVALIDARG,
+            "Service_Start: given 2 arguments; accepted 1: option",
+        ),
+        (FunctionId(138), &[&3], HResult::E_INVALIDARG, "function 138: unknown; accepted the functions 1 to 137"),
     ];
     for (function, arguments, expected, text) in wrong {
         assert_eq!(call(function, arguments), (expected, None));

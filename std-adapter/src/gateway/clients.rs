@@ -189,7 +189,12 @@ async fn converse(
 /// Moves lines and replies of a client that speaks Modbus; after `true` the gateway must be polled.
 fn exchange(seat: &mut Seat) -> bool {
     let inner = &mut *seat.shared.lock();
-    inner.is_open(seat.peer) && seat.front.exchange(&mut inner.gateway, seat.peer)
+    if !inner.is_open(seat.peer) {
+        return false;
+    }
+    let moved = seat.front.exchange(&mut inner.gateway, seat.peer);
+    inner.exchanged(seat.peer, &seat.front);
+    moved
 }
 
 /// Sends a part of an answer; `false` when the socket takes nothing.
@@ -203,7 +208,7 @@ fn send(stream: &TcpStream, seat: &mut Seat) -> io::Result<bool> {
     let count = sent?;
     inner.tap.show(|| ends(stream), Moved::Reply(bytes.get(..count).unwrap_or(bytes)));
     seat.front.transmitted(&mut inner.gateway, seat.peer, count);
-    inner.moved(seat.peer);
+    inner.moved(seat.peer, &seat.front);
     Ok(true)
 }
 
@@ -214,6 +219,6 @@ fn receive(stream: &TcpStream, seat: &mut Seat) -> io::Result<bool> {
     let show = |bytes: &[u8]| tap.show(|| ends(stream), Moved::Request(bytes));
     // without room, the step of another task has started a request of this client
     let Some(count) = seat.front.receive(stream, &mut inner.gateway, seat.peer, show)? else { return Ok(false) };
-    inner.moved(seat.peer);
+    inner.moved(seat.peer, &seat.front);
     Ok(count == 0)
 }

@@ -119,6 +119,12 @@ impl Front {
         }
     }
 
+    /// Tells whether a request of a client of Modbus runs or bytes of its response are left to send. Its client keeps its slot
+    /// meanwhile, also between two lines, while the gateway itself has nothing to do for it.
+    pub(super) fn is_busy(&self) -> bool {
+        matches!(self, Self::Modbus(front) if front.is_running() || !front.transmit().is_empty())
+    }
+
     /// Tells whether a part of a request has arrived.
     pub(super) fn is_receiving(&self, gateway: &Gateway<'_>, peer: PeerId) -> bool {
         match self {
@@ -146,8 +152,11 @@ pub(super) async fn refuse(mut stream: TcpStream, map: Map) {
         let mut chunk = [0; CHUNK];
         while front.line().is_empty() {
             let room = chunk.get_mut(..front.room().min(CHUNK))?;
-            let count = stream.read(room).await.ok().filter(|count| *count > 0 && !front.is_broken())?;
+            let count = stream.read(room).await.ok().filter(|count| *count > 0)?;
             front.received(chunk.get(..count)?, |_| true);
+            if front.is_broken() {
+                return None;
+            }
         }
         let mut line = [0; 16];
         let mut out = Writer::new(&mut line);

@@ -11,6 +11,7 @@ use bcap_core::handler::PeerId;
 use bcap_core::time::Instant;
 use tokio::sync::Notify;
 
+use super::front::Front;
 use super::report::{Ended, Report};
 use super::traffic::Tap;
 use crate::clock::now;
@@ -40,6 +41,8 @@ struct Client {
     address: SocketAddr,
     /// The time of the last received or sent bytes.
     last_active: Instant,
+    /// Whether its front is busy.
+    is_busy: bool,
     /// Wakes its task.
     wake: Arc<Notify>,
 }
@@ -94,13 +97,13 @@ impl Inner {
             return None;
         };
         let wake = Arc::new(Notify::new());
-        self.clients.insert(peer, Client { address, last_active: now(), wake: Arc::clone(&wake) });
+        self.clients.insert(peer, Client { address, last_active: now(), is_busy: false, wake: Arc::clone(&wake) });
         (self.log)(&Report::Connected { client: address });
         Some((peer, wake))
     }
 
     fn state(&self, peer: PeerId, client: &Client) -> SlotState {
-        match self.gateway.is_running(peer) || !self.gateway.transmit(peer).is_empty() {
+        match client.is_busy || self.gateway.is_running(peer) || !self.gateway.transmit(peer).is_empty() {
             true => SlotState::Busy,
             false => SlotState::Idle(client.last_active),
         }
@@ -121,9 +124,17 @@ impl Inner {
     }
 
     /// Records that bytes of a client were received or sent.
-    pub(super) fn moved(&mut self, peer: PeerId) {
+    pub(super) fn moved(&mut self, peer: PeerId, front: &Front) {
         if let Some(client) = self.clients.get_mut(&peer) {
             client.last_active = now();
+        }
+        self.exchanged(peer, front);
+    }
+
+    /// Records whether the front of a client is busy, after lines or bytes have moved.
+    pub(super) fn exchanged(&mut self, peer: PeerId, front: &Front) {
+        if let Some(client) = self.clients.get_mut(&peer) {
+            client.is_busy = front.is_busy();
         }
     }
 
@@ -143,4 +154,46 @@ impl fmt::Debug for GatewayState {
 /// Tells whether a call on a socket has to wait; any other error is the end of the connection.
 pub(super) fn must_wait<T>(result: &io::Result<T>) -> bool {
     matches!(result, Err(error) if error.kind() == io::ErrorKind::WouldBlock)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use bcap_core::gateway::{Config, Memory};
+    use bcap_core::modbus::{self, Entry};
+
+    use super::*;
+
+    #[test]
+    fn a_client_of_modbus_keeps_its_slot_while_its_request_runs_and_until_its_response_is_sent() {
+        let gateway = Gateway::new(Config::RC8, Box::leak(Box::new(Memory::<1, 8>::new())));
+        let state = GatewayState::new(gateway, Box::new(|_| {}));
+        let inner = &mut *state.lock();
+        let slots = Slots { total: 1, per_address: 1, evict_after: Duration::ZERO };
+        let [plc, other] = [([192, 0, 2, 1], 1).into(), ([192, 0, 2, 2], 1).into()];
+        let (peer, _) = inner.open(&slots, plc).unwrap();
+
+        let map = Box::leak(Box::new([Entry::registers("0=I/0-1").unwrap()]));
+        let mut front = Front::Modbus(Box::new(modbus::Front::new(map)));
+        let Front::Modbus(modbus) = &mut front else { unreachable!() };
+        modbus.received(&[0, 1, 0, 0, 0, 6, 1, 3, 0, 0, 0, 4], |_| true);
+        inner.moved(peer, &front);
+        assert!(inner.open(&slots, other).is_none(), "the line for I0 is not in the gateway yet");
+
+        let Front::Modbus(modbus) = &mut front else { unreachable!() };
+        for _ in 0..2 {
+            modbus.line_taken(modbus.line().len());
+            modbus.replied(b"0,3,7\r", |_| true);
+        }
+        let response = modbus.transmit().len();
+        assert_eq!(response, 17);
+        inner.exchanged(peer, &front);
+        assert!(inner.open(&slots, other).is_none(), "the response is not sent");
+
+        let Front::Modbus(modbus) = &mut front else { unreachable!() };
+        modbus.transmitted(response);
+        inner.moved(peer, &front);
+        assert!(inner.open(&slots, other).is_some() && !inner.is_open(peer), "it is idle");
+    }
 }

@@ -13,12 +13,14 @@ use crate::variant::VariantBuf;
 
 mod cells;
 
-/// A handler that records its calls, returns handles, and delays Robot_Halt until `wait_until`.
+/// A handler that records its calls, returns handles, and delays Robot_Halt until `wait_until`; with `start` also
+/// Service_Start, which then gets that result.
 #[derive(Default)]
 struct Recorder {
     calls: Vec<(i32, i32)>,
     next_handle: i32,
     wait_until: Option<Instant>,
+    start: Option<HResult>,
     abandoned: usize,
     left: usize,
     /// The refused requests: function, number of arguments, code.
@@ -28,10 +30,15 @@ struct Recorder {
 
 impl Handler for Recorder {
     fn call(&mut self, _: PeerId, request: &Request<'_>, reply: &mut ReplyValue<'_>, now: Instant) -> Outcome {
-        if self.wait_until.is_some_and(|until| now < until) && request.function == FunctionId::ROBOT_HALT {
+        let start = self.start.filter(|_| request.function == FunctionId::SERVICE_START);
+        let waits = request.function == FunctionId::ROBOT_HALT || start.is_some();
+        if waits && self.wait_until.is_some_and(|until| now < until) {
             return Outcome::Wait(self.wait_until.unwrap_or(now));
         }
         self.calls.push((request.function.0, request.handle()));
+        if let Some(result) = start {
+            return result.into();
+        }
         if request.function.opens().is_some_and(|object| object != Object::Service) {
             self.next_handle += 1;
             reply.set(&self.next_handle).unwrap();
@@ -195,6 +202,7 @@ fn objects_are_released_in_reverse_order_and_limited() {
     let variable = || call::controller_get_variable(ControllerHandle(1), "I1", "");
     assert_eq!(bench.call(variable(), 4, at(0)), [(4, HResult::S_OK)]);
     assert_eq!(bench.call(variable(), 5, at(0)), [(5, HResult::E_MAX_OBJECT)]);
+    assert_eq!(bench.handler.refused.pop().map(|(_, _, code)| code), Some(HResult::E_MAX_OBJECT));
     assert_eq!(bench.call(call::robot_release(RobotHandle(2)), 6, at(0)), [(6, HResult::S_OK)]);
     assert_eq!(bench.call(halt(), 7, at(0)), [(7, HResult::E_HANDLE)]);
     assert_eq!(bench.call(variable(), 8, at(0)), [(8, HResult::S_OK)]);
@@ -290,6 +298,28 @@ fn no_client_option_exceeds_the_maximum_of_the_server() {
         let until = if options.ends_with("=80") { at(80) } else { at(2000) };
         assert_eq!(bench.session.poll_timeout(), Some(until), "{options}");
         assert_eq!(bench.run(until)[0].1, HResult::E_TIMEOUT);
+    }
+}
+
+#[test]
+fn the_options_of_a_service_start_that_the_handler_refuses_do_not_apply() {
+    let refused = HResult::E_ACCESSDENIED;
+    for config in [Config::TCP, Config::UDP] {
+        let mut bench = Bench::connected(config, "WDT=300,InvokeTimeout=2000");
+        let options = |bench: &Bench| (bench.session.state.watchdog, bench.session.state.invoke_timeout);
+        let [before, after] =
+            [(300, 2000), (90, 95)].map(|(a, b)| (Some(Duration::from_millis(a)), Duration::from_millis(b)));
+        bench.handler.start = Some(refused);
+        assert_eq!(bench.call(call::service_start("WDT=80,InvokeTimeout=80"), 10, at(0)), [(10, refused)]);
+        assert_eq!(options(&bench), before, "refused at once");
+        for (serial, result, expected) in [(11, refused, before), (12, HResult::S_OK, after)] {
+            bench.handler.start = Some(result);
+            bench.handler.wait_until = Some(at(5));
+            assert_eq!(bench.call(call::service_start("WDT=90,InvokeTimeout=95"), serial, at(0)), []);
+            assert_eq!(options(&bench), before, "not answered yet");
+            assert_eq!(bench.run(at(5))[0].1, result);
+            assert_eq!(options(&bench), expected, "answered later");
+        }
     }
 }
 

@@ -37,7 +37,7 @@ pub(crate) struct Gateway {
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:5006")]
     pub(crate) rac: SocketAddr,
 
-    /// Where Modbus TCP listens, usually on port 502; off by default. The map says which variables its clients see
+    /// Where Modbus TCP listens, usually on port 502; off by default. The map says which variables its clients read and write
     #[arg(long, value_name = "ADDR")]
     pub(crate) modbus: Option<SocketAddr>,
 

@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-const PACKAGE: &str = "pymodbus==3.16.1";
+const VERSION: &str = "3.16.1";
 
 /// Performs the requests of its lines, such as `client.read_coils(0, count=2)`, and prints a response a line.
 const CLIENT: &str = r#"
@@ -29,20 +29,25 @@ for line in sys.stdin:
 pub(crate) struct Pymodbus(PathBuf);
 
 impl Pymodbus {
-    /// Finds or installs it in this folder; `None`, with a line that says so, where it cannot be installed.
+    /// Finds or installs it in this folder; `None` where it cannot be installed, with a line that says why.
     pub(crate) fn find(folder: &Path) -> Option<Self> {
-        let found = Self(folder.join("pymodbus"));
+        let found = Self(folder.join(format!("pymodbus-{VERSION}")));
         let is_there =
             || found.python(&["-c", "import pymodbus.client"]).output().is_ok_and(|run| run.status.success());
         if !is_there() {
+            let package = format!("pymodbus=={VERSION}");
             let pip = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--retries=0", "--timeout=10"];
-            let target = ["--upgrade", "--root-user-action=ignore", PACKAGE, "--target", found.0.to_str()?];
-            let _ = found.python(&[&pip[..], &target].concat()).output();
-        }
-        if !is_there() {
-            // not `eprintln`, which the tests of cargo show of failures only
-            let _ = io::stderr().write_all(b"skipped: Python's package pymodbus cannot be installed\n");
-            return None;
+            let target = ["--upgrade", "--root-user-action=ignore", &package, "--target", found.0.to_str()?];
+            let error = match found.python(&[&pip[..], &target].concat()).output() {
+                Ok(run) => String::from_utf8_lossy(&run.stderr).trim().replace('\n', "; "),
+                Err(error) => format!("python3: {error}"),
+            };
+            if !is_there() {
+                // not `eprintln`, which the tests of cargo show of failures only
+                let line = format!("skipped: Python's package {package} cannot be installed: {error}\n");
+                let _ = io::stderr().write_all(line.as_bytes());
+                return None;
+            }
         }
         Some(found)
     }
