@@ -61,7 +61,7 @@ def calls_before_service_start_are_refused(kind, address):
 @check(*BCAP)
 def options_of_service_start(kind, address):
     for option, code in [("", S_OK), ("WDT=400", S_OK), (",WDT=400,InvokeTimeout=180000", S_OK), (" wdt = 0x190 ", S_OK),
-                         ("Unknown=1", S_OK), ("WDT=79", E_INVALIDARG), ("InvokeTimeout=79", E_INVALIDARG)]:
+                         ("Unknown=1", E_INVALIDARG), ("WDT=79", E_INVALIDARG), ("InvokeTimeout=79", E_INVALIDARG)]:
         peer = Client(kind, address)
         equal(peer.call(SERVICE_START, text(option)).code, code, f"code of {option!r}")
         peer.close()

@@ -133,6 +133,7 @@ pub(crate) const STD: &[(&str, Coverage)] = &[
     ("gateway/clients.rs: converse", OF_A_GATEWAY),
     ("gateway/clients.rs: listen", OF_A_GATEWAY),
     ("gateway/clients.rs: serve", OF_A_GATEWAY),
+    ("gateway/front.rs: refuse", OF_A_GATEWAY),
     ("gateway/mod.rs: Driver::run", Swept("Driver::run")),
     ("gateway/robot.rs: RobotSocket::open", OF_A_GATEWAY),
     ("gateway/robot.rs: RobotSocket::readable", OF_A_GATEWAY),

@@ -231,6 +231,17 @@ proptest! {
     }
 }
 
+#[test]
+fn a_pose_is_reached_whose_j6_is_half_a_turn_away() {
+    let arm = arm("cobotta");
+    let joints =
+        [-149.7, 23.234164053285667, 64.72228384245628, 113.36185395694861, -10.131587921629915, -101.56662622162115];
+    let near = [-149.7, -59.84, 18.122, -169.66, -94.77, 78.55984838046945];
+    let frame = arm.forward(&joints);
+    let reached = arm.inverse_nearest(&frame, &near).unwrap();
+    assert_close(&arm.forward(&reached).to_trans(), &frame.to_trans(), 1e-4);
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 

@@ -119,11 +119,12 @@ impl Vertical {
     /// Finds the solutions, that with J6 nearest to `start`, in radians, first: a change of sign of its error, then bisection.
     fn search(&self, frame: &Frame, posture: u8, near: &Joints, start: f64) -> Vec<Joints> {
         let error = |j6: f64| self.with_sixth(frame, j6, posture, near).ok().map(|joints| normal(joints[5] - j6));
-        let place = |n: u32| start + (f64::from(n) / f64::from(INTERVALS) - 0.5) * std::f64::consts::TAU;
+        // a turn, and an interval more at each end, so that a solution at half a turn is between two places, too
+        let place = |n: u32| start + ((f64::from(n) - 1.0) / f64::from(INTERVALS) - 0.5) * std::f64::consts::TAU;
         // the places where the error is known: with the places up to which the arm stretches, and the least errors between
         let mut places: Vec<(f64, f64)> = Vec::new();
         let mut last = error(place(0));
-        for n in 1..=INTERVALS {
+        for n in 1..=INTERVALS + 2 {
             let (low, high, next) = (place(n - 1), place(n), error(place(n)));
             places.extend(last.map(|error| (low, error)));
             let edge = match (last, next) {
