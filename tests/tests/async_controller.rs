@@ -14,12 +14,16 @@ use bcap_std::server::Limits;
 use bcap_std::{Backoff, Error, Joints, Motion, Move, Pass, Position, Settings};
 use bcap_testkit::network::Random;
 use bcap_tests::served::Served;
+use bcap_tests::slowed::{Slowed, inner};
 
 const LIMIT: Duration = Duration::from_secs(30);
 
+fn config() -> Config {
+    Config { motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) }
+}
+
 fn simulated() -> Served<Simulated> {
-    let config = Config { motor_on_delay: Duration::from_millis(1), ..Config::new(Profile::Rc8) };
-    Served::of(Simulated::new(config), Limits::default())
+    Served::of(Simulated::new(config()), Limits::default())
 }
 
 fn settings() -> Settings {
@@ -43,17 +47,22 @@ fn assert_left(sim: &Served<Simulated>) {
 
 /// Waits until the simulated controller is in a state.
 async fn until(sim: &Served<Simulated>, reached: impl Fn(&Simulated) -> bool) {
+    let is_there = || {
+        let mut controller = sim.application();
+        controller.advance(bcap_std::now());
+        reached(&controller)
+    };
+    poll(is_there).await;
+}
+
+async fn poll(is_there: impl Fn() -> bool) {
     for _ in 0..30_000 {
-        {
-            let mut controller = sim.application();
-            controller.advance(bcap_std::now());
-            if reached(&controller) {
-                return;
-            }
+        if is_there() {
+            return;
         }
         tokio::time::sleep(Duration::from_millis(1)).await;
     }
-    panic!("the controller did not get there: {:?}", sim.application().joints());
+    panic!("the controller did not get there");
 }
 
 #[tokio::test]
@@ -342,24 +351,32 @@ fn swing(cycles: u32) -> impl FnMut(&Cycle<'_>) -> Next + Send + 'static {
 
 #[tokio::test]
 async fn poses_are_streamed_and_a_dropped_stream_stops() {
-    let sim = simulated();
+    let sim: Served<Slowed> = Served::of(Slowed(Simulated::new(config())), Limits::default());
+    let until = async |reached: &dyn Fn(&Simulated) -> bool| {
+        let is_there = || {
+            let controller = &mut sim.application().0;
+            controller.advance(inner(bcap_std::now()));
+            reached(controller)
+        };
+        poll(is_there).await;
+    };
     let cell = Controller::connect(&format!("udp:{}", sim.udp), &settings()).await.unwrap();
     let mut arm = cell.robot().await.unwrap().take_arm().await.unwrap();
     arm.motor_on().await.unwrap();
-    let mode = SlaveMode { mode: Mode::Mode0, pose: PoseType::J };
+    let mode = SlaveMode { mode: Mode::Mode2, pose: PoseType::J };
     let format = Format::new(mode, ReceiveFormat::pose(ReceivePose::J));
     let limits = AxisLimits::uniform(100.0, 800.0);
     let stats = arm.stream(format, limits, swing(100)).await.unwrap();
     assert!(stats.cycles >= 100, "{stats:?}");
-    assert!(sim.application().slave_record().any(|cycle| cycle.axes[0] > 3.9));
+    assert!(sim.application().0.slave_record().any(|cycle| cycle.axes[0] > 3.9));
     tokio::select! {
         ended = arm.stream(format, limits, swing(100_000)) => panic!("{ended:?}"),
-        () = until(&sim, |sim| sim.slave_mode() != 0 && sim.slave_counters().cycles > 120) => {}
+        () = until(&|sim| sim.slave_mode() != 0 && sim.slave_counters().cycles > 120) => {}
     }
     // the next call waits until Slave Mode has ended
     let there = arm.robot().joints().await.unwrap().degrees[0];
     {
-        let sim = sim.application();
+        let sim = &sim.application().0;
         assert_eq!((sim.slave_mode(), sim.errors().count()), (0, 0));
     }
     assert_eq!(arm.move_to(to(there + 5.0), LIMIT).await.unwrap(), Motion::Arrived);
@@ -370,7 +387,7 @@ async fn poses_are_streamed_and_a_dropped_stream_stops() {
     });
     assert!(matches!(wrong.await, Err(Error::Stream(_))));
     drop(arm);
-    until(&sim, |sim| sim.arm_owner().is_none() && !sim.motor_is_on()).await;
+    until(&|sim| sim.arm_owner().is_none() && !sim.motor_is_on()).await;
 }
 
 #[tokio::test]
