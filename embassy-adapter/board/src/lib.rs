@@ -127,6 +127,7 @@ mod trial;
 pub mod update;
 #[cfg(feature = "usb")]
 pub mod usb;
+pub mod vectors;
 #[cfg(feature = "embassy")]
 pub mod watchdog;
 

@@ -170,7 +170,11 @@ pub(super) const CASES: &[Case] = &[
         "an unknown key is ignored or refused, and the session can be started after it",
         Connected,
         &[
-            Step::Must(F::SERVICE_START, &[S("Colour=blue,WDT=400")], Want::Code(&[HResult::S_OK, HResult::E_INVALIDARG])),
+            Step::Must(
+                F::SERVICE_START,
+                &[S("Colour=blue,WDT=400")],
+                Want::Code(&[HResult::S_OK, HResult::E_INVALIDARG]),
+            ),
             Step::Must(F::SERVICE_START, &[S("")], Want::NoValue),
         ],
     ),
