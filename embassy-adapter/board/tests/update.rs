@@ -3,6 +3,7 @@
 mod flash;
 
 use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::io::{self, Write as _};
 
 use bcap_board::crc::Crc32;
@@ -324,4 +325,26 @@ fn an_image_without_a_vector_table_is_not_installed() {
     }
     board.boot().unwrap();
     assert_eq!(board.status(), "test-board 0.1.0 confirmed");
+}
+
+#[test]
+fn a_power_cut_in_the_update_after_a_roll_back_names_no_other_version() {
+    let mut board = Board::<1, 256>::new();
+    rolled_back(&mut board).unwrap();
+    let install = |board: &mut Board<1, 256>| {
+        let mut updater = board.start().ok()?;
+        board.install(&mut updater, &OLD, 700).ok()
+    };
+    let mut found = BTreeSet::new();
+    let cuts = cut_everywhere(&board, install, |mut board| {
+        board.last_reset = "power-on";
+        board.boot().unwrap();
+        found.insert(board.status());
+    });
+    let expected = [
+        "test-board 0.1.0 confirmed",
+        "test-board 0.1.0 confirmed; 0.2.0 was rolled back: the watchdog",
+        "test-board 0.1.0 on trial",
+    ];
+    assert!(found.iter().eq(expected) && cuts >= 1000, "{cuts}: {found:?}");
 }

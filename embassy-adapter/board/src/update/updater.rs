@@ -147,6 +147,11 @@ impl Updater {
         let download = self.download.as_ref().ok_or(UpdateError::NotBegun)?;
         download.check(flash, &self.partitions.other)?;
         let version = download.version().clone();
+        if self.phase == Phase::RolledBack {
+            // a power cut before the update is marked must not give the new version in the history a reason of a roll-back
+            self.change_state(flash, |state| state.mark_booted())?;
+            self.phase = Phase::Confirmed;
+        }
         Slots::new(&mut *flash, self.partitions.history.clone())?.write(version.as_bytes())?;
         self.change_state(flash, |state| state.mark_updated())?;
         (self.phase, self.download) = (Phase::Installed, None);
