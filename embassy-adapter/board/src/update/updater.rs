@@ -47,7 +47,6 @@ pub struct Updater {
 impl Updater {
     /// Reads what the boot loader has done before this start; call it once after each start.
     ///
-    ///
     /// # Errors
     ///
     /// An [`UpdateError`] when the partitions do not fit the flash, or the flash fails. The image runs on without updates.
@@ -158,9 +157,11 @@ impl Updater {
         Ok(())
     }
 
+    /// Confirms the image that runs, if it is on trial.
     ///
     /// # Errors
     ///
+    /// An [`UpdateError`]; the image stays on trial.
     pub fn confirm<F: NorFlash>(&mut self, flash: &mut F) -> Result<(), UpdateError<F::Error>> {
         if self.phase == Phase::OnTrial {
             self.change_state(flash, |state| state.mark_booted())?;

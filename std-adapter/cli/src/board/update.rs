@@ -121,7 +121,7 @@ fn send(port: &mut Port, image: &[u8]) -> Result<u32, Failure> {
 /// Sends a request; fails if the board refuses it.
 fn ask(port: &mut Port, request: &str) -> Result<Answer, Failure> {
     let answer = port.ask(request, |_| Ok(()))?;
-    // an image of before updates, or one without them
+    // an image older than updates, or one without them
     if answer.0.starts_with("error unknown request") {
         return Err(Failure::Unfit {
             message: "the board cannot be updated: its image was built without updates".into(),
