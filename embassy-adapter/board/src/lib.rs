@@ -104,6 +104,8 @@ pub mod mac;
 pub mod memory;
 #[cfg(feature = "modbus")]
 mod modbus_map;
+#[cfg(feature = "usb")]
+mod packets;
 #[cfg(all(feature = "embassy", feature = "health"))]
 pub mod page;
 #[cfg(feature = "embassy")]
@@ -127,6 +129,7 @@ mod trial;
 pub mod update;
 #[cfg(feature = "usb")]
 pub mod usb;
+pub mod vectors;
 #[cfg(feature = "embassy")]
 pub mod watchdog;
 

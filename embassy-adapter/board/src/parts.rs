@@ -45,7 +45,7 @@ pub struct Parts {
     pub counters: fn(&mut dyn FnMut(&'static str, u32)),
     /// Returns the high-water mark and the size of the stack, in bytes; zeros where they are not measured.
     pub stack: fn() -> (usize, usize),
-    /// Returns the high-water mark and the size of the buffer of the log, in bytes; zeros where there is none.
+    /// Returns the high-water mark and the size of the buffer of the log, in bytes; zeros if the board has no log buffer.
     pub log: fn() -> (usize, usize),
     /// Returns the number of lines of the log that were dropped.
     pub dropped: fn() -> u32,

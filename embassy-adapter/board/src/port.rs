@@ -76,8 +76,10 @@ pub async fn serve<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
             for part in answer.0.chunks(PART) {
                 sender.write_all(part).await?;
             }
-            if let Some(action) = action {
+            if !answer.0.is_empty() {
                 sender.flush().await?;
+            }
+            if let Some(action) = action {
                 return Ok(action);
             }
         }

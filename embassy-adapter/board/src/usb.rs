@@ -11,6 +11,7 @@ use embedded_storage::nor_flash::NorFlash;
 use static_cell::{ConstStaticCell, StaticCell};
 
 use crate::console::Console;
+use crate::packets::Packets;
 use crate::port;
 use crate::slots::Slots;
 #[cfg(feature = "update")]
@@ -52,25 +53,27 @@ async fn run_console<D: Driver<'static>, F: NorFlash>(driver: D, console: Consol
     config.manufacturer = Some("bcap");
     config.product = Some("b-CAP gateway: console and log");
     let mut builder = Builder::new(driver, config, descriptors, bos, &mut [], control);
-    let (mut sender, receiver) = CdcAcmClass::new(&mut builder, console_state, PACKET).split();
-    let (mut log, _) = CdcAcmClass::new(&mut builder, log_state, PACKET).split();
+    let (sender, receiver) = CdcAcmClass::new(&mut builder, console_state, PACKET).split();
+    let (log, _) = CdcAcmClass::new(&mut builder, log_state, PACKET).split();
+    let mut sender = Packets::<_, { PACKET as usize }>::new(sender);
+    let mut log = Packets::<_, { PACKET as usize }>::new(log);
     let mut receiver = receiver.into_buffered(PACKET_MEMORY.take());
     let (console, answer) = (RefCell::new(console), port::answer());
 
     let serve = async {
         loop {
-            sender.wait_connection().await;
+            sender.sender.wait_connection().await;
             // an error means that the host is gone
             if port::serve(&console, answer, &mut receiver, &mut sender).await.is_ok() {
                 // the endpoint accepts an empty packet once the host has taken the answer; `flush` does not wait for that
-                let _ = with_timeout(ANSWER_TIME, sender.write_packet(&[])).await;
+                let _ = with_timeout(ANSWER_TIME, sender.sender.write_packet(&[])).await;
                 restart();
             }
         }
     };
     let send_log = async {
         loop {
-            log.wait_connection().await;
+            log.sender.wait_connection().await;
             let _ = port::send_log(&mut log).await;
         }
     };

@@ -3,6 +3,7 @@
 mod flash;
 
 use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::io::{self, Write as _};
 
 use bcap_board::crc::Crc32;
@@ -17,6 +18,8 @@ use flash::{Flash, FlashError};
 
 static OLD: Identity = Identity::new("test-board", "0.1.0");
 static NEW: Identity = Identity::new("test-board", "0.2.0");
+/// The initial stack pointer 0x20042000 and the reset vector 0x100101b5.
+const VECTORS: &[u8] = b"\x00\x20\x04\x20\xb5\x01\x01\x10";
 const SETTINGS: &[u8] = b"put=I/0-99\n";
 /// The sizes of the partition of an image, and of that of the settings.
 const IMAGE: u32 = 1024;
@@ -38,6 +41,7 @@ fn image(identity: &Identity, len: usize) -> Vec<u8> {
     let version = identity.version().as_bytes();
     let code = (0..len).map(|at| version[at % version.len()].wrapping_mul(u8::try_from(at % 251).unwrap()));
     let mut image: Vec<u8> = code.collect();
+    image[..8].copy_from_slice(VECTORS);
     image[100..164].copy_from_slice(identity.as_bytes());
     image
 }
@@ -307,4 +311,40 @@ fn an_image_with_another_crc_is_not_installed() {
     assert_eq!(updater.install(&mut board.flash), Err(UpdateError::Crc));
     board.boot().unwrap();
     assert_eq!(board.status(), "test-board 0.1.0 confirmed");
+}
+
+#[test]
+fn an_image_without_a_vector_table_is_not_installed() {
+    let mut board = Board::<1, 256>::new();
+    let mut updater = board.start().unwrap();
+    for start in [&b"UF2\nWQ]\x9e"[..], b"\x00\x20\x04\x20\xb4\x01\x01\x10", b"\x00\x20\x04"] {
+        let crc = Crc32::new().and(start).value();
+        updater.begin::<()>("test-board", "0.2.0", u32::try_from(start.len()).unwrap(), crc).unwrap();
+        updater.block(&mut board.flash, 0, block_crc(0, start), start).unwrap();
+        assert_eq!(updater.install(&mut board.flash), Err(UpdateError::NoVectors), "{start:?}");
+    }
+    board.boot().unwrap();
+    assert_eq!(board.status(), "test-board 0.1.0 confirmed");
+}
+
+#[test]
+fn a_power_cut_in_the_update_after_a_roll_back_names_no_other_version() {
+    let mut board = Board::<1, 256>::new();
+    rolled_back(&mut board).unwrap();
+    let install = |board: &mut Board<1, 256>| {
+        let mut updater = board.start().ok()?;
+        board.install(&mut updater, &OLD, 700).ok()
+    };
+    let mut found = BTreeSet::new();
+    let cuts = cut_everywhere(&board, install, |mut board| {
+        board.last_reset = "power-on";
+        board.boot().unwrap();
+        found.insert(board.status());
+    });
+    let expected = [
+        "test-board 0.1.0 confirmed",
+        "test-board 0.1.0 confirmed; 0.2.0 was rolled back: the watchdog",
+        "test-board 0.1.0 on trial",
+    ];
+    assert!(found.iter().eq(expected) && cuts >= 1000, "{cuts}: {found:?}");
 }

@@ -5,7 +5,7 @@ use core::sync::atomic::{AtomicUsize, Ordering};
 /// The most bytes that were in a buffer of some TCP sockets at once, to choose the sizes of buffers by
 /// ([`Options::usage`](super::Options::usage)).
 ///
-/// Sockets of several executors can miss a maximum, because the counters are not changed atomically: not all processors can.
+/// If sockets run on several executors, a maximum can be lost: the counters have no atomic read-modify-write.
 #[derive(Debug, Default)]
 pub struct Usage {
     received: AtomicUsize,

@@ -24,6 +24,9 @@ const IMAGE: &[u8] = b"robot=192.168.0.1:5007\n";
 static RUNNING: Identity = Identity::new("test-board", "0.1.0");
 static NEW: Identity = Identity::new("test-board", "0.2.0");
 
+/// The initial stack pointer 0x20042000 and the reset vector 0x100101b5.
+const VECTORS: &[u8] = b"\x00\x20\x04\x20\xb5\x01\x01\x10";
+
 /// A board that serves its console until it restarts, or this value is dropped.
 struct Board {
     /// The host's end, kept open so that the line exists between two commands.
@@ -197,6 +200,7 @@ fn a_port_without_a_board_is_reported() {
 /// Writes an image of this length into a folder, and returns its path.
 fn image(folder: &tempfile::TempDir, identity: &Identity, len: usize) -> String {
     let mut bytes: Vec<u8> = (0..len).map(|at| u8::try_from(at % 251).unwrap()).collect();
+    bytes[..8].copy_from_slice(VECTORS);
     bytes[300..364].copy_from_slice(identity.as_bytes());
     let path = folder.path().join("image.bin");
     fs::write(&path, bytes).unwrap();
@@ -248,9 +252,17 @@ fn an_image_that_does_not_fit_the_board_is_refused() {
         assert!(run.code == 1 && run.err.contains(message), "{run:?}");
     }
     let sent = board.received.load(Ordering::Relaxed);
-    fs::write(folder.path().join("text"), b"BCAPNAME").unwrap();
-    let run = board.bcap("update", &[folder.path().join("text").to_str().unwrap()]);
-    assert!(run.code == 2 && run.err.contains("the image does not tell its board"), "{run:?}");
+    let other_file = folder.path().join("file");
+    for (start, contents, message) in [
+        (VECTORS, &b"BCAPNAME"[..], "the image does not tell its board"),
+        (b"UF2\nWQ]\x9e", NEW.as_bytes(), "a UF2 file is for the boot ROM: send the ELF file"),
+        // the second stage of the boot ROM, as in an image without a boot loader
+        (b"\x00\xb5\x32\x4b\x21\x20\x58\x60", NEW.as_bytes(), "the image does not start with a vector table"),
+    ] {
+        fs::write(&other_file, [start, contents].concat()).unwrap();
+        let run = board.bcap("update", &[other_file.to_str().unwrap()]);
+        assert!(run.code == 2 && run.err.contains(message), "{run:?}");
+    }
     assert_eq!(board.received.load(Ordering::Relaxed), sent, "bytes that the board received");
 
     let Some(board) = Board::start() else { return };

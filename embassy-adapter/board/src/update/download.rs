@@ -8,6 +8,7 @@ use heapless::String;
 use super::error::UpdateError;
 use crate::crc::Crc32;
 use crate::identity::{BLOCK, VERSION};
+use crate::vectors;
 
 #[derive(Debug)]
 pub(super) struct Download {
@@ -66,7 +67,7 @@ impl Download {
         Ok(())
     }
 
-    /// Checks that the flash has the whole image.
+    /// Checks that the flash has the whole image, and that it starts with a vector table.
     pub(super) fn check<F: NorFlash>(
         &self,
         flash: &mut F,
@@ -84,7 +85,11 @@ impl Download {
             crc = crc.and(block.get(..left).unwrap_or(&block));
             left = left.saturating_sub(BLOCK);
         }
-        if crc.value() == self.crc { Ok(()) } else { Err(UpdateError::Crc) }
+        if crc.value() != self.crc {
+            return Err(UpdateError::Crc);
+        }
+        flash.read(partition.start, &mut block).map_err(UpdateError::Flash)?;
+        if vectors::is_table(&block) { Ok(()) } else { Err(UpdateError::NoVectors) }
     }
 }
 

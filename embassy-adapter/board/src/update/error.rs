@@ -37,6 +37,8 @@ pub enum UpdateError<E> {
     },
     /// The flash does not have the image: its CRC-32 is another one.
     Crc,
+    /// The image does not start with a vector table.
+    NoVectors,
     /// The flash does not have what was written.
     NotWritten,
     /// The partitions do not fit the flash.
@@ -58,6 +60,7 @@ impl<E: fmt::Debug> fmt::Display for UpdateError<E> {
             Self::Sequence { expected } => write!(f, "expected block {expected}"),
             Self::Incomplete { expected } => write!(f, "the image is incomplete: block {expected} is missing"),
             Self::Crc => f.write_str("the CRC-32 of the image in the flash is another one"),
+            Self::NoVectors => f.write_str("the image does not start with a vector table"),
             Self::NotWritten => f.write_str("the flash does not have what was written"),
             Self::Partitions => f.write_str("the partitions for updates do not fit the flash"),
             Self::Flash(error) => write!(f, "the flash failed: {error:?}"),

@@ -47,7 +47,6 @@ pub struct Updater {
 impl Updater {
     /// Reads what the boot loader has done before this start; call it once after each start.
     ///
-    ///
     /// # Errors
     ///
     /// An [`UpdateError`] when the partitions do not fit the flash, or the flash fails. The image runs on without updates.
@@ -147,15 +146,22 @@ impl Updater {
         let download = self.download.as_ref().ok_or(UpdateError::NotBegun)?;
         download.check(flash, &self.partitions.other)?;
         let version = download.version().clone();
+        if self.phase == Phase::RolledBack {
+            // a power cut before the update is marked must not give the new version in the history a reason of a roll-back
+            self.change_state(flash, |state| state.mark_booted())?;
+            self.phase = Phase::Confirmed;
+        }
         Slots::new(&mut *flash, self.partitions.history.clone())?.write(version.as_bytes())?;
         self.change_state(flash, |state| state.mark_updated())?;
         (self.phase, self.download) = (Phase::Installed, None);
         Ok(())
     }
 
+    /// Confirms the image that runs, if it is on trial.
     ///
     /// # Errors
     ///
+    /// An [`UpdateError`]; the image stays on trial.
     pub fn confirm<F: NorFlash>(&mut self, flash: &mut F) -> Result<(), UpdateError<F::Error>> {
         if self.phase == Phase::OnTrial {
             self.change_state(flash, |state| state.mark_booted())?;

@@ -70,7 +70,7 @@ pub(crate) struct Configure {
 #[derive(Debug, Args)]
 #[command(after_help = "\
 Examples:
-  bcap board update /dev/ttyACM0 target/thumbv6m-none-eabi/release/w5500-evb-pico
+  bcap board update /dev/ttyACM0 target/thumbv6m-none-eabi/release/w5500-evb-pico+updates
   bcap board update /dev/ttyACM0 gateway.bin --no-restart")]
 pub(crate) struct Update {
     /// The serial port, such as /dev/ttyACM0 or COM3

@@ -4,6 +4,7 @@ use std::fs;
 
 use bcap_board::crc::Crc32;
 use bcap_board::identity::{self, BLOCK, Identity};
+use bcap_board::vectors;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde_json::json;
 
@@ -15,6 +16,8 @@ use crate::output;
 
 /// How often a block is sent before the command gives up.
 const ATTEMPTS: u32 = 5;
+/// The first bytes of a UF2 file.
+const UF2: &[u8] = b"UF2\n";
 /// The hint after a refused update.
 const IMAGE_REMAINS: &str = "the board runs its earlier image";
 
@@ -67,6 +70,9 @@ pub(super) fn update(args: &Update, link: &LinkArgs, json: bool) -> Result<(), F
 fn read(path: &str) -> Result<(Vec<u8>, Identity), Failure> {
     let invalid = |reason: &str| Failure::Input(format!("{path}: {reason}"));
     let file = fs::read(path).map_err(|error| invalid(&error.to_string()))?;
+    if file.starts_with(UF2) {
+        return Err(invalid("a UF2 file is for the boot ROM: send the ELF file it was made from"));
+    }
     let image = match elf::is_elf(&file) {
         true => {
             elf::flatten(&file).ok_or_else(|| invalid("the ELF file is damaged, or is not for a board with 32 bits"))?
@@ -76,6 +82,11 @@ fn read(path: &str) -> Result<(Vec<u8>, Identity), Failure> {
     let identity = identity::find(&image).ok_or_else(|| {
         invalid("the image does not tell its board, so it was not built for updates (--features updates)")
     })?;
+    if !vectors::is_table(&image) {
+        return Err(invalid(
+            "the image does not start with a vector table: send the ELF file, or a binary without a boot loader",
+        ));
+    }
     Ok((image, identity))
 }
 
@@ -110,7 +121,7 @@ fn send(port: &mut Port, image: &[u8]) -> Result<u32, Failure> {
 /// Sends a request; fails if the board refuses it.
 fn ask(port: &mut Port, request: &str) -> Result<Answer, Failure> {
     let answer = port.ask(request, |_| Ok(()))?;
-    // an image of before updates, or one without them
+    // an image older than updates, or one without them
     if answer.0.starts_with("error unknown request") {
         return Err(Failure::Unfit {
             message: "the board cannot be updated: its image was built without updates".into(),
