@@ -66,7 +66,7 @@ pub(crate) async fn judge<F: NorFlash>(console: &RefCell<Console<'_, F>>, restar
         return;
     }
     if with_timeout(TRIAL, SERVED.wait()).await.is_err() {
-        record(Cause::Unconfirmed);
+        crate::watchdog::record(Cause::Unconfirmed);
         restart();
     }
     if let Some((updater, flash)) = console.borrow_mut().updater() {
@@ -76,14 +76,4 @@ pub(crate) async fn judge<F: NorFlash>(console: &RefCell<Console<'_, F>>, restar
             Err(error) => defmt::error!("the update is not confirmed: {}", defmt::Display2Format(&error)),
         }
     }
-}
-
-/// Writes the cause of the reset that follows.
-#[cfg(feature = "port")]
-fn record(cause: Cause) {
-    #[cfg(target_arch = "arm")]
-    crate::memory::record().write(cause);
-    // other processors have no such memory
-    #[cfg(not(target_arch = "arm"))]
-    let _ = cause;
 }

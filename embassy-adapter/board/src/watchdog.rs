@@ -77,7 +77,7 @@ pub async fn run(is_healthy: impl Fn() -> bool, mut feed: impl FnMut()) -> ! {
 }
 
 /// Writes the cause of the reset that may follow.
-fn record(cause: Cause) {
+pub(crate) fn record(cause: Cause) {
     #[cfg(any(target_arch = "arm", target_arch = "riscv32"))]
     crate::memory::record().write(cause);
     // a host has no such memory
