@@ -334,7 +334,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
     ) -> Option<Event> {
         let function = attempt.function;
         let is_full = function.opens().is_some() && self.objects.is_full();
-        let checked = self.check(frame).and_then(|()| if is_full { Err(HResult::E_MAX_OBJECT) } else { Ok(()) });
+        let checked = self.check(frame).and(if is_full { Err(HResult::E_MAX_OBJECT) } else { Ok(()) });
         if let Err(result) = checked {
             if let Some(frame) = self.inbox.frame(self.rx.bytes(), frame) {
                 handler.refused(peer, &Request { function, args: frame.args }, result, now);

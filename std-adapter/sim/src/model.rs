@@ -257,7 +257,7 @@ impl IoEntry {
 /// Reads the first IO of the user's part.
 fn user_io(first: &Spanned<u16>, io: u16) -> Result<usize, Wrong> {
     let number = *first.get_ref();
-    if number % 8 != 0 || number > io {
+    if !number.is_multiple_of(8) || number > io {
         return Err((first.span().start, format!("`user_io` is {number}: accepted multiples of 8, 0 to `io`, {io}")));
     }
     Ok(number.into())
