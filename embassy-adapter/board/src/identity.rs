@@ -31,7 +31,7 @@ pub const SIZE: usize = TEXTS + 4;
 /// use bcap_board::identity::{Identity, find};
 ///
 /// static IDENTITY: Identity = Identity::new("w5500-evb-pico", "0.1.0");
-/// let image = [b"BCAPNAME other bytes ", IDENTITY.as_bytes(), b" more"].concat();
+/// let image = [&b"BCAPNAME other bytes "[..], IDENTITY.as_bytes(), b" more"].concat();
 /// assert_eq!(find(&image).unwrap().board(), "w5500-evb-pico");
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

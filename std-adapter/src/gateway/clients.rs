@@ -12,10 +12,10 @@ use tokio::task::JoinSet;
 use tokio::task::coop::consume_budget;
 use tokio::time::{Instant, sleep, sleep_until, timeout};
 
-use super::front::{Front, Map, refuse};
+use super::front::{Front, Map, must_wait, refuse};
 use super::limits::Limits;
 use super::report::Ended;
-use super::shared::{GatewayState, must_wait};
+use super::shared::GatewayState;
 use super::traffic::{Ends, Moved};
 use crate::connect::set_up_tcp;
 use crate::server::REFUSALS;

@@ -12,7 +12,6 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use tokio::time::timeout;
 
-use super::shared::must_wait;
 use crate::server::{REFUSAL_TIME, refuse_rac};
 
 /// Bytes that are read from a client of Modbus at once.
@@ -137,6 +136,11 @@ impl Front {
     pub(super) fn is_broken(&self) -> bool {
         matches!(self, Self::Modbus(front) if front.is_broken())
     }
+}
+
+/// Tells whether a call on a socket has to wait; any other error is the end of the connection.
+pub(super) fn must_wait<T>(result: &io::Result<T>) -> bool {
+    matches!(result, Err(error) if error.kind() == io::ErrorKind::WouldBlock)
 }
 
 fn receive(front: &mut modbus::Front<'_>, gateway: &Gateway<'_>, bytes: &[u8]) {

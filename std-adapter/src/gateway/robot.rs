@@ -10,7 +10,8 @@ use tokio::net::{TcpStream, UdpSocket};
 use tokio::task::coop::consume_budget;
 use tokio::time::sleep;
 
-use super::shared::{GatewayState, must_wait};
+use super::front::must_wait;
+use super::shared::GatewayState;
 use super::traffic::{Ends, Moved};
 use crate::asynch::{connect_datagrams, connect_stream};
 use crate::clock::{now, until};

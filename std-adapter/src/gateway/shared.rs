@@ -151,11 +151,6 @@ impl fmt::Debug for GatewayState {
     }
 }
 
-/// Tells whether a call on a socket has to wait; any other error is the end of the connection.
-pub(super) fn must_wait<T>(result: &io::Result<T>) -> bool {
-    matches!(result, Err(error) if error.kind() == io::ErrorKind::WouldBlock)
-}
-
 #[cfg(test)]
 mod tests {
     use std::time::Duration;

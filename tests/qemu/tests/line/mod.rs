@@ -9,13 +9,13 @@ use std::time::{Duration, Instant};
 use bcap_qemu::Board;
 use serialport::{SerialPort, TTYPort};
 
-/// Connects to the socket of QEMU.
+/// Connects to the socket of QEMU, which is there when the image has been built.
 pub(crate) fn connect(board: &mut Board, socket: &Path) -> UnixStream {
     let since = Instant::now();
     loop {
         match UnixStream::connect(socket) {
             Ok(stream) => return stream,
-            Err(error) => assert!(since.elapsed() < Duration::from_secs(20), "{error}: {}", board.log()),
+            Err(error) => assert!(since.elapsed() < Duration::from_secs(600), "{error}: {}", board.log()),
         }
         assert!(board.is_running(), "{}", board.log());
         sleep(Duration::from_millis(50));
