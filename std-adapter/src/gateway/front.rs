@@ -78,7 +78,9 @@ impl Front {
         }
     }
 
-    /// Receives bytes of the client, and shows them; `None` if there are none yet or there is no room for them.
+    /// Receives bytes of the client, calls `show` with them, and returns their number.
+    ///
+    /// Returns `None` while no bytes have arrived or the buffer is full.
     pub(super) fn receive(
         &mut self,
         stream: &TcpStream,
