@@ -39,9 +39,11 @@ use crate::storage::Storage;
 use crate::time::Instant;
 use crate::variant::{Bstr, Variant};
 
+mod opened;
 mod options;
 mod serials;
 
+use self::opened::Opened;
 pub use self::options::{OptionError, StartOptions};
 use self::serials::{Attempt, Serials, Verdict};
 
@@ -219,7 +221,7 @@ pub struct Session<T, R = T, const OBJECTS: usize = 32> {
     rx: R,
     inbox: Inbox,
     state: State,
-    objects: heapless::Vec<(Object, i32), OBJECTS>,
+    objects: Opened<OBJECTS>,
 }
 
 /// The part of a session that does not depend on the types of its buffers.
@@ -264,7 +266,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
     #[must_use]
     pub fn new(config: Config, tx: T, rx: R) -> Self {
         let inbox = Inbox::new(config.link, config.limits, config.strictness, config.on_malformed);
-        Self { tx, rx, inbox, state: State::new(config), objects: heapless::Vec::new() }
+        Self { tx, rx, inbox, state: State::new(config), objects: Opened::new() }
     }
 
     /// Returns the number of handles that the peer has open.
@@ -461,16 +463,14 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
     fn update_objects(&mut self, function: FunctionId, opened: Option<i32>, released: i32) {
         if let Some(object) = function.opens() {
             let handle = if object == Object::Service { Some(0) } else { opened };
-            if let Some(handle) = handle
-                && !self.objects.contains(&(object, handle))
-            {
+            if let Some(handle) = handle {
                 // `execute` has refused the call if the list is full
-                let _ = self.objects.push((object, handle));
+                self.objects.insert(object, handle);
             }
         }
         if let Some(object) = function.releases() {
             let handle = if object == Object::Service { 0 } else { released };
-            self.objects.retain(|known| *known != (object, handle));
+            self.objects.remove(object, handle);
         }
     }
 
@@ -505,7 +505,7 @@ impl<T: Storage, R: Storage, const OBJECTS: usize> Session<T, R, OBJECTS> {
                 return Err(HResult::E_INVALIDARGTYPE);
             }
             if let Kind::Handle(object) = kind
-                && !handle_of(&value).is_some_and(|handle| self.objects.contains(&(*object, handle)))
+                && !handle_of(&value).is_some_and(|handle| self.objects.contains(*object, handle))
             {
                 return Err(HResult::E_HANDLE);
             }
