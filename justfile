@@ -123,7 +123,7 @@ fleet controllers="500" values="20" hz="5" seconds="10":
 fuzz seconds="30":
     FUZZ_SECONDS={{seconds}} bash .ci/run fuzz
 
-# How long `bcap fuzz` takes to find each of 34 planted bugs: minutes.
+# How long `bcap fuzz` takes to find each of 35 planted bugs: minutes.
 planted:
     cargo test --release -p bcap-cli --test fuzz -- --ignored --nocapture
 
