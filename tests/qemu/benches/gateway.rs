@@ -26,7 +26,7 @@ fn main() {
     let sim = Sim::start(&bcap, "127.0.0.1:0");
     assert!(run(&bcap, &["put", "I1", "123456", "--robot", &format!("tcp:{}", sim.bcap)]).ok);
     let echo_port = free_port().to_string();
-    let board = Board::start(&sim.bcap, &["--echo", &echo_port], &[]).up();
+    let board = Board::start(&sim.bcap, &["--echo", &echo_port], &["provider=CaoProv.DENSO.VRC"]).up();
     let echo_address = format!("127.0.0.1:{echo_port}");
     println!("{:<28} {:>10} {:>10} {:>10} {:>10}", "", "requests/s", "p50 us", "p99 us", "max us");
     for plcs in [1, 4] {
