@@ -140,6 +140,63 @@ fn rules_slots_and_the_log_apply_to_clients_of_modbus() {
 }
 
 #[test]
+fn a_part_of_a_frame_ends_a_session() {
+    between(|_, clients, board| async move {
+        let map = [Entry::registers("100=I/1-2").unwrap()];
+        let mut memory = Memory::<2, 4>::new();
+        let plant = Plant::new(Gateway::new(Config::RC8, &mut memory), log);
+        let serve = async {
+            let mut memory = [[0; 512]; 2];
+            let [rx, tx] = &mut memory;
+            let mut listener = ModbusListener::new(board, PORT, &map, [rx, tx], Options::default());
+            let receive = core::time::Duration::from_millis(100);
+            listener.run(&plant, &Limits { receive, ..Limits::default() }).await
+        };
+        let test = async {
+            let mut memory = [[[0; 512]; 2]; 3];
+            let [a, b, c] = &mut memory;
+            // a part of the header, of the data, and of a request after a complete one
+            let mut a = connect(clients, a).await;
+            assert_eq!(a.write(&[0x12]).await, Ok(1));
+            assert_eq!(a.read(&mut [0]).await, Ok(0), "closed");
+            let mut b = connect(clients, b).await;
+            assert_eq!(logged(), ["Some(RequestTooSlow)"]);
+            for byte in [0x12, 0x34, 0, 0, 0, 6, 1, 3, 0] {
+                assert_eq!(b.write(&[byte]).await, Ok(1));
+                assert_eq!(b.flush().await, Ok(()));
+            }
+            assert_eq!(b.read(&mut [0]).await, Ok(0), "closed");
+            let mut c = connect(clients, c).await;
+            assert_eq!(logged(), ["Some(RequestTooSlow)"]);
+            let request = [0x12, 0x34, 0, 0, 0, 6, 1, 3, 0, 100, 0, 2];
+            for part in request.chunks(5) {
+                assert_eq!(c.write(part).await, Ok(part.len()));
+                assert_eq!(c.flush().await, Ok(()));
+            }
+            let mut response = [0; 9];
+            assert_eq!(c.read(&mut response).await, Ok(9));
+            assert_eq!(
+                response,
+                [0x12, 0x34, 0, 0, 0, 3, 1, 0x83, 0x0a],
+                "a frame in parts is served, without a robot"
+            );
+            // without a frame there is no limit; the second request takes a timer of its own
+            Timer::after_millis(150).await;
+            assert_eq!(ask(&mut c, &[3, 0, 100, 0, 2]).await, [0x83, 0x0a]);
+            assert_eq!(c.write(&[&request[..], &request[..7]].concat()).await, Ok(19));
+            assert_eq!(c.read(&mut response).await, Ok(9));
+            assert_eq!(c.read(&mut [0]).await, Ok(0), "closed");
+            while plant.sessions() > 0 {
+                Timer::after_millis(1).await;
+            }
+            assert_eq!(logged(), ["Some(RequestTooSlow)"]);
+        };
+        let ended = select(serve, with_timeout(Duration::from_secs(60), test)).await;
+        assert!(matches!(ended, Either::Second(Ok(()))), "it hangs");
+    });
+}
+
+#[test]
 fn a_client_that_no_listener_can_serve_gets_an_exception_instead_of_a_reset() {
     static USAGE: Usage = Usage::new();
     let options = Options { usage: Some(&USAGE), ..Options::default() };

@@ -1,7 +1,6 @@
 //! The errors of [`Controller`](crate::blocking::Controller) and its objects.
 
 use bcap_core::bcap::FunctionId;
-use bcap_core::bcap::client::ClientError;
 use bcap_core::error::EncodeError;
 use bcap_core::hresult::HResult;
 use bcap_core::procedure::{StepCause, StepError};
@@ -119,11 +118,6 @@ impl Error {
             Self::NoReply { source, .. } => !source.is_recoverable(),
             _ => false,
         }
-    }
-
-    /// Returns whether a call has no reply because its time has passed.
-    pub(crate) const fn is_timeout(&self) -> bool {
-        matches!(self, Self::NoReply { source: CallError::Client(ClientError::Timeout(_)), .. })
     }
 
     pub(crate) fn call(function: FunctionId, object: &str, error: CallError) -> Self {

@@ -47,6 +47,9 @@ const HANDLES: usize = 64;
 const _: () = assert!(LISTENERS == 5);
 /// Listeners of Modbus, of which the last refuses clients; the clients of the others share the slots with the PLCs.
 const MODBUS: usize = if cfg!(feature = "modbus") { 3 } else { 0 };
+/// How long a frame of Modbus may take from its first byte to its last; clients send it at once.
+#[cfg(feature = "modbus")]
+const MODBUS_RECEIVE: core::time::Duration = core::time::Duration::from_secs(5);
 /// The sockets of the page and of syslog.
 const HEALTH: usize = if cfg!(feature = "health") { PAGES + 1 } else { 0 };
 /// The sockets of the network stack: the listeners, Modbus, the page and syslog, the robot, DHCP.
@@ -204,7 +207,7 @@ async fn serve_modbus(
     task: Task,
 ) -> ! {
     // the spare listener makes no room, so a silent client must not stay
-    let limits = Limits { idle: settings.idle.or(Some(settings.evict)), ..limits(settings) };
+    let limits = Limits { receive: MODBUS_RECEIVE, idle: settings.idle.or(Some(settings.evict)), ..limits(settings) };
     watched(task, listener.run(board, &limits)).await
 }
 

@@ -13,6 +13,27 @@ use core::time::Duration;
 use bcap_core::gateway::{Counters, Tally};
 use bcap_core::time::micros;
 
+/// The version that runs, and what became of the last update ([`update::Status`](crate::update::Status)).
+#[derive(Clone, Copy)]
+pub struct Update<'a> {
+    /// The name of the board.
+    pub board: &'a str,
+    /// The version of the image that runs.
+    pub version: &'a str,
+    /// What became of the last update.
+    pub phase: &'a dyn fmt::Display,
+    /// The version of the last update; empty without one.
+    pub last: &'a str,
+    /// Why it was rolled back; empty otherwise.
+    pub reason: &'a str,
+}
+
+impl fmt::Debug for Update<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Update").field("board", &self.board).field("version", &self.version).finish_non_exhaustive()
+    }
+}
+
 /// What a board shows.
 #[derive(Clone, Copy)]
 pub struct Health<'a> {
@@ -20,6 +41,8 @@ pub struct Health<'a> {
     pub image: &'a str,
     /// The version of the image.
     pub version: &'a str,
+    /// The state of updates, for an image that receives them.
+    pub update: Option<Update<'a>>,
     /// The time since the start.
     pub uptime: Duration,
     /// The cause of the last reset, with the fault if there was one.
@@ -52,6 +75,11 @@ impl Health<'_> {
         let Self { image, version, counters, sessions: (used, slots), .. } = *self;
         let state = if self.robot_is_up { "up" } else { "down" };
         write!(out, "{{\"image\":\"{}\",\"version\":\"{}\"", Json(&image), Json(&version))?;
+        if let Some(Update { board, version, phase, last, reason }) = &self.update {
+            write!(out, ",\"update\":{{\"board\":\"{}\",\"version\":\"{}\"", Json(board), Json(version))?;
+            write!(out, ",\"phase\":\"{}\",\"last\":\"{}\"", Json(phase), Json(last))?;
+            write!(out, ",\"reason\":\"{}\"}}", Json(reason))?;
+        }
         write!(out, ",\"uptime_s\":{},\"last_reset\":\"{}\"", self.uptime.as_secs(), Json(&self.last_reset))?;
         write!(out, ",\"robot\":{{\"state\":\"{state}\",\"sessions\":{}}}", counters.connected)?;
         write!(out, ",\"clients\":{{\"connected\":{used},\"slots\":{slots}}}")?;
@@ -90,6 +118,13 @@ impl Health<'_> {
         row(out, &"refused", &counters.refused)?;
         row(out, &"uptime", &format_args!("{} s", self.uptime.as_secs()))?;
         row(out, &"last reset", &self.last_reset)?;
+        if let Some(Update { board, version, phase, last, reason }) = &self.update {
+            row(out, &"update", &format_args!("{board} {version} {phase}"))?;
+            row(out, &"last update", last)?;
+            if !reason.is_empty() {
+                row(out, &"reason of the roll-back", reason)?;
+            }
+        }
         for (name, most, size) in self.memory {
             row(out, name, &format_args!("{most} of {size} bytes at most"))?;
         }
@@ -181,11 +216,20 @@ mod tests {
     use super::*;
     use std::string::String;
 
-    fn written(write: impl Fn(&Health<'_>, &mut dyn Write) -> fmt::Result) -> String {
+    const ROLLED_BACK: Update<'_> = Update {
+        board: "pico",
+        version: "0.1.0",
+        phase: &"rolled back",
+        last: "0.2.0",
+        reason: "panic at \"a<b\".rs:7",
+    };
+
+    fn written(update: Option<Update<'_>>, write: impl Fn(&Health<'_>, &mut dyn Write) -> fmt::Result) -> String {
         let counters = Counters { refused: 3, connected: 2, ..Counters::default() };
         let health = Health {
             image: "gateway",
             version: "0.1.0",
+            update,
             uptime: Duration::from_secs(90),
             last_reset: &"panic at \"a<b\".rs:7",
             robot_is_up: true,
@@ -211,17 +255,38 @@ mod tests {
             r#"},"memory":{"stack":{"most":6520,"size":12288},"log":{"most":0,"size":4096}},"board":{"frames received":45}}"#,
             "\n",
         ];
-        assert_eq!(written(|health, out| health.write_json(out)), expected.concat());
+        assert_eq!(written(None, |health, out| health.write_json(out)), expected.concat());
     }
 
     #[test]
     fn the_page_escapes_texts() {
-        let page = written(|health, out| health.write_page(out));
+        let page = written(None, |health, out| health.write_page(out));
         assert!(page.contains("<tr><td>last reset<td>panic at \"a&lt;b\".rs:7<tr>"), "{page}");
         assert!(
             page.contains("<tr><td>clients<td>1 of 4<tr>") && page.contains("<tr><td>uptime<td>90 s<tr>"),
             "{page}"
         );
         assert!(page.contains("<tr><td>stack<td>6520 of 12288 bytes at most<tr>"), "{page}");
+    }
+
+    #[test]
+    fn an_image_with_updates_shows_their_state() {
+        let json = written(Some(ROLLED_BACK), |health, out| health.write_json(out));
+        let expected = concat!(
+            r#","version":"0.1.0","update":{"board":"pico","version":"0.1.0","phase":"rolled back","last":"0.2.0","#,
+            r#""reason":"panic at \"a<b\".rs:7"},"uptime_s":90,"#
+        );
+        assert!(json.contains(expected), "{json}");
+        let page = written(Some(ROLLED_BACK), |health, out| health.write_page(out));
+        assert!(
+            page.contains(
+                "<tr><td>update<td>pico 0.1.0 rolled back<tr><td>last update<td>0.2.0\
+                 <tr><td>reason of the roll-back<td>panic at \"a&lt;b\".rs:7<tr>"
+            ),
+            "{page}"
+        );
+        let confirmed = Update { phase: &"confirmed", reason: "", ..ROLLED_BACK };
+        let page = written(Some(confirmed), |health, out| health.write_page(out));
+        assert!(page.contains("<td>pico 0.1.0 confirmed<tr>") && !page.contains("roll-back"), "{page}");
     }
 }

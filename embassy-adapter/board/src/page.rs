@@ -22,6 +22,8 @@ use static_cell::ConstStaticCell;
 
 use crate::Settings;
 use crate::health::Health;
+#[cfg(feature = "update")]
+use crate::health::Update;
 use crate::limiter::Limiter;
 use crate::parts::{Board, PAGE_TASK, PAGES, PLC_BUFFER, PLC_BUFFERS, Parts, ROBOT_BUFFER, ROBOT_BUFFERS, SYSLOG_TASK};
 use crate::syslog::{Message, Severity};
@@ -203,10 +205,20 @@ fn answer(board: &Board, parts: &Parts, path: &str, page: &mut dyn Write) -> Opt
     });
     let own = [("log frames dropped", (parts.dropped)()), ("syslog messages lost", LOST.lock(Cell::get))];
     counters.extend(own.into_iter().take(counters.capacity().saturating_sub(counters.len())));
+    #[cfg(feature = "update")]
+    let status = crate::trial::status();
+    #[cfg(feature = "update")]
+    let update = status.as_ref().map(|status| {
+        let (identity, (last, reason)) = (status.identity(), status.last_update());
+        Update { board: identity.board(), version: identity.version(), phase: &status.phase, last, reason }
+    });
+    #[cfg(not(feature = "update"))]
+    let update = None;
     let answer = |gateway: &Gateway<'_>| {
         let health = Health {
             image: IMAGE,
             version: env!("CARGO_PKG_VERSION"),
+            update,
             uptime: Duration::from_micros(now().as_micros()),
             last_reset: &parts.last_reset,
             robot_is_up: gateway.is_up(),

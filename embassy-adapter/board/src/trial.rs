@@ -1,7 +1,6 @@
 //! The trial of an update: it is confirmed when the gateway has served a request, and rolled back when it has not in time.
 
 use core::cell::Cell;
-#[cfg(feature = "port")]
 use core::cell::RefCell;
 
 use embassy_sync::blocking_mutex::Mutex;
@@ -9,7 +8,6 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::signal::Signal;
 #[cfg(feature = "port")]
 use embassy_time::{Duration, with_timeout};
-#[cfg(feature = "port")]
 use embedded_storage::nor_flash::NorFlash;
 
 #[cfg(feature = "port")]
@@ -18,7 +16,8 @@ use crate::record::Cause;
 #[cfg(feature = "port")]
 use crate::slots::Slots;
 #[cfg(feature = "port")]
-use crate::update::{Phase, Updater, Updates};
+use crate::update::{Phase, Updates};
+use crate::update::{Status, Updater};
 
 /// How long an update may take to serve its first request.
 #[cfg(feature = "port")]
@@ -26,6 +25,9 @@ const TRIAL: Duration = Duration::from_secs(600);
 
 static SERVED: Signal<CriticalSectionRawMutex, ()> = Signal::new();
 static LAST_RESET: Mutex<CriticalSectionRawMutex, Cell<Cause>> = Mutex::new(Cell::new(Cause::PowerOn));
+
+/// The state of updates, for the page.
+static STATUS: Mutex<CriticalSectionRawMutex, RefCell<Option<Status>>> = Mutex::new(RefCell::new(None));
 
 /// Sets the cause of the last reset, which may have ended a trial.
 pub(crate) fn set_last_reset(cause: Cause) {
@@ -37,6 +39,28 @@ pub(crate) fn has_served() {
     SERVED.signal(());
 }
 
+/// Shows the state of updates on the page. Call it after each change.
+pub(crate) fn show<F: NorFlash>(updater: &Updater, flash: &mut F) {
+    // a flash that cannot be read leaves the earlier state
+    if let Ok(status) = updater.status(flash) {
+        set(status);
+    }
+}
+
+fn set(status: Status) {
+    STATUS.lock(|shown| {
+        if let Ok(mut shown) = shown.try_borrow_mut() {
+            *shown = Some(status);
+        }
+    });
+}
+
+/// Returns the state of updates, if the image receives them.
+#[cfg(feature = "health")]
+pub(crate) fn status() -> Option<Status> {
+    STATUS.lock(|shown| shown.try_borrow().ok()?.clone())
+}
+
 /// Creates a console that receives updates, if the image has partitions for them.
 #[cfg(feature = "port")]
 pub(crate) fn console<F: NorFlash>(mut slots: Slots<F>, updates: Option<Updates>) -> Console<'static, F> {
@@ -46,6 +70,7 @@ pub(crate) fn console<F: NorFlash>(mut slots: Slots<F>, updates: Option<Updates>
         match status {
             Ok((status, updater)) => {
                 defmt::info!("image {}", defmt::Display2Format(&status));
+                set(status);
                 Some(updater)
             }
             Err(error) => {
@@ -70,7 +95,9 @@ pub(crate) async fn judge<F: NorFlash>(console: &RefCell<Console<'_, F>>, restar
         restart();
     }
     if let Some((updater, flash)) = console.borrow_mut().updater() {
-        match updater.confirm(flash) {
+        let confirmed = updater.confirm(flash);
+        show(updater, flash);
+        match confirmed {
             Ok(()) => defmt::info!("the update has served a request and is confirmed"),
             // it stays on trial, so the next start rolls it back
             Err(error) => defmt::error!("the update is not confirmed: {}", defmt::Display2Format(&error)),

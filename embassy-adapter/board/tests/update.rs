@@ -9,7 +9,7 @@ use std::io::{self, Write as _};
 use bcap_board::crc::Crc32;
 use bcap_board::identity::{BLOCK, Identity};
 use bcap_board::slots::{Slots, TEXT};
-use bcap_board::update::{Partitions, StateFlash, UpdateError, Updater};
+use bcap_board::update::{Partitions, Phase, StateFlash, UpdateError, Updater};
 use embassy_boot::{BootLoader, BootLoaderConfig};
 use embassy_embedded_hal::flash::partition::BlockingPartition;
 use embassy_sync::blocking_mutex::Mutex;
@@ -252,6 +252,9 @@ fn an_update_that_is_reset_on_trial_is_rolled_back_and_the_reason_is_kept() {
     for _ in 0..3 {
         board.last_reset = "something else";
         assert_eq!(board.status(), "test-board 0.1.0 confirmed; 0.2.0 was rolled back: the watchdog");
+        let status = board.start().unwrap().status(&mut board.flash).unwrap();
+        assert_eq!((status.identity(), status.phase), (&OLD, Phase::RolledBack));
+        assert_eq!(status.last_update(), ("0.2.0", "the watchdog"));
         board.boot().unwrap();
     }
     confirmed(&mut board).unwrap();

@@ -119,7 +119,7 @@ async fn run_session<X: Transport, M: RawMutex, const N: usize>(
             Next::Receive(room) => {
                 unread = None;
                 let receiving = shared.view(|gateway| gateway.is_receiving(peer)).unwrap_or_default();
-                partial = receiving.then(|| partial.unwrap_or(now));
+                partial = (receiving || transport.is_receiving()).then(|| partial.unwrap_or(now));
                 let late = partial.map(|since: Instant| since.saturating_add(limits.receive));
                 let idle = limits.idle.filter(|_| room > 0).map(|idle| last_received.saturating_add(idle));
                 let until = late.into_iter().chain(idle).min().unwrap_or(Instant::FAR_FUTURE);

@@ -90,7 +90,14 @@ pub(super) async fn answer_full<X: Transport>(transport: &mut X) {
     let mut chunk = [0; CHUNK];
     let until = transport.now().saturating_add(FULL_WAIT);
     // not before its line arrives, because a line that arrives after the close would reset the connection
-    if let Ok(Some(1..)) = transport.receive(&mut chunk, until).await {
+    let received = loop {
+        match transport.receive(&mut chunk, until).await {
+            // a part of a frame
+            Ok(None) if transport.now() < until => {}
+            received => break received,
+        }
+    };
+    if let Ok(Some(1..)) = received {
         // a client that does not read it has no slot either
         let _ = transport.send(FULL, until).await;
     }

@@ -50,7 +50,7 @@ impl<X: Transport, P: Fn(&Request<'_>) -> bool> Transport for ModbusLink<'_, '_,
         Ok(self.flush(until).await?.map(|()| reply.len()))
     }
 
-    /// Returns bytes of a line, and 0 after bytes that are not Modbus.
+    /// Returns bytes of a line, 0 after bytes that are not Modbus, and `None` after a part of a frame.
     async fn receive(&mut self, buffer: &mut [u8], until: Instant) -> Result<Option<usize>, X::Error> {
         loop {
             // left over from a `send` that was dropped
@@ -71,10 +71,17 @@ impl<X: Transport, P: Fn(&Request<'_>) -> bool> Transport for ModbusLink<'_, '_,
                 Some(count @ 1..) => self.front.received(room.get(..count).unwrap_or_default(), &self.permits),
                 ended => return Ok(ended),
             }
+            if self.front.is_receiving() && !self.front.is_broken() {
+                return Ok(None);
+            }
         }
     }
 
     async fn sleep_until(&mut self, at: Instant) {
         self.link.sleep_until(at).await;
+    }
+
+    fn is_receiving(&self) -> bool {
+        self.front.is_receiving()
     }
 }

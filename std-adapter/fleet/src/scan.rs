@@ -26,6 +26,11 @@ use crate::reading::{Quality, Reading, Value, now_ms};
 /// The most variables that are read together. Commands for the controller wait meanwhile.
 const BATCH: usize = 32;
 
+/// The shortest pause of a point that does not respond. It doubles with each timeout, up to the longest one.
+const PAUSE: Duration = Duration::from_secs(4);
+/// The most doublings of a pause: 256 s.
+const DOUBLINGS: u32 = 6;
+
 /// What all scans share.
 pub(crate) struct Shared {
     pub(crate) config: Config,
@@ -50,7 +55,17 @@ struct Scanned<'a> {
     index: usize,
     point: &'a Point,
     due: Instant,
+    /// When the last attempt to read it ended.
+    attempted: Option<Instant>,
+    /// Its timeouts in a row, while the controller replied to other calls.
+    timeouts: u32,
     last: Option<(Option<Value>, Quality)>,
+}
+
+impl<'a> Scanned<'a> {
+    fn new(index: usize, point: &'a Point) -> Self {
+        Self { index, point, due: Instant::now(), attempted: None, timeouts: 0, last: None }
+    }
 }
 
 impl Scan {
@@ -58,8 +73,7 @@ impl Scan {
     pub(crate) async fn run(self) {
         let shared = Arc::clone(&self.shared);
         let points = &shared.config.controllers[self.cell].points;
-        let mut scanned: Vec<_> =
-            (0..).zip(points).map(|(index, point)| Scanned { index, point, due: Instant::now(), last: None }).collect();
+        let mut scanned: Vec<_> = (0..).zip(points).map(|(index, point)| Scanned::new(index, point)).collect();
         let mut states = self.controller.states();
         let mut state = states.next().await;
         // each failed attempt to connect is a state, mostly with the same reason
@@ -97,6 +111,7 @@ impl Scan {
         let now = Instant::now();
         for scanned in scanned {
             scanned.due = now + offset(scanned.point.interval, cell, cells);
+            scanned.timeouts = 0;
         }
     }
 
@@ -119,6 +134,8 @@ impl Scan {
     /// Reads all points when they are due.
     async fn read_all(&self, scanned: &mut [Scanned<'_>]) -> std::convert::Infallible {
         let mut began = None;
+        // whether the controller replied to the last call
+        let mut replied = true;
         loop {
             let Some(next) = scanned.iter().map(|scanned| scanned.due).min() else { std::future::pending().await };
             if next > Instant::now() {
@@ -134,20 +151,25 @@ impl Scan {
             let readings = read_batch(&self.controller, &sources).await;
             let ended = Instant::now();
             self.metrics().read_us.fetch_add(micros(ended - now), Ordering::Relaxed);
-            for index in &batch {
-                self.reschedule(&mut scanned[*index], ended);
-            }
             // after a timeout the rest of the batch is not read; after a loss of the session the state follows
-            let stopped = readings.last().and_then(|(time, value)| match value {
-                Err(error @ Error::NoReply { .. }) if !error.is_lost() => Some(*time),
-                _ => None,
-            });
+            let mut stopped = None;
             let mut batch = batch.into_iter();
             for ((time, value), index) in readings.into_iter().zip(batch.by_ref()) {
-                self.count(&mut scanned[index], time, value);
+                let scanned = &mut scanned[index];
+                let is_timeout = matches!(&value, Err(error @ Error::NoReply { .. }) if !error.is_lost());
+                // two timeouts in a row are the fault of the controller, not of the second point
+                scanned.timeouts = if is_timeout { scanned.timeouts + u32::from(replied) } else { 0 };
+                scanned.attempted = Some(ended);
+                replied = !is_timeout;
+                stopped = is_timeout.then_some(time);
+                self.reschedule(scanned, ended);
+                self.count(scanned, time, value);
             }
-            if let Some(time) = stopped {
-                batch.for_each(|index| self.fail(&mut scanned[index], time));
+            for index in batch {
+                self.reschedule(&mut scanned[index], ended);
+                if let Some(time) = stopped {
+                    self.fail(&mut scanned[index], time);
+                }
             }
         }
     }
@@ -155,13 +177,9 @@ impl Scan {
     /// Sets the next deadline of a point. Deadlines stay on their grid; those that have passed are left out.
     fn reschedule(&self, scanned: &mut Scanned<'_>, ended: Instant) {
         let interval = scanned.point.interval;
-        scanned.due += interval;
-        if scanned.due < ended {
-            let missed = (ended - scanned.due).as_nanos() / interval.as_nanos() + 1;
-            let missed = u32::try_from(missed).unwrap_or(u32::MAX);
-            self.metrics().overruns.fetch_add(missed.into(), Ordering::Relaxed);
-            scanned.due = scanned.due.checked_add(interval * missed).unwrap_or(ended + interval);
-        }
+        let (due, missed) = first_after(scanned.due + interval, interval, ended);
+        self.metrics().overruns.fetch_add(missed.into(), Ordering::Relaxed);
+        (scanned.due, _) = first_after(due, interval, ended + pause(scanned.timeouts));
     }
 
     /// Counts what was read, and reports it.
@@ -236,6 +254,23 @@ fn offset(interval: Duration, cell: usize, cells: usize) -> Duration {
     interval / cells.max(1) * cell
 }
 
+/// Returns the first deadline of a grid that has not passed at a time, and the number of those that have.
+fn first_after(due: Instant, interval: Duration, time: Instant) -> (Instant, u32) {
+    if due >= time {
+        return (due, 0);
+    }
+    let missed = u32::try_from((time - due).as_nanos() / interval.as_nanos() + 1).unwrap_or(u32::MAX);
+    (due.checked_add(interval * missed).unwrap_or(time + interval), missed)
+}
+
+/// Returns how long a point is not read after a number of timeouts.
+fn pause(timeouts: u32) -> Duration {
+    match timeouts.checked_sub(1) {
+        None => Duration::ZERO,
+        Some(more) => PAUSE * 2_u32.pow(more.min(DOUBLINGS)),
+    }
+}
+
 /// Reads a point once; `None` if its value has no counterpart.
 pub(crate) async fn read(controller: &Controller, source: &Source) -> Result<Option<Value>, Error> {
     let value: OwnedVariant = match source {
@@ -278,13 +313,16 @@ async fn statuses(controller: &Controller) -> Result<BTreeMap<String, String>, E
     Ok(statuses)
 }
 
-/// Returns the points to read next: those that are due, the most overdue first. Variables of the controller are read
-/// together, all else alone.
+/// Returns the points to read next: those that are due, the least recently read first, so that each has its turn even if
+/// others time out. Variables of the controller are read together, all else alone, and so is a point that timed out.
 fn batch(scanned: &[Scanned<'_>], now: Instant) -> Vec<usize> {
     let mut due: Vec<_> = (0..scanned.len()).filter(|index| scanned[*index].due <= now).collect();
-    due.sort_by_key(|index| scanned[*index].due);
-    let is_variable = |index: &usize| matches!(scanned[*index].point.source, Source::Controller(_));
-    let joined = due.iter().take(BATCH).take_while(|index| is_variable(index)).count();
+    due.sort_by_key(|index| scanned[*index].attempted);
+    let is_joined = |index: &usize| {
+        let Scanned { point, timeouts, .. } = &scanned[*index];
+        matches!(point.source, Source::Controller(_)) && *timeouts == 0
+    };
+    let joined = due.iter().take(BATCH).take_while(|index| is_joined(index)).count();
     due.truncate(joined.max(1));
     due
 }
@@ -329,5 +367,47 @@ mod tests {
         let second = Duration::from_secs(1);
         let offsets: Vec<_> = (0..4).map(|cell| offset(second, cell, 4).as_millis()).collect();
         assert_eq!(offsets, [0, 250, 500, 750]);
+    }
+
+    #[test]
+    fn deadlines_stay_on_their_grid() {
+        let (start, ms) = (Instant::now(), Duration::from_millis);
+        assert_eq!(first_after(start, ms(10), start), (start, 0));
+        assert_eq!(first_after(start, ms(10), start + ms(1)), (start + ms(10), 1));
+        assert_eq!(first_after(start, ms(10), start + ms(3001)), (start + ms(3010), 301));
+    }
+
+    #[test]
+    fn a_pause_doubles_up_to_its_maximum() {
+        let pauses: Vec<_> = [0, 1, 2, 3, 7, 8, u32::MAX].map(|timeouts| pause(timeouts).as_secs()).into();
+        assert_eq!(pauses, [0, 4, 8, 16, 256, 256, 256]);
+    }
+
+    fn points(sources: impl IntoIterator<Item = Source>) -> Vec<Point> {
+        let interval = Duration::from_millis(100);
+        let point =
+            |source| Point { name: String::new(), source, kind: None, interval, on_change: true, dead_band: 0.0 };
+        sources.into_iter().map(point).collect()
+    }
+
+    #[test]
+    fn a_point_that_timed_out_is_read_alone_and_the_others_before_it_is_read_again() {
+        let variable = || Source::Controller("I1".into());
+        let points = points([variable(), variable(), variable(), Source::Pose]);
+        let mut scanned: Vec<_> = (0..).zip(&points).map(|(index, point)| Scanned::new(index, point)).collect();
+        let now = Instant::now();
+        assert_eq!(batch(&scanned, now), [0, 1, 2]);
+        // the first one timed out, and the others were not read
+        let mut read = |batch: &[usize], ms| {
+            batch.iter().for_each(|index| scanned[*index].attempted = Some(now + Duration::from_millis(ms)));
+            scanned[0].timeouts = 1;
+            super::batch(&scanned, now)
+        };
+        assert_eq!(read(&[0], 1), [1, 2]);
+        assert_eq!(read(&[1, 2], 2), [3]);
+        assert_eq!(read(&[3], 3), [0]);
+        assert_eq!(read(&[0], 4), [1, 2]);
+        scanned[1].due = now + Duration::from_millis(5);
+        assert_eq!(batch(&scanned, now), [2], "the other one is not due");
     }
 }

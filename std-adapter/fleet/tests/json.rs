@@ -2,7 +2,7 @@
 
 mod common;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::time::Duration;
@@ -10,7 +10,7 @@ use std::time::Duration;
 use bcap_fleet::{CommandResult, Event};
 use bcap_std::asynch::Controller;
 use bcap_std::{Settings, TaskStart};
-use common::{Mosquitto, Proxy, Robot, Running, Subscriber, counter, folder, http, now_ms};
+use common::{Mosquitto, Proxy, Robot, Running, Subscriber, counter, folder, http, muting_proxy, now_ms};
 use rumqttc::Publish;
 use serde_json::json;
 
@@ -86,6 +86,43 @@ async fn a_robot_that_stops_responding_costs_one_timeout() {
     assert!(fleet.metric("bcap_read_errors_total{controller=\"cell1\"}").await >= 16);
     proxy.set(true);
     host.json("bcap/plant/cell1/I16", |json| json["quality"] == "good").await;
+    fleet.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn variables_without_a_reply_do_not_keep_the_others_from_being_read() {
+    let Some(broker) = Mosquitto::open() else { return };
+    let robot = Robot::start().await;
+    let muted = Arc::new(AtomicBool::new(true));
+    // the second and the third of a batch: in the first scans nothing after them is read
+    let port = muting_proxy(robot.address, &["I12", "I13"], &muted).await;
+    let publish = "[[controller.publish]]\nnames = [\"I11-16\", \"pose\"]\ninterval_ms = 10";
+    let text = config(broker.port, "", &[&robot], publish);
+    let text = text.replace(&robot.address.to_string(), &format!("127.0.0.1:{port}"));
+    let mut host = Subscriber::start(broker.port, "bcap/plant/cell1/+").await;
+    let fleet = Running::start(&text).await;
+    for value in [1, 2, 3] {
+        for index in 11..=16 {
+            robot.set(index, value);
+        }
+        let mut missing = BTreeSet::from([11, 14, 15, 16]);
+        while !missing.is_empty() {
+            let publish = host.next().await;
+            let json: serde_json::Value = serde_json::from_slice(&publish.payload).unwrap();
+            assert!(
+                json["value"] != value || !["bcap/plant/cell1/I12", "bcap/plant/cell1/I13"].contains(&&*publish.topic)
+            );
+            missing.retain(|index| publish.topic != format!("bcap/plant/cell1/I{index}") || json["value"] != value);
+        }
+    }
+    // a new subscriber gets the retained values
+    let mut late = Subscriber::start(broker.port, "bcap/plant/cell1/pose").await;
+    late.json("bcap/plant/cell1/pose", |json| json["quality"] == "good").await;
+    muted.store(false, Ordering::SeqCst);
+    for topic in ["bcap/plant/cell1/I12", "bcap/plant/cell1/I13"] {
+        let mut late = Subscriber::start(broker.port, topic).await;
+        late.json(topic, |json| json["value"] == 3).await;
+    }
     fleet.stop().await;
 }
 

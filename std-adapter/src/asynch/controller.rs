@@ -4,6 +4,7 @@ use std::io;
 use std::time::{Duration, Instant};
 
 use bcap_core::bcap::call::ControllerHandle;
+use bcap_core::bcap::client::ClientError;
 use bcap_core::bcap::{FunctionId, Object};
 use bcap_core::variant::{Encode, FromVariant, OwnedVariant};
 use tokio::sync::oneshot;
@@ -15,6 +16,7 @@ use super::robot::{Robot, Stopper};
 use super::state::{State, States, Statistics};
 use super::subscription::Subscription;
 use super::task::Request;
+use crate::CallError;
 use crate::address::{Address, AddressError};
 use crate::error::Error;
 use crate::settings::Settings;
@@ -173,7 +175,7 @@ impl Controller {
                             None => session.read(Object::Controller, name).await,
                             Some(error) => Err(error),
                         };
-                        let is_last = value.as_ref().is_err_and(|error| error.is_timeout() || session.lost().is_some());
+                        let is_last = value.as_ref().is_err_and(|error| is_timeout(error) || session.lost().is_some());
                         values.push((Instant::now(), value));
                         if is_last {
                             break;
@@ -379,4 +381,9 @@ impl Controller {
         self.handle.send(Request::Close(reply))?;
         closed.await.map_err(|_| Error::Closed)?
     }
+}
+
+/// Returns whether a call has no reply because its time has passed.
+const fn is_timeout(error: &Error) -> bool {
+    matches!(error, Error::NoReply { source: CallError::Client(ClientError::Timeout(_)), .. })
 }

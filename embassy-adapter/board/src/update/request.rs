@@ -33,7 +33,12 @@ pub(crate) fn perform<F: NorFlash, W: Write>(
             },
             None => answer(port, format_args!("error block needs NUMBER CRC32 and up to {BLOCK} bytes in hexadecimal")),
         },
-        _ => result(port, updater.install(flash)),
+        _ => {
+            let installed = updater.install(flash);
+            #[cfg(feature = "embassy")]
+            crate::trial::show(updater, flash);
+            result(port, installed)
+        }
     }
 }
 

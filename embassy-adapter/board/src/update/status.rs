@@ -48,12 +48,26 @@ pub struct Status {
     pub(super) history: String<RECORD>,
 }
 
+impl Status {
+    /// Returns the board, and the version that runs.
+    #[must_use]
+    pub const fn identity(&self) -> &Identity {
+        &self.identity
+    }
+
+    /// Returns the version of the last update, and why it was rolled back; empty texts without either.
+    #[must_use]
+    pub fn last_update(&self) -> (&str, &str) {
+        self.history.split_once('\n').unwrap_or((&self.history, ""))
+    }
+}
+
 impl fmt::Display for Status {
     /// Writes the board, its version and the phase, such as `w5500-evb-pico 0.1.0 confirmed`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { identity, phase, history } = self;
+        let Self { identity, phase, .. } = self;
         write!(f, "{} {} ", identity.board(), identity.version())?;
-        let (version, reason) = history.split_once('\n').unwrap_or((history, ""));
+        let (version, reason) = self.last_update();
         match phase {
             Phase::Confirmed | Phase::OnTrial => phase.fmt(f),
             Phase::Installed => write!(f, "runs; a restart swaps in {version}"),

@@ -348,6 +348,38 @@ impl Proxy {
     }
 }
 
+/// Forwards connections to a server of b-CAP, except requests with one of these texts while `muted`. Returns the port.
+pub(crate) async fn muting_proxy(to: SocketAddr, texts: &[&str], muted: &Arc<AtomicBool>) -> u16 {
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let port = listener.local_addr().unwrap().port();
+    let utf16 = |text: &&str| text.encode_utf16().flat_map(u16::to_le_bytes).collect();
+    let (texts, muted): (Vec<Vec<u8>>, _) = (texts.iter().map(utf16).collect(), Arc::clone(muted));
+    tokio::spawn(async move {
+        loop {
+            let (client, _) = listener.accept().await.unwrap();
+            let (mut from_client, mut to_client) = client.into_split();
+            let (mut from_server, mut to_server) = TcpStream::connect(to).await.unwrap().into_split();
+            tokio::spawn(async move { tokio::io::copy(&mut from_server, &mut to_client).await });
+            let (texts, muted) = (texts.clone(), Arc::clone(&muted));
+            tokio::spawn(async move {
+                // SOH and the length of the frame
+                let mut frame = vec![0; 5];
+                while from_client.read_exact(&mut frame).await.is_ok() {
+                    let length = u32::from_le_bytes(frame[1..].try_into().unwrap());
+                    frame.resize(length.try_into().unwrap(), 0);
+                    from_client.read_exact(&mut frame[5..]).await.unwrap();
+                    let has = |text: &Vec<u8>| frame.windows(text.len()).any(|part| part == text);
+                    if !(muted.load(Ordering::SeqCst) && texts.iter().any(has)) {
+                        to_server.write_all(&frame).await.unwrap();
+                    }
+                    frame.truncate(5);
+                }
+            });
+        }
+    });
+    port
+}
+
 async fn forward(mut from: OwnedReadHalf, mut to: OwnedWriteHalf, mut flows: watch::Receiver<bool>) {
     let mut bytes = [0; 4096];
     while let Ok(count @ 1..) = from.read(&mut bytes).await {
