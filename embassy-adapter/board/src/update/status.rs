@@ -1,4 +1,13 @@
 //! What became of the last update, and its record in the flash.
+//!
+//! ```text
+//!  version that was installed last LF  number of the state  version that was rolled back  reason
+//! ```
+//!
+//! The second line is there after a roll-back, and counts while the boot loader's state has that number ([`StateFlash`]). So the next
+//! update can be recorded before it is marked, and a power cut between the two leaves this line.
+//!
+//! [`StateFlash`]: super::StateFlash
 
 use core::fmt::{self, Write};
 use core::ops::Range;
@@ -11,7 +20,7 @@ use super::error::UpdateError;
 use crate::identity::Identity;
 use crate::slots::Slots;
 
-/// The size of the record: the version, and the reason of a roll-back in a second line.
+/// The size of the record.
 const RECORD: usize = 128;
 
 /// What became of the last update.
@@ -53,11 +62,13 @@ impl fmt::Display for Status {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { identity, phase, history } = self;
         write!(f, "{} {} ", identity.board(), identity.version())?;
-        let (version, reason) = history.split_once('\n').unwrap_or((history, ""));
         match phase {
             Phase::Confirmed | Phase::OnTrial => phase.fmt(f),
-            Phase::Installed => write!(f, "runs; a restart swaps in {version}"),
-            Phase::RolledBack => write!(f, "confirmed; {version} was rolled back: {reason}"),
+            Phase::Installed => write!(f, "runs; a restart swaps in {}", installed(history)),
+            Phase::RolledBack => {
+                let (_, version, reason) = rolled_back(history).unwrap_or_default();
+                write!(f, "confirmed; {version} was rolled back: {reason}")
+            }
         }
     }
 }
@@ -70,19 +81,45 @@ pub(super) fn history<F: NorFlash>(flash: &mut F, slots: &Range<u32>) -> Result<
     Ok(String::try_from(text).unwrap_or_default())
 }
 
-/// Adds the reason of a roll-back to the record, at the first start after it.
+/// Returns the version that was installed last.
+fn installed(history: &str) -> &str {
+    history.lines().next().unwrap_or_default()
+}
+
+/// Returns the number of the state, the version and the reason of the last roll-back.
+fn rolled_back(history: &str) -> Option<(u32, &str, &str)> {
+    let mut words = history.lines().nth(1)?.splitn(3, ' ');
+    Some((words.next()?.parse().ok()?, words.next()?, words.next()?))
+}
+
+/// Records a version that is about to be installed; the last roll-back remains.
+pub(super) fn record_version<F: NorFlash>(
+    flash: &mut F,
+    slots: &Range<u32>,
+    version: &str,
+) -> Result<(), UpdateError<F::Error>> {
+    let last = history(flash, slots)?;
+    let mut new: String<RECORD> = String::new();
+    let note = last.lines().nth(1);
+    let _ = write!(Cut(&mut new), "{version}{}{}", if note.is_some() { "\n" } else { "" }, note.unwrap_or_default());
+    Ok(Slots::new(flash, slots.clone())?.write(new.as_bytes())?)
+}
+
+/// Adds the reason of a roll-back to the record, at the first start after it: the boot loader's state has this number.
 pub(super) fn keep_reason<F: NorFlash>(
     flash: &mut F,
     slots: &Range<u32>,
+    sequence: u32,
     reason: &dyn fmt::Display,
 ) -> Result<(), UpdateError<F::Error>> {
-    let mut history = history(flash, slots)?;
-    if !history.contains('\n') {
-        // a longer reason is cut
-        let _ = write!(Cut(&mut history), "\n{reason}");
-        Slots::new(flash, slots.clone())?.write(history.as_bytes())?;
+    let last = history(flash, slots)?;
+    if rolled_back(&last).is_some_and(|(number, ..)| number == sequence) {
+        return Ok(());
     }
-    Ok(())
+    let (mut new, version) = (String::<RECORD>::new(), installed(&last));
+    // a longer reason is cut
+    let _ = write!(Cut(&mut new), "{version}\n{sequence} {version} {reason}");
+    Ok(Slots::new(flash, slots.clone())?.write(new.as_bytes())?)
 }
 
 /// Writes what fits.
