@@ -20,29 +20,41 @@ use crate::mmio::Block;
 use crate::uart;
 
 /// The console, or the line to the robot.
-static SECOND: Port = Port::new(CONSOLE_UART, CONSOLE_RX_IRQ, CONSOLE_TX_IRQ);
+static SECOND: Port = {
+    static RECEIVED: Ring<1024> = Ring::new();
+    static TO_SEND: Ring<4096> = Ring::new();
+    Port::new(CONSOLE_UART, [CONSOLE_RX_IRQ, CONSOLE_TX_IRQ], &RECEIVED, &TO_SEND)
+};
 #[cfg(feature = "lines")]
-static THIRD: Port = Port::new(UART_2, UART_2_RX_IRQ, UART_2_TX_IRQ);
+static THIRD: Port = {
+    static RECEIVED: Ring<1024> = Ring::new();
+    static TO_SEND: Ring<4096> = Ring::new();
+    Port::new(UART_2, [UART_2_RX_IRQ, UART_2_TX_IRQ], &RECEIVED, &TO_SEND)
+};
 #[cfg(feature = "lines")]
 static PORTS: [&Port; 2] = [&SECOND, &THIRD];
 #[cfg(not(feature = "lines"))]
 static PORTS: [&Port; 1] = [&SECOND];
 
-/// A serial port with its buffers.
+/// A serial port with its buffers, which are zero at the start and so take no flash.
 struct Port {
     uart: Block,
     receiver: Irq,
     transmitter: Irq,
     /// More than a frame, which arrives while the board runs its other tasks.
-    received: Ring<1024>,
+    received: &'static Ring<1024>,
     /// More than all answers that one side waits for, and more than all settings.
-    to_send: Ring<4096>,
+    to_send: &'static Ring<4096>,
     waker: AtomicWaker,
 }
 
 impl Port {
-    const fn new(uart: Block, receiver: Irq, transmitter: Irq) -> Self {
-        let (received, to_send) = (Ring::new(), Ring::new());
+    const fn new(
+        uart: Block,
+        [receiver, transmitter]: [Irq; 2],
+        received: &'static Ring<1024>,
+        to_send: &'static Ring<4096>,
+    ) -> Self {
         Self { uart, receiver, transmitter, received, to_send, waker: AtomicWaker::new() }
     }
 }
@@ -68,7 +80,7 @@ impl Line {
     /// Sends what is buffered by polling, for the end of a program.
     #[cfg(feature = "console")]
     pub(crate) fn flush_second() {
-        uart::flush_to(SECOND.uart, &SECOND.to_send);
+        uart::flush_to(SECOND.uart, SECOND.to_send);
     }
 
     fn start(port: &'static Port) -> Self {
@@ -129,7 +141,7 @@ pub(crate) fn handle(number: i16) -> bool {
             return true;
         }
         if is(port.transmitter) {
-            uart::transmit_to(port.uart, port.transmitter, &port.to_send);
+            uart::transmit_to(port.uart, port.transmitter, port.to_send);
             return true;
         }
     }

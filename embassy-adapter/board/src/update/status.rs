@@ -21,7 +21,7 @@ use crate::identity::Identity;
 use crate::slots::Slots;
 
 /// The size of the record.
-const RECORD: usize = 128;
+const RECORD: usize = 160;
 
 /// What became of the last update.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -13,6 +13,7 @@
 //! the board is reset, and has no record of the cause, as after power-on.
 #![expect(unsafe_code, reason = "the flash is reached through its address")]
 
+#[cfg_attr(not(feature = "update"), expect(dead_code, reason = "an image without updates has settings only"))]
 pub(crate) mod layout;
 
 use core::fmt;

@@ -344,7 +344,6 @@ fn segments(elf: &[u8]) -> Vec<Segment> {
 }
 
 /// Returns where some bytes are.
-
 fn find<'a>(bytes: &'a [u8], wanted: &'a [u8]) -> impl Iterator<Item = usize> + 'a {
     bytes.windows(wanted.len()).enumerate().filter(move |(_, window)| *window == wanted).map(|(at, _)| at)
 }
