@@ -7,7 +7,7 @@
 //!
 //! A and B are the same image with different versions. A cut happens in an erase of a sector or in a write of a page. By default the
 //! power is cut in a sample of these operations. `UPDATE_CUTS=all` cuts it in each one of a swap, a confirmation and a roll-back, and of
-//! the download and installation of a short image; of the download of the whole image in each eleventh, three in each sector.
+//! the download and installation of a short image; of the download of the whole image in each seventeenth, about two in each sector.
 #![cfg(unix)]
 
 // the sizes and the words of the flash, which the image has, too
@@ -122,10 +122,10 @@ fn a_board_starts_again_after_a_power_cut_in_any_operation_of_the_flash() {
     let rig = Rig::new(&bcap);
     let (original, since) = (rig.contents(), Instant::now());
     let image = flatten(&rig.version("0.2.0"));
-    let download = cut_download(&rig, &original, &image);
     let installed = installed(&rig, &original, &image);
     let (swap, on_trial) = cut_swap(&rig, &installed, &image);
     let roll_back = cut_roll_back(&rig, &on_trial, &image);
+    let download = cut_download(&rig, &original, &image);
     say(&format!(
         "update: {} power cuts ({download} in the download, {swap} in the swap and the confirmation, {roll_back} in the roll-back), \
          all recovered, {} s",
@@ -203,12 +203,12 @@ fn cut_download(rig: &Rig, original: &Contents, image: &[u8]) -> u32 {
         }
     }
     drop(board);
-    // the same with the whole image, at three places in each sector or at one; then a repeated update without a cut
+    // the same with the whole image, at about two places in each sector or at one; then a repeated update without a cut
     rig.restore(original);
     let mut board = rig.start();
     let last = u32::try_from(image.len().div_ceil(BLOCK) + image.len().div_ceil(layout::SECTOR)).unwrap();
     let first = if all { 1 } else { fastrand::u32(1..last) };
-    for operation in (first..=last).step_by(if all { 11 } else { 10_000 }) {
+    for operation in (first..=last).step_by(if all { 17 } else { 10_000 }) {
         assert_eq!(board.status(), A);
         rig.cut_at(operation);
         assert!(board.install(image).is_err(), "operation {operation}");
@@ -249,6 +249,7 @@ fn cut_swap(rig: &Rig, installed: &Contents, image: &[u8]) -> (u32, Contents) {
         }
         check_cut(rig, *operation);
     }
+    say(&format!("update: {} power cuts in the swap", cuts.len()));
     for operation in swap + 1..=last {
         rig.restore(installed);
         rig.cut_at(operation);
@@ -289,6 +290,7 @@ fn cut_roll_back(rig: &Rig, on_trial: &Contents, image: &[u8]) -> u32 {
             repeat(&mut board, image);
         }
     }
+    say(&format!("update: {} power cuts in the roll-back", cuts.len()));
     u32::try_from(cuts.len()).unwrap()
 }
 
