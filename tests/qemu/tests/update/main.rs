@@ -242,9 +242,12 @@ fn cut_swap(rig: &Rig, installed: &Contents, image: &[u8]) -> (u32, Contents) {
         rig.cut_at(*operation);
         let mut board = rig.start();
         rig.until_cut();
-        assert_eq!(board.status(), B_ON_TRIAL, "cut in operation {operation} of the swap");
+        let status = board.status();
+        // the last operation records the end of the swap: if it counts as done, this was a power cut on trial
+        let is_last = *operation == swap && status == ROLLED_BACK;
+        assert!(status == B_ON_TRIAL || is_last, "cut in operation {operation} of the swap: {status}");
         board.serve();
-        if operation % 16 == 0 {
+        if operation % 16 == 0 && !is_last {
             board.until(B);
         }
         check_cut(rig, *operation);
