@@ -25,7 +25,7 @@ pub struct Partitions {
     pub other: Range<u32>,
     /// The state of the boot loader, for [`StateFlash`].
     pub state: Range<u32>,
-    /// The last update and why it was rolled back, for [`Slots`].
+    /// The last update and why it was rolled back, for [`Slots`](crate::slots::Slots).
     pub history: Range<u32>,
 }
 
