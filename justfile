@@ -114,6 +114,11 @@ board-flood minutes="10":
     FLOOD_SECONDS=$(({{minutes}} * 60)) BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" \
         cargo test -p bcap-qemu --test flood
 
+# Updates of the gateway board in QEMU with the power cut in each operation of the flash: a quarter of an hour. CI cuts it in some of them.
+board-updates:
+    cargo build --release -p bcap-cli
+    UPDATE_CUTS=all BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo test -p bcap-qemu --test update -- --nocapture
+
 # Virtual controllers, `bcap fleet`, Mosquitto and a subscriber on this machine: values a second, processor time, memory, latency.
 fleet controllers="500" values="20" hz="5" seconds="10":
     cargo build --release -p bcap-cli

@@ -4,6 +4,7 @@ use core::cell::RefCell;
 use core::convert::Infallible;
 
 use embassy_futures::join::join3;
+use embassy_time::Duration;
 use embedded_io_async::{Read, Write};
 use embedded_storage::nor_flash::NorFlash;
 use heapless::Vec;
@@ -17,6 +18,8 @@ use crate::{trial, update::Updates};
 
 /// The most bytes of an answer: more than all settings with the word before each.
 const ANSWER: usize = 4096;
+/// How long an update on a board may take to serve its first request.
+pub const TRIAL: Duration = Duration::from_secs(600);
 
 /// The most bytes that are passed to a port at once: a packet of USB.
 const PART: usize = 64;
@@ -52,6 +55,14 @@ pub fn answer() -> &'static mut Answer {
 #[must_use]
 pub fn console<F: NorFlash>(slots: Slots<F>) -> Console<'static, F> {
     Console::new(slots, memory::image())
+}
+
+/// As [`console`], and receives updates, if the image has partitions for them. Call it after [`Parts::after`](crate::parts::Parts::after),
+/// which passes on why an update was rolled back.
+#[cfg(feature = "update")]
+#[must_use]
+pub fn console_with_updates<F: NorFlash>(slots: Slots<F>, updates: Option<Updates>) -> Console<'static, F> {
+    trial::console(slots, updates)
 }
 
 /// Serves a host that changes the settings, until it asks for a restart.
@@ -121,7 +132,7 @@ pub async fn run_with_updates<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
     log: impl Write,
     restart: fn() -> !,
 ) {
-    run_console(trial::console(slots, updates), receiver, sender, log, restart).await;
+    run_console(console_with_updates(slots, updates), receiver, sender, log, restart).await;
 }
 
 async fn run_console<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
@@ -145,13 +156,14 @@ async fn run_console<F: NorFlash, R: Read, W: Write<Error = R::Error>>(
             let _ = send_log(&mut log).await;
         }
     };
-    join3(serve, send_log, judge(&console, restart)).await;
+    join3(serve, send_log, judge(&console, TRIAL, restart)).await;
 }
 
-/// Confirms an update on trial, or restarts the board without that.
-pub(crate) async fn judge<F: NorFlash>(console: &RefCell<Console<'_, F>>, restart: fn() -> !) {
+/// Confirms an update on trial when the gateway has served a request; without one in the time `trial`, calls `restart`. Returns when
+/// no update is on trial.
+pub async fn judge<F: NorFlash>(console: &RefCell<Console<'_, F>>, trial: Duration, restart: fn() -> !) {
     #[cfg(feature = "update")]
-    trial::judge(console, restart).await;
+    trial::judge(console, trial, restart).await;
     #[cfg(not(feature = "update"))]
-    let _ = (console, restart);
+    let _ = (console, trial, restart);
 }

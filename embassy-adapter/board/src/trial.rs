@@ -19,10 +19,6 @@ use crate::slots::Slots;
 use crate::update::{Phase, Updates};
 use crate::update::{Status, Updater};
 
-/// How long an update may take to serve its first request.
-#[cfg(feature = "port")]
-const TRIAL: Duration = Duration::from_secs(600);
-
 static SERVED: Signal<CriticalSectionRawMutex, ()> = Signal::new();
 static LAST_RESET: Mutex<CriticalSectionRawMutex, Cell<Cause>> = Mutex::new(Cell::new(Cause::PowerOn));
 
@@ -82,15 +78,15 @@ pub(crate) fn console<F: NorFlash>(mut slots: Slots<F>, updates: Option<Updates>
     Console::new(slots, crate::memory::image()).with_updates(updater)
 }
 
-/// Confirms an update on trial when it has served a request. Without a request in time, restarts the board, and the boot loader swaps
-/// the earlier image in.
+/// Confirms an update on trial when it has served a request. Without a request in the time of a trial, restarts the board, and the boot
+/// loader swaps the earlier image in.
 #[cfg(feature = "port")]
-pub(crate) async fn judge<F: NorFlash>(console: &RefCell<Console<'_, F>>, restart: fn() -> !) {
+pub(crate) async fn judge<F: NorFlash>(console: &RefCell<Console<'_, F>>, trial: Duration, restart: fn() -> !) {
     let is_on_trial = console.borrow_mut().updater().is_some_and(|(updater, _)| updater.phase() == Phase::OnTrial);
     if !is_on_trial {
         return;
     }
-    if with_timeout(TRIAL, SERVED.wait()).await.is_err() {
+    if with_timeout(trial, SERVED.wait()).await.is_err() {
         crate::watchdog::record(Cause::Unconfirmed);
         restart();
     }

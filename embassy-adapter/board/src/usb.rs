@@ -15,7 +15,7 @@ use crate::packets::Packets;
 use crate::port;
 use crate::slots::Slots;
 #[cfg(feature = "update")]
-use crate::{trial, update::Updates};
+use crate::update::Updates;
 
 /// pid.codes' pair for tests; a product needs one of its own.
 const VENDOR: u16 = 0x1209;
@@ -38,7 +38,7 @@ pub async fn run_with_updates<D: Driver<'static>, F: NorFlash>(
     updates: Option<Updates>,
     restart: fn() -> !,
 ) {
-    run_console(driver, trial::console(slots, updates), restart).await;
+    run_console(driver, port::console_with_updates(slots, updates), restart).await;
 }
 
 async fn run_console<D: Driver<'static>, F: NorFlash>(driver: D, console: Console<'static, F>, restart: fn() -> !) {
@@ -78,5 +78,5 @@ async fn run_console<D: Driver<'static>, F: NorFlash>(driver: D, console: Consol
         }
     };
     let mut device = builder.build();
-    join4(device.run(), serve, send_log, port::judge(&console, restart)).await;
+    join4(device.run(), serve, send_log, port::judge(&console, port::TRIAL, restart)).await;
 }

@@ -1,7 +1,7 @@
 //! The vector table that an image of a Cortex-M starts with, seen from a host and from the board.
 
-/// The architecture's regions for code and for memory.
-const CODE: core::ops::Range<u32> = 0x0000_0000..0x2000_0000;
+/// The architecture's regions for code and for memory. Code can be in both: some boards have their images in external memory.
+const CODE: core::ops::Range<u32> = 0x0000_0000..0x4000_0000;
 const MEMORY: core::ops::Range<u32> = 0x2000_0000..0x4000_0000;
 
 /// Tells whether an image starts with a vector table: the initial stack pointer and the reset vector, whose lowest bit is set.
@@ -30,9 +30,10 @@ mod tests {
         for (stack, reset, expected) in [
             (0x2000_0000, 1, true),
             (0x2004_2000, 0x1001_01b5, true),
-            (0x3fff_fff8, 0x1fff_ffff, true),
+            (0x3fff_fff8, 0x3fff_ffff, true),
+            (0x2000_3800, 0x2101_03cd, true),
             (0x2004_2000, 0x1001_01b4, false),
-            (0x2004_2000, 0x2000_0001, false),
+            (0x2004_2000, 0x4000_0001, false),
             (0x1fff_fff8, 0x1001_01b5, false),
             (0x4000_0000, 0x1001_01b5, false),
             (0xffff_ffff, 0xffff_ffff, false),

@@ -1,11 +1,13 @@
 //! The addresses and interrupts of the chosen board's peripherals.
 //!
 //! ```text
-//!               CPU   Ethernet     IRQ  UART 0       IRQ  FPGA I/O     watchdog     clock     flash        memory
-//!  mps2-an385   M3    0x4020_0000  13   0x4000_4000  1    0x4002_8000  0x4000_8000  25 MHz    0            0x2000_0000
-//!  mps2-an386   M4F   0x4020_0000  13   0x4000_4000  1    0x4002_8000  0x4000_8000  25 MHz    0            0x2000_0000
-//!  mps2-an505   M33   0x5200_0000  48   0x5020_0000  33   0x5030_2000  0x5008_1000  20 MHz    0x1000_0000  0x3800_0000
+//!               CPU   Ethernet     IRQ  UART 0       IRQ  FPGA I/O     watchdog     clock     code         memory       external
+//!  mps2-an385   M3    0x4020_0000  13   0x4000_4000  1    0x4002_8000  0x4000_8000  25 MHz    0            0x2000_0000  0x2100_0000
+//!  mps2-an386   M4F   0x4020_0000  13   0x4000_4000  1    0x4002_8000  0x4000_8000  25 MHz    0            0x2000_0000  0x2100_0000
+//!  mps2-an505   M33   0x5200_0000  48   0x5020_0000  33   0x5030_2000  0x5008_1000  20 MHz    0x1000_0000  0x3800_0000  0x8000_0000
 //! ```
+//!
+//! The external memory, 16 MiB, stands for a flash (`flash`).
 #![expect(unsafe_code, reason = "this is where addresses become peripherals")]
 
 use crate::mmio::Block;
@@ -16,6 +18,8 @@ compile_error!("choose a board: one of the features mps2-an385, mps2-an386, mps2
 compile_error!("choose one board: with mps2-an505, build with --no-default-features");
 #[cfg(all(feature = "console", feature = "lines"))]
 compile_error!("the console and the robot's line are one port: choose one of the features console and lines");
+#[cfg(all(feature = "update", feature = "mps2-an505"))]
+compile_error!("the image for updates is linked for the memory of mps2-an385 and mps2-an386");
 
 #[cfg(not(feature = "mps2-an505"))]
 mod chosen {
@@ -38,6 +42,8 @@ mod chosen {
     pub(super) const FPGA_IO: usize = 0x4002_8000;
     pub(super) const WATCHDOG: usize = 0x4000_8000;
     pub(super) const CLOCK_HZ: u32 = 25_000_000;
+    #[cfg(feature = "console")]
+    pub(super) const FLASH: usize = 0x2100_0000;
 }
 
 #[cfg(feature = "mps2-an505")]
@@ -61,6 +67,8 @@ mod chosen {
     pub(super) const FPGA_IO: usize = 0x5030_2000;
     pub(super) const WATCHDOG: usize = 0x5008_1000;
     pub(super) const CLOCK_HZ: u32 = 20_000_000;
+    #[cfg(feature = "console")]
+    pub(super) const FLASH: usize = 0x8000_0000;
 }
 
 // SAFETY: the LAN9118 moves frames through its registers only; it is not a bus master
@@ -92,6 +100,9 @@ pub(crate) const CONSOLE_TX_IRQ: Irq = Irq(chosen::CONSOLE_TX_IRQ);
 pub(crate) const UART_2_RX_IRQ: Irq = Irq(chosen::UART_2_RX_IRQ);
 #[cfg(feature = "lines")]
 pub(crate) const UART_2_TX_IRQ: Irq = Irq(chosen::UART_2_TX_IRQ);
+/// The memory that stands for a flash.
+#[cfg(feature = "console")]
+pub(crate) const FLASH: usize = chosen::FLASH;
 /// The clock of the core, and of SysTick.
 pub const CLOCK_HZ: u32 = chosen::CLOCK_HZ;
 

@@ -8,11 +8,7 @@ use cortex_m::interrupt::InterruptNumber as _;
 use cortex_m::peripheral::NVIC;
 use cortex_m_rt::exception;
 
-#[cfg(feature = "console")]
-use crate::board::{CONSOLE_RX_IRQ, CONSOLE_TX_IRQ};
 use crate::board::{ETHERNET_IRQ, UART_TX_IRQ};
-#[cfg(feature = "console")]
-use crate::console;
 use crate::{fault, lan9118, uart};
 
 #[exception]
@@ -23,30 +19,16 @@ unsafe fn DefaultHandler(number: i16) {
         lan9118::wake();
     } else if number == UART_TX_IRQ.number().cast_signed() {
         uart::transmit();
-    } else if !is_of_console(number) && !is_of_line(number) {
+    } else if !is_of_line(number) {
         fault::unexpected(number);
     }
 }
 
-/// Handles an interrupt of the second serial port; `false` if it is another one.
-fn is_of_console(number: i16) -> bool {
-    #[cfg(feature = "console")]
-    if number == CONSOLE_RX_IRQ.number().cast_signed() {
-        console::receive();
-        return true;
-    } else if number == CONSOLE_TX_IRQ.number().cast_signed() {
-        console::transmit();
-        return true;
-    }
-    let _ = number;
-    false
-}
-
-/// Handles an interrupt of a line to a robot or a PLC; `false` if it is another one.
+/// Handles an interrupt of the console or of a line to a robot or a PLC; `false` if it is another one.
 fn is_of_line(number: i16) -> bool {
-    #[cfg(feature = "lines")]
+    #[cfg(any(feature = "console", feature = "lines"))]
     return crate::lines::handle(number);
-    #[cfg(not(feature = "lines"))]
+    #[cfg(not(any(feature = "console", feature = "lines")))]
     {
         let _ = number;
         false

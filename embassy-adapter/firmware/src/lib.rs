@@ -8,7 +8,10 @@
 //! | [`clock`]    | a hardware counter as a clock, and embassy's time driver on it                    |
 //! | [`executor`] | an executor that sleeps with WFI                                                  |
 //! | [`uart`]     | the serial port and the buffer of what it sends                                   |
-//! | `lines`      | two more serial ports as lines to a robot and a PLC, with the feature `lines`     |
+//! | `lines`      | more serial ports: to a robot and a PLC with the feature `lines`, else the console |
+//! | `console`    | changes the settings and the image, with the feature `console`                    |
+//! | `flash`      | a model of a flash, with the feature `console`                                    |
+//! | `update`     | the partitions and the boot loader, with the feature `update`                     |
 //! | [`config`]   | the settings of the image or of the console                                       |
 //! | [`net`]      | embassy-net on the board                                                          |
 //! | `echo`       | an echo server, with the feature `echo`                                           |
@@ -33,7 +36,7 @@ pub mod fault;
 #[cfg(feature = "console")]
 pub mod flash;
 pub mod lan9118;
-#[cfg(feature = "lines")]
+#[cfg(any(feature = "console", feature = "lines"))]
 pub mod lines;
 mod mmio;
 pub mod net;
@@ -41,4 +44,6 @@ pub mod node;
 #[cfg(feature = "faults")]
 pub mod provoke;
 pub mod uart;
+#[cfg(feature = "update")]
+pub mod update;
 pub mod watchdog;

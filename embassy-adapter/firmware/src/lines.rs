@@ -1,4 +1,4 @@
-//! The second and the third serial port, as lines to a robot and to a PLC.
+//! The second and the third serial port: lines to a robot and to a PLC, or the console.
 //!
 //! ```text
 //!  port ─► interrupt ─► ring ─► Line::read     Line::write ─► ring ─► interrupt ─► port
@@ -13,28 +13,48 @@ use cortex_m::interrupt::InterruptNumber as _;
 use embassy_sync::waitqueue::AtomicWaker;
 use embedded_io_async::{ErrorType, Read, Write};
 
-use crate::board::{self, CONSOLE_RX_IRQ, CONSOLE_TX_IRQ, CONSOLE_UART, Irq, UART_2, UART_2_RX_IRQ, UART_2_TX_IRQ};
+use crate::board::{self, CONSOLE_RX_IRQ, CONSOLE_TX_IRQ, CONSOLE_UART, Irq};
+#[cfg(feature = "lines")]
+use crate::board::{UART_2, UART_2_RX_IRQ, UART_2_TX_IRQ};
 use crate::mmio::Block;
 use crate::uart;
 
-static ROBOT: Port = Port::new(CONSOLE_UART, CONSOLE_RX_IRQ, CONSOLE_TX_IRQ);
-static PLC: Port = Port::new(UART_2, UART_2_RX_IRQ, UART_2_TX_IRQ);
+/// The console, or the line to the robot.
+static SECOND: Port = {
+    static RECEIVED: Ring<1024> = Ring::new();
+    static TO_SEND: Ring<4096> = Ring::new();
+    Port::new(CONSOLE_UART, [CONSOLE_RX_IRQ, CONSOLE_TX_IRQ], &RECEIVED, &TO_SEND)
+};
+#[cfg(feature = "lines")]
+static THIRD: Port = {
+    static RECEIVED: Ring<1024> = Ring::new();
+    static TO_SEND: Ring<4096> = Ring::new();
+    Port::new(UART_2, [UART_2_RX_IRQ, UART_2_TX_IRQ], &RECEIVED, &TO_SEND)
+};
+#[cfg(feature = "lines")]
+static PORTS: [&Port; 2] = [&SECOND, &THIRD];
+#[cfg(not(feature = "lines"))]
+static PORTS: [&Port; 1] = [&SECOND];
 
-/// A serial port with its buffers.
+/// A serial port with its buffers, which are zero at the start and so take no flash.
 struct Port {
     uart: Block,
     receiver: Irq,
     transmitter: Irq,
     /// More than a frame, which arrives while the board runs its other tasks.
-    received: Ring<1024>,
-    /// More than all answers that one side waits for.
-    to_send: Ring<4096>,
+    received: &'static Ring<1024>,
+    /// More than all answers that one side waits for, and more than all settings.
+    to_send: &'static Ring<4096>,
     waker: AtomicWaker,
 }
 
 impl Port {
-    const fn new(uart: Block, receiver: Irq, transmitter: Irq) -> Self {
-        let (received, to_send) = (Ring::new(), Ring::new());
+    const fn new(
+        uart: Block,
+        [receiver, transmitter]: [Irq; 2],
+        received: &'static Ring<1024>,
+        to_send: &'static Ring<4096>,
+    ) -> Self {
         Self { uart, receiver, transmitter, received, to_send, waker: AtomicWaker::new() }
     }
 }
@@ -44,16 +64,23 @@ impl Port {
 pub struct Line(&'static Port);
 
 impl Line {
-    /// Starts the line to the robot, of 115,200 baud. Call it once.
+    /// Starts the second port, of 115,200 baud: the console, or the line to the robot. Call it once.
     #[must_use]
-    pub fn robot() -> Self {
-        Self::start(&ROBOT)
+    pub fn second() -> Self {
+        Self::start(&SECOND)
     }
 
-    /// Starts the line to the PLC, of 115,200 baud. Call it once.
+    /// Starts the third port, of 115,200 baud: the line to the PLC. Call it once.
+    #[cfg(feature = "lines")]
     #[must_use]
-    pub fn plc() -> Self {
-        Self::start(&PLC)
+    pub fn third() -> Self {
+        Self::start(&THIRD)
+    }
+
+    /// Sends what is buffered by polling, for the end of a program.
+    #[cfg(feature = "console")]
+    pub(crate) fn flush_second() {
+        uart::flush_to(SECOND.uart, SECOND.to_send);
     }
 
     fn start(port: &'static Port) -> Self {
@@ -105,7 +132,7 @@ impl Write for Line {
 /// Handles an interrupt; `false` if it is not one of these ports.
 pub(crate) fn handle(number: i16) -> bool {
     let is = |irq: Irq| number == irq.number().cast_signed();
-    for port in [&ROBOT, &PLC] {
+    for port in PORTS {
         if is(port.receiver) {
             while let Some(byte) = uart::receive_from(port.uart) {
                 port.received.frame(|frame| frame.extend(&[byte]));
@@ -114,7 +141,7 @@ pub(crate) fn handle(number: i16) -> bool {
             return true;
         }
         if is(port.transmitter) {
-            uart::transmit_to(port.uart, port.transmitter, &port.to_send);
+            uart::transmit_to(port.uart, port.transmitter, port.to_send);
             return true;
         }
     }

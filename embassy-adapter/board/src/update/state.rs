@@ -105,6 +105,11 @@ impl<F: NorFlash> StateFlash<F> {
         Ok(Self { flash, starts, size, bank, is_erased: false })
     }
 
+    /// Returns the number of the state, which grows with each change of it; `None` before the first one.
+    pub(super) fn sequence(&self) -> Option<u32> {
+        self.bank.map(|bank| bank.sequence)
+    }
+
     /// Starts a new state: writes it with its header into the bank that is not in use.
     fn commit(&mut self, state: u8) -> Result<(), StateError<F::Error>> {
         let [first, second] = self.starts;

@@ -1,4 +1,13 @@
 //! What became of the last update, and its record in the flash.
+//!
+//! ```text
+//!  version that was installed last LF  number of the state  version that was rolled back  reason
+//! ```
+//!
+//! The second line is there after a roll-back, and counts while the boot loader's state has that number ([`StateFlash`]). So the next
+//! update can be recorded before it is marked, and a power cut between the two leaves this line.
+//!
+//! [`StateFlash`]: super::StateFlash
 
 use core::fmt::{self, Write};
 use core::ops::Range;
@@ -11,8 +20,8 @@ use super::error::UpdateError;
 use crate::identity::Identity;
 use crate::slots::Slots;
 
-/// The size of the record: the version, and the reason of a roll-back in a second line.
-const RECORD: usize = 128;
+/// The size of the record.
+const RECORD: usize = 160;
 
 /// What became of the last update.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -58,7 +67,10 @@ impl Status {
     /// Returns the version of the last update, and why it was rolled back; empty texts without either.
     #[must_use]
     pub fn last_update(&self) -> (&str, &str) {
-        self.history.split_once('\n').unwrap_or((&self.history, ""))
+        match (self.phase, rolled_back(&self.history)) {
+            (Phase::RolledBack, Some((_, version, reason))) => (version, reason),
+            _ => (installed(&self.history), ""),
+        }
     }
 }
 
@@ -84,19 +96,45 @@ pub(super) fn history<F: NorFlash>(flash: &mut F, slots: &Range<u32>) -> Result<
     Ok(String::try_from(text).unwrap_or_default())
 }
 
-/// Adds the reason of a roll-back to the record, at the first start after it.
+/// Returns the version that was installed last.
+fn installed(history: &str) -> &str {
+    history.lines().next().unwrap_or_default()
+}
+
+/// Returns the number of the state, the version and the reason of the last roll-back.
+fn rolled_back(history: &str) -> Option<(u32, &str, &str)> {
+    let mut words = history.lines().nth(1)?.splitn(3, ' ');
+    Some((words.next()?.parse().ok()?, words.next()?, words.next()?))
+}
+
+/// Records a version that is about to be installed; the last roll-back remains.
+pub(super) fn record_version<F: NorFlash>(
+    flash: &mut F,
+    slots: &Range<u32>,
+    version: &str,
+) -> Result<(), UpdateError<F::Error>> {
+    let last = history(flash, slots)?;
+    let mut new: String<RECORD> = String::new();
+    let note = last.lines().nth(1);
+    let _ = write!(Cut(&mut new), "{version}{}{}", if note.is_some() { "\n" } else { "" }, note.unwrap_or_default());
+    Ok(Slots::new(flash, slots.clone())?.write(new.as_bytes())?)
+}
+
+/// Adds the reason of a roll-back to the record, at the first start after it: the boot loader's state has this number.
 pub(super) fn keep_reason<F: NorFlash>(
     flash: &mut F,
     slots: &Range<u32>,
+    sequence: u32,
     reason: &dyn fmt::Display,
 ) -> Result<(), UpdateError<F::Error>> {
-    let mut history = history(flash, slots)?;
-    if !history.contains('\n') {
-        // a longer reason is cut
-        let _ = write!(Cut(&mut history), "\n{reason}");
-        Slots::new(flash, slots.clone())?.write(history.as_bytes())?;
+    let last = history(flash, slots)?;
+    if rolled_back(&last).is_some_and(|(number, ..)| number == sequence) {
+        return Ok(());
     }
-    Ok(())
+    let (mut new, version) = (String::<RECORD>::new(), installed(&last));
+    // a longer reason is cut
+    let _ = write!(Cut(&mut new), "{version}\n{sequence} {version} {reason}");
+    Ok(Slots::new(flash, slots.clone())?.write(new.as_bytes())?)
 }
 
 /// Writes what fits.

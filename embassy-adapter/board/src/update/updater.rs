@@ -12,7 +12,6 @@ use super::error::UpdateError;
 use super::state::StateFlash;
 use super::status::{self, Phase, Status};
 use crate::identity::{BLOCK, Identity};
-use crate::slots::Slots;
 
 /// The largest unit in which a flash is written, in bytes.
 const UNIT: usize = 32;
@@ -26,7 +25,7 @@ pub struct Partitions {
     pub other: Range<u32>,
     /// The state of the boot loader, for [`StateFlash`].
     pub state: Range<u32>,
-    /// The last update and why it was rolled back, for [`Slots`].
+    /// The last update and why it was rolled back, for [`Slots`](crate::slots::Slots).
     pub history: Range<u32>,
 }
 
@@ -73,7 +72,8 @@ impl Updater {
             State::Boot | State::DfuDetach => Phase::Confirmed,
         };
         if updater.phase == Phase::RolledBack {
-            status::keep_reason(flash, &updater.partitions.history, last_reset)?;
+            let sequence = StateFlash::new(&mut *flash, updater.partitions.state.clone())?.sequence();
+            status::keep_reason(flash, &updater.partitions.history, sequence.unwrap_or_default(), last_reset)?;
         }
         Ok(updater)
     }
@@ -146,12 +146,7 @@ impl Updater {
         let download = self.download.as_ref().ok_or(UpdateError::NotBegun)?;
         download.check(flash, &self.partitions.other)?;
         let version = download.version().clone();
-        if self.phase == Phase::RolledBack {
-            // a power cut before the update is marked must not give the new version in the history a reason of a roll-back
-            self.change_state(flash, |state| state.mark_booted())?;
-            self.phase = Phase::Confirmed;
-        }
-        Slots::new(&mut *flash, self.partitions.history.clone())?.write(version.as_bytes())?;
+        status::record_version(flash, &self.partitions.history, &version)?;
         self.change_state(flash, |state| state.mark_updated())?;
         (self.phase, self.download) = (Phase::Installed, None);
         Ok(())

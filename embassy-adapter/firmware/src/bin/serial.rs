@@ -76,14 +76,14 @@ fn make(settings: &'static Settings<'static>) -> &'static Board {
 #[embassy_executor::task]
 async fn keep_robot(board: &'static Board) -> ! {
     static FRAME: ConstStaticCell<[u8; 512]> = ConstStaticCell::new([0; 512]);
-    let mut robot = SerialRobot::new(Line::robot());
+    let mut robot = SerialRobot::new(Line::second());
     watched(Task::new(0), run_robot(&mut robot, FRAME.take(), board)).await
 }
 
 /// Serves the PLC, one session after another: a session ends when the PLC sends half a line.
 #[embassy_executor::task]
 async fn serve_plc(board: &'static Board) -> ! {
-    let mut line = transport(Line::plc());
+    let mut line = transport(Line::third());
     let work = async {
         loop {
             let _ = serve(&mut line, None, board, &Limits::default()).await;

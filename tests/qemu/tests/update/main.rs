@@ -1,0 +1,355 @@
+//! Updates of the gateway board in QEMU, with the boot loader and a flash whose power is cut in the middle of its operations.
+//!
+//! ```text
+//!  A runs ─► download ─► install │ restart: the boot loader swaps A and B ─► B on trial ─► a request: confirmed
+//!                                                                            └─► any reset: swaps back, A says why
+//! ```
+//!
+//! A and B are the same image with different versions. A cut happens in an erase of a sector or in a write of a page. By default the
+//! power is cut in a sample of these operations. `UPDATE_CUTS=all` cuts it in each one of a swap, a confirmation and a roll-back, and of
+//! the download and installation of a short image; of the download of the whole image in each seventeenth, about two in each sector.
+#![cfg(unix)]
+
+// the sizes and the words of the flash, which the image has, too
+#[allow(dead_code, reason = "the images use the rest")]
+#[path = "../../../../embassy-adapter/firmware/src/flash/layout.rs"]
+mod layout;
+#[path = "../line/mod.rs"]
+#[allow(dead_code, reason = "this test connects without a log")]
+mod line;
+mod rig;
+
+use std::io::{self, Write};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use bcap_board::identity::{self, BLOCK, Identity};
+use bcap_board::image;
+use bcap_qemu::{bcap, run};
+use serialport::{SerialPort, TTYPort};
+
+use self::layout::control;
+use self::rig::{Contents, Cut, Rig, flatten, wait};
+
+const A: &str = "0.1.0 confirmed";
+const B: &str = "0.2.0 confirmed";
+const B_ON_TRIAL: &str = "0.2.0 on trial";
+
+/// Typical and longest times of the flash W25Q16JV, in milliseconds: the erase of a sector, the write of a page.
+const ERASE: [f64; 2] = [45.0, 400.0];
+const WRITE: [f64; 2] = [0.4, 3.0];
+
+#[test]
+fn bcap_updates_a_board_and_a_served_request_confirms_it() {
+    let Some(bcap) = bcap() else { return };
+    let Ok((line, host)) = TTYPort::pair() else { return };
+    let rig = Rig::new(&bcap);
+    let new = rig.file("new.elf", &rig.version("0.2.0"));
+    let device = host.name().unwrap();
+    let board_command = |words: &[&str]| {
+        let done = run(&bcap, &[&["board"], words, &["--timeout", "20000"]].concat());
+        assert!(done.ok, "{done:?}");
+        done.out
+    };
+    let mut board = rig.start();
+    line::join(line, board.connect());
+    assert!(board_command(&["status", &device]).ends_with(" 0.1.0 confirmed\n"));
+    board.serve();
+    let out = board_command(&["update", &device, new.to_str().unwrap()]);
+    assert!(out.contains(" 0.2.0: ") && out.ends_with(" bytes received and checked\n"), "{out}");
+    // nothing confirms it but a request; the gateway looks for one each second
+    for _ in 0..3 {
+        assert!(board_command(&["status", &device]).ends_with(" 0.2.0 on trial\n"));
+        sleep(Duration::from_secs(1));
+    }
+    board.serve();
+    wait("the update is not confirmed", || {
+        board_command(&["status", &device]).ends_with(" 0.2.0 confirmed\n").then_some(())
+    });
+    drop(board);
+    // a confirmed image stays
+    let mut board = rig.start();
+    assert_eq!(board.status(), B);
+    board.serve();
+    check_model(&rig);
+}
+
+#[test]
+fn an_image_that_serves_nothing_is_rolled_back_and_the_status_tells_why() {
+    let Some(bcap) = bcap() else { return };
+    let rig = Rig::new(&bcap);
+    let good = rig.version("0.2.0");
+    let installed = installed(&rig, &rig.contents(), &flatten(&good));
+    let rolled_back = |elf: &[u8], end: &dyn Fn(&mut rig::Board<'_>), why: &str| {
+        // one download for all of them: the boot loader takes the image that is there
+        let (mut flash, image, start) = (installed.clone(), flatten(elf), layout::OTHER.start as usize);
+        flash[start..start + image.len()].copy_from_slice(&image);
+        rig.restore(&flash);
+        let mut board = rig.start();
+        end(&mut board);
+        let status =
+            wait("the update is not rolled back", || Some(board.status()).filter(|status| status != B_ON_TRIAL));
+        let reason =
+            status.strip_prefix("0.1.0 confirmed; 0.2.0 was rolled back: ").unwrap_or_else(|| panic!("{status}"));
+        assert!(reason.contains(why), "{reason}");
+        board.serve();
+        say(&format!("update: rolled back: {reason}"));
+    };
+    let panic_on_trial = |board: &mut rig::Board<'_>| {
+        board.until(B_ON_TRIAL);
+        board.key(b'p');
+    };
+    rolled_back(&good, &panic_on_trial, "panic at ..");
+    rolled_back(&rig::hanging(&good), &|_| (), "watchdog");
+    // no robot: the gateway answers each request with an error, which does not confirm the image
+    let mut alone = good.clone();
+    let robot = format!("robot=tcp:10.0.2.2:{}", rig.sim.bcap.rsplit(':').next().unwrap());
+    let settings = String::from_utf8(image::text(&good).unwrap().to_vec()).unwrap();
+    assert!(settings.contains(&robot), "{settings}");
+    image::write(&mut alone, settings.replace(&robot, "robot=tcp:10.0.2.2:9").as_bytes()).unwrap();
+    let without_a_robot = |board: &mut rig::Board<'_>| {
+        board.until(B_ON_TRIAL);
+        let answer = wait("no answer", || board.answer());
+        assert!(answer.starts_with('-'), "{answer}");
+    };
+    rolled_back(&alone, &without_a_robot, "the update served no request in time");
+    assert_eq!(rig.word(control::REFUSED), 0, "writes to flash that was not erased");
+}
+
+#[test]
+fn a_board_starts_again_after_a_power_cut_in_any_operation_of_the_flash() {
+    let Some(bcap) = bcap() else { return };
+    let rig = Rig::new(&bcap);
+    let (original, since) = (rig.contents(), Instant::now());
+    let image = flatten(&rig.version("0.2.0"));
+    let installed = installed(&rig, &original, &image);
+    let (swap, on_trial) = cut_swap(&rig, &installed, &image);
+    let roll_back = cut_roll_back(&rig, &on_trial, &image);
+    let download = cut_download(&rig, &original, &image);
+    say(&format!(
+        "update: {} power cuts ({download} in the download, {swap} in the swap and the confirmation, {roll_back} in the roll-back), \
+         all recovered, {} s",
+        download + swap + roll_back,
+        since.elapsed().as_secs()
+    ));
+}
+
+#[test]
+fn a_board_whose_power_fails_during_a_swap_finishes_it() {
+    let Some(bcap) = bcap() else { return };
+    let rig = Rig::new(&bcap);
+    let installed = installed(&rig, &rig.contents(), &flatten(&rig.version("0.2.0")));
+    let mut kills = 0;
+    for _ in 0..10 {
+        rig.restore(&installed);
+        // the power fails twice, at random moments
+        let moments = [fastrand::u32(1..1000), fastrand::u32(1100..2000)];
+        for moment in moments {
+            let board = rig.start();
+            wait("the swap does not start", || (rig.operations() >= moment).then_some(()));
+            drop(board);
+            kills += u32::from(rig.operations() < swap_operations());
+        }
+        let mut board = rig.start();
+        let status = board.status();
+        // a swap that was finished before the power failed is rolled back
+        assert!(status == B_ON_TRIAL || status == ROLLED_BACK, "{status}, {moments:?}");
+        board.serve();
+    }
+    assert!(kills >= 5, "{kills} of 20 moments were in the swap");
+    say(&format!("update: QEMU was killed {kills} times during a swap"));
+}
+
+const ROLLED_BACK: &str = "0.1.0 confirmed; 0.2.0 was rolled back: power-on";
+
+/// Returns the sectors of an image's partition.
+fn sectors() -> u32 {
+    (layout::ACTIVE.end - layout::ACTIVE.start) / layout::SECTOR as u32
+}
+
+/// Returns the least operations of a swap: of each sector twice an erase, 16 pages and a word of progress.
+fn swap_operations() -> u32 {
+    sectors() * 2 * (1 + 16 + 1)
+}
+
+/// Returns the flash after an update was installed and before the restart.
+fn installed(rig: &Rig, original: &Contents, image: &[u8]) -> Contents {
+    rig.restore(original);
+    let mut board = rig.start();
+    assert_eq!(board.status(), A);
+    board.install(image).unwrap();
+    assert_eq!(board.status(), "0.1.0 runs; a restart swaps in 0.2.0");
+    check_model(rig);
+    let [erased, written] = [control::ERASED, control::WRITTEN].map(|number| rig.word(number));
+    say(&format!("update: {} bytes received: {}", image.len(), times(erased, written)));
+    drop(board);
+    rig.contents()
+}
+
+/// Cuts the power in operations of the download and the installation. Returns the number of cuts.
+fn cut_download(rig: &Rig, original: &Contents, image: &[u8]) -> u32 {
+    let all = cut_all();
+    let short = short(image);
+    rig.restore(original);
+    let mut board = rig.start();
+    let mut cuts = 0;
+    for operation in (1..).step_by(if all { 1 } else { 9 }) {
+        assert_eq!(board.status(), A);
+        board.serve();
+        rig.cut_at(operation);
+        match board.install(&short) {
+            Err(Cut) => cuts += 1,
+            Ok(()) => break,
+        }
+    }
+    drop(board);
+    // the same with the whole image, at about two places in each sector or at one; then a repeated update without a cut
+    rig.restore(original);
+    let mut board = rig.start();
+    let last = u32::try_from(image.len().div_ceil(BLOCK) + image.len().div_ceil(layout::SECTOR)).unwrap();
+    let first = if all { 1 } else { fastrand::u32(1..last) };
+    for operation in (first..=last).step_by(if all { 17 } else { 10_000 }) {
+        assert_eq!(board.status(), A);
+        rig.cut_at(operation);
+        assert!(board.install(image).is_err(), "operation {operation}");
+        cuts += 1;
+    }
+    rig.cut_at(0);
+    repeat(&mut board, image);
+    assert_eq!(rig.word(control::REFUSED), 0);
+    cuts
+}
+
+/// Cuts the power in operations of the swap and the confirmation. Returns the number of cuts, and the flash with B on trial.
+fn cut_swap(rig: &Rig, installed: &Contents, image: &[u8]) -> (u32, Contents) {
+    rig.restore(installed);
+    let mut board = rig.start();
+    assert_eq!(board.status(), B_ON_TRIAL);
+    let swap = rig.operations();
+    let [erased, written] = [control::ERASED, control::WRITTEN].map(|number| rig.word(number));
+    say(&format!("update: swap of {} sectors: {}", sectors(), times(erased, written)));
+    assert!(swap >= swap_operations(), "{swap}");
+    let on_trial = rig.contents();
+    board.serve();
+    board.until(B);
+    let last = rig.operations();
+    check_model(rig);
+    drop(board);
+
+    let cuts = cuts(1..swap + 1, 12);
+    for operation in &cuts {
+        rig.restore(installed);
+        rig.cut_at(*operation);
+        let mut board = rig.start();
+        rig.until_cut();
+        let status = board.status();
+        // the last operation records the end of the swap: if it counts as done, this was a power cut on trial
+        let is_last = *operation == swap && status == ROLLED_BACK;
+        assert!(status == B_ON_TRIAL || is_last, "cut in operation {operation} of the swap: {status}");
+        board.serve();
+        if operation % 16 == 0 && !is_last {
+            board.until(B);
+        }
+        check_cut(rig, *operation);
+    }
+    say(&format!("update: {} power cuts in the swap", cuts.len()));
+    for operation in swap + 1..=last {
+        rig.restore(installed);
+        rig.cut_at(operation);
+        let mut board = rig.start();
+        assert_eq!(board.status(), B_ON_TRIAL);
+        board.serve();
+        rig.until_cut();
+        // the state was not written, so the reset counts as one on trial
+        assert_eq!(board.status(), ROLLED_BACK, "cut in operation {operation}, in the confirmation");
+        board.serve();
+        check_cut(rig, operation);
+        if cut_all() || operation == last {
+            repeat(&mut board, image);
+        }
+    }
+    (u32::try_from(cuts.len()).unwrap() + last - swap, on_trial)
+}
+
+/// Cuts the power in operations of the roll-back. Returns the number of cuts.
+fn cut_roll_back(rig: &Rig, on_trial: &Contents, image: &[u8]) -> u32 {
+    rig.restore(on_trial);
+    let mut board = rig.start();
+    assert_eq!(board.status(), ROLLED_BACK);
+    board.serve();
+    let last = rig.operations();
+    check_model(rig);
+    drop(board);
+    let cuts = cuts(1..last + 1, 12);
+    for operation in &cuts {
+        rig.restore(on_trial);
+        rig.cut_at(*operation);
+        let mut board = rig.start();
+        rig.until_cut();
+        assert_eq!(board.status(), ROLLED_BACK, "cut in operation {operation} of the roll-back");
+        board.serve();
+        check_cut(rig, *operation);
+        if operation % 256 == 0 {
+            repeat(&mut board, image);
+        }
+    }
+    say(&format!("update: {} power cuts in the roll-back", cuts.len()));
+    u32::try_from(cuts.len()).unwrap()
+}
+
+/// Updates a board with A to B.
+fn repeat(board: &mut rig::Board<'_>, image: &[u8]) {
+    board.install(image).unwrap();
+    board.restart().unwrap();
+    board.until(B_ON_TRIAL);
+    board.serve();
+    board.until(B);
+}
+
+fn cut_all() -> bool {
+    std::env::var("UPDATE_CUTS").is_ok_and(|cuts| cuts == "all")
+}
+
+/// Returns the operations in which the power is cut: all, or about this number of them, at other places in each run.
+fn cuts(operations: std::ops::Range<u32>, count: u32) -> Vec<u32> {
+    if cut_all() {
+        return operations.collect();
+    }
+    let step = (operations.len() as u32 / count).max(1);
+    let first = operations.start + fastrand::u32(0..step);
+    (first..operations.end).step_by(step as usize).collect()
+}
+
+/// Returns an image that is received fast, and never started.
+fn short(image: &[u8]) -> Vec<u8> {
+    let found = identity::find(image).unwrap();
+    let mut short = image[..9000].to_vec();
+    let identity = Identity::new(found.board(), "0.3.0");
+    short[1024..1024 + identity.as_bytes().len()].copy_from_slice(identity.as_bytes());
+    short
+}
+
+/// Checks that the flash was used as one without power cuts must be: no word is written again without an erase.
+fn check_model(rig: &Rig) {
+    assert_eq!(rig.word(control::REFUSED), 0, "writes to flash that was not erased");
+    assert_eq!(rig.word(control::WRITTEN_AGAIN), 0, "words written twice");
+    assert_eq!(rig.word(control::CUTS), 0);
+}
+
+/// Checks that the power was cut once, and that only the interrupted word was written again.
+fn check_cut(rig: &Rig, operation: u32) {
+    assert_eq!(rig.word(control::CUTS), 1);
+    assert_eq!(rig.word(control::REFUSED), 0, "cut in operation {operation}");
+    assert!(rig.word(control::WRITTEN_AGAIN) <= 1, "cut in operation {operation}");
+}
+
+/// Tells how long operations take on the flash of a W5500-EVB-Pico.
+fn times(erased: u32, written: u32) -> String {
+    let seconds = [0, 1].map(|i| (f64::from(erased) * ERASE[i] + f64::from(written) * WRITE[i]) / 1000.0);
+    format!("{erased} erases and {written} pages: {:.1} s, at most {:.0} s", seconds[0], seconds[1])
+}
+
+/// Prints a line that `test` shows; not with `println`, which cargo shows of failures only.
+fn say(line: &str) {
+    let _ = writeln!(io::stderr(), "{line}");
+}
