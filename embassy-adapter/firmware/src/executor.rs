@@ -6,8 +6,10 @@
 use core::sync::atomic::{AtomicBool, Ordering};
 
 use bcap_board::stack;
-use embassy_executor::{Spawner, raw};
+use embassy_executor::{SpawnError, Spawner, raw};
 use static_cell::StaticCell;
+
+use crate::{clock, fault, uart};
 
 static EXECUTOR: StaticCell<raw::Executor> = StaticCell::new();
 /// Whether a task was woken since the executor's last poll.
@@ -18,8 +20,25 @@ fn pender(_context: *mut ()) {
     WOKEN.store(true, Ordering::Release);
 }
 
-/// Runs tasks forever; there can be only one executor.
+/// Starts tasks and [runs](run) them; logs it if one does not start.
+///
+/// `start` needs `#[inline(never)]`: otherwise the temporaries of initialisation would stay on the stack forever.
+pub fn start(start: fn(Spawner) -> Result<(), SpawnError>) -> ! {
+    run(|spawner| {
+        if start(spawner).is_err() {
+            defmt::error!("cannot start a task: its pool is full");
+            fault::end()
+        }
+    })
+}
+
+/// Initialises the serial port, the record of faults and the clock, then runs tasks forever; there can be only one executor.
 pub fn run(start: impl FnOnce(Spawner)) -> ! {
+    uart::init();
+    fault::init();
+    if let Some(peripherals) = cortex_m::Peripherals::take() {
+        clock::init(peripherals.SYST);
+    }
     let executor = EXECUTOR.init_with(|| raw::Executor::new(core::ptr::null_mut()));
     start(executor.spawner());
     stack::repaint();

@@ -12,7 +12,7 @@ use bcap_board::stack;
 #[cfg(feature = "echo")]
 use bcap_firmware::echo;
 use bcap_firmware::net::{self, NetRunner};
-use bcap_firmware::{clock, config, executor, fault, lan9118, uart, watchdog};
+use bcap_firmware::{config, executor, fault, lan9118, watchdog};
 use embassy_executor::{SpawnError, Spawner};
 use embassy_net::StackResources;
 use static_cell::StaticCell;
@@ -35,12 +35,7 @@ fn main() -> ! {
 }
 
 extern "C" fn program() -> ! {
-    executor::run(|spawner| {
-        if start(spawner).is_err() {
-            defmt::error!("cannot start a task: its pool is full");
-            fault::end()
-        }
-    })
+    executor::start(start)
 }
 
 /// Starts the board and all tasks.
@@ -51,11 +46,6 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     // not a `ConstStaticCell`: with a host name in it, the type is not `Send`
     static RESOURCES: StaticCell<StackResources<SOCKETS>> = StaticCell::new();
 
-    uart::init();
-    fault::init();
-    if let Some(peripherals) = cortex_m::Peripherals::take() {
-        clock::init(peripherals.SYST);
-    }
     let parts = Parts {
         frames: |f| defmt::write!(f, "{}", lan9118::counters()),
         counters: |show| {
@@ -107,7 +97,7 @@ async fn serve_console() -> ! {
 async fn provoke() -> ! {
     loop {
         embassy_time::Timer::after_millis(20).await;
-        if let Some(letter) = uart::read() {
+        if let Some(letter) = bcap_firmware::uart::read() {
             bcap_firmware::provoke::provoke(letter);
         }
     }

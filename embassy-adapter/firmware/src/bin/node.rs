@@ -17,7 +17,7 @@ use bcap_embassy::net::{Connection, NetError, Options, TcpClient, TcpTransport};
 use bcap_embassy::server::{Limits, Listener, SharedHandler, UdpPeer, UdpServer};
 use bcap_firmware::net::{self, NetRunner};
 use bcap_firmware::node::Node;
-use bcap_firmware::{clock, config, executor, fault, lan9118, uart};
+use bcap_firmware::{config, executor, fault, lan9118};
 use embassy_executor::{SpawnError, Spawner};
 use embassy_net::udp::{PacketMetadata, UdpSocket};
 use embassy_net::{Stack, StackResources};
@@ -46,12 +46,7 @@ fn main() -> ! {
 }
 
 extern "C" fn program() -> ! {
-    executor::run(|spawner| {
-        if start(spawner).is_err() {
-            defmt::error!("cannot start a task: its pool is full");
-            fault::end()
-        }
-    })
+    executor::start(start)
 }
 
 /// Starts the board and all tasks.
@@ -65,11 +60,6 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     // apart from their memory, which would lie in the flash as well if it were part of a value that is not all zero
     static SESSIONS: [StaticCell<Option<RacSession>>; RAC_SESSIONS] = [const { StaticCell::new() }; RAC_SESSIONS];
 
-    uart::init();
-    fault::init();
-    if let Some(peripherals) = cortex_m::Peripherals::take() {
-        clock::init(peripherals.SYST);
-    }
     let settings = config::load(config::log);
     let robot = settings.robot.address;
     defmt::info!("robot {}, provider {=str}", defmt::Debug2Format(&robot), settings.provider);

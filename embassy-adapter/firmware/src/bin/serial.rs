@@ -12,7 +12,7 @@ use bcap_embassy::gateway::{SerialRobot, SharedGateway, run_robot, serve};
 use bcap_embassy::serial::transport;
 use bcap_embassy::server::Limits;
 use bcap_firmware::lines::Line;
-use bcap_firmware::{clock, config, executor, fault, uart};
+use bcap_firmware::{config, executor, fault};
 use embassy_executor::{SpawnError, Spawner};
 use embassy_sync::blocking_mutex::raw::NoopRawMutex;
 use static_cell::{ConstStaticCell, StaticCell};
@@ -34,22 +34,12 @@ fn main() -> ! {
 }
 
 extern "C" fn program() -> ! {
-    executor::run(|spawner| {
-        if start(spawner).is_err() {
-            defmt::error!("cannot start a task: its pool is full");
-            fault::end()
-        }
-    })
+    executor::start(start)
 }
 
 /// Starts the board and all tasks.
 #[inline(never)]
 fn start(spawner: Spawner) -> Result<(), SpawnError> {
-    uart::init();
-    fault::init();
-    if let Some(peripherals) = cortex_m::Peripherals::take() {
-        clock::init(peripherals.SYST);
-    }
     defmt::info!("last reset: {}", defmt::Display2Format(&fault::last_reset()));
     let board = make(config::load(config::log));
     spawner.spawn(keep_robot(board)?);

@@ -23,8 +23,8 @@ use bcap_core::slave::{
 };
 use bcap_embassy::net::{Connection, Options, TcpClient, TcpTransport};
 use bcap_firmware::net::{self, NetRunner};
-use bcap_firmware::uart::{self, Text};
-use bcap_firmware::{clock, config, executor, fault};
+use bcap_firmware::uart::Text;
+use bcap_firmware::{config, executor, fault};
 use embassy_executor::{SpawnError, Spawner};
 use embassy_net::{Stack, StackResources};
 use embassy_time::Timer;
@@ -65,11 +65,6 @@ fn start(spawner: Spawner) -> Result<(), SpawnError> {
     // not a `ConstStaticCell`: with a host name in it, the type is not `Send`
     static RESOURCES: StaticCell<StackResources<SOCKETS>> = StaticCell::new();
 
-    uart::init();
-    fault::init();
-    if let Some(peripherals) = cortex_m::Peripherals::take() {
-        clock::init(peripherals.SYST);
-    }
     let settings = config::load(|line| {
         let _ = writeln!(Text, "settings: cannot read \"{}\"", line.escape_ascii());
     });
