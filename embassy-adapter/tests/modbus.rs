@@ -149,7 +149,7 @@ fn a_part_of_a_frame_ends_a_session() {
             let mut memory = [[0; 512]; 2];
             let [rx, tx] = &mut memory;
             let mut listener = ModbusListener::new(board, PORT, &map, [rx, tx], Options::default());
-            let receive = core::time::Duration::from_millis(100);
+            let receive = core::time::Duration::from_secs(2);
             listener.run(&plant, &Limits { receive, ..Limits::default() }).await
         };
         let test = async {
@@ -180,8 +180,8 @@ fn a_part_of_a_frame_ends_a_session() {
                 [0x12, 0x34, 0, 0, 0, 3, 1, 0x83, 0x0a],
                 "a frame in parts is served, without a robot"
             );
-            // without a frame there is no limit; the second request takes a timer of its own
-            Timer::after_millis(150).await;
+            // without a frame there is no limit; the second request has its own
+            Timer::after_millis(2500).await;
             assert_eq!(ask(&mut c, &[3, 0, 100, 0, 2]).await, [0x83, 0x0a]);
             assert_eq!(c.write(&[&request[..], &request[..7]].concat()).await, Ok(19));
             assert_eq!(c.read(&mut response).await, Ok(9));

@@ -206,7 +206,7 @@ fn answer(board: &Board, parts: &Parts, path: &str, page: &mut dyn Write) -> Opt
     let own = [("log frames dropped", (parts.dropped)()), ("syslog messages lost", LOST.lock(Cell::get))];
     counters.extend(own.into_iter().take(counters.capacity().saturating_sub(counters.len())));
     #[cfg(feature = "update")]
-    let status = crate::trial::status();
+    let status = crate::update::shown::status();
     #[cfg(feature = "update")]
     let update = status.as_ref().map(|status| {
         let (identity, (last, reason)) = (status.identity(), status.last_update());

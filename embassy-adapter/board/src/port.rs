@@ -57,8 +57,9 @@ pub fn console<F: NorFlash>(slots: Slots<F>) -> Console<'static, F> {
     Console::new(slots, memory::image())
 }
 
-/// As [`console`], and receives updates, if the image has partitions for them. Call it after [`Parts::after`](crate::parts::Parts::after),
-/// which passes on why an update was rolled back.
+/// Makes a console as [`console`] does, which also receives updates if the image has partitions for them.
+///
+/// Call it after [`Parts::after`](crate::parts::Parts::after), which passes on why an update was rolled back.
 #[cfg(feature = "update")]
 #[must_use]
 pub fn console_with_updates<F: NorFlash>(slots: Slots<F>, updates: Option<Updates>) -> Console<'static, F> {

@@ -1,6 +1,7 @@
 //! The trial of an update: it is confirmed when the gateway has served a request, and rolled back when it has not in time.
 
 use core::cell::Cell;
+#[cfg(feature = "port")]
 use core::cell::RefCell;
 
 use embassy_sync::blocking_mutex::Mutex;
@@ -8,6 +9,7 @@ use embassy_sync::blocking_mutex::raw::CriticalSectionRawMutex;
 use embassy_sync::signal::Signal;
 #[cfg(feature = "port")]
 use embassy_time::{Duration, with_timeout};
+#[cfg(feature = "port")]
 use embedded_storage::nor_flash::NorFlash;
 
 #[cfg(feature = "port")]
@@ -15,15 +17,13 @@ use crate::console::Console;
 use crate::record::Cause;
 #[cfg(feature = "port")]
 use crate::slots::Slots;
+#[cfg(all(feature = "port", feature = "health"))]
+use crate::update::shown;
 #[cfg(feature = "port")]
-use crate::update::{Phase, Updates};
-use crate::update::{Status, Updater};
+use crate::update::{Phase, Updater, Updates};
 
 static SERVED: Signal<CriticalSectionRawMutex, ()> = Signal::new();
 static LAST_RESET: Mutex<CriticalSectionRawMutex, Cell<Cause>> = Mutex::new(Cell::new(Cause::PowerOn));
-
-/// The state of updates, for the page.
-static STATUS: Mutex<CriticalSectionRawMutex, RefCell<Option<Status>>> = Mutex::new(RefCell::new(None));
 
 /// Sets the cause of the last reset, which may have ended a trial.
 pub(crate) fn set_last_reset(cause: Cause) {
@@ -35,28 +35,6 @@ pub(crate) fn has_served() {
     SERVED.signal(());
 }
 
-/// Shows the state of updates on the page. Call it after each change.
-pub(crate) fn show<F: NorFlash>(updater: &Updater, flash: &mut F) {
-    // a flash that cannot be read leaves the earlier state
-    if let Ok(status) = updater.status(flash) {
-        set(status);
-    }
-}
-
-fn set(status: Status) {
-    STATUS.lock(|shown| {
-        if let Ok(mut shown) = shown.try_borrow_mut() {
-            *shown = Some(status);
-        }
-    });
-}
-
-/// Returns the state of updates, if the image receives them.
-#[cfg(feature = "health")]
-pub(crate) fn status() -> Option<Status> {
-    STATUS.lock(|shown| shown.try_borrow().ok()?.clone())
-}
-
 /// Creates a console that receives updates, if the image has partitions for them.
 #[cfg(feature = "port")]
 pub(crate) fn console<F: NorFlash>(mut slots: Slots<F>, updates: Option<Updates>) -> Console<'static, F> {
@@ -66,7 +44,8 @@ pub(crate) fn console<F: NorFlash>(mut slots: Slots<F>, updates: Option<Updates>
         match status {
             Ok((status, updater)) => {
                 defmt::info!("image {}", defmt::Display2Format(&status));
-                set(status);
+                #[cfg(feature = "health")]
+                shown::show(&updater, slots.flash());
                 Some(updater)
             }
             Err(error) => {
@@ -92,7 +71,8 @@ pub(crate) async fn judge<F: NorFlash>(console: &RefCell<Console<'_, F>>, trial:
     }
     if let Some((updater, flash)) = console.borrow_mut().updater() {
         let confirmed = updater.confirm(flash);
-        show(updater, flash);
+        #[cfg(feature = "health")]
+        shown::show(updater, flash);
         match confirmed {
             Ok(()) => defmt::info!("the update has served a request and is confirmed"),
             // it stays on trial, so the next start rolls it back

@@ -43,7 +43,7 @@ struct Port {
     transmitter: Irq,
     /// More than a frame, which arrives while the board runs its other tasks.
     received: &'static Ring<1024>,
-    /// More than all answers that one side waits for, and more than all settings.
+    /// More than the answers to the pending requests, and more than all settings.
     to_send: &'static Ring<4096>,
     waker: AtomicWaker,
 }

@@ -43,7 +43,7 @@ pub fn prepare() -> Result<State, BootError> {
 pub fn start() -> ! {
     let image = u32::try_from(FLASH).unwrap_or_default() + ACTIVE.start;
     // SAFETY: the boot loader has enabled no interrupt, and its part of the program ends here; the active partition starts with the
-    // vector table of an image
+    // vector table of an image. The guard of the stack stays active: `build.rs` gives both images the same memory for stacks
     unsafe {
         (*SCB::PTR).vtor.write(image);
         cortex_m::asm::bootload(core::ptr::with_exposed_provenance(

@@ -152,21 +152,24 @@ impl Scan {
             let ended = Instant::now();
             self.metrics().read_us.fetch_add(micros(ended - now), Ordering::Relaxed);
             // after a timeout the rest of the batch is not read; after a loss of the session the state follows
-            let mut stopped = None;
+            let (mut stopped, mut is_first) = (None, false);
             let mut batch = batch.into_iter();
             for ((time, value), index) in readings.into_iter().zip(batch.by_ref()) {
                 let scanned = &mut scanned[index];
-                let is_timeout = matches!(&value, Err(error @ Error::NoReply { .. }) if !error.is_lost());
+                let has_no_reply = matches!(&value, Err(error @ Error::NoReply { .. }) if !error.is_lost());
                 // two timeouts in a row are the fault of the controller, not of the second point
-                scanned.timeouts = if is_timeout { scanned.timeouts + u32::from(replied) } else { 0 };
+                scanned.timeouts = if has_no_reply { scanned.timeouts + u32::from(replied) } else { 0 };
                 scanned.attempted = Some(ended);
-                replied = !is_timeout;
-                stopped = is_timeout.then_some(time);
+                (stopped, is_first) = (has_no_reply.then_some(time), replied);
+                replied = !has_no_reply;
                 self.reschedule(scanned, ended);
                 self.count(scanned, time, value);
             }
             for index in batch {
-                self.reschedule(&mut scanned[index], ended);
+                // after the first timeout in a row the others stay due, because they may have a reply
+                if stopped.is_none() || !is_first {
+                    self.reschedule(&mut scanned[index], ended);
+                }
                 if let Some(time) = stopped {
                     self.fail(&mut scanned[index], time);
                 }
@@ -259,7 +262,7 @@ fn first_after(due: Instant, interval: Duration, time: Instant) -> (Instant, u32
     if due >= time {
         return (due, 0);
     }
-    let missed = u32::try_from((time - due).as_nanos() / interval.as_nanos() + 1).unwrap_or(u32::MAX);
+    let missed = u32::try_from((time - due).as_nanos().div_ceil(interval.as_nanos())).unwrap_or(u32::MAX);
     (due.checked_add(interval * missed).unwrap_or(time + interval), missed)
 }
 
@@ -374,6 +377,7 @@ mod tests {
         let (start, ms) = (Instant::now(), Duration::from_millis);
         assert_eq!(first_after(start, ms(10), start), (start, 0));
         assert_eq!(first_after(start, ms(10), start + ms(1)), (start + ms(10), 1));
+        assert_eq!(first_after(start, ms(10), start + ms(10)), (start + ms(10), 1));
         assert_eq!(first_after(start, ms(10), start + ms(3001)), (start + ms(3010), 301));
     }
 

@@ -59,8 +59,8 @@ pub fn run(bcap: &PathBuf, args: &[&str]) -> Run {
     }
 }
 
-/// Sends a signal to a process, or to a group of them.
-fn signal(signal: &str, process: &str) {
+/// Sends a signal such as `-KILL` to a process, or to a group (`-NUMBER`).
+pub fn signal(signal: &str, process: &str) {
     assert!(Command::new("kill").args([signal, "--", process]).status().unwrap().success());
 }
 

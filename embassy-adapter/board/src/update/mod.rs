@@ -13,6 +13,8 @@
 mod download;
 mod error;
 mod request;
+#[cfg(all(feature = "embassy", feature = "health"))]
+pub(crate) mod shown;
 mod state;
 mod status;
 mod updater;

@@ -35,8 +35,8 @@ pub(crate) fn perform<F: NorFlash, W: Write>(
         },
         _ => {
             let installed = updater.install(flash);
-            #[cfg(feature = "embassy")]
-            crate::trial::show(updater, flash);
+            #[cfg(all(feature = "embassy", feature = "health"))]
+            super::shown::show(updater, flash);
             result(port, installed)
         }
     }

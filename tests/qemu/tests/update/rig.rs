@@ -4,6 +4,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{ErrorKind, Read, Write};
 use std::os::unix::fs::FileExt;
 use std::os::unix::net::UnixStream;
+use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -14,7 +15,7 @@ use bcap_board::console::HELLO;
 use bcap_board::crc::Crc32;
 use bcap_board::identity::{self, BLOCK, Identity};
 use bcap_board::image;
-use bcap_qemu::{Plc, Sim, TIMEOUT, free_port};
+use bcap_qemu::{Plc, Sim, TIMEOUT, free_port, signal};
 
 use crate::layout::{ACTIVE, CONTROL, OTHER, SECTOR, control};
 
@@ -32,7 +33,7 @@ pub(crate) struct Cut;
 
 /// Everything but the running board.
 pub(crate) struct Rig {
-    /// Where the command of QEMU is valid.
+    /// Where the command of QEMU is valid. `timeout` is a part of it, so QEMU ends even if the test is killed.
     firmware: PathBuf,
     command: Vec<String>,
     folder: PathBuf,
@@ -77,7 +78,7 @@ impl Rig {
         };
         let mut elf = fs::read(firmware.join(run("--build").trim_end())).unwrap();
         let command = run("--command");
-        let command = command.lines().skip_while(|word| *word != "qemu-system-arm").map(str::to_owned).collect();
+        let command = command.lines().map(str::to_owned).collect();
         let mut settings = fs::read(&flash).unwrap();
         settings.truncate(ACTIVE.end as usize);
         image::write(&mut elf, image::text(&settings).unwrap()).unwrap();
@@ -146,7 +147,8 @@ impl Rig {
         let log = File::create(self.folder.join("log")).unwrap();
         let mut command = Command::new(&self.command[0]);
         command.args(&self.command[1..]).current_dir(&self.firmware).stdin(Stdio::piped()).stdout(log);
-        let mut child = command.spawn().unwrap();
+        // a process group, so that one signal ends QEMU, too
+        let mut child = command.process_group(0).spawn().unwrap();
         let keys = child.stdin.take().unwrap();
         Board { rig: self, child, keys, console: None, received: Vec::new() }
     }
@@ -276,7 +278,14 @@ impl Board<'_> {
     /// Skips the answers to repeated requests.
     fn skip_answers(&mut self) {
         self.send("hello\n");
-        wait("no answer to hello", || self.line().filter(|line| line == HELLO));
+        wait("no answer to hello", || {
+            let line = self.line();
+            if line.is_none() {
+                // requests while the board was down can fill its buffer
+                self.send("hello\n");
+            }
+            line.filter(|line| line == HELLO)
+        });
     }
 
     /// Returns the next line of an answer, if it arrives soon.
@@ -288,6 +297,7 @@ impl Board<'_> {
                 return Some(String::from_utf8_lossy(&line[..end]).into_owned());
             }
             match self.console.as_mut()?.read(&mut bytes) {
+                Ok(0) => panic!("QEMU has ended"),
                 Ok(count) => self.received.extend_from_slice(&bytes[..count]),
                 Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => return None,
                 Err(error) => panic!("the console: {error}"),
@@ -298,8 +308,10 @@ impl Board<'_> {
 
 impl Drop for Board<'_> {
     fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
+        if self.child.try_wait().is_ok_and(|ended| ended.is_none()) {
+            signal("-KILL", &format!("-{}", self.child.id()));
+            let _ = self.child.wait();
+        }
     }
 }
 
