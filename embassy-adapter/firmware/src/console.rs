@@ -12,7 +12,7 @@ use crate::lines::Line;
 use crate::{flash, uart};
 
 /// How long an update may take to serve its first request. A test has less time.
-const TRIAL: Duration = if cfg!(feature = "faults") { Duration::from_secs(30) } else { port::TRIAL };
+const TRIAL: Duration = if cfg!(feature = "faults") { Duration::from_secs(20) } else { port::TRIAL };
 
 /// Serves the console. Call it once.
 pub async fn run() -> ! {
