@@ -105,7 +105,7 @@ impl<F: NorFlash> StateFlash<F> {
         Ok(Self { flash, starts, size, bank, is_erased: false })
     }
 
-    /// Returns the number of the state, which grows with each change of it; `None` before the first one.
+    /// Returns the number of the state, which each change increments, and which wraps; `None` before the first one.
     pub(super) fn sequence(&self) -> Option<u32> {
         self.bank.map(|bank| bank.sequence)
     }
