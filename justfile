@@ -114,7 +114,7 @@ board-flood minutes="10":
     FLOOD_SECONDS=$(({{minutes}} * 60)) BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" \
         cargo test -p bcap-qemu --test flood
 
-# Updates of the gateway board in QEMU with the power cut in each operation of a swap and a roll-back, and in many of a download: half an hour.
+# Updates of the gateway board in QEMU with the power cut in each operation of a swap and a roll-back, and in many of a download: 45 minutes.
 board-updates:
     cargo build --release -p bcap-cli
     UPDATE_CUTS=all BCAP="${CARGO_TARGET_DIR:-$PWD/target}/release/bcap" cargo test -p bcap-qemu --test update -- --nocapture
