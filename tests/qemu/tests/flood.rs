@@ -28,6 +28,8 @@ const PACE: Duration = Duration::from_millis(10);
 const ROUND: u64 = 30;
 /// Lines that the attacker sends at once.
 const BATCH: usize = 32;
+/// The most lines that wait for their answers, a fraction of a second's work. An attack ends when all are answered.
+const WAITING: u64 = 4096;
 
 #[test]
 fn a_flood_of_refused_requests_resets_nothing() {
@@ -111,12 +113,18 @@ impl Attack {
         let mut sender = TcpStream::connect(address).unwrap();
         let mut receiver = sender.try_clone().unwrap();
         let answer = error(HResult::E_ACCESSDENIED);
-        let (stopping, counting) = (Arc::clone(&stop), Arc::clone(&refused));
+        let (stopping, answered, counting) = (Arc::clone(&stop), Arc::clone(&refused), Arc::clone(&refused));
         let send = move || {
+            let mut sent = 0;
             while !stopping.load(Ordering::Relaxed) {
+                if sent > answered.load(Ordering::Relaxed) + WAITING {
+                    sleep(Duration::from_millis(1));
+                    continue;
+                }
                 if sender.write_all("PUT:RC8:20:I:3,1\r".repeat(BATCH).as_bytes()).is_err() {
                     break;
                 }
+                sent += BATCH as u64;
             }
             let _ = sender.shutdown(std::net::Shutdown::Write);
         };
