@@ -22,7 +22,7 @@ use serde::Deserialize;
 use tokio::time::Instant;
 
 /// The range of the delay of a takeover in milliseconds: an active process that lost its connection comes first, and two
-/// watchers seldom take over at the same time.
+/// watchers rarely take over at the same time.
 const DELAY_MS: (u64, u64) = (10, 50);
 
 /// The part of `after` between two `online`.

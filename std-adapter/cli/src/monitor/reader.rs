@@ -17,7 +17,7 @@ use crate::trouble;
 use crate::value::{Value, integer};
 use crate::variables::{list, paths, read};
 
-/// How often tasks, messages and what seldom changes are read, and how often a lost connection is tried again.
+/// How often tasks, messages, the tool, the work and the speed are read, and how often a lost connection is tried again.
 const SLOW: Duration = Duration::from_secs(1);
 
 /// The tasks whose states are read.
@@ -52,12 +52,12 @@ struct Plan {
     messages: bool,
     had_error: bool,
     slow: Instant,
-    seldom: Seldom,
+    selection: Selection,
 }
 
-/// What is read every second.
+/// The selected tool and work coordinates, and the speed. They are read every second.
 #[derive(Default)]
-struct Seldom {
+struct Selection {
     tool: Option<String>,
     work: Option<String>,
     speed: Option<String>,
@@ -160,7 +160,7 @@ impl Reader {
             messages: true,
             had_error: true,
             slow: Instant::now(),
-            seldom: Seldom::default(),
+            selection: Selection::default(),
         })
     }
 
@@ -178,13 +178,13 @@ impl Reader {
         let is_slow = Instant::now() >= plan.slow;
         if is_slow {
             plan.slow = Instant::now() + SLOW;
-            plan.seldom = Seldom {
+            plan.selection = Selection {
                 tool: self.text("robot/@CURRENT_TOOL")?,
                 work: self.text("robot/@CURRENT_WORK")?,
                 speed: self.text("robot/@EXTSPEED")?,
             };
         }
-        let Seldom { tool, work, speed } = &plan.seldom;
+        let Selection { tool, work, speed } = &plan.selection;
         let (tool, work, speed) = (tool.clone(), work.clone(), speed.clone());
         let joints = self.numbers("robot/@CURRENT_ANGLE")?;
         let position = self.numbers("robot/@CURRENT_POSITION")?;
