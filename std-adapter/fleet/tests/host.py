@@ -1,5 +1,6 @@
 """A Sparkplug host on pysparkplug: prints each message as a line of JSON, and writes what its standard input asks for."""
 
+import itertools
 import json
 import sys
 
@@ -36,10 +37,11 @@ def send(client, kind, payload, device, name, datatype, value):
 
 client = sparkplug.Client(client_id="host")
 # the births, data and deaths of the node, and of its devices
-for kind in ["NBIRTH", "NDEATH"]:
+NODE_KINDS, DEVICE_KINDS = ["NBIRTH", "NDEATH"], ["DBIRTH", "DDATA", "DDEATH"]
+for kind in NODE_KINDS:
     topic = sparkplug.Topic(message_type=sparkplug.MessageType(kind), group_id=GROUP, edge_node_id=NODE)
     client.subscribe(topic, sparkplug.QoS.AT_MOST_ONCE, show)
-for kind in ["DBIRTH", "DDATA", "DDEATH"]:
+for kind in DEVICE_KINDS:
     topic = sparkplug.Topic(
         message_type=sparkplug.MessageType(kind),
         group_id=GROUP,
@@ -47,7 +49,18 @@ for kind in ["DBIRTH", "DDATA", "DDEATH"]:
         device_id=sparkplug.SINGLE_LEVEL_WILDCARD,
     )
     client.subscribe(topic, sparkplug.QoS.AT_MOST_ONCE, show)
-client.connect("127.0.0.1", port=int(sys.argv[1]), callback=lambda _: print("{}", flush=True))
+acknowledged = itertools.count(1)
+
+
+def on_subscribe(*_):
+    if next(acknowledged) == len(NODE_KINDS + DEVICE_KINDS):
+        print("{}", flush=True)
+
+
+# The first line says that the broker has accepted all subscriptions; a birth before that would be lost. pysparkplug has no such
+# callback, so this is the one of its MQTT client.
+client._client.on_subscribe = on_subscribe
+client.connect("127.0.0.1", port=int(sys.argv[1]))
 
 for line in sys.stdin:
     match line.split():

@@ -48,7 +48,7 @@ impl Drop for Host {
 }
 
 impl Host {
-    /// Starts the host, and waits until it is connected.
+    /// Starts the host, and waits until it is connected and has subscribed.
     fn start(python: &Path, port: u16) -> Self {
         let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/host.py");
         let mut child = Command::new(python)
