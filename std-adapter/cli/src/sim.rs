@@ -78,6 +78,7 @@ pub(crate) fn sim(args: &Sim, file: Option<&Path>) -> Result<(), Failure> {
         let mut config = Config { files: Some(files.to_owned()), file_work: file_worker()?, ..config(model) };
         (config.mode, config.token) = (args.mode.into(), args.token);
         config.lenient = args.lenient;
+        config.as_observed = args.as_observed;
         let refused = Refused::default();
         *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = args.screen.then(|| refused.clone());
         if args.screen {

@@ -127,6 +127,9 @@ pub struct Config {
     /// Whether it tolerates what a real controller may refuse: the provider of another model, and unknown options. It tells
     /// `observer` each text that it tolerates.
     pub lenient: bool,
+    /// Whether it does what real controllers were seen to do after a refusal, where the specification is silent or says
+    /// otherwise: a call that Slave Mode refuses ends Slave Mode, and Robot_Halt is refused while a task owns the arm.
+    pub as_observed: bool,
     /// The numbers of user variables.
     pub sizes: Sizes,
     /// The initial mode.
@@ -193,6 +196,7 @@ impl Config {
     pub fn of(model: Model) -> Self {
         Self {
             lenient: false,
+            as_observed: false,
             sizes: model.sizes,
             mode: Mode::Auto,
             token: Token::Any,
